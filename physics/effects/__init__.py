@@ -1,0 +1,1 @@
+"""Effects that the nominal twin leaves out, one file each."""

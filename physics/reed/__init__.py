@@ -1,0 +1,1 @@
+"""The reed: shape, orthotropic elasticity, finite elements, modes and viscoelastic cane."""

@@ -1,0 +1,220 @@
+"""The whole twin: from what the instruments are set to, to what the camera reads."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from holography.fresnel import FresnelTransform
+from physics.air import CavityLine, Chamber, cavity_gain, pressure_shape
+from physics.drive import Tweeter, tweeter_pressure_pa
+from physics.optics import (
+    Illumination,
+    Layout,
+    beat_integral,
+    kept_orders,
+    reed_axes_m,
+    reed_region,
+    sidebands,
+    speckle,
+)
+from physics.reed.basis import ReducedReed
+from physics.reed.response import forced_response
+from physics.reed.surface import on_reed, surface_shapes
+from physics.reed.viscoelastic import Components, Series, viscoelastic_cane
+from physics.sensor import Sensor, read_out
+
+Array = NDArray[np.floating[Any]]
+Float = NDArray[np.float32]
+Complex64 = NDArray[np.complex64]
+
+
+@dataclass(frozen=True)
+class TwinSettings:
+    """Everything that makes one simulated bench with one reed on it.
+
+    Attributes
+    ----------
+    components : Components
+        The reed's cane.
+    series : Series
+        Moisture: A as bought, B dried.
+    loss_factor : float
+        Of the cane, the same for all modes (see decision 0004).
+    """
+
+    components: Components = Components()
+    series: Series = Series.A
+    loss_factor: float = 0.03
+    chamber: Chamber = Chamber()
+    line: CavityLine = CavityLine()
+    tweeter: Tweeter = Tweeter()
+    illumination: Illumination = Illumination()
+    layout: Layout = Layout()
+    sensor: Sensor = field(default_factory=Sensor)
+
+
+@dataclass(frozen=True)
+class BenchState:
+    """What the instruments impose on light and air.
+
+    Attributes
+    ----------
+    difference_hz : Fraction
+        f_AOM1 − f_AOM2.
+    drive_hz : Fraction
+    drive_v : float
+        Peak volts at the tweeter; 0 is off.
+    rf_on : bool
+        Whether the modulators diffract: without radio frequency no light reaches the sensor.
+    """
+
+    difference_hz: Fraction
+    drive_hz: Fraction
+    drive_v: float
+    rf_on: bool = True
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of one exposure during which the state was constant, on the bench's clock."""
+
+    start_s: float
+    end_s: float
+    state: BenchState
+
+
+class BenchModel:
+    """Renders the frames of a simulated bench.
+
+    Holds what is fixed for a run: the reed, its speckle, the transform. Frames are pure functions
+    of the segments of their exposure and of the noise drawn from the generator handed in.
+
+    The reed is taken to follow a change of drive at once (its ring-down, Q/πf, is a few ms) and
+    the light of the object alone, ``|E|²``, to be that of the reed at rest: it is the same in all
+    frames of a step, so demodulation cancels it.
+    """
+
+    def __init__(self, settings: TwinSettings, reed: ReducedReed, rng: np.random.Generator) -> None:
+        self.settings = settings
+        sensor, layout = settings.sensor, settings.layout
+        self.transform = FresnelTransform(
+            sensor.shape, sensor.pixel_m, layout.wavelength_m, layout.distance_m
+        )
+        self.region = reed_region(layout, self.transform)
+        y, x = np.meshgrid(*reed_axes_m(layout, self.region, self.transform), indexing="ij")
+        self._lit = on_reed(x, y)
+        self._shapes = surface_shapes(reed, x[self._lit], y[self._lit])
+        self._reed = reed
+        self._cane = viscoelastic_cane(settings.components, settings.series)
+        self._object = self._scattered_light(x, y, rng)
+        self._lo = self._local_oscillator()
+        self._at_rest = np.abs(self.transform.to_sensor(self._pasted(self._object))) ** 2
+        # The four frames of a step share all but their beat integrals.
+        self._response = lru_cache(maxsize=4)(self._unit_response)
+        self._light = lru_cache(maxsize=2)(self._light_of_sidebands)
+
+    def _scattered_light(self, x: Array, y: Array, rng: np.random.Generator) -> Complex64:
+        """Amplitude of the light of each lit pixel (n,), in √(electrons/s)."""
+        light, height_width = self.settings.illumination, x.shape
+        rough = speckle(height_width, rng)[self._lit]
+        middle = 0.5 * self.settings.layout.reed_size_m[1]
+        r2 = (x[self._lit] - middle) ** 2 + y[self._lit] ** 2
+        amplitude = rough * np.exp(-r2 / light.object_waist_m**2)
+        power = light.object_e_s * self._pixels / np.sum(np.abs(amplitude) ** 2)
+        scattered: Complex64 = (amplitude * np.sqrt(power)).astype(np.complex64)
+        return scattered
+
+    def _local_oscillator(self) -> Float:
+        """Amplitude of the local oscillator on the sensor (ny, nx), in √(electrons/s)."""
+        light, sensor = self.settings.illumination, self.settings.sensor
+        r2 = np.add.outer(*[(sensor.pixel_m * (np.arange(n) - n // 2)) ** 2 for n in sensor.shape])
+        profile = np.exp(-r2 / light.local_oscillator_waist_m**2)
+        amplitude: Float = (np.sqrt(light.local_oscillator_e_s) * profile).astype(np.float32)
+        return amplitude
+
+    @property
+    def _pixels(self) -> int:
+        return int(np.prod(self.settings.sensor.shape))
+
+    def _pasted(self, lit: Complex64) -> Complex64:
+        """Object plane (ny, nx) with values on the lit pixels and darkness elsewhere."""
+        patch = np.zeros(self._lit.shape, dtype=np.complex64)
+        patch[self._lit] = lit
+        return self.region.paste(patch, self.settings.sensor.shape)
+
+    def _unit_response(self, drive_hz: Fraction) -> Complex64:
+        """Displacement (n,) of the lit pixels per volt, in m."""
+        settings = self.settings
+
+        def pressure(hz: float, x: Array, y: Array) -> NDArray[np.complex128]:
+            at_tip = tweeter_pressure_pa(settings.tweeter, hz, 1.0)
+            at_tip *= cavity_gain(settings.line, hz)
+            return at_tip * pressure_shape(settings.chamber, hz, x, y).astype(complex)
+
+        response = forced_response(
+            self._reed, self._cane, settings.loss_factor, np.array([float(drive_hz)]), pressure
+        )
+        total = np.zeros(len(self._object), dtype=np.complex64)
+        for symmetry, coordinates in response.items():
+            real_and_imaginary = np.stack([coordinates[0].real, coordinates[0].imag], axis=1)
+            moved = self._shapes[symmetry] @ real_and_imaginary.astype(np.float32)
+            total += moved[:, 0] + 1j * moved[:, 1]
+        return total
+
+    def displacement_m(self, drive_hz: Fraction, drive_v: float) -> Complex64:
+        """Complex displacement (height, width) of the visible reed along z; 0 beside it."""
+        patch = np.zeros(self._lit.shape, dtype=np.complex64)
+        patch[self._lit] = drive_v * self._response(drive_hz)
+        return patch
+
+    def frame(self, segments: Sequence[Segment], rng: np.random.Generator) -> NDArray[np.uint16]:
+        """Read out one exposure.
+
+        Parameters
+        ----------
+        segments : sequence of Segment
+            Stretches of the exposure, in order.
+        rng : numpy.random.Generator
+            Source of shot and read noise.
+
+        Returns
+        -------
+        (ny, nx) uint16
+        """
+        lit = [s for s in segments if s.state.rf_on]
+        duration = np.float32(sum(s.end_s - s.start_s for s in lit))
+        field = np.zeros(len(self._object), dtype=np.complex64)
+        for segment in lit:
+            field += self._integrated_field(segment)
+        mean_e = self._lo * self._lo
+        mean_e += self._at_rest
+        mean_e *= duration
+        on_sensor = self.transform.to_sensor(self._pasted(field)).real
+        on_sensor *= 2 * self._lo
+        mean_e += on_sensor
+        return read_out(self.settings.sensor, mean_e, rng)
+
+    def _integrated_field(self, segment: Segment) -> Complex64:
+        """∫ E(t)·exp(−2πi·difference·t) dt over a segment, on the lit pixels (n,)."""
+        state = segment.state
+        total = np.zeros(len(self._object), dtype=np.complex64)
+        for order, light in self._light(state.difference_hz, state.drive_hz, state.drive_v):
+            offset_hz = order * state.drive_hz - state.difference_hz
+            total += light * np.complex64(beat_integral(offset_hz, segment.start_s, segment.end_s))
+        return total
+
+    def _light_of_sidebands(
+        self, difference_hz: Fraction, drive_hz: Fraction, drive_v: float
+    ) -> list[tuple[int, Complex64]]:
+        """Sideband orders and their light on the lit pixels (n,), in √(electrons/s)."""
+        if drive_v == 0 or drive_hz == 0:
+            return [(0, self._object)]
+        orders = kept_orders(difference_hz, drive_hz)
+        displacement = drive_v * self._response(drive_hz)
+        parts = sidebands(orders, displacement, self.settings.layout.wavelength_m)
+        return [(order, self._object * part) for order, part in zip(orders, parts, strict=True)]

@@ -1,0 +1,150 @@
+"""Light from a vibrating, speckled reed, and what one exposure keeps of its sidebands."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import j0, j1, jv
+
+from holography.fresnel import FresnelTransform
+from holography.region import Region, region_from_metres
+
+Array = NDArray[np.floating[Any]]
+Float = NDArray[np.float32]
+Complex64 = NDArray[np.complex64]
+
+# Sidebands whose frame integral, relative to the largest, could change a pixel are kept.
+_KEPT_ORDERS = (-1, 0, 1, 2)
+
+
+@dataclass(frozen=True)
+class Illumination:
+    """Light on the reed and on the sensor, as electrons per pixel and second.
+
+    Attributes
+    ----------
+    local_oscillator_e_s : float
+        At the middle of the sensor.
+    local_oscillator_waist_m : float
+        1/e² radius of the expanded local oscillator on the sensor.
+    object_e_s : float
+        Mean over the sensor of the light scattered by the reed.
+    object_waist_m : float
+        1/e² radius of the illumination on the reed.
+    """
+
+    local_oscillator_e_s: float = 80e3
+    local_oscillator_waist_m: float = 15e-3
+    object_e_s: float = 250.0
+    object_waist_m: float = 35e-3
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the reed stands before the sensor.
+
+    Attributes
+    ----------
+    wavelength_m, distance_m : float
+    reed_centre_m : (float, float)
+        Centre (y, x) of the visible reed from the optical axis; off axis, so that the image order
+        lies apart from the zero order and from the twin image.
+    reed_size_m : (float, float)
+        Height and width (y, x) of the rectangle around the visible reed; the tip touches its left
+        side.
+    """
+
+    wavelength_m: float = 650e-9
+    distance_m: float = 1.0
+    reed_centre_m: tuple[float, float] = (22e-3, 0.0)
+    reed_size_m: tuple[float, float] = (14e-3, 38e-3)
+
+
+def reed_region(layout: Layout, transform: FresnelTransform) -> Region:
+    """Pixels of an object image that hold the visible reed."""
+    return region_from_metres(layout.reed_centre_m, layout.reed_size_m, transform)
+
+
+def reed_axes_m(layout: Layout, region: Region, transform: FresnelTransform) -> tuple[Array, Array]:
+    """Reed coordinates of a region's pixels: y (height,) and x (width,)."""
+    pitch_y, pitch_x = transform.object_pitch_m
+    ny, nx = transform.shape
+    y = (np.arange(region.height) + region.row - ny // 2) * pitch_y - layout.reed_centre_m[0]
+    x = (np.arange(region.width) + region.column - nx // 2) * pitch_x - layout.reed_centre_m[1]
+    return y, x + 0.5 * layout.reed_size_m[1]
+
+
+def speckle(shape: tuple[int, int], rng: np.random.Generator) -> Complex64:
+    """Fully developed speckle of an optically rough surface: circular Gaussian, mean power 1.
+
+    One draw per resolution cell of the hologram: roughness within a cell is unresolved, so cells
+    are independent.
+    """
+    parts = rng.standard_normal((2, *shape), dtype=np.float32)
+    rough: Complex64 = ((parts[0] + 1j * parts[1]) / np.sqrt(2)).astype(np.complex64)
+    return rough
+
+
+def sidebands(
+    orders: Sequence[int], displacement_m: Complex64, wavelength_m: float
+) -> list[Complex64]:
+    """Complex amplitudes of sidebands of the reflected light, per unit amplitude at rest.
+
+    A surface moving by ``Re(w e^{iωt})`` along the beam modulates the phase by
+    ``φ cos(ωt + arg w)`` with ``φ = 4π|w|/λ``; sideband n is ``iⁿ J_n(φ) e^{i n arg w}``.
+    Backscattering along the line of sight is assumed, as in the paper.
+
+    Parameters
+    ----------
+    orders : sequence of int
+    displacement_m : (n,) complex64
+    wavelength_m : float
+
+    Returns
+    -------
+    list of (n,) complex64
+        One per order.
+    """
+    size = np.abs(displacement_m).astype(np.float64)
+    # The direction of a motion too small to have one does not matter: J_n vanishes there.
+    unit = displacement_m / np.maximum(size, np.finfo(np.float64).tiny)
+    bessel = _bessel({abs(order) for order in orders}, (4 * np.pi / wavelength_m) * size)
+    answer = []
+    for order in orders:
+        # J_{−n} = (−1)ⁿ J_n turns i^{−n} into iⁿ: both sidebands have the same factor.
+        direction = unit if order >= 0 else unit.conj()
+        factor = 1j ** abs(order) * bessel[abs(order)] * direction ** abs(order)
+        answer.append(factor.astype(np.complex64))
+    return answer
+
+
+def _bessel(orders: set[int], phi: Array) -> dict[int, Array]:
+    """Bessel functions J_n(φ) of whole orders n ≥ 0, each shaped as φ."""
+    values = {0: j0(phi), 1: j1(phi)}
+    # Ten times faster than jv; the recurrence loses no digits that matter above the limit.
+    series = phi < 1e-3
+    values[2] = np.where(series, phi**2 / 8, 2 * values[1] / np.where(series, 1, phi) - values[0])
+    return values | {order: jv(order, phi) for order in orders - values.keys()}
+
+
+def beat_integral(offset_hz: Fraction, start_s: float, end_s: float) -> complex:
+    """``∫ exp(2πi·offset·t) dt`` over one stretch of an exposure, in s."""
+    offset = float(offset_hz)
+    if offset == 0.0:
+        return complex(end_s - start_s)
+    middle, length = 0.5 * (start_s + end_s), end_s - start_s
+    return complex(length * np.sinc(offset * length) * np.exp(2j * np.pi * offset * middle))
+
+
+def kept_orders(difference_hz: Fraction, drive_hz: Fraction) -> tuple[int, ...]:
+    """Sidebands to carry through an exposure.
+
+    The carrier and its neighbours always: their tails leak into a weak first sideband. Beyond
+    them the one that the difference frequency selects.
+    """
+    selected = round(difference_hz / drive_hz) if drive_hz else 0
+    around = (selected - 1, selected, selected + 1)
+    return tuple(sorted({*_KEPT_ORDERS, *around}))

@@ -1,0 +1,262 @@
+"""Reduced basis: the finite-element reed in a few dozen coordinates, for any E_L and G_LT.
+
+The basis spans the modes of a network of materials and the static shapes under pressure, so both
+eigenfrequencies and forced responses are those of the full model to a fraction of a cent.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+
+from physics.reed.fem import (
+    ReedMatrices,
+    Symmetry,
+    assemble,
+    factor,
+    free_dofs,
+    lowest_modes,
+    mass,
+    stiffness,
+)
+from physics.reed.geometry import ReedGeometry, half_width_m
+from physics.reed.material import STIFFNESS_TERMS, Cane, stiffness_terms_pa
+from physics.reed.mesh import HalfReedMesh, MeshLevel, build_mesh
+from physics.reed.names import width_profiles
+
+Array = NDArray[np.floating[Any]]
+
+# The rounded tip has no straight line across; profiles start behind it.
+_TIP_M = 0.5e-3
+
+
+@dataclass(frozen=True)
+class BasisSettings:
+    """What a reduced basis is built from.
+
+    Attributes
+    ----------
+    cane : Cane
+        Supplies all constants but E_L and G_LT.
+    E_L_pa, G_LT_pa : tuple of float
+        The network of materials at which modes are computed.
+    modes : int
+        Modes per symmetry taken from each material; enough to pass 20 kHz.
+    size : int
+        Coordinates kept per symmetry.
+    """
+
+    cane: Cane = Cane()
+    E_L_pa: tuple[float, ...] = (7e9, 12e9, 21e9)
+    G_LT_pa: tuple[float, ...] = (0.45e9, 0.95e9, 2.0e9)
+    modes: int = 10
+    size: int = 56
+
+
+@dataclass(frozen=True)
+class HalfBasis:
+    """One symmetry of a reed in reduced coordinates (r of them).
+
+    Attributes
+    ----------
+    stiffness_terms : (9, r, r) float
+        Stiffness per unit of each independent stiffness of the cane.
+    mass : (r, r) float
+        Mass per unit density.
+    surface_z : (p, r) float
+        Deflection u_z of the bark side at the nodes of the plan.
+    lateral_mass, heel_mass : (r, r) float
+        Parts of ``mass`` that move along y, and that lie behind the vamp.
+    profiles : (nx, 7, r) float
+        Legendre profiles across the width of the vamp's deflection (see `names`).
+    load_z : (q, r) float
+        Deflection of the flat side at the quadrature points of a pressure, times their area.
+    """
+
+    stiffness_terms: Array
+    mass: Array
+    surface_z: Array
+    lateral_mass: Array
+    heel_mass: Array
+    profiles: Array
+    load_z: Array
+
+
+@dataclass(frozen=True)
+class ReducedReed:
+    """A reed whose E_L and G_LT may take any value within the network of its basis.
+
+    Attributes
+    ----------
+    geometry : ReedGeometry
+    cane : Cane
+        Constants other than E_L and G_LT.
+    plan_m : (p, 2) float
+        Nodes (x, y ≥ 0) of the plan at which `HalfBasis.surface_z` is given.
+    load_points_m : (q, 2) float
+        Where a pressure on the flat side is sampled.
+    halves : dict
+        A `HalfBasis` per `Symmetry`.
+    """
+
+    geometry: ReedGeometry
+    cane: Cane
+    plan_m: Array
+    load_points_m: Array
+    halves: dict[Symmetry, HalfBasis]
+
+
+def build_reduced_reed(
+    geometry: ReedGeometry, level: MeshLevel, settings: BasisSettings
+) -> ReducedReed:
+    """Compute a reduced basis from finite-element snapshots.
+
+    Raises
+    ------
+    ValueError
+        For an impossible geometry or material (see `build_mesh`, `stiffness_terms_pa`).
+    """
+    mesh = build_mesh(geometry, level)
+    matrices = assemble(mesh)
+    points, faces = _flat_side(mesh)
+    halves = {
+        symmetry: _half_basis(geometry, mesh, matrices, settings, symmetry, faces)
+        for symmetry in Symmetry
+    }
+    columns = mesh.nodes_m.reshape(*mesh.block, 3)[:, :, -1, :2].reshape(-1, 2)
+    return ReducedReed(geometry, settings.cane, columns, points, halves)
+
+
+def _network(settings: BasisSettings) -> Iterator[Cane]:
+    for E in settings.E_L_pa:
+        for G in settings.G_LT_pa:
+            yield replace(settings.cane, E_L_pa=E, G_LT_pa=G)
+
+
+def _half_basis(
+    geometry: ReedGeometry,
+    mesh: HalfReedMesh,
+    matrices: ReedMatrices,
+    settings: BasisSettings,
+    symmetry: Symmetry,
+    faces: sparse.csr_array,
+) -> HalfBasis:
+    free = free_dofs(mesh, symmetry)
+    unit_mass = mass(matrices, 1.0)[free][:, free]
+    reference = stiffness(matrices, stiffness_terms_pa(settings.cane))[free][:, free]
+    snapshots = [factor(reference)(_trial_loads(mesh, faces)[free])]
+    for cane in _network(settings):
+        K = stiffness(matrices, stiffness_terms_pa(cane))[free][:, free]
+        snapshots.append(lowest_modes(K, unit_mass, settings.modes)[1])
+    basis = _pod(np.hstack(snapshots), reference, settings.size)
+    full = np.zeros((3 * len(mesh.nodes_m), basis.shape[1]))
+    full[free] = basis
+    u = [full[axis::3] for axis in range(3)]
+    top = u[2].reshape(*mesh.block, -1)[:, :, -1]
+    heel = u[2] * (mesh.nodes_m[:, :1] > geometry.vamp_x_m[-1])
+    return HalfBasis(
+        stiffness_terms=_project(matrices, u),
+        mass=basis.T @ (unit_mass @ basis),
+        surface_z=top.reshape(-1, basis.shape[1]),
+        lateral_mass=u[1].T @ (matrices.mass @ u[1]),
+        heel_mass=heel.T @ (matrices.mass @ heel),
+        profiles=_vamp_profiles(mesh, geometry, top),
+        load_z=faces @ u[2],
+    )
+
+
+def _pod(snapshots: Array, reference: sparse.csc_array, size: int) -> Array:
+    """Proper orthogonal decomposition in the energy inner product: (f, size) basis."""
+    scaled = snapshots / np.sqrt(np.einsum("fs,fs->s", snapshots, reference @ snapshots))
+    values, vectors = np.linalg.eigh(scaled.T @ (reference @ scaled))
+    kept = slice(-size, None)
+    basis: Array = scaled @ (vectors[:, kept] / np.sqrt(values[kept]))
+    return basis
+
+
+def _project(matrices: ReedMatrices, u: Sequence[Array]) -> Array:
+    """Reduced stiffness per unit of each of the nine stiffnesses: (9, r, r)."""
+    D = matrices.gradients
+    full = D | {axes[::-1]: part.T for axes, part in D.items()}
+
+    def energy(pairs: str) -> Array:
+        """Sum of ∫ ∂_i u_a ∂_j u_b over pairs written 'a i b j', symmetrised."""
+        total = np.zeros((u[0].shape[1],) * 2)
+        for a, i, b, j in map(tuple, pairs.split(",")):
+            part = u["xyz".index(a)].T @ (full[i + j] @ u["xyz".index(b)])
+            total += 0.5 * (part + part.T)
+        return total
+
+    strains = {
+        "11": "xxxx",
+        "22": "yyyy",
+        "33": "zzzz",
+        "12": "xxyy,yyxx",
+        "13": "xxzz,zzxx",
+        "23": "yyzz,zzyy",
+        "44": "yzyz,yzzy,zyyz,zyzy",
+        "55": "xzxz,xzzx,zxxz,zxzx",
+        "66": "xyxy,xyyx,yxxy,yxyx",
+    }
+    return np.stack([energy(strains[term]) for term in STIFFNESS_TERMS])
+
+
+def _vamp_profiles(mesh: HalfReedMesh, geometry: ReedGeometry, top: Array) -> Array:
+    """Legendre profiles (nx, 7, r) of deflections (nx', ny, r) on the lines of the vamp."""
+    plan = mesh.nodes_m.reshape(*mesh.block, 3)[:, :, -1, :2]
+    vamp = (plan[:, 0, 0] > _TIP_M) & (plan[:, 0, 0] < geometry.vamp_x_m[-1])
+    eta = plan[vamp, :, 1] / plan[vamp, -1:, 1]
+    return width_profiles(top[vamp], eta)
+
+
+def _flat_side(mesh: HalfReedMesh) -> tuple[Array, sparse.csr_array]:
+    """Collocation of pressure on the flat side.
+
+    Returns
+    -------
+    points_m : (q, 2) float
+    faces : (q, n) sparse
+        Row q integrates a nodal field over the patch of point q (m²): linear quadrilaterals
+        between neighbouring nodes, a quarter each to their corners.
+    """
+    nx, ny, nz = mesh.block
+    plan = mesh.nodes_m.reshape(nx, ny, nz, 3)[:, :, 0, :2]
+    diagonals = plan[1:, 1:] - plan[:-1, :-1], plan[:-1, 1:] - plan[1:, :-1]
+    cross = (
+        diagonals[0][..., 0] * diagonals[1][..., 1] - diagonals[0][..., 1] * diagonals[1][..., 0]
+    )
+    area = 0.5 * np.abs(cross)
+    share = np.zeros((nx, ny))
+    for i in (slice(None, -1), slice(1, None)):
+        for j in (slice(None, -1), slice(1, None)):
+            share[i, j] += 0.25 * area
+    bottom = np.arange(nx * ny * nz).reshape(nx, ny, nz)[:, :, 0].ravel()
+    faces = sparse.csr_array(
+        (share.ravel(), (np.arange(nx * ny), bottom)), shape=(nx * ny, nx * ny * nz)
+    )
+    return plan.reshape(-1, 2), faces
+
+
+def _trial_loads(mesh: HalfReedMesh, faces: sparse.csr_array) -> Array:
+    """Loads (3n, t) of smooth trial pressures, whose static shapes enrich the basis."""
+    plan = mesh.nodes_m.reshape(*mesh.block, 3)[:, :, 0, :2].reshape(-1, 2)
+    x = 2 * plan[:, 0] / mesh.nodes_m[:, 0].max() - 1
+    eta = plan[:, 1] / np.maximum(half_width_m(plan[:, 0]), 1e-6)
+    trial = [
+        np.polynomial.legendre.Legendre.basis(m)(x) * np.polynomial.legendre.Legendre.basis(n)(eta)
+        for m in range(4)
+        for n in range(4)
+    ]
+    loads = np.zeros((3 * len(mesh.nodes_m), len(trial)))
+    loads[2::3] = faces.T @ np.stack(trial, axis=1)
+    return loads
+
+
+def reduced_modes(half: HalfBasis, terms_pa: Array, density_kg_m3: float) -> tuple[Array, Array]:
+    """Eigenfrequencies (r,) in Hz, ascending, and mass-normalised reduced shapes (r, r)."""
+    K = np.tensordot(terms_pa, half.stiffness_terms, axes=1)
+    eigenvalues, shapes = linalg.eigh(K, density_kg_m3 * half.mass)
+    return np.sqrt(np.clip(eigenvalues, 0.0, None)) / (2 * np.pi), shapes

@@ -1,0 +1,98 @@
+"""Keep reduced reeds between runs: they cost seconds to build and are the same every time."""
+
+import contextlib
+import hashlib
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from physics.reed.basis import BasisSettings, HalfBasis, ReducedReed, build_reduced_reed
+from physics.reed.fem import Symmetry
+from physics.reed.geometry import ReedGeometry
+from physics.reed.mesh import MeshLevel
+
+# Degree 4 in the plane keeps every mode below 20 kHz within 10 cents of a finer mesh, but for the
+# slow convergence at the strip's edge, which grading removes.
+STANDARD = MeshLevel(orders=(4, 4, 2))
+
+
+def cache_directory() -> Path:
+    """Folder of the cache: ``$REEDBENCH_CACHE``, else ``reedbench`` in the user's cache folder."""
+    base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return Path(os.environ.get("REEDBENCH_CACHE") or Path(base, "reedbench")).expanduser()
+
+
+def reduced_reed(
+    geometry: ReedGeometry | None = None,
+    level: MeshLevel = STANDARD,
+    settings: BasisSettings | None = None,
+    announce: Callable[[str], None] | None = None,
+) -> ReducedReed:
+    """Reduced reed from the cache, or built and kept.
+
+    The key covers every input, the code of this package and the versions of numpy and scipy, so
+    an entry is never stale. A damaged entry is built anew; a folder that cannot be written to
+    costs time, not results.
+
+    Parameters
+    ----------
+    geometry : ReedGeometry, optional
+        The paper's reed if not given.
+    level : MeshLevel
+    settings : BasisSettings, optional
+    announce : callable, optional
+        Told what is being waited for, if anything.
+
+    Raises
+    ------
+    ValueError
+        For an impossible geometry or material (see `build_reduced_reed`).
+    """
+    geometry, settings = geometry or ReedGeometry(), settings or BasisSettings()
+    path = cache_directory() / f"reed-{_key(geometry, level, settings)}.npz"
+    with contextlib.suppress(OSError, KeyError, ValueError, zipfile.BadZipFile):
+        return _load(path, geometry, settings)
+    if announce:
+        announce("computing the reed's modes by finite elements (kept for the next time)")
+    reed = build_reduced_reed(geometry, level, settings)
+    with contextlib.suppress(OSError):
+        _save(path, reed)
+    return reed
+
+
+def _key(geometry: ReedGeometry, level: MeshLevel, settings: BasisSettings) -> str:
+    digest = hashlib.sha256(repr((geometry, level, settings)).encode())
+    digest.update(f"numpy {np.__version__} scipy {scipy.__version__}".encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:24]
+
+
+def _save(path: Path, reed: ReducedReed) -> None:
+    arrays = {"plan_m": reed.plan_m, "load_points_m": reed.load_points_m}
+    for symmetry, half in reed.halves.items():
+        arrays |= {f"{symmetry}_{f.name}": getattr(half, f.name) for f in fields(HalfBasis)}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # Written aside and renamed: two programs that build at once never see half a file.
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
+        np.savez(part, allow_pickle=False, **arrays)
+    Path(part.name).replace(path)
+
+
+def _load(path: Path, geometry: ReedGeometry, settings: BasisSettings) -> ReducedReed:
+    with np.load(path, allow_pickle=False) as arrays:
+        halves = {
+            symmetry: HalfBasis(
+                **{f.name: arrays[f"{symmetry}_{f.name}"] for f in fields(HalfBasis)}
+            )
+            for symmetry in Symmetry
+        }
+        return ReducedReed(
+            geometry, settings.cane, arrays["plan_m"], arrays["load_points_m"], halves
+        )

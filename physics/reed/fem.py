@@ -1,0 +1,177 @@
+"""Finite elements of the half reed: energies, and modes of either symmetry.
+
+Stiffness is affine in the nine independent stiffnesses of the cane. It is kept as the six scalar
+matrices ``D_ij = ∫ ∂_i N_a ∂_j N_b dV`` from which every component block is a sum, so a change of
+material costs no new quadrature.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+from physics.reed.material import STIFFNESS_TERMS
+from physics.reed.mesh import HalfReedMesh, lobatto_points
+
+Array = NDArray[np.floating[Any]]
+
+
+class Symmetry(StrEnum):
+    """Behaviour of a motion under reflection in the reed's median plane y = 0."""
+
+    SYMMETRIC = "symmetric"
+    ANTISYMMETRIC = "antisymmetric"
+
+
+@dataclass(frozen=True)
+class ReedMatrices:
+    """Material-free matrices of a mesh, (n, n) over its nodes.
+
+    Attributes
+    ----------
+    gradients : dict
+        ``gradients["xy"]`` is ``∫ ∂_x N_a ∂_y N_b dV``; keys xx, yy, zz, xy, xz, yz.
+    mass : csr_array
+        ``∫ N_a N_b dV``, to be multiplied by the density.
+    """
+
+    gradients: dict[str, sparse.csr_array]
+    mass: sparse.csr_array
+
+
+def _shape_1d(order: int, points: Array) -> tuple[Array, Array]:
+    """Lagrange polynomials on Lobatto nodes and their derivatives at points (q,): two (q, m)."""
+    nodes = lobatto_points(order)
+    values, slopes = [], []
+    for node in nodes:
+        others = nodes[nodes != node]
+        polynomial = np.poly1d(others, r=True) / np.prod(node - others)
+        values.append(polynomial(points))
+        slopes.append(polynomial.deriv()(points))
+    return np.stack(values, axis=1), np.stack(slopes, axis=1)
+
+
+def _tensor(x: Array, y: Array, z: Array) -> Array:
+    """Products of three one-dimensional tables: (qx·qy·qz, mx·my·mz)."""
+    return np.kron(x, np.kron(y, z))
+
+
+def _reference_element(orders: tuple[int, int, int]) -> tuple[Array, Array, Array]:
+    """Quadrature weights (q,), shape functions (q, m) and their gradients (3, q, m)."""
+    tables, weights = [], []
+    for order in orders:
+        points, weight = np.polynomial.legendre.leggauss(order + 1)
+        tables.append(_shape_1d(order, 0.5 * (1 + points)))
+        weights.append(0.5 * weight)
+    (x, dx), (y, dy), (z, dz) = tables
+    gradients = np.stack([_tensor(dx, y, z), _tensor(x, dy, z), _tensor(x, y, dz)])
+    return np.kron(weights[0], np.kron(weights[1], weights[2])), _tensor(x, y, z), gradients
+
+
+def assemble(mesh: HalfReedMesh) -> ReedMatrices:
+    """Integrate all material-free matrices of a mesh.
+
+    Raises
+    ------
+    ValueError
+        If an element is turned inside out.
+    """
+    weights, shape, local = _reference_element(mesh.orders)
+    corners = mesh.nodes_m[mesh.elements]
+    jacobian = np.einsum("iqm,emj->eqij", local, corners)
+    volume = np.linalg.det(jacobian)
+    if volume.min() <= 0:
+        raise ValueError("the mesh has an element turned inside out; change its breaks")
+    global_gradient = np.einsum("eqij,jqm->ieqm", np.linalg.inv(jacobian), local)
+    scale = np.sqrt(volume * weights)[..., None]
+    weighted = scale * global_gradient
+    rows = np.repeat(mesh.elements, mesh.elements.shape[1], axis=1).ravel()
+    columns = np.tile(mesh.elements, (1, mesh.elements.shape[1])).ravel()
+    size = (len(mesh.nodes_m),) * 2
+
+    def gather(left: Array, right: Array) -> sparse.csr_array:
+        blocks = np.matmul(left.transpose(0, 2, 1), right)
+        return sparse.coo_array((blocks.ravel(), (rows, columns)), shape=size).tocsr()
+
+    axes = {"x": weighted[0], "y": weighted[1], "z": weighted[2]}
+    gradients = {a + b: gather(axes[a], axes[b]) for a, b in ("xx", "yy", "zz", "xy", "xz", "yz")}
+    return ReedMatrices(gradients, gather(scale * shape, scale * shape))
+
+
+def stiffness(matrices: ReedMatrices, terms_pa: Array) -> sparse.csc_array:
+    """Stiffness (3n, 3n) in N/m, components u_x, u_y, u_z of a node side by side.
+
+    Parameters
+    ----------
+    matrices : ReedMatrices
+    terms_pa : (9,) float
+        Independent stiffnesses in the order of `STIFFNESS_TERMS`.
+    """
+    D, C = matrices.gradients, dict(zip(STIFFNESS_TERMS, terms_pa, strict=True))
+    xx = C["11"] * D["xx"] + C["66"] * D["yy"] + C["55"] * D["zz"]
+    yy = C["66"] * D["xx"] + C["22"] * D["yy"] + C["44"] * D["zz"]
+    zz = C["55"] * D["xx"] + C["44"] * D["yy"] + C["33"] * D["zz"]
+    xy = C["12"] * D["xy"] + C["66"] * D["xy"].T
+    xz = C["13"] * D["xz"] + C["55"] * D["xz"].T
+    yz = C["23"] * D["yz"] + C["44"] * D["yz"].T
+    blocks = sparse.block_array([[xx, xy, xz], [xy.T, yy, yz], [xz.T, yz.T, zz]])
+    return sparse.csc_array(_interleave(blocks.tocsc()))
+
+
+def mass(matrices: ReedMatrices, density_kg_m3: float) -> sparse.csc_array:
+    """Mass (3n, 3n) in kg, same ordering as `stiffness`."""
+    blocks = sparse.block_diag([density_kg_m3 * matrices.mass] * 3)
+    return sparse.csc_array(_interleave(sparse.csc_array(blocks)))
+
+
+def _interleave(blocks: sparse.csc_array) -> sparse.csc_array:
+    """Reorder component after component into node after node: keeps the profile narrow."""
+    n = blocks.shape[0] // 3
+    order = np.arange(3 * n).reshape(3, n).T.ravel()
+    return blocks[order][:, order]
+
+
+def free_dofs(mesh: HalfReedMesh, symmetry: Symmetry) -> NDArray[np.intp]:
+    """Degrees of freedom (f,) left by the clamp and by the condition on the median plane."""
+    fixed = np.repeat(mesh.clamped[:, None], 3, axis=1)
+    if symmetry is Symmetry.SYMMETRIC:
+        fixed[:, 1] |= mesh.midplane
+    else:
+        fixed[:, 0] |= mesh.midplane
+        fixed[:, 2] |= mesh.midplane
+    return np.flatnonzero(~fixed.ravel())
+
+
+def factor(matrix: sparse.csc_array) -> Callable[[Array], Array]:
+    """Factor a symmetric positive definite sparse matrix once; returns its solver."""
+    lu = splu(
+        matrix,
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    solve: Callable[[Array], Array] = lu.solve
+    return solve
+
+
+def lowest_modes(
+    stiffness_ff: sparse.csc_array,
+    mass_ff: sparse.csc_array,
+    count: int,
+    solve: Callable[[Array], Array] | None = None,
+) -> tuple[Array, Array]:
+    """Lowest eigenfrequencies (count,) in Hz and mass-normalised shapes (f, count)."""
+    operator = LinearOperator(
+        stiffness_ff.shape, matvec=solve or factor(stiffness_ff), dtype=np.float64
+    )
+    # A fixed start vector: the same reed gives the same bits every time.
+    start = np.ones(stiffness_ff.shape[0])
+    eigenvalues, shapes = eigsh(
+        stiffness_ff, k=count, M=mass_ff, sigma=0.0, OPinv=operator, v0=start
+    )
+    return np.sqrt(eigenvalues) / (2 * np.pi), shapes

@@ -1,0 +1,99 @@
+"""Frequency-dependent cane: Zener storage moduli and the paper's hypothesis H4."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating[Any]]
+
+
+class Series(StrEnum):
+    """The two series of measurements: ambient reed, and the same reed dried."""
+
+    A = "A"
+    B = "B"
+
+
+@dataclass(frozen=True)
+class Components:
+    """The four components e1…e4 of a reed, N(0, 1) over the population (paper, section IV.B).
+
+    e1 goes with G_LT, e2 with E_L, e3 with the viscous part of both, e4 with drying.
+    """
+
+    e1: float = 0.0
+    e2: float = 0.0
+    e3: float = 0.0
+    e4: float = 0.0
+
+
+@dataclass(frozen=True)
+class Zener:
+    """Standard linear solid (paper, Eqs 2 to 4), in MPa and MPa·s as the paper has it.
+
+    Attributes
+    ----------
+    spring_mpa : float
+        Rubbery modulus, E1 or G1.
+    arm_spring_mpa : float
+        Spring of the Maxwell arm, E2 or G2.
+    arm_dashpot_mpa_s : float
+        Dashpot of the Maxwell arm, E3 or G3.
+    """
+
+    spring_mpa: float
+    arm_spring_mpa: float
+    arm_dashpot_mpa_s: float
+
+
+@dataclass(frozen=True)
+class ViscoelasticCane:
+    """The two frequency-dependent moduli of a reed in one series."""
+
+    young_L: Zener
+    shear_LT: Zener
+
+
+def storage_modulus_pa(zener: Zener, frequency_hz: Array | float) -> Array:
+    """Storage modulus in Pa at frequency (any shape), paper Eq. 4."""
+    omega = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
+    ratio = (omega * zener.arm_dashpot_mpa_s / zener.arm_spring_mpa) ** 2
+    storage: Array = 1e6 * (zener.spring_mpa + zener.arm_spring_mpa * ratio / (1 + ratio))
+    return storage
+
+
+# Coefficients of hypothesis H4 (paper, section IV.B).
+_C10, _C20, _C30 = 1.011, -2.197, 0.8294
+_D10, _D12, _D20, _D30, _D41, _D60 = 10300.0, 640.5, 7309.0, 0.2822, 115.7, 0.02038
+
+
+def viscoelastic_cane(components: Components, series: Series) -> ViscoelasticCane:
+    """Zener moduli of a reed in a series after hypothesis H4 (paper, section IV.B).
+
+    Raises
+    ------
+    ValueError
+        If the components give a negative spring, outside physics (1.7 % of the population has
+        G2 < 0).
+    """
+    e1, e2, e3 = components.e1, components.e2, components.e3
+    if series is Series.B:
+        e1, e2, e3 = _C10 + e1, _C20 + 0.5 * (e2 + components.e4), _C30 + e3
+    cane = ViscoelasticCane(
+        Zener(_D10 + _D12 * (e2 + e3), _D20 + _D12 * (2 * e2 - e3), _D30),
+        Zener(_D41 * (6 + e1), 2 * _D41 * (3 + e1 - e3), _D60),
+    )
+    springs = [
+        (f"{name}{rank}", value)
+        for name, zener in (("E", cane.young_L), ("G", cane.shear_LT))
+        for rank, value in ((1, zener.spring_mpa), (2, zener.arm_spring_mpa))
+    ]
+    for name, value in springs:
+        if value <= 0:
+            raise ValueError(
+                f"{name} = {value:.0f} MPa in series {series}: {components} lies outside physics"
+            )
+    return cane

@@ -25,7 +25,7 @@ from physics.optics import (
 from physics.reed.basis import ReducedReed
 from physics.reed.response import forced_response
 from physics.reed.surface import on_reed, surface_shapes
-from physics.reed.viscoelastic import Components, Series, viscoelastic_cane
+from physics.reed.viscoelastic import Components, Series, require_physical, viscoelastic_cane
 from physics.sensor import Sensor, read_out
 
 Array = NDArray[np.floating[Any]]
@@ -111,6 +111,7 @@ class BenchModel:
         self._shapes = surface_shapes(reed, x[self._lit], y[self._lit])
         self._reed = reed
         self._cane = viscoelastic_cane(settings.components, settings.series)
+        require_physical(self._cane)
         self._object = self._scattered_light(x, y, rng)
         self._lo = self._local_oscillator()
         self._at_rest = np.abs(self.transform.to_sensor(self._pasted(self._object))) ** 2

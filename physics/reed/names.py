@@ -80,16 +80,25 @@ def likenesses(profiles: Array, *, symmetric: bool) -> dict[str, float]:
     }
 
 
-def assign_names(candidates: Sequence[dict[str, float]]) -> list[str]:
+def assign_names(candidates: Sequence[dict[str, float]]) -> list[tuple[str, float]]:
     """Give each of several vibrations of one symmetry a name of its own.
 
     The assignment with the greatest total likeness: where two modes exchange shapes (the avoided
     crossing of T4 and F4), each gets the name that the other likes less.
+
+    Returns
+    -------
+    list of (name, likeness)
     """
     names = sorted({name for candidate in candidates for name in candidate})
+    # Enough nameless places that nobody is forced into a name that is taken.
+    names += [f"?{place}" for place in range(1, len(candidates) + 1)]
     likeness = np.array([[c.get(name, 0.0) for name in names] for c in candidates])
     rows, columns = linear_sum_assignment(likeness, maximize=True)
-    return [names[column] for _, column in sorted(zip(rows, columns, strict=True))]
+    return [
+        (names[column], float(likeness[row, column]))
+        for row, column in sorted(zip(rows, columns, strict=True))
+    ]
 
 
 def _nodal_lines(profile: Array) -> int:

@@ -17,10 +17,9 @@ Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 # A mode whose kinetic energy is mostly sideways is lateral; one mostly behind the vamp, a heel's.
-_LATERAL_SHARE = 0.5
-_HEEL_SHARE = 0.5
+_FOREIGN_SHARE = 0.5
 # Modes looked at per symmetry: all that can lie below 20 kHz, and a few more.
-_NAMED_MODES = 14
+_NAMED_MODES = 16
 _SETTLED_CENTS = 1e-3
 _MOST_ITERATIONS = 30
 
@@ -36,12 +35,15 @@ class Mode:
     symmetry : Symmetry
     coordinates : (r,) float
         Mass-normalised shape of the half reed in its reduced coordinates.
+    likeness : float
+        Share of its motion that bears out its name; low where two modes exchange shapes.
     """
 
     name: str
     frequency_hz: float
     symmetry: Symmetry
     coordinates: Array
+    likeness: float
 
 
 def elastic_modes(reed: ReducedReed, E_L_pa: float, G_LT_pa: float) -> dict[str, Mode]:
@@ -53,30 +55,39 @@ def elastic_modes(reed: ReducedReed, E_L_pa: float, G_LT_pa: float) -> dict[str,
         frequencies, shapes = reduced_modes(half, terms, cane.density_kg_m3)
         frequencies, shapes = frequencies[:_NAMED_MODES], shapes[:, :_NAMED_MODES]
         names = _names(half, shapes, symmetry, cane.density_kg_m3)
-        for name, hz, shape in zip(names, frequencies, shapes.T, strict=True):
-            modes[name] = Mode(name, float(hz), symmetry, shape)
+        for (name, likeness), hz, shape in zip(names, frequencies, shapes.T, strict=True):
+            modes[name] = Mode(name, float(hz), symmetry, shape, likeness)
     return modes
 
 
-def _names(half: HalfBasis, shapes: Array, symmetry: Symmetry, density: float) -> list[str]:
-    """Names of mass-normalised shapes (r, m), ascending in frequency."""
+def _names(
+    half: HalfBasis, shapes: Array, symmetry: Symmetry, density: float
+) -> list[tuple[str, float]]:
+    """Names and likenesses of mass-normalised shapes (r, m), ascending in frequency."""
 
     def share(part: Array) -> Array:
         shares: Array = density * np.einsum("rm,rs,sm->m", shapes, part, shapes, optimize=True)
         return shares
 
     symmetric = symmetry is Symmetry.SYMMETRIC
-    lateral = share(half.lateral_mass) > _LATERAL_SHARE
-    heel = ~lateral & (share(half.heel_mass) > _HEEL_SHARE)
+    lateral, heel = share(half.lateral_mass), share(half.heel_mass)
     profiles = np.moveaxis(half.profiles @ shapes, -1, 0)
-    vamp = assign_names([likenesses(p, symmetric=symmetric) for p in profiles[~(lateral | heel)]])
     # Lateral modes of the symmetric half stretch the width; the paper's L bend in the plane.
-    labels = {"L": "" if not symmetric else "s", "H": "" if symmetric else "a"}
-    names = np.empty(shapes.shape[1], dtype=object)
-    names[~(lateral | heel)] = vamp
-    for letter, chosen in (("L", lateral), ("H", heel)):
-        names[chosen] = [f"{letter}{n}{labels[letter]}" for n in range(1, chosen.sum() + 1)]
-    return list(names)
+    counted = {"L": "" if not symmetric else "s", "H": "" if symmetric else "a"}
+    answer: list[tuple[str, float]] = []
+    vamp = []
+    for m, profile in enumerate(profiles):
+        kind, part = ("L", lateral[m]) if lateral[m] > heel[m] else ("H", heel[m])
+        if part > _FOREIGN_SHARE:
+            number = 1 + sum(name.startswith(kind) for name, _ in answer)
+            answer.append((f"{kind}{number}{counted[kind]}", float(part)))
+        else:
+            vamp.append(m)
+            answer.append(("", 0.0))
+    named = assign_names([likenesses(profiles[m], symmetric=symmetric) for m in vamp])
+    for m, name in zip(vamp, named, strict=True):
+        answer[m] = name
+    return answer
 
 
 def viscoelastic_mode(

@@ -59,9 +59,9 @@ class ViscoelasticCane:
 
 def storage_modulus_pa(zener: Zener, frequency_hz: Array | float) -> Array:
     """Storage modulus in Pa at frequency (any shape), paper Eq. 4."""
-    omega = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
-    ratio = (omega * zener.arm_dashpot_mpa_s / zener.arm_spring_mpa) ** 2
-    storage: Array = 1e6 * (zener.spring_mpa + zener.arm_spring_mpa * ratio / (1 + ratio))
+    dashpot2 = (2 * np.pi * np.asarray(frequency_hz, dtype=float) * zener.arm_dashpot_mpa_s) ** 2
+    arm = zener.arm_spring_mpa * dashpot2 / (zener.arm_spring_mpa**2 + dashpot2)
+    storage: Array = 1e6 * (zener.spring_mpa + arm)
     return storage
 
 
@@ -73,27 +73,27 @@ _D10, _D12, _D20, _D30, _D41, _D60 = 10300.0, 640.5, 7309.0, 0.2822, 115.7, 0.02
 def viscoelastic_cane(components: Components, series: Series) -> ViscoelasticCane:
     """Zener moduli of a reed in a series after hypothesis H4 (paper, section IV.B).
 
-    Raises
-    ------
-    ValueError
-        If the components give a negative spring, outside physics (1.7 % of the population has
-        G2 < 0).
+    Linear in the components; whether the result is a possible material is for
+    `require_physical` to say.
     """
     e1, e2, e3 = components.e1, components.e2, components.e3
     if series is Series.B:
         e1, e2, e3 = _C10 + e1, _C20 + 0.5 * (e2 + components.e4), _C30 + e3
-    cane = ViscoelasticCane(
+    return ViscoelasticCane(
         Zener(_D10 + _D12 * (e2 + e3), _D20 + _D12 * (2 * e2 - e3), _D30),
         Zener(_D41 * (6 + e1), 2 * _D41 * (3 + e1 - e3), _D60),
     )
-    springs = [
-        (f"{name}{rank}", value)
-        for name, zener in (("E", cane.young_L), ("G", cane.shear_LT))
-        for rank, value in ((1, zener.spring_mpa), (2, zener.arm_spring_mpa))
-    ]
-    for name, value in springs:
-        if value <= 0:
-            raise ValueError(
-                f"{name} = {value:.0f} MPa in series {series}: {components} lies outside physics"
-            )
-    return cane
+
+
+def require_physical(cane: ViscoelasticCane) -> None:
+    """Refuse springs that are not positive: 1.7 % of the population of H4 has G2 < 0.
+
+    Raises
+    ------
+    ValueError
+        Naming the first such spring.
+    """
+    for letter, zener in (("E", cane.young_L), ("G", cane.shear_LT)):
+        for rank, value in ((1, zener.spring_mpa), (2, zener.arm_spring_mpa)):
+            if value <= 0:
+                raise ValueError(f"{letter}{rank} = {value:.0f} MPa: no material is like that")

@@ -1,0 +1,161 @@
+"""From the cane's moduli to the frequencies of named modes, fast enough to be inverted."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
+
+from fitting import paper
+from physics.reed.basis import ReducedReed
+from physics.reed.names import PAPER_MODES
+from physics.reed.response import elastic_modes
+from physics.reed.viscoelastic import Series, ViscoelasticCane, storage_modulus_pa
+
+Array = NDArray[np.floating[Any]]
+
+# Network on which the finite elements are tabulated, Pa: the range of a reduced basis.
+_E_L_PA = np.geomspace(7e9, 22e9, 21)
+_G_LT_PA = np.geomspace(0.4e9, 2.1e9, 21)
+# Each iteration gains a factor of about 5; the paper does one.
+_ITERATIONS = 12
+
+
+def cents_of(frequency_hz: Array | float) -> Array:
+    """Interval above F6 (1396.9 Hz), the zero of the paper's cent scale."""
+    return np.asarray(1200 * np.log2(np.asarray(frequency_hz) / paper.REFERENCE_HZ))
+
+
+def hz_of(cents: Array | float) -> Array:
+    """Frequency of an interval above F6."""
+    return np.asarray(paper.REFERENCE_HZ * 2 ** (np.asarray(cents) / 1200))
+
+
+class ForwardModel(Protocol):
+    """Frequencies of an elastic reed, mode by mode.
+
+    Attributes
+    ----------
+    name : str
+    modes : tuple of str
+    iterations : int
+        How often the moduli are taken anew at the frequencies just computed.
+    """
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Modes computed, in order."""
+
+    @property
+    def iterations(self) -> int:
+        """Passes of the iteration over frequency-dependent moduli."""
+
+    def elastic_cents(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
+        """Cents above F6 (m,) where mode m has the moduli E_L[m], G_LT[m]."""
+
+    def likeness(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
+        """How far each mode's shape bears out its name (m,); 1 is the mode at its purest."""
+
+
+@dataclass(frozen=True)
+class FiniteElementModel:
+    """Finite elements tabulated over E_L and G_LT and interpolated by cubic splines.
+
+    Within the table (7 to 22 GPa, 0.4 to 2.1 GPa) the splines follow the reduced basis to a
+    cent, but for T4 and F4 near their avoided crossing.
+    """
+
+    modes: tuple[str, ...]
+    splines: tuple[RectBivariateSpline, ...]
+    likenesses: tuple[RectBivariateSpline, ...]
+    name: str = "finite elements"
+    iterations: int = _ITERATIONS
+
+    def elastic_cents(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
+        """Cents above F6 (m,); moduli beyond the table are taken at its edge."""
+        return _at(self.splines, E_L_pa, G_LT_pa)
+
+    def likeness(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
+        """Likeness of shape and name (m,), interpolated linearly."""
+        return _at(self.likenesses, E_L_pa, G_LT_pa)
+
+
+def _at(splines: tuple[RectBivariateSpline, ...], E_L_pa: Array, G_LT_pa: Array) -> Array:
+    points = zip(splines, np.log(E_L_pa), np.log(G_LT_pa), strict=True)
+    return np.array([float(spline.ev(e, g)) for spline, e, g in points])
+
+
+def finite_element_model(
+    reed: ReducedReed, modes: tuple[str, ...] = PAPER_MODES
+) -> FiniteElementModel:
+    """Tabulate a reed's modes."""
+    table = np.empty((2, len(modes), len(_E_L_PA), len(_G_LT_PA)))
+    for i, E in enumerate(_E_L_PA):
+        for j, G in enumerate(_G_LT_PA):
+            found = elastic_modes(reed, float(E), float(G))
+            named = [found[name] for name in modes]
+            table[0, :, i, j] = cents_of(np.array([mode.frequency_hz for mode in named]))
+            table[1, :, i, j] = [mode.likeness for mode in named]
+    # Relative to the mode at its purest: a T4 is never as pure as an F1.
+    table[1] /= np.percentile(table[1], 90, axis=(1, 2), keepdims=True)
+    axes = np.log(_E_L_PA), np.log(_G_LT_PA)
+    return FiniteElementModel(
+        modes,
+        tuple(RectBivariateSpline(*axes, cents) for cents in table[0]),
+        tuple(RectBivariateSpline(*axes, likeness, kx=1, ky=1) for likeness in table[1]),
+    )
+
+
+@dataclass(frozen=True)
+class PaperModel:
+    """The paper's metamodel: Eq. 1 with Table 9 and the adjustments of hypothesis H4."""
+
+    modes: tuple[str, ...] = PAPER_MODES
+    name: str = "paper (Table 9, H4)"
+    # "One iteration is enough" (paper, section III.C); its adjustments were made with one.
+    iterations: int = 1
+
+    def elastic_cents(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
+        """Cents above F6 (m,) by Eq. 1."""
+        a = np.array([paper.TABLE_9[name] for name in self.modes]).T
+        shift = np.array([paper.H4_ADJUSTMENT_CENTS[name] for name in self.modes])
+        E = (E_L_pa / 1e6) ** paper.EXPONENT_E_L
+        G = (G_LT_pa / 1e6) ** paper.EXPONENT_G_LT
+        cents: Array = a[0] + a[1] * E + a[2] * G + a[3] * E * G + a[4] * E**2 + a[5] * G**2
+        return cents + shift
+
+    def likeness(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
+        """Ones (m,): a formula has no shapes to doubt."""
+        return np.ones(len(E_L_pa))
+
+
+def viscoelastic_cents(model: ForwardModel, cane: ViscoelasticCane, series: Series) -> Array:
+    """Cents above F6 (m,) with the storage moduli taken at each mode's own frequency.
+
+    The iteration starts from the means of Table 1 (paper, section III.C).
+    """
+    column = 0 if series is Series.A else 1
+    hz: Array = np.array([paper.MEAN_HZ[name][column] for name in model.modes], dtype=float)
+    cents = cents_of(hz)
+    for _ in range(model.iterations):
+        cents = model.elastic_cents(*_storage_moduli_pa(cane, hz))
+        hz = hz_of(cents)
+    return cents
+
+
+def name_likeness(model: ForwardModel, cane: ViscoelasticCane, cents: Array) -> Array:
+    """How far the modes of a reed bear out their names (m,), at their frequencies in cents.
+
+    Where two modes of one symmetry come close they exchange shapes: likeness falls to a half,
+    of that of a pure mode, and the frequency of either no longer follows one modulus.
+    """
+    return model.likeness(*_storage_moduli_pa(cane, hz_of(cents)))
+
+
+def _storage_moduli_pa(cane: ViscoelasticCane, hz: Array) -> tuple[Array, Array]:
+    return storage_modulus_pa(cane.young_L, hz), storage_modulus_pa(cane.shear_LT, hz)

@@ -1,0 +1,217 @@
+"""Count, in every picture, the fringes that each mode shape contributes.
+
+A picture of the first sideband shows ``B(x) J₁²(φ(x))``, where φ = 4π|w|/λ is the phase amplitude
+of the vibration and B the light that the surface sends to the camera. The vibration is written as
+a sum of known mode shapes, ``φ = |Σ_m a_m W_m|``, and the complex a_m are found for all pictures
+at once by damped least squares. With shapes normalised to a largest deflection of 1, |a_m| is the
+phase amplitude that mode m alone would have at its liveliest point: its fringes, in radians.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import j0, j1
+
+Float = NDArray[np.float32]
+Complex = NDArray[np.complex64]
+Array = NDArray[np.floating[Any]]
+
+# Largest value of J₁²: the brightness of the first bright fringe.
+FIRST_FRINGE = 0.3386
+# Single-shape starts tried per picture, and sweeps that hand solutions on to neighbours.
+_STARTS = 3
+_ROUNDS = 3
+_START_STEPS, _NEIGHBOUR_STEPS, _FINAL_STEPS = 12, 8, 5
+# Phase amplitudes tried for a single shape, rad.
+_TRIAL_RAD = np.geomspace(0.1, 60.0, 80, dtype=np.float32)
+# Pictures whose brightest share estimates the light B: those in which a point is on a fringe.
+_BRIGHTEST = 6
+# Points that never reach a fringe would get too little light from that estimate.
+_LEAST_LIGHT = 0.6
+
+
+@dataclass(frozen=True)
+class Fringes:
+    """Mode amplitudes of every picture.
+
+    Attributes
+    ----------
+    amplitude_rad : (k, m) complex64
+        Phase amplitude of each shape in each picture, up to a common phase per picture.
+    misfit : (k,) float
+        Mean square of the picture's brightness, relative to B, left unexplained.
+    light : (n,) float32
+        Light B of each point.
+    """
+
+    amplitude_rad: Complex
+    misfit: Array
+    light: Float
+
+
+class _Bessel:
+    """Table of J₁ and J₁′: interpolation is an order of magnitude faster than evaluation."""
+
+    def __init__(self, largest: float = 200.0, per_rad: int = 200) -> None:
+        phi = np.arange(int(largest * per_rad) + 2) / per_rad
+        self._per_rad = np.float32(per_rad)
+        self._last = np.float32(len(phi) - 2)
+        ratio = np.divide(j1(phi), phi, out=np.full_like(phi, 0.5), where=phi > 0)
+        self._value, self._slope = (
+            table.astype(np.float32) for table in (j1(phi), j0(phi) - ratio)
+        )
+
+    def __call__(self, phi: Float) -> tuple[Float, Float]:
+        """J₁ and its derivative at phases (any shape)."""
+        position = np.minimum(phi * self._per_rad, self._last)
+        index = position.astype(np.int32)
+        part = position - index
+        return (
+            self._value[index] * (1 - part) + self._value[index + 1] * part,
+            self._slope[index] * (1 - part) + self._slope[index + 1] * part,
+        )
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Pictures relative to their light (k, n) and the shapes (n, m) they are made of."""
+
+    relative: Float
+    shapes: Float
+    bessel: _Bessel
+
+    def residual(self, a: Complex) -> Float:
+        value, _ = self.bessel(np.abs(a @ self.shapes.T))
+        return value * value - self.relative
+
+    def residual_and_jacobian(self, a: Complex) -> tuple[Float, Float]:
+        """Residuals (k, n) and derivatives (k, n, 2m) by real, then imaginary parts."""
+        sum_ = a @ self.shapes.T
+        phi = np.abs(sum_)
+        value, slope = self.bessel(phi)
+        # d(J₁²)/dφ over φ, times the parts of the sum: dφ = Re(conj(sum)·W da)/φ.
+        scale = 2 * value * slope / np.maximum(phi, np.float32(1e-6))
+        parts = (sum_.real * scale)[..., None], (sum_.imag * scale)[..., None]
+        jacobian = np.concatenate([part * self.shapes for part in parts], axis=2)
+        return value * value - self.relative, jacobian
+
+
+def mean_square(residual: Float) -> Array:
+    """Mean square (k,) of residuals (k, n)."""
+    return np.einsum("kn,kn->k", residual, residual) / residual.shape[1]
+
+
+def _descend(problem: _Problem, a: Complex, steps: int) -> tuple[Complex, Array]:
+    """Levenberg-Marquardt on all pictures side by side, each with its own damping."""
+    residual, jacobian = problem.residual_and_jacobian(a)
+    cost, unknowns = mean_square(residual), jacobian.shape[2]
+    damping = np.full(len(a), 1e-2)
+    for _ in range(steps):
+        normal = np.matmul(jacobian.transpose(0, 2, 1), jacobian) / residual.shape[1]
+        gradient = np.einsum("knu,kn->ku", jacobian, residual) / residual.shape[1]
+        scale = damping * np.trace(normal, axis1=1, axis2=2) / unknowns + 1e-6
+        normal += scale[:, None, None] * np.eye(unknowns)
+        move = -np.linalg.solve(normal, gradient[..., None])[..., 0]
+        half = unknowns // 2
+        moved = (a + (move[:, :half] + 1j * move[:, half:])).astype(np.complex64)
+        new_residual, new_jacobian = problem.residual_and_jacobian(moved)
+        new_cost = mean_square(new_residual)
+        better = new_cost < cost
+        a = np.where(better[:, None], moved, a)
+        cost = np.where(better, new_cost, cost)
+        residual[better], jacobian[better] = new_residual[better], new_jacobian[better]
+        damping = np.where(better, 0.3 * damping, 5 * damping)
+    return a, cost
+
+
+def _single_shape_starts(problem: _Problem) -> tuple[NDArray[np.intp], Float]:
+    """For each picture, shapes in order of likeness (k, m) and their best amplitude (k, m)."""
+    costs, amplitudes = [], []
+    power = mean_square(problem.relative)[:, None]
+    for shape in problem.shapes.T:
+        value, _ = problem.bessel(_TRIAL_RAD[:, None] * np.abs(shape))
+        pattern = value * value
+        overlap = problem.relative @ pattern.T / len(shape)
+        cost = power - 2 * overlap + mean_square(pattern)
+        costs.append(cost.min(axis=1))
+        amplitudes.append(_TRIAL_RAD[cost.argmin(axis=1)])
+    order = np.argsort(np.stack(costs, axis=1), axis=1)
+    return order, np.stack(amplitudes, axis=1)
+
+
+def _start(problem: _Problem) -> tuple[Complex, Array]:
+    """Best descent from the likeliest single shapes of each picture."""
+    order, amplitudes = _single_shape_starts(problem)
+    pictures, shapes = amplitudes.shape
+    # Phases spread by the golden angle: no two shapes start in phase or in opposition.
+    spread = 1e-2 * np.exp(2j * np.pi * 0.618034 * np.arange(shapes))
+    best, cost = np.zeros((pictures, shapes), np.complex64), np.full(pictures, np.inf)
+    for rank in range(min(_STARTS, shapes)):
+        a = np.tile(spread, (pictures, 1)).astype(np.complex64)
+        rows, chosen = np.arange(pictures), order[:, rank]
+        a[rows, chosen] = amplitudes[rows, chosen]
+        a, new = _descend(problem, a, _START_STEPS)
+        best, cost = np.where((new < cost)[:, None], a, best), np.minimum(new, cost)
+    return best, cost
+
+
+def _from_neighbours(problem: _Problem, a: Complex, cost: Array) -> tuple[Complex, Array]:
+    """Let each picture try its neighbours' solutions: resonances are wider than a step."""
+    for shift in (1, -1):
+        moved, new = _descend(problem, np.roll(a, shift, axis=0), _NEIGHBOUR_STEPS)
+        better = new < cost
+        a, cost = np.where(better[:, None], moved, a), np.where(better, new, cost)
+    return a, cost
+
+
+def first_light(brightness: Float) -> Float:
+    """First estimate (n,) of the light B from pictures (k, n): the brightest show a fringe."""
+    count = min(_BRIGHTEST, len(brightness))
+    brightest = np.partition(brightness, -count, axis=0)[-count:].mean(axis=0)
+    light: Float = (brightest / FIRST_FRINGE).astype(np.float32)
+    return np.maximum(light, np.float32(_LEAST_LIGHT) * np.median(light))
+
+
+def count_fringes(brightness: Float, shapes: Float) -> Fringes:
+    """Decompose every picture of a sweep into fringes of given shapes.
+
+    Parameters
+    ----------
+    brightness : (k, n) float32
+        Speckle-averaged |H|² of each picture at n points, less its noise; any unit.
+    shapes : (n, m) float32
+        Deflection of each mode shape at the points, largest magnitude 1.
+
+    Returns
+    -------
+    Fringes
+
+    Notes
+    -----
+    The problem is not convex. Each picture is started from the single shapes that resemble it
+    most, then tries the solutions of its neighbours; the light B is re-estimated from all
+    pictures in between, by linear least squares.
+    """
+    bessel, light = _Bessel(), first_light(brightness)
+    problem = _Problem(brightness / light, shapes, bessel)
+    a, cost = _start(problem)
+    for _ in range(_ROUNDS):
+        a, cost = _from_neighbours(problem, a, cost)
+        light = _light(brightness, a, cost, problem)
+        problem = _Problem(brightness / light, shapes, bessel)
+        a, cost = _descend(problem, a, _FINAL_STEPS)
+    return Fringes(a, cost, light)
+
+
+def _light(brightness: Float, a: Complex, cost: Array, problem: _Problem) -> Float:
+    """Light B (n,) by least squares over pictures, the better explained weighing more."""
+    value, _ = problem.bessel(np.abs(a @ problem.shapes.T))
+    pattern = value * value
+    weight = np.clip(0.1 * np.median(cost) / np.maximum(cost, 1e-12), 0.0, 1.0)[:, None]
+    numerator = (weight * brightness * pattern).sum(axis=0)
+    denominator = (weight * pattern * pattern).sum(axis=0)
+    light = numerator / np.maximum(denominator, 1e-12)
+    floor = 1e-3 * np.median(light)
+    return np.maximum(light, floor).astype(np.float32)

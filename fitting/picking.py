@@ -1,0 +1,147 @@
+"""The paper's way to resonances: the picture in which the fringes of a mode are locally most.
+
+Names come from similarity with the finite-element shapes: fringes are counted per shape. Where a
+mode is looked for is a matter of what is already known: the population of reeds first, then also
+the modes found so far, since few components govern all frequencies.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting import paper
+from fitting.forward import ForwardModel, cents_of, viscoelastic_cents
+from physics.reed.viscoelastic import Components, Series, viscoelastic_cane
+
+Array = NDArray[np.floating[Any]]
+
+# Half width of a search window, in standard deviations of the prediction.
+_WINDOW_SD = 4.0
+# Pictures this close to an acoustic line of the bench show all modes at once.
+_LINE_CENTS = 60.0
+# A maximum must stand out of the noise of the count, rad: a first fringe begins at 1.84.
+_LEAST_RAD = 0.1
+# Order of search: the liveliest and best separated modes narrow the windows of the others.
+_SEARCH_ORDER = ("F1", "T1", "F2", "T3", "T2", "X1", "F3", "X2", "X3", "F4", "T4")
+
+
+@dataclass(frozen=True)
+class Resonance:
+    """A mode found in a sweep.
+
+    Attributes
+    ----------
+    name : str
+    frequency_hz : float
+        Drive frequency of the picture.
+    error_cents : float
+        Standard error: the picture may be off by half its distance to its neighbours.
+    step_index : int
+        Index of the picture in the protocol.
+    amplitude_rad : float
+        Phase amplitude of the mode in that picture.
+    method : str
+    """
+
+    name: str
+    frequency_hz: float
+    error_cents: float
+    step_index: int
+    amplitude_rad: float
+    method: str = "picture"
+
+
+class _Belief:
+    """Normal distribution of the components, narrowed by every resonance found."""
+
+    def __init__(self, model: ForwardModel, series: Series) -> None:
+        def cents(values: Array) -> Array:
+            cane = viscoelastic_cane(Components(*map(float, values)), series)
+            return viscoelastic_cents(model, cane, series)
+
+        step = 0.5 * np.eye(4)
+        self._mean, self._covariance = np.zeros(4), np.eye(4)
+        self._origin = cents(self._mean)
+        self._slopes = np.stack([cents(d) - cents(-d) for d in step], axis=1)
+
+    def predict(self, m: int) -> tuple[float, float]:
+        """Expected cents of mode m and standard deviation, the model's own misfit included."""
+        slope = self._slopes[m]
+        variance = slope @ self._covariance @ slope + paper.H4_MISFIT_CENTS**2
+        return float(self._origin[m] + slope @ self._mean), float(np.sqrt(variance))
+
+    def learn(self, m: int, cents: float) -> None:
+        """Condition on mode m having been found at a number of cents."""
+        expected, sd = self.predict(m)
+        gain = self._covariance @ self._slopes[m] / sd**2
+        self._mean = self._mean + gain * (cents - expected)
+        self._covariance = self._covariance - np.outer(gain, self._slopes[m]) @ self._covariance
+
+
+def pick_resonances(
+    drive_hz: Array,
+    step_index: Sequence[int],
+    amplitude_rad: Array,
+    names: Sequence[str],
+    model: ForwardModel,
+    series: Series,
+    acoustic_lines_hz: Sequence[float] = (),
+) -> dict[str, Resonance]:
+    """Pick for every mode the picture with most of its fringes.
+
+    Parameters
+    ----------
+    drive_hz : (k,) float
+        Realised drive frequencies of the pictures, ascending.
+    step_index : (k,) int
+    amplitude_rad : (k, m) float
+        Phase amplitude of each shape in each picture (see `fitting.fringes`).
+    names : (m,) str
+    model : ForwardModel
+        Says where to look.
+    series : Series
+    acoustic_lines_hz : sequence of float
+        Resonances of the excitation device; pictures next to them are not picked.
+
+    Returns
+    -------
+    dict
+        Resonances by name, those found only, in order of frequency.
+    """
+    cents = cents_of(drive_hz)
+    spacing = np.gradient(cents) if len(cents) > 1 else np.full(1, np.inf)
+    clear = np.ones(len(cents), dtype=bool)
+    for line in acoustic_lines_hz:
+        clear &= np.abs(cents - cents_of(line)) > _LINE_CENTS
+    belief, found = _Belief(model, series), {}
+    for name in _SEARCH_ORDER:
+        if name not in names or name not in model.modes:
+            continue
+        m, fringes = model.modes.index(name), amplitude_rad[:, names.index(name)]
+        expected, sd = belief.predict(m)
+        window = clear & (np.abs(cents - expected) < _WINDOW_SD * sd)
+        best = _most_fringes(fringes, window)
+        if best is None:
+            continue
+        belief.learn(m, float(cents[best]))
+        found[name] = Resonance(
+            name=name,
+            frequency_hz=float(drive_hz[best]),
+            error_cents=float(spacing[best] / np.sqrt(12)),
+            step_index=int(step_index[best]),
+            amplitude_rad=float(fringes[best]),
+        )
+    return dict(sorted(found.items(), key=lambda item: item[1].frequency_hz))
+
+
+def _most_fringes(fringes: Array, window: NDArray[np.bool_]) -> int | None:
+    """Picture in the window with the highest local maximum, if any stands out."""
+    before, after = np.roll(fringes, 1), np.roll(fringes, -1)
+    peak = (fringes >= before) & (fringes >= after) & (fringes > _LEAST_RAD) & window
+    peak[[0, -1]] = False
+    if not peak.any():
+        return None
+    return int(np.flatnonzero(peak)[np.argmax(fringes[peak])])

@@ -1,0 +1,198 @@
+"""Components and moduli of a reed's cane from its resonances, with standard errors."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from fitting.errors import FitError
+from fitting.forward import ForwardModel, cents_of, name_likeness, viscoelastic_cents
+from fitting.picking import Resonance
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    ViscoelasticCane,
+    storage_modulus_pa,
+    viscoelastic_cane,
+)
+
+Array = NDArray[np.floating[Any]]
+
+COMPONENTS = ("e1", "e2", "e3", "e4")
+# Below this likeness, relative to a pure mode, it has given part of its name away.
+_LEAST_LIKENESS = 0.85
+# The paper quotes storage moduli at this frequency (Tables 6 and 7).
+QUOTED_HZ = 4000.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its standard error."""
+
+    value: float
+    error: float
+
+
+@dataclass(frozen=True)
+class ReedParameters:
+    """What the resonances say about the cane.
+
+    Attributes
+    ----------
+    components : dict
+        e1, e2, e3 from series A; e4 too from A and B together.
+    moduli : dict
+        Per series ("A", "B"): E1, E2, G1, G2 and the storage moduli at 4 kHz, in MPa.
+    rms_cents : float
+        Root mean square of observed less fitted frequencies.
+    residual_cents : dict
+        Per series and mode.
+    left_out : dict
+        Per series, modes found but not fitted: they exchange shapes with a neighbour.
+    reduced_chi2 : float
+        Weighted squares per degree of freedom; above 1 the errors are scaled by its root.
+    physical : bool
+        Whether all springs came out positive.
+    model : str
+    """
+
+    components: dict[str, Estimate]
+    moduli: dict[str, dict[str, Estimate]]
+    rms_cents: float
+    residual_cents: dict[str, dict[str, float]]
+    left_out: dict[str, list[str]]
+    reduced_chi2: float
+    physical: bool
+    model: str
+
+
+def fit_components(
+    resonances: Mapping[Series, Mapping[str, Resonance]], model: ForwardModel
+) -> ReedParameters:
+    """Fit e1…e3 to series A, or e1…e4 to series A and B, by weighted least squares.
+
+    Parameters
+    ----------
+    resonances : mapping
+        Found resonances by name, per series.
+    model : ForwardModel
+
+    Raises
+    ------
+    FitError
+        Without series A (e2 and e4 act alike on series B), or with fewer resonances than
+        components.
+    """
+    if Series.A not in resonances:
+        raise FitError(
+            "components need a run of series A: in series B alone e2 and e4 act alike; "
+            "give the reed's series A run too"
+        )
+    free = COMPONENTS if Series.B in resonances else COMPONENTS[:3]
+    observed = [
+        _Observation(series, name, model.modes.index(name), found)
+        for series, named in resonances.items()
+        for name, found in named.items()
+        if name in model.modes
+    ]
+    values, covariance, chi2 = _least_squares(observed, model, len(free))
+    distinct = [o for o in observed if _likeness(o, values, model) >= _LEAST_LIKENESS]
+    if len(distinct) < len(observed):
+        values, covariance, chi2 = _least_squares(distinct, model, len(free))
+    residual = _residual_cents(distinct, values, model)
+    return ReedParameters(
+        components={
+            name: Estimate(float(value), float(np.sqrt(variance)))
+            for name, value, variance in zip(free, values, np.diag(covariance), strict=True)
+        },
+        moduli={str(s): _moduli(values, covariance, s) for s in resonances},
+        rms_cents=float(np.sqrt(np.mean(residual**2))),
+        residual_cents={
+            str(s): {
+                o.name: float(r) for o, r in zip(distinct, residual, strict=True) if o.series is s
+            }
+            for s in resonances
+        },
+        left_out={
+            str(s): [o.name for o in observed if o.series is s and o not in distinct]
+            for s in resonances
+        },
+        reduced_chi2=chi2,
+        physical=all(_springs_positive(_cane(values, s)) for s in resonances),
+        model=model.name,
+    )
+
+
+@dataclass(frozen=True)
+class _Observation:
+    """A resonance and its place in the model."""
+
+    series: Series
+    name: str
+    mode: int
+    found: Resonance
+
+
+def _least_squares(
+    observed: Sequence[_Observation], model: ForwardModel, count: int
+) -> tuple[Array, Array, float]:
+    """Best components (count,), their covariance, and χ² per degree of freedom."""
+    if len(observed) <= count:
+        raise FitError(
+            f"{len(observed)} resonances cannot fix {count} components; "
+            "run more steps, or look at the report for what hides the others"
+        )
+    errors = np.array([o.found.error_cents for o in observed])
+    solution = least_squares(
+        lambda values: _residual_cents(observed, values, model) / errors, np.zeros(count)
+    )
+    chi2 = float(2 * solution.cost / (len(observed) - count))
+    # A misfit larger than the errors explain is charged to the components.
+    covariance = np.linalg.inv(solution.jac.T @ solution.jac) * max(chi2, 1.0)
+    return solution.x, covariance, chi2
+
+
+def _residual_cents(observed: Sequence[_Observation], values: Array, model: ForwardModel) -> Array:
+    """Observed less computed, in cents (one per observation)."""
+    computed = {
+        s: viscoelastic_cents(model, _cane(values, s), s) for s in {o.series for o in observed}
+    }
+    return np.array(
+        [float(cents_of(o.found.frequency_hz)) - computed[o.series][o.mode] for o in observed]
+    )
+
+
+def _likeness(observation: _Observation, values: Array, model: ForwardModel) -> float:
+    cane = _cane(values, observation.series)
+    cents = viscoelastic_cents(model, cane, observation.series)
+    return float(name_likeness(model, cane, cents)[observation.mode])
+
+
+def _cane(values: Array, series: Series) -> ViscoelasticCane:
+    return viscoelastic_cane(Components(*map(float, values)), series)
+
+
+def _springs_positive(cane: ViscoelasticCane) -> bool:
+    return all(min(z.spring_mpa, z.arm_spring_mpa) > 0 for z in (cane.young_L, cane.shear_LT))
+
+
+def _moduli(values: Array, covariance: Array, series: Series) -> dict[str, Estimate]:
+    """Moduli in MPa with errors carried over to first order."""
+
+    def moduli(e: Array) -> Array:
+        cane = _cane(e, series)
+        E, G = cane.young_L, cane.shear_LT
+        storage = [1e-6 * float(storage_modulus_pa(z, QUOTED_HZ)) for z in (E, G)]
+        return np.array([E.spring_mpa, E.arm_spring_mpa, G.spring_mpa, G.arm_spring_mpa, *storage])
+
+    names = ("E1_mpa", "E2_mpa", "G1_mpa", "G2_mpa", "E_4kHz_mpa", "G_4kHz_mpa")
+    step = 1e-4 * np.eye(len(values))
+    slopes = np.stack([(moduli(values + d) - moduli(values - d)) / 2e-4 for d in step], axis=1)
+    errors = np.sqrt(np.einsum("ni,ij,nj->n", slopes, covariance, slopes))
+    return {
+        name: Estimate(float(value), float(error))
+        for name, value, error in zip(names, moduli(values), errors, strict=True)
+    }

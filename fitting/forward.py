@@ -126,8 +126,8 @@ class PaperModel:
         shift = np.array([paper.H4_ADJUSTMENT_CENTS[name] for name in self.modes])
         E = (E_L_pa / 1e6) ** paper.EXPONENT_E_L
         G = (G_LT_pa / 1e6) ** paper.EXPONENT_G_LT
-        cents: Array = a[0] + a[1] * E + a[2] * G + a[3] * E * G + a[4] * E**2 + a[5] * G**2
-        return cents + shift
+        cents = a[0] + a[1] * E + a[2] * G + a[3] * E * G + a[4] * E**2 + a[5] * G**2
+        return np.asarray(cents + shift)
 
     def likeness(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
         """Ones (m,): a formula has no shapes to doubt."""

@@ -100,7 +100,8 @@ class _Problem:
 
 def mean_square(residual: Float) -> Array:
     """Mean square (k,) of residuals (k, n)."""
-    return np.einsum("kn,kn->k", residual, residual) / residual.shape[1]
+    squares: Array = np.einsum("kn,kn->k", residual, residual) / residual.shape[1]
+    return squares
 
 
 def _descend(problem: _Problem, a: Complex, steps: int) -> tuple[Complex, Array]:
@@ -213,5 +214,5 @@ def _light(brightness: Float, a: Complex, cost: Array, problem: _Problem) -> Flo
     numerator = (weight * brightness * pattern).sum(axis=0)
     denominator = (weight * pattern * pattern).sum(axis=0)
     light = numerator / np.maximum(denominator, 1e-12)
-    floor = 1e-3 * np.median(light)
-    return np.maximum(light, floor).astype(np.float32)
+    lifted: Float = np.maximum(light, 1e-3 * np.median(light)).astype(np.float32)
+    return lifted

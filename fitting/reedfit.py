@@ -146,12 +146,15 @@ def _least_squares(
             "run more steps, or look at the report for what hides the others"
         )
     errors = np.array([o.found.error_cents for o in observed])
-    solution = least_squares(
-        lambda values: _residual_cents(observed, values, model) / errors, np.zeros(count)
-    )
+
+    def weighted(values: Array) -> Array:
+        return np.asarray(_residual_cents(observed, values, model) / errors)
+
+    solution = least_squares(weighted, np.zeros(count))
+    jacobian = np.asarray(solution.jac, dtype=float)
     chi2 = float(2 * solution.cost / (len(observed) - count))
     # A misfit larger than the errors explain is charged to the components.
-    covariance = np.linalg.inv(solution.jac.T @ solution.jac) * max(chi2, 1.0)
+    covariance = np.linalg.inv(jacobian.T @ jacobian) * max(chi2, 1.0)
     return solution.x, covariance, chi2
 
 

@@ -76,7 +76,7 @@ def _names(
     counted = {"L": "" if not symmetric else "s", "H": "" if symmetric else "a"}
     answer: list[tuple[str, float]] = []
     vamp = []
-    for m, profile in enumerate(profiles):
+    for m in range(shapes.shape[1]):
         kind, part = ("L", lateral[m]) if lateral[m] > heel[m] else ("H", heel[m])
         if part > _FOREIGN_SHARE:
             number = 1 + sum(name.startswith(kind) for name, _ in answer)

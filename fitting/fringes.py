@@ -23,7 +23,7 @@ FIRST_FRINGE = 0.3386
 # Single-shape starts tried per picture, and sweeps that hand solutions on to neighbours.
 _STARTS = 3
 _ROUNDS = 3
-_START_STEPS, _NEIGHBOUR_STEPS, _FINAL_STEPS = 12, 8, 5
+_START_STEPS, _NEIGHBOUR_STEPS, _FINAL_STEPS, _ALONE_STEPS = 12, 8, 5, 25
 # Phase amplitudes tried for a single shape, rad.
 _TRIAL_RAD = np.geomspace(0.1, 60.0, 80, dtype=np.float32)
 # Pictures whose brightest share estimates the light B: those in which a point is on a fringe.
@@ -216,3 +216,28 @@ def _light(brightness: Float, a: Complex, cost: Array, problem: _Problem) -> Flo
     light = numerator / np.maximum(denominator, 1e-12)
     lifted: Float = np.maximum(light, 1e-3 * np.median(light)).astype(np.float32)
     return lifted
+
+
+def misfit_without(
+    brightness: Float, shapes: Float, fringes: Fringes, shape: int, picture: int
+) -> float:
+    """Misfit of one picture when one shape may not be used and the others make up for it.
+
+    Beside `Fringes.misfit` it tells whether the picture needs the shape at all: of φ the picture
+    shows the magnitude only, so a shape that is not there can pick up some amplitude.
+
+    Parameters
+    ----------
+    brightness, shapes : as for `count_fringes`
+    fringes : Fringes
+        Their decomposition.
+    shape, picture : int
+        Which column of `shapes`, which row of `brightness`.
+    """
+    last = len(brightness) - 1
+    near = [max(picture - 1, 0), picture, min(picture + 1, last)]
+    others = np.delete(np.arange(shapes.shape[1]), shape)
+    relative = np.repeat(brightness[picture : picture + 1] / fringes.light, len(near), axis=0)
+    problem = _Problem(relative, shapes[:, others], _Bessel())
+    _, cost = _descend(problem, fringes.amplitude_rad[np.ix_(near, others)], _ALONE_STEPS)
+    return float(cost.min())

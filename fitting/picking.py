@@ -5,7 +5,7 @@ mode is looked for is a matter of what is already known: the population of reeds
 the modes found so far, since few components govern all frequencies.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -83,11 +83,12 @@ class _Belief:
 
 def pick_resonances(
     drive_hz: Array,
-    step_index: Sequence[int],
+    step_index: NDArray[np.intp],
     amplitude_rad: Array,
     names: Sequence[str],
     model: ForwardModel,
     series: Series,
+    needed: Callable[[int, int], bool],
     acoustic_lines_hz: Sequence[float] = (),
 ) -> dict[str, Resonance]:
     """Pick for every mode the picture with most of its fringes.
@@ -103,6 +104,9 @@ def pick_resonances(
     model : ForwardModel
         Says where to look.
     series : Series
+    needed : callable
+        ``needed(shape, picture)`` says whether that picture cannot be explained without that
+        shape; a maximum where it can is passed over.
     acoustic_lines_hz : sequence of float
         Resonances of the excitation device; pictures next to them are not picked.
 
@@ -120,10 +124,12 @@ def pick_resonances(
     for name in _SEARCH_ORDER:
         if name not in names or name not in model.modes:
             continue
-        m, fringes = model.modes.index(name), amplitude_rad[:, names.index(name)]
+        m, shape = model.modes.index(name), names.index(name)
+        fringes = amplitude_rad[:, shape]
         expected, sd = belief.predict(m)
         window = clear & (np.abs(cents - expected) < _WINDOW_SD * sd)
-        best = _most_fringes(fringes, window)
+        peaks = _peaks(fringes, window)
+        best = next((k for k in peaks if needed(shape, k)), None)
         if best is None:
             continue
         belief.learn(m, float(cents[best]))
@@ -137,11 +143,9 @@ def pick_resonances(
     return dict(sorted(found.items(), key=lambda item: item[1].frequency_hz))
 
 
-def _most_fringes(fringes: Array, window: NDArray[np.bool_]) -> int | None:
-    """Picture in the window with the highest local maximum, if any stands out."""
+def _peaks(fringes: Array, window: NDArray[np.bool_]) -> list[int]:
+    """Pictures in the window where the fringes are locally most, the highest first."""
     before, after = np.roll(fringes, 1), np.roll(fringes, -1)
     peak = (fringes >= before) & (fringes >= after) & (fringes > _LEAST_RAD) & window
     peak[[0, -1]] = False
-    if not peak.any():
-        return None
-    return int(np.flatnonzero(peak)[np.argmax(fringes[peak])])
+    return [int(k) for k in sorted(np.flatnonzero(peak), key=lambda k: -fringes[k])]

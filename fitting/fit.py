@@ -1,0 +1,207 @@
+"""From run files to a reed's parameters: what `acquire fit` does."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.runfile import Run
+from fitting.errors import FitError
+from fitting.forward import ForwardModel, PaperModel, finite_element_model
+from fitting.fringes import Fringes, count_fringes, misfit_without
+from fitting.picking import Resonance, pick_resonances
+from fitting.pictures import Pictures, read_pictures
+from fitting.reedfit import ReedParameters, fit_components
+from physics.reed.basis import ReducedReed
+from physics.reed.cache import reduced_reed
+from physics.reed.names import PAPER_MODES
+from physics.reed.response import elastic_modes
+from physics.reed.surface import surface_shapes
+from physics.reed.viscoelastic import Series
+
+Float = NDArray[np.float32]
+ModelName = Literal["fem", "paper"]
+
+# Shapes that pictures are made of: the paper's modes and the next ones up to 20 kHz.
+SHAPE_NAMES = (*PAPER_MODES, "T5", "X4", "X5", "X6")
+# A picture needs a shape if its misfit without it grows by more than this. On the twin, modes that
+# are there give 2 to 500, modes that are not 0.9 to 1.1 (`benchmarks/recovery.py`).
+_NEEDED = 1.5
+# Shapes are those of a middling cane; they differ little from reed to reed.
+_SHAPE_E_L_PA, _SHAPE_G_LT_PA = 13.5e9, 1.0e9
+
+
+@dataclass(frozen=True)
+class SweepFit:
+    """Resonances of one run.
+
+    Attributes
+    ----------
+    path : Path
+    reed, series : str
+    resonances : dict
+        Found modes by name, in order of frequency.
+    pictures : Pictures
+    fringes : Fringes
+        Amplitudes of `SHAPE_NAMES` in every picture.
+    """
+
+    path: Path
+    reed: str
+    series: str
+    resonances: dict[str, Resonance]
+    pictures: Pictures
+    fringes: Fringes
+
+
+@dataclass(frozen=True)
+class ReedFit:
+    """What one or two runs of a reed say about it.
+
+    Attributes
+    ----------
+    sweeps : tuple of SweepFit
+    parameters : ReedParameters or None
+    reason : str
+        Why there are no parameters, if there are none.
+    """
+
+    sweeps: tuple[SweepFit, ...]
+    parameters: ReedParameters | None
+    reason: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fit with stable keys (documented in ``docs/fit.md``)."""
+        runs = [
+            {
+                "path": str(sweep.path),
+                "reed": sweep.reed,
+                "series": sweep.series,
+                "modes": {
+                    name: {
+                        "hz": found.frequency_hz,
+                        "error_cents": found.error_cents,
+                        "step_index": found.step_index,
+                        "method": found.method,
+                    }
+                    for name, found in sweep.resonances.items()
+                },
+            }
+            for sweep in self.sweeps
+        ]
+        fitted = asdict(self.parameters) if self.parameters else {}
+        keys = (
+            "components",
+            "moduli",
+            "rms_cents",
+            "reduced_chi2",
+            "residual_cents",
+            "left_out",
+            "physical",
+            "model",
+        )
+        parameters = {key: fitted.get(key) for key in keys}
+        return {"modes": runs[0]["modes"], **parameters, "reason": self.reason, "runs": runs}
+
+
+def mode_shapes(reed: ReducedReed, pictures: Pictures) -> Float:
+    """Deflections (n, m) of `SHAPE_NAMES` at a run's points, largest magnitude 1."""
+    surface = surface_shapes(reed, pictures.x_m, pictures.y_m)
+    modes = elastic_modes(reed, _SHAPE_E_L_PA, _SHAPE_G_LT_PA)
+    columns = [
+        surface[modes[name].symmetry] @ modes[name].coordinates.astype(np.float32)
+        for name in SHAPE_NAMES
+    ]
+    shapes = np.stack(columns, axis=1)
+    normalised: Float = (shapes / np.abs(shapes).max(axis=0)).astype(np.float32)
+    return normalised
+
+
+def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
+    """Find the resonances of one run.
+
+    Raises
+    ------
+    FitError
+        If too few pictures are good, or no mode is found in them.
+    """
+    pictures = read_pictures(run)
+    shapes = mode_shapes(reed, pictures)
+    fringes = count_fringes(pictures.brightness, shapes)
+
+    def needed(shape: int, picture: int) -> bool:
+        without = misfit_without(pictures.brightness, shapes, fringes, shape, picture)
+        return without > _NEEDED * float(fringes.misfit[picture])
+
+    found = pick_resonances(
+        pictures.drive_hz,
+        pictures.step_index,
+        np.abs(fringes.amplitude_rad),
+        SHAPE_NAMES,
+        model,
+        Series.B if run.series == "B" else Series.A,
+        needed,
+        run.acoustic_lines_hz,
+    )
+    if not found:
+        raise FitError(
+            f"{run.path}: no mode of a clarinet reed shows in {len(pictures.drive_hz)} pictures; "
+            "look at the report's contact sheet"
+        )
+    return SweepFit(run.path, run.reed, run.series, found, pictures, fringes)
+
+
+def fit_runs(
+    paths: Sequence[str | Path],
+    model: ModelName = "fem",
+    announce: Callable[[str], None] | None = None,
+) -> ReedFit:
+    """Fit one run, or a series A and a series B run of the same reed together.
+
+    Parameters
+    ----------
+    paths : sequence of path
+        Run files.
+    model : {'fem', 'paper'}
+        Forward model: finite elements, or the paper's Table 9 with its adjustments.
+    announce : callable, optional
+        Told what takes long.
+
+    Raises
+    ------
+    FitError
+        If a run shows no modes, or the runs do not belong together.
+    RunFileError
+        If a file cannot be read.
+    """
+    reed = reduced_reed(announce=announce)
+    forward: ForwardModel = PaperModel() if model == "paper" else finite_element_model(reed)
+    sweeps = []
+    for path in paths:
+        with Run.open(path) as run:
+            sweeps.append(fit_sweep(run, reed, forward))
+    _require_one_reed(sweeps)
+    unknown = [s for s in sweeps if s.series not in set(Series)]
+    if unknown:
+        reason = f"series {unknown[0].series!r} is neither A nor B, whose cane is known (H4)"
+        return ReedFit(tuple(sweeps), None, reason)
+    try:
+        parameters = fit_components({Series(s.series): s.resonances for s in sweeps}, forward)
+    except FitError as error:
+        return ReedFit(tuple(sweeps), None, str(error))
+    return ReedFit(tuple(sweeps), parameters)
+
+
+def _require_one_reed(sweeps: Sequence[SweepFit]) -> None:
+    """Two runs are fitted together only if they are series A and B of one reed."""
+    if len(sweeps) == 1:
+        return
+    reeds, series = {s.reed for s in sweeps}, [s.series for s in sweeps]
+    if len(reeds) > 1 or len(set(series)) < len(series):
+        told = ", ".join(f"{s.path.name}: reed {s.reed}, series {s.series}" for s in sweeps)
+        raise FitError(
+            f"runs fitted together must be series A and B of one reed ({told}); fit them one by one"
+        )

@@ -24,6 +24,7 @@ from physics.reed.viscoelastic import Series
 
 Float = NDArray[np.float32]
 ModelName = Literal["fem", "paper"]
+MODELS: tuple[ModelName, ...] = ("fem", "paper")
 
 # Shapes that pictures are made of: the paper's modes and the next ones up to 20 kHz.
 SHAPE_NAMES = (*PAPER_MODES, "T5", "X4", "X5", "X6")
@@ -105,6 +106,20 @@ class ReedFit:
         )
         parameters = {key: fitted.get(key) for key in keys}
         return {"modes": runs[0]["modes"], **parameters, "reason": self.reason, "runs": runs}
+
+
+def model_name(name: str) -> ModelName:
+    """Return the name of a forward model, checked.
+
+    Raises
+    ------
+    FitError
+        If there is no such model.
+    """
+    for known in MODELS:
+        if name == known:
+            return known
+    raise FitError(f"there is no forward model {name!r}; choose one of {', '.join(MODELS)}")
 
 
 def mode_shapes(reed: ReducedReed, pictures: Pictures) -> Float:

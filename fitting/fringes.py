@@ -40,6 +40,8 @@ class Fringes:
     ----------
     amplitude_rad : (k, m) complex64
         Phase amplitude of each shape in each picture, up to a common phase per picture.
+    phase_rad : (k,) float
+        Root mean square over the points of the phase amplitude φ.
     misfit : (k,) float
         Mean square of the picture's brightness, relative to B, left unexplained.
     light : (n,) float32
@@ -47,6 +49,7 @@ class Fringes:
     """
 
     amplitude_rad: Complex
+    phase_rad: Array
     misfit: Array
     light: Float
 
@@ -203,7 +206,8 @@ def count_fringes(brightness: Float, shapes: Float) -> Fringes:
         light = _light(brightness, a, cost, problem)
         problem = _Problem(brightness / light, shapes, bessel)
         a, cost = _descend(problem, a, _FINAL_STEPS)
-    return Fringes(a, cost, light)
+    phase = np.sqrt(mean_square(np.abs(a @ shapes.T)))
+    return Fringes(a, phase, cost, light)
 
 
 def _light(brightness: Float, a: Complex, cost: Array, problem: _Problem) -> Float:
@@ -235,7 +239,7 @@ def misfit_without(
         Which column of `shapes`, which row of `brightness`.
     """
     last = len(brightness) - 1
-    near = [max(picture - 1, 0), picture, min(picture + 1, last)]
+    near = np.array([max(picture - 1, 0), picture, min(picture + 1, last)])
     others = np.delete(np.arange(shapes.shape[1]), shape)
     relative = np.repeat(brightness[picture : picture + 1] / fringes.light, len(near), axis=0)
     problem = _Problem(relative, shapes[:, others], _Bessel())

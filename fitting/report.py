@@ -1,0 +1,161 @@
+"""One self-contained HTML page about a run, and its pictures as files beside it."""
+
+import base64
+import html
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from acquire.errors import RunFileError
+from acquire.runfile import Run
+from fitting.drawing import contact_sheet, png_of, response_plot
+from fitting.fit import ReedFit, SweepFit
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 1400px;
+       margin: 2rem auto; padding: 0 1.5rem; }
+h1 { font-size: 1.5rem; margin-bottom: 0.2rem; } h2 { font-size: 1.15rem; margin-top: 2.2rem; }
+table { border-collapse: collapse; margin: 0.6rem 0; }
+th, td { padding: 0.2rem 0.8rem; text-align: right; border-bottom: 1px solid #ddd; }
+th:first-child, td:first-child { text-align: left; }
+img { max-width: 100%; display: block; margin: 0.6rem 0; }
+.facts { color: #555; } .warning { color: #b00020; font-weight: 600; }
+.columns { display: flex; gap: 3rem; flex-wrap: wrap; align-items: flex-start; }
+"""
+
+
+def write_report(fit: ReedFit, page: Path) -> dict[str, Path]:
+    """Write the page, and the contact sheet and response plot of every run beside it.
+
+    Parameters
+    ----------
+    fit : ReedFit
+    page : Path
+        Replaced if it exists.
+
+    Returns
+    -------
+    dict
+        What was written, by name.
+
+    Raises
+    ------
+    RunFileError
+        If a run cannot be read, or the page not be written.
+    """
+    files, parts = {"report": page}, [_heading(fit), _parameters(fit)]
+    try:
+        for sweep in fit.sweeps:
+            with Run.open(sweep.path) as run:
+                figures = {
+                    "contact sheet": contact_sheet(run, sweep.resonances),
+                    "response": response_plot(sweep, run.acoustic_lines_hz),
+                }
+                parts.append(_sweep(sweep, run, fit))
+            for name, figure in figures.items():
+                picture = png_of(figure)
+                label = name if len(fit.sweeps) == 1 else f"{name} {sweep.series}"
+                files[label] = page.with_name(f"{sweep.path.stem}.{name.replace(' ', '-')}.png")
+                files[label].write_bytes(picture)
+                parts.append(_embedded(name, picture))
+        page.write_text(_document(fit, parts), encoding="utf-8")
+    except OSError as error:
+        raise RunFileError(
+            f"{page}: cannot be written ({error.strerror}); choose another place with --out"
+        ) from error
+    return files
+
+
+def _document(fit: ReedFit, parts: Iterable[str]) -> str:
+    title = html.escape(f"Reed {fit.sweeps[0].reed}")
+    return (
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+        f"<style>{_STYLE}</style></head><body>{''.join(parts)}</body></html>"
+    )
+
+
+def _heading(fit: ReedFit) -> str:
+    series = " and ".join(sweep.series for sweep in fit.sweeps)
+    title = f"Reed {fit.sweeps[0].reed}, series {series}"
+    return f"<h1>{html.escape(title)}</h1>"
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    def line(cells: Sequence[str], tag: str) -> str:
+        return "<tr>" + "".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in cells) + "</tr>"
+
+    return f"<table>{line(head, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"
+
+
+def _parameters(fit: ReedFit) -> str:
+    """Components and moduli side by side, or why there are none."""
+    if fit.parameters is None:
+        return f'<h2>The cane</h2><p class="warning">No parameters: {html.escape(fit.reason)}</p>'
+    p = fit.parameters
+    components = _table(
+        ("component (population SD)", "value", "± s.e."),
+        [(name, f"{e.value:+.2f}", f"{e.error:.2f}") for name, e in p.components.items()],
+    )
+    moduli = [
+        _table(
+            (f"modulus, series {series} (MPa)", "value", "± s.e."),
+            [(_modulus(name), f"{e.value:.0f}", f"{e.error:.0f}") for name, e in estimates.items()],
+        )
+        for series, estimates in p.moduli.items()
+    ]
+    doubt = (
+        ""
+        if p.physical
+        else '<p class="warning">A spring came out negative: the fit lies outside physics.</p>'
+    )
+    facts = (
+        f'<p class="facts">Residual rms {p.rms_cents:.1f} cents, χ² per degree of freedom '
+        f"{p.reduced_chi2:.2f}; forward model: {html.escape(p.model)}.</p>"
+    )
+    return (
+        f'<h2>The cane</h2><div class="columns">{components}{"".join(moduli)}</div>{facts}{doubt}'
+    )
+
+
+def _modulus(name: str) -> str:
+    return name.removesuffix("_mpa").replace("_4kHz", "′ at 4 kHz")
+
+
+def _sweep(sweep: SweepFit, run: Run, fit: ReedFit) -> str:
+    """Facts about one run and the table of its modes."""
+    labels, good = run.labels, int(run.good.sum())
+    strength = "" if labels.strength is None else f", strength {labels.strength:g}"
+    facts = [
+        f"{run.title} on the {run.bench_name}, {run.start_time}{strength}",
+        f"{good} of {len(run)} steps good, status {run.status}",
+        f"run file {run.path.name}",
+    ]
+    said_by_person = {"operator": labels.operator, "note": labels.note}
+    facts += [f"{word}: {text}" for word, text in said_by_person.items() if text]
+    residual = fit.parameters.residual_cents.get(sweep.series, {}) if fit.parameters else {}
+    rows = [
+        (
+            name,
+            f"{found.frequency_hz:.1f}",
+            f"{found.error_cents:.1f}",
+            str(found.step_index),
+            f"{found.amplitude_rad:.2f}",
+            f"{residual[name]:+.1f}" if name in residual else "not fitted",
+        )
+        for name, found in sweep.resonances.items()
+    ]
+    head = (
+        "mode",
+        "frequency (Hz)",
+        "± cents",
+        "picture",
+        "phase amplitude (rad)",
+        "residual (cents)",
+    )
+    said = "<br>".join(map(html.escape, facts))
+    title = html.escape(f"Series {sweep.series}: resonances")
+    return f'<h2>{title}</h2><p class="facts">{said}</p>{_table(head, rows)}'
+
+
+def _embedded(name: str, picture: bytes) -> str:
+    data = base64.b64encode(picture).decode()
+    return f'<img alt="{html.escape(name)}" src="data:image/png;base64,{data}">'

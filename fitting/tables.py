@@ -1,0 +1,49 @@
+"""What the command line shows of a fit."""
+
+from rich.table import Table
+
+from fitting.fit import ReedFit, SweepFit
+from fitting.reedfit import Estimate
+
+
+def modes_table(sweep: SweepFit) -> Table:
+    """Resonances of one run."""
+    table = Table(title=f"Reed {sweep.reed}, series {sweep.series}: resonances")
+    for head in ("mode", "frequency", "± cents", "picture", "fringes (rad)"):
+        table.add_column(head, justify="right")
+    for name, found in sweep.resonances.items():
+        table.add_row(
+            name,
+            f"{found.frequency_hz:.1f} Hz",
+            f"{found.error_cents:.1f}",
+            str(found.step_index),
+            f"{found.amplitude_rad:.1f}",
+        )
+    return table
+
+
+def parameters_table(fit: ReedFit) -> Table | None:
+    """Components and moduli with errors; nothing if the fit has none."""
+    if fit.parameters is None:
+        return None
+    parameters = fit.parameters
+    table = Table(
+        title=f"Reed {fit.sweeps[0].reed}: the cane",
+        caption=f"rms {parameters.rms_cents:.1f} cents, model: {parameters.model}",
+    )
+    table.add_column("parameter")
+    table.add_column("value", justify="right")
+    table.add_column("± s.e.", justify="right")
+    table.add_column("unit")
+    for name, estimate in parameters.components.items():
+        table.add_row(name, f"{estimate.value:+.2f}", f"{estimate.error:.2f}", "population SD")
+    for series, moduli in parameters.moduli.items():
+        for name, estimate in moduli.items():
+            table.add_row(*_modulus_row(name, estimate, series))
+    return table
+
+
+def _modulus_row(name: str, estimate: Estimate, series: str) -> tuple[str, str, str, str]:
+    quantity = name.removesuffix("_mpa").replace("_4kHz", "' at 4 kHz")
+    label = f"{quantity}, series {series}"
+    return label, f"{estimate.value:.0f}", f"{estimate.error:.0f}", "MPa"

@@ -1,0 +1,213 @@
+"""Fresnel propagation between sensor and object with one FFT.
+
+At the distances of a sideband bench the angular spectrum aliases (beyond ``N dx²/λ``, 0.09 m for
+1280 pixels of 6.7 µm at 650 nm), exactly where the single-FFT transform begins to be valid.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+
+Complex64Array = npt.NDArray[np.complex64]
+
+
+@dataclass(frozen=True)
+class FresnelTransform:
+    """Unitary single-FFT Fresnel transform between a sensor and a plane parallel to it.
+
+    A positive distance means that light travelled it from the object to the sensor. Amplitudes
+    are those of ``exp(+2πiνt)``, as in all of this software: a wave that diverges from the object
+    carries ``exp(-ikr)``, and its curvature on the sensor is ``exp(-iπr²/(λz))``. That is the
+    wave that `four_phase` gives for real frames at ``n·f + f_CCD/4``; of its conjugate, the twin
+    image, `to_object` makes a blur.
+
+    Both planes have centred grids: pixel ``(ny//2, nx//2)`` lies on the optical axis of
+    each. The transform keeps ``Σ|field|²``; a field per unit of length follows from
+    ``U_sensor = to_sensor(U_object) * sqrt(dy_o dx_o) / pixel_m``. The constant phase
+    ``i·exp(-ikz)`` is kept, so absolute phases agree with the Fresnel integral.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Rows and columns of both planes, ``(ny, nx)``.
+    pixel_m : float
+        Pitch of the (square) sensor pixels.
+    wavelength_m : float
+        Wavelength of the light.
+    distance_m : float
+        Distance from object to sensor. At least ``max(ny, nx) * pixel_m² / wavelength_m``:
+        below that the sensor's chirp turns by more than π from one pixel to the next.
+    workers : int
+        Threads of the FFT.
+
+    Raises
+    ------
+    ValueError
+        If the shape, a length or the number of workers is not positive, or the distance is
+        outside validity.
+
+    Notes
+    -----
+    The object chirp is undersampled towards the edges of the object plane when the distance
+    exceeds the limit above. This does no harm to intensities, nor to the round trip: light that
+    would miss the real sensor is folded back onto it, which only concerns `to_sensor` of fields
+    that scatter beyond the sensor.
+
+    The chirps are built on first use, in double precision, and kept: 8 bytes per pixel and chirp.
+    """
+
+    shape: tuple[int, int]
+    pixel_m: float
+    wavelength_m: float
+    distance_m: float
+    workers: int = 1
+
+    def __post_init__(self) -> None:
+        if len(self.shape) != 2 or min(self.shape) < 1:
+            raise ValueError(
+                f"FresnelTransform: shape is {self.shape}; give positive (rows, columns)"
+            )
+        for name in ("pixel_m", "wavelength_m", "distance_m", "workers"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"FresnelTransform: {name} is {value}; give a positive number")
+        shortest_m = max(self.shape) * self.pixel_m**2 / self.wavelength_m
+        if self.distance_m < shortest_m:
+            raise ValueError(
+                f"FresnelTransform: distance_m is {self.distance_m:g}, below {shortest_m:.4g}, "
+                f"where the chirp of {max(self.shape)} pixels of {self.pixel_m:g} m aliases at "
+                f"{self.wavelength_m:g} m; move the object away or crop the hologram"
+            )
+
+    @property
+    def object_pitch_m(self) -> tuple[float, float]:
+        """Pitch ``(dy, dx)`` of object images, ``wavelength * distance / (N * pixel)``."""
+        rows, columns = self.shape
+        reach = self.wavelength_m * self.distance_m / self.pixel_m
+        return reach / rows, reach / columns
+
+    def to_object(self, hologram: npt.ArrayLike) -> Complex64Array:
+        """Field on the object from the field on the sensor; inverse and adjoint of `to_sensor`.
+
+        Parameters
+        ----------
+        hologram : array_like, shape (..., ny, nx)
+            Field on the sensor, real or complex; computed in complex64.
+
+        Returns
+        -------
+        ndarray of complex64, shape (..., ny, nx)
+
+        Raises
+        ------
+        ValueError
+            If the last two axes are not ``shape``.
+        """
+        sensor_chirp, object_chirp = self._backward_chirps
+        field = self._transform(hologram, sensor_chirp, forward=False)
+        np.multiply(field, object_chirp, out=field)
+        return field
+
+    def to_sensor(self, field: npt.ArrayLike) -> Complex64Array:
+        """Field on the sensor from the field on the object; inverse and adjoint of `to_object`.
+
+        Parameters
+        ----------
+        field : array_like, shape (..., ny, nx)
+            Field on the object, real or complex; computed in complex64.
+
+        Returns
+        -------
+        ndarray of complex64, shape (..., ny, nx)
+
+        Raises
+        ------
+        ValueError
+            If the last two axes are not ``shape``.
+        """
+        sensor_chirp, object_chirp = self._forward_chirps
+        hologram = self._transform(field, object_chirp, forward=True)
+        np.multiply(hologram, sensor_chirp, out=hologram)
+        return hologram
+
+    def intensity(self, hologram: npt.ArrayLike) -> npt.NDArray[np.float32]:
+        """``|to_object(hologram)|²``, without the pass over the object chirp that it cancels.
+
+        Parameters
+        ----------
+        hologram : array_like, shape (..., ny, nx)
+            Field on the sensor.
+
+        Returns
+        -------
+        ndarray of float32, shape (..., ny, nx)
+
+        Raises
+        ------
+        ValueError
+            If the last two axes are not ``shape``.
+        """
+        field = self._transform(hologram, self._backward_chirps[0], forward=False)
+        power: npt.NDArray[np.float32] = np.abs(field)
+        np.square(power, out=power)
+        return power
+
+    def _transform(
+        self, field: npt.ArrayLike, chirp: Complex64Array, *, forward: bool
+    ) -> Complex64Array:
+        field = np.asarray(field)
+        if field.shape[-2:] != self.shape:
+            raise ValueError(
+                f"FresnelTransform: field has shape {field.shape}, the transform is for "
+                f"{self.shape}; crop or pad the field, or build a transform for its shape"
+            )
+        product = np.multiply(field, chirp, dtype=np.complex64, casting="same_kind")
+        # The cross term of -iπ(x - x')²/(λz) is +2πi·xx'/(λz), an inverse FFT.
+        fft2 = scipy.fft.ifft2 if forward else scipy.fft.fft2
+        spectrum: Complex64Array = fft2(
+            product, norm="ortho", overwrite_x=True, workers=self.workers
+        )
+        return spectrum
+
+    @cached_property
+    def _forward_chirps(self) -> tuple[Complex64Array, Complex64Array]:
+        """Sensor and object chirps of `to_sensor`."""
+        return self._chirps(sign=-1)
+
+    @cached_property
+    def _backward_chirps(self) -> tuple[Complex64Array, Complex64Array]:
+        """Sensor and object chirps of `to_object`: those of `to_sensor`, conjugated."""
+        return self._chirps(sign=1)
+
+    def _chirps(self, sign: int) -> tuple[Complex64Array, Complex64Array]:
+        """Sensor chirp, which takes all constant factors, and object chirp."""
+        # exp(ikz)/i, the conjugate of the Fresnel integral's factor, in cycles.
+        constant = self.distance_m / self.wavelength_m - 0.25
+        sensor = self._cycles((self.pixel_m, self.pixel_m))
+        sensor[0] += constant % 1.0
+        return _outer_phasor(sensor, sign), _outer_phasor(self._cycles(self.object_pitch_m), sign)
+
+    def _cycles(self, pitch_m: tuple[float, float]) -> list[npt.NDArray[np.float64]]:
+        """Phase of a plane's curvature along its rows and columns, in cycles.
+
+        Half of the centring of the FFT, ``exp(±2πi (m - c)(n - c)/N)`` with ``c = N // 2``, is
+        folded into each plane (for even N it is the sign ``(-1)^(m + n)``): nothing is shifted.
+        """
+        cycles = []
+        for count, pitch in zip(self.shape, pitch_m, strict=True):
+            index = np.arange(count)
+            centre = count // 2
+            position_m = (index - centre) * pitch
+            curvature = position_m**2 / (2 * self.wavelength_m * self.distance_m)
+            cycles.append(curvature + (centre * (index - centre / 2) / count) % 1.0)
+        return cycles
+
+
+def _outer_phasor(cycles: list[npt.NDArray[np.float64]], sign: int) -> Complex64Array:
+    along_rows, along_columns = (np.exp(2j * np.pi * sign * cycle) for cycle in cycles)
+    phasor: Complex64Array = np.multiply.outer(along_rows, along_columns).astype(np.complex64)
+    phasor.flags.writeable = False
+    return phasor

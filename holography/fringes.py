@@ -1,0 +1,148 @@
+"""From the brightness of a sideband image to displacement."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+import scipy.special
+
+
+def phase_amplitude(displacement_m: npt.ArrayLike, wavelength_m: float) -> npt.NDArray[np.float64]:
+    """Amplitude of the phase modulation, ``φ = 4πz/λ``.
+
+    Parameters
+    ----------
+    displacement_m : array_like
+        Peak displacement z along the common direction of illumination and observation (normal
+        incidence, reflection).
+    wavelength_m : float
+        Wavelength of the light.
+
+    Returns
+    -------
+    ndarray of float64
+        In rad, of the shape of `displacement_m`. Sideband n has the amplitude ``J_n(φ)``.
+    """
+    return 4 * np.pi / wavelength_m * np.asarray(displacement_m, dtype=np.float64)
+
+
+def first_sideband_maxima_m(count: int, wavelength_m: float) -> npt.NDArray[np.float64]:
+    """Peak displacements at which the image of sideband 1 is brightest.
+
+    Parameters
+    ----------
+    count : int
+        Number of bright fringes, counted from the nodal line.
+    wavelength_m : float
+        Wavelength of the light.
+
+    Returns
+    -------
+    ndarray of float64, shape (count,)
+        Displacements in m at the maxima of ``|J_1(4πz/λ)|``, increasing. At 650 nm the first is
+        95.2 nm, the fifth 768.8 nm, the tenth 1583 nm.
+
+    Raises
+    ------
+    ValueError
+        If `count` is not positive.
+    """
+    if count < 1:
+        raise ValueError(f"first_sideband_maxima_m: count is {count}; give at least 1")
+    maxima_rad = scipy.special.jnp_zeros(1, count)
+    return wavelength_m / (4 * np.pi) * np.asarray(maxima_rad, dtype=np.float64)
+
+
+def block_mean(image: npt.ArrayLike, factor_y: int, factor_x: int) -> npt.NDArray[np.float32]:
+    """Mean over rectangles of pixels.
+
+    Parameters
+    ----------
+    image : array_like, shape (..., ny, nx)
+        Real.
+    factor_y, factor_x : int
+        Rows and columns of a block. Trailing rows and columns that do not fill a block are
+        dropped.
+
+    Returns
+    -------
+    ndarray of float32, shape (..., ny//factor_y, nx//factor_x)
+        Summed in double precision.
+
+    Raises
+    ------
+    ValueError
+        If the image is not real, or a block is empty or larger than the image.
+    """
+    image = np.asarray(image)
+    rows, columns = image.shape[-2:]
+    if image.dtype.kind not in "uif":
+        raise ValueError(f"block_mean: the image is {image.dtype}; give intensities or amplitudes")
+    if not (1 <= factor_y <= rows and 1 <= factor_x <= columns):
+        raise ValueError(
+            f"block_mean: a block of {factor_y}x{factor_x} does not fit an image of "
+            f"{rows}x{columns} pixels; give factors from 1 to the image's size"
+        )
+    blocks_y, blocks_x = rows // factor_y, columns // factor_x
+    blocks = image[..., : blocks_y * factor_y, : blocks_x * factor_x].reshape(
+        *image.shape[:-2], blocks_y, factor_y, blocks_x, factor_x
+    )
+    means: npt.NDArray[np.float64] = blocks.mean(axis=(-3, -1), dtype=np.float64)
+    return means.astype(np.float32)
+
+
+def speckle_normalised(
+    stack: Iterable[npt.ArrayLike],
+    block: tuple[int, int],
+    noise: Sequence[float] | npt.NDArray[np.floating] | None = None,
+) -> npt.NDArray[np.float32]:
+    """Share of each image in the light of all images, block by block.
+
+    Images ``|H_k|²`` of one rough surface carry the same speckle and the same illumination; the
+    ratio ``Σ_block |H_k|² / Σ_block Σ_k |H_k|²`` is free of both, and for sidebands k it is
+    ``J_k²(φ) / Σ_k J_k²(φ)`` where φ is constant over the block.
+
+    Parameters
+    ----------
+    stack : iterable of array_like, each of shape (ny, nx)
+        Intensities. Read one at a time: hand in a generator to keep only one in memory.
+    block : tuple of int
+        Rows and columns of a block.
+    noise : sequence of float, shape (k,), optional
+        Expected ``|noise|²`` per pixel of each image, subtracted from its block means.
+
+    Returns
+    -------
+    ndarray of float32, shape (k, ny//block[0], nx//block[1])
+        Sums to 1 over k. Blocks without light (sum at or below zero) are NaN. Noise may make
+        a share slightly negative: clipping would bias what is averaged later.
+
+    Raises
+    ------
+    ValueError
+        If the stack is empty, its images differ in shape, or `noise` has another length.
+    """
+    means = np.stack(_equal_shapes(block_mean(image, *block) for image in stack))
+    if noise is not None:
+        floor = np.asarray(noise, dtype=np.float32)
+        if floor.shape != means.shape[:1]:
+            raise ValueError(
+                f"speckle_normalised: noise has shape {floor.shape} for {len(means)} images; "
+                "give one figure per image"
+            )
+        means -= floor[:, None, None]
+    total = means.sum(axis=0)
+    shares: npt.NDArray[np.float32] = np.full_like(means, np.nan)
+    np.divide(means, total, out=shares, where=total > 0)
+    return shares
+
+
+def _equal_shapes(images: Iterable[npt.NDArray[np.float32]]) -> list[npt.NDArray[np.float32]]:
+    kept = list(images)
+    shapes = sorted({image.shape for image in kept})
+    if len(shapes) != 1:
+        raise ValueError(
+            f"speckle_normalised: the stack's images have block shapes {shapes}; "
+            "give at least one image, all of one shape"
+        )
+    return kept

@@ -1,0 +1,148 @@
+"""Rectangles of pixels: the part of a reconstruction that holds the image order."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from holography.fresnel import FresnelTransform
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+@dataclass(frozen=True)
+class Region:
+    """Rectangle of whole pixels.
+
+    Attributes
+    ----------
+    row, column : int
+        First row and first column, counted from 0.
+    height, width : int
+        Number of rows and of columns.
+
+    Raises
+    ------
+    ValueError
+        If the origin is negative or the size is not positive.
+    """
+
+    row: int
+    column: int
+    height: int
+    width: int
+
+    def __post_init__(self) -> None:
+        if self.row < 0 or self.column < 0 or self.height < 1 or self.width < 1:
+            raise ValueError(f"{self}: give an origin of at least 0 and a size of at least 1")
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Rows and columns as slices."""
+        return (
+            slice(self.row, self.row + self.height),
+            slice(self.column, self.column + self.width),
+        )
+
+    def crop(self, image: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
+        """View of the rectangle.
+
+        Parameters
+        ----------
+        image : ndarray, shape (..., ny, nx)
+
+        Returns
+        -------
+        ndarray, shape (..., height, width)
+            Shares memory with `image`.
+
+        Raises
+        ------
+        ValueError
+            If the rectangle leaves the image.
+        """
+        self._require_inside(image.shape)
+        view: npt.NDArray[Scalar] = image[(..., *self.slices)]
+        return view
+
+    def paste(self, field: npt.NDArray[Scalar], shape: tuple[int, int]) -> npt.NDArray[Scalar]:
+        """Image that holds `field` in the rectangle and zeros elsewhere; adjoint of `crop`.
+
+        Parameters
+        ----------
+        field : ndarray, shape (..., height, width)
+        shape : tuple of int
+            Rows and columns of the image, ``(ny, nx)``.
+
+        Returns
+        -------
+        ndarray, shape (..., ny, nx)
+            With the dtype of `field`.
+
+        Raises
+        ------
+        ValueError
+            If `field` has another size than the rectangle, or the rectangle leaves the image.
+        """
+        if field.shape[-2:] != (self.height, self.width):
+            raise ValueError(
+                f"{self}: the field to paste has shape {field.shape}; "
+                f"give one whose last axes are {(self.height, self.width)}"
+            )
+        self._require_inside(shape)
+        image = np.zeros((*field.shape[:-2], *shape), dtype=field.dtype)
+        image[(..., *self.slices)] = field
+        return image
+
+    def _require_inside(self, shape: tuple[Any, ...]) -> None:
+        rows, columns = shape[-2:]
+        if self.row + self.height > rows or self.column + self.width > columns:
+            raise ValueError(
+                f"{self}: leaves the image of {rows}x{columns} pixels; "
+                "move the region or check for which image it was made"
+            )
+
+
+def region_from_metres(
+    centre_m: tuple[float, float], size_m: tuple[float, float], transform: FresnelTransform
+) -> Region:
+    """Smallest region of an object image that covers a rectangle given in metres.
+
+    Parameters
+    ----------
+    centre_m : tuple of float
+        Centre ``(y, x)`` of the rectangle from the optical axis, positive towards higher rows
+        and columns.
+    size_m : tuple of float
+        Height and width of the rectangle.
+    transform : FresnelTransform
+        Its object pitch and shape are used. Pixel i covers ``(i - 1/2, i + 1/2)`` pitches, counted
+        from the axis.
+
+    Returns
+    -------
+    Region
+
+    Raises
+    ------
+    ValueError
+        If a size is not positive, or the rectangle leaves the object plane.
+    """
+    starts, counts = [], []
+    for centre, size, pitch, count in zip(
+        centre_m, size_m, transform.object_pitch_m, transform.shape, strict=True
+    ):
+        axis_edge = count // 2 + 0.5
+        start = math.floor((centre - size / 2) / pitch + axis_edge)
+        stop = math.ceil((centre + size / 2) / pitch + axis_edge)
+        if not size > 0 or start < 0 or stop > count:
+            raise ValueError(
+                f"region_from_metres: {size:g} m around {centre:g} m leaves the object plane of "
+                f"{count} pixels of {pitch:.4g} m; give a positive size within "
+                f"{-axis_edge * pitch:.4g} to {(count - axis_edge) * pitch:.4g} m"
+            )
+        starts.append(start)
+        counts.append(stop - start)
+    return Region(starts[0], starts[1], counts[0], counts[1])

@@ -1,0 +1,4 @@
+"""Measured run against twin: where the gap lies, which effect explains it, how far it shrinks.
+
+Nothing here knows an instrument.
+"""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fitting import paper
 from fitting.forward import ForwardModel, cents_of, viscoelastic_cents
+from physics.reed.names import symmetric_name
 from physics.reed.viscoelastic import Components, Series, viscoelastic_cane
 
 Array = NDArray[np.floating[Any]]
@@ -24,6 +25,9 @@ _WINDOW_SD = 4.0
 _LINE_CENTS = 60.0
 # A maximum must stand out of the noise of the count, rad: a first fringe begins at 1.84.
 _LEAST_RAD = 0.1
+# Two modes of one symmetry come no closer than this: the closest pairs of the population, F2 and
+# T2 or F4 and T4, keep more than 90 cents.
+_REPULSION_CENTS = 50.0
 # Order of search: the liveliest and best separated modes narrow the windows of the others.
 _SEARCH_ORDER = ("F1", "T1", "F2", "T3", "T2", "X1", "F3", "X2", "X3", "F4", "T4")
 
@@ -120,7 +124,9 @@ def pick_resonances(
     clear = np.ones(len(cents), dtype=bool)
     for line in acoustic_lines_hz:
         clear &= np.abs(cents - cents_of(line)) > _LINE_CENTS
-    belief, found = _Belief(model, series), {}
+    belief = _Belief(model, series)
+    found: dict[str, Resonance] = {}
+    taken: dict[str, float] = {}
     for name in _SEARCH_ORDER:
         if name not in names or name not in model.modes:
             continue
@@ -128,11 +134,16 @@ def pick_resonances(
         fringes = amplitude_rad[:, shape]
         expected, sd = belief.predict(m)
         window = clear & (np.abs(cents - expected) < _WINDOW_SD * sd)
+        # Modes of one symmetry repel each other: they never share a picture.
+        for other, place in taken.items():
+            if symmetric_name(other) == symmetric_name(name):
+                window &= np.abs(cents - place) > _REPULSION_CENTS
         peaks = _peaks(fringes, window)
         best = next((k for k in peaks if needed(shape, k)), None)
         if best is None:
             continue
-        belief.learn(m, float(cents[best]))
+        taken[name] = float(cents[best])
+        belief.learn(m, taken[name])
         found[name] = Resonance(
             name=name,
             frequency_hz=float(drive_hz[best]),

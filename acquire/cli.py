@@ -1,0 +1,283 @@
+"""The command line: `acquire run`, `plan`, `fit`, `report`, `diagnose`, `list`.
+
+Knows every room and does nothing itself. Results go to standard output, progress and messages to
+standard error. Exit status: 2 for bad input, 1 for a failed run, 130 for an interrupt.
+"""
+
+import functools
+import json
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from holography.errors import BenchError
+
+if TYPE_CHECKING:
+    from acquire.plan import Plan
+    from fitting.fit import ReedFit
+
+app = typer.Typer(
+    name="acquire",
+    help="Measure how musical reeds vibrate by sideband digital holography, and fit their cane.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+INTERRUPTED = 130
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON with stable keys instead.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+BenchOption = Annotated[str, typer.Option("--bench", help="Bench file, or a shipped bench's name.")]
+RunFiles = Annotated[
+    list[Path], typer.Argument(metavar="RUN [RUN_B]", help="One run, or series A and B of a reed.")
+]
+ModelOption = Annotated[
+    str, typer.Option("--model", help="Forward model: fem (finite elements) or paper (Table 9).")
+]
+
+
+def _words() -> Console:
+    return Console(stderr=True, highlight=False)
+
+
+def _tell(text: str) -> None:
+    _words().print(text, markup=False, soft_wrap=True)
+
+
+def _show_json(value: object) -> None:
+    typer.echo(json.dumps(value, indent=2))
+
+
+def _verb(function: Callable[..., None]) -> Callable[..., None]:
+    """Make a function a verb of `app`: errors become one line and an exit status."""
+
+    @functools.wraps(function)
+    def guarded(*args: Any, debug: bool = False, **kwargs: Any) -> None:
+        try:
+            function(*args, debug=debug, **kwargs)
+        except BenchError as error:
+            if debug:
+                raise
+            for line in (str(error), *getattr(error, "__notes__", ())):
+                _tell(f"acquire: {line}")
+            raise typer.Exit(error.exit_status) from None
+        except KeyboardInterrupt:
+            _tell("acquire: interrupted")
+            raise typer.Exit(INTERRUPTED) from None
+
+    name = {"list_runs": "list"}.get(function.__name__, function.__name__)
+    return app.command(name)(guarded)
+
+
+def _plan(protocol: str, bench: str, series: str | None = None) -> "Plan":
+    from acquire.bench_file import BenchFile
+    from acquire.plan import make_plan
+    from acquire.protocol import Protocol
+
+    described = Protocol.from_file(protocol)
+    if series is not None:
+        described = described.replace(series=series)
+    return make_plan(described, BenchFile.from_file(bench))
+
+
+@_verb
+def plan(
+    protocol: Annotated[str, typer.Argument(help="Protocol file, or a shipped protocol's name.")],
+    bench: BenchOption = "simulated",
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Show every step of a protocol, its duration and size, without touching an instrument."""
+    from acquire.display import plan_summary, plan_table
+
+    planned = _plan(protocol, bench)
+    if as_json:
+        _show_json(planned.to_json())
+    else:
+        console = Console(highlight=False)
+        console.print(plan_table(planned))
+        for line in plan_summary(planned):
+            console.print(line, markup=False, soft_wrap=True)
+    if planned.violations:
+        raise typer.Exit(2)
+
+
+@_verb
+def run(
+    protocol: Annotated[str, typer.Argument(help="Protocol file, or a shipped protocol's name.")],
+    bench: BenchOption = "simulated",
+    reed: Annotated[str, typer.Option(help="Name that tells this reed from others.")] = "unnamed",
+    strength: Annotated[float | None, typer.Option(help="Nominal strength, such as 3.5.")] = None,
+    series: Annotated[str | None, typer.Option(help="Series, if not the protocol's own.")] = None,
+    note: Annotated[str, typer.Option(help="Anything worth remembering.")] = "",
+    operator: Annotated[str, typer.Option(help="Who is at the bench.")] = "",
+    out: Annotated[
+        Path | None, typer.Option(help="Run file; runs/TIME_SERIES_REED.h5 if not given.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of everything random on a simulated bench.")] = 0,
+    fit: Annotated[
+        bool, typer.Option(help="Fit the reed and draw the pictures at the end.")
+    ] = True,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Measure a sweep; then fit the reed and draw the pictures."""
+    from acquire.display import run_summary, sweep_progress, troubles_of
+    from acquire.runfile import Run, RunLabels
+    from acquire.runner import run as measure
+    from drivers.registry import open_bench
+    from drivers.roles import Preparation
+
+    planned = _plan(protocol, bench, series)
+    planned.require_possible()
+    described = planned.protocol
+    path = out or _default_path(described.series, reed)
+    preparation = Preparation(reed, described.series, described.chamber)
+    with open_bench(planned.bench, preparation, seed, _tell) as opened:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with sweep_progress(_words(), len(planned.steps)) as show:
+            summary = measure(planned, opened, path, RunLabels(strength, note, operator), show)
+    with Run.open(path) as finished:
+        closing = run_summary(summary, troubles_of(finished))
+    for line in closing:
+        _tell(line)
+    answer: dict[str, Any] = {"run": str(path), "status": str(summary.status)}
+    answer["verdicts"] = {str(verdict): n for verdict, n in summary.counts.items()}
+    if summary.status != "complete":
+        _finish(answer, as_json, [f"run file   {path}"])
+        raise typer.Exit(INTERRUPTED)
+    if not fit:
+        _finish(answer, as_json, [f"run file   {path}"])
+        return
+    fitted, files = _fit_and_report([path], "fem", None)
+    answer |= {"fit": fitted.to_json(), "files": {name: str(file) for name, file in files.items()}}
+    listed = [f"{name:10} {file}" for name, file in {"run file": path, **files}.items()]
+    _finish(answer, as_json, listed, fitted)
+
+
+def _default_path(series: str, reed: str) -> Path:
+    kept = "".join(c if c.isalnum() or c in "-." else "-" for c in f"{series}_{reed}")
+    return Path("runs", f"{datetime.now():%Y-%m-%dT%H-%M-%S}_{kept}.h5")
+
+
+def _finish(
+    answer: dict[str, Any], as_json: bool, lines: list[str], fitted: "ReedFit | None" = None
+) -> None:
+    """Print the result of a verb, as JSON or for people."""
+    if as_json:
+        _show_json(answer)
+        return
+    console = Console(highlight=False)
+    if fitted is not None:
+        _show_fit(console, fitted)
+    for line in lines:
+        console.print(line, markup=False, soft_wrap=True)
+
+
+def _show_fit(console: Console, fitted: "ReedFit") -> None:
+    from fitting.tables import modes_table, parameters_table
+
+    for sweep in fitted.sweeps:
+        console.print(modes_table(sweep))
+    table = parameters_table(fitted)
+    if table is None:
+        console.print(f"no parameters: {fitted.reason}", markup=False, soft_wrap=True)
+    else:
+        console.print(table)
+
+
+def _fit(runs: list[Path], model: str) -> "ReedFit":
+    from fitting.fit import fit_runs, model_name
+
+    return fit_runs(runs, model_name(model), _tell)
+
+
+def _fit_and_report(
+    runs: list[Path], model: str, page: Path | None
+) -> tuple["ReedFit", dict[str, Path]]:
+    from fitting.report import write_report
+
+    fitted = _fit(runs, model)
+    return fitted, write_report(fitted, page or runs[0].with_suffix(".html"))
+
+
+@_verb
+def fit(
+    runs: RunFiles,
+    model: ModelOption = "fem",
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Find the resonances in a run and fit the reed's cane; with A and B, all four components."""
+    fitted = _fit(runs, model)
+    _finish(fitted.to_json(), as_json, [], fitted)
+
+
+@_verb
+def report(
+    runs: RunFiles,
+    out: Annotated[Path | None, typer.Option(help="Page; beside the run if not given.")] = None,
+    model: ModelOption = "fem",
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Write one self-contained HTML page about a run, and its pictures beside it."""
+    fitted, files = _fit_and_report(runs, model, out)
+    answer = {"fit": fitted.to_json(), "files": {name: str(file) for name, file in files.items()}}
+    _finish(answer, as_json, [f"{name:10} {file}" for name, file in files.items()])
+
+
+@_verb
+def diagnose(
+    runs: RunFiles,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Compare a run with the nominal twin: where they differ, and what an effect takes off it."""
+    from diagnosis.gap import diagnose as compare
+    from diagnosis.tables import closing_words, gap_table
+
+    diagnosis = compare(_fit(runs, "fem"), _tell)
+    if as_json:
+        _show_json(diagnosis.to_json())
+        return
+    console = Console(highlight=False)
+    console.print(gap_table(diagnosis))
+    for line in closing_words(diagnosis):
+        console.print(line, markup=False, soft_wrap=True)
+
+
+@_verb
+def list_runs(
+    folder: Annotated[Path, typer.Argument(help="Folder with run files.")] = Path("runs"),
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """List the runs of a folder: which reed, which series, how they ended."""
+    from acquire.display import catalogue_entry, runs_table
+    from acquire.errors import RunFileError
+    from acquire.runfile import Run
+
+    if not folder.is_dir():
+        raise RunFileError(f"{folder}: there is no such folder; name the one with your run files")
+    entries = []
+    for path in sorted(folder.rglob("*.h5")):
+        try:
+            with Run.open(path) as run_:
+                entries.append(catalogue_entry(run_))
+        except RunFileError as error:
+            _tell(f"acquire: {error}")
+    if as_json:
+        _show_json(entries)
+    else:
+        Console(highlight=False).print(runs_table(entries))
+
+
+def main() -> None:
+    """Entry point of the `acquire` command."""
+    app()

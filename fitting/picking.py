@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fitting import paper
 from fitting.forward import ForwardModel, cents_of, viscoelastic_cents
-from physics.reed.names import symmetric_name
+from physics.reed.names import is_symmetric
 from physics.reed.viscoelastic import Components, Series, viscoelastic_cane
 
 Array = NDArray[np.floating[Any]]
@@ -136,7 +136,7 @@ def pick_resonances(
         window = clear & (np.abs(cents - expected) < _WINDOW_SD * sd)
         # Modes of one symmetry repel each other: they never share a picture.
         for other, place in taken.items():
-            if symmetric_name(other) == symmetric_name(name):
+            if is_symmetric(other) == is_symmetric(name):
                 window &= np.abs(cents - place) > _REPULSION_CENTS
         peaks = _peaks(fringes, window)
         best = next((k for k in peaks if needed(shape, k)), None)

@@ -31,6 +31,24 @@ def name_of(width_order: int, nodal_lines: int) -> str:
     return _GENERIC.get((width_order, nodal_lines), f"X({width_order},{nodal_lines})")
 
 
+def is_symmetric(name: str) -> bool:
+    """Whether a mode of the vamp, F, T or X1 to X6, is symmetric about the reed's axis.
+
+    Raises
+    ------
+    ValueError
+        For any other name.
+    """
+    if name.startswith("F"):
+        return True
+    if name.startswith("T"):
+        return int(name[1:]) % 2 == 0
+    for (width_order, _), generic in _GENERIC.items():
+        if generic == name:
+            return width_order % 2 == 0
+    raise ValueError(f"{name} is no mode of the vamp with a fixed symmetry")
+
+
 def width_profiles(shape: Array, eta: Array) -> Array:
     """Legendre profiles of deflections across the width.
 

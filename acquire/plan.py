@@ -1,0 +1,413 @@
+"""The plan: a protocol on a bench, worked out exactly before any instrument is touched."""
+
+import decimal
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
+from typing import Any, Final
+
+from acquire.bench_file import BenchFile
+from acquire.lock import (
+    difference_hz,
+    lock_residual_hz,
+    nearest_multiple,
+    phase_error_rad,
+    snap_drive,
+)
+from acquire.protocol import Protocol, Ramp, Sweep
+from acquire.quantities import exact_decimal
+from holography.demodulation import carrier_leak
+from holography.fresnel import FresnelTransform
+from holography.region import Region, region_from_metres
+
+_BYTES_PER_HOLOGRAM_PIXEL: Final = 8  # complex64
+_BYTES_PER_FRAME_PIXEL: Final = 2  # uint16
+
+_MICRO: Final = Decimal("1e-6")
+# Decimal powers are correctly rounded, so a plan is the same on every machine; those of floats
+# are not. 40 digits leave a µHz exact at any frequency that a protocol can express.
+_EXACT: Final = decimal.Context(prec=40)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One line of the plan.
+
+    Attributes
+    ----------
+    index : int
+        k of the protocol's sweep.
+    asked_hz : Fraction
+        What the protocol asks for, to 1 µHz.
+    drive_hz : Fraction
+        What the tweeter gets: the nearest frequency that can be locked to.
+    aom1_hz, aom2_hz, difference_hz : Fraction
+        Both synthesizers, and AOM1 − AOM2.
+    lock_residual_hz : Fraction
+        By how much `difference_hz` misses the lock; 0 is a perfect lock.
+    volts : float
+        Peak volts at the load, to 1 µV.
+    frames : int
+        Frames of the acquisition.
+    settle_s, exposure_s : Fraction
+        Wait after setting, and exposure of one frame.
+    carrier_leak : float
+        Amplitude of the carrier in the hologram, relative to what the sideband gives per unit
+        amplitude, see `holography.demodulation.carrier_leak`.
+    """
+
+    index: int
+    asked_hz: Fraction
+    drive_hz: Fraction
+    aom1_hz: Fraction
+    aom2_hz: Fraction
+    difference_hz: Fraction
+    lock_residual_hz: Fraction
+    volts: float
+    frames: int
+    settle_s: Fraction
+    exposure_s: Fraction
+    carrier_leak: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the step with stable keys, frequencies as exact decimal strings."""
+        return {
+            "index": self.index,
+            "asked_hz": exact_decimal(self.asked_hz),
+            "drive_hz": exact_decimal(self.drive_hz),
+            "aom1_hz": exact_decimal(self.aom1_hz),
+            "aom2_hz": exact_decimal(self.aom2_hz),
+            "difference_hz": exact_decimal(self.difference_hz),
+            "lock_residual_hz": exact_decimal(self.lock_residual_hz),
+            "volts": self.volts,
+            "frames": self.frames,
+            "carrier_leak": self.carrier_leak,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """One reason why a plan cannot run.
+
+    Attributes
+    ----------
+    key : str
+        Key path in the protocol that would mend it, such as ``drive.ramp.to``.
+    message : str
+        What is wrong and what to write.
+    """
+
+    key: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A protocol on a bench: every setting of every step, and whether the bench can do it.
+
+    Attributes
+    ----------
+    protocol : Protocol
+    bench : BenchFile
+    steps : tuple of Step
+        In the order of the sweep.
+    violations : tuple of Violation
+        Empty if the plan can run.
+    """
+
+    protocol: Protocol
+    bench: BenchFile
+    steps: tuple[Step, ...]
+    violations: tuple[Violation, ...]
+
+    @property
+    def frame_shape(self) -> tuple[int, int]:
+        """Rows and columns ``(ny, nx)`` of one frame."""
+        return frame_shape(self.protocol, self.bench)
+
+    @property
+    def region(self) -> Region:
+        """Part of the reconstructed image that holds the reed."""
+        return reed_region(self.protocol, self.bench)
+
+    @property
+    def duration_s(self) -> float:
+        """Time that a real camera takes: settling, waiting for its next frame, and the frames."""
+        period_s = self.protocol.camera.period_s
+        periods = sum(math.ceil(step.settle_s / period_s) + step.frames for step in self.steps)
+        return float(periods * period_s)
+
+    @property
+    def file_size_bytes(self) -> int:
+        """Size of what the run file keeps of all steps, without compression."""
+        if self.protocol.keep == "holograms":
+            pixels = self.region.height * self.region.width
+            return len(self.steps) * pixels * _BYTES_PER_HOLOGRAM_PIXEL
+        rows, columns = self.frame_shape
+        frames = sum(step.frames for step in self.steps)
+        return frames * rows * columns * _BYTES_PER_FRAME_PIXEL
+
+    def require_possible(self) -> None:
+        """Refuse a plan that the bench cannot carry out.
+
+        Raises
+        ------
+        ProtocolError
+            One line: the first violation with file and key path, and how many more there are.
+        """
+        if not self.violations:
+            return
+        first, others = self.violations[0], len(self.violations) - 1
+        more = f" (and {others} more)" if others else ""
+        raise self.protocol.error(first.key, first.message + more)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the plan as plain values with stable keys; exact frequencies are strings."""
+        return {
+            "protocol": self.protocol.name,
+            "bench": self.bench.name,
+            "steps": [step.to_json() for step in self.steps],
+            "duration_s": self.duration_s,
+            "file_size_bytes": self.file_size_bytes,
+            "violations": [{"key": v.key, "message": v.message} for v in self.violations],
+        }
+
+
+def make_plan(protocol: Protocol, bench: BenchFile) -> Plan:
+    """Work out a sweep without touching an instrument.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        What is asked for.
+    bench : BenchFile
+        What there is.
+
+    Returns
+    -------
+    Plan
+        Complete even if the bench cannot do it: then `Plan.violations` holds every reason, and
+        `Plan.require_possible` raises.
+    """
+    steps = tuple(_step(protocol, bench, index) for index in protocol.sweep.indices)
+    return Plan(protocol, bench, steps, tuple(_violations(protocol, bench, steps)))
+
+
+def sweep_frequency_hz(sweep: Sweep, index: int) -> Fraction:
+    """Return f_k = reference · 2^(interval·k / 1200 cents), to 1 µHz.
+
+    Parameters
+    ----------
+    sweep : Sweep
+    index : int
+        k.
+
+    Returns
+    -------
+    Fraction
+    """
+    octaves = _decimal(sweep.interval_cents * index / 1200)
+    ratio = _EXACT.power(Decimal(2), octaves)
+    asked_hz = _EXACT.multiply(_decimal(sweep.reference_hz), ratio)
+    return Fraction(_EXACT.quantize(asked_hz, _MICRO))
+
+
+def ramp_volts(ramp: Ramp, index: int) -> float:
+    """Return the peak volts of step `index`, to 1 µV.
+
+    Parameters
+    ----------
+    ramp : Ramp
+    index : int
+        k.
+
+    Returns
+    -------
+    float
+        Growing by ``(to/from)^(1/(last − first))`` per index inside the ramp, constant outside.
+    """
+    inside = min(max(index, ramp.first), ramp.last)
+    share = _decimal(Fraction(inside - ramp.first, ramp.last - ramp.first))
+    ratio = _EXACT.power(_decimal(ramp.to_v / ramp.from_v), share)
+    volts = _EXACT.multiply(_decimal(ramp.from_v), ratio)
+    return float(_EXACT.quantize(volts, _MICRO))
+
+
+def frame_shape(protocol: Protocol, bench: BenchFile) -> tuple[int, int]:
+    """Rows and columns ``(ny, nx)`` of one frame: the sensor, or its middle part."""
+    sensor, asked = bench.instruments.camera, protocol.camera
+    return (asked.height or sensor.height, asked.width or sensor.width)
+
+
+def reed_region(protocol: Protocol, bench: BenchFile) -> Region:
+    """Return the part of the reconstructed image that holds the reed.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        Its camera section says which part of the sensor is used.
+    bench : BenchFile
+        Its optics say where the reed stands.
+
+    Returns
+    -------
+    Region
+        In pixels of the object image, whose axis is at ``(ny//2, nx//2)``.
+    """
+    optics = bench.optics
+    transform = FresnelTransform(
+        shape=frame_shape(protocol, bench),
+        pixel_m=float(bench.instruments.camera.pixel_m),
+        wavelength_m=float(optics.wavelength_m),
+        distance_m=float(optics.distance_m),
+    )
+    centre_m = (float(optics.reed_centre.y_m), float(optics.reed_centre.x_m))
+    size_m = (float(optics.reed_size.y_m), float(optics.reed_size.x_m))
+    return region_from_metres(centre_m, size_m, transform)
+
+
+def _decimal(value: Fraction) -> Decimal:
+    return _EXACT.divide(Decimal(value.numerator), Decimal(value.denominator))
+
+
+def _step(protocol: Protocol, bench: BenchFile, index: int) -> Step:
+    synthesizers, order = bench.instruments.synthesizers, protocol.sideband.order
+    frame_rate_hz = protocol.camera.frame_rate_hz
+    asked_hz = sweep_frequency_hz(protocol.sweep, index)
+    drive_hz = snap_drive(
+        asked_hz, order, frame_rate_hz, synthesizers.step_hz, bench.instruments.generator.step_hz
+    )
+    realised_hz = difference_hz(drive_hz, order, frame_rate_hz, synthesizers.step_hz)
+    # On one clock only the difference of the tuning words counts, so AOM2 may be rounded.
+    aom2_hz = nearest_multiple(synthesizers.centre_hz, synthesizers.step_hz)
+    return Step(
+        index=index,
+        asked_hz=asked_hz,
+        drive_hz=drive_hz,
+        aom1_hz=aom2_hz + realised_hz,
+        aom2_hz=aom2_hz,
+        difference_hz=realised_hz,
+        lock_residual_hz=lock_residual_hz(drive_hz, order, frame_rate_hz, realised_hz),
+        volts=ramp_volts(protocol.drive.ramp, index),
+        frames=protocol.camera.frames,
+        settle_s=protocol.settle_s,
+        exposure_s=protocol.exposure_s,
+        carrier_leak=_leak(protocol, drive_hz),
+    )
+
+
+def _leak(protocol: Protocol, drive_hz: Fraction) -> float:
+    # Frames cannot overlap: an exposure beyond the period is a violation, and counts as a period.
+    exposure_s = min(protocol.exposure_s, protocol.camera.period_s)
+    frame_rate_hz, order = protocol.camera.frame_rate_hz, protocol.sideband.order
+    return float(carrier_leak(float(drive_hz), float(frame_rate_hz), float(exposure_s), order))
+
+
+# --- What the bench cannot do ------------------------------------------------------------------
+
+
+def _violations(protocol: Protocol, bench: BenchFile, steps: Sequence[Step]) -> Iterator[Violation]:
+    yield from _drive_violations(bench, steps)
+    yield from _volts_violations(protocol, bench)
+    yield from _camera_violations(protocol, bench)
+    yield from _lock_violations(protocol, bench, steps)
+    yield from _synthesizer_violations(bench, steps)
+
+
+def _drive_violations(bench: BenchFile, steps: Sequence[Step]) -> Iterator[Violation]:
+    limits = bench.limits
+    low = [step for step in steps if step.drive_hz < limits.drive_min_hz]
+    high = [step for step in steps if step.drive_hz > limits.drive_max_hz]
+    # Frequencies grow with the index, so what is possible lies between the two.
+    possible = [step.index for step in steps[len(low) : len(steps) - len(high)]]
+    if low:
+        limit = f"below the {float(limits.drive_min_hz):.10g} Hz of limits.drive_min"
+        yield _drive_violation("sweep.first", low[-1], limit, bench, possible[:1])
+    if high:
+        limit = f"above the {float(limits.drive_max_hz):.10g} Hz of limits.drive_max"
+        yield _drive_violation("sweep.last", high[0], limit, bench, possible[-1:])
+
+
+def _drive_violation(
+    key: str, step: Step, limit: str, bench: BenchFile, possible: Sequence[int]
+) -> Violation:
+    remedy = f"write {possible[0]}" if possible else "no step of the sweep is possible, change it"
+    return Violation(
+        key if possible else "sweep.reference",
+        f"step {step.index} is driven at {float(step.drive_hz):.10g} Hz, {limit} in bench file "
+        f"{bench.source}; {remedy}",
+    )
+
+
+def _volts_violations(protocol: Protocol, bench: BenchFile) -> Iterator[Violation]:
+    limits, ramp = bench.limits, protocol.drive.ramp
+    for key, volts in (("drive.ramp.from", ramp.from_v), ("drive.ramp.to", ramp.to_v)):
+        if volts > limits.volts_max_v:
+            word, limit, limit_key = "above", limits.volts_max_v, "volts_max"
+        elif volts < limits.volts_min_v:
+            word, limit, limit_key = "below", limits.volts_min_v, "volts_min"
+        else:
+            continue
+        yield Violation(
+            key,
+            f"{float(volts):g} V is {word} the {float(limit):g} V of limits.{limit_key} in bench "
+            f"file {bench.source}; write at {'most' if word == 'above' else 'least'} "
+            f"'{float(limit):g} V'",
+        )
+
+
+def _camera_violations(protocol: Protocol, bench: BenchFile) -> Iterator[Violation]:
+    camera, sensor = protocol.camera, bench.instruments.camera
+    if camera.frame_rate_hz > sensor.max_frame_rate_hz:
+        rate, fastest = float(camera.frame_rate_hz), float(sensor.max_frame_rate_hz)
+        yield Violation(
+            "camera.frame_rate",
+            f"{rate:g} Hz is faster than the {fastest:g} Hz of the camera in bench file "
+            f"{bench.source}; write at most '{fastest:g} Hz'",
+        )
+    if protocol.exposure_s > camera.period_s:
+        exposure, period = float(protocol.exposure_s) * 1e3, float(camera.period_s) * 1e3
+        yield Violation(
+            "camera.exposure",
+            f"{exposure:g} ms is longer than the frame period of {period:.4g} ms; "
+            "leave it out to expose the whole period",
+        )
+    for key, asked, size in (
+        ("camera.width", camera.width, sensor.width),
+        ("camera.height", camera.height, sensor.height),
+    ):
+        if asked is not None and asked > size:
+            yield Violation(key, f"{asked} pixels are more than the sensor's; write at most {size}")
+
+
+def _lock_violations(
+    protocol: Protocol, bench: BenchFile, steps: Sequence[Step]
+) -> Iterator[Violation]:
+    frame_rate_hz = protocol.camera.frame_rate_hz
+    worst = max(steps, key=lambda step: abs(step.lock_residual_hz))
+    turn_rad = phase_error_rad(worst.lock_residual_hz, worst.frames, frame_rate_hz)
+    allowed_rad = float(protocol.tolerance.lock_phase_rad)
+    if turn_rad > allowed_rad:
+        # A quarter of the frame rate on the synthesizers' grid makes every order exact.
+        grid_hz = 4 * bench.instruments.synthesizers.step_hz
+        better_hz = max(math.floor(frame_rate_hz / grid_hz), 1) * grid_hz
+        yield Violation(
+            "camera.frame_rate",
+            f"at step {worst.index} the lock misses by {float(worst.lock_residual_hz):.3g} Hz and "
+            f"turns the phase by {turn_rad:.3g} rad, more than the {allowed_rad:g} rad of "
+            f"tolerance.lock_phase; write '{float(better_hz):.10g} Hz'",
+        )
+
+
+def _synthesizer_violations(bench: BenchFile, steps: Sequence[Step]) -> Iterator[Violation]:
+    synthesizers = bench.instruments.synthesizers
+    widest = max(steps, key=lambda step: abs(step.aom1_hz - synthesizers.centre_hz))
+    if abs(widest.aom1_hz - synthesizers.centre_hz) > synthesizers.window_hz:
+        yield Violation(
+            "sideband.order",
+            f"at step {widest.index} AOM1 would stand {float(widest.difference_hz):.10g} Hz from "
+            f"the centre, outside the window of {float(synthesizers.window_hz):.10g} Hz in bench "
+            f"file {bench.source}; lower the order or sweep.last",
+        )

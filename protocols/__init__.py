@@ -1,0 +1,1 @@
+"""Protocols and bench files that come with the software, as package data."""

@@ -1,0 +1,279 @@
+"""The plan: the paper's sweep to the last digit, and every reason why a bench cannot do one."""
+
+import json
+import math
+from decimal import Decimal
+from fractions import Fraction
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from acquire.bench_file import BenchFile
+from acquire.errors import ProtocolError
+from acquire.plan import make_plan, ramp_volts, sweep_frequency_hz
+from acquire.protocol import Protocol
+from holography.fresnel import FresnelTransform
+
+SERIES_A = Protocol.from_file("seriesA")
+BENCH = BenchFile.from_file()
+
+# Smallest and largest resonance of modes F1 … F4 and of the sweep, as the paper's Table 1 prints
+# them: all were read off the sweep, so each is one of its frequencies.
+PRINTED_HZ = (1838, 2154, 3091, 3676, 4767, 5669, 5587, 6939, 9262, 10857, 15803, 18524, 19911)
+
+
+@pytest.fixture(scope="module")
+def series_a():
+    return make_plan(SERIES_A, BENCH)
+
+
+def cents(one, other):
+    return 1200 * math.log2(one / other)
+
+
+# --- The paper's sweep -------------------------------------------------------------------------
+
+
+def test_series_a_can_run(series_a):
+    assert series_a.violations == ()
+    series_a.require_possible()
+    assert [step.index for step in series_a.steps] == list(range(1, 185))
+
+
+def test_asked_frequencies_are_the_grid_of_the_paper(series_a):
+    for step in series_a.steps:
+        assert step.asked_hz * 10**6 % 1 == 0
+        expected_hz = 1396.9 * 2 ** (25 * step.index / 1200)
+        assert float(step.asked_hz) == pytest.approx(expected_hz, abs=0.51e-6)
+
+
+@pytest.mark.parametrize("printed_hz", PRINTED_HZ)
+def test_resonances_of_the_paper_are_steps(series_a, printed_hz):
+    distance_cents = min(abs(cents(step.asked_hz, printed_hz)) for step in series_a.steps)
+    # A hundredth of a step is what the whole hertz of the paper leave open.
+    assert round(distance_cents / 25, 2) <= 0.01
+
+
+@pytest.mark.parametrize(
+    ("index", "drive_hz"),
+    [(1, "1417.2"), (19, "1837.9"), (73, "4008.5"), (78, "4308.6"), (184, "19911.9")],
+)
+def test_drives_of_the_paper(series_a, index, drive_hz):
+    assert series_a.steps[index - 1].drive_hz == Fraction(drive_hz)
+
+
+def test_step_78_is_the_acoustic_line_of_the_bench(series_a):
+    assert BENCH.acoustic_lines_hz == (series_a.steps[77].drive_hz,)
+
+
+def test_every_step_locks_exactly(series_a):
+    for step in series_a.steps:
+        assert step.lock_residual_hz == 0
+        assert step.difference_hz == step.drive_hz + Fraction("12.4") / 4
+        assert step.aom1_hz - step.aom2_hz == step.difference_hz
+        assert step.aom2_hz == 80_000_000
+        assert step.aom1_hz * 10 % 1 == 0
+        assert abs(step.drive_hz - step.asked_hz) <= Fraction(1, 20)
+
+
+def test_snapping_moves_no_step_audibly(series_a):
+    assert abs(cents(series_a.steps[0].drive_hz, series_a.steps[0].asked_hz)) < 0.1
+    assert max(abs(cents(step.drive_hz, step.asked_hz)) for step in series_a.steps) < 0.1
+
+
+def test_ramp_of_the_paper(series_a):
+    volts = [step.volts for step in series_a.steps]
+    assert (volts[0], volts[72], volts[183]) == (0.5, 16.0, 16.0)
+    ratios = [after / before for before, after in pairwise(volts[:73])]
+    assert ratios == pytest.approx([32 ** (1 / 72)] * 72, rel=1e-5)
+    assert set(volts[72:]) == {16.0}
+
+
+def test_ramp_is_constant_before_it_begins():
+    ramp = SERIES_A.replace({"drive.ramp.first": 40}).drive.ramp
+    assert [ramp_volts(ramp, index) for index in (1, 40, 73, 100)] == [0.5, 0.5, 16.0, 16.0]
+    assert ramp_volts(ramp, 41) > 0.5
+
+
+@given(st.integers(-200, 200), st.integers(1, 400), st.integers(1, 10**6))
+@settings(deadline=None)
+def test_frequencies_at_any_interval(index, interval, millihertz):
+    sweep = SERIES_A.sweep.model_copy(
+        update={
+            "reference_hz": Fraction(millihertz, 1000),
+            "interval_cents": Fraction(interval, 10),
+        }
+    )
+    expected_hz = millihertz / 1000 * 2 ** (interval * index / 12000)
+    assert float(sweep_frequency_hz(sweep, index)) == pytest.approx(
+        expected_hz, rel=1e-12, abs=0.51e-6
+    )
+
+
+def test_quick_sweep_shows_the_first_modes_on_enough_pixels():
+    plan = make_plan(Protocol.from_file("quick"), BENCH)
+    plan.require_possible()
+    drives = [float(step.drive_hz) for step in plan.steps]
+    # From the smallest F1 to the largest F2 of the paper, with a step to spare at both ends.
+    assert drives[1] < 1812
+    assert drives[-2] > 5669 / 2 ** (50 / 1200)
+    assert len(drives) == 44
+    assert plan.frame_shape == (256, 320)
+    assert plan.region.width >= 120
+    assert {step.index for step in plan.steps} <= {
+        step.index for step in make_plan(SERIES_A, BENCH).steps
+    }
+
+
+# --- Costs -------------------------------------------------------------------------------------
+
+
+def test_duration_counts_settling_to_the_next_frame(series_a):
+    # 0.1 s of settling is two frame periods of 80.6 ms, and four frames follow.
+    assert series_a.duration_s == pytest.approx(184 * 6 / 12.4)
+    at_once = make_plan(SERIES_A.replace(settle="0 s"), BENCH)
+    assert at_once.duration_s == pytest.approx(184 * 4 / 12.4)
+    one_period = make_plan(
+        SERIES_A.replace({"settle": "0.1 s", "camera.frame_rate": "10 Hz"}), BENCH
+    )
+    assert one_period.duration_s == pytest.approx(184 * 5 / 10)
+
+
+def test_file_sizes(series_a):
+    region = series_a.region
+    assert series_a.file_size_bytes == 184 * region.height * region.width * 8
+    frames = make_plan(SERIES_A.replace(keep="frames"), BENCH)
+    assert frames.file_size_bytes == 184 * 4 * 1024 * 1280 * 2
+
+
+def test_region_covers_the_reed_and_no_twin(series_a):
+    rows, columns = series_a.frame_shape
+    pitch_y, pitch_x = FresnelTransform((rows, columns), 6.7e-6, 650e-9, 1.0).object_pitch_m
+    region = series_a.region
+    top, bottom = (
+        (region.row - rows // 2) * pitch_y,
+        (region.row + region.height - rows // 2) * pitch_y,
+    )
+    left = (region.column - columns // 2) * pitch_x
+    right = left + region.width * pitch_x
+    assert 0.0145 < top <= 0.0151
+    assert 0.0289 <= bottom < 0.0295
+    assert (left, right) == (pytest.approx(-0.019, abs=2e-4), pytest.approx(0.019, abs=2e-4))
+
+
+# --- JSON --------------------------------------------------------------------------------------
+
+
+def test_json_keys_and_exact_strings(series_a):
+    content = json.loads(json.dumps(series_a.to_json(), allow_nan=False))
+    assert set(content) == {
+        "protocol", "bench", "steps", "duration_s", "file_size_bytes", "violations"
+    }  # fmt: skip
+    first = content["steps"][0]
+    assert list(first) == [
+        "index", "asked_hz", "drive_hz", "aom1_hz", "aom2_hz", "difference_hz",
+        "lock_residual_hz", "volts", "frames", "carrier_leak",
+    ]  # fmt: skip
+    assert first["drive_hz"] == "1417.2"
+    assert first["aom1_hz"] == "80001420.3"
+    assert first["lock_residual_hz"] == "0"
+    for step, planned in zip(content["steps"], series_a.steps, strict=True):
+        for key in ("asked_hz", "drive_hz", "aom1_hz", "aom2_hz", "difference_hz"):
+            assert Fraction(Decimal(step[key])) == getattr(planned, key)
+
+
+def test_json_of_a_binary_synthesizer_is_exact_too():
+    bench = BENCH.replace({"instruments.synthesizers.step": "0.23283064365386962890625 Hz"})
+    plan = make_plan(SERIES_A, bench)
+    plan.require_possible()
+    assert max(abs(step.lock_residual_hz) for step in plan.steps) <= Fraction(1, 2 * 10**6)
+    for step, planned in zip(plan.to_json()["steps"], plan.steps, strict=True):
+        assert Fraction(step["lock_residual_hz"]) == planned.lock_residual_hz != 0
+        assert Fraction(step["aom1_hz"]) * 2**32 / 10**9 % 1 == 0
+
+
+def test_carrier_leak_vanishes_off_the_frame_grid(series_a):
+    # Where f is a multiple of f_CCD the carrier leaks; between two multiples it does not.
+    def leak(reference, **changes):
+        protocol = SERIES_A.replace({"sweep.reference": reference, "sweep.first": 0, **changes})
+        return make_plan(protocol, BENCH).steps[0].carrier_leak
+
+    assert leak("2033.6 Hz") > 10 * leak("2036.7 Hz")
+    assert leak("2033.6 Hz", **{"camera.exposure": "20 ms"}) > leak("2033.6 Hz")
+    assert all(0 <= step.carrier_leak < 0.01 for step in series_a.steps)
+
+
+# --- What the bench cannot do ------------------------------------------------------------------
+
+IMPOSSIBLE = {
+    "17 V": ({"drive.ramp.to": "17 V"}, "drive.ramp.to", "17 V is above the 16 V"),
+    "17 V at the start": ({"drive.ramp.from": "17 V"}, "drive.ramp.from", "write at most '16 V'"),
+    "30 kHz at the end": ({"sweep.last": 213}, "sweep.last", "write 184"),
+    "30 kHz all along": ({"sweep.reference": "30 kHz"}, "sweep.reference", "30436.4 Hz, above"),
+    "too low a start": ({"sweep.first": -300}, "sweep.first", "write -294"),
+    "too low all along": ({"sweep.reference": "1 Hz"}, "sweep.reference", "below the 20 Hz"),
+    "frame rate": ({"camera.frame_rate": "12.8 Hz"}, "camera.frame_rate", "at most '12.5 Hz'"),
+    "exposure": ({"camera.exposure": "90 ms"}, "camera.exposure", "longer than the frame period"),
+    "width": ({"camera.width": 1281}, "camera.width", "write at most 1280"),
+    "height": ({"camera.height": 1025}, "camera.height", "write at most 1024"),
+    "lock": (
+        {"camera.frame_rate": "12.5 Hz", "sideband.order": 0},
+        "camera.frame_rate",
+        "turns the phase by 0.0503 rad, more than the 0.01 rad",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", IMPOSSIBLE)
+def test_impossible_plan_is_refused_in_one_line(case):
+    changes, key, expected = IMPOSSIBLE[case]
+    plan = make_plan(SERIES_A.replace(changes), BENCH)
+    assert [violation.key for violation in plan.violations] == [key]
+    with pytest.raises(ProtocolError) as refused:
+        plan.require_possible()
+    message = str(refused.value)
+    assert message.startswith(f"seriesA (changed): {key}: ")
+    assert expected in message
+    assert message.isprintable()
+    assert json.dumps(plan.to_json(), allow_nan=False)
+
+
+def test_low_volts_and_narrow_windows_belong_to_the_bench():
+    bench = BENCH.replace(
+        {"limits.volts_min": "0.6 V", "instruments.synthesizers.window": "10 kHz"}
+    )
+    keys = [violation.key for violation in make_plan(SERIES_A, bench).violations]
+    assert keys == ["drive.ramp.from", "sideband.order"]
+
+
+def test_all_violations_are_collected_and_counted():
+    protocol = SERIES_A.replace(
+        {"drive.ramp.to": "17 V", "sweep.last": 190, "camera.exposure": "1 s"}
+    )
+    plan = make_plan(protocol, BENCH)
+    assert {violation.key for violation in plan.violations} == {
+        "drive.ramp.to", "sweep.last", "camera.exposure"
+    }  # fmt: skip
+    with pytest.raises(ProtocolError, match=r"\(and 2 more\)$"):
+        plan.require_possible()
+
+
+def test_violation_names_file_and_line():
+    text = SERIES_A.text.replace("last: 184", "last: 213")
+    line = text.splitlines().index("  last: 213") + 1
+    with pytest.raises(ProtocolError, match=rf"^mine\.yaml:{line}: sweep\.last: "):
+        make_plan(Protocol.from_text(text, "mine.yaml"), BENCH).require_possible()
+
+
+def test_a_wider_tolerance_admits_an_imperfect_lock():
+    changes = {"camera.frame_rate": "12.5 Hz", "sideband.order": 0}
+    wide = SERIES_A.replace({**changes, "tolerance.lock_phase": "0.06 rad"})
+    assert make_plan(wide, BENCH).violations == ()
+
+
+def test_limits_themselves_are_allowed(series_a):
+    edge = BENCH.replace({"limits.drive_max": "19911.9 Hz", "limits.drive_min": "1417.2 Hz"})
+    assert make_plan(SERIES_A, edge).violations == ()
+    assert max(step.volts for step in series_a.steps) == float(BENCH.limits.volts_max_v)

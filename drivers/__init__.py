@@ -1,0 +1,1 @@
+"""Instruments: one interface per role, and drivers that fill the roles."""

@@ -1,0 +1,64 @@
+"""What a driver is handed when its bench is opened, and where the drivers of one bench meet."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, TypeVar, cast
+
+import numpy as np
+
+from drivers.description import BenchDescription
+from drivers.roles import Clock, Preparation
+
+T = TypeVar("T")
+
+
+class WallClock:
+    """The time of the room, from the moment that this clock was made."""
+
+    def __init__(self) -> None:
+        self._start_s = time.monotonic()
+
+    def now_s(self) -> float:
+        """Return the seconds since this clock was made."""
+        return time.monotonic() - self._start_s
+
+    def wait(self, seconds: float) -> None:
+        """Sleep; a signal that is handled does not shorten the sleep."""
+        if seconds > 0:
+            time.sleep(seconds)
+
+
+@dataclass
+class BenchContext:
+    """One bench while it is being opened.
+
+    Attributes
+    ----------
+    description : BenchDescription
+        The bench file.
+    preparation : Preparation
+    rng : numpy.random.Generator
+        The only source of chance on this bench.
+    announce : callable
+        Told, in a few words, what is being waited for.
+    clock : Clock
+        The bench's clock. A driver that brings a time of its own puts it here.
+    """
+
+    description: BenchDescription
+    preparation: Preparation
+    rng: np.random.Generator
+    announce: Callable[[str], None]
+    clock: Clock = field(default_factory=WallClock)
+    _shared: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
+
+    def share(self, make: Callable[["BenchContext"], T]) -> T:
+        """Return what `make` gives for this bench, the same object to all drivers that ask.
+
+        This is how instruments that are one thing (a multi-channel box, a simulated laboratory)
+        find it: each asks for ``context.share(Box)``, and the first makes it.
+        """
+        if make not in self._shared:
+            self._shared[make] = make(self)
+        return cast(T, self._shared[make])

@@ -1,0 +1,280 @@
+"""What every instrument of a role can do, whoever makes it.
+
+A driver is any class that satisfies one of these protocols; nothing has to be inherited. Every
+method may raise `InstrumentError` when the instrument does not answer or does not confirm; what it
+may raise besides, and what it promises, stands in its docstring.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from types import TracebackType
+from typing import Literal, Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One exposure of the camera.
+
+    Attributes
+    ----------
+    id : int
+        Number of the frame since `Camera.start`, counting those that were never fetched.
+    timestamp_s : float
+        Start of the exposure on the camera's own clock.
+    image : (ny, nx) uint16
+    """
+
+    id: int
+    timestamp_s: float
+    image: NDArray[np.uint16]
+
+
+class Instrument(Protocol):
+    """What all instruments have in common."""
+
+    @property
+    def identity(self) -> str:
+        """Maker, model, serial number and firmware, as the instrument says it, on one line."""
+        ...
+
+    def close(self) -> None:
+        """Release the instrument. May be called twice; raises nothing."""
+        ...
+
+
+@runtime_checkable
+class SynthesizerPair(Instrument, Protocol):
+    """Two channels on one clock: AOM1 shifts the local oscillator, AOM2 the object beam."""
+
+    @property
+    def step_hz(self) -> Fraction:
+        """Spacing of the frequencies that both channels can play."""
+        ...
+
+    def set_pair(self, aom1_hz: Fraction, aom2_hz: Fraction) -> None:
+        """Change both channels in one update; returns when the update has been made.
+
+        A frequency off the grid is played at the nearest frequency on it; `read_pair` tells.
+
+        Raises
+        ------
+        LimitError
+            If a frequency lies outside the window; neither channel has changed then.
+        InstrumentError
+            If the update is not confirmed; the channels are then in an unknown state.
+        """
+        ...
+
+    def read_pair(self) -> tuple[Fraction, Fraction]:
+        """Return the frequencies that both channels play, exactly, as the instrument says.
+
+        Raises
+        ------
+        InstrumentError
+            If the instrument does not answer.
+        """
+        ...
+
+    def rf_on(self) -> None:
+        """Let both modulators diffract; raises `InstrumentError` if that is not confirmed."""
+        ...
+
+    def rf_off(self) -> None:
+        """Take the power off both modulators; raises `InstrumentError` if not confirmed."""
+        ...
+
+
+@runtime_checkable
+class SignalGenerator(Instrument, Protocol):
+    """The source of the loudspeaker's voltage. All volts are peak volts at the load."""
+
+    def set_sine(self, frequency_hz: Fraction, volts: float) -> None:
+        """Play a sine, and switch the output on if it is off.
+
+        Raises
+        ------
+        LimitError
+            If frequency or volts lie outside the limits or are no finite number; nothing has
+            changed then. 0 V is always allowed.
+        InstrumentError
+            If what is read back is not what was set.
+        """
+        ...
+
+    def ramp_to(self, volts: float, duration_s: float) -> None:
+        """Change the volts gradually, without a click; returns when they are reached.
+
+        On an output that is off, a ramp to 0 V does nothing.
+
+        Raises
+        ------
+        LimitError
+            As for `set_sine`, and for a duration that is negative or not finite.
+        InstrumentError
+            If the output is off and `volts` is not 0, or the end is not confirmed.
+        """
+        ...
+
+    def output_off(self) -> None:
+        """Disconnect the output at once; raises `InstrumentError` if that is not confirmed."""
+        ...
+
+    def read(self) -> tuple[Fraction, float, bool]:
+        """Return frequency in Hz, volts, and whether the output is on, as the instrument says.
+
+        Raises
+        ------
+        InstrumentError
+            If the instrument does not answer.
+        """
+        ...
+
+
+@runtime_checkable
+class Camera(Instrument, Protocol):
+    """A camera that runs freely on its own clock from `start` to `stop`."""
+
+    @property
+    def saturation_dn(self) -> int:
+        """Number at which a pixel stops growing with light: the lesser of full well and ADC."""
+        ...
+
+    def configure(
+        self, frame_rate_hz: Fraction, exposure_s: Fraction, shape: tuple[int, int]
+    ) -> None:
+        """Set the camera up for a run, while it is stopped.
+
+        Parameters
+        ----------
+        frame_rate_hz : Fraction
+        exposure_s : Fraction
+            At most the frame period.
+        shape : (int, int)
+            Rows and columns ``(ny, nx)`` of the middle part of the sensor to be read out.
+
+        Raises
+        ------
+        LimitError
+            If the camera cannot do this; nothing has changed then.
+        InstrumentError
+            If the camera is running.
+        """
+        ...
+
+    def start(self) -> None:
+        """Begin to take frames; raises `InstrumentError` if the camera is not configured."""
+        ...
+
+    def stop(self) -> None:
+        """Take no more frames. Does nothing to a stopped camera."""
+        ...
+
+    def grab(self, count: int, not_before_s: float) -> list[Frame]:
+        """Wait for and return the next `count` frames that arrive.
+
+        Parameters
+        ----------
+        count : int
+        not_before_s : float
+            On the camera's clock, see `now_s`. Exposures that began earlier are passed over.
+
+        Returns
+        -------
+        list of Frame
+            In the order of their exposures. The frames are consecutive unless one was lost on
+            its way, which is no error here: their ids show it.
+
+        Raises
+        ------
+        InstrumentError
+            If the camera is stopped or no frame arrives.
+        """
+        ...
+
+    def now_s(self) -> float:
+        """Return the present time on the clock of `Frame.timestamp_s`."""
+        ...
+
+
+@runtime_checkable
+class Clock(Protocol):
+    """The time that passes on a bench: that of the wall, or of a simulation."""
+
+    def now_s(self) -> float:
+        """Return the time since some moment before the bench was opened."""
+        ...
+
+    def wait(self, seconds: float) -> None:
+        """Return `seconds` later; at once if that is not positive."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Preparation:
+    """What stands on the bench.
+
+    Attributes
+    ----------
+    reed : str
+        Name that tells this reed from all others.
+    series : str
+        Series of measurements; the reed of series B is dried.
+    chamber : {'asymmetric', 'symmetric'}
+        Whether the right half of the mouthpiece's chamber is filled.
+    """
+
+    reed: str
+    series: str
+    chamber: Literal["asymmetric", "symmetric"]
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Three open instruments, a clock, and what they stand for.
+
+    Attributes
+    ----------
+    name, fingerprint : str
+        Of the bench file.
+    preparation : Preparation
+    seed : int
+        From which everything random on this bench is drawn.
+    """
+
+    name: str
+    fingerprint: str
+    preparation: Preparation
+    seed: int
+    synthesizers: SynthesizerPair
+    generator: SignalGenerator
+    camera: Camera
+    clock: Clock
+
+    @property
+    def identities(self) -> Mapping[str, str]:
+        """What each instrument says that it is, by role."""
+        return {
+            "synthesizers": self.synthesizers.identity,
+            "generator": self.generator.identity,
+            "camera": self.camera.identity,
+        }
+
+    def close(self) -> None:
+        """Release all instruments. May be called twice."""
+        for instrument in (self.generator, self.synthesizers, self.camera):
+            instrument.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

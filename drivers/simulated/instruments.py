@@ -1,0 +1,292 @@
+"""Simulated instruments with the manners of real ones.
+
+They round to their grids, refuse what is out of limits before anything changes, take time to
+answer, and the camera runs freely whether or not somebody listens.
+"""
+
+import math
+from fractions import Fraction
+from typing import Final
+
+from drivers.context import BenchContext
+from drivers.description import (
+    CameraDescription,
+    GeneratorDescription,
+    InstrumentDescription,
+    SynthesizersDescription,
+)
+from drivers.errors import BenchSetupError, InstrumentError, LimitError
+from drivers.roles import Frame
+from drivers.simulated.lab import SimulatedLab
+from physics.sensor import saturation_dn
+
+# Two lines of ASCII at 19 200 baud; a few milliseconds of USB; an output relay.
+_SERIAL_S: Final = 0.025
+_USB_S: Final = 0.005
+_RELAY_S: Final = 0.1
+_RAMP_STEPS: Final = 20
+
+
+class SimulatedSynthesizers:
+    """A two-channel synthesizer whose update changes both channels at the same moment.
+
+    Attributes
+    ----------
+    lab : SimulatedLab
+        The room that it stands in.
+    """
+
+    def __init__(self, entry: SynthesizersDescription, context: BenchContext) -> None:
+        _require_no_options("synthesizers", entry)
+        self._entry = entry
+        self.lab = context.share(SimulatedLab)
+        self._pair_hz = (self._on_grid(entry.centre_hz),) * 2
+
+    @property
+    def identity(self) -> str:
+        """Name of the simulation."""
+        return f"simulated synthesizer pair, {float(self.step_hz):g} Hz steps"
+
+    @property
+    def step_hz(self) -> Fraction:
+        """Spacing of the frequencies."""
+        return self._entry.step_hz
+
+    def set_pair(self, aom1_hz: Fraction, aom2_hz: Fraction) -> None:
+        """Change both channels; see `SynthesizerPair.set_pair`."""
+        centre_hz, window_hz = self._entry.centre_hz, self._entry.window_hz
+        for name, hz in (("AOM1", aom1_hz), ("AOM2", aom2_hz)):
+            if abs(hz - centre_hz) > window_hz:
+                raise LimitError(
+                    f"synthesizers (simulated): {name} was asked for {float(hz):.10g} Hz, more "
+                    f"than {float(window_hz):.10g} Hz from {float(centre_hz):.10g} Hz; keep it "
+                    "inside the window"
+                )
+        self.lab.clock.wait(_SERIAL_S)
+        self._pair_hz = (self._on_grid(aom1_hz), self._on_grid(aom2_hz))
+        self.lab.change(difference_hz=self._pair_hz[0] - self._pair_hz[1])
+
+    def read_pair(self) -> tuple[Fraction, Fraction]:
+        """Return what both channels play."""
+        self.lab.clock.wait(_SERIAL_S)
+        return self._pair_hz
+
+    def rf_on(self) -> None:
+        """Let light through."""
+        self.lab.clock.wait(_SERIAL_S)
+        self.lab.change(rf_on=True)
+
+    def rf_off(self) -> None:
+        """Let no light through."""
+        self.lab.clock.wait(_SERIAL_S)
+        self.lab.change(rf_on=False)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def _on_grid(self, hz: Fraction) -> Fraction:
+        return round(hz / self.step_hz) * self.step_hz
+
+
+class SimulatedGenerator:
+    """A generator with an output relay, and limits at the load.
+
+    Attributes
+    ----------
+    lab : SimulatedLab
+        The room that it stands in.
+    """
+
+    def __init__(self, entry: GeneratorDescription, context: BenchContext) -> None:
+        _require_no_options("generator", entry)
+        self._step_hz = entry.step_hz
+        self._limits = context.description.limits
+        self.lab = context.share(SimulatedLab)
+        self._frequency_hz, self._volts, self._on = Fraction(1000), 0.0, False
+
+    @property
+    def identity(self) -> str:
+        """Name of the simulation."""
+        return f"simulated signal generator, {float(self._step_hz):g} Hz steps"
+
+    def set_sine(self, frequency_hz: Fraction, volts: float) -> None:
+        """Play a sine; see `SignalGenerator.set_sine`."""
+        low_hz, high_hz = self._limits.drive_min_hz, self._limits.drive_max_hz
+        if not low_hz <= frequency_hz <= high_hz:
+            raise LimitError(
+                f"generator (simulated): was asked for {float(frequency_hz):.10g} Hz, outside "
+                f"{float(low_hz):.10g} to {float(high_hz):.10g} Hz; change the sweep or the limits"
+            )
+        self._require_volts(volts)
+        self.lab.clock.wait(_USB_S if self._on else _USB_S + _RELAY_S)
+        self._frequency_hz = round(frequency_hz / self._step_hz) * self._step_hz
+        self._volts, self._on = float(volts), True
+        self.lab.change(drive_hz=self._frequency_hz, drive_v=self._volts)
+
+    def ramp_to(self, volts: float, duration_s: float) -> None:
+        """Change the volts in small steps; see `SignalGenerator.ramp_to`."""
+        self._require_volts(volts)
+        if not 0 <= duration_s < math.inf:
+            raise LimitError(
+                f"generator (simulated): was asked to ramp over {duration_s} s; give a time"
+            )
+        if not self._on:
+            if volts == 0:
+                return
+            raise InstrumentError(
+                f"generator (simulated): its output is off, but was asked to ramp to {volts:g} V; "
+                "call set_sine first"
+            )
+        start_v = self._volts
+        for part in range(1, _RAMP_STEPS + 1):
+            self.lab.clock.wait(max(duration_s / _RAMP_STEPS, _USB_S / _RAMP_STEPS))
+            self._volts = start_v + (float(volts) - start_v) * part / _RAMP_STEPS
+            self.lab.change(drive_v=self._volts)
+
+    def output_off(self) -> None:
+        """Open the relay."""
+        self.lab.clock.wait(_USB_S)
+        self._on = False
+        self.lab.change(drive_v=0.0)
+        self.lab.clock.wait(_RELAY_S)
+
+    def read(self) -> tuple[Fraction, float, bool]:
+        """Return what is played; see `SignalGenerator.read`."""
+        self.lab.clock.wait(_USB_S)
+        return self._frequency_hz, self._volts, self._on
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def _require_volts(self, volts: float) -> None:
+        least, most = float(self._limits.volts_min_v), float(self._limits.volts_max_v)
+        if not (volts == 0 or least <= volts <= most):
+            raise LimitError(
+                f"generator (simulated): was asked for {volts} V, outside {least:g} to {most:g} V; "
+                "change the protocol's drive or the limits of the bench file"
+            )
+
+
+class SimulatedCamera:
+    """A camera that runs freely: frame k begins k frame periods after `start`.
+
+    Attributes
+    ----------
+    lab : SimulatedLab
+        The room that it stands in.
+    """
+
+    def __init__(self, entry: CameraDescription, context: BenchContext) -> None:
+        _require_no_options("camera", entry)
+        self._entry = entry
+        self.lab = context.share(SimulatedLab)
+        self._rate_hz: Fraction | None = None
+        self._exposure_s = Fraction(0)
+        self._started_s: float | None = None
+        self._next_id = 0
+        self._acquisitions = 0
+
+    @property
+    def identity(self) -> str:
+        """Name of the simulation."""
+        entry = self._entry
+        return f"simulated camera, {entry.width} x {entry.height} pixels, {entry.bits} bit"
+
+    @property
+    def saturation_dn(self) -> int:
+        """Number at which a pixel is saturated."""
+        return saturation_dn(self.lab.sensor)
+
+    def configure(
+        self, frame_rate_hz: Fraction, exposure_s: Fraction, shape: tuple[int, int]
+    ) -> None:
+        """Set the camera up; see `Camera.configure`."""
+        if self._started_s is not None:
+            raise InstrumentError(
+                "camera (simulated): is running, but was asked for other settings; stop it first"
+            )
+        self._require_possible(frame_rate_hz, exposure_s, shape)
+        error = Fraction(self.lab.faults.frame_rate_error_ppm) / 1_000_000
+        self._rate_hz = frame_rate_hz * (1 + error)
+        self._exposure_s = min(exposure_s, 1 / self._rate_hz)
+        self.lab.prepare_sensor(shape)
+
+    def start(self) -> None:
+        """Begin with frame 0 now."""
+        if self._rate_hz is None:
+            raise InstrumentError(
+                "camera (simulated): was asked to start without settings; call configure first"
+            )
+        self._started_s, self._next_id = self.lab.clock.now_s(), 0
+
+    def stop(self) -> None:
+        """Take no more frames."""
+        self._started_s = None
+
+    def grab(self, count: int, not_before_s: float) -> list[Frame]:
+        """Return the next frames; see `Camera.grab`."""
+        self._acquisitions += 1
+        faults = self.lab.faults
+        earliest_s = max(not_before_s, self.now_s())
+        if self._acquisitions in faults.stale_frame_at and self._rate_hz is not None:
+            earliest_s = not_before_s - 2 / float(self._rate_hz)
+        first = self._first_id_from(earliest_s)
+        ids = list(range(first, first + count))
+        if self._acquisitions in faults.drop_frame_at:
+            ids = [id if id < first + 2 else id + 1 for id in ids]
+        starts_s = [self._start_of(id) for id in ids]
+        exposure_s = float(self._exposure_s)
+        self.lab.clock.wait(starts_s[-1] + exposure_s - self.now_s())
+        images = self.lab.expose([(start_s, start_s + exposure_s) for start_s in starts_s])
+        self._next_id = ids[-1] + 1
+        return [Frame(*parts) for parts in zip(ids, starts_s, images, strict=True)]
+
+    def now_s(self) -> float:
+        """Return the laboratory's time."""
+        return self.lab.clock.now_s()
+
+    def close(self) -> None:
+        """Stop."""
+        self.stop()
+
+    def _start_of(self, id: int) -> float:
+        """Time at which the exposure of a frame begins."""
+        if self._rate_hz is None or self._started_s is None:
+            raise InstrumentError(
+                "camera (simulated): is stopped, but was asked for frames; call start first"
+            )
+        return self._started_s + float(id / self._rate_hz)
+
+    def _first_id_from(self, time_s: float) -> int:
+        elapsed_s = Fraction(max(time_s - self._start_of(0), 0.0))
+        id = max(self._next_id, math.ceil(elapsed_s * (self._rate_hz or 0)))
+        # The last bit of a start time may be rounded down.
+        return id if self._start_of(id) >= time_s else id + 1
+
+    def _require_possible(
+        self, frame_rate_hz: Fraction, exposure_s: Fraction, shape: tuple[int, int]
+    ) -> None:
+        entry = self._entry
+        if not 0 < frame_rate_hz <= entry.max_frame_rate_hz:
+            raise LimitError(
+                f"camera (simulated): was asked for {float(frame_rate_hz):g} frames per second, "
+                f"can do up to {float(entry.max_frame_rate_hz):g}; lower camera.frame_rate"
+            )
+        if not 0 < exposure_s <= 1 / frame_rate_hz:
+            raise LimitError(
+                f"camera (simulated): was asked to expose {float(exposure_s):g} s, can do up to "
+                f"the period of {float(1 / frame_rate_hz):g} s; shorten camera.exposure"
+            )
+        if not (0 < shape[0] <= entry.height and 0 < shape[1] <= entry.width):
+            raise LimitError(
+                f"camera (simulated): was asked for {shape[1]} x {shape[0]} pixels, has "
+                f"{entry.width} x {entry.height}; lower camera.width and camera.height"
+            )
+
+
+def _require_no_options(role: str, entry: InstrumentDescription) -> None:
+    if entry.options:
+        raise BenchSetupError(
+            f"instruments.{role}.options: the simulated driver knows no option "
+            f"{', '.join(sorted(entry.options))}; settings of the simulation stand under twin:"
+        )

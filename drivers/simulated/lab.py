@@ -1,0 +1,106 @@
+"""The room that all simulated instruments stand in: its time, its settings, its light."""
+
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.context import BenchContext, WallClock
+from drivers.roles import Clock
+from drivers.simulated.twin import Faults, read_twin, twin_settings
+from physics.bench import BenchModel, BenchState, Segment
+from physics.reed.cache import reduced_reed
+from physics.sensor import Sensor
+
+
+class VirtualClock:
+    """A time that passes only when somebody waits."""
+
+    def __init__(self) -> None:
+        self._now_s = 0.0
+
+    def now_s(self) -> float:
+        """Return the seconds waited for so far."""
+        return self._now_s
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        if seconds > 0:
+            self._now_s += seconds
+
+
+class SimulatedLab:
+    """One room with one reed in it, shared by the simulated instruments of a bench.
+
+    It remembers every change of a setting with its time, so that an exposure is rendered with the
+    settings that really were there while it lasted, however many they were.
+
+    Raises
+    ------
+    BenchSetupError
+        If the twin's section of the bench file is wrong.
+    """
+
+    def __init__(self, context: BenchContext) -> None:
+        bench_file = context.description
+        twin = read_twin(bench_file.twin, bench_file.name)
+        level, basis = twin.finite_elements
+        self.faults: Faults = twin.faults
+        self.clock: Clock = WallClock() if twin.pace == "realtime" else VirtualClock()
+        context.clock = self.clock
+        self._settings = twin_settings(twin, bench_file, context.preparation)
+        self._reed = reduced_reed(level=level, settings=basis, announce=context.announce)
+        self._rng = context.rng
+        self._model: BenchModel | None = None
+        self._times_s = [-math.inf]
+        self._states = [BenchState(Fraction(0), Fraction(0), 0.0, rf_on=False)]
+
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor, of the part that was last prepared."""
+        return self._settings.sensor
+
+    @property
+    def state(self) -> BenchState:
+        """The settings at present."""
+        return self._states[-1]
+
+    def change(self, **settings: Any) -> None:
+        """Change fields of `BenchState` now, all at the same moment."""
+        self._times_s.append(self.clock.now_s())
+        self._states.append(replace(self.state, **settings))
+
+    def segments(self, start_s: float, end_s: float) -> list[Segment]:
+        """Return the stretches of constant settings between two times, in order."""
+        first = bisect_right(self._times_s, start_s) - 1
+        begins = self._times_s[first:]
+        ends = [*begins[1:], math.inf]
+        return [
+            Segment(max(begin, start_s), min(end, end_s), state)
+            for begin, end, state in zip(begins, ends, self._states[first:], strict=True)
+            if max(begin, start_s) < min(end, end_s)
+        ]
+
+    def prepare_sensor(self, shape: tuple[int, int]) -> None:
+        """Build the light on the middle part of the sensor, unless that is there already."""
+        if self._model is None or shape != self._settings.sensor.shape:
+            sensor = replace(self._settings.sensor, shape=shape)
+            self._settings = replace(self._settings, sensor=sensor)
+            self._model = BenchModel(self._settings, self._reed, self._rng)
+
+    def expose(self, exposures_s: Sequence[tuple[float, float]]) -> list[NDArray[np.uint16]]:
+        """Read out exposures, each from a start to an end, on the sensor that was prepared.
+
+        Raises
+        ------
+        ValueError
+            If no sensor was prepared.
+        """
+        if self._model is None:
+            raise ValueError("the simulated laboratory has no sensor; call prepare_sensor first")
+        return [self._model.frame(self.segments(*times), self._rng) for times in exposures_s]

@@ -1,0 +1,194 @@
+"""The ``twin:`` section of a bench file: which reed, which light, which faults, how fast."""
+
+import hashlib
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from drivers.description import BenchDescription
+from drivers.errors import BenchSetupError
+from drivers.roles import Preparation
+from physics.air import Chamber, Filling
+from physics.bench import TwinSettings
+from physics.drive import Tweeter
+from physics.optics import Illumination, Layout
+from physics.reed.basis import BasisSettings
+from physics.reed.cache import STANDARD
+from physics.reed.mesh import MeshLevel
+from physics.reed.viscoelastic import Components, Series, require_physical, viscoelastic_cane
+from physics.sensor import Sensor
+
+_NOMINAL: Final = TwinSettings()
+
+# Frequencies some tens of cents off, in a fraction of a second: for tours and tests.
+_COARSE: Final = (
+    MeshLevel(orders=(2, 2, 2)),
+    BasisSettings(E_L_pa=(8e9, 20e9), G_LT_pa=(0.5e9, 1.8e9), modes=10, size=40),
+)
+_MESHES: Final = {"standard": (STANDARD, BasisSettings()), "coarse": _COARSE}
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+
+class ReedComponents(_Section):
+    """The four components of the cane, in standard deviations of the population."""
+
+    e1: Annotated[float, Field(ge=-6, le=6)] = 0.0
+    e2: Annotated[float, Field(ge=-6, le=6)] = 0.0
+    e3: Annotated[float, Field(ge=-6, le=6)] = 0.0
+    e4: Annotated[float, Field(ge=-6, le=6)] = 0.0
+
+
+class Light(_Section):
+    """Electrons per pixel and second of both beams, see `physics.optics.Illumination`."""
+
+    local_oscillator_e_s: Annotated[float, Field(gt=0)] = _NOMINAL.illumination.local_oscillator_e_s
+    object_e_s: Annotated[float, Field(gt=0)] = _NOMINAL.illumination.object_e_s
+
+
+class Faults(_Section):
+    """What is wrong with the bench, for tests and for training.
+
+    Attributes
+    ----------
+    tweeter_unplugged : bool
+        The generator drives a cable that ends nowhere.
+    local_oscillator_factor : float
+        The local oscillator is this much too bright; 4 saturates the camera.
+    drop_frame_at : tuple of int
+        Acquisitions, counted from 1, whose third frame is lost between camera and computer.
+    stale_frame_at : tuple of int
+        Acquisitions, counted from 1, in which frames come out of a buffer, older than asked for.
+    frame_rate_error_ppm : float
+        The camera is this much faster than it was told.
+    """
+
+    tweeter_unplugged: bool = False
+    local_oscillator_factor: Annotated[float, Field(gt=0, le=1000)] = 1.0
+    drop_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
+    stale_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
+    frame_rate_error_ppm: Annotated[float, Field(ge=-1e5, le=1e5)] = 0.0
+
+
+class Twin(_Section):
+    """The whole section. What is not said is nominal.
+
+    Attributes
+    ----------
+    reed : ReedComponents or None
+        The cane; without it, that of the reed's name (`cane_of`).
+    loss_factor : float
+        Of the cane.
+    mesh : {'standard', 'coarse'}
+        How finely the reed is computed.
+    pace : {'fast', 'realtime'}
+        Whether time passes as fast as frames can be computed, or as on the wall.
+    """
+
+    reed: ReedComponents | None = None
+    loss_factor: Annotated[float, Field(gt=0, lt=1)] = _NOMINAL.loss_factor
+    light: Light = Light()
+    mesh: Literal["standard", "coarse"] = "standard"
+    pace: Literal["fast", "realtime"] = "fast"
+    faults: Faults = Faults()
+
+    @property
+    def finite_elements(self) -> tuple[MeshLevel, BasisSettings]:
+        """Mesh and basis of the reed."""
+        return _MESHES[self.mesh]
+
+
+def read_twin(content: Mapping[str, Any], bench_name: str) -> Twin:
+    """Check the ``twin:`` section of a bench file.
+
+    Raises
+    ------
+    BenchSetupError
+        With the key path of the first thing that is wrong.
+    """
+    try:
+        return Twin.model_validate(content)
+    except ValidationError as invalid:
+        errors = invalid.errors()
+        first, others = errors[0], len(errors) - 1
+        key = ".".join(str(part) for part in ("twin", *first["loc"]))
+        more = f" (and {others} more)" if others else ""
+        message = f"{first['msg'].removeprefix('Input ')}, but is {first['input']!r}"
+        raise BenchSetupError(f"bench {bench_name!r}: {key}: {message}{more}; correct it") from None
+
+
+def cane_of(reed: str) -> Components:
+    """Return the cane of a reed: components drawn from N(0, 1), always the same for one name.
+
+    Draws outside physics in either series (2 % of them) are drawn again.
+    """
+    # Not the bench's generator: a reed stays the same cane whatever else is random.
+    rng = np.random.default_rng(list(hashlib.sha256(reed.encode()).digest()))
+    while True:
+        cane = Components(*(float(e) for e in rng.standard_normal(4)))
+        if _physical(cane):
+            return cane
+
+
+def _physical(cane: Components) -> bool:
+    try:
+        for series in Series:
+            require_physical(viscoelastic_cane(cane, series))
+    except ValueError:
+        return False
+    return True
+
+
+def twin_settings(
+    twin: Twin, bench_file: BenchDescription, preparation: Preparation
+) -> TwinSettings:
+    """Return the settings of `physics` for a bench, with the whole sensor.
+
+    Parameters
+    ----------
+    twin : Twin
+    bench_file : BenchDescription
+        Supplies optics and sensor.
+    preparation : Preparation
+        Supplies the reed, its moisture (series B is dried) and the chamber.
+
+    Raises
+    ------
+    BenchSetupError
+        If the components given for the reed lie outside physics.
+    """
+    camera, optics = bench_file.instruments.camera, bench_file.optics
+    series = Series.B if preparation.series == "B" else Series.A
+    cane = Components(**twin.reed.model_dump()) if twin.reed else cane_of(preparation.reed)
+    try:
+        require_physical(viscoelastic_cane(cane, series))
+    except ValueError as error:
+        raise BenchSetupError(
+            f"bench {bench_file.name!r}: twin.reed: {error} ({cane}, series {series}); choose "
+            "components nearer to 0"
+        ) from None
+    factor = twin.faults.local_oscillator_factor
+    return TwinSettings(
+        components=cane,
+        series=series,
+        loss_factor=twin.loss_factor,
+        chamber=Chamber(filling=Filling(preparation.chamber)),
+        tweeter=Tweeter(connected=not twin.faults.tweeter_unplugged),
+        illumination=Illumination(
+            local_oscillator_e_s=twin.light.local_oscillator_e_s * factor,
+            object_e_s=twin.light.object_e_s,
+        ),
+        layout=Layout(
+            wavelength_m=float(optics.wavelength_m),
+            distance_m=float(optics.distance_m),
+            reed_centre_m=(float(optics.reed_centre.y_m), float(optics.reed_centre.x_m)),
+            reed_size_m=(float(optics.reed_size.y_m), float(optics.reed_size.x_m)),
+        ),
+        sensor=Sensor(
+            shape=(camera.height, camera.width), pixel_m=float(camera.pixel_m), bits=camera.bits
+        ),
+    )

@@ -75,14 +75,12 @@ def _verb(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def _plan(protocol: str, bench: str, series: str | None = None) -> "Plan":
-    from acquire.bench_file import BenchFile
-    from acquire.plan import make_plan
-    from acquire.protocol import Protocol
+    from acquire import script
 
-    described = Protocol.from_file(protocol)
+    described = script.load(protocol)
     if series is not None:
         described = described.replace(series=series)
-    return make_plan(described, BenchFile.from_file(bench))
+    return script.plan(described, bench)
 
 
 @_verb
@@ -127,21 +125,18 @@ def run(
     debug: Debug = False,
 ) -> None:
     """Measure a sweep; then fit the reed and draw the pictures."""
+    from acquire import script
     from acquire.display import run_summary, sweep_progress, troubles_of
     from acquire.runfile import Run, RunLabels
-    from acquire.runner import run as measure
-    from drivers.registry import open_bench
-    from drivers.roles import Preparation
 
     planned = _plan(protocol, bench, series)
     planned.require_possible()
-    described = planned.protocol
-    path = out or _default_path(described.series, reed)
-    preparation = Preparation(reed, described.series, described.chamber)
-    with open_bench(planned.bench, preparation, seed, _tell) as opened:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with sweep_progress(_words(), len(planned.steps)) as show:
-            summary = measure(planned, opened, path, RunLabels(strength, note, operator), show)
+    path = out or _default_path(planned.protocol.series, reed)
+    labels = RunLabels(strength, note, operator)
+    with sweep_progress(_words(), len(planned.steps)) as show:
+        summary = script.run(
+            planned, path, reed=reed, labels=labels, seed=seed, progress=show, announce=_tell
+        )
     with Run.open(path) as finished:
         closing = run_summary(summary, troubles_of(finished))
     for line in closing:

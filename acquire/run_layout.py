@@ -1,0 +1,74 @@
+"""What writer and reader of a run file agree on, see ``docs/run-file.md``."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Final, Literal
+
+from acquire.quantities import exact_decimal
+
+FORMAT: Final = "reedbench-run"
+FORMAT_VERSION: Final = 1
+
+Status = Literal["running", "complete", "interrupted", "failed"]
+
+# Columns of `/entry/steps`. Every frequency also has a column `<name>_exact` of text.
+PLANNED_HZ: Final = (
+    "asked_hz",
+    "drive_hz",
+    "aom1_hz",
+    "aom2_hz",
+    "difference_hz",
+    "lock_residual_hz",
+)
+READ_BACK_HZ: Final = ("read_aom1_hz", "read_aom2_hz", "read_drive_hz")
+# Numbers of a measured step besides its frequencies, each with its unit.
+MEASURED: Final = {
+    "read_volts": "V",
+    "changed_s": "s",
+    "signal_to_noise": "",
+    "noise_level": "",
+    "saturated_share": "",
+}
+EXACT_BYTES: Final = 64
+
+
+@dataclass(frozen=True)
+class RunLabels:
+    """What a person says about a run; reed and series stand in the bench's preparation.
+
+    Attributes
+    ----------
+    strength : float or None
+        Nominal strength of the reed, such as 3.5.
+    note, operator : str
+    """
+
+    strength: float | None = None
+    note: str = ""
+    operator: str = ""
+
+
+def exact_text(value: Fraction) -> str:
+    """Write a fraction exactly, as decimals where they end: what ``Fraction(text)`` reads back.
+
+    Raises
+    ------
+    ValueError
+        If it needs more characters than a run file holds.
+    """
+    try:
+        text = exact_decimal(value)
+    except ValueError:
+        text = str(value)
+    text = text if len(text) <= EXACT_BYTES else str(value)
+    if len(text) > EXACT_BYTES:
+        raise ValueError(
+            f"{text} has more than {EXACT_BYTES} characters; no synthesizer has such a step"
+        )
+    return text
+
+
+def short_reason(error: BaseException) -> str:
+    """Return the operating system's words, or the first line of HDF5's."""
+    said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return said.splitlines()[0] if said else type(error).__name__

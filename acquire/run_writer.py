@@ -1,0 +1,378 @@
+"""Writes run files: one sweep in one HDF5 file that explains itself (``docs/run-file.md``).
+
+Everything is allocated before the first step, so a step overwrites bytes and moves nothing. Its
+verdict is written, and flushed, after its data: a program that is killed at any moment leaves a
+file that opens with plain h5py, in which every step with a verdict is whole.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Final, Self
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from acquire.errors import RunFileError
+from acquire.plan import Plan
+from acquire.provenance import git_revision, package_versions
+from acquire.quality import Judgement, ReadBack, Verdict
+from acquire.reconstruction import Reconstruction
+from acquire.run_layout import (
+    EXACT_BYTES,
+    FORMAT,
+    FORMAT_VERSION,
+    MEASURED,
+    PLANNED_HZ,
+    READ_BACK_HZ,
+    RunLabels,
+    Status,
+    exact_text,
+    short_reason,
+)
+from drivers.roles import Bench, Frame
+from physics.optics import Layout, reed_axes_m
+
+_VERDICT_BYTES: Final = 16
+_SENTENCE_BYTES: Final = 240
+_TIME_BYTES: Final = 40
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredStep:
+    """What one acquisition gave.
+
+    Attributes
+    ----------
+    read_back : ReadBack
+    changed_s : float
+        When the last setting was changed, on the camera's clock.
+    frames : sequence of Frame
+    field : (height, width) complex64
+        Around the reed.
+    signal_to_noise, noise_level : float
+        Mean ``|H|²`` in the reed's region over that of an empty pixel, and the latter, in dn².
+    saturated_share : float
+    judgement : Judgement
+    """
+
+    read_back: ReadBack
+    changed_s: float
+    frames: Sequence[Frame]
+    field: npt.NDArray[np.complex64]
+    signal_to_noise: float
+    noise_level: float
+    saturated_share: float
+    judgement: Judgement
+
+
+class RunWriter:
+    """A run file that is being written. Used by one thread at a time.
+
+    Attributes
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path, file: Any, keep: str) -> None:
+        self.path = path
+        self._file = file
+        self._steps = file["entry/steps"]
+        self._keep = keep
+        self._signal = file["entry/data"]["field" if keep == "holograms" else "frames"]
+
+    @classmethod
+    def create(
+        cls,
+        path: str | Path,
+        plan: Plan,
+        bench: Bench,
+        labels: RunLabels,
+        reconstruction: Reconstruction,
+        uid: str,
+    ) -> Self:
+        """Make the file with everything that is known before the first step.
+
+        Parameters
+        ----------
+        path : str or Path
+        plan : Plan
+        bench : Bench
+            Open, with its camera configured.
+        labels : RunLabels
+        reconstruction : Reconstruction
+            Supplies the geometry that a reader needs to interpret pixels.
+        uid : str
+            Identifies the run everywhere.
+
+        Raises
+        ------
+        RunFileError
+            If the file exists already or cannot be made; none is left behind.
+        """
+        path = Path(path)
+        try:
+            file = h5py.File(path, "x")
+        except FileExistsError:
+            raise RunFileError(
+                f"{path}: exists already and is never overwritten; choose another name or move it"
+            ) from None
+        except OSError as error:
+            raise _cannot_make(path, error) from error
+        try:
+            _write_entry(file, plan, bench, labels, uid)
+            _write_instruments(file["entry"], plan, bench)
+            _write_steps(file["entry"], plan)
+            _write_data(file["entry"], plan, reconstruction)
+            file.flush()
+        except BaseException as error:
+            file.close()
+            path.unlink()
+            if isinstance(error, OSError):
+                raise _cannot_make(path, error) from error
+            raise
+        return cls(path, file, plan.protocol.keep)
+
+    def write(self, position: int, step: MeasuredStep) -> None:
+        """Write one step; on return all of it is with the operating system.
+
+        Parameters
+        ----------
+        position : int
+            Place in the plan, from 0.
+        step : MeasuredStep
+
+        Raises
+        ------
+        RunFileError
+            If the disk refuses.
+        """
+        try:
+            if self._keep == "holograms":
+                self._signal[position] = step.field
+            else:
+                for number, frame in enumerate(step.frames):
+                    self._signal[position, number] = frame.image
+            self._write_numbers(position, step)
+            self._file.flush()
+            self._write_judgement(position, step.judgement)
+        except OSError as error:
+            raise RunFileError(
+                f"{self.path}: step {position + 1} cannot be written ({short_reason(error)}); "
+                "make room on the disk; the steps before it are safe"
+            ) from error
+
+    def mark_interrupted(self, position: int, reason: str) -> None:
+        """Note that a step was begun and given up.
+
+        Raises
+        ------
+        RunFileError
+            If the disk refuses.
+        """
+        try:
+            self._write_judgement(position, Judgement(Verdict.INTERRUPTED, reason))
+        except OSError as error:
+            raise RunFileError(f"{self.path}: cannot be written ({short_reason(error)})") from error
+
+    def finish(self, status: Status) -> None:
+        """Write how the run ended, and close the file. Does nothing to a closed one.
+
+        Raises
+        ------
+        RunFileError
+            If the disk refuses.
+        """
+        if not self._file:
+            return
+        try:
+            self._file["entry/status"][()] = status
+            self._file["entry/end_time"][()] = _now()
+            self._file.close()
+        except OSError as error:
+            raise RunFileError(f"{self.path}: cannot be closed ({short_reason(error)})") from error
+
+    def discard(self) -> None:
+        """Close and remove a file that holds nothing worth keeping."""
+        self._file.close()
+        self.path.unlink(missing_ok=True)
+
+    def _write_numbers(self, position: int, step: MeasuredStep) -> None:
+        for column in READ_BACK_HZ:
+            hz: Fraction = getattr(step.read_back, column.removeprefix("read_"))
+            self._steps[column][position] = float(hz)
+            self._steps[f"{column}_exact"][position] = exact_text(hz)
+        self._steps["read_volts"][position] = step.read_back.volts
+        for column in ("changed_s", "signal_to_noise", "noise_level", "saturated_share"):
+            self._steps[column][position] = getattr(step, column)
+        for number, frame in enumerate(step.frames):
+            self._steps["timestamp_s"][position, number] = frame.timestamp_s
+            self._steps["frame_id"][position, number] = frame.id
+
+    def _write_judgement(self, position: int, judgement: Judgement) -> None:
+        sentence = judgement.sentence.encode()[:_SENTENCE_BYTES].decode(errors="ignore")
+        self._steps["sentence"][position] = sentence
+        self._steps["verdict"][position] = str(judgement.verdict)
+        self._file.flush()
+
+
+def _cannot_make(path: Path, error: OSError) -> RunFileError:
+    return RunFileError(
+        f"{path}: cannot be made ({short_reason(error)}); check folder, rights and room on the disk"
+    )
+
+
+def _write_entry(file: Any, plan: Plan, bench: Bench, labels: RunLabels, uid: str) -> None:
+    file.attrs.update(
+        {
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+            "default": "entry",
+            "NX_class": "NXroot",
+        }
+    )
+    protocol, preparation = plan.protocol, bench.preparation
+    entry = _group(file, "entry", "NXentry")
+    entry.attrs["default"] = "data"
+    _put(entry, "title", protocol.name)
+    _put(entry, "entry_identifier_uuid", uid)
+    _put(entry, "start_time", _now())
+    entry.create_dataset("end_time", data="", dtype=_text(_TIME_BYTES))
+    entry.create_dataset("status", data="running", dtype=_text(_VERDICT_BYTES))
+    _put(entry, "program_name", "reedbench")
+    _put(_group(entry, "user", "NXuser"), "name", labels.operator)
+    sample = _group(entry, "sample", "NXsample")
+    _put(sample, "name", preparation.reed)
+    _put(sample, "strength", np.nan if labels.strength is None else labels.strength)
+    _put(sample, "series", preparation.series)
+    _put(sample, "chamber", preparation.chamber)
+    _put(sample, "note", labels.note)
+    origin = _group(entry, "provenance", "NXcollection")
+    _put(origin, "protocol", protocol.text)
+    _put(origin, "protocol_sha256", protocol.sha256)
+    _put(origin, "bench", plan.bench.text)
+    _put(origin, "bench_fingerprint", bench.fingerprint)
+    _put(origin, "git_revision", git_revision() or "")
+    _put(origin, "package_versions", json.dumps(package_versions()))
+    _put(origin, "seed", bench.seed)
+
+
+def _write_instruments(entry: Any, plan: Plan, bench: Bench) -> None:
+    camera, optics, limits = plan.bench.instruments.camera, plan.bench.optics, plan.bench.limits
+    instrument = _group(entry, "instrument", "NXinstrument")
+    _put(instrument, "name", bench.name)
+    _put(instrument, "acoustic_lines", [float(hz) for hz in plan.bench.acoustic_lines_hz], "Hz")
+    for role, identity in bench.identities.items():
+        kind = "NXdetector" if role == "camera" else "NXcollection"
+        _put(_group(instrument, role, kind), "identity", identity)
+    detector, rows_columns = instrument["camera"], plan.frame_shape
+    _put(detector, "frame_rate", float(plan.protocol.camera.frame_rate_hz), "Hz")
+    _put(detector, "frame_rate_exact", exact_text(plan.protocol.camera.frame_rate_hz))
+    _put(detector, "count_time", float(plan.protocol.exposure_s), "s")
+    _put(detector, "bit_depth_readout", camera.bits)
+    _put(detector, "saturation_value", bench.camera.saturation_dn)
+    _put(detector, "pixel_size", float(camera.pixel_m), "m")
+    _put(detector, "rows", rows_columns[0])
+    _put(detector, "columns", rows_columns[1])
+    _put(instrument["synthesizers"], "sideband_order", plan.protocol.sideband.order)
+    _put(instrument["generator"], "volts_max", float(limits.volts_max_v), "V")
+    laser = _group(instrument, "laser", "NXsource")
+    _put(laser, "wavelength", float(optics.wavelength_m), "m")
+    _put(laser, "distance", float(optics.distance_m), "m")
+
+
+def _write_steps(entry: Any, plan: Plan) -> None:
+    steps, count = _group(entry, "steps", "NXcollection"), len(plan.steps)
+    frames = (count, max(step.frames for step in plan.steps))
+    _put(steps, "index", [step.index for step in plan.steps])
+    _put(steps, "volts", [step.volts for step in plan.steps], "V")
+    _put(steps, "carrier_leak", [step.carrier_leak for step in plan.steps])
+    for name in PLANNED_HZ:
+        _put_exact(steps, name, [getattr(step, name) for step in plan.steps])
+    for name in READ_BACK_HZ:
+        _allocate(steps, name, (count,), np.float64, np.nan, "Hz")
+        _allocate(steps, f"{name}_exact", (count,), _text(EXACT_BYTES), "")
+    for name, unit in MEASURED.items():
+        _allocate(steps, name, (count,), np.float64, np.nan, unit)
+    _allocate(steps, "timestamp_s", frames, np.float64, np.nan, "s")
+    _allocate(steps, "frame_id", frames, np.int64, -1)
+    _allocate(steps, "verdict", (count,), _text(_VERDICT_BYTES), str(Verdict.PENDING))
+    _allocate(steps, "sentence", (count,), _text(_SENTENCE_BYTES), "")
+
+
+def _write_data(entry: Any, plan: Plan, reconstruction: Reconstruction) -> None:
+    region, transform = reconstruction.region, reconstruction.transform
+    y_m, x_m = reed_axes_m(_layout(plan), region, transform)
+    data = _group(entry, "data", "NXdata")
+    # Soft, so that the axis is stored once.
+    data["drive_hz"] = h5py.SoftLink("/entry/steps/drive_hz")
+    _put(data, "y_m", y_m, "m")
+    _put(data, "x_m", x_m, "m")
+    where = _group(entry, "region", "NXcollection")
+    for name in ("row", "column", "height", "width"):
+        _put(where, name, getattr(region, name))
+    count, shape = len(plan.steps), (region.height, region.width)
+    kept: tuple[str, Any, tuple[int, ...], list[str]]
+    if plan.protocol.keep == "holograms":
+        kept = "field", np.complex64, shape, ["drive_hz", "y_m", "x_m"]
+    else:
+        frames = (max(step.frames for step in plan.steps), *plan.frame_shape)
+        kept = "frames", np.uint16, frames, ["drive_hz", ".", ".", "."]
+    name, dtype, step_shape, axes = kept
+    data.attrs.update({"signal": name, "axes": axes})
+    early = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    early.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+    # Zeros for steps to come are not written, the file system supplies them.
+    data.create_dataset(
+        name, (count, *step_shape), dtype, chunks=(1, *step_shape), dcpl=early, fill_time="never"
+    ).attrs["units"] = "dn"
+
+
+def _layout(plan: Plan) -> Layout:
+    optics = plan.bench.optics
+    return Layout(
+        wavelength_m=float(optics.wavelength_m),
+        distance_m=float(optics.distance_m),
+        reed_centre_m=(float(optics.reed_centre.y_m), float(optics.reed_centre.x_m)),
+        reed_size_m=(float(optics.reed_size.y_m), float(optics.reed_size.x_m)),
+    )
+
+
+def _group(parent: Any, name: str, kind: str) -> Any:
+    group = parent.create_group(name)
+    group.attrs["NX_class"] = kind
+    return group
+
+
+def _put(group: Any, name: str, value: object, unit: str = "") -> None:
+    dataset = group.create_dataset(name, data=value)
+    if unit:
+        dataset.attrs["units"] = unit
+
+
+def _put_exact(group: Any, name: str, values: Sequence[Fraction]) -> None:
+    _put(group, name, [float(value) for value in values], "Hz")
+    texts = [exact_text(value) for value in values]
+    group.create_dataset(f"{name}_exact", data=texts, dtype=_text(EXACT_BYTES))
+
+
+def _allocate(
+    group: Any, name: str, shape: tuple[int, ...], dtype: Any, empty: object, unit: str = ""
+) -> None:
+    """Make a column and write it, so that HDF5 allocates its bytes now."""
+    dataset = group.create_dataset(name, shape, dtype)
+    dataset[...] = empty
+    if unit:
+        dataset.attrs["units"] = unit
+
+
+def _text(length: int) -> Any:
+    return h5py.string_dtype("utf-8", length)
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -1,0 +1,82 @@
+"""Sweeps from Python: load a protocol, change it, plan it, run it.
+
+What `acquire run` does, for those who script sweeps; the README shows it in ten lines.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from acquire.bench_file import DEFAULT_BENCH, BenchFile
+from acquire.plan import Plan, make_plan
+from acquire.protocol import Protocol
+from acquire.recorder import StepReport
+from acquire.runfile import RunLabels
+from acquire.runner import RunSummary
+from acquire.runner import run as measure
+from drivers.registry import open_bench
+from drivers.roles import Preparation
+
+
+def load(name_or_path: str | Path) -> Protocol:
+    """Read a protocol file, or a shipped protocol by its name.
+
+    Raises
+    ------
+    ProtocolError
+        If there is no such file or anything in it is wrong.
+    """
+    return Protocol.from_file(name_or_path)
+
+
+def plan(protocol: Protocol, bench: str | Path | BenchFile = DEFAULT_BENCH) -> Plan:
+    """Work out every setting of a sweep on a bench, without touching an instrument.
+
+    Raises
+    ------
+    ProtocolError
+        If the bench file is wrong. What the bench cannot do stands in `Plan.violations`.
+    """
+    described = bench if isinstance(bench, BenchFile) else BenchFile.from_file(bench)
+    return make_plan(protocol, described)
+
+
+def run(
+    plan: Plan,
+    path: str | Path,
+    *,
+    reed: str = "unnamed",
+    labels: RunLabels | None = None,
+    seed: int = 0,
+    progress: Callable[[StepReport], None] | None = None,
+    announce: Callable[[str], None] | None = None,
+) -> RunSummary:
+    """Open the plan's bench, measure, and close it.
+
+    Parameters
+    ----------
+    plan : Plan
+    path : path
+        Of the run file, which must not exist; its folder is made.
+    reed : str
+        Name that tells this reed from all others. On a simulated bench it is also which reed.
+    labels : RunLabels, optional
+        Strength, note and operator.
+    seed : int
+        Of everything random on a simulated bench.
+    progress, announce : callable, optional
+        Told of every step, and of what is being waited for.
+
+    Raises
+    ------
+    ProtocolError
+        If the bench cannot carry out the plan; nothing was opened or written.
+    InstrumentError, RunFileError
+        See `acquire.runner.run`.
+    """
+    plan.require_possible()
+    path, protocol = Path(path), plan.protocol
+    with open_bench(
+        plan.bench, Preparation(reed, protocol.series, protocol.chamber), seed, announce
+    ) as bench:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return measure(plan, bench, path, labels, progress)

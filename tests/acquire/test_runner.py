@@ -1,0 +1,566 @@
+"""The runner: what it asks of instruments, in which order, and how it leaves them."""
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import acquire
+from acquire.errors import ProtocolError, RunFileError
+from acquire.plan import Plan
+from acquire.quality import Verdict
+from acquire.runfile import Run, RunLabels
+from acquire.runner import RAMP_S, Runner, RunState, run, safe_off
+from drivers.errors import InstrumentError
+
+ROOT = Path(acquire.__file__).parents[1]
+
+SAFE_OFF = ["ramp_to", "output_off", "read", "rf_off", "stop"]
+# What a run asks of instruments before and during its steps.
+USED = ["output_off", "configure", "rf_on", "start", "set_pair", "set_sine", "ramp_to", "read"]
+USED += ["read_pair", "grab"]
+
+
+def left_safe(fake):
+    return not fake.output_on and not fake.rf and not fake.running
+
+
+def runner_of(plan, fake, path, progress=lambda report: None):
+    return Runner(plan, fake.opened(), path, RunLabels(), progress)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "run.h5"
+
+
+# --- A run from beginning to end ---------------------------------------------------------------
+
+
+def test_orders_come_in_the_order_of_the_state_diagram(tiny_plan, fake_bench, path):
+    plan, fake = tiny_plan(steps=2), fake_bench()
+    run(plan, fake.opened(), path)
+    first = ["set_pair", "set_sine", "ramp_to", "read", "read_pair", "grab"]
+    later = ["set_pair", "set_sine", "read", "read_pair", "grab"]
+    opening = ["output_off", "configure", "rf_on", "start"]
+    assert fake.names() == [*opening, *first, *later, *SAFE_OFF]
+    one, two = plan.steps
+    orders = fake.log[4:]
+    assert orders[0] == ("set_pair", one.aom1_hz, one.aom2_hz)
+    assert orders[1] == ("set_sine", one.drive_hz, 0.0), "the output comes on without a jump"
+    assert orders[2] == ("ramp_to", one.volts, RAMP_S)
+    assert orders[7] == ("set_sine", two.drive_hz, two.volts)
+    assert fake.log[-5] == ("ramp_to", 0.0, RAMP_S)
+    assert RAMP_S >= 0.05
+    protocol = plan.protocol
+    rate_hz, exposure_s = protocol.camera.frame_rate_hz, protocol.exposure_s
+    assert fake.log[1] == ("configure", rate_hz, exposure_s, plan.frame_shape)
+
+
+def test_frames_are_asked_for_after_the_settle_time(tiny_plan, fake_bench, path):
+    plan, fake = tiny_plan(steps=3, settle="0.7 s"), fake_bench()
+    run(plan, fake.opened(), path)
+    with Run.open(path) as measured:
+        grabs = [entry for entry in fake.log if entry[0] == "grab"]
+        for step, (_, count, not_before_s) in zip(measured, grabs, strict=True):
+            assert count == 4
+            assert not_before_s == pytest.approx(step.changed_s + 0.7)
+            assert step.timestamps_s[0] >= step.changed_s + 0.7
+            assert step.verdict is not Verdict.STALE
+
+
+def test_a_simulated_run_is_good_and_complete(small_plan, open_small_bench, path):
+    plan, reports = small_plan(), []
+    summary = run(plan, open_small_bench(plan), path, progress=reports.append)
+    assert summary.status is RunState.COMPLETE
+    assert summary.counts == {Verdict.OK: 5}
+    assert (summary.steps, summary.path, summary.unconfirmed) == (5, path, ())
+    assert [report.done for report in reports] == [1, 2, 3, 4, 5]
+    assert [report.index for report in reports] == [step.index for step in plan.steps]
+    assert [report.drive_hz for report in reports] == [float(s.drive_hz) for s in plan.steps]
+    assert all(report.of == 5 and report.seconds_left >= 0 for report in reports)
+    assert reports[-1].seconds_left == 0
+    with Run.open(path) as measured:
+        assert measured.status == "complete"
+        assert measured.good.all()
+        for step in measured:
+            assert step.read_drive_hz == step.drive_hz
+            assert step.signal_to_noise > 5
+            assert len(set(step.frame_ids)) == 4
+
+
+def test_a_run_follows_from_its_seed(small_plan, open_small_bench, tmp_path):
+    plan, fields = small_plan(), []
+    for name, seed in (("one", 1), ("same", 1), ("other", 2)):
+        run(plan, open_small_bench(plan, seed=seed), tmp_path / f"{name}.h5")
+        with Run.open(tmp_path / f"{name}.h5") as measured:
+            fields.append(np.stack([measured.field(position) for position in range(5)]))
+    np.testing.assert_array_equal(fields[0], fields[1])
+    assert (fields[0] != fields[2]).mean() > 0.9
+
+
+def test_frames_and_holograms_of_one_seed_are_the_same_light(
+    small_plan, open_small_bench, tmp_path
+):
+    fields = []
+    for keep in ("holograms", "frames"):
+        plan = small_plan({"keep": keep})
+        run(plan, open_small_bench(plan), tmp_path / f"{keep}.h5")
+        with Run.open(tmp_path / f"{keep}.h5") as measured:
+            fields.append([measured.field(position) for position in range(5)])
+    np.testing.assert_array_equal(*fields)
+
+
+def test_in_real_time_the_same_run_is_good(small_plan, open_small_bench, path):
+    plan = small_plan({"sweep.last": 16}, pace="realtime")
+    begun_s = time.monotonic()
+    summary = run(plan, open_small_bench(plan), path)
+    assert summary.counts == {Verdict.OK: 2}
+    # Four frames a step and the settle time pass on the wall.
+    assert time.monotonic() - begun_s > 2 * (4 / 12.4 + 0.1)
+
+
+def test_the_camera_is_at_most_three_steps_ahead_of_the_disk(tiny_plan, fake_bench, path):
+    fake, ahead = fake_bench(), []
+
+    def slow(report):
+        time.sleep(0.02)
+        ahead.append(fake.names().count("grab") - report.done)
+
+    run(tiny_plan(steps=8), fake.opened(), path, progress=slow)
+    assert max(ahead) <= 3
+
+
+def test_a_run_may_live_on_another_thread(tiny_plan, fake_bench, path):
+    summaries = []
+    thread = threading.Thread(
+        target=lambda: summaries.append(run(tiny_plan(), fake_bench().opened(), path))
+    )
+    thread.start()
+    thread.join()
+    assert summaries[0].status is RunState.COMPLETE
+
+
+# --- What is wrong with a bench becomes a verdict ----------------------------------------------
+
+
+def verdicts_of(plan, bench, path):
+    run(plan, bench, path)
+    with Run.open(path) as measured:
+        return [step.verdict for step in measured]
+
+
+def test_the_printed_formula_of_the_paper_is_caught(small_plan, open_small_bench, path):
+    """The paper prints (f + f_CCD)/4; decision 0001."""
+    plan = small_plan()
+    rate_hz = plan.protocol.camera.frame_rate_hz
+    steps = []
+    for step in plan.steps:
+        printed_hz = (step.drive_hz + rate_hz) / 4
+        changes = {"difference_hz": printed_hz, "aom1_hz": step.aom2_hz + printed_hz}
+        fields = {name: getattr(step, name) for name in type(step).__slots__}
+        steps.append(type(step)(**(fields | changes)))
+    wrong = Plan(plan.protocol, plan.bench, tuple(steps), ())
+    assert verdicts_of(wrong, open_small_bench(wrong), path) == [Verdict.LOCK] * 5
+    with Run.open(path) as measured:
+        assert max(step.signal_to_noise for step in measured) < 2, "and there is no light"
+        assert "off the lock" in measured.steps[0].sentence
+
+
+@pytest.mark.parametrize(
+    ("faults", "verdicts"),
+    [
+        ({"drop_frame_at": [2, 5]}, ["ok", "dropped", "ok", "ok", "dropped"]),
+        ({"stale_frame_at": [3]}, ["ok", "ok", "stale", "ok", "ok"]),
+        ({"local_oscillator_factor": 4}, ["saturated"] * 5),
+        ({"tweeter_unplugged": True}, ["no_signal"] * 5),
+        ({"frame_rate_error_ppm": 5000.0}, ["lock"] * 5),
+        ({"frame_rate_error_ppm": 50.0}, ["ok"] * 5),
+        # Two things wrong at once: the more severe is named.
+        ({"drop_frame_at": [3], "stale_frame_at": [3]}, ["ok", "ok", "dropped", "ok", "ok"]),
+        (
+            {"stale_frame_at": [3], "frame_rate_error_ppm": 5000.0},
+            ["lock", "lock", "stale", "lock", "lock"],
+        ),
+        ({"frame_rate_error_ppm": 5000.0, "local_oscillator_factor": 4}, ["lock"] * 5),
+        ({"local_oscillator_factor": 4, "tweeter_unplugged": True}, ["saturated"] * 5),
+    ],
+)
+def test_each_fault_has_its_verdict(small_plan, open_small_bench, path, faults, verdicts):
+    plan = small_plan(faults=faults)
+    assert verdicts_of(plan, open_small_bench(plan), path) == verdicts
+
+
+def test_a_camera_that_gives_too_few_frames_is_dropped(tiny_plan, fake_bench, path):
+    fake = fake_bench()
+    bench = fake.opened()
+    whole = bench.camera.grab
+    bench.camera.grab = lambda count, not_before_s: whole(count, not_before_s)[: fake.next_id % 3]
+    verdicts = verdicts_of(tiny_plan(), bench, path)
+    assert verdicts == [Verdict.DROPPED] * 3
+
+
+def test_an_output_that_tripped_stops_the_run(tiny_plan, fake_bench, path):
+    fake = fake_bench()
+
+    def trip(name, count):
+        if (name, count) == ("read", 2):
+            fake.output_on = False
+
+    fake.before = trip
+    with pytest.raises(InstrumentError, match="output is off at step 14"):
+        run(tiny_plan(), fake.opened(), path)
+    assert left_safe(fake)
+
+
+# --- Nothing is touched before all is checked --------------------------------------------------
+
+
+def test_an_impossible_plan_touches_no_instrument(tiny_plan, fake_bench, path):
+    plan, fake = tiny_plan(**{"drive.ramp.to": "17 V"}), fake_bench()
+    with pytest.raises(ProtocolError, match="17 V is above"):
+        run(plan, fake.opened(), path)
+    assert fake.log == []
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("name", ["run.h5", "run.documents.jsonl"])
+def test_an_existing_file_is_kept_and_no_instrument_touched(tiny_plan, fake_bench, path, name):
+    fake, existing = fake_bench(), path.with_name(name)
+    existing.write_text("precious")
+    with pytest.raises(RunFileError, match="exists already"):
+        run(tiny_plan(), fake.opened(), path)
+    assert fake.log == []
+    assert existing.read_text() == "precious"
+    assert list(path.parent.iterdir()) == [existing]
+
+
+def test_a_missing_folder_or_a_full_disk_is_found_before(
+    tiny_plan, fake_bench, tmp_path, monkeypatch
+):
+    fake = fake_bench()
+    with pytest.raises(RunFileError, match="there is no folder"):
+        run(tiny_plan(), fake.opened(), tmp_path / "nowhere" / "run.h5")
+    usage = type("Usage", (), {"free": 100})
+    monkeypatch.setattr("acquire.recorder.shutil.disk_usage", lambda folder: usage)
+    with pytest.raises(RunFileError, match="has 0 MB left; make room"):
+        run(tiny_plan(), fake.opened(), tmp_path / "run.h5")
+    assert fake.log == []
+
+
+def test_a_runner_runs_once(tiny_plan, fake_bench, path):
+    runner = runner_of(tiny_plan(), fake_bench(), path)
+    assert runner.state is RunState.IDLE
+    runner.execute()
+    assert runner.state is RunState.COMPLETE
+    with pytest.raises(RuntimeError, match="complete cannot become opening"):
+        runner.execute()
+
+
+# --- Every way out leaves the bench safe -------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", USED)
+@pytest.mark.parametrize("count", [1, 3])
+def test_whatever_fails_the_bench_is_left_safe(tiny_plan, fake_bench, path, order, count):
+    """From the count-th time on the order fails, in the run and while switching off."""
+    fake = fake_bench(failing={order: count})
+    used = {"configure": 1, "rf_on": 1, "start": 1, "output_off": 2, "ramp_to": 2}
+    runner = runner_of(tiny_plan(steps=4), fake, path)
+    if count > used.get(order, 4):
+        assert runner.execute().status is RunState.COMPLETE
+    else:
+        with pytest.raises(InstrumentError, match=f"{order} fails") as caught:
+            runner.execute()
+        assert runner.state is RunState.FAILED
+        notes = " ".join(getattr(caught.value, "__notes__", []))
+        assert (order in notes) == (order in SAFE_OFF)
+        assert path.exists() == (fake.names().count("grab") > (order == "grab"))
+    attempted = [name for name in fake.names() if name in SAFE_OFF]
+    # Whether the output is off is only asked after the order to switch it off went through.
+    unanswered = order == "output_off" and count <= used[order]
+    expected = [name for name in SAFE_OFF if not (unanswered and name == "read")]
+    assert attempted[-len(expected) :] == expected
+    assert not fake.running
+    assert not fake.rf
+    if order != "output_off":
+        assert not fake.output_on
+
+
+def test_each_switch_is_tried_whatever_became_of_the_others(fake_bench):
+    names = ["ramp_to", "output_off", "rf_off", "stop"]
+    for failing in itertools.chain.from_iterable(
+        itertools.combinations(names, count) for count in range(5)
+    ):
+        fake = fake_bench(failing=dict.fromkeys(failing, 1), output_on=True, rf=True, running=True)
+        unconfirmed = safe_off(fake.opened())
+        assert [name for name in fake.names() if name in names] == names
+        assert len(unconfirmed) == len(failing)
+        for name, message in zip(failing, unconfirmed, strict=True):
+            assert f"fake: {name} fails" in message
+
+
+def test_an_output_that_stays_on_is_reported(fake_bench):
+    fake = fake_bench(output_on=True)
+    bench = fake.opened()
+    bench.generator.output_off = lambda: None
+    assert safe_off(bench) == (
+        "tweeter output off: generator: its output is still on; pull the tweeter's cable",
+    )
+
+
+def test_what_was_not_confirmed_stands_in_the_summary(tiny_plan, fake_bench, path):
+    summary = run(tiny_plan(), fake_bench(failing={"rf_off": 1}).opened(), path)
+    assert summary.status is RunState.COMPLETE
+    assert summary.unconfirmed == ("RF off: fake: rf_off fails; mend it",)
+
+
+def test_a_failed_step_keeps_those_before_it(tiny_plan, fake_bench, path):
+    fake = fake_bench(failing={"grab": 3})
+    with pytest.raises(InstrumentError):
+        run(tiny_plan(steps=5), fake.opened(), path)
+    with Run.open(path) as measured:
+        assert measured.status == "failed"
+        assert [step.verdict.measured for step in measured] == [True, True, False, False, False]
+        assert measured.steps[2].verdict is Verdict.INTERRUPTED
+        assert measured.steps[2].sentence == "fake: grab fails; mend it"
+        assert measured.steps[3].verdict is Verdict.PENDING
+        measured.field(1)
+
+
+def test_a_run_that_recorded_nothing_leaves_nothing(tiny_plan, fake_bench, path):
+    with pytest.raises(InstrumentError):
+        run(tiny_plan(), fake_bench(failing={"rf_on": 1}).opened(), path)
+    assert list(path.parent.iterdir()) == []
+
+
+def test_what_goes_wrong_behind_the_camera_stops_the_run(tiny_plan, fake_bench, path):
+    fake = fake_bench()
+
+    def broken(report):
+        if report.done == 2:
+            raise ZeroDivisionError("a broken display")
+
+    with pytest.raises(ZeroDivisionError, match="a broken display"):
+        run(tiny_plan(steps=20), fake.opened(), path, progress=broken)
+    assert fake.names().count("grab") <= 6, "soon after the second step"
+    assert fake.names()[-5:] == SAFE_OFF
+    assert left_safe(fake)
+    with Run.open(path) as measured:
+        assert measured.status == "failed"
+
+
+def test_a_disk_that_fills_up_stops_the_run(tiny_plan, fake_bench, path, monkeypatch):
+    from acquire.run_writer import RunWriter
+
+    written = RunWriter.write
+
+    def full(writer, position, step):
+        if position >= 1:
+            raise RunFileError("run.h5: step 2 cannot be written (No space left on device)")
+        written(writer, position, step)
+
+    monkeypatch.setattr(RunWriter, "write", full)
+    fake = fake_bench()
+    with pytest.raises(RunFileError, match="No space left"):
+        run(tiny_plan(steps=20), fake.opened(), path)
+    assert left_safe(fake)
+    with Run.open(path) as measured:
+        assert measured.status == "failed"
+        assert [step.verdict.measured for step in measured][:2] == [True, False]
+
+
+# --- Interrupts --------------------------------------------------------------------------------
+
+
+def test_stop_ends_the_run_at_a_step_boundary(tiny_plan, fake_bench, path):
+    fake = fake_bench()
+    runner = runner_of(tiny_plan(steps=9), fake, path)
+    fake.before = lambda name, count: (name, count) == ("set_sine", 3) and runner.stop()
+    summary = runner.execute()
+    assert summary.status is runner.state is RunState.INTERRUPTED
+    assert sum(summary.counts.values()) == fake.names().count("grab") == 3
+    assert fake.names()[-5:] == SAFE_OFF
+    assert left_safe(fake)
+    with Run.open(path) as measured:
+        assert measured.status == "interrupted"
+        assert [step.verdict.measured for step in measured] == [True] * 3 + [False] * 6
+
+
+def test_a_stop_during_the_last_step_leaves_a_complete_run(tiny_plan, fake_bench, path):
+    fake = fake_bench()
+    runner = runner_of(tiny_plan(steps=2), fake, path)
+    fake.before = lambda name, count: (name, count) == ("grab", 2) and runner.stop()
+    assert runner.execute().status is RunState.COMPLETE
+
+
+def test_a_second_ctrl_c_gives_up_the_step_but_not_the_safe_off(tiny_plan, fake_bench, path):
+    fake = fake_bench()
+    runner = runner_of(tiny_plan(steps=9), fake, path)
+
+    def impatient(name, count):
+        switching_off = runner.state is RunState.CLOSING
+        if (name, count) == ("grab", 3) or switching_off:
+            runner.interrupt()
+            runner.interrupt()
+
+    fake.before = impatient
+    summary = runner.execute()
+    assert summary.status is RunState.INTERRUPTED
+    assert summary.unconfirmed == ()
+    assert left_safe(fake)
+    assert fake.names()[-5:] == SAFE_OFF
+    with Run.open(path) as measured:
+        verdicts = [step.verdict for step in measured]
+        assert [verdict.measured for verdict in verdicts] == [True] * 2 + [False] * 7
+        assert verdicts[2] is Verdict.INTERRUPTED
+        assert "second Ctrl-C" in measured.steps[2].sentence
+
+
+def test_a_second_ctrl_c_while_switching_off_changes_nothing(tiny_plan, fake_bench, path):
+    fake = fake_bench()
+    runner = runner_of(tiny_plan(steps=3), fake, path)
+    fake.before = lambda name, count: runner.state is RunState.CLOSING and runner.interrupt()
+    runner.stop()
+    assert runner.execute().unconfirmed == ()
+    assert left_safe(fake)
+
+
+@given(
+    events=st.lists(
+        st.tuples(
+            st.sampled_from(["fail", "stop", "interrupt", "interrupt twice", "break display"]),
+            st.integers(0, 40),
+        ),
+        max_size=3,
+    ),
+    stubborn=st.sets(st.sampled_from(SAFE_OFF), max_size=2),
+)
+@settings(
+    deadline=None,
+    max_examples=60,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+def test_whatever_happens_when_the_run_ends_in_a_known_state(
+    tiny_plan, fake_bench, tmp_path_factory, events, stubborn
+):
+    """At any orders instruments fail, people interrupt, or the display breaks."""
+    path = tmp_path_factory.mktemp("any") / "run.h5"
+    fake, broken = fake_bench(), threading.Event()
+
+    def display(report):
+        if broken.is_set():
+            raise ZeroDivisionError("a broken display")
+
+    runner = runner_of(tiny_plan(steps=5), fake, path, display)
+
+    def happen(name, count):
+        closing = runner.state is RunState.CLOSING
+        if closing and name in stubborn:
+            raise InstrumentError(f"fake: {name} fails while switching off; mend it")
+        for event, when in events:
+            if when != len(fake.log):
+                continue
+            if event == "fail" and not closing:
+                raise InstrumentError("fake: fails; mend it")
+            if event == "stop":
+                runner.stop()
+            if event.startswith("interrupt"):
+                runner.interrupt()
+            if event == "interrupt twice":
+                runner.interrupt()
+            if event == "break display":
+                broken.set()
+
+    fake.before = happen
+    try:
+        ended = runner.execute().status
+    except (InstrumentError, ZeroDivisionError):
+        ended = RunState.FAILED
+    assert runner.state is ended
+    assert ended in (RunState.COMPLETE, RunState.INTERRUPTED, RunState.FAILED)
+    switches = [name for name in fake.names() if name in ("ramp_to", "rf_off", "stop")]
+    assert switches[-3:] == ["ramp_to", "rf_off", "stop"], "each exactly at the end"
+    assert fake.names().count("rf_off") == fake.names().count("stop") == 1
+    if not stubborn:
+        assert left_safe(fake)
+    if not path.exists():
+        assert ended is RunState.FAILED
+        return
+    with Run.open(path) as measured:
+        assert measured.status == str(ended)
+        whole = [step.verdict.measured for step in measured]
+        assert whole == sorted(whole, reverse=True), "the steps measured come first"
+        assert all(whole) or ended is not RunState.COMPLETE
+
+
+CHILD = """
+import sys
+from acquire.bench_file import BenchFile
+from acquire.plan import make_plan
+from acquire.protocol import Protocol
+from acquire.runner import run
+from drivers.registry import open_bench
+from drivers.roles import Preparation
+
+protocol = Protocol.from_file("quick").replace({"camera.width": 160, "camera.height": 128})
+bench_file = BenchFile.from_file().replace({"twin": {"mesh": "coarse", "pace": "realtime"}})
+with open_bench(bench_file, Preparation("R07", "A", "asymmetric")) as bench:
+    tell = lambda report: print(report.done, flush=True)
+    summary = run(make_plan(protocol, bench_file), bench, sys.argv[1], progress=tell)
+    on = bench.generator.read()[2], bench.camera.lab.state.rf_on, bench.camera.lab.state.drive_v
+print(summary.status, *on, flush=True)
+"""
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [[signal.SIGINT], [signal.SIGTERM], [signal.SIGINT, signal.SIGINT, signal.SIGINT]],
+    ids=["ctrl-c", "terminate", "impatient"],
+)
+def test_a_real_signal_ends_a_real_process_safely(reed_cache, path, numbers):
+    child = subprocess.Popen(
+        [sys.executable, "-c", CHILD, str(path)],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+    )
+    with child:
+        for _ in range(2):
+            child.stdout.readline()
+        for number in numbers:
+            child.send_signal(number)
+            time.sleep(0.05)
+        last = child.communicate(timeout=30)[0].splitlines()[-1]
+    assert child.returncode == 0
+    assert last == "interrupted False False 0.0"
+    with Run.open(path) as measured:
+        assert measured.status == "interrupted"
+        whole = [step.verdict.measured for step in measured]
+        assert 2 <= sum(whole) < 44
+        assert whole == sorted(whole, reverse=True)
+
+
+def test_the_signal_handlers_of_the_program_come_back(tiny_plan, fake_bench, path):
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    with pytest.raises(InstrumentError):
+        run(tiny_plan(), fake_bench(failing={"grab": 1}).opened(), path)
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+
+
+def test_frequencies_reach_the_instruments_as_exact_fractions(tiny_plan, fake_bench, path):
+    fake = fake_bench()
+    run(tiny_plan(), fake.opened(), path)
+    sent = [entry[1] for entry in fake.log if entry[0] in ("set_pair", "set_sine")]
+    assert all(isinstance(hz, Fraction) for hz in sent)

@@ -86,7 +86,9 @@ class FiniteElementModel:
 
 
 def _at(splines: tuple[RectBivariateSpline, ...], E_L_pa: Array, G_LT_pa: Array) -> Array:
-    points = zip(splines, np.log(E_L_pa), np.log(G_LT_pa), strict=True)
+    E = np.log(np.clip(E_L_pa, _E_L_PA[0], _E_L_PA[-1]))
+    G = np.log(np.clip(G_LT_pa, _G_LT_PA[0], _G_LT_PA[-1]))
+    points = zip(splines, E, G, strict=True)
     return np.array([float(spline.ev(e, g)) for spline, e, g in points])
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,10 @@ Array = NDArray[np.floating[Any]]
 COMPONENTS = ("e1", "e2", "e3", "e4")
 # Below this likeness, relative to a pure mode, it has given part of its name away.
 _LEAST_LIKENESS = 0.85
+# No reed is so far from the mean of the population, in its standard deviations.
+_FARTHEST_SD = 6.0
+# Residuals beyond this many standard errors count less in the first look.
+_OUTLIER = 2.0
 # The paper quotes storage moduli at this frequency (Tables 6 and 7).
 QUOTED_HZ = 4000.0
 
@@ -98,10 +102,10 @@ def fit_components(
         for name, found in named.items()
         if name in model.modes
     ]
-    values, covariance, chi2 = _least_squares(observed, model, len(free))
+    # Modes that exchange shapes are known only once the cane is: a first, robust look at all.
+    values, *_ = _least_squares(observed, model, len(free), loss="soft_l1")
     distinct = [o for o in observed if _likeness(o, values, model) >= _LEAST_LIKENESS]
-    if len(distinct) < len(observed):
-        values, covariance, chi2 = _least_squares(distinct, model, len(free))
+    values, covariance, chi2 = _least_squares(distinct, model, len(free))
     residual = _residual_cents(distinct, values, model)
     return ReedParameters(
         components={
@@ -137,7 +141,10 @@ class _Observation:
 
 
 def _least_squares(
-    observed: Sequence[_Observation], model: ForwardModel, count: int
+    observed: Sequence[_Observation],
+    model: ForwardModel,
+    count: int,
+    loss: Literal["linear", "soft_l1"] = "linear",
 ) -> tuple[Array, Array, float]:
     """Best components (count,), their covariance, and χ² per degree of freedom."""
     if len(observed) <= count:
@@ -150,7 +157,8 @@ def _least_squares(
     def weighted(values: Array) -> Array:
         return np.asarray(_residual_cents(observed, values, model) / errors)
 
-    solution = least_squares(weighted, np.zeros(count))
+    limits = (-_FARTHEST_SD, _FARTHEST_SD)
+    solution = least_squares(weighted, np.zeros(count), bounds=limits, loss=loss, f_scale=_OUTLIER)
     jacobian = np.asarray(solution.jac, dtype=float)
     chi2 = float(2 * solution.cost / (len(observed) - count))
     # A misfit larger than the errors explain is charged to the components.

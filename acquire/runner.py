@@ -323,7 +323,7 @@ def safe_off(bench: Bench) -> tuple[str, ...]:
 
 def _output_off(bench: Bench) -> None:
     bench.generator.output_off()
-    if False:
+    if bench.generator.read()[2]:
         raise InstrumentError("generator: its output is still on; pull the tweeter's cable")
 
 

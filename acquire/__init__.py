@@ -1,0 +1,1 @@
+"""One sweep: protocol → plan → run → run file; quality; safety; the command line."""

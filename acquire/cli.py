@@ -6,6 +6,7 @@ standard error. Exit status: 2 for bad input, 1 for a failed run, 130 for an int
 
 import functools
 import json
+import os
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
@@ -133,9 +134,11 @@ def run(
     planned.require_possible()
     path = out or _default_path(planned.protocol.series, reed)
     labels = RunLabels(strength, note, operator)
-    with sweep_progress(_words(), len(planned.steps)) as show:
+    words = _words()
+    with sweep_progress(words, len(planned.steps)) as show:
+        tell = functools.partial(words.print, markup=False, soft_wrap=True)
         summary = script.run(
-            planned, path, reed=reed, labels=labels, seed=seed, progress=show, announce=_tell
+            planned, path, reed=reed, labels=labels, seed=seed, progress=show, announce=tell
         )
     with Run.open(path) as finished:
         closing = run_summary(summary, troubles_of(finished))
@@ -275,4 +278,8 @@ def list_runs(
 
 def main() -> None:
     """Entry point of the `acquire` command."""
+    # The runner has two threads of its own; more of them within one matrix product only wait for
+    # each other. Read by numpy's libraries when a verb first imports them.
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
     app()

@@ -115,12 +115,13 @@ def troubles_of(run: Run) -> list[str]:
 def runs_table(runs: Sequence[dict[str, object]]) -> Table:
     """Table of the runs of a folder (see `catalogue`)."""
     table = Table()
-    for head in ("file", "start", "reed", "strength", "series", "status", "good", "note"):
-        table.add_column(head)
+    for head in ("run", "reed", "strength", "series", "status", "good", "note"):
+        # Names of files must be whole to be of use.
+        table.add_column(head, overflow="fold")
     for run in runs:
         good = f"{run['good']}/{run['steps']}"
         strength = "" if run["strength"] is None else f"{run['strength']:g}"
-        cells = (run["path"], run["start"], run["reed"], strength, run["series"], run["status"])
+        cells = (run["path"], run["reed"], strength, run["series"], run["status"])
         table.add_row(*map(str, cells), good, str(run["note"]))
     return table
 

@@ -1,0 +1,108 @@
+"""The mesh of the half reed: where its nodes lie, and which reeds it refuses."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.special import roots_jacobi
+
+from physics.reed.fem import assemble
+from physics.reed.geometry import ReedGeometry, half_width_m, kink_x_m, thickness_m, tip_x_m
+from physics.reed.mesh import MeshLevel, build_mesh, lobatto_points
+
+LEVELS = [MeshLevel(orders=(2, 2, 2)), MeshLevel(), MeshLevel(orders=(4, 4, 2))]
+
+
+@pytest.fixture(scope="module", params=LEVELS, ids=lambda level: "".join(map(str, level.orders)))
+def mesh(request):
+    return build_mesh(ReedGeometry(), request.param)
+
+
+def columns(mesh):
+    """Nodes of the block, (nx, ny, nz, 3)."""
+    return mesh.nodes_m.reshape(*mesh.block, 3)
+
+
+@pytest.mark.parametrize("order", [2, 3, 4, 5])
+def test_lobatto_points_are_the_roots_of_a_jacobi_polynomial(order):
+    inner = 0.5 * (1 + roots_jacobi(order - 1, 1, 1)[0])
+    np.testing.assert_allclose(lobatto_points(order), [0, *inner, 1], atol=1e-14)
+
+
+def test_nodes_lie_between_the_flat_side_and_the_bark(mesh):
+    nodes = columns(mesh)
+    x, y, z = np.moveaxis(nodes, -1, 0)
+    np.testing.assert_array_equal(z[..., 0], 0)
+    np.testing.assert_allclose(z[..., -1], thickness_m(ReedGeometry(), x[..., 0], y[..., 0]))
+    assert np.all(np.diff(z, axis=2) > 0)
+
+
+def test_border_nodes_lie_on_the_contour(mesh):
+    plan = columns(mesh)[:, :, 0, :2]
+    tip, side = plan[0], plan[:, -1]
+    np.testing.assert_allclose(tip[:, 0], tip_x_m(tip[:, 1]), atol=1e-12)
+    # The kink's line bends the rows behind it by a few µm: the side is straight there.
+    np.testing.assert_allclose(side[:, 1], half_width_m(side[:, 0]), atol=1e-6)
+    np.testing.assert_allclose(plan[-1, :, 0], 67.5e-3)
+
+
+def test_a_line_of_nodes_follows_the_kink(mesh):
+    plan = columns(mesh)[:, :, 0, :2]
+    distance = np.abs(plan[..., 0] - kink_x_m(ReedGeometry(), plan[..., 1]).reshape(plan.shape[:2]))
+    assert distance.max(axis=1).min() < 1e-9
+
+
+def test_clamped_nodes_are_those_under_the_strip_on_the_bark(mesh):
+    x, y, z = mesh.nodes_m[mesh.clamped].T
+    assert (x.min(), x.max()) == pytest.approx((38.2e-3, 61.2e-3))
+    assert (y.min(), y.max()) == pytest.approx((2.5e-3, 3.5e-3))
+    np.testing.assert_allclose(z, thickness_m(ReedGeometry(), x, y))
+    inside = (np.abs(mesh.nodes_m[:, 0] - 50e-3) < 8e-3) & (mesh.nodes_m[:, 1] == 3e-3)
+    assert mesh.clamped[inside].sum() * mesh.block[2] == inside.sum()
+
+
+def test_midplane_nodes_are_those_on_the_axis(mesh):
+    np.testing.assert_array_equal(mesh.midplane, mesh.nodes_m[:, 1] == 0)
+    assert mesh.midplane.sum() == mesh.block[0] * mesh.block[2]
+
+
+def test_elements_share_faces_and_use_every_node(mesh):
+    assert set(mesh.elements.ravel()) == set(range(len(mesh.nodes_m)))
+    elements_along = [(n - 1) // p for n, p in zip(mesh.block, mesh.orders, strict=True)]
+    assert len(mesh.elements) == np.prod(elements_along)
+    assert all(len(set(element)) == element.size for element in mesh.elements)
+
+
+def test_volume_is_that_of_the_paper_and_of_the_integrated_thickness(mesh):
+    volume = 2 * assemble(mesh).mass.sum()
+    points, weights = np.polynomial.legendre.leggauss(200)
+    pieces = np.array([0, 1.13196, 2.94661, 34.7, 67.5]) * 1e-3
+    integrated = 0.0
+    for start, end in pairwise(pieces):
+        x = (0.5 * (start + end) + 0.5 * (end - start) * points)[:, None]
+        width = half_width_m(x)
+        section = (thickness_m(ReedGeometry(), x, width * points) * weights).sum(axis=1)
+        integrated += 0.5 * (end - start) * weights @ (section * width[:, 0])
+    assert volume == pytest.approx(integrated, rel=1e-4)
+    assert volume == pytest.approx(1653.2e-9, abs=0.1e-9)
+
+
+@pytest.mark.parametrize("offset_m", [-80e-6, -200e-6])
+def test_a_reed_without_thickness_is_refused(offset_m):
+    with pytest.raises(ValueError, match="thickness must be positive"):
+        build_mesh(replace(ReedGeometry(), thickness_offset_m=offset_m), MeshLevel())
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"clamp_x_m": (61.2e-3, 38.2e-3)},
+        {"clamp_y_m": (3.5e-3, 2.5e-3)},
+        {"clamp_x_m": (20e-3, 61.2e-3)},
+        {"length_m": 50e-3},
+    ],
+)
+def test_a_clamp_that_turns_elements_inside_out_is_refused(wrong):
+    with pytest.raises(ValueError, match="inside out"):
+        assemble(build_mesh(replace(ReedGeometry(), **wrong), MeshLevel()))

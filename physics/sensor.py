@@ -42,8 +42,8 @@ class Sensor:
 def read_out(sensor: Sensor, mean_e: Float, rng: np.random.Generator) -> Counts:
     """Digitise one exposure.
 
-    Shot noise is drawn as a normal deviate of the mean's variance: at the thousands of electrons
-    of a local oscillator it differs from Poisson by under 1 % in every moment up to the third.
+    Shot noise is drawn as a normal deviate with the mean's variance: of a Poisson deviate of the
+    thousands of electrons of a local oscillator it lacks the skewness, about 1 %.
 
     Parameters
     ----------

@@ -20,6 +20,7 @@ from physics.reed.fem import (
     free_dofs,
     lowest_modes,
     mass,
+    shape_1d,
     stiffness,
 )
 from physics.reed.geometry import ReedGeometry, half_width_m
@@ -123,7 +124,7 @@ def build_reduced_reed(
     matrices = assemble(mesh)
     points, faces = _flat_side(mesh)
     halves = {
-        symmetry: _half_basis(geometry, mesh, matrices, settings, symmetry, faces)
+        symmetry: _half_basis(geometry, mesh, matrices, settings, symmetry, points, faces)
         for symmetry in Symmetry
     }
     columns = mesh.nodes_m.reshape(*mesh.block, 3)[:, :, -1, :2].reshape(-1, 2)
@@ -142,12 +143,13 @@ def _half_basis(
     matrices: ReedMatrices,
     settings: BasisSettings,
     symmetry: Symmetry,
+    points_m: Array,
     faces: sparse.csr_array,
 ) -> HalfBasis:
     free = free_dofs(mesh, symmetry)
     unit_mass = mass(matrices, 1.0)[free][:, free]
     reference = stiffness(matrices, stiffness_terms_pa(settings.cane))[free][:, free]
-    snapshots = [factor(reference)(_trial_loads(mesh, faces)[free])]
+    snapshots = [factor(reference)(_trial_loads(mesh, points_m, faces)[free])]
     for cane in _network(settings):
         K = stiffness(matrices, stiffness_terms_pa(cane))[free][:, free]
         snapshots.append(lowest_modes(K, unit_mass, settings.modes)[1])
@@ -173,6 +175,8 @@ def _pod(snapshots: Array, reference: sparse.csc_array, size: int) -> Array:
     scaled = snapshots / np.sqrt(np.einsum("fs,fs->s", snapshots, reference @ snapshots))
     values, vectors = np.linalg.eigh(scaled.T @ (reference @ scaled))
     kept = slice(-size, None)
+    if values[kept][0] <= 0:
+        raise ValueError(f"a basis of {size} coordinates needs more snapshots; lower its size")
     basis: Array = scaled @ (vectors[:, kept] / np.sqrt(values[kept]))
     return basis
 
@@ -205,46 +209,56 @@ def _project(matrices: ReedMatrices, u: Sequence[Array]) -> Array:
 
 
 def _vamp_profiles(mesh: HalfReedMesh, geometry: ReedGeometry, top: Array) -> Array:
-    """Legendre profiles (nx, 7, r) of deflections (nx', ny, r) on the lines of the vamp."""
+    """Legendre profiles (nx, 7, r) of deflections (nx', ny, r) on the lines of the vamp.
+
+    Weighted by the root of the area that each line stands for, so that sums of their squares do
+    not depend on how the mesh is graded.
+    """
     plan = mesh.nodes_m.reshape(*mesh.block, 3)[:, :, -1, :2]
     vamp = (plan[:, 0, 0] > _TIP_M) & (plan[:, 0, 0] < geometry.vamp_x_m[-1])
-    eta = plan[vamp, :, 1] / plan[vamp, -1:, 1]
-    return width_profiles(top[vamp], eta)
+    width = plan[vamp, -1:, 1]
+    area = np.gradient(plan[vamp, 0, 0]) * width[:, 0]
+    profiles = width_profiles(top[vamp], plan[vamp, :, 1] / width)
+    weighted: Array = profiles * np.sqrt(area / area.mean())[:, None, None]
+    return weighted
 
 
 def _flat_side(mesh: HalfReedMesh) -> tuple[Array, sparse.csr_array]:
-    """Collocation of pressure on the flat side.
+    """Quadrature of a pressure on the flat side.
 
     Returns
     -------
     points_m : (q, 2) float
+        Gauss points of the faces.
     faces : (q, n) sparse
-        Row q integrates a nodal field over the patch of point q (m²): linear quadrilaterals
-        between neighbouring nodes, a quarter each to their corners.
+        Row q is weight times shape functions at point q (m²), so that ``p @ faces`` are the nodal
+        forces of the pressures p and ``faces @ u`` the deflections times their area.
     """
-    nx, ny, nz = mesh.block
-    plan = mesh.nodes_m.reshape(nx, ny, nz, 3)[:, :, 0, :2]
-    diagonals = plan[1:, 1:] - plan[:-1, :-1], plan[:-1, 1:] - plan[1:, :-1]
-    cross = (
-        diagonals[0][..., 0] * diagonals[1][..., 1] - diagonals[0][..., 1] * diagonals[1][..., 0]
-    )
-    area = 0.5 * np.abs(cross)
-    share = np.zeros((nx, ny))
-    for i in (slice(None, -1), slice(1, None)):
-        for j in (slice(None, -1), slice(1, None)):
-            share[i, j] += 0.25 * area
-    bottom = np.arange(nx * ny * nz).reshape(nx, ny, nz)[:, :, 0].ravel()
-    faces = sparse.csr_array(
-        (share.ravel(), (np.arange(nx * ny), bottom)), shape=(nx * ny, nx * ny * nz)
-    )
-    return plan.reshape(-1, 2), faces
+    (px, py, pz), (nx, ny, nz) = mesh.orders, mesh.block
+    tables, weights = [], []
+    for order in (px, py):
+        # Two points more than the shapes need: pressure falls steeply at the chamber's walls.
+        points, weight = np.polynomial.legendre.leggauss(order + 3)
+        tables.append(shape_1d(order, 0.5 * (1 + points)))
+        weights.append(0.5 * weight)
+    (x, dx), (y, dy) = tables
+    shape = np.kron(x, y)
+    bottom = mesh.elements.reshape(-1, (px + 1) * (py + 1), pz + 1)[:, :, 0]
+    bottom = bottom[(bottom % nz == 0).all(axis=1)]
+    plan = mesh.nodes_m[bottom, :2]
+    along, across = np.kron(dx, y) @ plan, np.kron(x, dy) @ plan
+    area = along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0]
+    values = (np.kron(*weights) * area)[..., None] * shape
+    rows = np.repeat(np.arange(area.size), shape.shape[1])
+    columns = np.repeat(bottom, len(shape), axis=0).ravel()
+    faces = sparse.csr_array((values.ravel(), (rows, columns)), shape=(area.size, nx * ny * nz))
+    return (shape @ plan).reshape(-1, 2), faces
 
 
-def _trial_loads(mesh: HalfReedMesh, faces: sparse.csr_array) -> Array:
+def _trial_loads(mesh: HalfReedMesh, points_m: Array, faces: sparse.csr_array) -> Array:
     """Loads (3n, t) of smooth trial pressures, whose static shapes enrich the basis."""
-    plan = mesh.nodes_m.reshape(*mesh.block, 3)[:, :, 0, :2].reshape(-1, 2)
-    x = 2 * plan[:, 0] / mesh.nodes_m[:, 0].max() - 1
-    eta = plan[:, 1] / np.maximum(half_width_m(plan[:, 0]), 1e-6)
+    x = 2 * points_m[:, 0] / mesh.nodes_m[:, 0].max() - 1
+    eta = points_m[:, 1] / np.maximum(half_width_m(points_m[:, 0]), 1e-6)
     trial = [
         np.polynomial.legendre.Legendre.basis(m)(x) * np.polynomial.legendre.Legendre.basis(n)(eta)
         for m in range(4)

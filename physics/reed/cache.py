@@ -56,7 +56,7 @@ def reduced_reed(
     """
     geometry, settings = geometry or ReedGeometry(), settings or BasisSettings()
     path = cache_directory() / f"reed-{_key(geometry, level, settings)}.npz"
-    with contextlib.suppress(OSError, KeyError, ValueError, zipfile.BadZipFile):
+    with contextlib.suppress(OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile):
         return _load(path, geometry, settings)
     if announce:
         announce("computing the reed's modes by finite elements (kept for the next time)")
@@ -86,7 +86,8 @@ def _save(path: Path, reed: ReducedReed) -> None:
 
 
 def _load(path: Path, geometry: ReedGeometry, settings: BasisSettings) -> ReducedReed:
-    with np.load(path, allow_pickle=False) as arrays:
+    # Opened here: numpy leaves a file open that turns out to be no archive.
+    with path.open("rb") as kept, np.load(kept, allow_pickle=False) as arrays:
         halves = {
             symmetry: HalfBasis(
                 **{f.name: arrays[f"{symmetry}_{f.name}"] for f in fields(HalfBasis)}

@@ -44,7 +44,7 @@ class ReedMatrices:
     mass: sparse.csr_array
 
 
-def _shape_1d(order: int, points: Array) -> tuple[Array, Array]:
+def shape_1d(order: int, points: Array) -> tuple[Array, Array]:
     """Lagrange polynomials on Lobatto nodes and their derivatives at points (q,): two (q, m)."""
     nodes = lobatto_points(order)
     values, slopes = [], []
@@ -66,7 +66,7 @@ def _reference_element(orders: tuple[int, int, int]) -> tuple[Array, Array, Arra
     tables, weights = [], []
     for order in orders:
         points, weight = np.polynomial.legendre.leggauss(order + 1)
-        tables.append(_shape_1d(order, 0.5 * (1 + points)))
+        tables.append(shape_1d(order, 0.5 * (1 + points)))
         weights.append(0.5 * weight)
     (x, dx), (y, dy), (z, dz) = tables
     gradients = np.stack([_tensor(dx, y, z), _tensor(x, dy, z), _tensor(x, y, dz)])

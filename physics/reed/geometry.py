@@ -110,13 +110,25 @@ def heel_m(geometry: ReedGeometry, y_m: Array) -> Array:
 
 
 def kink_x_m(geometry: ReedGeometry, y_m: Array) -> Array:
-    """Abscissa where the vamp meets the heel, for each y (n,)."""
+    """Abscissa where the vamp meets the heel, for each y (n,).
+
+    Raises
+    ------
+    ValueError
+        If they do not meet near the end of the vamp's network of points.
+    """
 
     def difference(x: float, y: float) -> float:
         at = np.array(x), np.array(y)
         return float(vamp_m(geometry, *at) - heel_m(geometry, at[1]))
 
     low, high = 0.8 * geometry.vamp_x_m[-1], 1.2 * geometry.vamp_x_m[-1]
+    for y in np.ravel(y_m):
+        if difference(low, float(y)) >= 0 or difference(high, float(y)) <= 0:
+            raise ValueError(
+                f"vamp and heel do not meet between x = {1e3 * low:.1f} and {1e3 * high:.1f} mm; "
+                "thickness offset, vamp and heel must belong to one reed"
+            )
     return np.array([brentq(difference, low, high, args=(float(y),)) for y in np.ravel(y_m)])
 
 

@@ -48,8 +48,8 @@ def stiffness_matrix_pa(cane: Cane) -> Array:
     E, nu = (cane.E_L_pa, cane.E_T_pa, cane.E_R_pa), (cane.nu_LT, cane.nu_LR, cane.nu_TR)
     compliance = np.zeros((6, 6))
     moduli = (*E, cane.G_TR_pa, cane.G_LR_pa, cane.G_LT_pa)
-    if min(moduli) <= 0 or cane.density_kg_m3 <= 0:
-        raise ValueError(f"moduli and density of cane must be positive, got {cane}")
+    if not all(0 < value < np.inf for value in (*moduli, cane.density_kg_m3)):
+        raise ValueError(f"moduli and density of cane must be positive and finite, got {cane}")
     np.fill_diagonal(compliance, 1 / np.asarray(moduli))
     for (i, j), ratio in zip(((0, 1), (0, 2), (1, 2)), nu, strict=True):
         compliance[i, j] = compliance[j, i] = -ratio / E[i]

@@ -111,7 +111,10 @@ def assign_names(candidates: Sequence[dict[str, float]]) -> list[tuple[str, floa
     names = sorted({name for candidate in candidates for name in candidate})
     # Enough nameless places that nobody is forced into a name that is taken.
     names += [f"?{place}" for place in range(1, len(candidates) + 1)]
-    likeness = np.array([[c.get(name, 0.0) for name in names] for c in candidates])
+    # A name that one has no claim to is worth less than none.
+    likeness = np.array(
+        [[c.get(name, 0.0 if name.startswith("?") else -1.0) for name in names] for c in candidates]
+    )
     rows, columns = linear_sum_assignment(likeness, maximize=True)
     return [
         (names[column], float(likeness[row, column]))

@@ -85,8 +85,10 @@ def _names(
             vamp.append(m)
             answer.append(("", 0.0))
     named = assign_names([likenesses(profiles[m], symmetric=symmetric) for m in vamp])
-    for m, name in zip(vamp, named, strict=True):
-        answer[m] = name
+    for m, (name, likeness) in zip(vamp, named, strict=True):
+        # A place without a name is told from its like of the other symmetry.
+        suffix = symmetry[0] if name.startswith("?") else ""
+        answer[m] = (name + suffix, likeness)
     return answer
 
 

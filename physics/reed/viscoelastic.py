@@ -60,7 +60,10 @@ class ViscoelasticCane:
 def storage_modulus_pa(zener: Zener, frequency_hz: Array | float) -> Array:
     """Storage modulus in Pa at frequency (any shape), paper Eq. 4."""
     dashpot2 = (2 * np.pi * np.asarray(frequency_hz, dtype=float) * zener.arm_dashpot_mpa_s) ** 2
-    arm = zener.arm_spring_mpa * dashpot2 / (zener.arm_spring_mpa**2 + dashpot2)
+    stiffness2 = zener.arm_spring_mpa**2 + dashpot2
+    # Without spring and without motion the arm carries nothing: 0/0.
+    share = np.divide(dashpot2, stiffness2, out=np.zeros_like(stiffness2), where=stiffness2 > 0)
+    arm = zener.arm_spring_mpa * share
     storage: Array = 1e6 * (zener.spring_mpa + arm)
     return storage
 

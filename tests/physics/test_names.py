@@ -142,9 +142,6 @@ def test_of_two_claims_to_one_name_the_better_wins():
     assert [name for name, _ in assign_names(crossing)] == ["T4", "F4"]
 
 
-@pytest.mark.xfail(
-    strict=True, reason="a mode without a claim may be given the name of another, likeness 0"
-)
 def test_nobody_bears_a_name_without_a_claim_to_it():
     named = assign_names([{"F2": 0.03, "X2": 0.96}, {"F1": 0.09}, {"F1": 0.64, "T2": 0.2}])
     assert [name for name, _ in named] == ["X2", "?1", "F1"]

@@ -209,8 +209,5 @@ def test_quasi_static_response_is_that_of_the_full_model(full_errors):
     assert max(full_errors[605.0, symmetry] for symmetry in Symmetry) < 0.01
 
 
-@pytest.mark.xfail(
-    strict=True, reason="pressure is lumped at the nodes: up to 14 % of the response is wrong"
-)
 def test_forced_response_is_that_of_the_full_model(full_errors):
     assert max(full_errors.values()) < 0.01

@@ -240,6 +240,16 @@ def test_impossible_plan_is_refused_in_one_line(case):
     assert json.dumps(plan.to_json(), allow_nan=False)
 
 
+def test_the_worst_lock_counts_whatever_its_sign():
+    # A generator of 0.06 Hz steps misses the lock by -0.025 Hz, -0.005 Hz or +0.015 Hz.
+    bench = BENCH.replace({"instruments.generator.step": "0.06 Hz"})
+    changes = {"camera.frame_rate": "12.5 Hz", "tolerance.lock_phase": "0.04 rad"}
+    plan = make_plan(SERIES_A.replace(changes), bench)
+    assert max(step.lock_residual_hz for step in plan.steps) == Fraction("0.015")
+    assert [violation.key for violation in plan.violations] == ["camera.frame_rate"]
+    assert "misses by -0.025 Hz" in plan.violations[0].message
+
+
 def test_low_volts_and_narrow_windows_belong_to_the_bench():
     bench = BENCH.replace(
         {"limits.volts_min": "0.6 V", "instruments.synthesizers.window": "10 kHz"}

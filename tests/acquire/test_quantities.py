@@ -74,6 +74,7 @@ def test_reads_exactly(text, unit, value):
         ("25 cents", "is not a frequency"),
         ("1e40 Hz", "needs more than 40 digits"),
         ("1e-99 Hz", "needs more than 40 digits"),
+        ("1e999 Hz", "is not a number with a unit"),
         ("1e999999999 Hz", "is not a number with a unit"),
         ("1" * 100_000 + " Hz", "is longer than 40 characters"),
     ],

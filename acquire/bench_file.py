@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from acquire.protocol import Description, Section, find_description, shipped_files
+from acquire.description import Description, Section, find_description, shipped_files
 from acquire.quantities import Frequency, Length, Voltage
 
 DEFAULT_BENCH = "simulated"

@@ -5,12 +5,12 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
+from scipy.interpolate import NearestNDInterpolator, RectBivariateSpline
 
 from fitting import paper
 from physics.reed.basis import ReducedReed
 from physics.reed.names import PAPER_MODES
-from physics.reed.response import elastic_modes
+from physics.reed.response import Mode, elastic_modes
 from physics.reed.viscoelastic import Series, ViscoelasticCane, storage_modulus_pa
 
 Array = NDArray[np.floating[Any]]
@@ -85,6 +85,21 @@ class FiniteElementModel:
         return _at(self.likenesses, E_L_pa, G_LT_pa)
 
 
+def _entry(mode: Mode | None) -> tuple[float, float]:
+    """Cents and likeness; a mode so mixed with others that none bears its name has no likeness."""
+    if mode is None:
+        return np.nan, 0.0
+    return float(cents_of(mode.frequency_hz)), mode.likeness
+
+
+def _fill_from_nearest(cents: Array) -> None:
+    """Replace NaN in a table (e, g) by the nearest entry."""
+    missing = np.isnan(cents)
+    if missing.any():
+        known = np.argwhere(~missing)
+        cents[missing] = NearestNDInterpolator(known, cents[~missing])(np.argwhere(missing))
+
+
 def _at(splines: tuple[RectBivariateSpline, ...], E_L_pa: Array, G_LT_pa: Array) -> Array:
     E = np.log(np.clip(E_L_pa, _E_L_PA[0], _E_L_PA[-1]))
     G = np.log(np.clip(G_LT_pa, _G_LT_PA[0], _G_LT_PA[-1]))
@@ -100,9 +115,10 @@ def finite_element_model(
     for i, E in enumerate(_E_L_PA):
         for j, G in enumerate(_G_LT_PA):
             found = elastic_modes(reed, float(E), float(G))
-            named = [found[name] for name in modes]
-            table[0, :, i, j] = cents_of(np.array([mode.frequency_hz for mode in named]))
-            table[1, :, i, j] = [mode.likeness for mode in named]
+            for m, name in enumerate(modes):
+                table[:, m, i, j] = _entry(found.get(name))
+    for cents in table[0]:
+        _fill_from_nearest(cents)
     # Relative to the mode at its purest: a T4 is never as pure as an F1.
     table[1] /= np.percentile(table[1], 90, axis=(1, 2), keepdims=True)
     axes = np.log(_E_L_PA), np.log(_G_LT_PA)

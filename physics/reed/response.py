@@ -18,8 +18,9 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 
 # A mode whose kinetic energy is mostly sideways is lateral; one mostly behind the vamp, a heel's.
 _FOREIGN_SHARE = 0.5
-# Modes looked at per symmetry: all that can lie below 20 kHz, and a few more.
-_NAMED_MODES = 16
+# Modes named per symmetry: all below 20 kHz. Higher ones are no longer those of the full model
+# (see `BasisSettings.modes`) and would only compete for names.
+_NAMED_MODES = 11
 _SETTLED_CENTS = 1e-3
 _MOST_ITERATIONS = 30
 

@@ -12,15 +12,16 @@ from acquire.runfile import Run
 from fitting.errors import FitError
 from fitting.forward import ForwardModel, PaperModel, finite_element_model
 from fitting.fringes import Fringes, count_fringes, misfit_without
-from fitting.picking import Resonance, pick_resonances
+from fitting.paper import MEAN_HZ
+from fitting.picking import Resonance, likely_components, pick_resonances
 from fitting.pictures import Pictures, read_pictures
 from fitting.reedfit import ReedParameters, fit_components
 from physics.reed.basis import ReducedReed
 from physics.reed.cache import reduced_reed
 from physics.reed.names import PAPER_MODES
-from physics.reed.response import elastic_modes
+from physics.reed.response import Mode, viscoelastic_mode
 from physics.reed.surface import surface_shapes
-from physics.reed.viscoelastic import Series
+from physics.reed.viscoelastic import Components, Series, ViscoelasticCane, viscoelastic_cane
 
 Float = NDArray[np.float32]
 ModelName = Literal["fem", "paper"]
@@ -31,8 +32,14 @@ SHAPE_NAMES = (*PAPER_MODES, "T5", "X4", "X5", "X6")
 # A picture needs a shape if its misfit without it grows by more than this. On the twin, modes that
 # are there give 2 to 500, modes that are not 0.9 to 1.1 (`benchmarks/recovery.py`).
 _NEEDED = 1.5
-# Shapes are those of a middling cane; they differ little from reed to reed.
-_SHAPE_E_L_PA, _SHAPE_G_LT_PA = 13.5e9, 1.0e9
+# The mean of the population, and about where its modes lie.
+_MIDDLING = viscoelastic_cane(Components(), Series.A)
+_NEAR_HZ = {name: hz for name, (hz, _) in MEAN_HZ.items()} | {
+    "T5": 17e3,
+    "X4": 17.5e3,
+    "X5": 18e3,
+    "X6": 19e3,
+}
 
 
 @dataclass(frozen=True)
@@ -122,51 +129,80 @@ def model_name(name: str) -> ModelName:
     raise FitError(f"there is no forward model {name!r}; choose one of {', '.join(MODELS)}")
 
 
-def mode_shapes(reed: ReducedReed, pictures: Pictures) -> Float:
-    """Deflections (n, m) of `SHAPE_NAMES` at a run's points, largest magnitude 1."""
+def mode_shapes(reed: ReducedReed, pictures: Pictures, cane: ViscoelasticCane = _MIDDLING) -> Float:
+    """Deflections (n, m) of `SHAPE_NAMES` at a run's points, largest magnitude 1.
+
+    Each mode has the storage moduli of its own frequency.
+    """
     surface = surface_shapes(reed, pictures.x_m, pictures.y_m)
-    modes = elastic_modes(reed, _SHAPE_E_L_PA, _SHAPE_G_LT_PA)
-    columns = [
-        surface[modes[name].symmetry] @ modes[name].coordinates.astype(np.float32)
-        for name in SHAPE_NAMES
-    ]
+    columns = []
+    for name in SHAPE_NAMES:
+        mode = _settled_mode(reed, cane, name)
+        columns.append(surface[mode.symmetry] @ mode.coordinates.astype(np.float32))
     shapes = np.stack(columns, axis=1)
     normalised: Float = (shapes / np.abs(shapes).max(axis=0)).astype(np.float32)
     return normalised
 
 
+def _settled_mode(reed: ReducedReed, cane: ViscoelasticCane, name: str) -> Mode:
+    """Mode of a cane; of the middling cane if this one has none of that name."""
+    for candidate in (cane, _MIDDLING):
+        try:
+            return viscoelastic_mode(reed, candidate, name, _NEAR_HZ[name])
+        except ValueError:
+            continue
+    raise ValueError(f"not even a middling reed has a mode {name}")
+
+
 def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
     """Find the resonances of one run.
+
+    The shapes are first those of a middling cane, then those of the cane that the resonances so
+    found suggest: where two modes come close, their shapes depend on the reed.
 
     Raises
     ------
     FitError
         If too few pictures are good, or no mode is found in them.
     """
-    pictures = read_pictures(run)
+    pictures, series = read_pictures(run), Series.B if run.series == "B" else Series.A
     shapes = mode_shapes(reed, pictures)
     fringes = count_fringes(pictures.brightness, shapes)
-
-    def needed(shape: int, picture: int) -> bool:
-        without = misfit_without(pictures.brightness, shapes, fringes, shape, picture)
-        return without > _NEEDED * float(fringes.misfit[picture])
-
-    found = pick_resonances(
-        pictures.drive_hz,
-        pictures.step_index,
-        np.abs(fringes.amplitude_rad),
-        SHAPE_NAMES,
-        model,
-        Series.B if run.series == "B" else Series.A,
-        needed,
-        run.acoustic_lines_hz,
-    )
+    found = _pick(pictures, shapes, fringes, model, series, run.acoustic_lines_hz)
     if not found:
         raise FitError(
             f"{run.path}: no mode of a clarinet reed shows in {len(pictures.drive_hz)} pictures; "
             "look at the report's contact sheet"
         )
+    likely = viscoelastic_cane(likely_components(found, model, series), series)
+    shapes = mode_shapes(reed, pictures, likely)
+    fringes = count_fringes(pictures.brightness, shapes, fringes)
+    found = _pick(pictures, shapes, fringes, model, series, run.acoustic_lines_hz)
     return SweepFit(run.path, run.reed, run.series, found, pictures, fringes)
+
+
+def _pick(
+    pictures: Pictures,
+    shapes: Float,
+    fringes: Fringes,
+    model: ForwardModel,
+    series: Series,
+    acoustic_lines_hz: Sequence[float],
+) -> dict[str, Resonance]:
+    def needed(shape: int, picture: int) -> bool:
+        without = misfit_without(pictures.brightness, shapes, fringes, shape, picture)
+        return without > _NEEDED * float(fringes.misfit[picture])
+
+    return pick_resonances(
+        pictures.drive_hz,
+        pictures.step_index,
+        np.abs(fringes.amplitude_rad),
+        SHAPE_NAMES,
+        model,
+        series,
+        needed,
+        acoustic_lines_hz,
+    )
 
 
 def fit_runs(

@@ -19,7 +19,7 @@ Array = NDArray[np.floating[Any]]
 _E_L_PA = np.geomspace(7e9, 22e9, 21)
 _G_LT_PA = np.geomspace(0.4e9, 2.1e9, 21)
 # Each iteration gains a factor of about 5; the paper does one.
-_ITERATIONS = 12
+_ITERATIONS = 7
 
 
 def cents_of(frequency_hz: Array | float) -> Array:

@@ -21,14 +21,14 @@ Array = NDArray[np.floating[Any]]
 # Largest value of J₁²: the brightness of the first bright fringe.
 FIRST_FRINGE = 0.3386
 # Single-shape starts tried per picture, and rounds of spreading solutions and estimating light.
-_STARTS = 3
+_STARTS = 2
 _ROUNDS = 2
 # A solution is handed to the next and to the previous picture, as it is, weaker and stronger: on
 # the flank of a resonance amplitudes change by a quarter per step.
 _HANDED_ON = tuple((shift, scale) for shift in (1, -1) for scale in (1.0, 0.75, 1.33))
 # A neighbour's solution is taken if it lowers the misfit to this share.
 _GAIN = 0.9
-_START_STEPS, _NEIGHBOUR_STEPS, _FINAL_STEPS, _ALONE_STEPS = 12, 8, 5, 25
+_START_STEPS, _NEIGHBOUR_STEPS, _FINAL_STEPS, _ALONE_STEPS = 12, 5, 5, 25
 # Phase amplitudes tried for a single shape, rad.
 _TRIAL_RAD = np.geomspace(0.1, 60.0, 80, dtype=np.float32)
 # Pictures whose brightest share estimates the light B: those in which a point is on a fringe.
@@ -201,7 +201,7 @@ def first_light(brightness: Float) -> Float:
     return np.maximum(light, np.float32(_LEAST_LIGHT) * np.median(light))
 
 
-def count_fringes(brightness: Float, shapes: Float) -> Fringes:
+def count_fringes(brightness: Float, shapes: Float, start: Fringes | None = None) -> Fringes:
     """Decompose every picture of a sweep into fringes of given shapes.
 
     Parameters
@@ -210,6 +210,8 @@ def count_fringes(brightness: Float, shapes: Float) -> Fringes:
         Speckle-averaged |H|² of each picture at n points, less its noise; any unit.
     shapes : (n, m) float32
         Deflection of each mode shape at the points, largest magnitude 1.
+    start : Fringes, optional
+        Decomposition of the same pictures into almost the same shapes.
 
     Returns
     -------
@@ -221,10 +223,10 @@ def count_fringes(brightness: Float, shapes: Float) -> Fringes:
     most, then tries the solutions of its neighbours; the light B is re-estimated from all
     pictures in between, by linear least squares.
     """
-    bessel, light = _Bessel(), first_light(brightness)
+    bessel, light = _Bessel(), start.light if start else first_light(brightness)
     problem = _Problem(brightness / light, shapes, bessel)
-    a, cost = _start(problem)
-    for _ in range(_ROUNDS):
+    a, cost = _descend(problem, start.amplitude_rad, _START_STEPS) if start else _start(problem)
+    for _ in range(1 if start else _ROUNDS):
         a, cost = _from_neighbours(problem, a, cost)
         light = _light(brightness, a, cost, problem)
         problem = _Problem(brightness / light, shapes, bessel)

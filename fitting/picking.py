@@ -5,7 +5,7 @@ mode is looked for is a matter of what is already known: the population of reeds
 the modes found so far, since few components govern all frequencies.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +25,10 @@ _WINDOW_SD = 4.0
 _LINE_CENTS = 60.0
 # A maximum must stand out of the noise of the count, rad: a first fringe begins at 1.84.
 _LEAST_RAD = 0.1
+# Reeds lie within these many standard deviations of the population's mean.
+_FARTHEST_SD = 4.0
+# Steps of Gauss and Newton that a belief takes when it learns.
+_BELIEF_STEPS = 2
 # Two modes of one symmetry come no closer than this: the closest pairs of the population, F2 and
 # T2 or F4 and T4, keep more than 90 cents.
 _REPULSION_CENTS = 50.0
@@ -59,30 +63,68 @@ class Resonance:
 
 
 class _Belief:
-    """Normal distribution of the components, narrowed by every resonance found."""
+    """Normal distribution of the components, narrowed by every resonance found.
+
+    The model is linearised at the mean, anew whenever the mean moves: near crossings of modes
+    frequencies are far from linear in the components.
+    """
 
     def __init__(self, model: ForwardModel, series: Series) -> None:
-        def cents(values: Array) -> Array:
-            cane = viscoelastic_cane(Components(*map(float, values)), series)
-            return viscoelastic_cents(model, cane, series)
-
-        step = 0.5 * np.eye(4)
-        self._mean, self._covariance = np.zeros(4), np.eye(4)
-        self._origin = cents(self._mean)
-        self._slopes = np.stack([cents(d) - cents(-d) for d in step], axis=1)
+        self._model, self._series = model, series
+        self._found: dict[int, float] = {}
+        self._mean: Array = np.zeros(4)
+        self._covariance: Array = np.eye(4)
+        self._linearise()
 
     def predict(self, m: int) -> tuple[float, float]:
         """Expected cents of mode m and standard deviation, the model's own misfit included."""
         slope = self._slopes[m]
         variance = slope @ self._covariance @ slope + paper.H4_MISFIT_CENTS**2
-        return float(self._origin[m] + slope @ self._mean), float(np.sqrt(variance))
+        return float(self._expected[m]), float(np.sqrt(variance))
+
+    @property
+    def components(self) -> Components:
+        """Expected components."""
+        return Components(*map(float, self._mean))
 
     def learn(self, m: int, cents: float) -> None:
         """Condition on mode m having been found at a number of cents."""
-        expected, sd = self.predict(m)
-        gain = self._covariance @ self._slopes[m] / sd**2
-        self._mean = self._mean + gain * (cents - expected)
-        self._covariance = self._covariance - np.outer(gain, self._slopes[m]) @ self._covariance
+        self._found[m] = cents
+        modes, observed = list(self._found), np.array([*self._found.values()])
+        weight = 1 / paper.H4_MISFIT_CENTS**2
+        for _ in range(_BELIEF_STEPS):
+            slopes = self._slopes[modes]
+            offset = observed - self._expected[modes] + slopes @ self._mean
+            self._covariance = np.linalg.inv(np.eye(4) + weight * slopes.T @ slopes)
+            mean = self._covariance @ (weight * slopes.T @ offset)
+            self._mean = np.clip(mean, -_FARTHEST_SD, _FARTHEST_SD)
+            self._linearise()
+
+    def _linearise(self) -> None:
+        def cents(values: Array) -> Array:
+            cane = viscoelastic_cane(Components(*map(float, values)), self._series)
+            return viscoelastic_cents(self._model, cane, self._series)
+
+        step = 0.5 * np.eye(4)
+        self._expected = cents(self._mean)
+        self._slopes = np.stack(
+            [cents(self._mean + d) - cents(self._mean - d) for d in step], axis=1
+        )
+
+
+def likely_components(
+    resonances: Mapping[str, Resonance], model: ForwardModel, series: Series
+) -> Components:
+    """Components of a reed of the population that has these resonances, to first order.
+
+    Rougher than a fit, but there is always an answer: what the resonances do not tell is taken
+    from the population.
+    """
+    belief = _Belief(model, series)
+    for name, found in resonances.items():
+        if name in model.modes:
+            belief.learn(model.modes.index(name), float(cents_of(found.frequency_hz)))
+    return belief.components
 
 
 def pick_resonances(

@@ -174,11 +174,21 @@ def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
             f"{run.path}: no mode of a clarinet reed shows in {len(pictures.drive_hz)} pictures; "
             "look at the report's contact sheet"
         )
-    likely = viscoelastic_cane(likely_components(found, model, series), series)
-    shapes = mode_shapes(reed, pictures, likely)
+    shapes = mode_shapes(reed, pictures, _suggested_cane(found, model, series))
     fringes = count_fringes(pictures.brightness, shapes, fringes)
     found = _pick(pictures, shapes, fringes, model, series, run.acoustic_lines_hz)
     return SweepFit(run.path, run.reed, run.series, found, pictures, fringes)
+
+
+def _suggested_cane(
+    found: dict[str, Resonance], model: ForwardModel, series: Series
+) -> ViscoelasticCane:
+    """Cane that the resonances fit; where they fix none, the likeliest of the population."""
+    try:
+        fitted = fit_components({series: found}, model).components
+    except FitError:
+        return viscoelastic_cane(likely_components(found, model, series), series)
+    return viscoelastic_cane(Components(**{n: e.value for n, e in fitted.items()}), series)
 
 
 def _pick(

@@ -29,6 +29,10 @@ _LEAST_RAD = 0.1
 _FARTHEST_SD = 4.0
 # Steps of Gauss and Newton that a belief takes when it learns.
 _BELIEF_STEPS = 2
+# ... and of the most fringes of its shape within the window: ripples on a flank are no resonance.
+_LEAST_SHARE = 0.2
+# Two modes of one symmetry that are expected this close may have exchanged shapes.
+_EXCHANGE_CENTS = 150.0
 # Two modes of one symmetry come no closer than this: the closest pairs of the population, F2 and
 # T2 or F4 and T4, keep more than 90 cents.
 _REPULSION_CENTS = 50.0
@@ -168,37 +172,64 @@ def pick_resonances(
         clear &= np.abs(cents - cents_of(line)) > _LINE_CENTS
     belief = _Belief(model, series)
     found: dict[str, Resonance] = {}
-    taken: dict[str, float] = {}
     for name in _SEARCH_ORDER:
         if name not in names or name not in model.modes:
             continue
-        m, shape = model.modes.index(name), names.index(name)
-        fringes = amplitude_rad[:, shape]
-        expected, sd = belief.predict(m)
+        expected, sd = belief.predict(model.modes.index(name))
         window = clear & (np.abs(cents - expected) < _WINDOW_SD * sd)
-        # Modes of one symmetry repel each other: they never share a picture.
-        for other, place in taken.items():
-            if is_symmetric(other) == is_symmetric(name):
-                window &= np.abs(cents - place) > _REPULSION_CENTS
-        peaks = _peaks(fringes, window)
-        best = next((k for k in peaks if needed(shape, k)), None)
+        free = window & ~_taken(cents, name, found)
+        best = None
+        for shape in _shapes_to_follow(name, names, belief, model):
+            peaks = _peaks(amplitude_rad[:, shape], window, free)
+            best = next((k for k in peaks if needed(shape, k)), None)
+            if best is not None:
+                break
         if best is None:
             continue
-        taken[name] = float(cents[best])
-        belief.learn(m, taken[name])
+        belief.learn(model.modes.index(name), float(cents[best]))
         found[name] = Resonance(
             name=name,
             frequency_hz=float(drive_hz[best]),
             error_cents=float(spacing[best] / np.sqrt(12)),
             step_index=int(step_index[best]),
-            amplitude_rad=float(fringes[best]),
+            amplitude_rad=float(amplitude_rad[best, shape]),
         )
     return dict(sorted(found.items(), key=lambda item: item[1].frequency_hz))
 
 
-def _peaks(fringes: Array, window: NDArray[np.bool_]) -> list[int]:
-    """Pictures in the window where the fringes are locally most, the highest first."""
+def _taken(cents: Array, name: str, found: Mapping[str, Resonance]) -> NDArray[np.bool_]:
+    """Pictures (k,) too near to a mode of the same symmetry: such modes repel each other."""
+    near = np.zeros(len(cents), dtype=bool)
+    for other, resonance in found.items():
+        if is_symmetric(other) == is_symmetric(name):
+            near |= np.abs(cents - cents_of(resonance.frequency_hz)) <= _REPULSION_CENTS
+    return near
+
+
+def _shapes_to_follow(
+    name: str, names: Sequence[str], belief: _Belief, model: ForwardModel
+) -> list[int]:
+    """Shapes whose fringes may show a mode: its own, then those it may have exchanged it with."""
+    expected, _ = belief.predict(model.modes.index(name))
+
+    def distance_cents(other: str) -> float:
+        return abs(belief.predict(model.modes.index(other))[0] - expected)
+
+    partners = [
+        other
+        for other in model.modes
+        if other in names and other != name and is_symmetric(other) == is_symmetric(name)
+    ]
+    near = sorted((o for o in partners if distance_cents(o) < _EXCHANGE_CENTS), key=distance_cents)
+    return [names.index(each) for each in (name, *near)]
+
+
+def _peaks(fringes: Array, window: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[int]:
+    """Free pictures of a window where the fringes are locally most, the highest first."""
+    if not window.any():
+        return []
+    least = max(_LEAST_RAD, _LEAST_SHARE * float(fringes[window].max()))
     before, after = np.roll(fringes, 1), np.roll(fringes, -1)
-    peak = (fringes >= before) & (fringes >= after) & (fringes > _LEAST_RAD) & window
+    peak = (fringes >= before) & (fringes >= after) & (fringes > least) & free
     peak[[0, -1]] = False
     return [int(k) for k in sorted(np.flatnonzero(peak), key=lambda k: -fringes[k])]

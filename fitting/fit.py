@@ -1,6 +1,7 @@
 """From run files to a reed's parameters: what `acquire fit` does."""
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.runfile import Run
-from fitting.errors import FitError
+from fitting.errors import FitError, FitInputError
 from fitting.forward import ForwardModel, PaperModel, finite_element_model
 from fitting.fringes import Fringes, count_fringes, misfit_without
 from fitting.paper import MEAN_HZ
@@ -120,13 +121,13 @@ def model_name(name: str) -> ModelName:
 
     Raises
     ------
-    FitError
+    FitInputError
         If there is no such model.
     """
     for known in MODELS:
         if name == known:
             return known
-    raise FitError(f"there is no forward model {name!r}; choose one of {', '.join(MODELS)}")
+    raise FitInputError(f"there is no forward model {name!r}; choose one of {', '.join(MODELS)}")
 
 
 def mode_shapes(reed: ReducedReed, pictures: Pictures, cane: ViscoelasticCane = _MIDDLING) -> Float:
@@ -234,17 +235,18 @@ def fit_runs(
     Raises
     ------
     FitError
-        If a run shows no modes, or the runs do not belong together.
+        If a run shows no modes.
+    FitInputError
+        If the runs do not belong together.
     RunFileError
         If a file cannot be read.
     """
-    reed = reduced_reed(announce=announce)
-    forward: ForwardModel = PaperModel() if model == "paper" else finite_element_model(reed)
-    sweeps = []
-    for path in paths:
-        with Run.open(path) as run:
-            sweeps.append(fit_sweep(run, reed, forward))
-    _require_one_reed(sweeps)
+    with ExitStack() as opened:
+        runs = [opened.enter_context(Run.open(path)) for path in paths]
+        _require_one_reed(runs)
+        reed = reduced_reed(announce=announce)
+        forward: ForwardModel = PaperModel() if model == "paper" else finite_element_model(reed)
+        sweeps = [fit_sweep(run, reed, forward) for run in runs]
     unknown = [s for s in sweeps if s.series not in set(Series)]
     if unknown:
         reason = f"series {unknown[0].series!r} is neither A nor B, whose cane is known (H4)"
@@ -256,13 +258,11 @@ def fit_runs(
     return ReedFit(tuple(sweeps), parameters)
 
 
-def _require_one_reed(sweeps: Sequence[SweepFit]) -> None:
+def _require_one_reed(runs: Sequence[Run]) -> None:
     """Two runs are fitted together only if they are series A and B of one reed."""
-    if len(sweeps) == 1:
-        return
-    reeds, series = {s.reed for s in sweeps}, [s.series for s in sweeps]
+    reeds, series = {run.reed for run in runs}, [run.series for run in runs]
     if len(reeds) > 1 or len(set(series)) < len(series):
-        told = ", ".join(f"{s.path.name}: reed {s.reed}, series {s.series}" for s in sweeps)
-        raise FitError(
+        told = ", ".join(f"{r.path.name}: reed {r.reed}, series {r.series}" for r in runs)
+        raise FitInputError(
             f"runs fitted together must be series A and B of one reed ({told}); fit them one by one"
         )

@@ -6,6 +6,7 @@ standard error. Exit status: 2 for bad input, 1 for a failed run, 130 for an int
 
 import functools
 import json
+import math
 import os
 from collections.abc import Callable
 from datetime import datetime
@@ -19,6 +20,7 @@ from holography.errors import BenchError
 
 if TYPE_CHECKING:
     from acquire.plan import Plan
+    from acquire.runfile import RunLabels
     from fitting.fit import ReedFit
 
 app = typer.Typer(
@@ -118,7 +120,9 @@ def run(
     out: Annotated[
         Path | None, typer.Option(help="Run file; runs/TIME_SERIES_REED.h5 if not given.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of everything random on a simulated bench.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Of all that is random on a simulated bench.")
+    ] = 0,
     fit: Annotated[
         bool, typer.Option(help="Fit the reed and draw the pictures at the end.")
     ] = True,
@@ -128,12 +132,16 @@ def run(
     """Measure a sweep; then fit the reed and draw the pictures."""
     from acquire import script
     from acquire.display import run_summary, sweep_progress, troubles_of
+    from acquire.recorder import require_writable
     from acquire.runfile import Run, RunLabels
 
     planned = _plan(protocol, bench, series)
     planned.require_possible()
     path = out or _default_path(planned.protocol.series, reed)
     labels = RunLabels(strength, note, operator)
+    _require_keepable(reed, labels)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    require_writable(planned, path)
     words = _words()
     with sweep_progress(words, len(planned.steps)) as show:
         tell = functools.partial(words.print, markup=False, soft_wrap=True)
@@ -147,20 +155,33 @@ def run(
     answer: dict[str, Any] = {"run": str(path), "status": str(summary.status)}
     answer["verdicts"] = {str(verdict): n for verdict, n in summary.counts.items()}
     if summary.status != "complete":
-        _finish(answer, as_json, [f"run file   {path}"])
+        _finish(answer, as_json, [f"run file      {path}"])
         raise typer.Exit(INTERRUPTED)
     if not fit:
-        _finish(answer, as_json, [f"run file   {path}"])
+        _finish(answer, as_json, [f"run file      {path}"])
         return
-    fitted, files = _fit_and_report([path], "fem", None)
-    answer |= {"fit": fitted.to_json(), "files": {name: str(file) for name, file in files.items()}}
-    listed = [f"{name:10} {file}" for name, file in {"run file": path, **files}.items()]
-    _finish(answer, as_json, listed, fitted)
+    _report([path], "fem", None, as_json, answer)
+
+
+def _require_keepable(reed: str, labels: "RunLabels") -> None:
+    """Refuse, before anything is opened, what a run file cannot hold."""
+    from acquire.errors import RunFileError
+
+    if labels.strength is not None and not 0 < labels.strength < math.inf:
+        raise RunFileError(f"--strength: {labels.strength} is none; write one such as 3.5")
+    for option, text in (("reed", reed), ("note", labels.note), ("operator", labels.operator)):
+        try:
+            text.encode("utf-8")
+        except UnicodeEncodeError:
+            raise RunFileError(f"--{option}: is no text in UTF-8; write it anew") from None
+        if "\0" in text:
+            raise RunFileError(f"--{option}: holds a null character; leave it out")
 
 
 def _default_path(series: str, reed: str) -> Path:
     kept = "".join(c if c.isalnum() or c in "-." else "-" for c in f"{series}_{reed}")
-    return Path("runs", f"{datetime.now():%Y-%m-%dT%H-%M-%S}_{kept}.h5")
+    # With its extensions a name of a file may have 255 bytes.
+    return Path("runs", f"{datetime.now():%Y-%m-%dT%H-%M-%S}_{kept:.60}.h5")
 
 
 def _finish(
@@ -195,13 +216,31 @@ def _fit(runs: list[Path], model: str) -> "ReedFit":
     return fit_runs(runs, model_name(model), _tell)
 
 
-def _fit_and_report(
-    runs: list[Path], model: str, page: Path | None
-) -> tuple["ReedFit", dict[str, Path]]:
-    from fitting.report import write_report
+def _report(
+    runs: list[Path], model: str, page: Path | None, as_json: bool, answer: dict[str, Any]
+) -> None:
+    """Fit, write the page and print the result; without a fit, the page has the pictures only."""
+    from fitting.errors import FitError, FitInputError
+    from fitting.report import write_bare_report, write_report
 
-    fitted = _fit(runs, model)
-    return fitted, write_report(fitted, page or runs[0].with_suffix(".html"))
+    page = page or runs[0].with_suffix(".html")
+    fitted, failure = None, None
+    try:
+        fitted = _fit(runs, model)
+        files = write_report(fitted, page)
+    except FitInputError:
+        raise
+    except FitError as error:
+        failure = error
+        files = write_bare_report(runs, page, str(error))
+    answer |= {
+        "fit": fitted.to_json() if fitted else None,
+        "files": {name: str(file) for name, file in files.items()},
+    }
+    listed = ({"run file": answer["run"]} if "run" in answer else {}) | files
+    _finish(answer, as_json, [f"{name:13} {file}" for name, file in listed.items()], fitted)
+    if failure:
+        raise failure
 
 
 @_verb
@@ -225,9 +264,7 @@ def report(
     debug: Debug = False,
 ) -> None:
     """Write one self-contained HTML page about a run, and its pictures beside it."""
-    fitted, files = _fit_and_report(runs, model, out)
-    answer = {"fit": fitted.to_json(), "files": {name: str(file) for name, file in files.items()}}
-    _finish(answer, as_json, [f"{name:10} {file}" for name, file in files.items()])
+    _report(runs, model, out, as_json, {})
 
 
 @_verb

@@ -7,6 +7,7 @@ from typing import Protocol as Role
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
+from rich.text import Text
 
 from acquire.plan import Plan
 from acquire.quality import Verdict
@@ -122,7 +123,8 @@ def runs_table(runs: Sequence[dict[str, object]]) -> Table:
         good = f"{run['good']}/{run['steps']}"
         strength = "" if run["strength"] is None else f"{run['strength']:g}"
         cells = (run["path"], run["reed"], strength, run["series"], run["status"])
-        table.add_row(*map(str, cells), good, str(run["note"]))
+        # Text, because what people wrote may hold what rich takes for markup.
+        table.add_row(*map(Text, map(str, (*cells, good, run["note"]))))
     return table
 
 

@@ -66,15 +66,18 @@ class DocumentLog:
         # It takes longer to import than the rest of this package.
         import event_model
 
-        self.path = documents_path(run_path)
-        self._file = _create(self.path)
         metadata = _metadata(run_path, plan, bench, labels)
         bundle = event_model.compose_run(uid=uid, metadata=metadata)
-        self._compose_stop = bundle.compose_stop
-        self._write("start", bundle.start_doc)
         stream = bundle.compose_descriptor(name="primary", data_keys=_data_keys())
-        self._compose_event = stream.compose_event
-        self._write("descriptor", stream.descriptor_doc)
+        self._compose_stop, self._compose_event = bundle.compose_stop, stream.compose_event
+        self.path = documents_path(run_path)
+        self._file = _create(self.path)
+        try:
+            self._write("start", bundle.start_doc)
+            self._write("descriptor", stream.descriptor_doc)
+        except BaseException:
+            self.discard()
+            raise
 
     def event(self, step: Step, measured: MeasuredStep, time_s: float) -> None:
         """Write the event of one measured step.

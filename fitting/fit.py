@@ -171,13 +171,12 @@ def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
     fringes = count_fringes(pictures.brightness, shapes)
     found = _pick(pictures, shapes, fringes, model, series, run.acoustic_lines_hz)
     if not found:
-        raise FitError(
-            f"{run.path}: no mode of a clarinet reed shows in {len(pictures.drive_hz)} pictures; "
-            "look at the report's contact sheet"
-        )
+        raise _nothing_shows(run, pictures)
     shapes = mode_shapes(reed, pictures, _suggested_cane(found, model, series))
     fringes = count_fringes(pictures.brightness, shapes, fringes)
     found = _pick(pictures, shapes, fringes, model, series, run.acoustic_lines_hz)
+    if not found:
+        raise _nothing_shows(run, pictures)
     return SweepFit(run.path, run.reed, run.series, found, pictures, fringes)
 
 
@@ -190,6 +189,13 @@ def _suggested_cane(
     except FitError:
         return viscoelastic_cane(likely_components(found, model, series), series)
     return viscoelastic_cane(Components(**{n: e.value for n, e in fitted.items()}), series)
+
+
+def _nothing_shows(run: Run, pictures: Pictures) -> FitError:
+    return FitError(
+        f"{run.path}: no mode of a clarinet reed shows in {len(pictures.drive_hz)} pictures; "
+        "look at the contact sheet that acquire report writes"
+    )
 
 
 def _pick(

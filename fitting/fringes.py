@@ -35,6 +35,8 @@ _TRIAL_RAD = np.geomspace(0.1, 60.0, 80, dtype=np.float32)
 _BRIGHTEST = 6
 # Points that never reach a fringe would get too little light from that estimate.
 _LEAST_LIGHT = 0.6
+# Light below this share of the median is noise: relative to it, noise would look like fringes.
+_DARKEST = 0.1
 
 
 @dataclass(frozen=True)
@@ -239,11 +241,13 @@ def _light(brightness: Float, a: Complex, cost: Array, problem: _Problem) -> Flo
     """Light B (n,) by least squares over pictures, the better explained weighing more."""
     value, _ = problem.bessel(np.abs(a @ problem.shapes.T))
     pattern = value * value
-    weight = np.clip(0.1 * np.median(cost) / np.maximum(cost, 1e-12), 0.0, 1.0)[:, None]
+    # Relative to what there is to explain: a dark picture fits any light.
+    unexplained = np.maximum(cost, 1e-12) / np.maximum(mean_square(pattern), 1e-12)
+    weight = np.clip(0.1 * np.median(unexplained) / unexplained, 0.0, 1.0)[:, None]
     numerator = (weight * brightness * pattern).sum(axis=0)
     denominator = (weight * pattern * pattern).sum(axis=0)
     light = numerator / np.maximum(denominator, 1e-12)
-    lifted: Float = np.maximum(light, 1e-3 * np.median(light)).astype(np.float32)
+    lifted: Float = np.maximum(light, _DARKEST * np.median(light)).astype(np.float32)
     return lifted
 
 

@@ -43,30 +43,77 @@ def write_report(fit: ReedFit, page: Path) -> dict[str, Path]:
         If a run cannot be read, or the page not be written.
     """
     files, parts = {"report": page}, [_heading(fit), _parameters(fit)]
-    try:
-        for sweep in fit.sweeps:
-            with Run.open(sweep.path) as run:
-                figures = {
-                    "contact sheet": contact_sheet(run, sweep.resonances),
-                    "response": response_plot(sweep, run.acoustic_lines_hz),
-                }
-                parts.append(_sweep(sweep, run, fit))
-            for name, figure in figures.items():
-                picture = png_of(figure)
-                label = name if len(fit.sweeps) == 1 else f"{name} {sweep.series}"
-                files[label] = page.with_name(f"{sweep.path.stem}.{name.replace(' ', '-')}.png")
-                files[label].write_bytes(picture)
-                parts.append(_embedded(name, picture))
-        page.write_text(_document(fit, parts), encoding="utf-8")
-    except OSError as error:
-        raise RunFileError(
-            f"{page}: cannot be written ({error.strerror}); choose another place with --out"
-        ) from error
+    alike = len({sweep.path.stem for sweep in fit.sweeps}) < len(fit.sweeps)
+    for sweep in fit.sweeps:
+        _require_other(page, sweep.path)
+        with Run.open(sweep.path) as run:
+            figures = {
+                "contact sheet": contact_sheet(run, sweep.resonances),
+                "response": response_plot(sweep, run.acoustic_lines_hz),
+            }
+            parts.append(_sweep(sweep, run, fit))
+        stem = f"{sweep.path.stem}-{sweep.series}" if alike else sweep.path.stem
+        for name, figure in figures.items():
+            picture = png_of(figure)
+            label = name if len(fit.sweeps) == 1 else f"{name} {sweep.series}"
+            files[label] = page.with_name(f"{stem}.{name.replace(' ', '-')}.png")
+            _write(files[label], picture)
+            parts.append(_embedded(name, picture))
+    _write(page, _document(fit.sweeps[0].reed, parts))
     return files
 
 
-def _document(fit: ReedFit, parts: Iterable[str]) -> str:
-    title = html.escape(f"Reed {fit.sweeps[0].reed}")
+def write_bare_report(runs: Sequence[Path], page: Path, reason: str) -> dict[str, Path]:
+    """Write a page about runs that cannot be fitted: facts and contact sheets, and why.
+
+    Parameters
+    ----------
+    runs : sequence of Path
+    page : Path
+        Replaced if it exists.
+    reason : str
+        Why there is no fit.
+
+    Returns
+    -------
+    dict
+        What was written, by name.
+
+    Raises
+    ------
+    RunFileError
+        If a run cannot be read, or the page not be written.
+    """
+    parts, reeds = [f'<p class="warning">No fit: {html.escape(reason)}</p>'], []
+    for path in runs:
+        _require_other(page, path)
+        with Run.open(path) as run:
+            reeds.append(run.reed)
+            title = html.escape(f"Reed {run.reed}, series {run.series}")
+            sheet = png_of(contact_sheet(run, {}))
+            parts.append(f"<h1>{title}</h1>{_facts(run)}{_embedded('contact sheet', sheet)}")
+    _write(page, _document(reeds[0], parts))
+    return {"report": page}
+
+
+def _require_other(page: Path, run: Path) -> None:
+    if page.resolve() == run.resolve():
+        raise RunFileError(f"{page}: is the run itself; choose another page with --out")
+
+
+def _write(path: Path, content: str | bytes) -> None:
+    """Write a text or a picture."""
+    data = content.encode() if isinstance(content, str) else content
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise RunFileError(
+            f"{path}: cannot be written ({error.strerror}); choose another place with --out"
+        ) from error
+
+
+def _document(reed: str, parts: Iterable[str]) -> str:
+    title = html.escape(f"Reed {reed}")
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         f"<style>{_STYLE}</style></head><body>{''.join(parts)}</body></html>"
@@ -122,15 +169,6 @@ def _modulus(name: str) -> str:
 
 def _sweep(sweep: SweepFit, run: Run, fit: ReedFit) -> str:
     """Facts about one run and the table of its modes."""
-    labels, good = run.labels, int(run.good.sum())
-    strength = "" if labels.strength is None else f", strength {labels.strength:g}"
-    facts = [
-        f"{run.title} on the {run.bench_name}, {run.start_time}{strength}",
-        f"{good} of {len(run)} steps good, status {run.status}",
-        f"run file {run.path.name}",
-    ]
-    said_by_person = {"operator": labels.operator, "note": labels.note}
-    facts += [f"{word}: {text}" for word, text in said_by_person.items() if text]
     residual = fit.parameters.residual_cents.get(sweep.series, {}) if fit.parameters else {}
     rows = [
         (
@@ -151,9 +189,23 @@ def _sweep(sweep: SweepFit, run: Run, fit: ReedFit) -> str:
         "phase amplitude (rad)",
         "residual (cents)",
     )
-    said = "<br>".join(map(html.escape, facts))
     title = html.escape(f"Series {sweep.series}: resonances")
-    return f'<h2>{title}</h2><p class="facts">{said}</p>{_table(head, rows)}'
+    return f"<h2>{title}</h2>{_facts(run)}{_table(head, rows)}"
+
+
+def _facts(run: Run) -> str:
+    """What a run is, who took it, and how it went."""
+    labels, good = run.labels, int(run.good.sum())
+    strength = "" if labels.strength is None else f", strength {labels.strength:g}"
+    facts = [
+        f"{run.title} on the {run.bench_name}, {run.start_time}{strength}",
+        f"{good} of {len(run)} steps good, status {run.status}",
+        f"run file {run.path.name}",
+    ]
+    said_by_person = {"operator": labels.operator, "note": labels.note}
+    facts += [f"{word}: {text}" for word, text in said_by_person.items() if text]
+    said = "<br>".join(map(html.escape, facts))
+    return f'<p class="facts">{said}</p>'
 
 
 def _embedded(name: str, picture: bytes) -> str:

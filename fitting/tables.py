@@ -1,6 +1,7 @@
 """What the command line shows of a fit."""
 
 from rich.table import Table
+from rich.text import Text
 
 from fitting.fit import ReedFit, SweepFit
 from fitting.reedfit import Estimate
@@ -8,7 +9,7 @@ from fitting.reedfit import Estimate
 
 def modes_table(sweep: SweepFit) -> Table:
     """Resonances of one run."""
-    table = Table(title=f"Reed {sweep.reed}, series {sweep.series}: resonances")
+    table = Table(title=Text(f"Reed {sweep.reed}, series {sweep.series}: resonances"))
     for head in ("mode", "frequency", "± cents", "picture", "fringes (rad)"):
         table.add_column(head, justify="right")
     for name, found in sweep.resonances.items():
@@ -28,7 +29,7 @@ def parameters_table(fit: ReedFit) -> Table | None:
         return None
     parameters = fit.parameters
     table = Table(
-        title=f"Reed {fit.sweeps[0].reed}: the cane",
+        title=Text(f"Reed {fit.sweeps[0].reed}: the cane"),
         caption=f"rms {parameters.rms_cents:.1f} cents, model: {parameters.model}",
     )
     table.add_column("parameter")

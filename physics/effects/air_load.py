@@ -4,26 +4,30 @@ Stage: acoustics. Lowers every mode, the low ones most. Not to be told from freq
 stiffness by one sweep; a sweep at low pressure separates them.
 """
 
+from typing import Any
+
 import numpy as np
 import scipy.fft
+from numpy.typing import NDArray
 
 from physics.reed.basis import ReducedReed
 from physics.reed.response import Mode
 from physics.reed.surface import on_reed, surface_shapes
 
+Array = NDArray[np.floating[Any]]
+
 AIR_DENSITY_KG_M3 = 1.204
-# Fine enough for the shortest bending waves, wide enough that copies do not meet.
+SOUND_M_S = 343.0
+# Fine enough for the shortest bending waves.
 _GRID_M = 0.5e-3
-_EXTENT_M = (64e-3, 128e-3)
+_WIDTH_M = 14e-3
 
 
 def air_load_cents(reed: ReducedReed, mode: Mode, share: float = 1.0) -> float:
     """Shift of a mode under the load of free air on both sides.
 
-    The reed is taken as part of a plane baffle: a wave of wavenumber k on the plane carries the
-    mass ``ρ/√(k² − k₀²)`` per area and side (the imaginary part of the radiation impedance), so
-    the added modal mass is a sum over the spectrum of the deflection. Waves longer than sound
-    radiate instead and add none.
+    The reed is taken as part of a plane baffle. The added modal mass is the reactive part of
+    Rayleigh's integral, ``ρ/2π ∫∫ w w′ cos(k₀R)/R`` per side, with the wavenumber k₀ of sound.
 
     Parameters
     ----------
@@ -38,19 +42,30 @@ def air_load_cents(reed: ReducedReed, mode: Mode, share: float = 1.0) -> float:
     float
         In cents, negative.
     """
-    counts = [int(extent / _GRID_M) for extent in _EXTENT_M]
-    y, x = np.meshgrid(*[(np.arange(n) - n // 2) * _GRID_M for n in counts], indexing="ij")
-    x = x + 0.5 * reed.geometry.length_m
+    shape = round(_WIDTH_M / _GRID_M), round(reed.geometry.length_m / _GRID_M)
+    y, x = np.meshgrid(*[(np.arange(n) + 0.5) * _GRID_M for n in shape], indexing="ij")
+    y -= 0.5 * _WIDTH_M
     inside = on_reed(x, y)
-    deflection = np.zeros(x.shape)
+    deflection = np.zeros(shape)
     shapes = surface_shapes(reed, x[inside], y[inside])[mode.symmetry]
     deflection[inside] = shapes @ mode.coordinates
-    spectrum = scipy.fft.fft2(deflection) * _GRID_M**2
-    ky, kx = (2 * np.pi * scipy.fft.fftfreq(n, _GRID_M) for n in counts)
-    excess = np.add.outer(ky**2, kx**2) - (2 * np.pi * mode.frequency_hz / 343.0) ** 2
-    per_area = np.divide(1, np.sqrt(np.abs(excess)), out=np.zeros_like(excess), where=excess > 0)
-    cell = (1 / (counts[0] * _GRID_M)) * (1 / (counts[1] * _GRID_M))
-    both_sides = 2 * AIR_DENSITY_KG_M3 * share
-    added = both_sides * float(np.sum(np.abs(spectrum) ** 2 * per_area)) * cell
+    pushed = _convolve(deflection, 2 * np.pi * mode.frequency_hz / SOUND_M_S)
+    cell_m2 = _GRID_M**2
+    one_side = AIR_DENSITY_KG_M3 * share / (2 * np.pi) * float(np.sum(deflection * pushed))
     # Both halves of the reed together have a modal mass of 2.
-    return -600 * float(np.log2(1 + added / 2))
+    return -600 * float(np.log2(1 + 2 * one_side * cell_m2 / 2))
+
+
+def _convolve(deflection: Array, wavenumber: float) -> Array:
+    """Integral of w′ cos(kR)/R over the plane at every point of the grid, without wrapping."""
+    padded = [2 * n for n in deflection.shape]
+    away = [np.minimum(np.arange(n), n - np.arange(n)) * _GRID_M for n in padded]
+    distance = np.hypot(away[0][:, None], away[1])
+    distance[0, 0] = 1.0
+    kernel = np.cos(wavenumber * distance) / distance
+    # Mean of 1/R over a square, from its centre.
+    kernel[0, 0] = 4 * np.log(1 + np.sqrt(2)) / _GRID_M
+    product = scipy.fft.rfft2(deflection, padded) * scipy.fft.rfft2(kernel)
+    rows, columns = deflection.shape
+    answer: Array = scipy.fft.irfft2(product, padded)[:rows, :columns] * _GRID_M**2
+    return answer

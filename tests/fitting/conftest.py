@@ -1,0 +1,111 @@
+"""One sweep of the simulated bench, measured and fitted once, and copies of it with changes."""
+
+import os
+import shutil
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import yaml
+
+from acquire import script
+from benchmarks.recovery import true_frequencies_hz
+from fitting.fit import fit_runs
+from fitting.forward import finite_element_model
+from physics.reed.cache import reduced_reed
+from physics.reed.viscoelastic import Series
+
+# As it was before any fixture: the standard reed takes ten seconds to build, once per user.
+_USERS_CACHE = os.environ.get("REEDBENCH_CACHE")
+REED = "R07"
+
+
+def _use_the_users_cache(patch):
+    if _USERS_CACHE is None:
+        patch.delenv("REEDBENCH_CACHE", raising=False)
+    else:
+        patch.setenv("REEDBENCH_CACHE", _USERS_CACHE)
+
+
+@pytest.fixture(autouse=True)
+def _users_cache(monkeypatch):
+    _use_the_users_cache(monkeypatch)
+
+
+@pytest.fixture(scope="session")
+def tables():
+    """The paper's numbers, where they lie beside the checkout."""
+    path = Path(__file__).parents[3] / "shared" / "paper" / "tables.yaml"
+    if not path.exists():
+        pytest.skip("the paper's tables.yaml does not lie beside this checkout")
+    return yaml.safe_load(path.read_text())
+
+
+@pytest.fixture(scope="session")
+def reed():
+    with pytest.MonkeyPatch.context() as patch:
+        _use_the_users_cache(patch)
+        return reduced_reed()
+
+
+@pytest.fixture(scope="session")
+def model(reed):
+    """Finite elements, tabulated once: it takes over a second."""
+    return finite_element_model(reed)
+
+
+@pytest.fixture(scope="session")
+def sweep_a(tmp_path_factory):
+    """Run file of series A on a quarter of the sensor: 87 steps of 50 cents, all noise on."""
+    path = tmp_path_factory.mktemp("runs") / "A.h5"
+    small = {"camera.width": 640, "camera.height": 512, "sweep.stride": 2, "sweep.last": 173}
+    with pytest.MonkeyPatch.context() as patch:
+        _use_the_users_cache(patch)
+        script.run(script.plan(script.load("seriesA").replace(small)), path, reed=REED)
+    return path
+
+
+@pytest.fixture(scope="session")
+def fitted(sweep_a):
+    """What `acquire fit` makes of that run."""
+    with pytest.MonkeyPatch.context() as patch:
+        _use_the_users_cache(patch)
+        return fit_runs([sweep_a])
+
+
+@pytest.fixture(scope="session")
+def true_hz():
+    """Eigenfrequencies of that reed in series A, by name."""
+    with pytest.MonkeyPatch.context() as patch:
+        _use_the_users_cache(patch)
+        return true_frequencies_hz(REED, Series.A)
+
+
+@pytest.fixture
+def changed(sweep_a, tmp_path):
+    """Return a function that copies the run file with changes.
+
+    Of the steps in `only` (first and last k) the verdicts stay, the others become pending;
+    `verdicts` gives some by k; `order` permutes the steps; labels replace what stands in the file.
+    """
+
+    def make(file_name="changed.h5", only=None, verdicts=None, order=None, **labels):
+        path = Path(shutil.copy(sweep_a, tmp_path / file_name))
+        with h5py.File(path, "r+") as file:
+            steps = file["entry/steps"]
+            index, said = steps["index"][()], steps["verdict"][()]
+            if only is not None:
+                said[(index < only[0]) | (index > only[1])] = b"pending"
+            for k, verdict in (verdicts or {}).items():
+                said[index == k] = verdict.encode()
+            steps["verdict"][...] = said
+            if order is not None:
+                for column in (*steps.values(), file["entry/data/field"]):
+                    column[...] = column[()][np.asarray(order)]
+            for key, text in labels.items():
+                del file["entry/sample"][key]
+                file["entry/sample"][key] = text
+        return path
+
+    return make

@@ -115,27 +115,24 @@ class RunWriter:
             If the file exists already or cannot be made; none is left behind.
         """
         path = Path(path)
-        try:
-            file = h5py.File(path, "x")
-        except FileExistsError:
+        if path.exists():
             raise RunFileError(
                 f"{path}: exists already and is never overwritten; choose another name or move it"
-            ) from None
+            )
+        # A file has its name only once it is whole: killed before, a run leaves none.
+        unborn = path.with_name(f".{path.name}.part")
+        try:
+            with h5py.File(unborn, "w") as file:
+                _write_entry(file, plan, bench, labels, uid)
+                _write_instruments(file["entry"], plan, bench)
+                _write_steps(file["entry"], plan)
+                _write_data(file["entry"], plan, reconstruction)
+            unborn.rename(path)
+            return cls(path, h5py.File(path, "r+"), plan.protocol.keep)
         except OSError as error:
             raise _cannot_make(path, error) from error
-        try:
-            _write_entry(file, plan, bench, labels, uid)
-            _write_instruments(file["entry"], plan, bench)
-            _write_steps(file["entry"], plan)
-            _write_data(file["entry"], plan, reconstruction)
-            file.flush()
-        except BaseException as error:
-            file.close()
-            path.unlink()
-            if isinstance(error, OSError):
-                raise _cannot_make(path, error) from error
-            raise
-        return cls(path, file, plan.protocol.keep)
+        finally:
+            unborn.unlink(missing_ok=True)
 
     def write(self, position: int, step: MeasuredStep) -> None:
         """Write one step; on return all of it is with the operating system.

@@ -31,6 +31,9 @@ _GAIN = 0.9
 _START_STEPS, _NEIGHBOUR_STEPS, _FINAL_STEPS, _ALONE_STEPS = 12, 5, 5, 25
 # Phase amplitudes tried for a single shape, rad.
 _TRIAL_RAD = np.geomspace(0.1, 60.0, 80, dtype=np.float32)
+# Where a picture that must do without a shape starts from: its neighbours may all lie in the same
+# wrong minimum, which some picture farther off does not.
+_AROUND = np.array([-8, -6, -5, -4, -3, -2, -1, 0, 1, 2, 3, 4, 5, 6, 8])
 # Pictures whose brightest share estimates the light B: those in which a point is on a fringe.
 _BRIGHTEST = 6
 # Points that never reach a fringe would get too little light from that estimate.
@@ -267,8 +270,7 @@ def misfit_without(
     shape, picture : int
         Which column of `shapes`, which row of `brightness`.
     """
-    last = len(brightness) - 1
-    near = np.array([max(picture - 1, 0), picture, min(picture + 1, last)])
+    near = np.unique(np.clip(picture + _AROUND, 0, len(brightness) - 1))
     others = np.delete(np.arange(shapes.shape[1]), shape)
     relative = np.repeat(brightness[picture : picture + 1] / fringes.light, len(near), axis=0)
     problem = _Problem(relative, shapes[:, others], _Bessel())

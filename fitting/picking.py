@@ -25,12 +25,12 @@ _WINDOW_SD = 4.0
 _LINE_CENTS = 60.0
 # A maximum must stand out of the noise of the count, rad: a first fringe begins at 1.84.
 _LEAST_RAD = 0.1
+# ... and of the most fringes of its shape within the window: ripples on a flank are no resonance.
+_LEAST_SHARE = 0.2
 # Reeds lie within these many standard deviations of the population's mean.
 _FARTHEST_SD = 4.0
 # Steps of Gauss and Newton that a belief takes when it learns.
 _BELIEF_STEPS = 2
-# ... and of the most fringes of its shape within the window: ripples on a flank are no resonance.
-_LEAST_SHARE = 0.2
 # Two modes of one symmetry that are expected this close may have exchanged shapes.
 _EXCHANGE_CENTS = 150.0
 # Two modes of one symmetry come no closer than this: the closest pairs of the population, F2 and

@@ -132,7 +132,6 @@ def run(
     """Measure a sweep; then fit the reed and draw the pictures."""
     from acquire import script
     from acquire.display import run_summary, sweep_progress, troubles_of
-    from acquire.recorder import require_writable
     from acquire.runfile import Run, RunLabels
 
     planned = _plan(protocol, bench, series)
@@ -140,8 +139,6 @@ def run(
     path = out or _default_path(planned.protocol.series, reed)
     labels = RunLabels(strength, note, operator)
     _require_keepable(reed, labels)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    require_writable(planned, path)
     words = _words()
     with sweep_progress(words, len(planned.steps)) as show:
         tell = functools.partial(words.print, markup=False, soft_wrap=True)
@@ -160,7 +157,11 @@ def run(
     if not fit:
         _finish(answer, as_json, [f"run file      {path}"])
         return
-    _report([path], "fem", None, as_json, answer)
+    try:
+        _report([path], "fem", None, as_json, answer)
+    except KeyboardInterrupt:
+        _finish(answer, as_json, [f"run file      {path}"])
+        raise
 
 
 def _require_keepable(reed: str, labels: "RunLabels") -> None:
@@ -168,7 +169,9 @@ def _require_keepable(reed: str, labels: "RunLabels") -> None:
     from acquire.errors import RunFileError
 
     if labels.strength is not None and not 0 < labels.strength < math.inf:
-        raise RunFileError(f"--strength: {labels.strength} is none; write one such as 3.5")
+        raise RunFileError(f"--strength: {labels.strength} is no strength; write one such as 3.5")
+    if not reed.strip():
+        raise RunFileError("--reed: is blank; write a name that tells this reed from others")
     for option, text in (("reed", reed), ("note", labels.note), ("operator", labels.operator)):
         try:
             text.encode("utf-8")
@@ -299,7 +302,8 @@ def list_runs(
     from acquire.runfile import Run
 
     if not folder.is_dir():
-        raise RunFileError(f"{folder}: there is no such folder; name the one with your run files")
+        state = "is no folder" if folder.exists() else "there is no such folder"
+        raise RunFileError(f"{folder}: {state}; name the one with your run files")
     entries = []
     for path in sorted(folder.rglob("*.h5")):
         try:

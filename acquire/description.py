@@ -374,7 +374,8 @@ def find_description(name: str, kind: str, folder: str) -> Traversable:
         return shipped[bare]
     if is_folder:
         return path
-    near = difflib.get_close_matches(bare, shipped, n=1)
+    spelt = {name.lower(): name for name in shipped}
+    near = [spelt[match] for match in difflib.get_close_matches(bare.lower(), spelt, n=1)]
     remedy = f"did you mean {near[0]}? " if near else ""
     message = f"there is no such file, nor a shipped {kind} of that name"
     raise _error(name, (), None, f"{message}; {remedy}shipped are {', '.join(sorted(shipped))}")

@@ -4,12 +4,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Protocol as Role
 
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
 
-from acquire.plan import Plan
+from acquire.plan import Plan, Step
 from acquire.quality import Verdict
 from acquire.quantities import exact_decimal
 from acquire.recorder import StepReport
@@ -25,24 +26,33 @@ class Listener(Role):
 
 
 def plan_table(plan: Plan) -> Table:
-    """Every step of a plan."""
-    table = Table(title=f"{plan.protocol.name} on the {plan.bench.name}")
-    heads = ("k", "asked Hz", "drive Hz", "AOM1 Hz", "AOM2 Hz", "difference Hz", "residual Hz")
-    for head in (*heads, "volts", "carrier leak"):
-        table.add_column(head, justify="right")
-    for step in plan.steps:
-        table.add_row(
-            str(step.index),
-            f"{float(step.asked_hz):.3f}",
-            exact_decimal(step.drive_hz),
-            exact_decimal(step.aom1_hz),
-            exact_decimal(step.aom2_hz),
-            exact_decimal(step.difference_hz),
-            exact_decimal(step.lock_residual_hz),
-            f"{step.volts:.3f}",
-            f"{step.carrier_leak:.2%}",
-        )
+    """Every step of a plan, narrow enough for 80 columns without losing a digit."""
+    title = f"{plan.protocol.name} on the {plan.bench.name}"
+    if plan.steps:
+        title += f", AOM2 at {exact_decimal(plan.steps[0].aom2_hz)} Hz"
+    # Text, because what people wrote may hold what rich takes for markup.
+    table = Table(title=Text(title), box=SIMPLE, pad_edge=False, padding=(0, 0, 0, 1))
+    heads = ("k", "asked Hz", "drive Hz", "AOM1 Hz", "AOM1 − AOM2", "residual")
+    rows = [_plan_row(step) for step in plan.steps]
+    for column, head in enumerate((*heads, "volts", "leak")):
+        widest = max((len(row[column]) for row in rows), default=0)
+        table.add_column(head, justify="right", min_width=widest)
+    for row in rows:
+        table.add_row(*row)
     return table
+
+
+def _plan_row(step: Step) -> tuple[str, ...]:
+    return (
+        str(step.index),
+        f"{float(step.asked_hz):.3f}",
+        exact_decimal(step.drive_hz),
+        exact_decimal(step.aom1_hz),
+        exact_decimal(step.difference_hz),
+        exact_decimal(step.lock_residual_hz),
+        f"{step.volts:.3f}",
+        f"{step.carrier_leak:.2%}",
+    )
 
 
 def plan_summary(plan: Plan) -> list[str]:
@@ -68,10 +78,14 @@ def sweep_progress(console: Console, steps: int) -> Iterator[Listener]:
         TextColumn("{task.fields[verdict]}"),
         TextColumn("{task.fields[left]}"),
     )
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task("sweep", total=steps, setting="", verdict="", left="")
+    progress = Progress(*columns, console=console)
+    task = progress.add_task("sweep", total=steps, setting="", verdict="", left="")
+    try:
 
         def show(report: StepReport) -> None:
+            # The bar appears with the first step: what is said before stands alone.
+            if not progress.live.is_started:
+                progress.start()
             minutes, seconds = divmod(round(report.seconds_left), 60)
             colour = "green" if report.verdict is Verdict.OK else "red"
             progress.update(
@@ -83,6 +97,9 @@ def sweep_progress(console: Console, steps: int) -> Iterator[Listener]:
             )
 
         yield show
+    finally:
+        if progress.live.is_started:
+            progress.stop()
 
 
 def run_summary(summary: RunSummary, troubles: Sequence[str]) -> list[str]:
@@ -114,7 +131,7 @@ def troubles_of(run: Run) -> list[str]:
 
 
 def runs_table(runs: Sequence[dict[str, object]]) -> Table:
-    """Table of the runs of a folder (see `catalogue`)."""
+    """Table of the runs of a folder (see `catalogue_entry`)."""
     table = Table()
     for head in ("run", "reed", "strength", "series", "status", "good", "note"):
         # Names of files must be whole to be of use.

@@ -289,14 +289,37 @@ def measure(
     )
 
 
+def make_folder(path: Path) -> None:
+    """Make the folder of a run file, if it is not there.
+
+    Raises
+    ------
+    RunFileError
+        If it cannot be made.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunFileError(
+            f"{path}: its folder cannot be made ({error.strerror}); choose another place"
+        ) from error
+
+
 def require_writable(plan: Plan, path: Path) -> None:
     """Check, before anything is switched on, that a run can be kept at `path`.
 
     Raises
     ------
     RunFileError
-        If the folder is missing, the disk too small, or one of the files exists already.
+        If the folder is missing, the name unusable, the disk too small, or one of the files
+        exists already.
     """
+    if path.suffix != ".h5":
+        raise RunFileError(f"{path}: the name of a run file ends in .h5; write {path.stem}.h5")
+    try:
+        path.exists()
+    except OSError as error:
+        raise RunFileError(f"{path}: {error.strerror}; choose another name") from error
     for file in (path, documents_path(path)):
         if file.exists():
             raise RunFileError(

@@ -146,6 +146,8 @@ class Run:
             If there is no such file, it is no HDF5 or no run file, or parts are missing.
         """
         path = Path(path)
+        if path.is_dir():
+            raise RunFileError(f"{path}: is a folder; name a run file in it")
         if not path.is_file():
             raise RunFileError(f"{path}: there is no such file; check the name")
         try:

@@ -9,7 +9,7 @@ from pathlib import Path
 from acquire.bench_file import DEFAULT_BENCH, BenchFile
 from acquire.plan import Plan, make_plan
 from acquire.protocol import Protocol
-from acquire.recorder import StepReport
+from acquire.recorder import StepReport, make_folder, require_writable
 from acquire.runfile import RunLabels
 from acquire.runner import RunSummary
 from acquire.runner import run as measure
@@ -75,8 +75,9 @@ def run(
     """
     plan.require_possible()
     path, protocol = Path(path), plan.protocol
+    make_folder(path)
+    require_writable(plan, path)
     with open_bench(
         plan.bench, Preparation(reed, protocol.series, protocol.chamber), seed, announce
     ) as bench:
-        path.parent.mkdir(parents=True, exist_ok=True)
         return measure(plan, bench, path, labels, progress)

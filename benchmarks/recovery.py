@@ -4,7 +4,8 @@ Every reed is swept on the simulated bench at full size with all noise, its run 
 the result is compared with what the twin was made of: eigenfrequencies from the finite elements
 with the moduli of each mode's own frequency, components as drawn from N(0, 1).
 
-    python -m benchmarks.recovery [--reeds N] [--first K] [--protocol NAME] [--loss-factor X] [--json]
+    python -m benchmarks.recovery [--reeds N] [--first K] [--protocol NAME]
+                                  [--loss-factor X] [--json]
 """
 
 import argparse
@@ -160,9 +161,8 @@ def _line(r: Recovery) -> str:
 
 def print_report(report: dict[str, Any]) -> None:
     """Print a benchmark for people."""
-    print(
-        f"{report['reeds']} reeds from {report['first']}, {report['protocol']}, loss factor {report['loss_factor']}"
-    )
+    which = f"{report['reeds']} reeds from {report['first']}, {report['protocol']}"
+    print(f"{which}, loss factor {report['loss_factor']}")
     print(f"{'mode':5} {'named right':>12} {'rms cents':>10} {'mean cents':>11}")
     for name, row in report["modes"].items():
         errors = f"{row['rms_cents']:10.1f} {row['mean_cents']:11.1f}"

@@ -20,6 +20,8 @@ Array = NDArray[np.floating[Any]]
 PER_ROW = 26
 _SHRINK = 3
 _GAP, _HEAD = 4, 16
+# A cell must be this wide for its label, in pixels.
+_LABEL_WIDTH = 52.0
 # Brightness that is shown as white: few pixels of a speckle pattern are brighter.
 _WHITE_PERCENTILE = 99.0
 # A picture of nothing but noise is shown dark, not stretched to full contrast.
@@ -73,7 +75,7 @@ def contact_sheet(run: Run, resonances: dict[str, Resonance]) -> Figure:
         if step.verdict.measured:
             top, left = _corner(position, columns, cell_y, cell_x)
             canvas[top : top + height, left : left + width] = _picture(run, step)
-    scale = max(1.0, 600 / canvas.shape[1])
+    scale = max(1.0, _LABEL_WIDTH / cell_x)
     figure = Figure(figsize=(scale * canvas.shape[1] / 100, scale * canvas.shape[0] / 100))
     axes = figure.add_axes((0, 0, 1, 1))
     axes.imshow(canvas, cmap="gray", vmin=0, vmax=1, interpolation="nearest", aspect="auto")

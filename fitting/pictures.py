@@ -61,9 +61,10 @@ def read_pictures(run: Run) -> Pictures:
     """
     good = sorted((s for s in run.steps if s.verdict == "ok"), key=lambda step: step.drive_hz)
     if len(good) < _LEAST_PICTURES:
+        troubles = _troubles(run)
         raise FitError(
             f"{run.path}: {len(good)} of {len(run)} steps are good, a fit needs at least "
-            f"{_LEAST_PICTURES} ({_troubles(run)})"
+            f"{_LEAST_PICTURES}" + (f" ({troubles})" if troubles else "")
         )
     factors = [max(1, round(_BLOCK_M / abs(a[1] - a[0]))) for a in (run.y_m, run.x_m)]
     y, x = (_block_centres(a, f) for a, f in zip((run.y_m, run.x_m), factors, strict=True))

@@ -117,7 +117,10 @@ def read_twin(content: Mapping[str, Any], bench_name: str) -> Twin:
         first, others = errors[0], len(errors) - 1
         key = ".".join(str(part) for part in ("twin", *first["loc"]))
         more = f" (and {others} more)" if others else ""
-        message = f"{first['msg'].removeprefix('Input ')}, but is {first['input']!r}"
+        if first["type"] == "extra_forbidden":
+            message = "unknown key"
+        else:
+            message = f"{first['msg'].removeprefix('Input ')}, but is {first['input']!r}"
         raise BenchSetupError(f"bench {bench_name!r}: {key}: {message}{more}; correct it") from None
 
 

@@ -275,7 +275,7 @@ def test_what_is_no_run_file_is_refused_in_one_line(kind, create, tmp_path):
             file.attrs["format_version"] = 99
     said = {
         "missing": "no such file",
-        "folder": "no such file",
+        "folder": "is a folder",
         "text": "no HDF5 file",
         "empty": "no HDF5 file",
         "other": "no run file",

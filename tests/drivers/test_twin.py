@@ -68,7 +68,7 @@ def test_faults_reach_physics(small_bench_file):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ({"mash": "coarse"}, r"twin\.mash: Extra inputs"),
+        ({"mash": "coarse"}, r"twin\.mash: unknown key"),
         ({"mesh": "fine"}, r"twin\.mesh: .*'standard' or 'coarse', but is 'fine'"),
         ({"loss_factor": 0}, r"twin\.loss_factor: .*greater than 0, but is 0"),
         ({"loss_factor": float("nan")}, r"twin\.loss_factor: .*finite"),

@@ -34,6 +34,8 @@ SHAPE_NAMES = (*PAPER_MODES, "T5", "X4", "X5", "X6")
 # neighbours. On the twin, modes that are there give 2 to 500, modes that are not 0.9 to 1.1.
 _NEEDED = 1.5
 _SURELY_NEEDED = 3.0
+# Fewer modes than this do not tell more of the cane than its population does.
+_TELLING_MODES = 4
 # The mean of the population, and about where its modes lie.
 _MIDDLING = viscoelastic_cane(Components(), Series.A)
 _NEAR_HZ = {name: hz for name, (hz, _) in MEAN_HZ.items()} | {
@@ -160,7 +162,7 @@ def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
     """Find the resonances of one run.
 
     The shapes are first those of a middling cane, then those of the cane that the resonances so
-    found suggest: where two modes come close, their shapes depend on the reed.
+    found suggest, if they are enough: where two modes come close, their shapes depend on the reed.
 
     Raises
     ------
@@ -173,6 +175,8 @@ def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
     found = _pick(pictures, shapes, fringes, model, series, run.acoustic_lines_hz)
     if not found:
         raise _nothing_shows(run, pictures)
+    if len(found) < _TELLING_MODES:
+        return SweepFit(run.path, run.reed, run.series, found, pictures, fringes)
     shapes = mode_shapes(reed, pictures, _suggested_cane(found, model, series))
     fringes = count_fringes(pictures.brightness, shapes, fringes)
     found = _pick(pictures, shapes, fringes, model, series, run.acoustic_lines_hz)

@@ -74,7 +74,8 @@ def recover(reed: str, plan: Plan, seed: int, folder: Path) -> Recovery:
     preparation = Preparation(reed, protocol.series, protocol.chamber)
     start_s = time.perf_counter()
     with open_bench(plan.bench, preparation, seed) as bench:
-        run(plan, bench, path)
+        if run(plan, bench, path).status != "complete":
+            raise SystemExit("interrupted")
     swept_s = time.perf_counter()
     fit = fit_runs([path])
     fitted_s = time.perf_counter()
@@ -117,9 +118,10 @@ def summary(recoveries: Sequence[Recovery]) -> dict[str, Any]:
             "mean_cents": float(np.mean(errors)) if len(errors) else float("nan"),
             "reeds": asked,
         }
+    fitted = [r for r in recoveries if r.normalised]
     components = {
-        name: float(np.sqrt(np.mean([r.normalised[name] ** 2 for r in recoveries])))
-        for name in recoveries[0].normalised
+        name: float(np.sqrt(np.mean([r.normalised[name] ** 2 for r in fitted])))
+        for name in fitted[0].normalised
     }
     pooled = [value for r in recoveries for value in r.normalised.values()]
     claimed = [modes[name] for name in CLAIMED if name in modes]

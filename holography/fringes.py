@@ -1,7 +1,5 @@
 """From the brightness of a sideband image to displacement."""
 
-from collections.abc import Iterable, Sequence
-
 import numpy as np
 import numpy.typing as npt
 import scipy.special
@@ -89,60 +87,3 @@ def block_mean(image: npt.ArrayLike, factor_y: int, factor_x: int) -> npt.NDArra
     )
     means: npt.NDArray[np.float64] = blocks.mean(axis=(-3, -1), dtype=np.float64)
     return means.astype(np.float32)
-
-
-def speckle_normalised(
-    stack: Iterable[npt.ArrayLike],
-    block: tuple[int, int],
-    noise: Sequence[float] | npt.NDArray[np.floating] | None = None,
-) -> npt.NDArray[np.float32]:
-    """Share of each image in the light of all images, block by block.
-
-    Images ``|H_k|²`` of one rough surface carry the same speckle and the same illumination; the
-    ratio ``Σ_block |H_k|² / Σ_block Σ_k |H_k|²`` is free of both, and for sidebands k it is
-    ``J_k²(φ) / Σ_k J_k²(φ)`` where φ is constant over the block.
-
-    Parameters
-    ----------
-    stack : iterable of array_like, each of shape (ny, nx)
-        Intensities. Read one at a time: hand in a generator to keep only one in memory.
-    block : tuple of int
-        Rows and columns of a block.
-    noise : sequence of float, shape (k,), optional
-        Expected ``|noise|²`` per pixel of each image, subtracted from its block means.
-
-    Returns
-    -------
-    ndarray of float32, shape (k, ny//block[0], nx//block[1])
-        Sums to 1 over k. Blocks without light (sum at or below zero) are NaN. Noise may make
-        a share slightly negative: clipping would bias what is averaged later.
-
-    Raises
-    ------
-    ValueError
-        If the stack is empty, its images differ in shape, or `noise` has another length.
-    """
-    means = np.stack(_equal_shapes(block_mean(image, *block) for image in stack))
-    if noise is not None:
-        floor = np.asarray(noise, dtype=np.float32)
-        if floor.shape != means.shape[:1]:
-            raise ValueError(
-                f"speckle_normalised: noise has shape {floor.shape} for {len(means)} images; "
-                "give one figure per image"
-            )
-        means -= floor[:, None, None]
-    total = means.sum(axis=0)
-    shares: npt.NDArray[np.float32] = np.full_like(means, np.nan)
-    np.divide(means, total, out=shares, where=total > 0)
-    return shares
-
-
-def _equal_shapes(images: Iterable[npt.NDArray[np.float32]]) -> list[npt.NDArray[np.float32]]:
-    kept = list(images)
-    shapes = sorted({image.shape for image in kept})
-    if len(shapes) != 1:
-        raise ValueError(
-            f"speckle_normalised: the stack's images have block shapes {shapes}; "
-            "give at least one image, all of one shape"
-        )
-    return kept

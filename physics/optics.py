@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import j0, j1, jv
 
 from holography.fresnel import FresnelTransform
+from holography.fringes import phase_amplitude
 from holography.region import Region, region_from_metres
 
 Array = NDArray[np.floating[Any]]
@@ -111,7 +112,7 @@ def sidebands(
     size = np.abs(displacement_m).astype(np.float64)
     # The direction of a motion too small to have one does not matter: J_n vanishes there.
     unit = displacement_m / np.maximum(size, np.finfo(np.float64).tiny)
-    bessel = _bessel({abs(order) for order in orders}, (4 * np.pi / wavelength_m) * size)
+    bessel = _bessel({abs(order) for order in orders}, phase_amplitude(size, wavelength_m))
     answer = []
     for order in orders:
         # J_{−n} = (−1)ⁿ J_n turns i^{−n} into iⁿ: both sidebands have the same factor.

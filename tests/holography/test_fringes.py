@@ -8,7 +8,6 @@ from holography.fringes import (
     block_mean,
     first_sideband_maxima_m,
     phase_amplitude,
-    speckle_normalised,
 )
 
 
@@ -63,56 +62,3 @@ def test_blocks_that_do_not_fit_are_refused(factors):
 def test_block_mean_refuses_fields():
     with pytest.raises(ValueError, match="complex64"):
         block_mean(np.zeros((7, 9), np.complex64), 2, 2)
-
-
-def sideband_images(rng, orders, noise_rms=0.0):
-    """|H_n|² of one speckled, unevenly lit surface, and the phase amplitude of its blocks."""
-    phase = np.repeat(np.repeat(np.linspace(0.2, 6.0, 30).reshape(5, 6), 16, 0), 16, 1)
-    light = np.linspace(1, 4, phase.shape[1])
-    surface = light * (rng.standard_normal(phase.shape) + 1j * rng.standard_normal(phase.shape))
-    for order in orders:
-        noise = rng.standard_normal(phase.shape) + 1j * rng.standard_normal(phase.shape)
-        yield np.abs(jv(order, phase) * surface + noise_rms * np.sqrt(0.5) * noise) ** 2
-
-
-def expected_shares(orders):
-    phase = np.linspace(0.2, 6.0, 30).reshape(5, 6)
-    power = np.array([jv(order, phase) ** 2 for order in orders])
-    return power / power.sum(axis=0)
-
-
-def test_speckle_and_illumination_cancel_exactly_without_noise():
-    orders = (0, 1, 2)
-    shares = speckle_normalised(sideband_images(np.random.default_rng(0), orders), (16, 16))
-    assert shares.dtype == np.float32
-    np.testing.assert_allclose(shares, expected_shares(orders), atol=2e-6)
-    np.testing.assert_allclose(shares.sum(axis=0), 1, rtol=1e-6)
-
-
-def test_noise_floor_is_taken_off():
-    orders, noise_rms = (0, 1, 2), 1.0
-    images = list(sideband_images(np.random.default_rng(1), orders, noise_rms))
-    expected = expected_shares(orders)
-    corrected = speckle_normalised(images, (16, 16), noise=[noise_rms**2] * 3) - expected
-    as_it_is = speckle_normalised(images, (16, 16)) - expected
-    # At a zero of J_n only noise is left: its floor is a bias, and subtraction removes it.
-    dark = expected < 0.02
-    assert abs(corrected[dark].mean()) < 0.2 * as_it_is[dark].mean()
-
-
-def test_blocks_without_light_are_nan_and_say_nothing():
-    images = [np.ones((4, 8)), np.ones((4, 8))]
-    for image in images:
-        image[:, 4:] = 0
-    shares = speckle_normalised(images, (4, 4))
-    assert shares[:, 0, 0] == pytest.approx([0.5, 0.5])
-    assert np.isnan(shares[:, 0, 1]).all()
-
-
-def test_stacks_that_do_not_fit_together_are_refused():
-    with pytest.raises(ValueError, match="at least one image"):
-        speckle_normalised([], (2, 2))
-    with pytest.raises(ValueError, match="all of one shape"):
-        speckle_normalised([np.ones((4, 4)), np.ones((8, 4))], (2, 2))
-    with pytest.raises(ValueError, match="one figure per image"):
-        speckle_normalised([np.ones((4, 4))], (2, 2), noise=[0.0, 0.0])

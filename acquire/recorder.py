@@ -295,8 +295,9 @@ def make_folder(path: Path) -> None:
     Raises
     ------
     RunFileError
-        If it cannot be made.
+        If it cannot be made, or if the run file's name is unusable or taken: then nothing is made.
     """
+    _require_free_name(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -314,6 +315,18 @@ def require_writable(plan: Plan, path: Path) -> None:
         If the folder is missing, the name unusable, the disk too small, or one of the files
         exists already.
     """
+    _require_free_name(path)
+    if not path.parent.is_dir():
+        raise RunFileError(f"{path}: there is no folder {path.parent}; make it first")
+    free, needed = shutil.disk_usage(path.parent).free, plan.file_size_bytes
+    if free < needed:
+        raise RunFileError(
+            f"{path}: the run needs {needed / 1e6:.0f} MB, but its disk has {free / 1e6:.0f} MB "
+            "left; make room or choose another folder"
+        )
+
+
+def _require_free_name(path: Path) -> None:
     if path.suffix != ".h5":
         raise RunFileError(f"{path}: the name of a run file ends in .h5; write {path.stem}.h5")
     try:
@@ -325,14 +338,6 @@ def require_writable(plan: Plan, path: Path) -> None:
             raise RunFileError(
                 f"{file}: exists already and is never overwritten; choose another name or move it"
             )
-    if not path.parent.is_dir():
-        raise RunFileError(f"{path}: there is no folder {path.parent}; make it first")
-    free, needed = shutil.disk_usage(path.parent).free, plan.file_size_bytes
-    if free < needed:
-        raise RunFileError(
-            f"{path}: the run needs {needed / 1e6:.0f} MB, but its disk has {free / 1e6:.0f} MB "
-            "left; make room or choose another folder"
-        )
 
 
 def _reconstruction(plan: Plan) -> Reconstruction:

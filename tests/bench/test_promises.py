@@ -234,6 +234,13 @@ def test_a_label_that_cannot_be_kept_is_refused_without_a_trace(
     assert listing(folder) == before
 
 
+def test_a_run_file_of_another_kind_is_refused_without_a_trace(
+    cli, folder, no_instruments, protocol_file
+):
+    message = refused(cli, folder, "run", protocol_file(), "--out", "new/x.hdf5")
+    assert "new/x.hdf5: the name of a run file ends in .h5" in message
+
+
 def test_a_name_too_long_for_a_file_is_shortened_or_refused(cli, folder, protocol_file, bench_file):
     asked = [protocol_file(), "--bench", bench_file(), "--no-fit", "--reed", "x" * 300]
     assert cli("run", *asked).status in (0, 2)

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.special import chdtrc
 
 from fitting.errors import FitError
 from fitting.forward import ForwardModel, cents_of, name_likeness, viscoelastic_cents
@@ -28,6 +29,8 @@ _LEAST_LIKENESS = 0.85
 _FARTHEST_SD = 6.0
 # Residuals beyond this many standard errors count less in the first look.
 _OUTLIER = 2.0
+# A misfit that chance alone would give this rarely is taken for one.
+_IMPROBABLE = 0.05
 # The paper quotes storage moduli at this frequency (Tables 6 and 7).
 QUOTED_HZ = 4000.0
 
@@ -57,7 +60,8 @@ class ReedParameters:
     left_out : dict
         Per series, modes found but not fitted: they exchange shapes with a neighbour.
     reduced_chi2 : float
-        Weighted squares per degree of freedom; above 1 the errors are scaled by its root.
+        Weighted squares per degree of freedom; where chance does not explain it (less than 5 %),
+        the errors are scaled by its root.
     physical : bool
         Whether all springs came out positive.
     model : str
@@ -160,10 +164,20 @@ def _least_squares(
     limits = (-_FARTHEST_SD, _FARTHEST_SD)
     solution = least_squares(weighted, np.zeros(count), bounds=limits, loss=loss, f_scale=_OUTLIER)
     jacobian = np.asarray(solution.jac, dtype=float)
-    chi2 = float(2 * solution.cost / (len(observed) - count))
-    # A misfit larger than the errors explain is charged to the components.
-    covariance = np.linalg.inv(jacobian.T @ jacobian) * max(chi2, 1.0)
+    freedom = len(observed) - count
+    chi2 = float(2 * solution.cost / freedom)
+    covariance = np.linalg.inv(jacobian.T @ jacobian) * _misfit_factor(chi2, freedom)
     return solution.x, covariance, chi2
+
+
+def _misfit_factor(reduced_chi2: float, freedom: int) -> float:
+    """Factor on the covariance: a misfit beyond what the errors explain is charged to the fit.
+
+    Only a misfit that chance does not explain: to scale whenever χ² happens to lie above 1, and
+    never down when it lies below, would make errors of honest resonances too large.
+    """
+    by_chance = chdtrc(freedom, reduced_chi2 * freedom)
+    return reduced_chi2 if by_chance < _IMPROBABLE else 1.0
 
 
 def _residual_cents(observed: Sequence[_Observation], values: Array, model: ForwardModel) -> Array:

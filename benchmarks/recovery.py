@@ -185,7 +185,7 @@ def print_report(report: dict[str, Any]) -> None:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description="Modes and components of random reeds.")
-    parser.add_argument("--reeds", type=int, default=20)
+    parser.add_argument("--reeds", type=int, default=40)
     parser.add_argument("--first", type=int, default=0, help="number of the first reed")
     parser.add_argument("--protocol", default="seriesA")
     parser.add_argument("--loss-factor", type=float, default=0.03)

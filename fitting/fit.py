@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from acquire.runfile import Run
 from fitting.errors import FitError, FitInputError
-from fitting.forward import ForwardModel, PaperModel, finite_element_model
+from fitting.forward import ForwardModel, PaperModel, cents_of, finite_element_model
 from fitting.fringes import Fringes, count_fringes, misfit_without
 from fitting.paper import MEAN_HZ
 from fitting.picking import Resonance, likely_components, pick_resonances
@@ -34,6 +34,8 @@ SHAPE_NAMES = (*PAPER_MODES, "T5", "X4", "X5", "X6")
 # neighbours. On the twin, modes that are there give 2 to 500, modes that are not 0.9 to 1.1.
 _NEEDED = 1.5
 _SURELY_NEEDED = 3.0
+# Resonances of cane are some 50 cents wide.
+_BESIDE_CENTS = 40.0
 # Fewer modes than this do not tell more of the cane than its population does.
 _TELLING_MODES = 4
 # The mean of the population, and about where its modes lie.
@@ -216,13 +218,16 @@ def _pick(
         return without / max(float(fringes.misfit[picture]), 1e-12)
 
     def needed(shape: int, picture: int) -> bool:
-        # At the peak itself fringes may be too fine to be resolved; its neighbours then tell.
+        # At the peak itself fringes may be too fine to be resolved; its neighbours then tell. They
+        # may not speak against it where they are too far off to show the same resonance.
         at_peak = growth(shape, picture)
         if at_peak > _SURELY_NEEDED:
             return True
-        last = len(pictures.drive_hz) - 1
-        beside = [growth(shape, k) for k in (picture - 1, picture + 1) if 0 <= k <= last]
-        return float(np.median([at_peak, *beside])) > _NEEDED
+        distance = np.abs(cents_of(pictures.drive_hz) - cents_of(pictures.drive_hz[picture]))
+        beside = [k for k in (picture - 1, picture + 1) if 0 <= k < len(distance)]
+        together = float(np.median([at_peak, *(growth(shape, k) for k in beside)]))
+        far = bool(np.max(distance[beside]) > _BESIDE_CENTS)
+        return max(together, at_peak if far else 0.0) > _NEEDED
 
     return pick_resonances(
         pictures.drive_hz,

@@ -9,6 +9,7 @@ from scipy.interpolate import NearestNDInterpolator, RectBivariateSpline
 
 from fitting import paper
 from physics.reed.basis import ReducedReed
+from physics.reed.metamodel import REFERENCE_HZ
 from physics.reed.names import PAPER_MODES
 from physics.reed.response import Mode, elastic_modes
 from physics.reed.viscoelastic import Series, ViscoelasticCane, storage_modulus_pa
@@ -24,12 +25,12 @@ _ITERATIONS = 7
 
 def cents_of(frequency_hz: Array | float) -> Array:
     """Interval above F6 (1396.9 Hz), the zero of the paper's cent scale."""
-    return np.asarray(1200 * np.log2(np.asarray(frequency_hz) / paper.REFERENCE_HZ))
+    return np.asarray(1200 * np.log2(np.asarray(frequency_hz) / REFERENCE_HZ))
 
 
 def hz_of(cents: Array | float) -> Array:
     """Frequency of an interval above F6."""
-    return np.asarray(paper.REFERENCE_HZ * 2 ** (np.asarray(cents) / 1200))
+    return np.asarray(REFERENCE_HZ * 2 ** (np.asarray(cents) / 1200))
 
 
 class ForwardModel(Protocol):
@@ -140,12 +141,7 @@ class PaperModel:
 
     def elastic_cents(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
         """Cents above F6 (m,) by Eq. 1."""
-        a = np.array([paper.TABLE_9[name] for name in self.modes]).T
-        shift = np.array([paper.H4_ADJUSTMENT_CENTS[name] for name in self.modes])
-        E = (E_L_pa / 1e6) ** paper.EXPONENT_E_L
-        G = (G_LT_pa / 1e6) ** paper.EXPONENT_G_LT
-        cents = a[0] + a[1] * E + a[2] * G + a[3] * E * G + a[4] * E**2 + a[5] * G**2
-        return np.asarray(cents + shift)
+        return paper.adjusted_metamodel(self.modes).evaluate(E_L_pa, G_LT_pa)[0]
 
     def likeness(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
         """Ones (m,): a formula has no shapes to doubt."""

@@ -1,5 +1,9 @@
 """Numbers printed in the paper that a fit can be asked to use (`--model paper`)."""
 
+import numpy as np
+
+from physics.reed.metamodel import Equation1
+
 # Table 9: coefficients a_{m,0} … a_{m,5} of Eq. 1 in cents above F6, moduli in MPa.
 TABLE_9: dict[str, tuple[float, float, float, float, float, float]] = {
     "F1": (2334.56, -1165877, 0.2763, -21.99, 145883795, -0.000324),
@@ -14,8 +18,6 @@ TABLE_9: dict[str, tuple[float, float, float, float, float, float]] = {
     "T4": (2659.08, 588457, 6.6088, -1269.38, -120493740, -0.005269),
     "F4": (6450.01, -1689363, -2.5544, 1282.75, 247738162, 0.001631),
 }
-EXPONENT_E_L, EXPONENT_G_LT = -0.66643, 0.7627
-REFERENCE_HZ = 1396.9
 
 # Hypothesis H4: adjustment of a_{m,0} in cents (see decision 0003 for the order of F3 and T3).
 H4_ADJUSTMENT_CENTS: dict[str, float] = {
@@ -49,3 +51,10 @@ MEAN_HZ: dict[str, tuple[float, float]] = {
 
 # Root mean square deviation of hypothesis H4 on the paper's 55 reeds.
 H4_MISFIT_CENTS = 30.4
+
+
+def adjusted_metamodel(modes: tuple[str, ...]) -> Equation1:
+    """Eq. 1 with Table 9 and the adjustments of hypothesis H4."""
+    coefficients = np.array([TABLE_9[name] for name in modes])
+    coefficients[:, 0] += [H4_ADJUSTMENT_CENTS[name] for name in modes]
+    return Equation1(modes, coefficients)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from acquire.runfile import Run
 from fitting.errors import FitError
 from holography.fringes import block_mean
-from physics.reed.geometry import half_width_m
+from physics.reed.geometry import Outline, half_width_m
 
 Array = NDArray[np.floating[Any]]
 Float = NDArray[np.float32]
@@ -69,7 +69,8 @@ def read_pictures(run: Run) -> Pictures:
     factors = [max(1, round(_BLOCK_M / abs(a[1] - a[0]))) for a in (run.y_m, run.x_m)]
     y, x = (_block_centres(a, f) for a, f in zip((run.y_m, run.x_m), factors, strict=True))
     Y, X = np.meshgrid(y, x, indexing="ij")
-    inside = (np.abs(Y) < half_width_m(X) - _EDGE_M) & (X > 2 * _EDGE_M) & (X < _VISIBLE_M)
+    beside = half_width_m(Outline(), X) - np.abs(Y)
+    inside = (beside > _EDGE_M) & (X > 2 * _EDGE_M) & (X < _VISIBLE_M)
     chosen = np.flatnonzero(inside)
     # A stride that shares no factor with the rows spreads the points over the reed.
     chosen = chosen[:: max(1, -(-len(chosen) // _MOST_POINTS))]

@@ -107,7 +107,7 @@ class BenchModel:
         )
         self.region = reed_region(layout, self.transform)
         y, x = np.meshgrid(*reed_axes_m(layout, self.region, self.transform), indexing="ij")
-        self._lit = on_reed(x, y)
+        self._lit = on_reed(reed.geometry.outline, x, y)
         self._shapes = surface_shapes(reed, x[self._lit], y[self._lit])
         self._reed = reed
         self._cane = viscoelastic_cane(settings.components, settings.series)

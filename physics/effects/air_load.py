@@ -42,10 +42,10 @@ def air_load_cents(reed: ReducedReed, mode: Mode, share: float = 1.0) -> float:
     float
         In cents, negative.
     """
-    shape = round(_WIDTH_M / _GRID_M), round(reed.geometry.length_m / _GRID_M)
+    shape = round(_WIDTH_M / _GRID_M), round(reed.geometry.outline.length_m / _GRID_M)
     y, x = np.meshgrid(*[(np.arange(n) + 0.5) * _GRID_M for n in shape], indexing="ij")
     y -= 0.5 * _WIDTH_M
-    inside = on_reed(x, y)
+    inside = on_reed(reed.geometry.outline, x, y)
     deflection = np.zeros(shape)
     shapes = surface_shapes(reed, x[inside], y[inside])[mode.symmetry]
     deflection[inside] = shapes @ mode.coordinates

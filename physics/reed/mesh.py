@@ -4,7 +4,9 @@ The mesh is one structured block. Its lines follow the tip's arc, the line where
 and the edges of the clamping strip, so every discontinuity lies on element faces.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,11 +14,14 @@ from numpy.polynomial.legendre import Legendre
 from numpy.typing import NDArray
 
 from physics.reed.geometry import (
-    SIDE_START_M,
-    TIP_CORNER_M,
+    Clamp,
+    ClampSide,
+    Outline,
     ReedGeometry,
     half_width_m,
+    is_even,
     kink_x_m,
+    require_possible,
     thickness_m,
     tip_x_m,
 )
@@ -24,33 +29,38 @@ from physics.reed.geometry import (
 Array = NDArray[np.floating[Any]]
 IntArray = NDArray[np.intp]
 
-# Where the tip patch, which turns from the arc to the sides, ends.
-_TIP_PATCH_END_M = 7.0e-3
+# The patch that turns from the tip's arc to the sides reaches this far behind the corner.
+_TIP_PATCH_M = 4.0e-3
+# Element faces closer than this are taken for one.
+_SAME_M = 1e-9
+# Faces along x that must not meet keep this distance.
+_LEAST_FACE_M = 0.5e-3
 
 
 @dataclass(frozen=True)
 class MeshLevel:
     """How finely the reed is divided.
 
+    Stress is singular along the edges of the clamping strip; `edge_breaks_m` and `z_breaks` grade
+    the mesh towards them.
+
     Attributes
     ----------
     orders : (int, int, int)
         Polynomial degree along x, y and z.
-    vamp_elements : int
-        Elements along x between the tip patch and the heel.
-    clamp_breaks : tuple of float
-        Distances (m) from the front edge of the strip at which element faces are added; they
-        grade the mesh towards that edge, where stress is singular.
-    strip_elements : int
-        Elements along x under the strip, behind the graded ones.
+    vamp_element_m, heel_element_m : float
+        Longest element along x in front of the strip and behind its front edge.
+    edge_breaks_m : tuple of float
+        Distances beyond each edge of the strip, along and across the reed, at which there are
+        element faces; negative ones lie under the strip.
     z_breaks : tuple of float
-        Element faces through the thickness, from 0 (flat side) to 1 (bark side).
+        Element faces through the thickness, from 0 (free face) to 1 (clamped face).
     """
 
     orders: tuple[int, int, int] = (3, 3, 2)
-    vamp_elements: int = 4
-    clamp_breaks: tuple[float, ...] = (-0.8e-3, 0.0, 1.0e-3)
-    strip_elements: int = 2
+    vamp_element_m: float = 7.0e-3
+    heel_element_m: float = 11.5e-3
+    edge_breaks_m: tuple[float, ...] = (0.3e-3,)
     z_breaks: tuple[float, ...] = (0.0, 0.8, 1.0)
 
 
@@ -92,54 +102,102 @@ def _fill(breaks: Array, order: int) -> Array:
     return np.append(pieces.ravel(), breaks[-1])
 
 
-def _tip_patch(y_breaks_m: Array, order_x: int, order_y: int) -> tuple[Array, Array]:
-    """Plan coordinates (ni, nj) of the patch between the tip's arc and `_TIP_PATCH_END_M`.
+def _graded(
+    strip: tuple[float, float], distances: Sequence[float], low: float, high: float
+) -> Array:
+    """Element faces between low and high: the strip's edges, and faces beyond each of them."""
+    graded = [face for d in distances for face in (strip[0] - d, strip[1] + d)]
+    faces = np.unique([low, high, *strip, *(face for face in graded if low < face < high)])
+    distinct: Array = faces[np.append(True, np.diff(faces) > _SAME_M)]
+    return distinct
+
+
+def _subdivided(faces: Array, longest_m: float) -> Array:
+    """Equal elements between faces, none longer than `longest_m`."""
+    pieces = [
+        np.linspace(a, b, max(1, int(np.ceil((b - a) / longest_m - 1e-6))) + 1)[:-1]
+        for a, b in pairwise(faces)
+    ]
+    return np.append(np.concatenate(pieces), faces[-1])
+
+
+def _tip_patch(
+    outline: Outline, y_breaks_m: Array, end_m: float, order_x: int, order_y: int
+) -> tuple[Array, Array]:
+    """Plan coordinates (ni, nj) of the patch between the tip's arc and the line x = `end_m`.
 
     A transfinite (Coons) map: the arc on the left, the axis below, the side above and a straight
     line on the right.
     """
-    (corner_x, corner_y), end = TIP_CORNER_M, _TIP_PATCH_END_M
-    end_y = float(half_width_m(np.array(end)))
-    side_break = (SIDE_START_M - corner_x) / (end - corner_x)
+    corner_x, corner_y = outline.turn_m
+    end_y = float(half_width_m(outline, np.array(end_m)))
+    side_break = (outline.side_start_m - corner_x) / (end_m - corner_x)
     xi = _fill(np.array([0.0, side_break, 1.0]), order_x)[:, None]
-    eta_breaks = np.append(y_breaks_m, end_y) / end_y
+    eta_breaks = y_breaks_m / y_breaks_m[-1]
     eta = _fill(eta_breaks, order_y)[None, :]
-    left_y = np.interp(eta, eta_breaks, np.append(y_breaks_m, corner_y))
+    left_y = eta * corner_y
     right_y = eta * end_y
-    top_x = corner_x + xi * (end - corner_x)
-    top_y = half_width_m(top_x)
+    top_x = corner_x + xi * (end_m - corner_x)
+    top_y = half_width_m(outline, top_x)
     # Coons: ruled along xi, plus ruled along eta, less the bilinear map of the four corners.
-    x = (1 - xi) * tip_x_m(left_y) + xi * end + (1 - eta) * xi * end + eta * top_x
-    x -= (1 - eta) * xi * end + eta * ((1 - xi) * corner_x + xi * end)
+    x = (1 - xi) * tip_x_m(outline, left_y) + xi * end_m + (1 - eta) * xi * end_m + eta * top_x
+    x -= (1 - eta) * xi * end_m + eta * ((1 - xi) * corner_x + xi * end_m)
     y = (1 - xi) * left_y + xi * right_y + eta * top_y
     y -= eta * ((1 - xi) * corner_y + xi * end_y)
     return x, y
 
 
 def _plan(geometry: ReedGeometry, level: MeshLevel) -> tuple[Array, Array]:
-    """Plan coordinates (nx, ny) of all node columns."""
+    """Plan coordinates (nx, ny) of all node columns, y ≥ 0.
+
+    Raises
+    ------
+    ValueError
+        If the strip begins in the tip patch, or too close to the line where vamp meets heel.
+    """
     px, py, _ = level.orders
-    y_breaks = np.array([0.0, *geometry.clamp_y_m])
-    tip_x, tip_y = _tip_patch(y_breaks, px, py)
-    front, back = geometry.clamp_x_m
-    kink = float(kink_x_m(geometry, np.zeros(1))[0])
-    vamp = np.linspace(_TIP_PATCH_END_M, kink, level.vamp_elements + 1)
-    graded = front + np.asarray(level.clamp_breaks)
-    strip = np.linspace(graded[-1], back, level.strip_elements + 1)[1:]
-    breaks = np.concatenate((vamp, graded, strip, [geometry.length_m]))
+    outline, clamp = geometry.outline, geometry.clamp
+    patch_end = outline.side_start_m + _TIP_PATCH_M
+    breaks, kink = _lengthwise(geometry, level, patch_end)
     x = _fill(breaks, px)[1:, None]
-    width = half_width_m(x)
-    eta_breaks = np.linspace(0, 1, len(y_breaks) + 1)
+    width = half_width_m(outline, x)
+    inner = _graded(clamp.y_m, level.edge_breaks_m, 0.0, float(width.min()))[:-1]
+    eta_breaks = np.linspace(0, 1, len(inner) + 1)
     eta = _fill(eta_breaks, py)
-    lines = np.broadcast_to(y_breaks, (len(x), len(y_breaks)))
-    y = np.stack(
-        [np.interp(eta, eta_breaks, [*row, w]) for row, w in zip(lines, width[:, 0], strict=True)]
-    )
+    y = np.stack([np.interp(eta, eta_breaks, [*inner, w]) for w in width[:, 0]])
     # The kink line is bent slightly: carry its neighbours with it, fading out to either side.
     bend = kink_x_m(geometry, y[np.argmin(np.abs(x[:, 0] - kink))]) - kink
-    fade = np.interp(x[:, 0], [vamp[-2], kink, graded[0]], [0.0, 1.0, 0.0])
-    x = x + fade[:, None] * bend
+    at = int(np.argmin(np.abs(breaks - kink)))
+    x = x + np.interp(x, breaks[at - 1 : at + 2], [0.0, 1.0, 0.0]) * bend
+    end_y = float(half_width_m(outline, np.array(patch_end)))
+    tip_x, tip_y = _tip_patch(outline, np.append(inner, end_y), patch_end, px, py)
     return np.concatenate((tip_x, x)), np.concatenate((tip_y, y))
+
+
+def _lengthwise(
+    geometry: ReedGeometry, level: MeshLevel, patch_end_m: float
+) -> tuple[Array, float]:
+    """Element faces along x from the tip patch to the butt, and the one that follows the kink."""
+    (front, back), end = geometry.clamp.x_m, geometry.outline.length_m
+    kink = float(kink_x_m(geometry, np.zeros(1))[0])
+    if front < patch_end_m + _LEAST_FACE_M:
+        raise ValueError(
+            f"the clamp begins {1e3 * front:g} mm from the tip; it must leave the rounded tip, "
+            f"{1e3 * (patch_end_m + _LEAST_FACE_M):.1f} mm, free"
+        )
+    if min(abs(front - kink), abs(back - kink)) < _LEAST_FACE_M:
+        raise ValueError(
+            f"the clamp, {1e3 * front:g} to {1e3 * back:g} mm from the tip, begins or ends where "
+            f"vamp meets heel, at {1e3 * kink:.2f} mm; move it by {1e3 * _LEAST_FACE_M:g} mm"
+        )
+    graded = _graded((front, back), level.edge_breaks_m, patch_end_m, end)
+    # Near the kink, a face of its own that bends, others would turn elements inside out.
+    faces = np.append(graded[np.abs(graded - kink) > _LEAST_FACE_M], kink)
+    faces.sort()
+    split = np.searchsorted(faces, front)
+    before = _subdivided(faces[: split + 1], level.vamp_element_m)
+    behind = _subdivided(faces[split:], level.heel_element_m)
+    return np.append(before, behind[1:]), kink
 
 
 def build_mesh(geometry: ReedGeometry, level: MeshLevel) -> HalfReedMesh:
@@ -148,29 +206,59 @@ def build_mesh(geometry: ReedGeometry, level: MeshLevel) -> HalfReedMesh:
     Raises
     ------
     ValueError
-        If the thickness is not positive everywhere inside the contour.
+        For an impossible geometry (see `geometry.require_possible`), a thickness that is not
+        positive everywhere inside the contour, or a reed that is not its own mirror image.
     """
+    require_possible(geometry)
+    if not is_even(geometry):
+        raise ValueError(
+            "the thickness map is not even in y; half a reed stands for both sides only if it is"
+        )
     x, y = _plan(geometry, level)
     thickness = thickness_m(geometry, x, y)
-    if thickness.min() <= 0:
+    if not thickness.min() > 0:
         at = np.unravel_index(thickness.argmin(), thickness.shape)
         raise ValueError(
             f"the reed is {1e6 * thickness.min():.1f} µm thick at x = {1e3 * x[at]:.2f} mm, "
             f"y = {1e3 * y[at]:.2f} mm; thickness must be positive"
         )
-    zeta = _fill(np.asarray(level.z_breaks), level.orders[2])
+    zeta = _faces_through(geometry.clamp.side, level)
     block = (*x.shape, len(zeta))
     nodes = np.stack(
         np.broadcast_arrays(x[..., None], y[..., None], thickness[..., None] * zeta), axis=-1
     ).reshape(-1, 3)
-    tol = 1e-9
-    (x0, x1), (y0, y1) = geometry.clamp_x_m, geometry.clamp_y_m
-    strip = (x > x0 - tol) & (x < x1 + tol) & (y > y0 - tol) & (y < y1 + tol)
-    clamped = (strip[..., None] & (zeta == 1.0)).ravel()
-    midplane = np.broadcast_to((y < tol)[..., None], block).ravel()
+    midplane = np.broadcast_to((y < _SAME_M)[..., None], block).ravel()
     return HalfReedMesh(
-        nodes, block, _elements(block, level.orders), level.orders, clamped, midplane
+        nodes,
+        block,
+        _elements(block, level.orders),
+        level.orders,
+        _clamped(geometry.clamp, x, y, zeta),
+        midplane,
     )
+
+
+def _faces_through(side: ClampSide, level: MeshLevel) -> Array:
+    """Node parameters through the thickness, 0 at the flat side and 1 at the bark side."""
+    breaks = np.asarray(level.z_breaks)
+    if side is ClampSide.FLAT:
+        breaks = 1 - breaks[::-1]
+    elif side is ClampSide.BOTH:
+        breaks = np.unique([*(0.5 * (1 - breaks)), *(0.5 * (1 + breaks))])
+    return _fill(breaks, level.orders[2])
+
+
+def _clamped(clamp: Clamp, x: Array, y: Array, zeta: Array) -> NDArray[np.bool_]:
+    """Nodes held by the strip (n,)."""
+    (x0, x1), (y0, y1) = clamp.x_m, clamp.y_m
+    strip = (x > x0 - _SAME_M) & (x < x1 + _SAME_M) & (y > y0 - _SAME_M) & (y < y1 + _SAME_M)
+    faces = {
+        ClampSide.BARK: zeta == 1.0,
+        ClampSide.FLAT: zeta == 0.0,
+        ClampSide.BOTH: (zeta == 0.0) | (zeta == 1.0),
+    }
+    held: NDArray[np.bool_] = strip[..., None] & faces[clamp.side]
+    return held.ravel()
 
 
 def _elements(block: tuple[int, int, int], orders: tuple[int, int, int]) -> IntArray:

@@ -8,14 +8,14 @@ from scipy.interpolate import CloughTocher2DInterpolator, NearestNDInterpolator
 
 from physics.reed.basis import ReducedReed
 from physics.reed.fem import Symmetry
-from physics.reed.geometry import half_width_m
+from physics.reed.geometry import Outline, half_width_m
 
 Array = NDArray[np.floating[Any]]
 
 
-def on_reed(x_m: Array, y_m: Array) -> NDArray[np.bool_]:
+def on_reed(outline: Outline, x_m: Array, y_m: Array) -> NDArray[np.bool_]:
     """Whether points (any shape) lie inside the reed's contour."""
-    return (x_m > 0) & (np.abs(y_m) < half_width_m(x_m))
+    return (x_m > 0) & (np.abs(y_m) < half_width_m(outline, x_m))
 
 
 def surface_shapes(reed: ReducedReed, x_m: Array, y_m: Array) -> dict[Symmetry, Array]:

@@ -68,6 +68,44 @@ def storage_modulus_pa(zener: Zener, frequency_hz: Array | float) -> Array:
     return storage
 
 
+@dataclass(frozen=True)
+class StorageModulus:
+    """Storage moduli of many Zener solids, and how they follow what makes them.
+
+    Attributes
+    ----------
+    value_mpa : Array
+    by_arm_spring, by_arm_dashpot_per_s, by_ln_frequency_mpa : Array
+        Derivatives with respect to E2, E3 and ln f; that with respect to E1 is 1.
+    """
+
+    value_mpa: Array
+    by_arm_spring: Array
+    by_arm_dashpot_per_s: Array
+    by_ln_frequency_mpa: Array
+
+
+def storage_modulus(
+    spring_mpa: Array, arm_spring_mpa: Array, arm_dashpot_mpa_s: Array, frequency_hz: Array
+) -> StorageModulus:
+    """Storage moduli in MPa with derivatives (paper Eq. 4); arguments of shapes that broadcast.
+
+    A Maxwell arm with neither spring nor motion, 0/0, carries nothing.
+    """
+    omega = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
+    moved = omega * arm_dashpot_mpa_s
+    squares = np.square(arm_spring_mpa) + moved**2
+    share = np.divide(moved**2, squares, out=np.zeros_like(squares), where=squares > 0)
+    by_moved = np.zeros_like(squares)
+    np.divide(2 * moved * np.power(arm_spring_mpa, 3), squares**2, out=by_moved, where=squares > 0)
+    return StorageModulus(
+        value_mpa=spring_mpa + arm_spring_mpa * share,
+        by_arm_spring=share * (2 * share - 1),
+        by_arm_dashpot_per_s=omega * by_moved,
+        by_ln_frequency_mpa=moved * by_moved,
+    )
+
+
 # Coefficients of hypothesis H4 (paper, section IV.B).
 _C10, _C20, _C30 = 1.011, -2.197, 0.8294
 _D10, _D12, _D20, _D30, _D41, _D60 = 10300.0, 640.5, 7309.0, 0.2822, 115.7, 0.02038
@@ -86,6 +124,26 @@ def viscoelastic_cane(components: Components, series: Series) -> ViscoelasticCan
         Zener(_D10 + _D12 * (e2 + e3), _D20 + _D12 * (2 * e2 - e3), _D30),
         Zener(_D41 * (6 + e1), 2 * _D41 * (3 + e1 - e3), _D60),
     )
+
+
+def h4_matrix(series: Series) -> Array:
+    """Matrix (6, 5) from (1, e1, e2, e3, e4) to (E1, E2, E3, G1, G2, G3) after hypothesis H4.
+
+    The paper's M[s] of both moduli, one above the other; MPa and MPa·s.
+    """
+
+    def parameters(*e: float) -> Array:
+        cane = viscoelastic_cane(Components(*e), series)
+        return np.array(
+            [
+                part
+                for zener in (cane.young_L, cane.shear_LT)
+                for part in (zener.spring_mpa, zener.arm_spring_mpa, zener.arm_dashpot_mpa_s)
+            ]
+        )
+
+    constant = parameters(0.0, 0.0, 0.0, 0.0)
+    return np.stack([constant, *(parameters(*unit) - constant for unit in np.eye(4))], axis=1)
 
 
 def require_physical(cane: ViscoelasticCane) -> None:

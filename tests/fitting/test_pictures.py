@@ -9,7 +9,7 @@ from acquire.bench_file import BenchFile
 from acquire.runfile import Run
 from fitting.errors import FitError
 from fitting.pictures import read_pictures
-from physics.reed.geometry import half_width_m
+from physics.reed.geometry import Outline, half_width_m
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def test_every_good_step_is_a_picture_in_order_of_frequency(sweep_a, pictures):
 
 def test_points_lie_on_the_visible_reed_and_cover_it(pictures):
     x, y = pictures.x_m, pictures.y_m
-    assert (np.abs(y) < half_width_m(x)).all()
+    assert (np.abs(y) < half_width_m(Outline(), x)).all()
     assert 0.3e-3 < x.min() < 1.5e-3
     assert 34e-3 < x.max() < 36e-3
     assert y.max() > 5e-3

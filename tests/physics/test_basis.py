@@ -7,7 +7,7 @@ import pytest
 
 from physics.reed.basis import BasisSettings, build_reduced_reed, reduced_modes
 from physics.reed.fem import Symmetry, factor, free_dofs, lowest_modes, mass, stiffness
-from physics.reed.geometry import ReedGeometry, half_width_m
+from physics.reed.geometry import Outline, ReedGeometry, half_width_m
 from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.names import PAPER_MODES
 from physics.reed.response import elastic_modes
@@ -146,14 +146,16 @@ def test_static_deflection_under_a_pressure_is_that_of_the_full_model(
 def test_a_uniform_pressure_pushes_with_the_area_of_the_flat_side(coarse_mesh, consistent_load):
     """The yardstick of the tests of loads itself."""
     x = np.linspace(0, 67.5e-3, 20001)
-    area = np.trapezoid(half_width_m(x), x)
+    area = np.trapezoid(half_width_m(Outline(), x), x)
     pushed = consistent_load(coarse_mesh, lambda x_m, _y: np.ones_like(x_m)).sum()
     assert pushed == pytest.approx(area, rel=2e-4)
 
 
 def test_a_larger_basis_is_never_worse(geometry, coarse_level, coarse_reed):
     poor = build_reduced_reed(
-        geometry, coarse_level, BasisSettings(E_L_pa=(14e9,), G_LT_pa=(1.1e9,), modes=10, size=14)
+        geometry,
+        coarse_level,
+        BasisSettings(E_L_pa=(14e9, 14e9), G_LT_pa=(1.1e9, 1.1e9), modes=10, size=14),
     )
     cane = Cane(E_L_pa=9e9, G_LT_pa=1.6e9)
     for symmetry in Symmetry:

@@ -13,6 +13,7 @@ from physics.bench import BenchModel, BenchState, Segment, TwinSettings
 from physics.drive import Tweeter, tweeter_pressure_pa
 from physics.optics import beat_integral, reed_axes_m
 from physics.reed.fem import Symmetry
+from physics.reed.geometry import Outline
 from physics.reed.response import forced_response
 from physics.reed.surface import on_reed, surface_shapes
 from physics.reed.viscoelastic import Components, Series, viscoelastic_cane
@@ -123,7 +124,7 @@ def test_the_light_on_the_reed_falls_to_an_eighth_at_its_waist(
 def test_light_comes_from_the_reed_alone(quiet_bench, quiet_settings, at_rest):
     axes = reed_axes_m(quiet_settings.layout, quiet_bench.region, quiet_bench.transform)
     y, x = np.meshgrid(*axes, indexing="ij")
-    light, inside = np.abs(at_rest), on_reed(x, y)
+    light, inside = np.abs(at_rest), on_reed(Outline(), x, y)
     assert 0.7 < inside.mean() < 0.95
     assert np.sqrt(np.mean(light[~inside] ** 2)) < 2 * ROUNDING_DN
     assert np.sqrt(np.mean(light[inside] ** 2)) > 100 * ROUNDING_DN
@@ -136,7 +137,7 @@ def test_displacement_is_that_of_the_driven_reed(quiet_bench, quiet_settings, co
     """Volts to pressure to forced response to the bark side, put together anew."""
     axes = reed_axes_m(quiet_settings.layout, quiet_bench.region, quiet_bench.transform)
     y, x = np.meshgrid(*axes, indexing="ij")
-    inside = on_reed(x, y)
+    inside = on_reed(Outline(), x, y)
 
     def pressure(hz, x_m, y_m):
         at_tip = tweeter_pressure_pa(Tweeter(), hz, 3.0) * cavity_gain(CavityLine(), hz)

@@ -11,8 +11,8 @@ from physics.reed.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
 from physics.reed.mesh import MeshLevel
 
-TINY = MeshLevel(orders=(2, 2, 2), vamp_elements=2, strip_elements=1, z_breaks=(0.0, 1.0))
-FEW = BasisSettings(E_L_pa=(14e9,), G_LT_pa=(1.1e9,), modes=3, size=6)
+TINY = MeshLevel(orders=(2, 2, 2), vamp_element_m=14e-3, heel_element_m=23e-3, z_breaks=(0.0, 1.0))
+FEW = BasisSettings(E_L_pa=(14e9, 14e9), G_LT_pa=(1.1e9, 1.1e9), modes=3, size=6)
 
 
 @pytest.fixture

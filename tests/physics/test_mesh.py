@@ -8,7 +8,17 @@ import pytest
 from scipy.special import roots_jacobi
 
 from physics.reed.fem import assemble
-from physics.reed.geometry import ReedGeometry, half_width_m, kink_x_m, thickness_m, tip_x_m
+from physics.reed.geometry import (
+    Clamp,
+    ClampSide,
+    Outline,
+    ReedGeometry,
+    ThicknessMap,
+    half_width_m,
+    kink_x_m,
+    thickness_m,
+    tip_x_m,
+)
 from physics.reed.mesh import MeshLevel, build_mesh, lobatto_points
 
 LEVELS = [MeshLevel(orders=(2, 2, 2)), MeshLevel(), MeshLevel(orders=(4, 4, 2))]
@@ -41,9 +51,9 @@ def test_nodes_lie_between_the_flat_side_and_the_bark(mesh):
 def test_border_nodes_lie_on_the_contour(mesh):
     plan = columns(mesh)[:, :, 0, :2]
     tip, side = plan[0], plan[:, -1]
-    np.testing.assert_allclose(tip[:, 0], tip_x_m(tip[:, 1]), atol=1e-12)
+    np.testing.assert_allclose(tip[:, 0], tip_x_m(Outline(), tip[:, 1]), atol=1e-12)
     # The kink's line bends the rows behind it by a few µm: the side is straight there.
-    np.testing.assert_allclose(side[:, 1], half_width_m(side[:, 0]), atol=1e-6)
+    np.testing.assert_allclose(side[:, 1], half_width_m(Outline(), side[:, 0]), atol=1e-6)
     np.testing.assert_allclose(plan[-1, :, 0], 67.5e-3)
 
 
@@ -81,7 +91,7 @@ def test_volume_is_that_of_the_paper_and_of_the_integrated_thickness(mesh):
     integrated = 0.0
     for start, end in pairwise(pieces):
         x = (0.5 * (start + end) + 0.5 * (end - start) * points)[:, None]
-        width = half_width_m(x)
+        width = half_width_m(Outline(), x)
         section = (thickness_m(ReedGeometry(), x, width * points) * weights).sum(axis=1)
         integrated += 0.5 * (end - start) * weights @ (section * width[:, 0])
     assert volume == pytest.approx(integrated, rel=1e-4)
@@ -94,15 +104,69 @@ def test_a_reed_without_thickness_is_refused(offset_m):
         build_mesh(replace(ReedGeometry(), thickness_offset_m=offset_m), MeshLevel())
 
 
+FINE = MeshLevel(orders=(2, 2, 2), edge_breaks_m=(-0.1e-3, 0.1e-3, 0.9e-3))
+ON_VAMP = Clamp(x_m=(25e-3, 50e-3), y_m=(1e-3, 3e-3))
+EVEN_MAP = ThicknessMap((0.0, 30e-3), (-6e-3, 6e-3), ((5e-6, 5e-6), (-5e-6, -5e-6)))
+OTHERS = [
+    ReedGeometry(clamp=Clamp(side=ClampSide.FLAT)),
+    ReedGeometry(clamp=Clamp(side=ClampSide.BOTH)),
+    ReedGeometry(clamp=ON_VAMP),
+    ReedGeometry(clamp=Clamp(x_m=(36e-3, 67.5e-3), y_m=(0.0, 5.5e-3))),
+    ReedGeometry(thickness_offset_m=-30e-6),
+    ReedGeometry(thickness_map=EVEN_MAP),
+]
+
+
+@pytest.mark.parametrize("geometry", OTHERS)
+@pytest.mark.parametrize("level", [MeshLevel(orders=(2, 2, 2)), FINE])
+def test_other_clamps_and_thicknesses_are_meshed_whole(geometry, level):
+    mesh = build_mesh(geometry, level)
+    volume = 2 * assemble(mesh).mass.sum()
+    nodes = columns(mesh)
+    x, y, z = np.moveaxis(nodes[:, :, -1], -1, 0)
+    np.testing.assert_allclose(z, thickness_m(geometry, x, y), rtol=1e-12)
+    reference = 2 * assemble(build_mesh(replace(geometry, clamp=Clamp()), level)).mass.sum()
+    assert volume == pytest.approx(reference, rel=2e-4)
+
+
+@pytest.mark.parametrize("geometry", OTHERS)
+@pytest.mark.parametrize("level", [MeshLevel(orders=(2, 2, 2)), FINE])
+def test_what_is_held_is_the_strip(geometry, level):
+    mesh, clamp = build_mesh(geometry, level), geometry.clamp
+    x, y, z = mesh.nodes_m[mesh.clamped].T
+    assert (x.min(), x.max()) == pytest.approx(clamp.x_m)
+    assert (y.min(), y.max()) == pytest.approx(clamp.y_m)
+    thickness = thickness_m(geometry, x, y)
+    bark, flat = np.isclose(z, thickness, rtol=1e-12), z == 0
+    assert np.all(bark | flat)
+    assert bark.any() == (clamp.side != ClampSide.FLAT)
+    assert flat.any() == (clamp.side != ClampSide.BARK)
+    if clamp.side is ClampSide.BOTH:
+        assert bark.sum() == flat.sum()
+
+
+def test_graded_faces_lie_beside_the_edges_of_the_strip():
+    nodes = columns(build_mesh(ReedGeometry(), FINE))
+    for x_mm in (38.1, 38.2, 38.3):
+        assert np.isclose(nodes[:, 0, 0, 0], x_mm * 1e-3, atol=1e-9).any()
+    for y_mm in (2.4, 2.5, 2.6, 3.4, 3.5, 3.6):
+        assert np.isclose(nodes[-20, :, 0, 1], y_mm * 1e-3, atol=1e-9).any()
+
+
 @pytest.mark.parametrize(
-    "wrong",
+    ("clamp", "words"),
     [
-        {"clamp_x_m": (61.2e-3, 38.2e-3)},
-        {"clamp_y_m": (3.5e-3, 2.5e-3)},
-        {"clamp_x_m": (20e-3, 61.2e-3)},
-        {"length_m": 50e-3},
+        (Clamp(x_m=(5e-3, 61.2e-3)), "must leave the rounded tip, 7.4 mm, free"),
+        (Clamp(x_m=(34.8e-3, 61.2e-3)), "where vamp meets heel, at 34.72 mm"),
+        (Clamp(x_m=(38.2e-3, 68e-3)), "outside the reed"),
     ],
 )
-def test_a_clamp_that_turns_elements_inside_out_is_refused(wrong):
-    with pytest.raises(ValueError, match="inside out"):
-        assemble(build_mesh(replace(ReedGeometry(), **wrong), MeshLevel()))
+def test_a_clamp_where_no_mesh_can_follow_is_refused(clamp, words):
+    with pytest.raises(ValueError, match=words):
+        build_mesh(ReedGeometry(clamp=clamp), MeshLevel())
+
+
+def test_half_a_reed_does_not_stand_for_an_uneven_one():
+    odd = ThicknessMap((0.0, 30e-3), (-6e-3, 6e-3), ((5e-6, -5e-6), (5e-6, -5e-6)))
+    with pytest.raises(ValueError, match="not even in y"):
+        build_mesh(ReedGeometry(thickness_map=odd), MeshLevel())

@@ -17,6 +17,7 @@ from physics.reed.names import (
     width_profiles,
 )
 from physics.reed.response import elastic_modes, viscoelastic_mode
+from physics.reed.surface import surface_shapes
 from physics.reed.viscoelastic import (
     Components,
     Series,
@@ -164,13 +165,9 @@ def test_the_papers_modes_are_present_in_every_reed_of_the_population(standard_r
 def test_names_say_what_the_tip_does(standard_reed):
     """F moves the whole tip one way; T1 its corners apart; T2 its corners against its middle."""
     modes = elastic_modes(standard_reed, 13e9, 1.0e9)
-    plan = standard_reed.plan_m
-    row = np.flatnonzero(np.abs(plan[:, 0] - plan[plan[:, 0] > 3e-3, 0].min()) < 0.4e-3)
-    row = row[np.argsort(plan[row, 1])]
-    sections = {
-        name: standard_reed.halves[mode.symmetry].surface_z[row] @ mode.coordinates
-        for name, mode in modes.items()
-    }
+    y = np.linspace(0.1e-3, 6.3e-3, 40)
+    shapes = surface_shapes(standard_reed, np.full_like(y, 3.2e-3), y)
+    sections = {name: shapes[mode.symmetry] @ mode.coordinates for name, mode in modes.items()}
     crossings = {
         name: np.count_nonzero(np.diff(np.sign(w[np.abs(w) > 0.05 * np.abs(w).max()])))
         for name, w in sections.items()

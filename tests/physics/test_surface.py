@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import BarycentricInterpolator
 
 from physics.reed.fem import Symmetry
-from physics.reed.geometry import half_width_m
+from physics.reed.geometry import Outline, half_width_m
 from physics.reed.mesh import lobatto_points
 from physics.reed.names import PAPER_MODES
 from physics.reed.response import elastic_modes
@@ -14,10 +14,10 @@ from physics.reed.surface import on_reed, surface_shapes
 
 def test_contour_bounds_the_reed():
     x = np.array([-1e-3, 0.5e-3, 10e-3, 30e-3])
-    width = half_width_m(x)
-    np.testing.assert_array_equal(on_reed(x, 0.99 * width), [False, True, True, True])
-    np.testing.assert_array_equal(on_reed(x, -0.99 * width), [False, True, True, True])
-    np.testing.assert_array_equal(on_reed(x, 1.01 * width), [False] * 4)
+    width = half_width_m(Outline(), x)
+    np.testing.assert_array_equal(on_reed(Outline(), x, 0.99 * width), [False, True, True, True])
+    np.testing.assert_array_equal(on_reed(Outline(), x, -0.99 * width), [False, True, True, True])
+    np.testing.assert_array_equal(on_reed(Outline(), x, 1.01 * width), [False] * 4)
 
 
 def test_shapes_at_the_nodes_are_those_of_the_basis(coarse_reed):
@@ -43,7 +43,7 @@ def test_halves_are_even_and_odd(coarse_reed):
 
 def test_every_point_inside_the_contour_has_a_shape(coarse_reed):
     x = np.linspace(1e-6, 38e-3, 60)
-    y = half_width_m(x) * (1 - 1e-9)
+    y = half_width_m(Outline(), x) * (1 - 1e-9)
     for shapes in surface_shapes(coarse_reed, x, y).values():
         assert np.isfinite(shapes).all()
 

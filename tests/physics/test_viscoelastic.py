@@ -12,7 +12,9 @@ from physics.reed.viscoelastic import (
     Series,
     ViscoelasticCane,
     Zener,
+    h4_matrix,
     require_physical,
+    storage_modulus,
     storage_modulus_pa,
     viscoelastic_cane,
 )
@@ -157,3 +159,52 @@ def test_possible_reeds_pass_and_impossible_ones_name_their_spring():
         require_physical(viscoelastic_cane(Components(e1=-2.0, e3=2.0), Series.A))
     with pytest.raises(ValueError, match="E1 = 0 MPa"):
         require_physical(ViscoelasticCane(Zener(0.0, 1.0, 1.0), Zener(1.0, 1.0, 1.0)))
+
+
+# --- Many at once ------------------------------------------------------------------------------
+
+
+def test_many_storage_moduli_are_those_of_each():
+    rng = np.random.default_rng(3)
+    E1, E2, E3 = rng.uniform(5e3, 1e4, 5), rng.uniform(-2e3, 8e3, 5), rng.uniform(0.1, 0.4, 5)
+    hz = np.array([[500.0], [4000.0], [20e3]])
+    many = storage_modulus(E1, E2, E3, hz)
+    assert many.value_mpa.shape == (3, 5)
+    for n in range(5):
+        one = storage_modulus_pa(Zener(E1[n], E2[n], E3[n]), hz[:, 0])
+        np.testing.assert_allclose(1e6 * many.value_mpa[:, n], one, rtol=1e-12)
+
+
+@pytest.mark.parametrize("arm_spring", [4000.0, -300.0, 0.0])
+def test_slopes_of_the_storage_modulus_are_those_of_finite_differences(arm_spring):
+    at = np.array([10e3, arm_spring, 0.25, np.log(3000.0)])
+
+    def value(p):
+        return storage_modulus(p[0], p[1], p[2], np.exp(p[3])).value_mpa
+
+    slopes = storage_modulus(*map(np.array, at[:3]), np.exp(at[3]))
+    for k, slope in (
+        (1, slopes.by_arm_spring),
+        (2, slopes.by_arm_dashpot_per_s),
+        (3, slopes.by_ln_frequency_mpa),
+    ):
+        step = np.eye(4)[k] * 1e-4 * max(1.0, abs(at[k]))
+        difference = (value(at + step) - value(at - step)) / (2 * step[k])
+        assert slope == pytest.approx(difference, rel=1e-5, abs=1e-4)
+
+
+def test_an_arm_of_nothing_carries_nothing():
+    nothing = storage_modulus(np.array(9e3), np.array(0.0), np.array(0.0), np.array(1e3))
+    assert nothing.value_mpa == 9e3
+    assert nothing.by_ln_frequency_mpa == 0
+
+
+@pytest.mark.parametrize("series", Series)
+def test_the_matrix_of_h4_is_h4(series):
+    e = np.array([0.3, -1.2, 0.7, 1.9])
+    cane = viscoelastic_cane(Components(*e), series)
+    E, G = cane.young_L, cane.shear_LT
+    parameters = h4_matrix(series) @ [1, *e]
+    expected = [E.spring_mpa, E.arm_spring_mpa, E.arm_dashpot_mpa_s]
+    expected += [G.spring_mpa, G.arm_spring_mpa, G.arm_dashpot_mpa_s]
+    np.testing.assert_allclose(parameters, expected, rtol=1e-12)

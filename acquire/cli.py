@@ -1,4 +1,4 @@
-"""The command line: `acquire run`, `plan`, `fit`, `report`, `diagnose`, `list`.
+"""The command line: `acquire run`, `plan`, `fit`, `report`, `diagnose`, `modes`, `list`.
 
 Knows every room and does nothing itself. Results go to standard output, progress and messages to
 standard error. Exit status: 2 for bad input, 1 for a failed run, 130 for an interrupt.
@@ -42,6 +42,12 @@ RunFiles = Annotated[
 ModelOption = Annotated[
     str, typer.Option("--model", help="Forward model: fem (finite elements) or paper (Table 9).")
 ]
+
+
+def _constant(name: str, kind: str, meaning: str) -> Any:
+    """Option of an elastic constant, `--e-l` or `--E-L`; without it the reed's own counts."""
+    dashed = name.replace("_", "-")
+    return typer.Option(f"--{dashed.lower()}", f"--{dashed}", metavar=kind, help=meaning)
 
 
 def _words() -> Console:
@@ -288,6 +294,102 @@ def diagnose(
     console.print(gap_table(diagnosis))
     for line in closing_words(diagnosis):
         console.print(line, markup=False, soft_wrap=True)
+
+
+@_verb
+def modes(
+    reed: Annotated[str, typer.Argument(help="Reed file, or a shipped reed's name.")] = "clarinet",
+    E_L: Annotated[
+        str | None, _constant("E_L", "MODULUS", "Young modulus along the grain, such as '13 GPa'.")
+    ] = None,
+    E_T: Annotated[
+        str | None, _constant("E_T", "MODULUS", "Young modulus across the grain.")
+    ] = None,
+    E_R: Annotated[
+        str | None, _constant("E_R", "MODULUS", "Young modulus through the thickness.")
+    ] = None,
+    G_LT: Annotated[
+        str | None,
+        _constant("G_LT", "MODULUS", "Shear modulus that resists torsion, such as '1.1 GPa'."),
+    ] = None,
+    G_LR: Annotated[
+        str | None,
+        _constant("G_LR", "MODULUS", "Shear modulus through the thickness, along the grain."),
+    ] = None,
+    G_TR: Annotated[
+        str | None,
+        _constant("G_TR", "MODULUS", "Shear modulus through the thickness, across the grain."),
+    ] = None,
+    nu_LT: Annotated[
+        float | None,
+        _constant(
+            "nu_LT", "RATIO", "Contraction across under stress along the grain, such as 0.22."
+        ),
+    ] = None,
+    nu_LR: Annotated[
+        float | None,
+        _constant(
+            "nu_LR", "RATIO", "Contraction through the thickness under stress along the grain."
+        ),
+    ] = None,
+    nu_TR: Annotated[
+        float | None,
+        _constant(
+            "nu_TR", "RATIO", "Contraction through the thickness under stress across the grain."
+        ),
+    ] = None,
+    density: Annotated[
+        str | None, typer.Option(metavar="DENSITY", help="Such as '520 kg/m^3'.")
+    ] = None,
+    thickness_offset: Annotated[
+        str | None, typer.Option(metavar="LENGTH", help="Added to the vamp, such as '10 um'.")
+    ] = None,
+    temperature: Annotated[
+        str | None,
+        typer.Option(metavar="TEMPERATURE", help="Of viscoelastic cane, such as '25 degC'."),
+    ] = None,
+    dryness: Annotated[
+        float | None, typer.Option(help="Of viscoelastic cane: 0 as series A to 1 as series B.")
+    ] = None,
+    mesh: Annotated[
+        str, typer.Option(help="Finite elements: standard, or fast (some cents off).")
+    ] = "standard",
+    pictures: Annotated[
+        Path | None, typer.Option(metavar="PATH.png", help="Draw every mode into this file.")
+    ] = None,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """List every mode of a reed below 20 kHz by finite elements: name, frequency, class.
+
+    What no option says is the reed's own.
+    """
+    from acquire.reed_file import ReedFile, changed, mesh_level, modes_of, modes_to_json
+    from fitting.mode_pictures import modes_table, require_png, write_mode_sheet
+
+    level = mesh_level(mesh)
+    if pictures:
+        require_png(pictures)
+    cane = {"E_L": E_L, "E_T": E_T, "E_R": E_R, "G_LT": G_LT, "G_LR": G_LR, "G_TR": G_TR}
+    ratios = {"nu_LT": nu_LT, "nu_LR": nu_LR, "nu_TR": nu_TR}
+    changes: dict[str, str | float | None] = {
+        **{f"cane.{name}": value for name, value in {**cane, **ratios, "density": density}.items()},
+        "geometry.thickness_offset": thickness_offset,
+        "conditions.temperature": temperature,
+        "conditions.dryness": dryness,
+    }
+    described = changed(ReedFile.from_file(reed), changes)
+    _tell("computing the reed's modes by finite elements")
+    found = modes_of(described, level)
+    if pictures:
+        write_mode_sheet(described, level, found, pictures)
+    if as_json:
+        _show_json(modes_to_json(described, found))
+        return
+    console = Console(highlight=False)
+    console.print(modes_table(described, found))
+    if pictures:
+        console.print(f"pictures      {pictures}", markup=False, soft_wrap=True)
 
 
 @_verb

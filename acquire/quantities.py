@@ -13,8 +13,8 @@ from typing import Annotated, Any, Final
 
 from pydantic import BeforeValidator, PlainSerializer
 
-# Every unit that a protocol or a bench file may use. The registry knows nothing else, so that
-# "12.4 Bq" or "744 rpm" is refused rather than taken for a frequency.
+# Every unit that a description may use. The registry knows nothing else, so that "12.4 Bq" or
+# "744 rpm" is refused rather than taken for a frequency.
 _UNITS: Final = (
     "nano- = 1e-9 = n-",
     "micro- = 1e-6 = µ- = μ- = u-",
@@ -24,12 +24,16 @@ _UNITS: Final = (
     "mega- = 1e6 = M-",
     "giga- = 1e9 = G-",
     "meter = [length] = m = metre",
+    "gram = [mass] = g",
     "second = [time] = s",
     "minute = 60 * second = min",
     "hertz = 1 / second = Hz",
     "volt = [voltage] = V",
     "cent = [interval]",
     "radian = [angle] = rad",
+    "pascal = kilogram / meter / second ** 2 = Pa",
+    "kelvin = [temperature] = K",
+    "degree_Celsius = kelvin; offset: 273.15 = degC",
 )
 
 # What each unit measures and how a quantity of it is written; both appear in error messages.
@@ -40,14 +44,17 @@ _KINDS: Final = {
     "s": ("a time", "0.1 s"),
     "cents": ("an interval", "25 cents"),
     "rad": ("an angle", "0.01 rad"),
+    "Pa": ("a modulus", "14 GPa"),
+    "kg/m^3": ("a density", "520 kg/m^3"),
+    "degC": ("a temperature", "25 degC"),
 }
 
 # No quantity of a bench needs more characters, and a longer one could be made to cost minutes.
 _MAX_CHARACTERS: Final = 40
 
 _NUMBER: Final = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,2})?"
-# Pint evaluates expressions; only one number and one word of letters ever reach it.
-_QUANTITY: Final = re.compile(rf"({_NUMBER})\s*([A-Za-zµμ]+)")
+# Pint evaluates expressions; only one number and one unit, a word or word/word^3, ever reach it.
+_QUANTITY: Final = re.compile(rf"({_NUMBER})\s*([A-Za-zµμ]+(?:/[A-Za-z]+\^3)?)")
 
 
 @cache
@@ -128,7 +135,7 @@ def parse_quantity(value: object, unit: str) -> Fraction:
     ----------
     value : object
         What stood in the file. Only a string of one number and one unit is a quantity.
-    unit : {'Hz', 'V', 'm', 's', 'cents', 'rad'}
+    unit : {'Hz', 'V', 'm', 's', 'cents', 'rad', 'Pa', 'kg/m^3', 'degC'}
         Unit of the result, which is the dimension that is wanted.
 
     Returns
@@ -170,11 +177,11 @@ def parse_quantity(value: object, unit: str) -> Fraction:
 
 
 def _convert(number: Fraction, written: str, wanted: str, value: str, remedy: str) -> Fraction:
-    from pint.errors import DimensionalityError, UndefinedUnitError
+    from pint.errors import DimensionalityError, OffsetUnitCalculusError, UndefinedUnitError
 
     try:
         return Fraction(_registry().Quantity(number, written).to(wanted).magnitude)
-    except UndefinedUnitError:
+    except (UndefinedUnitError, OffsetUnitCalculusError):
         raise ValueError(f"{value!r} has the unknown unit {written!r}; {remedy}") from None
     except DimensionalityError:
         raise ValueError(f"{value!r} is not {_KINDS[wanted][0]}; {remedy}") from None
@@ -194,3 +201,6 @@ Length = Annotated[Fraction, _reader("m"), _writer("m")]
 Time = Annotated[Fraction, _reader("s"), _writer("s")]
 Interval = Annotated[Fraction, _reader("cents"), _writer("cents")]
 Angle = Annotated[Fraction, _reader("rad"), _writer("rad")]
+Modulus = Annotated[Fraction, _reader("Pa"), _writer("Pa")]
+Density = Annotated[Fraction, _reader("kg/m^3"), _writer("kg/m^3")]
+Temperature = Annotated[Fraction, _reader("degC"), _writer("degC")]

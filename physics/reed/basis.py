@@ -4,7 +4,7 @@ The basis spans the modes of a network of materials and the static shapes under 
 eigenfrequencies and forced responses are those of the full model to a fraction of a cent.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,11 +21,12 @@ from physics.reed.fem import (
     free_dofs,
     lowest_modes,
     mass,
+    projected_stiffness,
     shape_1d,
     stiffness,
 )
 from physics.reed.geometry import ReedGeometry, half_width_m
-from physics.reed.material import STIFFNESS_TERMS, Cane, stiffness_terms_pa
+from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.mesh import HalfReedMesh, MeshLevel, build_mesh
 from physics.reed.names import width_profiles
 
@@ -165,17 +166,18 @@ def _half_basis(
     basis = _pod(np.hstack(snapshots), K, settings.size)
     full = np.zeros((3 * len(mesh.nodes_m), basis.shape[1]))
     full[free] = basis
-    u = [full[axis::3] for axis in range(3)]
-    top = u[2].reshape(*mesh.block, -1)[:, :, -1]
-    heel = u[2] * (mesh.nodes_m[:, :1] > geometry.vamp_x_m[-1])
+    shapes = full.reshape(-1, 3, basis.shape[1])
+    lateral, vertical = shapes[:, 1], shapes[:, 2]
+    top = vertical.reshape(*mesh.block, -1)[:, :, -1]
+    heel = vertical * (mesh.nodes_m[:, :1] > geometry.vamp_x_m[-1])
     return HalfBasis(
-        stiffness_terms=_project(matrices, u),
+        stiffness_terms=projected_stiffness(matrices, shapes),
         mass=basis.T @ (unit_mass @ basis),
         surface_z=top.reshape(-1, basis.shape[1]),
-        lateral_mass=u[1].T @ (matrices.mass @ u[1]),
+        lateral_mass=lateral.T @ (matrices.mass @ lateral),
         heel_mass=heel.T @ (matrices.mass @ heel),
         profiles=_vamp_profiles(mesh, geometry, top),
-        load_z=faces @ u[2],
+        load_z=faces @ vertical,
     )
 
 
@@ -188,32 +190,6 @@ def _pod(snapshots: Array, reference: sparse.csc_array, size: int) -> Array:
         raise ValueError(f"a basis of {size} coordinates needs more snapshots; lower its size")
     basis: Array = scaled @ (vectors[:, kept] / np.sqrt(values[kept]))
     return basis
-
-
-def _project(matrices: ReedMatrices, u: Sequence[Array]) -> Array:
-    """Reduced stiffness per unit of each of the nine stiffnesses: (9, r, r)."""
-    D = matrices.gradients
-
-    def energy(pairs: str) -> Array:
-        """Sum of ∫ ∂_i u_a ∂_j u_b over pairs written 'a i b j', symmetrised."""
-        total = np.zeros((u[0].shape[1],) * 2)
-        for a, i, b, j in map(tuple, pairs.split(",")):
-            part = u["xyz".index(a)].T @ (D[i + j] @ u["xyz".index(b)])
-            total += 0.5 * (part + part.T)
-        return total
-
-    strains = {
-        "11": "xxxx",
-        "22": "yyyy",
-        "33": "zzzz",
-        "12": "xxyy,yyxx",
-        "13": "xxzz,zzxx",
-        "23": "yyzz,zzyy",
-        "44": "yzyz,yzzy,zyyz,zyzy",
-        "55": "xzxz,xzzx,zxxz,zxzx",
-        "66": "xyxy,xyyx,yxxy,yxyx",
-    }
-    return np.stack([energy(strains[term]) for term in STIFFNESS_TERMS])
 
 
 def _vamp_profiles(mesh: HalfReedMesh, geometry: ReedGeometry, top: Array) -> Array:

@@ -143,6 +143,44 @@ def _symmetric(by_rows: sparse.csr_array) -> sparse.csc_array:
     return sparse.csc_array((by_rows.data, by_rows.indices, by_rows.indptr), shape=by_rows.shape)
 
 
+# Engineering strains in Voigt order: (component of the displacement, axis it is derived along).
+_STRAINS = (
+    (("x", "x"),),
+    (("y", "y"),),
+    (("z", "z"),),
+    (("y", "z"), ("z", "y")),
+    (("x", "z"), ("z", "x")),
+    (("x", "y"), ("y", "x")),
+)
+
+
+def projected_stiffness(matrices: ReedMatrices, shapes: Array) -> Array:
+    """Stiffness between shapes, per unit of each independent stiffness.
+
+    Parameters
+    ----------
+    matrices : ReedMatrices
+    shapes : (n, 3, r) float
+        Displacements at the nodes.
+
+    Returns
+    -------
+    (9, r, r) float
+        In the order of `STIFFNESS_TERMS`.
+    """
+    u = {axis: shapes[:, k] for k, axis in enumerate("xyz")}
+
+    def energy(term: str) -> Array:
+        left, right = (_STRAINS[int(number) - 1] for number in term)
+        total = np.zeros((shapes.shape[2],) * 2)
+        for a, i in left:
+            for b, j in right:
+                total += u[a].T @ (matrices.gradients[i + j] @ u[b])
+        return total if left == right else total + total.T
+
+    return np.stack([energy(term) for term in STIFFNESS_TERMS])
+
+
 def free_dofs(mesh: HalfReedMesh, symmetry: Symmetry) -> NDArray[np.intp]:
     """Degrees of freedom (f,) left by the clamp and by the condition on the median plane."""
     fixed = np.repeat(mesh.clamped[:, None], 3, axis=1)

@@ -1,0 +1,189 @@
+"""What the pictures of modes show, and where; what the table says."""
+
+from io import BytesIO, StringIO
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.contour import QuadContourSet
+from matplotlib.image import imread
+from rich.console import Console
+
+from acquire.reed_file import ReedFile
+from fitting.drawing import png_of
+from fitting.errors import FitInputError
+from fitting.mode_pictures import (
+    PER_ROW,
+    bark_side,
+    mode_sheet,
+    modes_table,
+    require_png,
+    write_mode_sheet,
+)
+from physics.reed.fem import Symmetry
+from physics.reed.geometry import ReedGeometry
+from physics.reed.mesh import MeshLevel, build_mesh
+from physics.reed.modes import ModeClass, NamedMode
+
+LEVEL = MeshLevel(orders=(2, 2, 2), edge_breaks_m=())
+TITLES = ("F1 2184 Hz", "T1 3586 Hz")
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return build_mesh(ReedGeometry(), LEVEL)
+
+
+def drawn(mesh, deflection, name="F1", hz=2184.0, symmetry=Symmetry.SYMMETRIC):
+    """A mode whose deflection is a function of x and y ≥ 0, in mm."""
+    x, y, _ = 1e3 * mesh.nodes_m.T
+    shape = np.zeros_like(mesh.nodes_m)
+    shape[:, 2] = np.where(mesh.clamped, 0.0, deflection(x, y))
+    return NamedMode(name, hz, ModeClass.FLEXURAL, symmetry, 1.0, shape)
+
+
+def nodal_lines_mm(axes):
+    """Points (x along the reed, y across) of the nodal lines, in mm."""
+    lines = [part for part in axes.collections if isinstance(part, QuadContourSet)]
+    black = [part for part in lines if list(part.levels) == [0.0]]
+    assert len(black) == 1
+    points = [path.vertices for path in black[0].get_paths()]
+    return np.concatenate(points)[:, ::-1]
+
+
+# --- Deflection of the whole reed --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("symmetry", list(Symmetry))
+def test_the_other_half_is_a_mirror_image_of_the_right_sign(mesh, symmetry):
+    mode = drawn(mesh, lambda x, y: (20 - x) * y, symmetry=symmetry)
+    side = bark_side(mesh, mode)
+    parity = 1 if symmetry is Symmetry.SYMMETRIC else -1
+    np.testing.assert_array_equal(side.deflection, parity * side.deflection[:, ::-1])
+    np.testing.assert_array_equal(side.x_m, side.x_m[:, ::-1])
+    np.testing.assert_array_equal(side.y_m, -side.y_m[:, ::-1])
+    assert np.all(np.diff(side.y_m, axis=1) > 0)
+    assert side.deflection.max() == pytest.approx(1)
+    assert np.abs(side.deflection).max() == pytest.approx(1)
+    assert 1e3 * side.x_m[side.clamped].min() == pytest.approx(38.2)
+
+
+# --- Sheet -------------------------------------------------------------------------------------
+
+
+def test_modes_are_titled_in_rows(mesh):
+    modes = [drawn(mesh, lambda x, y: 60 - x, f"F{k}", 1000 * k + 0.4) for k in range(1, 12)]
+    figure = mode_sheet("clarinet", mesh, modes)
+    panels = [axes for axes in figure.axes if axes.get_title()]
+    assert [axes.get_title() for axes in panels] == [f"F{k} {1000 * k} Hz" for k in range(1, 12)]
+    boxes = [axes.get_position() for axes in panels]
+    assert PER_ROW == 9
+    assert len({round(box.y0, 6) for box in boxes}) == 2
+    assert boxes[0].y0 > boxes[9].y0
+    assert boxes[9].x0 == pytest.approx(boxes[0].x0)
+    for left, right in pairwise(boxes[:9]):
+        assert left.x1 < right.x0
+    assert figure.get_suptitle() == "clarinet: bark side, tip down"
+
+
+def test_the_tip_is_down_and_positive_y_on_the_left(mesh):
+    figure = mode_sheet("clarinet", mesh, [drawn(mesh, lambda x, y: 60 - x)])
+    axes = figure.axes[0]
+    corners = axes.transData.transform([(0, 0), (0, 60), (5, 30), (-5, 30)])
+    tip, heel, positive, negative = corners
+    assert tip[1] < heel[1]
+    assert positive[0] < negative[0]
+
+
+def test_nodal_lines_are_where_nothing_moves(mesh):
+    across = drawn(mesh, lambda x, y: 14.0 - x)
+    along = drawn(mesh, lambda x, y: y * (70 - x), "T1", 3586.0, Symmetry.ANTISYMMETRIC)
+    figure = mode_sheet("clarinet", mesh, [across, along])
+    assert tuple(axes.get_title() for axes in figure.axes[:2]) == TITLES
+    line = nodal_lines_mm(figure.axes[0])
+    np.testing.assert_allclose(line[:, 0], 14.0, atol=0.2)
+    assert np.ptp(line[:, 1]) == pytest.approx(2 * (6.575 - 11 / 900 * 14), abs=0.2)
+    middle = nodal_lines_mm(figure.axes[1])
+    np.testing.assert_allclose(middle[:, 1], 0.0, atol=1e-6)
+    assert middle[:, 0].min() == pytest.approx(0, abs=0.1)
+
+
+def test_no_nodal_lines_where_the_reed_is_still_or_held(mesh):
+    """A sign change of a thousandth of the motion at the tip is nothing to see."""
+    mode = drawn(mesh, lambda x, y: np.where(x < 30, 30 - x, 0.01 * np.sin(x)))
+    figure = mode_sheet("clarinet", mesh, [mode])
+    axes = figure.axes[0]
+    lines = [part for part in axes.collections if isinstance(part, QuadContourSet)]
+    black = [part for part in lines if list(part.levels) == [0.0]]
+    points = [path.vertices for part in black for path in part.get_paths() if len(path.vertices)]
+    assert all(vertices[:, 1].max() < 38 for vertices in points)
+
+
+def test_signs_have_colours_of_their_own(mesh):
+    """Rendered: red where the mode moves up at the tip, blue where down behind, white at rest."""
+    mode = drawn(mesh, lambda x, y: np.where(x < 15, 1.0, np.where(x < 35, -1.0, 0.0)))
+    figure = mode_sheet("clarinet", mesh, [mode])
+    image = imread(BytesIO(png_of(figure, 100)))[..., :3]
+    axes = figure.axes[0]
+
+    def colour(x_mm, y_mm):
+        column, row = axes.transData.transform((y_mm, x_mm))
+        # The renderer has another resolution than the figure had.
+        scale = 100 / figure.dpi
+        return image[len(image) - 1 - round(row * scale), round(column * scale)]
+
+    up, down, still = colour(8, 1.0), colour(25, 1.0), colour(50, 1.0)
+    assert up[0] > up[2] + 0.2
+    assert down[2] > down[0] + 0.2
+    assert still.min() > 0.9
+
+
+def test_a_reed_without_modes_has_an_empty_sheet(mesh):
+    assert png_of(mode_sheet("clarinet", mesh, [])).startswith(b"\x89PNG")
+
+
+# --- Files and words ---------------------------------------------------------------------------
+
+
+def test_the_sheet_is_a_legible_png(mesh, tmp_path):
+    reed, path = ReedFile.from_file(), tmp_path / "modes.png"
+    write_mode_sheet(reed, LEVEL, [drawn(mesh, lambda x, y: 60 - x)] * 9, path)
+    image = imread(BytesIO(path.read_bytes()))
+    # Each panel is 1 inch wide, its title 8.5 points high.
+    assert image.shape[1] > 9 * 120
+    assert image[..., :3].std() > 0.05
+
+
+def test_what_cannot_be_written_is_refused_in_one_line(mesh, tmp_path):
+    with pytest.raises(FitInputError, match=r"modes\.jpg: pictures are written as PNG"):
+        require_png(tmp_path / "modes.jpg")
+    with pytest.raises(FitInputError, match=r"nowhere/modes\.png: there is no folder"):
+        require_png(Path(tmp_path, "nowhere", "modes.png"))
+    (tmp_path / "folder.png").mkdir()
+    require_png(tmp_path / "modes.png")
+    with pytest.raises(FitInputError, match="cannot be written: Is a directory"):
+        write_mode_sheet(ReedFile.from_file(), LEVEL, [], tmp_path / "folder.png")
+
+
+def shown(reed, modes):
+    words = StringIO()
+    Console(file=words, width=120).print(modes_table(reed, modes))
+    return words.getvalue()
+
+
+def test_the_table_counts_cents_from_f6(mesh):
+    octave = drawn(mesh, lambda x, y: x, "X(4,1)", 2 * 1396.9)
+    text = shown(ReedFile.from_file(), [octave])
+    row = next(line for line in text.splitlines() if "X(4,1)" in line)
+    cells = [cell.strip() for cell in row.strip("│").split("│")]
+    assert cells == ["X(4,1)", "2793.8 Hz", "1200", "flexural", "symmetric"]
+
+
+def test_the_table_says_which_cane():
+    fixed = " ".join(shown(ReedFile.from_file(), []).split())
+    assert "E_L 14000, E_T 480, E_R 480, G_LT 1100" in fixed
+    assert "frequency: these" not in fixed
+    following = " ".join(shown(ReedFile.from_file("alto-saxophone"), []).split())
+    assert "of its own frequency: these at 1397 Hz" in following
+    assert "E_L 11053" in following

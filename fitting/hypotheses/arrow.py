@@ -1,0 +1,216 @@
+"""Least squares in which every reed has unknowns of its own beside those that all reeds share.
+
+The normal matrix is an arrow: a small block for each reed, a border for the shared unknowns. The
+reeds' blocks are eliminated one by one, so that a step costs time in proportion to the reeds.
+Linear equality constraints on the steps (see `NormalEquations.constraints`) join the border as
+Lagrange multipliers.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating[Any]]
+
+_FIRST_DAMPING, _LEAST_DAMPING = 1e-3, 1e-9
+# A step taken under more damping than this is short because it is damped, not at the goal.
+_UNDAMPED = 1e-4
+_SOFTER, _STIFFER = 0.2, 4.0
+# A decrease of this share of the expected one makes the next step bolder.
+_AS_EXPECTED = 0.25
+# A smaller share of the cost is lost in the rounding of its sum.
+_ROUNDING = 1e-14
+# Steps remembered by the acceleration.
+_MEMORY = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Values of all unknowns, or a step of all.
+
+    Attributes
+    ----------
+    shared : (q,) float
+    own : (n, K) float
+        A row for each reed.
+    """
+
+    shared: Array
+    own: Array
+
+    def plus(self, other: "Point", factor: float = 1.0) -> "Point":
+        """Go from here by a multiple of another."""
+        return Point(self.shared + factor * other.shared, self.own + factor * other.own)
+
+    def dot(self, other: "Point") -> float:
+        """Scalar product."""
+        return float(np.vdot(self.shared, other.shared) + np.vdot(self.own, other.own))
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Squares to be minimised, to second order in a step.
+
+    Attributes
+    ----------
+    cost : float
+        Sum of squares here.
+    own : (n, K, K), cross : (n, K, q), shared : (q, q) float
+        Blocks of JᵀJ.
+    own_descent : (n, K), shared_descent : (q,) float
+        Half the negative gradient.
+    constraints : (n, K, c) float
+        Steps of the reeds' own unknowns are orthogonal to each of the c columns.
+    """
+
+    cost: float
+    own: Array
+    cross: Array
+    shared: Array
+    own_descent: Array
+    shared_descent: Array
+    constraints: Array
+
+    def step(self, damping: float) -> Point:
+        """Damped step (Marquardt's scaling) within the constraints."""
+        _, K, q = self.cross.shape
+        shared = self.shared * (1 + damping * np.eye(q))
+        own = self.own * (1 + damping * np.eye(K))
+        border = np.concatenate([self.cross, self.constraints], axis=-1)
+        solved = np.linalg.solve(own, np.concatenate([border, self.own_descent[..., None]], -1))
+        eliminated = np.tensordot(border, solved, axes=([0, 1], [0, 1]))
+        matrix = -eliminated[:, :-1]
+        matrix[:q, :q] += shared
+        right = np.zeros(len(matrix))
+        right[:q] = self.shared_descent
+        outer = _solve_symmetric(matrix, right - eliminated[:, -1])
+        return Point(outer[:q], solved[..., -1] - solved[..., :-1] @ outer)
+
+    def expected_decrease(self, step: Point) -> float:
+        """Decrease of the cost that the slope at this point promises for a damped step."""
+        return Point(self.shared_descent, self.own_descent).dot(step)
+
+    def times(self, step: Point) -> Point:
+        """JᵀJ times a step."""
+        return Point(
+            self.shared @ step.shared + np.tensordot(step.own, self.cross, axes=2),
+            np.einsum("nkl,nl->nk", self.own, step.own) + self.cross @ step.shared,
+        )
+
+    def information_on_shared(self) -> Array:
+        """JᵀJ of the shared unknowns (q, q) where the reeds' own are fitted along.
+
+        The inverse, times the noise's variance, is the covariance of the shared unknowns.
+        """
+        q = len(self.shared)
+        border = np.concatenate([self.cross, self.constraints], axis=-1)
+        spent = np.tensordot(border, np.linalg.solve(self.own, border), axes=([0, 1], [0, 1]))
+        kept = np.linalg.solve(spent[q:, q:], spent[q:, :q])
+        information: Array = self.shared - spent[:q, :q] + spent[:q, q:] @ kept
+        return information
+
+
+def _solve_symmetric(matrix: Array, right: Array) -> Array:
+    """Solve a symmetric indefinite system whose rows may be of very different size."""
+    size = np.sqrt(np.abs(np.diag(matrix)))
+    size[size == 0] = 1
+    scaled = scipy.linalg.solve(matrix / np.outer(size, size), right / size, assume_a="sym")
+    return np.asarray(scaled / size)
+
+
+class ArrowProblem(Protocol):
+    """What `minimise` minimises."""
+
+    def cost(self, at: Point) -> float:
+        """Sum of squares; infinite where the model has no answer."""
+
+    def normal_equations(self, at: Point) -> NormalEquations:
+        """Second-order picture at a point that satisfies the constraints."""
+
+    def onto_constraints(self, near: Point) -> Point:
+        """Point that satisfies the constraints exactly, to first order where `near` is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Where a minimisation ended.
+
+    Attributes
+    ----------
+    point : Point
+    cost : float
+    iterations : int
+    converged : bool
+        Whether it ended because nothing more was to be gained, and not because the iterations
+        were used up or the model has no answer beyond.
+    """
+
+    point: Point
+    cost: float
+    iterations: int
+    converged: bool
+
+
+def minimise(
+    problem: ArrowProblem, start: Point, *, tolerance: float, most_iterations: int
+) -> Minimum:
+    """Minimise by Levenberg-Marquardt steps with Anderson acceleration.
+
+    Gauss-Newton steps creep along the curved valleys of weakly determined directions; combining
+    the last few steps so that they cancel brings them to the end (Anderson, J. ACM 12, 1965). A
+    combination that does not decrease the cost is dropped for the plain step, and a plain step
+    that does not for a shorter one: the cost never increases.
+
+    Parameters
+    ----------
+    problem : ArrowProblem
+    start : Point
+    tolerance : float
+        Expected decrease of the cost at which the search ends.
+    most_iterations : int
+    """
+    at, damping = problem.onto_constraints(start), _FIRST_DAMPING
+    here = problem.normal_equations(at)
+    past: list[tuple[Point, Point]] = []
+    for iteration in range(1, most_iterations + 1):
+        step = here.step(damping)
+        promised = here.expected_decrease(step)
+        plain = at.plus(step)
+        for candidate in [_accelerated(here, at, step, past), plain] if past else [plain]:
+            target = problem.onto_constraints(candidate)
+            decrease = here.cost - problem.cost(target)
+            if decrease > 0:
+                break
+        little = promised < max(tolerance, _ROUNDING * here.cost)
+        if little and (damping < _UNDAMPED or decrease <= 0):
+            best, cost = (target, here.cost - decrease) if decrease > 0 else (at, here.cost)
+            # At the edge of where the model has an answer there is no minimum.
+            return Minimum(best, cost, iteration, converged=decrease > -np.inf)
+        if decrease > 0:
+            past = [(at, step), *past][:_MEMORY]
+            at, here = target, problem.normal_equations(target)
+            if decrease > _AS_EXPECTED * promised:
+                damping = max(damping * _SOFTER, _LEAST_DAMPING)
+        else:
+            damping = max(damping, _FIRST_DAMPING) * _STIFFER
+    return Minimum(at, here.cost, most_iterations, converged=False)
+
+
+def _accelerated(
+    here: NormalEquations, at: Point, step: Point, past: Sequence[tuple[Point, Point]]
+) -> Point:
+    """Point at which, going by the last steps, the next step would be least."""
+    moves = [(at.plus(before, -1), step.plus(then, -1)) for before, then in past]
+    # Steps are measured by what they do to the residuals.
+    changed = [here.times(change) for _, change in moves]
+    products = np.array([[a.dot(change) for _, change in moves] for a in changed])
+    with_step = np.array([a.dot(step) for a in changed])
+    shares = np.linalg.lstsq(products, with_step, rcond=1e-10)[0]
+    point = at.plus(step)
+    for share, (move, change) in zip(shares, moves, strict=True):
+        point = point.plus(move, -share).plus(change, -share)
+    return point

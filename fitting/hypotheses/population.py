@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.factors import orthonormal
 from fitting.hypotheses.arrow import NormalEquations, Point
 from fitting.hypotheses.prediction import Adjustment, Prediction, ResonanceModel, predict
 from fitting.hypotheses.structure import PARAMETER_SIZES, Structure
@@ -69,15 +70,6 @@ def coefficient_sizes(structure: Structure, coefficients: Array) -> Array:
     relative = np.abs(structure.slopes(coefficients)) / PARAMETER_SIZES[:, None]
     greatest = relative.max(axis=(1, 2, 3), initial=0.0)
     return np.asarray(np.divide(1.0, greatest, out=np.ones_like(greatest), where=greatest > 0))
-
-
-def orthonormal(components: Array) -> Array:
-    """Closest components (n, K) with mean 0, SD 1 and no correlation over the reeds.
-
-    SD with n − 1, as in Eq. eq.ortho.
-    """
-    left, _, right = np.linalg.svd(components - components.mean(axis=0), full_matrices=False)
-    return np.asarray(left @ right * np.sqrt(len(components) - 1))
 
 
 @dataclass(frozen=True, eq=False)

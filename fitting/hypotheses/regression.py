@@ -15,6 +15,7 @@ from scipy.linalg import expm, expm_frechet
 from scipy.optimize import least_squares
 
 from fitting.errors import FitInputError
+from fitting.factors import reconstruct
 
 Array = NDArray[np.floating[Any]]
 
@@ -68,17 +69,12 @@ def regress_on_factors(observed_cents: Array, factors: Array) -> Regression:
         Where a mode was identified on too few reeds in a series, or the arrays do not fit.
     """
     observed, factors = _checked(observed_cents, factors)
-    design = np.concatenate([np.ones((len(factors), 1)), factors], axis=1)
-    weights = np.stack(
-        [
-            [_least_squares(design, mode) for mode in series.T]
-            for series in np.moveaxis(observed, 1, 0)
-        ]
-    )
+    by_variable = reconstruct(observed.reshape(len(observed), -1), factors)
+    weights = by_variable.coefficients.reshape(*observed.shape[1:], -1)
     return Regression(
         name="H10",
         weights=weights,
-        residual_cents=observed - np.einsum("smk,nk->nsm", weights, design),
+        residual_cents=observed - by_variable.cents.reshape(observed.shape),
         coefficients={},
         rotation=np.eye(factors.shape[1]),
         free_weights=weights.size,

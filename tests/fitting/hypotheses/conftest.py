@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from fitting.factors import orthonormal
 from fitting.hypotheses import paper_structures
-from fitting.hypotheses.population import Population, Priors, Unknowns, orthonormal
+from fitting.hypotheses.population import Population, Priors, Unknowns
 from fitting.hypotheses.prediction import (
     full_adjustment,
     intercept_adjustment,

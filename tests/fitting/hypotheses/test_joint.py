@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from fitting.errors import FitInputError
+from fitting.factors import orthonormal
 from fitting.hypotheses.arrow import Point
 from fitting.hypotheses.joint import continued, fit_hypothesis
-from fitting.hypotheses.population import Priors, Unknowns, coefficient_sizes, orthonormal
+from fitting.hypotheses.population import Priors, Unknowns, coefficient_sizes
 from fitting.hypotheses.prediction import paper_resonances
 from fitting.hypotheses.structure import PARAMETER_SIZES
 from fitting.paper import H4_ADJUSTMENT_CENTS, TABLE_9

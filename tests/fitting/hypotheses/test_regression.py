@@ -6,8 +6,8 @@ from scipy.optimize import approx_fprime, least_squares
 from scipy.stats import special_ortho_group
 
 from fitting.errors import FitInputError
+from fitting.factors import orthonormal
 from fitting.hypotheses import regression
-from fitting.hypotheses.population import orthonormal
 from fitting.hypotheses.regression import (
     drying_design,
     regress_on_factors,

@@ -12,18 +12,18 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from acquire.description import Description, Section, shipped_files
 from acquire.errors import ProtocolError
 from acquire.quantities import Density, Length, Modulus, Temperature
-from physics.reed.cache import FAST, STANDARD
+from physics.reed.cache import FAST, FINE, STANDARD
 from physics.reed.conditions import at_temperature, cane_at_dryness
 from physics.reed.geometry import Clamp, ClampSide, Outline, ReedGeometry, ThicknessMap
 from physics.reed.material import Cane, stiffness_matrix_pa
-from physics.reed.mesh import MeshLevel, build_mesh
+from physics.reed.mesh import MeshLevel, build_least_mesh
 from physics.reed.metamodel import REFERENCE_HZ
 from physics.reed.modes import NamedMode, at_frequency, reed_modes, viscoelastic_modes
 from physics.reed.viscoelastic import Components, ViscoelasticCane, require_physical
 
 DEFAULT_REED = "clarinet"
 # How finely a reed is computed, by the name of the level.
-MESHES: Final = {"standard": STANDARD, "fast": FAST}
+MESHES: Final = {"fine": FINE, "standard": STANDARD, "fast": FAST}
 
 _Lengths = Annotated[tuple[Length, ...], Field(strict=False)]
 _Thicknesses = Annotated[tuple[Annotated[Length, Field(gt=0)], ...], Field(strict=False)]
@@ -101,11 +101,25 @@ class ClampSection(Section):
 
 
 class ThicknessMapSection(Section):
-    """Measured deviations from the drawing: a row for each x, in it a value for each y."""
+    """Measured deviations from the drawing: a row for each x, in it a value for each y.
+
+    Even in y or not; each side of the axis has values of its own.
+    """
 
     x_m: Annotated[_Lengths, Field(alias="x")]
     y_m: Annotated[_Lengths, Field(alias="y")]
     deviation_m: Annotated[tuple[_Lengths, ...], Field(alias="deviation", strict=False)]
+
+    @field_validator("y_m")
+    @classmethod
+    def _on_either_side(cls, y_m: tuple[Fraction, ...]) -> tuple[Fraction, ...]:
+        # What was measured on one side might be meant for both, or for one.
+        if y_m and not min(y_m) < 0 < max(y_m):
+            raise ValueError(
+                "lies on one side of the axis only; give values of either sign, and for an even "
+                "reed the same deviations at y and -y"
+            )
+        return y_m
 
     def thickness_map(self) -> ThicknessMap:
         """Map as physics knows it."""
@@ -209,7 +223,7 @@ class ReedFile(Description):
         _require_cane(self)
         geometry = self.geometry()
         try:
-            build_mesh(geometry, FAST)
+            build_least_mesh(geometry, FAST)
         except ValueError as error:
             raise self.error(_key_at_fault(geometry), str(error)) from None
         return self
@@ -306,7 +320,7 @@ def _key_at_fault(geometry: ReedGeometry) -> str:
     }
     for key, rest in without.items():
         with suppress(ValueError):
-            build_mesh(rest, FAST)
+            build_least_mesh(rest, FAST)
             return f"geometry.{key}"
     return "geometry"
 

@@ -18,7 +18,7 @@ from acquire.reed_file import ReedFile
 from fitting.drawing import png_of
 from fitting.errors import FitInputError
 from physics.reed.fem import Symmetry
-from physics.reed.mesh import HalfReedMesh, MeshLevel, build_mesh
+from physics.reed.mesh import HalfReedMesh, MeshLevel, ReedMesh, build_least_mesh
 from physics.reed.metamodel import REFERENCE_HZ
 from physics.reed.modes import HIGHEST_HZ, NamedMode
 
@@ -73,14 +73,14 @@ def _cane_words(reed: ReedFile) -> str:
 
 @dataclass(frozen=True)
 class BarkSide:
-    """Deflection of the whole bark side at places (nx, 2 ny − 1), y ascending through both halves.
+    """Deflection of the whole bark side at places (nx, ny), y ascending from side to side.
 
     Attributes
     ----------
-    x_m, y_m : (nx, 2 ny − 1) float
-    deflection : (nx, 2 ny − 1) float
+    x_m, y_m : (nx, ny) float
+    deflection : (nx, ny) float
         The largest of either sign is 1.
-    clamped : (nx, 2 ny − 1) bool
+    clamped : (nx, ny) bool
     """
 
     x_m: Array
@@ -89,12 +89,14 @@ class BarkSide:
     clamped: NDArray[np.bool_]
 
 
-def bark_side(mesh: HalfReedMesh, mode: NamedMode) -> BarkSide:
-    """Mirror the half reed's deflection into that of the whole."""
+def bark_side(mesh: ReedMesh, mode: NamedMode) -> BarkSide:
+    """Deflection of a whole reed as it is, of half a reed with its mirror image."""
 
     def whole(values: NDArray[Any], sign: int) -> NDArray[Any]:
-        half = values.reshape(mesh.block)[:, :, -1]
-        return np.hstack([sign * half[:, :0:-1], half])
+        bark = values.reshape(mesh.block)[:, :, -1]
+        if isinstance(mesh, HalfReedMesh):
+            return np.hstack([sign * bark[:, :0:-1], bark])
+        return bark
 
     parity = 1 if mode.symmetry is Symmetry.SYMMETRIC else -1
     u = whole(mode.shape[:, 2], parity)
@@ -106,14 +108,14 @@ def bark_side(mesh: HalfReedMesh, mode: NamedMode) -> BarkSide:
     )
 
 
-def mode_sheet(reed: str, mesh: HalfReedMesh, modes: Sequence[NamedMode]) -> Figure:
+def mode_sheet(reed: str, mesh: ReedMesh, modes: Sequence[NamedMode]) -> Figure:
     """Every mode on the bark side, seen from above with the tip down, and its nodal lines.
 
     Parameters
     ----------
     reed : str
         For the title.
-    mesh : HalfReedMesh
+    mesh : ReedMesh
         On which the modes were computed.
     modes : sequence of NamedMode
     """
@@ -190,7 +192,8 @@ def write_mode_sheet(
     FitInputError
         If the file cannot be written.
     """
-    picture = png_of(mode_sheet(reed.name, build_mesh(reed.geometry(), level), modes), _DPI)
+    mesh = build_least_mesh(reed.geometry(), level)
+    picture = png_of(mode_sheet(reed.name, mesh, modes), _DPI)
     try:
         path.write_bytes(picture)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Finite elements of the half reed: energies, and modes of either symmetry.
+"""Finite elements of a reed, half or whole: energies, and modes of either symmetry.
 
 Stiffness is affine in the nine independent stiffnesses of the cane. It is kept as the nine scalar
 matrices ``D_ij = ∫ ∂_i N_a ∂_j N_b dV`` from which every component block is a sum, so a change of
@@ -16,7 +16,7 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from physics.reed.material import STIFFNESS_TERMS
-from physics.reed.mesh import HalfReedMesh, lobatto_points
+from physics.reed.mesh import HalfReedMesh, ReedMesh, lobatto_points
 
 Array = NDArray[np.floating[Any]]
 
@@ -73,7 +73,7 @@ def _reference_element(orders: tuple[int, int, int]) -> tuple[Array, Array, Arra
     return np.kron(weights[0], np.kron(weights[1], weights[2])), _tensor(x, y, z), gradients
 
 
-def assemble(mesh: HalfReedMesh) -> ReedMatrices:
+def assemble(mesh: ReedMesh) -> ReedMatrices:
     """Integrate all material-free matrices of a mesh.
 
     Raises

@@ -1,13 +1,14 @@
-"""Mapped high-order hexahedra for half a reed (y ≥ 0).
+"""Mapped high-order hexahedra for half a reed (y ≥ 0), or for a whole one.
 
 The mesh is one structured block. Its lines follow the tip's arc, the line where vamp meets heel
-and the edges of the clamping strip, so every discontinuity lies on element faces.
+and the edges of the clamping strip, so every discontinuity lies on element faces. In the block of
+a whole reed each node has a mirror image.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.polynomial.legendre import Legendre
@@ -65,20 +66,21 @@ class MeshLevel:
 
 
 @dataclass(frozen=True)
-class HalfReedMesh:
-    """Nodes and elements of the half reed.
+class ReedMesh:
+    """Nodes and elements of a reed.
 
     Attributes
     ----------
     nodes_m : (n, 3) float
-        Coordinates; node (i, j, k) of the structured block has index ``(i·ny + j)·nz + k``.
+        Coordinates; node (i, j, k) of the structured block has index ``(i·ny + j)·nz + k``. The
+        mirror image of node (i, j, k) of a whole reed is node (i, ny − 1 − j, k).
     block : (int, int, int)
         Nodes along x, y and z.
     elements : (e, m) int
         Node numbers of each element, in tensor order.
     orders : (int, int, int)
-    clamped, midplane : (n,) bool
-        Nodes under the strip; nodes on y = 0.
+    clamped : (n,) bool
+        Nodes under a strip.
     """
 
     nodes_m: Array
@@ -86,6 +88,18 @@ class HalfReedMesh:
     elements: IntArray
     orders: tuple[int, int, int]
     clamped: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class HalfReedMesh(ReedMesh):
+    """Nodes and elements of the half reed.
+
+    Attributes
+    ----------
+    midplane : (n,) bool
+        Nodes on y = 0.
+    """
+
     midplane: NDArray[np.bool_]
 
 
@@ -147,8 +161,10 @@ def _tip_patch(
     return x, y
 
 
-def _plan(geometry: ReedGeometry, level: MeshLevel) -> tuple[Array, Array]:
-    """Plan coordinates (nx, ny) of all node columns, y ≥ 0.
+def _plan(geometry: ReedGeometry, level: MeshLevel, side: Literal[1, -1]) -> tuple[Array, Array]:
+    """Plan coordinates (nx, ny) of all node columns on the side of positive or negative y.
+
+    Those of either side begin with the same columns on the axis.
 
     Raises
     ------
@@ -166,12 +182,12 @@ def _plan(geometry: ReedGeometry, level: MeshLevel) -> tuple[Array, Array]:
     eta = _fill(eta_breaks, py)
     y = np.stack([np.interp(eta, eta_breaks, [*inner, w]) for w in width[:, 0]])
     # The kink line is bent slightly: carry its neighbours with it, fading out to either side.
-    bend = kink_x_m(geometry, y[np.argmin(np.abs(x[:, 0] - kink))]) - kink
+    bend = kink_x_m(geometry, side * y[np.argmin(np.abs(x[:, 0] - kink))]) - kink
     at = int(np.argmin(np.abs(breaks - kink)))
     x = x + np.interp(x, breaks[at - 1 : at + 2], [0.0, 1.0, 0.0]) * bend
     end_y = float(half_width_m(outline, np.array(patch_end)))
     tip_x, tip_y = _tip_patch(outline, np.append(inner, end_y), patch_end, px, py)
-    return np.concatenate((tip_x, x)), np.concatenate((tip_y, y))
+    return np.concatenate((tip_x, x)), side * np.concatenate((tip_y, y))
 
 
 def _lengthwise(
@@ -212,9 +228,51 @@ def build_mesh(geometry: ReedGeometry, level: MeshLevel) -> HalfReedMesh:
     require_possible(geometry)
     if not is_even(geometry):
         raise ValueError(
-            "the thickness map is not even in y; half a reed stands for both sides only if it is"
+            "the thickness map is not even in y, and half a reed stands for both sides only if it "
+            "is; mesh the whole reed, or give either side the mean of both"
         )
-    x, y = _plan(geometry, level)
+    x, y = _plan(geometry, level, 1)
+    mesh = _over(geometry, level, x, y)
+    midplane = np.broadcast_to((y < _SAME_M)[..., None], mesh.block).ravel()
+    return HalfReedMesh(
+        mesh.nodes_m, mesh.block, mesh.elements, mesh.orders, mesh.clamped, midplane
+    )
+
+
+def build_whole_mesh(geometry: ReedGeometry, level: MeshLevel) -> ReedMesh:
+    """Mesh both halves of the reed as one, with as many elements on either side.
+
+    Raises
+    ------
+    ValueError
+        As `build_mesh`, but for any thickness map.
+    """
+    require_possible(geometry)
+    left, right = (_plan(geometry, level, side) for side in (-1, 1))
+    # The columns on the axis belong to both sides.
+    x, y = (np.hstack([one[:, :0:-1], other]) for one, other in zip(left, right, strict=True))
+    return _over(geometry, level, x, y)
+
+
+def build_least_mesh(geometry: ReedGeometry, level: MeshLevel) -> ReedMesh:
+    """Mesh half of the reed if it is its own mirror image, the whole if not.
+
+    Raises
+    ------
+    ValueError
+        As `build_whole_mesh`.
+    """
+    return build_mesh(geometry, level) if is_even(geometry) else build_whole_mesh(geometry, level)
+
+
+def _over(geometry: ReedGeometry, level: MeshLevel, x: Array, y: Array) -> ReedMesh:
+    """Mesh that stands on a plan (nx, ny).
+
+    Raises
+    ------
+    ValueError
+        If the reed has no thickness somewhere.
+    """
     thickness = thickness_m(geometry, x, y)
     if not thickness.min() > 0:
         at = np.unravel_index(thickness.argmin(), thickness.shape)
@@ -227,15 +285,8 @@ def build_mesh(geometry: ReedGeometry, level: MeshLevel) -> HalfReedMesh:
     nodes = np.stack(
         np.broadcast_arrays(x[..., None], y[..., None], thickness[..., None] * zeta), axis=-1
     ).reshape(-1, 3)
-    midplane = np.broadcast_to((y < _SAME_M)[..., None], block).ravel()
-    return HalfReedMesh(
-        nodes,
-        block,
-        _elements(block, level.orders),
-        level.orders,
-        _clamped(geometry.clamp, x, y, zeta),
-        midplane,
-    )
+    clamped = _clamped(geometry.clamp, x, y, zeta)
+    return ReedMesh(nodes, block, _elements(block, level.orders), level.orders, clamped)
 
 
 def _faces_through(side: ClampSide, level: MeshLevel) -> Array:
@@ -249,9 +300,11 @@ def _faces_through(side: ClampSide, level: MeshLevel) -> Array:
 
 
 def _clamped(clamp: Clamp, x: Array, y: Array, zeta: Array) -> NDArray[np.bool_]:
-    """Nodes held by the strip (n,)."""
+    """Nodes held by a strip (n,)."""
     (x0, x1), (y0, y1) = clamp.x_m, clamp.y_m
-    strip = (x > x0 - _SAME_M) & (x < x1 + _SAME_M) & (y > y0 - _SAME_M) & (y < y1 + _SAME_M)
+    away = np.abs(y)
+    strip = (x > x0 - _SAME_M) & (x < x1 + _SAME_M)
+    strip &= (away > y0 - _SAME_M) & (away < y1 + _SAME_M)
     faces = {
         ClampSide.BARK: zeta == 1.0,
         ClampSide.FLAT: zeta == 0.0,

@@ -1,5 +1,9 @@
-"""Named modes of a reed, straight from its finite elements: any geometry, any cane."""
+"""Named modes of a reed, straight from its finite elements: any geometry, any cane.
 
+A reed that is its own mirror image is solved by halves, one for each symmetry; any other whole.
+"""
+
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -22,7 +26,7 @@ from physics.reed.fem import (
 )
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mesh import HalfReedMesh, MeshLevel, build_mesh
+from physics.reed.mesh import HalfReedMesh, MeshLevel, ReedMesh, build_least_mesh
 from physics.reed.names import assign_names, likenesses, width_profiles
 from physics.reed.viscoelastic import ViscoelasticCane, storage_modulus_pa
 
@@ -33,8 +37,8 @@ HIGHEST_HZ = 20e3
 # Modes just above the highest wanted are named too: a pair that exchanges shapes across that
 # limit then shares its names as it would elsewhere.
 _NAMED_BEYOND = 1.1
+# Modes of either symmetry sought at first, and at most; a reed of cane has some ten below 20 kHz.
 _FIRST_COUNT = 12
-# Of either symmetry; a reed of cane has some ten below 20 kHz.
 _MOST_MODES = 100
 # The rounded tip has no straight line across; profiles start behind it.
 _TIP_M = 0.5e-3
@@ -43,6 +47,8 @@ _TIP_M = 0.5e-3
 _FOREIGN_SHARE = 0.5
 # A name that bears out less than this share of a motion says nothing of it.
 _LEAST_CLAIM = 0.1
+# Takes the displacement of a point to that of its mirror image.
+_REFLECTION = np.array([1.0, -1.0, 1.0])
 # Shapes at the highest frequency and at this share of it span those between, to 0.1 cent.
 _SOFTER_SHARE = 1 / 6
 # Trial shapes that differ from the others by less than this share of their energy are noise.
@@ -80,10 +86,11 @@ class NamedMode:
     frequency_hz : float
     klass : ModeClass
     symmetry : Symmetry
+        Of the part with more kinetic energy: a reed that is not its own mirror image mixes both.
     likeness : float
         Share of its motion that bears out its name; low where two modes exchange shapes.
     shape : (n, 3) float
-        Displacements at the nodes of the half reed's mesh, mass-normalised over that half.
+        Displacements at the nodes of `mesh.build_least_mesh`, mass-normalised over that mesh.
     """
 
     name: str
@@ -95,25 +102,46 @@ class NamedMode:
 
 
 @dataclass(frozen=True)
-class _Half:
-    """The finite elements of one symmetry, clamped.
+class _System:
+    """The finite elements of the motions of one symmetry, or of any motion, clamped.
 
     Attributes
     ----------
-    mesh : HalfReedMesh
+    mesh : ReedMesh
     matrices : ReedMatrices
-    symmetry : Symmetry
+    symmetries : tuple of Symmetry
+        That a motion may have: one of half a reed, both of a whole one.
     free : (f,) int
         Degrees of freedom left.
     mass : (f, f) sparse
         In kg.
     """
 
-    mesh: HalfReedMesh
+    mesh: ReedMesh
     matrices: ReedMatrices
-    symmetry: Symmetry
+    symmetries: tuple[Symmetry, ...]
     free: NDArray[np.intp]
     mass: sparse.csc_array
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What several motions have of one symmetry.
+
+    Attributes
+    ----------
+    symmetry : Symmetry
+    shapes : (n, 3, m) float
+    share : (m,) float
+        Of the kinetic energy of each motion.
+    foreign : dict of (m,) float
+        As `share`, of sideways motion (L) and of motion behind the vamp (H).
+    """
+
+    symmetry: Symmetry
+    shapes: Array
+    share: Array
+    foreign: dict[str, Array]
 
 
 def reed_modes(
@@ -136,11 +164,11 @@ def reed_modes(
     Raises
     ------
     ValueError
-        For an impossible geometry or material (see `build_mesh`, `stiffness_terms_pa`).
+        For an impossible geometry or material (see `build_whole_mesh`, `stiffness_terms_pa`).
     """
 
-    def solve(half: _Half) -> tuple[Array, Array]:
-        return _modes_up_to(half, cane, _NAMED_BEYOND * highest_hz)
+    def solve(system: _System) -> tuple[Array, Array]:
+        return _modes_up_to(system, cane, _NAMED_BEYOND * highest_hz)
 
     return _named_modes(geometry, cane.density_kg_m3, level, highest_hz, solve)
 
@@ -154,10 +182,10 @@ def viscoelastic_modes(
 ) -> list[NamedMode]:
     """Every mode of a reed up to a frequency, each with the storage moduli of its own frequency.
 
-    Numbered by frequency within its symmetry, the j-th mode is where the j-th eigenfrequency of
-    the reed with the moduli of a frequency is that frequency itself. Moduli that grow with
-    frequency more slowly than its square have one such place for every j, so that no mode is found
-    twice or missed where two of them cross.
+    Numbered by frequency among those solved together, the j-th mode is where the j-th
+    eigenfrequency of the reed with the moduli of a frequency is that frequency itself. Moduli that
+    grow with frequency more slowly than its square have one such place for every j, so that no mode
+    is found twice or missed where two of them cross.
 
     Parameters
     ----------
@@ -180,8 +208,8 @@ def viscoelastic_modes(
         As `reed_modes`, and if the iteration does not settle.
     """
 
-    def solve(half: _Half) -> tuple[Array, Array]:
-        return _settled_modes(half, constants, cane, _NAMED_BEYOND * highest_hz)
+    def solve(system: _System) -> tuple[Array, Array]:
+        return _settled_modes(system, constants, cane, _NAMED_BEYOND * highest_hz)
 
     return _named_modes(geometry, constants.density_kg_m3, level, highest_hz, solve)
 
@@ -200,50 +228,56 @@ def _named_modes(
     density_kg_m3: float,
     level: MeshLevel,
     highest_hz: float,
-    solve: Callable[[_Half], tuple[Array, Array]],
+    solve: Callable[[_System], tuple[Array, Array]],
 ) -> list[NamedMode]:
-    """Solve both symmetries, name what comes out and keep what is wanted."""
+    """Solve for all motions, name what comes out and keep what is wanted."""
     found: list[NamedMode] = []
-    for half in _halves(geometry, level, density_kg_m3):
-        frequencies, reduced = solve(half)
-        shapes = _at_nodes(half, reduced)
-        names = _names(geometry, density_kg_m3, half, shapes)
-        for m, ((name, likeness), hz) in enumerate(zip(names, frequencies, strict=True)):
+    for system in _systems(geometry, level, density_kg_m3):
+        frequencies, reduced = solve(system)
+        shapes = _at_nodes(system, reduced)
+        names = _names(geometry, system, shapes)
+        for m, ((name, symmetry, likeness), hz) in enumerate(zip(names, frequencies, strict=True)):
             klass = _CLASSES.get(name[0], ModeClass.GENERIC)
             shape = shapes[:, :, m]
-            found.append(NamedMode(name, float(hz), klass, half.symmetry, likeness, shape))
+            found.append(NamedMode(name, float(hz), klass, symmetry, likeness, shape))
     wanted = [mode for mode in found if mode.frequency_hz <= highest_hz]
     return sorted(wanted, key=lambda mode: mode.frequency_hz)
 
 
-def _halves(geometry: ReedGeometry, level: MeshLevel, density_kg_m3: float) -> Iterator[_Half]:
-    mesh = build_mesh(geometry, level)
+def _systems(geometry: ReedGeometry, level: MeshLevel, density_kg_m3: float) -> Iterator[_System]:
+    mesh = build_least_mesh(geometry, level)
     matrices = assemble(mesh)
-    whole_mass = mass(matrices, density_kg_m3)
-    for symmetry in Symmetry:
-        free = free_dofs(mesh, symmetry)
-        yield _Half(mesh, matrices, symmetry, free, whole_mass[free][:, free])
+    all_mass = mass(matrices, density_kg_m3)
+
+    def system(symmetries: tuple[Symmetry, ...], free: NDArray[np.intp]) -> _System:
+        return _System(mesh, matrices, symmetries, free, all_mass[free][:, free])
+
+    if isinstance(mesh, HalfReedMesh):
+        for symmetry in Symmetry:
+            yield system((symmetry,), free_dofs(mesh, symmetry))
+    else:
+        yield system(tuple(Symmetry), np.flatnonzero(~np.repeat(mesh.clamped, 3)))
 
 
-def _at_nodes(half: _Half, vectors: Array) -> Array:
+def _at_nodes(system: _System, vectors: Array) -> Array:
     """Displacements (n, 3, m) at all nodes of vectors (f, m)."""
-    everywhere = np.zeros((3 * len(half.mesh.nodes_m), vectors.shape[1]))
-    everywhere[half.free] = vectors
-    return everywhere.reshape(len(half.mesh.nodes_m), 3, vectors.shape[1])
+    everywhere = np.zeros((3 * len(system.mesh.nodes_m), vectors.shape[1]))
+    everywhere[system.free] = vectors
+    return everywhere.reshape(len(system.mesh.nodes_m), 3, vectors.shape[1])
 
 
-def _stiffness(half: _Half, cane: Cane) -> sparse.csc_array:
-    return stiffness(half.matrices, stiffness_terms_pa(cane))[half.free][:, half.free]
+def _stiffness(system: _System, cane: Cane) -> sparse.csc_array:
+    return stiffness(system.matrices, stiffness_terms_pa(cane))[system.free][:, system.free]
 
 
-def _modes_up_to(half: _Half, cane: Cane, highest_hz: float) -> tuple[Array, Array]:
+def _modes_up_to(system: _System, cane: Cane, highest_hz: float) -> tuple[Array, Array]:
     """Eigenfrequencies (m,) up to the highest, ascending, and mass-normalised shapes (f, m)."""
-    K = _stiffness(half, cane)
-    solve, count = factor(K), _FIRST_COUNT
+    K = _stiffness(system, cane)
+    solve, count = factor(K), _FIRST_COUNT * len(system.symmetries)
     # The sparse solver finds a part of all modes only.
-    most = min(_MOST_MODES, len(half.free) // 2)
+    most = min(_MOST_MODES * len(system.symmetries), len(system.free) // 2)
     while True:
-        frequencies, shapes = lowest_modes(K, half.mass, min(count, most), solve)
+        frequencies, shapes = lowest_modes(K, system.mass, min(count, most), solve)
         if frequencies.max() > highest_hz:
             order = np.argsort(frequencies)[: np.count_nonzero(frequencies <= highest_hz)]
             return frequencies[order], shapes[:, order]
@@ -257,19 +291,19 @@ def _modes_up_to(half: _Half, cane: Cane, highest_hz: float) -> tuple[Array, Arr
 
 
 def _settled_modes(
-    half: _Half, constants: Cane, cane: ViscoelasticCane, highest_hz: float
+    system: _System, constants: Cane, cane: ViscoelasticCane, highest_hz: float
 ) -> tuple[Array, Array]:
     """As `_modes_up_to`, each mode with the moduli of its own frequency.
 
     By Rayleigh's and Ritz's method in the span of the modes at two frequencies.
     """
-    stiff = _modes_up_to(half, at_frequency(constants, cane, highest_hz), highest_hz)[1]
+    stiff = _modes_up_to(system, at_frequency(constants, cane, highest_hz), highest_hz)[1]
     if not stiff.size:
         return np.empty(0), stiff
     softer = at_frequency(constants, cane, _SOFTER_SHARE * highest_hz)
-    soft = lowest_modes(_stiffness(half, softer), half.mass, stiff.shape[1])[1]
-    trial = _span(half.mass, [stiff, soft])
-    terms = projected_stiffness(half.matrices, _at_nodes(half, trial))
+    soft = lowest_modes(_stiffness(system, softer), system.mass, stiff.shape[1])[1]
+    trial = _span(system.mass, [stiff, soft])
+    terms = projected_stiffness(system.matrices, _at_nodes(system, trial))
 
     def eigenpairs(hz: float) -> tuple[Array, Array]:
         moduli = stiffness_terms_pa(at_frequency(constants, cane, hz))
@@ -306,64 +340,108 @@ def _span(mass_ff: sparse.csc_array, shapes: list[Array]) -> Array:
     return basis
 
 
+def _parts(geometry: ReedGeometry, system: _System, shapes: Array) -> list[_Part]:
+    """Split motions (n, 3, m) by symmetry; those of half a reed have one already."""
+    if len(system.symmetries) == 1:
+        split = {system.symmetries[0]: shapes}
+    else:
+        columns = shapes.reshape(*system.mesh.block, *shapes.shape[1:])
+        mirrored = columns[:, ::-1].reshape(shapes.shape) * _REFLECTION[:, None]
+        split = {
+            Symmetry.SYMMETRIC: 0.5 * (shapes + mirrored),
+            Symmetry.ANTISYMMETRIC: 0.5 * (shapes - mirrored),
+        }
+
+    def energy(motion: Array) -> Array:
+        product: Array = np.einsum("nm,nm->m", motion, system.matrices.mass @ motion)
+        return product
+
+    energies = [np.sum([energy(part[:, k]) for k in range(3)], axis=0) for part in split.values()]
+    # What little energy an uneven reed has between its parts belongs to neither.
+    total = np.sum(energies, axis=0)
+    behind = system.mesh.nodes_m[:, :1] > geometry.vamp_x_m[-1]
+    return [
+        _Part(
+            symmetry,
+            part,
+            own / total,
+            {"L": energy(part[:, 1]) / total, "H": energy(part[:, 2] * behind) / total},
+        )
+        for (symmetry, part), own in zip(split.items(), energies, strict=True)
+    ]
+
+
 def _names(
-    geometry: ReedGeometry, density_kg_m3: float, half: _Half, shapes: Array
-) -> list[tuple[str, float]]:
-    """Names and likenesses of mass-normalised shapes (n, 3, m), ascending in frequency."""
-    symmetric = half.symmetry is Symmetry.SYMMETRIC
-    behind = half.mesh.nodes_m[:, :1] > geometry.vamp_x_m[-1]
-    moving = {"L": shapes[:, 1], "H": shapes[:, 2] * behind}
-    shares = {
-        kind: density_kg_m3 * np.einsum("nm,nm->m", part, half.matrices.mass @ part)
-        for kind, part in moving.items()
-    }
-    outside = shares["L"] + shares["H"]
-    claims = _vamp_claims(geometry, half, shapes[:, 2])
+    geometry: ReedGeometry, system: _System, shapes: Array
+) -> list[tuple[str, Symmetry, float]]:
+    """Names, symmetries and likenesses of motions (n, 3, m), ascending in frequency."""
+    parts = _parts(geometry, system, shapes)
+    larger = [max(parts, key=lambda part: part.share[m]) for m in range(shapes.shape[2])]
+    outside = np.sum([share for part in parts for share in part.foreign.values()], axis=0)
     answer: dict[int, tuple[str, float]] = {}
-    counts = dict.fromkeys(shares, 0)
+    counts: Counter[str] = Counter()
     for m in np.flatnonzero(outside > _FOREIGN_SHARE).tolist():
-        kind = max(shares, key=lambda kind: shares[kind][m])
-        counts[kind] += 1
+        symmetric, foreign = larger[m].symmetry is Symmetry.SYMMETRIC, larger[m].foreign
+        kind = max(foreign, key=lambda kind: foreign[kind][m])
         # The paper's lateral modes bend in the plane, and modes of the heel are symmetric first.
         suffix = {("L", True): "s", ("H", False): "a"}.get((kind, symmetric), "")
-        answer[m] = f"{kind}{counts[kind]}{suffix}", float(shares[kind][m])
+        counts[kind + suffix] += 1
+        answer[m] = f"{kind}{counts[kind + suffix]}{suffix}", float(foreign[kind][m])
     vamp = [m for m in range(shapes.shape[2]) if m not in answer]
+    claims = _claims(geometry, system.mesh, parts)
     # Squared: one clear likeness is worth more than two faint ones.
     weights = [
         {name: claim**2 for name, claim in claims[m].items() if claim > _LEAST_CLAIM} for m in vamp
     ]
-    unnamed = 0
     for m, (name, _) in zip(vamp, assign_names(weights) if vamp else (), strict=True):
         if name.startswith("?"):
             # A place without a name is told from its like of the other symmetry.
-            unnamed += 1
-            answer[m] = f"?{unnamed}{half.symmetry[0]}", 0.0
+            suffix = larger[m].symmetry[0]
+            counts["?" + suffix] += 1
+            answer[m] = f"?{counts['?' + suffix]}{suffix}", 0.0
         else:
             # What moves beside and behind the vamp bears out no name of the vamp.
             answer[m] = name, (1 - float(outside[m])) * claims[m][name]
-    return [answer[m] for m in range(shapes.shape[2])]
+    return [(answer[m][0], part.symmetry, answer[m][1]) for m, part in enumerate(larger)]
 
 
-def _vamp_claims(geometry: ReedGeometry, half: _Half, u_z: Array) -> list[dict[str, float]]:
-    """Names that deflections (n, m) of the vamp could bear, and the share of it behind each.
+def _claims(geometry: ReedGeometry, mesh: ReedMesh, parts: list[_Part]) -> list[dict[str, float]]:
+    """Names that motions could bear on the vamp, and the share of each motion behind each name."""
+    claims: list[dict[str, float]] = [{} for _ in parts[0].share]
+    for part in parts:
+        # A lesser part is not worth a name, whatever it looks like.
+        worthy = np.flatnonzero(part.share > _LEAST_CLAIM)
+        symmetric = part.symmetry is Symmetry.SYMMETRIC
+        vamp_claims = _vamp_claims(geometry, mesh, part.shapes[:, 2, worthy], symmetric=symmetric)
+        for m, shares in zip(worthy, vamp_claims, strict=True):
+            claims[m] |= {name: float(part.share[m]) * share for name, share in shares.items()}
+    return claims
+
+
+def _vamp_claims(
+    geometry: ReedGeometry, mesh: ReedMesh, u_z: Array, *, symmetric: bool
+) -> list[dict[str, float]]:
+    """Names that deflections (n, m) of one symmetry could bear, and the share of it behind each.
 
     Lines across the vamp's bark side are weighted by the root of the area that each stands for, so
     that sums of their squares do not depend on how the mesh is graded.
     """
-    mesh, symmetric = half.mesh, half.symmetry is Symmetry.SYMMETRIC
     plan = mesh.nodes_m.reshape(*mesh.block, 3)[:, :, -1, :2]
+    # One side stands for both.
+    right = plan[0, :, 1] >= 0
+    plan, top = plan[:, right], u_z.reshape(*mesh.block, -1)[:, right, -1]
     vamp = (plan[:, 0, 0] > _TIP_M) & (plan[:, 0, 0] < geometry.vamp_x_m[-1])
-    width = plan[vamp, -1:, 1]
-    eta = plan[vamp, :, 1] / width
-    weight = np.sqrt(np.gradient(plan[vamp, 0, 0]) * width[:, 0])
-    top = u_z.reshape(*mesh.block, -1)[vamp, :, -1] * weight[:, None, None]
+    plan, top = plan[vamp], top[vamp]
+    width = plan[:, -1:, 1]
+    eta = plan[..., 1] / width
+    top = top * np.sqrt(np.gradient(plan[:, 0, 0]) * width[:, 0])[:, None, None]
     profiles = width_profiles(top, eta)
     # Waves across that are finer than the profiles resolve, T7 and beyond, bear out no name.
     resolved = np.sum(profiles[:, (0 if symmetric else 1) :: 2] ** 2, axis=(0, 1))
     everything = np.sum(np.trapezoid(top**2, eta[..., None], axis=1), axis=0)
-    parts = np.minimum(resolved / everything, 1.0)
+    fractions = np.minimum(resolved / everything, 1.0)
     claims = []
-    for profile, part in zip(np.moveaxis(profiles, -1, 0), parts, strict=True):
+    for profile, fraction in zip(np.moveaxis(profiles, -1, 0), fractions, strict=True):
         shares = likenesses(profile, symmetric=symmetric)
-        claims.append({name: float(part) * share for name, share in shares.items()})
+        claims.append({name: float(fraction) * share for name, share in shares.items()})
     return claims

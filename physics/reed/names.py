@@ -99,7 +99,7 @@ def likenesses(profiles: Array, *, symmetric: bool) -> dict[str, float]:
 
 
 def assign_names(candidates: Sequence[dict[str, float]]) -> list[tuple[str, float]]:
-    """Give each of several vibrations of one symmetry a name of its own.
+    """Give each of several vibrations a name of its own.
 
     The assignment with the greatest total likeness: where two modes exchange shapes (the avoided
     crossing of T4 and F4), each gets the name that the other likes less.

@@ -233,7 +233,7 @@ IMPOSSIBLE = {
     "one-sided map": (
         {"geometry.thickness_map": {"x": ["0 mm", "9 mm"], "y": ["0 mm", "9 mm"],
                                     "deviation": [["0 m", "0 m"], ["0 m", "1 um"]]}},
-        "geometry.thickness_map: the thickness map is not even in y",
+        "geometry.thickness_map.y: lies on one side of the axis only; give values of either sign",
     ),
     "map too thin": (
         {"geometry.thickness_map": {"x": ["0 mm", "9 mm"], "y": ["-9 mm", "9 mm"],
@@ -295,7 +295,7 @@ def test_a_protocol_is_no_reed():
 def test_meshes_have_names():
     assert mesh_level("standard") is MESHES["standard"]
     message = refusal(mesh_level, "finest")
-    assert message == "there is no mesh 'finest'; known are standard, fast"
+    assert message == "there is no mesh 'finest'; known are fine, standard, fast"
 
 
 @given(st.data())

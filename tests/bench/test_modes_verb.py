@@ -100,6 +100,25 @@ def test_pictures_are_drawn(cli, folder):
     assert (folder / "modes.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_measured_thickness_need_not_be_even(cli, folder, clarinet):
+    """One corner of the tip is a few µm thicker: little changes, and no mode is lost."""
+    text = _clarinet().replace(
+        "  # thickness_offset: 10 um",
+        "  thickness_map: {x: [2 mm, 20 mm], y: [-5 mm, 0 mm, 6 mm], "
+        "deviation: [[3 um, 0 um, -1 um], [-2 um, 0 um, 2 um]]}",
+    )
+    (folder / "mine.yaml").write_text(text)
+    answer = cli("modes", "mine.yaml", "--json", *FAST, "--pictures", "modes.png")
+    assert answer.status == 0, answer.err
+    assert (folder / "modes.png").read_bytes().startswith(b"\x89PNG")
+    uneven, even = answer.json["modes"], clarinet["modes"]
+    assert len(uneven) == len(even)
+    kinds = {mode["name"]: (mode["class"], mode["symmetry"]) for mode in even}
+    assert kinds == {mode["name"]: (mode["class"], mode["symmetry"]) for mode in uneven}
+    changes = np.array([hz(answer.json)[name] / hz(clarinet)[name] - 1 for name in kinds])
+    assert 1e-4 < np.abs(changes).max() < 5e-3
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -115,7 +134,7 @@ def test_pictures_are_drawn(cli, folder):
         (("--dryness", "0.5"), "conditions: temperature and dryness mean something for viscoelas"),
         (("alto-saxophone", "--dryness", "2"), "conditions.dryness: 2.0 should be less than"),
         (("alto-saxophone", "--e-l", "13 GPa"), "cane.E_L: is fixed, but cane.viscoelastic makes"),
-        (("--mesh", "finest"), "there is no mesh 'finest'; known are standard, fast"),
+        (("--mesh", "finest"), "there is no mesh 'finest'; known are fine, standard, fast"),
         (("--pictures", "nowhere/modes.png"), "there is no folder nowhere"),
         (("--pictures", "modes.pdf"), "pictures are written as PNG"),
     ],

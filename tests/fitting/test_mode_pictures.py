@@ -23,7 +23,7 @@ from fitting.mode_pictures import (
 )
 from physics.reed.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
-from physics.reed.mesh import MeshLevel, build_mesh
+from physics.reed.mesh import MeshLevel, build_mesh, build_whole_mesh
 from physics.reed.modes import ModeClass, NamedMode
 
 LEVEL = MeshLevel(orders=(2, 2, 2), edge_breaks_m=())
@@ -35,8 +35,13 @@ def mesh():
     return build_mesh(ReedGeometry(), LEVEL)
 
 
+@pytest.fixture(scope="module")
+def whole_mesh():
+    return build_whole_mesh(ReedGeometry(), LEVEL)
+
+
 def drawn(mesh, deflection, name="F1", hz=2184.0, symmetry=Symmetry.SYMMETRIC):
-    """A mode whose deflection is a function of x and y ≥ 0, in mm."""
+    """A mode whose deflection is a function of x and y in mm; of half a reed, y ≥ 0."""
     x, y, _ = 1e3 * mesh.nodes_m.T
     shape = np.zeros_like(mesh.nodes_m)
     shape[:, 2] = np.where(mesh.clamped, 0.0, deflection(x, y))
@@ -67,6 +72,20 @@ def test_the_other_half_is_a_mirror_image_of_the_right_sign(mesh, symmetry):
     assert side.deflection.max() == pytest.approx(1)
     assert np.abs(side.deflection).max() == pytest.approx(1)
     assert 1e3 * side.x_m[side.clamped].min() == pytest.approx(38.2)
+
+
+@pytest.mark.parametrize("symmetry", list(Symmetry))
+def test_a_whole_reed_is_shown_as_computed(whole_mesh, symmetry):
+    """Whatever the larger part of its motion is."""
+    mode = drawn(whole_mesh, lambda x, y: 20 - x + y, symmetry=symmetry)
+    side = bark_side(whole_mesh, mode)
+    free = ~side.clamped
+    plane = 20 - 1e3 * (side.x_m - side.y_m)
+    ratio = side.deflection[free] / plane[free]
+    np.testing.assert_allclose(ratio, 1 / plane[free].flat[np.abs(plane[free]).argmax()], rtol=1e-9)
+    assert np.all(np.diff(side.y_m, axis=1) > 0)
+    np.testing.assert_array_equal(side.clamped, side.clamped[:, ::-1])
+    assert 1e3 * side.y_m[side.clamped].min() == pytest.approx(-3.5)
 
 
 # --- Sheet -------------------------------------------------------------------------------------
@@ -107,6 +126,14 @@ def test_nodal_lines_are_where_nothing_moves(mesh):
     middle = nodal_lines_mm(figure.axes[1])
     np.testing.assert_allclose(middle[:, 1], 0.0, atol=1e-6)
     assert middle[:, 0].min() == pytest.approx(0, abs=0.1)
+
+
+def test_nodal_lines_of_a_whole_reed_need_not_be_even(whole_mesh):
+    figure = mode_sheet("clarinet", whole_mesh, [drawn(whole_mesh, lambda x, y: 14 - x + 0.5 * y)])
+    line = nodal_lines_mm(figure.axes[0])
+    np.testing.assert_allclose(line[:, 0], 14.0 + 0.5 * line[:, 1], atol=0.2)
+    assert line[:, 1].min() < -6
+    assert line[:, 1].max() > 6
 
 
 def test_no_nodal_lines_where_the_reed_is_still_or_held(mesh):
@@ -153,6 +180,21 @@ def test_the_sheet_is_a_legible_png(mesh, tmp_path):
     # Each panel is 1 inch wide, its title 8.5 points high.
     assert image.shape[1] > 9 * 120
     assert image[..., :3].std() > 0.05
+
+
+def test_the_sheet_of_an_uneven_reed_is_that_of_its_whole(whole_mesh, tmp_path):
+    uneven = ReedFile.from_file().replace(
+        {
+            "geometry.thickness_map": {
+                "x": ["5 mm", "25 mm"],
+                "y": ["-5 mm", "5 mm"],
+                "deviation": [["1 um", "4 um"], ["0 um", "-3 um"]],
+            }
+        }
+    )
+    mode = drawn(whole_mesh, lambda x, y: 60 - x + y)
+    write_mode_sheet(uneven, LEVEL, [mode], tmp_path / "modes.png")
+    assert imread(tmp_path / "modes.png").std() > 0.05
 
 
 def test_what_cannot_be_written_is_refused_in_one_line(mesh, tmp_path):

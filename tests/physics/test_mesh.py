@@ -1,4 +1,4 @@
-"""The mesh of the half reed: where its nodes lie, and which reeds it refuses."""
+"""Meshes of half a reed and of a whole one: where nodes lie, and which reeds are refused."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -19,7 +19,14 @@ from physics.reed.geometry import (
     thickness_m,
     tip_x_m,
 )
-from physics.reed.mesh import MeshLevel, build_mesh, lobatto_points
+from physics.reed.mesh import (
+    HalfReedMesh,
+    MeshLevel,
+    build_least_mesh,
+    build_mesh,
+    build_whole_mesh,
+    lobatto_points,
+)
 
 LEVELS = [MeshLevel(orders=(2, 2, 2)), MeshLevel(), MeshLevel(orders=(4, 4, 2))]
 
@@ -167,6 +174,83 @@ def test_a_clamp_where_no_mesh_can_follow_is_refused(clamp, words):
 
 
 def test_half_a_reed_does_not_stand_for_an_uneven_one():
-    odd = ThicknessMap((0.0, 30e-3), (-6e-3, 6e-3), ((5e-6, -5e-6), (5e-6, -5e-6)))
     with pytest.raises(ValueError, match="not even in y"):
-        build_mesh(ReedGeometry(thickness_map=odd), MeshLevel())
+        build_mesh(UNEVEN, MeshLevel())
+
+
+# --- Whole reeds -------------------------------------------------------------------------------
+
+# Thicker on the right, up to the heel and beyond it.
+UNEVEN_MAP = ThicknessMap((5e-3, 45e-3), (-5e-3, 6e-3), ((-8e-6, 5e-6), (-30e-6, 40e-6)))
+UNEVEN = ReedGeometry(thickness_map=UNEVEN_MAP)
+QUADRATIC = MeshLevel(orders=(2, 2, 2))
+
+
+@pytest.mark.parametrize("geometry", OTHERS)
+@pytest.mark.parametrize("level", LEVELS[1:])
+def test_an_even_reed_is_its_half_and_the_mirror_image(geometry, level):
+    half, whole = build_mesh(geometry, level), build_whole_mesh(geometry, level)
+    nx, ny, nz = half.block
+    assert whole.block == (nx, 2 * ny - 1, nz)
+    right = np.s_[:, ny - 1 :]
+    np.testing.assert_allclose(columns(whole)[right], columns(half), rtol=1e-12)
+    np.testing.assert_array_equal(columns(whole)[right][:, 0, :, 1], 0)
+    np.testing.assert_array_equal(
+        whole.clamped.reshape(whole.block)[right], half.clamped.reshape(half.block)
+    )
+    mirrored = columns(whole)[:, ::-1] * [1, -1, 1]
+    np.testing.assert_allclose(mirrored, columns(whole), rtol=1e-12)
+    np.testing.assert_array_equal(
+        whole.clamped.reshape(whole.block), whole.clamped.reshape(whole.block)[:, ::-1]
+    )
+    assert np.all(np.diff(columns(whole)[..., 1], axis=1) > 0)
+    assert len(whole.elements) == 2 * len(half.elements)
+    assert assemble(whole).mass.sum() == pytest.approx(2 * assemble(half).mass.sum(), rel=1e-12)
+
+
+def test_each_side_of_an_uneven_reed_has_its_own_thickness():
+    nodes = columns(build_whole_mesh(UNEVEN, QUADRATIC))
+    x, y, z = np.moveaxis(nodes[:, :, -1], -1, 0)
+    np.testing.assert_allclose(z, thickness_m(UNEVEN, x, y), rtol=1e-12)
+    np.testing.assert_allclose(y, -y[:, ::-1], rtol=1e-12)
+    assert np.abs(z - z[:, ::-1]).max() > 20e-6
+
+
+def test_a_line_of_nodes_follows_the_kink_on_either_side():
+    """Which a map takes half a millimetre nearer to the tip on one side than on the other."""
+    plan = columns(build_whole_mesh(UNEVEN, QUADRATIC))[:, :, 0, :2]
+    distance = np.abs(plan[..., 0] - kink_x_m(UNEVEN, plan[..., 1]).reshape(plan.shape[:2]))
+    row = distance.max(axis=1).argmin()
+    assert distance[row].max() < 1e-9
+    assert np.abs(plan[row, :, 0] - plan[row, ::-1, 0]).max() > 0.2e-3
+
+
+def test_mirror_images_have_mirrored_meshes():
+    image = ThicknessMap(
+        UNEVEN_MAP.x_m,
+        tuple(-y for y in UNEVEN_MAP.y_m[::-1]),
+        tuple(row[::-1] for row in UNEVEN_MAP.deviation_m),
+    )
+    here = columns(build_whole_mesh(UNEVEN, QUADRATIC))
+    there = columns(build_whole_mesh(replace(UNEVEN, thickness_map=image), QUADRATIC))
+    np.testing.assert_allclose(there[:, ::-1] * [1, -1, 1], here, rtol=1e-12)
+
+
+def test_a_whole_reed_too_thin_on_one_side_is_refused():
+    thin = replace(UNEVEN_MAP, deviation_m=((-110e-6, 0.0), (-110e-6, 0.0)))
+    with pytest.raises(ValueError, match=r"µm thick at x = .*, y = -\d.\d\d mm; thickness must be"):
+        build_whole_mesh(ReedGeometry(thickness_map=thin), MeshLevel())
+
+
+def test_a_whole_reed_held_outside_itself_is_refused():
+    with pytest.raises(ValueError, match="outside the reed"):
+        build_whole_mesh(replace(UNEVEN, clamp=Clamp(x_m=(38.2e-3, 68e-3))), MeshLevel())
+
+
+def test_the_least_mesh_is_a_half_of_even_reeds_only():
+    assert isinstance(
+        build_least_mesh(ReedGeometry(thickness_map=EVEN_MAP), LEVELS[0]), HalfReedMesh
+    )
+    whole = build_least_mesh(UNEVEN, LEVELS[0])
+    assert not isinstance(whole, HalfReedMesh)
+    assert whole.nodes_m[:, 1].min() == pytest.approx(-whole.nodes_m[:, 1].max())

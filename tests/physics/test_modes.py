@@ -9,9 +9,9 @@ from acquire.reed_file import ReedFile
 from fitting.paper import TABLE_9
 from physics.reed.cache import FAST
 from physics.reed.fem import Symmetry, assemble, free_dofs, lowest_modes, mass, stiffness
-from physics.reed.geometry import Clamp, Outline
+from physics.reed.geometry import Clamp, Outline, ReedGeometry, ThicknessMap
 from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mesh import MeshLevel, build_mesh
+from physics.reed.mesh import MeshLevel, build_mesh, build_whole_mesh
 from physics.reed.metamodel import REFERENCE_HZ, Equation1
 from physics.reed.modes import at_frequency, reed_modes, viscoelastic_modes
 from physics.reed.names import PAPER_MODES
@@ -269,3 +269,163 @@ def test_shapes_of_viscoelastic_cane_are_mass_normalised(geometry, matrices):
     for mode in modes[::4]:
         u = mode.shape.ravel()
         assert u @ (M @ u) == pytest.approx(1, rel=1e-6)
+
+
+# --- Uneven reeds ------------------------------------------------------------------------------
+
+X_M, Y_M = (2e-3, 15e-3, 32e-3), (-5e-3, 0.0, 5e-3)
+EVEN_UM = np.array([[3.0, -2.0, 3.0], [-5.0, 1.0, -5.0], [2.0, 4.0, 2.0]])
+ODD_UM = np.array([[-4.0, 0.0, 4.0], [3.0, 0.0, -3.0], [1.0, 0.0, -1.0]])
+TILT_UM = np.tile([-1.0, 0.0, 1.0], (3, 1))
+SYMMETRIC, ANTISYMMETRIC = Symmetry.SYMMETRIC, Symmetry.ANTISYMMETRIC
+# F3 and T3 of the even reed have one frequency.
+CROSSING = Cane(G_LT_pa=1.445927e9)
+
+
+def reed_with(deviation_um, y_m=Y_M):
+    rows = tuple(tuple(row) for row in (1e-6 * np.asarray(deviation_um)).tolist())
+    return ReedGeometry(thickness_map=ThicknessMap(X_M, tuple(y_m), rows))
+
+
+def as_if_uneven(deviation_um):
+    """An even map that says what is known anyway: beyond the last point nothing changes."""
+    return reed_with(np.column_stack([deviation_um, deviation_um[:, -1]]), (*Y_M, 7e-3))
+
+
+def by_name(modes):
+    named = {mode.name: mode for mode in modes}
+    assert len(named) == len(modes)
+    return named
+
+
+def reflected(mesh, shape):
+    """Motion (n, 3) seen in a mirror in the median plane."""
+    columns = shape.reshape(*mesh.block, 3)[:, ::-1]
+    return (columns * [1, -1, 1]).reshape(shape.shape)
+
+
+def shifts_hz(geometry, reference, cane=CROSSING):
+    found = by_name(reed_modes(geometry, cane, LEVEL, highest_hz=14e3))
+    assert set(found) == set(reference)
+    return {name: found[name].frequency_hz - mode.frequency_hz for name, mode in reference.items()}
+
+
+@pytest.fixture(scope="module")
+def crossing():
+    return by_name(reed_modes(reed_with(0 * EVEN_UM), CROSSING, LEVEL, highest_hz=14e3))
+
+
+def test_an_even_reed_solved_whole_has_the_modes_of_its_halves():
+    halves = reed_modes(reed_with(EVEN_UM), Cane(), LEVEL)
+    whole = reed_modes(as_if_uneven(EVEN_UM), Cane(), LEVEL)
+    assert len(whole[0].shape) > 1.8 * len(halves[0].shape)
+    np.testing.assert_allclose(frequencies(whole), frequencies(halves), rtol=1e-9)
+    for one, other in zip(whole, halves, strict=True):
+        assert (one.name, one.klass, one.symmetry) == (other.name, other.klass, other.symmetry)
+        assert one.likeness == pytest.approx(other.likeness, abs=1e-6)
+
+
+def test_viscoelastic_cane_of_an_even_reed_solved_whole():
+    cane = viscoelastic_cane(Components(1.0, -1.5, 1.5, 0.0), Series.B)
+    halves = viscoelastic_modes(reed_with(EVEN_UM), Cane(), cane, LEVEL, highest_hz=12e3)
+    whole = viscoelastic_modes(as_if_uneven(EVEN_UM), Cane(), cane, LEVEL, highest_hz=12e3)
+    assert [mode.name for mode in whole] == [mode.name for mode in halves]
+    np.testing.assert_allclose(cents(frequencies(whole), frequencies(halves)), 0, atol=1e-3)
+
+
+def test_mirror_images_sound_alike():
+    deviation_um = 3 * EVEN_UM + 8 * ODD_UM
+    here, there = reed_with(deviation_um), reed_with(deviation_um[:, ::-1])
+    mesh = build_whole_mesh(here, LEVEL)
+    for one, other in zip(
+        reed_modes(here, Cane(), LEVEL), reed_modes(there, Cane(), LEVEL), strict=True
+    ):
+        assert (one.name, one.symmetry) == (other.name, other.symmetry)
+        assert one.frequency_hz == pytest.approx(other.frequency_hz, rel=1e-9)
+        assert one.likeness == pytest.approx(other.likeness, abs=1e-5)
+        image = reflected(mesh, other.shape)
+        sign = np.sign(np.vdot(image, one.shape))
+        np.testing.assert_allclose(sign * image, one.shape, atol=1e-4 * np.abs(image).max())
+
+
+def test_shapes_of_an_uneven_reed_have_the_energy_of_their_frequency():
+    geometry = reed_with(EVEN_UM + 8 * ODD_UM)
+    mesh = build_whole_mesh(geometry, LEVEL)
+    matrices = assemble(mesh)
+    K, M = stiffness(matrices, stiffness_terms_pa(Cane())), mass(matrices, 520.0)
+    for mode in reed_modes(geometry, Cane(), LEVEL):
+        u = mode.shape.ravel()
+        assert u @ (M @ u) == pytest.approx(1, rel=1e-9)
+        assert u @ (K @ u) == pytest.approx((2 * np.pi * mode.frequency_hz) ** 2, rel=1e-7)
+        assert not mode.shape[mesh.clamped].any()
+
+
+def test_symmetry_is_that_of_the_larger_part():
+    geometry = reed_with(4 * TILT_UM)
+    mesh = build_whole_mesh(geometry, LEVEL)
+    M = assemble(mesh).mass
+    shares = []
+    for mode in reed_modes(geometry, CROSSING, LEVEL):
+        mirrored = reflected(mesh, mode.shape)
+        even, odd = (
+            np.sum(part * (M @ part)) for part in (mode.shape + mirrored, mode.shape - mirrored)
+        )
+        assert mode.symmetry is (SYMMETRIC if even > odd else ANTISYMMETRIC)
+        shares.append(min(even, odd) / (even + odd))
+    # Some are hardly mixed, others nearly by halves.
+    assert min(shares) < 0.01
+    assert max(shares) > 0.3
+
+
+def test_only_the_even_part_of_a_map_changes_frequencies_to_first_order(crossing):
+    """But of F3 and T3, which have one frequency (see the next test)."""
+    apart = [name for name in crossing if name not in ("F3", "T3")]
+    even, twice_even = (shifts_hz(reed_with(k * EVEN_UM), crossing) for k in (0.25, 0.5))
+    odd, twice_odd = (shifts_hz(reed_with(k * ODD_UM), crossing) for k in (0.25, 0.5))
+    both_um = EVEN_UM + ODD_UM
+    both, twice_both = (shifts_hz(reed_with(k * both_um), crossing) for k in (0.25, 0.5))
+    for name in apart:
+        assert twice_even[name] == pytest.approx(2 * even[name], rel=0.1, abs=0.2)
+        assert twice_odd[name] == pytest.approx(4 * odd[name], rel=0.02, abs=1e-4)
+        difference, twice = both[name] - even[name], twice_both[name] - twice_even[name]
+        assert twice == pytest.approx(4 * difference, rel=0.1, abs=1e-3)
+        assert abs(difference) < 0.05
+    assert max(abs(even[name]) for name in apart) > 5
+
+
+def test_two_modes_of_one_frequency_and_unlike_symmetry_mix_to_first_order(crossing):
+    """Degenerate perturbation theory: they part by their coupling, and each is half of either."""
+    pair = [crossing[name] for name in ("F3", "T3")]
+    assert abs(pair[0].frequency_hz - pair[1].frequency_hz) < 0.01
+    omega = 2 * np.pi * pair[0].frequency_hz
+    half_mesh, little = build_mesh(ReedGeometry(), LEVEL), 0.01
+    u, v = (on_both_sides(half_mesh, mode).ravel() for mode in pair)
+    matrices = assemble(build_whole_mesh(reed_with(little * TILT_UM), LEVEL))
+    K, M = stiffness(matrices, stiffness_terms_pa(CROSSING)), mass(matrices, 520.0)
+    coupling = (u @ (K @ v) - omega**2 * (u @ (M @ v))) / little
+    found = by_name(reed_modes(reed_with(TILT_UM), CROSSING, LEVEL, highest_hz=14e3))
+    gap_hz = abs(found["F3"].frequency_hz - found["T3"].frequency_hz)
+    assert gap_hz == pytest.approx(abs(coupling) / (2 * np.pi * omega), rel=0.01)
+    assert gap_hz > 0.5
+    for name, mode in found.items():
+        left = 0.5 if name in ("F3", "T3") else 1.0
+        assert mode.likeness == pytest.approx(left * crossing[name].likeness, rel=0.03)
+
+
+def on_both_sides(half_mesh, mode):
+    """Motion of a half reed as one of the whole, mass-normalised over it."""
+    sign = 1 if mode.symmetry is SYMMETRIC else -1
+    half = mode.shape.reshape(*half_mesh.block, 3)
+    return np.concatenate([sign * half[:, :0:-1] * [1, -1, 1], half], axis=1) / np.sqrt(2)
+
+
+def test_a_reed_may_be_uneven_beyond_recognition(geometry):
+    """100 µm more on the right: no two modes share a name, and the first keep theirs."""
+    lopsided = reed_with(np.tile([0.0, 50.0, 100.0], (3, 1)))
+    modes = reed_modes(lopsided, Cane(), LEVEL, highest_hz=40e3)
+    assert len({mode.name for mode in modes}) == len(modes)
+    assert [mode.name for mode in modes[:3]] == ["F1", "T1", "F2"]
+    for mode in modes:
+        assert 0 <= mode.likeness <= 1
+        if mode.name.startswith("?"):
+            assert mode.name[-1] == mode.symmetry[0]

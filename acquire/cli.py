@@ -1,4 +1,4 @@
-"""The command line: `acquire run`, `plan`, `fit`, `report`, `diagnose`, `modes`, `list`.
+"""The command line: `acquire run`, `plan`, `fit`, `report`, `modes` and the other verbs.
 
 Knows every room and does nothing itself. Results go to standard output, progress and messages to
 standard error. Exit status: 2 for bad input, 1 for a failed run, 130 for an interrupt.
@@ -352,8 +352,8 @@ def modes(
         float | None, typer.Option(help="Of viscoelastic cane: 0 as series A to 1 as series B.")
     ] = None,
     mesh: Annotated[
-        str, typer.Option(help="Finite elements: standard, or fast (some cents off).")
-    ] = "standard",
+        str, typer.Option(help="Finite elements: fine, standard, or fast (some cents off).")
+    ] = "fine",
     pictures: Annotated[
         Path | None, typer.Option(metavar="PATH.png", help="Draw every mode into this file.")
     ] = None,
@@ -390,6 +390,60 @@ def modes(
     console.print(modes_table(described, found))
     if pictures:
         console.print(f"pictures      {pictures}", markup=False, soft_wrap=True)
+
+
+@_verb
+def population(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="TABLE.csv|FOLDER",
+            help="Resonances (columns reed, series, mode, hz), or a folder of run files.",
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Components of every reed; beside SOURCE if not given.")
+    ] = None,
+    model: ModelOption = "fem",
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Fit the cane of many reeds: components with errors for each, and their spread."""
+    from fitting.fit import model_name
+    from fitting.population_table import (
+        fit_table,
+        metamodel_of,
+        opened_table,
+        summary_table,
+        write_resonances,
+    )
+
+    forward, table, files = model_name(model), source, {}
+    if source.is_dir():
+        table = files["resonances"] = source / "resonances.csv"
+    out = files["components"] = out or table.with_name(f"{table.stem}-components.csv")
+    if source.is_dir():
+        write_resonances(source, table, _tell)
+    words = _words()
+    with opened_table(out) as file, words.status("fitting") as status:
+        summary = fit_table(
+            table,
+            metamodel_of(forward, _tell),
+            file,
+            lambda reeds: status.update(f"{reeds} reeds fitted"),
+        )
+    answer = {**summary.to_json(), "files": {name: str(path) for name, path in files.items()}}
+    if as_json:
+        _show_json(answer)
+        return
+    console = Console(highlight=False)
+    console.print(summary_table(summary))
+    if summary.passed_over:
+        console.print(f"{summary.passed_over} resonances of modes that the model does not know")
+    for flag, count in summary.flags.items():
+        console.print(f"{count} reeds: {flag.lower().replace('_', ' ')}")
+    for name, path in files.items():
+        console.print(f"{name:13} {path}", markup=False, soft_wrap=True)
 
 
 @_verb

@@ -4,7 +4,14 @@ import subprocess
 import sys
 
 # Each in a process of its own: what one leaves in memory does not slow the next.
-MODULES = ("benchmarks.holography", "benchmarks.sweep", "benchmarks.kills", "benchmarks.recovery")
+MODULES = (
+    "benchmarks.holography",
+    "benchmarks.convergence",
+    "benchmarks.populations",
+    "benchmarks.sweep",
+    "benchmarks.kills",
+    "benchmarks.recovery",
+)
 
 
 def main() -> int:

@@ -75,6 +75,12 @@ def fitted(sweep_a):
 
 
 @pytest.fixture(scope="session")
+def fitted_a(fitted):
+    """The resonances of that run."""
+    return fitted.sweeps[0]
+
+
+@pytest.fixture(scope="session")
 def true_hz():
     """Eigenfrequencies of that reed in series A, by name."""
     with pytest.MonkeyPatch.context() as patch:

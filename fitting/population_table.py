@@ -1,0 +1,237 @@
+"""Many reeds fitted together: from a table of resonances, or from a folder of run files."""
+
+import csv
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from rich.table import Table
+
+from acquire.errors import RunFileError
+from acquire.runfile import Run
+from fitting.errors import FitError, FitInputError
+from fitting.fit import ModelName, SweepFit, fit_sweep
+from fitting.forward import finite_element_model
+from fitting.paper import adjusted_metamodel
+from fitting.populations import Flag, PopulationFit, count_flags, fit_population
+from fitting.resonance_table import (
+    COLUMNS,
+    ERROR_COLUMN,
+    Resonances,
+    read_resonances,
+    write_components,
+)
+from physics.reed.cache import reduced_reed
+from physics.reed.log_polynomial import finite_element_polynomial
+from physics.reed.metamodel import Metamodel
+from physics.reed.names import PAPER_MODES
+from physics.reed.viscoelastic import Series
+
+_COUNT = 4
+# The components of such fits do not describe the population.
+_UNFIT = Flag.TOO_FEW_RESONANCES | Flag.NOT_CONVERGED
+
+
+@dataclass
+class PopulationSummary:
+    """What is told of a population; grows as its reeds are fitted.
+
+    Attributes
+    ----------
+    reeds, resonances, passed_over : int
+        Reeds, resonances used, and rows of modes that the model does not know.
+    fitted : (4,) int array
+        Reeds that count for each component.
+    """
+
+    reeds: int = 0
+    resonances: int = 0
+    passed_over: int = 0
+    flags: Counter[str] = field(default_factory=Counter)
+    fitted: Any = field(default_factory=lambda: np.zeros(_COUNT, dtype=int))
+    _sums: Any = field(default_factory=lambda: np.zeros((3, _COUNT)))
+    _squares: float = 0.0
+
+    def add(self, resonances: Resonances, fit: PopulationFit) -> None:
+        """Count a piece of the population."""
+        self.reeds += len(resonances.reeds)
+        self.resonances += int(fit.used.sum())
+        self.passed_over += resonances.passed_over
+        self.flags.update(count_flags(fit.flags))
+        counted = ((fit.flags & int(_UNFIT)) == 0)[:, None] & np.isfinite(fit.components)
+        known = np.where(counted, fit.components, 0.0)
+        errors = np.where(counted, fit.errors, 0.0)
+        self.fitted = self.fitted + counted.sum(axis=0)
+        self._sums = self._sums + np.stack([known, known**2, errors**2]).sum(axis=1)
+        used = np.isfinite(fit.rms_cents)
+        self._squares += float((fit.rms_cents[used] ** 2 * fit.used[used]).sum())
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the summary with stable keys (documented in ``docs/json.md``)."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = self._sums[0] / self.fitted
+            sd = np.sqrt((self._sums[1] - self.fitted * mean**2) / (self.fitted - 1))
+            error = np.sqrt(self._sums[2] / self.fitted)
+        return {
+            "reeds": self.reeds,
+            "resonances": self.resonances,
+            "passed_over": self.passed_over,
+            "rms_cents": (self._squares / self.resonances) ** 0.5 if self.resonances else None,
+            "components": {
+                f"e{k + 1}": {
+                    "reeds": int(self.fitted[k]),
+                    "mean": _known(mean[k]),
+                    "sd": _known(sd[k]),
+                    "rms_error": _known(error[k]),
+                }
+                for k in range(_COUNT)
+            },
+            "flags": dict(self.flags),
+        }
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def metamodel_of(model: ModelName, announce: Callable[[str], None] | None = None) -> Metamodel:
+    """Metamodel of a forward model: the paper's, or polynomials that follow the finite elements."""
+    if model == "paper":
+        return adjusted_metamodel(PAPER_MODES)
+    return finite_element_polynomial(reduced_reed(announce=announce))
+
+
+@contextmanager
+def opened_table(path: Path) -> Iterator[TextIO]:
+    """Open a table for writing; it appears whole or not at all.
+
+    Raises
+    ------
+    FitInputError
+        If it cannot be written.
+    """
+    part = path.with_name(f"{path.name}.part")
+    try:
+        with part.open("w", newline="", encoding="utf-8") as file:
+            yield file
+        part.replace(path)
+    except OSError as error:
+        raise FitInputError(f"{path}: {error.strerror}; choose another place") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def fit_table(
+    table: Path,
+    metamodel: Metamodel,
+    out: TextIO,
+    progress: Callable[[int], None] | None = None,
+) -> PopulationSummary:
+    """Fit every reed of a table of resonances and write its components.
+
+    Parameters
+    ----------
+    table : Path
+        See `fitting.resonance_table`.
+    metamodel : Metamodel
+    out : text file
+        Takes a row for every reed.
+    progress : callable, optional
+        Told the number of reeds fitted so far.
+
+    Raises
+    ------
+    FitInputError
+        For a table that cannot be read, or an empty one.
+    """
+    summary = PopulationSummary()
+
+    def pieces() -> Iterator[tuple[tuple[str, ...], PopulationFit]]:
+        for resonances in read_resonances(table, metamodel.modes):
+            fit = fit_population(resonances.cents, resonances.error_cents, metamodel)
+            summary.add(resonances, fit)
+            yield resonances.reeds, fit
+            if progress:
+                progress(summary.reeds)
+
+    write_components(out, pieces(), _COUNT)
+    if not summary.reeds:
+        raise FitInputError(f"{table}: holds no resonances; it has nothing but its first line")
+    return summary
+
+
+def write_resonances(
+    folder: Path, table: Path, announce: Callable[[str], None] | None = None
+) -> None:
+    """Find the resonances of every complete run of a folder and write them as a table.
+
+    Runs of series other than A and B, runs that show no modes and files that are no runs are told
+    and passed over; of two runs of one reed and series the later counts.
+
+    Raises
+    ------
+    FitInputError
+        If no run gives resonances, or the table cannot be written.
+    """
+    tell = announce or (lambda _: None)
+    latest = _latest_runs(folder, tell)
+    reed = reduced_reed(announce=tell)
+    model = finite_element_model(reed)
+    sweeps = []
+    for number, path in enumerate(latest, 1):
+        tell(f"run {number} of {len(latest)}: {path}")
+        try:
+            with Run.open(path) as run:
+                sweeps.append(fit_sweep(run, reed, model))
+        except FitError as error:
+            tell(str(error))
+    if not sweeps:
+        raise FitInputError(f"{folder}: no run of series A or B in it shows resonances")
+    with opened_table(table) as file:
+        _write_rows(file, sweeps)
+
+
+def _latest_runs(folder: Path, tell: Callable[[str], None]) -> list[Path]:
+    """Complete runs by reed and series."""
+    latest: dict[tuple[str, str], tuple[str, Path]] = {}
+    for path in sorted(folder.rglob("*.h5")):
+        try:
+            with Run.open(path) as run:
+                key, start, status = (run.reed, run.series), run.start_time, run.status
+        except RunFileError as error:
+            tell(str(error))
+            continue
+        if status != "complete" or key[1] not in set(Series):
+            tell(f"{path}: {status}, series {key[1]}: passed over")
+            continue
+        if key in latest:
+            tell(f"{min(latest[key], (start, path))[1]}: there is a later run of that reed")
+        latest[key] = max(latest.get(key, (start, path)), (start, path))
+    return [path for _, (_, path) in sorted(latest.items())]
+
+
+def _write_rows(file: TextIO, sweeps: Iterable[SweepFit]) -> None:
+    out = csv.writer(file, lineterminator="\n")
+    out.writerow([*COLUMNS, ERROR_COLUMN])
+    for sweep in sweeps:
+        for name, found in sweep.resonances.items():
+            hz, error = f"{found.frequency_hz:.2f}", f"{found.error_cents:.2f}"
+            out.writerow([sweep.reed, sweep.series, name, hz, error])
+
+
+def summary_table(summary: PopulationSummary) -> Table:
+    """What the command line shows of a population."""
+    told = summary.to_json()
+    rms = "" if told["rms_cents"] is None else f", rms {told['rms_cents']:.1f} cents"
+    table = Table(title=f"{summary.reeds} reeds, {summary.resonances} resonances{rms}")
+    for head in ("component", "reeds", "mean", "SD", "± s.e. (rms)"):
+        table.add_column(head, justify="right")
+    for name, row in told["components"].items():
+        values = (row["mean"], row["sd"], row["rms_error"])
+        shown = ["-" if value is None else f"{value:.2f}" for value in values]
+        table.add_row(name, str(row["reeds"]), *shown)
+    return table

@@ -1,0 +1,201 @@
+"""Tables of resonances: what is read, what is refused, and what a population's fit writes."""
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fitting.errors import FitInputError
+from fitting.forward import cents_of, hz_of
+from fitting.paper import adjusted_metamodel
+from fitting.population_table import fit_table, metamodel_of, opened_table, write_resonances
+from fitting.populations import fit_population
+from fitting.resonance_table import GRID_ERROR_CENTS, read_resonances
+from fitting.synthetic import draw_components, observe
+from physics.reed.names import PAPER_MODES
+
+METAMODEL = adjusted_metamodel(PAPER_MODES)
+HEAD = "reed,series,mode,hz\n"
+
+
+@pytest.fixture
+def table(tmp_path):
+    """Return a function that writes a table of resonances."""
+
+    def write(text, name="table.csv"):
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return write
+
+
+@pytest.fixture
+def population(table):
+    """A table of seven reeds, their components, and their resonances in cents."""
+    rng = np.random.default_rng(4)
+    components = draw_components(7, rng)
+    cents = observe(components, METAMODEL, rng)
+    cents[3, 1] = np.nan
+    lines = [
+        f"R{n},{series},{name},{hz_of(cents[n, s, m]):.6f}\n"
+        for n in range(7)
+        for s, series in enumerate("AB")
+        for m, name in enumerate(PAPER_MODES)
+        if np.isfinite(cents[n, s, m])
+    ]
+    return table(HEAD + "".join(lines)), components, cents
+
+
+def fitted(path, metamodel=METAMODEL):
+    out = io.StringIO()
+    summary = fit_table(path, metamodel, out)
+    return summary, list(csv.DictReader(io.StringIO(out.getvalue())))
+
+
+@pytest.mark.parametrize("reeds", [1, 3, 8192])
+def test_a_table_is_read_in_pieces_and_nothing_is_lost(population, reeds):
+    path, _, cents = population
+    pieces = list(read_resonances(path, PAPER_MODES, reeds))
+    assert max(len(piece.reeds) for piece in pieces) <= reeds
+    assert [name for piece in pieces for name in piece.reeds] == [f"R{n}" for n in range(7)]
+    np.testing.assert_allclose(np.concatenate([p.cents for p in pieces]), cents, atol=1e-4)
+    assert all((piece.error_cents == GRID_ERROR_CENTS).all() for piece in pieces)
+
+
+def test_errors_and_foreign_modes_are_read(table):
+    text = "mode,hz,error_cents,series,reed\nF1,2000,3,A,x\nX6,17000,3,A,x\nF1,1990,4,B,x\n"
+    (piece,) = read_resonances(table(text), PAPER_MODES)
+    assert piece.passed_over == 1
+    assert piece.cents[0, :, 0] == pytest.approx(cents_of(np.array([2000, 1990])))
+    assert tuple(piece.error_cents[0, :, 0]) == (3, 4)
+    assert np.isnan(piece.cents[0, :, 1:]).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("reed,series,hz\n", "line 1: has no column mode"),
+        ("", "line 1: has no column reed, series, mode, hz"),
+        (HEAD + "x,A,F1,abc\n", "line 2: hz 'abc'; write a frequency"),
+        (HEAD + "x,A,F1,-3\n", "line 2: hz '-3'"),
+        (HEAD + "x,A,F1,nan\n", "line 2: hz 'nan'"),
+        (HEAD + "x,A,F1\n", "line 2: hz ''"),
+        (HEAD + "x,C,F1,2000\n", "line 2: series 'C'; write A or B"),
+        (HEAD + ",A,F1,2000\n", "line 2: reed ''"),
+        (HEAD + "x,A,,2000\n", "line 2: mode ''"),
+        (HEAD + "x,A,F1,2000\nx,A,F1,2001\n", "line 3: reed 'x' has a second F1 in series A"),
+        (
+            HEAD + "x,A,F1,2000\ny,A,F1,2000\nz,A,F1,2000\nx,A,T1,3000\n",
+            "line 5: .* sort the table",
+        ),
+        ("reed,series,mode,hz,error_cents\nx,A,F1,2000,0\n", "line 2: error_cents '0'"),
+        (HEAD + 'x,A,"F1,2000\n', "line [12]: .*mend the line"),
+        (HEAD, "holds no resonances"),
+    ],
+)
+def test_what_is_no_table_is_refused_with_its_line(table, text, words):
+    path = table(text)
+    with pytest.raises(FitInputError, match=words) as refusal:
+        fitted(path)
+    assert str(refusal.value).startswith(str(path))
+
+
+def test_a_file_that_cannot_be_read_is_refused(tmp_path):
+    with pytest.raises(FitInputError, match="No such file"):
+        fitted(tmp_path / "none.csv")
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FitInputError, match="UTF-8"):
+        fitted(tmp_path / "binary.csv")
+
+
+def test_components_are_those_of_the_fit(population):
+    path, _, cents = population
+    summary, rows = fitted(path)
+    fit = fit_population(cents, GRID_ERROR_CENTS, METAMODEL)
+    for n, row in enumerate(rows):
+        for k in range(4):
+            value = float(row[f"e{k + 1}"] or "nan")
+            assert value == pytest.approx(fit.components[n, k], rel=1e-3, abs=1e-4, nan_ok=True)
+        assert int(row["resonances"]) == fit.used[n]
+    # Without series B nothing is known of drying.
+    assert rows[3]["e4"] == ""
+    assert rows[3]["flags"] == "UNDETERMINED"
+    assert summary.to_json()["flags"] == {"UNDETERMINED": 1}
+
+
+def test_the_summary_is_that_of_the_components(population):
+    path, _, _ = population
+    summary, rows = fitted(path)
+    told = summary.to_json()
+    assert told["reeds"] == 7
+    assert told["resonances"] == sum(int(row["resonances"]) for row in rows)
+    for name, row in told["components"].items():
+        values = np.array([float(r[name]) for r in rows if r[name]])
+        assert row["reeds"] == len(values)
+        assert row["mean"] == pytest.approx(values.mean(), abs=1e-4)
+        assert row["sd"] == pytest.approx(values.std(ddof=1), abs=1e-4)
+    squares = sum(float(r["rms_cents"]) ** 2 * int(r["resonances"]) for r in rows)
+    assert told["rms_cents"] == pytest.approx(np.sqrt(squares / told["resonances"]), rel=1e-4)
+
+
+def test_true_components_come_back_within_their_errors(population):
+    path, components, _ = population
+    _, rows = fitted(path)
+    off = [
+        (float(row[f"e{k + 1}"]) - components[n, k]) / float(row[f"e{k + 1}_error"])
+        for n, row in enumerate(rows)
+        for k in range(4)
+        if row[f"e{k + 1}"]
+    ]
+    assert np.sqrt(np.mean(np.square(off))) < 1.5
+
+
+def test_a_table_appears_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "out.csv"
+
+    def break_off():
+        with opened_table(path) as file:
+            file.write("half")
+            raise FitInputError("broken off")
+
+    with pytest.raises(FitInputError, match="broken off"):
+        break_off()
+    assert list(tmp_path.iterdir()) == []
+    with opened_table(path) as file:
+        file.write("whole")
+    assert path.read_text() == "whole"
+    missing = opened_table(Path("/nowhere/out.csv"))
+    with pytest.raises(FitInputError, match="choose another place"), missing:
+        pass
+
+
+def test_a_folder_of_runs_becomes_a_table(sweep_a, fitted_a, tmp_path):
+    said = []
+    write_resonances(sweep_a.parent, tmp_path / "table.csv", said.append)
+    (piece,) = read_resonances(tmp_path / "table.csv", PAPER_MODES)
+    assert piece.reeds == (fitted_a.reed,)
+    found = {n: r for n, r in fitted_a.resonances.items() if n in PAPER_MODES}
+    for m, name in enumerate(PAPER_MODES):
+        if name in found:
+            expected = float(cents_of(found[name].frequency_hz))
+            assert piece.cents[0, 0, m] == pytest.approx(expected, abs=0.02)
+            assert piece.error_cents[0, 0, m] == pytest.approx(found[name].error_cents, abs=0.01)
+        else:
+            assert np.isnan(piece.cents[0, 0, m])
+    assert np.isnan(piece.cents[0, 1]).all()
+
+
+def test_a_folder_without_runs_is_refused(tmp_path):
+    (tmp_path / "no.h5").write_text("no HDF5")
+    said = []
+    with pytest.raises(FitInputError, match="no run of series A or B"):
+        write_resonances(tmp_path, tmp_path / "table.csv", said.append)
+    assert any("no.h5" in line for line in said)
+
+
+def test_the_finite_elements_have_a_metamodel_of_all_modes():
+    assert metamodel_of("fem").modes == PAPER_MODES
+    assert metamodel_of("paper").modes == PAPER_MODES

@@ -1,9 +1,9 @@
 """The whole twin: from what the instruments are set to, to what the camera reads."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -23,9 +23,16 @@ from physics.optics import (
     speckle,
 )
 from physics.reed.basis import ReducedReed
+from physics.reed.fem import Symmetry
 from physics.reed.response import forced_response
 from physics.reed.surface import on_reed, surface_shapes
-from physics.reed.viscoelastic import Components, Series, require_physical, viscoelastic_cane
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    ViscoelasticCane,
+    require_physical,
+    viscoelastic_cane,
+)
 from physics.sensor import Sensor, read_out
 
 Array = NDArray[np.floating[Any]]
@@ -109,15 +116,19 @@ class BenchModel:
         y, x = np.meshgrid(*reed_axes_m(layout, self.region, self.transform), indexing="ij")
         self._lit = on_reed(reed.geometry.outline, x, y)
         self._shapes = surface_shapes(reed, x[self._lit], y[self._lit])
-        self._reed = reed
         self._cane = viscoelastic_cane(settings.components, settings.series)
         require_physical(self._cane)
         self._object = self._scattered_light(x, y, rng)
         self._lo = self._local_oscillator()
         self._at_rest = np.abs(self.transform.to_sensor(self._pasted(self._object))) ** 2
-        # The four frames of a step share all but their beat integrals.
-        self._response = lru_cache(maxsize=4)(self._unit_response)
-        self._light = lru_cache(maxsize=2)(self._light_of_sidebands)
+        # The four frames of a step share all but their beat integrals. Functions, not methods: a
+        # cache that holds the bench would keep its memory until the garbage is next collected.
+        self._response = lru_cache(maxsize=4)(
+            partial(_unit_response, settings, reed, self._cane, self._shapes)
+        )
+        self._light = lru_cache(maxsize=2)(
+            partial(_light_of_sidebands, self._object, self._response, layout.wavelength_m)
+        )
 
     def _scattered_light(self, x: Array, y: Array, rng: np.random.Generator) -> Complex64:
         """Amplitude of the light of each lit pixel (n,), in √(electrons/s)."""
@@ -147,25 +158,6 @@ class BenchModel:
         patch = np.zeros(self._lit.shape, dtype=np.complex64)
         patch[self._lit] = lit
         return self.region.paste(patch, self.settings.sensor.shape)
-
-    def _unit_response(self, drive_hz: Fraction) -> Complex64:
-        """Displacement (n,) of the lit pixels per volt, in m."""
-        settings = self.settings
-
-        def pressure(hz: float, x: Array, y: Array) -> NDArray[np.complex128]:
-            at_tip = tweeter_pressure_pa(settings.tweeter, hz, 1.0)
-            at_tip *= cavity_gain(settings.line, hz)
-            return at_tip * pressure_shape(settings.chamber, hz, x, y).astype(complex)
-
-        response = forced_response(
-            self._reed, self._cane, settings.loss_factor, np.array([float(drive_hz)]), pressure
-        )
-        total = np.zeros(len(self._object), dtype=np.complex64)
-        for symmetry, coordinates in response.items():
-            real_and_imaginary = np.stack([coordinates[0].real, coordinates[0].imag], axis=1)
-            moved = self._shapes[symmetry] @ real_and_imaginary.astype(np.float32)
-            total += moved[:, 0] + 1j * moved[:, 1]
-        return total
 
     def displacement_m(self, drive_hz: Fraction, drive_v: float) -> Complex64:
         """Complex displacement (height, width) of the visible reed along z; 0 beside it."""
@@ -209,13 +201,43 @@ class BenchModel:
             total += light * np.complex64(beat_integral(offset_hz, segment.start_s, segment.end_s))
         return total
 
-    def _light_of_sidebands(
-        self, difference_hz: Fraction, drive_hz: Fraction, drive_v: float
-    ) -> list[tuple[int, Complex64]]:
-        """Sideband orders and their light on the lit pixels (n,), in √(electrons/s)."""
-        if drive_v == 0 or drive_hz == 0:
-            return [(0, self._object)]
-        orders = kept_orders(difference_hz, drive_hz)
-        displacement = drive_v * self._response(drive_hz)
-        parts = sidebands(orders, displacement, self.settings.layout.wavelength_m)
-        return [(order, self._object * part) for order, part in zip(orders, parts, strict=True)]
+
+def _unit_response(
+    settings: TwinSettings,
+    reed: ReducedReed,
+    cane: ViscoelasticCane,
+    shapes: Mapping[Symmetry, Float],
+    drive_hz: Fraction,
+) -> Complex64:
+    """Displacement (n,) of the lit pixels per volt, in m."""
+
+    def pressure(hz: float, x: Array, y: Array) -> NDArray[np.complex128]:
+        at_tip = tweeter_pressure_pa(settings.tweeter, hz, 1.0)
+        at_tip *= cavity_gain(settings.line, hz)
+        return at_tip * pressure_shape(settings.chamber, hz, x, y).astype(complex)
+
+    frequency_hz = np.array([float(drive_hz)])
+    response = forced_response(reed, cane, settings.loss_factor, frequency_hz, pressure)
+    moved = [
+        shapes[symmetry] @ np.stack([q[0].real, q[0].imag], axis=1).astype(np.float32)
+        for symmetry, q in response.items()
+    ]
+    total = sum(moved[1:], start=moved[0])
+    displacement: Complex64 = total[:, 0] + 1j * total[:, 1]
+    return displacement
+
+
+def _light_of_sidebands(
+    scattered: Complex64,
+    response: Callable[[Fraction], Complex64],
+    wavelength_m: float,
+    difference_hz: Fraction,
+    drive_hz: Fraction,
+    drive_v: float,
+) -> list[tuple[int, Complex64]]:
+    """Sideband orders and their light on the lit pixels (n,), in √(electrons/s)."""
+    if drive_v == 0 or drive_hz == 0:
+        return [(0, scattered)]
+    orders = kept_orders(difference_hz, drive_hz)
+    parts = sidebands(orders, drive_v * response(drive_hz), wavelength_m)
+    return [(order, scattered * part) for order, part in zip(orders, parts, strict=True)]

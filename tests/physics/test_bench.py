@@ -1,5 +1,7 @@
 """The whole twin: frames, demodulated and propagated back, show the motion that was put in."""
 
+import gc
+import weakref
 from dataclasses import replace
 from fractions import Fraction
 
@@ -377,3 +379,15 @@ def test_fringes_close_in_on_the_reed_when_the_local_oscillator_is_faster(quiet_
     points = range(region.column + 20, region.column + region.width - 5, 5)
     focused, mirrored = (sum(light_at(middle, c, sign) for c in points) for sign in (1, -1))
     assert focused > 100 * mirrored
+
+
+def test_a_bench_leaves_memory_when_it_is_let_go(quiet_settings, coarse_reed):
+    bench = BenchModel(quiet_settings, coarse_reed, np.random.default_rng(1))
+    bench.displacement_m(Fraction(2000), 1.0)
+    left = weakref.ref(bench.transform)
+    gc.disable()
+    try:
+        del bench
+        assert left() is None
+    finally:
+        gc.enable()

@@ -130,7 +130,7 @@ def count_flags(flags: NDArray[np.int64]) -> dict[str, int]:
     return {name: count for name, count in counts.items() if count}
 
 
-def misfit_factor(reduced_chi2: Array, freedom: Array) -> Array:
+def misfit_factor(reduced_chi2: Array | float, freedom: Array | int) -> Array:
     """Factor on variances: a misfit that chance does not explain is charged to the fit.
 
     Parameters

@@ -7,11 +7,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.special import chdtrc
 
 from fitting.errors import FitError
 from fitting.forward import ForwardModel, cents_of, name_likeness, viscoelastic_cents
 from fitting.picking import Resonance
+from fitting.populations import misfit_factor
 from physics.reed.viscoelastic import (
     Components,
     Series,
@@ -27,10 +27,10 @@ COMPONENTS = ("e1", "e2", "e3", "e4")
 _LEAST_LIKENESS = 0.85
 # No reed is so far from the mean of the population, in its standard deviations.
 _FARTHEST_SD = 6.0
+# A search that ends this close to them has ended at these limits.
+_AT_LIMIT_SD = 1e-3
 # Residuals beyond this many standard errors count less in the first look.
 _OUTLIER = 2.0
-# A misfit that chance alone would give this rarely is taken for one.
-_IMPROBABLE = 0.05
 # The paper quotes storage moduli at this frequency (Tables 6 and 7).
 QUOTED_HZ = 4000.0
 
@@ -91,8 +91,8 @@ def fit_components(
     Raises
     ------
     FitError
-        Without series A (e2 and e4 act alike on series B), or with fewer resonances than
-        components.
+        Without series A (e2 and e4 act alike on series B), with fewer resonances than components,
+        or where they lead beyond any cane.
     """
     if Series.A not in resonances:
         raise FitError(
@@ -110,6 +110,7 @@ def fit_components(
     values, *_ = _least_squares(observed, model, len(free), loss="soft_l1")
     distinct = [o for o in observed if _likeness(o, values, model) >= _LEAST_LIKENESS]
     values, covariance, chi2 = _least_squares(distinct, model, len(free))
+    _require_within(dict(zip(free, values, strict=True)))
     residual = _residual_cents(distinct, values, model)
     return ReedParameters(
         components={
@@ -132,6 +133,16 @@ def fit_components(
         physical=all(_springs_positive(_cane(values, s)) for s in resonances),
         model=model.name,
     )
+
+
+def _require_within(components: Mapping[str, float]) -> None:
+    """Refuse a fit that ends where the search does: the number there would be the limit's."""
+    for name, value in components.items():
+        if abs(value) > _FARTHEST_SD - _AT_LIMIT_SD:
+            raise FitError(
+                f"the resonances lead {name} beyond {_FARTHEST_SD:g} standard deviations of the "
+                "population; no cane is like that: look at the report for a mode with a wrong name"
+            )
 
 
 @dataclass(frozen=True)
@@ -166,18 +177,8 @@ def _least_squares(
     jacobian = np.asarray(solution.jac, dtype=float)
     freedom = len(observed) - count
     chi2 = float(2 * solution.cost / freedom)
-    covariance = np.linalg.inv(jacobian.T @ jacobian) * _misfit_factor(chi2, freedom)
+    covariance = np.linalg.inv(jacobian.T @ jacobian) * misfit_factor(chi2, freedom)
     return solution.x, covariance, chi2
-
-
-def _misfit_factor(reduced_chi2: float, freedom: int) -> float:
-    """Factor on the covariance: a misfit beyond what the errors explain is charged to the fit.
-
-    Only a misfit that chance does not explain: to scale whenever χ² happens to lie above 1, and
-    never down when it lies below, would make errors of honest resonances too large.
-    """
-    by_chance = chdtrc(freedom, reduced_chi2 * freedom)
-    return reduced_chi2 if by_chance < _IMPROBABLE else 1.0
 
 
 def _residual_cents(observed: Sequence[_Observation], values: Array, model: ForwardModel) -> Array:

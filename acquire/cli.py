@@ -447,6 +447,37 @@ def population(
 
 
 @_verb
+def paper(
+    out: Annotated[
+        Path | None, typer.Option(metavar="PAGE.html", help="Page; paper.html if not given.")
+    ] = None,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Compare the paper's printed numbers with ours, on one self-contained HTML page.
+
+    Takes about a minute. With --json alone no page is written.
+    """
+    from fitting.comparison.page import counts_table, require_writable, write_page
+    from fitting.comparison.whole import compare_paper
+
+    page = out or (None if as_json else Path("paper.html"))
+    if page:
+        require_writable(page)
+    comparison = compare_paper(_tell)
+    if page:
+        write_page(comparison, page)
+    if as_json:
+        _show_json(comparison.to_json() | {"page": str(page) if page else None})
+        return
+    console = Console(highlight=False)
+    console.print(counts_table(comparison))
+    for sentence in comparison.findings:
+        console.print(f"- {sentence}", markup=False)
+    console.print(f"page          {page}", markup=False, soft_wrap=True)
+
+
+@_verb
 def list_runs(
     folder: Annotated[Path, typer.Argument(help="Folder with run files.")] = Path("runs"),
     as_json: AsJson = False,

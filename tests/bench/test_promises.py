@@ -21,7 +21,7 @@ from drivers.simulated.twin import cane_of
 from fitting.errors import FitError
 from fitting.pictures import read_pictures
 
-VERBS = ("plan", "run", "fit", "report", "diagnose", "population", "modes", "list")
+VERBS = ("plan", "run", "fit", "report", "diagnose", "population", "modes", "paper", "list")
 ROOT = Path(script.__file__).parents[1]
 
 

@@ -15,7 +15,7 @@ run: .stamps/run
 	$(BIN)/acquire run $(PROTOCOL)
 
 test: .stamps/test lint
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile
 
 lint: .stamps/test
 	$(BIN)/ruff check .

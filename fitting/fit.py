@@ -114,6 +114,7 @@ class ReedFit:
             "reduced_chi2",
             "residual_cents",
             "left_out",
+            "at_limit",
             "physical",
             "model",
         )

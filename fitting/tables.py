@@ -28,10 +28,10 @@ def parameters_table(fit: ReedFit) -> Table | None:
     if fit.parameters is None:
         return None
     parameters = fit.parameters
-    table = Table(
-        title=Text(f"Reed {fit.sweeps[0].reed}: the cane"),
-        caption=f"rms {parameters.rms_cents:.1f} cents, model: {parameters.model}",
-    )
+    caption = f"rms {parameters.rms_cents:.1f} cents, model: {parameters.model}"
+    if parameters.at_limit:
+        caption += f"; at the limit of the search, so not known: {', '.join(parameters.at_limit)}"
+    table = Table(title=Text(f"Reed {fit.sweeps[0].reed}: the cane"), caption=caption)
     table.add_column("parameter")
     table.add_column("value", justify="right")
     table.add_column("± s.e.", justify="right")

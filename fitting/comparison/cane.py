@@ -296,7 +296,7 @@ def draw_storage_moduli(numbers: Printed, populations: Populations) -> Figure:
             axes.plot(hz[inside], storage[inside], color=colour, linewidth=1.8)
             words = f"{modulus}{' × 10' if factor > 1 else ''}, {series}"
             axes.annotate(
-                words, (hz[-1], storage[-1]), xytext=(4, -3), color=colour,
+                words, (hz[-1], storage[-1]), xytext=(4, -3 if factor > 1 else -9), color=colour,
                 textcoords="offset points", fontsize=9,
             )  # fmt: skip
             zener = _mean_zener(modulus, series)

@@ -39,8 +39,8 @@ _MESHES: Final = (
 _HIGHEST_HZ = 22.5e3
 _WHERE = "Table 9 and meshes"
 _TRANSVERSAL = ("T1", "T2", "T3", "T4")
-# T3 and X3 of the paper are equally far off: one label above, one below, in points.
-_LABEL_RISE = {"T3": 5, "X3": -12, "T4": -3}
+# T3 and X3 of the paper are equally far off: labels to the left and to the right.
+_LABEL_SIDE = {"T3": "right", "X3": "left", "T4": "left"}
 _COLOURS = {"T3": "#d97706", "X3": "#2b8a3e", "T4": "#9b2226"}
 
 
@@ -223,8 +223,9 @@ def draw_evidence(
         paper_cents = 1200 * np.log2(table_9_hz[name] / limit_hz)
         axes.plot(points, paper_cents, "x", color=colour, markersize=11, markeredgewidth=2.5)
         axes.annotate(
-            f"{name} of the paper", (points, paper_cents), xytext=(9, _LABEL_RISE[name]),
-            textcoords="offset points", color=colour, fontsize=9,
+            f"{name} of the paper", (points, paper_cents),
+            xytext=(9 if _LABEL_SIDE[name] == "left" else -9, -12), textcoords="offset points",
+            ha=_LABEL_SIDE[name], color=colour, fontsize=9,
         )  # fmt: skip
     axes.axhline(0, color="0.6", linewidth=0.8)
     axes.set_xscale("log")

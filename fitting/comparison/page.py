@@ -201,7 +201,7 @@ def _line(row: Row) -> str:
         ("", shown_number(row.ours)),
         ("words", row.unit),
         ("", _shown_difference(row)),
-        ("", f"{row.tolerance:.3g}" if known else ""),
+        ("", _short(row.tolerance) if known else ""),
         ("words", str(row.basis)),
         ("remark", _SIGNED.sub("−", row.remark)),
     )
@@ -232,6 +232,11 @@ def _shown_difference(row: Row) -> str:
         return ""
     # What is rounding of zero is shown as zero.
     small = abs(row.difference) < 1e-9 * max(abs(row.printed or 0.0), 1e-3)
-    text = "0" if small else f"{row.difference:+.3g}".replace("-", "−")
+    text = "0" if small else _short(row.difference, "+").replace("-", "−")
     other = row.difference_unit if row.difference_unit != row.unit else ""
     return f"{text} {other}".strip()
+
+
+def _short(value: float, sign: str = "") -> str:
+    """Three digits, and all of a whole number."""
+    return f"{value:{sign}.0f}" if abs(value) >= 100 else f"{value:{sign}.3g}"

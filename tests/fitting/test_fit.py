@@ -95,7 +95,7 @@ def test_the_paper_s_model_fits_the_same_resonances(sweep):
 # --- JSON --------------------------------------------------------------------------------------
 
 KEYS = ["modes", "components", "moduli", "rms_cents", "reduced_chi2", "residual_cents"]
-KEYS += ["left_out", "physical", "model", "reason", "runs"]
+KEYS += ["left_out", "at_limit", "physical", "model", "reason", "runs"]
 
 
 def test_json_has_the_documented_keys(fitted, sweep_a):

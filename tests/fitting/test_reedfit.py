@@ -94,13 +94,15 @@ def test_modes_that_the_model_does_not_know_are_of_no_matter():
     assert "X6" not in parameters.residual_cents["A"]
 
 
-def test_a_fit_that_leaves_the_population_is_refused():
-    found = resonances(Components(), PAPER)
-    far = {
-        name: replace(f, frequency_hz=1.3 * f.frequency_hz) for name, f in found[Series.A].items()
-    }
-    with pytest.raises(FitError, match=r"beyond 6 standard deviations of the population"):
-        fit_components({Series.A: far}, PAPER)
+def test_a_component_at_the_limits_of_the_search_is_told():
+    wild = {(Series.A, name): 900.0 for name in PAPER_MODES}
+    parameters = fit_components(resonances(Components(), PAPER, offsets=wild), PAPER)
+    assert parameters.at_limit
+    for name, estimate in parameters.components.items():
+        assert (name in parameters.at_limit) == (abs(estimate.value) == pytest.approx(6, abs=1e-3))
+    assert parameters.reduced_chi2 > 100
+    honest = fit_components(resonances(Components(2.0, -2.0, 1.0), PAPER), PAPER)
+    assert honest.at_limit == []
 
 
 # --- Errors ------------------------------------------------------------------------------------

@@ -79,6 +79,9 @@ def test_the_shape_is_the_papers(numbers, differing):
     group = compare_shape(numbers, ReedGeometry())
     assert not differing(group)
     assert group.count(Verdict.REPRODUCED) > 10
+    ours = {row.quantity: row.ours for row in group.rows}
+    assert ours["volume of the reed"] == pytest.approx(1653.2, abs=0.2)
+    assert ours["vamp meets heel on the axis, x"] == pytest.approx(34.72, abs=0.01)
 
 
 def test_another_shape_is_not(numbers, differing):
@@ -142,6 +145,8 @@ def test_a_network_that_follows_table_9_is_table_9(
         assert off == pytest.approx(0, abs=0.02)
         assert rows[f"{name}: δ−"].ours == pytest.approx(0, abs=1e-6)
         assert rows[f"{name}: δ+"].ours == pytest.approx(0, abs=1e-6)
+    slope = rows["F1: ∂ ln f / ∂ ln E_L, reference material"].printed
+    assert slope == pytest.approx(0.443, abs=1e-3)
     told = differing(group)
     # What was made up: converged elements 1 % softer in T3.
     assert "T3: reference material" in told
@@ -257,6 +262,12 @@ def test_finite_elements_are_adjusted_to_the_mean_of_both_series(frequencies, ro
     for name in PAPER_MODES:
         found = rows[f"{name}: adjustment that finite elements need"].ours
         assert found == pytest.approx(paper.H4_ADJUSTMENT_CENTS[name], abs=40)
+    # X3 was found on 55 reeds in series A, and on 11 in series B.
+    off_a, off_b = (
+        rows[f"{series}X3: mean, by converged finite elements"].difference for series in "AB"
+    )
+    found = rows["X3: adjustment that finite elements need"].ours
+    assert found == pytest.approx(-(55 * off_a + 11 * off_b) / 66, abs=1e-6)
     adjusted = rows["series A: rms over the modes, converged finite elements, adjusted"].ours
     assert adjusted < rows["series A: rms over the modes, converged finite elements"].ours
 
@@ -266,6 +277,13 @@ def test_every_statistic_of_table_1_has_a_row(frequencies):
     for mode in PAPER_MODES:
         for what in ("mean", "minimum", "maximum", "SD"):
             assert f"A{mode}: {what} of a population" in quantities
+        least, middle, most = (
+            next(
+                r.ours for r in frequencies.rows if r.quantity == f"B{mode}: {what} of a population"
+            )
+            for what in ("minimum", "mean", "maximum")
+        )
+        assert least < middle < most
     spread = [row for row in frequencies.rows if row.basis is Basis.POPULATION]
     assert len(spread) == 4 * 22
     # Extremes lie on a grid, where few populations may coincide.
@@ -418,6 +436,7 @@ def test_what_cannot_be_had_has_a_reason(numbers):
     h5 = [row for row in group.rows if "H5, series" in row.quantity]
     assert len(h5) == 32
     assert {row.unit for row in h5} == {"MPa", "Hz"}
+    assert next(row.printed for row in h5 if row.quantity == "E1, H5, series A: mean") == 9377
 
 
 def test_all_pictures_can_be_drawn(

@@ -78,6 +78,8 @@ def test_meshes_are_solved_and_told(monkeypatch):
         for slopes in mesh.sensitivities.values():
             assert slopes[: len(MODULI)].sum() == pytest.approx(0.5, abs=1e-5)
     assert found.tetrahedra[0].hz["T3"] > found.converged.hz["T3"]
+    plain, _, graded = (mesh.points for mesh in found.tetrahedra)
+    assert graded > 1.5 * plain
 
 
 def test_a_value_lies_within_what_meshes_span(evidence):

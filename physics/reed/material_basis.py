@@ -1,0 +1,406 @@
+"""Modes of many reeds at once: any cane, any density, thickness near the drawing's.
+
+Every reed is a standard symmetric eigenproblem of a few dozen coordinates. Its matrix is linear in
+the nine stiffnesses of the cane and a polynomial in the thickness offset, so that derivatives are
+those of the eigenvalues themselves. `material_training` makes the matrices.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import astuple, dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linear_sum_assignment
+
+from physics.reed.fem import Symmetry
+from physics.reed.geometry import ReedGeometry
+from physics.reed.material import STIFFNESS_TERMS, Cane
+
+Array = NDArray[np.floating[Any]]
+Mask = NDArray[np.bool_]
+
+# Elastic constants of a cane, in the order of `Cane`: six moduli, three Poisson ratios.
+CONSTANTS = tuple(field.name for field in fields(Cane))[:-1]
+MODULI = CONSTANTS[:6]
+# What frequencies are derived by, in the order of `ReedModes.slopes`.
+SLOPES = (
+    *(f"ln {name}" for name in MODULI),
+    *CONSTANTS[6:],
+    "ln density_kg_m3",
+    "thickness_offset_m",
+)
+# Positions in the stiffness matrix of `STIFFNESS_TERMS` that couple normal strains.
+_NORMAL = tuple((int(term[0]) - 1, int(term[1]) - 1) for term in STIFFNESS_TERMS[:6])
+# The remaining terms are the shear moduli TR, LR and LT.
+_SHEAR = tuple(MODULI.index(name) for name in ("G_TR_pa", "G_LR_pa", "G_LT_pa"))
+_POISSON = ((0, 1), (0, 2), (1, 2))
+# Modes beyond the named ones among which a name may be found where unnamed modes come lower.
+_SPARE_CANDIDATES = 8
+# Reeds that are worked on together: what is computed of them stays in a core's own cache.
+_CHUNK = 16
+
+
+@dataclass(frozen=True)
+class MaterialBox:
+    """Range (lowest, highest) of every input that a basis answers for; the density may be any.
+
+    Attributes
+    ----------
+    E_L_pa … nu_TR : (float, float)
+        As in `Cane`.
+    thickness_offset_m : (float, float)
+        Added to the offset of the reed's geometry.
+    """
+
+    E_L_pa: tuple[float, float] = (7e9, 21e9)
+    E_T_pa: tuple[float, float] = (480e6 / 1.33, 480e6 * 1.33)
+    E_R_pa: tuple[float, float] = (480e6 / 1.33, 480e6 * 1.33)
+    G_LT_pa: tuple[float, float] = (0.45e9, 2e9)
+    G_LR_pa: tuple[float, float] = (1200e6 / 1.33, 1200e6 * 1.33)
+    G_TR_pa: tuple[float, float] = (1200e6 / 1.33, 1200e6 * 1.33)
+    nu_LT: tuple[float, float] = (0.15, 0.30)
+    nu_LR: tuple[float, float] = (0.15, 0.30)
+    nu_TR: tuple[float, float] = (0.15, 0.30)
+    thickness_offset_m: tuple[float, float] = (-20e-6, 20e-6)
+
+
+@dataclass(frozen=True)
+class HalfMaterialBasis:
+    """One symmetry of a reed in r reduced coordinates, orthonormal in the mass per unit density.
+
+    The stiffness of a reed is ``Σ_k a_k B_k`` with ``a_k = Σ_pi loadings[k, p, i] T_p(x) C_i``:
+    C_i are the stiffnesses of the cane, T_p Chebyshev polynomials and x the thickness offset,
+    -1 to 1 over the box.
+
+    Attributes
+    ----------
+    names : (m,) tuple of str
+    components : (k, r (r + 1) / 2) float
+        Lower triangles of the matrices B_k, row after row.
+    loadings : (k, p, 9) float
+    named_shapes : (r, m) float
+        Unit shapes of the reference cane's modes, which names are told by.
+    error_cents : float
+        Largest deviation of a named mode from the larger model that this one condenses, over the
+        canes that it was trained on.
+    """
+
+    names: tuple[str, ...]
+    components: Array
+    loadings: Array
+    named_shapes: Array
+    error_cents: float
+
+
+@dataclass(frozen=True)
+class MaterialBasis:
+    """A reed of given drawing whose cane and thickness may take any value of a box.
+
+    Attributes
+    ----------
+    geometry : ReedGeometry
+    box : MaterialBox
+    names : (m,) tuple of str
+        Modes of both symmetries, ascending in frequency for the reference cane.
+    halves : dict
+        A `HalfMaterialBasis` per `Symmetry`.
+    """
+
+    geometry: ReedGeometry
+    box: MaterialBox
+    names: tuple[str, ...]
+    halves: dict[Symmetry, HalfMaterialBasis]
+
+
+@dataclass(frozen=True)
+class ReedModes:
+    """Modes of n reeds.
+
+    Attributes
+    ----------
+    names : (m,) tuple of str
+    hz : (n, m) float
+        Eigenfrequencies; NaN for a reed that cannot be (see `within`).
+    slopes : (n, m, 11) float, or None if not asked for
+        Derivatives of ln hz by the inputs in `SLOPES`: by the logarithms of moduli and density
+        (no unit), by Poisson ratios (no unit) and by the thickness offset (1/m).
+    likeness : (n, m) float
+        Share of the mode in the motion of the mode that bears its name for the reference cane, 0
+        to 1; near one half where two modes of one symmetry exchange shapes.
+    within : (n,) bool
+        Whether the reed lies in the box. Elsewhere frequencies are extrapolated: nothing is
+        promised of them. A reed that cannot be, with moduli that are not positive or Poisson
+        ratios that would yield energy, has no frequencies at all.
+    """
+
+    names: tuple[str, ...]
+    hz: Array
+    slopes: Array | None
+    likeness: Array
+    within: Mask
+
+
+def constants_of(canes: Sequence[Cane]) -> Array:
+    """Elastic constants (n, 9) of canes, in the order of `CONSTANTS`."""
+    return np.array([astuple(cane)[:9] for cane in canes], dtype=float).reshape(-1, 9)
+
+
+def within_box(box: MaterialBox, constants: Array, thickness_offset_m: Array) -> Mask:
+    """Which reeds (n,) of constants (n, 9) and offsets (n,) lie in a box, its ends included."""
+    limits = np.asarray(astuple(box))
+    inputs = np.column_stack([constants, thickness_offset_m])
+    # The ends of the box are often computed: a rounding error is not outside.
+    slack = 1e-9 * np.diff(limits)[:, 0]
+    inside = (inputs >= limits[:, 0] - slack) & (inputs <= limits[:, 1] + slack)
+    return np.asarray(inside.all(axis=1))
+
+
+def modes(
+    basis: MaterialBasis,
+    constants: ArrayLike,
+    density_kg_m3: ArrayLike,
+    thickness_offset_m: ArrayLike = 0.0,
+    *,
+    slopes: bool = True,
+    threads: int = 2,
+) -> ReedModes:
+    """Named modes of n reeds, with their derivatives.
+
+    A name goes with a shape, not with a place in the order: modes that cross are followed
+    through. Set ``OMP_NUM_THREADS=1``: the matrices are small, and more threads inside each slow
+    all down.
+
+    Parameters
+    ----------
+    basis : MaterialBasis
+    constants : (n, 9) float
+        Elastic constants in the order of `CONSTANTS`, in Pa (see `constants_of`).
+    density_kg_m3, thickness_offset_m : (n,) float, or one for all
+    slopes : bool
+        Whether derivatives are wanted; frequencies alone take about four fifths of the time.
+    threads : int
+
+    Raises
+    ------
+    ValueError
+        If the inputs are not of these shapes.
+    """
+    reeds = _reeds(basis, constants, density_kg_m3, thickness_offset_m)
+    shape = len(reeds.possible), len(basis.names)
+    answer = ReedModes(
+        names=basis.names,
+        hz=np.full(shape, np.nan),
+        slopes=np.full((*shape, len(SLOPES)), np.nan) if slopes else None,
+        likeness=np.full(shape, np.nan),
+        within=reeds.within,
+    )
+    halves = [_prepared(half, basis.names) for half in basis.halves.values()]
+    which = np.flatnonzero(reeds.possible)
+    chunks = [which[start : start + _CHUNK] for start in range(0, len(which), _CHUNK)]
+    if threads == 1:
+        for chunk in chunks:
+            _solve(halves, reeds, chunk, answer)
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(lambda chunk: _solve(halves, reeds, chunk, answer), chunks))
+    return answer
+
+
+@dataclass(frozen=True)
+class _Reeds:
+    """Checked inputs of n reeds.
+
+    Attributes
+    ----------
+    constants : (n, 9) float
+    density_kg_m3, place : (n,) float
+        The latter of the thickness offset in the box, -1 to 1.
+    place_per_m : float
+    possible, within : (n,) bool
+        Whether a reed can be at all, and whether it lies in the box.
+    """
+
+    constants: Array
+    density_kg_m3: Array
+    place: Array
+    place_per_m: float
+    possible: Mask
+    within: Mask
+
+
+def _reeds(
+    basis: MaterialBasis,
+    constants: ArrayLike,
+    density_kg_m3: ArrayLike,
+    thickness_offset_m: ArrayLike,
+) -> _Reeds:
+    inputs = np.asarray(constants, dtype=float)
+    if inputs.ndim != 2 or inputs.shape[1] != len(CONSTANTS):
+        raise ValueError(
+            f"constants of shape {inputs.shape}; give one row of {len(CONSTANTS)} per reed: "
+            f"{', '.join(CONSTANTS)}"
+        )
+    density = _one_each("density_kg_m3", density_kg_m3, len(inputs))
+    offset = _one_each("thickness_offset_m", thickness_offset_m, len(inputs))
+    possible = possible_canes(inputs) & (density > 0) & np.isfinite(density + offset)
+    low, high = basis.box.thickness_offset_m
+    return _Reeds(
+        inputs,
+        density,
+        (2 * offset - low - high) / (high - low),
+        2 / (high - low),
+        possible,
+        possible & within_box(basis.box, inputs, offset),
+    )
+
+
+def _one_each(name: str, values: ArrayLike, count: int) -> Array:
+    given = np.asarray(values, dtype=float)
+    if given.shape not in ((), (count,)):
+        raise ValueError(f"{name} of shape {given.shape}; give one value, or one for each reed")
+    return np.broadcast_to(given, (count,))
+
+
+@dataclass(frozen=True)
+class _Half:
+    """A `HalfMaterialBasis` laid out for use.
+
+    Attributes
+    ----------
+    places : (m,) int
+        Of its modes among all names.
+    triangle : (t,), (t,) int
+        Rows and columns of what is stored of a symmetric matrix.
+    components, forms : (k, t) float
+        The same matrices, to be summed and to be multiplied with products of coordinates.
+    loadings, loading_slopes : (p, k · 9) float
+        Loadings, and those of the derivative by the place of the offset, on polynomials.
+    named_shapes : (m, r) float
+    """
+
+    places: NDArray[np.intp]
+    triangle: tuple[NDArray[np.intp], NDArray[np.intp]]
+    components: Array
+    forms: Array
+    loadings: Array
+    loading_slopes: Array
+    named_shapes: Array
+
+
+def _prepared(half: HalfMaterialBasis, names: tuple[str, ...]) -> _Half:
+    rows, columns = np.tril_indices(len(half.named_shapes))
+    powers = half.loadings.shape[1]
+    loadings = half.loadings.transpose(1, 0, 2).reshape(powers, -1)
+    return _Half(
+        places=np.array([names.index(name) for name in half.names]),
+        triangle=(rows, columns),
+        components=half.components,
+        # Of each pair of mirrored elements only one is stored.
+        forms=half.components * np.where(rows == columns, 1.0, 2.0),
+        loadings=loadings,
+        loading_slopes=np.vstack([chebyshev.chebder(loadings), np.zeros_like(loadings[:1])]),
+        named_shapes=np.ascontiguousarray(half.named_shapes.T),
+    )
+
+
+def _solve(
+    halves: Sequence[_Half], reeds: _Reeds, which: NDArray[np.intp], answer: ReedModes
+) -> None:
+    """Compute some reeds and write what is found into the answer."""
+    terms, by_constants = terms_and_slopes(reeds.constants[which])
+    density, place = reeds.density_kg_m3[which, None], reeds.place[which]
+    for half in halves:
+        at = np.ix_(which, half.places)
+        polynomials = chebyshev.chebvander(place, len(half.loadings) - 1)
+        loadings = (polynomials @ half.loadings).reshape(len(which), -1, terms.shape[1])
+        stiffness = _stiffness(half, loadings, terms)
+        eigenvalues, vectors = np.linalg.eigh(stiffness)
+        chosen, answer.likeness[at] = _named(vectors, half.named_shapes)
+        eigenvalues = np.take_along_axis(eigenvalues, chosen, axis=1)
+        # Far outside the box a reed may have no stiffness left.
+        eigenvalues = np.where(eigenvalues > 0, eigenvalues, np.nan)
+        answer.hz[at] = np.sqrt(eigenvalues / density) / (2 * np.pi)
+        if answer.slopes is not None:
+            shapes = np.take_along_axis(vectors, chosen[:, None], axis=2)
+            energies = _energies(half, shapes) / (2 * eigenvalues)[..., None]
+            by_place = (polynomials @ half.loading_slopes).reshape(loadings.shape) @ terms[
+                ..., None
+            ]
+            found = np.empty((*eigenvalues.shape, len(SLOPES)))
+            found[..., :9] = energies @ (loadings @ by_constants)
+            found[..., 9] = -0.5
+            found[..., 10] = (energies @ by_place)[..., 0] * reeds.place_per_m
+            answer.slopes[at] = found
+
+
+def _stiffness(half: _Half, loadings: Array, terms: Array) -> Array:
+    """Stiffness matrices (n, r, r); only their lower triangles are filled."""
+    size = half.named_shapes.shape[1]
+    stiffness = np.zeros((len(terms), size, size))
+    packed = (loadings @ terms[..., None])[..., 0] @ half.components
+    stiffness[:, half.triangle[0], half.triangle[1]] = packed
+    return stiffness
+
+
+def _energies(half: _Half, shapes: Array) -> Array:
+    """Quadratic forms (n, m, k) of all components at shapes (n, r, m)."""
+    count, size, modes = shapes.shape
+    rows, columns = half.triangle
+    flat = shapes.transpose(1, 0, 2).reshape(size, -1)
+    products = flat[rows]
+    products *= flat[columns]
+    return np.asarray((half.forms @ products).T.reshape(count, modes, -1))
+
+
+def _named(vectors: Array, named_shapes: Array) -> tuple[NDArray[np.intp], Array]:
+    """Place (n, m) of each named mode among eigenvectors (n, r, r), and its likeness (n, m)."""
+    candidates = vectors[:, :, : len(named_shapes) + _SPARE_CANDIDATES]
+    shares = np.matmul(named_shapes, candidates) ** 2
+    chosen = shares.argmax(axis=2)
+    # Two names may want the same mode where shapes mix: then all are given out together.
+    for reed in np.flatnonzero((np.diff(np.sort(chosen, axis=1)) == 0).any(axis=1)):
+        chosen[reed] = linear_sum_assignment(shares[reed], maximize=True)[1]
+    return chosen, np.take_along_axis(shares, chosen[..., None], axis=2)[..., 0]
+
+
+def possible_canes(constants: Array) -> Mask:
+    """Which canes (n,) of constants (n, 9) store energy however they are strained."""
+    moduli = constants[:, :6]
+    positive = np.all((moduli > 0) & (moduli < np.inf), axis=1)
+    # A stand-in keeps the arithmetic quiet.
+    safe = np.where(positive[:, None], constants, np.asarray(astuple(Cane())[:9]))
+    E, nu = safe[:, :3], safe[:, 6:]
+    # Minors of the compliance matrix, scaled to a unit diagonal.
+    c = np.stack([nu[:, k] * np.sqrt(E[:, j] / E[:, i]) for k, (i, j) in enumerate(_POISSON)])
+    determinant = 1 - 2 * np.prod(c, axis=0) - np.sum(c**2, axis=0)
+    return np.asarray(positive & (np.abs(c) < 1).all(axis=0) & (determinant > 0))
+
+
+def terms_and_slopes(constants: Array) -> tuple[Array, Array]:
+    """Nine stiffnesses (n, 9), and their derivatives (n, 9, 9) by ln moduli and Poisson ratios."""
+    count = len(constants)
+    E, nu = constants[:, :3], constants[:, 6:]
+    compliance = np.zeros((count, 3, 3))
+    by_constants = np.zeros((count, 6, 3, 3))
+    for i in range(3):
+        compliance[:, i, i] = 1 / E[:, i]
+        by_constants[:, i, i, i] = -1 / E[:, i]
+    for k, (i, j) in enumerate(_POISSON):
+        for a, b in ((i, j), (j, i)):
+            compliance[:, a, b] = -nu[:, k] / E[:, i]
+            by_constants[:, i, a, b] = nu[:, k] / E[:, i]
+            by_constants[:, 3 + k, a, b] = -1 / E[:, i]
+    stiffness = np.linalg.inv(compliance)
+    changes = -stiffness[:, None] @ by_constants @ stiffness[:, None]
+    shear = constants[:, _SHEAR]
+    rows, columns = np.transpose(_NORMAL)
+    terms = np.concatenate([stiffness[:, rows, columns], shear], axis=1)
+    slopes = np.zeros((count, 9, 9))
+    normal = changes[:, :, rows, columns].transpose(0, 2, 1)
+    slopes[:, :6, :3], slopes[:, :6, 6:] = normal[..., :3], normal[..., 3:]
+    for row, column in enumerate(_SHEAR):
+        slopes[:, 6 + row, column] = shear[:, row]
+    return terms, slopes

@@ -7,6 +7,7 @@ import sys
 MODULES = (
     "benchmarks.holography",
     "benchmarks.convergence",
+    "benchmarks.reduced_basis",
     "benchmarks.populations",
     "benchmarks.sweep",
     "benchmarks.kills",

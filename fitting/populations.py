@@ -77,6 +77,8 @@ class Flag(IntFlag):
     """E' or G' is not, at the frequency of some mode, observed or not."""
     OUTSIDE_METAMODEL = auto()
     """Moduli of an observed mode lie where the metamodel was not fitted."""
+    MODES_LEFT_OUT = auto()
+    """Some modes exchange shapes with others at the reed's moduli; the fit is without them."""
 
 
 _SPRING_FLAGS = (
@@ -93,6 +95,14 @@ class BoundedMetamodel(Metamodel, Protocol):
 
     def within(self, E_L_pa: Array, G_LT_pa: Array) -> Mask:
         """Whether moduli lie there; shapes that broadcast."""
+
+
+@runtime_checkable
+class FollowingMetamodel(Metamodel, Protocol):
+    """A metamodel that knows where it follows which mode."""
+
+    def follows(self, E_L_pa: Array, G_LT_pa: Array) -> Mask:
+        """Whether it does, mode by mode, at moduli (..., m)."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +122,8 @@ class PopulationFit:
         Root mean square of observed less fitted frequencies.
     used : (n,) int
         Number of resonances.
+    left_out : (n, s, m) bool
+        Resonances that were not used: at the reed's moduli their modes exchange shapes with others.
     flags : (n,) int
         Combinations of `Flag`; ``Flag(flags[k])`` reads as words, 0 is an ordinary fit.
     """
@@ -121,6 +133,7 @@ class PopulationFit:
     reduced_chi2: Array
     rms_cents: Array
     used: NDArray[np.int64]
+    left_out: Mask
     flags: NDArray[np.int64]
 
 
@@ -147,7 +160,9 @@ def fit_population(
 ) -> PopulationFit:
     """Fit the components of many reeds by weighted least squares.
 
-    A reed's result does not depend on the others, to the last bit.
+    A reed's result does not depend on the others, to the last bit. Modes that the metamodel does
+    not follow at the moduli found (see `FollowingMetamodel`) are left out, and the reed is fitted
+    anew.
 
     Parameters
     ----------
@@ -165,18 +180,19 @@ def fit_population(
     """
     observed = np.asarray(observed_cents, dtype=float)
     errors = _checked_errors(observed, error_cents, metamodel)
-    used = np.count_nonzero(~np.isnan(observed), axis=(1, 2))
     # Trials that overflow are refused by their χ².
     with np.errstate(all="ignore"):
         problem = _problem(metamodel, observed.shape[1])
-        fit = _unknown(used, problem.count)
-        enough = np.flatnonzero(used > problem.count)
-        slow = [
-            reeds[~_fit_reeds(problem, observed, errors, reeds, _FEW_LOOKS, fit)]
-            for reeds in _in_blocks(enough)
-        ]
-        for reeds in _in_blocks(np.concatenate([*slow, enough[:0]])):
-            _fit_reeds(problem, observed, errors, reeds, _MOST_LOOKS, fit)
+        fit = _fit_all(problem, observed, errors)
+        changed = np.flatnonzero(fit.left_out.any(axis=(1, 2)))
+        if changed.size:
+            left_out = fit.left_out[changed]
+            again = _fit_all(
+                problem, np.where(left_out, np.nan, observed[changed]), errors[changed]
+            )
+            # What is left out is said once: at the moduli found without it.
+            again.left_out[...], again.flags[...] = left_out, again.flags | Flag.MODES_LEFT_OUT
+            _put(again, fit, changed)
     return fit
 
 
@@ -460,6 +476,25 @@ def _in_blocks(reeds: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
         yield reeds[start : start + _BLOCK]
 
 
+def _fit_all(problem: _Problem, observed: Array, errors: Array) -> PopulationFit:
+    """Fit reeds, most of them in a few looks and the others from the beginning again."""
+    fit = _unknown(observed, problem.count)
+    enough = np.flatnonzero(fit.used > problem.count)
+    slow = [
+        reeds[~_fit_reeds(problem, observed, errors, reeds, _FEW_LOOKS, fit)]
+        for reeds in _in_blocks(enough)
+    ]
+    for reeds in _in_blocks(np.concatenate([*slow, enough[:0]])):
+        _fit_reeds(problem, observed, errors, reeds, _MOST_LOOKS, fit)
+    return fit
+
+
+def _put(some: PopulationFit, all_of_them: PopulationFit, reeds: NDArray[np.int64]) -> None:
+    """Write the fits of some reeds into their places among all."""
+    for field in fields(PopulationFit):
+        getattr(all_of_them, field.name)[reeds] = getattr(some, field.name)[: len(reeds)]
+
+
 def _fit_reeds(
     problem: _Problem,
     observed: Array,
@@ -477,9 +512,7 @@ def _fit_reeds(
     cents[missing], weights[missing] = 0.0, np.inf
     np.reciprocal(weights, out=weights)
     best = _least_squares(problem, cents, weights, looks)
-    result = _conclude(problem, best, cents, weights)
-    for field in fields(PopulationFit):
-        getattr(fit, field.name)[reeds] = getattr(result, field.name)[: len(reeds)]
+    _put(_conclude(problem, best, cents, weights), fit, reeds)
     return best.settled[: len(reeds)]
 
 
@@ -496,7 +529,9 @@ def _conclude(problem: _Problem, best: _Best, observed: Array, weights: Array) -
     freedom = number - np.count_nonzero(known, axis=0)
     residual = np.where(used, observed - cents, 0.0)
     reduced_chi2 = np.einsum("msn->n", (weights * residual) ** 2) / freedom
-    flags = _moduli_flags(problem, components, cents, used)
+    zener = _zener(problem.matrices, components)
+    storage_pa = tuple(1e6 * modulus.value_mpa for modulus in _storage_moduli(zener, cents))
+    flags = _moduli_flags(problem.metamodel, zener, storage_pa, used)
     flags |= np.where(known.all(axis=0), 0, Flag.UNDETERMINED)
     flags |= np.where(best.settled, 0, Flag.NOT_CONVERGED)
     return PopulationFit(
@@ -505,37 +540,45 @@ def _conclude(problem: _Problem, best: _Best, observed: Array, weights: Array) -
         reduced_chi2=reduced_chi2,
         rms_cents=np.sqrt(np.einsum("msn->n", residual**2) / number),
         used=number,
+        left_out=(used & ~_followed(problem.metamodel, storage_pa)).T,
         flags=flags,
     )
 
 
+def _followed(metamodel: Metamodel, storage_pa: tuple[Array, ...]) -> Mask:
+    """Whether the metamodel follows modes at moduli E', G' of shape (m, s, n), of that shape."""
+    if not isinstance(metamodel, FollowingMetamodel):
+        return np.ones(storage_pa[0].shape, dtype=bool)
+    E_pa, G_pa = (np.moveaxis(modulus, 0, -1) for modulus in storage_pa)
+    return np.moveaxis(metamodel.follows(E_pa, G_pa), -1, 0)
+
+
 def _moduli_flags(
-    problem: _Problem, components: Array, cents: Array, used: Mask
+    metamodel: Metamodel, zener: Array, storage_pa: tuple[Array, ...], used: Mask
 ) -> NDArray[np.int64]:
-    """Flags (n,) of springs, storage moduli and the metamodel's limits."""
-    flags = np.zeros(components.shape[1], dtype=np.int64)
+    """Flags (n,) of springs (6, s, n), storage moduli (m, s, n) and the metamodel's limits."""
+    flags = np.zeros(zener.shape[-1], dtype=np.int64)
     measured = used.any(axis=0)
-    zener = _zener(problem.matrices, components)
     for row, flag in _SPRING_FLAGS:
         flags |= np.where(((zener[row] <= 0) & measured).any(axis=0), flag, 0)
-    E, G = (modulus.value_mpa for modulus in _storage_moduli(zener, cents))
+    E, G = storage_pa
     impossible = ~((E > 0) & (G > 0)) & measured
     flags |= np.where(impossible.any(axis=(0, 1)), Flag.STORAGE_MODULUS_NOT_POSITIVE, 0)
-    if isinstance(problem.metamodel, BoundedMetamodel):
-        E_pa, G_pa = np.moveaxis(1e6 * E, 0, -1), np.moveaxis(1e6 * G, 0, -1)
-        outside = ~np.moveaxis(problem.metamodel.within(E_pa, G_pa), -1, 0) & used
+    if isinstance(metamodel, BoundedMetamodel):
+        outside = ~metamodel.within(E, G) & used
         flags |= np.where(outside.any(axis=(0, 1)), Flag.OUTSIDE_METAMODEL, 0)
     return flags
 
 
-def _unknown(used: NDArray[np.int64], count: int) -> PopulationFit:
+def _unknown(observed: Array, count: int) -> PopulationFit:
     """Fits of reeds of which nothing is known yet."""
-    n = len(used)
+    n = len(observed)
     return PopulationFit(
         components=np.full((n, count), np.nan),
         errors=np.full((n, count), np.inf),
         reduced_chi2=np.full(n, np.nan),
         rms_cents=np.full(n, np.nan),
-        used=used,
+        used=np.count_nonzero(~np.isnan(observed), axis=(1, 2)),
+        left_out=np.zeros(observed.shape, dtype=bool),
         flags=np.full(n, int(Flag.TOO_FEW_RESONANCES)),
     )

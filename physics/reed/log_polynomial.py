@@ -6,7 +6,7 @@ shapes; a polynomial goes straight through, up to half their distance away from 
 (`benchmarks.populations` measures both over the population).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -25,6 +25,9 @@ Array = NDArray[np.floating[Any]]
 _EDGE = 1e-9
 # So far off the others, a mode of the vamp has met one that lends it no likeness (X1 meets L1).
 _OTHER_BRANCH_CENTS = 10.0
+# A polynomial this close to a mode follows it: a resonance in a sweep of 25-cent steps is known to
+# 7 cents.
+_FAITHFUL_CENTS = 6.0
 # Columns evaluated at a time: the half dozen arrays of a block stay in the processor's cache.
 _BLOCK = 1024
 
@@ -80,6 +83,22 @@ def _unit(modulus_pa: Array, ends_pa: tuple[float, float]) -> Array:
 
 
 @dataclass(frozen=True)
+class Cells:
+    """Where polynomials follow their modes: the cells of a grid over a box.
+
+    Attributes
+    ----------
+    nodes : (k,) float
+        Ascending, from -1 to 1 or nearly: the grid's lines for either modulus.
+    followed : (m, k - 1, k - 1) bool
+        Of each mode, at the places of ln E_L and ln G_LT.
+    """
+
+    nodes: Array
+    followed: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
 class LogPolynomial:
     """Cents above F6 as Chebyshev polynomials in ln E_L and ln G_LT of limited total degree.
 
@@ -93,11 +112,27 @@ class LogPolynomial:
     coefficients : (m, d + 1, d + 1) float
         Of ``T_i(u) T_j(v)`` in cents, u and v being ln E_L and ln G_LT scaled to -1 … 1 over the
         box; zero where i + j > d.
+    cells : Cells, optional
+        Where in the box the polynomials follow their modes; without, everywhere.
+
+    Raises
+    ------
+    ValueError
+        For cells of another number of modes or lines.
     """
 
     modes: tuple[str, ...]
     box: Box
     coefficients: Array
+    cells: Cells | None = None
+
+    def __post_init__(self) -> None:
+        if self.cells is None:
+            return
+        count = len(self.cells.nodes) - 1
+        expected, found = (len(self.modes), count, count), self.cells.followed.shape
+        if found != expected:
+            raise ValueError(f"cells of shape {found}; {len(self.modes)} modes need {expected}")
 
     @property
     def degree(self) -> int:
@@ -107,6 +142,19 @@ class LogPolynomial:
     def within(self, E_L_pa: Array, G_LT_pa: Array) -> NDArray[np.bool_]:
         """Whether moduli lie where the polynomials were fitted; shapes that broadcast."""
         return self.box.within(E_L_pa, G_LT_pa)
+
+    def follows(self, E_L_pa: Array, G_LT_pa: Array) -> NDArray[np.bool_]:
+        """Whether each polynomial is that of a mode with moduli (..., m), and not half another's.
+
+        Beyond the box as at its nearest edge.
+        """
+        if self.cells is None:
+            return np.ones(np.broadcast_shapes(np.shape(E_L_pa), np.shape(G_LT_pa)), dtype=bool)
+        i, j = (
+            np.clip(np.searchsorted(self.cells.nodes, unit) - 1, 0, len(self.cells.nodes) - 2)
+            for unit in self.box.unit(E_L_pa, G_LT_pa)
+        )
+        return np.asarray(self.cells.followed[np.arange(len(self.modes)), i, j])
 
     def evaluate(self, E_L_pa: Array, G_LT_pa: Array) -> tuple[Array, Array, Array]:
         """See `Metamodel.evaluate`; fastest where all reeds of a mode lie side by side in memory.
@@ -258,15 +306,25 @@ def finite_element_polynomial(
         See `fit_log_polynomial`.
     """
     E, G = network_pa(box, count)
-    cents, likeness = _tabulate(reed, modes, E, G)
+    table, likeness = _tabulate(reed, modes, E, G)
     purest = np.percentile(likeness, 90, axis=0)
-    cents[likeness < least_likeness * purest] = np.nan
+    cents = np.where(likeness < least_likeness * purest, np.nan, table)
     while True:
         polynomial = fit_log_polynomial(modes, E, G, cents, degree, box)
-        off = np.abs(polynomial.evaluate(E[:, None], G[:, None])[0] - cents) > _OTHER_BRANCH_CENTS
-        if not off.any():
-            return polynomial
-        cents[off] = np.nan
+        found = polynomial.evaluate(E[:, None], G[:, None])[0]
+        other_branch = np.abs(found - cents) > _OTHER_BRANCH_CENTS
+        if not other_branch.any():
+            break
+        cents[other_branch] = np.nan
+    # Where a mode is missing nothing follows it: comparisons with NaN are false.
+    return replace(polynomial, cells=_cells(np.abs(found - table) < _FAITHFUL_CENTS, count))
+
+
+def _cells(followed: NDArray[np.bool_], count: int) -> Cells:
+    """Cells all of whose corners (count², m) are followed."""
+    corners = np.moveaxis(followed.reshape(count, count, -1), -1, 0)
+    inside = corners[:, :-1, :-1] & corners[:, 1:, :-1] & corners[:, :-1, 1:] & corners[:, 1:, 1:]
+    return Cells(chebyshev.chebpts1(count), inside)
 
 
 def _tabulate(

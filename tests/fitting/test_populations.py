@@ -1,6 +1,6 @@
 """Fits of populations against canes that are known, scipy, and the fit of single reeds."""
 
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import numpy as np
@@ -362,6 +362,48 @@ def test_moduli_where_the_metamodel_was_not_fitted_are_told_of_observed_modes():
     assert count_flags(fit.flags) == {"OUTSIDE_METAMODEL": 1}
     mean[0, beyond] = np.nan
     assert not fit_population(mean, 1.0, narrow).flags.any()
+
+
+@dataclass(frozen=True)
+class Following:
+    """The paper's formula, which follows F2 only where E_L is above 12 GPa."""
+
+    modes = FORMULA.modes
+
+    def evaluate(self, E_L_pa, G_LT_pa):
+        return FORMULA.evaluate(E_L_pa, G_LT_pa)
+
+    def follows(self, E_L_pa, G_LT_pa):
+        return (E_L_pa > 12e9) | (np.array(self.modes) != "F2")
+
+
+def test_modes_that_are_not_followed_are_left_out_and_told(exact):
+    # Wherever it is observed F2 is wrong, as that of a reed whose modes exchange shapes.
+    noise = 7 * np.random.default_rng(20).standard_normal(exact.shape)
+    observed = exact + noise
+    f2 = FORMULA.modes.index("F2")
+    fit = fit_population(observed, 7.0, Following())
+    without = np.where(fit.left_out, np.nan, observed)
+    assert fit.left_out[..., f2].any(axis=1).sum() > 10
+    assert not fit.left_out[..., f2].all(axis=1).all()
+    assert not np.delete(fit.left_out, f2, axis=2).any()
+    expected = fit_population(without, 7.0, FORMULA)
+    for name in ("components", "errors", "reduced_chi2", "rms_cents", "used"):
+        assert np.array_equal(getattr(fit, name), getattr(expected, name))
+    left_out = fit.left_out.any(axis=(1, 2))
+    assert ((fit.flags & Flag.MODES_LEFT_OUT) != 0).tolist() == left_out.tolist()
+
+
+def test_what_is_left_without_them_may_be_too_little(exact):
+    observed = np.full((1, 1, 11), np.nan)
+    kept = [FORMULA.modes.index(name) for name in ("F1", "T1", "F2", "X1")]
+    # E_L of this reed lies below 12 GPa at F2.
+    softest = np.argmin(exact[:, 0, 0])
+    observed[0, 0, kept] = exact[softest, 0, kept]
+    fit = fit_population(observed, 7.0, Following())
+    assert Flag(int(fit.flags[0])) == Flag.TOO_FEW_RESONANCES | Flag.MODES_LEFT_OUT
+    assert np.isnan(fit.components).all()
+    assert fit.used.tolist() == [3]
 
 
 def test_a_formula_without_limits_has_no_outside(exact):

@@ -7,6 +7,7 @@ from numpy.polynomial import chebyshev
 from physics.reed.log_polynomial import (
     REED_BOX,
     Box,
+    Cells,
     LogPolynomial,
     finite_element_polynomial,
     fit_log_polynomial,
@@ -249,6 +250,52 @@ def test_modes_that_cross_others_are_followed_to_half_a_cent_but_where_they_do(d
 def test_modes_that_lie_near_others_are_followed_to_a_few_cents(deviations, mode):
     # X1 is hardly anywhere far from L1, nor F2 from T2 where the cane is soft in shear.
     assert np.nanpercentile(np.abs(deviations[mode]), 75) < 4
+
+
+def test_where_a_polynomial_is_said_to_follow_its_mode_it_does(coarse_reed, of_coarse_reed):
+    E, G = random_moduli(np.random.default_rng(10), 150, Box((8e9, 20e9), (0.5e9, 1.9e9)))
+    said = of_coarse_reed.follows(E[:, None], G[:, None])
+    found = of_coarse_reed.evaluate(E[:, None], G[:, None])[0]
+    off, missing = np.zeros(found.shape), np.zeros(found.shape, dtype=bool)
+    for n, material in enumerate(zip(E, G, strict=True)):
+        modes = elastic_modes(coarse_reed, *map(float, material))
+        for m, name in enumerate(of_coarse_reed.modes):
+            missing[n, m] = name not in modes
+            if not missing[n, m]:
+                cents = 1200 * np.log2(modes[name].frequency_hz / REFERENCE_HZ)
+                off[n, m] = abs(found[n, m] - cents)
+    # Between the corners of a cell a crossing may just begin.
+    assert np.percentile(off[said], 99.5) < 12
+    assert not missing[said].any()
+    # Where nothing is promised much is indeed wrong, and where nothing is wrong much is promised.
+    assert np.median(off[~said & ~missing]) > 8
+    assert np.mean(said[(off < 1) & ~missing]) > 0.8
+
+
+def test_cells_are_looked_up_by_mode_and_by_both_moduli():
+    followed = np.zeros((2, 2, 3), dtype=bool)
+    followed[0, 1, 0] = followed[1, 0, 2] = True
+    with pytest.raises(ValueError, match="cells"):
+        LogPolynomial(MODES, BOX, np.zeros((3, 2, 2)), Cells(np.linspace(-1, 1, 3), followed))
+    followed = np.zeros((3, 2, 2), dtype=bool)
+    followed[0, 1, 0] = followed[2, 0, 1] = True
+    cells = Cells(np.linspace(-1, 1, 3), followed)
+    polynomial = LogPolynomial(MODES, BOX, np.zeros((3, 2, 2)), cells)
+    (soft, stiff), (limp, rigid) = (
+        (1.01 * low, 0.99 * high) for low, high in (BOX.E_L_pa, BOX.G_LT_pa)
+    )
+    assert polynomial.follows([[stiff]], [[limp]]).tolist() == [[True, False, False]]
+    assert polynomial.follows([[soft]], [[rigid]]).tolist() == [[False, False, True]]
+    # Beyond the box as at its edge.
+    far = polynomial.follows([[10 * stiff] * 3, [soft] * 3], [[0.1 * limp] * 3, [rigid] * 3])
+    assert far.tolist() == [[True, False, False], [False, False, True]]
+
+
+def test_without_cells_a_polynomial_is_followed_everywhere():
+    polynomial = LogPolynomial(MODES, BOX, np.zeros((3, 2, 2)))
+    assert (
+        polynomial.follows(np.full((4, 3), 1e9), np.full((4, 1), 1e9)).tolist() == [[True] * 3] * 4
+    )
 
 
 def test_the_box_of_a_reed_is_that_of_its_basis(of_coarse_reed):

@@ -404,11 +404,20 @@ def population(
     out: Annotated[
         Path | None, typer.Option(help="Components of every reed; beside SOURCE if not given.")
     ] = None,
+    kind: Annotated[
+        str | None,
+        typer.Option(
+            help="Of a table: reed file, or a shipped reed's name; clarinet if not given. "
+            "Run files say it themselves."
+        ),
+    ] = None,
     model: ModelOption = "fem",
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
     """Fit the cane of many reeds: components with errors for each, and their spread."""
+    from acquire.reed_file import DEFAULT_REED, ReedFile
+    from fitting.errors import FitInputError
     from fitting.fit import model_name
     from fitting.population_table import (
         fit_table,
@@ -419,16 +428,19 @@ def population(
     )
 
     forward, table, files = model_name(model), source, {}
+    reed = ReedFile.from_file(kind or DEFAULT_REED)
     if source.is_dir():
         table = files["resonances"] = source / "resonances.csv"
     out = files["components"] = out or table.with_name(f"{table.stem}-components.csv")
     if source.is_dir():
-        write_resonances(source, table, _tell)
+        if kind:
+            raise FitInputError("--kind: run files say which reed they measured; leave it out")
+        reed = write_resonances(source, table, _tell)
     words = _words()
     with opened_table(out) as file, words.status("fitting") as status:
         summary = fit_table(
             table,
-            metamodel_of(forward, _tell),
+            metamodel_of(forward, reed, _tell),
             file,
             lambda reeds: status.update(f"{reeds} reeds fitted"),
         )

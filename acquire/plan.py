@@ -18,12 +18,18 @@ from acquire.lock import (
 )
 from acquire.protocol import Protocol, Ramp, Sweep
 from acquire.quantities import exact_decimal
+from acquire.reed_file import ReedFile
+from drivers.roles import Preparation
 from holography.demodulation import carrier_leak
 from holography.fresnel import FresnelTransform
-from holography.region import Region, region_from_metres
+from holography.region import Region
+from physics.optics import Layout, reed_region, visible_size_m
 
 _BYTES_PER_HOLOGRAM_PIXEL: Final = 8  # complex64
 _BYTES_PER_FRAME_PIXEL: Final = 2  # uint16
+
+# Part of the view, to either side of the axis, in which a reed's image may lie.
+_VIEW_SHARE: Final = 0.45
 
 _MICRO: Final = Decimal("1e-6")
 # Decimal powers are correctly rounded, so a plan is the same on every machine; those of floats
@@ -110,6 +116,8 @@ class Plan:
     Attributes
     ----------
     protocol : Protocol
+    reed : ReedFile
+        Kind of reed that the protocol is for.
     bench : BenchFile
     steps : tuple of Step
         In the order of the sweep.
@@ -118,6 +126,7 @@ class Plan:
     """
 
     protocol: Protocol
+    reed: ReedFile
     bench: BenchFile
     steps: tuple[Step, ...]
     violations: tuple[Violation, ...]
@@ -130,7 +139,19 @@ class Plan:
     @property
     def region(self) -> Region:
         """Part of the reconstructed image that holds the reed."""
-        return reed_region(self.protocol, self.bench)
+        return reed_region(self.layout, object_transform(self.protocol, self.bench))
+
+    @property
+    def layout(self) -> Layout:
+        """Where the reed stands before the sensor."""
+        return layout_of(self.bench, self.reed)
+
+    def preparation(self, reed: str) -> Preparation:
+        """What stands on the bench when this plan is run on the reed of a name."""
+        protocol = self.protocol
+        return Preparation(
+            reed, protocol.series, protocol.chamber, self.reed.geometry(), self.reed.constants()
+        )
 
     @property
     def duration_s(self) -> float:
@@ -167,6 +188,7 @@ class Plan:
         """Return the plan as plain values with stable keys; exact frequencies are strings."""
         return {
             "protocol": self.protocol.name,
+            "reed": self.reed.name,
             "bench": self.bench.name,
             "steps": [step.to_json() for step in self.steps],
             "duration_s": self.duration_s,
@@ -190,9 +212,16 @@ def make_plan(protocol: Protocol, bench: BenchFile) -> Plan:
     Plan
         Complete even if the bench cannot do it: then `Plan.violations` holds every reason, and
         `Plan.require_possible` raises.
+
+    Raises
+    ------
+    ProtocolError
+        If the file of the protocol's reed is wrong.
     """
+    reed = protocol.reed_file()
     steps = tuple(_step(protocol, bench, index) for index in protocol.sweep.indices)
-    return Plan(protocol, bench, steps, tuple(_violations(protocol, bench, steps)))
+    violations = *_violations(protocol, bench, steps), *_view_violations(bench, reed)
+    return Plan(protocol, reed, bench, steps, violations)
 
 
 def sweep_frequency_hz(sweep: Sweep, index: int) -> Fraction:
@@ -241,31 +270,27 @@ def frame_shape(protocol: Protocol, bench: BenchFile) -> tuple[int, int]:
     return (asked.height or sensor.height, asked.width or sensor.width)
 
 
-def reed_region(protocol: Protocol, bench: BenchFile) -> Region:
-    """Return the part of the reconstructed image that holds the reed.
-
-    Parameters
-    ----------
-    protocol : Protocol
-        Its camera section says which part of the sensor is used.
-    bench : BenchFile
-        Its optics say where the reed stands.
-
-    Returns
-    -------
-    Region
-        In pixels of the object image, whose axis is at ``(ny//2, nx//2)``.
-    """
-    optics = bench.optics
-    transform = FresnelTransform(
+def object_transform(protocol: Protocol, bench: BenchFile) -> FresnelTransform:
+    """Transform between the part of the sensor that a protocol uses and the object plane."""
+    return FresnelTransform(
         shape=frame_shape(protocol, bench),
         pixel_m=float(bench.instruments.camera.pixel_m),
+        wavelength_m=float(bench.optics.wavelength_m),
+        distance_m=float(bench.optics.distance_m),
+    )
+
+
+def layout_of(bench: BenchFile, reed: ReedFile) -> Layout:
+    """Return where the reed stands before the sensor, and how much of its image is kept."""
+    optics, size = bench.optics, bench.optics.reed_size
+    return Layout(
         wavelength_m=float(optics.wavelength_m),
         distance_m=float(optics.distance_m),
+        reed_centre_m=(float(optics.reed_centre.y_m), float(optics.reed_centre.x_m)),
+        reed_size_m=(
+            (float(size.y_m), float(size.x_m)) if size else visible_size_m(reed.geometry())
+        ),
     )
-    centre_m = (float(optics.reed_centre.y_m), float(optics.reed_centre.x_m))
-    size_m = (float(optics.reed_size.y_m), float(optics.reed_size.x_m))
-    return region_from_metres(centre_m, size_m, transform)
 
 
 def _decimal(value: Fraction) -> Decimal:
@@ -384,6 +409,21 @@ def _camera_violations(protocol: Protocol, bench: BenchFile) -> Iterator[Violati
     ):
         if asked is not None and asked > size:
             yield Violation(key, f"{asked} pixels are more than the sensor's; write at most {size}")
+
+
+def _view_violations(bench: BenchFile, reed: ReedFile) -> Iterator[Violation]:
+    optics, layout = bench.optics, layout_of(bench, reed)
+    view_m = float(optics.wavelength_m * optics.distance_m / bench.instruments.camera.pixel_m)
+    for axis, centre_m, size_m in zip("yx", layout.reed_centre_m, layout.reed_size_m, strict=True):
+        edge_m = abs(centre_m) + size_m / 2
+        # A margin of 5 % of the view, so that the region also fits on a coarser image.
+        if edge_m > _VIEW_SHARE * view_m:
+            yield Violation(
+                "reed",
+                f"the image of the {reed.name} reed reaches {edge_m:.4g} m from the axis in "
+                f"{axis}, but the view is {view_m:.4g} m wide; move optics.reed_centre or raise "
+                f"optics.distance in bench file {bench.source}",
+            )
 
 
 def _lock_violations(

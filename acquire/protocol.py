@@ -3,12 +3,16 @@
 from fractions import Fraction
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
 from acquire.description import Description, Section, find_description, shipped_files
+from acquire.errors import ProtocolError
 from acquire.quantities import Angle, Frequency, Interval, Time, Voltage
+
+if TYPE_CHECKING:
+    from acquire.reed_file import ReedFile
 
 
 class Sweep(Section):
@@ -114,6 +118,9 @@ class Protocol(Description):
         Series that the sweep belongs to, such as A or B.
     chamber : {'asymmetric', 'symmetric'}
         Excitation chamber: its right half filled (series A) or empty (series B).
+    reed : str
+        Kind of reed that is measured: a reed file (beside the protocol, or from where the program
+        is started), or the name of a shipped one. See `reed_file`.
     sweep, drive, sideband, camera, tolerance
         Sections, see their classes.
     settle_s : Fraction
@@ -128,6 +135,7 @@ class Protocol(Description):
     name: Annotated[str, Field(min_length=1, max_length=80)]
     series: Annotated[str, Field(min_length=1, max_length=40)]
     chamber: Literal["asymmetric", "symmetric"]
+    reed: Annotated[str, Field(min_length=1, max_length=255)] = "clarinet"
     sweep: Sweep
     drive: Drive
     sideband: Sideband = Sideband()
@@ -140,6 +148,31 @@ class Protocol(Description):
     def exposure_s(self) -> Fraction:
         """Exposure of one frame: as asked, or a whole frame period."""
         return self.camera.exposure_s or self.camera.period_s
+
+    def reed_file(self) -> "ReedFile":
+        """Read the file of the reed that this protocol is for.
+
+        Raises
+        ------
+        ProtocolError
+            If there is no such file or anything in it is wrong, or the reed is uneven.
+        """
+        # Not with the module: a protocol is read without the libraries that compute reeds.
+        from acquire.reed_file import ReedFile
+        from physics.reed.geometry import is_even
+
+        beside = Path(self.source).parent / self.reed
+        try:
+            reed = ReedFile.from_file(beside if beside.is_file() else self.reed)
+        except ProtocolError as error:
+            raise self.error("reed", str(error)) from None
+        if not is_even(reed.geometry()):
+            raise self.error(
+                "reed",
+                f"{self.reed} has a thickness map with two different sides, and runs are fitted "
+                "with even reeds only; give each y and -y the mean of their deviations",
+            )
+        return reed
 
 
 def find_protocol(name_or_path: str | Path) -> Traversable:

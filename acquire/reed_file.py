@@ -241,6 +241,11 @@ class ReedFile(Description):
             return constants
         return at_frequency(constants, viscoelastic, frequency_hz)
 
+    def constants(self) -> Cane:
+        """Elastic constants and density without E_L and G_LT, which are the reference's."""
+        reference = Cane()
+        return replace(self.cane(), E_L_pa=reference.E_L_pa, G_LT_pa=reference.G_LT_pa)
+
     def viscoelastic(self) -> ViscoelasticCane | None:
         """Zener moduli under the reed's conditions; None if its moduli are fixed."""
         section = self.material.viscoelastic

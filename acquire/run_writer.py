@@ -35,7 +35,7 @@ from acquire.run_layout import (
     short_reason,
 )
 from drivers.roles import Bench, Frame
-from physics.optics import Layout, reed_axes_m
+from physics.optics import reed_axes_m
 
 _VERDICT_BYTES: Final = 16
 _SENTENCE_BYTES: Final = 240
@@ -251,6 +251,8 @@ def _write_entry(file: Any, plan: Plan, bench: Bench, labels: RunLabels, uid: st
     origin = _group(entry, "provenance", "NXcollection")
     _put(origin, "protocol", protocol.text)
     _put(origin, "protocol_sha256", protocol.sha256)
+    _put(origin, "reed", plan.reed.text)
+    _put(origin, "reed_sha256", plan.reed.sha256)
     _put(origin, "bench", plan.bench.text)
     _put(origin, "bench_fingerprint", bench.fingerprint)
     _put(origin, "git_revision", git_revision() or "")
@@ -303,7 +305,7 @@ def _write_steps(entry: Any, plan: Plan) -> None:
 
 def _write_data(entry: Any, plan: Plan, reconstruction: Reconstruction) -> None:
     region, transform = reconstruction.region, reconstruction.transform
-    y_m, x_m = reed_axes_m(_layout(plan), region, transform)
+    y_m, x_m = reed_axes_m(plan.layout, region, transform)
     data = _group(entry, "data", "NXdata")
     # Soft, so that the axis is stored once.
     data["drive_hz"] = h5py.SoftLink("/entry/steps/drive_hz")
@@ -327,16 +329,6 @@ def _write_data(entry: Any, plan: Plan, reconstruction: Reconstruction) -> None:
     data.create_dataset(
         name, (count, *step_shape), dtype, chunks=(1, *step_shape), dcpl=early, fill_time="never"
     ).attrs["units"] = "dn"
-
-
-def _layout(plan: Plan) -> Layout:
-    optics = plan.bench.optics
-    return Layout(
-        wavelength_m=float(optics.wavelength_m),
-        distance_m=float(optics.distance_m),
-        reed_centre_m=(float(optics.reed_centre.y_m), float(optics.reed_centre.x_m)),
-        reed_size_m=(float(optics.reed_size.y_m), float(optics.reed_size.x_m)),
-    )
 
 
 def _group(parent: Any, name: str, kind: str) -> Any:

@@ -12,9 +12,10 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from acquire.errors import RunFileError
+from acquire.errors import ProtocolError, RunFileError
 from acquire.quality import Verdict
 from acquire.reconstruction import Reconstruction
+from acquire.reed_file import ReedFile
 from acquire.run_layout import (
     FORMAT,
     FORMAT_VERSION,
@@ -101,6 +102,8 @@ class Run:
     status : {'running', 'complete', 'interrupted', 'failed'}
         ``running`` also stands in the file of a run that was killed.
     reed, series, chamber : str
+    reed_text : str or None
+        Description of the kind of reed, see `reed_file`.
     labels : RunLabels
     bench_name, bench_fingerprint, bench_text, protocol_text, protocol_sha256 : str
     identities : dict
@@ -168,6 +171,21 @@ class Run:
         except BaseException:
             file.close()
             raise
+
+    def reed_file(self) -> ReedFile:
+        """Kind of reed that was measured.
+
+        Raises
+        ------
+        RunFileError
+            If this software does not understand the description that the run carries.
+        """
+        if self.reed_text is None:
+            return ReedFile.from_file()
+        try:
+            return ReedFile.from_text(self.reed_text, f"{self.path}: reed")
+        except ProtocolError as error:
+            raise RunFileError(f"{error}; this software does not understand that reed") from None
 
     @property
     def region(self) -> Region:
@@ -269,6 +287,8 @@ class Run:
     def _read_provenance(self, origin: Any) -> None:
         self.protocol_text = _string(origin, "protocol")
         self.protocol_sha256 = _string(origin, "protocol_sha256")
+        # Runs that do not say which reed they measured are of the time of one kind of reed.
+        self.reed_text = _string(origin, "reed") if "reed" in origin else None
         self.bench_text = _string(origin, "bench")
         self.bench_fingerprint = _string(origin, "bench_fingerprint")
         self.git_revision = _string(origin, "git_revision")

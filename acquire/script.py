@@ -14,7 +14,6 @@ from acquire.runfile import RunLabels
 from acquire.runner import RunSummary
 from acquire.runner import run as measure
 from drivers.registry import open_bench
-from drivers.roles import Preparation
 
 
 def load(name_or_path: str | Path) -> Protocol:
@@ -74,10 +73,8 @@ def run(
         See `acquire.runner.run`.
     """
     plan.require_possible()
-    path, protocol = Path(path), plan.protocol
+    path = Path(path)
     make_folder(path)
     require_writable(plan, path)
-    with open_bench(
-        plan.bench, Preparation(reed, protocol.series, protocol.chamber), seed, announce
-    ) as bench:
+    with open_bench(plan.bench, plan.preparation(reed), seed, announce) as bench:
         return measure(plan, bench, path, labels, progress)

@@ -5,7 +5,7 @@ the result is compared with what the twin was made of: eigenfrequencies from the
 with the moduli of each mode's own frequency, components as drawn from N(0, 1).
 
     python -m benchmarks.recovery [--reeds N] [--first K] [--protocol NAME]
-                                  [--loss-factor X] [--json]
+                                  [--kind REED] [--loss-factor X] [--json]
 """
 
 import argparse
@@ -23,13 +23,12 @@ import numpy as np
 from acquire.bench_file import BenchFile
 from acquire.plan import Plan, make_plan
 from acquire.protocol import Protocol
+from acquire.reed_file import ReedFile
 from acquire.runner import run
 from drivers.registry import open_bench
-from drivers.roles import Preparation
 from drivers.simulated.twin import cane_of
 from fitting.fit import ReedFit, fit_runs
-from fitting.forward import finite_element_model, hz_of, viscoelastic_cents
-from physics.reed.cache import reduced_reed
+from fitting.forward import basis_of, finite_element_model, hz_of, viscoelastic_cents
 from physics.reed.response import viscoelastic_mode
 from physics.reed.viscoelastic import Series, viscoelastic_cane
 
@@ -54,9 +53,12 @@ class Recovery:
     fit_s: float
 
 
-def true_frequencies_hz(reed: str, series: Series) -> dict[str, float]:
+def true_frequencies_hz(
+    reed: str, series: Series, kind: ReedFile | None = None
+) -> dict[str, float]:
     """Eigenfrequencies of a simulated reed by name, without those whose name does not settle."""
-    basis, cane = reduced_reed(), viscoelastic_cane(cane_of(reed), series)
+    basis = basis_of(kind or ReedFile.from_file())
+    cane = viscoelastic_cane(cane_of(reed), series)
     model = finite_element_model(basis)
     starts = hz_of(viscoelastic_cents(model, cane, series))
     answer = {}
@@ -70,23 +72,23 @@ def true_frequencies_hz(reed: str, series: Series) -> dict[str, float]:
 
 def recover(reed: str, plan: Plan, seed: int, folder: Path) -> Recovery:
     """Measure and fit one reed."""
-    protocol, path = plan.protocol, folder / f"{reed}.h5"
-    preparation = Preparation(reed, protocol.series, protocol.chamber)
+    path = folder / f"{reed}.h5"
     start_s = time.perf_counter()
-    with open_bench(plan.bench, preparation, seed) as bench:
+    with open_bench(plan.bench, plan.preparation(reed), seed) as bench:
         if run(plan, bench, path).status != "complete":
             raise SystemExit("interrupted")
     swept_s = time.perf_counter()
     fit = fit_runs([path])
     fitted_s = time.perf_counter()
     path.unlink()
-    return compare(reed, fit, protocol.series, swept_s - start_s, fitted_s - swept_s)
+    return compare(reed, fit, swept_s - start_s, fitted_s - swept_s)
 
 
-def compare(reed: str, fit: ReedFit, series: str, sweep_s: float, fit_s: float) -> Recovery:
+def compare(reed: str, fit: ReedFit, sweep_s: float, fit_s: float) -> Recovery:
     """Set a fit beside the truth."""
-    true_hz, found = true_frequencies_hz(reed, Series(series)), fit.sweeps[0].resonances
-    cane = cane_of(reed)
+    (sweep,) = fit.sweeps
+    true_hz = true_frequencies_hz(reed, Series(sweep.series), sweep.reed_file)
+    found, cane = sweep.resonances, cane_of(reed)
     parameters = fit.parameters
     both = [name for name in found if name in true_hz]
     return Recovery(
@@ -138,16 +140,18 @@ def summary(recoveries: Sequence[Recovery]) -> dict[str, Any]:
     }
 
 
-def benchmark(reeds: int, first: int, protocol: str, loss_factor: float) -> dict[str, Any]:
+def benchmark(
+    reeds: int, first: int, protocol: str, kind: str, loss_factor: float
+) -> dict[str, Any]:
     """Recover a number of reeds; the result is what ``--json`` prints."""
     bench = BenchFile.from_file().replace({"twin": {"loss_factor": loss_factor}})
-    plan = make_plan(Protocol.from_file(protocol), bench)
+    plan = make_plan(Protocol.from_file(protocol).replace(reed=kind), bench)
     recoveries = []
     with tempfile.TemporaryDirectory() as folder:
         for number in range(first, first + reeds):
             recoveries.append(recover(f"recovery-{number:02d}", plan, number, Path(folder)))
             print(_line(recoveries[-1]), file=sys.stderr, flush=True)
-    settings = {"first": first, "protocol": protocol, "loss_factor": loss_factor}
+    settings = {"first": first, "protocol": protocol, "kind": kind, "loss_factor": loss_factor}
     return settings | summary(recoveries)
 
 
@@ -163,7 +167,7 @@ def _line(r: Recovery) -> str:
 
 def print_report(report: dict[str, Any]) -> None:
     """Print a benchmark for people."""
-    which = f"{report['reeds']} reeds from {report['first']}, {report['protocol']}"
+    which = f"{report['reeds']} {report['kind']} reeds from {report['first']}, {report['protocol']}"
     print(f"{which}, loss factor {report['loss_factor']}")
     print(f"{'mode':5} {'named right':>12} {'rms cents':>10} {'mean cents':>11}")
     for name, row in report["modes"].items():
@@ -188,10 +192,17 @@ def main() -> None:
     parser.add_argument("--reeds", type=int, default=40)
     parser.add_argument("--first", type=int, default=0, help="number of the first reed")
     parser.add_argument("--protocol", default="seriesA")
+    parser.add_argument("--kind", default="clarinet", help="reed file, or a shipped reed's name")
     parser.add_argument("--loss-factor", type=float, default=0.03)
     parser.add_argument("--json", action="store_true", help="print one JSON object instead")
     arguments = parser.parse_args()
-    report = benchmark(arguments.reeds, arguments.first, arguments.protocol, arguments.loss_factor)
+    report = benchmark(
+        arguments.reeds,
+        arguments.first,
+        arguments.protocol,
+        arguments.kind,
+        arguments.loss_factor,
+    )
     if arguments.json:
         print(json.dumps(report, indent=2))
     else:

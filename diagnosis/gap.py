@@ -13,11 +13,10 @@ from scipy.optimize import minimize_scalar
 
 from fitting.errors import FitError
 from fitting.fit import ReedFit
-from fitting.forward import ForwardModel, finite_element_model
+from fitting.forward import ForwardModel, basis_of, finite_element_model
 from fitting.reedfit import ReedParameters, fit_components
 from physics.effects.air_load import air_load_cents
 from physics.reed.basis import ReducedReed
-from physics.reed.cache import reduced_reed
 from physics.reed.response import elastic_modes
 from physics.reed.viscoelastic import Series
 
@@ -112,6 +111,10 @@ class ShiftedModel:
         """Iterations of the base."""
         return self.base.iterations
 
+    def start_hz(self, series: Series) -> Array:
+        """Start of the base."""
+        return self.base.start_hz(series)
+
     def elastic_cents(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
         """Cents of the base, shifted."""
         return self.base.elastic_cents(E_L_pa, G_LT_pa) + self.shift_cents
@@ -131,7 +134,7 @@ def diagnose(fit: ReedFit, announce: Callable[[str], None] | None = None) -> Dia
     """
     if fit.parameters is None:
         raise FitError(f"nothing to compare the twin with: {fit.reason}")
-    reed = reduced_reed(announce=announce)
+    reed = basis_of(fit.sweeps[0].reed_file, announce)
     model = finite_element_model(reed)
     found = {Series(sweep.series): sweep.resonances for sweep in fit.sweeps}
     nominal = fit_components(found, model)

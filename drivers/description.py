@@ -128,8 +128,8 @@ class OpticsDescription(Protocol):
         ...
 
     @property
-    def reed_size(self) -> Place:
-        """Of the rectangle around the visible reed."""
+    def reed_size(self) -> Place | None:
+        """Of the rectangle around the visible reed; None if it is that of the reed itself."""
         ...
 
 

@@ -9,10 +9,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from types import TracebackType
-from typing import Literal, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from physics.reed.geometry import ReedGeometry
+    from physics.reed.material import Cane
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,11 +229,18 @@ class Preparation:
         Series of measurements; the reed of series B is dried.
     chamber : {'asymmetric', 'symmetric'}
         Whether the right half of the mouthpiece's chamber is filled.
+    geometry : ReedGeometry or None
+        Shape and clamp of reeds of this kind; the paper's clarinet reed if None.
+    constants : Cane or None
+        Elastic constants and density that all reeds of this kind share, all but E_L and G_LT; the
+        paper's reference material if None.
     """
 
     reed: str
     series: str
     chamber: Literal["asymmetric", "symmetric"]
+    geometry: "ReedGeometry | None" = None
+    constants: "Cane | None" = None
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from acquire.runfile import Run, StepRecord
-from fitting.fit import SHAPE_NAMES, SweepFit
+from fitting.fit import SweepFit
 from fitting.picking import Resonance
 from holography.fringes import block_mean
 
@@ -150,7 +150,9 @@ def response_plot(sweep: SweepFit, acoustic_lines_hz: Sequence[float]) -> Figure
     for place, (name, found) in enumerate(sweep.resonances.items()):
         near = np.abs(np.log2(hz / found.frequency_hz)) < _SHOWN_OCTAVES
         colour = _DARK_COLOUR[name[0]]
-        axes.plot(hz[near], amplitude[near, SHAPE_NAMES.index(name)], color=colour, linewidth=1)
+        axes.plot(
+            hz[near], amplitude[near, sweep.shape_names.index(name)], color=colour, linewidth=1
+        )
         axes.plot(found.frequency_hz, found.amplitude_rad, "o", color=colour, markersize=5)
         axes.annotate(
             f"{name}\n{found.frequency_hz:.0f} Hz",

@@ -1,7 +1,7 @@
 """From run files to a reed's parameters: what `acquire fit` does."""
 
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -9,27 +9,34 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from acquire.reed_file import ReedFile
 from acquire.runfile import Run
 from fitting.errors import FitError, FitInputError
-from fitting.forward import ForwardModel, PaperModel, cents_of, finite_element_model
+from fitting.forward import ForwardModel, PaperModel, basis_of, cents_of, finite_element_model
 from fitting.fringes import Fringes, count_fringes, misfit_without
-from fitting.paper import MEAN_HZ
 from fitting.picking import Resonance, likely_components, pick_resonances
 from fitting.pictures import Pictures, read_pictures
-from fitting.reedfit import ReedParameters, fit_components
+from fitting.reedfit import QUOTED_HZ, ReedParameters, fit_components
 from physics.reed.basis import ReducedReed
-from physics.reed.cache import reduced_reed
+from physics.reed.geometry import ReedGeometry
 from physics.reed.names import PAPER_MODES
-from physics.reed.response import Mode, viscoelastic_mode
+from physics.reed.response import Mode, elastic_modes, viscoelastic_mode
 from physics.reed.surface import surface_shapes
-from physics.reed.viscoelastic import Components, Series, ViscoelasticCane, viscoelastic_cane
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    ViscoelasticCane,
+    storage_modulus_pa,
+    viscoelastic_cane,
+)
 
 Float = NDArray[np.float32]
 ModelName = Literal["fem", "paper"]
 MODELS: tuple[ModelName, ...] = ("fem", "paper")
 
-# Shapes that pictures are made of: the paper's modes and the next ones up to 20 kHz.
-SHAPE_NAMES = (*PAPER_MODES, "T5", "X4", "X5", "X6")
+# Shapes that pictures are made of: the modes of the vamp up to this frequency.
+_HIGHEST_HZ = 20e3
+_VAMP_CLASSES = "FTX"
 # A picture needs a shape if its misfit without it grows by more than this, as the median with its
 # neighbours. On the twin, modes that are there give 2 to 500, modes that are not 0.9 to 1.1.
 _NEEDED = 1.5
@@ -40,12 +47,6 @@ _BESIDE_CENTS = 40.0
 _TELLING_MODES = 4
 # The mean of the population, and about where its modes lie.
 _MIDDLING = viscoelastic_cane(Components(), Series.A)
-_NEAR_HZ = {name: hz for name, (hz, _) in MEAN_HZ.items()} | {
-    "T5": 17e3,
-    "X4": 17.5e3,
-    "X5": 18e3,
-    "X6": 19e3,
-}
 
 
 @dataclass(frozen=True)
@@ -56,18 +57,24 @@ class SweepFit:
     ----------
     path : Path
     reed, series : str
+    reed_file : ReedFile
+        Kind of reed.
     resonances : dict
         Found modes by name, in order of frequency.
     pictures : Pictures
+    shape_names : tuple of str
+        Modes that the pictures are made of.
     fringes : Fringes
-        Amplitudes of `SHAPE_NAMES` in every picture.
+        Amplitudes of `shape_names` in every picture.
     """
 
     path: Path
     reed: str
     series: str
+    reed_file: ReedFile
     resonances: dict[str, Resonance]
     pictures: Pictures
+    shape_names: tuple[str, ...]
     fringes: Fringes
 
 
@@ -136,29 +143,55 @@ def model_name(name: str) -> ModelName:
     raise FitInputError(f"there is no forward model {name!r}; choose one of {', '.join(MODELS)}")
 
 
-def mode_shapes(reed: ReducedReed, pictures: Pictures, cane: ViscoelasticCane = _MIDDLING) -> Float:
-    """Deflections (n, m) of `SHAPE_NAMES` at a run's points, largest magnitude 1.
+def middling_modes(reed: ReducedReed) -> dict[str, Mode]:
+    """Modes of the vamp below 20 kHz of a reed of middling cane: the paper's, then the others.
 
-    Each mode has the storage moduli of its own frequency.
+    Each has the storage moduli of its own frequency.
+    """
+    E, G = (
+        float(storage_modulus_pa(z, QUOTED_HZ)) for z in (_MIDDLING.young_L, _MIDDLING.shear_LT)
+    )
+    settled = {}
+    for name, mode in elastic_modes(reed, E, G).items():
+        if name[0] not in _VAMP_CLASSES:
+            continue
+        with suppress(ValueError):
+            settled[name] = viscoelastic_mode(reed, _MIDDLING, name, mode.frequency_hz)
+    others = sorted(
+        (name for name in settled if name not in PAPER_MODES),
+        key=lambda name: settled[name].frequency_hz,
+    )
+    ordered = [*(name for name in PAPER_MODES if name in settled), *others]
+    return {name: settled[name] for name in ordered if settled[name].frequency_hz < _HIGHEST_HZ}
+
+
+def mode_shapes(
+    reed: ReducedReed,
+    pictures: Pictures,
+    middling: Mapping[str, Mode],
+    cane: ViscoelasticCane | None = None,
+) -> Float:
+    """Deflections (n, m) of modes at a run's points, largest magnitude 1.
+
+    Parameters
+    ----------
+    reed : ReducedReed
+    pictures : Pictures
+    middling : mapping
+        The m modes, see `middling_modes`.
+    cane : ViscoelasticCane, optional
+        Whose modes of these names are taken, where it has them.
     """
     surface = surface_shapes(reed, pictures.x_m, pictures.y_m)
     columns = []
-    for name in SHAPE_NAMES:
-        mode = _settled_mode(reed, cane, name)
+    for name, mode in middling.items():
+        if cane is not None:
+            with suppress(ValueError):
+                mode = viscoelastic_mode(reed, cane, name, mode.frequency_hz)
         columns.append(surface[mode.symmetry] @ mode.coordinates.astype(np.float32))
     shapes = np.stack(columns, axis=1)
     normalised: Float = (shapes / np.abs(shapes).max(axis=0)).astype(np.float32)
     return normalised
-
-
-def _settled_mode(reed: ReducedReed, cane: ViscoelasticCane, name: str) -> Mode:
-    """Mode of a cane; of the middling cane if this one has none of that name."""
-    for candidate in (cane, _MIDDLING):
-        try:
-            return viscoelastic_mode(reed, candidate, name, _NEAR_HZ[name])
-        except ValueError:
-            continue
-    raise ValueError(f"not even a middling reed has a mode {name}")
 
 
 def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
@@ -173,19 +206,20 @@ def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
         If too few pictures are good, or no mode is found in them.
     """
     pictures, series = read_pictures(run), Series.B if run.series == "B" else Series.A
-    shapes = mode_shapes(reed, pictures)
+    middling = middling_modes(reed)
+    names = tuple(middling)
+    shapes = mode_shapes(reed, pictures, middling)
     fringes = count_fringes(pictures.brightness, shapes)
-    found = _pick(pictures, shapes, fringes, model, series, run.acoustic_lines_hz)
+    found = _pick(pictures, names, shapes, fringes, model, series, run.acoustic_lines_hz)
+    if len(found) >= _TELLING_MODES:
+        shapes = mode_shapes(reed, pictures, middling, _suggested_cane(found, model, series))
+        fringes = count_fringes(pictures.brightness, shapes, fringes)
+        found = _pick(pictures, names, shapes, fringes, model, series, run.acoustic_lines_hz)
     if not found:
         raise _nothing_shows(run, pictures)
-    if len(found) < _TELLING_MODES:
-        return SweepFit(run.path, run.reed, run.series, found, pictures, fringes)
-    shapes = mode_shapes(reed, pictures, _suggested_cane(found, model, series))
-    fringes = count_fringes(pictures.brightness, shapes, fringes)
-    found = _pick(pictures, shapes, fringes, model, series, run.acoustic_lines_hz)
-    if not found:
-        raise _nothing_shows(run, pictures)
-    return SweepFit(run.path, run.reed, run.series, found, pictures, fringes)
+    return SweepFit(
+        run.path, run.reed, run.series, run.reed_file(), found, pictures, names, fringes
+    )
 
 
 def _suggested_cane(
@@ -201,13 +235,14 @@ def _suggested_cane(
 
 def _nothing_shows(run: Run, pictures: Pictures) -> FitError:
     return FitError(
-        f"{run.path}: no mode of a clarinet reed shows in {len(pictures.drive_hz)} pictures; "
-        "look at the contact sheet that acquire report writes"
+        f"{run.path}: no mode of a {run.reed_file().name} reed shows in "
+        f"{len(pictures.drive_hz)} pictures; look at the contact sheet that acquire report writes"
     )
 
 
 def _pick(
     pictures: Pictures,
+    names: Sequence[str],
     shapes: Float,
     fringes: Fringes,
     model: ForwardModel,
@@ -234,7 +269,7 @@ def _pick(
         pictures.drive_hz,
         pictures.step_index,
         np.abs(fringes.amplitude_rad),
-        SHAPE_NAMES,
+        names,
         model,
         series,
         needed,
@@ -263,14 +298,17 @@ def fit_runs(
     FitError
         If a run shows no modes.
     FitInputError
-        If the runs do not belong together.
+        If the runs do not belong together, or the paper's model is asked for another reed than
+        its own.
     RunFileError
         If a file cannot be read.
     """
     with ExitStack() as opened:
         runs = [opened.enter_context(Run.open(path)) for path in paths]
         _require_one_reed(runs)
-        reed = reduced_reed(announce=announce)
+        kind = runs[0].reed_file()
+        require_model(model, kind)
+        reed = basis_of(kind, announce)
         forward: ForwardModel = PaperModel() if model == "paper" else finite_element_model(reed)
         sweeps = [fit_sweep(run, reed, forward) for run in runs]
     unknown = [s for s in sweeps if s.series not in set(Series)]
@@ -284,13 +322,31 @@ def fit_runs(
     return ReedFit(tuple(sweeps), parameters)
 
 
+def require_model(model: ModelName, kind: ReedFile) -> None:
+    """Refuse the paper's metamodel for another reed than the paper's.
+
+    Raises
+    ------
+    FitInputError
+    """
+    if model == "paper" and kind.geometry() != ReedGeometry():
+        raise FitInputError(
+            f"the paper's model (Table 9) is that of its clarinet reed, and this is another: "
+            f"{kind.name}; choose --model fem"
+        )
+
+
 def _require_one_reed(runs: Sequence[Run]) -> None:
     """Two runs are fitted together only if they are series A and B of one reed."""
     if len(runs) == 1:
         return
     reeds, series = {run.reed for run in runs}, sorted(run.series for run in runs)
-    if len(reeds) > 1 or series != ["A", "B"]:
-        told = ", ".join(f"{r.path.name}: reed {r.reed}, series {r.series}" for r in runs)
+    kinds = [run.reed_file() for run in runs]
+    if len(reeds) > 1 or series != ["A", "B"] or len({kind.sha256 for kind in kinds}) > 1:
+        told = ", ".join(
+            f"{r.path.name}: reed {r.reed} ({kind.name}), series {r.series}"
+            for r, kind in zip(runs, kinds, strict=True)
+        )
         raise FitInputError(
             f"runs fitted together must be series A and B of one reed ({told}); fit them one by one"
         )

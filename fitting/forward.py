@@ -1,5 +1,6 @@
 """From the cane's moduli to the frequencies of named modes, fast enough to be inverted."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -7,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import NearestNDInterpolator, RectBivariateSpline
 
+from acquire.reed_file import ReedFile
 from fitting import paper
-from physics.reed.basis import ReducedReed
+from physics.reed.basis import BasisSettings, ReducedReed
+from physics.reed.cache import reduced_reed
 from physics.reed.metamodel import REFERENCE_HZ
 from physics.reed.names import PAPER_MODES
 from physics.reed.response import Mode, elastic_modes
@@ -56,6 +59,9 @@ class ForwardModel(Protocol):
     def iterations(self) -> int:
         """Passes of the iteration over frequency-dependent moduli."""
 
+    def start_hz(self, series: Series) -> Array:
+        """Frequencies (m,) at which the iteration over frequency-dependent moduli starts."""
+
     def elastic_cents(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
         """Cents above F6 (m,) where mode m has the moduli E_L[m], G_LT[m]."""
 
@@ -76,6 +82,11 @@ class FiniteElementModel:
     likenesses: tuple[RectBivariateSpline, ...]
     name: str = "finite elements"
     iterations: int = _ITERATIONS
+
+    def start_hz(self, series: Series) -> Array:
+        """Frequencies (m,) in the middle of the table, whatever the series."""
+        E, G = (np.full(len(self.modes), np.exp(np.mean(np.log(n)))) for n in (_E_L_PA, _G_LT_PA))
+        return hz_of(self.elastic_cents(E, G))
 
     def elastic_cents(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
         """Cents above F6 (m,); moduli beyond the table are taken at its edge."""
@@ -106,6 +117,12 @@ def _at(splines: tuple[RectBivariateSpline, ...], E_L_pa: Array, G_LT_pa: Array)
     G = np.log(np.clip(G_LT_pa, _G_LT_PA[0], _G_LT_PA[-1]))
     points = zip(splines, E, G, strict=True)
     return np.array([float(spline.ev(e, g)) for spline, e, g in points])
+
+
+def basis_of(reed: ReedFile, announce: Callable[[str], None] | None = None) -> ReducedReed:
+    """Reduced basis of a kind of reed, from the cache or built and kept (`reduced_reed`)."""
+    settings = BasisSettings(cane=reed.constants())
+    return reduced_reed(reed.geometry(), settings=settings, announce=announce)
 
 
 def finite_element_model(
@@ -139,6 +156,11 @@ class PaperModel:
     # "One iteration is enough" (paper, section III.C); its adjustments were made with one.
     iterations: int = 1
 
+    def start_hz(self, series: Series) -> Array:
+        """Means of Table 1 (m,), where the paper starts."""
+        column = 0 if series is Series.A else 1
+        return np.array([paper.MEAN_HZ[name][column] for name in self.modes], dtype=float)
+
     def elastic_cents(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
         """Cents above F6 (m,) by Eq. 1."""
         return paper.adjusted_metamodel(self.modes).evaluate(E_L_pa, G_LT_pa)[0]
@@ -151,10 +173,9 @@ class PaperModel:
 def viscoelastic_cents(model: ForwardModel, cane: ViscoelasticCane, series: Series) -> Array:
     """Cents above F6 (m,) with the storage moduli taken at each mode's own frequency.
 
-    The iteration starts from the means of Table 1 (paper, section III.C).
+    By iteration from the model's own start (paper, section III.C).
     """
-    column = 0 if series is Series.A else 1
-    hz: Array = np.array([paper.MEAN_HZ[name][column] for name in model.modes], dtype=float)
+    hz = model.start_hz(series)
     cents = cents_of(hz)
     for _ in range(model.iterations):
         cents = model.elastic_cents(*_storage_moduli_pa(cane, hz))

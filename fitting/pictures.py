@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from acquire.runfile import Run
 from fitting.errors import FitError
 from holography.fringes import block_mean
-from physics.reed.geometry import Outline, half_width_m
+from physics.reed.geometry import half_width_m
 
 Array = NDArray[np.floating[Any]]
 Float = NDArray[np.float32]
@@ -18,8 +18,8 @@ Float = NDArray[np.float32]
 _BLOCK_M = 0.35e-3
 # Margin inside the contour: blocks on the edge hold less reed than others.
 _EDGE_M = 0.25e-3
-# The image fades behind this: the clamp begins, nothing moves.
-_VISIBLE_M = 36e-3
+# The image fades behind the vamp: the clamp begins, nothing moves.
+_BEHIND_VAMP_M = 1e-3
 # Enough points to tell fifteen shapes apart; more only cost time.
 _MOST_POINTS = 1300
 # Fewer pictures than this are no sweep: a resonance is 2 to 3 steps wide.
@@ -69,8 +69,10 @@ def read_pictures(run: Run) -> Pictures:
     factors = [max(1, round(_BLOCK_M / abs(a[1] - a[0]))) for a in (run.y_m, run.x_m)]
     y, x = (_block_centres(a, f) for a, f in zip((run.y_m, run.x_m), factors, strict=True))
     Y, X = np.meshgrid(y, x, indexing="ij")
-    beside = half_width_m(Outline(), X) - np.abs(Y)
-    inside = (beside > _EDGE_M) & (X > 2 * _EDGE_M) & (X < _VISIBLE_M)
+    reed = run.reed_file().geometry()
+    beside = half_width_m(reed.outline, X) - np.abs(Y)
+    visible_m = reed.vamp_x_m[-1] + _BEHIND_VAMP_M
+    inside = (beside > _EDGE_M) & (X > 2 * _EDGE_M) & (visible_m > X)
     chosen = np.flatnonzero(inside)
     # A stride that shares no factor with the rows spreads the points over the reed.
     chosen = chosen[:: max(1, -(-len(chosen) // _MOST_POINTS))]

@@ -2,7 +2,7 @@
 
 import csv
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,10 +12,11 @@ import numpy as np
 from rich.table import Table
 
 from acquire.errors import RunFileError
+from acquire.reed_file import ReedFile
 from acquire.runfile import Run
 from fitting.errors import FitError, FitInputError
-from fitting.fit import ModelName, SweepFit, fit_sweep
-from fitting.forward import finite_element_model
+from fitting.fit import ModelName, SweepFit, fit_sweep, require_model
+from fitting.forward import basis_of, finite_element_model
 from fitting.paper import adjusted_metamodel
 from fitting.populations import Flag, PopulationFit, count_flags, fit_population
 from fitting.resonance_table import (
@@ -25,7 +26,6 @@ from fitting.resonance_table import (
     read_resonances,
     write_components,
 )
-from physics.reed.cache import reduced_reed
 from physics.reed.log_polynomial import finite_element_polynomial
 from physics.reed.metamodel import Metamodel
 from physics.reed.names import PAPER_MODES
@@ -98,16 +98,20 @@ def _known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def metamodel_of(model: ModelName, announce: Callable[[str], None] | None = None) -> Metamodel:
-    """Metamodel of a forward model: the paper's, or polynomials that follow the finite elements.
+def metamodel_of(
+    model: ModelName, kind: ReedFile, announce: Callable[[str], None] | None = None
+) -> Metamodel:
+    """Metamodel of a kind of reed: the paper's, or polynomials that follow the finite elements.
 
-    The latter without F4, which crosses T4, X5 and H1 within the population: there it follows no
-    polynomial (median 2.5 cents off, but 28 in one reed of twenty), and its name is not certain.
+    Raises
+    ------
+    FitInputError
+        If the paper's is asked for another reed than its own.
     """
+    require_model(model, kind)
     if model == "paper":
         return adjusted_metamodel(PAPER_MODES)
-    modes = tuple(name for name in PAPER_MODES if name != "F4")
-    return finite_element_polynomial(reduced_reed(announce=announce), modes)
+    return finite_element_polynomial(basis_of(kind, announce))
 
 
 @contextmanager
@@ -171,20 +175,27 @@ def fit_table(
 
 def write_resonances(
     folder: Path, table: Path, announce: Callable[[str], None] | None = None
-) -> None:
+) -> ReedFile:
     """Find the resonances of every complete run of a folder and write them as a table.
 
     Runs of series other than A and B, runs that show no modes and files that are no runs are told
     and passed over; of two runs of one reed and series the later counts.
 
+    Returns
+    -------
+    ReedFile
+        Kind of reed that was measured.
+
     Raises
     ------
     FitInputError
-        If no run gives resonances, or the table cannot be written.
+        If no run gives resonances, the runs are of several kinds of reeds, or the table cannot be
+        written.
     """
     tell = announce or (lambda _: None)
     latest = _latest_runs(folder, tell)
-    reed = reduced_reed(announce=tell)
+    kind = _kind_of(folder, latest)
+    reed = basis_of(kind, tell)
     model = finite_element_model(reed)
     sweeps = []
     for number, path in enumerate(latest, 1):
@@ -198,6 +209,24 @@ def write_resonances(
         raise FitInputError(f"{folder}: no run of series A or B in it shows resonances")
     with opened_table(table) as file:
         _write_rows(file, sweeps)
+    return kind
+
+
+def _kind_of(folder: Path, runs: Sequence[Path]) -> ReedFile:
+    """Kind of reed of all runs; a population is of one."""
+    kinds: dict[str, tuple[ReedFile, Path]] = {}
+    for path in runs:
+        with Run.open(path) as run:
+            kind = run.reed_file()
+        kinds.setdefault(kind.sha256, (kind, path))
+    if not kinds:
+        raise FitInputError(f"{folder}: no complete run of series A or B in it")
+    if len(kinds) > 1:
+        told = ", ".join(f"{kind.name} in {path.name}" for kind, path in kinds.values())
+        raise FitInputError(
+            f"{folder}: holds runs of several kinds of reeds ({told}); give each kind a folder"
+        )
+    return next(iter(kinds.values()))[0]
 
 
 def _latest_runs(folder: Path, tell: Callable[[str], None]) -> list[Path]:

@@ -7,7 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from physics.reed.geometry import ReedGeometry
+
 Array = NDArray[np.floating[Any]]
+
+# Of the clarinet's mouthpiece: the window ends this far before the clamp, and its side walls cover
+# this much of the reed's edges.
+_BEFORE_CLAMP_M = 5.2e-3
+_COVERED_EDGE_M = 1.275e-3
 
 
 class Filling(StrEnum):
@@ -40,6 +47,20 @@ class Chamber:
     half_width_m: float = 5.3e-3
     edge_m: float = 0.6e-3
     sound_speed_m_s: float = 343.0
+
+
+def chamber_of(geometry: ReedGeometry, filling: Filling) -> Chamber:
+    """Chamber of a mouthpiece that takes a reed as the paper's takes a clarinet reed.
+
+    Its window ends as far before the clamp, and its walls cover as much of the reed's edges.
+    """
+    half_width_m = geometry.outline.side_half_width_m - _COVERED_EDGE_M
+    return Chamber(
+        filling,
+        # To the micrometre: what is the same reed has the same chamber to the last bit.
+        length_m=round(geometry.clamp.x_m[0] - _BEFORE_CLAMP_M, 6),
+        half_width_m=round(half_width_m, 6),
+    )
 
 
 @dataclass(frozen=True)

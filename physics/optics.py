@@ -1,5 +1,6 @@
 """Light from a vibrating, speckled reed, and what one exposure keeps of its sidebands."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -12,6 +13,7 @@ from scipy.special import j0, j1, jv
 from holography.fresnel import FresnelTransform
 from holography.fringes import phase_amplitude
 from holography.region import Region, region_from_metres
+from physics.reed.geometry import ReedGeometry
 
 Array = NDArray[np.floating[Any]]
 Float = NDArray[np.float32]
@@ -19,6 +21,8 @@ Complex64 = NDArray[np.complex64]
 
 # Sidebands whose frame integral, relative to the largest, could change a pixel are kept.
 _KEPT_ORDERS = (-1, 0, 1, 2)
+# Kept of the image besides the vamp of a reed.
+_BESIDE_REED_MM, _BEHIND_VAMP_MM = 0.5, 2.5
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,16 @@ class Layout:
     distance_m: float = 1.0
     reed_centre_m: tuple[float, float] = (22e-3, 0.0)
     reed_size_m: tuple[float, float] = (14e-3, 38e-3)
+
+
+def visible_size_m(geometry: ReedGeometry) -> tuple[float, float]:
+    """Height and width (y, x) of the vamp with some air beside it and some heel behind.
+
+    In whole millimetres: `Layout.reed_size_m` of a bench that keeps what there is to see.
+    """
+    y_mm = 1e3 * 2 * geometry.outline.side_half_width_m + _BESIDE_REED_MM
+    x_mm = 1e3 * geometry.vamp_x_m[-1] + _BEHIND_VAMP_MM
+    return 1e-3 * math.ceil(y_mm), 1e-3 * math.ceil(x_mm)
 
 
 def reed_region(layout: Layout, transform: FresnelTransform) -> Region:

@@ -6,7 +6,6 @@ from acquire.bench_file import BenchFile
 from acquire.plan import make_plan
 from acquire.protocol import Protocol
 from drivers.registry import open_bench
-from drivers.roles import Preparation
 
 
 @pytest.fixture(scope="session")
@@ -51,9 +50,7 @@ def open_small_bench(reed_cache):
     opened = []
 
     def make(plan, seed=1, reed="R07"):
-        protocol = plan.protocol
-        preparation = Preparation(reed, protocol.series, protocol.chamber)
-        opened.append(open_bench(plan.bench, preparation, seed=seed))
+        opened.append(open_bench(plan.bench, plan.preparation(reed), seed=seed))
         return opened[-1]
 
     yield make

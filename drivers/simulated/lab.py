@@ -15,6 +15,7 @@ from drivers.roles import Clock
 from drivers.simulated.twin import Faults, read_twin, twin_settings
 from physics.bench import BenchModel, BenchState, Segment
 from physics.reed.cache import reduced_reed
+from physics.reed.material import Cane
 from physics.sensor import Sensor
 
 
@@ -49,12 +50,18 @@ class SimulatedLab:
     def __init__(self, context: BenchContext) -> None:
         bench_file = context.description
         twin = read_twin(bench_file.twin, bench_file.name)
-        level, basis = twin.finite_elements
         self.faults: Faults = twin.faults
         self.clock: Clock = WallClock() if twin.pace == "realtime" else VirtualClock()
         context.clock = self.clock
         self._settings = twin_settings(twin, bench_file, context.preparation)
-        self._reed = reduced_reed(level=level, settings=basis, announce=context.announce)
+        preparation = context.preparation
+        level, basis = twin.finite_elements
+        self._reed = reduced_reed(
+            preparation.geometry,
+            level,
+            replace(basis, cane=preparation.constants or Cane()),
+            context.announce,
+        )
         self._rng = context.rng
         self._model: BenchModel | None = None
         self._times_s = [-math.inf]

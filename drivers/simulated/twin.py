@@ -10,12 +10,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from drivers.description import BenchDescription
 from drivers.errors import BenchSetupError
 from drivers.roles import Preparation
-from physics.air import Chamber, Filling
+from physics.air import Filling, chamber_of
 from physics.bench import TwinSettings
 from physics.drive import Tweeter
-from physics.optics import Illumination, Layout
+from physics.optics import Illumination, Layout, visible_size_m
 from physics.reed.basis import BasisSettings
 from physics.reed.cache import STANDARD
+from physics.reed.geometry import ReedGeometry
 from physics.reed.mesh import MeshLevel
 from physics.reed.viscoelastic import Components, Series, require_physical, viscoelastic_cane
 from physics.sensor import Sensor
@@ -157,7 +158,7 @@ def twin_settings(
     bench_file : BenchDescription
         Supplies optics and sensor.
     preparation : Preparation
-        Supplies the reed, its moisture (series B is dried) and the chamber.
+        Supplies the reed, its moisture (series B is dried), its shape and the chamber.
 
     Raises
     ------
@@ -165,6 +166,7 @@ def twin_settings(
         If the components given for the reed lie outside physics.
     """
     camera, optics = bench_file.instruments.camera, bench_file.optics
+    geometry, size = preparation.geometry or ReedGeometry(), optics.reed_size
     series = Series.B if preparation.series == "B" else Series.A
     cane = Components(**twin.reed.model_dump()) if twin.reed else cane_of(preparation.reed)
     try:
@@ -179,7 +181,7 @@ def twin_settings(
         components=cane,
         series=series,
         loss_factor=twin.loss_factor,
-        chamber=Chamber(filling=Filling(preparation.chamber)),
+        chamber=chamber_of(geometry, Filling(preparation.chamber)),
         tweeter=Tweeter(connected=not twin.faults.tweeter_unplugged),
         illumination=Illumination(
             local_oscillator_e_s=twin.light.local_oscillator_e_s * factor,
@@ -189,7 +191,7 @@ def twin_settings(
             wavelength_m=float(optics.wavelength_m),
             distance_m=float(optics.distance_m),
             reed_centre_m=(float(optics.reed_centre.y_m), float(optics.reed_centre.x_m)),
-            reed_size_m=(float(optics.reed_size.y_m), float(optics.reed_size.x_m)),
+            reed_size_m=(float(size.y_m), float(size.x_m)) if size else visible_size_m(geometry),
         ),
         sensor=Sensor(
             shape=(camera.height, camera.width), pixel_m=float(camera.pixel_m), bits=camera.bits

@@ -14,7 +14,9 @@ from acquire.bench_file import BenchFile
 from acquire.errors import ProtocolError
 from acquire.plan import make_plan, ramp_volts, sweep_frequency_hz
 from acquire.protocol import Protocol
+from acquire.reed_file import ReedFile
 from holography.fresnel import FresnelTransform
+from physics.reed.geometry import ReedGeometry
 
 SERIES_A = Protocol.from_file("seriesA")
 BENCH = BenchFile.from_file()
@@ -169,7 +171,7 @@ def test_region_covers_the_reed_and_no_twin(series_a):
 def test_json_keys_and_exact_strings(series_a):
     content = json.loads(json.dumps(series_a.to_json(), allow_nan=False))
     assert set(content) == {
-        "protocol", "bench", "steps", "duration_s", "file_size_bytes", "violations"
+        "protocol", "reed", "bench", "steps", "duration_s", "file_size_bytes", "violations"
     }  # fmt: skip
     first = content["steps"][0]
     assert list(first) == [
@@ -287,3 +289,39 @@ def test_limits_themselves_are_allowed(series_a):
     edge = BENCH.replace({"limits.drive_max": "19911.9 Hz", "limits.drive_min": "1417.2 Hz"})
     assert make_plan(SERIES_A, edge).violations == ()
     assert max(step.volts for step in series_a.steps) == float(BENCH.limits.volts_max_v)
+
+
+def test_what_is_kept_of_the_image_follows_the_reed(series_a):
+    bass = make_plan(SERIES_A.replace(reed="bass-clarinet"), BENCH)
+    assert bass.reed.name == "bass clarinet"
+    # Twice 8.2 mm of half width and a vamp of 42 mm, and some air.
+    assert bass.layout.reed_size_m == (pytest.approx(17e-3), pytest.approx(45e-3))
+    assert series_a.layout.reed_size_m == (0.014, 0.038)
+    own = make_plan(SERIES_A, BENCH.replace({"optics.reed_size": {"y": "15 mm", "x": "30 mm"}}))
+    assert own.layout.reed_size_m == (0.015, 0.03)
+    assert own.region.width < series_a.region.width < bass.region.width
+
+
+@pytest.mark.parametrize(("reed", "y_mm"), [("clarinet", 37), ("bass-clarinet", 36)])
+def test_a_reed_out_of_view_is_a_violation(reed, y_mm):
+    """The view is 97 mm wide: 43.7 mm either side of the axis are of use."""
+    violation = []
+    for centre_mm in (y_mm - 1, y_mm):
+        bench = BENCH.replace({"optics.reed_centre.y": f"{centre_mm} mm"})
+        plan = make_plan(SERIES_A.replace(reed=reed), bench)
+        violation.append([(v.key, v.message) for v in plan.violations])
+    assert violation[0] == []
+    (key, message) = violation[1][0]
+    assert key == "reed"
+    assert f"the image of the {plan.reed.name} reed reaches 0.04" in message
+    assert "move optics.reed_centre or raise optics.distance in bench file simulated" in message
+
+
+def test_a_preparation_is_that_of_the_protocol_and_its_reed():
+    preparation = make_plan(SERIES_A.replace(reed="alto-saxophone"), BENCH).preparation("R1")
+    alto = ReedFile.from_file("alto-saxophone")
+    assert (preparation.reed, preparation.series) == ("R1", "A")
+    assert preparation.geometry == alto.geometry() != ReedGeometry()
+    # What is drawn for each reed anew is not its kind's.
+    assert (preparation.constants.E_L_pa, preparation.constants.G_LT_pa) == (14e9, 1.1e9)
+    assert preparation.constants.E_T_pa == alto.cane().E_T_pa

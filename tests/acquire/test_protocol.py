@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 
 import acquire.protocol
 from acquire.bench_file import BenchFile, find_bench, shipped_benches
+from acquire.description import find_description
 from acquire.errors import ProtocolError
 from acquire.protocol import Protocol, find_protocol, shipped_protocols
+from acquire.reed_file import ReedFile
 
 SERIES_A = find_protocol("seriesA").read_text(encoding="utf-8")
 BENCH = find_bench().read_text(encoding="utf-8")
@@ -307,7 +309,6 @@ WRONG_BENCHES = {
     "limits exchanged": ("volts_max: 16 V", "volts_max: 0 V", "limits.volts_max: '0 V' should"),
     "drive exchanged": ("drive_max: 20 kHz", "drive_max: 20 Hz", "limits.drive_max: the maximum"),
     "line without unit": ("[4308.6 Hz]", "[4308.6]", "acoustic_lines[0]: 4308.6 has no unit"),
-    "reed out of view": ("y: 22 mm", "y: 40 mm", "optics: the reed reaches 0.047 m"),
     "too near": ("distance: 1.0 m", "distance: 80 mm", "optics: distance 0.08 m is below"),
 }
 
@@ -319,6 +320,55 @@ def test_wrong_bench_is_refused(case):
     message = refusal(BenchFile.from_text, BENCH.replace(old, new, 1), "lab.yaml")
     assert message.startswith("lab.yaml:")
     assert expected in message
+
+
+# --- The kind of reed --------------------------------------------------------------------------
+
+UNEVEN = """  thickness_map:
+    x: [2 mm, 20 mm]
+    y: [-5 mm, 5 mm]
+    deviation: [[3 um, 0 um], [0 um, 0 um]]
+"""
+
+
+def test_a_protocol_without_a_reed_is_for_a_clarinet_s():
+    protocol = Protocol.from_text(SERIES_A.replace("reed: clarinet\n", ""))
+    assert protocol == Protocol.from_text(SERIES_A)
+    assert protocol.reed_file() == ReedFile.from_file("clarinet")
+
+
+def test_a_reed_s_file_is_looked_for_beside_the_protocol_first(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("mine").mkdir()
+    bass = find_description("bass-clarinet", "reed", "reeds").read_text(encoding="utf-8")
+    Path("mine/reed.yaml").write_text(bass.replace("name: bass clarinet", "name: beside"))
+    Path("reed.yaml").write_text(bass.replace("name: bass clarinet", "name: here"))
+    asked = SERIES_A.replace("reed: clarinet", "reed: reed.yaml")
+    Path("mine/sweep.yaml").write_text(asked, encoding="utf-8")
+    assert Protocol.from_file("mine/sweep.yaml").reed_file().name == "beside"
+    assert Protocol.from_text(asked, "elsewhere/sweep.yaml").reed_file().name == "here"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("name:", "nome:", "reed: reed.yaml:1: nome: unknown key; did you mean 'name'?"),
+        ("cane:\n", UNEVEN + "\ncane:\n", "reed: reed.yaml has a thickness map with two differ"),
+        (None, None, "reed: bassoon: there is no such file, nor a shipped reed of that name"),
+    ],
+)
+def test_a_reed_that_a_run_cannot_be_fitted_with_is_refused(
+    old, new, expected, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    name = "bassoon"
+    if old:
+        name = "reed.yaml"
+        clarinet = find_description("clarinet", "reed", "reeds").read_text(encoding="utf-8")
+        Path(name).write_text(clarinet[clarinet.index("name:") :].replace(old, new, 1))
+    protocol = Protocol.from_text(SERIES_A.replace("reed: clarinet", f"reed: {name}"), "f.yaml")
+    line = SERIES_A.splitlines().index("reed: clarinet") + 1
+    assert refusal(protocol.reed_file).startswith(f"f.yaml:{line}: {expected}")
 
 
 # --- Names -------------------------------------------------------------------------------------

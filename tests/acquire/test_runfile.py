@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from acquire.errors import RunFileError
 from acquire.quality import Judgement, ReadBack, Verdict
 from acquire.reconstruction import Reconstruction
+from acquire.reed_file import ReedFile
 from acquire.run_layout import exact_text
 from acquire.runfile import MeasuredStep, Run, RunLabels, RunWriter
 from drivers.roles import Frame
@@ -102,6 +103,27 @@ def test_what_is_written_is_read(plan, create):
         assert pending.read_drive_hz is None
         assert np.isnan(pending.signal_to_noise)
         assert pending.drive_hz == plan.steps[1].drive_hz
+
+
+def test_a_run_says_which_kind_of_reed_was_measured(tiny_plan, create):
+    writer = create(plan=tiny_plan(steps=4, reed="bass-clarinet"))
+    writer.finish("complete")
+    with Run.open(writer.path) as run:
+        assert run.reed_file() == ReedFile.from_file("bass-clarinet")
+        assert run.reed_text == ReedFile.from_file("bass-clarinet").text
+    with h5py.File(writer.path, "r+") as file:
+        text = file["entry/provenance/reed"].asstr()[()].replace("butt: 7.1 mm", "butt: 7.1")
+        del file["entry/provenance/reed"]
+        file["entry/provenance/reed"] = text
+    with Run.open(writer.path) as run, pytest.raises(RunFileError) as refused:
+        run.reed_file()
+    assert "half_width_at_butt: 7.1 has no unit" in str(refused.value)
+    assert "does not understand that reed" in str(refused.value)
+    # A file that says nothing was written when there was one kind only.
+    with h5py.File(writer.path, "r+") as file:
+        del file["entry/provenance/reed"]
+    with Run.open(writer.path) as run:
+        assert run.reed_file() == ReedFile.from_file("clarinet")
 
 
 def test_a_run_explains_itself(plan, create):

@@ -170,7 +170,7 @@ def test_the_printed_formula_of_the_paper_is_caught(small_plan, open_small_bench
         changes = {"difference_hz": printed_hz, "aom1_hz": step.aom2_hz + printed_hz}
         fields = {name: getattr(step, name) for name in type(step).__slots__}
         steps.append(type(step)(**(fields | changes)))
-    wrong = Plan(plan.protocol, plan.bench, tuple(steps), ())
+    wrong = Plan(plan.protocol, plan.reed, plan.bench, tuple(steps), ())
     assert verdicts_of(wrong, open_small_bench(wrong), path) == [Verdict.LOCK] * 5
     with Run.open(path) as measured:
         assert max(step.signal_to_noise for step in measured) < 2, "and there is no light"

@@ -1,13 +1,23 @@
 """`acquire population`: a table or a folder of runs in, components of every reed out."""
 
 import csv
+import shutil
+from itertools import product
 from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
 
+from acquire.reed_file import ReedFile
+from drivers.simulated.twin import Twin
 from fitting.forward import PaperModel, hz_of, viscoelastic_cents
+from fitting.synthetic import modal_cents
+from physics.reed.cache import reduced_reed
+from physics.reed.log_polynomial import finite_element_polynomial
 from physics.reed.viscoelastic import Components, Series, viscoelastic_cane
 
+COARSE = Twin(mesh="coarse").finite_elements
 REEDS = {"R1": Components(0.5, -0.4, 0.3, 0.2), "R2": Components(-1.0, 0.6, -0.2, -0.7)}
 
 
@@ -60,9 +70,62 @@ def test_a_folder_of_runs_is_fitted(cli, measured, folder):
     table.unlink()
 
 
+def test_a_population_of_another_reed_is_fitted_with_its_modes(cli, folder, monkeypatch):
+    asked = []
+
+    def note(kind, announce=None):
+        asked.append(kind.name)
+        return reduced_reed(kind.geometry(), *COARSE, announce)
+
+    monkeypatch.setattr("fitting.population_table.basis_of", note)
+    bass = ReedFile.from_file("bass-clarinet")
+    model = finite_element_polynomial(reduced_reed(bass.geometry(), *COARSE))
+    components = np.array([[e.e1, e.e2, e.e3, e.e4] for e in REEDS.values()])
+    cents = modal_cents(components, model)
+    with Path("bass.csv").open("w", newline="") as file:
+        out = csv.writer(file)
+        out.writerow(["reed", "series", "mode", "hz"])
+        for (reed, name), (s, series), (m, mode) in product(
+            enumerate(REEDS), enumerate(Series), enumerate(model.modes)
+        ):
+            out.writerow([name, series, mode, hz_of(cents[reed, s, m])])
+    said = cli("population", "bass.csv", "--kind", "bass-clarinet", "--json")
+    assert said.status == 0
+    assert asked == ["bass clarinet"]
+    with Path("bass-components.csv").open(newline="") as file:
+        rows = {row["reed"]: row for row in csv.DictReader(file)}
+    for name, cane in REEDS.items():
+        for component in ("e1", "e2", "e3", "e4"):
+            expected = getattr(cane, component)
+            assert float(rows[name][component]) == pytest.approx(expected, abs=0.02)
+
+
+def test_run_files_say_themselves_which_reed_they_measured(cli, measured, folder):
+    said = cli("population", measured.a.parent, "--kind", "clarinet")
+    assert (said.status, said.out) == (2, "")
+    assert "run files say which reed they measured; leave it out" in said.err
+
+
+def test_runs_of_several_kinds_are_no_population(cli, measured, folder):
+    for run in (measured.a, measured.b):
+        shutil.copy(run, folder)
+    with h5py.File(folder / measured.b.name, "r+") as file:
+        del file["entry/provenance/reed"]
+        file["entry/provenance/reed"] = ReedFile.from_file("bass-clarinet").text
+    said = cli("population", folder)
+    assert (said.status, said.out) == (2, "")
+    assert "several kinds of reeds (clarinet in" in said.err
+    assert "bass clarinet in" in said.err
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (["reeds.csv", "--kind", "bassoon"], "bassoon: there is no such file, nor a shipped reed"),
+        (
+            ["reeds.csv", "--kind", "alto-saxophone", "--model", "paper"],
+            "is that of its clarinet reed, and this is another: alto saxophone; choose --model fem",
+        ),
         (["none.csv"], "none.csv: No such file"),
         (["reeds.csv", "--model", "magic"], "no forward model 'magic'"),
         (["reeds.csv", "--out", "nowhere/x.csv"], "nowhere/x.csv: No such file"),

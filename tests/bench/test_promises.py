@@ -1,6 +1,7 @@
 """What the README promises, through the command line: one test per promise."""
 
 import json
+import math
 import os
 import re
 import signal
@@ -16,10 +17,14 @@ import numpy as np
 import pytest
 
 from acquire import script
+from acquire.reed_file import ReedFile
 from acquire.runfile import Run
-from drivers.simulated.twin import cane_of
+from drivers.simulated.twin import Twin, cane_of
 from fitting.errors import FitError
 from fitting.pictures import read_pictures
+from physics.reed.cache import reduced_reed
+from physics.reed.response import viscoelastic_mode
+from physics.reed.viscoelastic import Series, viscoelastic_cane
 
 VERBS = ("plan", "run", "fit", "report", "diagnose", "population", "modes", "paper", "list")
 ROOT = Path(script.__file__).parents[1]
@@ -190,6 +195,31 @@ def test_a_reed_is_always_the_same_cane(cli, folder, protocol_file, bench_file):
     assert np.array_equal(brightness("2.h5", "--reed", "R07"), first)
     assert not np.array_equal(brightness("3.h5", "--reed", "R08"), first)
     assert not np.array_equal(brightness("4.h5", "--reed", "R07", "--seed", "5"), first)
+
+
+def test_another_reed_is_measured_and_fitted_with_its_own_modes(
+    cli, folder, protocol_file, bench_file, monkeypatch
+):
+    """T1 of a bass clarinet's reed, 700 cents below a clarinet's; all with a coarse mesh."""
+    bass = ReedFile.from_file("bass-clarinet")
+    coarse = reduced_reed(bass.geometry(), *Twin(mesh="coarse").finite_elements)
+    monkeypatch.setattr("fitting.fit.basis_of", lambda kind, announce: coarse)
+    protocol = protocol_file(
+        **{"reed": "bass-clarinet", "sweep.first": 20, "sweep.last": 48},
+        **{"camera.width": 640, "camera.height": 512},
+    )
+    said = cli("run", protocol, "--bench", bench_file(), "--reed", "R07", "--out", "x.h5", "--json")
+    assert said.status == 0, said.err
+    with Run.open("x.h5") as run:
+        assert run.reed_file() == bass
+        assert (run.x_m[-1], run.y_m[-1]) > (44e-3, 8e-3)
+        assert run.good.all()
+    cane = viscoelastic_cane(cane_of("R07"), Series.A)
+    t1 = viscoelastic_mode(coarse, cane, "T1", 2300.0)
+    found = said.json["fit"]["modes"]
+    assert list(found) == ["T1"]
+    assert abs(1200 * math.log2(found["T1"]["hz"] / t1.frequency_hz)) < 50
+    assert abs(1200 * math.log2(found["T1"]["hz"] / 3377)) > 500
 
 
 def test_both_ways_to_keep_a_step_give_the_same_pictures(cli, folder, protocol_file, bench_file):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from acquire.reed_file import ReedFile
 from diagnosis.gap import MESH_CENTS, ShiftedModel, diagnose
 from diagnosis.tables import closing_words, gap_table
 from drivers.simulated.twin import cane_of
@@ -21,6 +22,7 @@ from physics.reed.cache import reduced_reed
 from physics.reed.response import elastic_modes
 from physics.reed.viscoelastic import Series, viscoelastic_cane
 
+KIND = ReedFile.from_file()
 _USERS_CACHE = os.environ.get("REEDBENCH_CACHE")
 
 
@@ -43,7 +45,7 @@ def model():
 
 @pytest.fixture(autouse=True)
 def _one_model(reed, model, monkeypatch):
-    monkeypatch.setattr("diagnosis.gap.reduced_reed", lambda announce=None: reed)
+    monkeypatch.setattr("diagnosis.gap.basis_of", lambda kind, announce=None: reed)
     monkeypatch.setattr("diagnosis.gap.finite_element_model", lambda _: model)
 
 
@@ -65,7 +67,7 @@ def measured(model, cane, error_cents=0.5, noise_cents=0.0, seed=0):
             for name, at in zip(model.modes, cents, strict=True)
         }
         path = Path(f"{series}.h5")
-        sweeps.append(SweepFit(path, "planted", str(series), found[series], None, None))
+        sweeps.append(SweepFit(path, "planted", str(series), KIND, found[series], None, (), None))
     return ReedFit(tuple(sweeps), fit_components(found, model))
 
 
@@ -78,7 +80,7 @@ def in_air(model, air_cents):
 @pytest.fixture(scope="module")
 def diagnosis(reed, model, in_air):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("diagnosis.gap.reduced_reed", lambda announce=None: reed)
+        patch.setattr("diagnosis.gap.basis_of", lambda kind, announce=None: reed)
         patch.setattr("diagnosis.gap.finite_element_model", lambda _: model)
         return diagnose(in_air)
 

@@ -2,6 +2,7 @@
 
 import math
 import time
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 
@@ -306,7 +307,7 @@ def test_options_that_a_simulated_driver_does_not_know_are_refused(
     plan = small_plan()
     bench_file = plan.bench.replace({f"instruments.{role}.options": {"port": "COM3"}})
     with pytest.raises(BenchSetupError, match=rf"instruments\.{role}\.options: .*port"):
-        open_small_bench(type(plan)(plan.protocol, bench_file, plan.steps, ()))
+        open_small_bench(replace(plan, bench=bench_file))
 
 
 # --- Faults ------------------------------------------------------------------------------------

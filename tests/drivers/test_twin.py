@@ -1,12 +1,18 @@
 """The twin's section of a bench file becomes physics, or one line of complaint."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from acquire.reed_file import ReedFile
+from drivers.context import BenchContext
 from drivers.errors import BenchSetupError
 from drivers.roles import Preparation
+from drivers.simulated.lab import SimulatedLab
 from drivers.simulated.twin import Twin, cane_of, read_twin, twin_settings
 from physics.air import Filling
+from physics.reed.material import Cane
 from physics.reed.viscoelastic import Components, Series, require_physical, viscoelastic_cane
 
 
@@ -54,6 +60,35 @@ def test_the_bench_file_decides_optics_sensor_and_reed(small_bench_file):
     assert settings.sensor.pixel_m == 6.7e-6
     assert settings.layout.reed_centre_m == (0.022, 0.0)
     assert settings.layout.wavelength_m == 650e-9
+
+
+def test_another_reed_has_a_mouthpiece_of_its_own(small_bench_file):
+    bench_file, bass = small_bench_file(), ReedFile.from_file("bass-clarinet").geometry()
+    preparation = Preparation("R07", "A", "asymmetric", bass)
+    settings = twin_settings(read_twin({}, "bench"), bench_file, preparation)
+    clarinet = settings_of(bench_file)
+    # The paper's mouthpiece, and one with the same walls for a reed that is clamped at 45 mm.
+    assert (clarinet.chamber.length_m, clarinet.chamber.half_width_m) == (33e-3, 5.3e-3)
+    assert settings.chamber.length_m == pytest.approx(39.8e-3)
+    assert settings.chamber.half_width_m == pytest.approx(6.925e-3)
+    assert settings.layout.reed_size_m > clarinet.layout.reed_size_m == (0.014, 0.038)
+
+
+def test_the_laboratory_builds_the_reed_of_the_preparation(small_bench_file, monkeypatch):
+    asked = []
+
+    def note(geometry, level, settings, announce):
+        asked.append((geometry, settings.cane))
+
+    monkeypatch.setattr("drivers.simulated.lab.reduced_reed", note)
+    bass = ReedFile.from_file("bass-clarinet")
+    constants = replace(bass.constants(), density_kg_m3=600.0)
+    for preparation in (
+        Preparation("R07", "A", "asymmetric", bass.geometry(), constants),
+        Preparation("R07", "A", "asymmetric"),
+    ):
+        SimulatedLab(BenchContext(small_bench_file(), preparation, np.random.default_rng(0), print))
+    assert asked == [(bass.geometry(), constants), (None, Cane())]
 
 
 def test_faults_reach_physics(small_bench_file):

@@ -10,11 +10,18 @@ from acquire.runfile import Run
 from benchmarks.recovery import CLAIMED
 from drivers.simulated.twin import cane_of
 from fitting.errors import FitError
-from fitting.fit import SHAPE_NAMES, ReedFit, fit_runs, fit_sweep, mode_shapes, model_name
+from fitting.fit import (
+    ReedFit,
+    fit_runs,
+    fit_sweep,
+    middling_modes,
+    mode_shapes,
+    model_name,
+)
 from fitting.forward import PaperModel
 from fitting.pictures import read_pictures
 from fitting.reedfit import fit_components
-from physics.reed.names import is_symmetric
+from physics.reed.names import PAPER_MODES, is_symmetric
 from physics.reed.viscoelastic import Series, storage_modulus_pa, viscoelastic_cane
 
 REED = "R07"
@@ -161,15 +168,16 @@ def test_a_sweep_beside_all_modes_is_an_error_not_an_empty_result(changed, reed,
 def test_shapes_have_the_symmetry_of_their_names(reed, sweep_a):
     with Run.open(sweep_a) as run:
         pictures = read_pictures(run)
-    shapes = mode_shapes(reed, pictures)
-    assert shapes.shape == (len(pictures.x_m), len(SHAPE_NAMES))
+    middling = middling_modes(reed)
+    shapes = mode_shapes(reed, pictures, middling)
+    assert shapes.shape == (len(pictures.x_m), len(middling))
     assert np.abs(shapes).max(axis=0) == pytest.approx(1, abs=1e-6)
-    mirrored = mode_shapes(reed, _mirrored(pictures))
-    for name, there, here in zip(SHAPE_NAMES, mirrored.T, shapes.T, strict=True):
+    mirrored = mode_shapes(reed, _mirrored(pictures), middling)
+    for name, there, here in zip(middling, mirrored.T, shapes.T, strict=True):
         sign = 1 if is_symmetric(name) else -1
         assert there == pytest.approx(sign * here, abs=1e-5)
     # F1 swings most at the tip.
-    f1 = shapes[:, SHAPE_NAMES.index("F1")]
+    f1 = shapes[:, list(middling).index("F1")]
     assert pictures.x_m[np.abs(f1).argmax()] < 2e-3
 
 
@@ -179,19 +187,30 @@ def _mirrored(pictures):
     )
 
 
+def test_pictures_are_made_of_the_vamp_s_modes_below_20_khz(reed):
+    middling = middling_modes(reed)
+    assert tuple(middling)[: len(PAPER_MODES)] == PAPER_MODES
+    assert tuple(middling)[len(PAPER_MODES) :] == ("T5", "X4", "X5", "X6")
+    assert max(mode.frequency_hz for mode in middling.values()) < 20e3
+
+
 # --- What is refused ---------------------------------------------------------------------------
 
 
 def test_two_reeds_are_not_fitted_together(changed, quick_model):
     a = changed("a.h5", only=NEAR_T1)
     b = changed("b.h5", only=NEAR_T1, name="R08", series="B")
-    with pytest.raises(FitError, match=r"series A and B of one reed.*reed R07, series A.*reed R08"):
+    with pytest.raises(
+        FitError, match=r"series A and B of one reed.*reed R07 .clarinet., series A.*reed R08"
+    ):
         fit_runs([a, b])
 
 
 def test_one_series_twice_is_not_fitted_together(changed, quick_model):
     a, again = changed("a.h5", only=NEAR_T1), changed("again.h5", only=NEAR_T1)
-    with pytest.raises(FitError, match=r"again.h5: reed R07, series A.*fit them one by one"):
+    with pytest.raises(
+        FitError, match=r"again.h5: reed R07 .clarinet., series A.*fit them one by one"
+    ):
         fit_runs([a, again])
 
 

@@ -1,16 +1,23 @@
 """Which instrument stands where: bench files, read as strictly as protocols."""
 
+import math
 from fractions import Fraction
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator
 
 from acquire.description import Description, Section, find_description, shipped_files
-from acquire.quantities import Frequency, Length, Voltage
+from acquire.quantities import Frequency, Length, Resistance, Voltage
 
 DEFAULT_BENCH = "simulated"
+# Peak volts of a sine for each volt stated one way or another.
+_PEAK_PER_VOLT: Final = {
+    "peak": Fraction(1),
+    "peak_to_peak": Fraction(1, 2),
+    "rms": Fraction(math.sqrt(2)),
+}
 
 
 class Instrument(Section):
@@ -36,10 +43,18 @@ class Synthesizers(Instrument):
     window_hz: Annotated[Frequency, Field(alias="window", gt=0)]
 
 
+class Output(Section):
+    """What lies between a generator's socket and the loudspeaker."""
+
+    amplifier_gain: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)]
+    load_ohm: Annotated[Resistance, Field(alias="load", gt=0)]
+
+
 class Generator(Instrument):
-    """The signal generator of the tweeter."""
+    """The signal generator of the tweeter; drivers of real ones ask for `output`."""
 
     step_hz: Annotated[Frequency, Field(alias="step", gt=0)]
+    output: Output | None = None
 
 
 class CameraSensor(Instrument):
@@ -87,17 +102,31 @@ class Optics(Section):
 
 
 class Limits(Section):
-    """What the tweeter may be given: peak volts at the load, and frequencies."""
+    """What the tweeter may be given: volts at the load, and frequencies.
 
-    volts_min_v: Annotated[Voltage, Field(alias="volts_min", ge=0)]
-    volts_max_v: Annotated[Voltage, Field(alias="volts_max", gt=0)]
+    Makers state volts one way or another, so the file has to say which is meant: `volts_are`.
+    """
+
+    volts_are: Literal["peak", "peak_to_peak", "rms"]
+    stated_min_v: Annotated[Voltage, Field(alias="volts_min", ge=0)]
+    stated_max_v: Annotated[Voltage, Field(alias="volts_max", gt=0)]
     drive_min_hz: Annotated[Frequency, Field(alias="drive_min", gt=0)]
     drive_max_hz: Annotated[Frequency, Field(alias="drive_max", gt=0)]
 
-    @field_validator("volts_max_v")
+    @property
+    def volts_min_v(self) -> Fraction:
+        """Least peak volts at the load."""
+        return self.stated_min_v * _PEAK_PER_VOLT[self.volts_are]
+
+    @property
+    def volts_max_v(self) -> Fraction:
+        """Most peak volts at the load."""
+        return self.stated_max_v * _PEAK_PER_VOLT[self.volts_are]
+
+    @field_validator("stated_max_v")
     @classmethod
     def _volts_in_order(cls, maximum: Fraction, info: ValidationInfo) -> Fraction:
-        return _above(maximum, info.data.get("volts_min_v"), "volts_min")
+        return _above(maximum, info.data.get("stated_min_v"), "volts_min")
 
     @field_validator("drive_max_hz")
     @classmethod

@@ -374,16 +374,17 @@ def _volts_violations(protocol: Protocol, bench: BenchFile) -> Iterator[Violatio
     limits, ramp = bench.limits, protocol.drive.ramp
     for key, volts in (("drive.ramp.from", ramp.from_v), ("drive.ramp.to", ramp.to_v)):
         if volts > limits.volts_max_v:
-            word, limit, limit_key = "above", limits.volts_max_v, "volts_max"
+            word, limit_key, remedy = "above", "volts_max", "most"
+            limit = math.floor(1000 * limits.volts_max_v) / 1000
         elif volts < limits.volts_min_v:
-            word, limit, limit_key = "below", limits.volts_min_v, "volts_min"
+            word, limit_key, remedy = "below", "volts_min", "least"
+            limit = math.ceil(1000 * limits.volts_min_v) / 1000
         else:
             continue
         yield Violation(
             key,
-            f"{float(volts):g} V is {word} the {float(limit):g} V of limits.{limit_key} in bench "
-            f"file {bench.source}; write at {'most' if word == 'above' else 'least'} "
-            f"'{float(limit):g} V'",
+            f"{float(volts):g} V is {word} the {limit:g} V (peak) of limits.{limit_key} in bench "
+            f"file {bench.source}; write at {remedy} '{limit:g} V'",
         )
 
 

@@ -29,6 +29,7 @@ _UNITS: Final = (
     "minute = 60 * second = min",
     "hertz = 1 / second = Hz",
     "volt = [voltage] = V",
+    "ohm = [resistance]",
     "cent = [interval]",
     "radian = [angle] = rad",
     "pascal = kilogram / meter / second ** 2 = Pa",
@@ -40,6 +41,7 @@ _UNITS: Final = (
 _KINDS: Final = {
     "Hz": ("a frequency", "12.4 Hz"),
     "V": ("a voltage", "0.5 V"),
+    "ohm": ("a resistance", "8 ohm"),
     "m": ("a length", "6.7 um"),
     "s": ("a time", "0.1 s"),
     "cents": ("an interval", "25 cents"),
@@ -135,7 +137,7 @@ def parse_quantity(value: object, unit: str) -> Fraction:
     ----------
     value : object
         What stood in the file. Only a string of one number and one unit is a quantity.
-    unit : {'Hz', 'V', 'm', 's', 'cents', 'rad', 'Pa', 'kg/m^3', 'degC'}
+    unit : {'Hz', 'V', 'ohm', 'm', 's', 'cents', 'rad', 'Pa', 'kg/m^3', 'degC'}
         Unit of the result, which is the dimension that is wanted.
 
     Returns
@@ -197,6 +199,7 @@ def _writer(unit: str) -> PlainSerializer:
 
 Frequency = Annotated[Fraction, _reader("Hz"), _writer("Hz")]
 Voltage = Annotated[Fraction, _reader("V"), _writer("V")]
+Resistance = Annotated[Fraction, _reader("ohm"), _writer("ohm")]
 Length = Annotated[Fraction, _reader("m"), _writer("m")]
 Time = Annotated[Fraction, _reader("s"), _writer("s")]
 Interval = Annotated[Fraction, _reader("cents"), _writer("cents")]

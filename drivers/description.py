@@ -38,12 +38,31 @@ class SynthesizersDescription(InstrumentDescription, Protocol):
         ...
 
 
+class OutputDescription(Protocol):
+    """What lies between a generator's socket and the loudspeaker."""
+
+    @property
+    def amplifier_gain(self) -> float:
+        """Volts at the loudspeaker per volt at the socket; 1 without an amplifier."""
+        ...
+
+    @property
+    def load_ohm(self) -> Fraction:
+        """Resistance of the loudspeaker."""
+        ...
+
+
 class GeneratorDescription(InstrumentDescription, Protocol):
     """The signal generator."""
 
     @property
     def step_hz(self) -> Fraction:
         """Spacing of the frequencies."""
+        ...
+
+    @property
+    def output(self) -> OutputDescription | None:
+        """Required by drivers of real generators."""
         ...
 
 

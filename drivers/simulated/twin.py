@@ -5,10 +5,11 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
 from drivers.description import BenchDescription
 from drivers.errors import BenchSetupError
+from drivers.options import Options, read_options
 from drivers.roles import Preparation
 from physics.air import Filling, chamber_of
 from physics.bench import TwinSettings
@@ -31,11 +32,7 @@ _COARSE: Final = (
 _MESHES: Final = {"standard": (STANDARD, BasisSettings()), "coarse": _COARSE}
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
-
-
-class ReedComponents(_Section):
+class ReedComponents(Options):
     """The four components of the cane, in standard deviations of the population."""
 
     e1: Annotated[float, Field(ge=-6, le=6)] = 0.0
@@ -44,14 +41,14 @@ class ReedComponents(_Section):
     e4: Annotated[float, Field(ge=-6, le=6)] = 0.0
 
 
-class Light(_Section):
+class Light(Options):
     """Electrons per pixel and second of both beams, see `physics.optics.Illumination`."""
 
     local_oscillator_e_s: Annotated[float, Field(gt=0)] = _NOMINAL.illumination.local_oscillator_e_s
     object_e_s: Annotated[float, Field(gt=0)] = _NOMINAL.illumination.object_e_s
 
 
-class Faults(_Section):
+class Faults(Options):
     """What is wrong with the bench, for tests and for training.
 
     Attributes
@@ -75,7 +72,7 @@ class Faults(_Section):
     frame_rate_error_ppm: Annotated[float, Field(ge=-1e5, le=1e5)] = 0.0
 
 
-class Twin(_Section):
+class Twin(Options):
     """The whole section. What is not said is nominal.
 
     Attributes
@@ -111,18 +108,7 @@ def read_twin(content: Mapping[str, Any], bench_name: str) -> Twin:
     BenchSetupError
         With the key path of the first thing that is wrong.
     """
-    try:
-        return Twin.model_validate(content)
-    except ValidationError as invalid:
-        errors = invalid.errors()
-        first, others = errors[0], len(errors) - 1
-        key = ".".join(str(part) for part in ("twin", *first["loc"]))
-        more = f" (and {others} more)" if others else ""
-        if first["type"] == "extra_forbidden":
-            message = "unknown key"
-        else:
-            message = f"{first['msg'].removeprefix('Input ')}, but is {first['input']!r}"
-        raise BenchSetupError(f"bench {bench_name!r}: {key}: {message}{more}; correct it") from None
+    return read_options(Twin, content, bench_name, "twin")
 
 
 def cane_of(reed: str) -> Components:

@@ -325,3 +325,19 @@ def test_a_preparation_is_that_of_the_protocol_and_its_reed():
     # What is drawn for each reed anew is not its kind's.
     assert (preparation.constants.E_L_pa, preparation.constants.G_LT_pa) == (14e9, 1.1e9)
     assert preparation.constants.E_T_pa == alto.cane().E_T_pa
+
+
+@pytest.mark.parametrize(
+    ("volts_are", "stated", "peak_v"),
+    [("peak", "16 V", 16.0), ("peak_to_peak", "32 V", 16.0), ("rms", "10 V", 14.142)],
+)
+def test_limits_are_compared_with_peak_volts_however_they_are_stated(volts_are, stated, peak_v):
+    limits = {"limits.volts_are": volts_are, "limits.volts_max": stated}
+    bench = BENCH.replace(limits)
+    allowed = SERIES_A.replace({"drive.ramp.to": f"{peak_v} V"})
+    assert make_plan(allowed, bench).violations == ()
+    beyond = SERIES_A.replace({"drive.ramp.to": f"{peak_v + 0.001} V"})
+    (violation,) = make_plan(beyond, bench).violations
+    assert violation.key == "drive.ramp.to"
+    assert f"above the {peak_v:g} V (peak) of limits.volts_max" in violation.message
+    assert violation.message.endswith(f"write at most '{peak_v:g} V'")

@@ -306,6 +306,17 @@ WRONG_BENCHES = {
     "unknown key": ("pixel:", "pixels:", "instruments.camera.pixels: unknown key; did you mean 'p"),
     "option beside the driver": ("step: 1 uHz", "step: 1 uHz\n    port: x", "generator.port: unkn"),
     "wrong dimension": ("650 nm", "650 nHz", "optics.wavelength: '650 nHz' is not a length"),
+    "volts of no kind": ("  volts_are: peak\n", "", "limits.volts_are: is missing; add it"),
+    "volts of another kind": (
+        "volts_are: peak",
+        "volts_are: mean",
+        "limits.volts_are: 'mean' should",
+    ),
+    "output without load": (
+        "driver: simulated\n    step: 1 uHz",
+        "driver: simulated\n    step: 1 uHz\n    output: {amplifier_gain: 2.0}",
+        "generator.output.load: is missing",
+    ),
     "limits exchanged": ("volts_max: 16 V", "volts_max: 0 V", "limits.volts_max: '0 V' should"),
     "drive exchanged": ("drive_max: 20 kHz", "drive_max: 20 Hz", "limits.drive_max: the maximum"),
     "line without unit": ("[4308.6 Hz]", "[4308.6]", "acoustic_lines[0]: 4308.6 has no unit"),

@@ -19,6 +19,7 @@ from rich.console import Console
 from holography.errors import BenchError
 
 if TYPE_CHECKING:
+    from acquire.control import Order
     from acquire.plan import Plan
     from acquire.runfile import RunLabels
     from fitting.fit import ReedFit
@@ -79,7 +80,7 @@ def _verb(function: Callable[..., None]) -> Callable[..., None]:
             _tell("acquire: interrupted")
             raise typer.Exit(INTERRUPTED) from None
 
-    name = {"list_runs": "list"}.get(function.__name__, function.__name__)
+    name = {"list_runs": "list", "proceed": "continue"}.get(function.__name__, function.__name__)
     return app.command(name)(guarded)
 
 
@@ -129,6 +130,9 @@ def run(
     seed: Annotated[
         int, typer.Option(min=0, help="Of all that is random on a simulated bench.")
     ] = 0,
+    resume: Annotated[
+        Path | None, typer.Option(metavar="RUN", help="Go on with this unfinished run.")
+    ] = None,
     fit: Annotated[
         bool, typer.Option(help="Fit the reed and draw the pictures at the end.")
     ] = True,
@@ -142,15 +146,22 @@ def run(
 
     planned = _plan(protocol, bench, series)
     planned.require_possible()
-    path = out or _default_path(planned.protocol.series, reed)
     labels = RunLabels(strength, note, operator)
     _require_keepable(reed, labels)
+    if resume is not None:
+        said = labels != RunLabels()
+        _require_nothing_new(out=out, reed=reed != "unnamed", seed=seed, labels=said)
+        )
+    path = resume or out or _default_path(planned.protocol.series, reed)
     words = _words()
     with sweep_progress(words, len(planned.steps)) as show:
         tell = functools.partial(words.print, markup=False, soft_wrap=True)
-        summary = script.run(
-            planned, path, reed=reed, labels=labels, seed=seed, progress=show, announce=tell
-        )
+        if resume is not None:
+            summary = script.resume(planned, path, progress=show, announce=tell)
+        else:
+            summary = script.run(
+                planned, path, reed=reed, labels=labels, seed=seed, progress=show, announce=tell
+            )
     with Run.open(path) as finished:
         closing = run_summary(summary, troubles_of(finished))
     for line in closing:
@@ -168,6 +179,16 @@ def run(
     except KeyboardInterrupt:
         _finish(answer, as_json, [f"run file      {path}"])
         raise
+
+
+def _require_nothing_new(**asked: object) -> None:
+    """Refuse to change, in an unfinished run, what its file already says."""
+    from acquire.errors import RunFileError
+
+    for option, value in asked.items():
+        if value:
+            names = "--strength, --note or --operator" if option == "labels" else f"--{option}"
+            raise RunFileError(f"{names}: the unfinished run has its own already; leave it out")
 
 
 def _require_keepable(reed: str, labels: "RunLabels") -> None:
@@ -514,6 +535,54 @@ def list_runs(
         _show_json(entries)
     else:
         Console(highlight=False).print(runs_table(entries))
+
+
+@_verb
+def show(
+    run_file: Annotated[Path, typer.Argument(metavar="RUN", help="A run file.")],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Show what a run file says: who, what, with what, which steps are bad, where it has seams."""
+    from acquire.display import details_table, run_details
+    from acquire.runfile import Run
+
+    with Run.open(run_file) as run_:
+        details = run_details(run_)
+    if as_json:
+        _show_json(details)
+    else:
+        Console(highlight=False).print(details_table(details))
+
+
+@_verb
+def pause(
+    run_file: Annotated[Path, typer.Argument(metavar="RUN", help="File of a run in work.")],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Let a run in work switch all off after its step, and wait."""
+    _order(run_file, "pause", as_json)
+
+
+@_verb
+def proceed(
+    run_file: Annotated[Path, typer.Argument(metavar="RUN", help="File of a paused run.")],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Let a paused run go on."""
+    _order(run_file, "continue", as_json)
+
+
+def _order(run_file: Path, what: "Order", as_json: bool) -> None:
+    from acquire.control import order
+
+    process = order(run_file, what)
+    if as_json:
+        _show_json({"run": str(run_file), "order": what, "process": process})
+    else:
+        _tell(f"{run_file}: process {process} was told to {what}")
 
 
 def main() -> None:

@@ -1,7 +1,12 @@
 """What the command line shows of plans and runs: tables, progress and closing words."""
 
-from collections.abc import Iterator, Sequence
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
+from statistics import median
+from typing import Any
 from typing import Protocol as Role
 
 from rich.box import SIMPLE
@@ -14,7 +19,7 @@ from acquire.plan import Plan, Step
 from acquire.quality import Verdict
 from acquire.quantities import exact_decimal
 from acquire.recorder import StepReport
-from acquire.runfile import Run
+from acquire.runfile import Run, StepRecord
 from acquire.runner import RunSummary
 
 
@@ -88,10 +93,11 @@ def sweep_progress(console: Console, steps: int) -> Iterator[Listener]:
                 progress.start()
             minutes, seconds = divmod(round(report.seconds_left), 60)
             colour = "green" if report.verdict is Verdict.OK else "red"
+            again = f" take {report.take}" if report.take > 1 else ""
             progress.update(
                 task,
                 completed=report.done,
-                setting=f"{report.drive_hz:8.1f} Hz {report.volts:6.2f} V",
+                setting=f"{report.drive_hz:8.1f} Hz {report.volts:6.2f} V{again}",
                 verdict=f"[{colour}]{report.verdict}[/{colour}]",
                 left=f"{minutes}:{seconds:02d} left",
             )
@@ -120,6 +126,8 @@ def run_summary(summary: RunSummary, troubles: Sequence[str]) -> list[str]:
     if bad:
         listed = ", ".join(f"{n} {v}" for v, n in bad.items())
         lines.append(f"not good: {listed}; for example: {troubles[0]}" if troubles else listed)
+    if summary.retaken:
+        lines.append(f"taken again: {summary.retaken}")
     lines += [f"NOT CONFIRMED, please look: {what}" for what in summary.unconfirmed]
     return lines
 
@@ -128,6 +136,71 @@ def troubles_of(run: Run) -> list[str]:
     """Sentences of a run's steps that are not ok, first first."""
     bad = [s for s in run.steps if s.verdict is not Verdict.OK and s.sentence]
     return [f"step {step.index}: {step.sentence}" for step in bad]
+
+
+def run_details(run: Run) -> dict[str, object]:
+    """Return all that a run file says of a run but for its pictures, with stable keys."""
+    good = [step for step in run.steps if step.verdict is Verdict.OK]
+    errors = [abs(step.lock_error_hz) for step in good if math.isfinite(step.lock_error_hz)]
+    counts = Counter(str(step.verdict) for step in run.steps)
+    return catalogue_entry(run) | {
+        "end": run.end_time,
+        "title": run.title,
+        "kind": run.reed_file().name,
+        "chamber": run.chamber,
+        "bench": run.bench_name,
+        "bench_fingerprint": run.bench_fingerprint,
+        "protocol_sha256": run.protocol_sha256,
+        "instruments": run.identities,
+        "seed": run.seed,
+        "keep": run.keep,
+        "git_revision": run.git_revision,
+        "verdicts": dict(counts),
+        "lock_error_hz": {
+            "median": float(median(errors)) if errors else None,
+            "largest": max(errors, default=None),
+        },
+        "retakes": [_taken(step) for step in run.retakes],
+        "bad": [_taken(step) for step in run.steps if step.verdict is not Verdict.OK],
+        "seams": [asdict(seam) for seam in run.seams],
+    }
+
+
+def _taken(step: StepRecord) -> dict[str, object]:
+    return {"index": step.index, "verdict": str(step.verdict), "sentence": step.sentence}
+
+
+def details_table(details: Mapping[str, Any]) -> Table:
+    """What `acquire show` shows of `run_details`."""
+    table = Table(box=SIMPLE, show_header=False, pad_edge=False)
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(overflow="fold")
+
+    def row(head: str, value: object) -> None:
+        if value not in ("", None):
+            # Text, because what people wrote may hold what rich takes for markup.
+            table.add_row(head, Text(str(value)))
+
+    strength = f", strength {details['strength']:g}" if details["strength"] else ""
+    row("run", details["path"])
+    row("measured", f"{details['start']} to {details['end'] or '(no end)'}, {details['status']}")
+    row("protocol", f"{details['title']} ({details['protocol_sha256'][:12]})")
+    row("reed", f"{details['reed']} ({details['kind']}){strength}, series {details['series']}")
+    row("note", details["note"])
+    row("operator", details["operator"])
+    row("bench", f"{details['bench']} ({details['bench_fingerprint'][:12]})")
+    for role, identity in details["instruments"].items():
+        row(role, identity)
+    row("steps", ", ".join(f"{n} {verdict}" for verdict, n in details["verdicts"].items()))
+    lock = details["lock_error_hz"]
+    if lock["median"] is not None:
+        row("lock error", f"{lock['median']:.2g} Hz median, {lock['largest']:.2g} Hz at most")
+    for key, word in (("retakes", "taken again"), ("bad", "not good")):
+        for step in details[key]:
+            row(word, f"step {step['index']}: {step['verdict']}: {step['sentence']}")
+    for seam in details["seams"]:
+        row("seam", f"{seam['kind']} at step place {seam['position'] + 1}: {seam['reason']}")
+    return table
 
 
 def runs_table(runs: Sequence[dict[str, object]]) -> Table:

@@ -14,6 +14,7 @@ from acquire.errors import RunFileError
 from acquire.plan import Plan, Step
 from acquire.run_layout import RunLabels, Status, short_reason
 from acquire.run_writer import MeasuredStep
+from acquire.runfile import StepRecord
 from drivers.roles import Bench
 
 _EXIT_STATUS: Final[dict[Status, Literal["success", "abort", "fail"]]] = {
@@ -23,6 +24,7 @@ _EXIT_STATUS: Final[dict[Status, Literal["success", "abort", "fail"]]] = {
 }
 _SOURCES: Final = {
     "index": "protocol",
+    "take": "acquire.runner",
     "asked_hz": "protocol",
     "drive_hz": "generator",
     "difference_hz": "synthesizers",
@@ -30,10 +32,19 @@ _SOURCES: Final = {
     "signal_to_noise": "camera",
     "noise_level": "camera",
     "saturated_share": "camera",
+    "lock_error_hz": "camera",
+    "lock_error_se_hz": "camera",
     "verdict": "acquire.quality",
     "sentence": "acquire.quality",
 }
-_UNITS: Final = {"asked_hz": "Hz", "drive_hz": "Hz", "difference_hz": "Hz", "volts": "V"}
+_UNITS: Final = {
+    "asked_hz": "Hz",
+    "drive_hz": "Hz",
+    "difference_hz": "Hz",
+    "volts": "V",
+    "lock_error_hz": "Hz",
+    "lock_error_se_hz": "Hz",
+}
 
 
 def documents_path(run_path: Path) -> Path:
@@ -44,65 +55,116 @@ def documents_path(run_path: Path) -> Path:
 class DocumentLog:
     """Start, descriptor, event and stop documents of one run; a context manager.
 
-    Parameters
-    ----------
-    run_path : Path
-        Of the run file.
-    plan : Plan
-    bench : Bench
-    labels : RunLabels
-    uid : str
-        Of the run file, and of the start document.
-
-    Raises
-    ------
-    RunFileError
-        If the documents exist already or cannot be made.
+    Made by `create` and `resume`.
     """
 
     def __init__(
-        self, run_path: Path, plan: Plan, bench: Bench, labels: RunLabels, uid: str
+        self,
+        path: Path,
+        file: TextIO,
+        compose_event: Any,
+        compose_stop: Any,
+        told: frozenset[tuple[int, int]] = frozenset(),
     ) -> None:
+        self.path = path
+        self._file, self._told = file, told
+        self._compose_event, self._compose_stop = compose_event, compose_stop
+
+    @classmethod
+    def create(cls, run_path: Path, plan: Plan, bench: Bench, labels: RunLabels, uid: str) -> Self:
+        """Begin the documents of a new run.
+
+        Parameters
+        ----------
+        run_path : Path
+            Of the run file.
+        plan : Plan
+        bench : Bench
+        labels : RunLabels
+        uid : str
+            Of the run file, and of the start document.
+
+        Raises
+        ------
+        RunFileError
+            If the documents exist already or cannot be made.
+        """
         # It takes longer to import than the rest of this package.
         import event_model
 
         metadata = _metadata(run_path, plan, bench, labels)
         bundle = event_model.compose_run(uid=uid, metadata=metadata)
         stream = bundle.compose_descriptor(name="primary", data_keys=_data_keys())
-        self._compose_stop, self._compose_event = bundle.compose_stop, stream.compose_event
-        self.path = documents_path(run_path)
-        self._file = _create(self.path)
+        path = documents_path(run_path)
+        log = cls(path, _create(path), stream.compose_event, bundle.compose_stop)
         try:
-            self._write("start", bundle.start_doc)
-            self._write("descriptor", stream.descriptor_doc)
+            log._write("start", bundle.start_doc)
+            log._write("descriptor", stream.descriptor_doc)
         except BaseException:
-            self.discard()
+            log.discard()
             raise
+        return log
 
-    def event(self, step: Step, measured: MeasuredStep, time_s: float) -> None:
+    @property
+    def told(self) -> frozenset[tuple[int, int]]:
+        """Index and take of every event that was there when the documents were gone on with."""
+        return self._told
+
+    @classmethod
+    def resume(cls, run_path: Path) -> Self:
+        """Go on with the documents of a run that is not complete.
+
+        A line that was cut short, and the stop document of a run that was ended, are left out: a
+        run has one beginning and one end.
+
+        Raises
+        ------
+        RunFileError
+            If there are none, or they are no documents of a run.
+        """
+        import event_model
+
+        path = documents_path(run_path)
+        documents = _documents(path)
+        named = dict(reversed(documents))
+        counts = {"primary": 1 + sum(name == "event" for name, _ in documents)}
+        try:
+            start, descriptor = named["start"], named["descriptor"]
+            compose_event = event_model.ComposeEvent(descriptor=descriptor, event_counters=counts)
+        except (KeyError, TypeError, ValueError):
+            raise RunFileError(
+                f"{path}: does not begin with the documents of a run; measure the sweep again"
+            ) from None
+        compose_stop = event_model.ComposeStop(start=start, event_counters=counts, poison_pill=[])
+        whole = path.with_suffix(".part")
+        try:
+            with whole.open("w", encoding="utf-8") as part:
+                part.writelines(json.dumps(document) + "\n" for document in documents)
+            whole.replace(path)
+            told = frozenset(
+                (document["data"]["index"], document["data"]["take"])
+                for name, document in documents
+                if name == "event"
+            )
+            return cls(path, path.open("a", encoding="utf-8"), compose_event, compose_stop, told)
+        except OSError as error:
+            raise _cannot_write(path, error) from error
+
+    def event(self, data: dict[str, Any], time_s: float) -> None:
         """Write the event of one measured step.
 
         Parameters
         ----------
-        step : Step
-            As planned.
-        measured : MeasuredStep
+        data : dict
+            See `event_data` and `recorded_data`.
         time_s : float
             POSIX time of the measurement.
+
+        Raises
+        ------
+        RunFileError
+            If the disk refuses.
         """
-        read = measured.read_back
-        data: dict[str, Any] = {
-            "index": step.index,
-            "asked_hz": float(step.asked_hz),
-            "drive_hz": float(read.drive_hz),
-            "difference_hz": float(read.aom1_hz - read.aom2_hz),
-            "volts": read.volts,
-            "signal_to_noise": _finite(measured.signal_to_noise),
-            "noise_level": _finite(measured.noise_level),
-            "saturated_share": measured.saturated_share,
-            "verdict": str(measured.judgement.verdict),
-            "sentence": measured.judgement.sentence,
-        }
         timestamps = dict.fromkeys(data, time_s)
         self._write("event", self._compose_event(data=data, timestamps=timestamps, time=time_s))
 
@@ -135,9 +197,77 @@ class DocumentLog:
             self._file.write(json.dumps([name, document], allow_nan=False) + "\n")
             self._file.flush()
         except OSError as error:
-            raise RunFileError(
-                f"{self.path}: cannot be written ({short_reason(error)}); make room on the disk"
-            ) from error
+            raise _cannot_write(self.path, error) from error
+
+
+def _cannot_write(path: Path, error: OSError) -> RunFileError:
+    return RunFileError(f"{path}: cannot be written ({short_reason(error)}); make room on the disk")
+
+
+def _documents(path: Path) -> list[tuple[str, Any]]:
+    """Documents of a run that is not complete, as far as they are whole, without the last one."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise RunFileError(f"{path}: cannot be read ({error}); measure the sweep again") from error
+    documents = []
+    for line in lines:
+        try:
+            name, document = json.loads(line)
+        except ValueError:
+            break
+        if name != "stop":
+            documents.append((name, document))
+    return documents
+
+
+def event_data(step: Step, take: int, measured: MeasuredStep) -> dict[str, Any]:
+    """Data of the event of a step that was just measured.
+
+    Parameters
+    ----------
+    step : Step
+        As planned.
+    take : int
+        From 1: how often the step was taken.
+    measured : MeasuredStep
+    """
+    read = measured.read_back
+    return {
+        "index": step.index,
+        "take": take,
+        "asked_hz": float(step.asked_hz),
+        "drive_hz": float(read.drive_hz),
+        "difference_hz": float(read.aom1_hz - read.aom2_hz),
+        "volts": read.volts,
+        "signal_to_noise": _finite(measured.signal_to_noise),
+        "noise_level": _finite(measured.noise_level),
+        "saturated_share": measured.saturated_share,
+        "lock_error_hz": _finite(measured.lock_error_hz),
+        "lock_error_se_hz": _finite(measured.lock_error_se_hz),
+        "verdict": str(measured.judgement.verdict),
+        "sentence": measured.judgement.sentence,
+    }
+
+
+def recorded_data(record: StepRecord, take: int) -> dict[str, Any]:
+    """Data of the event of a measured step that a run file holds, see `event_data`."""
+    aom1_hz, aom2_hz = record.read_aom1_hz or 0, record.read_aom2_hz or 0
+    return {
+        "index": record.index,
+        "take": take,
+        "asked_hz": float(record.asked_hz),
+        "drive_hz": float(record.read_drive_hz or 0),
+        "difference_hz": float(aom1_hz - aom2_hz),
+        "volts": record.read_volts,
+        "signal_to_noise": _finite(record.signal_to_noise),
+        "noise_level": _finite(record.noise_level),
+        "saturated_share": record.saturated_share,
+        "lock_error_hz": _finite(record.lock_error_hz),
+        "lock_error_se_hz": _finite(record.lock_error_se_hz),
+        "verdict": str(record.verdict),
+        "sentence": record.sentence,
+    }
 
 
 def _create(path: Path) -> TextIO:
@@ -177,7 +307,7 @@ def _data_keys() -> dict[str, dict[str, Any]]:
     keys = {}
     for name, source in _SOURCES.items():
         text = name in ("verdict", "sentence")
-        dtype = "string" if text else "integer" if name == "index" else "number"
+        dtype = "string" if text else "integer" if name in ("index", "take") else "number"
         keys[name] = {"source": source, "dtype": dtype, "shape": []}
         if name in _UNITS:
             keys[name]["units"] = _UNITS[name]

@@ -154,6 +154,15 @@ class Plan:
         )
 
     @property
+    def spare_takes(self) -> int:
+        """How many takes a run file has room for besides one of each step.
+
+        A tenth of the sweep, and a few: if more steps are bad, the trouble is not theirs.
+        """
+        retries = len(self.steps) * self.protocol.policy.bad_pictures.retry
+        return min(retries, len(self.steps) // 10 + 4)
+
+    @property
     def duration_s(self) -> float:
         """Time that a real camera takes: settling, waiting for its next frame, and the frames."""
         period_s = self.protocol.camera.period_s

@@ -107,6 +107,30 @@ class Tolerance(Section):
     lock_phase_rad: Annotated[Angle, Field(alias="lock_phase", ge=0)] = Fraction(1, 100)
 
 
+class Policy(Section):
+    """What becomes of a step that goes wrong: tried again so often, and what then."""
+
+    retry: Annotated[int, Field(ge=0, le=5)]
+    then: Literal["skip", "stop"]
+
+
+class Policies(Section):
+    """What happens when a step goes wrong.
+
+    Attributes
+    ----------
+    bad_pictures : Policy
+        The instruments did as asked, but the step's verdict is not ok. ``skip`` goes on, and takes
+        bad steps again after the last one; ``stop`` takes them again at once, and ends the run.
+    instrument_error : Policy
+        An instrument failed. Before the step is tried again, or the next one begun, all is switched
+        off and on again.
+    """
+
+    bad_pictures: Policy = Policy(retry=1, then="skip")
+    instrument_error: Policy = Policy(retry=0, then="stop")
+
+
 class Protocol(Description):
     """One sweep: which drives, how loud, how they are recorded.
 
@@ -121,7 +145,7 @@ class Protocol(Description):
     reed : str
         Kind of reed that is measured: a reed file (beside the protocol, or from where the program
         is started), or the name of a shipped one. See `reed_file`.
-    sweep, drive, sideband, camera, tolerance
+    sweep, drive, sideband, camera, tolerance, policy
         Sections, see their classes.
     settle_s : Fraction
         Wait between a new setting and the first frame that counts.
@@ -142,6 +166,7 @@ class Protocol(Description):
     camera: CameraSettings
     settle_s: Annotated[Time, Field(alias="settle", ge=0)]
     tolerance: Tolerance = Tolerance()
+    policy: Policies = Policies()
     keep: Literal["holograms", "frames"] = "holograms"
 
     @property

@@ -1,9 +1,10 @@
 """What one acquisition is worth: a verdict and a sentence, from numbers alone.
 
 Of all that is wrong with a step the most severe is its verdict. `SEVERITY` orders them such that
-each makes those after it meaningless: frames that are not consecutive have no phase steps; frames
-from before the setting measure another setting; without a lock no sideband is seen; saturated
-frames distort it; and only light that could have been there can be missed.
+each makes those after it meaningless: frames that are not consecutive, not in order or not whole
+have no phase steps; frames from before the setting measure another setting; without a lock no
+sideband is seen; saturated frames distort it; and only light that could have been there can be
+missed.
 """
 
 import math
@@ -11,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -18,7 +20,7 @@ import numpy.typing as npt
 
 from acquire.lock import lock_residual_hz, phase_error_rad
 from drivers.roles import Frame
-from holography.region import Region
+from holography.phase import PhaseAdvance
 
 
 class Verdict(StrEnum):
@@ -28,31 +30,39 @@ class Verdict(StrEnum):
     ----------
     OK : the step can be used.
     DROPPED : frames are missing between the first and the last.
-    STALE : an exposure began before the setting had settled.
+    DISORDERED : frames came twice or in another order, or their time stamps jump.
+    PARTIAL : a frame is not filled to its end.
+    STALE : an exposure began before the setting had settled, or was seen before.
     LOCK : what was played, or the real frame rate, misses the sideband.
     SATURATED : too many pixels are at their limit.
     NO_SIGNAL : the reed's region holds no more light than an empty one.
     PENDING : the step was not measured yet.
     INTERRUPTED : the step was begun and given up; it holds no data.
+    SKIPPED : an instrument failed at this step and the run went on without it; it holds no data.
     """
 
     OK = "ok"
     DROPPED = "dropped"
+    DISORDERED = "disordered"
+    PARTIAL = "partial"
     STALE = "stale"
     LOCK = "lock"
     SATURATED = "saturated"
     NO_SIGNAL = "no_signal"
     PENDING = "pending"
     INTERRUPTED = "interrupted"
+    SKIPPED = "skipped"
 
     @property
     def measured(self) -> bool:
         """Whether a step of this verdict holds data, good or bad."""
-        return self not in (Verdict.PENDING, Verdict.INTERRUPTED)
+        return self not in (Verdict.PENDING, Verdict.INTERRUPTED, Verdict.SKIPPED)
 
 
 SEVERITY: Final = (
     Verdict.DROPPED,
+    Verdict.DISORDERED,
+    Verdict.PARTIAL,
     Verdict.STALE,
     Verdict.LOCK,
     Verdict.SATURATED,
@@ -62,6 +72,12 @@ SEVERITY: Final = (
 
 # Hot pixels of a good CCD are some ten in a million.
 SATURATED_SHARE_MAX: Final = 1e-4
+# Of a frame period, and of the time between two frames, by which time stamps may be off.
+_PERIOD_SHARE: Final = 0.5
+_CLOCK_DRIFT: Final = 1e-4
+_PHASE_DEVIATIONS: Final = 5.0
+# Over four frames other sidebands turn the light by up to 0.02 rad on the simulated bench.
+_PHASE_LEAK_RAD: Final = 0.03
 # Once in three million empty steps noise alone exceeds this.
 _SIGNAL_DEVIATIONS: Final = 5.0
 
@@ -135,15 +151,91 @@ def judge_consecutive(frames: Sequence[Frame], expected: int) -> Judgement | Non
     return None
 
 
-def judge_fresh(frames: Sequence[Frame], ready_s: float) -> Judgement | None:
-    """`STALE` if an exposure began before `ready_s`, when the last setting had settled.
+def judge_order(
+    frames: Sequence[Frame], period_s: float, previous: Frame | None = None
+) -> Judgement | None:
+    """`DISORDERED` unless time stamps follow the numbers of the frames.
+
+    From each frame to the next, and from the last one of the acquisition before, so many periods
+    have to pass as numbers. Of an interval, half a period and a ten-thousandth (clocks drift) may
+    be missing or too much.
+
+    Parameters
+    ----------
+    frames : sequence of Frame
+        In the order in which they came.
+    period_s : float
+        Of the frames, as asked for.
+    previous : Frame, optional
+        Last one of the acquisition before, since when the camera did not stop.
+    """
+    chain = [frame for frame in (previous, *frames) if frame is not None]
+    for before, after in pairwise(chain):
+        if after.id <= before.id:
+            # A number that was seen before is not new, see `judge_fresh`.
+            if before is previous:
+                continue
+            return Judgement(
+                Verdict.DISORDERED,
+                f"frame {after.id} came after frame {before.id}; check the camera's bus and driver",
+            )
+        expected_s = (after.id - before.id) * period_s
+        off_s = after.timestamp_s - before.timestamp_s - expected_s
+        if abs(off_s) > _PERIOD_SHARE * period_s + _CLOCK_DRIFT * expected_s:
+            return Judgement(
+                Verdict.DISORDERED,
+                f"from frame {before.id} to {after.id} the camera's clock went "
+                f"{1e3 * (expected_s + off_s):.4g} ms instead of {1e3 * expected_s:.4g} ms; check "
+                "its trigger and clock",
+            )
+    return None
+
+
+def judge_whole(frames: Sequence[Frame], saturation_dn: int) -> Judgement | None:
+    """`PARTIAL` if rows of a frame are empty, or those of the frame before.
+
+    Light has noise: no row of it comes twice. A buffer that was not filled to its end holds zeros
+    or what it held before. (Saturated rows are all alike, and judged as such.)
+    """
+    for frame in frames:
+        empty = ~np.any(frame.image, axis=1)
+        if empty.any() and not empty.all():
+            return _partial(frame, empty, "empty")
+    for before, after in pairwise(frames):
+        same = np.all(before.image == after.image, axis=1)
+        same &= np.any(after.image < saturation_dn, axis=1) & np.any(after.image, axis=1)
+        if same.any():
+            return _partial(after, same, f"those of frame {before.id}")
+    return None
+
+
+def _partial(frame: Frame, rows: npt.NDArray[np.bool_], what: str) -> Judgement:
+    return Judgement(
+        Verdict.PARTIAL,
+        f"{np.count_nonzero(rows)} of {len(rows)} rows of frame {frame.id} are {what}; check the "
+        "camera's bus and the load of the computer",
+    )
+
+
+def judge_fresh(
+    frames: Sequence[Frame], ready_s: float, previous: Frame | None = None
+) -> Judgement | None:
+    """`STALE` if an exposure began before the last setting had settled, or is no new one.
 
     Parameters
     ----------
     frames : sequence of Frame
     ready_s : float
-        On the camera's clock.
+        When it had settled, on the camera's clock.
+    previous : Frame, optional
+        Last one of the acquisition before, since when the camera did not stop.
     """
+    if previous is not None and min(frame.id for frame in frames) <= previous.id:
+        return Judgement(
+            Verdict.STALE,
+            f"frame {min(frame.id for frame in frames)} is not later than frame {previous.id} of "
+            "the step before; empty the camera's buffer",
+        )
     early_s = ready_s - min(frame.timestamp_s for frame in frames)
     if early_s <= 0:
         return None
@@ -195,6 +287,36 @@ def judge_lock(
     return None
 
 
+def judge_phase(phase: PhaseAdvance, condition: LockCondition, count: int) -> Judgement | None:
+    """`LOCK` if the frames themselves turn by more than the tolerance over the acquisition.
+
+    What the light shows counts whatever instruments say, as far as it shows it: on top of the
+    tolerance, `_PHASE_DEVIATIONS` standard errors are allowed, and what other sidebands may leak.
+
+    Parameters
+    ----------
+    phase : PhaseAdvance
+        Measured from the frames.
+    condition : LockCondition
+    count : int
+        Frames of the acquisition.
+    """
+    if not math.isfinite(phase.standard_error_rad):
+        return None
+    turn_rad = count * abs(phase.error_rad)
+    uncertain_rad = count * _PHASE_DEVIATIONS * phase.standard_error_rad + _PHASE_LEAK_RAD
+    allowed_rad = condition.tolerance_rad + uncertain_rad
+    if turn_rad <= allowed_rad:
+        return None
+    error_hz = phase.error_rad / (2 * math.pi) * float(condition.frame_rate_hz)
+    return Judgement(
+        Verdict.LOCK,
+        f"the light turns by {turn_rad:.3g} rad over {count} frames, {error_hz:+.3g} Hz off the "
+        f"lock, at most {allowed_rad:.3g} rad can be; check that synthesizers, generator and "
+        "camera share one clock",
+    )
+
+
 def judge_saturation(share: float) -> Judgement | None:
     """`SATURATED` if more than `SATURATED_SHARE_MAX` of all pixels are at their limit."""
     if share <= SATURATED_SHARE_MAX:
@@ -240,27 +362,3 @@ def frame_rate_hz(frames: Sequence[Frame]) -> float | None:
 def saturated_share(frames: Sequence[Frame], saturation_dn: int) -> float:
     """Return the share of all pixels of all frames that are at `saturation_dn` or above."""
     return float(np.mean([np.mean(frame.image >= saturation_dn) for frame in frames]))
-
-
-def signal_and_noise(
-    image: npt.NDArray[np.complex64], reed: Region, empty: Region
-) -> tuple[float, float]:
-    """Mean ``|H|²`` in the reed's region over that of an empty one, and the latter.
-
-    Parameters
-    ----------
-    image : (ny, nx) complex64
-        Object image.
-    reed, empty : Region
-
-    Returns
-    -------
-    signal_to_noise, noise : float
-        NaN and 0 for an image without any noise.
-    """
-    signal, noise = (_mean_power(region.crop(image)) for region in (reed, empty))
-    return (signal / noise if noise > 0 else math.nan), noise
-
-
-def _mean_power(field: npt.NDArray[np.complex64]) -> float:
-    return float(np.mean(np.square(field.real)) + np.mean(np.square(field.imag)))

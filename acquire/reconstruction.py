@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from holography.demodulation import four_phase
 from holography.fresnel import FresnelTransform
+from holography.phase import PhaseAdvance, phase_advance
 from holography.region import Region
 
 
@@ -34,25 +35,67 @@ class Reconstruction:
         """Part of the object image that holds nothing but noise, see `empty_region`."""
         return empty_region(self.transform.shape, self.region)
 
-    def image(self, frames: npt.ArrayLike) -> npt.NDArray[np.complex64]:
-        """Object image (ny, nx) complex64 of four frames (4, ny, nx).
-
-        Raises
-        ------
-        ValueError
-            If the frames are not four images of the sensor's shape.
-        """
-        return self.transform.to_object(four_phase(frames))
-
     def field(self, frames: npt.ArrayLike) -> npt.NDArray[np.complex64]:
         """Field around the reed (height, width) complex64 of four frames (4, ny, nx).
 
         Raises
         ------
         ValueError
-            As for `image`.
+            If the frames are not four images of the sensor's shape.
         """
-        return self.region.crop(self.image(frames)).copy()
+        return self.quadratures(frames).field
+
+    def quadratures(self, frames: npt.ArrayLike) -> "Quadratures":
+        """Both halves of a hologram, I0 − I2 and I1 − I3, on the object plane.
+
+        Raises
+        ------
+        ValueError
+            As for `field`.
+        """
+        hologram = four_phase(frames)
+        images = [self.transform.to_object(part) for part in (hologram.real, hologram.imag)]
+        even, odd = (self.region.crop(image).copy() for image in images)
+        empty = np.stack([self.empty.crop(image) for image in images])
+        return Quadratures(even, odd, empty)
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratures:
+    """A hologram in two halves, each transformed to the object plane.
+
+    Attributes
+    ----------
+    even, odd : (height, width) complex64
+        Images of I0 − I2 and I1 − I3 around the reed.
+    empty : (2, rows, columns) complex64
+        Of both, where there is nothing but noise.
+    """
+
+    even: npt.NDArray[np.complex64]
+    odd: npt.NDArray[np.complex64]
+    empty: npt.NDArray[np.complex64]
+
+    @property
+    def field(self) -> npt.NDArray[np.complex64]:
+        """Field around the reed (height, width) complex64, see `four_phase`."""
+        field: npt.NDArray[np.complex64] = self.even + np.complex64(1j) * self.odd
+        return field
+
+    @property
+    def noise(self) -> float:
+        """Mean |H|² of the field where there is nothing but noise."""
+        return mean_power(self.empty[0] + np.complex64(1j) * self.empty[1])
+
+    @property
+    def phase_advance(self) -> PhaseAdvance:
+        """By how much the light turns from frame to frame."""
+        return phase_advance(self.even, self.odd, 0.5 * self.noise)
+
+
+def mean_power(field: npt.NDArray[np.complex64]) -> float:
+    """Mean ``|H|²`` of a field."""
+    return float(np.mean(np.square(field.real)) + np.mean(np.square(field.imag)))
 
 
 def empty_region(shape: tuple[int, int], region: Region) -> Region:

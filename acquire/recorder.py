@@ -8,16 +8,16 @@ import shutil
 import time
 import uuid
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
 import numpy as np
 
-from acquire.documents import DocumentLog, documents_path
+from acquire.documents import DocumentLog, documents_path, event_data, recorded_data
 from acquire.errors import RunFileError
 from acquire.plan import Plan, Step
 from acquire.quality import (
@@ -27,17 +27,21 @@ from acquire.quality import (
     judge_consecutive,
     judge_fresh,
     judge_lock,
+    judge_order,
+    judge_phase,
     judge_saturation,
     judge_signal,
+    judge_whole,
     most_severe,
     saturated_share,
-    signal_and_noise,
 )
-from acquire.reconstruction import Reconstruction
-from acquire.run_layout import RunLabels, Status
-from acquire.run_writer import MeasuredStep, RunWriter
+from acquire.reconstruction import Reconstruction, mean_power
+from acquire.run_layout import RunLabels, Seam, Status
+from acquire.run_writer import MeasuredStep, RunWriter, now
+from acquire.runfile import Run, StepRecord
 from drivers.roles import Bench, Frame
 from holography.fresnel import FresnelTransform
+from holography.phase import PhaseAdvance
 
 _WAITING_STEPS: Final = 2
 
@@ -55,6 +59,8 @@ class Acquisition:
     changed_s : float
         When the last setting was changed, on the camera's clock.
     frames : tuple of Frame
+    camera_start : int
+        How often the camera had been started: frames are numbered from there.
     """
 
     position: int
@@ -62,6 +68,7 @@ class Acquisition:
     read_back: ReadBack
     changed_s: float
     frames: tuple[Frame, ...]
+    camera_start: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +81,8 @@ class StepReport:
         Steps recorded, this one included, and steps planned.
     index : int
         k of the protocol's sweep.
+    take : int
+        From 1: how often this step was taken.
     drive_hz, volts : float
         As planned.
     verdict : Verdict
@@ -85,6 +94,7 @@ class StepReport:
     done: int
     of: int
     index: int
+    take: int
     drive_hz: float
     volts: float
     verdict: Verdict
@@ -96,53 +106,108 @@ class Recorder:
     """The run file and its documents, fed through a queue; a context manager.
 
     Leaving the context because of an exception marks the run as failed, and leaves no file if no
-    step was recorded. Otherwise `finish` says how the run ended.
-
-    Parameters
-    ----------
-    plan : Plan
-    bench : Bench
-        Open.
-    path : Path
-        Of the run file.
-    labels : RunLabels
-    progress : callable
-        Told of every recorded step, on the recorder's thread. What it raises stops the run.
-
-    Raises
-    ------
-    RunFileError
-        If the files exist already or cannot be made, or the disk is too small.
+    step was recorded. Otherwise `finish` says how the run ended. Made by `create` and `resume`.
     """
 
     def __init__(
         self,
         plan: Plan,
         bench: Bench,
-        path: Path,
-        labels: RunLabels,
+        writer: RunWriter,
+        documents: DocumentLog,
         progress: Callable[[StepReport], None],
     ) -> None:
-        require_writable(plan, path)
         self._plan, self._progress = plan, progress
+        self._writer, self._documents = writer, documents
         self._saturation_dn = bench.camera.saturation_dn
-        self._reconstruction = _reconstruction(plan)
-        self._counts: Counter[Verdict] = Counter()
+        self._reconstruction = reconstruction_of(plan)
+        self._verdicts = [Verdict.PENDING] * len(plan.steps)
+        self._takes = [0] * len(plan.steps)
+        self._last: tuple[int, Frame] | None = None
         self._started_s = self._first_done_s = time.monotonic()
-        uid = str(uuid.uuid4())
-        self._documents = DocumentLog(path, plan, bench, labels, uid)
-        try:
-            self._writer = RunWriter.create(path, plan, bench, labels, self._reconstruction, uid)
-        except BaseException:
-            self._documents.discard()
-            raise
+        self._recorded = 0
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="recorder")
         self._waiting: deque[Future[None]] = deque()
 
+    @classmethod
+    def create(
+        cls,
+        plan: Plan,
+        bench: Bench,
+        path: Path,
+        labels: RunLabels,
+        progress: Callable[[StepReport], None],
+    ) -> Self:
+        """Begin a new run.
+
+        Parameters
+        ----------
+        plan : Plan
+        bench : Bench
+            Open.
+        path : Path
+            Of the run file.
+        labels : RunLabels
+        progress : callable
+            Told of every recorded step, on the recorder's thread. What it raises stops the run.
+
+        Raises
+        ------
+        RunFileError
+            If the files exist already or cannot be made, or the disk is too small.
+        """
+        require_writable(plan, path)
+        uid = str(uuid.uuid4())
+        documents = DocumentLog.create(path, plan, bench, labels, uid)
+        try:
+            writer = RunWriter.create(path, plan, bench, labels, reconstruction_of(plan), uid)
+        except BaseException:
+            documents.discard()
+            raise
+        return cls(plan, bench, writer, documents, progress)
+
+    @classmethod
+    def resume(
+        cls, plan: Plan, bench: Bench, path: Path, progress: Callable[[StepReport], None]
+    ) -> Self:
+        """Go on with a run that is not complete. See `create`, and `acquire.resuming`.
+
+        Raises
+        ------
+        RunFileError
+            If another program has the files open, or they cannot be written.
+        """
+        with Run.open(path) as run:
+            steps, retakes, began = run.steps, run.retakes, run.end_time
+        documents = DocumentLog.resume(path)
+        try:
+            writer = RunWriter.resume(path, plan)
+        except BaseException:
+            documents.finish("interrupted", "could not be gone on with")
+            raise
+        recorder = cls(plan, bench, writer, documents, progress)
+        recorder._take_over(steps, retakes, began)
+        return recorder
+
     @property
     def counts(self) -> Mapping[Verdict, int]:
-        """How many recorded steps have each verdict."""
-        return dict(self._counts)
+        """How many steps that hold data have each verdict."""
+        return dict(Counter(verdict for verdict in self._verdicts if verdict.measured))
+
+    @property
+    def verdicts(self) -> Sequence[Verdict]:
+        """What is known of every planned step; to be relied on after `settle`."""
+        return tuple(self._verdicts)
+
+    @property
+    def takes(self) -> Sequence[int]:
+        """How often each planned step was taken; to be relied on after `settle`."""
+        return tuple(self._takes)
+
+    @property
+    def spare(self) -> int:
+        """How many takes may still be set aside; to be asked for after `settle`."""
+        return self._writer.spare
 
     def submit(self, acquisition: Acquisition) -> None:
         """Hand over a step; waits while `_WAITING_STEPS` others are in work.
@@ -155,9 +220,13 @@ class Recorder:
         self.settle(_WAITING_STEPS - 1)
         self._waiting.append(self._thread.submit(self._record, acquisition))
 
-    def mark_interrupted(self, position: int, reason: str) -> None:
-        """Note that the instruments gave up a step."""
-        self._waiting.append(self._thread.submit(self._record_interruption, position, reason))
+    def mark(self, position: int, verdict: Verdict, reason: str) -> None:
+        """Note that a step was given up (interrupted) or is done without (skipped)."""
+        self._waiting.append(self._thread.submit(self._mark, position, verdict, reason))
+
+    def add_seam(self, seam: Seam) -> None:
+        """Note where the run was not carried on at once."""
+        self._waiting.append(self._thread.submit(self._writer.add_seam, seam))
 
     def settle(self, waiting: int = 0) -> None:
         """Wait until at most `waiting` steps are still in work.
@@ -196,7 +265,7 @@ class Recorder:
         self._thread.shutdown()
         if error is None:
             return
-        if not self._counts:
+        if not any(self._takes):
             self._documents.discard()
             self._writer.discard()
             return
@@ -206,41 +275,87 @@ class Recorder:
         except RunFileError as second:
             error.add_note(str(second))
 
+    def _take_over(
+        self, steps: Sequence[StepRecord], retakes: Sequence[StepRecord], ended: str
+    ) -> None:
+        """Know what a run file holds, and tell of steps whose event was lost with the process."""
+        for take in retakes:
+            self._takes[take.position] += 1
+        for step in steps:
+            self._verdicts[step.position] = step.verdict
+            if step.verdict.measured:
+                self._takes[step.position] += 1
+                told = step.index, self._takes[step.position]
+                if told not in self._documents.told:
+                    self._documents.event(recorded_data(step, told[1]), time.time())
+        first = next((s for s, v in enumerate(self._verdicts) if not v.measured), len(steps))
+        reason = "the process was gone" if not ended else "the run had been ended"
+        self._writer.add_seam(Seam(first, "resumed", ended, now(), reason))
+
     def _record(self, acquisition: Acquisition) -> None:
-        step = acquisition.step
-        measured = measure(acquisition, self._plan, self._reconstruction, self._saturation_dn)
-        self._writer.write(acquisition.position, measured)
-        self._documents.event(step, measured, time.time())
-        self._counts[measured.judgement.verdict] += 1
-        done, of = self._counts.total(), len(self._plan.steps)
-        seconds_left = self._seconds_left(done, of)
+        step, position = acquisition.step, acquisition.position
+        measured = self._measured(acquisition)
+        if self._verdicts[position].measured:
+            self._writer.set_aside(position)
+        self._takes[position] += 1
+        self._writer.write(position, measured)
+        self._verdicts[position] = measured.judgement.verdict
+        self._documents.event(event_data(step, self._takes[position], measured), time.time())
+        self._recorded += 1
+        done, of = sum(verdict.measured for verdict in self._verdicts), len(self._plan.steps)
         self._progress(
             StepReport(
                 done=done,
                 of=of,
                 index=step.index,
+                take=self._takes[position],
                 drive_hz=float(step.drive_hz),
                 volts=step.volts,
                 verdict=measured.judgement.verdict,
                 sentence=measured.judgement.sentence,
-                seconds_left=seconds_left,
+                seconds_left=self._seconds_left(of - done),
             )
         )
 
-    def _seconds_left(self, done: int, of: int) -> float:
+    def _measured(self, acquisition: Acquisition) -> MeasuredStep:
+        """Judge a step beside the frames of the one before, which this one's must follow."""
+        previous = None
+        if self._last is not None and self._last[0] == acquisition.camera_start:
+            previous = self._last[1]
+        measured = measure(
+            acquisition, self._plan, self._reconstruction, self._saturation_dn, previous
+        )
+        if acquisition.frames:
+            newest = max(acquisition.frames, key=lambda frame: frame.id)
+            if previous is None or newest.id > previous.id:
+                # Without its picture, which is large.
+                self._last = (
+                    acquisition.camera_start,
+                    replace(newest, image=newest.image[:0]),
+                )
+        return measured
+
+    def _seconds_left(self, steps: int) -> float:
         """Extrapolate; the first step, which includes all preparations, only for itself."""
         now_s = time.monotonic()
-        if done == 1:
+        if self._recorded == 1:
             self._first_done_s = now_s
-            return (now_s - self._started_s) * (of - 1)
-        return (now_s - self._first_done_s) / (done - 1) * (of - done)
+            return (now_s - self._started_s) * steps
+        return (now_s - self._first_done_s) / (self._recorded - 1) * steps
 
-    def _record_interruption(self, position: int, reason: str) -> None:
-        self._writer.mark_interrupted(position, reason)
+    def _mark(self, position: int, verdict: Verdict, reason: str) -> None:
+        # A take that was measured before stays what it is.
+        if not self._verdicts[position].measured:
+            self._writer.mark(position, verdict, reason)
+            self._verdicts[position] = verdict
 
 
 def measure(
-    acquisition: Acquisition, plan: Plan, reconstruction: Reconstruction, saturation_dn: int
+    acquisition: Acquisition,
+    plan: Plan,
+    reconstruction: Reconstruction,
+    saturation_dn: int,
+    previous: Frame | None = None,
 ) -> MeasuredStep:
     """Reconstruct and judge one step.
 
@@ -252,6 +367,8 @@ def measure(
     reconstruction : Reconstruction
     saturation_dn : int
         See `drivers.roles.Camera`.
+    previous : Frame, optional
+        Last frame of the acquisition before, since when the camera did not stop.
 
     Returns
     -------
@@ -260,23 +377,30 @@ def measure(
     """
     step, frames, protocol = acquisition.step, acquisition.frames, plan.protocol
     region, empty = reconstruction.region, reconstruction.empty
-    field = np.zeros((region.height, region.width), dtype=np.complex64)
-    ratio, noise, signal = np.nan, np.nan, None
-    if len(frames) == step.frames:
-        image = reconstruction.image(np.stack([frame.image for frame in frames]))
-        field = region.crop(image).copy()
-        ratio, noise = signal_and_noise(image, region, empty)
-        signal = judge_signal(ratio, region.height * region.width, empty.height * empty.width)
-    share = saturated_share(frames, saturation_dn) if frames else 0.0
+    rate_hz = protocol.camera.frame_rate_hz
     condition = LockCondition(
-        protocol.sideband.order,
-        protocol.camera.frame_rate_hz,
-        float(protocol.tolerance.lock_phase_rad),
+        protocol.sideband.order, rate_hz, float(protocol.tolerance.lock_phase_rad)
     )
-    judgements = [judge_consecutive(frames, step.frames), judge_saturation(share), signal]
+    field = np.zeros((region.height, region.width), dtype=np.complex64)
+    ratio, noise, phase = np.nan, np.nan, PhaseAdvance(np.nan, np.nan)
+    judgements = [judge_consecutive(frames, step.frames)]
+    if len(frames) == step.frames:
+        halves = reconstruction.quadratures(np.stack([frame.image for frame in frames]))
+        field, noise, phase = halves.field, halves.noise, halves.phase_advance
+        ratio = mean_power(field) / noise if noise > 0 else np.nan
+        judgements.append(
+            judge_signal(ratio, region.height * region.width, empty.height * empty.width)
+        )
+        judgements.append(judge_phase(phase, condition, step.frames))
+    share = saturated_share(frames, saturation_dn) if frames else 0.0
+    judgements.append(judge_saturation(share))
     if frames:
-        judgements.append(judge_fresh(frames, acquisition.changed_s + float(step.settle_s)))
+        ready_s = acquisition.changed_s + float(step.settle_s)
+        judgements.append(judge_fresh(frames, ready_s, previous))
+        judgements.append(judge_order(frames, float(1 / rate_hz), previous))
+        judgements.append(judge_whole(frames, saturation_dn))
         judgements.append(judge_lock(acquisition.read_back, frames, condition))
+    turn_hz = float(rate_hz) / (2 * np.pi)
     return MeasuredStep(
         read_back=acquisition.read_back,
         changed_s=acquisition.changed_s,
@@ -285,6 +409,8 @@ def measure(
         signal_to_noise=ratio,
         noise_level=noise,
         saturated_share=share,
+        lock_error_hz=phase.error_rad * turn_hz,
+        lock_error_se_hz=phase.standard_error_rad * turn_hz,
         judgement=most_severe(judgements),
     )
 
@@ -340,7 +466,8 @@ def _require_free_name(path: Path) -> None:
             )
 
 
-def _reconstruction(plan: Plan) -> Reconstruction:
+def reconstruction_of(plan: Plan) -> Reconstruction:
+    """Geometry of frames and fields of a plan."""
     optics, camera = plan.bench.optics, plan.bench.instruments.camera
     transform = FresnelTransform(
         shape=plan.frame_shape,

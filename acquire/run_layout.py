@@ -7,7 +7,9 @@ from typing import Final, Literal
 from acquire.quantities import exact_decimal
 
 FORMAT: Final = "reedbench-run"
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 2
+# Version 1 knows no takes but one of each step, no seams, and no lock measured from the frames.
+READABLE_VERSIONS: Final = (1, 2)
 
 Status = Literal["running", "complete", "interrupted", "failed"]
 
@@ -28,8 +30,40 @@ MEASURED: Final = {
     "signal_to_noise": "",
     "noise_level": "",
     "saturated_share": "",
+    "lock_error_hz": "Hz",
+    "lock_error_se_hz": "Hz",
 }
+# Columns of measured steps that files of version 1 lack.
+SINCE_VERSION_2: Final = ("lock_error_hz", "lock_error_se_hz")
+# Columns of `/entry/seams`, and how many of them there may be.
+SEAMS: Final = ("position", "kind", "began", "ended", "reason")
+SEAMS_MAX: Final = 64
 EXACT_BYTES: Final = 64
+
+
+SeamKind = Literal["resumed", "paused", "recovered"]
+
+
+@dataclass(frozen=True)
+class Seam:
+    """A place where a run was not carried on at once.
+
+    Attributes
+    ----------
+    position : int
+        Of the step that came after it, from 0.
+    kind : {'resumed', 'paused', 'recovered'}
+        By another process, after a pause, or after an instrument had failed.
+    began, ended : str
+        ISO 8601.
+    reason : str
+    """
+
+    position: int
+    kind: SeamKind
+    began: str
+    ended: str
+    reason: str
 
 
 @dataclass(frozen=True)

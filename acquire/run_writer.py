@@ -2,7 +2,8 @@
 
 Everything is allocated before the first step, so a step overwrites bytes and moves nothing. Its
 verdict is written, and flushed, after its data: a program that is killed at any moment leaves a
-file that opens with plain h5py, in which every step with a verdict is whole.
+file that opens with plain h5py, in which every step with a verdict is whole. A step that is taken
+again is copied to a spare place first.
 """
 
 import json
@@ -29,7 +30,10 @@ from acquire.run_layout import (
     MEASURED,
     PLANNED_HZ,
     READ_BACK_HZ,
+    SEAMS,
+    SEAMS_MAX,
     RunLabels,
+    Seam,
     Status,
     exact_text,
     short_reason,
@@ -57,6 +61,8 @@ class MeasuredStep:
     signal_to_noise, noise_level : float
         Mean ``|H|²`` in the reed's region over that of an empty pixel, and the latter, in dn².
     saturated_share : float
+    lock_error_hz, lock_error_se_hz : float
+        By how much f_AOM1 − f_AOM2 missed the lock, as the frames show it, and its standard error.
     judgement : Judgement
     """
 
@@ -67,6 +73,8 @@ class MeasuredStep:
     signal_to_noise: float
     noise_level: float
     saturated_share: float
+    lock_error_hz: float
+    lock_error_se_hz: float
     judgement: Judgement
 
 
@@ -81,9 +89,10 @@ class RunWriter:
     def __init__(self, path: Path, file: Any, keep: str) -> None:
         self.path = path
         self._file = file
-        self._steps = file["entry/steps"]
+        self._steps, self._retakes = file["entry/steps"], file["entry/retakes"]
         self._keep = keep
-        self._signal = file["entry/data"]["field" if keep == "holograms" else "frames"]
+        self._name = "field" if keep == "holograms" else "frames"
+        self._signal = file["entry/data"][self._name]
 
     @classmethod
     def create(
@@ -126,6 +135,8 @@ class RunWriter:
                 _write_entry(file, plan, bench, labels, uid)
                 _write_instruments(file["entry"], plan, bench)
                 _write_steps(file["entry"], plan)
+                _write_retakes(file["entry"], plan)
+                _write_seams(file["entry"])
                 _write_data(file["entry"], plan, reconstruction)
             unborn.rename(path)
             return cls(path, h5py.File(path, "r+"), plan.protocol.keep)
@@ -133,6 +144,88 @@ class RunWriter:
             raise _cannot_make(path, error) from error
         finally:
             unborn.unlink(missing_ok=True)
+
+    @classmethod
+    def resume(cls, path: str | Path, plan: Plan) -> Self:
+        """Open the file of a run that is not complete, to go on with it.
+
+        Parameters
+        ----------
+        path : str or Path
+        plan : Plan
+            The one that the run was begun with.
+
+        Raises
+        ------
+        RunFileError
+            If another program has the file open, or it cannot be written.
+        """
+        path = Path(path)
+        try:
+            file = h5py.File(path, "r+")
+        except OSError as error:
+            raise RunFileError(
+                f"{path}: cannot be gone on with ({short_reason(error)}); see whether another "
+                "program has it open"
+            ) from error
+        writer = cls(path, file, plan.protocol.keep)
+        writer._set_status("running")
+        return writer
+
+    @property
+    def spare(self) -> int:
+        """How many takes may still be set aside."""
+        return int(np.count_nonzero(self._retakes["position"][()] < 0))
+
+    def add_seam(self, seam: Seam) -> None:
+        """Note where the run was not carried on at once; those beyond the last place are lost.
+
+        Raises
+        ------
+        RunFileError
+            If the disk refuses.
+        """
+        seams = self._file["entry/seams"]
+        free = np.flatnonzero(seams["position"][()] < 0)
+        if not free.size:
+            return
+        try:
+            for name in SEAMS[1:]:
+                value = str(getattr(seam, name)).encode()[:_SENTENCE_BYTES].decode(errors="ignore")
+                seams[name][free[0]] = value
+            seams["position"][free[0]] = seam.position
+            self._file.flush()
+        except OSError as error:
+            raise RunFileError(f"{self.path}: cannot be written ({short_reason(error)})") from error
+
+    def set_aside(self, position: int) -> None:
+        """Copy a step to a spare place, and make its own place that of a step to come.
+
+        Raises
+        ------
+        RunFileError
+            If there is no spare place, or the disk refuses.
+        """
+        free = np.flatnonzero(self._retakes["position"][()] < 0)
+        if not free.size:
+            raise RunFileError(
+                f"{self.path}: has no room for another take of step {position + 1}; measure the "
+                "sweep again"
+            )
+        try:
+            for name in _taken_columns():
+                self._retakes[name][free[0]] = self._steps[name][position]
+            self._retakes[self._name][free[0]] = self._signal[position]
+            self._file.flush()
+            # Only with its position is it a take.
+            self._retakes["position"][free[0]] = position
+            self._file.flush()
+            self._write_judgement(position, Judgement(Verdict.PENDING, "to be taken again"))
+        except OSError as error:
+            raise RunFileError(
+                f"{self.path}: step {position + 1} cannot be set aside ({short_reason(error)}); "
+                "make room on the disk"
+            ) from error
 
     def write(self, position: int, step: MeasuredStep) -> None:
         """Write one step; on return all of it is with the operating system.
@@ -163,8 +256,8 @@ class RunWriter:
                 "make room on the disk; the steps before it are safe"
             ) from error
 
-    def mark_interrupted(self, position: int, reason: str) -> None:
-        """Note that a step was begun and given up.
+    def mark(self, position: int, verdict: Verdict, reason: str) -> None:
+        """Note that a step was begun and given up (interrupted), or is done without (skipped).
 
         Raises
         ------
@@ -172,7 +265,7 @@ class RunWriter:
             If the disk refuses.
         """
         try:
-            self._write_judgement(position, Judgement(Verdict.INTERRUPTED, reason))
+            self._write_judgement(position, Judgement(verdict, reason))
         except OSError as error:
             raise RunFileError(f"{self.path}: cannot be written ({short_reason(error)})") from error
 
@@ -187,8 +280,7 @@ class RunWriter:
         if not self._file:
             return
         try:
-            self._file["entry/status"][()] = status
-            self._file["entry/end_time"][()] = _now()
+            self._set_status(status)
             self._file.close()
         except OSError as error:
             raise RunFileError(f"{self.path}: cannot be closed ({short_reason(error)})") from error
@@ -198,14 +290,20 @@ class RunWriter:
         self._file.close()
         self.path.unlink(missing_ok=True)
 
+    def _set_status(self, status: Status) -> None:
+        self._file["entry/status"][()] = status
+        self._file["entry/end_time"][()] = "" if status == "running" else now()
+        self._file.flush()
+
     def _write_numbers(self, position: int, step: MeasuredStep) -> None:
         for column in READ_BACK_HZ:
             hz: Fraction = getattr(step.read_back, column.removeprefix("read_"))
             self._steps[column][position] = float(hz)
             self._steps[f"{column}_exact"][position] = exact_text(hz)
         self._steps["read_volts"][position] = step.read_back.volts
-        for column in ("changed_s", "signal_to_noise", "noise_level", "saturated_share"):
-            self._steps[column][position] = getattr(step, column)
+        for column in MEASURED:
+            if column != "read_volts":
+                self._steps[column][position] = getattr(step, column)
         for number, frame in enumerate(step.frames):
             self._steps["timestamp_s"][position, number] = frame.timestamp_s
             self._steps["frame_id"][position, number] = frame.id
@@ -237,7 +335,7 @@ def _write_entry(file: Any, plan: Plan, bench: Bench, labels: RunLabels, uid: st
     entry.attrs["default"] = "data"
     _put(entry, "title", protocol.name)
     _put(entry, "entry_identifier_uuid", uid)
-    _put(entry, "start_time", _now())
+    _put(entry, "start_time", now())
     entry.create_dataset("end_time", data="", dtype=_text(_TIME_BYTES))
     entry.create_dataset("status", data="running", dtype=_text(_VERDICT_BYTES))
     _put(entry, "program_name", "reedbench")
@@ -285,22 +383,49 @@ def _write_instruments(entry: Any, plan: Plan, bench: Bench) -> None:
 
 
 def _write_steps(entry: Any, plan: Plan) -> None:
-    steps, count = _group(entry, "steps", "NXcollection"), len(plan.steps)
-    frames = (count, max(step.frames for step in plan.steps))
+    steps = _group(entry, "steps", "NXcollection")
     _put(steps, "index", [step.index for step in plan.steps])
     _put(steps, "volts", [step.volts for step in plan.steps], "V")
     _put(steps, "carrier_leak", [step.carrier_leak for step in plan.steps])
     for name in PLANNED_HZ:
         _put_exact(steps, name, [getattr(step, name) for step in plan.steps])
+    _allocate_taken(steps, len(plan.steps), plan)
+
+
+def _write_retakes(entry: Any, plan: Plan) -> None:
+    """Places for takes that were taken again; position -1 is a free one."""
+    retakes, count = _group(entry, "retakes", "NXcollection"), plan.spare_takes
+    _allocate(retakes, "position", (count,), np.int64, -1)
+    _allocate_taken(retakes, count, plan)
+    if count:
+        name, dtype, shape = _kept(plan)
+        _allocate_signal(retakes, name, dtype, (count, *shape))
+
+
+def _write_seams(entry: Any) -> None:
+    seams = _group(entry, "seams", "NXcollection")
+    _allocate(seams, "position", (SEAMS_MAX,), np.int64, -1)
+    for name in SEAMS[1:]:
+        _allocate(seams, name, (SEAMS_MAX,), _text(_SENTENCE_BYTES), "")
+
+
+def _taken_columns() -> tuple[str, ...]:
+    """Names of what is measured of a step besides its pictures."""
+    exact = (f"{name}_exact" for name in READ_BACK_HZ)
+    return (*READ_BACK_HZ, *exact, *MEASURED, "timestamp_s", "frame_id", "verdict", "sentence")
+
+
+def _allocate_taken(group: Any, count: int, plan: Plan) -> None:
+    frames = (count, max(step.frames for step in plan.steps))
     for name in READ_BACK_HZ:
-        _allocate(steps, name, (count,), np.float64, np.nan, "Hz")
-        _allocate(steps, f"{name}_exact", (count,), _text(EXACT_BYTES), "")
+        _allocate(group, name, (count,), np.float64, np.nan, "Hz")
+        _allocate(group, f"{name}_exact", (count,), _text(EXACT_BYTES), "")
     for name, unit in MEASURED.items():
-        _allocate(steps, name, (count,), np.float64, np.nan, unit)
-    _allocate(steps, "timestamp_s", frames, np.float64, np.nan, "s")
-    _allocate(steps, "frame_id", frames, np.int64, -1)
-    _allocate(steps, "verdict", (count,), _text(_VERDICT_BYTES), str(Verdict.PENDING))
-    _allocate(steps, "sentence", (count,), _text(_SENTENCE_BYTES), "")
+        _allocate(group, name, (count,), np.float64, np.nan, unit)
+    _allocate(group, "timestamp_s", frames, np.float64, np.nan, "s")
+    _allocate(group, "frame_id", frames, np.int64, -1)
+    _allocate(group, "verdict", (count,), _text(_VERDICT_BYTES), str(Verdict.PENDING))
+    _allocate(group, "sentence", (count,), _text(_SENTENCE_BYTES), "")
 
 
 def _write_data(entry: Any, plan: Plan, reconstruction: Reconstruction) -> None:
@@ -314,21 +439,28 @@ def _write_data(entry: Any, plan: Plan, reconstruction: Reconstruction) -> None:
     where = _group(entry, "region", "NXcollection")
     for name in ("row", "column", "height", "width"):
         _put(where, name, getattr(region, name))
-    count, shape = len(plan.steps), (region.height, region.width)
-    kept: tuple[str, Any, tuple[int, ...], list[str]]
-    if plan.protocol.keep == "holograms":
-        kept = "field", np.complex64, shape, ["drive_hz", "y_m", "x_m"]
-    else:
-        frames = (max(step.frames for step in plan.steps), *plan.frame_shape)
-        kept = "frames", np.uint16, frames, ["drive_hz", ".", ".", "."]
-    name, dtype, step_shape, axes = kept
+    name, dtype, shape = _kept(plan)
+    axes = ["drive_hz", "y_m", "x_m"] if name == "field" else ["drive_hz", ".", ".", "."]
     data.attrs.update({"signal": name, "axes": axes})
+    _allocate_signal(data, name, dtype, (len(plan.steps), *shape))
+
+
+def _kept(plan: Plan) -> tuple[str, Any, tuple[int, ...]]:
+    """Name, type and shape of what is kept of each step."""
+    if plan.protocol.keep == "holograms":
+        return "field", np.complex64, (plan.region.height, plan.region.width)
+    return "frames", np.uint16, (max(step.frames for step in plan.steps), *plan.frame_shape)
+
+
+def _allocate_signal(group: Any, name: str, dtype: Any, shape: tuple[int, ...]) -> None:
+    """Make room for pictures, a chunk each."""
     early = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     early.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
     # Zeros for steps to come are not written, the file system supplies them.
-    data.create_dataset(
-        name, (count, *step_shape), dtype, chunks=(1, *step_shape), dcpl=early, fill_time="never"
-    ).attrs["units"] = "dn"
+    dataset = group.create_dataset(
+        name, shape, dtype, chunks=(1, *shape[1:]), dcpl=early, fill_time="never"
+    )
+    dataset.attrs["units"] = "dn"
 
 
 def _group(parent: Any, name: str, kind: str) -> Any:
@@ -363,5 +495,6 @@ def _text(length: int) -> Any:
     return h5py.string_dtype("utf-8", length)
 
 
-def _now() -> str:
+def now() -> str:
+    """Return the time, ISO 8601 and UTC."""
     return datetime.now(UTC).isoformat(timespec="seconds")

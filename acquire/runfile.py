@@ -1,8 +1,8 @@
 """Run files: one sweep in one HDF5 file that explains itself (``docs/run-file.md``)."""
 
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -22,7 +22,11 @@ from acquire.run_layout import (
     MEASURED,
     PLANNED_HZ,
     READ_BACK_HZ,
+    READABLE_VERSIONS,
+    SEAMS,
+    SINCE_VERSION_2,
     RunLabels,
+    Seam,
     short_reason,
 )
 from acquire.run_writer import MeasuredStep, RunWriter
@@ -58,7 +62,7 @@ class StepRecord:
         Starts of the exposures, on the camera's clock.
     frame_ids : tuple of int
         -1 where there is no frame.
-    signal_to_noise, noise_level, saturated_share : float
+    signal_to_noise, noise_level, saturated_share, lock_error_hz, lock_error_se_hz : float
         See `MeasuredStep`.
     verdict : Verdict
     sentence : str
@@ -85,6 +89,8 @@ class StepRecord:
     signal_to_noise: float
     noise_level: float
     saturated_share: float
+    lock_error_hz: float
+    lock_error_se_hz: float
     verdict: Verdict
     sentence: str
 
@@ -96,14 +102,22 @@ class Run:
     ----------
     path : Path
     steps : tuple of StepRecord
-        All that were planned, measured or not.
+        All that were planned, measured or not; of those that were taken again, the last take.
+    retakes : tuple of StepRecord
+        Takes before the last one, in the order in which they were taken again. Their `position` is
+        that of their step; what they look like, `retaken_field` tells by their place here.
+    seams : tuple of Seam
+        Where the run was not carried on at once.
     uid, title, start_time, end_time : str
         Times are ISO 8601; `end_time` is empty if the run was killed.
+    format_version : int
     status : {'running', 'complete', 'interrupted', 'failed'}
         ``running`` also stands in the file of a run that was killed.
     reed, series, chamber : str
     reed_text : str or None
         Description of the kind of reed, see `reed_file`.
+    reed_sha256 : str
+        Its hash; empty where there is none.
     labels : RunLabels
     bench_name, bench_fingerprint, bench_text, protocol_text, protocol_sha256 : str
     identities : dict
@@ -137,7 +151,10 @@ class Run:
         self._read_provenance(entry["provenance"])
         self._read_instrument(entry["instrument"])
         self._read_geometry(entry)
+        self.format_version = int(file.attrs["format_version"])
         self.steps = tuple(_records(entry["steps"]))
+        self.retakes = tuple(_retaken(entry["retakes"], self.steps)) if "retakes" in entry else ()
+        self.seams = tuple(_seams(entry["seams"])) if "seams" in entry else ()
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
@@ -220,6 +237,27 @@ class Run:
         field: npt.NDArray[np.complex64] = self._read("field", position)
         return field
 
+    def retaken_field(self, number: int) -> npt.NDArray[np.complex64]:
+        """Complex field around the reed of one of `retakes`, (height, width) complex64.
+
+        Raises
+        ------
+        RunFileError
+            If the file keeps it damaged.
+        """
+        where, name = self._file["entry/retakes"], "field" if self.keep == "holograms" else "frames"
+        try:
+            kept = where[name][number]
+        except OSError as error:
+            raise RunFileError(
+                f"{self.path}: an earlier take of step {self.retakes[number].index} is damaged "
+                f"({short_reason(error)}); use another copy of the file or do without it"
+            ) from error
+        field: npt.NDArray[np.complex64] = (
+            kept if name == "field" else self.reconstruction.field(kept)
+        )
+        return field
+
     def frames(self, position: int) -> npt.NDArray[np.uint16]:
         """Frames of one step, (4, ny, nx) uint16.
 
@@ -289,6 +327,7 @@ class Run:
         self.protocol_sha256 = _string(origin, "protocol_sha256")
         # Runs that do not say which reed they measured are of the time of one kind of reed.
         self.reed_text = _string(origin, "reed") if "reed" in origin else None
+        self.reed_sha256 = _string(origin, "reed_sha256") if "reed" in origin else ""
         self.bench_text = _string(origin, "bench")
         self.bench_fingerprint = _string(origin, "bench_fingerprint")
         self.git_revision = _string(origin, "git_revision")
@@ -329,9 +368,10 @@ def _require_ours(path: Path, file: Any) -> None:
     if file.attrs.get("format") != FORMAT:
         raise RunFileError(f"{path}: is HDF5 but no run file; name one that acquire wrote")
     found = file.attrs.get("format_version")
-    if found != FORMAT_VERSION:
+    if found not in READABLE_VERSIONS:
         raise RunFileError(
-            f"{path}: has format version {found}, this software reads {FORMAT_VERSION}; update it"
+            f"{path}: has format version {found}, this software reads up to {FORMAT_VERSION}; "
+            "update it"
         )
 
 
@@ -342,22 +382,49 @@ def _string(group: Any, name: str) -> str:
 
 def _records(steps: Any) -> Iterator[StepRecord]:
     """Read all columns at once, then give one record per step."""
-    exact = {n: steps[f"{n}_exact"].asstr()[()] for n in (*PLANNED_HZ, *READ_BACK_HZ)}
-    numbers = {n: steps[n][()] for n in ("index", "volts", "carrier_leak", *MEASURED)}
-    verdicts, sentences = (steps[name].asstr()[()] for name in ("verdict", "sentence"))
-    times, ids = steps["timestamp_s"][()], steps["frame_id"][()]
-    for position in range(len(verdicts)):
+    planned = {n: steps[f"{n}_exact"].asstr()[()] for n in PLANNED_HZ}
+    numbers = {n: steps[n][()] for n in ("index", "volts", "carrier_leak")}
+    for position, taken in enumerate(_taken(steps)):
         # Of any type, for mypy: both mappings supply fields of several types.
-        frequencies: dict[str, Any] = {n: _fraction(t[position]) for n, t in exact.items()}
-        yield StepRecord(
-            position=position,
-            timestamps_s=tuple(float(time) for time in times[position]),
-            frame_ids=tuple(int(id) for id in ids[position]),
-            verdict=Verdict(verdicts[position]),
-            sentence=str(sentences[position]),
-            **frequencies,
-            **{name: column[position].item() for name, column in numbers.items()},
-        )
+        asked: dict[str, Any] = {n: _fraction(t[position]) for n, t in planned.items()}
+        asked |= {name: column[position].item() for name, column in numbers.items()}
+        yield StepRecord(position=position, **asked, **taken)
+
+
+def _retaken(retakes: Any, steps: Sequence[StepRecord]) -> Iterator[StepRecord]:
+    """Earlier takes, each as a record of its step."""
+    positions = retakes["position"][()]
+    for position, taken in zip(positions, _taken(retakes), strict=True):
+        if position >= 0:
+            yield replace(steps[position], **taken)
+
+
+def _taken(group: Any) -> Iterator[dict[str, Any]]:
+    """Fields of `StepRecord` that tell what was measured."""
+    exact = {n: group[f"{n}_exact"].asstr()[()] for n in READ_BACK_HZ}
+    count = len(group["verdict"])
+    absent = np.full(count, np.nan)
+    numbers = {
+        n: group[n][()] if n in group or n not in SINCE_VERSION_2 else absent for n in MEASURED
+    }
+    verdicts, sentences = (group[name].asstr()[()] for name in ("verdict", "sentence"))
+    times, ids = group["timestamp_s"][()], group["frame_id"][()]
+    for row in range(count):
+        yield {
+            "timestamps_s": tuple(float(time) for time in times[row]),
+            "frame_ids": tuple(int(id) for id in ids[row]),
+            "verdict": Verdict(verdicts[row]),
+            "sentence": str(sentences[row]),
+            **{name: _fraction(text[row]) for name, text in exact.items()},
+            **{name: column[row].item() for name, column in numbers.items()},
+        }
+
+
+def _seams(group: Any) -> Iterator[Seam]:
+    texts = [group[name].asstr()[()] for name in SEAMS[1:]]
+    for position, kind, *others in zip(group["position"][()], *texts, strict=True):
+        if position >= 0:
+            yield Seam(int(position), kind, *others)
 
 
 def _fraction(text: str) -> Fraction | None:

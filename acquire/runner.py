@@ -14,7 +14,8 @@ from typing import Final
 from acquire.plan import Plan, Step
 from acquire.quality import ReadBack, Verdict
 from acquire.recorder import Acquisition, Recorder, StepReport
-from acquire.run_layout import RunLabels
+from acquire.run_layout import RunLabels, Seam
+from acquire.run_writer import now
 from drivers.errors import InstrumentError
 from drivers.roles import Bench
 
@@ -22,6 +23,9 @@ __all__ = ["RunLabels", "RunState", "RunSummary", "Runner", "StepReport", "run",
 
 # A tweeter clicks, and may be harmed, if its voltage jumps.
 RAMP_S: Final = 0.1
+# From step to step of a sweep volts grow by less than this factor; beyond, they are ramped.
+_JUMP: Final = 1.25
+_PAUSE_POLL_S: Final = 0.1
 
 
 class RunState(StrEnum):
@@ -30,6 +34,7 @@ class RunState(StrEnum):
     IDLE = "idle"
     OPENING = "opening"
     STEPPING = "stepping"
+    PAUSED = "paused"
     CLOSING = "closing"
     COMPLETE = "complete"
     INTERRUPTED = "interrupted"
@@ -39,7 +44,8 @@ class RunState(StrEnum):
 _NEXT: Final = {
     RunState.IDLE: {RunState.OPENING},
     RunState.OPENING: {RunState.STEPPING, RunState.CLOSING, RunState.FAILED},
-    RunState.STEPPING: {RunState.CLOSING},
+    RunState.STEPPING: {RunState.PAUSED, RunState.CLOSING},
+    RunState.PAUSED: {RunState.STEPPING, RunState.CLOSING},
     RunState.CLOSING: {RunState.COMPLETE, RunState.INTERRUPTED, RunState.FAILED},
 }
 
@@ -58,6 +64,8 @@ class RunSummary:
         Of the steps that were measured.
     steps : int
         That were planned.
+    retaken : int
+        Takes besides one of each step, those of an earlier process included.
     duration_s : float
         On the wall.
     unconfirmed : tuple of str
@@ -68,6 +76,7 @@ class RunSummary:
     status: RunState
     counts: Mapping[Verdict, int]
     steps: int
+    retaken: int
     duration_s: float
     unconfirmed: tuple[str, ...]
 
@@ -78,12 +87,15 @@ def run(
     path: str | Path,
     labels: RunLabels | None = None,
     progress: Callable[[StepReport], None] | None = None,
+    *,
+    resume: bool = False,
 ) -> RunSummary:
     """Measure a whole plan on an open bench.
 
     On the main thread, Ctrl-C (SIGINT) and SIGTERM end the run at the next step boundary; a
-    second Ctrl-C gives up the step in work. However the run ends, the tweeter is ramped down and
-    its output and the RF are switched off before this returns.
+    second Ctrl-C gives up the step in work. SIGUSR1 pauses the run and SIGUSR2 goes on with it.
+    However the run ends, the tweeter is ramped down and its output and the RF are switched off
+    before this returns.
 
     Parameters
     ----------
@@ -96,6 +108,8 @@ def run(
         What a person says about the run.
     progress : callable, optional
         Told of every recorded step, on another thread. What it raises stops the run.
+    resume : bool
+        Whether `path` is that of a run to go on with, see `acquire.resuming`.
 
     Returns
     -------
@@ -113,7 +127,13 @@ def run(
         confirmed while switching off stands in the exception's notes.
     """
     report = progress or (lambda _: None)
-    return Runner(plan, bench, Path(path), labels or RunLabels(), report).execute()
+
+    def recorder() -> Recorder:
+        if resume:
+            return Recorder.resume(plan, bench, Path(path), report)
+        return Recorder.create(plan, bench, Path(path), labels or RunLabels(), report)
+
+    return Runner(plan, bench, Path(path), recorder).execute()
 
 
 class Runner:
@@ -121,16 +141,18 @@ class Runner:
 
     ::
 
-        idle ─→ opening ─→ stepping ──────────────→ closing ─┬→ complete
-                   │        │   ↑ one step:            ↑     ├→ interrupted
-                   │        └───┘ set pair, set        │     └→ failed
-                   │              generator, settle,   │
-                   │              grab, hand over      │
-                   ├───────────────────────────────────┘
+        idle ─→ opening ─→ stepping ←──→ paused        closing ─┬→ complete
+                   │        │   ↑ one step:   │           ↑     ├→ interrupted
+                   │        ├───┘ set pair,   └───────────┤     └→ failed
+                   │        │     set generator, settle,  │
+                   │        │     grab, hand over         │
+                   │        └─────────────────────────────┤
+                   ├──────────────────────────────────────┘
                    └→ failed (before anything was switched on)
 
-    `stop` sets a flag that is looked at before each step only. `closing` is entered on every way
-    out of `opening` and `stepping`: it makes the bench safe first, and closes the files after.
+    `stop` and `pause` set flags that are looked at before each step only. While paused, all is
+    off. `closing` is entered on every way out of `opening`, `stepping` and `paused`: it makes the
+    bench safe first, and closes the files after.
 
     Parameters
     ----------
@@ -139,24 +161,21 @@ class Runner:
         Open.
     path : Path
         Of the run file.
-    labels : RunLabels
-    progress : callable
-        Told of every recorded step, on another thread.
+    recorder : callable
+        Opens the run file, new or to be gone on with.
     """
 
     def __init__(
-        self,
-        plan: Plan,
-        bench: Bench,
-        path: Path,
-        labels: RunLabels,
-        progress: Callable[[StepReport], None],
+        self, plan: Plan, bench: Bench, path: Path, recorder: Callable[[], Recorder]
     ) -> None:
         self._plan, self._bench, self._path = plan, bench, path
-        self._labels, self._progress = labels, progress
+        self._open_recorder = recorder
         self._state = RunState.IDLE
-        self._stop = threading.Event()
+        self._stop, self._pause = threading.Event(), threading.Event()
         self._abortable = False
+        self._camera_starts = 0
+        # None is an output that is off.
+        self._volts: float | None = None
         self._unconfirmed: tuple[str, ...] = ()
 
     @property
@@ -167,6 +186,14 @@ class Runner:
     def stop(self) -> None:
         """End the run at the next step boundary. May be called from any thread."""
         self._stop.set()
+
+    def pause(self) -> None:
+        """Switch all off at the next step boundary, and wait. May be called from any thread."""
+        self._pause.set()
+
+    def proceed(self) -> None:
+        """Go on after a pause. May be called from any thread."""
+        self._pause.clear()
 
     def interrupt(self) -> None:
         """Do what Ctrl-C asks for: the first time `stop`, then give up the step in work.
@@ -197,7 +224,7 @@ class Runner:
         with _signals_to(self):
             try:
                 self._plan.require_possible()
-                counts, outcome = self._record()
+                recorder, outcome = self._record()
             except BaseException as error:
                 for message in self._unconfirmed:
                     error.add_note(f"not confirmed while switching off: {message}")
@@ -207,22 +234,23 @@ class Runner:
         return RunSummary(
             path=self._path,
             status=outcome,
-            counts=counts,
+            counts=recorder.counts,
             steps=len(self._plan.steps),
+            retaken=sum(max(takes - 1, 0) for takes in recorder.takes),
             duration_s=time.monotonic() - started_s,
             unconfirmed=self._unconfirmed,
         )
 
-    def _record(self) -> tuple[Mapping[Verdict, int], RunState]:
-        """Measure into the run file; return counts by verdict, and how the run ended."""
-        recorder = Recorder(self._plan, self._bench, self._path, self._labels, self._progress)
+    def _record(self) -> tuple[Recorder, RunState]:
+        """Measure into the run file; return its recorder, and how the run ended."""
+        recorder = self._open_recorder()
         with recorder:
             try:
                 complete = self._measure(recorder)
             except KeyboardInterrupt:
                 complete = False
             recorder.finish("complete" if complete else "interrupted")
-        return recorder.counts, RunState.COMPLETE if complete else RunState.INTERRUPTED
+        return recorder, RunState.COMPLETE if complete else RunState.INTERRUPTED
 
     def _measure(self, recorder: Recorder) -> bool:
         """Use the instruments, and leave them safe; return whether all steps were taken."""
@@ -232,7 +260,7 @@ class Runner:
                 self._abortable = True
                 self._open_instruments()
                 self._enter(RunState.STEPPING)
-                return self._take_steps(recorder)
+                return self._take_all(recorder)
             finally:
                 self._abortable = False
         finally:
@@ -247,35 +275,130 @@ class Runner:
         )
         bench.synthesizers.rf_on()
         bench.camera.start()
+        self._camera_starts += 1
+        self._volts = None
 
-    def _take_steps(self, recorder: Recorder) -> bool:
-        for position, step in enumerate(self._plan.steps):
+    def _take_all(self, recorder: Recorder) -> bool:
+        """Take what is to be taken, then what turned out bad again; return whether all was."""
+        policy = self._plan.protocol.policy.bad_pictures
+        todo = [k for k, verdict in enumerate(recorder.verdicts) if not verdict.measured]
+        for position in todo:
+            if not self._take(recorder, position):
+                return False
+            if policy.then == "stop" and not self._good(recorder, position):
+                return False
+        for _ in range(policy.retry if policy.then == "skip" else 0):
+            recorder.settle()
+            bad = [k for k, verdict in enumerate(recorder.verdicts) if _bad(verdict)]
+            # If so many are bad the trouble is not theirs.
+            if len(bad) > recorder.spare:
+                break
+            for position in bad:
+                if not self._take(recorder, position):
+                    return False
+        return True
+
+    def _good(self, recorder: Recorder, position: int) -> bool:
+        """Wait for a step's verdict, and take it again while it is bad and policy allows."""
+        for _ in range(self._plan.protocol.policy.bad_pictures.retry):
+            recorder.settle()
+            if not _bad(recorder.verdicts[position]) or not recorder.spare:
+                break
+            if not self._take(recorder, position):
+                return False
+        recorder.settle()
+        return not _bad(recorder.verdicts[position])
+
+    def _take(self, recorder: Recorder, position: int) -> bool:
+        """Take one step, through pauses and failures; return False if the run is to end."""
+        policy = self._plan.protocol.policy.instrument_error
+        attempts = 0
+        while True:
+            self._hold(recorder, position)
             if self._stop.is_set():
                 return False
             try:
-                acquisition = self._acquire(position, step)
+                recorder.submit(self._acquire(position))
+                return True
+            except InstrumentError as error:
+                attempts += 1
+                if attempts > policy.retry and policy.then == "stop":
+                    recorder.mark(position, Verdict.INTERRUPTED, str(error))
+                    raise
+                self._recover(recorder, position, error)
+                if attempts > policy.retry:
+                    recorder.mark(position, Verdict.SKIPPED, str(error))
+                    return True
             except BaseException as error:
                 reason = str(error) or "given up by a second Ctrl-C"
-                recorder.mark_interrupted(position, reason)
+                recorder.mark(position, Verdict.INTERRUPTED, reason)
                 raise
-            recorder.submit(acquisition)
-        return True
 
-    def _acquire(self, position: int, step: Step) -> Acquisition:
+    def _hold(self, recorder: Recorder, position: int) -> None:
+        """Switch all off and wait, if a pause is asked for."""
+        if not self._pause.is_set() or self._stop.is_set():
+            return
+        began = now()
+        self._enter(RunState.PAUSED)
+        self._require_off("to pause")
+        while self._pause.is_set() and not self._stop.is_set():
+            time.sleep(_PAUSE_POLL_S)
+        if self._stop.is_set():
+            return
+        self._open_instruments()
+        self._enter(RunState.STEPPING)
+        recorder.add_seam(Seam(position, "paused", began, now(), "somebody asked for a pause"))
+
+    def _recover(self, recorder: Recorder, position: int, error: InstrumentError) -> None:
+        """Switch all off and on again after an instrument failed.
+
+        Raises
+        ------
+        InstrumentError
+            The one that made it necessary, if the bench cannot be made safe or does not come back.
+        """
+        began = now()
+        try:
+            self._require_off("after an instrument failed")
+            self._open_instruments()
+        except InstrumentError as second:
+            error.add_note(str(second))
+            raise error from second
+        recorder.add_seam(Seam(position, "recovered", began, now(), str(error)))
+
+    def _require_off(self, why: str) -> None:
+        unconfirmed = safe_off(self._bench)
+        self._volts = None
+        if unconfirmed:
+            raise InstrumentError(
+                f"the bench was switched off {why}, but not all is confirmed: "
+                f"{'; '.join(unconfirmed)}; look at it before going on"
+            )
+
+    def _acquire(self, position: int) -> Acquisition:
         """Set one step, let it settle, and take its frames."""
-        bench, settle_s = self._bench, float(step.settle_s)
+        bench, step = self._bench, self._plan.steps[position]
+        settle_s = float(step.settle_s)
         bench.synthesizers.set_pair(step.aom1_hz, step.aom2_hz)
-        if position == 0:
-            bench.generator.set_sine(step.drive_hz, 0.0)
-            bench.generator.ramp_to(step.volts, RAMP_S)
-        else:
-            bench.generator.set_sine(step.drive_hz, step.volts)
+        self._drive(step)
         changed_s = bench.camera.now_s()
         # Read while the reed settles, so that it costs no time.
         read_back = self._read_back(step)
         bench.clock.wait(changed_s + settle_s - bench.camera.now_s())
         frames = bench.camera.grab(step.frames, changed_s + settle_s)
-        return Acquisition(position, step, read_back, changed_s, tuple(frames))
+        return Acquisition(position, step, read_back, changed_s, tuple(frames), self._camera_starts)
+
+    def _drive(self, step: Step) -> None:
+        """Set the generator; volts that are far from the present ones are ramped."""
+        generator, volts = self._bench.generator, self._volts
+        if volts is not None and max(volts, step.volts) <= _JUMP * min(volts, step.volts):
+            generator.set_sine(step.drive_hz, step.volts)
+        else:
+            if volts is not None:
+                generator.ramp_to(0.0, RAMP_S)
+            generator.set_sine(step.drive_hz, 0.0)
+            generator.ramp_to(step.volts, RAMP_S)
+        self._volts = step.volts
 
     def _read_back(self, step: Step) -> ReadBack:
         drive_hz, volts, on = self._bench.generator.read()
@@ -290,6 +413,10 @@ class Runner:
         if state not in _NEXT.get(self._state, ()):
             raise RuntimeError(f"a run that is {self._state} cannot become {state}")
         self._state = state
+
+
+def _bad(verdict: Verdict) -> bool:
+    return verdict.measured and verdict is not Verdict.OK
 
 
 def safe_off(bench: Bench) -> tuple[str, ...]:
@@ -329,21 +456,22 @@ def _output_off(bench: Bench) -> None:
 
 @contextmanager
 def _signals_to(runner: Runner) -> Iterator[None]:
-    """Let SIGINT and SIGTERM end the run, if this is the main thread; others get no signals."""
+    """Let signals end, pause and continue the run, if this is the main thread; others get none."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        runner.interrupt()
-
-    def stop(_number: int, _frame: FrameType | None) -> None:
-        runner.stop()
-
-    before = {
-        number: signal.signal(number, handler)
-        for number, handler in ((signal.SIGINT, interrupt), (signal.SIGTERM, stop))
+    actions = {
+        signal.SIGINT: runner.interrupt,
+        signal.SIGTERM: runner.stop,
+        signal.SIGUSR1: runner.pause,
+        signal.SIGUSR2: runner.proceed,
     }
+
+    def act(number: int, _frame: FrameType | None) -> None:
+        actions[signal.Signals(number)]()
+
+    before = {number: signal.signal(number, act) for number in actions}
     try:
         yield
     finally:

@@ -7,9 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from acquire.bench_file import DEFAULT_BENCH, BenchFile
+from acquire.control import controllable
 from acquire.plan import Plan, make_plan
 from acquire.protocol import Protocol
 from acquire.recorder import StepReport, make_folder, require_writable
+from acquire.resuming import unfinished
 from acquire.runfile import RunLabels
 from acquire.runner import RunSummary
 from acquire.runner import run as measure
@@ -76,5 +78,44 @@ def run(
     path = Path(path)
     make_folder(path)
     require_writable(plan, path)
-    with open_bench(plan.bench, plan.preparation(reed), seed, announce) as bench:
+    with (
+        controllable(path),
+        open_bench(plan.bench, plan.preparation(reed), seed, announce) as bench,
+    ):
         return measure(plan, bench, path, labels, progress)
+
+
+def resume(
+    plan: Plan,
+    path: str | Path,
+    *,
+    progress: Callable[[StepReport], None] | None = None,
+    announce: Callable[[str], None] | None = None,
+) -> RunSummary:
+    """Go on with a run that was interrupted, failed, or whose process is gone.
+
+    Reed, labels and seed are those that the run file holds.
+
+    Parameters
+    ----------
+    plan : Plan
+        Of the same protocol, bench and kind of reed as the run was begun with.
+    path : path
+        Of the run file.
+    progress, announce : callable, optional
+        As for `run`.
+
+    Raises
+    ------
+    RunFileError
+        If the run is complete, or was begun with another protocol, bench or kind of reed.
+    ProtocolError, InstrumentError
+        As for `run`.
+    """
+    plan.require_possible()
+    run = unfinished(path, plan)
+    with (
+        controllable(run.path),
+        open_bench(plan.bench, plan.preparation(run.reed), run.seed, announce) as bench,
+    ):
+        return measure(plan, bench, path, None, progress, resume=True)

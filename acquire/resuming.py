@@ -1,0 +1,72 @@
+"""What has to be the same for a run to be gone on with by another process."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from acquire.errors import RunFileError
+from acquire.plan import Plan
+from acquire.run_layout import FORMAT_VERSION
+from acquire.runfile import Run
+
+
+@dataclass(frozen=True)
+class Unfinished:
+    """A run that may be gone on with.
+
+    Attributes
+    ----------
+    path : Path
+    reed : str
+    seed : int
+    missing : int
+        Steps that are still to be taken.
+    """
+
+    path: Path
+    reed: str
+    seed: int
+    missing: int
+
+
+def unfinished(path: str | Path, plan: Plan) -> Unfinished:
+    """Check that a plan is that of a run which is not complete.
+
+    Parameters
+    ----------
+    path : str or Path
+        Of the run file.
+    plan : Plan
+
+    Raises
+    ------
+    RunFileError
+        If the run is complete, was written by an older version, or another protocol, bench or kind
+        of reed was measured in it: half a sweep of each would be no sweep.
+    """
+    with Run.open(path) as run:
+        if run.status == "complete":
+            raise RunFileError(f"{path}: is complete; measure a new run")
+        if run.format_version != FORMAT_VERSION:
+            raise RunFileError(
+                f"{path}: has format version {run.format_version} and cannot be gone on with; "
+                "measure a new run"
+            )
+        _require_same(
+            run,
+            {
+                "protocol": (run.protocol_sha256, plan.protocol.sha256),
+                "bench": (run.bench_fingerprint, plan.bench.fingerprint),
+                "kind of reed": (run.reed_sha256, plan.reed.sha256),
+            },
+        )
+        missing = sum(not step.verdict.measured for step in run.steps)
+        return Unfinished(run.path, run.reed, run.seed, missing)
+
+
+def _require_same(run: Run, hashes: dict[str, tuple[str, str]]) -> None:
+    for what, (then, today) in hashes.items():
+        if then != today:
+            raise RunFileError(
+                f"{run.path}: was begun with another {what} ({then[:12]} then, {today[:12]} now); "
+                "go on with the one that the run file holds, or measure a new run"
+            )

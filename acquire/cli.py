@@ -151,7 +151,6 @@ def run(
     if resume is not None:
         said = labels != RunLabels()
         _require_nothing_new(out=out, reed=reed != "unnamed", seed=seed, labels=said)
-        )
     path = resume or out or _default_path(planned.protocol.series, reed)
     words = _words()
     with sweep_progress(words, len(planned.steps)) as show:

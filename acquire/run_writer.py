@@ -1,9 +1,9 @@
 """Writes run files: one sweep in one HDF5 file that explains itself (``docs/run-file.md``).
 
-Everything is allocated before the first step, so a step overwrites bytes and moves nothing. Its
-verdict is written, and flushed, after its data: a program that is killed at any moment leaves a
-file that opens with plain h5py, in which every step with a verdict is whole. A step that is taken
-again is copied to a spare place first.
+Everything but compressed frames is allocated before the first step, so a step overwrites bytes and
+moves nothing. Its verdict is written, and flushed, after its data: a program that is killed at any
+moment leaves a file that opens with plain h5py, in which every step with a verdict is whole. A step
+that is taken again is copied to a spare place first.
 """
 
 import json
@@ -245,8 +245,7 @@ class RunWriter:
             if self._keep == "holograms":
                 self._signal[position] = step.field
             else:
-                for number, frame in enumerate(step.frames):
-                    self._signal[position, number] = frame.image
+                self._signal[position] = self._stacked(step.frames)
             self._write_numbers(position, step)
             self._file.flush()
             self._write_judgement(position, step.judgement)
@@ -289,6 +288,16 @@ class RunWriter:
         """Close and remove a file that holds nothing worth keeping."""
         self._file.close()
         self.path.unlink(missing_ok=True)
+
+    def _stacked(self, frames: Sequence[Frame]) -> npt.NDArray[np.uint16]:
+        """Frames of one step in one array, with zeros for those that did not come.
+
+        Written together: a chunk is compressed once.
+        """
+        stack = np.zeros(self._signal.shape[1:], dtype=np.uint16)
+        for place, frame in zip(stack, frames, strict=False):
+            place[...] = frame.image
+        return stack
 
     def _set_status(self, status: Status) -> None:
         self._file["entry/status"][()] = status
@@ -453,13 +462,23 @@ def _kept(plan: Plan) -> tuple[str, Any, tuple[int, ...]]:
 
 
 def _allocate_signal(group: Any, name: str, dtype: Any, shape: tuple[int, ...]) -> None:
-    """Make room for pictures, a chunk each."""
-    early = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    early.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-    # Zeros for steps to come are not written, the file system supplies them.
-    dataset = group.create_dataset(
-        name, shape, dtype, chunks=(1, *shape[1:]), dcpl=early, fill_time="never"
-    )
+    """Make room for the pictures of every step, a chunk each.
+
+    Holograms are noise in all their bits and take their place from the beginning. Frames are
+    compressed, with what every h5py can read, so theirs is known only when they come.
+    """
+    chunks = (1, *shape[1:])
+    if name == "frames":
+        dataset = group.create_dataset(
+            name, shape, dtype, chunks=chunks, shuffle=True, compression="lzf"
+        )
+    else:
+        early = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        early.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+        # Zeros for steps to come are not written, the file system supplies them.
+        dataset = group.create_dataset(
+            name, shape, dtype, chunks=chunks, dcpl=early, fill_time="never"
+        )
     dataset.attrs["units"] = "dn"
 
 

@@ -20,8 +20,9 @@ from drivers.roles import Frame
 from drivers.simulated.lab import SimulatedLab
 from physics.sensor import saturation_dn
 
-# Two lines of ASCII at 19 200 baud; a few milliseconds of USB; an output relay.
-_SERIAL_S: Final = 0.025
+# A frequency and an update with their answers, 28 characters at 19 200 baud; a few milliseconds of
+# USB; an output relay.
+_SERIAL_S: Final = 0.015
 _USB_S: Final = 0.005
 _RELAY_S: Final = 0.1
 _RAMP_STEPS: Final = 20
@@ -236,8 +237,12 @@ class SimulatedCamera:
             ids = [id if id < first + 2 else id + 1 for id in ids]
         starts_s = [self._start_of(id) for id in ids]
         exposure_s = float(self._exposure_s)
-        self.lab.clock.wait(starts_s[-1] + exposure_s - self.now_s())
-        images = self.lab.expose([(start_s, start_s + exposure_s) for start_s in starts_s])
+        exposures = [(start_s, start_s + exposure_s) for start_s in starts_s]
+        # Rendered while they are exposed, so that at a real pace they come when they are over.
+        settings, images = self.lab.state, self.lab.expose(exposures)
+        self.lab.clock.wait(exposures[-1][1] - self.now_s())
+        if self.lab.state is not settings:
+            images = self.lab.expose(exposures)
         self._next_id = ids[-1] + 1
         return [Frame(*parts) for parts in zip(ids, starts_s, images, strict=True)]
 

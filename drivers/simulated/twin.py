@@ -27,7 +27,7 @@ _NOMINAL: Final = TwinSettings()
 # Frequencies some tens of cents off, in a fraction of a second: for tours and tests.
 _COARSE: Final = (
     MeshLevel(orders=(2, 2, 2)),
-    BasisSettings(E_L_pa=(8e9, 20e9), G_LT_pa=(0.5e9, 1.8e9), modes=10, size=40),
+    BasisSettings(E_L_pa=(8e9, 20e9), G_LT_pa=(0.5e9, 1.8e9)),
 )
 _MESHES: Final = {"standard": (STANDARD, BasisSettings()), "coarse": _COARSE}
 

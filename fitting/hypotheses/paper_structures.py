@@ -17,22 +17,12 @@ from fitting.hypotheses.structure import (
     coefficients_within,
     written,
 )
+from physics.reed.viscoelastic import Series, h4_matrix
 
 # Elastic cane of the reference material's kind, MPa.
 _ELASTIC = {"d10": 13500.0, "d12": 1000.0, "d40": 1000.0, "d41": 100.0}
 _ELASTIC_HAT = ("d10 0 d12", "0 0 0", "0 0 0", "d40 d41 0", "0 0 0", "0 0 0")
 _SERIES_A = ("1 0 0 0 0", "0 1 0 0 0", "0 0 1 0 0", "0 0 0 1 0")
-_H4 = {
-    "c10": 1.011,
-    "c20": -2.197,
-    "c30": 0.8294,
-    "d10": 10300.0,
-    "d12": 640.5,
-    "d20": 7309.0,
-    "d30": 0.2822,
-    "d41": 115.7,
-    "d60": 0.02038,
-}
 
 
 def h1() -> Structure:
@@ -74,7 +64,25 @@ def h4() -> Structure:
         "d60    0      0      0",
     )
     dried = ("1 0 0 0 0", "c10 1 0 0 0", "c20 0 0.5 0 0.5", "c30 0 0 1 0")
-    return written("H4", hat, (_SERIES_A, dried), _H4)
+    return written("H4", hat, (_SERIES_A, dried), _paper_coefficients())
+
+
+def _paper_coefficients() -> dict[str, float]:
+    """Coefficients of H4 that the paper found, read off the twin's matrices of both series."""
+    ambient, dry = (h4_matrix(series) for series in (Series.A, Series.B))
+    # M̌ of series A is the identity, so that M of series A is M̂; its e4 has no effect.
+    check = np.linalg.lstsq(ambient[:, :4], dry, rcond=None)[0]
+    return {
+        "c10": check[1, 0],
+        "c20": check[2, 0],
+        "c30": check[3, 0],
+        "d10": ambient[0, 0],
+        "d12": ambient[0, 2],
+        "d20": ambient[1, 0],
+        "d30": ambient[2, 0],
+        "d41": ambient[3, 1],
+        "d60": ambient[5, 0],
+    }
 
 
 def h5() -> Structure:

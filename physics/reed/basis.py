@@ -4,9 +4,11 @@ The basis spans the modes of a network of materials and the static shapes under 
 eigenfrequencies and forced responses are those of the full model to a fraction of a cent.
 """
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -28,12 +30,18 @@ from physics.reed.fem import (
 from physics.reed.geometry import ReedGeometry, half_width_m
 from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.mesh import HalfReedMesh, MeshLevel, build_mesh
-from physics.reed.names import width_profiles
+from physics.reed.modes import HIGHEST_HZ
+from physics.reed.names import vamp_profiles
 
 Array = NDArray[np.floating[Any]]
 
-# The rounded tip has no straight line across; profiles start behind it.
-_TIP_M = 0.5e-3
+# Modes of a plate are evenly spaced in frequency, and the softest material of the usual box has a
+# third more of them below 20 kHz than the one in the middle: so many more are taken.
+_TAKEN_BEYOND = Fraction(1, 3)
+# Modes sought at first, and beyond which a search ends; a clarinet's reed has nine symmetric ones
+# below 20 kHz.
+_FIRST_COUNT = 12
+_MOST_MODES = 100
 
 
 @dataclass(frozen=True)
@@ -45,19 +53,20 @@ class BasisSettings:
     cane : Cane
         Supplies all constants but E_L and G_LT.
     E_L_pa, G_LT_pa : (float, float)
-        Least and greatest values. Modes are computed at the four corners of this box and at its
-        centre.
-    modes : int
-        Modes per symmetry taken from each material; enough to pass 20 kHz.
-    size : int
-        Coordinates kept per symmetry.
+        Least and greatest values. Modes are computed at the four corners of this box and in its
+        middle, the geometric means.
+    modes : int, optional
+        Modes per symmetry taken from each material. As many as the reed has below 20 kHz in the
+        middle of the box, of the symmetry that has more, and a third beyond, if not given.
+    size : int, optional
+        Coordinates kept per symmetry; 14 for every 3 of these modes if not given.
     """
 
     cane: Cane = Cane()
     E_L_pa: tuple[float, float] = (7e9, 21e9)
     G_LT_pa: tuple[float, float] = (0.45e9, 2.0e9)
-    modes: int = 12
-    size: int = 56
+    modes: int | None = None
+    size: int | None = None
 
 
 @dataclass(frozen=True)
@@ -74,10 +83,14 @@ class HalfBasis:
         Deflection u_z of the bark side at the nodes of the plan.
     lateral_mass, heel_mass : (r, r) float
         Parts of ``mass`` that move along y, and that lie behind the vamp.
-    profiles : (nx, 7, r) float
-        Legendre profiles across the width of the vamp's deflection (see `names`).
+    profiles : (k, 7, r) float
+        Legendre profiles across the width of the vamp's deflection (see `names.vamp_profiles`).
+    vamp_square : (r, r) float
+        Integral over the vamp of the square of its deflection.
     load_z : (q, r) float
         Deflection of the flat side at the quadrature points of a pressure, times their area.
+    middle_hz : (r,) float
+        Eigenfrequencies of the material in the middle of the box, ascending.
     """
 
     stiffness_terms: Array
@@ -86,7 +99,9 @@ class HalfBasis:
     lateral_mass: Array
     heel_mass: Array
     profiles: Array
+    vamp_square: Array
     load_z: Array
+    middle_hz: Array
 
 
 @dataclass(frozen=True)
@@ -113,6 +128,45 @@ class ReducedReed:
     halves: dict[Symmetry, HalfBasis]
 
 
+@dataclass(frozen=True)
+class _Elements:
+    """Finite elements of the motions of one symmetry.
+
+    Attributes
+    ----------
+    mesh : HalfReedMesh
+    matrices : ReedMatrices
+    free : (f,) int
+        Degrees of freedom left.
+    mass : (f, f) sparse
+        Per unit density.
+    """
+
+    mesh: HalfReedMesh
+    matrices: ReedMatrices
+    free: NDArray[np.intp]
+    mass: sparse.csc_array
+
+
+@dataclass(frozen=True)
+class _Middle:
+    """What the material in the middle of the box gives.
+
+    Attributes
+    ----------
+    stiffness : (f, f) sparse
+    hz : (c,) float
+    modes : (f, c) float
+    statics : (f, t) float
+        Shapes under the trial pressures.
+    """
+
+    stiffness: sparse.csc_array
+    hz: Array
+    modes: Array
+    statics: Array
+
+
 def build_reduced_reed(
     geometry: ReedGeometry, level: MeshLevel, settings: BasisSettings
 ) -> ReducedReed:
@@ -121,63 +175,120 @@ def build_reduced_reed(
     Raises
     ------
     ValueError
-        For an impossible geometry or material (see `build_mesh`, `stiffness_terms_pa`).
+        For an impossible geometry or material (see `build_mesh`, `stiffness_terms_pa`), and one
+        that has over 100 modes of a symmetry below 20 kHz.
     """
     mesh = build_mesh(geometry, level)
     matrices = assemble(mesh)
     points, faces = _flat_side(mesh)
-
-    def half(symmetry: Symmetry) -> HalfBasis:
-        return _half_basis(geometry, mesh, matrices, settings, symmetry, points, faces)
-
+    loads = _trial_loads(geometry, mesh, points, faces)
+    *corners, middle_cane = _network(settings)
+    parts = [_elements(mesh, matrices, symmetry) for symmetry in Symmetry]
     # SuperLU lets go of the interpreter: the two symmetries take two cores.
     with ThreadPoolExecutor(len(Symmetry)) as pool:
-        halves = dict(zip(Symmetry, pool.map(half, Symmetry), strict=True))
+        middles = list(
+            pool.map(lambda part: _middle(part, middle_cane, loads, settings.modes), parts)
+        )
+        modes = settings.modes or max(_modes_taken(middle.hz) for middle in middles)
+        # Modes of five materials and static shapes are much alike: three quarters of them do.
+        size = settings.size or 14 * modes // 3
+
+        def basis(part: _Elements, middle: _Middle) -> Array:
+            return _basis(part, middle, corners, modes, size)
+
+        bases = list(pool.map(basis, parts, middles))
+    halves = {
+        symmetry: _reduced(geometry, part, basis, faces, middle_cane)
+        for symmetry, part, basis in zip(Symmetry, parts, bases, strict=True)
+    }
     columns = mesh.nodes_m.reshape(*mesh.block, 3)[:, :, -1, :2].reshape(-1, 2)
     return ReducedReed(geometry, settings.cane, columns, points, halves)
 
 
 def _network(settings: BasisSettings) -> Iterator[Cane]:
-    """Materials at the corners of the box, then at its centre."""
+    """Materials at the corners of the box, then in its middle."""
     pairs = [(E, G) for E in settings.E_L_pa for G in settings.G_LT_pa]
-    centre = (float(np.sqrt(np.prod(moduli))) for moduli in (settings.E_L_pa, settings.G_LT_pa))
-    for E, G in (*pairs, tuple(centre)):
+    means = (float(np.sqrt(np.prod(moduli))) for moduli in (settings.E_L_pa, settings.G_LT_pa))
+    for E, G in (*pairs, tuple(means)):
         yield replace(settings.cane, E_L_pa=E, G_LT_pa=G)
 
 
-def _half_basis(
-    geometry: ReedGeometry,
-    mesh: HalfReedMesh,
-    matrices: ReedMatrices,
-    settings: BasisSettings,
-    symmetry: Symmetry,
-    points_m: Array,
-    faces: sparse.csr_array,
-) -> HalfBasis:
+def _elements(mesh: HalfReedMesh, matrices: ReedMatrices, symmetry: Symmetry) -> _Elements:
     free = free_dofs(mesh, symmetry)
-    unit_mass = mass(matrices, 1.0)[free][:, free]
-    snapshots = []
-    for cane in _network(settings):
-        K = stiffness(matrices, stiffness_terms_pa(cane))[free][:, free]
-        solve = factor(K)
-        snapshots.append(lowest_modes(K, unit_mass, settings.modes, solve)[1])
-    # The last is the centre of the box, and serves as the reference.
-    snapshots.append(solve(_trial_loads(geometry, mesh, points_m, faces)[free]))
-    basis = _pod(np.hstack(snapshots), K, settings.size)
-    full = np.zeros((3 * len(mesh.nodes_m), basis.shape[1]))
-    full[free] = basis
-    shapes = full.reshape(-1, 3, basis.shape[1])
+    return _Elements(mesh, matrices, free, mass(matrices, 1.0)[free][:, free])
+
+
+def _stiffness(part: _Elements, cane: Cane) -> sparse.csc_array:
+    return stiffness(part.matrices, stiffness_terms_pa(cane))[part.free][:, part.free]
+
+
+def _modes_taken(hz: Array) -> int:
+    """How many modes to take where these are the lowest frequencies in the middle of the box."""
+    below = max(1, int(np.count_nonzero(hz < HIGHEST_HZ)))
+    return below + math.ceil(_TAKEN_BEYOND * below)
+
+
+def _middle(part: _Elements, cane: Cane, loads: Array, modes: int | None) -> _Middle:
+    """Snapshots of the material in the middle: `modes` of them, or as many as are to be taken."""
+    K = _stiffness(part, cane)
+    solve, count = factor(K), modes or _FIRST_COUNT
+    while True:
+        unit_hz, shapes = lowest_modes(K, part.mass, count, solve)
+        hz = unit_hz / np.sqrt(cane.density_kg_m3)
+        if modes or _modes_taken(hz) <= count:
+            return _Middle(K, hz, shapes, solve(loads[part.free]))
+        if count > _MOST_MODES:
+            raise ValueError(
+                f"the reed has over {_MOST_MODES} modes below {HIGHEST_HZ:.0f} Hz, more than cane "
+                "can have; check moduli, density and thickness"
+            )
+        count = _modes_taken(hz)
+
+
+def _basis(
+    part: _Elements, middle: _Middle, corners: Sequence[Cane], modes: int, size: int
+) -> Array:
+    """Basis (f, r) that spans what was computed of all materials."""
+    snapshots = [lowest_modes(_stiffness(part, cane), part.mass, modes)[1] for cane in corners]
+    if len(middle.hz) < modes:
+        # The other symmetry has more modes.
+        snapshots.append(lowest_modes(middle.stiffness, part.mass, modes)[1])
+    else:
+        snapshots.append(middle.modes[:, np.argsort(middle.hz)[:modes]])
+    # The middle of the box serves as the reference.
+    return _pod(np.hstack([*snapshots, middle.statics]), middle.stiffness, size)
+
+
+def _reduced(
+    geometry: ReedGeometry,
+    part: _Elements,
+    basis: Array,
+    faces: sparse.csr_array,
+    middle_cane: Cane,
+) -> HalfBasis:
+    """Project everything on a basis (f, r)."""
+    mesh, node_mass, size = part.mesh, part.matrices.mass, basis.shape[1]
+    full = np.zeros((3 * len(mesh.nodes_m), size))
+    full[part.free] = basis
+    shapes = full.reshape(-1, 3, size)
     lateral, vertical = shapes[:, 1], shapes[:, 2]
-    top = vertical.reshape(*mesh.block, -1)[:, :, -1]
+    bark = vertical.reshape(*mesh.block, size)[:, :, -1]
     heel = vertical * (mesh.nodes_m[:, :1] > geometry.vamp_x_m[-1])
+    plan_m = mesh.nodes_m.reshape(*mesh.block, 3)[:, :, -1, :2]
+    profiles, vamp = vamp_profiles(plan_m, bark, geometry.vamp_x_m[-1])
+    stiffness_terms = projected_stiffness(part.matrices, shapes)
+    unit_mass = basis.T @ (part.mass @ basis)
+    middle_pa, density_kg_m3 = stiffness_terms_pa(middle_cane), middle_cane.density_kg_m3
     return HalfBasis(
-        stiffness_terms=projected_stiffness(matrices, shapes),
-        mass=basis.T @ (unit_mass @ basis),
-        surface_z=top.reshape(-1, basis.shape[1]),
-        lateral_mass=lateral.T @ (matrices.mass @ lateral),
-        heel_mass=heel.T @ (matrices.mass @ heel),
-        profiles=_vamp_profiles(mesh, geometry, top),
+        stiffness_terms=stiffness_terms,
+        mass=unit_mass,
+        surface_z=bark.reshape(-1, size),
+        lateral_mass=lateral.T @ (node_mass @ lateral),
+        heel_mass=heel.T @ (node_mass @ heel),
+        profiles=profiles,
+        vamp_square=vamp.T @ vamp,
         load_z=faces @ vertical,
+        middle_hz=_vibrations(stiffness_terms, unit_mass, middle_pa, density_kg_m3)[0],
     )
 
 
@@ -190,21 +301,6 @@ def _pod(snapshots: Array, reference: sparse.csc_array, size: int) -> Array:
         raise ValueError(f"a basis of {size} coordinates needs more snapshots; lower its size")
     basis: Array = scaled @ (vectors[:, kept] / np.sqrt(values[kept]))
     return basis
-
-
-def _vamp_profiles(mesh: HalfReedMesh, geometry: ReedGeometry, top: Array) -> Array:
-    """Legendre profiles (nx, 7, r) of deflections (nx', ny, r) on the lines of the vamp.
-
-    Weighted by the root of the area that each line stands for, so that sums of their squares do
-    not depend on how the mesh is graded.
-    """
-    plan = mesh.nodes_m.reshape(*mesh.block, 3)[:, :, -1, :2]
-    vamp = (plan[:, 0, 0] > _TIP_M) & (plan[:, 0, 0] < geometry.vamp_x_m[-1])
-    width = plan[vamp, -1:, 1]
-    area = np.gradient(plan[vamp, 0, 0]) * width[:, 0]
-    profiles = width_profiles(top[vamp], plan[vamp, :, 1] / width)
-    weighted: Array = profiles * np.sqrt(area / area.mean())[:, None, None]
-    return weighted
 
 
 def _flat_side(mesh: HalfReedMesh) -> tuple[Array, sparse.csr_array]:
@@ -257,6 +353,12 @@ def _trial_loads(
 
 def reduced_modes(half: HalfBasis, terms_pa: Array, density_kg_m3: float) -> tuple[Array, Array]:
     """Eigenfrequencies (r,) in Hz, ascending, and mass-normalised reduced shapes (r, r)."""
-    K = np.tensordot(terms_pa, half.stiffness_terms, axes=1)
-    eigenvalues, shapes = linalg.eigh(K, density_kg_m3 * half.mass)
+    return _vibrations(half.stiffness_terms, half.mass, terms_pa, density_kg_m3)
+
+
+def _vibrations(
+    stiffness_terms: Array, unit_mass: Array, terms_pa: Array, density_kg_m3: float
+) -> tuple[Array, Array]:
+    K = np.tensordot(terms_pa, stiffness_terms, axes=1)
+    eigenvalues, shapes = linalg.eigh(K, density_kg_m3 * unit_mass)
     return np.sqrt(np.clip(eigenvalues, 0.0, None)) / (2 * np.pi), shapes

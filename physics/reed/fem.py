@@ -19,6 +19,7 @@ from physics.reed.material import STIFFNESS_TERMS
 from physics.reed.mesh import HalfReedMesh, ReedMesh, lobatto_points
 
 Array = NDArray[np.floating[Any]]
+IntArray = NDArray[np.intp]
 
 
 class Symmetry(StrEnum):
@@ -61,16 +62,37 @@ def _tensor(x: Array, y: Array, z: Array) -> Array:
     return np.kron(x, np.kron(y, z))
 
 
-def _reference_element(orders: tuple[int, int, int]) -> tuple[Array, Array, Array]:
-    """Quadrature weights (q,), shape functions (q, m) and their gradients (3, q, m)."""
+@dataclass(frozen=True)
+class ReferenceElement:
+    """Quadrature on an element of unit size.
+
+    Attributes
+    ----------
+    weights : (q,) float
+    shape : (q, m) float
+        Shape functions.
+    gradients : (3, q, m) float
+        Their derivatives along the element's own axes.
+    """
+
+    weights: Array
+    shape: Array
+    gradients: Array
+
+
+def hexahedron(orders: tuple[int, int, int]) -> ReferenceElement:
+    """Hexahedron of Lobatto nodes, of a degree along each axis, with one Gauss point more."""
     tables, weights = [], []
     for order in orders:
         points, weight = np.polynomial.legendre.leggauss(order + 1)
         tables.append(shape_1d(order, 0.5 * (1 + points)))
         weights.append(0.5 * weight)
     (x, dx), (y, dy), (z, dz) = tables
-    gradients = np.stack([_tensor(dx, y, z), _tensor(x, dy, z), _tensor(x, y, dz)])
-    return np.kron(weights[0], np.kron(weights[1], weights[2])), _tensor(x, y, z), gradients
+    return ReferenceElement(
+        np.kron(weights[0], np.kron(weights[1], weights[2])),
+        _tensor(x, y, z),
+        np.stack([_tensor(dx, y, z), _tensor(x, dy, z), _tensor(x, y, dz)]),
+    )
 
 
 def assemble(mesh: ReedMesh) -> ReedMatrices:
@@ -81,18 +103,38 @@ def assemble(mesh: ReedMesh) -> ReedMatrices:
     ValueError
         If an element is turned inside out.
     """
-    weights, shape, local = _reference_element(mesh.orders)
-    corners = mesh.nodes_m[mesh.elements]
-    jacobian = np.einsum("iqm,emj->eqij", local, corners)
+    return integrate(mesh.nodes_m, mesh.elements, hexahedron(mesh.orders))
+
+
+def integrate(nodes_m: Array, elements: IntArray, reference: ReferenceElement) -> ReedMatrices:
+    """Integrate all material-free matrices of elements of one kind.
+
+    Parameters
+    ----------
+    nodes_m : (n, 3) float
+    elements : (e, m) int
+        Node numbers, in the order of the shape functions.
+    reference : ReferenceElement
+
+    Raises
+    ------
+    ValueError
+        If an element is turned inside out.
+    """
+    jacobian = np.einsum("iqm,emj->eqij", reference.gradients, nodes_m[elements], optimize=True)
     volume = np.linalg.det(jacobian)
     if volume.min() <= 0:
-        raise ValueError("the mesh has an element turned inside out; change its breaks")
-    global_gradient = np.einsum("eqij,jqm->ieqm", np.linalg.inv(jacobian), local)
-    scale = np.sqrt(volume * weights)[..., None]
-    weighted = scale * global_gradient
-    rows = np.repeat(mesh.elements, mesh.elements.shape[1], axis=1).ravel()
-    columns = np.tile(mesh.elements, (1, mesh.elements.shape[1])).ravel()
-    size = (len(mesh.nodes_m),) * 2
+        number = int(volume.min(axis=1).argmin())
+        raise ValueError(
+            f"element {number} of the mesh is turned inside out; change the breaks of its level, "
+            "or divide the reed more finely"
+        )
+    inverse = np.linalg.inv(jacobian)
+    scale = np.sqrt(volume * reference.weights)[..., None]
+    weighted = scale * np.einsum("eqij,jqm->ieqm", inverse, reference.gradients, optimize=True)
+    rows = np.repeat(elements, elements.shape[1], axis=1).ravel()
+    columns = np.tile(elements, (1, elements.shape[1])).ravel()
+    size = (len(nodes_m),) * 2
 
     def gather(left: Array, right: Array) -> sparse.csr_array:
         blocks = np.matmul(left.transpose(0, 2, 1), right)
@@ -102,7 +144,8 @@ def assemble(mesh: ReedMesh) -> ReedMatrices:
     gradients = {a + b: gather(axes[a], axes[b]) for a, b in ("xx", "yy", "zz", "xy", "xz", "yz")}
     for pair in ("xy", "xz", "yz"):
         gradients[pair[::-1]] = gradients[pair].T.tocsr()
-    return ReedMatrices(gradients, gather(scale * shape, scale * shape))
+    shape = scale * reference.shape
+    return ReedMatrices(gradients, gather(shape, shape))
 
 
 def stiffness(matrices: ReedMatrices, terms_pa: Array) -> sparse.csc_array:
@@ -181,7 +224,7 @@ def projected_stiffness(matrices: ReedMatrices, shapes: Array) -> Array:
     return np.stack([energy(term) for term in STIFFNESS_TERMS])
 
 
-def free_dofs(mesh: HalfReedMesh, symmetry: Symmetry) -> NDArray[np.intp]:
+def free_dofs(mesh: HalfReedMesh, symmetry: Symmetry) -> IntArray:
     """Degrees of freedom (f,) left by the clamp and by the condition on the median plane."""
     fixed = np.repeat(mesh.clamped[:, None], 3, axis=1)
     if symmetry is Symmetry.SYMMETRIC:

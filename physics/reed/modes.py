@@ -3,7 +3,6 @@
 A reed that is its own mirror image is solved by halves, one for each symmetry; any other whole.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -27,7 +26,7 @@ from physics.reed.fem import (
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.mesh import HalfReedMesh, MeshLevel, ReedMesh, build_least_mesh
-from physics.reed.names import assign_names, likenesses, width_profiles
+from physics.reed.names import Portrait, names_of, vamp_profiles
 from physics.reed.viscoelastic import ViscoelasticCane, storage_modulus_pa
 
 Array = NDArray[np.floating[Any]]
@@ -40,13 +39,6 @@ _NAMED_BEYOND = 1.1
 # Modes of either symmetry sought at first, and at most; a reed of cane has some ten below 20 kHz.
 _FIRST_COUNT = 12
 _MOST_MODES = 100
-# The rounded tip has no straight line across; profiles start behind it.
-_TIP_M = 0.5e-3
-# A mode with more than this share of its kinetic energy sideways and behind the vamp is lateral or
-# the heel's, whichever is more.
-_FOREIGN_SHARE = 0.5
-# A name that bears out less than this share of a motion says nothing of it.
-_LEAST_CLAIM = 0.1
 # Takes the displacement of a point to that of its mirror image.
 _REFLECTION = np.array([1.0, -1.0, 1.0])
 # Shapes at the highest frequency and at this share of it span those between, to 0.1 cent.
@@ -122,26 +114,6 @@ class _System:
     symmetries: tuple[Symmetry, ...]
     free: NDArray[np.intp]
     mass: sparse.csc_array
-
-
-@dataclass(frozen=True)
-class _Part:
-    """What several motions have of one symmetry.
-
-    Attributes
-    ----------
-    symmetry : Symmetry
-    shapes : (n, 3, m) float
-    share : (m,) float
-        Of the kinetic energy of each motion.
-    foreign : dict of (m,) float
-        As `share`, of sideways motion (L) and of motion behind the vamp (H).
-    """
-
-    symmetry: Symmetry
-    shapes: Array
-    share: Array
-    foreign: dict[str, Array]
 
 
 def reed_modes(
@@ -235,11 +207,15 @@ def _named_modes(
     for system in _systems(geometry, level, density_kg_m3):
         frequencies, reduced = solve(system)
         shapes = _at_nodes(system, reduced)
-        names = _names(geometry, system, shapes)
-        for m, ((name, symmetry, likeness), hz) in enumerate(zip(names, frequencies, strict=True)):
-            klass = _CLASSES.get(name[0], ModeClass.GENERIC)
+        namings = names_of(_portraits(geometry, system, shapes))
+        for m, (naming, hz) in enumerate(zip(namings, frequencies, strict=True)):
+            klass = _CLASSES.get(naming.name[0], ModeClass.GENERIC)
+            likeness = naming.likeness
+            if klass not in (ModeClass.LATERAL, ModeClass.HEEL):
+                # What moves beside and behind the vamp bears out no name of the vamp.
+                likeness *= 1 - naming.outside
             shape = shapes[:, :, m]
-            found.append(NamedMode(name, float(hz), klass, symmetry, likeness, shape))
+            found.append(NamedMode(naming.name, float(hz), klass, naming.symmetry, likeness, shape))
     wanted = [mode for mode in found if mode.frequency_hz <= highest_hz]
     return sorted(wanted, key=lambda mode: mode.frequency_hz)
 
@@ -313,15 +289,35 @@ def _settled_modes(
     # A mode settles below the highest frequency where the moduli of that frequency leave it below.
     frequencies, shapes = np.empty(stiff.shape[1]), np.empty_like(stiff)
     for j in range(len(frequencies)):
-        frequencies[j], vector = _fixed_point(eigenpairs, j, highest_hz)
+        frequencies[j], vector = settled_mode(eigenpairs, j, highest_hz)
         shapes[:, j] = trial @ vector
     return frequencies, shapes
 
 
-def _fixed_point(
+def settled_mode(
     eigenpairs: Callable[[float], tuple[Array, Array]], number: int, start_hz: float
 ) -> tuple[float, Array]:
-    """Frequency whose `number`-th eigenfrequency is itself, and the shape there."""
+    """Mode of a number, with the moduli of its own frequency.
+
+    Parameters
+    ----------
+    eigenpairs : callable
+        Eigenfrequencies (m,), ascending, and shapes (f, m) with the moduli of a frequency.
+    number : int
+    start_hz : float
+        A frequency above the mode's own, or near it.
+
+    Returns
+    -------
+    hz : float
+        The frequency whose `number`-th eigenfrequency is itself.
+    shape : (f,) float
+
+    Raises
+    ------
+    ValueError
+        If the iteration does not settle.
+    """
     hz = start_hz
     for _ in range(_MOST_ITERATIONS):
         frequencies, vectors = eigenpairs(hz)
@@ -340,108 +336,49 @@ def _span(mass_ff: sparse.csc_array, shapes: list[Array]) -> Array:
     return basis
 
 
-def _parts(geometry: ReedGeometry, system: _System, shapes: Array) -> list[_Part]:
+def _parts(system: _System, shapes: Array) -> dict[Symmetry, Array]:
     """Split motions (n, 3, m) by symmetry; those of half a reed have one already."""
     if len(system.symmetries) == 1:
-        split = {system.symmetries[0]: shapes}
-    else:
-        columns = shapes.reshape(*system.mesh.block, *shapes.shape[1:])
-        mirrored = columns[:, ::-1].reshape(shapes.shape) * _REFLECTION[:, None]
-        split = {
-            Symmetry.SYMMETRIC: 0.5 * (shapes + mirrored),
-            Symmetry.ANTISYMMETRIC: 0.5 * (shapes - mirrored),
-        }
+        return {system.symmetries[0]: shapes}
+    columns = shapes.reshape(*system.mesh.block, *shapes.shape[1:])
+    mirrored = columns[:, ::-1].reshape(shapes.shape) * _REFLECTION[:, None]
+    return {
+        Symmetry.SYMMETRIC: 0.5 * (shapes + mirrored),
+        Symmetry.ANTISYMMETRIC: 0.5 * (shapes - mirrored),
+    }
+
+
+def _portraits(geometry: ReedGeometry, system: _System, shapes: Array) -> list[Portrait]:
+    """What names tell motions (n, 3, m) by."""
+    parts = _parts(system, shapes)
 
     def energy(motion: Array) -> Array:
         product: Array = np.einsum("nm,nm->m", motion, system.matrices.mass @ motion)
         return product
 
-    energies = [np.sum([energy(part[:, k]) for k in range(3)], axis=0) for part in split.values()]
+    energies = {
+        symmetry: np.sum([energy(part[:, k]) for k in range(3)], axis=0)
+        for symmetry, part in parts.items()
+    }
     # What little energy an uneven reed has between its parts belongs to neither.
-    total = np.sum(energies, axis=0)
-    behind = system.mesh.nodes_m[:, :1] > geometry.vamp_x_m[-1]
-    return [
-        _Part(
-            symmetry,
-            part,
-            own / total,
-            {"L": energy(part[:, 1]) / total, "H": energy(part[:, 2] * behind) / total},
-        )
-        for (symmetry, part), own in zip(split.items(), energies, strict=True)
-    ]
-
-
-def _names(
-    geometry: ReedGeometry, system: _System, shapes: Array
-) -> list[tuple[str, Symmetry, float]]:
-    """Names, symmetries and likenesses of motions (n, 3, m), ascending in frequency."""
-    parts = _parts(geometry, system, shapes)
-    larger = [max(parts, key=lambda part: part.share[m]) for m in range(shapes.shape[2])]
-    outside = np.sum([share for part in parts for share in part.foreign.values()], axis=0)
-    answer: dict[int, tuple[str, float]] = {}
-    counts: Counter[str] = Counter()
-    for m in np.flatnonzero(outside > _FOREIGN_SHARE).tolist():
-        symmetric, foreign = larger[m].symmetry is Symmetry.SYMMETRIC, larger[m].foreign
-        kind = max(foreign, key=lambda kind: foreign[kind][m])
-        # The paper's lateral modes bend in the plane, and modes of the heel are symmetric first.
-        suffix = {("L", True): "s", ("H", False): "a"}.get((kind, symmetric), "")
-        counts[kind + suffix] += 1
-        answer[m] = f"{kind}{counts[kind + suffix]}{suffix}", float(foreign[kind][m])
-    vamp = [m for m in range(shapes.shape[2]) if m not in answer]
-    claims = _claims(geometry, system.mesh, parts)
-    # Squared: one clear likeness is worth more than two faint ones.
-    weights = [
-        {name: claim**2 for name, claim in claims[m].items() if claim > _LEAST_CLAIM} for m in vamp
-    ]
-    for m, (name, _) in zip(vamp, assign_names(weights) if vamp else (), strict=True):
-        if name.startswith("?"):
-            # A place without a name is told from its like of the other symmetry.
-            suffix = larger[m].symmetry[0]
-            counts["?" + suffix] += 1
-            answer[m] = f"?{counts['?' + suffix]}{suffix}", 0.0
-        else:
-            # What moves beside and behind the vamp bears out no name of the vamp.
-            answer[m] = name, (1 - float(outside[m])) * claims[m][name]
-    return [(answer[m][0], part.symmetry, answer[m][1]) for m, part in enumerate(larger)]
-
-
-def _claims(geometry: ReedGeometry, mesh: ReedMesh, parts: list[_Part]) -> list[dict[str, float]]:
-    """Names that motions could bear on the vamp, and the share of each motion behind each name."""
-    claims: list[dict[str, float]] = [{} for _ in parts[0].share]
-    for part in parts:
-        # A lesser part is not worth a name, whatever it looks like.
-        worthy = np.flatnonzero(part.share > _LEAST_CLAIM)
-        symmetric = part.symmetry is Symmetry.SYMMETRIC
-        vamp_claims = _vamp_claims(geometry, mesh, part.shapes[:, 2, worthy], symmetric=symmetric)
-        for m, shares in zip(worthy, vamp_claims, strict=True):
-            claims[m] |= {name: float(part.share[m]) * share for name, share in shares.items()}
-    return claims
-
-
-def _vamp_claims(
-    geometry: ReedGeometry, mesh: ReedMesh, u_z: Array, *, symmetric: bool
-) -> list[dict[str, float]]:
-    """Names that deflections (n, m) of one symmetry could bear, and the share of it behind each.
-
-    Lines across the vamp's bark side are weighted by the root of the area that each stands for, so
-    that sums of their squares do not depend on how the mesh is graded.
-    """
-    plan = mesh.nodes_m.reshape(*mesh.block, 3)[:, :, -1, :2]
+    total = np.sum(list(energies.values()), axis=0)
+    nodes_m, block = system.mesh.nodes_m, system.mesh.block
+    behind = nodes_m[:, :1] > geometry.vamp_x_m[-1]
+    plan_m = nodes_m.reshape(*block, 3)[:, :, -1, :2]
     # One side stands for both.
-    right = plan[0, :, 1] >= 0
-    plan, top = plan[:, right], u_z.reshape(*mesh.block, -1)[:, right, -1]
-    vamp = (plan[:, 0, 0] > _TIP_M) & (plan[:, 0, 0] < geometry.vamp_x_m[-1])
-    plan, top = plan[vamp], top[vamp]
-    width = plan[:, -1:, 1]
-    eta = plan[..., 1] / width
-    top = top * np.sqrt(np.gradient(plan[:, 0, 0]) * width[:, 0])[:, None, None]
-    profiles = width_profiles(top, eta)
-    # Waves across that are finer than the profiles resolve, T7 and beyond, bear out no name.
-    resolved = np.sum(profiles[:, (0 if symmetric else 1) :: 2] ** 2, axis=(0, 1))
-    everything = np.sum(np.trapezoid(top**2, eta[..., None], axis=1), axis=0)
-    fractions = np.minimum(resolved / everything, 1.0)
-    claims = []
-    for profile, fraction in zip(np.moveaxis(profiles, -1, 0), fractions, strict=True):
-        shares = likenesses(profile, symmetric=symmetric)
-        claims.append({name: float(fraction) * share for name, share in shares.items()})
-    return claims
+    right = plan_m[0, :, 1] >= 0
+    answer = []
+    for symmetry, part in parts.items():
+        bark = part[:, 2].reshape(*block, -1)[:, right, -1]
+        profiles, points = vamp_profiles(plan_m[:, right], bark, geometry.vamp_x_m[-1])
+        answer.append(
+            Portrait(
+                symmetry=symmetry,
+                share=energies[symmetry] / total,
+                sideways=energy(part[:, 1]) / total,
+                behind=energy(part[:, 2] * behind) / total,
+                profiles=profiles,
+                square=np.sum(points**2, axis=0),
+            )
+        )
+    return answer

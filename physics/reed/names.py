@@ -5,12 +5,16 @@ the plane of the reed, H modes in its heel. A name never depends on the order of
 which differs from reed to reed.
 """
 
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+
+from physics.reed.fem import Symmetry
 
 Array = NDArray[np.floating[Any]]
 
@@ -20,6 +24,70 @@ PAPER_MODES = ("F1", "T1", "F2", "T2", "X1", "F3", "T3", "X2", "X3", "T4", "F4")
 # are fixed by the paper's pictures; X4 to X6 are taken in order of computed frequency.
 _GENERIC = {(1, 1): "X1", (2, 1): "X2", (1, 2): "X3", (1, 3): "X4", (2, 2): "X5", (3, 1): "X6"}
 _WIDTH_ORDERS = 7
+# The rounded tip has no straight line across; profiles start behind it.
+_TIP_M = 0.5e-3
+# Towards the foot, where less than this share of the greatest is left, signs mean nothing.
+_LEAST_DEFLECTION = 0.02
+# A mode with more than this share of its kinetic energy sideways and behind the vamp is lateral or
+# the heel's, whichever is more.
+_FOREIGN_SHARE = 0.5
+# A name that bears out less than this share of a motion says nothing of it.
+_LEAST_CLAIM = 0.1
+# Told apart from their like of the other symmetry: the paper's lateral modes bend in the plane,
+# modes of the heel are symmetric first, and a place without a name belongs to neither.
+_SUFFIXES = {
+    ("L", Symmetry.SYMMETRIC): "s",
+    ("H", Symmetry.ANTISYMMETRIC): "a",
+    ("?", Symmetry.SYMMETRIC): "s",
+    ("?", Symmetry.ANTISYMMETRIC): "a",
+}
+
+
+@dataclass(frozen=True)
+class Portrait:
+    """What names tell m motions of a reed by, in their part of one symmetry.
+
+    Attributes
+    ----------
+    symmetry : Symmetry
+    share, sideways, behind : (m,) float
+        Shares of the kinetic energy of each motion: of this part, and in it of what moves along y
+        and of what moves along z behind the vamp.
+    profiles : (k, 7, m) float
+        Of the vamp's deflection (see `vamp_profiles`).
+    square : (m,) float
+        Of the vamp's deflection, integrated; the profiles resolve a part of it.
+    """
+
+    symmetry: Symmetry
+    share: Array
+    sideways: Array
+    behind: Array
+    profiles: Array
+    square: Array
+
+
+@dataclass(frozen=True)
+class Naming:
+    """Name of a motion.
+
+    Attributes
+    ----------
+    name : str
+        ``?`` and a number where a better claimant bears the name.
+    symmetry : Symmetry
+        Of the part with more kinetic energy.
+    likeness : float
+        Share of the vamp's motion that bears out the name; of a lateral mode or one of the heel,
+        of the kinetic energy.
+    outside : float
+        Share of the kinetic energy sideways and behind the vamp.
+    """
+
+    name: str
+    symmetry: Symmetry
+    likeness: float
+    outside: float
 
 
 def name_of(width_order: int, nodal_lines: int) -> str:
@@ -49,6 +117,37 @@ def is_symmetric(name: str) -> bool:
     raise ValueError(f"{name} is no mode of the vamp with a fixed symmetry")
 
 
+def vamp_profiles(plan_m: Array, deflections: Array, vamp_end_m: float) -> tuple[Array, Array]:
+    """Width profiles of the vamp's bark side, and the deflections that they describe.
+
+    Both are weighted by the root of the area that each line or point stands for, so that sums of
+    their squares are integrals over the vamp, however the mesh is graded.
+
+    Parameters
+    ----------
+    plan_m : (nx, ny, 2) float
+        Nodes (x, y) of half a reed, from the axis to the side on each line across.
+    deflections : (nx, ny, r) float
+        Along z, at these nodes.
+    vamp_end_m : float
+        Abscissa.
+
+    Returns
+    -------
+    profiles : (k, 7, r) float
+        See `width_profiles`.
+    points : (k·ny, r) float
+    """
+    x_m = plan_m[:, 0, 0]
+    vamp = (x_m > _TIP_M) & (x_m < vamp_end_m)
+    width_m = plan_m[vamp, -1:, 1]
+    eta = plan_m[vamp, :, 1] / width_m
+    area_m2 = np.gradient(x_m[vamp])[:, None] * width_m
+    lines = deflections[vamp] * np.sqrt(area_m2)[..., None]
+    points = lines * np.sqrt(_point_weights(eta))[..., None]
+    return width_profiles(lines, eta), points.reshape(eta.size, -1)
+
+
 def width_profiles(shape: Array, eta: Array) -> Array:
     """Legendre profiles of deflections across the width.
 
@@ -67,35 +166,101 @@ def width_profiles(shape: Array, eta: Array) -> Array:
     """
     table = np.polynomial.legendre.legvander(eta, _WIDTH_ORDERS - 1)
     table *= np.sqrt(2 * np.arange(_WIDTH_ORDERS) + 1)
-    edges = np.pad(0.5 * (eta[:, 1:] + eta[:, :-1]), ((0, 0), (1, 1)))
-    edges[:, 0], edges[:, -1] = eta[:, 0], eta[:, -1]
-    weights = np.diff(edges, axis=1)
-    profiles: Array = np.einsum("xy,xyl,xyr->xlr", weights, table, shape, optimize=True)
+    profiles: Array = np.einsum("xy,xyl,xyr->xlr", _point_weights(eta), table, shape, optimize=True)
     return profiles
 
 
-def likenesses(profiles: Array, *, symmetric: bool) -> dict[str, float]:
-    """Names that a vibration of the vamp could bear, each with the share of motion behind it.
+def _point_weights(eta: Array) -> Array:
+    """Share (nx, ny) of each line across that a point on it stands for."""
+    edges = np.pad(0.5 * (eta[:, 1:] + eta[:, :-1]), ((0, 0), (1, 1)))
+    edges[:, 0], edges[:, -1] = eta[:, 0], eta[:, -1]
+    return np.diff(edges, axis=1)
+
+
+def names_of(portraits: Sequence[Portrait]) -> list[Naming]:
+    """Name motions, no two alike.
 
     Parameters
     ----------
-    profiles : (nx, 7) float
-        Width profiles of the deflection, tip first (see `width_profiles`).
-    symmetric : bool
-        Symmetry of the motion in the median plane.
+    portraits : sequence of Portrait
+        Of the same m motions, ascending in frequency: one of half a reed, whose motions have one
+        symmetry; two of a whole reed, whose motions may have parts of both.
 
     Returns
     -------
-    dict
-        Name → share in [0, 1]; the shares of one vibration add to 1.
+    list of Naming
+    """
+    outside = np.sum([portrait.sideways + portrait.behind for portrait in portraits], axis=0)
+    larger = np.argmax([portrait.share for portrait in portraits], axis=0)
+    vamp = np.flatnonzero(outside <= _FOREIGN_SHARE).tolist()
+    claims = _claims(portraits)
+    # Squared: one clear likeness is worth more than two faint ones.
+    weights = [
+        {name: claim**2 for name, claim in claims[m].items() if claim > _LEAST_CLAIM} for m in vamp
+    ]
+    names = dict(zip(vamp, (name for name, _ in assign_names(weights)), strict=True))
+    counts: Counter[str] = Counter()
+    answer = []
+    for m, portrait in enumerate(portraits[k] for k in larger):
+        name = names.get(m)
+        if name in claims[m]:
+            likeness = claims[m][name]
+        else:
+            kind, likeness = ("?", 0.0) if name else _foreign_kind(portrait, m)
+            suffix = _SUFFIXES.get((kind, portrait.symmetry), "")
+            counts[kind + suffix] += 1
+            name = f"{kind}{counts[kind + suffix]}{suffix}"
+        answer.append(Naming(name, portrait.symmetry, likeness, float(outside[m])))
+    return answer
+
+
+def _foreign_kind(portrait: Portrait, number: int) -> tuple[str, float]:
+    """L or H, and the share of the kinetic energy that says so."""
+    sideways, behind = float(portrait.sideways[number]), float(portrait.behind[number])
+    return ("L", sideways) if sideways > behind else ("H", behind)
+
+
+def _claims(portraits: Sequence[Portrait]) -> list[dict[str, float]]:
+    """Names that motions could bear on the vamp, and the share of each motion behind each name."""
+    claims: list[dict[str, float]] = [{} for _ in portraits[0].share]
+    for portrait in portraits:
+        symmetric = portrait.symmetry is Symmetry.SYMMETRIC
+        own = likenesses(portrait.profiles, portrait.square, symmetric=symmetric)
+        for claim, share, names in zip(claims, portrait.share.tolist(), own, strict=True):
+            claim |= {name: share * likeness for name, likeness in names.items()}
+    return claims
+
+
+def likenesses(profiles: Array, square: Array, *, symmetric: bool) -> list[dict[str, float]]:
+    """Names that vibrations of the vamp could bear, each with the share of motion behind it.
+
+    Parameters
+    ----------
+    profiles : (k, 7, m) float
+        Width profiles of the deflections, tip first (see `vamp_profiles`).
+    square : (m,) float
+        Of the deflections, integrated over the vamp.
+    symmetric : bool
+        Symmetry of the motions in the median plane.
+
+    Returns
+    -------
+    list of dict
+        Name → share in [0, 1]. The shares of a vibration add to 1, or to less where it has waves
+        across that are finer than the profiles resolve: T7 and beyond.
     """
     orders = range(0 if symmetric else 1, _WIDTH_ORDERS, 2)
-    energy = (profiles**2).sum(axis=0)
-    total = sum(energy[order] for order in orders)
-    return {
-        name_of(order, _nodal_lines(profiles[:, order])): float(energy[order] / total)
-        for order in orders
-    }
+    own = profiles[:, orders]
+    energy = np.sum(own**2, axis=0)
+    shares = energy / np.maximum(square, energy.sum(axis=0))
+    nodes = _nodal_lines(own)
+    return [
+        {
+            name_of(order, lines): share
+            for order, lines, share in zip(orders, of_lines, of_shares, strict=True)
+        }
+        for of_lines, of_shares in zip(nodes.T.tolist(), shares.T.tolist(), strict=True)
+    ]
 
 
 def assign_names(candidates: Sequence[dict[str, float]]) -> list[tuple[str, float]]:
@@ -114,7 +279,7 @@ def assign_names(candidates: Sequence[dict[str, float]]) -> list[tuple[str, floa
     # A name that one has no claim to is worth less than none.
     likeness = np.array(
         [[c.get(name, 0.0 if name.startswith("?") else -1.0) for name in names] for c in candidates]
-    )
+    ).reshape(len(candidates), len(names))
     rows, columns = linear_sum_assignment(likeness, maximize=True)
     return [
         (names[column], float(likeness[row, column]))
@@ -122,7 +287,11 @@ def assign_names(candidates: Sequence[dict[str, float]]) -> list[tuple[str, floa
     ]
 
 
-def _nodal_lines(profile: Array) -> int:
-    """Sign changes along the reed, ignoring the foot where the deflection dies away."""
-    kept = profile[np.abs(profile) > 0.02 * np.abs(profile).max()]
-    return int(np.count_nonzero(np.diff(np.sign(kept))))
+def _nodal_lines(profiles: Array) -> NDArray[np.intp]:
+    """Sign changes along the reed (…) of profiles (k, …), ignoring where they die away."""
+    kept = np.abs(profiles) > _LEAST_DEFLECTION * np.abs(profiles).max(axis=0)
+    lines = np.arange(len(profiles)).reshape(-1, *(1,) * (profiles.ndim - 1))
+    last_kept = np.maximum.accumulate(np.where(kept, lines, 0), axis=0)
+    signs = np.take_along_axis(kept * np.sign(profiles), last_kept, axis=0)
+    changes: NDArray[np.intp] = np.count_nonzero(signs[1:] * signs[:-1] < 0, axis=0)
+    return changes

@@ -1,7 +1,9 @@
 """Modes and forced vibration of a reed whose cane depends on frequency."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -10,17 +12,17 @@ from numpy.typing import NDArray
 from physics.reed.basis import HalfBasis, ReducedReed, reduced_modes
 from physics.reed.fem import Symmetry
 from physics.reed.material import stiffness_terms_pa
-from physics.reed.names import assign_names, likenesses
-from physics.reed.viscoelastic import ViscoelasticCane, storage_modulus_pa
+from physics.reed.modes import HIGHEST_HZ, at_frequency, settled_mode
+from physics.reed.names import Portrait, names_of
+from physics.reed.viscoelastic import ViscoelasticCane
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
-# A mode whose kinetic energy is mostly sideways is lateral; one mostly behind the vamp, a heel's.
-_FOREIGN_SHARE = 0.5
-# Modes named per symmetry: all below 20 kHz. Higher ones are no longer those of the full model
-# (see `BasisSettings.modes`) and would only compete for names.
-_NAMED_MODES = 11
+# A fifth more modes are named than lie below 20 kHz in the middle of the basis's box, for the sake
+# of softer material. Still higher ones are no longer those of the full model (see `BasisSettings`)
+# and would only compete for names.
+_NAMED_BEYOND = Fraction(1, 5)
 _SETTLED_CENTS = 1e-3
 _MOST_ITERATIONS = 30
 
@@ -37,7 +39,8 @@ class Mode:
     coordinates : (r,) float
         Mass-normalised shape of the half reed in its reduced coordinates.
     likeness : float
-        Share of its motion that bears out its name; low where two modes exchange shapes.
+        Share of its motion on the vamp, or of its energy for lateral modes and those of the heel,
+        that bears out its name; low where two modes of the vamp exchange shapes.
     """
 
     name: str
@@ -47,50 +50,45 @@ class Mode:
     likeness: float
 
 
+def named_modes(reed: ReducedReed) -> int:
+    """How many modes of either symmetry are named."""
+    middles = [half.middle_hz for half in reed.halves.values()]
+    below = max(1, *(int(np.count_nonzero(hz < HIGHEST_HZ)) for hz in middles))
+    return min(below + math.ceil(_NAMED_BEYOND * below), *map(len, middles))
+
+
 def elastic_modes(reed: ReducedReed, E_L_pa: float, G_LT_pa: float) -> dict[str, Mode]:
     """Modes of the reed with fixed moduli, by name."""
     cane = replace(reed.cane, E_L_pa=E_L_pa, G_LT_pa=G_LT_pa)
-    terms = stiffness_terms_pa(cane)
-    modes = {}
+    terms, count = stiffness_terms_pa(cane), named_modes(reed)
+    modes: dict[str, Mode] = {}
     for symmetry, half in reed.halves.items():
-        frequencies, shapes = reduced_modes(half, terms, cane.density_kg_m3)
-        frequencies, shapes = frequencies[:_NAMED_MODES], shapes[:, :_NAMED_MODES]
-        names = _names(half, shapes, symmetry, cane.density_kg_m3)
-        for (name, likeness), hz, shape in zip(names, frequencies, shapes.T, strict=True):
-            modes[name] = Mode(name, float(hz), symmetry, shape, likeness)
+        hz, shapes = reduced_modes(half, terms, cane.density_kg_m3)
+        modes |= _named(half, symmetry, hz[:count], shapes[:, :count], cane.density_kg_m3)
     return modes
 
 
-def _names(
-    half: HalfBasis, shapes: Array, symmetry: Symmetry, density: float
-) -> list[tuple[str, float]]:
-    """Names and likenesses of mass-normalised shapes (r, m), ascending in frequency."""
+def _named(
+    half: HalfBasis, symmetry: Symmetry, hz: Array, shapes: Array, density_kg_m3: float
+) -> dict[str, Mode]:
+    """Name mass-normalised shapes (r, m), ascending in frequency."""
 
-    def share(part: Array) -> Array:
-        shares: Array = density * np.einsum("rm,rs,sm->m", shapes, part, shapes, optimize=True)
-        return shares
+    def squared(part: Array) -> Array:
+        squares: Array = np.einsum("rm,rm->m", shapes, part @ shapes)
+        return squares
 
-    symmetric = symmetry is Symmetry.SYMMETRIC
-    lateral, heel = share(half.lateral_mass), share(half.heel_mass)
-    profiles = np.moveaxis(half.profiles @ shapes, -1, 0)
-    # Lateral modes of the symmetric half stretch the width; the paper's L bend in the plane.
-    counted = {"L": "" if not symmetric else "s", "H": "" if symmetric else "a"}
-    answer: list[tuple[str, float]] = []
-    vamp = []
-    for m in range(shapes.shape[1]):
-        kind, part = ("L", lateral[m]) if lateral[m] > heel[m] else ("H", heel[m])
-        if part > _FOREIGN_SHARE:
-            number = 1 + sum(name.startswith(kind) for name, _ in answer)
-            answer.append((f"{kind}{number}{counted[kind]}", float(part)))
-        else:
-            vamp.append(m)
-            answer.append(("", 0.0))
-    named = assign_names([likenesses(profiles[m], symmetric=symmetric) for m in vamp])
-    for m, (name, likeness) in zip(vamp, named, strict=True):
-        # A place without a name is told from its like of the other symmetry.
-        suffix = symmetry[0] if name.startswith("?") else ""
-        answer[m] = (name + suffix, likeness)
-    return answer
+    portrait = Portrait(
+        symmetry=symmetry,
+        share=np.ones(len(hz)),
+        sideways=density_kg_m3 * squared(half.lateral_mass),
+        behind=density_kg_m3 * squared(half.heel_mass),
+        profiles=half.profiles @ shapes,
+        square=squared(half.vamp_square),
+    )
+    return {
+        naming.name: Mode(naming.name, float(f), symmetry, shape, naming.likeness)
+        for naming, f, shape in zip(names_of([portrait]), hz, shapes.T, strict=True)
+    }
 
 
 def viscoelastic_mode(
@@ -98,24 +96,50 @@ def viscoelastic_mode(
 ) -> Mode:
     """Mode of a given name, with the storage moduli taken at its own frequency.
 
+    Where two modes exchange shapes, the frequency of either may have moduli with which the name is
+    the other's. Then all modes are settled by their number, and named side by side.
+
+    Parameters
+    ----------
+    start_hz : float
+        Where the search begins. Of two modes that each bear the name with the moduli of their own
+        frequency, the one nearer to it is likely to be found.
+
     Raises
     ------
     ValueError
-        If the reed has no such mode, or the iteration does not settle.
+        If the reed has no such mode, or moduli that grow too fast with frequency for modes to
+        settle.
     """
     hz = start_hz
     for _ in range(_MOST_ITERATIONS):
-        modes = elastic_modes(
-            reed,
-            float(storage_modulus_pa(cane.young_L, hz)),
-            float(storage_modulus_pa(cane.shear_LT, hz)),
-        )
+        constants = at_frequency(reed.cane, cane, hz)
+        modes = elastic_modes(reed, constants.E_L_pa, constants.G_LT_pa)
         if name not in modes:
-            raise ValueError(f"this reed has no mode {name} near {hz:.0f} Hz")
+            break
         previous, hz = hz, modes[name].frequency_hz
         if abs(1200 * np.log2(hz / previous)) < _SETTLED_CENTS:
             return modes[name]
-    raise ValueError(f"mode {name} does not settle: it jumps about {hz:.0f} Hz")
+    modes = _settled_modes(reed, cane)
+    if name not in modes:
+        raise ValueError(f"this reed has no mode {name} near {hz:.0f} Hz")
+    return modes[name]
+
+
+def _settled_modes(reed: ReducedReed, cane: ViscoelasticCane) -> dict[str, Mode]:
+    """All modes with names, each settled by its number (see `modes.viscoelastic_modes`)."""
+    count, density_kg_m3 = named_modes(reed), reed.cane.density_kg_m3
+    modes: dict[str, Mode] = {}
+    for symmetry, half in reed.halves.items():
+
+        def eigenpairs(hz: float, half: HalfBasis = half) -> tuple[Array, Array]:
+            terms = stiffness_terms_pa(at_frequency(reed.cane, cane, hz))
+            return reduced_modes(half, terms, density_kg_m3)
+
+        found = [settled_mode(eigenpairs, number, HIGHEST_HZ) for number in range(count)]
+        hz, shapes = (np.stack(parts, axis=-1) for parts in zip(*found, strict=True))
+        modes |= _named(half, symmetry, hz, shapes, density_kg_m3)
+    return modes
 
 
 def forced_response(
@@ -164,11 +188,7 @@ def _solve(
     hz: float,
     load: Complex,
 ) -> Complex:
-    material = replace(
-        reed.cane,
-        E_L_pa=float(storage_modulus_pa(cane.young_L, hz)),
-        G_LT_pa=float(storage_modulus_pa(cane.shear_LT, hz)),
-    )
+    material = at_frequency(reed.cane, cane, hz)
     K = np.tensordot(stiffness_terms_pa(material), half.stiffness_terms, axes=1)
     omega2 = (2 * np.pi * hz) ** 2
     answer: Complex = np.linalg.solve(

@@ -20,8 +20,10 @@ from scipy.special import roots_jacobi
 
 from physics.reed.fem import (
     ReedMatrices,
+    ReferenceElement,
     Symmetry,
     free_dofs,
+    integrate,
     lowest_modes,
     mass,
     shape_1d,
@@ -39,8 +41,8 @@ IntArray = NDArray[np.intp]
 PLAIN = MeshLevel(orders=(4, 4, 2), edge_breaks_m=(), z_breaks=(0.0, 1.0))
 # Elements that begin nearer to the tip than this may be given a size of their own.
 _TIP_M = 6e-3
-# Per symmetry; a coarse mesh has ten modes below 20 kHz.
-_MODES = 13
+# Modes computed beyond those that give names: stiff elements change their order.
+_SPARE_MODES = 4
 # A motion less like the mode that it is compared with bears no name.
 _LEAST_LIKENESS = 0.5
 # Nodes of an element, vertices first, then the midpoints of these edges.
@@ -207,11 +209,8 @@ def split(hexahedra: IntArray) -> IntArray:
     return np.asarray(hexahedra[:, local].reshape(-1, 10))
 
 
-def _reference_element() -> tuple[Array, Array, Array]:
-    """Quadrature weights (q,), shape functions (q, 10) and their gradients (3, q, 10).
-
-    Gauss-Jacobi rules on a cube, collapsed into the tetrahedron.
-    """
+def _tetrahedron() -> ReferenceElement:
+    """Ten nodes; Gauss-Jacobi rules on a cube, collapsed into the tetrahedron."""
     points, weights = [], []
     for power in (2, 1, 0):
         x, w = roots_jacobi(_GAUSS_POINTS, power, 0)
@@ -225,7 +224,7 @@ def _reference_element() -> tuple[Array, Array, Array]:
     local = [np.outer(slopes[i], 4 * L[i] - 1) for i in range(4)]
     local += [4 * (np.outer(slopes[a], L[b]) + np.outer(slopes[b], L[a])) for a, b in _EDGES]
     weight = np.einsum("r,s,t->rst", *weights).ravel()
-    return weight, np.stack(shape, axis=-1), np.stack(local, axis=-1)
+    return ReferenceElement(weight, np.stack(shape, axis=-1), np.stack(local, axis=-1))
 
 
 def assemble_tetrahedra(nodes_m: Array, elements: IntArray) -> ReedMatrices:
@@ -242,26 +241,7 @@ def assemble_tetrahedra(nodes_m: Array, elements: IntArray) -> ReedMatrices:
     ValueError
         If an element is turned inside out.
     """
-    weights, shape, local = _reference_element()
-    jacobian = np.einsum("iqm,emj->eqij", local, nodes_m[elements], optimize=True)
-    volume = np.linalg.det(jacobian)
-    if volume.min() <= 0:
-        raise ValueError("a tetrahedron is turned inside out; divide the reed more finely")
-    scale = np.sqrt(volume * weights)[..., None]
-    x, y, z = scale * np.einsum("eqij,jqm->ieqm", np.linalg.inv(jacobian), local, optimize=True)
-    rows = np.repeat(elements, elements.shape[1], axis=1).ravel()
-    columns = np.tile(elements, (1, elements.shape[1])).ravel()
-
-    def gather(left: Array, right: Array) -> sparse.csr_array:
-        blocks = np.matmul(left.transpose(0, 2, 1), right)
-        size = (len(nodes_m),) * 2
-        return sparse.coo_array((blocks.ravel(), (rows, columns)), shape=size).tocsr()
-
-    axes = {"x": x, "y": y, "z": z}
-    gradients = {a + b: gather(axes[a], axes[b]) for a in axes for b in axes if a <= b}
-    for pair in ("xy", "xz", "yz"):
-        gradients[pair[::-1]] = gradients[pair].T.tocsr()
-    return ReedMatrices(gradients, gather(scale * shape, scale * shape))
+    return integrate(nodes_m, elements, _tetrahedron())
 
 
 def tetrahedral_reed(
@@ -300,8 +280,9 @@ def tetrahedral_reed(
     def half(symmetry: Symmetry) -> list[NamedMode]:
         free = free_dofs(divided.mesh, symmetry)
         within = M[free][:, free]
-        frequencies, shapes = lowest_modes(K[free][:, free], within, _MODES)
         like = [mode for mode in named if mode.symmetry is symmetry]
+        count = len(like) + _SPARE_MODES
+        frequencies, shapes = lowest_modes(K[free][:, free], within, count)
         return _named(divided, like, free, within, frequencies, shapes)
 
     # SuperLU lets go of the interpreter: the two symmetries take two cores.

@@ -5,14 +5,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from acquire.reed_file import ReedFile
 from physics.reed.basis import BasisSettings, build_reduced_reed, reduced_modes
-from physics.reed.fem import Symmetry, factor, free_dofs, lowest_modes, mass, stiffness
+from physics.reed.fem import (
+    Symmetry,
+    assemble,
+    factor,
+    free_dofs,
+    lowest_modes,
+    mass,
+    stiffness,
+)
 from physics.reed.geometry import Outline, ReedGeometry, half_width_m
 from physics.reed.material import Cane, stiffness_terms_pa
+from physics.reed.mesh import MeshLevel, build_mesh
 from physics.reed.names import PAPER_MODES
-from physics.reed.response import elastic_modes
+from physics.reed.response import elastic_modes, named_modes
 
 BOTH = list(Symmetry)
+# As few elements as a reed can have.
+TINY = MeshLevel(orders=(2, 2, 2), vamp_element_m=14e-3, heel_element_m=23e-3, z_breaks=(0.0, 1.0))
 
 
 def random_canes(count, seed, **spread):
@@ -165,8 +177,65 @@ def test_a_larger_basis_is_never_worse(geometry, coarse_level, coarse_reed):
         assert np.any(poor_hz > rich_hz * 1.001)
 
 
+def test_a_clarinets_reed_has_56_coordinates_and_11_modes_with_names(coarse_reed):
+    for half in coarse_reed.halves.values():
+        assert half.mass.shape == (56, 56)
+    assert [np.count_nonzero(half.middle_hz < 20e3) for half in coarse_reed.halves.values()] == [
+        9,
+        8,
+    ]
+    assert named_modes(coarse_reed) == 11
+
+
+def test_the_middle_of_the_box_has_the_geometric_means_of_the_moduli(coarse_reed):
+    cane = Cane(E_L_pa=np.sqrt(7e9 * 21e9), G_LT_pa=np.sqrt(0.45e9 * 2e9))
+    for half in coarse_reed.halves.values():
+        expected, _ = reduced_modes(half, stiffness_terms_pa(cane), cane.density_kg_m3)
+        np.testing.assert_allclose(half.middle_hz, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["alto-saxophone", "bass-clarinet"])
+def test_larger_reeds_have_all_their_modes_below_20_khz(name, coarse_level):
+    """Named, even in the softest cane, and as exactly as a clarinet's."""
+    geometry = ReedFile.from_file(name).geometry()
+    reed = build_reduced_reed(geometry, coarse_level, BasisSettings())
+    mesh = build_mesh(geometry, coarse_level)
+    matrices = assemble(mesh)
+    for cane in (Cane(E_L_pa=7e9, G_LT_pa=0.45e9), *random_canes(1, seed=9)):
+        for symmetry in Symmetry:
+            full = full_hz(matrices, mesh, cane, symmetry, 18)
+            excess = 1200 * np.log2(reduced_hz(reed, cane, symmetry, 18) / full)
+            audible = full < 20e3
+            assert excess[audible].max() < 0.3
+            assert audible.sum() <= named_modes(reed) < 18
+    assert named_modes(reed) > 11
+
+
+def test_numbers_that_are_given_are_kept(geometry):
+    def sizes(**settings):
+        reed = build_reduced_reed(geometry, TINY, BasisSettings(**settings))
+        return [half.mass.shape[0] for half in reed.halves.values()]
+
+    assert sizes(modes=5, size=12) == [12, 12]
+    assert sizes(modes=6) == [28, 28]
+    (default, same), most = sizes(), 5 * 12 + 16
+    assert default == same
+    assert 28 < default < most
+    assert sizes(size=20) == [20, 20]
+
+
 def test_an_impossible_reed_is_refused(coarse_level):
     with pytest.raises(ValueError, match="thickness"):
         build_reduced_reed(ReedGeometry(thickness_offset_m=-90e-6), coarse_level, BasisSettings())
     with pytest.raises(ValueError, match="Poisson"):
         build_reduced_reed(ReedGeometry(), coarse_level, BasisSettings(cane=Cane(nu_TR=1.2)))
+    jelly = BasisSettings(cane=Cane(density_kg_m3=520e4))
+    with pytest.raises(ValueError, match="over 100 modes below 20000 Hz"):
+        build_reduced_reed(ReedGeometry(), TINY, jelly)
+
+
+def test_a_reed_without_modes_below_20_khz_has_a_basis_all_the_same(geometry):
+    light = BasisSettings(cane=Cane(density_kg_m3=1.0))
+    reed = build_reduced_reed(geometry, TINY, light)
+    assert min(half.middle_hz[0] for half in reed.halves.values()) > 20e3
+    assert {"F1", "T1"} <= set(elastic_modes(reed, 14e9, 1.1e9))

@@ -10,10 +10,13 @@ from hypothesis import strategies as st
 from physics.reed.fem import Symmetry
 from physics.reed.names import (
     PAPER_MODES,
+    Portrait,
     assign_names,
     is_symmetric,
     likenesses,
     name_of,
+    names_of,
+    vamp_profiles,
     width_profiles,
 )
 from physics.reed.response import elastic_modes, viscoelastic_mode
@@ -87,10 +90,42 @@ def test_a_shape_drawn_by_hand_bears_its_name(width_order, nodal_lines):
     along = np.polynomial.legendre.Legendre.basis(nodal_lines)(x) * (1 - (x + 1) / 2) ** 0.5
     eta = np.broadcast_to(np.linspace(0, 1, 25), (40, 25))
     across = np.polynomial.legendre.Legendre.basis(width_order)(eta)
-    profiles = width_profiles((along[:, None] * across)[..., None], eta)[..., 0]
-    found = likenesses(profiles, symmetric=width_order % 2 == 0)
+    profiles = width_profiles((along[:, None] * across)[..., None], eta)
+    square = np.sum(profiles[:, width_order % 2 :: 2] ** 2, axis=(0, 1))
+    (found,) = likenesses(profiles, square, symmetric=width_order % 2 == 0)
     assert found[name_of(width_order, nodal_lines)] > 0.98
     assert sum(found.values()) == pytest.approx(1)
+    (half_of_it,) = likenesses(profiles, 2 * square, symmetric=width_order % 2 == 0)
+    assert sum(half_of_it.values()) == pytest.approx(0.5)
+
+
+def test_nodal_lines_are_counted_without_the_foot_where_signs_mean_nothing():
+    """A flexural profile with one node, noise before it and a faint tail that changes sign."""
+    profiles = np.zeros((8, 7, 2))
+    profiles[:, 0, 0] = [0.01, 1, 0.5, 0, -0.4, -0.015, 0.01, -0.01]
+    profiles[:, 0, 1] = [-0.5, 1, 0.5, 0, -0.4, -0.3, 0.03, -0.03]
+    square = np.sum(profiles**2, axis=(0, 1))
+    first, second = likenesses(profiles, square, symmetric=True)
+    assert first["F2"] == pytest.approx(1)
+    assert second["F5"] == pytest.approx(1)
+
+
+@pytest.mark.parametrize("grading", [0.7, 1.0, 1.6])
+def test_squares_are_integrals_over_the_vamp_however_the_mesh_is_graded(grading):
+    """Of 1 and of a torsion, on a trapezoid: its area and a moment of inertia."""
+    x_m = 40e-3 * np.linspace(0, 1, 800) ** grading
+    eta = np.linspace(0, 1, 60) ** grading
+    width_m = 5e-3 - 0.05 * x_m[:, None]
+    plan_m = np.stack(np.broadcast_arrays(x_m[:, None], width_m * eta), axis=-1)
+    y_m = plan_m[..., 1]
+    profiles, points = vamp_profiles(plan_m, np.stack([np.ones_like(y_m), y_m], axis=-1), 35e-3)
+    # The rounded tip is left out.
+    vamp_m = np.linspace(0.5e-3, 35e-3, 2001)
+    width_m = 5e-3 - 0.05 * vamp_m
+    expected = np.trapezoid(width_m, vamp_m), np.trapezoid(width_m**3 / 3, vamp_m)
+    np.testing.assert_allclose(np.sum(points**2, axis=0), expected, rtol=0.01)
+    own = profiles[:, [0, 1], [0, 1]]
+    np.testing.assert_allclose(np.sum(own**2, axis=0), expected, rtol=0.01)
 
 
 def test_profiles_are_orthonormal_within_a_parity():
@@ -146,6 +181,104 @@ def test_of_two_claims_to_one_name_the_better_wins():
 def test_nobody_bears_a_name_without_a_claim_to_it():
     named = assign_names([{"F2": 0.03, "X2": 0.96}, {"F1": 0.09}, {"F1": 0.64, "T2": 0.2}])
     assert [name for name, _ in named] == ["X2", "?1", "F1"]
+
+
+EVEN, ODD = Symmetry.SYMMETRIC, Symmetry.ANTISYMMETRIC
+
+
+def portrait(symmetry, motions, *, share=1.0, sideways=0.0, behind=0.0, square=1.0):
+    """Portrait of motions given as {width order: (nodal lines, amplitude)} each."""
+    profiles = np.zeros((24, 7, len(motions)))
+    x = np.linspace(0, 1, 24)
+    for m, motion in enumerate(motions):
+        for order, (lines, amplitude) in motion.items():
+            along = np.cos(np.pi * (lines * x + 0.25 * (lines == 0) * x))
+            profiles[:, order, m] = amplitude * along / np.linalg.norm(along)
+    count = len(motions)
+    numbers = (np.broadcast_to(value, count) for value in (share, sideways, behind))
+    return Portrait(symmetry, *numbers, profiles, np.broadcast_to(square, count))
+
+
+def named(*portraits):
+    return [naming.name for naming in names_of(portraits)]
+
+
+def test_motions_bear_the_names_that_they_are_most_like():
+    found = names_of([portrait(EVEN, [{0: (1, 1.0)}, {2: (0, 0.8), 0: (2, 0.6)}])])
+    assert [naming.name for naming in found] == ["F2", "T2"]
+    assert [naming.symmetry for naming in found] == [EVEN, EVEN]
+    assert [naming.likeness for naming in found] == pytest.approx([1.0, 0.64])
+    assert [naming.outside for naming in found] == [0.0, 0.0]
+
+
+def test_one_clear_likeness_is_worth_more_than_two_faint_ones():
+    """0.55 + 0.2 is less than 0.3 + 0.5, but of their squares it is more."""
+    motions = [
+        {4: (0, np.sqrt(0.55)), 0: (3, np.sqrt(0.3))},
+        {4: (0, np.sqrt(0.5)), 0: (3, np.sqrt(0.2))},
+    ]
+    assert named(portrait(EVEN, motions)) == ["T4", "F4"]
+
+
+def test_faint_claims_give_no_name():
+    """Of two T2, one is for 9 % an F1, which nobody else is."""
+    faint = {2: (0, np.sqrt(0.91)), 0: (0, 0.3)}
+    assert named(portrait(EVEN, [{2: (0, 1.0)}, faint])) == ["T2", "?1s"]
+    less_faint = {2: (0, np.sqrt(0.85)), 0: (0, np.sqrt(0.15))}
+    assert named(portrait(EVEN, [{2: (0, 1.0)}, less_faint])) == ["T2", "F1"]
+
+
+def test_waves_that_profiles_do_not_resolve_bear_out_no_name():
+    """What little the profiles see of a T7 looks like an X(5,1)."""
+    fine, coarse = {5: (1, np.sqrt(0.05))}, {5: (1, np.sqrt(0.6)), 3: (2, np.sqrt(0.4))}
+    assert named(portrait(ODD, [fine, coarse])) == ["?1a", "X(5,1)"]
+    assert named(portrait(ODD, [fine])) == ["?1a"]
+    assert named(portrait(ODD, [fine], square=0.05)) == ["X(5,1)"]
+
+
+@pytest.mark.parametrize(
+    ("symmetry", "sideways", "behind", "expected"),
+    [
+        (ODD, 0.4, 0.2, ("L1", 0.4)),
+        (EVEN, 0.6, 0.1, ("L1s", 0.6)),
+        (EVEN, 0.1, 0.7, ("H1", 0.7)),
+        (ODD, 0.2, 0.5, ("H1a", 0.5)),
+        (ODD, 0.3, 0.19, ("T1", 1.0)),
+    ],
+)
+def test_what_moves_elsewhere_than_the_vamp_is_lateral_or_the_heels(
+    symmetry, sideways, behind, expected
+):
+    order = 1 if symmetry is ODD else 0
+    (found,) = names_of([portrait(symmetry, [{order: (0, 1.0)}], sideways=sideways, behind=behind)])
+    assert (found.name, found.likeness) == (expected[0], pytest.approx(expected[1]))
+    assert found.outside == pytest.approx(sideways + behind)
+
+
+def test_each_kind_is_counted_by_itself_from_the_lowest():
+    sideways, behind = [0.9, 0.0, 0.8, 0.0, 0.0], [0.0, 0.9, 0.0, 0.7, 0.0]
+    assert named(portrait(ODD, [{1: (0, 1.0)}] * 5, sideways=sideways, behind=behind)) == [
+        "L1",
+        "H1a",
+        "L2",
+        "H2a",
+        "T1",
+    ]
+    alike = [{1: (0, amplitude)} for amplitude in (0.8, 1.0, 0.9)]
+    assert named(portrait(ODD, alike)) == ["?1a", "T1", "?2a"]
+
+
+def test_a_motion_of_both_symmetries_has_that_of_its_larger_part():
+    """An uneven reed: each of two motions is half F3, half T3, and each bears another name."""
+    even = portrait(EVEN, [{0: (2, 1.0)}] * 2, share=[0.45, 0.52])
+    odd = portrait(ODD, [{3: (0, 1.0)}] * 2, share=[0.55, 0.48])
+    found = names_of([even, odd])
+    assert [(naming.name, naming.symmetry) for naming in found] == [("T3", ODD), ("F3", EVEN)]
+    assert [naming.likeness for naming in found] == pytest.approx([0.55, 0.52])
+
+
+def test_no_motions_have_no_names():
+    assert names_of([portrait(EVEN, [])]) == []
 
 
 def test_the_papers_modes_are_present_in_every_reed_of_the_population(standard_reed):

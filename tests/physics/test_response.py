@@ -1,12 +1,22 @@
 """Forced vibration: reciprocity, power, limits, and the full finite-element model."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from physics.air import Chamber, Filling, pressure_shape
+from physics.reed import response as reed_response
+from physics.reed.basis import reduced_modes
 from physics.reed.fem import Symmetry, factor, free_dofs, mass, stiffness
 from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.response import forced_response, viscoelastic_mode
+from physics.reed.names import PAPER_MODES
+from physics.reed.response import (
+    elastic_modes,
+    forced_response,
+    named_modes,
+    viscoelastic_mode,
+)
 from physics.reed.viscoelastic import Components, Series, storage_modulus_pa, viscoelastic_cane
 
 CANE = viscoelastic_cane(Components(), Series.A)
@@ -19,12 +29,70 @@ def uneven(_hz, x_m, y_m):
     return np.exp(-x_m / 15e-3) * (1 + 0.5 * np.sin(300 * y_m)) * (1 + 0.7j * y_m / 6e-3)
 
 
-def elastic(hz):
+def elastic(hz, cane=CANE):
     """Cane with the storage moduli at a frequency."""
     return Cane(
-        E_L_pa=float(storage_modulus_pa(CANE.young_L, hz)),
-        G_LT_pa=float(storage_modulus_pa(CANE.shear_LT, hz)),
+        E_L_pa=float(storage_modulus_pa(cane.young_L, hz)),
+        G_LT_pa=float(storage_modulus_pa(cane.shear_LT, hz)),
     )
+
+
+def cents(one_hz, other_hz):
+    return 1200 * np.log2(one_hz / other_hz)
+
+
+def test_every_mode_up_to_the_number_named_has_a_name_of_its_own(coarse_reed):
+    modes = elastic_modes(coarse_reed, 12e9, 0.9e9)
+    assert len(modes) == 2 * named_modes(coarse_reed)
+    for symmetry in Symmetry:
+        own = [mode for mode in modes.values() if mode.symmetry is symmetry]
+        assert len(own) == named_modes(coarse_reed)
+        assert len({mode.frequency_hz for mode in own}) == len(own)
+
+
+def test_motion_that_profiles_do_not_resolve_bears_out_no_name(coarse_reed):
+    halves = {
+        symmetry: replace(half, vamp_square=2 * half.vamp_square)
+        for symmetry, half in coarse_reed.halves.items()
+    }
+    half_resolved = elastic_modes(replace(coarse_reed, halves=halves), 12e9, 0.9e9)
+    modes = elastic_modes(coarse_reed, 12e9, 0.9e9)
+    # Those with fine waves are integrated too roughly on so coarse a mesh.
+    for name in ("F1", "T1", "F2", "X1"):
+        expected = 0.5 * modes[name].likeness
+        assert half_resolved[name].likeness == pytest.approx(expected, rel=0.15)
+
+
+# With the moduli of either frequency, the name T2 is the other mode's: F2 and T2 exchange shapes.
+EXCHANGING = viscoelastic_cane(Components(-3.06, -0.51, -0.91, 0.8), Series.A)
+
+
+def test_modes_that_exchange_shapes_settle(coarse_reed):
+    found = [viscoelastic_mode(coarse_reed, EXCHANGING, "T2", hz) for hz in (2e3, 5.2e3, 9e3)]
+    found.append(viscoelastic_mode(coarse_reed, EXCHANGING, "F2", 9e3))
+    half, numbers = coarse_reed.halves[EVEN], []
+    for mode in found:
+        constants = elastic(mode.frequency_hz, EXCHANGING)
+        hz, shapes = reduced_modes(half, stiffness_terms_pa(constants), constants.density_kg_m3)
+        number = int(np.argmin(np.abs(cents(hz, mode.frequency_hz))))
+        assert cents(hz[number], mode.frequency_hz) == pytest.approx(0, abs=0.01)
+        overlap = shapes[:, number] @ half.mass @ mode.coordinates * constants.density_kg_m3
+        assert abs(overlap) == pytest.approx(1, abs=1e-3)
+        numbers.append(number)
+    # The second and the third of their symmetry.
+    assert numbers == [1, 1, 1, 2]
+    assert max(mode.likeness for mode in found) < 0.7
+
+
+def test_settled_by_number_modes_are_those_settled_by_name(coarse_reed, monkeypatch):
+    by_name = [viscoelastic_mode(coarse_reed, CANE, name, 8e3) for name in PAPER_MODES]
+    monkeypatch.setattr(reed_response, "_MOST_ITERATIONS", 0)
+    for mode in by_name:
+        other = viscoelastic_mode(coarse_reed, CANE, mode.name, 8e3)
+        assert (other.name, other.symmetry) == (mode.name, mode.symmetry)
+        assert cents(other.frequency_hz, mode.frequency_hz) == pytest.approx(0, abs=0.01)
+        # Names are told among other shapes, each with moduli of its own.
+        assert other.likeness == pytest.approx(mode.likeness, abs=1e-3)
 
 
 def stored(reed, symmetry, hz):

@@ -24,9 +24,25 @@ _GROUPS: Final = {
 }
 # The drivers of this package, so that a checkout that was never installed finds them too.
 _BUILT_IN: Final = {
-    "synthesizers": {"simulated": "drivers.simulated:SimulatedSynthesizers"},
-    "generator": {"simulated": "drivers.simulated:SimulatedGenerator"},
-    "camera": {"simulated": "drivers.simulated:SimulatedCamera"},
+    "synthesizers": {
+        "simulated": "drivers.simulated:SimulatedSynthesizers",
+        "novatech-409b": "drivers.novatech:Novatech409B",
+        "srs-sg380": "drivers.srs:SRSPair",
+        "wire-novatech": "drivers.simulated.wire.instruments:WireNovatech",
+    },
+    "generator": {
+        "simulated": "drivers.simulated:SimulatedGenerator",
+        "siglent-sdg2042x": "drivers.siglent:SiglentGenerator",
+        "keysight-33500b": "drivers.keysight:KeysightGenerator",
+        "sound-card": "drivers.soundcard:SoundCardGenerator",
+        "wire-siglent": "drivers.simulated.wire.instruments:WireSiglent",
+    },
+    "camera": {
+        "simulated": "drivers.simulated:SimulatedCamera",
+        "basler": "drivers.basler:BaslerCamera",
+        "aravis": "drivers.aravis:AravisCamera",
+        "wire-camera": "drivers.simulated.wire.instruments:wire_camera",
+    },
 }
 
 

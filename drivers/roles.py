@@ -178,7 +178,10 @@ class Camera(Instrument, Protocol):
         ...
 
     def grab(self, count: int, not_before_s: float) -> list[Frame]:
-        """Wait for and return the next `count` frames that arrive.
+        """Return the next `count` frames, and wait for those that have not come yet.
+
+        The camera keeps frames that nobody asked for yet, at least for a second: instruments may
+        be read while it exposes.
 
         Parameters
         ----------

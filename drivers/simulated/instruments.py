@@ -26,6 +26,7 @@ _SERIAL_S: Final = 0.015
 _USB_S: Final = 0.005
 _RELAY_S: Final = 0.1
 _RAMP_STEPS: Final = 20
+_BUFFER_S: Final = 1.0
 
 
 class SimulatedSynthesizers:
@@ -228,7 +229,8 @@ class SimulatedCamera:
         """Return the next frames; see `Camera.grab`."""
         self._acquisitions += 1
         faults = self.lab.faults
-        earliest_s = max(not_before_s, self.now_s())
+        # Frames of the last second are still in the camera's buffer.
+        earliest_s = max(not_before_s, self.now_s() - _BUFFER_S)
         if self._acquisitions in faults.stale_frame_at and self._rate_hz is not None:
             earliest_s = not_before_s - 2 / float(self._rate_hz)
         first = self._first_id_from(earliest_s)

@@ -1,6 +1,7 @@
 """The room that all simulated instruments stand in: its time, its settings, its light."""
 
 import math
+import threading
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
@@ -64,6 +65,7 @@ class SimulatedLab:
         )
         self._rng = context.rng
         self._model: BenchModel | None = None
+        self._changing = threading.Lock()
         self._times_s = [-math.inf]
         self._states = [BenchState(Fraction(0), Fraction(0), 0.0, rf_on=False)]
 
@@ -79,17 +81,20 @@ class SimulatedLab:
 
     def change(self, **settings: Any) -> None:
         """Change fields of `BenchState` now, all at the same moment."""
-        self._times_s.append(self.clock.now_s())
-        self._states.append(replace(self.state, **settings))
+        # Devices at the far end of a wire change theirs on threads of their own.
+        with self._changing:
+            self._times_s.append(self.clock.now_s())
+            self._states.append(replace(self.state, **settings))
 
     def segments(self, start_s: float, end_s: float) -> list[Segment]:
         """Return the stretches of constant settings between two times, in order."""
-        first = bisect_right(self._times_s, start_s) - 1
-        begins = self._times_s[first:]
+        with self._changing:
+            first = bisect_right(self._times_s, start_s) - 1
+            begins, states = self._times_s[first:], self._states[first:]
         ends = [*begins[1:], math.inf]
         return [
             Segment(max(begin, start_s), min(end, end_s), state)
-            for begin, end, state in zip(begins, ends, self._states[first:], strict=True)
+            for begin, end, state in zip(begins, ends, states, strict=True)
             if max(begin, start_s) < min(end, end_s)
         ]
 

@@ -11,6 +11,7 @@ from drivers.description import BenchDescription
 from drivers.errors import BenchSetupError
 from drivers.options import Options, read_options
 from drivers.roles import Preparation
+from drivers.simulated.wire.serving import WireFaults
 from physics.air import Filling, chamber_of
 from physics.bench import TwinSettings
 from physics.drive import Tweeter
@@ -63,6 +64,8 @@ class Faults(Options):
         Acquisitions, counted from 1, in which frames come out of a buffer, older than asked for.
     frame_rate_error_ppm : float
         The camera is this much faster than it was told.
+    synthesizers_wire, generator_wire : WireFaults
+        What goes wrong on the wires of a bench whose instruments have some.
     """
 
     tweeter_unplugged: bool = False
@@ -70,6 +73,8 @@ class Faults(Options):
     drop_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
     stale_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
     frame_rate_error_ppm: Annotated[float, Field(ge=-1e5, le=1e5)] = 0.0
+    synthesizers_wire: WireFaults = WireFaults()
+    generator_wire: WireFaults = WireFaults()
 
 
 class Twin(Options):

@@ -11,11 +11,16 @@ import threading
 import time
 import tty
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Annotated, Final, Protocol
+
+from pydantic import Field
+
+from drivers.options import Options
 
 _POLL_S: Final = 0.05
 _MOST_BYTES: Final = 4096
+
+_Numbers = Annotated[tuple[int, ...], Field(strict=False)]
 
 
 class WireDevice(Protocol):
@@ -26,8 +31,7 @@ class WireDevice(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class WireFaults:
+class WireFaults(Options):
     """What goes wrong on a wire. Answers are counted from 1.
 
     Attributes
@@ -45,11 +49,11 @@ class WireFaults:
         The wire is pulled when this answer is due.
     """
 
-    lose_answer_at: tuple[int, ...] = ()
-    garble_answer_at: tuple[int, ...] = ()
-    late_answer_at: tuple[int, ...] = ()
-    late_s: float = 1.0
-    lose_command_at: tuple[int, ...] = ()
+    lose_answer_at: _Numbers = ()
+    garble_answer_at: _Numbers = ()
+    late_answer_at: _Numbers = ()
+    late_s: Annotated[float, Field(ge=0, le=60)] = 1.0
+    lose_command_at: _Numbers = ()
     echo: bool = False
     wrong_baud: bool = False
     unplug_at: int | None = None

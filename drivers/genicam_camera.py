@@ -1,0 +1,423 @@
+"""The camera's role, for any camera that follows GenICam, on any link that carries its frames."""
+
+import math
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Annotated, Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from drivers.camera_clock import ArrivalClock, BoundedClock, CameraClock, LatchedClock
+from drivers.context import WallClock
+from drivers.description import CameraDescription
+from drivers.errors import BenchSetupError, InstrumentError, LimitError
+from drivers.frames import Delivery, FrameSequence
+from drivers.genicam import CameraSettings, Features, PixelFormat, Trigger, apply_settings
+from drivers.options import Options
+from drivers.roles import Clock, Frame
+
+# How often the link is looked at while nothing comes: bounds how well arrivals are known.
+_POLL_S: Final = 0.01
+
+
+class CameraOptions(Options):
+    """Options that all GenICam cameras have.
+
+    Attributes
+    ----------
+    trigger : {'free', 'software', 'Line0', 'Line1', 'Line2', 'Line3'}
+        What starts an exposure: the camera's clock, this computer, or a rising edge at a line.
+    pixel_format : {'Mono8', 'Mono10', 'Mono12', 'Mono16'}
+        As many bits as `bits` says, or Mono16 with the pixels in the lower bits.
+    timeout_s : float
+        How long a frame may be overdue.
+    saturation_dn : int or None
+        Number at which pixels stop growing with light, if that is below what the ADC can tell.
+    buffers : int
+        Frames that the computer keeps while none are asked for.
+    """
+
+    trigger: Trigger = "free"
+    pixel_format: PixelFormat = "Mono12"
+    timeout_s: Annotated[float, Field(gt=0, le=600)] = 2.0
+    saturation_dn: Annotated[int, Field(ge=1, le=65_535)] | None = None
+    buffers: Annotated[int, Field(ge=4, le=1024)] = 16
+
+
+class CameraLink(Protocol):
+    """An open camera, and the stream of its frames.
+
+    All methods may raise `InstrumentError`: the camera is gone, or refuses.
+    """
+
+    @property
+    def camera(self) -> str:
+        """What to call the camera in messages."""
+        ...
+
+    @property
+    def identity(self) -> str:
+        """Maker, model, serial number and firmware."""
+        ...
+
+    @property
+    def features(self) -> Features:
+        """Its settings."""
+        ...
+
+    @property
+    def stamps_frames(self) -> bool:
+        """Whether frames carry time stamps."""
+        ...
+
+    @property
+    def stamped_at_end(self) -> bool:
+        """Whether a time stamp tells the end of an exposure instead of its start."""
+        ...
+
+    @property
+    def latch(self) -> Callable[[], float] | None:
+        """What asks the camera for its time in s, if it can tell."""
+        ...
+
+    @property
+    def first_number(self) -> int | None:
+        """What the camera calls the first frame since its start; None if it counts on."""
+        ...
+
+    @property
+    def loss_remedy(self) -> str:
+        """What to do if frames arrive incomplete."""
+        ...
+
+    def open_stream(self, buffers: int) -> None:
+        """Make ready for so many frames to wait; they come after `start` only."""
+        ...
+
+    def start(self) -> None:
+        """Tell the camera to take frames."""
+        ...
+
+    def stop(self) -> None:
+        """Take no more frames."""
+        ...
+
+    def receive(self, timeout_s: float) -> Delivery | None:
+        """Return the next frame of the stream, None if there is none after `timeout_s`."""
+        ...
+
+    def trigger(self) -> None:
+        """Start one exposure."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the camera; raises nothing."""
+        ...
+
+
+class GenicamCamera:
+    """A camera on a link.
+
+    ::
+
+        idle ─ configure → configured ─ start → running ─ stop → configured
+
+    Frames that arrive while nobody asks wait in the link's buffers; `grab` passes over those that
+    began too early. A frame that arrived incomplete is never handed over; the gap in the ids shows
+    it.
+
+    Parameters
+    ----------
+    link : CameraLink
+    entry : CameraDescription
+    options : CameraOptions
+    host : Clock, optional
+        The computer's clock.
+
+    Attributes
+    ----------
+    link : CameraLink
+        For those who need more of the camera than its role.
+
+    Raises
+    ------
+    BenchSetupError
+        If the pixel format does not hold the bits that the bench file states.
+    """
+
+    def __init__(
+        self,
+        link: CameraLink,
+        entry: CameraDescription,
+        options: CameraOptions,
+        host: Clock | None = None,
+    ) -> None:
+        _require_bits(entry.bits, options.pixel_format, link.camera)
+        self.link, self._entry, self._options = link, entry, options
+        self._host: Clock = host or WallClock()
+        self._settings: CameraSettings | None = None
+        self._clock: CameraClock = self._make_clock(0.0)
+        self._running = False
+        self._sequence = FrameSequence()
+        self._absent_s = self._trigger_due_s = self._host.now_s()
+        self._triggered = False
+        self._stale = self._broken = 0
+
+    @property
+    def identity(self) -> str:
+        """Maker, model, serial number and firmware, and what its times are."""
+        return f"{self.link.identity}; {self._clock.name}"
+
+    @property
+    def saturation_dn(self) -> int:
+        """Number at which a pixel is saturated."""
+        most: int = 2**self._entry.bits - 1
+        return min(most, self._options.saturation_dn or most)
+
+    def configure(
+        self, frame_rate_hz: Fraction, exposure_s: Fraction, shape: tuple[int, int]
+    ) -> None:
+        """Set the camera up; see `Camera.configure`.
+
+        Raises
+        ------
+        InstrumentError
+            Also if the camera refuses a setting, or reads back otherwise than asked.
+        """
+        camera, options = self.link.camera, self._options
+        if self._running:
+            raise InstrumentError(
+                f"camera ({camera}): is running, but was asked for other settings; stop it first"
+            )
+        _require_within(self._entry, frame_rate_hz, exposure_s, shape, camera)
+        asked = CameraSettings(
+            frame_rate_hz, exposure_s, shape, options.pixel_format, options.trigger
+        )
+        before, self._settings = self._settings, None
+        try:
+            apply_settings(self.link.features, asked, camera)
+        except LimitError:
+            self._settings = before
+            raise
+        self._settings = asked
+        self._clock = self._make_clock(float(1 / frame_rate_hz))
+
+    def start(self) -> None:
+        """Begin to take frames, from frame 0; see `Camera.start`."""
+        if self._settings is None:
+            raise InstrumentError(
+                f"camera ({self.link.camera}): was asked to start without settings; call "
+                "configure first"
+            )
+        self.stop()
+        self._sequence = FrameSequence(self.link.first_number)
+        self._triggered = False
+        self._stale = self._broken = 0
+        self.link.open_stream(self._options.buffers)
+        self._running = True
+        self._absent_s = self._trigger_due_s = self._host.now_s()
+        self._clock.started()
+        self.link.start()
+
+    def stop(self) -> None:
+        """Take no more frames."""
+        if self._running:
+            self._running = False
+            self.link.stop()
+
+    def grab(self, count: int, not_before_s: float) -> list[Frame]:
+        """Return the next frames; see `Camera.grab`.
+
+        Raises
+        ------
+        InstrumentError
+            Also if frames arrive, but none whole, or none that is fresh, and if a frame is newer
+            than the camera's clock.
+        """
+        settings = self._require_running()
+        period_s = 1 / float(settings.frame_rate_hz)
+        patience_s = self._options.timeout_s + period_s + float(settings.exposure_s)
+        until_fresh_s = max(not_before_s - self.now_s(), 0.0)
+        if settings.trigger == "software":
+            self._host.wait(until_fresh_s)
+            until_fresh_s = 0.0
+        overdue_s = self._host.now_s() + until_fresh_s + patience_s
+        complete_s = math.inf
+        self._stale = self._broken = 0
+        while True:
+            host_s = self._host.now_s()
+            frames = self._sequence.take(count, not_before_s, incomplete=host_s > complete_s)
+            if frames:
+                self._require_past(frames)
+                return frames
+            if host_s > overdue_s:
+                raise self._nothing_came(patience_s, not_before_s)
+            began_s = self._take_in(_POLL_S)
+            if began_s is None:
+                continue
+            if began_s < not_before_s:
+                self._stale += 1
+                continue
+            overdue_s = self._host.now_s() + patience_s
+            if self._sequence.waiting >= count:
+                # One that is missing in between may still come, but not for long.
+                complete_s = min(complete_s, self._host.now_s() + period_s)
+
+    def now_s(self) -> float:
+        """Return the present time on the clock of the frames; see `Camera.now_s`.
+
+        Raises
+        ------
+        InstrumentError
+            Also if the camera does not tell its time and no frame comes that would.
+        """
+        overdue_s = self._host.now_s() + self._options.timeout_s
+        while not self._clock.known:
+            self._require_running()
+            if self._host.now_s() > overdue_s:
+                raise self._nothing_came(self._options.timeout_s, -math.inf)
+            self._take_in(_POLL_S)
+        return self._clock.now_s()
+
+    def close(self) -> None:
+        """Stop, and let go of the camera. May be called twice; raises nothing."""
+        self._running = False
+        self._settings = None
+        self.link.close()
+
+    def _make_clock(self, period_s: float) -> CameraClock:
+        link, host_s = self.link, self._host.now_s
+        if link.latch is not None:
+            return LatchedClock(link.latch, stamped_at_end=link.stamped_at_end)
+        if link.stamps_frames:
+            return BoundedClock(host_s, stamped_at_end=link.stamped_at_end)
+        # A camera that reads out longer than a period cannot keep its rate.
+        return ArrivalClock(host_s, readout_s=period_s)
+
+    def _take_in(self, timeout_s: float) -> float | None:
+        """Wait for a frame of the link; return when it began, None if there is none whole."""
+        settings = self._require_running()
+        if settings.trigger == "software":
+            self._trigger_when_due(1 / float(settings.frame_rate_hz))
+        asked_s = self._host.now_s()
+        delivery = self.link.receive(0.0)
+        if delivery is None:
+            # Whatever comes now was not there yet.
+            self._absent_s = asked_s
+            delivery = self.link.receive(timeout_s)
+        if delivery is None:
+            return None
+        self._triggered = False
+        if delivery.image is None:
+            self._broken += 1
+            return None
+        if self.link.stamps_frames and delivery.stamp_s <= 0:
+            raise InstrumentError(
+                f"camera ({self.link.camera}): sent a frame without a time stamp, so that nobody "
+                "knows when it began; switch its time stamps on"
+            )
+        image = self._checked(delivery.image, settings.shape)
+        began_s = self._clock.began_s(delivery.stamp_s, self._absent_s, float(settings.exposure_s))
+        self._sequence.add(delivery.number, began_s, image)
+        return began_s
+
+    def _trigger_when_due(self, period_s: float) -> None:
+        if self._triggered:
+            return
+        self._host.wait(self._trigger_due_s - self._host.now_s())
+        # Its frame cannot be there before it is asked for.
+        self._absent_s = self._host.now_s()
+        self.link.trigger()
+        self._triggered = True
+        now_s = self._host.now_s()
+        # In step with the first trigger, unless a period was missed.
+        on_time = now_s - self._trigger_due_s < period_s
+        self._trigger_due_s = (self._trigger_due_s if on_time else now_s) + period_s
+
+    def _checked(self, image: NDArray[Any], shape: tuple[int, int]) -> NDArray[np.uint16]:
+        """Return the pixels as uint16; those of another size or with more bits are refused."""
+        if image.shape != shape:
+            raise InstrumentError(
+                f"camera ({self.link.camera}): sent {image.shape[1]} x {image.shape[0]} pixels, "
+                f"but was set to {shape[1]} x {shape[0]}; configure it anew"
+            )
+        most = 2**self._entry.bits - 1
+        if image.max() > most:
+            raise InstrumentError(
+                f"camera ({self.link.camera}): sent pixels up to {image.max()}, but has "
+                f"{self._entry.bits} bits; correct instruments.camera.bits or options.pixel_format"
+            )
+        return image.astype(np.uint16, copy=False)
+
+    def _require_running(self) -> CameraSettings:
+        if not self._running or self._settings is None:
+            raise InstrumentError(
+                f"camera ({self.link.camera}): is stopped, but was asked for frames or the time; "
+                "call start first"
+            )
+        return self._settings
+
+    def _require_past(self, frames: list[Frame]) -> None:
+        """Refuse frames from the future: their stamps and the camera's clock disagree."""
+        ahead_s = frames[-1].timestamp_s - self.now_s()
+        if ahead_s > 0:
+            raise InstrumentError(
+                f"camera ({self.link.camera}): stamped a frame {ahead_s:.3g} s later than its "
+                "clock says; switch its synchronisation (PTP) off, or restart it"
+            )
+
+    def _nothing_came(self, waited_s: float, not_before_s: float) -> InstrumentError:
+        camera = self.link.camera
+        if self._broken:
+            return InstrumentError(
+                f"camera ({camera}): {self._broken} frames arrived incomplete and too few whole "
+                f"within {waited_s:.3g} s; {self.link.loss_remedy}"
+            )
+        if self._stale:
+            return InstrumentError(
+                f"camera ({camera}): {self._stale} frames arrived, but all began before "
+                f"{not_before_s:.6f} s on its clock, within {waited_s:.3g} s; check its clock"
+            )
+        trigger = self._options.trigger
+        what = (
+            "the camera's cable and power"
+            if trigger in ("free", "software")
+            else f"the trigger cable at {trigger} and the generator that drives it"
+        )
+        return InstrumentError(f"camera ({camera}): no frame within {waited_s:.3g} s; check {what}")
+
+
+def _require_bits(bits: int, pixel_format: PixelFormat, camera: str) -> None:
+    held = int(pixel_format.removeprefix("Mono"))
+    if bits != held and not bits < held == 16:
+        raise BenchSetupError(
+            f"camera ({camera}): pixels {pixel_format} hold {held} bits, but instruments.camera."
+            f"bits is {bits}; make both agree"
+        )
+
+
+def _require_within(
+    entry: CameraDescription,
+    frame_rate_hz: Fraction,
+    exposure_s: Fraction,
+    shape: tuple[int, int],
+    camera: str,
+) -> None:
+    """Refuse what the bench file rules out, before anything is sent."""
+    if not 0 < frame_rate_hz <= entry.max_frame_rate_hz:
+        raise LimitError(
+            f"camera ({camera}): was asked for {float(frame_rate_hz):g} frames per second, can do "
+            f"up to {float(entry.max_frame_rate_hz):g}; lower camera.frame_rate"
+        )
+    if not 0 < exposure_s <= 1 / frame_rate_hz:
+        raise LimitError(
+            f"camera ({camera}): was asked to expose {float(exposure_s):g} s, can do up to the "
+            f"period of {float(1 / frame_rate_hz):g} s; shorten camera.exposure"
+        )
+    if not (0 < shape[0] <= entry.height and 0 < shape[1] <= entry.width):
+        raise LimitError(
+            f"camera ({camera}): was asked for {shape[1]} x {shape[0]} pixels, has "
+            f"{entry.width} x {entry.height}; lower camera.width and camera.height"
+        )

@@ -1,0 +1,453 @@
+"""Generators of all makers fill their role, whatever happens on the wire or at the front panel."""
+
+import math
+from fractions import Fraction
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import BenchSetupError, InstrumentError, LimitError
+from drivers.roles import SignalGenerator
+from drivers.simulated.wire.serving import WireFaults
+from drivers.tweeter import agrees, in_hertz
+from drivers.visa import VisaLine
+from tests.drivers.generators import DEVICES, GAIN, MOST_V, Stands
+
+DRIVE_HZ = Fraction(2_033_075, 1000)
+LEAST_V = 0.001 * GAIN
+MAKERS = pytest.mark.parametrize("maker", sorted(DEVICES))
+# What a person at the front panel may do.
+LOUD_INTO_50_OHM = {
+    "siglent": ("C1:OUTP LOAD,50", "C1:BSWV AMP,10", "C1:OUTP ON"),
+    "keysight": ("VOLT 10", "OUTP ON"),
+}
+ANOTHER_AMPLITUDE = {"siglent": "C1:BSWV AMP,1.5", "keysight": "VOLT 1.5"}
+ANOTHER_LOAD = {"siglent": "C1:OUTP LOAD,50", "keysight": "OUTP1:LOAD 50"}
+ANOTHER_SHAPE = {"siglent": "C1:BSWV WVTP,SQUARE", "keysight": "FUNC SQU"}
+OFFSET = {"siglent": "C1:BSWV OFST,0.5", "keysight": "VOLT:OFFS 0.5"}
+SWITCH_ON = {"siglent": "C1:OUTP ON", "keysight": "OUTP1 ON"}
+
+
+@pytest.fixture
+def stands():
+    with Stands() as stands:
+        yield stands
+
+
+def volts_at_load(stand):
+    return stand.device.socket[1] * GAIN
+
+
+# --- Opening -----------------------------------------------------------------------------------
+
+
+@MAKERS
+@pytest.mark.parametrize("wire", ["usb", "socket", "vxi11"])
+def test_a_generator_fills_its_role_over_any_wire(stands, maker, wire):
+    stand = stands(maker, wire)
+    generator = stand.open({"timeout_s": 1.0})
+    assert isinstance(generator, SignalGenerator)
+    assert {"siglent": "SDG2042X", "keysight": "33512B"}[maker] in generator.identity
+    generator.set_sine(DRIVE_HZ, 5.0)
+    assert generator.read() == (DRIVE_HZ, 5.0, True)
+    assert stand.device.socket == (DRIVE_HZ, 5.0 / GAIN, True)
+    generator.output_off()
+    assert generator.read() == (DRIVE_HZ, 5.0, False)
+    assert not stand.device.socket[2]
+
+
+@MAKERS
+def test_opening_switches_off_first_and_leaves_the_least_amplitude(stands, maker):
+    stand = stands(maker)
+    for command in LOUD_INTO_50_OHM[maker]:
+        stand.device.turn_knob(command)
+    assert stand.device.socket[1:] == (10.0, True), "10 Vpp into 50 ohm are 10 V peak when open"
+    del stand.changes[:]
+    stand.open()
+    assert stand.changes[0] == (1000, 10.0, False), "off before anything else changes"
+    assert not any(on for _, _, on in stand.changes)
+    assert stand.device.socket == (1000, pytest.approx(0.001), False)
+
+
+@MAKERS
+def test_another_instrument_is_told_nothing(stands, maker):
+    stand = stands(maker, identity="Rigol Technologies,DP832,DP8A1,00.01.14")
+    with pytest.raises(InstrumentError, match=r"says that it is 'Rigol.*correct instruments\.gen"):
+        stand.open()
+    assert set(stand.wire.heard) == {"*IDN?"}
+
+
+@MAKERS
+def test_a_missing_reference_is_said_and_nothing_stays_open(stands, maker):
+    stand = stands(maker, has_reference=False)
+    with pytest.raises(InstrumentError, match=r"check the 10 MHz|ROSC:SOUR EXT.*Settings conflict"):
+        stand.open()
+    assert not stand.device.socket[2]
+    stand.open({"reference": "internal"}).set_sine(DRIVE_HZ, 1.0)
+
+
+@MAKERS
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"instruments.generator.output": None}, r"instruments\.generator\.output: is missing"),
+        (
+            {"instruments.generator.output": {"amplifier_gain": 1.5, "load": "8 ohm"}},
+            r"limits\.volts_max: allows 16 V peak, but .* give 15 V; .*amplifier_gain",
+        ),
+        ({"instruments.generator.step": "1.5 uHz"}, r"generator\.step: is 1.5e-06 Hz"),
+        ({"limits.drive_max": "25 MHz"}, r"limits\.drive_max: is above the 20000000 Hz"),
+        ({"options": {"resource": 7}}, r"options\.resource: should be a valid string"),
+        ({"options": {"reference": "10 MHz"}}, r"options\.reference: should be 'external' or"),
+        ({"options": {"timeout": 1.0}}, r"options\.timeout: unknown key; known are resource"),
+        ({"options": {"resource": "the generator"}}, "is no VISA resource"),
+    ],
+)
+def test_a_wrong_bench_file_is_refused_before_anything_is_sent(stands, maker, changes, said):
+    stand = stands(maker)
+    with pytest.raises(BenchSetupError, match=said) as caught:
+        stand.open(**changes)
+    assert "\n" not in str(caught.value)
+    assert stand.wire.heard == []
+
+
+# --- Playing -----------------------------------------------------------------------------------
+
+
+@MAKERS
+def test_all_volts_and_frequencies_are_played_and_read_back(stands, maker):
+    stand = stands(maker)
+    generator = stand.open()
+
+    @given(
+        microhertz=st.integers(20_000_000, 20_000_000_000),
+        volts=st.one_of(st.floats(LEAST_V, MOST_V), st.just(MOST_V)),
+    )
+    @settings(max_examples=60, deadline=None)
+    def round_trip(microhertz, volts):
+        frequency_hz = Fraction(microhertz, 1_000_000)
+        generator.set_sine(frequency_hz, volts)
+        played_hz, played_v, on = stand.device.socket
+        assert (played_hz, on) == (frequency_hz, True)
+        # Never more than was asked for.
+        assert volts * (1 - 1e-5) <= played_v * GAIN <= volts * (1 + 1e-15)
+        assert generator.read() == (frequency_hz, pytest.approx(played_v * GAIN, rel=1e-12), True)
+
+    round_trip()
+
+
+@MAKERS
+def test_no_volts_are_the_least_amplitude_and_said_so(stands, maker):
+    stand = stands(maker)
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, 0.0)
+    assert generator.read() == (DRIVE_HZ, LEAST_V, True)
+    assert stand.device.socket == (DRIVE_HZ, pytest.approx(0.001), True)
+    generator.ramp_to(-0.0, 0.1)
+    assert generator.read() == (DRIVE_HZ, LEAST_V, True)
+
+
+@MAKERS
+def test_frequencies_snap_to_the_grid_of_the_bench_file(stands, maker):
+    generator = stands(maker).open(**{"instruments.generator.step": "0.1 Hz"})
+    generator.set_sine(Fraction(2_000_06, 100), 1.0)
+    assert generator.read()[0] == Fraction(20_001, 10)
+
+
+@MAKERS
+@pytest.mark.parametrize("volts", [16.001, -0.5, math.nan, math.inf, 1e9, 0.0019])
+def test_volts_outside_the_limits_change_nothing(stands, maker, volts):
+    stand = stands(maker)
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, 1.0)
+    before = stand.device.socket
+    del stand.wire.heard[:]
+    for ask in (
+        lambda: generator.set_sine(DRIVE_HZ, volts),
+        lambda: generator.ramp_to(volts, 0.1),
+    ):
+        with pytest.raises(LimitError, match=r"outside 0 to 16 V|can play 0 V, or 0\.002 V and"):
+            ask()
+    assert stand.wire.heard == []
+    assert stand.device.socket == before
+
+
+@MAKERS
+@pytest.mark.parametrize("frequency_hz", [Fraction(19), Fraction(30_000), Fraction(0), math.nan])
+def test_drives_outside_the_limits_change_nothing(stands, maker, frequency_hz):
+    stand = stands(maker)
+    generator = stand.open()
+    del stand.wire.heard[:]
+    with pytest.raises(LimitError, match="outside 20 to 20000 Hz"):
+        generator.set_sine(frequency_hz, 1.0)
+    assert stand.wire.heard == []
+
+
+@MAKERS
+@pytest.mark.parametrize("start_v", [0.0, 8.0])
+def test_a_ramp_takes_its_time_in_small_equal_steps(stands, maker, start_v):
+    stand = stands(maker)
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, start_v)
+    del stand.changes[:]
+    start_s = stand.clock.now_s()
+    generator.ramp_to(8.0 - start_v, 1.0)
+    assert stand.clock.now_s() - start_s == pytest.approx(1.0, abs=0.05)
+    volts = [abs(start_v - socket_v * GAIN) for _, socket_v, _ in stand.changes]
+    assert len(volts) >= 10
+    steps = [after - before for before, after in pairwise([0.0, *volts])]
+    assert steps == pytest.approx([8.0 / len(volts)] * len(volts), abs=0.005)
+    assert {(hz, on) for hz, _, on in stand.changes} == {(DRIVE_HZ, True)}
+    assert generator.read() == (DRIVE_HZ, max(8.0 - start_v, LEAST_V), True)
+
+
+@MAKERS
+def test_a_ramp_on_an_output_that_is_off(stands, maker):
+    stand = stands(maker)
+    generator = stand.open()
+    del stand.changes[:]
+    generator.ramp_to(0.0, 0.1)
+    with pytest.raises(InstrumentError, match=r"output is off.*call set_sine first"):
+        generator.ramp_to(1.0, 0.1)
+    assert stand.changes == []
+
+
+@MAKERS
+@pytest.mark.parametrize("duration_s", [-0.1, math.nan, math.inf])
+def test_a_ramp_needs_a_duration(stands, maker, duration_s):
+    generator = stands(maker).open()
+    generator.set_sine(DRIVE_HZ, 1.0)
+    with pytest.raises(LimitError, match="give a time"):
+        generator.ramp_to(0.0, duration_s)
+
+
+@given(st.integers(1, 40_000_000_000_000), st.integers(6, 15))
+def test_a_number_agrees_with_what_it_looks_like_and_with_nothing_else(micro, digits):
+    told = Fraction(micro, 1_000_000)
+    said = Fraction(f"{float(told):.{digits}g}")
+    last_digit = Fraction(10) ** (int(f"{float(told):e}".split("e")[1]) - digits + 1)
+    assert agrees(told, said, digits)
+    assert not agrees(told, said + last_digit * 2, digits)
+    assert not agrees(told, said - last_digit * 2, digits)
+    assert Fraction(in_hertz(told)) == told
+
+
+# --- At the front panel and behind the socket --------------------------------------------------
+
+
+@MAKERS
+def test_an_output_that_tripped_is_an_error_and_is_not_switched_on_again(stands, maker):
+    stand = stands(maker)
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, 1.0)
+    stand.device.trip()
+    assert generator.read() == (DRIVE_HZ, 1.0, False)
+    with pytest.raises(InstrumentError, match="its output is off, but was switched on; look for"):
+        generator.set_sine(DRIVE_HZ, 2.0)
+    assert stand.device.socket == (DRIVE_HZ, 0.5, False)
+    generator.ramp_to(0.0, 0.1)
+    generator.set_sine(DRIVE_HZ, 2.0)
+    assert generator.read() == (DRIVE_HZ, 2.0, True)
+    stand.device.trip()
+    with pytest.raises(InstrumentError, match="output is off"):
+        generator.ramp_to(1.0, 0.1)
+
+
+@MAKERS
+def test_what_somebody_turned_is_what_is_read(stands, maker):
+    stand = stands(maker)
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, 1.0)
+    stand.device.turn_knob(ANOTHER_AMPLITUDE[maker])
+    assert generator.read() == (DRIVE_HZ, 1.5, True)
+    generator.ramp_to(0.0, 0.1)
+    assert generator.read() == (DRIVE_HZ, LEAST_V, True)
+
+
+@MAKERS
+@pytest.mark.parametrize("knob", [ANOTHER_LOAD, ANOTHER_SHAPE, OFFSET], ids=["load", "shape", "dc"])
+def test_what_is_no_sine_into_high_impedance_has_no_volts(stands, maker, knob):
+    stand = stands(maker)
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, 1.0)
+    stand.device.turn_knob(knob[maker])
+    for ask in (generator.read, lambda: generator.set_sine(DRIVE_HZ, 2.0)):
+        with pytest.raises(InstrumentError, match="instead of a sine without offset into"):
+            ask()
+    generator.output_off()
+    assert not stand.device.socket[2]
+
+
+@MAKERS
+def test_an_output_that_does_not_switch_off_is_an_error(stands, maker, monkeypatch):
+    stand = stands(maker)
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, 1.0)
+    heard = stand.device.receive
+
+    def stuck(data):
+        answer = heard(data)
+        stand.device.turn_knob(SWITCH_ON[maker])
+        return answer
+
+    monkeypatch.setattr(stand.device, "receive", stuck)
+    with pytest.raises(InstrumentError, match="says that it is on; pull the loudspeaker's cable"):
+        generator.output_off()
+
+
+@MAKERS
+def test_closing_switches_off_and_may_be_done_twice(stands, maker):
+    stand = stands(maker)
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, 1.0)
+    generator.close()
+    assert not stand.device.socket[2]
+    generator.close()
+    with pytest.raises(InstrumentError):
+        generator.read()
+
+
+# --- On the wire -------------------------------------------------------------------------------
+
+FAULTS = {
+    "lost answer": lambda place: WireFaults(lose_answer_at=(place,)),
+    "two lost answers": lambda place: WireFaults(lose_answer_at=(place, place + 1)),
+    "garbled answer": lambda place: WireFaults(garble_answer_at=(place,)),
+    "two garbled answers": lambda place: WireFaults(garble_answer_at=(place, place + 1)),
+    "lost command": lambda place: WireFaults(lose_command_at=(place,)),
+    "two lost commands": lambda place: WireFaults(lose_command_at=(place, place + 1)),
+    "unplugged": lambda place: WireFaults(unplug_at=place),
+}
+OVERCOME = ("lost answer", "garbled answer")
+
+
+def failures_of_a_sweep(stand, generator):
+    """Use a generator; whatever it does not refuse has to be true. Return what it refused."""
+    failures = []
+
+    def attempt(step, *arguments):
+        try:
+            step(*arguments)
+        except InstrumentError as error:
+            failures.append(str(error))
+
+    def play(volts):
+        frequency_hz = DRIVE_HZ + round(100 * volts)
+        generator.set_sine(frequency_hz, volts)
+        assert stand.device.socket == (frequency_hz, volts / GAIN, True)
+
+    def listen():
+        frequency_hz, volts, on = generator.read()
+        assert stand.device.socket == (frequency_hz, volts / GAIN, on)
+
+    def silence():
+        generator.output_off()
+        assert not stand.device.socket[2]
+
+    for volts in (1.0, 4.0, 2.0):
+        attempt(play, volts)
+        attempt(listen)
+    attempt(silence)
+    return failures
+
+
+@MAKERS
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_anywhere_never_make_wrong_volts_believed(stands, maker, fault):
+    failures = []
+    for place in range(1, 14):
+        stand = stands(maker)
+        generator = stand.open({"timeout_s": 0.01})
+        stand.wire.spoil(FAULTS[fault](place))
+        failures.append(failures_of_a_sweep(stand, generator))
+        assert max(volts for _, volts, _ in stand.changes) <= 4.0 / GAIN
+    assert any(failures) == (fault not in OVERCOME)
+    assert not any("\n" in message for place in failures for message in place)
+
+
+@MAKERS
+@pytest.mark.parametrize(
+    ("faults", "overcome"),
+    [
+        (WireFaults(lose_answer_at=(2,)), True),
+        (WireFaults(garble_answer_at=(2,)), True),
+        (WireFaults(late_answer_at=(2,), late_s=0.3), True),
+        (WireFaults(lose_command_at=(2,)), False),
+        (WireFaults(echo=True), False),
+        (WireFaults(wrong_baud=True), False),
+        (WireFaults(unplug_at=2), False),
+    ],
+    ids=["lost", "garbled", "late", "command lost", "echo", "noise", "unplugged"],
+)
+def test_faults_of_a_network_are_overcome_or_said(stands, maker, faults, overcome):
+    stand = stands(maker, "socket")
+    generator = stand.open({"timeout_s": 0.2})
+    generator.set_sine(DRIVE_HZ, 1.0)
+    stand.wire.spoil(faults)
+    if overcome:
+        generator.set_sine(DRIVE_HZ + 1, 2.0)
+        assert generator.read() == (DRIVE_HZ + 1, 2.0, True)
+        assert stand.device.socket == (DRIVE_HZ + 1, 2.0 / GAIN, True)
+        return
+    with pytest.raises(InstrumentError, match=r"^generator \(\w+ \w+\) at TCPIP0::127"):
+        generator.set_sine(DRIVE_HZ + 1, 2.0)
+    assert stand.device.socket[1] * GAIN <= 2.0
+
+
+def told_volts(stand):
+    return [line for line in stand.wire.heard if "AMP," in line or "VOLT " in line]
+
+
+@MAKERS
+@pytest.mark.parametrize("arrived", [True, False])
+def test_a_write_of_unknown_outcome_is_looked_at_and_not_repeated(
+    stands, maker, arrived, monkeypatch
+):
+    stand = stands(maker)
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, 1.0)
+    del stand.wire.heard[:]
+    send = VisaLine.send
+
+    def failing(line, text):
+        writes_volts = "AMP," in text or "VOLT " in text
+        if arrived or not writes_volts:
+            send(line, text)
+        if writes_volts:
+            raise InstrumentError("the write timed out")
+
+    monkeypatch.setattr(VisaLine, "send", failing)
+    if arrived:
+        generator.set_sine(DRIVE_HZ, 2.0)
+        assert generator.read() == (DRIVE_HZ, 2.0, True)
+    else:
+        with pytest.raises(InstrumentError, match=r"2033.075 Hz at 2 Vpp, but says"):
+            generator.set_sine(DRIVE_HZ, 2.0)
+        assert generator.read() == (DRIVE_HZ, 1.0, True)
+    assert len(told_volts(stand)) == arrived
+
+
+@MAKERS
+def test_switching_off_is_told_again_if_it_was_not_heard(stands, maker):
+    stand = stands(maker)
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, 1.0)
+    stand.wire.spoil(WireFaults(lose_command_at=(1,)))
+    generator.output_off()
+    assert not stand.device.socket[2]
+
+
+@MAKERS
+def test_closing_a_generator_that_is_gone_raises_nothing(stands, maker):
+    stand = stands(maker)
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, 1.0)
+    stand.wire.spoil(WireFaults(unplug_at=1))
+    with pytest.raises(InstrumentError, match="No such device"):
+        generator.read()
+    with pytest.raises(InstrumentError):
+        generator.output_off()
+    generator.close()
+    generator.close()

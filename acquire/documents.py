@@ -1,11 +1,14 @@
 """A run as documents of the bluesky event model, one JSON line each beside the run file.
 
-Every line is a pair ``[name, document]`` as suitcase-jsonl writes it, so LiveTable, databroker
-and Tiled read our runs. Arrays stay in the run file, which the start document names.
+Every line is a pair ``[name, document]`` as suitcase-jsonl writes it, so LiveTable and Tiled read
+our runs. Arrays stay in the run file, to which the last documents point.
 """
 
 import json
 import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Literal, Self, TextIO
@@ -22,6 +25,7 @@ _EXIT_STATUS: Final[dict[Status, Literal["success", "abort", "fail"]]] = {
     "interrupted": "abort",
     "failed": "fail",
 }
+_LAST: Final = ("stream_resource", "stream_datum", "stop")
 _SOURCES: Final = {
     "index": "protocol",
     "take": "acquire.runner",
@@ -52,23 +56,45 @@ def documents_path(run_path: Path) -> Path:
     return run_path.with_suffix(".documents.jsonl")
 
 
-class DocumentLog:
-    """Start, descriptor, event and stop documents of one run; a context manager.
+@dataclass(frozen=True, slots=True)
+class _Begun:
+    """Documents of a run up to its last event: its start, its two streams, and its events."""
 
-    Made by `create` and `resume`.
+    start: Any
+    primary: Any
+    steps: Any
+    events: tuple[Any, ...] = ()
+
+    @classmethod
+    def read(cls, documents: Sequence[tuple[str, Any]]) -> Self:
+        """Take them from pairs of name and document; KeyError or TypeError if one is missing."""
+        streams = {found["name"]: found for name, found in documents if name == "descriptor"}
+        events = tuple(found for name, found in documents if name == "event")
+        return cls(dict(documents)["start"], streams["primary"], streams["steps"], events)
+
+    @property
+    def told(self) -> frozenset[tuple[int, int]]:
+        """Index and take of every event."""
+        return frozenset((event["data"]["index"], event["data"]["take"]) for event in self.events)
+
+
+class DocumentLog:
+    """Documents of one run; a context manager. Made by `create` and `resume`.
+
+    The stream ``primary`` has an event for every take. The stream ``steps`` is the array of what
+    the run file keeps: a row for every planned step, of its last take, or of zeros. The documents
+    that say where it is come last, because a file that is being written cannot be read.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        file: TextIO,
-        compose_event: Any,
-        compose_stop: Any,
-        told: frozenset[tuple[int, int]] = frozenset(),
-    ) -> None:
-        self.path = path
-        self._file, self._told = file, told
-        self._compose_event, self._compose_stop = compose_event, compose_stop
+    def __init__(self, run_path: Path, file: TextIO, begun: _Begun) -> None:
+        # It takes longer to import than the rest of this package.
+        import event_model
+
+        self.path = documents_path(run_path)
+        self._run_path, self._file, self._begun = run_path, file, begun
+        self._counts = {"primary": 1 + len(begun.events), "steps": 1}
+        self._compose_event = event_model.ComposeEvent(begun.primary, self._counts)
+        self._compose_stop = event_model.ComposeStop(begun.start, self._counts, poison_pill=[])
 
     @classmethod
     def create(cls, run_path: Path, plan: Plan, bench: Bench, labels: RunLabels, uid: str) -> Self:
@@ -89,17 +115,20 @@ class DocumentLog:
         RunFileError
             If the documents exist already or cannot be made.
         """
-        # It takes longer to import than the rest of this package.
         import event_model
 
         metadata = _metadata(run_path, plan, bench, labels)
         bundle = event_model.compose_run(uid=uid, metadata=metadata)
-        stream = bundle.compose_descriptor(name="primary", data_keys=_data_keys())
-        path = documents_path(run_path)
-        log = cls(path, _create(path), stream.compose_event, bundle.compose_stop)
+        primary = bundle.compose_descriptor(name="primary", data_keys=_data_keys())
+        steps = bundle.compose_descriptor(
+            name="steps", data_keys=_array_keys(plan), configuration=_rows(plan)
+        )
+        begun = _Begun(bundle.start_doc, primary.descriptor_doc, steps.descriptor_doc)
+        log = cls(run_path, _create(documents_path(run_path)), begun)
         try:
-            log._write("start", bundle.start_doc)
-            log._write("descriptor", stream.descriptor_doc)
+            log._write("start", begun.start)
+            log._write("descriptor", begun.primary)
+            log._write("descriptor", begun.steps)
         except BaseException:
             log.discard()
             raise
@@ -108,13 +137,13 @@ class DocumentLog:
     @property
     def told(self) -> frozenset[tuple[int, int]]:
         """Index and take of every event that was there when the documents were gone on with."""
-        return self._told
+        return self._begun.told
 
     @classmethod
     def resume(cls, run_path: Path) -> Self:
         """Go on with the documents of a run that is not complete.
 
-        A line that was cut short, and the stop document of a run that was ended, are left out: a
+        A line that was cut short, and the last documents of a run that was ended, are left out: a
         run has one beginning and one end.
 
         Raises
@@ -122,31 +151,20 @@ class DocumentLog:
         RunFileError
             If there are none, or they are no documents of a run.
         """
-        import event_model
-
         path = documents_path(run_path)
         documents = _documents(path)
-        named = dict(reversed(documents))
-        counts = {"primary": 1 + sum(name == "event" for name, _ in documents)}
         try:
-            start, descriptor = named["start"], named["descriptor"]
-            compose_event = event_model.ComposeEvent(descriptor=descriptor, event_counters=counts)
+            begun = _Begun.read(documents)
         except (KeyError, TypeError, ValueError):
             raise RunFileError(
                 f"{path}: does not begin with the documents of a run; measure the sweep again"
             ) from None
-        compose_stop = event_model.ComposeStop(start=start, event_counters=counts, poison_pill=[])
         whole = path.with_suffix(".part")
         try:
             with whole.open("w", encoding="utf-8") as part:
                 part.writelines(json.dumps(document) + "\n" for document in documents)
             whole.replace(path)
-            told = frozenset(
-                (document["data"]["index"], document["data"]["take"])
-                for name, document in documents
-                if name == "event"
-            )
-            return cls(path, path.open("a", encoding="utf-8"), compose_event, compose_stop, told)
+            return cls(run_path, path.open("a", encoding="utf-8"), begun)
         except OSError as error:
             raise _cannot_write(path, error) from error
 
@@ -169,9 +187,10 @@ class DocumentLog:
         self._write("event", self._compose_event(data=data, timestamps=timestamps, time=time_s))
 
     def finish(self, status: Status, reason: str = "") -> None:
-        """Write the stop document and close. Does nothing the second time."""
+        """Write where the arrays are, and the stop document. Does nothing the second time."""
         if self._file.closed:
             return
+        self._point_at_arrays()
         stop = self._compose_stop(exit_status=_EXIT_STATUS[status], reason=reason)
         self._write("stop", stop)
         self._file.close()
@@ -192,6 +211,32 @@ class DocumentLog:
     ) -> None:
         self._file.close()
 
+    def _point_at_arrays(self) -> None:
+        import event_model
+
+        steps, rows = self._begun.steps, self._begun.start["num_points"]
+        [(name, key)] = steps["data_keys"].items()
+        compose = event_model.ComposeStreamResource(self._begun.start)
+        bundle = compose(
+            mimetype="application/x-hdf5",
+            # Not escaped, because Tiled would not undo it.
+            uri=f"file://localhost/{self._run_path.absolute().as_posix().lstrip('/')}",
+            data_key=name,
+            parameters={
+                "dataset": f"/entry/data/{name}",
+                "chunk_shape": [1, *key["shape"]],
+                "swmr": False,
+            },
+        )
+        datum = bundle.compose_stream_datum(
+            indices={"start": 0, "stop": rows},
+            seq_nums={"start": 1, "stop": rows + 1},
+            descriptor=steps,
+        )
+        self._write("stream_resource", bundle.stream_resource_doc)
+        self._write("stream_datum", datum)
+        self._counts["steps"] += rows
+
     def _write(self, name: str, document: Any) -> None:
         try:
             self._file.write(json.dumps([name, document], allow_nan=False) + "\n")
@@ -205,7 +250,7 @@ def _cannot_write(path: Path, error: OSError) -> RunFileError:
 
 
 def _documents(path: Path) -> list[tuple[str, Any]]:
-    """Documents of a run that is not complete, as far as they are whole, without the last one."""
+    """Documents of a run as far as they are whole, but for that of its end."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -214,9 +259,9 @@ def _documents(path: Path) -> list[tuple[str, Any]]:
     for line in lines:
         try:
             name, document = json.loads(line)
-        except ValueError:
+        except (ValueError, TypeError):
             break
-        if name != "stop":
+        if name not in _LAST:
             documents.append((name, document))
     return documents
 
@@ -287,6 +332,9 @@ def _metadata(run_path: Path, plan: Plan, bench: Bench, labels: RunLabels) -> di
     preparation = bench.preparation
     return {
         "plan_name": plan.protocol.name,
+        # LiveTable wants both. Nobody numbers the runs of a bench; this grows from one to the next.
+        "plan_type": "protocol",
+        "scan_id": int(time.time()),
         "run_file": run_path.name,
         "num_points": len(plan.steps),
         "hints": {"dimensions": [(["drive_hz"], "primary")]},
@@ -312,6 +360,41 @@ def _data_keys() -> dict[str, dict[str, Any]]:
         if name in _UNITS:
             keys[name]["units"] = _UNITS[name]
     return keys
+
+
+def _array_keys(plan: Plan) -> dict[str, dict[str, Any]]:
+    """Describe what the run file keeps of one step."""
+    if plan.protocol.keep == "holograms":
+        name, source, dtype = "field", "acquire.reconstruction", "<c8"
+        sizes = {"y_m": plan.region.height, "x_m": plan.region.width}
+    else:
+        name, source, dtype = "frames", "camera", "<u2"
+        rows, columns = plan.frame_shape
+        frames = max(step.frames for step in plan.steps)
+        sizes = {"frame": frames, "row": rows, "column": columns}
+    described = {
+        "source": source,
+        "dtype": "array",
+        "dtype_numpy": dtype,
+        "shape": list(sizes.values()),
+        "dims": list(sizes),
+        "units": "dn",
+        "external": "STREAM:",
+    }
+    return {name: described}
+
+
+def _rows(plan: Plan) -> dict[str, dict[str, Any]]:
+    """Say which row belongs to which index of the protocol's sweep."""
+    indices = [step.index for step in plan.steps]
+    key = {"source": "protocol", "dtype": "array", "dtype_numpy": "<i8", "shape": [len(indices)]}
+    return {
+        "steps": {
+            "data": {"index": indices},
+            "timestamps": {"index": time.time()},
+            "data_keys": {"index": key},
+        }
+    }
 
 
 def _finite(value: float) -> float:

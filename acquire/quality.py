@@ -135,13 +135,16 @@ def most_severe(judgements: Iterable[Judgement | None]) -> Judgement:
 
 
 def judge_consecutive(frames: Sequence[Frame], expected: int) -> Judgement | None:
-    """`DROPPED` unless there are as many frames as expected, with ids one after the other."""
+    """`DROPPED` unless there are as many frames as expected, and none is missing between them.
+
+    In which order they came, and whether one came twice, `judge_order` tells.
+    """
     ids = [frame.id for frame in frames]
     if len(ids) != expected:
         return Judgement(
             Verdict.DROPPED, f"{len(ids)} frames came instead of {expected}; check the camera's bus"
         )
-    if ids != list(range(ids[0], ids[0] + expected)):
+    if max(ids) - min(ids) >= len(set(ids)):
         listed = ", ".join(str(id) for id in ids)
         return Judgement(
             Verdict.DROPPED,
@@ -292,6 +295,7 @@ def judge_phase(phase: PhaseAdvance, condition: LockCondition, count: int) -> Ju
 
     What the light shows counts whatever instruments say, as far as it shows it: on top of the
     tolerance, `_PHASE_DEVIATIONS` standard errors are allowed, and what other sidebands may leak.
+    Light of fewer deviations than that above the noise shows nothing.
 
     Parameters
     ----------
@@ -301,7 +305,8 @@ def judge_phase(phase: PhaseAdvance, condition: LockCondition, count: int) -> Ju
     count : int
         Frames of the acquisition.
     """
-    if not math.isfinite(phase.standard_error_rad):
+    # Where there is hardly any light, its deviations are the inverse of this error.
+    if not phase.standard_error_rad < 1 / _PHASE_DEVIATIONS:
         return None
     turn_rad = count * abs(phase.error_rad)
     uncertain_rad = count * _PHASE_DEVIATIONS * phase.standard_error_rad + _PHASE_LEAK_RAD
@@ -323,7 +328,7 @@ def judge_saturation(share: float) -> Judgement | None:
         return None
     return Judgement(
         Verdict.SATURATED,
-        f"{100 * share:.2g} % of the pixels are saturated; weaken the local oscillator or shorten "
+        f"{100 * share:.3g} % of the pixels are saturated; weaken the local oscillator or shorten "
         "the exposure",
     )
 

@@ -177,16 +177,17 @@ class Recorder:
         RunFileError
             If another program has the files open, or they cannot be written.
         """
-        with Run.open(path) as run:
-            steps, retakes, began = run.steps, run.retakes, run.end_time
-        documents = DocumentLog.resume(path)
+        # First, because it is refused where another program has the file open.
+        writer = RunWriter.resume(path, plan)
         try:
-            writer = RunWriter.resume(path, plan)
+            with Run.open(path) as run:
+                steps, retakes, ended = run.steps, run.retakes, run.end_time
+            documents = DocumentLog.resume(path)
         except BaseException:
-            documents.finish("interrupted", "could not be gone on with")
+            writer.close()
             raise
         recorder = cls(plan, bench, writer, documents, progress)
-        recorder._take_over(steps, retakes, began)
+        recorder._take_over(steps, retakes, ended)
         return recorder
 
     @property
@@ -290,7 +291,7 @@ class Recorder:
                     self._documents.event(recorded_data(step, told[1]), time.time())
         first = next((s for s, v in enumerate(self._verdicts) if not v.measured), len(steps))
         reason = "the process was gone" if not ended else "the run had been ended"
-        self._writer.add_seam(Seam(first, "resumed", ended, now(), reason))
+        self._writer.reopen(Seam(first, "resumed", ended, now(), reason))
 
     def _record(self, acquisition: Acquisition) -> None:
         step, position = acquisition.step, acquisition.position

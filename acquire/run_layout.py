@@ -1,5 +1,6 @@
 """What writer and reader of a run file agree on, see ``docs/run-file.md``."""
 
+import re
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final, Literal
@@ -103,6 +104,9 @@ def exact_text(value: Fraction) -> str:
 
 
 def short_reason(error: BaseException) -> str:
-    """Return the operating system's words, or the first line of HDF5's."""
+    """Return the operating system's words, also where HDF5 quotes them, or the first line of it."""
     said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    quoted = re.search(r"error message = '([^']+)'", said)
+    if quoted:
+        return quoted[1]
     return said.splitlines()[0] if said else type(error).__name__

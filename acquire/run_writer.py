@@ -6,7 +6,10 @@ moment leaves a file that opens with plain h5py, in which every step with a verd
 that is taken again is copied to a spare place first.
 """
 
+import contextlib
 import json
+import os
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -41,9 +44,16 @@ from acquire.run_layout import (
 from drivers.roles import Bench, Frame
 from physics.optics import reed_axes_m
 
+# h5py raises the second kind where the disk refuses what it had kept back.
+_DISK_ERRORS: Final = (OSError, RuntimeError)
+# For what HDF5 writes besides a step: a few pages.
+_RESERVE_BYTES: Final = 1_000_000
 _VERDICT_BYTES: Final = 16
 _SENTENCE_BYTES: Final = 240
 _TIME_BYTES: Final = 40
+# Positions of `/entry/retakes`. A step that is being set aside has _UNDER_WAY less its position, so
+# that `resume` can finish what a process was killed in.
+_FREE, _UNDER_WAY = -1, -2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +150,7 @@ class RunWriter:
                 _write_data(file["entry"], plan, reconstruction)
             unborn.rename(path)
             return cls(path, h5py.File(path, "r+"), plan.protocol.keep)
-        except OSError as error:
+        except _DISK_ERRORS as error:
             raise _cannot_make(path, error) from error
         finally:
             unborn.unlink(missing_ok=True)
@@ -163,19 +173,31 @@ class RunWriter:
         path = Path(path)
         try:
             file = h5py.File(path, "r+")
-        except OSError as error:
+        except _DISK_ERRORS as error:
             raise RunFileError(
                 f"{path}: cannot be gone on with ({short_reason(error)}); see whether another "
                 "program has it open"
             ) from error
         writer = cls(path, file, plan.protocol.keep)
-        writer._set_status("running")
+        for place in np.flatnonzero(writer._retakes["position"][()] <= _UNDER_WAY):
+            writer._finish_setting_aside(int(place))
         return writer
 
     @property
     def spare(self) -> int:
         """How many takes may still be set aside."""
-        return int(np.count_nonzero(self._retakes["position"][()] < 0))
+        return int(np.count_nonzero(self._retakes["position"][()] == _FREE))
+
+    def reopen(self, seam: Seam) -> None:
+        """Note that the run goes on, and where.
+
+        Raises
+        ------
+        RunFileError
+            If the disk refuses.
+        """
+        self._set_status("running")
+        self.add_seam(seam)
 
     def add_seam(self, seam: Seam) -> None:
         """Note where the run was not carried on at once; those beyond the last place are lost.
@@ -195,7 +217,7 @@ class RunWriter:
                 seams[name][free[0]] = value
             seams["position"][free[0]] = seam.position
             self._file.flush()
-        except OSError as error:
+        except _DISK_ERRORS as error:
             raise RunFileError(f"{self.path}: cannot be written ({short_reason(error)})") from error
 
     def set_aside(self, position: int) -> None:
@@ -206,7 +228,7 @@ class RunWriter:
         RunFileError
             If there is no spare place, or the disk refuses.
         """
-        free = np.flatnonzero(self._retakes["position"][()] < 0)
+        free = np.flatnonzero(self._retakes["position"][()] == _FREE)
         if not free.size:
             raise RunFileError(
                 f"{self.path}: has no room for another take of step {position + 1}; measure the "
@@ -217,11 +239,10 @@ class RunWriter:
                 self._retakes[name][free[0]] = self._steps[name][position]
             self._retakes[self._name][free[0]] = self._signal[position]
             self._file.flush()
-            # Only with its position is it a take.
-            self._retakes["position"][free[0]] = position
+            self._retakes["position"][free[0]] = _UNDER_WAY - position
             self._file.flush()
-            self._write_judgement(position, Judgement(Verdict.PENDING, "to be taken again"))
-        except OSError as error:
+            self._finish_setting_aside(int(free[0]))
+        except _DISK_ERRORS as error:
             raise RunFileError(
                 f"{self.path}: step {position + 1} cannot be set aside ({short_reason(error)}); "
                 "make room on the disk"
@@ -241,6 +262,7 @@ class RunWriter:
         RunFileError
             If the disk refuses.
         """
+        self._require_room()
         try:
             if self._keep == "holograms":
                 self._signal[position] = step.field
@@ -249,7 +271,7 @@ class RunWriter:
             self._write_numbers(position, step)
             self._file.flush()
             self._write_judgement(position, step.judgement)
-        except OSError as error:
+        except _DISK_ERRORS as error:
             raise RunFileError(
                 f"{self.path}: step {position + 1} cannot be written ({short_reason(error)}); "
                 "make room on the disk; the steps before it are safe"
@@ -265,7 +287,7 @@ class RunWriter:
         """
         try:
             self._write_judgement(position, Judgement(verdict, reason))
-        except OSError as error:
+        except _DISK_ERRORS as error:
             raise RunFileError(f"{self.path}: cannot be written ({short_reason(error)})") from error
 
     def finish(self, status: Status) -> None:
@@ -281,13 +303,38 @@ class RunWriter:
         try:
             self._set_status(status)
             self._file.close()
-        except OSError as error:
+        except _DISK_ERRORS as error:
+            # What cannot be written now cannot be written later; trying again would raise anew.
+            with contextlib.suppress(*_DISK_ERRORS):
+                self._file.close()
+            _make_openable(self.path)
             raise RunFileError(f"{self.path}: cannot be closed ({short_reason(error)})") from error
 
     def discard(self) -> None:
         """Close and remove a file that holds nothing worth keeping."""
         self._file.close()
         self.path.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Close the file as it is. May be called twice."""
+        self._file.close()
+
+    def _finish_setting_aside(self, place: int) -> None:
+        """Free a step whose take is whole at a place of `/entry/retakes`."""
+        position = _UNDER_WAY - int(self._retakes["position"][place])
+        self._write_judgement(position, Judgement(Verdict.PENDING, "to be taken again"))
+        self._retakes["position"][place] = position
+        self._file.flush()
+
+    def _require_room(self) -> None:
+        """Refuse a step for which the disk has no room, while the file can still be closed."""
+        step_bytes = int(self._signal.dtype.itemsize * np.prod(self._signal.shape[1:]))
+        free_bytes = shutil.disk_usage(self.path.parent).free
+        if free_bytes < step_bytes + _RESERVE_BYTES:
+            raise RunFileError(
+                f"{self.path}: its disk has {free_bytes / 1e6:.1f} MB left, too little for another "
+                "step; make room on the disk; the steps before are safe"
+            )
 
     def _stacked(self, frames: Sequence[Frame]) -> npt.NDArray[np.uint16]:
         """Frames of one step in one array, with zeros for those that did not come.
@@ -313,9 +360,12 @@ class RunWriter:
         for column in MEASURED:
             if column != "read_volts":
                 self._steps[column][position] = getattr(step, column)
-        for number, frame in enumerate(step.frames):
-            self._steps["timestamp_s"][position, number] = frame.timestamp_s
-            self._steps["frame_id"][position, number] = frame.id
+        times, ids = self._steps["timestamp_s"], self._steps["frame_id"]
+        for number in range(ids.shape[1]):
+            # Nothing of an earlier take may stay.
+            there = number < len(step.frames)
+            times[position, number] = step.frames[number].timestamp_s if there else np.nan
+            ids[position, number] = step.frames[number].id if there else -1
 
     def _write_judgement(self, position: int, judgement: Judgement) -> None:
         sentence = judgement.sentence.encode()[:_SENTENCE_BYTES].decode(errors="ignore")
@@ -324,7 +374,22 @@ class RunWriter:
         self._file.flush()
 
 
-def _cannot_make(path: Path, error: OSError) -> RunFileError:
+def _make_openable(path: Path) -> None:
+    """Make a file as long as it says that it is.
+
+    HDF5 refuses a file that ends before the place where its superblock (version 0: eight bytes
+    from byte 40) says that it does. A disk that refused data may have left one so. What is missing
+    belongs to a step without a verdict, and zeros at the end of a file need no room.
+    """
+    with contextlib.suppress(OSError), path.open("r+b") as file:
+        head = file.read(48)
+        if head[:8] == b"\x89HDF\r\n\x1a\n" and head[8] == 0:
+            end = int.from_bytes(head[40:48], "little")
+            if file.seek(0, os.SEEK_END) < end:
+                file.truncate(end)
+
+
+def _cannot_make(path: Path, error: Exception) -> RunFileError:
     return RunFileError(
         f"{path}: cannot be made ({short_reason(error)}); check folder, rights and room on the disk"
     )

@@ -243,14 +243,15 @@ class Run:
         Raises
         ------
         RunFileError
-            If the file keeps it damaged.
+            If the file keeps it damaged, or is closed.
         """
-        where, name = self._file["entry/retakes"], "field" if self.keep == "holograms" else "frames"
+        step, name = self.retakes[number], "field" if self.keep == "holograms" else "frames"
+        self._require_open()
         try:
-            kept = where[name][number]
+            kept = self._file["entry/retakes"][name][number]
         except OSError as error:
             raise RunFileError(
-                f"{self.path}: an earlier take of step {self.retakes[number].index} is damaged "
+                f"{self.path}: an earlier take of step {step.index} is damaged "
                 f"({short_reason(error)}); use another copy of the file or do without it"
             ) from error
         field: npt.NDArray[np.complex64] = (
@@ -301,8 +302,7 @@ class Run:
                 f"{self.path}: step {step.index} is {step.verdict} and holds no data; "
                 "use steps that were measured"
             )
-        if not self._file:
-            raise RunFileError(f"{self.path}: is closed; open it again with Run.open")
+        self._require_open()
         try:
             return self._file["entry/data"][name][step.position]
         except OSError as error:
@@ -310,6 +310,10 @@ class Run:
                 f"{self.path}: step {step.index} is damaged ({short_reason(error)}); "
                 "use another copy of the file or do without this step"
             ) from error
+
+    def _require_open(self) -> None:
+        if not self._file:
+            raise RunFileError(f"{self.path}: is closed; open it again with Run.open")
 
     def _read_sample(self, entry: Any) -> None:
         sample = entry["sample"]

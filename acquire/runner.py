@@ -362,6 +362,7 @@ class Runner:
             self._require_off("after an instrument failed")
             self._open_instruments()
         except InstrumentError as second:
+            recorder.mark(position, Verdict.INTERRUPTED, str(error))
             error.add_note(str(second))
             raise error from second
         recorder.add_seam(Seam(position, "recovered", began, now(), str(error)))

@@ -20,7 +20,7 @@ from drivers.description import CameraDescription
 from drivers.errors import BenchSetupError, InstrumentError
 from drivers.frames import Delivery
 from drivers.genicam import timestamp_latch
-from drivers.genicam_camera import CameraOptions, GenicamCamera
+from drivers.genicam_camera import CameraOptions, GenicamCamera, pulses_for
 from drivers.options import read_options
 
 # Registers that every GigE Vision camera has: latch the time, and its upper and lower half.
@@ -72,7 +72,7 @@ class AravisCamera(GenicamCamera):
         )
         link = AravisLink(options)
         try:
-            super().__init__(link, entry, options)
+            super().__init__(link, entry, options, pulses_for(options, context))
         except BenchSetupError:
             link.close()
             raise
@@ -251,18 +251,9 @@ class AravisLink:
 
     def close(self) -> None:
         """Let go of the camera; raises nothing."""
-        if self._camera is None:
-            return
-        try:
-            if self._stream is not None:
-                self.stop()
-        except InstrumentError:
-            # It is gone already.
-            pass
         # Aravis lets go of a camera when nobody holds it.
-        self._stream = self._camera = self._device = None
+        self._stream = self._camera = self._device = self.latch = None
         self.features = AravisFeatures(self._aravis, None, self.camera)
-        self.latch = None
 
     def _require_control(self) -> None:
         if self._gige and not self._device.is_controller():

@@ -2,7 +2,7 @@
 
 import importlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Final
 
 from drivers.context import BenchContext
@@ -10,7 +10,7 @@ from drivers.description import CameraDescription
 from drivers.errors import BenchSetupError, InstrumentError
 from drivers.frames import Delivery
 from drivers.genicam import timestamp_latch
-from drivers.genicam_camera import CameraOptions, GenicamCamera
+from drivers.genicam_camera import CameraOptions, GenicamCamera, pulses_for
 from drivers.options import read_options
 
 # What pylon says instead of a block id that it does not know.
@@ -50,7 +50,7 @@ class BaslerCamera(GenicamCamera):
         )
         link = PylonLink(options.serial)
         try:
-            super().__init__(link, entry, options)
+            super().__init__(link, entry, options, pulses_for(options, context))
         except BenchSetupError:
             link.close()
             raise
@@ -226,13 +226,10 @@ class PylonLink:
 
     def close(self) -> None:
         """Let go of the camera; raises nothing."""
-        try:
-            self.device.StopGrabbing()
+        # A camera that is gone cannot be closed.
+        with suppress(self._pylon.GenericException):
             self.device.Close()
             self.device.DestroyDevice()
-        except self._pylon.GenericException:
-            # It is gone already.
-            return
 
     def _require_number(self, number: int) -> None:
         if number == _NO_NUMBER:

@@ -65,7 +65,7 @@ class FrameSequence:
     """
 
     def __init__(self, first_number: int | None = None) -> None:
-        self._newest = None if first_number is None else (first_number, 0)
+        self._last = None if first_number is None else (first_number, 0)
         self._handed_over: int | None = None
         self._waiting: dict[int, Frame] = {}
 
@@ -116,11 +116,7 @@ class FrameSequence:
         return [self._waiting.pop(id) for id in ids]
 
     def _id_of(self, number: int) -> int:
-        if self._newest is None:
-            self._newest = (number, 0)
-            return 0
-        newest_number, newest_id = self._newest
-        id = newest_id + steps_between(newest_number, number)
-        if id > newest_id:
-            self._newest = (number, id)
+        last_number, last_id = self._last or (number, 0)
+        id = last_id + steps_between(last_number, number)
+        self._last = (number, id)
         return id

@@ -2,15 +2,17 @@
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from fractions import Fraction
-from typing import Annotated, Any, Final, Protocol
+from typing import Annotated, Any, Final, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from drivers.camera_clock import ArrivalClock, BoundedClock, CameraClock, LatchedClock
-from drivers.context import WallClock
+from drivers.camera_trigger import CameraTrigger
+from drivers.context import BenchContext, WallClock
 from drivers.description import CameraDescription
 from drivers.errors import BenchSetupError, InstrumentError, LimitError
 from drivers.frames import Delivery, FrameSequence
@@ -20,6 +22,8 @@ from drivers.roles import Clock, Frame
 
 # How often the link is looked at while nothing comes: bounds how well arrivals are known.
 _POLL_S: Final = 0.01
+# Two are filled or emptied, one is on its way.
+_SPARE_BUFFERS: Final = 3
 
 
 class CameraOptions(Options):
@@ -29,21 +33,25 @@ class CameraOptions(Options):
     ----------
     trigger : {'free', 'software', 'Line0', 'Line1', 'Line2', 'Line3'}
         What starts an exposure: the camera's clock, this computer, or a rising edge at a line.
+    pulses : {'bench', 'elsewhere'}
+        Who plays the edges at a line: an instrument of this bench, which is told when to, or
+        something that plays all the time.
     pixel_format : {'Mono8', 'Mono10', 'Mono12', 'Mono16'}
         As many bits as `bits` says, or Mono16 with the pixels in the lower bits.
     timeout_s : float
         How long a frame may be overdue.
     saturation_dn : int or None
         Number at which pixels stop growing with light, if that is below what the ADC can tell.
-    buffers : int
-        Frames that the computer keeps while none are asked for.
+    buffer_s : float
+        For how long frames are kept that nobody asks for.
     """
 
     trigger: Trigger = "free"
+    pulses: Literal["bench", "elsewhere"] = "bench"
     pixel_format: PixelFormat = "Mono12"
     timeout_s: Annotated[float, Field(gt=0, le=600)] = 2.0
     saturation_dn: Annotated[int, Field(ge=1, le=65_535)] | None = None
-    buffers: Annotated[int, Field(ge=4, le=1024)] = 16
+    buffer_s: Annotated[float, Field(ge=1, le=60)] = 1.5
 
 
 class CameraLink(Protocol):
@@ -133,6 +141,8 @@ class GenicamCamera:
     link : CameraLink
     entry : CameraDescription
     options : CameraOptions
+    pulses : CameraTrigger, optional
+        What to tell that the camera waits for pulses, see `pulses_for`.
     host : Clock, optional
         The computer's clock.
 
@@ -152,10 +162,12 @@ class GenicamCamera:
         link: CameraLink,
         entry: CameraDescription,
         options: CameraOptions,
+        pulses: CameraTrigger | None = None,
         host: Clock | None = None,
     ) -> None:
         _require_bits(entry.bits, options.pixel_format, link.camera)
         self.link, self._entry, self._options = link, entry, options
+        self._pulses = pulses
         self._host: Clock = host or WallClock()
         self._settings: CameraSettings | None = None
         self._clock: CameraClock = self._make_clock(0.0)
@@ -215,16 +227,24 @@ class GenicamCamera:
         self._sequence = FrameSequence(self.link.first_number)
         self._triggered = False
         self._stale = self._broken = 0
-        self.link.open_stream(self._options.buffers)
+        rate_hz = self._settings.frame_rate_hz
+        self.link.open_stream(math.ceil(self._options.buffer_s * rate_hz) + _SPARE_BUFFERS)
         self._running = True
         self._absent_s = self._trigger_due_s = self._host.now_s()
         self._clock.started()
         self.link.start()
+        if self._pulses is not None:
+            self._pulses.play(rate_hz)
 
     def stop(self) -> None:
         """Take no more frames."""
-        if self._running:
-            self._running = False
+        if not self._running:
+            return
+        self._running = False
+        try:
+            if self._pulses is not None:
+                self._pulses.stop()
+        finally:
             self.link.stop()
 
     def grab(self, count: int, not_before_s: float) -> list[Frame]:
@@ -283,7 +303,9 @@ class GenicamCamera:
 
     def close(self) -> None:
         """Stop, and let go of the camera. May be called twice; raises nothing."""
-        self._running = False
+        # A camera that is gone cannot be stopped.
+        with suppress(InstrumentError):
+            self.stop()
         self._settings = None
         self.link.close()
 
@@ -327,11 +349,9 @@ class GenicamCamera:
         if self._triggered:
             return
         self._host.wait(self._trigger_due_s - self._host.now_s())
-        # Its frame cannot be there before it is asked for.
-        self._absent_s = self._host.now_s()
+        now_s = self._host.now_s()
         self.link.trigger()
         self._triggered = True
-        now_s = self._host.now_s()
         # In step with the first trigger, unless a period was missed.
         on_time = now_s - self._trigger_due_s < period_s
         self._trigger_due_s = (self._trigger_due_s if on_time else now_s) + period_s
@@ -387,6 +407,12 @@ class GenicamCamera:
             else f"the trigger cable at {trigger} and the generator that drives it"
         )
         return InstrumentError(f"camera ({camera}): no frame within {waited_s:.3g} s; check {what}")
+
+
+def pulses_for(options: CameraOptions, context: BenchContext) -> CameraTrigger | None:
+    """Return what plays pulses for a camera of these options; None if it needs none."""
+    wanted = options.trigger not in ("free", "software") and options.pulses == "bench"
+    return context.share(CameraTrigger) if wanted else None
 
 
 def _require_bits(bits: int, pixel_format: PixelFormat, camera: str) -> None:

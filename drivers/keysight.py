@@ -39,7 +39,6 @@ _NUMBER: Final = r"([+-]\d\.\d+E[+-]\d+)"
 _WAVE: Final = ";".join(
     (
         ":SOUR1:FUNC?",
-        ":SOUR1:VOLT:UNIT?",
         ":SOUR1:FREQ?",
         ":SOUR1:VOLT?",
         ":SOUR1:VOLT:HIGH?",
@@ -52,7 +51,6 @@ _WAVE: Final = ";".join(
 _ANSWER: Final = ";".join(
     (
         r"(?P<shape>\w+)",
-        r"(?P<unit>\w+)",
         *5 * (_NUMBER,),
         "(?P<is_limited>[01])",
         "(?P<is_on>[01])",
@@ -224,8 +222,9 @@ class KeysightGenerator(TweeterGenerator):
 def _understand_wave(answer: str) -> _Wave:
     """Read an answer to all questions of a wave; its levels have to agree with its amplitude."""
     found = matching(_ANSWER)(answer)
-    frequency_hz, amplitude_vpp, high_v, low_v, load_ohm = map(Decimal, found.groups()[2:7])
-    if found["unit"] != "VPP" or abs(high_v - low_v - amplitude_vpp) > _ROUNDING_V:
+    frequency_hz, amplitude_vpp, high_v, low_v, load_ohm = map(Decimal, found.groups()[1:6])
+    # They are volts, whatever unit somebody chose for the amplitude.
+    if abs(high_v - low_v - amplitude_vpp) > _ROUNDING_V:
         raise ValueError(answer)
     return _Wave(
         shape=found["shape"],

@@ -200,7 +200,7 @@ class SiglentGenerator(TweeterGenerator):
 
     def _choose_reference(self, reference: str) -> None:
         self._tell(f"ROSC {_REFERENCES[reference]}")
-        source = self._ask("ROSC?", matching("ROSC (INT|EXT),10MOUT,(?:ON|OFF)"))[1]
+        source = self._ask("ROSC?", matching("ROSC (INT|EXT)(?:,.*)?"))[1]
         if source != _REFERENCES[reference]:
             raise InstrumentError(
                 f"{self._name}: was told to use its {reference} reference and does not; check the "

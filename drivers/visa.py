@@ -2,9 +2,11 @@
 
 `open_visa` takes the names of resources that VISA knows, such as ``TCPIP::192.168.0.7::INSTR``
 (VXI-11), ``TCPIP::192.168.0.7::5025::SOCKET``, ``USB::0xF4EC::0x1102::SDG2X0001::INSTR`` (USBTMC)
-and ``ASRL/dev/ttyUSB0::INSTR``. No VISA of a maker is needed: pyvisa-py speaks all of these.
+and ``ASRL/dev/ttyUSB0::INSTR``. No VISA of a maker is needed: pyvisa-py speaks all of these. (Over
+VXI-11 it gives an instrument that is gone 1 s more than asked to answer, and 5 s to close.)
 """
 
+import socket
 import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, NoReturn, cast
@@ -276,12 +278,23 @@ def open_visa(resource: str, timeout_s: float, device: str, baud: int | None = N
         raise InstrumentError(
             f"{device} at {resource}: cannot be opened ({_one_line(error)}); {_remedy(resource)}"
         ) from error
+    _send_at_once(instrument)
     try:
         return VisaLine(cast("MessageBasedResource", instrument), device, resource, timeout_s)
     except InstrumentError:
         with suppress(Exception):
             instrument.close()
         raise
+
+
+def _send_at_once(instrument: Any) -> None:
+    """Do not let a question wait until the command before it is acknowledged (40 ms and more).
+
+    pyvisa-py knows VI_ATTR_TCPIP_NODELAY, but cannot set it.
+    """
+    with suppress(AttributeError, KeyError, OSError):
+        session = instrument.visalib.sessions[instrument.session]
+        session.interface.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
 def _lacks_libusb() -> bool:

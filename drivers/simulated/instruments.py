@@ -5,8 +5,11 @@ answer, and the camera runs freely whether or not somebody listens.
 """
 
 import math
+from dataclasses import replace
 from fractions import Fraction
 from typing import Final
+
+import numpy as np
 
 from drivers.context import BenchContext
 from drivers.description import (
@@ -187,6 +190,7 @@ class SimulatedCamera:
         self._started_s: float | None = None
         self._next_id = 0
         self._acquisitions = 0
+        self._clock_offset_s = 0.0
 
     @property
     def identity(self) -> str:
@@ -229,8 +233,14 @@ class SimulatedCamera:
         """Return the next frames; see `Camera.grab`."""
         self._acquisitions += 1
         faults = self.lab.faults
+        if faults.no_frame_from is not None and self._acquisitions >= faults.no_frame_from:
+            raise InstrumentError(
+                "camera (simulated): no frame within 2 s of being asked; check the trigger's cable"
+            )
+        # Here times are the laboratory's; outside they are the camera's.
+        not_before_s -= self._clock_offset_s
         # Frames of the last second are still in the camera's buffer.
-        earliest_s = max(not_before_s, self.now_s() - _BUFFER_S)
+        earliest_s = max(not_before_s, self.lab.clock.now_s() - _BUFFER_S)
         if self._acquisitions in faults.stale_frame_at and self._rate_hz is not None:
             earliest_s = not_before_s - 2 / float(self._rate_hz)
         first = self._first_id_from(earliest_s)
@@ -242,19 +252,39 @@ class SimulatedCamera:
         exposures = [(start_s, start_s + exposure_s) for start_s in starts_s]
         # Rendered while they are exposed, so that at a real pace they come when they are over.
         settings, images = self.lab.state, self.lab.expose(exposures)
-        self.lab.clock.wait(exposures[-1][1] - self.now_s())
+        self.lab.clock.wait(exposures[-1][1] - self.lab.clock.now_s())
         if self.lab.state is not settings:
             images = self.lab.expose(exposures)
         self._next_id = ids[-1] + 1
-        return [Frame(*parts) for parts in zip(ids, starts_s, images, strict=True)]
+        if self._acquisitions == faults.clock_jump_at:
+            self._clock_offset_s += faults.clock_jump_s
+        stamps_s = [start_s + self._clock_offset_s for start_s in starts_s]
+        self.lab.exposed_s |= dict(zip(zip(ids, stamps_s, strict=True), starts_s, strict=True))
+        return self._spoilt([Frame(*parts) for parts in zip(ids, stamps_s, images, strict=True)])
 
     def now_s(self) -> float:
-        """Return the laboratory's time."""
-        return self.lab.clock.now_s()
+        """Return the laboratory's time, but for what the camera's clock is off."""
+        return self.lab.clock.now_s() + self._clock_offset_s
 
     def close(self) -> None:
         """Stop."""
         self.stop()
+
+    def _spoilt(self, frames: list[Frame]) -> list[Frame]:
+        """Frames as they come, if something is to go wrong with the third one."""
+        faults, now = self.lab.faults, self._acquisitions
+        if now in faults.duplicate_frame_at:
+            frames[2] = frames[1]
+        if now in faults.reorder_frames_at:
+            frames[1:3] = frames[2], frames[1]
+        if now in faults.partial_frame_at:
+            rows = len(frames[2].image) // 2
+            image = np.vstack([frames[2].image[:rows], frames[1].image[rows:]])
+            frames[2] = replace(frames[2], image=image)
+        if now in faults.late_frame_at and self._rate_hz is not None:
+            late_s = frames[2].timestamp_s + 0.7 / float(self._rate_hz)
+            frames[2] = replace(frames[2], timestamp_s=late_s)
+        return frames
 
     def _start_of(self, id: int) -> float:
         """Time at which the exposure of a frame begins."""

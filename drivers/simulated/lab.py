@@ -65,6 +65,9 @@ class SimulatedLab:
         )
         self._rng = context.rng
         self._model: BenchModel | None = None
+        # When each frame that was delivered really began, by its number and time stamp: what a
+        # camera says of its time may be wrong.
+        self.exposed_s: dict[tuple[int, float], float] = {}
         self._changing = threading.Lock()
         self._times_s = [-math.inf]
         self._states = [BenchState(Fraction(0), Fraction(0), 0.0, rf_on=False)]
@@ -78,6 +81,12 @@ class SimulatedLab:
     def state(self) -> BenchState:
         """The settings at present."""
         return self._states[-1]
+
+    @property
+    def changes(self) -> list[tuple[float, BenchState]]:
+        """When the settings became what, in order."""
+        with self._changing:
+            return list(zip(self._times_s, self._states, strict=True))
 
     def change(self, **settings: Any) -> None:
         """Change fields of `BenchState` now, all at the same moment."""

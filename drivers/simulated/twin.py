@@ -62,6 +62,13 @@ class Faults(Options):
         Acquisitions, counted from 1, whose third frame is lost between camera and computer.
     stale_frame_at : tuple of int
         Acquisitions, counted from 1, in which frames come out of a buffer, older than asked for.
+    duplicate_frame_at, reorder_frames_at, partial_frame_at, late_frame_at : tuple of int
+        Acquisitions whose third frame is the second once more; comes before the second; ends in
+        rows of the second; begins most of a period late.
+    no_frame_from : int or None
+        From this acquisition on no frame comes: the trigger's cable is out.
+    clock_jump_at : int or None
+        During this acquisition the camera's clock jumps by `clock_jump_s`.
     frame_rate_error_ppm : float
         The camera is this much faster than it was told.
     synthesizers_wire, generator_wire : WireFaults
@@ -72,6 +79,13 @@ class Faults(Options):
     local_oscillator_factor: Annotated[float, Field(gt=0, le=1000)] = 1.0
     drop_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
     stale_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
+    duplicate_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
+    reorder_frames_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
+    partial_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
+    late_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
+    no_frame_from: int | None = None
+    clock_jump_at: int | None = None
+    clock_jump_s: Annotated[float, Field(ge=-3600, le=3600)] = 0.5
     frame_rate_error_ppm: Annotated[float, Field(ge=-1e5, le=1e5)] = 0.0
     synthesizers_wire: WireFaults = WireFaults()
     generator_wire: WireFaults = WireFaults()

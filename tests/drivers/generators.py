@@ -71,7 +71,7 @@ class Stand:
             {
                 "instruments.generator.options": {
                     "resource": self.resource,
-                    "timeout_s": 0.05,
+                    "timeout_s": 1.0,
                     **(options or {}),
                 },
                 "instruments.generator.output": {"amplifier_gain": GAIN, "load": "8 ohm"},

@@ -56,8 +56,11 @@ def test_the_first_frame_tells_the_time_as_well_as_it_followed_the_start():
     host.wait(3.0)
     clock.started()
     assert not clock.known
-    clock.began_s(camera.at(3.002), 0.0, EXPOSURE_S)
-    assert clock.now_s() == pytest.approx(camera.now_s() + 0.002, abs=1e-9)
+    for delay_s in (0.007, 0.004, 0.020):
+        host.wait(delay_s + 3.002 - host.now_s())
+        clock.began_s(camera.at(host.now_s() - delay_s), 0.0, EXPOSURE_S)
+    assert clock.now_s() == pytest.approx(camera.now_s() + 0.002, abs=1e-5)
+    assert clock.error_s == pytest.approx(0.002 + 0.004, abs=1e-5)
 
 
 def test_a_bounded_clock_does_not_guess():

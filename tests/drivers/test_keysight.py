@@ -107,6 +107,17 @@ def test_its_own_limits_hold_at_the_volts_of_the_bench_file(stands):
     assert stand.device.socket[1] == MOST_V / GAIN
 
 
+@pytest.mark.parametrize("most_v", ["15.9999 V", "3.3333 V", "0.0123 V"])
+def test_the_most_that_the_bench_file_allows_is_not_refused(stands, most_v):
+    stand = stands("keysight")
+    generator = stand.open(**{"limits.volts_max": most_v})
+    volts = float(most_v.removesuffix(" V"))
+    generator.set_sine(DRIVE_HZ, volts)
+    assert stand.device.socket[1] * GAIN == pytest.approx(volts, rel=1e-5)
+    answer(stand.device, "VOLT 20")
+    assert stand.device.socket[1] * GAIN == pytest.approx(volts, abs=0.001 * GAIN)
+
+
 def test_limits_are_armed_before_the_output_can_be_on(stands):
     stand = stands("keysight")
     stand.open()
@@ -173,7 +184,7 @@ class Garbling:
 
 def test_one_wrong_byte_never_gives_other_volts(stands, monkeypatch):
     stand = stands("keysight")
-    generator = stand.open({"timeout_s": 0.005})
+    generator = stand.open({"timeout_s": 0.03})
     generator.set_sine(DRIVE_HZ, 5.0)
     garbling = Garbling(stand.device)
     monkeypatch.setattr(stand.device, "receive", garbling.receive)

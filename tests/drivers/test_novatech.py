@@ -3,7 +3,6 @@
 import math
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import fields
 from fractions import Fraction
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from drivers.context import BenchContext
 from drivers.errors import BenchSetupError, InstrumentError, LimitError
 from drivers.novatech import Novatech409B
 from drivers.roles import Preparation, SynthesizerPair
+from drivers.simulated.wire import serving
 from drivers.simulated.wire.novatech import NovatechDevice
 from drivers.simulated.wire.serving import PtyServer, SocketServer, WireFaults
 
@@ -30,6 +30,13 @@ PAIR_HZ = (Fraction("80002036.1"), CENTRE_HZ)
 OTHER_HZ = (Fraction("80002037.3"), Fraction("79999999.9"))
 # So short only where answers fail to come, and where nothing that is tested depends on time.
 SHORT = {"timeout_s": 0.04}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _servers_hang_up_at_once():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(serving, "_POLL_S", 0.005)
+        yield
 
 
 def entry_and_context(options, **keys):
@@ -652,7 +659,7 @@ def test_a_refusal_is_said_in_words():
 def test_every_fault_that_a_wire_can_have_is_tested_here():
     tested = {"lose_answer_at", "garble_answer_at", "late_answer_at", "late_s", "lose_command_at"}
     tested |= {"echo", "wrong_baud", "unplug_at"}
-    assert {field.name for field in fields(WireFaults)} == tested
+    assert set(WireFaults.model_fields) == tested
 
 
 # --- Opening and closing -----------------------------------------------------------------------

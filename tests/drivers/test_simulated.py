@@ -182,10 +182,63 @@ def test_frames_run_freely_and_none_is_older_than_asked(bench, pauses_s, count):
         last_id = ids[-1]
 
 
-def test_a_camera_keeps_no_frames_from_before_it_was_asked(running):
+def test_a_camera_keeps_frames_of_the_last_second(running):
+    """Instruments may be read while it exposes: what began since the setting settled is kept."""
     running.clock.wait(3.0)
-    asked_s = running.camera.now_s()
-    assert running.camera.grab(1, 0.0)[0].timestamp_s >= asked_s
+    settled_s = running.camera.now_s() - 0.5
+    frame = running.camera.grab(1, settled_s)[0]
+    assert settled_s <= frame.timestamp_s < settled_s + float(PERIOD_S) + 1e-9
+    # No buffer lasts for ever.
+    running.clock.wait(3.0)
+    oldest_s = running.camera.now_s() - 1.0
+    assert running.camera.grab(1, 0.0)[0].timestamp_s >= oldest_s
+
+
+FAULTY_FRAMES = {
+    "duplicate_frame_at": lambda f: f[2].id == f[1].id and np.array_equal(f[2].image, f[1].image),
+    "reorder_frames_at": lambda f: [frame.id - f[0].id for frame in f] == [0, 2, 1, 3],
+    "partial_frame_at": lambda f: (
+        np.array_equal(f[2].image[-3:], f[1].image[-3:])
+        and not np.array_equal(f[2].image[:3], f[1].image[:3])
+    ),
+    "late_frame_at": lambda f: (
+        f[2].timestamp_s - f[1].timestamp_s == pytest.approx(1.7 * float(PERIOD_S))
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTY_FRAMES)
+def test_frames_are_spoilt_where_it_is_asked_for(fault, small_plan, open_small_bench):
+    plan = small_plan(faults={fault: [2]})
+    with open_small_bench(plan) as bench:
+        bench.camera.configure(RATE_HZ, PERIOD_S, SHAPE)
+        bench.synthesizers.rf_on()
+        bench.camera.start()
+        spoilt = [FAULTY_FRAMES[fault](bench.camera.grab(4, 0.0)) for _ in range(3)]
+    assert spoilt == [False, True, False]
+
+
+def test_a_clock_that_jumps_jumps_once(small_plan, open_small_bench):
+    plan = small_plan(faults={"clock_jump_at": 2, "clock_jump_s": -0.3})
+    with open_small_bench(plan) as bench:
+        bench.camera.configure(RATE_HZ, PERIOD_S, SHAPE)
+        bench.camera.start()
+        starts_s = []
+        for _ in range(3):
+            wanted_s = bench.camera.now_s() + 0.05
+            frames = bench.camera.grab(4, wanted_s)
+            starts_s.append(frames[0].timestamp_s - frames[0].id * float(PERIOD_S))
+        assert starts_s[1] - starts_s[0] == pytest.approx(-0.3)
+        assert starts_s[2] == pytest.approx(starts_s[1])
+
+
+def test_a_cable_that_is_out_gives_no_frame(small_plan, open_small_bench):
+    with open_small_bench(small_plan(faults={"no_frame_from": 2})) as bench:
+        bench.camera.configure(RATE_HZ, PERIOD_S, SHAPE)
+        bench.camera.start()
+        assert len(bench.camera.grab(4, 0.0)) == 4
+        with pytest.raises(InstrumentError, match="check the trigger's cable"):
+            bench.camera.grab(4, 0.0)
 
 
 def test_a_stopped_camera_gives_no_frames(bench):

@@ -3,6 +3,7 @@
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from fractions import Fraction
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from acquire.bench_file import BenchFile
 from drivers.context import BenchContext
 from drivers.errors import BenchSetupError, InstrumentError, LimitError
 from drivers.roles import Preparation, SynthesizerPair
+from drivers.simulated.wire import serving
 from drivers.simulated.wire.serving import PtyServer, SocketServer, WireFaults
 from drivers.simulated.wire.srs import SRSDevice
 from drivers.srs import SRSPair
@@ -26,6 +28,13 @@ PAIR_HZ = (Fraction("80002036.125"), CENTRE_HZ)
 OTHER_HZ = (Fraction("80002037.000001"), Fraction("79999999.999999"))
 SHORT = {"timeout_s": 0.1}
 STEP = {"step": "1 uHz"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _servers_hang_up_at_once():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(serving, "_POLL_S", 0.005)
+        yield
 
 
 def opened(resources, options=(), **keys):
@@ -295,30 +304,35 @@ def session(boxes, resources, options=SHORT):
         driver.close()
 
 
-@pytest.mark.parametrize(
-    "kind", ["lose_answer_at", "garble_answer_at", "late_answer_at", "lose_command_at"]
-)
-def test_a_fault_never_leaves_a_wrong_belief(kind):
-    def check(at):
+def at_once(check, cases):
+    """Do checks side by side, for nearly all their time is spent waiting for answers."""
+    with ThreadPoolExecutor(8) as pool:
+        outcomes = {case: pool.submit(check, *case) for case in cases}
+    failed = {case: done.exception() for case, done in outcomes.items() if done.exception()}
+    assert not failed
+
+
+SPOILT_ANSWERS = ("lose_answer_at", "garble_answer_at", "late_answer_at")
+
+
+def test_a_fault_never_leaves_a_wrong_belief():
+    def check(kind, at):
         boxes = (Box(), Box())
         faults = WireFaults(late_s=1.5 * SHORT["timeout_s"], **{kind: (at,)})
         with served(boxes, (None, faults)) as resources, suppress(InstrumentError):
             session(boxes, resources)
 
-    # Nearly all their time is spent waiting for answers.
-    with ThreadPoolExecutor(8) as pool:
-        outcomes = {at: pool.submit(check, at) for at in range(1, 15)}
-    failed = {at: outcome.exception() for at, outcome in outcomes.items() if outcome.exception()}
-    assert not failed
+    at_once(check, product((*SPOILT_ANSWERS, "lose_command_at"), range(1, 15)))
 
 
-@pytest.mark.parametrize("kind", ["lose_answer_at", "garble_answer_at", "late_answer_at"])
-@pytest.mark.parametrize("at", [1, 2, 6])
-def test_nothing_is_given_up_for_one_spoilt_answer(kind, at):
-    boxes = (Box(), Box())
-    faults = WireFaults(late_s=0.4, **{kind: (at,)})
-    with served(boxes, (None, faults)) as resources:
-        session(boxes, resources, {"timeout_s": 0.3})
+def test_nothing_is_given_up_for_one_spoilt_answer():
+    def check(kind, at):
+        boxes = (Box(), Box())
+        faults = WireFaults(late_s=0.4, **{kind: (at,)})
+        with served(boxes, (None, faults)) as resources:
+            session(boxes, resources, {"timeout_s": 0.3})
+
+    at_once(check, product(SPOILT_ANSWERS, (1, 2, 6)))
 
 
 def test_faults_of_the_whole_line_are_found_when_opening():

@@ -157,10 +157,10 @@ def test_frequencies_snap_to_the_grid_of_the_bench_file(stands, maker):
 
 
 @MAKERS
-@pytest.mark.parametrize("volts", [16.001, -0.5, math.nan, math.inf, 1e9, 0.0019])
+@pytest.mark.parametrize("volts", [16.001, -0.5, math.nan, math.inf, 1e9, 0.49])
 def test_volts_outside_the_limits_change_nothing(stands, maker, volts):
     stand = stands(maker)
-    generator = stand.open()
+    generator = stand.open(**{"limits.volts_min": "0.5 V"})
     generator.set_sine(DRIVE_HZ, 1.0)
     before = stand.device.socket
     del stand.wire.heard[:]
@@ -168,10 +168,20 @@ def test_volts_outside_the_limits_change_nothing(stands, maker, volts):
         lambda: generator.set_sine(DRIVE_HZ, volts),
         lambda: generator.ramp_to(volts, 0.1),
     ):
-        with pytest.raises(LimitError, match=r"outside 0 to 16 V|can play 0 V, or 0\.002 V and"):
+        with pytest.raises(LimitError, match=r"outside 0\.5 to 16 V"):
             ask()
     assert stand.wire.heard == []
     assert stand.device.socket == before
+
+
+@MAKERS
+def test_volts_below_the_least_amplitude_are_refused(stands, maker):
+    stand = stands(maker)
+    generator = stand.open()
+    del stand.wire.heard[:]
+    with pytest.raises(LimitError, match=r"0\.0019 V, but can play 0 V, or 0\.002 V and more"):
+        generator.set_sine(DRIVE_HZ, 0.0019)
+    assert stand.wire.heard == []
 
 
 @MAKERS
@@ -346,7 +356,7 @@ def failures_of_a_sweep(stand, generator):
         generator.output_off()
         assert not stand.device.socket[2]
 
-    for volts in (1.0, 4.0, 2.0):
+    for volts in (4.0, 2.0):
         attempt(play, volts)
         attempt(listen)
     attempt(silence)
@@ -357,9 +367,9 @@ def failures_of_a_sweep(stand, generator):
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_anywhere_never_make_wrong_volts_believed(stands, maker, fault):
     failures = []
-    for place in range(1, 14):
+    for place in range(1, 13):
         stand = stands(maker)
-        generator = stand.open({"timeout_s": 0.01})
+        generator = stand.open({"timeout_s": 0.03})
         stand.wire.spoil(FAULTS[fault](place))
         failures.append(failures_of_a_sweep(stand, generator))
         assert max(volts for _, volts, _ in stand.changes) <= 4.0 / GAIN

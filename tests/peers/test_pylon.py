@@ -116,6 +116,16 @@ def test_frames_are_those_asked_for_from_now_on(emulated, images):
     require_played(frames, images)
 
 
+def test_frames_that_nobody_asks_for_yet_are_kept(emulated, images):
+    camera = emulated()
+    camera.start()
+    first = camera.grab(1, -np.inf)
+    time.sleep(1.0)
+    later = camera.grab(40, -np.inf)
+    assert [frame.id for frame in [*first, *later]] == list(range(41))
+    require_played(later, images)
+
+
 def test_broken_frames_are_left_out_and_show_in_the_ids(emulated, images):
     camera = emulated()
     camera.start()
@@ -139,7 +149,7 @@ def test_nothing_but_broken_frames_is_an_error(emulated):
 
 
 def test_a_trigger_that_never_comes_is_an_error(emulated):
-    camera = emulated(trigger="Line1", timeout_s=0.3)
+    camera = emulated(trigger="Line1", pulses="elsewhere", timeout_s=0.3)
     camera.start()
     with pytest.raises(InstrumentError, match=r"no frame within .* check the trigger cable at Li"):
         camera.grab(1, camera.now_s())
@@ -151,6 +161,12 @@ def test_software_triggers_lose_no_frame(emulated, images):
     frames = camera.grab(8, -np.inf)
     assert [frame.id for frame in frames] == list(range(8))
     require_played(frames, images)
+
+
+def test_a_trigger_for_a_camera_that_is_not_ready_is_an_error(emulated):
+    camera = emulated(trigger="software")
+    with pytest.raises(InstrumentError, match="was asked to trigger, and refused|is not ready"):
+        camera.link.trigger()
 
 
 def test_an_unplugged_camera_is_told_as_such(emulated):
@@ -242,6 +258,15 @@ def test_the_laboratorys_frames_come_through_bit_for_bit(opened):
         for one, other in zip(got, expected, strict=True):
             np.testing.assert_array_equal(one.image, other.image)
         assert len({frame.image.tobytes() for frame in got}) == 4
+
+
+def test_what_the_emulator_plays_is_what_comes(opened):
+    through, direct = opened(EMULATED_CAMERA).camera, opened("simulated").camera
+    features = through.basler.link.features
+    features.set_text("ImageFileMode", "Off")
+    features.set_text("TestImageSelector", "Testimage1")
+    for got, sent in zip(through.grab(2, 0.0), direct.grab(2, 0.0), strict=True):
+        assert np.mean(got.image == sent.image) < 0.1
 
 
 def test_a_broken_frame_is_missing_from_the_laboratorys(opened):

@@ -32,7 +32,7 @@ class WireDevice(Protocol):
 
 
 class WireFaults(Options):
-    """What goes wrong on a wire. Answers are counted from 1.
+    """What goes wrong on a wire. Commands, which are lines, and answers to them count from 1.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class WireFaults(Options):
         Answers that never arrive, arrive with a byte changed, or arrive `late_s` late.
     late_s : float
     lose_command_at : tuple of int
-        Commands (arrivals of bytes, counted from 1) that never reach the device.
+        Commands that never reach the device.
     echo : bool
         The device says back what it hears, before it answers.
     wrong_baud : bool
@@ -75,25 +75,31 @@ class FaultyWire:
     def __init__(self, device: WireDevice, faults: WireFaults) -> None:
         self._device, self._faults = device, faults
         self._commands = self._answers = 0
+        self._rest = b""
 
     def receive(self, data: bytes) -> bytes:
-        """Pass bytes on and return the answer, or what is left of it.
+        """Pass on whole commands and return the answers, or what is left of them.
 
         Raises
         ------
         UnpluggedError
         """
+        if self._faults.wrong_baud:
+            # No end of a line is seen as one.
+            return _at_another_baud(self._device.receive(_at_another_baud(data)))
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        return b"".join(self._carried(line + b"\n") for line in lines)
+
+    def _carried(self, command: bytes) -> bytes:
         faults = self._faults
         self._commands += 1
         if self._commands in faults.lose_command_at:
             return b""
-        if faults.wrong_baud:
-            data = _at_another_baud(data)
-        answer = self._device.receive(data)
+        answer = self._device.receive(command)
         if answer:
             self._answers += 1
             answer = self._spoilt(answer)
-        return data + answer if faults.echo else answer
+        return command + answer if faults.echo else answer
 
     def _spoilt(self, answer: bytes) -> bytes:
         faults = self._faults
@@ -106,7 +112,7 @@ class FaultyWire:
         if self._answers in faults.garble_answer_at:
             middle = len(answer) // 2
             answer = answer[:middle] + bytes([answer[middle] ^ 0x15]) + answer[middle + 1 :]
-        return _at_another_baud(answer) if faults.wrong_baud else answer
+        return answer
 
 
 def _at_another_baud(data: bytes) -> bytes:

@@ -51,6 +51,7 @@ class _Channel:
     load_ohm: int | None = None
     polarity: str = "NOR"
     mode: str | None = None
+    is_combined: bool = False
     is_on: bool = False
 
     @property
@@ -77,9 +78,9 @@ class _State:
 class SiglentDevice:
     """The far end of a wire: an SDG2042X that clamps what it cannot do, without a word.
 
-    It knows sines, squares and pulses on both channels, loads, the 10 MHz reference, and that a
-    modulation, sweep or burst is on or off. A command that it does not know is ignored, and a
-    question that it does not know is not answered. There is no error queue.
+    It knows sines, squares and pulses on both channels, loads, the 10 MHz reference, and that the
+    sum of both channels, or a modulation, sweep or burst, is on or off. A command that it does not
+    know is ignored, and a question that it does not know is not answered. There is no error queue.
 
     Parameters
     ----------
@@ -128,6 +129,10 @@ class SiglentDevice:
         answers = (self._obey(line.decode("ascii", "replace").strip()) for line in lines)
         return b"".join(answer.encode("ascii") + b"\n" for answer in answers if answer is not None)
 
+    def clamp_at(self, most_vpp: float) -> None:
+        """Clamp at so many volts peak to peak from now on, as another firmware might."""
+        self._peak_v = most_vpp / 2
+
     def trip(self) -> None:
         """Take the output off as the protection against an overload does: without a word."""
         self._state.channels["C1"].is_on = False
@@ -174,6 +179,8 @@ class SiglentDevice:
             return f"{head} {switch},LOAD,{load},PLRT,{channel.polarity}"
         if command == "BSWV":
             return f"{head} {','.join(_wave_fields(channel))}"
+        if command == "CMBN":
+            return f"{head} {'ON' if channel.is_combined else 'OFF'}"
         if command in _MODES:
             return f"{head} STATE,{'ON' if channel.mode == command else 'OFF'}"
         return None
@@ -198,6 +205,8 @@ class SiglentDevice:
         elif command == "BSWV":
             for key, value in _pairs(words):
                 self._set_wave(channel, key, value)
+        elif command == "CMBN" and words[0] in ("ON", "OFF"):
+            channel.is_combined = words[0] == "ON"
         elif command in _MODES:
             for key, value in _pairs(words):
                 if key == "STATE":
@@ -259,8 +268,10 @@ class SiglentDevice:
             channel.amplitude_vpp, channel.offset_v = high_v - low_v, (high_v + low_v) / 2
 
     def _socket_of(self, name: str) -> tuple[Fraction, float, bool]:
-        channel = self._state.channels[name]
-        return channel.frequency_hz, channel.amplitude_vpp / 2 / channel.divider, channel.is_on
+        channel, channels = self._state.channels[name], self._state.channels.values()
+        played = channels if channel.is_combined else (channel,)
+        volts = sum(each.amplitude_vpp / 2 / each.divider for each in played)
+        return channel.frequency_hz, volts, channel.is_on
 
     def _announce(self) -> None:
         if self._on_change is not None and self.socket != self._last_change:

@@ -1,0 +1,359 @@
+"""Lines of text over sockets, serial lines, VXI-11 and USBTMC: the same for those who use them."""
+
+import errno
+import gc
+import subprocess
+import sys
+import time
+import warnings
+from contextlib import contextmanager
+
+import pytest
+import usb.core
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyvisa_py.tcpip import Vxi11CoreClient
+from usb.backend import libusb0, libusb1, openusb
+
+from drivers.errors import BenchSetupError, InstrumentError
+from drivers.simulated.wire import serving
+from drivers.simulated.wire.serving import FaultyWire, PtyServer, SocketServer, WireFaults
+from drivers.visa import open_visa
+from tests.drivers.usbtmc_bus import UsbtmcInstrument, plugged_in
+from tests.drivers.vxi11_server import Vxi11Server
+
+DEVICE = "generator (a talker)"
+IDENTITY = "A maker,a talker,s/n 1,1.0"
+TIMEOUT_S = 0.08
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _servers_hang_up_at_once():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(serving, "_POLL_S", 0.005)
+        yield
+
+
+class Talker:
+    """Knows what it is, remembers what it is told, and says what it is asked to say."""
+
+    def __init__(self, identity=IDENTITY, end="\r\n"):
+        self.identity, self.end = identity, end
+        self.told = []
+        self.rest = b""
+
+    def receive(self, data):
+        *lines, self.rest = (self.rest + data).split(b"\n")
+        return b"".join(map(self.answer, lines))
+
+    def answer(self, line):
+        if line == b"*IDN?":
+            return f"{self.identity}{self.end}".encode("latin-1")
+        if line.startswith(b"SAY? "):
+            return line.removeprefix(b"SAY? ") + self.end.encode()
+        self.told.append(line)
+        return b""
+
+
+@contextmanager
+def on_socket(device, faults):
+    server = SocketServer(device, faults)
+    yield f"TCPIP::127.0.0.1::{server.port}::SOCKET"
+    server.close()
+
+
+@contextmanager
+def on_serial(device, faults):
+    server = PtyServer(device, faults)
+    yield f"ASRL{server.port}::INSTR"
+    server.close()
+
+
+@contextmanager
+def on_vxi11(device, faults):
+    server = Vxi11Server(FaultyWire(device, faults))
+    yield f"TCPIP::127.0.0.1,{server.port}::inst0::INSTR"
+    server.close()
+
+
+@contextmanager
+def on_usb(device, faults):
+    instrument = UsbtmcInstrument(FaultyWire(device, faults), 0xF4EC, 0x1102, "SDG2XTALKER")
+    with plugged_in(instrument):
+        yield instrument.resource
+
+
+KINDS = {"socket": on_socket, "serial": on_serial, "vxi11": on_vxi11, "usb": on_usb}
+STREAMS = ("socket", "serial")
+
+
+@pytest.fixture(params=list(KINDS))
+def kind(request):
+    return request.param
+
+
+@contextmanager
+def talking(kind, faults=None, device=None, timeout_s=TIMEOUT_S):
+    """An open line to a device."""
+    with KINDS[kind](device or Talker(), faults or WireFaults()) as resource:
+        line = open_visa(resource, timeout_s, DEVICE)
+        try:
+            yield line
+        finally:
+            line.close()
+
+
+# --- What it does ------------------------------------------------------------------------------
+
+
+def test_questions_are_answered_and_commands_arrive(kind):
+    device = Talker()
+    with talking(kind, device=device, timeout_s=2.0) as line:
+        assert line.identity == IDENTITY
+        assert line.ask("SAY? 80002036.1") == "80002036.1"
+        line.send("FREQ 80002036.125")
+        line.send("ENBR 1")
+        assert line.ask("SAY? two") == "two"
+        line.drain()
+        assert line.ask("SAY? three") == "three"
+    assert device.told == [b"FREQ 80002036.125", b"ENBR 1"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "end"),
+    [*((kind, "\n") for kind in KINDS), ("vxi11", ""), ("usb", "")],
+)
+def test_the_end_of_an_answer_is_no_part_of_it(kind, end):
+    with talking(kind, device=Talker(end=end), timeout_s=2.0) as line:
+        assert line.ask("SAY? C1:BSWV WVTP,SINE") == "C1:BSWV WVTP,SINE"
+
+
+def test_a_question_does_not_wait_for_the_command_before_it():
+    with talking("socket", timeout_s=2.0) as line:
+        line.send("SET 0")
+        times_s = []
+        for number in range(10):
+            started_s = time.monotonic()
+            line.send(f"SET {number}")
+            line.ask("SAY? done")
+            times_s.append(time.monotonic() - started_s)
+    # Waiting for an acknowledgement takes 40 ms.
+    assert min(times_s[1:]) < 0.02
+
+
+def test_a_line_may_be_opened_again_after_it_was_closed(kind):
+    with KINDS[kind](Talker(), WireFaults()) as resource:
+        for _ in range(2):
+            line = open_visa(resource, 2.0, DEVICE, baud=9600)
+            assert line.ask("SAY? hello") == "hello"
+            line.close()
+            line.close()
+
+
+# --- Faults ------------------------------------------------------------------------------------
+
+
+def test_a_late_answer_is_never_taken_for_that_of_a_later_question(kind):
+    faults = WireFaults(late_answer_at=(4,), late_s=1.4 * TIMEOUT_S)
+    with talking(kind, faults) as line:
+        assert [line.ask(f"SAY? {number}") for number in range(4)] == ["0", "1", "2", "3"]
+
+
+@pytest.mark.parametrize("at", [2, 4])
+def test_a_lost_answer_is_asked_for_again(kind, at):
+    with talking(kind, WireFaults(lose_answer_at=(at,))) as line:
+        assert [line.ask(f"SAY? {number}") for number in range(4)] == ["0", "1", "2", "3"]
+
+
+def test_a_garbled_identity_is_not_believed(kind):
+    for at in (1, 2):
+        with talking(kind, WireFaults(garble_answer_at=(at,))) as line:
+            assert line.identity == IDENTITY
+            assert line.ask("SAY? 1") == "1"
+
+
+def test_bytes_beyond_ascii_are_no_answer():
+    class Noisy(Talker):
+        is_noisy = True
+
+        def answer(self, line):
+            if line[:3] == b"SAY" and self.is_noisy:
+                self.is_noisy = False
+                return b"\xb5\xff\n"
+            return super().answer(line)
+
+    with talking("socket", device=Noisy()) as line:
+        assert line.ask("SAY? 1") == "1"
+
+
+def test_what_was_said_unasked_is_thrown_away():
+    class Greeting(Talker):
+        def receive(self, data):
+            greeting, self.greeting = self.greeting, b""
+            return greeting + super().receive(data)
+
+        greeting = b"Welcome\r\n"
+
+    with talking("socket", device=Greeting()) as line:
+        assert line.identity == IDENTITY
+        assert line.ask("SAY? 1") == "1"
+
+
+def test_two_lost_answers_are_an_error_and_the_line_recovers(kind):
+    faults = WireFaults(lose_answer_at=(3, 5))
+    with talking(kind, faults) as line:
+        with pytest.raises(
+            InstrumentError, match=r"did not answer 'SAY\? 0' within 0\.08 s; check"
+        ):
+            line.ask("SAY? 0")
+        assert line.ask("SAY? 1") == "1"
+
+
+@given(
+    lost=st.lists(st.integers(3, 20), max_size=3).map(tuple),
+    late=st.lists(st.integers(3, 20), max_size=3).map(tuple),
+    timeouts=st.sampled_from([0.5, 1.3, 2.4]),
+)
+@settings(max_examples=8, deadline=None)
+def test_no_answer_is_ever_that_of_another_question(lost, late, timeouts):
+    short_s = 0.05
+    faults = WireFaults(lose_answer_at=lost, late_answer_at=late, late_s=timeouts * short_s)
+    with talking("socket", faults, timeout_s=short_s) as line:
+        for number in range(6):
+            try:
+                answer = line.ask(f"SAY? {number}")
+            except InstrumentError:
+                continue
+            assert answer == str(number)
+
+
+def test_a_pulled_plug_is_an_error_that_says_what_to_check(kind, monkeypatch):
+    # Over VXI-11, pyvisa-py waits 5 s for an instrument that is gone to say goodbye.
+    monkeypatch.setattr(Vxi11CoreClient, "destroy_link", lambda client, link: None)
+    with talking(kind, WireFaults(unplug_at=4)) as line:
+        assert line.ask("SAY? 0") == "0"
+        with pytest.raises(InstrumentError) as caught:
+            line.ask("SAY? 1")
+        message = str(caught.value)
+        assert message.startswith(f"{DEVICE} at ")
+        assert "; check that it is on" in message
+        assert "\n" not in message
+        line.close()
+        line.close()
+
+
+def test_a_command_to_an_instrument_that_left_the_bus_is_an_error():
+    instrument = UsbtmcInstrument(Talker(), 0xF4EC, 0x1102, "SDG2XTALKER")
+    with plugged_in(instrument):
+        line = open_visa(instrument.resource, TIMEOUT_S, DEVICE)
+        instrument.present = False
+        with pytest.raises(InstrumentError, match=r"'ENBR 1' failed \(.*No such device.*USB cable"):
+            line.send("ENBR 1")
+        line.close()
+
+
+@pytest.mark.parametrize("kind", STREAMS)
+def test_an_echo_is_refused(kind):
+    with (
+        pytest.raises(InstrumentError, match="said just that; turn off its echo"),
+        talking(kind, WireFaults(echo=True)),
+    ):
+        pass
+
+
+def test_a_wrong_baud_rate_is_named():
+    with (
+        pytest.raises(InstrumentError, match=r"did not answer .* and the baud rate"),
+        talking("serial", WireFaults(wrong_baud=True)),
+    ):
+        pass
+
+
+def test_who_never_says_the_same_of_itself_is_refused():
+    class Forgetful(Talker):
+        count = 0
+
+        def answer(self, line):
+            self.count += 1
+            return f"thing {self.count}\n".encode()
+
+    with (
+        pytest.raises(
+            InstrumentError, match=r"answered 'thing 1' and 'thing 2' and 'thing 3'; check"
+        ),
+        talking("socket", device=Forgetful()),
+    ):
+        pass
+
+
+# --- Names and libraries -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("resource", "said"),
+    [
+        ("ASRL/dev/nowhere::INSTR", "the name of the port"),
+        ("TCPIP::no.host.invalid::5025::SOCKET", "network cable"),
+    ],
+)
+def test_an_instrument_that_is_not_there_is_named_with_what_to_check(resource, said):
+    # pyvisa-py leaves the socket of a host without a name to the garbage collector.
+    with warnings.catch_warnings(action="ignore", category=ResourceWarning):
+        with pytest.raises(InstrumentError, match=said) as caught:
+            open_visa(resource, TIMEOUT_S, DEVICE)
+        assert str(caught.value).startswith(f"{DEVICE} at {resource}: ")
+        assert not isinstance(caught.value, BenchSetupError)
+        del caught
+        gc.collect()
+
+
+def test_a_port_where_nobody_listens_is_named():
+    with on_socket(Talker(), None) as resource:
+        pass
+    with pytest.raises(InstrumentError, match="network cable"):
+        open_visa(resource, TIMEOUT_S, DEVICE)
+
+
+def test_an_empty_bus_is_named():
+    with (
+        plugged_in(),
+        pytest.raises(InstrumentError, match="check that it is on, the USB cable"),
+    ):
+        open_visa("USB0::0xF4EC::0x1102::SDG2XTALKER::0::INSTR", TIMEOUT_S, DEVICE)
+
+
+def test_a_name_that_is_none_shows_how_names_look():
+    with pytest.raises(BenchSetupError, match=r"'192\.168\.0\.7' is no VISA resource; write TCPIP"):
+        open_visa("192.168.0.7", TIMEOUT_S, DEVICE)
+
+
+def test_missing_libusb_is_named_with_the_package(monkeypatch):
+    for backend in (libusb0, libusb1, openusb):
+        monkeypatch.setattr(backend, "get_backend", lambda: None)
+    with pytest.raises(BenchSetupError, match=r"install libusb-1\.0"):
+        open_visa("USB0::0xF4EC::0x1102::SDG2XTALKER::0::INSTR", TIMEOUT_S, DEVICE)
+
+
+def test_a_bus_that_may_not_be_used_is_no_missing_library(monkeypatch):
+    def refuse(*_, **__):
+        raise usb.core.USBError("Access denied", -3, errno.EACCES)
+
+    instrument = UsbtmcInstrument(Talker(), 0xF4EC, 0x1102, "SDG2XTALKER")
+    with plugged_in(instrument) as bus:
+        monkeypatch.setattr(bus, "ctrl_transfer", refuse)
+        with pytest.raises(InstrumentError, match="udev rule"):
+            open_visa(instrument.resource, TIMEOUT_S, DEVICE)
+
+
+def test_missing_pyvisa_is_named_with_the_packages(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyvisa", None)
+    with pytest.raises(BenchSetupError, match="pip install pyvisa pyvisa-py"):
+        open_visa("TCPIP::192.0.2.1::INSTR", TIMEOUT_S, DEVICE)
+
+
+def test_importing_the_drivers_loads_no_library_of_instruments():
+    code = (
+        "import sys, drivers.visa, drivers.serial_line, drivers.novatech, drivers.srs;"
+        "sys.exit(any(name in sys.modules for name in ('pyvisa', 'serial', 'usb')))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

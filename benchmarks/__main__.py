@@ -11,6 +11,8 @@ MODULES = (
     "benchmarks.populations",
     "benchmarks.sweep",
     "benchmarks.kills",
+    "benchmarks.faults",
+    "benchmarks.pace",
     "benchmarks.recovery",
 )
 

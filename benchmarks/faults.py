@@ -292,6 +292,7 @@ def struck(fault: Fault, folder: Path) -> Outcome:
 
 
 def outcome_of(fault: Fault, path: Path, what: Ended) -> Outcome:
+    """Set what a run file says beside the truth."""
     ended, unconfirmed, truth = what
     steps: tuple[StepRecord, ...] = ()
     retakes: tuple[StepRecord, ...] = ()

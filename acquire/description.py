@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, ClassVar, Final, Self
+from typing import Any, ClassVar, Final, Self, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, PrivateAttr, ValidationError
@@ -170,8 +170,10 @@ def _known_keys(model: type[BaseModel], path: KeyPath) -> list[str]:
     if not path:
         return list(fields)
     section = fields[str(path[0])].annotation
-    if isinstance(section, type) and issubclass(section, BaseModel):
-        return _known_keys(section, path[1:])
+    # An optional section is a union of its model and None.
+    for candidate in (section, *get_args(section)):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return _known_keys(candidate, path[1:])
     return []
 
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from pyvisa.resources import MessageBasedResource
 
 _IDENTIFY: Final = "*IDN?"
-_SILENCE_S: Final = 0.05
-_SILENCES: Final = 100
 _LIBRARY: Final = "install pyvisa and pyvisa-py (pip install pyvisa pyvisa-py)"
 _REMEDIES: Final = {
     "TCPIP": "check that it is on, the network cable, its address, and that nobody else uses it",
@@ -62,8 +60,7 @@ class VisaLine:
         self._device, self._resource, self._timeout_s = device, resource, timeout_s
         self._in_step = False
         # A network socket and a serial line do not say where a message ends; USBTMC and VXI-11 do.
-        self._is_stream = resource.upper().startswith("ASRL") or resource.upper().endswith("SOCKET")
-        if self._is_stream:
+        if resource.upper().startswith("ASRL") or resource.upper().endswith("SOCKET"):
             instrument.read_termination = "\n"
         self.identity = ""
         self.identity = self._identify()
@@ -126,7 +123,6 @@ class VisaLine:
             If the instrument does not say what it is, or the connection is lost.
         """
         self._in_step = False
-        self._discard()
         self.send(_IDENTIFY)
         deadline_s = time.monotonic() + self._timeout_s
         while time.monotonic() < deadline_s:
@@ -143,17 +139,14 @@ class VisaLine:
 
     def _identify(self) -> str:
         """Return what the instrument says of itself, when it has said so twice."""
-        self._discard()
         heard: list[str] = []
-        for question in range(1, 4):
+        for question in range(1, 5):
             answer = self._answer(_IDENTIFY)
-            if answer is None:
-                self._discard()
-            elif answer in heard:
-                # With an answer for each question, none is on its way.
+            if answer in heard:
+                # With an answer to each question, none is on its way.
                 self._in_step = question == 2
                 return answer
-            else:
+            if answer is not None:
                 heard.append(answer)
         if not heard:
             self._raise_silent(_IDENTIFY)
@@ -190,22 +183,6 @@ class VisaLine:
             self._in_step = False
             return None
         return answer
-
-    def _discard(self) -> None:
-        """Read what has come already; a talker that does not stop is heard out for a while."""
-        if not self._is_stream:
-            return
-        from pyvisa.errors import VisaIOError
-
-        try:
-            self._instrument.timeout = 1000 * _SILENCE_S
-            # What came without an end goes with the timeout that it ends in.
-            with suppress(VisaIOError):
-                for _ in range(_SILENCES):
-                    self._instrument.read_raw()
-            self._instrument.timeout = 1000 * self._timeout_s
-        except Exception as error:  # noqa: BLE001  # pyvisa-py raises even bare Exception
-            self._raise(_IDENTIFY, error)
 
     def _raise_silent(self, text: str) -> NoReturn:
         raise InstrumentError(

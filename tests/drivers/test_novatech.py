@@ -19,6 +19,7 @@ from drivers.context import BenchContext
 from drivers.errors import BenchSetupError, InstrumentError, LimitError
 from drivers.novatech import Novatech409B
 from drivers.roles import Preparation, SynthesizerPair
+from drivers.serial_line import SerialLine
 from drivers.simulated.wire import serving
 from drivers.simulated.wire.novatech import NovatechDevice
 from drivers.simulated.wire.serving import PtyServer, SocketServer, WireFaults
@@ -260,7 +261,9 @@ def test_rf_goes_on_and_off_with_both_amplitudes_at_once(pair):
     driver.rf_off()
     assert box.amplitudes == (0, 0)
     assert box.pair_hz == (CENTRE_HZ, CENTRE_HZ), "off is no frequency of 0"
-    assert len(box.changes) == 2
+    driver.rf_on()
+    assert box.amplitudes == (511 / 1023, 511 / 1023)
+    assert len(box.changes) == 3
 
 
 def test_only_what_changes_is_sent(pair):
@@ -325,10 +328,14 @@ def test_what_somebody_else_set_is_read_and_then_put_right(pair):
 def test_a_box_that_lost_power_is_noticed_and_set_up_anew(pair):
     driver, box = pair
     driver.set_pair(*PAIR_HZ)
+    driver.rf_on()
+    driver.rf_off()
     box.device.receive(b"R\r\n")
     assert driver.read_pair() != PAIR_HZ
+    box.changes.clear()
     driver.set_pair(*OTHER_HZ)
     assert (box.pair_hz, box.amplitudes) == (OTHER_HZ, (0, 0))
+    assert len(box.changes) == 1, "it updates when told to again, not at once"
     box.device.receive(b"R\r\n")
     driver.rf_off()
     assert box.amplitudes == (0, 0), "though its echo is on again"
@@ -389,6 +396,14 @@ def test_registers_and_outputs_differ_until_the_update():
         device.receive(b"I p\r\nI p\r\n")
         assert len(changes) == 1
         assert device.receive(b"QUE\r\n").startswith(b"2FAF5789")
+
+
+def test_in_table_mode_the_first_two_channels_play_the_table():
+    device = NovatechDevice(lambda outputs: None)
+    device.receive(b"E d\r\nM t\r\nF0 80\r\nF1 80\r\nF2 80\r\n")
+    assert [output.frequency_hz == CENTRE_HZ for output in device.outputs[:3]] == [0, 0, 1]
+    device.receive(b"M 0\r\n")
+    assert device.outputs[0].frequency_hz == CENTRE_HZ
 
 
 @given(st.lists(st.binary(max_size=12) | st.sampled_from([b"\r\n", b"\n", b"F0 80\r\n"])))
@@ -555,9 +570,10 @@ class VirtualLine:
             answer = answer[:1] + "#" + answer[2:]
         if fault == "wrong digit" and len(answer) > 100:
             answer = answer[:7] + ("5" if answer[7] == "4" else "4") + answer[8:]
-        takes_s = fault if isinstance(fault, float) else 0.001
-        self.busy_s = max(self.busy_s, self.now_s) + takes_s
-        self.arrivals += [(self.busy_s, line) for line in answer.splitlines()]
+        self.busy_s = max(self.busy_s, self.now_s) + (fault if isinstance(fault, float) else 0)
+        for line in answer.splitlines():
+            self.busy_s += 0.002
+            self.arrivals.append((self.busy_s, line))
 
     def read(self, text):
         if self.arrivals and self.arrivals[0][0] <= self.now_s + self.TIMEOUT_S:
@@ -593,7 +609,9 @@ FAULTS = ["answer lost", "command lost", "garbled", 0.9, 1.1, 1.9, 2.1, 3.3, 7.0
 # A status that came late was once taken for a later one, which was equal to what was to be.
 @example(faults={13: 1.1, 14: 7.0, 22: "command lost"}, shows_registers=False)
 def test_any_faults_never_leave_a_wrong_belief(faults, shows_registers):
-    session_with(faults, shows_registers)
+    box, _ = session_with(faults, shows_registers)
+    marks = [line for line in box.heard if line.startswith(b"#")]
+    assert len(set(marks)) == len(marks)
 
 
 @pytest.mark.parametrize("shows_registers", [True, False], ids=["registers", "outputs"])
@@ -602,6 +620,38 @@ def test_nothing_is_given_up_for_one_spoilt_answer(fault, shows_registers):
     for at in range(1, sum(EXCHANGES) + 1):
         box, failures = session_with({at: fault}, shows_registers)
         assert (at, failures, box.pair_hz, box.amplitudes) == (at, 0, OTHER_HZ, (0, 0))
+
+
+def test_a_status_that_lacks_a_line_is_none():
+    # The lines of channels 1 to 3 must not be taken for those of 0 to 2.
+    first = sum(EXCHANGES[:3]) + 1
+    # Between the two, the box echoes a mark.
+    second = first + 4
+    driver = opened_on(VirtualLine(Box(), {first: "garbled", second: "garbled"}))
+    driver.rf_on()
+    driver.set_pair(*PAIR_HZ)
+    with pytest.raises(InstrumentError, match="gave no status of five lines"):
+        driver.read_pair()
+    assert driver.read_pair() == PAIR_HZ
+
+
+def test_the_echo_is_off_again_when_answers_are_in_step():
+    lost, echo_off = 8, 11
+    box = Box()
+    opened_on(VirtualLine(box, {lost: "answer lost", echo_off: "command lost"}))
+    assert box.heard[7:11] == [b"F0 80.0000000\r\n", b"E e\r\n", b"#1\r\n", b"E e\r\n"]
+    assert box.device.receive(b"\r\n") == b"OK\r\n"
+
+
+def test_a_status_may_be_followed_by_an_ok():
+    class Polite(Box):
+        def receive(self, data):
+            return super().receive(data) + (b"OK\r\n" if data == b"QUE\r\n" else b"")
+
+    box = Polite()
+    with served(box) as port:
+        assert session(box, lambda: opened(port)) == 0
+    assert not [line for line in box.heard if line.startswith(b"#")]
 
 
 def test_a_lost_update_is_not_believed_though_the_registers_are_right():
@@ -674,6 +724,18 @@ def test_a_port_that_is_not_there_or_in_use_is_named(plugged):
     driver.close()
 
 
+def test_half_a_line_is_no_answer():
+    class Half:
+        def receive(self, data):
+            return b"OK"
+
+    with served(Half()) as port:
+        line = SerialLine(port, 19200, SHORT["timeout_s"], "a box")
+        line.write("I p")
+        assert line.read("I p") is None
+        line.close()
+
+
 def test_closing_frees_the_port_and_may_be_done_twice(plugged):
     driver = opened(plugged[1])
     driver.close()
@@ -688,10 +750,10 @@ def test_a_failed_opening_frees_the_port():
             return b""
 
     with served(Silent()) as port:
-        with pytest.raises(InstrumentError, match="echo a mark"):
+        with pytest.raises(InstrumentError, match="echo a mark") as caught:
             opened(port, SHORT)
         with serial.Serial(port, exclusive=True):
-            pass
+            del caught
 
 
 def test_closing_after_the_cable_was_pulled_raises_nothing():

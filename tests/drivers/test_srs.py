@@ -274,6 +274,19 @@ def test_a_failure_between_the_two_takes_rf_off():
         driver.close()
 
 
+def test_rf_that_was_taken_off_stays_off_after_a_failure():
+    boxes = (Box(), Coarse())
+    with served(boxes) as resources:
+        driver = opened(resources)
+        driver.rf_on()
+        driver.rf_off()
+        with pytest.raises(InstrumentError):
+            driver.set_pair(*OTHER_HZ)
+        driver.set_pair(*PAIR_HZ)
+        assert (playing(boxes), lit(boxes)) == (PAIR_HZ, (False, False))
+        driver.close()
+
+
 def test_rf_that_cannot_be_taken_off_is_said():
     boxes = (Box(), Box())
     with served(boxes, (WireFaults(unplug_at=9), None)) as resources:

@@ -81,11 +81,14 @@ def test_another_instrument_is_told_nothing(stands, maker):
 
 @MAKERS
 def test_a_missing_reference_is_said_and_nothing_stays_open(stands, maker):
-    stand = stands(maker, has_reference=False)
-    with pytest.raises(InstrumentError, match=r"check the 10 MHz|ROSC:SOUR EXT.*Settings conflict"):
+    stand = stands(maker, "socket", has_reference=False)
+    said = r"check the 10 MHz|ROSC:SOUR EXT.*Settings conflict"
+    with pytest.raises(InstrumentError, match=said) as caught:
         stand.open()
     assert not stand.device.socket[2]
+    # The server takes one caller at a time.
     stand.open({"reference": "internal"}).set_sine(DRIVE_HZ, 1.0)
+    assert "\n" not in str(caught.value)
 
 
 @MAKERS
@@ -222,6 +225,17 @@ def test_a_ramp_on_an_output_that_is_off(stands, maker):
     with pytest.raises(InstrumentError, match=r"output is off.*call set_sine first"):
         generator.ramp_to(1.0, 0.1)
     assert stand.changes == []
+
+
+@MAKERS
+def test_an_output_that_somebody_switched_on_can_be_ramped_and_is_closed(stands, maker):
+    stand = stands(maker)
+    generator = stand.open()
+    stand.device.turn_knob(SWITCH_ON[maker])
+    generator.ramp_to(1.0, 0.1)
+    assert generator.read() == (1000, 1.0, True)
+    generator.close()
+    assert not stand.device.socket[2]
 
 
 @MAKERS

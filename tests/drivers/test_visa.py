@@ -172,6 +172,13 @@ def test_a_garbled_identity_is_not_believed(kind):
             assert line.ask("SAY? 1") == "1"
 
 
+def test_a_late_and_garbled_identity_is_not_taken_for_another_answer():
+    faults = WireFaults(late_answer_at=(1,), late_s=1.4 * TIMEOUT_S, garble_answer_at=(3,))
+    with talking("socket", faults) as line:
+        assert line.identity == IDENTITY
+        assert line.ask("SAY? 1") == "1"
+
+
 def test_bytes_beyond_ascii_are_no_answer():
     class Noisy(Talker):
         is_noisy = True
@@ -277,13 +284,14 @@ def test_who_never_says_the_same_of_itself_is_refused():
             self.count += 1
             return f"thing {self.count}\n".encode()
 
-    with (
-        pytest.raises(
-            InstrumentError, match=r"answered 'thing 1' and 'thing 2' and 'thing 3'; check"
-        ),
-        talking("socket", device=Forgetful()),
-    ):
-        pass
+    device = Forgetful()
+    with on_socket(device, WireFaults()) as resource:
+        with pytest.raises(InstrumentError, match=r"answered 'thing 1' .* 'thing 4'; ch") as caught:
+            open_visa(resource, 2.0, DEVICE)
+        # One caller at a time is served here, so the first has to have hung up.
+        device.answer = Talker().answer
+        open_visa(resource, 2.0, DEVICE).close()
+        del caught
 
 
 # --- Names and libraries -----------------------------------------------------------------------

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from drivers.options import Options
 
-_POLL_S: Final = 0.05
+_POLL_S: Final = 0.005
 _MOST_BYTES: Final = 4096
 
 _Numbers = Annotated[tuple[int, ...], Field(strict=False)]

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Any, Final, Literal, Protocol
 
@@ -175,7 +176,6 @@ class GenicamCamera:
         self._sequence = FrameSequence()
         self._absent_s = self._trigger_due_s = self._host.now_s()
         self._triggered = False
-        self._stale = self._broken = 0
 
     @property
     def identity(self) -> str:
@@ -226,15 +226,13 @@ class GenicamCamera:
         self.stop()
         self._sequence = FrameSequence(self.link.first_number)
         self._triggered = False
-        self._stale = self._broken = 0
-        rate_hz = self._settings.frame_rate_hz
-        self.link.open_stream(math.ceil(self._options.buffer_s * rate_hz) + _SPARE_BUFFERS)
-        self._running = True
+        self.link.open_stream(self._buffers(self._settings))
         self._absent_s = self._trigger_due_s = self._host.now_s()
         self._clock.started()
         self.link.start()
+        self._running = True
         if self._pulses is not None:
-            self._pulses.play(rate_hz)
+            self._pulses.play(self._settings.frame_rate_hz)
 
     def stop(self) -> None:
         """Take no more frames."""
@@ -257,33 +255,20 @@ class GenicamCamera:
             than the camera's clock.
         """
         settings = self._require_running()
-        period_s = 1 / float(settings.frame_rate_hz)
-        patience_s = self._options.timeout_s + period_s + float(settings.exposure_s)
-        until_fresh_s = max(not_before_s - self.now_s(), 0.0)
+        ahead_s = max(not_before_s - self.now_s(), 0.0)
         if settings.trigger == "software":
-            self._host.wait(until_fresh_s)
-            until_fresh_s = 0.0
-        overdue_s = self._host.now_s() + until_fresh_s + patience_s
-        complete_s = math.inf
-        self._stale = self._broken = 0
+            self._host.wait(ahead_s)
+            ahead_s = 0.0
+        wait = self._new_wait(ahead_s)
         while True:
-            host_s = self._host.now_s()
-            frames = self._sequence.take(count, not_before_s, incomplete=host_s > complete_s)
+            frames = self._sequence.take(count, not_before_s, incomplete=wait.gap_stays)
             if frames:
                 self._require_past(frames)
                 return frames
-            if host_s > overdue_s:
-                raise self._nothing_came(patience_s, not_before_s)
             began_s = self._take_in(_POLL_S)
-            if began_s is None:
-                continue
-            if began_s < not_before_s:
-                self._stale += 1
-                continue
-            overdue_s = self._host.now_s() + patience_s
-            if self._sequence.waiting >= count:
-                # One that is missing in between may still come, but not for long.
-                complete_s = min(complete_s, self._host.now_s() + period_s)
+            wait.note(began_s, not_before_s, enough=self._sequence.waiting >= count)
+            if wait.over:
+                raise self._nothing_came(wait, not_before_s)
 
     def now_s(self) -> float:
         """Return the present time on the clock of the frames; see `Camera.now_s`.
@@ -293,12 +278,13 @@ class GenicamCamera:
         InstrumentError
             Also if the camera does not tell its time and no frame comes that would.
         """
-        overdue_s = self._host.now_s() + self._options.timeout_s
-        while not self._clock.known:
+        if not self._clock.known:
             self._require_running()
-            if self._host.now_s() > overdue_s:
-                raise self._nothing_came(self._options.timeout_s, -math.inf)
-            self._take_in(_POLL_S)
+            wait = self._new_wait(0.0)
+            while not self._clock.known:
+                wait.note(self._take_in(_POLL_S), -math.inf, enough=True)
+                if wait.over:
+                    raise self._nothing_came(wait, -math.inf)
         return self._clock.now_s()
 
     def close(self) -> None:
@@ -318,8 +304,20 @@ class GenicamCamera:
         # A camera that reads out longer than a period cannot keep its rate.
         return ArrivalClock(host_s, readout_s=period_s)
 
+    def _new_wait(self, ahead_s: float) -> "_Wait":
+        """Begin to wait for frames that begin `ahead_s` from now."""
+        settings = self._require_running()
+        period_s = 1 / float(settings.frame_rate_hz)
+        quiet_s = self._options.timeout_s + period_s + float(settings.exposure_s)
+        # Those that lie ready, those that come too early, and those of one timeout.
+        useless_most = self._buffers(settings) + math.ceil((ahead_s + quiet_s) / period_s)
+        return _Wait(self._host, quiet_s, period_s, useless_most)
+
+    def _buffers(self, settings: CameraSettings) -> int:
+        return math.ceil(self._options.buffer_s * settings.frame_rate_hz) + _SPARE_BUFFERS
+
     def _take_in(self, timeout_s: float) -> float | None:
-        """Wait for a frame of the link; return when it began, None if there is none whole."""
+        """Wait for a frame; return when it began, NaN if it is broken, None if there is none."""
         settings = self._require_running()
         if settings.trigger == "software":
             self._trigger_when_due(1 / float(settings.frame_rate_hz))
@@ -333,8 +331,7 @@ class GenicamCamera:
             return None
         self._triggered = False
         if delivery.image is None:
-            self._broken += 1
-            return None
+            return math.nan
         if self.link.stamps_frames and delivery.stamp_s <= 0:
             raise InstrumentError(
                 f"camera ({self.link.camera}): sent a frame without a time stamp, so that nobody "
@@ -388,17 +385,17 @@ class GenicamCamera:
                 "clock says; switch its synchronisation (PTP) off, or restart it"
             )
 
-    def _nothing_came(self, waited_s: float, not_before_s: float) -> InstrumentError:
+    def _nothing_came(self, wait: "_Wait", not_before_s: float) -> InstrumentError:
         camera = self.link.camera
-        if self._broken:
+        if wait.broken:
             return InstrumentError(
-                f"camera ({camera}): {self._broken} frames arrived incomplete and too few whole "
-                f"within {waited_s:.3g} s; {self.link.loss_remedy}"
+                f"camera ({camera}): {wait.broken} frames arrived incomplete since the last whole "
+                f"one; {self.link.loss_remedy}"
             )
-        if self._stale:
+        if wait.stale:
             return InstrumentError(
-                f"camera ({camera}): {self._stale} frames arrived, but all began before "
-                f"{not_before_s:.6f} s on its clock, within {waited_s:.3g} s; check its clock"
+                f"camera ({camera}): {wait.stale} frames arrived, but all began before "
+                f"{not_before_s:.6f} s on its clock; check its clock"
             )
         trigger = self._options.trigger
         what = (
@@ -406,7 +403,67 @@ class GenicamCamera:
             if trigger in ("free", "software")
             else f"the trigger cable at {trigger} and the generator that drives it"
         )
-        return InstrumentError(f"camera ({camera}): no frame within {waited_s:.3g} s; check {what}")
+        return InstrumentError(
+            f"camera ({camera}): no frame within {wait.quiet_s:.3g} s; check {what}"
+        )
+
+
+@dataclass
+class _Wait:
+    """How long frames are waited for.
+
+    Time that has passed counts only when no frame lies ready, so that a computer that was busy
+    with something else gives up nothing that has come meanwhile.
+
+    Attributes
+    ----------
+    host : Clock
+    quiet_s : float
+        For how long no frame may come.
+    late_s : float
+        How long after a full count one that is missing in between may still come.
+    useless_most : int
+        How many stale and broken frames may come in a row.
+    stale, broken : int
+        How many have.
+    """
+
+    host: Clock
+    quiet_s: float
+    late_s: float
+    useless_most: int
+    stale: int = 0
+    broken: int = 0
+
+    def __post_init__(self) -> None:
+        self._last_s, self._full_s = self.host.now_s(), math.inf
+        self._none_ready = False
+
+    def note(self, began_s: float | None, not_before_s: float, *, enough: bool) -> None:
+        """Take note of what `GenicamCamera` took in, and whether that makes a full count."""
+        self._none_ready = began_s is None
+        if began_s is None:
+            return
+        self._last_s = self.host.now_s()
+        if math.isnan(began_s):
+            self.broken += 1
+        elif began_s < not_before_s:
+            self.stale += 1
+        else:
+            self.stale = self.broken = 0
+            if enough:
+                self._full_s = min(self._full_s, self._last_s)
+
+    @property
+    def gap_stays(self) -> bool:
+        """Whether a frame that is missing between others will not come any more."""
+        return self._none_ready and self.host.now_s() > self._full_s + self.late_s
+
+    @property
+    def over(self) -> bool:
+        """Whether there is no point in waiting longer."""
+        quiet = self._none_ready and self.host.now_s() > self._last_s + self.quiet_s
+        return quiet or self.stale + self.broken > self.useless_most
 
 
 def pulses_for(options: CameraOptions, context: BenchContext) -> CameraTrigger | None:

@@ -25,6 +25,8 @@ class VirtualClock:
 
     def __init__(self) -> None:
         self._now_s = 0.0
+        # Devices at the far end of a wire wait on threads of their own.
+        self._waiting = threading.Lock()
 
     def now_s(self) -> float:
         """Return the seconds waited for so far."""
@@ -33,7 +35,8 @@ class VirtualClock:
     def wait(self, seconds: float) -> None:
         """Let time pass."""
         if seconds > 0:
-            self._now_s += seconds
+            with self._waiting:
+                self._now_s += seconds
 
 
 class SimulatedLab:

@@ -307,24 +307,27 @@ class Novatech409B:
             If the box refuses the command, or cannot be brought in step.
         """
         self._get_in_step()
+        # Until the answer is here: who gives up in between (Ctrl-C) leaves it on its way.
+        self._in_step = False
         answer = self._ask(command)
+        self._in_step = answer == "OK" or answer in _REFUSALS
         if answer in _REFUSALS:
             raise InstrumentError(
                 f"{self._place}: refused {command!r} with {answer!r} ({_REFUSALS[answer]}); its "
                 "outputs are unknown, switch RF off, and check that it is a 409B with firmware "
                 "2.1 or later"
             )
-        self._in_step = answer == "OK"
         return self._in_step
 
     def _read_status(self) -> Registers:
         """Ask for the status, a second time if need be."""
         for _ in range(2):
             self._get_in_step()
+            self._in_step = False
             status = self._status()
+            self._in_step = status is not None
             if status is not None:
                 return status
-            self._in_step = False
         raise InstrumentError(
             f"{self._place}: was asked 'QUE' twice and gave no status of five lines; {_REMEDY}"
         )

@@ -156,8 +156,13 @@ class VisaLine:
         )
 
     def _answer(self, text: str) -> str | None:
+        # Until the answer is here: who gives up in between (Ctrl-C) leaves it on its way.
+        in_step, self._in_step = self._in_step, False
         self.send(text)
-        return self._read(text)
+        answer = self._read(text)
+        if answer is not None:
+            self._in_step = in_step
+        return answer
 
     def _read(self, text: str) -> str | None:
         """Return the next message, None if there is none in time or it is another's answer."""

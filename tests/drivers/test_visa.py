@@ -179,6 +179,18 @@ def test_a_late_and_garbled_identity_is_not_taken_for_another_answer():
         assert line.ask("SAY? 1") == "1"
 
 
+def test_who_is_interrupted_between_question_and_answer_leaves_the_line_out_of_step(monkeypatch):
+    with talking("socket") as line:
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            patch.setattr("pyvisa.resources.TCPIPSocket.read_raw", _interrupted)
+            line.ask("SAY? one")
+        assert line.ask("SAY? two") == "two"
+
+
+def _interrupted(_):
+    raise KeyboardInterrupt
+
+
 def test_bytes_beyond_ascii_are_no_answer():
     class Noisy(Talker):
         is_noisy = True

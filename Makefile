@@ -1,6 +1,8 @@
 # make run    sets everything up, then measures and fits a reed on the simulated bench
 # make test   sets everything up, then checks everything
 # make bench  prints every figure that the project claims
+# make test-all  installs emulators and peers too (some GB; Debian packages, so as root or with
+#             sudo), then tries instruments, wires and documents against what others wrote
 
 PYTHON ?= python3
 VENV := .venv
@@ -9,13 +11,21 @@ PROTOCOL ?= protocols/seriesA.yaml
 # One thread per numerical routine: the bench has its own two, and more only wait for each other.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: run test bench lint clean
+# Cameras through Aravis need the system's Python, for which Debian packages its binding.
+SYSTEM_PYTHON ?= /usr/bin/python3
+ALL := .venv-all
+
+.PHONY: run test test-all bench lint clean
 
 run: .stamps/run
 	$(BIN)/acquire run $(PROTOCOL)
 
 test: .stamps/test lint
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile
+
+test-all: .stamps/all
+	$(ALL)/bin/python -m pytest -q -n 2 --dist loadfile \
+	  tests/peers tests/drivers tests/bench/test_wire.py tests/bench/test_faults.py
 
 lint: .stamps/test
 	$(BIN)/ruff check .
@@ -44,5 +54,12 @@ bench: .stamps/bench
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[bench]"
 	@touch $@
 
+.stamps/all: pyproject.toml .ci/emulators
+	.ci/emulators
+	$(SYSTEM_PYTHON) -m venv --system-site-packages $(ALL)
+	$(ALL)/bin/python -m pip install --quiet --disable-pip-version-check \
+	  --editable ".[dev,basler,peers]"
+	@mkdir -p .stamps && touch $@
+
 clean:
-	rm -rf $(VENV) .stamps build dist *.egg-info
+	rm -rf $(VENV) $(ALL) .stamps build dist *.egg-info

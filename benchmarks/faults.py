@@ -17,11 +17,11 @@ import os
 import shutil
 import signal
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,6 +31,7 @@ from acquire import script
 from acquire.bench_file import BenchFile
 from acquire.plan import Plan
 from acquire.quality import Verdict
+from acquire.recorder import StepReport
 from acquire.runfile import Run, StepRecord
 from acquire.runner import RunSummary, run
 from drivers.registry import open_bench
@@ -63,8 +64,8 @@ class Fault:
         Changes of the protocol by key path.
     unconfirmed : bool
         Whether switching off cannot be confirmed, and has to say so.
-    strike : callable, optional
-        Done to the open bench before the run.
+    strike, amid : callable, optional
+        Done to the open bench before the run, and after its fourth step.
     """
 
     name: str
@@ -74,6 +75,7 @@ class Fault:
     protocol: Mapping[str, Any] = field(default_factory=dict)
     unconfirmed: bool = False
     strike: Callable[[Bench], None] | None = None
+    amid: Callable[[Bench], None] | None = None
 
 
 @dataclass(frozen=True)
@@ -119,9 +121,9 @@ def _clamp(bench: Bench) -> None:
 
 
 def _trip(bench: Bench) -> None:
-    """Let the generator's protection take its output off in the middle of the sweep."""
+    """Let the generator's protection take its output off."""
     generator: Any = bench.generator
-    threading.Timer(0.4, generator.device.trip).start()
+    generator.device.trip()
 
 
 RETRY = {"policy.instrument_error": {"retry": 2, "then": "stop"}}
@@ -130,6 +132,8 @@ SKIP = {"policy.instrument_error": {"retry": 0, "then": "skip"}}
 AMID, AMID_GENERATOR = 40, 100
 # Commands of the generator that set a frequency and volts, and are answered by no one.
 SETTING = 116
+_AMID_STEPS = 4
+_PATIENCE_S = 0.5
 # Linux' flags of unshare.
 _NEW_MOUNTS, _NEW_USER = 0x00020000, 0x10000000
 
@@ -199,7 +203,7 @@ FAULTS = (
         unconfirmed=True,
     ),
     Fault("generator: silent clamp", "stopped", "limit itself", strike=_clamp),
-    Fault("generator: output trips", "stopped", "its output is off", strike=_trip),
+    Fault("generator: output trips", "stopped", "its output is off", amid=_trip),
     Fault("frame dropped", "complete", "dropped", {"drop_frame_at": [4]}),
     Fault("frame duplicated", "complete", "dropped", {"duplicate_frame_at": [4]}),
     Fault("frames reordered", "complete", "disordered", {"reorder_frames_at": [4]}),
@@ -271,12 +275,18 @@ def measured(fault: Fault, path: Path, resume: bool = False) -> Ended:
             lab = _lab_of(bench)
             if fault.strike:
                 fault.strike(bench)
-            ended = run(plan, bench, path, resume=resume)
+            reported = partial(_amid, fault, bench)
+            ended = run(plan, bench, path, progress=reported, resume=resume)
             notes = ended.unconfirmed
     except BenchError as error:
         said = getattr(error, "__notes__", ())
         ended, notes = str(error), tuple(n for n in said if n.startswith("not confirmed"))
     return ended, notes, Truth(lab.changes, lab.exposed_s) if lab else Truth()
+
+
+def _amid(fault: Fault, bench: Bench, report: StepReport) -> None:
+    if fault.amid and report.done == _AMID_STEPS and report.take == 1:
+        fault.amid(bench)
 
 
 def _lab_of(bench: Bench) -> SimulatedLab:
@@ -344,7 +354,16 @@ def as_planned(step: StepRecord, truth: Truth, exposure_s: float) -> bool:
 def _child(fault: Fault, path: Path, disk_bytes: int | None, resume: bool, report: Any) -> None:
     """Run a sweep in this process, and send how it ended."""
     # The wires' far ends are threads of this process, and there may be no others before it forks.
-    struck = replace(fault, strike=lambda _: report.send("measuring"))
+
+    def tell(what: str) -> Callable[[Bench], None]:
+        return lambda _: report.send(what)
+
+    def tell_and_wait(_: Bench) -> None:
+        # The sweep waits for its pictures to be kept: time for somebody to do something to it.
+        report.send("amid")
+        time.sleep(_PATIENCE_S)
+
+    struck = replace(fault, strike=tell("measuring"), amid=tell_and_wait)
     if disk_bytes is None:
         report.send(measured(struck, path, resume))
     else:
@@ -352,12 +371,8 @@ def _child(fault: Fault, path: Path, disk_bytes: int | None, resume: bool, repor
             if not _mount_small_disk(name, disk_bytes):
                 report.send("measuring")
                 os._exit(0)
-
-            def fill(_: Bench) -> None:
-                report.send("measuring")
-                threading.Timer(0.3, _fill_disk, (Path(name, "filler"),)).start()
-
-            ended = measured(replace(fault, strike=fill), Path(name, path.name))
+            filled = replace(struck, amid=lambda _: _fill_disk(Path(name, "filler")))
+            ended = measured(filled, Path(name, path.name))
             shutil.copy(Path(name, path.name), path)
             report.send(ended)
     # Not by way of HDF5, which would complain of what it cannot write to a disk that is full.
@@ -414,16 +429,22 @@ class Process:
         reports.recv()
         return cls(fault, path, process, reports)
 
+    def wait_till_amid(self) -> None:
+        """Wait until the fourth step is kept."""
+        self._reports.recv()
+
     def signal(self, number: signal.Signals) -> None:
         """Send the process a signal."""
         os.kill(self._process.pid, number)
 
     def outcome(self) -> Outcome | None:
         """Wait for the end; None if it was killed."""
-        try:
-            ended = self._reports.recv()
-        except EOFError:
-            ended = None
+        ended: Any = "amid"
+        while isinstance(ended, str):
+            try:
+                ended = self._reports.recv()
+            except EOFError:
+                ended = None
         self._process.join()
         return outcome_of(self.fault, self.path, ended) if ended else None
 
@@ -435,7 +456,7 @@ FRAMES = replace(CALM, protocol={"keep": "frames"})
 def signalled(number: signal.Signals, folder: Path) -> Outcome:
     """Send a signal to a process that measures."""
     process = Process.begin(CALM, folder / f"{number.name}.h5")
-    time.sleep(0.3)
+    process.wait_till_amid()
     process.signal(number)
     return _required(process.outcome())
 
@@ -449,7 +470,7 @@ def full_disk(folder: Path) -> Outcome | None:
 def locked(folder: Path) -> tuple[str, Outcome]:
     """Try to go on with a run that another process measures; return what is said of that."""
     process = Process.begin(CALM, folder / "locked.h5")
-    time.sleep(0.3)
+    process.wait_till_amid()
     said = ""
     try:
         script.resume(planned(CALM), process.path)
@@ -461,6 +482,8 @@ def locked(folder: Path) -> tuple[str, Outcome]:
 @dataclass(frozen=True)
 class Kills:
     """What became of runs whose process was killed, and that another went on with.
+
+    The first two were killed amid the sweep, the others at random instants.
 
     Attributes
     ----------
@@ -491,7 +514,10 @@ def killed(kills: int, folder: Path, seed: int = 0) -> Kills:
     for number in range(kills):
         fault = FRAMES if number % 2 else CALM
         process = Process.begin(fault, folder / f"killed{number}.h5")
-        time.sleep(rng.uniform(0.0, longest_s))
+        if number < 2:
+            process.wait_till_amid()
+        else:
+            time.sleep(rng.uniform(0.0, longest_s))
         process.signal(signal.SIGKILL)
         process.outcome()
         if not process.path.exists():

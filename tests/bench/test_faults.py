@@ -32,7 +32,7 @@ def test_a_signal_ends_in_a_safe_stop(number, tmp_path):
     outcome = faults.signalled(number, tmp_path)
     assert (outcome.ending, outcome.wrong, outcome.off) == ("stopped", 0, True)
     assert outcome.unconfirmed == ()
-    assert outcome.good < 10
+    assert 4 <= outcome.good < 10
 
 
 def test_a_disk_that_fills_up_ends_in_a_safe_stop_and_a_readable_file(tmp_path):
@@ -51,7 +51,7 @@ def test_a_run_in_work_is_left_alone(tmp_path):
 
 def test_what_is_left_of_killed_runs_is_right_and_can_be_gone_on_with(tmp_path):
     kills = faults.killed(6, tmp_path, seed=3)
-    assert kills.resumed >= 1
+    assert kills.resumed >= 2
     assert (kills.damaged, kills.wrong, kills.bad) == (0, 0, 0)
 
 

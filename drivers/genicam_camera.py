@@ -261,13 +261,14 @@ class GenicamCamera:
             ahead_s = 0.0
         wait = self._new_wait(ahead_s)
         while True:
-            frames = self._sequence.take(count, not_before_s, incomplete=wait.gap_stays)
+            gap_stays = wait.gap_stays(self._absent_s)
+            frames = self._sequence.take(count, not_before_s, incomplete=gap_stays)
             if frames:
                 self._require_past(frames)
                 return frames
             began_s = self._take_in(_POLL_S)
             wait.note(began_s, not_before_s, enough=self._sequence.waiting >= count)
-            if wait.over:
+            if wait.over(self._absent_s):
                 raise self._nothing_came(wait, not_before_s)
 
     def now_s(self) -> float:
@@ -283,7 +284,7 @@ class GenicamCamera:
             wait = self._new_wait(0.0)
             while not self._clock.known:
                 wait.note(self._take_in(_POLL_S), -math.inf, enough=True)
-                if wait.over:
+                if wait.over(self._absent_s):
                     raise self._nothing_came(wait, -math.inf)
         return self._clock.now_s()
 
@@ -412,8 +413,8 @@ class GenicamCamera:
 class _Wait:
     """How long frames are waited for.
 
-    Time that has passed counts only when no frame lies ready, so that a computer that was busy
-    with something else gives up nothing that has come meanwhile.
+    A time is over when no frame lay ready after it, so that a computer that was busy with
+    something else gives up nothing that has come meanwhile.
 
     Attributes
     ----------
@@ -437,11 +438,9 @@ class _Wait:
 
     def __post_init__(self) -> None:
         self._last_s, self._full_s = self.host.now_s(), math.inf
-        self._none_ready = False
 
     def note(self, began_s: float | None, not_before_s: float, *, enough: bool) -> None:
         """Take note of what `GenicamCamera` took in, and whether that makes a full count."""
-        self._none_ready = began_s is None
         if began_s is None:
             return
         self._last_s = self.host.now_s()
@@ -454,15 +453,13 @@ class _Wait:
             if enough:
                 self._full_s = min(self._full_s, self._last_s)
 
-    @property
-    def gap_stays(self) -> bool:
-        """Whether a frame that is missing between others will not come any more."""
-        return self._none_ready and self.host.now_s() > self._full_s + self.late_s
+    def gap_stays(self, absent_s: float) -> bool:
+        """Whether a missing frame will not come any more, if none lay ready at `absent_s`."""
+        return absent_s > self._full_s + self.late_s
 
-    @property
-    def over(self) -> bool:
-        """Whether there is no point in waiting longer."""
-        quiet = self._none_ready and self.host.now_s() > self._last_s + self.quiet_s
+    def over(self, absent_s: float) -> bool:
+        """Whether there is no point in waiting longer, if none lay ready at `absent_s`."""
+        quiet = absent_s > self._last_s + self.quiet_s
         return quiet or self.stale + self.broken > self.useless_most
 
 

@@ -22,6 +22,9 @@ with warnings.catch_warnings():
         "pypylon.pylon", reason="pypylon is absent; install it: pip install 'reedbench[basler]'"
     )
 
+from acquire.plan import make_plan
+from acquire.quality import Verdict
+from acquire.runner import run
 from drivers.basler import BaslerCamera
 from drivers.errors import BenchSetupError, InstrumentError, LimitError
 from drivers.registry import open_bench
@@ -165,7 +168,7 @@ def test_software_triggers_lose_no_frame(emulated, images):
 
 def test_a_trigger_for_a_camera_that_is_not_ready_is_an_error(emulated):
     camera = emulated(trigger="software")
-    with pytest.raises(InstrumentError, match="was asked to trigger, and refused|is not ready"):
+    with pytest.raises(InstrumentError, match=r"asked to trigger, and refused|is not ready"):
         camera.link.trigger()
 
 
@@ -275,3 +278,13 @@ def test_a_broken_frame_is_missing_from_the_laboratorys(opened):
     features.set_integer("ForceFailedBufferCount", 1)
     features.execute("ForceFailedBuffer")
     assert [frame.id for frame in camera.grab(4, 0.0)] == [1, 2, 3]
+
+
+def test_a_sweep_runs_through_the_real_driver(small_plan, reed_cache, tmp_path):
+    plan = small_plan()
+    bench_file = plan.bench.replace({"instruments.camera.driver": EMULATED_CAMERA})
+    plan = make_plan(plan.protocol, bench_file)
+    with open_bench(bench_file, plan.preparation("R07"), seed=3) as bench:
+        summary = run(plan, bench, tmp_path / "run.h5")
+    assert summary.counts[Verdict.OK] == len(plan.steps)
+    assert summary.unconfirmed == ()

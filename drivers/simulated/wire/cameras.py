@@ -103,7 +103,7 @@ class EmulatedBaslerCamera:
     @property
     def identity(self) -> str:
         """Of the emulator, and of the simulation behind it."""
-        return f"{self.basler.identity}; frames and times of a {self._simulated.identity}"
+        return f"{self.basler.link.identity}; frames and times of a {self._simulated.identity}"
 
     @property
     def saturation_dn(self) -> int:

@@ -322,6 +322,9 @@ class RunWriter:
     def _finish_setting_aside(self, place: int) -> None:
         """Free a step whose take is whole at a place of `/entry/retakes`."""
         position = _UNDER_WAY - int(self._retakes["position"][place])
+        # First: a step with a verdict has the sentence that goes with it.
+        self._steps["verdict"][position] = str(Verdict.PENDING)
+        self._file.flush()
         self._write_judgement(position, Judgement(Verdict.PENDING, "to be taken again"))
         self._retakes["position"][place] = position
         self._file.flush()
@@ -370,6 +373,7 @@ class RunWriter:
     def _write_judgement(self, position: int, judgement: Judgement) -> None:
         sentence = judgement.sentence.encode()[:_SENTENCE_BYTES].decode(errors="ignore")
         self._steps["sentence"][position] = sentence
+        self._file.flush()
         self._steps["verdict"][position] = str(judgement.verdict)
         self._file.flush()
 

@@ -220,7 +220,7 @@ def _kind_of(folder: Path, runs: Sequence[Path]) -> ReedFile:
             kind = run.reed_file()
         kinds.setdefault(kind.sha256, (kind, path))
     if not kinds:
-        raise FitInputError(f"{folder}: no complete run of series A or B in it")
+        raise FitInputError(f"{folder}: no run of series A or B in it is complete")
     if len(kinds) > 1:
         told = ", ".join(f"{kind.name} in {path.name}" for kind, path in kinds.values())
         raise FitInputError(

@@ -26,7 +26,10 @@ from physics.reed.cache import reduced_reed
 from physics.reed.response import viscoelastic_mode
 from physics.reed.viscoelastic import Series, viscoelastic_cane
 
-VERBS = ("plan", "run", "fit", "report", "diagnose", "population", "modes", "paper", "list")
+VERBS = (
+    *("plan", "run", "pause", "continue", "list", "show", "fit", "report", "diagnose"),
+    *("population", "modes", "paper"),
+)
 ROOT = Path(script.__file__).parents[1]
 
 
@@ -494,7 +497,8 @@ def test_a_run_that_cannot_be_fitted_keeps_its_file_and_fails(
 
 def test_one_dropped_frame_spoils_one_step(cli, folder, protocol_file, bench_file):
     bench = bench_file(faults={"drop_frame_at": [3]})
-    said = cli("run", protocol_file(), "--bench", bench, "--out", "x.h5", "--no-fit", "--json")
+    once = protocol_file(**{"policy.bad_pictures": {"retry": 0, "then": "skip"}})
+    said = cli("run", once, "--bench", bench, "--out", "x.h5", "--no-fit", "--json")
     assert said.json["verdicts"] == {"ok": 8, "dropped": 1}
     with Run.open("x.h5") as run:
         assert [step.index for step in run if step.verdict == "dropped"] == [18]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from acquire.reed_file import ReedFile
 from fitting.errors import FitInputError
 from fitting.forward import cents_of, hz_of
 from fitting.paper import adjusted_metamodel
@@ -197,5 +198,11 @@ def test_a_folder_without_runs_is_refused(tmp_path):
 
 
 def test_the_finite_elements_have_a_metamodel_of_all_modes():
-    assert set(PAPER_MODES) - set(metamodel_of("fem").modes) == {"F4"}
-    assert metamodel_of("paper").modes == PAPER_MODES
+    clarinet = ReedFile.from_file()
+    assert metamodel_of("fem", clarinet).modes == PAPER_MODES
+    assert metamodel_of("paper", clarinet).modes == PAPER_MODES
+
+
+def test_the_papers_metamodel_is_that_of_its_own_reed():
+    with pytest.raises(FitInputError, match=r"this is another: bass clarinet; choose --model fem"):
+        metamodel_of("paper", ReedFile.from_file("bass-clarinet"))

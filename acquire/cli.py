@@ -372,7 +372,11 @@ def modes(
         float | None, typer.Option(help="Of viscoelastic cane: 0 as series A to 1 as series B.")
     ] = None,
     mesh: Annotated[
-        str, typer.Option(help="Finite elements: fine, standard, or fast (some cents off).")
+        str,
+        typer.Option(
+            help="Finite elements: fine, standard, or fast (some cents off); or basis: instant, "
+            "once a basis has been built (about a minute, and kept)."
+        ),
     ] = "fine",
     pictures: Annotated[
         Path | None, typer.Option(metavar="PATH.png", help="Draw every mode into this file.")
@@ -384,11 +388,24 @@ def modes(
 
     What no option says is the reed's own.
     """
-    from acquire.reed_file import ReedFile, changed, mesh_level, modes_of, modes_to_json
+    from acquire.display import share_progress
+    from acquire.errors import ProtocolError
+    from acquire.reed_file import (
+        BASIS,
+        ReedFile,
+        changed,
+        doubts_marked,
+        mesh_level,
+        modes_by_basis,
+        modes_of,
+        modes_to_json,
+    )
     from fitting.mode_pictures import modes_table, require_png, write_mode_sheet
 
-    level = mesh_level(mesh)
+    level = None if mesh == BASIS else mesh_level(mesh)
     if pictures:
+        if level is None:
+            raise ProtocolError("--pictures: a basis has no shapes to draw; use --mesh fine")
         require_png(pictures)
     cane = {"E_L": E_L, "E_T": E_T, "E_R": E_R, "G_LT": G_LT, "G_LR": G_LR, "G_TR": G_TR}
     ratios = {"nu_LT": nu_LT, "nu_LR": nu_LR, "nu_TR": nu_TR}
@@ -398,16 +415,21 @@ def modes(
         "conditions.temperature": temperature,
         "conditions.dryness": dryness,
     }
-    described = changed(ReedFile.from_file(reed), changes)
-    _tell("computing the reed's modes by finite elements")
-    found = modes_of(described, level)
-    if pictures:
-        write_mode_sheet(described, level, found, pictures)
+    original = ReedFile.from_file(reed)
+    described = changed(original, changes)
+    if level is None:
+        with share_progress(_words(), "building") as show:
+            found = modes_by_basis(described, original, _tell, show)
+    else:
+        _tell("computing the reed's modes by finite elements")
+        found = modes_of(described, level)
+        if pictures:
+            write_mode_sheet(described, level, found, pictures)
     if as_json:
         _show_json(modes_to_json(described, found))
         return
     console = Console(highlight=False)
-    console.print(modes_table(described, found))
+    console.print(modes_table(described, found if level else doubts_marked(found)))
     if pictures:
         console.print(f"pictures      {pictures}", markup=False, soft_wrap=True)
 

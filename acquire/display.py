@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from statistics import median
@@ -11,7 +11,13 @@ from typing import Protocol as Role
 
 from rich.box import SIMPLE
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 from rich.text import Text
 
@@ -103,6 +109,31 @@ def sweep_progress(console: Console, steps: int) -> Iterator[Listener]:
                 verdict=f"[{colour}]{report.verdict}[/{colour}]",
                 left=f"{minutes}:{seconds:02d} left",
             )
+
+        yield show
+    finally:
+        if progress.live.is_started:
+            progress.stop()
+
+
+@contextmanager
+def share_progress(console: Console, what: str) -> Iterator[Callable[[float], None]]:
+    """Live bar of a computation that tells the share of it that is done."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+    )
+    progress = Progress(*columns, console=console)
+    task = progress.add_task(what, total=1.0)
+    try:
+
+        def show(share: float) -> None:
+            # The bar appears with the first share: most often there is nothing to wait for.
+            if not progress.live.is_started:
+                progress.start()
+            progress.update(task, completed=share)
 
         yield show
     finally:

@@ -1,12 +1,13 @@
 """What a reed is: shape, clamp and cane of one reed, read as strictly as protocols."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
+import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from acquire.description import Description, Section, shipped_files
@@ -14,16 +15,43 @@ from acquire.errors import ProtocolError
 from acquire.quantities import Density, Length, Modulus, Temperature
 from physics.reed.cache import FAST, FINE, STANDARD
 from physics.reed.conditions import at_temperature, cane_at_dryness
-from physics.reed.geometry import Clamp, ClampSide, Outline, ReedGeometry, ThicknessMap
+from physics.reed.geometry import (
+    Clamp,
+    ClampSide,
+    Outline,
+    ReedGeometry,
+    ThicknessMap,
+    is_even,
+)
 from physics.reed.material import Cane, stiffness_matrix_pa
+from physics.reed.material_basis import (
+    MaterialBasis,
+    MaterialBox,
+    ReedModes,
+    constants_of,
+    modes,
+)
+from physics.reed.material_cache import material_basis
+from physics.reed.material_snapshots import TrainingSettings
+from physics.reed.material_viscoelastic import settled_modes
 from physics.reed.mesh import MeshLevel, build_least_mesh
 from physics.reed.metamodel import REFERENCE_HZ
-from physics.reed.modes import NamedMode, at_frequency, reed_modes, viscoelastic_modes
+from physics.reed.modes import (
+    HIGHEST_HZ,
+    NamedMode,
+    at_frequency,
+    reed_modes,
+    viscoelastic_modes,
+)
 from physics.reed.viscoelastic import Components, ViscoelasticCane, require_physical
 
 DEFAULT_REED = "clarinet"
 # How finely a reed is computed, by the name of the level.
 MESHES: Final = {"fine": FINE, "standard": STANDARD, "fast": FAST}
+# In place of a level: not computed but read off a basis over materials, built once for a reed.
+BASIS: Final = "basis"
+# A name that bears out less than this share of a motion is in doubt.
+_CLEAR: Final = 0.5
 
 _Lengths = Annotated[tuple[Length, ...], Field(strict=False)]
 _Thicknesses = Annotated[tuple[Annotated[Length, Field(gt=0)], ...], Field(strict=False)]
@@ -361,7 +389,8 @@ def mesh_level(name: str) -> MeshLevel:
         If there is none of that name.
     """
     if name not in MESHES:
-        raise ProtocolError(f"there is no mesh {name!r}; known are {', '.join(MESHES)}")
+        known = ", ".join((*MESHES, BASIS))
+        raise ProtocolError(f"there is no mesh {name!r}; known are {known}")
     return MESHES[name]
 
 
@@ -382,6 +411,113 @@ def modes_of(reed: ReedFile, level: MeshLevel) -> list[NamedMode]:
         raise ProtocolError(f"{reed.source}: {error}") from None
 
 
+def modes_by_basis(
+    reed: ReedFile,
+    reference: ReedFile,
+    announce: Callable[[str], None] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[NamedMode]:
+    """Modes below 20 kHz off a basis over materials at the level "standard", ascending.
+
+    They are those that the reference's cane has below 20 kHz: of softer or heavier cane the
+    highest are missing. Names are followed by shape from there.
+
+    Parameters
+    ----------
+    reed : ReedFile
+    reference : ReedFile
+        The reed before its settings were changed. The basis is of its cane, and of the shape
+        without thickness offset, so that one serves whatever cane and offset are asked for.
+    announce, progress : callable, optional
+        As for `material_basis`.
+
+    Returns
+    -------
+    list of NamedMode
+        `shape` has no nodes; `likeness` is that to the reference's mode of the name.
+
+    Raises
+    ------
+    ProtocolError
+        If the basis does not answer for the reed or the reference.
+    """
+    settings = TrainingSettings(cane=reference.cane())
+    for described in (reference, reed):
+        _require_in_box(described, settings.box)
+    geometry = reed.geometry()
+    if not is_even(geometry):
+        raise reed.error(
+            "geometry.thickness_map", "is not even in y, and a basis is; use --mesh fine"
+        )
+    try:
+        drawn = replace(geometry, thickness_offset_m=0.0)
+        basis = material_basis(drawn, STANDARD, settings, announce, progress)
+        found = _modes_off(basis, reed)
+    except ValueError as error:
+        raise ProtocolError(f"{reed.source}: {error}") from None
+    answer = _named_modes(basis, found)
+    if reed.viscoelastic() is not None:
+        for mode in answer:
+            _require_in_box(reed, settings.box, mode.frequency_hz)
+    return answer
+
+
+def _modes_off(basis: MaterialBasis, reed: ReedFile) -> ReedModes:
+    cane, viscoelastic = reed.cane(), reed.viscoelastic()
+    offset_m = float(reed.shape.thickness_offset_m)
+    if viscoelastic is not None:
+        return settled_modes(basis, cane, viscoelastic, offset_m)
+    return modes(basis, constants_of([cane]), cane.density_kg_m3, offset_m, slopes=False)
+
+
+def _named_modes(basis: MaterialBasis, found: ReedModes) -> list[NamedMode]:
+    symmetries = {name: symmetry for symmetry, half in basis.halves.items() for name in half.names}
+    named = [
+        NamedMode(name, hz, klass, symmetries[name], likeness, np.empty((0, 3)))
+        for name, klass, hz, likeness in zip(
+            basis.names,
+            basis.classes,
+            found.hz[0].tolist(),
+            found.likeness[0].tolist(),
+            strict=True,
+        )
+        if hz <= HIGHEST_HZ
+    ]
+    return sorted(named, key=lambda mode: mode.frequency_hz)
+
+
+def _require_in_box(reed: ReedFile, box: MaterialBox, hz: float = REFERENCE_HZ) -> None:
+    """Refuse what a basis does not answer for; viscoelastic cane has the moduli of a frequency.
+
+    Raises
+    ------
+    ProtocolError
+    """
+    inputs = asdict(reed.cane(hz)) | {"thickness_offset_m": float(reed.shape.thickness_offset_m)}
+    for name, (low, high) in asdict(box).items():
+        value, slack = inputs[name], 1e-9 * (high - low)
+        if low - slack <= value <= high + slack:
+            continue
+        bare, _, unit = name.rpartition("_")
+        factor, unit = {"pa": (1e-6, " MPa"), "m": (1e6, " µm")}.get(unit, (1.0, ""))
+        key = "geometry.thickness_offset" if unit == " µm" else f"cane.{bare if unit else name}"
+        shown = f"{factor * value:g}{unit}"
+        if reed.viscoelastic() is not None and bare in ("E_L", "G_LT"):
+            key, shown = "cane.viscoelastic", f"{bare} of {shown} at {hz:.0f} Hz"
+        raise reed.error(
+            key,
+            f"{shown} lies outside the basis, which answers for {factor * low:g} to "
+            f"{factor * high:g}{unit}; use --mesh fine",
+        )
+
+
+def doubts_marked(modes: Sequence[NamedMode]) -> list[NamedMode]:
+    """The same modes with "?" after names that bear out less than half of the motion."""
+    return [
+        mode if mode.likeness >= _CLEAR else replace(mode, name=f"{mode.name}?") for mode in modes
+    ]
+
+
 def modes_to_json(reed: ReedFile, modes: Sequence[NamedMode]) -> dict[str, Any]:
     """What `acquire modes --json` prints."""
     material: dict[str, Any] = asdict(reed.cane())
@@ -398,6 +534,7 @@ def modes_to_json(reed: ReedFile, modes: Sequence[NamedMode]) -> dict[str, Any]:
                 "hz": mode.frequency_hz,
                 "class": str(mode.klass),
                 "symmetry": str(mode.symmetry),
+                "likeness": mode.likeness,
             }
             for mode in modes
         ],

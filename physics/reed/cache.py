@@ -1,21 +1,31 @@
-"""Keep reduced reeds between runs: they cost seconds to build and are the same every time."""
+"""Keep what takes seconds or a minute to compute and is the same every time.
+
+An entry is a file of arrays. Its name covers every input, the code of this package and the versions
+of numpy and scipy, so it is never stale. A damaged entry is made anew; a folder that cannot be
+written to costs time, not results.
+"""
 
 import contextlib
 import hashlib
 import os
 import tempfile
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from physics.reed.basis import BasisSettings, HalfBasis, ReducedReed, build_reduced_reed
 from physics.reed.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
 from physics.reed.mesh import MeshLevel
+
+Made = TypeVar("Made")
+Arrays = Mapping[str, NDArray[Any]]
 
 # How far each level lies from the limit of ever finer meshes: `python -m benchmarks.convergence`.
 # Every mode below 20 kHz within 10 cents, those of the heel included.
@@ -32,6 +42,62 @@ def cache_directory() -> Path:
     return Path(os.environ.get("REEDBENCH_CACHE") or Path(base, "reedbench")).expanduser()
 
 
+def kept(
+    kind: str,
+    inputs: Sequence[object],
+    make: Callable[[], Made],
+    to_arrays: Callable[[Made], Arrays],
+    from_arrays: Callable[[Arrays], Made],
+) -> Made:
+    """Read something from the cache, or make it and keep it.
+
+    Parameters
+    ----------
+    kind : str
+        First part of the entry's name.
+    inputs : sequence
+        All that decides what is made, told apart by what ``repr`` says of it.
+    make : callable
+        May raise what it likes; then nothing is kept.
+    to_arrays, from_arrays : callable
+        What is made ↔ named arrays, of numbers or texts.
+    """
+    path = cache_directory() / f"{kind}-{_key(inputs)}.npz"
+    with contextlib.suppress(OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile):
+        return _load(path, from_arrays)
+    made = make()
+    with contextlib.suppress(OSError):
+        _save(path, to_arrays(made))
+    return made
+
+
+def _key(inputs: Sequence[object]) -> str:
+    digest = hashlib.sha256(repr(tuple(inputs)).encode())
+    digest.update(f"numpy {np.__version__} scipy {scipy.__version__}".encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:24]
+
+
+def _load(path: Path, from_arrays: Callable[[Arrays], Made]) -> Made:
+    # Opened here: numpy leaves a file open that turns out to be no archive.
+    with path.open("rb") as entry, np.load(entry, allow_pickle=False) as arrays:
+        return from_arrays(arrays)
+
+
+def _save(path: Path, arrays: Arrays) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # Written aside and renamed: two programs that build at once never see half a file.
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
+        unfinished = Path(part.name)
+        try:
+            np.savez(part, allow_pickle=False, **arrays)
+        except BaseException:
+            unfinished.unlink()
+            raise
+    unfinished.replace(path)
+
+
 def reduced_reed(
     geometry: ReedGeometry | None = None,
     level: MeshLevel = STANDARD,
@@ -39,10 +105,6 @@ def reduced_reed(
     announce: Callable[[str], None] | None = None,
 ) -> ReducedReed:
     """Reduced reed from the cache, or built and kept.
-
-    The key covers every input, the code of this package and the versions of numpy and scipy, so
-    an entry is never stale. A damaged entry is built anew; a folder that cannot be written to
-    costs time, not results.
 
     Parameters
     ----------
@@ -59,39 +121,13 @@ def reduced_reed(
         For an impossible geometry or material (see `build_reduced_reed`).
     """
     geometry, settings = geometry or ReedGeometry(), settings or BasisSettings()
-    path = cache_directory() / f"reed-{_key(geometry, level, settings)}.npz"
-    with contextlib.suppress(OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile):
-        return _load(path, geometry, settings)
-    if announce:
-        announce("computing the reed's modes by finite elements (kept for the next time)")
-    reed = build_reduced_reed(geometry, level, settings)
-    with contextlib.suppress(OSError):
-        _save(path, reed)
-    return reed
 
+    def build() -> ReducedReed:
+        if announce:
+            announce("computing the reed's modes by finite elements (kept for the next time)")
+        return build_reduced_reed(geometry, level, settings)
 
-def _key(geometry: ReedGeometry, level: MeshLevel, settings: BasisSettings) -> str:
-    digest = hashlib.sha256(repr((geometry, level, settings)).encode())
-    digest.update(f"numpy {np.__version__} scipy {scipy.__version__}".encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(source.read_bytes())
-    return digest.hexdigest()[:24]
-
-
-def _save(path: Path, reed: ReducedReed) -> None:
-    arrays = {"plan_m": reed.plan_m, "load_points_m": reed.load_points_m}
-    for symmetry, half in reed.halves.items():
-        arrays |= {f"{symmetry}_{f.name}": getattr(half, f.name) for f in fields(HalfBasis)}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # Written aside and renamed: two programs that build at once never see half a file.
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-        np.savez(part, allow_pickle=False, **arrays)
-    Path(part.name).replace(path)
-
-
-def _load(path: Path, geometry: ReedGeometry, settings: BasisSettings) -> ReducedReed:
-    # Opened here: numpy leaves a file open that turns out to be no archive.
-    with path.open("rb") as kept, np.load(kept, allow_pickle=False) as arrays:
+    def restored(arrays: Arrays) -> ReducedReed:
         halves = {
             symmetry: HalfBasis(
                 **{f.name: arrays[f"{symmetry}_{f.name}"] for f in fields(HalfBasis)}
@@ -101,3 +137,12 @@ def _load(path: Path, geometry: ReedGeometry, settings: BasisSettings) -> Reduce
         return ReducedReed(
             geometry, settings.cane, arrays["plan_m"], arrays["load_points_m"], halves
         )
+
+    return kept("reed", (geometry, level, settings), build, _arrays, restored)
+
+
+def _arrays(reed: ReducedReed) -> Arrays:
+    arrays = {"plan_m": reed.plan_m, "load_points_m": reed.load_points_m}
+    for symmetry, half in reed.halves.items():
+        arrays |= {f"{symmetry}_{f.name}": getattr(half, f.name) for f in fields(HalfBasis)}
+    return arrays

@@ -2,7 +2,8 @@
 
 Every reed is a standard symmetric eigenproblem of a few dozen coordinates. Its matrix is linear in
 the nine stiffnesses of the cane and a polynomial in the thickness offset, so that derivatives are
-those of the eigenvalues themselves. `material_training` makes the matrices.
+those of the eigenvalues themselves. Most coordinates have no mass: they follow the others as if at
+rest, and are eliminated first. `material_training` makes the matrices.
 """
 
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from scipy.optimize import linear_sum_assignment
 from physics.reed.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material import STIFFNESS_TERMS, Cane
+from physics.reed.modes import ModeClass
 
 Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
@@ -37,8 +39,11 @@ _NORMAL = tuple((int(term[0]) - 1, int(term[1]) - 1) for term in STIFFNESS_TERMS
 # The remaining terms are the shear moduli TR, LR and LT.
 _SHEAR = tuple(MODULI.index(name) for name in ("G_TR_pa", "G_LR_pa", "G_LT_pa"))
 _POISSON = ((0, 1), (0, 2), (1, 2))
+# No solid is softer or stiffer, and no reed as thick as this; beyond, numbers would overflow.
+_MODULI_PA = (1.0, 1e15)
+_LARGEST_OFFSET_M = 1.0
 # Modes beyond the named ones among which a name may be found where unnamed modes come lower.
-_SPARE_CANDIDATES = 8
+SPARE_CANDIDATES = 8
 # Reeds that are worked on together: what is computed of them stays in a core's own cache.
 _CHUNK = 16
 
@@ -69,23 +74,24 @@ class MaterialBox:
 
 @dataclass(frozen=True)
 class HalfMaterialBasis:
-    """One symmetry of a reed in r reduced coordinates, orthonormal in the mass per unit density.
+    """One symmetry of a reed in r reduced coordinates.
 
-    The stiffness of a reed is ``Σ_k a_k B_k`` with ``a_k = Σ_pi loadings[k, p, i] T_p(x) C_i``:
-    C_i are the stiffnesses of the cane, T_p Chebyshev polynomials and x the thickness offset,
-    -1 to 1 over the box.
+    The first c of them are orthonormal in the mass per unit density; the others have none. The
+    stiffness of a reed is ``Σ_k a_k B_k`` with ``a_k = Σ_pi loadings[k, p, i] T_p(x) C_i``: C_i
+    are the stiffnesses of the cane, T_p Chebyshev polynomials and x the thickness offset, -1 to 1
+    over the box.
 
     Attributes
     ----------
     names : (m,) tuple of str
-    components : (k, r (r + 1) / 2) float
-        Lower triangles of the matrices B_k, row after row.
+    components : (k, r, r) float
+        The matrices B_k.
     loadings : (k, p, 9) float
-    named_shapes : (r, m) float
+    named_shapes : (c, m) float
         Unit shapes of the reference cane's modes, which names are told by.
     error_cents : float
         Largest deviation of a named mode from the larger model that this one condenses, over the
-        canes that it was trained on.
+        canes that it was condensed on and as many others.
     """
 
     names: tuple[str, ...]
@@ -105,6 +111,8 @@ class MaterialBasis:
     box : MaterialBox
     names : (m,) tuple of str
         Modes of both symmetries, ascending in frequency for the reference cane.
+    classes : (m,) tuple of ModeClass
+        Theirs.
     halves : dict
         A `HalfMaterialBasis` per `Symmetry`.
     """
@@ -112,6 +120,7 @@ class MaterialBasis:
     geometry: ReedGeometry
     box: MaterialBox
     names: tuple[str, ...]
+    classes: tuple[ModeClass, ...]
     halves: dict[Symmetry, HalfMaterialBasis]
 
 
@@ -132,8 +141,8 @@ class ReedModes:
         to 1; near one half where two modes of one symmetry exchange shapes.
     within : (n,) bool
         Whether the reed lies in the box. Elsewhere frequencies are extrapolated: nothing is
-        promised of them. A reed that cannot be, with moduli that are not positive or Poisson
-        ratios that would yield energy, has no frequencies at all.
+        promised of them. A reed that cannot be, with moduli of no solid or Poisson ratios that
+        would yield energy, has no frequencies at all.
     """
 
     names: tuple[str, ...]
@@ -180,7 +189,7 @@ def modes(
         Elastic constants in the order of `CONSTANTS`, in Pa (see `constants_of`).
     density_kg_m3, thickness_offset_m : (n,) float, or one for all
     slopes : bool
-        Whether derivatives are wanted; frequencies alone take about four fifths of the time.
+        Whether derivatives are wanted; frequencies alone take about half the time.
     threads : int
 
     Raises
@@ -200,13 +209,51 @@ def modes(
     halves = [_prepared(half, basis.names) for half in basis.halves.values()]
     which = np.flatnonzero(reeds.possible)
     chunks = [which[start : start + _CHUNK] for start in range(0, len(which), _CHUNK)]
-    if threads == 1:
+    if threads == 1 or len(chunks) == 1:
         for chunk in chunks:
             _solve(halves, reeds, chunk, answer)
     else:
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(lambda chunk: _solve(halves, reeds, chunk, answer), chunks))
     return answer
+
+
+def all_modes(
+    basis: MaterialBasis,
+    symmetry: Symmetry,
+    constants: ArrayLike,
+    density_kg_m3: ArrayLike,
+    thickness_offset_m: ArrayLike = 0.0,
+) -> tuple[Array, Array]:
+    """Modes of one symmetry of n reeds by number, not by name; the highest are rough.
+
+    Parameters
+    ----------
+    basis, constants, density_kg_m3, thickness_offset_m
+        As for `modes`.
+    symmetry : Symmetry
+
+    Returns
+    -------
+    hz : (n, c) float
+        Ascending.
+    shapes : (n, c, c) float
+        Unit shapes in the coordinates of `HalfMaterialBasis.named_shapes`, one in each column.
+
+    Raises
+    ------
+    ValueError
+        If the inputs are not of these shapes, or a reed cannot be.
+    """
+    reeds = _reeds(basis, constants, density_kg_m3, thickness_offset_m)
+    if not reeds.possible.all():
+        raise ValueError(
+            f"reed {np.argmin(reeds.possible)} of {len(reeds.possible)} cannot be: its constants "
+            "are no solid's, or its density or thickness no reed's"
+        )
+    half = _prepared(basis.halves[symmetry], basis.names)
+    solved = _solved(half, terms_and_slopes(reeds.constants)[0], reeds.place)
+    return _hz(solved.eigenvalues, reeds.density_kg_m3[:, None]), solved.vectors
 
 
 @dataclass(frozen=True)
@@ -245,7 +292,8 @@ def _reeds(
         )
     density = _one_each("density_kg_m3", density_kg_m3, len(inputs))
     offset = _one_each("thickness_offset_m", thickness_offset_m, len(inputs))
-    possible = possible_canes(inputs) & (density > 0) & np.isfinite(density + offset)
+    possible = possible_canes(inputs) & (density > 0) & (density < np.inf)
+    possible &= np.abs(offset) < _LARGEST_OFFSET_M
     low, high = basis.box.thickness_offset_m
     return _Reeds(
         inputs,
@@ -272,38 +320,63 @@ class _Half:
     ----------
     places : (m,) int
         Of its modes among all names.
-    triangle : (t,), (t,) int
-        Rows and columns of what is stored of a symmetric matrix.
-    components, forms : (k, t) float
-        The same matrices, to be summed and to be multiplied with products of coordinates.
+    components : (k, r, r) float
     loadings, loading_slopes : (p, k · 9) float
         Loadings, and those of the derivative by the place of the offset, on polynomials.
-    named_shapes : (m, r) float
+    named_shapes : (m, c) float
     """
 
     places: NDArray[np.intp]
-    triangle: tuple[NDArray[np.intp], NDArray[np.intp]]
     components: Array
-    forms: Array
     loadings: Array
     loading_slopes: Array
     named_shapes: Array
 
 
 def _prepared(half: HalfMaterialBasis, names: tuple[str, ...]) -> _Half:
-    rows, columns = np.tril_indices(len(half.named_shapes))
     powers = half.loadings.shape[1]
     loadings = half.loadings.transpose(1, 0, 2).reshape(powers, -1)
     return _Half(
         places=np.array([names.index(name) for name in half.names]),
-        triangle=(rows, columns),
         components=half.components,
-        # Of each pair of mirrored elements only one is stored.
-        forms=half.components * np.where(rows == columns, 1.0, 2.0),
         loadings=loadings,
         loading_slopes=np.vstack([chebyshev.chebder(loadings), np.zeros_like(loadings[:1])]),
         named_shapes=np.ascontiguousarray(half.named_shapes.T),
     )
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """Every mode of n reeds in one symmetry, ascending.
+
+    Attributes
+    ----------
+    loadings, loading_slopes : (n, k, 9) float
+        Of the components on the cane's stiffnesses, at the thickness of each reed, and their
+        derivatives by its place.
+    eigenvalues, vectors : (n, c) and (n, c, c) float
+    following : (n, r - c, c) float
+        See `condensed_stiffness`.
+    """
+
+    loadings: Array
+    loading_slopes: Array
+    eigenvalues: Array
+    vectors: Array
+    following: Array
+
+
+def _solved(half: _Half, terms: Array, place: Array) -> _Solved:
+    """Solve reeds with stiffnesses (n, 9) and places (n,) of their thickness."""
+    polynomials = chebyshev.chebvander(place, len(half.loadings) - 1)
+    loadings, loading_slopes = (
+        (polynomials @ part).reshape(len(terms), -1, terms.shape[1])
+        for part in (half.loadings, half.loading_slopes)
+    )
+    amounts = (loadings @ terms[..., None])[..., 0]
+    stiffness = np.tensordot(amounts, half.components, axes=1)
+    condensed, following = condensed_stiffness(stiffness, half.named_shapes.shape[1])
+    return _Solved(loadings, loading_slopes, *np.linalg.eigh(condensed), following)
 
 
 def _solve(
@@ -311,53 +384,60 @@ def _solve(
 ) -> None:
     """Compute some reeds and write what is found into the answer."""
     terms, by_constants = terms_and_slopes(reeds.constants[which])
-    density, place = reeds.density_kg_m3[which, None], reeds.place[which]
     for half in halves:
         at = np.ix_(which, half.places)
-        polynomials = chebyshev.chebvander(place, len(half.loadings) - 1)
-        loadings = (polynomials @ half.loadings).reshape(len(which), -1, terms.shape[1])
-        stiffness = _stiffness(half, loadings, terms)
-        eigenvalues, vectors = np.linalg.eigh(stiffness)
-        chosen, answer.likeness[at] = _named(vectors, half.named_shapes)
-        eigenvalues = np.take_along_axis(eigenvalues, chosen, axis=1)
+        solved = _solved(half, terms, reeds.place[which])
+        chosen, answer.likeness[at] = _named(solved.vectors, half.named_shapes)
+        eigenvalues = np.take_along_axis(solved.eigenvalues, chosen, axis=1)
         # Far outside the box a reed may have no stiffness left.
         eigenvalues = np.where(eigenvalues > 0, eigenvalues, np.nan)
-        answer.hz[at] = np.sqrt(eigenvalues / density) / (2 * np.pi)
+        answer.hz[at] = _hz(eigenvalues, reeds.density_kg_m3[which, None])
         if answer.slopes is not None:
-            shapes = np.take_along_axis(vectors, chosen[:, None], axis=2)
-            energies = _energies(half, shapes) / (2 * eigenvalues)[..., None]
-            by_place = (polynomials @ half.loading_slopes).reshape(loadings.shape) @ terms[
-                ..., None
-            ]
+            moving = np.take_along_axis(solved.vectors, chosen[:, None], axis=2)
+            shapes = np.concatenate([moving, solved.following @ moving], axis=1)
+            energies = _energies(half.components, shapes) / (2 * eigenvalues)[..., None]
+            by_place = solved.loading_slopes @ terms[..., None] * reeds.place_per_m
             found = np.empty((*eigenvalues.shape, len(SLOPES)))
-            found[..., :9] = energies @ (loadings @ by_constants)
+            found[..., :9] = energies @ (solved.loadings @ by_constants)
             found[..., 9] = -0.5
-            found[..., 10] = (energies @ by_place)[..., 0] * reeds.place_per_m
+            found[..., 10] = (energies @ by_place)[..., 0]
             answer.slopes[at] = found
 
 
-def _stiffness(half: _Half, loadings: Array, terms: Array) -> Array:
-    """Stiffness matrices (n, r, r); only their lower triangles are filled."""
-    size = half.named_shapes.shape[1]
-    stiffness = np.zeros((len(terms), size, size))
-    packed = (loadings @ terms[..., None])[..., 0] @ half.components
-    stiffness[:, half.triangle[0], half.triangle[1]] = packed
-    return stiffness
+def _hz(eigenvalues: Array, density_kg_m3: Array | float) -> Array:
+    return np.asarray(np.sqrt(eigenvalues / density_kg_m3) / (2 * np.pi))
 
 
-def _energies(half: _Half, shapes: Array) -> Array:
-    """Quadratic forms (n, m, k) of all components at shapes (n, r, m)."""
+def condensed_stiffness(stiffness: Array, count: int) -> tuple[Array, Array]:
+    """Eliminate coordinates without mass, all but the first `count`.
+
+    Parameters
+    ----------
+    stiffness : (n, r, r) float
+    count : int
+
+    Returns
+    -------
+    condensed : (n, count, count) float
+    following : (n, r - count, count) float
+        Takes the first coordinates to the others, on which nothing acts.
+    """
+    coupling = stiffness[:, count:, :count]
+    following = -np.linalg.solve(stiffness[:, count:, count:], coupling)
+    return stiffness[:, :count, :count] + coupling.swapaxes(1, 2) @ following, following
+
+
+def _energies(components: Array, shapes: Array) -> Array:
+    """Quadratic forms (n, m, k) of all components (k, r, r) at shapes (n, r, m)."""
     count, size, modes = shapes.shape
-    rows, columns = half.triangle
     flat = shapes.transpose(1, 0, 2).reshape(size, -1)
-    products = flat[rows]
-    products *= flat[columns]
-    return np.asarray((half.forms @ products).T.reshape(count, modes, -1))
+    forces = (components.reshape(-1, size) @ flat).reshape(len(components), size, -1)
+    return np.asarray(np.einsum("krs,rs->sk", forces, flat).reshape(count, modes, -1))
 
 
 def _named(vectors: Array, named_shapes: Array) -> tuple[NDArray[np.intp], Array]:
     """Place (n, m) of each named mode among eigenvectors (n, r, r), and its likeness (n, m)."""
-    candidates = vectors[:, :, : len(named_shapes) + _SPARE_CANDIDATES]
+    candidates = vectors[:, :, : len(named_shapes) + SPARE_CANDIDATES]
     shares = np.matmul(named_shapes, candidates) ** 2
     chosen = shares.argmax(axis=2)
     # Two names may want the same mode where shapes mix: then all are given out together.
@@ -368,15 +448,16 @@ def _named(vectors: Array, named_shapes: Array) -> tuple[NDArray[np.intp], Array
 
 def possible_canes(constants: Array) -> Mask:
     """Which canes (n,) of constants (n, 9) store energy however they are strained."""
-    moduli = constants[:, :6]
-    positive = np.all((moduli > 0) & (moduli < np.inf), axis=1)
+    moduli, (softest, stiffest) = constants[:, :6], _MODULI_PA
+    solid = np.all((moduli >= softest) & (moduli <= stiffest), axis=1)
+    solid &= np.isfinite(constants).all(axis=1)
     # A stand-in keeps the arithmetic quiet.
-    safe = np.where(positive[:, None], constants, np.asarray(astuple(Cane())[:9]))
+    safe = np.where(solid[:, None], constants, np.asarray(astuple(Cane())[:9]))
     E, nu = safe[:, :3], safe[:, 6:]
     # Minors of the compliance matrix, scaled to a unit diagonal.
     c = np.stack([nu[:, k] * np.sqrt(E[:, j] / E[:, i]) for k, (i, j) in enumerate(_POISSON)])
     determinant = 1 - 2 * np.prod(c, axis=0) - np.sum(c**2, axis=0)
-    return np.asarray(positive & (np.abs(c) < 1).all(axis=0) & (determinant > 0))
+    return np.asarray(solid & (np.abs(c) < 1).all(axis=0) & (determinant > 0))
 
 
 def terms_and_slopes(constants: Array) -> tuple[Array, Array]:

@@ -1,12 +1,13 @@
 """Make a `MaterialBasis` of a reed: once for every drawing, from finite elements.
 
 Of the large basis that the snapshots span, the few coordinates are kept that modes of many canes
-need, worst errors first. Then the mass is made the identity at every thickness, so that a reed is
-a standard eigenproblem.
+need, worst errors first. Then the mass is made the identity at every thickness and taken off those
+coordinates that hardly move: they follow the others as if at rest, so that a reed is a standard
+eigenproblem of few coordinates.
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,12 @@ from scipy import linalg
 from physics.reed.cache import STANDARD
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.material_basis import HalfMaterialBasis, MaterialBasis, terms_and_slopes
+from physics.reed.material_basis import (
+    HalfMaterialBasis,
+    MaterialBasis,
+    condensed_stiffness,
+    terms_and_slopes,
+)
 from physics.reed.material_snapshots import (
     LargeBasis,
     Pencil,
@@ -49,13 +55,15 @@ _WORST_NORM = 8
 _ROUNDING_CENTS = 1e-6
 # Coordinates that are added where a basis errs too much.
 _MORE_COORDINATES = 4
+# Share of the coordinates that keep their mass.
+_WITH_MASS = 0.42
 # In coordinates of unit mass the stiffness is no polynomial of the thickness; of degree 5, one is
 # the same to 0.1 cent.
 _THICKNESSES = 6
 # Components of the stiffness that are smaller than this share of the largest are left out.
-_LEAST_COMPONENT = 5e-5
+_LEAST_COMPONENT = 2e-4
 # Share of the time that the finite elements take, for those who watch.
-_SNAPSHOT_SHARE = 0.85
+_SNAPSHOT_SHARE = 0.7
 
 
 @dataclass(frozen=True)
@@ -105,22 +113,34 @@ def build_material_basis(
         if progress:
             progress(share)
 
-    names, large = large_bases(
+    tell(0.0)
+    named, large = large_bases(
         geometry, level, settings, lambda share: tell(_SNAPSHOT_SHARE * share)
     )
     with ThreadPoolExecutor(len(large)) as pool:
-        halves = list(pool.map(lambda basis: _half(basis, settings), large.values()))
-    tell(1.0)
-    return MaterialBasis(geometry, settings.box, names, dict(zip(large, halves, strict=True)))
+        tasks = [pool.submit(_half, basis, settings) for basis in large.values()]
+        for done, _ in enumerate(as_completed(tasks), 1):
+            tell(_SNAPSHOT_SHARE + (1 - _SNAPSHOT_SHARE) * done / len(tasks))
+    halves = [task.result() for task in tasks]
+    return MaterialBasis(
+        geometry,
+        settings.box,
+        names=tuple(mode.name for mode in named),
+        classes=tuple(mode.klass for mode in named),
+        halves=dict(zip(large, halves, strict=True)),
+    )
 
 
 def _half(large: LargeBasis, settings: TrainingSettings) -> HalfMaterialBasis:
     """Smallest condensed basis whose errors over all samples are as small as asked for."""
-    samples = _samples(large, settings)
+    constants, places = canes_of_box(settings, 2 * settings.samples, edges=True)
+    samples = _samples(large, constants, places, settings)
+    # A basis fits those that it is condensed on better than others: half of them are for proof.
+    learnt = samples[: len(samples) // 2]
     most = len(large.named_shapes)
     size = min(round(settings.size_per_mode * len(large.names)), most)
     while True:
-        basis = _condensed(large.pencil, samples, settings.cane, size)
+        basis = _condensed(large.pencil, learnt, settings.cane, size)
         half = _half_of(basis, large, samples, settings)
         if half.error_cents <= settings.aim_cents or size == most:
             return half
@@ -133,24 +153,30 @@ def _half_of(
     """What is to be kept of a basis (r, r') of the large one."""
     middle_mass = at_place(large.pencil.mass, 0.0)
     basis = basis @ _orthonormalising(basis.T @ middle_mass @ basis)
-    shapes = basis.T @ middle_mass @ large.named_shapes
-    stiffness = _with_unit_mass(_projected(large.pencil, basis))
-    components, loadings = _components(stiffness, settings)
-    middle, error = _calibration(components, loadings, samples)
-    rows, columns = np.tril_indices(len(shapes))
+    components, loadings = _components(_with_unit_mass(_projected(large.pencil, basis)), settings)
+    stiffnesses = _stiffnesses(components, loadings, samples)
+    count = max(len(large.names), round(_WITH_MASS * len(components[0])))
+    axes = _most_moving(stiffnesses, samples)
+    named = np.concatenate([sample.named for sample in samples])
+    condensed, _ = condensed_stiffness(axes.T @ stiffnesses @ axes, count)
+    errors = _excess_cents(np.linalg.eigvalsh(condensed), samples)[named]
+    # A subspace bounds every frequency from above: the typical error is taken off, or more if the
+    # worst would still be too large.
+    shift = max(float(np.median(errors)), float(errors.max()) - settings.aim_cents)
+    shapes = (axes.T @ basis.T @ middle_mass @ large.named_shapes)[:count]
     return HalfMaterialBasis(
         names=large.names,
-        # A subspace bounds every frequency from above: the middle of its errors is taken off.
-        components=2 ** (-middle / 600) * components[:, rows, columns],
+        components=2 ** (-shift / 600) * (axes.T @ components @ axes),
         loadings=loadings,
         named_shapes=shapes / np.linalg.norm(shapes, axis=0),
-        error_cents=error,
+        error_cents=float(np.abs(errors - shift).max()),
     )
 
 
-def _samples(large: LargeBasis, settings: TrainingSettings) -> list[_Sample]:
-    """Reeds at edges of the box and within it, with their modes in the large basis."""
-    constants, places = canes_of_box(settings, settings.samples, edges=True)
+def _samples(
+    large: LargeBasis, constants: Array, places: Array, settings: TrainingSettings
+) -> list[_Sample]:
+    """Reeds of constants (s, 9) and places (s,) that have named modes, in the large basis."""
     pencil, shapes = large.pencil, large.named_shapes
     highest = settings.cane.density_kg_m3 * (2 * np.pi * settings.highest_hz) ** 2
     answer = []
@@ -262,15 +288,18 @@ def _components(stiffness: Array, settings: TrainingSettings) -> tuple[Array, Ar
     return components, loadings
 
 
-def _calibration(
-    components: Array, loadings: Array, samples: Sequence[_Sample]
-) -> tuple[float, float]:
-    """Middle and half width in cents of the range of errors at named modes."""
-    stiffnesses = [
-        np.tensordot(at_place(loadings.swapaxes(0, 1), s.place) @ s.terms_pa, components, axes=1)
-        for s in samples
+def _stiffnesses(components: Array, loadings: Array, samples: Sequence[_Sample]) -> Array:
+    """Stiffness matrices (s, r, r) of samples."""
+    amounts = [at_place(loadings.swapaxes(0, 1), s.place) @ s.terms_pa for s in samples]
+    return np.tensordot(np.stack(amounts), components, axes=1)
+
+
+def _most_moving(stiffnesses: Array, samples: Sequence[_Sample]) -> Array:
+    """Axes (r, r) of coordinates of unit mass, those with most of the samples' motion first."""
+    shapes = np.linalg.eigh(stiffnesses)[1]
+    motions = [
+        found[:, : len(sample.named)] * np.where(sample.named, 1.0, _UNNAMED_WEIGHT)
+        for found, sample in zip(shapes, samples, strict=True)
     ]
-    errors = _excess_cents(np.linalg.eigvalsh(np.stack(stiffnesses)), samples)
-    named = errors[np.concatenate([s.named for s in samples])]
-    low, high = float(named.min()), float(named.max())
-    return 0.5 * (low + high), 0.5 * (high - low)
+    moved = np.hstack(motions)
+    return np.asarray(np.linalg.eigh(moved @ moved.T)[1][:, ::-1])

@@ -133,8 +133,10 @@ def test_quick_sweep_shows_all_modes_on_enough_pixels():
 
 
 def test_duration_counts_settling_to_the_next_frame(series_a):
-    # 0.1 s of settling is two frame periods of 80.6 ms, and four frames follow.
-    assert series_a.duration_s == pytest.approx(184 * 6 / 12.4)
+    # 40 ms of settling is one frame period of 80.6 ms, and four frames follow.
+    assert series_a.duration_s == pytest.approx(184 * 5 / 12.4)
+    longer = make_plan(SERIES_A.replace(settle="0.1 s"), BENCH)
+    assert longer.duration_s == pytest.approx(184 * 6 / 12.4)
     at_once = make_plan(SERIES_A.replace(settle="0 s"), BENCH)
     assert at_once.duration_s == pytest.approx(184 * 4 / 12.4)
     one_period = make_plan(
@@ -148,6 +150,16 @@ def test_file_sizes(series_a):
     assert series_a.file_size_bytes == 184 * region.height * region.width * 8
     frames = make_plan(SERIES_A.replace(keep="frames"), BENCH)
     assert frames.file_size_bytes == 184 * 4 * 1024 * 1280 * 2
+
+
+@pytest.mark.parametrize(
+    ("last", "retry", "spare"),
+    # A tenth of the sweep and four, but no more than can be asked for.
+    [(184, 1, 22), (184, 0, 0), (184, 5, 22), (2, 1, 2), (2, 5, 4), (1, 1, 1), (60, 1, 10)],
+)
+def test_room_for_takes_is_a_tenth_of_the_sweep_and_a_few(last, retry, spare):
+    changes = {"sweep.last": last, "policy.bad_pictures.retry": retry}
+    assert make_plan(SERIES_A.replace(changes), BENCH).spare_takes == spare
 
 
 def test_region_covers_the_reed_and_no_twin(series_a):
@@ -171,7 +183,8 @@ def test_region_covers_the_reed_and_no_twin(series_a):
 def test_json_keys_and_exact_strings(series_a):
     content = json.loads(json.dumps(series_a.to_json(), allow_nan=False))
     assert set(content) == {
-        "protocol", "reed", "bench", "steps", "duration_s", "file_size_bytes", "violations"
+        "protocol", "reed", "bench", "steps", "duration_s", "file_size_bytes",
+        "expected_size_bytes", "violations",
     }  # fmt: skip
     first = content["steps"][0]
     assert list(first) == [

@@ -16,7 +16,7 @@ import acquire.protocol
 from acquire.bench_file import BenchFile, find_bench, shipped_benches
 from acquire.description import find_description
 from acquire.errors import ProtocolError
-from acquire.protocol import Protocol, find_protocol, shipped_protocols
+from acquire.protocol import Policies, Policy, Protocol, find_protocol, shipped_protocols
 from acquire.reed_file import ReedFile
 
 SERIES_A = find_protocol("seriesA").read_text(encoding="utf-8")
@@ -49,6 +49,19 @@ def test_series_a_is_the_sweep_of_the_paper():
     assert protocol.exposure_s == 1 / Fraction("12.4")
 
 
+def test_what_happens_when_a_step_goes_wrong_can_be_said():
+    quick = Protocol.from_file("quick")
+    # What stands in series A is what holds where nothing is said.
+    assert quick.policy == Protocol.from_file("seriesA").policy == Policies()
+    assert (quick.policy.bad_pictures.retry, quick.policy.bad_pictures.then) == (1, "skip")
+    assert (quick.policy.instrument_error.retry, quick.policy.instrument_error.then) == (0, "stop")
+    changed = quick.replace({"policy.instrument_error": {"retry": 2, "then": "skip"}})
+    assert changed.policy.instrument_error == Policy(retry=2, then="skip")
+    assert changed.policy.bad_pictures == quick.policy.bad_pictures
+    assert changed.replace({"policy.bad_pictures.then": "stop"}).policy.bad_pictures.retry == 1
+    assert Protocol.from_text(changed.text) == changed
+
+
 def test_series_b_differs_only_in_the_excitation():
     series_a, series_b = Protocol.from_file("seriesA"), Protocol.from_file("seriesB")
     assert series_b.chamber == "symmetric"
@@ -58,13 +71,13 @@ def test_series_b_differs_only_in_the_excitation():
 
 def test_shipped_files_are_complete():
     assert shipped_protocols() == ("quick", "seriesA", "seriesB")
-    assert shipped_benches() == ("simulated",)
+    assert shipped_benches() == ("simulated", "wire")
 
 
 @pytest.mark.parametrize("model", [Protocol, BenchFile])
 def test_optional_sections_have_defaults(model):
     text, dropped = {
-        Protocol: (SERIES_A, ("sideband", "tolerance", "keep")),
+        Protocol: (SERIES_A, ("sideband", "tolerance", "policy", "keep")),
         BenchFile: (BENCH, ("twin",)),
     }[model]
     content = yaml.safe_load(text)
@@ -158,7 +171,7 @@ WRONG_TEXTS = {
     "missing unit": ("1396.9 Hz", "1396.9", "sweep.reference: 1396.9 has no unit; write a freq"),
     "missing unit, quoted": ("12.4 Hz\n", "'12.4'\n", "camera.frame_rate: '12.4' is not a number"),
     "wrong unit": ("16 V,", "16 Hz,", "drive.ramp.to: '16 Hz' is not a voltage"),
-    "unknown unit": ("settle: 0.1 s", "settle: 0.1 sec", "settle: '0.1 sec' has the unknown"),
+    "unknown unit": ("settle: 40 ms", "settle: 40 msec", "settle: '40 msec' has the unknown"),
     "NaN": ("from: 0.5 V", "from: .nan", "drive.ramp.from: nan is not a finite number"),
     "NaN with unit": ("from: 0.5 V", "from: nan V", "drive.ramp.from: 'nan V' is not a number"),
     "infinite": ("16 V,", ".inf,", "drive.ramp.to: inf is not a finite number"),
@@ -186,6 +199,24 @@ WRONG_TEXTS = {
     "not a choice": ("asymmetric\n", "lopsided\n", "chamber: 'lopsided' should be 'asymmetric'"),
     "scalar for a section": ("\n  order: 1", " 1", "sideband: 1 is no mapping; give order"),
     "list for a section": ("\n  order: 1", " [1]", "sideband: a list is no mapping"),
+    "unknown policy": (
+        "retry: 1, then",
+        "retries: 1, then",
+        "policy.bad_pictures.retries: unknown",
+    ),
+    "half a policy": (
+        "{retry: 1, then: skip}",
+        "{retry: 1}",
+        "policy.bad_pictures.then: is missing",
+    ),
+    "endless retries": ("retry: 1, then", "retry: 6, then", "policy.bad_pictures.retry: 6 should"),
+    "negative retries": ("retry: 1, then", "retry: -1, then", "policy.bad_pictures.retry: -1 sho"),
+    "no such end": ("then: skip}", "then: panic}", "policy.bad_pictures.then: 'panic' should be"),
+    "scalar for a policy": (
+        "instrument_error: {retry: 0, then: stop}",
+        "instrument_error: stop",
+        "policy.instrument_error: 'stop' is no mapping",
+    ),
     "duplicate key": ("last: 184", "last: 184\n  last: 30", "sweep.last: is given twice, first in"),
     "anchor": ("name: Ser", "name: &a Ser", "name: has a YAML anchor"),
     "tag": ("name: Ser", "name: !!python/name:os.system Ser", "name: has the YAML tag"),

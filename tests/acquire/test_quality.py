@@ -19,18 +19,22 @@ from acquire.quality import (
     judge_consecutive,
     judge_fresh,
     judge_lock,
+    judge_order,
+    judge_phase,
     judge_saturation,
     judge_signal,
+    judge_whole,
     most_severe,
     saturated_share,
-    signal_and_noise,
     signal_threshold,
 )
-from acquire.reconstruction import empty_region
+from acquire.reconstruction import mean_power
 from drivers.roles import Frame
+from holography.phase import PhaseAdvance, phase_advance
 from holography.region import Region
 
 RATE_HZ = Fraction(62, 5)
+PERIOD_S = float(1 / RATE_HZ)
 DRIVE_HZ = Fraction(20001, 10)
 CONDITION = LockCondition(order=1, frame_rate_hz=RATE_HZ, tolerance_rad=0.01)
 
@@ -51,11 +55,20 @@ def read_back(residual_hz=Fraction(0), order=1):
 
 @given(st.lists(st.integers(0, 20), min_size=4, max_size=4))
 def test_only_consecutive_ids_pass(ids):
-    consecutive = all(after - before == 1 for before, after in pairwise(ids))
-    judgement = judge_consecutive(frames_of(ids), 4)
-    assert (judgement is None) == consecutive
-    if judgement:
-        assert judgement.verdict is Verdict.DROPPED
+    """What is missing is dropped, what came twice or in another order is not in order."""
+    found = most_severe(
+        [judge_consecutive(frames_of(ids), 4), judge_order(frames_of(ids), PERIOD_S)]
+    )
+    if all(after - before == 1 for before, after in pairwise(ids)):
+        assert found.verdict is Verdict.OK
+    elif set(range(min(ids), max(ids))) <= set(ids):
+        assert found.verdict is Verdict.DISORDERED
+    else:
+        assert found.verdict is Verdict.DROPPED
+
+
+def test_the_numbers_of_frames_may_be_anything():
+    assert judge_consecutive(frames_of((0, 2**62, 5, 6)), 4).verdict is Verdict.DROPPED
 
 
 @pytest.mark.parametrize("ids", [(), (1,), (1, 2, 3), (1, 2, 3, 4, 5)])
@@ -72,6 +85,157 @@ def test_a_frame_from_before_the_setting_settled_is_stale():
     assert judgement.verdict is Verdict.STALE
     assert "12 ms before" in judgement.sentence
     assert judge_fresh(frames[::-1], 5.012) is not None, "whichever frame comes first"
+
+
+@given(st.permutations((7, 8, 9, 10)), st.integers(0, 20))
+def test_a_frame_that_was_seen_before_is_stale(ids, seen):
+    """Whichever it is, and whatever its time stamp says."""
+    previous = Frame(seen, 100.0, np.zeros((2, 2), np.uint16))
+    judgement = judge_fresh(frames_of(ids), 5.0 - 10.0, previous)
+    assert (judgement is None) == (seen < 7)
+    if judgement:
+        assert judgement.verdict is Verdict.STALE
+        assert f"frame 7 is not later than frame {seen} of the step before" in judgement.sentence
+
+
+# --- Order -------------------------------------------------------------------------------------
+
+
+def moved(frames, jumps_s):
+    """Frames whose time stamps are off by as many seconds."""
+    return [
+        Frame(frame.id, frame.timestamp_s + jump_s, frame.image)
+        for frame, jump_s in zip(frames, jumps_s, strict=True)
+    ]
+
+
+@given(
+    st.permutations((7, 8, 9, 10)) | st.lists(st.integers(7, 10), min_size=4, max_size=4),
+    st.booleans(),
+)
+def test_another_order_of_frames_is_disordered(ids, stamped_as_they_come):
+    """Whether time stamps follow the numbers or the order in which the frames came."""
+    frames = frames_of(ids)
+    if stamped_as_they_come:
+        starts_s = [5.0 + k * PERIOD_S for k in range(4)]
+        frames = [
+            Frame(id, start_s, frames[0].image) for id, start_s in zip(ids, starts_s, strict=True)
+        ]
+    judgement = judge_order(frames, PERIOD_S)
+    assert (judgement is None) == (list(ids) == [7, 8, 9, 10])
+    if judgement:
+        assert judgement.verdict is Verdict.DISORDERED
+
+
+@given(where=st.integers(1, 3), jump=st.floats(-20, 20), stays=st.booleans())
+def test_a_clock_that_jumps_within_an_acquisition_is_disordered(where, jump, stays):
+    """By more than half a period, forward or back, for one frame or for all that follow."""
+    jumps = [jump * PERIOD_S if k == where or (stays and k > where) else 0.0 for k in range(4)]
+    judgement = judge_order(moved(frames_of(), jumps), PERIOD_S)
+    if abs(jump) > 0.501:
+        assert judgement.verdict is Verdict.DISORDERED
+        went_ms = 1e3 * (1 + jump) * PERIOD_S
+        assert (
+            f"{6 + where} to {7 + where} the camera's clock went {went_ms:.4g} ms"
+            in judgement.sentence
+        )
+        assert f"instead of {1e3 * PERIOD_S:.4g} ms" in judgement.sentence
+    elif abs(jump) < 0.499:
+        assert judgement is None
+
+
+@given(gap=st.integers(1, 1000), jump=st.floats(-20, 20))
+def test_a_clock_that_jumps_between_two_acquisitions_is_disordered(gap, jump):
+    """But for a ten-thousandth of the time between them, by which clocks may drift."""
+    previous = Frame(7 - gap, 5.0 - gap * PERIOD_S, np.zeros((2, 2), np.uint16))
+    judgement = judge_order(moved(frames_of(), [jump * PERIOD_S] * 4), PERIOD_S, previous)
+    allowed = 0.5 + 1e-4 * gap
+    if abs(jump) > allowed + 1e-3:
+        assert judgement.verdict is Verdict.DISORDERED
+        assert f"from frame {7 - gap} to 7" in judgement.sentence
+    elif abs(jump) < allowed - 1e-3:
+        assert judgement is None
+
+
+@pytest.mark.parametrize(("gap", "passes"), [(10, False), (490, False), (510, True)])
+def test_clocks_may_drift_by_a_ten_thousandth(gap, passes):
+    """Half a period and a twentieth more are too much, unless 500 periods went by."""
+    previous = Frame(7 - gap, 5.0 - (gap + 0.55) * PERIOD_S, np.zeros((2, 2), np.uint16))
+    assert (judge_order(frames_of(), PERIOD_S, previous) is None) == passes
+
+
+def test_frames_that_were_lost_between_two_acquisitions_leave_no_jump():
+    previous = Frame(2, 5.0 - 5 * PERIOD_S, np.zeros((2, 2), np.uint16))
+    assert judge_order(frames_of(), PERIOD_S, previous) is None
+    late = Frame(2, 5.0 - 4 * PERIOD_S, np.zeros((2, 2), np.uint16))
+    assert judge_order(frames_of(), PERIOD_S, late).verdict is Verdict.DISORDERED
+
+
+def test_a_number_that_was_seen_before_is_old_and_not_disordered():
+    previous = Frame(8, 5.0 + PERIOD_S, np.zeros((2, 2), np.uint16))
+    assert judge_order(frames_of(), PERIOD_S, previous) is None
+    assert judge_fresh(frames_of(), 0.0, previous).verdict is Verdict.STALE
+
+
+# --- Whole frames ------------------------------------------------------------------------------
+
+SATURATED = 4095
+
+
+def noisy(level_dn=1000.0, noise_dn=20.0, shape=(12, 40), seed=0):
+    """Four frames of light and noise."""
+    rng = np.random.default_rng(seed)
+    images = np.clip(np.rint(rng.normal(level_dn, noise_dn, (4, *shape))), 0, SATURATED)
+    return [Frame(7 + k, 5.0 + k * PERIOD_S, im) for k, im in enumerate(images.astype(np.uint16))]
+
+
+@given(number=st.integers(0, 3), rows=st.integers(1, 11))
+def test_a_frame_that_ends_in_zeros_is_partial(number, rows):
+    frames = noisy()
+    frames[number].image[-rows:] = 0
+    judgement = judge_whole(frames, SATURATED)
+    assert judgement.verdict is Verdict.PARTIAL
+    assert f"{rows} of 12 rows of frame {7 + number} are empty" in judgement.sentence
+
+
+@given(number=st.integers(1, 3), rows=st.integers(1, 12))
+def test_a_frame_that_ends_as_the_one_before_is_partial(number, rows):
+    frames = noisy()
+    frames[number].image[-rows:] = frames[number - 1].image[-rows:]
+    judgement = judge_whole(frames, SATURATED)
+    assert judgement.verdict is Verdict.PARTIAL
+    expected = f"{rows} of 12 rows of frame {7 + number} are those of frame {6 + number}"
+    assert expected in judgement.sentence
+
+
+@pytest.mark.parametrize(
+    ("level_dn", "noise_dn"),
+    [
+        (1000.0, 20.0),
+        # All pixels of all frames at the limit, and all but a few.
+        (9000.0, 20.0),
+        (4150.0, 20.0),
+        # No light: an offset with read noise, and a camera that subtracts its offset.
+        (50.0, 1.0),
+        (0.0, 1.0),
+        (-100.0, 1.0),
+    ],
+)
+def test_whole_frames_pass_however_bright(level_dn, noise_dn):
+    for seed in range(20):
+        assert judge_whole(noisy(level_dn, noise_dn, seed=seed), SATURATED) is None
+
+
+def test_what_is_partial_counts_beside_saturated_rows():
+    frames = noisy()
+    for frame in frames:
+        frame.image[:4] = SATURATED
+    assert judge_whole(frames, SATURATED) is None
+    frames[2].image[-1] = frames[1].image[-1]
+    assert "1 of 12 rows of frame 9" in judge_whole(frames, SATURATED).sentence
+
+
+# --- The frame rate ----------------------------------------------------------------------------
 
 
 def test_the_frame_rate_comes_from_ids_and_time_stamps():
@@ -128,6 +292,39 @@ def test_the_carrier_has_a_lock_of_its_own():
     assert judge_lock(read_back(order=1), frames_of(), carrier) is not None
 
 
+# --- Lock as the light shows it ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("error_rad", [0.0, 0.01])
+def test_the_light_may_turn_by_tolerance_leak_and_five_standard_errors(sign, error_rad):
+    # Over four frames: 0.01 rad of tolerance, 0.03 rad of leak, 5 · 4 standard errors.
+    limit_rad = (0.01 + 0.03 + 20 * error_rad) / 4
+    for factor, passes in ((0.999, True), (1.001, False)):
+        phase = PhaseAdvance(sign * factor * limit_rad, error_rad)
+        judgement = judge_phase(phase, CONDITION, 4)
+        assert (judgement is None) == passes
+        if judgement:
+            assert judgement.verdict is Verdict.LOCK
+            turn_hz = sign * factor * limit_rad / (2 * np.pi) * 12.4
+            assert f"{turn_hz:+.3g} Hz off the lock" in judgement.sentence
+            assert "share one clock" in judgement.sentence
+
+
+def test_without_light_nothing_is_said_of_the_lock():
+    assert judge_phase(PhaseAdvance(np.nan, np.inf), CONDITION, 4) is None
+    assert judge_phase(PhaseAdvance(np.nan, np.nan), CONDITION, 4) is None
+    assert judge_phase(PhaseAdvance(3.0, 0.201), CONDITION, 4) is None
+    assert judge_phase(PhaseAdvance(3.0, 0.199), CONDITION, 4).verdict is Verdict.LOCK
+
+
+def test_noise_alone_is_never_taken_for_a_lost_lock():
+    rng = np.random.default_rng(0)
+    for _ in range(2000):
+        even, odd = rng.standard_normal((2, 200, 2)) @ np.array([1, 1j]) * np.sqrt(0.5)
+        assert judge_phase(phase_advance(even, odd, 1.0), CONDITION, 4) is None
+
+
 # --- Light -------------------------------------------------------------------------------------
 
 
@@ -151,20 +348,17 @@ def test_noise_alone_has_the_statistics_of_the_threshold():
     parts = rng.standard_normal((1000, 2, 40, 50), dtype=np.float32)
     images = (parts[:, 0] + 1j * parts[:, 1]).astype(np.complex64)
     reed, empty = Region(2, 3, 20, 15), Region(0, 30, 40, 20)
-    ratios = np.array([signal_and_noise(image, reed, empty)[0] for image in images])
+    ratios = np.array([mean_power(reed.crop(im)) / mean_power(empty.crop(im)) for im in images])
     presumed = (signal_threshold(300, 800) - 1) / 5
     assert ratios.mean() == pytest.approx(1, abs=0.01)
     assert ratios.std() == pytest.approx(presumed, rel=0.1)
     assert all(judge_signal(ratio, 300, 800) for ratio in ratios)
 
 
-def test_signal_and_noise_are_mean_powers():
-    image = np.full((8, 10), 2 + 0j, np.complex64)
-    image[1:3, 1:4] = 3 + 4j
-    ratio, noise = signal_and_noise(image, Region(1, 1, 2, 3), Region(5, 0, 2, 10))
-    assert (ratio, noise) == pytest.approx((25 / 4, 4))
-    ratio, noise = signal_and_noise(0 * image, Region(1, 1, 2, 3), Region(5, 0, 2, 10))
-    assert judge_signal(ratio, 6, 20).verdict is Verdict.NO_SIGNAL, "a dead camera"
+def test_a_dead_camera_gives_no_signal():
+    # Its pictures have no noise either, so there is no ratio.
+    assert judge_signal(np.nan, 6, 20).verdict is Verdict.NO_SIGNAL
+    assert judge_signal(0.0, 6, 20).verdict is Verdict.NO_SIGNAL
 
 
 def test_a_little_more_than_noise_is_a_signal():
@@ -172,29 +366,6 @@ def test_a_little_more_than_noise_is_a_signal():
     assert 1.01 < threshold < 1.03
     assert judge_signal(threshold, 70_000, 200_000).verdict is Verdict.NO_SIGNAL
     assert judge_signal(threshold * 1.001, 70_000, 200_000) is None
-
-
-@given(
-    shape=st.tuples(st.integers(16, 200), st.integers(16, 200)),
-    centre=st.tuples(st.floats(-0.25, 0.25), st.floats(-0.25, 0.25)),
-    size=st.tuples(st.floats(0.05, 0.35), st.floats(0.05, 0.35)),
-)
-def test_the_empty_region_meets_neither_image_nor_twin(shape, centre, size):
-    starts, counts = [], []
-    for count, middle, extent in zip(shape, centre, size, strict=True):
-        starts.append(int((0.5 + middle - extent / 2) * count))
-        counts.append(max(int(extent * count), 1))
-    region = Region(*starts, *counts)
-    empty = empty_region(shape, region)
-    image = np.zeros(shape, bool)
-    empty.crop(image)[...] = True
-    rows, columns = np.nonzero(image)
-    assert len(rows) == empty.height * empty.width > 0
-    for sign in (1, -1):
-        # Pixels are reflected in the optical axis at (ny//2, nx//2).
-        r = sign * (rows - shape[0] // 2) + shape[0] // 2 - region.row
-        c = sign * (columns - shape[1] // 2) + shape[1] // 2 - region.column
-        assert not ((r >= 0) & (r < region.height) & (c >= 0) & (c < region.width)).any()
 
 
 # --- Severity ----------------------------------------------------------------------------------

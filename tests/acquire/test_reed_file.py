@@ -1,5 +1,6 @@
 """Reed files: what they say of a reed, and how reeds that cannot be are refused."""
 
+import functools
 from dataclasses import replace
 from fractions import Fraction
 
@@ -17,7 +18,9 @@ from acquire.reed_file import (
     MESHES,
     ReedFile,
     changed,
+    doubts_marked,
     mesh_level,
+    modes_by_basis,
     modes_of,
     modes_to_json,
     shipped_reeds,
@@ -25,6 +28,7 @@ from acquire.reed_file import (
 from physics.reed.conditions import at_temperature
 from physics.reed.geometry import ClampSide, ReedGeometry, half_width_m, thickness_m
 from physics.reed.material import Cane
+from physics.reed.material_snapshots import TrainingSettings
 from physics.reed.mesh import MeshLevel
 from physics.reed.viscoelastic import (
     Components,
@@ -295,7 +299,7 @@ def test_a_protocol_is_no_reed():
 def test_meshes_have_names():
     assert mesh_level("standard") is MESHES["standard"]
     message = refusal(mesh_level, "finest")
-    assert message == "there is no mesh 'finest'; known are fine, standard, fast"
+    assert message == "there is no mesh 'finest'; known are fine, standard, fast, basis"
 
 
 @given(st.data())
@@ -393,7 +397,7 @@ def test_json_has_what_is_documented(fast_modes):
     for answer in (elastic, viscoelastic):
         assert set(answer) == {"reed", "material", "modes"}
         for mode in answer["modes"]:
-            assert list(mode) == ["name", "hz", "class", "symmetry"]
+            assert list(mode) == ["name", "hz", "class", "symmetry", "likeness"]
     assert elastic["reed"] == "clarinet"
     assert elastic["material"]["E_L_pa"] == 14e9
     assert elastic["material"]["viscoelastic"] is None
@@ -407,3 +411,130 @@ def test_cane_too_soft_to_count_its_modes_is_refused():
     )
     message = refusal(modes_of, soft, COARSE)
     assert message.startswith("clarinet (changed): the reed has over 100 modes below")
+
+
+# --- Modes by a basis --------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def basis_modes(tmp_path_factory):
+    """`modes_by_basis` on a coarse mesh, with a cache of its own, and what it has announced."""
+    told = []
+    few = functools.partial(TrainingSettings, snapshots=12, samples=64)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("REEDBENCH_CACHE", str(tmp_path_factory.mktemp("kept")))
+        patch.setattr("acquire.reed_file.STANDARD", COARSE)
+        patch.setattr("acquire.reed_file.TrainingSettings", few)
+        yield functools.partial(modes_by_basis, announce=told.append), told
+
+
+def cents_from_elements(modes, reed, count):
+    """Deviations of the lowest modes from finite elements on the same mesh, by name."""
+    solved = {mode.name: mode for mode in modes_of(reed, COARSE)}
+    for mode in modes[:count]:
+        assert (mode.klass, mode.symmetry) == (solved[mode.name].klass, solved[mode.name].symmetry)
+    return [
+        1200 * np.log2(mode.frequency_hz / solved[mode.name].frequency_hz) for mode in modes[:count]
+    ]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"cane.E_L": "12 GPa", "cane.G_LT": "1 GPa", "cane.nu_LT": 0.25},
+        {"cane.density": "800 kg/m^3", "geometry.thickness_offset": "-15 um"},
+    ],
+    ids=["as it is", "other cane", "heavier and thinner"],
+)
+def test_a_basis_answers_for_a_reed_as_finite_elements_do(changes, basis_modes):
+    answer, told = basis_modes
+    original = ReedFile.from_file()
+    reed = changed(original, changes)
+    modes = answer(reed, original)
+    assert np.abs(cents_from_elements(modes, reed, count=10)).max() < 3
+    frequencies = [mode.frequency_hz for mode in modes]
+    assert frequencies == sorted(frequencies)
+    assert frequencies[-1] < 20e3
+    # One basis serves them all.
+    assert len(told) <= 1
+
+
+def test_a_basis_answers_for_viscoelastic_cane(basis_modes):
+    answer, told = basis_modes
+    original = ReedFile.from_file("alto-saxophone")
+    before = len(told)
+    for changes in ({}, {"conditions.dryness": 0.5, "geometry.thickness_offset": "10 um"}):
+        reed = changed(original, changes)
+        modes = answer(reed, original)
+        assert np.abs(cents_from_elements(modes, reed, count=10)).max() < 3
+    assert len(told) == before + 1
+
+
+def test_another_cane_in_the_file_is_another_reference(basis_modes):
+    answer, told = basis_modes
+    original = ReedFile.from_file().replace({"cane.E_L": "11 GPa", "cane.density": "600 kg/m^3"})
+    before = len(told)
+    modes = answer(original, original)
+    assert len(told) == before + 1
+    assert min(mode.likeness for mode in modes) > 0.999
+
+
+OUTSIDE = {
+    # name: (changes, message expected)
+    "stiff": (
+        {"cane.E_L": "25 GPa"},
+        "cane.E_L: 25000 MPa lies outside the basis, which answers for 7000 to 21000 MPa; use "
+        "--mesh fine",
+    ),
+    "soft": ({"cane.G_LR": "0.5 GPa"}, "cane.G_LR: 500 MPa lies outside the basis"),
+    "ratio": (
+        {"cane.nu_TR": 0.35},
+        "cane.nu_TR: 0.35 lies outside the basis, which answers for 0.15 to 0.3; use --mesh fine",
+    ),
+    "thick": (
+        {"geometry.thickness_offset": "30 um"},
+        "geometry.thickness_offset: 30 µm lies outside the basis, which answers for -20 to 20 µm;"
+        " use --mesh fine",
+    ),
+    "uneven": (
+        {"geometry.thickness_map": {"x": ["0 mm", "9 mm"], "y": ["-9 mm", "9 mm"],
+                                    "deviation": [["1 um", "0 m"], ["0 m", "0 m"]]}},
+        "geometry.thickness_map: is not even in y, and a basis is; use --mesh fine",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", OUTSIDE)
+def test_a_reed_outside_the_basis_is_refused_before_anything_is_computed(case, basis_modes):
+    answer, told = basis_modes
+    changes, expected = OUTSIDE[case]
+    original = ReedFile.from_file()
+    before = len(told)
+    message = refusal(answer, changed(original, changes), original)
+    assert message.startswith(f"clarinet (changed): {expected}")
+    assert len(told) == before
+
+
+def test_a_file_whose_own_cane_lies_outside_is_no_reference(basis_modes):
+    answer, _ = basis_modes
+    original = ReedFile.from_file().replace({"cane.E_L": "25 GPa"})
+    message = refusal(answer, changed(original, {"cane.E_L": "14 GPa"}), original)
+    assert "cane.E_L: 25000 MPa lies outside" in message
+
+
+def test_viscoelastic_cane_that_leaves_the_box_with_frequency_is_refused(basis_modes):
+    answer, _ = basis_modes
+    original = ReedFile.from_file("alto-saxophone")
+    reed = changed(original, {"cane.viscoelastic.e1": 4.5, "cane.viscoelastic.e3": -4.0})
+    assert reed.cane().G_LT_pa < 2e9
+    message = refusal(answer, reed, original)
+    assert "cane.viscoelastic: G_LT of 2" in message
+    assert " Hz lies outside the basis, which answers for 450 to 2000 MPa; use --m" in message
+
+
+def test_names_in_doubt_are_marked(fast_modes):
+    clear, doubtful = (
+        replace(fast_modes["clarinet"][0], likeness=likeness) for likeness in (0.5, 0.49)
+    )
+    assert [mode.name for mode in doubts_marked([clear, doubtful])] == ["F1", "F1?"]

@@ -3,27 +3,22 @@
 import itertools
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import acquire
 from acquire.errors import ProtocolError, RunFileError
 from acquire.plan import Plan
 from acquire.quality import Verdict
+from acquire.recorder import Recorder
 from acquire.runfile import Run, RunLabels
 from acquire.runner import RAMP_S, Runner, RunState, run, safe_off
-from drivers.errors import InstrumentError
-
-ROOT = Path(acquire.__file__).parents[1]
+from drivers.errors import InstrumentError, LimitError
 
 SAFE_OFF = ["ramp_to", "output_off", "read", "rf_off", "stop"]
 # What a run asks of instruments before and during its steps.
@@ -36,7 +31,10 @@ def left_safe(fake):
 
 
 def runner_of(plan, fake, path, progress=lambda report: None):
-    return Runner(plan, fake.opened(), path, RunLabels(), progress)
+    bench = fake.opened()
+    return Runner(
+        plan, bench, path, lambda: Recorder.create(plan, bench, path, RunLabels(), progress)
+    )
 
 
 @pytest.fixture
@@ -65,6 +63,39 @@ def test_orders_come_in_the_order_of_the_state_diagram(tiny_plan, fake_bench, pa
     protocol = plan.protocol
     rate_hz, exposure_s = protocol.camera.frame_rate_hz, protocol.exposure_s
     assert fake.log[1] == ("configure", rate_hz, exposure_s, plan.frame_shape)
+
+
+@pytest.mark.parametrize(("to", "ramped"), [("1.24 V", False), ("1.26 V", True), ("0.79 V", True)])
+def test_volts_that_jump_are_ramped_and_others_are_not(tiny_plan, fake_bench, path, to, ramped):
+    """Up or down by more than a quarter. Between two ramps the frequency changes at 0 V."""
+    volts = {"from": "1 V", "to": to, "first": 12, "last": 14}
+    plan, fake = tiny_plan(steps=2, **{"drive.ramp": volts}), fake_bench()
+    run(plan, fake.opened(), path)
+    second = plan.steps[1]
+    begun = [entry[0] for entry in fake.log].index("grab") + 2
+    if ramped:
+        assert fake.log[begun : begun + 3] == [
+            ("ramp_to", 0.0, RAMP_S), ("set_sine", second.drive_hz, 0.0),
+            ("ramp_to", second.volts, RAMP_S),
+        ]  # fmt: skip
+    else:
+        assert fake.log[begun] == ("set_sine", second.drive_hz, second.volts)
+        assert fake.names()[begun + 1] == "read"
+
+
+def test_a_loud_step_is_not_followed_at_once_by_the_quiet_one_that_is_taken_again(
+    tiny_plan, fake_bench, lit, path
+):
+    volts = {"from": "0.5 V", "to": "1 V", "first": 12, "last": 20}
+    plan = tiny_plan(steps=5, **{"drive.ramp": volts, "policy.bad_pictures.retry": 1})
+    fake = fake_bench(picture=lit(plan), spoilt={1: lambda frames: frames[1:]})
+    run(plan, fake.opened(), path)
+    first = plan.steps[0]
+    again = [k for k, entry in enumerate(fake.log) if entry[0] == "set_pair"][5]
+    assert fake.log[again : again + 4] == [
+        ("set_pair", first.aom1_hz, first.aom2_hz), ("ramp_to", 0.0, RAMP_S),
+        ("set_sine", first.drive_hz, 0.0), ("ramp_to", first.volts, RAMP_S),
+    ]  # fmt: skip
 
 
 def test_frames_are_asked_for_after_the_settle_time(tiny_plan, fake_bench, path):
@@ -122,7 +153,7 @@ def test_frames_and_holograms_of_one_seed_are_the_same_light(
 
 
 def test_in_real_time_the_same_run_is_good(small_plan, open_small_bench, path):
-    plan = small_plan({"sweep.last": 16}, pace="realtime")
+    plan = small_plan({"sweep.last": 16, "settle": "0.1 s"}, pace="realtime")
     begun_s = time.monotonic()
     summary = run(plan, open_small_bench(plan), path)
     assert summary.counts == {Verdict.OK: 2}
@@ -197,7 +228,7 @@ def test_the_printed_formula_of_the_paper_is_caught(small_plan, open_small_bench
     ],
 )
 def test_each_fault_has_its_verdict(small_plan, open_small_bench, path, faults, verdicts):
-    plan = small_plan(faults=faults)
+    plan = small_plan({"policy.bad_pictures.retry": 0}, faults=faults)
     assert verdicts_of(plan, open_small_bench(plan), path) == verdicts
 
 
@@ -504,8 +535,324 @@ def test_whatever_happens_when_the_run_ends_in_a_known_state(
         assert all(whole) or ended is not RunState.COMPLETE
 
 
+# --- Pauses ------------------------------------------------------------------------------------
+
+OPENING = ["output_off", "configure", "rf_on", "start"]
+
+
+def attend(runner, fake, *actions):
+    """At each pause of a run, once all is off, do the next of some actions."""
+
+    def wait():
+        given_up_s = time.monotonic() + 20
+        for pauses, action in enumerate(actions, 1):
+            while fake.names().count("stop") < pauses or fake.running:
+                time.sleep(0.002)
+                if time.monotonic() > given_up_s:
+                    runner.stop()
+                    return
+            # Whatever the runner does while it is paused would be in the log by then.
+            time.sleep(0.15)
+            action()
+
+    attendant = threading.Thread(target=wait, daemon=True)
+    attendant.start()
+    return attendant
+
+
+def test_while_a_run_is_paused_all_is_off(tiny_plan, fake_bench, lit, path):
+    plan, orders, safe = tiny_plan(steps=4), [], []
+    fake = fake_bench(picture=lit(plan))
+    runner = runner_of(plan, fake, path)
+
+    def look_and_go_on():
+        orders.extend(fake.names())
+        safe.append(left_safe(fake) and runner.state is RunState.PAUSED)
+        runner.proceed()
+
+    attendant = attend(runner, fake, look_and_go_on)
+    fake.before = lambda name, count: (name, count) == ("set_sine", 2) and runner.pause()
+    summary = runner.execute()
+    attendant.join()
+    assert safe == [True]
+    # The step in work is finished; then all is off, and nothing is asked of the bench.
+    assert orders[-6:] == ["grab", *SAFE_OFF]
+    assert orders.count("grab") == 2
+    later = fake.log[len(orders) :]
+    third = plan.steps[2]
+    assert [entry[0] for entry in later[:4]] == OPENING
+    assert later[4] == ("set_pair", third.aom1_hz, third.aom2_hz)
+    assert later[5] == ("set_sine", third.drive_hz, 0.0), "the output comes on without a jump"
+    assert later[6] == ("ramp_to", third.volts, RAMP_S)
+    assert summary.status is RunState.COMPLETE
+    assert left_safe(fake)
+    with Run.open(path) as measured:
+        assert measured.good.all()
+        (seam,) = measured.seams
+        assert (seam.position, seam.kind) == (2, "paused")
+        assert measured.start_time <= seam.began <= seam.ended <= measured.end_time
+        # Frames are numbered from the camera's start.
+        assert measured.steps[2].frame_ids[0] < measured.steps[1].frame_ids[0] + 4
+
+
+def test_a_run_may_be_paused_again_and_before_its_first_step(tiny_plan, fake_bench, path):
+    fake = fake_bench()
+    runner = runner_of(tiny_plan(steps=3), fake, path)
+    attendant = attend(runner, fake, runner.proceed, runner.proceed)
+    fake.before = lambda name, count: (name, count) == ("grab", 2) and runner.pause()
+    runner.pause()
+    assert runner.execute().status is RunState.COMPLETE
+    attendant.join()
+    with Run.open(path) as measured:
+        assert [(seam.position, seam.kind) for seam in measured.seams] == [
+            (0, "paused"), (2, "paused")
+        ]  # fmt: skip
+        assert all(step.verdict.measured for step in measured)
+
+
+def test_a_stop_ends_a_pause_and_the_run(tiny_plan, fake_bench, path):
+    fake = fake_bench()
+    runner = runner_of(tiny_plan(steps=4), fake, path)
+    attendant = attend(runner, fake, runner.stop)
+    fake.before = lambda name, count: (name, count) == ("grab", 2) and runner.pause()
+    assert runner.execute().status is RunState.INTERRUPTED
+    attendant.join()
+    assert fake.names().count("start") == 1, "nothing was switched on again"
+    assert fake.names()[-5:] == SAFE_OFF
+    assert left_safe(fake)
+    with Run.open(path) as measured:
+        assert measured.status == "interrupted"
+        assert [step.verdict.measured for step in measured] == [True, True, False, False]
+        assert measured.seams == ()
+
+
+def test_who_goes_on_before_the_pause_has_begun_never_paused(tiny_plan, fake_bench, path):
+    fake = fake_bench()
+    runner = runner_of(tiny_plan(steps=3), fake, path)
+
+    def hesitate(name, count):
+        if (name, count) == ("grab", 2):
+            runner.pause()
+            runner.proceed()
+
+    fake.before = hesitate
+    assert runner.execute().status is RunState.COMPLETE
+    assert fake.names().count("start") == 1
+    with Run.open(path) as measured:
+        assert measured.seams == ()
+
+
+def test_a_run_that_is_to_end_does_not_pause_before(tiny_plan, fake_bench, path):
+    fake = fake_bench()
+    runner = runner_of(tiny_plan(steps=3), fake, path)
+    runner.pause()
+    runner.stop()
+    assert runner.execute().status is RunState.INTERRUPTED
+    assert fake.names() == [*OPENING, *SAFE_OFF]
+
+
+@pytest.mark.parametrize("order", ["output_off", "rf_off", "stop"])
+def test_a_pause_in_which_not_all_is_off_ends_the_run(tiny_plan, fake_bench, path, order):
+    """Nobody walks up to a bench that is thought to be off."""
+    fake = fake_bench(failing={order: 2 if order == "output_off" else 1})
+    runner = runner_of(tiny_plan(steps=3), fake, path)
+    fake.before = lambda name, count: (name, count) == ("grab", 2) and runner.pause()
+    said = "switched off to pause, but not all is confirmed: .*mend it; look at it before going on"
+    with pytest.raises(InstrumentError, match=said):
+        runner.execute()
+    assert runner.state is RunState.FAILED
+    with Run.open(path) as measured:
+        assert [step.verdict.measured for step in measured] == [True, True, False]
+
+
+# --- What happens when an instrument fails -----------------------------------------------------
+
+
+def policy(retry, then):
+    return {"policy.instrument_error": {"retry": retry, "then": then}}
+
+
+def fail_at(fake, order, counts):
+    """Let an order fail at some of its times."""
+
+    def happen(name, count):
+        if name == order and count in counts:
+            raise InstrumentError(f"fake: {order} fails; mend it")
+
+    fake.before = happen
+
+
+@pytest.mark.parametrize(
+    ("order", "count"),
+    # The orders of the third step. Only the first step and those after a failure are ramped to.
+    [("set_pair", 3), ("set_sine", 3), ("read", 3), ("read_pair", 3), ("grab", 3)],
+)
+def test_after_a_failure_all_is_switched_off_and_on_and_the_step_taken_again(
+    tiny_plan, fake_bench, lit, path, order, count
+):
+    plan = tiny_plan(steps=5, **policy(1, "stop"))
+    fake = fake_bench(picture=lit(plan))
+    fail_at(fake, order, {count})
+    summary = run(plan, fake.opened(), path)
+    assert (summary.status, summary.counts) == (RunState.COMPLETE, {Verdict.OK: 5})
+    assert summary.retaken == 0, "a step that was not measured is not a take"
+    names = fake.names()
+    failed = [k for k, name in enumerate(names) if name == order][count - 1]
+    assert names[failed + 1 : failed + 10] == [*SAFE_OFF, *OPENING]
+    third, again = plan.steps[2], fake.log[failed + 10 :]
+    assert again[0] == ("set_pair", third.aom1_hz, third.aom2_hz)
+    assert again[1] == ("set_sine", third.drive_hz, 0.0), "the output comes on without a jump"
+    assert again[2] == ("ramp_to", third.volts, RAMP_S)
+    assert left_safe(fake)
+    with Run.open(path) as measured:
+        assert measured.status == "complete"
+        assert measured.retakes == ()
+        (seam,) = measured.seams
+        assert (seam.position, seam.kind) == (2, "recovered")
+        assert seam.reason == f"fake: {order} fails; mend it"
+
+
+def test_a_step_at_which_an_instrument_keeps_failing_is_done_without(
+    tiny_plan, fake_bench, lit, path, documents_of
+):
+    plan = tiny_plan(steps=4, **policy(1, "skip"))
+    fake = fake_bench(picture=lit(plan))
+    fail_at(fake, "grab", {2, 3})
+    summary = run(plan, fake.opened(), path)
+    assert (summary.status, summary.counts) == (RunState.COMPLETE, {Verdict.OK: 3})
+    with Run.open(path) as measured:
+        assert [step.verdict for step in measured] == ["ok", "skipped", "ok", "ok"]
+        assert measured.steps[1].sentence == "fake: grab fails; mend it"
+        assert [(seam.position, seam.kind) for seam in measured.seams] == [(1, "recovered")] * 2
+    events = [document["data"] for name, document in documents_of(path) if name == "event"]
+    assert [event["index"] for event in events] == [12, 16, 18]
+
+
+@pytest.mark.parametrize("retry", [0, 2])
+def test_a_run_ends_at_an_instrument_that_keeps_failing_if_it_is_to(
+    tiny_plan, fake_bench, path, retry
+):
+    fake = fake_bench(failing={"grab": 3})
+    with pytest.raises(InstrumentError, match="grab fails"):
+        run(tiny_plan(steps=4, **policy(retry, "stop")), fake.opened(), path)
+    assert fake.names().count("grab") == 3 + retry
+    assert left_safe(fake)
+    with Run.open(path) as measured:
+        assert measured.status == "failed"
+        assert [step.verdict for step in measured][2:] == ["interrupted", "pending"]
+        assert [seam.kind for seam in measured.seams] == ["recovered"] * retry
+
+
+@pytest.mark.parametrize("then", ["skip", "stop"])
+@pytest.mark.parametrize("order", ["ramp_to", "output_off", "rf_off", "stop"])
+def test_what_is_not_confirmed_to_be_off_ends_the_run_whatever_the_policy(
+    tiny_plan, fake_bench, path, order, then
+):
+    fake = fake_bench(failing={"grab": 2, order: 1 if order in ("rf_off", "stop") else 2})
+    with pytest.raises(InstrumentError, match="grab fails") as caught:
+        run(tiny_plan(steps=4, **policy(5, then)), fake.opened(), path)
+    notes = " ".join(caught.value.__notes__)
+    assert "switched off after an instrument failed, but not all is confirmed" in notes
+    assert f"{order} fails" in notes
+    assert fake.names().count("grab") == 2
+    with Run.open(path) as measured:
+        assert measured.status == "failed"
+        assert [step.verdict.measured for step in measured] == [True, False, False, False]
+        assert measured.steps[1].verdict is Verdict.INTERRUPTED
+        assert measured.steps[1].sentence == "fake: grab fails; mend it"
+
+
+@pytest.mark.parametrize("order", ["configure", "rf_on", "start"])
+def test_a_bench_that_does_not_come_back_ends_the_run(tiny_plan, fake_bench, path, order):
+    fake = fake_bench(failing={"grab": 2, order: 2})
+    with pytest.raises(InstrumentError, match="grab fails") as caught:
+        run(tiny_plan(steps=4, **policy(5, "skip")), fake.opened(), path)
+    assert f"{order} fails" in " ".join(caught.value.__notes__)
+    assert left_safe(fake)
+    with Run.open(path) as measured:
+        assert measured.steps[1].verdict is Verdict.INTERRUPTED
+
+
+def test_what_was_asked_beyond_a_limit_is_not_asked_again(tiny_plan, fake_bench, path):
+    fake = fake_bench()
+
+    def refuse(name, count):
+        if (name, count) == ("set_sine", 2):
+            raise LimitError("generator: was asked for 17 V; ask for less")
+
+    fake.before = refuse
+    with pytest.raises(LimitError, match="17 V"):
+        run(tiny_plan(**policy(5, "skip")), fake.opened(), path)
+    assert fake.names().count("set_sine") == 2
+    assert left_safe(fake)
+
+
+@given(
+    events=st.lists(
+        st.tuples(
+            st.sampled_from(["fail", "fail", "pause", "stop", "interrupt"]), st.integers(4, 80)
+        ),
+        max_size=6,
+    ),
+    retry=st.integers(0, 2),
+    then=st.sampled_from(["skip", "stop"]),
+)
+@settings(
+    deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_whatever_fails_and_whoever_pauses_the_run_ends_in_a_known_state(
+    tiny_plan, fake_bench, lit, tmp_path_factory, documents_of, events, retry, then
+):
+    path = tmp_path_factory.mktemp("any") / "run.h5"
+    plan = tiny_plan(steps=4, **policy(retry, then), **{"policy.bad_pictures.retry": 1})
+    fake = fake_bench(picture=lit(plan), spoilt={2: lambda frames: frames[1:]})
+    runner = runner_of(plan, fake, path)
+
+    def happen(name, count):
+        # Whoever paused the run goes on as soon as all is off.
+        if name == "stop" and runner.state is RunState.PAUSED:
+            runner.proceed()
+        for event, when in events:
+            if when != len(fake.log):
+                continue
+            if event == "fail" and name not in SAFE_OFF:
+                raise InstrumentError("fake: fails; mend it")
+            if event == "pause":
+                runner.pause()
+            if event == "stop":
+                runner.stop()
+            if event == "interrupt":
+                runner.interrupt()
+
+    fake.before = happen
+    try:
+        ended = runner.execute().status
+    except InstrumentError:
+        ended = RunState.FAILED
+    assert runner.state is ended
+    assert left_safe(fake)
+    assert fake.names()[-5:] == SAFE_OFF
+    assert fake.names().count("rf_off") == fake.names().count("stop")
+    if not path.exists():
+        assert ended is RunState.FAILED
+        return
+    with Run.open(path) as measured:
+        assert measured.status == str(ended)
+        verdicts = [step.verdict for step in measured]
+        if ended is RunState.COMPLETE:
+            assert set(verdicts) <= {Verdict.OK, Verdict.SKIPPED, Verdict.DROPPED}
+            assert then == "skip" or Verdict.SKIPPED not in verdicts
+        told = [document["data"] for name, document in documents_of(path) if name == "event"]
+        takes = [*measured.steps, *measured.retakes]
+        taken = sorted((t.index, str(t.verdict)) for t in takes if t.verdict.measured)
+        assert sorted((event["index"], event["verdict"]) for event in told) == taken
+
+
+# --- Signals to real processes -----------------------------------------------------------------
+
+# Tells of every step, and of every change of what is switched on.
 CHILD = """
-import sys
+import threading, time
 from acquire.bench_file import BenchFile
 from acquire.plan import make_plan
 from acquire.protocol import Protocol
@@ -514,49 +861,103 @@ from drivers.registry import open_bench
 from drivers.roles import Preparation
 
 protocol = Protocol.from_file("quick").replace({"camera.width": 160, "camera.height": 128})
-bench_file = BenchFile.from_file().replace({"twin": {"mesh": "coarse", "pace": "realtime"}})
+bench_file = BenchFile.from_file().replace({"twin": {"mesh": "coarse", "pace": pace}})
+one_at_a_time = threading.Lock()
+
+def tell(what):
+    with one_at_a_time:
+        said.send(what)
+
+def watch(lab, over):
+    last = None
+    while not over.wait(0.001):
+        now = lab.state.rf_on, lab.state.drive_v > 0
+        if now != last:
+            tell(now)
+        last = now
+
 with open_bench(bench_file, Preparation("R07", "A", "asymmetric")) as bench:
-    tell = lambda report: print(report.done, flush=True)
-    summary = run(make_plan(protocol, bench_file), bench, sys.argv[1], progress=tell)
-    on = bench.generator.read()[2], bench.camera.lab.state.rf_on, bench.camera.lab.state.drive_v
-print(summary.status, *on, flush=True)
+    over = threading.Event()
+    watcher = threading.Thread(target=watch, args=(bench.camera.lab, over))
+    watcher.start()
+    summary = run(make_plan(protocol, bench_file), bench, path,
+                  progress=lambda report: tell(report.done))
+    over.set()
+    watcher.join()
+    state = bench.camera.lab.state
+    tell((str(summary.status), bench.generator.read()[2], state.rf_on, state.drive_v))
 """
+ENDED_SAFELY = ("interrupted", False, False, 0.0)
 
 
-@pytest.mark.parametrize(
-    "numbers",
-    [[signal.SIGINT], [signal.SIGTERM], [signal.SIGINT, signal.SIGINT, signal.SIGINT]],
-    ids=["ctrl-c", "terminate", "impatient"],
-)
-def test_a_real_signal_ends_a_real_process_safely(reed_cache, path, numbers):
-    child = subprocess.Popen(
-        [sys.executable, "-c", CHILD, str(path)],
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
-    )
-    with child:
-        for _ in range(2):
-            child.stdout.readline()
-        for number in numbers:
-            child.send_signal(number)
+def hear(heard, wanted):
+    """Everything that a process says until it says what is wanted."""
+    said = []
+    while wanted not in said[-1:]:
+        assert heard.poll(20), f"the process said {said}, but never {wanted}"
+        said.append(heard.recv())
+    return said
+
+
+ENDINGS = {
+    "ctrl-c": [signal.SIGINT],
+    "terminate": [signal.SIGTERM],
+    "impatient": [signal.SIGINT, signal.SIGINT, signal.SIGINT],
+}
+
+
+def test_a_real_signal_ends_a_real_process_safely(processes, tmp_path):
+    # At the same time, because most of it is waiting for frames.
+    children = {
+        name: processes(CHILD, path=str(tmp_path / f"{name}.h5"), pace="realtime")
+        for name in ENDINGS
+    }
+    for name, (child, heard) in children.items():
+        hear(heard, 2)
+        for number in ENDINGS[name]:
+            os.kill(child.pid, number)
             time.sleep(0.05)
-        last = child.communicate(timeout=30)[0].splitlines()[-1]
-    assert child.returncode == 0
-    assert last == "interrupted False False 0.0"
+        hear(heard, ENDED_SAFELY)
+        child.join(20)
+        assert child.exitcode == 0
+        with Run.open(tmp_path / f"{name}.h5") as measured:
+            assert measured.status == "interrupted"
+            whole = [step.verdict.measured for step in measured]
+            assert 2 <= sum(whole) < 44
+            assert whole == sorted(whole, reverse=True)
+
+
+def test_real_signals_pause_a_real_process_and_go_on_with_it(processes, path):
+    child, heard = processes(CHILD, path=str(path), pace="fast")
+    hear(heard, 3)
+    os.kill(child.pid, signal.SIGUSR1)
+    hear(heard, (False, False))
+    while heard.poll(0.3):
+        # What was taken before is still told of; nothing is switched on.
+        assert isinstance(heard.recv(), int)
+    os.kill(child.pid, signal.SIGUSR2)
+    hear(heard, (True, True))
+    os.kill(child.pid, signal.SIGUSR1)
+    hear(heard, (False, False))
+    os.kill(child.pid, signal.SIGTERM)
+    hear(heard, ENDED_SAFELY)
+    child.join(20)
+    assert child.exitcode == 0
     with Run.open(path) as measured:
-        assert measured.status == "interrupted"
+        (seam,) = measured.seams
+        assert (seam.kind, measured.status) == ("paused", "interrupted")
         whole = [step.verdict.measured for step in measured]
-        assert 2 <= sum(whole) < 44
+        assert 3 <= seam.position < sum(whole)
         assert whole == sorted(whole, reverse=True)
+        assert all(measured.good[: sum(whole)])
 
 
 def test_the_signal_handlers_of_the_program_come_back(tiny_plan, fake_bench, path):
-    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2
+    before = [signal.getsignal(number) for number in numbers]
     with pytest.raises(InstrumentError):
         run(tiny_plan(), fake_bench(failing={"grab": 1}).opened(), path)
-    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+    assert [signal.getsignal(number) for number in numbers] == before
 
 
 def test_frequencies_reach_the_instruments_as_exact_fractions(tiny_plan, fake_bench, path):

@@ -1,7 +1,12 @@
 """`acquire modes`: what it prints, what its options do, and how it refuses."""
 
+import functools
+
 import numpy as np
 import pytest
+
+from physics.reed.material_snapshots import TrainingSettings
+from physics.reed.mesh import MeshLevel
 
 FAST = ("--mesh", "fast")
 
@@ -21,7 +26,7 @@ def test_json_lists_the_modes_of_the_paper(clarinet):
     assert set(clarinet) == {"reed", "material", "modes"}
     assert clarinet["reed"] == "clarinet"
     for mode in clarinet["modes"]:
-        assert list(mode) == ["name", "hz", "class", "symmetry"]
+        assert list(mode) == ["name", "hz", "class", "symmetry", "likeness"]
     listed = {mode["name"]: (mode["class"], mode["symmetry"]) for mode in clarinet["modes"]}
     assert listed["F1"] == ("flexural", "symmetric")
     assert listed["T1"] == ("transversal", "antisymmetric")
@@ -134,7 +139,9 @@ def test_a_measured_thickness_need_not_be_even(cli, folder, clarinet):
         (("--dryness", "0.5"), "conditions: temperature and dryness mean something for viscoelas"),
         (("alto-saxophone", "--dryness", "2"), "conditions.dryness: 2.0 should be less than"),
         (("alto-saxophone", "--e-l", "13 GPa"), "cane.E_L: is fixed, but cane.viscoelastic makes"),
-        (("--mesh", "finest"), "there is no mesh 'finest'; known are fine, standard, fast"),
+        (("--mesh", "finest"), "there is no mesh 'finest'; known are fine, standard, fast, basis"),
+        (("--mesh", "basis", "--e-l", "25 GPa"), "cane.E_L: 25000 MPa lies outside the basis, wh"),
+        (("--mesh", "basis", "--pictures", "modes.png"), "a basis has no shapes to draw; use --m"),
         (("--pictures", "nowhere/modes.png"), "there is no folder nowhere"),
         (("--pictures", "modes.pdf"), "pictures are written as PNG"),
     ],
@@ -146,6 +153,44 @@ def test_mistakes_are_told_in_one_line(cli, folder, arguments, words):
     (line,) = answer.err.strip().splitlines()
     assert line.startswith("acquire: ")
     assert words in line
+
+
+@pytest.fixture
+def coarse_basis(monkeypatch, tmp_path):
+    """A basis that is built within seconds."""
+    monkeypatch.setenv("REEDBENCH_CACHE", str(tmp_path / "kept"))
+    monkeypatch.setattr("acquire.reed_file.STANDARD", MeshLevel((2, 2, 2), edge_breaks_m=()))
+    few = functools.partial(TrainingSettings, snapshots=12, samples=64)
+    monkeypatch.setattr("acquire.reed_file.TrainingSettings", few)
+
+
+@pytest.mark.usefixtures("coarse_basis")
+def test_a_basis_answers_at_once_when_it_has_been_built(cli):
+    first = cli("modes", "--mesh", "basis", "--json")
+    assert first.status == 0, first.err
+    assert "computing the reed's basis over materials by finite elements (kept)" in first.err
+    assert "building" in first.err
+    assert "100%" in first.err
+    # Whatever cane and offset are asked for.
+    options = ("--e-l", "12 GPa", "--density", "480 kg/m^3", "--thickness-offset", "10 um")
+    second = cli("modes", "--mesh", "basis", "--json", *options)
+    assert second.err == ""
+    assert [list(mode) for mode in second.json["modes"]] == [
+        ["name", "hz", "class", "symmetry", "likeness"]
+    ] * len(second.json["modes"])
+    assert hz(second.json)["T1"] > hz(first.json)["T1"]
+
+
+@pytest.mark.usefixtures("coarse_basis")
+def test_the_table_of_a_basis_marks_names_in_doubt(cli):
+    options = ("--e-l", "18 GPa", "--g-lt", "0.45 GPa")
+    listed = cli("modes", "--mesh", "basis", "--json", *options).json["modes"]
+    doubtful = [mode["name"] for mode in listed if mode["likeness"] < 0.5]
+    assert 0 < len(doubtful) < len(listed)
+    table = cli("modes", "--mesh", "basis", *options).out
+    for mode in listed:
+        assert (f" {mode['name']}? " in table) == (mode["name"] in doubtful)
+        assert (f" {mode['name']} " in table) != (mode["name"] in doubtful)
 
 
 def test_a_clamp_outside_the_reed_names_file_and_line(cli, folder):

@@ -75,6 +75,54 @@ def test_a_damaged_entry_is_built_anew(damage, folder, announced):
     assert len(announced) == 2
 
 
+def test_a_changed_bit_is_noticed(folder, announced):
+    built = reed(announced)
+    (entry,) = folder.iterdir()
+    content = bytearray(entry.read_bytes())
+    content[len(content) // 2] ^= 1
+    entry.write_bytes(content)
+    again = reed(announced)
+    assert len(announced) == 2
+    half = Symmetry.SYMMETRIC
+    np.testing.assert_array_equal(again.halves[half].load_z, built.halves[half].load_z)
+
+
+@pytest.mark.usefixtures("folder")
+def test_another_version_of_a_library_or_of_the_code_makes_it_anew(monkeypatch, announced):
+    reed(announced)
+    monkeypatch.setattr(cache.np, "__version__", "0.0")
+    reed(announced)
+    monkeypatch.setattr(cache.Path, "read_bytes", lambda source: b"other code")
+    reed(announced)
+    assert len(announced) == 3
+
+
+def kept(inputs, make):
+    def to_arrays(value):
+        return {"value": np.array(value)}
+
+    return cache.kept("number", inputs, make, to_arrays, lambda arrays: float(arrays["value"]))
+
+
+@pytest.mark.usefixtures("folder")
+def test_inputs_are_told_apart_to_the_last_bit():
+    assert kept((0.1,), lambda: 1.0) == 1.0
+    assert kept((0.1,), lambda: 2.0) == 1.0
+    assert kept((np.nextafter(0.1, 1).item(),), lambda: 3.0) == 3.0
+
+
+def test_what_cannot_be_kept_whole_leaves_nothing_behind(folder, monkeypatch):
+    def full(part, **arrays):
+        part.write(b"half of it")
+        raise OSError("no space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(cache.np, "savez", full)
+        assert kept((1,), lambda: 1.0) == 1.0
+    assert list(folder.iterdir()) == []
+    assert kept((1,), lambda: 2.0) == 2.0
+
+
 def test_a_folder_that_cannot_be_made_costs_only_time(tmp_path, monkeypatch, announced):
     (tmp_path / "file").touch()
     monkeypatch.setenv("REEDBENCH_CACHE", str(tmp_path / "file" / "below"))

@@ -281,7 +281,9 @@ class Runner:
     def _take_all(self, recorder: Recorder) -> bool:
         """Take what is to be taken, then what turned out bad again; return whether all was."""
         policy = self._plan.protocol.policy.bad_pictures
-        todo = [k for k, verdict in enumerate(recorder.verdicts) if not verdict.measured]
+        # A run that was ended by a bad step goes on with it, if there is room for another take.
+        again = policy.then == "stop" and recorder.spare > 0
+        todo = [k for k, v in enumerate(recorder.verdicts) if not v.measured or (again and _bad(v))]
         for position in todo:
             if not self._take(recorder, position):
                 return False

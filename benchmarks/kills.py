@@ -3,54 +3,60 @@
 Every killed run has the seed of a run that was left alone: whatever a file calls finished must
 equal that run's step, bit for bit. Then another process goes on with the run. What had been
 finished must stay as it was, all other steps must be measured well, and the documents must tell of
-each step once, between one beginning and one end.
+each step once, between one beginning and one end. Every other run keeps its frames.
 
     python -m benchmarks.kills [--kills N] [--json]
 """
 
 import argparse
+import hashlib
 import json
 import random
 import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import h5py
-import numpy as np
+
+from acquire.protocol import Protocol
 
 _UNFINISHED = (b"pending", b"interrupted", b"skipped")
 
 
-def command(*options: str | Path) -> list[str]:
+def command(protocol: Path, *options: str | Path) -> list[str]:
     """Return the command of one run."""
-    run = [sys.executable, "-m", "acquire", "run", "quick", "--no-fit"]
+    run = [sys.executable, "-m", "acquire", "run", str(protocol), "--no-fit"]
     return [*run, *(str(option) for option in options)]
 
 
-def new_run(path: Path) -> list[str]:
+def new_run(protocol: Path, path: Path) -> list[str]:
     """Return the command of a run from its beginning."""
-    return command("--reed", "R01", "--seed", "5", "--out", path)
+    return command(protocol, "--reed", "R01", "--seed", "5", "--out", path)
 
 
-def finished_steps(path: Path) -> dict[int, Any]:
-    """Fields of the steps that a file calls finished, by position."""
+def finished_steps(path: Path) -> dict[int, bytes]:
+    """Hashes of the pictures of the steps that a file calls finished, by position."""
     with h5py.File(path, "r") as file:
-        verdicts = file["entry/steps/verdict"][()]
+        verdicts, data = file["entry/steps/verdict"][()], file["entry/data"]
+        pictures = data[data.attrs["signal"]]
         done = [k for k, verdict in enumerate(verdicts) if verdict not in _UNFINISHED]
-        return {k: file["entry/data/field"][k] for k in done}
+        return {k: hashlib.sha256(pictures[k].tobytes()).digest() for k in done}
 
 
-def differing(found: dict[int, Any], expected: dict[int, Any]) -> int:
+def differing(found: dict[int, bytes], expected: dict[int, bytes]) -> int:
     """How many steps of one file are not those of another, bit for bit."""
-    return sum(not np.array_equal(field, expected[k]) for k, field in found.items())
+    return sum(picture != expected[k] for k, picture in found.items())
 
 
-def kill_one(path: Path, after_s: float) -> None:
+def kill_one(protocol: Path, path: Path, after_s: float) -> None:
     """Start a run and kill it some time after its file has appeared."""
-    process = subprocess.Popen(new_run(path), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        new_run(protocol, path), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     while not path.exists():
         time.sleep(0.005)
     time.sleep(after_s)
@@ -58,11 +64,15 @@ def kill_one(path: Path, after_s: float) -> None:
     process.wait()
 
 
+def is_complete(path: Path) -> bool:
+    """Whether a file says that its run came to its end."""
+    with h5py.File(path, "r") as file:
+        return bool(file["entry/status"][()] == b"complete")
+
+
 def is_whole(path: Path) -> bool:
     """Whether a run is complete, all its steps are good, and its documents tell of each once."""
     with h5py.File(path, "r") as file:
-        if file["entry/status"][()] != b"complete":
-            return False
         good = (file["entry/steps/verdict"][()] == b"ok").all()
         indices = file["entry/steps/index"][()].tolist()
     lines = path.with_suffix(".documents.jsonl").read_text(encoding="utf-8").splitlines()
@@ -70,34 +80,62 @@ def is_whole(path: Path) -> bool:
     names = [name for name, _ in documents]
     told = sorted(document["data"]["index"] for name, document in documents if name == "event")
     once = names.count("start") == names.count("stop") == 1 and names[-1] == "stop"
-    return bool(good and once and told == indices)
+    return bool(is_complete(path) and good and once and told == indices)
+
+
+@dataclass(frozen=True)
+class Undisturbed:
+    """A protocol, and what it gives if nobody kills it.
+
+    Attributes
+    ----------
+    protocol : Path
+    steps : dict of int to bytes
+        See `finished_steps`.
+    measuring_s : float
+        How long it measures.
+    """
+
+    protocol: Path
+    steps: dict[int, bytes]
+    measuring_s: float
+
+
+def undisturbed(keep: str, folder: Path) -> Undisturbed:
+    """Measure the quick protocol, keeping holograms or frames."""
+    protocol, path = folder / f"{keep}.yaml", folder / f"{keep}.h5"
+    protocol.write_text(Protocol.from_file("quick").replace(keep=keep).text, encoding="utf-8")
+    start_s = time.perf_counter()
+    subprocess.run(new_run(protocol, path), check=True, capture_output=True)
+    # What starting takes is left out: the runs are to be killed while they measure.
+    measuring_s = 0.7 * (time.perf_counter() - start_s)
+    steps = finished_steps(path)
+    path.unlink()
+    return Undisturbed(protocol, steps, measuring_s)
 
 
 def benchmark(kills: int, seed: int = 1) -> dict[str, Any]:
     """Kill runs and go on with them; the result is what ``--json`` prints."""
-    rng = random.Random(seed)
-    counts, damaged, changed, whole_again = [], 0, 0, 0
-    with tempfile.TemporaryDirectory() as folder:
-        whole = Path(folder, "whole.h5")
-        start_s = time.perf_counter()
-        subprocess.run(new_run(whole), check=True, capture_output=True)
-        # What starting takes is left out: the runs are to be killed while they measure.
-        measuring_s = 0.7 * (time.perf_counter() - start_s)
-        expected = finished_steps(whole)
+    rng, counts = random.Random(seed), []
+    damaged = changed = whole_again = 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        kinds = [undisturbed(keep, folder) for keep in ("holograms", "frames")]
         for number in range(kills):
-            path = Path(folder, f"killed{number}.h5")
-            kill_one(path, rng.uniform(0.0, measuring_s))
+            kind, path = kinds[number % 2], folder / f"killed{number}.h5"
+            kill_one(kind.protocol, path, rng.uniform(0.0, kind.measuring_s))
             found = finished_steps(path)
             counts.append(len(found))
-            damaged += differing(found, expected)
-            if len(found) < len(expected):
-                subprocess.run(command("--resume", path), check=True, capture_output=True)
+            damaged += differing(found, kind.steps)
+            if not is_complete(path):
+                going_on = command(kind.protocol, "--resume", path)
+                subprocess.run(going_on, check=False, capture_output=True)
             changed += differing(found, finished_steps(path))
             whole_again += is_whole(path)
             path.unlink()
     return {
         "kills": kills,
-        "steps": len(expected),
+        "steps": len(kinds[0].steps),
         "finished": counts,
         "damaged_steps": damaged,
         "whole_again": whole_again,

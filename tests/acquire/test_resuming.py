@@ -357,6 +357,24 @@ def test_bad_steps_of_a_run_that_was_ended_are_taken_again(
     assert_one_stream(documents_of(path), path)
 
 
+@pytest.mark.parametrize("retry", [0, 1])
+def test_a_run_that_a_bad_step_ended_goes_on_with_that_step_if_it_may_be_taken_again(
+    tiny_plan, fake_bench, lit, path, documents_of, retry
+):
+    plan = tiny_plan(steps=4, **{"policy.bad_pictures": {"retry": retry, "then": "stop"}})
+    fake = fake_bench(picture=lit(plan), spoilt=dict.fromkeys((2, 3), dropped))
+    assert run(plan, resumable(fake, plan), path).status is RunState.INTERRUPTED
+    fake = fake_bench(picture=lit(plan))
+    summary = run(plan, resumable(fake, plan), path, resume=True)
+    assert (summary.status, summary.retaken) == (RunState.COMPLETE, 2 * retry)
+    pairs = [entry[1] for entry in fake.log if entry[0] == "set_pair"]
+    assert pairs == [step.aom1_hz for step in plan.steps[2 - retry :]]
+    with Run.open(path) as measured:
+        second = "ok" if retry else "dropped"
+        assert [step.verdict for step in measured] == ["ok", second, "ok", "ok"]
+    assert_one_stream(documents_of(path), path)
+
+
 def test_a_line_of_the_documents_that_was_cut_short_is_left_out_and_told_again(
     tiny_plan, fake_bench, lit, path, documents_of
 ):

@@ -153,7 +153,7 @@ FAULTS = (
         "synthesizers: reply late",
         "complete",
         "",
-        _wire("synthesizers", late_answer_at=[AMID], late_s=0.3),
+        _wire("synthesizers", late_answer_at=[AMID], late_s=0.8),
     ),
     Fault("synthesizers: echo on", "complete", "", _wire("synthesizers", echo=True)),
     Fault("synthesizers: wrong baud", "stopped", "baud", _wire("synthesizers", wrong_baud=True)),
@@ -193,7 +193,7 @@ FAULTS = (
         "generator: reply late",
         "complete",
         "",
-        _wire("generator", late_answer_at=[AMID_GENERATOR], late_s=0.6),
+        _wire("generator", late_answer_at=[AMID_GENERATOR], late_s=1.2),
     ),
     Fault(
         "generator: cable pulled",
@@ -230,8 +230,8 @@ def planned(fault: Fault) -> Plan:
     bench = bench.replace(
         {
             "instruments.camera.driver": "simulated",
-            "instruments.synthesizers.options.timeout_s": 0.2,
-            "instruments.generator.options.timeout_s": 0.4,
+            "instruments.synthesizers.options.timeout_s": 0.5,
+            "instruments.generator.options.timeout_s": 0.8,
         }
     )
     return script.plan(script.load("quick").replace({**_SMALL, **fault.protocol}), bench)

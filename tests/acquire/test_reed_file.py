@@ -443,7 +443,7 @@ def cents_from_elements(modes, reed, count):
     [
         {},
         {"cane.E_L": "12 GPa", "cane.G_LT": "1 GPa", "cane.nu_LT": 0.25},
-        {"cane.density": "800 kg/m^3", "geometry.thickness_offset": "-15 um"},
+        {"cane.density": "600 kg/m^3", "geometry.thickness_offset": "-15 um"},
         {"cane.density": "400 kg/m^3"},
     ],
     ids=["as it is", "other cane", "heavier and thinner", "lighter"],
@@ -492,6 +492,10 @@ OUTSIDE = {
     "ratio": (
         {"cane.nu_TR": 0.35},
         "cane.nu_TR: 0.35 lies outside the basis, which answers for 0.15 to 0.3; use --mesh fine",
+    ),
+    "heavy": (
+        {"cane.density": "800 kg/m^3"},
+        "cane.density: 800 kg/m^3 lies outside the basis, which answers for 0 to 629.2 kg/m^3",
     ),
     "thick": (
         {"geometry.thickness_offset": "30 um"},

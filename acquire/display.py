@@ -69,11 +69,9 @@ def _plan_row(step: Step) -> tuple[str, ...]:
 def plan_summary(plan: Plan) -> list[str]:
     """Duration, size and limit violations of a plan, a line each."""
     minutes, seconds = divmod(round(plan.duration_s), 60)
-    compressed = plan.expected_size_bytes < plan.file_size_bytes
     lines = [
         f"{len(plan.steps)} steps, {minutes} min {seconds:02d} s at the camera's pace, "
-        f"{plan.expected_size_bytes / 1e6:.0f} MB"
-        + (f" ({plan.file_size_bytes / 1e6:.0f} MB at most)" if compressed else "")
+        f"{plan.file_size_bytes / 1e6:.0f} MB"
     ]
     if not plan.violations:
         return [*lines, "no limit is violated"]

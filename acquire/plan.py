@@ -27,8 +27,6 @@ from physics.optics import Layout, reed_region, visible_size_m
 
 _BYTES_PER_HOLOGRAM_PIXEL: Final = 8  # complex64
 _BYTES_PER_FRAME_PIXEL: Final = 2  # uint16
-# What is left of frames after compression: noise has no pattern.
-_COMPRESSED_SHARE: Final = 0.62
 
 # Part of the view, to either side of the axis, in which a reed's image may lie.
 _VIEW_SHARE: Final = 0.45
@@ -172,15 +170,8 @@ class Plan:
         return float(periods * period_s)
 
     @property
-    def expected_size_bytes(self) -> int:
-        """Size of what the run file keeps of all steps, as a rule; frames are compressed."""
-        if self.protocol.keep == "holograms":
-            return self.file_size_bytes
-        return round(_COMPRESSED_SHARE * self.file_size_bytes)
-
-    @property
     def file_size_bytes(self) -> int:
-        """Size of what the run file keeps of all steps, at most: without compression."""
+        """Size of what the run file keeps of all steps, without compression."""
         if self.protocol.keep == "holograms":
             pixels = self.region.height * self.region.width
             return len(self.steps) * pixels * _BYTES_PER_HOLOGRAM_PIXEL
@@ -211,7 +202,6 @@ class Plan:
             "steps": [step.to_json() for step in self.steps],
             "duration_s": self.duration_s,
             "file_size_bytes": self.file_size_bytes,
-            "expected_size_bytes": self.expected_size_bytes,
             "violations": [{"key": v.key, "message": v.message} for v in self.violations],
         }
 

@@ -1,6 +1,6 @@
 """Writes run files: one sweep in one HDF5 file that explains itself (``docs/run-file.md``).
 
-Everything but compressed frames is allocated before the first step, so a step overwrites bytes and
+Everything is allocated before the first step, so a step overwrites bytes and
 moves nothing. Its verdict is written, and flushed, after its data: a program that is killed at any
 moment leaves a file that opens with plain h5py, in which every step with a verdict is whole. A step
 that is taken again is copied to a spare place first.
@@ -533,21 +533,15 @@ def _kept(plan: Plan) -> tuple[str, Any, tuple[int, ...]]:
 def _allocate_signal(group: Any, name: str, dtype: Any, shape: tuple[int, ...]) -> None:
     """Make room for the pictures of every step, a chunk each.
 
-    Holograms are noise in all their bits and take their place from the beginning. Frames are
-    compressed, with what every h5py can read, so theirs is known only when they come.
+    Not compressed: chunks that take their place when they come make HDF5 split its index now and
+    then, and a program killed at that moment leaves steps that cannot be read (decision 0010).
     """
-    chunks = (1, *shape[1:])
-    if name == "frames":
-        dataset = group.create_dataset(
-            name, shape, dtype, chunks=chunks, shuffle=True, compression="lzf"
-        )
-    else:
-        early = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-        early.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-        # Zeros for steps to come are not written, the file system supplies them.
-        dataset = group.create_dataset(
-            name, shape, dtype, chunks=chunks, dcpl=early, fill_time="never"
-        )
+    early = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    early.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+    # Zeros for steps to come are not written, the file system supplies them.
+    dataset = group.create_dataset(
+        name, shape, dtype, chunks=(1, *shape[1:]), dcpl=early, fill_time="never"
+    )
     dataset.attrs["units"] = "dn"
 
 

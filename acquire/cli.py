@@ -153,14 +153,13 @@ def run(
         _require_nothing_new(out=out, reed=reed != "unnamed", seed=seed, labels=said)
     path = resume or out or _default_path(planned.protocol.series, reed)
     words = _words()
-    with sweep_progress(words, len(planned.steps)) as show:
+    with sweep_progress(words, len(planned.steps)) as bar:
         tell = functools.partial(words.print, markup=False, soft_wrap=True)
+        heard: Any = {"progress": bar.step, "packing": bar.packing, "announce": tell}
         if resume is not None:
-            summary = script.resume(planned, path, progress=show, announce=tell)
+            summary = script.resume(planned, path, **heard)
         else:
-            summary = script.run(
-                planned, path, reed=reed, labels=labels, seed=seed, progress=show, announce=tell
-            )
+            summary = script.run(planned, path, reed=reed, labels=labels, seed=seed, **heard)
     with Run.open(path) as finished:
         closing = run_summary(summary, troubles_of(finished))
     for line in closing:

@@ -1,13 +1,15 @@
 """Lets other processes pause a run, go on with it, or end it.
 
 While a run is measured its process holds a lock on a small file beside the run file, in which its
-number stands. The lock goes with the process, however that ends.
+number stands. The lock goes with the process, however that ends. Orders are signals; they wait
+until the run can obey, and those that come after its end are lost.
 """
 
 import contextlib
 import fcntl
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +24,8 @@ _SIGNALS: Final[dict[Order, signal.Signals]] = {
     "continue": signal.SIGUSR2,
     "stop": signal.SIGTERM,
 }
+# Would end a process that has not said what it does about them.
+_DEADLY: Final = (signal.SIGUSR1, signal.SIGUSR2)
 
 
 def control_path(run_path: Path) -> Path:
@@ -31,7 +35,9 @@ def control_path(run_path: Path) -> Path:
 
 @contextmanager
 def controllable(run_path: Path) -> Iterator[None]:
-    """Hold the lock of a run while it is measured.
+    """Hold the lock of a run while it is measured; hold orders back until the run takes them.
+
+    Only runs on a process's main thread can be told anything, because only that gets signals.
 
     Raises
     ------
@@ -50,16 +56,45 @@ def controllable(run_path: Path) -> Iterator[None]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise RunFileError(
-                f"{run_path}: is being measured by process {_number(path)}; wait for its end"
+                f"{run_path}: is being measured by {_measurer(path)}; wait for its end"
             ) from None
         os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
         try:
-            yield
+            with _orders_held_back() as obeys:
+                if obeys:
+                    os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+                yield
         finally:
             path.unlink(missing_ok=True)
     finally:
         os.close(descriptor)
+
+
+@contextmanager
+def orders_taken() -> Iterator[None]:
+    """Let orders through that are held back, now that this thread knows what to do about them."""
+    before = signal.pthread_sigmask(signal.SIG_UNBLOCK, _DEADLY)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _orders_held_back() -> Iterator[bool]:
+    """Let orders wait; yield whether this thread can get any."""
+    if threading.current_thread() is not threading.main_thread():
+        yield False
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _DEADLY)
+    try:
+        yield True
+    finally:
+        # Ignoring a signal takes back those that wait: nobody is there to obey them.
+        for number in _DEADLY:
+            handler = signal.signal(number, signal.SIG_IGN)
+            signal.signal(number, handler or signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def order(run_path: Path, what: Order) -> int:
@@ -70,10 +105,16 @@ def order(run_path: Path, what: Order) -> int:
     Raises
     ------
     RunFileError
-        If no process is measuring that run, or it belongs to somebody else.
+        If no process is measuring that run, or it belongs to somebody else, or cannot be told.
     """
     path = control_path(run_path)
-    process = _number(path) if _held(path) else None
+    held = _held(path)
+    process = _number(path) if held else None
+    if held and process is None:
+        raise RunFileError(
+            f"{run_path}: is measured by a script on a thread that gets no orders; let the script "
+            f"{what} it"
+        )
     if process is None:
         raise RunFileError(
             f"{run_path}: is not being measured; name the run file of a run in work, on this "
@@ -98,6 +139,11 @@ def _held(path: Path) -> bool:
     except OSError:
         return False
     return False
+
+
+def _measurer(path: Path) -> str:
+    number = _number(path)
+    return "a script" if number is None else f"process {number}"
 
 
 def _number(path: Path) -> int | None:

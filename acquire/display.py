@@ -32,8 +32,45 @@ from acquire.runner import RunSummary
 class Listener(Role):
     """Takes the reports of a run as they come."""
 
-    def __call__(self, report: StepReport) -> None:
-        """Show one report."""
+    def step(self, report: StepReport) -> None:
+        """Show that a step was recorded."""
+
+    def packing(self, share: float) -> None:
+        """Show the share of the frames that is packed."""
+
+
+class _SweepBar:
+    """A line that lives: the bar of a sweep, then that of its frames being packed."""
+
+    def __init__(self, progress: Progress, steps: int) -> None:
+        self._progress, self._steps = progress, steps
+        self._task = progress.add_task("sweep", total=steps, setting="", verdict="", left="")
+
+    def step(self, report: StepReport) -> None:
+        """Show step, frequency, volts, verdict and time left."""
+        # The bar appears with the first step: what is said before stands alone.
+        if not self._progress.live.is_started:
+            self._progress.start()
+        minutes, seconds = divmod(round(report.seconds_left), 60)
+        colour = "green" if report.verdict is Verdict.OK else "red"
+        again = f" take {report.take}" if report.take > 1 else ""
+        self._progress.update(
+            self._task,
+            completed=report.done,
+            setting=f"{report.drive_hz:8.1f} Hz {report.volts:6.2f} V{again}",
+            verdict=f"[{colour}]{report.verdict}[/{colour}]",
+            left=f"{minutes}:{seconds:02d} left",
+        )
+
+    def packing(self, share: float) -> None:
+        """Show the share of the frames that is packed, as steps."""
+        self._progress.update(
+            self._task,
+            completed=share * self._steps,
+            setting="packing the frames",
+            verdict="",
+            left="",
+        )
 
 
 def plan_table(plan: Plan) -> Table:
@@ -71,12 +108,21 @@ def plan_summary(plan: Plan) -> list[str]:
     minutes, seconds = divmod(round(plan.duration_s), 60)
     lines = [
         f"{len(plan.steps)} steps, {minutes} min {seconds:02d} s at the camera's pace, "
-        f"{plan.file_size_bytes / 1e6:.0f} MB"
+        f"{_sizes(plan)}"
     ]
     if not plan.violations:
         return [*lines, "no limit is violated"]
     lines += [f"violation: {v.key}: {v.message}" for v in plan.violations]
     return lines
+
+
+def _sizes(plan: Plan) -> str:
+    size, largest, packed = (
+        f"{(size or 0) / 1e6:.0f} MB"
+        for size in (plan.file_size_bytes, plan.largest_size_bytes, plan.packed_size_bytes)
+    )
+    words = size if size == largest else f"{size} ({largest} if many steps are taken again)"
+    return words if plan.packed_size_bytes is None else f"{words}; about {packed} once packed"
 
 
 @contextmanager
@@ -90,25 +136,8 @@ def sweep_progress(console: Console, steps: int) -> Iterator[Listener]:
         TextColumn("{task.fields[left]}"),
     )
     progress = Progress(*columns, console=console)
-    task = progress.add_task("sweep", total=steps, setting="", verdict="", left="")
     try:
-
-        def show(report: StepReport) -> None:
-            # The bar appears with the first step: what is said before stands alone.
-            if not progress.live.is_started:
-                progress.start()
-            minutes, seconds = divmod(round(report.seconds_left), 60)
-            colour = "green" if report.verdict is Verdict.OK else "red"
-            again = f" take {report.take}" if report.take > 1 else ""
-            progress.update(
-                task,
-                completed=report.done,
-                setting=f"{report.drive_hz:8.1f} Hz {report.volts:6.2f} V{again}",
-                verdict=f"[{colour}]{report.verdict}[/{colour}]",
-                left=f"{minutes}:{seconds:02d} left",
-            )
-
-        yield show
+        yield _SweepBar(progress, steps)
     finally:
         if progress.live.is_started:
             progress.stop()
@@ -149,9 +178,10 @@ def run_summary(summary: RunSummary, troubles: Sequence[str]) -> list[str]:
         Sentences of the steps that are not ok.
     """
     measured = sum(summary.counts.values())
+    because = f" ({summary.reason})" if summary.reason else ""
     lines = [
-        f"{summary.status}: {measured} of {summary.steps} steps in {summary.duration_s:.0f} s, "
-        f"{summary.counts.get(Verdict.OK, 0)} good"
+        f"{summary.status}{because}: {measured} of {summary.steps} steps in "
+        f"{summary.duration_s:.0f} s, {summary.counts.get(Verdict.OK, 0)} good"
     ]
     bad = {v: n for v, n in summary.counts.items() if v is not Verdict.OK}
     if bad:

@@ -27,6 +27,8 @@ from physics.optics import Layout, reed_region, visible_size_m
 
 _BYTES_PER_HOLOGRAM_PIXEL: Final = 8  # complex64
 _BYTES_PER_FRAME_PIXEL: Final = 2  # uint16
+# Of frames of 12 bits, see `Plan.packed_size_bytes`.
+_PACKED_SHARE: Final = 0.61
 
 # Part of the view, to either side of the axis, in which a reed's image may lie.
 _VIEW_SHARE: Final = 0.45
@@ -171,12 +173,33 @@ class Plan:
 
     @property
     def file_size_bytes(self) -> int:
-        """Size of what the run file keeps of all steps, without compression."""
+        """Size of what the run file keeps of all steps, before frames are packed."""
+        return len(self.steps) * self._step_size_bytes
+
+    @property
+    def largest_size_bytes(self) -> int:
+        """Size if the run needs every place that it has for steps taken again."""
+        return (len(self.steps) + self.spare_takes) * self._step_size_bytes
+
+    @property
+    def packed_size_bytes(self) -> int | None:
+        """About the size once frames are packed, which a complete run's are; None without frames.
+
+        One byte of each pixel is noise, which nothing shrinks; of the other, which has the bits
+        above 8, little is left.
+        """
+        return (
+            None
+            if self.protocol.keep == "holograms"
+            else round(_PACKED_SHARE * self.file_size_bytes)
+        )
+
+    @property
+    def _step_size_bytes(self) -> int:
         if self.protocol.keep == "holograms":
-            pixels = self.region.height * self.region.width
-            return len(self.steps) * pixels * _BYTES_PER_HOLOGRAM_PIXEL
+            return self.region.height * self.region.width * _BYTES_PER_HOLOGRAM_PIXEL
         rows, columns = self.frame_shape
-        frames = sum(step.frames for step in self.steps)
+        frames = max(step.frames for step in self.steps)
         return frames * rows * columns * _BYTES_PER_FRAME_PIXEL
 
     def require_possible(self) -> None:
@@ -202,6 +225,8 @@ class Plan:
             "steps": [step.to_json() for step in self.steps],
             "duration_s": self.duration_s,
             "file_size_bytes": self.file_size_bytes,
+            "largest_size_bytes": self.largest_size_bytes,
+            "packed_size_bytes": self.packed_size_bytes,
             "violations": [{"key": v.key, "message": v.message} for v in self.violations],
         }
 

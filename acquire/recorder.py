@@ -105,8 +105,9 @@ class StepReport:
 class Recorder:
     """The run file and its documents, fed through a queue; a context manager.
 
-    Leaving the context because of an exception marks the run as failed, and leaves no file if no
-    step was recorded. Otherwise `finish` says how the run ended. Made by `create` and `resume`.
+    Leaving the context because of an exception marks the run as failed; of a new run in which no
+    step was recorded it leaves no file. Otherwise `finish` says how the run ended. Made by `create`
+    and `resume`.
     """
 
     def __init__(
@@ -124,6 +125,7 @@ class Recorder:
         self._verdicts = [Verdict.PENDING] * len(plan.steps)
         self._takes = [0] * len(plan.steps)
         self._last: tuple[int, Frame] | None = None
+        self._resumed = False
         self._started_s = self._first_done_s = time.monotonic()
         self._recorded = 0
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="recorder")
@@ -266,7 +268,7 @@ class Recorder:
         self._thread.shutdown()
         if error is None:
             return
-        if not any(self._takes):
+        if not (self._resumed or any(self._takes)):
             self._documents.discard()
             self._writer.discard()
             return
@@ -280,6 +282,7 @@ class Recorder:
         self, steps: Sequence[StepRecord], retakes: Sequence[StepRecord], ended: str
     ) -> None:
         """Know what a run file holds, and tell of steps whose event was lost with the process."""
+        self._resumed = True
         for take in retakes:
             self._takes[take.position] += 1
         for step in steps:
@@ -445,7 +448,7 @@ def require_writable(plan: Plan, path: Path) -> None:
     _require_free_name(path)
     if not path.parent.is_dir():
         raise RunFileError(f"{path}: there is no folder {path.parent}; make it first")
-    free, needed = shutil.disk_usage(path.parent).free, plan.file_size_bytes
+    free, needed = shutil.disk_usage(path.parent).free, plan.largest_size_bytes
     if free < needed:
         raise RunFileError(
             f"{path}: the run needs {needed / 1e6:.0f} MB, but its disk has {free / 1e6:.0f} MB "

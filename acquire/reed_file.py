@@ -26,13 +26,12 @@ from physics.reed.geometry import (
 from physics.reed.material import Cane, stiffness_matrix_pa
 from physics.reed.material_basis import (
     MaterialBasis,
-    MaterialBox,
     ReedModes,
     constants_of,
     modes,
 )
 from physics.reed.material_cache import material_basis
-from physics.reed.material_snapshots import TrainingSettings
+from physics.reed.material_snapshots import TrainingSettings, heaviest_kg_m3
 from physics.reed.material_viscoelastic import settled_modes
 from physics.reed.mesh import MeshLevel, build_least_mesh
 from physics.reed.metamodel import REFERENCE_HZ
@@ -443,7 +442,7 @@ def modes_by_basis(
     """
     settings = TrainingSettings(cane=reference.cane())
     for described in (reference, reed):
-        _require_in_box(described, settings.box)
+        _require_in_box(described, settings)
     geometry = reed.geometry()
     if not is_even(geometry):
         raise reed.error(
@@ -458,7 +457,7 @@ def modes_by_basis(
     answer = _named_modes(basis, found)
     if reed.viscoelastic() is not None:
         for mode in answer:
-            _require_in_box(reed, settings.box, mode.frequency_hz)
+            _require_in_box(reed, settings, mode.frequency_hz)
     return answer
 
 
@@ -486,7 +485,7 @@ def _named_modes(basis: MaterialBasis, found: ReedModes) -> list[NamedMode]:
     return sorted(named, key=lambda mode: mode.frequency_hz)
 
 
-def _require_in_box(reed: ReedFile, box: MaterialBox, hz: float = REFERENCE_HZ) -> None:
+def _require_in_box(reed: ReedFile, settings: TrainingSettings, hz: float = REFERENCE_HZ) -> None:
     """Refuse what a basis does not answer for; viscoelastic cane has the moduli of a frequency.
 
     Raises
@@ -494,21 +493,32 @@ def _require_in_box(reed: ReedFile, box: MaterialBox, hz: float = REFERENCE_HZ) 
     ProtocolError
     """
     inputs = asdict(reed.cane(hz)) | {"thickness_offset_m": float(reed.shape.thickness_offset_m)}
-    for name, (low, high) in asdict(box).items():
+    ranges = asdict(settings.box) | {"density_kg_m3": (0.0, heaviest_kg_m3(settings))}
+    for name, (low, high) in ranges.items():
         value, slack = inputs[name], 1e-9 * (high - low)
         if low - slack <= value <= high + slack:
             continue
-        bare, _, unit = name.rpartition("_")
-        factor, unit = {"pa": (1e-6, " MPa"), "m": (1e6, " µm")}.get(unit, (1.0, ""))
-        key = "geometry.thickness_offset" if unit == " µm" else f"cane.{bare if unit else name}"
+        key, factor, unit = _key_and_unit(name)
         shown = f"{factor * value:g}{unit}"
-        if reed.viscoelastic() is not None and bare in ("E_L", "G_LT"):
-            key, shown = "cane.viscoelastic", f"{bare} of {shown} at {hz:.0f} Hz"
+        if reed.viscoelastic() is not None and key in ("cane.E_L", "cane.G_LT"):
+            shown = f"{key.removeprefix('cane.')} of {shown} at {hz:.0f} Hz"
+            key = "cane.viscoelastic"
         raise reed.error(
             key,
             f"{shown} lies outside the basis, which answers for {factor * low:g} to "
             f"{factor * high:g}{unit}; use --mesh fine",
         )
+
+
+def _key_and_unit(name: str) -> tuple[str, float, str]:
+    """Key of an input of a basis in a reed's file, and the unit that people read it in."""
+    if name == "thickness_offset_m":
+        return "geometry.thickness_offset", 1e6, " µm"
+    if name == "density_kg_m3":
+        return "cane.density", 1.0, " kg/m^3"
+    if name.endswith("_pa"):
+        return f"cane.{name.removesuffix('_pa')}", 1e-6, " MPa"
+    return f"cane.{name}", 1.0, ""
 
 
 def doubts_marked(modes: Sequence[NamedMode]) -> list[NamedMode]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final
 
+from acquire.control import orders_taken
 from acquire.plan import Plan, Step
 from acquire.quality import ReadBack, Verdict
 from acquire.recorder import Acquisition, Recorder, StepReport
@@ -26,6 +27,7 @@ RAMP_S: Final = 0.1
 # From step to step of a sweep volts grow by less than this factor; beyond, they are ramped.
 _JUMP: Final = 1.25
 _PAUSE_POLL_S: Final = 0.1
+_ASKED: Final = "somebody asked for it"
 
 
 class RunState(StrEnum):
@@ -60,6 +62,8 @@ class RunSummary:
         Of the run file.
     status : {'complete', 'interrupted'}
         A run that failed raises instead.
+    reason : str
+        Why it was interrupted; empty if it is complete.
     counts : mapping of Verdict to int
         Of the steps that were measured.
     steps : int
@@ -74,6 +78,7 @@ class RunSummary:
 
     path: Path
     status: RunState
+    reason: str
     counts: Mapping[Verdict, int]
     steps: int
     retaken: int
@@ -224,16 +229,18 @@ class Runner:
         with _signals_to(self):
             try:
                 self._plan.require_possible()
-                recorder, outcome = self._record()
+                recorder, reason = self._record()
             except BaseException as error:
                 for message in self._unconfirmed:
                     error.add_note(f"not confirmed while switching off: {message}")
                 self._enter(RunState.FAILED)
                 raise
+            outcome = RunState.INTERRUPTED if reason else RunState.COMPLETE
             self._enter(outcome)
         return RunSummary(
             path=self._path,
             status=outcome,
+            reason=reason,
             counts=recorder.counts,
             steps=len(self._plan.steps),
             retaken=sum(max(takes - 1, 0) for takes in recorder.takes),
@@ -241,19 +248,19 @@ class Runner:
             unconfirmed=self._unconfirmed,
         )
 
-    def _record(self) -> tuple[Recorder, RunState]:
-        """Measure into the run file; return its recorder, and how the run ended."""
+    def _record(self) -> tuple[Recorder, str]:
+        """Measure into the run file; return its recorder, and why the run was interrupted."""
         recorder = self._open_recorder()
         with recorder:
             try:
-                complete = self._measure(recorder)
+                reason = self._measure(recorder)
             except KeyboardInterrupt:
-                complete = False
-            recorder.finish("complete" if complete else "interrupted")
-        return recorder, RunState.COMPLETE if complete else RunState.INTERRUPTED
+                reason = _ASKED
+            recorder.finish("interrupted" if reason else "complete", reason)
+        return recorder, reason
 
-    def _measure(self, recorder: Recorder) -> bool:
-        """Use the instruments, and leave them safe; return whether all steps were taken."""
+    def _measure(self, recorder: Recorder) -> str:
+        """Use the instruments, and leave them safe; return why steps are left, empty if none is."""
         # Two levels, because a second Ctrl-C may strike inside the inner `finally`.
         try:
             try:
@@ -278,17 +285,20 @@ class Runner:
         self._camera_starts += 1
         self._volts = None
 
-    def _take_all(self, recorder: Recorder) -> bool:
-        """Take what is to be taken, then what turned out bad again; return whether all was."""
+    def _take_all(self, recorder: Recorder) -> str:
+        """Take what is to be taken, then what turned out bad again; return why the run ends early.
+
+        Empty if it does not.
+        """
         policy = self._plan.protocol.policy.bad_pictures
         # A run that was ended by a bad step goes on with it, if there is room for another take.
         again = policy.then == "stop" and recorder.spare > 0
         todo = [k for k, v in enumerate(recorder.verdicts) if not v.measured or (again and _bad(v))]
         for position in todo:
             if not self._take(recorder, position):
-                return False
+                return _ASKED
             if policy.then == "stop" and not self._good(recorder, position):
-                return False
+                return _ASKED if self._stop.is_set() else self._bad_step(recorder, position)
         for _ in range(policy.retry if policy.then == "skip" else 0):
             recorder.settle()
             bad = [k for k, verdict in enumerate(recorder.verdicts) if _bad(verdict)]
@@ -297,8 +307,15 @@ class Runner:
                 break
             for position in bad:
                 if not self._take(recorder, position):
-                    return False
-        return True
+                    return _ASKED
+        return ""
+
+    def _bad_step(self, recorder: Recorder, position: int) -> str:
+        step, verdict = self._plan.steps[position], recorder.verdicts[position]
+        return (
+            f"step {step.index} is {verdict} after {recorder.takes[position]} takes, and the "
+            "protocol's policy is to stop then"
+        )
 
     def _good(self, recorder: Recorder, position: int) -> bool:
         """Wait for a step's verdict, and take it again while it is bad and policy allows."""
@@ -476,7 +493,8 @@ def _signals_to(runner: Runner) -> Iterator[None]:
 
     before = {number: signal.signal(number, act) for number in actions}
     try:
-        yield
+        with orders_taken():
+            yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler or signal.SIG_DFL)

@@ -8,12 +8,14 @@ from pathlib import Path
 
 from acquire.bench_file import DEFAULT_BENCH, BenchFile
 from acquire.control import controllable
+from acquire.errors import RunFileError
+from acquire.packing import pack
 from acquire.plan import Plan, make_plan
 from acquire.protocol import Protocol
 from acquire.recorder import StepReport, make_folder, require_writable
 from acquire.resuming import unfinished
 from acquire.runfile import RunLabels
-from acquire.runner import RunSummary
+from acquire.runner import RunState, RunSummary
 from acquire.runner import run as measure
 from drivers.registry import open_bench
 
@@ -49,9 +51,10 @@ def run(
     labels: RunLabels | None = None,
     seed: int = 0,
     progress: Callable[[StepReport], None] | None = None,
+    packing: Callable[[float], None] | None = None,
     announce: Callable[[str], None] | None = None,
 ) -> RunSummary:
-    """Open the plan's bench, measure, and close it.
+    """Open the plan's bench, measure, and close it; pack the frames of a complete run.
 
     Parameters
     ----------
@@ -64,8 +67,9 @@ def run(
         Strength, note and operator.
     seed : int
         Of everything random on a simulated bench.
-    progress, announce : callable, optional
-        Told of every step, and of what is being waited for.
+    progress, packing, announce : callable, optional
+        Told of every step, of the share of the frames that is packed, and of what people should
+        know.
 
     Raises
     ------
@@ -78,11 +82,11 @@ def run(
     path = Path(path)
     make_folder(path)
     require_writable(plan, path)
-    with (
-        controllable(path),
-        open_bench(plan.bench, plan.preparation(reed), seed, announce) as bench,
-    ):
-        return measure(plan, bench, path, labels, progress)
+    with controllable(path):
+        with open_bench(plan.bench, plan.preparation(reed), seed, announce) as bench:
+            summary = measure(plan, bench, path, labels, progress)
+        _pack(summary, plan, packing, announce)
+    return summary
 
 
 def resume(
@@ -90,6 +94,7 @@ def resume(
     path: str | Path,
     *,
     progress: Callable[[StepReport], None] | None = None,
+    packing: Callable[[float], None] | None = None,
     announce: Callable[[str], None] | None = None,
 ) -> RunSummary:
     """Go on with a run that was interrupted, failed, or whose process is gone.
@@ -102,7 +107,7 @@ def resume(
         Of the same protocol, bench and kind of reed as the run was begun with.
     path : path
         Of the run file.
-    progress, announce : callable, optional
+    progress, packing, announce : callable, optional
         As for `run`.
 
     Raises
@@ -114,8 +119,27 @@ def resume(
     """
     plan.require_possible()
     run = unfinished(path, plan)
-    with (
-        controllable(run.path),
-        open_bench(plan.bench, plan.preparation(run.reed), run.seed, announce) as bench,
-    ):
-        return measure(plan, bench, path, None, progress, resume=True)
+    with controllable(run.path):
+        with open_bench(plan.bench, plan.preparation(run.reed), run.seed, announce) as bench:
+            summary = measure(plan, bench, path, None, progress, resume=True)
+        _pack(summary, plan, packing, announce)
+    return summary
+
+
+def _pack(
+    summary: RunSummary,
+    plan: Plan,
+    progress: Callable[[float], None] | None,
+    announce: Callable[[str], None] | None,
+) -> None:
+    """Pack the frames of a complete run; a disk that does not let us harms nothing."""
+    if summary.status is not RunState.COMPLETE or plan.protocol.keep != "frames":
+        return
+    tell = announce or (lambda _: None)
+    try:
+        pack(summary.path, progress)
+    except RunFileError as error:
+        tell(str(error))
+    except KeyboardInterrupt:
+        tell(f"{summary.path}: is complete, but its frames are not packed")
+        raise

@@ -463,7 +463,7 @@ def signalled(number: signal.Signals, folder: Path) -> Outcome:
 
 def full_disk(folder: Path) -> Outcome | None:
     """Let another program fill the disk during a run; None where no disk can be made for that."""
-    disk_bytes = planned(FRAMES).file_size_bytes + 3_000_000
+    disk_bytes = planned(FRAMES).largest_size_bytes + 3_000_000
     return Process.begin(FRAMES, folder / "full.h5", disk_bytes).outcome()
 
 

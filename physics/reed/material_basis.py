@@ -6,9 +6,12 @@ those of the eigenvalues themselves. Most coordinates have no mass: they follow 
 rest, and are eliminated first. `material_training` makes the matrices.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import astuple, dataclass, fields
+from itertools import pairwise
+from queue import Empty, SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -44,13 +47,19 @@ _MODULI_PA = (1.0, 1e15)
 _LARGEST_OFFSET_M = 1.0
 # Modes beyond the named ones among which a name may be found where unnamed modes come lower.
 SPARE_CANDIDATES = 8
-# Reeds that are worked on together: what is computed of them stays in a core's own cache.
-_CHUNK = 16
+# Blocks of columns into which quadratic forms are divided: of their mirrored parts, which need not
+# be computed, more blocks leave less.
+_BLOCKS = 4
+# Reeds that are worked on together.
+_CHUNK = 32
 
 
 @dataclass(frozen=True)
 class MaterialBox:
-    """Range (lowest, highest) of every input that a basis answers for; the density may be any.
+    """Range (lowest, highest) of every input that a basis answers for.
+
+    The density may be any up to `material_snapshots.heaviest_kg_m3`; of heavier cane the highest
+    modes are rough.
 
     Attributes
     ----------
@@ -213,13 +222,24 @@ def modes(
     )
     halves = [_prepared(half, basis.names) for half in basis.halves.values()]
     which = np.flatnonzero(reeds.possible)
-    chunks = [which[start : start + _CHUNK] for start in range(0, len(which), _CHUNK)]
-    if threads == 1 or len(chunks) == 1:
-        for chunk in chunks:
-            _solve(halves, reeds, chunk, answer)
+    chunks: SimpleQueue[NDArray[np.intp]] = SimpleQueue()
+    for start in range(0, len(which), _CHUNK):
+        chunks.put(which[start : start + _CHUNK])
+
+    def work() -> None:
+        # Held throughout: what is given back to the system after every chunk must be cleared by it
+        # for the next, and that takes as long as the work.
+        scratch = np.empty(max(_scratch_size(half) for half in halves))
+        with suppress(Empty):
+            while True:
+                _solve(halves, reeds, chunks.get_nowait(), answer, scratch)
+
+    if threads == 1 or chunks.qsize() < 2:
+        work()
     else:
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(lambda chunk: _solve(halves, reeds, chunk, answer), chunks))
+            for task in [pool.submit(work) for _ in range(threads)]:
+                task.result()
     return answer
 
 
@@ -326,6 +346,8 @@ class _Half:
     places : (m,) int
         Of its modes among all names.
     components : (k, r, r) float
+    forms : tuple of (int, int, Array)
+        See `_forms`.
     loadings, loading_slopes : (p, k · 9) float
         Loadings, and those of the derivative by the place of the offset, on polynomials.
     named_shapes : (m, c) float
@@ -333,6 +355,7 @@ class _Half:
 
     places: NDArray[np.intp]
     components: Array
+    forms: tuple[tuple[int, int, Array], ...]
     loadings: Array
     loading_slopes: Array
     named_shapes: Array
@@ -344,6 +367,7 @@ def _prepared(half: HalfMaterialBasis, names: tuple[str, ...]) -> _Half:
     return _Half(
         places=np.array([names.index(name) for name in half.names]),
         components=half.components,
+        forms=tuple(_forms(half.components)),
         loadings=loadings,
         loading_slopes=np.vstack([chebyshev.chebder(loadings), np.zeros_like(loadings[:1])]),
         named_shapes=np.ascontiguousarray(half.named_shapes.T),
@@ -385,7 +409,11 @@ def _solved(half: _Half, terms: Array, place: Array) -> _Solved:
 
 
 def _solve(
-    halves: Sequence[_Half], reeds: _Reeds, which: NDArray[np.intp], answer: ReedModes
+    halves: Sequence[_Half],
+    reeds: _Reeds,
+    which: NDArray[np.intp],
+    answer: ReedModes,
+    scratch: Array,
 ) -> None:
     """Compute some reeds and write what is found into the answer."""
     terms, by_constants = terms_and_slopes(reeds.constants[which])
@@ -400,7 +428,7 @@ def _solve(
         if answer.slopes is not None:
             moving = np.take_along_axis(solved.vectors, chosen[:, None], axis=2)
             shapes = np.concatenate([moving, solved.following @ moving], axis=1)
-            energies = _energies(half.components, shapes) / (2 * eigenvalues)[..., None]
+            energies = _energies(half.forms, shapes, scratch) / (2 * eigenvalues)[..., None]
             by_place = solved.loading_slopes @ terms[..., None] * reeds.place_per_m
             found = np.empty((*eigenvalues.shape, len(SLOPES)))
             found[..., :9] = energies @ (solved.loadings @ by_constants)
@@ -432,12 +460,34 @@ def condensed_stiffness(stiffness: Array, count: int) -> tuple[Array, Array]:
     return stiffness[:, :count, :count] + coupling.swapaxes(1, 2) @ following, following
 
 
-def _energies(components: Array, shapes: Array) -> Array:
-    """Quadratic forms (n, m, k) of all components (k, r, r) at shapes (n, r, m)."""
+def _forms(components: Array) -> Iterator[tuple[int, int, Array]]:
+    """Symmetric matrices (k, r, r) as blocks of columns (k · (r - start), stop - start).
+
+    They begin at row `start`; below row `stop` they are doubled and stand for what is left out.
+    """
+    size = components.shape[1]
+    for start, stop in pairwise(np.linspace(0, size, _BLOCKS + 1).astype(int).tolist()):
+        block = components[:, start:, start:stop].copy()
+        block[:, stop - start :] *= 2
+        yield start, stop, block.reshape(-1, stop - start)
+
+
+def _scratch_size(half: _Half) -> int:
+    """Numbers that `_energies` needs room for."""
+    return max(len(block) for _, _, block in half.forms) * len(half.places) * _CHUNK
+
+
+def _energies(forms: Sequence[tuple[int, int, Array]], shapes: Array, scratch: Array) -> Array:
+    """Quadratic forms (n, m, k) of all components at shapes (n, r, m)."""
     count, size, modes = shapes.shape
     flat = shapes.transpose(1, 0, 2).reshape(size, -1)
-    forces = (components.reshape(-1, size) @ flat).reshape(len(components), size, -1)
-    return np.asarray(np.einsum("krs,rs->sk", forces, flat).reshape(count, modes, -1))
+    total: Array = np.zeros(1)
+    for start, stop, block in forms:
+        room = scratch[: len(block) * flat.shape[1]].reshape(len(block), -1)
+        products = np.matmul(block, flat[start:stop], out=room)
+        products = products.reshape(-1, size - start, flat.shape[1])
+        total = total + np.einsum("krs,rs->sk", products, flat[start:])
+    return total.reshape(count, modes, -1)
 
 
 def _named(vectors: Array, named_shapes: Array) -> tuple[NDArray[np.intp], Array]:

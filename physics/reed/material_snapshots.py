@@ -50,6 +50,8 @@ _SETTLED_SHARE = 0.75
 # Snapshots, and steps, that add less than these shares of energy are noise.
 _LEAST_ENERGY = 1e-12
 _LEAST_STEP = 1e-10
+# Modes this much higher than the highest named frequency count too: heavier cane brings them below.
+TRAINED_BEYOND = 1.1
 # Elements whose strains are worked on together.
 _ELEMENTS = 16
 # Two factorisations at once; each is itself not threaded.
@@ -90,9 +92,14 @@ class TrainingSettings:
     snapshots: int = 18
     samples: int = 1024
     large_size_per_mode: float = 14.0
-    size_per_mode: float = 5.5
-    aim_cents: float = 2.0
+    size_per_mode: float = 5.0
+    aim_cents: float = 2.25
     seed: int = 3
+
+
+def heaviest_kg_m3(settings: TrainingSettings) -> float:
+    """Density up to which all named modes below the highest frequency are trained."""
+    return TRAINED_BEYOND**2 * settings.cane.density_kg_m3
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from physics.reed.material_basis import (
     terms_and_slopes,
 )
 from physics.reed.material_snapshots import (
+    TRAINED_BEYOND,
     LargeBasis,
     Pencil,
     TrainingSettings,
@@ -42,8 +43,6 @@ Array = NDArray[np.floating[Any]]
 _MORE_CANDIDATES = 8
 # Share of a named mode's motion that makes a sample's mode one of the named.
 _NAMED_SHARE = 0.2
-# Modes a little above the highest wanted count too: heavier canes bring them below it.
-_TRAINED_BEYOND = 1.1
 # An unnamed mode's error matters where a named mode exchanges shapes with it.
 _UNNAMED_WEIGHT = 0.3
 # Rounds of weighting anew; how fast weights follow errors, and what keeps them from falling to
@@ -56,11 +55,12 @@ _ROUNDING_CENTS = 1e-6
 # Coordinates that are added where a basis errs too much.
 _MORE_COORDINATES = 4
 # Share of the coordinates that keep their mass.
-_WITH_MASS = 0.42
+_WITH_MASS = 0.48
 # In coordinates of unit mass the stiffness is no polynomial of the thickness; of degree 5, one is
 # the same to 0.1 cent.
 _THICKNESSES = 6
-# Components of the stiffness that are smaller than this share of the largest are left out.
+# Components of the stiffness that are smaller than this share of the largest are left out: that
+# moves no mode by more than 0.3 cent.
 _LEAST_COMPONENT = 2e-4
 # Share of the time that the finite elements take, for those who watch.
 _SNAPSHOT_SHARE = 0.7
@@ -187,12 +187,12 @@ def _samples(
         eigenvalues, vectors = linalg.eigh(K, M, subset_by_index=[0, most])
         norms = np.sum(shapes * (M @ shapes), axis=0)
         shares = (vectors.T @ (M @ shapes)) ** 2 / norms
-        wanted = eigenvalues < _TRAINED_BEYOND**2 * highest
+        wanted = eigenvalues < TRAINED_BEYOND**2 * highest
         named = wanted & (shares.max(axis=1) > _NAMED_SHARE)
         if not named.any():
             continue
         # What comes soon after the highest named mode may exchange shapes with it.
-        kept = eigenvalues < _TRAINED_BEYOND**2 * eigenvalues[named].max()
+        kept = eigenvalues < TRAINED_BEYOND**2 * eigenvalues[named].max()
         answer.append(_Sample(terms, place, eigenvalues[kept], vectors[:, kept], named[kept]))
     return answer
 

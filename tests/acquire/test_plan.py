@@ -150,6 +150,9 @@ def test_file_sizes(series_a):
     assert series_a.file_size_bytes == 184 * region.height * region.width * 8
     frames = make_plan(SERIES_A.replace(keep="frames"), BENCH)
     assert frames.file_size_bytes == 184 * 4 * 1024 * 1280 * 2
+    assert frames.largest_size_bytes == (184 + 22) * 4 * 1024 * 1280 * 2
+    assert series_a.packed_size_bytes is None
+    assert 0.5 < frames.packed_size_bytes / frames.file_size_bytes < 0.75
 
 
 @pytest.mark.parametrize(
@@ -184,6 +187,7 @@ def test_json_keys_and_exact_strings(series_a):
     content = json.loads(json.dumps(series_a.to_json(), allow_nan=False))
     assert set(content) == {
         "protocol", "reed", "bench", "steps", "duration_s", "file_size_bytes",
+        "largest_size_bytes", "packed_size_bytes",
         "violations",
     }  # fmt: skip
     first = content["steps"][0]

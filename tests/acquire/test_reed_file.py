@@ -443,7 +443,7 @@ def cents_from_elements(modes, reed, count):
     [
         {},
         {"cane.E_L": "12 GPa", "cane.G_LT": "1 GPa", "cane.nu_LT": 0.25},
-        {"cane.density": "600 kg/m^3", "geometry.thickness_offset": "-15 um"},
+        {"cane.density": "600 kg/m^3", "geometry.thickness_offset": "-20 um"},
         {"cane.density": "400 kg/m^3"},
     ],
     ids=["as it is", "other cane", "heavier and thinner", "lighter"],

@@ -54,7 +54,7 @@ LEVEL = MeshLevel(
     vamp_element_m=5e-3,
     heel_element_m=23e-3,
 )
-SETTINGS = TrainingSettings(samples=128)
+SETTINGS = TrainingSettings(samples=192, aim_cents=2.0)
 TINY = MeshLevel(orders=(2, 2, 2), edge_breaks_m=(), z_breaks=(0.0, 1.0), vamp_element_m=14e-3)
 FEW = TrainingSettings(snapshots=4, samples=16, highest_hz=8e3)
 BOX = MaterialBox()
@@ -123,16 +123,15 @@ class TestAgainstFiniteElements:
         assert np.nanmin(errors) < 0 < np.nanmax(errors)
 
     def test_errors_are_as_small_as_training_says_and_typically_none(self, basis):
-        canes, offsets = (
-            np.concatenate(parts)
-            for parts in zip(reeds(10, seed=12), reeds(10, seed=12, corners=True), strict=True)
-        )
-        errors = errors_cents(basis, canes, offsets)
-        assert abs(np.nanmedian(errors)) < 0.35
+        errors = [
+            errors_cents(basis, *reeds(count, seed=11, corners=corners))
+            for count, corners in ((6, False), (20, True))
+        ]
+        assert abs(np.mean([np.nanmedian(part) for part in errors])) < 0.3
         told = max(half.error_cents for half in basis.halves.values())
         assert told <= SETTINGS.aim_cents
         # The larger model errs too, a little.
-        assert np.nanmax(np.abs(errors)) < told + 0.3
+        assert max(np.nanmax(np.abs(part)) for part in errors) < told + 0.3
 
     def test_every_input_moves_frequencies_as_in_the_finite_elements(self, basis):
         """Tenth of the range to either side: the change by slopes and by finite elements."""

@@ -165,6 +165,7 @@ def run(
     for line in closing:
         _tell(line)
     answer: dict[str, Any] = {"run": str(path), "status": str(summary.status)}
+    answer["reason"] = summary.reason
     answer["verdicts"] = {str(verdict): n for verdict, n in summary.counts.items()}
     if summary.status != "complete":
         _finish(answer, as_json, [f"run file      {path}"])

@@ -13,6 +13,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import Final, Literal
 
 from acquire.errors import RunFileError
@@ -59,42 +60,47 @@ def controllable(run_path: Path) -> Iterator[None]:
                 f"{run_path}: is being measured by {_measurer(path)}; wait for its end"
             ) from None
         os.ftruncate(descriptor, 0)
-        try:
-            with _orders_held_back() as obeys:
+        with _orders_wait() as obeys:
+            try:
                 if obeys:
                     os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
                 yield
-        finally:
-            path.unlink(missing_ok=True)
+            finally:
+                # First, so that nobody tells the process anything once it would not survive that.
+                path.unlink(missing_ok=True)
     finally:
         os.close(descriptor)
 
 
-@contextmanager
-def orders_taken() -> Iterator[None]:
-    """Let orders through that are held back, now that this thread knows what to do about them."""
-    before = signal.pthread_sigmask(signal.SIG_UNBLOCK, _DEADLY)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+class WaitingOrders:
+    """Handler of signals that come before a run can obey, or after its end."""
+
+    def __init__(self) -> None:
+        self._numbers: list[int] = []
+
+    def __call__(self, number: int, _frame: FrameType | None) -> None:
+        """Remember a signal."""
+        self._numbers.append(number)
+
+    def take(self) -> list[int]:
+        """Return the numbers of signals that came, in their order, and forget them."""
+        taken, self._numbers = self._numbers, []
+        return taken
 
 
 @contextmanager
-def _orders_held_back() -> Iterator[bool]:
-    """Let orders wait; yield whether this thread can get any."""
+def _orders_wait() -> Iterator[bool]:
+    """Let orders wait instead of ending the process; yield whether this thread can get any."""
     if threading.current_thread() is not threading.main_thread():
         yield False
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _DEADLY)
+    waiting = WaitingOrders()
+    before = {number: signal.signal(number, waiting) for number in _DEADLY}
     try:
         yield True
     finally:
-        # Ignoring a signal takes back those that wait: nobody is there to obey them.
-        for number in _DEADLY:
-            handler = signal.signal(number, signal.SIG_IGN)
+        for number, handler in before.items():
             signal.signal(number, handler or signal.SIG_DFL)
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def order(run_path: Path, what: Order) -> int:

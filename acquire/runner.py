@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final
 
-from acquire.control import orders_taken
+from acquire.control import WaitingOrders
 from acquire.plan import Plan, Step
 from acquire.quality import ReadBack, Verdict
 from acquire.recorder import Acquisition, Recorder, StepReport
@@ -492,9 +492,12 @@ def _signals_to(runner: Runner) -> Iterator[None]:
         actions[signal.Signals(number)]()
 
     before = {number: signal.signal(number, act) for number in actions}
+    for handler in before.values():
+        if isinstance(handler, WaitingOrders):
+            for number in handler.take():
+                act(number, None)
     try:
-        with orders_taken():
-            yield
+        yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler or signal.SIG_DFL)

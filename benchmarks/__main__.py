@@ -12,6 +12,7 @@ MODULES = (
     "benchmarks.sweep",
     "benchmarks.kills",
     "benchmarks.faults",
+    "benchmarks.independence",
     "benchmarks.pace",
     "benchmarks.recovery",
 )

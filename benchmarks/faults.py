@@ -358,7 +358,9 @@ def _child(fault: Fault, path: Path, disk_bytes: int | None, resume: bool, repor
     def tell(what: str) -> Callable[[Bench], None]:
         return lambda _: report.send(what)
 
-    def tell_and_wait(_: Bench) -> None:
+    def tell_and_wait(bench: Bench) -> None:
+        if fault.amid is not None:
+            fault.amid(bench)
         # The sweep waits for its pictures to be kept: time for somebody to do something to it.
         report.send("amid")
         time.sleep(_PATIENCE_S)
@@ -449,8 +451,21 @@ class Process:
         return outcome_of(self.fault, self.path, ended) if ended else None
 
 
+def _set_clock_back(_: Bench) -> None:
+    """Let this process's clock on the wall be an hour slow from now on."""
+    right = time.time
+    time.time = lambda: right() - 3600.0
+
+
 CALM = FAULTS[0]
 FRAMES = replace(CALM, protocol={"keep": "frames"})
+
+
+def clock_set_back(folder: Path) -> Outcome:
+    """Set the computer's clock back by an hour during a run; time stamps are for people only."""
+    return _required(
+        Process.begin(replace(CALM, amid=_set_clock_back), folder / "clock.h5").outcome()
+    )
 
 
 def signalled(number: signal.Signals, folder: Path) -> Outcome:
@@ -576,6 +591,7 @@ def process_faults(folder: Path) -> dict[str, tuple[Fault, Outcome]]:
     rows = {
         "SIGINT": (ended, signalled(signal.SIGINT, folder)),
         "SIGTERM": (ended, signalled(signal.SIGTERM, folder)),
+        "computer's clock set back": (CALM, clock_set_back(folder)),
         f"file locked ({said.rpartition('; ')[2]})": (CALM, calm),
     }
     return rows if filled is None else rows | {"disk full": (full, filled)}

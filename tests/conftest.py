@@ -1,5 +1,8 @@
 """A simulated bench small enough for tests: a coarse reed before a few thousand pixels."""
 
+import fcntl
+import os
+
 import pytest
 
 from acquire.bench_file import BenchFile
@@ -8,13 +11,29 @@ from acquire.protocol import Protocol
 from drivers.registry import open_bench
 
 
-@pytest.fixture(scope="session")
-def reed_cache(tmp_path_factory):
-    """Keep reeds that are built in this session together, away from the user's."""
+@pytest.fixture(scope="session", autouse=True)
+def _reed_cache(request):
+    """Keep reeds together for all workers and the next time, away from the user's."""
     with pytest.MonkeyPatch.context() as patch:
-        folder = tmp_path_factory.mktemp("reeds")
-        patch.setenv("REEDBENCH_CACHE", str(folder))
-        yield folder
+        patch.setenv("REEDBENCH_CACHE", str(request.config.cache.mkdir("reeds")))
+        yield
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory):
+    """Return ``made_once(name, make)``: the path of a file that one worker makes for all."""
+    base = tmp_path_factory.getbasetemp()
+    folder = base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base
+
+    def made(name, make):
+        path = folder / name
+        with (folder / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not path.exists():
+                make(path)
+        return path
+
+    return made
 
 
 @pytest.fixture
@@ -45,7 +64,7 @@ def small_plan(small_bench_file):
 
 
 @pytest.fixture
-def open_small_bench(reed_cache):
+def open_small_bench():
     """Open the bench of a plan with a reed on it."""
     opened = []
 

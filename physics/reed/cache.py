@@ -6,11 +6,12 @@ written to costs time, not results.
 """
 
 import contextlib
+import fcntl
 import hashlib
 import os
 import tempfile
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,6 +26,7 @@ from physics.reed.geometry import ReedGeometry
 from physics.reed.mesh import MeshLevel
 
 Made = TypeVar("Made")
+_UNREADABLE = (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile)
 Arrays = Mapping[str, NDArray[Any]]
 
 # How far each level lies from the limit of ever finer meshes: `python -m benchmarks.convergence`.
@@ -63,12 +65,28 @@ def kept(
         What is made ↔ named arrays, of numbers or texts.
     """
     path = cache_directory() / f"{kind}-{_key(inputs)}.npz"
-    with contextlib.suppress(OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile):
+    with contextlib.suppress(*_UNREADABLE):
         return _load(path, from_arrays)
-    made = make()
-    with contextlib.suppress(OSError):
-        _save(path, to_arrays(made))
+    with _alone(path):
+        # Another program may have made it meanwhile.
+        with contextlib.suppress(*_UNREADABLE):
+            return _load(path, from_arrays)
+        made = make()
+        with contextlib.suppress(OSError):
+            _save(path, to_arrays(made))
     return made
+
+
+@contextlib.contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Wait while another program makes the same; where that cannot be told, do not."""
+    lock = path.with_suffix(".lock")
+    with contextlib.ExitStack() as held:
+        with contextlib.suppress(OSError):
+            lock.parent.mkdir(parents=True, exist_ok=True)
+            held.callback(lock.unlink, missing_ok=True)
+            fcntl.flock(held.enter_context(lock.open("w")), fcntl.LOCK_EX)
+        yield
 
 
 def _key(inputs: Sequence[object]) -> str:

@@ -259,7 +259,7 @@ def as_version_1():
 
 
 @pytest.fixture(scope="session")
-def processes(reed_cache):
+def processes():
     """Start processes that have imported already what a run needs, and end them all.
 
     ``start(code, **names)`` executes Python code in which those names are known, and ``said``: the

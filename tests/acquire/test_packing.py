@@ -1,6 +1,8 @@
 """Frames of complete runs: packed without the loss of a bit, or left as they are."""
 
+import os
 import shutil
+import signal
 from types import SimpleNamespace
 
 import h5py
@@ -24,7 +26,7 @@ SMALL = {
 
 
 @pytest.fixture(scope="module")
-def plan(reed_cache):
+def plan():
     bench = BenchFile.from_file("simulated").replace({"twin.mesh": "coarse"})
     return planned(Protocol.from_file("quick").replace(SMALL), bench)
 
@@ -100,7 +102,7 @@ def test_a_packed_run_and_one_of_holograms_are_left_alone(path, plan, tmp_path):
 
 def test_only_complete_runs_are_packed(plan, tmp_path):
     def stop_at_once(report):
-        raise KeyboardInterrupt
+        os.kill(os.getpid(), signal.SIGTERM)
 
     complete, interrupted = tmp_path / "complete.h5", tmp_path / "interrupted.h5"
     shares = []

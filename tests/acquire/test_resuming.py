@@ -183,7 +183,7 @@ LABELS = RunLabels(strength=3.5, note="of a technician who pulls plugs")
 
 
 @pytest.fixture
-def sweep(reed_cache):
+def sweep():
     """Plan the quick protocol on few pixels before a coarse reed."""
     small = {"camera.width": 160, "camera.height": 128, "sweep.stride": 4}
     bench = BenchFile.from_file().replace({"twin": {"mesh": "coarse"}})

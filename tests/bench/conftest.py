@@ -1,7 +1,6 @@
 """The command line in this process, small protocols, and two runs of a reed, fitted once."""
 
 import json
-import os
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -16,15 +15,7 @@ from acquire.protocol import find_protocol
 from diagnosis.gap import diagnose
 from fitting.fit import fit_runs
 
-_USERS_CACHE = os.environ.get("REEDBENCH_CACHE")
 REED = "R07"
-
-
-def _use_the_users_cache(patch):
-    if _USERS_CACHE is None:
-        patch.delenv("REEDBENCH_CACHE", raising=False)
-    else:
-        patch.setenv("REEDBENCH_CACHE", _USERS_CACHE)
 
 
 @cache
@@ -68,7 +59,6 @@ def _invoke(*arguments):
 
 @pytest.fixture(autouse=True)
 def _bench_of_the_user(monkeypatch):
-    _use_the_users_cache(monkeypatch)
     monkeypatch.setattr("fitting.fit.fit_runs", _fit_once)
     monkeypatch.setattr("diagnosis.gap.diagnose", _diagnose_once)
 
@@ -143,7 +133,6 @@ def measured(tmp_path_factory):
     part |= {"sweep.first": 15, "sweep.last": 107}
     said = {}
     with pytest.MonkeyPatch.context() as patch:
-        _use_the_users_cache(patch)
         patch.setattr("fitting.fit.fit_runs", _fit_once)
         for series, more in (("A", ["--json"]), ("B", ["--no-fit"])):
             protocol = _write_protocol(folder / f"{series}.yaml", f"series{series}", part)

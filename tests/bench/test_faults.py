@@ -1,6 +1,5 @@
 """What goes wrong on a bench ends in right data or in a safe stop: the table of faults."""
 
-import os
 import signal
 from dataclasses import replace
 
@@ -8,14 +7,6 @@ import pytest
 
 from benchmarks import faults
 from benchmarks.faults import FAULTS, as_expected
-
-_USERS_CACHE = os.environ.get("REEDBENCH_CACHE")
-
-
-@pytest.fixture(autouse=True)
-def _reeds_of_this_session(reed_cache, monkeypatch):
-    """The coarse reed is built once."""
-    monkeypatch.setenv("REEDBENCH_CACHE", str(reed_cache))
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
@@ -41,6 +32,11 @@ def test_a_disk_that_fills_up_ends_in_a_safe_stop_and_a_readable_file(tmp_path):
         pytest.skip("this user may not mount a small disk")
     assert (outcome.ending, outcome.wrong, outcome.off) == ("stopped", 0, True)
     assert "make room on the disk" in outcome.reason
+
+
+def test_a_computers_clock_that_is_set_back_changes_nothing_but_time_stamps(tmp_path):
+    outcome = faults.clock_set_back(tmp_path)
+    assert (outcome.ending, outcome.good, outcome.wrong, outcome.off) == ("complete", 10, 0, True)
 
 
 def test_a_run_in_work_is_left_alone(tmp_path):

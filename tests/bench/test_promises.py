@@ -643,5 +643,10 @@ def test_standard_output_of_a_process_is_json_and_nothing_else(folder, bench_fil
     )  # fmt: skip
     out, err = process.communicate(timeout=60)
     assert process.returncode == 0, err
-    assert json.loads(out) == {"run": "x.h5", "status": "complete", "verdicts": {"ok": 9}}
+    assert json.loads(out) == {
+        "run": "x.h5",
+        "status": "complete",
+        "reason": "",
+        "verdicts": {"ok": 9},
+    }
     assert "9 of 9 steps" in err

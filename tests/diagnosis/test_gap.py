@@ -1,7 +1,6 @@
 """The gap between run and twin: found where it was planted, and nowhere else."""
 
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,18 +22,11 @@ from physics.reed.response import elastic_modes
 from physics.reed.viscoelastic import Series, viscoelastic_cane
 
 KIND = ReedFile.from_file()
-_USERS_CACHE = os.environ.get("REEDBENCH_CACHE")
 
 
 @pytest.fixture(scope="module")
 def reed():
-    """From the user's cache: other tests of a session may have set one of their own."""
-    with pytest.MonkeyPatch.context() as patch:
-        if _USERS_CACHE is None:
-            patch.delenv("REEDBENCH_CACHE", raising=False)
-        else:
-            patch.setenv("REEDBENCH_CACHE", _USERS_CACHE)
-        return reduced_reed()
+    return reduced_reed()
 
 
 @pytest.fixture(scope="module")

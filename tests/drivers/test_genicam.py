@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from drivers.camera_trigger import CameraTrigger
@@ -385,14 +385,27 @@ def streams(draw):
     stream=streams(), pauses_s=st.lists(st.floats(0.0, 2.0), min_size=1, max_size=4),
     settle_s=st.floats(0.0, 0.3), count=st.integers(1, 5),
 )  # fmt: skip
-@settings(max_examples=200, deadline=None)
+@example(
+    stream={
+        "delay_s": lambda _: 0.08, "lost": frozenset(), "broken": frozenset(), "clock": "none",
+        "stamped_at_end": False,
+        "stalls_s": {0: 0.375, 2: 0.5, 8: 0.5, 14: 0.5, 20: 0.5, 27: 0.5},
+    },
+    pauses_s=[2.0], settle_s=0.0, count=1,
+)  # fmt: skip
+@settings(max_examples=100, deadline=None)
 def test_no_frame_from_before_is_ever_handed_over(stream, pauses_s, settle_s, count):
     camera, link = running(**stream)
     taken = []
     for pause_s in pauses_s:
         link.host.wait(pause_s)
         set_s = link.host.now_s()
-        frames = camera.grab(count, camera.now_s() + settle_s)
+        try:
+            frames = camera.grab(count, camera.now_s() + settle_s)
+        except InstrumentError:
+            # Only a computer that is away for longer than a timeout may be kept from catching up.
+            assert sum(stream["stalls_s"].values()) > CameraOptions().timeout_s
+            break
         assert min(link.began_s(index) for index in indices(frames)) >= set_s + settle_s - 1e-9
         taken += frames
     got = indices(taken)

@@ -1,6 +1,5 @@
 """One sweep of the simulated bench, measured and fitted once, and copies of it with changes."""
 
-import os
 import shutil
 from pathlib import Path
 
@@ -16,21 +15,7 @@ from fitting.forward import finite_element_model
 from physics.reed.cache import reduced_reed
 from physics.reed.viscoelastic import Series
 
-# As it was before any fixture: the standard reed takes ten seconds to build, once per user.
-_USERS_CACHE = os.environ.get("REEDBENCH_CACHE")
 REED = "R07"
-
-
-def _use_the_users_cache(patch):
-    if _USERS_CACHE is None:
-        patch.delenv("REEDBENCH_CACHE", raising=False)
-    else:
-        patch.setenv("REEDBENCH_CACHE", _USERS_CACHE)
-
-
-@pytest.fixture(autouse=True)
-def _users_cache(monkeypatch):
-    _use_the_users_cache(monkeypatch)
 
 
 @pytest.fixture(scope="session")
@@ -44,9 +29,7 @@ def tables():
 
 @pytest.fixture(scope="session")
 def reed():
-    with pytest.MonkeyPatch.context() as patch:
-        _use_the_users_cache(patch)
-        return reduced_reed()
+    return reduced_reed()
 
 
 @pytest.fixture(scope="session")
@@ -56,22 +39,17 @@ def model(reed):
 
 
 @pytest.fixture(scope="session")
-def sweep_a(tmp_path_factory):
+def sweep_a(made_once):
     """Run file of series A on a quarter of the sensor: 87 steps of 50 cents, all noise on."""
-    path = tmp_path_factory.mktemp("runs") / "A.h5"
     small = {"camera.width": 640, "camera.height": 512, "sweep.stride": 2, "sweep.last": 173}
-    with pytest.MonkeyPatch.context() as patch:
-        _use_the_users_cache(patch)
-        script.run(script.plan(script.load("seriesA").replace(small)), path, reed=REED)
-    return path
+    plan = script.plan(script.load("seriesA").replace(small))
+    return made_once("A.h5", lambda path: script.run(plan, path, reed=REED))
 
 
 @pytest.fixture(scope="session")
 def fitted(sweep_a):
     """What `acquire fit` makes of that run."""
-    with pytest.MonkeyPatch.context() as patch:
-        _use_the_users_cache(patch)
-        return fit_runs([sweep_a])
+    return fit_runs([sweep_a])
 
 
 @pytest.fixture(scope="session")
@@ -83,9 +61,7 @@ def fitted_a(fitted):
 @pytest.fixture(scope="session")
 def true_hz():
     """Eigenfrequencies of that reed in series A, by name."""
-    with pytest.MonkeyPatch.context() as patch:
-        _use_the_users_cache(patch)
-        return true_frequencies_hz(REED, Series.A)
+    return true_frequencies_hz(REED, Series.A)
 
 
 @pytest.fixture

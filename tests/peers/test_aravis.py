@@ -356,7 +356,7 @@ def test_a_camera_that_dies_is_told_as_gone(alone):
 
 
 @pytest.fixture
-def bench(small_plan, reed_cache):
+def bench(small_plan):
     plan = small_plan({"camera.width": 64, "camera.height": 48}, pace="realtime")
     driver = {"instruments.camera.driver": LOOPBACK_CAMERA}
     with open_bench(plan.bench.replace(driver), plan.preparation("R07"), seed=3) as bench:
@@ -376,7 +376,7 @@ def test_the_laboratorys_light_goes_on_between_two_frames(bench):
         assert [frame.image.mean() for frame in dark] == pytest.approx([50, 50], abs=1)
 
 
-def test_a_sweep_runs_over_the_network(small_plan, reed_cache, tmp_path):
+def test_a_sweep_runs_over_the_network(small_plan, tmp_path):
     # Aravis' camera stamps its frames to a millisecond or so, which real ones do far better.
     small = {"camera.exposure": "40 ms", "tolerance.lock_phase": "0.5 rad"}
     plan = small_plan(small, pace="realtime")
@@ -388,7 +388,7 @@ def test_a_sweep_runs_over_the_network(small_plan, reed_cache, tmp_path):
     assert summary.unconfirmed == ()
 
 
-def test_the_laboratory_must_run_in_real_time(small_plan, reed_cache):
+def test_the_laboratory_must_run_in_real_time(small_plan):
     plan = small_plan()
     bench_file = plan.bench.replace({"instruments.camera.driver": LOOPBACK_CAMERA})
     with pytest.raises(BenchSetupError, match="write pace: realtime"):

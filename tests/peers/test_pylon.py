@@ -230,7 +230,7 @@ def test_it_fills_the_role_and_says_that_its_times_are_arrivals(emulated):
 
 
 @pytest.fixture
-def opened(small_plan, reed_cache):
+def opened(small_plan):
     """Open the small bench with one camera or another on it, switched on."""
     benches = []
 
@@ -280,7 +280,7 @@ def test_a_broken_frame_is_missing_from_the_laboratorys(opened):
     assert [frame.id for frame in camera.grab(4, 0.0)] == [1, 2, 3]
 
 
-def test_a_sweep_runs_through_the_real_driver(small_plan, reed_cache, tmp_path):
+def test_a_sweep_runs_through_the_real_driver(small_plan, tmp_path):
     plan = small_plan()
     bench_file = plan.bench.replace({"instruments.camera.driver": EMULATED_CAMERA})
     plan = make_plan(plan.protocol, bench_file)

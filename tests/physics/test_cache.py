@@ -1,5 +1,7 @@
 """Reduced reeds kept between runs: the same as built, never stale, never in the way."""
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 
 import numpy as np
@@ -44,6 +46,24 @@ def test_a_kept_reed_is_the_one_built(folder, announced):
                 getattr(kept.halves[symmetry], field.name),
                 getattr(built.halves[symmetry], field.name),
             )
+
+
+def test_what_two_programs_want_at_once_is_made_once(folder):
+    made = []
+
+    def make():
+        made.append(len(made))
+        time.sleep(0.2)
+        return np.arange(3.0)
+
+    def want(_):
+        return cache.kept("thing", (), make, lambda x: {"x": x}, lambda arrays: arrays["x"])
+
+    with ThreadPoolExecutor(4) as pool:
+        for each in pool.map(want, range(4)):
+            np.testing.assert_array_equal(each, np.arange(3.0))
+    assert made == [0]
+    assert [entry.suffix for entry in folder.iterdir()] == [".npz"]
 
 
 @pytest.mark.usefixtures("folder")
@@ -142,4 +162,4 @@ def test_the_folder_is_the_users_unless_said_otherwise(tmp_path, monkeypatch):
 def test_an_impossible_reed_is_not_kept(folder):
     with pytest.raises(ValueError, match="thickness"):
         reed(geometry=replace(ReedGeometry(), thickness_offset_m=-90e-6))
-    assert not folder.exists()
+    assert not list(folder.iterdir())

@@ -4,6 +4,7 @@ A reed that is its own mirror image is solved by halves, one for each symmetry; 
 """
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -204,8 +205,11 @@ def _named_modes(
 ) -> list[NamedMode]:
     """Solve for all motions, name what comes out and keep what is wanted."""
     found: list[NamedMode] = []
-    for system in _systems(geometry, level, density_kg_m3):
-        frequencies, reduced = solve(system)
+    systems = list(_systems(geometry, level, density_kg_m3))
+    # Factoring and solving, which is most of it, leaves the other thread alone.
+    with ThreadPoolExecutor(len(systems)) as pool:
+        solved = list(pool.map(solve, systems))
+    for system, (frequencies, reduced) in zip(systems, solved, strict=True):
         shapes = _at_nodes(system, reduced)
         namings = names_of(_portraits(geometry, system, shapes))
         for m, (naming, hz) in enumerate(zip(namings, frequencies, strict=True)):

@@ -78,6 +78,9 @@ _CLOCK_DRIFT: Final = 1e-4
 _PHASE_DEVIATIONS: Final = 5.0
 # Over four frames other sidebands turn the light by up to 0.02 rad on the simulated bench.
 _PHASE_LEAK_RAD: Final = 0.03
+# All light of the object over the noise: what the carrier has where the reed hardly moves. A good
+# image; on a worse one less is leaked than is allowed for.
+_CARRIER_TO_NOISE: Final = 1000.0
 # Once in three million empty steps noise alone exceeds this.
 _SIGNAL_DEVIATIONS: Final = 5.0
 
@@ -290,12 +293,19 @@ def judge_lock(
     return None
 
 
-def judge_phase(phase: PhaseAdvance, condition: LockCondition, count: int) -> Judgement | None:
+def judge_phase(
+    phase: PhaseAdvance,
+    condition: LockCondition,
+    count: int,
+    carrier_leak: float,
+    signal_to_noise: float,
+) -> Judgement | None:
     """`LOCK` if the frames themselves turn by more than the tolerance over the acquisition.
 
     What the light shows counts whatever instruments say, as far as it shows it: on top of the
-    tolerance, `_PHASE_DEVIATIONS` standard errors are allowed, and what other sidebands may leak.
-    Light of fewer deviations than that above the noise shows nothing.
+    tolerance, `_PHASE_DEVIATIONS` standard errors are allowed, and what other sidebands may leak:
+    where the reed hardly moves the carrier is many times as strong as the sideband. Light of fewer
+    deviations than that above the noise shows nothing.
 
     Parameters
     ----------
@@ -304,12 +314,20 @@ def judge_phase(phase: PhaseAdvance, condition: LockCondition, count: int) -> Ju
     condition : LockCondition
     count : int
         Frames of the acquisition.
+    carrier_leak : float
+        Amplitude of the carrier in the hologram per unit of the sideband's, were they equal.
+    signal_to_noise : float
+        Mean ``|H|²`` in the reed's region over that of an empty pixel; NaN without any noise.
     """
     # Where there is hardly any light, its deviations are the inverse of this error.
     if not phase.standard_error_rad < 1 / _PHASE_DEVIATIONS:
         return None
     turn_rad = count * abs(phase.error_rad)
-    uncertain_rad = count * _PHASE_DEVIATIONS * phase.standard_error_rad + _PHASE_LEAK_RAD
+    beyond_noise = math.inf if math.isnan(signal_to_noise) else max(signal_to_noise - 1, 1e-3)
+    carrier = math.sqrt(_CARRIER_TO_NOISE / beyond_noise)
+    # It may turn either of the two differences by as much as it has of the sideband's amplitude.
+    leaked_rad = _PHASE_LEAK_RAD + 2 * count * carrier_leak * carrier
+    uncertain_rad = count * _PHASE_DEVIATIONS * phase.standard_error_rad + leaked_rad
     allowed_rad = condition.tolerance_rad + uncertain_rad
     if turn_rad <= allowed_rad:
         return None

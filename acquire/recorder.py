@@ -395,7 +395,7 @@ def measure(
         judgements.append(
             judge_signal(ratio, region.height * region.width, empty.height * empty.width)
         )
-        judgements.append(judge_phase(phase, condition, step.frames))
+        judgements.append(judge_phase(phase, condition, step.frames, step.carrier_leak, ratio))
     share = saturated_share(frames, saturation_dn) if frames else 0.0
     judgements.append(judge_saturation(share))
     if frames:

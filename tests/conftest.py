@@ -23,11 +23,13 @@ def _reed_cache(request):
 def made_once(tmp_path_factory):
     """Return ``made_once(name, make)``: the path of a file that one worker makes for all."""
     base = tmp_path_factory.getbasetemp()
-    folder = base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base
+    common = base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base
 
     def made(name, make):
-        path = folder / name
-        with (folder / f"{name}.lock").open("w") as lock:
+        # In a folder of its own: some tests take all the files of a folder.
+        path = common / f"made-once-{name}" / name
+        path.parent.mkdir(exist_ok=True)
+        with (common / f"{name}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not path.exists():
                 make(path)

@@ -297,12 +297,18 @@ def test_the_carrier_has_a_lock_of_its_own():
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("error_rad", [0.0, 0.01])
-def test_the_light_may_turn_by_tolerance_leak_and_five_standard_errors(sign, error_rad):
-    # Over four frames: 0.01 rad of tolerance, 0.03 rad of leak, 5 · 4 standard errors.
-    limit_rad = (0.01 + 0.03 + 20 * error_rad) / 4
+@pytest.mark.parametrize(
+    ("leak", "ratio", "leaked_rad"), [(0.0, 2.0, 0.03), (1e-3, 11.0, 0.11), (1e-3, np.nan, 0.03)]
+)
+def test_the_light_may_turn_by_tolerance_leak_and_five_standard_errors(
+    sign, error_rad, leak, ratio, leaked_rad
+):
+    # Over four frames: 0.01 rad of tolerance, 5 · 4 standard errors, and what other sidebands leak:
+    # 0.03 rad, and the carrier on either side of each frame, here ten times the sideband.
+    limit_rad = (0.01 + leaked_rad + 20 * error_rad) / 4
     for factor, passes in ((0.999, True), (1.001, False)):
         phase = PhaseAdvance(sign * factor * limit_rad, error_rad)
-        judgement = judge_phase(phase, CONDITION, 4)
+        judgement = judge_phase(phase, CONDITION, 4, leak, ratio)
         assert (judgement is None) == passes
         if judgement:
             assert judgement.verdict is Verdict.LOCK
@@ -312,17 +318,17 @@ def test_the_light_may_turn_by_tolerance_leak_and_five_standard_errors(sign, err
 
 
 def test_without_light_nothing_is_said_of_the_lock():
-    assert judge_phase(PhaseAdvance(np.nan, np.inf), CONDITION, 4) is None
-    assert judge_phase(PhaseAdvance(np.nan, np.nan), CONDITION, 4) is None
-    assert judge_phase(PhaseAdvance(3.0, 0.201), CONDITION, 4) is None
-    assert judge_phase(PhaseAdvance(3.0, 0.199), CONDITION, 4).verdict is Verdict.LOCK
+    assert judge_phase(PhaseAdvance(np.nan, np.inf), CONDITION, 4, 0.0, 10.0) is None
+    assert judge_phase(PhaseAdvance(np.nan, np.nan), CONDITION, 4, 0.0, 10.0) is None
+    assert judge_phase(PhaseAdvance(3.0, 0.201), CONDITION, 4, 0.0, 10.0) is None
+    assert judge_phase(PhaseAdvance(3.0, 0.199), CONDITION, 4, 0.0, 10.0).verdict is Verdict.LOCK
 
 
 def test_noise_alone_is_never_taken_for_a_lost_lock():
     rng = np.random.default_rng(0)
     for _ in range(2000):
         even, odd = rng.standard_normal((2, 200, 2)) @ np.array([1, 1j]) * np.sqrt(0.5)
-        assert judge_phase(phase_advance(even, odd, 1.0), CONDITION, 4) is None
+        assert judge_phase(phase_advance(even, odd, 1.0), CONDITION, 4, 0.0, 10.0) is None
 
 
 # --- Light -------------------------------------------------------------------------------------

@@ -93,6 +93,7 @@ def run(
     labels: RunLabels | None = None,
     progress: Callable[[StepReport], None] | None = None,
     *,
+    announce: Callable[[str], None] | None = None,
     resume: bool = False,
 ) -> RunSummary:
     """Measure a whole plan on an open bench.
@@ -113,6 +114,8 @@ def run(
         What a person says about the run.
     progress : callable, optional
         Told of every recorded step, on another thread. What it raises stops the run.
+    announce : callable, optional
+        Told in words of pauses, and of instruments that failed and came back.
     resume : bool
         Whether `path` is that of a run to go on with, see `acquire.resuming`.
 
@@ -138,7 +141,7 @@ def run(
             return Recorder.resume(plan, bench, Path(path), report)
         return Recorder.create(plan, bench, Path(path), labels or RunLabels(), report)
 
-    return Runner(plan, bench, Path(path), recorder).execute()
+    return Runner(plan, bench, Path(path), recorder, announce or (lambda _: None)).execute()
 
 
 class Runner:
@@ -168,13 +171,20 @@ class Runner:
         Of the run file.
     recorder : callable
         Opens the run file, new or to be gone on with.
+    announce : callable
+        See `run`.
     """
 
     def __init__(
-        self, plan: Plan, bench: Bench, path: Path, recorder: Callable[[], Recorder]
+        self,
+        plan: Plan,
+        bench: Bench,
+        path: Path,
+        recorder: Callable[[], Recorder],
+        announce: Callable[[str], None],
     ) -> None:
         self._plan, self._bench, self._path = plan, bench, path
-        self._open_recorder = recorder
+        self._open_recorder, self._announce = recorder, announce
         self._state = RunState.IDLE
         self._stop, self._pause = threading.Event(), threading.Event()
         self._abortable = False
@@ -360,6 +370,7 @@ class Runner:
         began = now()
         self._enter(RunState.PAUSED)
         self._require_off("to pause")
+        self._announce(f"paused, all is off; go on with: acquire continue {self._path}")
         while self._pause.is_set() and not self._stop.is_set():
             time.sleep(_PAUSE_POLL_S)
         if self._stop.is_set():
@@ -367,6 +378,7 @@ class Runner:
         self._open_instruments()
         self._enter(RunState.STEPPING)
         recorder.add_seam(Seam(position, "paused", began, now(), "somebody asked for a pause"))
+        self._announce("goes on")
 
     def _recover(self, recorder: Recorder, position: int, error: InstrumentError) -> None:
         """Switch all off and on again after an instrument failed.
@@ -385,6 +397,7 @@ class Runner:
             error.add_note(str(second))
             raise error from second
         recorder.add_seam(Seam(position, "recovered", began, now(), str(error)))
+        self._announce(f"all was switched off and on again, because {error}")
 
     def _require_off(self, why: str) -> None:
         unconfirmed = safe_off(self._bench)

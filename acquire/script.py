@@ -84,7 +84,7 @@ def run(
     require_writable(plan, path)
     with controllable(path):
         with open_bench(plan.bench, plan.preparation(reed), seed, announce) as bench:
-            summary = measure(plan, bench, path, labels, progress)
+            summary = measure(plan, bench, path, labels, progress, announce=announce)
         _pack(summary, plan, packing, announce)
     return summary
 
@@ -121,7 +121,7 @@ def resume(
     run = unfinished(path, plan)
     with controllable(run.path):
         with open_bench(plan.bench, plan.preparation(run.reed), run.seed, announce) as bench:
-            summary = measure(plan, bench, path, None, progress, resume=True)
+            summary = measure(plan, bench, path, None, progress, announce=announce, resume=True)
         _pack(summary, plan, packing, announce)
     return summary
 

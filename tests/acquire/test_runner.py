@@ -32,9 +32,11 @@ def left_safe(fake):
 
 def runner_of(plan, fake, path, progress=lambda report: None):
     bench = fake.opened()
-    return Runner(
-        plan, bench, path, lambda: Recorder.create(plan, bench, path, RunLabels(), progress)
-    )
+
+    def recorder():
+        return Recorder.create(plan, bench, path, RunLabels(), progress)
+
+    return Runner(plan, bench, path, recorder, lambda _: None)
 
 
 @pytest.fixture

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import j0, j1
+
+from fitting.bessel import BesselTable
 
 Float = NDArray[np.float32]
 Complex = NDArray[np.complex64]
@@ -64,36 +65,13 @@ class Fringes:
     light: Float
 
 
-class _Bessel:
-    """Table of J₁ and J₁′: interpolation is an order of magnitude faster than evaluation."""
-
-    def __init__(self, largest: float = 200.0, per_rad: int = 200) -> None:
-        phi = np.arange(int(largest * per_rad) + 2) / per_rad
-        self._per_rad = np.float32(per_rad)
-        self._last = np.float32(len(phi) - 2)
-        ratio = np.divide(j1(phi), phi, out=np.full_like(phi, 0.5), where=phi > 0)
-        self._value, self._slope = (
-            table.astype(np.float32) for table in (j1(phi), j0(phi) - ratio)
-        )
-
-    def __call__(self, phi: Float) -> tuple[Float, Float]:
-        """J₁ and its derivative at phases (any shape)."""
-        position = np.minimum(phi * self._per_rad, self._last)
-        index = position.astype(np.int32)
-        part = position - index
-        return (
-            self._value[index] * (1 - part) + self._value[index + 1] * part,
-            self._slope[index] * (1 - part) + self._slope[index + 1] * part,
-        )
-
-
 @dataclass(frozen=True)
 class _Problem:
     """Pictures relative to their light (k, n) and the shapes (n, m) they are made of."""
 
     relative: Float
     shapes: Float
-    bessel: _Bessel
+    bessel: BesselTable
 
     def only(self, pictures: NDArray[np.intp]) -> "_Problem":
         """Return the same problem for some of the pictures."""
@@ -228,7 +206,7 @@ def count_fringes(brightness: Float, shapes: Float, start: Fringes | None = None
     most, then tries the solutions of its neighbours; the light B is re-estimated from all
     pictures in between, by linear least squares.
     """
-    bessel, light = _Bessel(), start.light if start else first_light(brightness)
+    bessel, light = BesselTable(), start.light if start else first_light(brightness)
     problem = _Problem(brightness / light, shapes, bessel)
     a, cost = _descend(problem, start.amplitude_rad, _START_STEPS) if start else _start(problem)
     for _ in range(1 if start else _ROUNDS):
@@ -273,6 +251,6 @@ def misfit_without(
     near = np.unique(np.clip(picture + _AROUND, 0, len(brightness) - 1))
     others = np.delete(np.arange(shapes.shape[1]), shape)
     relative = np.repeat(brightness[picture : picture + 1] / fringes.light, len(near), axis=0)
-    problem = _Problem(relative, shapes[:, others], _Bessel())
+    problem = _Problem(relative, shapes[:, others], BesselTable())
     _, cost = _descend(problem, fringes.amplitude_rad[np.ix_(near, others)], _ALONE_STEPS)
     return float(cost.min())

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.runfile import Run
+from acquire.runfile import Run, StepRecord
 from fitting.errors import FitError
 from holography.fringes import block_mean
 from physics.reed.geometry import half_width_m
@@ -59,13 +59,7 @@ def read_pictures(run: Run) -> Pictures:
     RunFileError
         If a step cannot be read.
     """
-    good = sorted((s for s in run.steps if s.verdict == "ok"), key=lambda step: step.drive_hz)
-    if len(good) < _LEAST_PICTURES:
-        troubles = _troubles(run)
-        raise FitError(
-            f"{run.path}: {len(good)} of {len(run)} steps are good, a fit needs at least "
-            f"{_LEAST_PICTURES}" + (f" ({troubles})" if troubles else "")
-        )
+    good = good_steps(run)
     factors = [max(1, round(_BLOCK_M / abs(a[1] - a[0]))) for a in (run.y_m, run.x_m)]
     y, x = (_block_centres(a, f) for a, f in zip((run.y_m, run.x_m), factors, strict=True))
     Y, X = np.meshgrid(y, x, indexing="ij")
@@ -88,6 +82,24 @@ def read_pictures(run: Run) -> Pictures:
         np.array([step.index for step in good]),
         np.array([float(step.read_drive_hz or step.drive_hz) for step in good]),
     )
+
+
+def good_steps(run: Run) -> list[StepRecord]:
+    """Steps of a run that hold good holograms, in order of frequency.
+
+    Raises
+    ------
+    FitError
+        If they are too few; says what the others suffer from.
+    """
+    good = sorted((s for s in run.steps if s.verdict == "ok"), key=lambda step: step.drive_hz)
+    if len(good) < _LEAST_PICTURES:
+        troubles = _troubles(run)
+        raise FitError(
+            f"{run.path}: {len(good)} of {len(run)} steps are good, a fit needs at least "
+            f"{_LEAST_PICTURES}" + (f" ({troubles})" if troubles else "")
+        )
+    return good
 
 
 def _block_centres(axis_m: Array, factor: int) -> Array:

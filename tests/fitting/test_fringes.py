@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.special import j0, j1
 
-from fitting.fringes import FIRST_FRINGE, _Bessel, count_fringes, misfit_without
+from fitting.bessel import BesselTable
+from fitting.fringes import FIRST_FRINGE, count_fringes, misfit_without
 
 # The first pictures hold a little of shape 0 alone, as below the reed's first resonance. Then come
 # one resonance each, of up to 40 rad, and one of two shapes a quarter of a period apart in the same
@@ -194,14 +195,14 @@ def test_points_that_never_move_do_not_spoil_the_misfit(scene):
 def test_the_table_of_bessel_functions_is_good_to_a_hundred_thousandth():
     # float32, because that is what the table is asked with.
     phi = np.random.default_rng(1).uniform(0, 190, 100_000).astype(np.float32)
-    value, slope = _Bessel()(phi)
+    value, slope = BesselTable()(phi)
     exact = phi.astype(float)
     assert np.abs(value - j1(exact)).max() < 1e-5
     assert np.abs(slope - (j0(exact) - j1(exact) / exact)).max() < 1e-5
 
 
 def test_the_table_starts_at_zero_and_is_never_left():
-    value, slope = _Bessel()(np.array([0.0, 1e4], dtype=np.float32))
+    value, slope = BesselTable()(np.array([0.0, 1e4], dtype=np.float32))
     assert value[0] == 0
     assert slope[0] == pytest.approx(0.5)
     assert np.isfinite([value[1], slope[1]]).all()

@@ -1,0 +1,374 @@
+"""From phasors to displacement: the complex vibration of the whole reed in every hologram.
+
+The phasors of a block are ``A c_k F(u_k)`` (see `fitting.phasors`): its light A is unknown and the
+same in all holograms, c_k a phase of the hologram, ``u_k = Σ_j a_kj Φ_j`` the complex phase
+amplitude there, made of few functions Φ. Light and amplitudes are found in turns by least squares;
+the phase of a hologram is that of its amplitudes, for ``F(u e^{iθ}) = F(u) e^{iθ}``.
+
+The problem is not convex: beyond |u| = 1.84 phasors fall and turn over. It is solved from the calm
+holograms outwards, in which all is linear. Each hologram starts from a solved neighbour in
+frequency: near resonances one shape grows by some factor and turns by some angle between them, at
+a line of the air all shapes grow together; both are searched on grids finer than a fringe.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.bessel import BesselTable
+from fitting.errors import FitError
+from fitting.phasors import Phasors
+from fitting.shapes import ShapeBasis
+
+Array = NDArray[np.floating[Any]]
+Float = NDArray[np.float32]
+Complex = NDArray[np.complex64]
+Amplitudes = NDArray[np.complexfloating[Any, Any]]
+Steps = NDArray[np.intp]
+
+# Largest value of J₁, and holograms whose brightest show it in a block.
+_FIRST_LOBE, _BRIGHTEST = 0.5819, 4
+# A hologram is calm if 95 % of its blocks show less than this: φ below 0.7 rad, all linear.
+_CALM = 0.33
+_LEAST_SIGNAL = 1.5
+# Prior standard deviation of amplitudes, rad: only against what the data do not tell at all.
+_SEARCH_RAD, _FINAL_RAD = 5.0, 10.0
+# Of all blocks, every third serves the search, every ninth the grids.
+_SEARCH_STRIDE, _GRID_STRIDE = 3, 9
+# Grid of one shape's amplitude: step in radius, angles, and how far beyond the neighbour's.
+_RADIUS_STEP_RAD, _ANGLES, _BEYOND, _ROOM_RAD = 0.35, 12, 2.0, 5.0
+_SCALES = np.geomspace(0.3, 3.2, 36)
+# Modes this near to a hologram, besides the liveliest of its neighbour, may be resonating.
+_NEAR_CENTS = 350.0
+_STARTS, _DESCENT = 5, 6
+_CALM_TURNS, _FINAL_TURNS = 5, 3
+# Misfits, as reduced χ², that holograms may have to be handed on, the better ones first.
+_THRESHOLDS = (2.5, 4.0, 8.0, 20.0)
+# The light is found anew when so many more holograms have been solved.
+_MORE_SOLVED = 1.15
+# Beyond this a hologram has not reached the floor of its noise.
+_FLOOR = 30.0
+
+
+@dataclass(frozen=True)
+class Displacements:
+    """Complex phase amplitudes of every hologram, and what is known of them.
+
+    Attributes
+    ----------
+    amplitude_rad : (k, j) complex128
+        Coordinates of u in a `ShapeBasis`; the phase common to one hologram is arbitrary.
+    information : (k, 2j, 2j) float
+        Inverse covariance of their real, then imaginary parts, from noise and misfit.
+    misfit : (k,) float
+        Mean square of what is left of the phasors, in units of the noise: 1 is noise alone.
+    light : (n,) complex64
+        Of each block, in units of the noise.
+    reached : (k,) bool
+        Whether the fit of a hologram has come near to its noise.
+    """
+
+    amplitude_rad: Amplitudes
+    information: Array
+    misfit: Array
+    light: Complex
+    reached: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Phasors (n, k), functions (n, j) and their products in pairs (n, j(j+1)/2)."""
+
+    value: Complex
+    functions: Float
+    pairs: Float
+    bessel: BesselTable
+
+    @classmethod
+    def of(cls, value: Complex, functions: Float, bessel: BesselTable) -> "_Problem":
+        one, other = np.triu_indices(functions.shape[1])
+        return cls(value, functions, functions[:, one] * functions[:, other], bessel)
+
+    def every(self, stride: int) -> "_Problem":
+        """Return the same problem for some of the blocks."""
+        part = slice(None, None, stride)
+        return _Problem(self.value[part], self.functions[part], self.pairs[part], self.bessel)
+
+    def phasors(self, a: Amplitudes) -> Complex:
+        """F(u) of amplitudes (s, j) at all blocks, (s, n)."""
+        u = a.astype(np.complex64) @ self.functions.T
+        over, _ = self.bessel.over_argument(np.abs(u))
+        moved: Complex = u * over
+        return moved
+
+
+@dataclass
+class _Normal:
+    """Normal equations of some holograms: misfits (s,), gradients (s, 2j), matrices (s, 2j, 2j)."""
+
+    misfit: Array
+    gradient: Array
+    matrix: Array
+
+    def take_over(self, better: NDArray[np.bool_], other: "_Normal") -> None:
+        """Replace those of the holograms that are better."""
+        self.misfit[better] = other.misfit[better]
+        self.gradient[better] = other.gradient[better]
+        self.matrix[better] = other.matrix[better]
+
+
+def _normal(problem: _Problem, light: Complex, steps: Steps, a: Amplitudes) -> _Normal:
+    """Linearise the phasors of holograms (s,) around amplitudes (s, j)."""
+    u = a.astype(np.complex64) @ problem.functions.T
+    phi = np.abs(u)
+    over, slope = problem.bessel.over_argument(phi)
+    residual = problem.value[:, steps].T - light * (u * over)
+    # dF = ½(J₁′ + J₁/φ) du + ½(J₁′ − J₁/φ) e^{2iθ} du*, by the real and imaginary parts of du.
+    turn = np.divide(u, phi, out=np.zeros_like(u), where=phi > 0)
+    mean, half = 0.5 * (slope + over), 0.5 * (slope - over) * turn * turn
+    real, imaginary = mean + half, mean - half
+    power = light.real**2 + light.imag**2
+    size = problem.functions.shape[1]
+    matrix = np.empty((len(a), 2 * size, 2 * size))
+    cross = (real.conj() * imaginary * 1j).real
+    for (row, column), weight in (
+        ((0, 0), real.real**2 + real.imag**2),
+        ((0, 1), cross),
+        ((1, 1), imaginary.real**2 + imaginary.imag**2),
+    ):
+        block = _square((power * weight) @ problem.pairs, size)
+        matrix[:, row * size :, column * size :][:, :size, :size] = block
+        matrix[:, column * size :, row * size :][:, :size, :size] = block
+    pulled = light.conj() * residual
+    parts = ((real.conj() * pulled).real, (imaginary.conj() * pulled).imag)
+    gradient = np.concatenate([part @ problem.functions for part in parts], axis=1)
+    misfit = np.einsum("sn,sn->s", residual.conj(), residual).real.astype(float)
+    return _Normal(misfit, gradient.astype(float), matrix)
+
+
+def _square(packed: Array, size: int) -> Array:
+    """Symmetric matrices (s, j, j) from their upper triangles (s, j(j+1)/2)."""
+    whole = np.empty((len(packed), size, size))
+    one, other = np.triu_indices(size)
+    whole[:, one, other] = whole[:, other, one] = packed
+    return whole
+
+
+def _descend(
+    problem: _Problem, light: Complex, steps: Steps, a: Amplitudes, count: int, prior_rad: float
+) -> tuple[Amplitudes, _Normal]:
+    """Levenberg and Marquardt on all holograms side by side, each with its own damping."""
+    size, prior = a.shape[1], prior_rad**-2
+    x = np.concatenate([a.real, a.imag], axis=1)
+    normal = _normal(problem, light, steps, a)
+    total = normal.misfit + prior * np.sum(x * x, axis=1)
+    damping = np.full(len(a), 1e-3)
+    diagonal = np.arange(2 * size)
+    for _ in range(count):
+        damped = normal.matrix.copy()
+        mean = np.trace(normal.matrix, axis1=1, axis2=2) / (2 * size)
+        damped[:, diagonal, diagonal] += (prior + damping * mean + 1e-3)[:, None]
+        move = np.linalg.solve(damped, (normal.gradient - prior * x)[..., None])[..., 0]
+        tried_x = x + move
+        tried = _normal(problem, light, steps, tried_x[:, :size] + 1j * tried_x[:, size:])
+        tried_total = tried.misfit + prior * np.sum(tried_x * tried_x, axis=1)
+        better = tried_total < total
+        x[better], total[better] = tried_x[better], tried_total[better]
+        normal.take_over(better, tried)
+        damping = np.where(better, 0.2 * damping, np.minimum(6 * damping, 1e6))
+    return x[:, :size] + 1j * x[:, size:], normal
+
+
+def _light(problem: _Problem, steps: Steps, a: Amplitudes, weight: Array) -> Complex:
+    """Light (n,) of every block by least squares over holograms (s,) of given weights."""
+    moved = problem.phasors(a) * np.sqrt(weight).astype(np.float32)[:, None]
+    seen = problem.value[:, steps].T * np.sqrt(weight).astype(np.float32)[:, None]
+    power = np.sum(moved.real**2 + moved.imag**2, axis=0)
+    light: Complex = np.sum(moved.conj() * seen, axis=0) / np.maximum(power, np.float32(1e-9))
+    return light
+
+
+class _Search:
+    """Amplitudes, misfits and light of a sweep while its holograms are solved one after another."""
+
+    def __init__(self, phasors: Phasors, basis: ShapeBasis) -> None:
+        whole = _Problem.of(phasors.value, basis.functions, BesselTable())
+        self.whole, self._most, self._few = (
+            whole, whole.every(_SEARCH_STRIDE), whole.every(_GRID_STRIDE)
+        )  # fmt: skip
+        self._basis = basis
+        self._cents, self._mode_cents = 1200 * np.log2(phasors.drive_hz), 1200 * np.log2(basis.hz)
+        count = phasors.value.shape[1]
+        self.amplitude: Amplitudes = np.zeros((count, basis.functions.shape[1]), complex)
+        self.misfit: Array = np.full(count, np.inf)
+        self.light: Complex = np.zeros(len(phasors.value), np.complex64)
+        self._solved = np.zeros(count, dtype=bool)
+
+    @property
+    def _most_light(self) -> Complex:
+        return self.light[::_SEARCH_STRIDE]
+
+    def begin(self) -> bool:
+        """Solve the calm holograms; return whether there are any."""
+        magnitude = np.abs(self.whole.value)
+        brightest = np.sort(magnitude, axis=1)[:, -_BRIGHTEST:].mean(axis=1) / _FIRST_LOBE
+        shown = np.percentile(magnitude / brightest[:, None], 95, axis=0)
+        signal = np.sqrt(np.maximum(np.mean(magnitude**2, axis=0) - 1, 0))
+        calm = np.flatnonzero((shown < _CALM) & (signal > _LEAST_SIGNAL))
+        if not calm.size:
+            return False
+        best = np.inf
+        # The lowest calm hologram moves much like the first mode at rest; the clearest of them may
+        # resemble any of its neighbours.
+        for first in (calm[0], calm[np.argmax(signal[calm])]):
+            nearest = np.argsort(np.abs(self._mode_cents - self._cents[first]))[:4]
+            for mode in nearest:
+                shape = self._basis.functions @ self._basis.shapes[mode]
+                turn = np.exp(1j * np.angle(self.whole.value[:, first])) * np.sign(shape)
+                light, a, normal = self._calm(calm, (brightest * turn).astype(np.complex64))
+                if normal.misfit.sum() < best:
+                    best = float(normal.misfit.sum())
+                    self.light, self.amplitude[calm] = light, a
+                    self.misfit[calm] = normal.misfit / len(self._most.value)
+        return True
+
+    def _calm(self, calm: Steps, light: Complex) -> tuple[Complex, Amplitudes, _Normal]:
+        """Light, of known magnitude, and amplitudes of the calm holograms, in turns."""
+        magnitude = np.abs(light)
+        a: Amplitudes = np.zeros((len(calm), self.amplitude.shape[1]), complex)
+        for turn in range(_CALM_TURNS):
+            a, normal = _descend(
+                self._most, light[::_SEARCH_STRIDE], calm, a, 1 if turn else 2, _SEARCH_RAD
+            )
+            phase = np.angle(_light(self.whole, calm, a, np.ones(len(calm))))
+            light = (magnitude * np.exp(1j * phase)).astype(np.complex64)
+        return light, a, normal
+
+    def spread(self) -> None:
+        """Solve hologram after hologram beside those that are solved."""
+        tried: dict[tuple[int, int], int] = {}
+        for threshold in _THRESHOLDS:
+            self._solved |= self.misfit < threshold
+            self._relight()
+            lit = int(self._solved.sum())
+            while frontier := [pair for pair in self._frontier() if tried.get(pair, -1) < lit]:
+                for step, source in frontier:
+                    if self._solved[step]:
+                        continue
+                    tried[step, source] = lit
+                    self._solve(step, source)
+                    self._solved[step] = self.misfit[step] < threshold
+                    if self._solved.sum() > _MORE_SOLVED * lit + 2:
+                        self._relight()
+                        lit = int(self._solved.sum())
+
+    def _frontier(self) -> list[tuple[int, int]]:
+        """Unsolved holograms, each with a solved one beside it."""
+        last = len(self._solved) - 1
+        return [
+            (step, int(source))
+            for source in np.flatnonzero(self._solved)
+            for step in (int(source) - 1, int(source) + 1)
+            if 0 <= step <= last and not self._solved[step]
+        ]
+
+    def _relight(self) -> None:
+        """Find the light anew from what is solved, and what is solved from the light."""
+        solved = np.flatnonzero(self._solved)
+        for _ in range(2):
+            weight = 1 / np.maximum(self.misfit[solved], 1)
+            self.light = _light(self.whole, solved, self.amplitude[solved], weight)
+            self.amplitude[solved], normal = _descend(
+                self._most, self._most_light, solved, self.amplitude[solved], 2, _SEARCH_RAD
+            )
+            self.misfit[solved] = normal.misfit / len(self._most.value)
+
+    def _solve(self, step: int, source: int) -> None:
+        """Try to find the amplitudes of one hologram from those of a neighbour."""
+        starts = [self.amplitude[source], *self._starts(step, self.amplitude[source])]
+        a = np.array(starts)
+        for problem, stride in ((self._few, _GRID_STRIDE), (self._most, _SEARCH_STRIDE)):
+            steps = np.full(len(a), step)
+            a, normal = _descend(problem, self.light[::stride], steps, a, _DESCENT, _SEARCH_RAD)
+            best = np.argsort(normal.misfit)[:2]
+            a, found = a[best], normal.misfit[best[0]] / len(problem.value)
+        if found < self.misfit[step]:
+            self.amplitude[step], self.misfit[step] = a[0], found
+
+    def _starts(self, step: int, neighbour: Amplitudes) -> list[Amplitudes]:
+        """Likeliest changes of a neighbour's amplitudes: of one shape, or of all by a factor."""
+        likely = list(zip(*self._on_grid(step, neighbour[None], _SCALES), strict=True))
+        near = np.abs(self._mode_cents - self._cents[step]) < _NEAR_CENTS
+        shapes = self._basis.shapes
+        liveliness = np.abs(shapes @ neighbour.conj()) / np.linalg.norm(shapes, axis=1)
+        near[np.argmax(liveliness)] = True
+        for shape in shapes[near]:
+            now = complex(shape @ neighbour / (shape @ shape))
+            rest = neighbour - now * shape
+            radius = np.arange(0.2, _BEYOND * abs(now) + _ROOM_RAD, _RADIUS_STEP_RAD)
+            angles = np.exp(2j * np.pi * np.arange(_ANGLES) / _ANGLES)
+            grid = (radius[:, None] * angles).ravel()
+            likely += zip(*self._on_grid(step, np.stack([rest, shape]), grid), strict=True)
+        likely.sort(key=lambda start: start[0])
+        return [start for _, start in likely[: _STARTS - 1]]
+
+    def _on_grid(
+        self, step: int, parts: Amplitudes, grid: Array
+    ) -> tuple[list[float], list[Amplitudes]]:
+        """Best three of ``[fixed +] factor · part`` over factors (g,), and their misfits."""
+        u = parts.astype(np.complex64) @ self._few.functions.T
+        whole = grid.astype(np.complex64)[:, None] * u[-1] + (u[0] if len(parts) > 1 else 0)
+        over, _ = self._few.bessel.over_argument(np.abs(whole))
+        expected = self.light[::_GRID_STRIDE] * (whole * over)
+        overlap = expected.conj() @ self._few.value[:, step]
+        # The phase of the hologram is free.
+        misfit = np.sum(expected.real**2 + expected.imag**2, axis=1) - 2 * np.abs(overlap)
+        best = np.argsort(misfit)[:3]
+        fixed = parts[0] if len(parts) > 1 else 0
+        found = [(fixed + grid[g] * parts[-1]) * np.exp(1j * np.angle(overlap[g])) for g in best]
+        return [float(misfit[g]) for g in best], found
+
+
+def fit_displacements(phasors: Phasors, basis: ShapeBasis) -> Displacements:
+    """Find the vibration of the whole reed in every hologram of a sweep.
+
+    Parameters
+    ----------
+    phasors : Phasors
+    basis : ShapeBasis
+        At the points of the phasors.
+
+    Raises
+    ------
+    FitError
+        If no hologram is calm enough to begin with.
+    """
+    search = _Search(phasors, basis)
+    if not search.begin():
+        raise FitError(
+            "every hologram shows fringes from the clamp to the tip, or none shows any light; "
+            "begin the sweep with less volts"
+        )
+    search.spread()
+    steps = np.arange(len(phasors.drive_hz))
+    a, light = search.amplitude, search.light
+    for _ in range(_FINAL_TURNS):
+        a, normal = _descend(search.whole, light, steps, a, 3, _FINAL_RAD)
+        misfit = normal.misfit / len(phasors.value)
+        light = _light(search.whole, steps, a, 1 / np.maximum(misfit, 1))
+    # What the prior holds back is given free: only the data may speak.
+    excess = np.maximum(misfit, 1)[:, None, None]
+    information = normal.matrix / excess
+    x = np.concatenate([a.real, a.imag], axis=1)
+    weak = _FINAL_RAD**-2 * np.eye(x.shape[1])
+    x = x + np.linalg.solve(normal.matrix + weak, normal.gradient[..., None])[..., 0]
+    size = a.shape[1]
+    return Displacements(
+        amplitude_rad=x[:, :size] + 1j * x[:, size:],
+        information=information,
+        misfit=misfit,
+        light=light,
+        reached=misfit < _FLOOR,
+    )

@@ -1,0 +1,117 @@
+"""Holograms of a sweep as phasors: one complex number for each block of the image and hologram.
+
+A hologram of the first sideband is ``H(x) = c a(x) F(u(x))`` plus noise: a(x) is the light that the
+rough surface sends to the camera, the same in all holograms; u(x) the complex phase amplitude of
+the vibration, and ``F(u) = u J₁(|u|)/|u|``. Within a block of a few pixels u hardly changes while
+a(x) is random. The holograms of a block, one row each, are then a matrix of rank one, whose left
+singular vector holds ``c F(u)`` of all holograms with the noise of all pixels averaged, and whose
+right singular vector says how much light each pixel has, and so which place in the block it is
+that the phasors are those of.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.runfile import Run, StepRecord
+from fitting.pictures import good_steps
+from physics.reed.geometry import half_width_m
+
+Array = NDArray[np.floating[Any]]
+Complex = NDArray[np.complex64]
+
+# Side of a block. Ten of the finest speckles that a full sensor resolves are enough to average, and
+# displacements may still grow by a radian or two from one side to the other.
+_BLOCK_M = 0.38e-3
+# Margin inside the contour: blocks on the edge hold less reed than others.
+_EDGE_M = 0.25e-3
+# The image fades behind the vamp: the clamp begins, nothing moves.
+_BEHIND_VAMP_M = 1e-3
+
+
+@dataclass(frozen=True)
+class Phasors:
+    """What every block shows in every good hologram of a run.
+
+    Attributes
+    ----------
+    value : (n, k) complex64
+        ``A c F(u)`` in units of the noise's standard deviation; A is one unknown complex number
+        for each block.
+    x_m, y_m : (n,) float
+        Places on the reed that they are those of.
+    step_index : (k,) int
+        Index of each hologram in the protocol.
+    drive_hz : (k,) float
+        Realised drive frequencies, ascending.
+    volts : (k,) float
+        Peak volts at the load.
+    """
+
+    value: Complex
+    x_m: Array
+    y_m: Array
+    step_index: NDArray[np.intp]
+    drive_hz: Array
+    volts: Array
+
+
+def read_phasors(run: Run) -> Phasors:
+    """Compress the good holograms of a run, in order of frequency.
+
+    Raises
+    ------
+    FitError
+        If too few steps are good; says what the others suffer from.
+    RunFileError
+        If a step cannot be read.
+    """
+    steps = good_steps(run)
+    factors = [max(1, round(_BLOCK_M / abs(a[1] - a[0]))) for a in (run.y_m, run.x_m)]
+    y_m, x_m = (_in_blocks(a, f) for a, f in zip((run.y_m, run.x_m), factors, strict=True))
+    Y, X = np.meshgrid(y_m.mean(axis=1), x_m.mean(axis=1), indexing="ij")
+    reed = run.reed_file().geometry()
+    beside = half_width_m(reed.outline, X) - np.abs(Y)
+    visible_m = reed.vamp_x_m[-1] + _BEHIND_VAMP_M
+    inside = (beside > _EDGE_M) & (X > 2 * _EDGE_M) & (visible_m > X)
+    value, share = _leading(_holograms(run, steps, inside, factors[0], factors[1]))
+    rows, columns = np.nonzero(inside)
+    # Pixels of a block, row by row.
+    places_y = np.repeat(y_m[rows], factors[1], axis=1)
+    places_x = np.tile(x_m[columns], (1, factors[0]))
+    return Phasors(
+        value=value,
+        x_m=np.sum(share * places_x, axis=1),
+        y_m=np.sum(share * places_y, axis=1),
+        step_index=np.array([step.index for step in steps]),
+        drive_hz=np.array([float(step.read_drive_hz or step.drive_hz) for step in steps]),
+        volts=np.array([step.volts for step in steps]),
+    )
+
+
+def _in_blocks(axis_m: Array, factor: int) -> Array:
+    """Coordinates (blocks, factor) of the whole blocks along an axis."""
+    return axis_m[: len(axis_m) // factor * factor].reshape(-1, factor)
+
+
+def _holograms(
+    run: Run, steps: Sequence[StepRecord], inside: NDArray[np.bool_], high: int, wide: int
+) -> Complex:
+    """Fields (n, k, p) of the blocks inside, of noise 1."""
+    rows, columns = inside.shape
+    chosen = np.empty((np.count_nonzero(inside), len(steps), high * wide), np.complex64)
+    for k, step in enumerate(steps):
+        field = run.field(step.position)[: rows * high, : columns * wide]
+        blocks = field.reshape(rows, high, columns, wide).transpose(0, 2, 1, 3)[inside]
+        chosen[:, k] = blocks.reshape(len(blocks), -1) / np.float32(np.sqrt(step.noise_level))
+    return chosen
+
+
+def _leading(holograms: Complex) -> tuple[Complex, Array]:
+    """Leading left singular vectors (n, k) times singular values, and shares of light (n, p)."""
+    adjoint = holograms.conj().transpose(0, 2, 1)
+    vectors = np.linalg.eigh(adjoint @ holograms)[1][:, :, -1:]
+    return (holograms @ vectors)[..., 0], np.abs(vectors[..., 0]) ** 2

@@ -1,0 +1,95 @@
+"""What displacements of a reed are made of: the shapes of its modes, and a basis of their span."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from physics.reed.basis import ReducedReed, reduced_modes
+from physics.reed.fem import Symmetry
+from physics.reed.material import stiffness_terms_pa
+from physics.reed.response import elastic_modes
+from physics.reed.surface import surface_shapes
+
+Array = NDArray[np.floating[Any]]
+Float = NDArray[np.float32]
+
+# Modes far above the sweep add what is left of them at rest, and room for shapes that differ.
+_HIGHEST_HZ = 40e3
+# Shapes up to here are to be met exactly; higher ones count less and less.
+_EXACT_HZ = 22e3
+# Functions that add less than this share of the first are noise of the interpolation.
+_LEAST_SHARE = 3e-3
+_MOST_FUNCTIONS = 32
+
+
+@dataclass(frozen=True)
+class ShapeBasis:
+    """Mode shapes of a reed at points of its surface, in coordinates of few functions.
+
+    Attributes
+    ----------
+    functions : (n, j) float32
+        Of mean square 1 and uncorrelated over the points.
+    shapes : (m, j) float
+        Coordinates of the shapes of all modes, each with a largest deflection of 1 at the points.
+    names : tuple of str
+        Of the modes; a symmetry and a number where they have none.
+    hz : (m,) float
+        Their frequencies in this cane, ascending.
+    """
+
+    functions: Float
+    shapes: Array
+    names: tuple[str, ...]
+    hz: Array
+
+
+def shape_basis(
+    reed: ReducedReed, E_L_pa: float, G_LT_pa: float, x_m: Array, y_m: Array
+) -> ShapeBasis:
+    """Shapes of the modes of a reed with fixed moduli, those of its heel and sides included.
+
+    Parameters
+    ----------
+    reed : ReducedReed
+    E_L_pa, G_LT_pa : float
+        Moduli in the middle of the sweep: shapes depend on them little.
+    x_m, y_m : (n,) float
+        Points on the bark side.
+    """
+    terms = stiffness_terms_pa(replace(reed.cane, E_L_pa=E_L_pa, G_LT_pa=G_LT_pa))
+    surface = surface_shapes(reed, x_m, y_m)
+    named = {
+        (mode.symmetry, round(mode.frequency_hz, 3)): name
+        for name, mode in elastic_modes(reed, E_L_pa, G_LT_pa).items()
+    }
+    found: list[tuple[float, str, Array]] = []
+    for symmetry, half in reed.halves.items():
+        hz, vectors = reduced_modes(half, terms, reed.cane.density_kg_m3)
+        below = int(np.count_nonzero(hz < _HIGHEST_HZ))
+        deflections = surface[symmetry] @ vectors[:, :below]
+        for number in range(below):
+            key, other = (symmetry, round(float(hz[number]), 3)), _unnamed(symmetry, number)
+            found.append((float(hz[number]), named.get(key, other), deflections[:, number]))
+    found.sort(key=lambda mode: mode[0])
+    frequencies, names, columns = zip(*found, strict=True)
+    deflection = np.stack(columns, axis=1)
+    deflection = deflection / np.abs(deflection).max(axis=0)
+    functions = _functions(deflection, np.array(frequencies))
+    coordinates = functions.T @ deflection / len(functions)
+    return ShapeBasis(functions.astype(np.float32), coordinates.T, names, np.array(frequencies))
+
+
+def _unnamed(symmetry: Symmetry, number: int) -> str:
+    return f"{symmetry} {number + 1}"
+
+
+def _functions(deflection: Array, hz: Array) -> Array:
+    """Orthogonal functions (n, j), of mean square 1, that shapes (n, m) are made of."""
+    weight = np.minimum(1.0, (_EXACT_HZ / hz) ** 2)
+    left, values, _ = np.linalg.svd(deflection * weight, full_matrices=False)
+    size = min(_MOST_FUNCTIONS, int(np.count_nonzero(values > _LEAST_SHARE * values[0])))
+    functions: Array = left[:, :size] * np.sqrt(len(deflection))
+    return functions

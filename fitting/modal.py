@@ -101,6 +101,8 @@ class ModalFit:
         Coordinates of the shapes in the `ShapeBasis`.
     participation : (a,) complex
         At the mode's own frequency, per unit of drive.
+    participation_error : (a,) float
+        Standard error of its magnitude, beside a given drive.
     drive : (k,) complex
         Of every hologram; the phase is arbitrary.
     amplitude_rad : (k, j) complex
@@ -120,6 +122,7 @@ class ModalFit:
     loss_error: Array
     shapes: Array
     participation: Complex
+    participation_error: Array
     drive: Complex
     amplitude_rad: Complex
     modal_rad: Complex
@@ -212,7 +215,7 @@ def _terms(model: _Model, state: _State) -> _Terms:
     shapes[active] += x[count:, :count].T @ model.reference
     ratio = (model.hz[:, None] / hz) ** 2
     resonance: Complex = 1 / (1 + 1j * loss - ratio)
-    participation = model.powers @ p.T
+    participation: Complex = model.powers.astype(complex) @ p.T
     amplitude = np.exp(state.log_drive)[:, None] * ((resonance * participation) @ shapes)
     return _Terms(resonance, participation, shapes, loss, ratio, amplitude)
 
@@ -567,10 +570,15 @@ def _finish(
             discrepancy,
             float(np.clip(discrepancy * np.sqrt(misfit), *_DISCREPANCY)),
         )
-    matrix, _, _ = _reduced(_equations(model, data, prior, state), 0.0)
+    equations = _equations(model, data, prior, state)
+    matrix, _, _ = _reduced(equations, 0.0)
+    # Drive and participations have a common factor, which may be anything: of the latter only what
+    # they are beside a given drive counts.
+    beside_drive = np.linalg.inv(equations.matrix) * max(misfit, 1)
     count, powers = len(model.active), model.powers.shape[1]
+    covariance = np.linalg.inv(matrix) * max(misfit, 1)
     spread = np.zeros_like(state.x)
-    spread[prior.free] = np.sqrt(np.diag(np.linalg.inv(matrix)) * max(misfit, 1))
+    spread[prior.free] = np.sqrt(np.diag(covariance))
     own_hz = np.exp(state.x[:count, 2 * powers])
     modal = np.exp(state.log_drive)[:, None] * (terms.resonance * terms.participation)
     nearest = np.abs(np.log(model.hz[:, None] / own_hz)).argmin(axis=0)
@@ -582,9 +590,27 @@ def _finish(
         loss_error=spread[:count, 2 * powers + 1],
         shapes=terms.shapes[model.active],
         participation=terms.participation[nearest, model.active],
+        participation_error=_participation_error(model, prior, beside_drive, nearest),
         drive=np.exp(state.log_drive),
         amplitude_rad=terms.amplitude,
         modal_rad=modal[:, model.active],
         misfit=misfit,
         discrepancy=used,
     )
+
+
+def _participation_error(
+    model: _Model, prior: _Prior, covariance: Array, nearest: NDArray[np.intp]
+) -> Array:
+    """Standard errors (a,) of participations at the modes' own holograms."""
+    number = np.full(prior.centre.shape, -1)
+    number[prior.free] = np.arange(np.count_nonzero(prior.free))
+    powers, errors = model.powers.shape[1], []
+    for a, k in enumerate(nearest):
+        variance = 0.0
+        for part in (0, powers):
+            which = number[a, part : part + powers]
+            at = model.powers[k]
+            variance += float(at @ covariance[np.ix_(which, which)] @ at)
+        errors.append(np.sqrt(variance))
+    return np.array(errors)

@@ -40,6 +40,14 @@ BenchOption = Annotated[str, typer.Option("--bench", help="Bench file, or a ship
 RunFiles = Annotated[
     list[Path], typer.Argument(metavar="RUN [RUN_B]", help="One run, or series A and B of a reed.")
 ]
+MethodOption = Annotated[
+    str,
+    typer.Option(
+        "--method",
+        help="How resonances are found: picture (the paper's way, by the pictures with most "
+        "fringes) or joint (one fit of all holograms, with loss factors).",
+    ),
+]
 ModelOption = Annotated[
     str, typer.Option("--model", help="Forward model: fem (finite elements) or paper (Table 9).")
 ]
@@ -228,10 +236,12 @@ def _finish(
 
 
 def _show_fit(console: Console, fitted: "ReedFit") -> None:
-    from fitting.tables import modes_table, parameters_table
+    from fitting.tables import modes_table, not_identified_lines, parameters_table
 
     for sweep in fitted.sweeps:
         console.print(modes_table(sweep))
+        for line in not_identified_lines(sweep):
+            console.print(line, markup=False, soft_wrap=True)
     table = parameters_table(fitted)
     if table is None:
         console.print(f"no parameters: {fitted.reason}", markup=False, soft_wrap=True)
@@ -239,14 +249,19 @@ def _show_fit(console: Console, fitted: "ReedFit") -> None:
         console.print(table)
 
 
-def _fit(runs: list[Path], model: str) -> "ReedFit":
-    from fitting.fit import fit_runs, model_name
+def _fit(runs: list[Path], model: str, method: str = "picture") -> "ReedFit":
+    from fitting.fit import fit_runs, method_name, model_name
 
-    return fit_runs(runs, model_name(model), _tell)
+    return fit_runs(runs, model_name(model), _tell, method_name(method))
 
 
 def _report(
-    runs: list[Path], model: str, page: Path | None, as_json: bool, answer: dict[str, Any]
+    runs: list[Path],
+    model: str,
+    page: Path | None,
+    as_json: bool,
+    answer: dict[str, Any],
+    method: str = "picture",
 ) -> None:
     """Fit, write the page and print the result; without a fit, the page has the pictures only."""
     from fitting.errors import FitError, FitInputError
@@ -255,7 +270,7 @@ def _report(
     page = page or runs[0].with_suffix(".html")
     fitted, failure = None, None
     try:
-        fitted = _fit(runs, model)
+        fitted = _fit(runs, model, method)
         files = write_report(fitted, page)
     except FitInputError:
         raise
@@ -275,12 +290,13 @@ def _report(
 @_verb
 def fit(
     runs: RunFiles,
+    method: MethodOption = "picture",
     model: ModelOption = "fem",
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
     """Find the resonances in a run and fit the reed's cane; with A and B, all four components."""
-    fitted = _fit(runs, model)
+    fitted = _fit(runs, model, method)
     _finish(fitted.to_json(), as_json, [], fitted)
 
 
@@ -288,12 +304,13 @@ def fit(
 def report(
     runs: RunFiles,
     out: Annotated[Path | None, typer.Option(help="Page; beside the run if not given.")] = None,
+    method: MethodOption = "picture",
     model: ModelOption = "fem",
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
     """Write one self-contained HTML page about a run, and its pictures beside it."""
-    _report(runs, model, out, as_json, {})
+    _report(runs, model, out, as_json, {}, method)
 
 
 @_verb

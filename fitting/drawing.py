@@ -145,13 +145,13 @@ def response_plot(sweep: SweepFit, acoustic_lines_hz: Sequence[float]) -> Figure
     """
     figure = Figure(figsize=(13, 6), layout="constrained")
     axes = figure.add_subplot()
-    hz, amplitude = sweep.pictures.drive_hz, np.abs(sweep.fringes.amplitude_rad)
-    axes.plot(hz, sweep.fringes.phase_rad, color="0.25", linewidth=1.2, label="whole reed, rms")
+    hz, amplitude = sweep.response.drive_hz, sweep.response.amplitude_rad
+    axes.plot(hz, sweep.response.phase_rad, color="0.25", linewidth=1.2, label="whole reed, rms")
     for place, (name, found) in enumerate(sweep.resonances.items()):
         near = np.abs(np.log2(hz / found.frequency_hz)) < _SHOWN_OCTAVES
         colour = _DARK_COLOUR[name[0]]
         axes.plot(
-            hz[near], amplitude[near, sweep.shape_names.index(name)], color=colour, linewidth=1
+            hz[near], amplitude[near, sweep.response.names.index(name)], color=colour, linewidth=1
         )
         axes.plot(found.frequency_hz, found.amplitude_rad, "o", color=colour, markersize=5)
         axes.annotate(

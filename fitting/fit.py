@@ -1,5 +1,6 @@
 """From run files to a reed's parameters: what `acquire fit` does."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
@@ -14,6 +15,7 @@ from acquire.runfile import Run
 from fitting.errors import FitError, FitInputError
 from fitting.forward import ForwardModel, PaperModel, basis_of, cents_of, finite_element_model
 from fitting.fringes import Fringes, count_fringes, misfit_without
+from fitting.joint import JointFit, fit_jointly, residual_map
 from fitting.picking import Resonance, likely_components, pick_resonances
 from fitting.pictures import Pictures, read_pictures
 from fitting.reedfit import QUOTED_HZ, ReedParameters, fit_components
@@ -30,9 +32,12 @@ from physics.reed.viscoelastic import (
     viscoelastic_cane,
 )
 
+Array = NDArray[np.floating[Any]]
 Float = NDArray[np.float32]
 ModelName = Literal["fem", "paper"]
 MODELS: tuple[ModelName, ...] = ("fem", "paper")
+MethodName = Literal["picture", "joint"]
+METHODS: tuple[MethodName, ...] = ("picture", "joint")
 
 # Shapes that pictures are made of: the modes of the vamp up to this frequency.
 _HIGHEST_HZ = 20e3
@@ -50,6 +55,26 @@ _MIDDLING = viscoelastic_cane(Components(), Series.A)
 
 
 @dataclass(frozen=True)
+class Response:
+    """How lively a reed and each of its modes are in every hologram.
+
+    Attributes
+    ----------
+    drive_hz : (k,) float
+    names : tuple of str
+    amplitude_rad : (k, m) float
+        Phase amplitude of each mode where it is liveliest.
+    phase_rad : (k,) float
+        Root mean square over the reed.
+    """
+
+    drive_hz: Array
+    names: tuple[str, ...]
+    amplitude_rad: Array
+    phase_rad: Array
+
+
+@dataclass(frozen=True)
 class SweepFit:
     """Resonances of one run.
 
@@ -61,11 +86,11 @@ class SweepFit:
         Kind of reed.
     resonances : dict
         Found modes by name, in order of frequency.
-    pictures : Pictures
-    shape_names : tuple of str
-        Modes that the pictures are made of.
-    fringes : Fringes
-        Amplitudes of `shape_names` in every picture.
+    response : Response
+    not_identified : dict
+        Why other modes within the sweep were not found, by name, where that is known.
+    joint : JointFit, optional
+        Everything between holograms and resonances, if they were fitted jointly.
     """
 
     path: Path
@@ -73,9 +98,9 @@ class SweepFit:
     series: str
     reed_file: ReedFile
     resonances: dict[str, Resonance]
-    pictures: Pictures
-    shape_names: tuple[str, ...]
-    fringes: Fringes
+    response: Response
+    not_identified: Mapping[str, str]
+    joint: JointFit | None = None
 
 
 @dataclass(frozen=True)
@@ -101,15 +126,8 @@ class ReedFit:
                 "path": str(sweep.path),
                 "reed": sweep.reed,
                 "series": sweep.series,
-                "modes": {
-                    name: {
-                        "hz": found.frequency_hz,
-                        "error_cents": found.error_cents,
-                        "step_index": found.step_index,
-                        "method": found.method,
-                    }
-                    for name, found in sweep.resonances.items()
-                },
+                "modes": {name: _to_json(sweep, name) for name in sweep.resonances},
+                "not_identified": dict(sweep.not_identified),
             }
             for sweep in self.sweeps
         ]
@@ -127,6 +145,37 @@ class ReedFit:
         )
         parameters = {key: fitted.get(key) for key in keys}
         return {"modes": runs[0]["modes"], **parameters, "reason": self.reason, "runs": runs}
+
+
+def _to_json(sweep: SweepFit, name: str) -> dict[str, Any]:
+    """One found mode with stable keys; those of the joint fit only where there is one."""
+    found = sweep.resonances[name]
+    entry: dict[str, Any] = {
+        "hz": found.frequency_hz,
+        "error_cents": found.error_cents,
+        "step_index": found.step_index,
+        "method": found.method,
+        "identified": True,
+    }
+    if sweep.joint is not None:
+        keys = ("response_hz", "loss_factor", "loss_error", "participation", "likeness")
+        entry |= {key: getattr(found, key) for key in keys}
+        entry["residual"] = residual_map(sweep.joint, name).to_json()
+    return entry
+
+
+def method_name(name: str) -> MethodName:
+    """Return the name of a method, checked.
+
+    Raises
+    ------
+    FitInputError
+        If there is no such method.
+    """
+    for known in METHODS:
+        if name == known:
+            return known
+    raise FitInputError(f"there is no method {name!r}; choose one of {', '.join(METHODS)}")
 
 
 def model_name(name: str) -> ModelName:
@@ -217,8 +266,41 @@ def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
         found = _pick(pictures, names, shapes, fringes, model, series, run.acoustic_lines_hz)
     if not found:
         raise _nothing_shows(run, pictures)
+    response = Response(pictures.drive_hz, names, np.abs(fringes.amplitude_rad), fringes.phase_rad)
+    return SweepFit(run.path, run.reed, run.series, run.reed_file(), found, response, {})
+
+
+def fit_sweep_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
+    """Find the resonances of one run by one fit of all its holograms (see `fitting.joint`).
+
+    Raises
+    ------
+    FitError
+        If too few holograms are good, none is calm enough to begin with, or no mode is identified.
+    """
+    joint = fit_jointly(run, reed, model)
+    if not joint.resonances:
+        reasons = Counter(joint.not_identified.values()).most_common(1)
+        told = f" ({reasons[0][0]})" if reasons else ""
+        raise FitError(
+            f"{run.path}: nothing is identified{told}; look at the contact sheet that acquire "
+            "report writes"
+        )
+    response = Response(
+        joint.phasors.drive_hz,
+        joint.modal.names,
+        np.abs(joint.modal.modal_rad),
+        np.sqrt(np.sum(np.abs(joint.displacements.amplitude_rad) ** 2, axis=1)),
+    )
     return SweepFit(
-        run.path, run.reed, run.series, run.reed_file(), found, pictures, names, fringes
+        run.path,
+        run.reed,
+        run.series,
+        run.reed_file(),
+        joint.resonances,
+        response,
+        joint.not_identified,
+        joint,
     )
 
 
@@ -281,6 +363,7 @@ def fit_runs(
     paths: Sequence[str | Path],
     model: ModelName = "fem",
     announce: Callable[[str], None] | None = None,
+    method: MethodName = "picture",
 ) -> ReedFit:
     """Fit one run, or a series A and a series B run of the same reed together.
 
@@ -292,6 +375,8 @@ def fit_runs(
         Forward model: finite elements, or the paper's Table 9 with its adjustments.
     announce : callable, optional
         Told what takes long.
+    method : {'picture', 'joint'}
+        The paper's way, by the pictures with most fringes, or one fit of all holograms.
 
     Raises
     ------
@@ -310,7 +395,8 @@ def fit_runs(
         require_model(model, kind)
         reed = basis_of(kind, announce)
         forward: ForwardModel = PaperModel() if model == "paper" else finite_element_model(reed)
-        sweeps = [fit_sweep(run, reed, forward) for run in runs]
+        fit_one = fit_sweep_jointly if method == "joint" else fit_sweep
+        sweeps = [fit_one(run, reed, forward) for run in runs]
     unknown = [s for s in sweeps if s.series not in set(Series)]
     if unknown:
         reason = f"series {unknown[0].series!r} is neither A nor B, whose cane is known (H4)"

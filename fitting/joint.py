@@ -1,6 +1,6 @@
 """Resonances by one joint fit of a sweep, from its holograms: phasors, displacement, modes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.runfile import Run
+from fitting.bessel import BesselTable
 from fitting.displacement import Displacements, fit_displacements
 from fitting.forward import ForwardModel, cents_of, viscoelastic_cents
 from fitting.modal import ModalFit, fit_modes
@@ -42,6 +43,10 @@ _AGREE_CENTS = 80.0
 _DEVIATIONS, _WIDEST_CENTS = 5.0, 25.0
 # ... and if its shape is still that of its name.
 _LEAST_MAC = 0.5
+# A mode is liveliest this near to its resonance, if anywhere.
+_PEAK_CENTS = 150.0
+# Side of a cell of a residual map.
+_CELL_M = 2e-3
 # Holograms that may stay off their noise before nothing is believed of a sweep.
 _MOST_UNREACHED = 0.2
 
@@ -96,7 +101,7 @@ def fit_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> JointFit:
     modal = fit_modes(displacements, basis, phasors.drive_hz, phasors.volts, start_hz)
     doubts = _doubts(modal, basis, displacements)
     found = {
-        name: _resonance(modal, m, phasors)
+        name: _resonance(modal, m, phasors, basis)
         for m, name in enumerate(modal.names)
         if not doubts[name]
     }
@@ -196,19 +201,83 @@ def mac(one: Array, other: Array) -> float:
     return float((one @ other) ** 2 / ((one @ one) * (other @ other)))
 
 
-def _resonance(modal: ModalFit, m: int, phasors: Phasors) -> Resonance:
-    hz = float(modal.hz[m])
+def _resonance(modal: ModalFit, m: int, phasors: Phasors, basis: ShapeBasis) -> Resonance:
+    hz, name = float(modal.hz[m]), modal.names[m]
     nearest = int(np.abs(np.log(phasors.drive_hz / hz)).argmin())
+    participation = np.abs(modal.participation)
     return Resonance(
-        name=modal.names[m],
+        name=name,
         frequency_hz=hz,
         error_cents=float(modal.error_cents[m]),
         step_index=int(phasors.step_index[nearest]),
         amplitude_rad=float(np.abs(modal.modal_rad[nearest, m])),
         method=METHOD,
+        response_hz=_liveliest_hz(phasors.drive_hz, np.abs(modal.modal_rad[:, m]), hz),
+        loss_factor=float(modal.loss_factor[m]),
+        loss_error=float(modal.loss_error[m]),
+        participation=float(participation[m] / participation.max()),
+        likeness=mac(modal.shapes[m], basis.shapes[basis.names.index(name)]),
     )
 
 
-def modal_amplitudes_rad(fit: JointFit) -> Mapping[str, Array]:
-    """Largest deflection (k,) of every mode in every hologram, by name."""
-    return {name: np.abs(fit.modal.modal_rad[:, m]) for m, name in enumerate(fit.modal.names)}
+def _liveliest_hz(drive_hz: Array, amplitude: Array, hz: float) -> float:
+    """Where an amplitude (k,) has its maximum near a resonance, between holograms by a parabola."""
+    cents = 1200 * np.log2(drive_hz / hz)
+    near = np.flatnonzero(np.abs(cents) < _PEAK_CENTS)
+    if not near.size:
+        return hz
+    top = int(near[np.argmax(amplitude[near])])
+    if top in (0, len(cents) - 1):
+        return float(drive_hz[top])
+    three = slice(top - 1, top + 2)
+    bend, slope, _ = np.polyfit(cents[three] - cents[top], np.log(amplitude[three]), 2)
+    shift = -slope / (2 * bend) if bend < 0 else 0.0
+    return float(drive_hz[top] * 2 ** (shift / 1200))
+
+
+@dataclass(frozen=True)
+class ResidualMap:
+    """What a fit leaves of the holograms at a resonance, in cells of the reed's surface.
+
+    Attributes
+    ----------
+    x_m, y_m : (c,) float
+        Centres of the cells.
+    value : (c,) float
+        Mean square of what is left of the phasors, in units of the noise: 1 is noise alone.
+    """
+
+    x_m: Array
+    y_m: Array
+    value: Array
+
+    def to_json(self) -> dict[str, list[float]]:
+        """Return the map with stable keys, places in mm."""
+        return {
+            "x_mm": [round(1e3 * float(x), 3) for x in self.x_m],
+            "y_mm": [round(1e3 * float(y), 3) for y in self.y_m],
+            "value": [round(float(v), 2) for v in self.value],
+        }
+
+
+def residual_map(fit: JointFit, name: str) -> ResidualMap:
+    """Map what is left of the three holograms nearest to a mode's resonance.
+
+    Parameters
+    ----------
+    fit : JointFit
+    name : str
+        Of one of its modes.
+    """
+    phasors, amplitude = fit.phasors, fit.displacements.amplitude_rad
+    hz = fit.modal.hz[fit.modal.names.index(name)]
+    nearest = np.argsort(np.abs(np.log(phasors.drive_hz / hz)))[:3]
+    u = amplitude[nearest].astype(np.complex64) @ fit.basis.functions.T
+    over, _ = BesselTable().over_argument(np.abs(u))
+    left = phasors.value[:, nearest].T - fit.displacements.light * (u * over)
+    square = np.mean(left.real**2 + left.imag**2, axis=0)
+    cells = np.stack([np.floor(phasors.x_m / _CELL_M), np.floor(phasors.y_m / _CELL_M)], axis=1)
+    places, which = np.unique(cells, axis=0, return_inverse=True)
+    mean = np.bincount(which.ravel(), square) / np.bincount(which.ravel())
+    x_m, y_m = ((places + 0.5) * _CELL_M).T
+    return ResidualMap(x_m, y_m, mean)

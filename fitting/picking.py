@@ -56,6 +56,15 @@ class Resonance:
     amplitude_rad : float
         Phase amplitude of the mode in that picture.
     method : str
+        ``picture``, or ``joint`` (see `fitting.joint`), which alone knows what follows.
+    response_hz : float, optional
+        Where the mode is liveliest in the sweep: not its eigenfrequency where the drive is steep.
+    loss_factor, loss_error : float, optional
+        The latter relative.
+    participation : float, optional
+        How strongly the drive moves the mode, per unit of the one that it moves most.
+    likeness : float, optional
+        Of its shape and that of the finite elements' mode of its name (MAC).
     """
 
     name: str
@@ -64,6 +73,11 @@ class Resonance:
     step_index: int
     amplitude_rad: float
     method: str = "picture"
+    response_hz: float | None = None
+    loss_factor: float | None = None
+    loss_error: float | None = None
+    participation: float | None = None
+    likeness: float | None = None
 
 
 class _Belief:

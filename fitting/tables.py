@@ -4,23 +4,44 @@ from rich.table import Table
 from rich.text import Text
 
 from fitting.fit import ReedFit, SweepFit
+from fitting.picking import Resonance
 from fitting.reedfit import Estimate
 
 
 def modes_table(sweep: SweepFit) -> Table:
     """Resonances of one run."""
     table = Table(title=Text(f"Reed {sweep.reed}, series {sweep.series}: resonances"))
-    for head in ("mode", "frequency", "± cents", "picture", "fringes (rad)"):
+    jointly = sweep.joint is not None
+    more = ("loss factor", "liveliest at", "MAC") if jointly else ()
+    for head in ("mode", "frequency", "± cents", "picture", "fringes (rad)", *more):
         table.add_column(head, justify="right")
     for name, found in sweep.resonances.items():
-        table.add_row(
+        cells = (
             name,
             f"{found.frequency_hz:.1f} Hz",
             f"{found.error_cents:.1f}",
             str(found.step_index),
             f"{found.amplitude_rad:.1f}",
         )
+        table.add_row(*cells, *(_joint_cells(found) if jointly else ()))
     return table
+
+
+def _joint_cells(found: Resonance) -> tuple[str, str, str]:
+    """What only a joint fit knows of a mode."""
+    loss = "" if found.loss_factor is None else f"{found.loss_factor:.4f}"
+    if found.loss_factor is not None and found.loss_error is not None:
+        loss += f" ± {found.loss_factor * found.loss_error:.4f}"
+    response = "" if found.response_hz is None else f"{found.response_hz:.1f} Hz"
+    return loss, response, "" if found.likeness is None else f"{found.likeness:.2f}"
+
+
+def not_identified_lines(sweep: SweepFit) -> list[str]:
+    """Why modes within the sweep are not identified, a line for each reason."""
+    by_reason: dict[str, list[str]] = {}
+    for name, reason in sweep.not_identified.items():
+        by_reason.setdefault(reason, []).append(name)
+    return [f"not identified: {', '.join(names)}: {r}" for r, names in by_reason.items()]
 
 
 def parameters_table(fit: ReedFit) -> Table | None:

@@ -19,18 +19,18 @@ REED = "R07"
 
 
 @cache
-def _fitted(paths, model):
-    return fit_runs(paths, model)
+def _fitted(paths, model, method):
+    return fit_runs(paths, model, method=method)
 
 
 @cache
 def _diagnosed(paths):
-    return diagnose(_fitted(paths, "fem"))
+    return diagnose(_fitted(paths, "fem", "picture"))
 
 
-def _fit_once(runs, model="fem", announce=None):
+def _fit_once(runs, model="fem", announce=None, method="picture"):
     """Fit the same runs once for a session, however many verbs ask for it."""
-    return _fitted(tuple(Path(run).resolve() for run in runs), model)
+    return _fitted(tuple(Path(run).resolve() for run in runs), model, method)
 
 
 def _diagnose_once(fit, announce=None):

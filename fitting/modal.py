@@ -38,9 +38,11 @@ _TAIL_TERMS = 2
 _LOSS, _LOSS_SPREAD = 0.03, 0.4
 # Shapes mix as if stiffness and mass were off by this share; no two more than that.
 _PERTURBATION, _MOST_MIXING, _LEAST_MIXING = 0.08, 0.5, 5e-3
-# The drive's magnitude: standard deviation of its second difference from step to step, in nepers,
-# and freedoms of Student's distribution, which lets lines stand out.
-_BEND, _FREEDOMS = 0.03, 4.0
+# The drive's magnitude, in nepers: standard deviation of the second difference of its smooth part
+# from step to step, and freedoms of Student's distribution, which lets lines stand out.
+_BEND, _FREEDOMS, _BEND_TURNS = 0.01, 4.0, 8
+# What holograms may be brighter or darker besides, at first and as estimated.
+_GAIN, _GAIN_RANGE = 0.01, (3e-3, 0.2)
 # Participations are expected to be within 3 times of what the stage before found.
 _SCALE = 3.0
 _LEAST_SCALE = 3e-3
@@ -171,10 +173,14 @@ class _Model:
 
 @dataclass(frozen=True)
 class _State:
-    """Parameters (v, p) of the vectors, and the log (complex) of the drive (k,)."""
+    """Parameters (v, p) of the vectors, the log (complex) of the drive (k,), the holograms' gain.
+
+    The last is the standard deviation of what they are brighter or darker by chance, in nepers.
+    """
 
     x: Array
     log_drive: Complex
+    gain: float = _GAIN
 
 
 @dataclass(frozen=True)
@@ -292,21 +298,45 @@ def _mixing(model: _Model, centre_hz: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Bend:
-    """What is expected of the drive's magnitude: cost, gradient (k,) and curvature (k, k)."""
+    """What is expected of the drive's magnitude: cost, gradient (k,) and curvature (k, k).
+
+    Attributes
+    ----------
+    gain : (k,) float
+        What is left of the log magnitude beside its smooth part and lines.
+    """
 
     cost: float
     gradient: Array
     curvature: Array
+    gain: Array
 
 
 def _bend(model: _Model, state: _State) -> _Bend:
+    """Divide the drive's magnitude into a smooth part, with lines, and the gain of holograms."""
     count = len(model.hz)
-    second = np.diff(np.eye(count), n=2, axis=0)
-    bent = second @ (state.log_drive.real - model.log_volts) / _BEND
-    weight = (_FREEDOMS + 1) / (_FREEDOMS + bent**2)
-    cost = (_FREEDOMS + 1) * np.sum(np.log1p(bent**2 / _FREEDOMS))
-    gradient = -second.T @ (weight * bent) / _BEND
-    return _Bend(float(cost), gradient, second.T @ (weight[:, None] * second) / _BEND**2)
+    second = np.diff(np.eye(count), n=2, axis=0) / _BEND
+    magnitude = state.log_drive.real - model.log_volts
+    known = np.eye(count) / state.gain**2
+    smooth = magnitude
+    for _ in range(_BEND_TURNS):
+        weight = (_FREEDOMS + 1) / (_FREEDOMS + (second @ smooth) ** 2)
+        stiff = second.T @ (weight[:, None] * second)
+        smooth = linalg.solve(stiff + known, magnitude / state.gain**2, assume_a="pos")
+    gain = magnitude - smooth
+    bent = np.sum(np.log1p((second @ smooth) ** 2 / _FREEDOMS))
+    cost = (_FREEDOMS + 1) * bent + np.sum(gain**2) / state.gain**2
+    # Whatever the magnitude becomes, the smooth part follows it.
+    curvature = stiff @ linalg.solve(stiff + known, known, assume_a="pos")
+    return _Bend(float(cost), -gain / state.gain**2, 0.5 * (curvature + curvature.T), gain)
+
+
+def _with_gain(model: _Model, state: _State) -> _State:
+    """Estimate by how much holograms are brighter or darker than the smooth drive makes them."""
+    gain = _bend(model, state).gain
+    spread = float(np.median(np.abs(gain))) / 0.6745
+    # The smooth part follows what it can: what is left is a little less than there is.
+    return replace(state, gain=float(np.clip(1.1 * spread, *_GAIN_RANGE)))
 
 
 def _parts(complex_rows: Complex) -> Array:
@@ -446,7 +476,7 @@ def _moved(equations: _Equations, prior: _Prior, state: _State, damping: float) 
     drive = np.clip(drive, -1, 1)
     x = state.x.copy()
     x[prior.free] += move
-    return _State(x, state.log_drive + drive[0] + 1j * drive[1])
+    return replace(state, x=x, log_drive=state.log_drive + drive[0] + 1j * drive[1])
 
 
 def fit_modes(
@@ -486,7 +516,7 @@ def fit_modes(
         prior = _prior(model, stage, centre_hz, scale)
         data = _data(displacements.amplitude_rad, noise, stage.discrepancy)
         state = _improve(model, data, prior, _fixed(prior, state), stage.iterations)
-        scale = _scale(model, state)
+        state, scale = _with_gain(model, state), _scale(model, state)
     return _finish(model, displacements.amplitude_rad, noise, centre_hz, state, basis.names)
 
 
@@ -563,6 +593,7 @@ def _finish(
     for _ in range(2):
         data = _data(amplitude, noise, discrepancy)
         state = _improve(model, data, prior, _fixed(prior, state), _LAST.iterations)
+        state = _with_gain(model, state)
         terms = _terms(model, state)
         freedoms = 2 * amplitude.size - 2 * len(amplitude) - np.count_nonzero(prior.free)
         misfit = float(data.misfits(terms.amplitude).sum()) / freedoms

@@ -33,6 +33,8 @@ _FIRST_LOBE, _BRIGHTEST = 0.5819, 4
 # A hologram is calm if 95 % of its blocks show less than this: φ below 0.7 rad, all linear.
 _CALM = 0.33
 _LEAST_SIGNAL = 1.5
+# Prior standard deviation of a hologram's gain, in nepers: laser and modulators drift.
+_GAIN = 0.05
 # Prior standard deviation of amplitudes, rad: only against what the data do not tell at all.
 _SEARCH_RAD, _FINAL_RAD = 5.0, 10.0
 # Of all blocks, every third serves the search, every ninth the grids.
@@ -44,8 +46,13 @@ _SCALES = np.geomspace(0.3, 3.2, 36)
 _NEAR_CENTS = 350.0
 _STARTS, _DESCENT = 5, 6
 _CALM_TURNS, _FINAL_TURNS = 5, 3
+# Resonances are no sharper than this; modes may be livelier than expected by this factor; and what
+# shapes that are not the finite elements' may add, a share.
+_SHARPEST, _ROOM, _OTHER_SHAPES = 0.1, 5.0, 0.05
 # Misfits, as reduced χ², that holograms may have to be handed on, the better ones first.
 _THRESHOLDS = (2.5, 4.0, 8.0, 20.0)
+# Or the share of the light that may be left.
+_ENOUGH = 0.03
 # The light is found anew when so many more holograms have been solved.
 _MORE_SOLVED = 1.15
 # Beyond this a hologram has not reached the floor of its noise.
@@ -111,7 +118,10 @@ class _Problem:
 
 @dataclass
 class _Normal:
-    """Normal equations of some holograms: misfits (s,), gradients (s, 2j), matrices (s, 2j, 2j)."""
+    """Normal equations of some holograms, by real and imaginary parts of amplitudes and log gain.
+
+    Misfits (s,), gradients (s, 2j + 1), matrices (s, 2j + 1, 2j + 1).
+    """
 
     misfit: Array
     gradient: Array
@@ -124,19 +134,21 @@ class _Normal:
         self.matrix[better] = other.matrix[better]
 
 
-def _normal(problem: _Problem, light: Complex, steps: Steps, a: Amplitudes) -> _Normal:
-    """Linearise the phasors of holograms (s,) around amplitudes (s, j)."""
+def _normal(problem: _Problem, light: Complex, steps: Steps, a: Amplitudes, gain: Array) -> _Normal:
+    """Linearise the phasors of holograms (s,) around amplitudes (s, j) and log gains (s,)."""
     u = a.astype(np.complex64) @ problem.functions.T
     phi = np.abs(u)
     over, slope = problem.bessel.over_argument(phi)
-    residual = problem.value[:, steps].T - light * (u * over)
+    lit = np.exp(gain).astype(np.float32)[:, None] * light
+    moved = u * over
+    residual = problem.value[:, steps].T - lit * moved
     # dF = ½(J₁′ + J₁/φ) du + ½(J₁′ − J₁/φ) e^{2iθ} du*, by the real and imaginary parts of du.
     turn = np.divide(u, phi, out=np.zeros_like(u), where=phi > 0)
     mean, half = 0.5 * (slope + over), 0.5 * (slope - over) * turn * turn
     real, imaginary = mean + half, mean - half
-    power = light.real**2 + light.imag**2
+    power = lit.real**2 + lit.imag**2
     size = problem.functions.shape[1]
-    matrix = np.empty((len(a), 2 * size, 2 * size))
+    matrix = np.empty((len(a), 2 * size + 1, 2 * size + 1))
     cross = (real.conj() * imaginary * 1j).real
     for (row, column), weight in (
         ((0, 0), real.real**2 + real.imag**2),
@@ -146,9 +158,16 @@ def _normal(problem: _Problem, light: Complex, steps: Steps, a: Amplitudes) -> _
         block = _square((power * weight) @ problem.pairs, size)
         matrix[:, row * size :, column * size :][:, :size, :size] = block
         matrix[:, column * size :, row * size :][:, :size, :size] = block
-    pulled = light.conj() * residual
+    beside = ((real.conj() * moved).real, (imaginary.conj() * moved).imag)
+    coupling = np.concatenate([(power * part) @ problem.functions for part in beside], axis=1)
+    matrix[:, -1, :-1] = matrix[:, :-1, -1] = coupling
+    matrix[:, -1, -1] = np.sum(power * (moved.real**2 + moved.imag**2), axis=1)
+    pulled = lit.conj() * residual
     parts = ((real.conj() * pulled).real, (imaginary.conj() * pulled).imag)
-    gradient = np.concatenate([part @ problem.functions for part in parts], axis=1)
+    louder = np.sum((moved.conj() * pulled).real, axis=1)
+    gradient = np.concatenate(
+        [*(part @ problem.functions for part in parts), louder[:, None]], axis=1
+    )
     misfit = np.einsum("sn,sn->s", residual.conj(), residual).real.astype(float)
     return _Normal(misfit, gradient.astype(float), matrix)
 
@@ -162,34 +181,56 @@ def _square(packed: Array, size: int) -> Array:
 
 
 def _descend(
-    problem: _Problem, light: Complex, steps: Steps, a: Amplitudes, count: int, prior_rad: float
-) -> tuple[Amplitudes, _Normal]:
-    """Levenberg and Marquardt on all holograms side by side, each with its own damping."""
-    size, prior = a.shape[1], prior_rad**-2
-    x = np.concatenate([a.real, a.imag], axis=1)
-    normal = _normal(problem, light, steps, a)
-    total = normal.misfit + prior * np.sum(x * x, axis=1)
+    problem: _Problem,
+    light: Complex,
+    steps: Steps,
+    start: tuple[Amplitudes, Array],
+    count: int,
+    prior: Array,
+) -> tuple[Amplitudes, Array, _Normal]:
+    """Levenberg and Marquardt on all holograms side by side, each with its own damping.
+
+    From amplitudes (s, j) and log gains (s,) to better ones. The prior is the precision of
+    amplitudes around 0, (j, j) or (s, j, j).
+    """
+    a, gain = start
+    size = a.shape[1]
+    held = np.zeros((len(a), 2 * size + 1, 2 * size + 1))
+    held[:, :size, :size] = held[:, size:-1, size:-1] = prior
+    held[:, -1, -1] = _GAIN**-2
+
+    def belief(x: Array) -> Array:
+        beliefs: Array = np.einsum("si,sij,sj->s", x, held, x, optimize=True)
+        return beliefs
+
+    def normal_at(x: Array) -> _Normal:
+        return _normal(problem, light, steps, x[:, :size] + 1j * x[:, size:-1], x[:, -1])
+
+    x = np.concatenate([a.real, a.imag, gain[:, None]], axis=1)
+    normal = normal_at(x)
+    total = normal.misfit + belief(x)
     damping = np.full(len(a), 1e-3)
     diagonal = np.arange(2 * size)
     for _ in range(count):
-        damped = normal.matrix.copy()
-        mean = np.trace(normal.matrix, axis1=1, axis2=2) / (2 * size)
-        damped[:, diagonal, diagonal] += (prior + damping * mean + 1e-3)[:, None]
-        move = np.linalg.solve(damped, (normal.gradient - prior * x)[..., None])[..., 0]
-        tried_x = x + move
-        tried = _normal(problem, light, steps, tried_x[:, :size] + 1j * tried_x[:, size:])
-        tried_total = tried.misfit + prior * np.sum(tried_x * tried_x, axis=1)
+        damped = normal.matrix + held
+        mean = np.trace(normal.matrix[:, :-1, :-1], axis1=1, axis2=2) / (2 * size)
+        damped[:, diagonal, diagonal] += (damping * mean + 1e-3)[:, None]
+        pull = normal.gradient - np.einsum("sij,sj->si", held, x)
+        tried_x = x + np.linalg.solve(damped, pull[..., None])[..., 0]
+        tried = normal_at(tried_x)
+        tried_total = tried.misfit + belief(tried_x)
         better = tried_total < total
         x[better], total[better] = tried_x[better], tried_total[better]
         normal.take_over(better, tried)
         damping = np.where(better, 0.2 * damping, np.minimum(6 * damping, 1e6))
-    return x[:, :size] + 1j * x[:, size:], normal
+    return x[:, :size] + 1j * x[:, size:-1], x[:, -1], normal
 
 
-def _light(problem: _Problem, steps: Steps, a: Amplitudes, weight: Array) -> Complex:
+def _light(problem: _Problem, steps: Steps, a: Amplitudes, gain: Array, weight: Array) -> Complex:
     """Light (n,) of every block by least squares over holograms (s,) of given weights."""
-    moved = problem.phasors(a) * np.sqrt(weight).astype(np.float32)[:, None]
-    seen = problem.value[:, steps].T * np.sqrt(weight).astype(np.float32)[:, None]
+    root = np.sqrt(weight).astype(np.float32)[:, None]
+    moved = problem.phasors(a) * np.exp(gain).astype(np.float32)[:, None] * root
+    seen = problem.value[:, steps].T * root
     power = np.sum(moved.real**2 + moved.imag**2, axis=0)
     light: Complex = np.sum(moved.conj() * seen, axis=0) / np.maximum(power, np.float32(1e-9))
     return light
@@ -207,9 +248,14 @@ class _Search:
         self._cents, self._mode_cents = 1200 * np.log2(phasors.drive_hz), 1200 * np.log2(basis.hz)
         count = phasors.value.shape[1]
         self.amplitude: Amplitudes = np.zeros((count, basis.functions.shape[1]), complex)
+        self.gain: Array = np.zeros(count)
         self.misfit: Array = np.full(count, np.inf)
         self.light: Complex = np.zeros(len(phasors.value), np.complex64)
         self._solved = np.zeros(count, dtype=bool)
+        # Of the light, in units of the noise: where displacements grow by many radians within a
+        # block phasors are no longer those of one place, and leave more than noise.
+        self._enough = _ENOUGH * np.mean(np.abs(phasors.value) ** 2, axis=0)
+        self._loose = _SEARCH_RAD**-2 * np.eye(basis.functions.shape[1])
 
     @property
     def _most_light(self) -> Complex:
@@ -224,7 +270,7 @@ class _Search:
         calm = np.flatnonzero((shown < _CALM) & (signal > _LEAST_SIGNAL))
         if not calm.size:
             return False
-        best = np.inf
+        best, prior = np.inf, self._calm_prior(calm, magnitude / brightest[:, None])
         # The lowest calm hologram moves much like the first mode at rest; the clearest of them may
         # resemble any of its neighbours.
         for first in (calm[0], calm[np.argmax(signal[calm])]):
@@ -232,30 +278,51 @@ class _Search:
             for mode in nearest:
                 shape = self._basis.functions @ self._basis.shapes[mode]
                 turn = np.exp(1j * np.angle(self.whole.value[:, first])) * np.sign(shape)
-                light, a, normal = self._calm(calm, (brightest * turn).astype(np.complex64))
+                light, a, normal = self._calm(calm, (brightest * turn).astype(np.complex64), prior)
                 if normal.misfit.sum() < best:
                     best = float(normal.misfit.sum())
                     self.light, self.amplitude[calm] = light, a
                     self.misfit[calm] = normal.misfit / len(self._most.value)
         return True
 
-    def _calm(self, calm: Steps, light: Complex) -> tuple[Complex, Amplitudes, _Normal]:
+    def _calm(
+        self, calm: Steps, light: Complex, prior: Array
+    ) -> tuple[Complex, Amplitudes, _Normal]:
         """Light, of known magnitude, and amplitudes of the calm holograms, in turns."""
-        magnitude = np.abs(light)
+        magnitude, gain = np.abs(light), np.zeros(len(calm))
         a: Amplitudes = np.zeros((len(calm), self.amplitude.shape[1]), complex)
         for turn in range(_CALM_TURNS):
-            a, normal = _descend(
-                self._most, light[::_SEARCH_STRIDE], calm, a, 1 if turn else 2, _SEARCH_RAD
+            a, _, normal = _descend(
+                self._most, light[::_SEARCH_STRIDE], calm, (a, gain), 1 if turn else 2, prior
             )
-            phase = np.angle(_light(self.whole, calm, a, np.ones(len(calm))))
+            phase = np.angle(_light(self.whole, calm, a, gain, np.ones(len(calm))))
             light = (magnitude * np.exp(1j * phase)).astype(np.complex64)
         return light, a, normal
+
+    def _calm_prior(self, calm: Steps, shown: Array) -> Array:
+        """Precision (s, j, j) of the amplitudes of calm holograms.
+
+        Where all is linear, light that varies smoothly over the reed looks like another shape. What
+        a mode may contribute is therefore held to what it has under any pressure: its compliance,
+        times how near it is to its resonance.
+        """
+        ratio = 2 ** ((self._cents[calm, None] - self._mode_cents) / 600)
+        moving = (2 ** (self._mode_cents / -600)) / np.maximum(np.abs(1 - ratio), _SHARPEST)
+        moving = _ROOM * moving / moving.max(axis=1, keepdims=True)
+        # F(u) is half of u there.
+        size = 2 * np.sqrt(np.mean(shown[:, calm] ** 2, axis=0))
+        shapes = self._basis.shapes
+        spread = np.einsum("sm,mi,mj->sij", moving**2, shapes, shapes, optimize=True)
+        spread += _OTHER_SHAPES**2 * np.eye(shapes.shape[1])
+        precision: Array = np.linalg.inv(spread) / size[:, None, None] ** 2
+        return precision
 
     def spread(self) -> None:
         """Solve hologram after hologram beside those that are solved."""
         tried: dict[tuple[int, int], int] = {}
         for threshold in _THRESHOLDS:
-            self._solved |= self.misfit < threshold
+            good = np.maximum(self._enough, threshold)
+            self._solved |= self.misfit < good
             self._relight()
             lit = int(self._solved.sum())
             while frontier := [pair for pair in self._frontier() if tried.get(pair, -1) < lit]:
@@ -264,7 +331,7 @@ class _Search:
                         continue
                     tried[step, source] = lit
                     self._solve(step, source)
-                    self._solved[step] = self.misfit[step] < threshold
+                    self._solved[step] = self.misfit[step] < good[step]
                     if self._solved.sum() > _MORE_SOLVED * lit + 2:
                         self._relight()
                         lit = int(self._solved.sum())
@@ -284,23 +351,26 @@ class _Search:
         solved = np.flatnonzero(self._solved)
         for _ in range(2):
             weight = 1 / np.maximum(self.misfit[solved], 1)
-            self.light = _light(self.whole, solved, self.amplitude[solved], weight)
-            self.amplitude[solved], normal = _descend(
-                self._most, self._most_light, solved, self.amplitude[solved], 2, _SEARCH_RAD
+            start = self.amplitude[solved], self.gain[solved]
+            self.light = _light(self.whole, solved, *start, weight)
+            self.amplitude[solved], self.gain[solved], normal = _descend(
+                self._most, self._most_light, solved, start, 2, self._loose
             )
             self.misfit[solved] = normal.misfit / len(self._most.value)
 
     def _solve(self, step: int, source: int) -> None:
         """Try to find the amplitudes of one hologram from those of a neighbour."""
         starts = [self.amplitude[source], *self._starts(step, self.amplitude[source])]
-        a = np.array(starts)
+        a: Amplitudes = np.array(starts)
+        gain: Array = np.zeros(len(starts))
         for problem, stride in ((self._few, _GRID_STRIDE), (self._most, _SEARCH_STRIDE)):
-            steps = np.full(len(a), step)
-            a, normal = _descend(problem, self.light[::stride], steps, a, _DESCENT, _SEARCH_RAD)
+            steps, light = np.full(len(a), step), self.light[::stride]
+            a, gain, normal = _descend(problem, light, steps, (a, gain), _DESCENT, self._loose)
             best = np.argsort(normal.misfit)[:2]
-            a, found = a[best], normal.misfit[best[0]] / len(problem.value)
+            a, gain = a[best], gain[best]
+            found = normal.misfit[best[0]] / len(problem.value)
         if found < self.misfit[step]:
-            self.amplitude[step], self.misfit[step] = a[0], found
+            self.amplitude[step], self.gain[step], self.misfit[step] = a[0], gain[0], found
 
     def _starts(self, step: int, neighbour: Amplitudes) -> list[Amplitudes]:
         """Likeliest changes of a neighbour's amplitudes: of one shape, or of all by a factor."""
@@ -358,18 +428,22 @@ def fit_displacements(phasors: Phasors, basis: ShapeBasis) -> Displacements:
         )
     search.spread()
     steps = np.arange(len(phasors.drive_hz))
-    a, light = search.amplitude, search.light
-    for _ in range(_FINAL_TURNS):
-        a, normal = _descend(search.whole, light, steps, a, 3, _FINAL_RAD)
-        misfit = normal.misfit / len(phasors.value)
-        light = _light(search.whole, steps, a, 1 / np.maximum(misfit, 1))
-    # What the prior holds back is given free: only the data may speak.
-    excess = np.maximum(misfit, 1)[:, None, None]
-    information = normal.matrix / excess
-    x = np.concatenate([a.real, a.imag], axis=1)
-    weak = _FINAL_RAD**-2 * np.eye(x.shape[1])
-    x = x + np.linalg.solve(normal.matrix + weak, normal.gradient[..., None])[..., 0]
+    a, gain, light = search.amplitude, search.gain, search.light
     size = a.shape[1]
+    weak = _FINAL_RAD**-2 * np.eye(size)
+    for _ in range(_FINAL_TURNS):
+        a, gain, normal = _descend(search.whole, light, steps, (a, gain), 3, weak)
+        misfit = normal.misfit / len(phasors.value)
+        light = _light(search.whole, steps, a, gain, 1 / np.maximum(misfit, 1))
+    # The gain of a hologram is nobody's concern any more; it takes information with it.
+    coupling, known = normal.matrix[:, :-1, -1:], normal.matrix[:, -1, -1] + _GAIN**-2
+    told = normal.matrix[:, :-1, :-1] - coupling @ coupling.swapaxes(1, 2) / known[:, None, None]
+    louder = normal.gradient[:, -1] - gain / _GAIN**2
+    pull = normal.gradient[:, :-1] - coupling[..., 0] * (louder / known)[:, None]
+    # What the prior holds back is given free: only the data may speak.
+    x = np.concatenate([a.real, a.imag], axis=1)
+    x = x + np.linalg.solve(told + np.kron(np.eye(2), weak), pull[..., None])[..., 0]
+    information = told / np.maximum(misfit, 1)[:, None, None]
     return Displacements(
         amplitude_rad=x[:, :size] + 1j * x[:, size:],
         information=information,

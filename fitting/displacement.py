@@ -11,6 +11,7 @@ frequency: near resonances one shape grows by some factor and turns by some angl
 a line of the air all shapes grow together; both are searched on grids finer than a fringe.
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,13 +31,19 @@ Steps = NDArray[np.intp]
 
 # Largest value of J₁, and holograms whose brightest show it in a block.
 _FIRST_LOBE, _BRIGHTEST = 0.5819, 4
+# Blocks that move more than so many per cent of all are sure to show it in some hologram.
+_LIVELIEST = 75
 # A hologram is calm if 95 % of its blocks show less than this: φ below 0.7 rad, all linear.
 _CALM = 0.33
+# ... and still on the first slope, below 1.2 rad.
+_STILL_LINEAR = 0.5
+# So much of a sweep is enough not to begin it again otherwise.
+_MOST_SOLVED = 0.9
 _LEAST_SIGNAL = 1.5
 # Prior standard deviation of a hologram's gain, in nepers: laser and modulators drift.
 _GAIN = 0.05
 # Prior standard deviation of amplitudes, rad: only against what the data do not tell at all.
-_SEARCH_RAD, _FINAL_RAD = 5.0, 10.0
+_FINAL_RAD = 10.0
 # Of all blocks, every third serves the search, every ninth the grids.
 _SEARCH_STRIDE, _GRID_STRIDE = 3, 9
 # Grid of one shape's amplitude: step in radius, angles, and how far beyond the neighbour's.
@@ -236,6 +243,12 @@ def _light(problem: _Problem, steps: Steps, a: Amplitudes, gain: Array, weight: 
     return light
 
 
+def _size(a: Amplitudes) -> Array:
+    """Root of the mean square (s,) of displacements over the reed, at least a tenth of a rad."""
+    size: Array = np.maximum(np.sqrt(np.sum(np.abs(a) ** 2, axis=1)), 0.1)
+    return size
+
+
 class _Search:
     """Amplitudes, misfits and light of a sweep while its holograms are solved one after another."""
 
@@ -245,6 +258,10 @@ class _Search:
             whole, whole.every(_SEARCH_STRIDE), whole.every(_GRID_STRIDE)
         )  # fmt: skip
         self._basis = basis
+        self._magnitude = np.abs(phasors.value)
+        ascending = np.sort(self._magnitude, axis=1)
+        self._brightest = ascending[:, -_BRIGHTEST:].mean(axis=1) / _FIRST_LOBE
+        self._shown = np.percentile(self._magnitude / self._brightest[:, None], 95, axis=0)
         self._cents, self._mode_cents = 1200 * np.log2(phasors.drive_hz), 1200 * np.log2(basis.hz)
         count = phasors.value.shape[1]
         self.amplitude: Amplitudes = np.zeros((count, basis.functions.shape[1]), complex)
@@ -255,62 +272,88 @@ class _Search:
         # Of the light, in units of the noise: where displacements grow by many radians within a
         # block phasors are no longer those of one place, and leave more than noise.
         self._enough = _ENOUGH * np.mean(np.abs(phasors.value) ** 2, axis=0)
-        self._loose = _SEARCH_RAD**-2 * np.eye(basis.functions.shape[1])
 
     @property
     def _most_light(self) -> Complex:
         return self.light[::_SEARCH_STRIDE]
 
-    def begin(self) -> bool:
-        """Solve the calm holograms; return whether there are any."""
-        magnitude = np.abs(self.whole.value)
-        brightest = np.sort(magnitude, axis=1)[:, -_BRIGHTEST:].mean(axis=1) / _FIRST_LOBE
-        shown = np.percentile(magnitude / brightest[:, None], 95, axis=0)
-        signal = np.sqrt(np.maximum(np.mean(magnitude**2, axis=0) - 1, 0))
-        calm = np.flatnonzero((shown < _CALM) & (signal > _LEAST_SIGNAL))
-        if not calm.size:
-            return False
-        best, prior = np.inf, self._calm_prior(calm, magnitude / brightest[:, None])
-        # The lowest calm hologram moves much like the first mode at rest; the clearest of them may
-        # resemble any of its neighbours.
-        for first in (calm[0], calm[np.argmax(signal[calm])]):
-            nearest = np.argsort(np.abs(self._mode_cents - self._cents[first]))[:4]
-            for mode in nearest:
-                shape = self._basis.functions @ self._basis.shapes[mode]
-                turn = np.exp(1j * np.angle(self.whole.value[:, first])) * np.sign(shape)
-                light, a, normal = self._calm(calm, (brightest * turn).astype(np.complex64), prior)
-                if normal.misfit.sum() < best:
-                    best = float(normal.misfit.sum())
-                    self.light, self.amplitude[calm] = light, a
-                    self.misfit[calm] = normal.misfit / len(self._most.value)
-        return True
+    def starts(self) -> Iterator[tuple[Steps, Iterator[tuple[int, int]]]]:
+        """Calm holograms to begin with, each set with guesses: a hologram, and the mode it shows.
+
+        First those at the low end of the sweep, where a reed moves much like its first mode at
+        rest; then all of them, of which the lowest and the clearest may resemble any of their
+        neighbours.
+        """
+        signal = np.sqrt(np.maximum(np.mean(self._magnitude**2, axis=0) - 1, 0))
+        clear = signal > _LEAST_SIGNAL
+        low = np.flatnonzero(clear & (self._shown < _STILL_LINEAR))
+        if low.size:
+            together = low[: int(np.argmax(np.diff([*low, np.inf]) > 1)) + 1]
+            nearest = np.argsort(np.abs(self._mode_cents - self._cents[low[0]]))
+            yield together, ((int(low[0]), int(mode)) for mode in nearest[:1])
+        calm = np.flatnonzero(clear & (self._shown < _CALM))
+        if calm.size:
+            firsts = (calm[0], calm[np.argmax(signal[calm])])
+            yield (
+                calm,
+                (
+                    (int(first), int(mode))
+                    for first in firsts
+                    for mode in np.argsort(np.abs(self._mode_cents - self._cents[first]))[:4]
+                ),
+            )
+
+    def begin(self, calm: Steps, guesses: Iterable[tuple[int, int]]) -> None:
+        """Solve the calm holograms from the best of some guesses."""
+        self.amplitude[:], self.gain[:], self.misfit[:] = 0, 0, np.inf
+        self._solved[:] = False
+        # F(u) is half of u there.
+        relative = self._magnitude[:, calm] / self._brightest[:, None]
+        prior = self._prior(calm, 2 * np.sqrt(np.mean(relative**2, axis=0)))
+        best = np.inf
+        for first, mode in guesses:
+            shape = self._basis.functions @ self._basis.shapes[mode]
+            turn = np.exp(1j * np.angle(self.whole.value[:, first])) * np.sign(shape)
+            start = (self._brightest * turn).astype(np.complex64)
+            light, a, normal = self._calm(calm, start, prior)
+            if normal.misfit.sum() < best:
+                best = float(normal.misfit.sum())
+                self.light, self.amplitude[calm] = light, a
+                self.misfit[calm] = normal.misfit / len(self._most.value)
+
+    @property
+    def solved_share(self) -> float:
+        """Share of the holograms that are solved."""
+        return float(np.mean(self._solved))
 
     def _calm(
         self, calm: Steps, light: Complex, prior: Array
     ) -> tuple[Complex, Amplitudes, _Normal]:
-        """Light, of known magnitude, and amplitudes of the calm holograms, in turns."""
-        magnitude, gain = np.abs(light), np.zeros(len(calm))
+        """Light and amplitudes of the calm holograms, in turns."""
+        brightest, gain = np.abs(light), np.zeros(len(calm))
         a: Amplitudes = np.zeros((len(calm), self.amplitude.shape[1]), complex)
         for turn in range(_CALM_TURNS):
             a, _, normal = _descend(
                 self._most, light[::_SEARCH_STRIDE], calm, (a, gain), 1 if turn else 2, prior
             )
-            phase = np.angle(_light(self.whole, calm, a, gain, np.ones(len(calm))))
-            light = (magnitude * np.exp(1j * phase)).astype(np.complex64)
+            light = _light(self.whole, calm, a, gain, np.ones(len(calm)))
+            # Where the reed is liveliest some hologram of the sweep has shown the first lobe.
+            liveliness = np.sum(np.abs(self.whole.phasors(a)) ** 2, axis=0)
+            lively = liveliness > np.percentile(liveliness, _LIVELIEST)
+            scale = float(np.median(brightest[lively] / np.abs(light[lively])))
+            light, a = light * np.float32(scale), a / scale
         return light, a, normal
 
-    def _calm_prior(self, calm: Steps, shown: Array) -> Array:
-        """Precision (s, j, j) of the amplitudes of calm holograms.
+    def _prior(self, steps: Steps, size: Array) -> Array:
+        """Precision (s, j, j) of the amplitudes of holograms of given sizes (s,), rms in rad.
 
-        Where all is linear, light that varies smoothly over the reed looks like another shape. What
-        a mode may contribute is therefore held to what it has under any pressure: its compliance,
-        times how near it is to its resonance.
+        Light that varies smoothly over the reed looks like another shape, the more so the less
+        fringes there are. What a mode may contribute is therefore held to what it has under any
+        pressure: its compliance, times how near it is to its resonance.
         """
-        ratio = 2 ** ((self._cents[calm, None] - self._mode_cents) / 600)
-        moving = (2 ** (self._mode_cents / -600)) / np.maximum(np.abs(1 - ratio), _SHARPEST)
+        ratio = 2 ** ((self._cents[steps, None] - self._mode_cents) / 600)
+        moving = 2 ** (self._mode_cents / -600) / np.maximum(np.abs(1 - ratio), _SHARPEST)
         moving = _ROOM * moving / moving.max(axis=1, keepdims=True)
-        # F(u) is half of u there.
-        size = 2 * np.sqrt(np.mean(shown[:, calm] ** 2, axis=0))
         shapes = self._basis.shapes
         spread = np.einsum("sm,mi,mj->sij", moving**2, shapes, shapes, optimize=True)
         spread += _OTHER_SHAPES**2 * np.eye(shapes.shape[1])
@@ -354,7 +397,7 @@ class _Search:
             start = self.amplitude[solved], self.gain[solved]
             self.light = _light(self.whole, solved, *start, weight)
             self.amplitude[solved], self.gain[solved], normal = _descend(
-                self._most, self._most_light, solved, start, 2, self._loose
+                self._most, self._most_light, solved, start, 2, self._prior(solved, _size(start[0]))
             )
             self.misfit[solved] = normal.misfit / len(self._most.value)
 
@@ -365,7 +408,8 @@ class _Search:
         gain: Array = np.zeros(len(starts))
         for problem, stride in ((self._few, _GRID_STRIDE), (self._most, _SEARCH_STRIDE)):
             steps, light = np.full(len(a), step), self.light[::stride]
-            a, gain, normal = _descend(problem, light, steps, (a, gain), _DESCENT, self._loose)
+            prior = self._prior(steps, _size(a))
+            a, gain, normal = _descend(problem, light, steps, (a, gain), _DESCENT, prior)
             best = np.argsort(normal.misfit)[:2]
             a, gain = a[best], gain[best]
             found = normal.misfit[best[0]] / len(problem.value)
@@ -406,6 +450,26 @@ class _Search:
         return [float(misfit[g]) for g in best], found
 
 
+def _solved(phasors: Phasors, basis: ShapeBasis) -> _Search:
+    """Solve the sweep from one start after another, until most of it is solved."""
+    best: _Search | None = None
+    search = _Search(phasors, basis)
+    for calm, guesses in search.starts():
+        search.begin(calm, guesses)
+        search.spread()
+        if best is None or search.solved_share > best.solved_share:
+            best = search
+        if best.solved_share > _MOST_SOLVED:
+            break
+        search = _Search(phasors, basis)
+    if best is None:
+        raise FitError(
+            "every hologram shows fringes from the clamp to the tip, or none shows any light; "
+            "begin the sweep with less volts"
+        )
+    return best
+
+
 def fit_displacements(phasors: Phasors, basis: ShapeBasis) -> Displacements:
     """Find the vibration of the whole reed in every hologram of a sweep.
 
@@ -420,13 +484,7 @@ def fit_displacements(phasors: Phasors, basis: ShapeBasis) -> Displacements:
     FitError
         If no hologram is calm enough to begin with.
     """
-    search = _Search(phasors, basis)
-    if not search.begin():
-        raise FitError(
-            "every hologram shows fringes from the clamp to the tip, or none shows any light; "
-            "begin the sweep with less volts"
-        )
-    search.spread()
+    search = _solved(phasors, basis)
     steps = np.arange(len(phasors.drive_hz))
     a, gain, light = search.amplitude, search.gain, search.light
     size = a.shape[1]

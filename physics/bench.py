@@ -30,14 +30,37 @@ from physics.reed.viscoelastic import (
     Components,
     Series,
     ViscoelasticCane,
+    Zener,
     require_physical,
     viscoelastic_cane,
 )
+from physics.reed.whole import WholeReed
 from physics.sensor import Sensor, read_out
 
 Array = NDArray[np.floating[Any]]
 Float = NDArray[np.float32]
+Complex = NDArray[np.complexfloating[Any, Any]]
 Complex64 = NDArray[np.complex64]
+
+# Degrees along the window, across it and in ln f of what distorts a pressure, and the band.
+_DISTORTION_DEGREES = (2, 2, 3)
+_BAND_HZ = (1e3, 20e3)
+
+
+@dataclass(frozen=True)
+class PressureDistortion:
+    """A pressure on the reed that is not the model's: that times 1 + a smooth random field.
+
+    Attributes
+    ----------
+    rms : float
+        Of the complex field, over the chamber's window and 1 to 20 kHz in octaves; 0 is the model.
+    seed : int
+        Tells fields of one rms apart.
+    """
+
+    rms: float = 0.0
+    seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -50,14 +73,19 @@ class TwinSettings:
         The reed's cane.
     series : Series
         Moisture: A as bought, B dried.
+    E_L_factor, G_LT_factor : float
+        Of this cane's moduli, over those that its components say.
     loss_factor : float
         Of the cane, the same for all modes (see decision 0004).
     """
 
     components: Components = Components()
     series: Series = Series.A
+    E_L_factor: float = 1.0
+    G_LT_factor: float = 1.0
     loss_factor: float = 0.03
     chamber: Chamber = Chamber()
+    distortion: PressureDistortion = PressureDistortion()
     line: CavityLine = CavityLine()
     tweeter: Tweeter = Tweeter()
     illumination: Illumination = Illumination()
@@ -95,6 +123,67 @@ class Segment:
     state: BenchState
 
 
+def bench_cane(settings: TwinSettings) -> ViscoelasticCane:
+    """Zener moduli of the cane on a bench.
+
+    Raises
+    ------
+    ValueError
+        If its components are outside physics (see `require_physical`).
+    """
+    cane = viscoelastic_cane(settings.components, settings.series)
+    require_physical(cane)
+    return ViscoelasticCane(
+        _scaled(cane.young_L, settings.E_L_factor), _scaled(cane.shear_LT, settings.G_LT_factor)
+    )
+
+
+def _scaled(zener: Zener, factor: float) -> Zener:
+    # All three alike: the storage modulus is that much greater at every frequency.
+    return Zener(
+        factor * zener.spring_mpa, factor * zener.arm_spring_mpa, factor * zener.arm_dashpot_mpa_s
+    )
+
+
+def distortion_factor(
+    distortion: PressureDistortion, chamber: Chamber, frequency_hz: float, x_m: Array, y_m: Array
+) -> Complex:
+    """Pressure over that of the model, at points of the flat side (any shape).
+
+    1 + a sum of products of Legendre polynomials in x, y and ln f, of random complex weights. None
+    is constant over the window: such a one would be a gain. Beyond window and band the field goes
+    on as at their edges.
+    """
+    rng = np.random.default_rng(distortion.seed)
+    shape = [degree + 1 for degree in _DISTORTION_DEGREES]
+    real, imaginary = rng.standard_normal((2, *shape))
+    weights = real + 1j * imaginary
+    weights[0, 0] = 0.0
+    weights *= distortion.rms / np.linalg.norm(weights)
+    low, high = np.log(_BAND_HZ)
+    along, across, pitch = (
+        _legendre(place, degree)
+        for place, degree in zip(
+            (
+                2 * x_m / chamber.length_m - 1,
+                y_m / chamber.half_width_m,
+                np.array([2 * (np.log(frequency_hz) - low) / (high - low) - 1]),
+            ),
+            _DISTORTION_DEGREES,
+            strict=True,
+        )
+    )
+    factor: Complex = 1 + np.einsum("lm,...l,...m->...", weights @ pitch[0], along, across)
+    return factor
+
+
+def _legendre(place: Array, degree: int) -> Array:
+    """Legendre polynomials (…, degree + 1) of mean square 1 over −1 … 1, constant beyond."""
+    table = np.polynomial.legendre.legvander(np.clip(place, -1, 1), degree)
+    normalised: Array = table * np.sqrt(2 * np.arange(degree + 1) + 1)
+    return normalised
+
+
 class BenchModel:
     """Renders the frames of a simulated bench.
 
@@ -106,7 +195,9 @@ class BenchModel:
     frames of a step, so demodulation cancels it.
     """
 
-    def __init__(self, settings: TwinSettings, reed: ReducedReed, rng: np.random.Generator) -> None:
+    def __init__(
+        self, settings: TwinSettings, reed: ReducedReed | WholeReed, rng: np.random.Generator
+    ) -> None:
         self.settings = settings
         sensor, layout = settings.sensor, settings.layout
         self.transform = FresnelTransform(
@@ -116,8 +207,7 @@ class BenchModel:
         y, x = np.meshgrid(*reed_axes_m(layout, self.region, self.transform), indexing="ij")
         self._lit = on_reed(reed.geometry.outline, x, y)
         self._shapes = surface_shapes(reed, x[self._lit], y[self._lit])
-        self._cane = viscoelastic_cane(settings.components, settings.series)
-        require_physical(self._cane)
+        self._cane = bench_cane(settings)
         self._object = self._scattered_light(x, y, rng)
         self._lo = self._local_oscillator()
         self._at_rest = np.abs(self.transform.to_sensor(self._pasted(self._object))) ** 2
@@ -165,7 +255,12 @@ class BenchModel:
         patch[self._lit] = drive_v * self._response(drive_hz)
         return patch
 
-    def frame(self, segments: Sequence[Segment], rng: np.random.Generator) -> NDArray[np.uint16]:
+    def frame(
+        self,
+        segments: Sequence[Segment],
+        rng: np.random.Generator,
+        object_gain: complex = 1.0,
+    ) -> NDArray[np.uint16]:
         """Read out one exposure.
 
         Parameters
@@ -174,6 +269,8 @@ class BenchModel:
             Stretches of the exposure, in order.
         rng : numpy.random.Generator
             Source of shot and read noise.
+        object_gain : complex, optional
+            Amplitude of the light on the object over the nominal: laser, modulator, path.
 
         Returns
         -------
@@ -185,8 +282,9 @@ class BenchModel:
         for segment in lit:
             field += self._integrated_field(segment)
         mean_e = self._lo * self._lo
-        mean_e += self._at_rest
+        mean_e += np.float32(abs(object_gain) ** 2) * self._at_rest
         mean_e *= duration
+        field *= np.complex64(object_gain)
         on_sensor = self.transform.to_sensor(self._pasted(field)).real
         on_sensor *= 2 * self._lo
         mean_e += on_sensor
@@ -204,9 +302,9 @@ class BenchModel:
 
 def _unit_response(
     settings: TwinSettings,
-    reed: ReducedReed,
+    reed: ReducedReed | WholeReed,
     cane: ViscoelasticCane,
-    shapes: Mapping[Symmetry, Float],
+    shapes: Mapping[Symmetry | None, Float],
     drive_hz: Fraction,
 ) -> Complex64:
     """Displacement (n,) of the lit pixels per volt, in m."""
@@ -214,7 +312,10 @@ def _unit_response(
     def pressure(hz: float, x: Array, y: Array) -> NDArray[np.complex128]:
         at_tip = tweeter_pressure_pa(settings.tweeter, hz, 1.0)
         at_tip *= cavity_gain(settings.line, hz)
-        return at_tip * pressure_shape(settings.chamber, hz, x, y).astype(complex)
+        shape = pressure_shape(settings.chamber, hz, x, y).astype(complex)
+        if settings.distortion.rms:
+            shape *= distortion_factor(settings.distortion, settings.chamber, hz, x, y)
+        return at_tip * shape
 
     frequency_hz = np.array([float(drive_hz)])
     response = forced_response(reed, cane, settings.loss_factor, frequency_hz, pressure)

@@ -1,5 +1,6 @@
 """The room that all simulated instruments stand in: its time, its settings, its light."""
 
+import cmath
 import math
 import threading
 from bisect import bisect_right
@@ -12,11 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.context import BenchContext, WallClock
+from drivers.errors import BenchSetupError
 from drivers.roles import Clock
-from drivers.simulated.twin import Faults, read_twin, twin_settings
+from drivers.simulated.twin import (
+    Faults,
+    Light,
+    Twin,
+    bench_constants,
+    bench_geometry,
+    read_twin,
+    twin_settings,
+)
 from physics.bench import BenchModel, BenchState, Segment
-from physics.reed.cache import reduced_reed
-from physics.reed.material import Cane
+from physics.reed.basis import ReducedReed
+from physics.reed.cache import reduced_reed, whole_reed
+from physics.reed.geometry import is_even
+from physics.reed.whole import WholeReed
 from physics.sensor import Sensor
 
 
@@ -58,14 +70,8 @@ class SimulatedLab:
         self.clock: Clock = WallClock() if twin.pace == "realtime" else VirtualClock()
         context.clock = self.clock
         self._settings = twin_settings(twin, bench_file, context.preparation)
-        preparation = context.preparation
-        level, basis = twin.finite_elements
-        self._reed = reduced_reed(
-            preparation.geometry,
-            level,
-            replace(basis, cane=preparation.constants or Cane()),
-            context.announce,
-        )
+        self._reed = _reed_on(context, twin)
+        self._light: Light = twin.light
         self._rng = context.rng
         self._model: BenchModel | None = None
         # When each frame that was delivered really began, by its number and time stamp: what a
@@ -118,7 +124,9 @@ class SimulatedLab:
             self._model = BenchModel(self._settings, self._reed, self._rng)
 
     def expose(self, exposures_s: Sequence[tuple[float, float]]) -> list[NDArray[np.uint16]]:
-        """Read out exposures, each from a start to an end, on the sensor that was prepared.
+        """Read out exposures of one acquisition, each from a start to an end.
+
+        The sensor is that which was prepared.
 
         Raises
         ------
@@ -127,4 +135,37 @@ class SimulatedLab:
         """
         if self._model is None:
             raise ValueError("the simulated laboratory has no sensor; call prepare_sensor first")
-        return [self._model.frame(self.segments(*times), self._rng) for times in exposures_s]
+        gain = self._object_gain()
+        return [self._model.frame(self.segments(*times), self._rng, gain) for times in exposures_s]
+
+    def _object_gain(self) -> complex:
+        """Amplitude of the object's light over the nominal, another for each acquisition."""
+        light, size, phase = self._light, 1.0, 0.0
+        # What does not scatter draws nothing: the noise is then that of a bench without scatter.
+        if light.gain_scatter:
+            size = math.exp(light.gain_scatter * self._rng.standard_normal())
+        if light.phase_scatter:
+            phase = self._rng.uniform(0.0, 2 * math.pi)
+        return cmath.rect(size, phase)
+
+
+def _reed_on(context: BenchContext, twin: Twin) -> ReducedReed | WholeReed:
+    """Return the reed on the bench; one that is not its own mirror image is solved whole.
+
+    Raises
+    ------
+    BenchSetupError
+        If the twin's changes of shape or cane leave nothing that could be a reed.
+    """
+    level, basis = twin.finite_elements
+    settings = replace(basis, cane=bench_constants(twin, context.preparation))
+    try:
+        geometry = bench_geometry(twin, context.preparation)
+        if geometry is None or is_even(geometry):
+            return reduced_reed(geometry, level, settings, context.announce)
+        return whole_reed(geometry, level, settings, context.announce)
+    except ValueError as error:
+        raise BenchSetupError(
+            f"bench {context.description.name!r}: twin.shape and twin.cane_factors make no reed: "
+            f"{error}; correct them, or leave them out for the reed of the protocol"
+        ) from None

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import fields, replace
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
@@ -13,12 +14,13 @@ from drivers.options import Options, read_options
 from drivers.roles import Preparation
 from drivers.simulated.wire.serving import WireFaults
 from physics.air import Filling, chamber_of
-from physics.bench import TwinSettings
+from physics.bench import PressureDistortion, TwinSettings
 from physics.drive import Tweeter
 from physics.optics import Illumination, Layout, visible_size_m
 from physics.reed.basis import BasisSettings
 from physics.reed.cache import STANDARD
-from physics.reed.geometry import ReedGeometry
+from physics.reed.geometry import ReedGeometry, ThicknessMap
+from physics.reed.material import Cane
 from physics.reed.mesh import MeshLevel
 from physics.reed.viscoelastic import Components, Series, require_physical, viscoelastic_cane
 from physics.sensor import Sensor
@@ -32,6 +34,9 @@ _COARSE: Final = (
 )
 _MESHES: Final = {"standard": (STANDARD, BasisSettings()), "coarse": _COARSE}
 
+_Numbers = Annotated[tuple[float, ...], Field(strict=False)]
+_Factor = Annotated[float, Field(gt=0, le=10)]
+
 
 class ReedComponents(Options):
     """The four components of the cane, in standard deviations of the population."""
@@ -42,11 +47,112 @@ class ReedComponents(Options):
     e4: Annotated[float, Field(ge=-6, le=6)] = 0.0
 
 
+class ThicknessDeviations(Options):
+    """Deviations of the vamp from the drawing, see `physics.reed.geometry.ThicknessMap`.
+
+    Attributes
+    ----------
+    x_mm, y_mm : tuple of float
+        Abscissae and ordinates, ascending; y of either sign.
+    deviation_um : tuple of tuple of float
+        A row for each x, in it a value for each y.
+    """
+
+    x_mm: _Numbers
+    y_mm: _Numbers
+    deviation_um: Annotated[tuple[_Numbers, ...], Field(strict=False)]
+
+    def thickness_map(self) -> ThicknessMap:
+        """Return the map as physics knows it.
+
+        Raises
+        ------
+        ValueError
+            If it says nothing of one side, or has rows of another length.
+        """
+        if not min(self.y_mm, default=0.0) < 0 < max(self.y_mm, default=0.0):
+            # What was measured on one side might be meant for both, or for one.
+            raise ValueError("y_mm of the thickness map lies on one side of the axis only")
+        for number, row in enumerate(self.deviation_um, 1):
+            if len(row) != len(self.y_mm):
+                raise ValueError(
+                    f"row {number} of deviation_um has {len(row)} values for {len(self.y_mm)} "
+                    "ordinates y_mm"
+                )
+        return ThicknessMap(
+            _scaled(1e-3, self.x_mm),
+            _scaled(1e-3, self.y_mm),
+            tuple(_scaled(1e-6, row) for row in self.deviation_um),
+        )
+
+
+class Shape(Options):
+    """How the reed on the bench differs from the protocol's, even in y or not.
+
+    Attributes
+    ----------
+    thickness_map : ThicknessDeviations or None
+        In place of that of the protocol's reed, if it has one.
+    thickness_offset_um : float
+        Added all over the vamp.
+    """
+
+    thickness_map: ThicknessDeviations | None = None
+    thickness_offset_um: Annotated[float, Field(ge=-1000, le=1000)] = 0.0
+
+
+class CaneFactors(Options):
+    """Constants of the cane on the bench over those of the protocol's reed.
+
+    Those of E_L and G_LT multiply the moduli that follow from the reed's components, at every
+    frequency.
+    """
+
+    E_L: _Factor = 1.0
+    E_T: _Factor = 1.0
+    E_R: _Factor = 1.0
+    G_LT: _Factor = 1.0
+    G_LR: _Factor = 1.0
+    G_TR: _Factor = 1.0
+    nu_LT: _Factor = 1.0
+    nu_LR: _Factor = 1.0
+    nu_TR: _Factor = 1.0
+    density: _Factor = 1.0
+
+
+class Pressure(Options):
+    """How the pressure on the reed differs from the model's, see `PressureDistortion`.
+
+    Attributes
+    ----------
+    distortion : float
+        Rms of a smooth random complex field; the pressure is the model's times 1 + this field.
+    seed : int
+        The field is always the same for one seed.
+    """
+
+    distortion: Annotated[float, Field(ge=0, le=10)] = 0.0
+    seed: Annotated[int, Field(ge=0)] = 0
+
+
 class Light(Options):
-    """Electrons per pixel and second of both beams, see `physics.optics.Illumination`."""
+    """Both beams, see `physics.optics.Illumination`.
+
+    Attributes
+    ----------
+    local_oscillator_e_s, object_e_s : float
+        Electrons per pixel and second.
+    gain_scatter : float
+        Standard deviation of the logarithm of the object light's amplitude from one acquisition
+        to the next: power of the laser, efficiency of the modulators.
+    phase_scatter : bool
+        Whether every acquisition has a phase of the object light of its own, as paths drift.
+    """
 
     local_oscillator_e_s: Annotated[float, Field(gt=0)] = _NOMINAL.illumination.local_oscillator_e_s
     object_e_s: Annotated[float, Field(gt=0)] = _NOMINAL.illumination.object_e_s
+    gain_scatter: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    phase_scatter: bool = False
 
 
 class Faults(Options):
@@ -98,6 +204,12 @@ class Twin(Options):
     ----------
     reed : ReedComponents or None
         The cane; without it, that of the reed's name (`cane_of`).
+    shape : Shape
+        What of the reed's shape plan and fit do not know.
+    cane_factors : CaneFactors
+        What of its cane they do not know.
+    pressure : Pressure
+        What of the pressure on it they do not know.
     loss_factor : float
         Of the cane.
     mesh : {'standard', 'coarse'}
@@ -107,6 +219,9 @@ class Twin(Options):
     """
 
     reed: ReedComponents | None = None
+    shape: Shape = Shape()
+    cane_factors: CaneFactors = CaneFactors()
+    pressure: Pressure = Pressure()
     loss_factor: Annotated[float, Field(gt=0, lt=1)] = _NOMINAL.loss_factor
     light: Light = Light()
     mesh: Literal["standard", "coarse"] = "standard"
@@ -117,6 +232,10 @@ class Twin(Options):
     def finite_elements(self) -> tuple[MeshLevel, BasisSettings]:
         """Mesh and basis of the reed."""
         return _MESHES[self.mesh]
+
+
+def _scaled(factor: float, values: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(factor * value for value in values)
 
 
 def read_twin(content: Mapping[str, Any], bench_name: str) -> Twin:
@@ -152,6 +271,40 @@ def _physical(cane: Components) -> bool:
     return True
 
 
+def bench_geometry(twin: Twin, preparation: Preparation) -> ReedGeometry | None:
+    """Return the shape of the reed on the bench; None is the paper's.
+
+    That is the preparation's, unless the twin says how it differs.
+
+    Raises
+    ------
+    ValueError
+        If the thickness map is none; whether it makes a reed is for the mesh to say.
+    """
+    shape = twin.shape
+    if shape == Shape():
+        return preparation.geometry
+    drawn = preparation.geometry or ReedGeometry()
+    measured = shape.thickness_map
+    return replace(
+        drawn,
+        thickness_offset_m=drawn.thickness_offset_m + 1e-6 * shape.thickness_offset_um,
+        thickness_map=measured.thickness_map() if measured else drawn.thickness_map,
+    )
+
+
+def bench_constants(twin: Twin, preparation: Preparation) -> Cane:
+    """Return the constants, other than E_L and G_LT, of the cane on the bench."""
+    known, factors = preparation.constants or Cane(), twin.cane_factors
+    changed = {
+        field.name: getattr(known, field.name)
+        * getattr(factors, field.name.removesuffix("_pa").removesuffix("_kg_m3"))
+        for field in fields(Cane)
+        if field.name not in ("E_L_pa", "G_LT_pa")
+    }
+    return replace(known, **changed)
+
+
 def twin_settings(
     twin: Twin, bench_file: BenchDescription, preparation: Preparation
 ) -> TwinSettings:
@@ -185,8 +338,11 @@ def twin_settings(
     return TwinSettings(
         components=cane,
         series=series,
+        E_L_factor=twin.cane_factors.E_L,
+        G_LT_factor=twin.cane_factors.G_LT,
         loss_factor=twin.loss_factor,
         chamber=chamber_of(geometry, Filling(preparation.chamber)),
+        distortion=PressureDistortion(twin.pressure.distortion, twin.pressure.seed),
         tweeter=Tweeter(connected=not twin.faults.tweeter_unplugged),
         illumination=Illumination(
             local_oscillator_e_s=twin.light.local_oscillator_e_s * factor,

@@ -29,7 +29,7 @@ from physics.reed.fem import (
 )
 from physics.reed.geometry import ReedGeometry, half_width_m
 from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mesh import HalfReedMesh, MeshLevel, build_mesh
+from physics.reed.mesh import HalfReedMesh, MeshLevel, ReedMesh, build_mesh
 from physics.reed.modes import HIGHEST_HZ
 from physics.reed.names import vamp_profiles
 
@@ -180,9 +180,9 @@ def build_reduced_reed(
     """
     mesh = build_mesh(geometry, level)
     matrices = assemble(mesh)
-    points, faces = _flat_side(mesh)
+    points, faces = flat_side(mesh)
     loads = _trial_loads(geometry, mesh, points, faces)
-    *corners, middle_cane = _network(settings)
+    *corners, middle_cane = network(settings)
     parts = [_elements(mesh, matrices, symmetry) for symmetry in Symmetry]
     # SuperLU lets go of the interpreter: the two symmetries take two cores.
     with ThreadPoolExecutor(len(Symmetry)) as pool:
@@ -205,8 +205,8 @@ def build_reduced_reed(
     return ReducedReed(geometry, settings.cane, columns, points, halves)
 
 
-def _network(settings: BasisSettings) -> Iterator[Cane]:
-    """Materials at the corners of the box, then in its middle."""
+def network(settings: BasisSettings) -> Iterator[Cane]:
+    """Yield the materials at the corners of a basis's box, then the one in its middle."""
     pairs = [(E, G) for E in settings.E_L_pa for G in settings.G_LT_pa]
     means = (float(np.sqrt(np.prod(moduli))) for moduli in (settings.E_L_pa, settings.G_LT_pa))
     for E, G in (*pairs, tuple(means)):
@@ -256,7 +256,7 @@ def _basis(
     else:
         snapshots.append(middle.modes[:, np.argsort(middle.hz)[:modes]])
     # The middle of the box serves as the reference.
-    return _pod(np.hstack([*snapshots, middle.statics]), middle.stiffness, size)
+    return pod(np.hstack([*snapshots, middle.statics]), middle.stiffness, size)
 
 
 def _reduced(
@@ -292,8 +292,26 @@ def _reduced(
     )
 
 
-def _pod(snapshots: Array, reference: sparse.csc_array, size: int) -> Array:
-    """Proper orthogonal decomposition in the energy inner product: (f, size) basis."""
+def pod(snapshots: Array, reference: sparse.csc_array, size: int) -> Array:
+    """Proper orthogonal decomposition in the energy inner product.
+
+    Parameters
+    ----------
+    snapshots : (f, s) float
+    reference : (f, f) sparse
+        Stiffness, which measures energy.
+    size : int
+
+    Returns
+    -------
+    (f, size) float
+        Basis of unit energies.
+
+    Raises
+    ------
+    ValueError
+        If the snapshots span less than that.
+    """
     scaled = snapshots / np.sqrt(np.einsum("fs,fs->s", snapshots, reference @ snapshots))
     values, vectors = np.linalg.eigh(scaled.T @ (reference @ scaled))
     kept = slice(-size, None)
@@ -303,7 +321,7 @@ def _pod(snapshots: Array, reference: sparse.csc_array, size: int) -> Array:
     return basis
 
 
-def _flat_side(mesh: HalfReedMesh) -> tuple[Array, sparse.csr_array]:
+def flat_side(mesh: ReedMesh) -> tuple[Array, sparse.csr_array]:
     """Quadrature of a pressure on the flat side.
 
     Returns

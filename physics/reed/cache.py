@@ -24,6 +24,7 @@ from physics.reed.basis import BasisSettings, HalfBasis, ReducedReed, build_redu
 from physics.reed.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
 from physics.reed.mesh import MeshLevel
+from physics.reed.whole import WholeReed, build_whole_reed
 
 Made = TypeVar("Made")
 _UNREADABLE = (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile)
@@ -164,3 +165,33 @@ def _arrays(reed: ReducedReed) -> Arrays:
     for symmetry, half in reed.halves.items():
         arrays |= {f"{symmetry}_{f.name}": getattr(half, f.name) for f in fields(HalfBasis)}
     return arrays
+
+
+def whole_reed(
+    geometry: ReedGeometry,
+    level: MeshLevel = STANDARD,
+    settings: BasisSettings | None = None,
+    announce: Callable[[str], None] | None = None,
+) -> WholeReed:
+    """Whole reed from the cache, or built and kept; see `reduced_reed`.
+
+    Raises
+    ------
+    ValueError
+        For an impossible geometry or material (see `build_whole_reed`).
+    """
+    settings = settings or BasisSettings()
+
+    def build() -> WholeReed:
+        if announce:
+            announce("computing the whole reed's modes by finite elements (kept for the next time)")
+        return build_whole_reed(geometry, level, settings)
+
+    def to_arrays(reed: WholeReed) -> Arrays:
+        return {name: getattr(reed, name) for name in names}
+
+    def restored(arrays: Arrays) -> WholeReed:
+        return WholeReed(geometry, settings.cane, **{name: arrays[name] for name in names})
+
+    names = [f.name for f in fields(WholeReed) if f.name not in ("geometry", "cane")]
+    return kept("whole", (geometry, level, settings), build, to_arrays, restored)

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from physics.reed.basis import HalfBasis, ReducedReed, reduced_modes
 from physics.reed.fem import Symmetry
-from physics.reed.material import stiffness_terms_pa
+from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.modes import HIGHEST_HZ, at_frequency, settled_mode
 from physics.reed.names import Portrait, names_of
 from physics.reed.viscoelastic import ViscoelasticCane
+from physics.reed.whole import ReedPart, WholeReed, parts_of
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -143,12 +144,12 @@ def _settled_modes(reed: ReducedReed, cane: ViscoelasticCane) -> dict[str, Mode]
 
 
 def forced_response(
-    reed: ReducedReed,
+    reed: ReducedReed | WholeReed,
     cane: ViscoelasticCane,
     loss_factor: float,
     frequencies_hz: Array,
     pressure: Callable[[float, Array, Array], Complex],
-) -> dict[Symmetry, Complex]:
+) -> dict[Symmetry | None, Complex]:
     """Steady vibration under a sinusoidal pressure on the flat side.
 
     Solves ``(K(ω)(1 + iη) − ω²M) q = F`` at every frequency, with the storage moduli of that
@@ -166,32 +167,38 @@ def forced_response(
     Returns
     -------
     dict of (k, r) complex
-        Reduced coordinates in m, per symmetry, time factor exp(+iωt).
+        Reduced coordinates in m, per part of the reed (see `whole.parts_of`), time factor
+        exp(+iωt).
     """
     x, y = reed.load_points_m.T
     answer = {}
-    for symmetry, half in reed.halves.items():
-        sign = 1 if symmetry is Symmetry.SYMMETRIC else -1
-        response = np.empty((len(frequencies_hz), half.mass.shape[0]), dtype=complex)
+    for symmetry, part in parts_of(reed).items():
+        response = np.empty((len(frequencies_hz), part.mass.shape[0]), dtype=complex)
         for k, hz in enumerate(frequencies_hz):
-            even_or_odd = 0.5 * (pressure(hz, x, y) + sign * pressure(hz, x, -y))
-            response[k] = _solve(reed, half, cane, loss_factor, hz, even_or_odd @ half.load_z)
+            load = _pressure_on(symmetry, pressure, hz, x, y) @ part.load_z
+            response[k] = _solve(part, at_frequency(reed.cane, cane, hz), loss_factor, hz, load)
         answer[symmetry] = response
     return answer
 
 
-def _solve(
-    reed: ReducedReed,
-    half: HalfBasis,
-    cane: ViscoelasticCane,
-    loss_factor: float,
+def _pressure_on(
+    symmetry: Symmetry | None,
+    pressure: Callable[[float, Array, Array], Complex],
     hz: float,
-    load: Complex,
+    x_m: Array,
+    y_m: Array,
 ) -> Complex:
-    material = at_frequency(reed.cane, cane, hz)
-    K = np.tensordot(stiffness_terms_pa(material), half.stiffness_terms, axes=1)
+    """What of a pressure moves the part of a symmetry; all of it, a part of any shape."""
+    if symmetry is None:
+        return pressure(hz, x_m, y_m)
+    sign = 1 if symmetry is Symmetry.SYMMETRIC else -1
+    return 0.5 * (pressure(hz, x_m, y_m) + sign * pressure(hz, x_m, -y_m))
+
+
+def _solve(part: ReedPart, material: Cane, loss_factor: float, hz: float, load: Complex) -> Complex:
+    K = np.tensordot(stiffness_terms_pa(material), part.stiffness_terms, axes=1)
     omega2 = (2 * np.pi * hz) ** 2
     answer: Complex = np.linalg.solve(
-        (1 + 1j * loss_factor) * K - omega2 * material.density_kg_m3 * half.mass, load
+        (1 + 1j * loss_factor) * K - omega2 * material.density_kg_m3 * part.mass, load
     )
     return answer

@@ -9,6 +9,7 @@ from scipy.interpolate import CloughTocher2DInterpolator, NearestNDInterpolator
 from physics.reed.basis import ReducedReed
 from physics.reed.fem import Symmetry
 from physics.reed.geometry import Outline, half_width_m
+from physics.reed.whole import WholeReed, parts_of
 
 Array = NDArray[np.floating[Any]]
 
@@ -18,27 +19,30 @@ def on_reed(outline: Outline, x_m: Array, y_m: Array) -> NDArray[np.bool_]:
     return (x_m > 0) & (np.abs(y_m) < half_width_m(outline, x_m))
 
 
-def surface_shapes(reed: ReducedReed, x_m: Array, y_m: Array) -> dict[Symmetry, Array]:
+def surface_shapes(
+    reed: ReducedReed | WholeReed, x_m: Array, y_m: Array
+) -> dict[Symmetry | None, Array]:
     """Deflection along z of the bark side, per reduced coordinate.
 
     Parameters
     ----------
-    reed : ReducedReed
+    reed : ReducedReed or WholeReed
     x_m, y_m : (n,) float
         Points inside the contour, on either side of the axis.
 
     Returns
     -------
     dict of (n, r) float32
+        Per part of the reed (see `whole.parts_of`).
     """
-    points = np.stack([x_m, np.abs(y_m)], axis=-1)
     answer = {}
-    for symmetry, half in reed.halves.items():
-        shapes = CloughTocher2DInterpolator(reed.plan_m, half.surface_z)(points)
+    for symmetry, part in parts_of(reed).items():
+        points = np.stack([x_m, y_m if symmetry is None else np.abs(y_m)], axis=-1)
+        shapes = CloughTocher2DInterpolator(reed.plan_m, part.surface_z)(points)
         # Points between the outermost chord of the mesh and the true contour.
         outside = np.isnan(shapes[:, 0])
         if outside.any():
-            nearest = NearestNDInterpolator(reed.plan_m, half.surface_z)
+            nearest = NearestNDInterpolator(reed.plan_m, part.surface_z)
             shapes[outside] = nearest(points[outside])
         if symmetry is Symmetry.ANTISYMMETRIC:
             shapes *= np.sign(y_m)[:, None]

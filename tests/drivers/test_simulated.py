@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import BenchSetupError, InstrumentError, LimitError
+from holography.demodulation import four_phase
 from physics.bench import BenchState
 
 RATE_HZ = Fraction(62, 5)
@@ -361,6 +362,88 @@ def test_options_that_a_simulated_driver_does_not_know_are_refused(
     bench_file = plan.bench.replace({f"instruments.{role}.options": {"port": "COM3"}})
     with pytest.raises(BenchSetupError, match=rf"instruments\.{role}\.options: .*port"):
         open_small_bench(replace(plan, bench=bench_file))
+
+
+# --- Light that changes from hologram to hologram ----------------------------------------------
+
+
+def grabbed(bench, count):
+    """Grabs of four frames of the reed at rest."""
+    bench.camera.configure(RATE_HZ, PERIOD_S, SHAPE)
+    bench.synthesizers.rf_on()
+    bench.synthesizers.set_pair(CENTRE_HZ + RATE_HZ / 4, CENTRE_HZ)
+    bench.camera.start()
+    return [bench.camera.grab(4, bench.camera.now_s()) for _ in range(count)]
+
+
+def hologram(frames):
+    """Hologram of four frames, its phase counted from frame 0 of the camera."""
+    return 1j ** frames[0].id * four_phase(np.stack([frame.image for frame in frames]))
+
+
+def gains(holograms):
+    """Complex factor between the light of each hologram and that of the first."""
+    first = holograms[0]
+    return np.array([np.vdot(first, other) / np.vdot(first, first).real for other in holograms])
+
+
+# As much light as the sensor bears, so that noise hides neither gain nor phase.
+BRIGHT = {"local_oscillator_e_s": 40e3, "object_e_s": 8e3}
+
+
+def test_light_without_scatter_is_that_of_a_bench_that_does_not_mention_it(
+    small_plan, open_small_bench
+):
+    nominal, mentioned, drawn = (
+        [f.image for g in grabbed(open_small_bench(small_plan(light=light), seed=4), 2) for f in g]
+        for light in ({}, {"gain_scatter": 0.0, "phase_scatter": False}, {"gain_scatter": 1e-12})
+    )
+    np.testing.assert_array_equal(nominal, mentioned)
+    # What scatters, however little, takes numbers that are the noise's otherwise.
+    assert (np.array(nominal) != np.array(drawn)).mean() > 0.5
+
+
+def test_every_acquisition_has_a_gain_and_a_phase_of_its_own(small_plan, open_small_bench):
+    light = BRIGHT | {"gain_scatter": 0.2, "phase_scatter": True}
+    grabs = grabbed(open_small_bench(small_plan(light=light), seed=4), 24)
+    found = gains([hologram(frames) for frames in grabs])
+    logs = np.log(np.abs(found))
+    # Three standard errors of a deviation from 24 draws; the first is the reference.
+    assert np.std(logs) == pytest.approx(0.2, rel=0.45)
+    turns = np.exp(1j * np.angle(found))
+    assert abs(np.mean(turns)) < 0.6, "all over the circle"
+    assert len(np.unique(np.round(np.angle(turns) / (np.pi / 3)))) >= 5
+
+
+@pytest.mark.parametrize(
+    ("light", "turns", "grows"),
+    [
+        ({"gain_scatter": 0.2}, False, True),
+        ({"phase_scatter": True}, True, False),
+        ({}, False, False),
+    ],
+)
+def test_gain_and_phase_scatter_apart(light, turns, grows, small_plan, open_small_bench):
+    grabs = grabbed(open_small_bench(small_plan(light=BRIGHT | light), seed=4), 6)
+    found = gains([hologram(frames) for frames in grabs])
+    assert (np.abs(np.angle(found)).max() > 0.5) == turns
+    assert (np.abs(np.abs(found) - 1).max() > 0.08) == grows
+    if not turns:
+        assert np.abs(np.angle(found)).max() < 0.02
+
+
+def test_the_light_is_constant_over_the_frames_of_an_acquisition(small_plan, open_small_bench):
+    """Frames a period of the beat apart are then alike, but for noise."""
+    light = BRIGHT | {"gain_scatter": 0.3, "phase_scatter": True}
+    bench = open_small_bench(small_plan(light=light), seed=4)
+    grabbed(bench, 1)
+    one, next_one = bench.camera.grab(8, 0.0), bench.camera.grab(1, 0.0)
+    assert next_one[0].id == one[0].id + 8
+    first, fourth, eighth = (frame.image.astype(float) for frame in (one[0], one[4], next_one[0]))
+    noise = np.std(fourth - first)
+    assert np.std(eighth - first) > 2 * noise
+    expected_e = BRIGHT["local_oscillator_e_s"] * float(PERIOD_S)
+    assert noise == pytest.approx(np.sqrt(2 * expected_e) / 4, rel=0.3)
 
 
 # --- Faults ------------------------------------------------------------------------------------

@@ -10,8 +10,17 @@ from drivers.context import BenchContext
 from drivers.errors import BenchSetupError
 from drivers.roles import Preparation
 from drivers.simulated.lab import SimulatedLab
-from drivers.simulated.twin import Twin, cane_of, read_twin, twin_settings
+from drivers.simulated.twin import (
+    Twin,
+    bench_constants,
+    bench_geometry,
+    cane_of,
+    read_twin,
+    twin_settings,
+)
 from physics.air import Filling
+from physics.bench import PressureDistortion
+from physics.reed.geometry import ReedGeometry, ThicknessMap
 from physics.reed.material import Cane
 from physics.reed.viscoelastic import Components, Series, require_physical, viscoelastic_cane
 
@@ -91,6 +100,92 @@ def test_the_laboratory_builds_the_reed_of_the_preparation(small_bench_file, mon
     assert asked == [(bass.geometry(), constants), (None, Cane())]
 
 
+def skew_map(left_um, right_um, y_mm=(-6.5, 6.5)):
+    """Return the section of a vamp whose sides are so much thicker than the drawing's."""
+    rows = [[right_um, left_um], [right_um, left_um]]
+    return {"thickness_map": {"x_mm": [0, 35.0], "y_mm": list(y_mm), "deviation_um": rows}}
+
+
+def test_the_reed_on_the_bench_differs_from_the_protocols_in_what_is_said():
+    bass = ReedFile.from_file("bass-clarinet")
+    preparation = Preparation("R07", "A", "asymmetric", bass.geometry(), bass.constants())
+    factors = {"E_T": 1.1, "nu_LR": 0.9, "density": 1.2, "E_L": 1.3, "G_LT": 0.7}
+    twin = read_twin({"shape": skew_map(5, -2.5), "cane_factors": factors}, "mine")
+    measured = ThicknessMap((0.0, 35e-3), (-6.5e-3, 6.5e-3), ((-2.5e-6, 5e-6),) * 2)
+    geometry = bench_geometry(twin, preparation)
+    assert geometry.thickness_map.deviation_m == pytest.approx(np.array(measured.deviation_m))
+    assert geometry.thickness_map.y_m == pytest.approx(measured.y_m)
+    assert replace(geometry, thickness_map=None) == bass.geometry()
+    known, cane = bass.constants(), bench_constants(twin, preparation)
+    assert cane.E_T_pa == pytest.approx(1.1 * known.E_T_pa)
+    assert cane.nu_LR == pytest.approx(0.9 * known.nu_LR)
+    assert cane.density_kg_m3 == pytest.approx(1.2 * known.density_kg_m3)
+    unchanged = {"E_T_pa": known.E_T_pa, "nu_LR": known.nu_LR}
+    assert replace(cane, **unchanged, density_kg_m3=known.density_kg_m3) == known
+
+
+def test_an_offset_adds_to_what_the_protocol_knows_and_a_map_replaces_it():
+    known = ReedGeometry(
+        thickness_offset_m=2e-6, thickness_map=ThicknessMap((0.0, 1.0), (0.0, 1.0), ((1.0, 1.0),))
+    )
+    preparation = Preparation("R07", "A", "asymmetric", known)
+    lifted = bench_geometry(read_twin({"shape": {"thickness_offset_um": 3}}, "mine"), preparation)
+    assert lifted.thickness_offset_m == pytest.approx(5e-6)
+    assert lifted.thickness_map == known.thickness_map
+    other = bench_geometry(read_twin({"shape": skew_map(1, 1)}, "mine"), preparation)
+    assert other.thickness_offset_m == known.thickness_offset_m
+    assert other.thickness_map.x_m == (0.0, 35e-3)
+
+
+def test_moduli_and_pressure_of_the_bench_reach_physics(small_bench_file):
+    settings = settings_of(
+        small_bench_file(
+            cane_factors={"E_L": 1.1, "G_LT": 0.9}, pressure={"distortion": 0.2, "seed": 5}
+        )
+    )
+    assert (settings.E_L_factor, settings.G_LT_factor) == (1.1, 0.9)
+    assert settings.distortion == PressureDistortion(0.2, 5)
+
+
+def test_plan_and_chamber_are_those_of_the_reed_that_the_protocol_knows(small_bench_file):
+    nominal, wrong = (
+        settings_of(small_bench_file(**twin)) for twin in ({}, {"shape": skew_map(9, -9)})
+    )
+    assert wrong == nominal
+
+
+@pytest.mark.parametrize(("right_um", "kind"), [(5.0, "half"), (-5.0, "whole")])
+def test_the_laboratory_solves_an_uneven_reed_whole(right_um, kind, small_bench_file, monkeypatch):
+    asked = []
+    for name, builder in (("half", "reduced_reed"), ("whole", "whole_reed")):
+        monkeypatch.setattr(
+            f"drivers.simulated.lab.{builder}",
+            lambda geometry, level, settings, announce, name=name: asked.append((name, geometry)),
+        )
+    preparation = Preparation("R07", "A", "asymmetric")
+    bench_file = small_bench_file(shape=skew_map(5.0, right_um))
+    SimulatedLab(BenchContext(bench_file, preparation, np.random.default_rng(0), print))
+    twin = read_twin(bench_file.twin, "mine")
+    assert asked == [(kind, bench_geometry(twin, preparation))]
+
+
+@pytest.mark.parametrize(
+    ("twin", "said"),
+    [
+        ({"shape": skew_map(-500, 0)}, r"twin\.shape and .*µm thick at .*; correct them, or"),
+        ({"shape": skew_map(1, 2, y_mm=[0, 6.5])}, r"make no reed: y_mm .* one side of the axis"),
+        ({"shape": skew_map(1, 2, y_mm=[-1, 0, 1])}, r"row 1 of deviation_um has 2 values for 3"),
+        ({"cane_factors": {"nu_TR": 9.0}}, r"twin\.cane_factors make no reed: .*Poisson ratios"),
+    ],
+)
+def test_a_bench_without_a_possible_reed_is_refused(twin, said, small_bench_file):
+    preparation = Preparation("R07", "A", "asymmetric")
+    context = BenchContext(small_bench_file(**twin), preparation, np.random.default_rng(0), print)
+    with pytest.raises(BenchSetupError, match=said) as caught:
+        SimulatedLab(context)
+    assert "\n" not in str(caught.value)
+
+
 def test_faults_reach_physics(small_bench_file):
     faults = {"tweeter_unplugged": True, "local_oscillator_factor": 4}
     settings, nominal = (settings_of(small_bench_file(**twin)) for twin in ({"faults": faults}, {}))
@@ -110,6 +205,14 @@ def test_faults_reach_physics(small_bench_file):
         ({"reed": {"e1": "0"}}, r"twin\.reed\.e1: .*valid number"),
         ({"faults": {"drop_frame_at": 3}}, r"twin\.faults\.drop_frame_at: "),
         ({"pace": "slow", "mesh": 1}, r"\(and 1 more\)"),
+        ({"shape": {"thickness": 1}}, r"twin\.shape\.thickness: unknown key"),
+        ({"shape": {"thickness_map": {"x_mm": [0, 1]}}}, r"thickness_map\.y_mm: is missing"),
+        ({"cane_factors": {"E_T": 0}}, r"twin\.cane_factors\.E_T: .*greater than 0"),
+        ({"cane_factors": {"E_X": 1.1}}, r"twin\.cane_factors\.E_X: unknown key"),
+        ({"pressure": {"distortion": -0.1}}, r"twin\.pressure\.distortion: "),
+        ({"pressure": {"seed": 0.5}}, r"twin\.pressure\.seed: "),
+        ({"light": {"gain_scatter": 1.0}}, r"twin\.light\.gain_scatter: .*less than 1"),
+        ({"light": {"phase_scatter": 1}}, r"twin\.light\.phase_scatter: "),
     ],
 )
 def test_a_wrong_twin_is_refused_in_one_line(content, said):

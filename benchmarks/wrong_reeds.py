@@ -1,0 +1,249 @@
+"""Runs of reeds that are not those that plan and fit know, with the truth beside each.
+
+Every reed has a vamp of its own, not its own mirror image, and cane of its own; it is driven by a
+pressure that is not the model's, under light that changes from hologram to hologram. `wrong_bench`
+says how all this is drawn. Its eigenfrequencies are computed from its own finite elements.
+
+    python -m benchmarks.wrong_reeds FOLDER [--count N] [--first K] [--series A B] [--jobs N]
+"""
+
+import argparse
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.polynomial.legendre import legval2d
+from numpy.typing import NDArray
+
+from acquire.bench_file import BenchFile
+from acquire.plan import make_plan
+from acquire.protocol import Protocol
+from acquire.runner import run
+from drivers.registry import open_bench
+from drivers.simulated.twin import (
+    CaneFactors,
+    bench_constants,
+    bench_geometry,
+    cane_of,
+    read_twin,
+    twin_settings,
+)
+from physics.bench import bench_cane
+from physics.reed.cache import kept
+from physics.reed.fem import Symmetry
+from physics.reed.geometry import Outline, ReedGeometry, half_width_m, thickness_m
+from physics.reed.modes import ModeClass, NamedMode, viscoelastic_modes
+from physics.reed.surface import on_reed
+from physics.reed.viscoelastic import Series
+
+Array = NDArray[np.floating[Any]]
+
+PROTOCOLS = {Series.A: "seriesA", Series.B: "seriesB"}
+# Length and half width of the vamp, and the points of the thickness map on it.
+VAMP_M = (35e-3, 6.5e-3)
+MAP_X_MM, MAP_Y_MM = np.linspace(0.0, 35.0, 36), np.linspace(-6.5, 6.5, 27)
+# Degrees along the vamp and across it of the random polynomials.
+DEGREES = (4, 4)
+# No constant is farther off than this many standard deviations.
+MOST_DEVIATIONS = 2.0
+_NO_SHAPE = np.empty((0, 3))
+
+
+def wrong_bench(
+    reed: str,
+    seed: int,
+    *,
+    thickness_um: float = 10.0,
+    asymmetry: float = 0.03,
+    constants: float = 0.10,
+    pressure: float = 0.2,
+    gain: float = 0.03,
+    phase: bool = True,
+) -> BenchFile:
+    """Simulated bench on which stands another reed than its name says.
+
+    The thickness of the vamp is that of the drawing plus a map, the sum of
+
+    * an even random polynomial of degree 4 in x and y (normal weights that fall with the degree),
+      whose largest value on the reed is `thickness_um`, and
+    * an odd one, of degree 4 in x and 3 in y, times the local thickness, such that left and right
+      differ by `asymmetry` of the thickness where they differ most, and by some two fifths of that
+      in the rms. (On the thick end of the vamp that alone is up to tens of µm.)
+
+    All nine elastic constants and the density are multiplied by 1 + `constants`·N(0, 1), drawn
+    again beyond 2 standard deviations. Pressure and light are as `drivers.simulated.twin` says.
+
+    Parameters
+    ----------
+    reed : str
+        Decides the components of the cane too (`cane_of`).
+    seed : int
+        Another wrong reed for each, with the same components.
+    """
+    rng = np.random.default_rng([seed, *hashlib.sha256(reed.encode()).digest()])
+    deviation_um = _thickness_map_um(rng, thickness_um, asymmetry)
+    factors = {name: _factor(rng, constants) for name in CaneFactors.model_fields}
+    twin = {
+        "shape": {
+            "thickness_map": {
+                "x_mm": MAP_X_MM.tolist(),
+                "y_mm": MAP_Y_MM.tolist(),
+                "deviation_um": np.round(deviation_um, 3).tolist(),
+            }
+        },
+        "cane_factors": factors,
+        "pressure": {"distortion": pressure, "seed": int(rng.integers(2**31))},
+        "light": {"gain_scatter": gain, "phase_scatter": phase},
+    }
+    return BenchFile.from_file().replace({"twin": twin})
+
+
+def _thickness_map_um(rng: np.random.Generator, thickness_um: float, asymmetry: float) -> Array:
+    """Deviations (x, y) of the vamp from the drawing."""
+    x_m, y_m = 1e-3 * np.array(np.meshgrid(MAP_X_MM, MAP_Y_MM, indexing="ij"))
+    away_m = np.minimum(np.abs(y_m), half_width_m(Outline(), x_m))
+    # Beside the reed the drawing's polynomial across means nothing: as at its sides.
+    drawn_um = 1e6 * thickness_m(ReedGeometry(), x_m, away_m)
+    even, odd = (_polynomial(rng, parity)(x_m, y_m) for parity in (0, 1))
+    deviation: Array = thickness_um * even + 0.5 * asymmetry * drawn_um * odd
+    return deviation
+
+
+def _polynomial(rng: np.random.Generator, parity: int) -> Callable[[Array, Array], Array]:
+    """Smooth random function of x and y, of a parity in y; its largest value on the vamp is ±1."""
+    weights = rng.standard_normal([degree + 1 for degree in DEGREES])
+    weights /= 1 + np.add.outer(*(np.arange(degree + 1) for degree in DEGREES))
+    weights[:, 1 - parity :: 2] = 0.0
+    length_m, side_m = VAMP_M
+
+    def value(x_m: Array, y_m: Array) -> Array:
+        return np.asarray(legval2d(2 * x_m / length_m - 1, y_m / side_m, weights))
+
+    x_m, y_m = np.meshgrid(np.linspace(0, length_m, 141), np.linspace(-side_m, side_m, 131))
+    on_vamp = on_reed(Outline(), x_m, y_m)
+    largest = np.abs(value(x_m[on_vamp], y_m[on_vamp])).max()
+    return lambda x_m, y_m: value(x_m, y_m) / largest
+
+
+def _factor(rng: np.random.Generator, deviation: float) -> float:
+    while True:
+        deviate = float(rng.standard_normal())
+        if abs(deviate) <= MOST_DEVIATIONS:
+            return 1 + deviation * deviate
+
+
+def true_modes(bench: BenchFile, reed: str, series: Series) -> dict[str, dict[str, Any]]:
+    """Eigenfrequencies below 20 kHz of the reed that stands on a bench, by name.
+
+    By finite elements of the twin's own mesh, each mode with the moduli of its own frequency, and
+    without loss. Kept in the cache.
+
+    Returns
+    -------
+    dict
+        Name → ``hz``, ``symmetry`` (of the part with more energy) and ``likeness`` (low where
+        modes exchange shapes, so that the name says little), ascending in frequency.
+    """
+    plan = make_plan(Protocol.from_file(PROTOCOLS[series]), bench)
+    preparation, twin = plan.preparation(reed), read_twin(bench.twin, bench.name)
+    geometry = bench_geometry(twin, preparation) or ReedGeometry()
+    constants = bench_constants(twin, preparation)
+    cane = bench_cane(twin_settings(twin, bench, preparation))
+    level, _ = twin.finite_elements
+
+    def solve() -> list[NamedMode]:
+        return viscoelastic_modes(geometry, constants, cane, level)
+
+    def to_arrays(modes: list[NamedMode]) -> dict[str, Array]:
+        return {f.name: np.array([getattr(mode, f.name) for mode in modes]) for f in told}
+
+    def from_arrays(arrays: Mapping[str, Array]) -> list[NamedMode]:
+        columns = [arrays[f.name].tolist() for f in told]
+        return [
+            NamedMode(n, hz, ModeClass(k), Symmetry(s), q, _NO_SHAPE)
+            for n, hz, k, s, q in zip(*columns, strict=True)
+        ]
+
+    told = [f for f in fields(NamedMode) if f.name != "shape"]
+    modes = kept("truth", (geometry, constants, cane, level), solve, to_arrays, from_arrays)
+    return {
+        mode.name: {
+            "hz": mode.frequency_hz,
+            "symmetry": str(mode.symmetry),
+            "likeness": mode.likeness,
+        }
+        for mode in modes
+    }
+
+
+@dataclass(frozen=True)
+class WrongRun:
+    """One run to be made: a reed in a series, and where to put it."""
+
+    folder: Path
+    number: int
+    series: Series
+
+    @property
+    def reed(self) -> str:
+        """Name of the reed."""
+        return f"wrong-{self.number:02d}"
+
+    @property
+    def path(self) -> Path:
+        """Run file."""
+        return self.folder / f"{self.reed}-{self.series}.h5"
+
+
+def make_run(wanted: WrongRun) -> str:
+    """Measure one wrong reed and write the truth beside it, as ``<run>.truth.json``."""
+    start_s = time.perf_counter()
+    bench_file = wrong_bench(wanted.reed, wanted.number)
+    plan = make_plan(Protocol.from_file(PROTOCOLS[wanted.series]), bench_file)
+    truth = {
+        "reed": wanted.reed,
+        "series": str(wanted.series),
+        "components": asdict(cane_of(wanted.reed)),
+        "twin": bench_file.twin,
+        "modes": true_modes(bench_file, wanted.reed, wanted.series),
+    }
+    with open_bench(bench_file, plan.preparation(wanted.reed), wanted.number) as bench:
+        summary = run(plan, bench, wanted.path)
+    wanted.path.with_suffix(".truth.json").write_text(json.dumps(truth, indent=1))
+    taken_s = time.perf_counter() - start_s
+    counts = ", ".join(f"{count} {verdict}" for verdict, count in summary.counts.items())
+    return f"{wanted.path.name}: {summary.status}, {counts} ({taken_s:.0f} s)"
+
+
+def make_runs(
+    folder: Path, count: int, series: Sequence[Series], jobs: int = 2, first: int = 0
+) -> None:
+    """Measure reeds number `first` and on, each in every series, several at a time."""
+    folder.mkdir(parents=True, exist_ok=True)
+    wanted = [WrongRun(folder, first + k, one) for k in range(count) for one in series]
+    with ProcessPoolExecutor(jobs) as pool:
+        for line in pool.map(make_run, wanted):
+            print(line, file=sys.stderr, flush=True)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description="Runs of wrong reeds, with the truth.")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--count", type=int, default=20, help="how many reeds")
+    parser.add_argument("--first", type=int, default=0, help="number of the first reed")
+    parser.add_argument("--series", nargs="+", type=Series, default=[Series.A])
+    parser.add_argument("--jobs", type=int, default=2, help="runs at a time")
+    arguments = parser.parse_args()
+    make_runs(arguments.folder, arguments.count, arguments.series, arguments.jobs, arguments.first)
+
+
+if __name__ == "__main__":
+    main()

@@ -52,12 +52,13 @@ _SCALES = np.geomspace(0.3, 3.2, 36)
 # Modes this near to a hologram, besides the liveliest of its neighbour, may be resonating.
 _NEAR_CENTS = 350.0
 _STARTS, _DESCENT = 5, 6
-_CALM_TURNS, _FINAL_TURNS = 5, 3
+_CALM_TURNS, _FINAL_TURNS = 5, 6
 # Resonances are no sharper than this; modes may be livelier than expected by this factor; and what
 # shapes that are not the finite elements' may add, a share.
 _SHARPEST, _ROOM, _OTHER_SHAPES = 0.1, 5.0, 0.05
-# Misfits, as reduced χ², that holograms may have to be handed on, the better ones first.
-_THRESHOLDS = (2.5, 4.0, 8.0, 20.0)
+# Misfits, as reduced χ², that holograms may have to be handed on, the better ones first; and how
+# far: at last beyond some that cannot be solved.
+_THRESHOLDS = ((2.5, 1), (4.0, 1), (8.0, 1), (20.0, 1), (20.0, 3))
 # Or the share of the light that may be left.
 _ENOUGH = 0.03
 # The light is found anew when so many more holograms have been solved.
@@ -363,12 +364,12 @@ class _Search:
     def spread(self) -> None:
         """Solve hologram after hologram beside those that are solved."""
         tried: dict[tuple[int, int], int] = {}
-        for threshold in _THRESHOLDS:
+        for threshold, reach in _THRESHOLDS:
             good = np.maximum(self._enough, threshold)
             self._solved |= self.misfit < good
             self._relight()
             lit = int(self._solved.sum())
-            while frontier := [pair for pair in self._frontier() if tried.get(pair, -1) < lit]:
+            while frontier := [pair for pair in self._frontier(reach) if tried.get(pair, -1) < lit]:
                 for step, source in frontier:
                     if self._solved[step]:
                         continue
@@ -379,13 +380,13 @@ class _Search:
                         self._relight()
                         lit = int(self._solved.sum())
 
-    def _frontier(self) -> list[tuple[int, int]]:
-        """Unsolved holograms, each with a solved one beside it."""
+    def _frontier(self, reach: int) -> list[tuple[int, int]]:
+        """Unsolved holograms, each with a solved one not farther off than that."""
         last = len(self._solved) - 1
         return [
             (step, int(source))
             for source in np.flatnonzero(self._solved)
-            for step in (int(source) - 1, int(source) + 1)
+            for step in range(int(source) - reach, int(source) + reach + 1)
             if 0 <= step <= last and not self._solved[step]
         ]
 
@@ -400,6 +401,10 @@ class _Search:
                 self._most, self._most_light, solved, start, 2, self._prior(solved, _size(start[0]))
             )
             self.misfit[solved] = normal.misfit / len(self._most.value)
+            # What all gains have in common is light.
+            common = float(np.mean(self.gain[solved]))
+            self.gain[solved] -= common
+            self.light = self.light * np.float32(np.exp(common))
 
     def _solve(self, step: int, source: int) -> None:
         """Try to find the amplitudes of one hologram from those of a neighbour."""
@@ -490,7 +495,7 @@ def fit_displacements(phasors: Phasors, basis: ShapeBasis) -> Displacements:
     size = a.shape[1]
     weak = _FINAL_RAD**-2 * np.eye(size)
     for _ in range(_FINAL_TURNS):
-        a, gain, normal = _descend(search.whole, light, steps, (a, gain), 3, weak)
+        a, gain, normal = _descend(search.whole, light, steps, (a, gain - np.mean(gain)), 2, weak)
         misfit = normal.misfit / len(phasors.value)
         light = _light(search.whole, steps, a, gain, 1 / np.maximum(misfit, 1))
     # The gain of a hologram is nobody's concern any more; it takes information with it.
@@ -501,7 +506,8 @@ def fit_displacements(phasors: Phasors, basis: ShapeBasis) -> Displacements:
     # What the prior holds back is given free: only the data may speak.
     x = np.concatenate([a.real, a.imag], axis=1)
     x = x + np.linalg.solve(told + np.kron(np.eye(2), weak), pull[..., None])[..., 0]
-    information = told / np.maximum(misfit, 1)[:, None, None]
+    # Noise of variance 1 has half of it in either part.
+    information = 2 * told / np.maximum(misfit, 1)[:, None, None]
     return Displacements(
         amplitude_rad=x[:, :size] + 1j * x[:, size:],
         information=information,

@@ -323,14 +323,15 @@ def test_an_unknown_model_is_bad_input(cli, measured):
 def test_the_paper_s_model_can_be_asked_for(cli, measured, monkeypatch):
     asked = []
 
-    def note_and_stop(runs, model, announce):
-        asked.append(model)
+    def note_and_stop(runs, model, announce, method):
+        asked.append((model, method))
         raise FitError("far enough")
 
     monkeypatch.setattr("fitting.fit.fit_runs", note_and_stop)
-    for arguments in ([], ["--model", "paper"]):
+    for arguments in ([], ["--model", "paper"], ["--method", "joint"]):
         assert cli("fit", measured.a, *arguments).status == 1
-    assert asked == ["fem", "paper"]
+    assert asked == [("fem", "picture"), ("paper", "picture"), ("fem", "joint")]
+    assert cli("fit", measured.a, "--method", "guess").status == 2
 
 
 def test_a_report_is_one_page(cli, measured, folder):

@@ -109,14 +109,17 @@ def test_json_has_the_documented_keys(fitted, sweep_a):
     answer = json.loads(json.dumps(fitted.to_json(), allow_nan=False))
     assert sorted(answer) == sorted(KEYS)
     for mode in answer["modes"].values():
-        assert sorted(mode) == ["error_cents", "hz", "method", "step_index"]
+        assert sorted(mode) == ["error_cents", "hz", "identified", "method", "step_index"]
     assert all(sorted(e) == ["error", "value"] for e in answer["components"].values())
     assert all(list(answer[key]) == ["A"] for key in ("moduli", "residual_cents", "left_out"))
     names = ["E1_mpa", "E2_mpa", "E_4kHz_mpa", "G1_mpa", "G2_mpa", "G_4kHz_mpa"]
     assert sorted(answer["moduli"]["A"]) == names
     assert set(answer["residual_cents"]["A"]) | set(answer["left_out"]["A"]) == set(answer["modes"])
     (run,) = answer["runs"]
-    assert run == {"path": str(sweep_a), "reed": REED, "series": "A", "modes": answer["modes"]}
+    assert run == {
+        "path": str(sweep_a), "reed": REED, "series": "A", "modes": answer["modes"],
+        "not_identified": {},
+    }  # fmt: skip
 
 
 def test_documented_keys_are_all_there_are(fitted, request):

@@ -1,0 +1,90 @@
+"""One fit of all holograms of a run, on the simulated bench with all its noise."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fitting.errors import FitInputError
+from fitting.fit import fit_runs, method_name
+from fitting.forward import cents_of
+from fitting.joint import mac, residual_map
+from fitting.tables import modes_table, not_identified_lines
+
+
+@pytest.fixture(scope="module")
+def jointly(sweep_a):
+    """What `acquire fit --method joint` makes of the run of series A."""
+    return fit_runs([sweep_a], method="joint")
+
+
+@pytest.fixture(scope="module")
+def sweep(jointly):
+    return jointly.sweeps[0]
+
+
+def test_frequencies_are_the_eigenfrequencies(sweep, true_hz):
+    """Of the modes that the paper measures, on half the steps and a quarter of the sensor."""
+    apart = {
+        name: float(cents_of(sweep.resonances[name].frequency_hz) - cents_of(true_hz[name]))
+        for name in ("F1", "T1", "F2", "T2", "X1", "T3", "F3", "X2", "X3")
+    }
+    assert all(abs(cents) < 5 for cents in apart.values()), apart
+
+
+def test_every_hologram_is_explained_down_to_its_noise(sweep):
+    assert sweep.joint.displacements.reached.all()
+    assert np.median(sweep.joint.displacements.misfit) == pytest.approx(1.0, abs=0.1)
+
+
+def test_loss_factors_are_those_of_the_bench(sweep):
+    """0.03, and more where the storage modulus grows with frequency: ω moves the spring as well."""
+    for name in ("F2", "T2", "T3", "X2", "X3"):
+        assert 0.028 < sweep.resonances[name].loss_factor < 0.04
+
+
+def test_what_is_said_of_a_mode_is_of_that_mode(jointly, sweep):
+    run = json.loads(json.dumps(jointly.to_json(), allow_nan=False))["runs"][0]
+    assert set(run["modes"]) | set(run["not_identified"]) == set(sweep.joint.modal.names)
+    assert not set(run["modes"]) & set(run["not_identified"])
+    for name, mode in run["modes"].items():
+        found = sweep.resonances[name]
+        assert mode["method"] == "joint"
+        assert mode["identified"] is True
+        assert mode["hz"] == found.frequency_hz
+        assert abs(cents_of(mode["response_hz"]) - cents_of(mode["hz"])) < 150
+        assert 0 < mode["participation"] <= 1
+        assert 0.5 <= mode["likeness"] <= 1
+        assert {len(values) for values in mode["residual"].values()} == {
+            len(residual_map(sweep.joint, name).value)
+        }
+    assert max(mode["participation"] for mode in run["modes"].values()) == 1
+
+
+def test_a_residual_map_lies_on_the_reed(sweep):
+    left = residual_map(sweep.joint, "F2")
+    assert left.x_m.min() > 0
+    assert left.x_m.max() < 38e-3
+    # Cells of 2 mm on a reed 6.5 mm wide to either side.
+    assert np.abs(left.y_m).max() < 7.5e-3
+    # Noise, and a little of what is not explained at the height of a resonance.
+    assert 0.5 < np.median(left.value) < 20
+
+
+def test_the_table_tells_loss_and_what_is_not_identified(sweep):
+    heads = [column.header for column in modes_table(sweep).columns]
+    assert heads[-3:] == ["loss factor", "liveliest at", "MAC"]
+    told = " ".join(not_identified_lines(sweep))
+    assert all(name in told for name in sweep.not_identified)
+
+
+def test_shapes_alike_have_a_mac_of_1():
+    shape = np.array([1.0, -2.0, 3.0])
+    assert mac(shape, -3 * shape) == pytest.approx(1)
+    assert mac(shape, np.array([2.0, 1.0, 0.0])) == pytest.approx(0)
+
+
+def test_there_are_two_methods():
+    assert method_name("joint") == "joint"
+    with pytest.raises(FitInputError, match="choose one of picture, joint"):
+        method_name("eye")

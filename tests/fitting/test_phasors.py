@@ -1,0 +1,288 @@
+"""Holograms compressed to phasors: planted matrices of rank one, and run files made to order."""
+
+import h5py
+import numpy as np
+import pytest
+
+from acquire import script
+from acquire.runfile import Run
+from fitting.errors import FitError
+from fitting.phasors import _in_blocks, _leading, read_phasors
+from physics.reed.geometry import Outline, half_width_m
+
+# Side of a block and margin inside the contour, as the module promises them.
+BLOCK_M, EDGE_M = 0.38e-3, 0.25e-3
+NUMBERS = {"holograms": 50, "pixels": 6, "blocks": 300}
+
+
+def complex_normal(rng, *shape):
+    """Noise of variance 1."""
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
+
+
+def read(path):
+    with Run.open(path) as run:
+        return read_phasors(run)
+
+
+# --- Matrices of rank one ----------------------------------------------------------------------
+
+
+def planted(light, seed=0, **numbers):
+    """Phasors (n, k), light of pixels (n, p) of a given root sum of squares, noisy holograms."""
+    rng = np.random.default_rng(seed)
+    size = {**NUMBERS, **numbers}
+    n, k, p = size["blocks"], size["holograms"], size["pixels"]
+    phasor = rng.uniform(0, 0.58, (n, k)) * np.exp(2j * np.pi * rng.uniform(size=(n, k)))
+    a = complex_normal(rng, n, p)
+    a *= light / np.linalg.norm(a, axis=1, keepdims=True)
+    holograms = phasor[:, :, None] * a[:, None, :] + complex_normal(rng, n, k, p)
+    return phasor, a, holograms.astype(np.complex64)
+
+
+def apart(value, phasor):
+    """What is left (n, k) of values when each block's best complex multiple is taken off."""
+    power = np.sum(np.abs(phasor) ** 2, axis=1, keepdims=True)
+    factor = np.sum(phasor.conj() * value, axis=1, keepdims=True) / power
+    return value - factor * phasor, np.abs(factor[:, 0])
+
+
+def test_without_noise_phasors_come_out_up_to_one_factor_for_each_block():
+    phasor, a, _ = planted(30.0)
+    value, share = _leading((phasor[:, :, None] * a[:, None, :]).astype(np.complex64))
+    left, factor = apart(value, phasor)
+    assert np.abs(left).max() < 1e-4
+    assert factor == pytest.approx(30, rel=1e-5)
+    assert share == pytest.approx(np.abs(a / 30) ** 2, abs=1e-5)
+
+
+@pytest.mark.parametrize("light", [30.0, 100.0, 300.0])
+def test_noise_of_a_phasor_is_that_of_one_pixel_and_light_that_of_all(light):
+    phasor, _, holograms = planted(light)
+    left, factor = apart(_leading(holograms)[0], phasor)
+    # One complex factor of 50 numbers is fitted.
+    assert np.mean(np.abs(left) ** 2) * 50 / 49 == pytest.approx(1, abs=0.03)
+    assert np.mean(left**2) == pytest.approx(0, abs=0.03)
+    assert factor == pytest.approx(light, rel=4 / light)
+
+
+def test_the_error_of_a_phasor_is_noise_over_light():
+    errors = []
+    for light in (50.0, 200.0):
+        phasor, _, holograms = planted(light)
+        left, factor = apart(_leading(holograms)[0], phasor)
+        errors.append(np.sqrt(np.mean(np.abs(left / factor[:, None]) ** 2)))
+    assert errors[0] == pytest.approx(1 / 50, rel=0.03)
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.03)
+
+
+def test_where_nothing_moves_there_is_noise_of_variance_one():
+    _, _, holograms = planted(40.0)
+    rng = np.random.default_rng(9)
+    holograms[:, ::5] = complex_normal(rng, *holograms[:, ::5].shape)
+    value, _ = _leading(holograms)
+    assert np.mean(np.abs(value[:, ::5]) ** 2) == pytest.approx(1, abs=0.06)
+
+
+def test_shares_are_those_of_the_light_and_add_up_to_one():
+    _, a, holograms = planted(100.0)
+    _, share = _leading(holograms)
+    assert share.shape == a.shape
+    assert share.sum(axis=1) == pytest.approx(1, abs=1e-5)
+    # Relative error of a pixel's light is one over the root of Σ|F|² = 5.6, over 100.
+    assert share == pytest.approx(np.abs(a / 100) ** 2, abs=0.02)
+
+
+def test_blocks_know_nothing_of_each_other():
+    _, _, holograms = planted(40.0, blocks=20)
+    value, share = _leading(holograms)
+    for n in (0, 7, 19):
+        alone, its_share = _leading(holograms[n : n + 1])
+        assert np.abs(alone[0]) == pytest.approx(np.abs(value[n]), rel=1e-4, abs=1e-4)
+        assert its_share[0] == pytest.approx(share[n], abs=1e-5)
+
+
+def test_one_pixel_is_its_own_phasor():
+    _, _, holograms = planted(40.0, pixels=1, blocks=10)
+    value, share = _leading(holograms)
+    assert np.abs(value) == pytest.approx(np.abs(holograms[..., 0]), rel=1e-5)
+    assert (share == 1).all()
+    turn = value / holograms[..., 0]
+    assert turn == pytest.approx(np.broadcast_to(turn[:, :1], turn.shape), abs=1e-4)
+
+
+def test_axes_are_cut_into_whole_blocks():
+    axis = np.arange(11) * 0.1
+    blocks = _in_blocks(axis, 3)
+    assert blocks == pytest.approx(np.arange(9).reshape(3, 3) * 0.1)
+    assert _in_blocks(axis, 1).shape == (11, 1)
+
+
+# --- Run files ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def phasors(sweep_a):
+    return read(sweep_a)
+
+
+@pytest.fixture(scope="module")
+def axes(sweep_a):
+    """Coordinates of rows and columns, and how many of each make up a block."""
+    with Run.open(sweep_a) as run:
+        y, x = run.y_m, run.x_m
+    return y, x, *(round(BLOCK_M / abs(axis[1] - axis[0])) for axis in (y, x))
+
+
+def write_fields(path, fields):
+    """Put fields (k, y, x) in units of noise into a run file."""
+    with h5py.File(path, "r+") as file:
+        level = file["entry/steps/noise_level"][: len(fields)]
+        kept = file["entry/data/field"]
+        kept[: len(fields)] = fields * np.sqrt(level)[:, None, None]
+
+
+def test_every_good_step_is_a_hologram_in_order_of_frequency(sweep_a, phasors):
+    with Run.open(sweep_a) as run:
+        assert run.good.all()
+        assert phasors.step_index.tolist() == [step.index for step in run]
+        assert phasors.drive_hz == pytest.approx([float(s.read_drive_hz) for s in run], rel=1e-12)
+        assert phasors.volts == pytest.approx([step.volts for step in run], rel=1e-12)
+    assert (np.diff(phasors.drive_hz) > 0).all()
+    assert phasors.value.shape == (len(phasors.x_m), 87)
+    assert phasors.value.dtype == np.complex64
+
+
+def test_bad_steps_are_left_out_and_the_order_of_the_file_is_of_no_matter(changed, axes, phasors):
+    order = np.random.default_rng(3).permutation(87)
+    path = changed(only=(21, 61), verdicts={31: "saturated", 45: "pending"}, order=order)
+    few = read(path)
+    kept = [k for k in range(21, 62, 2) if k not in (31, 45)]
+    assert few.step_index.tolist() == kept
+    columns = np.searchsorted(phasors.step_index, kept)
+    assert few.drive_hz == pytest.approx(phasors.drive_hz[columns], rel=1e-12)
+    assert few.volts == pytest.approx(phasors.volts[columns], rel=1e-12)
+    # Fewer holograms weigh pixels a little differently: where there is light, all but the same.
+    there, here = np.abs(phasors.value[:, columns]), np.abs(few.value)
+    overlap = np.sum(there * here, axis=0) / np.linalg.norm(there, axis=0)
+    assert overlap / np.linalg.norm(here, axis=0) == pytest.approx(1, abs=0.02)
+
+
+def test_too_few_good_steps_are_refused_with_what_is_wrong(changed):
+    with pytest.raises(FitError, match="7 of 87 steps are good"):
+        read(changed(only=(21, 34)))
+
+
+def test_places_lie_inside_the_visible_reed_and_inside_their_blocks(phasors, axes):
+    y_m, x_m, high, wide = axes
+    assert (high, wide) == (2, 3)
+    for axis, places, size in ((y_m, phasors.y_m, high), (x_m, phasors.x_m, wide)):
+        whole = axis[: len(axis) // size * size].reshape(-1, size)
+        # Some block has a place between its outermost pixels.
+        low, up = np.sort(whole[:, [0, -1]], axis=1).T
+        slack = 1e-9
+        inside = (places[:, None] >= low - slack) & (places[:, None] <= up + slack)
+        assert (inside.sum(axis=1) == 1).all()
+    assert (np.abs(phasors.y_m) < half_width_m(Outline(), phasors.x_m)).all()
+    assert phasors.x_m.min() > EDGE_M
+    assert 34e-3 < phasors.x_m.max() < 36e-3
+    assert phasors.y_m.max() > 5e-3
+    assert phasors.y_m.min() < -5e-3
+
+
+def test_blocks_cover_the_reed_without_gaps(phasors):
+    # Area of the outline inside the margin, over that of a block.
+    x = np.linspace(2 * EDGE_M, 35e-3, 2000)
+    wide = np.maximum(half_width_m(Outline(), x) - EDGE_M, 0) * 2
+    area = np.trapezoid(wide, x)
+    assert len(phasors.x_m) * 2 * 3 * 189.5e-6 * 151.6e-6 == pytest.approx(area, rel=0.08)
+
+
+def test_places_are_those_of_the_pixels_with_light(changed, axes):
+    """One pixel of each block is lit, then two, one of them with four times the power."""
+    y_m, x_m, high, wide = axes
+    rng = np.random.default_rng(4)
+    with Run.open(changed()) as run:
+        shape = run.field(0).shape
+    common = 20 * np.exp(2j * np.pi * rng.uniform(size=(87, 1, 1)))
+    lit = np.zeros(shape)
+    lit[1::high, 1::wide] = 1
+    path = changed("one.h5")
+    write_fields(path, (common * lit).astype(np.complex64))
+    one = read(path)
+    rows = np.unique(np.round(one.y_m, 9))
+    assert np.isin(rows, np.round(y_m[1::high], 9)).all()
+    assert np.isin(np.round(one.x_m, 9), np.round(x_m[1::wide], 9)).all()
+    lit[0::high, 2::wide] = 2
+    path = changed("two.h5")
+    write_fields(path, (common * lit).astype(np.complex64))
+    two = read(path)
+    # Four fifths of the way from the one to the other.
+    pitch_y, pitch_x = y_m[0] - y_m[1], x_m[2] - x_m[1]
+    assert two.y_m - one.y_m == pytest.approx(0.8 * pitch_y, rel=1e-4)
+    assert two.x_m - one.x_m == pytest.approx(0.8 * pitch_x, rel=1e-4)
+
+
+def test_phasors_of_a_planted_run_are_the_planted_ones_in_units_of_noise(changed):
+    """Rank one, with a phasor of the hologram alone, as if the whole reed moved alike."""
+    rng = np.random.default_rng(5)
+    path = changed()
+    with Run.open(path) as run:
+        shape = run.field(0).shape
+    phasor = rng.uniform(0.1, 0.58, 87) * np.exp(2j * np.pi * rng.uniform(size=87))
+    a = 30 * complex_normal(rng, *shape)
+    write_fields(
+        path, (phasor[:, None, None] * a + complex_normal(rng, 87, *shape)).astype(np.complex64)
+    )
+    value = read(path).value
+    left, factor = apart(value, np.broadcast_to(phasor, value.shape))
+    assert np.mean(np.abs(left) ** 2) * 87 / 86 == pytest.approx(1, abs=0.02)
+    # Six pixels of mean power 900 each.
+    assert np.mean(factor**2) == pytest.approx(6 * 900, rel=0.03)
+
+
+def test_noise_is_one_where_the_run_shows_nothing_but_noise(changed, sweep_a, phasors):
+    """Some holograms become what the run's own noise is, at the level that its steps state."""
+    path = changed()
+    rng = np.random.default_rng(6)
+    still = np.arange(3, 87, 9)
+    with h5py.File(path, "r+") as file:
+        field, level = file["entry/data/field"], file["entry/steps/noise_level"]
+        for position in still:
+            noise = complex_normal(rng, *field.shape[1:])
+            field[position] = np.sqrt(level[position]) * noise
+    value = read(path).value
+    # A little of it is taken for light, in blocks that have next to none.
+    assert np.mean(np.abs(value[:, still]) ** 2, axis=0) == pytest.approx(1, abs=0.12)
+    moving = np.setdiff1d(np.arange(87), still)
+    assert np.sum(np.abs(value[:, moving]) ** 2) == pytest.approx(
+        np.sum(np.abs(phasors.value[:, moving]) ** 2), rel=0.01
+    )
+
+
+def test_noise_of_the_simulated_camera_is_one(phasors):
+    """Near the clamp calm holograms are light times next to no motion: the rest is noise."""
+    clamped = (phasors.x_m > 33e-3) & (np.abs(phasors.y_m) < 4e-3)
+    value = phasors.value[np.ix_(clamped, phasors.volts < 1.0)]
+    blocks, holograms = value.shape
+    assert holograms > 5
+    # The motion there: bending and twisting.
+    rest = np.linalg.svd(value, compute_uv=False)[2:]
+    noise = np.sum(rest.astype(float) ** 2) / ((blocks - 2) * (holograms - 2))
+    assert noise == pytest.approx(1, abs=0.1)
+
+
+def test_a_run_that_kept_frames_gives_the_same_phasors(tmp_path):
+    small = {"camera.width": 320, "camera.height": 256, "sweep.first": 14, "sweep.last": 30}
+    found = []
+    for keep in ("holograms", "frames"):
+        protocol = script.load("quick").replace({**small, "keep": keep})
+        script.run(script.plan(protocol), tmp_path / f"{keep}.h5", reed="R07", seed=3)
+        found.append(read(tmp_path / f"{keep}.h5"))
+    held, kept = found
+    assert held.step_index.tolist() == kept.step_index.tolist() == list(range(14, 31, 2))
+    # Pixels are 0.3 by 0.38 mm: each is a block, and places are the pixels' own.
+    assert kept.x_m == pytest.approx(held.x_m, abs=1e-9)
+    assert kept.y_m == pytest.approx(held.y_m, abs=1e-9)
+    # Fields are kept in half the digits of single precision at most.
+    assert np.abs(kept.value) == pytest.approx(np.abs(held.value), rel=0.01, abs=0.02)

@@ -1,0 +1,161 @@
+"""Shapes of a reed's modes, and the few functions that they are made of."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fitting.shapes import _functions, shape_basis
+from physics.reed.basis import reduced_modes
+from physics.reed.geometry import Outline, half_width_m
+from physics.reed.material import stiffness_terms_pa
+from physics.reed.names import PAPER_MODES, is_symmetric
+from physics.reed.response import elastic_modes
+from physics.reed.surface import surface_shapes
+
+# In the middle of the sweep, of the paper's mean cane.
+E_L_PA, G_LT_PA = 10.5e9, 1.0e9
+# Shapes up to here are promised to be met.
+EXACT_HZ = 22e3
+
+
+@pytest.fixture(scope="module")
+def points():
+    """Points (x, y) on the reed's bark side, those beside the axis in mirrored pairs."""
+    x, y = np.meshgrid(np.arange(0.7e-3, 35.5e-3, 0.8e-3), np.arange(0.3e-3, 7e-3, 0.7e-3))
+    inside = y < half_width_m(Outline(), x) - 0.25e-3
+    x, y = x[inside], y[inside]
+    return np.concatenate([x, x]), np.concatenate([y, -y])
+
+
+@pytest.fixture(scope="module")
+def basis(reed, points):
+    return shape_basis(reed, E_L_PA, G_LT_PA, *points)
+
+
+@pytest.fixture(scope="module")
+def deflection(basis):
+    """Shapes (n, m) of all modes, put together again."""
+    return basis.functions @ basis.shapes.T
+
+
+@pytest.fixture(scope="module")
+def exact(reed, points):
+    """Shapes (n, m), straight from the reduced reed, in order of frequency."""
+    terms = stiffness_terms_pa(replace(reed.cane, E_L_pa=E_L_PA, G_LT_pa=G_LT_PA))
+    surface, found = surface_shapes(reed, *points), []
+    for symmetry, half in reed.halves.items():
+        hz, vectors = reduced_modes(half, terms, reed.cane.density_kg_m3)
+        shapes = surface[symmetry] @ vectors
+        found += zip(hz, (shapes / np.abs(shapes).max(axis=0)).T, strict=True)
+    return np.stack([shape for _, shape in sorted(found, key=lambda mode: mode[0])], axis=1)
+
+
+def mirrored(column):
+    half = len(column) // 2
+    return np.concatenate([column[half:], column[:half]])
+
+
+def test_functions_are_orthonormal_over_the_points(basis, points):
+    gram = basis.functions.T.astype(float) @ basis.functions / len(points[0])
+    assert gram == pytest.approx(np.eye(len(gram)), abs=1e-5)
+    assert basis.functions.dtype == np.float32
+
+
+def test_there_are_as_many_shapes_names_and_frequencies(basis, points):
+    modes, functions = basis.shapes.shape
+    assert len(basis.names) == len(basis.hz) == modes
+    assert basis.functions.shape == (len(points[0]), functions)
+    assert 20 <= functions <= 32
+
+
+def test_frequencies_ascend_and_reach_beyond_the_sweep(basis):
+    assert (np.diff(basis.hz) > 0).all()
+    assert basis.hz[-1] > 30e3
+
+
+def test_names_are_the_papers_and_each_is_given_once(basis):
+    assert set(PAPER_MODES) <= set(basis.names)
+    assert len(set(basis.names)) == len(basis.names)
+
+
+def test_names_and_frequencies_are_those_of_the_reed(basis, reed):
+    hz = dict(zip(basis.names, basis.hz, strict=True))
+    modes = elastic_modes(reed, E_L_PA, G_LT_PA)
+    for name in PAPER_MODES:
+        assert hz[name] == pytest.approx(modes[name].frequency_hz, rel=1e-9)
+
+
+def test_modes_without_a_name_are_told_apart(basis, reed):
+    unnamed = [n for n in basis.names if n not in elastic_modes(reed, E_L_PA, G_LT_PA)]
+    assert len(unnamed) > 5
+    assert all(n.split()[0] in {"symmetric", "antisymmetric"} for n in unnamed)
+
+
+def test_flexural_modes_mirror_and_transversal_ones_turn_over(basis, deflection):
+    for name in PAPER_MODES:
+        shape = deflection[:, basis.names.index(name)]
+        sign = 1 if is_symmetric(name) else -1
+        assert np.abs(shape - sign * mirrored(shape)).max() < 5e-3
+    assert is_symmetric("F1")
+    assert not is_symmetric("T1")
+
+
+def test_shapes_within_the_sweep_are_met_to_a_small_share(basis, deflection, exact):
+    exact = exact[:, : len(basis.hz)]
+    error = np.sqrt(np.mean((deflection - exact) ** 2, axis=0) / np.mean(exact**2, axis=0))
+    assert error[basis.hz < EXACT_HZ].max() < 0.02
+    # Of modes far beyond the sweep some share at least.
+    assert error.max() < 0.9
+
+
+def test_shapes_have_a_largest_deflection_of_one(basis, deflection):
+    within = basis.hz < EXACT_HZ
+    assert np.abs(deflection[:, within]).max(axis=0) == pytest.approx(1, abs=0.03)
+
+
+def test_a_shape_of_the_tip_bends_more_often_the_higher_it_is(basis, points, deflection):
+    """F1, F2, F3, F4 have 0, 1, 2, 3 nodal lines across, so as many changes of sign on the axis."""
+    x, y = points
+    axis = (y > 0) & (y < 0.5e-3) & (x < 30e-3)
+    order = np.argsort(x[axis])
+    for number in (1, 2, 3):
+        along = deflection[axis, basis.names.index(f"F{number}")][order]
+        strong = np.sign(along[np.abs(along) > 0.02])
+        assert np.count_nonzero(np.diff(strong)) == number - 1
+
+
+def test_softer_cane_lowers_frequencies_but_hardly_changes_shapes(reed, points, basis, deflection):
+    softer = shape_basis(reed, 0.8 * E_L_PA, 0.8 * G_LT_PA, *points)
+    there = softer.functions @ softer.shapes.T
+    for name in ("F1", "T1", "F2", "T2"):
+        m, other = basis.names.index(name), softer.names.index(name)
+        assert softer.hz[other] < 0.95 * basis.hz[m]
+        one, two = deflection[:, m], there[:, other]
+        assert (one @ two) ** 2 / ((one @ one) * (two @ two)) > 0.99
+
+
+def test_functions_span_what_counts_and_leave_out_what_does_not():
+    rng = np.random.default_rng(1)
+    span = rng.standard_normal((400, 3))
+    deflection = np.concatenate([span, span @ rng.standard_normal((3, 4))], axis=1)
+    deflection = np.concatenate([deflection, 1e-5 * rng.standard_normal((400, 1))], axis=1)
+    functions = _functions(deflection, np.linspace(1e3, 20e3, 8))
+    assert functions.shape == (400, 3)
+    assert functions.T @ functions / 400 == pytest.approx(np.eye(3), abs=1e-9)
+    rest = span - functions @ (functions.T @ span) / 400
+    assert np.abs(rest).max() < 1e-4
+
+
+def test_there_are_never_more_functions_than_32_and_low_modes_come_first():
+    rng = np.random.default_rng(2)
+    deflection = rng.standard_normal((500, 60))
+    hz = np.concatenate([np.full(20, 5e3), np.full(40, 39e3)])
+    functions = _functions(deflection, hz)
+    assert functions.shape == (500, 32)
+
+    def left(shapes):
+        rest = shapes - functions @ (functions.T @ shapes) / 500
+        return np.linalg.norm(rest) / np.linalg.norm(shapes)
+
+    assert left(deflection[:, :20]) < 0.3 < left(deflection[:, 20:])

@@ -342,7 +342,7 @@ class RunWriter:
     def _stacked(self, frames: Sequence[Frame]) -> npt.NDArray[np.uint16]:
         """Frames of one step in one array, with zeros for those that did not come.
 
-        Written together: a chunk is compressed once.
+        Written together, as they lie in the file.
         """
         stack = np.zeros(self._signal.shape[1:], dtype=np.uint16)
         for place, frame in zip(stack, frames, strict=False):

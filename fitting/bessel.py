@@ -34,7 +34,8 @@ class BesselTable:
         """J₁ and J₁′ at phases φ ≥ 0 (any shape)."""
         position = np.minimum(phi * self._per_rad, self._last)
         index = position.astype(np.int32)
-        part = position - index
+        # In single precision: with integers numpy would take doubles.
+        part = position - index.astype(np.float32)
         return (
             self._value[index] * (1 - part) + self._value[index + 1] * part,
             self._slope[index] * (1 - part) + self._slope[index + 1] * part,

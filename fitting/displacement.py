@@ -42,6 +42,7 @@ _MOST_SOLVED = 0.9
 _LEAST_SIGNAL = 1.5
 # Prior standard deviation of a hologram's gain, in nepers: laser and modulators drift.
 _GAIN = 0.05
+_GAIN_HELD = 0.5 * _GAIN**-2
 # Prior standard deviation of amplitudes, rad: only against what the data do not tell at all.
 _FINAL_RAD = 10.0
 # Of all blocks, every third serves the search, every ninth the grids.
@@ -204,8 +205,9 @@ def _descend(
     a, gain = start
     size = a.shape[1]
     held = np.zeros((len(a), 2 * size + 1, 2 * size + 1))
-    held[:, :size, :size] = held[:, size:-1, size:-1] = prior
-    held[:, -1, -1] = _GAIN**-2
+    # Half of it: the misfit, of noise of variance 1, is half of χ².
+    held[:, :size, :size] = held[:, size:-1, size:-1] = 0.5 * prior
+    held[:, -1, -1] = _GAIN_HELD
 
     def belief(x: Array) -> Array:
         beliefs: Array = np.einsum("si,sij,sj->s", x, held, x, optimize=True)
@@ -393,6 +395,8 @@ class _Search:
     def _relight(self) -> None:
         """Find the light anew from what is solved, and what is solved from the light."""
         solved = np.flatnonzero(self._solved)
+        if not solved.size:
+            return
         for _ in range(2):
             weight = 1 / np.maximum(self.misfit[solved], 1)
             start = self.amplitude[solved], self.gain[solved]
@@ -499,9 +503,9 @@ def fit_displacements(phasors: Phasors, basis: ShapeBasis) -> Displacements:
         misfit = normal.misfit / len(phasors.value)
         light = _light(search.whole, steps, a, gain, 1 / np.maximum(misfit, 1))
     # The gain of a hologram is nobody's concern any more; it takes information with it.
-    coupling, known = normal.matrix[:, :-1, -1:], normal.matrix[:, -1, -1] + _GAIN**-2
+    coupling, known = normal.matrix[:, :-1, -1:], normal.matrix[:, -1, -1] + _GAIN_HELD
     told = normal.matrix[:, :-1, :-1] - coupling @ coupling.swapaxes(1, 2) / known[:, None, None]
-    louder = normal.gradient[:, -1] - gain / _GAIN**2
+    louder = normal.gradient[:, -1] - gain * _GAIN_HELD
     pull = normal.gradient[:, :-1] - coupling[..., 0] * (louder / known)[:, None]
     # What the prior holds back is given free: only the data may speak.
     x = np.concatenate([a.real, a.imag], axis=1)

@@ -393,7 +393,7 @@ def streams(draw):
     },
     pauses_s=[2.0], settle_s=0.0, count=1,
 )  # fmt: skip
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=200, deadline=None)
 def test_no_frame_from_before_is_ever_handed_over(stream, pauses_s, settle_s, count):
     camera, link = running(**stream)
     taken = []

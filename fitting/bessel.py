@@ -1,17 +1,22 @@
 """Bessel functions from tables: interpolation is an order of magnitude faster than evaluation."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import j0, j1
+from scipy.special import j0, j1, jv
 
 Float = NDArray[np.float32]
+Array = NDArray[np.floating[Any]]
 
 # Below this the slope at 0, ½, stands for J₁(φ)/φ: to single precision it is the same.
 _SMALL_RAD = np.float32(1e-3)
+# Below this J₂(φ)/φ² is taken from its series, to 10⁻¹⁰.
+_SERIES_RAD = 0.05
 
 
 class BesselTable:
-    """J₁ and its derivative at phases from 0 to `largest`, to 3·10⁻⁶; constant beyond.
+    """J₁ and what follows from it at phases from 0 to `largest`, to 3·10⁻⁶; constant beyond.
 
     Parameters
     ----------
@@ -26,20 +31,16 @@ class BesselTable:
         self._per_rad = np.float32(per_rad)
         self._last = np.float32(len(phi) - 2)
         ratio = np.divide(j1(phi), phi, out=np.full_like(phi, 0.5), where=phi > 0)
-        self._value, self._slope = (
-            table.astype(np.float32) for table in (j1(phi), j0(phi) - ratio)
+        bend = np.divide(
+            jv(2, phi), phi**2, out=1 / 8 - phi**2 / 96 + phi**4 / 3072, where=phi > _SERIES_RAD
+        )
+        self._value, self._slope, self._ratio, self._bend = (
+            table.astype(np.float32) for table in (j1(phi), j0(phi) - ratio, ratio, -bend)
         )
 
     def __call__(self, phi: Float) -> tuple[Float, Float]:
         """J₁ and J₁′ at phases φ ≥ 0 (any shape)."""
-        position = np.minimum(phi * self._per_rad, self._last)
-        index = position.astype(np.int32)
-        # In single precision: with integers numpy would take doubles.
-        part = position - index.astype(np.float32)
-        return (
-            self._value[index] * (1 - part) + self._value[index + 1] * part,
-            self._slope[index] * (1 - part) + self._slope[index + 1] * part,
-        )
+        return self._between(phi, self._value, self._slope)
 
     def over_argument(self, phi: Float) -> tuple[Float, Float]:
         """J₁(φ)/φ and J₁′ at phases φ ≥ 0 (any shape)."""
@@ -48,3 +49,23 @@ class BesselTable:
             value, phi, out=np.full_like(phi, 0.5), where=np.asarray(phi > _SMALL_RAD)
         )
         return whole, slope
+
+    def tensor(self, phi: Float) -> tuple[Float, Float]:
+        """α = J₁(φ)/φ and β = −J₂(φ)/φ² at phases φ ≥ 0 (any shape).
+
+        Of ``F(u) = u J₁(|u|)/|u|`` they make both value and slope, for a plane vector u:
+        ``F = α u`` and ``dF/du = α 1 + β u uᵀ``.
+        """
+        return self._between(phi, self._ratio, self._bend)
+
+    def _between(self, phi: Float, one: Float, other: Float) -> tuple[Float, Float]:
+        position = np.minimum(phi * self._per_rad, self._last)
+        index = position.astype(np.int32)
+        # In single precision: with integers numpy would take doubles.
+        part = position - index.astype(np.float32)
+        rest = np.float32(1) - part
+        after = index + np.int32(1)
+        return (
+            one.take(index) * rest + one.take(after) * part,
+            other.take(index) * rest + other.take(after) * part,
+        )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from acquire.runfile import Run
 from fitting.bessel import BesselTable
-from fitting.displacement import Displacements, fit_displacements
+from fitting.displacement import Displacements, fit_displacements, refit_displacements
 from fitting.forward import ForwardModel, cents_of, viscoelastic_cents
 from fitting.modal import ModalFit, fit_modes
 from fitting.phasors import Phasors, read_phasors
@@ -99,6 +99,12 @@ def fit_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> JointFit:
     displacements = fit_displacements(phasors, basis)
     start_hz = _starts(phasors, basis, displacements, reed, model, series, run.acoustic_lines_hz)
     modal = fit_modes(displacements, basis, phasors.drive_hz, phasors.volts, start_hz)
+    if modal.off.any():
+        # Modes know what these holograms should show, and so in which fringes to look.
+        displacements = refit_displacements(
+            phasors, basis, displacements, modal.amplitude_rad, modal.off, modal.together
+        )
+        modal = fit_modes(displacements, basis, phasors.drive_hz, phasors.volts, start_hz, modal)
     doubts = _doubts(modal, basis, displacements)
     found = {
         name: _resonance(modal, m, phasors, basis)

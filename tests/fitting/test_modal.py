@@ -6,18 +6,10 @@ import numpy as np
 import pytest
 
 from fitting.displacement import Displacements
-from fitting.modal import (
-    _LAST,
-    _bend,
-    _Data,
-    _equations,
-    _Model,
-    _prior,
-    _scalars,
-    _State,
-    _terms,
-    fit_modes,
-)
+from fitting.light import SharedError
+from fitting.modal import _LAST, _prior, fit_modes
+from fitting.modal_equations import Data, equations
+from fitting.modal_model import Model, State, bend, scalars, terms
 from fitting.shapes import ShapeBasis
 
 # Six modes, the last one beyond the sweep.
@@ -114,9 +106,15 @@ def planted(
     error = np.einsum("kij,kj->ki", root, rng.standard_normal((len(a), size)))
     information = np.linalg.inv(root @ root.swapaxes(1, 2))
     a = a + error[:, :FUNCTIONS] + 1j * error[:, FUNCTIONS:]
-    reached = np.ones(len(a), dtype=bool)
+    shared = SharedError(np.zeros((len(a), size, 0)), np.zeros((0, 0)))
     displacements = Displacements(
-        a, information, np.ones(len(a)), np.ones(10, np.complex64), reached
+        amplitude_rad=a,
+        information=information,
+        shared=shared,
+        misfit=np.ones(len(a)),
+        gain=np.zeros(len(a)),
+        light=np.ones(10, np.complex64),
+        reached=np.ones(len(a), dtype=bool),
     )
     basis = ShapeBasis(np.zeros((10, FUNCTIONS), np.float32), reference, NAMES[:modes], start)
     return Planted(hz, LOSS[:modes], shapes, p, drive, volts, displacements, basis)
@@ -177,7 +175,7 @@ def test_shapes_are_found_and_not_only_taken_for_granted(sweep, found):
 
 def test_what_is_left_is_noise_and_next_to_no_discrepancy(found):
     assert found.misfit == pytest.approx(1, abs=0.15)
-    assert found.discrepancy < 0.01
+    assert found.discrepancy < 0.028
 
 
 def test_the_model_gives_the_amplitudes_back(sweep, found):
@@ -230,7 +228,6 @@ def test_errors_of_losses_are_honest(many):
     )
 
 
-@pytest.mark.xfail(strict=True, reason="gains of holograms are taken for bends of a smooth drive")
 def test_errors_are_honest_where_holograms_are_livelier_by_chance():
     sweeps = [planted(seed, gain_nepers=0.05) for seed in range(4)]
     errors = []
@@ -301,7 +298,6 @@ def test_a_line_of_the_air_between_modes_moves_none(factor):
     assert ratio[between] / np.median(ratio) == pytest.approx(factor, rel=0.05)
 
 
-@pytest.mark.xfail(strict=True, reason="a line costs more than to take it for the resonance")
 @pytest.mark.parametrize("factor", [1.5, 3.0])
 def test_a_line_of_the_air_beside_a_resonance_moves_it_by_no_more_than_is_told(factor):
     beside = int(np.abs(np.log(DRIVE_HZ / MODE_HZ[2])).argmin()) + 1
@@ -316,12 +312,11 @@ def test_a_line_of_the_air_beside_a_resonance_moves_it_by_no_more_than_is_told(f
 def test_what_amplitudes_are_off_beyond_their_noise_is_estimated(sweep):
     fit = sweep.fit(information=100 * sweep.displacements.information)
     assert fit.misfit == pytest.approx(1, abs=0.15)
-    # Root of the mean square in either part, which the module takes to be √8 of its discrepancy.
-    assert np.sqrt(8) * fit.discrepancy == pytest.approx(NOISE, rel=0.1)
+    # Of either part of each number, as a share of the root mean square of its hologram.
+    assert fit.discrepancy == pytest.approx(NOISE, rel=0.1)
     assert (np.abs(cents(fit.hz, sweep.hz[:5])) < 3 * fit.error_cents).all()
 
 
-@pytest.mark.xfail(strict=True, reason="discrepancy shrinks too little in its two rounds")
 def test_without_discrepancy_what_is_left_is_noise():
     fit = planted(0, noise=0.01).fit()
     assert fit.misfit == pytest.approx(1, abs=0.15)
@@ -397,9 +392,9 @@ def test_functions_may_be_turned_into_each_other(sweep, found):
 class Point:
     """A model and some state of it, no optimum."""
 
-    model: _Model
-    state: _State
-    data: _Data
+    model: Model
+    state: State
+    data: Data
 
     @property
     def prior(self):
@@ -408,11 +403,12 @@ class Point:
         return _prior(self.model, _LAST, self.model.reference_hz[active] * 1.003, scale)
 
     def amplitude(self, x):
-        return _terms(self.model, replace(self.state, x=x)).amplitude
+        return terms(self.model, replace(self.state, x=x)).amplitude
 
     def cost(self, state):
-        misfit = float(self.data.misfits(_terms(self.model, state).amplitude).sum())
-        return misfit + self.prior.cost(state.x) + _bend(self.model, state).cost
+        misfit = self.data.misfit(terms(self.model, state).amplitude, state.together)
+        known = state.together @ self.data.precision @ state.together
+        return misfit + known + self.prior.cost(state.x) + bend(self.model, state).cost
 
 
 @pytest.fixture(scope="module")
@@ -422,17 +418,21 @@ def point():
     hz, active = DRIVE_HZ[k], np.array([0, 2, 3])
     reference = rng.standard_normal((5, j))
     powers = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, len(k)), 4)
-    model = _Model(hz, np.log(np.full(len(k), 3.0)), powers, reference, MODE_HZ[:5], active)
+    model = Model(hz, np.log(np.full(len(k), 3.0)), powers, reference, MODE_HZ[:5], active)
     x = 0.1 * rng.standard_normal((3 + 5, model.slots))
     x[:3, 10] = np.log(MODE_HZ[active]) + 0.004 * rng.standard_normal(3)
     x[:3, 11] = np.log(0.03) + 0.1 * rng.standard_normal(3)
     drive = 1 + 0.2 * rng.standard_normal(len(k)) + 2j * np.pi * rng.uniform(size=len(k))
     root = rng.standard_normal((len(k), 2 * j, 2 * j))
-    information = (root @ root.swapaxes(1, 2)).reshape(-1, 2, j, 2, j)
+    response = rng.standard_normal((len(k), 2 * j, 3))
+    half = rng.standard_normal((3, 3))
     amplitude = 5 * (rng.standard_normal((len(k), j)) + 1j * rng.standard_normal((len(k), j)))
-    point = Point(model, _State(x, drive), _Data(amplitude, information))
+    together = rng.standard_normal(3)
+    point = Point(
+        model, State(x, drive, together), Data(amplitude, root, response, half @ half.T + np.eye(3))
+    )
     x = np.where(point.prior.free, x, point.prior.centre)
-    return replace(point, state=_State(x, drive))
+    return replace(point, state=State(x, drive, together))
 
 
 def differences(function, x, step=1e-6):
@@ -447,9 +447,9 @@ def differences(function, x, step=1e-6):
 
 def test_derivatives_are_scalars_times_vectors(point):
     model, state = point.model, point.state
-    terms = _terms(model, state)
-    vectors = np.concatenate([terms.shapes[model.active], model.reference])
-    given = np.einsum("kvp,vj->vpkj", _scalars(model, state, terms), vectors)
+    now = terms(model, state)
+    vectors = np.concatenate([now.shapes[model.active], model.reference])
+    given = np.einsum("kvp,vj->vpkj", scalars(model, state, now), vectors)
     expected = differences(point.amplitude, state.x)
     free = point.prior.free
     assert np.count_nonzero(free) > 45
@@ -459,41 +459,48 @@ def test_derivatives_are_scalars_times_vectors(point):
 
 def test_gradients_are_minus_half_the_slope_of_the_cost(point):
     state, free = point.state, point.prior.free
-    equations = _equations(point.model, point.data, point.prior, state)
-    by_x = differences(lambda x: point.cost(replace(state, x=x)), state.x)
-    assert equations.gradient == pytest.approx(
-        -0.5 * by_x[free], abs=1e-5 * np.abs(by_x[free]).max()
-    )
+    here = equations(point.model, point.data, point.prior, state)
+    by_x = differences(lambda x: point.cost(replace(state, x=x)), state.x)[free]
+    by_all = differences(lambda z: point.cost(replace(state, together=z)), state.together)
+    slopes = np.concatenate([by_x, by_all])
+    assert here.gradient == pytest.approx(-0.5 * slopes, abs=1e-5 * np.abs(slopes).max())
     log = state.log_drive
 
     def at(parts):
         return point.cost(replace(state, log_drive=log + parts[0] + 1j * parts[1]))
 
     by_drive = differences(at, np.zeros((2, len(log))))
-    assert equations.drive_gradient == pytest.approx(
+    assert here.drive_gradient == pytest.approx(
         -0.5 * by_drive.ravel(), abs=1e-3 * np.abs(by_drive).max()
     )
 
 
 def test_matrices_are_those_of_the_derivatives(point):
     """Of Gauss and Newton: products of derivatives through the information."""
-    model, state, free = point.model, point.state, point.prior.free
-    equations = _equations(model, point.data, point.prior, state)
-    by_x = differences(point.amplitude, state.x)[free]
-    amplitude = _terms(model, state).amplitude
+    model, state, data = point.model, point.state, point.data
+    here = equations(model, data, point.prior, state)
+    by_x = differences(point.amplitude, state.x)[point.prior.free]
+    amplitude = terms(model, state).amplitude
     eye = np.eye(len(amplitude))
     by_drive = np.concatenate([eye[:, :, None] * amplitude, 1j * eye[:, :, None] * amplitude])
 
-    def through(one, other):
-        one, other = (np.stack([d.real, d.imag], axis=2) for d in (one, other))
-        return np.einsum("akci,kcidj,bkdj->ab", one, point.data.information, other, optimize=True)
+    def seen(derivatives):
+        parts = np.concatenate([derivatives.real, derivatives.imag], axis=2)
+        return np.einsum("kxy,aky->akx", data.root, parts)
 
-    for given, expected in (
-        (equations.matrix - np.diag(point.prior.precision[free]), through(by_x, by_x)),
-        (equations.coupling, through(by_x, by_drive)),
-    ):
-        assert given == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
-    drive = through(by_drive, by_drive)
+    # What all are off together moves the amplitudes as if the model moved the other way.
+    own = np.concatenate([seen(by_x), -data.response.transpose(2, 0, 1)])
+    drive = seen(by_drive)
+    held = np.zeros((len(own), len(own)))
+    held[: len(by_x), : len(by_x)] = np.diag(point.prior.precision[point.prior.free])
+    held[len(by_x) :, len(by_x) :] = data.precision
     count = len(amplitude)
-    drive[:count, :count] += _bend(model, state).curvature
-    assert equations.drive_matrix == pytest.approx(drive, abs=1e-5 * np.abs(drive).max())
+    bent = np.zeros((2 * count, 2 * count))
+    bent[:count, :count] = bend(model, state).curvature
+    for given, one, other, known in (
+        (here.matrix, own, own, held),
+        (here.coupling, own, drive, 0),
+        (here.drive_matrix, drive, drive, bent),
+    ):
+        expected = np.einsum("akx,bkx->ab", one, other) + known
+        assert given == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())

@@ -1,0 +1,255 @@
+"""Phasors of a sweep as functions of displacement, linearised: what all turns of the fit share.
+
+The phasors of block n in hologram k are ``A_n e^{γ_k} F(u_kn)`` with light A, log gain γ and
+``u = Σ_j a_j Φ_j``. In the plane of real and imaginary parts ``F = α u`` and
+``dF/du = α 1 + β u uᵀ`` (see `fitting.bessel`).
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.bessel import BesselTable
+
+Array = NDArray[np.floating[Any]]
+Complex = NDArray[np.complexfloating[Any, Any]]
+Steps = NDArray[np.intp]
+Made = TypeVar("Made")
+
+# Holograms whose arrays still lie in the processor's cache.
+_TOGETHER = 12
+# Holograms are nowhere near so much brighter or darker than each other, in nepers.
+_MOST_GAIN = 3.0
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Phasors, what displacements are made of, and products of these that never change.
+
+    Attributes
+    ----------
+    real, imaginary : (k, n) float
+        Phasors of each hologram.
+    functions : (n, j) float
+    pairs : (n, j(j+1)/2) float
+        Products of two functions.
+    bessel : BesselTable
+    """
+
+    real: Array
+    imaginary: Array
+    functions: Array
+    pairs: Array
+    bessel: BesselTable
+
+    @classmethod
+    def of(cls, value: Complex, functions: Array, bessel: BesselTable) -> "Problem":
+        """Of phasors (n, k); everything is computed as precisely as the functions are given."""
+        one, other = np.triu_indices(functions.shape[1])
+        real, imaginary = (
+            np.ascontiguousarray(part.T.astype(functions.dtype))
+            for part in (value.real, value.imag)
+        )
+        return cls(real, imaginary, functions, functions[:, one] * functions[:, other], bessel)
+
+    def every(self, stride: int) -> "Problem":
+        """Return the same problem for some of the blocks."""
+        # Whole arrays of their own: products with strided ones take several times as long.
+        return Problem(
+            np.ascontiguousarray(self.real[:, ::stride]),
+            np.ascontiguousarray(self.imaginary[:, ::stride]),
+            np.ascontiguousarray(self.functions[::stride]),
+            np.ascontiguousarray(self.pairs[::stride]),
+            self.bessel,
+        )
+
+    def some(self, steps: Steps) -> "Problem":
+        """Return the same problem for some of the holograms."""
+        return Problem(
+            self.real[steps], self.imaginary[steps], self.functions, self.pairs, self.bessel
+        )
+
+    def exact(self) -> "Problem":
+        """Return the same problem in double precision."""
+        real, imaginary, functions, pairs = (
+            a.astype(float) for a in (self.real, self.imaginary, self.functions, self.pairs)
+        )
+        return Problem(real, imaginary, functions, pairs, self.bessel)
+
+    @property
+    def blocks(self) -> int:
+        """How many blocks there are."""
+        return len(self.functions)
+
+    def phasors(self, a: Complex) -> tuple[Array, Array]:
+        """F(u) of amplitudes (s, j) at all blocks: real and imaginary parts (s, n)."""
+        u, v = self.displacement(a)
+        over, _ = self.tensor(u, v)
+        return over * u, over * v
+
+    def displacement(self, a: Complex) -> tuple[Array, Array]:
+        """Displacements u of amplitudes (s, j) at all blocks: real and imaginary parts (s, n)."""
+        real, imaginary = (np.asarray(p, self.functions.dtype) for p in (a.real, a.imag))
+        return real @ self.functions.T, imaginary @ self.functions.T
+
+    def tensor(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """α and β of displacements with real and imaginary parts u, v."""
+        phi = np.sqrt(u * u + v * v)
+        over, bend = self.bessel.tensor(phi.astype(np.float32, copy=False))
+        return over.astype(phi.dtype, copy=False), bend.astype(phi.dtype, copy=False)
+
+
+@dataclass(frozen=True)
+class Local:
+    """Phasors (s, n) of some holograms and their slopes, all relative to light and gain.
+
+    Attributes
+    ----------
+    u, v : (s, n) float
+        F, real and imaginary parts.
+    uu, uv, vv : (s, n) float
+        Its derivatives by real and imaginary parts of the displacement; they are symmetric.
+    left_u, left_v : (s, n) float
+        What is left of the phasors, times the complex conjugate of the light.
+    power : (n,) float
+        Of the light.
+    gain : (s, 1) float
+    misfit : (s,) float
+        Squares of what is left.
+    """
+
+    u: Array
+    v: Array
+    uu: Array
+    uv: Array
+    vv: Array
+    left_u: Array
+    left_v: Array
+    power: Array
+    gain: Array
+    misfit: Array
+
+
+def local(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Array) -> Local:
+    """Phasors of holograms (s,) and their slopes at amplitudes (s, j) and log gains (s,)."""
+    dtype = problem.functions.dtype
+    p, q = problem.displacement(a)
+    over, bend = problem.tensor(p, q)
+    u, v = over * p, over * q
+    bent = bend * p
+    uv = bent * q
+    uu = over + bent * p
+    vv = over + bend * q * q
+    lit_u, lit_v = light.real.astype(dtype), light.imag.astype(dtype)
+    # No step of a search, however bold, may overflow.
+    factor = np.exp(np.clip(gain, -_MOST_GAIN, _MOST_GAIN)).astype(dtype)[:, None]
+    gone_u = problem.real[steps] - factor * (lit_u * u - lit_v * v)
+    gone_v = problem.imaginary[steps] - factor * (lit_u * v + lit_v * u)
+    misfit = np.einsum("sn,sn->s", gone_u, gone_u) + np.einsum("sn,sn->s", gone_v, gone_v)
+    return Local(
+        u, v, uu, uv, vv,
+        lit_u * gone_u + lit_v * gone_v,
+        lit_u * gone_v - lit_v * gone_u,
+        lit_u * lit_u + lit_v * lit_v,
+        factor,
+        misfit.astype(float),
+    )  # fmt: skip
+
+
+@dataclass
+class Normal:
+    """Normal equations of some holograms, by real and imaginary parts of amplitudes and log gain.
+
+    Misfits (s,), gradients (s, 2j + 1), matrices (s, 2j + 1, 2j + 1).
+    """
+
+    misfit: Array
+    gradient: Array
+    matrix: Array
+
+    @classmethod
+    def empty(cls, holograms: int, functions: int) -> "Normal":
+        """To be filled."""
+        size = 2 * functions + 1
+        return cls(
+            np.empty(holograms), np.empty((holograms, size)), np.empty((holograms, size, size))
+        )
+
+    def take_over(self, better: NDArray[np.bool_], other: "Normal") -> None:
+        """Replace those of the holograms that are better."""
+        self.misfit[better] = other.misfit[better]
+        self.gradient[better] = other.gradient[better]
+        self.matrix[better] = other.matrix[better]
+
+
+def normal(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Array) -> Normal:
+    """Linearise the phasors of holograms (s,) around amplitudes (s, j) and log gains (s,)."""
+    power = (light.real**2 + light.imag**2).astype(problem.functions.dtype)[:, None]
+    functions, pairs = power * problem.functions, power * problem.pairs
+    whole = Normal.empty(len(a), problem.functions.shape[1])
+
+    def fill(some: slice) -> None:
+        here = local(problem, light, steps[some], a[some], gain[some])
+        whole.misfit[some] = here.misfit
+        whole.gradient[some] = gradient(here, problem.functions)
+        fill_matrix(whole.matrix[some], here, functions, pairs)
+
+    in_parts(fill, len(a))
+    return whole
+
+
+def in_parts(work: Callable[[slice], Made], count: int) -> list[Made]:
+    """Do some work for few holograms at a time, on all processors; results in order."""
+    parts = [slice(k, k + _TOGETHER) for k in range(0, count, _TOGETHER)]
+    if len(parts) < 2:
+        return [work(part) for part in parts]
+    # numpy lets go of the interpreter while it computes.
+    return list(_workers().map(work, parts))
+
+
+@cache
+def _workers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(min(4, len(os.sched_getaffinity(0))))
+
+
+def gradient(here: Local, functions: Array) -> Array:
+    """Of half the misfit, downhill: (s, 2j + 1)."""
+    pulls = (here.uu * here.left_u + here.uv * here.left_v,
+             here.uv * here.left_u + here.vv * here.left_v)  # fmt: skip
+    louder = here.u * here.left_u + here.v * here.left_v
+    columns = [pull @ functions for pull in pulls] + [louder.sum(axis=1, keepdims=True)]
+    found: Array = here.gain * np.concatenate(columns, axis=1)
+    return found.astype(float)
+
+
+def fill_matrix(matrix: Array, here: Local, functions: Array, pairs: Array) -> None:
+    """Write normal matrices (s, 2j + 1, 2j + 1); functions and pairs times the light's power."""
+    size = functions.shape[1]
+    square = (here.gain**2).astype(float)
+    both = here.uv * here.uv
+    for row, column, weight in (
+        (0, 0, here.uu * here.uu + both),
+        (0, 1, here.uv * (here.uu + here.vv)),
+        (1, 1, here.vv * here.vv + both),
+    ):
+        block = matrix[:, row * size :, column * size :][:, :size, :size]
+        write_symmetric(block, square * (weight @ pairs))
+        if row != column:
+            matrix[:, size:-1, :size] = block
+    beside = (here.uu * here.u + here.uv * here.v, here.uv * here.u + here.vv * here.v)
+    coupling = square * np.concatenate([part @ functions for part in beside], axis=1)
+    matrix[:, -1, :-1] = matrix[:, :-1, -1] = coupling
+    matrix[:, -1, -1] = square[:, 0] * ((here.u * here.u + here.v * here.v) @ here.power)
+
+
+def write_symmetric(matrices: Array, packed: Array) -> None:
+    """Write symmetric matrices (s, j, j) from their upper triangles (s, j(j+1)/2)."""
+    one, other = np.triu_indices(matrices.shape[-1])
+    matrices[:, one, other] = packed
+    matrices[:, other, one] = packed

@@ -1,0 +1,252 @@
+"""Normal equations of the joint model: by its parameters, what all is off together, and the drive.
+
+A derivative is a complex number for each hologram, times one of few vectors of coordinates: shapes
+T of the active modes, and S of all. So their products through the information are those of the
+vectors, a small matrix for each hologram, times these numbers. Mixing coefficients, which are most
+of the parameters, share their numbers: that of mode m into a moves all by ``d h_a p_a S_m``.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from fitting.modal_model import Model, Prior, State, Terms, bend, scalars, terms
+
+Array = NDArray[np.floating[Any]]
+Complex = NDArray[np.complexfloating[Any, Any]]
+
+
+@dataclass(frozen=True)
+class Data:
+    """What holograms tell, in units of their errors.
+
+    Attributes
+    ----------
+    amplitude : (k, j) complex
+    root : (k, 2j, 2j) float
+        Root of the information of their real, then imaginary parts.
+    response : (k, 2j, q) float
+        Of amplitudes to what they are off together, times that root.
+    precision : (q, q) float
+        Inverse covariance of that.
+    """
+
+    amplitude: Complex
+    root: Array
+    response: Array
+    precision: Array
+
+    def apart(self, amplitude: Complex, together: Array) -> Array:
+        """Distance (k, 2j) of every hologram from what a model says."""
+        apart = parts(self.amplitude - amplitude)[..., None]
+        return (self.root @ apart)[..., 0] + self.response @ together
+
+    def misfit(self, amplitude: Complex, together: Array) -> float:
+        """Sum of its squares."""
+        return float(np.sum(self.apart(amplitude, together) ** 2))
+
+
+def parts(complex_rows: Complex) -> Array:
+    """Real, then imaginary parts: (k, j) → (k, 2j)."""
+    return np.concatenate([complex_rows.real, complex_rows.imag], axis=1)
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Normal equations of the parameters (those that are free, then what all is off together).
+
+    Attributes
+    ----------
+    matrix : (q, q) float
+    gradient : (q,) float
+    coupling : (q, 2k) float
+        With log magnitude, then phase of the drive.
+    drive_matrix : (2k, 2k) float
+    drive_gradient : (2k,) float
+    """
+
+    matrix: Array
+    gradient: Array
+    coupling: Array
+    drive_matrix: Array
+    drive_gradient: Array
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Vectors (their real, then imaginary multiples) and `together` through the information.
+
+    Attributes
+    ----------
+    products : (2v + q, 2v + q, k) float
+    pull : (2v + q, k) float
+        With what the model leaves.
+    """
+
+    products: Array
+    pull: Array
+
+
+def _seen(model: Model, data: Data, state: State, now: Terms) -> _Seen:
+    vectors = np.concatenate([now.shapes[model.active], model.reference])
+    real, imaginary = (half @ vectors.T for half in np.split(data.root, 2, axis=2))
+    # What all are off together moves the amplitudes as if the model moved the other way.
+    columns = np.concatenate([real, imaginary, -data.response], axis=2)
+    left = data.apart(now.amplitude, state.together)
+    products = columns.swapaxes(1, 2) @ columns
+    pull = (left[:, None, :] @ columns)[:, 0]
+    return _Seen(np.ascontiguousarray(products.transpose(1, 2, 0)), np.ascontiguousarray(pull.T))
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Some columns of the equations: products with everything else.
+
+    Attributes
+    ----------
+    beside : (p, 2v + q, k) float
+        With the vectors' real and imaginary multiples and `together`, hologram by hologram.
+    pull : (p,) float
+    """
+
+    beside: Array
+    pull: Array
+
+
+def equations(model: Model, data: Data, prior: Prior, state: State) -> Equations:
+    """Linearise the model around a state.
+
+    Derivatives are those of what the model says; gradients point downhill.
+    """
+    now = terms(model, state)
+    by = scalars(model, state, now)
+    seen = _seen(model, data, state, now)
+    active, free = len(model.active), prior.free
+    vectors = len(free)
+    mixing = np.zeros_like(free)
+    mixing[active:, :active] = free[active:, :active]
+    own_v, own_p = np.nonzero(free & ~mixing)
+    own = np.ascontiguousarray(by[:, own_v, own_p].T)
+    # All that mixes into a mode is moved by the same number.
+    mixed = np.ascontiguousarray(now.modal[:, model.active].T)
+    mix_m, mix_a = np.nonzero(mixing[active:, :active])
+    together = len(seen.products) - 2 * vectors
+    count = len(own_v) + len(mix_m)
+    matrix = np.zeros((count + together, count + together))
+    beside = (
+        own.real[:, None] * seen.products[own_v]
+        + own.imag[:, None] * seen.products[own_v + vectors]
+    )
+    a, b, z = slice(0, len(own_v)), slice(len(own_v), count), slice(count, None)
+    matrix[a, a] = _with_own(beside, own_v, own, vectors)
+    matrix[a, b] = _with_mixed(beside, mixed, active, vectors)[:, mix_m, mix_a]
+    matrix[a, z] = beside[:, 2 * vectors :].sum(axis=2)
+    matrix[b, b] = _mixed_with_mixed(seen.products, mixed, active, vectors)[
+        mix_m[:, None], mix_a[:, None], mix_m, mix_a
+    ]
+    last = seen.products[2 * vectors :]
+    matrix[z, b] = _with_mixed(last, mixed, active, vectors)[:, mix_m, mix_a]
+    matrix[z, z] = last[:, 2 * vectors :].sum(axis=2) + data.precision
+    matrix[b, a], matrix[b, z], matrix[z, a] = matrix[a, b].T, matrix[z, b].T, matrix[a, z].T
+    drive = _drive(model, now, vectors)
+    mixed_pull = _by_mixed(seen.pull, mixed, active, vectors)
+    gradient = np.concatenate(
+        [
+            np.sum(own.real * seen.pull[own_v] + own.imag * seen.pull[own_v + vectors], axis=1),
+            mixed_pull.sum(axis=2)[mix_m, mix_a],
+            seen.pull[2 * vectors :].sum(axis=1),
+        ]
+    )
+    moved = np.einsum("xck,lck->lxk", seen.products[:, : 2 * vectors], drive, optimize=True)
+    coupling = np.concatenate(
+        [
+            np.einsum("ack,lck->alk", beside[:, : 2 * vectors], drive, optimize=True),
+            np.stack([_by_mixed(m, mixed, active, vectors)[mix_m, mix_a] for m in moved], axis=1),
+            moved[:, 2 * vectors :].swapaxes(0, 1),
+        ]
+    )
+    order = np.argsort(
+        np.concatenate([own_v, mix_m + active]) * model.slots + np.concatenate([own_p, mix_a])
+    )
+    order = np.concatenate([order, np.arange(count, count + together)])
+    offset = prior.precision[free] * (state.x - prior.centre)[free]
+    matrix = matrix[np.ix_(order, order)]
+    held = np.concatenate([prior.precision[free], np.zeros(together)])
+    drive_matrix, drive_gradient = _drive_equations(model, state, seen, moved, drive)
+    return Equations(
+        matrix + np.diag(held),
+        gradient[order] - np.concatenate([offset, data.precision @ state.together]),
+        coupling[order].reshape(len(order), -1),
+        drive_matrix,
+        drive_gradient,
+    )
+
+
+def _with_own(beside: Array, own_v: NDArray[np.intp], own: Complex, vectors: int) -> Array:
+    """Products (p, p) of columns with those of a vector of its own each."""
+    product = np.empty((len(beside), len(own_v)))
+    for v in np.unique(own_v):
+        of_v = own_v == v
+        product[:, of_v] = (
+            beside[:, v] @ own.real[of_v].T + beside[:, v + vectors] @ own.imag[of_v].T
+        )
+    return product
+
+
+def _with_mixed(beside: Array, mixed: Complex, active: int, vectors: int) -> Array:
+    """Products (p, m, a) of columns with all mixing coefficients."""
+    real, imaginary = beside[:, active:vectors], beside[:, active + vectors : 2 * vectors]
+    product: Array = real @ mixed.real.T + imaginary @ mixed.imag.T
+    return product
+
+
+def _by_mixed(seen: Array, mixed: Complex, active: int, vectors: int) -> Array:
+    """What (2v + q, k) has of mixing coefficients: (m, a, k)."""
+    real, imaginary = seen[active:vectors, None], seen[active + vectors : 2 * vectors, None]
+    found: Array = real * mixed.real + imaginary * mixed.imag
+    return found
+
+
+def _mixed_with_mixed(products: Array, mixed: Complex, active: int, vectors: int) -> Array:
+    """Products (m, a, m, a) of all mixing coefficients with each other."""
+    halves = slice(active, vectors), slice(active + vectors, 2 * vectors)
+    numbers = mixed.real, mixed.imag
+    modes = vectors - active
+    whole = np.zeros((modes * modes, len(mixed) ** 2))
+    for one, by in zip(halves, numbers, strict=True):
+        for other, times in zip(halves, numbers, strict=True):
+            pairs = (by[:, None] * times).reshape(-1, by.shape[-1])
+            whole += products[one, other].reshape(modes * modes, -1) @ pairs.T
+    return whole.reshape(modes, modes, len(mixed), len(mixed)).transpose(0, 2, 1, 3)
+
+
+def _drive(model: Model, now: Terms, vectors: int) -> Array:
+    """Derivatives (2, 2v, k) by log magnitude and phase: amplitudes, and these turned by 90°."""
+    weight = np.zeros((vectors, len(model.hz)), complex)
+    active, passive = model.active, model.passive
+    weight[: len(active)] = now.modal[:, active].T
+    weight[len(active) + passive] = now.modal[:, passive].T
+    return np.stack(
+        [
+            np.concatenate([weight.real, weight.imag]),
+            np.concatenate([-weight.imag, weight.real]),
+        ]
+    )
+
+
+def _drive_equations(
+    model: Model, state: State, seen: _Seen, moved: Array, drive: Array
+) -> tuple[Array, Array]:
+    count, bent = len(model.hz), bend(model, state)
+    own = np.einsum("lck,mck->lmk", moved[:, : drive.shape[1]], drive)
+    matrix = linalg.block_diag(bent.curvature, np.zeros((count, count)))
+    k = np.arange(count)
+    for row in range(2):
+        for column in range(2):
+            matrix[row * count + k, column * count + k] += own[row, column]
+    gradient = np.einsum("lck,ck->lk", drive, seen.pull[: drive.shape[1]])
+    gradient[0] += bent.gradient
+    return matrix, gradient.ravel()

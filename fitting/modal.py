@@ -2,18 +2,20 @@
 
 The displacement of hologram k, in coordinates j of few functions, is
 
-    a_kj = d_k Σ_m h_m(f_k) p_m(f_k) T_mj,    h_m(f) = 1 / (1 + iη_m − (f/f_m)²)
+    a_kj = d_k Σ_m h_m(f_k) p_m(f_k) T_mj,    h_m(f) = 1 / (1 + iη_m − (f/f_m)^(2 − γ_m))
 
-with the shared eigenfrequencies f_m and loss factors η_m, shapes ``T_mj = Σ_n (δ_mn + E_mn) S_nj``
-near those S of the finite elements, participations p_m(f), complex and smooth, and the drive d_k:
-its phase is free, since nobody knows that of a hologram; its magnitude follows the volts, smoothly
-but for lines of the air. A hologram therefore tells by the balance of its modes as much as by its
-strength how near each of them is to its resonance.
+with the known exponents γ_m of cane that stiffens with frequency, the shared eigenfrequencies f_m
+and loss factors η_m, shapes ``T_mj = Σ_n (δ_mn + E_mn) S_nj`` near those S of the finite elements,
+participations p_m(f), complex and smooth, and the drive d_k: its phase is free, since nobody knows
+that of a hologram; its magnitude follows the volts, smoothly but for lines of the air. A hologram
+therefore tells by the balance of its modes as much as by its strength how near each of them is to
+its resonance.
 
 All is found by one damped least squares against the amplitudes of `fitting.displacement` and their
 information. Shapes are allowed to differ from those of the finite elements as perturbations let
-them: the more, the closer two modes are. What amplitudes are off beyond their noise, because no
-model is perfect, is estimated from what is left and added to the noise.
+them: the more, the closer two modes are. Displacements may all be off together, as far as light and
+vibration cannot be told apart (see `fitting.light`). What amplitudes are off beyond their noise,
+because no model is perfect, is estimated from what is left and added to the noise.
 """
 
 from collections.abc import Sequence
@@ -47,6 +49,8 @@ _LEAST_PROGRESS = 2e-3
 _MOST_DAMPING = 1e8
 # What amplitudes may be off beyond their noise (see `_Stage`), and how often that is estimated.
 _DISCREPANCY, _ROUNDS = (1e-4, 0.3), 3
+# Holograms so many steps apart may still be alike in what no model explains.
+_FAR = 10
 # Holograms are off if what is left of them is that many times as much as usual, squared.
 _OFF = 10.0
 
@@ -257,7 +261,9 @@ def fit_modes(
     shifts = np.log(centre_hz / basis.hz[active])
     reference_hz = basis.hz * np.exp(np.median(shifts))
     reference_hz[active] = centre_hz
-    model = Model(drive_hz, np.log(volts), powers, basis.shapes, reference_hz, active)
+    model = Model(
+        drive_hz, np.log(volts), powers, basis.shapes, reference_hz, basis.stiffening, active
+    )
     noise = _noise(displacements)
     if known is not None:
         state = _again(known.state, known, displacements)
@@ -370,7 +376,7 @@ def _begin(model: Model, displacements: Displacements) -> tuple[State, Array]:
         information[:, size:, size:],
     )
     hermitian = 0.5 * (real + imaginary) + 0.5j * cross
-    ratio = (model.hz[told, None] / model.reference_hz) ** 2
+    ratio = (model.hz[told, None] / model.reference_hz) ** (2 - model.stiffening)
     columns = (1 / (1 + 1j * LOSS - ratio))[:, None, :] * model.reference.T
     seen = hermitian @ columns
     force = np.einsum("kij,kj->ki", hermitian, amplitude)
@@ -428,9 +434,11 @@ def _finish(
         left = apart * noise.deviation(used)
         noise = _inflated(noise, apart)
         discrepancy = _balanced(noise, left, freedoms)
+    alike = _alike(noise, apart, state.log_drive)
+    covariance = alike * covariance
     # Drive and participations have a common factor, which may be anything: of the latter only what
     # they are beside a given drive counts.
-    beside_drive = np.linalg.inv(here.matrix)
+    beside_drive = alike * np.linalg.inv(here.matrix)
     count, powers = len(model.active), model.powers.shape[1]
     spread = np.zeros_like(state.x)
     spread[prior.free] = np.sqrt(np.diag(covariance))[: np.count_nonzero(prior.free)]
@@ -454,6 +462,22 @@ def _finish(
         off=(noise.inflation > 1) | ~np.any(displacements.information, axis=(1, 2)),
         state=state,
     )
+
+
+def _alike(noise: _Noise, apart: Array, log_drive: Complex) -> float:
+    """How many holograms tell as much as one would if what is left of each were its own.
+
+    What no model explains is alike in neighbouring holograms, up to the phase of the drive: the sum
+    of correlations over distances.
+    """
+    left = (noise.directions.swapaxes(1, 2) @ apart[..., None])[..., 0]
+    size = left.shape[1] // 2
+    turned = (left[:, :size] + 1j * left[:, size:]) * np.exp(-1j * log_drive.imag)[:, None]
+    whole = np.sum(np.abs(turned) ** 2)
+    correlation = [
+        np.sum(turned[:-lag].conj() * turned[lag:]).real / whole for lag in range(1, _FAR + 1)
+    ]
+    return max(1.0, 1 + 2 * float(np.sum(correlation)))
 
 
 def _told(prior: Prior, data: Data, covariance: Array) -> float:

@@ -2,10 +2,10 @@
 
 The displacement of hologram k, in coordinates j of few functions, is
 
-    a_kj = d_k Σ_m h_m(f_k) p_m(f_k) T_mj,    h_m(f) = 1 / (1 + iη_m − (f/f_m)²)
+    a_kj = d_k Σ_m h_m(f_k) p_m(f_k) T_mj,    h_m(f) = 1 / (1 + iη_m − (f/f_m)^(2 − γ_m))
 
-with shapes ``T_mj = Σ_n (δ_mn + E_mn) S_nj`` near those S of the finite elements (see
-`fitting.modal`).
+with the exponent γ_m by which cane stiffens with frequency, and shapes
+``T_mj = Σ_n (δ_mn + E_mn) S_nj`` near those S of the finite elements (see `fitting.modal`).
 """
 
 from dataclasses import dataclass, replace
@@ -47,6 +47,8 @@ class Model:
     reference : (m, j) float
         Shapes S.
     reference_hz : (m,) float
+    stiffening : (m,) float
+        See `fitting.shapes.ShapeBasis`.
     active : (a,) int
     """
 
@@ -55,6 +57,7 @@ class Model:
     powers: Array
     reference: Array
     reference_hz: Array
+    stiffening: Array
     active: NDArray[np.intp]
 
     @property
@@ -93,7 +96,7 @@ class Terms:
         T.
     loss : (m,) float
     ratio : (k, m) float
-        (f/f_m)².
+        (f/f_m)^(2 − γ_m).
     modal : (k, m) complex
         Largest deflections d h p.
     amplitude : (k, j) complex
@@ -121,7 +124,7 @@ def terms(model: Model, state: State) -> Terms:
     p[passive, :TAIL_TERMS] = tail[:, :TAIL_TERMS] + 1j * tail[:, TAIL_TERMS:]
     shapes = model.reference.copy()
     shapes[active] += x[count:, :count].T @ model.reference
-    ratio = (model.hz[:, None] / hz) ** 2
+    ratio = (model.hz[:, None] / hz) ** (2 - model.stiffening)
     resonance: Complex = 1 / (1 + 1j * loss - ratio)
     participation: Complex = model.powers.astype(complex) @ p.T
     modal = np.exp(state.log_drive)[:, None] * (resonance * participation)
@@ -138,7 +141,8 @@ def scalars(model: Model, state: State, terms: Terms) -> Complex:
     own = h[:, active, None] * model.powers[:, None, :]
     s[:, :count, :powers], s[:, :count, powers : 2 * powers] = own, 1j * own
     steep = h[:, active] * terms.resonance[:, active] * p[:, active]
-    s[:, :count, 2 * powers] = -2 * terms.ratio[:, active] * steep
+    exponent = 2 - model.stiffening[active]
+    s[:, :count, 2 * powers] = -exponent * terms.ratio[:, active] * steep
     s[:, :count, 2 * powers + 1] = -1j * terms.loss[active] * steep
     s[:, count:, :count] = (h * p)[:, None, active]
     tail = h[:, passive, None] * model.powers[:, None, :TAIL_TERMS]

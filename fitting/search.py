@@ -39,6 +39,8 @@ _LINEAR_RAD = 1.0
 _FRINGES_RAD, _FRINGED = np.geomspace(1.5, 20.0, 8), 4
 # So much of a sweep is enough not to begin it again otherwise.
 _MOST_SOLVED = 0.9
+# Less than that may be explained by chance.
+_LEAST_SOLVED = 0.2
 _LEAST_SIGNAL = 1.5
 # Of all blocks, every third serves the search, every ninth the grids.
 _SEARCH_STRIDE, _GRID_STRIDE = 3, 9
@@ -366,10 +368,11 @@ def solve(phasors: Phasors, basis: ShapeBasis) -> Search:
         if best.solved.mean() > _MOST_SOLVED:
             break
         search = Search(phasors, basis)
-    if best is None or not best.solved.any():
+    if best is None or best.solved.mean() < _LEAST_SOLVED:
+        solved = int(best.solved.sum()) if best else 0
         raise FitError(
-            "every hologram shows fringes from the clamp to the tip, or none shows any light; "
-            "begin the sweep with less volts"
+            f"only {solved} of {len(phasors.drive_hz)} holograms can be explained as vibrations of "
+            "this reed: none shows any light, or there are too many fringes; begin with less volts"
         )
     return best
 

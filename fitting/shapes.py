@@ -1,5 +1,6 @@
 """What displacements of a reed are made of: the shapes of its modes, and a basis of their span."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from physics.reed.basis import ReducedReed, reduced_modes
 from physics.reed.fem import Symmetry
-from physics.reed.material import stiffness_terms_pa
+from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.response import elastic_modes
 from physics.reed.surface import surface_shapes
 
@@ -38,16 +39,24 @@ class ShapeBasis:
         Of the modes; a symmetry and a number where they have none.
     hz : (m,) float
         Their frequencies in this cane, ascending.
+    stiffening : (m,) float
+        Exponent with which the stiffness that a mode feels grows with frequency around its own.
     """
 
     functions: Float
     shapes: Array
     names: tuple[str, ...]
     hz: Array
+    stiffening: Array
 
 
 def shape_basis(
-    reed: ReducedReed, E_L_pa: float, G_LT_pa: float, x_m: Array, y_m: Array
+    reed: ReducedReed,
+    E_L_pa: float,
+    G_LT_pa: float,
+    x_m: Array,
+    y_m: Array,
+    growth: Callable[[float], tuple[float, float]] | None = None,
 ) -> ShapeBasis:
     """Shapes of the modes of a reed with fixed moduli, those of its heel and sides included.
 
@@ -58,28 +67,58 @@ def shape_basis(
         Moduli in the middle of the sweep: shapes depend on them little.
     x_m, y_m : (n,) float
         Points on the bark side.
+    growth : callable, optional
+        Exponents with which E_L and G_LT grow with frequency, at a frequency in Hz.
     """
-    terms = stiffness_terms_pa(replace(reed.cane, E_L_pa=E_L_pa, G_LT_pa=G_LT_pa))
+    cane = replace(reed.cane, E_L_pa=E_L_pa, G_LT_pa=G_LT_pa)
+    terms = stiffness_terms_pa(cane)
+    by_E, by_G = (_slope_pa(cane, modulus) for modulus in ("E_L_pa", "G_LT_pa"))
     surface = surface_shapes(reed, x_m, y_m)
     named = {
         (mode.symmetry, round(mode.frequency_hz, 3)): name
         for name, mode in elastic_modes(reed, E_L_pa, G_LT_pa).items()
     }
-    found: list[tuple[float, str, Array]] = []
+    found: list[tuple[float, str, Array, float]] = []
     for symmetry, half in reed.halves.items():
         hz, vectors = reduced_modes(half, terms, reed.cane.density_kg_m3)
         below = int(np.count_nonzero(hz < _HIGHEST_HZ))
         deflections = surface[symmetry] @ vectors[:, :below]
+        energy, share_E, share_G = (
+            np.einsum(
+                "im,tij,jm,t->m", vectors, half.stiffness_terms, vectors, weight, optimize=True
+            )
+            for weight in (terms, by_E, by_G)
+        )
         for number in range(below):
+            exponents = growth(float(hz[number])) if growth else (0.0, 0.0)
+            felt = np.dot(exponents, (share_E[number], share_G[number])) / energy[number]
             key, other = (symmetry, round(float(hz[number]), 3)), _unnamed(symmetry, number)
-            found.append((float(hz[number]), named.get(key, other), deflections[:, number]))
+            name = named.get(key, other)
+            found.append((float(hz[number]), name, deflections[:, number], float(felt)))
     found.sort(key=lambda mode: mode[0])
-    frequencies, names, columns = zip(*found, strict=True)
+    frequencies, names, columns, stiffening = zip(*found, strict=True)
     deflection = np.stack(columns, axis=1)
     deflection = deflection / np.abs(deflection).max(axis=0)
     functions = _functions(deflection, np.array(frequencies))
     coordinates = functions.T @ deflection / len(functions)
-    return ShapeBasis(functions.astype(np.float32), coordinates.T, names, np.array(frequencies))
+    return ShapeBasis(
+        functions.astype(np.float32),
+        coordinates.T,
+        names,
+        np.array(frequencies),
+        np.array(stiffening),
+    )
+
+
+def _slope_pa(cane: Cane, modulus: str) -> Array:
+    """Derivatives of the stiffness terms by the logarithm of a modulus."""
+    step = 1e-4
+    ahead, behind = (
+        stiffness_terms_pa(replace(cane, **{modulus: getattr(cane, modulus) * (1 + sign * step)}))
+        for sign in (1, -1)
+    )
+    slope: Array = (ahead - behind) / (2 * step)
+    return slope
 
 
 def _unnamed(symmetry: Symmetry, number: int) -> str:

@@ -116,7 +116,9 @@ def planted(
         light=np.ones(10, np.complex64),
         reached=np.ones(len(a), dtype=bool),
     )
-    basis = ShapeBasis(np.zeros((10, FUNCTIONS), np.float32), reference, NAMES[:modes], start)
+    basis = ShapeBasis(
+        np.zeros((10, FUNCTIONS), np.float32), reference, NAMES[:modes], start, np.zeros(modes)
+    )
     return Planted(hz, LOSS[:modes], shapes, p, drive, volts, displacements, basis)
 
 
@@ -418,7 +420,10 @@ def point():
     hz, active = DRIVE_HZ[k], np.array([0, 2, 3])
     reference = rng.standard_normal((5, j))
     powers = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, len(k)), 4)
-    model = Model(hz, np.log(np.full(len(k), 3.0)), powers, reference, MODE_HZ[:5], active)
+    stiffening = np.array([0.1, 0.0, 0.2, 0.15, 0.1])
+    model = Model(
+        hz, np.log(np.full(len(k), 3.0)), powers, reference, MODE_HZ[:5], stiffening, active
+    )
     x = 0.1 * rng.standard_normal((3 + 5, model.slots))
     x[:3, 10] = np.log(MODE_HZ[active]) + 0.004 * rng.standard_normal(3)
     x[:3, 11] = np.log(0.03) + 0.1 * rng.standard_normal(3)

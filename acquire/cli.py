@@ -249,7 +249,7 @@ def _show_fit(console: Console, fitted: "ReedFit") -> None:
         console.print(table)
 
 
-def _fit(runs: list[Path], model: str, method: str = "picture") -> "ReedFit":
+def _fit(runs: list[Path], model: str, method: str = "joint") -> "ReedFit":
     from fitting.fit import fit_runs, method_name, model_name
 
     return fit_runs(runs, model_name(model), _tell, method_name(method))
@@ -261,7 +261,7 @@ def _report(
     page: Path | None,
     as_json: bool,
     answer: dict[str, Any],
-    method: str = "picture",
+    method: str = "joint",
 ) -> None:
     """Fit, write the page and print the result; without a fit, the page has the pictures only."""
     from fitting.errors import FitError, FitInputError
@@ -290,7 +290,7 @@ def _report(
 @_verb
 def fit(
     runs: RunFiles,
-    method: MethodOption = "picture",
+    method: MethodOption = "joint",
     model: ModelOption = "fem",
     as_json: AsJson = False,
     debug: Debug = False,
@@ -304,7 +304,7 @@ def fit(
 def report(
     runs: RunFiles,
     out: Annotated[Path | None, typer.Option(help="Page; beside the run if not given.")] = None,
-    method: MethodOption = "picture",
+    method: MethodOption = "joint",
     model: ModelOption = "fem",
     as_json: AsJson = False,
     debug: Debug = False,
@@ -323,7 +323,7 @@ def diagnose(
     from diagnosis.gap import diagnose as compare
     from diagnosis.tables import closing_words, gap_table
 
-    diagnosis = compare(_fit(runs, "fem"), _tell)
+    diagnosis = compare(_fit(runs, "fem", "picture"), _tell)
     if as_json:
         _show_json(diagnosis.to_json())
         return

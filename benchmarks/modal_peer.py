@@ -114,12 +114,13 @@ def peer_modes(
     ------
     ImportError
         If the library is not installed.
+    numpy.linalg.LinAlgError
+        If the response is zero throughout a band.
     """
     ema = _library()
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in expected_hz}
     wanted_hz = np.array(list(expected_hz.values()), dtype=float)
-    scaled = response / np.sqrt(np.mean(np.abs(response) ** 2))
-    spline = make_interp_spline(np.log(drive_hz), scaled, k=_SPLINE_DEGREE)
+    spline = make_interp_spline(np.log(drive_hz), response, k=_SPLINE_DEGREE)
     for lowest_hz, highest_hz in _bands(float(drive_hz[0]), float(drive_hz[-1])):
         inside = drive_hz[(drive_hz >= lowest_hz) & (drive_hz <= highest_hz)]
         step_hz = _STEP_SHARE * float(np.diff(inside).min())

@@ -28,8 +28,10 @@ _WHITE_PERCENTILE = 99.0
 _DARKEST_WHITE = 12.0
 # How far to either side of its peak the fringes of a mode are drawn.
 _SHOWN_OCTAVES = 0.12
-_CLASS_COLOUR = {"F": "#4cc9f0", "T": "#ffb703", "X": "#80ed99"}
-_DARK_COLOUR = {"F": "#0077b6", "T": "#d97706", "X": "#2b8a3e"}
+_CLASS_COLOUR = {"F": "#4cc9f0", "T": "#ffb703", "X": "#80ed99", "L": "#f4a3ff"}
+_DARK_COLOUR = {"F": "#0077b6", "T": "#d97706", "X": "#2b8a3e", "L": "#8e44ad"}
+# Modes of the heel, and such as have no name.
+_OTHER_COLOUR = "#9d9d9d"
 _LINE_COLOUR = "#ff5d5d"
 
 
@@ -103,7 +105,7 @@ def _label(
     names = [name for name, found in resonances.items() if found.step_index == step.index]
     text, colour = str(step.index), "#9a9a9a"
     if names:
-        text, colour = f"{step.index} {'/'.join(names)}", _CLASS_COLOUR[names[0][0]]
+        text, colour = f"{step.index} {'/'.join(names)}", _CLASS_COLOUR.get(names[0][0], "#e0e0e0")
     elif step.index in line_steps(run):
         text, colour = f"{step.index} line", _LINE_COLOUR
     elif step.verdict != "ok":
@@ -149,7 +151,7 @@ def response_plot(sweep: SweepFit, acoustic_lines_hz: Sequence[float]) -> Figure
     axes.plot(hz, sweep.response.phase_rad, color="0.25", linewidth=1.2, label="whole reed, rms")
     for place, (name, found) in enumerate(sweep.resonances.items()):
         near = np.abs(np.log2(hz / found.frequency_hz)) < _SHOWN_OCTAVES
-        colour = _DARK_COLOUR[name[0]]
+        colour = _DARK_COLOUR.get(name[0], _OTHER_COLOUR)
         axes.plot(
             hz[near], amplitude[near, sweep.response.names.index(name)], color=colour, linewidth=1
         )
@@ -169,10 +171,14 @@ def response_plot(sweep: SweepFit, acoustic_lines_hz: Sequence[float]) -> Figure
                 rotation=90, ha="right", va="bottom", fontsize=8, color=_LINE_COLOUR,
             )  # fmt: skip
     _dress(axes, amplitude)
-    for letter, word in (("F", "flexural"), ("T", "transversal"), ("X", "generic")):
-        axes.plot([], [], color=_DARK_COLOUR[letter], label=f"{letter}: {word} modes")
+    for letter, word in (
+        ("F", "flexural"), ("T", "transversal"), ("X", "generic"), ("L", "lateral"),
+    ):  # fmt: skip
+        if letter in {name[0] for name in sweep.resonances}:
+            axes.plot([], [], color=_DARK_COLOUR[letter], label=f"{letter}: {word} modes")
     axes.legend(loc="upper right", frameon=False)
-    axes.set_title(f"Reed {sweep.reed}, series {sweep.series}: fringes counted per mode shape")
+    how = "largest deflection of every mode" if sweep.joint else "fringes counted per mode shape"
+    axes.set_title(f"Reed {sweep.reed}, series {sweep.series}: {how}")
     return figure
 
 

@@ -363,7 +363,7 @@ def fit_runs(
     paths: Sequence[str | Path],
     model: ModelName = "fem",
     announce: Callable[[str], None] | None = None,
-    method: MethodName = "picture",
+    method: MethodName = "joint",
 ) -> ReedFit:
     """Fit one run, or a series A and a series B run of the same reed together.
 
@@ -375,8 +375,8 @@ def fit_runs(
         Forward model: finite elements, or the paper's Table 9 with its adjustments.
     announce : callable, optional
         Told what takes long.
-    method : {'picture', 'joint'}
-        The paper's way, by the pictures with most fringes, or one fit of all holograms.
+    method : {'joint', 'picture'}
+        One fit of all holograms, or the paper's way, by the pictures with most fringes.
 
     Raises
     ------

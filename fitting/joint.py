@@ -285,6 +285,17 @@ class ResidualMap:
         }
 
 
+def left_square(fit: JointFit, holograms: NDArray[np.intp]) -> Array:
+    """Squares (s, n) of what displacements leave of holograms (s,), in units of the noise."""
+    found = fit.displacements
+    u = found.amplitude_rad[holograms].astype(np.complex64) @ fit.basis.functions.T
+    over, _ = BesselTable().tensor(np.abs(u))
+    lit = np.exp(found.gain[holograms]).astype(np.float32)[:, None] * found.light
+    left = fit.phasors.value[:, holograms].T - lit * (u * over)
+    square: Array = left.real**2 + left.imag**2
+    return square
+
+
 def residual_map(fit: JointFit, name: str) -> ResidualMap:
     """Map what is left of the three holograms nearest to a mode's resonance.
 
@@ -294,13 +305,10 @@ def residual_map(fit: JointFit, name: str) -> ResidualMap:
     name : str
         Of one of its modes.
     """
-    phasors, amplitude = fit.phasors, fit.displacements.amplitude_rad
+    phasors = fit.phasors
     hz = fit.modal.hz[fit.modal.names.index(name)]
     nearest = np.argsort(np.abs(np.log(phasors.drive_hz / hz)))[:3]
-    u = amplitude[nearest].astype(np.complex64) @ fit.basis.functions.T
-    over, _ = BesselTable().over_argument(np.abs(u))
-    left = phasors.value[:, nearest].T - fit.displacements.light * (u * over)
-    square = np.mean(left.real**2 + left.imag**2, axis=0)
+    square = left_square(fit, nearest).mean(axis=0)
     cells = np.stack([np.floor(phasors.x_m / _CELL_M), np.floor(phasors.y_m / _CELL_M)], axis=1)
     places, which = np.unique(cells, axis=0, return_inverse=True)
     mean = np.bincount(which.ravel(), square) / np.bincount(which.ravel())

@@ -9,6 +9,9 @@ from acquire.errors import RunFileError
 from acquire.runfile import Run
 from fitting.drawing import contact_sheet, png_of, response_plot
 from fitting.fit import ReedFit, SweepFit
+from fitting.joint_drawing import mode_sheet
+from fitting.picking import Resonance
+from fitting.tables import not_identified_lines
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 1400px;
@@ -51,6 +54,8 @@ def write_report(fit: ReedFit, page: Path) -> dict[str, Path]:
                 "contact sheet": contact_sheet(run, sweep.resonances),
                 "response": response_plot(sweep, run.acoustic_lines_hz),
             }
+            if sweep.joint:
+                figures["modes"] = mode_sheet(sweep.joint, sweep.resonances)
             parts.append(_sweep(sweep, run, fit))
         stem = f"{sweep.path.stem}-{sweep.series}" if alike else sweep.path.stem
         for name, figure in figures.items():
@@ -170,27 +175,40 @@ def _modulus(name: str) -> str:
 def _sweep(sweep: SweepFit, run: Run, fit: ReedFit) -> str:
     """Facts about one run and the table of its modes."""
     residual = fit.parameters.residual_cents.get(sweep.series, {}) if fit.parameters else {}
+    jointly = sweep.joint is not None
     rows = [
         (
             name,
             f"{found.frequency_hz:.1f}",
             f"{found.error_cents:.1f}",
+            *(_joint_cells(found) if jointly else ()),
             str(found.step_index),
             f"{found.amplitude_rad:.2f}",
             f"{residual[name]:+.1f}" if name in residual else "not fitted",
         )
         for name, found in sweep.resonances.items()
     ]
+    more = ("loss factor", "liveliest at (Hz)", "participation", "MAC") if jointly else ()
     head = (
-        "mode",
-        "frequency (Hz)",
-        "± cents",
-        "picture",
-        "phase amplitude (rad)",
-        "residual (cents)",
+        *("mode", "frequency (Hz)", "± cents", *more),
+        *("picture", "phase amplitude (rad)", "residual (cents)"),
     )
     title = html.escape(f"Series {sweep.series}: resonances")
-    return f"<h2>{title}</h2>{_facts(run)}{_table(head, rows)}"
+    missing = "<br>".join(map(html.escape, not_identified_lines(sweep)))
+    return f'<h2>{title}</h2>{_facts(run)}{_table(head, rows)}<p class="facts">{missing}</p>'
+
+
+def _joint_cells(found: Resonance) -> tuple[str, ...]:
+    """What only a joint fit knows of a mode."""
+    loss = "" if found.loss_factor is None else f"{found.loss_factor:.4f}"
+    if found.loss_factor is not None and found.loss_error is not None:
+        loss += f" ± {found.loss_factor * found.loss_error:.4f}"
+    return (
+        loss,
+        "" if found.response_hz is None else f"{found.response_hz:.1f}",
+        "" if found.participation is None else f"{found.participation:.3f}",
+        "" if found.likeness is None else f"{found.likeness:.2f}",
+    )
 
 
 def _facts(run: Run) -> str:

@@ -12,18 +12,17 @@ def modes_table(sweep: SweepFit) -> Table:
     """Resonances of one run."""
     table = Table(title=Text(f"Reed {sweep.reed}, series {sweep.series}: resonances"))
     jointly = sweep.joint is not None
-    more = ("loss factor", "liveliest at", "MAC") if jointly else ()
-    for head in ("mode", "frequency", "± cents", "picture", "fringes (rad)", *more):
-        table.add_column(head, justify="right")
+    more = ("loss factor", "liveliest", "MAC") if jointly else ("fringes (rad)",)
+    for head in ("mode", "frequency", "± cents", *more, "picture"):
+        table.add_column(head, justify="right", no_wrap=True)
     for name, found in sweep.resonances.items():
-        cells = (
+        table.add_row(
             name,
             f"{found.frequency_hz:.1f} Hz",
             f"{found.error_cents:.1f}",
+            *(_joint_cells(found) if jointly else (f"{found.amplitude_rad:.1f}",)),
             str(found.step_index),
-            f"{found.amplitude_rad:.1f}",
         )
-        table.add_row(*cells, *(_joint_cells(found) if jointly else ()))
     return table
 
 
@@ -32,7 +31,7 @@ def _joint_cells(found: Resonance) -> tuple[str, str, str]:
     loss = "" if found.loss_factor is None else f"{found.loss_factor:.4f}"
     if found.loss_factor is not None and found.loss_error is not None:
         loss += f" ± {found.loss_factor * found.loss_error:.4f}"
-    response = "" if found.response_hz is None else f"{found.response_hz:.1f} Hz"
+    response = "" if found.response_hz is None else f"{found.response_hz:.0f} Hz"
     return loss, response, "" if found.likeness is None else f"{found.likeness:.2f}"
 
 

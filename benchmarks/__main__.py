@@ -15,6 +15,7 @@ MODULES = (
     "benchmarks.independence",
     "benchmarks.pace",
     "benchmarks.recovery",
+    "benchmarks.identification",
 )
 
 

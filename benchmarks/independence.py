@@ -75,7 +75,7 @@ def benchmark() -> dict[str, Any]:
     }
     for case in cases:
         # A file that is skipped whole is a case without a class, of that file's name.
-        where, name = case.get("classname") or case.get("name", ""), case.get("name", "")
+        where, name = case.get("classname") or case.get("name") or "", case.get("name") or ""
         cell = cell_of(where.split(".")[2], name)
         if cell is not None:
             counted[_outcome(case)][cell] += 1

@@ -35,7 +35,7 @@ Steps = NDArray[np.intp]
 
 # Prior standard deviation of amplitudes, rad: only against what the data do not tell at all.
 _FINAL_RAD = 10.0
-_FINAL_TURNS = 6
+_FINAL_TURNS = 4
 # Beyond this a hologram has not reached the floor of its noise.
 _FLOOR = 30.0
 

@@ -1,11 +1,12 @@
 """Resonances by one joint fit of a sweep, from its holograms: phasors, displacement, modes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from acquire.runfile import Run
 from fitting.bessel import BesselTable
@@ -16,7 +17,7 @@ from fitting.phasors import Phasors, read_phasors
 from fitting.picking import Resonance, likely_components, pick_resonances
 from fitting.shapes import ShapeBasis, shape_basis
 from physics.reed.basis import ReducedReed
-from physics.reed.names import PAPER_MODES
+from physics.reed.names import PAPER_MODES, is_symmetric
 from physics.reed.response import viscoelastic_mode
 from physics.reed.viscoelastic import (
     Components,
@@ -38,8 +39,9 @@ _STEP = 1.01
 _BEYOND = 1.03
 # Shapes up to here may take part in the first look at which mode is lively where.
 _LOOK_HZ = 24e3
-# A lively hologram counts as a mode's own if the cane that all of them tell of agrees to this.
-_AGREE_CENTS = 80.0
+# A lively hologram counts as a mode's own if the cane that all of them tell of agrees to this share
+# of the distance to the next mode of its symmetry, within limits.
+_ROOM, _AGREE_CENTS = 0.4, (80.0, 300.0)
 # A mode is identified if its amplitude stands out of its error by this factor, and its frequency is
 # known to a step of the sweep.
 _DEVIATIONS, _WIDEST_CENTS = 5.0, 25.0
@@ -98,6 +100,12 @@ def fit_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> JointFit:
     RunFileError
         If a step cannot be read.
     """
+    # Matrices are small: threads of linear algebra would wait for each other more than compute.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _fitted(run, reed, model)
+
+
+def _fitted(run: Run, reed: ReducedReed, model: ForwardModel) -> JointFit:
     series = Series.B if run.series == "B" else Series.A
     phasors = read_phasors(run)
     basis = _basis(reed, viscoelastic_cane(Components(), series), phasors)
@@ -152,14 +160,18 @@ def _starts(
     """Where each mode within the sweep is to be looked for, by name.
 
     Liveliest holograms of the paper's modes tell of the cane, and the cane of all other modes.
+    Where a mode outweighs all others in its liveliest hologram, it is looked for there: a reed need
+    not have the shape of its kind.
     """
     look = basis.hz < _LOOK_HZ
-    modal = displacements.amplitude_rad @ np.linalg.pinv(basis.shapes[look])
+    modal = np.abs(displacements.amplitude_rad @ np.linalg.pinv(basis.shapes[look]))
+    names = [name for name, counts in zip(basis.names, look, strict=True) if counts]
+    weighty = _outweighing(modal * np.linalg.norm(basis.shapes[look], axis=1), names)
     picked = pick_resonances(
         phasors.drive_hz,
         phasors.step_index,
-        np.abs(modal),
-        [name for name, counts in zip(basis.names, look, strict=True) if counts],
+        modal,
+        names,
         model,
         series,
         lambda _shape, _picture: True,
@@ -167,17 +179,58 @@ def _starts(
     )
     components = likely_components(picked, model, series)
     expected = _expected_hz(basis, reed, viscoelastic_cane(components, series))
-    paper_cents = viscoelastic_cents(model, viscoelastic_cane(components, series), series)
-    starts = {}
-    for name, hz in expected.items():
-        starts[name] = hz
-        # What was picked may be another mode's peak: it counts if the cane agrees.
-        if name in picked and name in PAPER_MODES:
-            cents = paper_cents[model.modes.index(name)]
-            if abs(cents_of(picked[name].frequency_hz) - cents) < _AGREE_CENTS:
-                starts[name] = picked[name].frequency_hz
+    paper_cents = dict(
+        zip(
+            model.modes,
+            viscoelastic_cents(model, viscoelastic_cane(components, series), series),
+            strict=True,
+        )
+    )
+    starts = dict(expected)
+    for name in expected:
+        if name not in PAPER_MODES or name not in paper_cents:
+            continue
+        seen_hz = [phasors.drive_hz[k] for k in weighty[name]]
+        if name in picked:
+            seen_hz.append(picked[name].frequency_hz)
+        # What was seen may be another mode's peak, or a line: it counts if the cane agrees.
+        apart = [abs(float(cents_of(hz)) - paper_cents[name]) for hz in seen_hz]
+        if apart and min(apart) < _room_cents(name, paper_cents):
+            starts[name] = float(seen_hz[int(np.argmin(apart))])
     first, last = phasors.drive_hz[0], phasors.drive_hz[-1]
     return {n: hz for n, hz in starts.items() if first / _BEYOND < hz < last * _BEYOND}
+
+
+def _outweighing(weight: Array, names: Sequence[str]) -> dict[str, list[int]]:
+    """Holograms in which a mode is livelier than in their neighbours, and outweighs the others.
+
+    Parameters
+    ----------
+    weight : (k, m) float
+        Of each mode in each hologram.
+    """
+    inner, before, after = weight[1:-1], weight[:-2], weight[2:]
+    most = inner.argmax(axis=1)
+    return {
+        name: [
+            int(k) + 1
+            for k in np.flatnonzero(
+                (inner[:, m] > before[:, m]) & (inner[:, m] > after[:, m]) & (most == m)
+            )
+        ]
+        for m, name in enumerate(names)
+    }
+
+
+def _room_cents(name: str, cents: Mapping[str, float]) -> float:
+    """How far a mode may be from where it is expected and be no other of its symmetry."""
+    others = [
+        abs(at - cents[name])
+        for other, at in cents.items()
+        if other != name and is_symmetric(other) == is_symmetric(name)
+    ]
+    least, most = _AGREE_CENTS
+    return float(np.clip(_ROOM * min(others, default=most), least, most))
 
 
 def _expected_hz(basis: ShapeBasis, reed: ReducedReed, cane: ViscoelasticCane) -> dict[str, float]:

@@ -46,9 +46,14 @@ _LEAST_SCALE = 3e-3
 # Prior standard deviation of amplitudes, rad: only against what the data do not tell at all.
 _LOOSE_RAD = 100.0
 _LEAST_PROGRESS = 2e-3
-_MOST_DAMPING = 1e8
+_LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e8
+# What rounding may take off the smallest eigenvalues of a matrix of units, in single and double
+# precision.
+_ROUGH, _ROUNDING = 3e-6, 1e-11
 # What amplitudes may be off beyond their noise (see `_Stage`), and how often that is estimated.
 _DISCREPANCY, _ROUNDS = (1e-4, 0.3), 3
+# ... and how often if the modes are known.
+_AGAIN = 2
 # Holograms so many steps apart may still be alike in what no model explains.
 _FAR = 10
 # Holograms are off if what is left of them is that many times as much as usual, squared.
@@ -192,9 +197,9 @@ def _improve(model: Model, data: Data, prior: Prior, state: State, iterations: i
         known = float(tried.together @ data.precision @ tried.together)
         return misfit + known + prior.cost(tried.x) + bend(model, tried).cost
 
-    best, damping = cost(state), 1e-3
+    best, damping, quick = cost(state), 1e-3, data.single()
     for _ in range(iterations):
-        here = equations(model, data, prior, state)
+        here = equations(model, quick, prior, state)
         while True:
             tried = _moved(here, prior, state, damping)
             reached = cost(tried)
@@ -204,7 +209,7 @@ def _improve(model: Model, data: Data, prior: Prior, state: State, iterations: i
             if damping > _MOST_DAMPING:
                 return state
         gain, best, state = best - reached, reached, tried
-        damping = max(damping / 5, 1e-9)
+        damping = max(damping / 5, _LEAST_DAMPING)
         if gain < _LEAST_PROGRESS * best:
             break
     return state
@@ -213,7 +218,10 @@ def _improve(model: Model, data: Data, prior: Prior, state: State, iterations: i
 def _moved(here: Equations, prior: Prior, state: State, damping: float) -> State:
     matrix, gradient, factors = _reduced(here, damping)
     damped = matrix + np.diag(damping * np.diag(here.matrix))
-    move = linalg.solve(damped, gradient, assume_a="pos")
+    # Parameters of very different sizes: each in units of what alone would be told of it.
+    unit = 1 / np.sqrt(np.diag(damped))
+    factor = linalg.cho_factor(unit[:, None] * damped * unit + _ROUGH * np.eye(len(unit)))
+    move = unit * linalg.cho_solve(factor, unit * gradient)
     drive = linalg.cho_solve(factors, here.drive_gradient - here.coupling.T @ move).reshape(2, -1)
     # A step of the drive by more than e is no small one.
     drive = np.clip(drive, -1, 1)
@@ -266,8 +274,10 @@ def fit_modes(
     )
     noise = _noise(displacements)
     if known is not None:
-        state = _again(known.state, known, displacements)
-        return _finish(model, displacements, noise, centre_hz, state, basis.names)
+        state, discrepancy = _again(known.state, known, displacements), known.discrepancy
+        return _finish(
+            model, displacements, noise, centre_hz, state, basis.names, _AGAIN, discrepancy
+        )
     state, scale = _begin(model, displacements)
     for stage in _STAGES:
         prior = _prior(model, stage, centre_hz, scale)
@@ -418,16 +428,18 @@ def _finish(
     centre_hz: Array,
     state: State,
     names: Sequence[str],
+    rounds: int = _ROUNDS,
+    discrepancy: float = _LAST.discrepancy,
 ) -> ModalFit:
     """Last rounds, with the discrepancy that makes what is left as large as it should be."""
-    prior, discrepancy = _prior(model, _LAST, centre_hz, _scale(model, state)), _LAST.discrepancy
-    for _ in range(_ROUNDS):
+    prior = _prior(model, _LAST, centre_hz, _scale(model, state))
+    for _ in range(rounds):
         data = _data(displacements, noise, discrepancy)
         state = with_gain(
             model, _improve(model, data, prior, _fixed(prior, state), _LAST.iterations)
         )
         here, now = equations(model, data, prior, state), terms(model, state)
-        covariance = np.linalg.inv(_reduced(here, 0.0)[0])
+        covariance = _inverse(_reduced(here, 0.0)[0])
         freedoms = 2 * data.amplitude.size - 2 * len(model.hz) - _told(prior, data, covariance)
         apart = data.apart(now.amplitude, state.together)
         misfit, used = float(np.sum(apart**2)) / freedoms, discrepancy
@@ -438,7 +450,7 @@ def _finish(
     covariance = alike * covariance
     # Drive and participations have a common factor, which may be anything: of the latter only what
     # they are beside a given drive counts.
-    beside_drive = alike * np.linalg.inv(here.matrix)
+    beside_drive = alike * _inverse(here.matrix)
     count, powers = len(model.active), model.powers.shape[1]
     spread = np.zeros_like(state.x)
     spread[prior.free] = np.sqrt(np.diag(covariance))[: np.count_nonzero(prior.free)]
@@ -462,6 +474,14 @@ def _finish(
         off=(noise.inflation > 1) | ~np.any(displacements.information, axis=(1, 2)),
         state=state,
     )
+
+
+def _inverse(matrix: Array) -> Array:
+    """Inverse of a positive matrix of parameters of very different sizes."""
+    unit = 1 / np.sqrt(np.diag(matrix))
+    scaled = unit[:, None] * matrix * unit + _ROUNDING * np.eye(len(unit))
+    inverse: Array = unit[:, None] * np.linalg.inv(scaled) * unit
+    return inverse
 
 
 def _alike(noise: _Noise, apart: Array, log_drive: Complex) -> float:

@@ -227,7 +227,8 @@ class Search:
         if not self._solved.all() and self._solve_calm():
             self._go_on()
         for _ in range(_REVISIONS):
-            self._revise()
+            if not self._revise():
+                break
             self._relight()
 
     def _go_on(self) -> None:
@@ -257,8 +258,9 @@ class Search:
             self._try(int(step), start, ((self._most, _SEARCH_STRIDE, DESCENT),))
         return bool((self.misfit[calm] < _THRESHOLDS[0][0]).any())
 
-    def _revise(self) -> None:
+    def _revise(self) -> bool:
         """Try holograms that are explained worse than a neighbour once more from that side."""
+        before = self.misfit.copy()
         last = len(self.misfit) - 1
         for step in np.argsort(-self.misfit):
             for source in (step - 1, step + 1):
@@ -266,6 +268,7 @@ class Search:
                     continue
                 if self.misfit[step] > ALIKE * max(float(self.misfit[source]), 1):
                     self._solve(int(step), int(source))
+        return bool((self.misfit < before).any())
 
     def _frontier(self, reach: int) -> list[tuple[int, int]]:
         """Unsolved holograms, each with a solved one not farther off than that."""

@@ -28,7 +28,7 @@ def _diagnosed(paths):
     return diagnose(_fitted(paths, "fem", "picture"))
 
 
-def _fit_once(runs, model="fem", announce=None, method="picture"):
+def _fit_once(runs, model="fem", announce=None, method="joint"):
     """Fit the same runs once for a session, however many verbs ask for it."""
     return _fitted(tuple(Path(run).resolve() for run in runs), model, method)
 

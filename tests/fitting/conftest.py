@@ -48,8 +48,8 @@ def sweep_a(made_once):
 
 @pytest.fixture(scope="session")
 def fitted(sweep_a):
-    """What `acquire fit` makes of that run."""
-    return fit_runs([sweep_a])
+    """What `acquire fit --method picture` makes of that run."""
+    return fit_runs([sweep_a], method="picture")
 
 
 @pytest.fixture(scope="session")

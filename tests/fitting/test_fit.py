@@ -218,14 +218,14 @@ def test_one_series_twice_is_not_fitted_together(changed, quick_model):
 
 
 def test_a_series_that_is_neither_a_nor_b_has_modes_but_no_parameters(changed, quick_model):
-    fit = fit_runs([changed(only=NEAR_T1, series="damp")])
+    fit = fit_runs([changed(only=NEAR_T1, series="damp")], method="picture")
     assert "T1" in fit.sweeps[0].resonances
     assert fit.parameters is None
     assert "'damp'" in fit.reason
 
 
 def test_series_b_alone_has_modes_but_no_parameters(changed, quick_model):
-    fit = fit_runs([changed(only=NEAR_T1, series="B")])
+    fit = fit_runs([changed(only=NEAR_T1, series="B")], method="picture")
     assert fit.sweeps[0].resonances
     assert fit.parameters is None
     assert "series A" in fit.reason
@@ -237,7 +237,7 @@ def test_too_few_modes_give_no_parameters_and_say_so(changed, quick_model, aroun
         for name, found in sweep.resonances.items()
         if around_t1[0] < found.step_index < around_t1[1]
     ]
-    fit = fit_runs([changed(only=around_t1)])
+    fit = fit_runs([changed(only=around_t1)], method="picture")
     assert set(fit.sweeps[0].resonances) == set(inside)
     assert fit.parameters is None
     assert f"{len(inside)} resonances cannot fix 3 components" in fit.reason
@@ -252,7 +252,7 @@ def test_an_unknown_forward_model_is_refused():
 def test_a_file_that_is_no_run_is_refused(tmp_path, quick_model):
     path = tmp_path / "no.h5"
     with pytest.raises(RunFileError, match="no such file"):
-        fit_runs([path])
+        fit_runs([path], method="picture")
     path.write_text("not HDF5")
     with pytest.raises(RunFileError, match="no HDF5 file"):
-        fit_runs([path])
+        fit_runs([path], method="picture")

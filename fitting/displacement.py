@@ -35,7 +35,7 @@ Steps = NDArray[np.intp]
 
 # Prior standard deviation of amplitudes, rad: only against what the data do not tell at all.
 _FINAL_RAD = 10.0
-_FINAL_TURNS = 4
+_FINAL_TURNS, _REFIT_TURNS = 4, 2
 # Beyond this a hologram has not reached the floor of its noise.
 _FLOOR = 30.0
 
@@ -133,11 +133,16 @@ def refit_displacements(
     better = found < np.minimum(ALIKE * misfit[steps], np.maximum(_FLOOR, enough(phasors)[steps]))
     chosen = steps[better]
     a[chosen], gain[chosen], misfit[chosen] = tried[better], louder[better], found[better]
-    return _finished(whole, phasors, Solution(a, gain, light), np.isfinite(misfit))
+    at = Solution(a, gain, light)
+    return _finished(whole, phasors, at, np.isfinite(misfit), _REFIT_TURNS)
 
 
 def _finished(
-    whole: Problem, phasors: Phasors, at: Solution, solved: NDArray[np.bool_]
+    whole: Problem,
+    phasors: Phasors,
+    at: Solution,
+    solved: NDArray[np.bool_],
+    turns: int | None = None,
 ) -> Displacements:
     """Let light and amplitudes of the solved holograms settle."""
     steps = np.flatnonzero(solved)
@@ -145,7 +150,7 @@ def _finished(
     problem = whole.some(steps)
     exact = problem.exact()
     at = Solution(at.amplitude[steps], at.gain[steps], at.light)
-    for _ in range(_FINAL_TURNS):
+    for _ in range(turns or _FINAL_TURNS):
         at, step = _settled(problem, exact, smooth, at)
     return _told(len(phasors.drive_hz), steps, at, step)
 

@@ -51,6 +51,8 @@ _LEAST_MAC = 0.5
 _PEAK_CENTS = 150.0
 # Side of a cell of a residual map.
 _CELL_M = 2e-3
+# So few holograms that show something else, such as a line of the air, are left alone.
+_FEW_OFF = 2
 # Holograms that may stay off their noise before nothing is believed of a sweep.
 _MOST_UNREACHED = 0.2
 # ... and what modes may leave of the vibration: reeds that are 10 µm off in shape leave 0.02, those
@@ -112,7 +114,7 @@ def _fitted(run: Run, reed: ReducedReed, model: ForwardModel) -> JointFit:
     displacements = fit_displacements(phasors, basis)
     start_hz = _starts(phasors, basis, displacements, reed, model, series, run.acoustic_lines_hz)
     modal = fit_modes(displacements, basis, phasors.drive_hz, phasors.volts, start_hz)
-    if modal.off.any():
+    if np.count_nonzero(modal.off) > _FEW_OFF:
         # Modes know what these holograms should show, and so in which fringes to look.
         displacements = refit_displacements(
             phasors, basis, displacements, modal.amplitude_rad, modal.off, modal.together

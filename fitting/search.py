@@ -168,6 +168,7 @@ class Search:
         )  # fmt: skip
         self.misfit = misfit.copy()
         self.spread()
+        self.revise()
 
     @property
     def solved(self) -> NDArray[np.bool_]:
@@ -226,6 +227,9 @@ class Search:
         self._go_on()
         if not self._solved.all() and self._solve_calm():
             self._go_on()
+
+    def revise(self) -> None:
+        """Try holograms in what may be a wrong fringe again."""
         for _ in range(_REVISIONS):
             if not self._revise():
                 break
@@ -377,6 +381,7 @@ def solve(phasors: Phasors, basis: ShapeBasis) -> Search:
             f"only {solved} of {len(phasors.drive_hz)} holograms can be explained as vibrations of "
             "this reed: none shows any light, or there are too many fringes; begin with less volts"
         )
+    best.revise()
     return best
 
 

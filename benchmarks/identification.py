@@ -17,7 +17,7 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ from fitting.errors import FitError
 from fitting.fit import fit_sweep, fit_sweep_jointly
 from fitting.forward import basis_of, finite_element_model
 from fitting.joint import JointFit
+from fitting.lines import Line, common_lines
 from physics.reed.viscoelastic import Series
 
 Array = NDArray[np.floating[Any]]
@@ -63,6 +64,7 @@ class Judged:
     true_names: list[str]
     joint_s: float
     picture_s: float
+    lines: list[Line]
 
 
 def judge(path: Path) -> Judged:
@@ -101,6 +103,7 @@ def judge(path: Path) -> Judged:
         list(true_hz),
         middle_s - start_s,
         end_s - middle_s,
+        sweep.lines,
     )
 
 
@@ -175,6 +178,7 @@ def summary(judged: Sequence[Judged]) -> dict[str, Any]:
         "library": peer_version(),
         "modes": tables,
         "coverage": coverage,
+        "common_lines": [asdict(line) for line in common_lines([j.lines for j in judged])],
         "fit_s": {
             "median": float(np.median(seconds)),
             "most": max(seconds),
@@ -280,6 +284,11 @@ def _print_claims(result: dict[str, Any]) -> None:
         f"a run is fitted in {seconds['median']:.1f} s, {seconds['most']:.1f} s at most, "
         f"{seconds['longer']} of {result['runs']} longer than {FIT_S:g} s: {met('time_met')}"
     )
+    for line in result["common_lines"]:
+        print(
+            f"line of the drive at {line['hz']:.0f} Hz, {line['height_db']:+.1f} dB, in "
+            f"{line['sweeps']} of {result['runs']} runs"
+        )
     for case, said in result["nothing"].items():
         found = ", ".join(said["identified"]) or "nothing identified"
         print(f"{case}: {found}: {said['said']}")

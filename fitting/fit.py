@@ -16,6 +16,7 @@ from fitting.errors import FitError, FitInputError
 from fitting.forward import ForwardModel, PaperModel, basis_of, cents_of, finite_element_model
 from fitting.fringes import Fringes, count_fringes, misfit_without
 from fitting.joint import JointFit, fit_jointly, residual_map
+from fitting.lines import Line, drive_lines
 from fitting.picking import Resonance, likely_components, pick_resonances
 from fitting.pictures import Pictures, read_pictures
 from fitting.reedfit import QUOTED_HZ, ReedParameters, fit_components
@@ -102,6 +103,14 @@ class SweepFit:
     not_identified: Mapping[str, str]
     joint: JointFit | None = None
 
+    @property
+    def lines(self) -> list[Line]:
+        """Where the drive stands out of itself: lines of the air, no modes of the reed."""
+        if self.joint is None:
+            return []
+        phasors, drive = self.joint.phasors, self.joint.modal.drive
+        return drive_lines(phasors.drive_hz, np.log(np.abs(drive) / phasors.volts))
+
 
 @dataclass(frozen=True)
 class ReedFit:
@@ -128,6 +137,7 @@ class ReedFit:
                 "series": sweep.series,
                 "modes": {name: _to_json(sweep, name) for name in sweep.resonances},
                 "not_identified": dict(sweep.not_identified),
+                "lines": [{"hz": line.hz, "height_db": line.height_db} for line in sweep.lines],
             }
             for sweep in self.sweeps
         ]

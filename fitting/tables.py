@@ -36,11 +36,16 @@ def _joint_cells(found: Resonance) -> tuple[str, str, str]:
 
 
 def not_identified_lines(sweep: SweepFit) -> list[str]:
-    """Why modes within the sweep are not identified, a line for each reason."""
+    """Why modes within the sweep are not identified, a line for each reason; lines of the drive."""
     by_reason: dict[str, list[str]] = {}
     for name, reason in sweep.not_identified.items():
         by_reason.setdefault(reason, []).append(name)
-    return [f"not identified: {', '.join(names)}: {r}" for r, names in by_reason.items()]
+    lines = [f"not identified: {', '.join(names)}: {r}" for r, names in by_reason.items()]
+    return lines + [
+        f"a line of the drive at {line.hz:.0f} Hz, {line.height_db:+.0f} dB: of the air or the "
+        "loudspeaker if other reeds show it too, and no mode"
+        for line in sweep.lines
+    ]
 
 
 def parameters_table(fit: ReedFit) -> Table | None:

@@ -118,7 +118,7 @@ def test_json_has_the_documented_keys(fitted, sweep_a):
     (run,) = answer["runs"]
     assert run == {
         "path": str(sweep_a), "reed": REED, "series": "A", "modes": answer["modes"],
-        "not_identified": {},
+        "not_identified": {}, "lines": [],
     }  # fmt: skip
 
 

@@ -1,14 +1,17 @@
 """One fit of all holograms of a run, on the simulated bench with all its noise."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from fitting.drawing import png_of
 from fitting.errors import FitInputError
 from fitting.fit import fit_runs, method_name
 from fitting.forward import cents_of
-from fitting.joint import mac, residual_map
+from fitting.joint import _doubts, mac, residual_map
+from fitting.joint_drawing import mode_sheet
 from fitting.tables import modes_table, not_identified_lines
 
 
@@ -76,6 +79,35 @@ def test_the_table_tells_loss_and_what_is_not_identified(sweep):
     assert heads[3:6] == ["loss factor", "liveliest", "MAC"]
     told = " ".join(not_identified_lines(sweep))
     assert all(name in told for name in sweep.not_identified)
+
+
+def test_the_line_of_the_cavity_is_told_and_nothing_else(sweep):
+    """The simulated cavity rings at 4309 Hz; its gain is highest a little below."""
+    (line,) = sweep.lines
+    assert 4200 < line.hz < 4330
+    assert 5 < line.height_db < 12
+    assert any(f"{line.hz:.0f} Hz" in told for told in not_identified_lines(sweep))
+
+
+def test_every_identified_mode_is_drawn(sweep):
+    figure = mode_sheet(sweep.joint, sweep.resonances)
+    words = " ".join(text.get_text() for text in figure.texts)
+    for name, found in sweep.resonances.items():
+        assert f"{name}   {found.frequency_hz:.1f} Hz" in words
+        assert f"MAC {found.likeness:.2f}" in words
+    # Hologram, shape and residual of each, and a scale for each of these.
+    assert len(figure.axes) == 3 * len(sweep.resonances) + 3
+    assert png_of(figure).startswith(b"\x89PNG")
+
+
+def test_modes_of_another_kind_of_reed_are_not_believed(sweep):
+    joint = sweep.joint
+    doubts = _doubts(replace(joint.modal, discrepancy=0.3), joint.basis, joint.displacements)
+    assert set(doubts) == set(joint.modal.names)
+    assert all("another reed" in reason for reason in doubts.values())
+    few = replace(joint.displacements, reached=np.arange(len(joint.displacements.reached)) % 3 > 0)
+    doubts = _doubts(joint.modal, joint.basis, few)
+    assert all("cannot be explained" in reason for reason in doubts.values())
 
 
 def test_shapes_alike_have_a_mac_of_1():

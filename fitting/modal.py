@@ -18,6 +18,7 @@ vibration cannot be told apart (see `fitting.light`). What amplitudes are off be
 because no model is perfect, is estimated from what is left and added to the noise.
 """
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -201,10 +202,12 @@ def _improve(model: Model, data: Data, prior: Prior, state: State, iterations: i
     for _ in range(iterations):
         here = equations(model, quick, prior, state)
         while True:
-            tried = _moved(here, prior, state, damping)
-            reached = cost(tried)
-            if reached < best:
-                break
+            # Rounding may leave a matrix that is none of a minimum; damping makes it one.
+            with contextlib.suppress(np.linalg.LinAlgError):
+                tried = _moved(here, prior, state, damping)
+                reached = cost(tried)
+                if reached < best:
+                    break
             damping = max(8 * damping, 1e-6)
             if damping > _MOST_DAMPING:
                 return state
@@ -219,7 +222,7 @@ def _moved(here: Equations, prior: Prior, state: State, damping: float) -> State
     matrix, gradient, factors = _reduced(here, damping)
     damped = matrix + np.diag(damping * np.diag(here.matrix))
     # Parameters of very different sizes: each in units of what alone would be told of it.
-    unit = 1 / np.sqrt(np.diag(damped))
+    unit = 1 / np.sqrt(np.diag(here.matrix))
     factor = linalg.cho_factor(unit[:, None] * damped * unit + _ROUGH * np.eye(len(unit)))
     move = unit * linalg.cho_solve(factor, unit * gradient)
     drive = linalg.cho_solve(factors, here.drive_gradient - here.coupling.T @ move).reshape(2, -1)

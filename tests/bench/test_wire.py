@@ -27,23 +27,17 @@ def wire_file(tmp_path):
 
 
 def test_a_sweep_over_wires_ends_in_the_same_fit(cli, folder, protocol_file, bench_file, wire_file):
-    said = {}
+    fits = []
     for name, bench in (("plain", bench_file()), ("wire", wire_file())):
         out = ["--bench", bench, "--reed", "R07", "--out", f"{name}.h5", "--seed", "4", "--json"]
-        said[name] = cli("run", protocol_file(**PART), *out)
-        assert said[name].status == 0, said[name].err
-    plain, wire = (json.loads(said[name].out) for name in ("plain", "wire"))
-    assert wire["verdicts"] == plain["verdicts"] == {"ok": 25}
-    assert {"F1", "T1"} <= set(wire["fit"]["modes"])
-    for name, mode in plain["fit"]["modes"].items():
-        # The same reed and light, but noise of its own.
-        same = wire["fit"]["modes"][name]
-        apart_cents = 1200 * np.log2(same["hz"] / mode["hz"])
-        assert abs(apart_cents) < 3 * np.hypot(same["error_cents"], mode["error_cents"])
-    pictures = [
-        cli("fit", f"{name}.h5", "--method", "picture", "--json").json["modes"] for name in said
-    ]
-    assert pictures[0] == pictures[1]
+        said = cli("run", protocol_file(**PART), *out, "--no-fit")
+        assert said.status == 0, said.err
+        assert json.loads(said.out)["verdicts"] == {"ok": 25}
+        # Too few holograms for a joint fit.
+        fits.append(cli("fit", f"{name}.h5", "--method", "picture", "--json").json)
+    plain, wire = fits
+    assert {"F1", "T1"} <= set(wire["modes"])
+    assert wire["modes"] == plain["modes"]
     with Run.open("plain.h5") as one, Run.open("wire.h5") as other:
         assert "Novatech 409B at /dev/" in other.identities["synthesizers"]
         assert "SDG2042X" in other.identities["generator"]

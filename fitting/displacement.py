@@ -83,7 +83,7 @@ def fit_displacements(phasors: Phasors, basis: ShapeBasis) -> Displacements:
     Raises
     ------
     FitError
-        If no hologram is calm enough to begin with.
+        If hardly any hologram can be explained.
     """
     search = solve(phasors, basis)
     found = _finished(search.whole, phasors, search.solution, search.solved)

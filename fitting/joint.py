@@ -98,7 +98,7 @@ def fit_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> JointFit:
     Raises
     ------
     FitError
-        If too few holograms are good, or none is calm enough to begin with.
+        If too few holograms are good, or hardly any can be explained.
     RunFileError
         If a step cannot be read.
     """

@@ -9,7 +9,6 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,6 +23,7 @@ Made = TypeVar("Made")
 
 # Holograms whose arrays still lie in the processor's cache.
 _TOGETHER = 12
+_MOST_THREADS = 4
 # Holograms are nowhere near so much brighter or darker than each other, in nepers.
 _MOST_GAIN = 3.0
 
@@ -210,12 +210,8 @@ def in_parts(work: Callable[[slice], Made], count: int) -> list[Made]:
     if len(parts) < 2:
         return [work(part) for part in parts]
     # numpy lets go of the interpreter while it computes.
-    return list(_workers().map(work, parts))
-
-
-@cache
-def _workers() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(min(4, len(os.sched_getaffinity(0))))
+    with ThreadPoolExecutor(min(_MOST_THREADS, os.cpu_count() or 1)) as workers:
+        return list(workers.map(work, parts))
 
 
 def gradient(here: Local, functions: Array) -> Array:

@@ -111,21 +111,6 @@ def _seen(model: Model, data: Data, state: State, now: Terms) -> _Seen:
     return _Seen(np.ascontiguousarray(products.transpose(1, 2, 0)), np.ascontiguousarray(pull.T))
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """Some columns of the equations: products with everything else.
-
-    Attributes
-    ----------
-    beside : (p, 2v + q, k) float
-        With the vectors' real and imaginary multiples and `together`, hologram by hologram.
-    pull : (p,) float
-    """
-
-    beside: Array
-    pull: Array
-
-
 def equations(model: Model, data: Data, prior: Prior, state: State) -> Equations:
     """Linearise the model around a state.
 

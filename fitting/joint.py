@@ -232,7 +232,7 @@ def _room_cents(name: str, cents: Mapping[str, float]) -> float:
         if other != name and is_symmetric(other) == is_symmetric(name)
     ]
     least, most = _AGREE_CENTS
-    return float(np.clip(_ROOM * min(others, default=most), least, most))
+    return float(np.clip(_ROOM * min(others, default=np.inf), least, most))
 
 
 def _expected_hz(basis: ShapeBasis, reed: ReducedReed, cane: ViscoelasticCane) -> dict[str, float]:

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import j1
 
 from fitting.bessel import BesselTable
-from fitting.displacement import Displacements, fit_displacements
+from fitting.displacement import Displacements, fit_displacements, refit_displacements
 from fitting.errors import FitError
 from fitting.linear import Normal, Problem, normal
 from fitting.phasors import Phasors
@@ -350,6 +350,34 @@ def test_without_light_a_sweep_is_refused(sweep):
     noise = complex_normal(np.random.default_rng(10), *sweep.phasors.value.shape)
     with pytest.raises(FitError, match="shows any light"):
         solve(with_value(sweep, noise))
+
+
+# --- What is known by now ------------------------------------------------------------------------
+
+
+def test_holograms_in_a_wrong_fringe_are_found_where_they_are_expected(sweep, settled):
+    """Two holograms tell nothing of the truth, but modes do, up to a phase."""
+    lost = np.array([40, 61])
+    off = np.isin(np.arange(84), lost)
+    amplitude, misfit = settled.amplitude_rad.copy(), settled.misfit.copy()
+    amplitude[lost] *= 0.3
+    misfit[lost] = 1e4
+    before = replace(settled, amplitude_rad=amplitude, misfit=misfit)
+    expected = 1.01 * sweep.true_rad * np.exp(2j * np.arange(84))[:, None]
+    together = np.zeros(len(settled.shared.precision))
+    found = refit_displacements(sweep.phasors, sweep.basis, before, expected, off, together)
+    assert found.reached.all()
+    assert found.misfit[lost].max() < 1.3
+    assert share_of_error(sweep, found)[lost].max() < 0.04
+
+
+def test_what_is_expected_counts_only_if_it_explains_a_hologram(sweep, settled):
+    liveliest = int(largest_rad(sweep).argmax())
+    off = np.arange(84) == liveliest
+    together = np.zeros(len(settled.shared.precision))
+    expected = 0.6 * sweep.true_rad
+    found = refit_displacements(sweep.phasors, sweep.basis, settled, expected, off, together)
+    assert found.misfit[liveliest] == pytest.approx(settled.misfit[liveliest], rel=0.02)
 
 
 # --- Invariance --------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from fitting.drawing import png_of
 from fitting.errors import FitInputError
 from fitting.fit import fit_runs, method_name
 from fitting.forward import cents_of
-from fitting.joint import _doubts, mac, residual_map
+from fitting.joint import _doubts, _outweighing, _room_cents, mac, residual_map
 from fitting.joint_drawing import mode_sheet
 from fitting.tables import modes_table, not_identified_lines
 
@@ -108,6 +108,19 @@ def test_modes_of_another_kind_of_reed_are_not_believed(sweep):
     few = replace(joint.displacements, reached=np.arange(len(joint.displacements.reached)) % 3 > 0)
     doubts = _doubts(joint.modal, joint.basis, few)
     assert all("cannot be explained" in reason for reason in doubts.values())
+
+
+def test_a_mode_outweighs_others_where_it_is_liveliest_and_more_than_they_are():
+    weight = np.array([[1, 0, 2], [3, 1, 2], [1, 2, 1], [1, 4, 5], [0, 1, 6.0]])
+    assert _outweighing(weight, ("F1", "T1", "F2")) == {"F1": [1], "T1": [], "F2": []}
+
+
+def test_a_mode_has_room_up_to_the_next_of_its_symmetry():
+    cents = {"F1": 600.0, "F2": 2100.0, "T2": 2400.0, "T1": 1550.0}
+    assert _room_cents("F1", cents) == 300
+    assert _room_cents("F2", cents) == pytest.approx(120)
+    assert _room_cents("T1", cents) == 300
+    assert _room_cents("F2", {"F2": 2100.0, "T2": 2150.0}) == 80
 
 
 def test_shapes_alike_have_a_mac_of_1():

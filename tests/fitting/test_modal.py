@@ -324,6 +324,38 @@ def test_without_discrepancy_what_is_left_is_noise():
     assert fit.misfit == pytest.approx(1, abs=0.15)
 
 
+def test_a_hologram_of_something_else_is_off_and_moves_no_mode(sweep, found):
+    amplitude = sweep.displacements.amplitude_rad.copy()
+    amplitude[40] = np.linalg.norm(amplitude[40]) * complex_normal(np.random.default_rng(7), 7)
+    fit = sweep.fit(amplitude_rad=amplitude)
+    assert np.flatnonzero(fit.off).tolist() == [40]
+    assert not found.off.any()
+    assert (np.abs(cents(fit.hz, sweep.hz[:5])) < 3 * fit.error_cents).all()
+
+
+def test_a_hologram_that_tells_nothing_is_off(sweep):
+    amplitude = sweep.displacements.amplitude_rad.copy()
+    information = sweep.displacements.information.copy()
+    amplitude[20], information[20] = 0, 0
+    fit = sweep.fit(amplitude_rad=amplitude, information=information)
+    assert np.flatnonzero(fit.off).tolist() == [20]
+    assert (np.abs(cents(fit.hz, sweep.hz[:5])) < 3 * fit.error_cents).all()
+
+
+def test_what_neighbours_are_off_alike_counts_less(sweep, found):
+    """The same discrepancy in runs of eight holograms, beside one that is new in each."""
+    errors = []
+    for together in (1, 8):
+        rng = np.random.default_rng(8)
+        drawn = np.repeat(complex_normal(rng, 104 // together, FUNCTIONS), together, axis=0)
+        size = np.sqrt(np.mean(np.abs(sweep.displacements.amplitude_rad) ** 2, axis=1))
+        amplitude = sweep.displacements.amplitude_rad + 0.1 * sweep.drive[:, None] / np.abs(
+            sweep.drive
+        )[:, None] * (size[:, None] * drawn)
+        errors.append(sweep.fit(amplitude_rad=amplitude).error_cents)
+    assert np.median(errors[1] / errors[0]) > 1.4
+
+
 # --- Invariance --------------------------------------------------------------------------------
 
 

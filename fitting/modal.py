@@ -25,11 +25,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, optimize
+from scipy import linalg
 
 from fitting.displacement import Displacements
 from fitting.modal_equations import Data, Equations, equations
 from fitting.modal_model import LOSS, TAIL_TERMS, Model, Prior, State, bend, terms, with_gain
+from fitting.modal_noise import Noise, alike, balanced, data_of, inflated, noise_of
 from fitting.shapes import ShapeBasis
 
 Array = NDArray[np.floating[Any]]
@@ -44,21 +45,15 @@ _PERTURBATION, _MOST_MIXING, _LEAST_MIXING = 0.08, 0.5, 5e-3
 # Participations are expected to be within 3 times of what the stage before found.
 _SCALE = 3.0
 _LEAST_SCALE = 3e-3
-# Prior standard deviation of amplitudes, rad: only against what the data do not tell at all.
-_LOOSE_RAD = 100.0
 _LEAST_PROGRESS = 2e-3
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e8
 # What rounding may take off the smallest eigenvalues of a matrix of units, in single and double
 # precision.
 _ROUGH, _ROUNDING = 3e-6, 1e-11
-# What amplitudes may be off beyond their noise (see `_Stage`), and how often that is estimated.
-_DISCREPANCY, _ROUNDS = (1e-4, 0.3), 3
+# How often it is estimated what amplitudes are off beyond their noise.
+_ROUNDS = 3
 # ... and how often if the modes are known.
 _AGAIN = 2
-# Holograms so many steps apart may still be alike in what no model explains.
-_FAR = 10
-# Holograms are off if what is left of them is that many times as much as usual, squared.
-_OFF = 10.0
 
 
 @dataclass(frozen=True)
@@ -275,19 +270,27 @@ def fit_modes(
     model = Model(
         drive_hz, np.log(volts), powers, basis.shapes, reference_hz, basis.stiffening, active
     )
-    noise = _noise(displacements)
-    if known is not None:
-        state, discrepancy = _again(known.state, known, displacements), known.discrepancy
-        return _finish(
-            model, displacements, noise, centre_hz, state, basis.names, _AGAIN, discrepancy
-        )
+    noise = noise_of(displacements)
+    if known is None:
+        state = _staged(model, displacements, noise, centre_hz)
+        rounds, discrepancy = _ROUNDS, _LAST.discrepancy
+    else:
+        state = _again(known.state, known, displacements)
+        rounds, discrepancy = _AGAIN, known.discrepancy
+    prior = _prior(model, _LAST, centre_hz, _scale(model, state))
+    end = _last_rounds(model, displacements, noise, prior, state, rounds, discrepancy)
+    return _finish(model, displacements, basis.names, end)
+
+
+def _staged(model: Model, displacements: Displacements, noise: Noise, centre_hz: Array) -> State:
+    """Let freedoms grow from stage to stage."""
     state, scale = _begin(model, displacements)
     for stage in _STAGES:
         prior = _prior(model, stage, centre_hz, scale)
-        data = _data(displacements, noise, stage.discrepancy)
+        data = data_of(displacements, noise, stage.discrepancy)
         state = _improve(model, data, prior, _fixed(prior, state), stage.iterations)
         scale = _scale(model, state)
-    return _finish(model, displacements, noise, centre_hz, state, basis.names)
+    return state
 
 
 def _again(state: State, known: ModalFit, displacements: Displacements) -> State:
@@ -308,74 +311,6 @@ def _scale(model: Model, state: State) -> Array:
     p = terms(model, state).participation
     scale: Array = np.maximum(np.sqrt(np.mean(np.abs(p) ** 2, axis=0)), _LEAST_SCALE)
     return scale
-
-
-@dataclass(frozen=True)
-class _Noise:
-    """Noise of amplitudes, in directions in which it is independent.
-
-    Attributes
-    ----------
-    directions : (k, 2j, 2j) float
-        One in each row.
-    variance : (k, 2j) float
-        Along them.
-    power : (k,) float
-        Mean square of a hologram's amplitudes.
-    inflation : (k,) float
-        Factor on the variance of holograms that show something else.
-    """
-
-    directions: Array
-    variance: Array
-    power: Array
-    inflation: Array
-
-    def deviation(self, discrepancy: float) -> Array:
-        """Standard deviation (k, 2j) along the directions, with discrepancy."""
-        variance = self.variance + discrepancy**2 * self.power[:, None]
-        deviation: Array = np.sqrt(self.inflation[:, None] * variance)
-        return deviation
-
-
-def _noise(displacements: Displacements) -> _Noise:
-    information, directions = np.linalg.eigh(displacements.information)
-    return _Noise(
-        directions.swapaxes(1, 2),
-        1 / (np.maximum(information, 0) + _LOOSE_RAD**-2),
-        np.mean(np.abs(displacements.amplitude_rad) ** 2, axis=1),
-        np.ones(len(displacements.amplitude_rad)),
-    )
-
-
-def _inflated(noise: _Noise, apart: Array) -> _Noise:
-    """Trust holograms less that are off (k, 2j), in deviations, by far more than others."""
-    square = np.mean(apart**2, axis=1) * noise.inflation
-    usual = max(float(np.median(square)), 1.0)
-    return replace(noise, inflation=np.where(square > _OFF * usual, square / usual, 1.0))
-
-
-def _data(displacements: Displacements, noise: _Noise, discrepancy: float) -> Data:
-    """Tell what holograms tell if the model is off by a share of each hologram's amplitude."""
-    shared = displacements.shared
-    root = noise.directions / noise.deviation(discrepancy)[..., None]
-    return Data(displacements.amplitude_rad, root, root @ shared.response, shared.precision)
-
-
-def _balanced(noise: _Noise, left: Array, freedoms: float) -> float:
-    """Discrepancy with which what is left (k, 2j), along the directions, is what it should be."""
-
-    def excess(log_discrepancy: float) -> float:
-        return float(np.sum((left / noise.deviation(np.exp(log_discrepancy))) ** 2)) - freedoms
-
-    least, most = np.log(_DISCREPANCY)
-    if excess(least) <= 0:
-        return _DISCREPANCY[0]
-    return (
-        float(np.exp(optimize.brentq(excess, least, most, xtol=1e-3)))
-        if excess(most) < 0
-        else _DISCREPANCY[1]
-    )
 
 
 def _begin(model: Model, displacements: Displacements) -> tuple[State, Array]:
@@ -424,39 +359,76 @@ def _constant(model: Model, p: Complex) -> Array:
     return x
 
 
-def _finish(
+@dataclass(frozen=True)
+class _Round:
+    """Where the last round has come.
+
+    Attributes
+    ----------
+    prior : Prior
+    state : State
+    here : Equations
+    covariance : (q, q) float
+        Of all parameters but the drive.
+    apart : (k, 2j) float
+        What is left, in deviations along the noise's directions.
+    misfit : float
+        Its mean square, by freedom.
+    discrepancy : float
+        That it was found with.
+    noise : Noise
+        As it is known now.
+    """
+
+    prior: Prior
+    state: State
+    here: Equations
+    covariance: Array
+    apart: Array
+    misfit: float
+    discrepancy: float
+    noise: Noise
+
+
+def _last_rounds(
     model: Model,
     displacements: Displacements,
-    noise: _Noise,
-    centre_hz: Array,
+    noise: Noise,
+    prior: Prior,
     state: State,
-    names: Sequence[str],
-    rounds: int = _ROUNDS,
-    discrepancy: float = _LAST.discrepancy,
-) -> ModalFit:
-    """Last rounds, with the discrepancy that makes what is left as large as it should be."""
-    prior = _prior(model, _LAST, centre_hz, _scale(model, state))
+    rounds: int,
+    discrepancy: float,
+) -> _Round:
+    """Improve and estimate, in turns, the discrepancy that makes what is left as it should be."""
     for _ in range(rounds):
-        data = _data(displacements, noise, discrepancy)
+        data = data_of(displacements, noise, discrepancy)
         state = with_gain(
             model, _improve(model, data, prior, _fixed(prior, state), _LAST.iterations)
         )
-        here, now = equations(model, data, prior, state), terms(model, state)
+        here = equations(model, data, prior, state)
         covariance = _inverse(_reduced(here, 0.0)[0])
         freedoms = 2 * data.amplitude.size - 2 * len(model.hz) - _told(prior, data, covariance)
-        apart = data.apart(now.amplitude, state.together)
+        apart = data.apart(terms(model, state).amplitude, state.together)
         misfit, used = float(np.sum(apart**2)) / freedoms, discrepancy
         left = apart * noise.deviation(used)
-        noise = _inflated(noise, apart)
-        discrepancy = _balanced(noise, left, freedoms)
-    alike = _alike(noise, apart, state.log_drive)
-    covariance = alike * covariance
+        noise = inflated(noise, apart)
+        discrepancy = balanced(noise, left, freedoms)
+    return _Round(prior, state, here, covariance, apart, misfit, used, noise)
+
+
+def _finish(
+    model: Model, displacements: Displacements, names: Sequence[str], end: _Round
+) -> ModalFit:
+    """Tell modes and their errors."""
+    prior, state, now = end.prior, end.state, terms(model, end.state)
+    shared_by = alike(end.noise, end.apart, state.log_drive)
     # Drive and participations have a common factor, which may be anything: of the latter only what
     # they are beside a given drive counts.
-    beside_drive = alike * _inverse(here.matrix)
+    beside_drive = shared_by * _inverse(end.here.matrix)
     count, powers = len(model.active), model.powers.shape[1]
     spread = np.zeros_like(state.x)
-    spread[prior.free] = np.sqrt(np.diag(covariance))[: np.count_nonzero(prior.free)]
+    deviations = np.sqrt(shared_by * np.diag(end.covariance))
+    spread[prior.free] = deviations[: np.count_nonzero(prior.free)]
     own_hz = np.exp(state.x[:count, 2 * powers])
     nearest = np.abs(np.log(model.hz[:, None] / own_hz)).argmin(axis=0)
     return ModalFit(
@@ -471,10 +443,10 @@ def _finish(
         drive=np.exp(state.log_drive),
         amplitude_rad=now.amplitude,
         modal_rad=now.modal[:, model.active],
-        misfit=misfit,
-        discrepancy=used,
+        misfit=end.misfit,
+        discrepancy=end.discrepancy,
         together=state.together,
-        off=(noise.inflation > 1) | ~np.any(displacements.information, axis=(1, 2)),
+        off=(end.noise.inflation > 1) | ~np.any(displacements.information, axis=(1, 2)),
         state=state,
     )
 
@@ -485,22 +457,6 @@ def _inverse(matrix: Array) -> Array:
     scaled = unit[:, None] * matrix * unit + _ROUNDING * np.eye(len(unit))
     inverse: Array = unit[:, None] * np.linalg.inv(scaled) * unit
     return inverse
-
-
-def _alike(noise: _Noise, apart: Array, log_drive: Complex) -> float:
-    """How many holograms tell as much as one would if what is left of each were its own.
-
-    What no model explains is alike in neighbouring holograms, up to the phase of the drive: the sum
-    of correlations over distances.
-    """
-    left = (noise.directions.swapaxes(1, 2) @ apart[..., None])[..., 0]
-    size = left.shape[1] // 2
-    turned = (left[:, :size] + 1j * left[:, size:]) * np.exp(-1j * log_drive.imag)[:, None]
-    whole = np.sum(np.abs(turned) ** 2)
-    correlation = [
-        np.sum(turned[:-lag].conj() * turned[lag:]).real / whole for lag in range(1, _FAR + 1)
-    ]
-    return max(1.0, 1 + 2 * float(np.sum(correlation)))
 
 
 def _told(prior: Prior, data: Data, covariance: Array) -> float:

@@ -117,65 +117,115 @@ def equations(model: Model, data: Data, prior: Prior, state: State) -> Equations
     Derivatives are those of what the model says; gradients point downhill.
     """
     now = terms(model, state)
-    by = scalars(model, state, now)
-    seen = _seen(model, data, state, now)
+    seen, layout = _seen(model, data, state, now), _layout(model, prior)
+    # As precise as the data are given.
+    numbers = np.result_type(data.root, np.complex64)
+    by = scalars(model, state, now)[:, layout.own_v, layout.own_p]
+    own = np.ascontiguousarray(by.T.astype(numbers))
+    # All that mixes into a mode is moved by the same number.
+    mixed = np.ascontiguousarray(now.modal[:, model.active].T.astype(numbers))
+    drive = _drive(model, now, layout.vectors).astype(data.root.dtype)
+    beside = _beside(seen, own, layout.own_v, layout.vectors)
+    moved = np.einsum("xck,lck->lxk", seen.products[:, : 2 * layout.vectors], drive, optimize=True)
+    order = layout.order(len(data.precision))
+    matrix = _matrix(layout, seen, own, mixed, beside)[np.ix_(order, order)]
+    gradient = _gradient(layout, seen, own, mixed)[order]
+    coupling = _coupling(layout, mixed, beside, moved, drive)[order]
+    held = linalg.block_diag(np.diag(prior.precision[prior.free]), data.precision)
+    offset = prior.precision[prior.free] * (state.x - prior.centre)[prior.free]
+    drive_matrix, drive_gradient = _drive_equations(model, state, seen, moved, drive)
+    return Equations(
+        matrix + held,
+        gradient - np.concatenate([offset, data.precision @ state.together]),
+        coupling.reshape(len(order), -1),
+        drive_matrix,
+        drive_gradient,
+    )
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Which parameters are free: of one vector each, and mixing coefficients.
+
+    Attributes
+    ----------
+    own_v, own_p : (p,) int
+        Vectors and slots of the former.
+    mix_m, mix_a : (q,) int
+        Modes whose shapes are mixed into those of active ones.
+    active, vectors : int
+        How many there are.
+    slots : int
+        See `Model.slots`.
+    """
+
+    own_v: NDArray[np.intp]
+    own_p: NDArray[np.intp]
+    mix_m: NDArray[np.intp]
+    mix_a: NDArray[np.intp]
+    active: int
+    vectors: int
+    slots: int
+
+    def order(self, together: int) -> NDArray[np.intp]:
+        """Sort own, then mixing parameters as they stand in a state; the rest stays behind."""
+        vector = np.concatenate([self.own_v, self.mix_m + self.active])
+        order = np.argsort(vector * self.slots + np.concatenate([self.own_p, self.mix_a]))
+        return np.concatenate([order, len(order) + np.arange(together)])
+
+
+def _layout(model: Model, prior: Prior) -> _Layout:
     active, free = len(model.active), prior.free
-    vectors = len(free)
     mixing = np.zeros_like(free)
     mixing[active:, :active] = free[active:, :active]
     own_v, own_p = np.nonzero(free & ~mixing)
-    # As precise as the data are given.
-    numbers = np.result_type(data.root, np.complex64)
-    own = np.ascontiguousarray(by[:, own_v, own_p].T.astype(numbers))
-    # All that mixes into a mode is moved by the same number.
-    mixed = np.ascontiguousarray(now.modal[:, model.active].T.astype(numbers))
     mix_m, mix_a = np.nonzero(mixing[active:, :active])
-    together = len(seen.products) - 2 * vectors
-    count = len(own_v) + len(mix_m)
-    matrix = np.zeros((count + together, count + together))
-    beside = _beside(seen, own, own_v, vectors)
-    a, b, z = slice(0, len(own_v)), slice(len(own_v), count), slice(count, None)
-    matrix[a, a] = _with_own(beside, own_v, own, vectors)
-    matrix[a, b] = _with_mixed(beside, mixed, active, vectors)[:, mix_m, mix_a]
-    matrix[a, z] = beside[:, 2 * vectors :].sum(axis=2)
-    matrix[b, b] = _mixed_with_mixed(seen.products, mixed, active, vectors)[
+    return _Layout(own_v, own_p, mix_m, mix_a, active, len(free), model.slots)
+
+
+def _matrix(layout: _Layout, seen: _Seen, own: Complex, mixed: Complex, beside: Array) -> Array:
+    """Products (q, q) of all columns: own, mixing, together."""
+    active, vectors = layout.active, layout.vectors
+    mix_m, mix_a = layout.mix_m, layout.mix_a
+    last = seen.products[2 * vectors :]
+    own_mixed = _with_mixed(beside, mixed, active, vectors)[:, mix_m, mix_a]
+    own_last = beside[:, 2 * vectors :].sum(axis=2)
+    last_mixed = _with_mixed(last, mixed, active, vectors)[:, mix_m, mix_a]
+    mixed_mixed = _mixed_with_mixed(seen.products, mixed, active, vectors)[
         mix_m[:, None], mix_a[:, None], mix_m, mix_a
     ]
-    last = seen.products[2 * vectors :]
-    matrix[z, b] = _with_mixed(last, mixed, active, vectors)[:, mix_m, mix_a]
-    matrix[z, z] = last[:, 2 * vectors :].sum(axis=2) + data.precision
-    matrix[b, a], matrix[b, z], matrix[z, a] = matrix[a, b].T, matrix[z, b].T, matrix[a, z].T
-    drive = _drive(model, now, vectors).astype(data.root.dtype)
-    mixed_pull = _by_mixed(seen.pull, mixed, active, vectors)
-    gradient = np.concatenate(
+    return np.block(
+        [
+            [_with_own(beside, layout.own_v, own, vectors), own_mixed, own_last],
+            [own_mixed.T, mixed_mixed, last_mixed.T],
+            [own_last.T, last_mixed, last[:, 2 * vectors :].sum(axis=2)],
+        ]
+    )
+
+
+def _gradient(layout: _Layout, seen: _Seen, own: Complex, mixed: Complex) -> Array:
+    """Products (q,) of all columns with what is left."""
+    active, vectors, own_v = layout.active, layout.vectors, layout.own_v
+    of_mixed = _by_mixed(seen.pull, mixed, active, vectors).sum(axis=2)
+    return np.concatenate(
         [
             np.sum(own.real * seen.pull[own_v] + own.imag * seen.pull[own_v + vectors], axis=1),
-            mixed_pull.sum(axis=2)[mix_m, mix_a],
+            of_mixed[layout.mix_m, layout.mix_a],
             seen.pull[2 * vectors :].sum(axis=1),
         ]
     )
-    moved = np.einsum("xck,lck->lxk", seen.products[:, : 2 * vectors], drive, optimize=True)
-    coupling = np.concatenate(
+
+
+def _coupling(layout: _Layout, mixed: Complex, beside: Array, moved: Array, drive: Array) -> Array:
+    """Products (q, 2, k) of all columns with those of the drive's log magnitude and phase."""
+    active, vectors = layout.active, layout.vectors
+    of_mixed = [_by_mixed(m, mixed, active, vectors)[layout.mix_m, layout.mix_a] for m in moved]
+    return np.concatenate(
         [
             np.einsum("ack,lck->alk", beside[:, : 2 * vectors], drive, optimize=True),
-            np.stack([_by_mixed(m, mixed, active, vectors)[mix_m, mix_a] for m in moved], axis=1),
+            np.stack(of_mixed, axis=1),
             moved[:, 2 * vectors :].swapaxes(0, 1),
         ]
-    )
-    order = np.argsort(
-        np.concatenate([own_v, mix_m + active]) * model.slots + np.concatenate([own_p, mix_a])
-    )
-    order = np.concatenate([order, np.arange(count, count + together)])
-    offset = prior.precision[free] * (state.x - prior.centre)[free]
-    matrix = matrix[np.ix_(order, order)]
-    held = np.concatenate([prior.precision[free], np.zeros(together)])
-    drive_matrix, drive_gradient = _drive_equations(model, state, seen, moved, drive)
-    return Equations(
-        matrix + np.diag(held),
-        gradient[order] - np.concatenate([offset, data.precision @ state.together]),
-        coupling[order].reshape(len(order), -1),
-        drive_matrix,
-        drive_gradient,
     )
 
 

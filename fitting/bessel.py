@@ -9,8 +9,6 @@ from scipy.special import j0, j1, jv
 Float = NDArray[np.float32]
 Array = NDArray[np.floating[Any]]
 
-# Below this the slope at 0, ½, stands for J₁(φ)/φ: to single precision it is the same.
-_SMALL_RAD = np.float32(1e-3)
 # Below this J₂(φ)/φ² is taken from its series, to 10⁻¹⁰.
 _SERIES_RAD = 0.05
 
@@ -40,15 +38,13 @@ class BesselTable:
 
     def __call__(self, phi: Float) -> tuple[Float, Float]:
         """J₁ and J₁′ at phases φ ≥ 0 (any shape)."""
-        return self._between(phi, self._value, self._slope)
+        value, slope = self._between(phi, self._value, self._slope)
+        return value, slope
 
-    def over_argument(self, phi: Float) -> tuple[Float, Float]:
-        """J₁(φ)/φ and J₁′ at phases φ ≥ 0 (any shape)."""
-        value, slope = self(phi)
-        whole: Float = np.divide(
-            value, phi, out=np.full_like(phi, 0.5), where=np.asarray(phi > _SMALL_RAD)
-        )
-        return whole, slope
+    def over_argument(self, phi: Float) -> Float:
+        """J₁(φ)/φ at phases φ ≥ 0 (any shape)."""
+        (ratio,) = self._between(phi, self._ratio)
+        return ratio
 
     def tensor(self, phi: Float) -> tuple[Float, Float]:
         """α = J₁(φ)/φ and β = −J₂(φ)/φ² at phases φ ≥ 0 (any shape).
@@ -56,16 +52,14 @@ class BesselTable:
         Of ``F(u) = u J₁(|u|)/|u|`` they make both value and slope, for a plane vector u:
         ``F = α u`` and ``dF/du = α 1 + β u uᵀ``.
         """
-        return self._between(phi, self._ratio, self._bend)
+        ratio, bend = self._between(phi, self._ratio, self._bend)
+        return ratio, bend
 
-    def _between(self, phi: Float, one: Float, other: Float) -> tuple[Float, Float]:
+    def _between(self, phi: Float, *tables: Float) -> list[Float]:
         position = np.minimum(phi * self._per_rad, self._last)
         index = position.astype(np.int32)
         # In single precision: with integers numpy would take doubles.
         part = position - index.astype(np.float32)
         rest = np.float32(1) - part
         after = index + np.int32(1)
-        return (
-            one.take(index) * rest + one.take(after) * part,
-            other.take(index) * rest + other.take(after) * part,
-        )
+        return [table.take(index) * rest + table.take(after) * part for table in tables]

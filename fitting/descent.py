@@ -39,7 +39,7 @@ def descend(
     held[:, -1, -1] = GAIN_HELD
 
     def belief(x: Array) -> Array:
-        beliefs: Array = np.einsum("si,sij,sj->s", x, held, x, optimize=True)
+        beliefs: Array = np.sum(x * (held @ x[..., None])[..., 0], axis=1)
         return beliefs
 
     def at(x: Array) -> Normal:
@@ -54,7 +54,7 @@ def descend(
         damped = now.matrix + held
         mean = np.trace(now.matrix[:, :-1, :-1], axis1=1, axis2=2) / (2 * size)
         damped[:, diagonal, diagonal] += (damping * mean + 1e-3)[:, None]
-        pull = now.gradient - np.einsum("sij,sj->si", held, x)
+        pull = now.gradient - (held @ x[..., None])[..., 0]
         tried_x = x + np.linalg.solve(damped, pull[..., None])[..., 0]
         tried = at(tried_x)
         tried_total = tried.misfit + belief(tried_x)

@@ -14,18 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.bessel import BesselTable
-from fitting.descent import GAIN_HELD, block_light, descend
+from fitting.descent import GAIN_HELD, descend
 from fitting.light import (
     LightStep,
     SharedError,
     light_factor,
-    light_step,
-    linearise,
     smooth_functions,
 )
 from fitting.linear import Problem
 from fitting.phasors import Phasors
-from fitting.search import ALIKE, DESCENT, Solution, enough, solve
+from fitting.search import ALIKE, DESCENT, enough, solve
+from fitting.settling import FINAL_RAD, Solution, settle
 from fitting.shapes import ShapeBasis
 
 Array = NDArray[np.floating[Any]]
@@ -33,9 +32,9 @@ Complex = NDArray[np.complex64]
 Amplitudes = NDArray[np.complexfloating[Any, Any]]
 Steps = NDArray[np.intp]
 
-# Prior standard deviation of amplitudes, rad: only against what the data do not tell at all.
-_FINAL_RAD = 10.0
-_FINAL_TURNS, _REFIT_TURNS = 4, 2
+_FINAL_TURNS, _QUICK_TURNS = 4, 2
+# If a smaller share of the holograms is explained the search goes on from settled light, so often.
+_ENOUGH, _LOOKS = 0.95, 2
 # Beyond this a hologram has not reached the floor of its noise.
 _FLOOR = 30.0
 
@@ -86,12 +85,16 @@ def fit_displacements(phasors: Phasors, basis: ShapeBasis) -> Displacements:
         If hardly any hologram can be explained.
     """
     search = solve(phasors, basis)
-    found = _finished(search.whole, phasors, search.solution, search.solved)
-    if not search.solved.all():
+    turns = _FINAL_TURNS
+    for _ in range(_LOOKS):
+        if search.explained.mean() > _ENOUGH:
+            break
         # Light that has settled shows more than that of the search.
-        search.go_on_with(Solution(found.amplitude_rad, found.gain, found.light), found.misfit)
-        found = _finished(search.whole, phasors, search.solution, search.solved)
-    return found
+        well = search.best_explained
+        better = _finished(search.whole, phasors, search.solution, well, _QUICK_TURNS)
+        search.go_on_with(Solution(better.amplitude_rad, better.gain, better.light), better.misfit)
+        turns = _QUICK_TURNS
+    return _finished(search.whole, phasors, search.solution, search.solved, turns)
 
 
 def refit_displacements(
@@ -125,7 +128,7 @@ def refit_displacements(
     u, v = whole.phasors(expected_rad[steps])
     overlap = (u - 1j * v) * light.conj() * (whole.real[steps] + 1j * whole.imaginary[steps])
     start = expected_rad[steps] * np.exp(1j * np.angle(overlap.sum(axis=1)))[:, None]
-    weak = _FINAL_RAD**-2 * np.eye(size)
+    weak = FINAL_RAD**-2 * np.eye(size)
     tried, louder, normal = descend(
         whole, light, steps, (start, np.zeros(len(steps))), DESCENT, weak
     )
@@ -134,7 +137,7 @@ def refit_displacements(
     chosen = steps[better]
     a[chosen], gain[chosen], misfit[chosen] = tried[better], louder[better], found[better]
     at = Solution(a, gain, light)
-    return _finished(whole, phasors, at, np.isfinite(misfit), _REFIT_TURNS)
+    return _finished(whole, phasors, at, np.isfinite(misfit), _QUICK_TURNS)
 
 
 def _finished(
@@ -142,7 +145,7 @@ def _finished(
     phasors: Phasors,
     at: Solution,
     solved: NDArray[np.bool_],
-    turns: int | None = None,
+    turns: int,
 ) -> Displacements:
     """Let light and amplitudes of the solved holograms settle."""
     steps = np.flatnonzero(solved)
@@ -150,30 +153,9 @@ def _finished(
     problem = whole.some(steps)
     exact = problem.exact()
     at = Solution(at.amplitude[steps], at.gain[steps], at.light)
-    for _ in range(turns or _FINAL_TURNS):
-        at, step = _settled(problem, exact, smooth, at)
+    for _ in range(turns):
+        at, step = settle(problem, exact, smooth, at)
     return _told(len(phasors.drive_hz), steps, at, step)
-
-
-def _settled(
-    problem: Problem, exact: Problem, smooth: Array, at: Solution
-) -> tuple[Solution, LightStep]:
-    """One turn: amplitudes, light block by block, then its smooth part with amplitudes together."""
-    steps = np.arange(len(at.gain))
-    size = at.amplitude.shape[1]
-    weak = _FINAL_RAD**-2 * np.eye(size)
-    a, gain, normal = descend(
-        problem, at.light, steps, (at.amplitude, at.gain - np.mean(at.gain)), 2, weak
-    )
-    weight = 1 / np.maximum(normal.misfit / problem.blocks, 1)
-    light = block_light(problem, steps, a, gain, weight)
-    held = 0.5 * np.diag([_FINAL_RAD**-2] * 2 * size + [2 * GAIN_HELD])
-    linear = linearise(exact, smooth, light, a, gain, weight)
-    x = np.concatenate([a.real, a.imag, gain[:, None]], axis=1)
-    step = light_step(linear, held, x, weight)
-    y = x + step.holograms
-    factor = light_factor(smooth, step.move)
-    return Solution(y[:, :size] + 1j * y[:, size:-1], y[:, -1], light * factor), step
 
 
 def _told(holograms: int, solved: Steps, at: Solution, step: LightStep) -> Displacements:

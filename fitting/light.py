@@ -91,8 +91,7 @@ def linearise(
     functions, count = problem.functions, smooth.shape[1]
     size = functions.shape[1]
     power = (light.real**2 + light.imag**2).astype(float)[:, None]
-    lit_functions, lit_pairs = power * functions, power * problem.pairs
-    products = (lit_functions[:, :, None] * smooth[:, None, :]).reshape(len(functions), -1)
+    products = ((power * functions)[:, :, None] * smooth[:, None, :]).reshape(len(functions), -1)
     normal = Normal.empty(len(a), size)
     coupling = np.zeros((len(a), 2 * size + 1, 2 * count))
 
@@ -100,7 +99,7 @@ def linearise(
         here = local(problem, light, np.arange(len(a))[some], a[some], gain[some])
         normal.misfit[some] = here.misfit
         normal.gradient[some] = gradient(here, functions)
-        fill_matrix(normal.matrix[some], here, lit_functions, lit_pairs)
+        fill_matrix(normal.matrix[some], here, problem)
         square = here.gain**2
         for row, column, by in (
             (0, 0, here.uu * here.u + here.uv * here.v),

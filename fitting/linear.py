@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -51,7 +52,7 @@ class Problem:
     @classmethod
     def of(cls, value: Complex, functions: Array, bessel: BesselTable) -> "Problem":
         """Of phasors (n, k); everything is computed as precisely as the functions are given."""
-        one, other = np.triu_indices(functions.shape[1])
+        one, other = _triangle(functions.shape[1])
         real, imaginary = (
             np.ascontiguousarray(part.T.astype(functions.dtype))
             for part in (value.real, value.imag)
@@ -190,23 +191,21 @@ class Normal:
 
 def normal(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Array) -> Normal:
     """Linearise the phasors of holograms (s,) around amplitudes (s, j) and log gains (s,)."""
-    power = (light.real**2 + light.imag**2).astype(problem.functions.dtype)[:, None]
-    functions, pairs = power * problem.functions, power * problem.pairs
     whole = Normal.empty(len(a), problem.functions.shape[1])
 
     def fill(some: slice) -> None:
         here = local(problem, light, steps[some], a[some], gain[some])
         whole.misfit[some] = here.misfit
         whole.gradient[some] = gradient(here, problem.functions)
-        fill_matrix(whole.matrix[some], here, functions, pairs)
+        fill_matrix(whole.matrix[some], here, problem)
 
     in_parts(fill, len(a))
     return whole
 
 
-def in_parts(work: Callable[[slice], Made], count: int) -> list[Made]:
-    """Do some work for few holograms at a time, on all processors; results in order."""
-    parts = [slice(k, k + _TOGETHER) for k in range(0, count, _TOGETHER)]
+def in_parts(work: Callable[[slice], Made], count: int, together: int = _TOGETHER) -> list[Made]:
+    """Do some work for few holograms (or others) at a time, on all processors; results in order."""
+    parts = [slice(k, k + together) for k in range(0, count, together)]
     if len(parts) < 2:
         return [work(part) for part in parts]
     # numpy lets go of the interpreter while it computes.
@@ -224,28 +223,37 @@ def gradient(here: Local, functions: Array) -> Array:
     return found.astype(float)
 
 
-def fill_matrix(matrix: Array, here: Local, functions: Array, pairs: Array) -> None:
-    """Write normal matrices (s, 2j + 1, 2j + 1); functions and pairs times the light's power."""
-    size = functions.shape[1]
+def fill_matrix(matrix: Array, here: Local, problem: Problem) -> None:
+    """Write normal matrices (s, 2j + 1, 2j + 1)."""
+    size = problem.functions.shape[1]
     square = (here.gain**2).astype(float)
-    both = here.uv * here.uv
+    both, power = here.uv * here.uv, here.power
     for row, column, weight in (
         (0, 0, here.uu * here.uu + both),
         (0, 1, here.uv * (here.uu + here.vv)),
         (1, 1, here.vv * here.vv + both),
     ):
         block = matrix[:, row * size :, column * size :][:, :size, :size]
-        write_symmetric(block, square * (weight @ pairs))
+        write_symmetric(block, square * ((power * weight) @ problem.pairs))
         if row != column:
             matrix[:, size:-1, :size] = block
     beside = (here.uu * here.u + here.uv * here.v, here.uv * here.u + here.vv * here.v)
-    coupling = square * np.concatenate([part @ functions for part in beside], axis=1)
+    coupling = square * np.concatenate(
+        [(power * part) @ problem.functions for part in beside], axis=1
+    )
     matrix[:, -1, :-1] = matrix[:, :-1, -1] = coupling
     matrix[:, -1, -1] = square[:, 0] * ((here.u * here.u + here.v * here.v) @ here.power)
 
 
+@cache
+def _triangle(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices of an upper triangle."""
+    one, other = np.triu_indices(size)
+    return one, other
+
+
 def write_symmetric(matrices: Array, packed: Array) -> None:
     """Write symmetric matrices (s, j, j) from their upper triangles (s, j(j+1)/2)."""
-    one, other = np.triu_indices(matrices.shape[-1])
+    one, other = _triangle(matrices.shape[-1])
     matrices[:, one, other] = packed
     matrices[:, other, one] = packed

@@ -175,14 +175,16 @@ def _mixing(model: Model, centre_hz: Array) -> Array:
     return mixing
 
 
-def _reduced(here: Equations, damping: float) -> tuple[Array, Array, Any]:
-    """Matrix and gradient without the drive, and the factors of the drive's matrix."""
+def _reduced(
+    here: Equations, damping: float, precision: type[np.floating[Any]]
+) -> tuple[Array, Array, Array]:
+    """Matrix and gradient without the drive, and the (lower) root of the drive's matrix."""
     diagonal = np.diag(here.drive_matrix)
-    factors = linalg.cho_factor(here.drive_matrix + np.diag(damping * diagonal + 1e-9))
-    solved = linalg.cho_solve(factors, here.coupling.T)
-    matrix = here.matrix - here.coupling @ solved
-    gradient = here.gradient - solved.T @ here.drive_gradient
-    return matrix, gradient, factors
+    damped = here.drive_matrix + np.diag(damping * diagonal + 1e-9)
+    root = linalg.cholesky(damped.astype(precision), lower=True)
+    solved = linalg.solve_triangular(root, here.coupling.T.astype(precision), lower=True)
+    pull = linalg.solve_triangular(root, here.drive_gradient.astype(precision), lower=True)
+    return here.matrix - solved.T @ solved, here.gradient - pull @ solved, root
 
 
 def _improve(model: Model, data: Data, prior: Prior, state: State, iterations: int) -> State:
@@ -214,13 +216,17 @@ def _improve(model: Model, data: Data, prior: Prior, state: State, iterations: i
 
 
 def _moved(here: Equations, prior: Prior, state: State, damping: float) -> State:
-    matrix, gradient, factors = _reduced(here, damping)
+    # As precise as its equations are.
+    matrix, gradient, root = _reduced(here, damping, np.float32)
     damped = matrix + np.diag(damping * np.diag(here.matrix))
     # Parameters of very different sizes: each in units of what alone would be told of it.
     unit = 1 / np.sqrt(np.diag(here.matrix))
-    factor = linalg.cho_factor(unit[:, None] * damped * unit + _ROUGH * np.eye(len(unit)))
-    move = unit * linalg.cho_solve(factor, unit * gradient)
-    drive = linalg.cho_solve(factors, here.drive_gradient - here.coupling.T @ move).reshape(2, -1)
+    scaled = unit[:, None] * damped * unit + _ROUGH * np.eye(len(unit))
+    move = unit * linalg.cho_solve(
+        linalg.cho_factor(scaled.astype(np.float32)), (unit * gradient).astype(np.float32)
+    )
+    pull = (here.drive_gradient - here.coupling.T @ move).astype(np.float32)
+    drive = linalg.cho_solve((root, True), pull).astype(float).reshape(2, -1)
     # A step of the drive by more than e is no small one.
     drive = np.clip(drive, -1, 1)
     x = state.x.copy()
@@ -241,6 +247,7 @@ def fit_modes(
     volts: Array,
     start_hz: dict[str, float],
     known: ModalFit | None = None,
+    most_off: int | None = None,
 ) -> ModalFit:
     """Fit the joint model of a sweep.
 
@@ -255,6 +262,8 @@ def fit_modes(
         within the sweep, seen or not.
     known : ModalFit, optional
         Of the same sweep, to begin with.
+    most_off : int, optional
+        If more holograms are off the fit ends early: good enough to tell what they should show.
 
     Returns
     -------
@@ -278,7 +287,11 @@ def fit_modes(
         state = _again(known.state, known, displacements)
         rounds, discrepancy = _AGAIN, known.discrepancy
     prior = _prior(model, _LAST, centre_hz, _scale(model, state))
-    end = _last_rounds(model, displacements, noise, prior, state, rounds, discrepancy)
+    for _ in range(rounds):
+        end = _round(model, displacements, noise, prior, state, discrepancy)
+        state, noise, discrepancy = end.state, end.noise, end.next_discrepancy
+        if most_off is not None and np.count_nonzero(_off(displacements, noise)) > most_off:
+            break
     return _finish(model, displacements, basis.names, end)
 
 
@@ -374,8 +387,8 @@ class _Round:
         What is left, in deviations along the noise's directions.
     misfit : float
         Its mean square, by freedom.
-    discrepancy : float
-        That it was found with.
+    discrepancy, next_discrepancy : float
+        That it was found with, and what is left of.
     noise : Noise
         As it is known now.
     """
@@ -387,33 +400,37 @@ class _Round:
     apart: Array
     misfit: float
     discrepancy: float
+    next_discrepancy: float
     noise: Noise
 
 
-def _last_rounds(
+def _round(
     model: Model,
     displacements: Displacements,
     noise: Noise,
     prior: Prior,
     state: State,
-    rounds: int,
     discrepancy: float,
 ) -> _Round:
-    """Improve and estimate, in turns, the discrepancy that makes what is left as it should be."""
-    for _ in range(rounds):
-        data = data_of(displacements, noise, discrepancy)
-        state = with_gain(
-            model, _improve(model, data, prior, _fixed(prior, state), _LAST.iterations)
-        )
-        here = equations(model, data, prior, state)
-        covariance = _inverse(_reduced(here, 0.0)[0])
-        freedoms = 2 * data.amplitude.size - 2 * len(model.hz) - _told(prior, data, covariance)
-        apart = data.apart(terms(model, state).amplitude, state.together)
-        misfit, used = float(np.sum(apart**2)) / freedoms, discrepancy
-        left = apart * noise.deviation(used)
-        noise = inflated(noise, apart)
-        discrepancy = balanced(noise, left, freedoms)
-    return _Round(prior, state, here, covariance, apart, misfit, used, noise)
+    """Improve, and estimate the discrepancy that makes what is left as large as it should be."""
+    data = data_of(displacements, noise, discrepancy)
+    state = with_gain(model, _improve(model, data, prior, _fixed(prior, state), _LAST.iterations))
+    here = equations(model, data, prior, state)
+    covariance = _inverse(_reduced(here, 0.0, np.float64)[0])
+    freedoms = 2 * data.amplitude.size - 2 * len(model.hz) - _told(prior, data, covariance)
+    apart = data.apart(terms(model, state).amplitude, state.together)
+    left = apart * noise.deviation(discrepancy)
+    return _Round(
+        prior=prior,
+        state=state,
+        here=here,
+        covariance=covariance,
+        apart=apart,
+        misfit=float(np.sum(apart**2)) / freedoms,
+        discrepancy=discrepancy,
+        next_discrepancy=balanced(inflated(noise, apart), left, freedoms),
+        noise=inflated(noise, apart),
+    )
 
 
 def _finish(
@@ -446,9 +463,15 @@ def _finish(
         misfit=end.misfit,
         discrepancy=end.discrepancy,
         together=state.together,
-        off=(end.noise.inflation > 1) | ~np.any(displacements.information, axis=(1, 2)),
+        off=_off(displacements, end.noise),
         state=state,
     )
+
+
+def _off(displacements: Displacements, noise: Noise) -> NDArray[np.bool_]:
+    """Which holograms (k,) show something else, or nothing."""
+    off: NDArray[np.bool_] = (noise.inflation > 1) | ~np.any(displacements.information, axis=(1, 2))
+    return off
 
 
 def _inverse(matrix: Array) -> Array:

@@ -106,9 +106,15 @@ def _seen(model: Model, data: Data, state: State, now: Terms) -> _Seen:
     # What all are off together moves the amplitudes as if the model moved the other way.
     columns = np.concatenate([real, imaginary, -data.response], axis=2)
     left = data.apart(now.amplitude, state.together).astype(data.root.dtype)
-    products = columns.swapaxes(1, 2) @ columns
+    size = columns.shape[2]
+    products = np.empty((size, size, len(columns)), columns.dtype)
+
+    def fill(some: slice) -> None:
+        products[:, :, some] = (columns[some].swapaxes(1, 2) @ columns[some]).transpose(1, 2, 0)
+
+    in_parts(fill, len(columns))
     pull = (left[:, None, :] @ columns)[:, 0]
-    return _Seen(np.ascontiguousarray(products.transpose(1, 2, 0)), np.ascontiguousarray(pull.T))
+    return _Seen(products, np.ascontiguousarray(pull.T))
 
 
 def equations(model: Model, data: Data, prior: Prior, state: State) -> Equations:

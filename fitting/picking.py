@@ -87,8 +87,8 @@ class _Belief:
     frequencies are far from linear in the components.
     """
 
-    def __init__(self, model: ForwardModel, series: Series) -> None:
-        self._model, self._series = model, series
+    def __init__(self, model: ForwardModel, series: Series, misfit_cents: float) -> None:
+        self._model, self._series, self._misfit_cents = model, series, misfit_cents
         self._found: dict[int, float] = {}
         self._mean: Array = np.zeros(4)
         self._covariance: Array = np.eye(4)
@@ -97,7 +97,7 @@ class _Belief:
     def predict(self, m: int) -> tuple[float, float]:
         """Expected cents of mode m and standard deviation, the model's own misfit included."""
         slope = self._slopes[m]
-        variance = slope @ self._covariance @ slope + paper.H4_MISFIT_CENTS**2
+        variance = slope @ self._covariance @ slope + self._misfit_cents**2
         return float(self._expected[m]), float(np.sqrt(variance))
 
     @property
@@ -109,7 +109,7 @@ class _Belief:
         """Condition on mode m having been found at a number of cents."""
         self._found[m] = cents
         modes, observed = list(self._found), np.array([*self._found.values()])
-        weight = 1 / paper.H4_MISFIT_CENTS**2
+        weight = 1 / self._misfit_cents**2
         for _ in range(_BELIEF_STEPS):
             slopes = self._slopes[modes]
             offset = observed - self._expected[modes] + slopes @ self._mean
@@ -131,14 +131,17 @@ class _Belief:
 
 
 def likely_components(
-    resonances: Mapping[str, Resonance], model: ForwardModel, series: Series
+    resonances: Mapping[str, Resonance],
+    model: ForwardModel,
+    series: Series,
+    misfit_cents: float = paper.H4_MISFIT_CENTS,
 ) -> Components:
     """Components of a reed of the population that has these resonances, to first order.
 
     Rougher than a fit, but there is always an answer: what the resonances do not tell is taken
     from the population.
     """
-    belief = _Belief(model, series)
+    belief = _Belief(model, series, misfit_cents)
     for name, found in resonances.items():
         if name in model.modes:
             belief.learn(model.modes.index(name), float(cents_of(found.frequency_hz)))
@@ -154,6 +157,7 @@ def pick_resonances(
     series: Series,
     needed: Callable[[int, int], bool],
     acoustic_lines_hz: Sequence[float] = (),
+    misfit_cents: float = paper.H4_MISFIT_CENTS,
 ) -> dict[str, Resonance]:
     """Pick for every mode the picture with most of its fringes.
 
@@ -173,6 +177,8 @@ def pick_resonances(
         shape; a maximum where it can is passed over.
     acoustic_lines_hz : sequence of float
         Resonances of the excitation device; pictures next to them are not picked.
+    misfit_cents : float
+        Standard deviation of a reed's resonances from those of any cane in the model's shape.
 
     Returns
     -------
@@ -184,7 +190,7 @@ def pick_resonances(
     clear = np.ones(len(cents), dtype=bool)
     for line in acoustic_lines_hz:
         clear &= np.abs(cents - cents_of(line)) > _LINE_CENTS
-    belief = _Belief(model, series)
+    belief = _Belief(model, series, misfit_cents)
     found: dict[str, Resonance] = {}
     for name in _SEARCH_ORDER:
         if name not in names or name not in model.modes:

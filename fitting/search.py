@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from fitting.bessel import BesselTable
 from fitting.descent import block_light, descend
 from fitting.errors import FitError
-from fitting.linear import Normal, Problem
+from fitting.linear import Normal, Problem, in_parts
 from fitting.phasors import Phasors
+from fitting.settling import Solution
 from fitting.shapes import ShapeBasis
 
 Array = NDArray[np.floating[Any]]
@@ -36,9 +37,9 @@ _STILL_LINEAR = 0.5
 # Of a shape with a largest deflection up to this, phasors have the signs of the shape.
 _LINEAR_RAD = 1.0
 # Largest deflections that the lowest holograms may have if they are not calm, and how many.
-_FRINGES_RAD, _FRINGED = np.geomspace(1.5, 20.0, 8), 4
-# So much of a sweep is enough not to begin it again otherwise.
-_MOST_SOLVED = 0.9
+_FRINGES_RAD, _FRINGED = np.geomspace(1.5, 20.0, 8), 6
+# If so much of a sweep is explained it is not begun again otherwise.
+_MOST_EXPLAINED = 0.8
 # Less than that may be explained by chance.
 _LEAST_SOLVED = 0.2
 _LEAST_SIGNAL = 1.5
@@ -46,15 +47,15 @@ _LEAST_SIGNAL = 1.5
 _SEARCH_STRIDE, _GRID_STRIDE = 3, 9
 # Grid of one shape's amplitude: step in radius, angles, and how far beyond the neighbour's.
 _RADIUS_STEP_RAD, _ANGLES, _BEYOND, _ROOM_RAD = 0.35, 12, 2.0, 5.0
-_SCALES = np.geomspace(0.3, 3.2, 36)
+_SCALES = np.geomspace(0.3, 3.2, 36).astype(np.complex64)
+_GRID_TOGETHER = 128
 # Modes this near to a hologram, besides the liveliest of its neighbour, may be resonating.
 _NEAR_CENTS = 350.0
 _STARTS, _QUICK = 5, 5
 DESCENT = 6
 # Neighbours are explained alike, unless one is in a wrong fringe: ratio of misfits.
 ALIKE = 1.15
-_REVISIONS = 2
-_CALM_TURNS = 5
+_CALM_TURNS = 15
 # Resonances are no sharper than this; modes may be livelier than expected by this factor; and what
 # shapes that are not the finite elements' may add, a share.
 _SHARPEST, _ROOM, _OTHER_SHAPES = 0.1, 5.0, 0.05
@@ -80,15 +81,6 @@ class _Guess:
     hologram: int
     mode: int
     largest_rad: float = 1.0
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Amplitudes (k, j), log gains (k,) and light (n,)."""
-
-    amplitude: Amplitudes
-    gain: Array
-    light: Complex
 
 
 class Search:
@@ -120,25 +112,25 @@ class Search:
     def starts(self) -> Iterator[tuple[Steps, Iterable[_Guess]]]:
         """Holograms to begin with, each set with guesses.
 
-        First the calm ones at the low end of the sweep, where a reed moves much like its first mode
-        at rest; then all calm ones, of which the lowest and the clearest may resemble any of their
-        neighbours; at last those at the low end, calm or not.
+        First those at the low end of the sweep, where a reed moves much like its first mode at
+        rest, if they are calm; then the same, calm or not; at last all calm ones, of which the
+        lowest and the clearest may resemble any of their neighbours.
         """
         signal = np.sqrt(np.maximum(np.mean(self._magnitude**2, axis=0) - 1, 0))
         clear = signal > _LEAST_SIGNAL
         low = np.flatnonzero(clear & (self._shown < _STILL_LINEAR))
-        if low.size:
+        if low.size and not clear[: low[0]].any():
             together = low[: int(np.argmax(np.diff([*low, np.inf]) > 1)) + 1]
             yield together, [_Guess(int(low[0]), self._near(low[0])[0])]
-        calm = np.flatnonzero(clear & (self._shown < _CALM))
-        if calm.size:
-            firsts = (calm[0], calm[np.argmax(signal[calm])])
-            yield calm, [_Guess(int(k), mode) for k in firsts for mode in self._near(k)[:4]]
         if clear.any():
             first = int(np.argmax(clear))
             few = np.flatnonzero(clear[first : first + _FRINGED]) + first
             mode = self._near(first)[0]
             yield few, [_Guess(first, mode, float(rad)) for rad in _FRINGES_RAD]
+        calm = np.flatnonzero(clear & (self._shown < _CALM))
+        if calm.size:
+            firsts = (calm[0], calm[np.argmax(signal[calm])])
+            yield calm, [_Guess(int(k), mode) for k in firsts for mode in self._near(k)[:4]]
 
     def _near(self, step: int) -> list[int]:
         """Modes, the nearest to a hologram first."""
@@ -162,18 +154,30 @@ class Search:
         return Solution(self.amplitude, self.gain, self.light)
 
     def go_on_with(self, solution: Solution, misfit: Array) -> None:
-        """Go on from a better solution, with misfits (k,), to what is not solved yet."""
+        """Go on from a better solution, with misfits (k,), to what it does not explain."""
         self.amplitude, self.gain, self.light = (
             solution.amplitude.copy(), solution.gain.copy(), solution.light
         )  # fmt: skip
         self.misfit = misfit.copy()
+        self._solved[:] = False
         self.spread()
-        self.revise()
+        self._revise()
 
     @property
     def solved(self) -> NDArray[np.bool_]:
         """Which holograms (k,) are."""
         return self._solved
+
+    @property
+    def explained(self) -> NDArray[np.bool_]:
+        """Which holograms (k,) are, down to their noise: they are in the right fringe."""
+        return self.misfit < _THRESHOLDS[0][0]
+
+    @property
+    def best_explained(self) -> NDArray[np.bool_]:
+        """Which holograms (k,) are, as well as most of those that are solved."""
+        usual = max(float(np.median(self.misfit[self._solved])), 1.0)
+        return self.misfit < _THRESHOLDS[0][0] * usual
 
     def _calm(self, few: Steps, guess: _Guess) -> tuple[Complex, Amplitudes, Normal]:
         """Light and amplitudes of some holograms, in turns."""
@@ -186,7 +190,7 @@ class Search:
         if guess.largest_rad > _LINEAR_RAD:
             self.light = light
             scales = guess.largest_rad * _SCALES
-            a = np.array([self._on_grid(int(k), shape[None], scales)[1][0] for k in few])
+            a = np.array([self._on_grid(int(k), shape, scales)[1][0] for k in few])
             size = _size(a)
         else:
             a = np.zeros((len(few), self.amplitude.shape[1]), complex)
@@ -228,31 +232,26 @@ class Search:
         if not self._solved.all() and self._solve_calm():
             self._go_on()
 
-    def revise(self) -> None:
-        """Try holograms in what may be a wrong fringe again."""
-        for _ in range(_REVISIONS):
-            if not self._revise():
-                break
-            self._relight()
-
     def _go_on(self) -> None:
         """From neighbour to neighbour, the better ones first."""
+        # Which light each pair has been tried in.
         tried: dict[tuple[int, int], int] = {}
+        light = 0
         for threshold, reach in _THRESHOLDS:
             good = np.maximum(self._enough, threshold)
             self._solved |= self.misfit < good
             self._relight()
-            lit = int(self._solved.sum())
-            while frontier := [pair for pair in self._frontier(reach) if tried.get(pair, -1) < lit]:
+            lit, light = int(self._solved.sum()), light + 1
+            while frontier := [pair for pair in self._frontier(reach) if tried.get(pair) != light]:
                 for step, source in frontier:
                     if self._solved[step]:
                         continue
-                    tried[step, source] = lit
+                    tried[step, source] = light
                     self._solve(step, source)
                     self._solved[step] = self.misfit[step] < good[step]
                     if self._solved.sum() > _MORE_SOLVED * lit + 2:
-                        self._relight()
-                        lit = int(self._solved.sum())
+                        self._relight(1)
+                        lit, light = int(self._solved.sum()), light + 1
 
     def _solve_calm(self) -> bool:
         """Solve calm holograms beyond those that nobody can: with known light they are linear."""
@@ -262,9 +261,8 @@ class Search:
             self._try(int(step), start, ((self._most, _SEARCH_STRIDE, DESCENT),))
         return bool((self.misfit[calm] < _THRESHOLDS[0][0]).any())
 
-    def _revise(self) -> bool:
+    def _revise(self) -> None:
         """Try holograms that are explained worse than a neighbour once more from that side."""
-        before = self.misfit.copy()
         last = len(self.misfit) - 1
         for step in np.argsort(-self.misfit):
             for source in (step - 1, step + 1):
@@ -272,7 +270,6 @@ class Search:
                     continue
                 if self.misfit[step] > ALIKE * max(float(self.misfit[source]), 1):
                     self._solve(int(step), int(source))
-        return bool((self.misfit < before).any())
 
     def _frontier(self, reach: int) -> list[tuple[int, int]]:
         """Unsolved holograms, each with a solved one not farther off than that."""
@@ -284,12 +281,12 @@ class Search:
             if 0 <= step <= last and not self._solved[step]
         ]
 
-    def _relight(self) -> None:
+    def _relight(self, turns: int = 2) -> None:
         """Find the light anew from what is solved, and what is solved from the light."""
         solved = np.flatnonzero(self._solved)
         if not solved.size:
             return
-        for _ in range(2):
+        for _ in range(turns):
             weight = 1 / np.maximum(self.misfit[solved], 1)
             start = self.amplitude[solved], self.gain[solved]
             self.light = block_light(self.whole, solved, *start, weight)
@@ -305,7 +302,7 @@ class Search:
     def _solve(self, step: int, source: int) -> None:
         """Try to find the amplitudes of one hologram from those of a neighbour."""
         neighbour = self.amplitude[source]
-        scaled = self._on_grid(step, neighbour[None], _SCALES)[1][0]
+        scaled = self._on_grid(step, neighbour, _SCALES)[1][0]
         self._try(step, np.array([scaled]), ((self._most, _SEARCH_STRIDE, _QUICK),))
         if self.misfit[step] < ALIKE * max(float(self.misfit[source]), 1):
             return
@@ -331,7 +328,7 @@ class Search:
 
     def _starts(self, step: int, neighbour: Amplitudes) -> list[Amplitudes]:
         """Likeliest changes of a neighbour's amplitudes: of one shape, or of all by a factor."""
-        likely = list(zip(*self._on_grid(step, neighbour[None], _SCALES), strict=True))
+        likely = list(zip(*self._on_grid(step, neighbour, _SCALES), strict=True))
         near = np.abs(self._mode_cents - self._cents[step]) < _NEAR_CENTS
         shapes = self._basis.shapes
         liveliness = np.abs(shapes @ neighbour.conj()) / np.linalg.norm(shapes, axis=1)
@@ -341,25 +338,38 @@ class Search:
             rest = neighbour - now * shape
             radius = np.arange(0.2, _BEYOND * abs(now) + _ROOM_RAD, _RADIUS_STEP_RAD)
             angles = np.exp(2j * np.pi * np.arange(_ANGLES) / _ANGLES)
-            grid = (radius[:, None] * angles).ravel()
-            likely += zip(*self._on_grid(step, np.stack([rest, shape]), grid), strict=True)
+            grid = (radius[:, None] * angles).ravel().astype(np.complex64)
+            likely += zip(*self._on_grid(step, shape, grid, rest), strict=True)
         likely.sort(key=lambda start: start[0])
         return [start for _, start in likely[: _STARTS - 1]]
 
     def _on_grid(
-        self, step: int, parts: Amplitudes, grid: Array
+        self, step: int, part: Amplitudes, grid: Complex, fixed: Amplitudes | None = None
     ) -> tuple[list[float], list[Amplitudes]]:
         """Best three of ``[fixed +] factor · part`` over factors (g,), and their misfits."""
-        u = parts.astype(np.complex64) @ self._few.functions.T
-        whole = grid.astype(np.complex64)[:, None] * u[-1] + (u[0] if len(parts) > 1 else 0)
-        over, _ = self._few.bessel.tensor(np.abs(whole))
-        expected = self.light[::_GRID_STRIDE] * (whole * over)
-        overlap = expected.conj() @ self._value[::_GRID_STRIDE, step]
-        # The phase of the hologram is free.
-        misfit = np.sum(expected.real**2 + expected.imag**2, axis=1) - 2 * np.abs(overlap)
+        few = self._few
+        if fixed is None:
+            fixed = np.zeros_like(part)
+        u, v = few.displacement(np.stack([part, fixed]))
+        light = self.light[::_GRID_STRIDE]
+        power = light.real**2 + light.imag**2
+        pull = light.conj() * self._value[::_GRID_STRIDE, step]
+        misfit, overlap = np.empty(len(grid)), np.empty(len(grid), complex)
+
+        def fill(some: slice) -> None:
+            real, imaginary = grid.real[some, None], grid.imag[some, None]
+            p = real * u[0] - imaginary * v[0] + u[1]
+            q = real * v[0] + imaginary * u[0] + v[1]
+            square = p * p + q * q
+            over = few.bessel.over_argument(np.sqrt(square))
+            along = (over * p) @ pull - 1j * ((over * q) @ pull)
+            # The phase of the hologram is free.
+            misfit[some] = (over * over * square) @ power - 2 * np.abs(along)
+            overlap[some] = along
+
+        in_parts(fill, len(grid), _GRID_TOGETHER)
         best = np.argsort(misfit)[:3]
-        fixed = parts[0] if len(parts) > 1 else 0
-        found = [(fixed + grid[g] * parts[-1]) * np.exp(1j * np.angle(overlap[g])) for g in best]
+        found = [(fixed + grid[g] * part) * np.exp(1j * np.angle(overlap[g])) for g in best]
         return [float(misfit[g]) for g in best], found
 
 
@@ -370,9 +380,9 @@ def solve(phasors: Phasors, basis: ShapeBasis) -> Search:
     for calm, guesses in search.starts():
         search.begin(calm, guesses)
         search.spread()
-        if best is None or search.solved.sum() > best.solved.sum():
+        if best is None or search.explained.sum() > best.explained.sum():
             best = search
-        if best.solved.mean() > _MOST_SOLVED:
+        if best.explained.mean() > _MOST_EXPLAINED:
             break
         search = Search(phasors, basis)
     if best is None or best.solved.mean() < _LEAST_SOLVED:
@@ -381,7 +391,6 @@ def solve(phasors: Phasors, basis: ShapeBasis) -> Search:
             f"only {solved} of {len(phasors.drive_hz)} holograms can be explained as vibrations of "
             "this reed: none shows any light, or there are too many fringes; begin with less volts"
         )
-    best.revise()
     return best
 
 

@@ -248,7 +248,7 @@ def test_belief_in_a_linear_model_is_the_exact_conditional_distribution(monkeypa
     learnt = {6: 60.0, 0: -45.0, 4: 20.0, 2: 80.0}
     origin = linear(np.zeros(4))
     slopes = np.stack([linear(unit) - origin for unit in np.eye(4)], axis=1)
-    belief = _Belief(MODEL, Series.A)
+    belief = _Belief(MODEL, Series.A, paper.H4_MISFIT_CENTS)
     for m, offset in learnt.items():
         belief.learn(m, float(origin[m] + offset))
 
@@ -279,7 +279,7 @@ def test_nothing_found_leaves_the_middle_of_the_population():
 
 
 def test_belief_starts_from_the_population():
-    belief = _Belief(MODEL, Series.A)
+    belief = _Belief(MODEL, Series.A, paper.H4_MISFIT_CENTS)
     for m, name in enumerate(PAPER_MODES):
         expected, sd = belief.predict(m)
         assert expected == pytest.approx(centres()[name])

@@ -1,0 +1,58 @@
+"""Light and amplitudes of solved holograms settle together."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.descent import GAIN_HELD, block_light, descend
+from fitting.light import LightStep, light_factor, light_step, linearise
+from fitting.linear import Problem
+
+Array = NDArray[np.floating[Any]]
+Complex = NDArray[np.complex64]
+Amplitudes = NDArray[np.complexfloating[Any, Any]]
+
+# Prior standard deviation of amplitudes, rad: only against what the data do not tell at all.
+FINAL_RAD = 10.0
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Amplitudes (k, j), log gains (k,) and light (n,)."""
+
+    amplitude: Amplitudes
+    gain: Array
+    light: Complex
+
+
+def settle(
+    problem: Problem, exact: Problem, smooth: Array, at: Solution
+) -> tuple[Solution, LightStep]:
+    """One turn: amplitudes, light block by block, then its smooth part with amplitudes together.
+
+    Parameters
+    ----------
+    problem, exact : Problem
+        Of the holograms that are solved; the same in single and in double precision.
+    smooth : (n, c) float
+        See `fitting.light.smooth_functions`.
+    at : Solution
+        Where they are.
+    """
+    steps = np.arange(len(at.gain))
+    size = at.amplitude.shape[1]
+    weak = FINAL_RAD**-2 * np.eye(size)
+    a, gain, normal = descend(
+        problem, at.light, steps, (at.amplitude, at.gain - np.mean(at.gain)), 2, weak
+    )
+    weight = 1 / np.maximum(normal.misfit / problem.blocks, 1)
+    light = block_light(problem, steps, a, gain, weight)
+    held = 0.5 * np.diag([FINAL_RAD**-2] * 2 * size + [2 * GAIN_HELD])
+    linear = linearise(exact, smooth, light, a, gain, weight)
+    x = np.concatenate([a.real, a.imag, gain[:, None]], axis=1)
+    step = light_step(linear, held, x, weight)
+    y = x + step.holograms
+    factor = light_factor(smooth, step.move)
+    return Solution(y[:, :size] + 1j * y[:, size:-1], y[:, -1], light * factor), step

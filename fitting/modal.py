@@ -438,13 +438,14 @@ def _finish(
 ) -> ModalFit:
     """Tell modes and their errors."""
     prior, state, now = end.prior, end.state, terms(model, end.state)
-    shared_by = alike(end.noise, end.apart, state.log_drive)
+    # The discrepancy of the last round left somewhat more or less than it should.
+    factor = end.misfit * alike(end.noise, end.apart, state.log_drive)
     # Drive and participations have a common factor, which may be anything: of the latter only what
     # they are beside a given drive counts.
-    beside_drive = shared_by * _inverse(end.here.matrix)
+    beside_drive = factor * _inverse(end.here.matrix)
     count, powers = len(model.active), model.powers.shape[1]
     spread = np.zeros_like(state.x)
-    deviations = np.sqrt(shared_by * np.diag(end.covariance))
+    deviations = np.sqrt(factor * np.diag(end.covariance))
     spread[prior.free] = deviations[: np.count_nonzero(prior.free)]
     own_hz = np.exp(state.x[:count, 2 * powers])
     nearest = np.abs(np.log(model.hz[:, None] / own_hz)).argmin(axis=0)

@@ -80,8 +80,16 @@ def plan_table(plan: Plan) -> Table:
         title += f", AOM2 at {exact_decimal(plan.steps[0].aom2_hz)} Hz"
     # Text, because what people wrote may hold what rich takes for markup.
     table = Table(title=Text(title), box=SIMPLE, pad_edge=False, padding=(0, 0, 0, 1))
-    heads = ("k", "asked Hz", "drive Hz", "AOM1 Hz", "AOM1 − AOM2", "residual")
-    rows = [_plan_row(step) for step in plan.steps]
+    several = len(plan.protocol.sideband.selected) > 1
+    heads = (
+        "k/n" if several else "k",
+        "asked Hz",
+        "drive Hz",
+        "AOM1 Hz",
+        "AOM1 − AOM2",
+        "residual",
+    )
+    rows = [_plan_row(step, several) for step in plan.steps]
     for column, head in enumerate((*heads, "volts", "leak")):
         widest = max((len(row[column]) for row in rows), default=0)
         table.add_column(head, justify="right", min_width=widest)
@@ -90,9 +98,9 @@ def plan_table(plan: Plan) -> Table:
     return table
 
 
-def _plan_row(step: Step) -> tuple[str, ...]:
+def _plan_row(step: Step, several: bool) -> tuple[str, ...]:
     return (
-        str(step.index),
+        f"{step.index}/{step.order}" if several else str(step.index),
         f"{float(step.asked_hz):.3f}",
         exact_decimal(step.drive_hz),
         exact_decimal(step.aom1_hz),

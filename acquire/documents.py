@@ -28,6 +28,7 @@ _EXIT_STATUS: Final[dict[Status, Literal["success", "abort", "fail"]]] = {
 _LAST: Final = ("stream_resource", "stream_datum", "stop")
 _SOURCES: Final = {
     "index": "protocol",
+    "order": "protocol",
     "take": "acquire.runner",
     "asked_hz": "protocol",
     "drive_hz": "generator",
@@ -41,6 +42,7 @@ _SOURCES: Final = {
     "verdict": "acquire.quality",
     "sentence": "acquire.quality",
 }
+_WHOLE = ("index", "order", "take")
 _UNITS: Final = {
     "asked_hz": "Hz",
     "drive_hz": "Hz",
@@ -73,9 +75,10 @@ class _Begun:
         return cls(dict(documents)["start"], streams["primary"], streams["steps"], events)
 
     @property
-    def told(self) -> frozenset[tuple[int, int]]:
-        """Index and take of every event."""
-        return frozenset((event["data"]["index"], event["data"]["take"]) for event in self.events)
+    def told(self) -> frozenset[tuple[int, int, int]]:
+        """Index, order and take of every event."""
+        data = (event["data"] for event in self.events)
+        return frozenset((each["index"], each["order"], each["take"]) for each in data)
 
 
 class DocumentLog:
@@ -135,8 +138,8 @@ class DocumentLog:
         return log
 
     @property
-    def told(self) -> frozenset[tuple[int, int]]:
-        """Index and take of every event that was there when the documents were gone on with."""
+    def told(self) -> frozenset[tuple[int, int, int]]:
+        """Index, order and take of every event that was there when they were gone on with."""
         return self._begun.told
 
     @classmethod
@@ -280,6 +283,7 @@ def event_data(step: Step, take: int, measured: MeasuredStep) -> dict[str, Any]:
     read = measured.read_back
     return {
         "index": step.index,
+        "order": step.order,
         "take": take,
         "asked_hz": float(step.asked_hz),
         "drive_hz": float(read.drive_hz),
@@ -300,6 +304,7 @@ def recorded_data(record: StepRecord, take: int) -> dict[str, Any]:
     aom1_hz, aom2_hz = record.read_aom1_hz or 0, record.read_aom2_hz or 0
     return {
         "index": record.index,
+        "order": record.order,
         "take": take,
         "asked_hz": float(record.asked_hz),
         "drive_hz": float(record.read_drive_hz or 0),
@@ -355,7 +360,7 @@ def _data_keys() -> dict[str, dict[str, Any]]:
     keys = {}
     for name, source in _SOURCES.items():
         text = name in ("verdict", "sentence")
-        dtype = "string" if text else "integer" if name in ("index", "take") else "number"
+        dtype = "string" if text else "integer" if name in _WHOLE else "number"
         keys[name] = {"source": source, "dtype": dtype, "shape": []}
         if name in _UNITS:
             keys[name]["units"] = _UNITS[name]
@@ -385,14 +390,19 @@ def _array_keys(plan: Plan) -> dict[str, dict[str, Any]]:
 
 
 def _rows(plan: Plan) -> dict[str, dict[str, Any]]:
-    """Say which row belongs to which index of the protocol's sweep."""
-    indices = [step.index for step in plan.steps]
-    key = {"source": "protocol", "dtype": "array", "dtype_numpy": "<i8", "shape": [len(indices)]}
+    """Say which row belongs to which index of the protocol's sweep, and which sideband."""
+    rows = {name: [getattr(step, name) for step in plan.steps] for name in ("index", "order")}
+    key = {
+        "source": "protocol",
+        "dtype": "array",
+        "dtype_numpy": "<i8",
+        "shape": [len(plan.steps)],
+    }
     return {
         "steps": {
-            "data": {"index": indices},
-            "timestamps": {"index": time.time()},
-            "data_keys": {"index": key},
+            "data": rows,
+            "timestamps": dict.fromkeys(rows, time.time()),
+            "data_keys": dict.fromkeys(rows, key),
         }
     }
 

@@ -47,6 +47,8 @@ class Step:
     ----------
     index : int
         k of the protocol's sweep.
+    order : int
+        Sideband that the synthesizers select.
     asked_hz : Fraction
         What the protocol asks for, to 1 µHz.
     drive_hz : Fraction
@@ -67,6 +69,7 @@ class Step:
     """
 
     index: int
+    order: int
     asked_hz: Fraction
     drive_hz: Fraction
     aom1_hz: Fraction
@@ -83,6 +86,7 @@ class Step:
         """Return the step with stable keys, frequencies as exact decimal strings."""
         return {
             "index": self.index,
+            "order": self.order,
             "asked_hz": exact_decimal(self.asked_hz),
             "drive_hz": exact_decimal(self.drive_hz),
             "aom1_hz": exact_decimal(self.aom1_hz),
@@ -253,7 +257,11 @@ def make_plan(protocol: Protocol, bench: BenchFile) -> Plan:
         If the file of the protocol's reed is wrong.
     """
     reed = protocol.reed_file()
-    steps = tuple(_step(protocol, bench, index) for index in protocol.sweep.indices)
+    steps = tuple(
+        _step(protocol, bench, index, order)
+        for index in protocol.sweep.indices
+        for order in protocol.sideband.selected
+    )
     violations = *_violations(protocol, bench, steps), *_view_violations(bench, reed)
     return Plan(protocol, reed, bench, steps, violations)
 
@@ -331,18 +339,20 @@ def _decimal(value: Fraction) -> Decimal:
     return _EXACT.divide(Decimal(value.numerator), Decimal(value.denominator))
 
 
-def _step(protocol: Protocol, bench: BenchFile, index: int) -> Step:
-    synthesizers, order = bench.instruments.synthesizers, protocol.sideband.order
+def _step(protocol: Protocol, bench: BenchFile, index: int, order: int) -> Step:
+    synthesizers, generator = bench.instruments.synthesizers, bench.instruments.generator
     frame_rate_hz = protocol.camera.frame_rate_hz
     asked_hz = sweep_frequency_hz(protocol.sweep, index)
+    # The drive is the same for all orders: only then do they show the same vibration.
     drive_hz = snap_drive(
-        asked_hz, order, frame_rate_hz, synthesizers.step_hz, bench.instruments.generator.step_hz
+        asked_hz, protocol.sideband.order, frame_rate_hz, synthesizers.step_hz, generator.step_hz
     )
     realised_hz = difference_hz(drive_hz, order, frame_rate_hz, synthesizers.step_hz)
     # On one clock only the difference of the tuning words counts, so AOM2 may be rounded.
     aom2_hz = nearest_multiple(synthesizers.centre_hz, synthesizers.step_hz)
     return Step(
         index=index,
+        order=order,
         asked_hz=asked_hz,
         drive_hz=drive_hz,
         aom1_hz=aom2_hz + realised_hz,
@@ -353,14 +363,14 @@ def _step(protocol: Protocol, bench: BenchFile, index: int) -> Step:
         frames=protocol.camera.frames,
         settle_s=protocol.settle_s,
         exposure_s=protocol.exposure_s,
-        carrier_leak=_leak(protocol, drive_hz),
+        carrier_leak=_leak(protocol, drive_hz, order),
     )
 
 
-def _leak(protocol: Protocol, drive_hz: Fraction) -> float:
+def _leak(protocol: Protocol, drive_hz: Fraction, order: int) -> float:
     # Frames cannot overlap: an exposure beyond the period is a violation, and counts as a period.
     exposure_s = min(protocol.exposure_s, protocol.camera.period_s)
-    frame_rate_hz, order = protocol.camera.frame_rate_hz, protocol.sideband.order
+    frame_rate_hz = protocol.camera.frame_rate_hz
     # The reed stands off the axis: the carrier's twin falls beside what is kept of the image.
     leak = carrier_leak(
         float(drive_hz), float(frame_rate_hz), float(exposure_s), order, off_axis=True
@@ -376,7 +386,7 @@ def _violations(protocol: Protocol, bench: BenchFile, steps: Sequence[Step]) -> 
     yield from _volts_violations(protocol, bench)
     yield from _camera_violations(protocol, bench)
     yield from _lock_violations(protocol, bench, steps)
-    yield from _synthesizer_violations(bench, steps)
+    yield from _synthesizer_violations(protocol, bench, steps)
 
 
 def _drive_violations(bench: BenchFile, steps: Sequence[Step]) -> Iterator[Violation]:
@@ -480,12 +490,14 @@ def _lock_violations(
         )
 
 
-def _synthesizer_violations(bench: BenchFile, steps: Sequence[Step]) -> Iterator[Violation]:
+def _synthesizer_violations(
+    protocol: Protocol, bench: BenchFile, steps: Sequence[Step]
+) -> Iterator[Violation]:
     synthesizers = bench.instruments.synthesizers
     widest = max(steps, key=lambda step: abs(step.aom1_hz - synthesizers.centre_hz))
     if abs(widest.aom1_hz - synthesizers.centre_hz) > synthesizers.window_hz:
         yield Violation(
-            "sideband.order",
+            "sideband.orders" if protocol.sideband.orders else "sideband.order",
             f"at step {widest.index} AOM1 would stand {float(widest.difference_hz):.10g} Hz from "
             f"the centre, outside the window of {float(synthesizers.window_hz):.10g} Hz in bench "
             f"file {bench.source}; lower the order or sweep.last",

@@ -71,10 +71,42 @@ class Drive(Section):
     ramp: Ramp
 
 
-class Sideband(Section):
-    """Which sideband the difference of the synthesizers selects; 0 is the carrier."""
+_Order = Annotated[int, Field(ge=0, le=100)]
 
-    order: Annotated[int, Field(ge=0, le=100)] = 1
+
+class Sideband(Section):
+    """Which sideband the difference of the synthesizers selects; 0 is the carrier.
+
+    Attributes
+    ----------
+    order : int
+        The one that pictures are made of, and that the drive's frequency is locked by.
+    orders : tuple of int, optional
+        All that are recorded, in their sequence at each frequency; that one alone unless told.
+    """
+
+    order: _Order = 1
+    orders: Annotated[tuple[_Order, ...], Field(strict=False)] | None = None
+
+    @field_validator("orders")
+    @classmethod
+    def _each_once(
+        cls, orders: tuple[int, ...] | None, info: ValidationInfo
+    ) -> tuple[int, ...] | None:
+        if orders is None:
+            return None
+        order = info.data.get("order")
+        if order is not None and order not in orders:
+            raise ValueError(f"lacks sideband.order, which is {order}; add {order}")
+        twice = [each for k, each in enumerate(orders) if each in orders[:k]]
+        if twice:
+            raise ValueError(f"has {twice[0]} twice; write each order once")
+        return orders
+
+    @property
+    def selected(self) -> tuple[int, ...]:
+        """All orders, in their sequence at each frequency."""
+        return self.orders or (self.order,)
 
 
 class CameraSettings(Section):

@@ -289,9 +289,11 @@ class Recorder:
             self._verdicts[step.position] = step.verdict
             if step.verdict.measured:
                 self._takes[step.position] += 1
-                told = step.index, self._takes[step.position]
+                told = step.index, step.order, self._takes[step.position]
                 if told not in self._documents.told:
-                    self._documents.event(recorded_data(step, told[1]), time.time())
+                    self._documents.event(
+                        recorded_data(step, self._takes[step.position]), time.time()
+                    )
         first = next((s for s, v in enumerate(self._verdicts) if not v.measured), len(steps))
         reason = "the process was gone" if not ended else "the run had been ended"
         self._writer.reopen(Seam(first, "resumed", ended, now(), reason))
@@ -382,9 +384,7 @@ def measure(
     step, frames, protocol = acquisition.step, acquisition.frames, plan.protocol
     region, empty = reconstruction.region, reconstruction.empty
     rate_hz = protocol.camera.frame_rate_hz
-    condition = LockCondition(
-        protocol.sideband.order, rate_hz, float(protocol.tolerance.lock_phase_rad)
-    )
+    condition = LockCondition(step.order, rate_hz, float(protocol.tolerance.lock_phase_rad))
     field = np.zeros((region.height, region.width), dtype=np.complex64)
     ratio, noise, phase = np.nan, np.nan, PhaseAdvance(np.nan, np.nan)
     judgements = [judge_consecutive(frames, step.frames)]
@@ -392,9 +392,11 @@ def measure(
         halves = reconstruction.quadratures(np.stack([frame.image for frame in frames]))
         field, noise, phase = halves.field, halves.noise, halves.phase_advance
         ratio = mean_power(field) / noise if noise > 0 else np.nan
-        judgements.append(
-            judge_signal(ratio, region.height * region.width, empty.height * empty.width)
-        )
+        # Beyond the first order all may be dark: it is the lower ones that tell of a fault.
+        if step.order <= 1 or len(protocol.sideband.selected) == 1:
+            judgements.append(
+                judge_signal(ratio, region.height * region.width, empty.height * empty.width)
+            )
         judgements.append(judge_phase(phase, condition, step.frames, step.carrier_leak, ratio))
     share = saturated_share(frames, saturation_dn) if frames else 0.0
     judgements.append(judge_saturation(share))

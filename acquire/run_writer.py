@@ -463,6 +463,7 @@ def _write_instruments(entry: Any, plan: Plan, bench: Bench) -> None:
 def _write_steps(entry: Any, plan: Plan) -> None:
     steps = _group(entry, "steps", "NXcollection")
     _put(steps, "index", [step.index for step in plan.steps])
+    _put(steps, "order", [step.order for step in plan.steps])
     _put(steps, "volts", [step.volts for step in plan.steps], "V")
     _put(steps, "carrier_leak", [step.carrier_leak for step in plan.steps])
     for name in PLANNED_HZ:

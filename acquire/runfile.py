@@ -71,6 +71,7 @@ class StepRecord:
 
     position: int
     index: int
+    order: int
     asked_hz: Fraction
     drive_hz: Fraction
     aom1_hz: Fraction
@@ -132,6 +133,7 @@ class Run:
     frame_rate_hz : Fraction
     exposure_s : float
     sideband_order : int
+        The one that pictures are made of; each step has its own.
     saturation_dn : int
     reconstruction : Reconstruction
         Geometry of frames and fields.
@@ -152,7 +154,7 @@ class Run:
         self._read_instrument(entry["instrument"])
         self._read_geometry(entry)
         self.format_version = int(file.attrs["format_version"])
-        self.steps = tuple(_records(entry["steps"]))
+        self.steps = tuple(_records(entry["steps"], self.sideband_order))
         self.retakes = tuple(_retaken(entry["retakes"], self.steps)) if "retakes" in entry else ()
         self.seams = tuple(_seams(entry["seams"])) if "seams" in entry else ()
 
@@ -384,10 +386,16 @@ def _string(group: Any, name: str) -> str:
     return value
 
 
-def _records(steps: Any) -> Iterator[StepRecord]:
-    """Read all columns at once, then give one record per step."""
+def _records(steps: Any, order: int) -> Iterator[StepRecord]:
+    """Read all columns at once, then give one record per step.
+
+    `order` is that of runs which do not say it of every step.
+    """
     planned = {n: steps[f"{n}_exact"].asstr()[()] for n in PLANNED_HZ}
     numbers = {n: steps[n][()] for n in ("index", "volts", "carrier_leak")}
+    numbers["order"] = (
+        steps["order"][()] if "order" in steps else np.full(len(numbers["index"]), order)
+    )
     for position, taken in enumerate(_taken(steps)):
         # Of any type, for mypy: both mappings supply fields of several types.
         asked: dict[str, Any] = {n: _fraction(t[position]) for n, t in planned.items()}

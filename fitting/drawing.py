@@ -103,11 +103,12 @@ def _label(
     """Number a picture; name its modes, its acoustic line or what is wrong with it."""
     left, top, width, height = box
     names = [name for name, found in resonances.items() if found.step_index == step.index]
-    text, colour = str(step.index), "#9a9a9a"
+    number = str(step.index) if step.order == run.sideband_order else f"{step.index}/{step.order}"
+    text, colour = number, "#9a9a9a"
     if names:
-        text, colour = f"{step.index} {'/'.join(names)}", _CLASS_COLOUR.get(names[0][0], "#e0e0e0")
+        text, colour = f"{number} {'/'.join(names)}", _CLASS_COLOUR.get(names[0][0], "#e0e0e0")
     elif step.index in line_steps(run):
-        text, colour = f"{step.index} line", _LINE_COLOUR
+        text, colour = f"{number} line", _LINE_COLOUR
     elif step.verdict != "ok":
         words = str(step.verdict).replace("_", " ")
         axes.text(

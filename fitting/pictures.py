@@ -1,5 +1,6 @@
 """Pictures of a sweep: brightness of the reed's image, averaged over its speckle."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -85,18 +86,19 @@ def read_pictures(run: Run) -> Pictures:
 
 
 def good_steps(run: Run) -> list[StepRecord]:
-    """Steps of a run that hold good holograms, in order of frequency.
+    """Steps of a run that hold good holograms of its main sideband, in order of frequency.
 
     Raises
     ------
     FitError
         If they are too few; says what the others suffer from.
     """
-    good = sorted((s for s in run.steps if s.verdict == "ok"), key=lambda step: step.drive_hz)
+    of_order = [step for step in run.steps if step.order == run.sideband_order]
+    good = sorted((s for s in of_order if s.verdict == "ok"), key=lambda step: step.drive_hz)
     if len(good) < _LEAST_PICTURES:
-        troubles = _troubles(run)
+        troubles = _troubles(of_order)
         raise FitError(
-            f"{run.path}: {len(good)} of {len(run)} steps are good, a fit needs at least "
+            f"{run.path}: {len(good)} of {len(of_order)} steps are good, a fit needs at least "
             f"{_LEAST_PICTURES}" + (f" ({troubles})" if troubles else "")
         )
     return good
@@ -108,9 +110,9 @@ def _block_centres(axis_m: Array, factor: int) -> Array:
     return centres
 
 
-def _troubles(run: Run) -> str:
+def _troubles(steps: Sequence[StepRecord]) -> str:
     """Counts of the verdicts that are not ok, with the commonest sentence."""
-    bad = [step for step in run.steps if step.verdict != "ok"]
+    bad = [step for step in steps if step.verdict != "ok"]
     counts = {v: sum(s.verdict == v for s in bad) for v in {s.verdict for s in bad}}
     listed = ", ".join(f"{n} {v}" for v, n in sorted(counts.items(), key=lambda i: -i[1]))
     told = next(

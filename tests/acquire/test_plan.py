@@ -7,6 +7,7 @@ from fractions import Fraction
 from itertools import pairwise
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -192,7 +193,7 @@ def test_json_keys_and_exact_strings(series_a):
     }  # fmt: skip
     first = content["steps"][0]
     assert list(first) == [
-        "index", "asked_hz", "drive_hz", "aom1_hz", "aom2_hz", "difference_hz",
+        "index", "order", "asked_hz", "drive_hz", "aom1_hz", "aom2_hz", "difference_hz",
         "lock_residual_hz", "volts", "frames", "carrier_leak",
     ]  # fmt: skip
     assert first["drive_hz"] == "1417.2"
@@ -358,3 +359,42 @@ def test_limits_are_compared_with_peak_volts_however_they_are_stated(volts_are, 
     assert violation.key == "drive.ramp.to"
     assert f"above the {peak_v:g} V (peak) of limits.volts_max" in violation.message
     assert violation.message.endswith(f"write at most '{peak_v:g} V'")
+
+
+# --- Several sidebands -------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def three_sidebands():
+    content = yaml.safe_load(SERIES_A.text) | {"sideband": {"orders": [0, 1, 2]}}
+    return make_plan(Protocol.from_text(yaml.safe_dump(content)), BENCH)
+
+
+def test_every_sideband_is_selected_at_every_frequency(three_sidebands):
+    steps = three_sidebands.steps
+    assert [(step.index, step.order) for step in steps] == [
+        (index, order) for index in range(1, 185) for order in (0, 1, 2)
+    ]
+    rate_hz = three_sidebands.protocol.camera.frame_rate_hz
+    for step in steps:
+        target_hz = step.order * step.drive_hz + rate_hz / 4
+        assert step.difference_hz - step.lock_residual_hz == target_hz
+
+
+def test_all_sidebands_show_the_same_vibration(series_a, three_sidebands):
+    for k, one in enumerate(series_a.steps):
+        several = three_sidebands.steps[3 * k : 3 * k + 3]
+        assert {(step.drive_hz, step.volts) for step in several} == {(one.drive_hz, one.volts)}
+        assert several[1] == one
+
+
+def test_several_sidebands_take_as_much_longer(series_a, three_sidebands):
+    assert three_sidebands.duration_s == pytest.approx(3 * series_a.duration_s)
+    assert three_sidebands.file_size_bytes == 3 * series_a.file_size_bytes
+
+
+def test_a_sideband_beyond_the_synthesizers_names_the_key():
+    content = yaml.safe_load(SERIES_A.text) | {"sideband": {"orders": [1, 2]}}
+    bench = BENCH.replace({"instruments.synthesizers.window": "25 kHz"})
+    (violation,) = make_plan(Protocol.from_text(yaml.safe_dump(content)), bench).violations
+    assert violation.key == "sideband.orders"

@@ -1,6 +1,7 @@
 """Protocol and bench files: what they say, and how they are refused."""
 
 import json
+import re
 import subprocess
 import sys
 import time
@@ -83,6 +84,38 @@ def test_optional_sections_have_defaults(model):
     content = yaml.safe_load(text)
     short = {key: value for key, value in content.items() if key not in dropped}
     assert model.from_text(yaml.safe_dump(short)) == model.from_text(text)
+
+
+@pytest.mark.parametrize(
+    ("sideband", "selected"),
+    [
+        ({}, (1,)),
+        ({"order": 3}, (3,)),
+        ({"order": 0}, (0,)),
+        ({"orders": [0, 1, 2]}, (0, 1, 2)),
+        ({"order": 5, "orders": [5, 0, 2]}, (5, 0, 2)),
+    ],
+)
+def test_sidebands_are_one_or_several(sideband, selected):
+    written = yaml.safe_dump(yaml.safe_load(SERIES_A) | {"sideband": sideband})
+    protocol = Protocol.from_text(written)
+    assert protocol.sideband.selected == selected
+    assert Protocol.from_text(yaml.safe_dump(protocol.content())) == protocol
+
+
+@pytest.mark.parametrize(
+    ("sideband", "message"),
+    [
+        ({"orders": [0, 2]}, "sideband.orders: lacks sideband.order, which is 1; add 1"),
+        ({"orders": []}, "sideband.orders: lacks sideband.order, which is 1; add 1"),
+        ({"orders": [1, 0, 1]}, "sideband.orders: has 1 twice; write each order once"),
+        ({"orders": [1, -1]}, "sideband.orders[1]: -1 should be greater than or equal to 0"),
+    ],
+)
+def test_sidebands_that_make_no_sense_are_refused(sideband, message):
+    written = yaml.safe_dump(yaml.safe_load(SERIES_A) | {"sideband": sideband})
+    with pytest.raises(ProtocolError, match=re.escape(message)):
+        Protocol.from_text(written)
 
 
 @pytest.mark.parametrize(

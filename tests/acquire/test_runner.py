@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from acquire.errors import ProtocolError, RunFileError
 from acquire.plan import Plan
 from acquire.quality import Verdict
+from acquire.reconstruction import mean_power
 from acquire.recorder import Recorder
 from acquire.runfile import Run, RunLabels
 from acquire.runner import RAMP_S, Runner, RunState, run, safe_off
@@ -967,3 +968,19 @@ def test_frequencies_reach_the_instruments_as_exact_fractions(tiny_plan, fake_be
     run(tiny_plan(), fake.opened(), path)
     sent = [entry[1] for entry in fake.log if entry[0] in ("set_pair", "set_sine")]
     assert all(isinstance(hz, Fraction) for hz in sent)
+
+
+def test_a_run_of_several_sidebands_shows_each_of_them(small_plan, open_small_bench, path):
+    """Light that leaves the carrier stands in the others; a dark second one is no fault."""
+    plan = small_plan({"sideband.orders": [0, 1, 2]})
+    summary = run(plan, open_small_bench(plan), path)
+    assert summary.counts == {Verdict.OK: 15}
+    with Run.open(path) as measured:
+        assert measured.sideband_order == 1
+        assert [(s.index, s.order) for s in measured] == [(s.index, s.order) for s in plan.steps]
+        power = [mean_power(measured.field(p)) / measured.steps[p].noise_level for p in range(15)]
+        calm, first, second = power[:3]
+        assert calm > 10 * first
+        assert first > second
+        single = {step.drive_hz for step in measured}
+        assert len(single) == 5

@@ -1,10 +1,11 @@
 """Bessel functions from tables: interpolation is an order of magnitude faster than evaluation."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import j0, j1, jv
+from scipy.special import j0, j1, jv, jvp
 
 Float = NDArray[np.float32]
 Array = NDArray[np.floating[Any]]
@@ -56,10 +57,42 @@ class BesselTable:
         return ratio, bend
 
     def _between(self, phi: Float, *tables: Float) -> list[Float]:
-        position = np.minimum(phi * self._per_rad, self._last)
-        index = position.astype(np.int32)
-        # In single precision: with integers numpy would take doubles.
-        part = position - index.astype(np.float32)
-        rest = np.float32(1) - part
-        after = index + np.int32(1)
-        return [table.take(index) * rest + table.take(after) * part for table in tables]
+        return _between(phi, self._per_rad, self._last, tables)
+
+
+class SidebandTable:
+    """J_n and its derivative at phases from 0 to `largest`, to 3·10⁻⁶; constant beyond.
+
+    Parameters
+    ----------
+    order : int
+        n.
+    largest : float
+        In rad.
+    per_rad : int
+        Entries.
+    """
+
+    def __init__(self, order: int, largest: float = 200.0, per_rad: int = 200) -> None:
+        phi = np.arange(int(largest * per_rad) + 2) / per_rad
+        self._per_rad = np.float32(per_rad)
+        self._last = np.float32(len(phi) - 2)
+        self._tables = tuple(f(order, phi).astype(np.float32) for f in (jv, jvp))
+
+    def __call__(self, phi: Float) -> tuple[Float, Float]:
+        """J_n and J_n′ at phases φ ≥ 0 (any shape)."""
+        value, slope = _between(phi, self._per_rad, self._last, self._tables)
+        return value, slope
+
+
+def _between(
+    phi: Float, per_rad: np.float32, last: np.float32, tables: Sequence[Float]
+) -> list[Float]:
+    """Interpolate in tables between their entries."""
+    position = np.minimum(phi * per_rad, last)
+    index = position.astype(np.int32)
+    # In single precision: with integers numpy would take doubles.
+    part = position - index.astype(np.float32)
+    rest = np.float32(1) - part
+    after = index + np.int32(1)
+    return [table.take(index) * rest + table.take(after) * part for table in tables]

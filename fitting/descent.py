@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.linear import Normal, Problem, normal
+from fitting.sidebands import brightness, phasors
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complex64]
@@ -66,9 +67,17 @@ def descend(
 
 
 def block_light(
-    problem: Problem, steps: Steps, a: Amplitudes, gain: Array, weight: Array
+    problem: Problem,
+    steps: Steps,
+    a: Amplitudes,
+    gain: Array,
+    weight: Array,
+    before: Complex | None = None,
 ) -> Complex:
-    """Light (n,) of every block by least squares over holograms (s,) of given weights."""
+    """Light (n,) of every block by least squares over holograms (s,) of given weights.
+
+    Other sidebands, if there are any, need light from before.
+    """
     u, v = problem.phasors(a)
     factor = np.exp(gain).astype(np.float32)[:, None]
     weighed = (weight[:, None] * factor).astype(np.float32)
@@ -77,5 +86,13 @@ def block_light(
     light = np.sum(weighed * (u * real + v * imaginary), axis=0) + 1j * np.sum(
         weighed * (u * imaginary - v * real), axis=0
     )
+    if before is not None:
+        for side in problem.others:
+            shown = phasors(side, problem.displacement(a))
+            shown = brightness(side, shown, before, steps).astype(np.complex64)[:, None] * shown
+            trust = (weight * side.present[steps]).astype(np.float32)[:, None]
+            seen = side.real[steps] + 1j * side.imaginary[steps]
+            power += np.sum(trust * (shown.real**2 + shown.imag**2), axis=0)
+            light += np.sum(trust * shown.conj() * seen, axis=0)
     found: Complex = (light / np.maximum(power, np.float32(1e-9))).astype(np.complex64)
     return found

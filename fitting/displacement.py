@@ -84,6 +84,7 @@ def fit_displacements(phasors: Phasors, basis: ShapeBasis) -> Displacements:
     FitError
         If hardly any hologram can be explained.
     """
+    whole = Problem.of(phasors.value, basis.functions, BesselTable(), phasors.others)
     search = solve(phasors, basis)
     turns = _FINAL_TURNS
     for _ in range(_LOOKS):
@@ -91,10 +92,10 @@ def fit_displacements(phasors: Phasors, basis: ShapeBasis) -> Displacements:
             break
         # Light that has settled shows more than that of the search.
         well = search.best_explained
-        better = _finished(search.whole, phasors, search.solution, well, _QUICK_TURNS)
+        better = _finished(whole, phasors, search.solution, well, _QUICK_TURNS)
         search.go_on_with(Solution(better.amplitude_rad, better.gain, better.light), better.misfit)
         turns = _QUICK_TURNS
-    return _finished(search.whole, phasors, search.solution, search.solved, turns)
+    return _finished(whole, phasors, search.solution, search.solved, turns)
 
 
 def refit_displacements(
@@ -119,7 +120,7 @@ def refit_displacements(
     together : (q,) float
         What all displacements are off together (see `fitting.light.SharedError`).
     """
-    whole = Problem.of(phasors.value, basis.functions, BesselTable())
+    whole = Problem.of(phasors.value, basis.functions, BesselTable(), phasors.others)
     light = before.light * light_factor(smooth_functions(phasors.x_m, phasors.y_m), together)
     changes = before.shared.response @ together
     size = before.amplitude_rad.shape[1]
@@ -132,7 +133,7 @@ def refit_displacements(
     tried, louder, normal = descend(
         whole, light, steps, (start, np.zeros(len(steps))), DESCENT, weak
     )
-    found = normal.misfit / whole.blocks
+    found = normal.misfit / whole.seen[steps]
     better = found < np.minimum(ALIKE * misfit[steps], np.maximum(_FLOOR, enough(phasors)[steps]))
     chosen = steps[better]
     a[chosen], gain[chosen], misfit[chosen] = tried[better], louder[better], found[better]
@@ -155,13 +156,15 @@ def _finished(
     at = Solution(at.amplitude[steps], at.gain[steps], at.light)
     for _ in range(turns):
         at, step = settle(problem, exact, smooth, at)
-    return _told(len(phasors.drive_hz), steps, at, step)
+    return _told(len(phasors.drive_hz), steps, at, step, problem.seen)
 
 
-def _told(holograms: int, solved: Steps, at: Solution, step: LightStep) -> Displacements:
+def _told(
+    holograms: int, solved: Steps, at: Solution, step: LightStep, seen: Array
+) -> Displacements:
     """Put together what the solved holograms tell; the others tell nothing."""
     end, size = step.linear.normal, at.amplitude.shape[1]
-    of_these = end.misfit / len(at.light)
+    of_these = end.misfit / seen
     # The gain of a hologram is nobody's concern any more; it takes information with it.
     coupling, known = end.matrix[:, :-1, -1:], end.matrix[:, -1, -1] + GAIN_HELD
     told = end.matrix[:, :-1, :-1] - coupling @ coupling.swapaxes(1, 2) / known[:, None, None]

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.linear import Normal, Problem, fill_matrix, gradient, in_parts, local
+from fitting.linear import Normal, Problem, in_parts, local
+from fitting.local import Local, fill_matrix, gradient
+from fitting.sidebands import beside
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -95,32 +97,55 @@ def linearise(
     normal = Normal.empty(len(a), size)
     coupling = np.zeros((len(a), 2 * size + 1, 2 * count))
 
-    def fill(some: slice) -> tuple[Array, Array, Array]:
-        here = local(problem, light, np.arange(len(a))[some], a[some], gain[some])
-        normal.misfit[some] = here.misfit
-        normal.gradient[some] = gradient(here, functions)
-        fill_matrix(normal.matrix[some], here, problem)
-        square = here.gain**2
+    def with_light(here: Local, weight: Array) -> tuple[Array, Array, Array, Array]:
+        """Couplings (s, 2j, 2c), power shown (s, n), and weighted pulls (n,) at the light."""
+        square = (here.gain**2).astype(float)
+        found = np.empty((len(square), 2, size, 2, count))
         for row, column, by in (
-            (0, 0, here.uu * here.u + here.uv * here.v),
-            (0, 1, here.uv * here.u - here.uu * here.v),
+            (0, 0, here.uu * here.u + here.vu * here.v),
+            (0, 1, here.vu * here.u - here.uu * here.v),
             (1, 0, here.uv * here.u + here.vv * here.v),
             (1, 1, here.vv * here.u - here.uv * here.v),
         ):
-            block = (square * (by @ products)).reshape(-1, size, count)
-            coupling[some, row * size :, column * count :][:, :size, :count] = block
+            found[:, row, :, column] = (square * (by @ products)).reshape(-1, size, count)
         shown = square * (here.u * here.u + here.v * here.v) * here.power
+        pulled = weight[:, None] * here.gain
+        louder = np.sum(pulled * (here.u * here.left_u + here.v * here.left_v), axis=0)
+        turned = np.sum(pulled * (here.u * here.left_v - here.v * here.left_u), axis=0)
+        return found.reshape(len(square), 2 * size, 2 * count), shown, louder, turned
+
+    def fill(some: slice) -> tuple[Array, Array, Array, Array]:
+        steps, trust = np.arange(len(a))[some], weight[some]
+        here = local(problem, light, steps, a[some], gain[some])
+        normal.misfit[some] = here.misfit
+        normal.gradient[some] = gradient(here, functions)
+        fill_matrix(normal.matrix[some], here, functions, problem.pairs)
+        coupling[some, :-1], shown, louder, turned = with_light(here, trust)
         coupling[some, -1, :count] = shown @ smooth
-        pulled = weight[some, None] * here.gain
-        return (
-            weight[some] @ shown,
-            np.sum(pulled * (here.u * here.left_u + here.v * here.left_v), axis=0),
-            np.sum(pulled * (here.u * here.left_v - here.v * here.left_u), axis=0),
-        )
+        power, free = trust @ shown, np.zeros((count, count))
+        for other in problem.others:
+            seen = beside(
+                other, functions, problem.pairs, light, steps, problem.displacement(a[some])
+            )
+            normal.misfit[some] += seen.misfit
+            normal.gradient[some, :-1] += seen.gradient
+            normal.matrix[some, :-1, :-1] += seen.matrix
+            there = other.present[steps]
+            beside_light, shown, more_louder, more_turned = with_light(seen.here, trust * there)
+            # Brightness and phase of these holograms are free; they take off what they may be.
+            common = (there[:, None] * shown) @ smooth
+            told = common / seen.known[:, None]
+            coupling[some, :-1] += there[:, None, None] * beside_light
+            coupling[some, :-1, :count] -= seen.of_gain[:, :, None] * told[:, None]
+            coupling[some, :-1, count:] -= seen.of_phase[:, :, None] * told[:, None]
+            power += (trust * there) @ shown
+            free += (trust[:, None] * common).T @ told
+            louder, turned = louder + more_louder, turned + more_turned
+        return power, louder, turned, free
 
     parts = in_parts(fill, len(a))
-    shown, louder, turned = (np.sum(each, axis=0) for each in zip(*parts, strict=True))
-    light_matrix = np.kron(np.eye(2), smooth.T @ (shown[:, None] * smooth))
+    shown, louder, turned, free = (np.sum(each, axis=0) for each in zip(*parts, strict=True))
+    light_matrix = np.kron(np.eye(2), smooth.T @ (shown[:, None] * smooth) - free)
     light_gradient = np.concatenate([louder @ smooth, turned @ smooth])
     return Linear(normal, coupling, light_matrix, light_gradient)
 

@@ -6,16 +6,18 @@ The phasors of block n in hologram k are ``A_n e^{γ_k} F(u_kn)`` with light A, 
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.bessel import BesselTable
+from fitting.local import Local, fill_matrix, gradient, triangle
+from fitting.phasors import OtherPhasors
+from fitting.sidebands import Sideband, beside
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -41,6 +43,8 @@ class Problem:
     pairs : (n, j(j+1)/2) float
         Products of two functions.
     bessel : BesselTable
+    others : tuple of Sideband
+        What else is seen of the same vibrations.
     """
 
     real: Array
@@ -48,16 +52,25 @@ class Problem:
     functions: Array
     pairs: Array
     bessel: BesselTable
+    others: tuple[Sideband, ...] = ()
 
     @classmethod
-    def of(cls, value: Complex, functions: Array, bessel: BesselTable) -> "Problem":
+    def of(
+        cls,
+        value: Complex,
+        functions: Array,
+        bessel: BesselTable,
+        others: Sequence[OtherPhasors] = (),
+    ) -> "Problem":
         """Of phasors (n, k); everything is computed as precisely as the functions are given."""
-        one, other = _triangle(functions.shape[1])
+        one, other = triangle(functions.shape[1])
         real, imaginary = (
             np.ascontiguousarray(part.T.astype(functions.dtype))
             for part in (value.real, value.imag)
         )
-        return cls(real, imaginary, functions, functions[:, one] * functions[:, other], bessel)
+        pairs = functions[:, one] * functions[:, other]
+        sidebands = tuple(Sideband.of(each, functions.dtype) for each in others)
+        return cls(real, imaginary, functions, pairs, bessel, sidebands)
 
     def every(self, stride: int) -> "Problem":
         """Return the same problem for some of the blocks."""
@@ -68,25 +81,44 @@ class Problem:
             np.ascontiguousarray(self.functions[::stride]),
             np.ascontiguousarray(self.pairs[::stride]),
             self.bessel,
+            tuple(each.every(stride) for each in self.others),
         )
 
     def some(self, steps: Steps) -> "Problem":
         """Return the same problem for some of the holograms."""
         return Problem(
-            self.real[steps], self.imaginary[steps], self.functions, self.pairs, self.bessel
+            self.real[steps],
+            self.imaginary[steps],
+            self.functions,
+            self.pairs,
+            self.bessel,
+            tuple(each.some(steps) for each in self.others),
         )
+
+    def alone(self) -> "Problem":
+        """Return the same problem without other sidebands."""
+        return replace(self, others=())
 
     def exact(self) -> "Problem":
         """Return the same problem in double precision."""
         real, imaginary, functions, pairs = (
             a.astype(float) for a in (self.real, self.imaginary, self.functions, self.pairs)
         )
-        return Problem(real, imaginary, functions, pairs, self.bessel)
+        others = tuple(each.exact() for each in self.others)
+        return Problem(real, imaginary, functions, pairs, self.bessel, others)
 
     @property
     def blocks(self) -> int:
         """How many blocks there are."""
         return len(self.functions)
+
+    @property
+    def seen(self) -> Array:
+        """How many phasors there are of each hologram's vibration (k,)."""
+        seen: Array = np.full(len(self.real), float(self.blocks))
+        for each in self.others:
+            seen += self.blocks * each.present
+        return seen
 
     def phasors(self, a: Complex) -> tuple[Array, Array]:
         """F(u) of amplitudes (s, j) at all blocks: real and imaginary parts (s, n)."""
@@ -106,37 +138,6 @@ class Problem:
         return over.astype(phi.dtype, copy=False), bend.astype(phi.dtype, copy=False)
 
 
-@dataclass(frozen=True)
-class Local:
-    """Phasors (s, n) of some holograms and their slopes, all relative to light and gain.
-
-    Attributes
-    ----------
-    u, v : (s, n) float
-        F, real and imaginary parts.
-    uu, uv, vv : (s, n) float
-        Its derivatives by real and imaginary parts of the displacement; they are symmetric.
-    left_u, left_v : (s, n) float
-        What is left of the phasors, times the complex conjugate of the light.
-    power : (n,) float
-        Of the light.
-    gain : (s, 1) float
-    misfit : (s,) float
-        Squares of what is left.
-    """
-
-    u: Array
-    v: Array
-    uu: Array
-    uv: Array
-    vv: Array
-    left_u: Array
-    left_v: Array
-    power: Array
-    gain: Array
-    misfit: Array
-
-
 def local(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Array) -> Local:
     """Phasors of holograms (s,) and their slopes at amplitudes (s, j) and log gains (s,)."""
     dtype = problem.functions.dtype
@@ -154,7 +155,7 @@ def local(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Arra
     gone_v = problem.imaginary[steps] - factor * (lit_u * v + lit_v * u)
     misfit = np.einsum("sn,sn->s", gone_u, gone_u) + np.einsum("sn,sn->s", gone_v, gone_v)
     return Local(
-        u, v, uu, uv, vv,
+        u, v, uu, uv, uv, vv,
         lit_u * gone_u + lit_v * gone_v,
         lit_u * gone_v - lit_v * gone_u,
         lit_u * lit_u + lit_v * lit_v,
@@ -197,7 +198,19 @@ def normal(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Arr
         here = local(problem, light, steps[some], a[some], gain[some])
         whole.misfit[some] = here.misfit
         whole.gradient[some] = gradient(here, problem.functions)
-        fill_matrix(whole.matrix[some], here, problem)
+        fill_matrix(whole.matrix[some], here, problem.functions, problem.pairs)
+        for other in problem.others:
+            seen = beside(
+                other,
+                problem.functions,
+                problem.pairs,
+                light,
+                steps[some],
+                problem.displacement(a[some]),
+            )
+            whole.misfit[some] += seen.misfit
+            whole.gradient[some, :-1] += seen.gradient
+            whole.matrix[some, :-1, :-1] += seen.matrix
 
     in_parts(fill, len(a))
     return whole
@@ -211,49 +224,3 @@ def in_parts(work: Callable[[slice], Made], count: int, together: int = _TOGETHE
     # numpy lets go of the interpreter while it computes.
     with ThreadPoolExecutor(min(_MOST_THREADS, os.cpu_count() or 1)) as workers:
         return list(workers.map(work, parts))
-
-
-def gradient(here: Local, functions: Array) -> Array:
-    """Of half the misfit, downhill: (s, 2j + 1)."""
-    pulls = (here.uu * here.left_u + here.uv * here.left_v,
-             here.uv * here.left_u + here.vv * here.left_v)  # fmt: skip
-    louder = here.u * here.left_u + here.v * here.left_v
-    columns = [pull @ functions for pull in pulls] + [louder.sum(axis=1, keepdims=True)]
-    found: Array = here.gain * np.concatenate(columns, axis=1)
-    return found.astype(float)
-
-
-def fill_matrix(matrix: Array, here: Local, problem: Problem) -> None:
-    """Write normal matrices (s, 2j + 1, 2j + 1)."""
-    size = problem.functions.shape[1]
-    square = (here.gain**2).astype(float)
-    both, power = here.uv * here.uv, here.power
-    for row, column, weight in (
-        (0, 0, here.uu * here.uu + both),
-        (0, 1, here.uv * (here.uu + here.vv)),
-        (1, 1, here.vv * here.vv + both),
-    ):
-        block = matrix[:, row * size :, column * size :][:, :size, :size]
-        write_symmetric(block, square * ((power * weight) @ problem.pairs))
-        if row != column:
-            matrix[:, size:-1, :size] = block
-    beside = (here.uu * here.u + here.uv * here.v, here.uv * here.u + here.vv * here.v)
-    coupling = square * np.concatenate(
-        [(power * part) @ problem.functions for part in beside], axis=1
-    )
-    matrix[:, -1, :-1] = matrix[:, :-1, -1] = coupling
-    matrix[:, -1, -1] = square[:, 0] * ((here.u * here.u + here.v * here.v) @ here.power)
-
-
-@cache
-def _triangle(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices of an upper triangle."""
-    one, other = np.triu_indices(size)
-    return one, other
-
-
-def write_symmetric(matrices: Array, packed: Array) -> None:
-    """Write symmetric matrices (s, j, j) from their upper triangles (s, j(j+1)/2)."""
-    one, other = _triangle(matrices.shape[-1])
-    matrices[:, one, other] = packed
-    matrices[:, other, one] = packed

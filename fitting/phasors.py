@@ -33,6 +33,25 @@ _BEHIND_VAMP_M = 1e-3
 
 
 @dataclass(frozen=True)
+class OtherPhasors:
+    """What every block shows in another sideband of the same vibrations.
+
+    Attributes
+    ----------
+    order : int
+        Of the sideband.
+    value : (n, k) complex64
+        ``A c F_n(u)`` with the same light A and vibrations u, c of its own; 0 where there is none.
+    present : (k,) bool
+        For which vibrations there is a good hologram.
+    """
+
+    order: int
+    value: Complex
+    present: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
 class Phasors:
     """What every block shows in every good hologram of a run.
 
@@ -49,6 +68,8 @@ class Phasors:
         Realised drive frequencies, ascending.
     volts : (k,) float
         Peak volts at the load.
+    others : tuple of OtherPhasors
+        Of other sidebands, if the protocol asks for them.
     """
 
     value: Complex
@@ -57,10 +78,11 @@ class Phasors:
     step_index: NDArray[np.intp]
     drive_hz: Array
     volts: Array
+    others: tuple[OtherPhasors, ...] = ()
 
 
 def read_phasors(run: Run) -> Phasors:
-    """Compress the good holograms of a run, in order of frequency.
+    """Compress the good holograms of a run, of all its sidebands, in order of frequency.
 
     Raises
     ------
@@ -77,19 +99,46 @@ def read_phasors(run: Run) -> Phasors:
     beside = half_width_m(reed.outline, X) - np.abs(Y)
     visible_m = reed.vamp_x_m[-1] + _BEHIND_VAMP_M
     inside = (beside > _EDGE_M) & (X > 2 * _EDGE_M) & (visible_m > X)
-    value, share = _leading(_holograms(run, steps, inside, factors[0], factors[1]))
+    others = _others(run, steps)
+    together = [*steps, *(step for found in others.values() for step in found.values())]
+    value, share = _leading(_holograms(run, together, inside, factors[0], factors[1]))
     rows, columns = np.nonzero(inside)
     # Pixels of a block, row by row.
     places_y = np.repeat(y_m[rows], factors[1], axis=1)
     places_x = np.tile(x_m[columns], (1, factors[0]))
     return Phasors(
-        value=value,
+        value=np.ascontiguousarray(value[:, : len(steps)]),
         x_m=np.sum(share * places_x, axis=1),
         y_m=np.sum(share * places_y, axis=1),
         step_index=np.array([step.index for step in steps]),
         drive_hz=np.array([float(step.read_drive_hz or step.drive_hz) for step in steps]),
         volts=np.array([step.volts for step in steps]),
+        others=_split(others, value[:, len(steps) :], len(steps)),
     )
+
+
+def _others(run: Run, steps: Sequence[StepRecord]) -> dict[int, dict[int, StepRecord]]:
+    """Good steps of other sidebands by order, and by which of the steps (k,) they belong to."""
+    place = {step.index: k for k, step in enumerate(steps)}
+    found: dict[int, dict[int, StepRecord]] = {}
+    for step in run.steps:
+        if step.order != run.sideband_order and step.verdict == "ok" and step.index in place:
+            found.setdefault(step.order, {})[place[step.index]] = step
+    return found
+
+
+def _split(
+    others: dict[int, dict[int, StepRecord]], value: Complex, count: int
+) -> tuple[OtherPhasors, ...]:
+    """Put the columns (n, …) of other sidebands beside those of the k steps that they belong to."""
+    split, first = [], 0
+    for order, found in others.items():
+        places = np.array(list(found))
+        beside = np.zeros((len(value), count), np.complex64)
+        beside[:, places] = value[:, first : first + len(found)]
+        split.append(OtherPhasors(order, beside, np.isin(np.arange(count), places)))
+        first += len(found)
+    return tuple(split)
 
 
 def _in_blocks(axis_m: Array, factor: int) -> Array:

@@ -47,8 +47,8 @@ def settle(
     a, gain, normal = descend(
         problem, at.light, steps, (at.amplitude, at.gain - np.mean(at.gain)), 2, weak
     )
-    weight = 1 / np.maximum(normal.misfit / problem.blocks, 1)
-    light = block_light(problem, steps, a, gain, weight)
+    weight = 1 / np.maximum(normal.misfit / problem.seen, 1)
+    light = block_light(problem, steps, a, gain, weight, at.light)
     held = 0.5 * np.diag([FINAL_RAD**-2] * 2 * size + [2 * GAIN_HELD])
     linear = linearise(exact, smooth, light, a, gain, weight)
     x = np.concatenate([a.real, a.imag, gain[:, None]], axis=1)

@@ -1,0 +1,256 @@
+"""Other sidebands of the same vibrations: their derivatives, and what they tell of the light."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.special import jv, jvp
+
+from fitting.bessel import BesselTable, SidebandTable
+from fitting.descent import block_light
+from fitting.displacement import fit_displacements
+from fitting.light import linearise, smooth_functions
+from fitting.linear import Problem, normal
+from fitting.phasors import OtherPhasors
+from fitting.sidebands import Sideband, beside, brightness, phasors
+from tests.fitting.test_displacement import complex_normal, planted, share_of_error
+
+HOLOGRAMS, BLOCKS, FUNCTIONS = 6, 150, 4
+LIGHT = 40.0
+ORDERS = (0, 1, 2, 5)
+
+
+def sideband(order, u):
+    """F_n(u) to double precision."""
+    return jv(order, np.abs(u)) * np.exp(1j * order * np.angle(u))
+
+
+@dataclass
+class Sweep:
+    """A few holograms of a few sidebands, with noise; brightness and phase are drawn for each."""
+
+    orders: tuple[int, ...]
+    largest_rad: float = 4.0
+    noise: float = 1.0
+
+    def __post_init__(self):
+        rng = np.random.default_rng(4)
+        self.x, self.y = rng.uniform(0, 1, (2, BLOCKS))
+        self.functions = rng.uniform(-1, 1, (BLOCKS, FUNCTIONS))
+        self.a = complex_normal(rng, HOLOGRAMS, FUNCTIONS)
+        self.a *= self.largest_rad / np.abs(self.a @ self.functions.T).max()
+        self.light = LIGHT * complex_normal(rng, BLOCKS)
+        self.weight = rng.uniform(0.5, 1, HOLOGRAMS)
+        u = self.a @ self.functions.T
+
+        def seen(order, c):
+            return c[:, None] * self.light * sideband(order, u) + self.noise * complex_normal(
+                rng, HOLOGRAMS, BLOCKS
+            )
+
+        self.c = {
+            n: np.exp(0.05 * rng.standard_normal(HOLOGRAMS) + 2j * np.pi * rng.uniform(size=6))
+            for n in self.orders
+        }
+        present = np.arange(HOLOGRAMS) != 2
+        self.others = [
+            OtherPhasors(n, np.where(present[:, None], seen(n, self.c[n]), 0).T, present)
+            for n in self.orders
+        ]
+        first = seen(1, np.ones(HOLOGRAMS)).T
+        self.problem = Problem.of(first, self.functions, BesselTable(), self.others)
+        self.smooth = smooth_functions(self.x, self.y)
+
+    def beside(self, a=None, light=None):
+        return beside(
+            self.problem.others[0],
+            self.functions,
+            self.problem.pairs,
+            self.light if light is None else light,
+            np.arange(HOLOGRAMS),
+            self.problem.displacement(self.a if a is None else a),
+        )
+
+    def linear(self, light=None):
+        light = self.light if light is None else light
+        zero = np.zeros(HOLOGRAMS)
+        return linearise(self.problem, self.smooth, light, self.a, zero, self.weight)
+
+
+# --- Tables and phasors ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_tables_are_as_exact_as_promised(order):
+    phi = np.random.default_rng(5).uniform(0, 190, 50_000).astype(np.float32)
+    value, slope = SidebandTable(order)(phi)
+    assert np.abs(value - jv(order, phi.astype(float))).max() < 4e-6
+    assert np.abs(slope - jvp(order, phi.astype(float))).max() < 4e-6
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_phasors_are_those_of_the_sideband(order):
+    sweep = Sweep((order,), 30.0)
+    shown = phasors(sweep.problem.others[0], sweep.problem.displacement(sweep.a))
+    assert np.abs(shown - sideband(order, sweep.a @ sweep.functions.T)).max() < 2e-5
+
+
+def test_where_nothing_moves_only_the_carrier_is_bright():
+    still = np.zeros((2, 3)), np.zeros((2, 3))
+    for order, expected in ((0, 1), (1, 0), (2, 0)):
+        side = Sideband.of(OtherPhasors(order, np.zeros((3, 2)), np.ones(2, bool)), float)
+        assert phasors(side, still) == pytest.approx(np.full((2, 3), expected))
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_brightness_and_phase_are_found(order):
+    sweep = Sweep((order,), noise=0.0)
+    side, present = sweep.problem.others[0], np.arange(HOLOGRAMS) != 2
+    shown = phasors(side, sweep.problem.displacement(sweep.a))
+    found = brightness(side, shown, sweep.light, np.arange(HOLOGRAMS))
+    assert np.abs(found / sweep.c[order] - 1)[present].max() < 1e-4
+
+
+# --- Derivatives -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("largest_rad", [0.5, 9.0])
+def test_gradients_are_minus_half_the_slope_of_what_is_left(order, largest_rad):
+    """Brightness and phase are found anew at every place."""
+    # A dark hologram's brightness is held, not found.
+    if order > 2 and largest_rad < 1:
+        pytest.skip("all dark")
+    # Tables are single precision: no smaller step.
+    sweep, step = Sweep((order,), largest_rad), 3e-3
+    slopes = [
+        (sweep.beside(sweep.a + move).misfit - sweep.beside(sweep.a - move).misfit) / (2 * step)
+        for move in step * np.concatenate([np.eye(FUNCTIONS), 1j * np.eye(FUNCTIONS)])
+    ]
+    expected = -0.5 * np.array(slopes).T
+    assert sweep.beside().gradient == pytest.approx(expected, abs=5e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_matrices_leave_brightness_and_phase_free(order):
+    sweep, step, k = Sweep((order,), noise=0.0), 1e-6, 3
+    lit = sweep.c[order][k] * sweep.light
+    columns = []
+    for move in step * np.concatenate([np.eye(FUNCTIONS), 1j * np.eye(FUNCTIONS)]):
+        ahead, behind = (
+            sideband(order, (sweep.a[k] + s * move) @ sweep.functions.T) for s in (1, -1)
+        )
+        columns.append(lit * (ahead - behind) / (2 * step))
+    own = np.stack(columns, axis=1)
+    free = lit * sideband(order, sweep.a[k] @ sweep.functions.T)
+    free = np.stack([free, 1j * free], axis=1)
+    coupling = (own.conj().T @ free).real
+    expected = (own.conj().T @ own).real - coupling @ coupling.T / np.sum(np.abs(free[:, 0]) ** 2)
+    found = sweep.beside().matrix[k]
+    assert found == pytest.approx(expected, abs=2e-4 * np.abs(expected).max())
+
+
+def test_a_sideband_that_was_not_recorded_tells_nothing():
+    found = Sweep((0,)).beside()
+    assert found.misfit[2] == 0
+    assert not found.gradient[2].any()
+    assert not found.matrix[2].any()
+
+
+def test_equations_of_the_light_are_those_of_the_search():
+    sweep = Sweep((0, 2))
+    expected = normal(
+        sweep.problem, sweep.light, np.arange(HOLOGRAMS), sweep.a, np.zeros(HOLOGRAMS)
+    )
+    found = sweep.linear().normal
+    for one, other in ((found.misfit, expected.misfit), (found.gradient, expected.gradient)):
+        assert one == pytest.approx(other, rel=1e-9)
+    assert found.matrix == pytest.approx(expected.matrix, rel=1e-9)
+    assert sweep.problem.seen.tolist() == [450, 450, 150, 450, 450, 450]
+
+
+@pytest.mark.parametrize("orders", [(0,), (2,), (0, 2)])
+def test_gradients_of_the_light_follow_all_sidebands(orders):
+    sweep, count = Sweep(orders), 28
+
+    def misfit(move):
+        factor = np.exp(sweep.smooth @ (move[:count] + 1j * move[count:]))
+        return sweep.weight @ sweep.linear(sweep.light * factor).normal.misfit
+
+    slopes = [(misfit(1e-4 * unit) - misfit(-1e-4 * unit)) / 2e-4 for unit in np.eye(2 * count)]
+    expected = -0.5 * np.array(slopes)
+    found = sweep.linear().light_gradient
+    assert found == pytest.approx(expected, abs=3e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("order", [0, 2])
+def test_light_is_coupled_to_displacement_with_brightness_and_phase_free(order):
+    """What other sidebands add, from derivatives of their phasors by differences."""
+    sweep, step = Sweep((order,), noise=0.0), 1e-6
+    with_it, alone = sweep.linear(), replace(sweep)
+    alone.problem = sweep.problem.alone()
+    without = linearise(
+        alone.problem, sweep.smooth, sweep.light, sweep.a, np.zeros(HOLOGRAMS), sweep.weight
+    )
+    matrix = np.zeros((56, 56))
+    for k in np.flatnonzero(np.arange(HOLOGRAMS) != 2):
+        lit = sweep.c[order][k] * sweep.light
+        at = lit * sideband(order, sweep.a[k] @ sweep.functions.T)
+        columns = []
+        for move in step * np.concatenate([np.eye(FUNCTIONS), 1j * np.eye(FUNCTIONS)]):
+            ahead, behind = (
+                sideband(order, (sweep.a[k] + s * move) @ sweep.functions.T) for s in (1, -1)
+            )
+            columns.append(lit * (ahead - behind) / (2 * step))
+        own, of_light = np.stack(columns, axis=1), at[:, None] * sweep.smooth
+        of_light = np.concatenate([of_light, 1j * of_light], axis=1)
+        # Without the part along what is free: brightness, and phase.
+        free = np.stack([at, 1j * at], axis=1)
+        power = np.sum(np.abs(at) ** 2)
+        own = own - free @ (free.conj().T @ own).real / power
+        of_light = of_light - free @ (free.conj().T @ of_light).real / power
+        expected = (own.conj().T @ of_light).real
+        found = with_it.coupling[k, :-1] - without.coupling[k, :-1]
+        assert found == pytest.approx(expected, abs=1e-3 * np.abs(with_it.coupling[k]).max())
+        matrix += sweep.weight[k] * (of_light.conj().T @ of_light).real
+    found = with_it.light_matrix - without.light_matrix
+    assert found == pytest.approx(matrix, abs=1e-3 * np.abs(matrix).max())
+
+
+# --- Light and displacement --------------------------------------------------------------------
+
+
+def test_light_is_found_from_all_sidebands():
+    sweep = Sweep((0, 2), noise=0.0)
+    steps, zero = np.arange(HOLOGRAMS), np.zeros(HOLOGRAMS)
+    wrong = sweep.light * np.exp(0.01 * sweep.smooth[:, 1])
+    found = block_light(sweep.problem, steps, sweep.a, zero, sweep.weight, wrong)
+    assert np.abs(found / sweep.light - 1).max() < 0.01
+    rough = block_light(sweep.problem.alone(), steps, sweep.a, zero, sweep.weight)
+    assert rough == pytest.approx(sweep.light, rel=1e-4)
+
+
+@pytest.fixture(scope="module")
+def with_orders():
+    """Sweep of a plate with its carrier and second sideband, of noise of their own."""
+    sweep = planted()
+    rng = np.random.default_rng(9)
+    u = sweep.true_rad @ sweep.basis.functions.T.astype(float)
+    others = []
+    for order in (0, 2):
+        turn = np.exp(2j * np.pi * rng.uniform(size=(len(u), 1)))
+        seen = turn * sweep.light * sideband(order, u) + complex_normal(rng, *u.shape)
+        others.append(OtherPhasors(order, seen.T.astype(np.complex64), np.ones(len(u), dtype=bool)))
+    return replace(sweep, phasors=replace(sweep.phasors, others=tuple(others)))
+
+
+def test_the_carrier_tells_light_from_displacement(with_orders):
+    """The phase of smooth light, which the first sideband leaves open."""
+    alone = fit_displacements(replace(with_orders.phasors, others=()), with_orders.basis)
+    found = fit_displacements(with_orders.phasors, with_orders.basis)
+    assert found.reached.all()
+    assert found.misfit == pytest.approx(np.ones(84), abs=0.35)
+    known = [np.linalg.eigvalsh(each.shared.precision)[1] for each in (alone, found)]
+    assert known[1] > 10 * known[0]
+    errors = [np.median(share_of_error(with_orders, each)) for each in (alone, found)]
+    assert errors[1] < 0.7 * errors[0]

@@ -161,9 +161,14 @@ def light_factor(smooth: Array, move: Array) -> NDArray[np.complex64]:
         Coefficients of its logarithm: of the magnitude, then of the phase without its constant,
         which is that of the holograms and arbitrary.
     """
+    factor: NDArray[np.complex64] = np.exp(log_light_factor(smooth, move)).astype(np.complex64)
+    return factor
+
+
+def log_light_factor(smooth: Array, move: Array) -> Complex:
+    """Logarithm (n,) of `light_factor`."""
     count = smooth.shape[1]
-    phase = smooth[:, 1:] @ move[count:]
-    factor: NDArray[np.complex64] = np.exp(smooth @ move[:count] + 1j * phase).astype(np.complex64)
+    factor: Complex = smooth @ move[:count] + 1j * (smooth[:, 1:] @ move[count:])
     return factor
 
 

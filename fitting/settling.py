@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.descent import GAIN_HELD, block_light, descend
-from fitting.light import LightStep, light_factor, light_step, linearise
+from fitting.light import LightStep, light_factor, light_step, linearise, log_light_factor
 from fitting.linear import Problem
 
 Array = NDArray[np.floating[Any]]
@@ -16,6 +16,10 @@ Amplitudes = NDArray[np.complexfloating[Any, Any]]
 
 # Prior standard deviation of amplitudes, rad: only against what the data do not tell at all.
 FINAL_RAD = 10.0
+# Log of the light changes by no more at once.
+_LARGEST_STEP = 0.3
+# Inverse of the misfit above which a hologram is not explained.
+_LEAST_WEIGHT = 0.5
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,11 @@ def settle(
     linear = linearise(exact, smooth, light, a, gain, weight)
     x = np.concatenate([a.real, a.imag, gain[:, None]], axis=1)
     step = light_step(linear, held, x, weight)
-    y = x + step.holograms
-    factor = light_factor(smooth, step.move)
+    # A step that is no small one, because some holograms are in a wrong fringe, is cut short.
+    largest = float(np.abs(log_light_factor(smooth, step.move)).max())
+    share = min(1.0, _LARGEST_STEP / max(largest, 1e-12))
+    # Holograms that are not explained would be thrown anywhere: they follow in the next turn.
+    follow = weight > _LEAST_WEIGHT
+    y = np.where(follow[:, None], x + share * step.holograms, x)
+    factor = light_factor(smooth, share * step.move)
     return Solution(y[:, :size] + 1j * y[:, size:-1], y[:, -1], light * factor), step

@@ -102,8 +102,9 @@ def _label(
 ) -> None:
     """Number a picture; name its modes, its acoustic line or what is wrong with it."""
     left, top, width, height = box
-    names = [name for name, found in resonances.items() if found.step_index == step.index]
-    number = str(step.index) if step.order == run.sideband_order else f"{step.index}/{step.order}"
+    main = step.order == run.sideband_order
+    names = [name for name, found in resonances.items() if main and found.step_index == step.index]
+    number = str(step.index) if main else f"{step.index}/{step.order}"
     text, colour = number, "#9a9a9a"
     if names:
         text, colour = f"{number} {'/'.join(names)}", _CLASS_COLOUR.get(names[0][0], "#e0e0e0")

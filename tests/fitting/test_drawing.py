@@ -1,6 +1,6 @@
 """What the pictures show, and where."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from io import BytesIO
 
@@ -22,6 +22,7 @@ class DrawnStep:
     index: int
     drive_hz: Fraction
     verdict: Verdict = Verdict.OK
+    order: int = 1
     noise_level: float = NOISE
 
 
@@ -29,6 +30,7 @@ class DrawnRun:
     """Stands in for a run file: every picture is bright where `bright(x, y)` says."""
 
     acoustic_lines_hz = (4308.6,)
+    sideband_order = 1
 
     def __init__(self, bright, indices=range(1, 61), verdicts=None, white=1e4):
         self.x_m, self.y_m = np.linspace(0, 38e-3, 60), np.linspace(-7e-3, 7e-3, 36)
@@ -96,6 +98,13 @@ def test_pictures_stand_in_rows_of_26_numbered_by_the_protocol():
     assert lefts[:26] == sorted(lefts[:26])
     assert lefts[26] == lefts[0]
     assert tops == sorted(tops)
+
+
+def test_other_sidebands_are_told_apart_and_are_no_resonances():
+    run = DrawnRun(lambda x, y: x > 0, indices=[7, 7, 8, 8])
+    run.steps = tuple(replace(step, order=(1, 0)[n % 2]) for n, step in enumerate(run.steps))
+    sheet = contact_sheet(run, {"F1": Resonance("F1", 1838.0, 7.2, 7, 9.0)})
+    assert [text for *_, text in cells(sheet, 4)] == ["7 F1", "7/0", "8", "8/0"]
 
 
 def test_a_short_run_stands_in_one_row():

@@ -61,7 +61,7 @@ def canvas_of(figure):
 
 def cells(figure, count):
     """Pixels (from the left, from the top) at which each number stands, and its text."""
-    texts = [t for t in figure.axes[0].texts if t.get_text().split()[0].isdigit()]
+    texts = [t for t in figure.axes[0].texts if t.get_text()[0].isdigit()]
     assert len(texts) == count
     return [(*t.get_position(), t.get_text()) for t in texts]
 

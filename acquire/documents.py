@@ -75,10 +75,10 @@ class _Begun:
         return cls(dict(documents)["start"], streams["primary"], streams["steps"], events)
 
     @property
-    def told(self) -> frozenset[tuple[int, int, int]]:
-        """Index, order and take of every event."""
+    def told(self) -> frozenset[tuple[int, int | None, int]]:
+        """Index, order and take of every event; runs of one order need not say it."""
         data = (event["data"] for event in self.events)
-        return frozenset((each["index"], each["order"], each["take"]) for each in data)
+        return frozenset((each["index"], each.get("order"), each["take"]) for each in data)
 
 
 class DocumentLog:
@@ -137,10 +137,9 @@ class DocumentLog:
             raise
         return log
 
-    @property
-    def told(self) -> frozenset[tuple[int, int, int]]:
-        """Index, order and take of every event that was there when they were gone on with."""
-        return self._begun.told
+    def has(self, index: int, order: int, take: int) -> bool:
+        """Whether a take's event was there when the documents were gone on with."""
+        return not self._begun.told.isdisjoint({(index, order, take), (index, None, take)})
 
     @classmethod
     def resume(cls, run_path: Path) -> Self:
@@ -186,6 +185,8 @@ class DocumentLog:
         RunFileError
             If the disk refuses.
         """
+        # Those that are gone on with may have been begun when less was told.
+        data = {name: data[name] for name in self._begun.primary["data_keys"]}
         timestamps = dict.fromkeys(data, time_s)
         self._write("event", self._compose_event(data=data, timestamps=timestamps, time=time_s))
 

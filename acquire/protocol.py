@@ -82,7 +82,7 @@ class Sideband(Section):
     order : int
         The one that pictures are made of, and that the drive's frequency is locked by.
     orders : tuple of int, optional
-        All that are recorded, in their sequence at each frequency; that one alone unless told.
+        All that are recorded, in their sequence at each frequency; that one alone by default.
     """
 
     order: _Order = 1

@@ -283,17 +283,15 @@ class Recorder:
     ) -> None:
         """Know what a run file holds, and tell of steps whose event was lost with the process."""
         self._resumed = True
-        for take in retakes:
-            self._takes[take.position] += 1
+        for earlier in retakes:
+            self._takes[earlier.position] += 1
         for step in steps:
             self._verdicts[step.position] = step.verdict
             if step.verdict.measured:
                 self._takes[step.position] += 1
-                told = step.index, step.order, self._takes[step.position]
-                if told not in self._documents.told:
-                    self._documents.event(
-                        recorded_data(step, self._takes[step.position]), time.time()
-                    )
+                take = self._takes[step.position]
+                if not self._documents.has(step.index, step.order, take):
+                    self._documents.event(recorded_data(step, take), time.time())
         first = next((s for s, v in enumerate(self._verdicts) if not v.measured), len(steps))
         reason = "the process was gone" if not ended else "the run had been ended"
         self._writer.reopen(Seam(first, "resumed", ended, now(), reason))

@@ -1,6 +1,7 @@
 """Runs that were ended, failed or were killed, and that another process goes on with."""
 
 import contextlib
+import json
 import os
 import random
 import shutil
@@ -165,6 +166,32 @@ def test_wherever_a_run_is_killed_it_is_gone_on_with(
         ]
     expected = {("ok", "pending", "pending"), ("ok", "dropped", "ok"), ("ok", "pending", "ok")}
     assert expected <= seen, "before, while and after the bad step was set aside"
+
+
+def test_a_run_that_does_not_tell_sidebands_is_gone_on_with(
+    killed, fake_bench, lit, tmp_path, documents_of
+):
+    """As they were written when every run had one."""
+    plan, _, found = killed
+    file, documents = found[9]
+    path = tmp_path / "before.h5"
+    path.write_bytes(file)
+    with h5py.File(path, "r+") as opened:
+        del opened["entry/steps/order"]
+    lines = []
+    for line in documents.decode().splitlines():
+        name, document = json.loads(line)
+        for part in ("data", "timestamps", "data_keys"):
+            if name == "event" or (name == "descriptor" and document["name"] == "primary"):
+                document.get(part, {}).pop("order", None)
+        lines.append(json.dumps([name, document]))
+    documents_path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    before = measured_steps(path)
+    summary = run(plan, fake_bench(picture=lit(plan)).opened(), path, resume=True)
+    assert (summary.status, summary.counts) == (RunState.COMPLETE, {Verdict.OK: 3})
+    assert_kept(before, path)
+    assert_one_stream(documents_of(path), path)
+    assert not any("order" in event for event in events_of(documents_of(path)))
 
 
 # --- Real processes, killed for good -----------------------------------------------------------

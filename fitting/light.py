@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.linear import Normal, Problem, in_parts, local
-from fitting.local import Local, fill_matrix, gradient
-from fitting.sidebands import beside
+from fitting.linear import Normal, Problem, fill_normal, in_parts
+from fitting.local import Local
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -97,50 +96,26 @@ def linearise(
     normal = Normal.empty(len(a), size)
     coupling = np.zeros((len(a), 2 * size + 1, 2 * count))
 
-    def with_light(here: Local, weight: Array) -> tuple[Array, Array, Array, Array]:
-        """Couplings (s, 2j, 2c), power shown (s, n), and weighted pulls (n,) at the light."""
-        square = (here.gain**2).astype(float)
-        found = np.empty((len(square), 2, size, 2, count))
-        for row, column, by in (
-            (0, 0, here.uu * here.u + here.vu * here.v),
-            (0, 1, here.vu * here.u - here.uu * here.v),
-            (1, 0, here.uv * here.u + here.vv * here.v),
-            (1, 1, here.vv * here.u - here.uv * here.v),
-        ):
-            found[:, row, :, column] = (square * (by @ products)).reshape(-1, size, count)
-        shown = square * (here.u * here.u + here.v * here.v) * here.power
-        pulled = weight[:, None] * here.gain
-        louder = np.sum(pulled * (here.u * here.left_u + here.v * here.left_v), axis=0)
-        turned = np.sum(pulled * (here.u * here.left_v - here.v * here.left_u), axis=0)
-        return found.reshape(len(square), 2 * size, 2 * count), shown, louder, turned
-
     def fill(some: slice) -> tuple[Array, Array, Array, Array]:
-        steps, trust = np.arange(len(a))[some], weight[some]
-        here = local(problem, light, steps, a[some], gain[some])
-        normal.misfit[some] = here.misfit
-        normal.gradient[some] = gradient(here, functions)
-        fill_matrix(normal.matrix[some], here, functions, problem.pairs)
-        coupling[some, :-1], shown, louder, turned = with_light(here, trust)
-        coupling[some, -1, :count] = shown @ smooth
-        power, free = trust @ shown, np.zeros((count, count))
-        for other in problem.others:
-            seen = beside(
-                other, functions, problem.pairs, light, steps, problem.displacement(a[some])
-            )
-            normal.misfit[some] += seen.misfit
-            normal.gradient[some, :-1] += seen.gradient
-            normal.matrix[some, :-1, :-1] += seen.matrix
-            there = other.present[steps]
-            beside_light, shown, more_louder, more_turned = with_light(seen.here, trust * there)
+        steps = np.arange(len(a))[some]
+        here, others = fill_normal(normal, some, problem, light, steps, a[some], gain[some])
+        first = _with_light(here, products, count, weight[some])
+        coupling[some, :-1] = first.coupling
+        coupling[some, -1, :count] = first.shown @ smooth
+        power, louder, turned = weight[some] @ first.shown, first.louder, first.turned
+        free = np.zeros((count, count))
+        for other in others:
+            trust = weight[some] * other.present
+            seen = _with_light(other.here, products, count, trust)
             # Brightness and phase of these holograms are free; they take off what they may be.
-            common = (there[:, None] * shown) @ smooth
-            told = common / seen.known[:, None]
-            coupling[some, :-1] += there[:, None, None] * beside_light
-            coupling[some, :-1, :count] -= seen.of_gain[:, :, None] * told[:, None]
-            coupling[some, :-1, count:] -= seen.of_phase[:, :, None] * told[:, None]
-            power += (trust * there) @ shown
-            free += (trust[:, None] * common).T @ told
-            louder, turned = louder + more_louder, turned + more_turned
+            common = (other.present[:, None] * seen.shown) @ smooth
+            told = common / other.known[:, None]
+            coupling[some, :-1] += other.present[:, None, None] * seen.coupling
+            coupling[some, :-1, :count] -= other.of_gain[:, :, None] * told[:, None]
+            coupling[some, :-1, count:] -= other.of_phase[:, :, None] * told[:, None]
+            free += (weight[some, None] * common).T @ told
+            power, louder = power + trust @ seen.shown, louder + seen.louder
+            turned = turned + seen.turned
         return power, louder, turned, free
 
     parts = in_parts(fill, len(a))
@@ -148,6 +123,45 @@ def linearise(
     light_matrix = np.kron(np.eye(2), smooth.T @ (shown[:, None] * smooth) - free)
     light_gradient = np.concatenate([louder @ smooth, turned @ smooth])
     return Linear(normal, coupling, light_matrix, light_gradient)
+
+
+@dataclass(frozen=True)
+class _WithLight:
+    """What phasors of one sideband tell of the light.
+
+    Attributes
+    ----------
+    coupling : (s, 2j, 2c) float
+        Of amplitudes with the log of the factor.
+    shown : (s, n) float
+        Power of the phasors.
+    louder, turned : (n,) float
+        Pulls at magnitude and phase, holograms weighted.
+    """
+
+    coupling: Array
+    shown: Array
+    louder: Array
+    turned: Array
+
+
+def _with_light(here: Local, products: Array, count: int, weight: Array) -> _WithLight:
+    """`products` (n, j c) of functions and c parts of the factor are times the light's power."""
+    square = (here.gain**2).astype(float)
+    rows = (
+        (here.uu * here.u + here.vu * here.v, here.vu * here.u - here.uu * here.v),
+        (here.uv * here.u + here.vv * here.v, here.vv * here.u - here.uv * here.v),
+    )
+    blocks = np.array([[square * (by @ products) for by in row] for row in rows])
+    # From (2, 2, s, j c) to amplitudes, then coefficients of magnitude and phase.
+    blocks = blocks.reshape(2, 2, len(square), -1, count).transpose(2, 0, 3, 1, 4)
+    pulled = weight[:, None] * here.gain
+    return _WithLight(
+        coupling=blocks.reshape(len(square), -1, 2 * count),
+        shown=square * (here.u * here.u + here.v * here.v) * here.power,
+        louder=np.sum(pulled * (here.u * here.left_u + here.v * here.left_v), axis=0),
+        turned=np.sum(pulled * (here.u * here.left_v - here.v * here.left_u), axis=0),
+    )
 
 
 def light_factor(smooth: Array, move: Array) -> NDArray[np.complex64]:

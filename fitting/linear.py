@@ -8,7 +8,7 @@ The phasors of block n in hologram k are ``A_n e^{γ_k} F(u_kn)`` with light A, 
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fitting.bessel import BesselTable
 from fitting.local import Local, fill_matrix, gradient, triangle
 from fitting.phasors import OtherPhasors
-from fitting.sidebands import Sideband, beside
+from fitting.sidebands import Beside, Sideband, beside
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -94,10 +94,6 @@ class Problem:
             self.bessel,
             tuple(each.some(steps) for each in self.others),
         )
-
-    def alone(self) -> "Problem":
-        """Return the same problem without other sidebands."""
-        return replace(self, others=())
 
     def exact(self) -> "Problem":
         """Return the same problem in double precision."""
@@ -195,25 +191,36 @@ def normal(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Arr
     whole = Normal.empty(len(a), problem.functions.shape[1])
 
     def fill(some: slice) -> None:
-        here = local(problem, light, steps[some], a[some], gain[some])
-        whole.misfit[some] = here.misfit
-        whole.gradient[some] = gradient(here, problem.functions)
-        fill_matrix(whole.matrix[some], here, problem.functions, problem.pairs)
-        for other in problem.others:
-            seen = beside(
-                other,
-                problem.functions,
-                problem.pairs,
-                light,
-                steps[some],
-                problem.displacement(a[some]),
-            )
-            whole.misfit[some] += seen.misfit
-            whole.gradient[some, :-1] += seen.gradient
-            whole.matrix[some, :-1, :-1] += seen.matrix
+        fill_normal(whole, some, problem, light, steps[some], a[some], gain[some])
 
     in_parts(fill, len(a))
     return whole
+
+
+def fill_normal(
+    whole: Normal,
+    some: slice,
+    problem: Problem,
+    light: Complex,
+    steps: Steps,
+    a: Complex,
+    gain: Array,
+) -> tuple[Local, list[Beside]]:
+    """Write some of the equations, of all sidebands; return what they were made of."""
+    functions, pairs = problem.functions, problem.pairs
+    here = local(problem, light, steps, a, gain)
+    whole.misfit[some] = here.misfit
+    whole.gradient[some] = gradient(here, functions)
+    fill_matrix(whole.matrix[some], here, functions, pairs)
+    others = [
+        beside(side, functions, pairs, light, steps, problem.displacement(a))
+        for side in problem.others
+    ]
+    for other in others:
+        whole.misfit[some] += other.misfit
+        whole.gradient[some, :-1] += other.gradient
+        whole.matrix[some, :-1, :-1] += other.matrix
+    return here, others
 
 
 def in_parts(work: Callable[[slice], Made], count: int, together: int = _TOGETHER) -> list[Made]:

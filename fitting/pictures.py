@@ -91,8 +91,13 @@ def good_steps(run: Run) -> list[StepRecord]:
     Raises
     ------
     FitError
-        If they are too few; says what the others suffer from.
+        If that is not the first sideband, or they are too few; says what the others suffer from.
     """
+    if run.sideband_order != 1:
+        raise FitError(
+            f"{run.path}: its pictures are of sideband {run.sideband_order}, and fits need the "
+            "first; measure with sideband.order 1, and the others beside it in sideband.orders"
+        )
     of_order = [step for step in run.steps if step.order == run.sideband_order]
     good = sorted((s for s in of_order if s.verdict == "ok"), key=lambda step: step.drive_hz)
     if len(good) < _LEAST_PICTURES:

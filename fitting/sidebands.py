@@ -83,6 +83,8 @@ class Beside:
     ----------
     here : Local
         Phasors, already turned by the phase found.
+    present : (s,) float
+        See `Sideband`; what follows is 0 where there is no hologram.
     of_gain, of_phase : (s, 2j) float
         Products of amplitudes with log brightness and phase.
     known : (s,) float
@@ -93,6 +95,7 @@ class Beside:
     """
 
     here: Local
+    present: Array
     of_gain: Array
     of_phase: Array
     known: Array
@@ -122,6 +125,7 @@ def beside(
     present = side.present[steps]
     return Beside(
         here=here,
+        present=present,
         of_gain=of_gain * present[:, None],
         of_phase=of_phase * present[:, None],
         known=known,

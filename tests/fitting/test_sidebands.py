@@ -84,8 +84,8 @@ class Sweep:
 def test_tables_are_as_exact_as_promised(order):
     phi = np.random.default_rng(5).uniform(0, 190, 50_000).astype(np.float32)
     value, slope = SidebandTable(order)(phi)
-    assert np.abs(value - jv(order, phi.astype(float))).max() < 4e-6
-    assert np.abs(slope - jvp(order, phi.astype(float))).max() < 4e-6
+    assert np.abs(value - jv(order, phi.astype(float))).max() < 3e-6
+    assert np.abs(slope - jvp(order, phi.astype(float))).max() < 3e-6
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -187,10 +187,14 @@ def test_gradients_of_the_light_follow_all_sidebands(orders):
 def test_light_is_coupled_to_displacement_with_brightness_and_phase_free(order):
     """What other sidebands add, from derivatives of their phasors by differences."""
     sweep, step = Sweep((order,), noise=0.0), 1e-6
-    with_it, alone = sweep.linear(), replace(sweep)
-    alone.problem = sweep.problem.alone()
+    with_it = sweep.linear()
     without = linearise(
-        alone.problem, sweep.smooth, sweep.light, sweep.a, np.zeros(HOLOGRAMS), sweep.weight
+        replace(sweep.problem, others=()),
+        sweep.smooth,
+        sweep.light,
+        sweep.a,
+        np.zeros(HOLOGRAMS),
+        sweep.weight,
     )
     matrix = np.zeros((56, 56))
     for k in np.flatnonzero(np.arange(HOLOGRAMS) != 2):
@@ -226,7 +230,7 @@ def test_light_is_found_from_all_sidebands():
     wrong = sweep.light * np.exp(0.01 * sweep.smooth[:, 1])
     found = block_light(sweep.problem, steps, sweep.a, zero, sweep.weight, wrong)
     assert np.abs(found / sweep.light - 1).max() < 0.01
-    rough = block_light(sweep.problem.alone(), steps, sweep.a, zero, sweep.weight)
+    rough = block_light(replace(sweep.problem, others=()), steps, sweep.a, zero, sweep.weight)
     assert rough == pytest.approx(sweep.light, rel=1e-4)
 
 

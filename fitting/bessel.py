@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import j0, j1, jv, jvp
+from scipy.special import j1, jv, jvp
 
 Float = NDArray[np.float32]
 Array = NDArray[np.floating[Any]]
@@ -15,7 +15,7 @@ _SERIES_RAD = 0.05
 
 
 class BesselTable:
-    """J₁ and what follows from it at phases from 0 to `largest`, to 3·10⁻⁶; constant beyond.
+    """What J₁ makes of vectors, at phases from 0 to `largest`, to 3·10⁻⁶; constant beyond.
 
     Parameters
     ----------
@@ -33,18 +33,11 @@ class BesselTable:
         bend = np.divide(
             jv(2, phi), phi**2, out=1 / 8 - phi**2 / 96 + phi**4 / 3072, where=phi > _SERIES_RAD
         )
-        self._value, self._slope, self._ratio, self._bend = (
-            table.astype(np.float32) for table in (j1(phi), j0(phi) - ratio, ratio, -bend)
-        )
-
-    def __call__(self, phi: Float) -> tuple[Float, Float]:
-        """J₁ and J₁′ at phases φ ≥ 0 (any shape)."""
-        value, slope = self._between(phi, self._value, self._slope)
-        return value, slope
+        self._ratio, self._bend = (table.astype(np.float32) for table in (ratio, -bend))
 
     def over_argument(self, phi: Float) -> Float:
         """J₁(φ)/φ at phases φ ≥ 0 (any shape)."""
-        (ratio,) = self._between(phi, self._ratio)
+        (ratio,) = _between(phi, self._per_rad, self._last, (self._ratio,))
         return ratio
 
     def tensor(self, phi: Float) -> tuple[Float, Float]:
@@ -53,11 +46,8 @@ class BesselTable:
         Of ``F(u) = u J₁(|u|)/|u|`` they make both value and slope, for a plane vector u:
         ``F = α u`` and ``dF/du = α 1 + β u uᵀ``.
         """
-        ratio, bend = self._between(phi, self._ratio, self._bend)
+        ratio, bend = _between(phi, self._per_rad, self._last, (self._ratio, self._bend))
         return ratio, bend
-
-    def _between(self, phi: Float, *tables: Float) -> list[Float]:
-        return _between(phi, self._per_rad, self._last, tables)
 
 
 class SidebandTable:

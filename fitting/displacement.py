@@ -7,7 +7,7 @@ from a start that `fitting.search` finds; the phase of a hologram is that of its
 ``F(u e^{iθ}) = F(u) e^{iθ}``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -85,7 +85,7 @@ def fit_displacements(phasors: Phasors, basis: ShapeBasis) -> Displacements:
         If hardly any hologram can be explained.
     """
     whole = Problem.of(phasors.value, basis.functions, BesselTable(), phasors.others)
-    search = solve(phasors, basis)
+    search = solve(replace(whole, others=()), phasors, basis)
     turns = _FINAL_TURNS
     for _ in range(_LOOKS):
         if search.explained.mean() > _ENOUGH:

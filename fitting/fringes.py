@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.bessel import BesselTable
+from fitting.bessel import SidebandTable
 
 Float = NDArray[np.float32]
 Complex = NDArray[np.complex64]
@@ -71,7 +71,7 @@ class _Problem:
 
     relative: Float
     shapes: Float
-    bessel: BesselTable
+    bessel: SidebandTable
 
     def only(self, pictures: NDArray[np.intp]) -> "_Problem":
         """Return the same problem for some of the pictures."""
@@ -206,7 +206,7 @@ def count_fringes(brightness: Float, shapes: Float, start: Fringes | None = None
     most, then tries the solutions of its neighbours; the light B is re-estimated from all
     pictures in between, by linear least squares.
     """
-    bessel, light = BesselTable(), start.light if start else first_light(brightness)
+    bessel, light = SidebandTable(1), start.light if start else first_light(brightness)
     problem = _Problem(brightness / light, shapes, bessel)
     a, cost = _descend(problem, start.amplitude_rad, _START_STEPS) if start else _start(problem)
     for _ in range(1 if start else _ROUNDS):
@@ -251,6 +251,6 @@ def misfit_without(
     near = np.unique(np.clip(picture + _AROUND, 0, len(brightness) - 1))
     others = np.delete(np.arange(shapes.shape[1]), shape)
     relative = np.repeat(brightness[picture : picture + 1] / fringes.light, len(near), axis=0)
-    problem = _Problem(relative, shapes[:, others], BesselTable())
+    problem = _Problem(relative, shapes[:, others], SidebandTable(1))
     _, cost = _descend(problem, fringes.amplitude_rad[np.ix_(near, others)], _ALONE_STEPS)
     return float(cost.min())

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.bessel import BesselTable
 from fitting.descent import block_light, descend
 from fitting.errors import FitError
 from fitting.linear import Normal, Problem, in_parts
@@ -86,8 +85,7 @@ class _Guess:
 class Search:
     """Amplitudes, misfits and light of a sweep while its holograms are solved one after another."""
 
-    def __init__(self, phasors: Phasors, basis: ShapeBasis) -> None:
-        whole = Problem.of(phasors.value, basis.functions, BesselTable())
+    def __init__(self, whole: Problem, phasors: Phasors, basis: ShapeBasis) -> None:
         self.whole, self._most, self._few = (
             whole, whole.every(_SEARCH_STRIDE), whole.every(_GRID_STRIDE)
         )  # fmt: skip
@@ -373,10 +371,10 @@ class Search:
         return [float(misfit[g]) for g in best], found
 
 
-def solve(phasors: Phasors, basis: ShapeBasis) -> Search:
-    """Solve the sweep from one start after another, until most of it is solved."""
+def solve(whole: Problem, phasors: Phasors, basis: ShapeBasis) -> Search:
+    """Solve the sweep, of one sideband, from one start after another, until most of it is."""
     best: Search | None = None
-    search = Search(phasors, basis)
+    search = Search(whole, phasors, basis)
     for calm, guesses in search.starts():
         search.begin(calm, guesses)
         search.spread()
@@ -384,7 +382,7 @@ def solve(phasors: Phasors, basis: ShapeBasis) -> Search:
             best = search
         if best.explained.mean() > _MOST_EXPLAINED:
             break
-        search = Search(phasors, basis)
+        search = Search(whole, phasors, basis)
     if best is None or best.solved.mean() < _LEAST_SOLVED:
         solved = int(best.solved.sum()) if best else 0
         raise FitError(

@@ -1,22 +1,19 @@
-"""The table of J₁ against scipy, near zero, between its entries and beyond its end."""
+"""Tables of Bessel functions against scipy, near zero, between entries and beyond their end."""
 
 import numpy as np
 import pytest
-from scipy.special import j0, j1
+from scipy.special import j1, jv, jvp
 
-from fitting.bessel import BesselTable
+from fitting.bessel import BesselTable, SidebandTable
 
-# What the table's docstring promises.
+# What the tables' docstrings promise.
 ERROR = 3e-6
+ORDERS = (0, 1, 2, 5)
 
 
 @pytest.fixture(scope="module")
 def table():
     return BesselTable()
-
-
-def exact_slope(phi):
-    return j0(phi) - np.divide(j1(phi), phi, out=np.full_like(phi, 0.5), where=phi > 0)
 
 
 @pytest.fixture(scope="module")
@@ -27,16 +24,31 @@ def phi():
     return spread.astype(np.float32)
 
 
-def test_value_and_slope_are_as_exact_as_promised(table, phi):
-    value, slope = table(phi)
+@pytest.mark.parametrize("order", ORDERS)
+def test_value_and_slope_are_as_exact_as_promised(order, phi):
+    value, slope = SidebandTable(order)(phi)
     exact = phi.astype(float)
-    assert np.abs(value - j1(exact)).max() < ERROR
-    assert np.abs(slope - exact_slope(exact)).max() < ERROR
+    assert np.abs(value - jv(order, exact)).max() < ERROR
+    assert np.abs(slope - jvp(order, exact)).max() < ERROR
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_value_and_slope_at_zero_are_exact(order):
+    value, slope = SidebandTable(order)(np.zeros(1, np.float32))
+    assert (value[0], slope[0]) == (order == 0, 0.5 * (order == 1))
 
 
 def test_the_ratio_is_as_exact_as_promised(table, phi):
     exact = phi.astype(float)
     assert np.abs(table.over_argument(phi) - j1(exact) / exact).max() < ERROR
+
+
+def test_the_tensor_is_ratio_and_bend_as_exact_as_promised(table, phi):
+    ratio, bend = table.tensor(phi)
+    exact = phi.astype(float)
+    assert np.array_equal(ratio, table.over_argument(phi))
+    assert np.abs(bend + jv(2, exact) / exact**2).max() < ERROR
+    assert table.tensor(np.zeros(1, np.float32))[1][0] == -1 / 8
 
 
 def test_the_ratio_is_a_half_at_zero_and_near_it(table):
@@ -53,8 +65,9 @@ def test_the_ratio_has_no_step(table):
     assert np.abs(np.diff(table.over_argument(phi))).max() < ERROR
 
 
-def test_value_and_slope_are_continuous_at_the_entries(table):
+def test_value_and_slope_are_continuous_at_the_entries():
     entries = np.arange(1, 39_000, 7) / 200
+    table = SidebandTable(1)
     below, above = (table((entries + step).astype(np.float32)) for step in (-2e-5, 2e-5))
     for there, here in zip(below, above, strict=True):
         # 4·10⁻⁵ rad apart, and a phase of 200 rad is kept to 10⁻⁵.
@@ -62,18 +75,19 @@ def test_value_and_slope_are_continuous_at_the_entries(table):
 
 
 @pytest.mark.parametrize(("largest", "per_rad"), [(200.0, 200), (5.0, 200), (20.0, 50)])
-def test_beyond_its_end_the_table_is_constant(largest, per_rad):
-    table = BesselTable(largest, per_rad)
+def test_beyond_their_end_tables_are_constant(largest, per_rad):
     beyond = (largest * np.array([1.0, 1.001, 2, 1e4, 1e8])).astype(np.float32)
-    value, slope = table(beyond)
+    value, slope = SidebandTable(1, largest, per_rad)(beyond)
     assert value == pytest.approx(j1(largest), abs=1e-6)
-    assert slope == pytest.approx(exact_slope(np.array(largest)), abs=1e-6)
-    assert table.over_argument(beyond) == pytest.approx(j1(largest) / largest, rel=1e-4)
+    assert slope == pytest.approx(jvp(1, largest), abs=1e-6)
+    ratio, bend = BesselTable(largest, per_rad).tensor(beyond)
+    assert ratio == pytest.approx(j1(largest) / largest, rel=1e-4)
+    assert bend == pytest.approx(-jv(2, largest) / largest**2, rel=1e-4, abs=1e-9)
 
 
 def test_a_finer_table_is_more_exact():
     phi = np.random.default_rng(3).uniform(0, 40, 20_000)
-    errors = [np.abs(BesselTable(50.0, n)(phi)[0] - j1(phi)).max() for n in (10, 20, 40)]
+    errors = [np.abs(SidebandTable(1, 50.0, n)(phi)[0] - j1(phi)).max() for n in (10, 20, 40)]
     # Linear between entries: four times as exact with twice as many.
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)
     assert errors[1] / errors[2] == pytest.approx(4, rel=0.1)
@@ -85,6 +99,7 @@ def test_a_finer_table_is_more_exact():
 def test_phases_of_any_shape_are_looked_up_one_by_one(table, shape):
     phi = np.random.default_rng(4).uniform(0, 100, shape).astype(np.float32)
     phi = np.asarray(phi, dtype=np.float32)
-    value, slope = table(phi)
+    first = SidebandTable(1)
+    value, slope = first(phi)
     assert np.shape(value) == np.shape(slope) == np.shape(table.over_argument(phi)) == shape
-    assert np.ravel(value) == pytest.approx([float(table(p)[0]) for p in phi.ravel()], abs=1e-9)
+    assert np.ravel(value) == pytest.approx([float(first(p)[0]) for p in phi.ravel()], abs=1e-9)

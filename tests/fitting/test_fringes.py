@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy.special import j0, j1
+from scipy.special import j1
 
-from fitting.bessel import BesselTable
 from fitting.fringes import FIRST_FRINGE, count_fringes, misfit_without
 
 # The first pictures hold a little of shape 0 alone, as below the reed's first resonance. Then come
@@ -187,22 +186,3 @@ def test_points_that_never_move_do_not_spoil_the_misfit(scene):
     still_scene = light, shapes, a, light * j1(np.abs(a @ shapes.T)) ** 2
     fringes = count_fringes(noisy(still_scene, 0.03), shapes)
     assert fringes.misfit[peak_of(0)] < 10 * (0.03 * FIRST_FRINGE) ** 2
-
-
-# --- The table of J1 ---------------------------------------------------------------------------
-
-
-def test_the_table_of_bessel_functions_is_good_to_a_hundred_thousandth():
-    # float32, because that is what the table is asked with.
-    phi = np.random.default_rng(1).uniform(0, 190, 100_000).astype(np.float32)
-    value, slope = BesselTable()(phi)
-    exact = phi.astype(float)
-    assert np.abs(value - j1(exact)).max() < 1e-5
-    assert np.abs(slope - (j0(exact) - j1(exact) / exact)).max() < 1e-5
-
-
-def test_the_table_starts_at_zero_and_is_never_left():
-    value, slope = BesselTable()(np.array([0.0, 1e4], dtype=np.float32))
-    assert value[0] == 0
-    assert slope[0] == pytest.approx(0.5)
-    assert np.isfinite([value[1], slope[1]]).all()

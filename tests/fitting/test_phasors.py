@@ -1,10 +1,15 @@
 """Holograms compressed to phasors: planted matrices of rank one, and run files made to order."""
 
+import shutil
+
 import h5py
 import numpy as np
 import pytest
+import yaml
+from scipy.special import j0, j1, jv
 
 from acquire import script
+from acquire.protocol import Protocol
 from acquire.runfile import Run
 from fitting.errors import FitError
 from fitting.phasors import _in_blocks, _leading, read_phasors
@@ -286,3 +291,92 @@ def test_a_run_that_kept_frames_gives_the_same_phasors(tmp_path):
     assert kept.y_m == pytest.approx(held.y_m, abs=1e-9)
     # Fields are kept in half the digits of single precision at most.
     assert np.abs(kept.value) == pytest.approx(np.abs(held.value), rel=0.01, abs=0.02)
+
+
+# --- Other sidebands ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def three_sidebands(tmp_path_factory):
+    """Run file of sidebands 0, 1 and 2 of sixteen vibrations, calm to many fringes."""
+    small = {"camera.width": 320, "camera.height": 256, "sweep.first": 14, "sweep.last": 44}
+    small["drive.ramp.from"] = "0.1 V"
+    content = {**script.load("quick").replace(small).content(), "sideband": {"orders": [0, 1, 2]}}
+    path = tmp_path_factory.mktemp("orders") / "three.h5"
+    plan = script.plan(Protocol.from_text(yaml.safe_dump(content)))
+    script.run(plan, path, reed="R07", seed=3)
+    return path
+
+
+def with_verdicts(path, to, verdicts):
+    """Copy with verdicts of steps, by index and order."""
+    shutil.copy(path, to)
+    with h5py.File(to, "r+") as file:
+        steps = file["entry/steps"]
+        index, order, said = (steps[key][()] for key in ("index", "order", "verdict"))
+        for (k, n), verdict in verdicts.items():
+            said[(index == k) & (order == n)] = verdict.encode()
+        steps["verdict"][...] = said
+    return to
+
+
+def test_other_sidebands_stand_beside_the_first(three_sidebands):
+    found = read(three_sidebands)
+    assert found.step_index.tolist() == list(range(14, 45, 2))
+    assert sorted(other.order for other in found.others) == [0, 2]
+    for other in found.others:
+        assert other.value.shape == found.value.shape
+        assert other.present.all()
+
+
+def test_sidebands_of_one_vibration_are_bessel_functions_of_it(three_sidebands):
+    """Of the phase amplitude that the first two show, the third has the magnitude and the phase."""
+    found = read(three_sidebands)
+    carrier, second = (
+        next(other.value for other in found.others if other.order == n).astype(complex)
+        for n in (0, 2)
+    )
+    first = found.value.astype(complex)
+    # Up to the first zero of J₀ the ratio J₁/J₀ grows.
+    phi = np.linspace(0, 2, 400)
+    u = np.interp(np.abs(first) / np.abs(carrier), j1(phi) / j0(phi), phi)
+    lit = np.abs(carrier) > np.median(np.abs(carrier))
+    largest = np.array([np.percentile(u[lit[:, k], k], 98) for k in range(16)])
+    calm = (largest > 0.4) & (largest < 1.4)
+    assert calm.sum() >= 10
+    # The light cancels, and so do turns by the direction of u: A F₀ A F₂ and (A F₁)².
+    seen = np.sum(np.where(lit, carrier * second * first.conj() ** 2, 0), axis=0)
+    expected = np.sum(
+        np.where(lit, np.abs(carrier) ** 2 * jv(2, u) / j0(u) * np.abs(first) ** 2, 0), axis=0
+    )
+    assert np.abs(seen)[calm] / expected[calm] == pytest.approx(1, abs=0.1)
+
+
+def test_bad_holograms_of_other_sidebands_are_absent(three_sidebands, tmp_path):
+    """A bad one of the first takes the others of that vibration with it."""
+    path = with_verdicts(
+        three_sidebands,
+        tmp_path / "bad.h5",
+        {(20, 0): "saturated", (26, 2): "lock", (30, 1): "dropped"},
+    )
+    whole, found = read(three_sidebands), read(path)
+    kept = [k for k in range(14, 45, 2) if k != 30]
+    assert found.step_index.tolist() == kept
+    lost = {0: 20, 2: 26}
+    before = {other.order: other.value for other in whole.others}
+    columns = np.searchsorted(whole.step_index, kept)
+    for other in found.others:
+        present = np.array([k != lost[other.order] for k in kept])
+        assert other.present.tolist() == present.tolist()
+        assert not other.value[:, ~present].any()
+        # Each in its own place: pixels are weighed a little differently, no more.
+        there, here = np.abs(before[other.order][:, columns]), np.abs(other.value)
+        overlap = np.sum(there * here, axis=0)[present]
+        norms = np.linalg.norm(there, axis=0) * np.linalg.norm(here, axis=0)
+        assert overlap / norms[present] == pytest.approx(1, abs=0.02)
+
+
+def test_a_sideband_of_which_nothing_is_good_is_none(three_sidebands, tmp_path):
+    gone = {(k, 2): "saturated" for k in range(14, 45, 2)}
+    found = read(with_verdicts(three_sidebands, tmp_path / "gone.h5", gone))
+    assert [other.order for other in found.others] == [0]

@@ -23,6 +23,14 @@ def read(path):
         return read_pictures(run)
 
 
+def test_runs_of_another_main_sideband_are_refused_with_the_remedy(changed):
+    path = changed()
+    with h5py.File(path, "r+") as file:
+        file["entry/instrument/synthesizers/sideband_order"][...] = 2
+    with pytest.raises(FitError, match="pictures are of sideband 2, and fits need the first; meas"):
+        read(path)
+
+
 def test_every_good_step_is_a_picture_in_order_of_frequency(sweep_a, pictures):
     with Run.open(sweep_a) as run:
         assert run.good.all()

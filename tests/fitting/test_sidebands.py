@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from scipy.special import jv, jvp
+from scipy.special import jv
 
-from fitting.bessel import BesselTable, SidebandTable
+from fitting.bessel import BesselTable
 from fitting.descent import block_light
 from fitting.displacement import fit_displacements
 from fitting.light import linearise, smooth_functions
@@ -77,15 +77,7 @@ class Sweep:
         return linearise(self.problem, self.smooth, light, self.a, zero, self.weight)
 
 
-# --- Tables and phasors ------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("order", ORDERS)
-def test_tables_are_as_exact_as_promised(order):
-    phi = np.random.default_rng(5).uniform(0, 190, 50_000).astype(np.float32)
-    value, slope = SidebandTable(order)(phi)
-    assert np.abs(value - jv(order, phi.astype(float))).max() < 3e-6
-    assert np.abs(slope - jvp(order, phi.astype(float))).max() < 3e-6
+# --- Phasors -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -114,13 +106,12 @@ def test_brightness_and_phase_are_found(order):
 # --- Derivatives -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("largest_rad", [0.5, 9.0])
+# Sideband 5 of half a radian is all dark: a dark hologram's brightness is held, not found.
+@pytest.mark.parametrize(
+    ("order", "largest_rad"), [*((n, 9.0) for n in ORDERS), (0, 0.5), (1, 0.5), (2, 0.5)]
+)
 def test_gradients_are_minus_half_the_slope_of_what_is_left(order, largest_rad):
     """Brightness and phase are found anew at every place."""
-    # A dark hologram's brightness is held, not found.
-    if order > 2 and largest_rad < 1:
-        pytest.skip("all dark")
     # Tables are single precision: no smaller step.
     sweep, step = Sweep((order,), largest_rad), 3e-3
     slopes = [

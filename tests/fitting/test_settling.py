@@ -1,0 +1,93 @@
+"""Turns of light and displacement: where they go, and what holds them if a step is a long one."""
+
+import numpy as np
+import pytest
+
+from fitting import settling
+from fitting.light import LightStep, SharedError
+from fitting.settling import Solution, settle
+from tests.fitting.test_displacement import complex_normal
+from tests.fitting.test_light import FUNCTIONS, HOLOGRAMS, Sweep
+
+# What the log of the light may change by at once.
+LARGEST = 0.3
+
+
+def turn(sweep, at):
+    return settle(sweep.problem, sweep.problem.exact(), sweep.smooth, at)
+
+
+def truth(sweep):
+    return Solution(sweep.a, sweep.gain, sweep.light.astype(np.complex64))
+
+
+@pytest.fixture
+def thrown(monkeypatch):
+    """Return a function that replaces the Newton step by one of a given size."""
+
+    def throw(sweep, log_factor, change):
+        """`log_factor` of the first smooth function but the constant; `change` of amplitudes."""
+        move = np.zeros(2 * sweep.smooth.shape[1] - 1)
+        move[1] = log_factor / np.abs(sweep.smooth[:, 1]).max()
+        holograms = np.full((HOLOGRAMS, 2 * FUNCTIONS + 1), change)
+        shared = SharedError(np.zeros((HOLOGRAMS, 2 * FUNCTIONS, 1)), np.eye(1))
+
+        def step(linear, held, x, weight):
+            return LightStep(move, holograms, shared, linear)
+
+        monkeypatch.setattr(settling, "light_step", step)
+
+    return throw
+
+
+def test_at_the_truth_nothing_moves():
+    sweep = Sweep(6.0, noise=0.0)
+    at, _ = turn(sweep, truth(sweep))
+    # But what all gains have in common, which is light.
+    common = np.mean(sweep.gain - at.gain)
+    assert np.abs(at.light / (sweep.light * np.exp(common)) - 1).max() < 1e-3
+    assert at.amplitude == pytest.approx(sweep.a, abs=2e-3)
+    assert at.gain + common == pytest.approx(sweep.gain, abs=2e-3)
+
+
+def test_light_off_by_a_smooth_factor_comes_back():
+    """Turns of light block by block and of amplitudes alone would take hundreds."""
+    sweep = Sweep(6.0, noise=0.0)
+    factor = np.exp(0.1 * sweep.smooth[:, 1] + 0.1j * sweep.smooth[:, 2])
+    at = Solution(sweep.a, sweep.gain, (sweep.light * factor).astype(np.complex64))
+    for _ in range(4):
+        at, _ = turn(sweep, at)
+    off = np.abs(at.light / sweep.light)
+    assert off.std() / off.mean() < 0.01
+
+
+@pytest.mark.parametrize(("asked", "done"), [(0.2, 0.2), (0.6, LARGEST), (30.0, LARGEST)])
+def test_long_steps_of_the_light_are_cut_short_and_those_of_holograms_with_them(
+    thrown, asked, done
+):
+    sweep = Sweep(6.0)
+    thrown(sweep, 0.0, 0.0)
+    still, _ = turn(sweep, truth(sweep))
+    thrown(sweep, asked, 0.1)
+    moved, _ = turn(sweep, truth(sweep))
+    change = np.log(np.abs(moved.light / still.light))
+    assert np.abs(change).max() == pytest.approx(done, rel=1e-3)
+    expected = 0.1 * (1 + 1j) * done / asked
+    assert moved.amplitude - still.amplitude == pytest.approx(
+        np.full_like(sweep.a, expected), abs=1e-4
+    )
+
+
+def test_holograms_that_nothing_explains_are_not_thrown_with_the_light(thrown):
+    sweep = Sweep(6.0)
+    rng = np.random.default_rng(8)
+    strange = 5
+    noise = 15 * complex_normal(rng, sweep.problem.blocks)
+    sweep.problem.real[strange], sweep.problem.imaginary[strange] = noise.real, noise.imag
+    thrown(sweep, 0.0, 0.0)
+    still, _ = turn(sweep, truth(sweep))
+    thrown(sweep, 0.1, 0.1)
+    moved, _ = turn(sweep, truth(sweep))
+    change = np.abs(moved.amplitude - still.amplitude).max(axis=1)
+    assert change[strange] == 0
+    assert np.delete(change, strange) == pytest.approx(np.full(HOLOGRAMS - 1, 0.1 * 2**0.5))

@@ -484,7 +484,8 @@ def test_flags_read_as_words():
 # --- Steps that lead astray --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("e1", [-2.6, -2.8, -3.0])
+# At −3 the spring G2 would be exactly zero, and its sign that of rounding.
+@pytest.mark.parametrize("e1", [-2.6, -2.8, -2.99])
 def test_a_first_step_to_moduli_below_zero_is_cut(e1):
     # So soft in shear that the slope at the mean reed points below zero.
     components = (e1, 0.3, 0.0, 0.5)

@@ -84,12 +84,13 @@ class Beside:
     here : Local
         Phasors, already turned by the phase found.
     present : (s,) float
-        See `Sideband`; what follows is 0 where there is no hologram.
+        See `Sideband`.
     of_gain, of_phase : (s, 2j) float
         Products of amplitudes with log brightness and phase.
     known : (s,) float
         What is told of either: the power of the phasors.
     misfit : (s,) float
+        0 where there is no hologram, and so are gradient and matrix.
     gradient : (s, 2j) float
     matrix : (s, 2j, 2j) float
     """
@@ -126,8 +127,8 @@ def beside(
     return Beside(
         here=here,
         present=present,
-        of_gain=of_gain * present[:, None],
-        of_phase=of_phase * present[:, None],
+        of_gain=of_gain,
+        of_phase=of_phase,
         known=known,
         misfit=here.misfit * present,
         gradient=gradient(here, functions)[:, :-1] * present[:, None],

@@ -471,30 +471,37 @@ def population(
         ),
     ] = None,
     model: ModelOption = "fem",
+    method: MethodOption = "joint",
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Fit the cane of many reeds: components with errors for each, and their spread."""
+    """Fit the cane of many reeds: components with errors for each, and their spread.
+
+    Of a folder's runs the resonances are found first, which takes some seconds a run, and what
+    stays at the same frequency from reed to reed is told: lines of the air, not the reeds'.
+    """
     from acquire.reed_file import DEFAULT_REED, ReedFile
     from fitting.errors import FitInputError
-    from fitting.fit import model_name
+    from fitting.fit import method_name, model_name
     from fitting.population_table import (
         fit_table,
         metamodel_of,
         opened_table,
+        remarks,
         summary_table,
         write_resonances,
     )
 
-    forward, table, files = model_name(model), source, {}
-    reed = ReedFile.from_file(kind or DEFAULT_REED)
+    forward, way, table, files = model_name(model), method_name(method), source, {}
+    reed, lines = ReedFile.from_file(kind or DEFAULT_REED), None
     if source.is_dir():
         table = files["resonances"] = source / "resonances.csv"
     out = files["components"] = out or table.with_name(f"{table.stem}-components.csv")
     if source.is_dir():
         if kind:
             raise FitInputError("--kind: run files say which reed they measured; leave it out")
-        reed = write_resonances(source, table, _tell)
+        measured = write_resonances(source, table, _tell, way)
+        reed, lines = measured.kind, measured.lines
     words = _words()
     with opened_table(out) as file, words.status("fitting") as status:
         summary = fit_table(
@@ -504,15 +511,17 @@ def population(
             lambda reeds: status.update(f"{reeds} reeds fitted"),
         )
     answer = {**summary.to_json(), "files": {name: str(path) for name, path in files.items()}}
+    if lines is not None:
+        answer["lines"] = [
+            {"hz": line.hz, "height_db": line.height_db, "reeds": line.sweeps} for line in lines
+        ]
     if as_json:
         _show_json(answer)
         return
     console = Console(highlight=False)
     console.print(summary_table(summary))
-    if summary.passed_over:
-        console.print(f"{summary.passed_over} resonances of modes that the model does not know")
-    for flag, count in summary.flags.items():
-        console.print(f"{count} reeds: {flag.lower().replace('_', ' ')}")
+    for remark in remarks(summary, lines or ()):
+        console.print(remark)
     for name, path in files.items():
         console.print(f"{name:13} {path}", markup=False, soft_wrap=True)
 

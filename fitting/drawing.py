@@ -54,7 +54,9 @@ def _picture(run: Run, step: StepRecord) -> Array:
     return picture.T[::-1, ::-1]
 
 
-def contact_sheet(run: Run, resonances: dict[str, Resonance]) -> Figure:
+def contact_sheet(
+    run: Run, resonances: dict[str, Resonance], lines_hz: Sequence[float] | None = None
+) -> Figure:
     """All pictures of a run in rows of 26, numbered, with modes and acoustic lines marked.
 
     Parameters
@@ -62,6 +64,8 @@ def contact_sheet(run: Run, resonances: dict[str, Resonance]) -> Figure:
     run : Run
     resonances : dict
         Modes to mark, by name.
+    lines_hz : sequence of float, optional
+        Lines that a fit found; without them those that the bench's description has.
 
     Raises
     ------
@@ -82,9 +86,10 @@ def contact_sheet(run: Run, resonances: dict[str, Resonance]) -> Figure:
     axes = figure.add_axes((0, 0, 1, 1))
     axes.imshow(canvas, cmap="gray", vmin=0, vmax=1, interpolation="nearest", aspect="auto")
     axes.axis("off")
+    marked = line_steps(run, run.acoustic_lines_hz if lines_hz is None else lines_hz)
     for position, step in enumerate(run.steps):
         top, left = _corner(position, columns, cell_y, cell_x)
-        _label(axes, run, step, resonances, (left, top, width, height))
+        _label(axes, run, step, resonances, marked, (left, top, width, height))
     return figure
 
 
@@ -98,6 +103,7 @@ def _label(
     run: Run,
     step: StepRecord,
     resonances: dict[str, Resonance],
+    lines: set[int],
     box: tuple[int, int, int, int],
 ) -> None:
     """Number a picture; name its modes, its acoustic line or what is wrong with it."""
@@ -108,7 +114,7 @@ def _label(
     text, colour = number, "#9a9a9a"
     if names:
         text, colour = f"{number} {'/'.join(names)}", _CLASS_COLOUR.get(names[0][0], "#e0e0e0")
-    elif step.index in line_steps(run):
+    elif step.index in lines:
         text, colour = f"{number} line", _LINE_COLOUR
     elif step.verdict != "ok":
         words = str(step.verdict).replace("_", " ")
@@ -128,23 +134,23 @@ def _label(
         axes.plot(*edge, color=colour, linewidth=1.2)
 
 
-def line_steps(run: Run) -> set[int]:
-    """Indices of the steps nearest to the bench's acoustic lines, if the sweep covers them."""
+def line_steps(run: Run, lines_hz: Sequence[float]) -> set[int]:
+    """Indices of the steps nearest to acoustic lines, if the sweep covers them."""
     answer = set()
     drive = np.array([float(step.drive_hz) for step in run.steps])
-    for line in run.acoustic_lines_hz:
+    for line in lines_hz:
         if drive.min() <= line <= drive.max():
             answer.add(run.steps[int(np.argmin(np.abs(drive - line)))].index)
     return answer
 
 
-def response_plot(sweep: SweepFit, acoustic_lines_hz: Sequence[float]) -> Figure:
+def response_plot(sweep: SweepFit, lines_hz: Sequence[float]) -> Figure:
     """Fringes of every found mode against frequency, with named peaks.
 
     Parameters
     ----------
     sweep : SweepFit
-    acoustic_lines_hz : sequence of float
+    lines_hz : sequence of float
         Marked as what they are: resonances of the bench.
     """
     figure = Figure(figsize=(13, 6), layout="constrained")
@@ -165,7 +171,7 @@ def response_plot(sweep: SweepFit, acoustic_lines_hz: Sequence[float]) -> Figure
             xytext=(0, 8 if place % 2 == 0 else 34), textcoords="offset points", ha="center",
             fontsize=8, color=colour, arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.5},
         )  # fmt: skip
-    for line in acoustic_lines_hz:
+    for line in lines_hz:
         if hz.min() <= line <= hz.max():
             axes.axvline(line, color=_LINE_COLOUR, linestyle="--", linewidth=1)
             axes.annotate(

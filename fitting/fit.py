@@ -405,8 +405,7 @@ def fit_runs(
         require_model(model, kind)
         reed = basis_of(kind, announce)
         forward: ForwardModel = PaperModel() if model == "paper" else finite_element_model(reed)
-        fit_one = fit_sweep_jointly if method == "joint" else fit_sweep
-        sweeps = [fit_one(run, reed, forward) for run in runs]
+        sweeps = [FIT_SWEEP[method](run, reed, forward) for run in runs]
     unknown = [s for s in sweeps if s.series not in set(Series)]
     if unknown:
         reason = f"series {unknown[0].series!r} is neither A nor B, whose cane is known (H4)"
@@ -416,6 +415,13 @@ def fit_runs(
     except FitError as error:
         return ReedFit(tuple(sweeps), None, str(error))
     return ReedFit(tuple(sweeps), parameters)
+
+
+# How the resonances of a run are found, by method.
+FIT_SWEEP: Mapping[MethodName, Callable[[Run, ReducedReed, ForwardModel], SweepFit]] = {
+    "joint": fit_sweep_jointly,
+    "picture": fit_sweep,
+}
 
 
 def require_model(model: ModelName, kind: ReedFile) -> None:

@@ -114,7 +114,7 @@ def _fitted(run: Run, reed: ReducedReed, model: ForwardModel) -> JointFit:
     phasors = read_phasors(run)
     basis = _basis(reed, viscoelastic_cane(Components(), series), phasors)
     displacements = fit_displacements(phasors, basis)
-    start_hz = _starts(phasors, basis, displacements, reed, model, series, run.acoustic_lines_hz)
+    start_hz = _starts(phasors, basis, displacements, reed, model, series)
     modal = fit_modes(
         displacements, basis, phasors.drive_hz, phasors.volts, start_hz, most_off=_FEW_OFF
     )
@@ -161,7 +161,6 @@ def _starts(
     reed: ReducedReed,
     model: ForwardModel,
     series: Series,
-    acoustic_lines_hz: Sequence[float],
 ) -> dict[str, float]:
     """Where each mode within the sweep is to be looked for, by name.
 
@@ -181,8 +180,7 @@ def _starts(
         model,
         series,
         lambda _shape, _picture: True,
-        acoustic_lines_hz,
-        _MISFIT_CENTS,
+        misfit_cents=_MISFIT_CENTS,
     )
     components = likely_components(picked, model, series, _MISFIT_CENTS)
     expected = _expected_hz(basis, reed, viscoelastic_cane(components, series))

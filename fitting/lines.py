@@ -35,7 +35,7 @@ class Line:
     height_db : float
         Of its top above the median of the drive around it.
     sweeps : int
-        How many sweeps show it.
+        How many sweeps, or reeds, show it.
     """
 
     hz: float

@@ -2,7 +2,7 @@
 
 import csv
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,8 +15,9 @@ from acquire.errors import RunFileError
 from acquire.reed_file import ReedFile
 from acquire.runfile import Run
 from fitting.errors import FitError, FitInputError
-from fitting.fit import ModelName, SweepFit, fit_sweep, require_model
+from fitting.fit import FIT_SWEEP, MethodName, ModelName, SweepFit, require_model
 from fitting.forward import basis_of, finite_element_model
+from fitting.lines import Line, common_lines
 from fitting.paper import adjusted_metamodel
 from fitting.populations import Flag, PopulationFit, count_flags, fit_population
 from fitting.resonance_table import (
@@ -173,18 +174,32 @@ def fit_table(
     return summary
 
 
+@dataclass(frozen=True)
+class Measured:
+    """What the runs of a folder have in common.
+
+    Attributes
+    ----------
+    kind : ReedFile
+        Kind of reed.
+    lines : tuple of Line
+        What stays at the same frequency from reed to reed, and how many reeds show it: the air's.
+    """
+
+    kind: ReedFile
+    lines: tuple[Line, ...]
+
+
 def write_resonances(
-    folder: Path, table: Path, announce: Callable[[str], None] | None = None
-) -> ReedFile:
+    folder: Path,
+    table: Path,
+    announce: Callable[[str], None] | None = None,
+    method: MethodName = "joint",
+) -> Measured:
     """Find the resonances of every complete run of a folder and write them as a table.
 
     Runs of series other than A and B, runs that show no modes and files that are no runs are told
     and passed over; of two runs of one reed and series the later counts.
-
-    Returns
-    -------
-    ReedFile
-        Kind of reed that was measured.
 
     Raises
     ------
@@ -197,19 +212,26 @@ def write_resonances(
     kind = _kind_of(folder, latest)
     reed = basis_of(kind, tell)
     model = finite_element_model(reed)
-    sweeps = []
+    rows: list[tuple[str, ...]] = []
+    # Those of both series of a reed are one reed's.
+    lines: dict[str, list[Line]] = {}
     for number, path in enumerate(latest, 1):
         tell(f"run {number} of {len(latest)}: {path}")
         try:
             with Run.open(path) as run:
-                sweeps.append(fit_sweep(run, reed, model))
+                sweep = FIT_SWEEP[method](run, reed, model)
         except FitError as error:
             tell(str(error))
-    if not sweeps:
+            continue
+        rows += _rows(sweep)
+        lines.setdefault(sweep.reed, []).extend(sweep.lines)
+    if not rows:
         raise FitInputError(f"{folder}: no run of series A or B in it shows resonances")
     with opened_table(table) as file:
-        _write_rows(file, sweeps)
-    return kind
+        out = csv.writer(file, lineterminator="\n")
+        out.writerow([*COLUMNS, ERROR_COLUMN])
+        out.writerows(rows)
+    return Measured(kind, tuple(common_lines(list(lines.values()))))
 
 
 def _kind_of(folder: Path, runs: Sequence[Path]) -> ReedFile:
@@ -248,13 +270,11 @@ def _latest_runs(folder: Path, tell: Callable[[str], None]) -> list[Path]:
     return [path for _, (_, path) in sorted(latest.items())]
 
 
-def _write_rows(file: TextIO, sweeps: Iterable[SweepFit]) -> None:
-    out = csv.writer(file, lineterminator="\n")
-    out.writerow([*COLUMNS, ERROR_COLUMN])
-    for sweep in sweeps:
-        for name, found in sweep.resonances.items():
-            hz, error = f"{found.frequency_hz:.2f}", f"{found.error_cents:.2f}"
-            out.writerow([sweep.reed, sweep.series, name, hz, error])
+def _rows(sweep: SweepFit) -> list[tuple[str, ...]]:
+    return [
+        (sweep.reed, sweep.series, name, f"{one.frequency_hz:.2f}", f"{one.error_cents:.2f}")
+        for name, one in sweep.resonances.items()
+    ]
 
 
 def summary_table(summary: PopulationSummary) -> Table:
@@ -269,3 +289,16 @@ def summary_table(summary: PopulationSummary) -> Table:
         shown = ["-" if value is None else f"{value:.2f}" for value in values]
         table.add_row(name, str(row["reeds"]), *shown)
     return table
+
+
+def remarks(summary: PopulationSummary, lines: Sequence[Line]) -> list[str]:
+    """What is to be said beside the table."""
+    said = [
+        f"line of the air at {line.hz:.0f} Hz, {line.height_db:+.1f} dB, in {line.sweeps} reeds: "
+        "no reed's"
+        for line in lines
+    ]
+    if summary.passed_over:
+        said.append(f"{summary.passed_over} resonances of modes that the model does not know")
+    flags = summary.flags.items()
+    return [*said, *(f"{count} reeds: {flag.lower().replace('_', ' ')}" for flag, count in flags)]

@@ -156,7 +156,7 @@ def test_classes_of_modes_have_colours_of_their_own():
 
 def test_an_acoustic_line_is_marked_as_one():
     run = DrawnRun(lambda x, y: x > 0, indices=range(70, 90))
-    assert line_steps(run) == {78}
+    assert line_steps(run, run.acoustic_lines_hz) == {78}
     sheet = contact_sheet(run, {"F2": resonance("F2", 85)})
     marked = [text for *_, text in cells(sheet, 20) if " " in text]
     assert marked == ["78 line", "85 F2"]
@@ -164,9 +164,16 @@ def test_an_acoustic_line_is_marked_as_one():
     assert line != mode
 
 
-def test_a_line_outside_the_sweep_marks_nothing():
-    assert line_steps(DrawnRun(lambda x, y: x > 0, indices=range(1, 70))) == set()
-    assert line_steps(DrawnRun(lambda x, y: x > 0, indices=range(85, 180))) == set()
+@pytest.mark.parametrize("indices", [range(1, 70), range(85, 180)])
+def test_a_line_outside_the_sweep_marks_nothing(indices):
+    assert line_steps(DrawnRun(lambda x, y: x > 0, indices=indices), (4308.6,)) == set()
+
+
+def test_lines_that_were_found_outweigh_those_of_the_bench():
+    run = DrawnRun(lambda x, y: x > 0, indices=range(70, 90))
+    for lines_hz, expected in (((4250.0,), ["77 line"]), ((), [])):
+        sheet = contact_sheet(run, {}, lines_hz)
+        assert [text for *_, text in cells(sheet, 20) if " " in text] == expected
 
 
 def test_bad_steps_say_why_and_steps_without_data_are_dark():

@@ -2,16 +2,29 @@
 
 import csv
 import io
+from itertools import product
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from acquire.reed_file import ReedFile
 from fitting.errors import FitInputError
+from fitting.fit import FIT_SWEEP
 from fitting.forward import cents_of, hz_of
+from fitting.lines import Line
 from fitting.paper import adjusted_metamodel
-from fitting.population_table import fit_table, metamodel_of, opened_table, write_resonances
+from fitting.picking import Resonance
+from fitting.population_table import (
+    Measured,
+    PopulationSummary,
+    fit_table,
+    metamodel_of,
+    opened_table,
+    remarks,
+    write_resonances,
+)
 from fitting.populations import fit_population
 from fitting.resonance_table import GRID_ERROR_CENTS, read_resonances
 from fitting.synthetic import draw_components, observe
@@ -175,7 +188,8 @@ def test_a_table_appears_whole_or_not_at_all(tmp_path):
 
 def test_a_folder_of_runs_becomes_a_table(sweep_a, fitted_a, tmp_path):
     said = []
-    write_resonances(sweep_a.parent, tmp_path / "table.csv", said.append)
+    measured = write_resonances(sweep_a.parent, tmp_path / "table.csv", said.append, "picture")
+    assert measured == Measured(ReedFile.from_file(), ())
     (piece,) = read_resonances(tmp_path / "table.csv", PAPER_MODES)
     assert piece.reeds == (fitted_a.reed,)
     found = {n: r for n, r in fitted_a.resonances.items() if n in PAPER_MODES}
@@ -187,6 +201,35 @@ def test_a_folder_of_runs_becomes_a_table(sweep_a, fitted_a, tmp_path):
         else:
             assert np.isnan(piece.cents[0, 0, m])
     assert np.isnan(piece.cents[0, 1]).all()
+
+
+class SweepWithLines:
+    """Stands in for a fit: one mode, and lines of the drive in Hz."""
+
+    resonances: ClassVar = {"F1": Resonance("F1", 1800.0, 0.5, 7, 3.0)}
+
+    def __init__(self, run, *lines_hz):
+        self.reed, self.series = run.reed, run.series
+        self.lines = [Line(hz, 8.0) for hz in lines_hz]
+
+
+def test_lines_that_stay_from_reed_to_reed_are_told(changed, monkeypatch, tmp_path):
+    """What one reed shows in both series counts once; what the reeds show apart is not common."""
+    for k, (reed, series) in enumerate(product(("R1", "R2", "R3"), "AB")):
+        changed(f"{k}.h5", name=reed, series=series)
+    own_hz = {"R1": 5000.0, "R2": 6000.0, "R3": 7000.0}
+
+    def fit(run, reed, model):
+        return SweepWithLines(run, own_hz[run.reed], 4280.0 + 2 * int(run.path.stem))
+
+    monkeypatch.setitem(FIT_SWEEP, "joint", fit)
+    measured = write_resonances(tmp_path, tmp_path / "table.csv")
+    (line,) = measured.lines
+    assert line.sweeps == 3
+    assert line.hz == pytest.approx(4285, abs=0.1)
+    said = remarks(PopulationSummary(), measured.lines)
+    assert said == ["line of the air at 4285 Hz, +8.0 dB, in 3 reeds: no reed's"]
+    assert len((tmp_path / "table.csv").read_text().splitlines()) == 7
 
 
 def test_a_folder_without_runs_is_refused(tmp_path):

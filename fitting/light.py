@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.linear import Normal, Problem, fill_normal, in_parts
+from fitting.linear import Normal, Problem, fill_normal
 from fitting.local import Local
+from fitting.parallel import in_parts
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]

@@ -5,28 +5,23 @@ The phasors of block n in hologram k are ``A_n e^{γ_k} F(u_kn)`` with light A, 
 ``dF/du = α 1 + β u uᵀ`` (see `fitting.bessel`).
 """
 
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.bessel import BesselTable
 from fitting.local import Local, fill_matrix, gradient, triangle
+from fitting.parallel import in_parts
 from fitting.phasors import OtherPhasors
 from fitting.sidebands import Beside, Sideband, beside
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 Steps = NDArray[np.intp]
-Made = TypeVar("Made")
 
-# Holograms whose arrays still lie in the processor's cache.
-_TOGETHER = 12
-_MOST_THREADS = 4
 # Holograms are nowhere near so much brighter or darker than each other, in nepers.
 _MOST_GAIN = 3.0
 
@@ -221,13 +216,3 @@ def fill_normal(
         whole.gradient[some, :-1] += other.gradient
         whole.matrix[some, :-1, :-1] += other.matrix
     return here, others
-
-
-def in_parts(work: Callable[[slice], Made], count: int, together: int = _TOGETHER) -> list[Made]:
-    """Do some work for few holograms (or others) at a time, on all processors; results in order."""
-    parts = [slice(k, k + together) for k in range(0, count, together)]
-    if len(parts) < 2:
-        return [work(part) for part in parts]
-    # numpy lets go of the interpreter while it computes.
-    with ThreadPoolExecutor(min(_MOST_THREADS, os.cpu_count() or 1)) as workers:
-        return list(workers.map(work, parts))

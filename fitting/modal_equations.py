@@ -13,11 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from fitting.linear import in_parts
 from fitting.modal_model import Model, Prior, State, Terms, bend, scalars, terms
+from fitting.parallel import in_parts
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
+
+
+# Parameters whose columns, beside all others, still lie in the processor's cache.
+_TOGETHER = 40
 
 
 @dataclass(frozen=True)
@@ -91,13 +95,23 @@ class _Seen:
 
     Attributes
     ----------
+    columns : (k, 2j, 2v + q) float
+        Times the root of the information.
     products : (2v + q, 2v + q, k) float
+        Of these.
     pull : (2v + q, k) float
         With what the model leaves.
     """
 
+    columns: Array
     products: Array
     pull: Array
+
+    def along(self, drive: Array) -> Array:
+        """Products (2, 2v + q, k) with combinations (2, 2v, k) of vectors."""
+        by_hologram = np.ascontiguousarray(drive.transpose(2, 0, 1))
+        moved = by_hologram @ self.columns[:, :, : drive.shape[1]].swapaxes(1, 2)
+        return np.ascontiguousarray((moved @ self.columns).transpose(1, 2, 0))
 
 
 def _seen(model: Model, data: Data, state: State, now: Terms) -> _Seen:
@@ -114,7 +128,7 @@ def _seen(model: Model, data: Data, state: State, now: Terms) -> _Seen:
 
     in_parts(fill, len(columns))
     pull = (left[:, None, :] @ columns)[:, 0]
-    return _Seen(products, np.ascontiguousarray(pull.T))
+    return _Seen(columns, products, np.ascontiguousarray(pull.T))
 
 
 def equations(model: Model, data: Data, prior: Prior, state: State) -> Equations:
@@ -131,12 +145,11 @@ def equations(model: Model, data: Data, prior: Prior, state: State) -> Equations
     # All that mixes into a mode is moved by the same number.
     mixed = np.ascontiguousarray(now.modal[:, model.active].T.astype(numbers))
     drive = _drive(model, now, layout.vectors).astype(data.root.dtype)
-    beside = _beside(seen, own, layout.own_v, layout.vectors)
-    moved = np.einsum("xck,lck->lxk", seen.products[:, : 2 * layout.vectors], drive, optimize=True)
+    moved = seen.along(drive)
     order = layout.order(len(data.precision))
-    matrix = _matrix(layout, seen, own, mixed, beside)[np.ix_(order, order)]
+    matrix = _matrix(layout, seen, own, mixed)[np.ix_(order, order)]
     gradient = _gradient(layout, seen, own, mixed)[order]
-    coupling = _coupling(layout, mixed, beside, moved, drive)[order]
+    coupling = _coupling(layout, own, mixed, moved)[order]
     held = linalg.block_diag(np.diag(prior.precision[prior.free]), data.precision)
     offset = prior.precision[prior.free] * (state.x - prior.centre)[prior.free]
     drive_matrix, drive_gradient = _drive_equations(model, state, seen, moved, drive)
@@ -189,20 +202,19 @@ def _layout(model: Model, prior: Prior) -> _Layout:
     return _Layout(own_v, own_p, mix_m, mix_a, active, len(free), model.slots)
 
 
-def _matrix(layout: _Layout, seen: _Seen, own: Complex, mixed: Complex, beside: Array) -> Array:
+def _matrix(layout: _Layout, seen: _Seen, own: Complex, mixed: Complex) -> Array:
     """Products (q, q) of all columns: own, mixing, together."""
     active, vectors = layout.active, layout.vectors
     mix_m, mix_a = layout.mix_m, layout.mix_a
     last = seen.products[2 * vectors :]
-    own_mixed = _with_mixed(beside, mixed, active, vectors)[:, mix_m, mix_a]
-    own_last = beside[:, 2 * vectors :].sum(axis=2)
+    own_own, own_mixed, own_last = _of_own(layout, seen, own, mixed)
     last_mixed = _with_mixed(last, mixed, active, vectors)[:, mix_m, mix_a]
     mixed_mixed = _mixed_with_mixed(seen.products, mixed, active, vectors)[
         mix_m[:, None], mix_a[:, None], mix_m, mix_a
     ]
     return np.block(
         [
-            [_with_own(beside, layout.own_v, own, vectors), own_mixed, own_last],
+            [own_own, own_mixed, own_last],
             [own_mixed.T, mixed_mixed, last_mixed.T],
             [own_last.T, last_mixed, last[:, 2 * vectors :].sum(axis=2)],
         ]
@@ -222,30 +234,44 @@ def _gradient(layout: _Layout, seen: _Seen, own: Complex, mixed: Complex) -> Arr
     )
 
 
-def _coupling(layout: _Layout, mixed: Complex, beside: Array, moved: Array, drive: Array) -> Array:
+def _coupling(layout: _Layout, own: Complex, mixed: Complex, moved: Array) -> Array:
     """Products (q, 2, k) of all columns with those of the drive's log magnitude and phase."""
-    active, vectors = layout.active, layout.vectors
+    active, vectors, own_v = layout.active, layout.vectors, layout.own_v
+    of_own = [own.real * m[own_v] + own.imag * m[own_v + vectors] for m in moved]
     of_mixed = [_by_mixed(m, mixed, active, vectors)[layout.mix_m, layout.mix_a] for m in moved]
     return np.concatenate(
         [
-            np.einsum("ack,lck->alk", beside[:, : 2 * vectors], drive, optimize=True),
+            np.stack(of_own, axis=1),
             np.stack(of_mixed, axis=1),
             moved[:, 2 * vectors :].swapaxes(0, 1),
         ]
     )
 
 
-def _beside(seen: _Seen, own: Complex, own_v: NDArray[np.intp], vectors: int) -> Array:
-    """Columns of a vector of its own each beside all others (p, 2v + q, k)."""
-    beside = np.empty((len(own_v), *seen.products.shape[1:]), seen.products.dtype)
+def _of_own(
+    layout: _Layout, seen: _Seen, own: Complex, mixed: Complex
+) -> tuple[Array, Array, Array]:
+    """Products of columns of one vector each with such (p, p), mixing (p, r), together (p, q)."""
+    active, vectors, own_v = layout.active, layout.vectors, layout.own_v
+    count = len(own_v)
+    with_own = np.empty((count, count))
+    with_mixed = np.empty((count, len(layout.mix_m)))
+    with_last = np.empty((count, len(seen.products) - 2 * vectors))
 
     def fill(some: slice) -> None:
-        for row in range(*some.indices(len(own_v))):
-            np.multiply(own.real[row], seen.products[own_v[row]], out=beside[row])
-            beside[row] += own.imag[row] * seen.products[own_v[row] + vectors]
+        # Few at a time: beside all other vectors each is as long as there are holograms.
+        real, imaginary = own.real[some, None], own.imag[some, None]
+        beside = np.empty((len(real), *seen.products.shape[1:]), seen.products.dtype)
+        for row, v in enumerate(own_v[some]):
+            np.multiply(real[row], seen.products[v], out=beside[row])
+            beside[row] += imaginary[row] * seen.products[v + vectors]
+        with_own[some] = _with_own(beside, own_v, own, vectors)
+        by_mode = _with_mixed(beside, mixed, active, vectors)
+        with_mixed[some] = by_mode[:, layout.mix_m, layout.mix_a]
+        with_last[some] = beside[:, 2 * vectors :].sum(axis=2)
 
-    in_parts(fill, len(own_v))
-    return beside
+    in_parts(fill, count, _TOGETHER)
+    return with_own, with_mixed, with_last
 
 
 def _with_own(beside: Array, own_v: NDArray[np.intp], own: Complex, vectors: int) -> Array:

@@ -171,11 +171,29 @@ class Prior:
 
 @dataclass(frozen=True)
 class Bend:
-    """What is expected of the drive's magnitude: cost, gradient (k,) and curvature (k, k)."""
+    """What is expected of the drive's magnitude.
+
+    Attributes
+    ----------
+    cost : float
+    gradient : (k,) float
+    known : (k,) float
+        What is told of the smooth part by each hologram.
+    whole : (3, k) float
+        What is told of it by all, and by its smoothness: bands of a matrix, the diagonal last.
+    """
 
     cost: float
     gradient: Array
-    curvature: Array
+    known: Array
+    whole: Array
+
+    @property
+    def curvature(self) -> Array:
+        """Curvature (k, k): whatever the magnitude becomes, the smooth part follows it."""
+        follows = linalg.solveh_banded(self.whole, np.diag(self.known), check_finite=False)
+        curvature = np.diag(self.known) - self.known[:, None] * follows
+        return 0.5 * (curvature + curvature.T)
 
 
 def bend(model: Model, state: State) -> Bend:
@@ -185,22 +203,30 @@ def bend(model: Model, state: State) -> Bend:
     of the other.
     """
     magnitude = state.log_drive.real - model.log_volts
-    count = len(magnitude)
-    second = np.diff(np.eye(count), n=2, axis=0) / _BEND
     smooth = magnitude
     for _ in range(_BEND_TURNS):
-        bent = (_FREEDOMS + 1) / (_FREEDOMS + (second @ smooth) ** 2)
+        bent = (_FREEDOMS + 1) / (_FREEDOMS + (np.diff(smooth, 2) / _BEND) ** 2)
         known = (_FREEDOMS + 1) / (_FREEDOMS * state.gain**2 + (magnitude - smooth) ** 2)
-        stiff = second.T @ (bent[:, None] * second)
-        whole = linalg.cho_factor(stiff + np.diag(known))
-        smooth = linalg.cho_solve(whole, known * magnitude)
+        whole = _stiff(bent)
+        whole[2] += known
+        smooth = linalg.solveh_banded(whole, known * magnitude, check_finite=False)
     gain = magnitude - smooth
-    cost = np.sum(np.log1p((second @ smooth) ** 2 / _FREEDOMS))
+    cost = np.sum(np.log1p((np.diff(smooth, 2) / _BEND) ** 2 / _FREEDOMS))
     cost += np.sum(np.log1p((gain / state.gain) ** 2 / _FREEDOMS))
-    # Whatever the magnitude becomes, the smooth part follows it.
-    curvature = stiff @ linalg.cho_solve(whole, np.diag(known))
     gradient = -(_FREEDOMS + 1) * gain / (_FREEDOMS * state.gain**2 + gain**2)
-    return Bend(float((_FREEDOMS + 1) * cost), gradient, 0.5 * (curvature + curvature.T))
+    return Bend(float((_FREEDOMS + 1) * cost), gradient, known, whole)
+
+
+def _stiff(bent: Array) -> Array:
+    """Bands (3, k), the diagonal last, of second differences squared, each weighing (k − 2,)."""
+    bands = np.zeros((3, len(bent) + 2))
+    for offset, weight in enumerate((1, 4, 1)):
+        bands[2, offset : offset + len(bent)] += weight * bent
+    bands[1, 1:-1] -= 2 * bent
+    bands[1, 2:] -= 2 * bent
+    bands[0, 2:] = bent
+    bands /= _BEND**2
+    return bands
 
 
 def with_gain(model: Model, state: State) -> State:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from fitting.descent import block_light, descend
 from fitting.errors import FitError
-from fitting.linear import Normal, Problem, in_parts
+from fitting.linear import Normal, Problem
+from fitting.parallel import in_parts
 from fitting.phasors import Phasors
 from fitting.settling import Solution
 from fitting.shapes import ShapeBasis
@@ -64,7 +65,7 @@ _THRESHOLDS = ((2.5, 1), (4.0, 1), (8.0, 1), (20.0, 1), (20.0, 3))
 # Or the share of the light that may be left.
 _ENOUGH = 0.03
 # The light is found anew when so many more holograms have been solved.
-_MORE_SOLVED = 1.15
+_MORE_SOLVED = 1.3
 
 
 def _size(a: Amplitudes) -> Array:

@@ -147,6 +147,7 @@ class ReedFit:
             "moduli",
             "rms_cents",
             "reduced_chi2",
+            "misfit_cents",
             "residual_cents",
             "left_out",
             "at_limit",

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import brentq, least_squares
 
 from fitting.errors import FitError
 from fitting.forward import ForwardModel, cents_of, name_likeness, viscoelastic_cents
@@ -31,6 +31,10 @@ _FARTHEST_SD = 6.0
 _AT_LIMIT_SD = 1e-3
 # Residuals beyond this many standard errors count less in the first look.
 _OUTLIER = 2.0
+# ... in which no resonance counts more than one known to a step of 25 cents.
+_EVEN_CENTS = 7.2
+# Turns in which a misfit settles, to this share.
+_MISFIT_TURNS, _MISFIT_SETTLED = 10, 1e-3
 # The paper quotes storage moduli at this frequency (Tables 6 and 7).
 QUOTED_HZ = 4000.0
 
@@ -60,8 +64,10 @@ class ReedParameters:
     left_out : dict
         Per series, modes found but not fitted: they exchange shapes with a neighbour.
     reduced_chi2 : float
-        Weighted squares per degree of freedom; where chance does not explain it (less than 5 %),
-        the errors are scaled by its root.
+        Weighted squares per degree of freedom of the best fit with the errors that are told.
+    misfit_cents : float
+        By how much, beside these errors, each frequency is off: standard deviation. It is 0 if
+        chance explains `reduced_chi2` (in 5 % of cases).
     at_limit : list of str
         Components that ended at the limits of the search, ±6: the resonances do not tell them, or
         one has a wrong name. The number is then the limit's.
@@ -76,6 +82,7 @@ class ReedParameters:
     residual_cents: dict[str, dict[str, float]]
     left_out: dict[str, list[str]]
     reduced_chi2: float
+    misfit_cents: float
     at_limit: list[str]
     physical: bool
     model: str
@@ -111,9 +118,12 @@ def fit_components(
         if name in model.modes
     ]
     # Modes that exchange shapes are known only once the cane is: a first, robust look at all.
-    values, *_ = _least_squares(observed, model, len(free), loss="soft_l1")
+    _require_enough(observed, len(free))
+    errors = np.maximum(_errors_cents(observed), _EVEN_CENTS)
+    values, _ = _weighted(observed, errors, model, np.zeros(len(free)), "soft_l1")
     distinct = [o for o in observed if _likeness(o, values, model) >= _LEAST_LIKENESS]
-    values, covariance, chi2 = _least_squares(distinct, model, len(free))
+    _require_enough(distinct, len(free))
+    values, covariance, chi2, misfit = _least_squares(distinct, model, len(free))
     residual = _residual_cents(distinct, values, model)
     return ReedParameters(
         components={
@@ -133,6 +143,7 @@ def fit_components(
             for s in resonances
         },
         reduced_chi2=chi2,
+        misfit_cents=misfit,
         at_limit=[
             name
             for name, value in zip(free, values, strict=True)
@@ -153,30 +164,66 @@ class _Observation:
     found: Resonance
 
 
-def _least_squares(
-    observed: Sequence[_Observation],
-    model: ForwardModel,
-    count: int,
-    loss: Literal["linear", "soft_l1"] = "linear",
-) -> tuple[Array, Array, float]:
-    """Best components (count,), their covariance, and χ² per degree of freedom."""
+def _require_enough(observed: Sequence[_Observation], count: int) -> None:
     if len(observed) <= count:
         raise FitError(
             f"{len(observed)} resonances cannot fix {count} components; "
             "run more steps, or look at the report for what hides the others"
         )
-    errors = np.array([o.found.error_cents for o in observed])
+
+
+def _errors_cents(observed: Sequence[_Observation]) -> Array:
+    return np.array([o.found.error_cents for o in observed])
+
+
+def _least_squares(
+    observed: Sequence[_Observation], model: ForwardModel, count: int
+) -> tuple[Array, Array, float, float]:
+    """Best components (count,), their covariance, χ² per degree of freedom, misfit in cents.
+
+    A reed differs from its model by more than frequencies are uncertain, and by no more at the
+    modes that are known best. What is left says by how much (Paule and Mandel, J. Res. Nat. Bur.
+    Standards 87, 1982: the added variance for which χ² is what it should be).
+    """
+    errors, freedom = _errors_cents(observed), len(observed) - count
+    values, jacobian = _weighted(observed, errors, model, np.zeros(count))
+    residual = _residual_cents(observed, values, model)
+    chi2, misfit = float(np.sum((residual / errors) ** 2)) / freedom, 0.0
+    if misfit_factor(chi2, freedom) > 1:
+        for _ in range(_MISFIT_TURNS):
+            before, misfit = misfit, _balancing_cents(residual, errors, freedom)
+            values, jacobian = _weighted(observed, np.hypot(errors, misfit), model, values)
+            residual = _residual_cents(observed, values, model)
+            if abs(misfit - before) < _MISFIT_SETTLED * misfit:
+                break
+    return values, np.linalg.inv(jacobian.T @ jacobian), chi2, misfit
+
+
+def _weighted(
+    observed: Sequence[_Observation],
+    errors: Array,
+    model: ForwardModel,
+    start: Array,
+    loss: Literal["linear", "soft_l1"] = "linear",
+) -> tuple[Array, Array]:
+    """Best components and the slopes of residuals in units of their errors."""
 
     def weighted(values: Array) -> Array:
         return np.asarray(_residual_cents(observed, values, model) / errors)
 
     limits = (-_FARTHEST_SD, _FARTHEST_SD)
-    solution = least_squares(weighted, np.zeros(count), bounds=limits, loss=loss, f_scale=_OUTLIER)
-    jacobian = np.asarray(solution.jac, dtype=float)
-    freedom = len(observed) - count
-    chi2 = float(2 * solution.cost / freedom)
-    covariance = np.linalg.inv(jacobian.T @ jacobian) * misfit_factor(chi2, freedom)
-    return solution.x, covariance, chi2
+    solution = least_squares(weighted, start, bounds=limits, loss=loss, f_scale=_OUTLIER)
+    return solution.x, np.asarray(solution.jac, dtype=float)
+
+
+def _balancing_cents(residual: Array, errors: Array, freedom: int) -> float:
+    """Added standard deviation with which squares of residuals are as many as freedoms."""
+
+    def excess(misfit: float) -> float:
+        return float(np.sum(residual**2 / (errors**2 + misfit**2))) - freedom
+
+    most = float(np.sqrt(np.sum(residual**2) / freedom))
+    return brentq(excess, 0.0, most) if excess(0.0) > 0 else 0.0
 
 
 def _residual_cents(observed: Sequence[_Observation], values: Array, model: ForwardModel) -> Array:

@@ -164,7 +164,8 @@ def _parameters(fit: ReedFit) -> str:
     )
     facts = (
         f'<p class="facts">Residual rms {p.rms_cents:.1f} cents, χ² per degree of freedom '
-        f"{p.reduced_chi2:.2f}; forward model: {html.escape(p.model)}.</p>"
+        f"{p.reduced_chi2:.2f}; beside its error each resonance is off the model by "
+        f"{p.misfit_cents:.1f} cents; forward model: {html.escape(p.model)}.</p>"
     )
     return (
         f'<h2>The cane</h2><div class="columns">{components}{"".join(moduli)}</div>{facts}{doubt}'

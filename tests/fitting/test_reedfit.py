@@ -159,6 +159,51 @@ def test_a_misfit_beyond_the_errors_is_charged_to_them():
         assert grown == pytest.approx(np.sqrt(loud.reduced_chi2), rel=0.15)
 
 
+def uneven(cane, rng, misfit_cents):
+    """Resonances known to 0.3 to 10 cents, of a reed whose modes are off the model.
+
+    Twice the same: with the errors of the frequencies, and with those of the reed too.
+    """
+    errors = dict(zip(PAPER_MODES, rng.permutation(np.geomspace(0.3, 10, 11)), strict=True))
+    whole = {name: float(np.hypot(error, misfit_cents)) for name, error in errors.items()}
+    offsets = {(Series.A, name): sd * rng.standard_normal() for name, sd in whole.items()}
+    found = resonances(cane, PAPER, offsets=offsets)[Series.A]
+    return [
+        {Series.A: {n: replace(r, error_cents=told[n]) for n, r in found.items()}}
+        for told in (errors, whole)
+    ]
+
+
+def test_errors_are_honest_of_reeds_that_are_not_the_model_s():
+    rng, normalised, missed, misfits = np.random.default_rng(6), [], ([], []), []
+    for number in range(100):
+        cane = replace(cane_of(f"uneven-{number}"), e4=0.0)
+        found = [fit_components(each, PAPER) for each in uneven(cane, rng, 15.0)]
+        for parameters, rows in zip(found, missed, strict=True):
+            rows.append(list(misses(parameters, cane).values()))
+        errors = [e.error for e in found[0].components.values()]
+        normalised.append(np.divide(missed[0][-1], errors))
+        misfits.append(found[0].misfit_cents)
+    assert np.median(misfits) == pytest.approx(15.0, rel=0.1)
+    rms = np.sqrt(np.mean(np.square(normalised), axis=0))
+    # Eight freedoms tell a misfit to a quarter of it: Student's tails, beside chance.
+    assert (np.abs(rms - 1) < 0.3).all(), rms
+    # Hardly worse than if the misfit were known: the mode known best rules over no other.
+    alone, known = (np.sqrt(np.mean(np.square(rows), axis=0)) for rows in missed)
+    assert (alone < 1.1 * known).all(), (alone, known)
+
+
+def test_a_misfit_is_told_in_cents():
+    cane = Components(0.3, 0.4, -0.2)
+    noise = gaussian(np.random.default_rng(5), 40.0)
+    parameters = fit_components(resonances(cane, PAPER, offsets=noise, error_cents=0.5), PAPER)
+    told = np.hypot(0.5, parameters.misfit_cents)
+    # As much as is left, by freedom: three of eleven are fitted.
+    expected = parameters.rms_cents * np.sqrt(11 / 8)
+    assert told == pytest.approx(expected, rel=1e-3)
+    assert fit_components(resonances(cane, PAPER), PAPER).misfit_cents == 0
+
+
 def test_a_misfit_that_chance_explains_is_not_charged():
     cane = Components(0.3, 0.4, -0.2)
     quiet = fit_components(resonances(cane, PAPER), PAPER)

@@ -471,7 +471,12 @@ def population(
         ),
     ] = None,
     model: ModelOption = "fem",
-    method: MethodOption = "joint",
+    method: Annotated[
+        str | None,
+        typer.Option(
+            help="Of a folder: how resonances are found, joint (if not given) or picture."
+        ),
+    ] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -492,8 +497,10 @@ def population(
         write_resonances,
     )
 
-    forward, way, table, files = model_name(model), method_name(method), source, {}
-    reed, lines = ReedFile.from_file(kind or DEFAULT_REED), None
+    forward, way, table, files = model_name(model), method_name(method or "joint"), source, {}
+    reed, measured = ReedFile.from_file(kind or DEFAULT_REED), None
+    if method and not source.is_dir():
+        raise FitInputError("--method: a table already holds resonances; leave it out")
     if source.is_dir():
         table = files["resonances"] = source / "resonances.csv"
     out = files["components"] = out or table.with_name(f"{table.stem}-components.csv")
@@ -501,7 +508,7 @@ def population(
         if kind:
             raise FitInputError("--kind: run files say which reed they measured; leave it out")
         measured = write_resonances(source, table, _tell, way)
-        reed, lines = measured.kind, measured.lines
+        reed = measured.kind
     words = _words()
     with opened_table(out) as file, words.status("fitting") as status:
         summary = fit_table(
@@ -511,16 +518,14 @@ def population(
             lambda reeds: status.update(f"{reeds} reeds fitted"),
         )
     answer = {**summary.to_json(), "files": {name: str(path) for name, path in files.items()}}
-    if lines is not None:
-        answer["lines"] = [
-            {"hz": line.hz, "height_db": line.height_db, "reeds": line.sweeps} for line in lines
-        ]
+    if measured:
+        answer["lines"] = measured.to_json()
     if as_json:
         _show_json(answer)
         return
     console = Console(highlight=False)
     console.print(summary_table(summary))
-    for remark in remarks(summary, lines or ()):
+    for remark in remarks(summary, measured):
         console.print(remark)
     for name, path in files.items():
         console.print(f"{name:13} {path}", markup=False, soft_wrap=True)

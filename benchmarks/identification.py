@@ -158,6 +158,14 @@ def _normalised(judged: Sequence[Judged], names: Sequence[str]) -> Array:
     )
 
 
+def _by_reed(judged: Sequence[Judged]) -> list[list[Line]]:
+    """Lines of each reed, in whatever series."""
+    lines: dict[str, list[Line]] = {}
+    for each in judged:
+        lines.setdefault(each.run.rpartition("-")[0], []).extend(each.lines)
+    return list(lines.values())
+
+
 def summary(judged: Sequence[Judged]) -> dict[str, Any]:
     """All that is claimed, and whether it holds."""
     tables = {str(series): table(judged, series) for series in Series}
@@ -175,10 +183,11 @@ def summary(judged: Sequence[Judged]) -> dict[str, Any]:
     seconds = [j.joint_s for j in judged]
     return {
         "runs": len(judged),
+        "reeds": len(_by_reed(judged)),
         "library": peer_version(),
         "modes": tables,
         "coverage": coverage,
-        "common_lines": [asdict(line) for line in common_lines([j.lines for j in judged])],
+        "common_lines": [asdict(line) for line in common_lines(_by_reed(judged))],
         "fit_s": {
             "median": float(np.median(seconds)),
             "most": max(seconds),
@@ -287,7 +296,7 @@ def _print_claims(result: dict[str, Any]) -> None:
     for line in result["common_lines"]:
         print(
             f"line of the drive at {line['hz']:.0f} Hz, {line['height_db']:+.1f} dB, in "
-            f"{line['sweeps']} of {result['runs']} runs"
+            f"{line['reeds']} of {result['reeds']} reeds"
         )
     for case, said in result["nothing"].items():
         found = ", ".join(said["identified"]) or "nothing identified"

@@ -54,9 +54,7 @@ def _picture(run: Run, step: StepRecord) -> Array:
     return picture.T[::-1, ::-1]
 
 
-def contact_sheet(
-    run: Run, resonances: dict[str, Resonance], lines_hz: Sequence[float] | None = None
-) -> Figure:
+def contact_sheet(run: Run, resonances: dict[str, Resonance], lines_hz: Sequence[float]) -> Figure:
     """All pictures of a run in rows of 26, numbered, with modes and acoustic lines marked.
 
     Parameters
@@ -64,8 +62,8 @@ def contact_sheet(
     run : Run
     resonances : dict
         Modes to mark, by name.
-    lines_hz : sequence of float, optional
-        Lines that a fit found; without them those that the bench's description has.
+    lines_hz : sequence of float
+        Lines of the air.
 
     Raises
     ------
@@ -86,7 +84,7 @@ def contact_sheet(
     axes = figure.add_axes((0, 0, 1, 1))
     axes.imshow(canvas, cmap="gray", vmin=0, vmax=1, interpolation="nearest", aspect="auto")
     axes.axis("off")
-    marked = line_steps(run, run.acoustic_lines_hz if lines_hz is None else lines_hz)
+    marked = line_steps(run, lines_hz)
     for position, step in enumerate(run.steps):
         top, left = _corner(position, columns, cell_y, cell_x)
         _label(axes, run, step, resonances, marked, (left, top, width, height))
@@ -151,7 +149,7 @@ def response_plot(sweep: SweepFit, lines_hz: Sequence[float]) -> Figure:
     ----------
     sweep : SweepFit
     lines_hz : sequence of float
-        Marked as what they are: resonances of the bench.
+        Where the drive stands out, or the bench's description says that the air has a line.
     """
     figure = Figure(figsize=(13, 6), layout="constrained")
     axes = figure.add_subplot()
@@ -171,11 +169,12 @@ def response_plot(sweep: SweepFit, lines_hz: Sequence[float]) -> Figure:
             xytext=(0, 8 if place % 2 == 0 else 34), textcoords="offset points", ha="center",
             fontsize=8, color=colour, arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.5},
         )  # fmt: skip
+    what = "line of the drive" if sweep.joint else "acoustic line"
     for line in lines_hz:
         if hz.min() <= line <= hz.max():
             axes.axvline(line, color=_LINE_COLOUR, linestyle="--", linewidth=1)
             axes.annotate(
-                f"acoustic line {line:.0f} Hz", (line, 0.02), xycoords=("data", "axes fraction"),
+                f"{what} {line:.0f} Hz", (line, 0.02), xycoords=("data", "axes fraction"),
                 rotation=90, ha="right", va="bottom", fontsize=8, color=_LINE_COLOUR,
             )  # fmt: skip
     _dress(axes, amplitude)

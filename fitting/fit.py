@@ -105,7 +105,7 @@ class SweepFit:
 
     @property
     def lines(self) -> list[Line]:
-        """Where the drive stands out of itself: lines of the air, no modes of the reed."""
+        """Where the drive stands out of itself: lines of the air, or what no mode tells."""
         if self.joint is None:
             return []
         phasors, drive = self.joint.phasors, self.joint.modal.drive

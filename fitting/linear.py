@@ -201,7 +201,24 @@ def fill_normal(
     a: Complex,
     gain: Array,
 ) -> tuple[Local, list[Beside]]:
-    """Write some of the equations, of all sidebands; return what they were made of."""
+    """Write some of the equations, of all sidebands, around amplitudes and log gains.
+
+    Parameters
+    ----------
+    whole : Normal
+        Where to.
+    some : slice
+        Which of its holograms, s of them.
+    steps : (s,) int
+        Which those are in the problem.
+    a : (s, j) complex
+    gain : (s,) float
+
+    Returns
+    -------
+    tuple of Local and list of Beside
+        What the equations were made of: the first sideband, and the others.
+    """
     functions, pairs = problem.functions, problem.pairs
     here = local(problem, light, steps, a, gain)
     whole.misfit[some] = here.misfit

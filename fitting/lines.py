@@ -20,8 +20,8 @@ Array = NDArray[np.floating[Any]]
 _AROUND = 31
 # A line stands out of its flanks by this, in nepers, and is no wider than this many steps at half.
 _PROMINENCE, _WIDEST = 0.3, 8.0
-# Lines of several sweeps are one if they are this close, and stay if so many of them have it.
-_SAME_CENTS, _MOST, _LEAST_SWEEPS = 40.0, 0.6, 3
+# Lines of several reeds are one if they are this close, and stay if so many of them show it.
+_SAME_CENTS, _MOST, _LEAST_REEDS = 40.0, 0.6, 3
 _DB_PER_NEPER = 20 / np.log(10)
 
 
@@ -34,13 +34,13 @@ class Line:
     hz : float
     height_db : float
         Of its top above the median of the drive around it.
-    sweeps : int
-        How many sweeps, or reeds, show it.
+    reeds : int
+        How many show it.
     """
 
     hz: float
     height_db: float
-    sweeps: int = 1
+    reeds: int = 1
 
 
 def drive_lines(drive_hz: Array, log_magnitude: Array) -> list[Line]:
@@ -65,29 +65,45 @@ def drive_lines(drive_hz: Array, log_magnitude: Array) -> list[Line]:
     return lines
 
 
-def common_lines(sweeps: Sequence[Sequence[Line]]) -> list[Line]:
-    """Lines that stay at the same frequency in most of several sweeps of different reeds.
+def common_lines(reeds: Sequence[Sequence[Line]]) -> list[Line]:
+    """Lines that stay at the same frequency in the sweeps of most of several reeds.
 
     Parameters
     ----------
-    sweeps : sequence of sequences of Line
-        Of at least three reeds; of fewer, nothing stays.
+    reeds : sequence of sequences of Line
+        Of each reed, in whatever series; of fewer than three, nothing stays.
+
+    Returns
+    -------
+    list of Line
+        In order of frequency; each with how many reeds show it, at least three.
     """
-    if len(sweeps) < _LEAST_SWEEPS:
-        return []
-    found = sorted(
-        ((line, number) for number, lines in enumerate(sweeps) for line in lines),
+    every = sorted(
+        ((line, number) for number, lines in enumerate(reeds) for line in lines),
         key=lambda each: each[0].hz,
     )
-    common, group = [], found[:1]
-    for line, number in [*found[1:], (Line(np.inf, 0.0), -1)]:
-        if group and 1200 * np.log2(line.hz / group[-1][0].hz) < _SAME_CENTS:
-            group.append((line, number))
-            continue
-        count = len({n for _, n in group})
-        if count >= _MOST * len(sweeps):
-            hz = float(np.exp(np.median([np.log(each.hz) for each, _ in group])))
-            height_db = float(np.median([each.height_db for each, _ in group]))
-            common.append(Line(hz, height_db, count))
-        group = [(line, number)]
-    return common
+    least, common = max(_LEAST_REEDS, _MOST * len(reeds)), []
+    while every:
+        # Windows of one width: however many features there are, they do not chain.
+        windows = [_within(every, first) for first in range(len(every))]
+        fullest = max(windows, key=lambda window: len({number for _, number in window}))
+        count = len({number for _, number in fullest})
+        if count < least:
+            break
+        hz = float(np.exp(np.median([np.log(line.hz) for line, _ in fullest])))
+        height_db = float(np.median([line.height_db for line, _ in fullest]))
+        common.append(Line(hz, height_db, count))
+        every = [each for each in every if abs(_cents(each[0].hz, hz)) > _SAME_CENTS]
+    return sorted(common, key=lambda line: line.hz)
+
+
+def _within(every: list[tuple[Line, int]], first: int) -> list[tuple[Line, int]]:
+    """Lines from one on that are the same as it."""
+    last = first
+    while last < len(every) and _cents(every[last][0].hz, every[first][0].hz) < _SAME_CENTS:
+        last += 1
+    return every[first:last]
+
+
+def _cents(hz: float, reference_hz: float) -> float:
+    return 1200 * float(np.log2(hz / reference_hz))

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from fitting.displacement import Displacements
+from fitting.errors import FitError
 from fitting.modal_equations import Data, Equations, equations
 from fitting.modal_model import LOSS, TAIL_TERMS, Model, Prior, State, bend, terms, with_gain
 from fitting.modal_noise import Noise, alike, balanced, data_of, inflated, noise_of
@@ -481,10 +482,22 @@ def _off(displacements: Displacements, noise: Noise) -> NDArray[np.bool_]:
 
 
 def _inverse(matrix: Array) -> Array:
-    """Inverse of a positive matrix of parameters of very different sizes."""
+    """Inverse of a positive matrix of parameters of very different sizes.
+
+    Raises
+    ------
+    FitError
+        If rounding has left none of it.
+    """
     unit = 1 / np.sqrt(np.diag(matrix))
     scaled = unit[:, None] * matrix * unit + _ROUNDING * np.eye(len(unit))
-    root = linalg.cholesky(scaled, lower=True, check_finite=False)
+    try:
+        root = linalg.cholesky(scaled, lower=True)
+    except (np.linalg.LinAlgError, ValueError):
+        raise FitError(
+            "the holograms do not tell the modes of this reed apart; look at the contact sheet "
+            "that acquire report writes, or count fringes: --method picture"
+        ) from None
     (solve,) = linalg.get_blas_funcs(("trsm",), (root,))
     half = solve(1.0, root, np.diag(unit), lower=1)
     inverse: Array = half.T @ half

@@ -4,7 +4,7 @@ import csv
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -182,12 +182,22 @@ class Measured:
     ----------
     kind : ReedFile
         Kind of reed.
-    lines : tuple of Line
+    reeds : int
+        How many show modes.
+    lines : tuple of Line, optional
         What stays at the same frequency from reed to reed, and how many reeds show it: the air's.
+        None if the method does not look for it.
     """
 
     kind: ReedFile
-    lines: tuple[Line, ...]
+    reeds: int
+    lines: tuple[Line, ...] | None
+
+    def to_json(self) -> list[dict[str, Any]] | None:
+        """Return the lines with stable keys (documented in ``docs/json.md``)."""
+        if self.lines is None:
+            return None
+        return [asdict(line) for line in self.lines]
 
 
 def write_resonances(
@@ -198,8 +208,8 @@ def write_resonances(
 ) -> Measured:
     """Find the resonances of every complete run of a folder and write them as a table.
 
-    Runs of series other than A and B, runs that show no modes and files that are no runs are told
-    and passed over; of two runs of one reed and series the later counts.
+    Runs of series other than A and B, runs that show no modes, files that are no runs or damaged
+    are told and passed over; of two runs of one reed and series the later counts.
 
     Raises
     ------
@@ -220,8 +230,8 @@ def write_resonances(
         try:
             with Run.open(path) as run:
                 sweep = FIT_SWEEP[method](run, reed, model)
-        except FitError as error:
-            tell(str(error))
+        except (FitError, RunFileError) as error:
+            tell(f"{path}: passed over: {str(error).removeprefix(f'{path}: ')}")
             continue
         rows += _rows(sweep)
         lines.setdefault(sweep.reed, []).extend(sweep.lines)
@@ -231,7 +241,9 @@ def write_resonances(
         out = csv.writer(file, lineterminator="\n")
         out.writerow([*COLUMNS, ERROR_COLUMN])
         out.writerows(rows)
-    return Measured(kind, tuple(common_lines(list(lines.values()))))
+    if method != "joint":
+        return Measured(kind, len(lines), None)
+    return Measured(kind, len(lines), tuple(common_lines(list(lines.values()))))
 
 
 def _kind_of(folder: Path, runs: Sequence[Path]) -> ReedFile:
@@ -272,7 +284,7 @@ def _latest_runs(folder: Path, tell: Callable[[str], None]) -> list[Path]:
 
 def _rows(sweep: SweepFit) -> list[tuple[str, ...]]:
     return [
-        (sweep.reed, sweep.series, name, f"{one.frequency_hz:.2f}", f"{one.error_cents:.2f}")
+        (sweep.reed, sweep.series, name, f"{one.frequency_hz:.3f}", f"{one.error_cents:.4g}")
         for name, one in sweep.resonances.items()
     ]
 
@@ -291,11 +303,13 @@ def summary_table(summary: PopulationSummary) -> Table:
     return table
 
 
-def remarks(summary: PopulationSummary, lines: Sequence[Line]) -> list[str]:
-    """What is to be said beside the table."""
+def remarks(summary: PopulationSummary, measured: Measured | None = None) -> list[str]:
+    """What is to be said beside the table, of a folder's runs too if they were measured."""
+    lines = (measured.lines if measured else None) or ()
+    of_all = measured.reeds if measured else 0
     said = [
-        f"line of the air at {line.hz:.0f} Hz, {line.height_db:+.1f} dB, in {line.sweeps} reeds: "
-        "no reed's"
+        f"line of the air at {line.hz:.0f} Hz, {line.height_db:+.1f} dB: {line.reeds} of {of_all} "
+        "reeds show it, it is none of theirs"
         for line in lines
     ]
     if summary.passed_over:

@@ -22,9 +22,9 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from fitting.errors import FitInputError
+from fitting.misfit import added_cents, is_misfit, misfit_factor
 from physics.reed.metamodel import REFERENCE_HZ, Metamodel
 from physics.reed.viscoelastic import Series, StorageModulus, h4_matrix, storage_modulus
 
@@ -52,8 +52,8 @@ _HARMLESS_PA = (1e10, 1e9)
 # Keeps the normal matrix regular where it is not; a component whose variance is this many times
 # that of the best known one is not known at all.
 _RIDGE, _UNKNOWN = 1e-12, 1e8
-# A misfit that chance alone would give this rarely is taken for one.
-_IMPROBABLE = 0.05
+# Turns in which a misfit settles, to this share.
+_MISFIT_TURNS, _MISFIT_SETTLED = 8, 1e-3
 _CENT = np.log(2) / 1200
 
 
@@ -114,12 +114,16 @@ class PopulationFit:
     components : (n, K) float
         e1, e2, e3 from series A; e4 too from both series.
     errors : (n, K) float
-        Standard errors, from the stated errors of the resonances; larger by the root of
-        `reduced_chi2` where chance explains that in less than 5 % of cases.
+        Standard errors, from the stated errors of the resonances and the misfit.
     reduced_chi2 : (n,) float
-        Weighted squares per degree of freedom.
+        Weighted squares per degree of freedom of the best fit with the stated errors.
+    misfit_cents : (n,) float
+        By how much, beside these errors, each resonance is off the model: standard deviation. It
+        is 0 where chance explains `reduced_chi2` (in 5 % of cases).
+    residual_cents : (n, s, m) float
+        Observed less fitted frequencies, NaN for resonances that were not used.
     rms_cents : (n,) float
-        Root mean square of observed less fitted frequencies.
+        Their root mean square.
     used : (n,) int
         Number of resonances.
     left_out : (n, s, m) bool
@@ -131,6 +135,8 @@ class PopulationFit:
     components: Array
     errors: Array
     reduced_chi2: Array
+    misfit_cents: Array
+    residual_cents: Array
     rms_cents: Array
     used: NDArray[np.int64]
     left_out: Mask
@@ -143,18 +149,6 @@ def count_flags(flags: NDArray[np.int64]) -> dict[str, int]:
     return {name: count for name, count in counts.items() if count}
 
 
-def misfit_factor(reduced_chi2: Array | float, freedom: Array | int) -> Array:
-    """Factor on variances: a misfit that chance does not explain is charged to the fit.
-
-    Parameters
-    ----------
-    reduced_chi2, freedom : (...) float
-        Weighted squares per degree of freedom, and degrees of freedom.
-    """
-    improbable = chdtrc(freedom, reduced_chi2 * freedom) < _IMPROBABLE
-    return np.where(improbable, reduced_chi2, 1.0)
-
-
 def fit_population(
     observed_cents: Array, error_cents: Array | float, metamodel: Metamodel
 ) -> PopulationFit:
@@ -162,7 +156,8 @@ def fit_population(
 
     A reed's result does not depend on the others, to the last bit. Modes that the metamodel does
     not follow at the moduli found (see `FollowingMetamodel`) are left out, and the reed is fitted
-    anew.
+    anew. So are reeds that the errors do not explain, with a misfit added to the error of every
+    resonance (see `misfit.added_cents`).
 
     Parameters
     ----------
@@ -193,6 +188,7 @@ def fit_population(
             # What is left out is said once: at the moduli found without it.
             again.left_out[...], again.flags[...] = left_out, again.flags | Flag.MODES_LEFT_OUT
             _put(again, fit, changed)
+        _add_misfits(problem, fit, observed, errors)
     return fit
 
 
@@ -538,6 +534,8 @@ def _conclude(problem: _Problem, best: _Best, observed: Array, weights: Array) -
         components=np.where(known, components, np.nan).T,
         errors=np.where(known, np.sqrt(variance * misfit_factor(reduced_chi2, freedom)), np.inf).T,
         reduced_chi2=reduced_chi2,
+        misfit_cents=np.zeros(len(number)),
+        residual_cents=np.where(used, residual, np.nan).T,
         rms_cents=np.sqrt(np.einsum("msn->n", residual**2) / number),
         used=number,
         left_out=(used & ~_followed(problem.metamodel, storage_pa)).T,
@@ -570,6 +568,29 @@ def _moduli_flags(
     return flags
 
 
+def _add_misfits(problem: _Problem, fit: PopulationFit, observed: Array, errors: Array) -> None:
+    """Fit reeds that the errors do not explain with a misfit added to them."""
+    freedom = fit.used - np.count_nonzero(np.isfinite(fit.components), axis=1)
+    reduced_chi2 = fit.reduced_chi2.copy()
+    reeds = np.flatnonzero(is_misfit(reduced_chi2, freedom))
+    for _ in range(_MISFIT_TURNS):
+        if not reeds.size:
+            break
+        residual = fit.residual_cents[reeds]
+        before = fit.misfit_cents[reeds]
+        misfit = added_cents(
+            residual.reshape(len(reeds), -1), errors[reeds].reshape(len(reeds), -1), freedom[reeds]
+        )
+        whole = np.hypot(errors[reeds], misfit[:, None, None])
+        again = _fit_all(problem, np.where(np.isnan(residual), np.nan, observed[reeds]), whole)
+        left_out = fit.left_out[reeds]
+        again.flags[...] |= np.where(left_out.any(axis=(1, 2)), Flag.MODES_LEFT_OUT, 0)
+        again.left_out[...], again.misfit_cents[...] = left_out, misfit
+        again.reduced_chi2[...] = reduced_chi2[reeds]
+        _put(again, fit, reeds)
+        reeds = reeds[np.abs(misfit - before) > _MISFIT_SETTLED * misfit]
+
+
 def _unknown(observed: Array, count: int) -> PopulationFit:
     """Fits of reeds of which nothing is known yet."""
     n = len(observed)
@@ -577,6 +598,8 @@ def _unknown(observed: Array, count: int) -> PopulationFit:
         components=np.full((n, count), np.nan),
         errors=np.full((n, count), np.inf),
         reduced_chi2=np.full(n, np.nan),
+        misfit_cents=np.full(n, np.nan),
+        residual_cents=np.full(observed.shape, np.nan),
         rms_cents=np.full(n, np.nan),
         used=np.count_nonzero(~np.isnan(observed), axis=(1, 2)),
         left_out=np.zeros(observed.shape, dtype=bool),

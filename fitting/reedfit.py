@@ -6,12 +6,12 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq, least_squares
+from scipy.optimize import least_squares
 
 from fitting.errors import FitError
 from fitting.forward import ForwardModel, cents_of, name_likeness, viscoelastic_cents
+from fitting.misfit import added_cents, is_misfit
 from fitting.picking import Resonance
-from fitting.populations import misfit_factor
 from physics.reed.viscoelastic import (
     Components,
     Series,
@@ -181,17 +181,17 @@ def _least_squares(
 ) -> tuple[Array, Array, float, float]:
     """Best components (count,), their covariance, χ² per degree of freedom, misfit in cents.
 
-    A reed differs from its model by more than frequencies are uncertain, and by no more at the
-    modes that are known best. What is left says by how much (Paule and Mandel, J. Res. Nat. Bur.
-    Standards 87, 1982: the added variance for which χ² is what it should be).
+    A reed differs from its model by more than frequencies are uncertain, and by no less at the
+    modes that are known best. What is left says by how much (see `misfit.added_cents`).
     """
     errors, freedom = _errors_cents(observed), len(observed) - count
     values, jacobian = _weighted(observed, errors, model, np.zeros(count))
     residual = _residual_cents(observed, values, model)
     chi2, misfit = float(np.sum((residual / errors) ** 2)) / freedom, 0.0
-    if misfit_factor(chi2, freedom) > 1:
+    if is_misfit(chi2, freedom):
         for _ in range(_MISFIT_TURNS):
-            before, misfit = misfit, _balancing_cents(residual, errors, freedom)
+            before = misfit
+            misfit = float(added_cents(residual[None], errors, np.array([freedom]))[0])
             values, jacobian = _weighted(observed, np.hypot(errors, misfit), model, values)
             residual = _residual_cents(observed, values, model)
             if abs(misfit - before) < _MISFIT_SETTLED * misfit:
@@ -214,16 +214,6 @@ def _weighted(
     limits = (-_FARTHEST_SD, _FARTHEST_SD)
     solution = least_squares(weighted, start, bounds=limits, loss=loss, f_scale=_OUTLIER)
     return solution.x, np.asarray(solution.jac, dtype=float)
-
-
-def _balancing_cents(residual: Array, errors: Array, freedom: int) -> float:
-    """Added standard deviation with which squares of residuals are as many as freedoms."""
-
-    def excess(misfit: float) -> float:
-        return float(np.sum(residual**2 / (errors**2 + misfit**2))) - freedom
-
-    most = float(np.sqrt(np.sum(residual**2) / freedom))
-    return brentq(excess, 0.0, most) if excess(0.0) > 0 else 0.0
 
 
 def _residual_cents(observed: Sequence[_Observation], values: Array, model: ForwardModel) -> Array:

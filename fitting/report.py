@@ -50,9 +50,7 @@ def write_report(fit: ReedFit, page: Path) -> dict[str, Path]:
     for sweep in fit.sweeps:
         _require_other(page, sweep.path)
         with Run.open(sweep.path) as run:
-            # What the drive shows outweighs what the bench's description says.
-            found = [line.hz for line in sweep.lines]
-            lines_hz = found if sweep.joint else run.acoustic_lines_hz
+            lines_hz = _lines_hz(sweep, run)
             figures = {
                 "contact sheet": contact_sheet(run, sweep.resonances, lines_hz),
                 "response": response_plot(sweep, lines_hz),
@@ -69,6 +67,11 @@ def write_report(fit: ReedFit, page: Path) -> dict[str, Path]:
             parts.append(_embedded(name, picture))
     _write(page, _document(fit.sweeps[0].reed, parts))
     return files
+
+
+def _lines_hz(sweep: SweepFit, run: Run) -> Sequence[float]:
+    """What a joint fit found of lines outweighs what the bench's description says of them."""
+    return [line.hz for line in sweep.lines] if sweep.joint else run.acoustic_lines_hz
 
 
 def write_bare_report(runs: Sequence[Path], page: Path, reason: str) -> dict[str, Path]:
@@ -98,7 +101,7 @@ def write_bare_report(runs: Sequence[Path], page: Path, reason: str) -> dict[str
         with Run.open(path) as run:
             reeds.append(run.reed)
             title = html.escape(f"Reed {run.reed}, series {run.series}")
-            sheet = png_of(contact_sheet(run, {}))
+            sheet = png_of(contact_sheet(run, {}, run.acoustic_lines_hz))
             parts.append(f"<h1>{title}</h1>{_facts(run)}{_embedded('contact sheet', sheet)}")
     _write(page, _document(reeds[0], parts))
     return {"report": page}
@@ -162,10 +165,11 @@ def _parameters(fit: ReedFit) -> str:
         if p.physical
         else '<p class="warning">A spring came out negative: the fit lies outside physics.</p>'
     )
+    # A standard deviation, like the errors that it was added to.
+    misfit = f", with {p.misfit_cents:.1f} cents added to every error" if p.misfit_cents else ""
     facts = (
         f'<p class="facts">Residual rms {p.rms_cents:.1f} cents, χ² per degree of freedom '
-        f"{p.reduced_chi2:.2f}; beside its error each resonance is off the model by "
-        f"{p.misfit_cents:.1f} cents; forward model: {html.escape(p.model)}.</p>"
+        f"{p.reduced_chi2:.2f}{misfit}; forward model: {html.escape(p.model)}.</p>"
     )
     return (
         f'<h2>The cane</h2><div class="columns">{components}{"".join(moduli)}</div>{facts}{doubt}'

@@ -173,7 +173,7 @@ def _gathered(path: Path, piece: list[list[_Row]], modes: tuple[str, ...]) -> Re
 def write_components(
     file: TextIO, pieces: Iterable[tuple[tuple[str, ...], PopulationFit]], count: int
 ) -> None:
-    """Write fits as CSV: components, errors, rms, χ², number of resonances and flags.
+    """Write fits as CSV: components, errors, rms, χ², misfit, number of resonances and flags.
 
     Parameters
     ----------
@@ -185,11 +185,14 @@ def write_components(
     names = [f"e{k}" for k in range(1, count + 1)]
     out = csv.writer(file, lineterminator="\n")
     heads = [column for name in names for column in (name, f"{name}_error")]
-    out.writerow(["reed", *heads, "rms_cents", "reduced_chi2", "resonances", "flags"])
+    out.writerow(
+        ["reed", *heads, "rms_cents", "reduced_chi2", "misfit_cents", "resonances", "flags"]
+    )
     for reeds, fit in pieces:
         pairs = np.stack([fit.components, fit.errors], axis=2).reshape(len(reeds), -1)
         for n, reed in enumerate(reeds):
-            numbers = *pairs[n], fit.rms_cents[n], fit.reduced_chi2[n]
+            told = fit.rms_cents[n], fit.reduced_chi2[n], fit.misfit_cents[n]
+            numbers = *pairs[n], *told
             values = ["" if np.isnan(v) else f"{v:.6g}" for v in numbers]
             flags = " ".join(str(flag.name) for flag in Flag(int(fit.flags[n])))
             out.writerow([reed, *values, int(fit.used[n]), flags])

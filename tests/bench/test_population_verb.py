@@ -12,6 +12,8 @@ import pytest
 from acquire.reed_file import ReedFile
 from drivers.simulated.twin import Twin
 from fitting.forward import PaperModel, hz_of, viscoelastic_cents
+from fitting.lines import Line
+from fitting.population_table import Measured
 from fitting.synthetic import modal_cents
 from physics.reed.cache import reduced_reed
 from physics.reed.log_polynomial import finite_element_polynomial
@@ -65,9 +67,35 @@ def test_a_folder_of_runs_is_fitted(cli, measured, folder):
     said = cli("population", measured.a.parent, "--json", "--out", "components.csv")
     assert said.status == 0
     assert said.json["reeds"] == 1
+    # One reed tells of no common line.
+    assert said.json["lines"] == []
     table = Path(said.json["files"]["resonances"])
     assert table == measured.a.parent / "resonances.csv"
     table.unlink()
+
+
+def test_lines_of_the_air_are_told_of_a_folder(cli, folder, monkeypatch, measured):
+    asked = []
+
+    def write(source, table, announce, method):
+        asked.append(method)
+        shutil.copy("reeds.csv", table)
+        return Measured(ReedFile.from_file(), 5, (Line(4285.0, 8.5, 4),))
+
+    monkeypatch.setattr("fitting.population_table.write_resonances", write)
+    Path("reeds.csv").write_text("reed,series,mode,hz\nR1,A,F1,1850\n")
+    Path("runs").mkdir()
+    said = cli("population", "runs", "--model", "paper", "--method", "picture")
+    assert "line of the air at 4285 Hz, +8.5 dB: 4 of 5 reeds show it" in said.out
+    told = cli("population", "runs", "--model", "paper", "--json").json
+    assert told["lines"] == [{"hz": 4285.0, "height_db": 8.5, "reeds": 4}]
+    assert asked == ["picture", "joint"]
+
+
+def test_a_table_is_not_fitted_in_any_way(cli, table):
+    said = cli("population", table, "--method", "picture")
+    assert (said.status, said.out) == (2, "")
+    assert "--method: a table already holds resonances; leave it out" in said.err
 
 
 def test_a_population_of_another_reed_is_fitted_with_its_modes(cli, folder, monkeypatch):

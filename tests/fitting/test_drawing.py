@@ -26,10 +26,12 @@ class DrawnStep:
     noise_level: float = NOISE
 
 
+LINES_HZ = (4308.6,)
+
+
 class DrawnRun:
     """Stands in for a run file: every picture is bright where `bright(x, y)` says."""
 
-    acoustic_lines_hz = (4308.6,)
     sideband_order = 1
 
     def __init__(self, bright, indices=range(1, 61), verdicts=None, white=1e4):
@@ -88,7 +90,7 @@ def half_means(picture):
 
 
 def test_pictures_stand_in_rows_of_26_numbered_by_the_protocol():
-    sheet = contact_sheet(DrawnRun(lambda x, y: x > 0), {})
+    sheet = contact_sheet(DrawnRun(lambda x, y: x > 0), {}, LINES_HZ)
     places = cells(sheet, 60)
     assert [int(text) for *_, text in places] == list(range(1, 61))
     lefts, tops = ([place[axis] for place in places] for axis in (0, 1))
@@ -103,12 +105,12 @@ def test_pictures_stand_in_rows_of_26_numbered_by_the_protocol():
 def test_other_sidebands_are_told_apart_and_are_no_resonances():
     run = DrawnRun(lambda x, y: x > 0, indices=[7, 7, 8, 8])
     run.steps = tuple(replace(step, order=(1, 0)[n % 2]) for n, step in enumerate(run.steps))
-    sheet = contact_sheet(run, {"F1": Resonance("F1", 1838.0, 7.2, 7, 9.0)})
+    sheet = contact_sheet(run, {"F1": Resonance("F1", 1838.0, 7.2, 7, 9.0)}, LINES_HZ)
     assert [text for *_, text in cells(sheet, 4)] == ["7 F1", "7/0", "8", "8/0"]
 
 
 def test_a_short_run_stands_in_one_row():
-    sheet = contact_sheet(DrawnRun(lambda x, y: x > 0, indices=range(44, 77, 2)), {})
+    sheet = contact_sheet(DrawnRun(lambda x, y: x > 0, indices=range(44, 77, 2)), {}, LINES_HZ)
     places = cells(sheet, 17)
     assert len({top for _, top, _ in places}) == 1
     assert [int(text) for *_, text in places] == list(range(44, 77, 2))
@@ -125,7 +127,7 @@ def test_a_short_run_stands_in_one_row():
 )
 def test_the_tip_is_down_and_positive_y_on_the_left(bright, where, dark):
     """As the paper prints its pictures."""
-    sheet = contact_sheet(DrawnRun(bright, indices=[1]), {"F1": resonance("F1", 1)})
+    sheet = contact_sheet(DrawnRun(bright, indices=[1]), {"F1": resonance("F1", 1)}, LINES_HZ)
     (box,) = boxes(sheet)
     left, right, top, bottom = (int(edge) for edge in box)
     halves = half_means(canvas_of(sheet)[top:bottom, left:right])
@@ -135,7 +137,7 @@ def test_the_tip_is_down_and_positive_y_on_the_left(bright, where, dark):
 
 def test_the_picture_of_a_mode_is_marked_and_named_at_its_place():
     found = {"F1": resonance("F1", 19), "T3": resonance("T3", 40), "F3": resonance("F3", 40)}
-    sheet = contact_sheet(DrawnRun(lambda x, y: x > 0), found)
+    sheet = contact_sheet(DrawnRun(lambda x, y: x > 0), found, LINES_HZ)
     named = [place for place in cells(sheet, 60) if " " in place[2]]
     assert [text for *_, text in named] == ["19 F1", "40 T3/F3"]
     plain = {int(text.split()[0]): (x, y) for x, y, text in cells(sheet, 60)}
@@ -149,15 +151,15 @@ def test_the_picture_of_a_mode_is_marked_and_named_at_its_place():
 
 def test_classes_of_modes_have_colours_of_their_own():
     found = {name: resonance(name, k) for name, k in (("F1", 5), ("T1", 9), ("X1", 12))}
-    sheet = contact_sheet(DrawnRun(lambda x, y: x > 0), found)
+    sheet = contact_sheet(DrawnRun(lambda x, y: x > 0), found, LINES_HZ)
     colours = [line.get_color() for line in sheet.axes[0].lines]
     assert len(set(colours)) == 3
 
 
 def test_an_acoustic_line_is_marked_as_one():
     run = DrawnRun(lambda x, y: x > 0, indices=range(70, 90))
-    assert line_steps(run, run.acoustic_lines_hz) == {78}
-    sheet = contact_sheet(run, {"F2": resonance("F2", 85)})
+    assert line_steps(run, LINES_HZ) == {78}
+    sheet = contact_sheet(run, {"F2": resonance("F2", 85)}, LINES_HZ)
     marked = [text for *_, text in cells(sheet, 20) if " " in text]
     assert marked == ["78 line", "85 F2"]
     line, mode = (line.get_color() for line in sheet.axes[0].lines)
@@ -166,7 +168,7 @@ def test_an_acoustic_line_is_marked_as_one():
 
 @pytest.mark.parametrize("indices", [range(1, 70), range(85, 180)])
 def test_a_line_outside_the_sweep_marks_nothing(indices):
-    assert line_steps(DrawnRun(lambda x, y: x > 0, indices=indices), (4308.6,)) == set()
+    assert line_steps(DrawnRun(lambda x, y: x > 0, indices=indices), LINES_HZ) == set()
 
 
 def test_lines_that_were_found_outweigh_those_of_the_bench():
@@ -179,7 +181,7 @@ def test_lines_that_were_found_outweigh_those_of_the_bench():
 def test_bad_steps_say_why_and_steps_without_data_are_dark():
     verdicts = {3: Verdict.SATURATED, 4: Verdict.NO_SIGNAL, 5: Verdict.PENDING}
     run = DrawnRun(lambda x, y: x > 0, indices=range(1, 7), verdicts=verdicts)
-    sheet = contact_sheet(run, {})
+    sheet = contact_sheet(run, {}, LINES_HZ)
     words = [t.get_text() for t in sheet.axes[0].texts if not t.get_text()[0].isdigit()]
     assert words == ["saturated", "no signal", "pending"]
     canvas = canvas_of(sheet)
@@ -190,8 +192,10 @@ def test_bad_steps_say_why_and_steps_without_data_are_dark():
 
 
 def test_a_picture_of_noise_is_not_stretched_to_white():
-    noise = contact_sheet(DrawnRun(lambda x, y: x >= 0, indices=[1], white=NOISE), {})
-    signal = contact_sheet(DrawnRun(lambda x, y: x >= 0, indices=[1], white=1e3 * NOISE), {})
+    noise = contact_sheet(DrawnRun(lambda x, y: x >= 0, indices=[1], white=NOISE), {}, LINES_HZ)
+    signal = contact_sheet(
+        DrawnRun(lambda x, y: x >= 0, indices=[1], white=1e3 * NOISE), {}, LINES_HZ
+    )
     assert canvas_of(noise).max() < 0.35
     assert canvas_of(signal).max() == pytest.approx(1)
 
@@ -226,7 +230,7 @@ def test_a_line_outside_the_sweep_is_not_drawn(fitted):
 
 def test_a_real_sheet_becomes_a_legible_png(fitted, sweep_a):
     with Run.open(sweep_a) as run:
-        png = png_of(contact_sheet(run, fitted.sweeps[0].resonances))
+        png = png_of(contact_sheet(run, fitted.sweeps[0].resonances, LINES_HZ))
     assert png.startswith(b"\x89PNG")
     image = imread(BytesIO(png))
     # 26 pictures side by side, four rows of them, and something to see.

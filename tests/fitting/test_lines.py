@@ -53,12 +53,31 @@ def sweeps(count):
 
 def test_what_stays_from_reed_to_reed_is_common():
     (line,) = common_lines(sweeps(6))
-    assert line.sweeps == 6
+    assert line.reeds == 6
     assert abs(1200 * np.log2(line.hz / DRIVE_HZ[0]) - 1907.5) < 10
 
 
-def test_two_reeds_tell_of_no_common_line():
-    assert common_lines(sweeps(2)) == []
+@pytest.mark.parametrize("reeds", [2, 4])
+def test_two_reeds_tell_of_no_common_line(reeds):
+    """Neither alone nor beside others that do not show it."""
+    assert common_lines([*sweeps(2), *([[]] * (reeds - 2))]) == []
+
+
+def test_features_of_many_reeds_do_not_chain_to_a_line():
+    rng = np.random.default_rng(8)
+    scattered = [[Line(hz, 5.0) for hz in rng.uniform(1500, 19_000, 3)] for _ in range(300)]
+    assert common_lines(scattered) == []
+    with_one = [[*lines, Line(4300 + rng.normal(0, 5), 8.0)] for lines in scattered]
+    (line,) = common_lines(with_one)
+    assert line.reeds >= 290
+    assert line.hz == pytest.approx(4300, abs=3)
+
+
+def test_several_common_lines_come_in_order_of_frequency():
+    reeds = [
+        [Line(9000.0 + k, 4.0), Line(4300.0 + k, 8.0), Line(4500.0 + k, 6.0)] for k in range(5)
+    ]
+    assert [round(line.hz) for line in common_lines(reeds)] == [4302, 4502, 9002]
 
 
 def test_a_line_that_few_reeds_show_is_not_common():

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from acquire.errors import RunFileError
 from acquire.reed_file import ReedFile
 from fitting.errors import FitInputError
 from fitting.fit import FIT_SWEEP
@@ -189,7 +190,9 @@ def test_a_table_appears_whole_or_not_at_all(tmp_path):
 def test_a_folder_of_runs_becomes_a_table(sweep_a, fitted_a, tmp_path):
     said = []
     measured = write_resonances(sweep_a.parent, tmp_path / "table.csv", said.append, "picture")
-    assert measured == Measured(ReedFile.from_file(), ())
+    # Pictures tell of no lines.
+    assert measured == Measured(ReedFile.from_file(), 1, None)
+    assert measured.to_json() is None
     (piece,) = read_resonances(tmp_path / "table.csv", PAPER_MODES)
     assert piece.reeds == (fitted_a.reed,)
     found = {n: r for n, r in fitted_a.resonances.items() if n in PAPER_MODES}
@@ -225,11 +228,30 @@ def test_lines_that_stay_from_reed_to_reed_are_told(changed, monkeypatch, tmp_pa
     monkeypatch.setitem(FIT_SWEEP, "joint", fit)
     measured = write_resonances(tmp_path, tmp_path / "table.csv")
     (line,) = measured.lines
-    assert line.sweeps == 3
+    assert (line.reeds, measured.reeds) == (3, 3)
     assert line.hz == pytest.approx(4285, abs=0.1)
-    said = remarks(PopulationSummary(), measured.lines)
-    assert said == ["line of the air at 4285 Hz, +8.0 dB, in 3 reeds: no reed's"]
+    assert measured.to_json() == [{"hz": line.hz, "height_db": line.height_db, "reeds": 3}]
+    (said,) = remarks(PopulationSummary(), measured)
+    assert said == (
+        "line of the air at 4285 Hz, +8.0 dB: 3 of 3 reeds show it, it is none of theirs"
+    )
     assert len((tmp_path / "table.csv").read_text().splitlines()) == 7
+
+
+def test_damaged_runs_are_told_and_passed_over(changed, monkeypatch, tmp_path):
+    for reed in ("R1", "R2", "R3"):
+        changed(f"{reed}.h5", name=reed)
+
+    def fit(run, reed, model):
+        if run.reed == "R2":
+            raise RunFileError(f"{run.path}: step 3 cannot be read")
+        return SweepWithLines(run)
+
+    monkeypatch.setitem(FIT_SWEEP, "joint", fit)
+    said = []
+    assert write_resonances(tmp_path, tmp_path / "table.csv", said.append).reeds == 2
+    assert f"{tmp_path / 'R2.h5'}: passed over: step 3 cannot be read" in said
+    assert len((tmp_path / "table.csv").read_text().splitlines()) == 3
 
 
 def test_a_folder_without_runs_is_refused(tmp_path):

@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from fitting import populations
 from fitting.errors import FitInputError
 from fitting.forward import PaperModel, hz_of
+from fitting.misfit import added_cents, misfit_factor
 from fitting.paper import adjusted_metamodel
 from fitting.picking import Resonance
 from fitting.populations import (
@@ -19,7 +20,6 @@ from fitting.populations import (
     count_flags,
     fit_population,
     fit_stream,
-    misfit_factor,
 )
 from fitting.reedfit import COMPONENTS, fit_components
 from physics.reed.log_polynomial import REED_BOX, Box, fit_log_polynomial, network_pa
@@ -263,6 +263,56 @@ def test_a_misfit_grows_the_errors_by_its_root(exact):
     grown = loud.errors / stated.errors
     expected = np.sqrt(stated.reduced_chi2[calm, None]) * np.ones(4)
     np.testing.assert_allclose(grown[calm], expected, rtol=1e-3)
+
+
+def test_an_added_error_makes_squares_as_many_as_freedoms():
+    rng = np.random.default_rng(10)
+    residual, errors = rng.normal(0, 20, (50, 11)), rng.uniform(0.3, 10, (50, 11))
+    residual[3, 4:6] = np.nan
+    freedom = np.full(50, 7)
+    added = added_cents(residual, errors, freedom)
+    assert (added > 0).all()
+    squares = np.nansum(residual**2 / (errors**2 + added[:, None] ** 2), axis=1)
+    np.testing.assert_allclose(squares, freedom, rtol=1e-6)
+    np.testing.assert_array_equal(added_cents(0.1 * errors, errors, freedom), np.zeros(50))
+    even = added_cents(residual[:1], np.full((1, 11), 2.0), freedom[:1])
+    assert even == pytest.approx(np.sqrt(np.sum(residual[:1] ** 2) / 7 - 4))
+
+
+def uneven(exact):
+    """Reeds that are 15 cents off the formula, of modes known to 0.3 to 10 cents."""
+    rng = np.random.default_rng(12)
+    errors = rng.permuted(np.broadcast_to(np.geomspace(0.3, 10, 11), exact.shape), axis=2)
+    return exact + np.hypot(errors, 15) * rng.standard_normal(exact.shape), errors
+
+
+def test_the_mode_known_best_does_not_rule_over_all_others(exact, reeds):
+    noisy, errors = uneven(exact)
+    fit = fit_population(noisy, errors, FORMULA)
+    known = fit_population(noisy, np.hypot(errors, 15), FORMULA)
+    missed, least = (np.sqrt(np.mean((f.components - reeds) ** 2, axis=0)) for f in (fit, known))
+    assert (missed < 1.1 * least).all(), (missed, least)
+    normalised = np.sqrt(np.mean(((fit.components - reeds) / fit.errors) ** 2, axis=0))
+    assert (np.abs(normalised - 1) < 0.25).all(), normalised
+    assert np.median(fit.misfit_cents) == pytest.approx(15, rel=0.1)
+
+
+def test_a_misfit_is_that_of_single_reeds(exact):
+    noisy, errors = uneven(exact)
+    fit = fit_population(noisy[:5], errors[:5], FORMULA)
+    for reed in range(5):
+        found = {
+            series: {
+                name: Resonance(name, float(hz_of(noisy[reed, s, m])), errors[reed, s, m], 1, 5.0)
+                for m, name in enumerate(FORMULA.modes)
+            }
+            for s, series in enumerate(Series)
+        }
+        alone = fit_components(found, PaperModel(iterations=30))
+        assert fit.misfit_cents[reed] == pytest.approx(alone.misfit_cents, rel=0.02)
+        for k, name in enumerate(COMPONENTS):
+            assert fit.components[reed, k] == pytest.approx(alone.components[name].value, abs=0.02)
+            assert fit.errors[reed, k] == pytest.approx(alone.components[name].error, rel=0.05)
 
 
 # --- Flags -------------------------------------------------------------------------------------

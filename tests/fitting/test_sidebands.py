@@ -208,6 +208,8 @@ def test_light_is_coupled_to_displacement_with_brightness_and_phase_free(order):
         found = with_it.coupling[k, :-1] - without.coupling[k, :-1]
         assert found == pytest.approx(expected, abs=1e-3 * np.abs(with_it.coupling[k]).max())
         matrix += sweep.weight[k] * (of_light.conj().T @ of_light).real
+    # A hologram that is not there couples nothing.
+    assert with_it.coupling[2] == pytest.approx(without.coupling[2])
     found = with_it.light_matrix - without.light_matrix
     assert found == pytest.approx(matrix, abs=1e-3 * np.abs(matrix).max())
 

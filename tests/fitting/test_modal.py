@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from fitting.displacement import Displacements
+from fitting.errors import FitError
 from fitting.light import SharedError
-from fitting.modal import _LAST, _prior, fit_modes
+from fitting.modal import _LAST, _inverse, _prior, fit_modes
 from fitting.modal_equations import Data, equations
 from fitting.modal_model import Model, State, bend, scalars, terms
 from fitting.shapes import ShapeBasis
@@ -541,3 +542,12 @@ def test_matrices_are_those_of_the_derivatives(point):
     ):
         expected = np.einsum("akx,bkx->ab", one, other) + known
         assert given == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
+
+
+def test_what_has_no_inverse_is_said_with_the_remedy():
+    matrix = np.diag([1.0, 2.0, 3.0])
+    matrix[0, 1] = matrix[1, 0] = 0.3
+    assert _inverse(matrix) == pytest.approx(np.linalg.inv(matrix))
+    matrix[0, 1] = matrix[1, 0] = 2.0
+    with pytest.raises(FitError, match="do not tell the modes of this reed apart"):
+        _inverse(matrix)

@@ -4,12 +4,14 @@ import base64
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from acquire.errors import RunFileError
 from fitting.fit import ReedFit
-from fitting.report import write_report
+from fitting.lines import Line
+from fitting.report import _lines_hz, write_report
 
 VOID = {"meta", "img", "br"}
 NASTY = '<b>&"R07"</b>'
@@ -168,3 +170,9 @@ def test_a_run_that_is_gone_is_an_error(fitted, tmp_path):
     sweep = replace(fitted.sweeps[0], path=Path(tmp_path, "gone.h5"))
     with pytest.raises(RunFileError, match="no such file"):
         write_report(ReedFit((sweep,), None, ""), tmp_path / "page.html")
+
+
+@pytest.mark.parametrize(("joint", "expected"), [(True, [4279.0]), (False, [4308.6])])
+def test_lines_that_a_joint_fit_found_outweigh_those_of_the_bench(joint, expected):
+    sweep = SimpleNamespace(joint=object() if joint else None, lines=[Line(4279.0, 8.0)])
+    assert list(_lines_hz(sweep, SimpleNamespace(acoustic_lines_hz=(4308.6,)))) == expected

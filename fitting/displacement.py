@@ -7,6 +7,7 @@ from a start that `fitting.search` finds; the phase of a hologram is that of its
 ``F(u e^{iθ}) = F(u) e^{iθ}``.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -102,7 +103,7 @@ def refit_displacements(
     phasors: Phasors,
     basis: ShapeBasis,
     before: Displacements,
-    expected_rad: Amplitudes,
+    expected_rad: Sequence[Amplitudes],
     off: NDArray[np.bool_],
     together: Array,
 ) -> Displacements:
@@ -113,8 +114,8 @@ def refit_displacements(
     phasors : Phasors
     basis : ShapeBasis
     before : Displacements
-    expected_rad : (k, j) complex
-        What amplitudes are expected to be, up to a phase of each hologram.
+    expected_rad : sequence of (k, j) complex
+        What amplitudes may be, up to a phase of each hologram.
     off : (k,) bool
         Holograms that are tried from there: they show something else so far, or nothing.
     together : (q,) float
@@ -126,17 +127,19 @@ def refit_displacements(
     size = before.amplitude_rad.shape[1]
     a = before.amplitude_rad + changes[:, :size] + 1j * changes[:, size:]
     steps, gain, misfit = np.flatnonzero(off), before.gain.copy(), before.misfit.copy()
-    u, v = whole.phasors(expected_rad[steps])
-    overlap = (u - 1j * v) * light.conj() * (whole.real[steps] + 1j * whole.imaginary[steps])
-    start = expected_rad[steps] * np.exp(1j * np.angle(overlap.sum(axis=1)))[:, None]
     weak = FINAL_RAD**-2 * np.eye(size)
-    tried, louder, normal = descend(
-        whole, light, steps, (start, np.zeros(len(steps))), DESCENT, weak
-    )
-    found = normal.misfit / whole.seen[steps]
-    better = found < np.minimum(ALIKE * misfit[steps], np.maximum(_FLOOR, enough(phasors)[steps]))
-    chosen = steps[better]
-    a[chosen], gain[chosen], misfit[chosen] = tried[better], louder[better], found[better]
+    good = np.minimum(ALIKE * misfit[steps], np.maximum(_FLOOR, enough(phasors)[steps]))
+    for expected in expected_rad:
+        start = whole.turned(light, steps, expected[steps])
+        tried, louder, normal = descend(
+            whole, light, steps, (start, np.zeros(len(steps))), DESCENT, weak
+        )
+        found = normal.misfit / whole.seen[steps]
+        better = found < good
+        chosen = steps[better]
+        a[chosen], gain[chosen], misfit[chosen] = tried[better], louder[better], found[better]
+        # The next has to be better than this.
+        good = np.where(better, found, good)
     at = Solution(a, gain, light)
     return _finished(whole, phasors, at, np.isfinite(misfit), _QUICK_TURNS)
 

@@ -120,8 +120,9 @@ def _fitted(run: Run, reed: ReducedReed, model: ForwardModel) -> JointFit:
     )
     if np.count_nonzero(modal.off) > _FEW_OFF:
         # Modes know what these holograms should show, and so in which fringes to look.
+        expected_rad = modal.amplitude_rad, _with_usual_drive(modal, phasors.drive_hz)
         displacements = refit_displacements(
-            phasors, basis, displacements, modal.amplitude_rad, modal.off, modal.together
+            phasors, basis, displacements, expected_rad, modal.off, modal.together
         )
         modal = fit_modes(displacements, basis, phasors.drive_hz, phasors.volts, start_hz, modal)
     doubts = _doubts(modal, basis, displacements)
@@ -138,6 +139,19 @@ def _fitted(run: Run, reed: ReducedReed, model: ForwardModel) -> JointFit:
         resonances=dict(sorted(found.items(), key=lambda item: item[1].frequency_hz)),
         not_identified={name: reason for name, reason in doubts.items() if reason},
     )
+
+
+def _with_usual_drive(modal: ModalFit, drive_hz: Array) -> Amplitudes:
+    """Amplitudes (k, j) that holograms would show if those that are off were driven as the others.
+
+    Fringes of the first order fold: beyond 1.84 rad phasors fall again, and displacements may take
+    the one for the other in many holograms in a row, down to the noise. Modes know better, if the
+    drive that follows such displacements is not asked.
+    """
+    log_hz, log_drive, told = np.log(drive_hz), np.log(np.abs(modal.drive)), ~modal.off
+    usual = np.interp(log_hz, log_hz[told], log_drive[told])
+    expected: Amplitudes = modal.amplitude_rad * np.exp(usual - log_drive)[:, None]
+    return expected
 
 
 def _basis(reed: ReducedReed, cane: ViscoelasticCane, phasors: Phasors) -> ShapeBasis:

@@ -117,6 +117,14 @@ class Problem:
         over, _ = self.tensor(u, v)
         return over * u, over * v
 
+    def turned(self, light: Complex, steps: Steps, a: Complex) -> Complex:
+        """Turn amplitudes (s, j) to the phases that holograms (s,) have them in."""
+        u, v = self.phasors(a)
+        seen = self.real[steps] + 1j * self.imaginary[steps]
+        overlap = np.sum((u - 1j * v) * light.conj() * seen, axis=1)
+        turned: Complex = a * np.exp(1j * np.angle(overlap))[:, None]
+        return turned
+
     def displacement(self, a: Complex) -> tuple[Array, Array]:
         """Displacements u of amplitudes (s, j) at all blocks: real and imaginary parts (s, n)."""
         real, imaginary = (np.asarray(p, self.functions.dtype) for p in (a.real, a.imag))

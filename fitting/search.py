@@ -53,6 +53,8 @@ _GRID_TOGETHER = 128
 _NEAR_CENTS = 350.0
 _STARTS, _QUICK = 5, 5
 DESCENT = 6
+# From one hologram to the next all grow or shrink by no more.
+_STEEPEST = 1.7
 # Neighbours are explained alike, unless one is in a wrong fringe: ratio of misfits.
 ALIKE = 1.15
 _CALM_TURNS = 15
@@ -257,7 +259,7 @@ class Search:
         start = np.zeros((1, self.amplitude.shape[1]), complex)
         calm = np.flatnonzero(~self._solved & (self._shown < _STILL_LINEAR))
         for step in calm:
-            self._try(int(step), start, ((self._most, _SEARCH_STRIDE, DESCENT),))
+            self.attempt(int(step), start, ((self._most, _SEARCH_STRIDE, DESCENT),))
         return bool((self.misfit[calm] < _THRESHOLDS[0][0]).any())
 
     def _revise(self) -> None:
@@ -302,18 +304,53 @@ class Search:
         """Try to find the amplitudes of one hologram from those of a neighbour."""
         neighbour = self.amplitude[source]
         scaled = self._on_grid(step, neighbour, _SCALES)[1][0]
-        self._try(step, np.array([scaled]), ((self._most, _SEARCH_STRIDE, _QUICK),))
+        trend = self.trend(step, source)
+        quick = np.array([scaled] if trend is None else [trend, scaled])
+        self.attempt(step, quick, ((self._most, _SEARCH_STRIDE, _QUICK),), trend)
         if self.misfit[step] < ALIKE * max(float(self.misfit[source]), 1):
             return
         starts = np.array([neighbour, *self._starts(step, neighbour)])
-        self._try(
+        self.attempt(
             step,
             starts,
             ((self._few, _GRID_STRIDE, DESCENT), (self._most, _SEARCH_STRIDE, DESCENT)),
         )
 
-    def _try(self, step: int, a: Amplitudes, levels: tuple[tuple[Problem, int, int], ...]) -> None:
-        """Descend from some starts (s, j), first with few of the blocks; the two best go on."""
+    def trend(self, step: int, source: int) -> Amplitudes | None:
+        """Amplitudes (j,) of a neighbour, if they go on growing or shrinking as they did before."""
+        before = 2 * source - step
+        if not (0 <= before < len(self._solved) and self._solved[before]):
+            return None
+        size, former = _size(self.amplitude[[source, before]])
+        a = self.amplitude[source] * np.clip(size / former, 1 / _STEEPEST, _STEEPEST)
+        turned: Amplitudes = self._few.turned(self.light[::_GRID_STRIDE], np.array([step]), a[None])
+        return turned[0]
+
+    def attempt(
+        self,
+        step: int,
+        a: Amplitudes,
+        levels: tuple[tuple[Problem, int, int], ...],
+        near: Amplitudes | None = None,
+    ) -> None:
+        """Descend from some starts to one hologram's amplitudes, and keep them if they are better.
+
+        Parameters
+        ----------
+        step : int
+        a : (s, j) complex
+            Starts; after every level the two best go on.
+        levels : tuple of (problem, stride, turns)
+            First with few of the blocks.
+        near : (j,) complex, optional
+            What is expected.
+
+        Notes
+        -----
+        Of two that explain the hologram alike the one that is nearer to what is expected is taken,
+        if that is told: where phasors fall again beyond 1.84 rad displacements may fold back, and
+        be as smooth as noise lets them be.
+        """
         gain: Array = np.zeros(len(a))
         for problem, stride, turns in levels:
             steps, light = np.full(len(a), step), self.light[::stride]
@@ -321,9 +358,14 @@ class Search:
             a, gain, normal = descend(problem, light, steps, (a, gain), turns, prior)
             best = np.argsort(normal.misfit)[:2]
             a, gain = a[best], gain[best]
-            found = normal.misfit[best[0]] / problem.blocks
-        if found < self.misfit[step]:
-            self.amplitude[step], self.gain[step], self.misfit[step] = a[0], gain[0], found
+            found = normal.misfit[best] / problem.blocks
+        first = 0
+        if near is not None and len(a) > 1 and found[1] < ALIKE * max(found[0], 1):
+            first = int(np.argmin(np.linalg.norm(a - near, axis=1)))
+        if found[first] < self.misfit[step]:
+            self.amplitude[step], self.gain[step], self.misfit[step] = (
+                a[first], gain[first], found[first]
+            )  # fmt: skip
 
     def _starts(self, step: int, neighbour: Amplitudes) -> list[Amplitudes]:
         """Likeliest changes of a neighbour's amplitudes: of one shape, or of all by a factor."""

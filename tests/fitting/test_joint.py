@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,14 @@ from fitting.drawing import png_of
 from fitting.errors import FitInputError
 from fitting.fit import fit_runs, method_name
 from fitting.forward import cents_of
-from fitting.joint import _doubts, _outweighing, _room_cents, mac, residual_map
+from fitting.joint import (
+    _doubts,
+    _outweighing,
+    _room_cents,
+    _with_usual_drive,
+    mac,
+    residual_map,
+)
 from fitting.joint_drawing import mode_sheet
 from fitting.tables import modes_table, not_identified_lines
 
@@ -133,3 +141,16 @@ def test_there_are_two_methods():
     assert method_name("joint") == "joint"
     with pytest.raises(FitInputError, match="choose one of picture, joint"):
         method_name("eye")
+
+
+def test_holograms_that_are_off_are_expected_with_the_drive_of_the_others():
+    hz = np.geomspace(1000, 4000, 21)
+    drive = np.exp(0.3 * np.log(hz)) * np.exp(1j * np.arange(21))
+    amplitude = drive[:, None] * np.array([1.0, 2j])
+    off = np.isin(np.arange(21), np.arange(8, 15))
+    # The drive follows displacements in a wrong fringe, and the model follows the drive.
+    drive[off] *= 0.1
+    modal = SimpleNamespace(
+        drive=drive, amplitude_rad=drive[:, None] * np.array([1.0, 2j]), off=off
+    )
+    assert _with_usual_drive(modal, hz) == pytest.approx(amplitude)

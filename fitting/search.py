@@ -66,6 +66,8 @@ _SHARPEST, _ROOM, _OTHER_SHAPES = 0.1, 5.0, 0.05
 _THRESHOLDS = ((2.5, 1), (4.0, 1), (8.0, 1), (20.0, 1), (20.0, 3))
 # Or the share of the light that may be left.
 _ENOUGH = 0.03
+# A pair of neighbours is tried again in better light, but so often only.
+_MOST_LIGHTS = 3
 # The light is found anew when so many more holograms have been solved.
 _MORE_SOLVED = 1.3
 
@@ -235,19 +237,24 @@ class Search:
 
     def _go_on(self) -> None:
         """From neighbour to neighbour, the better ones first."""
-        # Which light each pair has been tried in.
-        tried: dict[tuple[int, int], int] = {}
+        # Which lights each pair has been tried in.
+        tried: dict[tuple[int, int], list[int]] = {}
         light = 0
+
+        def to_be_tried(pair: tuple[int, int]) -> bool:
+            lights = tried.get(pair, [])
+            return light not in lights and len(lights) < _MOST_LIGHTS
+
         for threshold, reach in _THRESHOLDS:
             good = np.maximum(self._enough, threshold)
             self._solved |= self.misfit < good
             self._relight()
             lit, light = int(self._solved.sum()), light + 1
-            while frontier := [pair for pair in self._frontier(reach) if tried.get(pair) != light]:
+            while frontier := [pair for pair in self._frontier(reach) if to_be_tried(pair)]:
                 for step, source in frontier:
                     if self._solved[step]:
                         continue
-                    tried[step, source] = light
+                    tried.setdefault((step, source), []).append(light)
                     self._solve(step, source)
                     self._solved[step] = self.misfit[step] < good[step]
                     if self._solved.sum() > _MORE_SOLVED * lit + 2:
@@ -323,8 +330,9 @@ class Search:
             return None
         size, former = _size(self.amplitude[[source, before]])
         a = self.amplitude[source] * np.clip(size / former, 1 / _STEEPEST, _STEEPEST)
-        turned: Amplitudes = self._few.turned(self.light[::_GRID_STRIDE], np.array([step]), a[None])
-        return turned[0]
+        light = self.light[::_GRID_STRIDE]
+        (turned,) = self._few.turned(light, np.array([step]), a[None])
+        return np.asarray(turned)
 
     def attempt(
         self,

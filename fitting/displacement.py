@@ -34,8 +34,8 @@ Amplitudes = NDArray[np.complexfloating[Any, Any]]
 Steps = NDArray[np.intp]
 
 _FINAL_TURNS, _QUICK_TURNS = 4, 2
-# If a smaller share of the holograms is explained the search goes on from settled light, so often.
-_ENOUGH, _LOOKS = 0.95, 2
+# If a smaller share of the holograms is explained the search goes on from settled light.
+_ENOUGH = 0.95
 # Beyond this a hologram has not reached the floor of its noise.
 _FLOOR = 30.0
 
@@ -87,16 +87,12 @@ def fit_displacements(phasors: Phasors, basis: ShapeBasis) -> Displacements:
     """
     whole = Problem.of(phasors.value, basis.functions, BesselTable(), phasors.others)
     search = solve(replace(whole, others=()), phasors, basis)
-    turns = _FINAL_TURNS
-    for _ in range(_LOOKS):
-        if search.explained.mean() > _ENOUGH:
-            break
-        # Light that has settled shows more than that of the search.
-        well = search.best_explained
-        better = _finished(whole, phasors, search.solution, well, _QUICK_TURNS)
-        search.go_on_with(Solution(better.amplitude_rad, better.gain, better.light), better.misfit)
-        turns = _QUICK_TURNS
-    return _finished(whole, phasors, search.solution, search.solved, turns)
+    if search.explained.mean() > _ENOUGH:
+        return _finished(whole, phasors, search.solution, search.solved, _FINAL_TURNS)
+    # Light that has settled shows more than that of the search.
+    better = _finished(whole, phasors, search.solution, search.best_explained, _QUICK_TURNS)
+    search.go_on_with(Solution(better.amplitude_rad, better.gain, better.light), better.misfit)
+    return _finished(whole, phasors, search.solution, search.solved, _QUICK_TURNS)
 
 
 def refit_displacements(

@@ -28,6 +28,8 @@ _WHITE_PERCENTILE = 99.0
 _DARKEST_WHITE = 12.0
 # How far to either side of its peak the fringes of a mode are drawn.
 _SHOWN_OCTAVES = 0.12
+# Names of peaks: how near they stand, width and height of two short lines, and room beside them.
+_LOWEST_PT, _LABEL_PT, _MARGIN = 8.0, (50.0, 24.0), 1.05
 _CLASS_COLOUR = {"F": "#4cc9f0", "T": "#ffb703", "X": "#80ed99", "L": "#f4a3ff"}
 _DARK_COLOUR = {"F": "#0077b6", "T": "#d97706", "X": "#2b8a3e", "L": "#8e44ad"}
 # Modes of the heel, and such as have no name.
@@ -155,7 +157,10 @@ def response_plot(sweep: SweepFit, lines_hz: Sequence[float]) -> Figure:
     axes = figure.add_subplot()
     hz, amplitude = sweep.response.drive_hz, sweep.response.amplitude_rad
     axes.plot(hz, sweep.response.phase_rad, color="0.25", linewidth=1.2, label="whole reed, rms")
-    for place, (name, found) in enumerate(sweep.resonances.items()):
+    _dress(axes, hz, amplitude)
+    peaks = [(found.frequency_hz, found.amplitude_rad) for found in sweep.resonances.values()]
+    heights = label_heights(axes.transData.transform(peaks) * 72 / figure.dpi) if peaks else []
+    for (name, found), height in zip(sweep.resonances.items(), heights, strict=True):
         near = np.abs(np.log2(hz / found.frequency_hz)) < _SHOWN_OCTAVES
         colour = _DARK_COLOUR.get(name[0], _OTHER_COLOUR)
         axes.plot(
@@ -165,8 +170,7 @@ def response_plot(sweep: SweepFit, lines_hz: Sequence[float]) -> Figure:
         axes.annotate(
             f"{name}\n{found.frequency_hz:.0f} Hz",
             (found.frequency_hz, found.amplitude_rad),
-            # Neighbours come in alternation: every second name stands higher.
-            xytext=(0, 8 if place % 2 == 0 else 34), textcoords="offset points", ha="center",
+            xytext=(0, height), textcoords="offset points", ha="center",
             fontsize=8, color=colour, arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.5},
         )  # fmt: skip
     what = "line of the drive" if sweep.joint else "acoustic line"
@@ -177,7 +181,6 @@ def response_plot(sweep: SweepFit, lines_hz: Sequence[float]) -> Figure:
                 f"{what} {line:.0f} Hz", (line, 0.02), xycoords=("data", "axes fraction"),
                 rotation=90, ha="right", va="bottom", fontsize=8, color=_LINE_COLOUR,
             )  # fmt: skip
-    _dress(axes, amplitude)
     for letter, word in (
         ("F", "flexural"), ("T", "transversal"), ("X", "generic"), ("L", "lateral"),
     ):  # fmt: skip
@@ -189,10 +192,27 @@ def response_plot(sweep: SweepFit, lines_hz: Sequence[float]) -> Figure:
     return figure
 
 
-def _dress(axes: Any, amplitude: Array) -> None:
+def label_heights(peaks_pt: Array) -> list[float]:
+    """Heights in points at which names stand above peaks (n, 2) and not on each other."""
+    placed: list[tuple[float, float]] = []
+    heights = []
+    for x, y in np.asarray(peaks_pt):
+        height = _LOWEST_PT
+        while any(
+            abs(x - there) < _LABEL_PT[0] and abs(y + height - at) < _LABEL_PT[1]
+            for there, at in placed
+        ):
+            height += 1.0
+        placed.append((float(x), float(y) + height))
+        heights.append(height)
+    return heights
+
+
+def _dress(axes: Any, hz: Array, amplitude: Array) -> None:
     """Axes of the response plot: logarithmic, with plain numbers."""
     axes.set_xscale("log")
     axes.set_yscale("log")
+    axes.set_xlim(hz.min() / _MARGIN, hz.max() * _MARGIN)
     axes.set_ylim(0.05, 4 * max(float(amplitude.max()), 1.0))
     ticks = [1500, 2000, 3000, 4000, 5000, 7000, 10000, 14000, 20000]
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])

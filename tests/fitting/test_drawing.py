@@ -10,7 +10,7 @@ from matplotlib.image import imread
 
 from acquire.quality import Verdict
 from acquire.runfile import Run
-from fitting.drawing import PER_ROW, contact_sheet, line_steps, png_of, response_plot
+from fitting.drawing import PER_ROW, contact_sheet, label_heights, line_steps, png_of, response_plot
 from fitting.picking import Resonance
 
 NOISE = 10.0
@@ -169,6 +169,20 @@ def test_an_acoustic_line_is_marked_as_one():
 @pytest.mark.parametrize("indices", [range(1, 70), range(85, 180)])
 def test_a_line_outside_the_sweep_marks_nothing(indices):
     assert line_steps(DrawnRun(lambda x, y: x > 0, indices=indices), LINES_HZ) == set()
+
+
+def test_names_of_peaks_do_not_stand_on_each_other():
+    rng = np.random.default_rng(2)
+    peaks = np.sort(rng.uniform(0, 600, 14))[:, None] * [1, 0] + rng.uniform(0, 80, (14, 1)) * [
+        0,
+        1,
+    ]
+    heights = np.array(label_heights(peaks))
+    assert (heights >= 8).all()
+    assert heights[0] == 8
+    x, y = peaks[:, 0], peaks[:, 1] + heights
+    apart = (np.abs(np.subtract.outer(x, x)) >= 50) | (np.abs(np.subtract.outer(y, y)) >= 24)
+    assert (apart | np.eye(14, dtype=bool)).all()
 
 
 def test_lines_that_were_found_outweigh_those_of_the_bench():

@@ -46,7 +46,7 @@ _PERTURBATION, _MOST_MIXING, _LEAST_MIXING = 0.08, 0.5, 5e-3
 # Participations are expected to be within 3 times of what the stage before found.
 _SCALE = 3.0
 _LEAST_SCALE = 3e-3
-_LEAST_PROGRESS = 2e-3
+_LEAST_PROGRESS = 3e-4
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e8
 # What rounding may take off the smallest eigenvalues of a matrix of units, in single and double
 # precision.
@@ -87,7 +87,7 @@ _STAGES = (
     _Stage(0.1, 0.3, 0.01, 0.3, 3),
     _Stage(0.03, 0.5, 0.01, 1.0, 4),
 )
-_LAST = _Stage(0.015, 0.7, 0.02, 1.0, 4)
+_LAST = _Stage(0.015, 0.7, 0.02, 1.0, 12)
 
 
 @dataclass(frozen=True)

@@ -111,7 +111,8 @@ def refit_displacements(
     basis : ShapeBasis
     before : Displacements
     expected_rad : sequence of (k, j) complex
-        What amplitudes may be, up to a phase of each hologram.
+        What amplitudes may be, up to a phase of each hologram; of those that explain a hologram
+        alike the last counts.
     off : (k,) bool
         Holograms that are tried from there: they show something else so far, or nothing.
     together : (q,) float
@@ -134,8 +135,8 @@ def refit_displacements(
         better = found < good
         chosen = steps[better]
         a[chosen], gain[chosen], misfit[chosen] = tried[better], louder[better], found[better]
-        # The next has to be better than this.
-        good = np.where(better, found, good)
+        alike = np.minimum(good, ALIKE * np.maximum(found, 1))
+        good = np.where(better, alike, good)
     at = Solution(a, gain, light)
     return _finished(whole, phasors, at, np.isfinite(misfit), _QUICK_TURNS)
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FitInputError
-from fitting.misfit import added_cents, is_misfit, misfit_factor
+from fitting.misfit import added_cents, is_misfit
 from physics.reed.metamodel import REFERENCE_HZ, Metamodel
 from physics.reed.viscoelastic import Series, StorageModulus, h4_matrix, storage_modulus
 
@@ -532,7 +532,7 @@ def _conclude(problem: _Problem, best: _Best, observed: Array, weights: Array) -
     flags |= np.where(best.settled, 0, Flag.NOT_CONVERGED)
     return PopulationFit(
         components=np.where(known, components, np.nan).T,
-        errors=np.where(known, np.sqrt(variance * misfit_factor(reduced_chi2, freedom)), np.inf).T,
+        errors=np.where(known, np.sqrt(variance), np.inf).T,
         reduced_chi2=reduced_chi2,
         misfit_cents=np.zeros(len(number)),
         residual_cents=np.where(used, residual, np.nan).T,

@@ -9,6 +9,7 @@ from scipy.special import j1
 from fitting.bessel import BesselTable
 from fitting.displacement import Displacements, fit_displacements, refit_displacements
 from fitting.errors import FitError
+from fitting.light import SharedError, smooth_functions
 from fitting.linear import Normal, Problem, normal
 from fitting.phasors import Phasors
 from fitting.search import Search
@@ -410,6 +411,29 @@ def plateau():
     u = modal @ dim.basis.shapes @ dim.basis.functions.T.astype(float)
     value = (dim.light * moved(u) + complex_normal(rng, *u.shape)).T
     return with_value(replace(dim, modal=modal, gain=np.zeros(84)), value)
+
+
+@pytest.mark.parametrize("last", [1.0, 0.4])
+def test_of_expectations_that_are_alike_the_last_counts(plateau, last):
+    """Of two branches of the first fringe, which both explain what is seen."""
+    size = plateau.basis.functions.shape[1]
+    smooth = smooth_functions(plateau.phasors.x_m, plateau.phasors.y_m)
+    nothing = np.zeros(2 * smooth.shape[1] - 1)
+    shared = SharedError(np.zeros((84, 2 * size, len(nothing))), np.eye(len(nothing)))
+    before = Displacements(
+        amplitude_rad=plateau.true_rad.copy(),
+        information=np.zeros((84, 2 * size, 2 * size)),
+        shared=shared,
+        misfit=np.ones(84),
+        gain=np.zeros(84),
+        light=plateau.light.astype(np.complex64),
+        reached=np.ones(84, dtype=bool),
+    )
+    off = np.isin(np.arange(84), np.arange(26, 50, 4))
+    several = [factor * plateau.true_rad for factor in (1.4 - last, last)]
+    found = refit_displacements(plateau.phasors, plateau.basis, before, several, off, nothing)
+    shares = share_of_error(plateau, found)[off]
+    assert (shares < 0.15).all() if last == 1 else (shares > 0.3).all()
 
 
 @pytest.fixture

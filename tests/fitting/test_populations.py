@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from fitting import populations
 from fitting.errors import FitInputError
 from fitting.forward import PaperModel, hz_of
-from fitting.misfit import added_cents, misfit_factor
+from fitting.misfit import added_cents, is_misfit
 from fitting.paper import adjusted_metamodel
 from fitting.picking import Resonance
 from fitting.populations import (
@@ -246,12 +246,12 @@ def test_a_resonance_of_great_error_pulls_at_nothing(exact):
 # --- Misfit ------------------------------------------------------------------------------------
 
 
-def test_only_a_misfit_that_chance_does_not_explain_is_charged():
+def test_only_what_chance_does_not_explain_is_a_misfit():
     for freedom in (1, 7, 18):
         limit = chi2.isf(0.05, freedom) / freedom
-        reduced = np.array([0.0, 0.3, 0.999 * limit, 1.001 * limit, 30.0])
-        factor = misfit_factor(reduced, np.full(5, freedom))
-        np.testing.assert_allclose(factor, [1, 1, 1, 1.001 * limit, 30.0])
+        reduced = np.array([0.0, 0.3, 0.999 * limit, 1.001 * limit, 30.0, np.nan])
+        expected = [False, False, False, True, True, False]
+        assert is_misfit(reduced, np.full(6, freedom)).tolist() == expected
 
 
 def test_a_misfit_grows_the_errors_by_its_root(exact):

@@ -28,11 +28,6 @@ def is_misfit(reduced_chi2: Array | float, freedom: Array | int) -> Mask:
     return unlikely
 
 
-def misfit_factor(reduced_chi2: Array | float, freedom: Array | int) -> Array:
-    """Factor on variances that charges a misfit to them, if there is one."""
-    return np.where(is_misfit(reduced_chi2, freedom), reduced_chi2, 1.0)
-
-
 def added_cents(residual_cents: Array, error_cents: Array, freedom: Array) -> Array:
     """Standard deviation that, added to the errors, makes residuals as large as they should be.
 

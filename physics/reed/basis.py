@@ -149,6 +149,26 @@ class _Elements:
 
 
 @dataclass(frozen=True)
+class HalfShapes:
+    """Shapes of a basis at all nodes of half a reed.
+
+    Attributes
+    ----------
+    mesh : HalfReedMesh
+    matrices : ReedMatrices
+    middle : Cane
+        Material in the middle of the box.
+    shapes : dict of (n, 3, r) float
+        Displacements at the nodes, per `Symmetry`; zero under the strip.
+    """
+
+    mesh: HalfReedMesh
+    matrices: ReedMatrices
+    middle: Cane
+    shapes: dict[Symmetry, Array]
+
+
+@dataclass(frozen=True)
 class _Middle:
     """What the material in the middle of the box gives.
 
@@ -175,6 +195,17 @@ def build_reduced_reed(
     Raises
     ------
     ValueError
+        As `half_shapes`.
+    """
+    return reduced(geometry, settings, half_shapes(geometry, level, settings))
+
+
+def half_shapes(geometry: ReedGeometry, level: MeshLevel, settings: BasisSettings) -> HalfShapes:
+    """Compute the shapes of a basis from finite-element snapshots.
+
+    Raises
+    ------
+    ValueError
         For an impossible geometry or material (see `build_mesh`, `stiffness_terms_pa`), and one
         that has over 100 modes of a symmetry below 20 kHz.
     """
@@ -197,9 +228,27 @@ def build_reduced_reed(
             return _basis(part, middle, corners, modes, size)
 
         bases = list(pool.map(basis, parts, middles))
-    halves = {
-        symmetry: _reduced(geometry, part, basis, faces, middle_cane)
+    shapes = {
+        symmetry: _at_nodes(part, basis)
         for symmetry, part, basis in zip(Symmetry, parts, bases, strict=True)
+    }
+    return HalfShapes(mesh, matrices, middle_cane, shapes)
+
+
+def _at_nodes(part: _Elements, basis: Array) -> Array:
+    """Displacements (n, 3, r) at all nodes of a basis (f, r)."""
+    full = np.zeros((3 * len(part.mesh.nodes_m), basis.shape[1]))
+    full[part.free] = basis
+    return full.reshape(-1, 3, basis.shape[1])
+
+
+def reduced(geometry: ReedGeometry, settings: BasisSettings, whole: HalfShapes) -> ReducedReed:
+    """Project everything on the shapes of a basis."""
+    mesh = whole.mesh
+    points, faces = flat_side(mesh)
+    halves = {
+        symmetry: _reduced(geometry, whole, shapes, faces)
+        for symmetry, shapes in whole.shapes.items()
     }
     columns = mesh.nodes_m.reshape(*mesh.block, 3)[:, :, -1, :2].reshape(-1, 2)
     return ReducedReed(geometry, settings.cane, columns, points, halves)
@@ -260,25 +309,18 @@ def _basis(
 
 
 def _reduced(
-    geometry: ReedGeometry,
-    part: _Elements,
-    basis: Array,
-    faces: sparse.csr_array,
-    middle_cane: Cane,
+    geometry: ReedGeometry, whole: HalfShapes, shapes: Array, faces: sparse.csr_array
 ) -> HalfBasis:
-    """Project everything on a basis (f, r)."""
-    mesh, node_mass, size = part.mesh, part.matrices.mass, basis.shape[1]
-    full = np.zeros((3 * len(mesh.nodes_m), size))
-    full[part.free] = basis
-    shapes = full.reshape(-1, 3, size)
+    """Project everything on shapes (n, 3, r)."""
+    mesh, node_mass, size = whole.mesh, whole.matrices.mass, shapes.shape[2]
     lateral, vertical = shapes[:, 1], shapes[:, 2]
     bark = vertical.reshape(*mesh.block, size)[:, :, -1]
     heel = vertical * (mesh.nodes_m[:, :1] > geometry.vamp_x_m[-1])
     plan_m = mesh.nodes_m.reshape(*mesh.block, 3)[:, :, -1, :2]
     profiles, vamp = vamp_profiles(plan_m, bark, geometry.vamp_x_m[-1])
-    stiffness_terms = projected_stiffness(part.matrices, shapes)
-    unit_mass = basis.T @ (part.mass @ basis)
-    middle_pa, density_kg_m3 = stiffness_terms_pa(middle_cane), middle_cane.density_kg_m3
+    stiffness_terms = projected_stiffness(whole.matrices, shapes)
+    unit_mass = np.sum([u.T @ (node_mass @ u) for u in shapes.transpose(1, 0, 2)], axis=0)
+    middle_pa, density_kg_m3 = stiffness_terms_pa(whole.middle), whole.middle.density_kg_m3
     return HalfBasis(
         stiffness_terms=stiffness_terms,
         mass=unit_mass,

@@ -252,7 +252,9 @@ def likenesses(profiles: Array, square: Array, *, symmetric: bool) -> list[dict[
     orders = range(0 if symmetric else 1, _WIDTH_ORDERS, 2)
     own = profiles[:, orders]
     energy = np.sum(own**2, axis=0)
-    shares = energy / np.maximum(square, energy.sum(axis=0))
+    whole = np.maximum(square, energy.sum(axis=0))
+    # A part of a motion that does not move bears out no name.
+    shares = energy / np.where(whole > 0, whole, 1.0)
     nodes = _nodal_lines(own)
     return [
         {

@@ -1,0 +1,399 @@
+"""Changes of a reed, and the vibrations of a reed that is changed, driven by cane and air alike.
+
+A change is what a layer, a mass or a clamp that yields adds to stiffness, mass and compliance, in
+the coordinates of an `Anatomy`: those of symmetric motion, then those of antisymmetric. Changes
+are vectors: they may be multiplied by an amount and added.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+from scipy.interpolate import CubicSpline
+
+from physics.reed.anatomy import Anatomy
+from physics.reed.fem import Symmetry
+from physics.reed.material import STIFFNESS_TERMS, Cane, stiffness_terms_pa
+
+Array = NDArray[np.floating[Any]]
+
+# Modes of either symmetry, of fixed moduli, whose span holds all modes with moduli of their own
+# frequency.
+_SPAN = 28
+# ... at this share of the highest frequency.
+_MIDDLE_SHARE = 0.25
+# A clamp's yielding in a direction counts if it is more than this share of the greatest.
+_LEAST_SHARE = 1e-12
+_SETTLED_CENTS = 1e-3
+_MOST_ITERATIONS = 30
+
+
+@dataclass(frozen=True)
+class Change:
+    """What is added to a reed, in s coordinates; m of either symmetry move its strip.
+
+    Attributes
+    ----------
+    stiffness_terms : (9, s, s) float
+        Per unit of each independent stiffness of the cane.
+    mass : (s, s) float
+        Per unit density.
+    mass_kg : (s, s) float
+        Of what is no cane.
+    compliance_m_n : (2m, 2m) float
+        Of what holds the strip.
+    """
+
+    stiffness_terms: Array
+    mass: Array
+    mass_kg: Array
+    compliance_m_n: Array
+
+    def __add__(self, other: "Change") -> "Change":
+        return Change(
+            self.stiffness_terms + other.stiffness_terms,
+            self.mass + other.mass,
+            self.mass_kg + other.mass_kg,
+            self.compliance_m_n + other.compliance_m_n,
+        )
+
+    def __rmul__(self, amount: float) -> "Change":
+        return Change(
+            amount * self.stiffness_terms,
+            amount * self.mass,
+            amount * self.mass_kg,
+            amount * self.compliance_m_n,
+        )
+
+
+def unchanged(anatomy: Anatomy) -> Change:
+    """Nothing added."""
+    sizes = [half.mass.shape[0] for half in anatomy.reed.halves.values()]
+    s, m = sum(sizes), len(sizes) * len(anatomy.strip_m2)
+    return Change(np.zeros((9, s, s)), np.zeros((s, s)), np.zeros((s, s)), np.zeros((m, m)))
+
+
+def layer(anatomy: Anatomy, thickness: Callable[[Array, Array], Array]) -> Change:
+    """Cane grown on the bark side.
+
+    Parameters
+    ----------
+    anatomy : Anatomy
+    thickness : callable
+        In m at points (x, y), y of either sign; holds in first order.
+    """
+    weights = _even_odd(anatomy, thickness)
+    return Change(
+        _strain_terms(anatomy, weights),
+        _products(anatomy.motion, weights),
+        *_nothing_more(anatomy),
+    )
+
+
+def softening(anatomy: Anatomy, depth: Callable[[Array, Array], Array]) -> Change:
+    """Stiffness along the grain lost under the bark side, as by a crack; the mass stays.
+
+    Parameters
+    ----------
+    anatomy : Anatomy
+    depth : callable
+        In m at points (x, y): of cane that carries nothing along the grain.
+    """
+    weights = tuple(-part for part in _even_odd(anatomy, depth))
+    terms = _strain_terms(anatomy, weights)
+    terms[[not term.startswith("1") for term in STIFFNESS_TERMS]] = 0
+    none = unchanged(anatomy)
+    return Change(terms, none.mass, none.mass_kg, none.compliance_m_n)
+
+
+def added_mass(anatomy: Anatomy, kg_m2: Callable[[Array, Array], Array]) -> Change:
+    """Mass that sticks to the bark side: water, wax.
+
+    Parameters
+    ----------
+    anatomy : Anatomy
+    kg_m2 : callable
+        At points (x, y).
+    """
+    none = unchanged(anatomy)
+    mass_kg = _products(anatomy.motion, _even_odd(anatomy, kg_m2))
+    return Change(none.stiffness_terms, none.mass, mass_kg, none.compliance_m_n)
+
+
+def yielding_clamp(anatomy: Anatomy, left_m3_n: float, right_m3_n: float) -> Change:
+    """Strips on elastic beds.
+
+    Parameters
+    ----------
+    anatomy : Anatomy
+    left_m3_n, right_m3_n : float
+        Yielding in m per Pa of the strips at positive and negative y.
+    """
+    own = np.linalg.inv(anatomy.strip_m2)
+    mean, difference = 0.5 * (left_m3_n + right_m3_n), 0.5 * (left_m3_n - right_m3_n)
+    none = unchanged(anatomy)
+    compliance = np.block([[mean * own, difference * own], [difference * own, mean * own]])
+    return Change(none.stiffness_terms, none.mass, none.mass_kg, compliance)
+
+
+@dataclass(frozen=True)
+class AirLoad:
+    """What the air around a reed adds, in the s coordinates of a `Change`.
+
+    Attributes
+    ----------
+    hz : (f,) float
+        Frequencies, ascending.
+    mass_kg : (f, s, s) float
+        Moved along.
+    resistance_kg_s : (f, s, s) float
+        Of sound that is radiated.
+    """
+
+    hz: Array
+    mass_kg: Array
+    resistance_kg_s: Array
+
+
+@dataclass(frozen=True)
+class Vibrations:
+    """Modes of a changed reed, each with cane and air of its own frequency.
+
+    Attributes
+    ----------
+    hz : (m,) float
+        Ascending.
+    coordinates : (s, m) float
+        Shapes, mass-normalised over half the reed where they have a symmetry.
+    radiated : (m,) float
+        Loss factor by what air takes away.
+    """
+
+    hz: Array
+    coordinates: Array
+    radiated: Array
+
+
+def vibrations(
+    anatomy: Anatomy,
+    change: Change,
+    material: Callable[[float], Cane],
+    highest_hz: float,
+    air: AirLoad | None = None,
+) -> Vibrations:
+    """Modes of a changed reed up to a frequency.
+
+    By Rayleigh's and Ritz's method in the span of the modes with the moduli of one frequency.
+
+    Parameters
+    ----------
+    anatomy : Anatomy
+    change : Change
+    material : callable
+        Cane at a frequency in Hz.
+    highest_hz : float
+    air : AirLoad, optional
+        Vacuum if not given.
+
+    Raises
+    ------
+    ValueError
+        If moduli grow too fast with frequency for modes to settle, or a change leaves no reed.
+    """
+    found = [
+        _settled(span, material, highest_hz)
+        for span in _spans(anatomy, change, material(_MIDDLE_SHARE * highest_hz), air)
+    ]
+    hz, coordinates, radiated = (np.concatenate(p, axis=-1) for p in zip(*found, strict=True))
+    order = np.argsort(hz)
+    return Vibrations(hz[order], coordinates[:, order], radiated[order])
+
+
+@dataclass(frozen=True)
+class _Span:
+    """What a few shapes (s, n) make of a changed reed.
+
+    Attributes
+    ----------
+    shapes : (s, n) float
+    stiffness_terms : (9, n, n) float
+    springs_n_m : (n, n) float
+        Of the clamp.
+    mass, mass_kg : (n, n) float
+    air_kg, resistance_kg_s : callable
+        At frequencies (m,): (m, n, n).
+    """
+
+    shapes: Array
+    stiffness_terms: Array
+    springs_n_m: Array
+    mass: Array
+    mass_kg: Array
+    air_kg: Callable[[Array], Array]
+    resistance_kg_s: Callable[[Array], Array]
+
+
+def _spans(anatomy: Anatomy, change: Change, cane: Cane, air: AirLoad | None) -> Iterator[_Span]:
+    """Yield spans of low modes: one per symmetry, or one if the change couples them."""
+    halves = list(anatomy.reed.halves.values())
+    terms = np.stack(
+        [linalg.block_diag(*t) for t in zip(*[h.stiffness_terms for h in halves], strict=True)]
+    )
+    terms += change.stiffness_terms
+    mass = linalg.block_diag(*[half.mass for half in halves]) + change.mass
+    stiffness = np.tensordot(stiffness_terms_pa(cane), terms, axes=1)
+    inertia = cane.density_kg_m3 * mass + change.mass_kg
+    for into, springs, count in _coordinates(anatomy, change):
+        held = into.T @ stiffness @ into + springs
+        # The clamp's own coordinates have no mass if it hardly yields: the inverse problem minds
+        # that less.
+        size = held.shape[0]
+        vectors = linalg.eigh(
+            into.T @ inertia @ into, held, subset_by_index=[size - min(count, size), size - 1]
+        )[1]
+        shapes = into @ vectors
+        yield _Span(
+            shapes=shapes,
+            stiffness_terms=shapes.T @ terms @ shapes,
+            springs_n_m=vectors.T @ springs @ vectors,
+            mass=shapes.T @ mass @ shapes,
+            mass_kg=shapes.T @ change.mass_kg @ shapes,
+            air_kg=_at_frequencies(air and (air.hz, air.mass_kg), shapes),
+            resistance_kg_s=_at_frequencies(air and (air.hz, air.resistance_kg_s), shapes),
+        )
+
+
+def _coordinates(anatomy: Anatomy, change: Change) -> Iterator[tuple[Array, Array, int]]:
+    """Coordinates (s, c) that are solved for together, their springs (c, c), and modes wanted.
+
+    Those of the strip are taken in units in which each stores the energy of a unit spring: a clamp
+    that does not yield has none.
+    """
+    sizes = [half.mass.shape[0] for half in anatomy.reed.halves.values()]
+    held = list(anatomy.clamped.values())
+    starts = np.cumsum([0, *sizes[:-1]])
+    m = len(anatomy.strip_m2)
+    strip = np.concatenate(
+        [start + n + np.arange(m) for start, n in zip(starts, held, strict=True)]
+    )
+    values, vectors = linalg.eigh(change.compliance_m_n)
+    kept = values > _LEAST_SHARE * max(values.max(), 0.0)
+    yielding = np.zeros((sum(sizes), np.count_nonzero(kept)))
+    yielding[strip] = vectors[:, kept] * np.sqrt(values[kept])
+    at_rest = [
+        np.eye(sum(sizes))[:, start : start + n] for start, n in zip(starts, held, strict=True)
+    ]
+    if _couples(change, sizes[0], m):
+        into = np.hstack([*at_rest, yielding])
+        springs = np.diag(np.repeat([0.0, 1.0], [sum(held), yielding.shape[1]]))
+        yield into, springs, len(sizes) * _SPAN
+        return
+    for number, (start, size) in enumerate(zip(starts, sizes, strict=True)):
+        own = np.any(yielding[start : start + size], axis=0)
+        into = np.hstack([at_rest[number], yielding[:, own]])
+        springs = np.diag(np.repeat([0.0, 1.0], [held[number], np.count_nonzero(own)]))
+        yield into, springs, _SPAN
+
+
+def _couples(change: Change, first: int, strip: int) -> bool:
+    """Whether a change makes motions of either symmetry excite the other."""
+    return bool(
+        np.any(change.stiffness_terms[:, :first, first:])
+        or np.any(change.mass[:first, first:])
+        or np.any(change.mass_kg[:first, first:])
+        or np.any(change.compliance_m_n[:strip, strip:])
+    )
+
+
+def _at_frequencies(table: tuple[Array, Array] | None, shapes: Array) -> Callable[[Array], Array]:
+    """Interpolate matrices (f, s, s), given between shapes (s, n), or none."""
+    if table is None:
+        return lambda hz: np.zeros((len(hz), shapes.shape[1], shapes.shape[1]))
+    hz, matrices = table
+    spline = CubicSpline(np.log(hz), shapes.T @ matrices @ shapes)
+    return lambda asked_hz: np.asarray(spline(np.log(asked_hz)))
+
+
+def _settled(
+    span: _Span, material: Callable[[float], Cane], highest_hz: float
+) -> tuple[Array, Array, Array]:
+    """Frequencies (m,), shapes (s, m) and radiated loss (m,) of modes, each settled by number."""
+    number = np.arange(
+        _solved(span, material, np.array([highest_hz]))[0][0].searchsorted(highest_hz)
+    )
+    hz = np.full(len(number), highest_hz)
+    for _ in range(_MOST_ITERATIONS):
+        all_hz, vectors = _solved(span, material, hz)
+        previous, hz = hz, all_hz[number, number]
+        if not number.size or np.abs(1200 * np.log2(hz / previous)).max() < _SETTLED_CENTS:
+            break
+    else:
+        raise ValueError(
+            "modes do not settle: the moduli of this cane grow too fast with frequency"
+        )
+    own = vectors[number, :, number]
+    damped = np.einsum("mi,mij,mj->m", own, span.resistance_kg_s(hz), own, optimize=True)
+    return hz, span.shapes @ own.T, damped / (2 * np.pi * hz)
+
+
+def _solved(span: _Span, material: Callable[[float], Cane], hz: Array) -> tuple[Array, Array]:
+    """Eigenfrequencies (m, n) and mass-normalised vectors (m, n, n) with what holds at (m,)."""
+    canes = [material(float(f)) for f in hz]
+    moduli = np.array([stiffness_terms_pa(cane) for cane in canes])
+    density = np.array([cane.density_kg_m3 for cane in canes])[:, None, None]
+    K = np.tensordot(moduli, span.stiffness_terms, axes=1) + span.springs_n_m
+    root = np.linalg.cholesky(density * span.mass + span.mass_kg + span.air_kg(hz))
+    half = np.linalg.solve(root, K)
+    values, vectors = np.linalg.eigh(np.linalg.solve(root, half.transpose(0, 2, 1)))
+    own = np.linalg.solve(root.transpose(0, 2, 1), vectors)
+    return np.sqrt(np.clip(values, 0, None)) / (2 * np.pi), own
+
+
+def _nothing_more(anatomy: Anatomy) -> tuple[Array, Array]:
+    none = unchanged(anatomy)
+    return none.mass_kg, none.compliance_m_n
+
+
+def _even_odd(anatomy: Anatomy, function: Callable[[Array, Array], Array]) -> tuple[Array, Array]:
+    """Even and odd parts (q,) of a function of the vamp's plan, times the area of each point."""
+    x, y = anatomy.bark_m.T
+    area = anatomy.area_m2 * (x < anatomy.reed.geometry.vamp_x_m[-1])
+    left, right = function(x, y), function(x, -y)
+    return 0.5 * area * (left + right), 0.5 * area * (left - right)
+
+
+def _strain_terms(anatomy: Anatomy, weights: tuple[Array, Array]) -> Array:
+    """Strain energy (9, s, s) in a layer of even and odd thickness times area (q,)."""
+    return np.stack(
+        [
+            _products(
+                {s: strain[[int(term[0]) - 1, int(term[1]) - 1]] for s, strain in both.items()},
+                weights,
+                pairs=((0, 1),) if term[0] == term[1] else ((0, 1), (1, 0)),
+            )
+            for term, both in ((term, anatomy.strain) for term in STIFFNESS_TERMS)
+        ]
+    )
+
+
+def _products(
+    fields: dict[Symmetry, Array],
+    weights: tuple[Array, Array],
+    pairs: tuple[tuple[int, int], ...] = ((0, 0), (1, 1), (2, 2)),
+) -> Array:
+    """Integrals (s, s) of products of components of fields (c, q, r) of either symmetry."""
+    even, odd = weights
+    blocks = [
+        [
+            sum(
+                fields[a][i].T @ ((even if a is b else odd)[:, None] * fields[b][j])
+                for i, j in pairs
+            )
+            for b in Symmetry
+        ]
+        for a in Symmetry
+    ]
+    return np.block(blocks)

@@ -1,0 +1,88 @@
+"""Air that moves along with a reed, and sound that it sends out: what a vacuum lacks.
+
+The reed is taken as part of a plane baffle. By Rayleigh's integral the force on a reed that moves
+with ``w(x)·exp(iωt)`` is, on either side, ``ω²·ρ/2π ∫ w′ exp(−ikR)/R dA′``: its part in phase is a
+mass, the other one a resistance.
+"""
+
+from typing import Any
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy import linalg
+
+from physics.reed.altered import AirLoad
+from physics.reed.basis import ReducedReed
+from physics.reed.fem import Symmetry
+from physics.reed.surface import on_reed, surface_shapes
+
+Array = NDArray[np.floating[Any]]
+
+AIR_DENSITY_KG_M3 = 1.204
+SOUND_M_S = 343.0
+# Fine enough for the shortest bending waves.
+_GRID_M = 0.5e-3
+_HZ = tuple(np.geomspace(1e3, 25e3, 13).tolist())
+
+
+def air_load(reed: ReducedReed) -> AirLoad:
+    """Free air on both sides of a reed.
+
+    Parameters
+    ----------
+    reed : ReducedReed
+
+    Returns
+    -------
+    AirLoad
+        In the coordinates of symmetric motion, then those of antisymmetric.
+    """
+    outline = reed.geometry.outline
+    width_m = 2 * outline.side_half_width_m + _GRID_M
+    shape = round(width_m / _GRID_M), round(outline.length_m / _GRID_M)
+    y, x = np.meshgrid(*[(np.arange(n) + 0.5) * _GRID_M for n in shape], indexing="ij")
+    y -= 0.5 * shape[0] * _GRID_M
+    inside = on_reed(outline, x, y)
+    surface = surface_shapes(reed, x[inside], y[inside])
+    parts = [_loads(surface[symmetry], inside) for symmetry in Symmetry]
+    mass, resistance = (
+        np.stack(
+            [linalg.block_diag(*blocks) for blocks in zip(*[p[k] for p in parts], strict=True)]
+        )
+        for k in (0, 1)
+    )
+    return AirLoad(np.array(_HZ), mass, resistance)
+
+
+def _loads(shapes: Array, inside: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Mass and resistance (f, r, r) of deflections (n, r) at the cells inside (ny, nx)."""
+    padded = [2 * n for n in inside.shape]
+    away = [np.minimum(np.arange(n), n - np.arange(n)) * _GRID_M for n in padded]
+    distance_m = np.hypot(away[0][:, None], away[1])
+    grid = np.zeros((shapes.shape[1], *inside.shape))
+    grid[:, inside] = shapes.T
+    spectra = scipy.fft.rfft2(grid, padded)
+    masses, resistances = [], []
+    for hz in _HZ:
+        pushed = [
+            scipy.fft.irfft2(spectra * scipy.fft.rfft2(kernel), padded)[
+                :, : inside.shape[0], : inside.shape[1]
+            ][:, inside]
+            for kernel in _kernels(distance_m, 2 * np.pi * hz / SOUND_M_S)
+        ]
+        # Of both sides, over half the reed as all modal masses: twice and half.
+        scale = AIR_DENSITY_KG_M3 / (2 * np.pi) * _GRID_M**4
+        in_phase, behind = (scale * (part @ shapes) for part in pushed)
+        masses.append(0.5 * (in_phase + in_phase.T))
+        resistances.append(np.pi * hz * (behind + behind.T))
+    return np.stack(masses), np.stack(resistances)
+
+
+def _kernels(distance_m: Array, wavenumber: float) -> tuple[Array, Array]:
+    """cos(kR)/R and sin(kR)/R, averaged over the cell at R = 0."""
+    safe_m = np.where(distance_m > 0, distance_m, 1.0)
+    in_phase, behind = np.cos(wavenumber * safe_m) / safe_m, np.sin(wavenumber * safe_m) / safe_m
+    # Mean of 1/R over a square, from its centre.
+    in_phase[0, 0], behind[0, 0] = 4 * np.log(1 + np.sqrt(2)) / _GRID_M, wavenumber
+    return in_phase, behind

@@ -4,7 +4,7 @@ A description is made of what is known of the reed on the bench; a null in every
 nominal twin: the reed of the drawing, of cane as the paper has it, clamped fast, in vacuum.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -25,7 +25,6 @@ from physics.reed.altered import (
     yielding_clamp,
 )
 from physics.reed.anatomy import Anatomy
-from physics.reed.fem import Symmetry
 from physics.reed.geometry import half_width_m
 from physics.reed.material import Cane
 from physics.reed.modes import at_frequency
@@ -261,8 +260,7 @@ def _unit_change(anatomy: Anatomy, kind: Alteration) -> Change:
     if isinstance(kind, YieldingClamp):
         return yielding_clamp(anatomy, float(kind.side >= 0), float(kind.side <= 0))
     if isinstance(kind, TipMass):
-        x, y = anatomy.bark_m.T
-        zone = anatomy.area_m2 * (x < kind.length_m)
+        zone = anatomy.area_m2 * (anatomy.bark_m[:, 0] < kind.length_m)
         area_m2 = 2 * float(zone.sum())
         return added_mass(anatomy, lambda x, y: (x < kind.length_m) / area_m2)
     if isinstance(kind, SoftSpot):

@@ -102,8 +102,8 @@ def softening(anatomy: Anatomy, depth: Callable[[Array, Array], Array]) -> Chang
     depth : callable
         In m at points (x, y): of cane that carries nothing along the grain.
     """
-    weights = tuple(-part for part in _even_odd(anatomy, depth))
-    terms = _strain_terms(anatomy, weights)
+    even, odd = _even_odd(anatomy, depth)
+    terms = _strain_terms(anatomy, (-even, -odd))
     terms[[not term.startswith("1") for term in STIFFNESS_TERMS]] = 0
     none = unchanged(anatomy)
     return Change(terms, none.mass, none.mass_kg, none.compliance_m_n)
@@ -261,8 +261,10 @@ def _spans(anatomy: Anatomy, change: Change, cane: Cane, air: AirLoad | None) ->
             springs_n_m=vectors.T @ springs @ vectors,
             mass=shapes.T @ mass @ shapes,
             mass_kg=shapes.T @ change.mass_kg @ shapes,
-            air_kg=_at_frequencies(air and (air.hz, air.mass_kg), shapes),
-            resistance_kg_s=_at_frequencies(air and (air.hz, air.resistance_kg_s), shapes),
+            air_kg=_at_frequencies(air.hz, air.mass_kg, shapes) if air else _none_of(shapes),
+            resistance_kg_s=(
+                _at_frequencies(air.hz, air.resistance_kg_s, shapes) if air else _none_of(shapes)
+            ),
         )
 
 
@@ -288,14 +290,19 @@ def _coordinates(anatomy: Anatomy, change: Change) -> Iterator[tuple[Array, Arra
     ]
     if _couples(change, sizes[0], m):
         into = np.hstack([*at_rest, yielding])
-        springs = np.diag(np.repeat([0.0, 1.0], [sum(held), yielding.shape[1]]))
+        springs = _unit_springs(sum(held), yielding.shape[1])
         yield into, springs, len(sizes) * _SPAN
         return
     for number, (start, size) in enumerate(zip(starts, sizes, strict=True)):
         own = np.any(yielding[start : start + size], axis=0)
         into = np.hstack([at_rest[number], yielding[:, own]])
-        springs = np.diag(np.repeat([0.0, 1.0], [held[number], np.count_nonzero(own)]))
+        springs = _unit_springs(held[number], int(np.count_nonzero(own)))
         yield into, springs, _SPAN
+
+
+def _unit_springs(without: int, count: int) -> Array:
+    """Stiffness of coordinates of which the last `count` are held by a spring of their own."""
+    return np.diag(np.concatenate([np.zeros(without), np.ones(count)]))
 
 
 def _couples(change: Change, first: int, strip: int) -> bool:
@@ -308,13 +315,14 @@ def _couples(change: Change, first: int, strip: int) -> bool:
     )
 
 
-def _at_frequencies(table: tuple[Array, Array] | None, shapes: Array) -> Callable[[Array], Array]:
-    """Interpolate matrices (f, s, s), given between shapes (s, n), or none."""
-    if table is None:
-        return lambda hz: np.zeros((len(hz), shapes.shape[1], shapes.shape[1]))
-    hz, matrices = table
+def _at_frequencies(hz: Array, matrices: Array, shapes: Array) -> Callable[[Array], Array]:
+    """Interpolate matrices (f, s, s) given at frequencies, between shapes (s, n)."""
     spline = CubicSpline(np.log(hz), shapes.T @ matrices @ shapes)
     return lambda asked_hz: np.asarray(spline(np.log(asked_hz)))
+
+
+def _none_of(shapes: Array) -> Callable[[Array], Array]:
+    return lambda hz: np.zeros((len(hz), shapes.shape[1], shapes.shape[1]))
 
 
 def _settled(

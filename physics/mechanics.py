@@ -4,9 +4,10 @@ A description is made of what is known of the reed on the bench; a null in every
 nominal twin: the reed of the drawing, of cane as the paper has it, clamped fast, in vacuum.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from physics.reed.altered import (
     yielding_clamp,
 )
 from physics.reed.anatomy import Anatomy
+from physics.reed.coarse import coarse_mesh_cents
 from physics.reed.geometry import half_width_m
 from physics.reed.material import Cane
 from physics.reed.modes import at_frequency
@@ -38,6 +40,7 @@ Array = NDArray[np.floating[Any]]
 PIVOT_HZ = 4000.0
 # Modes up to here are told; those just above the sweep bend its end.
 HIGHEST_HZ = 24e3
+_KEPT = 512
 
 
 @dataclass(frozen=True)
@@ -116,6 +119,8 @@ class Mechanics:
         Each with its amount, in the unit that it names.
     air_share : float
         Of the density of air around the reed; 0 is vacuum.
+    coarse_share : float
+        Of the stiffness that a coarse mesh adds (see `physics.reed.coarse`).
     """
 
     cane: ViscoelasticCane = viscoelastic_cane(Components(), Series.A)
@@ -124,6 +129,7 @@ class Mechanics:
     loss_growth: float = 0.0
     alterations: tuple[tuple[Alteration, float], ...] = ()
     air_share: float = 0.0
+    coarse_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -150,15 +156,22 @@ class Workshop:
     Parameters
     ----------
     anatomy : Anatomy
+    announce : callable, optional
+        Told what is being waited for, if anything.
     """
 
-    def __init__(self, anatomy: Anatomy) -> None:
+    def __init__(self, anatomy: Anatomy, announce: Callable[[str], None] | None = None) -> None:
         self.anatomy = anatomy
         self._unit = lru_cache(maxsize=None)(lambda kind: _unit_change(anatomy, kind))
         self._air = lru_cache(maxsize=1)(lambda: air_load(anatomy.reed))
+        self._coarse = lru_cache(maxsize=1)(
+            lambda: coarse_mesh_cents(anatomy.reed.geometry, anatomy.reed.cane, announce)
+        )
         self._named = lru_cache(maxsize=None)(self._named_shapes)
+        # Differences by one parameter leave most of a campaign's reeds as they were.
+        self.modes = lru_cache(maxsize=_KEPT)(self._modes)
 
-    def modes(self, reed: Mechanics) -> dict[str, ReedMode]:
+    def _modes(self, reed: Mechanics) -> Mapping[str, ReedMode]:
         """Modes of a reed up to 24 kHz, by name, in order of frequency.
 
         Each has the name of the mode of the nominal reed that it is most like.
@@ -177,11 +190,11 @@ class Workshop:
         rows, columns = linear_sum_assignment(likeness, maximize=True)
         named = dict(zip(columns.tolist(), (names[row] for row in rows), strict=True))
         for m in sorted(named):
-            name = named[m]
-            modes[name] = ReedMode(
-                name, float(found.hz[m]), float(loss[m]), found.coordinates[:, m]
-            )
-        return modes
+            name, hz = named[m], float(found.hz[m])
+            if reed.coarse_share:
+                hz *= 2 ** (reed.coarse_share * self._coarse().get(name, 0.0) / 1200)
+            modes[name] = ReedMode(name, hz, float(loss[m]), found.coordinates[:, m])
+        return MappingProxyType(modes)
 
     def _vibrations(self, reed: Mechanics) -> Vibrations:
         change = unchanged(self.anatomy)

@@ -20,6 +20,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from physics.reed.anatomy import Anatomy, build_anatomy
 from physics.reed.basis import BasisSettings, HalfBasis, ReducedReed, build_reduced_reed
 from physics.reed.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
@@ -27,6 +28,7 @@ from physics.reed.mesh import MeshLevel
 from physics.reed.whole import WholeReed, build_whole_reed
 
 Made = TypeVar("Made")
+_ANATOMY = ("bark_m", "area_m2", "strip_m2")
 _UNREADABLE = (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile)
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -147,17 +149,17 @@ def reduced_reed(
         return build_reduced_reed(geometry, level, settings)
 
     def restored(arrays: Arrays) -> ReducedReed:
-        halves = {
-            symmetry: HalfBasis(
-                **{f.name: arrays[f"{symmetry}_{f.name}"] for f in fields(HalfBasis)}
-            )
-            for symmetry in Symmetry
-        }
-        return ReducedReed(
-            geometry, settings.cane, arrays["plan_m"], arrays["load_points_m"], halves
-        )
+        return _reed_of(geometry, settings, arrays)
 
     return kept("reed", (geometry, level, settings), build, _arrays, restored)
+
+
+def _reed_of(geometry: ReedGeometry, settings: BasisSettings, arrays: Arrays) -> ReducedReed:
+    halves = {
+        symmetry: HalfBasis(**{f.name: arrays[f"{symmetry}_{f.name}"] for f in fields(HalfBasis)})
+        for symmetry in Symmetry
+    }
+    return ReducedReed(geometry, settings.cane, arrays["plan_m"], arrays["load_points_m"], halves)
 
 
 def _arrays(reed: ReducedReed) -> Arrays:
@@ -195,3 +197,47 @@ def whole_reed(
 
     names = [f.name for f in fields(WholeReed) if f.name not in ("geometry", "cane")]
     return kept("whole", (geometry, level, settings), build, to_arrays, restored)
+
+
+def anatomy(
+    geometry: ReedGeometry | None = None,
+    level: MeshLevel = STANDARD,
+    settings: BasisSettings | None = None,
+    announce: Callable[[str], None] | None = None,
+) -> Anatomy:
+    """Anatomy of a reed from the cache, or built and kept; see `reduced_reed`.
+
+    Raises
+    ------
+    ValueError
+        For an impossible geometry or material (see `build_anatomy`).
+    """
+    geometry, settings = geometry or ReedGeometry(), settings or BasisSettings()
+
+    def build() -> Anatomy:
+        if announce:
+            announce("laying the reed open by finite elements (kept for the next time)")
+        return build_anatomy(geometry, level, settings)
+
+    def to_arrays(made: Anatomy) -> Arrays:
+        arrays = {f"reed_{name}": array for name, array in _arrays(made.reed).items()}
+        arrays |= {name: getattr(made, name) for name in _ANATOMY}
+        for symmetry in Symmetry:
+            arrays[f"{symmetry}_clamped"] = np.array(made.clamped[symmetry])
+            arrays[f"{symmetry}_strain"] = made.strain[symmetry]
+            arrays[f"{symmetry}_motion"] = made.motion[symmetry]
+        return arrays
+
+    def restored(arrays: Arrays) -> Anatomy:
+        reed = _reed_of(
+            geometry, settings, {name[5:]: arrays[name] for name in arrays if name[:5] == "reed_"}
+        )
+        return Anatomy(
+            reed=reed,
+            clamped={symmetry: int(arrays[f"{symmetry}_clamped"]) for symmetry in Symmetry},
+            strain={symmetry: arrays[f"{symmetry}_strain"] for symmetry in Symmetry},
+            motion={symmetry: arrays[f"{symmetry}_motion"] for symmetry in Symmetry},
+            **{name: arrays[name] for name in _ANATOMY},
+        )
+
+    return kept("anatomy", (geometry, level, settings), build, to_arrays, restored)

@@ -1,0 +1,209 @@
+"""Fit a twin to data: Gaussian noise, proper priors, evidence, and a certificate that it is a fit.
+
+Parameters are told in units of their priors: 0 is the prior's centre, ±1 a standard deviation. One
+that cannot be negative has half a Gaussian. Everything here is least squares of whitened residuals
+``r(z)`` and of z itself, by Levenberg and Marquardt; evidence is Laplace's, with what a bound cuts
+off the posterior along the parameters that it binds.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr
+
+Array = NDArray[np.floating[Any]]
+Residuals = Callable[[Array], Array]
+
+# Of a parameter's standard deviation, for slopes.
+_STEP = 1e-3
+_MOST_ITERATIONS = 60
+_LEAST_GAIN = 1e-7
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-2, 1e-9, 1e9
+# A fit is certified if two starts end this near to each other, and the last step that the
+# curvature asks for would gain no more than this.
+_SAME_COST, _LEAST_DECREMENT = 1.0, 0.1
+# Starts lie within this many standard deviations of the prior.
+_START_SPREAD = 1.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Parameters at the greatest posterior density.
+
+    Attributes
+    ----------
+    z : (p,) float
+        In units of the prior.
+    covariance : (p, p) float
+        Of z, as if no bound were there.
+    residuals : (n,) float
+        Whitened.
+    jacobian : (n, p) float
+        Of the residuals.
+    cost : float
+        Sum of squares of residuals and of z.
+    log_evidence : float
+        In nats; of whitened data.
+    decrement : float
+        What the next full step would gain.
+    agreeing : int
+        Starts that ended within 1 of the least cost, this one included.
+    starts : int
+    """
+
+    z: Array
+    covariance: Array
+    residuals: Array
+    jacobian: Array
+    cost: float
+    log_evidence: float
+    decrement: float
+    agreeing: int
+    starts: int
+
+    @property
+    def certified(self) -> bool:
+        """Whether it is known to be the fit, and not where a search has stopped."""
+        return self.agreeing >= min(2, self.starts) and self.decrement < _LEAST_DECREMENT
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squares of the residuals."""
+        return float(self.residuals @ self.residuals)
+
+
+def fit(
+    residuals: Residuals,
+    positive: Sequence[bool],
+    starts: Sequence[Array],
+    jacobian: Callable[[Array], Array] | None = None,
+) -> Estimate:
+    """Find the parameters of the greatest posterior density.
+
+    Parameters
+    ----------
+    residuals : callable
+        Whitened residuals (n,) at z (p,). May raise ValueError where nothing is possible.
+    positive : sequence of bool
+        Which of the p parameters cannot be negative.
+    starts : sequence of (p,) float
+        Where searches begin.
+    jacobian : callable, optional
+        Derivatives (n, p); by differences if not given.
+
+    Raises
+    ------
+    ValueError
+        If no start is possible.
+    """
+    bound = np.asarray(positive, dtype=bool)
+    slope = jacobian or (lambda z: _differences(residuals, z, bound))
+    found: list[tuple[float, Array]] = []
+    trouble: ValueError | None = None
+    for start in starts:
+        try:
+            found.append(_descend(residuals, slope, bound, np.array(start, dtype=float)))
+        except ValueError as error:
+            trouble = error
+    if not found:
+        raise trouble or ValueError("a fit needs a start")
+    cost, z = min(found, key=lambda end: end[0])
+    agreeing = sum(other < cost + _SAME_COST for other, _ in found)
+    r, J = residuals(z), slope(z)
+    precision = J.T @ J + np.eye(len(z))
+    gradient = J.T @ r + z
+    free = ~(bound & (z <= 0) & (gradient > 0))
+    step = np.linalg.solve(precision[np.ix_(free, free)], gradient[free])
+    return Estimate(
+        z=z,
+        covariance=np.linalg.inv(precision),
+        residuals=r,
+        jacobian=J,
+        cost=cost,
+        log_evidence=_log_evidence(cost, precision, gradient, z, bound),
+        decrement=float(gradient[free] @ step),
+        agreeing=agreeing,
+        starts=len(starts),
+    )
+
+
+def random_starts(
+    count: int, positive: Sequence[bool], rng: np.random.Generator, first: Array | None = None
+) -> list[Array]:
+    """Starts (p,) from the prior, after one that is given or the prior's centre."""
+    bound = np.asarray(positive, dtype=bool)
+    drawn = _START_SPREAD * rng.standard_normal((max(count - 1, 0), len(bound)))
+    drawn[:, bound] = np.abs(drawn[:, bound])
+    return [np.zeros(len(bound)) if first is None else first, *drawn]
+
+
+def _differences(residuals: Residuals, z: Array, bound: NDArray[np.bool_]) -> Array:
+    """Derivatives (n, p) by differences, on the possible side of a bound."""
+    here: Array | None = None
+    columns = []
+    for k in range(len(z)):
+        ahead, behind = z.copy(), z.copy()
+        ahead[k] += _STEP
+        if bound[k] and z[k] < _STEP:
+            here = residuals(z) if here is None else here
+            columns.append((residuals(ahead) - here) / _STEP)
+        else:
+            behind[k] -= _STEP
+            columns.append((residuals(ahead) - residuals(behind)) / (2 * _STEP))
+    return np.stack(columns, axis=1) if columns else np.empty((len(residuals(z)), 0))
+
+
+def _descend(
+    residuals: Residuals, slope: Callable[[Array], Array], bound: NDArray[np.bool_], z: Array
+) -> tuple[float, Array]:
+    """Least cost near a start, and where."""
+
+    def cost_of(r: Array, z: Array) -> float:
+        return float(r @ r + z @ z)
+
+    r, damping = residuals(z), _FIRST_DAMPING
+    cost = cost_of(r, z)
+    for _ in range(_MOST_ITERATIONS):
+        J = slope(z)
+        precision, gradient = J.T @ J + np.eye(len(z)), J.T @ r + z
+        free = ~(bound & (z <= 0) & (gradient > 0))
+        gain = 0.0
+        while damping < _MOST_DAMPING and free.any():
+            part = precision[np.ix_(free, free)]
+            move = np.zeros(len(z))
+            move[free] = np.linalg.solve(part + damping * np.diag(np.diag(part)), -gradient[free])
+            tried = np.where(bound, np.maximum(z + move, 0.0), z + move)
+            try:
+                r_tried = residuals(tried)
+                reached = cost_of(r_tried, tried)
+            except ValueError:
+                reached = np.inf
+            if reached < cost:
+                gain, cost, z, r = cost - reached, reached, tried, r_tried
+                damping = max(damping / 10, _LEAST_DAMPING)
+                break
+            damping *= 10
+        if gain <= _LEAST_GAIN * max(cost, 1.0):
+            break
+        damping = min(damping, 1.0)
+    return cost, z
+
+
+def _log_evidence(
+    cost: float, precision: Array, gradient: Array, z: Array, bound: NDArray[np.bool_]
+) -> float:
+    """Log of the integral of likelihood times prior, Laplace's.
+
+    Around the optimum the posterior is a Gaussian, whose middle may lie beyond a bound. Bounded
+    parameters are cut one by one, as if they were independent in the posterior; their half Gaussian
+    priors are twice as dense.
+    """
+    middle = z - np.linalg.solve(precision, gradient)
+    at_middle = cost - float(gradient @ np.linalg.solve(precision, gradient))
+    spread = np.sqrt(np.diag(np.linalg.inv(precision)))
+    _, log_det = np.linalg.slogdet(precision)
+    cut = float(np.sum(np.log(2) + log_ndtr(middle[bound] / spread[bound])))
+    return -0.5 * at_middle - 0.5 * float(log_det) + cut

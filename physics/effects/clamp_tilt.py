@@ -1,0 +1,28 @@
+"""A clamp of which one strip yields: the left one, or, negative, the right one."""
+
+from collections.abc import Mapping
+
+from physics.effects.form import Effect, Parameter, Stage, Tap
+from physics.mechanics import YieldingClamp
+from physics.twin import Twin, with_alteration
+
+
+def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
+    amount = values["yielding"]
+    return with_alteration(twin, YieldingClamp(1 if amount > 0 else -1), abs(amount))
+
+
+EFFECT = Effect(
+    id="clamp_tilt",
+    title="one strip of the clamp yields",
+    stage=Stage.MECHANICS,
+    parameters=(
+        Parameter("yielding", "m/Pa", 2e-13, "0.5 mm of hard plastic, 2.5 GPa, under one strip"),
+    ),
+    change=_change,
+    moves=frozenset({Tap.MODES}),
+    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
+    neighbours=("thickness_tilt",),
+    action="turn the reed over in the clamp",
+    reference="paper, section III",
+)

@@ -1,0 +1,92 @@
+"""The form of an effect: what the nominal twin leaves out, and how it shows if it is there."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from physics.twin import Twin
+
+
+class Stage(StrEnum):
+    """Where in the chain from the drive to the number an effect acts."""
+
+    DRIVE = "drive"
+    TIMING = "timing"
+    MECHANICS = "mechanics"
+    ACOUSTICS = "acoustics"
+    OPTICS = "optics"
+    CAMERA = "camera"
+    ENVIRONMENT = "environment"
+    NUMERICS = "numerics"
+
+
+class Tap(StrEnum):
+    """Where measurement and twin can be compared, from logs to material."""
+
+    LOG = "T0"
+    DRIVE = "T1"
+    SENSOR = "T2"
+    HOLOGRAM = "T3"
+    FIELD = "T4"
+    MAPS = "T5"
+    RESPONSE = "T6"
+    MODES = "T7"
+    MATERIAL = "T8"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """Size of an effect; 0 is none of it, exactly.
+
+    Attributes
+    ----------
+    name : str
+    unit : str
+        Empty for a plain number.
+    spread : float
+        Standard deviation of the prior, in this unit.
+    source : str
+        Where the spread is from; never the data under test.
+    positive : bool
+        Whether only values from 0 up are possible.
+    """
+
+    name: str
+    unit: str
+    spread: float
+    source: str
+    positive: bool = False
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect that the nominal twin leaves out.
+
+    Attributes
+    ----------
+    id : str
+        Its file's name.
+    title : str
+    stage : Stage
+    parameters : tuple of Parameter
+    change : callable
+        ``change(twin, values)``: the twin with the effect; with every value 0, the same twin.
+    moves, keeps : frozenset of Tap
+        Taps that it must move where it is large, and those that it must leave alone.
+    neighbours : tuple of str
+        Effects that it may be taken for.
+    action : str
+        What on the bench tells it from them.
+    reference : str
+    """
+
+    id: str
+    title: str
+    stage: Stage
+    parameters: tuple[Parameter, ...]
+    change: Callable[[Twin, Mapping[str, float]], Twin]
+    moves: frozenset[Tap]
+    keeps: frozenset[Tap]
+    neighbours: tuple[str, ...]
+    action: str
+    reference: str

@@ -1,0 +1,565 @@
+"""Resonances without a run: which effects take the elastic reed to them, and which cannot be told.
+
+The elastic reed has two moduli per series, E_L and G_LT, and nothing else that is free. Effects
+are added to it, alone and together, with parameters that all series share. What no effect explains
+is a misfit of unknown size, which evidence averages over: else the effect that is least wrong would
+seem certain.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.estimate import Estimate, fit, random_starts
+from diagnosis.mean_reed import MeanReed
+from fitting.forward import cents_of
+from physics.effects.form import Effect, Parameter
+from physics.mechanics import Mechanics, Workshop
+from physics.reed.viscoelastic import ViscoelasticCane, Zener
+from physics.twin import Twin, with_cane
+
+Array = NDArray[np.floating[Any]]
+
+# Moduli of either series are expected within a third of those of the reference material.
+_MODULI_SPREAD = 0.3
+_MODULI = ("E_L", "G_LT")
+# Of converged elements beside their limit, modes of the vamp (decision 0009).
+MESH_CENTS = 4.0
+# What neither model nor effect explains: alike likely on a scale of logarithms.
+_MISFITS_CENTS = np.geomspace(1.0, 100.0, 13)
+# Misfit with which parameters are searched for.
+_SEARCH_CENTS = 20.0
+_STARTS = 4
+_DRAWS = 2000
+_SEED = 20_080_401
+# Effects this alike, when the moduli have taken what they can, are one class.
+ALIKE = 0.8
+DETECTABLE = 5.0
+
+
+@dataclass(frozen=True)
+class Size:
+    """A parameter of an effect, as fitted.
+
+    Attributes
+    ----------
+    name, unit : str
+    value, error : float
+    z : float
+        In standard deviations of its prior.
+    """
+
+    name: str
+    unit: str
+    value: float
+    error: float
+    z: float
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What effects together take off the gap.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        None of them is the elastic reed.
+    sizes : tuple of Size
+    rms_cents : dict of float
+        What is left, per series.
+    kappa, kappa_low, kappa_high : float
+        Share of the explainable gap that is closed where the mode was left out of the fit, and its
+        95 % interval over modes.
+    kappa_other : dict of float
+        The same in each series with sizes from the other one; empty if there is one series only.
+    log_bayes : float
+        Log of the odds beside the elastic reed, in nats.
+    certified : bool
+    moduli_pa : dict
+        E_L and G_LT, per series.
+    """
+
+    effects: tuple[str, ...]
+    sizes: tuple[Size, ...]
+    rms_cents: dict[str, float]
+    kappa: float
+    kappa_low: float
+    kappa_high: float
+    kappa_other: dict[str, float]
+    log_bayes: float
+    certified: bool
+    moduli_pa: dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What such data could tell of an effect.
+
+    Attributes
+    ----------
+    effect : str
+    absorbed : float
+        Share of its signature that the moduli of either series take up.
+    detectable : dict of float
+        Least size, per parameter in its own unit, that stands out by five deviations; infinite if
+        no size would.
+    alike : dict of float
+        Cosine beside other effects from 0.8 on, by name.
+    """
+
+    effect: str
+    absorbed: float
+    detectable: dict[str, float]
+    alike: dict[str, float]
+
+
+@dataclass(frozen=True)
+class PublishedDiagnosis:
+    """All that resonances without a run tell.
+
+    Attributes
+    ----------
+    reeds : tuple of MeanReed
+    floor_cents : dict of (m,) float
+        Errors of data and mesh, per series.
+    elastic : Trial
+    alone : tuple of Trial
+        Every effect by itself, the best first.
+    together : tuple of Trial
+        The best pairs and triples.
+    reach : tuple of Reach
+    classes : tuple of tuple of str
+        Effects that such data do not tell apart.
+    residual_cents : dict of (m,) float
+        Data less elastic reed, per series.
+    """
+
+    reeds: tuple[MeanReed, ...]
+    floor_cents: dict[str, Array]
+    elastic: Trial
+    alone: tuple[Trial, ...]
+    together: tuple[Trial, ...]
+    reach: tuple[Reach, ...]
+    classes: tuple[tuple[str, ...], ...]
+    residual_cents: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Data, and the elastic reed with chosen effects as their model.
+
+    Attributes
+    ----------
+    reeds : tuple of MeanReed
+    workshop : Workshop
+    effects : tuple of Effect
+    floor_cents : (n,) float
+    """
+
+    reeds: tuple[MeanReed, ...]
+    workshop: Workshop
+    effects: tuple[Effect, ...]
+    floor_cents: Array
+
+    @property
+    def parameters(self) -> list[Parameter]:
+        """Of all effects, one after the other."""
+        return [parameter for effect in self.effects for parameter in effect.parameters]
+
+    @property
+    def positive(self) -> list[bool]:
+        """Which unknowns cannot be negative: two moduli per series, then the effects'."""
+        moduli = [False] * (len(_MODULI) * len(self.reeds))
+        return [*moduli, *(parameter.positive for parameter in self.parameters)]
+
+    @property
+    def cents(self) -> Array:
+        """Data (n,), one series after the other."""
+        return np.concatenate([reed.cents for reed in self.reeds])
+
+    def predicted(self, z: Array) -> Array:
+        """Cents (n,) above F6."""
+        parts = []
+        for s, reed in enumerate(self.reeds):
+            modes = self.workshop.modes(self.twin(z, s).reed)
+            missing = [name for name in reed.modes if name not in modes]
+            if missing:
+                raise ValueError(f"a reed of this kind has no mode {missing[0]}")
+            parts.append(cents_of(np.array([modes[name].hz for name in reed.modes])))
+        return np.concatenate(parts)
+
+    def twin(self, z: Array, series: int) -> Twin:
+        """Elastic reed of a series with all effects."""
+        twin = elastic_twin(self.workshop)
+        moduli = _MODULI_SPREAD * z[len(_MODULI) * series :][: len(_MODULI)]
+        twin = with_cane(twin, **dict(zip(_MODULI, moduli.tolist(), strict=True)))
+        rest = z[len(_MODULI) * len(self.reeds) :].tolist()
+        for effect in self.effects:
+            own, rest = rest[: len(effect.parameters)], rest[len(effect.parameters) :]
+            values = {p.name: p.spread * v for p, v in zip(effect.parameters, own, strict=True)}
+            twin = effect.change(twin, values)
+        return twin
+
+
+def elastic_twin(workshop: Workshop) -> Twin:
+    """The reed of reference material, whose moduli do not depend on frequency."""
+    cane = workshop.anatomy.reed.cane
+    springs = (Zener(1e-6 * modulus, 0.0, 0.0) for modulus in (cane.E_L_pa, cane.G_LT_pa))
+    return Twin(reed=Mechanics(cane=ViscoelasticCane(*springs)))
+
+
+def diagnose_resonances(
+    reeds: Sequence[MeanReed],
+    workshop: Workshop,
+    effects: Sequence[Effect],
+    progress: Callable[[str, float], None] | None = None,
+    largest_set: int = 3,
+) -> PublishedDiagnosis:
+    """Find which effects close the gap between resonances and the elastic reed.
+
+    Parameters
+    ----------
+    reeds : sequence of MeanReed
+        One per series.
+    workshop : Workshop
+    effects : sequence of Effect
+        Those that move no frequency are told to be out of reach.
+    progress : callable, optional
+        Told what is done, and the share of all that is.
+    largest_set : int
+        Most effects that are tried together.
+
+    Raises
+    ------
+    ValueError
+        If the elastic reed has no mode of a name in the data.
+    """
+    report = progress or (lambda _words, _share: None)
+    errors = np.concatenate([reed.error_cents for reed in reeds])
+    base = _Problem(tuple(reeds), workshop, (), np.hypot(errors, MESH_CENTS))
+    report("fitting the elastic reed", 0.0)
+    elastic = _Fitted.of(base)
+    columns = _signatures(base, elastic.estimate.z, effects)
+    reach = _reach(base, elastic, effects, columns)
+    seen = [effect for effect in effects if np.any(columns[effect.id])]
+    alone = []
+    for number, effect in enumerate(seen):
+        report(f"trying {effect.id}", (1 + number) / (len(seen) + 6))
+        alone.append(_Fitted.of(replace(base, effects=(effect,))))
+    together = []
+    for number, chosen in enumerate(_best_sets(base, elastic, seen, columns, largest_set)):
+        report(
+            f"trying {' and '.join(e.id for e in chosen)}",
+            (1 + len(seen) + number) / (len(seen) + 6),
+        )
+        together.append(_Fitted.of(replace(base, effects=chosen)))
+    starts = np.cumsum([0, *(len(reed.cents) for reed in reeds)])
+    names = [reed.series.value for reed in reeds]
+    pieces = {name: slice(a, b) for name, a, b in zip(names, starts, starts[1:], strict=False)}
+    ranked = sorted((trial.told(elastic) for trial in alone), key=lambda t: -t.log_bayes)
+    return PublishedDiagnosis(
+        reeds=tuple(reeds),
+        floor_cents={name: base.floor_cents[piece] for name, piece in pieces.items()},
+        elastic=elastic.told(elastic),
+        alone=tuple(ranked),
+        together=tuple(
+            sorted((trial.told(elastic) for trial in together), key=lambda t: -t.log_bayes)
+        ),
+        reach=tuple(reach),
+        classes=_classes(reach),
+        residual_cents={name: elastic.left[piece] for name, piece in pieces.items()},
+    )
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A model at its best parameters, and how it goes on from there.
+
+    Attributes
+    ----------
+    problem : _Problem
+    estimate : Estimate
+        With the misfit of the search.
+    left : (n,) float
+        Data less model, cents.
+    slope : (n, p) float
+        Cents per unit of the priors.
+    """
+
+    problem: _Problem
+    estimate: Estimate
+    left: Array
+    slope: Array
+
+    @classmethod
+    def of(cls, problem: _Problem) -> "_Fitted":
+        """Fit a problem, from several starts."""
+        deviation = np.hypot(problem.floor_cents, _SEARCH_CENTS)
+
+        def residuals(z: Array) -> Array:
+            left: Array = (problem.predicted(z) - problem.cents) / deviation
+            return left
+
+        starts = random_starts(_STARTS, problem.positive, np.random.default_rng(_SEED))
+        estimate = fit(residuals, problem.positive, starts)
+        left = -estimate.residuals * deviation
+        return cls(problem, estimate, left, estimate.jacobian * deviation[:, None])
+
+    def linear(self, misfit_cents: float) -> Estimate:
+        """Fit anew with another misfit, along the slopes."""
+        return _linear(
+            self.left,
+            self.slope,
+            self.estimate.z,
+            np.hypot(self.problem.floor_cents, misfit_cents),
+            self.problem.positive,
+        )
+
+    def over_misfits(self) -> tuple[float, float]:
+        """Log evidence averaged over misfits, and the likeliest misfit in cents."""
+        logs = []
+        for misfit in _MISFITS_CENTS:
+            deviation = np.hypot(self.problem.floor_cents, misfit)
+            logs.append(self.linear(misfit).log_evidence - float(np.sum(np.log(deviation))))
+        highest = max(logs)
+        average = highest + float(np.log(np.mean(np.exp(np.array(logs) - highest))))
+        return average, float(_MISFITS_CENTS[int(np.argmax(logs))])
+
+    def held_out(self, misfit_cents: float) -> Array:
+        """What is left (n,) of each mode, in cents, if it is left out of all series."""
+        deviation = np.hypot(self.problem.floor_cents, misfit_cents)
+        estimate = self.linear(misfit_cents)
+        bound = np.asarray(self.problem.positive) & (estimate.z <= 0)
+        J = estimate.jacobian[:, ~bound]
+        names = [name for reed in self.problem.reeds for name in reed.modes]
+        return -_left_out(J, estimate.residuals, names) * deviation
+
+    def told(self, elastic: "_Fitted") -> Trial:
+        """Trial beside the elastic reed."""
+        problem, count = self.problem, len(_MODULI) * len(self.problem.reeds)
+        own, misfit = self.over_misfits()
+        reference, reference_misfit = elastic.over_misfits()
+        at = self.linear(misfit)
+        errors = np.sqrt(np.diag(at.covariance))
+        sizes = tuple(
+            Size(p.name, p.unit, p.spread * z, p.spread * error, z)
+            for p, z, error in zip(
+                problem.parameters, at.z[count:].tolist(), errors[count:].tolist(), strict=True
+            )
+        )
+        before = elastic.held_out(reference_misfit) / problem.floor_cents
+        after = self.held_out(misfit) / problem.floor_cents
+        names = [name for reed in problem.reeds for name in reed.modes]
+        kappa, low, high = _kappa(before, after, names)
+        left = -at.residuals * np.hypot(problem.floor_cents, misfit)
+        return Trial(
+            effects=tuple(effect.id for effect in problem.effects),
+            sizes=sizes,
+            rms_cents=_rms(problem, left),
+            kappa=kappa,
+            kappa_low=low,
+            kappa_high=high,
+            kappa_other=_transferred(self, elastic, misfit, reference_misfit),
+            log_bayes=own - reference,
+            certified=self.estimate.certified,
+            moduli_pa=_moduli_pa(problem, at.z),
+        )
+
+
+def _linear(
+    left: Array, slope: Array, z: Array, deviation: Array, positive: Sequence[bool]
+) -> Estimate:
+    """Best parameters where what is left (n,) at z changes along slopes (n, p)."""
+    whitened = slope / deviation[:, None]
+    start = -left / deviation
+    return fit(lambda at: start + whitened @ (at - z), positive, [z], lambda _at: whitened)
+
+
+def _left_out(jacobian: Array, residuals: Array, names: Sequence[str]) -> Array:
+    """Whitened residuals (n,) of all data of a name if they are left out, exact where linear."""
+    precision = jacobian.T @ jacobian + np.eye(jacobian.shape[1])
+    hat = jacobian @ np.linalg.solve(precision, jacobian.T)
+    answer = np.empty_like(residuals)
+    for name in set(names):
+        block = np.flatnonzero([other == name for other in names])
+        inner = np.eye(len(block)) - hat[np.ix_(block, block)]
+        answer[block] = np.linalg.solve(inner, residuals[block])
+    return answer
+
+
+def _kappa(before: Array, after: Array, names: Sequence[str]) -> tuple[float, float, float]:
+    """Share of the explainable gap that is closed, and its 95 % interval over modes.
+
+    Parameters
+    ----------
+    before, after : (n,) float
+        Left out, in units of the floor.
+    names : sequence of str
+        Modes, drawn whole.
+    """
+
+    def closed(weight: Array) -> float:
+        gaps = [float(weight @ part**2 / weight.sum()) - 1 for part in (before, after)]
+        return (gaps[0] - gaps[1]) / gaps[0] if gaps[0] > 0 else float("nan")
+
+    modes, which = np.unique(names, return_inverse=True)
+    rng = np.random.default_rng(_SEED)
+    drawn = rng.multinomial(len(modes), np.full(len(modes), 1 / len(modes)), size=_DRAWS)
+    kappas = np.array([closed(counts[which].astype(float)) for counts in drawn])
+    low, high = np.nanpercentile(kappas, [2.5, 97.5]) if np.any(kappas == kappas) else [np.nan] * 2
+    return closed(np.ones(len(before))), float(low), float(high)
+
+
+def _rms(problem: _Problem, left: Array) -> dict[str, float]:
+    starts = np.cumsum([0, *(len(reed.cents) for reed in problem.reeds)])
+    return {
+        reed.series.value: float(np.sqrt(np.mean(left[a:b] ** 2)))
+        for reed, a, b in zip(problem.reeds, starts, starts[1:], strict=False)
+    }
+
+
+def _moduli_pa(problem: _Problem, z: Array) -> dict[str, tuple[float, float]]:
+    cane = problem.workshop.anatomy.reed.cane
+    answer = {}
+    for s, reed in enumerate(problem.reeds):
+        E, G = np.exp(_MODULI_SPREAD * z[len(_MODULI) * s :][: len(_MODULI)])
+        answer[reed.series.value] = float(cane.E_L_pa * E), float(cane.G_LT_pa * G)
+    return answer
+
+
+def _transferred(
+    trial: _Fitted, elastic: _Fitted, misfit_cents: float, reference_cents: float
+) -> dict[str, float]:
+    """Share of the gap closed in each series with sizes that only the other series has told."""
+    problem = trial.problem
+    if len(problem.reeds) < 2 or not problem.effects:
+        return {}
+    starts = np.cumsum([0, *(len(reed.cents) for reed in problem.reeds)])
+    count, answer = len(_MODULI), {}
+    for s, reed in enumerate(problem.reeds):
+        here = np.arange(starts[s], starts[s + 1])
+        there = np.setdiff1d(np.arange(starts[-1]), here)
+        moduli = np.arange(count * s, count * (s + 1))
+        learnt = _linear(
+            trial.left[there],
+            trial.slope[there],
+            trial.estimate.z,
+            np.hypot(problem.floor_cents[there], misfit_cents),
+            problem.positive,
+        )
+        effects = np.arange(count * len(problem.reeds), len(learnt.z))
+        carried = trial.slope[np.ix_(here, effects)] @ (learnt.z - trial.estimate.z)[effects]
+        gaps = []
+        for fitted, left, misfit in (
+            (elastic, elastic.left[here], reference_cents),
+            (trial, trial.left[here] - carried, misfit_cents),
+        ):
+            deviation = np.hypot(problem.floor_cents[here], misfit)
+            start_z = fitted.estimate.z[moduli]
+            at = _linear(left, fitted.slope[np.ix_(here, moduli)], start_z, deviation, [False] * count)
+            out = _left_out(at.jacobian, at.residuals, reed.modes) * deviation
+            gaps.append(float(np.mean((out / problem.floor_cents[here]) ** 2)) - 1)
+        answer[reed.series.value] = (gaps[0] - gaps[1]) / gaps[0] if gaps[0] > 0 else float("nan")
+    return answer
+
+
+def _signatures(base: _Problem, z: Array, effects: Sequence[Effect]) -> dict[str, Array]:
+    """Cents (n, k) per prior deviation of each of an effect's k parameters, at the elastic fit."""
+    # Far enough that rounding does not count, near enough to be straight.
+    step, here = 0.05, base.predicted(z)
+    answer = {}
+    for effect in effects:
+        problem = replace(base, effects=(effect,))
+        columns = []
+        for number in range(len(effect.parameters)):
+            unit = np.zeros(len(effect.parameters))
+            unit[number] = step
+            columns.append((problem.predicted(np.append(z, unit)) - here) / step)
+        answer[effect.id] = np.stack(columns, axis=1)
+    return answer
+
+
+def _reach(
+    base: _Problem, elastic: _Fitted, effects: Sequence[Effect], columns: Mapping[str, Array]
+) -> list[Reach]:
+    deviation = np.hypot(base.floor_cents, elastic.over_misfits()[1])
+    moduli, _ = np.linalg.qr(elastic.slope / deviation[:, None])
+    whitened = {name: column / deviation[:, None] for name, column in columns.items()}
+    beside = {name: column - moduli @ (moduli.T @ column) for name, column in whitened.items()}
+    answer = []
+    for effect in effects:
+        own, all_of_it = beside[effect.id], whitened[effect.id]
+        norms = np.linalg.norm(own, axis=0)
+        with np.errstate(divide="ignore"):
+            least = DETECTABLE * np.array([p.spread for p in effect.parameters]) / norms
+        total = float(np.sum(all_of_it**2))
+        alike = {}
+        for other in effects:
+            cosine = 0.0 if other is effect else _cosine(own, beside[other.id])
+            if cosine >= ALIKE:
+                alike[other.id] = cosine
+        answer.append(
+            Reach(
+                effect=effect.id,
+                absorbed=1 - float(np.sum(own**2)) / total if total else float("nan"),
+                detectable=dict(zip([p.name for p in effect.parameters], least.tolist(), strict=True)),
+                alike=alike,
+            )
+        )
+    return answer
+
+
+def _cosine(one: Array, other: Array) -> float:
+    """Largest cosine between what two effects can do, (n, k) each."""
+    bases = []
+    for columns in (one, other):
+        vectors, values, _ = np.linalg.svd(columns, full_matrices=False)
+        bases.append(vectors[:, values > 1e-9 * max(values.max(), 1e-9)])
+    if not all(basis.size for basis in bases):
+        return 0.0
+    return float(np.linalg.norm(bases[0].T @ bases[1], 2))
+
+
+def _best_sets(
+    base: _Problem,
+    elastic: _Fitted,
+    effects: Sequence[Effect],
+    columns: Mapping[str, Array],
+    largest: int,
+) -> list[tuple[Effect, ...]]:
+    """Best three sets of two effects, of three, and so on, along the slopes at the elastic reed."""
+    _, misfit = elastic.over_misfits()
+    # What a set leaves is less than what the elastic reed leaves.
+    deviation = np.hypot(base.floor_cents, 0.5 * misfit)
+    answer: list[tuple[Effect, ...]] = []
+    for size in range(2, largest + 1):
+        ranked = []
+        for chosen in combinations(effects, size):
+            slope = np.hstack([elastic.slope, *(columns[effect.id] for effect in chosen)])
+            z = np.append(elastic.estimate.z, np.zeros(slope.shape[1] - elastic.slope.shape[1]))
+            positive = replace(base, effects=chosen).positive
+            found = _linear(elastic.left, slope, z, deviation, positive)
+            ranked.append((found.log_evidence, chosen))
+        ranked.sort(key=lambda entry: -entry[0])
+        answer += [chosen for _, chosen in ranked[:3]]
+    return answer
+
+
+def _classes(reach: Sequence[Reach]) -> tuple[tuple[str, ...], ...]:
+    """Groups of effects each of which is alike to all others of its group, larger groups first."""
+    left = {entry.effect: set(entry.alike) for entry in reach}
+    groups: list[tuple[str, ...]] = []
+    while left:
+        seed = max(left, key=lambda name: len(left[name] & left.keys()))
+        group = [seed]
+        for name in sorted(left[seed] & left.keys()):
+            if all(name in left[member] for member in group):
+                group.append(name)
+        groups.append(tuple(sorted(group)))
+        for name in group:
+            del left[name]
+    return tuple(sorted(groups, key=lambda group: (-len(group), group)))

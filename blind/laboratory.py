@@ -1,0 +1,316 @@
+"""A day in a case's laboratory: what is recorded, in which order, and what it looks like."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from blind.optics import WAVELENGTH_M, Camera, Stage, make_stage
+from blind.reed import ModalReed, make_reed
+from blind.vibration import Answerer, answerer
+from blind.world import World
+
+Array = NDArray[np.floating[Any]]
+Complex = NDArray[np.complexfloating[Any, Any]]
+Frames = NDArray[np.uint16]
+
+Kind = Literal["sweep", "dark", "flat", "lo_only", "object_only", "order0"]
+
+# The paper's sweep.
+REFERENCE_HZ, STEPS, RAMP_END = 1396.9, 184, 73
+FRAME_S = 1 / 12.4
+# From the end of one acquisition to the begin of the next.
+_PAUSE_S, _SETTLE_S = 0.25, 0.04
+# To clamp the reed anew, and to change what lies before the camera.
+_CLAMP_S, _HANDS_S = 240.0, 30.0
+_FLAT_E = 6000.0
+_QUIET = 0.5
+_UNIT_LEVEL = 10.0
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One acquisition of four frames.
+
+    Attributes
+    ----------
+    index : int
+        k of the sweep; number of the shot in others.
+    hz, volts : float
+        0 if the loudspeaker is off.
+    order : int
+    exposure_s : float
+    began_s : float
+        Since the campaign began.
+    frames : (4, n, n) uint16, optional
+        Of what is kept as frames.
+    image : (h, w) complex64, optional
+        Of what is kept as a hologram.
+    noise : float
+        Beside the image.
+    signal : float
+        Mean square of the image.
+    lock_hz, lock_se_hz : float
+        By which the lock seemed to be missed, from the light itself, and its standard error.
+    repeated : bool
+        Whether a frame is the one before.
+    """
+
+    index: int
+    hz: float
+    volts: float
+    order: int
+    exposure_s: float
+    began_s: float
+    frames: Frames | None
+    image: NDArray[np.complex64] | None
+    noise: float
+    signal: float
+    lock_hz: float
+    lock_se_hz: float
+    repeated: bool
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One run file's worth.
+
+    Attributes
+    ----------
+    name : str
+    kind : Kind
+    clamping : int
+        How often the reed had been clamped anew before.
+    shots : tuple of Shot
+        In the order of their index.
+    """
+
+    name: str
+    kind: Kind
+    clamping: int
+    shots: tuple[Shot, ...]
+
+
+def step_hz(k: int) -> float:
+    """Frequency of step k, to a tenth of a hertz."""
+    return round(REFERENCE_HZ * 2 ** (25 * k / 1200), 1)
+
+
+def step_volts(k: int) -> float:
+    """Peak volts of step k."""
+    return float(0.5 * 32 ** (min(k - 1, RAMP_END - 1) / (RAMP_END - 1)))
+
+
+class Laboratory:
+    """A world in which time passes.
+
+    Parameters
+    ----------
+    world : World
+    """
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.reed: ModalReed = make_reed(world.build)
+        self.stage: Stage = make_stage(world, self.reed)
+        self.camera = Camera(world, self.stage)
+        self._answerer: Answerer = answerer(world, self.reed)
+        self._rng = np.random.default_rng([world.seed, 13])
+        self._now_s, self._clamping = 0.0, 0
+        self._gain = self._phase = 0.0
+        self._length_s = 1.0
+
+    def campaign(self, names: Sequence[str] = ()) -> Iterator[Recording]:
+        """Yield all recordings of a campaign, one after the other.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Only these; all if empty.
+        """
+        up = list(range(1, STEPS + 1))
+        mixed = [int(k) for k in np.random.default_rng([self.world.seed, 14]).permutation(up)]
+        # For what happens at a share of the campaign.
+        self._length_s = 5 * STEPS * (4 * FRAME_S + _PAUSE_S) + _CLAMP_S + 4 * _HANDS_S
+        for name, kind, steps, level in (
+            ("dark", "dark", [], 0.0),
+            ("flat", "flat", [], 0.0),
+            ("lo", "lo_only", [], 0.0),
+            ("object", "object_only", [], 0.0),
+            ("rest1", "order0", [], 0.0),
+            ("up", "sweep", up, 1.0),
+            ("down", "sweep", up[::-1], 1.0),
+            ("rest2", "order0", [], 0.0),
+            ("quiet", "sweep", up, _QUIET),
+            ("shuffled", "sweep", mixed, 1.0),
+            ("again", "sweep", up, 1.0),
+            ("rest3", "order0", [], 0.0),
+        ):
+            if name == "again":
+                self._now_s += _CLAMP_S
+                self._clamping += 1
+                self._reclamp()
+            if kind in ("flat", "lo_only"):
+                self._now_s += _HANDS_S
+            recording = self._recording(name, kind, steps, level)
+            if not names or name in names:
+                yield recording
+
+    def _reclamp(self) -> None:
+        """Put the reed back, not quite where it was."""
+        rng = np.random.default_rng([self.world.seed, 15])
+        # Up to a few cents in modes that bend at the clamp.
+        shift = 1 + 2e-3 * rng.standard_normal() / (1 + np.arange(len(self.reed.square)) / 4)
+        moved = replace(self.reed, square=self.reed.square * shift)
+        self._answerer = answerer(self.world, moved)
+        self.camera = Camera(self.world, replace(self.stage))
+
+    def _recording(self, name: str, kind: Any, steps: Sequence[int], level: float) -> Recording:
+        if kind == "sweep":
+            shots = [self._swept(k, level) for k in steps]
+            return Recording(name, kind, self._clamping, tuple(sorted(shots, key=lambda s: s.index)))
+        ladder = (0.25, 0.5, 0.75, 1.0) if kind in ("flat", "lo_only") else (1.0,) * 4
+        shots = [self._still(number, kind, share * FRAME_S) for number, share in enumerate(ladder)]
+        return Recording(name, kind, self._clamping, tuple(shots))
+
+    def _swept(self, k: int, level: float) -> Shot:
+        hz, volts = step_hz(k), level * step_volts(k)
+        began_s = self._begin()
+        modal = self._settled(hz, volts, began_s)
+        frames = self._frames(hz, modal, 1, FRAME_S, began_s)
+        return self._told(k, hz, volts, 1, began_s, frames, keep=False)
+
+    def _settled(self, hz: float, volts: float, began_s: float) -> Complex:
+        """Vibration of a reed whose stiffness may depend on how it vibrates."""
+        level, modal = 0.0, None
+        cane = self.world.cane
+        for _ in range(4 if cane.hardening or cane.lossier else 1):
+            modal = self._answerer.deflection(hz, volts, began_s, level, self._clamping)
+            deepest = float(np.abs(self.stage.shapes @ modal).max()) * 4 * np.pi / WAVELENGTH_M
+            level = 0.5 * (level + deepest / _UNIT_LEVEL) if level else deepest / _UNIT_LEVEL
+        assert modal is not None
+        return modal
+
+    def _still(self, number: int, kind: Any, exposure_s: float) -> Shot:
+        began_s = self._begin()
+        if kind == "order0":
+            frames = self._frames(0.0, None, 0, exposure_s, began_s)
+        else:
+            frames = self._plain(kind, exposure_s)
+        return self._told(number + 1, 0.0, 0.0, 0, began_s, frames, keep=True, exposure_s=exposure_s)
+
+    def _plain(self, kind: Any, exposure_s: float) -> Frames:
+        """Frames without interference."""
+        camera, chip = self.camera, self.world.chip
+        nothing = np.zeros((chip.rows, chip.rows))
+        light = {
+            "dark": nothing,
+            "lo_only": nothing,
+            "flat": np.full_like(nothing, _FLAT_E / FRAME_S),
+            "object_only": self._at_rest() * np.exp(2 * self._gain),
+        }[kind]
+        shots = [
+            camera.expose(None, light, kind == "lo_only", exposure_s, self._rng) for _ in range(4)
+        ]
+        return np.stack(shots)
+
+    def _at_rest(self) -> Array:
+        image = self.camera.sidebands(None)[0]
+        return np.asarray(np.abs(self.camera.on_sensor(image)) ** 2)
+
+    def _begin(self) -> float:
+        """Let time pass to the begin of the next acquisition; light goes its own way."""
+        light = self.world.light
+        self._now_s += _PAUSE_S + _SETTLE_S
+        began_s, memory = self._now_s, light.gain_memory
+        own = light.gain_scatter * np.sqrt(1 - memory**2) * self._rng.standard_normal()
+        self._gain = memory * self._gain + float(own)
+        self._phase += light.walk_rad_s * np.sqrt(_PAUSE_S) * float(self._rng.standard_normal())
+        self._now_s += 4 * FRAME_S
+        return began_s
+
+    def _frames(
+        self, hz: float, modal: Complex | None, order: int, exposure_s: float, began_s: float
+    ) -> Frames:
+        """Four frames of the beating light."""
+        world, light, clock = self.world, self.world.light, self.world.clockwork
+        images = self.camera.sidebands(modal, light.shift_m_h * began_s / 3600)
+        images = {n: image for n, image in images.items() if n == 0 or modal is not None}
+        played_hz = hz * (1 + 1e-6 * clock.scale_ppm)
+        hours = began_s / 3600
+        difference_hz = order * hz + 1 / (4 * FRAME_S) + clock.detuning_hz + clock.drift_hz_h * hours
+        gain = np.exp(self._gain - 0.5 * light.fade_per_h * hours)
+        if began_s > light.hop_at * self._length_s:
+            gain *= 1 - light.hop
+        at_rest = self._at_rest() * gain**2
+        frames: list[Frames] = []
+        for number in range(4):
+            start_s = began_s + number * FRAME_S
+            self._phase += light.walk_rad_s * np.sqrt(FRAME_S) * float(self._rng.standard_normal())
+            turn = self._phase + light.jitter_rad * float(self._rng.standard_normal())
+            turn += light.quarter_error_rad * (number % 2)
+            beats = {
+                n: _integral(n * played_hz - difference_hz, start_s, exposure_s) for n in images
+            }
+            image = sum(beats[n] * picture for n, picture in images.items())
+            if order in images:
+                image = image + light.leak * beats[order] * images[0] * (order != 0)
+                image = image + light.mixing * beats[order] * images.get(order + 1, 0.0)
+            bright = 1 + light.flicker * (number % 2)
+            on_sensor = self.camera.on_sensor(gain * np.exp(1j * turn) * image)
+            frames.append(
+                self.camera.expose(bright * on_sensor, bright * at_rest, True, exposure_s, self._rng)
+            )
+        if clock.repeats and self._rng.random() < clock.repeats:
+            again = int(self._rng.integers(1, 4))
+            frames[again] = frames[again - 1]
+        return np.stack(frames)
+
+    def _told(
+        self,
+        index: int,
+        hz: float,
+        volts: float,
+        order: int,
+        began_s: float,
+        frames: Frames,
+        *,
+        keep: bool,
+        exposure_s: float = FRAME_S,
+    ) -> Shot:
+        camera = self.camera
+        image, noise = camera.reconstructed(frames)
+        halves = frames.astype(np.float64)
+        even, odd = (
+            camera.focused(halves[a] - halves[b])[self.stage.rows, self.stage.columns]
+            for a, b in ((0, 2), (1, 3))
+        )
+        turned = np.sum(odd * even.conj())
+        bright = float(np.sum(np.abs(even) ** 2))
+        lock_hz = (-float(np.angle(turned)) - 0.5 * np.pi) / (2 * np.pi * FRAME_S)
+        lock_hz = (lock_hz + 2 / FRAME_S / 4) % (1 / FRAME_S) - 2 / FRAME_S / 4
+        spread = np.sqrt(noise / max(bright, 1e-9))
+        return Shot(
+            index=index,
+            hz=hz,
+            volts=volts,
+            order=order,
+            exposure_s=exposure_s,
+            began_s=began_s,
+            frames=frames if keep else None,
+            image=None if keep else image,
+            noise=noise,
+            signal=float(np.mean(np.abs(image) ** 2)),
+            lock_hz=lock_hz,
+            lock_se_hz=float(spread / (2 * np.pi * FRAME_S)),
+            repeated=any(np.array_equal(a, b) for a, b in pairwise(frames)),
+        )
+
+
+def _integral(offset_hz: float, start_s: float, length_s: float) -> complex:
+    """∫ exp(2πi·offset·t) dt over an exposure."""
+    middle = start_s + 0.5 * length_s
+    return complex(length_s * np.sinc(offset_hz * length_s) * np.exp(2j * np.pi * offset_hz * middle))

@@ -1,0 +1,219 @@
+"""From a vibrating surface to the numbers of a camera, and from those back to an image.
+
+A lensless camera far from the reed: the field on the sensor is one Fourier transform of the
+object's field times a quadratic phase. Points of the object are finer than the image resolves, each
+with a speckle of its own, so fringes that are too fine blur.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.interpolate import CloughTocher2DInterpolator, NearestNDInterpolator
+from scipy.special import jv
+
+from blind.reed import ModalReed
+from blind.shape import half_width_m
+from blind.world import Chip, Light, World
+
+Array = NDArray[np.floating[Any]]
+Complex = NDArray[np.complexfloating[Any, Any]]
+Frames = NDArray[np.uint16]
+
+WAVELENGTH_M, DISTANCE_M = 650e-9, 0.8
+# Middle of the visible reed from the axis, and what is kept of the image (y, x).
+CENTRE_M = (22e-3, 0.0)
+SIZE_M = (14e-3, 38e-3)
+# Points of the surface per pixel of the image, along each axis.
+_FINER = 2
+# Sidebands of the light that are followed.
+_ORDERS = (-1, 0, 1, 2, 3)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The lit surface, in places per pixel of the object's image.
+
+    Attributes
+    ----------
+    rows, columns : slice
+        Of the image.
+    inside : (h·f, w·f) bool
+        Points of the surface that belong to the reed.
+    rough : (n,) complex
+        Light of each point.
+    shapes : (n, m) float
+        Deflection of each point per modal coordinate.
+    y_m, x_m : (h,), (w,) float
+        Reed coordinates of the pixels kept.
+    """
+
+    rows: slice
+    columns: slice
+    inside: NDArray[np.bool_]
+    rough: Complex
+    shapes: Array
+    y_m: Array
+    x_m: Array
+
+
+def pitch_m(chip: Chip) -> float:
+    """Pitch of the image on the object."""
+    return WAVELENGTH_M * DISTANCE_M / (chip.rows * chip.pixel_m)
+
+
+def make_stage(world: World, reed: ModalReed) -> Stage:
+    """Light the reed."""
+    pitch, n = pitch_m(world.chip), world.chip.rows
+    height, width = (int(np.ceil(size / pitch)) for size in SIZE_M)
+    row = round(n / 2 + (CENTRE_M[0] - 0.5 * SIZE_M[0]) / pitch)
+    column = round(n / 2 + (CENTRE_M[1] - 0.5 * SIZE_M[1]) / pitch)
+    y_m = (np.arange(height) + row - n // 2) * pitch - CENTRE_M[0]
+    x_m = (np.arange(width) + column - n // 2) * pitch - CENTRE_M[1] + 0.5 * SIZE_M[1]
+    fine = (np.arange(_FINER) + 0.5) / _FINER - 0.5
+    y = (y_m[:, None] + pitch * fine).ravel()
+    x = (x_m[:, None] + pitch * fine).ravel()
+    Y, X = np.meshgrid(y, x, indexing="ij")
+    inside = (X > 0) & (np.abs(Y) < half_width_m(X))
+    at = np.stack([X[inside], Y[inside]], axis=1)
+    shapes = CloughTocher2DInterpolator(reed.top_m, reed.top)(at)
+    outside = np.isnan(shapes[:, 0])
+    shapes[outside] = NearestNDInterpolator(reed.top_m, reed.top)(at[outside])
+    rng = np.random.default_rng([world.seed, 11])
+    parts = rng.standard_normal((2, len(at)))
+    r2 = (at[:, 0] - 0.5 * SIZE_M[1]) ** 2 + at[:, 1] ** 2
+    rough = (parts[0] + 1j * parts[1]) * np.exp(-r2 / world.light.object_waist_m**2)
+    rough *= np.sqrt(world.light.object_e_s * n**2 / np.sum(np.abs(rough) ** 2))
+    return Stage(
+        slice(row, row + height), slice(column, column + width), inside, rough, shapes, y_m, x_m
+    )
+
+
+class Camera:
+    """One camera before one stage.
+
+    Parameters
+    ----------
+    world : World
+    stage : Stage
+    """
+
+    def __init__(self, world: World, stage: Stage) -> None:
+        self.world, self.stage = world, stage
+        chip, light, n = world.chip, world.light, world.chip.rows
+        rng = np.random.default_rng([world.seed, 12])
+        at = chip.pixel_m * (np.arange(n) - n // 2)
+        Y, X = np.meshgrid(at, at, indexing="ij")
+        shift_y, shift_x = light.lo_shift_m
+        r2 = (X - shift_x) ** 2 + (Y - shift_y) ** 2
+        self.lo = np.sqrt(light.lo_e_s) * np.exp(-r2 / light.lo_waist_m**2)
+        corner = (X**2 + Y**2) / (2 * at[0] ** 2)
+        self._passed = (1 - light.vignette * corner) * (1 + chip.pattern * rng.standard_normal((n, n)))
+        self._dark_e_s = chip.hot_e_s * (rng.random((n, n)) < chip.hot)
+        self._object_chirp = _chirp(n, pitch_m(chip), DISTANCE_M)
+        # The reed stands where it stands; images are focused where the laboratory believes it.
+        self._sensor_chirp = _chirp(n, chip.pixel_m, DISTANCE_M + light.defocus_m)
+        self._focus_chirp = _chirp(n, chip.pixel_m, DISTANCE_M)
+        self.chip, self.light = chip, light
+
+    def sidebands(self, modal: Complex | None, moved_m: float = 0.0) -> dict[int, Complex]:
+        """Light of each sideband in the object's image (n, n), √(electrons/s) after transform."""
+        stage = self.stage
+        rough = stage.rough
+        if moved_m:
+            # The image moves along the reed: half of each point's light goes to its neighbour's.
+            share = moved_m * _FINER / pitch_m(self.chip)
+            rough = rough * (1 - share) + share * np.roll(rough, 1)
+        if modal is None:
+            return {0: self._image(rough)}
+        u = 4 * np.pi / WAVELENGTH_M * (stage.shapes @ modal)
+        size = np.abs(u)
+        unit = u / np.maximum(size, 1e-30)
+        kept = np.exp(-self.light.blur * size**2)
+        images = {}
+        for order in _ORDERS:
+            bessel = jv(abs(order), size)
+            turn = unit if order >= 0 else unit.conj()
+            images[order] = self._image(
+                rough * kept * (1j ** abs(order)) * bessel * turn ** abs(order)
+            )
+        return images
+
+    def on_sensor(self, image: Complex) -> Complex:
+        """Field on the sensor of an object's image."""
+        spectrum = scipy.fft.fftshift(
+            scipy.fft.ifft2(scipy.fft.ifftshift(image * self._object_chirp), norm="ortho")
+        )
+        field: Complex = spectrum * self._sensor_chirp
+        return field
+
+    def expose(
+        self,
+        sensor_field: Complex | None,
+        at_rest: Array,
+        lo_on: bool,
+        exposure_s: float,
+        rng: np.random.Generator,
+    ) -> Frames:
+        """One frame.
+
+        Parameters
+        ----------
+        sensor_field : (n, n) complex, optional
+            ∫ E dt of the object's light in the local oscillator's frame, √(e/s)·s.
+        at_rest : (n, n) float
+            Of the object's light alone, e/s; zeros if it is off.
+        lo_on : bool
+        exposure_s : float
+        rng : numpy.random.Generator
+        """
+        chip = self.chip
+        mean = at_rest * exposure_s
+        if lo_on:
+            mean = mean + self.lo**2 * exposure_s
+            if sensor_field is not None:
+                mean = mean + 2 * self.lo * sensor_field.real
+        mean = np.maximum(mean * self._passed, 0) + self._dark_e_s * exposure_s
+        noisy = rng.poisson(mean) + chip.read_e * rng.standard_normal(mean.shape)
+        if chip.banding_e:
+            noisy = noisy + chip.banding_e * rng.standard_normal((len(mean), 1))
+        noisy = np.minimum(noisy, chip.full_e)
+        noisy = noisy * (1 - chip.bend * np.clip(noisy, 0, None) / chip.full_e)
+        numbers = np.rint(noisy / chip.gain_e_dn + chip.offset_dn)
+        return np.clip(numbers, 0, 2**chip.bits - 1).astype(np.uint16)
+
+    def reconstructed(self, frames: Frames) -> tuple[NDArray[np.complex64], float]:
+        """Image of the reed (h, w) of four frames, and the noise beside it, dn²."""
+        I = frames.astype(np.float64)
+        H = (I[0] - I[2]) + 1j * (I[1] - I[3])
+        image = self.focused(H)
+        n = self.chip.rows
+        empty = np.abs(image[: n // 5, : n // 5]) ** 2
+        return image[self.stage.rows, self.stage.columns].astype(np.complex64), float(empty.mean())
+
+    def focused(self, hologram: Array | Complex) -> Complex:
+        """Image (n, n) of a hologram at the distance that is believed in."""
+        flat = hologram * self._focus_chirp.conj()
+        spectrum = scipy.fft.fftshift(scipy.fft.fft2(scipy.fft.ifftshift(flat), norm="ortho"))
+        image: Complex = spectrum * self._object_chirp.conj()
+        return image
+
+    def _image(self, points: Complex) -> Complex:
+        """Add the light of points (p,) up in the pixels (n, n) of the image."""
+        stage, n = self.stage, self.chip.rows
+        fine = np.zeros(stage.inside.shape, complex)
+        fine[stage.inside] = points
+        high, wide = len(stage.y_m), len(stage.x_m)
+        whole = np.zeros((n, n), complex)
+        whole[stage.rows, stage.columns] = fine.reshape(high, _FINER, wide, _FINER).sum(axis=(1, 3))
+        return whole
+
+
+def _chirp(n: int, pitch: float, distance_m: float) -> Complex:
+    at = pitch * (np.arange(n) - n // 2)
+    # A wave that spreads lags the more, the farther out: time goes as exp(+iωt).
+    turn = np.pi / (WAVELENGTH_M * distance_m) * at**2
+    chirp: Complex = np.exp(-1j * (turn[:, None] + turn))
+    return chirp

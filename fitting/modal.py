@@ -18,7 +18,6 @@ vibration cannot be told apart (see `fitting.light`). What amplitudes are off be
 because no model is perfect, is estimated from what is left and added to the noise.
 """
 
-import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -29,8 +28,9 @@ from scipy import linalg
 
 from fitting.displacement import Displacements
 from fitting.errors import FitError
+from fitting.modal_descent import improve, without_drive
 from fitting.modal_equations import Data, Equations, equations
-from fitting.modal_model import LOSS, TAIL_TERMS, Model, Prior, State, bend, terms, with_gain
+from fitting.modal_model import LOSS, TAIL_TERMS, Model, Prior, State, terms, with_gain
 from fitting.modal_noise import Noise, alike, balanced, data_of, inflated, noise_of
 from fitting.shapes import ShapeBasis
 
@@ -46,11 +46,8 @@ _PERTURBATION, _MOST_MIXING, _LEAST_MIXING = 0.08, 0.5, 5e-3
 # Participations are expected to be within 3 times of what the stage before found.
 _SCALE = 3.0
 _LEAST_SCALE = 3e-3
-_LEAST_PROGRESS = 3e-4
-_LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e8
-# What rounding may take off the smallest eigenvalues of a matrix of units, in single and double
-# precision.
-_ROUGH, _ROUNDING = 3e-6, 1e-11
+# What rounding may take off the smallest eigenvalues of a matrix of units.
+_ROUNDING = 1e-11
 # How often it is estimated what amplitudes are off beyond their noise.
 _ROUNDS = 3
 # ... and how often if the modes are known.
@@ -83,11 +80,11 @@ class _Stage:
 
 
 _STAGES = (
-    _Stage(0.3, 0.05, 0.01, 0.05, 3),
-    _Stage(0.1, 0.3, 0.01, 0.3, 3),
-    _Stage(0.03, 0.5, 0.01, 1.0, 4),
+    _Stage(0.3, 0.05, 0.01, 0.05, 1),
+    _Stage(0.1, 0.3, 0.01, 0.3, 1),
+    _Stage(0.03, 0.5, 0.01, 1.0, 1),
 )
-_LAST = _Stage(0.015, 0.7, 0.02, 1.0, 12)
+_LAST = _Stage(0.015, 0.7, 0.02, 1.0, 4)
 
 
 @dataclass(frozen=True)
@@ -176,76 +173,6 @@ def _mixing(model: Model, centre_hz: Array) -> Array:
     return mixing
 
 
-def _reduced(
-    here: Equations, damping: float, precision: type[np.floating[Any]]
-) -> tuple[Array, Array, Array]:
-    """Matrix and gradient without the drive, and the (lower) root of the drive's matrix."""
-    diagonal = np.diag(here.drive_matrix)
-    damped = here.drive_matrix + np.diag(damping * diagonal + 1e-9)
-    root = linalg.cholesky(damped.astype(precision), lower=True, check_finite=False)
-    # The drives of holograms far apart hardly bend together. Products of numbers so small would be
-    # subnormal, for which processors take ten times as long.
-    root[np.abs(root) < np.sqrt(np.finfo(precision).tiny)] = 0
-    # BLAS itself: scipy's solve_triangular is five times as slow.
-    (solve,) = linalg.get_blas_funcs(("trsm",), (root,))
-    solved = solve(1.0, root, here.coupling.T.astype(precision), lower=1)
-    pull = solve(1.0, root, here.drive_gradient[:, None].astype(precision), lower=1)[:, 0]
-    return here.matrix - solved.T @ solved, here.gradient - pull @ solved, root
-
-
-def _improve(model: Model, data: Data, prior: Prior, state: State, iterations: int) -> State:
-    """Levenberg and Marquardt until nothing is gained."""
-
-    def cost(tried: State) -> float:
-        misfit = data.misfit(terms(model, tried).amplitude, tried.together)
-        known = float(tried.together @ data.precision @ tried.together)
-        return misfit + known + prior.cost(tried.x) + bend(model, tried).cost
-
-    best, damping, quick = cost(state), 1e-3, data.single()
-    for _ in range(iterations):
-        here = equations(model, quick, prior, state)
-        while True:
-            # Rounding may leave a matrix that is none of a minimum; damping makes it one.
-            with contextlib.suppress(np.linalg.LinAlgError):
-                tried = _moved(here, prior, state, damping)
-                reached = cost(tried)
-                if reached < best:
-                    break
-            damping = max(8 * damping, 1e-6)
-            if damping > _MOST_DAMPING:
-                return state
-        gain, best, state = best - reached, reached, tried
-        damping = max(damping / 5, _LEAST_DAMPING)
-        if gain < _LEAST_PROGRESS * best:
-            break
-    return state
-
-
-def _moved(here: Equations, prior: Prior, state: State, damping: float) -> State:
-    # As precise as its equations are.
-    matrix, gradient, root = _reduced(here, damping, np.float32)
-    damped = matrix + np.diag(damping * np.diag(here.matrix))
-    # Parameters of very different sizes: each in units of what alone would be told of it.
-    unit = 1 / np.sqrt(np.diag(here.matrix))
-    scaled = unit[:, None] * damped * unit + _ROUGH * np.eye(len(unit))
-    move = unit * linalg.cho_solve(
-        linalg.cho_factor(scaled.astype(np.float32)), (unit * gradient).astype(np.float32)
-    )
-    pull = (here.drive_gradient - here.coupling.T @ move).astype(np.float32)
-    drive = linalg.cho_solve((root, True), pull).astype(float).reshape(2, -1)
-    # A step of the drive by more than e is no small one.
-    drive = np.clip(drive, -1, 1)
-    x = state.x.copy()
-    count = int(np.count_nonzero(prior.free))
-    x[prior.free] += move[:count]
-    return replace(
-        state,
-        x=x,
-        log_drive=state.log_drive + drive[0] + 1j * drive[1],
-        together=state.together + move[count:],
-    )
-
-
 def fit_modes(
     displacements: Displacements,
     basis: ShapeBasis,
@@ -307,7 +234,7 @@ def _staged(model: Model, displacements: Displacements, noise: Noise, centre_hz:
     for stage in _STAGES:
         prior = _prior(model, stage, centre_hz, scale)
         data = data_of(displacements, noise, stage.discrepancy)
-        state = _improve(model, data, prior, _fixed(prior, state), stage.iterations)
+        state = improve(model, data, prior, _fixed(prior, state), stage.iterations)
         scale = _scale(model, state)
     return state
 
@@ -420,9 +347,9 @@ def _round(
 ) -> _Round:
     """Improve, and estimate the discrepancy that makes what is left as large as it should be."""
     data = data_of(displacements, noise, discrepancy)
-    state = with_gain(model, _improve(model, data, prior, _fixed(prior, state), _LAST.iterations))
+    state = with_gain(model, improve(model, data, prior, _fixed(prior, state), _LAST.iterations))
     here = equations(model, data, prior, state)
-    covariance = _inverse(_reduced(here, 0.0, np.float64)[0])
+    covariance = _inverse(without_drive(here, 0.0, np.float64)[0])
     freedoms = 2 * data.amplitude.size - 2 * len(model.hz) - _told(prior, data, covariance)
     apart = data.apart(terms(model, state).amplitude, state.together)
     left = apart * noise.deviation(discrepancy)

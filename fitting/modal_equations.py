@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from fitting.modal_model import Model, Prior, State, Terms, bend, scalars, terms
+from fitting.modal_model import Bend, Model, Prior, State, Terms, bend, scalars, terms
 from fitting.parallel import in_parts
 
 Array = NDArray[np.floating[Any]]
@@ -58,10 +58,6 @@ class Data:
             self.precision,
         )
 
-    def misfit(self, amplitude: Complex, together: Array) -> float:
-        """Sum of its squares."""
-        return float(np.sum(self.apart(amplitude, together) ** 2))
-
 
 def parts(complex_rows: Complex) -> Array:
     """Real, then imaginary parts: (k, j) → (k, 2j)."""
@@ -70,23 +66,19 @@ def parts(complex_rows: Complex) -> Array:
 
 @dataclass(frozen=True)
 class Equations:
-    """Normal equations of the parameters (those that are free, then what all is off together).
+    """Curvature of half the cost along the parameters: those free, then what all is off together.
 
     Attributes
     ----------
     matrix : (q, q) float
-    gradient : (q,) float
     coupling : (q, 2k) float
         With log magnitude, then phase of the drive.
     drive_matrix : (2k, 2k) float
-    drive_gradient : (2k,) float
     """
 
     matrix: Array
-    gradient: Array
     coupling: Array
     drive_matrix: Array
-    drive_gradient: Array
 
 
 @dataclass(frozen=True)
@@ -99,13 +91,10 @@ class _Seen:
         Times the root of the information.
     products : (2v + q, 2v + q, k) float
         Of these.
-    pull : (2v + q, k) float
-        With what the model leaves.
     """
 
     columns: Array
     products: Array
-    pull: Array
 
     def along(self, drive: Array) -> Array:
         """Products (2, 2v + q, k) with combinations (2, 2v, k) of vectors."""
@@ -114,12 +103,11 @@ class _Seen:
         return np.ascontiguousarray((moved @ self.columns).transpose(1, 2, 0))
 
 
-def _seen(model: Model, data: Data, state: State, now: Terms) -> _Seen:
+def _seen(model: Model, data: Data, now: Terms) -> _Seen:
     vectors = np.concatenate([now.shapes[model.active], model.reference]).astype(data.root.dtype)
     real, imaginary = (half @ vectors.T for half in np.split(data.root, 2, axis=2))
     # What all are off together moves the amplitudes as if the model moved the other way.
     columns = np.concatenate([real, imaginary, -data.response], axis=2)
-    left = data.apart(now.amplitude, state.together).astype(data.root.dtype)
     size = columns.shape[2]
     products = np.empty((size, size, len(columns)), columns.dtype)
 
@@ -127,17 +115,13 @@ def _seen(model: Model, data: Data, state: State, now: Terms) -> _Seen:
         products[:, :, some] = (columns[some].swapaxes(1, 2) @ columns[some]).transpose(1, 2, 0)
 
     in_parts(fill, len(columns))
-    pull = (left[:, None, :] @ columns)[:, 0]
-    return _Seen(columns, products, np.ascontiguousarray(pull.T))
+    return _Seen(columns, products)
 
 
 def equations(model: Model, data: Data, prior: Prior, state: State) -> Equations:
-    """Linearise the model around a state.
-
-    Derivatives are those of what the model says; gradients point downhill.
-    """
+    """Linearise the model around a state."""
     now = terms(model, state)
-    seen, layout = _seen(model, data, state, now), _layout(model, prior)
+    seen, layout = _seen(model, data, now), _layout(model, prior)
     # As precise as the data are given.
     numbers = np.result_type(data.root, np.complex64)
     by = scalars(model, state, now)[:, layout.own_v, layout.own_p]
@@ -148,17 +132,72 @@ def equations(model: Model, data: Data, prior: Prior, state: State) -> Equations
     moved = seen.along(drive)
     order = layout.order(len(data.precision))
     matrix = _matrix(layout, seen, own, mixed)[np.ix_(order, order)]
-    gradient = _gradient(layout, seen, own, mixed)[order]
     coupling = _coupling(layout, own, mixed, moved)[order]
     held = linalg.block_diag(np.diag(prior.precision[prior.free]), data.precision)
-    offset = prior.precision[prior.free] * (state.x - prior.centre)[prior.free]
-    drive_matrix, drive_gradient = _drive_equations(model, state, seen, moved, drive)
     return Equations(
         matrix + held,
-        gradient - np.concatenate([offset, data.precision @ state.together]),
         coupling.reshape(len(order), -1),
-        drive_matrix,
-        drive_gradient,
+        _drive_matrix(model, state, moved, drive),
+    )
+
+
+@dataclass(frozen=True)
+class Place:
+    """A state and how good it is.
+
+    Attributes
+    ----------
+    state : State
+    terms : Terms
+    left : (k, 2j) float
+        See `Data.apart`.
+    bent : Bend
+    cost : float
+        Twice the negative log of the posterior density.
+    """
+
+    state: State
+    terms: Terms
+    left: Array
+    bent: Bend
+    cost: float
+
+
+def place(model: Model, data: Data, prior: Prior, state: State) -> Place:
+    """Work out how good a state is."""
+    now, bent, together = terms(model, state), bend(model, state), state.together
+    left = data.apart(now.amplitude, together)
+    known = float(together @ data.precision @ together) + prior.cost(state.x)
+    return Place(state, now, left, bent, float(np.sum(left**2)) + known + bent.cost)
+
+
+def downhill(model: Model, data: Data, prior: Prior, at: Place) -> Array:
+    """Negative gradient (q + 2k,) of half the cost, in the order of `Equations`, then the drive.
+
+    A fraction of what `equations` costs.
+    """
+    state, now, left, layout = at.state, at.terms, at.left, _layout(model, prior)
+    force = (left[:, None, :] @ data.root)[:, 0]
+    real, imaginary = np.split(force, 2, axis=1)
+    vectors = np.concatenate([now.shapes[model.active], model.reference])
+    pull = np.concatenate([vectors @ real.T, vectors @ imaginary.T])
+    own = scalars(model, state, now)[:, layout.own_v, layout.own_p].T
+    mixed = now.modal[:, model.active].T
+    by_parameters = np.concatenate(
+        [
+            *_own_and_mixed(layout, pull, own, mixed),
+            -np.einsum("kcq,kc->q", data.response, left, optimize=True),
+        ]
+    )[layout.order(len(data.precision))]
+    offset = prior.precision[prior.free] * (state.x - prior.centre)[prior.free]
+    drive = _drive(model, now, layout.vectors)
+    by_drive = np.einsum("lck,ck->lk", drive, pull)
+    by_drive[0] += at.bent.gradient
+    return np.concatenate(
+        [
+            by_parameters - np.concatenate([offset, data.precision @ state.together]),
+            by_drive.ravel(),
+        ]
     )
 
 
@@ -221,16 +260,15 @@ def _matrix(layout: _Layout, seen: _Seen, own: Complex, mixed: Complex) -> Array
     )
 
 
-def _gradient(layout: _Layout, seen: _Seen, own: Complex, mixed: Complex) -> Array:
-    """Products (q,) of all columns with what is left."""
+def _own_and_mixed(
+    layout: _Layout, pull: Array, own: Complex, mixed: Complex
+) -> tuple[Array, Array]:
+    """Sums over holograms of columns times what pulls at their vectors (2v, k)."""
     active, vectors, own_v = layout.active, layout.vectors, layout.own_v
-    of_mixed = _by_mixed(seen.pull, mixed, active, vectors).sum(axis=2)
-    return np.concatenate(
-        [
-            np.sum(own.real * seen.pull[own_v] + own.imag * seen.pull[own_v + vectors], axis=1),
-            of_mixed[layout.mix_m, layout.mix_a],
-            seen.pull[2 * vectors :].sum(axis=1),
-        ]
+    of_mixed = _with_mixed(pull[None], mixed, active, vectors)[0]
+    return (
+        np.sum(own.real * pull[own_v] + own.imag * pull[own_v + vectors], axis=1),
+        of_mixed[layout.mix_m, layout.mix_a],
     )
 
 
@@ -326,9 +364,7 @@ def _drive(model: Model, now: Terms, vectors: int) -> Array:
     )
 
 
-def _drive_equations(
-    model: Model, state: State, seen: _Seen, moved: Array, drive: Array
-) -> tuple[Array, Array]:
+def _drive_matrix(model: Model, state: State, moved: Array, drive: Array) -> Array:
     count, bent = len(model.hz), bend(model, state)
     own = np.einsum("lck,mck->lmk", moved[:, : drive.shape[1]], drive)
     matrix = linalg.block_diag(bent.curvature, np.zeros((count, count)))
@@ -336,6 +372,4 @@ def _drive_equations(
     for row in range(2):
         for column in range(2):
             matrix[row * count + k, column * count + k] += own[row, column]
-    gradient = np.einsum("lck,ck->lk", drive, seen.pull[: drive.shape[1]])
-    gradient[0] += bent.gradient
-    return matrix, gradient.ravel()
+    return matrix

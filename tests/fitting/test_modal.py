@@ -9,7 +9,8 @@ from fitting.displacement import Displacements
 from fitting.errors import FitError
 from fitting.light import SharedError
 from fitting.modal import _LAST, _inverse, _prior, fit_modes
-from fitting.modal_equations import Data, equations
+from fitting.modal_descent import improve
+from fitting.modal_equations import Data, downhill, equations, place
 from fitting.modal_model import Model, State, bend, scalars, terms
 from fitting.shapes import ShapeBasis
 
@@ -441,7 +442,8 @@ class Point:
         return terms(self.model, replace(self.state, x=x)).amplitude
 
     def cost(self, state):
-        misfit = self.data.misfit(terms(self.model, state).amplitude, state.together)
+        apart = self.data.apart(terms(self.model, state).amplitude, state.together)
+        misfit = float(np.sum(apart**2))
         known = state.together @ self.data.precision @ state.together
         return misfit + known + self.prior.cost(state.x) + bend(self.model, state).cost
 
@@ -497,18 +499,21 @@ def test_derivatives_are_scalars_times_vectors(point):
 
 def test_gradients_are_minus_half_the_slope_of_the_cost(point):
     state, free = point.state, point.prior.free
-    here = equations(point.model, point.data, point.prior, state)
+    here = place(point.model, point.data, point.prior, state)
+    assert here.cost == pytest.approx(point.cost(state), rel=1e-12)
+    down = downhill(point.model, point.data, point.prior, here)
     by_x = differences(lambda x: point.cost(replace(state, x=x)), state.x)[free]
     by_all = differences(lambda z: point.cost(replace(state, together=z)), state.together)
     slopes = np.concatenate([by_x, by_all])
-    assert here.gradient == pytest.approx(-0.5 * slopes, abs=1e-5 * np.abs(slopes).max())
+    count = 2 * len(state.log_drive)
+    assert down[:-count] == pytest.approx(-0.5 * slopes, abs=1e-5 * np.abs(slopes).max())
     log = state.log_drive
 
     def at(parts):
         return point.cost(replace(state, log_drive=log + parts[0] + 1j * parts[1]))
 
     by_drive = differences(at, np.zeros((2, len(log))))
-    assert here.drive_gradient == pytest.approx(
+    assert down[-count:] == pytest.approx(
         -0.5 * by_drive.ravel(), abs=1e-3 * np.abs(by_drive).max()
     )
 
@@ -542,6 +547,38 @@ def test_matrices_are_those_of_the_derivatives(point):
     ):
         expected = np.einsum("akx,bkx->ab", one, other) + known
         assert given == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
+
+
+def settled(point, monkeypatch, iterations, following):
+    """Cost and gradient after some of Newton's steps, each with so many that follow it."""
+    monkeypatch.setattr("fitting.modal_descent._FOLLOWING", following)
+    state = improve(point.model, point.data, point.prior, point.state, iterations)
+    return place(point.model, point.data, point.prior, state)
+
+
+def test_steps_that_follow_newtons_get_farther_on_the_same_equations(point, monkeypatch):
+    costs = {n: settled(point, monkeypatch, 2, n).cost for n in (0, 3, 12)}
+    start = point.cost(point.state)
+    assert start > costs[0] > costs[3] > costs[12]
+
+
+def test_nothing_is_gained_by_beginning_again_at_the_end(point, monkeypatch):
+    monkeypatch.setattr("fitting.modal_descent._LEAST_PROGRESS", 1e-6)
+    monkeypatch.setattr("fitting.modal_descent._LEAST_GAIN", 1e-7)
+    end = settled(point, monkeypatch, 60, 12)
+    again = settled(replace(point, state=end.state), monkeypatch, 60, 12)
+    start = point.cost(point.state)
+    assert end.cost - again.cost < 1e-4 * (start - end.cost)
+
+
+def test_a_step_that_overflows_is_cut(point):
+    """Log losses that would run away, as in a valley without an end."""
+    far = point.state.x.copy()
+    far[:3, 11] += 6.0
+    lost = replace(point.state, x=far)
+    state = improve(point.model, point.data, point.prior, lost, 8)
+    assert np.isfinite(point.cost(state))
+    assert point.cost(state) < point.cost(lost)
 
 
 def test_what_has_no_inverse_is_said_with_the_remedy():

@@ -2,15 +2,17 @@
 
 import re
 from dataclasses import dataclass
+from enum import StrEnum
 from fractions import Fraction
 from typing import Final, Literal
 
 from acquire.quantities import exact_decimal
 
 FORMAT: Final = "reedbench-run"
-FORMAT_VERSION: Final = 2
-# Version 1 knows no takes but one of each step, no seams, and no lock measured from the frames.
-READABLE_VERSIONS: Final = (1, 2)
+FORMAT_VERSION: Final = 3
+# Version 1 knows no takes but one of each step, no seams, and no lock measured from the frames;
+# version 2 knows nothing but sweeps that stand alone.
+READABLE_VERSIONS: Final = (1, 2, 3)
 
 Status = Literal["running", "complete", "interrupted", "failed"]
 
@@ -65,6 +67,38 @@ class Seam:
     began: str
     ended: str
     reason: str
+
+
+class Kind(StrEnum):
+    """What a run is of."""
+
+    SWEEP = "sweep"
+    DARK = "dark"
+    FLAT = "flat"
+    LO_ONLY = "lo_only"
+    OBJECT_ONLY = "object_only"
+    ORDER0 = "order0"
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """What a run is of, and which part of a campaign it is.
+
+    Attributes
+    ----------
+    kind : Kind
+    campaign : str
+        The same in all runs of a campaign; empty if it stands alone.
+    part : str
+        Name within the campaign.
+    clamping : int
+        How often the reed had been clamped anew since the campaign began.
+    """
+
+    kind: Kind = Kind.SWEEP
+    campaign: str = ""
+    part: str = ""
+    clamping: int = 0
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,8 @@ from acquire.run_layout import (
     READABLE_VERSIONS,
     SEAMS,
     SINCE_VERSION_2,
+    Acquisition,
+    Kind,
     RunLabels,
     Seam,
     short_reason,
@@ -109,6 +111,8 @@ class Run:
         that of their step; what they look like, `retaken_field` tells by their place here.
     seams : tuple of Seam
         Where the run was not carried on at once.
+    acquisition : Acquisition
+        What it is of.
     uid, title, start_time, end_time : str
         Times are ISO 8601; `end_time` is empty if the run was killed.
     format_version : int
@@ -157,6 +161,7 @@ class Run:
         self.steps = tuple(_records(entry["steps"], self.sideband_order))
         self.retakes = tuple(_retaken(entry["retakes"], self.steps)) if "retakes" in entry else ()
         self.seams = tuple(_seams(entry["seams"])) if "seams" in entry else ()
+        self.acquisition = _acquisition(entry)
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
@@ -379,6 +384,19 @@ def _require_ours(path: Path, file: Any) -> None:
             f"{path}: has format version {found}, this software reads up to {FORMAT_VERSION}; "
             "update it"
         )
+
+
+def _acquisition(entry: Any) -> Acquisition:
+    """What the run is of; runs that do not say it are sweeps that stand alone."""
+    if "acquisition" not in entry:
+        return Acquisition()
+    said = entry["acquisition"]
+    return Acquisition(
+        Kind(_string(said, "kind")),
+        _string(said, "campaign"),
+        _string(said, "part"),
+        int(said["clamping"][()]),
+    )
 
 
 def _string(group: Any, name: str) -> str:

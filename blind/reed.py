@@ -11,20 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
-from skfem import Basis, BilinearForm, ElementHex2, FacetBasis, MeshHex
+from skfem import Basis, BilinearForm, ElementHex2, MeshHex, MeshHex2
 
-from blind.shape import CLAMP_X_M, CLAMP_Y_M, LENGTH_M, VAMP_END_M, side_m, thickness_m, tip_m
+from blind.shape import CLAMP_X_M, CLAMP_Y_M, LENGTH_M, VAMP_END_M, half_width_m, side_m, thickness_m, tip_m
 
 Array = NDArray[np.floating[Any]]
 
 # Columns of elements across: lines along the edges of both strips.
-_ACROSS_M = (0.0, 1.3e-3, 2.5e-3, 3.5e-3, 4.7e-3)
+_ACROSS_M = (0.0, 0.85e-3, 1.7e-3, 2.5e-3, 3.0e-3, 3.5e-3, 4.2e-3, 5.0e-3)
 # Element faces along the reed behind the curved part of the tip.
 _BENT_M, _BENT = 8e-3, (0.0, 0.12, 0.3, 0.55, 0.78, 1.0)
 _ALONG_M = (
     *np.linspace(8e-3, 32.5e-3, 13)[1:],
     34.75e-3, 36.6e-3, 37.7e-3, 38.2e-3, 38.7e-3, 40e-3, 44e-3, 50e-3, 56e-3, 60e-3, 61.2e-3, LENGTH_M,
 )  # fmt: skip
+# Where the corner's arc has a slope of 45 degrees.
+_CORNER_M = (1.6322e-3, 5.8482e-3)
 _THROUGH = (0.0, 0.75, 1.0)
 _MODES = 40
 # Springs of a clamp that is as good as rigid, Pa/m.
@@ -136,7 +138,7 @@ _VOIGT = {(0, 0): 0, (1, 1): 1, (2, 2): 2, (1, 2): 3, (0, 2): 4, (0, 1): 5}
 
 def make_reed(build: Build) -> ModalReed:
     """Compute the modes of a reed."""
-    mesh, faces = _mesh(build)
+    mesh, bark, flat = _mesh(build)
     basis = Basis(mesh, ElementHex2(), intorder=4)
     slopes = {
         (i, j): BilinearForm(lambda u, v, _, i=i, j=j: v.grad[i] * u.grad[j]).assemble(basis)
@@ -145,7 +147,7 @@ def make_reed(build: Build) -> ModalReed:
         if i <= j
     }
     C = _turned(build.wood.stiffness(), build.grain)
-    K = _stiffness(slopes, C) + _springs(mesh, faces.top, build)
+    K = _stiffness(slopes, C) + _springs(mesh, bark, build)
     one = BilinearForm(lambda u, v, _: build.wood.density * u * v).assemble(basis)
     M = sparse.kron(sparse.eye_array(3), one, format="csc")
     lu = splu(
@@ -167,8 +169,8 @@ def make_reed(build: Build) -> ModalReed:
         return np.asarray(modes.T @ (_stiffness(slopes, change) @ modes))
 
     n = basis.N
-    top_m, top, area, stretch = _on_face(mesh, faces.top, modes, n)
-    bottom_m, bottom, bottom_area, _ = _on_face(mesh, faces.bottom, modes, n)
+    top_m, top, area, stretch = _on_face(mesh, bark, modes, n)
+    bottom_m, bottom, bottom_area, _ = _on_face(mesh, flat, modes, n)
     return ModalReed(
         values, softer("E_L"), softer("G_LT"), top_m, top, area, stretch, bottom_m,
         bottom * bottom_area[:, None], build.wood,
@@ -176,38 +178,65 @@ def make_reed(build: Build) -> ModalReed:
 
 
 @dataclass(frozen=True)
-class _Faces:
-    """Numbers of the facets of the bark side and of the flat side."""
+class _Face:
+    """Elements at the bark side or at the flat side, and Gauss points there in their own axes.
 
-    top: NDArray[np.intp]
-    bottom: NDArray[np.intp]
+    Attributes
+    ----------
+    elements : (e,) int
+    points : (3, q) float
+    weights : (q,) float
+    """
+
+    elements: NDArray[np.intp]
+    points: Array
+    weights: Array
 
 
-def _mesh(build: Build) -> tuple[MeshHex, _Faces]:
+def _mesh(build: Build) -> tuple[MeshHex2, _Face, _Face]:
     """Hexahedra on lines that follow the tip, the strips and the end of the vamp."""
     along = np.concatenate([np.array(_BENT), 1 + np.arange(1, len(_ALONG_M) + 1)])
     across = np.arange(-len(_ACROSS_M), len(_ACROSS_M) + 1.0)
-    mesh = MeshHex.init_tensor(along, across, np.array(_THROUGH))
-    s, t, zeta = mesh.p
-    outer_facets = mesh.boundary_facets()
-    level = zeta[mesh.facets[:, outer_facets]]
-    faces = _Faces(
-        outer_facets[np.all(level == 1.0, axis=0)], outer_facets[np.all(level == 0.0, axis=0)]
-    )
-    lines = np.array([*_ACROSS_M, np.nan])
+    flat = MeshHex.init_tensor(along, across, np.array(_THROUGH))
+    curved = MeshHex2.from_mesh(flat)
+    x, y = _placed(curved.doflocs[0], curved.doflocs[1])
+    z = curved.doflocs[2] * built_thickness_m(build, x, y)
+    return replace(curved, doflocs=np.stack([x, y, z])), _face(flat, 1.0), _face(flat, 0.0)
+
+
+def _face(flat: MeshHex, zeta: float) -> _Face:
+    """Find a face of the block of elements that is not bent yet."""
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    nodes, weights = 0.5 * (1 + nodes), 0.5 * weights
+    one, other = (grid.ravel() for grid in np.meshgrid(nodes, nodes, indexing="ij"))
+    for axis in range(3):
+        for side in (0.0, 1.0):
+            points = np.insert(np.stack([one, other]), axis, side, axis=0)
+            height = flat.mapping().F(points)[2]
+            # The face of every element that lies in a plane of constant height, and the outer one.
+            if np.ptp(height, axis=1).max() < 1e-12 and np.any(np.abs(height[:, 0] - zeta) < 1e-12):
+                if (height[:, 0] - 0.5).mean() * (zeta - 0.5) < 0:
+                    continue
+                at = np.flatnonzero(np.abs(height[:, 0] - zeta) < 1e-12)
+                return _Face(at, points, np.multiply.outer(weights, weights).ravel())
+    raise ValueError("the block of elements has no such face")
+
+
+def _placed(s: Array, t: Array) -> tuple[Array, Array]:
+    """Coordinates of nodes numbered along the reed (to 1 in the bent part) and across it."""
+    last = len(_ACROSS_M) - 1
+    away = np.abs(t)
+    beside = np.maximum(away - last, 0.0)
+    inner = np.interp(away, np.arange(last + 1), _ACROSS_M)
+    # The outermost line begins in the middle of the rounded corner and follows the outline.
+    corner_x, corner_y = _CORNER_M
+    bent = np.minimum(s, 1.0)
     behind = np.interp(s, 1 + np.arange(len(_ALONG_M) + 1), [_BENT_M, *_ALONG_M])
-    guess = np.where(s <= 1, _BENT_M * np.minimum(s, 1), behind)
-    number = np.abs(t).astype(int)
-    y = lines[number]
-    # The outermost line is the side; in the curved part it bends with the tip.
-    outer = np.isnan(y)
-    y[outer] = side_m(np.maximum(guess, 2.94661e-3))[outer]
-    tip = np.where(outer, 2.94661e-3, tip_m(np.where(outer, 0.0, y)))
-    x = np.where(s <= 1, tip + (_BENT_M - tip) * np.minimum(s, 1), behind)
-    y[outer] = side_m(x)[outer]
-    y = y * np.sign(t)
-    z = zeta * built_thickness_m(build, x, y)
-    return MeshHex(np.stack([x, y, z]), mesh.t), faces
+    side_x = np.where(s <= 1, corner_x + (_BENT_M - corner_x) * bent, behind)
+    y = inner + beside * (half_width_m(side_x) - _ACROSS_M[-1])
+    begin = tip_m(inner + beside * (corner_y - _ACROSS_M[-1]))
+    x = np.where(s <= 1, begin + (_BENT_M - begin) * bent, behind)
+    return x, y * np.sign(t)
 
 
 def _stiffness(slopes: dict[tuple[int, int], Any], C: Array) -> Any:
@@ -227,40 +256,44 @@ def _stiffness(slopes: dict[tuple[int, int], Any], C: Array) -> Any:
             for j in range(3)
             if modulus(a, i, b, j)
         ]
-        return sum(parts[1:], start=parts[0]) if parts else None
+        # A block of zeros has a size, too.
+        return sum(parts, start=0.0 * slopes[0, 0])
 
     return sparse.block_array([[block(a, b) for b in range(3)] for a in range(3)], format="csc")
 
 
-def _springs(mesh: MeshHex, top: NDArray[np.intp], build: Build) -> Any:
+def _springs(mesh: MeshHex2, top: _Face, build: Build) -> Any:
     """Beds under both strips."""
+    basis, area = _basis_on(mesh, top)
+    x, y = basis.global_coordinates().value[:2]
     (x0, x1), (y0, y1) = CLAMP_X_M, CLAMP_Y_M
-    total: Any = 0
-    for sign, yielding in zip((1, -1), build.yielding_m3_n, strict=True):
-
-        def under(at: Array, sign: int = sign) -> NDArray[np.bool_]:
-            x, y, _ = at
-            inside: NDArray[np.bool_] = (x > x0) & (x < x1) & (sign * y > y0) & (sign * y < y1)
-            return inside
-
-        facets = np.intersect1d(mesh.facets_satisfying(under), top)
-        stiffness = 1 / (1 / _RIGID_PA_M + yielding)
-        strip = FacetBasis(mesh, ElementHex2(), facets=facets, intorder=4)
-        total = total + BilinearForm(lambda u, v, _, k=stiffness: k * u * v).assemble(strip)
-    return sparse.kron(sparse.eye_array(3), total, format="csc")
+    left, right = (1 / (1 / _RIGID_PA_M + yielding) for yielding in build.yielding_m3_n)
+    under = (x > x0) & (x < x1) & (np.abs(y) > y0) & (np.abs(y) < y1)
+    pressure = np.where(under, np.where(y > 0, left, right), 0.0) * area / basis.dx
+    form = BilinearForm(lambda u, v, w: w["pressure"] * u * v)
+    return sparse.kron(sparse.eye_array(3), form.assemble(basis, pressure=pressure), format="csc")
 
 
-def _on_face(
-    mesh: MeshHex, facets: NDArray[np.intp], modes: Array, n: int
-) -> tuple[Array, Array, Array, Array]:
+def _basis_on(mesh: MeshHex2, face: _Face) -> tuple[Basis, Array]:
+    """Functions on a face, and the area (e, q) of the plan that each point stands for."""
+    quadrature = face.points, face.weights
+    basis = Basis(mesh, ElementHex2(), elements=face.elements, quadrature=quadrature)
+    axis = int(np.flatnonzero(np.ptp(face.points, axis=1) == 0)[0])
+    slopes = mesh.mapping().DF(face.points, tind=face.elements)
+    plan = np.delete(slopes, axis, axis=1)[:2]
+    area = np.abs(plan[0, 0] * plan[1, 1] - plan[0, 1] * plan[1, 0]) * face.weights
+    return basis, area
+
+
+def _on_face(mesh: MeshHex2, face: _Face, modes: Array, n: int) -> tuple[Array, Array, Array, Array]:
     """Places (p, 2), deflections (p, m), areas of the plan (p,) and strains ε_xx (p, m)."""
-    face = FacetBasis(mesh, ElementHex2(), facets=facets, intorder=4)
-    x, y = (np.asarray(face.default_parameters()["x"])[k].ravel() for k in (0, 1))
-    normal = np.asarray(face.normals)[2]
-    area = (np.asarray(face.dx) * np.abs(normal)).ravel()
-    moved = [np.asarray(face.interpolate(mode[2 * n :])).ravel() for mode in modes.T]
-    stretch = [np.asarray(face.interpolate(mode[:n]).grad[0]).ravel() for mode in modes.T]
-    return np.stack([x, y], axis=1), np.stack(moved, axis=1), area, np.stack(stretch, axis=1)
+    basis, area = _basis_on(mesh, face)
+    x, y = (part.ravel() for part in basis.global_coordinates().value[:2])
+    moved = [np.asarray(basis.interpolate(mode[2 * n :])).ravel() for mode in modes.T]
+    stretch = [np.asarray(basis.interpolate(mode[:n]).grad[0]).ravel() for mode in modes.T]
+    return (
+        np.stack([x, y], axis=1), np.stack(moved, axis=1), area.ravel(), np.stack(stretch, axis=1)
+    )  # fmt: skip
 
 
 def _turned(C: Array, angle: float) -> Array:

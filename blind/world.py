@@ -82,7 +82,7 @@ class Air:
         Motion of the clamp, as a share of the tip's at rest, per pressure.
     """
 
-    pa_v: float = 0.7
+    pa_v: float = 0.45
     resonance_hz: float = 1100.0
     resonance_q: float = 0.7
     corner_hz: float = 14e3

@@ -1,0 +1,164 @@
+"""What may be wrong with a laboratory, in this side's own forms, and how large it may be.
+
+Kinds that the diagnosis knows bear its names; the others are for it to find unknown. Sizes are
+drawn so that some can be seen and some cannot.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from blind.world import World
+
+Change = Callable[[World, float, np.random.Generator], World]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of effect.
+
+    Attributes
+    ----------
+    name : str
+    change : callable
+        ``change(world, size, rng)``; a size of 1 is usual.
+    signed : bool
+        Whether it may be negative.
+    known : bool
+        Whether the catalogue of the diagnosis has it.
+    """
+
+    name: str
+    change: Change
+    signed: bool = False
+    known: bool = True
+
+
+def _in(part: str, **fields: Callable[[float], Any]) -> Change:
+    """Change fields of a part of the world by functions of the size."""
+
+    def change(world: World, size: float, _rng: np.random.Generator) -> World:
+        values = {name: value(size) for name, value in fields.items()}
+        return replace(world, **{part: replace(getattr(world, part), **values)})
+
+    return change
+
+
+def _wood(name: str, share: float) -> Change:
+    def change(world: World, size: float, _rng: np.random.Generator) -> World:
+        wood = world.build.wood
+        changed = replace(wood, **{name: getattr(wood, name) * float(np.exp(share * size))})
+        return replace(world, build=replace(world.build, wood=changed))
+
+    return change
+
+
+def _shear(world: World, size: float, rng: np.random.Generator) -> World:
+    wood, turn = world.build.wood, rng.uniform(0, 2 * np.pi)
+    changed = replace(
+        wood,
+        G_LR=wood.G_LR * float(np.exp(0.5 * size * np.cos(turn))),
+        G_TR=wood.G_TR * float(np.exp(0.5 * size * np.sin(turn))),
+    )
+    return replace(world, build=replace(world.build, wood=changed))
+
+
+def _stiffening(world: World, size: float, rng: np.random.Generator) -> World:
+    share = rng.uniform(0.2, 0.8)
+    powers = 0.06 * size * share, 0.1 * size * (1 - share)
+    return replace(world, cane=replace(world.cane, powers=powers))
+
+
+def _clamp_tilt(world: World, size: float, _rng: np.random.Generator) -> World:
+    beds = (2e-13 * abs(size), 0.0) if size > 0 else (0.0, 2e-13 * abs(size))
+    return replace(world, build=replace(world.build, yielding_m3_n=beds))
+
+
+def _crack(world: World, size: float, rng: np.random.Generator) -> World:
+    place = float(rng.uniform(8e-3, 28e-3)), float(rng.uniform(-4e-3, 4e-3))
+    cane = replace(world.cane, crack_depth_m=60e-6 * size, crack_m=place)
+    return replace(world, cane=cane)
+
+
+def _second_cavity(world: World, size: float, rng: np.random.Generator) -> World:
+    hz = float(np.exp(rng.uniform(np.log(2500.0), np.log(15000.0))))
+    q = float(rng.uniform(15, 60))
+    air = replace(world.air, second=0.06 * size, second_hz=hz, second_q=q)
+    return replace(world, air=air)
+
+
+def _groove(world: World, size: float, rng: np.random.Generator) -> World:
+    build = replace(
+        world.build, groove_m=15e-6 * size, groove_x_m=float(rng.uniform(5e-3, 25e-3))
+    )
+    return replace(world, build=build)
+
+
+def _stop(world: World, size: float, rng: np.random.Generator) -> World:
+    place = float(rng.uniform(15e-3, 30e-3)), float(rng.uniform(-4e-3, 4e-3))
+    return replace(world, cane=replace(world.cane, stop_n_m=800.0 * size, stop_m=place))
+
+
+def _lo_shift(world: World, size: float, rng: np.random.Generator) -> World:
+    turn = rng.uniform(0, 2 * np.pi)
+    shift = 0.4e-3 * size * np.array([np.sin(turn), np.cos(turn)])
+    light = replace(world.light, lo_shift_m=(float(shift[0]), float(shift[1])))
+    return replace(world, light=light)
+
+
+KINDS: Final[tuple[Kind, ...]] = (
+    Kind("tweeter_compression", _in("air", compression=lambda s: min(0.15 * s, 0.8))),
+    Kind("amplifier_rolloff", _in("air", roll_hz=lambda s: 60e3 / max(s, 1e-3))),
+    Kind("cavity_line", _in("air", line=lambda s: 0.12 * (1 + 0.5 * s)), signed=False),
+    Kind("second_cavity", _second_cavity),
+    Kind("chamber_asymmetry", _in("air", open_right=lambda s: min(0.15 * s, 1.0))),
+    Kind("air_load", _in("cane", air=lambda s: 0.5 * s)),
+    Kind("stiffening", _stiffening),
+    Kind("damping_growth", _in("cane", loss_power=lambda s: 0.15 * s), signed=True),
+    Kind("density", _wood("density", 0.05), signed=True),
+    Kind("transverse_modulus", _wood("E_T", 0.3), signed=True),
+    Kind("transverse_shear", _shear),
+    Kind("thickness_offset", _in("build", offset_m=lambda s: 12e-6 * s), signed=True),
+    Kind("thickness_wedge", _in("build", wedge_m=lambda s: 15e-6 * s), signed=True),
+    Kind("thickness_crown", _in("build", crown_m=lambda s: 20e-6 * s), signed=True),
+    Kind("thickness_tilt", _in("build", tilt_m=lambda s: 15e-6 * s), signed=True),
+    Kind("tip_mass", _in("cane", tip_kg=lambda s: 0.4e-6 * s)),
+    Kind("clamp_yield", _in("build", yielding_m3_n=lambda s: (3e-13 * s, 3e-13 * s))),
+    Kind("clamp_tilt", _clamp_tilt, signed=True),
+    Kind("crack", _crack),
+    Kind("hardening", _in("cane", hardening=lambda s: 4e-4 * s)),
+    Kind("temperature_drift", _in("cane", warming_c_h=lambda s: 4.0 * s), signed=True),
+    Kind("drying", _in("cane", drying=lambda s: min(0.1 * s, 1.0))),
+    Kind("bench_vibration", _in("light", jitter_rad=lambda s: 0.05 * s)),
+    Kind("synthesizer_detuning", _in("clockwork", detuning_hz=lambda s: 0.01 * s), signed=True),
+    Kind("generator_clock", _in("clockwork", scale_ppm=lambda s: 2.0 * s), signed=True),
+    Kind("synthesizer_drift", _in("clockwork", drift_hz_h=lambda s: 0.05 * s), signed=True),
+    Kind("lost_frames", _in("clockwork", repeats=lambda s: min(0.01 * s, 0.3))),
+    Kind("laser_drift", _in("light", fade_per_h=lambda s: 0.15 * s), signed=True),
+    Kind("coherence_step", _in("light", hop=lambda s: min(0.08 * s, 0.7), hop_at=lambda _s: 0.55)),
+    Kind("speckle_decorrelation", _in("light", blur=lambda s: 3e-4 * s)),
+    Kind("order_mixing", _in("light", mixing=lambda s: 0.03 * s)),
+    Kind("carrier_leak", _in("light", leak=lambda s: 0.01 * s)),
+    Kind("phase_step_error", _in("light", quarter_error_rad=lambda s: 0.05 * s), signed=True),
+    Kind("defocus", _in("light", defocus_m=lambda s: 0.02 * s), signed=True),
+    Kind("lo_nonuniformity", _lo_shift),
+    Kind("vignetting", _in("light", vignette=lambda s: 0.05 * s)),
+    Kind("fixed_pattern", _in("chip", pattern=lambda s: 0.01 * s)),
+    Kind("hot_pixels", _in("chip", hot=lambda s: min(0.002 * s, 0.1))),
+    Kind("read_noise", _in("chip", read_e=lambda s: 12.0 * (1 + 0.3 * s))),
+    Kind("camera_bend", _in("chip", bend=lambda s: min(0.03 * s, 0.5))),
+    # --- What no catalogue has -----------------------------------------------------------------
+    Kind("side_mass", _in("cane", side_kg=lambda s: 1e-6 * s), known=False),
+    Kind("touching_stop", _stop, known=False),
+    Kind("grain_angle", _in("build", grain=lambda s: 0.03 * s), signed=True, known=False),
+    Kind("groove", _groove, known=False),
+    Kind("shaken_clamp", _in("air", shake=lambda s: 0.02 * s), known=False),
+    Kind("lossier_when_lively", _in("cane", lossier=lambda s: 0.05 * s), known=False),
+    Kind("warm_hands", _in("cane", step_c=lambda s: 2.0 * s), signed=True, known=False),
+    Kind("flicker", _in("light", flicker=lambda s: 0.02 * s), known=False),
+    Kind("creeping_image", _in("light", shift_m_h=lambda s: 1e-4 * s), known=False),
+    Kind("banding", _in("chip", banding_e=lambda s: 15.0 * s), known=False),
+)
+BY_NAME: Final[Mapping[str, Kind]] = {kind.name: kind for kind in KINDS}

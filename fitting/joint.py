@@ -18,7 +18,7 @@ from fitting.picking import Resonance, likely_components, pick_resonances
 from fitting.shapes import ShapeBasis, shape_basis
 from physics.reed.basis import ReducedReed
 from physics.reed.names import PAPER_MODES, is_symmetric
-from physics.reed.response import viscoelastic_mode
+from physics.reed.response import viscoelastic_modes
 from physics.reed.viscoelastic import (
     Components,
     Series,
@@ -197,7 +197,12 @@ def _starts(
         misfit_cents=_MISFIT_CENTS,
     )
     components = likely_components(picked, model, series, _MISFIT_CENTS)
-    expected = _expected_hz(basis, reed, viscoelastic_cane(components, series))
+    try:
+        expected = _expected_hz(basis, reed, viscoelastic_cane(components, series))
+    except ValueError:
+        # What was picked speaks for no possible cane: look where the mean of all canes has modes.
+        components = Components()
+        expected = _expected_hz(basis, reed, viscoelastic_cane(components, series))
     paper_cents = dict(
         zip(
             model.modes,
@@ -254,14 +259,12 @@ def _room_cents(name: str, cents: Mapping[str, float]) -> float:
 
 def _expected_hz(basis: ShapeBasis, reed: ReducedReed, cane: ViscoelasticCane) -> dict[str, float]:
     """Eigenfrequencies of a cane, of the modes that it has."""
-    expected = {}
-    for name, hz in zip(basis.names, basis.hz, strict=True):
-        if hz < _LOOK_HZ:
-            try:
-                expected[name] = viscoelastic_mode(reed, cane, name, float(hz)).frequency_hz
-            except ValueError:
-                continue
-    return expected
+    modes = viscoelastic_modes(reed, cane)
+    return {
+        name: modes[name].frequency_hz
+        for name, hz in zip(basis.names, basis.hz, strict=True)
+        if hz < _LOOK_HZ and name in modes
+    }
 
 
 def _doubts(modal: ModalFit, basis: ShapeBasis, displacements: Displacements) -> dict[str, str]:

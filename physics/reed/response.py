@@ -121,14 +121,20 @@ def viscoelastic_mode(
         previous, hz = hz, modes[name].frequency_hz
         if abs(1200 * np.log2(hz / previous)) < _SETTLED_CENTS:
             return modes[name]
-    modes = _settled_modes(reed, cane)
+    modes = viscoelastic_modes(reed, cane)
     if name not in modes:
         raise ValueError(f"this reed has no mode {name} near {hz:.0f} Hz")
     return modes[name]
 
 
-def _settled_modes(reed: ReducedReed, cane: ViscoelasticCane) -> dict[str, Mode]:
-    """All modes with names, each settled by its number (see `modes.viscoelastic_modes`)."""
+def viscoelastic_modes(reed: ReducedReed, cane: ViscoelasticCane) -> dict[str, Mode]:
+    """All modes with names, each settled by its number (see `modes.viscoelastic_modes`).
+
+    Raises
+    ------
+    ValueError
+        If moduli grow too fast with frequency for modes to settle.
+    """
     count, density_kg_m3 = named_modes(reed), reed.cane.density_kg_m3
     modes: dict[str, Mode] = {}
     for symmetry, half in reed.halves.items():

@@ -21,6 +21,7 @@ from fitting.joint import (
 )
 from fitting.joint_drawing import mode_sheet
 from fitting.tables import modes_table, not_identified_lines
+from physics.reed.viscoelastic import Components
 
 
 @pytest.fixture(scope="module")
@@ -129,6 +130,15 @@ def test_a_mode_has_room_up_to_the_next_of_its_symmetry():
     assert _room_cents("F2", cents) == pytest.approx(120)
     assert _room_cents("T1", cents) == 300
     assert _room_cents("F2", {"F2": 2100.0, "T2": 2150.0}) == 80
+
+
+def test_picks_that_speak_for_no_possible_cane_do_no_harm(sweep_a, sweep, monkeypatch):
+    """Of a shear modulus below zero: modes are sought where the mean cane has them."""
+    monkeypatch.setattr("fitting.joint.likely_components", lambda *_: Components(e1=-8.0))
+    other = fit_runs([sweep_a], method="joint").sweeps[0]
+    for name in ("F1", "T1", "F2", "T2"):
+        found, hz = sweep.resonances[name], other.resonances[name].frequency_hz
+        assert float(cents_of(hz) - cents_of(found.frequency_hz)) == pytest.approx(0, abs=1)
 
 
 def test_shapes_alike_have_a_mac_of_1():

@@ -84,7 +84,7 @@ def healthy_world(seed: int) -> World:
             line_q=near(25.0, 0.05), line=near(0.12, 0.05),
         ),
         light=Light(
-            lo_e_s=near(80e3, 0.02), object_e_s=near(2500.0, 0.1), gain_scatter=near(0.02, 0.2),
+            lo_e_s=near(80e3, 0.02), object_e_s=near(6000.0, 0.1), gain_scatter=near(0.02, 0.2),
             walk_rad_s=near(0.05, 0.3), object_waist_m=near(35e-3, 0.05),
         ),
         chip=Chip(

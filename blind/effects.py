@@ -90,9 +90,7 @@ def _second_cavity(world: World, size: float, rng: np.random.Generator) -> World
 
 
 def _groove(world: World, size: float, rng: np.random.Generator) -> World:
-    build = replace(
-        world.build, groove_m=15e-6 * size, groove_x_m=float(rng.uniform(5e-3, 25e-3))
-    )
+    build = replace(world.build, groove_m=15e-6 * size, groove_x_m=float(rng.uniform(5e-3, 25e-3)))
     return replace(world, build=build)
 
 

@@ -160,18 +160,21 @@ class Laboratory:
                 yield recording
 
     def _reclamp(self) -> None:
-        """Put the reed back, not quite where it was."""
+        """Put the reed back, not quite where it was: its speckle is another one."""
         rng = np.random.default_rng([self.world.seed, 15])
         # Up to a few cents in modes that bend at the clamp.
         shift = 1 + 2e-3 * rng.standard_normal() / (1 + np.arange(len(self.reed.square)) / 4)
         moved = replace(self.reed, square=self.reed.square * shift)
         self._answerer = answerer(self.world, moved)
-        self.camera = Camera(self.world, replace(self.stage))
+        self.stage = make_stage(replace(self.world, seed=self.world.seed + 1), moved)
+        self.camera = Camera(self.world, self.stage)
 
     def _recording(self, name: str, kind: Any, steps: Sequence[int], level: float) -> Recording:
         if kind == "sweep":
             shots = [self._swept(k, level) for k in steps]
-            return Recording(name, kind, self._clamping, tuple(sorted(shots, key=lambda s: s.index)))
+            return Recording(
+                name, kind, self._clamping, tuple(sorted(shots, key=lambda s: s.index))
+            )
         ladder = (0.25, 0.5, 0.75, 1.0) if kind in ("flat", "lo_only") else (1.0,) * 4
         shots = [self._still(number, kind, share * FRAME_S) for number, share in enumerate(ladder)]
         return Recording(name, kind, self._clamping, tuple(shots))
@@ -180,18 +183,18 @@ class Laboratory:
         hz, volts = step_hz(k), level * step_volts(k)
         began_s = self._begin()
         modal = self._settled(hz, volts, began_s)
-        frames = self._frames(hz, modal, 1, FRAME_S, began_s)
+        base_m = self._answerer.base_m(hz, volts)
+        frames = self._frames(hz, modal, 1, FRAME_S, began_s, base_m)
         return self._told(k, hz, volts, 1, began_s, frames, keep=False)
 
     def _settled(self, hz: float, volts: float, began_s: float) -> Complex:
         """Vibration of a reed whose stiffness may depend on how it vibrates."""
-        level, modal = 0.0, None
-        cane = self.world.cane
-        for _ in range(4 if cane.hardening or cane.lossier else 1):
-            modal = self._answerer.deflection(hz, volts, began_s, level, self._clamping)
+        cane, level = self.world.cane, 0.0
+        modal = self._answerer.deflection(hz, volts, began_s, level, self._clamping)
+        for _ in range(4 if cane.hardening or cane.lossier else 0):
             deepest = float(np.abs(self.stage.shapes @ modal).max()) * 4 * np.pi / WAVELENGTH_M
             level = 0.5 * (level + deepest / _UNIT_LEVEL) if level else deepest / _UNIT_LEVEL
-        assert modal is not None
+            modal = self._answerer.deflection(hz, volts, began_s, level, self._clamping)
         return modal
 
     def _still(self, number: int, kind: Any, exposure_s: float) -> Shot:
@@ -200,7 +203,9 @@ class Laboratory:
             frames = self._frames(0.0, None, 0, exposure_s, began_s)
         else:
             frames = self._plain(kind, exposure_s)
-        return self._told(number + 1, 0.0, 0.0, 0, began_s, frames, keep=True, exposure_s=exposure_s)
+        return self._told(
+            number + 1, 0.0, 0.0, 0, began_s, frames, keep=True, exposure_s=exposure_s
+        )
 
     def _plain(self, kind: Any, exposure_s: float) -> Frames:
         """Frames without interference."""
@@ -233,15 +238,23 @@ class Laboratory:
         return began_s
 
     def _frames(
-        self, hz: float, modal: Complex | None, order: int, exposure_s: float, began_s: float
+        self,
+        hz: float,
+        modal: Complex | None,
+        order: int,
+        exposure_s: float,
+        began_s: float,
+        base_m: complex = 0.0,
     ) -> Frames:
         """Four frames of the beating light."""
-        world, light, clock = self.world, self.world.light, self.world.clockwork
-        images = self.camera.sidebands(modal, light.shift_m_h * began_s / 3600)
+        light, clock = self.world.light, self.world.clockwork
+        images = self.camera.sidebands(modal, light.shift_m_h * began_s / 3600, base_m)
         images = {n: image for n, image in images.items() if n == 0 or modal is not None}
         played_hz = hz * (1 + 1e-6 * clock.scale_ppm)
         hours = began_s / 3600
-        difference_hz = order * hz + 1 / (4 * FRAME_S) + clock.detuning_hz + clock.drift_hz_h * hours
+        difference_hz = (
+            order * hz + 1 / (4 * FRAME_S) + clock.detuning_hz + clock.drift_hz_h * hours
+        )
         gain = np.exp(self._gain - 0.5 * light.fade_per_h * hours)
         if began_s > light.hop_at * self._length_s:
             gain *= 1 - light.hop
@@ -262,7 +275,9 @@ class Laboratory:
             bright = 1 + light.flicker * (number % 2)
             on_sensor = self.camera.on_sensor(gain * np.exp(1j * turn) * image)
             frames.append(
-                self.camera.expose(bright * on_sensor, bright * at_rest, True, exposure_s, self._rng)
+                self.camera.expose(
+                    bright * on_sensor, bright * at_rest, True, exposure_s, self._rng
+                )
             )
         if clock.repeats and self._rng.random() < clock.repeats:
             again = int(self._rng.integers(1, 4))
@@ -313,4 +328,6 @@ class Laboratory:
 def _integral(offset_hz: float, start_s: float, length_s: float) -> complex:
     """∫ exp(2πi·offset·t) dt over an exposure."""
     middle = start_s + 0.5 * length_s
-    return complex(length_s * np.sinc(offset_hz * length_s) * np.exp(2j * np.pi * offset_hz * middle))
+    return complex(
+        length_s * np.sinc(offset_hz * length_s) * np.exp(2j * np.pi * offset_hz * middle)
+    )

@@ -16,7 +16,7 @@ from scipy.special import jv
 
 from blind.reed import ModalReed
 from blind.shape import half_width_m
-from blind.world import Chip, Light, World
+from blind.world import Chip, World
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -110,7 +110,9 @@ class Camera:
         r2 = (X - shift_x) ** 2 + (Y - shift_y) ** 2
         self.lo = np.sqrt(light.lo_e_s) * np.exp(-r2 / light.lo_waist_m**2)
         corner = (X**2 + Y**2) / (2 * at[0] ** 2)
-        self._passed = (1 - light.vignette * corner) * (1 + chip.pattern * rng.standard_normal((n, n)))
+        self._passed = (1 - light.vignette * corner) * (
+            1 + chip.pattern * rng.standard_normal((n, n))
+        )
         self._dark_e_s = chip.hot_e_s * (rng.random((n, n)) < chip.hot)
         self._object_chirp = _chirp(n, pitch_m(chip), DISTANCE_M)
         # The reed stands where it stands; images are focused where the laboratory believes it.
@@ -118,8 +120,20 @@ class Camera:
         self._focus_chirp = _chirp(n, chip.pixel_m, DISTANCE_M)
         self.chip, self.light = chip, light
 
-    def sidebands(self, modal: Complex | None, moved_m: float = 0.0) -> dict[int, Complex]:
-        """Light of each sideband in the object's image (n, n), √(electrons/s) after transform."""
+    def sidebands(
+        self, modal: Complex | None, moved_m: float = 0.0, base_m: complex = 0.0
+    ) -> dict[int, Complex]:
+        """Light of each sideband in the object's image (n, n), √(electrons/s) after transform.
+
+        Parameters
+        ----------
+        modal : (m,) complex, optional
+            Vibration; none if not given.
+        moved_m : float
+            By which the image has moved along the reed.
+        base_m : complex
+            Motion of the clamp.
+        """
         stage = self.stage
         rough = stage.rough
         if moved_m:
@@ -128,7 +142,7 @@ class Camera:
             rough = rough * (1 - share) + share * np.roll(rough, 1)
         if modal is None:
             return {0: self._image(rough)}
-        u = 4 * np.pi / WAVELENGTH_M * (stage.shapes @ modal)
+        u = 4 * np.pi / WAVELENGTH_M * (stage.shapes @ modal + base_m)
         size = np.abs(u)
         unit = u / np.maximum(size, 1e-30)
         kept = np.exp(-self.light.blur * size**2)
@@ -186,9 +200,8 @@ class Camera:
 
     def reconstructed(self, frames: Frames) -> tuple[NDArray[np.complex64], float]:
         """Image of the reed (h, w) of four frames, and the noise beside it, dn²."""
-        I = frames.astype(np.float64)
-        H = (I[0] - I[2]) + 1j * (I[1] - I[3])
-        image = self.focused(H)
+        one, two, three, four = frames.astype(np.float64)
+        image = self.focused((one - three) + 1j * (two - four))
         n = self.chip.rows
         empty = np.abs(image[: n // 5, : n // 5]) ** 2
         return image[self.stage.rows, self.stage.columns].astype(np.complex64), float(empty.mean())

@@ -13,7 +13,16 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from skfem import Basis, BilinearForm, ElementHex2, MeshHex, MeshHex2
 
-from blind.shape import CLAMP_X_M, CLAMP_Y_M, LENGTH_M, VAMP_END_M, half_width_m, side_m, thickness_m, tip_m
+from blind.shape import (
+    CLAMP_X_M,
+    CLAMP_Y_M,
+    LENGTH_M,
+    VAMP_END_M,
+    half_width_m,
+    side_m,
+    thickness_m,
+    tip_m,
+)
 
 Array = NDArray[np.floating[Any]]
 
@@ -23,7 +32,8 @@ _ACROSS_M = (0.0, 0.85e-3, 1.7e-3, 2.5e-3, 3.0e-3, 3.5e-3, 4.2e-3, 5.0e-3)
 _BENT_M, _BENT = 8e-3, (0.0, 0.12, 0.3, 0.55, 0.78, 1.0)
 _ALONG_M = (
     *np.linspace(8e-3, 32.5e-3, 13)[1:],
-    34.75e-3, 36.6e-3, 37.7e-3, 38.2e-3, 38.7e-3, 40e-3, 44e-3, 50e-3, 56e-3, 60e-3, 61.2e-3, LENGTH_M,
+    34.75e-3, 36.6e-3, 37.7e-3, 38.2e-3, 38.7e-3, 40e-3, 44e-3, 50e-3, 56e-3, 60e-3, 61.2e-3,
+    LENGTH_M,
 )  # fmt: skip
 # Where the corner's arc has a slope of 45 degrees.
 _CORNER_M = (1.6322e-3, 5.8482e-3)
@@ -285,7 +295,9 @@ def _basis_on(mesh: MeshHex2, face: _Face) -> tuple[Basis, Array]:
     return basis, area
 
 
-def _on_face(mesh: MeshHex2, face: _Face, modes: Array, n: int) -> tuple[Array, Array, Array, Array]:
+def _on_face(
+    mesh: MeshHex2, face: _Face, modes: Array, n: int
+) -> tuple[Array, Array, Array, Array]:
     """Places (p, 2), deflections (p, m), areas of the plan (p,) and strains ε_xx (p, m)."""
     basis, area = _basis_on(mesh, face)
     x, y = (part.ravel() for part in basis.global_coordinates().value[:2])

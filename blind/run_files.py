@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 
 from blind.laboratory import FRAME_S, Laboratory, Recording, Shot, step_hz
-from blind.optics import DISTANCE_M, WAVELENGTH_M, pitch_m
+from blind.optics import DISTANCE_M, WAVELENGTH_M
 
 # No case was measured on any day.
 _DAY = datetime(2000, 1, 1, 9, tzinfo=UTC)
@@ -25,12 +25,13 @@ instruments:
   synthesizers: {{driver: simulated, step: 0.1 Hz, centre: 80 MHz, window: 5 MHz}}
   generator: {{driver: simulated, step: 1 uHz}}
   camera:
-    {{driver: simulated, width: {rows}, height: {rows}, pixel: 6.7 um, bits: 12, max_frame_rate: 12.5 Hz}}
+    {{driver: simulated, width: {rows}, height: {rows}, pixel: 6.7 um, bits: 12,
+      max_frame_rate: 12.5 Hz}}
 optics:
   {{wavelength: 650 nm, distance: 0.8 m, reed_centre: {{y: 22 mm, x: 0 mm}}}}
 limits: {{volts_are: peak, volts_min: 0 V, volts_max: 16 V, drive_min: 20 Hz, drive_max: 20 kHz}}
 acoustic_lines: [4308.6 Hz]
-twin: {{light: {{local_oscillator_e_s: 80000.0, object_e_s: 2500.0}}}}
+twin: {{light: {{local_oscillator_e_s: 80000.0, object_e_s: 6000.0}}}}
 """
 
 
@@ -57,7 +58,9 @@ def write_recording(path: Path, case: str, laboratory: Laboratory, recording: Re
         _texts(
             entry,
             title=recording.name,
-            entry_identifier_uuid=hashlib.sha256(f"{case} {recording.name}".encode()).hexdigest()[:32],
+            entry_identifier_uuid=hashlib.sha256(f"{case} {recording.name}".encode()).hexdigest()[
+                :32
+            ],
             start_time=began.isoformat(timespec="seconds"),
             end_time=ended.isoformat(timespec="seconds"),
             status="complete",
@@ -103,7 +106,10 @@ def _instrument(entry: Any, laboratory: Laboratory) -> None:
     _number(camera, "pixel_size", chip.pixel_m, "m")
     for name, value in (
         ("bit_depth_readout", chip.bits),
-        ("saturation_value", int(min(chip.full_e / chip.gain_e_dn + chip.offset_dn, 2**chip.bits - 1))),
+        (
+            "saturation_value",
+            int(min(chip.full_e / chip.gain_e_dn + chip.offset_dn, 2**chip.bits - 1)),
+        ),
         ("rows", chip.rows),
         ("columns", chip.rows),
     ):

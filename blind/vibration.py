@@ -1,4 +1,4 @@
-"""How a case's reed answers its loudspeaker, step by step: in modal coordinates, in the steady state."""
+"""How a case's reed answers its loudspeaker: in modal coordinates, in the steady state."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from blind.reed import ModalReed
-from blind.shape import side_m
-from blind.world import Air, Cane, World
+from blind.reed import ModalReed, built_thickness_m
+from blind.world import Air, World
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -18,6 +17,8 @@ _SOUND_M_S, _AIR_KG_M3 = 343.4, 1.2
 _AIR_HZ = np.geomspace(1.2e3, 21e3, 7)
 # Window of the mouthpiece: length, half width, and over what the pressure falls at its walls.
 _WINDOW_M, _HALF_M, _WALL_M = 33e-3, 5.3e-3, 0.7e-3
+# What a shaken clamp moves by at a share of 1.
+_SHAKEN_M_PA = 1e-6
 # Relative changes of stiffness and loss per degree, and when fully dried.
 _PER_C, _LOSS_PER_C = -1.2e-3, 0.012
 _DRY_E, _DRY_G, _DRY_MASS, _DRY_LOSS = 0.10, 0.14, -0.03, -0.30
@@ -39,6 +40,8 @@ class Answerer:
         Mass of the air at `_AIR_HZ`.
     loss : (m,) float
         Factors on the loss of each mode.
+    carried : (m,) float
+        Mass that each mode has if the clamp moves.
     """
 
     world: World
@@ -47,6 +50,11 @@ class Answerer:
     stiffness: Array
     air: Array
     loss: Array
+    carried: Array
+
+    def base_m(self, hz: float, volts: float) -> complex:
+        """By how much the clamp moves."""
+        return self.world.air.shake * _SHAKEN_M_PA * speaker_pa(self.world.air, hz, volts)
 
     def deflection(
         self, hz: float, volts: float, after_s: float, level: float, clampings: int
@@ -78,8 +86,9 @@ class Answerer:
         loss = loss * (1 + _LOSS_PER_C * degrees) * (1 + _DRY_LOSS * dry)
         root = np.sqrt(self.loss)
         lossy = K + 1j * loss * root[:, None] * K * root
-        force = self._pressure(hz, volts) @ reed.push_m3
         omega2 = (2 * np.pi * hz) ** 2
+        force = self._pressure(hz, volts) @ reed.push_m3
+        force = force + omega2 * self.base_m(hz, volts) * self.carried
         answer: Complex = np.linalg.solve(lossy - omega2 * M, force)
         return answer
 
@@ -110,7 +119,9 @@ def answerer(world: World, reed: ModalReed) -> Answerer:
     rng = np.random.default_rng([world.seed, 71])
     loss = np.exp(cane.loss_scatter * rng.standard_normal(len(reed.square)))
     air = _air_mass(reed) if cane.air else np.zeros((len(_AIR_HZ), 1, 1))
-    return Answerer(world, reed, mass, stiffness, air, loss)
+    kg_m2 = reed.wood.density * built_thickness_m(world.build, x, y)
+    carried = (reed.top_area_m2 * kg_m2) @ reed.top
+    return Answerer(world, reed, mass, stiffness, air, loss, carried)
 
 
 def speaker_pa(air: Air, hz: float, volts: float) -> complex:
@@ -168,7 +179,11 @@ def _distortion(air: Air, hz: float, x: Array, y: Array) -> Complex:
 
 
 def _interpolated(table: Array, hz: float) -> Array:
-    place = float(np.clip(np.interp(np.log(hz), np.log(_AIR_HZ), np.arange(len(_AIR_HZ))), 0, len(_AIR_HZ) - 1))
+    place = float(
+        np.clip(
+            np.interp(np.log(hz), np.log(_AIR_HZ), np.arange(len(_AIR_HZ))), 0, len(_AIR_HZ) - 1
+        )
+    )
     low = min(int(place), len(_AIR_HZ) - 2)
     share = place - low
     between: Array = (1 - share) * table[low] + share * table[low + 1]

@@ -163,7 +163,7 @@ class Light:
     """
 
     lo_e_s: float = 80e3
-    object_e_s: float = 2500.0
+    object_e_s: float = 6000.0
     lo_waist_m: float = 15e-3
     lo_shift_m: tuple[float, float] = (0.0, 0.0)
     object_waist_m: float = 35e-3

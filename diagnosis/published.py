@@ -460,7 +460,9 @@ def _transferred(
         ):
             deviation = np.hypot(problem.floor_cents[here], misfit)
             start_z = fitted.estimate.z[moduli]
-            at = _linear(left, fitted.slope[np.ix_(here, moduli)], start_z, deviation, [False] * count)
+            at = _linear(
+                left, fitted.slope[np.ix_(here, moduli)], start_z, deviation, [False] * count
+            )
             out = _left_out(at.jacobian, at.residuals, reed.modes) * deviation
             gaps.append(float(np.mean((out / problem.floor_cents[here]) ** 2)) - 1)
         answer[reed.series.value] = (gaps[0] - gaps[1]) / gaps[0] if gaps[0] > 0 else float("nan")
@@ -506,7 +508,9 @@ def _reach(
             Reach(
                 effect=effect.id,
                 absorbed=1 - float(np.sum(own**2)) / total if total else float("nan"),
-                detectable=dict(zip([p.name for p in effect.parameters], least.tolist(), strict=True)),
+                detectable=dict(
+                    zip([p.name for p in effect.parameters], least.tolist(), strict=True)
+                ),
                 alike=alike,
             )
         )

@@ -1,7 +1,7 @@
 """Resonances by one joint fit of a sweep, from its holograms: phasors, displacement, modes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,9 @@ from threadpoolctl import threadpool_limits
 from acquire.runfile import Run
 from fitting.bessel import BesselTable
 from fitting.displacement import Displacements, fit_displacements, refit_displacements
+from fitting.errors import FitError
 from fitting.forward import ForwardModel, cents_of, viscoelastic_cents
+from fitting.light import SharedError
 from fitting.modal import ModalFit, fit_modes
 from fitting.phasors import Phasors, read_phasors
 from fitting.picking import Resonance, likely_components, pick_resonances
@@ -125,6 +127,13 @@ def _fitted(run: Run, reed: ReducedReed, model: ForwardModel) -> JointFit:
             phasors, basis, displacements, expected_rad, modal.off, modal.together
         )
         modal = fit_modes(displacements, basis, phasors.drive_hz, phasors.volts, start_hz, modal)
+    return _told(modal, phasors, basis, displacements)
+
+
+def _told(
+    modal: ModalFit, phasors: Phasors, basis: ShapeBasis, displacements: Displacements
+) -> JointFit:
+    """Say which modes are identified, and why others are not."""
     doubts = _doubts(modal, basis, displacements)
     found = {
         name: _resonance(modal, m, phasors, basis)
@@ -138,6 +147,79 @@ def _fitted(run: Run, reed: ReducedReed, model: ForwardModel) -> JointFit:
         modal=modal,
         resonances=dict(sorted(found.items(), key=lambda item: item[1].frequency_hz)),
         not_identified={name: reason for name, reason in doubts.items() if reason},
+    )
+
+
+def fit_again(run: Run, before: JointFit) -> JointFit:
+    """Fit another sweep of the same reed, not taken out of its clamp, from what one has told.
+
+    A third of the work of `fit_jointly`: vibration and light are looked for where they were, driven
+    by as many volts more or less.
+
+    Parameters
+    ----------
+    run : Run
+    before : JointFit
+        Of another run, in which the reed has the same places in the image.
+
+    Raises
+    ------
+    FitError
+        As `fit_jointly`, and if the runs do not show the reed in the same places.
+    RunFileError
+        If a step cannot be read.
+    """
+    with threadpool_limits(limits=1, user_api="blas"):
+        phasors = read_phasors(run)
+        if phasors.x_m.shape != before.phasors.x_m.shape:
+            raise FitError(
+                f"{run.path}: shows the reed in {len(phasors.x_m)} places, another run of it in "
+                f"{len(before.phasors.x_m)}; fit it by itself"
+            )
+        start = _as_before(phasors, before)
+        everything = np.ones(len(phasors.drive_hz), dtype=bool)
+        none = np.zeros(len(start.shared.precision))
+        displacements = refit_displacements(
+            phasors, before.basis, start, (start.amplitude_rad,), everything, none
+        )
+        start_hz = dict(zip(before.modal.names, before.modal.hz.tolist(), strict=True))
+        known = _moved(before.modal, before.phasors, phasors)
+        modal = fit_modes(
+            displacements, before.basis, phasors.drive_hz, phasors.volts, start_hz, known
+        )
+        return _told(modal, phasors, before.basis, displacements)
+
+
+def _as_before(phasors: Phasors, before: JointFit) -> Displacements:
+    """What displacements a sweep should show by another one."""
+    known = _moved(before.modal, before.phasors, phasors)
+    old, count = before.displacements, len(phasors.drive_hz)
+    size = known.amplitude_rad.shape[1]
+    return Displacements(
+        amplitude_rad=known.amplitude_rad,
+        information=np.zeros((count, 2 * size, 2 * size)),
+        shared=SharedError(
+            np.zeros((count, 2 * size, old.shared.response.shape[2])), old.shared.precision
+        ),
+        misfit=np.full(count, np.inf),
+        gain=np.zeros(count),
+        light=old.light,
+        reached=np.zeros(count, dtype=bool),
+    )
+
+
+def _moved(modal: ModalFit, before: Phasors, now: Phasors) -> ModalFit:
+    """Modes of a sweep at the frequencies and volts of another one."""
+    place = np.interp(np.log(now.drive_hz), np.log(before.drive_hz), np.arange(len(before.volts)))
+    at = np.rint(place).astype(int)
+    louder = now.volts / before.volts[at]
+    return replace(
+        modal,
+        drive=modal.drive[at] * louder,
+        amplitude_rad=modal.amplitude_rad[at] * louder[:, None],
+        modal_rad=modal.modal_rad[at] * louder[:, None],
+        off=np.zeros(len(at), dtype=bool),
+        state=replace(modal.state, log_drive=modal.state.log_drive[at] + np.log(louder)),
     )
 
 

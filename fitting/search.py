@@ -43,8 +43,8 @@ _MOST_EXPLAINED = 0.8
 # Less than that may be explained by chance.
 _LEAST_SOLVED = 0.2
 _LEAST_SIGNAL = 1.5
-# Of all blocks, every fourth serves the search, every ninth the grids.
-_SEARCH_STRIDE, _GRID_STRIDE = 4, 9
+# Of all blocks, every third serves the search, every ninth the grids. Fewer let displacements fold.
+_SEARCH_STRIDE, _GRID_STRIDE = 3, 9
 # Grid of one shape's amplitude: step in radius, angles, and how far beyond the neighbour's.
 _RADIUS_STEP_RAD, _ANGLES, _BEYOND, _ROOM_RAD = 0.35, 12, 2.0, 5.0
 _SCALES = np.geomspace(0.3, 3.2, 36).astype(np.complex64)

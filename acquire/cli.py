@@ -315,12 +315,32 @@ def report(
 
 @_verb
 def diagnose(
-    runs: RunFiles,
+    runs: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[RUN …]", help="Runs of one reed, or a table of resonances (CSV) of any reeds."
+        ),
+    ] = None,
+    published: Annotated[
+        bool, typer.Option("--published", help="Take the paper's Table 1 as data instead of runs.")
+    ] = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Compare a run with the nominal twin: where they differ, and what an effect takes off it."""
+    """Compare runs with the nominal twin: where they differ, and what an effect takes off it."""
     from diagnosis.gap import diagnose as compare
+    from fitting.errors import FitInputError
+
+    tables = [path for path in runs or () if path.suffix.lower() == ".csv"]
+    if published or tables:
+        if len(runs or ()) != len(tables) or len(tables) + published > 1:
+            raise FitInputError(
+                "runs, a table of resonances and --published are three kinds of data; give one"
+            )
+        _diagnose_resonances(tables[0] if tables else None, as_json)
+        return
+    if not runs:
+        raise FitInputError("name runs or a table of resonances, or give --published")
     from diagnosis.tables import closing_words, gap_table
 
     diagnosis = compare(_fit(runs, "fem", "picture"), _tell)
@@ -330,6 +350,30 @@ def diagnose(
     console = Console(highlight=False)
     console.print(gap_table(diagnosis))
     for line in closing_words(diagnosis):
+        console.print(line, markup=False, soft_wrap=True)
+
+
+def _diagnose_resonances(table: Path | None, as_json: bool) -> None:
+    """Diagnose resonances without a run: a table's, or the paper's."""
+    from acquire.display import share_progress
+    from diagnosis.mean_reed import printed_reeds, tabled_reeds
+    from diagnosis.published import diagnose_resonances
+    from diagnosis.published_page import gap_of_modes, to_json, trials_table, words
+    from physics.effects.catalogue import BY_ID, CATALOGUE
+    from physics.mechanics import Workshop
+    from physics.reed.cache import anatomy
+
+    reeds = tabled_reeds(table) if table else printed_reeds()
+    workshop = Workshop(anatomy(announce=_tell), _tell)
+    with share_progress(_words(), "trying effects") as told:
+        diagnosis = diagnose_resonances(reeds, workshop, CATALOGUE, told)
+    if as_json:
+        _show_json(to_json(diagnosis))
+        return
+    console = Console(highlight=False)
+    console.print(gap_of_modes(diagnosis))
+    console.print(trials_table(diagnosis))
+    for line in words(diagnosis, BY_ID):
         console.print(line, markup=False, soft_wrap=True)
 
 

@@ -15,10 +15,12 @@ from fitting.errors import FitError
 from fitting.fit import ReedFit
 from fitting.forward import ForwardModel, basis_of, finite_element_model
 from fitting.reedfit import ReedParameters, fit_components
-from physics.effects.air_load import air_load_cents
-from physics.reed.basis import ReducedReed
-from physics.reed.response import elastic_modes
+from physics.effects import air_load
+from physics.mechanics import Workshop
+from physics.reed.basis import BasisSettings, ReducedReed
+from physics.reed.cache import anatomy
 from physics.reed.viscoelastic import Series
+from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]
 
@@ -26,8 +28,6 @@ Array = NDArray[np.floating[Any]]
 MESH_CENTS = 8.0
 # Effects are tried at up to this multiple of their nominal size.
 _LARGEST_SHARE = 2.0
-# Material at which an effect's shifts are computed; they hardly depend on it.
-_E_L_PA, _G_LT_PA = 13.5e9, 1.0e9
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def diagnose(fit: ReedFit, announce: Callable[[str], None] | None = None) -> Dia
     cells = sorted(_cells(nominal, fit), key=lambda c: -abs(c.gap_cents) / c.floor_cents)
     floor = float(np.sqrt(np.mean([cell.floor_cents**2 for cell in cells])))
     trials = []
-    for effect, (stage, shifts) in _effects(reed, model.modes).items():
+    for effect, (stage, shifts) in _effects(reed, model.modes, announce).items():
         trials.append(_try(effect, stage, shifts, found, model, nominal, floor))
     return Diagnosis(tuple(cells), tuple(trials), nominal.rms_cents, floor)
 
@@ -159,11 +159,18 @@ def _cells(parameters: ReedParameters, fit: ReedFit) -> list[GapCell]:
     ]
 
 
-def _effects(reed: ReducedReed, modes: tuple[str, ...]) -> dict[str, tuple[str, Array]]:
+def _effects(
+    reed: ReducedReed, modes: tuple[str, ...], announce: Callable[[str], None] | None
+) -> dict[str, tuple[str, Array]]:
     """Shift (m,) in cents of every known effect at its nominal size, with its stage."""
-    shapes = elastic_modes(reed, _E_L_PA, _G_LT_PA)
-    air = np.array([air_load_cents(reed, shapes[name]) for name in modes])
-    return {"air load": ("acoustics", air)}
+    laid_open = anatomy(
+        reed.geometry, settings=BasisSettings(cane=reed.cane), announce=announce
+    )
+    workshop, bare = Workshop(laid_open), Twin()
+    loaded = air_load.EFFECT.change(bare, {"share": 1.0})
+    before, after = (workshop.modes(twin.reed) for twin in (bare, loaded))
+    shifts = [1200 * np.log2(after[name].hz / before[name].hz) for name in modes]
+    return {"air load": (str(air_load.EFFECT.stage), np.array(shifts))}
 
 
 def _try(

@@ -7,7 +7,7 @@ seem certain.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -33,7 +33,9 @@ MESH_CENTS = 4.0
 _MISFITS_CENTS = np.geomspace(1.0, 100.0, 13)
 # Misfit with which parameters are searched for.
 _SEARCH_CENTS = 20.0
-_STARTS = 4
+_STARTS = 2
+# Sets of as many effects that are fitted without straightening anything.
+_SETS = 3
 _DRAWS = 2000
 _SEED = 20_080_401
 # Effects this alike, when the moduli have taken what they can, are one class.
@@ -47,12 +49,13 @@ class Size:
 
     Attributes
     ----------
-    name, unit : str
+    effect, name, unit : str
     value, error : float
     z : float
         In standard deviations of its prior.
     """
 
+    effect: str
     name: str
     unit: str
     value: float
@@ -166,15 +169,15 @@ class _Problem:
     floor_cents: Array
 
     @property
-    def parameters(self) -> list[Parameter]:
-        """Of all effects, one after the other."""
-        return [parameter for effect in self.effects for parameter in effect.parameters]
+    def sizes(self) -> list[tuple[Effect, Parameter]]:
+        """Of all effects, each with its own."""
+        return [(effect, p) for effect in self.effects for p in effect.parameters]
 
     @property
     def positive(self) -> list[bool]:
         """Which unknowns cannot be negative: two moduli per series, then the effects'."""
         moduli = [False] * (len(_MODULI) * len(self.reeds))
-        return [*moduli, *(parameter.positive for parameter in self.parameters)]
+        return [*moduli, *(parameter.positive for _, parameter in self.sizes)]
 
     @property
     def cents(self) -> Array:
@@ -216,7 +219,7 @@ def diagnose_resonances(
     reeds: Sequence[MeanReed],
     workshop: Workshop,
     effects: Sequence[Effect],
-    progress: Callable[[str, float], None] | None = None,
+    progress: Callable[[float], None] | None = None,
     largest_set: int = 3,
 ) -> PublishedDiagnosis:
     """Find which effects close the gap between resonances and the elastic reed.
@@ -229,7 +232,7 @@ def diagnose_resonances(
     effects : sequence of Effect
         Those that move no frequency are told to be out of reach.
     progress : callable, optional
-        Told what is done, and the share of all that is.
+        Told the share that is done.
     largest_set : int
         Most effects that are tried together.
 
@@ -238,25 +241,22 @@ def diagnose_resonances(
     ValueError
         If the elastic reed has no mode of a name in the data.
     """
-    report = progress or (lambda _words, _share: None)
+    report = progress or (lambda _share: None)
     errors = np.concatenate([reed.error_cents for reed in reeds])
     base = _Problem(tuple(reeds), workshop, (), np.hypot(errors, MESH_CENTS))
-    report("fitting the elastic reed", 0.0)
     elastic = _Fitted.of(base)
     columns = _signatures(base, elastic.estimate.z, effects)
     reach = _reach(base, elastic, effects, columns)
     seen = [effect for effect in effects if np.any(columns[effect.id])]
     alone = []
     for number, effect in enumerate(seen):
-        report(f"trying {effect.id}", (1 + number) / (len(seen) + 6))
         alone.append(_Fitted.of(replace(base, effects=(effect,))))
+        report((1 + number) / (len(seen) + 2 * _SETS))
     together = []
-    for number, chosen in enumerate(_best_sets(base, elastic, seen, columns, largest_set)):
-        report(
-            f"trying {' and '.join(e.id for e in chosen)}",
-            (1 + len(seen) + number) / (len(seen) + 6),
-        )
+    sets = _best_sets(base, elastic, seen, columns, largest_set)
+    for number, chosen in enumerate(sets):
         together.append(_Fitted.of(replace(base, effects=chosen)))
+        report((1 + len(seen) + 2 * _SETS * (1 + number) / len(sets)) / (len(seen) + 2 * _SETS + 1))
     starts = np.cumsum([0, *(len(reed.cents) for reed in reeds)])
     names = [reed.series.value for reed in reeds]
     pieces = {name: slice(a, b) for name, a, b in zip(names, starts, starts[1:], strict=False)}
@@ -346,9 +346,9 @@ class _Fitted:
         at = self.linear(misfit)
         errors = np.sqrt(np.diag(at.covariance))
         sizes = tuple(
-            Size(p.name, p.unit, p.spread * z, p.spread * error, z)
-            for p, z, error in zip(
-                problem.parameters, at.z[count:].tolist(), errors[count:].tolist(), strict=True
+            Size(effect.id, p.name, p.unit, p.spread * z, p.spread * error, z)
+            for (effect, p), z, error in zip(
+                problem.sizes, at.z[count:].tolist(), errors[count:].tolist(), strict=True
             )
         )
         before = elastic.held_out(reference_misfit) / problem.floor_cents
@@ -473,7 +473,7 @@ def _signatures(base: _Problem, z: Array, effects: Sequence[Effect]) -> dict[str
     """Cents (n, k) per prior deviation of each of an effect's k parameters, at the elastic fit."""
     # Far enough that rounding does not count, near enough to be straight.
     step, here = 0.05, base.predicted(z)
-    answer = {}
+    answer: dict[str, Array] = {}
     for effect in effects:
         problem = replace(base, effects=(effect,))
         columns = []
@@ -535,7 +535,7 @@ def _best_sets(
     columns: Mapping[str, Array],
     largest: int,
 ) -> list[tuple[Effect, ...]]:
-    """Best three sets of two effects, of three, and so on, along the slopes at the elastic reed."""
+    """Best few sets of two effects, of three, and so on, along the slopes at the elastic reed."""
     _, misfit = elastic.over_misfits()
     # What a set leaves is less than what the elastic reed leaves.
     deviation = np.hypot(base.floor_cents, 0.5 * misfit)
@@ -549,7 +549,7 @@ def _best_sets(
             found = _linear(elastic.left, slope, z, deviation, positive)
             ranked.append((found.log_evidence, chosen))
         ranked.sort(key=lambda entry: -entry[0])
-        answer += [chosen for _, chosen in ranked[:3]]
+        answer += [chosen for _, chosen in ranked[:_SETS]]
     return answer
 
 

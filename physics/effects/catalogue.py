@@ -1,5 +1,7 @@
 """Every effect that is known, in the order of the chain from the drive to the number."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Final
 
 from physics.effects import (
@@ -36,3 +38,4 @@ CATALOGUE: Final[tuple[Effect, ...]] = (
     air_load.EFFECT,
     coarse_mesh.EFFECT,
 )
+BY_ID: Final[Mapping[str, Effect]] = MappingProxyType({effect.id: effect for effect in CATALOGUE})

@@ -1,0 +1,159 @@
+"""What the command line shows of a diagnosis of resonances, and its JSON."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from rich.table import Table
+
+from diagnosis.published import DETECTABLE, PublishedDiagnosis, Reach, Size, Trial
+from physics.effects.form import Effect
+
+_NOT_PROOF = "closing a gap does not prove its cause"
+
+
+def gap_of_modes(diagnosis: PublishedDiagnosis) -> Table:
+    """Gap of every mode beside its floor, per series."""
+    table = Table(title="Resonances less the elastic reed (E_L and G_LT fitted in each series)")
+    table.add_column("mode")
+    for reed in diagnosis.reeds:
+        table.add_column(f"{reed.series}: gap (cents)", justify="right")
+        table.add_column(f"{reed.series}: floor", justify="right")
+    names = list(dict.fromkeys(name for reed in diagnosis.reeds for name in reed.modes))
+    for name in names:
+        row = [name]
+        for reed in diagnosis.reeds:
+            if name not in reed.modes:
+                row += ["", ""]
+                continue
+            at = reed.modes.index(name)
+            gap = float(diagnosis.residual_cents[reed.series][at])
+            floor = float(diagnosis.floor_cents[reed.series][at])
+            row += [f"{gap:+.0f}" if abs(gap) > floor else "not resolvable", f"{floor:.0f}"]
+        table.add_row(*row)
+    return table
+
+
+def trials_table(diagnosis: PublishedDiagnosis) -> Table:
+    """What effects close of the gap, alone and together."""
+    table = Table(title="What effects close of it")
+    table.add_column("effects")
+    table.add_column("size (in spreads of its prior)")
+    for reed in diagnosis.reeds:
+        table.add_column(f"rms {reed.series} (cents)", justify="right")
+    table.add_column("κ, mode left out", justify="right")
+    if len(diagnosis.reeds) > 1:
+        table.add_column("κ from the other series", justify="right")
+    table.add_column("log odds (nats)", justify="right")
+    before = diagnosis.elastic.rms_cents
+    for trial in (*diagnosis.alone, *diagnosis.together):
+        row = [" + ".join(trial.effects), "; ".join(_size(size) for size in trial.sizes)]
+        row += [f"{before[s]:.0f} → {after:.0f}" for s, after in trial.rms_cents.items()]
+        row.append(f"{_share(trial.kappa)} [{_share(trial.kappa_low)}, {_share(trial.kappa_high)}]")
+        if len(diagnosis.reeds) > 1:
+            row.append(", ".join(f"{s} {_share(k)}" for s, k in trial.kappa_other.items()))
+        odds = f"{trial.log_bayes:+.1f}"
+        row.append(odds if trial.certified else f"{odds}, not converged")
+        table.add_row(*row)
+    return table
+
+
+def words(diagnosis: PublishedDiagnosis, effects: Mapping[str, Effect]) -> list[str]:
+    """What it comes to, a line each."""
+    rms = ", ".join(f"{s} {v:.0f} cents" for s, v in diagnosis.elastic.rms_cents.items())
+    lines = [f"elastic reed: rms {rms}"]
+    for group in diagnosis.classes:
+        if len(group) > 1:
+            actions = "; ".join(dict.fromkeys(effects[name].action for name in group))
+            lines.append(f"not told apart by such data: {', '.join(group)} (would: {actions})")
+    unseen = [entry.effect for entry in diagnosis.reach if out_of_reach(entry, effects)]
+    if unseen:
+        lines.append(
+            f"out of reach of such data, at three spreads of their priors: {', '.join(unseen)}"
+        )
+    return [*lines, _NOT_PROOF]
+
+
+def out_of_reach(reach: Reach, effects: Mapping[str, Effect]) -> bool:
+    """Whether no parameter of an effect would stand out at three spreads of its prior."""
+    spreads = {p.name: p.spread for p in effects[reach.effect].parameters}
+    return all(least > 3 * spreads[name] for name, least in reach.detectable.items())
+
+
+def to_json(diagnosis: PublishedDiagnosis) -> dict[str, Any]:
+    """Return the diagnosis with stable keys; what is not a number becomes null."""
+    return {
+        "series": {
+            reed.series.value: {
+                "reeds": reed.reeds,
+                "modes": {
+                    name: {
+                        "cents": _number(cents),
+                        "gap_cents": _number(gap),
+                        "floor_cents": _number(floor),
+                        "resolvable": bool(abs(gap) > floor),
+                    }
+                    for name, cents, gap, floor in zip(
+                        reed.modes,
+                        reed.cents,
+                        diagnosis.residual_cents[reed.series],
+                        diagnosis.floor_cents[reed.series],
+                        strict=True,
+                    )
+                },
+            }
+            for reed in diagnosis.reeds
+        },
+        "elastic": _trial(diagnosis.elastic),
+        "alone": [_trial(trial) for trial in diagnosis.alone],
+        "together": [_trial(trial) for trial in diagnosis.together],
+        "reach": {
+            entry.effect: {
+                "absorbed": _number(entry.absorbed),
+                "detectable": {name: _number(v) for name, v in entry.detectable.items()},
+                "deviations": DETECTABLE,
+                "alike": {name: _number(v) for name, v in entry.alike.items()},
+            }
+            for entry in diagnosis.reach
+        },
+        "classes": [list(group) for group in diagnosis.classes],
+    }
+
+
+def _trial(trial: Trial) -> dict[str, Any]:
+    return {
+        "effects": list(trial.effects),
+        "sizes": [
+            {
+                "effect": size.effect,
+                "name": size.name,
+                "unit": size.unit,
+                "value": _number(size.value),
+                "error": _number(size.error),
+                "z": _number(size.z),
+            }
+            for size in trial.sizes
+        ],
+        "rms_cents": {s: _number(v) for s, v in trial.rms_cents.items()},
+        "kappa": _number(trial.kappa),
+        "kappa_interval": [_number(trial.kappa_low), _number(trial.kappa_high)],
+        "kappa_from_other_series": {s: _number(v) for s, v in trial.kappa_other.items()},
+        "log_bayes": _number(trial.log_bayes),
+        "converged": trial.certified,
+        "moduli_pa": {
+            s: {"E_L": _number(E), "G_LT": _number(G)} for s, (E, G) in trial.moduli_pa.items()
+        },
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(f"{value:.6g}") if math.isfinite(value) else None
+
+
+def _size(size: Size) -> str:
+    unit = f" {size.unit}" if size.unit else ""
+    return f"{size.name} {size.value:.3g} ± {size.error:.1g}{unit} ({size.z:+.1f})"
+
+
+def _share(value: float) -> str:
+    return f"{value:.0%}" if math.isfinite(value) else "–"

@@ -12,6 +12,8 @@ import numpy as np
 
 from blind.world import World
 
+# The tip is 42 µm thin at its sides: no more than this may be taken off.
+_THINNEST_M = -25e-6
 Change = Callable[[World, float, np.random.Generator], World]
 
 
@@ -59,15 +61,15 @@ def _shear(world: World, size: float, rng: np.random.Generator) -> World:
     wood, turn = world.build.wood, rng.uniform(0, 2 * np.pi)
     changed = replace(
         wood,
-        G_LR=wood.G_LR * float(np.exp(0.5 * size * np.cos(turn))),
-        G_TR=wood.G_TR * float(np.exp(0.5 * size * np.sin(turn))),
+        G_LR=wood.G_LR * float(np.exp(0.15 * size * np.cos(turn))),
+        G_TR=wood.G_TR * float(np.exp(0.15 * size * np.sin(turn))),
     )
     return replace(world, build=replace(world.build, wood=changed))
 
 
 def _stiffening(world: World, size: float, rng: np.random.Generator) -> World:
     share = rng.uniform(0.2, 0.8)
-    powers = 0.06 * size * share, 0.1 * size * (1 - share)
+    powers = 0.04 * size * share, 0.06 * size * (1 - share)
     return replace(world, cane=replace(world.cane, powers=powers))
 
 
@@ -78,7 +80,7 @@ def _clamp_tilt(world: World, size: float, _rng: np.random.Generator) -> World:
 
 def _crack(world: World, size: float, rng: np.random.Generator) -> World:
     place = float(rng.uniform(8e-3, 28e-3)), float(rng.uniform(-4e-3, 4e-3))
-    cane = replace(world.cane, crack_depth_m=60e-6 * size, crack_m=place)
+    cane = replace(world.cane, crack_depth_m=25e-6 * size, crack_m=place)
     return replace(world, cane=cane)
 
 
@@ -90,7 +92,7 @@ def _second_cavity(world: World, size: float, rng: np.random.Generator) -> World
 
 
 def _groove(world: World, size: float, rng: np.random.Generator) -> World:
-    build = replace(world.build, groove_m=15e-6 * size, groove_x_m=float(rng.uniform(5e-3, 25e-3)))
+    build = replace(world.build, groove_m=10e-6 * size, groove_x_m=float(rng.uniform(5e-3, 25e-3)))
     return replace(world, build=build)
 
 
@@ -112,18 +114,28 @@ KINDS: Final[tuple[Kind, ...]] = (
     Kind("cavity_line", _in("air", line=lambda s: 0.12 * (1 + 0.5 * s)), signed=False),
     Kind("second_cavity", _second_cavity),
     Kind("chamber_asymmetry", _in("air", open_right=lambda s: min(0.15 * s, 1.0))),
-    Kind("air_load", _in("cane", air=lambda s: 0.5 * s)),
+    Kind("air_load", _in("cane", air=lambda s: 0.25 * s)),
     Kind("stiffening", _stiffening),
-    Kind("damping_growth", _in("cane", loss_power=lambda s: 0.15 * s), signed=True),
-    Kind("density", _wood("density", 0.05), signed=True),
-    Kind("transverse_modulus", _wood("E_T", 0.3), signed=True),
+    Kind("damping_growth", _in("cane", loss_power=lambda s: 0.1 * s), signed=True),
+    Kind("density", _wood("density", 0.03), signed=True),
+    Kind("transverse_modulus", _wood("E_T", 0.1), signed=True),
     Kind("transverse_shear", _shear),
-    Kind("thickness_offset", _in("build", offset_m=lambda s: 12e-6 * s), signed=True),
-    Kind("thickness_wedge", _in("build", wedge_m=lambda s: 15e-6 * s), signed=True),
-    Kind("thickness_crown", _in("build", crown_m=lambda s: 20e-6 * s), signed=True),
-    Kind("thickness_tilt", _in("build", tilt_m=lambda s: 15e-6 * s), signed=True),
+    Kind(
+        "thickness_offset", _in("build", offset_m=lambda s: max(6e-6 * s, _THINNEST_M)), signed=True
+    ),
+    Kind(
+        "thickness_wedge", _in("build", wedge_m=lambda s: min(6e-6 * s, -_THINNEST_M)), signed=True
+    ),
+    Kind(
+        "thickness_crown", _in("build", crown_m=lambda s: max(6e-6 * s, _THINNEST_M)), signed=True
+    ),
+    Kind(
+        "thickness_tilt",
+        _in("build", tilt_m=lambda s: float(np.clip(5e-6 * s, _THINNEST_M, -_THINNEST_M))),
+        signed=True,
+    ),
     Kind("tip_mass", _in("cane", tip_kg=lambda s: 0.4e-6 * s)),
-    Kind("clamp_yield", _in("build", yielding_m3_n=lambda s: (3e-13 * s, 3e-13 * s))),
+    Kind("clamp_yield", _in("build", yielding_m3_n=lambda s: (2e-13 * s, 2e-13 * s))),
     Kind("clamp_tilt", _clamp_tilt, signed=True),
     Kind("crack", _crack),
     Kind("hardening", _in("cane", hardening=lambda s: 4e-4 * s)),

@@ -122,6 +122,7 @@ class Laboratory:
         self._now_s, self._clamping = 0.0, 0
         self._gain = self._phase = 0.0
         self._length_s = 1.0
+        self._resting: Array | None = None
 
     def campaign(self, names: Sequence[str] = ()) -> Iterator[Recording]:
         """Yield all recordings of a campaign, one after the other.
@@ -168,6 +169,7 @@ class Laboratory:
         self._answerer = answerer(self.world, moved)
         self.stage = make_stage(replace(self.world, seed=self.world.seed + 1), moved)
         self.camera = Camera(self.world, self.stage)
+        self._resting = None
 
     def _recording(self, name: str, kind: Any, steps: Sequence[int], level: float) -> Recording:
         if kind == "sweep":
@@ -217,14 +219,16 @@ class Laboratory:
             "flat": np.full_like(nothing, _FLAT_E / FRAME_S),
             "object_only": self._at_rest() * np.exp(2 * self._gain),
         }[kind]
-        shots = [
-            camera.expose(None, light, kind == "lo_only", exposure_s, self._rng) for _ in range(4)
-        ]
+        lo = float(kind == "lo_only")
+        shots = [camera.expose(None, light, lo, exposure_s, self._rng) for _ in range(4)]
         return np.stack(shots)
 
     def _at_rest(self) -> Array:
-        image = self.camera.sidebands(None)[0]
-        return np.asarray(np.abs(self.camera.on_sensor(image)) ** 2)
+        """Light of the object alone on the sensor."""
+        if self._resting is None:
+            image = self.camera.sidebands(None)[0]
+            self._resting = np.asarray(np.abs(self.camera.on_sensor(image)) ** 2)
+        return self._resting
 
     def _begin(self) -> float:
         """Let time pass to the begin of the next acquisition; light goes its own way."""
@@ -255,10 +259,11 @@ class Laboratory:
         difference_hz = (
             order * hz + 1 / (4 * FRAME_S) + clock.detuning_hz + clock.drift_hz_h * hours
         )
-        gain = np.exp(self._gain - 0.5 * light.fade_per_h * hours)
-        if began_s > light.hop_at * self._length_s:
-            gain *= 1 - light.hop
+        # A laser that fades takes both beams along; one that hops, what they have in common.
+        laser = np.exp(-0.5 * light.fade_per_h * hours)
+        gain = laser * np.exp(self._gain)
         at_rest = self._at_rest() * gain**2
+        fringes = 1 - light.hop if began_s > light.hop_at * self._length_s else 1.0
         frames: list[Frames] = []
         for number in range(4):
             start_s = began_s + number * FRAME_S
@@ -273,10 +278,12 @@ class Laboratory:
                 image = image + light.leak * beats[order] * images[0] * (order != 0)
                 image = image + light.mixing * beats[order] * images.get(order + 1, 0.0)
             bright = 1 + light.flicker * (number % 2)
-            on_sensor = self.camera.on_sensor(gain * np.exp(1j * turn) * image)
+            on_sensor = self.camera.on_sensor(fringes * gain * np.exp(1j * turn) * image)
+            # Half of the brightness is either beam's.
+            both = np.sqrt(bright)
             frames.append(
                 self.camera.expose(
-                    bright * on_sensor, bright * at_rest, True, exposure_s, self._rng
+                    both * on_sensor, bright * at_rest, both * laser, exposure_s, self._rng
                 )
             )
         if clock.repeats and self._rng.random() < clock.repeats:

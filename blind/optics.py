@@ -30,6 +30,9 @@ SIZE_M = (14e-3, 38e-3)
 _FINER = 2
 # Sidebands of the light that are followed.
 _ORDERS = (-1, 0, 1, 2, 3)
+# Bessel functions at so many rad; between them lines, good to a millionth.
+_AT_RAD = np.arange(0.0, 200.0, 2e-3)
+_TABLE = [jv(order, _AT_RAD) for order in range(4)]
 
 
 @dataclass(frozen=True)
@@ -148,7 +151,7 @@ class Camera:
         kept = np.exp(-self.light.blur * size**2)
         images = {}
         for order in _ORDERS:
-            bessel = jv(abs(order), size)
+            bessel = np.interp(size, _AT_RAD, _TABLE[abs(order)])
             turn = unit if order >= 0 else unit.conj()
             images[order] = self._image(
                 rough * kept * (1j ** abs(order)) * bessel * turn ** abs(order)
@@ -167,7 +170,7 @@ class Camera:
         self,
         sensor_field: Complex | None,
         at_rest: Array,
-        lo_on: bool,
+        lo: float,
         exposure_s: float,
         rng: np.random.Generator,
     ) -> Frames:
@@ -179,16 +182,17 @@ class Camera:
             ∫ E dt of the object's light in the local oscillator's frame, √(e/s)·s.
         at_rest : (n, n) float
             Of the object's light alone, e/s; zeros if it is off.
-        lo_on : bool
+        lo : float
+            Amplitude of the local oscillator, 1 as a rule.
         exposure_s : float
         rng : numpy.random.Generator
         """
         chip = self.chip
         mean = at_rest * exposure_s
-        if lo_on:
-            mean = mean + self.lo**2 * exposure_s
+        if lo:
+            mean = mean + (lo * self.lo) ** 2 * exposure_s
             if sensor_field is not None:
-                mean = mean + 2 * self.lo * sensor_field.real
+                mean = mean + 2 * lo * self.lo * sensor_field.real
         mean = np.maximum(mean * self._passed, 0) + self._dark_e_s * exposure_s
         noisy = rng.poisson(mean) + chip.read_e * rng.standard_normal(mean.shape)
         if chip.banding_e:

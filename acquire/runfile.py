@@ -20,11 +20,11 @@ from acquire.run_layout import (
     FORMAT,
     FORMAT_VERSION,
     MEASURED,
+    NOT_IN_ALL,
     PLANNED_HZ,
     READ_BACK_HZ,
     READABLE_VERSIONS,
     SEAMS,
-    SINCE_VERSION_2,
     Acquisition,
     Kind,
     RunLabels,
@@ -58,6 +58,8 @@ class StepRecord:
         What the instruments said; None if the step was not measured.
     read_volts : float
         NaN if the step was not measured, like all numbers below.
+    exposure_s : float
+        Of this step alone; NaN if it was that of the run.
     changed_s : float
         When the last setting was changed, on the camera's clock.
     timestamps_s : tuple of float
@@ -86,6 +88,7 @@ class StepRecord:
     read_aom2_hz: Fraction | None
     read_drive_hz: Fraction | None
     read_volts: float
+    exposure_s: float
     changed_s: float
     timestamps_s: tuple[float, ...]
     frame_ids: tuple[int, ...]
@@ -243,6 +246,10 @@ class Run:
             return self.reconstruction.field(self.frames(position))
         field: npt.NDArray[np.complex64] = self._read("field", position)
         return field
+
+    def exposure_of(self, step: StepRecord) -> float:
+        """Exposure of a step in s."""
+        return self.exposure_s if np.isnan(step.exposure_s) else step.exposure_s
 
     def retaken_field(self, number: int) -> npt.NDArray[np.complex64]:
         """Complex field around the reed of one of `retakes`, (height, width) complex64.
@@ -435,7 +442,7 @@ def _taken(group: Any) -> Iterator[dict[str, Any]]:
     count = len(group["verdict"])
     absent = np.full(count, np.nan)
     numbers = {
-        n: group[n][()] if n in group or n not in SINCE_VERSION_2 else absent for n in MEASURED
+        n: group[n][()] if n in group or n not in NOT_IN_ALL else absent for n in MEASURED
     }
     verdicts, sentences = (group[name].asstr()[()] for name in ("verdict", "sentence"))
     times, ids = group["timestamp_s"][()], group["frame_id"][()]

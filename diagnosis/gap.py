@@ -163,9 +163,7 @@ def _effects(
     reed: ReducedReed, modes: tuple[str, ...], announce: Callable[[str], None] | None
 ) -> dict[str, tuple[str, Array]]:
     """Shift (m,) in cents of every known effect at its nominal size, with its stage."""
-    laid_open = anatomy(
-        reed.geometry, settings=BasisSettings(cane=reed.cane), announce=announce
-    )
+    laid_open = anatomy(reed.geometry, settings=BasisSettings(cane=reed.cane), announce=announce)
     workshop, bare = Workshop(laid_open), Twin()
     loaded = air_load.EFFECT.change(bare, {"share": 1.0})
     before, after = (workshop.modes(twin.reed) for twin in (bare, loaded))

@@ -15,6 +15,7 @@ from fitting.errors import FitError
 from fitting.forward import ForwardModel, cents_of, viscoelastic_cents
 from fitting.light import SharedError
 from fitting.modal import ModalFit, fit_modes
+from fitting.modal_model import KNOWN_LINES
 from fitting.phasors import Phasors, read_phasors
 from fitting.picking import Resonance, likely_components, pick_resonances
 from fitting.shapes import ShapeBasis, shape_basis
@@ -62,6 +63,8 @@ _MOST_UNREACHED = 0.2
 # ... and what modes may leave of the vibration: reeds that are 10 µm off in shape leave 0.02, those
 # of another kind 0.2.
 _MOST_DISCREPANCY = 0.08
+# Turns in which light and the phases of holograms settle.
+_LIGHT_TURNS = 12
 
 
 @dataclass(frozen=True)
@@ -150,8 +153,8 @@ def _told(
     )
 
 
-def fit_again(run: Run, before: JointFit) -> JointFit:
-    """Fit another sweep of the same reed, not taken out of its clamp, from what one has told.
+def fit_again(run: Run, before: JointFit, *, moved: bool = False) -> JointFit:
+    """Fit another sweep of the same reed from what one has told.
 
     A third of the work of `fit_jointly`: vibration and light are looked for where they were, driven
     by as many volts more or less.
@@ -161,6 +164,8 @@ def fit_again(run: Run, before: JointFit) -> JointFit:
     run : Run
     before : JointFit
         Of another run, in which the reed has the same places in the image.
+    moved : bool
+        Whether the reed has been taken out of its clamp since: its speckle is another one.
 
     Raises
     ------
@@ -177,6 +182,8 @@ def fit_again(run: Run, before: JointFit) -> JointFit:
                 f"{len(before.phasors.x_m)}; fit it by itself"
             )
         start = _as_before(phasors, before)
+        if moved:
+            start = replace(start, light=_new_light(phasors, start.amplitude_rad, before.basis))
         everything = np.ones(len(phasors.drive_hz), dtype=bool)
         none = np.zeros(len(start.shared.precision))
         displacements = refit_displacements(
@@ -184,8 +191,15 @@ def fit_again(run: Run, before: JointFit) -> JointFit:
         )
         start_hz = dict(zip(before.modal.names, before.modal.hz.tolist(), strict=True))
         known = _moved(before.modal, before.phasors, phasors)
+        # A drive has the lines that it had: else modes would be free to be taken for lines anew.
         modal = fit_modes(
-            displacements, before.basis, phasors.drive_hz, phasors.volts, start_hz, known
+            displacements,
+            before.basis,
+            phasors.drive_hz,
+            np.abs(known.drive),
+            start_hz,
+            known,
+            lines=KNOWN_LINES,
         )
         return _told(modal, phasors, before.basis, displacements)
 
@@ -206,6 +220,27 @@ def _as_before(phasors: Phasors, before: JointFit) -> Displacements:
         light=old.light,
         reached=np.zeros(count, dtype=bool),
     )
+
+
+def _new_light(phasors: Phasors, a: Amplitudes, basis: ShapeBasis) -> NDArray[np.complex64]:
+    """Light (n,) with which holograms are most nearly those of displacements (k, j).
+
+    The phase of each hologram is free: found in turns with the light.
+    """
+    u = a.astype(np.complex64) @ basis.functions.T
+    fringes = (u * BesselTable().tensor(np.abs(u))[0]).T
+    told = np.sum(np.abs(fringes) ** 2, axis=1)
+    matched = phasors.value * fringes.conj()
+    phase = np.ones(fringes.shape[1], np.complex64)
+    # Begin with the phase of each hologram beside the one after it.
+    neighbours = np.sum(matched[:, 1:] * matched[:, :-1].conj(), axis=0)
+    phase[1:] = np.cumprod(neighbours / np.maximum(np.abs(neighbours), 1e-12))
+    for _ in range(_LIGHT_TURNS):
+        light = matched @ phase.conj() / np.maximum(told, 1e-12)
+        towards = light.conj() @ matched
+        phase = towards / np.maximum(np.abs(towards), 1e-12)
+    found: NDArray[np.complex64] = light.astype(np.complex64)
+    return found
 
 
 def _moved(modal: ModalFit, before: Phasors, now: Phasors) -> ModalFit:

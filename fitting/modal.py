@@ -30,7 +30,16 @@ from fitting.displacement import Displacements
 from fitting.errors import FitError
 from fitting.modal_descent import improve, without_drive
 from fitting.modal_equations import Data, Equations, equations
-from fitting.modal_model import LOSS, TAIL_TERMS, Model, Prior, State, terms, with_gain
+from fitting.modal_model import (
+    LOSS,
+    TAIL_TERMS,
+    UNKNOWN_LINES,
+    Model,
+    Prior,
+    State,
+    terms,
+    with_gain,
+)
 from fitting.modal_noise import Noise, alike, balanced, data_of, inflated, noise_of
 from fitting.shapes import ShapeBasis
 
@@ -99,8 +108,13 @@ class ModalFit:
         Eigenfrequencies and loss factors.
     error_cents, loss_error : (a,) float
         Standard errors; of the loss factor, relative.
+    covariance : (2a, 2a) float
+        Of log frequencies, then of log loss factors.
     shapes : (a, j) float
         Coordinates of the shapes in the `ShapeBasis`.
+    mixing, mixing_error, mixing_spread : (m, a) float
+        By how much of each mode's shape in the basis each of these modes has more than by the
+        finite elements, its standard error and that of its prior; 0 where none is allowed.
     participation : (a,) complex
         At the mode's own frequency, per unit of drive.
     participation_error : (a,) float
@@ -127,7 +141,11 @@ class ModalFit:
     error_cents: Array
     loss_factor: Array
     loss_error: Array
+    covariance: Array
     shapes: Array
+    mixing: Array
+    mixing_error: Array
+    mixing_spread: Array
     participation: Complex
     participation_error: Array
     drive: Complex
@@ -181,6 +199,7 @@ def fit_modes(
     start_hz: dict[str, float],
     known: ModalFit | None = None,
     most_off: int | None = None,
+    lines: float = UNKNOWN_LINES,
 ) -> ModalFit:
     """Fit the joint model of a sweep.
 
@@ -190,6 +209,7 @@ def fit_modes(
         Of its k holograms.
     basis : ShapeBasis
     drive_hz, volts : (k,) float
+        If the drive is known better than by its volts, that.
     start_hz : dict
         Where the search for each mode begins, by name: all modes of the basis with a resonance
         within the sweep, seen or not.
@@ -197,6 +217,9 @@ def fit_modes(
         Of the same sweep, to begin with.
     most_off : int, optional
         If more holograms are off the fit ends early: good enough to tell what they should show.
+    lines : float, optional
+        How much the drive may stand out of what it is expected to be, see
+        `fitting.modal_model.Model`.
 
     Returns
     -------
@@ -210,7 +233,7 @@ def fit_modes(
     reference_hz = basis.hz * np.exp(np.median(shifts))
     reference_hz[active] = centre_hz
     model = Model(
-        drive_hz, np.log(volts), powers, basis.shapes, reference_hz, basis.stiffening, active
+        drive_hz, np.log(volts), lines, powers, basis.shapes, reference_hz, basis.stiffening, active
     )
     noise = noise_of(displacements)
     if known is None:
@@ -219,10 +242,11 @@ def fit_modes(
     else:
         state = _again(known.state, known, displacements)
         rounds, discrepancy = _AGAIN, known.discrepancy
-    prior = _prior(model, _LAST, centre_hz, _scale(model, state))
+    prior, together = _prior(model, _LAST, centre_hz, _scale(model, state)), 1.0
     for _ in range(rounds):
-        end = _round(model, displacements, noise, prior, state, discrepancy)
+        end = _round(model, displacements, noise, prior, state, (discrepancy, together))
         state, noise, discrepancy = end.state, end.noise, end.next_discrepancy
+        together = alike(noise, end.apart, state.log_drive)
         if most_off is not None and np.count_nonzero(_off(displacements, noise)) > most_off:
             break
     return _finish(model, displacements, basis.names, end)
@@ -343,11 +367,18 @@ def _round(
     noise: Noise,
     prior: Prior,
     state: State,
-    discrepancy: float,
+    off: tuple[float, float],
 ) -> _Round:
-    """Improve, and estimate the discrepancy that makes what is left as large as it should be."""
+    """Improve, and estimate the discrepancy that makes what is left as large as it should be.
+
+    `off` is the discrepancy, and how many holograms tell as much as one would by itself: beside
+    what is known of the drive, so many count as one.
+    """
+    discrepancy, together = off
     data = data_of(displacements, noise, discrepancy)
-    state = with_gain(model, improve(model, data, prior, _fixed(prior, state), _LAST.iterations))
+    start = _fixed(prior, state)
+    state = improve(model, data.weighing(1 / together), prior, start, _LAST.iterations)
+    state = with_gain(model, state)
     here = equations(model, data, prior, state)
     covariance = _inverse(without_drive(here, 0.0, np.float64)[0])
     freedoms = 2 * data.amplitude.size - 2 * len(model.hz) - _told(prior, data, covariance)
@@ -381,6 +412,10 @@ def _finish(
     deviations = np.sqrt(factor * np.diag(end.covariance))
     spread[prior.free] = deviations[: np.count_nonzero(prior.free)]
     own_hz = np.exp(state.x[:count, 2 * powers])
+    number = np.full(prior.centre.shape, -1)
+    number[prior.free] = np.arange(np.count_nonzero(prior.free))
+    told = np.concatenate([number[:count, 2 * powers], number[:count, 2 * powers + 1]])
+    mixes = prior.free[count:, :count]
     nearest = np.abs(np.log(model.hz[:, None] / own_hz)).argmin(axis=0)
     return ModalFit(
         names=tuple(names[m] for m in model.active),
@@ -388,7 +423,11 @@ def _finish(
         error_cents=spread[:count, 2 * powers] * 1200 / np.log(2),
         loss_factor=now.loss[model.active],
         loss_error=spread[:count, 2 * powers + 1],
+        covariance=factor * end.covariance[np.ix_(told, told)],
         shapes=now.shapes[model.active],
+        mixing=np.where(mixes, state.x[count:, :count], 0.0),
+        mixing_error=np.where(mixes, spread[count:, :count], 0.0),
+        mixing_spread=np.where(mixes, _spread(prior)[count:, :count], 0.0),
         participation=now.participation[nearest, model.active],
         participation_error=_participation_error(model, prior, beside_drive, nearest),
         drive=np.exp(state.log_drive),
@@ -400,6 +439,13 @@ def _finish(
         off=_off(displacements, end.noise),
         state=state,
     )
+
+
+def _spread(prior: Prior) -> Array:
+    """Standard deviations (v, p) that parameters were expected to have; 0 where they are fixed."""
+    spread: Array = np.zeros(prior.precision.shape)
+    spread[prior.free] = prior.precision[prior.free] ** -0.5
+    return spread
 
 
 def _off(displacements: Displacements, noise: Noise) -> NDArray[np.bool_]:

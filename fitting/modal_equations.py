@@ -49,6 +49,11 @@ class Data:
         apart = parts(self.amplitude - amplitude)[..., None]
         return (self.root @ apart)[..., 0] + self.response @ together
 
+    def weighing(self, share: float) -> "Data":
+        """Return the same, of which each hologram counts as a share of one."""
+        root = np.sqrt(share)
+        return Data(self.amplitude, root * self.root, root * self.response, self.precision)
+
     def single(self) -> "Data":
         """Return the same in single precision: twice as fast, and good enough for a step."""
         return Data(

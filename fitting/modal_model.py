@@ -22,9 +22,11 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 TAIL_TERMS = 2
 # Loss factor of dry cane.
 LOSS = 0.03
-# The drive's magnitude, in nepers: second difference of its smooth part from step to step, and
-# freedoms of Student's distribution, which lets lines stand out.
-_BEND, _FREEDOMS, _BEND_TURNS = 0.01, 4.0, 8
+# The drive's magnitude, in nepers: second difference of its smooth part from step to step.
+_BEND, _BEND_TURNS = 0.01, 8
+# Freedoms of Student's distribution, which lets lines stand out: where none is known, and where
+# what other sweeps have shown of them has been taken off.
+UNKNOWN_LINES, KNOWN_LINES = 4.0, 100.0
 # What holograms may be livelier or calmer besides, at first and at least.
 _FIRST_GAIN, _LEAST_GAIN = 0.1, 3e-3
 
@@ -42,6 +44,9 @@ class Model:
     ----------
     hz : (k,) float
     log_volts : (k,) float
+        Or what else the drive is expected to be, up to a smooth factor.
+    lines : float
+        `UNKNOWN_LINES` or `KNOWN_LINES`.
     powers : (k, n) float
         Chebyshev polynomials of log frequency.
     reference : (m, j) float
@@ -54,6 +59,7 @@ class Model:
 
     hz: Array
     log_volts: Array
+    lines: float
     powers: Array
     reference: Array
     reference_hz: Array
@@ -203,18 +209,18 @@ def bend(model: Model, state: State) -> Bend:
     of the other.
     """
     magnitude = state.log_drive.real - model.log_volts
-    smooth = magnitude
+    smooth, freedoms = magnitude, model.lines
     for _ in range(_BEND_TURNS):
-        bent = (_FREEDOMS + 1) / (_FREEDOMS + (np.diff(smooth, 2) / _BEND) ** 2)
-        known = (_FREEDOMS + 1) / (_FREEDOMS * state.gain**2 + (magnitude - smooth) ** 2)
+        bent = (freedoms + 1) / (freedoms + (np.diff(smooth, 2) / _BEND) ** 2)
+        known = (freedoms + 1) / (freedoms * state.gain**2 + (magnitude - smooth) ** 2)
         whole = _stiff(bent)
         whole[2] += known
         smooth = linalg.solveh_banded(whole, known * magnitude, check_finite=False)
     gain = magnitude - smooth
-    cost = np.sum(np.log1p((np.diff(smooth, 2) / _BEND) ** 2 / _FREEDOMS))
-    cost += np.sum(np.log1p((gain / state.gain) ** 2 / _FREEDOMS))
-    gradient = -(_FREEDOMS + 1) * gain / (_FREEDOMS * state.gain**2 + gain**2)
-    return Bend(float((_FREEDOMS + 1) * cost), gradient, known, whole)
+    cost = np.sum(np.log1p((np.diff(smooth, 2) / _BEND) ** 2 / freedoms))
+    cost += np.sum(np.log1p((gain / state.gain) ** 2 / freedoms))
+    gradient = -(freedoms + 1) * gain / (freedoms * state.gain**2 + gain**2)
+    return Bend(float((freedoms + 1) * cost), gradient, known, whole)
 
 
 def _stiff(bent: Array) -> Array:

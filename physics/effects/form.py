@@ -49,6 +49,9 @@ class Parameter:
         Where the spread is from; never the data under test.
     positive : bool
         Whether only values from 0 up are possible.
+    places : tuple of float
+        Values that are alike likely, of what has no size, such as a place or a time; the others
+        have sizes.
     """
 
     name: str
@@ -56,6 +59,7 @@ class Parameter:
     spread: float
     source: str
     positive: bool = False
+    places: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -90,3 +94,13 @@ class Effect:
     neighbours: tuple[str, ...]
     action: str
     reference: str
+
+    @property
+    def sizes(self) -> tuple[Parameter, ...]:
+        """Parameters that have a size."""
+        return tuple(parameter for parameter in self.parameters if not parameter.places)
+
+    @property
+    def placed(self) -> tuple[Parameter, ...]:
+        """Parameters that are places."""
+        return tuple(parameter for parameter in self.parameters if parameter.places)

@@ -1,0 +1,116 @@
+"""The runs of a campaign, in the order in which they were measured, and which of them are missing."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from acquire.run_layout import Kind
+from acquire.runfile import Run
+from fitting.errors import FitInputError
+
+# What each kind of run tells that nothing else does.
+_TELLS = {
+    Kind.DARK: "dark frames (offset, read noise, hot pixels)",
+    Kind.FLAT: "flat frames (linearity, pattern, vignetting)",
+    Kind.LO_ONLY: "frames of the local oscillator alone (its profile)",
+    Kind.OBJECT_ONLY: "frames of the object beam alone (its brightness)",
+    Kind.ORDER0: "order 0 of the reed at rest (phase steps, speckle, stability)",
+}
+
+
+@dataclass(frozen=True)
+class Part:
+    """One run of a campaign.
+
+    Attributes
+    ----------
+    run : Run
+    began_s : float
+        Since the first run of the campaign began.
+    clock_s : float
+        What the camera's clock shows when the campaign's shows 0.
+    """
+
+    run: Run
+    began_s: float
+    clock_s: float
+
+    @property
+    def name(self) -> str:
+        """Name of the part, or of the file where there is none."""
+        return self.run.acquisition.part or self.run.path.stem
+
+    @property
+    def clamping(self) -> int:
+        """How often the reed had been clamped anew before."""
+        return self.run.acquisition.clamping
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Runs of one reed on one bench.
+
+    Attributes
+    ----------
+    parts : tuple of Part
+        In the order of time.
+    """
+
+    parts: tuple[Part, ...]
+
+    @classmethod
+    def of(cls, runs: Sequence[Run]) -> "Campaign":
+        """Put runs in order.
+
+        Raises
+        ------
+        FitInputError
+            If they are not of one reed, or none is a sweep.
+        """
+        sweeps = [run for run in runs if run.acquisition.kind is Kind.SWEEP]
+        if not sweeps:
+            raise FitInputError("no run is a sweep of a driven reed; name at least one")
+        reeds = sorted({(run.reed, run.series) for run in runs})
+        if len(reeds) > 1:
+            told = ", ".join(f"{reed} ({series})" for reed, series in reeds)
+            raise FitInputError(
+                f"runs are of several reeds or series: {told}; diagnose them one by one"
+            )
+        first = min(_began(run) for run in runs)
+        parts = [
+            Part(run, (_began(run) - first).total_seconds(), _clock_s(run, first)) for run in runs
+        ]
+        return cls(tuple(sorted(parts, key=lambda part: part.began_s)))
+
+    def of_kind(self, kind: Kind) -> tuple[Part, ...]:
+        """All runs of a kind."""
+        return tuple(part for part in self.parts if part.run.acquisition.kind is kind)
+
+    @property
+    def sweeps(self) -> tuple[Part, ...]:
+        """Sweeps of the driven reed."""
+        return self.of_kind(Kind.SWEEP)
+
+    @property
+    def missing(self) -> list[str]:
+        """What would tell more and is not there."""
+        lacks = [told for kind, told in _TELLS.items() if not self.of_kind(kind)]
+        sweeps = self.sweeps
+        if len(sweeps) < 2:
+            lacks.append("a second sweep (what repeats and what drifts)")
+        loudest = [max((step.volts for step in part.run.steps), default=0.0) for part in sweeps]
+        if max(loudest) < 1.2 * min(loudest):
+            lacks.append("a sweep at another drive level (what depends on amplitude)")
+        if not any(part.clamping for part in sweeps):
+            lacks.append("a sweep after a new clamping (what the clamp does)")
+        return lacks
+
+
+def _began(run: Run) -> datetime:
+    return datetime.fromisoformat(run.start_time)
+
+
+def _clock_s(run: Run, first: datetime) -> float:
+    """Offset of the camera's clock, whose zero is nobody's concern."""
+    times = [step.timestamps_s[0] for step in run.steps if step.timestamps_s]
+    return min(times, default=0.0) - (_began(run) - first).total_seconds()

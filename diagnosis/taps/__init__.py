@@ -1,0 +1,1 @@
+"""What a campaign tells at each tap of the chain, from logs to material."""

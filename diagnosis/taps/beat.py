@@ -1,0 +1,53 @@
+"""Tap T0 and T3: what the frames of every step tell of frames lost and of the lock."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.quality import Verdict
+from diagnosis.campaign import Part
+
+Array = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class Beat:
+    """All steps of all sweeps.
+
+    Attributes
+    ----------
+    steps, lost : int
+        Acquisitions, and those of them in which a frame was missing or twice the same.
+    lock_hz, error_hz : (k,) float
+        By which the lock was missed, and standard errors; of steps with light enough.
+    drive_hz, time_s : (k,) float
+    sweep : (k,) int
+    """
+
+    steps: int
+    lost: int
+    lock_hz: Array
+    error_hz: Array
+    drive_hz: Array
+    time_s: Array
+    sweep: NDArray[np.intp]
+
+
+def read_beat(parts: Sequence[Part]) -> Beat:
+    """Read the steps of sweeps."""
+    rows, lost, count = [], 0, 0
+    for number, part in enumerate(parts):
+        for step in part.run.steps:
+            if not step.verdict.measured or step.order != part.run.sideband_order:
+                continue
+            count += 1
+            lost += step.verdict is Verdict.PARTIAL
+            if step.verdict is Verdict.OK and np.isfinite(step.lock_error_se_hz):
+                hz = float(step.read_drive_hz or step.drive_hz)
+                time_s = float(np.mean(step.timestamps_s)) - part.clock_s
+                rows.append((step.lock_error_hz, step.lock_error_se_hz, hz, time_s, number))
+    lock, error, hz, time_s, number_ = np.array(rows).T
+    return Beat(count, lost, lock, error, hz, time_s, number_.astype(int))

@@ -1,0 +1,247 @@
+"""What the sweeps of a campaign tell: modes, drive and light of each, and what their fits leave."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import j0, j1, jv
+
+from acquire.runfile import Run, StepRecord
+from diagnosis.campaign import Part
+from fitting.errors import FitError
+from fitting.forward import basis_of, finite_element_model
+from fitting.joint import JointFit, fit_again, fit_jointly
+
+Array = NDArray[np.floating[Any]]
+Complex = NDArray[np.complexfloating[Any, Any]]
+
+# What may be in a hologram beside its sideband, by name.
+TEMPLATES = ("carrier_leak", "order_mixing", "decorrelation")
+
+
+@dataclass(frozen=True)
+class SweepReading:
+    """One sweep, fitted.
+
+    Attributes
+    ----------
+    name : str
+        Of the part.
+    clamping : int
+    names : tuple of str
+        Of the a identified modes.
+    hz, loss_factor : (a,) float
+    covariance : (2a, 2a) float
+        Of log frequencies, then of log losses.
+    force_rad : (a,) complex
+        Modal amplitude per volt that each mode would have at its own frequency without being
+        resonant: drive times participation.
+    force_error : (a,) float
+        Relative.
+    mixing, mixing_error, mixing_spread : (m, a) float
+        See `fitting.modal.ModalFit`, of the m modes `shape_names`.
+    shape_names : tuple of str
+    shape_hz : (m,) float
+    drive_hz, volts, time_s : (k,) float
+        Of every hologram; times since the campaign began.
+    drive : (k,) complex
+    amplitude_rad : (k,) float
+        Root mean square over the reed.
+    deepest_rad : (k,) float
+        Largest over the reed.
+    brightness : (k,) float
+        Log of the light's amplitude, dn.
+    noise_dn2 : (k,) float
+        Beside the image.
+    misfit : (k,) float
+        Mean square of what phasors leave, noise is 1.
+    off : (k,) bool
+        Holograms that show something else.
+    template : (3, k) complex
+        Amplitude of each of `TEMPLATES` in every hologram, in units of the sideband's.
+    template_variance : (3, k) float
+    discrepancy : float
+        See `fitting.modal.ModalFit`.
+    """
+
+    name: str
+    clamping: int
+    names: tuple[str, ...]
+    hz: Array
+    loss_factor: Array
+    covariance: Array
+    force_rad: Complex
+    force_error: Array
+    mixing: Array
+    mixing_error: Array
+    mixing_spread: Array
+    shape_names: tuple[str, ...]
+    shape_hz: Array
+    drive_hz: Array
+    volts: Array
+    time_s: Array
+    drive: Complex
+    amplitude_rad: Array
+    deepest_rad: Array
+    brightness: Array
+    noise_dn2: Array
+    misfit: Array
+    off: NDArray[np.bool_]
+    template: Complex
+    template_variance: Array
+    discrepancy: float
+
+
+def read_sweeps(
+    parts: Sequence[Part], progress: Callable[[float], None] | None = None
+) -> tuple[list[SweepReading], list[str]]:
+    """Fit all sweeps: the loudest by itself, the others from it.
+
+    Returns
+    -------
+    readings : list of SweepReading
+    refused : list of str
+        Why others could not be fitted.
+    """
+    report = progress or (lambda _share: None)
+    fits: dict[str, JointFit] = {}
+    refused = []
+    reed = basis_of(parts[0].run.reed_file())
+    model = finite_element_model(reed)
+    # A loud sweep shows more: the others begin where it has ended.
+    ordered = sorted(parts, key=lambda part: (part.clamping, -loudness(part.run), part.began_s))
+    # The first fit of a reed is a search; where it has ended, the second of them knows better.
+    turns = [*ordered[:2], *ordered[: len(ordered) > 1], *ordered[2:]]
+    for number, part in enumerate(turns):
+        beside = [other for other in ordered if other.name in fits and other is not part]
+        try:
+            if beside:
+                moved = part.clamping != beside[0].clamping
+                fits[part.name] = fit_again(part.run, fits[beside[0].name], moved=moved)
+            else:
+                fits[part.name] = fit_jointly(part.run, reed, model)
+        except FitError as error:
+            refused.append(str(error))
+        report((number + 1) / len(turns))
+    found = [(part, fits[part.name]) for part in parts if part.name in fits]
+    refused += [f"{p.run.path}: nothing is identified" for p, fit in found if not fit.resonances]
+    return [_reading(part, fit) for part, fit in found if fit.resonances], refused
+
+
+def loudness(run: Run) -> float:
+    """Mean log volts of a sweep."""
+    volts = [step.volts for step in run.steps if step.volts > 0]
+    return float(np.mean(np.log(volts))) if volts else -np.inf
+
+
+def _reading(part: Part, fitted: JointFit) -> SweepReading:
+    modal, phasors, found = fitted.modal, fitted.phasors, fitted.displacements
+    kept = np.array([m for m, name in enumerate(modal.names) if name in fitted.resonances])
+    a = len(modal.names)
+    both = np.concatenate([kept, a + kept])
+    by_index = {
+        step.index: step for step in part.run.steps if step.order == part.run.sideband_order
+    }
+    steps = [by_index[int(k)] for k in phasors.step_index]
+    log_hz = np.log(phasors.drive_hz)
+    own = np.log(modal.hz[kept])
+    drive = modal.drive / phasors.volts
+    at_own = np.interp(own, log_hz, np.log(np.abs(drive)))
+    noise = np.array([step.noise_level for step in steps])
+    seen = np.abs(found.light) ** 2
+    template, variance = _templates(fitted)
+    u = found.amplitude_rad @ fitted.basis.functions.T
+    return SweepReading(
+        name=part.name,
+        clamping=part.clamping,
+        names=tuple(modal.names[m] for m in kept),
+        hz=modal.hz[kept],
+        loss_factor=modal.loss_factor[kept],
+        covariance=modal.covariance[np.ix_(both, both)],
+        force_rad=np.exp(at_own) * modal.participation[kept],
+        force_error=modal.participation_error[kept] / np.abs(modal.participation[kept]),
+        mixing=modal.mixing[:, kept],
+        mixing_error=modal.mixing_error[:, kept],
+        mixing_spread=modal.mixing_spread[:, kept],
+        shape_names=fitted.basis.names,
+        shape_hz=fitted.basis.hz,
+        drive_hz=phasors.drive_hz,
+        volts=phasors.volts,
+        time_s=np.array([_middle_s(step) - part.clock_s for step in steps]),
+        drive=modal.drive,
+        amplitude_rad=np.sqrt(np.mean(np.abs(u) ** 2, axis=1)),
+        deepest_rad=np.abs(u).max(axis=1),
+        brightness=found.gain + 0.5 * np.log(noise * np.mean(seen)),
+        noise_dn2=noise,
+        misfit=found.misfit,
+        off=modal.off,
+        template=template,
+        template_variance=variance,
+        discrepancy=modal.discrepancy,
+    )
+
+
+def _middle_s(step: StepRecord) -> float:
+    return float(np.mean(step.timestamps_s))
+
+
+def _templates(fitted: JointFit) -> tuple[Complex, Array]:
+    """Amplitudes (3, k) of what else may be in holograms, and their variances.
+
+    What the displacements' own freedoms can take up is left to them.
+    """
+    found, functions = fitted.displacements, fitted.basis.functions.astype(float)
+    u = found.amplitude_rad @ functions.T
+    size = np.abs(u)
+    unit = u / np.maximum(size, 1e-12)
+    lit = np.exp(found.gain)[:, None] * found.light
+    F, zero, two = unit * j1(size), j0(size), unit**2 * jv(2, size)
+    slope_along = 0.5 * (zero - jv(2, size))
+    slope_across = np.where(size > 1e-6, j1(size) / np.maximum(size, 1e-12), 0.5)
+    left = fitted.phasors.value.T - lit * F
+    waves = np.stack([zero, two, -(size**2) * F]) * lit
+    amplitude = np.zeros((len(TEMPLATES), len(u)), complex)
+    variance = np.full((len(TEMPLATES), len(u)), np.inf)
+    for k in np.flatnonzero(found.reached & np.any(found.amplitude_rad, axis=1)):
+        along, across = lit[k] * unit[k] * slope_along[k], 1j * lit[k] * unit[k] * slope_across[k]
+        by_real = along * unit[k].real - across * unit[k].imag
+        by_imaginary = along * unit[k].imag + across * unit[k].real
+        own = [by_real[:, None] * functions, by_imaginary[:, None] * functions]
+        columns = np.hstack([*own, np.stack([lit[k] * F[k], *waves[:, k], left[k]], axis=1)])
+        amplitude[:, k], variance[:, k] = _beside(_real(columns), 2 * functions.shape[1] + 1)
+    return amplitude, variance * np.maximum(found.misfit, 1)
+
+
+def _beside(columns: Array, own: int) -> tuple[Complex, Array]:
+    """Amplitudes (t,) of templates, and variances, beside a hologram's own freedoms.
+
+    Parameters
+    ----------
+    columns : (2n, c) float
+        Real, then imaginary parts: of the freedoms, the templates, and what is left.
+    own : int
+        How many freedoms there are.
+    """
+    n = len(columns) // 2
+    turned = np.concatenate([-columns[n:, own:-1], columns[:n, own:-1]])
+    columns = np.hstack([columns, turned])
+    gram = columns.T @ columns
+    mine = gram[:own, :own] + 1e-9 * np.trace(gram[:own, :own]) / own * np.eye(own)
+    rest = gram[own:, own:] - gram[own:, :own] @ np.linalg.solve(mine, gram[:own, own:])
+    count = len(rest) // 2
+    amplitude, variance = np.empty(count, complex), np.empty(count)
+    for t, name in enumerate(TEMPLATES):
+        # Light that has lost coherence is in phase with what is left of it; what leaks in is not.
+        which = [t] if name == "decorrelation" else [t, count + 1 + t]
+        information = rest[np.ix_(which, which)]
+        found = np.linalg.solve(information, rest[which, count])
+        amplitude[t] = found[0] + (1j * found[1] if len(which) > 1 else 0.0)
+        variance[t] = 0.5 * np.trace(np.linalg.inv(information))
+    return amplitude, variance
+
+
+def _real(columns: Complex) -> Array:
+    """Real, then imaginary parts of rows: (n, …) → (2n, …)."""
+    return np.concatenate([columns.real, columns.imag], axis=0)

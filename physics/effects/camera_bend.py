@@ -1,0 +1,26 @@
+"""A camera that reads low where it is bright."""
+
+from collections.abc import Mapping
+
+from physics.effects.form import Effect, Parameter, Stage, Tap
+from physics.twin import Twin, more
+
+
+def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
+    return more(twin, "chip", bend=values["share"])
+
+
+EFFECT = Effect(
+    id="camera_bend",
+    title="camera bends",
+    stage=Stage.CAMERA,
+    parameters=(
+        Parameter("share", "", 0.1, "anti-blooming, a well that is nearly full", positive=True),
+    ),
+    change=_change,
+    moves=frozenset({Tap.SENSOR}),
+    keeps=frozenset({Tap.LOG, Tap.MODES}),
+    neighbours=(),
+    action="flat frames at several exposures",
+    reference="photon transfer",
+)

@@ -1,0 +1,45 @@
+"""A moist reed that dries while it is measured."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from physics.effects.form import Effect, Parameter, Stage, Tap
+from physics.twin import Twin
+
+
+def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
+    if not values["share"]:
+        return twin
+    drying_s = twin.surroundings.drying_s * float(np.exp(values["log_time"]))
+    changed = replace(twin.surroundings, drying=values["share"], drying_s=drying_s)
+    return replace(twin, surroundings=changed)
+
+
+EFFECT = Effect(
+    id="drying",
+    title="reed dries",
+    stage=Stage.ENVIRONMENT,
+    parameters=(
+        Parameter(
+            "share",
+            "",
+            0.25,
+            "a reed that was moistened loses most of it in an hour",
+            positive=True,
+        ),
+        Parameter(
+            "log_time",
+            "",
+            0.5,
+            "diffusion through half a millimetre of cane: a quarter of an hour to an hour",
+        ),
+    ),
+    change=_change,
+    moves=frozenset({Tap.MODES}),
+    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD}),
+    neighbours=("temperature_drift",),
+    action="wait for an hour and sweep again; weigh the reed",
+    reference="paper, hypothesis H4: moduli of dry cane; Obataya and Norimoto, Mokuzai Gakkaishi 41 (1995)",
+)

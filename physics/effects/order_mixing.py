@@ -1,0 +1,35 @@
+"""The next sideband in every sideband."""
+
+from collections.abc import Mapping
+
+from physics.effects.form import Effect, Parameter, Stage, Tap
+from physics.twin import Twin, more
+
+
+def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
+    return more(twin, "beams", mixing=values["share"])
+
+
+EFFECT = Effect(
+    id="order_mixing",
+    title="next sideband leaks in",
+    stage=Stage.OPTICS,
+    parameters=(
+        Parameter(
+            "share",
+            "",
+            0.08,
+            "the camera integrates over an exposure: sidebands far apart vanish, spurs do not",
+            positive=True,
+        ),
+    ),
+    change=_change,
+    moves=frozenset({Tap.MAPS}),
+    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
+    neighbours=(
+        "speckle_decorrelation",
+        "carrier_leak",
+    ),
+    action="look at the second sideband",
+    reference="paper, section II.A",
+)

@@ -1,4 +1,4 @@
-"""The runs of a campaign, in the order in which they were measured, and which of them are missing."""
+"""The runs of a campaign in the order in which they were measured, and which are missing."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -13,7 +13,7 @@ from fitting.bessel import BesselTable
 from fitting.displacement import Displacements, fit_displacements, refit_displacements
 from fitting.errors import FitError
 from fitting.forward import ForwardModel, cents_of, viscoelastic_cents
-from fitting.light import SharedError
+from fitting.light import SharedError, light_factor, smooth_functions
 from fitting.modal import ModalFit, fit_modes
 from fitting.modal_model import KNOWN_LINES
 from fitting.phasors import Phasors, read_phasors
@@ -208,6 +208,9 @@ def _as_before(phasors: Phasors, before: JointFit) -> Displacements:
     """What displacements a sweep should show by another one."""
     known = _moved(before.modal, before.phasors, phasors)
     old, count = before.displacements, len(phasors.drive_hz)
+    # Modes have told what all displacements, and so the light, were off together.
+    smooth = smooth_functions(before.phasors.x_m, before.phasors.y_m)
+    light = old.light * light_factor(smooth, before.modal.together)
     size = known.amplitude_rad.shape[1]
     return Displacements(
         amplitude_rad=known.amplitude_rad,
@@ -217,7 +220,7 @@ def _as_before(phasors: Phasors, before: JointFit) -> Displacements:
         ),
         misfit=np.full(count, np.inf),
         gain=np.zeros(count),
-        light=old.light,
+        light=light,
         reached=np.zeros(count, dtype=bool),
     )
 

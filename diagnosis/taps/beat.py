@@ -8,7 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.quality import Verdict
+from diagnosis.block import BANDS, Block, Place, band_of, block, unknown
 from diagnosis.campaign import Part
+from physics.effects.form import Tap
+from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]
 
@@ -51,3 +54,72 @@ def read_beat(parts: Sequence[Part]) -> Beat:
                 rows.append((step.lock_error_hz, step.lock_error_se_hz, hz, time_s, number))
     lock, error, hz, time_s, number_ = np.array(rows).T
     return Beat(count, lost, lock, error, hz, time_s, number_.astype(int))
+
+
+# --- Beside the twin ----------------------------------------------------------------------------
+# What all locks may miss together.
+_COMMON_HZ = 4e-4
+# A mean is of so many steps at least.
+_LEAST = 4
+
+
+def log_block(beat: Beat) -> Block:
+    """Frames lost."""
+
+    def predict(twin: Twin) -> Array:
+        return np.array([2 * np.sqrt(beat.steps * twin.clocks.lost_share + 3 / 8)])
+
+    values, errors = [2 * np.sqrt(beat.lost + 3 / 8)], np.array([1.0])
+    return block("frames", Tap.LOG, values, errors, [Place("frames lost")], ("clocks",), predict)
+
+
+def lock_scatter_hz(beat: Beat) -> float:
+    """Scatter of the lock about what depends on frequency and time, without the image's noise."""
+    left = beat.lock_hz - _smooth(beat)
+    whole = 1.4826 * float(np.median(np.abs(left - np.median(left))))
+    noise = float(np.median(beat.error_hz))
+    return float(np.sqrt(max(whole**2 - noise**2, (0.1 * whole) ** 2)))
+
+
+def _smooth(beat: Beat) -> Array:
+    columns = np.stack(
+        [np.ones_like(beat.time_s), beat.drive_hz / 1e4 - 1, beat.time_s / 1e3 - 0.5], axis=1
+    )
+    found: Array = columns @ np.linalg.lstsq(columns, beat.lock_hz, rcond=None)[0]
+    return found
+
+
+def lock_block(beat: Beat, names: Sequence[str], rate_hz: float) -> Block:
+    """Lock of every sweep in every band.
+
+    Parameters
+    ----------
+    beat : Beat
+    names : sequence of str
+        Of the sweeps.
+    rate_hz : float
+        Frames per second.
+    """
+    spread = lock_scatter_hz(beat)
+    bands = np.array([band_of(hz) for hz in beat.drive_hz])
+    values, errors, places, hz, hours = [], [], [], [], []
+    for number, name in enumerate(names):
+        for band in BANDS:
+            chosen = (beat.sweep == number) & (bands == band)
+            if np.count_nonzero(chosen) < _LEAST:
+                continue
+            own = np.hypot(spread, np.median(beat.error_hz[chosen]))
+            values.append(float(np.mean(beat.lock_hz[chosen])))
+            errors.append(float(own / np.sqrt(np.count_nonzero(chosen))))
+            places.append(Place("lock", band=band, time=name))
+            hz.append(float(np.mean(beat.drive_hz[chosen])))
+            hours.append(float(np.mean(beat.time_s[chosen])) / 3600)
+
+    def predict(twin: Twin) -> Array:
+        clocks = twin.clocks
+        lock = clocks.detuning_hz + clocks.detuning_hz_h * np.array(hours)
+        lock = lock - 1e-6 * clocks.generator_ppm * np.array(hz)
+        return lock - twin.beams.quarter_error_rad * rate_hz / (2 * np.pi)
+
+    covariance = np.diag(np.square(errors)) + unknown((np.ones(len(values)), _COMMON_HZ))
+    return block("lock", Tap.HOLOGRAM, values, covariance, places, ("clocks", "beams"), predict)

@@ -7,7 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.block import Block, Place, block
 from diagnosis.campaign import Part
+from physics.effects.form import Tap
+from physics.sensor import Sensor
+from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]
 
@@ -120,7 +124,6 @@ def read_flat(parts: Sequence[Part], offset_dn: float) -> Flat:
     """Read flat frames."""
     frames, exposure_s = stacked(parts)
     mean = frames.mean(axis=1) - np.float32(offset_dn)
-    brightest = mean[int(exposure_s.argmax())]
     signal = mean.mean(axis=(1, 2))
     variance = frames.var(axis=1, ddof=1).mean(axis=(1, 2))
     whole = np.einsum("eyx,e->yx", mean, exposure_s) / np.sum(exposure_s**2)
@@ -130,7 +133,6 @@ def read_flat(parts: Sequence[Part], offset_dn: float) -> Flat:
     pattern2 = (
         float(np.median(np.abs(rough - 1)) * 1.4826) ** 2 - float(noise / np.mean(surface)) ** 2
     )
-    del brightest
     return Flat(
         exposure_s, signal, variance, float(np.sqrt(max(pattern2, 0.0))), coefficients[0],
         coefficients[1:],
@@ -172,3 +174,112 @@ def _median_of_chi2(frames: int) -> float:
     """Median of a variance of so many frames over its mean."""
     freedoms = frames - 1
     return float((1 - 2 / (9 * freedoms)) ** 3)
+
+
+# --- Beside the twin ----------------------------------------------------------------------------
+# What data sheets leave open: offset in dn, log of noise and of gain.
+_OFFSET_DN, _NOISE, _GAIN = 1.0, 0.05, 0.03
+# What rows and columns may have in common by chance.
+_BANDING = 0.1
+# Counts of hot pixels are known to this, beside their own scatter.
+_HOT_COUNT = 3.0
+# Lamps: from exposure to exposure, and from the middle to the edge.
+_LAMP, _UNEVEN = 7e-4, 4e-3
+# Log of the pattern that every sensor has.
+_PATTERN, _PATTERN_SPREAD = 3e-3, 0.3
+# Local oscillators: log of the brightness; per half a sensor, where the mirror stands as it should.
+_LO, _LO_TILT, _LO_BEND = 0.08, 3e-4, 2e-3
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What is known of camera and local oscillator beforehand.
+
+    Attributes
+    ----------
+    sensor : Sensor
+    lo_e_s : float
+    half_m : float
+        Half a side of the sensor.
+    """
+
+    sensor: Sensor
+    lo_e_s: float
+    half_m: float
+
+
+def dark_block(dark: Dark, sheet: Sheet) -> Block:
+    """Dark frames beside the data sheet."""
+    sensor = sheet.sensor
+
+    def predict(twin: Twin) -> Array:
+        read_dn = sensor.read_noise_e * np.exp(twin.chip.read_factor) / sensor.gain_e_dn
+        hot = 2 * np.sqrt(twin.chip.hot * dark.pixels + 3 / 8)
+        return np.array([sensor.offset_dn, 0.5 * np.log(read_dn**2 + 1 / 12), hot, 0.0, 0.0])
+
+    names = "offset", "read noise", "hot pixels", "noise of rows", "noise of columns"
+    values = [
+        dark.offset_dn,
+        np.log(dark.noise_dn),
+        2 * np.sqrt(dark.hot * dark.pixels + 3 / 8),
+        dark.row_excess,
+        dark.column_excess,
+    ]
+    errors = np.array([_OFFSET_DN, _NOISE, _HOT_COUNT, _BANDING, _BANDING])
+    places = [Place(name) for name in names]
+    return block("dark frames", Tap.SENSOR, values, errors, places, ("chip",), predict)
+
+
+def flat_block(flat: Flat, dark: Dark, sheet: Sheet) -> Block:
+    """Even light beside a linear camera."""
+    sensor, order = sheet.sensor, np.argsort(flat.exposure_s)
+    signal = flat.signal_dn[order]
+    rate = np.log(signal / flat.exposure_s[order])
+    full_dn = sensor.full_well_e / sensor.gain_e_dn
+    gain = float(np.log(np.mean(signal / (flat.variance_dn[order] - dark.noise_dn**2))))
+
+    def predict(twin: Twin) -> Array:
+        filled = signal / full_dn
+        bent = np.log(np.maximum(1 - twin.chip.bend * filled, 0.05))
+        steeper = 2 * np.log(np.maximum(1 - 2 * twin.chip.bend * filled, 0.05))
+        pattern = 0.5 * np.log(_PATTERN**2 + twin.chip.pattern**2)
+        conversion = np.log(sensor.gain_e_dn) + float(np.mean(bent - steeper))
+        return np.array(
+            [*(bent[1:] - bent[0]), pattern, conversion, -twin.beams.vignette, 0.0, 0.0]
+        )
+
+    several = len(signal) - 1
+    values = [
+        *(rate[1:] - rate[0]),
+        0.5 * np.log(max(flat.pattern, 1e-4) ** 2),
+        gain,
+        flat.corner,
+        *flat.tilt,
+    ]
+    errors = np.diag([_LAMP**2] * several + [_PATTERN_SPREAD**2, _GAIN**2] + [_UNEVEN**2] * 3)
+    errors[:several, :several] += _LAMP**2
+    places = [Place(f"linearity at {share:.0%}") for share in signal[1:] / full_dn]
+    places += [
+        Place("pattern"), Place("electrons per number"), Place("corners", region="corners"),
+        Place("tilt of the light", region="rows"), Place("tilt of the light", region="columns"),
+    ]  # fmt: skip
+    return block("even light", Tap.SENSOR, values, errors, places, ("chip", "beams"), predict)
+
+
+def lo_block(beam: Beam, sheet: Sheet) -> Block:
+    """Local oscillator beside a Gaussian beam on the middle of the sensor."""
+    level = np.log(sheet.lo_e_s / sheet.sensor.gain_e_dn)
+
+    def predict(twin: Twin) -> Array:
+        beams, half = twin.beams, sheet.half_m
+        tilt = [4 * shift * half / beams.waist_m**2 for shift in beams.shift_m]
+        corner = -4 * half**2 / beams.waist_m**2 - beams.vignette
+        return np.array([level, *tilt, corner])
+
+    values = [np.log(np.mean(beam.rate_dn_s)), *beam.tilt, beam.bend]
+    errors = np.array([_LO, _LO_TILT, _LO_TILT, _LO_BEND])
+    places = [
+        Place("brightness"), Place("middle", region="rows"), Place("middle", region="columns"),
+        Place("width", region="corners"),
+    ]  # fmt: skip
+    return block("local oscillator", Tap.SENSOR, values, errors, places, ("beams",), predict)

@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.block import Block, Place, block, unknown
 from diagnosis.campaign import Part
+from physics.effects.form import Tap
+from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]
 
@@ -135,3 +138,89 @@ def _likeness(runs: Sequence[tuple[Array, float]]) -> tuple[Array, float]:
             product = abs(np.vdot(means[a], means[b])) / means[a].size
             table[a, b] = table[b, a] = product / np.sqrt(powers[a] * powers[b])
     return table, float(np.mean(errors) / np.sqrt(means[0].size))
+
+
+# --- Beside the twin ----------------------------------------------------------------------------
+# How well few numbers tell their own scatter.
+_FEW = 1.3
+# Log of how fast phases walk, and of what scatter of phases is beside that.
+_WALK, _SCATTER = 0.4, 0.1
+# Brightness of every other frame; speckle that has changed.
+_FLICKER, _CHANGED = 2e-4, 2e-3
+
+
+def turn_block(stills: Sequence[Still], rate_hz: float) -> Block:
+    """What light at rest turns by within acquisitions, and between them.
+
+    Parameters
+    ----------
+    stills : sequence of Still
+    rate_hz : float
+        Frames per second.
+    """
+    values, errors, places, inside, hours = [], [], [], [], []
+    for still in stills:
+        turn_hz = rate_hz / (2 * np.pi)
+        when = f"clamping {still.clamping + 1}"
+        told = np.isfinite(still.turn_rad)
+        spread = float(np.std(still.advance_rad, ddof=1)) * turn_hz
+        values.append(float(np.mean(still.advance_rad)) * turn_hz)
+        errors.append(max(_FEW * spread / np.sqrt(len(still.advance_rad)), 1e-4))
+        places.append(Place("lock at rest, within acquisitions", time=when))
+        turn, gap = still.turn_rad[told], still.gap_s[told]
+        values.append(-float(np.sum(turn) / np.sum(gap)) / (2 * np.pi))
+        spread = float(np.std(turn, ddof=1)) / np.sqrt(len(turn))
+        errors.append(max(_FEW * spread / float(np.mean(gap)) / (2 * np.pi), 1e-4))
+        places.append(Place("lock at rest, between acquisitions", time=when))
+        inside += [1.0, 0.0]
+        hours += [float(np.mean(still.time_s)) / 3600] * 2
+
+    def predict(twin: Twin) -> Array:
+        clocks, within = twin.clocks, np.array(inside)
+        lock = clocks.detuning_hz + clocks.detuning_hz_h * np.array(hours)
+        return lock - within * twin.beams.quarter_error_rad * rate_hz / (2 * np.pi)
+
+    parts = ("clocks", "beams")
+    return block("light at rest", Tap.HOLOGRAM, values, np.array(errors), places, parts, predict)
+
+
+def stability_block(stills: Sequence[Still]) -> Block:
+    """Brightness of every other frame, and speckle that should be the same."""
+    values, errors, places = [], [], []
+    for still in stills:
+        when = f"clamping {still.clamping + 1}"
+        values.append(float(np.mean(still.frame_ratio)))
+        own = still.frame_scatter / np.sqrt(len(still.frame_ratio))
+        errors.append(float(np.hypot(own, _FLICKER)))
+        places.append(Place("every other frame's brightness", time=when))
+        for a in range(len(still.likeness)):
+            for b in range(a):
+                values.append(1 - float(still.likeness[a, b]))
+                errors.append(_CHANGED)
+                places.append(Place("speckle that has changed", time=when))
+
+    def predict(_twin: Twin) -> Array:
+        return np.zeros(len(values))
+
+    return block("still light", Tap.FIELD, values, np.array(errors), places, (), predict)
+
+
+def scatter_block(stills: Sequence[Still], lock_scatter_hz: float, rate_hz: float) -> Block:
+    """Scatter of phases, within acquisitions of all sweeps and between those of light at rest."""
+    turns = np.concatenate([still.turn_rad[np.isfinite(still.turn_rad)] for still in stills])
+    gaps = np.concatenate([still.gap_s[np.isfinite(still.gap_s)] for still in stills])
+    between = float(np.sqrt(np.mean((turns - turns.mean()) ** 2)))
+    walk = np.array([1.0, 1.0])
+
+    def predict(twin: Twin) -> Array:
+        beams = twin.beams
+        within = np.sqrt(0.5 * beams.walk_rad_s**2 / rate_hz + beams.jitter_rad**2)
+        apart = np.sqrt(beams.walk_rad_s**2 * gaps.mean() + 0.5 * beams.jitter_rad**2)
+        return np.log([within * rate_hz / (2 * np.pi), apart])
+
+    covariance = np.diag([_SCATTER**2, 0.5 / max(len(turns) - 2, 1)]) + unknown((walk, _WALK))
+    places = [Place("phase within acquisitions"), Place("phase between acquisitions")]
+    return block(
+        "scatter of phases", Tap.HOLOGRAM, np.log([lock_scatter_hz, max(between, 1e-4)]),
+        covariance, places, ("beams",), predict,
+    )  # fmt: skip

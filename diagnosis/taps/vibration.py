@@ -97,7 +97,7 @@ class SweepReading:
 def read_sweeps(
     parts: Sequence[Part], progress: Callable[[float], None] | None = None
 ) -> tuple[list[SweepReading], list[str]]:
-    """Fit all sweeps: the loudest by itself, the others from it.
+    """Fit all sweeps: the quietest by itself, in which fringes hardly fold, the others from it.
 
     Returns
     -------
@@ -110,16 +110,18 @@ def read_sweeps(
     refused = []
     reed = basis_of(parts[0].run.reed_file())
     model = finite_element_model(reed)
-    # A loud sweep shows more: the others begin where it has ended.
-    ordered = sorted(parts, key=lambda part: (part.clamping, -loudness(part.run), part.began_s))
-    # The first fit of a reed is a search; where it has ended, the second of them knows better.
-    turns = [*ordered[:2], *ordered[: len(ordered) > 1], *ordered[2:]]
+    first = parts[0].clamping
+    ordered = sorted(parts, key=lambda part: (part.clamping != first, loudness(part.run)))
+    # The first fit of a reed is a search; what it begins with settles as it is handed on.
+    turns = [*ordered[:3], *(ordered[:2] if len(ordered) > 1 else []), *ordered[3:]]
     for number, part in enumerate(turns):
-        beside = [other for other in ordered if other.name in fits and other is not part]
+        # A loud sweep shows more, and the last of them knows best.
+        beside = [other for other in turns[:number] if other.name in fits and other is not part]
         try:
             if beside:
-                moved = part.clamping != beside[0].clamping
-                fits[part.name] = fit_again(part.run, fits[beside[0].name], moved=moved)
+                known = max(beside[::-1], key=lambda other: round(loudness(other.run), 1))
+                moved = part.clamping != known.clamping
+                fits[part.name] = fit_again(part.run, fits[known.name], moved=moved)
             else:
                 fits[part.name] = fit_jointly(part.run, reed, model)
         except FitError as error:
@@ -230,15 +232,17 @@ def _beside(columns: Array, own: int) -> tuple[Complex, Array]:
     gram = columns.T @ columns
     mine = gram[:own, :own] + 1e-9 * np.trace(gram[:own, :own]) / own * np.eye(own)
     rest = gram[own:, own:] - gram[own:, :own] @ np.linalg.solve(mine, gram[:own, own:])
-    count = len(rest) // 2
-    amplitude, variance = np.empty(count, complex), np.empty(count)
-    for t, name in enumerate(TEMPLATES):
-        # Light that has lost coherence is in phase with what is left of it; what leaks in is not.
-        which = [t] if name == "decorrelation" else [t, count + 1 + t]
-        information = rest[np.ix_(which, which)]
-        found = np.linalg.solve(information, rest[which, count])
-        amplitude[t] = found[0] + (1j * found[1] if len(which) > 1 else 0.0)
-        variance[t] = 0.5 * np.trace(np.linalg.inv(information))
+    # Light that has lost coherence is in phase with what is left of it; what leaks in is not.
+    count = len(TEMPLATES)
+    in_phase = [t for t, name in enumerate(TEMPLATES)]
+    turned_too = [t for t, name in enumerate(TEMPLATES) if name != "decorrelation"]
+    which = [*in_phase, *(count + 1 + t for t in turned_too)]
+    information = rest[np.ix_(which, which)]
+    found = np.linalg.solve(information, rest[which, count])
+    spread = 0.5 * np.diag(np.linalg.inv(information))
+    amplitude, variance = found[:count].astype(complex), spread[:count].copy()
+    amplitude[turned_too] += 1j * found[count:]
+    variance[turned_too] += spread[count:]
     return amplitude, variance
 
 

@@ -1,0 +1,111 @@
+"""Numbers of one kind that measurement and twin are compared by, each with its error and its place.
+
+What a campaign leaves open without the twin being wrong, such as the level of the drive or the
+exact profile of a reed's surface beyond a few functions, is part of the errors: all errors are
+Gaussian, and what is unknown in proportion to known columns is added to their covariance.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from physics.effects.form import Tap
+from physics.twin import Twin
+
+Array = NDArray[np.floating[Any]]
+
+# Edges of the bands that frequencies are told in.
+BANDS_HZ = (0.0, 2.8e3, 5.6e3, 8e3, 11e3, 14e3, np.inf)
+BANDS = ("to 2.8 kHz", "2.8-5.6 kHz", "5.6-8 kHz", "8-11 kHz", "11-14 kHz", "from 14 kHz")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where in the comparison a number stands; empty where a coordinate says nothing.
+
+    Attributes
+    ----------
+    quantity : str
+        What it is, in words.
+    mode, band, region, time, level : str
+    """
+
+    quantity: str
+    mode: str = ""
+    band: str = ""
+    region: str = ""
+    time: str = ""
+    level: str = ""
+
+
+@dataclass(frozen=True)
+class Block:
+    """n numbers of one tap.
+
+    Attributes
+    ----------
+    name : str
+    tap : Tap
+    values : (n,) float
+    covariance : (n, n) float
+    places : tuple of Place
+    parts : tuple of str
+        Parts of the twin that the prediction depends on.
+    predict : callable
+        ``predict(twin)`` gives (n,) float.
+    root : (n, n) float
+        ``root @ (values - predicted)`` has unit covariance.
+    """
+
+    name: str
+    tap: Tap
+    values: Array
+    covariance: Array
+    places: tuple[Place, ...]
+    parts: tuple[str, ...]
+    predict: Callable[[Twin], Array]
+    root: Array
+
+    def left(self, twin: Twin) -> Array:
+        """What a twin leaves (n,), whitened."""
+        left: Array = self.root @ (self.values - self.predict(twin))
+        return left
+
+
+def block(
+    name: str,
+    tap: Tap,
+    values: Sequence[float] | Array,
+    covariance: Array,
+    places: Sequence[Place],
+    parts: Sequence[str],
+    predict: Callable[[Twin], Array],
+) -> Block:
+    """Make a block.
+
+    Parameters
+    ----------
+    covariance : (n, n) or (n,) float
+        Or standard deviations.
+    """
+    numbers = np.asarray(values, dtype=float)
+    if covariance.ndim == 1:
+        covariance = np.diag(covariance**2)
+    lower = linalg.cholesky(covariance, lower=True)
+    root = linalg.solve_triangular(lower, np.eye(len(numbers)), lower=True)
+    return Block(name, tap, numbers, covariance, tuple(places), tuple(parts), predict, root)
+
+
+def band_of(hz: float) -> str:
+    """Name of the band of a frequency."""
+    return BANDS[int(np.searchsorted(BANDS_HZ, hz, side="right")) - 1]
+
+
+def unknown(*columns: tuple[Array, float]) -> Array:
+    """Covariance (n, n) of what is unknown in proportion to columns (n,), with their deviations."""
+    total = sum(spread**2 * np.multiply.outer(column, column) for column, spread in columns)
+    return np.asarray(total)

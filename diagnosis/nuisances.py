@@ -1,0 +1,81 @@
+"""What differs from bench to bench and reed to reed without the twin being wrong."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from physics.mechanics import Layer
+from physics.twin import Twin, with_alteration, with_cane, with_reed
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """One such thing; 0 is the nominal twin.
+
+    Attributes
+    ----------
+    name, unit : str
+    spread : float
+        Standard deviation of its prior.
+    change : callable
+        ``change(twin, value)``: the twin with it.
+    source : str
+    """
+
+    name: str
+    unit: str
+    spread: float
+    change: Callable[[Twin, float], Twin]
+    source: str
+
+
+def _cane(name: str, spread: float, source: str) -> Nuisance:
+    return Nuisance(name, "", spread, lambda twin, value: with_cane(twin, **{name: value}), source)
+
+
+def _layer(along: int, across: int) -> Nuisance:
+    kind = Layer(along, across)
+    spread = _PROFILE_M / (1 + along + across) ** 0.5
+    return Nuisance(
+        f"layer {along}{across}",
+        "m",
+        spread,
+        lambda twin, value: with_alteration(twin, kind, value),
+        "profiles of reeds of one brand, by micrometer: some micrometres",
+    )
+
+
+_PROFILE_M: Final = 4e-6
+_POPULATION = "population of reeds of one brand (paper, Table 5)"
+_HANDBOOK = "spread of small clear specimens of one wood"
+NUISANCES: Final[tuple[Nuisance, ...]] = (
+    _cane("E_L", 0.12, _POPULATION),
+    _cane("G_LT", 0.12, _POPULATION),
+    _cane("E_T", 0.1, _HANDBOOK),
+    _cane("E_R", 0.1, _HANDBOOK),
+    _cane("G_LR", 0.12, _HANDBOOK),
+    _cane("G_TR", 0.12, _HANDBOOK),
+    _cane("density", 0.03, _HANDBOOK),
+    Nuisance(
+        "loss",
+        "",
+        0.2,
+        lambda twin, value: with_reed(twin, loss_factor=twin.reed.loss_factor * 2.718281828**value),
+        "loss factors of cane, 0.02 to 0.05",
+    ),
+    Nuisance(
+        "loss growth",
+        "",
+        0.05,
+        lambda twin, value: with_reed(twin, loss_growth=twin.reed.loss_growth + value),
+        "decision 0004",
+    ),
+    Nuisance(
+        "mesh",
+        "",
+        0.3,
+        lambda twin, value: with_reed(twin, coarse_share=twin.reed.coarse_share + value),
+        "decision 0009: what finer elements change",
+    ),
+    *(_layer(along, across) for along in range(4) for across in range(4) if along + across < 5),
+)

@@ -1,0 +1,207 @@
+"""Rivals: twins with no effect, one, or two, each fitted with all nuisances, and their evidence.
+
+Residuals of all blocks are whitened and put in one vector. Slopes along the nuisances are those at
+the twin without effects, taken anew where a fit moves far; along an effect's own parameters they
+are taken at every step.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.block import Block
+from diagnosis.estimate import Estimate, fit
+from diagnosis.nuisances import Nuisance
+from physics.effects.form import Effect, Parameter
+from physics.twin import Twin
+
+Array = NDArray[np.floating[Any]]
+
+# Slopes are taken anew where a nuisance has moved by so many deviations.
+_FAR = 1.5
+_STEP = 0.02
+_KEPT = 4096
+# The noise of a block may be larger than its replicates say: log.
+_NOISE_SPREAD = 0.15
+# Effects have not quite the form that the catalogue gives them: a share of what they do.
+_FORM = 0.08
+
+
+class Comparison:
+    """Blocks of a campaign beside a twin whose nuisances are to be found.
+
+    Parameters
+    ----------
+    blocks : sequence of Block
+    base : Twin
+        What is known of the bench.
+    nuisances : sequence of Nuisance
+    """
+
+    def __init__(self, blocks: Sequence[Block], base: Twin, nuisances: Sequence[Nuisance]) -> None:
+        self.blocks, self.base, self.nuisances = tuple(blocks), base, tuple(nuisances)
+        self._left = lru_cache(maxsize=_KEPT)(self._left_of)
+        starts = np.cumsum([0, *(len(block.values) for block in blocks)])
+        self.slices = {
+            block.name: slice(int(a), int(b))
+            for block, a, b in zip(blocks, starts, starts[1:], strict=False)
+        }
+        self._slope: tuple[Array, Array] | None = None
+
+    def twin(self, z: Array, effects: Sequence[Effect] = (), values: Array | None = None) -> Twin:
+        """Twin with nuisances z (p,) and the sizes of effects, in units of their priors."""
+        twin = self.base
+        for nuisance, size in zip(self.nuisances, z.tolist(), strict=True):
+            if size:
+                twin = nuisance.change(twin, nuisance.spread * size)
+        return twin
+
+    def residuals(self, twin: Twin) -> Array:
+        """What a twin leaves (n,), whitened: twin less measurement."""
+        return -np.concatenate(
+            [
+                self._left(number, tuple(getattr(twin, part) for part in block.parts))
+                for number, block in enumerate(self.blocks)
+            ]
+        )
+
+    def _left_of(self, number: int, parts: tuple[Any, ...]) -> Array:
+        block = self.blocks[number]
+        return block.left(Twin(**dict(zip(block.parts, parts, strict=True))))
+
+    def slope(self, z: Array) -> Array:
+        """Derivatives (n, p) along the nuisances, near z."""
+        if self._slope is None or np.abs(z - self._slope[0]).max() > _FAR:
+            here = self.residuals(self.twin(z))
+            columns = []
+            for k in range(len(z)):
+                step = -_STEP if z[k] > 0 else _STEP
+                moved = z.copy()
+                moved[k] += step
+                columns.append((self.residuals(self.twin(moved)) - here) / step)
+            self._slope = z.copy(), np.stack(columns, axis=1)
+        return self._slope[1]
+
+
+@dataclass(frozen=True)
+class Sized:
+    """An effect with its places chosen.
+
+    Attributes
+    ----------
+    effect : Effect
+    places : mapping
+        Values of its parameters that are places.
+    """
+
+    effect: Effect
+    places: Mapping[str, float]
+
+    @property
+    def sizes(self) -> tuple[Parameter, ...]:
+        """Parameters that are to be found."""
+        return self.effect.sizes
+
+    def change(self, twin: Twin, z: Array) -> Twin:
+        """Twin with the effect at sizes z, in units of their priors."""
+        values = {p.name: p.spread * float(v) for p, v in zip(self.sizes, z, strict=True)}
+        return self.effect.change(twin, {**values, **self.places})
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A twin with chosen effects, fitted.
+
+    Attributes
+    ----------
+    effects : tuple of Sized
+    estimate : Estimate
+        Of nuisances, then of the effects' sizes.
+    log_evidence : float
+    chi2 : dict of float
+        Of each block.
+    """
+
+    effects: tuple[Sized, ...]
+    estimate: Estimate
+    log_evidence: float
+    chi2: dict[str, float]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Ids of the effects."""
+        return tuple(sized.effect.id for sized in self.effects)
+
+
+def compete(comparison: Comparison, effects: Sequence[Sized], starts: Sequence[Array]) -> Rival:
+    """Fit a twin with effects.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    effects : sequence of Sized
+        None is the twin without any.
+    starts : sequence of (p + s,) float
+        Nuisances, then sizes of all effects.
+
+    Raises
+    ------
+    ValueError
+        If no start is a possible reed.
+    """
+    p = len(comparison.nuisances)
+    positive = [False] * p + [size.positive for sized in effects for size in sized.sizes]
+
+    def twin_at(z: Array) -> Twin:
+        twin, rest = comparison.twin(z[:p]), z[p:]
+        for sized in effects:
+            count = len(sized.sizes)
+            twin = sized.change(twin, rest[:count])
+            rest = rest[count:]
+        return twin
+
+    def residuals(z: Array) -> Array:
+        return comparison.residuals(twin_at(z))
+
+    def jacobian(z: Array) -> Array:
+        nuisances = comparison.slope(z[:p])
+        here, columns = residuals(z), []
+        for k in range(p, len(z)):
+            step = _STEP if positive[k] or z[k] <= 0 else -_STEP
+            moved = z.copy()
+            moved[k] += step
+            columns.append((residuals(moved) - here) / step)
+        return np.column_stack([nuisances, *columns])
+
+    estimate = fit(residuals, positive, starts, jacobian)
+    without = comparison.residuals(comparison.twin(estimate.z[:p])) if effects else None
+    log_evidence = estimate.log_evidence + _corrected(comparison, estimate, without)
+    chi2 = {
+        name: float(np.sum(estimate.residuals[piece] ** 2))
+        for name, piece in comparison.slices.items()
+    }
+    return Rival(tuple(effects), estimate, log_evidence, chi2)
+
+
+def _corrected(comparison: Comparison, estimate: Estimate, without: Array | None) -> float:
+    """What evidence gains by noise that may be larger, and by effects of not quite their form."""
+    gain = 0.0
+    for piece in comparison.slices.values():
+        left = estimate.residuals[piece]
+        variance = np.ones(len(left))
+        if without is not None:
+            variance += (_FORM * (left - without[piece])) ** 2
+        gain += float(np.sum(0.5 * left**2 * (1 - 1 / variance) - 0.5 * np.log(variance)))
+        gain += _louder(float(np.sum(left**2 / variance)), len(left))
+    return gain
+
+
+def _louder(chi2: float, count: int) -> float:
+    """Gain of log evidence by the likeliest factor on the noise of a block."""
+    logs = np.linspace(0.0, 6 * _NOISE_SPREAD, 61)
+    gains = 0.5 * chi2 * (1 - np.exp(-2 * logs)) - count * logs - 0.5 * (logs / _NOISE_SPREAD) ** 2
+    return float(gains.max())

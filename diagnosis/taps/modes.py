@@ -1,0 +1,162 @@
+"""Tap T7: frequencies and losses of all modes in all sweeps."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.block import Block, Place, band_of, block
+from diagnosis.taps.vibration import SweepReading
+from physics.effects.form import Tap
+from physics.mechanics import Workshop
+from physics.twin import Surroundings, Twin, with_cane
+
+Array = NDArray[np.floating[Any]]
+
+CENTS = 1200 / np.log(2)
+# Modes beyond this are too many to be told apart surely.
+_HIGHEST_HZ = 17e3
+# What fits of the same vibration differ by, over their errors, and at least: cents, per cent.
+_REPEATS, _REPEATS_LOSS, _LEAST_CENTS, _LEAST_LOSS = 0.4, 0.6, 0.15, 0.4
+# What the method and the elements are off by in every mode, cents: below and above 12 kHz; and what
+# losses of modes differ by in one cane, per cent.
+_METHOD_CENTS, _METHOD_HIGH_CENTS, _LOSS = 4.0, 7.0, 6.0
+# The lowest mode has none below it that would tell its loss.
+_LOWEST_CENTS, _LOWEST_LOSS = 3.0, 20.0
+# A new clamping: cents, less for each mode above the first, and of each mode by itself; per cent.
+_CLAMP_CENTS, _CLAMP_FALL, _CLAMP_OWN, _CLAMP_LOSS = 2.5, 4.0, 0.6, 1.0
+# Sweeps of other volts.
+_LEVEL_CENTS = 0.3
+# Degrees and moisture: relative changes of moduli, mass and loss, per degree and when all dry.
+_MODULI_PER_C = -1.0e-3
+_DRY_E, _DRY_G, _DRY_MASS, _DRY_LOSS = 0.08, 0.12, -0.035, -0.25
+# What of a stiffening at the deepest counts for a resonance, on the whole.
+_DEEP = 0.7
+_STEP = 0.01
+
+
+def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop) -> Block:
+    """Frequencies in cents and losses in per cent, of all sweeps, beside the twin's."""
+    known = workshop.modes(Twin().reed)
+    common = [
+        name
+        for name in sweeps[0].names
+        if name in known
+        and sum(name in sweep.names for sweep in sweeps) >= max(1, len(sweeps) - 1)
+        and sweeps[0].hz[sweeps[0].names.index(name)] < _HIGHEST_HZ
+    ]
+    values, places, rows = [], [], []
+    pieces = []
+    for number, sweep in enumerate(sweeps):
+        here = [name for name in common if name in sweep.names]
+        at = np.array([sweep.names.index(name) for name in here])
+        both = np.concatenate([at, len(sweep.names) + at])
+        unit = np.concatenate([np.full(len(at), CENTS), np.full(len(at), 100.0)])
+        values += list(CENTS * np.log(sweep.hz[at])) + list(100 * np.log(sweep.loss_factor[at]))
+        for what in ("frequency, cents", "loss, %"):
+            for name, hz in zip(here, sweep.hz[at], strict=True):
+                places.append(Place(what, mode=name, band=band_of(float(hz)), time=sweep.name))
+                rows.append((number, name, what))
+        pieces.append(_of_fit(sweep, both, unit, here, common))
+    covariance = np.zeros((len(values),) * 2)
+    start = 0
+    for piece in pieces:
+        covariance[start : start + len(piece), start : start + len(piece)] = piece
+        start += len(piece)
+    covariance += _in_common(rows, common, sweeps)
+    predict = _prediction(rows, common, sweeps, workshop)
+    return block("modes", Tap.MODES, values, covariance, places, ("reed", "surroundings"), predict)
+
+
+def _of_fit(
+    sweep: SweepReading, both: Array, unit: Array, here: Sequence[str], common: Sequence[str]
+) -> Array:
+    """Covariance of what one sweep's fit adds."""
+    count = len(here)
+    share = np.concatenate([np.full(count, _REPEATS), np.full(count, _REPEATS_LOSS)]) * unit
+    covariance = share[:, None] * sweep.covariance[np.ix_(both, both)] * share
+    least = np.concatenate([np.full(count, _LEAST_CENTS), np.full(count, _LEAST_LOSS)])
+    if common[0] in here:
+        lowest = list(here).index(common[0])
+        least[lowest], least[count + lowest] = _LOWEST_CENTS, _LOWEST_LOSS
+    whole: Array = covariance + np.diag(least**2)
+    return whole
+
+
+def _in_common(
+    rows: Sequence[tuple[int, str, str]], common: Sequence[str], sweeps: Sequence[SweepReading]
+) -> Array:
+    """Covariance of what all sweeps, those of one clamping and of one level have in common."""
+    names = np.array([common.index(name) for _, name, _ in rows])
+    loss = np.array([what.startswith("loss") for _, _, what in rows])
+    sweep = np.array([number for number, _, _ in rows])
+    hz = np.array([sweeps[0].hz[sweeps[0].names.index(name)] for name in common])[names]
+    same = (names[:, None] == names) & (loss[:, None] == loss)
+    method = np.where(loss, _LOSS, np.where(hz > 12e3, _METHOD_HIGH_CENTS, _METHOD_CENTS))
+    method = np.where((names == 0) & loss, _LOWEST_LOSS, method)
+    covariance = same * method[:, None] * method
+    clamping = np.array([s.clamping for s in sweeps])[sweep]
+    for one in sorted(set(clamping.tolist()) - {0}):
+        there = (clamping == one) & ~loss
+        bends = there * _CLAMP_CENTS / (1 + names / _CLAMP_FALL)
+        own = np.where(clamping == one, np.where(loss, _CLAMP_LOSS, _CLAMP_OWN), 0.0)
+        covariance += np.multiply.outer(bends, bends) + same * np.multiply.outer(own, own)
+    level = np.array([float(np.mean(np.log(s.volts))) for s in sweeps])[sweep]
+    for one in sorted(set(np.round(level, 2).tolist()))[:-1]:
+        there = np.where((np.abs(level - one) < 0.01) & ~loss, _LEVEL_CENTS, 0.0)
+        covariance += same * np.multiply.outer(there, there)
+    return np.asarray(covariance)
+
+
+def _prediction(
+    rows: Sequence[tuple[int, str, str]],
+    common: Sequence[str],
+    sweeps: Sequence[SweepReading],
+    workshop: Workshop,
+) -> Callable[[Twin], Array]:
+    names = np.array([common.index(name) for _, name, _ in rows])
+    loss = np.array([what.startswith("loss") for _, _, what in rows])
+    number = np.array([sweep for sweep, _, _ in rows])
+    found = [dict(zip(s.names, s.hz.tolist(), strict=True)) for s in sweeps]
+    hours, deep = np.empty(len(rows)), np.empty(len(rows))
+    for r, (s, name, _) in enumerate(rows):
+        sweep, log_hz = sweeps[s], np.log(found[s][name])
+        hours[r] = float(np.interp(log_hz, np.log(sweep.drive_hz), sweep.time_s)) / 3600
+        near = np.abs(np.log(sweep.drive_hz) - log_hz) < 0.03
+        deep[r] = float(np.max(sweep.deepest_rad[near], initial=0.0)) / 10
+    nominal = Twin()
+    by_E, by_G = (_slope(workshop, nominal, modulus, common) for modulus in ("E_L", "G_LT"))
+
+    def predict(twin: Twin) -> Array:
+        modes = workshop.modes(twin.reed)
+        missing = [name for name in common if name not in modes]
+        if missing:
+            raise ValueError(f"a reed of this kind has no mode {missing[0]}")
+        hz = np.array([modes[name].hz for name in common])
+        eta = np.array([modes[name].loss_factor for name in common])
+        around: Surroundings = twin.surroundings
+        degrees = around.warming_c_h * hours
+        dry = around.drying * -np.expm1(-3600 * hours / around.drying_s)
+        E = _MODULI_PER_C * degrees + _DRY_E * dry
+        G = _MODULI_PER_C * degrees + _DRY_G * dry
+        shift = by_E[names] * E + by_G[names] * G - 0.5 * _DRY_MASS * dry
+        shift = shift + 0.5 * _DEEP * around.hardening * deep**2
+        lossier = around.loss_per_c * degrees + _DRY_LOSS * dry
+        answer: Array = np.where(
+            loss,
+            100 * (np.log(eta[names]) + lossier),
+            CENTS * (np.log(hz[names]) + shift),
+        )
+        return answer
+
+    del number
+    return predict
+
+
+def _slope(workshop: Workshop, twin: Twin, modulus: str, names: Sequence[str]) -> Array:
+    """Derivatives of log frequencies by the log of a modulus."""
+    ahead, behind = (
+        workshop.modes(with_cane(twin, **{modulus: sign * _STEP}).reed) for sign in (1, -1)
+    )
+    return np.array([np.log(ahead[n].hz / behind[n].hz) / (2 * _STEP) for n in names])

@@ -141,36 +141,37 @@ def _likeness(runs: Sequence[tuple[Array, float]]) -> tuple[Array, float]:
 
 
 # --- Beside the twin ----------------------------------------------------------------------------
-# How well few numbers tell their own scatter.
-_FEW = 1.3
+# How well few numbers tell their own scatter; and as of how many numbers that is which a walk says.
+_FEW, _BELIEVED = 1.2, 4.0
 # Log of how fast phases walk, and of what scatter of phases is beside that.
 _WALK, _SCATTER = 0.4, 0.1
 # Brightness of every other frame; speckle that has changed.
 _FLICKER, _CHANGED = 2e-4, 2e-3
 
 
-def turn_block(stills: Sequence[Still], rate_hz: float) -> Block:
+def turn_block(stills: Sequence[Still], scatter_hz: float, rate_hz: float) -> Block:
     """What light at rest turns by within acquisitions, and between them.
 
     Parameters
     ----------
     stills : sequence of Still
+    scatter_hz : float
+        Of the lock in sweeps.
     rate_hz : float
         Frames per second.
     """
     values, errors, places, inside, hours = [], [], [], [], []
-    for still in stills:
+    turns = [still.turn_rad[np.isfinite(still.turn_rad)] for still in stills]
+    gaps = [still.gap_s[np.isfinite(still.gap_s)] for still in stills]
+    between = _spread_between(turns, gaps, scatter_hz / rate_hz * 2 * np.pi, rate_hz)
+    for still, turn, gap in zip(stills, turns, gaps, strict=True):
         turn_hz = rate_hz / (2 * np.pi)
         when = f"clamping {still.clamping + 1}"
-        told = np.isfinite(still.turn_rad)
-        spread = float(np.std(still.advance_rad, ddof=1)) * turn_hz
         values.append(float(np.mean(still.advance_rad)) * turn_hz)
-        errors.append(max(_FEW * spread / np.sqrt(len(still.advance_rad)), 1e-4))
+        errors.append(max(scatter_hz / np.sqrt(len(still.advance_rad)), 1e-4))
         places.append(Place("lock at rest, within acquisitions", time=when))
-        turn, gap = still.turn_rad[told], still.gap_s[told]
         values.append(-float(np.sum(turn) / np.sum(gap)) / (2 * np.pi))
-        spread = float(np.std(turn, ddof=1)) / np.sqrt(len(turn))
-        errors.append(max(_FEW * spread / float(np.mean(gap)) / (2 * np.pi), 1e-4))
+        errors.append(_FEW * between / np.sqrt(len(turn)) / float(np.mean(gap)) / (2 * np.pi))
         places.append(Place("lock at rest, between acquisitions", time=when))
         inside += [1.0, 0.0]
         hours += [float(np.mean(still.time_s)) / 3600] * 2
@@ -182,6 +183,20 @@ def turn_block(stills: Sequence[Still], rate_hz: float) -> Block:
 
     parts = ("clocks", "beams")
     return block("light at rest", Tap.HOLOGRAM, values, np.array(errors), places, parts, predict)
+
+
+def _spread_between(
+    turns: Sequence[Array], gaps: Sequence[Array], within_rad: float, rate_hz: float
+) -> float:
+    """Scatter of phases from one acquisition to the next, by themselves and by a phase that walks.
+
+    Few acquisitions hardly tell their own scatter; a phase that walks by so much within each of
+    them walks by so much more between them.
+    """
+    left = np.concatenate([turn - turn.mean() for turn in turns])
+    freedoms = max(len(left) - len(turns), 0)
+    walked = within_rad**2 * 2 * rate_hz * float(np.mean(np.concatenate(gaps)))
+    return float(np.sqrt((np.sum(left**2) + _BELIEVED * walked) / (freedoms + _BELIEVED)))
 
 
 def stability_block(stills: Sequence[Still]) -> Block:

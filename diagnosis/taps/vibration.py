@@ -18,6 +18,8 @@ Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 # What may be in a hologram beside its sideband, by name.
+# What modes usually leave of vibrations, and how many holograms.
+_USUAL, _FEW_OFF = 6e-3, 2
 TEMPLATES = ("carrier_leak", "order_mixing", "decorrelation")
 
 
@@ -97,7 +99,7 @@ class SweepReading:
 def read_sweeps(
     parts: Sequence[Part], progress: Callable[[float], None] | None = None
 ) -> tuple[list[SweepReading], list[str]]:
-    """Fit all sweeps: the quietest by itself, in which fringes hardly fold, the others from it.
+    """Fit all sweeps: one by itself, the others each from the one before.
 
     Returns
     -------
@@ -106,30 +108,50 @@ def read_sweeps(
         Why others could not be fitted.
     """
     report = progress or (lambda _share: None)
-    fits: dict[str, JointFit] = {}
-    refused = []
+    refused: list[str] = []
     reed = basis_of(parts[0].run.reed_file())
     model = finite_element_model(reed)
     first = parts[0].clamping
-    ordered = sorted(parts, key=lambda part: (part.clamping != first, loudness(part.run)))
-    # The first fit of a reed is a search; what it begins with settles as it is handed on.
-    turns = [*ordered[:3], *(ordered[:2] if len(ordered) > 1 else []), *ordered[3:]]
-    for number, part in enumerate(turns):
-        # A loud sweep shows more, and the last of them knows best.
-        beside = [other for other in turns[:number] if other.name in fits and other is not part]
+    loud = sorted(parts, key=lambda part: (part.clamping != first, -loudness(part.run)))
+    calm = sorted(parts, key=lambda part: (part.clamping != first, loudness(part.run)))
+    fits: dict[str, JointFit] = {}
+
+    def fit(part: Part, known: Part | None) -> bool:
         try:
-            if beside:
-                known = max(beside[::-1], key=lambda other: round(loudness(other.run), 1))
+            if known is None:
+                fits[part.name] = fit_jointly(part.run, reed, model)
+            else:
                 moved = part.clamping != known.clamping
                 fits[part.name] = fit_again(part.run, fits[known.name], moved=moved)
-            else:
-                fits[part.name] = fit_jointly(part.run, reed, model)
         except FitError as error:
             refused.append(str(error))
-        report((number + 1) / len(turns))
+            return False
+        return True
+
+    # A loud sweep shows more, but its fringes may fold; one that is calmer then shows the way.
+    searched = fit(loud[0], None)
+    report(1 / (len(parts) + 2))
+    if len(parts) > 1 and not (searched and _settled(fits[loud[0].name])):
+        before = fits.get(loud[0].name)
+        if fit(calm[0], None) and fit(loud[0], calm[0]) and before is not None:
+            if before.modal.discrepancy < fits[loud[0].name].modal.discrepancy:
+                fits[loud[0].name] = before
+    # What a fit begins with settles as it is handed on.
+    turns = [calm[0], loud[0]] if len(parts) > 1 else []
+    turns += [part for part in loud if part not in (calm[0], loud[0])]
+    last = loud[0] if loud[0].name in fits else None
+    for number, part in enumerate(turns):
+        if fit(part, last):
+            last = part
+        report((number + 2) / (len(turns) + 1))
     found = [(part, fits[part.name]) for part in parts if part.name in fits]
     refused += [f"{p.run.path}: nothing is identified" for p, fit in found if not fit.resonances]
     return [_reading(part, fit) for part, fit in found if fit.resonances], refused
+
+
+def _settled(fit: JointFit) -> bool:
+    """Whether modes explain the holograms as well as they usually do."""
+    return fit.modal.discrepancy < _USUAL and np.count_nonzero(fit.modal.off) <= _FEW_OFF
 
 
 def loudness(run: Run) -> float:

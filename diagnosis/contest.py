@@ -89,7 +89,7 @@ def _polished(comparison: Comparison, null: Rival, rivals: Any) -> Rival:
 
 
 def _alone(comparison: Comparison, null: Rival, effect: Effect) -> Rival | None:
-    """Fit one effect, at its best place; None if it moves nothing here or is of no possible reed."""
+    """Fit one effect, at its best place; None if it moves nothing, or is of no possible reed."""
     places = [dict(zip((p.name for p in effect.placed), at, strict=True))
               for at in product(*(p.places for p in effect.placed))]  # fmt: skip
     ranked = []

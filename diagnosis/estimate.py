@@ -80,6 +80,7 @@ def fit(
     positive: Sequence[bool],
     starts: Sequence[Array],
     jacobian: Callable[[Array], Array] | None = None,
+    least_gain: float = _LEAST_GAIN,
 ) -> Estimate:
     """Find the parameters of the greatest posterior density.
 
@@ -93,6 +94,8 @@ def fit(
         Where searches begin.
     jacobian : callable, optional
         Derivatives (n, p); by differences if not given.
+    least_gain : float, optional
+        Searches end where a step gains less than this share of the cost.
 
     Raises
     ------
@@ -105,7 +108,9 @@ def fit(
     trouble: ValueError | None = None
     for start in starts:
         try:
-            found.append(_descend(residuals, slope, bound, np.array(start, dtype=float)))
+            found.append(
+                _descend(residuals, slope, bound, np.array(start, dtype=float), least_gain)
+            )
         except ValueError as error:
             trouble = error
     if not found:
@@ -154,7 +159,11 @@ def _differences(residuals: Residuals, z: Array, bound: NDArray[np.bool_]) -> Ar
 
 
 def _descend(
-    residuals: Residuals, slope: Callable[[Array], Array], bound: NDArray[np.bool_], z: Array
+    residuals: Residuals,
+    slope: Callable[[Array], Array],
+    bound: NDArray[np.bool_],
+    z: Array,
+    least_gain: float,
 ) -> tuple[float, Array]:
     """Least cost near a start, and where."""
 
@@ -183,7 +192,7 @@ def _descend(
                 damping = max(damping / 10, _LEAST_DAMPING)
                 break
             damping *= 10
-        if gain <= _LEAST_GAIN * max(cost, 1.0):
+        if gain <= least_gain * max(cost, 1.0):
             break
         damping = min(damping, 1.0)
     return cost, z

@@ -25,6 +25,8 @@ Array = NDArray[np.floating[Any]]
 _FAR = 1.5
 _STEP = 0.02
 _KEPT = 4096
+# Searches end where a step gains less than this share of the cost: hundredths of a nat.
+_LEAST_GAIN = 1e-4
 # The noise of a block may be larger than its replicates say: log.
 _NOISE_SPREAD = 0.15
 # Effects have not quite the form that the catalogue gives them: a share of what they do.
@@ -177,7 +179,7 @@ def compete(comparison: Comparison, effects: Sequence[Sized], starts: Sequence[A
             columns.append((residuals(moved) - here) / step)
         return np.column_stack([nuisances, *columns])
 
-    estimate = fit(residuals, positive, starts, jacobian)
+    estimate = fit(residuals, positive, starts, jacobian, _LEAST_GAIN)
     without = comparison.residuals(comparison.twin(estimate.z[:p])) if effects else None
     log_evidence = estimate.log_evidence + _corrected(comparison, estimate, without)
     chi2 = {

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,10 @@ from numpy.typing import NDArray
 
 from diagnosis.block import BANDS, Block, Place, band_of, block
 from diagnosis.taps.vibration import SweepReading
-from physics.air import CavityLine, Chamber, Filling, cavity_gain, pressure_shape
+from physics.air import CavityLine, Chamber, Filling, pressure_shape
 from physics.drive import Tweeter, tweeter_pressure_pa
 from physics.effects.form import Tap
-from physics.mechanics import HIGHEST_HZ, ReedMode, Workshop
+from physics.mechanics import Mechanics, ReedMode, Workshop
 from physics.reed.fem import Symmetry
 from physics.twin import DriveChain, Twin
 
@@ -20,6 +21,7 @@ Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 _WAVELENGTH_M = 650e-9
+_KEPT = 8192
 _FULL_V = 16.0
 # Log of the drive: smooth polynomials of this degree are anyone's; noise of one hologram at least.
 _DEGREE, _SMOOTH, _LEAST = 9, 0.3, 0.004
@@ -60,8 +62,14 @@ def _lines(drive: DriveChain, line: CavityLine, hz: Array) -> Array:
     """Log gain (k,) of what resounds between loudspeaker and reed."""
     own = replace(line, strength=line.strength * (1 + drive.line_excess))
     second = CavityLine(drive.second_hz, drive.second_quality, drive.second_line)
-    gain = np.array([cavity_gain(own, f) * cavity_gain(second, f) for f in hz])
+    gain = _gain(own, hz) * _gain(second, hz)
     return np.log(np.abs(gain))
+
+
+def _gain(line: CavityLine, hz: Array) -> Complex:
+    ratio = hz / line.frequency_hz
+    gain: Complex = 1 + line.strength / (1 - ratio**2 + 1j * ratio / line.quality)
+    return gain
 
 
 def _line_columns(hz: Array, line: CavityLine) -> Array:
@@ -163,8 +171,7 @@ def force_block(
     predicted = forces_rad(workshop, chamber, tweeter)
 
     def predict(twin: Twin) -> Array:
-        modes = workshop.modes(twin.reed)
-        return np.log([predicted(twin.drive, modes[name]) for name in names])
+        return np.log(predicted(twin.drive, twin.reed, names))
 
     places = [
         Place("force", mode=n, band=band_of(float(f))) for n, f in zip(names, hz, strict=True)
@@ -175,33 +182,40 @@ def force_block(
 
 def forces_rad(
     workshop: Workshop, chamber: Chamber, tweeter: Tweeter
-) -> Callable[[DriveChain, ReedMode], float]:
-    """Phase amplitude per volt that a force has a mode move by, at rest, where it moves most."""
+) -> Callable[[DriveChain, Mechanics, Sequence[str]], Array]:
+    """Phase amplitudes per volt that forces have modes move by, at rest, where they move most."""
+
+    @lru_cache(maxsize=_KEPT)
+    def pushes(reed: Mechanics, name: str) -> tuple[float, float, float]:
+        return _pushes(workshop, chamber, workshop.modes(reed)[name])
+
+    def forces(drive: DriveChain, reed: Mechanics, names: Sequence[str]) -> Array:
+        modes = workshop.modes(reed)
+        hz = np.array([modes[name].hz for name in names])
+        left, right, deepest = np.array([pushes(reed, name) for name in names]).T
+        share = drive.open_right if chamber.filling is Filling.ASYMMETRIC else 1.0
+        at_tip = np.array([abs(tweeter_pressure_pa(tweeter, float(f), 1.0)) for f in hz])
+        at_tip /= np.sqrt(1 + (drive.roll_off * hz / 1e4) ** 4)
+        moved = at_tip * np.abs(left + share * right) / (2 * np.pi * hz) ** 2
+        force: Array = np.maximum(4 * np.pi / _WAVELENGTH_M * moved * deepest, 1e-12)
+        return force
+
+    return forces
+
+
+def _pushes(workshop: Workshop, chamber: Chamber, mode: ReedMode) -> tuple[float, float, float]:
+    """Modal force of unit pressure on either half of the window, and a mode's largest deflection."""
     reed = workshop.anatomy.reed
     x, y = reed.load_points_m.T
-    halves = reed.halves
     whole = replace(chamber, filling=Filling.SYMMETRIC)
-
-    def force(drive: DriveChain, mode: ReedMode) -> float:
-        pressure = {
-            side: pressure_shape(chamber if side > 0 else whole, mode.hz, x, side * y)
-            for side in (1, -1)
-        }
-        if chamber.filling is Filling.ASYMMETRIC:
-            pressure[-1] = drive.open_right * pressure[-1]
-        pushed, start, deepest = 0.0, 0, 0.0
-        sides = []
-        for symmetry, half in halves.items():
-            own = mode.coordinates[start : start + half.mass.shape[0]]
-            start += half.mass.shape[0]
-            sign = 1 if symmetry is Symmetry.SYMMETRIC else -1
-            pushed += float(0.5 * (pressure[1] + sign * pressure[-1]) @ (half.load_z @ own))
-            sides.append((sign, half.surface_z @ own))
-        left, right = sum(v for _, v in sides), sum(sign * v for sign, v in sides)
-        deepest = max(float(np.abs(left).max()), float(np.abs(right).max()))
-        at_tip = abs(tweeter_pressure_pa(tweeter, min(mode.hz, HIGHEST_HZ), 1.0))
-        at_tip /= np.sqrt(1 + (drive.roll_off * mode.hz / 1e4) ** 4)
-        moved = at_tip * abs(pushed) / (2 * np.pi * mode.hz) ** 2
-        return max(4 * np.pi / _WAVELENGTH_M * moved * deepest, 1e-12)
-
-    return force
+    left = pressure_shape(chamber, mode.hz, x, y)
+    right = pressure_shape(whole, mode.hz, x, -y)
+    start, pushed, moved = 0, np.zeros(2), np.zeros((2, len(reed.plan_m)))
+    for symmetry, half in reed.halves.items():
+        own = mode.coordinates[start : start + half.mass.shape[0]]
+        start += half.mass.shape[0]
+        sign = 1 if symmetry is Symmetry.SYMMETRIC else -1
+        deflection = half.load_z @ own
+        pushed += 0.5 * np.array([left @ deflection, sign * (right @ deflection)])
+        moved += np.multiply.outer([1, sign], half.surface_z @ own)
+    return float(pushed[0]), float(pushed[1]), float(np.abs(moved).max())

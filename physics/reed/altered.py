@@ -29,6 +29,8 @@ _MIDDLE_SHARE = 0.25
 _LEAST_SHARE = 1e-12
 _SETTLED_CENTS = 1e-3
 _MOST_ITERATIONS = 30
+# Frequencies are the same to this share; by how much of what is asked answers may follow it.
+_SAME, _SHARES = 1e-9, (-0.5, 0.5)
 
 
 @dataclass(frozen=True)
@@ -329,15 +331,21 @@ def _settled(
     span: _Span, material: Callable[[float], Cane], highest_hz: float
 ) -> tuple[Array, Array, Array]:
     """Frequencies (m,), shapes (s, m) and radiated loss (m,) of modes, each settled by number."""
-    number = np.arange(
-        _solved(span, material, np.array([highest_hz]))[0][0].searchsorted(highest_hz)
-    )
-    hz = np.full(len(number), highest_hz)
+    answers = _solved(span, material, np.array([highest_hz]))[0][0]
+    number = np.arange(answers.searchsorted(highest_hz))
+    # With the moduli of `asked`, modes are at `answered`; sought is where both are the same.
+    asked, answered = np.full(len(number), highest_hz), answers[number]
+    hz = answered
     for _ in range(_MOST_ITERATIONS):
         all_hz, vectors = _solved(span, material, hz)
-        previous, hz = hz, all_hz[number, number]
-        if not number.size or np.abs(1200 * np.log2(hz / previous)).max() < _SETTLED_CENTS:
+        found = all_hz[number, number]
+        if not number.size or np.abs(1200 * np.log2(found / hz)).max() < _SETTLED_CENTS:
+            hz = found
             break
+        # Answers follow what is asked by a small share.
+        apart = np.where(np.abs(hz - asked) > _SAME * hz, hz - asked, np.inf)
+        share = np.clip((found - answered) / apart, *_SHARES)
+        asked, answered, hz = hz, found, hz + (found - hz) / (1 - share)
     else:
         raise ValueError(
             "modes do not settle: the moduli of this cane grow too fast with frequency"

@@ -27,7 +27,7 @@ _PAUSE_S, _SETTLE_S = 0.25, 0.04
 # To clamp the reed anew, and to change what lies before the camera.
 _CLAMP_S, _HANDS_S = 240.0, 30.0
 _FLAT_E = 6000.0
-_QUIET = 0.5
+_QUIET = 0.25
 _UNIT_LEVEL = 10.0
 
 

@@ -147,12 +147,12 @@ def _screened(
     pull = -(table.T @ r)
     size = np.linalg.solve(information, pull)
     bound = np.array([p.positive for p in sized.sizes])
-    start = np.where(bound, np.maximum(size, 0.05), size)
+    begin: Array = np.where(bound, np.maximum(size, 0.05), size)
     gain = 0.5 * float(pull @ np.linalg.solve(information, pull))
     gain -= 0.5 * float(np.linalg.slogdet(information)[1])
     if np.any(bound & (size <= 0)):
         gain = -0.5 * float(np.linalg.slogdet(information)[1])
-    return gain, np.clip(start, -6.0, 6.0)
+    return gain, np.clip(begin, -6.0, 6.0)
 
 
 def _pairs(

@@ -1,11 +1,11 @@
 """What differs from bench to bench and reed to reed without the twin being wrong."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from physics.mechanics import Layer
-from physics.twin import Twin, with_alteration, with_cane, with_reed
+from physics.twin import Twin, more, with_alteration, with_cane, with_reed
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,23 @@ def _layer(along: int, across: int) -> Nuisance:
     )
 
 
+def _drive(name: str, spread: float, source: str) -> Nuisance:
+    return Nuisance(
+        name, "", spread, lambda twin, value: more(twin, "drive", **{name: value}), source
+    )
+
+
+def _beside(part: int) -> Nuisance:
+    def change(twin: Twin, value: float) -> Twin:
+        beside = list(twin.drive.beside)
+        beside[part] += value
+        drive = replace(twin.drive, beside=(beside[0], beside[1]))
+        return replace(twin, drive=drive)
+
+    name = ("beside, real", "beside, imaginary")[part]
+    return Nuisance(name, "", 0.04, change, "sound that goes around: some per cent")
+
+
 _PROFILE_M: Final = 4e-6
 _POPULATION = "population of reeds of one brand (paper, Table 5)"
 _HANDBOOK = "spread of small clear specimens of one wood"
@@ -77,5 +94,10 @@ NUISANCES: Final[tuple[Nuisance, ...]] = (
         lambda twin, value: with_reed(twin, coarse_share=twin.reed.coarse_share + value),
         "decision 0009: what finer elements change",
     ),
+    _drive("line_excess", 0.07, "the same device, taken apart and put together"),
+    _drive("line_quality", 0.07, "the same device, taken apart and put together"),
+    _drive("line_shift", 0.004, "speed of sound within 2 degrees"),
+    _beside(0),
+    _beside(1),
     *(_layer(along, across) for along in range(4) for across in range(4) if along + across < 5),
 )

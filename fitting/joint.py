@@ -256,6 +256,7 @@ def _moved(modal: ModalFit, before: Phasors, now: Phasors) -> ModalFit:
         drive=modal.drive[at] * louder,
         amplitude_rad=modal.amplitude_rad[at] * louder[:, None],
         modal_rad=modal.modal_rad[at] * louder[:, None],
+        participations=modal.participations[at],
         off=np.zeros(len(at), dtype=bool),
         state=replace(modal.state, log_drive=modal.state.log_drive[at] + np.log(louder)),
     )

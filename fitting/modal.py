@@ -119,6 +119,8 @@ class ModalFit:
         At the mode's own frequency, per unit of drive.
     participation_error : (a,) float
         Standard error of its magnitude, beside a given drive.
+    participations : (k, a) complex
+        At all frequencies.
     drive : (k,) complex
         Of every hologram; the phase is arbitrary.
     amplitude_rad : (k, j) complex
@@ -148,6 +150,7 @@ class ModalFit:
     mixing_spread: Array
     participation: Complex
     participation_error: Array
+    participations: Complex
     drive: Complex
     amplitude_rad: Complex
     modal_rad: Complex
@@ -430,6 +433,7 @@ def _finish(
         mixing_spread=np.where(mixes, _spread(prior)[count:, :count], 0.0),
         participation=now.participation[nearest, model.active],
         participation_error=_participation_error(model, prior, beside_drive, nearest),
+        participations=now.participation[:, model.active],
         drive=np.exp(state.log_drive),
         amplitude_rad=now.amplitude,
         modal_rad=now.modal[:, model.active],

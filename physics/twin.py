@@ -21,8 +21,11 @@ class DriveChain:
         Above this the coil moves less.
     roll_off : float
         10 kHz over the corner of the amplifier's second-order low-pass.
-    line_excess : float
-        What the device's known line is stronger by, a share.
+    line_excess, line_quality, line_shift : float
+        What the device's known line is stronger by, a share; of higher quality and higher, as
+        logarithms.
+    beside : (float, float)
+        Real and imaginary part of the share of the pressure that takes another way.
     second_line, second_hz, second_quality : float
         Strength of another resonance of the air, and where.
     open_right : float
@@ -33,6 +36,9 @@ class DriveChain:
     compression_hz: float = 5e3
     roll_off: float = 0.0
     line_excess: float = 0.0
+    line_quality: float = 0.0
+    line_shift: float = 0.0
+    beside: tuple[float, float] = (0.0, 0.0)
     second_line: float = 0.0
     second_hz: float = 7e3
     second_quality: float = 30.0
@@ -142,6 +148,8 @@ class Surroundings:
         Share of the way to a dry reed, and how long that takes.
     hardening : float
         Relative stiffening at a phase amplitude of 10 rad.
+    begun_h : float
+        How long all this has gone on when a campaign begins.
     """
 
     warming_c_h: float = 0.0
@@ -149,6 +157,7 @@ class Surroundings:
     drying: float = 0.0
     drying_s: float = 1500.0
     hardening: float = 0.0
+    begun_h: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,8 @@ class Beat:
         By which the lock was missed, and standard errors; of steps with light enough.
     drive_hz, time_s : (k,) float
     sweep : (k,) int
+    names : tuple of str
+        Of the sweeps.
     """
 
     steps: int
@@ -37,6 +39,7 @@ class Beat:
     drive_hz: Array
     time_s: Array
     sweep: NDArray[np.intp]
+    names: tuple[str, ...]
 
 
 def read_beat(parts: Sequence[Part]) -> Beat:
@@ -53,7 +56,8 @@ def read_beat(parts: Sequence[Part]) -> Beat:
                 time_s = float(np.mean(step.timestamps_s)) - part.clock_s
                 rows.append((step.lock_error_hz, step.lock_error_se_hz, hz, time_s, number))
     lock, error, hz, time_s, number_ = np.array(rows).T
-    return Beat(count, lost, lock, error, hz, time_s, number_.astype(int))
+    names = tuple(part.name for part in parts)
+    return Beat(count, lost, lock, error, hz, time_s, number_.astype(int), names)
 
 
 # --- Beside the twin ----------------------------------------------------------------------------
@@ -89,21 +93,19 @@ def _smooth(beat: Beat) -> Array:
     return found
 
 
-def lock_block(beat: Beat, names: Sequence[str], rate_hz: float) -> Block:
+def lock_block(beat: Beat, rate_hz: float) -> Block:
     """Lock of every sweep in every band.
 
     Parameters
     ----------
     beat : Beat
-    names : sequence of str
-        Of the sweeps.
     rate_hz : float
         Frames per second.
     """
     spread = lock_scatter_hz(beat)
     bands = np.array([band_of(hz) for hz in beat.drive_hz])
     values, errors, places, hz, hours = [], [], [], [], []
-    for number, name in enumerate(names):
+    for number, name in enumerate(beat.names):
         for band in BANDS:
             chosen = (beat.sweep == number) & (bands == band)
             if np.count_nonzero(chosen) < _LEAST:

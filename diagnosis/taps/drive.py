@@ -1,6 +1,6 @@
 """Taps T1 and T6: the drive's lines, how it follows its level, and how it moves each mode."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -23,65 +23,72 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 _WAVELENGTH_M = 650e-9
 _KEPT = 8192
 _FULL_V = 16.0
-# Log of the drive: smooth polynomials of this degree are anyone's; noise of one hologram at least.
-_DEGREE, _SMOOTH, _LEAST = 9, 0.3, 0.004
+# Log of the drive: polynomials of this degree are anyone's, and what waves over more than so much
+# of log frequency; noise of one hologram at least, and of a weaker one more.
+_DEGREE, _SMOOTH = 5, 1.0
+_WAVES, _LENGTH = 0.12, 0.15
+_LEAST, _WEAK = 0.01, 0.02
 # A mode's frequency and the drive around it can be exchanged to this share of its stiffness.
 _EXCHANGE = 0.008
-# The known line: strength and quality as shares, frequency as a share.
-_LINE_STRENGTH, _LINE_QUALITY, _LINE_HZ = 0.08, 0.08, 0.004
 # Log ratio of amplitudes in two sweeps: a common factor, smoothly in frequency, of every band.
-_RATIO, _RATIO_BAND = 0.01, 0.01
+_RATIO, _RATIO_BAND = 0.03, 0.015
 # Log of what moves a mode: gain, by smooth ripple of the loudspeaker, by pressure that is not the
 # model's.
-_GAIN, _RIPPLE, _FIELD = 0.15, 0.08, 0.15
+_GAIN, _RIPPLE, _FIELD = 0.5, 0.08, 0.15
 _RIPPLE_DEGREE = 5
 
 
 def line_block(sweeps: Sequence[SweepReading], line: CavityLine) -> Block:
     """What stands out of the smooth drive, by hologram, mean of all sweeps at full level."""
     hz, log, error = _mean_drive(sweeps)
-    bands = np.log(hz / np.sqrt(hz[0] * hz[-1]))
-    powers = np.polynomial.chebyshev.chebvander(bands / np.abs(bands).max(), _DEGREE)
-    columns = [_SMOOTH * powers]
-    reference = sweeps[0]
-    for f, eta in zip(reference.hz, reference.loss_factor, strict=True):
-        resonance = 1 / (1 + 1j * eta - (hz / f) ** 2)
-        columns.append(_EXCHANGE * np.stack([resonance.real, resonance.imag], axis=1))
-    columns.append(_line_columns(hz, line))
-    table = np.hstack(columns)
+    volts = np.interp(hz, sweeps[0].drive_hz, loudest(sweeps)[0].volts)
+    pitch = np.log(hz / np.sqrt(hz[0] * hz[-1]))
+    powers = np.polynomial.chebyshev.chebvander(pitch / np.abs(pitch).max(), _DEGREE)
+    waves = _WAVES**2 * np.exp(-0.5 * ((pitch[:, None] - pitch) / _LENGTH) ** 2)
+    table = np.hstack([_SMOOTH * powers, *(_exchanged(f, eta, hz) for f, eta in _modes(sweeps[0]))])
+    error = np.hypot(error, _WEAK / _gain(DriveChain(), line, hz))
 
     def predict(twin: Twin) -> Array:
-        return _lines(twin.drive, line, hz)
+        return np.log(_gain(twin.drive, line, hz) * _kept(twin.drive, volts, hz))
 
+    covariance = np.diag(error**2) + waves + table @ table.T
     places = [Place("drive", band=band_of(float(f))) for f in hz]
-    covariance = np.diag(error**2) + table @ table.T
     return block("lines of the drive", Tap.DRIVE, log, covariance, places, ("drive",), predict)
 
 
-def _lines(drive: DriveChain, line: CavityLine, hz: Array) -> Array:
-    """Log gain (k,) of what resounds between loudspeaker and reed."""
-    own = replace(line, strength=line.strength * (1 + drive.line_excess))
-    second = CavityLine(drive.second_hz, drive.second_quality, drive.second_line)
-    gain = _gain(own, hz) * _gain(second, hz)
-    return np.log(np.abs(gain))
+def _modes(sweep: SweepReading) -> Iterator[tuple[float, float]]:
+    return zip(sweep.hz.tolist(), sweep.loss_factor.tolist(), strict=True)
 
 
-def _gain(line: CavityLine, hz: Array) -> Complex:
-    ratio = hz / line.frequency_hz
-    gain: Complex = 1 + line.strength / (1 - ratio**2 + 1j * ratio / line.quality)
+def _exchanged(f: float, eta: float, hz: Array) -> Array:
+    """What the log drive (k, 2) changes by if it takes over something of a mode."""
+    resonance: Complex = 1 / (1 + 1j * eta - (hz / f) ** 2)
+    return _EXCHANGE * np.stack([resonance.real, resonance.imag], axis=1)
+
+
+def _gain(drive: DriveChain, line: CavityLine, hz: Array) -> Array:
+    """What resounds (k,) between loudspeaker and reed."""
+
+    def through(hz_0: float, quality: float, strength: float) -> Complex:
+        ratio = hz / hz_0
+        answer: Complex = 1 + strength / (1 - ratio**2 + 1j * ratio / quality)
+        return answer
+
+    own = through(
+        line.frequency_hz * np.exp(drive.line_shift),
+        line.quality * np.exp(drive.line_quality),
+        line.strength * (1 + drive.line_excess),
+    )
+    second = through(drive.second_hz, drive.second_quality, drive.second_line)
+    gain: Array = np.maximum(np.abs(own * second + complex(*drive.beside)), 1e-3)
     return gain
 
 
-def _line_columns(hz: Array, line: CavityLine) -> Array:
-    here = _lines(DriveChain(), line, hz)
-    changes = (
-        (replace(line, strength=line.strength * 1.01), _LINE_STRENGTH),
-        (replace(line, quality=line.quality * 1.01), _LINE_QUALITY),
-        (replace(line, frequency_hz=line.frequency_hz * 1.001), 10 * _LINE_HZ),
-    )
-    return np.stack(
-        [(_lines(DriveChain(), other, hz) - here) / 0.01 * by for other, by in changes], axis=1
-    )
+def _kept(drive: DriveChain, volts: Array, hz: Array) -> Array:
+    """Share of the pressure that a coil keeps which moves far."""
+    moves = 1 / (1 + (hz / drive.compression_hz) ** 2)
+    kept: Array = np.maximum(1 - drive.compression * moves * (volts / _FULL_V) ** 2, 0.02)
+    return kept
 
 
 def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array]:
@@ -92,7 +99,7 @@ def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array]:
     for row, sweep in zip(table, loud, strict=True):
         good = ~sweep.off
         at = np.searchsorted(hz, sweep.drive_hz[good])
-        row[at] = np.log(np.abs(sweep.drive[good]) / sweep.volts[good])
+        row[at] = sweep.log_drive[good]
     # Levels of fits are anyone's.
     table = table - np.nanmedian(table - table[:1], axis=1)[:, None]
     told = np.any(np.isfinite(table), axis=0)
@@ -137,24 +144,20 @@ def level_block(sweeps: Sequence[SweepReading]) -> Block | None:
             places.append(Place("amplitude over volts", band=band_of(hz[-1]), level=other.name))
 
     def predict(twin: Twin) -> Array:
-        drive = twin.drive
-
-        def kept(v: Array) -> Array:
-            moves = 1 / (1 + (np.array(hz) / drive.compression_hz) ** 2)
-            left: Array = np.log(
-                np.maximum(1 - drive.compression * moves * (v / _FULL_V) ** 2, 0.02)
-            )
-            return left
-
         one, two = np.array(volts).T
-        return kept(one) - kept(two)
+        at = np.array(hz)
+        return np.log(_kept(twin.drive, one, at) / _kept(twin.drive, two, at))
 
     covariance = np.diag(np.square(errors)) + _RATIO**2
     return block("level", Tap.DRIVE, values, covariance, places, ("drive",), predict)
 
 
 def force_block(
-    sweeps: Sequence[SweepReading], workshop: Workshop, chamber: Chamber, tweeter: Tweeter
+    sweeps: Sequence[SweepReading],
+    workshop: Workshop,
+    chamber: Chamber,
+    tweeter: Tweeter,
+    line: CavityLine,
 ) -> Block:
     """What moves each mode, beside loudspeaker, chamber and reed of the twin."""
     loud = loudest(sweeps)
@@ -164,6 +167,7 @@ def force_block(
     forces = np.array([np.log(np.abs(s.force_rad[i])) for s, i in zip(loud, at, strict=True)])
     error = np.array([s.force_error[i] for s, i in zip(loud, at, strict=True)]).mean(axis=0)
     hz = loud[0].hz[at[0]]
+    volts = np.interp(hz, loud[0].drive_hz, loud[0].volts)
     pitch = np.log(hz / 4e3) / np.log(5)
     powers = np.polynomial.legendre.legvander(np.clip(pitch, -1, 1), _RIPPLE_DEGREE)
     ripple = _RIPPLE * powers[:, 1:] / np.sqrt(np.arange(1, _RIPPLE_DEGREE + 1))
@@ -171,7 +175,8 @@ def force_block(
     predicted = forces_rad(workshop, chamber, tweeter)
 
     def predict(twin: Twin) -> Array:
-        return np.log(predicted(twin.drive, twin.reed, names))
+        resounding = _gain(twin.drive, line, hz) * _kept(twin.drive, volts, hz)
+        return np.log(predicted(twin.drive, twin.reed, names) * resounding)
 
     places = [
         Place("force", mode=n, band=band_of(float(f))) for n, f in zip(names, hz, strict=True)
@@ -204,7 +209,7 @@ def forces_rad(
 
 
 def _pushes(workshop: Workshop, chamber: Chamber, mode: ReedMode) -> tuple[float, float, float]:
-    """Modal force of unit pressure on either half of the window, and a mode's largest deflection."""
+    """Modal forces of unit pressure on either half of the window, and the largest deflection."""
     reed = workshop.anatomy.reed
     x, y = reed.load_points_m.T
     whole = replace(chamber, filling=Filling.SYMMETRIC)

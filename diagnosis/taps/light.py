@@ -20,7 +20,7 @@ _PIECES = 8
 _ALIKE = 3.0
 # Log brightness: from one speckle to another, between order 0 and the others, in sweeps of other
 # volts, in each band (fringes too fine blur), in each sweep.
-_SPECKLE, _ORDER, _LEVEL, _BAND, _SWEEP = 10.0, 10.0, 0.03, 0.02, 4e-3
+_SPECKLE, _ORDER, _LEVEL, _BAND, _SWEEP = 10.0, 10.0, 0.1, 0.03, 5e-3
 # Log of the noise beside the image: its level, and from sweep to sweep.
 _NOISE, _NOISE_SWEEP = 0.1, 2e-3
 # Share of that noise that is shot noise of the local oscillator.
@@ -52,10 +52,13 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
                 Place("fringes", time=f"{sweep.name} {number + 1}", level=_level(level, loudest))
             )
             column = {f"speckle {sweep.clamping}": _SPECKLE, f"sweep {sweep.name}": _SWEEP}
-            if level < loudest - 0.1:
-                column[f"level {level:.2f}"] = _LEVEL
+            other = f", level {level:.1f}" if level < loudest - 0.1 else ""
+            if other:
+                column[other] = _LEVEL
             for band in BANDS:
-                column[f"band {band}"] = _BAND * float(np.mean(bands[piece] == band))
+                column[f"band {band} {sweep.clamping}{other}"] = _BAND * float(
+                    np.mean(bands[piece] == band)
+                )
             columns.append(column)
     for still in stills:
         own = _scatter(still.brightness)

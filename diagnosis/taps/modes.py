@@ -117,7 +117,6 @@ def _prediction(
 ) -> Callable[[Twin], Array]:
     names = np.array([common.index(name) for _, name, _ in rows])
     loss = np.array([what.startswith("loss") for _, _, what in rows])
-    number = np.array([sweep for sweep, _, _ in rows])
     found = [dict(zip(s.names, s.hz.tolist(), strict=True)) for s in sweeps]
     hours, deep = np.empty(len(rows)), np.empty(len(rows))
     for r, (s, name, _) in enumerate(rows):
@@ -136,8 +135,9 @@ def _prediction(
         hz = np.array([modes[name].hz for name in common])
         eta = np.array([modes[name].loss_factor for name in common])
         around: Surroundings = twin.surroundings
-        degrees = around.warming_c_h * hours
-        dry = around.drying * -np.expm1(-3600 * hours / around.drying_s)
+        gone = hours + around.begun_h
+        degrees = around.warming_c_h * gone
+        dry = around.drying * -np.expm1(-3600 * gone / around.drying_s)
         E = _MODULI_PER_C * degrees + _DRY_E * dry
         G = _MODULI_PER_C * degrees + _DRY_G * dry
         shift = by_E[names] * E + by_G[names] * G - 0.5 * _DRY_MASS * dry
@@ -150,7 +150,6 @@ def _prediction(
         )
         return answer
 
-    del number
     return predict
 
 

@@ -11,7 +11,7 @@ from diagnosis.block import Block, Place, block
 from diagnosis.campaign import Part
 from physics.effects.form import Tap
 from physics.sensor import Sensor
-from physics.twin import Twin
+from physics.twin import Beams, Twin
 
 Array = NDArray[np.floating[Any]]
 
@@ -187,8 +187,8 @@ _HOT_COUNT = 3.0
 _LAMP, _UNEVEN = 7e-4, 4e-3
 # Log of the pattern that every sensor has.
 _PATTERN, _PATTERN_SPREAD = 3e-3, 0.3
-# Local oscillators: log of the brightness; per half a sensor, where the mirror stands as it should.
-_LO, _LO_TILT, _LO_BEND = 0.08, 3e-4, 2e-3
+# Local oscillators: per half a sensor, where the mirror stands as it should; share of the width.
+_LO_TILT, _LO_WAIST = 3e-4, 0.2
 
 
 @dataclass(frozen=True)
@@ -198,13 +198,11 @@ class Sheet:
     Attributes
     ----------
     sensor : Sensor
-    lo_e_s : float
     half_m : float
         Half a side of the sensor.
     """
 
     sensor: Sensor
-    lo_e_s: float
     half_m: float
 
 
@@ -230,13 +228,14 @@ def dark_block(dark: Dark, sheet: Sheet) -> Block:
     return block("dark frames", Tap.SENSOR, values, errors, places, ("chip",), predict)
 
 
-def flat_block(flat: Flat, dark: Dark, sheet: Sheet) -> Block:
+def flat_block(flat: Flat, dark: Dark | None, sheet: Sheet) -> Block:
     """Even light beside a linear camera."""
     sensor, order = sheet.sensor, np.argsort(flat.exposure_s)
     signal = flat.signal_dn[order]
     rate = np.log(signal / flat.exposure_s[order])
     full_dn = sensor.full_well_e / sensor.gain_e_dn
-    gain = float(np.log(np.mean(signal / (flat.variance_dn[order] - dark.noise_dn**2))))
+    noise_dn = dark.noise_dn if dark else sensor.read_noise_e / sensor.gain_e_dn
+    gain = float(np.log(np.mean(signal / (flat.variance_dn[order] - noise_dn**2))))
 
     def predict(twin: Twin) -> Array:
         filled = signal / full_dn
@@ -268,18 +267,18 @@ def flat_block(flat: Flat, dark: Dark, sheet: Sheet) -> Block:
 
 def lo_block(beam: Beam, sheet: Sheet) -> Block:
     """Local oscillator beside a Gaussian beam on the middle of the sensor."""
-    level = np.log(sheet.lo_e_s / sheet.sensor.gain_e_dn)
+    usual = Beams().waist_m
 
     def predict(twin: Twin) -> Array:
         beams, half = twin.beams, sheet.half_m
         tilt = [4 * shift * half / beams.waist_m**2 for shift in beams.shift_m]
         corner = -4 * half**2 / beams.waist_m**2 - beams.vignette
-        return np.array([level, *tilt, corner])
+        return np.array([*tilt, corner])
 
-    values = [np.log(np.mean(beam.rate_dn_s)), *beam.tilt, beam.bend]
-    errors = np.array([_LO, _LO_TILT, _LO_TILT, _LO_BEND])
+    values = [*beam.tilt, beam.bend]
+    errors = np.array([_LO_TILT, _LO_TILT, 8 * _LO_WAIST * (sheet.half_m / usual) ** 2])
     places = [
-        Place("brightness"), Place("middle", region="rows"), Place("middle", region="columns"),
+        Place("middle", region="rows"), Place("middle", region="columns"),
         Place("width", region="corners"),
     ]  # fmt: skip
     return block("local oscillator", Tap.SENSOR, values, errors, places, ("beams",), predict)

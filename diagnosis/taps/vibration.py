@@ -13,13 +13,20 @@ from diagnosis.campaign import Part
 from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
 from fitting.joint import JointFit, fit_again, fit_jointly
+from fitting.modal import ModalFit
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 # What may be in a hologram beside its sideband, by name.
+# Modes so far away in log frequency count half as much or less.
+_NEAR = 0.2
 # What modes usually leave of vibrations, and how many holograms.
 _USUAL, _FEW_OFF = 6e-3, 2
+# Bends of a drive, nepers, and how much it usually has of them, per hologram.
+_BEND, _SMOOTH = 0.01, 0.45
+# Share of the work that the search is.
+_SEARCH = 0.4
 TEMPLATES = ("carrier_leak", "order_mixing", "decorrelation")
 
 
@@ -48,7 +55,9 @@ class SweepReading:
     shape_hz : (m,) float
     drive_hz, volts, time_s : (k,) float
         Of every hologram; times since the campaign began.
-    drive : (k,) complex
+    log_drive : (k,) float
+        Per volt, in nepers, with what all participations have in common: drive and participations
+        may be exchanged.
     amplitude_rad : (k,) float
         Root mean square over the reed.
     deepest_rad : (k,) float
@@ -84,7 +93,7 @@ class SweepReading:
     drive_hz: Array
     volts: Array
     time_s: Array
-    drive: Complex
+    log_drive: Array
     amplitude_rad: Array
     deepest_rad: Array
     brightness: Array
@@ -128,30 +137,41 @@ def read_sweeps(
             return False
         return True
 
-    # A loud sweep shows more, but its fringes may fold; one that is calmer then shows the way.
-    searched = fit(loud[0], None)
-    report(1 / (len(parts) + 2))
-    if len(parts) > 1 and not (searched and _settled(fits[loud[0].name])):
-        before = fits.get(loud[0].name)
-        if fit(calm[0], None) and fit(loud[0], calm[0]) and before is not None:
-            if before.modal.discrepancy < fits[loud[0].name].modal.discrepancy:
-                fits[loud[0].name] = before
+    # A loud sweep shows more, but its fringes may fold; one that is calmer, or of another speckle,
+    # then shows the way.
+    roots = list(dict.fromkeys([loud[0], calm[0], loud[-1], *loud[1:2]]))
+    bends: dict[str, float] = {}
+    for part in roots:
+        if fit(part, None):
+            bends[part.name] = _bends(fits[part.name])
+            if _settled(fits[part.name], bends[part.name]):
+                break
+    report(_SEARCH)
+    last = min((p for p in roots if p.name in bends), key=lambda p: bends[p.name], default=None)
     # What a fit begins with settles as it is handed on.
-    turns = [calm[0], loud[0]] if len(parts) > 1 else []
-    turns += [part for part in loud if part not in (calm[0], loud[0])]
-    last = loud[0] if loud[0].name in fits else None
+    turns = list(dict.fromkeys([calm[0], loud[0], *loud]))
+    turns += [loud[0]] + [part for part in turns[:1] if part is last]
     for number, part in enumerate(turns):
-        if fit(part, last):
+        if part is not last and fit(part, last):
             last = part
-        report((number + 2) / (len(turns) + 1))
+        report(_SEARCH + (1 - _SEARCH) * (number + 1) / len(turns))
     found = [(part, fits[part.name]) for part in parts if part.name in fits]
     refused += [f"{p.run.path}: nothing is identified" for p, fit in found if not fit.resonances]
     return [_reading(part, fit) for part, fit in found if fit.resonances], refused
 
 
-def _settled(fit: JointFit) -> bool:
+def _bends(fit: JointFit) -> float:
+    """How much the drive bends from step to step: where modes are wrong, it takes their part."""
+    log = np.log(np.abs(fit.modal.drive) / fit.phasors.volts)
+    return float(np.sum(np.log1p((np.diff(log, 2) / _BEND) ** 2 / 4)))
+
+
+def _settled(fit: JointFit, bends: float) -> bool:
     """Whether modes explain the holograms as well as they usually do."""
-    return fit.modal.discrepancy < _USUAL and np.count_nonzero(fit.modal.off) <= _FEW_OFF
+    few_off = np.count_nonzero(fit.modal.off) <= _FEW_OFF
+    return bool(
+        (fit.modal.discrepancy < _USUAL and few_off) or bends < _SMOOTH * len(fit.phasors.volts)
+    )
 
 
 def loudness(run: Run) -> float:
@@ -176,7 +196,8 @@ def _reading(part: Part, fitted: JointFit) -> SweepReading:
     noise = np.array([step.noise_level for step in steps])
     seen = np.abs(found.light) ** 2
     template, variance = _templates(fitted)
-    u = found.amplitude_rad @ fitted.basis.functions.T
+    # As modes have it: what all displacements are off together is taken off.
+    u = modal.amplitude_rad @ fitted.basis.functions.T
     return SweepReading(
         name=part.name,
         clamping=part.clamping,
@@ -194,7 +215,7 @@ def _reading(part: Part, fitted: JointFit) -> SweepReading:
         drive_hz=phasors.drive_hz,
         volts=phasors.volts,
         time_s=np.array([_middle_s(step) - part.clock_s for step in steps]),
-        drive=modal.drive,
+        log_drive=np.log(np.abs(drive)) + _common(modal, kept, log_hz),
         amplitude_rad=np.sqrt(np.mean(np.abs(u) ** 2, axis=1)),
         deepest_rad=np.abs(u).max(axis=1),
         brightness=found.gain + 0.5 * np.log(noise * np.mean(seen)),
@@ -205,6 +226,16 @@ def _reading(part: Part, fitted: JointFit) -> SweepReading:
         template_variance=variance,
         discrepancy=modal.discrepancy,
     )
+
+
+def _common(modal: ModalFit, kept: NDArray[np.intp], log_hz: Array) -> Array:
+    """Log (k,) of what participations do in common around each frequency."""
+    own = np.log(modal.hz[kept])
+    near = 1 / (1 + ((log_hz[:, None] - own) / _NEAR) ** 2) ** 2
+    at_own = np.abs(modal.participation[kept])
+    square = (np.abs(modal.participations[:, kept]) / at_own) ** 2
+    common: Array = 0.5 * np.log(np.sum(near * square, axis=1) / np.sum(near, axis=1))
+    return common
 
 
 def _middle_s(step: StepRecord) -> float:

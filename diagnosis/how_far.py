@@ -1,0 +1,95 @@
+"""How far a gap shrinks once an effect is added, on numbers that the fit has not seen.
+
+Numbers are left out in groups, such as all of a mode or all of a sweep, and predicted by the rest:
+exactly, in the model that is linear around the fit. The gap is the mean square of what is left
+there, in units of the errors, over what a right model would leave.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.rivals import Comparison, Rival
+
+Array = NDArray[np.floating[Any]]
+
+_DRAWS = 2000
+
+
+@dataclass(frozen=True)
+class Shrinkage:
+    """Share of a gap that an effect closes.
+
+    Attributes
+    ----------
+    before, after, floor : float
+        Mean square of what is left, in units of the errors: of the twin without and with the
+        effect, and of a right one.
+    kappa, low, high : float
+        (before − after) / (before − floor), and its 95 % interval; NaN if the gap is not
+        resolvable.
+    """
+
+    before: float
+    after: float
+    floor: float
+    kappa: float
+    low: float
+    high: float
+
+
+def shrinkage(
+    comparison: Comparison, null: Rival, rival: Rival, groups: Sequence[str], seed: int = 0
+) -> Shrinkage:
+    """Find what a rival takes off the gap, in groups that are left out.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    null, rival : Rival
+    groups : sequence of str
+        Name of each number's group; numbers whose group is empty are never left out.
+    seed : int
+        Of the bootstrap over groups.
+    """
+    names = sorted({name for name in groups if name})
+    labels = np.array(groups)
+    rows = np.array([_left_out(comparison, (null, rival), labels == name) for name in names])
+    rng = np.random.default_rng(seed)
+    count = len(names)
+    drawn = rng.multinomial(count, np.full(count, 1 / count), size=_DRAWS) if count > 1 else None
+    sums = rows.sum(axis=0)
+    before, after, floor = (float(part / sums[3]) for part in sums[:3])
+    if before <= floor:
+        return Shrinkage(before, after, floor, np.nan, np.nan, np.nan)
+    kappa = (before - after) / (before - floor)
+    if drawn is None:
+        return Shrinkage(before, after, floor, kappa, np.nan, np.nan)
+    b, a, f = (drawn @ rows[:, :3]).T
+    told = b > f
+    low, high = (
+        np.percentile((b[told] - a[told]) / (b[told] - f[told]), [2.5, 97.5])
+        if np.count_nonzero(told) > _DRAWS // 2
+        else (np.nan, np.nan)
+    )
+    return Shrinkage(before, after, floor, kappa, float(low), float(high))
+
+
+def _left_out(
+    comparison: Comparison, rivals: tuple[Rival, Rival], chosen: NDArray[np.bool_]
+) -> tuple[float, float, float, float]:
+    """Squares of what a group leaves if it is left out: without, with, expected; and its count."""
+    squares, expected = [], 0.0
+    at = np.flatnonzero(chosen)
+    for rival in rivals:
+        J, left = rival.estimate.jacobian, rival.estimate.residuals
+        precision = J.T @ J + np.eye(J.shape[1])
+        own = J[at] @ np.linalg.solve(precision, J[at].T)
+        inner = np.eye(len(at)) - own
+        out = np.linalg.solve(inner, left[at])
+        squares.append(float(out @ out))
+        expected = float(np.trace(np.linalg.inv(inner)))
+    return squares[0], squares[1], expected, float(len(at))

@@ -1,0 +1,151 @@
+"""From runs to the blocks of numbers that a twin is compared with; less with less data."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from acquire.run_layout import Kind
+from diagnosis.block import Block
+from diagnosis.campaign import Campaign
+from diagnosis.taps.beat import Beat, lock_block, lock_scatter_hz, log_block, read_beat
+from diagnosis.taps.drive import force_block, level_block, line_block
+from diagnosis.taps.light import brightness_block, fringe_block, noise_block
+from diagnosis.taps.modes import modes_block
+from diagnosis.taps.sensor import (
+    Beam,
+    Dark,
+    Flat,
+    Sheet,
+    dark_block,
+    flat_block,
+    lo_block,
+    read_beam,
+    read_dark,
+    read_flat,
+)
+from diagnosis.taps.still import (
+    Still,
+    read_stills,
+    scatter_block,
+    stability_block,
+    turn_block,
+)
+from diagnosis.taps.vibration import SweepReading, read_sweeps
+from physics.air import CavityLine, Chamber, Filling, chamber_of
+from physics.drive import Tweeter
+from physics.mechanics import Workshop
+from physics.sensor import Sensor
+
+# Share of the time that fitting sweeps takes.
+_SWEEPS = 0.95
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What the runs of a campaign say.
+
+    Attributes
+    ----------
+    dark, flat, lo : Dark, Flat, Beam or None
+    stills : tuple of Still
+    beat : Beat
+    sweeps : tuple of SweepReading
+    refused : tuple of str
+        Why sweeps could not be fitted.
+    missing : tuple of str
+        What would have told more.
+    rate_hz : float
+        Frames per second.
+    sheet : Sheet
+    chamber : Chamber
+    line : CavityLine
+    """
+
+    dark: Dark | None
+    flat: Flat | None
+    lo: Beam | None
+    stills: tuple[Still, ...]
+    beat: Beat
+    sweeps: tuple[SweepReading, ...]
+    refused: tuple[str, ...]
+    missing: tuple[str, ...]
+    rate_hz: float
+    sheet: Sheet
+    chamber: Chamber
+    line: CavityLine
+
+
+def read(campaign: Campaign, progress: Callable[[float], None] | None = None) -> Readings:
+    """Read all runs.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    progress : callable, optional
+        Told the share that is done.
+
+    Raises
+    ------
+    RunFileError
+        If a run cannot be read.
+    """
+    report = progress or (lambda _share: None)
+    first = campaign.sweeps[0].run
+    dark_parts, flat_parts = campaign.of_kind(Kind.DARK), campaign.of_kind(Kind.FLAT)
+    lo_parts, still_parts = campaign.of_kind(Kind.LO_ONLY), campaign.of_kind(Kind.ORDER0)
+    pixel_m = first.reconstruction.transform.pixel_m
+    sensor = replace(Sensor(), shape=first.frame_shape, pixel_m=pixel_m)
+    sheet = Sheet(sensor, 0.5 * first.frame_shape[0] * pixel_m)
+    dark = read_dark(dark_parts) if dark_parts else None
+    offset_dn = dark.offset_dn if dark else sensor.offset_dn
+    sweeps, refused = read_sweeps(campaign.sweeps, lambda share: report(_SWEEPS * share))
+    lines = [CavityLine(frequency_hz=hz) for hz in first.acoustic_lines_hz[:1]]
+    return Readings(
+        dark=dark,
+        flat=read_flat(flat_parts, offset_dn) if flat_parts else None,
+        lo=read_beam(lo_parts, offset_dn) if lo_parts else None,
+        stills=tuple(read_stills(still_parts)),
+        beat=read_beat(campaign.sweeps),
+        sweeps=tuple(sweeps),
+        refused=tuple(refused),
+        missing=tuple(campaign.missing),
+        rate_hz=float(first.frame_rate_hz),
+        sheet=sheet,
+        chamber=chamber_of(first.reed_file().geometry(), Filling(first.chamber)),
+        line=lines[0] if lines else CavityLine(),
+    )
+
+
+def blocks(readings: Readings, workshop: Workshop) -> list[Block]:
+    """Put readings beside the twin.
+
+    Parameters
+    ----------
+    readings : Readings
+    workshop : Workshop
+        Of the kind of reed.
+    """
+    sheet, beat, stills, sweeps = readings.sheet, readings.beat, readings.stills, readings.sweeps
+    scatter_hz = lock_scatter_hz(beat)
+    found: list[Block | None] = [log_block(beat)]
+    if readings.dark:
+        found.append(dark_block(readings.dark, sheet))
+    if readings.flat:
+        found.append(flat_block(readings.flat, readings.dark, sheet))
+    if readings.lo:
+        found.append(lo_block(readings.lo, sheet))
+    found.append(lock_block(beat, readings.rate_hz))
+    if stills:
+        found.append(turn_block(stills, scatter_hz, readings.rate_hz))
+        found.append(stability_block(stills))
+        found.append(scatter_block(stills, scatter_hz, readings.rate_hz))
+    if sweeps:
+        found += [
+            brightness_block(sweeps, stills),
+            noise_block(sweeps),
+            fringe_block(sweeps),
+            line_block(sweeps, readings.line),
+            level_block(sweeps),
+            force_block(sweeps, workshop, readings.chamber, Tweeter(), readings.line),
+            modes_block(sweeps, workshop),
+        ]
+    return [block for block in found if block is not None]

@@ -1,0 +1,129 @@
+"""Where a campaign and the nominal twin differ, in units of what either leaves uncertain.
+
+The gap of a number is measurement less twin, with nothing fitted; its floor is the standard
+uncertainty of validation of ASME V&V 20: of the data, of the numerics and of the inputs that nobody
+knows better. What lies below the floor is not resolvable, which is not to say that it agrees.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from diagnosis.block import Block
+from diagnosis.rivals import Comparison
+from physics.effects.form import Tap
+
+Array = NDArray[np.floating[Any]]
+
+AXES = ("quantity", "mode", "band", "region", "time", "level")
+# A cell is resolvable if chance makes as much of it in fewer than this share of campaigns.
+_CHANCE = 0.01
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Some numbers of one tap.
+
+    Attributes
+    ----------
+    tap : Tap
+    block : str
+    axis, label : str
+        What these numbers have in common: a coordinate of their place, and its value.
+    count : int
+    gap : float
+        Root mean square in units of the floor.
+    chance : float
+        Probability of as large a gap by chance.
+    """
+
+    tap: Tap
+    block: str
+    axis: str
+    label: str
+    count: int
+    gap: float
+    chance: float
+
+    @property
+    def resolvable(self) -> bool:
+        """Whether it stands above its floor."""
+        return self.gap > 1 and self.chance < _CHANCE
+
+
+@dataclass(frozen=True)
+class Map:
+    """All cells of a campaign.
+
+    Attributes
+    ----------
+    cells : tuple of Cell
+        Of every coordinate, and of whole blocks (axis ``block``).
+    taps : dict of (float, float)
+        Gap of each tap in units of its floor, and the chance of it, for as many taps as there are.
+    """
+
+    cells: tuple[Cell, ...]
+    taps: dict[Tap, tuple[float, float]]
+
+    @property
+    def first_failing(self) -> Tap | None:
+        """First tap, from logs to material, at which measurement and twin differ."""
+        failing = (tap for tap, (_, chance) in self.taps.items() if chance < _CHANCE)
+        return next(failing, None)
+
+
+def gap_map(comparison: Comparison) -> Map:
+    """Put every number beside the nominal twin."""
+    nothing = np.zeros(len(comparison.nuisances))
+    left = comparison.residuals(comparison.twin(nothing))
+    slope = comparison.slope(nothing)
+    cells: list[Cell] = []
+    squares: dict[Tap, list[tuple[float, int]]] = {}
+    for block in comparison.blocks:
+        piece = comparison.slices[block.name]
+        lower = np.linalg.inv(block.root)
+        gap = lower @ left[piece]
+        inputs = lower @ slope[piece]
+        variance = block.covariance + inputs @ inputs.T
+        whole = _cell(block, "block", block.name, range(len(gap)), gap, variance)
+        cells.append(whole)
+        squares.setdefault(block.tap, []).append((whole.gap**2 * whole.count, whole.count))
+        for axis in AXES:
+            cells += _along(block, axis, gap, variance)
+    count = len(squares)
+    taps = {}
+    for tap in sorted(squares):
+        total, numbers = (sum(part) for part in zip(*squares[tap], strict=True))
+        chance = float(chi2.sf(total, numbers))
+        taps[tap] = float(np.sqrt(total / numbers)), min(1.0, count * chance)
+    return Map(tuple(cells), taps)
+
+
+def _along(block: Block, axis: str, gap: Array, variance: Array) -> list[Cell]:
+    labels = [getattr(place, axis) for place in block.places]
+    names = [name for name in dict.fromkeys(labels) if name]
+    if axis != "quantity" and len(names) < 2:
+        return []
+    return [
+        _cell(
+            block, axis, name, [k for k, label in enumerate(labels) if label == name], gap, variance
+        )
+        for name in names
+    ]
+
+
+def _cell(
+    block: Block, axis: str, label: str, chosen: Sequence[int], gap: Array, variance: Array
+) -> Cell:
+    at = np.array(list(chosen))
+    own = gap[at]
+    square = float(own @ np.linalg.solve(variance[np.ix_(at, at)], own))
+    chance = float(chi2.sf(square, len(at)))
+    return Cell(
+        block.tap, block.name, axis, label, len(at), float(np.sqrt(square / len(at))), chance
+    )

@@ -4,11 +4,12 @@ Knows every room and does nothing itself. Results go to standard output, progres
 standard error. Exit status: 2 for bad input, 1 for a failed run, 130 for an interrupt.
 """
 
+import contextlib
 import functools
 import json
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -318,17 +319,24 @@ def diagnose(
     runs: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[RUN …]", help="Runs of one reed, or a table of resonances (CSV) of any reeds."
+            metavar="[RUN …]",
+            help="Runs of one reed, folders of such, or a table of resonances (CSV) of any reeds.",
         ),
     ] = None,
     published: Annotated[
         bool, typer.Option("--published", help="Take the paper's Table 1 as data instead of runs.")
     ] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="PAGE.html", help="Page to write besides.")
+    ] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Compare runs with the nominal twin: where they differ, and what an effect takes off it."""
-    from diagnosis.gap import diagnose as compare
+    """Compare runs with the twin: where they differ, which effect it is, how far it closes that.
+
+    Best are all runs of a campaign: dark, flat, both beams alone, order 0 at rest, sweeps up, down,
+    quiet, shuffled and after a new clamping. With less it says less, and what is missing.
+    """
     from fitting.errors import FitInputError
 
     tables = [path for path in runs or () if path.suffix.lower() == ".csv"]
@@ -341,15 +349,39 @@ def diagnose(
         return
     if not runs:
         raise FitInputError("name runs or a table of resonances, or give --published")
-    from diagnosis.tables import closing_words, gap_table
+    _diagnose_runs(runs, out, as_json)
 
-    diagnosis = compare(_fit(runs, "fem", "picture"), _tell)
+
+def _diagnose_runs(paths: Sequence[Path], out: Path | None, as_json: bool) -> None:
+    """Diagnose the runs of one campaign."""
+    from acquire.display import share_progress
+    from acquire.runfile import Run
+    from diagnosis.campaign import Campaign
+    from diagnosis.observing import read
+    from diagnosis.page import words, write_page
+    from diagnosis.verdict import diagnose as judge
+    from diagnosis.verdict import to_json
+    from physics.mechanics import Workshop
+    from physics.reed.cache import anatomy
+
+    files = [
+        file for path in paths for file in (sorted(path.glob("*.h5")) if path.is_dir() else [path])
+    ]
+    with contextlib.ExitStack() as opened:
+        campaign = Campaign.of([opened.enter_context(Run.open(file)) for file in files])
+        geometry = campaign.sweeps[0].run.reed_file().geometry()
+        workshop = Workshop(anatomy(geometry, announce=_tell), _tell)
+        with share_progress(_words(), "fitting sweeps") as told:
+            readings = read(campaign, told)
+    with share_progress(_words(), "trying effects") as told:
+        verdict = judge(readings, workshop, progress=told)
+    if out is not None:
+        write_page(verdict, f"Diagnosis of {campaign.sweeps[0].run.reed}", out)
     if as_json:
-        _show_json(diagnosis.to_json())
+        _show_json(to_json(verdict))
         return
     console = Console(highlight=False)
-    console.print(gap_table(diagnosis))
-    for line in closing_words(diagnosis):
+    for line in words(verdict):
         console.print(line, markup=False, soft_wrap=True)
 
 

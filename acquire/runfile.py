@@ -441,9 +441,7 @@ def _taken(group: Any) -> Iterator[dict[str, Any]]:
     exact = {n: group[f"{n}_exact"].asstr()[()] for n in READ_BACK_HZ}
     count = len(group["verdict"])
     absent = np.full(count, np.nan)
-    numbers = {
-        n: group[n][()] if n in group or n not in NOT_IN_ALL else absent for n in MEASURED
-    }
+    numbers = {n: group[n][()] if n in group or n not in NOT_IN_ALL else absent for n in MEASURED}
     verdicts, sentences = (group[name].asstr()[()] for name in ("verdict", "sentence"))
     times, ids = group["timestamp_s"][()], group["frame_id"][()]
     for row in range(count):

@@ -3,7 +3,7 @@
 The probability of each is its evidence times a prior that is the same for all effects.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any
@@ -29,6 +29,8 @@ _SIZES = (2.0, 5.0, 15.0, 50.0, 150.0, 500.0)
 _KINDS = ("each", "quantity", "mode", "band", "time")
 # Sizes at which an effect's signature is taken, in deviations of its prior.
 _PROBE = 1.0
+# Effects that move whitened numbers by less do not move them.
+_LEAST_MOVED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -119,8 +121,46 @@ def _screened(
     comparison: Comparison, null: Rival, sized: Sized, sign: float
 ) -> tuple[float, Array] | None:
     """Gain of log evidence along the signature of an effect, and the sizes to begin with."""
-    if sign < 0 and all(p.positive for p in sized.sizes):
+    if sign < 0 and sized.sizes[0].positive:
         return None
+    table = _signature(comparison, null, sized, sign)
+    if table is None:
+        return None
+    beside, r = _beside(null, table), null.estimate.residuals
+    information = table.T @ beside + np.eye(table.shape[1])
+    pull = -(table.T @ r)
+    size = np.linalg.solve(information, pull)
+    bound = np.array([p.positive for p in sized.sizes])
+    begin: Array = np.where(bound, np.maximum(size, 0.05), size)
+    gain = 0.5 * float(pull @ np.linalg.solve(information, pull))
+    gain -= 0.5 * float(np.linalg.slogdet(information)[1])
+    if np.any(bound & (size <= 0)):
+        gain = -0.5 * float(np.linalg.slogdet(information)[1])
+    return gain, np.clip(begin, -6.0, 6.0)
+
+
+def signatures(comparison: Comparison, null: Rival, alone: Mapping[str, Rival]) -> dict[str, Array]:
+    """What each effect moves (n, k), whitened, when nuisances have taken what they can."""
+    found = {}
+    for name, rival in alone.items():
+        sized = rival.effects[0]
+        sign = 1.0 if sized.sizes[0].positive or rival.estimate.z[-len(sized.sizes)] > 0 else -1.0
+        table = _signature(comparison, null, sized, sign)
+        if table is not None:
+            found[name] = _beside(null, table)
+    return found
+
+
+def _beside(null: Rival, table: Array) -> Array:
+    """Columns (n, k) less what the nuisances take up of them."""
+    J = null.estimate.jacobian
+    M = linalg.cho_factor(np.eye(J.shape[1]) + J.T @ J)
+    beside: Array = table - J @ linalg.cho_solve(M, J.T @ table)
+    return beside
+
+
+def _signature(comparison: Comparison, null: Rival, sized: Sized, sign: float) -> Array | None:
+    """What each size of an effect moves (n, k), whitened; None if nothing, or of no reed."""
     z, columns = null.estimate.z, []
     twin = comparison.twin(z)
     for k in range(len(sized.sizes)):
@@ -138,21 +178,7 @@ def _screened(
             return None
         columns.append((moved - start) / (sign if not k else 1.0))
     table = np.stack(columns, axis=1)
-    if not np.any(np.abs(table) > 1e-9):
-        return None
-    J, r = null.estimate.jacobian, null.estimate.residuals
-    M = linalg.cho_factor(np.eye(J.shape[1]) + J.T @ J)
-    beside = table - J @ linalg.cho_solve(M, J.T @ table)
-    information = table.T @ beside + np.eye(table.shape[1])
-    pull = -(table.T @ r)
-    size = np.linalg.solve(information, pull)
-    bound = np.array([p.positive for p in sized.sizes])
-    begin: Array = np.where(bound, np.maximum(size, 0.05), size)
-    gain = 0.5 * float(pull @ np.linalg.solve(information, pull))
-    gain -= 0.5 * float(np.linalg.slogdet(information)[1])
-    if np.any(bound & (size <= 0)):
-        gain = -0.5 * float(np.linalg.slogdet(information)[1])
-    return gain, np.clip(begin, -6.0, 6.0)
+    return table if np.any(np.abs(table) > _LEAST_MOVED) else None
 
 
 def _pairs(

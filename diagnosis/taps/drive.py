@@ -62,7 +62,7 @@ def _modes(sweep: SweepReading) -> Iterator[tuple[float, float]]:
 
 def _exchanged(f: float, eta: float, hz: Array) -> Array:
     """What the log drive (k, 2) changes by if it takes over something of a mode."""
-    resonance: Complex = 1 / (1 + 1j * eta - (hz / f) ** 2)
+    resonance: Complex = 1 / (complex(1, eta) - np.square(hz / f))
     return _EXCHANGE * np.stack([resonance.real, resonance.imag], axis=1)
 
 
@@ -131,9 +131,8 @@ def level_block(sweeps: Sequence[SweepReading]) -> Block | None:
         chosen = [(k, by_hz[float(f)]) for k, f in enumerate(loud[0].drive_hz) if float(f) in by_hz]
         one, two = np.array(chosen).T
         told = ~loud[0].off[one] & ~other.off[two]
-        told &= (loud[0].amplitude_rad[one] > 0) & (other.amplitude_rad[two] > 0)
         one, two = one[told], two[told]
-        ratio = np.log(loud[0].amplitude_rad[one] / other.amplitude_rad[two])
+        ratio = loud[0].signal[one] - other.signal[two]
         ratio -= np.log(loud[0].volts[one] / other.volts[two])
         for piece in np.array_split(np.arange(len(ratio)), 2 * len(BANDS)):
             own = 1.4826 * float(np.median(np.abs(ratio[piece] - np.median(ratio[piece]))))

@@ -64,6 +64,8 @@ class SweepReading:
         Largest over the reed.
     brightness : (k,) float
         Log of the light's amplitude, dn.
+    signal : (k,) float
+        Log of vibration times light: where the reed is calm fringes tell no more than that.
     noise_dn2 : (k,) float
         Beside the image.
     misfit : (k,) float
@@ -97,6 +99,7 @@ class SweepReading:
     amplitude_rad: Array
     deepest_rad: Array
     brightness: Array
+    signal: Array
     noise_dn2: Array
     misfit: Array
     off: NDArray[np.bool_]
@@ -198,6 +201,8 @@ def _reading(part: Part, fitted: JointFit) -> SweepReading:
     template, variance = _templates(fitted)
     # As modes have it: what all displacements are off together is taken off.
     u = modal.amplitude_rad @ fitted.basis.functions.T
+    brightness = found.gain + 0.5 * np.log(noise * np.mean(seen))
+    moved = np.sqrt(np.sum(np.abs(found.amplitude_rad) ** 2, axis=1))
     return SweepReading(
         name=part.name,
         clamping=part.clamping,
@@ -218,7 +223,8 @@ def _reading(part: Part, fitted: JointFit) -> SweepReading:
         log_drive=np.log(np.abs(drive)) + _common(modal, kept, log_hz),
         amplitude_rad=np.sqrt(np.mean(np.abs(u) ** 2, axis=1)),
         deepest_rad=np.abs(u).max(axis=1),
-        brightness=found.gain + 0.5 * np.log(noise * np.mean(seen)),
+        brightness=brightness,
+        signal=np.log(np.maximum(moved, 1e-9)) + brightness,
         noise_dn2=noise,
         misfit=found.misfit,
         off=modal.off,

@@ -200,7 +200,8 @@ class Camera:
         noisy = np.minimum(noisy, chip.full_e)
         noisy = noisy * (1 - chip.bend * np.clip(noisy, 0, None) / chip.full_e)
         numbers = np.rint(noisy / chip.gain_e_dn + chip.offset_dn)
-        return np.clip(numbers, 0, 2**chip.bits - 1).astype(np.uint16)
+        read: Frames = np.clip(numbers, 0, 2**chip.bits - 1).astype(np.uint16)
+        return read
 
     def reconstructed(self, frames: Frames) -> tuple[NDArray[np.complex64], float]:
         """Image of the reed (h, w) of four frames, and the noise beside it, dn²."""

@@ -275,7 +275,7 @@ def _stiffness(slopes: dict[tuple[int, int], Any], C: Array) -> Any:
 def _springs(mesh: MeshHex2, top: _Face, build: Build) -> Any:
     """Beds under both strips."""
     basis, area = _basis_on(mesh, top)
-    x, y = basis.global_coordinates().value[:2]
+    x, y = np.asarray(basis.global_coordinates())[:2]
     (x0, x1), (y0, y1) = CLAMP_X_M, CLAMP_Y_M
     left, right = (1 / (1 / _RIGID_PA_M + yielding) for yielding in build.yielding_m3_n)
     under = (x > x0) & (x < x1) & (np.abs(y) > y0) & (np.abs(y) < y1)
@@ -300,7 +300,7 @@ def _on_face(
 ) -> tuple[Array, Array, Array, Array]:
     """Places (p, 2), deflections (p, m), areas of the plan (p,) and strains ε_xx (p, m)."""
     basis, area = _basis_on(mesh, face)
-    x, y = (part.ravel() for part in basis.global_coordinates().value[:2])
+    x, y = (part.ravel() for part in np.asarray(basis.global_coordinates())[:2])
     moved = [np.asarray(basis.interpolate(mode[2 * n :])).ravel() for mode in modes.T]
     stretch = [np.asarray(basis.interpolate(mode[:n]).grad[0]).ravel() for mode in modes.T]
     return (

@@ -191,7 +191,8 @@ def _data(entry: Any, laboratory: Laboratory, shots: Sequence[Shot]) -> None:
     where["height"], where["width"] = len(stage.y_m), len(stage.x_m)
     framed = shots[0].frames is not None
     name = "frames" if framed else "field"
-    stack = np.stack([shot.frames if framed else shot.image for shot in shots])
+    kept: list[Any] = [shot.frames if framed else shot.image for shot in shots]
+    stack = np.stack(kept)
     data.create_dataset(name, data=stack, chunks=(1, *stack.shape[1:]))
     data.attrs["signal"] = name
     data.attrs["axes"] = ["drive_hz", ".", ".", "."] if framed else ["drive_hz", "y_m", "x_m"]

@@ -51,4 +51,4 @@ def thickness_m(x_m: Array, y_m: Array) -> Array:
     a, b, c = np.tensordot(powers, np.stack(along), axes=1)
     vamp = a + b * y2 + c * y2**2
     heel = np.sqrt(_HEEL_RADIUS_MM**2 - y2) - _HEEL_SAGITTA_MM
-    return 1e-3 * np.where(x > 1e3 * VAMP_END_M + 1, heel, np.minimum(vamp, heel))
+    return np.asarray(1e-3 * np.where(x > 1e3 * VAMP_END_M + 1, heel, np.minimum(vamp, heel)))

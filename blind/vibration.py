@@ -99,7 +99,8 @@ class Answerer:
         wave = np.cos(k * x) * _below(x, _WINDOW_M) * _below(np.abs(y), _HALF_M)
         left = 1 / (1 + np.exp(-4 * y / _WALL_M))
         wave = wave * (left + air.open_right * (1 - left))
-        return speaker_pa(air, hz, volts) * wave * (1 + _distortion(air, hz, x, y))
+        pressure: Complex = speaker_pa(air, hz, volts) * wave * (1 + _distortion(air, hz, x, y))
+        return pressure
 
 
 def answerer(world: World, reed: ModalReed) -> Answerer:
@@ -175,7 +176,8 @@ def _distortion(air: Air, hz: float, x: Array, y: Array) -> Complex:
         size, turn = rng.standard_normal(2)
         kx, ky, kf = rng.normal(0, [90.0, 200.0, 3.0])
         total += (size + 1j * turn) * np.exp(1j * (kx * x + ky * y + kf * pitch))
-    return air.field / np.sqrt(2 * count) * total
+    field: Complex = air.field / np.sqrt(2 * count) * total
+    return field
 
 
 def _interpolated(table: Array, hz: float) -> Array:

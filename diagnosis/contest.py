@@ -14,7 +14,7 @@ from scipy import linalg
 from scipy.special import logsumexp
 
 from diagnosis.block import Block
-from diagnosis.rivals import Comparison, Rival, Sized, compete
+from diagnosis.rivals import Comparison, Rival, Sized, compete, gain_by_noise
 from physics.effects.form import Effect
 
 Array = NDArray[np.floating[Any]]
@@ -218,7 +218,9 @@ def _unknown(comparison: Comparison, null: Rival, block: Block) -> float:
         for size in _SIZES:
             grown = 1 + size**2 * np.maximum(values, 0)
             gains.append(float(0.5 * np.sum(size**2 * along / grown) - 0.5 * np.sum(np.log(grown))))
-    return float(logsumexp(gains) - np.log(len(gains)))
+    # Of the twin without effects it is known that its noise may be larger.
+    usual = gain_by_noise(float(left @ left), len(left))
+    return float(logsumexp(gains) - np.log(len(gains))) - usual
 
 
 def _table(block: Block, kind: str) -> Array | None:

@@ -28,7 +28,7 @@ _KEPT = 4096
 # Searches end where a step gains less than this share of the cost: hundredths of a nat.
 _LEAST_GAIN = 1e-4
 # The noise of a block may be larger than its replicates say: log.
-_NOISE_SPREAD = 0.15
+_NOISE_SPREAD, _MOST_NOISE = 0.15, 3.0
 # Effects have not quite the form that the catalogue gives them: a share of what they do.
 _FORM = 0.08
 
@@ -198,12 +198,12 @@ def _corrected(comparison: Comparison, estimate: Estimate, without: Array | None
         if without is not None:
             variance += (_FORM * (left - without[piece])) ** 2
         gain += float(np.sum(0.5 * left**2 * (1 - 1 / variance) - 0.5 * np.log(variance)))
-        gain += _louder(float(np.sum(left**2 / variance)), len(left))
+        gain += gain_by_noise(float(np.sum(left**2 / variance)), len(left))
     return gain
 
 
-def _louder(chi2: float, count: int) -> float:
-    """Gain of log evidence by the likeliest factor on the noise of a block."""
-    logs = np.linspace(0.0, 6 * _NOISE_SPREAD, 61)
+def gain_by_noise(chi2: float, count: int) -> float:
+    """Gain of log evidence by the likeliest factor on the noise of a block of so many numbers."""
+    logs = np.linspace(0.0, _MOST_NOISE * _NOISE_SPREAD, 61)
     gains = 0.5 * chi2 * (1 - np.exp(-2 * logs)) - count * logs - 0.5 * (logs / _NOISE_SPREAD) ** 2
     return float(gains.max())

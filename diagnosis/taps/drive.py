@@ -71,8 +71,7 @@ def _gain(drive: DriveChain, line: CavityLine, hz: Array) -> Array:
 
     def through(hz_0: float, quality: float, strength: float) -> Complex:
         ratio = hz / hz_0
-        answer: Complex = 1 + strength / (1 - ratio**2 + 1j * ratio / quality)
-        return answer
+        return np.asarray(1 + strength / (1 - ratio**2 + 1j * ratio / quality), dtype=complex)
 
     own = through(
         line.frequency_hz * np.exp(drive.line_shift),

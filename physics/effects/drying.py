@@ -41,5 +41,5 @@ EFFECT = Effect(
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD}),
     neighbours=("temperature_drift",),
     action="wait for an hour and sweep again; weigh the reed",
-    reference="paper, hypothesis H4: moduli of dry cane; Obataya and Norimoto, Mokuzai Gakkaishi 41 (1995)",
+    reference="paper, series B beside A; Obataya and Norimoto, Mokuzai Gakkaishi 41, 289 (1995)",
 )

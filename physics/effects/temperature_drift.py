@@ -39,5 +39,5 @@ EFFECT = Effect(
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD}),
     neighbours=("drying",),
     action="sweep up and down, and again after an hour",
-    reference="Weidenfeller et al., Mater. Res. 21 (2018): moduli of Arundo donax fall with temperature",
+    reference="Weidenfeller et al., Mater. Res. 21, e20170795 (2018)",
 )

@@ -1,0 +1,103 @@
+"""The other side: its labels, its hashes, and laboratories that are like the bench."""
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
+
+from acquire.reed_file import ReedFile
+from blind.cases import commitment, drawn_label, healthy_world, seal, sick_world
+from blind.effects import KINDS
+from blind.reed import Build, make_reed
+from blind.vibration import answerer
+from blind.world import World
+from fitting.forward import basis_of
+from physics.effects.catalogue import BY_ID
+from physics.reed.response import elastic_modes
+from physics.reed.viscoelastic import Components, Series, storage_modulus_pa, viscoelastic_cane
+
+
+def test_known_kinds_are_those_of_the_catalogue_and_others_are_not() -> None:
+    known = {kind.name for kind in KINDS if kind.known}
+    others = {kind.name for kind in KINDS if not kind.known}
+    assert known <= set(BY_ID)
+    assert len(known) >= 30
+    assert len(others) >= 10
+    assert not others & set(BY_ID)
+
+
+def test_labels_are_drawn_again_the_same_and_differ_from_number_to_number() -> None:
+    labels = [drawn_label(1, number, 5) for number in range(40)]
+    assert labels == [drawn_label(1, number, 5) for number in range(40)]
+    assert len({label.effects[0][0] for label in labels}) > 15
+    sizes = [abs(label.effects[0][1]) for label in labels]
+    assert 0.5 <= min(sizes) < 1.5
+    assert 3 < max(sizes) <= 8
+    assert drawn_label(0, 3, 5).effects == ()
+    assert len(drawn_label(3, 3, 5).effects) == 2
+    assert not drawn_label(4, 3, 5).known
+
+
+def _plain(value):
+    return json.loads(json.dumps(value))
+
+
+def test_commitments_tell_nothing_and_fit_one_label_only() -> None:
+    labels = [drawn_label(0, number, 1) for number in range(2)] + [drawn_label(1, 0, 1)]
+    told, key = seal(labels, 1)
+    for name, entry in key["cases"].items():
+        label = next(one for one in labels if _plain(asdict(one)) == _plain(entry["label"]))
+        assert told["cases"][name] == commitment(label, entry["salt"])
+        assert told["cases"][name] != commitment(label, entry["salt"][::-1])
+        assert label.effects == () or label.effects[0][0] not in json.dumps(told)
+    again, _ = seal(labels, 1)
+    assert set(again["cases"]) == set(told["cases"])
+    assert set(again["cases"].values()).isdisjoint(told["cases"].values())
+
+
+def test_every_kind_changes_the_world_and_nothing_else_of_it() -> None:
+    base = healthy_world(7)
+    for kind in KINDS:
+        changed = kind.change(base, 1.0, np.random.default_rng(0))
+        assert changed != base, kind.name
+        same = [part for part in ("build", "cane", "air", "clockwork", "light", "chip")
+                if getattr(changed, part) == getattr(base, part)]  # fmt: skip
+        assert len(same) == 5, kind.name
+
+
+def test_a_label_makes_one_world() -> None:
+    label = drawn_label(3, 2, 9)
+    assert sick_world(label) == sick_world(label)
+    assert sick_world(label).seed == healthy_world(label.seed).seed
+
+
+@pytest.fixture(scope="module")
+def plain_reed():
+    return make_reed(Build())
+
+
+def test_its_modes_are_those_of_the_twin_but_for_the_elements(plain_reed) -> None:
+    reed = basis_of(ReedFile.from_file())
+    cane = viscoelastic_cane(Components(), Series.A)
+    E, G = (storage_modulus_pa(z, 4000.0) for z in (cane.young_L, cane.shear_LT))
+    twin = sorted(mode.frequency_hz for mode in elastic_modes(reed, float(E), float(G)).values())
+    own = np.sqrt(plain_reed.square) / (2 * np.pi)
+    # The moduli at 4 kHz of both are within 0.5 %; elements differ by some cents.
+    cents = 1200 * np.log2(own[:10] / np.array(twin[:10]))
+    assert np.abs(cents).max() < 40
+    assert np.abs(cents).max() > 0.1
+
+
+def test_a_reed_answers_most_at_its_resonance(plain_reed) -> None:
+    world = World()
+    answer = answerer(world, plain_reed)
+    first = float(np.sqrt(plain_reed.square[0]) / (2 * np.pi))
+    hz = first * 2 ** (np.arange(-300, 301, 25) / 1200)
+    moved = [np.abs(answer.deflection(f, 1.0, 0.0, 0.0, 0)[0]) for f in hz]
+    peak = hz[int(np.argmax(moved))]
+    assert abs(1200 * np.log2(peak / first)) < 150
+    twice = answer.deflection(first, 2.0, 0.0, 0.0, 0)
+    np.testing.assert_allclose(twice, 2 * answer.deflection(first, 1.0, 0.0, 0.0, 0))

@@ -1,0 +1,64 @@
+"""Where a gap lies and how far it shrinks, on a bench whose truth is known."""
+
+import numpy as np
+import pytest
+
+from diagnosis.how_far import shrinkage
+from diagnosis.rivals import Sized, compete
+from diagnosis.where import gap_map
+from physics.effects.form import Tap
+from tests.diagnosis.toy import COUNT, EFFECTS, bench, measured
+
+
+def groups(comparison):
+    return [f"{b.name} {p.time or p.quantity}" for b in comparison.blocks for p in b.places]
+
+
+def test_chance_of_a_gap_is_uniform_where_nothing_is_wrong() -> None:
+    rng = np.random.default_rng(0)
+    chances = []
+    for seed in range(60):
+        # The level is drawn from its prior: it is unknown, not wrong.
+        found = gap_map(measured(seed, bench(fade_per_h=2.0 * rng.standard_normal())))
+        chances.append(found.taps[Tap.MAPS][1] / len(found.taps))
+    assert 0.35 < np.mean(chances) / 0.5 * 0.5 + 0.0 < 0.65
+    assert np.mean(np.array(chances) < 0.1) < 0.25
+
+
+def test_the_first_failing_tap_is_where_the_cause_shows_first() -> None:
+    assert gap_map(measured(1, bench())).first_failing is None
+    assert gap_map(measured(1, bench(detuning_hz=0.3))).first_failing is Tap.HOLOGRAM
+    assert gap_map(measured(1, bench(mixing=0.6))).first_failing is Tap.MAPS
+
+
+def test_cells_tell_the_band() -> None:
+    found = gap_map(measured(2, bench(leak=0.0, mixing=0.0), extra=0.0))
+    assert not any(cell.resolvable for cell in found.cells)
+    clear = gap_map(measured(2, bench(mixing=0.8)))
+    by_time = {c.label: c for c in clear.cells if c.axis == "time"}
+    # The bump stands in the middle, whose numbers are of time 0.
+    assert by_time["t0"].resolvable
+    assert not by_time["t3"].resolvable
+    assert sum(c.count for c in clear.cells if c.axis == "time") == COUNT
+
+
+def test_the_right_effect_closes_the_gap_and_a_wrong_one_does_not() -> None:
+    comparison = measured(3, bench(fade_per_h=0.4, mixing=0.5))
+    null = compete(comparison, (), [np.zeros(1)])
+    right, wrong = (
+        compete(comparison, (Sized(EFFECTS[k], {}),), [np.array([0.0, 0.1])]) for k in (1, 0)
+    )
+    closed = shrinkage(comparison, null, right, groups(comparison))
+    assert closed.kappa == pytest.approx(1.0, abs=0.15)
+    assert closed.low <= closed.kappa <= closed.high
+    assert shrinkage(comparison, null, wrong, groups(comparison)).kappa < 0.2
+
+
+def test_no_gap_is_not_resolvable_rather_than_closed() -> None:
+    told = []
+    for seed in range(6):
+        comparison = measured(seed, bench())
+        null = compete(comparison, (), [np.zeros(1)])
+        slope = compete(comparison, (Sized(EFFECTS[0], {}),), [np.zeros(2)])
+        told.append(shrinkage(comparison, null, slope, groups(comparison)))
+    assert any(np.isnan(each.kappa) or np.isnan(each.low) or each.low < 0 for each in told)

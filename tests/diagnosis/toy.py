@@ -1,0 +1,77 @@
+"""A small bench whose truth is known: straight lines with a few things that may be wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from diagnosis.block import Place, block
+from diagnosis.nuisances import Nuisance
+from diagnosis.rivals import Comparison
+from physics.effects.form import Effect, Parameter, Stage, Tap
+from physics.twin import Beams, Clocks, Twin, more
+
+COUNT = 60
+AT = np.linspace(-1, 1, COUNT)
+
+
+def lines(twin: Twin) -> np.ndarray:
+    """Numbers of the first tap: a level, a slope, a bump."""
+    beams: Beams = twin.beams
+    return beams.fade_per_h + beams.leak * AT + beams.mixing * np.exp(-((AT / 0.2) ** 2))
+
+
+def clocks(twin: Twin) -> np.ndarray:
+    """Numbers of the second tap."""
+    clocks: Clocks = twin.clocks
+    return clocks.detuning_hz + 0.3 * twin.beams.leak * AT[:20]
+
+
+LEVEL = Nuisance("level", "", 2.0, lambda t, v: more(t, "beams", fade_per_h=v), "anything")
+
+
+def effect(name: str, part: str, field: str, positive: bool = False) -> Effect:
+    """Make an effect that is one field of the twin."""
+    return Effect(
+        id=name,
+        title=name,
+        stage=Stage.OPTICS,
+        parameters=(Parameter("size", "", 1.0, "toy", positive),),
+        change=lambda twin, values: more(twin, part, **{field: values["size"]}),
+        moves=frozenset({Tap.MAPS}),
+        keeps=frozenset({Tap.LOG}),
+        neighbours=(),
+        action="",
+        reference="",
+    )
+
+
+EFFECTS = (
+    effect("slope", "beams", "leak"),
+    effect("bump", "beams", "mixing", positive=True),
+    effect("offset", "clocks", "detuning_hz"),
+    effect("nothing", "chip", "bend", positive=True),
+)
+
+
+def measured(seed: int, truth: Twin, noise: float = 0.05, extra: float = 0.0) -> Comparison:
+    """Measure a bench; `extra` is something that no effect can make."""
+    rng = np.random.default_rng(seed)
+    y = lines(truth) + noise * rng.standard_normal(COUNT) + extra * np.sign(np.sin(40 * AT))
+    y2 = clocks(truth) + noise * rng.standard_normal(20)
+    places = [
+        Place("line", band="low" if a < 0 else "high", time=f"t{int(4 * abs(a))}") for a in AT
+    ]
+    both = [
+        block("lines", Tap.MAPS, y, np.full(COUNT, noise), places, ("beams",), lines),
+        block("clocks", Tap.HOLOGRAM, y2, np.full(20, noise), [Place("clock")] * 20,
+              ("clocks", "beams"), clocks),
+    ]  # fmt: skip
+    return Comparison(both, Twin(), (LEVEL,))
+
+
+def bench(**changes: float) -> Twin:
+    """Make a bench with some fields of its beams, or `detuning_hz`, changed."""
+    twin = Twin()
+    detuning = changes.pop("detuning_hz", 0.0)
+    twin = replace(twin, clocks=replace(twin.clocks, detuning_hz=detuning))
+    return replace(twin, beams=replace(twin.beams, **changes))

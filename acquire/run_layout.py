@@ -29,7 +29,6 @@ READ_BACK_HZ: Final = ("read_aom1_hz", "read_aom2_hz", "read_drive_hz")
 # Numbers of a measured step besides its frequencies, each with its unit.
 MEASURED: Final = {
     "read_volts": "V",
-    "exposure_s": "s",
     "changed_s": "s",
     "signal_to_noise": "",
     "noise_level": "",
@@ -37,9 +36,10 @@ MEASURED: Final = {
     "lock_error_hz": "Hz",
     "lock_error_se_hz": "Hz",
 }
-# Columns of measured steps that files of version 1 lack, and one that only runs have whose steps
-# are not all exposed alike.
-NOT_IN_ALL: Final = ("lock_error_hz", "lock_error_se_hz", "exposure_s")
+# Columns of measured steps that files of version 1 lack.
+SINCE_VERSION_2: Final = ("lock_error_hz", "lock_error_se_hz")
+# Column that only runs have whose steps are not all exposed alike.
+EXPOSURE: Final = "exposure_s"
 # Columns of `/entry/seams`, and how many of them there may be.
 SEAMS: Final = ("position", "kind", "began", "ended", "reason")
 SEAMS_MAX: Final = 64

@@ -361,7 +361,7 @@ class RunWriter:
             self._steps[f"{column}_exact"][position] = exact_text(hz)
         self._steps["read_volts"][position] = step.read_back.volts
         for column in MEASURED:
-            if column not in ("read_volts", "exposure_s"):
+            if column != "read_volts":
                 self._steps[column][position] = getattr(step, column)
         times, ids = self._steps["timestamp_s"], self._steps["frame_id"]
         for number in range(ids.shape[1]):

@@ -17,14 +17,15 @@ from acquire.quality import Verdict
 from acquire.reconstruction import Reconstruction
 from acquire.reed_file import ReedFile
 from acquire.run_layout import (
+    EXPOSURE,
     FORMAT,
     FORMAT_VERSION,
     MEASURED,
-    NOT_IN_ALL,
     PLANNED_HZ,
     READ_BACK_HZ,
     READABLE_VERSIONS,
     SEAMS,
+    SINCE_VERSION_2,
     Acquisition,
     Kind,
     RunLabels,
@@ -58,8 +59,8 @@ class StepRecord:
         What the instruments said; None if the step was not measured.
     read_volts : float
         NaN if the step was not measured, like all numbers below.
-    exposure_s : float
-        Of this step alone; NaN if it was that of the run.
+    exposure_s : float or None
+        Of this step alone; None if it was that of the run.
     changed_s : float
         When the last setting was changed, on the camera's clock.
     timestamps_s : tuple of float
@@ -88,7 +89,7 @@ class StepRecord:
     read_aom2_hz: Fraction | None
     read_drive_hz: Fraction | None
     read_volts: float
-    exposure_s: float
+    exposure_s: float | None
     changed_s: float
     timestamps_s: tuple[float, ...]
     frame_ids: tuple[int, ...]
@@ -249,7 +250,7 @@ class Run:
 
     def exposure_of(self, step: StepRecord) -> float:
         """Exposure of a step in s."""
-        return self.exposure_s if np.isnan(step.exposure_s) else step.exposure_s
+        return self.exposure_s if step.exposure_s is None else step.exposure_s
 
     def retaken_field(self, number: int) -> npt.NDArray[np.complex64]:
         """Complex field around the reed of one of `retakes`, (height, width) complex64.
@@ -441,7 +442,10 @@ def _taken(group: Any) -> Iterator[dict[str, Any]]:
     exact = {n: group[f"{n}_exact"].asstr()[()] for n in READ_BACK_HZ}
     count = len(group["verdict"])
     absent = np.full(count, np.nan)
-    numbers = {n: group[n][()] if n in group or n not in NOT_IN_ALL else absent for n in MEASURED}
+    numbers = {
+        n: group[n][()] if n in group or n not in SINCE_VERSION_2 else absent for n in MEASURED
+    }
+    exposure = group[EXPOSURE][()] if EXPOSURE in group else absent
     verdicts, sentences = (group[name].asstr()[()] for name in ("verdict", "sentence"))
     times, ids = group["timestamp_s"][()], group["frame_id"][()]
     for row in range(count):
@@ -452,6 +456,7 @@ def _taken(group: Any) -> Iterator[dict[str, Any]]:
             "sentence": str(sentences[row]),
             **{name: _fraction(text[row]) for name, text in exact.items()},
             **{name: column[row].item() for name, column in numbers.items()},
+            "exposure_s": None if np.isnan(exposure[row]) else float(exposure[row]),
         }
 
 

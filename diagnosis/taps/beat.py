@@ -15,6 +15,9 @@ from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]
 
+# What steps are worth of which frames were missing, twice the same, or in another order.
+_LOST = (Verdict.PARTIAL, Verdict.DROPPED, Verdict.DISORDERED)
+
 
 @dataclass(frozen=True)
 class Beat:
@@ -50,7 +53,7 @@ def read_beat(parts: Sequence[Part]) -> Beat:
             if not step.verdict.measured or step.order != part.run.sideband_order:
                 continue
             count += 1
-            lost += step.verdict is Verdict.PARTIAL
+            lost += step.verdict in _LOST
             if step.verdict is Verdict.OK and np.isfinite(step.lock_error_se_hz):
                 hz = float(step.read_drive_hz or step.drive_hz)
                 time_s = float(np.mean(step.timestamps_s)) - part.clock_s

@@ -515,7 +515,7 @@ def test_a_file_of_version_1_is_read(plan, create, as_version_1):
     writer.finish("interrupted")
     with Run.open(writer.path) as run:
         today = run.steps
-        assert run.format_version == 2
+        assert run.format_version == 3
     as_version_1(writer.path)
     with Run.open(writer.path) as run:
         assert run.format_version == 1

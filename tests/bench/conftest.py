@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 from acquire.bench_file import find_bench
 from acquire.cli import app
 from acquire.protocol import find_protocol
-from diagnosis.gap import diagnose
 from fitting.fit import fit_runs
 
 REED = "R07"
@@ -23,18 +22,9 @@ def _fitted(paths, model, method):
     return fit_runs(paths, model, method=method)
 
 
-@cache
-def _diagnosed(paths):
-    return diagnose(_fitted(paths, "fem", "picture"))
-
-
 def _fit_once(runs, model="fem", announce=None, method="joint"):
     """Fit the same runs once for a session, however many verbs ask for it."""
     return _fitted(tuple(Path(run).resolve() for run in runs), model, method)
-
-
-def _diagnose_once(fit, announce=None):
-    return _diagnosed(tuple(sweep.path for sweep in fit.sweeps))
 
 
 @dataclass(frozen=True)
@@ -60,7 +50,6 @@ def _invoke(*arguments):
 @pytest.fixture(autouse=True)
 def _bench_of_the_user(monkeypatch):
     monkeypatch.setattr("fitting.fit.fit_runs", _fit_once)
-    monkeypatch.setattr("diagnosis.gap.diagnose", _diagnose_once)
 
 
 @pytest.fixture(scope="session")

@@ -352,15 +352,18 @@ def test_a_report_lies_beside_its_run(cli, measured):
     assert str(measured.a.with_suffix(".html")) in out
 
 
-def test_a_diagnosis_tells_gap_floor_and_effects(cli, measured):
-    answer = cli("diagnose", measured.a, "--json").json
-    fit = cli("fit", measured.a, "--method", "picture", "--json").json
-    assert {cell["mode"] for cell in answer["cells"]} <= set(fit["modes"])
-    assert answer["trials"][0]["effect"] == "air load"
-    assert answer["rms_cents"] == pytest.approx(fit["rms_cents"], rel=1e-3)
-    out = cli("diagnose", measured.a).out
-    assert "closing a gap does not prove its cause" in out
-    assert "air load (acoustics)" in out
+def test_a_diagnosis_says_where_which_and_what_is_missing(cli, measured, folder):
+    said = cli("diagnose", measured.a, "--json", "--out", folder / "page.html")
+    answer = said.json
+    assert answer["verdict"] in {"none", "effect", "pair", "unknown", "not converged"}
+    assert sum(answer["probability"].values()) == pytest.approx(1, abs=1e-3)
+    assert set(answer["where"]["taps"]) <= {f"T{k}" for k in range(9)}
+    assert len(answer["effects"]) >= 20
+    # One sweep tells nothing of the sensor, and of nothing that needs a second one.
+    assert any("dark" in what for what in answer["missing"])
+    assert any("second sweep" in what for what in answer["missing"])
+    assert "hot_pixels" not in answer["effects"]
+    assert "not resolvable" in (folder / "page.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("verb", ["fit", "report", "diagnose"])

@@ -11,7 +11,7 @@ from fitting.light import SharedError
 from fitting.modal import _LAST, _inverse, _prior, fit_modes
 from fitting.modal_descent import improve
 from fitting.modal_equations import Data, downhill, equations, place
-from fitting.modal_model import Model, State, bend, scalars, terms
+from fitting.modal_model import UNKNOWN_LINES, Model, State, bend, scalars, terms
 from fitting.shapes import ShapeBasis
 
 # Six modes, the last one beyond the sweep.
@@ -457,7 +457,14 @@ def point():
     powers = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, len(k)), 4)
     stiffening = np.array([0.1, 0.0, 0.2, 0.15, 0.1])
     model = Model(
-        hz, np.log(np.full(len(k), 3.0)), powers, reference, MODE_HZ[:5], stiffening, active
+        hz,
+        np.log(np.full(len(k), 3.0)),
+        UNKNOWN_LINES,
+        powers,
+        reference,
+        MODE_HZ[:5],
+        stiffening,
+        active,
     )
     x = 0.1 * rng.standard_normal((3 + 5, model.slots))
     x[:3, 10] = np.log(MODE_HZ[active]) + 0.004 * rng.standard_normal(3)

@@ -1,0 +1,120 @@
+"""What frames without fringes tell: as it was drawn."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diagnosis.taps.sensor import (
+    Sheet,
+    dark_block,
+    flat_block,
+    lo_block,
+    read_beam,
+    read_dark,
+    read_flat,
+)
+from physics.sensor import Sensor
+from physics.twin import Beams, Chip, Twin
+
+N = 96
+SHEET = Sheet(Sensor(), 0.5 * N * 6.7e-6)
+
+
+def part(stacks, exposures):
+    """Make a run that kept frames."""
+    steps = [SimpleNamespace(position=k, verdict=SimpleNamespace(measured=True))
+             for k in range(len(stacks))]  # fmt: skip
+    run = SimpleNamespace(
+        steps=steps,
+        frames=lambda position: stacks[position],
+        exposure_of=lambda step: exposures[step.position],
+    )
+    return SimpleNamespace(run=run)
+
+
+def drawn(mean_e, seed=0, read_e=12.0, bend=0.0, rows_e=0.0):
+    """Four frames of a linear camera of 4 electrons per number, or of one that bends."""
+    rng = np.random.default_rng(seed)
+    # Every sensor's pixels differ by some tenths of a per cent.
+    mean_e = mean_e * (1 + 3e-3 * np.random.default_rng(77).standard_normal((N, N)))
+    electrons = rng.poisson(np.broadcast_to(mean_e, (4, N, N))) + read_e * rng.standard_normal(
+        (4, N, N)
+    )
+    electrons = electrons + rows_e * rng.standard_normal((4, N, 1))
+    electrons = electrons * (1 - bend * np.clip(electrons, 0, None) / 16000)
+    return np.clip(np.rint(electrons / 4 + 50), 0, 4095).astype(np.uint16)
+
+
+def dark(**changes):
+    return read_dark([part([drawn(0.0, seed, **changes) for seed in range(4)], [0.08] * 4)])
+
+
+def flat(shape=1.0, bend=0.0):
+    exposures = [0.02, 0.04, 0.06, 0.08]
+    return read_flat(
+        [part([drawn(75e3 * t * shape, k, bend=bend) for k, t in enumerate(exposures)], exposures)],
+        50.0,
+    )
+
+
+def left(block, twin=None):
+    return dict(
+        zip([p.quantity + p.region for p in block.places], block.left(twin or Twin()), strict=True)
+    )
+
+
+def test_a_camera_as_its_data_sheet_says_leaves_nothing() -> None:
+    calm = dark()
+    assert calm.offset_dn == pytest.approx(50, abs=0.1)
+    assert calm.noise_dn == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.01)
+    assert calm.hot == 0
+    for block in (dark_block(calm, SHEET), flat_block(flat(), calm, SHEET)):
+        assert np.abs(block.left(Twin())).max() < 4
+
+
+def test_read_noise_is_found_by_its_factor() -> None:
+    block = dark_block(dark(read_e=18.0), SHEET)
+    assert left(block)["read noise"] > 5
+    louder = replace(Twin(), chip=Chip(read_factor=float(np.log(1.5))))
+    assert abs(left(block, louder)["read noise"]) < 1
+
+
+def test_hot_pixels_are_counted_and_no_noise() -> None:
+    rng = np.random.default_rng(9)
+    hot = rng.random((N, N)) < 0.01
+    found = read_dark([part([drawn(240.0 * hot, seed) for seed in range(4)], [0.08] * 4)])
+    assert found.hot == pytest.approx(hot.mean(), rel=0.02)
+    assert found.noise_dn == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.01)
+    named = replace(Twin(), chip=Chip(hot=float(hot.mean())))
+    assert left(dark_block(found, SHEET))["hot pixels"] > 3
+    assert abs(left(dark_block(found, SHEET), named)["hot pixels"]) < 1
+
+
+def test_noise_that_rows_have_in_common_shows_in_rows_alone() -> None:
+    found = dark(rows_e=12.0)
+    assert found.row_excess > 2
+    assert abs(found.column_excess) < 0.3
+
+
+def test_a_camera_that_bends_is_found_by_its_bend() -> None:
+    block = flat_block(flat(bend=0.06), dark(), SHEET)
+    assert max(abs(v) for k, v in left(block).items() if k.startswith("linearity")) > 5
+    bent = replace(Twin(), chip=Chip(bend=0.06))
+    assert np.abs(block.left(bent)).max() < 4
+
+
+def test_dark_corners_and_a_shifted_beam_are_found() -> None:
+    at = np.linspace(-1, 1, N)
+    corner = 1 - 0.2 * 0.5 * (at[:, None] ** 2 + at**2)
+    block = flat_block(flat(corner), dark(), SHEET)
+    assert abs(left(block)["cornerscorners"]) > 10
+    assert abs(left(block, replace(Twin(), beams=Beams(vignette=0.2)))["cornerscorners"]) < 2
+    y, x = SHEET.half_m * at[:, None], SHEET.half_m * at
+    beam = np.exp(-2 * ((y - 1e-3) ** 2 + (x + 2e-3) ** 2) / 15e-3**2)
+    lo = read_beam([part([drawn(6000 * beam, k) for k in range(8)], [0.08] * 8)], 50.0)
+    block = lo_block(lo, SHEET)
+    assert abs(left(block)["middlerows"]) > 3
+    shifted = replace(Twin(), beams=Beams(shift_m=(1e-3, -2e-3)))
+    assert np.abs(block.left(shifted)).max() < 3

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from diagnosis.block import BANDS, Block, Place, band_of, block
 from diagnosis.taps.vibration import SweepReading
@@ -28,6 +29,10 @@ _FULL_V = 16.0
 _DEGREE, _SMOOTH = 5, 1.0
 _WAVES, _LENGTH = 0.12, 0.15
 _LEAST, _WEAK = 0.01, 0.02
+# Holograms over which sweeps may differ smoothly; at the ends little tells what is smooth.
+_AROUND, _END_SHARE, _END = 15, 0.06, 0.1
+# Beyond this modes are too many for drive and modes to be told apart surely.
+_HIGHEST_HZ = 16.5e3
 # A mode's frequency and the drive around it can be exchanged to this share of its stiffness.
 _EXCHANGE = 0.008
 # Log ratio of amplitudes in two sweeps: a common factor, smoothly in frequency, of every band.
@@ -91,22 +96,27 @@ def _kept(drive: DriveChain, volts: Array, hz: Array) -> Array:
 
 
 def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array]:
-    """Frequencies, log drive per volt and errors (k,) of all holograms."""
-    loud = loudest(sweeps)
-    hz = np.array(sorted({float(f) for s in loud for f in s.drive_hz}))
-    table = np.full((len(loud), len(hz)), np.nan)
-    for row, sweep in zip(table, loud, strict=True):
+    """Frequencies, log drive per volt and errors (k,) of all holograms, by all sweeps.
+
+    What sweeps differ by smoothly is anyone's; where they differ from hologram to hologram, some of
+    their fits are wrong there.
+    """
+    hz = np.array(sorted({float(f) for s in sweeps for f in s.drive_hz}))
+    table = np.full((len(sweeps), len(hz)), np.nan)
+    for row, sweep in zip(table, sweeps, strict=True):
         good = ~sweep.off
-        at = np.searchsorted(hz, sweep.drive_hz[good])
-        row[at] = sweep.log_drive[good]
-    # Levels of fits are anyone's.
-    table = table - np.nanmedian(table - table[:1], axis=1)[:, None]
-    told = np.any(np.isfinite(table), axis=0)
+        row[np.searchsorted(hz, sweep.drive_hz[good])] = sweep.log_drive[good]
+    told = (np.sum(np.isfinite(table), axis=0) >= min(2, len(sweeps))) & (hz < _HIGHEST_HZ)
     hz, table = hz[told], table[:, told]
-    mean, count = np.nanmean(table, axis=0), np.sum(np.isfinite(table), axis=0)
-    left = table - mean
-    spread = 1.4826 * float(np.nanmedian(np.abs(left))) * np.sqrt(len(loud) / max(len(loud) - 1, 1))
-    return hz, mean, np.maximum(max(spread, _LEAST) / np.sqrt(count), _LEAST)
+    middle = np.nanmedian(table, axis=0)
+    apart = np.where(np.isfinite(table), table - middle, 0.0)
+    apart = apart - median_filter(apart, size=(1, _AROUND), mode="nearest")
+    count = np.sum(np.isfinite(table), axis=0)
+    mean = middle + np.sum(apart, axis=0) / count
+    error = np.sqrt(np.sum(apart**2, axis=0) / np.maximum(count - 1, 1))
+    pitch = np.log(hz / np.sqrt(hz[0] * hz[-1]))
+    ends = np.clip((np.abs(pitch) / np.abs(pitch).max() - 1) / _END_SHARE + 1, 0, 1)
+    return hz, mean, np.sqrt(_LEAST**2 + error**2 + (_END * ends) ** 2)
 
 
 def loudest(sweeps: Sequence[SweepReading]) -> list[SweepReading]:

@@ -9,7 +9,7 @@ from physics.effects.form import Effect, Parameter, Stage, Tap
 from physics.twin import Twin
 
 # Lines of Q 30 are no closer than half their width apart.
-_HZ = tuple(float(hz) for hz in 2000.0 * 1.018 ** np.arange(125))
+_HZ = tuple(float(hz) for hz in 2000.0 * 1.018 ** np.arange(117))
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:

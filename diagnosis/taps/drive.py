@@ -37,6 +37,8 @@ _HIGHEST_HZ = 16.5e3
 _EXCHANGE = 0.008
 # Log ratio of amplitudes in two sweeps: a common factor, smoothly in frequency, of every band.
 _RATIO, _RATIO_BAND = 0.03, 0.015
+# Holograms are compared where both are lively, rad, and so many at least together.
+_LIVELY_RAD, _FEWEST = 0.3, 3
 # Log of what moves a mode: gain, by smooth ripple of the loudspeaker, by pressure that is not the
 # model's.
 _GAIN, _RIPPLE, _FIELD = 0.5, 0.08, 0.15
@@ -139,17 +141,23 @@ def level_block(sweeps: Sequence[SweepReading]) -> Block | None:
         by_hz = {float(f): k for k, f in enumerate(other.drive_hz)}
         chosen = [(k, by_hz[float(f)]) for k, f in enumerate(loud[0].drive_hz) if float(f) in by_hz]
         one, two = np.array(chosen).T
-        told = ~loud[0].off[one] & ~other.off[two]
+        # Where the reed is calm in one of them, light that leaks in tells as much as it does.
+        told = ~loud[0].off[one] & ~other.off[two] & (other.deepest_rad[two] > _LIVELY_RAD)
         one, two = one[told], two[told]
         ratio = loud[0].signal[one] - other.signal[two]
         ratio -= np.log(loud[0].volts[one] / other.volts[two])
         for piece in np.array_split(np.arange(len(ratio)), 2 * len(BANDS)):
+            if len(piece) < _FEWEST:
+                continue
             own = 1.4826 * float(np.median(np.abs(ratio[piece] - np.median(ratio[piece]))))
             values.append(float(np.median(ratio[piece])))
             errors.append(np.hypot(1.25 * own / np.sqrt(len(piece)), _RATIO_BAND))
             volts.append((loud[0].volts[one[piece]].mean(), other.volts[two[piece]].mean()))
             hz.append(float(np.mean(loud[0].drive_hz[one[piece]])))
             places.append(Place("amplitude over volts", band=band_of(hz[-1]), level=other.name))
+
+    if not values:
+        return None
 
     def predict(twin: Twin) -> Array:
         one, two = np.array(volts).T

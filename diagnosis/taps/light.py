@@ -1,6 +1,7 @@
 """Taps T4 and T5: brightness of fringes in the course of a campaign, and what else is in them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,9 @@ Array = NDArray[np.floating[Any]]
 _PIECES = 8
 # Light that is brighter by chance is alike from one acquisition to the next: so many count as one.
 _ALIKE = 3.0
-# Log brightness: from one speckle to another, between order 0 and the others, in sweeps of other
-# volts, in each band (fringes too fine blur), in each sweep.
-_SPECKLE, _ORDER, _LEVEL, _BAND, _SWEEP = 10.0, 10.0, 0.1, 0.03, 5e-3
+# Log brightness: from one speckle to another, between order 0 and the others; in sweeps of other
+# volts or another clamping, in each band; in each sweep.
+_SPECKLE, _ORDER, _LEVEL, _BAND, _SWEEP = 10.0, 10.0, 0.1, 0.03, 3e-3
 # Log of the noise beside the image: its level, and from sweep to sweep.
 _NOISE, _NOISE_SWEEP = 0.1, 2e-3
 # Share of that noise that is shot noise of the local oscillator.
@@ -35,51 +36,113 @@ _FLOORS = {
 
 
 def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) -> Block:
-    """Brightness of fringes, of all sweeps and at rest."""
-    values, variance, places, times = [], [], [], []
-    columns: list[dict[str, float]] = []
-    loudest = max(float(np.mean(np.log(sweep.volts))) for sweep in sweeps)
-    for sweep in sweeps:
-        level = float(np.mean(np.log(sweep.volts)))
+    """Brightness of fringes in the course of time, of all sweeps and at rest.
+
+    What holograms of one drive show is vibration times light: sweeps that repeat others tell how
+    the light differs, whatever the vibration is.
+    """
+    table = _Brightness.of(sweeps)
+    values, variance, places, columns = [], [], [], []
+    times: list[NDArray[np.intp]] = []
+    for row, sweep in enumerate(sweeps):
         order = np.argsort(sweep.time_s)
-        bands = np.array([band_of(hz) for hz in sweep.drive_hz])
-        spread = _scatter(sweep.brightness[order])
+        own = table.beside[row][order]
+        spread = _scatter(own)
         for number, piece in enumerate(np.array_split(order, _PIECES)):
-            values.append(float(np.median(sweep.brightness[piece])))
+            values.append(float(np.median(table.beside[row][piece])))
             variance.append(_ALIKE * 1.57 * spread**2 / len(piece) + 1e-6)
-            times.append(float(np.mean(sweep.time_s[piece])))
+            times.append(piece)
             places.append(
-                Place("fringes", time=f"{sweep.name} {number + 1}", level=_level(level, loudest))
+                Place("fringes", time=f"{sweep.name} {number + 1}", level=table.level[row])
             )
-            column = {f"speckle {sweep.clamping}": _SPECKLE, f"sweep {sweep.name}": _SWEEP}
-            other = f", level {level:.1f}" if level < loudest - 0.1 else ""
-            if other:
-                column[other] = _LEVEL
-            for band in BANDS:
-                column[f"band {band} {sweep.clamping}{other}"] = _BAND * float(
-                    np.mean(bands[piece] == band)
-                )
-            columns.append(column)
+            columns.append(table.shared(row, piece))
+    pieces = [(row, at) for row in range(len(sweeps)) for at in times[row * _PIECES :][:_PIECES]]
+    still_s: list[float] = []
     for still in stills:
-        own = _scatter(still.brightness)
+        own_spread = max(_scatter(still.brightness), 5e-3)
         for number, at in enumerate(still.run_time_s):
-            near = np.argsort(np.abs(still.time_s - at))[
-                : len(still.time_s) // len(still.run_time_s)
-            ]
+            count = len(still.time_s) // len(still.run_time_s)
+            near = np.argsort(np.abs(still.time_s - at))[:count]
             values.append(float(np.mean(still.brightness[near])))
-            variance.append(_ALIKE * max(own, 5e-3) ** 2 / len(near))
-            times.append(float(at))
+            variance.append(_ALIKE * own_spread**2 / count)
+            still_s.append(float(at))
             places.append(Place("order 0", time=f"at rest {still.clamping + 1}.{number + 1}"))
             columns.append({f"speckle {still.clamping}": _SPECKLE, "order": _ORDER})
-    end_s, hours = max(times), np.array(times) / 3600
+    end_s = max([*still_s, *(float(sweep.time_s.max()) for sweep in sweeps)])
+
+    def light(time_s: Array, beams: Beams) -> Array:
+        after = time_s > beams.hop_share * end_s
+        lost: Array = -beams.fade_per_h * time_s / 3600 + np.log1p(-min(beams.hop, 0.95)) * after
+        return lost
 
     def predict(twin: Twin) -> Array:
-        after = np.array(times) > twin.beams.hop_share * end_s
-        lost: Array = -twin.beams.fade_per_h * hours + np.log1p(-min(twin.beams.hop, 0.95)) * after
-        return lost
+        beside = table.of_light(lambda time_s: light(time_s, twin.beams))
+        of_sweeps = [float(np.mean(beside[row][at])) for row, at in pieces]
+        return np.array([*of_sweeps, *light(np.array(still_s), twin.beams)])
 
     covariance = np.diag(variance) + _shared(columns)
     return block("brightness", Tap.FIELD, values, covariance, places, ("beams",), predict)
+
+
+@dataclass(frozen=True)
+class _Brightness:
+    """Light of each sweep beside the mean of those that are alike, hologram by hologram.
+
+    Attributes
+    ----------
+    sweeps : sequence of SweepReading
+    like : (s,) bool
+        Sweeps of the first clamping at the highest level.
+    level : tuple of str
+    beside : tuple of (k,) float
+    """
+
+    sweeps: Sequence[SweepReading]
+    like: NDArray[np.bool_]
+    level: tuple[str, ...]
+    beside: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, sweeps: Sequence[SweepReading]) -> "_Brightness":
+        """Put the sweeps of a campaign beside each other."""
+        levels = np.array([float(np.mean(np.log(sweep.volts))) for sweep in sweeps])
+        like = np.array([s.clamping == sweeps[0].clamping for s in sweeps]) & (
+            levels > levels.max() - 0.1
+        )
+        level = tuple(_level(float(v), float(levels.max())) for v in levels)
+        found = cls(sweeps, like, level, ())
+        signals = [sweep.signal - np.log(sweep.volts) for sweep in sweeps]
+        return cls(sweeps, like, level, found.less_mean(signals))
+
+    def less_mean(self, series: Sequence[Array]) -> tuple[Array, ...]:
+        """Series (k,) of each sweep less the mean of those alike, at the same frequencies."""
+        grid = np.log(self.sweeps[0].drive_hz)
+        alike = [
+            np.interp(grid, np.log(sweep.drive_hz), own)
+            for sweep, own, counts in zip(self.sweeps, series, self.like, strict=True)
+            if counts
+        ]
+        mean = np.mean(alike, axis=0)
+        return tuple(
+            own - np.interp(np.log(sweep.drive_hz), grid, mean)
+            for sweep, own in zip(self.sweeps, series, strict=True)
+        )
+
+    def of_light(self, light: Callable[[Array], Array]) -> tuple[Array, ...]:
+        """What is expected beside the mean if the light is so at each time."""
+        return self.less_mean([light(sweep.time_s) for sweep in self.sweeps])
+
+    def shared(self, row: int, piece: NDArray[np.intp]) -> dict[str, float]:
+        """What a piece of a sweep shares with others, by name, with deviations."""
+        sweep = self.sweeps[row]
+        columns = {f"sweep {sweep.name}": _SWEEP}
+        if self.like[row]:
+            return columns
+        columns[f"speckle beside {sweep.clamping}"] = _SPECKLE if sweep.clamping else _LEVEL
+        bands = np.array([band_of(hz) for hz in sweep.drive_hz[piece]])
+        for band in BANDS:
+            columns[f"{band} of {sweep.name}"] = _BAND * float(np.mean(bands == band))
+        return columns
 
 
 def noise_block(sweeps: Sequence[SweepReading]) -> Block:
@@ -120,7 +183,7 @@ def fringe_block(sweeps: Sequence[SweepReading]) -> Block:
         beams: Beams = twin.beams
         leak, mixing, blur = beams.leak, beams.mixing, beams.blur
         return np.array(
-            [np.hypot(leak, floors[0, 0]), np.hypot(mixing, floors[1, 0]), blur + floors[2, 0]]
+            [floors[0, 0], np.sqrt(mixing**2 + leak**2 + floors[1, 0] ** 2), blur + floors[2, 0]]
         )
 
     places = [Place(name.replace("_", " ")) for name in TEMPLATES]

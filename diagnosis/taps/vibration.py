@@ -202,7 +202,9 @@ def _reading(part: Part, fitted: JointFit) -> SweepReading:
     # As modes have it: what all displacements are off together is taken off.
     u = modal.amplitude_rad @ fitted.basis.functions.T
     brightness = found.gain + 0.5 * np.log(noise * np.mean(seen))
-    moved = np.sqrt(np.sum(np.abs(found.amplitude_rad) ** 2, axis=1))
+    # Block by block: light and vibration may be taken for each other smoothly over the reed.
+    moved = np.abs(found.light) * np.abs(found.amplitude_rad @ fitted.basis.functions.T)
+    signal = found.gain + 0.5 * np.log(noise * np.maximum(np.mean(moved**2, axis=1), 1e-12))
     return SweepReading(
         name=part.name,
         clamping=part.clamping,
@@ -224,7 +226,7 @@ def _reading(part: Part, fitted: JointFit) -> SweepReading:
         amplitude_rad=np.sqrt(np.mean(np.abs(u) ** 2, axis=1)),
         deepest_rad=np.abs(u).max(axis=1),
         brightness=brightness,
-        signal=np.log(np.maximum(moved, 1e-9)) + brightness,
+        signal=signal,
         noise_dn2=noise,
         misfit=found.misfit,
         off=modal.off,

@@ -205,7 +205,9 @@ def draw_map(where: Map) -> Figure:
     ]
     panels = [panel for panel in panels if panel[2]]
     widths = [1, *(len(labels) for _, _, labels in panels)]
-    figure = Figure(figsize=(3.2 + 0.36 * sum(widths), 1.7 + 0.3 * len(blocks)))
+    figure = Figure(
+        figsize=(3.2 + 0.3 * sum(widths), 1.9 + 0.28 * len(blocks)), layout="constrained"
+    )
     axes = figure.subplots(1, len(widths), width_ratios=widths, squeeze=False)[0]
     norm = LogNorm(1.0, _LARGEST)
     colours = colormaps["YlOrRd"].with_extremes(under="#d5d8dc", bad="white")
@@ -225,6 +227,7 @@ def draw_map(where: Map) -> Figure:
     names = [f"{block.block}  {block.tap}" for block in blocks]
     axes[0].set_yticks(range(len(blocks)), names, fontsize=8)
     bar = figure.colorbar(image, ax=list(axes), fraction=0.03, pad=0.01, extend="max")
+    bar.ax.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"], minor=False)
     bar.set_label("gap in units of its floor (grey: not resolvable)", fontsize=8)
     return figure
 

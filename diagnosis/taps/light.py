@@ -19,9 +19,11 @@ Array = NDArray[np.floating[Any]]
 _PIECES = 8
 # Light that is brighter by chance is alike from one acquisition to the next: so many count as one.
 _ALIKE = 3.0
-# Log brightness: from one speckle to another, between order 0 and the others; in sweeps of other
-# volts or another clamping, in each band; in each sweep.
-_SPECKLE, _ORDER, _LEVEL, _BAND, _SWEEP = 10.0, 10.0, 0.1, 0.03, 3e-3
+# Log brightness: from one speckle to another, between order 0 and the others, in each band of
+# sweeps of another clamping, in each sweep.
+_SPECKLE, _ORDER, _BAND, _SWEEP = 10.0, 10.0, 0.03, 3e-3
+# Sweeps are of one level if their mean log volts are this near.
+_SAME_LEVEL = 0.1
 # Log of the noise beside the image: its level, and from sweep to sweep.
 _NOISE, _NOISE_SWEEP = 0.1, 2e-3
 # Share of that noise that is shot noise of the local oscillator.
@@ -39,8 +41,10 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
     """Brightness of fringes in the course of time, of all sweeps and at rest.
 
     What holograms of one drive show is vibration times light: sweeps that repeat others tell how
-    the light differs, whatever the vibration is.
+    the light differs, whatever the vibration is. Those of another level tell of the drive.
     """
+    levels = [float(np.mean(np.log(sweep.volts))) for sweep in sweeps]
+    sweeps = [s for s, at in zip(sweeps, levels, strict=True) if at > max(levels) - _SAME_LEVEL]
     table = _Brightness.of(sweeps)
     values, variance, places, columns = [], [], [], []
     times: list[NDArray[np.intp]] = []
@@ -52,9 +56,7 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
             values.append(float(np.median(table.beside[row][piece])))
             variance.append(_ALIKE * 1.57 * spread**2 / len(piece) + 1e-6)
             times.append(piece)
-            places.append(
-                Place("fringes", time=f"{sweep.name} {number + 1}", level=table.level[row])
-            )
+            places.append(Place("fringes", time=f"{sweep.name} {number + 1}"))
             columns.append(table.shared(row, piece))
     pieces = [(row, at) for row in range(len(sweeps)) for at in times[row * _PIECES :][:_PIECES]]
     still_s: list[float] = []
@@ -91,28 +93,22 @@ class _Brightness:
     Attributes
     ----------
     sweeps : sequence of SweepReading
+        Of one level.
     like : (s,) bool
-        Sweeps of the first clamping at the highest level.
-    level : tuple of str
+        Sweeps of the first clamping.
     beside : tuple of (k,) float
     """
 
     sweeps: Sequence[SweepReading]
     like: NDArray[np.bool_]
-    level: tuple[str, ...]
     beside: tuple[Array, ...]
 
     @classmethod
     def of(cls, sweeps: Sequence[SweepReading]) -> "_Brightness":
         """Put the sweeps of a campaign beside each other."""
-        levels = np.array([float(np.mean(np.log(sweep.volts))) for sweep in sweeps])
-        like = np.array([s.clamping == sweeps[0].clamping for s in sweeps]) & (
-            levels > levels.max() - 0.1
-        )
-        level = tuple(_level(float(v), float(levels.max())) for v in levels)
-        found = cls(sweeps, like, level, ())
+        like = np.array([sweep.clamping == sweeps[0].clamping for sweep in sweeps])
         signals = [sweep.signal - np.log(sweep.volts) for sweep in sweeps]
-        return cls(sweeps, like, level, found.less_mean(signals))
+        return cls(sweeps, like, cls(sweeps, like, ()).less_mean(signals))
 
     def less_mean(self, series: Sequence[Array]) -> tuple[Array, ...]:
         """Series (k,) of each sweep less the mean of those alike, at the same frequencies."""
@@ -138,7 +134,7 @@ class _Brightness:
         columns = {f"sweep {sweep.name}": _SWEEP}
         if self.like[row]:
             return columns
-        columns[f"speckle beside {sweep.clamping}"] = _SPECKLE if sweep.clamping else _LEVEL
+        columns[f"speckle beside {sweep.clamping}"] = _SPECKLE
         bands = np.array([band_of(hz) for hz in sweep.drive_hz[piece]])
         for band in BANDS:
             columns[f"{band} of {sweep.name}"] = _BAND * float(np.mean(bands == band))
@@ -172,7 +168,7 @@ def noise_block(sweeps: Sequence[SweepReading]) -> Block:
 def fringe_block(sweeps: Sequence[SweepReading]) -> Block:
     """What is in fringes beside the first sideband, by templates, of all loud sweeps together."""
     loudest = max(float(np.mean(np.log(sweep.volts))) for sweep in sweeps)
-    loud = [s for s in sweeps if float(np.mean(np.log(s.volts))) > loudest - 0.1]
+    loud = [s for s in sweeps if float(np.mean(np.log(s.volts))) > loudest - _SAME_LEVEL]
     values = []
     for t, name in enumerate(TEMPLATES):
         found = np.array([_amplitude(sweep, t, name) for sweep in loud])
@@ -212,7 +208,3 @@ def _scatter(series: Array) -> float:
     """Scatter from one number to the next, as of numbers without memory."""
     steps = np.diff(series)
     return float(1.4826 * np.median(np.abs(steps)) / np.sqrt(2))
-
-
-def _level(level: float, loudest: float) -> str:
-    return "loud" if level > loudest - 0.1 else f"{np.exp(level - loudest):.0%} of the volts"

@@ -1,0 +1,229 @@
+"""How good answers to sealed cases are, with intervals; what was not answered counts as wrong.
+
+An answer is what `acquire diagnose --json` prints. Classes, groups of effects that such data do not
+tell apart, are fixed before any case is answered.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from blind.cases import Label
+
+Array = NDArray[np.floating[Any]]
+
+NONE, UNKNOWN = "none", "unknown"
+# Effects from this signal to noise on are to be named.
+RESOLVED: Final = 5.0
+_SURE: Final = 0.9
+_FALSE_OPEN: Final = 0.05
+_BINS = 10
+_DRAWS = 2000
+
+
+@dataclass(frozen=True)
+class Share:
+    """A share of cases, with its 95 % interval by Wilson.
+
+    Attributes
+    ----------
+    hits, cases : int
+    low, high : float
+    """
+
+    hits: int
+    cases: int
+    low: float
+    high: float
+
+    @property
+    def value(self) -> float:
+        """The share; NaN of no cases."""
+        return self.hits / self.cases if self.cases else float("nan")
+
+
+def share(hits: Sequence[bool]) -> Share:
+    """Count, and tell how sure the share is."""
+    n, k, z = len(hits), int(np.sum(np.asarray(hits, dtype=bool))), 1.959964
+    if not n:
+        return Share(0, 0, 0.0, 1.0)
+    middle = (k + z**2 / 2) / (n + z**2)
+    half = z / (n + z**2) * np.sqrt(k * (n - k) / n + z**2 / 4)
+    return Share(k, n, float(max(0.0, middle - half)), float(min(1.0, middle + half)))
+
+
+@dataclass(frozen=True)
+class Case:
+    """A label and what was answered.
+
+    Attributes
+    ----------
+    name : str
+    label : Label
+    answer : dict, optional
+        None if there is none.
+    """
+
+    name: str
+    label: Label
+    answer: Mapping[str, Any] | None
+
+    @property
+    def truth(self) -> str:
+        """Key of the truth among an answer's probabilities."""
+        if not self.label.effects:
+            return NONE
+        return "+".join(name for name, _ in self.label.effects) if self.label.known else UNKNOWN
+
+    @property
+    def probability(self) -> Mapping[str, float]:
+        """Of every hypothesis; nothing where nothing was answered."""
+        if self.answer is None or self.answer["verdict"] == "not converged":
+            return {}
+        found: Mapping[str, float] = self.answer["probability"]
+        return found
+
+    @property
+    def resolved(self) -> bool:
+        """Whether every true effect stands out of the noise, as far as the answer can tell."""
+        if self.answer is None:
+            return True
+        effects = self.answer["effects"]
+        return all(
+            effects.get(name, {}).get("d_prime", 0.0) >= RESOLVED for name, _ in self.label.effects
+        )
+
+
+class Classes:
+    """Effects that count as one.
+
+    Parameters
+    ----------
+    groups : sequence of sequences of str
+    """
+
+    def __init__(self, groups: Sequence[Sequence[str]]) -> None:
+        self._of = {name: "|".join(sorted(group)) for group in groups for name in group}
+
+    def of(self, key: str) -> str:
+        """Class of a hypothesis; of a pair, the pair of its classes."""
+        return "+".join(sorted(self._of.get(part, part) for part in key.split("+")))
+
+    def mass(self, probability: Mapping[str, float]) -> dict[str, float]:
+        """Probability of every class."""
+        total: dict[str, float] = {}
+        for key, value in probability.items():
+            total[self.of(key)] = total.get(self.of(key), 0.0) + value
+        return total
+
+
+def best(mass: Mapping[str, float]) -> str:
+    """Likeliest class; empty if nothing was answered."""
+    return max(mass, key=lambda key: mass[key]) if mass else ""
+
+
+def false_alarms(cases: Sequence[Case]) -> Share:
+    """Clean cases in which anything but nothing is named, or nothing is answered."""
+    clean = [case for case in cases if case.truth == NONE]
+    return share([best(case.probability) != NONE for case in clean])
+
+
+def named(cases: Sequence[Case], classes: Classes, first: int = 1) -> Share:
+    """Cases whose true class is among the first few."""
+    hits = []
+    for case in cases:
+        mass = classes.mass(case.probability)
+        ranked = sorted(mass, key=lambda key: -mass[key])[:first]
+        hits.append(classes.of(case.truth) in ranked)
+    return share(hits)
+
+
+def mean_probability(cases: Sequence[Case], classes: Classes) -> tuple[float, float, float]:
+    """Mean probability given to the true class (FIA), and its 95 % interval by bootstrap."""
+    given = np.array([classes.mass(c.probability).get(classes.of(c.truth), 0.0) for c in cases])
+    return _bootstrapped(given)
+
+
+def _bootstrapped(values: Array) -> tuple[float, float, float]:
+    if not len(values):
+        return float("nan"), float("nan"), float("nan")
+    rng = np.random.default_rng(0)
+    drawn = values[rng.integers(len(values), size=(_DRAWS, len(values)))].mean(axis=1)
+    low, high = np.percentile(drawn, [2.5, 97.5])
+    return float(values.mean()), float(low), float(high)
+
+
+def open_set(cases: Sequence[Case]) -> tuple[Share, float, float]:
+    """Unknown kinds found, at the threshold that takes 5 % of the known for unknown.
+
+    Returns
+    -------
+    found : Share
+    threshold : float
+    area : float
+        Probability that an unknown kind looks more unknown than a known one.
+    """
+    known = np.array([_unknown(c) for c in cases if c.label.known and c.label.effects])
+    others = np.array([_unknown(c) for c in cases if not c.label.known])
+    if not len(known) or not len(others):
+        return share([]), float("nan"), float("nan")
+    threshold = float(np.quantile(known, 1 - _FALSE_OPEN, method="higher"))
+    above = others[:, None] > known
+    same = others[:, None] == known
+    return share((others > threshold).tolist()), threshold, float(np.mean(above + 0.5 * same))
+
+
+def _unknown(case: Case) -> float:
+    return case.probability.get(UNKNOWN, 0.0)
+
+
+def confident_wrong(cases: Sequence[Case]) -> Share:
+    """Unknown kinds for which a known effect is named with more than 90 %."""
+    return share(
+        [
+            any(p > _SURE and key not in (NONE, UNKNOWN) for key, p in case.probability.items())
+            for case in cases
+            if not case.label.known
+        ]
+    )
+
+
+def calibration_error(cases: Sequence[Case], classes: Classes) -> float:
+    """Mean distance between how sure answers are and how often they are right (ECE)."""
+    sure, right = [], []
+    for case in cases:
+        mass = classes.mass(case.probability)
+        sure.append(mass.get(best(mass), 0.0))
+        right.append(best(mass) == classes.of(case.truth))
+    order = np.argsort(sure)
+    pieces = [piece for piece in np.array_split(order, _BINS) if len(piece)]
+    apart = [
+        len(p) * abs(np.mean(np.array(sure)[p]) - np.mean(np.array(right, dtype=float)[p]))
+        for p in pieces
+    ]
+    return float(np.sum(apart) / len(cases)) if len(cases) else float("nan")
+
+
+def brier(cases: Sequence[Case], classes: Classes) -> float:
+    """Mean square distance of probabilities from the truth, over all classes."""
+    scores = []
+    for case in cases:
+        mass = dict(classes.mass(case.probability))
+        truth = classes.of(case.truth)
+        mass.setdefault(truth, 0.0)
+        scores.append(sum((p - (key == truth)) ** 2 for key, p in mass.items()))
+    return float(np.mean(scores)) if scores else float("nan")
+
+
+def sets(cases: Sequence[Case], classes: Classes) -> tuple[Share, float]:
+    """Cases whose truth is in the set that is said to have 90 %, and its mean size."""
+    hits, sizes = [], []
+    for case in cases:
+        groups = [] if case.answer is None else case.answer["likely"]
+        told = {classes.of(name) for group in groups for name in group}
+        hits.append(classes.of(case.truth) in told)
+        sizes.append(len(groups))
+    return share(hits), float(np.mean(sizes)) if sizes else float("nan")

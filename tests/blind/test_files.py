@@ -1,0 +1,80 @@
+"""Sets of cases: keys fit what was sealed, and answers find their case."""
+
+import json
+
+import pytest
+
+pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
+
+from blind import files
+from blind.files import BlindError, answered_cases, make_set
+
+
+@pytest.fixture
+def made(tmp_path, monkeypatch):
+    """Make a set of three cases without recordings."""
+
+    class Pool:
+        def __init__(self, max_workers):
+            pass
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            return None
+
+        def submit(self, function, folder, name, label):
+            (folder / name).mkdir()
+            return name
+
+    class Done:
+        def result(self):
+            return None
+
+    monkeypatch.setattr(files, "ProcessPoolExecutor", Pool)
+    monkeypatch.setattr(files, "as_completed", lambda waiting: [Done() for _ in waiting])
+    make_set(tmp_path / "cases", tmp_path / "key.json", 1, 3, 7)
+    return tmp_path
+
+
+def answer(folder, name):
+    (folder / "answers").mkdir(exist_ok=True)
+    said = {"verdict": "none", "probability": {"none": 1.0}, "likely": [["none"]], "effects": {}}
+    (folder / "answers" / f"{name}.json").write_text(json.dumps(said))
+
+
+def test_a_set_tells_names_and_hashes_and_nothing_else(made) -> None:
+    told = json.loads((made / "cases" / "sealed.json").read_text())
+    assert set(told) == {"cases"}
+    assert all(len(sealed) == 64 for sealed in told["cases"].values())
+    key = json.loads((made / "key.json").read_text())
+    assert set(key["cases"]) == set(told["cases"])
+    assert {p.name for p in (made / "cases").iterdir()} == {"sealed.json", *told["cases"]}
+
+
+def test_answers_find_their_cases_and_those_without_stand_empty(made) -> None:
+    names = list(json.loads((made / "key.json").read_text())["cases"])
+    answer(made, names[1])
+    cases = answered_cases(made / "cases", made / "answers", made / "key.json")
+    assert [case.answer is not None for case in cases] == [name == names[1] for name in names]
+    assert all(case.label.known and case.label.effects for case in cases)
+
+
+def test_a_key_that_was_changed_is_refused(made) -> None:
+    key = json.loads((made / "key.json").read_text())
+    name = next(iter(key["cases"]))
+    answer(made, name)
+    key["cases"][name]["label"]["effects"] = [["crack", 1.0]]
+    (made / "key.json").write_text(json.dumps(key))
+    with pytest.raises(BlindError, match=f"case {name} is not what was sealed"):
+        answered_cases(made / "cases", made / "answers", made / "key.json")
+
+
+def test_bad_input_is_told(made, tmp_path) -> None:
+    with pytest.raises(BlindError, match="has no answer to any case"):
+        answered_cases(made / "cases", made / "answers", made / "key.json")
+    with pytest.raises(BlindError, match="is there already"):
+        make_set(made / "cases", tmp_path / "other.json", 1, 3, 7)
+    with pytest.raises(BlindError, match="no tier 5; choose one of 0, 1"):
+        make_set(tmp_path / "more", tmp_path / "other.json", 5, 3, 7)

@@ -249,7 +249,9 @@ def fit_modes(
     for _ in range(rounds):
         end = _round(model, displacements, noise, prior, state, (discrepancy, together))
         state, noise, discrepancy = end.state, end.noise, end.next_discrepancy
-        together = alike(noise, end.apart, state.log_drive)
+        if lines == KNOWN_LINES:
+            # What is known of the drive is not to be outweighed by what counts twice.
+            together = alike(noise, end.apart, state.log_drive)
         if most_off is not None and np.count_nonzero(_off(displacements, noise)) > most_off:
             break
     return _finish(model, displacements, basis.names, end)

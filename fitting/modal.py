@@ -31,6 +31,7 @@ from fitting.errors import FitError
 from fitting.modal_descent import improve, without_drive
 from fitting.modal_equations import Data, Equations, equations
 from fitting.modal_model import (
+    KNOWN_LINES,
     LOSS,
     TAIL_TERMS,
     UNKNOWN_LINES,
@@ -249,7 +250,9 @@ def fit_modes(
     for _ in range(rounds):
         end = _round(model, displacements, noise, prior, state, (discrepancy, together))
         state, noise, discrepancy = end.state, end.noise, end.next_discrepancy
-        together = alike(noise, end.apart, state.log_drive)
+        if lines == KNOWN_LINES:
+            # What is known of the drive is not to be outweighed by what counts twice.
+            together = alike(noise, end.apart, state.log_drive)
         if most_off is not None and np.count_nonzero(_off(displacements, noise)) > most_off:
             break
     return _finish(model, displacements, basis.names, end)

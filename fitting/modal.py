@@ -31,6 +31,7 @@ from fitting.errors import FitError
 from fitting.modal_descent import improve, without_drive
 from fitting.modal_equations import Data, Equations, equations
 from fitting.modal_model import (
+    KNOWN_LINES,
     LOSS,
     TAIL_TERMS,
     UNKNOWN_LINES,

@@ -7,7 +7,8 @@ from acquire.run_layout import Kind
 from diagnosis.block import Block
 from diagnosis.campaign import Campaign
 from diagnosis.taps.beat import Beat, lock_block, lock_scatter_hz, log_block, read_beat
-from diagnosis.taps.drive import force_block, level_block, line_block
+from diagnosis.taps.carrier import Carrier, carrier_block, read_carriers
+from diagnosis.taps.drive import Device, force_block, level_block, line_block
 from diagnosis.taps.light import brightness_block, fringe_block, noise_block
 from diagnosis.taps.modes import modes_block
 from diagnosis.taps.sensor import (
@@ -30,8 +31,7 @@ from diagnosis.taps.still import (
     turn_block,
 )
 from diagnosis.taps.vibration import SweepReading, read_sweeps
-from physics.air import CavityLine, Chamber, Filling, chamber_of
-from physics.drive import Tweeter
+from physics.air import CavityLine, Filling, chamber_of
 from physics.mechanics import Workshop
 from physics.sensor import Sensor
 
@@ -47,6 +47,7 @@ class Readings:
     ----------
     dark, flat, lo : Dark, Flat, Beam or None
     stills : tuple of Still
+    carriers : tuple of Carrier
     beat : Beat
     sweeps : tuple of SweepReading
     refused : tuple of str
@@ -56,22 +57,21 @@ class Readings:
     rate_hz : float
         Frames per second.
     sheet : Sheet
-    chamber : Chamber
-    line : CavityLine
+    device : Device
     """
 
     dark: Dark | None
     flat: Flat | None
     lo: Beam | None
     stills: tuple[Still, ...]
+    carriers: tuple[Carrier, ...]
     beat: Beat
     sweeps: tuple[SweepReading, ...]
     refused: tuple[str, ...]
     missing: tuple[str, ...]
     rate_hz: float
     sheet: Sheet
-    chamber: Chamber
-    line: CavityLine
+    device: Device
 
 
 def read(campaign: Campaign, progress: Callable[[float], None] | None = None) -> Readings:
@@ -104,14 +104,18 @@ def read(campaign: Campaign, progress: Callable[[float], None] | None = None) ->
         flat=read_flat(flat_parts, offset_dn) if flat_parts else None,
         lo=read_beam(lo_parts, offset_dn) if lo_parts else None,
         stills=tuple(read_stills(still_parts)),
+        carriers=tuple(read_carriers(campaign.sweeps, still_parts)),
         beat=read_beat(campaign.sweeps),
         sweeps=tuple(sweeps),
         refused=tuple(refused),
         missing=tuple(campaign.missing),
         rate_hz=float(first.frame_rate_hz),
         sheet=sheet,
-        chamber=chamber_of(first.reed_file().geometry(), Filling(first.chamber)),
-        line=lines[0] if lines else CavityLine(),
+        device=Device(
+            chamber=chamber_of(first.reed_file().geometry(), Filling(first.chamber)),
+            line=lines[0] if lines else CavityLine(),
+            wavelength_m=first.reconstruction.transform.wavelength_m,
+        ),
     )
 
 
@@ -138,14 +142,16 @@ def blocks(readings: Readings, workshop: Workshop) -> list[Block]:
         found.append(turn_block(stills, scatter_hz, readings.rate_hz))
         found.append(stability_block(stills))
         found.append(scatter_block(stills, scatter_hz, readings.rate_hz))
+    if readings.carriers:
+        found.append(carrier_block(readings.carriers))
     if sweeps:
         found += [
             brightness_block(sweeps, stills),
             noise_block(sweeps),
             fringe_block(sweeps),
-            line_block(sweeps, readings.line),
+            line_block(sweeps, readings.device.line),
             level_block(sweeps),
-            force_block(sweeps, workshop, readings.chamber, Tweeter(), readings.line),
+            force_block(sweeps, workshop, readings.device),
             modes_block(sweeps, workshop),
         ]
     return [block for block in found if block is not None]

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.estimate import Estimate, fit, random_starts
+from diagnosis.likeness import ALIKE, classes_of, cosine
 from diagnosis.mean_reed import MeanReed
 from fitting.forward import cents_of
 from physics.effects.form import Effect, Parameter
@@ -38,8 +39,6 @@ _STARTS = 2
 _SETS = 3
 _DRAWS = 2000
 _SEED = 20_080_401
-# Effects this alike, when the moduli have taken what they can, are one class.
-ALIKE = 0.8
 DETECTABLE = 5.0
 
 
@@ -270,7 +269,9 @@ def diagnose_resonances(
             sorted((trial.told(elastic) for trial in together), key=lambda t: -t.log_bayes)
         ),
         reach=tuple(reach),
-        classes=_classes(reach),
+        classes=classes_of(
+            [entry.effect for entry in reach], {entry.effect: entry.alike for entry in reach}
+        ),
         residual_cents={name: elastic.left[piece] for name, piece in pieces.items()},
     )
 
@@ -501,9 +502,9 @@ def _reach(
         total = float(np.sum(all_of_it**2))
         alike = {}
         for other in effects:
-            cosine = 0.0 if other is effect else _cosine(own, beside[other.id])
-            if cosine >= ALIKE:
-                alike[other.id] = cosine
+            value = 0.0 if other is effect else cosine(own, beside[other.id])
+            if value >= ALIKE:
+                alike[other.id] = value
         answer.append(
             Reach(
                 effect=effect.id,
@@ -515,17 +516,6 @@ def _reach(
             )
         )
     return answer
-
-
-def _cosine(one: Array, other: Array) -> float:
-    """Largest cosine between what two effects can do, (n, k) each."""
-    bases = []
-    for columns in (one, other):
-        vectors, values, _ = np.linalg.svd(columns, full_matrices=False)
-        bases.append(vectors[:, values > 1e-9 * max(values.max(), 1e-9)])
-    if not all(basis.size for basis in bases):
-        return 0.0
-    return float(np.linalg.norm(bases[0].T @ bases[1], 2))
 
 
 def _best_sets(
@@ -551,19 +541,3 @@ def _best_sets(
         ranked.sort(key=lambda entry: -entry[0])
         answer += [chosen for _, chosen in ranked[:_SETS]]
     return answer
-
-
-def _classes(reach: Sequence[Reach]) -> tuple[tuple[str, ...], ...]:
-    """Groups of effects each of which is alike to all others of its group, larger groups first."""
-    left = {entry.effect: set(entry.alike) for entry in reach}
-    groups: list[tuple[str, ...]] = []
-    while left:
-        seed = max(left, key=lambda name: len(left[name] & left.keys()))
-        group = [seed]
-        for name in sorted(left[seed] & left.keys()):
-            if all(name in left[member] for member in group):
-                group.append(name)
-        groups.append(tuple(sorted(group)))
-        for name in group:
-            del left[name]
-    return tuple(sorted(groups, key=lambda group: (-len(group), group)))

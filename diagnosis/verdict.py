@@ -10,20 +10,19 @@ from numpy.typing import NDArray
 from diagnosis.actions import Worth, ranked_actions
 from diagnosis.contest import NONE, UNKNOWN, Contest, contest, signatures
 from diagnosis.how_far import Shrinkage, shrinkage
+from diagnosis.likeness import classes_of, cosines
 from diagnosis.nuisances import NUISANCES
 from diagnosis.observing import Readings, blocks
 from diagnosis.rivals import Comparison, Rival
 from diagnosis.where import Map, gap_map
 from physics.effects.catalogue import CATALOGUE
-from physics.effects.form import Effect, Stage
+from physics.effects.form import Stage
 from physics.mechanics import Workshop
 from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]
 Kind = Literal["none", "effect", "pair", "unknown", "not converged"]
 
-# Effects this alike, when nuisances have taken what they can, are one class.
-ALIKE: Final = 0.8
 COVERAGE: Final = 0.9
 # A parameter beyond so many deviations of its prior is not plausible.
 _PLAUSIBLE = 3.0
@@ -99,7 +98,8 @@ def diagnose(
     comparison = Comparison(blocks(readings, workshop), base or Twin(), NUISANCES)
     found = contest(comparison, effects, progress)
     probability = {name: float(np.exp(log)) for name, log in found.log_probability.items()}
-    classes = _classes(comparison, found, effects)
+    alike = cosines(signatures(comparison, found.null, found.alone))
+    classes = classes_of([effect.id for effect in effects], alike)
     kind, named = _named(found, probability)
     winner = _rival(found, named)
     first, second = _two_best(found)
@@ -175,37 +175,6 @@ def _next(comparison: Comparison, one: Rival, other: Rival) -> list[Worth]:
     return ranked_actions(comparison, one, other, (twin(one), twin(other)))
 
 
-def _classes(
-    comparison: Comparison, found: Contest, effects: Sequence[Effect]
-) -> tuple[tuple[str, ...], ...]:
-    """Groups of effects each of which is alike to all others of its group here."""
-    table = signatures(comparison, found.null, found.alone)
-    left = {effect.id: {other for other in table if other != effect.id
-                        and effect.id in table
-                        and cosine(table[effect.id], table[other]) > ALIKE}
-            for effect in effects}  # fmt: skip
-    groups: list[tuple[str, ...]] = []
-    while left:
-        seed = max(left, key=lambda name: len(left[name] & left.keys()))
-        group = [seed]
-        for name in sorted(left[seed] & left.keys()):
-            if all(name in left[member] for member in group):
-                group.append(name)
-        groups.append(tuple(sorted(group)))
-        for name in group:
-            del left[name]
-    return tuple(groups)
-
-
-def cosine(one: Array, other: Array) -> float:
-    """Largest cosine between what two effects can do, columns (n, k) each."""
-    bases = []
-    for columns in (one, other):
-        vectors, values, _ = np.linalg.svd(columns, full_matrices=False)
-        bases.append(vectors[:, values > 1e-6 * max(float(values.max()), 1e-12)])
-    return float(np.linalg.norm(bases[0].T @ bases[1], 2))
-
-
 def _likely(
     probability: Mapping[str, float], classes: Sequence[tuple[str, ...]]
 ) -> tuple[tuple[str, ...], ...]:
@@ -242,8 +211,7 @@ def _condition(readings: Readings) -> str:
     other = [s.name for s in sweeps if s.clamping != sweeps[0].clamping]
     if other:
         return other[-1]
-    quietest = min(sweeps, key=lambda s: float(np.mean(s.volts)))
-    return quietest.name
+    return min(sweeps, key=lambda sweep: sweep.loudness).name
 
 
 def _only(comparison: Comparison, condition: str) -> list[str]:

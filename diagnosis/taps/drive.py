@@ -1,7 +1,7 @@
 """Taps T1 and T6: the drive's lines, how it follows its level, and how it moves each mode."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from diagnosis.block import BANDS, Block, Place, band_of, block
-from diagnosis.taps.vibration import SweepReading
+from diagnosis.taps.vibration import SAME_LEVEL, SweepReading
 from physics.air import CavityLine, Chamber, Filling, pressure_shape
 from physics.drive import Tweeter, tweeter_pressure_pa
 from physics.effects.form import Tap
@@ -21,7 +21,6 @@ from physics.twin import DriveChain, Twin
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
-_WAVELENGTH_M = 650e-9
 _KEPT = 8192
 _FULL_V = 16.0
 # Log of the drive: polynomials of this degree are anyone's, and what waves over more than so much
@@ -43,6 +42,25 @@ _LIVELY_RAD, _FEWEST = 0.3, 3
 # model's.
 _GAIN, _RIPPLE, _FIELD = 0.5, 0.08, 0.15
 _RIPPLE_DEGREE = 5
+
+
+@dataclass(frozen=True)
+class Device:
+    """What moves the reed, and the light that shows it, as nominally known.
+
+    Attributes
+    ----------
+    chamber : Chamber
+    line : CavityLine
+        Resonance of the air that the device is known to have.
+    wavelength_m : float
+    tweeter : Tweeter
+    """
+
+    chamber: Chamber
+    line: CavityLine
+    wavelength_m: float
+    tweeter: Tweeter = Tweeter()
 
 
 def line_block(sweeps: Sequence[SweepReading], line: CavityLine) -> Block:
@@ -124,16 +142,15 @@ def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array]:
 def loudest(sweeps: Sequence[SweepReading]) -> list[SweepReading]:
     """Sweeps of the first clamping at the highest level."""
     first = [s for s in sweeps if s.clamping == sweeps[0].clamping]
-    level = [float(np.mean(np.log(s.volts))) for s in first]
-    return [s for s, at in zip(first, level, strict=True) if at > max(level) - 0.1]
+    most = max(sweep.loudness for sweep in first)
+    return [sweep for sweep in first if sweep.loudness > most - SAME_LEVEL]
 
 
 def level_block(sweeps: Sequence[SweepReading]) -> Block | None:
     """Amplitudes of a sweep at another level beside those of the loudest; None if there is none."""
     loud = loudest(sweeps)
-    level = float(np.mean(np.log(loud[0].volts)))
-    others = [s for s in sweeps if float(np.mean(np.log(s.volts))) < level - 0.1]
-    others = [s for s in others if s.clamping == loud[0].clamping]
+    quiet = [sweep for sweep in sweeps if sweep.loudness < loud[0].loudness - SAME_LEVEL]
+    others = [sweep for sweep in quiet if sweep.clamping == loud[0].clamping]
     if not others:
         return None
     values, errors, places, volts, hz = [], [], [], [], []
@@ -168,13 +185,7 @@ def level_block(sweeps: Sequence[SweepReading]) -> Block | None:
     return block("level", Tap.DRIVE, values, covariance, places, ("drive",), predict)
 
 
-def force_block(
-    sweeps: Sequence[SweepReading],
-    workshop: Workshop,
-    chamber: Chamber,
-    tweeter: Tweeter,
-    line: CavityLine,
-) -> Block:
+def force_block(sweeps: Sequence[SweepReading], workshop: Workshop, device: Device) -> Block:
     """What moves each mode, beside loudspeaker, chamber and reed of the twin."""
     loud = loudest(sweeps)
     known = workshop.modes(Twin().reed)
@@ -188,10 +199,10 @@ def force_block(
     powers = np.polynomial.legendre.legvander(np.clip(pitch, -1, 1), _RIPPLE_DEGREE)
     ripple = _RIPPLE * powers[:, 1:] / np.sqrt(np.arange(1, _RIPPLE_DEGREE + 1))
     covariance = np.diag(error**2 + _FIELD**2) + _GAIN**2 + ripple @ ripple.T
-    predicted = forces_rad(workshop, chamber, tweeter)
+    predicted = forces_rad(workshop, device)
 
     def predict(twin: Twin) -> Array:
-        resounding = _gain(twin.drive, line, hz) * _kept(twin.drive, volts, hz)
+        resounding = _gain(twin.drive, device.line, hz) * _kept(twin.drive, volts, hz)
         return np.log(predicted(twin.drive, twin.reed, names) * resounding)
 
     places = [
@@ -202,23 +213,23 @@ def force_block(
 
 
 def forces_rad(
-    workshop: Workshop, chamber: Chamber, tweeter: Tweeter
+    workshop: Workshop, device: Device
 ) -> Callable[[DriveChain, Mechanics, Sequence[str]], Array]:
     """Phase amplitudes per volt that forces have modes move by, at rest, where they move most."""
 
     @lru_cache(maxsize=_KEPT)
     def pushes(reed: Mechanics, name: str) -> tuple[float, float, float]:
-        return _pushes(workshop, chamber, workshop.modes(reed)[name])
+        return _pushes(workshop, device.chamber, workshop.modes(reed)[name])
 
     def forces(drive: DriveChain, reed: Mechanics, names: Sequence[str]) -> Array:
         modes = workshop.modes(reed)
         hz = np.array([modes[name].hz for name in names])
         left, right, deepest = np.array([pushes(reed, name) for name in names]).T
-        share = drive.open_right if chamber.filling is Filling.ASYMMETRIC else 1.0
-        at_tip = np.array([abs(tweeter_pressure_pa(tweeter, float(f), 1.0)) for f in hz])
+        share = drive.open_right if device.chamber.filling is Filling.ASYMMETRIC else 1.0
+        at_tip = np.array([abs(tweeter_pressure_pa(device.tweeter, float(f), 1.0)) for f in hz])
         at_tip /= np.sqrt(1 + (drive.roll_off * hz / 1e4) ** 4)
         moved = at_tip * np.abs(left + share * right) / (2 * np.pi * hz) ** 2
-        force: Array = np.maximum(4 * np.pi / _WAVELENGTH_M * moved * deepest, 1e-12)
+        force: Array = np.maximum(4 * np.pi / device.wavelength_m * moved * deepest, 1e-12)
         return force
 
     return forces

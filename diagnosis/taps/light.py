@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from diagnosis.block import BANDS, Block, Place, band_of, block
 from diagnosis.taps.still import Still
-from diagnosis.taps.vibration import TEMPLATES, SweepReading
+from diagnosis.taps.vibration import SAME_LEVEL, TEMPLATES, SweepReading
 from physics.effects.form import Tap
 from physics.twin import Beams, Twin
 
@@ -22,19 +22,13 @@ _ALIKE = 3.0
 # Log brightness: from one speckle to another, between order 0 and the others, in each band of
 # sweeps of another clamping, in each sweep.
 _SPECKLE, _ORDER, _BAND, _SWEEP = 10.0, 10.0, 0.03, 3e-3
-# Sweeps are of one level if their mean log volts are this near.
-_SAME_LEVEL = 0.1
 # Log of the noise beside the image: its level, and from sweep to sweep.
 _NOISE, _NOISE_SWEEP = 0.1, 2e-3
 # Share of that noise that is shot noise of the local oscillator.
 _SHOT = 0.96
 # What templates show where nothing leaks: amplitude and its spread. Fringes that a block of pixels
 # averages look a little like either.
-_FLOORS = {
-    "carrier_leak": (8e-4, 5e-4),
-    "order_mixing": (5e-3, 2.5e-3),
-    "decorrelation": (1.15e-4, 3e-5),
-}
+_FLOORS = {"order_mixing": (5e-3, 2.5e-3), "decorrelation": (1.15e-4, 3e-5)}
 
 
 def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) -> Block:
@@ -43,8 +37,7 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
     What holograms of one drive show is vibration times light: sweeps that repeat others tell how
     the light differs, whatever the vibration is. Those of another level tell of the drive.
     """
-    levels = [float(np.mean(np.log(sweep.volts))) for sweep in sweeps]
-    sweeps = [s for s, at in zip(sweeps, levels, strict=True) if at > max(levels) - _SAME_LEVEL]
+    sweeps = _loud(sweeps)
     table = _Brightness.of(sweeps)
     values, variance, places, columns = [], [], [], []
     times: list[NDArray[np.intp]] = []
@@ -167,23 +160,27 @@ def noise_block(sweeps: Sequence[SweepReading]) -> Block:
 
 def fringe_block(sweeps: Sequence[SweepReading]) -> Block:
     """What is in fringes beside the first sideband, by templates, of all loud sweeps together."""
-    loudest = max(float(np.mean(np.log(sweep.volts))) for sweep in sweeps)
-    loud = [s for s in sweeps if float(np.mean(np.log(s.volts))) > loudest - _SAME_LEVEL]
+    loud = _loud(sweeps)
     values = []
-    for t, name in enumerate(TEMPLATES):
-        found = np.array([_amplitude(sweep, t, name) for sweep in loud])
+    for name in _FLOORS:
+        found = np.array([_amplitude(sweep, TEMPLATES.index(name), name) for sweep in loud])
         values.append(float(np.median(found)))
-    floors = np.array([_FLOORS[name] for name in TEMPLATES])
+    floors = np.array(list(_FLOORS.values()))
 
     def predict(twin: Twin) -> Array:
         beams: Beams = twin.beams
-        leak, mixing, blur = beams.leak, beams.mixing, beams.blur
-        return np.array(
-            [floors[0, 0], np.sqrt(mixing**2 + leak**2 + floors[1, 0] ** 2), blur + floors[2, 0]]
-        )
+        # A carrier goes by J0, the next sideband by J2: but for a constant they are much alike.
+        mixed = np.sqrt(beams.mixing**2 + beams.leak**2 + floors[0, 0] ** 2)
+        return np.array([mixed, beams.blur + floors[1, 0]])
 
-    places = [Place(name.replace("_", " ")) for name in TEMPLATES]
+    places = [Place(name.replace("_", " ")) for name in _FLOORS]
     return block("fringes", Tap.MAPS, values, floors[:, 1], places, ("beams",), predict)
+
+
+def _loud(sweeps: Sequence[SweepReading]) -> list[SweepReading]:
+    """Sweeps at the highest level, of all clampings."""
+    most = max(sweep.loudness for sweep in sweeps)
+    return [sweep for sweep in sweeps if sweep.loudness > most - SAME_LEVEL]
 
 
 def _amplitude(sweep: SweepReading, t: int, name: str) -> float:

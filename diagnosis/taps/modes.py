@@ -102,7 +102,7 @@ def _in_common(
         bends = there * _CLAMP_CENTS / (1 + names / _CLAMP_FALL)
         own = np.where(clamping == one, np.where(loss, _CLAMP_LOSS, _CLAMP_OWN), 0.0)
         covariance += np.multiply.outer(bends, bends) + same * np.multiply.outer(own, own)
-    level = np.array([float(np.mean(np.log(s.volts))) for s in sweeps])[sweep]
+    level = np.array([s.loudness for s in sweeps])[sweep]
     for one in sorted(set(np.round(level, 2).tolist()))[:-1]:
         there = np.where((np.abs(level - one) < 0.01) & ~loss, _LEVEL_CENTS, 0.0)
         covariance += same * np.multiply.outer(there, there)

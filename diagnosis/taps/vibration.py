@@ -19,6 +19,7 @@ Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 # What may be in a hologram beside its sideband, by name.
+TEMPLATES = ("carrier_leak", "order_mixing", "decorrelation")
 # Modes so far away in log frequency count half as much or less.
 _NEAR = 0.2
 # What modes usually leave of vibrations, and how many holograms.
@@ -27,7 +28,8 @@ _USUAL, _FEW_OFF = 6e-3, 2
 _BEND, _SMOOTH = 0.01, 0.45
 # Share of the work that the search is.
 _SEARCH = 0.4
-TEMPLATES = ("carrier_leak", "order_mixing", "decorrelation")
+# Sweeps are of one level if their loudness differs by no more.
+SAME_LEVEL = 0.1
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,11 @@ class SweepReading:
     template_variance: Array
     discrepancy: float
 
+    @property
+    def loudness(self) -> float:
+        """Mean log of the volts."""
+        return loudness(self.volts)
+
 
 def read_sweeps(
     parts: Sequence[Part], progress: Callable[[float], None] | None = None
@@ -124,8 +131,8 @@ def read_sweeps(
     reed = basis_of(parts[0].run.reed_file())
     model = finite_element_model(reed)
     first = parts[0].clamping
-    loud = sorted(parts, key=lambda part: (part.clamping != first, -loudness(part.run)))
-    calm = sorted(parts, key=lambda part: (part.clamping != first, loudness(part.run)))
+    loud = sorted(parts, key=lambda part: (part.clamping != first, -_run_loudness(part.run)))
+    calm = sorted(parts, key=lambda part: (part.clamping != first, _run_loudness(part.run)))
     fits: dict[str, JointFit] = {}
 
     def fit(part: Part, known: Part | None) -> bool:
@@ -177,10 +184,14 @@ def _settled(fit: JointFit, bends: float) -> bool:
     )
 
 
-def loudness(run: Run) -> float:
-    """Mean log volts of a sweep."""
-    volts = [step.volts for step in run.steps if step.volts > 0]
-    return float(np.mean(np.log(volts))) if volts else -np.inf
+def _run_loudness(run: Run) -> float:
+    return loudness(np.array([step.volts for step in run.steps]))
+
+
+def loudness(volts: Array) -> float:
+    """Mean log of the volts of a sweep's holograms, without those at rest."""
+    told = volts[volts > 0]
+    return float(np.mean(np.log(told))) if told.size else -np.inf
 
 
 def _reading(part: Part, fitted: JointFit) -> SweepReading:

@@ -356,11 +356,11 @@ def _diagnose_runs(paths: Sequence[Path], out: Path | None, as_json: bool) -> No
     """Diagnose the runs of one campaign."""
     from acquire.display import share_progress
     from acquire.runfile import Run
+    from diagnosis.answer import to_json
     from diagnosis.campaign import Campaign
     from diagnosis.observing import read
     from diagnosis.page import words, write_page
     from diagnosis.verdict import diagnose as judge
-    from diagnosis.verdict import to_json
     from physics.mechanics import Workshop
     from physics.reed.cache import anatomy
 

@@ -99,7 +99,6 @@ def ranked_actions(
     comparison: Comparison,
     one: Rival,
     other: Rival,
-    twins: tuple[Twin, Twin],
     actions: Sequence[Action] = ACTIONS,
 ) -> list[Worth]:
     """Rank actions by what they are expected to tell of two rivals, per minute.
@@ -108,9 +107,8 @@ def ranked_actions(
     ----------
     comparison : Comparison
     one, other : Rival
-    twins : (Twin, Twin)
-        Of either, as fitted.
     """
+    twins = one.twin(comparison), other.twin(comparison)
     by_name = {block.name: block for block in comparison.blocks}
     worths = []
     for action in actions:
@@ -131,7 +129,7 @@ def _told(
     """Half the square of the distance between two predictions, in units of all that is unknown."""
     apart = block.predict(action.change(twins[0])) - block.predict(action.change(twins[1]))
     piece = comparison.slices[block.name]
-    J = rival.estimate.jacobian
+    J = rival.free
     known = np.linalg.inv(J.T @ J + np.eye(J.shape[1]))
     slope = np.linalg.inv(block.root) @ J[piece]
     variance = action.sharper**2 * block.covariance + slope @ known @ slope.T

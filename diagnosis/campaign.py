@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
+from acquire.quality import Verdict
 from acquire.run_layout import Kind
-from acquire.runfile import Run
+from acquire.runfile import Run, StepRecord
 from fitting.errors import FitInputError
 
 # What each kind of run tells that nothing else does.
@@ -39,6 +40,11 @@ class Part:
     def name(self) -> str:
         """Name of the part, or of the file where there is none."""
         return self.run.acquisition.part or self.run.path.stem
+
+    @property
+    def good_steps(self) -> list[StepRecord]:
+        """Acquisitions with nothing wrong."""
+        return [step for step in self.run.steps if step.verdict is Verdict.OK]
 
     @property
     def clamping(self) -> int:

@@ -7,7 +7,7 @@ there, in units of the errors, over what a right model would leave.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +78,59 @@ def shrinkage(
     return Shrinkage(before, after, floor, kappa, float(low), float(high))
 
 
+# Quantities that people know, by what places say: name, and factor from the block's unit.
+_KNOWN: Final = {
+    "frequency, cents": ("resonances, cents", 1.0),
+    "loss, %": ("Q, %", 1.0),
+    "force": ("response, dB", 20 / np.log(10)),
+    "drive": ("drive, dB", 20 / np.log(10)),
+    "amplitude over volts": ("level, dB", 20 / np.log(10)),
+}
+
+
+@dataclass(frozen=True)
+class Plain:
+    """A gap in a unit that people know.
+
+    Attributes
+    ----------
+    quantity : str
+    before, after : float
+        Root mean square of what the twin leaves without and with the effects, each fitted.
+    error : float
+        Root mean square of what is uncertain.
+    """
+
+    quantity: str
+    before: float
+    after: float
+    error: float
+
+
+def plain_gaps(comparison: Comparison, null: Rival, rival: Rival) -> list[Plain]:
+    """Gaps in cents, per cent of Q, dB, and 1 - MAC, as far as they were measured."""
+    squares: dict[str, list[tuple[float, float, float]]] = {}
+    for block in comparison.blocks:
+        piece, lower = comparison.slices[block.name], np.linalg.inv(block.root)
+        both = [lower @ each.estimate.residuals[piece] for each in (null, rival)]
+        for place, before, after, variance in zip(
+            block.places, *both, np.diag(block.covariance), strict=True
+        ):
+            known = _KNOWN.get(place.quantity)
+            if known:
+                row = np.array([before**2, after**2, variance]) * known[1] ** 2
+                squares.setdefault(known[0], []).append(tuple(row.tolist()))
+            elif place.quantity.startswith("share of"):
+                squares.setdefault("shapes, 1 - MAC", []).append((before**2, after**2, variance))
+    told = []
+    for name, rows in squares.items():
+        # What a shape has of others adds up to what its MAC lacks; other gaps are means.
+        of_shapes = name.startswith("shapes")
+        mean = np.sum(rows, axis=0) if of_shapes else np.sqrt(np.mean(rows, axis=0))
+        told.append(Plain(name, *(float(value) for value in mean)))
+    return told
+
+
 def _left_out(
     comparison: Comparison, rivals: tuple[Rival, Rival], chosen: NDArray[np.bool_]
 ) -> tuple[float, float, float, float]:
@@ -85,7 +138,7 @@ def _left_out(
     squares, expected = [], 0.0
     at = np.flatnonzero(chosen)
     for rival in rivals:
-        J, left = rival.estimate.jacobian, rival.estimate.residuals
+        J, left = rival.free, rival.estimate.residuals
         precision = J.T @ J + np.eye(J.shape[1])
         own = J[at] @ np.linalg.solve(precision, J[at].T)
         inner = np.eye(len(at)) - own

@@ -1,15 +1,20 @@
 """How alike effects are in what they move, and which are so alike that they count as one."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from physics.effects.form import Effect
+
 Array = NDArray[np.floating[Any]]
 
 # Effects this alike, when what is free anyway has taken what it can, are one class.
 ALIKE: Final = 0.8
+# Deviations by which an effect is to stand out.
+DETECTABLE: Final = 5.0
 # Directions along which an effect moves less than this share of its most are rounding.
 _ROUNDING = 1e-6
 
@@ -45,6 +50,64 @@ def cosine(one: Array, other: Array) -> float:
     return float(np.linalg.norm(bases[0].T @ bases[1], 2))
 
 
+@dataclass(frozen=True)
+class Reach:
+    """What data could tell of an effect.
+
+    Attributes
+    ----------
+    effect : str
+    absorbed : float
+        Share of its signature that what is free anyway takes up; NaN if it has none.
+    detectable : dict of float
+        Least size, per parameter in its own unit, that stands out by five deviations; infinite if
+        no size would.
+    alike : dict of float
+        Cosine beside other effects from 0.8 on, by name.
+    """
+
+    effect: str
+    absorbed: float
+    detectable: dict[str, float]
+    alike: dict[str, float]
+
+
+def reach_of(
+    effects: Sequence[Effect], signatures: Mapping[str, tuple[Array, Array]]
+) -> tuple[Reach, ...]:
+    """Tell what data could say of each effect.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+    signatures : mapping of ((n, s), (n, s)) float
+        What each size moves by a deviation of its prior, whitened: all of it, and what of that is
+        left beside what is free anyway. Effects that move nothing may be left out.
+    """
+    alike = cosines({name: left for name, (_, left) in signatures.items()})
+    return tuple(_reach(effect, signatures.get(effect.id), alike) for effect in effects)
+
+
+def _reach(
+    effect: Effect,
+    signature: tuple[Array, Array] | None,
+    alike: Mapping[str, Mapping[str, float]],
+) -> Reach:
+    if signature is None or not np.any(signature[0]):
+        nothing = {parameter.name: float("inf") for parameter in effect.sizes}
+        return Reach(effect.id, float("nan"), nothing, {})
+    whole, left = signature
+    with np.errstate(divide="ignore"):
+        least = DETECTABLE * np.array([p.spread for p in effect.sizes])
+        least = least / np.linalg.norm(left, axis=0)
+    return Reach(
+        effect=effect.id,
+        absorbed=1 - float(np.sum(left**2) / np.sum(whole**2)),
+        detectable=dict(zip([p.name for p in effect.sizes], least.tolist(), strict=True)),
+        alike={name: value for name, value in alike[effect.id].items() if value >= ALIKE},
+    )
+
+
 def cosines(signatures: Mapping[str, Array]) -> dict[str, dict[str, float]]:
     """Cosine of every effect with every other."""
     names = list(signatures)
@@ -56,22 +119,10 @@ def cosines(signatures: Mapping[str, Array]) -> dict[str, dict[str, float]]:
     }
 
 
-def classes_of(
-    names: Sequence[str], alike: Mapping[str, Mapping[str, float]]
-) -> tuple[tuple[str, ...], ...]:
-    """Groups of effects each of which is alike to all others of its group, larger groups first.
-
-    Parameters
-    ----------
-    names : sequence of str
-    alike : mapping
-        Cosines by name and other name; pairs that are not there are not alike.
-    """
-    near = {
-        name: {other for other, value in alike.get(name, {}).items() if value >= ALIKE}
-        for name in names
-    }
-    left, groups = set(names), []
+def classes_of(reach: Sequence[Reach]) -> tuple[tuple[str, ...], ...]:
+    """Groups of effects each of which is alike to all others of its group, larger groups first."""
+    near = {entry.effect: set(entry.alike) for entry in reach}
+    left, groups = set(near), []
     while left:
         seed = max(sorted(left), key=lambda name: len(near[name] & left))
         group = [seed]

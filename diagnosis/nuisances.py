@@ -1,11 +1,11 @@
 """What differs from bench to bench and reed to reed without the twin being wrong."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 from physics.mechanics import Layer
-from physics.twin import Twin, more, with_alteration, with_cane, with_reed
+from physics.twin import Fits, Twin, more, with_alteration, with_cane, with_reed
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def _beside(part: int) -> Nuisance:
     return Nuisance(name, "", 0.04, change, "sound that goes around: some per cent")
 
 
-_PROFILE_M: Final = 4e-6
+_PROFILE_M: Final = 5e-6
 _POPULATION = "population of reeds of one brand (paper, Table 5)"
 _HANDBOOK = "spread of small clear specimens of one wood"
 NUISANCES: Final[tuple[Nuisance, ...]] = (
@@ -101,3 +101,28 @@ NUISANCES: Final[tuple[Nuisance, ...]] = (
     _beside(1),
     *(_layer(along, across) for along in range(4) for across in range(4) if along + across < 5),
 )
+
+# What fits take a drive for a mode by: cents, and a logarithm of the loss.
+_EXCHANGED_CENTS, _EXCHANGED_LOSS = 12.0, 0.12
+_METHOD = "fits of simulated sweeps: a few of a hundred modes are 10 to 40 cents off"
+
+
+def of_fits(modes: Sequence[str]) -> tuple[Nuisance, ...]:
+    """What fits may have exchanged between the drive and each of some modes."""
+    found = []
+    for mode in modes:
+        found += [
+            Nuisance(
+                f"{mode}, cents", "cents", _EXCHANGED_CENTS, _exchange(mode, (1.0, 0.0)), _METHOD
+            ),
+            Nuisance(f"{mode}, loss", "", _EXCHANGED_LOSS, _exchange(mode, (0.0, 1.0)), _METHOD),
+        ]
+    return tuple(found)
+
+
+def _exchange(mode: str, share: tuple[float, float]) -> Callable[[Twin, float], Twin]:
+    def change(twin: Twin, value: float) -> Twin:
+        more = (mode, share[0] * value, share[1] * value)
+        return replace(twin, fits=Fits((*twin.fits.exchanged, more)))
+
+    return change

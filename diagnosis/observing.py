@@ -7,9 +7,9 @@ from acquire.run_layout import Kind
 from diagnosis.block import Block
 from diagnosis.campaign import Campaign
 from diagnosis.taps.beat import Beat, lock_block, lock_scatter_hz, log_block, read_beat
-from diagnosis.taps.carrier import Carrier, carrier_block, read_carriers
+from diagnosis.taps.carrier import Carrier, carrier_block, leaks_in, read_carriers
 from diagnosis.taps.drive import Device, force_block, level_block, line_block
-from diagnosis.taps.light import brightness_block, fringe_block, noise_block
+from diagnosis.taps.light import brightness_block, fringe_block, mixing_in, noise_block
 from diagnosis.taps.modes import modes_block
 from diagnosis.taps.sensor import (
     Beam,
@@ -23,6 +23,7 @@ from diagnosis.taps.sensor import (
     read_dark,
     read_flat,
 )
+from diagnosis.taps.shapes import shapes_block
 from diagnosis.taps.still import (
     Still,
     read_stills,
@@ -30,7 +31,7 @@ from diagnosis.taps.still import (
     stability_block,
     turn_block,
 )
-from diagnosis.taps.vibration import SweepReading, read_sweeps
+from diagnosis.taps.vibration import SweepReading, read_sweeps, understood_block
 from physics.air import CavityLine, Filling, chamber_of
 from physics.mechanics import Workshop
 from physics.sensor import Sensor
@@ -144,14 +145,18 @@ def blocks(readings: Readings, workshop: Workshop) -> list[Block]:
         found.append(scatter_block(stills, scatter_hz, readings.rate_hz))
     if readings.carriers:
         found.append(carrier_block(readings.carriers))
+    if sweeps or readings.refused:
+        found.append(understood_block(len(sweeps), len(readings.refused)))
     if sweeps:
+        leaks = leaks_in(readings.carriers, sweeps, mixing_in(sweeps))
         found += [
             brightness_block(sweeps, stills),
             noise_block(sweeps),
             fringe_block(sweeps),
-            line_block(sweeps, readings.device.line),
-            level_block(sweeps),
+            line_block(sweeps, readings.device.line, leaks),
+            level_block(sweeps, leaks),
             force_block(sweeps, workshop, readings.device),
-            modes_block(sweeps, workshop),
+            modes_block(sweeps, workshop, leaks),
+            shapes_block(sweeps, workshop, leaks),
         ]
     return [block for block in found if block is not None]

@@ -3,19 +3,15 @@
 import base64
 import html
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-from matplotlib import colormaps
-from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure
-
 from acquire.errors import RunFileError
 from diagnosis.how_far import Shrinkage
+from diagnosis.map_picture import draw_map
 from diagnosis.verdict import Verdict
-from diagnosis.where import Cell, Map
+from diagnosis.where import Map
 from fitting.drawing import png_of
 from physics.effects.catalogue import BY_ID
 from physics.effects.form import Tap
@@ -31,9 +27,7 @@ TAP_WORDS: Final[Mapping[Tap, str]] = {
     Tap.MODES: "modes",
     Tap.MATERIAL: "material",
 }
-_AXES: Final = (("band", "frequency band"), ("mode", "mode"), ("time", "time"), ("level", "level"))
 _NOT_PROOF: Final = "Closing a gap does not prove its cause: a wrong effect may close it as well."
-_LARGEST = 30.0
 _SHOWN = 12
 _STYLE: Final = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 1100px;
@@ -144,10 +138,16 @@ def document(verdict: Verdict, title: str) -> str:
         f'<img alt="Gap of every cell" src="data:image/png;base64,{picture}">',
         '<p class="facts">Gap in units of its floor: errors of data, numerics and inputs. Below 1 '
         "it is not resolvable, which does not mean that twin and bench agree.</p>",
+        _ladder(verdict.where),
         "<h2>Which</h2>",
         _effects(verdict),
+        _triggers(verdict),
+        "<h2>How far</h2>",
+        _plain(verdict),
         "<h2>What to measure next</h2>",
         _actions(verdict),
+        "<h2>What these runs could have shown</h2>",
+        _reach(verdict),
     ]
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8">'
@@ -156,83 +156,107 @@ def document(verdict: Verdict, title: str) -> str:
     )
 
 
+def _table(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int]) -> str:
+    """Table of texts; columns of these numbers, from 0, are set flush right."""
+    top = "".join(f"<th>{html.escape(heading)}</th>" for heading in headings)
+    lines = []
+    for row in rows:
+        cells = (
+            f'<td class="number">{html.escape(text)}</td>'
+            if column in numbers
+            else f"<td>{html.escape(text)}</td>"
+            for column, text in enumerate(row)
+        )
+        lines.append(f"<tr>{''.join(cells)}</tr>")
+    return f"<table><tr>{top}</tr>{''.join(lines)}</table>"
+
+
+def _ladder(where: Map) -> str:
+    """Shares of the gap by tap."""
+    if not where.ladder:
+        return '<p class="facts">The whole gap is not resolvable: no stage has a share of it.</p>'
+    rows = [
+        (f"{rung.tap} {TAP_WORDS[rung.tap]}", f"{rung.forward:.0%}", f"{rung.backward:.0%}",
+         f"{rung.error:.0%}")
+        for rung in where.ladder
+    ]  # fmt: skip
+    headings = (
+        "stage",
+        "share, earlier stages as measured",
+        "later stages as measured",
+        "± by chance",
+    )
+    return _table(headings, rows, (1, 2, 3))
+
+
 def _effects(verdict: Verdict) -> str:
-    found = verdict.contest
-    rows = []
     shown = sorted(verdict.probability.items(), key=lambda item: -item[1])[:_SHOWN]
+    rows = []
     for name, p in shown:
-        rival = found.alone.get(name)
-        size = ""
-        if rival is not None:
-            sized = rival.effects[0]
-            z = rival.estimate.z[len(rival.estimate.z) - len(sized.sizes) :]
-            size = "; ".join(
-                f"{parameter.name} {parameter.spread * float(v):.2g} {parameter.unit}".strip()
-                for parameter, v in zip(sized.sizes, z, strict=True)
-            )
         effect = BY_ID.get(name)
         action = effect.action if effect else ""
-        rows.append(
-            f'<tr><td>{html.escape(_title(name))}</td><td class="number">{p:.1%}</td>'
-            f"<td>{html.escape(size)}</td><td>{html.escape(action)}</td></tr>"
-        )
-    return (
-        "<table><tr><th>effect</th><th>probability</th><th>size</th><th>what tells it apart</th>"
-        f"</tr>{''.join(rows)}</table>"
+        rows.append((_title(name), f"{p:.1%}", _size_words(verdict, name), action))
+    return _table(("effect", "probability", "size", "what tells it apart"), rows, (1,))
+
+
+def _size_words(verdict: Verdict, name: str) -> str:
+    """Sizes of an effect as fitted by itself, with errors."""
+    rival = verdict.contest.alone.get(name)
+    if rival is None:
+        return ""
+    sizes = rival.effects[0].sizes
+    errors = rival.estimate.covariance.diagonal()[-len(sizes) :] ** 0.5
+    told = (
+        f"{p.name} {p.spread * z:.2g} ± {p.spread * error:.1g} {p.unit}".strip()
+        for p, z, error in zip(sizes, rival.sizes.tolist(), errors.tolist(), strict=True)
     )
+    return "; ".join(told)
+
+
+def _triggers(verdict: Verdict) -> str:
+    rows = [
+        (trigger.words, f"{trigger.value:.3g}", f"{trigger.chance:.1%}",
+         "yes" if trigger.fired else "no")
+        for trigger in verdict.triggers
+    ]  # fmt: skip
+    headings = "sign of something that the catalogue lacks", "value", "by chance", "counts"
+    return _table(headings, rows, (1, 2))
+
+
+def _plain(verdict: Verdict) -> str:
+    rows = [
+        (gap.quantity, f"{gap.before:.3g}", f"{gap.after:.3g}", f"{gap.error:.2g}")
+        for gap in verdict.plain
+    ]
+    name = "+".join(verdict.effects) or "the likeliest effect"
+    told = _title(name) if verdict.effects else name
+    headings = "root mean square of what is left", "without", f"with {told}", "uncertain"
+    return f"{_table(headings, rows, (1, 2, 3))}<p>{html.escape(_NOT_PROOF)}</p>"
 
 
 def _actions(verdict: Verdict) -> str:
     rows = [
-        f'<tr><td>{html.escape(w.action.words)}</td><td class="number">{w.action.minutes:g}</td>'
-        f'<td class="number">{w.nats:.1f}</td><td class="number">{w.nats_per_minute:.2f}</td></tr>'
+        (w.action.words, f"{w.action.minutes:g}", f"{w.nats:.1f}", f"{w.nats_per_minute:.2f}")
         for w in verdict.next_actions
     ]
     one, other = verdict.rivals
     between = f"to tell {_title(one)} from {_title(other)}" if one else ""
-    return (
-        f'<p class="facts">Expected log odds {html.escape(between)}.</p><table><tr><th>action</th>'
-        f"<th>minutes</th><th>nats</th><th>nats per minute</th></tr>{''.join(rows)}</table>"
-    )
+    facts = f'<p class="facts">Expected log odds {html.escape(between)}.</p>'
+    return facts + _table(("action", "minutes", "nats", "nats per minute"), rows, (1, 2, 3))
 
 
-def draw_map(where: Map) -> Figure:
-    """Draw the gap of all cells: blocks of numbers by band, mode, time and level."""
-    blocks = [cell for cell in where.cells if cell.axis == "block"]
-    panels = [
-        (axis, words, list(dict.fromkeys(_short(c) for c in where.cells if c.axis == axis)))
-        for axis, words in _AXES
-    ]
-    panels = [panel for panel in panels if panel[2]]
-    widths = [1, *(len(labels) for _, _, labels in panels)]
-    figure = Figure(
-        figsize=(3.2 + 0.3 * sum(widths), 1.9 + 0.28 * len(blocks)), layout="constrained"
-    )
-    axes = figure.subplots(1, len(widths), width_ratios=widths, squeeze=False)[0]
-    norm = LogNorm(1.0, _LARGEST)
-    colours = colormaps["YlOrRd"].with_extremes(under="#d5d8dc", bad="white")
-    for ax, (axis, title, labels) in zip(axes, [("block", "all", ["all"]), *panels], strict=True):
-        table = np.full((len(blocks), len(labels)), np.nan)
-        for cell in where.cells:
-            if cell.axis == axis:
-                column = 0 if axis == "block" else labels.index(_short(cell))
-                row = next(k for k, block in enumerate(blocks) if block.block == cell.block)
-                own = cell.gap if cell.resolvable else 0.5
-                table[row, column] = np.nanmax([table[row, column], own])
-        image = ax.imshow(np.clip(table, 0.5, _LARGEST), cmap=colours, norm=norm, aspect="auto")
-        ax.set_xticks(range(len(labels)), labels, rotation=90, fontsize=7)
-        ax.set_yticks(range(len(blocks)), [])
-        ax.set_title(title, fontsize=8)
-        ax.set_facecolor("white")
-    names = [f"{block.block}  {block.tap}" for block in blocks]
-    axes[0].set_yticks(range(len(blocks)), names, fontsize=8)
-    bar = figure.colorbar(image, ax=list(axes), fraction=0.03, pad=0.01, extend="max")
-    bar.ax.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"], minor=False)
-    bar.set_label("gap in units of its floor (grey: not resolvable)", fontsize=8)
-    return figure
-
-
-def _short(cell: Cell) -> str:
-    """Label of a cell, sweeps without their pieces."""
-    in_pieces = cell.axis == "time" and cell.label[-1:].isdigit()
-    return cell.label.rsplit(" ", 1)[0] if in_pieces else cell.label
+def _reach(verdict: Verdict) -> str:
+    """Least sizes that would have been seen, and what each effect would be taken for."""
+    rows = []
+    for entry in verdict.reach:
+        effect = BY_ID[entry.effect]
+        least = "; ".join(
+            f"{p.name} {entry.detectable[p.name]:.2g} {p.unit}".strip()
+            if math.isfinite(entry.detectable[p.name])
+            else f"{p.name}: no size"
+            for p in effect.sizes
+        )
+        absorbed = "" if math.isnan(entry.absorbed) else f"{entry.absorbed:.0%}"
+        rows.append((effect.title, least, absorbed, ", ".join(_title(o) for o in entry.alike)))
+    headings = "effect", "least size to be seen", "taken up by what is free", "not told from"
+    return _table(headings, rows, (2,))

@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.estimate import Estimate, fit, random_starts
-from diagnosis.likeness import ALIKE, classes_of, cosine
+from diagnosis.likeness import Reach, classes_of, reach_of
 from diagnosis.mean_reed import MeanReed
+from diagnosis.rivals import Sized
+from diagnosis.screening import places_of
 from fitting.forward import cents_of
 from physics.effects.form import Effect, Parameter
 from physics.mechanics import Mechanics, Workshop
@@ -39,7 +41,6 @@ _STARTS = 2
 _SETS = 3
 _DRAWS = 2000
 _SEED = 20_080_401
-DETECTABLE = 5.0
 
 
 @dataclass(frozen=True)
@@ -98,28 +99,6 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Reach:
-    """What such data could tell of an effect.
-
-    Attributes
-    ----------
-    effect : str
-    absorbed : float
-        Share of its signature that the moduli of either series take up.
-    detectable : dict of float
-        Least size, per parameter in its own unit, that stands out by five deviations; infinite if
-        no size would.
-    alike : dict of float
-        Cosine beside other effects from 0.8 on, by name.
-    """
-
-    effect: str
-    absorbed: float
-    detectable: dict[str, float]
-    alike: dict[str, float]
-
-
-@dataclass(frozen=True)
 class PublishedDiagnosis:
     """All that resonances without a run tell.
 
@@ -158,19 +137,19 @@ class _Problem:
     ----------
     reeds : tuple of MeanReed
     workshop : Workshop
-    effects : tuple of Effect
+    effects : tuple of Sized
     floor_cents : (n,) float
     """
 
     reeds: tuple[MeanReed, ...]
     workshop: Workshop
-    effects: tuple[Effect, ...]
+    effects: tuple[Sized, ...]
     floor_cents: Array
 
     @property
     def sizes(self) -> list[tuple[Effect, Parameter]]:
         """Of all effects, each with its own."""
-        return [(effect, p) for effect in self.effects for p in effect.parameters]
+        return [(sized.effect, p) for sized in self.effects for p in sized.sizes]
 
     @property
     def positive(self) -> list[bool]:
@@ -199,11 +178,10 @@ class _Problem:
         twin = elastic_twin(self.workshop)
         moduli = _MODULI_SPREAD * z[len(_MODULI) * series :][: len(_MODULI)]
         twin = with_cane(twin, **dict(zip(_MODULI, moduli.tolist(), strict=True)))
-        rest = z[len(_MODULI) * len(self.reeds) :].tolist()
-        for effect in self.effects:
-            own, rest = rest[: len(effect.parameters)], rest[len(effect.parameters) :]
-            values = {p.name: p.spread * v for p, v in zip(effect.parameters, own, strict=True)}
-            twin = effect.change(twin, values)
+        rest = z[len(_MODULI) * len(self.reeds) :]
+        for sized in self.effects:
+            own, rest = rest[: len(sized.sizes)], rest[len(sized.sizes) :]
+            twin = sized.change(twin, own)
         return twin
 
 
@@ -244,12 +222,13 @@ def diagnose_resonances(
     errors = np.concatenate([reed.error_cents for reed in reeds])
     base = _Problem(tuple(reeds), workshop, (), np.hypot(errors, MESH_CENTS))
     elastic = _Fitted.of(base)
-    columns = _signatures(base, elastic.estimate.z, effects)
+    placed = [_at_its_best(base, elastic, effect) for effect in effects]
+    columns = {sized.effect.id: column for sized, column in placed}
     reach = _reach(base, elastic, effects, columns)
-    seen = [effect for effect in effects if np.any(columns[effect.id])]
+    seen = [sized for sized, column in placed if np.any(column)]
     alone = []
-    for number, effect in enumerate(seen):
-        alone.append(_Fitted.of(replace(base, effects=(effect,))))
+    for number, sized in enumerate(seen):
+        alone.append(_Fitted.of(replace(base, effects=(sized,))))
         report((1 + number) / (len(seen) + 2 * _SETS))
     together = []
     sets = _best_sets(base, elastic, seen, columns, largest_set)
@@ -268,10 +247,8 @@ def diagnose_resonances(
         together=tuple(
             sorted((trial.told(elastic) for trial in together), key=lambda t: -t.log_bayes)
         ),
-        reach=tuple(reach),
-        classes=classes_of(
-            [entry.effect for entry in reach], {entry.effect: entry.alike for entry in reach}
-        ),
+        reach=reach,
+        classes=classes_of(reach),
         residual_cents={name: elastic.left[piece] for name, piece in pieces.items()},
     )
 
@@ -358,7 +335,7 @@ class _Fitted:
         kappa, low, high = _kappa(before, after, names)
         left = -at.residuals * np.hypot(problem.floor_cents, misfit)
         return Trial(
-            effects=tuple(effect.id for effect in problem.effects),
+            effects=tuple(sized.effect.id for sized in problem.effects),
             sizes=sizes,
             rms_cents=_rms(problem, left),
             kappa=kappa,
@@ -470,74 +447,68 @@ def _transferred(
     return answer
 
 
-def _signatures(base: _Problem, z: Array, effects: Sequence[Effect]) -> dict[str, Array]:
-    """Cents (n, k) per prior deviation of each of an effect's k parameters, at the elastic fit."""
+def _at_its_best(base: _Problem, elastic: _Fitted, effect: Effect) -> tuple[Sized, Array]:
+    """An effect at its likeliest place, and what its sizes move there."""
+    deviation = np.hypot(base.floor_cents, 0.5 * elastic.over_misfits()[1])
+    found = [(sized, _signature(base, elastic.estimate.z, sized)) for sized in places_of(effect)]
+    if len(found) == 1:
+        return found[0]
+    return max(found, key=lambda at: _evidence(base, elastic, (at[0],), [at[1]], deviation))
+
+
+def _signature(base: _Problem, z: Array, sized: Sized) -> Array:
+    """Cents (n, k) per prior deviation of each of an effect's k sizes, at the elastic fit."""
     # Far enough that rounding does not count, near enough to be straight.
     step, here = 0.05, base.predicted(z)
-    answer: dict[str, Array] = {}
-    for effect in effects:
-        problem = replace(base, effects=(effect,))
-        columns = []
-        for number in range(len(effect.parameters)):
-            unit = np.zeros(len(effect.parameters))
-            unit[number] = step
-            columns.append((problem.predicted(np.append(z, unit)) - here) / step)
-        answer[effect.id] = np.stack(columns, axis=1)
-    return answer
+    problem, columns = replace(base, effects=(sized,)), []
+    for number in range(len(sized.sizes)):
+        unit = np.zeros(len(sized.sizes))
+        unit[number] = step
+        columns.append((problem.predicted(np.append(z, unit)) - here) / step)
+    return np.stack(columns, axis=1)
+
+
+def _evidence(
+    base: _Problem,
+    elastic: _Fitted,
+    effects: tuple[Sized, ...],
+    columns: Sequence[Array],
+    deviation: Array,
+) -> float:
+    """Log evidence of effects along their signatures (n, k)."""
+    slope = np.hstack([elastic.slope, *columns])
+    z = np.append(elastic.estimate.z, np.zeros(slope.shape[1] - elastic.slope.shape[1]))
+    positive = replace(base, effects=effects).positive
+    return _linear(elastic.left, slope, z, deviation, positive).log_evidence
 
 
 def _reach(
     base: _Problem, elastic: _Fitted, effects: Sequence[Effect], columns: Mapping[str, Array]
-) -> list[Reach]:
+) -> tuple[Reach, ...]:
     deviation = np.hypot(base.floor_cents, elastic.over_misfits()[1])
     moduli, _ = np.linalg.qr(elastic.slope / deviation[:, None])
-    whitened = {name: column / deviation[:, None] for name, column in columns.items()}
-    beside = {name: column - moduli @ (moduli.T @ column) for name, column in whitened.items()}
-    answer = []
-    for effect in effects:
-        own, all_of_it = beside[effect.id], whitened[effect.id]
-        norms = np.linalg.norm(own, axis=0)
-        with np.errstate(divide="ignore"):
-            least = DETECTABLE * np.array([p.spread for p in effect.parameters]) / norms
-        total = float(np.sum(all_of_it**2))
-        alike = {}
-        for other in effects:
-            value = 0.0 if other is effect else cosine(own, beside[other.id])
-            if value >= ALIKE:
-                alike[other.id] = value
-        answer.append(
-            Reach(
-                effect=effect.id,
-                absorbed=1 - float(np.sum(own**2)) / total if total else float("nan"),
-                detectable=dict(
-                    zip([p.name for p in effect.parameters], least.tolist(), strict=True)
-                ),
-                alike=alike,
-            )
-        )
-    return answer
+    whole = {name: column / deviation[:, None] for name, column in columns.items()}
+    left = {name: column - moduli @ (moduli.T @ column) for name, column in whole.items()}
+    return reach_of(effects, {name: (whole[name], left[name]) for name in whole})
 
 
 def _best_sets(
     base: _Problem,
     elastic: _Fitted,
-    effects: Sequence[Effect],
+    effects: Sequence[Sized],
     columns: Mapping[str, Array],
     largest: int,
-) -> list[tuple[Effect, ...]]:
+) -> list[tuple[Sized, ...]]:
     """Best few sets of two effects, of three, and so on, along the slopes at the elastic reed."""
     _, misfit = elastic.over_misfits()
     # What a set leaves is less than what the elastic reed leaves.
     deviation = np.hypot(base.floor_cents, 0.5 * misfit)
-    answer: list[tuple[Effect, ...]] = []
+    answer: list[tuple[Sized, ...]] = []
     for size in range(2, largest + 1):
         ranked = []
         for chosen in combinations(effects, size):
-            slope = np.hstack([elastic.slope, *(columns[effect.id] for effect in chosen)])
-            z = np.append(elastic.estimate.z, np.zeros(slope.shape[1] - elastic.slope.shape[1]))
-            positive = replace(base, effects=chosen).positive
-            found = _linear(elastic.left, slope, z, deviation, positive)
-            ranked.append((found.log_evidence, chosen))
+            own = [columns[sized.effect.id] for sized in chosen]
+            ranked.append((_evidence(base, elastic, chosen, own, deviation), chosen))
         ranked.sort(key=lambda entry: -entry[0])
         answer += [chosen for _, chosen in ranked[:_SETS]]
     return answer

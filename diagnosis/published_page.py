@@ -6,7 +6,8 @@ from typing import Any
 
 from rich.table import Table
 
-from diagnosis.published import DETECTABLE, PublishedDiagnosis, Reach, Size, Trial
+from diagnosis.likeness import DETECTABLE, Reach
+from diagnosis.published import PublishedDiagnosis, Size, Trial
 from physics.effects.form import Effect
 
 _NOT_PROOF = "closing a gap does not prove its cause"

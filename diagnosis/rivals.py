@@ -54,8 +54,8 @@ class Comparison:
         }
         self._slope: tuple[Array, Array] | None = None
 
-    def twin(self, z: Array, effects: Sequence[Effect] = (), values: Array | None = None) -> Twin:
-        """Twin with nuisances z (p,) and the sizes of effects, in units of their priors."""
+    def twin(self, z: Array) -> Twin:
+        """Twin with nuisances z (p,), in units of their priors."""
         twin = self.base
         for nuisance, size in zip(self.nuisances, z.tolist(), strict=True):
             if size:
@@ -123,20 +123,56 @@ class Rival:
     effects : tuple of Sized
     estimate : Estimate
         Of nuisances, then of the effects' sizes.
-    log_evidence : float
+    fitted : float
+        Log evidence of the fit.
     chi2 : dict of float
         Of each block.
+    form_variance : (n,) float
+        Variance of the whitened residuals: 1, and more where the effects do much.
+    elsewhere : float
+        What other places of the effects add to the log evidence.
     """
 
     effects: tuple[Sized, ...]
     estimate: Estimate
-    log_evidence: float
+    fitted: float
     chi2: dict[str, float]
+    form_variance: Array
+    elsewhere: float = 0.0
+
+    @property
+    def log_evidence(self) -> float:
+        """Of the fit, and of other places."""
+        return self.fitted + self.elsewhere
 
     @property
     def names(self) -> tuple[str, ...]:
         """Ids of the effects."""
         return tuple(sized.effect.id for sized in self.effects)
+
+    @property
+    def sizes(self) -> Array:
+        """Sizes (s,) of all effects, in units of their priors."""
+        count = sum(len(sized.sizes) for sized in self.effects)
+        return self.estimate.z[len(self.estimate.z) - count :]
+
+    @property
+    def free(self) -> Array:
+        """Derivatives (n, q) of residuals along all that is free, without sizes held at 0."""
+        positive = [size.positive for sized in self.effects for size in sized.sizes]
+        held = np.zeros(len(self.estimate.z), dtype=bool)
+        held[len(held) - len(positive) :] = np.array(positive, dtype=bool) & (self.sizes <= 0)
+        free: Array = self.estimate.jacobian[:, ~held]
+        return free
+
+    def twin(self, comparison: Comparison) -> Twin:
+        """The twin as fitted."""
+        count = len(comparison.nuisances)
+        return self.changed(comparison.twin(self.estimate.z[:count]), self.sizes)
+
+    def changed(self, twin: Twin, sizes: Array) -> Twin:
+        """A twin with the rival's effects at other sizes (s,)."""
+        return _with_effects(twin, self.effects, sizes)
 
 
 def compete(comparison: Comparison, effects: Sequence[Sized], starts: Sequence[Array]) -> Rival:
@@ -159,12 +195,7 @@ def compete(comparison: Comparison, effects: Sequence[Sized], starts: Sequence[A
     positive = [False] * p + [size.positive for sized in effects for size in sized.sizes]
 
     def twin_at(z: Array) -> Twin:
-        twin, rest = comparison.twin(z[:p]), z[p:]
-        for sized in effects:
-            count = len(sized.sizes)
-            twin = sized.change(twin, rest[:count])
-            rest = rest[count:]
-        return twin
+        return _with_effects(comparison.twin(z[:p]), effects, z[p:])
 
     def residuals(z: Array) -> Array:
         return comparison.residuals(twin_at(z))
@@ -180,25 +211,32 @@ def compete(comparison: Comparison, effects: Sequence[Sized], starts: Sequence[A
         return np.column_stack([nuisances, *columns])
 
     estimate = fit(residuals, positive, starts, jacobian, _LEAST_GAIN)
-    without = comparison.residuals(comparison.twin(estimate.z[:p])) if effects else None
-    log_evidence = estimate.log_evidence + _corrected(comparison, estimate, without)
+    variance = np.ones(len(estimate.residuals))
+    if effects:
+        without = comparison.residuals(comparison.twin(estimate.z[:p]))
+        variance += (_FORM * (estimate.residuals - without)) ** 2
+    log_evidence = estimate.log_evidence + _corrected(comparison, estimate.residuals, variance)
     chi2 = {
         name: float(np.sum(estimate.residuals[piece] ** 2))
         for name, piece in comparison.slices.items()
     }
-    return Rival(tuple(effects), estimate, log_evidence, chi2)
+    return Rival(tuple(effects), estimate, log_evidence, chi2, variance)
 
 
-def _corrected(comparison: Comparison, estimate: Estimate, without: Array | None) -> float:
+def _with_effects(twin: Twin, effects: Sequence[Sized], sizes: Array) -> Twin:
+    for sized in effects:
+        count = len(sized.sizes)
+        twin = sized.change(twin, sizes[:count])
+        sizes = sizes[count:]
+    return twin
+
+
+def _corrected(comparison: Comparison, residuals: Array, variance: Array) -> float:
     """What evidence gains by noise that may be larger, and by effects of not quite their form."""
-    gain = 0.0
+    gain = float(np.sum(0.5 * residuals**2 * (1 - 1 / variance) - 0.5 * np.log(variance)))
     for piece in comparison.slices.values():
-        left = estimate.residuals[piece]
-        variance = np.ones(len(left))
-        if without is not None:
-            variance += (_FORM * (left - without[piece])) ** 2
-        gain += float(np.sum(0.5 * left**2 * (1 - 1 / variance) - 0.5 * np.log(variance)))
-        gain += gain_by_noise(float(np.sum(left**2 / variance)), len(left))
+        left = residuals[piece] ** 2 / variance[piece]
+        gain += gain_by_noise(float(np.sum(left)), len(left))
     return gain
 
 

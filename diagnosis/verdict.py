@@ -1,19 +1,22 @@
 """The answer of a diagnosis: where, which, how far, and what to measure next."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.actions import Worth, ranked_actions
-from diagnosis.contest import NONE, UNKNOWN, Contest, contest, signatures
-from diagnosis.how_far import Shrinkage, shrinkage
-from diagnosis.likeness import classes_of, cosines
-from diagnosis.nuisances import NUISANCES
+from diagnosis.contest import NONE, UNKNOWN, Contest, contest
+from diagnosis.how_far import Plain, Shrinkage, plain_gaps, shrinkage
+from diagnosis.likeness import Reach, classes_of, reach_of
+from diagnosis.nuisances import NUISANCES, of_fits
 from diagnosis.observing import Readings, blocks
 from diagnosis.rivals import Comparison, Rival
+from diagnosis.screening import signatures
+from diagnosis.taps.modes import common_modes
+from diagnosis.triggers import Trigger, triggers
 from diagnosis.where import Map, gap_map
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.form import Stage
@@ -24,9 +27,10 @@ Array = NDArray[np.floating[Any]]
 Kind = Literal["none", "effect", "pair", "unknown", "not converged"]
 
 COVERAGE: Final = 0.9
-# A parameter beyond so many deviations of its prior is not plausible.
-_PLAUSIBLE = 3.0
-_LEAST_TOLD = 1e-6
+# A number off by so many deviations, or moved by an effect by so many, is part of a gap.
+_OFF, _MOVED = 3.0, 0.5
+# Of so many rivals it is told what they close.
+_MOST_CLOSED = 8
 
 
 @dataclass(frozen=True)
@@ -46,8 +50,16 @@ class Verdict:
         Fewest classes that together have 90 % of the probability.
     where : Map
     contest : Contest
+    reach : tuple of Reach
+        What this campaign could have told of each effect.
+    triggers : tuple of Trigger
+        Signs of something unknown beside what is named.
     closed, transferred : Shrinkage or None
         By what is named, on numbers left out; and in the condition that was left out whole.
+    closed_by : dict of Shrinkage
+        On all numbers, by each rival that is better than none.
+    plain : tuple of Plain
+        The same gap in units that people know.
     condition : str
         That condition.
     next_actions : tuple of Worth
@@ -64,8 +76,12 @@ class Verdict:
     likely: tuple[tuple[str, ...], ...]
     where: Map
     contest: Contest
+    reach: tuple[Reach, ...]
+    triggers: tuple[Trigger, ...]
     closed: Shrinkage | None
     transferred: Shrinkage | None
+    closed_by: dict[str, Shrinkage]
+    plain: tuple[Plain, ...]
     condition: str
     next_actions: tuple[Worth, ...]
     rivals: tuple[str, str]
@@ -95,17 +111,17 @@ def diagnose(
         Effects that the catalogue is to do without.
     """
     effects = [e for e in CATALOGUE if e.stage is not Stage.NUMERICS and e.id not in without]
-    comparison = Comparison(blocks(readings, workshop), base or Twin(), NUISANCES)
+    comparison = compared(readings, workshop, base or Twin())
     found = contest(comparison, effects, progress)
     probability = {name: float(np.exp(log)) for name, log in found.log_probability.items()}
-    alike = cosines(signatures(comparison, found.null, found.alone))
-    classes = classes_of([effect.id for effect in effects], alike)
-    kind, named = _named(found, probability)
-    winner = _rival(found, named)
+    reach = reach_of(effects, signatures(comparison, found.null, found.alone))
+    classes = classes_of(reach)
+    kind, named = _named(found, probability, classes)
     first, second = _two_best(found)
-    groups = _groups(comparison)
-    condition = _condition(readings)
-    chosen = winner if winner is not None else first
+    groups, condition = _groups(comparison), _condition(readings)
+    chosen = found.rival("+".join(named)) or first or found.null
+    acts = _touched(comparison, found.null, chosen)
+    named_or_none = chosen if named else found.null
     return Verdict(
         kind=kind,
         effects=named,
@@ -114,23 +130,40 @@ def diagnose(
         likely=_likely(probability, classes),
         where=gap_map(comparison),
         contest=found,
-        closed=shrinkage(comparison, found.null, chosen, groups) if chosen else None,
+        reach=reach,
+        triggers=triggers(comparison, found.null, named_or_none, _only(comparison, condition)),
+        closed=shrinkage(comparison, found.null, chosen, _where(groups, acts)),
         transferred=(
-            shrinkage(comparison, found.null, chosen, _only(comparison, condition))
-            if chosen and condition
+            shrinkage(comparison, found.null, chosen, _where(_only(comparison, condition), acts))
+            if condition
             else None
         ),
+        closed_by={
+            name: shrinkage(comparison, found.null, rival, groups)
+            for name, rival in _better(found).items()
+        },
+        plain=tuple(plain_gaps(comparison, found.null, chosen)),
         condition=condition,
-        next_actions=tuple(_next(comparison, first, second)) if first and second else (),
+        next_actions=tuple(ranked_actions(comparison, first, second)) if first and second else (),
         rivals=(_name(first), _name(second)),
         missing=readings.missing,
         refused=readings.refused,
     )
 
 
-def _named(found: Contest, probability: Mapping[str, float]) -> tuple[Kind, tuple[str, ...]]:
-    """What the likeliest answer is, if its fit is one."""
-    best = max(probability, key=lambda name: probability[name])
+def compared(readings: Readings, workshop: Workshop, base: Twin) -> Comparison:
+    """Put a campaign beside a twin with all that differs from bench to bench."""
+    exchanged = of_fits(common_modes(readings.sweeps)) if readings.sweeps else ()
+    return Comparison(blocks(readings, workshop), base, (*NUISANCES, *exchanged))
+
+
+def _named(
+    found: Contest, probability: Mapping[str, float], classes: Sequence[tuple[str, ...]]
+) -> tuple[Kind, tuple[str, ...]]:
+    """What the likeliest class is, and of that the likeliest, if its fit is one."""
+    mass = _mass(probability, classes)
+    likeliest = max(mass, key=lambda group: mass[group])
+    best = max(likeliest, key=lambda name: probability.get(name, 0.0))
     if not found.null.estimate.certified:
         return "not converged", ()
     if best == NONE:
@@ -138,16 +171,18 @@ def _named(found: Contest, probability: Mapping[str, float]) -> tuple[Kind, tupl
     if best == UNKNOWN:
         return "unknown", ()
     names = tuple(best.split("+"))
-    rival = _rival(found, names)
+    rival = found.rival(best)
     if rival is not None and not rival.estimate.certified:
         return "not converged", names
     return ("effect" if len(names) == 1 else "pair"), names
 
 
-def _rival(found: Contest, names: tuple[str, ...]) -> Rival | None:
-    if len(names) == 1:
-        return found.alone.get(names[0])
-    return found.pairs.get((names[0], names[1])) if len(names) > 1 else None
+def _better(found: Contest) -> dict[str, Rival]:
+    """Likeliest few rivals that are better than none."""
+    rivals = {**found.alone, **found.pairs}
+    better = [name for name in rivals if rivals[name].log_evidence > found.null.log_evidence]
+    ranked = sorted(better, key=lambda name: -rivals[name].log_evidence)
+    return {name: rivals[name] for name in ranked[:_MOST_CLOSED]}
 
 
 def _two_best(found: Contest) -> tuple[Rival | None, Rival | None]:
@@ -162,28 +197,23 @@ def _name(rival: Rival | None) -> str:
     return "" if rival is None else "+".join(rival.names) or NONE
 
 
-def _next(comparison: Comparison, one: Rival, other: Rival) -> list[Worth]:
-    p = len(comparison.nuisances)
-
-    def twin(rival: Rival) -> Twin:
-        twin, rest = comparison.twin(rival.estimate.z[:p]), rival.estimate.z[p:]
-        for sized in rival.effects:
-            twin = sized.change(twin, rest[: len(sized.sizes)])
-            rest = rest[len(sized.sizes) :]
-        return twin
-
-    return ranked_actions(comparison, one, other, (twin(one), twin(other)))
-
-
-def _likely(
+def _mass(
     probability: Mapping[str, float], classes: Sequence[tuple[str, ...]]
-) -> tuple[tuple[str, ...], ...]:
-    """Fewest classes that cover the probability; pairs stand by themselves."""
+) -> dict[tuple[str, ...], float]:
+    """Probability of every class; pairs stand by themselves."""
     mass: dict[tuple[str, ...], float] = {}
     of = {name: group for group in classes for name in group}
     for name, value in probability.items():
         group = of.get(name, (name,))
         mass[group] = mass.get(group, 0.0) + value
+    return mass
+
+
+def _likely(
+    probability: Mapping[str, float], classes: Sequence[tuple[str, ...]]
+) -> tuple[tuple[str, ...], ...]:
+    """Fewest classes that cover the probability."""
+    mass = _mass(probability, classes)
     covered, chosen = 0.0, []
     for group in sorted(mass, key=lambda group: -mass[group]):
         chosen.append(group)
@@ -191,6 +221,20 @@ def _likely(
         if covered >= COVERAGE:
             break
     return tuple(chosen)
+
+
+def _touched(comparison: Comparison, null: Rival, rival: Rival) -> NDArray[np.bool_]:
+    """Numbers where there is anything to close: off without effects, or moved by the rival's."""
+    z = rival.estimate.z[: len(comparison.nuisances)]
+    moved = rival.estimate.residuals - comparison.residuals(comparison.twin(z))
+    off = np.abs(null.estimate.residuals) > _OFF
+    touched: NDArray[np.bool_] = off | (np.abs(moved) > _MOVED)
+    return touched
+
+
+def _where(groups: Sequence[str], chosen: NDArray[np.bool_]) -> list[str]:
+    """Groups of chosen numbers; empty elsewhere."""
+    return [name if here else "" for name, here in zip(groups, chosen.tolist(), strict=True)]
 
 
 def _groups(comparison: Comparison) -> list[str]:
@@ -221,65 +265,3 @@ def _only(comparison: Comparison, condition: str) -> list[str]:
         for block in comparison.blocks
         for place in block.places
     ]
-
-
-def to_json(verdict: Verdict) -> dict[str, Any]:
-    """Verdict with stable keys (documented in ``docs/diagnosis.md``)."""
-    found = verdict.contest
-    null = found.null.estimate.cost
-    effects = {}
-    for name, rival in found.alone.items():
-        sized = rival.effects[0]
-        count = len(sized.sizes)
-        z = rival.estimate.z[-count:]
-        errors = np.sqrt(np.diag(rival.estimate.covariance))[-count:]
-        effects[name] = {
-            "log_bayes": rival.log_evidence - found.null.log_evidence,
-            "d_prime": float(np.sqrt(max(null - rival.estimate.cost, 0.0))),
-            "sizes": {
-                p.name: {"value": p.spread * float(v), "error": p.spread * float(e), "unit": p.unit,
-                         "z": float(v), "plausible": bool(abs(v) < _PLAUSIBLE)}
-                for p, v, e in zip(sized.sizes, z, errors, strict=True)
-            },
-            "places": dict(sized.places),
-            "certified": rival.estimate.certified,
-        }  # fmt: skip
-    told = {n: p for n, p in verdict.probability.items() if p > _LEAST_TOLD}
-    return {
-        "verdict": verdict.kind,
-        "effects_named": list(verdict.effects),
-        "probability": dict(sorted(told.items(), key=lambda item: -item[1])),
-        "classes": [list(group) for group in verdict.classes if len(group) > 1],
-        "likely": [list(group) for group in verdict.likely],
-        "where": {
-            "first_failing_tap": verdict.where.first_failing,
-            "taps": {
-                tap: {"gap": gap, "chance": chance}
-                for tap, (gap, chance) in verdict.where.taps.items()
-            },
-            "cells": [asdict(c) | {"resolvable": c.resolvable} for c in verdict.where.cells],
-        },
-        "how_far": {
-            "left_out": _json_of(verdict.closed),
-            "condition": verdict.condition,
-            "other_condition": _json_of(verdict.transferred),
-        },
-        "next": {
-            "between": list(verdict.rivals),
-            "actions": [
-                {"id": w.action.id, "words": w.action.words, "minutes": w.action.minutes,
-                 "nats": w.nats, "nats_per_minute": w.nats_per_minute}
-                for w in verdict.next_actions
-            ],
-        },
-        "effects": effects,
-        "unknown": dict(found.unknown),
-        "missing": list(verdict.missing),
-        "refused": list(verdict.refused),
-    }  # fmt: skip
-
-
-def _json_of(closed: Shrinkage | None) -> dict[str, float | None] | None:
-    if closed is None:
-        return None
-    return {k: None if np.isnan(v) else v for k, v in asdict(closed).items()}

@@ -5,7 +5,7 @@ uncertainty of validation of ASME V&V 20: of the data, of the numerics and of th
 knows better. What lies below the floor is not resolvable, which is not to say that it agrees.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,6 +56,25 @@ class Cell:
 
 
 @dataclass(frozen=True)
+class Rung:
+    """What one tap adds to the gap, if the twin gets what was measured at others.
+
+    Attributes
+    ----------
+    tap : Tap
+    forward, backward : float
+        Share of the whole gap, with all earlier taps as measured, and with all later ones.
+    error : float
+        Standard deviation of either, by chance.
+    """
+
+    tap: Tap
+    forward: float
+    backward: float
+    error: float
+
+
+@dataclass(frozen=True)
 class Map:
     """All cells of a campaign.
 
@@ -65,10 +84,13 @@ class Map:
         Of every coordinate, and of whole blocks (axis ``block``).
     taps : dict of (float, float)
         Gap of each tap in units of its floor, and the chance of it, for as many taps as there are.
+    ladder : tuple of Rung
+        From logs to material; shares add up to 1 either way. Empty if the whole is not resolvable.
     """
 
     cells: tuple[Cell, ...]
     taps: dict[Tap, tuple[float, float]]
+    ladder: tuple[Rung, ...]
 
     @property
     def first_failing(self) -> Tap | None:
@@ -83,25 +105,62 @@ def gap_map(comparison: Comparison) -> Map:
     left = comparison.residuals(comparison.twin(nothing))
     slope = comparison.slope(nothing)
     cells: list[Cell] = []
-    squares: dict[Tap, list[tuple[float, int]]] = {}
+    rows: dict[Tap, list[int]] = {}
     for block in comparison.blocks:
         piece = comparison.slices[block.name]
         lower = np.linalg.inv(block.root)
         gap = lower @ left[piece]
         inputs = lower @ slope[piece]
         variance = block.covariance + inputs @ inputs.T
-        whole = _cell(block, "block", block.name, range(len(gap)), gap, variance)
-        cells.append(whole)
-        squares.setdefault(block.tap, []).append((whole.gap**2 * whole.count, whole.count))
+        cells.append(_cell(block, "block", block.name, range(len(gap)), gap, variance))
+        rows.setdefault(block.tap, []).extend(range(piece.start, piece.stop))
         for axis in AXES:
             cells += _along(block, axis, gap, variance)
-    count = len(squares)
     taps = {}
-    for tap in sorted(squares):
-        total, numbers = (sum(part) for part in zip(*squares[tap], strict=True))
-        chance = float(chi2.sf(total, numbers))
-        taps[tap] = float(np.sqrt(total / numbers)), min(1.0, count * chance)
-    return Map(tuple(cells), taps)
+    for tap in sorted(rows):
+        square, count = _square(left, slope, rows[tap]), len(rows[tap])
+        chance = float(chi2.sf(square, count))
+        taps[tap] = float(np.sqrt(square / count)), min(1.0, len(rows) * chance)
+    return Map(tuple(cells), taps, tuple(_ladder(left, slope, rows)))
+
+
+def _square(left: Array, slope: Array, chosen: Sequence[int]) -> float:
+    """Square of what is left (n,) in some numbers, in units of its floor."""
+    own, inputs = left[chosen], slope[chosen]
+    pull = inputs.T @ own
+    known = np.eye(inputs.shape[1]) + inputs.T @ inputs
+    return float(own @ own - pull @ np.linalg.solve(known, pull))
+
+
+def _ladder(left: Array, slope: Array, rows: Mapping[Tap, Sequence[int]]) -> list[Rung]:
+    """What each tap adds if the twin gets what all before it, or all after it, have measured.
+
+    That is what the tap's numbers are off by once those others have told of the nuisances.
+    """
+    order = sorted(rows)
+    count = {tap: len(rows[tap]) for tap in order}
+
+    def added(taps: Sequence[Tap]) -> dict[Tap, float]:
+        found, total, chosen = {}, 0.0, []
+        for tap in taps:
+            chosen += list(rows[tap])
+            whole = _square(left, slope, chosen)
+            found[tap], total = whole - total - count[tap], whole
+        return found
+
+    forward, backward = added(order), added(order[::-1])
+    gap, numbers = sum(forward.values()), sum(count.values())
+    if chi2.sf(gap + numbers, numbers) > _CHANCE:
+        return []
+    return [
+        Rung(
+            tap,
+            forward[tap] / gap,
+            backward[tap] / gap,
+            float(np.sqrt(2 * count[tap] + 4 * max(forward[tap], 0.0))) / gap,
+        )
+        for tap in order
+    ]
 
 
 def _along(block: Block, axis: str, gap: Array, variance: Array) -> list[Cell]:

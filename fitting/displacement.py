@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fitting.bessel import BesselTable
 from fitting.descent import GAIN_HELD, descend
+from fitting.errors import FitError
 from fitting.light import (
     LightStep,
     SharedError,
@@ -117,6 +118,11 @@ def refit_displacements(
         Holograms that are tried from there: they show something else so far, or nothing.
     together : (q,) float
         What all displacements are off together (see `fitting.light.SharedError`).
+
+    Raises
+    ------
+    FitError
+        If no hologram can be explained.
     """
     whole = Problem.of(phasors.value, basis.functions, BesselTable(), phasors.others)
     light = before.light * light_factor(smooth_functions(phasors.x_m, phasors.y_m), together)
@@ -137,8 +143,13 @@ def refit_displacements(
         a[chosen], gain[chosen], misfit[chosen] = tried[better], louder[better], found[better]
         alike = np.minimum(good, ALIKE * np.maximum(found, 1))
         good = np.where(better, alike, good)
-    at = Solution(a, gain, light)
-    return _finished(whole, phasors, at, np.isfinite(misfit), _QUICK_TURNS)
+    at, solved = Solution(a, gain, light), np.isfinite(misfit)
+    if not solved.any():
+        raise FitError(
+            f"none of {len(solved)} holograms shows what another run has told; measure it anew, or "
+            "fit it by itself"
+        )
+    return _finished(whole, phasors, at, solved, _QUICK_TURNS)
 
 
 def _finished(

@@ -35,7 +35,7 @@ Amplitudes = NDArray[np.complexfloating[Any, Any]]
 
 METHOD = "joint"
 # Moduli in the middle of the sweep, in which shapes are computed.
-_SHAPES_HZ = 4000.0
+SHAPES_HZ = 4000.0
 # Frequencies by this ratio apart tell how moduli grow.
 _STEP = 1.01
 # Modes whose resonance lies beyond the sweep by no more than this still bend its end.
@@ -285,7 +285,7 @@ def _basis(reed: ReducedReed, cane: ViscoelasticCane, phasors: Phasors) -> Shape
         E, G = np.log(moduli_pa(hz * _STEP) / moduli_pa(hz / _STEP)) / (2 * np.log(_STEP))
         return float(E), float(G)
 
-    E_pa, G_pa = moduli_pa(_SHAPES_HZ)
+    E_pa, G_pa = moduli_pa(SHAPES_HZ)
     return shape_basis(reed, float(E_pa), float(G_pa), phasors.x_m, phasors.y_m, growth)
 
 

@@ -6,7 +6,7 @@ nominal twin: the reed of the drawing, of cane as the paper has it, clamped fast
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from types import MappingProxyType
 from typing import Any
 
@@ -186,7 +186,7 @@ class Workshop:
         loss = reed.loss_factor * growth + found.radiated
         names, shapes = self._named(reed.cane)
         modes = {}
-        likeness = np.abs(shapes.T @ self._unit_mass() @ found.coordinates)
+        likeness = np.abs(shapes.T @ self.mass_kg @ found.coordinates)
         rows, columns = linear_sum_assignment(likeness, maximize=True)
         named = dict(zip(columns.tolist(), (names[row] for row in rows), strict=True))
         for m in sorted(named):
@@ -204,7 +204,9 @@ class Workshop:
         air = _thinner(self._air(), reed.air_share) if reed.air_share else None
         return vibrations(self.anatomy, change, material_of(self.anatomy, reed), HIGHEST_HZ, air)
 
-    def _unit_mass(self) -> Array:
+    @cached_property
+    def mass_kg(self) -> Array:
+        """Mass (s, s) of the nominal reed, in coordinates of its modes."""
         halves = self.anatomy.reed.halves.values()
         sizes = [half.mass.shape[0] for half in halves]
         whole = np.zeros((sum(sizes),) * 2)

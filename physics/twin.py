@@ -161,6 +161,26 @@ class Surroundings:
 
 
 @dataclass(frozen=True)
+class Fits:
+    """What fits of sweeps take the drive for a mode by, and the other way round.
+
+    A mode at another frequency, with the drive bent around it to match, moves a reed almost alike.
+
+    Attributes
+    ----------
+    exchanged : tuple of (str, float, float)
+        Mode, cents by which its frequency is told too high, and how much its loss is, a logarithm.
+    """
+
+    exchanged: tuple[tuple[str, float, float], ...] = ()
+
+    def of(self, mode: str) -> tuple[float, float]:
+        """Cents and logarithm of a mode."""
+        own = [(cents, log) for name, cents, log in self.exchanged if name == mode]
+        return sum(cents for cents, _ in own), sum(log for _, log in own)
+
+
+@dataclass(frozen=True)
 class Twin:
     """A bench as the twin sees it.
 
@@ -172,6 +192,7 @@ class Twin:
     beams : Beams
     chip : Chip
     surroundings : Surroundings
+    fits : Fits
     """
 
     reed: Mechanics = field(default_factory=Mechanics)
@@ -180,6 +201,7 @@ class Twin:
     beams: Beams = Beams()
     chip: Chip = Chip()
     surroundings: Surroundings = Surroundings()
+    fits: Fits = Fits()
 
 
 def more(twin: Twin, part: str, **amounts: float) -> Twin:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from acquire.runfile import Run
 from diagnosis.block import Block, Place, block
 from diagnosis.campaign import Part
+from diagnosis.taps.vibration import SweepReading
 from physics.effects.form import Tap
 from physics.reed.geometry import half_width_m
 from physics.twin import Twin
@@ -49,16 +50,17 @@ class Carrier:
 def read_carriers(sweeps: Sequence[Part], stills: Sequence[Part]) -> list[Carrier]:
     """Read all sweeps of clampings of which there is light at rest, and whose clamp is seen."""
     found = []
+    stills = [part for part in stills if part.good_steps]
     for clamping in sorted({part.clamping for part in stills}):
-        at_rest = next(part for part in stills if part.clamping == clamping).run
-        calm = _calm(at_rest)
+        first = next(part for part in stills if part.clamping == clamping)
+        at_rest, calm = first.run, _calm(first.run)
         if np.count_nonzero(calm) < _LEAST_PIXELS:
             continue
-        light, noise = _light(at_rest, calm)
+        light, power = _light(first, calm)
         for part in sweeps:
             same = np.array_equal(part.run.x_m, at_rest.x_m) and len(part.run.y_m) == len(calm)
             if part.clamping == clamping and same:
-                found.append(_carrier(part, calm, light, noise))
+                found.append(_carrier(part, calm, light, power))
     return found
 
 
@@ -71,14 +73,13 @@ def _calm(run: Run) -> NDArray[np.bool_]:
     return calm
 
 
-def _light(run: Run, calm: NDArray[np.bool_]) -> tuple[Complex, float]:
+def _light(part: Part, calm: NDArray[np.bool_]) -> tuple[Complex, float]:
     """Mean light (n,) of a reed at rest, and the sum of its squares without noise."""
     fields, noises = [], []
-    for step in run.steps:
-        if step.verdict.measured:
-            halves = run.reconstruction.quadratures(run.frames(step.position))
-            fields.append(halves.field[calm])
-            noises.append(halves.noise)
+    for step in part.good_steps:
+        halves = part.run.reconstruction.quadratures(part.run.frames(step.position))
+        fields.append(halves.field[calm])
+        noises.append(halves.noise)
     turned = [f * np.exp(-1j * np.angle(np.vdot(fields[0], f))) for f in fields]
     mean = np.mean(turned, axis=0)
     left = float(np.mean(noises)) / len(fields) * mean.size
@@ -87,7 +88,7 @@ def _light(run: Run, calm: NDArray[np.bool_]) -> tuple[Complex, float]:
 
 def _carrier(part: Part, calm: NDArray[np.bool_], light: Complex, power: float) -> Carrier:
     run = part.run
-    steps = [s for s in run.steps if s.verdict.measured and s.order == run.sideband_order]
+    steps = [step for step in part.good_steps if step.order == run.sideband_order]
     seen = [abs(np.vdot(light, run.field(step.position)[calm])) / power for step in steps]
     noise = float(np.median([step.noise_level for step in steps]))
     volts = float(np.exp(np.mean([np.log(max(step.volts, 1e-6)) for step in steps])))
@@ -102,9 +103,50 @@ _MOVES, _REEDS, _SWEEPS = 6e-4, 0.4, 0.15
 _NOISE = 0.76
 
 
+@dataclass(frozen=True)
+class Leaks:
+    """What is in sweeps that fits do not expect: a carrier, the next sideband.
+
+    Attributes
+    ----------
+    carrier : dict of float
+        Over what moves in each sweep, by its name.
+    mixing : float
+        Of the next sideband, in units of the own.
+    """
+
+    carrier: dict[str, float]
+    mixing: float
+
+
+def leaks_in(carriers: Sequence[Carrier], sweeps: Sequence[SweepReading], mixing: float) -> Leaks:
+    """What leaks into each sweep.
+
+    Parameters
+    ----------
+    carriers : sequence of Carrier
+    sweeps : sequence of SweepReading
+    mixing : float
+        See `diagnosis.taps.light.mixing_in`.
+    """
+    share = dict(
+        zip([c.name for c in carriers], [c.share for c in carriers] - _floor(carriers), strict=True)
+    )
+    carrier = {
+        sweep.name: max(share.get(sweep.name, 0.0), 0.0) / float(np.median(sweep.amplitude_rad))
+        for sweep in sweeps
+    }
+    return Leaks(carrier, mixing)
+
+
+def _floor(carriers: Sequence[Carrier]) -> Array:
+    """What is taken for a carrier (c,) where none leaks in."""
+    return np.array([np.hypot(_MOVES * c.volts, _NOISE * c.error) for c in carriers])
+
+
 def carrier_block(carriers: Sequence[Carrier]) -> Block:
     """Carrier in the sideband of each sweep."""
-    floor = np.array([np.hypot(_MOVES * c.volts, _NOISE * c.error) for c in carriers])
+    floor = _floor(carriers)
     noise = np.array([c.error for c in carriers]) * 0.3
 
     def predict(twin: Twin) -> Array:

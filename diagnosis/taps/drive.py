@@ -1,6 +1,6 @@
 """Taps T1 and T6: the drive's lines, how it follows its level, and how it moves each mode."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from diagnosis.block import BANDS, Block, Place, band_of, block
+from diagnosis.taps.carrier import Leaks
 from diagnosis.taps.vibration import SAME_LEVEL, SweepReading
 from physics.air import CavityLine, Chamber, Filling, pressure_shape
 from physics.drive import Tweeter, tweeter_pressure_pa
 from physics.effects.form import Tap
 from physics.mechanics import Mechanics, ReedMode, Workshop
 from physics.reed.fem import Symmetry
-from physics.twin import DriveChain, Twin
+from physics.twin import DriveChain, Fits, Twin
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -27,15 +28,17 @@ _FULL_V = 16.0
 # of log frequency; noise of one hologram at least, and of a weaker one more.
 _DEGREE, _SMOOTH = 5, 1.0
 _WAVES, _LENGTH = 0.12, 0.15
+# ... over which what leaks in at a calm hologram spreads.
+_NEAR = 0.05
 _LEAST, _WEAK = 0.01, 0.02
 # Holograms over which sweeps may differ smoothly; at the ends little tells what is smooth.
 _AROUND, _END_SHARE, _END = 15, 0.06, 0.1
 # Beyond this modes are too many for drive and modes to be told apart surely.
 _HIGHEST_HZ = 16.5e3
-# A mode's frequency and the drive around it can be exchanged to this share of its stiffness.
-_EXCHANGE = 0.008
 # Log ratio of amplitudes in two sweeps: a common factor, smoothly in frequency, of every band.
 _RATIO, _RATIO_BAND = 0.03, 0.015
+# ... and of what leaks in beside the vibration.
+_SPOILT = 0.25
 # Holograms are compared where both are lively, rad, and so many at least together.
 _LIVELY_RAD, _FEWEST = 0.3, 3
 # Log of what moves a mode: gain, by smooth ripple of the loudspeaker, by pressure that is not the
@@ -63,32 +66,63 @@ class Device:
     tweeter: Tweeter = Tweeter()
 
 
-def line_block(sweeps: Sequence[SweepReading], line: CavityLine) -> Block:
-    """What stands out of the smooth drive, by hologram, mean of all sweeps at full level."""
+def line_block(sweeps: Sequence[SweepReading], line: CavityLine, leaks: Leaks) -> Block:
+    """What stands out of the smooth drive, by hologram, mean of all sweeps at full level.
+
+    Parameters
+    ----------
+    sweeps : sequence of SweepReading
+    line : CavityLine
+    leaks : Leaks
+    """
     hz, log, error = _mean_drive(sweeps)
     volts = np.interp(hz, sweeps[0].drive_hz, loudest(sweeps)[0].volts)
     pitch = np.log(hz / np.sqrt(hz[0] * hz[-1]))
     powers = np.polynomial.chebyshev.chebvander(pitch / np.abs(pitch).max(), _DEGREE)
-    waves = _WAVES**2 * np.exp(-0.5 * ((pitch[:, None] - pitch) / _LENGTH) ** 2)
-    table = np.hstack([_SMOOTH * powers, *(_exchanged(f, eta, hz) for f, eta in _modes(sweeps[0]))])
+    apart = pitch[:, None] - pitch
+    near = np.exp(-0.5 * (apart / _NEAR) ** 2)
+    spoilt = _of_leaks(loudest(sweeps)[0], leaks, hz, near)
+    waves = _WAVES**2 * np.exp(-0.5 * (apart / _LENGTH) ** 2)
+    waves += np.multiply.outer(spoilt, spoilt) * near
     error = np.hypot(error, _WEAK / _gain(DriveChain(), line, hz))
 
+    first = sweeps[0]
+    modes = list(zip(first.names, first.hz.tolist(), first.loss_factor.tolist(), strict=True))
+
     def predict(twin: Twin) -> Array:
-        return np.log(_gain(twin.drive, line, hz) * _kept(twin.drive, volts, hz))
+        bent = np.log(_gain(twin.drive, line, hz) * _kept(twin.drive, volts, hz))
+        for name, own_hz, loss in modes:
+            bent = bent + exchanged(twin.fits, name, own_hz, loss, hz)
+        return bent
 
-    covariance = np.diag(error**2) + waves + table @ table.T
+    covariance = np.diag(error**2) + waves + _SMOOTH**2 * powers @ powers.T
     places = [Place("drive", band=band_of(float(f))) for f in hz]
-    return block("lines of the drive", Tap.DRIVE, log, covariance, places, ("drive",), predict)
+    parts = ("drive", "fits")
+    return block("lines of the drive", Tap.DRIVE, log, covariance, places, parts, predict)
 
 
-def _modes(sweep: SweepReading) -> Iterator[tuple[float, float]]:
-    return zip(sweep.hz.tolist(), sweep.loss_factor.tolist(), strict=True)
+def _of_leaks(sweep: SweepReading, leaks: Leaks, hz: Array, near: Array) -> Array:
+    """What light that leaks in makes of the log drive (k,), most where the reed is calm."""
+    calm = np.interp(hz, sweep.drive_hz, np.median(sweep.amplitude_rad) / sweep.amplitude_rad)
+    # Half of a small amplitude is what shows of it; a fit's error there is its neighbours' as well.
+    square = near @ np.minimum(2 * leaks.carrier.get(sweep.name, 0.0) * calm, 1.0) ** 2
+    errors: Array = np.sqrt(square / near.sum(axis=1))
+    return errors
 
 
-def _exchanged(f: float, eta: float, hz: Array) -> Array:
-    """What the log drive (k, 2) changes by if it takes over something of a mode."""
-    resonance: Complex = 1 / (complex(1, eta) - np.square(hz / f))
-    return _EXCHANGE * np.stack([resonance.real, resonance.imag], axis=1)
+def exchanged(fits: Fits, mode: str, own_hz: float, loss: float, hz: Array) -> Array:
+    """What the log drive (k,) takes over of a mode that is told at `own_hz` with `loss`."""
+    cents, log = fits.of(mode)
+    if not cents and not log:
+        return np.zeros(len(hz))
+
+    def response(f: float, eta: float) -> Array:
+        size: Array = np.abs(complex(1, eta) - np.square(hz / f))
+        return size
+
+    true = response(own_hz * 2 ** (-cents / 1200), loss * np.exp(-log))
+    bent: Array = np.log(response(own_hz, loss) / true)
+    return bent
 
 
 def _gain(drive: DriveChain, line: CavityLine, hz: Array) -> Array:
@@ -146,8 +180,14 @@ def loudest(sweeps: Sequence[SweepReading]) -> list[SweepReading]:
     return [sweep for sweep in first if sweep.loudness > most - SAME_LEVEL]
 
 
-def level_block(sweeps: Sequence[SweepReading]) -> Block | None:
-    """Amplitudes of a sweep at another level beside those of the loudest; None if there is none."""
+def level_block(sweeps: Sequence[SweepReading], leaks: Leaks) -> Block | None:
+    """Amplitudes of a sweep at another level beside those of the loudest; None if there is none.
+
+    Parameters
+    ----------
+    sweeps : sequence of SweepReading
+    leaks : Leaks
+    """
     loud = loudest(sweeps)
     quiet = [sweep for sweep in sweeps if sweep.loudness < loud[0].loudness - SAME_LEVEL]
     others = [sweep for sweep in quiet if sweep.clamping == loud[0].clamping]
@@ -168,7 +208,8 @@ def level_block(sweeps: Sequence[SweepReading]) -> Block | None:
                 continue
             own = 1.4826 * float(np.median(np.abs(ratio[piece] - np.median(ratio[piece]))))
             values.append(float(np.median(ratio[piece])))
-            errors.append(np.hypot(1.25 * own / np.sqrt(len(piece)), _RATIO_BAND))
+            least = np.hypot(_RATIO_BAND, _SPOILT * leaks.carrier.get(other.name, 0.0))
+            errors.append(np.hypot(1.25 * own / np.sqrt(len(piece)), least))
             volts.append((loud[0].volts[one[piece]].mean(), other.volts[two[piece]].mean()))
             hz.append(float(np.mean(loud[0].drive_hz[one[piece]])))
             places.append(Place("amplitude over volts", band=band_of(hz[-1]), level=other.name))
@@ -201,14 +242,22 @@ def force_block(sweeps: Sequence[SweepReading], workshop: Workshop, device: Devi
     covariance = np.diag(error**2 + _FIELD**2) + _GAIN**2 + ripple @ ripple.T
     predicted = forces_rad(workshop, device)
 
+    losses = loud[0].loss_factor[at[0]]
+
     def predict(twin: Twin) -> Array:
         resounding = _gain(twin.drive, device.line, hz) * _kept(twin.drive, volts, hz)
-        return np.log(predicted(twin.drive, twin.reed, names) * resounding)
+        bent = [
+            float(exchanged(twin.fits, name, own, loss, np.array([own]))[0])
+            for name, own, loss in zip(names, hz.tolist(), losses.tolist(), strict=True)
+        ]
+        force = np.log(predicted(twin.drive, twin.reed, names) * resounding)
+        total: Array = force + np.array(bent)
+        return total
 
     places = [
         Place("force", mode=n, band=band_of(float(f))) for n, f in zip(names, hz, strict=True)
     ]
-    parts = ("reed", "drive")
+    parts = ("reed", "drive", "fits")
     return block("forces", Tap.RESPONSE, forces.mean(axis=0), covariance, places, parts, predict)
 
 
@@ -223,6 +272,9 @@ def forces_rad(
 
     def forces(drive: DriveChain, reed: Mechanics, names: Sequence[str]) -> Array:
         modes = workshop.modes(reed)
+        missing = [name for name in names if name not in modes]
+        if missing:
+            raise ValueError(f"a reed of this kind has no mode {missing[0]}")
         hz = np.array([modes[name].hz for name in names])
         left, right, deepest = np.array([pushes(reed, name) for name in names]).T
         share = drive.open_right if device.chamber.filling is Filling.ASYMMETRIC else 1.0

@@ -72,7 +72,7 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
 
     def predict(twin: Twin) -> Array:
         beside = table.of_light(lambda time_s: light(time_s, twin.beams))
-        of_sweeps = [float(np.mean(beside[row][at])) for row, at in pieces]
+        of_sweeps = [float(np.median(beside[row][at])) for row, at in pieces]
         return np.array([*of_sweeps, *light(np.array(still_s), twin.beams)])
 
     covariance = np.diag(variance) + _shared(columns)
@@ -161,10 +161,7 @@ def noise_block(sweeps: Sequence[SweepReading]) -> Block:
 def fringe_block(sweeps: Sequence[SweepReading]) -> Block:
     """What is in fringes beside the first sideband, by templates, of all loud sweeps together."""
     loud = _loud(sweeps)
-    values = []
-    for name in _FLOORS:
-        found = np.array([_amplitude(sweep, TEMPLATES.index(name), name) for sweep in loud])
-        values.append(float(np.median(found)))
+    values = [_amplitudes(loud, name) for name in _FLOORS]
     floors = np.array(list(_FLOORS.values()))
 
     def predict(twin: Twin) -> Array:
@@ -175,6 +172,18 @@ def fringe_block(sweeps: Sequence[SweepReading]) -> Block:
 
     places = [Place(name.replace("_", " ")) for name in _FLOORS]
     return block("fringes", Tap.MAPS, values, floors[:, 1], places, ("beams",), predict)
+
+
+def mixing_in(sweeps: Sequence[SweepReading]) -> float:
+    """Amplitude of the next sideband in the loud sweeps, beyond what fringes look like anyway."""
+    usual, spread = _FLOORS["order_mixing"]
+    mixing = _amplitudes(_loud(sweeps), "order_mixing")
+    return max(mixing - usual - 2 * spread, 0.0)
+
+
+def _amplitudes(sweeps: Sequence[SweepReading], name: str) -> float:
+    t = TEMPLATES.index(name)
+    return float(np.median([_amplitude(sweep, t, name) for sweep in sweeps]))
 
 
 def _loud(sweeps: Sequence[SweepReading]) -> list[SweepReading]:

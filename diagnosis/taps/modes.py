@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.block import Block, Place, band_of, block
+from diagnosis.taps.carrier import Leaks
 from diagnosis.taps.vibration import SweepReading
 from physics.effects.form import Tap
 from physics.mechanics import Workshop
@@ -21,11 +22,13 @@ _HIGHEST_HZ = 17e3
 _REPEATS, _REPEATS_LOSS, _LEAST_CENTS, _LEAST_LOSS = 0.4, 0.6, 0.15, 0.4
 # What the method and the elements are off by in every mode, cents: below and above 12 kHz; and what
 # losses of modes differ by in one cane, per cent.
-_METHOD_CENTS, _METHOD_HIGH_CENTS, _LOSS = 4.0, 7.0, 6.0
+_METHOD_CENTS, _METHOD_HIGH_CENTS, _LOSS = 2.2, 4.0, 6.0
 # The lowest mode has none below it that would tell its loss.
 _LOWEST_CENTS, _LOWEST_LOSS = 3.0, 20.0
 # A new clamping: cents, less for each mode above the first, and of each mode by itself; per cent.
 _CLAMP_CENTS, _CLAMP_FALL, _CLAMP_OWN, _CLAMP_LOSS = 2.5, 4.0, 0.6, 1.0
+# Light that leaks in, per its share of what moves: cents, per cent.
+_LEAK_CENTS, _LEAK_LOSS = 15.0, 40.0
 # Sweeps of other volts.
 _LEVEL_CENTS = 0.3
 # Degrees and moisture: relative changes of moduli, mass and loss, per degree and when all dry.
@@ -36,16 +39,17 @@ _DEEP = 0.7
 _STEP = 0.01
 
 
-def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop) -> Block:
-    """Frequencies in cents and losses in per cent, of all sweeps, beside the twin's."""
+def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks) -> Block:
+    """Frequencies in cents and losses in per cent, of all sweeps, beside the twin's.
+
+    Parameters
+    ----------
+    sweeps : sequence of SweepReading
+    workshop : Workshop
+    leaks : Leaks
+    """
     known = workshop.modes(Twin().reed)
-    common = [
-        name
-        for name in sweeps[0].names
-        if name in known
-        and sum(name in sweep.names for sweep in sweeps) >= max(1, len(sweeps) - 1)
-        and sweeps[0].hz[sweeps[0].names.index(name)] < _HIGHEST_HZ
-    ]
+    common = [name for name in common_modes(sweeps) if name in known]
     values, places, rows = [], [], []
     pieces = []
     for number, sweep in enumerate(sweeps):
@@ -58,7 +62,7 @@ def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop) -> Block:
             for name, hz in zip(here, sweep.hz[at], strict=True):
                 places.append(Place(what, mode=name, band=band_of(float(hz)), time=sweep.name))
                 rows.append((number, name, what))
-        pieces.append(_of_fit(sweep, both, unit, here, common))
+        pieces.append(_of_fit(sweep, both, unit, here, common) + _of_leaks(leaks, sweep, here))
     covariance = np.zeros((len(values),) * 2)
     start = 0
     for piece in pieces:
@@ -66,7 +70,18 @@ def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop) -> Block:
         start += len(piece)
     covariance += _in_common(rows, common, sweeps)
     predict = _prediction(rows, common, sweeps, workshop)
-    return block("modes", Tap.MODES, values, covariance, places, ("reed", "surroundings"), predict)
+    parts = ("reed", "surroundings", "fits")
+    return block("modes", Tap.MODES, values, covariance, places, parts, predict)
+
+
+def common_modes(sweeps: Sequence[SweepReading]) -> list[str]:
+    """Modes that the first sweep tells, and all others but one."""
+    return [
+        name
+        for name, hz in zip(sweeps[0].names, sweeps[0].hz.tolist(), strict=True)
+        if sum(name in sweep.names for sweep in sweeps) >= max(1, len(sweeps) - 1)
+        and hz < _HIGHEST_HZ
+    ]
 
 
 def _of_fit(
@@ -82,6 +97,13 @@ def _of_fit(
         least[lowest], least[count + lowest] = _LOWEST_CENTS, _LOWEST_LOSS
     whole: Array = covariance + np.diag(least**2)
     return whole
+
+
+def _of_leaks(leaks: Leaks, sweep: SweepReading, here: Sequence[str]) -> Array:
+    """Covariance of what leaks in makes of one sweep's fit."""
+    share = np.hypot(leaks.carrier.get(sweep.name, 0.0), leaks.mixing)
+    errors = np.repeat([_LEAK_CENTS * share, _LEAK_LOSS * share], len(here))
+    return np.diag(np.square(errors))
 
 
 def _in_common(
@@ -143,10 +165,11 @@ def _prediction(
         shift = by_E[names] * E + by_G[names] * G - 0.5 * _DRY_MASS * dry
         shift = shift + 0.5 * _DEEP * around.hardening * deep**2
         lossier = around.loss_per_c * degrees + _DRY_LOSS * dry
+        cents, log = np.array([twin.fits.of(name) for name in common]).T
         answer: Array = np.where(
             loss,
-            100 * (np.log(eta[names]) + lossier),
-            CENTS * (np.log(hz[names]) + shift),
+            100 * (np.log(eta[names]) + lossier + log[names]),
+            CENTS * (np.log(hz[names]) + shift) + cents[names],
         )
         return answer
 

@@ -63,6 +63,7 @@ class Still:
 
 def read_stills(parts: Sequence[Part]) -> list[Still]:
     """Read order 0 of the reed at rest, one record per clamping."""
+    parts = [part for part in parts if part.good_steps]
     clampings = sorted({part.clamping for part in parts})
     return [_still([p for p in parts if p.clamping == c], c) for c in clampings]
 
@@ -74,9 +75,7 @@ def _still(parts: Sequence[Part], clamping: int) -> Still:
     for number, part in enumerate(parts):
         run, before = part.run, None
         fields = []
-        for step in run.steps:
-            if not step.verdict.measured:
-                continue
+        for step in part.good_steps:
             frames = run.frames(step.position)
             halves = run.reconstruction.quadratures(frames)
             field, phase = halves.field, halves.phase_advance
@@ -114,7 +113,7 @@ def _still(parts: Sequence[Part], clamping: int) -> Still:
         likeness=likeness,
         likeness_error=likeness_error,
         run_time_s=np.array(
-            [np.mean([s.timestamps_s[0] for s in part.run.steps]) - part.clock_s for part in parts]
+            [np.mean([s.timestamps_s[0] for s in part.good_steps]) - part.clock_s for part in parts]
         ),
         noise_dn2=noise,
     )
@@ -170,11 +169,15 @@ def turn_block(stills: Sequence[Still], scatter_hz: float, rate_hz: float) -> Bl
         values.append(float(np.mean(still.advance_rad)) * turn_hz)
         errors.append(max(scatter_hz / np.sqrt(len(still.advance_rad)), 1e-4))
         places.append(Place("lock at rest, within acquisitions", time=when))
+        inside.append(1.0)
+        hours.append(float(np.mean(still.time_s)) / 3600)
+        if not turn.size:
+            continue
         values.append(-float(np.sum(turn) / np.sum(gap)) / (2 * np.pi))
         errors.append(_FEW * between / np.sqrt(len(turn)) / float(np.mean(gap)) / (2 * np.pi))
         places.append(Place("lock at rest, between acquisitions", time=when))
-        inside += [1.0, 0.0]
-        hours += [float(np.mean(still.time_s)) / 3600] * 2
+        inside.append(0.0)
+        hours.append(hours[-1])
 
     def predict(twin: Twin) -> Array:
         clocks, within = twin.clocks, np.array(inside)
@@ -220,11 +223,20 @@ def stability_block(stills: Sequence[Still]) -> Block:
     return block("still light", Tap.FIELD, values, np.array(errors), places, (), predict)
 
 
-def scatter_block(stills: Sequence[Still], lock_scatter_hz: float, rate_hz: float) -> Block:
-    """Scatter of phases, within acquisitions of all sweeps and between those of light at rest."""
-    turns = np.concatenate([still.turn_rad[np.isfinite(still.turn_rad)] for still in stills])
+def scatter_block(stills: Sequence[Still], lock_scatter_hz: float, rate_hz: float) -> Block | None:
+    """Scatter of phases, within acquisitions of all sweeps and between those of light at rest.
+
+    None if too few of the latter are good.
+    """
     gaps = np.concatenate([still.gap_s[np.isfinite(still.gap_s)] for still in stills])
-    between = float(np.sqrt(np.mean((turns - turns.mean()) ** 2)))
+    each = [still.turn_rad[np.isfinite(still.turn_rad)] for still in stills]
+    # What clampings differ by is the lock's, not scatter.
+    each = [turns for turns in each if turns.size]
+    freedoms = sum(len(turns) - 1 for turns in each)
+    if freedoms < 1:
+        return None
+    left = np.concatenate([turns - turns.mean() for turns in each])
+    between = float(np.sqrt(np.sum(left**2) / freedoms))
     walk = np.array([1.0, 1.0])
 
     def predict(twin: Twin) -> Array:
@@ -233,7 +245,8 @@ def scatter_block(stills: Sequence[Still], lock_scatter_hz: float, rate_hz: floa
         apart = np.sqrt(beams.walk_rad_s**2 * gaps.mean() + 0.5 * beams.jitter_rad**2)
         return np.log([within * rate_hz / (2 * np.pi), apart])
 
-    covariance = np.diag([_SCATTER**2, 0.5 / max(len(turns) - 2, 1)]) + unknown((walk, _WALK))
+    errors = np.diag([_SCATTER**2, _SCATTER**2 + 0.5 / freedoms])
+    covariance = errors + unknown((walk, _WALK))
     places = [Place("phase within acquisitions"), Place("phase between acquisitions")]
     return block(
         "scatter of phases", Tap.HOLOGRAM, np.log([lock_scatter_hz, max(between, 1e-4)]),

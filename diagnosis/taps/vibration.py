@@ -9,11 +9,14 @@ from numpy.typing import NDArray
 from scipy.special import j0, j1, jv
 
 from acquire.runfile import Run, StepRecord
+from diagnosis.block import Block, Place, block
 from diagnosis.campaign import Part
 from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
 from fitting.joint import JointFit, fit_again, fit_jointly
 from fitting.modal import ModalFit
+from physics.effects.form import Tap
+from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -55,6 +58,8 @@ class SweepReading:
         See `fitting.modal.ModalFit`, of the m modes `shape_names`.
     shape_names : tuple of str
     shape_hz : (m,) float
+    shape_peak_m, shape_peak : (m, 2), (m,) float
+        Where each shape is largest, and its value there, 1 or -1.
     drive_hz, volts, time_s : (k,) float
         Of every hologram; times since the campaign began.
     log_drive : (k,) float
@@ -94,6 +99,8 @@ class SweepReading:
     mixing_spread: Array
     shape_names: tuple[str, ...]
     shape_hz: Array
+    shape_peak_m: Array
+    shape_peak: Array
     drive_hz: Array
     volts: Array
     time_s: Array
@@ -124,10 +131,10 @@ def read_sweeps(
     -------
     readings : list of SweepReading
     refused : list of str
-        Why others could not be fitted.
+        Why each of the others could not be fitted.
     """
     report = progress or (lambda _share: None)
-    refused: list[str] = []
+    refused: dict[str, str] = {}
     reed = basis_of(parts[0].run.reed_file())
     model = finite_element_model(reed)
     first = parts[0].clamping
@@ -143,7 +150,7 @@ def read_sweeps(
                 moved = part.clamping != known.clamping
                 fits[part.name] = fit_again(part.run, fits[known.name], moved=moved)
         except FitError as error:
-            refused.append(str(error))
+            refused[part.name] = str(error)
             return False
         return True
 
@@ -165,9 +172,10 @@ def read_sweeps(
         if part is not last and fit(part, last):
             last = part
         report(_SEARCH + (1 - _SEARCH) * (number + 1) / len(turns))
-    found = [(part, fits[part.name]) for part in parts if part.name in fits]
-    refused += [f"{p.run.path}: nothing is identified" for p, fit in found if not fit.resonances]
-    return [_reading(part, fit) for part, fit in found if fit.resonances], refused
+    found = {part.name: part for part in parts if part.name in fits and fits[part.name].resonances}
+    empty = {part.name: f"{part.run.path}: nothing is identified" for part in parts}
+    told = [(empty | refused)[part.name] for part in parts if part.name not in found]
+    return [_reading(part, fits[name]) for name, part in found.items()], told
 
 
 def _bends(fit: JointFit) -> float:
@@ -216,6 +224,8 @@ def _reading(part: Part, fitted: JointFit) -> SweepReading:
     # Block by block: light and vibration may be taken for each other smoothly over the reed.
     moved = np.abs(found.light) * np.abs(found.amplitude_rad @ fitted.basis.functions.T)
     signal = found.gain + 0.5 * np.log(noise * np.maximum(np.mean(moved**2, axis=1), 1e-12))
+    shapes = fitted.basis.functions @ fitted.basis.shapes.T
+    highest = np.argmax(np.abs(shapes), axis=0)
     return SweepReading(
         name=part.name,
         clamping=part.clamping,
@@ -230,6 +240,8 @@ def _reading(part: Part, fitted: JointFit) -> SweepReading:
         mixing_spread=modal.mixing_spread[:, kept],
         shape_names=fitted.basis.names,
         shape_hz=fitted.basis.hz,
+        shape_peak_m=np.stack([phasors.x_m, phasors.y_m], axis=1)[highest],
+        shape_peak=shapes[highest, np.arange(len(highest))],
         drive_hz=phasors.drive_hz,
         volts=phasors.volts,
         time_s=np.array([_middle_s(step) - part.clock_s for step in steps]),
@@ -321,3 +333,19 @@ def _beside(columns: Array, own: int) -> tuple[Complex, Array]:
 def _real(columns: Complex) -> Array:
     """Real, then imaginary parts of rows: (n, …) → (2n, …)."""
     return np.concatenate([columns.real, columns.imag], axis=0)
+
+
+# --- Beside the twin ----------------------------------------------------------------------------
+# By how many sweeps fits fail though nothing is wrong.
+_REFUSED = 0.3
+
+
+def understood_block(understood: int, refused: int) -> Block:
+    """How many sweeps are no vibrations of this reed: no twin expects any."""
+
+    def predict(_twin: Twin) -> Array:
+        return np.zeros(1)
+
+    places = [Place(f"sweeps not understood, of {understood + refused}")]
+    errors = np.array([_REFUSED])
+    return block("sweeps", Tap.RESPONSE, [float(refused)], errors, places, (), predict)

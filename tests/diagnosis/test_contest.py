@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from diagnosis.contest import NONE, UNKNOWN, contest, signatures
+from diagnosis.contest import NONE, UNKNOWN, contest
 from diagnosis.rivals import Sized, compete
+from diagnosis.screening import signatures
 from physics.twin import Twin
 from tests.diagnosis.toy import EFFECTS, bench, measured
 

@@ -385,6 +385,17 @@ def test_what_is_expected_counts_only_if_it_explains_a_hologram(sweep, settled):
     assert found.misfit[liveliest] == pytest.approx(settled.misfit[liveliest], rel=0.02)
 
 
+def test_a_sweep_of_something_else_is_refused(sweep, settled):
+    rng = np.random.default_rng(12)
+    value = sweep.phasors.value.T
+    noise = with_value(sweep, (30 * complex_normal(rng, *value.shape)).T)
+    before = replace(settled, misfit=np.full(84, np.inf))
+    together = np.zeros(len(settled.shared.precision))
+    everything, expected = np.ones(84, dtype=bool), [settled.amplitude_rad]
+    with pytest.raises(FitError, match="none of 84 holograms shows what another run has told"):
+        refit_displacements(noise.phasors, sweep.basis, before, expected, everything, together)
+
+
 @pytest.fixture(scope="module")
 def plateau():
     """Sweep in dim light that stays just beyond the first bright fringe for long.

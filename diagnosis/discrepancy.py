@@ -1,0 +1,178 @@
+"""Something that no effect explains: any numbers of any blocks may be off, in no known way.
+
+Of each block it is asked how much likelier its numbers are if something unknown moves them, alike
+in a mode, a band, a time, or each by itself, by any of several sizes. What is unknown moves one
+block, or a few.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from math import comb
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+from scipy.special import logsumexp
+
+from diagnosis.block import Block
+from diagnosis.rivals import Comparison, Rival, gain_by_noise
+
+Array = NDArray[np.floating[Any]]
+
+# Unknown things have any of these sizes, in standard deviations of the numbers that they move.
+_SIZES = (2.0, 5.0, 15.0, 50.0, 150.0, 500.0)
+_KINDS = ("each", "quantity", "mode", "band", "time")
+# Probability that something unknown moves one block, two, three.
+_BLOCKS = (0.6, 0.25, 0.15)
+
+
+@dataclass(frozen=True)
+class _Left:
+    """What a rival leaves of d campaigns, and what takes part of it up.
+
+    Attributes
+    ----------
+    residuals : (n, d) float
+    slopes : (n, q) float
+        Of all that is free, in units of priors.
+    variance : (n,) float
+        Of each number.
+    """
+
+    residuals: Array
+    slopes: Array
+    variance: Array
+
+    def of(self, piece: slice) -> tuple[Array, Array]:
+        """Residuals (k, d) of a block, in units of their noise, and their covariance (k, k)."""
+        narrow = 1 / np.sqrt(self.variance[piece])[:, None]
+        M = linalg.cho_factor(np.eye(self.slopes.shape[1]) + self.slopes.T @ self.slopes)
+        own = narrow * self.slopes[piece]
+        left: Array = narrow * self.residuals[piece]
+        return left, np.eye(len(left)) - own @ linalg.cho_solve(M, own.T)
+
+    def beside(self, columns: Array) -> "_Left":
+        """What is left once columns (n, c) are free as well, of priors of variance 1."""
+        slopes = np.hstack([self.slopes, columns])
+        M = linalg.cho_factor(np.eye(slopes.shape[1]) + slopes.T @ slopes)
+        # At an optimum, slopes pull as hard as priors do: only new columns are not at theirs.
+        pull = np.zeros((slopes.shape[1], self.residuals.shape[1]))
+        pull[self.slopes.shape[1] :] = columns.T @ self.residuals
+        return _Left(self.residuals - slopes @ linalg.cho_solve(M, pull), slopes, self.variance)
+
+
+def discrepancies(
+    comparison: Comparison, rival: Rival, residuals: Array | None = None
+) -> dict[str, Array]:
+    """Log Bayes factors of something unknown in each block beside a rival, by the block's name.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    rival : Rival
+    residuals : (n, d) float, optional
+        What the rival leaves of d campaigns; of the one that it was fitted to if not given.
+
+    Returns
+    -------
+    dict of (d,) float
+    """
+    left = _Left(
+        rival.estimate.residuals[:, None] if residuals is None else residuals,
+        rival.free,
+        rival.form_variance,
+    )
+    return {
+        block.name: _factor(left, comparison.slices[block.name], block)
+        for block in comparison.blocks
+    }
+
+
+def in_one(factors: Mapping[str, Array]) -> Array:
+    """Log Bayes factors (d,) of something unknown that moves any one block."""
+    total: Array = logsumexp(np.stack(list(factors.values())), axis=0) - np.log(len(factors))
+    return total
+
+
+def anything(comparison: Comparison, rival: Rival) -> float:
+    """Log Bayes factor of something unknown that moves any one block, or a few together."""
+    left = _Left(rival.estimate.residuals[:, None], rival.free, rival.form_variance)
+    count, gained = len(comparison.blocks), 0.0
+    logs, still = [], list(comparison.blocks)
+    for number, share in enumerate(_BLOCKS[:count], 1):
+        tried = [_with_unknown(comparison, left, block) for block in still]
+        prior = np.log(share) - np.log(comb(count, number))
+        logs.append(float(prior + gained + logsumexp([factor for factor, _ in tried])))
+        best = int(np.argmax([factor for factor, _ in tried]))
+        if tried[best][0] <= 0:
+            break
+        # What is moved has its columns from now on.
+        gained += tried[best][0]
+        left = tried[best][1]
+        del still[best]
+    return float(logsumexp(logs))
+
+
+def _with_unknown(comparison: Comparison, left: _Left, block: Block) -> tuple[float, _Left]:
+    """Log Bayes factor of something unknown in a block, and what is left beside it."""
+    piece = comparison.slices[block.name]
+    found = [(float(gain[0]), kind, size) for gain, kind, size in _gains(left, piece, block)]
+    _, kind, size = max(found)
+    table = _table(block, kind)
+    columns = np.zeros((len(left.residuals), 0 if table is None else table.shape[1]))
+    columns[piece] = 0.0 if table is None else size * table
+    after = left.beside(columns)
+    # Of the twin it is known that its noise may be larger: less so where less is left.
+    usual = _by_noise(comparison, left) - _by_noise(comparison, after)
+    gains = [gain for gain, _, _ in found]
+    return float(logsumexp(gains) - np.log(len(gains))) - usual, after
+
+
+def _by_noise(comparison: Comparison, left: _Left) -> float:
+    """What log evidence gains by noise that may be larger in each block."""
+    squares = left.residuals[:, 0] ** 2 / left.variance
+    return sum(
+        gain_by_noise(float(squares[piece].sum()), piece.stop - piece.start)
+        for piece in comparison.slices.values()
+    )
+
+
+def _factor(left: _Left, piece: slice, block: Block) -> Array:
+    own, _ = left.of(piece)
+    gains = [gain for gain, _, _ in _gains(left, piece, block)]
+    # Of the twin it is known that its noise may be larger.
+    usual = np.array([gain_by_noise(chi2, len(own)) for chi2 in np.sum(own**2, axis=0).tolist()])
+    factor: Array = logsumexp(gains, axis=0) - np.log(len(gains)) - usual
+    return factor
+
+
+def _gains(left: _Left, piece: slice, block: Block) -> Iterator[tuple[Array, str, float]]:
+    """Yield what log evidence (d,) gains by each kind of something unknown, and each size."""
+    own, told = left.of(piece)
+    narrow = 1 / np.sqrt(left.variance[piece])[:, None]
+    for kind in _KINDS:
+        table = _table(block, kind)
+        if table is None:
+            continue
+        table = narrow * table
+        values, vectors = np.linalg.eigh(table.T @ told @ table)
+        along = (vectors.T @ (table.T @ own)) ** 2
+        for size in _SIZES:
+            grown = 1 + size**2 * np.maximum(values, 0)[:, None]
+            gain: Array = 0.5 * np.sum(size**2 * along / grown - np.log(grown), axis=0)
+            yield gain, kind, size
+
+
+def _table(block: Block, kind: str) -> Array | None:
+    """Columns (n, c) along which something unknown may move a block, whitened."""
+    if kind == "each":
+        return np.eye(len(block.values))
+    labels = [f"{place.quantity} {getattr(place, kind)}" for place in block.places]
+    names = sorted(set(labels))
+    if len(names) in (1, len(labels)) and kind != "quantity":
+        return None
+    deviation = np.sqrt(1 / np.diag(np.linalg.inv(block.covariance)))
+    indicator = np.array([[label == name for name in names] for label in labels], dtype=float)
+    table: Array = block.root @ (deviation[:, None] * indicator)
+    return table

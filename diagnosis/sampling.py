@@ -1,0 +1,85 @@
+"""Evidence by importance sampling, where Laplace's is to be checked."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+from scipy.special import logsumexp
+from scipy.stats import multivariate_t
+
+from diagnosis.rivals import Comparison, Rival
+
+Array = NDArray[np.floating[Any]]
+
+# Draws are from Student's distribution, wider than the posterior.
+_FREEDOMS, _WIDER = 4, 1.5
+_DRAWS = 96
+# Fewer draws that count tell no evidence.
+_LEAST_EFFECTIVE = 10.0
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """Evidence of a rival by importance sampling over the sizes of its effects.
+
+    Attributes
+    ----------
+    gain : float
+        What the log evidence is more than Laplace's.
+    effective : float
+        How many draws count.
+    """
+
+    gain: float
+    effective: float
+
+
+def sampled(comparison: Comparison, rival: Rival, seed: int = 0, draws: int = _DRAWS) -> Sampled:
+    """Sample a rival's evidence.
+
+    Sizes are drawn; nuisances, along which the twin is straight, are integrated for each draw.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    rival : Rival
+        With effects.
+    seed, draws : int
+    """
+    p, sizes = len(comparison.nuisances), rival.sizes
+    z, J = rival.estimate.z[:p], rival.estimate.jacobian[:, :p]
+    M = np.eye(p) + J.T @ J
+    factor = linalg.cho_factor(M)
+    spread = _WIDER**2 * rival.estimate.covariance[p:, p:]
+    bound = np.array([s.positive for sized in rival.effects for s in sized.sizes])
+    wide = multivariate_t(np.maximum(sizes, 0) * bound + sizes * ~bound, spread, df=_FREEDOMS)
+    drawn = np.atleast_2d(wide.rvs(draws, random_state=np.random.default_rng(seed)))
+    drawn = drawn.reshape(draws, len(sizes))
+    logs = np.full(draws, -np.inf)
+    # Half a Gaussian is twice as dense.
+    prior = np.log(2) * np.count_nonzero(bound) - 0.5 * len(sizes) * np.log(2 * np.pi)
+    for k, size in enumerate(drawn):
+        if np.any(bound & (size < 0)):
+            continue
+        try:
+            r = comparison.residuals(rival.changed(comparison.twin(z), size))
+        except ValueError:
+            continue
+        g = J.T @ r + z
+        cost = float(r @ r + z @ z - g @ linalg.cho_solve(factor, g) + size @ size)
+        logs[k] = -0.5 * cost + prior - float(np.atleast_1d(wide.logpdf(size))[0])
+    if not np.any(np.isfinite(logs)):
+        return Sampled(0.0, 0.0)
+    log_evidence = float(logsumexp(logs) - np.log(draws)) - 0.5 * float(np.linalg.slogdet(M)[1])
+    weights = np.exp(logs - logsumexp(logs))
+    return Sampled(log_evidence - rival.estimate.log_evidence, float(1 / np.sum(weights**2)))
+
+
+def checked(comparison: Comparison, rival: Rival) -> tuple[Rival, Sampled]:
+    """Rival with its evidence by importance sampling, if enough draws count."""
+    found = sampled(comparison, rival)
+    if found.effective < _LEAST_EFFECTIVE:
+        return rival, found
+    return replace(rival, fitted=rival.fitted + found.gain), found

@@ -1,0 +1,103 @@
+"""Which effects may be there: a score test of each beside a fit, one or two twins apiece."""
+
+from collections.abc import Iterator, Mapping
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from diagnosis.rivals import Comparison, Rival, Sized
+from physics.effects.form import Effect
+
+Array = NDArray[np.floating[Any]]
+
+# Sizes at which an effect's signature is taken, in deviations of its prior.
+_PROBE = 1.0
+# Effects that move whitened numbers by less do not move them.
+_LEAST_MOVED = 1e-6
+# Searches begin no farther out, and a positive size no nearer to nothing.
+_FARTHEST, _NEAREST = 6.0, 0.05
+
+
+def places_of(effect: Effect) -> Iterator[Sized]:
+    """Yield an effect at all places where it may be."""
+    names = [parameter.name for parameter in effect.placed]
+    for at in product(*(parameter.places for parameter in effect.placed)):
+        yield Sized(effect, dict(zip(names, at, strict=True)))
+
+
+def screened(comparison: Comparison, rival: Rival, sized: Sized) -> tuple[float, Array] | None:
+    """Gain of log evidence by adding an effect to a rival, along its signature, of either sign.
+
+    Returns
+    -------
+    gain : float
+    sizes : (s,) float
+        To begin a search with.
+
+    None if the effect moves nothing, or is of no possible reed.
+    """
+    signs = (1.0,) if sized.sizes[0].positive else (1.0, -1.0)
+    found = [_screened(comparison, rival, sized, sign) for sign in signs]
+    return max((each for each in found if each), key=lambda each: each[0], default=None)
+
+
+def _screened(
+    comparison: Comparison, rival: Rival, sized: Sized, sign: float
+) -> tuple[float, Array] | None:
+    table = signature(comparison, rival, sized, sign)
+    if table is None:
+        return None
+    information = table.T @ beside(rival, table) + np.eye(table.shape[1])
+    pull = -(table.T @ rival.estimate.residuals)
+    size = np.linalg.solve(information, pull)
+    bound = np.array([parameter.positive for parameter in sized.sizes])
+    gain = -0.5 * float(np.linalg.slogdet(information)[1])
+    if not np.any(bound & (size <= 0)):
+        gain += 0.5 * float(pull @ size)
+    begin = np.where(bound, np.maximum(size, _NEAREST), size)
+    return gain, np.clip(begin, -_FARTHEST, _FARTHEST)
+
+
+def signature(comparison: Comparison, rival: Rival, sized: Sized, sign: float) -> Array | None:
+    """What each size of an effect moves (n, s), whitened; None if nothing, or of no reed."""
+    twin, columns = rival.twin(comparison), []
+    nothing = np.zeros(len(sized.sizes))
+    for k in range(len(nothing)):
+        # What a second parameter does may depend on the first, the effect's strength.
+        base, size = nothing.copy(), nothing.copy()
+        size[0] = sign * _PROBE
+        if k:
+            base[0], size[k] = sign * _PROBE, _PROBE
+        try:
+            moved = comparison.residuals(sized.change(twin, size))
+            start = comparison.residuals(sized.change(twin, base))
+        except ValueError:
+            return None
+        columns.append((moved - start) / (1.0 if k else sign))
+    table = np.stack(columns, axis=1)
+    return table if np.any(np.abs(table) > _LEAST_MOVED) else None
+
+
+def beside(rival: Rival, table: Array) -> Array:
+    """Columns (n, k) less what all that the rival has free takes up of them."""
+    J = rival.free
+    M = linalg.cho_factor(np.eye(J.shape[1]) + J.T @ J)
+    left: Array = table - J @ linalg.cho_solve(M, J.T @ table)
+    return left
+
+
+def signatures(
+    comparison: Comparison, null: Rival, alone: Mapping[str, Rival]
+) -> dict[str, tuple[Array, Array]]:
+    """What each effect moves (n, s), whitened: all of it, and less what nuisances take up."""
+    found = {}
+    for name, rival in alone.items():
+        sized = rival.effects[0]
+        sign = 1.0 if sized.sizes[0].positive or rival.sizes[0] > 0 else -1.0
+        table = signature(comparison, null, sized, sign)
+        if table is not None:
+            found[name] = table, beside(null, table)
+    return found

@@ -57,14 +57,24 @@ class Generator(Instrument):
     output: Output | None = None
 
 
+class DataSheet(Section):
+    """What the maker says of a sensor, in electrons and digital numbers of one pixel."""
+
+    offset_dn: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    gain_e_dn: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    read_noise_e: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    full_well_e: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
 class CameraSensor(Instrument):
-    """The camera and its sensor of square pixels."""
+    """The camera and its sensor of square pixels; without a data sheet, one as in the paper."""
 
     width: Annotated[int, Field(ge=16, le=65_536)]
     height: Annotated[int, Field(ge=16, le=65_536)]
     pixel_m: Annotated[Length, Field(alias="pixel", gt=0)]
     bits: Annotated[int, Field(ge=8, le=16)]
     max_frame_rate_hz: Annotated[Frequency, Field(alias="max_frame_rate", gt=0)]
+    data_sheet: DataSheet | None = None
 
 
 class Instruments(Section):
@@ -151,6 +161,9 @@ class BenchFile(Description):
         Known resonances of the excitation device, which are no modes of a reed.
     twin : dict
         Settings of the simulated bench, untouched; the twin checks them.
+    known : dict
+        Effects that this bench is known to have, by name, with their sizes, untouched; a diagnosis
+        checks them.
     """
 
     kind: ClassVar[str] = "bench"
@@ -164,6 +177,7 @@ class BenchFile(Description):
         tuple[Frequency, ...], Field(alias="acoustic_lines", strict=False)
     ] = ()
     twin: Annotated[dict[str, Any], Field(default_factory=dict)]
+    known: Annotated[dict[str, dict[str, float | str]], Field(default_factory=dict)]
 
     @field_validator("optics")
     @classmethod

@@ -326,6 +326,12 @@ def diagnose(
     published: Annotated[
         bool, typer.Option("--published", help="Take the paper's Table 1 as data instead of runs.")
     ] = False,
+    bench: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE", help="Bench file that says what is known of the bench, under known:."
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="PAGE.html", help="Page to write besides.")
     ] = None,
@@ -349,21 +355,27 @@ def diagnose(
         return
     if not runs:
         raise FitInputError("name runs or a table of resonances, or give --published")
-    _diagnose_runs(runs, out, as_json)
+    _diagnose_runs(runs, bench, out, as_json)
 
 
-def _diagnose_runs(paths: Sequence[Path], out: Path | None, as_json: bool) -> None:
+def _diagnose_runs(
+    paths: Sequence[Path], bench_name: str | None, out: Path | None, as_json: bool
+) -> None:
     """Diagnose the runs of one campaign."""
+    from acquire.bench_file import BenchFile
     from acquire.display import share_progress
     from acquire.runfile import Run
     from diagnosis.answer import to_json
     from diagnosis.campaign import Campaign
+    from diagnosis.known_bench import base_twin
     from diagnosis.observing import read
     from diagnosis.page import words, write_page
     from diagnosis.verdict import diagnose as judge
     from physics.mechanics import Workshop
     from physics.reed.cache import anatomy
 
+    bench = BenchFile.from_file(bench_name) if bench_name else None
+    base = base_twin(bench)
     files = [
         file for path in paths for file in (sorted(path.glob("*.h5")) if path.is_dir() else [path])
     ]
@@ -372,9 +384,9 @@ def _diagnose_runs(paths: Sequence[Path], out: Path | None, as_json: bool) -> No
         geometry = campaign.sweeps[0].run.reed_file().geometry()
         workshop = Workshop(anatomy(geometry, announce=_tell), _tell)
         with share_progress(_words(), "fitting sweeps") as told:
-            readings = read(campaign, told)
+            readings = read(campaign, bench, told)
     with share_progress(_words(), "trying effects") as told:
-        verdict = judge(readings, workshop, progress=told)
+        verdict = judge(readings, workshop, base, progress=told)
     if out is not None:
         write_page(verdict, f"Diagnosis of {campaign.sweeps[0].run.reed}", out)
     if as_json:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from diagnosis.discrepancy import anything, discrepancies
-from diagnosis.rivals import Comparison, Rival, compete
+from diagnosis.rivals import Comparison, Rival, Sized, compete, compete_straight
 from diagnosis.sampling import Sampled, checked
-from diagnosis.screening import places_of, screened
+from diagnosis.screening import Base, places_of, screened
 from physics.effects.form import Effect
 
 Array = NDArray[np.floating[Any]]
@@ -29,6 +29,9 @@ _MOST_PAIRED, _MOST_BESIDE, _LEAST_GAIN = 5, 4, 3.0
 _LOOKED_BESIDE, _ALSO = 3, 0.05
 # Rivals whose evidence is within so many nats are sampled.
 _CLOSE = 5.0
+# So many of the likeliest, unless they are that far behind in nats, are fitted with nothing taken
+# for straight.
+_MOST_REFINED, _FAR_BEHIND = 5, 8.0
 _SEED = 20_080_402
 
 
@@ -75,15 +78,20 @@ def contest(
     report = progress or (lambda _share: None)
     rng = np.random.default_rng(_SEED)
     nothing = np.zeros(len(comparison.nuisances))
-    null = compete(comparison, (), [nothing, 0.5 * rng.standard_normal(len(nothing))])
+    null = compete(comparison, (), [nothing, 0.5 * rng.standard_normal(len(nothing))], exact=True)
+    report(0.2)
+    bases = _bases(comparison, null)
     alone: dict[str, Rival] = {}
     for number, effect in enumerate(effects):
-        found = _alone(comparison, null, effect)
+        found = _alone(comparison, bases, effect)
         if found is not None:
             alone[effect.id] = found
-        report(0.6 * (number + 1) / len(effects))
+        report(0.2 + 0.4 * (number + 1) / len(effects))
+    _refine(comparison, alone, null, len(effects))
     null = _polished(comparison, null, alone.values())
+    report(0.7)
     pairs = _pairs(comparison, null, alone, effects)
+    _refine(comparison, pairs, null, len(effects))
     report(0.85)
     rivals = {**alone, **pairs}
     sampled = _settle(comparison, null, rivals, len(effects), rng)
@@ -98,32 +106,74 @@ def contest(
     return Contest(null, alone, pairs, told, beside, sampled, probabilities)
 
 
+def _bases(comparison: Comparison, null: Rival) -> list[tuple[Array, Base]]:
+    """Nuisances to begin with, and the twin that has them.
+
+    What fits are free to exchange may hide an effect: it is looked for without that as well.
+    """
+    z = [null.estimate.z]
+    if comparison.exchanging.any():
+        z.append(np.where(comparison.exchanging, 0.0, null.estimate.z))
+    return [(at, Base.at(comparison, at)) for at in z]
+
+
+def _refine(comparison: Comparison, rivals: dict[str, Rival], null: Rival, effects: int) -> None:
+    """Fit the likeliest rivals anew, with nothing taken for straight."""
+    ranked = _ranked(rivals, null, effects)[:_MOST_REFINED]
+    if not ranked:
+        return
+    odds = {name: _log_odds(rivals[name], null, effects) for name in ranked}
+    least = max(*odds.values(), float(np.log(PRIOR["none"]))) - _FAR_BEHIND
+    for name in ranked:
+        if odds[name] > least:
+            rival = rivals[name]
+            found = compete(comparison, rival.effects, [rival.estimate.z])
+            rivals[name] = replace(found, elsewhere=rival.elsewhere)
+
+
 def _polished(comparison: Comparison, null: Rival, rivals: Iterable[Rival]) -> Rival:
     """Fit the twin without effects again, from where its best rival's nuisances have come to."""
     best = max(rivals, key=lambda rival: rival.log_evidence, default=None)
     if best is None:
         return null
     p = len(comparison.nuisances)
-    return compete(comparison, (), [null.estimate.z, best.estimate.z[:p]])
+    again = compete(comparison, (), [best.estimate.z[:p]], exact=True)
+    agreeing = null.estimate.agreeing + (again.estimate.cost < null.estimate.cost + 1)
+    if again.estimate.cost > null.estimate.cost:
+        again = null
+    estimate = replace(again.estimate, agreeing=agreeing, starts=null.estimate.starts + 1)
+    return replace(again, estimate=estimate)
 
 
-def _alone(comparison: Comparison, null: Rival, effect: Effect) -> Rival | None:
-    """Fit one effect, at its best place; None if it moves nothing, or is of no possible reed."""
-    places = list(places_of(effect))
-    ranked = []
-    for sized in places:
-        found = screened(comparison, null, sized)
-        if found is not None:
-            ranked.append((*found, sized))
-    if not ranked:
+def _alone(
+    comparison: Comparison, bases: Sequence[tuple[Array, Base]], effect: Effect
+) -> Rival | None:
+    """Fit one effect, at its best place; None if it moves nothing, or is of no possible reed.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    bases : sequence of ((p,) float, Base)
+        Nuisances to begin with, and the twin that has them.
+    effect : Effect
+    """
+    found = [_at_its_best(comparison, z, base, effect) for z, base in bases]
+    rivals = [rival for rival in found if rival is not None]
+    return min(rivals, key=lambda rival: rival.estimate.cost, default=None)
+
+
+def _at_its_best(comparison: Comparison, about: Array, base: Base, effect: Effect) -> Rival | None:
+    """Fit one effect at its best place, beside nuisances (p,) and the twin that has them."""
+    screening = [(screened(comparison, base, sized), sized) for sized in places_of(effect)]
+    told = [(found, sized) for found, sized in screening if found is not None]
+    if not told:
         return None
-    gain, start, sized = max(ranked, key=lambda entry: entry[0])
-    try:
-        rival = compete(comparison, (sized,), [np.concatenate([null.estimate.z, start])])
-    except ValueError:
+    (gain, sizes), sized = max(told, key=lambda entry: entry[0][0])
+    rival = _straight(comparison, (sized,), about, sizes)
+    if rival is None:
         return None
     # Elsewhere it is worse by as much as its signature says; here the fit is exact.
-    others = float(logsumexp([entry[0] - gain for entry in ranked]) - np.log(len(places)))
+    others = float(logsumexp([found[0] - gain for found, _ in told]) - np.log(len(screening)))
     return replace(rival, elsewhere=others)
 
 
@@ -139,7 +189,7 @@ def _pairs(
             chosen.setdefault(tuple(sorted((first.names[0], other.names[0]))), (first, other))
     found = {}
     for one, other in chosen.values():
-        rival = _pair(comparison, null, one, other)
+        rival = _pair(comparison, one, other)
         if rival is not None:
             found["+".join(rival.names)] = rival
     return found
@@ -149,24 +199,31 @@ def _beside(
     comparison: Comparison, first: Rival, alone: Mapping[str, Rival], effects: Sequence[Effect]
 ) -> list[Rival]:
     """Effects that explain most of what the first leaves."""
-    gains = {}
+    gains, base = {}, Base.of(comparison, first)
     for effect in effects:
         other = alone.get(effect.id)
         if other is None or effect.id == first.names[0]:
             continue
-        found = screened(comparison, first, other.effects[0])
+        found = screened(comparison, base, other.effects[0])
         if found is not None and found[0] > _LEAST_GAIN:
             gains[effect.id] = found[0]
     ranked = sorted(gains, key=lambda name: -gains[name])
     return [alone[name] for name in ranked[:_MOST_BESIDE]]
 
 
-def _pair(comparison: Comparison, null: Rival, one: Rival, other: Rival) -> Rival | None:
-    p = len(comparison.nuisances)
-    z = one.estimate.z[:p] + other.estimate.z[:p] - null.estimate.z
-    starts = [np.concatenate([z, one.sizes, other.sizes])]
+def _pair(comparison: Comparison, one: Rival, other: Rival) -> Rival | None:
+    first, second = sorted((one, other), key=lambda rival: rival.estimate.cost)
+    about = first.estimate.z[: len(comparison.nuisances)]
+    sizes = np.concatenate([first.sizes, second.sizes])
+    return _straight(comparison, (*first.effects, *second.effects), about, sizes)
+
+
+def _straight(
+    comparison: Comparison, effects: Sequence[Sized], about: Array, sizes: Array
+) -> Rival | None:
+    """Rival with all that nuisances do taken for straight; None of no possible reed."""
     try:
-        return compete(comparison, (*one.effects, *other.effects), starts)
+        return compete_straight(comparison, effects, about, sizes)
     except ValueError:
         return None
 
@@ -183,7 +240,7 @@ def _settle(
     Replaces them among the rivals.
     """
     best = _ranked(rivals, null, effects)[:2]
-    for name in best:
+    for name in best[:1]:
         rivals[name] = _again(comparison, rivals[name], rng)
     odds = {NONE: float(np.log(PRIOR["none"]))}
     odds |= {name: _log_odds(rivals[name], null, effects) for name in best}
@@ -198,9 +255,9 @@ def _settle(
 def _again(comparison: Comparison, rival: Rival, rng: np.random.Generator) -> Rival:
     """Fit a rival from its optimum, and from elsewhere: a certificate that it is the optimum."""
     z, p = rival.estimate.z, len(comparison.nuisances)
-    elsewhere = z + 0.5 * rng.standard_normal(len(z))
-    elsewhere[p:] = 0.6 * z[p:]
-    again = compete(comparison, rival.effects, [z, elsewhere])
+    elsewhere = z + 0.3 * rng.standard_normal(len(z))
+    elsewhere[p:] = 0.8 * z[p:]
+    again = compete(comparison, rival.effects, [z, elsewhere], exact=True)
     return replace(again, elsewhere=rival.elsewhere)
 
 

@@ -20,6 +20,8 @@ class Nuisance:
     change : callable
         ``change(twin, value)``: the twin with it.
     source : str
+    of_fits : bool
+        Whether it is what fits of sweeps take for something else.
     """
 
     name: str
@@ -27,6 +29,7 @@ class Nuisance:
     spread: float
     change: Callable[[Twin, float], Twin]
     source: str
+    of_fits: bool = False
 
 
 def _cane(name: str, spread: float, source: str) -> Nuisance:
@@ -109,15 +112,15 @@ _METHOD = "fits of simulated sweeps: a few of a hundred modes are 10 to 40 cents
 
 def of_fits(modes: Sequence[str]) -> tuple[Nuisance, ...]:
     """What fits may have exchanged between the drive and each of some modes."""
-    found = []
-    for mode in modes:
-        found += [
-            Nuisance(
-                f"{mode}, cents", "cents", _EXCHANGED_CENTS, _exchange(mode, (1.0, 0.0)), _METHOD
-            ),
-            Nuisance(f"{mode}, loss", "", _EXCHANGED_LOSS, _exchange(mode, (0.0, 1.0)), _METHOD),
-        ]
-    return tuple(found)
+    of_each = (
+        ("cents", "cents", _EXCHANGED_CENTS, (1.0, 0.0)),
+        ("loss", "", _EXCHANGED_LOSS, (0.0, 1.0)),
+    )
+    return tuple(
+        Nuisance(f"{mode}, {what}", unit, spread, _exchange(mode, share), _METHOD, of_fits=True)
+        for mode in modes
+        for what, unit, spread, share in of_each
+    )
 
 
 def _exchange(mode: str, share: tuple[float, float]) -> Callable[[Twin, float], Twin]:

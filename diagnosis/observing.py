@@ -1,11 +1,13 @@
 """From runs to the blocks of numbers that a twin is compared with; less with less data."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+from acquire.bench_file import BenchFile
 from acquire.run_layout import Kind
 from diagnosis.block import Block
 from diagnosis.campaign import Campaign
+from diagnosis.known_bench import bench_of, sensor_of
 from diagnosis.taps.beat import Beat, lock_block, lock_scatter_hz, log_block, read_beat
 from diagnosis.taps.carrier import Carrier, carrier_block, leaks_in, read_carriers
 from diagnosis.taps.drive import Device, force_block, level_block, line_block
@@ -34,7 +36,6 @@ from diagnosis.taps.still import (
 from diagnosis.taps.vibration import SweepReading, read_sweeps, understood_block
 from physics.air import CavityLine, Filling, chamber_of
 from physics.mechanics import Workshop
-from physics.sensor import Sensor
 
 # Share of the time that fitting sweeps takes.
 _SWEEPS = 0.95
@@ -75,12 +76,18 @@ class Readings:
     device: Device
 
 
-def read(campaign: Campaign, progress: Callable[[float], None] | None = None) -> Readings:
+def read(
+    campaign: Campaign,
+    bench: BenchFile | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Readings:
     """Read all runs.
 
     Parameters
     ----------
     campaign : Campaign
+    bench : BenchFile, optional
+        What is known of the bench; if not given, what the first sweep says of it.
     progress : callable, optional
         Told the share that is done.
 
@@ -93,9 +100,8 @@ def read(campaign: Campaign, progress: Callable[[float], None] | None = None) ->
     first = campaign.sweeps[0].run
     dark_parts, flat_parts = campaign.of_kind(Kind.DARK), campaign.of_kind(Kind.FLAT)
     lo_parts, still_parts = campaign.of_kind(Kind.LO_ONLY), campaign.of_kind(Kind.ORDER0)
-    pixel_m = first.reconstruction.transform.pixel_m
-    sensor = replace(Sensor(), shape=first.frame_shape, pixel_m=pixel_m)
-    sheet = Sheet(sensor, 0.5 * first.frame_shape[0] * pixel_m)
+    sensor = sensor_of(bench or bench_of(first), first)
+    sheet = Sheet(sensor, 0.5 * sensor.shape[0] * sensor.pixel_m)
     dark = read_dark(dark_parts) if dark_parts else None
     offset_dn = dark.offset_dn if dark else sensor.offset_dn
     sweeps, refused = read_sweeps(campaign.sweeps, lambda share: report(_SWEEPS * share))

@@ -5,9 +5,9 @@ the twin without effects, taken anew where a fit moves far; along an effect's ow
 are taken at every step.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -22,9 +22,9 @@ from physics.twin import Twin
 Array = NDArray[np.floating[Any]]
 
 # Slopes are taken anew where a nuisance has moved by so many deviations.
-_FAR = 1.5
+_FAR, _NEAR = 1.5, 0.1
 _STEP = 0.02
-_KEPT = 4096
+_KEPT, _SLOPES_KEPT = 4096, 4
 # Searches end where a step gains less than this share of the cost: hundredths of a nat.
 _LEAST_GAIN = 1e-4
 # The noise of a block may be larger than its replicates say: log.
@@ -52,7 +52,12 @@ class Comparison:
             block.name: slice(int(a), int(b))
             for block, a, b in zip(blocks, starts, starts[1:], strict=False)
         }
-        self._slope: tuple[Array, Array] | None = None
+        self._slopes: list[tuple[Array, Array]] = []
+
+    @property
+    def exchanging(self) -> NDArray[np.bool_]:
+        """Which nuisances (p,) only say what fits take for something else."""
+        return np.array([nuisance.of_fits for nuisance in self.nuisances], dtype=bool)
 
     def twin(self, z: Array) -> Twin:
         """Twin with nuisances z (p,), in units of their priors."""
@@ -75,18 +80,21 @@ class Comparison:
         block = self.blocks[number]
         return block.left(Twin(**dict(zip(block.parts, parts, strict=True))))
 
-    def slope(self, z: Array) -> Array:
-        """Derivatives (n, p) along the nuisances, near z."""
-        if self._slope is None or np.abs(z - self._slope[0]).max() > _FAR:
-            here = self.residuals(self.twin(z))
-            columns = []
-            for k in range(len(z)):
-                step = -_STEP if z[k] > 0 else _STEP
-                moved = z.copy()
-                moved[k] += step
-                columns.append((self.residuals(self.twin(moved)) - here) / step)
-            self._slope = z.copy(), np.stack(columns, axis=1)
-        return self._slope[1]
+    def slope(self, z: Array, far: float = _FAR) -> Array:
+        """Derivatives (n, p) along the nuisances, no farther from z than so many deviations."""
+        for at, slope in self._slopes:
+            if np.abs(z - at).max() <= far:
+                return slope
+        here = self.residuals(self.twin(z))
+        columns = []
+        for k in range(len(z)):
+            step = -_STEP if z[k] > 0 else _STEP
+            moved = z.copy()
+            moved[k] += step
+            columns.append((self.residuals(self.twin(moved)) - here) / step)
+        slope = np.stack(columns, axis=1)
+        self._slopes = [(z.copy(), slope), *self._slopes[: _SLOPES_KEPT - 1]]
+        return slope
 
 
 @dataclass(frozen=True)
@@ -175,7 +183,13 @@ class Rival:
         return _with_effects(twin, self.effects, sizes)
 
 
-def compete(comparison: Comparison, effects: Sequence[Sized], starts: Sequence[Array]) -> Rival:
+def compete(
+    comparison: Comparison,
+    effects: Sequence[Sized],
+    starts: Sequence[Array],
+    *,
+    exact: bool = False,
+) -> Rival:
     """Fit a twin with effects.
 
     Parameters
@@ -185,36 +199,93 @@ def compete(comparison: Comparison, effects: Sequence[Sized], starts: Sequence[A
         None is the twin without any.
     starts : sequence of (p + s,) float
         Nuisances, then sizes of all effects.
+    exact : bool
+        Whether slopes along the nuisances are to be those where the fit ends.
 
     Raises
     ------
     ValueError
         If no start is a possible reed.
     """
-    p = len(comparison.nuisances)
-    positive = [False] * p + [size.positive for sized in effects for size in sized.sizes]
-
-    def twin_at(z: Array) -> Twin:
-        return _with_effects(comparison.twin(z[:p]), effects, z[p:])
+    p, positive = len(comparison.nuisances), _positive(comparison, effects)
 
     def residuals(z: Array) -> Array:
-        return comparison.residuals(twin_at(z))
+        return comparison.residuals(_with_effects(comparison.twin(z[:p]), effects, z[p:]))
 
-    def jacobian(z: Array) -> Array:
-        nuisances = comparison.slope(z[:p])
-        here, columns = residuals(z), []
-        for k in range(p, len(z)):
-            step = _STEP if positive[k] or z[k] <= 0 else -_STEP
-            moved = z.copy()
-            moved[k] += step
-            columns.append((residuals(moved) - here) / step)
-        return np.column_stack([nuisances, *columns])
+    def jacobian(z: Array, far: float = _FAR) -> Array:
+        return np.column_stack([comparison.slope(z[:p], far), *_by_size(residuals, z, p, positive)])
 
     estimate = fit(residuals, positive, starts, jacobian, _LEAST_GAIN)
-    variance = np.ones(len(estimate.residuals))
-    if effects:
-        without = comparison.residuals(comparison.twin(estimate.z[:p]))
-        variance += (_FORM * (estimate.residuals - without)) ** 2
+    if exact:
+        close = partial(jacobian, far=_NEAR)
+        found = fit(residuals, positive, [estimate.z], close, _LEAST_GAIN)
+        estimate = replace(found, agreeing=estimate.agreeing, starts=estimate.starts)
+    without = comparison.residuals(comparison.twin(estimate.z[:p]))
+    return _rival(comparison, effects, estimate, estimate.residuals - without)
+
+
+def compete_straight(
+    comparison: Comparison, effects: Sequence[Sized], about: Array, sizes: Array
+) -> Rival:
+    """Fit a twin with effects as if all that nuisances do were straight.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    effects : sequence of Sized
+    about : (p,) float
+        Nuisances at which slopes are taken.
+    sizes : (s,) float
+        To begin with.
+
+    Raises
+    ------
+    ValueError
+        If the start is no possible reed.
+    """
+    p, positive = len(comparison.nuisances), _positive(comparison, effects)
+    slope, base = comparison.slope(about, _NEAR), comparison.twin(about)
+
+    def residuals(z: Array) -> Array:
+        bent = comparison.residuals(_with_effects(base, effects, z[p:]))
+        straight: Array = bent + slope @ (z[:p] - about)
+        return straight
+
+    def jacobian(z: Array) -> Array:
+        return np.column_stack([slope, *_by_size(residuals, z, p, positive)])
+
+    start = np.concatenate([about, sizes])
+    estimate = fit(residuals, positive, [start], jacobian, _LEAST_GAIN)
+    without = comparison.residuals(base) + slope @ (estimate.z[:p] - about)
+    return _rival(comparison, effects, estimate, estimate.residuals - without)
+
+
+def _positive(comparison: Comparison, effects: Sequence[Sized]) -> list[bool]:
+    sizes = [size.positive for sized in effects for size in sized.sizes]
+    return [False] * len(comparison.nuisances) + sizes
+
+
+def _by_size(
+    residuals: Callable[[Array], Array], z: Array, p: int, positive: Sequence[bool]
+) -> list[Array]:
+    """Derivatives (n,) along each size, which come after p nuisances."""
+    if len(z) == p:
+        return []
+    here = residuals(z)
+    columns: list[Array] = []
+    for k in range(p, len(z)):
+        step = _STEP if positive[k] or z[k] <= 0 else -_STEP
+        moved = z.copy()
+        moved[k] += step
+        columns.append((residuals(moved) - here) / step)
+    return columns
+
+
+def _rival(
+    comparison: Comparison, effects: Sequence[Sized], estimate: Estimate, by_effects: Array
+) -> Rival:
+    """Rival of an estimate, whose effects move the residuals by so much (n,)."""
+    variance = 1 + (_FORM * by_effects) ** 2
     log_evidence = estimate.log_evidence + _corrected(comparison, estimate.residuals, variance)
     chi2 = {
         name: float(np.sum(estimate.residuals[piece] ** 2))

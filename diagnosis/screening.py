@@ -1,6 +1,7 @@
 """Which effects may be there: a score test of each beside a fit, one or two twins apiece."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -10,6 +11,7 @@ from scipy import linalg
 
 from diagnosis.rivals import Comparison, Rival, Sized
 from physics.effects.form import Effect
+from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]
 
@@ -28,8 +30,43 @@ def places_of(effect: Effect) -> Iterator[Sized]:
         yield Sized(effect, dict(zip(names, at, strict=True)))
 
 
-def screened(comparison: Comparison, rival: Rival, sized: Sized) -> tuple[float, Array] | None:
-    """Gain of log evidence by adding an effect to a rival, along its signature, of either sign.
+@dataclass(frozen=True)
+class Base:
+    """A twin that effects are added to, fitted or not.
+
+    Attributes
+    ----------
+    twin : Twin
+    residuals : (n,) float
+    slopes : (n, q) float
+        Of all that is free.
+    pull : (q,) float
+        Half the gradient of the cost along that; 0 where it is fitted.
+    """
+
+    twin: Twin
+    residuals: Array
+    slopes: Array
+    pull: Array
+
+    @classmethod
+    def of(cls, comparison: Comparison, rival: Rival) -> "Base":
+        """A rival as fitted."""
+        slopes = rival.free
+        return cls(
+            rival.twin(comparison), rival.estimate.residuals, slopes, np.zeros(slopes.shape[1])
+        )
+
+    @classmethod
+    def at(cls, comparison: Comparison, z: Array) -> "Base":
+        """A twin with nuisances z (p,)."""
+        twin, slopes = comparison.twin(z), comparison.slope(z)
+        residuals = comparison.residuals(twin)
+        return cls(twin, residuals, slopes, slopes.T @ residuals + z)
+
+
+def screened(comparison: Comparison, base: Base, sized: Sized) -> tuple[float, Array] | None:
+    """Gain of log evidence by adding an effect, along its signature, of either sign.
 
     Returns
     -------
@@ -40,18 +77,22 @@ def screened(comparison: Comparison, rival: Rival, sized: Sized) -> tuple[float,
     None if the effect moves nothing, or is of no possible reed.
     """
     signs = (1.0,) if sized.sizes[0].positive else (1.0, -1.0)
-    found = [_screened(comparison, rival, sized, sign) for sign in signs]
+    found = [_screened(comparison, base, sized, sign) for sign in signs]
     return max((each for each in found if each), key=lambda each: each[0], default=None)
 
 
 def _screened(
-    comparison: Comparison, rival: Rival, sized: Sized, sign: float
+    comparison: Comparison, base: Base, sized: Sized, sign: float
 ) -> tuple[float, Array] | None:
-    table = signature(comparison, rival, sized, sign)
+    table = signature(comparison, base, sized, sign)
     if table is None:
         return None
-    information = table.T @ beside(rival, table) + np.eye(table.shape[1])
-    pull = -(table.T @ rival.estimate.residuals)
+    M = linalg.cho_factor(np.eye(base.slopes.shape[1]) + base.slopes.T @ base.slopes)
+    coupled = base.slopes.T @ table
+    information = (
+        np.eye(table.shape[1]) + table.T @ table - coupled.T @ linalg.cho_solve(M, coupled)
+    )
+    pull = coupled.T @ linalg.cho_solve(M, base.pull) - table.T @ base.residuals
     size = np.linalg.solve(information, pull)
     bound = np.array([parameter.positive for parameter in sized.sizes])
     gain = -0.5 * float(np.linalg.slogdet(information)[1])
@@ -61,19 +102,19 @@ def _screened(
     return gain, np.clip(begin, -_FARTHEST, _FARTHEST)
 
 
-def signature(comparison: Comparison, rival: Rival, sized: Sized, sign: float) -> Array | None:
+def signature(comparison: Comparison, base: Base, sized: Sized, sign: float) -> Array | None:
     """What each size of an effect moves (n, s), whitened; None if nothing, or of no reed."""
-    twin, columns = rival.twin(comparison), []
+    columns = []
     nothing = np.zeros(len(sized.sizes))
     for k in range(len(nothing)):
         # What a second parameter does may depend on the first, the effect's strength.
-        base, size = nothing.copy(), nothing.copy()
+        first, size = nothing.copy(), nothing.copy()
         size[0] = sign * _PROBE
         if k:
-            base[0], size[k] = sign * _PROBE, _PROBE
+            first[0], size[k] = sign * _PROBE, _PROBE
         try:
-            moved = comparison.residuals(sized.change(twin, size))
-            start = comparison.residuals(sized.change(twin, base))
+            moved = comparison.residuals(sized.change(base.twin, size))
+            start = comparison.residuals(sized.change(base.twin, first))
         except ValueError:
             return None
         columns.append((moved - start) / (1.0 if k else sign))
@@ -81,23 +122,18 @@ def signature(comparison: Comparison, rival: Rival, sized: Sized, sign: float) -
     return table if np.any(np.abs(table) > _LEAST_MOVED) else None
 
 
-def beside(rival: Rival, table: Array) -> Array:
-    """Columns (n, k) less what all that the rival has free takes up of them."""
-    J = rival.free
-    M = linalg.cho_factor(np.eye(J.shape[1]) + J.T @ J)
-    left: Array = table - J @ linalg.cho_solve(M, J.T @ table)
-    return left
-
-
 def signatures(
     comparison: Comparison, null: Rival, alone: Mapping[str, Rival]
 ) -> dict[str, tuple[Array, Array]]:
     """What each effect moves (n, s), whitened: all of it, and less what nuisances take up."""
-    found = {}
+    base = Base.of(comparison, null)
+    found: dict[str, tuple[Array, Array]] = {}
+    M = linalg.cho_factor(np.eye(base.slopes.shape[1]) + base.slopes.T @ base.slopes)
     for name, rival in alone.items():
         sized = rival.effects[0]
         sign = 1.0 if sized.sizes[0].positive or rival.sizes[0] > 0 else -1.0
-        table = signature(comparison, null, sized, sign)
+        table = signature(comparison, base, sized, sign)
         if table is not None:
-            found[name] = table, beside(null, table)
+            taken_up = base.slopes @ linalg.cho_solve(M, base.slopes.T @ table)
+            found[name] = table, table - taken_up
     return found

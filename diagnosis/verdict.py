@@ -15,7 +15,7 @@ from diagnosis.nuisances import NUISANCES, of_fits
 from diagnosis.observing import Readings, blocks
 from diagnosis.rivals import Comparison, Rival
 from diagnosis.screening import signatures
-from diagnosis.taps.modes import common_modes
+from diagnosis.taps.vibration import common_modes
 from diagnosis.triggers import Trigger, triggers
 from diagnosis.where import Map, gap_map
 from physics.effects.catalogue import CATALOGUE

@@ -66,6 +66,30 @@ class GeneratorDescription(InstrumentDescription, Protocol):
         ...
 
 
+class DataSheetDescription(Protocol):
+    """What the maker says of a sensor."""
+
+    @property
+    def offset_dn(self) -> float:
+        """Number of a dark pixel."""
+        ...
+
+    @property
+    def gain_e_dn(self) -> float:
+        """Electrons per number."""
+        ...
+
+    @property
+    def read_noise_e(self) -> float:
+        """Standard deviation per pixel and frame."""
+        ...
+
+    @property
+    def full_well_e(self) -> float:
+        """Electrons at which a pixel stops filling."""
+        ...
+
+
 class CameraDescription(InstrumentDescription, Protocol):
     """The camera."""
 
@@ -92,6 +116,11 @@ class CameraDescription(InstrumentDescription, Protocol):
     @property
     def max_frame_rate_hz(self) -> Fraction:
         """Of the whole sensor."""
+        ...
+
+    @property
+    def data_sheet(self) -> DataSheetDescription | None:
+        """Of the sensor, where it is known."""
         ...
 
 

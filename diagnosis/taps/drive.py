@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 
 from diagnosis.block import BANDS, Block, Place, band_of, block
 from diagnosis.taps.carrier import Leaks
-from diagnosis.taps.vibration import SAME_LEVEL, SweepReading
+from diagnosis.taps.vibration import SAME_LEVEL, SweepReading, common_modes
 from physics.air import CavityLine, Chamber, Filling, pressure_shape
 from physics.drive import Tweeter, tweeter_pressure_pa
 from physics.effects.form import Tap
@@ -230,7 +230,11 @@ def force_block(sweeps: Sequence[SweepReading], workshop: Workshop, device: Devi
     """What moves each mode, beside loudspeaker, chamber and reed of the twin."""
     loud = loudest(sweeps)
     known = workshop.modes(Twin().reed)
-    names = [name for name in loud[0].names if name in known and all(name in s.names for s in loud)]
+    names = [
+        name
+        for name in common_modes(sweeps)
+        if name in known and all(name in sweep.names for sweep in loud)
+    ]
     at = [[sweep.names.index(name) for name in names] for sweep in loud]
     forces = np.array([np.log(np.abs(s.force_rad[i])) for s, i in zip(loud, at, strict=True)])
     error = np.array([s.force_error[i] for s, i in zip(loud, at, strict=True)]).mean(axis=0)
@@ -239,7 +243,8 @@ def force_block(sweeps: Sequence[SweepReading], workshop: Workshop, device: Devi
     pitch = np.log(hz / 4e3) / np.log(5)
     powers = np.polynomial.legendre.legvander(np.clip(pitch, -1, 1), _RIPPLE_DEGREE)
     ripple = _RIPPLE * powers[:, 1:] / np.sqrt(np.arange(1, _RIPPLE_DEGREE + 1))
-    covariance = np.diag(error**2 + _FIELD**2) + _GAIN**2 + ripple @ ripple.T
+    doubt = np.array([_doubt(workshop, device.chamber, known[name]) for name in names])
+    covariance = np.diag(error**2 + doubt**2) + _GAIN**2 + ripple @ ripple.T
     predicted = forces_rad(workshop, device)
 
     losses = loud[0].loss_factor[at[0]]
@@ -267,7 +272,7 @@ def forces_rad(
     """Phase amplitudes per volt that forces have modes move by, at rest, where they move most."""
 
     @lru_cache(maxsize=_KEPT)
-    def pushes(reed: Mechanics, name: str) -> tuple[float, float, float]:
+    def pushes(reed: Mechanics, name: str) -> tuple[float, float, float, float]:
         return _pushes(workshop, device.chamber, workshop.modes(reed)[name])
 
     def forces(drive: DriveChain, reed: Mechanics, names: Sequence[str]) -> Array:
@@ -276,30 +281,47 @@ def forces_rad(
         if missing:
             raise ValueError(f"a reed of this kind has no mode {missing[0]}")
         hz = np.array([modes[name].hz for name in names])
-        left, right, deepest = np.array([pushes(reed, name) for name in names]).T
+        left, right, without_signs, deepest = np.array([pushes(reed, name) for name in names]).T
         share = drive.open_right if device.chamber.filling is Filling.ASYMMETRIC else 1.0
         at_tip = np.array([abs(tweeter_pressure_pa(device.tweeter, float(f), 1.0)) for f in hz])
         at_tip /= np.sqrt(1 + (drive.roll_off * hz / 1e4) ** 4)
-        moved = at_tip * np.abs(left + share * right) / (2 * np.pi * hz) ** 2
-        force: Array = np.maximum(4 * np.pi / device.wavelength_m * moved * deepest, 1e-12)
+        # Where pressures cancel, what is not the model's in them pushes all the same.
+        pushed = np.hypot(left + share * right, _FIELD * without_signs)
+        moved = at_tip * pushed / (2 * np.pi * hz) ** 2
+        force: Array = 4 * np.pi / device.wavelength_m * moved * deepest
         return force
 
     return forces
 
 
-def _pushes(workshop: Workshop, chamber: Chamber, mode: ReedMode) -> tuple[float, float, float]:
-    """Modal forces of unit pressure on either half of the window, and the largest deflection."""
+def _doubt(workshop: Workshop, chamber: Chamber, mode: ReedMode) -> float:
+    """Log of a force by pressure that is not the model's: more where the model's cancels."""
+    left, _, without_signs, _ = _pushes(workshop, chamber, mode)
+    share = (_FIELD * without_signs) ** 2
+    return float(np.hypot(_FIELD, share / (share + left**2)))
+
+
+def _pushes(
+    workshop: Workshop, chamber: Chamber, mode: ReedMode
+) -> tuple[float, float, float, float]:
+    """Modal forces of unit pressure, and the largest deflection.
+
+    Forces are those on either half of the window, and that on the left if all of it pushed alike.
+    """
     reed = workshop.anatomy.reed
     x, y = reed.load_points_m.T
     whole = replace(chamber, filling=Filling.SYMMETRIC)
     left = pressure_shape(chamber, mode.hz, x, y)
     right = pressure_shape(whole, mode.hz, x, -y)
     start, pushed, moved = 0, np.zeros(2), np.zeros((2, len(reed.plan_m)))
+    everywhere = np.zeros(len(left))
     for symmetry, half in reed.halves.items():
         own = mode.coordinates[start : start + half.mass.shape[0]]
         start += half.mass.shape[0]
         sign = 1 if symmetry is Symmetry.SYMMETRIC else -1
         deflection = half.load_z @ own
         pushed += 0.5 * np.array([left @ deflection, sign * (right @ deflection)])
+        everywhere += deflection
         moved += np.multiply.outer([1, sign], half.surface_z @ own)
-    return float(pushed[0]), float(pushed[1]), float(np.abs(moved).max())
+    without_signs = 0.5 * float(np.abs(left) @ np.abs(everywhere))
+    return float(pushed[0]), float(pushed[1]), without_signs, float(np.abs(moved).max())

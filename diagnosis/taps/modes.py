@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from diagnosis.block import Block, Place, band_of, block
 from diagnosis.taps.carrier import Leaks
-from diagnosis.taps.vibration import SweepReading
+from diagnosis.taps.vibration import SweepReading, common_modes
 from physics.effects.form import Tap
 from physics.mechanics import Workshop
 from physics.twin import Surroundings, Twin, with_cane
@@ -16,8 +16,6 @@ from physics.twin import Surroundings, Twin, with_cane
 Array = NDArray[np.floating[Any]]
 
 CENTS = 1200 / np.log(2)
-# Modes beyond this are too many to be told apart surely.
-_HIGHEST_HZ = 17e3
 # What fits of the same vibration differ by, over their errors, and at least: cents, per cent.
 _REPEATS, _REPEATS_LOSS, _LEAST_CENTS, _LEAST_LOSS = 0.4, 0.6, 0.15, 0.4
 # What the method and the elements are off by in every mode, cents: below and above 12 kHz; and what
@@ -26,7 +24,7 @@ _METHOD_CENTS, _METHOD_HIGH_CENTS, _LOSS = 2.2, 4.0, 6.0
 # The lowest mode has none below it that would tell its loss.
 _LOWEST_CENTS, _LOWEST_LOSS = 3.0, 20.0
 # A new clamping: cents, less for each mode above the first, and of each mode by itself; per cent.
-_CLAMP_CENTS, _CLAMP_FALL, _CLAMP_OWN, _CLAMP_LOSS = 2.5, 4.0, 0.6, 1.0
+_CLAMP_CENTS, _CLAMP_FALL, _CLAMP_OWN, _CLAMP_LOSS = 2.5, 4.0, 1.2, 4.0
 # Light that leaks in, per its share of what moves: cents, per cent.
 _LEAK_CENTS, _LEAK_LOSS = 15.0, 40.0
 # Sweeps of other volts.
@@ -72,16 +70,6 @@ def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks
     predict = _prediction(rows, common, sweeps, workshop)
     parts = ("reed", "surroundings", "fits")
     return block("modes", Tap.MODES, values, covariance, places, parts, predict)
-
-
-def common_modes(sweeps: Sequence[SweepReading]) -> list[str]:
-    """Modes that the first sweep tells, and all others but one."""
-    return [
-        name
-        for name, hz in zip(sweeps[0].names, sweeps[0].hz.tolist(), strict=True)
-        if sum(name in sweep.names for sweep in sweeps) >= max(1, len(sweeps) - 1)
-        and hz < _HIGHEST_HZ
-    ]
 
 
 def _of_fit(

@@ -23,6 +23,8 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 
 # What may be in a hologram beside its sideband, by name.
 TEMPLATES = ("carrier_leak", "order_mixing", "decorrelation")
+# Modes beyond this are too many to be told apart surely.
+_HIGHEST_HZ = 17e3
 # Modes so far away in log frequency count half as much or less.
 _NEAR = 0.2
 # What modes usually leave of vibrations, and how many holograms.
@@ -333,6 +335,16 @@ def _beside(columns: Array, own: int) -> tuple[Complex, Array]:
 def _real(columns: Complex) -> Array:
     """Real, then imaginary parts of rows: (n, …) → (2n, …)."""
     return np.concatenate([columns.real, columns.imag], axis=0)
+
+
+def common_modes(sweeps: Sequence[SweepReading]) -> list[str]:
+    """Modes that the first sweep tells, and all others but one."""
+    return [
+        name
+        for name, hz in zip(sweeps[0].names, sweeps[0].hz.tolist(), strict=True)
+        if sum(name in sweep.names for sweep in sweeps) >= max(1, len(sweeps) - 1)
+        and hz < _HIGHEST_HZ
+    ]
 
 
 # --- Beside the twin ----------------------------------------------------------------------------

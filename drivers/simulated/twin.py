@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from drivers.description import BenchDescription
+from drivers.description import BenchDescription, CameraDescription
 from drivers.errors import BenchSetupError
 from drivers.options import Options, read_options
 from drivers.roles import Preparation
@@ -354,7 +354,21 @@ def twin_settings(
             reed_centre_m=(float(optics.reed_centre.y_m), float(optics.reed_centre.x_m)),
             reed_size_m=(float(size.y_m), float(size.x_m)) if size else visible_size_m(geometry),
         ),
-        sensor=Sensor(
-            shape=(camera.height, camera.width), pixel_m=float(camera.pixel_m), bits=camera.bits
-        ),
+        sensor=_sensor(camera),
+    )
+
+
+def _sensor(camera: CameraDescription) -> Sensor:
+    """The sensor of a camera, nominal in what its data sheet does not say."""
+    shape, pixel_m, sheet = (camera.height, camera.width), float(camera.pixel_m), camera.data_sheet
+    if sheet is None:
+        return Sensor(shape=shape, pixel_m=pixel_m, bits=camera.bits)
+    return Sensor(
+        shape=shape,
+        pixel_m=pixel_m,
+        bits=camera.bits,
+        offset_dn=sheet.offset_dn,
+        gain_e_dn=sheet.gain_e_dn,
+        read_noise_e=sheet.read_noise_e,
+        full_well_e=sheet.full_well_e,
     )

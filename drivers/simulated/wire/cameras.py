@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from drivers.aravis import AravisCamera, load_aravis
 from drivers.basler import BaslerCamera, load_pylon
 from drivers.context import BenchContext
-from drivers.description import CameraDescription
+from drivers.description import CameraDescription, DataSheetDescription
 from drivers.errors import BenchSetupError
 from drivers.roles import Frame
 from drivers.simulated.instruments import SimulatedCamera
@@ -49,6 +49,7 @@ class _Entry:
     pixel_m: Fraction
     bits: int
     max_frame_rate_hz: Fraction
+    data_sheet: DataSheetDescription | None
 
 
 def _with_options(entry: CameraDescription, options: Mapping[str, Any]) -> CameraDescription:
@@ -60,6 +61,7 @@ def _with_options(entry: CameraDescription, options: Mapping[str, Any]) -> Camer
         entry.pixel_m,
         entry.bits,
         entry.max_frame_rate_hz,
+        entry.data_sheet,
     )
 
 

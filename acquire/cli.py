@@ -9,7 +9,7 @@ import functools
 import json
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -33,6 +33,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+blind = typer.Typer(
+    name="blind",
+    help="Check diagnoses on campaigns whose cause is sealed.",
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.add_typer(blind)
 INTERRUPTED = 130
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON with stable keys instead.")]
@@ -73,7 +80,18 @@ def _show_json(value: object) -> None:
 
 
 def _verb(function: Callable[..., None]) -> Callable[..., None]:
-    """Make a function a verb of `app`: errors become one line and an exit status."""
+    """Make a function a verb of `app`."""
+    name = {"list_runs": "list", "proceed": "continue"}.get(function.__name__, function.__name__)
+    return app.command(name)(_guarded(function))
+
+
+def _blind_verb(function: Callable[..., None]) -> Callable[..., None]:
+    """Make a function a verb of `blind`."""
+    return blind.command(function.__name__.removeprefix("blind_"))(_guarded(function))
+
+
+def _guarded(function: Callable[..., None]) -> Callable[..., None]:
+    """Turn errors into one line and an exit status."""
 
     @functools.wraps(function)
     def guarded(*args: Any, debug: bool = False, **kwargs: Any) -> None:
@@ -89,8 +107,7 @@ def _verb(function: Callable[..., None]) -> Callable[..., None]:
             _tell("acquire: interrupted")
             raise typer.Exit(INTERRUPTED) from None
 
-    name = {"list_runs": "list", "proceed": "continue"}.get(function.__name__, function.__name__)
-    return app.command(name)(guarded)
+    return guarded
 
 
 def _plan(protocol: str, bench: str, series: str | None = None) -> "Plan":
@@ -367,7 +384,7 @@ def _diagnose_runs(
     from acquire.runfile import Run
     from diagnosis.answer import to_json
     from diagnosis.campaign import Campaign
-    from diagnosis.known_bench import base_twin
+    from diagnosis.known_bench import base_twin, bench_of
     from diagnosis.observing import read
     from diagnosis.page import words, write_page
     from diagnosis.verdict import diagnose as judge
@@ -375,12 +392,13 @@ def _diagnose_runs(
     from physics.reed.cache import anatomy
 
     bench = BenchFile.from_file(bench_name) if bench_name else None
-    base = base_twin(bench)
     files = [
         file for path in paths for file in (sorted(path.glob("*.h5")) if path.is_dir() else [path])
     ]
     with contextlib.ExitStack() as opened:
         campaign = Campaign.of([opened.enter_context(Run.open(file)) for file in files])
+        bench = bench or bench_of(campaign.sweeps[0].run)
+        base = base_twin(bench)
         geometry = campaign.sweeps[0].run.reed_file().geometry()
         workshop = Workshop(anatomy(geometry, announce=_tell), _tell)
         with share_progress(_words(), "fitting sweeps") as told:
@@ -418,6 +436,94 @@ def _diagnose_resonances(table: Path | None, as_json: bool) -> None:
     console.print(gap_of_modes(diagnosis))
     console.print(trials_table(diagnosis))
     for line in words(diagnosis, BY_ID):
+        console.print(line, markup=False, soft_wrap=True)
+
+
+@contextlib.contextmanager
+def _blind_side() -> Iterator[None]:
+    """Errors of the other side, which knows none of the house's."""
+    from fitting.errors import FitInputError
+
+    try:
+        from blind.files import BlindError
+    except ImportError as error:
+        raise FitInputError(
+            f"blind cases need {error.name}, which is not installed; install reedbench[blind]"
+        ) from None
+    try:
+        yield
+    except BlindError as error:
+        raise FitInputError(str(error)) from None
+
+
+@_blind_verb
+def blind_make(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Gets a folder for each case.")],
+    tier: Annotated[
+        int,
+        typer.Option(
+            help="0: nothing wrong; 1: one effect; 2: one easily taken for another; 3: two; "
+            "4: one that the catalogue lacks; 6: each effect in turn, beside others that are told."
+        ),
+    ],
+    count: Annotated[int, typer.Option(min=1, help="How many cases.")],
+    seed: Annotated[int, typer.Option(min=0, help="Draws the same cases again.")],
+    key: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Gets the labels; DIR.key.json if not given."),
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Cases that are made at once.")] = 1,
+    debug: Debug = False,
+) -> None:
+    """Make sealed cases: campaigns of laboratories with something wrong, and hashes of what it is.
+
+    DIR/sealed.json tells the hashes, to be published before any case is answered. A case takes half
+    a minute, and 60 MB.
+    """
+    with _blind_side():
+        from acquire.display import share_progress
+        from blind.files import make_set
+
+        kept = key or folder.with_name(f"{folder.name}.key.json")
+        with share_progress(_words(), "making cases") as told:
+            make_set(folder, kept, tier, count, seed, jobs, told)
+    _tell(f"{count} cases in {folder}; the key is {kept}: keep it from whoever answers")
+
+
+@_blind_verb
+def blind_score(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="What `blind make` made.")],
+    answers: Annotated[
+        Path,
+        typer.Option(
+            metavar="DIR", help="Folder of NAME.json, what `diagnose --json` printed of each case."
+        ),
+    ],
+    key: Annotated[Path, typer.Option(metavar="FILE", help="Labels, by `blind make`.")],
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Reliability plot to draw besides.")
+    ] = None,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Score answers to sealed cases; what is not answered counts as wrong."""
+    with _blind_side():
+        from blind.classes import CLASSES
+        from blind.drawing import draw_reliability
+        from blind.files import answered_cases
+        from blind.report import report as blind_report
+        from blind.report import sentences
+        from blind.scoring import Classes
+
+        cases, classes = answered_cases(folder, answers, key), Classes(CLASSES)
+        scores = blind_report(cases, classes)
+        if picture is not None:
+            draw_reliability(cases, classes, picture)
+    if as_json:
+        _show_json(scores)
+        return
+    console = Console(highlight=False)
+    for line in sentences(scores):
         console.print(line, markup=False, soft_wrap=True)
 
 

@@ -18,13 +18,19 @@ import numpy as np
 from blind.effects import BY_NAME, KINDS
 from blind.laboratory import Laboratory
 from blind.reed import Build, Wood
-from blind.run_files import write_recording
+from blind.run_files import bench_text, write_recording
 from blind.world import Air, Cane, Chip, Light, World
 
 Tier = Literal[0, 1, 2, 3, 4, 6]
 TIERS: Final = (0, 1, 2, 3, 4, 6)
 # Sizes of effects are alike likely on a scale of logarithms between these multiples of the usual.
 _SIZES: Final = (0.5, 8.0)
+# What a laboratory may know of itself: so many, of such sizes.
+TELLABLE: Final = (
+    "carrier_leak", "laser_drift", "synthesizer_detuning", "phase_step_error", "vignetting",
+    "chamber_asymmetry", "air_load", "tip_mass", "read_noise", "tweeter_compression",
+)  # fmt: skip
+_TOLD, _TOLD_SIZES = 3, (0.5, 2.0)
 # Pairs that are known to look alike.
 _ALIKE: Final = (
     ("stiffening", "air_load"),
@@ -51,12 +57,15 @@ class Label:
         Whether all of them are in the catalogue of the diagnosis.
     seed : int
         Draws the same laboratory again.
+    told : tuple of (str, float)
+        Effects that the laboratory knows of and tells, in a bench file.
     """
 
     tier: int
     effects: tuple[tuple[str, float], ...]
     known: bool
     seed: int
+    told: tuple[tuple[str, float], ...] = ()
 
 
 def healthy_world(seed: int) -> World:
@@ -102,7 +111,7 @@ def drawn_label(tier: int, number: int, seed: int, only: Sequence[str] = ()) -> 
     ----------
     tier : int
         0: nothing; 1: one known effect; 2: one of a pair that looks alike; 3: two known effects;
-        4: one that no catalogue has; 6: each known effect in turn.
+        4: one that no catalogue has; 6: each known effect in turn, beside others that are told.
     number : int
         Of the case.
     seed : int
@@ -132,16 +141,42 @@ def drawn_label(tier: int, number: int, seed: int, only: Sequence[str] = ()) -> 
         chosen = [known[int(rng.integers(len(known)))]]
     sizes = [size() * (-1 if BY_NAME[name].signed and rng.random() < 0.5 else 1) for name in chosen]
     effects = tuple(zip(chosen, sizes, strict=True))
-    return Label(tier, effects, tier != 4, int(rng.integers(2**31)))
+    laboratory = int(rng.integers(2**31))
+    told = [name for name in TELLABLE if name not in chosen]
+    some = [str(name) for name in rng.choice(told, _TOLD, replace=False)] if tier == 6 else []
+    known_sizes = tuple((name, float(rng.uniform(*_TOLD_SIZES))) for name in some)
+    return Label(tier, effects, tier != 4, laboratory, known_sizes)
 
 
 def sick_world(label: Label) -> World:
     """The laboratory of a label."""
     world = healthy_world(label.seed)
     rng = np.random.default_rng([label.seed, 2])
-    for name, size in label.effects:
+    for name, size in (*label.told, *label.effects):
         world = BY_NAME[name].change(world, size, rng)
     return world
+
+
+def true_sizes(label: Label) -> dict[str, dict[str, float]]:
+    """Sizes of the effects of a label in the terms of the catalogue, where there are any."""
+    return _sizes(label, label.effects)
+
+
+def told_sizes(label: Label) -> dict[str, dict[str, float]]:
+    """The same of the effects that a laboratory tells."""
+    return _sizes(label, label.told)
+
+
+def _sizes(label: Label, effects: Sequence[tuple[str, float]]) -> dict[str, dict[str, float]]:
+    well, found = healthy_world(label.seed), {}
+    rng = np.random.default_rng([label.seed, 2])
+    world = well
+    for name, size in (*label.told, *label.effects):
+        before, world = world, BY_NAME[name].change(world, size, rng)
+        told = BY_NAME[name].told
+        if told is not None and (name, size) in effects:
+            found[name] = dict(told(before, world))
+    return found
 
 
 def commitment(label: Label, salt: str) -> str:
@@ -155,8 +190,11 @@ def record_case(folder: Path, name: str, label: Label) -> None:
     laboratory = Laboratory(sick_world(label))
     into = folder / name
     into.mkdir(parents=True)
+    told = told_sizes(label)
     for recording in laboratory.campaign():
-        write_recording(into / f"{recording.name}.h5", name, laboratory, recording)
+        write_recording(into / f"{recording.name}.h5", name, laboratory, recording, told)
+    if told:
+        (into / "bench.yaml").write_text(bench_text(name, laboratory, told), encoding="utf-8")
 
 
 def seal(labels: Sequence[Label], seed: int) -> tuple[dict[str, Any], dict[str, Any]]:

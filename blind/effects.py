@@ -15,6 +15,7 @@ from blind.world import World
 # The tip is 42 µm thin at its sides: no more than this may be taken off.
 _THINNEST_M = -25e-6
 Change = Callable[[World, float, np.random.Generator], World]
+Told = Callable[[World, World], Mapping[str, float]]
 
 
 @dataclass(frozen=True)
@@ -30,12 +31,16 @@ class Kind:
         Whether it may be negative.
     known : bool
         Whether the catalogue of the diagnosis has it.
+    told : callable, optional
+        ``told(well, sick)``: sizes of the effect in the terms of the catalogue, by what a world has
+        without and with it; None where this side's form has no such sizes.
     """
 
     name: str
     change: Change
     signed: bool = False
     known: bool = True
+    told: Told | None = None
 
 
 def _in(part: str, **fields: Callable[[float], Any]) -> Change:
@@ -108,57 +113,217 @@ def _lo_shift(world: World, size: float, rng: np.random.Generator) -> World:
     return replace(world, light=light)
 
 
+def _field(size: str, part: str, field: str, factor: float = 1.0) -> Told:
+    """A size that is what a field of a part of the world has more, times a factor."""
+
+    def told(well: World, sick: World) -> dict[str, float]:
+        more = getattr(getattr(sick, part), field) - getattr(getattr(well, part), field)
+        return {size: factor * float(more)}
+
+    return told
+
+
+def _log_wood(*names: str) -> Told:
+    """Sizes that are logarithms of what constants of the cane have grown by."""
+
+    def told(well: World, sick: World) -> dict[str, float]:
+        return {
+            name: float(np.log(getattr(sick.build.wood, name) / getattr(well.build.wood, name)))
+            for name in names
+        }
+
+    return told
+
+
+def _told_powers(_well: World, sick: World) -> dict[str, float]:
+    return {"E_L": sick.cane.powers[0], "G_LT": sick.cane.powers[1]}
+
+
+def _told_beds(_well: World, sick: World) -> dict[str, float]:
+    left, right = sick.build.yielding_m3_n
+    return {"yielding": left if left == right else left - right}
+
+
+def _told_lo(_well: World, sick: World) -> dict[str, float]:
+    down, right = sick.light.lo_shift_m
+    return {"down": down, "right": right}
+
+
+def _told_pattern(well: World, sick: World) -> dict[str, float]:
+    more = sick.chip.pattern**2 - well.chip.pattern**2
+    return {"rms": float(np.sqrt(max(more, 0.0)))}
+
+
+def _told_noise(_well: World, sick: World) -> dict[str, float]:
+    return {"log_factor": float(np.log(sick.chip.read_e / 12.0))}
+
+
+def _told_rolloff(_well: World, sick: World) -> dict[str, float]:
+    return {"corner": 1e4 / sick.air.roll_hz}
+
+
 KINDS: Final[tuple[Kind, ...]] = (
-    Kind("tweeter_compression", _in("air", compression=lambda s: min(0.15 * s, 0.8))),
-    Kind("amplifier_rolloff", _in("air", roll_hz=lambda s: 60e3 / max(s, 1e-3))),
-    Kind("cavity_line", _in("air", line=lambda s: 0.12 * (1 + 0.5 * s)), signed=False),
-    Kind("second_cavity", _second_cavity),
-    Kind("chamber_asymmetry", _in("air", open_right=lambda s: min(0.15 * s, 1.0))),
-    Kind("air_load", _in("cane", air=lambda s: 0.25 * s)),
-    Kind("stiffening", _stiffening),
-    Kind("damping_growth", _in("cane", loss_power=lambda s: 0.1 * s), signed=True),
-    Kind("density", _wood("density", 0.03), signed=True),
-    Kind("transverse_modulus", _wood("E_T", 0.1), signed=True),
-    Kind("transverse_shear", _shear),
     Kind(
-        "thickness_offset", _in("build", offset_m=lambda s: max(6e-6 * s, _THINNEST_M)), signed=True
+        "tweeter_compression",
+        _in("air", compression=lambda s: min(0.15 * s, 0.8)),
+        told=_field("share", "air", "compression"),
     ),
     Kind(
-        "thickness_wedge", _in("build", wedge_m=lambda s: min(6e-6 * s, -_THINNEST_M)), signed=True
+        "amplifier_rolloff", _in("air", roll_hz=lambda s: 60e3 / max(s, 1e-3)), told=_told_rolloff
     ),
     Kind(
-        "thickness_crown", _in("build", crown_m=lambda s: max(6e-6 * s, _THINNEST_M)), signed=True
+        "cavity_line",
+        _in("air", line=lambda s: 0.12 * (1 + 0.5 * s)),
+        signed=False,
+        told=_field("excess", "air", "line", 1 / 0.12),
+    ),
+    Kind("second_cavity", _second_cavity, told=_field("strength", "air", "second")),
+    Kind(
+        "chamber_asymmetry",
+        _in("air", open_right=lambda s: min(0.15 * s, 1.0)),
+        told=_field("share", "air", "open_right"),
+    ),
+    Kind("air_load", _in("cane", air=lambda s: 0.25 * s), told=_field("share", "cane", "air")),
+    Kind("stiffening", _stiffening, told=_told_powers),
+    Kind(
+        "damping_growth",
+        _in("cane", loss_power=lambda s: 0.1 * s),
+        signed=True,
+        told=_field("exponent", "cane", "loss_power"),
+    ),
+    Kind("density", _wood("density", 0.03), signed=True, told=_log_wood("density")),
+    Kind("transverse_modulus", _wood("E_T", 0.1), signed=True, told=_log_wood("E_T")),
+    Kind("transverse_shear", _shear, told=_log_wood("G_LR", "G_TR")),
+    Kind(
+        "thickness_offset",
+        _in("build", offset_m=lambda s: max(6e-6 * s, _THINNEST_M)),
+        signed=True,
+        told=_field("thickness", "build", "offset_m"),
+    ),
+    Kind(
+        "thickness_wedge",
+        _in("build", wedge_m=lambda s: min(6e-6 * s, -_THINNEST_M)),
+        signed=True,
+        told=_field("thickness", "build", "wedge_m"),
+    ),
+    Kind(
+        "thickness_crown",
+        _in("build", crown_m=lambda s: max(6e-6 * s, _THINNEST_M)),
+        signed=True,
+        told=_field("thickness", "build", "crown_m"),
     ),
     Kind(
         "thickness_tilt",
         _in("build", tilt_m=lambda s: float(np.clip(5e-6 * s, _THINNEST_M, -_THINNEST_M))),
         signed=True,
+        told=_field("thickness", "build", "tilt_m"),
     ),
-    Kind("tip_mass", _in("cane", tip_kg=lambda s: 0.4e-6 * s)),
-    Kind("clamp_yield", _in("build", yielding_m3_n=lambda s: (2e-13 * s, 2e-13 * s))),
-    Kind("clamp_tilt", _clamp_tilt, signed=True),
+    Kind(
+        "tip_mass", _in("cane", tip_kg=lambda s: 0.4e-6 * s), told=_field("mass", "cane", "tip_kg")
+    ),
+    Kind(
+        "clamp_yield", _in("build", yielding_m3_n=lambda s: (2e-13 * s, 2e-13 * s)), told=_told_beds
+    ),
+    Kind("clamp_tilt", _clamp_tilt, signed=True, told=_told_beds),
     Kind("crack", _crack),
-    Kind("hardening", _in("cane", hardening=lambda s: 4e-4 * s)),
-    Kind("temperature_drift", _in("cane", warming_c_h=lambda s: 4.0 * s), signed=True),
-    Kind("drying", _in("cane", drying=lambda s: min(0.1 * s, 1.0))),
-    Kind("bench_vibration", _in("light", jitter_rad=lambda s: 0.05 * s)),
-    Kind("synthesizer_detuning", _in("clockwork", detuning_hz=lambda s: 0.01 * s), signed=True),
-    Kind("generator_clock", _in("clockwork", scale_ppm=lambda s: 2.0 * s), signed=True),
-    Kind("synthesizer_drift", _in("clockwork", drift_hz_h=lambda s: 0.05 * s), signed=True),
-    Kind("lost_frames", _in("clockwork", repeats=lambda s: min(0.01 * s, 0.3))),
-    Kind("laser_drift", _in("light", fade_per_h=lambda s: 0.15 * s), signed=True),
-    Kind("coherence_step", _in("light", hop=lambda s: min(0.08 * s, 0.7), hop_at=lambda _s: 0.55)),
-    Kind("speckle_decorrelation", _in("light", blur=lambda s: 3e-4 * s)),
-    Kind("order_mixing", _in("light", mixing=lambda s: 0.03 * s)),
-    Kind("carrier_leak", _in("light", leak=lambda s: 0.01 * s)),
-    Kind("phase_step_error", _in("light", quarter_error_rad=lambda s: 0.05 * s), signed=True),
-    Kind("defocus", _in("light", defocus_m=lambda s: 0.02 * s), signed=True),
-    Kind("lo_nonuniformity", _lo_shift),
-    Kind("vignetting", _in("light", vignette=lambda s: 0.05 * s)),
-    Kind("fixed_pattern", _in("chip", pattern=lambda s: 0.01 * s)),
-    Kind("hot_pixels", _in("chip", hot=lambda s: min(0.002 * s, 0.1))),
-    Kind("read_noise", _in("chip", read_e=lambda s: 12.0 * (1 + 0.3 * s))),
-    Kind("camera_bend", _in("chip", bend=lambda s: min(0.03 * s, 0.5))),
+    Kind(
+        "hardening",
+        _in("cane", hardening=lambda s: 4e-4 * s),
+        told=_field("share", "cane", "hardening"),
+    ),
+    Kind(
+        "temperature_drift",
+        _in("cane", warming_c_h=lambda s: 4.0 * s),
+        signed=True,
+        told=_field("rate", "cane", "warming_c_h"),
+    ),
+    Kind(
+        "drying",
+        _in("cane", drying=lambda s: min(0.1 * s, 1.0)),
+        told=_field("share", "cane", "drying"),
+    ),
+    Kind(
+        "bench_vibration",
+        _in("light", jitter_rad=lambda s: 0.05 * s),
+        told=_field("jitter", "light", "jitter_rad"),
+    ),
+    Kind(
+        "synthesizer_detuning",
+        _in("clockwork", detuning_hz=lambda s: 0.01 * s),
+        signed=True,
+        told=_field("offset", "clockwork", "detuning_hz"),
+    ),
+    Kind(
+        "generator_clock",
+        _in("clockwork", scale_ppm=lambda s: 2.0 * s),
+        signed=True,
+        told=_field("ratio", "clockwork", "scale_ppm"),
+    ),
+    Kind(
+        "synthesizer_drift",
+        _in("clockwork", drift_hz_h=lambda s: 0.05 * s),
+        signed=True,
+        told=_field("rate", "clockwork", "drift_hz_h"),
+    ),
+    Kind(
+        "lost_frames",
+        _in("clockwork", repeats=lambda s: min(0.01 * s, 0.3)),
+        told=_field("share", "clockwork", "repeats"),
+    ),
+    Kind(
+        "laser_drift",
+        _in("light", fade_per_h=lambda s: 0.15 * s),
+        signed=True,
+        told=_field("fade", "light", "fade_per_h"),
+    ),
+    Kind(
+        "coherence_step",
+        _in("light", hop=lambda s: min(0.08 * s, 0.7), hop_at=lambda _s: 0.55),
+        told=_field("hop", "light", "hop"),
+    ),
+    Kind(
+        "speckle_decorrelation",
+        _in("light", blur=lambda s: 3e-4 * s),
+        told=_field("share", "light", "blur"),
+    ),
+    Kind(
+        "order_mixing",
+        _in("light", mixing=lambda s: 0.03 * s),
+        told=_field("share", "light", "mixing"),
+    ),
+    Kind(
+        "carrier_leak", _in("light", leak=lambda s: 0.01 * s), told=_field("share", "light", "leak")
+    ),
+    Kind(
+        "phase_step_error",
+        _in("light", quarter_error_rad=lambda s: 0.05 * s),
+        signed=True,
+        told=_field("error", "light", "quarter_error_rad"),
+    ),
+    Kind(
+        "defocus",
+        _in("light", defocus_m=lambda s: 0.02 * s),
+        signed=True,
+        told=_field("distance", "light", "defocus_m"),
+    ),
+    Kind("lo_nonuniformity", _lo_shift, told=_told_lo),
+    Kind(
+        "vignetting",
+        _in("light", vignette=lambda s: 0.05 * s),
+        told=_field("share", "light", "vignette"),
+    ),
+    Kind("fixed_pattern", _in("chip", pattern=lambda s: 0.01 * s), told=_told_pattern),
+    Kind(
+        "hot_pixels",
+        _in("chip", hot=lambda s: min(0.002 * s, 0.1)),
+        told=_field("share", "chip", "hot"),
+    ),
+    Kind("read_noise", _in("chip", read_e=lambda s: 12.0 * (1 + 0.3 * s)), told=_told_noise),
+    Kind(
+        "camera_bend",
+        _in("chip", bend=lambda s: min(0.03 * s, 0.5)),
+        told=_field("share", "chip", "bend"),
+    ),
     # --- What no catalogue has -----------------------------------------------------------------
     Kind("side_mass", _in("cane", side_kg=lambda s: 1e-6 * s), known=False),
     Kind("touching_stop", _stop, known=False),

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from pathlib import Path
@@ -35,7 +35,38 @@ twin: {{light: {{local_oscillator_e_s: 80000.0, object_e_s: 6000.0}}}}
 """
 
 
-def write_recording(path: Path, case: str, laboratory: Laboratory, recording: Recording) -> None:
+# Units of what a laboratory may tell of its effects.
+_UNITS = {
+    "laser_drift": "1/h",
+    "synthesizer_detuning": "Hz",
+    "phase_step_error": "rad",
+    "tip_mass": "kg",
+}
+
+
+def bench_text(case: str, laboratory: Laboratory, told: Mapping[str, Mapping[str, float]]) -> str:
+    """Bench file of a laboratory, with what it tells of its effects."""
+    text = _BENCH.format(name=case, rows=laboratory.world.chip.rows)
+    if not told:
+        return text
+    lines = ["known:"]
+    for effect, sizes in told.items():
+        unit = _UNITS.get(effect, "")
+        values = (
+            f"{name}: {f'{value:.6g} {unit}' if unit else repr(float(value))}"
+            for name, value in sizes.items()
+        )
+        lines.append(f"  {effect}: {{{', '.join(values)}}}")
+    return "\n".join([text.rstrip(), *lines, ""])
+
+
+def write_recording(
+    path: Path,
+    case: str,
+    laboratory: Laboratory,
+    recording: Recording,
+    told: Mapping[str, Mapping[str, float]],
+) -> None:
     """Write one recording as a run file.
 
     Parameters
@@ -46,6 +77,8 @@ def write_recording(path: Path, case: str, laboratory: Laboratory, recording: Re
         Name of the reed and of the campaign.
     laboratory : Laboratory
     recording : Recording
+    told : mapping
+        Sizes of effects that the laboratory knows of, by their names.
     """
     with h5py.File(path, "x") as file:
         file.attrs.update(
@@ -73,14 +106,13 @@ def write_recording(path: Path, case: str, laboratory: Laboratory, recording: Re
         acquisition = _group(entry, "acquisition", "NXcollection")
         _texts(acquisition, kind=recording.kind, campaign=case, part=recording.name)
         acquisition["clamping"] = recording.clamping
-        _provenance(entry, case, laboratory)
+        _provenance(entry, bench_text(case, laboratory, told))
         _instrument(entry, laboratory)
         _steps(entry, recording)
         _data(entry, laboratory, shots)
 
 
-def _provenance(entry: Any, case: str, laboratory: Laboratory) -> None:
-    bench = _BENCH.format(name=case, rows=laboratory.world.chip.rows)
+def _provenance(entry: Any, bench: str) -> None:
     origin = _group(entry, "provenance", "NXcollection")
     _texts(
         origin,

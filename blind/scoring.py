@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from blind.cases import Label
+from blind.cases import Label, true_sizes
 
 Array = NDArray[np.floating[Any]]
 
@@ -22,6 +22,7 @@ _SURE: Final = 0.9
 _FALSE_OPEN: Final = 0.05
 _BINS = 10
 _DRAWS = 2000
+_LEAST_GIVEN = 1e-6
 
 
 @dataclass(frozen=True)
@@ -87,14 +88,18 @@ class Case:
         return found
 
     @property
-    def resolved(self) -> bool:
-        """Whether every true effect stands out of the noise, as far as the answer can tell."""
+    def d_prime(self) -> float:
+        """By how many deviations the weakest true effect stands out, by the answer; 0 of none."""
         if self.answer is None:
-            return True
+            return float("inf")
         effects = self.answer["effects"]
-        return all(
-            effects.get(name, {}).get("d_prime", 0.0) >= RESOLVED for name, _ in self.label.effects
-        )
+        told = [effects.get(name, {}).get("d_prime", 0.0) for name, _ in self.label.effects]
+        return float(min(told, default=0.0))
+
+    @property
+    def resolved(self) -> bool:
+        """Whether every true effect stands out of the noise; not answered is no excuse."""
+        return self.d_prime >= RESOLVED
 
 
 class Classes:
@@ -227,3 +232,63 @@ def sets(cases: Sequence[Case], classes: Classes) -> tuple[Share, float]:
         hits.append(classes.of(case.truth) in told)
         sizes.append(len(groups))
     return share(hits), float(np.mean(sizes)) if sizes else float("nan")
+
+
+def log_score(cases: Sequence[Case], classes: Classes) -> float:
+    """Mean log of the probability given to the truth, of a millionth at least."""
+    given = [classes.mass(c.probability).get(classes.of(c.truth), 0.0) for c in cases]
+    return float(np.mean(np.log(np.maximum(given, _LEAST_GIVEN)))) if given else float("nan")
+
+
+def exact(cases: Sequence[Case], classes: Classes) -> Share:
+    """Cases of several effects of which just these are named."""
+    return named(cases, classes)
+
+
+def size_errors(cases: Sequence[Case], classes: Classes) -> dict[str, float | int | None]:
+    """Mean bias and error of sizes of rightly named effects, as shares, and mean square of both."""
+    apart, errors, deviations = [], [], []
+    for case in cases:
+        name = case.label.effects[0][0]
+        if case.answer is None or best(classes.mass(case.probability)) != classes.of(name):
+            continue
+        for parameter, true in true_sizes(case.label).get(name, {}).items():
+            told = case.answer["effects"].get(name, {}).get("sizes", {}).get(parameter)
+            if told is not None and true:
+                apart.append((told["value"] - true) / abs(true))
+                errors.append(told["error"] / abs(true))
+                deviations.append((told["value"] - true) / told["error"])
+    if not apart:
+        return {"sizes": 0, "bias": None, "error": None, "chi2": None}
+    return {
+        "sizes": len(apart),
+        "bias": float(np.mean(apart)),
+        "error": float(np.mean(errors)),
+        "chi2": float(np.mean(np.square(deviations))),
+    }
+
+
+def closures(cases: Sequence[Case]) -> dict[str, float | int | None]:
+    """Gap that what is named closes, over what the truth closes, left out of the fit."""
+    ratios = [ratio for case in cases if (ratio := _closure(case)) is not None]
+    if not ratios:
+        return {"cases": 0, "median": None, "low": None}
+    return {
+        "cases": len(ratios),
+        "median": float(np.median(ratios)),
+        "low": float(np.quantile(ratios, 0.1)),
+    }
+
+
+def _closure(case: Case) -> float | None:
+    """That ratio of one case; None where the truth was not fitted or closes nothing."""
+    if case.answer is None:
+        return 0.0
+    by = {frozenset(name.split("+")): gap for name, gap in case.answer["how_far"]["by"].items()}
+    truth = by.get(frozenset(name for name, _ in case.label.effects))
+    if truth is None or truth["before"] <= truth["after"]:
+        return None
+    given = by.get(frozenset(case.answer["effects_named"]))
+    if given is None:
+        return 0.0
+    return float((given["before"] - given["after"]) / (truth["before"] - truth["after"]))

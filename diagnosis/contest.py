@@ -215,7 +215,11 @@ def _pair(comparison: Comparison, one: Rival, other: Rival) -> Rival | None:
     first, second = sorted((one, other), key=lambda rival: rival.estimate.cost)
     about = first.estimate.z[: len(comparison.nuisances)]
     sizes = np.concatenate([first.sizes, second.sizes])
-    return _straight(comparison, (*first.effects, *second.effects), about, sizes)
+    pair = _straight(comparison, (*first.effects, *second.effects), about, sizes)
+    if pair is None:
+        return None
+    # Each is where it was found; elsewhere they are as much worse as by themselves.
+    return replace(pair, elsewhere=one.elsewhere + other.elsewhere)
 
 
 def _straight(

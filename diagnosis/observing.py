@@ -7,7 +7,7 @@ from acquire.bench_file import BenchFile
 from acquire.run_layout import Kind
 from diagnosis.block import Block
 from diagnosis.campaign import Campaign
-from diagnosis.known_bench import bench_of, sensor_of
+from diagnosis.known_bench import sensor_of
 from diagnosis.taps.beat import Beat, lock_block, lock_scatter_hz, log_block, read_beat
 from diagnosis.taps.carrier import Carrier, carrier_block, leaks_in, read_carriers
 from diagnosis.taps.drive import Device, force_block, level_block, line_block
@@ -87,7 +87,7 @@ def read(
     ----------
     campaign : Campaign
     bench : BenchFile, optional
-        What is known of the bench; if not given, what the first sweep says of it.
+        What is known of the bench.
     progress : callable, optional
         Told the share that is done.
 
@@ -100,7 +100,7 @@ def read(
     first = campaign.sweeps[0].run
     dark_parts, flat_parts = campaign.of_kind(Kind.DARK), campaign.of_kind(Kind.FLAT)
     lo_parts, still_parts = campaign.of_kind(Kind.LO_ONLY), campaign.of_kind(Kind.ORDER0)
-    sensor = sensor_of(bench or bench_of(first), first)
+    sensor = sensor_of(bench, first)
     sheet = Sheet(sensor, 0.5 * sensor.shape[0] * sensor.pixel_m)
     dark = read_dark(dark_parts) if dark_parts else None
     offset_dn = dark.offset_dn if dark else sensor.offset_dn

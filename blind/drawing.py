@@ -1,0 +1,51 @@
+"""How sure answers are, beside how often they are right, as a picture."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from blind.scoring import Case, Classes, best, share
+
+_BINS = 8
+
+
+def draw_reliability(cases: Sequence[Case], classes: Classes, path: Path) -> None:
+    """Draw a reliability plot: points on the diagonal are as often right as they are sure.
+
+    Raises
+    ------
+    OSError
+        If the picture cannot be written.
+    """
+    sure, right = [], []
+    for case in cases:
+        mass = classes.mass(case.probability)
+        sure.append(mass.get(best(mass), 0.0))
+        right.append(best(mass) == classes.of(case.truth))
+    order = np.argsort(sure, kind="stable")
+    figure = Figure(figsize=(5.2, 4.6), layout="constrained")
+    ax = figure.subplots()
+    ax.plot([0, 1], [0, 1], color="0.6", linewidth=1, label="as often right as sure")
+    for piece in np.array_split(order, min(_BINS, len(order))):
+        hits = share([right[k] for k in piece])
+        at = float(np.mean([sure[k] for k in piece]))
+        ax.errorbar(
+            at,
+            hits.value,
+            yerr=[[hits.value - hits.low], [hits.high - hits.value]],
+            fmt="o",
+            color="C0",
+            capsize=3,
+            label=None,
+        )
+    ax.set(
+        xlim=(0, 1.02),
+        ylim=(0, 1.02),
+        xlabel="probability given to the likeliest class",
+        ylabel="share of cases in which it is the truth",
+        title=f"{len(cases)} sealed cases, 95 % intervals",
+    )
+    ax.legend(loc="upper left", frameon=False)
+    figure.savefig(path, dpi=150)

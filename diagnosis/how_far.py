@@ -56,6 +56,8 @@ def shrinkage(
         Of the bootstrap over groups.
     """
     names = sorted({name for name in groups if name})
+    if not names:
+        return Shrinkage(*[np.nan] * 6)
     labels = np.array(groups)
     rows = np.array([_left_out(comparison, (null, rival), labels == name) for name in names])
     rng = np.random.default_rng(seed)

@@ -5,9 +5,10 @@ the twin without effects, taken anew where a fit moves far; along an effect's ow
 are taken at every step.
 """
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from physics.twin import Twin
 Array = NDArray[np.floating[Any]]
 
 # Slopes are taken anew where a nuisance has moved by so many deviations.
-_FAR, _NEAR = 1.5, 0.1
+_FAR, _NEAR = 1.5, 0.3
 _STEP = 0.02
 _KEPT, _SLOPES_KEPT = 4096, 4
 # Searches end where a step gains less than this share of the cost: hundredths of a nat.
@@ -30,7 +31,7 @@ _LEAST_GAIN = 1e-4
 # The noise of a block may be larger than its replicates say: log.
 _NOISE_SPREAD, _MOST_NOISE = 0.15, 3.0
 # Effects have not quite the form that the catalogue gives them: a share of what they do.
-_FORM = 0.08
+_FORM = 0.12
 
 
 class Comparison:
@@ -85,16 +86,19 @@ class Comparison:
         for at, slope in self._slopes:
             if np.abs(z - at).max() <= far:
                 return slope
-        here = self.residuals(self.twin(z))
-        columns = []
+        slope = self.slope_beside(z, lambda twin: twin)
+        self._slopes = [(z.copy(), slope), *self._slopes[: _SLOPES_KEPT - 1]]
+        return slope
+
+    def slope_beside(self, z: Array, change: Callable[[Twin], Twin]) -> Array:
+        """Derivatives (n, p) along the nuisances at z, of twins that are changed besides."""
+        here, columns = self.residuals(change(self.twin(z))), []
         for k in range(len(z)):
             step = -_STEP if z[k] > 0 else _STEP
             moved = z.copy()
             moved[k] += step
-            columns.append((self.residuals(self.twin(moved)) - here) / step)
-        slope = np.stack(columns, axis=1)
-        self._slopes = [(z.copy(), slope), *self._slopes[: _SLOPES_KEPT - 1]]
-        return slope
+            columns.append((self.residuals(change(self.twin(moved))) - here) / step)
+        return np.stack(columns, axis=1)
 
 
 @dataclass(frozen=True)
@@ -212,16 +216,39 @@ def compete(
     def residuals(z: Array) -> Array:
         return comparison.residuals(_with_effects(comparison.twin(z[:p]), effects, z[p:]))
 
-    def jacobian(z: Array, far: float = _FAR) -> Array:
-        return np.column_stack([comparison.slope(z[:p], far), *_by_size(residuals, z, p, positive)])
+    def jacobian(z: Array) -> Array:
+        return np.column_stack([comparison.slope(z[:p]), *_by_size(residuals, z, p, positive)])
 
-    estimate = fit(residuals, positive, starts, jacobian, _LEAST_GAIN)
-    if exact:
-        close = partial(jacobian, far=_NEAR)
-        found = fit(residuals, positive, [estimate.z], close, _LEAST_GAIN)
-        estimate = replace(found, agreeing=estimate.agreeing, starts=estimate.starts)
+    if not exact:
+        estimate = fit(residuals, positive, starts, jacobian, _LEAST_GAIN)
+    else:
+        ends = _ends(residuals, positive, starts, jacobian)
+        kept: list[tuple[Array, Array]] = []
+
+        def close(z: Array) -> Array:
+            near = [slope for at, slope in kept if np.abs(z - at).max() <= _NEAR]
+            if not near:
+                near = [comparison.slope_beside(z[:p], lambda t: _with_effects(t, effects, z[p:]))]
+                kept.append((z.copy(), near[0]))
+            return np.column_stack([near[0], *_by_size(residuals, z, p, positive)])
+
+        estimate = fit(residuals, positive, ends, close, _LEAST_GAIN)
     without = comparison.residuals(comparison.twin(estimate.z[:p]))
     return _rival(comparison, effects, estimate, estimate.residuals - without)
+
+
+def _ends(
+    residuals: Callable[[Array], Array],
+    positive: Sequence[bool],
+    starts: Sequence[Array],
+    jacobian: Callable[[Array], Array],
+) -> list[Array]:
+    """Where searches end that begin at each of some starts; those of no possible reed do not."""
+    ends = []
+    for start in starts:
+        with contextlib.suppress(ValueError):
+            ends.append(fit(residuals, positive, [start], jacobian, _LEAST_GAIN).z)
+    return ends
 
 
 def compete_straight(

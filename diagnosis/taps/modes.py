@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from diagnosis.block import Block, Place, band_of, block
 from diagnosis.taps.carrier import Leaks
-from diagnosis.taps.vibration import SweepReading, common_modes
+from diagnosis.taps.vibration import SAME_LEVEL, SweepReading, common_modes
 from physics.effects.form import Tap
 from physics.mechanics import Workshop
 from physics.twin import Surroundings, Twin, with_cane
@@ -24,11 +24,14 @@ _METHOD_CENTS, _METHOD_HIGH_CENTS, _LOSS = 2.2, 4.0, 6.0
 # The lowest mode has none below it that would tell its loss.
 _LOWEST_CENTS, _LOWEST_LOSS = 3.0, 20.0
 # A new clamping: cents, less for each mode above the first, and of each mode by itself; per cent.
-_CLAMP_CENTS, _CLAMP_FALL, _CLAMP_OWN, _CLAMP_LOSS = 2.5, 4.0, 1.2, 4.0
+_CLAMP_CENTS, _CLAMP_FALL, _CLAMP_OWN, _CLAMP_LOSS = 2.5, 4.0, 1.0, 1.5
 # Light that leaks in, per its share of what moves: cents, per cent.
 _LEAK_CENTS, _LEAK_LOSS = 15.0, 40.0
-# Sweeps of other volts.
-_LEVEL_CENTS = 0.3
+# Sweeps of other volts: cents, per cent.
+_LEVEL_CENTS, _LEVEL_LOSS = 0.6, 0.8
+# What fits of sweeps that are alike usually differ by: cents, per cent.
+_USUAL_CENTS, _USUAL_LOSS = 0.25, 0.4
+_QUANTITIES = "frequency, cents", "loss, %"
 # Degrees and moisture: relative changes of moduli, mass and loss, per degree and when all dry.
 _MODULI_PER_C = -1.0e-3
 _DRY_E, _DRY_G, _DRY_MASS, _DRY_LOSS = 0.08, 0.12, -0.035, -0.25
@@ -56,7 +59,7 @@ def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks
         both = np.concatenate([at, len(sweep.names) + at])
         unit = np.concatenate([np.full(len(at), CENTS), np.full(len(at), 100.0)])
         values += list(CENTS * np.log(sweep.hz[at])) + list(100 * np.log(sweep.loss_factor[at]))
-        for what in ("frequency, cents", "loss, %"):
+        for what in _QUANTITIES:
             for name, hz in zip(here, sweep.hz[at], strict=True):
                 places.append(Place(what, mode=name, band=band_of(float(hz)), time=sweep.name))
                 rows.append((number, name, what))
@@ -67,6 +70,8 @@ def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks
         covariance[start : start + len(piece), start : start + len(piece)] = piece
         start += len(piece)
     covariance += _in_common(rows, common, sweeps)
+    astray = {what: _astray(sweeps, common, loss=what.startswith("loss")) for what in _QUANTITIES}
+    covariance += np.diag([astray[what][common.index(name)] ** 2 for _, name, what in rows])
     predict = _prediction(rows, common, sweeps, workshop)
     parts = ("reed", "surroundings", "fits")
     return block("modes", Tap.MODES, values, covariance, places, parts, predict)
@@ -85,6 +90,32 @@ def _of_fit(
         least[lowest], least[count + lowest] = _LOWEST_CENTS, _LOWEST_LOSS
     whole: Array = covariance + np.diag(least**2)
     return whole
+
+
+def _astray(sweeps: Sequence[SweepReading], names: Sequence[str], *, loss: bool) -> Array:
+    """By how much fits of sweeps that should be alike contradict each other in each mode (a,).
+
+    What all modes of a sweep differ by is the reed's, and does not count.
+    """
+    alike = [s for s in sweeps if s.clamping == sweeps[0].clamping]
+    alike = [s for s in alike if s.loudness > max(a.loudness for a in alike) - SAME_LEVEL]
+    table = np.full((len(alike), len(names)), np.nan)
+    for row, sweep in zip(table, alike, strict=True):
+        for column, name in enumerate(names):
+            if name in sweep.names:
+                at = sweep.names.index(name)
+                row[column] = (
+                    100 * np.log(sweep.loss_factor[at]) if loss else CENTS * np.log(sweep.hz[at])
+                )
+    told = np.isfinite(table).sum(axis=0) > 1
+    apart = np.zeros_like(table)
+    apart[:, told] = table[:, told] - np.nanmean(table[:, told], axis=0)
+    if told.any():
+        apart -= np.nanmedian(apart[:, told], axis=1, keepdims=True)
+    scatter = np.sqrt(np.nanmean(np.where(told, apart, 0.0) ** 2, axis=0))
+    usual = _USUAL_LOSS if loss else _USUAL_CENTS
+    astray: Array = np.where(scatter > 3 * usual, scatter, 0.0)
+    return astray
 
 
 def _of_leaks(leaks: Leaks, sweep: SweepReading, here: Sequence[str]) -> Array:
@@ -114,7 +145,7 @@ def _in_common(
         covariance += np.multiply.outer(bends, bends) + same * np.multiply.outer(own, own)
     level = np.array([s.loudness for s in sweeps])[sweep]
     for one in sorted(set(np.round(level, 2).tolist()))[:-1]:
-        there = np.where((np.abs(level - one) < 0.01) & ~loss, _LEVEL_CENTS, 0.0)
+        there = np.where(np.abs(level - one) < 0.01, np.where(loss, _LEVEL_LOSS, _LEVEL_CENTS), 0.0)
         covariance += same * np.multiply.outer(there, there)
     return np.asarray(covariance)
 

@@ -131,6 +131,6 @@ def _told(
     piece = comparison.slices[block.name]
     J = rival.free
     known = np.linalg.inv(J.T @ J + np.eye(J.shape[1]))
-    slope = np.linalg.inv(block.root) @ J[piece]
+    slope = np.linalg.inv(block.root) @ (rival.deviation[piece][:, None] * J[piece])
     variance = action.sharper**2 * block.covariance + slope @ known @ slope.T
     return 0.5 * float(apart @ np.linalg.solve(variance, apart))

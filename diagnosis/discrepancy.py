@@ -16,7 +16,7 @@ from scipy import linalg
 from scipy.special import logsumexp
 
 from diagnosis.block import Block
-from diagnosis.rivals import Comparison, Rival, gain_by_noise
+from diagnosis.rivals import Comparison, Rival, by_noise, gain_by_noise
 
 Array = NDArray[np.floating[Any]]
 
@@ -34,22 +34,21 @@ class _Left:
     Attributes
     ----------
     residuals : (n, d) float
+        In units of their noise.
     slopes : (n, q) float
         Of all that is free, in units of priors.
-    variance : (n,) float
-        Of each number.
+    deviation : (n,) float
+        Of the noise, in units of the block's.
     """
 
     residuals: Array
     slopes: Array
-    variance: Array
+    deviation: Array
 
     def of(self, piece: slice) -> tuple[Array, Array]:
-        """Residuals (k, d) of a block, in units of their noise, and their covariance (k, k)."""
-        narrow = 1 / np.sqrt(self.variance[piece])[:, None]
+        """Residuals (k, d) of a block, and their covariance (k, k)."""
         M = linalg.cho_factor(np.eye(self.slopes.shape[1]) + self.slopes.T @ self.slopes)
-        own = narrow * self.slopes[piece]
-        left: Array = narrow * self.residuals[piece]
+        own, left = self.slopes[piece], self.residuals[piece]
         return left, np.eye(len(left)) - own @ linalg.cho_solve(M, own.T)
 
     def beside(self, columns: Array) -> "_Left":
@@ -59,7 +58,7 @@ class _Left:
         # At an optimum, slopes pull as hard as priors do: only new columns are not at theirs.
         pull = np.zeros((slopes.shape[1], self.residuals.shape[1]))
         pull[self.slopes.shape[1] :] = columns.T @ self.residuals
-        return _Left(self.residuals - slopes @ linalg.cho_solve(M, pull), slopes, self.variance)
+        return _Left(self.residuals - slopes @ linalg.cho_solve(M, pull), slopes, self.deviation)
 
 
 def discrepancies(
@@ -81,7 +80,7 @@ def discrepancies(
     left = _Left(
         rival.estimate.residuals[:, None] if residuals is None else residuals,
         rival.free,
-        rival.form_variance,
+        rival.deviation,
     )
     return {
         block.name: _factor(left, comparison.slices[block.name], block)
@@ -97,7 +96,7 @@ def in_one(factors: Mapping[str, Array]) -> Array:
 
 def anything(comparison: Comparison, rival: Rival) -> float:
     """Log Bayes factor of something unknown that moves any one block, or a few together."""
-    left = _Left(rival.estimate.residuals[:, None], rival.free, rival.form_variance)
+    left = _Left(rival.estimate.residuals[:, None], rival.free, rival.deviation)
     count, gained = len(comparison.blocks), 0.0
     logs, still = [], list(comparison.blocks)
     for number, share in enumerate(_BLOCKS[:count], 1):
@@ -121,21 +120,12 @@ def _with_unknown(comparison: Comparison, left: _Left, block: Block) -> tuple[fl
     _, kind, size = max(found)
     table = _table(block, kind)
     columns = np.zeros((len(left.residuals), 0 if table is None else table.shape[1]))
-    columns[piece] = 0.0 if table is None else size * table
+    columns[piece] = 0.0 if table is None else size * table / left.deviation[piece][:, None]
     after = left.beside(columns)
     # Of the twin it is known that its noise may be larger: less so where less is left.
-    usual = _by_noise(comparison, left) - _by_noise(comparison, after)
+    usual = by_noise(comparison, left.residuals[:, 0]) - by_noise(comparison, after.residuals[:, 0])
     gains = [gain for gain, _, _ in found]
     return float(logsumexp(gains) - np.log(len(gains))) - usual, after
-
-
-def _by_noise(comparison: Comparison, left: _Left) -> float:
-    """What log evidence gains by noise that may be larger in each block."""
-    squares = left.residuals[:, 0] ** 2 / left.variance
-    return sum(
-        gain_by_noise(float(squares[piece].sum()), piece.stop - piece.start)
-        for piece in comparison.slices.values()
-    )
 
 
 def _factor(left: _Left, piece: slice, block: Block) -> Array:
@@ -150,12 +140,11 @@ def _factor(left: _Left, piece: slice, block: Block) -> Array:
 def _gains(left: _Left, piece: slice, block: Block) -> Iterator[tuple[Array, str, float]]:
     """Yield what log evidence (d,) gains by each kind of something unknown, and each size."""
     own, told = left.of(piece)
-    narrow = 1 / np.sqrt(left.variance[piece])[:, None]
     for kind in _KINDS:
         table = _table(block, kind)
         if table is None:
             continue
-        table = narrow * table
+        table = table / left.deviation[piece][:, None]
         values, vectors = np.linalg.eigh(table.T @ told @ table)
         along = (vectors.T @ (table.T @ own)) ** 2
         for size in _SIZES:

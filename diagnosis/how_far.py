@@ -114,7 +114,7 @@ def plain_gaps(comparison: Comparison, null: Rival, rival: Rival) -> list[Plain]
     squares: dict[str, list[tuple[float, float, float]]] = {}
     for block in comparison.blocks:
         piece, lower = comparison.slices[block.name], np.linalg.inv(block.root)
-        both = [lower @ each.estimate.residuals[piece] for each in (null, rival)]
+        both = [lower @ each.left[piece] for each in (null, rival)]
         for place, before, after, variance in zip(
             block.places, *both, np.diag(block.covariance), strict=True
         ):
@@ -140,7 +140,7 @@ def _left_out(
     squares, expected = [], 0.0
     at = np.flatnonzero(chosen)
     for rival in rivals:
-        J, left = rival.free, rival.estimate.residuals
+        J, left = rival.free * rival.deviation[:, None], rival.left
         precision = J.T @ J + np.eye(J.shape[1])
         own = J[at] @ np.linalg.solve(precision, J[at].T)
         inner = np.eye(len(at)) - own

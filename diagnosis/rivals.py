@@ -7,7 +7,7 @@ are taken at every step.
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -134,13 +134,14 @@ class Rival:
     ----------
     effects : tuple of Sized
     estimate : Estimate
-        Of nuisances, then of the effects' sizes.
+        Of nuisances, then of the effects' sizes; residuals and slopes in units of `deviation`.
     fitted : float
         Log evidence of the fit.
     chi2 : dict of float
         Of each block.
-    form_variance : (n,) float
-        Variance of the whitened residuals: 1, and more where the effects do much.
+    deviation : (n,) float
+        Standard deviation of the whitened residuals: 1, and more where the effects do much, which
+        have not quite the form that the catalogue gives them.
     elsewhere : float
         What other places of the effects add to the log evidence.
     """
@@ -149,7 +150,7 @@ class Rival:
     estimate: Estimate
     fitted: float
     chi2: dict[str, float]
-    form_variance: Array
+    deviation: Array
     elsewhere: float = 0.0
 
     @property
@@ -169,8 +170,14 @@ class Rival:
         return self.estimate.z[len(self.estimate.z) - count :]
 
     @property
+    def left(self) -> Array:
+        """What is left (n,), whitened."""
+        left: Array = self.estimate.residuals * self.deviation
+        return left
+
+    @property
     def free(self) -> Array:
-        """Derivatives (n, q) of residuals along all that is free, without sizes held at 0."""
+        """Derivatives (n, q) of the estimate's residuals along all that is not held at 0."""
         positive = [size.positive for sized in self.effects for size in sized.sizes]
         held = np.zeros(len(self.estimate.z), dtype=bool)
         held[len(held) - len(positive) :] = np.array(positive, dtype=bool) & (self.sizes <= 0)
@@ -219,22 +226,26 @@ def compete(
     def jacobian(z: Array) -> Array:
         return np.column_stack([comparison.slope(z[:p]), *_by_size(residuals, z, p, positive)])
 
+    def by_effects(z: Array) -> Array:
+        moved: Array = residuals(z) - comparison.residuals(comparison.twin(z[:p]))
+        return moved
+
     if not exact:
-        estimate = fit(residuals, positive, starts, jacobian, _LEAST_GAIN)
-    else:
-        ends = _ends(residuals, positive, starts, jacobian)
-        kept: list[tuple[Array, Array]] = []
+        found = fit(residuals, positive, starts, jacobian, _LEAST_GAIN)
+        return _loosened(comparison, effects, by_effects(found.z), found)
+    kept: list[tuple[Array, Array]] = []
 
-        def close(z: Array) -> Array:
-            near = [slope for at, slope in kept if np.abs(z - at).max() <= _NEAR]
-            if not near:
-                near = [comparison.slope_beside(z[:p], lambda t: _with_effects(t, effects, z[p:]))]
-                kept.append((z.copy(), near[0]))
-            return np.column_stack([near[0], *_by_size(residuals, z, p, positive)])
+    def close(z: Array) -> Array:
+        near = [slope for at, slope in kept if np.abs(z - at).max() <= _NEAR]
+        if not near:
+            near = [comparison.slope_beside(z[:p], lambda t: _with_effects(t, effects, z[p:]))]
+            kept.append((z.copy(), near[0]))
+        return np.column_stack([near[0], *_by_size(residuals, z, p, positive)])
 
-        estimate = fit(residuals, positive, ends, close, _LEAST_GAIN)
-    without = comparison.residuals(comparison.twin(estimate.z[:p]))
-    return _rival(comparison, effects, estimate, estimate.residuals - without)
+    found = fit(
+        residuals, positive, _ends(residuals, positive, starts, jacobian), close, _LEAST_GAIN
+    )
+    return _loosened(comparison, effects, by_effects(found.z), found)
 
 
 def _ends(
@@ -281,10 +292,41 @@ def compete_straight(
     def jacobian(z: Array) -> Array:
         return np.column_stack([slope, *_by_size(residuals, z, p, positive)])
 
+    def by_effects(z: Array) -> Array:
+        moved: Array = residuals(z) - straightened - slope @ (z[:p] - about)
+        return moved
+
+    straightened = comparison.residuals(base)
     start = np.concatenate([about, sizes])
-    estimate = fit(residuals, positive, [start], jacobian, _LEAST_GAIN)
-    without = comparison.residuals(base) + slope @ (estimate.z[:p] - about)
-    return _rival(comparison, effects, estimate, estimate.residuals - without)
+    found = fit(residuals, positive, [start], jacobian, _LEAST_GAIN)
+    return _loosened(comparison, effects, by_effects(found.z), found)
+
+
+def _loosened(
+    comparison: Comparison, effects: Sequence[Sized], by_effects: Array, found: Estimate
+) -> Rival:
+    """Rival whose effects, that move residuals by so much (n,), need not have quite their form."""
+    deviation = np.ones(len(found.residuals))
+    if effects:
+        # Little moves: along the slopes that are known anyway.
+        deviation = np.hypot(1.0, _FORM * by_effects)
+        narrow, z = found.jacobian / deviation[:, None], found.z.copy()
+        left = found.residuals / deviation
+        again = fit(
+            lambda at: left + narrow @ (at - z),
+            _positive(comparison, effects),
+            [z],
+            lambda _at: narrow,
+            _LEAST_GAIN,
+        )
+        found = replace(
+            again, agreeing=found.agreeing, starts=found.starts, decrement=found.decrement
+        )
+    left = found.residuals * deviation
+    chi2 = {name: float(np.sum(left[piece] ** 2)) for name, piece in comparison.slices.items()}
+    fitted = found.log_evidence - float(np.sum(np.log(deviation)))
+    fitted += by_noise(comparison, found.residuals)
+    return Rival(tuple(effects), found, fitted, chi2, deviation)
 
 
 def _positive(comparison: Comparison, effects: Sequence[Sized]) -> list[bool]:
@@ -308,19 +350,6 @@ def _by_size(
     return columns
 
 
-def _rival(
-    comparison: Comparison, effects: Sequence[Sized], estimate: Estimate, by_effects: Array
-) -> Rival:
-    """Rival of an estimate, whose effects move the residuals by so much (n,)."""
-    variance = 1 + (_FORM * by_effects) ** 2
-    log_evidence = estimate.log_evidence + _corrected(comparison, estimate.residuals, variance)
-    chi2 = {
-        name: float(np.sum(estimate.residuals[piece] ** 2))
-        for name, piece in comparison.slices.items()
-    }
-    return Rival(tuple(effects), estimate, log_evidence, chi2, variance)
-
-
 def _with_effects(twin: Twin, effects: Sequence[Sized], sizes: Array) -> Twin:
     for sized in effects:
         count = len(sized.sizes)
@@ -329,13 +358,12 @@ def _with_effects(twin: Twin, effects: Sequence[Sized], sizes: Array) -> Twin:
     return twin
 
 
-def _corrected(comparison: Comparison, residuals: Array, variance: Array) -> float:
-    """What evidence gains by noise that may be larger, and by effects of not quite their form."""
-    gain = float(np.sum(0.5 * residuals**2 * (1 - 1 / variance) - 0.5 * np.log(variance)))
-    for piece in comparison.slices.values():
-        left = residuals[piece] ** 2 / variance[piece]
-        gain += gain_by_noise(float(np.sum(left)), len(left))
-    return gain
+def by_noise(comparison: Comparison, residuals: Array) -> float:
+    """What evidence gains by noise that may be larger in each block."""
+    return sum(
+        gain_by_noise(float(np.sum(residuals[piece] ** 2)), piece.stop - piece.start)
+        for piece in comparison.slices.values()
+    )
 
 
 def gain_by_noise(chi2: float, count: int) -> float:

@@ -64,7 +64,7 @@ def sampled(comparison: Comparison, rival: Rival, seed: int = 0, draws: int = _D
         if np.any(bound & (size < 0)):
             continue
         try:
-            r = comparison.residuals(rival.changed(comparison.twin(z), size))
+            r = comparison.residuals(rival.changed(comparison.twin(z), size)) / rival.deviation
         except ValueError:
             continue
         g = J.T @ r + z

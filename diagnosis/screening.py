@@ -42,27 +42,29 @@ class Base:
         Of all that is free.
     pull : (q,) float
         Half the gradient of the cost along that; 0 where it is fitted.
+    deviation : (n,) float
+        What residuals and slopes are in units of, whitened.
     """
 
     twin: Twin
     residuals: Array
     slopes: Array
     pull: Array
+    deviation: Array
 
     @classmethod
     def of(cls, comparison: Comparison, rival: Rival) -> "Base":
         """A rival as fitted."""
-        slopes = rival.free
-        return cls(
-            rival.twin(comparison), rival.estimate.residuals, slopes, np.zeros(slopes.shape[1])
-        )
+        slopes, left = rival.free, rival.estimate.residuals
+        fitted = np.zeros(slopes.shape[1])
+        return cls(rival.twin(comparison), left, slopes, fitted, rival.deviation)
 
     @classmethod
     def at(cls, comparison: Comparison, z: Array) -> "Base":
         """A twin with nuisances z (p,)."""
         twin, slopes = comparison.twin(z), comparison.slope(z)
         residuals = comparison.residuals(twin)
-        return cls(twin, residuals, slopes, slopes.T @ residuals + z)
+        return cls(twin, residuals, slopes, slopes.T @ residuals + z, np.ones(len(residuals)))
 
 
 def screened(comparison: Comparison, base: Base, sized: Sized) -> tuple[float, Array] | None:
@@ -118,7 +120,7 @@ def signature(comparison: Comparison, base: Base, sized: Sized, sign: float) -> 
         except ValueError:
             return None
         columns.append((moved - start) / (1.0 if k else sign))
-    table = np.stack(columns, axis=1)
+    table = np.stack(columns, axis=1) / base.deviation[:, None]
     return table if np.any(np.abs(table) > _LEAST_MOVED) else None
 
 

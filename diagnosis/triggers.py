@@ -94,8 +94,7 @@ def _sign(name: str, words: str, values: Array) -> Trigger:
 def _with_drawn(rival: Rival, rng: np.random.Generator) -> Array:
     """What a rival leaves (n, 1 + d): of what was measured, and of campaigns if it is true."""
     J, n = rival.free, len(rival.estimate.residuals)
-    noise = np.sqrt(rival.form_variance)[:, None] * rng.standard_normal((n, _DRAWS))
-    measured = noise + J @ rng.standard_normal((J.shape[1], _DRAWS))
+    measured = rng.standard_normal((n, _DRAWS)) + J @ rng.standard_normal((J.shape[1], _DRAWS))
     M = linalg.cho_factor(np.eye(J.shape[1]) + J.T @ J)
     left = measured - J @ linalg.cho_solve(M, J.T @ measured)
     return np.column_stack([rival.estimate.residuals, left])
@@ -112,7 +111,7 @@ def _hidden(rival: Rival, some: NDArray[np.bool_]) -> Array:
 def _largest(rival: Rival, residuals: Array) -> Array:
     J = rival.free
     M = linalg.cho_factor(np.eye(J.shape[1]) + J.T @ J)
-    variance = rival.form_variance - np.sum(J * linalg.cho_solve(M, J.T).T, axis=1)
+    variance = 1 - np.sum(J * linalg.cho_solve(M, J.T).T, axis=1)
     scaled = np.abs(residuals) / np.sqrt(np.maximum(variance, 1e-6))[:, None]
     largest: Array = scaled.max(axis=0)
     return largest

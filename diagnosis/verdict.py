@@ -226,8 +226,8 @@ def _likely(
 def _touched(comparison: Comparison, null: Rival, rival: Rival) -> NDArray[np.bool_]:
     """Numbers where there is anything to close: off without effects, or moved by the rival's."""
     z = rival.estimate.z[: len(comparison.nuisances)]
-    moved = rival.estimate.residuals - comparison.residuals(comparison.twin(z))
-    off = np.abs(null.estimate.residuals) > _OFF
+    moved = rival.left - comparison.residuals(comparison.twin(z))
+    off = np.abs(null.left) > _OFF
     touched: NDArray[np.bool_] = off | (np.abs(moved) > _MOVED)
     return touched
 

@@ -31,6 +31,12 @@ _SETTLED_CENTS = 1e-3
 _MOST_ITERATIONS = 30
 # Frequencies are the same to this share; by how much of what is asked answers may follow it.
 _SAME, _SHARES = 1e-9, (-0.5, 0.5)
+# Cane is tabulated at so many frequencies between these shares of the highest.
+_TABULATED, _LOWEST_SHARE, _HIGHEST_SHARE = 25, 0.01, 2.0
+# Modes are followed from so far above the highest frequency; two this much alike are one.
+_MARGIN, _ALIKE = 1.15, 0.3
+# ... and begin with moduli of the nearest of these shares of it.
+_PIVOTS = (0.12, 0.3, 0.55, 0.85)
 
 
 @dataclass(frozen=True)
@@ -205,8 +211,9 @@ def vibrations(
     ValueError
         If moduli grow too fast with frequency for modes to settle, or a change leaves no reed.
     """
+    table = _Table.of(material, highest_hz)
     found = [
-        _settled(span, material, highest_hz)
+        _settled(span, table, highest_hz)
         for span in _spans(anatomy, change, material(_MIDDLE_SHARE * highest_hz), air)
     ]
     hz, coordinates, radiated = (np.concatenate(p, axis=-1) for p in zip(*found, strict=True))
@@ -327,17 +334,85 @@ def _none_of(shapes: Array) -> Callable[[Array], Array]:
     return lambda hz: np.zeros((len(hz), shapes.shape[1], shapes.shape[1]))
 
 
-def _settled(
-    span: _Span, material: Callable[[float], Cane], highest_hz: float
-) -> tuple[Array, Array, Array]:
-    """Frequencies (m,), shapes (s, m) and radiated loss (m,) of modes, each settled by number."""
-    answers = _solved(span, material, np.array([highest_hz]))[0][0]
+@dataclass(frozen=True)
+class _Table:
+    """Cane at all frequencies, interpolated between some: moduli grow smoothly.
+
+    Attributes
+    ----------
+    moduli_pa : callable
+        At log frequencies (m,): (m, 9), see `material.stiffness_terms_pa`.
+    density_kg_m3 : callable
+        (m,).
+    """
+
+    moduli_pa: Callable[[Array], Array]
+    density_kg_m3: Callable[[Array], Array]
+
+    @classmethod
+    def of(cls, material: Callable[[float], Cane], highest_hz: float) -> "_Table":
+        """Tabulate a cane up to beyond a frequency."""
+        log_hz = np.linspace(np.log(_LOWEST_SHARE), np.log(_HIGHEST_SHARE), _TABULATED)
+        log_hz += np.log(highest_hz)
+        canes = [material(float(hz)) for hz in np.exp(log_hz)]
+        moduli = np.array([stiffness_terms_pa(cane) for cane in canes])
+        density = np.array([cane.density_kg_m3 for cane in canes])
+        return cls(CubicSpline(log_hz, moduli), CubicSpline(log_hz, density))
+
+
+def _settled(span: _Span, table: _Table, highest_hz: float) -> tuple[Array, Array, Array]:
+    """Frequencies (m,), shapes (s, m) and radiated loss (m,) of modes."""
+    hz, vectors = _followed(span, table, highest_hz)
+    if hz is None or vectors is None:
+        hz, vectors = _numbered(span, table, highest_hz)
+    damped = np.einsum("mi,mij,mj->m", vectors, span.resistance_kg_s(hz), vectors, optimize=True)
+    return hz, span.shapes @ vectors.T, damped / (2 * np.pi * hz)
+
+
+def _followed(
+    span: _Span, table: _Table, highest_hz: float
+) -> tuple[Array, Array] | tuple[None, None]:
+    """Frequencies (m,) and vectors (m, n), by Rayleigh's quotient from those of few moduli.
+
+    None if two of them come to the same mode, or one to none.
+    """
+    pivots_hz = highest_hz * np.array(_PIVOTS)
+    all_hz, vectors = _solved(span, table, pivots_hz)
+    near = np.flatnonzero(all_hz[0] < _MARGIN * highest_hz)
+    # Of each mode the shape that it has with the moduli of a frequency near its own.
+    pivot = np.abs(np.log(all_hz[0, near, None] / pivots_hz)).argmin(axis=1)
+    hz, v = all_hz[pivot, near], vectors[pivot, :, near]
+    for _ in range(_MOST_ITERATIONS):
+        K, M = _matrices(span, table, hz)
+        Mv = np.einsum("mij,mj->mi", M, v)
+        quotient = np.einsum("mi,mij,mj->m", v, K, v) / np.einsum("mi,mi->m", v, Mv)
+        v = np.linalg.solve(K - ((1 + _SAME) * quotient)[:, None, None] * M, Mv[..., None])[..., 0]
+        v /= np.sqrt(np.einsum("mi,mij,mj->m", v, M, v))[:, None]
+        found = np.sqrt(np.maximum(np.einsum("mi,mij,mj->m", v, K, v), 0)) / (2 * np.pi)
+        apart = np.abs(1200 * np.log2(np.maximum(found, 1e-9) / hz)).max(initial=0.0)
+        hz = found
+        if apart < _SETTLED_CENTS:
+            break
+    else:
+        return None, None
+    kept = hz < highest_hz
+    hz, v = hz[kept], v[kept]
+    likeness = np.abs(v @ (_matrices(span, table, hz[:1])[1][0] if len(hz) else 0) @ v.T)
+    if len(hz) and np.abs(likeness - np.diag(np.diag(likeness))).max(initial=0.0) > _ALIKE:
+        return None, None
+    order = np.argsort(hz)
+    return hz[order], v[order]
+
+
+def _numbered(span: _Span, table: _Table, highest_hz: float) -> tuple[Array, Array]:
+    """Frequencies (m,) and vectors (m, n) of modes, each settled by its number."""
+    answers = _solved(span, table, np.array([highest_hz]))[0][0]
     number = np.arange(answers.searchsorted(highest_hz))
     # With the moduli of `asked`, modes are at `answered`; sought is where both are the same.
     asked, answered = np.full(len(number), highest_hz), answers[number]
     hz = answered
     for _ in range(_MOST_ITERATIONS):
-        all_hz, vectors = _solved(span, material, hz)
+        all_hz, vectors = _solved(span, table, hz)
         found = all_hz[number, number]
         if not number.size or np.abs(1200 * np.log2(found / hz)).max() < _SETTLED_CENTS:
             hz = found
@@ -350,22 +425,25 @@ def _settled(
         raise ValueError(
             "modes do not settle: the moduli of this cane grow too fast with frequency"
         )
-    own = vectors[number, :, number]
-    damped = np.einsum("mi,mij,mj->m", own, span.resistance_kg_s(hz), own, optimize=True)
-    return hz, span.shapes @ own.T, damped / (2 * np.pi * hz)
+    return hz, vectors[number, :, number]
 
 
-def _solved(span: _Span, material: Callable[[float], Cane], hz: Array) -> tuple[Array, Array]:
+def _solved(span: _Span, table: _Table, hz: Array) -> tuple[Array, Array]:
     """Eigenfrequencies (m, n) and mass-normalised vectors (m, n, n) with what holds at (m,)."""
-    canes = [material(float(f)) for f in hz]
-    moduli = np.array([stiffness_terms_pa(cane) for cane in canes])
-    density = np.array([cane.density_kg_m3 for cane in canes])[:, None, None]
-    K = np.tensordot(moduli, span.stiffness_terms, axes=1) + span.springs_n_m
-    root = np.linalg.cholesky(density * span.mass + span.mass_kg + span.air_kg(hz))
+    K, M = _matrices(span, table, hz)
+    root = np.linalg.cholesky(M)
     half = np.linalg.solve(root, K)
     values, vectors = np.linalg.eigh(np.linalg.solve(root, half.transpose(0, 2, 1)))
     own = np.linalg.solve(root.transpose(0, 2, 1), vectors)
     return np.sqrt(np.clip(values, 0, None)) / (2 * np.pi), own
+
+
+def _matrices(span: _Span, table: _Table, hz: Array) -> tuple[Array, Array]:
+    """Stiffness and mass (m, n, n) with what holds at (m,)."""
+    log_hz = np.log(hz)
+    density = table.density_kg_m3(log_hz)[:, None, None]
+    K = np.tensordot(table.moduli_pa(log_hz), span.stiffness_terms, axes=1) + span.springs_n_m
+    return K, density * span.mass + span.mass_kg + span.air_kg(hz)
 
 
 def _nothing_more(anatomy: Anatomy) -> tuple[Array, Array]:

@@ -439,6 +439,18 @@ def _diagnose_resonances(table: Path | None, as_json: bool) -> None:
         console.print(line, markup=False, soft_wrap=True)
 
 
+@_verb
+def effects(as_json: AsJson = False, debug: Debug = False) -> None:
+    """List the effects that the twin leaves out and a diagnosis knows, with their sizes."""
+    from diagnosis.listing import effects_table, effects_to_json
+    from physics.effects.catalogue import CATALOGUE
+
+    if as_json:
+        _show_json(effects_to_json(CATALOGUE))
+        return
+    Console(highlight=False).print(effects_table(CATALOGUE))
+
+
 @contextlib.contextmanager
 def _blind_side() -> Iterator[None]:
     """Errors of the other side, which knows none of the house's."""

@@ -99,8 +99,10 @@ def answered_cases(folder: Path, answers: Path, key: Path) -> list[Case]:
 
 
 def _label(entry: dict[str, Any]) -> Label:
-    effects = tuple((str(name), float(size)) for name, size in entry["effects"])
-    label = Label(entry["tier"], effects, entry["known"], entry["seed"])
+    effects, told = (
+        tuple((str(name), float(size)) for name, size in entry[key]) for key in ("effects", "told")
+    )
+    label = Label(entry["tier"], effects, entry["known"], entry["seed"], told)
     if json.loads(json.dumps(asdict(label))) != entry:
         raise BlindError("a label has entries that labels do not have")
     return label

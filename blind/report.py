@@ -88,13 +88,15 @@ def _by(
             "right": _share(named(group, classes)),
             "probability_of_truth": mean_probability(group, classes)[0],
             "answers": [best(classes.mass(case.probability)) or "none given" for case in group],
-            "d_prime": [case.d_prime for case in group],
+            "d_prime": [_number(case.d_prime) for case in group],
         }
         for name, group in sorted(groups.items())
     }
 
 
 def _interval(case: Case) -> str:
+    if case.answer is None:
+        return "not answered"
     number = int(np.searchsorted(_D_PRIME, case.d_prime, side="right"))
     low, high = _D_PRIME[number - 1 : number + 1]
     return f"{low:02g} to {high:g}" if np.isfinite(high) else f"{low:02g} on"

@@ -2,18 +2,22 @@
 
 import json
 from dataclasses import asdict
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
+from acquire.bench_file import BenchFile
 from acquire.reed_file import ReedFile
-from blind.cases import commitment, drawn_label, healthy_world, seal, sick_world
+from blind.cases import commitment, drawn_label, healthy_world, seal, sick_world, told_sizes
 from blind.effects import KINDS
 from blind.reed import Build, make_reed
+from blind.run_files import bench_text
 from blind.vibration import answerer
 from blind.world import World
+from diagnosis.known_bench import base_twin
 from fitting.forward import basis_of
 from physics.effects.catalogue import BY_ID
 from physics.reed.response import elastic_modes
@@ -39,6 +43,37 @@ def test_labels_are_drawn_again_the_same_and_differ_from_number_to_number() -> N
     assert drawn_label(0, 3, 5).effects == ()
     assert len(drawn_label(3, 3, 5).effects) == 2
     assert not drawn_label(4, 3, 5).known
+
+
+def test_each_effect_is_withheld_once_beside_others_that_are_told() -> None:
+    known = [kind.name for kind in KINDS if kind.known]
+    labels = [drawn_label(6, number, 5) for number in range(len(known))]
+    assert sorted(label.effects[0][0] for label in labels) == sorted(known)
+    for label in labels:
+        assert len(label.told) == 3
+        assert label.effects[0][0] not in {name for name, _ in label.told}
+        assert set(told_sizes(label)) == {name for name, _ in label.told}
+
+
+def test_what_a_laboratory_tells_of_itself_is_what_it_has() -> None:
+    label = drawn_label(6, 3, 5)
+    laboratory = SimpleNamespace(world=sick_world(label))
+    bench = BenchFile.from_text(bench_text("case", laboratory, told_sizes(label)))
+    twin, world = base_twin(bench), laboratory.world
+    assert twin.reed.air_share == pytest.approx(world.cane.air)
+    assert twin.beams.leak == pytest.approx(world.light.leak)
+    assert twin.clocks.detuning_hz == pytest.approx(world.clockwork.detuning_hz, rel=1e-4)
+    assert twin.chip.read_factor >= 0
+
+
+def test_sizes_of_known_kinds_are_told_in_the_terms_of_the_catalogue() -> None:
+    well = healthy_world(4)
+    for kind in KINDS:
+        if kind.told is not None:
+            sick = kind.change(well, 2.0, np.random.default_rng(0))
+            told = kind.told(well, sick)
+            assert set(told) <= {parameter.name for parameter in BY_ID[kind.name].sizes}
+            assert any(told.values())
 
 
 def _plain(value):

@@ -1,16 +1,21 @@
 """Scores beside what can be counted by hand."""
 
+import json
+
 import numpy as np
 import pytest
 
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
-from blind.cases import Label
+from blind.cases import Label, true_sizes
+from blind.drawing import draw_reliability
+from blind.report import report, sentences
 from blind.scoring import (
     Case,
     Classes,
     brier,
     calibration_error,
+    closures,
     confident_wrong,
     false_alarms,
     mean_probability,
@@ -18,6 +23,7 @@ from blind.scoring import (
     open_set,
     sets,
     share,
+    size_errors,
 )
 
 CLASSES = Classes([("air_load", "stiffening"), ("crack",)])
@@ -106,3 +112,83 @@ def test_an_answer_tells_what_it_could_have_seen() -> None:
     assert case("crack", {}, d_prime=5.0).resolved
     assert not case("crack", {}, d_prime=4.9).resolved
     assert missing("crack").resolved, "what was not answered counts"
+
+
+# --- Reports -----------------------------------------------------------------------------------
+
+
+def gap(before, after):
+    return {"before": before, "after": after}
+
+
+def answered(truth, named, by, sizes=None, **more):
+    """A case with what its answer says of gaps and sizes."""
+    probability = {named or "none": 0.9, "unknown": 0.1}
+    made = case(truth, probability, likely=[(named or "none",)], **more)
+    made.answer["how_far"] = {"by": by}
+    made.answer["effects_named"] = named.split("+") if named else []
+    for name, size in (sizes or {}).items():
+        made.answer["effects"][name]["sizes"] = size
+    return made
+
+
+def test_closing_less_than_the_truth_counts_less_and_silence_nothing() -> None:
+    by = {"crack": gap(11.0, 1.0), "air_load": gap(11.0, 6.0)}
+    cases = [
+        answered("crack", "crack", by),
+        answered("crack", "air_load", by),
+        answered("crack", "", by),
+        # What the truth closes is not known here.
+        answered("tip_mass", "crack", by),
+    ]
+    found = closures(cases)
+    assert found["cases"] == 3
+    assert found["median"] == pytest.approx(0.5)
+
+
+def test_pairs_close_gaps_whichever_comes_first() -> None:
+    by = {"crack+air_load": gap(9.0, 1.0), "crack": gap(9.0, 5.0)}
+    assert closures([answered("air_load+crack", "crack", by)])["median"] == pytest.approx(0.5)
+
+
+def test_sizes_are_compared_with_what_the_laboratory_had() -> None:
+    label = Label(1, (("laser_drift", 2.0),), True, 5)
+    true = true_sizes(label)["laser_drift"]["fade"]
+    made = answered("laser_drift", "laser_drift", {})
+    made.answer["effects"]["laser_drift"]["sizes"] = {"fade": {"value": 1.1 * true, "error": 0.03}}
+    found = size_errors([Case("c", label, made.answer)], CLASSES)
+    assert found["sizes"] == 1
+    assert found["bias"] == pytest.approx(0.1)
+    assert found["chi2"] == pytest.approx((0.1 * true / 0.03) ** 2)
+
+
+def test_a_report_has_all_scores_and_says_them() -> None:
+    by = {"crack": gap(11.0, 1.0)}
+    cases = [answered("crack", "crack", by), answered("", "", {}), missing("tip_mass"),
+             answered("x", "crack", {}, known=False)]  # fmt: skip
+    scores = report(cases, CLASSES)
+    assert (scores["cases"], scores["answered"]) == (4, 3)
+    assert scores["class_right"]["resolved"]["hits"] == 1
+    assert scores["class_right"]["resolved"]["cases"] == 2
+    assert scores["by_effect"]["tip_mass"]["answers"] == ["none given"]
+    assert scores["by_unknown"]["x"]["right"]["hits"] == 0
+    assert json.loads(json.dumps(scores, allow_nan=False)) == scores
+    said = "\n".join(sentences(scores))
+    assert "3 of 4 cases answered" in said
+    assert "False alarms: 0 of 1 " in said
+
+
+def test_shuffled_labels_score_at_chance() -> None:
+    names = [f"e{k}" for k in range(8)]
+    told = names * 20
+    shuffled = list(np.random.default_rng(3).permutation(told))
+    right = named([case(a, {a: 1.0}) for a in told], Classes(()))
+    chance = named([case(a, {b: 1.0}) for a, b in zip(told, shuffled, strict=True)], Classes(()))
+    assert right.value == 1.0
+    assert chance.low < 1 / 8 < chance.high
+
+
+def test_a_reliability_plot_is_drawn(tmp_path) -> None:
+    cases = [answered("crack", "crack", {}) for _ in range(20)]
+    draw_reliability(cases, CLASSES, tmp_path / "plot.png")
+    assert (tmp_path / "plot.png").stat().st_size > 5000

@@ -1,0 +1,68 @@
+"""What a bench file tells of its camera and of effects that the bench is known to have."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from acquire.bench_file import BenchFile
+from acquire.errors import ProtocolError
+from diagnosis.known_bench import base_twin, bench_of, sensor_of
+from physics.sensor import Sensor
+from physics.twin import Twin
+
+SHIPPED = Path(__file__).parents[2] / "protocols" / "benches" / "simulated.yaml"
+TEXT = SHIPPED.read_text(encoding="utf-8")
+RUN = SimpleNamespace(
+    bench_text=TEXT,
+    reconstruction=SimpleNamespace(transform=SimpleNamespace(shape=(64, 96), pixel_m=5e-6)),
+)
+
+
+def bench(known: str) -> BenchFile:
+    return BenchFile.from_text(f"{TEXT}\nknown: {known}\n", "lab.yaml")
+
+
+def test_effects_are_put_on_the_twin_in_their_units() -> None:
+    twin = base_twin(
+        bench("{synthesizer_detuning: {offset: 20 mHz}, air_load: {share: 0.9}, "
+              "laser_drift: {fade: 0.3 1/h}}")
+    )  # fmt: skip
+    assert twin.clocks.detuning_hz == pytest.approx(0.02)
+    assert twin.reed.air_share == pytest.approx(0.9)
+    assert twin.beams.fade_per_h == pytest.approx(0.3)
+
+
+def test_a_bench_of_which_nothing_is_known_is_the_nominal_twin() -> None:
+    assert base_twin(None) == base_twin(BenchFile.from_text(TEXT)) == Twin()
+
+
+@pytest.mark.parametrize(
+    ("known", "said"),
+    [
+        ("{gremlins: {share: 1.0}}", "known.gremlins is no effect of the catalogue"),
+        ("{air_load: {shere: 0.9}}", "known.air_load.shere is no size of it; it has share"),
+        ("{laser_drift: {fade: 0.3 1/s}}", "known.laser_drift.fade: '0.3 1/s' is not in its unit"),
+        ("{synthesizer_detuning: {offset: 0.02}}", "synthesizer_detuning.offset: 0.02 has no unit"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named_with_its_remedy(known: str, said: str) -> None:
+    with pytest.raises(ProtocolError) as error:
+        base_twin(bench(known))
+    assert said in str(error.value)
+    assert str(error.value).startswith("lab.yaml: ")
+
+
+def test_a_camera_is_as_its_data_sheet_says() -> None:
+    sheet = "{offset_dn: 20, gain_e_dn: 2.0, read_noise_e: 5.0, full_well_e: 30000}"
+    told = BenchFile.from_text(
+        TEXT.replace("max_frame_rate: 12.5 Hz", f"max_frame_rate: 12.5 Hz\n    data_sheet: {sheet}")
+    )
+    sensor = sensor_of(told, RUN)
+    assert (sensor.shape, sensor.pixel_m, sensor.read_noise_e) == ((64, 96), 5e-6, 5.0)
+    assert sensor_of(None, RUN).read_noise_e == Sensor().read_noise_e
+
+
+def test_a_run_without_a_readable_bench_tells_nothing_of_it() -> None:
+    assert bench_of(RUN) == BenchFile.from_text(TEXT)
+    assert bench_of(SimpleNamespace(bench_text="")) is None

@@ -1,0 +1,111 @@
+"""Shapes of modes by what each has of the others, and light that no vibration has shifted."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diagnosis.taps.carrier import Carrier, Leaks, carrier_block, leaks_in
+from diagnosis.taps.shapes import shapes_block
+from physics.mechanics import ReedMode, TipMass
+from physics.reed.fem import Symmetry
+from physics.twin import Beams, Twin, with_alteration
+
+# A reed of three shapes at four places: two symmetric ones, one antisymmetric.
+PLAN = np.array([[1e-3, 1e-3], [1e-3, 4e-3], [10e-3, 0.0], [20e-3, 2e-3]])
+BENDS = np.array([[2.0, -1.0], [2.0, -3.0], [1.0, 2.0], [0.2, 1.0]])
+TWISTS = np.array([[1.0], [5.0], [0.0], [0.5]])
+HALVES = {
+    Symmetry.SYMMETRIC: SimpleNamespace(mass=np.eye(2), surface_z=BENDS),
+    Symmetry.ANTISYMMETRIC: SimpleNamespace(mass=np.eye(1), surface_z=TWISTS),
+}
+NAMES, HZ = ("F1", "F2", "T1"), (2e3, 5e3, 3e3)
+ALTERED = with_alteration(Twin(), TipMass(), 1e-6)
+# In coordinates: what the altered reed's first bending mode has of the others.
+OF_OTHERS = 0.1, -0.05
+
+
+def modes(reed):
+    shapes = dict(zip(NAMES, np.eye(3), strict=True))
+    if reed.alterations:
+        shapes["F1"] = np.array([1.0, *OF_OTHERS])
+    return {n: ReedMode(n, hz, 0.03, shapes[n]) for n, hz in zip(NAMES, HZ, strict=True)}
+
+
+ANATOMY = SimpleNamespace(reed=SimpleNamespace(plan_m=PLAN, halves=HALVES))
+WORKSHOP = SimpleNamespace(modes=modes, mass_kg=np.eye(3), anatomy=ANATOMY)
+NO_LEAKS = Leaks({"up": 0.0}, 0.0)
+
+
+def sweep(mixing, error=1e-3, twist_sign=1.0):
+    """Reading of a sweep whose basis has its shapes largest where they are."""
+    return SimpleNamespace(
+        names=NAMES,
+        shape_names=NAMES,
+        # The twisting mode is largest on the right, where it is negative, or in this basis not.
+        shape_peak_m=np.array([[1e-3, 1e-3], [1e-3, 4e-3], [1e-3, -4e-3]]),
+        shape_peak=np.array([1.0, -1.0, -twist_sign]),
+        mixing=np.array(mixing),
+        mixing_error=np.full((3, 3), error),
+        mixing_spread=1.0 - np.eye(3),
+    )
+
+
+def predicted(block, twin):
+    return dict(zip([(p.mode, p.quantity) for p in block.places], block.predict(twin), strict=True))
+
+
+@pytest.mark.parametrize("twist_sign", [1.0, -1.0])
+def test_shares_are_in_units_of_largest_deflections_with_the_signs_of_the_basis(twist_sign) -> None:
+    block = shapes_block([sweep(np.zeros((3, 3)), twist_sign=twist_sign)], WORKSHOP, NO_LEAKS)
+    assert block is not None
+    np.testing.assert_array_equal(block.predict(Twin()), 0.0)
+    found = predicted(block, ALTERED)
+    # Largest deflections: F1 2, F2 -3 where it counts as negative, T1 5.
+    assert found["F1", "share of F2"] == pytest.approx(OF_OTHERS[0] * 3 / 2)
+    assert found["F1", "share of T1"] == pytest.approx(twist_sign * OF_OTHERS[1] * 5 / 2)
+
+
+def test_shares_are_told_once_and_where_fits_disagree_hardly() -> None:
+    small, large = np.zeros((3, 3)), np.zeros((3, 3))
+    large[1, 0] = 0.01
+    block = shapes_block([sweep(small), sweep(large), sweep(small)], WORKSHOP, NO_LEAKS)
+    assert block is not None
+    assert len(block.values) == 3
+    assert shapes_block([sweep(small, error=0.1)], WORKSHOP, NO_LEAKS) is None
+
+
+def test_what_leaks_in_makes_shapes_uncertain() -> None:
+    plain = shapes_block([sweep(np.zeros((3, 3)))], WORKSHOP, NO_LEAKS)
+    spoilt = shapes_block([sweep(np.zeros((3, 3)))], WORKSHOP, Leaks({"up": 0.2}, 0.0))
+    assert plain is not None
+    assert spoilt is not None
+    assert (np.diag(spoilt.covariance) > 5 * np.diag(plain.covariance)).all()
+
+
+# --- Carrier -----------------------------------------------------------------------------------
+
+
+def carriers(leak=0.0):
+    """Two sweeps, a loud one and a quiet one, of a reed that moves a little by its clamp."""
+    return [
+        Carrier(name, float(np.hypot(leak, np.hypot(6e-4 * volts, 0.76 * 8e-4))), 8e-4, volts)
+        for name, volts in (("up", 8.0), ("quiet", 2.0))
+    ]
+
+
+def test_a_carrier_is_told_where_the_reed_hardly_moves() -> None:
+    leak = Twin(beams=Beams(leak=0.015))
+    block = carrier_block(carriers(0.015))
+    assert np.sum(block.left(leak) ** 2) == pytest.approx(0.0, abs=1e-9)
+    assert np.sum(block.left(Twin()) ** 2) > 100
+    assert np.sum(carrier_block(carriers()).left(Twin()) ** 2) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_leaks_count_by_what_moves_in_a_sweep() -> None:
+    sweeps = [SimpleNamespace(name=name, amplitude_rad=np.full(9, rad))
+              for name, rad in (("up", 0.4), ("quiet", 0.1))]  # fmt: skip
+    none, some = leaks_in(carriers(), sweeps, 0.0), leaks_in(carriers(0.02), sweeps, 0.05)
+    assert max(none.carrier.values()) == pytest.approx(0.0, abs=1e-12)
+    assert some.carrier["quiet"] > 4 * some.carrier["up"] > 0
+    assert some.mixing == 0.05

@@ -1,5 +1,6 @@
 """Sets of sealed cases as folders: recordings and commitments in one, the key elsewhere."""
 
+import hashlib
 import json
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -25,8 +26,8 @@ def make_set(
     seed: int,
     jobs: int = 1,
     progress: Callable[[float], None] | None = None,
-) -> None:
-    """Record a set of sealed cases.
+) -> str:
+    """Record a set of sealed cases; tells the SHA-256 of ``sealed.json``.
 
     Parameters
     ----------
@@ -54,7 +55,8 @@ def make_set(
     told, kept = seal(labels, seed)
     folder.mkdir(parents=True)
     # Committed before anything is recorded, let alone answered.
-    (folder / SEALED).write_text(json.dumps(told, indent=1), encoding="utf-8")
+    sealed = json.dumps(told, indent=1).encode()
+    (folder / SEALED).write_bytes(sealed)
     key.write_text(json.dumps(kept, indent=1), encoding="utf-8")
     report = progress or (lambda _share: None)
     with ProcessPoolExecutor(max_workers=jobs) as pool:
@@ -65,6 +67,7 @@ def make_set(
         for number, done in enumerate(as_completed(waiting)):
             done.result()
             report((number + 1) / count)
+    return hashlib.sha256(sealed).hexdigest()
 
 
 def answered_cases(folder: Path, answers: Path, key: Path) -> list[Case]:

@@ -28,7 +28,7 @@ from physics.reed.viscoelastic import Series, viscoelastic_cane
 
 VERBS = (
     *("plan", "run", "pause", "continue", "list", "show", "fit", "report", "diagnose"),
-    *("population", "modes", "paper"),
+    *("population", "modes", "paper", "effects"),
 )
 ROOT = Path(script.__file__).parents[1]
 
@@ -364,6 +364,35 @@ def test_a_diagnosis_says_where_which_and_what_is_missing(cli, measured, folder)
     assert any("second sweep" in what for what in answer["missing"])
     assert "hot_pixels" not in answer["effects"]
     assert "not resolvable" in (folder / "page.html").read_text(encoding="utf-8")
+
+
+def test_the_catalogue_of_effects_is_listed_for_people_and_programs(cli):
+    told = cli("effects", "--json").json
+    assert len(told) >= 30
+    assert {"id", "stage", "parameters", "moves", "keeps", "action"} <= set(told[0])
+    assert all(effect["id"] in cli("effects").out for effect in told[:3])
+
+
+@pytest.mark.parametrize("verb", ["make", "score"])
+def test_blind_verbs_have_help_and_json(cli, verb):
+    said = cli("blind", verb, "--help")
+    assert (said.status, said.err) == (0, "")
+    assert "--json" in said.out
+
+
+def test_a_tier_that_is_not_there_is_bad_input(cli, folder):
+    pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
+    said = cli("blind", "make", folder / "cases", "--tier", "5", "--count", "1", "--seed", "1")
+    assert said.status == 2
+    assert "there is no tier 5; choose one of 0, 1, 2, 3, 4, 6" in one_line(said.err)
+    assert listing(folder) == {}
+
+
+def test_answers_without_cases_are_bad_input(cli, folder):
+    pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
+    said = cli("blind", "score", folder / "no", "--answers", folder, "--key", folder / "key.json")
+    assert said.status == 2
+    assert "cannot be read" in one_line(said.err)
 
 
 @pytest.mark.parametrize("verb", ["fit", "report", "diagnose"])

@@ -53,10 +53,14 @@ def _where(verdict: Verdict) -> dict[str, Any]:
     where = verdict.where
     return {
         "first_failing_tap": where.first_failing,
-        "taps": {tap: {"gap": gap, "chance": chance} for tap, (gap, chance) in where.taps.items()},
+        "taps": {
+            tap: {"gap": worst.gap, "chance": worst.chance, "block": worst.block,
+                  "axis": worst.axis, "label": worst.label}
+            for tap, worst in where.taps.items()
+        },
         "ladder": [asdict(rung) for rung in where.ladder],
         "cells": [asdict(cell) | {"resolvable": cell.resolvable} for cell in where.cells],
-    }
+    }  # fmt: skip
 
 
 def _how_far(verdict: Verdict) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 Numbers are left out in groups, such as all of a mode or all of a sweep, and predicted by the rest:
 exactly, in the model that is linear around the fit. The gap is the mean square of what is left
-there, in units of the errors, over what a right model would leave.
+there, in units of how well it could be predicted, over the 1 that a right model would leave.
 """
 
 from collections.abc import Sequence
@@ -26,8 +26,8 @@ class Shrinkage:
     Attributes
     ----------
     before, after, floor : float
-        Mean square of what is left, in units of the errors: of the twin without and with the
-        effect, and of a right one.
+        Mean square of what is left, in units of errors of data and prediction: of the twin without
+        and with the effect, and of a right one.
     kappa, low, high : float
         (before − after) / (before − floor), and its 95 % interval; NaN if the gap is not
         resolvable.
@@ -41,14 +41,11 @@ class Shrinkage:
     high: float
 
 
-def shrinkage(
-    comparison: Comparison, null: Rival, rival: Rival, groups: Sequence[str], seed: int = 0
-) -> Shrinkage:
+def shrinkage(null: Rival, rival: Rival, groups: Sequence[str], seed: int = 0) -> Shrinkage:
     """Find what a rival takes off the gap, in groups that are left out.
 
     Parameters
     ----------
-    comparison : Comparison
     null, rival : Rival
     groups : sequence of str
         Name of each number's group; numbers whose group is empty are never left out.
@@ -59,18 +56,18 @@ def shrinkage(
     if not names:
         return Shrinkage(*[np.nan] * 6)
     labels = np.array(groups)
-    rows = np.array([_left_out(comparison, (null, rival), labels == name) for name in names])
+    rows = np.array([_left_out((null, rival), labels == name) for name in names])
     rng = np.random.default_rng(seed)
     count = len(names)
     drawn = rng.multinomial(count, np.full(count, 1 / count), size=_DRAWS) if count > 1 else None
     sums = rows.sum(axis=0)
-    before, after, floor = (float(part / sums[3]) for part in sums[:3])
+    before, after, floor = float(sums[0] / sums[2]), float(sums[1] / sums[2]), 1.0
     if before <= floor:
         return Shrinkage(before, after, floor, np.nan, np.nan, np.nan)
     kappa = (before - after) / (before - floor)
     if drawn is None:
         return Shrinkage(before, after, floor, kappa, np.nan, np.nan)
-    b, a, f = (drawn @ rows[:, :3]).T
+    b, a, f = (drawn @ rows).T
     told = b > f
     low, high = (
         np.percentile((b[told] - a[told]) / (b[told] - f[told]), [2.5, 97.5])
@@ -133,18 +130,15 @@ def plain_gaps(comparison: Comparison, null: Rival, rival: Rival) -> list[Plain]
     return told
 
 
-def _left_out(
-    comparison: Comparison, rivals: tuple[Rival, Rival], chosen: NDArray[np.bool_]
-) -> tuple[float, float, float, float]:
-    """Squares of what a group leaves if it is left out: without, with, expected; and its count."""
-    squares, expected = [], 0.0
-    at = np.flatnonzero(chosen)
+def _left_out(rivals: tuple[Rival, Rival], chosen: NDArray[np.bool_]) -> tuple[float, float, float]:
+    """Squares of what a group leaves if it is left out, without and with effects; and its count."""
+    squares, at = [], np.flatnonzero(chosen)
     for rival in rivals:
-        J, left = rival.free * rival.deviation[:, None], rival.left
+        J, wide = rival.free, rival.deviation[at]
         precision = J.T @ J + np.eye(J.shape[1])
-        own = J[at] @ np.linalg.solve(precision, J[at].T)
-        inner = np.eye(len(at)) - own
-        out = np.linalg.solve(inner, left[at])
-        squares.append(float(out @ out))
-        expected = float(np.trace(np.linalg.inv(inner)))
-    return squares[0], squares[1], expected, float(len(at))
+        inner = np.eye(len(at)) - J[at] @ np.linalg.solve(precision, J[at].T)
+        out = wide * np.linalg.solve(inner, rival.estimate.residuals[at])
+        # Errors of the prediction, and of the data by themselves: form is no excuse here.
+        predicted = wide[:, None] * (np.linalg.inv(inner) - np.eye(len(at))) * wide
+        squares.append(float(out @ np.linalg.solve(np.eye(len(at)) + predicted, out)))
+    return squares[0], squares[1], float(len(at))

@@ -80,8 +80,10 @@ def _where(where: Map) -> str:
     tap = where.first_failing
     if tap is None:
         return "No tap differs by more than its floor: what is there is not resolvable."
-    gap, _ = where.taps[tap]
-    return f"First tap that differs: {tap} ({TAP_WORDS[tap]}), {gap:.1f} times its floor."
+    worst = where.taps[tap]
+    at = f"{worst.block}, {worst.label}" if worst.label != worst.block else worst.block
+    gap = f"{worst.gap:.1f} times its floor"
+    return f"First tap that differs: {tap} ({TAP_WORDS[tap]}), {gap} in {at}."
 
 
 def _class_words(group: tuple[str, ...], verdict: Verdict) -> str:

@@ -132,15 +132,14 @@ def diagnose(
         contest=found,
         reach=reach,
         triggers=triggers(comparison, found.null, named_or_none, _only(comparison, condition)),
-        closed=shrinkage(comparison, found.null, chosen, _where(groups, acts)),
+        closed=shrinkage(found.null, chosen, _where(groups, acts)),
         transferred=(
-            shrinkage(comparison, found.null, chosen, _where(_only(comparison, condition), acts))
+            shrinkage(found.null, chosen, _where(_only(comparison, condition), acts))
             if condition
             else None
         ),
         closed_by={
-            name: shrinkage(comparison, found.null, rival, groups)
-            for name, rival in _better(found).items()
+            name: shrinkage(found.null, rival, groups) for name, rival in _better(found).items()
         },
         plain=tuple(plain_gaps(comparison, found.null, chosen)),
         condition=condition,

@@ -6,7 +6,7 @@ knows better. What lies below the floor is not resolvable, which is not to say t
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -82,20 +82,21 @@ class Map:
     ----------
     cells : tuple of Cell
         Of every coordinate, and of whole blocks (axis ``block``).
-    taps : dict of (float, float)
-        Gap of each tap in units of its floor, and the chance of it, for as many taps as there are.
+    taps : dict of Cell
+        Of each tap the cell that chance explains least, with the chance that any cell of any tap is
+        as far off.
     ladder : tuple of Rung
         From logs to material; shares add up to 1 either way. Empty if the whole is not resolvable.
     """
 
     cells: tuple[Cell, ...]
-    taps: dict[Tap, tuple[float, float]]
+    taps: dict[Tap, Cell]
     ladder: tuple[Rung, ...]
 
     @property
     def first_failing(self) -> Tap | None:
         """First tap, from logs to material, at which measurement and twin differ."""
-        failing = (tap for tap, (_, chance) in self.taps.items() if chance < _CHANCE)
+        failing = (tap for tap, worst in self.taps.items() if worst.chance < _CHANCE)
         return next(failing, None)
 
 
@@ -118,9 +119,9 @@ def gap_map(comparison: Comparison) -> Map:
             cells += _along(block, axis, gap, variance)
     taps = {}
     for tap in sorted(rows):
-        square, count = _square(left, slope, rows[tap]), len(rows[tap])
-        chance = float(chi2.sf(square, count))
-        taps[tap] = float(np.sqrt(square / count)), min(1.0, len(rows) * chance)
+        own = [cell for cell in cells if cell.tap is tap]
+        worst = min(own, key=lambda cell: cell.chance)
+        taps[tap] = replace(worst, chance=min(1.0, len(rows) * len(own) * worst.chance))
     return Map(tuple(cells), taps, tuple(_ladder(left, slope, rows)))
 
 

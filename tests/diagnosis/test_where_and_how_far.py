@@ -16,14 +16,18 @@ def groups(comparison):
 
 def test_chance_of_a_gap_is_uniform_where_nothing_is_wrong() -> None:
     rng = np.random.default_rng(0)
-    chances = []
+    chances, failing = [], 0
     for seed in range(60):
         # The level is drawn from its prior: it is unknown, not wrong.
         found = gap_map(measured(seed, bench(fade_per_h=2.0 * rng.standard_normal())))
-        chances.append(found.taps[Tap.MAPS][1] / len(found.taps))
+        whole = next(c for c in found.cells if c.axis == "block" and c.block == "lines")
+        chances.append(whole.chance)
+        failing += found.first_failing is not None
     # Means of 60 uniform numbers scatter by 0.037, and 6 ± 2.3 of them lie below 0.1.
     assert np.mean(chances) == pytest.approx(0.5, abs=0.13)
     assert np.count_nonzero(np.array(chances) < 0.1) <= 14
+    # Of 60 campaigns 0.6 fail by chance, however many cells there are.
+    assert failing <= 4
 
 
 def test_the_first_failing_tap_is_where_the_cause_shows_first() -> None:
@@ -49,10 +53,10 @@ def test_the_right_effect_closes_the_gap_and_a_wrong_one_does_not() -> None:
     right, wrong = (
         compete(comparison, (Sized(EFFECTS[k], {}),), [np.array([0.0, 0.1])]) for k in (1, 0)
     )
-    closed = shrinkage(comparison, null, right, groups(comparison))
+    closed = shrinkage(null, right, groups(comparison))
     assert closed.kappa == pytest.approx(1.0, abs=0.15)
     assert closed.low <= closed.kappa <= closed.high
-    assert shrinkage(comparison, null, wrong, groups(comparison)).kappa < 0.2
+    assert shrinkage(null, wrong, groups(comparison)).kappa < 0.2
 
 
 def test_no_gap_is_not_resolvable_rather_than_closed() -> None:
@@ -60,7 +64,7 @@ def test_no_gap_is_not_resolvable_rather_than_closed() -> None:
         comparison = measured(seed, bench())
         null = compete(comparison, (), [np.zeros(1)])
         slope = compete(comparison, (Sized(EFFECTS[0], {}),), [np.zeros(2)])
-        closed = shrinkage(comparison, null, slope, groups(comparison))
+        closed = shrinkage(null, slope, groups(comparison))
         # Where chance leaves a gap above the floor, it is none that could surely be closed.
         assert np.isnan(closed.kappa) or np.isnan(closed.low) or closed.low < 0.2
 

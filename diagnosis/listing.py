@@ -11,7 +11,8 @@ from physics.effects.form import Effect, Parameter
 def effects_table(effects: Sequence[Effect]) -> Table:
     """Table of effects: names, stages, sizes with the spread of their priors, what tells them."""
     table = Table(box=None, pad_edge=False)
-    for heading in ("effect", "stage", "what it is", "sizes", "what tells it apart"):
+    table.add_column("effect", no_wrap=True)
+    for heading in ("stage", "what it is", "sizes", "what tells it apart"):
         table.add_column(heading, overflow="fold")
     for effect in effects:
         sizes = "; ".join(_size(parameter) for parameter in effect.parameters)

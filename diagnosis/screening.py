@@ -1,6 +1,6 @@
 """Which effects may be there: a score test of each beside a fit, one or two twins apiece."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -127,15 +127,36 @@ def signature(comparison: Comparison, base: Base, sized: Sized, sign: float) -> 
 def signatures(
     comparison: Comparison, null: Rival, alone: Mapping[str, Rival]
 ) -> dict[str, tuple[Array, Array]]:
-    """What each effect moves (n, s), whitened: all of it, and less what nuisances take up."""
-    base = Base.of(comparison, null)
-    found: dict[str, tuple[Array, Array]] = {}
-    M = linalg.cho_factor(np.eye(base.slopes.shape[1]) + base.slopes.T @ base.slopes)
+    """What each effect moves (n, s) where it was found, whitened, and less what nuisances take."""
+    found = {}
     for name, rival in alone.items():
         sized = rival.effects[0]
         sign = 1.0 if sized.sizes[0].positive or rival.sizes[0] > 0 else -1.0
-        table = signature(comparison, base, sized, sign)
+        table = _both(comparison, Base.of(comparison, null), sized, sign)
         if table is not None:
-            taken_up = base.slopes @ linalg.cho_solve(M, base.slopes.T @ table)
-            found[name] = table, table - taken_up
+            found[name] = table
     return found
+
+
+def signatures_of(
+    comparison: Comparison, null: Rival, effects: Sequence[Effect]
+) -> dict[str, tuple[Array, Array]]:
+    """The same of effects that were not looked for, in the middle of the places they may be at."""
+    base, found = Base.of(comparison, null), {}
+    for effect in effects:
+        places = list(places_of(effect))
+        table = _both(comparison, base, places[len(places) // 2], 1.0)
+        if table is not None:
+            found[effect.id] = table
+    return found
+
+
+def _both(
+    comparison: Comparison, base: Base, sized: Sized, sign: float
+) -> tuple[Array, Array] | None:
+    table = signature(comparison, base, sized, sign)
+    if table is None:
+        return None
+    M = linalg.cho_factor(np.eye(base.slopes.shape[1]) + base.slopes.T @ base.slopes)
+    left: Array = table - base.slopes @ linalg.cho_solve(M, base.slopes.T @ table)
+    return table, left

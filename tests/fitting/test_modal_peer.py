@@ -77,7 +77,11 @@ def test_expectations_need_only_be_near(response, found):
         name: hz * 2 ** ((25 if number % 2 else -25) / 1200)
         for number, (name, hz) in enumerate(MODES_HZ.items())
     }
-    assert peer_modes(DRIVE_HZ, response, off) == found
+    again = peer_modes(DRIVE_HZ, response, off)
+    assert list(again) == list(found)
+    # The same poles; its rounding differs with where it begins.
+    for name, mode in again.items():
+        assert cents(mode.hz, found[name].hz) == pytest.approx(0.0, abs=0.01)
 
 
 @needs_library

@@ -1,0 +1,91 @@
+"""What campaigns can tell: least sizes of all effects that would be seen, and effects alike.
+
+    python -m benchmarks.reach CAMPAIGN [CAMPAIGN …]
+
+Folders of run files of benches with nothing wrong, such as tier 0 of `acquire blind make`. Prints,
+of each effect, the median over campaigns of the least size that stands out by five deviations, the
+share of its signature that nuisances take up, and with which effects it has a cosine of 0.8 or more
+in most campaigns; then the classes that follow.
+"""
+
+import argparse
+import contextlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from acquire.runfile import Run
+from diagnosis.campaign import Campaign
+from diagnosis.known_bench import bench_of
+from diagnosis.likeness import Reach, classes_of, reach_of
+from diagnosis.observing import Readings, read
+from diagnosis.rivals import compete
+from diagnosis.screening import signatures_of
+from diagnosis.verdict import compared
+from physics.effects.catalogue import BY_ID, CATALOGUE
+from physics.effects.form import Stage
+from physics.mechanics import Workshop
+from physics.reed.cache import anatomy
+from physics.twin import Twin
+
+EFFECTS = tuple(effect for effect in CATALOGUE if effect.stage is not Stage.NUMERICS)
+
+
+def reach_in(readings: Readings, workshop: Workshop) -> tuple[Reach, ...]:
+    """Reach of one campaign."""
+    comparison = compared(readings, workshop, Twin())
+    null = compete(comparison, (), [np.zeros(len(comparison.nuisances))], exact=True)
+    return reach_of(EFFECTS, signatures_of(comparison, null, EFFECTS))
+
+
+def together(reaches: Sequence[Sequence[Reach]]) -> list[Reach]:
+    """Medians over campaigns; effects are alike if they are in most campaigns."""
+    found = []
+    for own in zip(*reaches, strict=True):
+        least = {
+            name: float(np.median([reach.detectable[name] for reach in own]))
+            for name in own[0].detectable
+        }
+        cosines = {
+            other: float(np.median([reach.alike.get(other, 0.0) for reach in own]))
+            for other in sorted({name for reach in own for name in reach.alike})
+        }
+        absorbed = float(np.median([reach.absorbed for reach in own]))
+        alike = {name: value for name, value in cosines.items() if value > 0}
+        found.append(Reach(own[0].effect, absorbed, least, alike))
+    return found
+
+
+def told(reach: Reach) -> str:
+    """One line of the table."""
+    sizes = "; ".join(
+        f"{p.name} {reach.detectable[p.name]:.2g} {p.unit}".strip()
+        for p in BY_ID[reach.effect].sizes
+    )
+    alike = ", ".join(f"{name} {value:.2f}" for name, value in reach.alike.items())
+    absorbed = "-" if np.isnan(reach.absorbed) else f"{reach.absorbed:.0%}"
+    return f"{reach.effect:<24}{sizes:<48}{absorbed:>5}  {alike}"
+
+
+def main() -> None:
+    """Read campaigns, and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("campaigns", nargs="+", type=Path, metavar="CAMPAIGN")
+    reaches = []
+    for folder in parser.parse_args().campaigns:
+        with contextlib.ExitStack() as opened:
+            files = sorted(folder.glob("*.h5"))
+            campaign = Campaign.of([opened.enter_context(Run.open(file)) for file in files])
+            first = campaign.sweeps[0].run
+            workshop = Workshop(anatomy(first.reed_file().geometry()))
+            reaches.append(reach_in(read(campaign, bench_of(first)), workshop))
+    found = together(reaches)
+    print(f"{'effect':<24}{'least size that stands out by 5 deviations':<48}taken  alike")
+    for reach in found:
+        print(told(reach))
+    print("classes:", *("|".join(group) for group in classes_of(found) if len(group) > 1))
+
+
+if __name__ == "__main__":
+    main()

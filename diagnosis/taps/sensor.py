@@ -78,15 +78,12 @@ class Beam:
 
     Attributes
     ----------
-    rate_dn_s : (e,) float
-        Mean signal per second, of each exposure.
     tilt : (2,) float
         Of the log of the brightness, per half of the sensor: along rows' numbers, columns'.
     bend : float
         Of the log, in the corners, beside the middle.
     """
 
-    rate_dn_s: Array
     tilt: Array
     bend: float
 
@@ -145,8 +142,7 @@ def read_beam(parts: Sequence[Part], offset_dn: float) -> Beam:
     mean = frames.mean(axis=1) - np.float32(offset_dn)
     whole = np.einsum("eyx,e->yx", mean, exposure_s) / np.sum(exposure_s**2)
     _, coefficients = _paraboloid(whole)
-    rate = mean.mean(axis=(1, 2)) / exposure_s
-    return Beam(rate, coefficients[1:], coefficients[0])
+    return Beam(coefficients[1:], coefficients[0])
 
 
 def _paraboloid(image: Array) -> tuple[Array, Array]:

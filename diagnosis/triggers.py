@@ -18,6 +18,8 @@ from diagnosis.rivals import Comparison, Rival
 Array = NDArray[np.floating[Any]]
 
 _DRAWS = 1000
+# Errors of fits have longer tails than a Gaussian's: Student's, of so many freedoms.
+_FREEDOMS = 5
 # Signs that chance shows more seldom than this count.
 _SELDOM = 0.01
 
@@ -94,7 +96,8 @@ def _sign(name: str, words: str, values: Array) -> Trigger:
 def _with_drawn(rival: Rival, rng: np.random.Generator) -> Array:
     """What a rival leaves (n, 1 + d): of what was measured, and of campaigns if it is true."""
     J, n = rival.free, len(rival.estimate.residuals)
-    measured = rng.standard_normal((n, _DRAWS)) + J @ rng.standard_normal((J.shape[1], _DRAWS))
+    noise = np.sqrt(1 - 2 / _FREEDOMS) * rng.standard_t(_FREEDOMS, (n, _DRAWS))
+    measured = noise + J @ rng.standard_normal((J.shape[1], _DRAWS))
     M = linalg.cho_factor(np.eye(J.shape[1]) + J.T @ J)
     left = measured - J @ linalg.cho_solve(M, J.T @ measured)
     return np.column_stack([rival.estimate.residuals, left])

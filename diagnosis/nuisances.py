@@ -38,7 +38,7 @@ def _cane(name: str, spread: float, source: str) -> Nuisance:
 
 def _layer(along: int, across: int) -> Nuisance:
     kind = Layer(along, across)
-    spread = _PROFILE_M / (1 + along + across) ** 0.5
+    spread = _PROFILE_M / (1 + along) ** 0.5
     return Nuisance(
         f"layer {along}{across}",
         "m",

@@ -142,23 +142,27 @@ def _ladder(left: Array, slope: Array, rows: Mapping[Tap, Sequence[int]]) -> lis
     count = {tap: len(rows[tap]) for tap in order}
 
     def added(taps: Sequence[Tap]) -> dict[Tap, float]:
-        found, total, chosen = {}, 0.0, []
+        found, total = dict[Tap, float](), 0.0
+        chosen: list[int] = []
         for tap in taps:
             chosen += list(rows[tap])
             whole = _square(left, slope, chosen)
-            found[tap], total = whole - total - count[tap], whole
+            found[tap], total = whole - total, whole
         return found
 
-    forward, backward = added(order), added(order[::-1])
-    gap, numbers = sum(forward.values()), sum(count.values())
-    if chi2.sf(gap + numbers, numbers) > _CHANCE:
+    steps = added(order), added(order[::-1])
+    least = [min(chi2.sf(step[tap], count[tap]) for tap in order) for step in steps]
+    if len(order) * max(least) > _CHANCE:
         return []
+    # What is less than its floor is no share of a gap.
+    forward, backward = ({t: max(step[t] - count[t], 0.0) for t in order} for step in steps)
+    gap, back = sum(forward.values()), sum(backward.values())
     return [
         Rung(
             tap,
             forward[tap] / gap,
-            backward[tap] / gap,
-            float(np.sqrt(2 * count[tap] + 4 * max(forward[tap], 0.0))) / gap,
+            backward[tap] / back,
+            float(np.sqrt(2 * count[tap] + 4 * forward[tap])) / gap,
         )
         for tap in order
     ]

@@ -161,7 +161,7 @@ class BenchFile(Description):
         Known resonances of the excitation device, which are no modes of a reed.
     twin : dict
         Settings of the simulated bench, untouched; the twin checks them.
-    known : dict
+    known : dict or None
         Effects that this bench is known to have, by name, with their sizes, untouched; a diagnosis
         checks them.
     """
@@ -177,7 +177,7 @@ class BenchFile(Description):
         tuple[Frequency, ...], Field(alias="acoustic_lines", strict=False)
     ] = ()
     twin: Annotated[dict[str, Any], Field(default_factory=dict)]
-    known: Annotated[dict[str, dict[str, float | str]], Field(default_factory=dict)]
+    known: dict[str, dict[str, float | str]] | None = None
 
     @field_validator("optics")
     @classmethod

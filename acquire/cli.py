@@ -126,9 +126,16 @@ def plan(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Show every step of a protocol, its duration and size, without touching an instrument."""
+    """Show every step of a protocol, its duration and size, without touching an instrument.
+
+    Of a campaign, every part.
+    """
+    from acquire.campaign_file import names_campaign
     from acquire.display import plan_summary, plan_table
 
+    if names_campaign(protocol):
+        _plan_campaign(protocol, bench, as_json)
+        return
     planned = _plan(protocol, bench)
     if as_json:
         _show_json(planned.to_json())
@@ -139,6 +146,28 @@ def plan(
             console.print(line, markup=False, soft_wrap=True)
     if planned.violations:
         raise typer.Exit(2)
+
+
+def _plan_campaign(name: str, bench: str, as_json: bool) -> None:
+    """Show every part of a campaign."""
+    from acquire import script
+    from acquire.campaign_file import CampaignFile, tasks_of
+    from acquire.display import campaign_table
+
+    tasks = tasks_of(CampaignFile.from_file(name))
+    plans = [script.plan(task.protocol, bench) for task in tasks]
+    if as_json:
+        _show_json(
+            [
+                {"part": task.part.name, "do": task.part.do, "clamping": task.clamping}
+                | planned.to_json()
+                for task, planned in zip(tasks, plans, strict=True)
+            ]
+        )
+    else:
+        Console(highlight=False).print(campaign_table(tasks, plans))
+    for planned in plans:
+        planned.require_possible()
 
 
 @_verb
@@ -165,15 +194,20 @@ def run(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Measure a sweep; then fit the reed and draw the pictures."""
+    """Measure a sweep; then fit the reed and draw the pictures. Or measure a whole campaign."""
     from acquire import script
+    from acquire.campaign_file import names_campaign
     from acquire.display import run_summary, sweep_progress, troubles_of
     from acquire.runfile import Run, RunLabels
 
-    planned = _plan(protocol, bench, series)
-    planned.require_possible()
     labels = RunLabels(strength, note, operator)
     _require_keepable(reed, labels)
+    if names_campaign(protocol):
+        _require_single(resume=resume, series=series)
+        _run_campaign(protocol, bench, out, reed, labels, seed, as_json)
+        return
+    planned = _plan(protocol, bench, series)
+    planned.require_possible()
     if resume is not None:
         said = labels != RunLabels()
         _require_nothing_new(out=out, reed=reed != "unnamed", seed=seed, labels=said)
@@ -204,6 +238,62 @@ def run(
     except KeyboardInterrupt:
         _finish(answer, as_json, [f"run file      {path}"])
         raise
+
+
+def _require_single(**asked: object) -> None:
+    """Refuse what campaigns have not."""
+    from acquire.errors import ProtocolError
+
+    for option, value in asked.items():
+        if value is not None:
+            raise ProtocolError(
+                f"--{option}: a campaign has several runs; leave it out, or run one protocol"
+            )
+
+
+def _run_campaign(
+    name: str,
+    bench: str,
+    out: Path | None,
+    reed: str,
+    labels: "RunLabels",
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Measure all parts of a campaign into a folder."""
+    from acquire import script
+    from acquire.campaign_file import CampaignFile
+    from acquire.display import sweep_progress
+
+    campaign = CampaignFile.from_file(name)
+    folder = out or _default_path("campaign", reed).with_suffix("")
+    words = _words()
+    tell = functools.partial(words.print, markup=False, soft_wrap=True)
+    with contextlib.ExitStack() as shown:
+        bars: list[Any] = []
+
+        def begin(task: Any, planned: "Plan") -> None:
+            shown.close()
+            tell(f"{task.part.name}: {len(planned.steps)} steps")
+            bars[:] = [shown.enter_context(sweep_progress(words, len(planned.steps)))]
+
+        def wait_for(what: str) -> None:
+            shown.close()
+            asked = f"Please {what}; then press Enter"
+            typer.prompt(asked, default="", show_default=False, err=True)
+
+        summaries = script.run_campaign(
+            campaign, folder, bench, reed=reed, labels=labels, seed=seed, begin=begin,
+            wait_for=wait_for, progress=lambda report: bars[0].step(report), announce=tell,
+        )  # fmt: skip
+    status = str(summaries[-1].status)
+    parts = {summary.path.stem: {str(v): n for v, n in summary.counts.items()}
+             for summary in summaries}  # fmt: skip
+    answer = {"folder": str(folder), "status": status, "parts": parts}
+    lines = [f"campaign      {folder}", f"next          acquire diagnose {folder}"]
+    _finish(answer, as_json, lines if status == "complete" else lines[:1])
+    if status != "complete":
+        raise typer.Exit(INTERRUPTED)
 
 
 def _require_nothing_new(**asked: object) -> None:

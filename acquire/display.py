@@ -21,6 +21,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
+from acquire.campaign_file import Task
 from acquire.plan import Plan, Step
 from acquire.quality import Verdict
 from acquire.quantities import exact_decimal
@@ -95,6 +96,24 @@ def plan_table(plan: Plan) -> Table:
         table.add_column(head, justify="right", min_width=widest)
     for row in rows:
         table.add_row(*row)
+    return table
+
+
+def campaign_table(tasks: Sequence[Task], plans: Sequence[Plan]) -> Table:
+    """Every part of a campaign, with what somebody is to do before."""
+    table = Table(box=SIMPLE, pad_edge=False, padding=(0, 0, 0, 1))
+    for head in ("part", "of", "steps", "seconds", "MB", "before"):
+        table.add_column(head, justify="right" if head in ("steps", "seconds", "MB") else "left")
+    for task, plan in zip(tasks, plans, strict=True):
+        calibration = task.protocol.calibration
+        table.add_row(
+            task.part.name,
+            "sweep" if calibration is None else calibration.kind,
+            str(len(plan.steps)),
+            f"{plan.duration_s:.0f}",
+            f"{plan.file_size_bytes / 1e6:.0f}",
+            Text(task.part.do or ""),
+        )
     return table
 
 

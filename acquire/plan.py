@@ -2,6 +2,7 @@
 
 import decimal
 import math
+import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
@@ -16,7 +17,7 @@ from acquire.lock import (
     phase_error_rad,
     snap_drive,
 )
-from acquire.protocol import Protocol, Ramp, Sweep
+from acquire.protocol import Calibration, Protocol, Ramp, Sweep
 from acquire.quantities import exact_decimal
 from acquire.reed_file import ReedFile
 from drivers.roles import Preparation
@@ -32,6 +33,9 @@ _PACKED_SHARE: Final = 0.61
 
 # Part of the view, to either side of the axis, in which a reed's image may lie.
 _VIEW_SHARE: Final = 0.45
+
+# A shuffled sweep has the same order everywhere and always.
+_SHUFFLE: Final = 20_080_403
 
 _MICRO: Final = Decimal("1e-6")
 # Decimal powers are correctly rounded, so a plan is the same on every machine; those of floats
@@ -136,6 +140,16 @@ class Plan:
     bench: BenchFile
     steps: tuple[Step, ...]
     violations: tuple[Violation, ...]
+
+    @property
+    def sequence(self) -> tuple[int, ...]:
+        """Places of the steps in the order in which they are taken."""
+        places = list(range(len(self.steps)))
+        if self.protocol.sweep.direction == "down":
+            places.reverse()
+        elif self.protocol.sweep.direction == "shuffled":
+            random.Random(_SHUFFLE).shuffle(places)
+        return tuple(places)
 
     @property
     def frame_shape(self) -> tuple[int, int]:
@@ -257,6 +271,10 @@ def make_plan(protocol: Protocol, bench: BenchFile) -> Plan:
         If the file of the protocol's reed is wrong.
     """
     reed = protocol.reed_file()
+    if protocol.calibration is not None:
+        still = tuple(_still_steps(protocol, protocol.calibration, bench))
+        found = *_camera_violations(protocol, bench, still), *_view_violations(bench, reed)
+        return Plan(protocol, reed, bench, still, found)
     steps = tuple(
         _step(protocol, bench, index, order)
         for index in protocol.sweep.indices
@@ -367,6 +385,31 @@ def _step(protocol: Protocol, bench: BenchFile, index: int, order: int) -> Step:
     )
 
 
+def _still_steps(protocol: Protocol, calibration: Calibration, bench: BenchFile) -> Iterator[Step]:
+    """Acquisitions of a reed that is not driven, at one exposure after the other."""
+    synthesizers = bench.instruments.synthesizers
+    aom2_hz = nearest_multiple(synthesizers.centre_hz, synthesizers.step_hz)
+    frame_rate_hz = protocol.camera.frame_rate_hz
+    realised_hz = difference_hz(Fraction(0), 0, frame_rate_hz, synthesizers.step_hz)
+    exposures_s = calibration.exposures_s or (protocol.exposure_s,)
+    for number in range(calibration.count * len(exposures_s)):
+        yield Step(
+            index=number + 1,
+            order=0,
+            asked_hz=Fraction(0),
+            drive_hz=Fraction(0),
+            aom1_hz=aom2_hz + realised_hz,
+            aom2_hz=aom2_hz,
+            difference_hz=realised_hz,
+            lock_residual_hz=lock_residual_hz(Fraction(0), 0, frame_rate_hz, realised_hz),
+            volts=0.0,
+            frames=protocol.camera.frames,
+            settle_s=protocol.settle_s,
+            exposure_s=exposures_s[number // calibration.count],
+            carrier_leak=0.0,
+        )
+
+
 def _leak(protocol: Protocol, drive_hz: Fraction, order: int) -> float:
     # Frames cannot overlap: an exposure beyond the period is a violation, and counts as a period.
     exposure_s = min(protocol.exposure_s, protocol.camera.period_s)
@@ -384,7 +427,7 @@ def _leak(protocol: Protocol, drive_hz: Fraction, order: int) -> float:
 def _violations(protocol: Protocol, bench: BenchFile, steps: Sequence[Step]) -> Iterator[Violation]:
     yield from _drive_violations(bench, steps)
     yield from _volts_violations(protocol, bench)
-    yield from _camera_violations(protocol, bench)
+    yield from _camera_violations(protocol, bench, steps)
     yield from _lock_violations(protocol, bench, steps)
     yield from _synthesizer_violations(protocol, bench, steps)
 
@@ -432,7 +475,9 @@ def _volts_violations(protocol: Protocol, bench: BenchFile) -> Iterator[Violatio
         )
 
 
-def _camera_violations(protocol: Protocol, bench: BenchFile) -> Iterator[Violation]:
+def _camera_violations(
+    protocol: Protocol, bench: BenchFile, steps: Sequence[Step]
+) -> Iterator[Violation]:
     camera, sensor = protocol.camera, bench.instruments.camera
     if camera.frame_rate_hz > sensor.max_frame_rate_hz:
         rate, fastest = float(camera.frame_rate_hz), float(sensor.max_frame_rate_hz)
@@ -441,10 +486,12 @@ def _camera_violations(protocol: Protocol, bench: BenchFile) -> Iterator[Violati
             f"{rate:g} Hz is faster than the {fastest:g} Hz of the camera in bench file "
             f"{bench.source}; write at most '{fastest:g} Hz'",
         )
-    if protocol.exposure_s > camera.period_s:
-        exposure, period = float(protocol.exposure_s) * 1e3, float(camera.period_s) * 1e3
+    longest_s = max(step.exposure_s for step in steps)
+    if longest_s > camera.period_s:
+        exposure, period = float(longest_s) * 1e3, float(camera.period_s) * 1e3
+        several = protocol.calibration is not None and protocol.calibration.exposures_s
         yield Violation(
-            "camera.exposure",
+            "calibration.exposures" if several else "camera.exposure",
             f"{exposure:g} ms is longer than the frame period of {period:.4g} ms; "
             "leave it out to expose the whole period",
         )

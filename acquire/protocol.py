@@ -16,13 +16,20 @@ if TYPE_CHECKING:
 
 
 class Sweep(Section):
-    """The drive frequencies: f_k = reference · 2^(interval·k / 1200 cents), k = first … last."""
+    """The drive frequencies: f_k = reference · 2^(interval·k / 1200 cents), k = first … last.
+
+    Attributes
+    ----------
+    direction : {'up', 'down', 'shuffled'}, optional
+        In which order steps are taken, up by default. Shuffled is always the same order.
+    """
 
     reference_hz: Annotated[Frequency, Field(alias="reference", gt=0, le=10**9)]
     interval_cents: Annotated[Interval, Field(alias="interval", gt=0, le=1200)]
     first: Annotated[int, Field(ge=-10_000, le=10_000)]
     last: Annotated[int, Field(ge=-10_000, le=10_000)]
     stride: Annotated[int, Field(ge=1)] = 1
+    direction: Literal["up", "down", "shuffled"] | None = None
 
     @field_validator("first", "last")
     @classmethod
@@ -163,6 +170,27 @@ class Policies(Section):
     instrument_error: Policy = Policy(retry=0, then="stop")
 
 
+class Calibration(Section):
+    """Frames of something else than a driven reed.
+
+    Attributes
+    ----------
+    kind : {'dark', 'flat', 'lo_only', 'object_only', 'order0'}
+        No light; even light of a lamp; local oscillator alone; object beam alone; holograms of the
+        reed at rest.
+    count : int
+        Acquisitions of each exposure.
+    exposures_s : tuple, optional
+        One after the other; that of the camera if not given.
+    """
+
+    kind: Literal["dark", "flat", "lo_only", "object_only", "order0"]
+    count: Annotated[int, Field(ge=1, le=1000)] = 4
+    exposures_s: Annotated[
+        tuple[Annotated[Time, Field(gt=0)], ...] | None, Field(alias="exposures", strict=False)
+    ] = None
+
+
 class Protocol(Description):
     """One sweep: which drives, how loud, how they are recorded.
 
@@ -183,6 +211,8 @@ class Protocol(Description):
         Wait between a new setting and the first frame that counts.
     keep : {'holograms', 'frames'}
         What the run file holds: the complex field around the reed, or the raw frames.
+    calibration : Calibration, optional
+        Takes the place of the sweep; its frames are kept.
     """
 
     kind: ClassVar[str] = "protocol"
@@ -200,6 +230,16 @@ class Protocol(Description):
     tolerance: Tolerance = Tolerance()
     policy: Policies = Policies()
     keep: Literal["holograms", "frames"] = "holograms"
+    calibration: Calibration | None = None
+
+    @field_validator("calibration")
+    @classmethod
+    def _keeps_frames(
+        cls, calibration: Calibration | None, info: ValidationInfo
+    ) -> Calibration | None:
+        if calibration is not None and info.data.get("keep") == "holograms":
+            raise ValueError("needs the frames themselves; write keep: frames")
+        return calibration
 
     @property
     def exposure_s(self) -> Fraction:
@@ -251,4 +291,10 @@ def find_protocol(name_or_path: str | Path) -> Traversable:
 
 def shipped_protocols() -> tuple[str, ...]:
     """Names of the protocols that come with the software, sorted."""
-    return tuple(sorted(shipped_files(Protocol.folder)))
+    files = shipped_files(Protocol.folder).items()
+    return tuple(sorted(name for name, file in files if not is_campaign(file.read_text("utf-8"))))
+
+
+def is_campaign(text: str) -> bool:
+    """Whether the text of a file describes a campaign: several protocols, part by part."""
+    return any(line.startswith("parts:") for line in text.splitlines())

@@ -386,7 +386,8 @@ def measure(
     field = np.zeros((region.height, region.width), dtype=np.complex64)
     ratio, noise, phase = np.nan, np.nan, PhaseAdvance(np.nan, np.nan)
     judgements = [judge_consecutive(frames, step.frames)]
-    if len(frames) == step.frames:
+    interferes = protocol.calibration is None or protocol.calibration.kind == "order0"
+    if len(frames) == step.frames and interferes:
         halves = reconstruction.quadratures(np.stack([frame.image for frame in frames]))
         field, noise, phase = halves.field, halves.noise, halves.phase_advance
         ratio = mean_power(field) / noise if noise > 0 else np.nan
@@ -402,7 +403,9 @@ def measure(
         ready_s = acquisition.changed_s + float(step.settle_s)
         judgements.append(judge_fresh(frames, ready_s, previous))
         judgements.append(judge_order(frames, float(1 / rate_hz), previous))
-        judgements.append(judge_whole(frames, saturation_dn))
+        # Without light rows may well be empty, all of them alike.
+        if protocol.calibration is None or protocol.calibration.kind != "dark":
+            judgements.append(judge_whole(frames, saturation_dn))
         judgements.append(judge_lock(acquisition.read_back, frames, condition))
     turn_hz = float(rate_hz) / (2 * np.pi)
     return MeasuredStep(

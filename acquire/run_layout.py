@@ -112,11 +112,17 @@ class RunLabels:
     strength : float or None
         Nominal strength of the reed, such as 3.5.
     note, operator : str
+    campaign, part : str
+        Of what the run is a part; see `Acquisition`.
+    clamping : int
     """
 
     strength: float | None = None
     note: str = ""
     operator: str = ""
+    campaign: str = ""
+    part: str = ""
+    clamping: int = 0
 
 
 def exact_text(value: Fraction) -> str:

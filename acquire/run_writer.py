@@ -28,6 +28,7 @@ from acquire.quality import Judgement, ReadBack, Verdict
 from acquire.reconstruction import Reconstruction
 from acquire.run_layout import (
     EXACT_BYTES,
+    EXPOSURE,
     FORMAT,
     FORMAT_VERSION,
     MEASURED,
@@ -35,6 +36,7 @@ from acquire.run_layout import (
     READ_BACK_HZ,
     SEAMS,
     SEAMS_MAX,
+    Kind,
     RunLabels,
     Seam,
     Status,
@@ -424,6 +426,10 @@ def _write_entry(file: Any, plan: Plan, bench: Bench, labels: RunLabels, uid: st
     _put(sample, "series", preparation.series)
     _put(sample, "chamber", preparation.chamber)
     _put(sample, "note", labels.note)
+    acquisition = _group(entry, "acquisition", "NXcollection")
+    _put(acquisition, "kind", str(_kind_of(plan)))
+    for name in ("campaign", "part", "clamping"):
+        _put(acquisition, name, getattr(labels, name))
     origin = _group(entry, "provenance", "NXcollection")
     _put(origin, "protocol", protocol.text)
     _put(origin, "protocol_sha256", protocol.sha256)
@@ -434,6 +440,11 @@ def _write_entry(file: Any, plan: Plan, bench: Bench, labels: RunLabels, uid: st
     _put(origin, "git_revision", git_revision() or "")
     _put(origin, "package_versions", json.dumps(package_versions()))
     _put(origin, "seed", bench.seed)
+
+
+def _kind_of(plan: Plan) -> Kind:
+    calibration = plan.protocol.calibration
+    return Kind.SWEEP if calibration is None else Kind(calibration.kind)
 
 
 def _write_instruments(entry: Any, plan: Plan, bench: Bench) -> None:
@@ -466,6 +477,8 @@ def _write_steps(entry: Any, plan: Plan) -> None:
     _put(steps, "order", [step.order for step in plan.steps])
     _put(steps, "volts", [step.volts for step in plan.steps], "V")
     _put(steps, "carrier_leak", [step.carrier_leak for step in plan.steps])
+    if any(step.exposure_s != plan.protocol.exposure_s for step in plan.steps):
+        _put(steps, EXPOSURE, [float(step.exposure_s) for step in plan.steps], "s")
     for name in PLANNED_HZ:
         _put_exact(steps, name, [getattr(step, name) for step in plan.steps])
     _allocate_taken(steps, len(plan.steps), plan)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
+from fractions import Fraction
 from pathlib import Path
 from types import FrameType
 from typing import Final
@@ -189,6 +190,7 @@ class Runner:
         self._stop, self._pause = threading.Event(), threading.Event()
         self._abortable = False
         self._camera_starts = 0
+        self._exposure_s: Fraction | None = None
         # None is an output that is off.
         self._volts: float | None = None
         self._unconfirmed: tuple[str, ...] = ()
@@ -285,15 +287,18 @@ class Runner:
             self._unconfirmed = safe_off(self._bench)
 
     def _open_instruments(self) -> None:
-        protocol, bench = self._plan.protocol, self._bench
+        bench = self._bench
         bench.generator.output_off()
-        bench.camera.configure(
-            protocol.camera.frame_rate_hz, protocol.exposure_s, self._plan.frame_shape
-        )
+        self._configure(self._exposure_s or self._plan.steps[self._plan.sequence[0]].exposure_s)
         bench.synthesizers.rf_on()
         bench.camera.start()
         self._camera_starts += 1
         self._volts = None
+
+    def _configure(self, exposure_s: Fraction) -> None:
+        rate_hz = self._plan.protocol.camera.frame_rate_hz
+        self._bench.camera.configure(rate_hz, exposure_s, self._plan.frame_shape)
+        self._exposure_s = exposure_s
 
     def _take_all(self, recorder: Recorder) -> str:
         """Take what is to be taken, then what turned out bad again; return why the run ends early.
@@ -303,7 +308,12 @@ class Runner:
         policy = self._plan.protocol.policy.bad_pictures
         # A run that was ended by a bad step goes on with it, if there is room for another take.
         again = policy.then == "stop" and recorder.spare > 0
-        todo = [k for k, v in enumerate(recorder.verdicts) if not v.measured or (again and _bad(v))]
+        verdicts = recorder.verdicts
+        todo = [
+            k
+            for k in self._plan.sequence
+            if not verdicts[k].measured or (again and _bad(verdicts[k]))
+        ]
         for position in todo:
             if not self._take(recorder, position):
                 return _ASKED
@@ -412,6 +422,11 @@ class Runner:
         """Set one step, let it settle, and take its frames."""
         bench, step = self._bench, self._plan.steps[position]
         settle_s = float(step.settle_s)
+        if step.exposure_s != self._exposure_s:
+            bench.camera.stop()
+            self._configure(step.exposure_s)
+            bench.camera.start()
+            self._camera_starts += 1
         bench.synthesizers.set_pair(step.aom1_hz, step.aom2_hz)
         self._drive(step)
         changed_s = bench.camera.now_s()
@@ -424,6 +439,9 @@ class Runner:
     def _drive(self, step: Step) -> None:
         """Set the generator; volts that are far from the present ones are ramped."""
         generator, volts = self._bench.generator, self._volts
+        if not step.volts:
+            # A reed at rest: the output, off when the instruments were opened, stays off.
+            return
         if volts is not None and max(volts, step.volts) <= _JUMP * min(volts, step.volts):
             generator.set_sine(step.drive_hz, step.volts)
         else:
@@ -434,6 +452,8 @@ class Runner:
         self._volts = step.volts
 
     def _read_back(self, step: Step) -> ReadBack:
+        if not step.volts:
+            return ReadBack(*self._bench.synthesizers.read_pair(), Fraction(0), 0.0)
         drive_hz, volts, on = self._bench.generator.read()
         if not on:
             raise InstrumentError(

@@ -43,7 +43,7 @@ def base_twin(bench: BenchFile | None) -> Twin:
         If there is no such effect or size, or a size has another unit.
     """
     twin = Twin()
-    for name, sizes in (bench.known if bench else {}).items():
+    for name, sizes in ((bench.known if bench else None) or {}).items():
         effect = BY_ID.get(name)
         if effect is None or bench is None:
             raise ProtocolError(

@@ -8,7 +8,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from drivers.description import BenchDescription
-from drivers.roles import Clock, Preparation
+from drivers.roles import Clock, Preparation, Surroundings
 
 T = TypeVar("T")
 
@@ -44,6 +44,8 @@ class BenchContext:
         Told, in a few words, what is being waited for.
     clock : Clock
         The bench's clock. A driver that brings a time of its own puts it here.
+    surroundings : Surroundings or None
+        A driver that can change them puts them here.
     """
 
     description: BenchDescription
@@ -51,6 +53,7 @@ class BenchContext:
     rng: np.random.Generator
     announce: Callable[[str], None]
     clock: Clock = field(default_factory=WallClock)
+    surroundings: Surroundings | None = None
     _shared: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
     def share(self, make: Callable[["BenchContext"], T]) -> T:

@@ -102,6 +102,7 @@ def open_bench(
             generator=opened_as(SignalGenerator, "generator", entries.generator),  # type: ignore[type-abstract]
             camera=opened_as(Camera, "camera", entries.camera),  # type: ignore[type-abstract]
             clock=context.clock,
+            surroundings=context.surroundings,
         )
         opened.pop_all()
     return bench

@@ -7,6 +7,7 @@ may raise besides, and what it promises, stands in its docstring.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from fractions import Fraction
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal, Protocol, Self, runtime_checkable
@@ -246,6 +247,28 @@ class Preparation:
     constants: "Cane | None" = None
 
 
+class Arrangement(StrEnum):
+    """What is let onto the sensor."""
+
+    HOLOGRAMS = "holograms"
+    DARK = "dark"
+    FLAT = "flat"
+    LO_ONLY = "lo_only"
+    OBJECT_ONLY = "object_only"
+
+
+class Surroundings(Protocol):
+    """What stands around the instruments, where a program can change it: shutters, lamp, clamp."""
+
+    def arrange(self, arrangement: Arrangement) -> None:
+        """Let so much light onto the sensor, until told otherwise."""
+        ...
+
+    def clamp_anew(self) -> None:
+        """Take the reed out of its clamp, and put it back."""
+        ...
+
+
 @dataclass(frozen=True)
 class Bench:
     """Three open instruments, a clock, and what they stand for.
@@ -257,6 +280,8 @@ class Bench:
     preparation : Preparation
     seed : int
         From which everything random on this bench is drawn.
+    surroundings : Surroundings or None
+        None where a person has to change them.
     """
 
     name: str
@@ -267,6 +292,7 @@ class Bench:
     generator: SignalGenerator
     camera: Camera
     clock: Clock
+    surroundings: Surroundings | None = None
 
     @property
     def identities(self) -> Mapping[str, str]:

@@ -115,6 +115,22 @@ class BenchState:
 
 
 @dataclass(frozen=True)
+class Scene:
+    """Which light reaches the sensor.
+
+    Attributes
+    ----------
+    local_oscillator, object_beam : bool
+    lamp_e_s : float
+        Electrons per pixel and second of even light.
+    """
+
+    local_oscillator: bool = True
+    object_beam: bool = True
+    lamp_e_s: float = 0.0
+
+
+@dataclass(frozen=True)
 class Segment:
     """A stretch of one exposure during which the state was constant, on the bench's clock."""
 
@@ -260,6 +276,7 @@ class BenchModel:
         segments: Sequence[Segment],
         rng: np.random.Generator,
         object_gain: complex = 1.0,
+        scene: Scene = Scene(),
     ) -> NDArray[np.uint16]:
         """Read out one exposure.
 
@@ -271,6 +288,8 @@ class BenchModel:
             Source of shot and read noise.
         object_gain : complex, optional
             Amplitude of the light on the object over the nominal: laser, modulator, path.
+        scene : Scene, optional
+            Both beams, and no lamp.
 
         Returns
         -------
@@ -278,6 +297,9 @@ class BenchModel:
         """
         lit = [s for s in segments if s.state.rf_on]
         duration = np.float32(sum(s.end_s - s.start_s for s in lit))
+        if scene != Scene():
+            whole_s = sum(s.end_s - s.start_s for s in segments)
+            return self._plain_frame(scene, float(duration), whole_s, rng)
         field = np.zeros(len(self._object), dtype=np.complex64)
         for segment in lit:
             field += self._integrated_field(segment)
@@ -288,6 +310,17 @@ class BenchModel:
         on_sensor = self.transform.to_sensor(self._pasted(field)).real
         on_sensor *= 2 * self._lo
         mean_e += on_sensor
+        return read_out(self.settings.sensor, mean_e, rng)
+
+    def _plain_frame(
+        self, scene: Scene, duration_s: float, whole_s: float, rng: np.random.Generator
+    ) -> NDArray[np.uint16]:
+        """Read out one exposure without interference: beams for a time, a lamp for the whole."""
+        mean_e = np.full(self.settings.sensor.shape, scene.lamp_e_s * whole_s, dtype=np.float32)
+        if scene.local_oscillator:
+            mean_e += np.float32(duration_s) * self._lo * self._lo
+        if scene.object_beam:
+            mean_e += np.float32(duration_s) * self._at_rest.astype(np.float32)
         return read_out(self.settings.sensor, mean_e, rng)
 
     def _integrated_field(self, segment: Segment) -> Complex64:

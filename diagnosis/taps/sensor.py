@@ -246,7 +246,8 @@ def flat_block(flat: Flat, dark: Dark | None, sheet: Sheet) -> Block:
     several = len(signal) - 1
     values = [
         *(rate[1:] - rate[0]),
-        0.5 * np.log(max(flat.pattern, 1e-4) ** 2),
+        # A better sensor than usual is no gap.
+        np.log(max(flat.pattern, _PATTERN)),
         gain,
         flat.corner,
         *flat.tilt,

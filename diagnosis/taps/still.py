@@ -245,10 +245,12 @@ def scatter_block(stills: Sequence[Still], lock_scatter_hz: float, rate_hz: floa
         apart = np.sqrt(beams.walk_rad_s**2 * gaps.mean() + 0.5 * beams.jitter_rad**2)
         return np.log([within * rate_hz / (2 * np.pi), apart])
 
+    # A calmer bench than usual is no gap.
+    usual = predict(Twin())
+    values = np.maximum(np.log([max(lock_scatter_hz, 1e-9), max(between, 1e-9)]), usual - _WALK)
     errors = np.diag([_SCATTER**2, _SCATTER**2 + 0.5 / freedoms])
     covariance = errors + unknown((walk, _WALK))
     places = [Place("phase within acquisitions"), Place("phase between acquisitions")]
     return block(
-        "scatter of phases", Tap.HOLOGRAM, np.log([lock_scatter_hz, max(between, 1e-4)]),
-        covariance, places, ("beams",), predict,
+        "scatter of phases", Tap.HOLOGRAM, values, covariance, places, ("beams",), predict,
     )  # fmt: skip

@@ -7,14 +7,14 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.context import BenchContext, WallClock
 from drivers.errors import BenchSetupError
-from drivers.roles import Clock
+from drivers.roles import Arrangement, Clock
 from drivers.simulated.twin import (
     Faults,
     Light,
@@ -24,12 +24,22 @@ from drivers.simulated.twin import (
     read_twin,
     twin_settings,
 )
-from physics.bench import BenchModel, BenchState, Segment
+from physics.bench import BenchModel, BenchState, Scene, Segment
 from physics.reed.basis import ReducedReed
 from physics.reed.cache import reduced_reed, whole_reed
 from physics.reed.geometry import is_even
 from physics.reed.whole import WholeReed
 from physics.sensor import Sensor
+
+# A lamp that fills half a pixel of the paper's camera in a frame of the paper's length.
+_LAMP_E_S: Final = 1e5
+_SCENES: Final = {
+    Arrangement.HOLOGRAMS: Scene(),
+    Arrangement.DARK: Scene(local_oscillator=False, object_beam=False),
+    Arrangement.FLAT: Scene(local_oscillator=False, object_beam=False, lamp_e_s=_LAMP_E_S),
+    Arrangement.LO_ONLY: Scene(object_beam=False),
+    Arrangement.OBJECT_ONLY: Scene(local_oscillator=False),
+}
 
 
 class VirtualClock:
@@ -69,6 +79,8 @@ class SimulatedLab:
         self.faults: Faults = twin.faults
         self.clock: Clock = WallClock() if twin.pace == "realtime" else VirtualClock()
         context.clock = self.clock
+        context.surroundings = self
+        self._scene = Scene()
         self._settings = twin_settings(twin, bench_file, context.preparation)
         self._reed = _reed_on(context, twin)
         self._light: Light = twin.light
@@ -136,7 +148,18 @@ class SimulatedLab:
         if self._model is None:
             raise ValueError("the simulated laboratory has no sensor; call prepare_sensor first")
         gain = self._object_gain()
-        return [self._model.frame(self.segments(*times), self._rng, gain) for times in exposures_s]
+        return [
+            self._model.frame(self.segments(*times), self._rng, gain, self._scene)
+            for times in exposures_s
+        ]
+
+    def arrange(self, arrangement: Arrangement) -> None:
+        """Open and close shutters, and light the lamp; see `Surroundings`."""
+        self._scene = _SCENES[arrangement]
+
+    def clamp_anew(self) -> None:
+        """Put the reed back with another speckle: light no longer falls as it did."""
+        self._model = None
 
     def _object_gain(self) -> complex:
         """Amplitude of the object's light over the nominal, another for each acquisition."""

@@ -8,7 +8,7 @@ from typing import Final
 
 # Effects whose signatures have a cosine of 0.8 or more count as one.
 CLASSES: Final[tuple[tuple[str, ...], ...]] = (
-    ("density", "transverse_shear"),
+    ("clamp_yield", "transverse_shear"),
     ("drying", "temperature_drift"),
     ("phase_step_error", "synthesizer_detuning"),
 )
@@ -18,6 +18,7 @@ UNDETECTABLE: Final[tuple[str, ...]] = (
     "crack",
     "defocus",
     "density",
+    "stiffening",
     "thickness_crown",
     "thickness_offset",
     "thickness_tilt",

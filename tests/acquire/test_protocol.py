@@ -473,7 +473,7 @@ def test_own_file_comes_first(tmp_path, monkeypatch):
 def test_unknown_name_lists_the_shipped_ones():
     message = refusal(find_protocol, "serieA")
     assert "did you mean seriesA?" in message
-    assert "shipped are quick, seriesA, seriesB" in message
+    assert "shipped are campaign, quick, seriesA, seriesB" in message
     assert "nor a shipped bench of that name; shipped are simulated" in refusal(find_bench, "lab")
 
 

@@ -1,0 +1,139 @@
+"""Campaigns: parts with changes, what is taken of a reed at rest, and in which order."""
+
+from fractions import Fraction
+from itertools import pairwise
+
+import h5py
+import numpy as np
+import pytest
+
+from acquire.bench_file import BenchFile
+from acquire.campaign_file import CampaignFile, names_campaign, tasks_of
+from acquire.errors import ProtocolError
+from acquire.plan import make_plan
+from acquire.protocol import Protocol, shipped_protocols
+from acquire.run_layout import Kind
+from acquire.runfile import Run
+from acquire.script import run_campaign
+
+BENCH = BenchFile.from_file()
+# A camera of few pixels, a coarse reed, and sweeps of few steps.
+SMALL = BENCH.replace({"twin": {"mesh": "coarse"}})
+QUICK = {"camera.width": 192, "camera.height": 192, "sweep.last": 16, "sweep.first": 12}
+
+
+def described(parts: str) -> CampaignFile:
+    return CampaignFile.from_text(f"name: Test\nprotocol: seriesA\nparts:\n{parts}", "c.yaml")
+
+
+def test_the_shipped_campaign_has_what_a_diagnosis_needs() -> None:
+    tasks = tasks_of(CampaignFile.from_file("campaign"))
+    kinds = [t.protocol.calibration.kind for t in tasks if t.protocol.calibration]
+    assert set(kinds) == set(Kind) - {Kind.SWEEP}
+    sweeps = [task.protocol for task in tasks if task.protocol.calibration is None]
+    assert {sweep.sweep.direction for sweep in sweeps} == {None, "down", "shuffled"}
+    assert len({sweep.drive.ramp.to_v for sweep in sweeps}) == 2
+    assert tasks[-1].clamping == 1
+    assert all(not make_plan(task.protocol, BENCH).violations for task in tasks)
+
+
+def test_campaigns_are_told_from_protocols() -> None:
+    assert names_campaign("campaign")
+    assert not names_campaign("seriesA")
+    assert "campaign" not in shipped_protocols()
+    assert "seriesA" in shipped_protocols()
+
+
+def test_directions_take_the_same_steps_in_another_order() -> None:
+    plans = {
+        direction: make_plan(Protocol.from_file("seriesA").replace({"sweep.direction": direction}),
+                             BENCH)
+        for direction in ("up", "down", "shuffled")
+    }  # fmt: skip
+    assert plans["up"].sequence == tuple(range(184))
+    assert plans["down"].sequence == tuple(range(184))[::-1]
+    assert sorted(plans["shuffled"].sequence) == list(range(184))
+    apart = [b - a for a, b in pairwise(plans["shuffled"].sequence)]
+    assert sum(abs(step) for step in apart) / len(apart) > 40
+    assert {plan.steps for plan in plans.values()} == {plans["up"].steps}
+
+
+def test_a_reed_at_rest_is_taken_at_each_exposure() -> None:
+    asked = {"kind": "flat", "count": 2, "exposures": ["20 ms", "40 ms"]}
+    protocol = Protocol.from_file("seriesA").replace({"keep": "frames", "calibration": asked})
+    plan = make_plan(protocol, BENCH)
+    assert [step.exposure_s for step in plan.steps] == [Fraction(1, 50)] * 2 + [Fraction(1, 25)] * 2
+    assert {(step.volts, step.order, step.drive_hz) for step in plan.steps} == {(0.0, 0, 0)}
+    assert plan.violations == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"calibration": {"kind": "dark"}}, "needs the frames themselves; write keep: frames"),
+        ({"keep": "frames", "calibration": {"kind": "dusk"}}, "calibration.kind"),
+        ({"sweep.direction": "sideways"}, "sweep.direction"),
+    ],
+)
+def test_what_is_wrong_with_a_part_is_named(changes: dict, said: str) -> None:
+    with pytest.raises(ProtocolError, match=said):
+        Protocol.from_file("seriesA").replace(changes)
+
+
+def test_an_exposure_longer_than_a_frame_is_a_violation() -> None:
+    asked = {"kind": "flat", "exposures": ["20 ms", "90 ms"]}
+    protocol = Protocol.from_file("seriesA").replace({"keep": "frames", "calibration": asked})
+    (found,) = make_plan(protocol, BENCH).violations
+    assert found.key == "calibration.exposures"
+
+
+def test_parts_need_names_of_their_own() -> None:
+    with pytest.raises(ProtocolError, match="has up twice"):
+        described("  - name: up\n  - name: up\n")
+
+
+def test_a_campaign_leaves_a_run_of_each_part(tmp_path) -> None:
+    quick = described("  - name: up\n").replace(
+        {
+            "parts": [
+                {"name": "dark", "do": "cover the camera", "change": {
+                    **QUICK, "keep": "frames", "calibration": {"kind": "dark", "count": 2}}},
+                {"name": "lo", "change": {**QUICK, "keep": "frames", "calibration": {
+                    "kind": "lo_only", "count": 1, "exposures": ["20 ms", "40 ms"]}}},
+                {"name": "rest", "change": {**QUICK, "keep": "frames",
+                                            "calibration": {"kind": "order0", "count": 1}}},
+                {"name": "down", "change": {**QUICK, "sweep.direction": "down"}},
+                {"name": "again", "clamp_anew": True, "change": QUICK},
+            ]
+        }
+    )  # fmt: skip
+    asked: list[str] = []
+    run_campaign(quick, tmp_path / "R07", SMALL, reed="R07", wait_for=asked.append)
+    assert asked == [], "the simulated bench arranges itself"
+    runs = {path.stem: Run.open(path) for path in (tmp_path / "R07").glob("*.h5")}
+    assert {name: run.acquisition.kind for name, run in runs.items()} == {
+        "dark": Kind.DARK, "lo": Kind.LO_ONLY, "rest": Kind.ORDER0, "down": Kind.SWEEP,
+        "again": Kind.SWEEP,
+    }  # fmt: skip
+    assert {run.acquisition.campaign for run in runs.values()} == {"R07"}
+    assert [runs[name].acquisition.clamping for name in ("rest", "down", "again")] == [0, 0, 1]
+    dark, bright = runs["dark"].frames(0).mean(), runs["lo"].frames(1).mean()
+    assert dark == pytest.approx(50, abs=1)
+    assert bright > 3 * dark
+    assert [runs["lo"].exposure_of(step) for step in runs["lo"].steps] == [0.02, 0.04]
+    times = [step.timestamps_s[0] for step in runs["down"].steps]
+    assert times == sorted(times, reverse=True)
+    # Another speckle after the reed was clamped anew.
+    one, other = (runs[name].field(0).ravel() for name in ("down", "again"))
+    assert abs(np.vdot(one, other)) < 0.5 * np.linalg.norm(one) * np.linalg.norm(other)
+    for run in runs.values():
+        assert run.good.all()
+        run.close()
+    with h5py.File(tmp_path / "R07" / "dark.h5") as file:
+        assert file["entry/acquisition/part"][()] == b"dark"
+
+
+def test_a_campaign_is_never_written_over(tmp_path) -> None:
+    (tmp_path / "there").mkdir()
+    with pytest.raises(Exception, match="exists already; choose another place with --out"):
+        run_campaign(described("  - name: up\n"), tmp_path / "there", SMALL)

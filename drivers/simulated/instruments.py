@@ -185,6 +185,8 @@ class SimulatedCamera:
         _require_no_options("camera", entry)
         self._entry = entry
         self.lab = context.share(SimulatedLab)
+        # Whoever simulates the light that falls on the camera has its shutters and lamp.
+        context.surroundings = self.lab
         self._rate_hz: Fraction | None = None
         self._exposure_s = Fraction(0)
         self._started_s: float | None = None

@@ -79,7 +79,6 @@ class SimulatedLab:
         self.faults: Faults = twin.faults
         self.clock: Clock = WallClock() if twin.pace == "realtime" else VirtualClock()
         context.clock = self.clock
-        context.surroundings = self
         self._scene = Scene()
         self._settings = twin_settings(twin, bench_file, context.preparation)
         self._reed = _reed_on(context, twin)

@@ -1,5 +1,6 @@
 """Campaigns: parts with changes, what is taken of a reed at rest, and in which order."""
 
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 
@@ -15,6 +16,9 @@ from acquire.protocol import Protocol, shipped_protocols
 from acquire.run_layout import Kind
 from acquire.runfile import Run
 from acquire.script import run_campaign
+from drivers.context import BenchContext
+from drivers.registry import open_bench
+from drivers.simulated import SimulatedCamera, SimulatedGenerator
 
 BENCH = BenchFile.from_file()
 # A camera of few pixels, a coarse reed, and sweeps of few steps.
@@ -131,6 +135,30 @@ def test_a_campaign_leaves_a_run_of_each_part(tmp_path) -> None:
         run.close()
     with h5py.File(tmp_path / "R07" / "dark.h5") as file:
         assert file["entry/acquisition/part"][()] == b"dark"
+
+
+def test_somebody_is_asked_where_no_program_can_do_it(tmp_path, monkeypatch) -> None:
+    def by_hand(*asked):
+        return replace(open_bench(*asked), surroundings=None)
+
+    monkeypatch.setattr("acquire.script.open_bench", by_hand)
+    dark = {**QUICK, "keep": "frames", "calibration": {"kind": "dark", "count": 1}}
+    parts = [{"name": "dark", "do": "cover the camera", "change": dark}]
+    asked: list[str] = []
+    campaign = described("  - name: up\n").replace({"parts": parts})
+    run_campaign(campaign, tmp_path / "R07", SMALL, wait_for=asked.append)
+    assert asked == ["cover the camera"]
+
+
+def test_only_a_simulated_camera_has_simulated_surroundings() -> None:
+    # A real camera beside simulated instruments sees real light: shutters are somebody's.
+    entries = SMALL.instruments
+    preparation = make_plan(Protocol.from_file("seriesA"), SMALL).preparation("R07")
+    context = BenchContext(SMALL, preparation, np.random.default_rng(0), lambda _: None)
+    SimulatedGenerator(entries.generator, context)
+    assert context.surroundings is None
+    SimulatedCamera(entries.camera, context)
+    assert context.surroundings is not None
 
 
 def test_a_campaign_is_never_written_over(tmp_path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.block import Block
+from diagnosis.estimate import spread_of
 from diagnosis.rivals import Comparison, Rival
 from physics.mechanics import TipMass
 from physics.twin import Twin, more, with_alteration, with_reed
@@ -130,7 +131,6 @@ def _told(
     apart = block.predict(action.change(twins[0])) - block.predict(action.change(twins[1]))
     piece = comparison.slices[block.name]
     J = rival.free
-    known = np.linalg.inv(J.T @ J + np.eye(J.shape[1]))
     slope = np.linalg.inv(block.root) @ (rival.deviation[piece][:, None] * J[piece])
-    variance = action.sharper**2 * block.covariance + slope @ known @ slope.T
+    variance = action.sharper**2 * block.covariance + slope @ spread_of(J) @ slope.T
     return 0.5 * float(apart @ np.linalg.solve(variance, apart))

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 from scipy.special import logsumexp
 
 from diagnosis.block import Block
+from diagnosis.estimate import covariance_left, spread_of
 from diagnosis.rivals import Comparison, Rival, by_noise, gain_by_noise
 
 Array = NDArray[np.floating[Any]]
@@ -47,18 +47,15 @@ class _Left:
 
     def of(self, piece: slice) -> tuple[Array, Array]:
         """Residuals (k, d) of a block, and their covariance (k, k)."""
-        M = linalg.cho_factor(np.eye(self.slopes.shape[1]) + self.slopes.T @ self.slopes)
-        own, left = self.slopes[piece], self.residuals[piece]
-        return left, np.eye(len(left)) - own @ linalg.cho_solve(M, own.T)
+        return self.residuals[piece], covariance_left(self.slopes, piece)
 
     def beside(self, columns: Array) -> "_Left":
         """What is left once columns (n, c) are free as well, of priors of variance 1."""
         slopes = np.hstack([self.slopes, columns])
-        M = linalg.cho_factor(np.eye(slopes.shape[1]) + slopes.T @ slopes)
         # At an optimum, slopes pull as hard as priors do: only new columns are not at theirs.
         pull = np.zeros((slopes.shape[1], self.residuals.shape[1]))
         pull[self.slopes.shape[1] :] = columns.T @ self.residuals
-        return _Left(self.residuals - slopes @ linalg.cho_solve(M, pull), slopes, self.deviation)
+        return _Left(self.residuals - slopes @ spread_of(slopes) @ pull, slopes, self.deviation)
 
 
 def discrepancies(

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 from scipy.special import log_ndtr
 
 Array = NDArray[np.floating[Any]]
@@ -124,7 +125,7 @@ def fit(
     step = np.linalg.solve(precision[np.ix_(free, free)], gradient[free])
     return Estimate(
         z=z,
-        covariance=np.linalg.inv(precision),
+        covariance=spread_of(J),
         residuals=r,
         jacobian=J,
         cost=cost,
@@ -133,6 +134,28 @@ def fit(
         agreeing=agreeing,
         starts=len(starts),
     )
+
+
+def spread_of(slopes: Array) -> Array:
+    """Covariance (p, p) of parameters of which slopes (n, p) of whitened residuals tell."""
+    p = slopes.shape[1]
+    covariance: Array = linalg.cho_solve(
+        linalg.cho_factor(np.eye(p) + slopes.T @ slopes), np.eye(p)
+    )
+    return covariance
+
+
+def taken_up(slopes: Array, moved: Array) -> Array:
+    """What parameters of slopes (n, p) take up of residuals that move (n, d)."""
+    answer: Array = slopes @ (spread_of(slopes) @ (slopes.T @ moved))
+    return answer
+
+
+def covariance_left(slopes: Array, some: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Array:
+    """Covariance (k, k) of some residuals, at the optimum of parameters of slopes (n, p)."""
+    own = slopes[some]
+    left: Array = np.eye(len(own)) - own @ spread_of(slopes) @ own.T
+    return left
 
 
 def random_starts(

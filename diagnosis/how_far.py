@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.estimate import covariance_left
 from diagnosis.rivals import Comparison, Rival
 
 Array = NDArray[np.floating[Any]]
@@ -135,8 +136,7 @@ def _left_out(rivals: tuple[Rival, Rival], chosen: NDArray[np.bool_]) -> tuple[f
     squares, at = [], np.flatnonzero(chosen)
     for rival in rivals:
         J, wide = rival.free, rival.deviation[at]
-        precision = J.T @ J + np.eye(J.shape[1])
-        inner = np.eye(len(at)) - J[at] @ np.linalg.solve(precision, J[at].T)
+        inner = covariance_left(J, at)
         out = wide * np.linalg.solve(inner, rival.estimate.residuals[at])
         # Errors of the prediction, and of the data by themselves: form is no excuse here.
         predicted = wide[:, None] * (np.linalg.inv(inner) - np.eye(len(at))) * wide

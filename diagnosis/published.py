@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.estimate import Estimate, fit, random_starts
+from diagnosis.estimate import Estimate, covariance_left, fit, random_starts
 from diagnosis.likeness import Reach, classes_of, reach_of
 from diagnosis.mean_reed import MeanReed
 from diagnosis.rivals import Sized
@@ -359,13 +359,10 @@ def _linear(
 
 def _left_out(jacobian: Array, residuals: Array, names: Sequence[str]) -> Array:
     """Whitened residuals (n,) of all data of a name if they are left out, exact where linear."""
-    precision = jacobian.T @ jacobian + np.eye(jacobian.shape[1])
-    hat = jacobian @ np.linalg.solve(precision, jacobian.T)
     answer = np.empty_like(residuals)
     for name in set(names):
         block = np.flatnonzero([other == name for other in names])
-        inner = np.eye(len(block)) - hat[np.ix_(block, block)]
-        answer[block] = np.linalg.solve(inner, residuals[block])
+        answer[block] = np.linalg.solve(covariance_left(jacobian, block), residuals[block])
     return answer
 
 

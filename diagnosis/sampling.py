@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 from scipy.special import logsumexp
 from scipy.stats import multivariate_t
 
+from diagnosis.estimate import spread_of
 from diagnosis.rivals import Comparison, Rival
 
 Array = NDArray[np.floating[Any]]
@@ -50,8 +50,7 @@ def sampled(comparison: Comparison, rival: Rival, seed: int = 0, draws: int = _D
     """
     p, sizes = len(comparison.nuisances), rival.sizes
     z, J = rival.estimate.z[:p], rival.estimate.jacobian[:, :p]
-    M = np.eye(p) + J.T @ J
-    factor = linalg.cho_factor(M)
+    uncertain = spread_of(J)
     spread = _WIDER**2 * rival.estimate.covariance[p:, p:]
     bound = np.array([s.positive for sized in rival.effects for s in sized.sizes])
     wide = multivariate_t(np.maximum(sizes, 0) * bound + sizes * ~bound, spread, df=_FREEDOMS)
@@ -68,11 +67,12 @@ def sampled(comparison: Comparison, rival: Rival, seed: int = 0, draws: int = _D
         except ValueError:
             continue
         g = J.T @ r + z
-        cost = float(r @ r + z @ z - g @ linalg.cho_solve(factor, g) + size @ size)
+        cost = float(r @ r + z @ z - g @ uncertain @ g + size @ size)
         logs[k] = -0.5 * cost + prior - float(np.atleast_1d(wide.logpdf(size))[0])
     if not np.any(np.isfinite(logs)):
         return Sampled(0.0, 0.0)
-    log_evidence = float(logsumexp(logs) - np.log(draws)) - 0.5 * float(np.linalg.slogdet(M)[1])
+    log_evidence = float(logsumexp(logs) - np.log(draws))
+    log_evidence += 0.5 * float(np.linalg.slogdet(uncertain)[1])
     weights = np.exp(logs - logsumexp(logs))
     return Sampled(log_evidence - rival.estimate.log_evidence, float(1 / np.sum(weights**2)))
 

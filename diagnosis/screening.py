@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
+from diagnosis.estimate import spread_of, taken_up
 from diagnosis.rivals import Comparison, Rival, Sized
 from physics.effects.form import Effect
 from physics.twin import Twin
@@ -89,12 +89,10 @@ def _screened(
     table = signature(comparison, base, sized, sign)
     if table is None:
         return None
-    M = linalg.cho_factor(np.eye(base.slopes.shape[1]) + base.slopes.T @ base.slopes)
-    coupled = base.slopes.T @ table
-    information = (
-        np.eye(table.shape[1]) + table.T @ table - coupled.T @ linalg.cho_solve(M, coupled)
-    )
-    pull = coupled.T @ linalg.cho_solve(M, base.pull) - table.T @ base.residuals
+    left = table - taken_up(base.slopes, table)
+    information = np.eye(table.shape[1]) + table.T @ left
+    moved = base.slopes @ (spread_of(base.slopes) @ base.pull)
+    pull = table.T @ (moved - base.residuals)
     size = np.linalg.solve(information, pull)
     bound = np.array([parameter.positive for parameter in sized.sizes])
     gain = -0.5 * float(np.linalg.slogdet(information)[1])
@@ -157,6 +155,4 @@ def _both(
     table = signature(comparison, base, sized, sign)
     if table is None:
         return None
-    M = linalg.cho_factor(np.eye(base.slopes.shape[1]) + base.slopes.T @ base.slopes)
-    left: Array = table - base.slopes @ linalg.cho_solve(M, base.slopes.T @ table)
-    return table, left
+    return table, table - taken_up(base.slopes, table)

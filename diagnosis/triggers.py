@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from diagnosis.discrepancy import discrepancies, in_one
+from diagnosis.estimate import covariance_left, spread_of, taken_up
 from diagnosis.rivals import Comparison, Rival
 
 Array = NDArray[np.floating[Any]]
@@ -98,23 +98,13 @@ def _with_drawn(rival: Rival, rng: np.random.Generator) -> Array:
     J, n = rival.free, len(rival.estimate.residuals)
     noise = np.sqrt(1 - 2 / _FREEDOMS) * rng.standard_t(_FREEDOMS, (n, _DRAWS))
     measured = noise + J @ rng.standard_normal((J.shape[1], _DRAWS))
-    M = linalg.cho_factor(np.eye(J.shape[1]) + J.T @ J)
-    left = measured - J @ linalg.cho_solve(M, J.T @ measured)
+    left = measured - taken_up(J, measured)
     return np.column_stack([rival.estimate.residuals, left])
-
-
-def _hidden(rival: Rival, some: NDArray[np.bool_]) -> Array:
-    """Covariance (k, k) of some numbers' residuals."""
-    J = rival.free
-    M = linalg.cho_factor(np.eye(J.shape[1]) + J.T @ J)
-    hidden: Array = np.eye(int(some.sum())) - J[some] @ linalg.cho_solve(M, J[some].T)
-    return hidden
 
 
 def _largest(rival: Rival, residuals: Array) -> Array:
     J = rival.free
-    M = linalg.cho_factor(np.eye(J.shape[1]) + J.T @ J)
-    variance = 1 - np.sum(J * linalg.cho_solve(M, J.T).T, axis=1)
+    variance = 1 - np.einsum("np,pq,nq->n", J, spread_of(J), J, optimize=True)
     scaled = np.abs(residuals) / np.sqrt(np.maximum(variance, 1e-6))[:, None]
     largest: Array = scaled.max(axis=0)
     return largest
@@ -122,7 +112,7 @@ def _largest(rival: Rival, residuals: Array) -> Array:
 
 def _transfer(rival: Rival, residuals: Array, left_out: NDArray[np.bool_]) -> Array:
     """Squares of what a condition leaves that is predicted by the others."""
-    inner, left = _hidden(rival, left_out), residuals[left_out]
+    inner, left = covariance_left(rival.free, left_out), residuals[left_out]
     out = np.linalg.solve(inner, left)
     squares: Array = np.sum(out * left, axis=0)
     return squares

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from diagnosis.block import Block
+from diagnosis.estimate import taken_up
 from diagnosis.rivals import Comparison
 from physics.effects.form import Tap
 
@@ -128,9 +129,7 @@ def gap_map(comparison: Comparison) -> Map:
 def _square(left: Array, slope: Array, chosen: Sequence[int]) -> float:
     """Square of what is left (n,) in some numbers, in units of its floor."""
     own, inputs = left[chosen], slope[chosen]
-    pull = inputs.T @ own
-    known = np.eye(inputs.shape[1]) + inputs.T @ inputs
-    return float(own @ own - pull @ np.linalg.solve(known, pull))
+    return float(own @ (own - taken_up(inputs, own)))
 
 
 def _ladder(left: Array, slope: Array, rows: Mapping[Tap, Sequence[int]]) -> list[Rung]:

@@ -23,6 +23,8 @@ _REPEATS, _REPEATS_LOSS, _LEAST_CENTS, _LEAST_LOSS = 0.4, 0.6, 0.15, 0.4
 _METHOD_CENTS, _METHOD_HIGH_CENTS, _LOSS = 2.2, 4.0, 6.0
 # The lowest mode has none below it that would tell its loss.
 _LOWEST_CENTS, _LOWEST_LOSS = 3.0, 20.0
+# The second's loss leans on what the lowest is taken for: in every sweep; in every condition.
+_SECOND_LEAST, _SECOND_LOSS = 1.0, 4.5
 # A new clamping: cents, less for each mode above the first, and of each mode by itself; per cent.
 _CLAMP_CENTS, _CLAMP_FALL, _CLAMP_OWN, _CLAMP_LOSS = 2.5, 4.0, 1.0, 1.5
 # Light that leaks in, per its share of what moves: cents, per cent.
@@ -88,6 +90,8 @@ def _of_fit(
     if common[0] in here:
         lowest = list(here).index(common[0])
         least[lowest], least[count + lowest] = _LOWEST_CENTS, _LOWEST_LOSS
+    if common[1:2] and common[1] in here:
+        least[count + list(here).index(common[1])] = _SECOND_LEAST
     whole: Array = covariance + np.diag(least**2)
     return whole
 
@@ -141,11 +145,14 @@ def _in_common(
     for one in sorted(set(clamping.tolist()) - {0}):
         there = (clamping == one) & ~loss
         bends = there * _CLAMP_CENTS / (1 + names / _CLAMP_FALL)
-        own = np.where(clamping == one, np.where(loss, _CLAMP_LOSS, _CLAMP_OWN), 0.0)
+        lossy = np.where(names == 1, _SECOND_LOSS, _CLAMP_LOSS)
+        own = np.where(clamping == one, np.where(loss, lossy, _CLAMP_OWN), 0.0)
         covariance += np.multiply.outer(bends, bends) + same * np.multiply.outer(own, own)
     level = np.array([s.loudness for s in sweeps])[sweep]
     for one in sorted(set(np.round(level, 2).tolist()))[:-1]:
-        there = np.where(np.abs(level - one) < 0.01, np.where(loss, _LEVEL_LOSS, _LEVEL_CENTS), 0.0)
+        lossy = np.where(names == 1, _SECOND_LOSS, _LEVEL_LOSS)
+        own = np.where(loss, lossy, _LEVEL_CENTS)
+        there = np.where(np.abs(level - one) < 0.01, own, 0.0)
         covariance += same * np.multiply.outer(there, there)
     return np.asarray(covariance)
 

@@ -1,8 +1,8 @@
 """Something that no effect explains: any numbers of any blocks may be off, in no known way.
 
 Of each block it is asked how much likelier its numbers are if something unknown moves them, alike
-in a mode, a band, a time, or each by itself, by any of several sizes. What is unknown moves one
-block, or a few.
+in a mode, a band, a time, or each by itself, or ever more with time, by any of several sizes. What
+is unknown moves one block, or a few.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,7 +22,9 @@ Array = NDArray[np.floating[Any]]
 
 # Unknown things have any of these sizes, in standard deviations of the numbers that they move.
 _SIZES = (2.0, 5.0, 15.0, 50.0, 150.0, 500.0)
-_KINDS = ("each", "quantity", "mode", "band", "time")
+_KINDS = ("each", "quantity", "mode", "band", "time", "drift")
+# Fewer times tell no drift.
+_LEAST_TIMES = 4
 # Probability that something unknown moves one block, two, three.
 _BLOCKS = (0.6, 0.25, 0.15)
 
@@ -154,11 +156,33 @@ def _table(block: Block, kind: str) -> Array | None:
     """Columns (n, c) along which something unknown may move a block, whitened."""
     if kind == "each":
         return np.eye(len(block.values))
+    moved = _drifting(block) if kind == "drift" else _alike(block, kind)
+    if moved is None:
+        return None
+    deviation = np.sqrt(1 / np.diag(np.linalg.inv(block.covariance)))
+    table: Array = block.root @ (deviation[:, None] * moved)
+    return table
+
+
+def _alike(block: Block, kind: str) -> Array | None:
+    """Columns (n, c) of ones, where a quantity has one mode, band or time."""
     labels = [f"{place.quantity} {getattr(place, kind)}" for place in block.places]
     names = sorted(set(labels))
     if len(names) in (1, len(labels)) and kind != "quantity":
         return None
-    deviation = np.sqrt(1 / np.diag(np.linalg.inv(block.covariance)))
-    indicator = np.array([[label == name for name in names] for label in labels], dtype=float)
-    table: Array = block.root @ (deviation[:, None] * indicator)
-    return table
+    return np.array([[label == name for name in names] for label in labels], dtype=float)
+
+
+def _drifting(block: Block) -> Array | None:
+    """Columns (n, c) along which a quantity moves in step with time."""
+    columns = []
+    for quantity in dict.fromkeys(place.quantity for place in block.places):
+        own = np.array([place.quantity == quantity for place in block.places])
+        times = [place.time for place in block.places if place.quantity == quantity]
+        order = list(dict.fromkeys(times))
+        if len(order) < _LEAST_TIMES:
+            continue
+        steps = np.array([order.index(time) for time in times], dtype=float)
+        columns.append(np.zeros(len(own)))
+        columns[-1][own] = (steps - steps.mean()) / steps.std()
+    return np.stack(columns, axis=1) if columns else None

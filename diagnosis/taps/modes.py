@@ -26,7 +26,7 @@ _LOWEST_CENTS, _LOWEST_LOSS = 3.0, 20.0
 # The second's loss leans on what the lowest is taken for: in every sweep; in every condition.
 _SECOND_LEAST, _SECOND_LOSS = 1.0, 4.5
 # A new clamping: cents, less for each mode above the first, and of each mode by itself; per cent.
-_CLAMP_CENTS, _CLAMP_FALL, _CLAMP_OWN, _CLAMP_LOSS = 2.5, 4.0, 1.0, 1.5
+_CLAMP_CENTS, _CLAMP_FALL, _CLAMP_OWN, _CLAMP_LOSS = 2.5, 4.0, 0.5, 1.5
 # Light that leaks in, per its share of what moves: cents, per cent.
 _LEAK_CENTS, _LEAK_LOSS = 15.0, 40.0
 # Sweeps of other volts: cents, per cent.

@@ -145,7 +145,7 @@ _FEW, _BELIEVED = 1.2, 4.0
 # Log of how fast phases walk, and of what scatter of phases is beside that.
 _WALK, _SCATTER = 0.4, 0.1
 # Brightness of every other frame; speckle that has changed.
-_FLICKER, _CHANGED = 2e-4, 2e-4
+_FLICKER, _CHANGED = 2e-4, 1e-4
 
 
 def turn_block(stills: Sequence[Still], scatter_hz: float, rate_hz: float) -> Block:

@@ -135,8 +135,11 @@ class _Brightness:
 
 
 def noise_block(sweeps: Sequence[SweepReading]) -> Block:
-    """Noise beside the image: shot noise of the local oscillator, in the course of time."""
-    values, variance, places, times = [], [], [], []
+    """Noise beside the image: shot noise of the local oscillator, in the course of time.
+
+    Pixels that are not alike spread what fringes there are all over the image.
+    """
+    values, variance, places, times, fringes = [], [], [], [], []
     columns: list[dict[str, float]] = []
     for sweep in sweeps:
         order = np.argsort(sweep.time_s)
@@ -146,16 +149,18 @@ def noise_block(sweeps: Sequence[SweepReading]) -> Block:
             values.append(float(np.mean(log[piece])))
             variance.append(1.2 * spread**2 / len(piece))
             times.append(float(np.mean(sweep.time_s[piece])))
+            fringes.append(float(np.mean(sweep.fringe_dn2[piece])))
             places.append(Place("noise beside the image", time=f"{sweep.name} {number + 1}"))
             columns.append({"level": _NOISE, f"sweep {sweep.name}": _NOISE_SWEEP})
     usual, hours = float(np.mean(values)), np.array(times) / 3600
+    beside = np.array(fringes) / np.exp(min(values))
 
     def predict(twin: Twin) -> Array:
         faded: Array = usual - _SHOT * twin.beams.fade_per_h * hours
-        return faded
+        return faded + np.log1p(twin.chip.pattern**2 * beside)
 
     covariance = np.diag(variance) + _shared(columns)
-    return block("noise", Tap.SENSOR, values, covariance, places, ("beams",), predict)
+    return block("noise", Tap.SENSOR, values, covariance, places, ("beams", "chip"), predict)
 
 
 def fringe_block(sweeps: Sequence[SweepReading]) -> Block:

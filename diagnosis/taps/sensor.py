@@ -184,7 +184,7 @@ _LAMP, _UNEVEN = 7e-4, 4e-3
 # Log of the pattern that every sensor has.
 _PATTERN, _PATTERN_SPREAD = 3e-3, 0.3
 # Local oscillators: per half a sensor, where the mirror stands as it should; share of the width.
-_LO_TILT, _LO_WAIST = 3e-4, 0.2
+_LO_TILT, _LO_WAIST = 1e-3, 0.2
 
 
 @dataclass(frozen=True)

@@ -77,6 +77,8 @@ class SweepReading:
         Log of vibration times light: where the reed is calm fringes tell no more than that.
     noise_dn2 : (k,) float
         Beside the image.
+    fringe_dn2 : (k,) float
+        Of the fringes, mean over all pixels of the sensor.
     misfit : (k,) float
         Mean square of what phasors leave, noise is 1.
     off : (k,) bool
@@ -112,6 +114,7 @@ class SweepReading:
     brightness: Array
     signal: Array
     noise_dn2: Array
+    fringe_dn2: Array
     misfit: Array
     off: NDArray[np.bool_]
     template: Complex
@@ -226,6 +229,8 @@ def _reading(part: Part, fitted: JointFit) -> SweepReading:
     # Block by block: light and vibration may be taken for each other smoothly over the reed.
     moved = np.abs(found.light) * np.abs(found.amplitude_rad @ fitted.basis.functions.T)
     signal = found.gain + 0.5 * np.log(noise * np.maximum(np.mean(moved**2, axis=1), 1e-12))
+    pixels = part.run.frame_shape[0] * part.run.frame_shape[1]
+    fringes = np.sum(np.abs(phasors.value) ** 2 - 1, axis=0) / pixels
     shapes = fitted.basis.functions @ fitted.basis.shapes.T
     highest = np.argmax(np.abs(shapes), axis=0)
     return SweepReading(
@@ -253,6 +258,7 @@ def _reading(part: Part, fitted: JointFit) -> SweepReading:
         brightness=brightness,
         signal=signal,
         noise_dn2=noise,
+        fringe_dn2=noise * np.maximum(fringes, 0.0),
         misfit=found.misfit,
         off=modal.off,
         template=template,

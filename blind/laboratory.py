@@ -270,6 +270,8 @@ class Laboratory:
             self._phase += light.walk_rad_s * np.sqrt(FRAME_S) * float(self._rng.standard_normal())
             turn = self._phase + light.jitter_rad * float(self._rng.standard_normal())
             turn += light.quarter_error_rad * (number % 2)
+            # A synthesizer that drifts has turned by half of what it would at its rate of now.
+            turn += np.pi * clock.drift_hz_h * hours * began_s
             beats = {
                 n: _integral(n * played_hz - difference_hz, start_s, exposure_s) for n in images
             }

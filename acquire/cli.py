@@ -442,6 +442,12 @@ def diagnose(
     out: Annotated[
         Path | None, typer.Option(metavar="PAGE.html", help="Page to write besides.")
     ] = None,
+    following: Annotated[
+        Path | None,
+        typer.Option(
+            "--next", metavar="FILE.yaml", help="Campaign to write that tells the likeliest apart."
+        ),
+    ] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -458,15 +464,21 @@ def diagnose(
             raise FitInputError(
                 "runs, a table of resonances and --published are three kinds of data; give one"
             )
+        if out or following:
+            raise FitInputError("--out and --next are for runs, not for a table of resonances")
         _diagnose_resonances(tables[0] if tables else None, as_json)
         return
     if not runs:
         raise FitInputError("name runs or a table of resonances, or give --published")
-    _diagnose_runs(runs, bench, out, as_json)
+    _diagnose_runs(runs, bench, out, following, as_json)
 
 
 def _diagnose_runs(
-    paths: Sequence[Path], bench_name: str | None, out: Path | None, as_json: bool
+    paths: Sequence[Path],
+    bench_name: str | None,
+    out: Path | None,
+    following: Path | None,
+    as_json: bool,
 ) -> None:
     """Diagnose the runs of one campaign."""
     from acquire.bench_file import BenchFile
@@ -475,6 +487,7 @@ def _diagnose_runs(
     from diagnosis.answer import to_json
     from diagnosis.campaign import Campaign
     from diagnosis.known_bench import base_twin, bench_of
+    from diagnosis.next_runs import write_next
     from diagnosis.observing import read
     from diagnosis.page import words, write_page
     from diagnosis.verdict import diagnose as judge
@@ -497,6 +510,9 @@ def _diagnose_runs(
         verdict = judge(readings, workshop, base, progress=told)
     if out is not None:
         write_page(verdict, f"Diagnosis of {campaign.sweeps[0].run.reed}", out)
+    if following is not None:
+        first = campaign.sweeps[0].run
+        write_next(verdict.next_actions, verdict.rivals, first.protocol_text, first.reed, following)
     if as_json:
         _show_json(to_json(verdict))
         return

@@ -1,6 +1,6 @@
 """What may be done on the bench to tell rivals apart, and how much each would tell per minute."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -31,6 +31,8 @@ class Action:
         What the action does to a twin.
     sharper : float
         Factor on the standard deviations of its numbers.
+    parts : tuple of mapping
+        Of a campaign file (see `acquire.campaign_file`); none if no software runs it.
     """
 
     id: str
@@ -39,6 +41,7 @@ class Action:
     blocks: tuple[str, ...]
     change: Callable[[Twin], Twin]
     sharper: float = 1.0
+    parts: tuple[Mapping[str, Any], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -81,16 +84,47 @@ def _without_clay(twin: Twin) -> Twin:
 _SWEEP: Final = ("modes", "lines of the drive", "forces", "level", "brightness", "noise", "fringes")
 _STILL: Final = ("light at rest", "still light", "scatter of phases")
 _FRAMES: Final = ("dark frames", "even light", "local oscillator")
+_LADDER: Final = ("20 ms", "40 ms", "60 ms", "80 ms")
+
+
+def _frames(kind: str, count: int, exposures: Sequence[str] = ()) -> dict[str, Any]:
+    """What a sweep's protocol is to be changed by for frames of something else."""
+    told: dict[str, Any] = {"kind": kind, "count": count}
+    if exposures:
+        told["exposures"] = list(exposures)
+    return {"keep": "frames", "calibration": told}
+
+
+def _part(name: str, do: str = "", **more: Any) -> dict[str, Any]:
+    return {"name": name, **({"do": do} if do else {}), **more}
+
+
 ACTIONS: Final[tuple[Action, ...]] = (
-    Action("repeat", "the same campaign once more", 25.0, (*_SWEEP, "lock", "frames"), _same),
-    Action("low_pressure", "a sweep in a vacuum chamber", 40.0, ("modes",), _in_vacuum),
-    Action("known_mass", "a sweep with 1 mg of wax on the tip", 10.0, ("modes",), _with_wax),
-    Action("wait", "the same sweeps after an hour", 65.0, ("modes",), _after_an_hour),
+    Action("repeat", "the same sweeps once more", 25.0, (*_SWEEP, "lock", "frames"), _same,
+           parts=(_part("up2"), _part("down2", change={"sweep.direction": "down"}),
+                  _part("shuffled2", change={"sweep.direction": "shuffled"}),
+                  _part("again2", "take the reed out of its clamp, and put it back as it was",
+                        clamp_anew=True))),
+    Action("low_pressure", "a sweep in a vacuum chamber", 40.0, ("modes",), _in_vacuum,
+           parts=(_part("vacuum", "put the mouthpiece into the vacuum chamber, and pump it out"),)),
+    Action("known_mass", "a sweep with 1 mg of wax on the tip", 10.0, ("modes",), _with_wax,
+           parts=(_part("wax", "stick 1 mg of wax to the middle of the tip"),)),
+    Action("wait", "the same sweeps after an hour", 65.0, ("modes",), _after_an_hour,
+           parts=(_part("later", "wait an hour, and touch nothing"),
+                  _part("later_down", change={"sweep.direction": "down"}))),
     Action("without_clay", "a sweep with both halves of the chamber open", 10.0,
-           ("forces", "lines of the drive"), _without_clay),
-    Action("long_rest", "order 0 of the reed at rest, 64 acquisitions", 2.0, _STILL, _same, 0.25),
+           ("forces", "lines of the drive"), _without_clay,
+           parts=(_part("open", "take the clay out of the chamber",
+                        change={"chamber": "symmetric"}),)),
+    Action("long_rest", "order 0 of the reed at rest, 64 acquisitions", 2.0, _STILL, _same, 0.25,
+           parts=(_part("long_rest", "let both beams through", change=_frames("order0", 64)),)),
     Action("more_frames", "dark, flat and local oscillator frames, 64 of each", 3.0, _FRAMES, _same,
-           0.5),
+           0.5,
+           parts=(_part("dark2", "cover the camera", change=_frames("dark", 64)),
+                  _part("flat2", "block both beams, and light the camera evenly with a lamp",
+                        change=_frames("flat", 16, _LADDER)),
+                  _part("lo2", "lamp off; let the local oscillator through, and block the object "
+                               "beam", change=_frames("lo_only", 16, _LADDER)))),
     Action("microphone", "the sound at the tip by a microphone, with the reed held", 15.0,
            ("lines of the drive", "level"), _same, 0.3),
 )  # fmt: skip

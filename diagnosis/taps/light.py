@@ -156,8 +156,9 @@ def noise_block(sweeps: Sequence[SweepReading]) -> Block:
     beside = np.array(fringes) / np.exp(min(values))
 
     def predict(twin: Twin) -> Array:
-        faded: Array = usual - _SHOT * twin.beams.fade_per_h * hours
-        return faded + np.log1p(twin.chip.pattern**2 * beside)
+        shot = usual - _SHOT * twin.beams.fade_per_h * hours
+        noise: Array = shot + np.log1p(twin.chip.pattern**2 * beside)
+        return noise
 
     covariance = np.diag(variance) + _shared(columns)
     return block("noise", Tap.SENSOR, values, covariance, places, ("beams", "chip"), predict)

@@ -18,6 +18,8 @@ Array = NDArray[np.floating[Any]]
 CENTS = 1200 / np.log(2)
 # What fits of the same vibration differ by, over their errors, and at least: cents, per cent.
 _REPEATS, _REPEATS_LOSS, _LEAST_CENTS, _LEAST_LOSS = 0.4, 0.6, 0.15, 0.4
+# Frequencies of sweeps that are quieter than others, over their errors.
+_REPEATS_QUIET = 0.7
 # What the method and the elements are off by in every mode, cents: below and above 12 kHz; and what
 # losses of modes differ by in one cane, per cent.
 _METHOD_CENTS, _METHOD_HIGH_CENTS, _LOSS = 2.2, 4.0, 6.0
@@ -30,7 +32,7 @@ _CLAMP_CENTS, _CLAMP_FALL, _CLAMP_OWN, _CLAMP_LOSS = 2.5, 4.0, 0.5, 1.5
 # Light that leaks in, per its share of what moves: cents, per cent.
 _LEAK_CENTS, _LEAK_LOSS = 15.0, 40.0
 # Sweeps of other volts: cents, per cent.
-_LEVEL_CENTS, _LEVEL_LOSS = 0.6, 0.8
+_LEVEL_CENTS, _LEVEL_LOSS = 0.6, 1.1
 # What fits of sweeps that are alike usually differ by: cents, per cent.
 _USUAL_CENTS, _USUAL_LOSS = 0.25, 0.4
 _QUANTITIES = "frequency, cents", "loss, %"
@@ -55,6 +57,7 @@ def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks
     common = [name for name in common_modes(sweeps) if name in known]
     values, places, rows = [], [], []
     pieces = []
+    loudest = max(sweep.loudness for sweep in sweeps)
     for number, sweep in enumerate(sweeps):
         here = [name for name in common if name in sweep.names]
         at = np.array([sweep.names.index(name) for name in here])
@@ -65,7 +68,10 @@ def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks
             for name, hz in zip(here, sweep.hz[at], strict=True):
                 places.append(Place(what, mode=name, band=band_of(float(hz)), time=sweep.name))
                 rows.append((number, name, what))
-        pieces.append(_of_fit(sweep, both, unit, here, common) + _of_leaks(leaks, sweep, here))
+        repeats = _REPEATS if sweep.loudness > loudest - SAME_LEVEL else _REPEATS_QUIET
+        own = np.concatenate([np.full(len(at), repeats), np.full(len(at), _REPEATS_LOSS)])
+        pieces.append(_of_fit(sweep, both, own * unit, here, common))
+        pieces[-1] += _of_leaks(leaks, sweep, here)
     covariance = np.zeros((len(values),) * 2)
     start = 0
     for piece in pieces:
@@ -80,11 +86,10 @@ def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks
 
 
 def _of_fit(
-    sweep: SweepReading, both: Array, unit: Array, here: Sequence[str], common: Sequence[str]
+    sweep: SweepReading, both: Array, share: Array, here: Sequence[str], common: Sequence[str]
 ) -> Array:
-    """Covariance of what one sweep's fit adds."""
+    """Covariance of what one sweep's fit adds, whose errors count to such a share."""
     count = len(here)
-    share = np.concatenate([np.full(count, _REPEATS), np.full(count, _REPEATS_LOSS)]) * unit
     covariance = share[:, None] * sweep.covariance[np.ix_(both, both)] * share
     least = np.concatenate([np.full(count, _LEAST_CENTS), np.full(count, _LEAST_LOSS)])
     if common[0] in here:

@@ -21,8 +21,11 @@ from physics.effects.form import Effect
 Array = NDArray[np.floating[Any]]
 
 NONE, UNKNOWN = "none", "unknown"
-# Prior probabilities: nothing wrong, one effect, two, something that is not in the catalogue.
-PRIOR = {"none": 0.35, "one": 0.4, "two": 0.1, "unknown": 0.15}
+# Prior probabilities: nothing wrong, one effect, two, something that is not in the catalogue. Who
+# asks what is wrong has a reason to.
+PRIOR = {"none": 0.25, "one": 0.5, "two": 0.1, "unknown": 0.15}
+# Something unknown may be too small to be seen, as many a known effect is.
+_UNSEEN = 0.3
 # Of the best effects, all pairs; and the best with as many that explain most of what it leaves.
 _MOST_PAIRED, _MOST_BESIDE, _LEAST_GAIN = 5, 4, 3.0
 # Beside so many of the likeliest something unknown is looked for, of this prior.
@@ -287,6 +290,7 @@ def _probabilities(
     for name, rival in rivals.items():
         logs[name] = _log_odds(rival, null, effects)
     also = [float(np.log(_ALSO)) + logs[name] + more for name, more in beside.items()]
-    logs[UNKNOWN] = float(logsumexp([np.log(PRIOR["unknown"]) + unknown, *also]))
+    seen = np.logaddexp(np.log1p(-_UNSEEN) + unknown, np.log(_UNSEEN))
+    logs[UNKNOWN] = float(logsumexp([np.log(PRIOR["unknown"]) + seen, *also]))
     total = logsumexp(list(logs.values()))
     return {name: float(log - total) for name, log in logs.items()}

@@ -8,9 +8,9 @@ from typing import Final
 
 # Effects whose signatures have a cosine of 0.8 or more count as one.
 CLASSES: Final[tuple[tuple[str, ...], ...]] = (
-    ("clamp_yield", "transverse_shear"),
     ("drying", "temperature_drift"),
-    ("phase_step_error", "synthesizer_detuning"),
+    ("phase_step_error", "synthesizer_detuning", "synthesizer_drift"),
+    ("thickness_offset", "thickness_wedge"),
 )
 # Effects that stand out by five deviations at no size, or at none that is drawn.
 UNDETECTABLE: Final[tuple[str, ...]] = (
@@ -19,10 +19,6 @@ UNDETECTABLE: Final[tuple[str, ...]] = (
     "defocus",
     "density",
     "stiffening",
-    "thickness_crown",
-    "thickness_offset",
     "thickness_tilt",
-    "thickness_wedge",
-    "transverse_modulus",
     "transverse_shear",
 )

@@ -42,6 +42,7 @@ def report(cases: Sequence[Case], classes: Classes) -> dict[str, Any]:
     single = [case for case in sick if len(case.label.effects) == 1]
     double = [case for case in sick if len(case.label.effects) > 1]
     resolved = [case for case in single if case.resolved]
+    foreseen = [case for case in single if case.foreseen]
     found, threshold, area = open_set(cases)
     covered, size = sets(cases, classes)
     return {
@@ -49,7 +50,8 @@ def report(cases: Sequence[Case], classes: Classes) -> dict[str, Any]:
         "answered": sum(bool(case.probability) for case in cases),
         "false_alarms": _share(false_alarms(cases)),
         "class_right": {"all": _share(named(single, classes)),
-                        "resolved": _share(named(resolved, classes))},
+                        "resolved": _share(named(resolved, classes)),
+                        "foreseen": _share(named(foreseen, classes))},
         "class_among_three": {"all": _share(named(single, classes, 3)),
                               "resolved": _share(named(resolved, classes, 3))},
         "name_right": {"all": _share(named(single, Classes(()))),
@@ -136,7 +138,8 @@ def sentences(scores: Mapping[str, Any]) -> list[str]:
         f"Class right: {told(right['all'])}; of effects that stand out by 5 deviations "
         f"{told(right['resolved'])}, among the first three "
         f"{told(scores['class_among_three']['resolved'])}, by name "
-        f"{told(scores['name_right']['resolved'])}.",
+        f"{told(scores['name_right']['resolved'])}; of effects that should stand out by their true "
+        f"size {told(right['foreseen'])}.",
         f"Mean probability given to the truth: {number(truth['all']['mean'])}; of effects that "
         f"stand out {number(truth['resolved']['mean'])} "
         f"[{number(truth['resolved']['low'])}, {number(truth['resolved']['high'])}].",

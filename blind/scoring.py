@@ -101,6 +101,25 @@ class Case:
         """Whether every true effect stands out of the noise; not answered is no excuse."""
         return self.d_prime >= RESOLVED
 
+    @property
+    def foreseen(self) -> bool:
+        """Whether every true effect should stand out, by its true size and the reach of the data.
+
+        No fit of the effect has a say in it.
+        """
+        if self.answer is None:
+            return True
+        sizes = true_sizes(self.label)
+        told = [_foreseen(self.answer, name, sizes.get(name, {})) for name, _ in self.label.effects]
+        return min(told, default=0.0) >= RESOLVED
+
+
+def _foreseen(answer: Mapping[str, Any], effect: str, sizes: Mapping[str, float]) -> float:
+    """By how many deviations an effect of true sizes should stand out."""
+    least = answer["effects"].get(effect, {}).get("detectable", {})
+    told = [RESOLVED * value / least[name] for name, value in sizes.items() if least.get(name)]
+    return float(np.linalg.norm(told))
+
 
 class Classes:
     """Effects that count as one.

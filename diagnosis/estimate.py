@@ -151,6 +151,17 @@ def taken_up(slopes: Array, moved: Array) -> Array:
     return answer
 
 
+def standing_out(slopes: Array, moved: Array) -> Array:
+    """Residuals that move (n, d), in units of all that is uncertain: the root of what is left.
+
+    Squares of columns are by how much the cost rises if nothing but parameters of slopes (n, p) is
+    there to take them up.
+    """
+    along, size, _ = np.linalg.svd(slopes, full_matrices=False)
+    out: Array = moved - along @ ((1 - 1 / np.hypot(1.0, size))[:, None] * (along.T @ moved))
+    return out
+
+
 def covariance_left(slopes: Array, some: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Array:
     """Covariance (k, k) of some residuals, at the optimum of parameters of slopes (n, p)."""
     own = slopes[some]

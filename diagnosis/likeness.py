@@ -81,8 +81,9 @@ def reach_of(
     ----------
     effects : sequence of Effect
     signatures : mapping of ((n, s), (n, s)) float
-        What each size moves by a deviation of its prior, whitened: all of it, and what of that is
-        left beside what is free anyway. Effects that move nothing may be left out.
+        What each size moves by a deviation of its prior, whitened: all of it, and what of that
+        stands out of what is free anyway (see `standing_out`). Effects that move nothing may be
+        left out.
     """
     alike = cosines({name: left for name, (_, left) in signatures.items()})
     return tuple(_reach(effect, signatures.get(effect.id), alike) for effect in effects)

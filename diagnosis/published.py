@@ -224,7 +224,6 @@ def diagnose_resonances(
     elastic = _Fitted.of(base)
     placed = [_at_its_best(base, elastic, effect) for effect in effects]
     columns = {sized.effect.id: column for sized, column in placed}
-    reach = _reach(base, elastic, effects, columns)
     seen = [sized for sized, column in placed if np.any(column)]
     alone = []
     for number, sized in enumerate(seen):
@@ -239,6 +238,8 @@ def diagnose_resonances(
     names = [reed.series.value for reed in reeds]
     pieces = {name: slice(a, b) for name, a, b in zip(names, starts, starts[1:], strict=False)}
     ranked = sorted((trial.told(elastic) for trial in alone), key=lambda t: -t.log_bayes)
+    unexplained = min(fitted.over_misfits()[1] for fitted in (elastic, *alone, *together))
+    reach = _reach(base, elastic, effects, columns, unexplained)
     return PublishedDiagnosis(
         reeds=tuple(reeds),
         floor_cents={name: base.floor_cents[piece] for name, piece in pieces.items()},
@@ -480,9 +481,14 @@ def _evidence(
 
 
 def _reach(
-    base: _Problem, elastic: _Fitted, effects: Sequence[Effect], columns: Mapping[str, Array]
+    base: _Problem,
+    elastic: _Fitted,
+    effects: Sequence[Effect],
+    columns: Mapping[str, Array],
+    misfit_cents: float,
 ) -> tuple[Reach, ...]:
-    deviation = np.hypot(base.floor_cents, elastic.over_misfits()[1])
+    """What such data could tell of effects beside a misfit that none of them explains."""
+    deviation = np.hypot(base.floor_cents, misfit_cents)
     moduli, _ = np.linalg.qr(elastic.slope / deviation[:, None])
     whole = {name: column / deviation[:, None] for name, column in columns.items()}
     left = {name: column - moduli @ (moduli.T @ column) for name, column in whole.items()}

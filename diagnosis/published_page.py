@@ -11,6 +11,8 @@ from diagnosis.published import PublishedDiagnosis, Size, Trial
 from physics.effects.form import Effect
 
 _NOT_PROOF = "closing a gap does not prove its cause"
+# Sizes are told from so many nats of log odds on.
+_LEAST_TOLD = 1.0
 
 
 def gap_of_modes(diagnosis: PublishedDiagnosis) -> Table:
@@ -38,23 +40,23 @@ def gap_of_modes(diagnosis: PublishedDiagnosis) -> Table:
 def trials_table(diagnosis: PublishedDiagnosis) -> Table:
     """What effects close of the gap, alone and together."""
     table = Table(title="What effects close of it")
-    table.add_column("effects")
-    table.add_column("size (in spreads of its prior)")
+    table.add_column("effects", no_wrap=True)
     for reed in diagnosis.reeds:
-        table.add_column(f"rms {reed.series} (cents)", justify="right")
-    table.add_column("κ, mode left out", justify="right")
+        table.add_column(f"rms {reed.series},\ncents", justify="right")
+    table.add_column("κ, mode\nleft out", justify="right")
     if len(diagnosis.reeds) > 1:
-        table.add_column("κ from the other series", justify="right")
-    table.add_column("log odds (nats)", justify="right")
+        table.add_column("κ, other\nseries", justify="right")
+    table.add_column("log odds,\nnats", justify="right")
     before = diagnosis.elastic.rms_cents
     for trial in (*diagnosis.alone, *diagnosis.together):
-        row = [" + ".join(trial.effects), "; ".join(_size(size) for size in trial.sizes)]
+        row = ["\n+ ".join(trial.effects)]
         row += [f"{before[s]:.0f} → {after:.0f}" for s, after in trial.rms_cents.items()]
-        row.append(f"{_share(trial.kappa)} [{_share(trial.kappa_low)}, {_share(trial.kappa_high)}]")
+        interval = f"[{_share(trial.kappa_low)}, {_share(trial.kappa_high)}]"
+        row.append(f"{_share(trial.kappa)}\n{interval}")
         if len(diagnosis.reeds) > 1:
-            row.append(", ".join(f"{s} {_share(k)}" for s, k in trial.kappa_other.items()))
+            row.append("\n".join(f"{s} {_share(k)}" for s, k in trial.kappa_other.items()))
         odds = f"{trial.log_bayes:+.1f}"
-        row.append(odds if trial.certified else f"{odds}, not converged")
+        row.append(odds if trial.certified else f"{odds} *")
         table.add_row(*row)
     return table
 
@@ -63,10 +65,16 @@ def words(diagnosis: PublishedDiagnosis, effects: Mapping[str, Effect]) -> list[
     """What it comes to, a line each."""
     rms = ", ".join(f"{s} {v:.0f} cents" for s, v in diagnosis.elastic.rms_cents.items())
     lines = [f"elastic reed: rms {rms}"]
+    for trial in (*diagnosis.alone, *diagnosis.together):
+        if trial.log_bayes > _LEAST_TOLD:
+            sizes = "; ".join(_size(size) for size in trial.sizes)
+            lines.append(f"{' + '.join(trial.effects)}: {sizes}")
     for group in diagnosis.classes:
         if len(group) > 1:
             actions = "; ".join(dict.fromkeys(effects[name].action for name in group))
             lines.append(f"not told apart by such data: {', '.join(group)} (would: {actions})")
+    if not all(trial.certified for trial in (*diagnosis.alone, *diagnosis.together)):
+        lines.append("* the fit has not converged: no effect is to be named by it")
     unseen = [entry.effect for entry in diagnosis.reach if out_of_reach(entry, effects)]
     if unseen:
         lines.append(
@@ -153,8 +161,10 @@ def _number(value: float) -> float | None:
 
 def _size(size: Size) -> str:
     unit = f" {size.unit}" if size.unit else ""
-    return f"{size.name} {size.value:.3g} ± {size.error:.1g}{unit} ({size.z:+.1f})"
+    spreads = f"{size.z:+.1f} spreads of its prior"
+    return f"{size.name} {size.value:.3g} ± {size.error:.1g}{unit} ({spreads})"
 
 
 def _share(value: float) -> str:
-    return f"{value:.0%}" if math.isfinite(value) else "–"
+    # Nothing is not less than nothing.
+    return f"{round(value, 2) + 0.0:.0%}" if math.isfinite(value) else "–"

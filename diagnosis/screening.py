@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.estimate import spread_of, taken_up
+from diagnosis.estimate import spread_of, standing_out, taken_up
 from diagnosis.rivals import Comparison, Rival, Sized
 from physics.effects.form import Effect
 from physics.twin import Twin
@@ -125,7 +125,7 @@ def signature(comparison: Comparison, base: Base, sized: Sized, sign: float) -> 
 def signatures(
     comparison: Comparison, null: Rival, alone: Mapping[str, Rival]
 ) -> dict[str, tuple[Array, Array]]:
-    """What each effect moves (n, s) where it was found, whitened, and less what nuisances take."""
+    """What each effect moves (n, s) where it was found, whitened, and what of it stands out."""
     found = {}
     for name, rival in alone.items():
         sized = rival.effects[0]
@@ -155,4 +155,4 @@ def _both(
     table = signature(comparison, base, sized, sign)
     if table is None:
         return None
-    return table, table - taken_up(base.slopes, table)
+    return table, standing_out(base.slopes, table)

@@ -110,15 +110,42 @@ def diagnose(
     without : sequence of str
         Effects that the catalogue is to do without.
     """
-    effects = [e for e in CATALOGUE if e.stage is not Stage.NUMERICS and e.id not in without]
     comparison = compared(readings, workshop, base or Twin())
+    told = Told(_condition(readings), readings.missing, readings.refused)
+    return judged(comparison, told, progress, without)
+
+
+@dataclass(frozen=True)
+class Told:
+    """What is known of a campaign beside its numbers.
+
+    Attributes
+    ----------
+    condition : str
+        Sweep that is left out whole; empty if there is none.
+    missing, refused : tuple of str
+    """
+
+    condition: str = ""
+    missing: tuple[str, ...] = ()
+    refused: tuple[str, ...] = ()
+
+
+def judged(
+    comparison: Comparison,
+    told: Told,
+    progress: Callable[[float], None] | None = None,
+    without: Sequence[str] = (),
+) -> Verdict:
+    """Judge numbers that are beside the twin already; parameters as those of `diagnose`."""
+    effects = [e for e in CATALOGUE if e.stage is not Stage.NUMERICS and e.id not in without]
     found = contest(comparison, effects, progress)
     probability = {name: float(np.exp(log)) for name, log in found.log_probability.items()}
     reach = reach_of(effects, signatures(comparison, found.null, found.alone))
     classes = classes_of(reach)
     kind, named = _named(found, probability, classes)
     first, second = _two_best(found)
-    groups, condition = _groups(comparison), _condition(readings)
+    groups, condition = _groups(comparison), told.condition
     chosen = found.rival("+".join(named)) or first or found.null
     acts = _touched(comparison, found.null, chosen)
     named_or_none = chosen if named else found.null
@@ -145,8 +172,8 @@ def diagnose(
         condition=condition,
         next_actions=tuple(ranked_actions(comparison, first, second)) if first and second else (),
         rivals=(_name(first), _name(second)),
-        missing=readings.missing,
-        refused=readings.refused,
+        missing=told.missing,
+        refused=told.refused,
     )
 
 

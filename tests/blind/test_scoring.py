@@ -192,3 +192,22 @@ def test_a_reliability_plot_is_drawn(tmp_path) -> None:
     cases = [answered("crack", "crack", {}) for _ in range(20)]
     draw_reliability(cases, CLASSES, tmp_path / "plot.png")
     assert (tmp_path / "plot.png").stat().st_size > 5000
+
+
+def test_what_should_stand_out_does_not_depend_on_whether_it_was_found() -> None:
+    label = Label(1, (("laser_drift", 4.0),), True, 0)
+    (true,) = true_sizes(label)["laser_drift"].values()
+
+    def answered(least):
+        effects = {"laser_drift": {"d_prime": 0.0, "detectable": {"fade": least}}}
+        return Case("c", label, {"verdict": "none", "probability": {"none": 1.0}, "likely": [],
+                                 "effects": effects})  # fmt: skip
+
+    assert answered(0.9 * abs(true)).foreseen
+    assert not answered(1.1 * abs(true)).foreseen
+    assert not answered(None).foreseen
+    assert not answered(0.9 * abs(true)).resolved
+    assert Case("c", label, None).foreseen
+    scores = report([answered(0.9 * abs(true)), answered(1.1 * abs(true))], CLASSES)
+    assert scores["class_right"]["foreseen"]["cases"] == 1
+    assert scores["class_right"]["foreseen"]["hits"] == 0

@@ -1,0 +1,110 @@
+"""The inverse crime on purpose: how a diagnosis scores on data of its own twin.
+
+    python -m benchmarks.own_data CAMPAIGN [--count N] [--jobs J]
+
+CAMPAIGN is a folder of run files of a bench with nothing wrong, such as one of tier 0 of `acquire
+blind make`. Its numbers are replaced by what the twin itself predicts, with nuisances drawn from
+their priors, noise from its own covariance, and effects in the catalogue's own form and of the
+sizes that blind cases have. Prints the scores of `acquire blind score`: they are what a diagnosis
+would be worth if nature were its twin, and are to be read beside those of sealed cases.
+"""
+
+import argparse
+import contextlib
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acquire.runfile import Run
+from blind.cases import Label, drawn_label, true_sizes
+from blind.classes import CLASSES
+from blind.report import report, sentences
+from blind.scoring import Case, Classes
+from diagnosis.answer import to_json
+from diagnosis.campaign import Campaign
+from diagnosis.known_bench import bench_of
+from diagnosis.observing import read
+from diagnosis.rivals import Comparison
+from diagnosis.verdict import Told, compared, judged
+from physics.effects.catalogue import BY_ID
+from physics.mechanics import Workshop
+from physics.reed.cache import anatomy
+from physics.twin import Twin
+
+_SEED = 260_613
+# Of so many cases in ten nothing, one effect, and two are wrong.
+_TIERS = (0, 0, 0, 1, 1, 1, 1, 1, 3, 3)
+_TRIES = 50
+
+
+@lru_cache(maxsize=1)
+def campaign_of(folder: Path) -> tuple[Comparison, str]:
+    """Numbers of a campaign beside the twin, and the condition to leave out."""
+    with contextlib.ExitStack() as opened:
+        files = sorted(folder.glob("*.h5"))
+        campaign = Campaign.of([opened.enter_context(Run.open(file)) for file in files])
+        first = campaign.sweeps[0].run
+        workshop = Workshop(anatomy(first.reed_file().geometry()))
+        readings = read(campaign, bench_of(first))
+    return compared(readings, workshop, Twin()), campaign.sweeps[-1].name
+
+
+def with_effects(twin: Twin, label: Label, rng: np.random.Generator) -> Twin:
+    """The twin with effects as the catalogue has them, of a label's sizes."""
+    sizes = true_sizes(label)
+    for name, multiple in label.effects:
+        effect = BY_ID[name]
+        values = {p.name: float(rng.choice(p.places)) for p in effect.placed}
+        for p in effect.sizes:
+            # A size that nobody tells is a share of what is usual.
+            values[p.name] = sizes.get(name, {}).get(p.name, 0.3 * multiple * p.spread)
+        twin = effect.change(twin, values)
+    return twin
+
+
+def imagined(comparison: Comparison, label: Label, rng: np.random.Generator) -> Comparison:
+    """The same numbers as the twin would have them."""
+    for _ in range(_TRIES):
+        z = rng.standard_normal(len(comparison.nuisances))
+        try:
+            twin = with_effects(comparison.twin(z), label, rng)
+            predicted = [block.predict(twin) for block in comparison.blocks]
+        except ValueError:
+            continue
+        blocks = [
+            replace(block, values=told + np.linalg.cholesky(block.covariance) @ noise)
+            for block, told in zip(comparison.blocks, predicted, strict=True)
+            for noise in [rng.standard_normal(len(told))]
+        ]
+        return Comparison(blocks, comparison.base, comparison.nuisances)
+    raise SystemExit(f"own_data: no reed is possible with {label.effects}")
+
+
+def answered(folder: Path, number: int) -> tuple[Label, dict[str, Any]]:
+    """Draw a case, and diagnose it."""
+    comparison, condition = campaign_of(folder)
+    label = drawn_label(_TIERS[number % len(_TIERS)], number, _SEED)
+    own = imagined(comparison, label, np.random.default_rng([_SEED, number]))
+    return label, to_json(judged(own, Told(condition)))
+
+
+def main() -> None:
+    """Score cases."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("campaign", type=Path)
+    parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--jobs", type=int, default=2)
+    asked = parser.parse_args()
+    with ProcessPoolExecutor(asked.jobs) as pool:
+        told = [pool.submit(answered, asked.campaign, k) for k in range(asked.count)]
+        cases = [Case(str(k), *future.result()) for k, future in enumerate(told)]
+    for sentence in sentences(report(cases, Classes(CLASSES))):
+        print(sentence)
+
+
+if __name__ == "__main__":
+    main()

@@ -14,7 +14,6 @@ _TELLS = {
     Kind.DARK: "dark frames (offset, read noise, hot pixels)",
     Kind.FLAT: "flat frames (linearity, pattern, vignetting)",
     Kind.LO_ONLY: "frames of the local oscillator alone (its profile)",
-    Kind.OBJECT_ONLY: "frames of the object beam alone (its brightness)",
     Kind.ORDER0: "order 0 of the reed at rest (phase steps, speckle, stability)",
 }
 

@@ -35,7 +35,7 @@ def test_runs_stand_in_the_order_of_time_on_one_clock() -> None:
 
 def test_what_is_missing_is_told() -> None:
     alone = Campaign.of([run()]).missing
-    assert len(alone) == 8
+    assert len(alone) == 7
     kinds = [run(kind, k) for k, kind in enumerate(Kind) if kind is not Kind.SWEEP]
     sweeps = [run(second=20), run(second=30, volts=4.0), run(second=40, clamping=1)]
     assert Campaign.of([*kinds, *sweeps]).missing == []

@@ -1,0 +1,43 @@
+"""`acquire diagnose`: from runs to a page, JSON, and a campaign to run next."""
+
+import json
+
+import pytest
+
+from acquire.campaign_file import CampaignFile, tasks_of
+
+
+def test_one_sweep_becomes_a_page_and_a_next_campaign(cli, measured, folder):
+    page, following = folder / "page.html", folder / "next.yaml"
+    told = cli("diagnose", measured.a, "--json", "--out", page, "--next", following)
+    assert told.status == 0, told.err
+    answer = json.loads(told.out)
+    assert answer["verdict"] in ("none", "effect", "pair", "unknown", "not converged")
+    assert sum(answer["probability"].values()) == pytest.approx(1.0, abs=1e-3)
+    # One sweep says what it cannot say.
+    assert any("dark frames" in what for what in answer["missing"])
+    assert any("second sweep" in what for what in answer["missing"])
+    html = page.read_text(encoding="utf-8")
+    assert "What to measure next" in html
+    assert "<svg" in html or "data:image" in html
+    best = next(w for w in answer["next"]["actions"] if w["id"] != "microphone")
+    tasks = tasks_of(CampaignFile.from_file(following))
+    assert tasks
+    assert best["words"].capitalize() in following.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "name runs or a table of resonances"),
+        (["nothing.h5"], "nothing.h5"),
+        (["--published", "--next", "next.yaml"], "--next"),
+        (["a.csv", "b.h5"], "three kinds of data"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(cli, folder, arguments, words):
+    told = cli("diagnose", *arguments)
+    assert told.status == 2
+    assert words in told.err
+    assert len(told.err.strip().splitlines()) == 1
+    assert not list(folder.iterdir())

@@ -1,13 +1,14 @@
 """A diagnosis for programs: JSON with stable keys (documented in ``docs/diagnosis.md``)."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from diagnosis.how_far import Shrinkage
-from diagnosis.rivals import Rival
 from diagnosis.verdict import Verdict
+from physics.effects.form import Parameter
 
 # A parameter beyond so many deviations of its prior is not plausible.
 _PLAUSIBLE = 3.0
@@ -35,7 +36,10 @@ def to_json(verdict: Verdict) -> dict[str, Any]:
         },
         "effects": _effects(verdict),
         "pairs": {
-            name: {"log_bayes": rival.log_evidence - verdict.contest.null.log_evidence}
+            name: {
+                "log_bayes": rival.log_evidence - verdict.contest.null.log_evidence,
+                "sizes": {effect: _sizes(told) for effect, told in rival.told.items()},
+            }
             for name, rival in verdict.contest.pairs.items()
         },
         "unknown": {
@@ -89,7 +93,7 @@ def _effects(verdict: Verdict) -> dict[str, Any]:
         told[name] = {
             "log_bayes": rival.log_evidence - null.log_evidence,
             "d_prime": float(np.sqrt(max(gain, 0.0))),
-            "sizes": _sizes(rival),
+            "sizes": _sizes(rival.told[name]),
             "places": dict(rival.effects[0].places),
             "certified": rival.estimate.certified,
             "absorbed": None if np.isnan(own.absorbed) else own.absorbed,
@@ -99,11 +103,9 @@ def _effects(verdict: Verdict) -> dict[str, Any]:
     return told
 
 
-def _sizes(rival: Rival) -> dict[str, Any]:
-    sized = rival.effects[0]
-    errors = np.sqrt(np.diag(rival.estimate.covariance))[-len(sized.sizes) :]
+def _sizes(told: Sequence[tuple[Parameter, float, float]]) -> dict[str, Any]:
     return {
         p.name: {"value": p.spread * z, "error": p.spread * error, "unit": p.unit, "z": z,
                  "plausible": abs(z) < _PLAUSIBLE}
-        for p, z, error in zip(sized.sizes, rival.sizes.tolist(), errors.tolist(), strict=True)
+        for p, z, error in told
     }  # fmt: skip

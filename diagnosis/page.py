@@ -107,9 +107,9 @@ def _closed_words(verdict: Verdict) -> str:
 def _share(closed: Shrinkage | None) -> str:
     if closed is None or math.isnan(closed.kappa):
         return "no resolvable part"
-    if math.isnan(closed.low):
-        return f"{closed.kappa:.0%}"
-    return f"{closed.kappa:.0%} [{closed.low:.0%}, {closed.high:.0%}]"
+    # What is left may be less than its floor: that closes no more than all.
+    kappa, low, high = (min(share, 1.0) for share in (closed.kappa, closed.low, closed.high))
+    return f"{kappa:.0%}" if math.isnan(low) else f"{kappa:.0%} [{low:.0%}, {high:.0%}]"
 
 
 def write_page(verdict: Verdict, title: str, page: Path) -> None:
@@ -202,15 +202,12 @@ def _effects(verdict: Verdict) -> str:
 
 
 def _size_words(verdict: Verdict, name: str) -> str:
-    """Sizes of an effect as fitted by itself, with errors."""
-    rival = verdict.contest.alone.get(name)
-    if rival is None:
-        return ""
-    sizes = rival.effects[0].sizes
-    errors = rival.estimate.covariance.diagonal()[-len(sizes) :] ** 0.5
+    """Sizes of an effect, or of two, as fitted, with errors."""
+    rival = verdict.contest.rival(name)
     told = (
         f"{p.name} {p.spread * z:.2g} ± {p.spread * error:.1g} {p.unit}".strip()
-        for p, z, error in zip(sizes, rival.sizes.tolist(), errors.tolist(), strict=True)
+        for sizes in (rival.told.values() if rival else ())
+        for p, z, error in sizes
     )
     return "; ".join(told)
 

@@ -170,6 +170,16 @@ class Rival:
         return self.estimate.z[len(self.estimate.z) - count :]
 
     @property
+    def told(self) -> dict[str, list[tuple[Parameter, float, float]]]:
+        """Of every effect, by its id, each size and its error in units of the prior."""
+        errors = np.sqrt(np.diag(self.estimate.covariance))[-len(self.sizes) :]
+        found = iter(zip(self.sizes.tolist(), errors.tolist(), strict=True))
+        return {
+            sized.effect.id: [(parameter, *next(found)) for parameter in sized.sizes]
+            for sized in self.effects
+        }
+
+    @property
     def left(self) -> Array:
         """What is left (n,), whitened."""
         left: Array = self.estimate.residuals * self.deviation

@@ -144,9 +144,9 @@ def judged(
     reach = reach_of(effects, signatures(comparison, found.null, found.alone))
     classes = classes_of(reach)
     kind, named = _named(found, probability, classes)
-    first, second = _two_best(found)
+    first, second = _two_likeliest(found)
     groups, condition = _groups(comparison), told.condition
-    chosen = found.rival("+".join(named)) or first or found.null
+    chosen = found.rival("+".join(named)) or _best_alone(found)
     acts = _touched(comparison, found.null, chosen)
     named_or_none = chosen if named else found.null
     return Verdict(
@@ -211,12 +211,16 @@ def _better(found: Contest) -> dict[str, Rival]:
     return {name: rivals[name] for name in ranked[:_MOST_CLOSED]}
 
 
-def _two_best(found: Contest) -> tuple[Rival | None, Rival | None]:
-    """Best two of no effect and each by itself, the best that is an effect first."""
-    ranked = sorted(found.alone.values(), key=lambda rival: -rival.log_evidence)
-    if not ranked:
-        return None, None
-    return ranked[0], max([found.null, *ranked[1:2]], key=lambda rival: rival.log_evidence)
+def _best_alone(found: Contest) -> Rival:
+    """Effect that explains most by itself; none if none was fitted."""
+    return max(found.alone.values(), key=lambda rival: rival.log_evidence, default=found.null)
+
+
+def _two_likeliest(found: Contest) -> tuple[Rival | None, Rival | None]:
+    """Likeliest two of no effect, each by itself, and pairs."""
+    rivals = {NONE: found.null, **found.alone, **found.pairs}
+    ranked = sorted(rivals, key=lambda name: -found.log_probability[name])
+    return (rivals[ranked[0]], rivals[ranked[1]]) if len(ranked) > 1 else (None, None)
 
 
 def _name(rival: Rival | None) -> str:

@@ -603,7 +603,8 @@ def blind_make(
         from acquire.display import share_progress
         from blind.files import make_set
 
-        kept = key or folder.with_name(f"{folder.name}.key.json")
+        place = folder.resolve()
+        kept = key or place.with_name(f"{place.name}.key.json")
         with share_progress(_words(), "making cases") as told:
             made = make_set(folder, kept, tier, count, seed, jobs, told)
     if as_json:
@@ -640,14 +641,14 @@ def blind_score(
 
         cases, classes = answered_cases(folder, answers, key), Classes(CLASSES)
         scores = blind_report(cases, classes)
+        if as_json:
+            _show_json(scores)
+        else:
+            console = Console(highlight=False)
+            for line in sentences(scores):
+                console.print(line, markup=False, soft_wrap=True)
         if picture is not None:
             draw_reliability(cases, classes, picture)
-    if as_json:
-        _show_json(scores)
-        return
-    console = Console(highlight=False)
-    for line in sentences(scores):
-        console.print(line, markup=False, soft_wrap=True)
 
 
 @_verb

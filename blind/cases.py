@@ -197,8 +197,15 @@ def record_case(folder: Path, name: str, label: Label) -> None:
         (into / "bench.yaml").write_text(bench_text(name, laboratory, told), encoding="utf-8")
 
 
-def seal(labels: Sequence[Label], seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
+def hidden_seed(seed: int, nonce: str) -> int:
+    """Seed that nobody can tell from a set's own without its nonce."""
+    return int.from_bytes(hashlib.sha256(f"{seed} {nonce}".encode()).digest()[:8], "big")
+
+
+def seal(labels: Sequence[Label]) -> tuple[dict[str, Any], dict[str, Any]]:
     """What is told of the cases, and the key.
+
+    Names and salts are nobody's to foretell, and cases are told in the order of their names.
 
     Returns
     -------
@@ -207,12 +214,12 @@ def seal(labels: Sequence[Label], seed: int) -> tuple[dict[str, Any], dict[str, 
     key : dict
         Labels and salts by the cases' names.
     """
-    rng = np.random.default_rng([seed, 99])
-    names = [f"{value:08x}" for value in rng.choice(2**32, size=len(labels), replace=False)]
-    salts = [secrets.token_hex(16) for _ in labels]
-    told = {n: commitment(label, salt) for n, label, salt in zip(names, labels, salts, strict=True)}
-    kept = {
-        name: {"label": asdict(label), "salt": salt}
-        for name, label, salt in zip(names, labels, salts, strict=True)
-    }
+    named: dict[str, Label] = {}
+    for label in labels:
+        while (name := secrets.token_hex(4)) in named:
+            pass
+        named[name] = label
+    salts = {name: secrets.token_hex(16) for name in sorted(named)}
+    told = {name: commitment(named[name], salt) for name, salt in salts.items()}
+    kept = {name: {"label": asdict(named[name]), "salt": salt} for name, salt in salts.items()}
     return {"cases": told}, {"cases": kept}

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from blind.files import BlindError
 from blind.scoring import Case, Classes, best, share
 
 _BINS = 8
@@ -16,7 +17,7 @@ def draw_reliability(cases: Sequence[Case], classes: Classes, path: Path) -> Non
 
     Raises
     ------
-    OSError
+    BlindError
         If the picture cannot be written.
     """
     sure, right = [], []
@@ -48,4 +49,7 @@ def draw_reliability(cases: Sequence[Case], classes: Classes, path: Path) -> Non
         title=f"{len(cases)} sealed cases, 95 % intervals",
     )
     ax.legend(loc="upper left", frameon=False)
-    figure.savefig(path, dpi=150)
+    try:
+        figure.savefig(path, dpi=150)
+    except (OSError, ValueError) as error:
+        raise BlindError(f"{path}: cannot be drawn ({error})") from None

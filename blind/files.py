@@ -2,16 +2,27 @@
 
 import hashlib
 import json
+import secrets
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-from blind.cases import TIERS, Label, commitment, drawn_label, record_case, seal
+from blind.cases import (
+    TIERS,
+    Label,
+    commitment,
+    drawn_label,
+    hidden_seed,
+    record_case,
+    seal,
+)
 from blind.scoring import Case
 
 SEALED: Final = "sealed.json"
+# What every answer has.
+_ANSWERED: Final = "verdict", "probability", "likely", "effects", "how_far"
 
 
 class BlindError(ValueError):
@@ -34,36 +45,39 @@ def make_set(
     folder : Path
         Gets one folder of run files for each case, and ``sealed.json``. Must not exist.
     key : Path
-        Gets labels and salts. Must not exist.
+        Gets labels, salts, and what was mixed into the seed. Must not exist.
     tier : int
         See `blind.cases.drawn_label`.
     count, seed, jobs : int
+        Of the seed alone nobody can draw the labels again.
     progress : callable, optional
         Told the share that is done.
 
     Raises
     ------
     BlindError
-        If there is no such tier, or folder or key are there already.
+        If there is no such tier, folder or key are there already, or they cannot be written.
     """
     if tier not in TIERS:
         raise BlindError(f"there is no tier {tier}; choose one of {', '.join(map(str, TIERS))}")
     for path in (folder, key):
         if path.exists():
             raise BlindError(f"{path}: is there already; name another place")
-    labels = [drawn_label(tier, number, seed) for number in range(count)]
-    told, kept = seal(labels, seed)
-    folder.mkdir(parents=True)
+    nonce = secrets.token_hex(16)
+    mixed = hidden_seed(seed, nonce)
+    told, kept = seal([drawn_label(tier, number, mixed) for number in range(count)])
+    labels = {name: _label(entry["label"]) for name, entry in _plain(kept)["cases"].items()}
     # Committed before anything is recorded, let alone answered.
     sealed = json.dumps(told, indent=1).encode()
-    (folder / SEALED).write_bytes(sealed)
-    key.write_text(json.dumps(kept, indent=1), encoding="utf-8")
+    try:
+        key.write_text(json.dumps({"nonce": nonce, **kept}, indent=1), encoding="utf-8")
+        folder.mkdir(parents=True)
+        (folder / SEALED).write_bytes(sealed)
+    except OSError as error:
+        raise BlindError(f"{error.filename}: cannot be written ({error.strerror})") from None
     report = progress or (lambda _share: None)
     with ProcessPoolExecutor(max_workers=jobs) as pool:
-        waiting = [
-            pool.submit(record_case, folder, name, label)
-            for name, label in zip(told["cases"], labels, strict=True)
-        ]
+        waiting = [pool.submit(record_case, folder, name, label) for name, label in labels.items()]
         for number, done in enumerate(as_completed(waiting)):
             done.result()
             report((number + 1) / count)
@@ -86,16 +100,20 @@ def answered_cases(folder: Path, answers: Path, key: Path) -> list[Case]:
     BlindError
         If the key does not fit what was sealed, or nothing was answered.
     """
-    told, kept = (_read(path)["cases"] for path in (folder / SEALED, key))
+    told, kept = (_cases(path) for path in (folder / SEALED, key))
     if set(told) != set(kept):
         raise BlindError(f"{key}: is the key of other cases than {folder / SEALED}")
     cases = []
     for name, entry in kept.items():
-        label = _label(entry["label"])
-        if commitment(label, entry["salt"]) != told[name]:
+        try:
+            label = _label(entry["label"])
+            fits = commitment(label, entry["salt"]) == told[name]
+        except (KeyError, TypeError, ValueError):
+            raise BlindError(f"{key}: is no key, as `acquire blind make` writes it") from None
+        if not fits:
             raise BlindError(f"{key}: case {name} is not what was sealed")
         path = answers / f"{name}.json"
-        cases.append(Case(name, label, _read(path) if path.exists() else None))
+        cases.append(Case(name, label, _answer(path) if path.exists() else None))
     if all(case.answer is None for case in cases):
         raise BlindError(f"{answers}: has no answer to any case; name NAME.json for each")
     return cases
@@ -106,16 +124,38 @@ def _label(entry: dict[str, Any]) -> Label:
         tuple((str(name), float(size)) for name, size in entry[key]) for key in ("effects", "told")
     )
     label = Label(entry["tier"], effects, entry["known"], entry["seed"], told)
-    if json.loads(json.dumps(asdict(label))) != entry:
+    if _plain(asdict(label)) != entry:
         raise BlindError("a label has entries that labels do not have")
     return label
 
 
+def _cases(path: Path) -> dict[str, Any]:
+    """What a file of sealed cases, or their key, has of each case."""
+    found = _read(path).get("cases")
+    if not isinstance(found, dict):
+        raise BlindError(f"{path}: has no cases, as `acquire blind make` writes them")
+    return found
+
+
+def _answer(path: Path) -> dict[str, Any]:
+    found = _read(path)
+    if not all(key in found for key in _ANSWERED):
+        raise BlindError(f"{path}: is no answer, as `acquire diagnose RUN … --json` prints it")
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """What JSON makes of a value."""
+    return json.loads(json.dumps(value))
+
+
 def _read(path: Path) -> dict[str, Any]:
     try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        found = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise BlindError(f"{path}: cannot be read ({error.strerror}); check the name") from None
-    except json.JSONDecodeError as error:
-        raise BlindError(f"{path}: is no JSON (line {error.lineno})") from None
+    except ValueError as error:
+        raise BlindError(f"{path}: is no JSON ({error})") from None
+    if not isinstance(found, dict):
+        raise BlindError(f"{path}: is no JSON object")
     return found

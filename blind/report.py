@@ -47,8 +47,8 @@ def report(cases: Sequence[Case], classes: Classes) -> dict[str, Any]:
     covered, size = sets(cases, classes)
     return {
         "cases": len(cases),
-        "answered": sum(bool(case.probability) for case in cases),
-        "false_alarms": _share(false_alarms(cases)),
+        "answered": sum(case.answered for case in cases),
+        "false_alarms": _share(false_alarms(cases, classes)),
         "class_right": {"all": _share(named(single, classes)),
                         "resolved": _share(named(resolved, classes)),
                         "foreseen": _share(named(foreseen, classes))},
@@ -63,7 +63,7 @@ def report(cases: Sequence[Case], classes: Classes) -> dict[str, Any]:
             "resolved": _share(exact([case for case in double if case.resolved], classes)),
         },
         "unknown_found": {**_share(found), "threshold": _number(threshold), "area": _number(area)},
-        "confident_wrong": _share(confident_wrong(cases)),
+        "confident_wrong": _share(confident_wrong(cases, classes)),
         "calibration_error": _number(calibration_error(cases, classes)),
         "brier": _number(brier(cases, classes)),
         "log_score": _number(log_score(cases, classes)),

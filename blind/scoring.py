@@ -80,9 +80,14 @@ class Case:
         return "+".join(name for name, _ in self.label.effects) if self.label.known else UNKNOWN
 
     @property
+    def answered(self) -> bool:
+        """Whether anything was answered."""
+        return self.answer is not None and self.answer["verdict"] != "not converged"
+
+    @property
     def probability(self) -> Mapping[str, float]:
         """Of every hypothesis; nothing where nothing was answered."""
-        if self.answer is None or self.answer["verdict"] == "not converged":
+        if self.answer is None or not self.answered:
             return {}
         found: Mapping[str, float] = self.answer["probability"]
         return found
@@ -149,10 +154,15 @@ def best(mass: Mapping[str, float]) -> str:
     return max(mass, key=lambda key: mass[key]) if mass else ""
 
 
-def false_alarms(cases: Sequence[Case]) -> Share:
-    """Clean cases in which anything but nothing is named, or nothing is answered."""
+def false_alarms(cases: Sequence[Case], classes: Classes) -> Share:
+    """Clean cases in which anything but nothing is named or likeliest, or nothing is answered."""
     clean = [case for case in cases if case.truth == NONE]
-    return share([best(case.probability) != NONE for case in clean])
+    return share([_alarm(case, classes) for case in clean])
+
+
+def _alarm(case: Case, classes: Classes) -> bool:
+    verdict = None if case.answer is None else case.answer["verdict"]
+    return verdict != NONE or best(classes.mass(case.probability)) != NONE
 
 
 def named(cases: Sequence[Case], classes: Classes, first: int = 1) -> Share:
@@ -183,6 +193,8 @@ def _bootstrapped(values: Array) -> tuple[float, float, float]:
 def open_set(cases: Sequence[Case]) -> tuple[Share, float, float]:
     """Unknown kinds found, at the threshold that takes 5 % of the known for unknown.
 
+    A known kind that was not answered looks as unknown as can be, an unknown one not at all.
+
     Returns
     -------
     found : Share
@@ -190,8 +202,8 @@ def open_set(cases: Sequence[Case]) -> tuple[Share, float, float]:
     area : float
         Probability that an unknown kind looks more unknown than a known one.
     """
-    known = np.array([_unknown(c) for c in cases if c.label.known and c.label.effects])
-    others = np.array([_unknown(c) for c in cases if not c.label.known])
+    known = np.array([_unknown(c, 1.0) for c in cases if c.label.known and c.label.effects])
+    others = np.array([_unknown(c, 0.0) for c in cases if not c.label.known])
     if not len(known) or not len(others):
         return share([]), float("nan"), float("nan")
     threshold = float(np.quantile(known, 1 - _FALSE_OPEN, method="higher"))
@@ -200,27 +212,30 @@ def open_set(cases: Sequence[Case]) -> tuple[Share, float, float]:
     return share((others > threshold).tolist()), threshold, float(np.mean(above + 0.5 * same))
 
 
-def _unknown(case: Case) -> float:
-    return case.probability.get(UNKNOWN, 0.0)
+def _unknown(case: Case, unanswered: float) -> float:
+    return case.probability.get(UNKNOWN, 0.0) if case.answered else unanswered
 
 
-def confident_wrong(cases: Sequence[Case]) -> Share:
-    """Unknown kinds for which a known effect is named with more than 90 %."""
+def confident_wrong(cases: Sequence[Case], classes: Classes) -> Share:
+    """Unknown kinds for which a class of known effects has more than 90 %."""
+    masses = [classes.mass(case.probability) for case in cases if not case.label.known]
     return share(
         [
-            any(p > _SURE and key not in (NONE, UNKNOWN) for key, p in case.probability.items())
-            for case in cases
-            if not case.label.known
+            any(p > _SURE and key not in (NONE, UNKNOWN) for key, p in mass.items())
+            for mass in masses
         ]
     )
 
 
 def calibration_error(cases: Sequence[Case], classes: Classes) -> float:
-    """Mean distance between how sure answers are and how often they are right (ECE)."""
+    """Mean distance between how sure answers are and how often they are right (ECE).
+
+    What is not answered counts as wrong, and as sure.
+    """
     sure, right = [], []
     for case in cases:
         mass = classes.mass(case.probability)
-        sure.append(mass.get(best(mass), 0.0))
+        sure.append(mass.get(best(mass), 1.0))
         right.append(best(mass) == classes.of(case.truth))
     order = np.argsort(sure)
     pieces = [piece for piece in np.array_split(order, _BINS) if len(piece)]
@@ -246,7 +261,7 @@ def sets(cases: Sequence[Case], classes: Classes) -> tuple[Share, float]:
     """Cases whose truth is in the set that is said to have 90 %, and its mean size."""
     hits, sizes = [], []
     for case in cases:
-        groups = [] if case.answer is None else case.answer["likely"]
+        groups = case.answer["likely"] if case.answer is not None and case.answered else []
         told = {classes.of(name) for group in groups for name in group}
         hits.append(classes.of(case.truth) in told)
         sizes.append(len(groups))
@@ -288,7 +303,10 @@ def size_errors(cases: Sequence[Case], classes: Classes) -> dict[str, float | in
 
 
 def closures(cases: Sequence[Case]) -> dict[str, float | int | None]:
-    """Gap that what is named closes, over what the truth closes, left out of the fit."""
+    """Gap that what is named closes, over what the true effects close once they are fitted.
+
+    A true effect that stands out and was not fitted counts as missed.
+    """
     ratios = [ratio for case in cases if (ratio := _closure(case)) is not None]
     if not ratios:
         return {"cases": 0, "median": None, "low": None}
@@ -300,12 +318,14 @@ def closures(cases: Sequence[Case]) -> dict[str, float | int | None]:
 
 
 def _closure(case: Case) -> float | None:
-    """That ratio of one case; None where the truth was not fitted or closes nothing."""
-    if case.answer is None:
+    """That ratio of one case; None where the truth closes nothing that could be seen."""
+    if case.answer is None or not case.answered:
         return 0.0
     by = {frozenset(name.split("+")): gap for name, gap in case.answer["how_far"]["by"].items()}
     truth = by.get(frozenset(name for name, _ in case.label.effects))
-    if truth is None or truth["before"] <= truth["after"]:
+    if truth is None:
+        return 0.0 if case.resolved else None
+    if truth["before"] <= truth["after"]:
         return None
     given = by.get(frozenset(case.answer["effects_named"]))
     if given is None:

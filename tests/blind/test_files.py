@@ -1,12 +1,14 @@
 """Sets of cases: keys fit what was sealed, and answers find their case."""
 
 import json
+from dataclasses import asdict
 
 import pytest
 
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
 from blind import files
+from blind.cases import drawn_label, hidden_seed
 from blind.files import BlindError, answered_cases, make_set
 
 
@@ -40,7 +42,8 @@ def made(tmp_path, monkeypatch):
 
 def answer(folder, name):
     (folder / "answers").mkdir(exist_ok=True)
-    said = {"verdict": "none", "probability": {"none": 1.0}, "likely": [["none"]], "effects": {}}
+    said = {"verdict": "none", "probability": {"none": 1.0}, "likely": [["none"]], "effects": {},
+            "how_far": {"by": {}}}  # fmt: skip
     (folder / "answers" / f"{name}.json").write_text(json.dumps(said))
 
 
@@ -78,3 +81,38 @@ def test_bad_input_is_told(made, tmp_path) -> None:
         make_set(made / "cases", tmp_path / "other.json", 1, 3, 7)
     with pytest.raises(BlindError, match="no tier 5; choose one of 0, 1"):
         make_set(tmp_path / "more", tmp_path / "other.json", 5, 3, 7)
+
+
+@pytest.mark.parametrize("content", ["{}", "[]", "no JSON", '{"elastic": 1}'])
+def test_what_is_no_answer_is_told(made, content) -> None:
+    names = list(json.loads((made / "key.json").read_text())["cases"])
+    answer(made, names[0])
+    (made / "answers" / f"{names[1]}.json").write_text(content)
+    with pytest.raises(BlindError, match=names[1]):
+        answered_cases(made / "cases", made / "answers", made / "key.json")
+
+
+@pytest.mark.parametrize("content", ["{}", "[1]", '{"cases": {}}', "\xff"])
+def test_what_is_no_key_is_told(made, content) -> None:
+    answer(made, next(iter(json.loads((made / "key.json").read_text())["cases"])))
+    (made / "key.json").write_bytes(content.encode("latin-1"))
+    with pytest.raises(BlindError, match=r"key\.json"):
+        answered_cases(made / "cases", made / "answers", made / "key.json")
+    (made / "key.json").write_bytes((made / "cases" / "sealed.json").read_bytes())
+    with pytest.raises(BlindError, match="is no key"):
+        answered_cases(made / "cases", made / "answers", made / "key.json")
+
+
+def test_nothing_is_left_of_a_set_whose_key_cannot_be_written(tmp_path) -> None:
+    with pytest.raises(BlindError, match="cannot be written"):
+        make_set(tmp_path / "cases", tmp_path / "nowhere" / "key.json", 1, 3, 7)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_seed_alone_does_not_tell_the_labels(made) -> None:
+    key = json.loads((made / "key.json").read_text())
+    plain = [json.loads(json.dumps(asdict(drawn_label(1, k, 7)))) for k in range(3)]
+    kept = [entry["label"] for entry in key["cases"].values()]
+    assert not any(label in kept for label in plain)
+    again = [drawn_label(1, k, hidden_seed(7, key["nonce"])) for k in range(3)]
+    assert all(json.loads(json.dumps(asdict(label))) in kept for label in again)

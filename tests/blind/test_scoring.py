@@ -52,11 +52,15 @@ def test_intervals_are_wilsons() -> None:
 
 
 def test_a_false_alarm_is_anything_but_nothing_and_silence_too() -> None:
-    calm = case("", {"none": 0.6, "crack": 0.4})
-    loud = case("", {"none": 0.3, "unknown": 0.7})
+    calm = case("", {"none": 0.6, "crack": 0.4}, verdict="none")
+    loud = case("", {"none": 0.3, "unknown": 0.7}, verdict="unknown")
     stuck = case("", {"none": 1.0}, verdict="not converged")
-    found = false_alarms([calm, loud, stuck, missing(""), case("crack", {"none": 1.0})])
-    assert (found.hits, found.cases) == (3, 4)
+    # Each by itself is less likely than nothing, the class is more.
+    split = case("", {"none": 0.4, "air_load": 0.3, "stiffening": 0.3}, verdict="effect")
+    one = split.answer | {"verdict": "none"}
+    cases = [calm, loud, stuck, split, Case("c", split.label, one), missing("")]
+    found = false_alarms([*cases, case("crack", {"none": 1.0})], CLASSES)
+    assert (found.hits, found.cases) == (5, 6)
 
 
 def test_a_member_of_the_class_counts_and_shares_add_up() -> None:
@@ -81,12 +85,19 @@ def test_the_open_set_opens_for_few_of_the_known() -> None:
     assert (found.hits, found.cases) == (1, 2)
     assert np.mean([c.probability["unknown"] > threshold for c in known]) <= 0.05
     assert area == pytest.approx(0.5 * (1 + 0.5 / 40), abs=1e-9)
+    faint = case("x", {"unknown": 0.5}, known=False)
+    assert open_set([*known, faint])[0].hits == 1
+    assert (
+        open_set([*known, missing("crack"), missing("crack"), missing("crack"), faint])[0].hits == 0
+    )
 
 
 def test_sure_and_wrong_about_an_unknown_kind() -> None:
     sure = case("x", {"crack": 0.95, "unknown": 0.05}, known=False)
     unsure = case("x", {"crack": 0.6, "unknown": 0.4}, known=False)
-    assert (confident_wrong([sure, unsure]).hits, confident_wrong([sure, unsure]).cases) == (1, 2)
+    split = case("x", {"air_load": 0.5, "stiffening": 0.45, "unknown": 0.05}, known=False)
+    found = confident_wrong([sure, unsure, split], CLASSES)
+    assert (found.hits, found.cases) == (2, 3)
 
 
 def test_calibrated_answers_have_no_error_and_sure_wrong_ones_have_all() -> None:
@@ -97,15 +108,17 @@ def test_calibrated_answers_have_no_error_and_sure_wrong_ones_have_all() -> None
     wrong = [case("crack", {"air_load": 1.0})] * 20
     assert calibration_error(wrong, CLASSES) == pytest.approx(1.0)
     assert brier(wrong, CLASSES) == pytest.approx(2.0)
+    assert calibration_error([missing("crack")] * 20, CLASSES) == pytest.approx(1.0)
     assert brier([case("crack", {"crack": 1.0})], CLASSES) == 0.0
 
 
 def test_sets_cover_by_class() -> None:
     cases = [case("air_load", {"crack": 1.0}, likely=[("crack",), ("stiffening",)]),
-             case("air_load", {"crack": 1.0}, likely=[("crack",)]), missing("crack")]  # fmt: skip
+             case("air_load", {"crack": 1.0}, likely=[("crack",)]), missing("crack"),
+             case("crack", {}, likely=[("crack",)], verdict="not converged")]  # fmt: skip
     covered, size = sets(cases, CLASSES)
-    assert (covered.hits, covered.cases) == (1, 3)
-    assert size == pytest.approx(1.0)
+    assert (covered.hits, covered.cases) == (1, 4)
+    assert size == pytest.approx(0.75)
 
 
 def test_an_answer_tells_what_it_could_have_seen() -> None:
@@ -138,12 +151,16 @@ def test_closing_less_than_the_truth_counts_less_and_silence_nothing() -> None:
         answered("crack", "crack", by),
         answered("crack", "air_load", by),
         answered("crack", "", by),
-        # What the truth closes is not known here.
-        answered("tip_mass", "crack", by),
+        # The truth hardly shows: nothing says what it closes.
+        answered("tip_mass", "crack", by, d_prime=1.0),
     ]
     found = closures(cases)
     assert found["cases"] == 3
     assert found["median"] == pytest.approx(0.5)
+    # It shows, and was not fitted.
+    missed = closures([*cases, answered("tip_mass", "crack", by)])
+    assert missed["cases"] == 4
+    assert missed["median"] == pytest.approx(0.25)
 
 
 def test_pairs_close_gaps_whichever_comes_first() -> None:
@@ -164,7 +181,7 @@ def test_sizes_are_compared_with_what_the_laboratory_had() -> None:
 
 def test_a_report_has_all_scores_and_says_them() -> None:
     by = {"crack": gap(11.0, 1.0)}
-    cases = [answered("crack", "crack", by), answered("", "", {}), missing("tip_mass"),
+    cases = [answered("crack", "crack", by), answered("", "", {}, verdict="none"), missing("tip_mass"),
              answered("x", "crack", {}, known=False)]  # fmt: skip
     scores = report(cases, CLASSES)
     assert (scores["cases"], scores["answered"]) == (4, 3)

@@ -181,8 +181,12 @@ def test_sizes_are_compared_with_what_the_laboratory_had() -> None:
 
 def test_a_report_has_all_scores_and_says_them() -> None:
     by = {"crack": gap(11.0, 1.0)}
-    cases = [answered("crack", "crack", by), answered("", "", {}, verdict="none"), missing("tip_mass"),
-             answered("x", "crack", {}, known=False)]  # fmt: skip
+    cases = [
+        answered("crack", "crack", by),
+        answered("", "", {}, verdict="none"),
+        missing("tip_mass"),
+        answered("x", "crack", {}, known=False),
+    ]
     scores = report(cases, CLASSES)
     assert (scores["cases"], scores["answered"]) == (4, 3)
     assert scores["class_right"]["resolved"]["hits"] == 1

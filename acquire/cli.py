@@ -464,8 +464,10 @@ def diagnose(
             raise FitInputError(
                 "runs, a table of resonances and --published are three kinds of data; give one"
             )
-        if out or following:
-            raise FitInputError("--out and --next are for runs, not for a table of resonances")
+        if out or following or bench:
+            raise FitInputError(
+                "--bench, --out and --next are for runs, not for a table of resonances"
+            )
         _diagnose_resonances(tables[0] if tables else None, as_json)
         return
     if not runs:
@@ -491,13 +493,15 @@ def _diagnose_runs(
     from diagnosis.observing import read
     from diagnosis.page import words, write_page
     from diagnosis.verdict import diagnose as judge
+    from fitting.comparison.page import require_writable
     from physics.mechanics import Workshop
     from physics.reed.cache import anatomy
 
     bench = BenchFile.from_file(bench_name) if bench_name else None
-    files = [
-        file for path in paths for file in (sorted(path.glob("*.h5")) if path.is_dir() else [path])
-    ]
+    for place, option in ((out, "--out"), (following, "--next")):
+        if place is not None:
+            require_writable(place, option)
+    files = [file for path in paths for file in _run_files(path)]
     with contextlib.ExitStack() as opened:
         campaign = Campaign.of([opened.enter_context(Run.open(file)) for file in files])
         bench = bench or bench_of(campaign.sweeps[0].run)
@@ -510,15 +514,31 @@ def _diagnose_runs(
         verdict = judge(readings, workshop, base, progress=told)
     if out is not None:
         write_page(verdict, f"Diagnosis of {campaign.sweeps[0].run.reed}", out)
+    if as_json:
+        _show_json(to_json(verdict))
+    else:
+        console = Console(highlight=False)
+        for line in words(verdict):
+            console.print(line, markup=False, soft_wrap=True)
     if following is not None:
         first = campaign.sweeps[0].run
         write_next(verdict.next_actions, verdict.rivals, first.protocol_text, first.reed, following)
-    if as_json:
-        _show_json(to_json(verdict))
-        return
-    console = Console(highlight=False)
-    for line in words(verdict):
-        console.print(line, markup=False, soft_wrap=True)
+
+
+def _run_files(path: Path) -> list[Path]:
+    """Run files of a folder, or the one that is named.
+
+    Raises
+    ------
+    FitInputError
+        If a folder has none.
+    """
+    from fitting.errors import FitInputError
+
+    files = sorted(path.glob("*.h5")) if path.is_dir() else [path]
+    if not files:
+        raise FitInputError(f"{path}: holds no run files (*.h5)")
+    return files
 
 
 def _diagnose_resonances(table: Path | None, as_json: bool) -> None:

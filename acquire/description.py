@@ -200,6 +200,9 @@ def _explanation(error: ErrorDetails, model: type[BaseModel], content: Mapping[s
 
 def _value_at(content: Any, path: KeyPath) -> Any:
     for step in path:
+        # Of a value that may be one of several types, a path goes on with the type.
+        if isinstance(content, str | float | int | None):
+            break
         content = content[step]
     return content
 

@@ -1,4 +1,4 @@
-"""A diagnosis for programs: JSON with stable keys (documented in ``docs/diagnosis.md``)."""
+"""A diagnosis for programs: JSON with stable keys (documented in ``docs/json.md``)."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -69,6 +69,7 @@ def _where(verdict: Verdict) -> dict[str, Any]:
 
 def _how_far(verdict: Verdict) -> dict[str, Any]:
     return {
+        "of": list(verdict.closing),
         "left_out": _shrinkage(verdict.closed),
         "condition": verdict.condition,
         "other_condition": _shrinkage(verdict.transferred),
@@ -89,7 +90,8 @@ def _effects(verdict: Verdict) -> dict[str, Any]:
     told = {}
     for name, rival in found.alone.items():
         own = reach[name]
-        gain = null.estimate.cost - rival.estimate.cost
+        # Of the likelihood: what an effect moves is less certain by itself.
+        gain = null.estimate.cost - rival.estimate.cost - 2 * float(np.sum(np.log(rival.deviation)))
         told[name] = {
             "log_bayes": rival.log_evidence - null.log_evidence,
             "d_prime": float(np.sqrt(max(gain, 0.0))),

@@ -1,7 +1,7 @@
 """The runs of a campaign in the order in which they were measured, and which are missing."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 
 from acquire.quality import Verdict
@@ -29,16 +29,14 @@ class Part:
         Since the first run of the campaign began.
     clock_s : float
         What the camera's clock shows when the campaign's shows 0.
+    name : str
+        Of the part, or of the file where there is none; with a number if it is another's too.
     """
 
     run: Run
     began_s: float
     clock_s: float
-
-    @property
-    def name(self) -> str:
-        """Name of the part, or of the file where there is none."""
-        return self.run.acquisition.part or self.run.path.stem
+    name: str
 
     @property
     def good_steps(self) -> list[StepRecord]:
@@ -74,7 +72,8 @@ class Campaign:
         """
         sweeps = [run for run in runs if run.acquisition.kind is Kind.SWEEP]
         if not sweeps:
-            raise FitInputError("no run is a sweep of a driven reed; name at least one")
+            told = ", ".join(sorted(run.path.name for run in runs))
+            raise FitInputError(f"{told}: no run is a sweep of a driven reed; name at least one")
         reeds = sorted({(run.reed, run.series) for run in runs})
         if len(reeds) > 1:
             told = ", ".join(f"{reed} ({series})" for reed, series in reeds)
@@ -83,9 +82,10 @@ class Campaign:
             )
         first = min(_began(run) for run in runs)
         parts = [
-            Part(run, (_began(run) - first).total_seconds(), _clock_s(run, first)) for run in runs
+            Part(run, (_began(run) - first).total_seconds(), _clock_s(run, first), _name(run))
+            for run in runs
         ]
-        return cls(tuple(sorted(parts, key=lambda part: part.began_s)))
+        return cls(_each_once(sorted(parts, key=lambda part: part.began_s)))
 
     def of_kind(self, kind: Kind) -> tuple[Part, ...]:
         """All runs of a kind."""
@@ -109,6 +109,22 @@ class Campaign:
         if not any(part.clamping for part in sweeps):
             lacks.append("a sweep after a new clamping (what the clamp does)")
         return lacks
+
+
+def _name(run: Run) -> str:
+    return run.acquisition.part or run.path.stem
+
+
+def _each_once(parts: Sequence[Part]) -> tuple[Part, ...]:
+    """Parts with names of their own: the second of a name gets -2, and so on."""
+    named: dict[str, Part] = {}
+    for part in parts:
+        name, number = part.name, 1
+        while name in named:
+            number += 1
+            name = f"{part.name}-{number}"
+        named[name] = replace(part, name=name)
+    return tuple(named.values())
 
 
 def _began(run: Run) -> datetime:

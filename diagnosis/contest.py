@@ -3,6 +3,7 @@
 The probability of each is its evidence times a prior that is the same for all effects.
 """
 
+import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -13,9 +14,10 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from diagnosis.discrepancy import anything, discrepancies
-from diagnosis.rivals import Comparison, Rival, Sized, compete, compete_straight
+from diagnosis.estimate import SAME_COST, standing_out
+from diagnosis.rivals import Comparison, Rival, Sized, compete, compete_straight, exactly
 from diagnosis.sampling import Sampled, checked
-from diagnosis.screening import Base, places_of, screened
+from diagnosis.screening import Base, Screened, count_places, screened, screened_at, usual
 from physics.effects.form import Effect
 
 Array = NDArray[np.floating[Any]]
@@ -49,8 +51,12 @@ class Contest:
         By id.
     pairs : dict of Rival
         By ids joined by '+'.
+    signatures : dict of ((n, s) float, (n, s) float)
+        What effects move where that is usual for them, whitened, and what of it stands out.
     unknown : dict of float
         Log Bayes factor of something unknown in each block, beside none.
+    anything : float
+        The same in any of them, or in a few.
     beside : dict of float
         Log Bayes factor of something unknown beside each of the likeliest rivals, by its ids.
     sampled : dict of Sampled
@@ -62,10 +68,17 @@ class Contest:
     null: Rival
     alone: dict[str, Rival]
     pairs: dict[str, Rival]
+    signatures: dict[str, tuple[Array, Array]]
     unknown: dict[str, float]
+    anything: float
     beside: dict[str, float]
     sampled: dict[str, Sampled]
     log_probability: dict[str, float]
+
+    @property
+    def probability(self) -> dict[str, float]:
+        """Of each name."""
+        return {name: float(np.exp(log)) for name, log in self.log_probability.items()}
 
     def rival(self, name: str) -> Rival | None:
         """Rival of a name; None of `NONE` and `UNKNOWN`."""
@@ -85,8 +98,13 @@ def contest(
     report(0.2)
     bases = _bases(comparison, null)
     alone: dict[str, Rival] = {}
+    signatures: dict[str, tuple[Array, Array]] = {}
     for number, effect in enumerate(effects):
-        found = _alone(comparison, bases, effect)
+        places = [screened(comparison, base, effect) for _, base in bases]
+        if places[0]:
+            table = usual(places[0]).table
+            signatures[effect.id] = table, standing_out(bases[0][1].slopes, table)
+        found = _alone(comparison, bases, places)
         if found is not None:
             alone[effect.id] = found
         report(0.2 + 0.4 * (number + 1) / len(effects))
@@ -106,7 +124,20 @@ def contest(
     probabilities = _probabilities(null, rivals, unknown, beside, len(effects))
     report(1.0)
     told = {name: float(f[0]) for name, f in discrepancies(comparison, null).items()}
-    return Contest(null, alone, pairs, told, beside, sampled, probabilities)
+    return Contest(null, alone, pairs, signatures, told, unknown, beside, sampled, probabilities)
+
+
+def confirmed(comparison: Comparison, found: Contest, name: str, effects: int) -> Contest:
+    """A contest of so many effects, one rival of which has been fitted again, from two starts."""
+    rival = found.rival(name)
+    if rival is None or rival.estimate.starts > 1:
+        return found
+    again = _again(comparison, rival, np.random.default_rng(_SEED))
+    alone, pairs = dict(found.alone), dict(found.pairs)
+    (alone if name in alone else pairs)[name] = again
+    rivals = {**alone, **pairs}
+    odds = _probabilities(found.null, rivals, found.anything, found.beside, effects)
+    return replace(found, alone=alone, pairs=pairs, log_probability=odds)
 
 
 def _bases(comparison: Comparison, null: Rival) -> list[tuple[Array, Base]]:
@@ -130,8 +161,9 @@ def _refine(comparison: Comparison, rivals: dict[str, Rival], null: Rival, effec
     for name in ranked:
         if odds[name] > least:
             rival = rivals[name]
-            found = compete(comparison, rival.effects, [rival.estimate.z])
-            rivals[name] = replace(found, elsewhere=rival.elsewhere)
+            with contextlib.suppress(ValueError):
+                found = compete(comparison, rival.effects, [rival.estimate.z])
+                rivals[name] = replace(found, elsewhere=rival.elsewhere)
 
 
 def _polished(comparison: Comparison, null: Rival, rivals: Iterable[Rival]) -> Rival:
@@ -139,17 +171,27 @@ def _polished(comparison: Comparison, null: Rival, rivals: Iterable[Rival]) -> R
     best = max(rivals, key=lambda rival: rival.log_evidence, default=None)
     if best is None:
         return null
-    p = len(comparison.nuisances)
-    again = compete(comparison, (), [best.estimate.z[:p]], exact=True)
-    agreeing = null.estimate.agreeing + (again.estimate.cost < null.estimate.cost + 1)
-    if again.estimate.cost > null.estimate.cost:
-        again = null
-    estimate = replace(again.estimate, agreeing=agreeing, starts=null.estimate.starts + 1)
-    return replace(again, estimate=estimate)
+    start = best.estimate.z[: len(comparison.nuisances)]
+    try:
+        again = compete(comparison, (), [start], exact=True)
+    except ValueError:
+        return null
+    gain = null.estimate.cost - again.estimate.cost
+    if gain > SAME_COST:
+        # Searches that had agreed have agreed on something else.
+        rng = np.random.default_rng(_SEED)
+        near = again.estimate.z + 0.3 * rng.standard_normal(len(start))
+        return compete(comparison, (), [again.estimate.z, near], exact=True)
+    kept = again if gain > 0 else null
+    agreeing = null.estimate.agreeing + (gain > -SAME_COST)
+    starts = null.estimate.starts + 1
+    return replace(kept, estimate=replace(kept.estimate, agreeing=agreeing, starts=starts))
 
 
 def _alone(
-    comparison: Comparison, bases: Sequence[tuple[Array, Base]], effect: Effect
+    comparison: Comparison,
+    bases: Sequence[tuple[Array, Base]],
+    places: Sequence[Sequence[Screened]],
 ) -> Rival | None:
     """Fit one effect, at its best place; None if it moves nothing, or is of no possible reed.
 
@@ -158,25 +200,35 @@ def _alone(
     comparison : Comparison
     bases : sequence of ((p,) float, Base)
         Nuisances to begin with, and the twin that has them.
-    effect : Effect
+    places : sequence of sequence of Screened
+        The effect beside each of these.
     """
-    found = [_at_its_best(comparison, z, base, effect) for z, base in bases]
-    rivals = [rival for rival in found if rival is not None]
-    return min(rivals, key=lambda rival: rival.estimate.cost, default=None)
+    fitted = [_at_its_best(comparison, z, own) for (z, _), own in zip(bases, places, strict=True)]
+    found = [rival for rival in fitted if rival is not None]
+    if len(found) > 1 and found[1].estimate.cost < found[0].estimate.cost:
+        # What is straight far from an optimum may promise more than there is.
+        found = [exact for rival in found if (exact := _exactly(comparison, rival)) is not None]
+    return min(found, key=lambda rival: rival.estimate.cost, default=None)
 
 
-def _at_its_best(comparison: Comparison, about: Array, base: Base, effect: Effect) -> Rival | None:
-    """Fit one effect at its best place, beside nuisances (p,) and the twin that has them."""
-    screening = [(screened(comparison, base, sized), sized) for sized in places_of(effect)]
-    told = [(found, sized) for found, sized in screening if found is not None]
-    if not told:
+def _exactly(comparison: Comparison, rival: Rival) -> Rival | None:
+    try:
+        return exactly(comparison, rival)
+    except ValueError:
         return None
-    (gain, sizes), sized = max(told, key=lambda entry: entry[0][0])
-    rival = _straight(comparison, (sized,), about, sizes)
+
+
+def _at_its_best(comparison: Comparison, about: Array, places: Sequence[Screened]) -> Rival | None:
+    """Fit one effect at its best place, beside nuisances (p,)."""
+    if not places:
+        return None
+    best = max(places, key=lambda place: place.gain)
+    rival = _straight(comparison, (best.sized,), about, best.sizes)
     if rival is None:
         return None
     # Elsewhere it is worse by as much as its signature says; here the fit is exact.
-    others = float(logsumexp([found[0] - gain for found, _ in told]) - np.log(len(screening)))
+    count = count_places(best.sized.effect)
+    others = float(logsumexp([place.gain - best.gain for place in places]) - np.log(count))
     return replace(rival, elsewhere=others)
 
 
@@ -207,9 +259,9 @@ def _beside(
         other = alone.get(effect.id)
         if other is None or effect.id == first.names[0]:
             continue
-        found = screened(comparison, base, other.effects[0])
-        if found is not None and found[0] > _LEAST_GAIN:
-            gains[effect.id] = found[0]
+        found = screened_at(comparison, base, other.effects[0])
+        if found is not None and found.gain > _LEAST_GAIN:
+            gains[effect.id] = found.gain
     ranked = sorted(gains, key=lambda name: -gains[name])
     return [alone[name] for name in ranked[:_MOST_BESIDE]]
 
@@ -264,7 +316,10 @@ def _again(comparison: Comparison, rival: Rival, rng: np.random.Generator) -> Ri
     z, p = rival.estimate.z, len(comparison.nuisances)
     elsewhere = z + 0.3 * rng.standard_normal(len(z))
     elsewhere[p:] = 0.8 * z[p:]
-    again = compete(comparison, rival.effects, [z, elsewhere], exact=True)
+    try:
+        again = compete(comparison, rival.effects, [z, elsewhere], exact=True)
+    except ValueError:
+        return replace(rival, estimate=replace(rival.estimate, agreeing=0, starts=2))
     return replace(again, elsewhere=rival.elsewhere)
 
 

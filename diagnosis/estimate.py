@@ -25,7 +25,7 @@ _LEAST_GAIN = 1e-7
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-2, 1e-9, 1e9
 # A fit is certified if two starts end this near to each other, and the last step that the
 # curvature asks for would gain no more than this.
-_SAME_COST, _LEAST_DECREMENT = 1.0, 0.1
+SAME_COST, _LEAST_DECREMENT = 1.0, 0.1
 # Starts lie within this many standard deviations of the prior.
 _START_SPREAD = 1.0
 
@@ -117,7 +117,7 @@ def fit(
     if not found:
         raise trouble or ValueError("a fit needs a start")
     cost, z = min(found, key=lambda end: end[0])
-    agreeing = sum(other < cost + _SAME_COST for other, _ in found)
+    agreeing = sum(other < cost + SAME_COST for other, _ in found)
     r, J = residuals(z), slope(z)
     precision = J.T @ J + np.eye(len(z))
     gradient = J.T @ r + z

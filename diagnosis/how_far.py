@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from diagnosis.estimate import covariance_left
 from diagnosis.rivals import Comparison, Rival
@@ -18,6 +19,8 @@ from diagnosis.rivals import Comparison, Rival
 Array = NDArray[np.floating[Any]]
 
 _DRAWS = 2000
+# A gap that chance makes more often than this is none.
+_CHANCE = 0.01
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ def shrinkage(null: Rival, rival: Rival, groups: Sequence[str], seed: int = 0) -
     drawn = rng.multinomial(count, np.full(count, 1 / count), size=_DRAWS) if count > 1 else None
     sums = rows.sum(axis=0)
     before, after, floor = float(sums[0] / sums[2]), float(sums[1] / sums[2]), 1.0
-    if before <= floor:
+    if chi2.sf(sums[0], sums[2]) > _CHANCE:
         return Shrinkage(before, after, floor, np.nan, np.nan, np.nan)
     kappa = (before - after) / (before - floor)
     if drawn is None:

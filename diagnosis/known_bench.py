@@ -1,5 +1,6 @@
 """What is known of a bench before its diagnosis: its camera, and effects that it surely has."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -72,6 +73,19 @@ def _values(bench: BenchFile, effect: Effect, sizes: Mapping[str, float | str]) 
 
 
 def _value(parameter: Parameter, text: float | str) -> float:
+    """Size of a parameter, as it may be."""
+    value = _number(parameter, text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text!r} is no size")
+    if parameter.positive and value < 0:
+        raise ValueError(f"{text!r} is negative, which this size cannot be")
+    if parameter.places and not min(parameter.places) <= value <= max(parameter.places):
+        told = f"{min(parameter.places):g} to {max(parameter.places):g} {parameter.unit}".strip()
+        raise ValueError(f"{text!r} is nowhere that it can be; it lies from {told}")
+    return value
+
+
+def _number(parameter: Parameter, text: float | str) -> float:
     if not parameter.unit and isinstance(text, float):
         return text
     if parameter.unit in _PREFIXED:

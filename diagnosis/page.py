@@ -44,8 +44,9 @@ img { max-width: 100%; display: block; } .facts { color: #555; }
 def words(verdict: Verdict) -> list[str]:
     """What the diagnosis says, in sentences."""
     said = [_headline(verdict), _where(verdict.where)]
-    likely = "; ".join(_class_words(group, verdict) for group in verdict.likely)
-    said.append(f"Likely, 90 % together: {likely}.")
+    if verdict.kind != "not converged":
+        likely = "; ".join(_class_words(group, verdict) for group in verdict.likely)
+        said.append(f"Likely, 90 % together: {likely}.")
     if verdict.closed is not None and verdict.effects:
         said.append(_closed_words(verdict))
         said.append(_NOT_PROOF)

@@ -66,7 +66,7 @@ def words(diagnosis: PublishedDiagnosis, effects: Mapping[str, Effect]) -> list[
     rms = ", ".join(f"{s} {v:.0f} cents" for s, v in diagnosis.elastic.rms_cents.items())
     lines = [f"elastic reed: rms {rms}"]
     for trial in (*diagnosis.alone, *diagnosis.together):
-        if trial.log_bayes > _LEAST_TOLD:
+        if trial.certified and trial.log_bayes > _LEAST_TOLD:
             sizes = "; ".join(_size(size) for size in trial.sizes)
             lines.append(f"{' + '.join(trial.effects)}: {sizes}")
     for group in diagnosis.classes:

@@ -252,9 +252,9 @@ def compete(
             kept.append((z.copy(), near[0]))
         return np.column_stack([near[0], *_by_size(residuals, z, p, positive)])
 
-    found = fit(
-        residuals, positive, _ends(residuals, positive, starts, jacobian), close, _LEAST_GAIN
-    )
+    ends = _ends(residuals, positive, starts, jacobian)
+    # Searches that end at no possible reed agree with none.
+    found = replace(fit(residuals, positive, ends, close, _LEAST_GAIN), starts=len(starts))
     return _loosened(comparison, effects, by_effects(found.z), found)
 
 
@@ -312,6 +312,26 @@ def compete_straight(
     return _loosened(comparison, effects, by_effects(found.z), found)
 
 
+def exactly(comparison: Comparison, rival: Rival) -> Rival:
+    """The same parameters of a rival, and what the twin leaves by them, nothing taken for straight.
+
+    Raises
+    ------
+    ValueError
+        If they are of no possible reed.
+    """
+    estimate = rival.estimate
+    residuals = comparison.residuals(rival.twin(comparison)) / rival.deviation
+    more = float(residuals @ residuals - estimate.residuals @ estimate.residuals)
+    noise = by_noise(comparison, residuals) - by_noise(comparison, estimate.residuals)
+    return replace(
+        rival,
+        estimate=replace(estimate, residuals=residuals, cost=estimate.cost + more),
+        fitted=rival.fitted - 0.5 * more + noise,
+        chi2=_chi2(comparison, residuals * rival.deviation),
+    )
+
+
 def _loosened(
     comparison: Comparison, effects: Sequence[Sized], by_effects: Array, found: Estimate
 ) -> Rival:
@@ -332,11 +352,15 @@ def _loosened(
         found = replace(
             again, agreeing=found.agreeing, starts=found.starts, decrement=found.decrement
         )
-    left = found.residuals * deviation
-    chi2 = {name: float(np.sum(left[piece] ** 2)) for name, piece in comparison.slices.items()}
+    chi2 = _chi2(comparison, found.residuals * deviation)
     fitted = found.log_evidence - float(np.sum(np.log(deviation)))
     fitted += by_noise(comparison, found.residuals)
     return Rival(tuple(effects), found, fitted, chi2, deviation)
+
+
+def _chi2(comparison: Comparison, left: Array) -> dict[str, float]:
+    """Of each block, of what is left (n,)."""
+    return {name: float(np.sum(left[piece] ** 2)) for name, piece in comparison.slices.items()}
 
 
 def _positive(comparison: Comparison, effects: Sequence[Sized]) -> list[bool]:

@@ -1,6 +1,8 @@
 """Which effects may be there: a score test of each beside a fit, one or two twins apiece."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import contextlib
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -15,8 +17,8 @@ from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]
 
-# Sizes at which an effect's signature is taken, in deviations of its prior.
-_PROBE = 1.0
+# Sizes at which signatures are taken, in deviations of the prior: the first that a reed may have.
+_PROBES = 1.0, 0.2
 # Effects that move whitened numbers by less do not move them.
 _LEAST_MOVED = 1e-6
 # Searches begin no farther out, and a positive size no nearer to nothing.
@@ -28,6 +30,11 @@ def places_of(effect: Effect) -> Iterator[Sized]:
     names = [parameter.name for parameter in effect.placed]
     for at in product(*(parameter.places for parameter in effect.placed)):
         yield Sized(effect, dict(zip(names, at, strict=True)))
+
+
+def count_places(effect: Effect) -> int:
+    """At how many places an effect may be."""
+    return math.prod(len(parameter.places) for parameter in effect.placed)
 
 
 @dataclass(frozen=True)
@@ -67,25 +74,52 @@ class Base:
         return cls(twin, residuals, slopes, slopes.T @ residuals + z, np.ones(len(residuals)))
 
 
-def screened(comparison: Comparison, base: Base, sized: Sized) -> tuple[float, Array] | None:
-    """Gain of log evidence by adding an effect, along its signature, of either sign.
+@dataclass(frozen=True)
+class Screened:
+    """An effect at one place, along its signature.
 
-    Returns
-    -------
+    Attributes
+    ----------
+    sized : Sized
     gain : float
+        Of log evidence.
     sizes : (s,) float
         To begin a search with.
-
-    None if the effect moves nothing, or is of no possible reed.
+    table : (n, s) float
+        The signature, whitened, per deviation of each size's prior.
+    seen : float
+        By how many deviations one deviation of the first size stands out.
     """
+
+    sized: Sized
+    gain: float
+    sizes: Array
+    table: Array
+    seen: float
+
+
+def screened(comparison: Comparison, base: Base, effect: Effect) -> list[Screened]:
+    """Gain of log evidence by adding an effect at each of its places, of either sign.
+
+    Places where the effect moves nothing, or is of no possible reed, are left out.
+    """
+    found = [screened_at(comparison, base, sized) for sized in places_of(effect)]
+    return [one for one in found if one is not None]
+
+
+def screened_at(comparison: Comparison, base: Base, sized: Sized) -> Screened | None:
+    """The same at one place; None if it moves nothing there, or is of no possible reed."""
     signs = (1.0,) if sized.sizes[0].positive else (1.0, -1.0)
-    found = [_screened(comparison, base, sized, sign) for sign in signs]
-    return max((each for each in found if each), key=lambda each: each[0], default=None)
+    each = [_screened(comparison, base, sized, sign) for sign in signs]
+    return max((one for one in each if one), key=lambda one: one.gain, default=None)
 
 
-def _screened(
-    comparison: Comparison, base: Base, sized: Sized, sign: float
-) -> tuple[float, Array] | None:
+def usual(found: Sequence[Screened]) -> Screened:
+    """Of an effect at several places, the one where it is neither seen best nor worst."""
+    return sorted(found, key=lambda one: one.seen)[len(found) // 2]
+
+
+def _screened(comparison: Comparison, base: Base, sized: Sized, sign: float) -> Screened | None:
     table = signature(comparison, base, sized, sign)
     if table is None:
         return None
@@ -99,60 +133,43 @@ def _screened(
     if not np.any(bound & (size <= 0)):
         gain += 0.5 * float(pull @ size)
     begin = np.where(bound, np.maximum(size, _NEAREST), size)
-    return gain, np.clip(begin, -_FARTHEST, _FARTHEST)
+    seen = math.sqrt(max(float(table[:, 0] @ left[:, 0]), 0.0))
+    return Screened(sized, gain, np.clip(begin, -_FARTHEST, _FARTHEST), table, seen)
 
 
 def signature(comparison: Comparison, base: Base, sized: Sized, sign: float) -> Array | None:
     """What each size of an effect moves (n, s), whitened; None if nothing, or of no reed."""
+    for probe in _PROBES:
+        with contextlib.suppress(ValueError):
+            table = _probed(comparison, base, sized, sign, probe)
+            return table if np.any(np.abs(table) > _LEAST_MOVED) else None
+    return None
+
+
+def _probed(comparison: Comparison, base: Base, sized: Sized, sign: float, probe: float) -> Array:
     columns = []
     nothing = np.zeros(len(sized.sizes))
     for k in range(len(nothing)):
         # What a second parameter does may depend on the first, the effect's strength.
         first, size = nothing.copy(), nothing.copy()
-        size[0] = sign * _PROBE
+        size[0] = sign * probe
         if k:
-            first[0], size[k] = sign * _PROBE, _PROBE
-        try:
-            moved = comparison.residuals(sized.change(base.twin, size))
-            start = comparison.residuals(sized.change(base.twin, first))
-        except ValueError:
-            return None
-        columns.append((moved - start) / (1.0 if k else sign))
-    table = np.stack(columns, axis=1) / base.deviation[:, None]
-    return table if np.any(np.abs(table) > _LEAST_MOVED) else None
-
-
-def signatures(
-    comparison: Comparison, null: Rival, alone: Mapping[str, Rival]
-) -> dict[str, tuple[Array, Array]]:
-    """What each effect moves (n, s) where it was found, whitened, and what of it stands out."""
-    found = {}
-    for name, rival in alone.items():
-        sized = rival.effects[0]
-        sign = 1.0 if sized.sizes[0].positive or rival.sizes[0] > 0 else -1.0
-        table = _both(comparison, Base.of(comparison, null), sized, sign)
-        if table is not None:
-            found[name] = table
-    return found
+            first[0], size[k] = sign * probe, probe
+        moved = comparison.residuals(sized.change(base.twin, size))
+        start = comparison.residuals(sized.change(base.twin, first))
+        columns.append((moved - start) / (probe if k else sign * probe))
+    table: Array = np.stack(columns, axis=1) / base.deviation[:, None]
+    return table
 
 
 def signatures_of(
     comparison: Comparison, null: Rival, effects: Sequence[Effect]
 ) -> dict[str, tuple[Array, Array]]:
-    """The same of effects that were not looked for, in the middle of the places they may be at."""
+    """What each effect moves (n, s) where it is usual, whitened, and what of it stands out."""
     base, found = Base.of(comparison, null), {}
     for effect in effects:
-        places = list(places_of(effect))
-        table = _both(comparison, base, places[len(places) // 2], 1.0)
-        if table is not None:
-            found[effect.id] = table
+        places = screened(comparison, base, effect)
+        if places:
+            table = usual(places).table
+            found[effect.id] = table, standing_out(base.slopes, table)
     return found
-
-
-def _both(
-    comparison: Comparison, base: Base, sized: Sized, sign: float
-) -> tuple[Array, Array] | None:
-    table = signature(comparison, base, sized, sign)
-    if table is None:
-        return None
-    return table, standing_out(base.slopes, table)

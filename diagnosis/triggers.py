@@ -49,17 +49,15 @@ class Trigger:
 
 
 def triggers(
-    comparison: Comparison, null: Rival, rival: Rival, condition: Sequence[str], seed: int = 0
+    comparison: Comparison, rival: Rival, condition: Sequence[str], seed: int = 0
 ) -> tuple[Trigger, ...]:
     """Look for all signs beside a rival.
 
     Parameters
     ----------
     comparison : Comparison
-    null : Rival
-        Without effects.
     rival : Rival
-        The best; may be the same.
+        What is named; the one without effects if nothing is.
     condition : sequence of str
         Not empty for the numbers of a condition that is left out whole (see `how_far`).
     seed : int
@@ -83,7 +81,7 @@ def triggers(
         kept = _kept(comparison, rival)
         if kept.any():
             found.append(_sign("kept", "what the effect must leave alone has moved",
-                               _moved(_with_drawn(null, rng), kept)))  # fmt: skip
+                               _moved(both, kept)))  # fmt: skip
     return tuple(found)
 
 

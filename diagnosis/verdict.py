@@ -1,5 +1,6 @@
 """The answer of a diagnosis: where, which, how far, and what to measure next."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
@@ -8,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.actions import Worth, ranked_actions
-from diagnosis.contest import NONE, UNKNOWN, Contest, contest
+from diagnosis.contest import NONE, UNKNOWN, Contest, confirmed, contest
 from diagnosis.how_far import Plain, Shrinkage, plain_gaps, shrinkage
 from diagnosis.likeness import Reach, classes_of, reach_of
 from diagnosis.nuisances import NUISANCES, of_fits
 from diagnosis.observing import Readings, blocks
 from diagnosis.rivals import Comparison, Rival
-from diagnosis.screening import signatures
 from diagnosis.taps.vibration import common_modes
 from diagnosis.triggers import Trigger, triggers
 from diagnosis.where import Map, gap_map
@@ -31,6 +31,10 @@ COVERAGE: Final = 0.9
 _OFF, _MOVED = 3.0, 0.5
 # Of so many rivals it is told what they close.
 _MOST_CLOSED = 8
+# Rivals that turn out to be the likeliest are fitted again, so many one after the other.
+_MOST_CONFIRMED = 3
+# A doubtful fit without effects does not matter to what is likelier by so many nats.
+_BEYOND_DOUBT = 20.0
 
 
 @dataclass(frozen=True)
@@ -54,8 +58,10 @@ class Verdict:
         What this campaign could have told of each effect.
     triggers : tuple of Trigger
         Signs of something unknown beside what is named.
+    closing : tuple of str
+        What is named; if nothing is, the effect that explains most by itself.
     closed, transferred : Shrinkage or None
-        By what is named, on numbers left out; and in the condition that was left out whole.
+        By these, on numbers left out; and in the condition that was left out whole.
     closed_by : dict of Shrinkage
         On all numbers, by each rival that is better than none.
     plain : tuple of Plain
@@ -78,6 +84,7 @@ class Verdict:
     contest: Contest
     reach: tuple[Reach, ...]
     triggers: tuple[Trigger, ...]
+    closing: tuple[str, ...]
     closed: Shrinkage | None
     transferred: Shrinkage | None
     closed_by: dict[str, Shrinkage]
@@ -140,10 +147,13 @@ def judged(
     """Judge numbers that are beside the twin already; parameters as those of `diagnose`."""
     effects = [e for e in CATALOGUE if e.stage is not Stage.NUMERICS and e.id not in without]
     found = contest(comparison, effects, progress)
-    probability = {name: float(np.exp(log)) for name, log in found.log_probability.items()}
-    reach = reach_of(effects, signatures(comparison, found.null, found.alone))
+    reach = reach_of(effects, found.signatures)
     classes = classes_of(reach)
-    kind, named = _named(found, probability, classes)
+    for _ in range(_MOST_CONFIRMED):
+        # Nothing is named on one search's word.
+        found = confirmed(comparison, found, _likeliest(found.probability, classes), len(effects))
+    probability = found.probability
+    kind, named = _named(found, classes)
     first, second = _two_likeliest(found)
     groups, condition = _groups(comparison), told.condition
     chosen = found.rival("+".join(named)) or _best_alone(found)
@@ -158,7 +168,8 @@ def judged(
         where=gap_map(comparison),
         contest=found,
         reach=reach,
-        triggers=triggers(comparison, found.null, named_or_none, _only(comparison, condition)),
+        triggers=triggers(comparison, named_or_none, _only(comparison, condition)),
+        closing=chosen.names,
         closed=shrinkage(found.null, chosen, _where(groups, acts)),
         transferred=(
             shrinkage(found.null, chosen, _where(_only(comparison, condition), acts))
@@ -183,14 +194,18 @@ def compared(readings: Readings, workshop: Workshop, base: Twin) -> Comparison:
     return Comparison(blocks(readings, workshop), base, (*NUISANCES, *exchanged))
 
 
-def _named(
-    found: Contest, probability: Mapping[str, float], classes: Sequence[tuple[str, ...]]
-) -> tuple[Kind, tuple[str, ...]]:
-    """What the likeliest class is, and of that the likeliest, if its fit is one."""
+def _likeliest(probability: Mapping[str, float], classes: Sequence[tuple[str, ...]]) -> str:
+    """Of the likeliest class the likeliest."""
     mass = _mass(probability, classes)
-    likeliest = max(mass, key=lambda group: mass[group])
-    best = max(likeliest, key=lambda name: probability.get(name, 0.0))
-    if not found.null.estimate.certified:
+    group = max(mass, key=lambda group: mass[group])
+    return max(group, key=lambda name: probability.get(name, 0.0))
+
+
+def _named(found: Contest, classes: Sequence[tuple[str, ...]]) -> tuple[Kind, tuple[str, ...]]:
+    """What is named, if its fit is one."""
+    best = _likeliest(found.probability, classes)
+    beyond = found.log_probability[best] - found.log_probability[NONE]
+    if not found.null.estimate.certified and beyond < _BEYOND_DOUBT:
         return "not converged", ()
     if best == NONE:
         return "none", ()
@@ -199,7 +214,7 @@ def _named(
     names = tuple(best.split("+"))
     rival = found.rival(best)
     if rival is not None and not rival.estimate.certified:
-        return "not converged", names
+        return "not converged", ()
     return ("effect" if len(names) == 1 else "pair"), names
 
 
@@ -230,13 +245,16 @@ def _name(rival: Rival | None) -> str:
 def _mass(
     probability: Mapping[str, float], classes: Sequence[tuple[str, ...]]
 ) -> dict[tuple[str, ...], float]:
-    """Probability of every class; pairs stand by themselves."""
-    mass: dict[tuple[str, ...], float] = {}
+    """Probability of every class; a class of pairs has all that are of the same two classes."""
     of = {name: group for group in classes for name in group}
-    for name, value in probability.items():
-        group = of.get(name, (name,))
-        mass[group] = mass.get(group, 0.0) + value
-    return mass
+    members: dict[tuple[tuple[str, ...], ...], list[str]] = {}
+    for name in probability:
+        parts = tuple(sorted(of.get(part, (part,)) for part in name.split("+")))
+        members.setdefault(parts, []).append(name)
+    return {
+        kinds[0] if len(kinds) == 1 else tuple(sorted(names)): sum(probability[n] for n in names)
+        for kinds, names in members.items()
+    }
 
 
 def _likely(
@@ -288,10 +306,15 @@ def _condition(readings: Readings) -> str:
     return min(sweeps, key=lambda sweep: sweep.loudness).name
 
 
+def _of_sweep(time: str, sweep: str) -> bool:
+    """Whether a time is a sweep, or a numbered piece of it."""
+    return time == sweep or re.fullmatch(rf"{re.escape(sweep)} \d+", time) is not None
+
+
 def _only(comparison: Comparison, condition: str) -> list[str]:
     """Group that holds one sweep's numbers; empty elsewhere."""
     return [
-        condition if place.time.split(" ")[0] == condition else ""
+        condition if _of_sweep(place.time, condition) else ""
         for block in comparison.blocks
         for place in block.places
     ]

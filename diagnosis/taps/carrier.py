@@ -99,8 +99,8 @@ def _carrier(part: Part, calm: NDArray[np.bool_], light: Complex, power: float) 
 # What reeds move by there in calm holograms, in units of the light, per volt; log of how much that
 # differs from reed to reed, and from sweep to sweep.
 _MOVES, _REEDS, _SWEEPS = 6e-4, 0.4, 0.15
-# Calmest of numbers that are noise alone, in units of it.
-_NOISE = 0.76
+# That quantile of numbers that are noise alone, in units of its root mean square.
+_NOISE = float(np.sqrt(-np.log1p(-_CALMEST)))
 
 
 @dataclass(frozen=True)

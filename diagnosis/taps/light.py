@@ -56,10 +56,9 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
     for still in stills:
         own_spread = max(_scatter(still.brightness), 5e-3)
         for number, at in enumerate(still.run_time_s):
-            count = len(still.time_s) // len(still.run_time_s)
-            near = np.argsort(np.abs(still.time_s - at))[:count]
-            values.append(float(np.mean(still.brightness[near])))
-            variance.append(_ALIKE * own_spread**2 / count)
+            own_brightness = still.brightness[still.run == number]
+            values.append(float(np.mean(own_brightness)))
+            variance.append(_ALIKE * own_spread**2 / len(own_brightness))
             still_s.append(float(at))
             places.append(Place("order 0", time=f"at rest {still.clamping + 1}.{number + 1}"))
             columns.append({f"speckle {still.clamping}": _SPECKLE, "order": _ORDER})

@@ -153,13 +153,23 @@ def _in_common(
         lossy = np.where(names == 1, _SECOND_LOSS, _CLAMP_LOSS)
         own = np.where(clamping == one, np.where(loss, lossy, _CLAMP_OWN), 0.0)
         covariance += np.multiply.outer(bends, bends) + same * np.multiply.outer(own, own)
-    level = np.array([s.loudness for s in sweeps])[sweep]
-    for one in sorted(set(np.round(level, 2).tolist()))[:-1]:
+    levels = _levels([s.loudness for s in sweeps])
+    level = levels[sweep]
+    for one in range(int(levels.max())):
         lossy = np.where(names == 1, _SECOND_LOSS, _LEVEL_LOSS)
         own = np.where(loss, lossy, _LEVEL_CENTS)
-        there = np.where(np.abs(level - one) < 0.01, own, 0.0)
+        there = np.where(level == one, own, 0.0)
         covariance += same * np.multiply.outer(there, there)
     return np.asarray(covariance)
+
+
+def _levels(loudness: Sequence[float]) -> NDArray[np.intp]:
+    """Number of each sweep's level (s,), the quietest first."""
+    order = np.argsort(loudness)
+    steps = np.diff(np.array(loudness)[order]) > SAME_LEVEL
+    levels = np.zeros(len(order), dtype=np.intp)
+    levels[order[1:]] = np.cumsum(steps)
+    return levels
 
 
 def _prediction(

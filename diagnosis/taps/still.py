@@ -41,6 +41,8 @@ class Still:
         Of the speckle of r runs, 1 is the same; noise taken out.
     likeness_error : float
         Standard error of it, from the noise.
+    run : (s,) int
+        Which of them an acquisition is of.
     run_time_s : (r,) float
     noise_dn2 : (s,) float
         Beside the image.
@@ -57,6 +59,7 @@ class Still:
     frame_scatter: float
     likeness: Array
     likeness_error: float
+    run: NDArray[np.intp]
     run_time_s: Array
     noise_dn2: Array
 
@@ -112,6 +115,7 @@ def _still(parts: Sequence[Part], clamping: int) -> Still:
         frame_scatter=float(np.mean(scatter)),
         likeness=likeness,
         likeness_error=likeness_error,
+        run=np.repeat(np.arange(len(parts)), [len(part.good_steps) for part in parts]),
         run_time_s=np.array(
             [np.mean([s.timestamps_s[0] for s in part.good_steps]) - part.clock_s for part in parts]
         ),

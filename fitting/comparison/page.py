@@ -58,8 +58,8 @@ _SIGNED: Final = re.compile(r"(?<!\w)-(?=\d)")
 _SHOWN: Final = (Verdict.DIFFERS, Verdict.REFUTED, Verdict.NOT_PRINTED)
 
 
-def require_writable(page: Path) -> None:
-    """Refuse a page that cannot be written, before a minute is spent on it.
+def require_writable(page: Path, option: str = "--out") -> None:
+    """Refuse a page, or what another option names, that cannot be written, before it is made.
 
     Raises
     ------
@@ -67,15 +67,15 @@ def require_writable(page: Path) -> None:
         Naming the page and why.
     """
     if page.is_dir():
-        raise _unwritable(page, "it is a folder")
+        raise _unwritable(page, "it is a folder", option)
     if not page.parent.is_dir():
-        raise _unwritable(page, f"there is no folder {page.parent}")
+        raise _unwritable(page, f"there is no folder {page.parent}", option)
     if not os.access(page if page.exists() else page.parent, os.W_OK):
-        raise _unwritable(page, "permission denied")
+        raise _unwritable(page, "permission denied", option)
 
 
-def _unwritable(page: Path, reason: str) -> RunFileError:
-    return RunFileError(f"{page}: cannot be written ({reason}); choose another place with --out")
+def _unwritable(page: Path, reason: str, option: str = "--out") -> RunFileError:
+    return RunFileError(f"{page}: cannot be written ({reason}); choose another place with {option}")
 
 
 def write_page(comparison: Comparison, page: Path) -> None:

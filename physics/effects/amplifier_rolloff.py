@@ -24,7 +24,7 @@ EFFECT = Effect(
         ),
     ),
     change=_change,
-    moves=frozenset({Tap.DRIVE, Tap.RESPONSE}),
+    moves=frozenset({Tap.RESPONSE}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD, Tap.MODES}),
     neighbours=("damping_growth",),
     action="measure the voltage at the tweeter",

@@ -33,7 +33,7 @@ EFFECT = Effect(
         ),
     ),
     change=_change,
-    moves=frozenset({Tap.DRIVE, Tap.MAPS}),
+    moves=frozenset({Tap.DRIVE, Tap.RESPONSE}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD}),
     neighbours=("hardening",),
     action="sweep at another drive level, a microphone beside",

@@ -32,6 +32,10 @@ def test_one_sweep_becomes_a_page_and_a_next_campaign(cli, measured, folder):
         ([], "name runs or a table of resonances"),
         (["nothing.h5"], "nothing.h5"),
         (["--published", "--next", "next.yaml"], "--next"),
+        (["--published", "--bench", "nothing.yaml"], "--bench"),
+        (["run.h5", "--out", "nowhere/page.html"], "there is no folder nowhere"),
+        (["run.h5", "--next", "nowhere/next.yaml"], "with --next"),
+        (["."], "holds no run files"),
         (["a.csv", "b.h5"], "three kinds of data"),
     ],
 )

@@ -18,7 +18,7 @@ def run(kind=Kind.SWEEP, second=0, part="", clamping=0, reed="R07", volts=16.0, 
         start_time=f"2026-01-01T10:00:{second:02d}+00:00",
         acquisition=Acquisition(kind, "campaign", part, clamping),
         steps=(step,),
-        path=SimpleNamespace(stem=part or "run"),
+        path=SimpleNamespace(stem=part or "run", name=f"{part or 'run'}.h5"),
     )
 
 
@@ -44,11 +44,16 @@ def test_what_is_missing_is_told() -> None:
     ]
 
 
+def test_parts_of_one_name_are_told_apart() -> None:
+    sweeps = [run(second=9, part="up"), run(second=40, part="up"), run(second=20, part="down")]
+    assert [part.name for part in Campaign.of(sweeps).sweeps] == ["up", "down", "up-2"]
+
+
 def test_runs_of_two_reeds_are_refused() -> None:
     with pytest.raises(FitInputError, match=r"R07 \(A\), R08 \(A\)"):
         Campaign.of([run(), run(reed="R08")])
 
 
 def test_a_campaign_needs_a_sweep() -> None:
-    with pytest.raises(FitInputError, match="no run is a sweep"):
+    with pytest.raises(FitInputError, match=r"run\.h5: no run is a sweep"):
         Campaign.of([run(Kind.DARK)])

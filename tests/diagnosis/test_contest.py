@@ -5,7 +5,6 @@ import pytest
 
 from diagnosis.contest import NONE, UNKNOWN, contest
 from diagnosis.rivals import Sized, compete
-from diagnosis.screening import signatures
 from physics.twin import Twin
 from tests.diagnosis.toy import EFFECTS, bench, measured
 
@@ -48,9 +47,7 @@ def test_what_no_effect_makes_is_unknown() -> None:
 def test_effects_that_move_nothing_do_not_compete() -> None:
     found = contest(measured(6, bench()), EFFECTS)
     assert "nothing" not in found.alone
-    assert set(signatures(measured(6, bench()), found.null, found.alone)) == {
-        "slope", "bump", "offset",
-    }  # fmt: skip
+    assert set(found.signatures) == {"slope", "bump", "offset"}
 
 
 def test_sizes_come_back_within_their_errors() -> None:

@@ -44,6 +44,11 @@ def test_a_bench_of_which_nothing_is_known_is_the_nominal_twin() -> None:
         ("{air_load: {shere: 0.9}}", "known.air_load.shere is no size of it; it has share"),
         ("{laser_drift: {fade: 0.3 1/s}}", "known.laser_drift.fade: '0.3 1/s' is not in its unit"),
         ("{synthesizer_detuning: {offset: 0.02}}", "synthesizer_detuning.offset: 0.02 has no unit"),
+        ("{tip_mass: {mass: -1e-6 kg}}", "tip_mass.mass: '-1e-6 kg' is negative"),
+        ("{tip_mass: {mass: .nan}}", "known.tip_mass.mass: nan"),
+        ("{air_load: {share: .inf}}", "known.air_load.share: inf is no size"),
+        ("{air_load: {share: true}}", "known.air_load.share.float: True should be a valid number"),
+        ("{crack: {depth: 50 um, x: 1 m}}", "is nowhere that it can be; it lies from"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_named_with_its_remedy(known: str, said: str) -> None:

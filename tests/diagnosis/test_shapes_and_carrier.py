@@ -86,10 +86,14 @@ def test_what_leaks_in_makes_shapes_uncertain() -> None:
 # --- Carrier -----------------------------------------------------------------------------------
 
 
+# A quarter of complex noise whose mean square is 1 is less than this: exp(-x²) = 3/4.
+QUARTER = np.sqrt(np.log(4 / 3))
+
+
 def carriers(leak=0.0):
     """Two sweeps, a loud one and a quiet one, of a reed that moves a little by its clamp."""
     return [
-        Carrier(name, float(np.hypot(leak, np.hypot(6e-4 * volts, 0.76 * 8e-4))), 8e-4, volts)
+        Carrier(name, float(np.hypot(leak, np.hypot(6e-4 * volts, QUARTER * 8e-4))), 8e-4, volts)
         for name, volts in (("up", 8.0), ("quiet", 2.0))
     ]
 

@@ -20,7 +20,7 @@ def fitted(comparison, *effects):
 def signs(comparison, *effects, condition=None):
     null, rival = fitted(comparison), fitted(comparison, *effects)
     groups = condition or [""] * len(null.left)
-    return {sign.id: sign for sign in triggers(comparison, null, rival, groups)}
+    return {sign.id: sign for sign in triggers(comparison, rival, groups)}
 
 
 def test_something_unknown_is_likelier_only_where_numbers_are_off() -> None:

@@ -313,12 +313,14 @@ def compete_straight(
 
 
 def exactly(comparison: Comparison, rival: Rival) -> Rival:
-    """The same parameters of a rival, and what the twin leaves by them, nothing taken for straight.
+    """A rival that costs what the twin leaves by its parameters, with nothing taken for straight.
+
+    What it leaves stays as it is where all is straight: there it is at an optimum.
 
     Raises
     ------
     ValueError
-        If they are of no possible reed.
+        If its parameters are of no possible reed.
     """
     estimate = rival.estimate
     residuals = comparison.residuals(rival.twin(comparison)) / rival.deviation
@@ -326,9 +328,8 @@ def exactly(comparison: Comparison, rival: Rival) -> Rival:
     noise = by_noise(comparison, residuals) - by_noise(comparison, estimate.residuals)
     return replace(
         rival,
-        estimate=replace(estimate, residuals=residuals, cost=estimate.cost + more),
+        estimate=replace(estimate, cost=estimate.cost + more),
         fitted=rival.fitted - 0.5 * more + noise,
-        chi2=_chi2(comparison, residuals * rival.deviation),
     )
 
 

@@ -10,7 +10,6 @@ would be worth if nature were its twin, and are to be read beside those of seale
 """
 
 import argparse
-import contextlib
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
@@ -19,20 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from acquire.runfile import Run
+from benchmarks.campaigns import readings_of
 from blind.cases import Label, drawn_label, true_sizes
 from blind.classes import CLASSES
 from blind.report import report, sentences
 from blind.scoring import Case, Classes
 from diagnosis.answer import to_json
-from diagnosis.campaign import Campaign
-from diagnosis.known_bench import bench_of
-from diagnosis.observing import read
 from diagnosis.rivals import Comparison
-from diagnosis.verdict import Told, compared, judged
+from diagnosis.verdict import Told, compared, condition_of, judged
 from physics.effects.catalogue import BY_ID
-from physics.mechanics import Workshop
-from physics.reed.cache import anatomy
 from physics.twin import Twin
 
 _SEED = 260_613
@@ -44,13 +38,8 @@ _TRIES = 50
 @lru_cache(maxsize=1)
 def campaign_of(folder: Path) -> tuple[Comparison, str]:
     """Numbers of a campaign beside the twin, and the condition to leave out."""
-    with contextlib.ExitStack() as opened:
-        files = sorted(folder.glob("*.h5"))
-        campaign = Campaign.of([opened.enter_context(Run.open(file)) for file in files])
-        first = campaign.sweeps[0].run
-        workshop = Workshop(anatomy(first.reed_file().geometry()))
-        readings = read(campaign, bench_of(first))
-    return compared(readings, workshop, Twin()), campaign.sweeps[-1].name
+    readings, workshop = readings_of(folder)
+    return compared(readings, workshop, Twin()), condition_of(readings)
 
 
 def with_effects(twin: Twin, label: Label, rng: np.random.Generator) -> Twin:

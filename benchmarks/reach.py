@@ -10,26 +10,22 @@ then the classes that follow.
 """
 
 import argparse
-import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from acquire.runfile import Run
+from benchmarks.campaigns import readings_of
 from blind.cases import Label, true_sizes
 from blind.effects import BY_NAME
-from diagnosis.campaign import Campaign
-from diagnosis.known_bench import bench_of
 from diagnosis.likeness import DETECTABLE, Reach, classes_of, reach_of
-from diagnosis.observing import Readings, read
+from diagnosis.observing import Readings
 from diagnosis.rivals import compete
 from diagnosis.screening import signatures_of
 from diagnosis.verdict import compared
 from physics.effects.catalogue import BY_ID, CATALOGUE
 from physics.effects.form import Stage
 from physics.mechanics import Workshop
-from physics.reed.cache import anatomy
 from physics.twin import Twin
 
 EFFECTS = tuple(effect for effect in CATALOGUE if effect.stage is not Stage.NUMERICS)
@@ -88,12 +84,7 @@ def main() -> None:
     parser.add_argument("campaigns", nargs="+", type=Path, metavar="CAMPAIGN")
     reaches = []
     for folder in parser.parse_args().campaigns:
-        with contextlib.ExitStack() as opened:
-            files = sorted(folder.glob("*.h5"))
-            campaign = Campaign.of([opened.enter_context(Run.open(file)) for file in files])
-            first = campaign.sweeps[0].run
-            workshop = Workshop(anatomy(first.reed_file().geometry()))
-            reaches.append(reach_in(read(campaign, bench_of(first)), workshop))
+        reaches.append(reach_in(*readings_of(folder)))
     found = together(reaches)
     least = "least size that stands out by 5 deviations"
     print(f"{'effect':<24}{least:<44}{'drawn':>6}{'taken':>6}  alike")

@@ -118,7 +118,7 @@ def diagnose(
         Effects that the catalogue is to do without.
     """
     comparison = compared(readings, workshop, base or Twin())
-    told = Told(_condition(readings), readings.missing, readings.refused)
+    told = Told(condition_of(readings), readings.missing, readings.refused)
     return judged(comparison, told, progress, without)
 
 
@@ -295,7 +295,7 @@ def _groups(comparison: Comparison) -> list[str]:
     return names
 
 
-def _condition(readings: Readings) -> str:
+def condition_of(readings: Readings) -> str:
     """Sweep that is left out whole: of another clamping if there is one, else of another level."""
     sweeps = readings.sweeps
     if len(sweeps) < 2:

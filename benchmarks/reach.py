@@ -63,7 +63,7 @@ def as_drawn(reach: Reach, largest: float = 8.0) -> float:
         label = Label(1, ((reach.effect, sign * largest),), True, 0)
         sizes = true_sizes(label).get(reach.effect, {})
         out = [DETECTABLE * v / reach.detectable[name] for name, v in sizes.items()]
-        multiples.append(largest * DETECTABLE / np.linalg.norm(out) if any(out) else np.nan)
+        multiples.append(largest * DETECTABLE / float(np.linalg.norm(out)) if any(out) else np.nan)
     return float(np.min(multiples))
 
 

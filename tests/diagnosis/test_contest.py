@@ -1,10 +1,14 @@
 """Rivals on a bench whose truth is known."""
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from diagnosis.contest import NONE, UNKNOWN, contest
-from diagnosis.rivals import Sized, compete
+from diagnosis.contest import NONE, UNKNOWN, confirmed, contest
+from diagnosis.rivals import Sized, compete, compete_straight, exactly
+from physics.effects.form import Effect
 from physics.twin import Twin
 from tests.diagnosis.toy import EFFECTS, bench, measured
 
@@ -70,3 +74,50 @@ def test_a_louder_noise_than_told_is_no_effect() -> None:
     ]
     found = probabilities(type(comparison)(blocks, Twin(), comparison.nuisances))
     assert max(found, key=found.get) == NONE
+
+
+def _brittle(limit: float) -> Effect:
+    """A slope that no bench has beyond a limit."""
+
+    def change(twin: Twin, values: Mapping[str, float]) -> Twin:
+        if abs(values["size"]) > limit:
+            raise ValueError("it breaks")
+        return EFFECTS[0].change(twin, values)
+
+    return replace(EFFECTS[0], change=change)
+
+
+def test_an_effect_that_is_possible_only_when_small_is_found_all_the_same() -> None:
+    comparison = measured(8, bench(leak=0.4))
+    found = contest(comparison, (_brittle(0.45), *EFFECTS[1:]))
+    assert max(found.probability, key=lambda name: found.probability[name]) == "slope"
+    assert found.alone["slope"].sizes[0] == pytest.approx(0.4, abs=0.1)
+
+
+def test_searches_that_end_at_no_possible_bench_certify_nothing() -> None:
+    comparison = measured(9, bench(leak=0.4))
+    slope = Sized(_brittle(1.0), {})
+    starts = [np.zeros(2), np.array([0.0, 3.0])]
+    found = compete(comparison, (slope,), starts, exact=True)
+    assert (found.estimate.agreeing, found.estimate.starts) == (1, 2)
+    assert not found.estimate.certified
+    assert compete(comparison, (slope,), [np.zeros(2), np.ones(2)], exact=True).estimate.certified
+
+
+def test_what_is_confirmed_has_been_fitted_from_two_starts() -> None:
+    comparison = measured(10, bench(leak=0.3))
+    found = contest(comparison, EFFECTS)
+    for name in ("slope", "offset"):
+        rival = confirmed(comparison, found, name, len(EFFECTS)).rival(name)
+        assert rival is not None
+        assert rival.estimate.starts > 1
+    assert confirmed(comparison, found, NONE, len(EFFECTS)) is found
+
+
+def test_counting_a_straight_fit_exactly_changes_nothing_where_all_is_straight() -> None:
+    comparison = measured(11, bench(leak=0.3))
+    slope = Sized(EFFECTS[0], {})
+    straight = compete_straight(comparison, (slope,), np.zeros(1), np.zeros(1))
+    exact = exactly(comparison, straight)
+    assert exact.estimate.cost == pytest.approx(straight.estimate.cost)
+    assert exact.log_evidence == pytest.approx(straight.log_evidence)

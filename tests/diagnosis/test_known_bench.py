@@ -55,7 +55,7 @@ def test_what_is_wrong_is_named_with_its_remedy(known: str, said: str) -> None:
     with pytest.raises(ProtocolError) as error:
         base_twin(bench(known))
     assert said in str(error.value)
-    assert str(error.value).startswith("lab.yaml: ")
+    assert str(error.value).startswith("lab.yaml:")
 
 
 def test_a_camera_is_as_its_data_sheet_says() -> None:

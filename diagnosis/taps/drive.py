@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 
 from diagnosis.block import BANDS, Block, Place, band_of, block
 from diagnosis.taps.carrier import Leaks
-from diagnosis.taps.vibration import SAME_LEVEL, SweepReading, common_modes
+from diagnosis.taps.vibration import SAME_LEVEL, SweepReading, common_modes, loudest
 from physics.air import CavityLine, Chamber, Filling, pressure_shape
 from physics.drive import Tweeter, tweeter_pressure_pa
 from physics.effects.form import Tap
@@ -171,13 +171,6 @@ def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array]:
     pitch = np.log(hz / np.sqrt(hz[0] * hz[-1]))
     ends = np.clip((np.abs(pitch) / np.abs(pitch).max() - 1) / _END_SHARE + 1, 0, 1)
     return hz, mean, np.sqrt(_LEAST**2 + error**2 + (_END * ends) ** 2)
-
-
-def loudest(sweeps: Sequence[SweepReading]) -> list[SweepReading]:
-    """Sweeps of the first clamping at the highest level."""
-    first = [s for s in sweeps if s.clamping == sweeps[0].clamping]
-    most = max(sweep.loudness for sweep in first)
-    return [sweep for sweep in first if sweep.loudness > most - SAME_LEVEL]
 
 
 def level_block(sweeps: Sequence[SweepReading], leaks: Leaks) -> Block | None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from diagnosis.block import BANDS, Block, Place, band_of, block
 from diagnosis.taps.still import Still
-from diagnosis.taps.vibration import SAME_LEVEL, TEMPLATES, SweepReading
+from diagnosis.taps.vibration import TEMPLATES, SweepReading, at_highest_level
 from physics.effects.form import Tap
 from physics.twin import Beams, Twin
 
@@ -37,7 +37,7 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
     What holograms of one drive show is vibration times light: sweeps that repeat others tell how
     the light differs, whatever the vibration is. Those of another level tell of the drive.
     """
-    sweeps = _loud(sweeps)
+    sweeps = at_highest_level(sweeps)
     table = _Brightness.of(sweeps)
     values, variance, places, columns = [], [], [], []
     times: list[NDArray[np.intp]] = []
@@ -165,8 +165,7 @@ def noise_block(sweeps: Sequence[SweepReading]) -> Block:
 
 def fringe_block(sweeps: Sequence[SweepReading]) -> Block:
     """What is in fringes beside the first sideband, by templates, of all loud sweeps together."""
-    loud = _loud(sweeps)
-    values = [_amplitudes(loud, name) for name in _FLOORS]
+    values = [_amplitudes(at_highest_level(sweeps), name) for name in _FLOORS]
     floors = np.array(list(_FLOORS.values()))
 
     def predict(twin: Twin) -> Array:
@@ -182,19 +181,13 @@ def fringe_block(sweeps: Sequence[SweepReading]) -> Block:
 def mixing_in(sweeps: Sequence[SweepReading]) -> float:
     """Amplitude of the next sideband in the loud sweeps, beyond what fringes look like anyway."""
     usual, spread = _FLOORS["order_mixing"]
-    mixing = _amplitudes(_loud(sweeps), "order_mixing")
+    mixing = _amplitudes(at_highest_level(sweeps), "order_mixing")
     return max(mixing - usual - 2 * spread, 0.0)
 
 
 def _amplitudes(sweeps: Sequence[SweepReading], name: str) -> float:
     t = TEMPLATES.index(name)
     return float(np.median([_amplitude(sweep, t, name) for sweep in sweeps]))
-
-
-def _loud(sweeps: Sequence[SweepReading]) -> list[SweepReading]:
-    """Sweeps at the highest level, of all clampings."""
-    most = max(sweep.loudness for sweep in sweeps)
-    return [sweep for sweep in sweeps if sweep.loudness > most - SAME_LEVEL]
 
 
 def _amplitude(sweep: SweepReading, t: int, name: str) -> float:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from diagnosis.block import Block, Place, band_of, block
 from diagnosis.taps.carrier import Leaks
-from diagnosis.taps.vibration import SAME_LEVEL, SweepReading, common_modes
+from diagnosis.taps.vibration import SAME_LEVEL, SweepReading, common_modes, loudest
 from physics.effects.form import Tap
 from physics.mechanics import Workshop
 from physics.twin import Surroundings, Twin, with_cane
@@ -57,7 +57,7 @@ def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks
     common = [name for name in common_modes(sweeps) if name in known]
     values, places, rows = [], [], []
     pieces = []
-    loudest = max(sweep.loudness for sweep in sweeps)
+    highest = max(sweep.loudness for sweep in sweeps)
     for number, sweep in enumerate(sweeps):
         here = [name for name in common if name in sweep.names]
         at = np.array([sweep.names.index(name) for name in here])
@@ -68,7 +68,7 @@ def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks
             for name, hz in zip(here, sweep.hz[at], strict=True):
                 places.append(Place(what, mode=name, band=band_of(float(hz)), time=sweep.name))
                 rows.append((number, name, what))
-        repeats = _REPEATS if sweep.loudness > loudest - SAME_LEVEL else _REPEATS_QUIET
+        repeats = _REPEATS if sweep.loudness > highest - SAME_LEVEL else _REPEATS_QUIET
         own = np.concatenate([np.full(len(at), repeats), np.full(len(at), _REPEATS_LOSS)])
         pieces.append(_of_fit(sweep, both, own * unit, here, common))
         pieces[-1] += _of_leaks(leaks, sweep, here)
@@ -106,8 +106,7 @@ def _astray(sweeps: Sequence[SweepReading], names: Sequence[str], *, loss: bool)
 
     What all modes of a sweep differ by is the reed's, and does not count.
     """
-    alike = [s for s in sweeps if s.clamping == sweeps[0].clamping]
-    alike = [s for s in alike if s.loudness > max(a.loudness for a in alike) - SAME_LEVEL]
+    alike = loudest(sweeps)
     table = np.full((len(alike), len(names)), np.nan)
     for row, sweep in zip(table, alike, strict=True):
         for column, name in enumerate(names):

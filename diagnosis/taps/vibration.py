@@ -197,6 +197,17 @@ def _settled(fit: JointFit, bends: float) -> bool:
     )
 
 
+def at_highest_level(sweeps: Sequence[SweepReading]) -> list[SweepReading]:
+    """Sweeps at the highest level."""
+    most = max(sweep.loudness for sweep in sweeps)
+    return [sweep for sweep in sweeps if sweep.loudness > most - SAME_LEVEL]
+
+
+def loudest(sweeps: Sequence[SweepReading]) -> list[SweepReading]:
+    """Those of the first clamping that are at its highest level."""
+    return at_highest_level([s for s in sweeps if s.clamping == sweeps[0].clamping])
+
+
 def _run_loudness(run: Run) -> float:
     return loudness(np.array([step.volts for step in run.steps]))
 

@@ -1,7 +1,7 @@
 """The other side: its labels, its hashes, and laboratories that are like the bench."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,8 +11,17 @@ pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
 from acquire.bench_file import BenchFile
 from acquire.reed_file import ReedFile
-from blind.cases import commitment, drawn_label, healthy_world, seal, sick_world, told_sizes
+from blind.cases import (
+    Label,
+    commitment,
+    drawn_label,
+    healthy_world,
+    seal,
+    sick_world,
+    told_sizes,
+)
 from blind.effects import KINDS
+from blind.laboratory import FRAME_S, Laboratory
 from blind.reed import Build, make_reed
 from blind.run_files import bench_text
 from blind.vibration import answerer
@@ -138,3 +147,21 @@ def test_a_reed_answers_most_at_its_resonance(plain_reed) -> None:
     assert abs(1200 * np.log2(peak / first)) < 150
     twice = answer.deflection(first, 2.0, 0.0, 0.0, 0)
     np.testing.assert_allclose(twice, 2 * answer.deflection(first, 1.0, 0.0, 0.0, 0))
+
+
+def test_light_at_rest_turns_between_acquisitions_as_fast_as_within_them() -> None:
+    label = Label(1, (("synthesizer_drift", 8.0),), True, 5)
+    world = sick_world(label)
+    calm = replace(world.light, walk_rad_s=0.0, jitter_rad=0.0, gain_scatter=0.0)
+    laboratory = Laboratory(replace(world, light=calm))
+    # An hour later: two acquisitions, one after the other. A whole campaign takes half a minute.
+    laboratory._now_s = 3600.0  # noqa: SLF001  # nothing else lets an hour pass
+    take = laboratory._still  # noqa: SLF001  # a campaign takes all sweeps as well
+    shots = [take(number, "order0", FRAME_S) for number in range(2)]
+    fields = [laboratory.camera.reconstructed(shot.frames)[0] for shot in shots]
+    gap_s = shots[1].began_s - shots[0].began_s
+    # Light turns at less than the difference that was set by what the synthesizers drifted.
+    turned = np.angle(np.vdot(fields[0], fields[1]) * np.exp(2j * np.pi * gap_s / (4 * FRAME_S)))
+    expected = -2 * np.pi * world.clockwork.drift_hz_h * gap_s
+    assert world.clockwork.drift_hz_h > 0.3
+    assert turned == pytest.approx(expected, abs=0.02)

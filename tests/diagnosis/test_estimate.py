@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from diagnosis.estimate import fit, random_starts
+from diagnosis.estimate import (
+    covariance_left,
+    fit,
+    random_starts,
+    spread_of,
+    standing_out,
+    taken_up,
+)
 
 
 def linear(seed: int, n: int = 12, p: int = 3):
@@ -61,3 +68,31 @@ def test_starts_obey_bounds_and_begin_where_asked() -> None:
     np.testing.assert_array_equal(starts[0], first)
     assert min(start[0] for start in starts[1:]) >= 0
     assert min(start[1] for start in starts[1:]) < 0
+
+
+def test_what_parameters_take_up_and_leave_is_that_of_the_joint_gaussian() -> None:
+    S, y = linear(4, n=9, p=3)
+    # Residuals are noise and what parameters of unit priors move: covariance I + S Sᵀ.
+    whole = np.eye(9) + S @ S.T
+    np.testing.assert_allclose(
+        spread_of(S), np.eye(3) - S.T @ np.linalg.solve(whole, S), atol=1e-12
+    )
+    left = np.linalg.solve(whole, y)
+    np.testing.assert_allclose(y - taken_up(S, y), left, atol=1e-12)
+    some = slice(2, 6)
+    np.testing.assert_allclose(
+        covariance_left(S, some), np.linalg.inv(whole)[some, some], atol=1e-12
+    )
+
+
+def test_what_stands_out_costs_its_square() -> None:
+    S, _ = linear(5, n=9, p=3)
+    moved = np.random.default_rng(6).standard_normal((9, 2))
+    out = standing_out(S, moved)
+    for k in range(2):
+        # The least cost of residuals that move so, over all sizes of the parameters.
+        found = fit(lambda z, k=k: moved[:, k] - S @ z, [False] * 3, [np.zeros(3)])
+        assert out[:, k] @ out[:, k] == pytest.approx(found.cost, rel=1e-6)
+    assert out[:, 0] @ out[:, 1] == pytest.approx(
+        moved[:, 0] @ np.linalg.solve(np.eye(9) + S @ S.T, moved[:, 1])
+    )

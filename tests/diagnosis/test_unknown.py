@@ -1,13 +1,17 @@
 """What no effect explains, and its signs, on a bench whose truth is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from diagnosis.block import Place
 from diagnosis.discrepancy import anything, discrepancies
-from diagnosis.rivals import Sized, compete
+from diagnosis.rivals import Comparison, Sized, compete
 from diagnosis.sampling import sampled
 from diagnosis.triggers import triggers
-from tests.diagnosis.toy import EFFECTS, bench, measured
+from physics.twin import Twin
+from tests.diagnosis.toy import EFFECTS, LEVEL, bench, measured
 
 SLOPE, BUMP, OFFSET = (Sized(effect, {}) for effect in EFFECTS[:3])
 
@@ -77,3 +81,22 @@ def test_sampled_evidence_minds_a_bound() -> None:
     rival = fitted(comparison, BUMP)
     found = sampled(comparison, rival, draws=2000)
     assert found.gain == pytest.approx(0.0, abs=0.5)
+
+
+def test_a_drift_that_no_effect_makes_is_looked_for_along_time() -> None:
+    comparison = measured(8, bench())
+    names = [f"t{k}" for k in range(6)]
+    places = [Place("line", time=names[k // 10]) for k in range(60)]
+    slow = 0.03 * (np.arange(60) // 10 - 2.5)
+    still = replace(comparison.blocks[0], places=tuple(places))
+    moving = replace(still, values=still.values + slow)
+    calm, off = (Comparison([b, comparison.blocks[1]], Twin(), (LEVEL,)) for b in (still, moving))
+    assert float(discrepancies(calm, fitted(calm))["lines"][0]) < 0
+    found = fitted(off)
+    assert float(discrepancies(off, found)["lines"][0]) > 3
+    shuffled = np.random.default_rng(0).permutation(60)
+    none = replace(moving, values=still.values + slow[shuffled])
+    mixed = Comparison([none, comparison.blocks[1]], Twin(), (LEVEL,))
+    assert float(discrepancies(mixed, fitted(mixed))["lines"][0]) < float(
+        discrepancies(off, found)["lines"][0]
+    )

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from diagnosis.how_far import Shrinkage
+from diagnosis.rivals import d_prime
 from diagnosis.verdict import Verdict
 from physics.effects.form import Parameter
 
@@ -90,11 +91,9 @@ def _effects(verdict: Verdict) -> dict[str, Any]:
     told = {}
     for name, rival in found.alone.items():
         own = reach[name]
-        # Of the likelihood: what an effect moves is less certain by itself.
-        gain = null.estimate.cost - rival.estimate.cost - 2 * float(np.sum(np.log(rival.deviation)))
         told[name] = {
             "log_bayes": rival.log_evidence - null.log_evidence,
-            "d_prime": float(np.sqrt(max(gain, 0.0))),
+            "d_prime": d_prime(null, rival),
             "sizes": _sizes(rival.told[name]),
             "places": dict(rival.effects[0].places),
             "certified": rival.estimate.certified,

@@ -109,7 +109,7 @@ def contest(
             alone[effect.id] = found
         report(0.2 + 0.4 * (number + 1) / len(effects))
     _refine(comparison, alone, null, len(effects))
-    null = _polished(comparison, null, alone.values())
+    null = polished(comparison, null, alone.values())
     report(0.7)
     pairs = _pairs(comparison, null, alone, effects)
     _refine(comparison, pairs, null, len(effects))
@@ -166,7 +166,7 @@ def _refine(comparison: Comparison, rivals: dict[str, Rival], null: Rival, effec
                 rivals[name] = replace(found, elsewhere=rival.elsewhere)
 
 
-def _polished(comparison: Comparison, null: Rival, rivals: Iterable[Rival]) -> Rival:
+def polished(comparison: Comparison, null: Rival, rivals: Iterable[Rival]) -> Rival:
     """Fit the twin without effects again, from where its best rival's nuisances have come to."""
     best = max(rivals, key=lambda rival: rival.log_evidence, default=None)
     if best is None:

@@ -204,6 +204,16 @@ class Rival:
         return _with_effects(twin, self.effects, sizes)
 
 
+def d_prime(null: Rival, rival: Rival) -> float:
+    """By how many deviations a rival's likelihood stands out of that without effects.
+
+    What an effect moves is less certain by itself, which a cost in units of that does not tell.
+    """
+    form = 2 * float(np.sum(np.log(rival.deviation)) - np.sum(np.log(null.deviation)))
+    gain = null.estimate.cost - rival.estimate.cost - form
+    return float(np.sqrt(max(gain, 0.0)))
+
+
 def compete(
     comparison: Comparison,
     effects: Sequence[Sized],

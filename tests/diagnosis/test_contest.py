@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.contest import NONE, UNKNOWN, confirmed, contest
-from diagnosis.rivals import Sized, compete, compete_straight, exactly
+from diagnosis.contest import NONE, PRIOR, UNKNOWN, confirmed, contest, polished
+from diagnosis.rivals import Sized, compete, compete_straight, d_prime, exactly
 from physics.effects.form import Effect
 from physics.twin import Twin
 from tests.diagnosis.toy import EFFECTS, bench, measured
@@ -121,3 +121,37 @@ def test_counting_a_straight_fit_exactly_changes_nothing_where_all_is_straight()
     exact = exactly(comparison, straight)
     assert exact.estimate.cost == pytest.approx(straight.estimate.cost)
     assert exact.log_evidence == pytest.approx(straight.log_evidence)
+
+
+def test_what_nobody_can_see_may_still_be_unknown() -> None:
+    # Nothing is off: what is unknown is as likely as before, but for what would have been seen.
+    found = contest(measured(12, bench()), EFFECTS).log_probability
+    assert 0.3 * PRIOR["unknown"] / PRIOR["none"] < np.exp(found[UNKNOWN] - found[NONE]) < 0.25
+
+
+def test_a_gain_of_form_alone_is_no_signal() -> None:
+    # An effect far from its form is less certain by itself: that costs likelihood.
+    comparison = measured(13, bench(leak=2.0))
+    found = contest(comparison, EFFECTS)
+    slope = found.alone["slope"]
+    assert np.sum(np.log(slope.deviation)) > 5
+    gain = found.null.estimate.cost - slope.estimate.cost
+    assert d_prime(found.null, slope) ** 2 == pytest.approx(
+        gain - 2 * np.sum(np.log(slope.deviation))
+    )
+    assert d_prime(slope, found.null) == 0.0
+
+
+def test_a_better_optimum_takes_the_certificate_of_a_worse_one_away() -> None:
+    comparison = measured(14, bench(fade_per_h=0.5))
+    good = compete(comparison, (), [np.zeros(1)], exact=True)
+    # Two searches that agreed on something much worse.
+    worse = replace(
+        good, estimate=replace(good.estimate, cost=good.estimate.cost + 50, agreeing=2, starts=2)
+    )
+    rival = contest(comparison, EFFECTS).alone["slope"]
+    again = polished(comparison, worse, [rival])
+    assert again.estimate.cost == pytest.approx(good.estimate.cost, abs=0.1)
+    assert (again.estimate.agreeing, again.estimate.starts) == (2, 2)
+    kept = polished(comparison, replace(good, estimate=replace(good.estimate, agreeing=1)), [rival])
+    assert (kept.estimate.agreeing, kept.estimate.starts) == (2, 2)

@@ -636,14 +636,21 @@ def blind_make(
 
 @_blind_verb
 def blind_score(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="What `blind make` made.")],
+    folders: Annotated[
+        list[Path], typer.Argument(metavar="DIR…", help="What `blind make` made; scored as one.")
+    ],
     answers: Annotated[
-        Path,
+        list[Path],
         typer.Option(
-            metavar="DIR", help="Folder of NAME.json, what `diagnose --json` printed of each case."
+            metavar="DIR",
+            help="Folder of NAME.json, what `diagnose --json` printed of each case; "
+            "one for each set, in the same order.",
         ),
     ],
-    key: Annotated[Path, typer.Option(metavar="FILE", help="Labels, by `blind make`.")],
+    key: Annotated[
+        list[Path],
+        typer.Option(metavar="FILE", help="Labels, by `blind make`; one for each set."),
+    ],
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Reliability plot to draw besides.")
     ] = None,
@@ -654,12 +661,19 @@ def blind_score(
     with _blind_side():
         from blind.classes import CLASSES
         from blind.drawing import draw_reliability
-        from blind.files import answered_cases
+        from blind.files import BlindError, answered_cases
         from blind.report import report as blind_report
         from blind.report import sentences
         from blind.scoring import Classes
 
-        cases, classes = answered_cases(folder, answers, key), Classes(CLASSES)
+        if not len(folders) == len(answers) == len(key):
+            raise BlindError(
+                f"{len(folders)} sets of cases, {len(answers)} --answers and {len(key)} --key were "
+                "given; give one of each for every set, in the same order"
+            )
+        sets = zip(folders, answers, key, strict=True)
+        cases = [case for made in sets for case in answered_cases(*made)]
+        classes = Classes(CLASSES)
         scores = blind_report(cases, classes)
         if as_json:
             _show_json(scores)

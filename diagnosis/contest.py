@@ -28,6 +28,10 @@ NONE, UNKNOWN = "none", "unknown"
 PRIOR = {"none": 0.25, "one": 0.5, "two": 0.1, "unknown": 0.15}
 # Something unknown may be too small to be seen, as many a known effect is.
 _UNSEEN = 0.3
+# An effect that gains so many nats where it gains most is tried at as many of its best places.
+_MUCH, _MOST_PLACES = 20.0, 6
+# Residuals of so many times their noise, squared, in the mean are far off.
+_FAR_OFF = 2.0
 # Of the best effects, all pairs; and the best with as many that explain most of what it leaves.
 _MOST_PAIRED, _MOST_BESIDE, _LEAST_GAIN = 5, 4, 3.0
 # Beside so many of the likeliest something unknown is looked for, of this prior.
@@ -143,11 +147,14 @@ def confirmed(comparison: Comparison, found: Contest, name: str, effects: int) -
 def _bases(comparison: Comparison, null: Rival) -> list[tuple[Array, Base]]:
     """Nuisances to begin with, and the twin that has them.
 
-    What fits are free to exchange may hide an effect: it is looked for without that as well.
+    What fits are free to exchange may hide an effect: it is looked for without that as well. If the
+    twin without effects is far off, so may be all that it has been bent to.
     """
     z = [null.estimate.z]
     if comparison.exchanging.any():
         z.append(np.where(comparison.exchanging, 0.0, null.estimate.z))
+    if null.estimate.chi2 > _FAR_OFF * len(null.left):
+        z.append(np.zeros(len(null.estimate.z)))
     return [(at, Base.at(comparison, at)) for at in z]
 
 
@@ -205,7 +212,7 @@ def _alone(
     """
     fitted = [_at_its_best(comparison, z, own) for (z, _), own in zip(bases, places, strict=True)]
     found = [rival for rival in fitted if rival is not None]
-    if len(found) > 1 and found[1].estimate.cost < found[0].estimate.cost:
+    if any(other.estimate.cost < found[0].estimate.cost for other in found[1:]):
         # What is straight far from an optimum may promise more than there is.
         found = [exact for rival in found if (exact := _exactly(comparison, rival)) is not None]
     return min(found, key=lambda rival: rival.estimate.cost, default=None)
@@ -222,13 +229,24 @@ def _at_its_best(comparison: Comparison, about: Array, places: Sequence[Screened
     """Fit one effect at its best place, beside nuisances (p,)."""
     if not places:
         return None
-    best = max(places, key=lambda place: place.gain)
-    rival = _straight(comparison, (best.sized,), about, best.sizes)
-    if rival is None:
+    ranked = sorted(places, key=lambda place: -place.gain)
+    tried = [(ranked[0], ranked[0].sizes)]
+    if ranked[0].gain > _MUCH:
+        # What does much need not be where it would be if it did as much of what little of it does.
+        for place in ranked[:_MOST_PLACES]:
+            usual_size = np.concatenate([[np.sign(place.sizes[0])], 0 * place.sizes[1:]])
+            tried += [(place, place.sizes), (place, usual_size)]
+    found = [
+        (rival, place)
+        for place, sizes in tried
+        if (rival := _straight(comparison, (place.sized,), about, sizes)) is not None
+    ]
+    if not found:
         return None
+    rival, best = min(found, key=lambda pair: pair[0].estimate.cost)
     # Elsewhere it is worse by as much as its signature says; here the fit is exact.
     count = count_places(best.sized.effect)
-    others = float(logsumexp([place.gain - best.gain for place in places]) - np.log(count))
+    others = float(logsumexp([place.gain - ranked[0].gain for place in places]) - np.log(count))
     return replace(rival, elsewhere=others)
 
 

@@ -25,7 +25,7 @@ _LEAST_GAIN = 1e-7
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-2, 1e-9, 1e9
 # A fit is certified if two starts end this near to each other, and the last step that the
 # curvature asks for would gain no more than this.
-SAME_COST, _LEAST_DECREMENT = 1.0, 0.1
+SAME_COST, LEAST_DECREMENT = 1.0, 0.1
 # Starts lie within this many standard deviations of the prior.
 _START_SPREAD = 1.0
 
@@ -68,7 +68,7 @@ class Estimate:
     @property
     def certified(self) -> bool:
         """Whether it is known to be the fit, and not where a search has stopped."""
-        return self.agreeing >= min(2, self.starts) and self.decrement < _LEAST_DECREMENT
+        return self.agreeing >= min(2, self.starts) and self.decrement < LEAST_DECREMENT
 
     @property
     def chi2(self) -> float:

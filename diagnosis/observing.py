@@ -9,7 +9,13 @@ from diagnosis.block import Block
 from diagnosis.campaign import Campaign
 from diagnosis.known_bench import sensor_of
 from diagnosis.taps.beat import Beat, lock_block, lock_scatter_hz, log_block, read_beat
-from diagnosis.taps.carrier import Carrier, carrier_block, leaks_in, read_carriers
+from diagnosis.taps.carrier import (
+    Carrier,
+    carrier_block,
+    leaks_in,
+    read_carriers,
+    unshifted_light,
+)
 from diagnosis.taps.drive import Device, force_block, level_block, line_block
 from diagnosis.taps.light import brightness_block, fringe_block, mixing_in, noise_block
 from diagnosis.taps.modes import modes_block
@@ -104,14 +110,16 @@ def read(
     sheet = Sheet(sensor, 0.5 * sensor.shape[0] * sensor.pixel_m)
     dark = read_dark(dark_parts) if dark_parts else None
     offset_dn = dark.offset_dn if dark else sensor.offset_dn
-    sweeps, refused = read_sweeps(campaign.sweeps, lambda share: report(_SWEEPS * share))
+    carriers = read_carriers(campaign.sweeps, still_parts)
+    leaking = unshifted_light(campaign.sweeps, still_parts, carriers)
+    sweeps, refused = read_sweeps(campaign.sweeps, lambda share: report(_SWEEPS * share), leaking)
     lines = [CavityLine(frequency_hz=hz) for hz in first.acoustic_lines_hz[:1]]
     return Readings(
         dark=dark,
         flat=read_flat(flat_parts, offset_dn) if flat_parts else None,
         lo=read_beam(lo_parts, offset_dn) if lo_parts else None,
         stills=tuple(read_stills(still_parts)),
-        carriers=tuple(read_carriers(campaign.sweeps, still_parts)),
+        carriers=tuple(carriers),
         beat=read_beat(campaign.sweeps),
         sweeps=tuple(sweeps),
         refused=tuple(refused),

@@ -8,14 +8,14 @@ are taken at every step.
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.block import Block
-from diagnosis.estimate import Estimate, fit
+from diagnosis.estimate import LEAST_DECREMENT, Estimate, fit
 from diagnosis.nuisances import Nuisance
 from physics.effects.form import Effect, Parameter
 from physics.twin import Twin
@@ -24,6 +24,8 @@ Array = NDArray[np.floating[Any]]
 
 # Slopes are taken anew where a nuisance has moved by so many deviations.
 _FAR, _NEAR = 1.5, 0.3
+# Where a fit has not come to rest they are taken here, of steps that are smaller, so many times.
+_HERE, _FINE, _MOST_FINE = 0.03, 0.15, 3
 _STEP = 0.02
 _KEPT, _SLOPES_KEPT = 4096, 4
 # Searches end where a step gains less than this share of the cost: hundredths of a nat.
@@ -90,14 +92,23 @@ class Comparison:
         self._slopes = [(z.copy(), slope), *self._slopes[: _SLOPES_KEPT - 1]]
         return slope
 
-    def slope_beside(self, z: Array, change: Callable[[Twin], Twin]) -> Array:
-        """Derivatives (n, p) along the nuisances at z, of twins that are changed besides."""
+    def slope_beside(
+        self, z: Array, change: Callable[[Twin], Twin], *, fine: bool = False
+    ) -> Array:
+        """Derivatives (n, p) along the nuisances at z, of twins that are changed besides.
+
+        Fine ones are good where modes nearly meet, and cost twice as much.
+        """
         here, columns = self.residuals(change(self.twin(z))), []
         for k in range(len(z)):
             step = -_STEP if z[k] > 0 else _STEP
-            moved = z.copy()
+            step *= _FINE if fine else 1
+            moved, back = z.copy(), z.copy()
             moved[k] += step
-            columns.append((self.residuals(change(self.twin(moved))) - here) / step)
+            back[k] -= step
+            other = self.residuals(change(self.twin(back))) if fine else here
+            more = self.residuals(change(self.twin(moved))) - other
+            columns.append(more / (2 * step if fine else step))
         return np.stack(columns, axis=1)
 
 
@@ -254,17 +265,27 @@ def compete(
         found = fit(residuals, positive, starts, jacobian, _LEAST_GAIN)
         return _loosened(comparison, effects, by_effects(found.z), found)
     kept: list[tuple[Array, Array]] = []
+    finely: list[tuple[Array, Array]] = []
 
-    def close(z: Array) -> Array:
-        near = [slope for at, slope in kept if np.abs(z - at).max() <= _NEAR]
+    def close(z: Array, *, fine: bool = False) -> Array:
+        chosen, far = (finely, _HERE) if fine else (kept, _NEAR)
+        near = [slope for at, slope in chosen if np.abs(z - at).max() <= far]
+        if fine and len(finely) == _MOST_FINE:
+            near = [finely[-1][1]]
         if not near:
-            near = [comparison.slope_beside(z[:p], lambda t: _with_effects(t, effects, z[p:]))]
-            kept.append((z.copy(), near[0]))
+            changed = partial(_with_effects, effects=effects, sizes=z[p:])
+            near = [comparison.slope_beside(z[:p], changed, fine=fine)]
+            chosen.append((z.copy(), near[0]))
         return np.column_stack([near[0], *_by_size(residuals, z, p, positive)])
 
     ends = _ends(residuals, positive, starts, jacobian)
+    found = fit(residuals, positive, ends, close, _LEAST_GAIN)
+    agreeing = found.agreeing
+    if found.decrement > LEAST_DECREMENT:
+        # Slopes of a little way off show steps that there are not.
+        found = fit(residuals, positive, [found.z], lambda z: close(z, fine=True), _LEAST_GAIN)
     # Searches that end at no possible reed agree with none.
-    found = replace(fit(residuals, positive, ends, close, _LEAST_GAIN), starts=len(starts))
+    found = replace(found, agreeing=agreeing, starts=len(starts))
     return _loosened(comparison, effects, by_effects(found.z), found)
 
 

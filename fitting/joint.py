@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import j0
 from threadpoolctl import threadpool_limits
 
 from acquire.runfile import Run
@@ -16,7 +17,7 @@ from fitting.forward import ForwardModel, cents_of, viscoelastic_cents
 from fitting.light import SharedError, light_factor, smooth_functions
 from fitting.modal import ModalFit, fit_modes
 from fitting.modal_model import KNOWN_LINES
-from fitting.phasors import Phasors, read_phasors
+from fitting.phasors import Phasors, Unshifted, read_phasors
 from fitting.picking import Resonance, likely_components, pick_resonances
 from fitting.shapes import ShapeBasis, shape_basis
 from physics.reed.basis import ReducedReed
@@ -91,7 +92,9 @@ class JointFit:
     not_identified: dict[str, str]
 
 
-def fit_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> JointFit:
+def fit_jointly(
+    run: Run, reed: ReducedReed, model: ForwardModel, unshifted: Unshifted | None = None
+) -> JointFit:
     """Fit all holograms of a run at once.
 
     Parameters
@@ -101,6 +104,8 @@ def fit_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> JointFit:
         Of the run's kind of reed.
     model : ForwardModel
         Says, with the population of canes, where modes may lie.
+    unshifted : Unshifted, optional
+        Light that is known to leak in, to be taken off.
 
     Raises
     ------
@@ -111,12 +116,14 @@ def fit_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> JointFit:
     """
     # Matrices are small: threads of linear algebra would wait for each other more than compute.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _fitted(run, reed, model)
+        return _fitted(run, reed, model, unshifted)
 
 
-def _fitted(run: Run, reed: ReducedReed, model: ForwardModel) -> JointFit:
+def _fitted(
+    run: Run, reed: ReducedReed, model: ForwardModel, unshifted: Unshifted | None
+) -> JointFit:
     series = Series.B if run.series == "B" else Series.A
-    phasors = read_phasors(run)
+    phasors = read_phasors(run, unshifted)
     basis = _basis(reed, viscoelastic_cane(Components(), series), phasors)
     displacements = fit_displacements(phasors, basis)
     start_hz = _starts(phasors, basis, displacements, reed, model, series)
@@ -153,7 +160,9 @@ def _told(
     )
 
 
-def fit_again(run: Run, before: JointFit, *, moved: bool = False) -> JointFit:
+def fit_again(
+    run: Run, before: JointFit, *, moved: bool = False, unshifted: Unshifted | None = None
+) -> JointFit:
     """Fit another sweep of the same reed from what one has told.
 
     A third of the work of `fit_jointly`: vibration and light are looked for where they were, driven
@@ -166,6 +175,8 @@ def fit_again(run: Run, before: JointFit, *, moved: bool = False) -> JointFit:
         Of another run, in which the reed has the same places in the image.
     moved : bool
         Whether the reed has been taken out of its clamp since: its speckle is another one.
+    unshifted : Unshifted, optional
+        Light that is known to leak in, to be taken off.
 
     Raises
     ------
@@ -175,33 +186,57 @@ def fit_again(run: Run, before: JointFit, *, moved: bool = False) -> JointFit:
         If a step cannot be read.
     """
     with threadpool_limits(limits=1, user_api="blas"):
-        phasors = read_phasors(run)
+        phasors = read_phasors(run, unshifted)
         if phasors.x_m.shape != before.phasors.x_m.shape:
             raise FitError(
                 f"{run.path}: shows the reed in {len(phasors.x_m)} places, another run of it in "
                 f"{len(before.phasors.x_m)}; fit it by itself"
             )
-        start = _as_before(phasors, before)
-        if moved:
-            start = replace(start, light=_new_light(phasors, start.amplitude_rad, before.basis))
-        everything = np.ones(len(phasors.drive_hz), dtype=bool)
-        none = np.zeros(len(start.shared.precision))
-        displacements = refit_displacements(
-            phasors, before.basis, start, (start.amplitude_rad,), everything, none
-        )
-        start_hz = dict(zip(before.modal.names, before.modal.hz.tolist(), strict=True))
-        known = _moved(before.modal, before.phasors, phasors)
-        # A drive has the lines that it had: else modes would be free to be taken for lines anew.
-        modal = fit_modes(
-            displacements,
-            before.basis,
-            phasors.drive_hz,
-            np.abs(known.drive),
-            start_hz,
-            known,
-            lines=KNOWN_LINES,
-        )
-        return _told(modal, phasors, before.basis, displacements)
+        return _from_before(phasors, before, moved=moved)
+
+
+def fit_less(before: JointFit) -> JointFit:
+    """Fit a sweep once more, less the unshifted light that its vibration leaves.
+
+    What of it is left goes by J₀ of the vibration, which nobody knows before a fit.
+
+    Raises
+    ------
+    FitError
+        As `fit_again`.
+    """
+    phasors = before.phasors
+    if phasors.taken_off is None:
+        return before
+    moved_rad = np.abs(before.modal.amplitude_rad @ before.basis.functions.T).T
+    off = (phasors.taken_off * j0(moved_rad)).astype(np.complex64)
+    with threadpool_limits(limits=1, user_api="blas"):
+        less = replace(phasors, value=phasors.recorded - off, taken_off=off)
+        return _from_before(less, before, moved=False)
+
+
+def _from_before(phasors: Phasors, before: JointFit, *, moved: bool) -> JointFit:
+    start = _as_before(phasors, before)
+    if moved:
+        start = replace(start, light=_new_light(phasors, start.amplitude_rad, before.basis))
+    everything = np.ones(len(phasors.drive_hz), dtype=bool)
+    none = np.zeros(len(start.shared.precision))
+    displacements = refit_displacements(
+        phasors, before.basis, start, (start.amplitude_rad,), everything, none
+    )
+    start_hz = dict(zip(before.modal.names, before.modal.hz.tolist(), strict=True))
+    known = _moved(before.modal, before.phasors, phasors)
+    # A drive has the lines that it had: else modes would be free to be taken for lines anew.
+    modal = fit_modes(
+        displacements,
+        before.basis,
+        phasors.drive_hz,
+        np.abs(known.drive),
+        start_hz,
+        known,
+        lines=KNOWN_LINES,
+    )
+    return _told(modal, phasors, before.basis, displacements)
 
 
 def _as_before(phasors: Phasors, before: JointFit) -> Displacements:

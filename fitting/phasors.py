@@ -9,7 +9,7 @@ right singular vector says how much light each pixel has, and so which place in 
 that the phasors are those of.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,6 +55,22 @@ class OtherPhasors:
 
 
 @dataclass(frozen=True)
+class Unshifted:
+    """Light that no vibration has shifted and that leaks into holograms of a run.
+
+    Attributes
+    ----------
+    light : (height, width) complex64
+        Of the reed at rest, as `Run.field` has it.
+    share : dict of complex
+        How much of it each hologram has, by its position in the run.
+    """
+
+    light: Complex
+    share: Mapping[int, complex]
+
+
+@dataclass(frozen=True)
 class Phasors:
     """What every block shows in every good hologram of a run.
 
@@ -73,6 +89,8 @@ class Phasors:
         Peak volts at the load.
     others : tuple of OtherPhasors
         Of other sidebands, if the protocol asks for them.
+    taken_off : (n, k) complex64, optional
+        What `value` would have more if no unshifted light had been taken off the holograms.
     """
 
     value: Complex
@@ -82,10 +100,22 @@ class Phasors:
     drive_hz: Array
     volts: Array
     others: tuple[OtherPhasors, ...] = ()
+    taken_off: Complex | None = None
+
+    @property
+    def recorded(self) -> Complex:
+        """Value (n, k) with what has been taken off."""
+        return self.value if self.taken_off is None else self.value + self.taken_off
 
 
-def read_phasors(run: Run) -> Phasors:
+def read_phasors(run: Run, unshifted: Unshifted | None = None) -> Phasors:
     """Compress the good holograms of a run, of all its sidebands, in order of frequency.
+
+    Parameters
+    ----------
+    run : Run
+    unshifted : Unshifted, optional
+        To be taken off the holograms.
 
     Raises
     ------
@@ -104,7 +134,10 @@ def read_phasors(run: Run) -> Phasors:
     inside = (beside > _EDGE_M) & (X > 2 * _EDGE_M) & (visible_m > X)
     others = _others(run, steps)
     together = [*steps, *(step for found in others.values() for step in found.values())]
-    value, share = _leading(_holograms(run, together, inside, factors[0], factors[1]))
+    in_blocks = _Blocks(inside, factors[0], factors[1])
+    holograms = _holograms(run, together, in_blocks)
+    off = None if unshifted is None else _taken_off(unshifted, together, in_blocks)
+    value, share, off = _leading(holograms if off is None else holograms - off, off)
     rows, columns = np.nonzero(inside)
     # Pixels of a block, row by row.
     places_y = np.repeat(y_m[rows], factors[1], axis=1)
@@ -117,6 +150,7 @@ def read_phasors(run: Run) -> Phasors:
         drive_hz=np.array([float(step.read_drive_hz or step.drive_hz) for step in steps]),
         volts=np.array([step.volts for step in steps]),
         others=_split(others, value[:, len(steps) :], len(steps)),
+        taken_off=None if off is None else np.ascontiguousarray(off[:, : len(steps)]),
     )
 
 
@@ -149,28 +183,54 @@ def _in_blocks(axis_m: Array, factor: int) -> Array:
     return axis_m[: len(axis_m) // factor * factor].reshape(-1, factor)
 
 
-def _holograms(
-    run: Run, steps: Sequence[StepRecord], inside: NDArray[np.bool_], high: int, wide: int
-) -> Complex:
+@dataclass(frozen=True)
+class _Blocks:
+    """Blocks of so many pixels high and wide that lie inside (rows, columns)."""
+
+    inside: NDArray[np.bool_]
+    high: int
+    wide: int
+
+    def of(self, field: Complex) -> Complex:
+        """Blocks (n, p) of a field."""
+        (rows, columns), high, wide = self.inside.shape, self.high, self.wide
+        whole = field[: rows * high, : columns * wide].reshape(rows, high, columns, wide)
+        chosen = whole.transpose(0, 2, 1, 3)[self.inside]
+        return chosen.reshape(len(chosen), -1)
+
+
+def _holograms(run: Run, steps: Sequence[StepRecord], blocks: _Blocks) -> Complex:
     """Fields (n, k, p) of the blocks inside, of noise 1."""
-    rows, columns = inside.shape
-    chosen = np.empty((np.count_nonzero(inside), len(steps), high * wide), np.complex64)
+    pixels = blocks.high * blocks.wide
+    chosen = np.empty((np.count_nonzero(blocks.inside), len(steps), pixels), np.complex64)
     for k, step in enumerate(steps):
-        field = run.field(step.position)[: rows * high, : columns * wide]
-        blocks = field.reshape(rows, high, columns, wide).transpose(0, 2, 1, 3)[inside]
-        chosen[:, k] = blocks.reshape(len(blocks), -1) / np.float32(np.sqrt(step.noise_level))
+        chosen[:, k] = blocks.of(run.field(step.position)) / np.float32(np.sqrt(step.noise_level))
     return chosen
 
 
-def _leading(holograms: Complex) -> tuple[Complex, Array]:
-    """Leading left singular vectors (n, k) times singular values, and shares of light (n, p)."""
+def _taken_off(unshifted: Unshifted, steps: Sequence[StepRecord], blocks: _Blocks) -> Complex:
+    """Unshifted light (n, k, p) in units of the holograms' noise."""
+    share = [unshifted.share.get(step.position, 0.0) / np.sqrt(step.noise_level) for step in steps]
+    light = blocks.of(unshifted.light)
+    off: Complex = (light[:, None, :] * np.array(share)[:, None]).astype(np.complex64)
+    return off
+
+
+def _leading(holograms: Complex, beside: Complex | None) -> tuple[Complex, Array, Complex | None]:
+    """Leading left singular vectors (n, k) times singular values, and shares of light (n, p).
+
+    At last what that light tells of others (n, k, p) beside.
+    """
     blocks, count, pixels = holograms.shape
     value, share = np.empty((blocks, count), np.complex64), np.empty((blocks, pixels))
+    other = None if beside is None else np.empty((blocks, count), np.complex64)
 
     def fill(some: slice) -> None:
         here = holograms[some]
         vectors = np.linalg.eigh(here.conj().transpose(0, 2, 1) @ here)[1][:, :, -1:]
         value[some], share[some] = (here @ vectors)[..., 0], np.abs(vectors[..., 0]) ** 2
+        if beside is not None and other is not None:
+            other[some] = (beside[some] @ vectors)[..., 0]
 
     in_parts(fill, blocks, _TOGETHER)
-    return value, share
+    return value, share, other

@@ -11,6 +11,7 @@ from acquire.runfile import Run
 from diagnosis.block import Block, Place, block
 from diagnosis.campaign import Part
 from diagnosis.taps.vibration import SweepReading
+from fitting.phasors import Unshifted
 from physics.effects.form import Tap
 from physics.reed.geometry import half_width_m
 from physics.twin import Twin
@@ -23,6 +24,8 @@ _CALM_M = 2e-3
 # Of many holograms those count that are calmest.
 _CALMEST = 0.25
 _LEAST_PIXELS = 20
+# From here to the clamp a reed bends simply. Less than that share of unshifted light is left alone.
+_BENT_M, _LEAST_TAKEN_OFF = 6e-3, 5e-3
 
 
 @dataclass(frozen=True)
@@ -53,37 +56,40 @@ def read_carriers(sweeps: Sequence[Part], stills: Sequence[Part]) -> list[Carrie
     stills = [part for part in stills if part.good_steps]
     for clamping in sorted({part.clamping for part in stills}):
         first = next(part for part in stills if part.clamping == clamping)
-        at_rest, calm = first.run, _calm(first.run)
+        calm = _beside_clamp(first.run, _CALM_M)
         if np.count_nonzero(calm) < _LEAST_PIXELS:
             continue
-        light, power = _light(first, calm)
-        for part in sweeps:
-            same = np.array_equal(part.run.x_m, at_rest.x_m) and len(part.run.y_m) == len(calm)
-            if part.clamping == clamping and same:
-                found.append(_carrier(part, calm, light, power))
+        at_rest, noise = _at_rest(first)
+        light = at_rest[calm]
+        power = float(np.vdot(light, light).real) - noise * light.size
+        found += [_carrier(part, calm, light, power) for part in sweeps if _show_same(part, first)]
     return found
 
 
-def _calm(run: Run) -> NDArray[np.bool_]:
+def _show_same(sweep: Part, still: Part) -> bool:
+    """Whether a sweep shows what is at rest in the same speckle and the same pixels."""
+    same = np.array_equal(sweep.run.x_m, still.run.x_m)
+    return sweep.clamping == still.clamping and same and len(sweep.run.y_m) == len(still.run.y_m)
+
+
+def _beside_clamp(run: Run, length_m: float) -> NDArray[np.bool_]:
     """Which pixels (height, width) show the reed beside its clamp."""
     reed = run.reed_file().geometry()
-    near = run.x_m > reed.clamp.x_m[0] - _CALM_M
+    near = run.x_m > reed.clamp.x_m[0] - length_m
     inside = np.abs(run.y_m)[:, None] < half_width_m(reed.outline, run.x_m)
-    calm: NDArray[np.bool_] = near & inside
-    return calm
+    beside: NDArray[np.bool_] = near & inside
+    return beside
 
 
-def _light(part: Part, calm: NDArray[np.bool_]) -> tuple[Complex, float]:
-    """Mean light (n,) of a reed at rest, and the sum of its squares without noise."""
+def _at_rest(part: Part) -> tuple[Complex, float]:
+    """Mean light (height, width) of a reed at rest, and the variance of its noise."""
     fields, noises = [], []
     for step in part.good_steps:
         halves = part.run.reconstruction.quadratures(part.run.frames(step.position))
-        fields.append(halves.field[calm])
+        fields.append(halves.field)
         noises.append(halves.noise)
     turned = [f * np.exp(-1j * np.angle(np.vdot(fields[0], f))) for f in fields]
-    mean = np.mean(turned, axis=0)
-    left = float(np.mean(noises)) / len(fields) * mean.size
-    return mean, float(np.vdot(mean, mean).real) - left
+    return np.mean(turned, axis=0), float(np.mean(noises)) / len(fields)
 
 
 def _carrier(part: Part, calm: NDArray[np.bool_], light: Complex, power: float) -> Carrier:
@@ -93,6 +99,52 @@ def _carrier(part: Part, calm: NDArray[np.bool_], light: Complex, power: float) 
     noise = float(np.median([step.noise_level for step in steps]))
     volts = float(np.exp(np.mean([np.log(max(step.volts, 1e-6)) for step in steps])))
     return Carrier(part.name, float(np.quantile(seen, _CALMEST)), np.sqrt(noise / power), volts)
+
+
+def unshifted_light(
+    sweeps: Sequence[Part], stills: Sequence[Part], carriers: Sequence[Carrier]
+) -> dict[str, Unshifted]:
+    """Light that leaks into sweeps, by their names, where it is so much that fits would suffer.
+
+    It is as large in all holograms of a sweep, and its phase in each is what the reed shows where
+    it would meet its clamp. The calmest sweep tells how large.
+
+    Parameters
+    ----------
+    sweeps, stills : sequence of Part
+    carriers : sequence of Carrier
+        By `read_carriers`.
+    """
+    if not carriers:
+        return {}
+    calmest = min(carriers, key=lambda carrier: carrier.volts)
+    usual = float(_floor([calmest])[0])
+    share = float(np.sqrt(max(calmest.share**2 - usual**2, 0.0)))
+    if share < max(_LEAST_TAKEN_OFF, 2 * usual):
+        return {}
+    found = {}
+    for still in [part for part in stills if part.good_steps]:
+        for part in sweeps:
+            if part.name not in found and _show_same(part, still):
+                found[part.name] = _unshifted(part, _at_rest(still)[0], share)
+    return found
+
+
+def _unshifted(part: Part, at_rest: Complex, share: float) -> Unshifted:
+    """Light at rest (height, width) that leaks into each hologram of a sweep by so much."""
+    run = part.run
+    near = _beside_clamp(run, _BENT_M)
+    y_m, x_m = (at[near] for at in np.meshgrid(run.y_m, run.x_m, indexing="ij"))
+    away = (run.reed_file().geometry().clamp.x_m[0] - x_m) / _BENT_M
+    aside = y_m / max(float(np.abs(y_m).max()), 1e-12)
+    # A reed bends from its clamp on, and twists.
+    moved = np.stack([away**0, away**2, away**3, away**2 * aside], axis=1)
+    of_light = np.linalg.pinv(at_rest[near][:, None] * moved)[0]
+    shares = {}
+    for step in part.good_steps:
+        seen = complex(of_light @ run.field(step.position)[near])
+        shares[step.position] = share * seen / max(abs(seen), 1e-12)
+    return Unshifted(at_rest.astype(np.complex64), shares)
 
 
 # --- Beside the twin ----------------------------------------------------------------------------

@@ -29,6 +29,9 @@ _SHOT = 0.96
 # What templates show where nothing leaks: amplitude and its spread. Fringes that a block of pixels
 # averages look a little like either.
 _FLOORS = {"order_mixing": (5e-3, 2.5e-3), "decorrelation": (1.15e-4, 3e-5)}
+# Share of a carrier that looks like the next sideband once it has been taken off, and what doubt
+# that leaves of either.
+_LEFT_OF_CARRIER, _OF_TAKEN_OFF = 0.2, (0.15, 3e-3)
 
 
 def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) -> Block:
@@ -165,17 +168,21 @@ def noise_block(sweeps: Sequence[SweepReading]) -> Block:
 
 def fringe_block(sweeps: Sequence[SweepReading]) -> Block:
     """What is in fringes beside the first sideband, by templates, of all loud sweeps together."""
-    values = [_amplitudes(at_highest_level(sweeps), name) for name in _FLOORS]
+    loud = at_highest_level(sweeps)
+    values = [_amplitudes(loud, name) for name in _FLOORS]
     floors = np.array(list(_FLOORS.values()))
+    off = max(sweep.taken_off for sweep in loud)
+    # A carrier goes by J0, the next sideband by J2: but for a constant they are much alike.
+    alike = _LEFT_OF_CARRIER if off else 1.0
 
     def predict(twin: Twin) -> Array:
         beams: Beams = twin.beams
-        # A carrier goes by J0, the next sideband by J2: but for a constant they are much alike.
-        mixed = np.sqrt(beams.mixing**2 + beams.leak**2 + floors[0, 0] ** 2)
+        mixed = np.sqrt(beams.mixing**2 + (alike * beams.leak) ** 2 + floors[0, 0] ** 2)
         return np.array([mixed, beams.blur + floors[1, 0]])
 
     places = [Place(name.replace("_", " ")) for name in _FLOORS]
-    return block("fringes", Tap.MAPS, values, floors[:, 1], places, ("beams",), predict)
+    errors = np.hypot(floors[:, 1], off * np.array(_OF_TAKEN_OFF))
+    return block("fringes", Tap.MAPS, values, errors, places, ("beams",), predict)
 
 
 def mixing_in(sweeps: Sequence[SweepReading]) -> float:

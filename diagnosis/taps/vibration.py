@@ -1,6 +1,7 @@
 """What the sweeps of a campaign tell: modes, drive and light of each, and what their fits leave."""
 
-from collections.abc import Callable, Sequence
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +14,9 @@ from diagnosis.block import Block, Place, block
 from diagnosis.campaign import Part
 from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
-from fitting.joint import JointFit, fit_again, fit_jointly
+from fitting.joint import JointFit, fit_again, fit_jointly, fit_less
 from fitting.modal import ModalFit
+from fitting.phasors import Unshifted
 from physics.effects.form import Tap
 from physics.twin import Twin
 
@@ -88,6 +90,8 @@ class SweepReading:
     template_variance : (3, k) float
     discrepancy : float
         See `fitting.modal.ModalFit`.
+    taken_off : float
+        Amplitude of unshifted light that was taken off, in units of the light at rest.
     """
 
     name: str
@@ -120,6 +124,7 @@ class SweepReading:
     template: Complex
     template_variance: Array
     discrepancy: float
+    taken_off: float = 0.0
 
     @property
     def loudness(self) -> float:
@@ -128,9 +133,19 @@ class SweepReading:
 
 
 def read_sweeps(
-    parts: Sequence[Part], progress: Callable[[float], None] | None = None
+    parts: Sequence[Part],
+    progress: Callable[[float], None] | None = None,
+    unshifted: Mapping[str, Unshifted] | None = None,
 ) -> tuple[list[SweepReading], list[str]]:
     """Fit all sweeps: one by itself, the others each from the one before.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+    progress : callable, optional
+        Told the share that is done.
+    unshifted : dict of Unshifted, optional
+        Light that is known to leak into sweeps, by their names.
 
     Returns
     -------
@@ -148,12 +163,14 @@ def read_sweeps(
     fits: dict[str, JointFit] = {}
 
     def fit(part: Part, known: Part | None) -> bool:
+        off = (unshifted or {}).get(part.name)
         try:
             if known is None:
-                fits[part.name] = fit_jointly(part.run, reed, model)
+                fits[part.name] = fit_jointly(part.run, reed, model, off)
             else:
                 moved = part.clamping != known.clamping
-                fits[part.name] = fit_again(part.run, fits[known.name], moved=moved)
+                before = fits[known.name]
+                fits[part.name] = fit_again(part.run, before, moved=moved, unshifted=off)
         except FitError as error:
             refused[part.name] = str(error)
             return False
@@ -177,10 +194,20 @@ def read_sweeps(
         if part is not last and fit(part, last):
             last = part
         report(_SEARCH + (1 - _SEARCH) * (number + 1) / len(turns))
+    for name, fitted in fits.items():
+        if fitted.resonances:
+            with contextlib.suppress(FitError):
+                fits[name] = fit_less(fitted)
     found = {part.name: part for part in parts if part.name in fits and fits[part.name].resonances}
     empty = {part.name: f"{part.run.path}: nothing is identified" for part in parts}
     told = [(empty | refused)[part.name] for part in parts if part.name not in found]
-    return [_reading(part, fits[name]) for name, part in found.items()], told
+    off = {name: _taken_off(light) for name, light in (unshifted or {}).items()}
+    read = [_reading(part, fits[name], off.get(name, 0.0)) for name, part in found.items()]
+    return read, told
+
+
+def _taken_off(light: Unshifted) -> float:
+    return float(np.median(np.abs(list(light.share.values()))))
 
 
 def _bends(fit: JointFit) -> float:
@@ -218,7 +245,7 @@ def loudness(volts: Array) -> float:
     return float(np.mean(np.log(told))) if told.size else -np.inf
 
 
-def _reading(part: Part, fitted: JointFit) -> SweepReading:
+def _reading(part: Part, fitted: JointFit, taken_off: float) -> SweepReading:
     modal, phasors, found = fitted.modal, fitted.phasors, fitted.displacements
     kept = np.array([m for m, name in enumerate(modal.names) if name in fitted.resonances])
     a = len(modal.names)
@@ -241,7 +268,7 @@ def _reading(part: Part, fitted: JointFit) -> SweepReading:
     moved = np.abs(found.light) * np.abs(found.amplitude_rad @ fitted.basis.functions.T)
     signal = found.gain + 0.5 * np.log(noise * np.maximum(np.mean(moved**2, axis=1), 1e-12))
     pixels = part.run.frame_shape[0] * part.run.frame_shape[1]
-    fringes = np.sum(np.abs(phasors.value) ** 2 - 1, axis=0) / pixels
+    fringes = np.sum(np.abs(phasors.recorded) ** 2 - 1, axis=0) / pixels
     shapes = fitted.basis.functions @ fitted.basis.shapes.T
     highest = np.argmax(np.abs(shapes), axis=0)
     return SweepReading(
@@ -275,6 +302,7 @@ def _reading(part: Part, fitted: JointFit) -> SweepReading:
         template=template,
         template_variance=variance,
         discrepancy=modal.discrepancy,
+        taken_off=taken_off,
     )
 
 
@@ -305,7 +333,7 @@ def _templates(fitted: JointFit) -> tuple[Complex, Array]:
     F, zero, two = unit * j1(size), j0(size), unit**2 * jv(2, size)
     slope_along = 0.5 * (zero - jv(2, size))
     slope_across = np.where(size > 1e-6, j1(size) / np.maximum(size, 1e-12), 0.5)
-    left = fitted.phasors.value.T - lit * F
+    left = fitted.phasors.recorded.T - lit * F
     waves = np.stack([zero, two, -(size**2) * F]) * lit
     amplitude = np.zeros((len(TEMPLATES), len(u)), complex)
     variance = np.full((len(TEMPLATES), len(u)), np.inf)

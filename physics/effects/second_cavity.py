@@ -1,5 +1,6 @@
 """A second resonance of the air, that nobody has told of."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -8,8 +9,11 @@ import numpy as np
 from physics.effects.form import Effect, Parameter, Stage, Tap
 from physics.twin import Twin
 
-# Lines of Q 30 are no closer than half their width apart.
-_HZ = tuple(float(hz) for hz in 2000.0 * 1.018 ** np.arange(117))
+# Lines of Q 30 are no closer than half their width apart. Between two of them a line may be
+# anywhere, and between two qualities.
+_APART = 0.018
+_HZ = tuple(float(hz) for hz in 2000.0 * (1 + _APART) ** np.arange(117))
+_QUALITIES, _LOG_QUALITY = (18.0, 42.0), 0.35
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
@@ -18,8 +22,8 @@ def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
     drive = replace(
         twin.drive,
         second_line=values["strength"],
-        second_hz=values["hz"],
-        second_quality=values["quality"],
+        second_hz=values["hz"] * float(np.exp(values["log_hz"])),
+        second_quality=values["quality"] * float(np.exp(values["log_quality"])),
     )
     return replace(twin, drive=drive)
 
@@ -30,10 +34,10 @@ EFFECT = Effect(
     stage=Stage.ACOUSTICS,
     parameters=(
         Parameter("strength", "", 0.2, "like the known line of the device", positive=True),
+        Parameter("log_hz", "", _APART / math.sqrt(12), "anywhere between two places"),
+        Parameter("log_quality", "", _LOG_QUALITY, "small cavities with openings"),
         Parameter("hz", "Hz", 0.0, "anywhere in the sweep", places=_HZ),
-        Parameter(
-            "quality", "", 0.0, "small cavities with openings", places=(15.0, 25.0, 40.0, 60.0)
-        ),
+        Parameter("quality", "", 0.0, "small cavities with openings", places=_QUALITIES),
     ),
     change=_change,
     moves=frozenset({Tap.DRIVE}),

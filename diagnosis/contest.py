@@ -15,7 +15,15 @@ from scipy.special import logsumexp
 
 from diagnosis.discrepancy import anything, discrepancies
 from diagnosis.estimate import SAME_COST, standing_out
-from diagnosis.rivals import Comparison, Rival, Sized, compete, compete_straight, exactly
+from diagnosis.rivals import (
+    Comparison,
+    Rival,
+    Sized,
+    compete,
+    compete_straight,
+    cost_straight,
+    exactly,
+)
 from diagnosis.sampling import Sampled, checked
 from diagnosis.screening import Base, Screened, count_places, screened, screened_at, usual
 from physics.effects.form import Effect
@@ -32,6 +40,8 @@ _UNSEEN = 0.3
 _MUCH, _MOST_PLACES = 20.0, 6
 # Residuals of so many times their noise, squared, in the mean are far off.
 _FAR_OFF = 2.0
+# In deviations of their priors, sizes far out.
+_FAR_SIZES = 2.0, 4.0, 6.0
 # Of the best effects, all pairs; and the best with as many that explain most of what it leaves.
 _MOST_PAIRED, _MOST_BESIDE, _LEAST_GAIN = 5, 4, 3.0
 # Beside so many of the likeliest something unknown is looked for, of this prior.
@@ -65,6 +75,10 @@ class Contest:
         Log Bayes factor of something unknown beside each of the likeliest rivals, by its ids.
     sampled : dict of Sampled
         Of rivals so near that their evidence was sampled.
+    unseen : dict of (str, float)
+        What may be there and need not show, and was not fitted: effects that move nothing here, and
+        pairs of the likeliest effect with any other. Of each what it is beside, and what its
+        evidence is more by.
     log_probability : dict of float
         Of `NONE`, `UNKNOWN`, ids, and ids of pairs joined by '+'.
     """
@@ -77,6 +91,7 @@ class Contest:
     anything: float
     beside: dict[str, float]
     sampled: dict[str, Sampled]
+    unseen: dict[str, tuple[str, float]]
     log_probability: dict[str, float]
 
     @property
@@ -125,10 +140,13 @@ def contest(
     likely = _ranked(alone, null, len(effects))[:_LOOKED_BESIDE]
     beside = {name: anything(comparison, rivals[name]) for name in likely}
     unknown = anything(comparison, null)
-    probabilities = _probabilities(null, rivals, unknown, beside, len(effects))
+    unseen = _unseen(comparison, null, alone, pairs, effects)
+    probabilities = _probabilities(null, rivals, unknown, beside, unseen, len(effects))
     report(1.0)
     told = {name: float(f[0]) for name, f in discrepancies(comparison, null).items()}
-    return Contest(null, alone, pairs, signatures, told, unknown, beside, sampled, probabilities)
+    return Contest(
+        null, alone, pairs, signatures, told, unknown, beside, sampled, unseen, probabilities
+    )
 
 
 def confirmed(comparison: Comparison, found: Contest, name: str, effects: int) -> Contest:
@@ -140,7 +158,7 @@ def confirmed(comparison: Comparison, found: Contest, name: str, effects: int) -
     alone, pairs = dict(found.alone), dict(found.pairs)
     (alone if name in alone else pairs)[name] = again
     rivals = {**alone, **pairs}
-    odds = _probabilities(found.null, rivals, found.anything, found.beside, effects)
+    odds = _probabilities(found.null, rivals, found.anything, found.beside, found.unseen, effects)
     return replace(found, alone=alone, pairs=pairs, log_probability=odds)
 
 
@@ -234,8 +252,8 @@ def _at_its_best(comparison: Comparison, about: Array, places: Sequence[Screened
     if ranked[0].gain > _MUCH:
         # What does much need not be where it would be if it did as much of what little of it does.
         for place in ranked[:_MOST_PLACES]:
-            usual_size = np.concatenate([[np.sign(place.sizes[0])], 0 * place.sizes[1:]])
-            tried += [(place, place.sizes), (place, usual_size)]
+            tried += [(place, place.sizes), (place, _first(place, np.sign(place.sizes[0])))]
+    tried += [(ranked[0], sizes) for sizes in _far_out(comparison, about, ranked[0])]
     found = [
         (rival, place)
         for place, sizes in tried
@@ -248,6 +266,24 @@ def _at_its_best(comparison: Comparison, about: Array, places: Sequence[Screened
     count = count_places(best.sized.effect)
     others = float(logsumexp([place.gain - ranked[0].gain for place in places]) - np.log(count))
     return replace(rival, elsewhere=others)
+
+
+def _far_out(comparison: Comparison, about: Array, place: Screened) -> list[Array]:
+    """Sizes (s,) far out that are better than none, though a little of the effect may not be."""
+    signs = (1.0,) if place.sized.sizes[0].positive else (1.0, -1.0)
+    sizes = [_first(place, sign * size) for sign in signs for size in _FAR_SIZES]
+    effects = (place.sized,)
+    nothing = cost_straight(comparison, (), about, np.zeros(0))
+    costs = [cost_straight(comparison, effects, about, tried) for tried in sizes]
+    best = int(np.argmin(costs))
+    return [sizes[best]] if costs[best] < nothing else []
+
+
+def _first(place: Screened, size: float) -> Array:
+    """Sizes (s,) of which the first is given and the others are usual."""
+    sizes: Array = np.zeros(len(place.sizes))
+    sizes[0] = size
+    return sizes
 
 
 def _pairs(
@@ -265,6 +301,31 @@ def _pairs(
         rival = _pair(comparison, one, other)
         if rival is not None:
             found["+".join(rival.names)] = rival
+    return found
+
+
+def _unseen(
+    comparison: Comparison,
+    null: Rival,
+    alone: Mapping[str, Rival],
+    pairs: Mapping[str, Rival],
+    effects: Sequence[Effect],
+) -> dict[str, tuple[str, float]]:
+    """What may be there beside nothing, or beside the likeliest effect, and need not show."""
+    found = {effect.id: (NONE, 0.0) for effect in effects if effect.id not in alone}
+    best = max(alone.values(), key=lambda rival: rival.log_evidence, default=null)
+    if best.log_evidence < null.log_evidence + _LEAST_GAIN:
+        return found
+    first, base = best.names[0], Base.of(comparison, best)
+    for effect in effects:
+        name = "+".join((first, effect.id))
+        fitted = {name, "+".join((effect.id, first))} & set(pairs)
+        if effect.id == first or fitted:
+            continue
+        other = alone.get(effect.id)
+        more = screened_at(comparison, base, other.effects[0]) if other else None
+        # What would show is among the pairs that were fitted, or would do no better there.
+        found[name] = first, min(more.gain, 0.0) if more else 0.0
     return found
 
 
@@ -343,9 +404,14 @@ def _again(comparison: Comparison, rival: Rival, rng: np.random.Generator) -> Ri
 
 def _log_odds(rival: Rival, null: Rival, effects: int) -> float:
     """Log probability of a rival, up to a constant that all share."""
-    count = effects if len(rival.effects) == 1 else effects * (effects - 1) / 2
-    prior = PRIOR["one" if len(rival.effects) == 1 else "two"] / count
-    return float(np.log(prior) + rival.log_evidence - null.log_evidence)
+    return _log_prior(len(rival.effects), effects) + rival.log_evidence - null.log_evidence
+
+
+def _log_prior(count: int, effects: int) -> float:
+    """Log prior of one of so many effects, or of one pair of them."""
+    if count == 1:
+        return float(np.log(PRIOR["one"] / effects))
+    return float(np.log(PRIOR["two"] / (effects * (effects - 1) / 2)))
 
 
 def _ranked(rivals: Mapping[str, Rival], null: Rival, effects: int) -> list[str]:
@@ -357,11 +423,15 @@ def _probabilities(
     rivals: Mapping[str, Rival],
     unknown: float,
     beside: Mapping[str, float],
+    unseen: Mapping[str, tuple[str, float]],
     effects: int,
 ) -> dict[str, float]:
     logs = {NONE: float(np.log(PRIOR["none"]))}
     for name, rival in rivals.items():
         logs[name] = _log_odds(rival, null, effects)
+    for name, (first, more) in unseen.items():
+        known = 0.0 if first == NONE else rivals[first].log_evidence - null.log_evidence
+        logs[name] = _log_prior(len(name.split("+")), effects) + known + more
     also = [float(np.log(_ALSO)) + logs[name] + more for name, more in beside.items()]
     seen = np.logaddexp(np.log1p(-_UNSEEN) + unknown, np.log(_UNSEEN))
     logs[UNKNOWN] = float(logsumexp([np.log(PRIOR["unknown"]) + seen, *also]))

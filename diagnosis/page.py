@@ -45,8 +45,7 @@ def words(verdict: Verdict) -> list[str]:
     """What the diagnosis says, in sentences."""
     said = [_headline(verdict), _where(verdict.where)]
     if verdict.kind != "not converged":
-        likely = "; ".join(_class_words(group, verdict) for group in verdict.likely)
-        said.append(f"Likely, 90 % together: {likely}.")
+        said.append(f"Likely, 90 % together: {_likely_words(verdict)}.")
     if verdict.closed is not None and verdict.effects:
         said.append(_closed_words(verdict))
         said.append(_NOT_PROOF)
@@ -85,6 +84,23 @@ def _where(where: Map) -> str:
     at = f"{worst.block}, {worst.label}" if worst.label != worst.block else worst.block
     gap = f"{worst.gap:.1f} times its floor"
     return f"First tap that differs: {tap} ({TAP_WORDS[tap]}), {gap} in {at}."
+
+
+def _likely_words(verdict: Verdict) -> str:
+    """Classes, and at last what may be beside the likeliest effect and need not show."""
+    unseen = [g for g in verdict.likely if all(_is_unseen(name, verdict) for name in g)]
+    said = [_class_words(group, verdict) for group in verdict.likely if group not in unseen]
+    if unseen:
+        names = [name for group in unseen for name in group]
+        first = verdict.contest.unseen[names[0]][0]
+        others = ", ".join(_title(name.removeprefix(f"{first}+")) for name in names)
+        p = sum(verdict.probability.get(name, 0.0) for name in names)
+        said.append(f"{_title(first)} beside what need not show ({p:.0%}): {others}")
+    return "; ".join(said)
+
+
+def _is_unseen(name: str, verdict: Verdict) -> bool:
+    return "+" in name and name in verdict.contest.unseen
 
 
 def _class_words(group: tuple[str, ...], verdict: Verdict) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.block import Block
-from diagnosis.estimate import LEAST_DECREMENT, Estimate, fit
+from diagnosis.estimate import LEAST_DECREMENT, Estimate, fit, spread_of
 from diagnosis.nuisances import Nuisance
 from physics.effects.form import Effect, Parameter
 from physics.twin import Twin
@@ -341,6 +341,23 @@ def compete_straight(
     start = np.concatenate([about, sizes])
     found = fit(residuals, positive, [start], jacobian, _LEAST_GAIN)
     return _loosened(comparison, effects, by_effects(found.z), found)
+
+
+def cost_straight(
+    comparison: Comparison, effects: Sequence[Sized], about: Array, sizes: Array
+) -> float:
+    """Least cost of effects of given sizes (s,) if all that nuisances do were straight.
+
+    Infinite of no possible reed. Parameters as those of `compete_straight`.
+    """
+    slope = comparison.slope(about, _NEAR)
+    try:
+        left = comparison.residuals(_with_effects(comparison.twin(about), effects, sizes))
+    except ValueError:
+        return float("inf")
+    move = -spread_of(slope) @ (slope.T @ left + about)
+    left, nuisances = left + slope @ move, about + move
+    return float(left @ left + nuisances @ nuisances + sizes @ sizes)
 
 
 def exactly(comparison: Comparison, rival: Rival) -> Rival:

@@ -125,32 +125,20 @@ def read_phasors(run: Run, unshifted: Unshifted | None = None) -> Phasors:
         If a step cannot be read.
     """
     steps = good_steps(run)
-    factors = [max(1, round(_BLOCK_M / abs(a[1] - a[0]))) for a in (run.y_m, run.x_m)]
-    y_m, x_m = (_in_blocks(a, f) for a, f in zip((run.y_m, run.x_m), factors, strict=True))
-    Y, X = np.meshgrid(y_m.mean(axis=1), x_m.mean(axis=1), indexing="ij")
-    reed = run.reed_file().geometry()
-    beside = half_width_m(reed.outline, X) - np.abs(Y)
-    visible_m = reed.vamp_x_m[-1] + _BEHIND_VAMP_M
-    inside = (beside > _EDGE_M) & (X > 2 * _EDGE_M) & (visible_m > X)
+    blocks = _blocks(run)
     others = _others(run, steps)
     together = [*steps, *(step for found in others.values() for step in found.values())]
-    in_blocks = _Blocks(inside, factors[0], factors[1])
-    holograms = _holograms(run, together, in_blocks)
-    off = None if unshifted is None else _taken_off(unshifted, together, in_blocks)
-    value, share, off = _leading(holograms if off is None else holograms - off, off)
-    rows, columns = np.nonzero(inside)
-    # Pixels of a block, row by row.
-    places_y = np.repeat(y_m[rows], factors[1], axis=1)
-    places_x = np.tile(x_m[columns], (1, factors[0]))
+    value, right = _leading(_holograms(run, together, blocks, unshifted))
+    light = np.abs(right) ** 2
     return Phasors(
         value=np.ascontiguousarray(value[:, : len(steps)]),
-        x_m=np.sum(share * places_x, axis=1),
-        y_m=np.sum(share * places_y, axis=1),
+        x_m=np.sum(light * blocks.x_m, axis=1),
+        y_m=np.sum(light * blocks.y_m, axis=1),
         step_index=np.array([step.index for step in steps]),
         drive_hz=np.array([float(step.read_drive_hz or step.drive_hz) for step in steps]),
         volts=np.array([step.volts for step in steps]),
         others=_split(others, value[:, len(steps) :], len(steps)),
-        taken_off=None if off is None else np.ascontiguousarray(off[:, : len(steps)]),
+        taken_off=None if unshifted is None else _taken_off(unshifted, steps, blocks, right),
     )
 
 
@@ -185,11 +173,16 @@ def _in_blocks(axis_m: Array, factor: int) -> Array:
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Blocks of so many pixels high and wide that lie inside (rows, columns)."""
+    """Blocks of so many pixels high and wide that lie inside (rows, columns).
+
+    Places (n, p) are those of all pixels of each, row by row.
+    """
 
     inside: NDArray[np.bool_]
     high: int
     wide: int
+    x_m: Array
+    y_m: Array
 
     def of(self, field: Complex) -> Complex:
         """Blocks (n, p) of a field."""
@@ -199,38 +192,57 @@ class _Blocks:
         return chosen.reshape(len(chosen), -1)
 
 
-def _holograms(run: Run, steps: Sequence[StepRecord], blocks: _Blocks) -> Complex:
-    """Fields (n, k, p) of the blocks inside, of noise 1."""
-    pixels = blocks.high * blocks.wide
-    chosen = np.empty((np.count_nonzero(blocks.inside), len(steps), pixels), np.complex64)
+def _blocks(run: Run) -> _Blocks:
+    """Blocks of a run's image that lie on the vamp."""
+    high, wide = (max(1, round(_BLOCK_M / abs(a[1] - a[0]))) for a in (run.y_m, run.x_m))
+    y_m, x_m = _in_blocks(run.y_m, high), _in_blocks(run.x_m, wide)
+    Y, X = np.meshgrid(y_m.mean(axis=1), x_m.mean(axis=1), indexing="ij")
+    reed = run.reed_file().geometry()
+    beside = half_width_m(reed.outline, X) - np.abs(Y)
+    visible_m = reed.vamp_x_m[-1] + _BEHIND_VAMP_M
+    inside = (beside > _EDGE_M) & (X > 2 * _EDGE_M) & (visible_m > X)
+    rows, columns = np.nonzero(inside)
+    return _Blocks(
+        inside=inside,
+        high=high,
+        wide=wide,
+        x_m=np.tile(x_m[columns], (1, high)),
+        y_m=np.repeat(y_m[rows], wide, axis=1),
+    )
+
+
+def _holograms(
+    run: Run, steps: Sequence[StepRecord], blocks: _Blocks, unshifted: Unshifted | None
+) -> Complex:
+    """Fields (n, k, p) of the blocks inside, of noise 1, less unshifted light."""
+    chosen = np.empty((len(blocks.x_m), len(steps), blocks.high * blocks.wide), np.complex64)
     for k, step in enumerate(steps):
-        chosen[:, k] = blocks.of(run.field(step.position)) / np.float32(np.sqrt(step.noise_level))
+        field = run.field(step.position)
+        if unshifted is not None:
+            field = field - unshifted.share.get(step.position, 0.0) * unshifted.light
+        chosen[:, k] = blocks.of(field) / np.float32(np.sqrt(step.noise_level))
     return chosen
 
 
-def _taken_off(unshifted: Unshifted, steps: Sequence[StepRecord], blocks: _Blocks) -> Complex:
-    """Unshifted light (n, k, p) in units of the holograms' noise."""
+def _taken_off(
+    unshifted: Unshifted, steps: Sequence[StepRecord], blocks: _Blocks, right: Complex
+) -> Complex:
+    """What phasors (n, k) lose by it, by right singular vectors (n, p)."""
     share = [unshifted.share.get(step.position, 0.0) / np.sqrt(step.noise_level) for step in steps]
-    light = blocks.of(unshifted.light)
-    off: Complex = (light[:, None, :] * np.array(share)[:, None]).astype(np.complex64)
+    light = np.sum(blocks.of(unshifted.light) * right, axis=1)
+    off: Complex = np.multiply.outer(light, share).astype(np.complex64)
     return off
 
 
-def _leading(holograms: Complex, beside: Complex | None) -> tuple[Complex, Array, Complex | None]:
-    """Leading left singular vectors (n, k) times singular values, and shares of light (n, p).
-
-    At last what that light tells of others (n, k, p) beside.
-    """
+def _leading(holograms: Complex) -> tuple[Complex, Complex]:
+    """Leading left singular vectors (n, k) times singular values, and right ones (n, p)."""
     blocks, count, pixels = holograms.shape
-    value, share = np.empty((blocks, count), np.complex64), np.empty((blocks, pixels))
-    other = None if beside is None else np.empty((blocks, count), np.complex64)
+    value, right = np.empty((blocks, count), np.complex64), np.empty((blocks, pixels), np.complex64)
 
     def fill(some: slice) -> None:
         here = holograms[some]
         vectors = np.linalg.eigh(here.conj().transpose(0, 2, 1) @ here)[1][:, :, -1:]
-        value[some], share[some] = (here @ vectors)[..., 0], np.abs(vectors[..., 0]) ** 2
-        if beside is not None and other is not None:
-            other[some] = (beside[some] @ vectors)[..., 0]
+        value[some], right[some] = (here @ vectors)[..., 0], vectors[..., 0]
 
     in_parts(fill, blocks, _TOGETHER)
-    return value, share, other
+    return value, right

@@ -26,6 +26,8 @@ _CALMEST = 0.25
 _LEAST_PIXELS = 20
 # From here to the clamp a reed bends simply. Less than that share of unshifted light is left alone.
 _BENT_M, _LEAST_TAKEN_OFF = 6e-3, 5e-3
+# What of it may stay where it has been taken off.
+_LEFT = 0.3
 
 
 @dataclass(frozen=True)
@@ -185,7 +187,9 @@ def leaks_in(carriers: Sequence[Carrier], sweeps: Sequence[SweepReading], mixing
         zip([c.name for c in carriers], [c.share for c in carriers] - _floor(carriers), strict=True)
     )
     carrier = {
-        sweep.name: max(share.get(sweep.name, 0.0), 0.0) / float(np.median(sweep.amplitude_rad))
+        sweep.name: max(share.get(sweep.name, 0.0), 0.0)
+        * (_LEFT if sweep.taken_off else 1.0)
+        / float(np.median(sweep.amplitude_rad))
         for sweep in sweeps
     }
     return Leaks(carrier, mixing)

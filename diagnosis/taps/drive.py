@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from diagnosis.block import BANDS, Block, Place, band_of, block
 from diagnosis.taps.carrier import Leaks
@@ -45,6 +45,9 @@ _LIVELY_RAD, _FEWEST = 0.3, 3
 # model's.
 _GAIN, _RIPPLE, _FIELD = 0.5, 0.08, 0.15
 _RIPPLE_DEGREE = 5
+# Holograms on either side of a mode in which a drive may jump; from which second difference on, and
+# what share of it forces are then uncertain by.
+_BESIDE, _BENT, _JUMP = 2, 0.4, 0.5
 
 
 @dataclass(frozen=True)
@@ -237,7 +240,8 @@ def force_block(sweeps: Sequence[SweepReading], workshop: Workshop, device: Devi
     powers = np.polynomial.legendre.legvander(np.clip(pitch, -1, 1), _RIPPLE_DEGREE)
     ripple = _RIPPLE * powers[:, 1:] / np.sqrt(np.arange(1, _RIPPLE_DEGREE + 1))
     doubt = np.array([_doubt(workshop, device.chamber, known[name]) for name in names])
-    covariance = np.diag(error**2 + doubt**2) + _GAIN**2 + ripple @ ripple.T
+    torn = np.max([_torn(sweep, hz) for sweep in loud], axis=0)
+    covariance = np.diag(error**2 + doubt**2 + torn**2) + _GAIN**2 + ripple @ ripple.T
     predicted = forces_rad(workshop, device)
 
     losses = loud[0].loss_factor[at[0]]
@@ -257,6 +261,15 @@ def force_block(sweeps: Sequence[SweepReading], workshop: Workshop, device: Devi
     ]
     parts = ("reed", "drive", "fits")
     return block("forces", Tap.RESPONSE, forces.mean(axis=0), covariance, places, parts, predict)
+
+
+def _torn(sweep: SweepReading, hz: Array) -> Array:
+    """Log (a,) of forces by a drive that jumps where a mode is: one is taken for the other."""
+    bends = np.abs(np.diff(sweep.log_drive, 2))
+    nearest = np.argmin(np.abs(np.log(sweep.drive_hz[1:-1]) - np.log(hz)[:, None]), axis=1)
+    worst = maximum_filter1d(bends, 2 * _BESIDE + 1, mode="nearest")[nearest]
+    jumps: Array = _JUMP * np.maximum(worst - _BENT, 0.0)
+    return jumps
 
 
 def forces_rad(

@@ -440,6 +440,8 @@ def _solved(span: _Span, table: _Table, hz: Array) -> tuple[Array, Array]:
 
 def _matrices(span: _Span, table: _Table, hz: Array) -> tuple[Array, Array]:
     """Stiffness and mass (m, n, n) with what holds at (m,)."""
+    if np.any(hz <= 0):
+        raise ValueError("a mode has no stiffness left: thickness, moduli or clamp are of no reed")
     log_hz = np.log(hz)
     density = table.density_kg_m3(log_hz)[:, None, None]
     K = np.tensordot(table.moduli_pa(log_hz), span.stiffness_terms, axes=1) + span.springs_n_m

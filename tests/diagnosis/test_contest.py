@@ -9,7 +9,7 @@ import pytest
 from diagnosis.contest import NONE, PRIOR, UNKNOWN, confirmed, contest, polished
 from diagnosis.rivals import Sized, compete, compete_straight, d_prime, exactly
 from physics.effects.form import Effect
-from physics.twin import Twin
+from physics.twin import Twin, more
 from tests.diagnosis.toy import EFFECTS, bench, measured
 
 
@@ -52,6 +52,50 @@ def test_effects_that_move_nothing_do_not_compete() -> None:
     found = contest(measured(6, bench()), EFFECTS)
     assert "nothing" not in found.alone
     assert set(found.signatures) == {"slope", "bump", "offset"}
+
+
+def test_what_need_not_show_is_likely_beside_what_does() -> None:
+    comparison = measured(6, bench(leak=0.6))
+    found = contest(comparison, EFFECTS)
+    # "nothing" moves nothing: beside the slope it is as likely as two effects are.
+    assert found.unseen["slope+nothing"] == ("slope", 0.0)
+    odds = found.log_probability["slope+nothing"] - found.log_probability["slope"]
+    assert odds == pytest.approx(np.log(PRIOR["two"] / 6 / (PRIOR["one"] / 4)))
+    # What would show, were it there, is less likely than that.
+    assert found.log_probability["slope+offset"] < found.log_probability["slope+nothing"] - 0.5
+    assert sum(found.probability.values()) == pytest.approx(1.0)
+
+
+def test_beside_nothing_only_what_moves_nothing_is_unseen() -> None:
+    found = contest(measured(6, bench()), EFFECTS)
+    assert set(found.unseen) == {"nothing"}
+    odds = found.log_probability["nothing"] - found.log_probability[NONE]
+    assert odds == pytest.approx(np.log(PRIOR["one"] / 4 / PRIOR["none"]))
+
+
+def test_slopes_are_fine_where_they_have_to_be() -> None:
+    comparison = measured(6, bench())
+    kink = replace(comparison.nuisances[0], change=lambda t, v: more(t, "beams", fade_per_h=v**3))
+    bent = type(comparison)(comparison.blocks, Twin(), (kink,))
+    at, noise, spread = np.array([0.4]), 0.05, kink.spread
+    true = 3 * (0.4 * spread) ** 2 * spread / noise
+    coarse, fine = (
+        bent.slope_beside(at, lambda twin: twin, fine=fine)[:60, 0].mean() for fine in (False, True)
+    )
+    assert fine == pytest.approx(true, rel=1e-4)
+    assert coarse != pytest.approx(true, rel=0.03)
+
+
+def test_an_effect_that_shows_only_when_large_is_found() -> None:
+    # A little of it does harm, from three deviations on it is what there is.
+    def change(twin: Twin, values: Mapping[str, float]) -> Twin:
+        size = values["size"]
+        return more(twin, "beams", leak=-0.2 * size + 0.02 * size**3)
+
+    comparison = measured(15, bench(leak=0.6))
+    found = contest(comparison, (replace(EFFECTS[1], change=change), *EFFECTS[2:]))
+    assert found.alone["bump"].sizes[0] > 3
+    assert found.probability["bump"] > 0.5
 
 
 def test_sizes_come_back_within_their_errors() -> None:

@@ -5,10 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.taps.carrier import Carrier, Leaks, carrier_block, leaks_in
+from diagnosis.taps.carrier import Carrier, Leaks, carrier_block, leaks_in, unshifted_light
 from diagnosis.taps.shapes import shapes_block
 from physics.mechanics import ReedMode, TipMass
 from physics.reed.fem import Symmetry
+from physics.reed.geometry import ReedGeometry
 from physics.twin import Beams, Twin, with_alteration
 
 # A reed of three shapes at four places: two symmetric ones, one antisymmetric.
@@ -107,9 +108,72 @@ def test_a_carrier_is_told_where_the_reed_hardly_moves() -> None:
 
 
 def test_leaks_count_by_what_moves_in_a_sweep() -> None:
-    sweeps = [SimpleNamespace(name=name, amplitude_rad=np.full(9, rad))
+    sweeps = [SimpleNamespace(name=name, amplitude_rad=np.full(9, rad), taken_off=0.0)
               for name, rad in (("up", 0.4), ("quiet", 0.1))]  # fmt: skip
     none, some = leaks_in(carriers(), sweeps, 0.0), leaks_in(carriers(0.02), sweeps, 0.05)
     assert max(none.carrier.values()) == pytest.approx(0.0, abs=1e-12)
     assert some.carrier["quiet"] > 4 * some.carrier["up"] > 0
     assert some.mixing == 0.05
+    for one in sweeps:
+        one.taken_off = 0.02
+    assert leaks_in(carriers(0.02), sweeps, 0.05).carrier["up"] < 0.5 * some.carrier["up"]
+
+
+# A small image: reed, clamp from 10 mm on, and speckle that nothing moves.
+X_M, Y_M = np.linspace(0, 10e-3, 60), np.linspace(-5e-3, 5e-3, 31)
+AWAY = (10e-3 - X_M) / 10e-3
+
+
+class Held:
+    """A run of a reed that leaks so much of its light at rest into every hologram."""
+
+    x_m, y_m, sideband_order = X_M, Y_M, 1
+
+    def __init__(self, leak, seed, volts=4.0):
+        rng = np.random.default_rng(seed)
+        speckle = np.random.default_rng(0).standard_normal((2, len(Y_M), len(X_M)))
+        self.light = speckle[0] + 1j * speckle[1]
+        self.phases = np.exp(2j * np.pi * rng.random(40))
+        moved = 0.6 * rng.random(40)[:, None, None] * AWAY**2 * (1 + 0.3 * Y_M[:, None] / 5e-3)
+        turned = np.exp(2j * np.pi * rng.random(40))[:, None, None]
+        self.fields = self.light * (leak * self.phases[:, None, None] + turned * moved)
+        self.steps = [
+            SimpleNamespace(position=k, order=1, noise_level=1e-9, volts=volts, verdict="ok")
+            for k in range(40)
+        ]
+        halves = SimpleNamespace(field=self.light, noise=1e-9)
+        self.reconstruction = SimpleNamespace(quadratures=lambda _frames: halves)
+        clamp, outline = SimpleNamespace(x_m=(10e-3, 20e-3)), ReedGeometry().outline
+        self.reed = SimpleNamespace(clamp=clamp, outline=outline)
+
+    def reed_file(self):
+        return SimpleNamespace(geometry=lambda: self.reed)
+
+    def field(self, position):
+        return self.fields[position]
+
+    def frames(self, position):
+        return position
+
+
+def part(name, run, clamping=0):
+    return SimpleNamespace(name=name, run=run, clamping=clamping, good_steps=run.steps)
+
+
+def test_what_leaks_in_is_told_hologram_by_hologram_though_the_reed_moves() -> None:
+    quiet, still = Held(0.02, 1, volts=2.0), Held(0.0, 2)
+    carriers = [Carrier("quiet", 0.02, 1e-5, 2.0)]
+    found = unshifted_light([part("quiet", quiet)], [part("rest", still)], carriers)["quiet"]
+    np.testing.assert_allclose(found.light, quiet.light, rtol=1e-6)
+    shares = np.array([found.share[k] for k in range(40)])
+    assert np.abs(shares) == pytest.approx(np.hypot(0.02, 0.0), rel=0.01)
+    assert np.abs(np.angle(shares / quiet.phases)).max() < 0.05
+
+
+def test_little_light_and_light_of_another_clamping_stay() -> None:
+    quiet, still = Held(0.02, 1, volts=2.0), Held(0.0, 2)
+    little = [Carrier("quiet", 2e-3, 1e-5, 2.0)]
+    much = [Carrier("quiet", 0.02, 1e-5, 2.0)]
+    assert unshifted_light([part("quiet", quiet)], [part("rest", still)], little) == {}
+    assert unshifted_light([part("quiet", quiet, 1)], [part("rest", still)], much) == {}
+    assert unshifted_light([part("quiet", quiet)], [part("rest", still)], []) == {}

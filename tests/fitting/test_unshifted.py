@@ -1,0 +1,98 @@
+"""Light that no vibration has shifted, in the holograms of a run, taken off them."""
+
+import shutil
+
+import h5py
+import numpy as np
+import pytest
+from scipy.special import j0
+
+from acquire.runfile import Run
+from fitting.fit import fit_runs
+from fitting.forward import basis_of, cents_of, finite_element_model
+from fitting.joint import fit_jointly, fit_less
+from fitting.phasors import Unshifted, _blocks, _holograms, _leading, read_phasors
+from fitting.pictures import good_steps
+
+# Amplitude of what leaks in, in units of the light at rest.
+LEAK = 0.03
+
+
+@pytest.fixture(scope="module")
+def clean(sweep_a):
+    return fit_runs([sweep_a], method="joint").sweeps[0].joint
+
+
+@pytest.fixture(scope="module")
+def leaky(sweep_a, clean, tmp_path_factory):
+    """The run with a carrier in every hologram, as J₀ leaves it, and what leaks in at rest."""
+    path = tmp_path_factory.mktemp("leaky") / "leaky.h5"
+    shutil.copy(sweep_a, path)
+    rng = np.random.default_rng(5)
+    with Run.open(sweep_a) as run:
+        steps, blocks = good_steps(run), _blocks(run)
+        _, right = _leading(_holograms(run, steps, blocks, None))
+        # What all pixels have in common with the fit's light, in units of the noise.
+        light = clean.displacements.light[:, None] * right.conj()
+        moved = np.abs(clean.modal.amplitude_rad @ clean.basis.functions.T)
+        noise = np.sqrt([step.noise_level for step in steps])
+        share = LEAK * np.exp(2j * np.pi * rng.random(len(steps))) * noise
+        at_rest = image(blocks, light, run.field(0).shape)
+        leaks = [s * image(blocks, light * j0(u)[:, None], at_rest.shape)
+                 for s, u in zip(share, moved, strict=True)]  # fmt: skip
+        positions = [step.position for step in steps]
+    with h5py.File(path, "r+") as file:
+        kept = file["entry/data/field"]
+        for position, leak in zip(positions, leaks, strict=True):
+            kept[position] = kept[position] + leak
+    return path, Unshifted(at_rest, dict(zip(positions, share.tolist(), strict=True)))
+
+
+def image(blocks, values, shape):
+    """Put values (n, p) of blocks into an image, 0 elsewhere."""
+    whole = np.zeros((*blocks.inside.shape, blocks.high, blocks.wide), np.complex64)
+    whole[blocks.inside] = values.reshape(-1, blocks.high, blocks.wide)
+    rows, columns, high, wide = whole.shape
+    placed = np.zeros(shape, np.complex64)
+    placed[: rows * high, : columns * wide] = whole.transpose(0, 2, 1, 3).reshape(
+        rows * high, columns * wide
+    )
+    return placed
+
+
+def test_nothing_is_taken_off_if_nothing_leaks(sweep_a) -> None:
+    with Run.open(sweep_a) as run:
+        plain = read_phasors(run)
+        none = read_phasors(run, Unshifted(np.ones(run.field(0).shape, np.complex64), {}))
+    np.testing.assert_array_equal(none.value, plain.value)
+    assert plain.taken_off is None
+    assert none.taken_off is not None
+    assert not none.taken_off.any()
+
+
+def test_what_is_taken_off_is_in_what_was_recorded(leaky) -> None:
+    path, unshifted = leaky
+    with Run.open(path) as run:
+        less = read_phasors(run, unshifted)
+    assert less.taken_off is not None
+    np.testing.assert_allclose(less.recorded - less.taken_off, less.value, atol=1e-3)
+    # Of light at rest as much is taken off everywhere.
+    ratio = np.abs(less.taken_off).mean(axis=0) / np.abs(less.taken_off).mean()
+    assert ratio == pytest.approx(1, abs=1e-3)
+
+
+def test_a_sweep_that_a_carrier_hides_is_read_once_it_is_taken_off(leaky, clean, true_hz) -> None:
+    path, unshifted = leaky
+    with Run.open(path) as run:
+        reed = basis_of(run.reed_file())
+        first = fit_jointly(run, reed, finite_element_model(reed), unshifted)
+    settled = fit_less(first)
+    assert settled.modal.discrepancy < 0.5 * first.modal.discrepancy
+    assert settled.modal.discrepancy == pytest.approx(clean.modal.discrepancy, rel=0.5)
+    for name in ("F1", "T1", "F2", "T2", "X1", "T3"):
+        hz = settled.resonances[name].frequency_hz
+        assert abs(float(cents_of(hz) - cents_of(true_hz[name]))) < 5, name
+
+
+def test_without_unshifted_light_there_is_nothing_to_settle(clean) -> None:
+    assert fit_less(clean) is clean

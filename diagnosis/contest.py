@@ -228,7 +228,10 @@ def _alone(
     places : sequence of sequence of Screened
         The effect beside each of these.
     """
-    fitted = [_at_its_best(comparison, z, own) for (z, _), own in zip(bases, places, strict=True)]
+    far = _far_out(comparison, bases[0][0], places[0])
+    fitted = [
+        _at_its_best(comparison, z, own, far) for (z, _), own in zip(bases, places, strict=True)
+    ]
     found = [rival for rival in fitted if rival is not None]
     if any(other.estimate.cost < found[0].estimate.cost for other in found[1:]):
         # What is straight far from an optimum may promise more than there is.
@@ -243,8 +246,10 @@ def _exactly(comparison: Comparison, rival: Rival) -> Rival | None:
         return None
 
 
-def _at_its_best(comparison: Comparison, about: Array, places: Sequence[Screened]) -> Rival | None:
-    """Fit one effect at its best place, beside nuisances (p,)."""
+def _at_its_best(
+    comparison: Comparison, about: Array, places: Sequence[Screened], far: Sequence[Array]
+) -> Rival | None:
+    """Fit one effect at its best place, beside nuisances (p,); from some sizes (s,) as well."""
     if not places:
         return None
     ranked = sorted(places, key=lambda place: -place.gain)
@@ -253,7 +258,7 @@ def _at_its_best(comparison: Comparison, about: Array, places: Sequence[Screened
         # What does much need not be where it would be if it did as much of what little of it does.
         for place in ranked[:_MOST_PLACES]:
             tried += [(place, place.sizes), (place, _first(place, np.sign(place.sizes[0])))]
-    tried += [(ranked[0], sizes) for sizes in _far_out(comparison, about, ranked[0])]
+    tried += [(ranked[0], sizes) for sizes in far]
     found = [
         (rival, place)
         for place, sizes in tried
@@ -268,8 +273,11 @@ def _at_its_best(comparison: Comparison, about: Array, places: Sequence[Screened
     return replace(rival, elsewhere=others)
 
 
-def _far_out(comparison: Comparison, about: Array, place: Screened) -> list[Array]:
+def _far_out(comparison: Comparison, about: Array, places: Sequence[Screened]) -> list[Array]:
     """Sizes (s,) far out that are better than none, though a little of the effect may not be."""
+    if not places:
+        return []
+    place = max(places, key=lambda place: place.gain)
     signs = (1.0,) if place.sized.sizes[0].positive else (1.0, -1.0)
     sizes = [_first(place, sign * size) for sign in signs for size in _FAR_SIZES]
     effects = (place.sized,)

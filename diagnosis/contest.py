@@ -38,8 +38,9 @@ PRIOR = {"none": 0.25, "one": 0.5, "two": 0.1, "unknown": 0.15}
 _UNSEEN = 0.3
 # An effect that gains so many nats where it gains most is tried at as many of its best places.
 _MUCH, _MOST_PLACES = 20.0, 6
-# Residuals of so many times their noise, squared, in the mean are far off.
-_FAR_OFF = 2.0
+# Residuals of so many times their noise, squared, in the mean are far off; and nuisances of so many
+# deviations.
+_FAR_OFF, _FAR_BENT = 2.0, 4.0
 # In deviations of their priors, sizes far out.
 _FAR_SIZES = 2.0, 4.0, 6.0
 # Of the best effects, all pairs; and the best with as many that explain most of what it leaves.
@@ -168,11 +169,11 @@ def _bases(comparison: Comparison, null: Rival) -> list[tuple[Array, Base]]:
     What fits are free to exchange may hide an effect: it is looked for without that as well. If the
     twin without effects is far off, so may be all that it has been bent to.
     """
-    z = [null.estimate.z]
-    if comparison.exchanging.any():
-        z.append(np.where(comparison.exchanging, 0.0, null.estimate.z))
-    if null.estimate.chi2 > _FAR_OFF * len(null.left):
-        z.append(np.zeros(len(null.estimate.z)))
+    at, nothing = null.estimate.z, np.zeros(len(null.estimate.z))
+    z = [at, np.where(comparison.exchanging, 0.0, at)]
+    bent = np.abs(at).max(initial=0.0) > _FAR_BENT
+    if bent or null.estimate.chi2 > _FAR_OFF * len(null.left):
+        z.append(nothing)
     return [(at, Base.at(comparison, at)) for at in z]
 
 
@@ -228,9 +229,9 @@ def _alone(
     places : sequence of sequence of Screened
         The effect beside each of these.
     """
-    far = _far_out(comparison, bases[0][0], places[0])
     fitted = [
-        _at_its_best(comparison, z, own, far) for (z, _), own in zip(bases, places, strict=True)
+        _at_its_best(comparison, z, own, _far_out(comparison, z, own) if number != 1 else [])
+        for number, ((z, _), own) in enumerate(zip(bases, places, strict=True))
     ]
     found = [rival for rival in fitted if rival is not None]
     if any(other.estimate.cost < found[0].estimate.cost for other in found[1:]):

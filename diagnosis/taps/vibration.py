@@ -29,8 +29,8 @@ TEMPLATES = ("carrier_leak", "order_mixing", "decorrelation")
 _HIGHEST_HZ = 17e3
 # Modes so far away in log frequency count half as much or less.
 _NEAR = 0.2
-# What modes usually leave of vibrations, and how many holograms.
-_USUAL, _FEW_OFF = 6e-3, 2
+# What modes usually leave of vibrations, and how many holograms; and how many of them are told.
+_USUAL, _FEW_OFF, _FEWEST_MODES = 6e-3, 2, 7
 # Bends of a drive, nepers, and how much it usually has of them, per hologram.
 _BEND, _SMOOTH = 0.01, 0.45
 # Share of the work that the search is.
@@ -179,14 +179,14 @@ def read_sweeps(
     # A loud sweep shows more, but its fringes may fold; one that is calmer, or of another speckle,
     # then shows the way.
     roots = list(dict.fromkeys([loud[0], calm[0], loud[-1], *loud[1:2]]))
-    bends: dict[str, float] = {}
+    doubt: dict[str, tuple[int, float]] = {}
     for part in roots:
         if fit(part, None):
-            bends[part.name] = _bends(fits[part.name])
-            if _settled(fits[part.name], bends[part.name]):
+            doubt[part.name] = _doubt(fits[part.name])
+            if not doubt[part.name][0]:
                 break
     report(_SEARCH)
-    last = min((p for p in roots if p.name in bends), key=lambda p: bends[p.name], default=None)
+    last = min((p for p in roots if p.name in doubt), key=lambda p: doubt[p.name], default=None)
     # What a fit begins with settles as it is handed on.
     turns = list(dict.fromkeys([calm[0], loud[0], *loud]))
     turns += [loud[0]] + [part for part in turns[:1] if part is last]
@@ -216,12 +216,17 @@ def _bends(fit: JointFit) -> float:
     return float(np.sum(np.log1p((np.diff(log, 2) / _BEND) ** 2 / 4)))
 
 
-def _settled(fit: JointFit, bends: float) -> bool:
-    """Whether modes explain the holograms as well as they usually do."""
+def _doubt(fit: JointFit) -> tuple[int, float]:
+    """How far to doubt a fit: not if modes explain holograms as well as usual; and its bends.
+
+    Where hardly a mode is told, vibrations of any size would do.
+    """
+    bends = _bends(fit)
     few_off = np.count_nonzero(fit.modal.off) <= _FEW_OFF
-    return bool(
-        (fit.modal.discrepancy < _USUAL and few_off) or bends < _SMOOTH * len(fit.phasors.volts)
-    )
+    smooth = bends < _SMOOTH * len(fit.phasors.volts)
+    if len(fit.resonances) < _FEWEST_MODES:
+        return 2, bends
+    return int(not (smooth or (fit.modal.discrepancy < _USUAL and few_off))), bends
 
 
 def at_highest_level(sweeps: Sequence[SweepReading]) -> list[SweepReading]:

@@ -15,6 +15,7 @@ from scipy.special import logsumexp
 
 from diagnosis.discrepancy import anything, discrepancies
 from diagnosis.estimate import SAME_COST, standing_out
+from diagnosis.likeness import ALIKE, cosine
 from diagnosis.rivals import (
     Comparison,
     Rival,
@@ -131,7 +132,7 @@ def contest(
     _refine(comparison, alone, null, len(effects))
     null = polished(comparison, null, alone.values())
     report(0.7)
-    pairs = _pairs(comparison, null, alone, effects)
+    pairs = _pairs(comparison, null, alone, effects, _alike(signatures))
     _refine(comparison, pairs, null, len(effects))
     report(0.85)
     rivals = {**alone, **pairs}
@@ -141,7 +142,7 @@ def contest(
     likely = _ranked(alone, null, len(effects))[:_LOOKED_BESIDE]
     beside = {name: anything(comparison, rivals[name]) for name in likely}
     unknown = anything(comparison, null)
-    unseen = _unseen(comparison, null, alone, pairs, effects)
+    unseen = _unseen(comparison, null, alone, pairs, effects, _alike(signatures))
     probabilities = _probabilities(null, rivals, unknown, beside, unseen, len(effects))
     report(1.0)
     told = {name: float(f[0]) for name, f in discrepancies(comparison, null).items()}
@@ -295,10 +296,26 @@ def _first(place: Screened, size: float) -> Array:
     return sizes
 
 
+def _alike(signatures: Mapping[str, tuple[Array, Array]]) -> set[frozenset[str]]:
+    """Pairs of effects so alike that both together are but one that need not have its form."""
+    return {
+        frozenset((one, other))
+        for one, other in combinations(signatures, 2)
+        if cosine(signatures[one][1], signatures[other][1]) >= ALIKE
+    }
+
+
 def _pairs(
-    comparison: Comparison, null: Rival, alone: Mapping[str, Rival], effects: Sequence[Effect]
+    comparison: Comparison,
+    null: Rival,
+    alone: Mapping[str, Rival],
+    effects: Sequence[Effect],
+    alike: set[frozenset[str]],
 ) -> dict[str, Rival]:
-    """Fit pairs: of the best effects, and of the best with what explains what it leaves."""
+    """Fit pairs: of the best effects, and of the best with what explains what it leaves.
+
+    Not of effects that are alike.
+    """
     ranked = sorted(alone.values(), key=lambda rival: -rival.log_evidence)
     best = [r for r in ranked if r.log_evidence > null.log_evidence + _LEAST_GAIN][:_MOST_PAIRED]
     chosen = {tuple(sorted((a.names[0], b.names[0]))): (a, b) for a, b in combinations(best, 2)}
@@ -306,8 +323,8 @@ def _pairs(
         for other in _beside(comparison, first, alone, effects):
             chosen.setdefault(tuple(sorted((first.names[0], other.names[0]))), (first, other))
     found = {}
-    for one, other in chosen.values():
-        rival = _pair(comparison, one, other)
+    for names, (one, other) in chosen.items():
+        rival = None if frozenset(names) in alike else _pair(comparison, one, other)
         if rival is not None:
             found["+".join(rival.names)] = rival
     return found
@@ -319,6 +336,7 @@ def _unseen(
     alone: Mapping[str, Rival],
     pairs: Mapping[str, Rival],
     effects: Sequence[Effect],
+    alike: set[frozenset[str]],
 ) -> dict[str, tuple[str, float]]:
     """What may be there beside nothing, or beside the likeliest effect, and need not show."""
     found = {effect.id: (NONE, 0.0) for effect in effects if effect.id not in alone}
@@ -329,7 +347,7 @@ def _unseen(
     for effect in effects:
         name = "+".join((first, effect.id))
         fitted = {name, "+".join((effect.id, first))} & set(pairs)
-        if effect.id == first or fitted:
+        if effect.id == first or fitted or frozenset((first, effect.id)) in alike:
             continue
         other = alone.get(effect.id)
         more = screened_at(comparison, base, other.effects[0]) if other else None

@@ -44,10 +44,12 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
     table = _Brightness.of(sweeps)
     values, variance, places, columns = [], [], [], []
     times: list[NDArray[np.intp]] = []
+    spreads: list[float] = []
     for row, sweep in enumerate(sweeps):
         order = np.argsort(sweep.time_s)
         own = table.beside[row][order]
         spread = _scatter(own)
+        spreads.append(spread)
         for number, piece in enumerate(np.array_split(order, _PIECES)):
             values.append(float(np.median(table.beside[row][piece])))
             variance.append(_ALIKE * 1.57 * spread**2 / len(piece) + 1e-6)
@@ -57,7 +59,8 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
     pieces = [(row, at) for row in range(len(sweeps)) for at in times[row * _PIECES :][:_PIECES]]
     still_s: list[float] = []
     for still in stills:
-        own_spread = max(_scatter(still.brightness), 5e-3)
+        # A few acquisitions may be alike by chance; the light is that of the sweeps.
+        own_spread = max(_scatter(still.brightness), float(np.median(spreads)), 5e-3)
         for number, at in enumerate(still.run_time_s):
             own_brightness = still.brightness[still.run == number]
             values.append(float(np.mean(own_brightness)))

@@ -10,7 +10,7 @@ from diagnosis.contest import NONE, PRIOR, UNKNOWN, confirmed, contest, polished
 from diagnosis.rivals import Sized, compete, compete_straight, d_prime, exactly
 from physics.effects.form import Effect
 from physics.twin import Twin, more
-from tests.diagnosis.toy import EFFECTS, bench, measured
+from tests.diagnosis.toy import EFFECTS, bench, effect, measured
 
 
 def probabilities(comparison):
@@ -64,6 +64,16 @@ def test_what_need_not_show_is_likely_beside_what_does() -> None:
     # What would show, were it there, is less likely than that.
     assert found.log_probability["slope+offset"] < found.log_probability["slope+nothing"] - 0.5
     assert sum(found.probability.values()) == pytest.approx(1.0)
+
+
+def test_effects_that_are_alike_are_no_pair() -> None:
+    # What a slope of not quite its form leaves is not another slope.
+    alike = effect("incline", "beams", "leak")
+    found = contest(measured(6, bench(leak=1.5), extra=0.05), (*EFFECTS, alike))
+    assert {"slope", "incline"} <= set(found.alone)
+    both = {"slope+incline", "incline+slope"}
+    assert not both & set(found.log_probability)
+    assert found.probability["slope"] == pytest.approx(found.probability["incline"], rel=0.01)
 
 
 def test_beside_nothing_only_what_moves_nothing_is_unseen() -> None:

@@ -23,7 +23,7 @@ from physics.twin import Twin
 Array = NDArray[np.floating[Any]]
 
 # Slopes are taken anew where a nuisance has moved by so many deviations.
-_FAR, _NEAR = 1.5, 0.3
+_FAR, _NEAR, _MOST_NEAR = 1.5, 0.3, 8
 # Where a fit has not come to rest they are taken here, of steps that are smaller, so many times.
 _HERE, _FINE, _MOST_FINE = 0.03, 0.15, 3
 _STEP = 0.02
@@ -264,29 +264,55 @@ def compete(
     if not exact:
         found = fit(residuals, positive, starts, jacobian, _LEAST_GAIN)
         return _loosened(comparison, effects, by_effects(found.z), found)
-    kept: list[tuple[Array, Array]] = []
-    finely: list[tuple[Array, Array]] = []
+    near = _Slopes(comparison, effects, _NEAR, _MOST_NEAR * len(starts))
+    here = _Slopes(comparison, effects, _HERE, _MOST_FINE, fine=True)
 
-    def close(z: Array, *, fine: bool = False) -> Array:
-        chosen, far = (finely, _HERE) if fine else (kept, _NEAR)
-        near = [slope for at, slope in chosen if np.abs(z - at).max() <= far]
-        if fine and len(finely) == _MOST_FINE:
-            near = [finely[-1][1]]
-        if not near:
-            changed = partial(_with_effects, effects=effects, sizes=z[p:])
-            near = [comparison.slope_beside(z[:p], changed, fine=fine)]
-            chosen.append((z.copy(), near[0]))
-        return np.column_stack([near[0], *_by_size(residuals, z, p, positive)])
+    def close(z: Array) -> Array:
+        return np.column_stack([near.at(z), *_by_size(residuals, z, p, positive)])
+
+    def closer(z: Array) -> Array:
+        return np.column_stack([here.at(z), *_by_size(residuals, z, p, positive)])
 
     ends = _ends(residuals, positive, starts, jacobian)
     found = fit(residuals, positive, ends, close, _LEAST_GAIN)
     agreeing = found.agreeing
     if found.decrement > LEAST_DECREMENT:
         # Slopes of a little way off show steps that there are not.
-        found = fit(residuals, positive, [found.z], lambda z: close(z, fine=True), _LEAST_GAIN)
+        found = fit(residuals, positive, [found.z], closer, _LEAST_GAIN)
     # Searches that end at no possible reed agree with none.
     found = replace(found, agreeing=agreeing, starts=len(starts))
     return _loosened(comparison, effects, by_effects(found.z), found)
+
+
+class _Slopes:
+    """Slopes along the nuisances beside effects, taken anew where a fit has moved far.
+
+    At most so often: fits that move on and on explain nothing, and slopes cost most of the time.
+    """
+
+    def __init__(
+        self,
+        comparison: Comparison,
+        effects: Sequence[Sized],
+        far: float,
+        most: int,
+        *,
+        fine: bool = False,
+    ) -> None:
+        self._comparison, self._effects, self._fine = comparison, effects, fine
+        self._far, self._most = far, most
+        self._kept: list[tuple[Array, Array]] = []
+
+    def at(self, z: Array) -> Array:
+        """Derivatives (n, p) near z (p + s,)."""
+        apart = [float(np.abs(z - at).max()) for at, _ in self._kept]
+        if apart and (min(apart) <= self._far or len(apart) == self._most):
+            return self._kept[int(np.argmin(apart))][1]
+        p = len(self._comparison.nuisances)
+        changed = partial(_with_effects, effects=self._effects, sizes=z[p:])
+        slope = self._comparison.slope_beside(z[:p], changed, fine=self._fine)
+        self._kept.append((z.copy(), slope))
+        return slope
 
 
 def _ends(

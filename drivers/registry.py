@@ -98,9 +98,9 @@ def open_bench(
             fingerprint=bench_file.fingerprint,
             preparation=preparation,
             seed=seed,
-            synthesizers=opened_as(SynthesizerPair, "synthesizers", entries.synthesizers),  # type: ignore[type-abstract]
-            generator=opened_as(SignalGenerator, "generator", entries.generator),  # type: ignore[type-abstract]
-            camera=opened_as(Camera, "camera", entries.camera),  # type: ignore[type-abstract]
+            synthesizers=opened_as(SynthesizerPair, "synthesizers", entries.synthesizers),  # type: ignore[type-abstract]  # see above
+            generator=opened_as(SignalGenerator, "generator", entries.generator),  # type: ignore[type-abstract]  # see above
+            camera=opened_as(Camera, "camera", entries.camera),  # type: ignore[type-abstract]  # see above
             clock=context.clock,
             surroundings=context.surroundings,
         )

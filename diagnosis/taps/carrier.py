@@ -124,11 +124,12 @@ def unshifted_light(
     share = float(np.sqrt(max(calmest.share**2 - usual**2, 0.0)))
     if share < max(_LEAST_TAKEN_OFF, 2 * usual):
         return {}
-    found = {}
+    found: dict[str, Unshifted] = {}
     for still in [part for part in stills if part.good_steps]:
-        for part in sweeps:
-            if part.name not in found and _show_same(part, still):
-                found[part.name] = _unshifted(part, _at_rest(still)[0], share)
+        shown = [p for p in sweeps if p.name not in found and _show_same(p, still)]
+        if shown:
+            light, _ = _at_rest(still)
+            found |= {part.name: _unshifted(part, light, share) for part in shown}
     return found
 
 

@@ -117,22 +117,23 @@ def contest(
     nothing = np.zeros(len(comparison.nuisances))
     null = compete(comparison, (), [nothing, 0.5 * rng.standard_normal(len(nothing))], exact=True)
     report(0.2)
-    bases = _bases(comparison, null)
+    begun = _starts(comparison, null)
     alone: dict[str, Rival] = {}
     signatures: dict[str, tuple[Array, Array]] = {}
     for number, effect in enumerate(effects):
-        places = [screened(comparison, base, effect) for _, base in bases]
+        places = [screened(comparison, start.base, effect) for start in begun]
         if places[0]:
             table = usual(places[0]).table
-            signatures[effect.id] = table, standing_out(bases[0][1].slopes, table)
-        found = _alone(comparison, bases, places)
+            signatures[effect.id] = table, standing_out(begun[0].base.slopes, table)
+        found = _alone(comparison, begun, places)
         if found is not None:
             alone[effect.id] = found
         report(0.2 + 0.4 * (number + 1) / len(effects))
     _refine(comparison, alone, null, len(effects))
     null = polished(comparison, null, alone.values())
     report(0.7)
-    pairs = _pairs(comparison, null, alone, effects, _alike(signatures))
+    alike = _alike(signatures)
+    pairs = _pairs(comparison, null, alone, effects, alike)
     _refine(comparison, pairs, null, len(effects))
     report(0.85)
     rivals = {**alone, **pairs}
@@ -142,7 +143,7 @@ def contest(
     likely = _ranked(alone, null, len(effects))[:_LOOKED_BESIDE]
     beside = {name: anything(comparison, rivals[name]) for name in likely}
     unknown = anything(comparison, null)
-    unseen = _unseen(comparison, null, alone, pairs, effects, _alike(signatures))
+    unseen = _unseen(comparison, null, alone, pairs, effects, alike)
     probabilities = _probabilities(null, rivals, unknown, beside, unseen, len(effects))
     report(1.0)
     told = {name: float(f[0]) for name, f in discrepancies(comparison, null).items()}
@@ -164,18 +165,31 @@ def confirmed(comparison: Comparison, found: Contest, name: str, effects: int) -
     return replace(found, alone=alone, pairs=pairs, log_probability=odds)
 
 
-def _bases(comparison: Comparison, null: Rival) -> list[tuple[Array, Base]]:
-    """Nuisances to begin with, and the twin that has them.
+@dataclass(frozen=True)
+class _Start:
+    """Where effects are looked for: beside nuisances (p,), and whether far out as well."""
+
+    at: Array
+    base: Base
+    far: bool = True
+
+
+def _starts(comparison: Comparison, null: Rival) -> list[_Start]:
+    """Nuisances to begin with.
 
     What fits are free to exchange may hide an effect: it is looked for without that as well. If the
     twin without effects is far off, so may be all that it has been bent to.
     """
-    at, nothing = null.estimate.z, np.zeros(len(null.estimate.z))
-    z = [at, np.where(comparison.exchanging, 0.0, at)]
+    at = null.estimate.z
+    found = [_Start(at, Base.at(comparison, at))]
+    if comparison.exchanging.any():
+        kept = np.where(comparison.exchanging, 0.0, at)
+        found.append(_Start(kept, Base.at(comparison, kept), far=False))
     bent = np.abs(at).max(initial=0.0) > _FAR_BENT
     if bent or null.estimate.chi2 > _FAR_OFF * len(null.left):
-        z.append(nothing)
-    return [(at, Base.at(comparison, at)) for at in z]
+        nothing = np.zeros(len(at))
+        found.append(_Start(nothing, Base.at(comparison, nothing)))
+    return found
 
 
 def _refine(comparison: Comparison, rivals: dict[str, Rival], null: Rival, effects: int) -> None:
@@ -217,7 +231,7 @@ def polished(comparison: Comparison, null: Rival, rivals: Iterable[Rival]) -> Ri
 
 def _alone(
     comparison: Comparison,
-    bases: Sequence[tuple[Array, Base]],
+    begun: Sequence[_Start],
     places: Sequence[Sequence[Screened]],
 ) -> Rival | None:
     """Fit one effect, at its best place; None if it moves nothing, or is of no possible reed.
@@ -225,14 +239,12 @@ def _alone(
     Parameters
     ----------
     comparison : Comparison
-    bases : sequence of ((p,) float, Base)
-        Nuisances to begin with, and the twin that has them.
+    begun : sequence of _Start
     places : sequence of sequence of Screened
         The effect beside each of these.
     """
     fitted = [
-        _at_its_best(comparison, z, own, _far_out(comparison, z, own) if number != 1 else [])
-        for number, ((z, _), own) in enumerate(zip(bases, places, strict=True))
+        _at_its_best(comparison, start, own) for start, own in zip(begun, places, strict=True)
     ]
     found = [rival for rival in fitted if rival is not None]
     if any(other.estimate.cost < found[0].estimate.cost for other in found[1:]):
@@ -248,10 +260,8 @@ def _exactly(comparison: Comparison, rival: Rival) -> Rival | None:
         return None
 
 
-def _at_its_best(
-    comparison: Comparison, about: Array, places: Sequence[Screened], far: Sequence[Array]
-) -> Rival | None:
-    """Fit one effect at its best place, beside nuisances (p,); from some sizes (s,) as well."""
+def _at_its_best(comparison: Comparison, start: _Start, places: Sequence[Screened]) -> Rival | None:
+    """Fit one effect at its best place, from where it is begun."""
     if not places:
         return None
     ranked = sorted(places, key=lambda place: -place.gain)
@@ -260,11 +270,12 @@ def _at_its_best(
         # What does much need not be where it would be if it did as much of what little of it does.
         for place in ranked[:_MOST_PLACES]:
             tried += [(place, place.sizes), (place, _first(place, np.sign(place.sizes[0])))]
-    tried += [(ranked[0], sizes) for sizes in far]
+    if start.far:
+        tried += [(ranked[0], sizes) for sizes in _far_out(comparison, start.at, ranked[0])]
     found = [
         (rival, place)
         for place, sizes in tried
-        if (rival := _straight(comparison, (place.sized,), about, sizes)) is not None
+        if (rival := _straight(comparison, (place.sized,), start.at, sizes)) is not None
     ]
     if not found:
         return None
@@ -275,11 +286,8 @@ def _at_its_best(
     return replace(rival, elsewhere=others)
 
 
-def _far_out(comparison: Comparison, about: Array, places: Sequence[Screened]) -> list[Array]:
+def _far_out(comparison: Comparison, about: Array, place: Screened) -> list[Array]:
     """Sizes (s,) far out that are better than none, though a little of the effect may not be."""
-    if not places:
-        return []
-    place = max(places, key=lambda place: place.gain)
     signs = (1.0,) if place.sized.sizes[0].positive else (1.0, -1.0)
     sizes = [_first(place, sign * size) for sign in signs for size in _FAR_SIZES]
     effects = (place.sized,)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.contest import NONE, PRIOR, UNKNOWN, confirmed, contest, polished
+from diagnosis.contest import NONE, PRIOR, UNKNOWN, _starts, confirmed, contest, polished
 from diagnosis.rivals import Sized, compete, compete_straight, d_prime, exactly
 from physics.effects.form import Effect
 from physics.twin import Twin, more
@@ -106,6 +106,18 @@ def test_an_effect_that_shows_only_when_large_is_found() -> None:
     found = contest(comparison, (replace(EFFECTS[1], change=change), *EFFECTS[2:]))
     assert found.alone["bump"].sizes[0] > 3
     assert found.probability["bump"] > 0.5
+
+
+@pytest.mark.parametrize(("fade_per_h", "count"), [(1.0, 1), (12.0, 2)])
+def test_effects_are_looked_for_from_nothing_if_nuisances_are_far_off(fade_per_h, count) -> None:
+    comparison = measured(16, bench(fade_per_h=fade_per_h))
+    null = compete(comparison, (), [np.zeros(1)], exact=True)
+    found = _starts(comparison, null)
+    assert len(found) == count
+    np.testing.assert_array_equal(found[0].at, null.estimate.z)
+    if count > 1:
+        np.testing.assert_array_equal(found[-1].at, 0.0)
+        assert found[-1].far
 
 
 def test_sizes_come_back_within_their_errors() -> None:

@@ -5,9 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from diagnosis.taps.drive import _torn
 from diagnosis.taps.light import brightness_block, noise_block
 from diagnosis.taps.modes import _levels
-from diagnosis.taps.vibration import at_highest_level, loudest
+from diagnosis.taps.vibration import _doubt, at_highest_level, loudest
 from physics.twin import Chip, Twin
 
 COUNT = 184
@@ -47,6 +48,55 @@ def test_runs_at_rest_are_averaged_by_themselves_however_long_they_are() -> None
     block = brightness_block([sweep("up", 1.0, 0.0), sweep("down", 1.0, 0.0)], [still])
     rest = [v for v, p in zip(block.values, block.places, strict=True) if p.quantity == "order 0"]
     assert rest == pytest.approx([0.0, -0.2])
+
+
+def test_acquisitions_that_are_alike_by_chance_are_no_surer_than_light_is() -> None:
+    # Four at rest differ by nothing; light of the sweeps scatters by 3 %.
+    rng = np.random.default_rng(4)
+    sweeps = [sweep(name, 1.0, 0.0) for name in ("up", "down", "shuffled")]
+    for one in sweeps:
+        one.signal = 0.03 * rng.standard_normal(COUNT)
+    still = SimpleNamespace(
+        clamping=0, time_s=np.arange(8.0), brightness=np.repeat([0.0, 0.04], 4),
+        run=np.repeat([0, 1], 4), run_time_s=np.array([1.5, 5.5]),
+    )  # fmt: skip
+    block = brightness_block(sweeps, [still])
+    one, two = (k for k, place in enumerate(block.places) if place.quantity == "order 0")
+    C = block.covariance
+    apart = C[one, one] + C[two, two] - 2 * C[one, two]
+    # Two means of four, or a little less for what a mean of three sweeps takes along.
+    assert np.sqrt(apart) > 0.03 * np.sqrt(2 / 4) * 0.7
+
+
+def test_a_drive_that_jumps_by_a_mode_leaves_its_force_open() -> None:
+    at = np.arange(COUNT, dtype=float)
+    drive_hz = 1000.0 * 2 ** (at / 48)
+    smooth = np.sin(at / 20)
+    jumping = smooth - 3.0 * (at == 60)
+    hz = drive_hz[[60, 120]]
+    torn = [_torn(SimpleNamespace(log_drive=log, drive_hz=drive_hz), hz)
+            for log in (smooth, jumping)]  # fmt: skip
+    np.testing.assert_array_equal(torn[0], 0.0)
+    # Its second difference is twice the jump.
+    assert torn[1] == pytest.approx([0.5 * (2 * 3.0 - 0.4), 0.0], abs=0.01)
+
+
+def test_fits_of_few_modes_are_doubted_most() -> None:
+    def fit(modes, discrepancy, off=0, bent=0.0):
+        drive = np.exp(bent * np.random.default_rng(2).standard_normal(COUNT))
+        return SimpleNamespace(
+            resonances=dict.fromkeys(range(modes)),
+            modal=SimpleNamespace(drive=drive, off=np.arange(COUNT) < off, discrepancy=discrepancy),
+            phasors=SimpleNamespace(volts=np.ones(COUNT)),
+        )
+
+    good, smooth, torn, empty = (
+        _doubt(fit(12, 3e-3, bent=0.1)), _doubt(fit(12, 0.03)), _doubt(fit(12, 0.03, bent=0.1)),
+        _doubt(fit(4, 1e-4)),
+    )  # fmt: skip
+    assert (good[0], smooth[0], torn[0], empty[0]) == (0, 0, 1, 2)
+    assert max(good, smooth, torn) < empty
+    assert _doubt(fit(12, 3e-3, off=3, bent=0.1))[0] == 1
 
 
 def test_levels_count_once_whatever_a_few_lost_steps_do_to_their_mean() -> None:

@@ -6,6 +6,7 @@ The probability of each is its evidence times a prior that is the same for all e
 import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from typing import Any
 
@@ -24,9 +25,11 @@ from diagnosis.rivals import (
     compete_straight,
     cost_straight,
     exactly,
+    straightened,
 )
 from diagnosis.sampling import Sampled, checked
 from diagnosis.screening import Base, Screened, count_places, screened, screened_at, usual
+from fitting.side_by_side import side_by_side
 from physics.effects.form import Effect
 
 Array = NDArray[np.floating[Any]]
@@ -118,14 +121,14 @@ def contest(
     null = compete(comparison, (), [nothing, 0.5 * rng.standard_normal(len(nothing))], exact=True)
     report(0.2)
     begun = _starts(comparison, null)
+    for start in begun:
+        straightened(comparison, start.at)
     alone: dict[str, Rival] = {}
     signatures: dict[str, tuple[Array, Array]] = {}
-    for number, effect in enumerate(effects):
-        places = [screened(comparison, start.base, effect) for start in begun]
-        if places[0]:
-            table = usual(places[0]).table
+    each = side_by_side(partial(_looked_for, comparison, begun), effects)
+    for number, (effect, (table, found)) in enumerate(zip(effects, each, strict=True)):
+        if table is not None:
             signatures[effect.id] = table, standing_out(begun[0].base.slopes, table)
-        found = _alone(comparison, begun, places)
         if found is not None:
             alone[effect.id] = found
         report(0.2 + 0.4 * (number + 1) / len(effects))
@@ -229,6 +232,15 @@ def polished(comparison: Comparison, null: Rival, rivals: Iterable[Rival]) -> Ri
     return replace(kept, estimate=replace(kept.estimate, agreeing=agreeing, starts=starts))
 
 
+def _looked_for(
+    comparison: Comparison, begun: Sequence[_Start], effect: Effect
+) -> tuple[Array | None, Rival | None]:
+    """What an effect moves (n, s) where it is usual, and its fit; None if it moves nothing."""
+    places = [screened(comparison, start.base, effect) for start in begun]
+    table = usual(places[0]).table if places[0] else None
+    return table, _alone(comparison, begun, places)
+
+
 def _alone(
     comparison: Comparison,
     begun: Sequence[_Start],
@@ -330,12 +342,11 @@ def _pairs(
     for first in best[:1]:
         for other in _beside(comparison, first, alone, effects):
             chosen.setdefault(tuple(sorted((first.names[0], other.names[0]))), (first, other))
-    found = {}
-    for names, (one, other) in chosen.items():
-        rival = None if frozenset(names) in alike else _pair(comparison, one, other)
-        if rival is not None:
-            found["+".join(rival.names)] = rival
-    return found
+    apart = [both for names, both in chosen.items() if frozenset(names) not in alike]
+    for both in apart:
+        straightened(comparison, _about(comparison, both))
+    found = side_by_side(lambda both: _pair(comparison, *both), apart)
+    return {"+".join(rival.names): rival for rival in found if rival is not None}
 
 
 def _unseen(
@@ -380,9 +391,15 @@ def _beside(
     return [alone[name] for name in ranked[:_MOST_BESIDE]]
 
 
+def _about(comparison: Comparison, both: tuple[Rival, Rival]) -> Array:
+    """Nuisances (p,) from where a pair is fitted: those of the better."""
+    better = min(both, key=lambda rival: rival.estimate.cost)
+    return better.estimate.z[: len(comparison.nuisances)]
+
+
 def _pair(comparison: Comparison, one: Rival, other: Rival) -> Rival | None:
     first, second = sorted((one, other), key=lambda rival: rival.estimate.cost)
-    about = first.estimate.z[: len(comparison.nuisances)]
+    about = _about(comparison, (first, second))
     sizes = np.concatenate([first.sizes, second.sizes])
     pair = _straight(comparison, (*first.effects, *second.effects), about, sizes)
     if pair is None:

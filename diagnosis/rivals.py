@@ -360,13 +360,18 @@ def compete_straight(
         return np.column_stack([slope, *_by_size(residuals, z, p, positive)])
 
     def by_effects(z: Array) -> Array:
-        moved: Array = residuals(z) - straightened - slope @ (z[:p] - about)
+        moved: Array = residuals(z) - nothing - slope @ (z[:p] - about)
         return moved
 
-    straightened = comparison.residuals(base)
+    nothing = comparison.residuals(base)
     start = np.concatenate([about, sizes])
     found = fit(residuals, positive, [start], jacobian, _LEAST_GAIN)
     return _loosened(comparison, effects, by_effects(found.z), found)
+
+
+def straightened(comparison: Comparison, about: Array) -> None:
+    """Take the slopes at nuisances (p,) that all fits need which take those for straight."""
+    comparison.slope(about, _NEAR)
 
 
 def cost_straight(

@@ -16,12 +16,13 @@ from scipy.optimize import linear_sum_assignment
 
 from physics.reed.altered import (
     AirLoad,
+    CaneTable,
     Change,
     Vibrations,
     added_mass,
+    combined,
     layer,
     softening,
-    unchanged,
     vibrations,
     yielding_clamp,
 )
@@ -167,6 +168,9 @@ class Workshop:
         self._coarse = lru_cache(maxsize=1)(
             lambda: coarse_mesh_cents(anatomy.reed.geometry, anatomy.reed.cane, announce)
         )
+        self._canes = lru_cache(maxsize=_KEPT)(
+            lambda cane, shift: CaneTable.of(material_of(anatomy, cane, shift), HIGHEST_HZ)
+        )
         self._named = lru_cache(maxsize=None)(self._named_shapes)
         # Differences by one parameter leave most of a campaign's reeds as they were.
         self.modes = lru_cache(maxsize=_KEPT)(self._modes)
@@ -197,24 +201,15 @@ class Workshop:
         return MappingProxyType(modes)
 
     def _vibrations(self, reed: Mechanics) -> Vibrations:
-        change = unchanged(self.anatomy)
-        for kind, amount in reed.alterations:
-            if amount:
-                change = change + amount * self._unit(kind)
+        parts = [(amount, self._unit(kind)) for kind, amount in reed.alterations if amount]
+        change = combined(self.anatomy, parts)
         air = _thinner(self._air(), reed.air_share) if reed.air_share else None
-        return vibrations(self.anatomy, change, material_of(self.anatomy, reed), HIGHEST_HZ, air)
+        return vibrations(self.anatomy, change, self._canes(reed.cane, reed.shift), HIGHEST_HZ, air)
 
     @cached_property
     def mass_kg(self) -> Array:
         """Mass (s, s) of the nominal reed, in coordinates of its modes."""
-        halves = self.anatomy.reed.halves.values()
-        sizes = [half.mass.shape[0] for half in halves]
-        whole = np.zeros((sum(sizes),) * 2)
-        start = 0
-        for half, size in zip(halves, sizes, strict=True):
-            whole[start : start + size, start : start + size] = half.mass
-            start += size
-        return self.anatomy.reed.cane.density_kg_m3 * whole
+        return self.anatomy.reed.cane.density_kg_m3 * self.anatomy.mass
 
     def _named_shapes(self, cane: ViscoelasticCane) -> tuple[list[str], Array]:
         """Names and shapes (s, m) of the modes of the nominal reed."""
@@ -241,12 +236,14 @@ class Workshop:
         return [naming.name for naming in names_of(portraits)], found.coordinates
 
 
-def material_of(anatomy: Anatomy, reed: Mechanics) -> Callable[[float], Cane]:
+def material_of(
+    anatomy: Anatomy, kind: ViscoelasticCane, shift: CaneShift
+) -> Callable[[float], Cane]:
     """Cane of a reed at a frequency in Hz."""
-    nominal, shift = anatomy.reed.cane, reed.shift
+    nominal = anatomy.reed.cane
 
     def cane(hz: float) -> Cane:
-        here = at_frequency(nominal, reed.cane, hz)
+        here = at_frequency(nominal, kind, hz)
         octaves = np.log(hz / PIVOT_HZ)
         factors = {
             "E_L_pa": shift.E_L + shift.growth_E_L * octaves,

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from fitting.forward import basis_of, finite_element_model
 from fitting.joint import JointFit, fit_again, fit_jointly, fit_less
 from fitting.modal import ModalFit
 from fitting.phasors import Unshifted
+from fitting.side_by_side import side_by_side
 from physics.effects.form import Tap
 from physics.twin import Twin
 
@@ -154,60 +156,92 @@ def read_sweeps(
         Why each of the others could not be fitted.
     """
     report = progress or (lambda _share: None)
-    refused: dict[str, str] = {}
-    reed = basis_of(parts[0].run.reed_file())
-    model = finite_element_model(reed)
+    lights = unshifted or {}
+    fits = _Fits(parts[0].run, lights)
     first = parts[0].clamping
     loud = sorted(parts, key=lambda part: (part.clamping != first, -_run_loudness(part.run)))
     calm = sorted(parts, key=lambda part: (part.clamping != first, _run_loudness(part.run)))
-    fits: dict[str, JointFit] = {}
-
-    def fit(part: Part, known: Part | None) -> bool:
-        off = (unshifted or {}).get(part.name)
-        try:
-            if known is None:
-                fits[part.name] = fit_jointly(part.run, reed, model, off)
-            else:
-                moved = part.clamping != known.clamping
-                before = fits[known.name]
-                fits[part.name] = fit_again(part.run, before, moved=moved, unshifted=off)
-        except FitError as error:
-            refused[part.name] = str(error)
-            return False
-        return True
-
     # A loud sweep shows more, but its fringes may fold; one that is calmer, or of another speckle,
     # then shows the way.
-    roots = list(dict.fromkeys([loud[0], calm[0], loud[-1], *loud[1:2]]))
-    doubt: dict[str, tuple[int, float]] = {}
-    for part in roots:
-        if fit(part, None):
-            doubt[part.name] = _doubt(fits[part.name])
-            if not doubt[part.name][0]:
-                break
+    last = _root(fits, list(dict.fromkeys([loud[0], calm[0], loud[-1], *loud[1:2]])))
     report(_SEARCH)
-    last = min((p for p in roots if p.name in doubt), key=lambda p: doubt[p.name], default=None)
     # What a fit begins with settles as it is handed on.
     turns = list(dict.fromkeys([calm[0], loud[0], *loud]))
     turns += [loud[0]] + [part for part in turns[:1] if part is last]
     for number, part in enumerate(turns):
-        if part is not last and fit(part, last):
+        if part is not last and fits.keep(part, fits.of(part, last)):
             last = part
         report(_SEARCH + (1 - _SEARCH) * (number + 1) / len(turns))
-    for name, fitted in fits.items():
-        if fitted.resonances:
-            with contextlib.suppress(FitError):
-                fits[name] = fit_less(fitted)
-    found = {part.name: part for part in parts if part.name in fits and fits[part.name].resonances}
+    fitted = [part for part in parts if part.name in fits.found]
+    readings = side_by_side(
+        lambda part: _read(part, fits.found[part.name], _taken_off(lights.get(part.name))), fitted
+    )
+    read = {part.name: reading for part, reading in zip(fitted, readings, strict=True) if reading}
     empty = {part.name: f"{part.run.path}: nothing is identified" for part in parts}
-    told = [(empty | refused)[part.name] for part in parts if part.name not in found]
-    off = {name: _taken_off(light) for name, light in (unshifted or {}).items()}
-    read = [_reading(part, fits[name], off.get(name, 0.0)) for name, part in found.items()]
-    return read, told
+    told = [(empty | fits.refused)[part.name] for part in parts if part.name not in read]
+    return list(read.values()), told
 
 
-def _taken_off(light: Unshifted) -> float:
-    return float(np.median(np.abs(list(light.share.values()))))
+class _Fits:
+    """Fits of a campaign's sweeps, as they are found.
+
+    Parameters
+    ----------
+    run : Run
+        One of them.
+    unshifted : dict of Unshifted
+    """
+
+    def __init__(self, run: Run, unshifted: Mapping[str, Unshifted]) -> None:
+        self._reed = basis_of(run.reed_file())
+        self._model, self._unshifted = finite_element_model(self._reed), unshifted
+        self.found: dict[str, JointFit] = {}
+        self.refused: dict[str, str] = {}
+
+    def of(self, part: Part, known: Part | None = None) -> JointFit | FitError:
+        """Fit a sweep from another one that is known, or by itself; or say why it cannot be."""
+        light = self._unshifted.get(part.name)
+        try:
+            if known is None:
+                return fit_jointly(part.run, self._reed, self._model, light)
+            before, moved = self.found[known.name], part.clamping != known.clamping
+            return fit_again(part.run, before, moved=moved, unshifted=light)
+        except FitError as error:
+            return error
+
+    def keep(self, part: Part, fit: JointFit | FitError) -> bool:
+        """Keep a fit; tells whether it is one."""
+        if isinstance(fit, FitError):
+            self.refused[part.name] = str(fit)
+            return False
+        self.found[part.name] = fit
+        return True
+
+
+def _root(fits: _Fits, parts: Sequence[Part]) -> Part | None:
+    """Fit sweeps by themselves until there is no doubt; tells of which there is least, if any."""
+    doubt: dict[str, tuple[int, float]] = {}
+    # Most often the first will do.
+    tried = chain([fits.of(parts[0])], side_by_side(fits.of, parts[1:]))
+    for part, fit in zip(parts, tried, strict=False):
+        if fits.keep(part, fit):
+            doubt[part.name] = _doubt(fits.found[part.name])
+            if not doubt[part.name][0]:
+                break
+    told = [part for part in parts if part.name in doubt]
+    return min(told, key=lambda part: doubt[part.name], default=None)
+
+
+def _read(part: Part, fitted: JointFit, taken_off: float) -> SweepReading | None:
+    """What a sweep's fit says; None if nothing is identified."""
+    if fitted.resonances:
+        with contextlib.suppress(FitError):
+            fitted = fit_less(fitted)
+    return _reading(part, fitted, taken_off) if fitted.resonances else None
+
+
+def _taken_off(light: Unshifted | None) -> float:
+    return float(np.median(np.abs(list(light.share.values())))) if light else 0.0
 
 
 def _bends(fit: JointFit) -> float:

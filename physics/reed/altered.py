@@ -2,17 +2,18 @@
 
 A change is what a layer, a mass or a clamp that yields adds to stiffness, mass and compliance, in
 the coordinates of an `Anatomy`: those of symmetric motion, then those of antisymmetric. Changes
-are vectors: they may be multiplied by an amount and added.
+are vectors: see `combined`.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 from scipy.interpolate import CubicSpline
+from scipy.linalg import blas
 
 from physics.reed.anatomy import Anatomy
 from physics.reed.fem import Symmetry
@@ -60,28 +61,23 @@ class Change:
     mass_kg: Array
     compliance_m_n: Array
 
-    def __add__(self, other: "Change") -> "Change":
-        return Change(
-            self.stiffness_terms + other.stiffness_terms,
-            self.mass + other.mass,
-            self.mass_kg + other.mass_kg,
-            self.compliance_m_n + other.compliance_m_n,
-        )
-
-    def __rmul__(self, amount: float) -> "Change":
-        return Change(
-            amount * self.stiffness_terms,
-            amount * self.mass,
-            amount * self.mass_kg,
-            amount * self.compliance_m_n,
-        )
-
 
 def unchanged(anatomy: Anatomy) -> Change:
     """Nothing added."""
     sizes = [half.mass.shape[0] for half in anatomy.reed.halves.values()]
     s, m = sum(sizes), len(sizes) * len(anatomy.strip_m2)
     return Change(np.zeros((9, s, s)), np.zeros((s, s)), np.zeros((s, s)), np.zeros((m, m)))
+
+
+def combined(anatomy: Anatomy, parts: Iterable[tuple[float, Change]]) -> Change:
+    """Sum of changes, each multiplied by an amount."""
+    total = unchanged(anatomy)
+    for amount, change in parts:
+        for field in fields(Change):
+            # In place: arrays are large, and to make new ones takes longer than to add.
+            into = getattr(total, field.name).ravel()
+            blas.daxpy(getattr(change, field.name).ravel(), into, a=amount)
+    return total
 
 
 def layer(anatomy: Anatomy, thickness: Callable[[Array, Array], Array]) -> Change:
@@ -185,10 +181,40 @@ class Vibrations:
     radiated: Array
 
 
+@dataclass(frozen=True)
+class CaneTable:
+    """Cane at all frequencies, interpolated between some: moduli grow smoothly.
+
+    Attributes
+    ----------
+    moduli_pa : callable
+        At log frequencies (m,): (m, 9), see `material.stiffness_terms_pa`.
+    density_kg_m3 : callable
+        (m,).
+    middle : Cane
+        Its modes span those of all frequencies.
+    """
+
+    moduli_pa: Callable[[Array], Array]
+    density_kg_m3: Callable[[Array], Array]
+    middle: Cane
+
+    @classmethod
+    def of(cls, material: Callable[[float], Cane], highest_hz: float) -> "CaneTable":
+        """Tabulate a cane (at a frequency in Hz) up to beyond a frequency."""
+        log_hz = np.linspace(np.log(_LOWEST_SHARE), np.log(_HIGHEST_SHARE), _TABULATED)
+        log_hz += np.log(highest_hz)
+        canes = [material(float(hz)) for hz in np.exp(log_hz)]
+        moduli = np.array([stiffness_terms_pa(cane) for cane in canes])
+        density = np.array([cane.density_kg_m3 for cane in canes])
+        middle = material(_MIDDLE_SHARE * highest_hz)
+        return cls(CubicSpline(log_hz, moduli), CubicSpline(log_hz, density), middle)
+
+
 def vibrations(
     anatomy: Anatomy,
     change: Change,
-    material: Callable[[float], Cane],
+    canes: CaneTable,
     highest_hz: float,
     air: AirLoad | None = None,
 ) -> Vibrations:
@@ -200,8 +226,8 @@ def vibrations(
     ----------
     anatomy : Anatomy
     change : Change
-    material : callable
-        Cane at a frequency in Hz.
+    canes : CaneTable
+        Up to that frequency.
     highest_hz : float
     air : AirLoad, optional
         Vacuum if not given.
@@ -211,10 +237,8 @@ def vibrations(
     ValueError
         If moduli grow too fast with frequency for modes to settle, or a change leaves no reed.
     """
-    table = _Table.of(material, highest_hz)
     found = [
-        _settled(span, table, highest_hz)
-        for span in _spans(anatomy, change, material(_MIDDLE_SHARE * highest_hz), air)
+        _settled(span, canes, highest_hz) for span in _spans(anatomy, change, canes.middle, air)
     ]
     hz, coordinates, radiated = (np.concatenate(p, axis=-1) for p in zip(*found, strict=True))
     order = np.argsort(hz)
@@ -247,12 +271,8 @@ class _Span:
 
 def _spans(anatomy: Anatomy, change: Change, cane: Cane, air: AirLoad | None) -> Iterator[_Span]:
     """Yield spans of low modes: one per symmetry, or one if the change couples them."""
-    halves = list(anatomy.reed.halves.values())
-    terms = np.stack(
-        [linalg.block_diag(*t) for t in zip(*[h.stiffness_terms for h in halves], strict=True)]
-    )
-    terms += change.stiffness_terms
-    mass = linalg.block_diag(*[half.mass for half in halves]) + change.mass
+    terms = anatomy.stiffness_terms + change.stiffness_terms
+    mass = anatomy.mass + change.mass
     stiffness = np.tensordot(stiffness_terms_pa(cane), terms, axes=1)
     inertia = cane.density_kg_m3 * mass + change.mass_kg
     for into, springs, count in _coordinates(anatomy, change):
@@ -334,43 +354,23 @@ def _none_of(shapes: Array) -> Callable[[Array], Array]:
     return lambda hz: np.zeros((len(hz), shapes.shape[1], shapes.shape[1]))
 
 
-@dataclass(frozen=True)
-class _Table:
-    """Cane at all frequencies, interpolated between some: moduli grow smoothly.
-
-    Attributes
-    ----------
-    moduli_pa : callable
-        At log frequencies (m,): (m, 9), see `material.stiffness_terms_pa`.
-    density_kg_m3 : callable
-        (m,).
-    """
-
-    moduli_pa: Callable[[Array], Array]
-    density_kg_m3: Callable[[Array], Array]
-
-    @classmethod
-    def of(cls, material: Callable[[float], Cane], highest_hz: float) -> "_Table":
-        """Tabulate a cane up to beyond a frequency."""
-        log_hz = np.linspace(np.log(_LOWEST_SHARE), np.log(_HIGHEST_SHARE), _TABULATED)
-        log_hz += np.log(highest_hz)
-        canes = [material(float(hz)) for hz in np.exp(log_hz)]
-        moduli = np.array([stiffness_terms_pa(cane) for cane in canes])
-        density = np.array([cane.density_kg_m3 for cane in canes])
-        return cls(CubicSpline(log_hz, moduli), CubicSpline(log_hz, density))
-
-
-def _settled(span: _Span, table: _Table, highest_hz: float) -> tuple[Array, Array, Array]:
+def _settled(span: _Span, table: CaneTable, highest_hz: float) -> tuple[Array, Array, Array]:
     """Frequencies (m,), shapes (s, m) and radiated loss (m,) of modes."""
     hz, vectors = _followed(span, table, highest_hz)
     if hz is None or vectors is None:
         hz, vectors = _numbered(span, table, highest_hz)
-    damped = np.einsum("mi,mij,mj->m", vectors, span.resistance_kg_s(hz), vectors, optimize=True)
+    damped = _energy(span.resistance_kg_s(hz), vectors)
     return hz, span.shapes @ vectors.T, damped / (2 * np.pi * hz)
 
 
+def _energy(matrices: Array, vectors: Array) -> Array:
+    """Quadratic forms (m,) of matrices (m, n, n) in vectors (m, n)."""
+    forms: Array = np.sum(vectors * (matrices @ vectors[..., None])[..., 0], axis=1)
+    return forms
+
+
 def _followed(
-    span: _Span, table: _Table, highest_hz: float
+    span: _Span, table: CaneTable, highest_hz: float
 ) -> tuple[Array, Array] | tuple[None, None]:
     """Frequencies (m,) and vectors (m, n), by Rayleigh's quotient from those of few moduli.
 
@@ -382,17 +382,18 @@ def _followed(
     # Of each mode the shape that it has with the moduli of a frequency near its own.
     pivot = np.abs(np.log(all_hz[0, near, None] / pivots_hz)).argmin(axis=1)
     hz, v = all_hz[pivot, near], vectors[pivot, :, near]
+    asked = answered = hz
     for _ in range(_MOST_ITERATIONS):
         K, M = _matrices(span, table, hz)
-        Mv = np.einsum("mij,mj->mi", M, v)
-        quotient = np.einsum("mi,mij,mj->m", v, K, v) / np.einsum("mi,mi->m", v, Mv)
-        v = np.linalg.solve(K - ((1 + _SAME) * quotient)[:, None, None] * M, Mv[..., None])[..., 0]
-        v /= np.sqrt(np.einsum("mi,mij,mj->m", v, M, v))[:, None]
-        found = np.sqrt(np.maximum(np.einsum("mi,mij,mj->m", v, K, v), 0)) / (2 * np.pi)
-        apart = np.abs(1200 * np.log2(np.maximum(found, 1e-9) / hz)).max(initial=0.0)
-        hz = found
-        if apart < _SETTLED_CENTS:
+        Mv = M @ v[..., None]
+        quotient = _energy(K, v) / np.sum(v * Mv[..., 0], axis=1)
+        v = np.linalg.solve(K - ((1 + _SAME) * quotient)[:, None, None] * M, Mv)[..., 0]
+        v /= np.sqrt(_energy(M, v))[:, None]
+        found = np.sqrt(np.maximum(_energy(K, v), 0)) / (2 * np.pi)
+        if np.abs(1200 * np.log2(np.maximum(found, 1e-9) / hz)).max(initial=0.0) < _SETTLED_CENTS:
+            hz = found
             break
+        asked, answered, hz = hz, found, _between(asked, answered, hz, found)
     else:
         return None, None
     kept = hz < highest_hz
@@ -404,7 +405,7 @@ def _followed(
     return hz[order], v[order]
 
 
-def _numbered(span: _Span, table: _Table, highest_hz: float) -> tuple[Array, Array]:
+def _numbered(span: _Span, table: CaneTable, highest_hz: float) -> tuple[Array, Array]:
     """Frequencies (m,) and vectors (m, n) of modes, each settled by its number."""
     answers = _solved(span, table, np.array([highest_hz]))[0][0]
     number = np.arange(answers.searchsorted(highest_hz))
@@ -417,10 +418,7 @@ def _numbered(span: _Span, table: _Table, highest_hz: float) -> tuple[Array, Arr
         if not number.size or np.abs(1200 * np.log2(found / hz)).max() < _SETTLED_CENTS:
             hz = found
             break
-        # Answers follow what is asked by a small share.
-        apart = np.where(np.abs(hz - asked) > _SAME * hz, hz - asked, np.inf)
-        share = np.clip((found - answered) / apart, *_SHARES)
-        asked, answered, hz = hz, found, hz + (found - hz) / (1 - share)
+        asked, answered, hz = hz, found, _between(asked, answered, hz, found)
     else:
         raise ValueError(
             "modes do not settle: the moduli of this cane grow too fast with frequency"
@@ -428,7 +426,14 @@ def _numbered(span: _Span, table: _Table, highest_hz: float) -> tuple[Array, Arr
     return hz, vectors[number, :, number]
 
 
-def _solved(span: _Span, table: _Table, hz: Array) -> tuple[Array, Array]:
+def _between(asked: Array, answered: Array, hz: Array, found: Array) -> Array:
+    """Frequencies (m,) to ask for next: answers follow what is asked by a small share."""
+    apart = np.where(np.abs(hz - asked) > _SAME * hz, hz - asked, np.inf)
+    share = np.clip((found - answered) / apart, *_SHARES)
+    return hz + (found - hz) / (1 - share)
+
+
+def _solved(span: _Span, table: CaneTable, hz: Array) -> tuple[Array, Array]:
     """Eigenfrequencies (m, n) and mass-normalised vectors (m, n, n) with what holds at (m,)."""
     K, M = _matrices(span, table, hz)
     root = np.linalg.cholesky(M)
@@ -438,7 +443,7 @@ def _solved(span: _Span, table: _Table, hz: Array) -> tuple[Array, Array]:
     return np.sqrt(np.clip(values, 0, None)) / (2 * np.pi), own
 
 
-def _matrices(span: _Span, table: _Table, hz: Array) -> tuple[Array, Array]:
+def _matrices(span: _Span, table: CaneTable, hz: Array) -> tuple[Array, Array]:
     """Stiffness and mass (m, n, n) with what holds at (m,)."""
     if np.any(hz <= 0):
         raise ValueError("a mode has no stiffness left: thickness, moduli or clamp are of no reed")

@@ -7,10 +7,12 @@ of the clamped reed; a clamp that yields holds them by springs.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from physics.reed.basis import BasisSettings, HalfShapes, ReducedReed, half_shapes, reduced
 from physics.reed.fem import Symmetry, factor, free_dofs, shape_1d, stiffness
@@ -60,6 +62,18 @@ class Anatomy:
     strain: dict[Symmetry, Array]
     motion: dict[Symmetry, Array]
     strip_m2: Array
+
+    @cached_property
+    def stiffness_terms(self) -> Array:
+        """Per unit of each independent stiffness (9, s, s), in coordinates of both symmetries."""
+        each = [half.stiffness_terms for half in self.reed.halves.values()]
+        return np.stack([linalg.block_diag(*terms) for terms in zip(*each, strict=True)])
+
+    @cached_property
+    def mass(self) -> Array:
+        """Per unit density (s, s), in the same coordinates."""
+        whole: Array = linalg.block_diag(*[half.mass for half in self.reed.halves.values()])
+        return whole
 
 
 def build_anatomy(geometry: ReedGeometry, level: MeshLevel, settings: BasisSettings) -> Anatomy:

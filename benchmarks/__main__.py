@@ -16,6 +16,7 @@ MODULES = (
     "benchmarks.pace",
     "benchmarks.recovery",
     "benchmarks.identification",
+    "benchmarks.sealed_sets",
 )
 
 

@@ -10,6 +10,7 @@ would be worth if nature were its twin, and are to be read beside those of seale
 """
 
 import argparse
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
@@ -90,7 +91,10 @@ def main() -> None:
     asked = parser.parse_args()
     with ProcessPoolExecutor(asked.jobs) as pool:
         told = [pool.submit(answered, asked.campaign, k) for k in range(asked.count)]
-        cases = [Case(str(k), *future.result()) for k, future in enumerate(told)]
+        cases = []
+        for number, future in enumerate(told):
+            cases.append(Case(str(number), *future.result()))
+            print(f"{number + 1} of {asked.count}", end="\r", file=sys.stderr, flush=True)
     for sentence in sentences(report(cases, Classes(CLASSES))):
         print(sentence)
 

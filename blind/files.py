@@ -66,7 +66,7 @@ def make_set(
     nonce = secrets.token_hex(16)
     mixed = hidden_seed(seed, nonce)
     told, kept = seal([drawn_label(tier, number, mixed) for number in range(count)])
-    labels = {name: _label(entry["label"]) for name, entry in _plain(kept)["cases"].items()}
+    labels = {name: label_of(entry["label"]) for name, entry in _plain(kept)["cases"].items()}
     # Committed before anything is recorded, let alone answered.
     sealed = json.dumps(told, indent=1).encode()
     try:
@@ -106,7 +106,7 @@ def answered_cases(folder: Path, answers: Path, key: Path) -> list[Case]:
     cases = []
     for name, entry in kept.items():
         try:
-            label = _label(entry["label"])
+            label = label_of(entry["label"])
             fits = commitment(label, entry["salt"]) == told[name]
         except (KeyError, TypeError, ValueError):
             raise BlindError(f"{key}: is no key, as `acquire blind make` writes it") from None
@@ -119,7 +119,14 @@ def answered_cases(folder: Path, answers: Path, key: Path) -> list[Case]:
     return cases
 
 
-def _label(entry: dict[str, Any]) -> Label:
+def label_of(entry: dict[str, Any]) -> Label:
+    """Label of a key's entry.
+
+    Raises
+    ------
+    BlindError, KeyError, TypeError, ValueError
+        If it is none.
+    """
     effects, told = (
         tuple((str(name), float(size)) for name, size in entry[key]) for key in ("effects", "told")
     )

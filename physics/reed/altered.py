@@ -38,6 +38,7 @@ _TABULATED, _LOWEST_SHARE, _HIGHEST_SHARE = 25, 0.01, 2.0
 _MARGIN, _ALIKE = 1.15, 0.3
 # ... and begin with moduli of the nearest of these shares of it.
 _PIVOTS = (0.12, 0.3, 0.55, 0.85)
+_NO_STIFFNESS = "a mode has no stiffness left: thickness, moduli or clamp are of no reed"
 
 
 @dataclass(frozen=True)
@@ -379,6 +380,8 @@ def _followed(
     pivots_hz = highest_hz * np.array(_PIVOTS)
     all_hz, vectors = _solved(span, table, pivots_hz)
     near = np.flatnonzero(all_hz[0] < _MARGIN * highest_hz)
+    if np.any(all_hz[0, near] <= 0):
+        raise ValueError(_NO_STIFFNESS)
     # Of each mode the shape that it has with the moduli of a frequency near its own.
     pivot = np.abs(np.log(all_hz[0, near, None] / pivots_hz)).argmin(axis=1)
     hz, v = all_hz[pivot, near], vectors[pivot, :, near]
@@ -446,7 +449,7 @@ def _solved(span: _Span, table: CaneTable, hz: Array) -> tuple[Array, Array]:
 def _matrices(span: _Span, table: CaneTable, hz: Array) -> tuple[Array, Array]:
     """Stiffness and mass (m, n, n) with what holds at (m,)."""
     if np.any(hz <= 0):
-        raise ValueError("a mode has no stiffness left: thickness, moduli or clamp are of no reed")
+        raise ValueError(_NO_STIFFNESS)
     log_hz = np.log(hz)
     density = table.density_kg_m3(log_hz)[:, None, None]
     K = np.tensordot(table.moduli_pa(log_hz), span.stiffness_terms, axes=1) + span.springs_n_m

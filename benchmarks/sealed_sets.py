@@ -1,0 +1,131 @@
+"""What sealed cases have shown, and what an answer takes: scores of all sets whose keys are out.
+
+    python -m benchmarks.sealed_sets [--again N]
+
+Of each set in `benchmarks/sealed`: whether its keys fit the hashes that were committed before it
+was answered, and its scores beside their targets. Then N cases of the last set are recorded anew
+from its key and diagnosed on two processors. Exit status 1 if a key does not fit.
+"""
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from blind.cases import Label, commitment, record_case
+from blind.files import label_of
+
+FOLDER = Path(__file__).parent / "sealed"
+SETS = "first", "second"
+# Score, the number in it, its target, and whether more is better.
+TARGETS = (
+    ("false alarms", ("false_alarms", "share"), 0.05, False),
+    ("class right at d' of 5 or more", ("class_right", "resolved", "share"), 0.90, True),
+    ("probability on the truth, there", ("probability_of_truth", "resolved", "mean"), 0.75, True),
+    ("unknown kinds at 5 % false-open", ("unknown_found", "share"), 0.80, True),
+    ("confidently wrong", ("confident_wrong", "share"), 0.05, False),
+    ("calibration error", ("calibration_error",), 0.08, False),
+    ("truth in sets of 90 %, at least", ("sets", "share"), 0.85, True),
+    ("truth in sets of 90 %, at most", ("sets", "share"), 0.95, False),
+    ("kappa over the oracle's, median", ("kappa_over_oracle", "median"), 0.90, True),
+    ("two effects exact", ("two_effects_exact", "all", "share"), 0.60, True),
+)
+_LONGEST_S, _PROCESSORS = 60.0, 2
+_TIERS = 0, 1, 3, 4
+
+
+def labels_of(folder: Path) -> dict[str, Label]:
+    """Labels of a set by the cases' names, where keys fit what was sealed.
+
+    Raises
+    ------
+    SystemExit
+        If one does not.
+    """
+    labels = {}
+    for sealed in sorted(folder.glob("tier*.json")):
+        told = json.loads(sealed.read_text(encoding="utf-8"))["cases"]
+        key = folder / sealed.name.replace("tier", "key")
+        kept = json.loads(key.read_text(encoding="utf-8"))["cases"]
+        for name, entry in kept.items():
+            labels[name] = label_of(entry["label"])
+            if commitment(labels[name], entry["salt"]) != told.get(name):
+                raise SystemExit(f"sealed_sets: {key}: case {name} is not what was sealed")
+        if len(kept) != len(told):
+            raise SystemExit(f"sealed_sets: {key}: has {len(kept)} of {len(told)} cases")
+    return labels
+
+
+def against_targets(scores: dict[str, Any]) -> Iterator[str]:
+    """Each score, its target, and whether it is met."""
+    for name, path, target, more in TARGETS:
+        value: Any = scores
+        for part in path:
+            value = value[part]
+        met = value >= target if more else value <= target
+        sign = "at least" if more else "at most"
+        yield f"{name:34s} {value:6.3f}  {sign} {target:.2f}  {'met' if met else 'missed'}"
+
+
+def timed(case: Path) -> tuple[dict[str, Any], float]:
+    """Answer of a case on two processors, and how many seconds it took."""
+    mine = set(sorted(os.sched_getaffinity(0))[:_PROCESSORS])
+    begun = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-m", "acquire", "diagnose", str(case), "--json"],
+        capture_output=True, text=True, check=False,
+        preexec_fn=lambda: os.sched_setaffinity(0, mine),
+    )  # fmt: skip
+    if done.returncode:
+        raise SystemExit(f"sealed_sets: {case.name}: {done.stderr.strip()}")
+    answer: dict[str, Any] = json.loads(done.stdout)
+    return answer, time.perf_counter() - begun
+
+
+def again(labels: dict[str, Label], count: int) -> Iterator[float]:
+    """Record cases anew, of one tier after the other, and answer them; yield seconds."""
+    by_tier = [[n for n, label in labels.items() if label.tier == tier] for tier in _TIERS]
+    chosen = [names[k] for k in range(count) for names in by_tier if k < len(names)][:count]
+    for name in chosen:
+        with tempfile.TemporaryDirectory() as place:
+            record_case(Path(place), name, labels[name])
+            answer, took_s = timed(Path(place) / name)
+        truth = "+".join(n for n, _ in labels[name].effects) or "none"
+        said = "+".join(answer["effects_named"]) or answer["verdict"]
+        print(f"{name}  {truth:40s} answered {said:40s} {took_s:5.0f} s", flush=True)
+        yield took_s
+
+
+def main() -> None:
+    """Print what all published sets have shown."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--again", type=int, default=4)
+    asked = parser.parse_args()
+    labels: dict[str, Label] = {}
+    for folder in (FOLDER / name for name in SETS):
+        scored = folder / "scores.json"
+        if not scored.exists():
+            print(f"{folder.name} sets: not scored yet")
+            continue
+        labels = labels_of(folder)
+        print(f"{folder.name} sets: {len(labels)} cases, whose keys fit what was sealed")
+        for line in against_targets(json.loads(scored.read_text(encoding="utf-8"))):
+            print(f"  {line}")
+    took_s = list(again(labels, asked.again))
+    if took_s:
+        middle, longest = statistics.median(took_s), max(took_s)
+        print(
+            f"a case on {_PROCESSORS} processors: median {middle:.0f} s, longest {longest:.0f} s; "
+            f"at most {_LONGEST_S:.0f} s are asked for"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,55 @@
+"""Published sets of sealed cases: their keys fit what was sealed, and scores are told as they are."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from benchmarks.sealed_sets import FOLDER, SETS, against_targets, labels_of
+
+DOCS = Path(__file__).parents[2] / "docs"
+_SCORED = [name for name in SETS if (FOLDER / name / "scores.json").exists()]
+
+
+@pytest.mark.parametrize("name", _SCORED)
+def test_keys_fit_what_was_sealed_and_all_cases_are_scored(name: str) -> None:
+    scores = json.loads((FOLDER / name / "scores.json").read_text(encoding="utf-8"))
+    assert len(labels_of(FOLDER / name)) == scores["cases"]
+
+
+def test_a_key_that_was_changed_is_told(tmp_path: Path) -> None:
+    copy = tmp_path / "first"
+    shutil.copytree(FOLDER / "first", copy)
+    path = copy / "key0.json"
+    key = json.loads(path.read_text(encoding="utf-8"))
+    name = min(key["cases"])
+    key["cases"][name]["label"]["seed"] += 1
+    path.write_text(json.dumps(key), encoding="utf-8")
+    with pytest.raises(SystemExit, match=name):
+        list(labels_of(copy))
+
+
+def test_targets_are_met_or_missed_by_what_was_scored() -> None:
+    scores = json.loads((FOLDER / "first" / "scores.json").read_text(encoding="utf-8"))
+    told = {line[:34].strip(): line.split()[-1] for line in against_targets(scores)}
+    assert told["false alarms"] == "met"
+    assert told["calibration error"] == "missed"
+    scores["false_alarms"]["share"], scores["calibration_error"] = 0.06, 0.07
+    told = {line[:34].strip(): line.split()[-1] for line in against_targets(scores)}
+    assert told["false alarms"] == "missed"
+    assert told["calibration error"] == "met"
+
+
+@pytest.mark.parametrize("name", _SCORED)
+def test_the_page_says_met_and_missed_as_scores_do(name: str) -> None:
+    page = (DOCS / "blind.md").read_text(encoding="utf-8")
+    section = re.split(r"^## ", page, flags=re.MULTILINE)
+    own = next(part for part in section if part.startswith(f"{name.capitalize()} sets"))
+    said = re.findall(r"^\|.*\| (met|missed) \|$", own, flags=re.MULTILINE)
+    scores = json.loads((FOLDER / name / "scores.json").read_text(encoding="utf-8"))
+    found = [line.split()[-1] for line in against_targets(scores)]
+    # Two targets are one row: a set of 90 % is to hold the truth neither too seldom nor too often.
+    assert said.count("missed") == found.count("missed")
+    assert said.count("met") == found.count("met") - 1

@@ -605,7 +605,7 @@ def blind_make(
         ),
     ],
     count: Annotated[int, typer.Option(min=1, help="How many cases.")],
-    seed: Annotated[int, typer.Option(min=0, help="Draws the same cases again.")],
+    seed: Annotated[int, typer.Option(min=0, help="Mixed with what the key alone tells.")],
     key: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Gets the labels; DIR.key.json if not given."),

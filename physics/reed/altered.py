@@ -5,7 +5,7 @@ the coordinates of an `Anatomy`: those of symmetric motion, then those of antisy
 are vectors: see `combined`.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -21,11 +21,10 @@ from physics.reed.material import STIFFNESS_TERMS, Cane, stiffness_terms_pa
 
 Array = NDArray[np.floating[Any]]
 
-# Modes of either symmetry, of fixed moduli, whose span holds all modes with moduli of their own
-# frequency.
-_SPAN = 28
-# ... at this share of the highest frequency.
-_MIDDLE_SHARE = 0.25
+# Modes of either symmetry with the moduli of two frequencies, as shares of the highest, and how
+# many: their span holds all modes with moduli of their own frequency, to some hundredths of a cent.
+# Of one frequency many more would not.
+_SPANNING = ((0.1, 10), (0.6, 22))
 # A clamp's yielding in a direction counts if it is more than this share of the greatest.
 _LEAST_SHARE = 1e-12
 _SETTLED_CENTS = 1e-3
@@ -192,13 +191,13 @@ class CaneTable:
         At log frequencies (m,): (m, 9), see `material.stiffness_terms_pa`.
     density_kg_m3 : callable
         (m,).
-    middle : Cane
-        Its modes span those of all frequencies.
+    spanning : tuple of (Cane, int)
+        So many modes of these span those of all frequencies.
     """
 
     moduli_pa: Callable[[Array], Array]
     density_kg_m3: Callable[[Array], Array]
-    middle: Cane
+    spanning: tuple[tuple[Cane, int], ...]
 
     @classmethod
     def of(cls, material: Callable[[float], Cane], highest_hz: float) -> "CaneTable":
@@ -208,8 +207,8 @@ class CaneTable:
         canes = [material(float(hz)) for hz in np.exp(log_hz)]
         moduli = np.array([stiffness_terms_pa(cane) for cane in canes])
         density = np.array([cane.density_kg_m3 for cane in canes])
-        middle = material(_MIDDLE_SHARE * highest_hz)
-        return cls(CubicSpline(log_hz, moduli), CubicSpline(log_hz, density), middle)
+        spanning = tuple((material(share * highest_hz), count) for share, count in _SPANNING)
+        return cls(CubicSpline(log_hz, moduli), CubicSpline(log_hz, density), spanning)
 
 
 def vibrations(
@@ -221,7 +220,7 @@ def vibrations(
 ) -> Vibrations:
     """Modes of a changed reed up to a frequency.
 
-    By Rayleigh's and Ritz's method in the span of the modes with the moduli of one frequency.
+    By Rayleigh's and Ritz's method in the span of the modes with the moduli of two frequencies.
 
     Parameters
     ----------
@@ -239,7 +238,7 @@ def vibrations(
         If moduli grow too fast with frequency for modes to settle, or a change leaves no reed.
     """
     found = [
-        _settled(span, canes, highest_hz) for span in _spans(anatomy, change, canes.middle, air)
+        _settled(span, canes, highest_hz) for span in _spans(anatomy, change, canes.spanning, air)
     ]
     hz, coordinates, radiated = (np.concatenate(p, axis=-1) for p in zip(*found, strict=True))
     order = np.argsort(hz)
@@ -270,20 +269,31 @@ class _Span:
     resistance_kg_s: Callable[[Array], Array]
 
 
-def _spans(anatomy: Anatomy, change: Change, cane: Cane, air: AirLoad | None) -> Iterator[_Span]:
+def _spans(
+    anatomy: Anatomy,
+    change: Change,
+    spanning: Sequence[tuple[Cane, int]],
+    air: AirLoad | None,
+) -> Iterator[_Span]:
     """Yield spans of low modes: one per symmetry, or one if the change couples them."""
     terms = anatomy.stiffness_terms + change.stiffness_terms
     mass = anatomy.mass + change.mass
-    stiffness = np.tensordot(stiffness_terms_pa(cane), terms, axes=1)
-    inertia = cane.density_kg_m3 * mass + change.mass_kg
-    for into, springs, count in _coordinates(anatomy, change):
-        held = into.T @ stiffness @ into + springs
-        # The clamp's own coordinates have no mass if it hardly yields: the inverse problem minds
-        # that less.
-        size = held.shape[0]
-        vectors = linalg.eigh(
-            into.T @ inertia @ into, held, subset_by_index=[size - min(count, size), size - 1]
-        )[1]
+    matrices = [
+        (
+            np.tensordot(stiffness_terms_pa(cane), terms, axes=1),
+            cane.density_kg_m3 * mass + change.mass_kg,
+        )
+        for cane, _ in spanning
+    ]
+    for into, springs, symmetries in _coordinates(anatomy, change):
+        vectors = np.linalg.qr(
+            np.hstack(
+                [
+                    _lowest(into.T @ K @ into + springs, into.T @ M @ into, symmetries * count)
+                    for (K, M), (_, count) in zip(matrices, spanning, strict=True)
+                ]
+            )
+        ).Q
         shapes = into @ vectors
         yield _Span(
             shapes=shapes,
@@ -298,8 +308,18 @@ def _spans(anatomy: Anatomy, change: Change, cane: Cane, air: AirLoad | None) ->
         )
 
 
+def _lowest(stiffness: Array, mass: Array, count: int) -> Array:
+    """Vectors (n, count) of the lowest modes, or of all."""
+    # The clamp's own coordinates have no mass if it hardly yields: the inverse problem minds that
+    # less.
+    size = len(mass)
+    subset = size - min(count, size), size - 1
+    vectors: Array = linalg.eigh(mass, stiffness, subset_by_index=subset)[1]
+    return vectors
+
+
 def _coordinates(anatomy: Anatomy, change: Change) -> Iterator[tuple[Array, Array, int]]:
-    """Coordinates (s, c) that are solved for together, their springs (c, c), and modes wanted.
+    """Coordinates (s, c) that are solved for together, their springs (c, c), and symmetries.
 
     Those of the strip are taken in units in which each stores the energy of a unit spring: a clamp
     that does not yield has none.
@@ -321,13 +341,13 @@ def _coordinates(anatomy: Anatomy, change: Change) -> Iterator[tuple[Array, Arra
     if _couples(change, sizes[0], m):
         into = np.hstack([*at_rest, yielding])
         springs = _unit_springs(sum(held), yielding.shape[1])
-        yield into, springs, len(sizes) * _SPAN
+        yield into, springs, len(sizes)
         return
     for number, (start, size) in enumerate(zip(starts, sizes, strict=True)):
         own = np.any(yielding[start : start + size], axis=0)
         into = np.hstack([at_rest[number], yielding[:, own]])
         springs = _unit_springs(held[number], int(np.count_nonzero(own)))
-        yield into, springs, _SPAN
+        yield into, springs, 1
 
 
 def _unit_springs(without: int, count: int) -> Array:

@@ -1,4 +1,4 @@
-"""Published sets of sealed cases: their keys fit what was sealed, and scores are told as they are."""
+"""Published sets of sealed cases: keys fit what was sealed, and scores are told as they are."""
 
 import json
 import re

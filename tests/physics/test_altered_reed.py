@@ -1,0 +1,277 @@
+"""Reeds that are changed: against other geometries, brute force, and what must not matter."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy import linalg
+from scipy.optimize import brentq
+from scipy.special import eval_legendre
+
+from physics.mechanics import (
+    HIGHEST_HZ,
+    CaneShift,
+    Layer,
+    Mechanics,
+    SoftSpot,
+    TipMass,
+    Workshop,
+    YieldingClamp,
+    material_of,
+)
+from physics.reed.altered import added_mass, combined, layer, softening, yielding_clamp
+from physics.reed.anatomy import build_anatomy
+from physics.reed.basis import BasisSettings, build_reduced_reed, reduced_modes
+from physics.reed.geometry import half_width_m
+from physics.reed.material import Cane, stiffness_terms_pa
+from physics.reed.mesh import MeshLevel
+from physics.reed.viscoelastic import Components, Series, ViscoelasticCane, Zener, viscoelastic_cane
+
+EVERYTHING = Mechanics(
+    shift=CaneShift(E_L=0.05, E_T=-0.1, G_LR=0.1, density=0.03, growth_E_L=0.01),
+    alterations=(
+        (Layer(0, 0), 8e-6),
+        (Layer(1, 1), 5e-6),
+        (TipMass(), 3e-7),
+        (SoftSpot(15e-3, 2e-3), 5e-5),
+        (YieldingClamp(), 2e-13),
+        (YieldingClamp(1), 1e-13),
+    ),
+)
+# Moduli that no frequency changes.
+ELASTIC = ViscoelasticCane(Zener(14000.0, 0.0, 0.0), Zener(1100.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def workshop(geometry, coarse_level):
+    return Workshop(build_anatomy(geometry, coarse_level, BasisSettings()))
+
+
+def frequencies(workshop, reed):
+    return np.array([mode.hz for mode in workshop.modes(reed).values()])
+
+
+def cents(found, other):
+    return 1200 * np.log2(np.asarray(found) / np.asarray(other))
+
+
+def unit_change(anatomy, kind):
+    """What one unit of an alteration adds, as its docstring says."""
+    if isinstance(kind, YieldingClamp):
+        return yielding_clamp(anatomy, float(kind.side >= 0), float(kind.side <= 0))
+    if isinstance(kind, TipMass):
+        inside = anatomy.bark_m[:, 0] < kind.length_m
+        area_m2 = 2 * anatomy.area_m2[inside].sum()
+        return added_mass(anatomy, lambda x, _y: (x < kind.length_m) / area_m2)
+    if isinstance(kind, SoftSpot):
+        return softening(
+            anatomy,
+            lambda x, y: np.exp(
+                -((x - kind.x_m) ** 2 + (y - kind.y_m) ** 2) / (2 * kind.radius_m**2)
+            ),
+        )
+    outline, end_m = anatomy.reed.geometry.outline, anatomy.reed.geometry.vamp_x_m[-1]
+    return layer(
+        anatomy,
+        lambda x, y: (
+            eval_legendre(kind.along, 2 * x / end_m - 1)
+            * eval_legendre(kind.across, y / half_width_m(outline, x))
+        ),
+    )
+
+
+def whole(workshop, reed):
+    """Stiffness at a frequency and mass of a reed, in all coordinates that it has."""
+    anatomy = workshop.anatomy
+    change = combined(
+        anatomy, [(amount, unit_change(anatomy, kind)) for kind, amount in reed.alterations]
+    )
+    halves = list(anatomy.reed.halves.values())
+    each = [half.stiffness_terms for half in halves]
+    terms = np.stack([linalg.block_diag(*t) for t in zip(*each, strict=True)])
+    terms += change.stiffness_terms
+    cane = material_of(anatomy, reed.cane, reed.shift)
+    mass = linalg.block_diag(*[half.mass for half in halves]) + change.mass
+    mass = cane(1.0).density_kg_m3 * mass + change.mass_kg
+    held = list(anatomy.clamped.values())
+    starts = [0, halves[0].mass.shape[0]]
+    moving = np.ones(len(mass), dtype=bool)
+    for start, clamped, half in zip(starts, held, halves, strict=True):
+        moving[start + clamped : start + half.mass.shape[0]] = False
+    if change.compliance_m_n.any():
+        springs = np.zeros_like(mass)
+        springs[np.ix_(~moving, ~moving)] = np.linalg.inv(change.compliance_m_n)
+        moving[:] = True
+    else:
+        springs = np.zeros_like(mass)
+    keep = np.ix_(moving, moving)
+
+    def stiffness(hz):
+        return (np.tensordot(stiffness_terms_pa(cane(hz)), terms, axes=1) + springs)[keep]
+
+    return stiffness, mass[keep]
+
+
+def by_brute_force(workshop, reed, count):
+    """Lowest frequencies, each with the moduli that it asks for, by solving for all modes."""
+    stiffness, mass = whole(workshop, reed)
+
+    def answered(hz, number):
+        return np.sqrt(linalg.eigvalsh(stiffness(hz), mass)[number]) / (2 * np.pi)
+
+    return [
+        brentq(lambda hz, k=k: answered(hz, k) - hz, 100.0, 2 * HIGHEST_HZ, xtol=1e-6)
+        for k in range(count)
+    ]
+
+
+@pytest.mark.parametrize(
+    "reed",
+    [
+        Mechanics(),
+        replace(EVERYTHING, alterations=EVERYTHING.alterations[:3]),
+        EVERYTHING,
+    ],
+    ids=["nominal", "held", "everything"],
+)
+def test_modes_are_those_of_all_coordinates_with_moduli_of_their_own_frequency(workshop, reed):
+    found = frequencies(workshop, reed)
+    assert len(found) > 15
+    assert np.all(np.diff(found) >= 0)
+    expected = by_brute_force(workshop, reed, 15)
+    assert np.abs(cents(found[:15], expected)).max() < 0.05
+
+
+def test_a_layer_is_a_reed_that_was_drawn_thicker(geometry):
+    step_m, cane, count = 4e-6, Cane(), 4
+    # Strains at the surface need cubic elements: of quadratic ones shifts are 8 % off.
+    level = MeshLevel(orders=(3, 3, 2))
+    workshop = Workshop(build_anatomy(geometry, level, BasisSettings()))
+
+    def drawn(offset_m):
+        thicker = replace(geometry, thickness_offset_m=offset_m)
+        reed = build_reduced_reed(thicker, level, BasisSettings())
+        terms = stiffness_terms_pa(cane)
+        each = [reduced_modes(half, terms, cane.density_kg_m3)[0] for half in reed.halves.values()]
+        return np.array([own[:count] for own in each])
+
+    def grown(offset_m):
+        layers = Mechanics(cane=ELASTIC, alterations=((Layer(0, 0), offset_m),))
+        modes = list(workshop.modes(layers).values())
+        first = len(modes[0].coordinates) // 2
+        even = [mode.hz for mode in modes if np.any(mode.coordinates[:first])]
+        odd = [mode.hz for mode in modes if np.any(mode.coordinates[first:])]
+        return np.array([even[:count], odd[:count]])
+
+    expected = cents(drawn(step_m), drawn(-step_m))
+    assert np.ptp(expected) > 30
+    found = cents(grown(step_m), grown(-step_m))
+    np.testing.assert_allclose(found, expected, rtol=0.005, atol=0.04)
+
+
+def test_a_little_mass_lowers_modes_by_what_it_moves(workshop):
+    nominal, mass_kg = Mechanics(cane=ELASTIC), 1e-10
+    anatomy = workshop.anatomy
+    zone = anatomy.bark_m[:, 0] < 2e-3
+    weight = np.where(zone, anatomy.area_m2, 0.0) / (2 * anatomy.area_m2[zone].sum())
+    found = workshop.modes(replace(nominal, alterations=((TipMass(2e-3), mass_kg),)))
+    for name, mode in workshop.modes(nominal).items():
+        start, moved = 0, {}
+        for symmetry, motion in anatomy.motion.items():
+            count = motion.shape[2]
+            moved[symmetry] = motion @ mode.coordinates[start : start + count]
+            start += count
+        # Both halves, y ≥ 0 and y < 0, carry it; what is even and odd does not mix in the mean.
+        energy = 2 * sum(np.sum(weight * np.square(part)) for part in moved.values()) / 2
+        share = 2 * (found[name].hz / mode.hz - 1) / mass_kg
+        assert share == pytest.approx(-energy, rel=1e-3, abs=1.0)
+
+
+def test_stiffer_cane_is_faster_by_the_root(workshop):
+    log = 0.2
+    moduli = ("E_L", "E_T", "E_R", "G_LT", "G_LR", "G_TR")
+    stiffer = Mechanics(cane=ELASTIC, shift=CaneShift(**dict.fromkeys(moduli, log)))
+    denser = Mechanics(cane=ELASTIC, shift=CaneShift(density=log))
+    nominal = workshop.modes(Mechanics(cane=ELASTIC))
+    for reed, power in ((stiffer, 0.5), (denser, -0.5)):
+        both = [
+            (mode.hz, nominal[name].hz) for name, mode in workshop.modes(reed).items()
+            if name in nominal
+        ]  # fmt: skip
+        changed, plain = np.transpose(both)
+        assert np.abs(cents(changed, plain * np.exp(power * log))).max() < 1e-3
+
+
+def test_a_yielding_clamp_lowers_all_modes_the_more_the_more_it_yields(workshop):
+    each = [
+        frequencies(workshop, Mechanics(alterations=((YieldingClamp(), yielding),)))[:12]
+        for yielding in (0.0, 1e-16, 1e-14, 1e-13, 1e-12)
+    ]
+    assert np.abs(cents(each[1], each[0])).max() < 1.0
+    for stiffer, softer in pairwise(each):
+        assert np.all(cents(softer, stiffer) < 1e-3)
+    assert cents(each[-1], each[0]).min() < -50
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [
+        ((YieldingClamp(1), 3e-13), (YieldingClamp(-1), 3e-13)),
+        ((Layer(1, 1), 1e-5), (Layer(1, 1), -1e-5)),
+        ((SoftSpot(12e-3, 3e-3), 1e-4), (SoftSpot(12e-3, -3e-3), 1e-4)),
+    ],
+)
+def test_what_is_wrong_on_the_left_does_as_much_on_the_right(workshop, left, right):
+    found, mirrored = (
+        frequencies(workshop, Mechanics(alterations=(change,))) for change in (left, right)
+    )
+    assert np.abs(cents(found, frequencies(workshop, Mechanics())[: len(found)])).max() > 1
+    assert np.abs(cents(found, mirrored)).max() < 1e-3
+
+
+def test_air_moves_along_and_takes_sound_away(workshop):
+    vacuum = workshop.modes(Mechanics(loss_factor=0.02))
+    air = workshop.modes(Mechanics(loss_factor=0.02, air_share=1.0))
+    half = workshop.modes(Mechanics(loss_factor=0.02, air_share=0.5))
+    for name in list(vacuum)[:12]:
+        assert vacuum[name].loss_factor == pytest.approx(0.02)
+        assert air[name].loss_factor >= half[name].loss_factor >= 0.02
+        lower = cents(air[name].hz, vacuum[name].hz)
+        assert lower < 0
+        assert cents(half[name].hz, vacuum[name].hz) == pytest.approx(lower / 2, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [(Layer(0, 0), -2e-3), (SoftSpot(12e-3, 0.0), 1.0)],
+    ids=["no cane left", "nothing carries"],
+)
+def test_what_leaves_no_reed_is_refused(workshop, change):
+    with pytest.raises(ValueError, match=r"no reed|positive definite|leading minor"):
+        workshop.modes(Mechanics(alterations=(change,)))
+
+
+def test_changes_combine_and_stay_as_they_are(workshop):
+    anatomy = workshop.anatomy
+    parts = [
+        (2.0, layer(anatomy, lambda x, y: 1e-6 * (1 + x + y))),
+        (-3.0, added_mass(anatomy, lambda x, _y: 1e-3 * x)),
+        (0.5, yielding_clamp(anatomy, 1e-13, 2e-13)),
+    ]
+    for field in ("stiffness_terms", "mass", "mass_kg", "compliance_m_n"):
+        before = [getattr(part, field).copy() for _, part in parts]
+        total = getattr(combined(anatomy, parts), field)
+        expected = sum(amount * own for (amount, _), own in zip(parts, before, strict=True))
+        np.testing.assert_allclose(total, expected, rtol=1e-12, atol=1e-30)
+        for (_, part), own in zip(parts, before, strict=True):
+            assert np.array_equal(getattr(part, field), own)
+
+
+def test_losses_change_no_frequency(workshop):
+    cane = viscoelastic_cane(Components(), Series.B)
+    plain = workshop.modes(Mechanics(cane=cane))
+    lossy = workshop.modes(Mechanics(cane=cane, loss_factor=0.05, loss_growth=0.5))
+    for name, mode in plain.items():
+        assert lossy[name].hz == mode.hz
+        assert lossy[name].loss_factor == pytest.approx(0.05 * (mode.hz / 4000) ** 0.5)

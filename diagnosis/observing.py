@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from threadpoolctl import threadpool_limits
+
 from acquire.bench_file import BenchFile
 from acquire.run_layout import Kind
 from diagnosis.block import Block
@@ -102,7 +104,12 @@ def read(
     RunFileError
         If a run cannot be read.
     """
-    report = progress or (lambda _share: None)
+    # As in `verdict.judged`.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _read(campaign, bench, progress or (lambda _share: None))
+
+
+def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float], None]) -> Readings:
     first = campaign.sweeps[0].run
     dark_parts, flat_parts = campaign.of_kind(Kind.DARK), campaign.of_kind(Kind.FLAT)
     lo_parts, still_parts = campaign.of_kind(Kind.LO_ONLY), campaign.of_kind(Kind.ORDER0)

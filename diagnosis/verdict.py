@@ -7,6 +7,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from diagnosis.actions import Worth, ranked_actions
 from diagnosis.contest import NONE, UNKNOWN, Contest, confirmed, contest
@@ -145,6 +146,17 @@ def judged(
     without: Sequence[str] = (),
 ) -> Verdict:
     """Judge numbers that are beside the twin already; parameters as those of `diagnose`."""
+    # Matrices are small: threads of linear algebra would wait for each other more than compute.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _judged(comparison, told, progress, without)
+
+
+def _judged(
+    comparison: Comparison,
+    told: Told,
+    progress: Callable[[float], None] | None,
+    without: Sequence[str],
+) -> Verdict:
     effects = [e for e in CATALOGUE if e.stage is not Stage.NUMERICS and e.id not in without]
     found = contest(comparison, effects, progress)
     reach = reach_of(effects, found.signatures)

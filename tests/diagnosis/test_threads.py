@@ -1,0 +1,45 @@
+"""Linear algebra of small matrices: threads of its own would make a diagnosis ten times as long."""
+
+from types import SimpleNamespace
+
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from diagnosis import observing, verdict
+
+
+class ReachedError(Exception):
+    """Where threads were counted."""
+
+
+def count_threads(*_args, **_kwargs):
+    raise ReachedError(max(pool["num_threads"] for pool in threadpool_info()))
+
+
+@pytest.fixture(autouse=True)
+def two_threads():
+    """Whatever the machine and its environment say."""
+    with threadpool_limits(limits=2, user_api="blas"):
+        if count_of_threads() < 2:
+            pytest.skip("linear algebra has but one thread on this machine")
+        yield
+
+
+def count_of_threads():
+    return max(pool["num_threads"] for pool in threadpool_info())
+
+
+def test_effects_are_tried_on_one_thread(monkeypatch):
+    monkeypatch.setattr(verdict, "contest", count_threads)
+    with pytest.raises(ReachedError) as reached:
+        verdict.judged(SimpleNamespace(), verdict.Told())
+    assert reached.value.args == (1,)
+    assert count_of_threads() == 2
+
+
+def test_campaigns_are_read_on_one_thread(monkeypatch):
+    monkeypatch.setattr(observing, "sensor_of", count_threads)
+    campaign = SimpleNamespace(sweeps=[SimpleNamespace(run=None)], of_kind=lambda _kind: [])
+    with pytest.raises(ReachedError) as reached:
+        observing.read(campaign)
+    assert reached.value.args == (1,)

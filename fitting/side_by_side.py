@@ -1,16 +1,19 @@
 """Work in pieces, side by side, each piece in a process of its own.
 
 Every piece begins with what is known when it is split off: what one leaves in memory changes
-nothing for another, so that results depend neither on their order nor on the number of processors.
+nothing for another, so that where processes can be split off results depend neither on their order
+nor on the number of processors.
 """
 
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
+import threading
 import warnings
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import Future
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -21,6 +24,8 @@ Made = TypeVar("Made")
 
 # Elsewhere processes cannot be split off, or not safely.
 _SPLITS = sys.platform == "linux"
+# Each needs memory of its own.
+_MOST = 8
 
 
 def side_by_side(
@@ -28,8 +33,8 @@ def side_by_side(
 ) -> Generator[Made]:
     """Do work for every item; yield what it makes in the order of items.
 
-    What a process has not handed back before it died is made again here. Where processes cannot be
-    split off all is made here.
+    What a process has not handed back before it died, and what no process can be split off for, is
+    made here; all is where processes cannot be split off, or in one that was.
 
     Parameters
     ----------
@@ -37,7 +42,7 @@ def side_by_side(
         What it makes or raises must be possible to pickle; what it changes is lost.
     items : sequence
     at_once : int, optional
-        Processes; as many as there are processors if not given.
+        Processes; as many as there are processors, up to 8, if not given.
 
     Raises
     ------
@@ -47,7 +52,7 @@ def side_by_side(
     if not _SPLITS or multiprocessing.current_process().daemon or len(items) < 2:
         yield from map(work, items)
         return
-    most = at_once or len(os.sched_getaffinity(0))
+    most = at_once or min(len(os.sched_getaffinity(0)), _MOST)
     waiting = deque(range(len(items)))
     running: dict[Connection, tuple[int, BaseProcess]] = {}
     ended: dict[int, Future[Made]] = {}
@@ -56,57 +61,116 @@ def side_by_side(
             while number not in ended:
                 while waiting and len(running) < most:
                     begun = waiting.popleft()
-                    connection, process = _split_off(work, items[begun])
-                    running[connection] = begun, process
+                    try:
+                        connection, process = _split_off(work, items[begun], running)
+                    except OSError:
+                        ended[begun] = _done(work, items[begun])
+                    else:
+                        running[connection] = begun, process
                 for connection in _answering(running):
-                    done, process = running.pop(connection)
+                    done, process = running[connection]
                     ended[done] = _handed_back(connection, process) or _done(work, items[done])
+                    del running[connection]
             yield ended.pop(number).result()
     finally:
-        for _, process in running.values():
-            process.terminate()
-            process.join()
+        for connection, (_, process) in running.items():
+            _end(connection, process)
 
 
 def _answering(running: dict[Connection, tuple[int, BaseProcess]]) -> list[Connection]:
-    return [found for found in wait(list(running)) if isinstance(found, Connection)]
+    """Wait for one or more; none if none is running."""
+    found = wait(list(running)) if running else []
+    return [connection for connection in found if isinstance(connection, Connection)]
 
 
-def _split_off(work: Callable[[Item], Made], item: Item) -> tuple[Connection, BaseProcess]:
-    """Begin a piece of work: where its answer comes from, and its process."""
+def _split_off(
+    work: Callable[[Item], Made], item: Item, others: Iterable[Connection]
+) -> tuple[Connection, BaseProcess]:
+    """Begin a piece of work: where its answer comes from, and its process.
+
+    Raises
+    ------
+    OSError
+        If there may not be another process.
+    """
     context = multiprocessing.get_context("fork")
     here, there = context.Pipe(duplex=False)
-    process = context.Process(target=_answer, args=(there, work, item), daemon=True)
-    with warnings.catch_warnings():
-        # Other threads only show progress, or wait for numbers: the new process needs neither.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        process.start()
-    there.close()
+    process = context.Process(
+        target=_answer, args=(there, [here, *others], work, item), daemon=True
+    )
+    # Until a process minds no interrupt itself, see `_answer`.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        with warnings.catch_warnings():
+            # Other threads only show progress, or wait for numbers: nothing that is needed there.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            process.start()
+    except OSError:
+        here.close()
+        raise
+    finally:
+        there.close()
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return here, process
 
 
-def _answer(there: Connection, work: Callable[[Item], Made], item: Item) -> None:
+def _answer(
+    there: Connection, inherited: list[Connection], work: Callable[[Item], Made], item: Item
+) -> None:
+    """Do a piece of work in a process of its own, and hand it back."""
     # Who interrupts means all: the process that is asked ends those that it has split off.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    done = _done(work, item)
-    there.send((done.exception(), None if done.exception() else done.result()))
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    # Nobody but the process that is asked reads, so that no answer waits for one that has died.
+    for connection in inherited:
+        connection.close()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    # A display that was at work may hold the locks of its own.
+    with open(os.dup(2), "w", encoding="utf-8") as said:
+        sys.stdout = sys.stderr = said
+        there.send_bytes(_packed(_done(work, item)))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _packed(done: Future[Made]) -> bytes:
+    """What was made or raised, as bytes that can be read back."""
+    trouble = done.exception()
+    try:
+        packed = pickle.dumps((trouble, None if trouble else done.result()))
+        if trouble:
+            pickle.loads(packed)
+    except Exception as error:  # noqa: BLE001 - whatever objects raise who cannot be pickled
+        told = repr(trouble) if trouble else f"what was made cannot be handed back: {error}"
+        packed = pickle.dumps((RuntimeError(told), None))
+    return packed
 
 
 def _handed_back(connection: Connection, process: BaseProcess) -> Future[Made] | None:
     """What a process has made or raised; None if it has died."""
-    with connection:
-        try:
-            trouble, made = connection.recv()
-        except EOFError:
-            return None
-        finally:
-            process.join()
+    try:
+        trouble, made = pickle.loads(connection.recv_bytes())
+    except (EOFError, OSError):
+        return None
+    finally:
+        _end(connection, process)
     done: Future[Made] = Future()
     if trouble is None:
         done.set_result(made)
     else:
         done.set_exception(trouble)
     return done
+
+
+def _end(connection: Connection, process: BaseProcess) -> None:
+    connection.close()
+    process.terminate()
+    process.join()
 
 
 def _done(work: Callable[[Item], Made], item: Item) -> Future[Made]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -96,14 +97,15 @@ def test_slopes_are_fine_where_they_have_to_be() -> None:
     assert coarse != pytest.approx(true, rel=0.03)
 
 
-def test_an_effect_that_shows_only_when_large_is_found() -> None:
-    # A little of it does harm, from three deviations on it is what there is.
-    def change(twin: Twin, values: Mapping[str, float]) -> Twin:
-        size = values["size"]
-        return more(twin, "beams", leak=-0.2 * size + 0.02 * size**3)
+def _harming(twin: Twin, values: Mapping[str, float]) -> Twin:
+    """Do harm if there is little of it; from three deviations on it is what there is."""
+    size = values["size"]
+    return more(twin, "beams", leak=-0.2 * size + 0.02 * size**3)
 
+
+def test_an_effect_that_shows_only_when_large_is_found() -> None:
     comparison = measured(15, bench(leak=0.6))
-    found = contest(comparison, (replace(EFFECTS[1], change=change), *EFFECTS[2:]))
+    found = contest(comparison, (replace(EFFECTS[1], change=_harming), *EFFECTS[2:]))
     assert found.alone["bump"].sizes[0] > 3
     assert found.probability["bump"] > 0.5
 
@@ -142,15 +144,15 @@ def test_a_louder_noise_than_told_is_no_effect() -> None:
     assert max(found, key=found.get) == NONE
 
 
+def _breaking(limit: float, twin: Twin, values: Mapping[str, float]) -> Twin:
+    if abs(values["size"]) > limit:
+        raise ValueError("it breaks")
+    return EFFECTS[0].change(twin, values)
+
+
 def _brittle(limit: float) -> Effect:
     """A slope that no bench has beyond a limit."""
-
-    def change(twin: Twin, values: Mapping[str, float]) -> Twin:
-        if abs(values["size"]) > limit:
-            raise ValueError("it breaks")
-        return EFFECTS[0].change(twin, values)
-
-    return replace(EFFECTS[0], change=change)
+    return replace(EFFECTS[0], change=partial(_breaking, limit))
 
 
 def test_an_effect_that_is_possible_only_when_small_is_found_all_the_same() -> None:

@@ -1,6 +1,8 @@
 """A small bench whose truth is known: straight lines with a few things that may be wrong."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -29,6 +31,10 @@ def clocks(twin: Twin) -> np.ndarray:
 LEVEL = Nuisance("level", "", 2.0, lambda t, v: more(t, "beams", fade_per_h=v), "anything")
 
 
+def _changed(part: str, field: str, twin: Twin, values: Mapping[str, float]) -> Twin:
+    return more(twin, part, **{field: values["size"]})
+
+
 def effect(name: str, part: str, field: str, positive: bool = False) -> Effect:
     """Make an effect that is one field of the twin."""
     return Effect(
@@ -36,7 +42,7 @@ def effect(name: str, part: str, field: str, positive: bool = False) -> Effect:
         title=name,
         stage=Stage.OPTICS,
         parameters=(Parameter("size", "", 1.0, "toy", positive),),
-        change=lambda twin, values: more(twin, part, **{field: values["size"]}),
+        change=partial(_changed, part, field),
         moves=frozenset({Tap.MAPS}),
         keeps=frozenset({Tap.LOG}),
         neighbours=(),

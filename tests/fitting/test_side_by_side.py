@@ -2,9 +2,11 @@
 
 import os
 import signal
+import struct
+import subprocess
 import sys
-import threading
 import time
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
@@ -79,22 +81,138 @@ def test_who_stops_asking_leaves_no_process_behind(tmp_path: Path) -> None:
         os.kill(int((tmp_path / "1").read_text()), 0)
 
 
-def test_an_interrupt_ends_all_work(tmp_path: Path) -> None:
-    def slow(item: int) -> int:
-        (tmp_path / str(item)).touch()
-        time.sleep(60)
+def test_what_cannot_be_handed_back_is_told() -> None:
+    with pytest.raises(RuntimeError, match="cannot be handed back"):
+        list(side_by_side(lambda item: lambda: item, [1, 2], 2))
+
+
+class PathError(Exception):
+    """Cannot be read back: what it is made of is not what it says."""
+
+    def __init__(self, path: str, why: str) -> None:
+        super().__init__(f"{path}: {why}")
+
+
+def test_errors_that_cannot_be_handed_back_are_told_in_words() -> None:
+    def fail(item: int) -> int:
+        raise PathError("some file", f"lacks {item}")
+
+    with pytest.raises(RuntimeError, match="some file: lacks 1"):
+        list(side_by_side(fail, [1, 2], 2))
+
+
+def test_work_whose_process_dies_while_it_answers_is_done_here(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def half(self: Connection, message: bytes) -> None:
+        os.write(self.fileno(), struct.pack("!i", len(message)) + message[:3])
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    monkeypatch.setattr(Connection, "send_bytes", half)
+    assert list(side_by_side(lambda item: "a" * item, [100, 200], 2)) == ["a" * 100, "a" * 200]
+
+
+def test_where_there_may_be_no_other_process_all_is_done_here(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refused() -> int:
+        raise BlockingIOError(11, "too many processes")
+
+    monkeypatch.setattr(os, "fork", refused)
+    assert list(side_by_side(lambda item: (item, os.getpid()), [1, 2])) == [
+        (1, os.getpid()),
+        (2, os.getpid()),
+    ]
+
+
+def test_a_process_says_things_without_the_display_that_was_at_work(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    class Locked:
+        """Somebody has its locks, and will not give them back."""
+
+        def write(self, _said: str) -> None:
+            time.sleep(60)
+
+        def flush(self) -> None:
+            """Nothing was said."""
+
+    monkeypatch.setattr(sys, "stderr", Locked())
+
+    def warn(item: int) -> int:
+        sys.stderr.write(f"mind {item}\n")
         return item
 
-    def interrupt() -> None:
-        while len(list(tmp_path.iterdir())) < 2:
-            time.sleep(0.01)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    threading.Thread(target=interrupt, daemon=True).start()
     begun = time.monotonic()
-    with pytest.raises(KeyboardInterrupt):
-        list(side_by_side(slow, [1, 2], 2))
+    assert list(side_by_side(warn, [1, 2], 2)) == [1, 2]
     assert time.monotonic() - begun < 30
+    assert {"mind 1", "mind 2"} <= set(capfd.readouterr().err.splitlines())
+
+
+# A program whose pieces say who they are, and take long.
+_PROGRAM = """
+import os, sys, time
+from pathlib import Path
+from fitting.side_by_side import side_by_side
+
+def slow(item):
+    place = Path(sys.argv[1]) / f"{item}.begun"
+    place.write_text(str(os.getpid()))
+    place.rename(place.with_suffix(".pid"))
+    time.sleep(60)
+    return "x" * 1_000_000
+
+try:
+    list(side_by_side(slow, [1, 2], 2))
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def _begun(folder: Path) -> tuple[subprocess.Popen[str], list[int]]:
+    """Start the program in a session of its own; tells its pieces' processes."""
+    program = subprocess.Popen(
+        [sys.executable, "-c", _PROGRAM, str(folder)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        cwd=Path(module.__file__).parents[1],
+    )  # fmt: skip
+    while len(told := sorted(folder.glob("*.pid"))) < 2:
+        assert program.poll() is None, program.communicate()
+        time.sleep(0.01)
+    return program, [int(path.read_text()) for path in told]
+
+
+def _gone(process: int) -> bool:
+    try:
+        state = Path(f"/proc/{process}/stat").read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return True
+    return state.rsplit(")", 1)[1].split()[0] == "Z"
+
+
+def _all_end(processes: list[int]) -> bool:
+    until = time.monotonic() + 20
+    while time.monotonic() < until:
+        if all(_gone(process) for process in processes):
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def test_an_interrupt_of_all_ends_all_in_one_line(tmp_path: Path) -> None:
+    program, pieces = _begun(tmp_path)
+    os.killpg(program.pid, signal.SIGINT)
+    said, errors = program.communicate(timeout=30)
+    assert said == "interrupted\n"
+    assert not errors
+    assert _all_end(pieces)
+
+
+def test_pieces_end_with_who_asked_for_them(tmp_path: Path) -> None:
+    program, pieces = _begun(tmp_path)
+    program.kill()
+    program.communicate(timeout=30)
+    assert _all_end(pieces)
 
 
 @pytest.mark.parametrize("items", [[], [3]])

@@ -11,9 +11,9 @@ would be worth if nature were its twin, and are to be read beside those of seale
 
 import argparse
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
+from multiprocessing import Pool
 from pathlib import Path
 from typing import Any
 
@@ -89,11 +89,12 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--jobs", type=int, default=2)
     asked = parser.parse_args()
-    with ProcessPoolExecutor(asked.jobs) as pool:
-        told = [pool.submit(answered, asked.campaign, k) for k in range(asked.count)]
+    # Processes of a pool split off none themselves: each case has one.
+    with Pool(asked.jobs) as pool:
         cases = []
-        for number, future in enumerate(told):
-            cases.append(Case(str(number), *future.result()))
+        told = pool.imap(partial(answered, asked.campaign), range(asked.count))
+        for number, answer in enumerate(told):
+            cases.append(Case(str(number), *answer))
             print(f"{number + 1} of {asked.count}", end="\r", file=sys.stderr, flush=True)
     for sentence in sentences(report(cases, Classes(CLASSES))):
         print(sentence)

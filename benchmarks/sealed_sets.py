@@ -49,17 +49,20 @@ def labels_of(folder: Path) -> dict[str, Label]:
     SystemExit
         If one does not.
     """
-    labels = {}
+    labels: dict[str, Label] = {}
     for sealed in sorted(folder.glob("tier*.json")):
-        told = json.loads(sealed.read_text(encoding="utf-8"))["cases"]
         key = folder / sealed.name.replace("tier", "key")
-        kept = json.loads(key.read_text(encoding="utf-8"))["cases"]
-        for name, entry in kept.items():
-            labels[name] = label_of(entry["label"])
-            if commitment(labels[name], entry["salt"]) != told.get(name):
-                raise SystemExit(f"sealed_sets: {key}: case {name} is not what was sealed")
-        if len(kept) != len(told):
-            raise SystemExit(f"sealed_sets: {key}: has {len(kept)} of {len(told)} cases")
+        try:
+            told, kept = (
+                json.loads(path.read_text(encoding="utf-8"))["cases"] for path in (sealed, key)
+            )
+            found = {name: label_of(entry["label"]) for name, entry in kept.items()}
+            hashes = {name: commitment(found[name], kept[name]["salt"]) for name in found}
+        except (OSError, KeyError, TypeError, ValueError) as error:
+            raise SystemExit(f"sealed_sets: {key}: is no key of {sealed.name} ({error})") from None
+        if wrong := [name for name in told.keys() | hashes if told.get(name) != hashes.get(name)]:
+            raise SystemExit(f"sealed_sets: {key}: case {min(wrong)} is not what was sealed")
+        labels |= found
     return labels
 
 
@@ -69,8 +72,11 @@ def against_targets(scores: dict[str, Any]) -> Iterator[str]:
         value: Any = scores
         for part in path:
             value = value[part]
-        met = value >= target if more else value <= target
         sign = "at least" if more else "at most"
+        if value is None:
+            yield f"{name:34s}      -  {sign} {target:.2f}  not seen"
+            continue
+        met = value >= target if more else value <= target
         yield f"{name:34s} {value:6.3f}  {sign} {target:.2f}  {'met' if met else 'missed'}"
 
 

@@ -22,8 +22,8 @@ from physics.reed.material import STIFFNESS_TERMS, Cane, stiffness_terms_pa
 Array = NDArray[np.floating[Any]]
 
 # Modes of either symmetry with the moduli of two frequencies, as shares of the highest, and how
-# many: their span holds all modes with moduli of their own frequency, to some hundredths of a cent.
-# Of one frequency many more would not.
+# many: their span holds all modes with moduli of their own frequency, to hundredths of a cent, the
+# very highest to two tenths. Of one frequency many more would not.
 _SPANNING = ((0.1, 10), (0.6, 22))
 # A clamp's yielding in a direction counts if it is more than this share of the greatest.
 _LEAST_SHARE = 1e-12

@@ -31,6 +31,17 @@ def test_a_key_that_was_changed_is_told(tmp_path: Path) -> None:
         list(labels_of(copy))
 
 
+@pytest.mark.parametrize("text", [None, "{}", '{"cases": {"a": {}}}', "[", '{"cases": {}}'])
+def test_what_is_no_key_is_told(tmp_path: Path, text: str | None) -> None:
+    copy = tmp_path / "first"
+    shutil.copytree(FOLDER / "first", copy)
+    (copy / "key3.json").unlink()
+    if text is not None:
+        (copy / "key3.json").write_text(text, encoding="utf-8")
+    with pytest.raises(SystemExit, match=r"key3\.json"):
+        labels_of(copy)
+
+
 def test_targets_are_met_or_missed_by_what_was_scored() -> None:
     scores = json.loads((FOLDER / "first" / "scores.json").read_text(encoding="utf-8"))
     told = {line[:34].strip(): line.split()[-1] for line in against_targets(scores)}

@@ -139,8 +139,9 @@ def test_modes_are_those_of_all_coordinates_with_moduli_of_their_own_frequency(w
     found = frequencies(workshop, reed)
     assert len(found) > 15
     assert np.all(np.diff(found) >= 0)
-    expected = by_brute_force(workshop, reed, 15)
-    assert np.abs(cents(found[:15], expected)).max() < 0.05
+    off = np.abs(cents(found, by_brute_force(workshop, reed, len(found))))
+    assert off[found < 22e3].max() < 0.05
+    assert off.max() < 0.3
 
 
 def test_a_layer_is_a_reed_that_was_drawn_thicker(geometry):

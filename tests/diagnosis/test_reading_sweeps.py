@@ -1,0 +1,99 @@
+"""In which order sweeps are fitted, from what, and what becomes of those that cannot be."""
+
+import multiprocessing
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from diagnosis.taps import vibration
+from fitting.errors import FitError
+
+VOLTS = {"up": 8.0, "down": 8.0, "quiet": 2.0, "again": 8.0}
+
+
+class Part(SimpleNamespace):
+    """A part of a campaign."""
+
+    __hash__ = object.__hash__
+
+
+def part(name: str) -> Part:
+    steps = [SimpleNamespace(volts=VOLTS[name])] * 3
+    run = SimpleNamespace(name=name, path=Path(f"{name}.h5"), steps=steps, reed_file=lambda: None)
+    return Part(name=name, clamping=int(name == "again"), run=run)
+
+
+PARTS = [part(name) for name in VOLTS]
+
+
+@pytest.fixture
+def fitted(monkeypatch):
+    """Fits that say what they come from; doubts, and which sweeps cannot be fitted, as told."""
+    told = SimpleNamespace(doubt={}, refused=set(), lost=set(), again=[])
+
+    def jointly(run, _reed, _model, _light):
+        if run.name in told.refused:
+            raise FitError(f"{run.name} cannot be fitted")
+        return SimpleNamespace(name=run.name, resonances={"F1": 1}, of=run.name)
+
+    def again(run, before, *, moved, unshifted):
+        told.again.append((before.name, run.name, moved))
+        if run.name in told.lost:
+            raise FitError(f"{run.name} shows another reed")
+        return SimpleNamespace(name=run.name, resonances=before.resonances, of=before.of)
+
+    monkeypatch.setattr(vibration, "basis_of", lambda _file: None)
+    monkeypatch.setattr(vibration, "finite_element_model", lambda _reed: None)
+    monkeypatch.setattr(vibration, "fit_jointly", jointly)
+    monkeypatch.setattr(vibration, "fit_again", again)
+    monkeypatch.setattr(vibration, "fit_less", lambda fit: fit)
+    monkeypatch.setattr(vibration, "_doubt", lambda fit: told.doubt.get(fit.name, (0, 0.0)))
+    monkeypatch.setattr(vibration, "_reading", lambda part, fit, _off: (part.name, fit.of))
+    yield told
+    assert not multiprocessing.active_children()
+
+
+def test_the_loudest_is_fitted_by_itself_and_handed_on(fitted) -> None:
+    read, refused = vibration.read_sweeps(PARTS)
+    assert read == [(name, "up") for name in VOLTS]
+    assert not refused
+    assert fitted.again == [
+        ("up", "quiet", False),
+        ("quiet", "up", False),
+        ("up", "down", False),
+        ("down", "again", True),
+        ("again", "up", True),
+    ]
+
+
+def test_the_first_without_doubt_will_do(fitted) -> None:
+    # Of those that are tried after the loudest: the calmest, then one of another clamping.
+    fitted.doubt = {"up": (1, 2.0), "quiet": (1, 1.0)}
+    assert {of for _, of in vibration.read_sweeps(PARTS)[0]} == {"again"}
+
+
+def test_the_least_doubtful_will_do_if_none_is_without(fitted) -> None:
+    fitted.doubt = {"up": (1, 2.0), "quiet": (1, 1.0), "again": (2, 0.0), "down": (1, 3.0)}
+    assert {of for _, of in vibration.read_sweeps(PARTS)[0]} == {"quiet"}
+
+
+def test_what_cannot_be_fitted_by_itself_can_from_another(fitted) -> None:
+    fitted.refused = {"up", "quiet"}
+    read, refused = vibration.read_sweeps(PARTS)
+    assert read == [(name, "again") for name in VOLTS]
+    assert not refused
+
+
+def test_what_cannot_be_fitted_at_all_is_told_by_its_reason(fitted) -> None:
+    fitted.lost = {"down"}
+    read, refused = vibration.read_sweeps(PARTS)
+    assert [name for name, _ in read] == ["up", "quiet", "again"]
+    assert refused == ["down shows another reed"]
+
+
+def test_a_campaign_of_which_nothing_can_be_fitted_is_told(fitted) -> None:
+    fitted.refused = set(VOLTS)
+    read, refused = vibration.read_sweeps(PARTS)
+    assert not read
+    assert refused == [f"{name} cannot be fitted" for name in VOLTS]

@@ -121,7 +121,9 @@ def _plan(protocol: str, bench: str, series: str | None = None) -> "Plan":
 
 @_verb
 def plan(
-    protocol: Annotated[str, typer.Argument(help="Protocol file, or a shipped protocol's name.")],
+    protocol: Annotated[
+        str, typer.Argument(help="Protocol or campaign: a file, or a shipped one's name.")
+    ],
     bench: BenchOption = "simulated",
     as_json: AsJson = False,
     debug: Debug = False,
@@ -172,7 +174,9 @@ def _plan_campaign(name: str, bench: str, as_json: bool) -> None:
 
 @_verb
 def run(
-    protocol: Annotated[str, typer.Argument(help="Protocol file, or a shipped protocol's name.")],
+    protocol: Annotated[
+        str, typer.Argument(help="Protocol or campaign: a file, or a shipped one's name.")
+    ],
     bench: BenchOption = "simulated",
     reed: Annotated[str, typer.Option(help="Name that tells this reed from others.")] = "unnamed",
     strength: Annotated[float | None, typer.Option(help="Nominal strength, such as 3.5.")] = None,
@@ -180,7 +184,11 @@ def run(
     note: Annotated[str, typer.Option(help="Anything worth remembering.")] = "",
     operator: Annotated[str, typer.Option(help="Who is at the bench.")] = "",
     out: Annotated[
-        Path | None, typer.Option(help="Run file; runs/TIME_SERIES_REED.h5 if not given.")
+        Path | None,
+        typer.Option(
+            help="Run file, runs/TIME_SERIES_REED.h5 if not given; or a campaign's folder, "
+            "runs/TIME_campaign_REED."
+        ),
     ] = None,
     seed: Annotated[
         int, typer.Option(min=0, help="Of all that is random on a simulated bench.")
@@ -427,7 +435,8 @@ def diagnose(
         list[Path] | None,
         typer.Argument(
             metavar="[RUN …]",
-            help="Runs of one reed, folders of such, or a table of resonances (CSV) of any reeds.",
+            help="Runs of one reed in one series, folders of such, or a table of resonances "
+            "(CSV) of clarinet reeds.",
         ),
     ] = None,
     published: Annotated[
@@ -453,8 +462,8 @@ def diagnose(
 ) -> None:
     """Compare runs with the twin: where they differ, which effect it is, how far it closes that.
 
-    Best are all runs of a campaign: dark, flat, both beams alone, order 0 at rest, sweeps up, down,
-    quiet, shuffled and after a new clamping. With less it says less, and what is missing.
+    Best are all runs of a campaign: dark, flat, the local oscillator alone, order 0 at rest, sweeps
+    up, down, quiet, shuffled and after a new clamping. With less it says less, and what is missing.
     """
     from fitting.errors import FitInputError
 
@@ -567,7 +576,10 @@ def _diagnose_resonances(table: Path | None, as_json: bool) -> None:
 
 @_verb
 def effects(as_json: AsJson = False, debug: Debug = False) -> None:
-    """List the effects that the twin leaves out and a diagnosis knows, with their sizes."""
+    """List the effects that the twin leaves out and a diagnosis knows.
+
+    Each with the standard deviation that its size is expected to have, or where it may be.
+    """
     from diagnosis.listing import effects_table, effects_to_json
     from physics.effects.catalogue import CATALOGUE
 

@@ -57,6 +57,7 @@ def report(cases: Sequence[Case], classes: Classes) -> dict[str, Any]:
         "name_right": {"all": _share(named(single, Classes(()))),
                        "resolved": _share(named(resolved, Classes(())))},
         "probability_of_truth": {"all": _mean(mean_probability(cases, classes)),
+                                 "single": _mean(mean_probability(single, classes)),
                                  "resolved": _mean(mean_probability(resolved, classes))},
         "two_effects_exact": {
             "all": _share(exact(double, classes)),
@@ -140,9 +141,10 @@ def sentences(scores: Mapping[str, Any]) -> list[str]:
         f"{told(scores['class_among_three']['resolved'])}, by name "
         f"{told(scores['name_right']['resolved'])}; of effects that should stand out by their true "
         f"size {told(right['foreseen'])}.",
-        f"Mean probability given to the truth: {number(truth['all']['mean'])}; of effects that "
-        f"stand out {number(truth['resolved']['mean'])} "
-        f"[{number(truth['resolved']['low'])}, {number(truth['resolved']['high'])}].",
+        f"Mean probability given to the truth: {number(truth['all']['mean'])}; of single effects "
+        f"{number(truth['single']['mean'])}, of those that stand out "
+        f"{number(truth['resolved']['mean'])} [{number(truth['resolved']['low'])}, "
+        f"{number(truth['resolved']['high'])}].",
         f"Two effects, both right: {told(scores['two_effects_exact']['all'])}; where both stand "
         f"out {told(scores['two_effects_exact']['resolved'])}.",
         f"Unknown kinds found at 5 % false-open: {told(unknown)}; area {number(unknown['area'])}.",

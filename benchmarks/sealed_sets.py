@@ -19,8 +19,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from blind.cases import Label, commitment, record_case
-from blind.files import label_of
+from blind.cases import Label, record_case
+from blind.files import BlindError, labels_of
 
 FOLDER = Path(__file__).parent / "sealed"
 SETS = "first", "second"
@@ -41,7 +41,7 @@ _LONGEST_S, _PROCESSORS = 60.0, 2
 _TIERS = 0, 1, 3, 4
 
 
-def labels_of(folder: Path) -> dict[str, Label]:
+def published(folder: Path) -> dict[str, Label]:
     """Labels of a set by the cases' names, where keys fit what was sealed.
 
     Raises
@@ -51,18 +51,10 @@ def labels_of(folder: Path) -> dict[str, Label]:
     """
     labels: dict[str, Label] = {}
     for sealed in sorted(folder.glob("tier*.json")):
-        key = folder / sealed.name.replace("tier", "key")
         try:
-            told, kept = (
-                json.loads(path.read_text(encoding="utf-8"))["cases"] for path in (sealed, key)
-            )
-            found = {name: label_of(entry["label"]) for name, entry in kept.items()}
-            hashes = {name: commitment(found[name], kept[name]["salt"]) for name in found}
-        except (OSError, KeyError, TypeError, ValueError) as error:
-            raise SystemExit(f"sealed_sets: {key}: is no key of {sealed.name} ({error})") from None
-        if wrong := [name for name in told.keys() | hashes if told.get(name) != hashes.get(name)]:
-            raise SystemExit(f"sealed_sets: {key}: case {min(wrong)} is not what was sealed")
-        labels |= found
+            labels |= labels_of(sealed, folder / sealed.name.replace("tier", "key"))
+        except BlindError as error:
+            raise SystemExit(f"sealed_sets: {error}") from None
     return labels
 
 
@@ -120,7 +112,7 @@ def main() -> None:
         if not scored.exists():
             print(f"{folder.name} sets: not scored yet")
             continue
-        labels = labels_of(folder)
+        labels = published(folder)
         print(f"{folder.name} sets: {len(labels)} cases, whose keys fit what was sealed")
         for line in against_targets(json.loads(scored.read_text(encoding="utf-8"))):
             print(f"  {line}")

@@ -66,7 +66,7 @@ def make_set(
     nonce = secrets.token_hex(16)
     mixed = hidden_seed(seed, nonce)
     told, kept = seal([drawn_label(tier, number, mixed) for number in range(count)])
-    labels = {name: label_of(entry["label"]) for name, entry in _plain(kept)["cases"].items()}
+    labels = {name: _label(entry["label"]) for name, entry in _plain(kept)["cases"].items()}
     # Committed before anything is recorded, let alone answered.
     sealed = json.dumps(told, indent=1).encode()
     try:
@@ -100,18 +100,8 @@ def answered_cases(folder: Path, answers: Path, key: Path) -> list[Case]:
     BlindError
         If the key does not fit what was sealed, or nothing was answered.
     """
-    told, kept = (_cases(path) for path in (folder / SEALED, key))
-    if set(told) != set(kept):
-        raise BlindError(f"{key}: is the key of other cases than {folder / SEALED}")
     cases = []
-    for name, entry in kept.items():
-        try:
-            label = label_of(entry["label"])
-            fits = commitment(label, entry["salt"]) == told[name]
-        except (KeyError, TypeError, ValueError):
-            raise BlindError(f"{key}: is no key, as `acquire blind make` writes it") from None
-        if not fits:
-            raise BlindError(f"{key}: case {name} is not what was sealed")
+    for name, label in labels_of(folder / SEALED, key).items():
         path = answers / f"{name}.json"
         cases.append(Case(name, label, _answer(path) if path.exists() else None))
     if all(case.answer is None for case in cases):
@@ -119,14 +109,30 @@ def answered_cases(folder: Path, answers: Path, key: Path) -> list[Case]:
     return cases
 
 
-def label_of(entry: dict[str, Any]) -> Label:
-    """Label of a key's entry.
+def labels_of(sealed: Path, key: Path) -> dict[str, Label]:
+    """Labels by the cases' names, of a key that fits what was sealed.
 
     Raises
     ------
-    BlindError, KeyError, TypeError, ValueError
-        If it is none.
+    BlindError
+        If it does not.
     """
+    told, kept = (_cases(path) for path in (sealed, key))
+    if set(told) != set(kept):
+        raise BlindError(f"{key}: is the key of other cases than {sealed}")
+    labels = {}
+    for name, entry in kept.items():
+        try:
+            labels[name] = _label(entry["label"])
+            fits = commitment(labels[name], entry["salt"]) == told[name]
+        except (KeyError, TypeError, ValueError):
+            raise BlindError(f"{key}: is no key, as `acquire blind make` writes it") from None
+        if not fits:
+            raise BlindError(f"{key}: case {name} is not what was sealed")
+    return labels
+
+
+def _label(entry: dict[str, Any]) -> Label:
     effects, told = (
         tuple((str(name), float(size)) for name, size in entry[key]) for key in ("effects", "told")
     )

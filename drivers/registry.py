@@ -92,15 +92,14 @@ def open_bench(
             opened.callback(instrument.close)
             return _filling(role, name, entry.driver, instrument)
 
-        # mypy takes a protocol where a class is asked for as abstract; none is instantiated here.
         bench = Bench(
             name=bench_file.name,
             fingerprint=bench_file.fingerprint,
             preparation=preparation,
             seed=seed,
-            synthesizers=opened_as(SynthesizerPair, "synthesizers", entries.synthesizers),  # type: ignore[type-abstract]  # see above
-            generator=opened_as(SignalGenerator, "generator", entries.generator),  # type: ignore[type-abstract]  # see above
-            camera=opened_as(Camera, "camera", entries.camera),  # type: ignore[type-abstract]  # see above
+            synthesizers=opened_as(SynthesizerPair, "synthesizers", entries.synthesizers),  # type: ignore[type-abstract]  # a role, not instantiated
+            generator=opened_as(SignalGenerator, "generator", entries.generator),  # type: ignore[type-abstract]  # a role, not instantiated
+            camera=opened_as(Camera, "camera", entries.camera),  # type: ignore[type-abstract]  # a role, not instantiated
             clock=context.clock,
             surroundings=context.surroundings,
         )

@@ -28,10 +28,10 @@ _SPLITS = sys.platform == "linux"
 _MOST = 8
 
 
-def side_by_side(
-    work: Callable[[Item], Made], items: Sequence[Item], at_once: int | None = None
-) -> Generator[Made]:
+def side_by_side(work: Callable[[Item], Made], items: Sequence[Item]) -> Generator[Made]:
     """Do work for every item; yield what it makes in the order of items.
+
+    As many at once as there are processors for this process, up to 8.
 
     What a process has not handed back before it died, and what no process can be split off for, is
     made here; all is where processes cannot be split off, or in one that was.
@@ -41,8 +41,6 @@ def side_by_side(
     work : callable
         What it makes or raises must be possible to pickle; what it changes is lost.
     items : sequence
-    at_once : int, optional
-        Processes; as many as there are processors, up to 8, if not given.
 
     Raises
     ------
@@ -52,7 +50,7 @@ def side_by_side(
     if not _SPLITS or multiprocessing.current_process().daemon or len(items) < 2:
         yield from map(work, items)
         return
-    most = at_once or min(len(os.sched_getaffinity(0)), _MOST)
+    most = min(len(os.sched_getaffinity(0)), _MOST)
     waiting = deque(range(len(items)))
     running: dict[Connection, tuple[int, BaseProcess]] = {}
     ended: dict[int, Future[Made]] = {}

@@ -20,25 +20,41 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def test_results_come_in_the_order_of_items_whatever_takes_longest() -> None:
+@pytest.fixture(autouse=True)
+def _two_processors(monkeypatch: pytest.MonkeyPatch) -> None:
+    processors(monkeypatch, 2)
+
+
+def processors(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _process: set(range(count)))
+
+
+def test_results_come_in_the_order_of_items_whatever_takes_longest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    processors(monkeypatch, 4)
+
     def late(item: int) -> tuple[int, int]:
         time.sleep(0.05 * (3 - item))
         return item**2, os.getpid()
 
-    found = list(side_by_side(late, [0, 1, 2, 3], 4))
+    found = list(side_by_side(late, [0, 1, 2, 3]))
     assert [square for square, _ in found] == [0, 1, 4, 9]
     assert len({process for _, process in found} | {os.getpid()}) == 5
 
 
-def test_what_one_piece_leaves_in_memory_is_nothing_to_another() -> None:
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_one_piece_leaves_in_memory_is_nothing_to_another(
+    monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    processors(monkeypatch, count)
     seen: list[int] = []
 
     def remember(item: int) -> list[int]:
         seen.append(item)
         return list(seen)
 
-    for at_once in (1, 2):
-        assert list(side_by_side(remember, [1, 2, 3], at_once)) == [[1], [2], [3]]
+    assert list(side_by_side(remember, [1, 2, 3])) == [[1], [2], [3]]
     assert not seen
 
 
@@ -48,7 +64,7 @@ def test_an_error_is_raised_where_its_turn_is() -> None:
             raise FitError("no such thing")
         return item
 
-    results = side_by_side(fail, [0, 1, 2], 2)
+    results = side_by_side(fail, [0, 1, 2])
     assert next(results) == 0
     with pytest.raises(FitError, match="no such thing"):
         next(results)
@@ -62,7 +78,7 @@ def test_work_whose_process_dies_is_done_here() -> None:
             os.kill(os.getpid(), signal.SIGKILL)
         return item
 
-    assert list(side_by_side(die_elsewhere, [5, 6], 2)) == [5, 6]
+    assert list(side_by_side(die_elsewhere, [5, 6])) == [5, 6]
 
 
 def test_who_stops_asking_leaves_no_process_behind(tmp_path: Path) -> None:
@@ -72,7 +88,7 @@ def test_who_stops_asking_leaves_no_process_behind(tmp_path: Path) -> None:
             time.sleep(60)
         return item
 
-    results = side_by_side(wait, [0, 1], 2)
+    results = side_by_side(wait, [0, 1])
     assert next(results) == 0
     while not (tmp_path / "1").exists() or not (tmp_path / "1").read_text():
         time.sleep(0.01)
@@ -83,7 +99,7 @@ def test_who_stops_asking_leaves_no_process_behind(tmp_path: Path) -> None:
 
 def test_what_cannot_be_handed_back_is_told() -> None:
     with pytest.raises(RuntimeError, match="cannot be handed back"):
-        list(side_by_side(lambda item: lambda: item, [1, 2], 2))
+        list(side_by_side(lambda item: lambda: item, [1, 2]))
 
 
 class PathError(Exception):
@@ -98,7 +114,7 @@ def test_errors_that_cannot_be_handed_back_are_told_in_words() -> None:
         raise PathError("some file", f"lacks {item}")
 
     with pytest.raises(RuntimeError, match="some file: lacks 1"):
-        list(side_by_side(fail, [1, 2], 2))
+        list(side_by_side(fail, [1, 2]))
 
 
 def test_work_whose_process_dies_while_it_answers_is_done_here(
@@ -109,7 +125,7 @@ def test_work_whose_process_dies_while_it_answers_is_done_here(
         os.kill(os.getpid(), signal.SIGKILL)
 
     monkeypatch.setattr(Connection, "send_bytes", half)
-    assert list(side_by_side(lambda item: "a" * item, [100, 200], 2)) == ["a" * 100, "a" * 200]
+    assert list(side_by_side(lambda item: "a" * item, [100, 200])) == ["a" * 100, "a" * 200]
 
 
 def test_where_there_may_be_no_other_process_all_is_done_here(
@@ -144,7 +160,7 @@ def test_a_process_says_things_without_the_display_that_was_at_work(
         return item
 
     begun = time.monotonic()
-    assert list(side_by_side(warn, [1, 2], 2)) == [1, 2]
+    assert list(side_by_side(warn, [1, 2])) == [1, 2]
     assert time.monotonic() - begun < 30
     assert {"mind 1", "mind 2"} <= set(capfd.readouterr().err.splitlines())
 
@@ -155,6 +171,8 @@ import os, sys, time
 from pathlib import Path
 from fitting.side_by_side import side_by_side
 
+os.sched_getaffinity = lambda _process: {0, 1}
+
 def slow(item):
     place = Path(sys.argv[1]) / f"{item}.begun"
     place.write_text(str(os.getpid()))
@@ -163,7 +181,7 @@ def slow(item):
     return "x" * 1_000_000
 
 try:
-    list(side_by_side(slow, [1, 2], 2))
+    list(side_by_side(slow, [1, 2]))
 except KeyboardInterrupt:
     print("interrupted")
 """

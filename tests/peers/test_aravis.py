@@ -48,6 +48,7 @@ TIMEOUT_S = 10.0
 TIME_CONTROL, TIME_HIGH, TIME_LOW = 0x0944, 0x0948, 0x094C
 LOOPBACK_CAMERA = "drivers.simulated.wire.cameras:LoopbackGigeCamera"
 
+# Python warns of the way in which `gi` finds what it imports.
 pytestmark = pytest.mark.filterwarnings("ignore::ImportWarning")
 
 

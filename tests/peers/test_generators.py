@@ -23,6 +23,7 @@ def stands():
 def of_others(name):
     """Import what others wrote, whatever it warns of."""
     with warnings.catch_warnings():
+        # Not ours to mend.
         warnings.simplefilter("ignore")
         return pytest.importorskip(name, reason=f"needs {name}, of the extra peers (make test-all)")
 

@@ -202,12 +202,19 @@ def _refine(comparison: Comparison, rivals: dict[str, Rival], null: Rival, effec
         return
     odds = {name: _log_odds(rivals[name], null, effects) for name in ranked}
     least = max(*odds.values(), float(np.log(PRIOR["none"]))) - _FAR_BEHIND
-    for name in ranked:
-        if odds[name] > least:
-            rival = rivals[name]
-            with contextlib.suppress(ValueError):
-                found = compete(comparison, rival.effects, [rival.estimate.z])
-                rivals[name] = replace(found, elsewhere=rival.elsewhere)
+    near = [name for name in ranked if odds[name] > least]
+    for name, found in zip(
+        near, side_by_side(lambda name: _anew(comparison, rivals[name]), near), strict=True
+    ):
+        rivals[name] = found
+
+
+def _anew(comparison: Comparison, rival: Rival) -> Rival:
+    """Fit a rival with nothing taken for straight, from where it is; itself if that cannot be."""
+    with contextlib.suppress(ValueError):
+        found = compete(comparison, rival.effects, [rival.estimate.z])
+        return replace(found, elsewhere=rival.elsewhere)
+    return rival
 
 
 def polished(comparison: Comparison, null: Rival, rivals: Iterable[Rival]) -> Rival:
@@ -437,8 +444,10 @@ def _settle(
     first, second = sorted(odds, key=lambda name: -odds[name])[:2] if best else (NONE, NONE)
     found: dict[str, Sampled] = {}
     if odds[first] - odds[second] < _CLOSE:
-        for name in {first, second} - {NONE}:
-            rivals[name], found[name] = checked(comparison, rivals[name])
+        close = [name for name in (first, second) if name != NONE]
+        each = side_by_side(lambda name: checked(comparison, rivals[name]), close)
+        for name, (rival, sampled) in zip(close, each, strict=True):
+            rivals[name], found[name] = rival, sampled
     return found
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.linear import Normal, Problem, normal
+from fitting.linear import Normal, Problem, misfits, normal
 from fitting.sidebands import brightness, phasors
 
 Array = NDArray[np.floating[Any]]
@@ -26,11 +26,11 @@ def descend(
     start: tuple[Amplitudes, Array],
     count: int,
     prior: Array,
-) -> tuple[Amplitudes, Array, Normal]:
+) -> tuple[Amplitudes, Array, Array]:
     """Levenberg and Marquardt on all holograms side by side, each with its own damping.
 
-    From amplitudes (s, j) and log gains (s,) to better ones. The prior is the precision of
-    amplitudes around 0, (j, j) or (s, j, j).
+    From amplitudes (s, j) and log gains (s,) to better ones, in so many turns, at least one; and
+    their misfits (s,). The prior is the precision of amplitudes around 0, (j, j) or (s, j, j).
     """
     a, gain = start
     size = a.shape[1]
@@ -46,24 +46,32 @@ def descend(
     def at(x: Array) -> Normal:
         return normal(problem, light, steps, x[:, :size] + 1j * x[:, size:-1], x[:, -1])
 
+    def misfit_at(x: Array) -> Array:
+        return misfits(problem, light, steps, x[:, :size] + 1j * x[:, size:-1], x[:, -1])
+
     x = np.concatenate([a.real, a.imag, gain[:, None]], axis=1)
     now = at(x)
-    total = now.misfit + belief(x)
+    misfit = now.misfit.copy()
+    total = misfit + belief(x)
     damping = np.full(len(a), 1e-3)
     diagonal = np.arange(2 * size)
-    for _ in range(count):
+    for turns_left in reversed(range(count)):
         damped = now.matrix + held
         mean = np.trace(now.matrix[:, :-1, :-1], axis1=1, axis2=2) / (2 * size)
         damped[:, diagonal, diagonal] += (damping * mean + 1e-3)[:, None]
         pull = now.gradient - (held @ x[..., None])[..., 0]
         tried_x = x + np.linalg.solve(damped, pull[..., None])[..., 0]
-        tried = at(tried_x)
-        tried_total = tried.misfit + belief(tried_x)
+        # Nobody goes on from the last: slopes take most of the time.
+        tried = at(tried_x) if turns_left else None
+        tried_misfit = tried.misfit if tried else misfit_at(tried_x)
+        tried_total = tried_misfit + belief(tried_x)
         better = tried_total < total
         x[better], total[better] = tried_x[better], tried_total[better]
-        now.take_over(better, tried)
+        misfit[better] = tried_misfit[better]
+        if tried:
+            now.take_over(better, tried)
         damping = np.where(better, 0.2 * damping, np.minimum(6 * damping, 1e6))
-    return x[:, :size] + 1j * x[:, size:-1], x[:, -1], now
+    return x[:, :size] + 1j * x[:, size:-1], x[:, -1], misfit
 
 
 def block_light(

@@ -134,10 +134,10 @@ def refit_displacements(
     good = np.minimum(ALIKE * misfit[steps], np.maximum(_FLOOR, enough(phasors)[steps]))
     for expected in expected_rad:
         start = whole.turned(light, steps, expected[steps])
-        tried, louder, normal = descend(
+        tried, louder, left = descend(
             whole, light, steps, (start, np.zeros(len(steps))), DESCENT, weak
         )
-        found = normal.misfit / whole.seen[steps]
+        found = left / whole.seen[steps]
         better = found < good
         chosen = steps[better]
         a[chosen], gain[chosen], misfit[chosen] = tried[better], louder[better], found[better]

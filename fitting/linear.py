@@ -16,7 +16,7 @@ from fitting.bessel import BesselTable
 from fitting.local import Local, fill_matrix, gradient, triangle
 from fitting.parallel import in_parts
 from fitting.phasors import OtherPhasors
-from fitting.sidebands import Beside, Sideband, beside
+from fitting.sidebands import Beside, Sideband, beside, misfit_beside
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -139,7 +139,6 @@ class Problem:
 
 def local(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Array) -> Local:
     """Phasors of holograms (s,) and their slopes at amplitudes (s, j) and log gains (s,)."""
-    dtype = problem.functions.dtype
     p, q = problem.displacement(a)
     over, bend = problem.tensor(p, q)
     u, v = over * p, over * q
@@ -147,20 +146,54 @@ def local(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Arra
     uv = bent * q
     uu = over + bent * p
     vv = over + bend * q * q
-    lit_u, lit_v = light.real.astype(dtype), light.imag.astype(dtype)
-    # No step of a search, however bold, may overflow.
-    factor = np.exp(np.clip(gain, -_MOST_GAIN, _MOST_GAIN)).astype(dtype)[:, None]
-    gone_u = problem.real[steps] - factor * (lit_u * u - lit_v * v)
-    gone_v = problem.imaginary[steps] - factor * (lit_u * v + lit_v * u)
-    misfit = np.einsum("sn,sn->s", gone_u, gone_u) + np.einsum("sn,sn->s", gone_v, gone_v)
+    lit_u, lit_v = _parts(light, problem.functions.dtype)
+    factor, gone_u, gone_v, misfit = _gone(problem, light, steps, (u, v), gain)
     return Local(
         u, v, uu, uv, uv, vv,
         lit_u * gone_u + lit_v * gone_v,
         lit_u * gone_v - lit_v * gone_u,
         lit_u * lit_u + lit_v * lit_v,
         factor,
-        misfit.astype(float),
+        misfit,
     )  # fmt: skip
+
+
+def _parts(light: Complex, dtype: np.dtype[Any]) -> tuple[Array, Array]:
+    """Real and imaginary parts (n,)."""
+    return light.real.astype(dtype), light.imag.astype(dtype)
+
+
+def _gone(
+    problem: Problem, light: Complex, steps: Steps, shown: tuple[Array, Array], gain: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Gains (s, 1), what is left of phasors where F is shown: real and imaginary parts (s, n).
+
+    At last its squares (s,).
+    """
+    u, v = shown
+    dtype = problem.functions.dtype
+    lit_u, lit_v = _parts(light, dtype)
+    # No step of a search, however bold, may overflow.
+    factor = np.exp(np.clip(gain, -_MOST_GAIN, _MOST_GAIN)).astype(dtype)[:, None]
+    gone_u = problem.real[steps] - factor * (lit_u * u - lit_v * v)
+    gone_v = problem.imaginary[steps] - factor * (lit_u * v + lit_v * u)
+    misfit = np.einsum("sn,sn->s", gone_u, gone_u) + np.einsum("sn,sn->s", gone_v, gone_v)
+    return factor, gone_u, gone_v, misfit.astype(float)
+
+
+def misfits(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Array) -> Array:
+    """Squares (s,) of what holograms leave at amplitudes (s, j) and log gains (s,)."""
+
+    def of(some: slice) -> Array:
+        displacement = problem.displacement(a[some])
+        over, _ = problem.tensor(*displacement)
+        shown = over * displacement[0], over * displacement[1]
+        _, _, _, left = _gone(problem, light, steps[some], shown, gain[some])
+        for side in problem.others:
+            left = left + misfit_beside(side, light, steps[some], displacement)
+        return left
+
+    return np.concatenate(in_parts(of, len(a)))
 
 
 @dataclass

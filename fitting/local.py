@@ -57,13 +57,14 @@ def fill_matrix(matrix: Array, here: Local, functions: Array, pairs: Array) -> N
     size = functions.shape[1]
     square = (here.gain**2).astype(float)
     power = here.power
-    for row, column, weight in (
-        (0, 0, here.uu * here.uu + here.vu * here.vu),
-        (0, 1, here.uu * here.uv + here.vu * here.vv),
-        (1, 1, here.uv * here.uv + here.vv * here.vv),
-    ):
+    weights = (here.uu * here.uu + here.vu * here.vu,
+               here.uu * here.uv + here.vu * here.vv,
+               here.uv * here.uv + here.vv * here.vv)  # fmt: skip
+    # All at once: few holograms' products take as long as it takes to read the pairs.
+    packed = np.split((power * np.concatenate(weights)) @ pairs, 3)
+    for row, column, products in zip((0, 0, 1), (0, 1, 1), packed, strict=True):
         block = matrix[:, row * size :, column * size :][:, :size, :size]
-        write_symmetric(block, square * ((power * weight) @ pairs))
+        write_symmetric(block, square * products)
         if row != column:
             matrix[:, size:-1, :size] = block
     beside = (here.uu * here.u + here.vu * here.v, here.uv * here.u + here.vv * here.v)

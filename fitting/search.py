@@ -6,7 +6,7 @@ frequency: near resonances one shape grows by some factor and turns by some angl
 a line of the air all shapes grow together; both are searched on grids finer than a fringe.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from fitting.descent import block_light, descend
 from fitting.errors import FitError
-from fitting.linear import Normal, Problem
+from fitting.linear import Problem
 from fitting.parallel import in_parts
 from fitting.phasors import Phasors
 from fitting.settling import Solution
 from fitting.shapes import ShapeBasis
+from fitting.side_by_side import side_by_side
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complex64]
@@ -38,8 +39,9 @@ _STILL_LINEAR = 0.5
 _LINEAR_RAD = 1.0
 # Largest deflections that the lowest holograms may have if they are not calm, and how many.
 _FRINGES_RAD, _FRINGED = np.geomspace(1.5, 20.0, 8), 6
-# If so much of a sweep is explained it is not begun again otherwise.
-_MOST_EXPLAINED = 0.8
+# If so much of a sweep is explained it is not begun again otherwise; less will do if all holograms
+# are solved.
+_MOST_EXPLAINED, _ALL_SOLVED = 0.8, 0.7
 # Less than that may be explained by chance.
 _LEAST_SOLVED = 0.2
 _LEAST_SIGNAL = 1.5
@@ -112,7 +114,7 @@ class Search:
     def _most_light(self) -> Complex:
         return self.light[::_SEARCH_STRIDE]
 
-    def starts(self) -> Iterator[tuple[Steps, Iterable[_Guess]]]:
+    def starts(self) -> Iterator[tuple[Steps, Sequence[_Guess]]]:
         """Holograms to begin with, each set with guesses.
 
         First those at the low end of the sweep, where a reed moves much like its first mode at
@@ -145,11 +147,11 @@ class Search:
         self._solved[:] = False
         best = np.inf
         for guess in guesses:
-            light, a, normal = self._calm(few, guess)
-            if normal.misfit.sum() < best:
-                best = float(normal.misfit.sum())
+            light, a, left = self._calm(few, guess)
+            if left.sum() < best:
+                best = float(left.sum())
                 self.light, self.amplitude[few] = light, a
-                self.misfit[few] = normal.misfit / self._most.blocks
+                self.misfit[few] = left / self._most.blocks
 
     @property
     def solution(self) -> Solution:
@@ -182,8 +184,8 @@ class Search:
         usual = max(float(np.median(self.misfit[self._solved])), 1.0)
         return self.misfit < _THRESHOLDS[0][0] * usual
 
-    def _calm(self, few: Steps, guess: _Guess) -> tuple[Complex, Amplitudes, Normal]:
-        """Light and amplitudes of some holograms, in turns."""
+    def _calm(self, few: Steps, guess: _Guess) -> tuple[Complex, Amplitudes, Array]:
+        """Light and amplitudes of some holograms, in turns, and their misfits."""
         shape = self._basis.shapes[guess.mode]
         u = self._basis.functions @ shape * np.float32(guess.largest_rad)
         over, _ = self.whole.bessel.tensor(np.abs(u))
@@ -202,7 +204,7 @@ class Search:
             size = 2 * np.sqrt(np.mean(relative**2, axis=0))
         prior = self._prior(few, size)
         for turn_number in range(_CALM_TURNS):
-            a, _, normal = descend(
+            a, _, left = descend(
                 self._most, light[::_SEARCH_STRIDE], few, (a, gain), 1 if turn_number else 2, prior
             )
             light = block_light(self.whole, few, a, gain, np.ones(len(few)))
@@ -211,7 +213,7 @@ class Search:
             lively = liveliness > np.percentile(liveliness, _LIVELIEST)
             scale = float(np.median(self._brightest[lively] / np.abs(light[lively])))
             light, a = light * np.float32(scale), a / scale
-        return light, a, normal
+        return light, a, left
 
     def _prior(self, steps: Steps, size: Array) -> Array:
         """Precision (s, j, j) of the amplitudes of holograms of given sizes (s,), rms in rad.
@@ -298,10 +300,10 @@ class Search:
             weight = 1 / np.maximum(self.misfit[solved], 1)
             start = self.amplitude[solved], self.gain[solved]
             self.light = block_light(self.whole, solved, *start, weight)
-            self.amplitude[solved], self.gain[solved], normal = descend(
+            self.amplitude[solved], self.gain[solved], left = descend(
                 self._most, self._most_light, solved, start, 2, self._prior(solved, _size(start[0]))
             )
-            self.misfit[solved] = normal.misfit / self._most.blocks
+            self.misfit[solved] = left / self._most.blocks
             # What all gains have in common is light.
             common = float(np.mean(self.gain[solved]))
             self.gain[solved] -= common
@@ -363,10 +365,10 @@ class Search:
         for problem, stride, turns in levels:
             steps, light = np.full(len(a), step), self.light[::stride]
             prior = self._prior(steps, _size(a))
-            a, gain, normal = descend(problem, light, steps, (a, gain), turns, prior)
-            best = np.argsort(normal.misfit)[:2]
+            a, gain, left = descend(problem, light, steps, (a, gain), turns, prior)
+            best = np.argsort(left)[:2]
             a, gain = a[best], gain[best]
-            found = normal.misfit[best] / problem.blocks
+            found = left[best] / problem.blocks
         first = 0
         if near is not None and len(a) > 1 and found[1] < ALIKE * max(found[0], 1):
             first = int(np.argmin(np.linalg.norm(a - near, axis=1)))
@@ -424,16 +426,19 @@ class Search:
 
 def solve(whole: Problem, phasors: Phasors, basis: ShapeBasis) -> Search:
     """Solve the sweep, of one sideband, from one start after another, until most of it is."""
-    best: Search | None = None
-    search = Search(whole, phasors, basis)
-    for calm, guesses in search.starts():
-        search.begin(calm, guesses)
+
+    def begun(start: tuple[Steps, Sequence[_Guess]]) -> Search:
+        search = Search(whole, phasors, basis)
+        search.begin(*start)
         search.spread()
+        return search
+
+    best: Search | None = None
+    for search in side_by_side(begun, list(Search(whole, phasors, basis).starts())):
         if best is None or search.explained.sum() > best.explained.sum():
             best = search
-        if best.explained.mean() > _MOST_EXPLAINED:
+        if best.explained.mean() > (_ALL_SOLVED if best.solved.all() else _MOST_EXPLAINED):
             break
-        search = Search(whole, phasors, basis)
     if best is None or best.solved.mean() < _LEAST_SOLVED:
         solved = int(best.solved.sum()) if best else 0
         raise FitError(

@@ -48,10 +48,10 @@ def settle(
     steps = np.arange(len(at.gain))
     size = at.amplitude.shape[1]
     weak = FINAL_RAD**-2 * np.eye(size)
-    a, gain, normal = descend(
+    a, gain, misfit = descend(
         problem, at.light, steps, (at.amplitude, at.gain - np.mean(at.gain)), 2, weak
     )
-    weight = 1 / np.maximum(normal.misfit / problem.seen, 1)
+    weight = 1 / np.maximum(misfit / problem.seen, 1)
     light = block_light(problem, steps, a, gain, weight, at.light)
     held = 0.5 * np.diag([FINAL_RAD**-2] * 2 * size + [2 * GAIN_HELD])
     linear = linearise(exact, smooth, light, a, gain, weight)

@@ -136,6 +136,14 @@ def beside(
     )
 
 
+def misfit_beside(
+    side: Sideband, light: Complex, steps: Steps, displacement: tuple[Array, Array]
+) -> Array:
+    """Squares (s,) of what holograms leave of another sideband; 0 where there is none."""
+    left: Array = _local(side, light, steps, displacement).misfit * side.present[steps]
+    return left
+
+
 def phasors(side: Sideband, displacement: tuple[Array, Array]) -> Complex:
     """F_n(u) of displacements: real, imaginary parts (s, n)."""
     p, q = displacement

@@ -13,6 +13,7 @@ from fitting.light import SharedError, smooth_functions
 from fitting.linear import Normal, Problem, normal
 from fitting.phasors import Phasors
 from fitting.search import Search
+from fitting.search import solve as search_all
 from fitting.shapes import ShapeBasis
 
 # Modes of the plate; the last one is never in resonance, of it only the tail is there.
@@ -340,6 +341,18 @@ def test_a_sweep_may_begin_with_fringes(seed):
     found = solve(sweep)
     assert found.reached.all()
     assert_followed(sweep, found)
+
+
+def test_sweeps_are_begun_side_by_side_as_if_one_after_the_other(monkeypatch):
+    sweep = planted(2, calm_rad=300.0)
+    whole = Problem.of(sweep.phasors.value, sweep.basis.functions, BesselTable())
+    found = []
+    for splits in (True, False):
+        monkeypatch.setattr("fitting.side_by_side._SPLITS", splits)
+        found.append(search_all(whole, sweep.phasors, sweep.basis).solution)
+    one, other = found
+    assert one.amplitude == pytest.approx(other.amplitude, abs=1e-6)
+    assert one.light == pytest.approx(other.light, rel=1e-6)
 
 
 def test_a_sweep_of_hundreds_of_fringes_is_refused():

@@ -7,10 +7,10 @@ import pytest
 from scipy.special import jv
 
 from fitting.bessel import BesselTable
-from fitting.descent import block_light
+from fitting.descent import block_light, descend
 from fitting.displacement import fit_displacements
 from fitting.light import linearise, smooth_functions
-from fitting.linear import Problem, normal
+from fitting.linear import Problem, misfits, normal
 from fitting.phasors import OtherPhasors
 from fitting.sidebands import Sideband, beside, brightness, phasors
 from tests.fitting.test_displacement import complex_normal, planted, share_of_error
@@ -158,6 +158,22 @@ def test_equations_of_the_light_are_those_of_the_search():
         assert one == pytest.approx(other, rel=1e-9)
     assert found.matrix == pytest.approx(expected.matrix, rel=1e-9)
     assert sweep.problem.seen.tolist() == [450, 450, 150, 450, 450, 450]
+
+
+@pytest.mark.parametrize("orders", [(), (0, 2)])
+def test_misfits_without_slopes_are_those_with_them(orders):
+    sweep, gain = Sweep(orders), 0.1 * np.arange(HOLOGRAMS)
+    point = sweep.problem, sweep.light, np.arange(HOLOGRAMS), 0.9 * sweep.a, gain
+    assert misfits(*point) == pytest.approx(normal(*point).misfit, rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_descent_tells_the_misfits_of_where_it_ends(count):
+    sweep, steps = Sweep((0, 2)), np.arange(HOLOGRAMS)
+    start, prior = (0.9 * sweep.a, np.zeros(HOLOGRAMS)), np.eye(FUNCTIONS)
+    a, gain, left = descend(sweep.problem, sweep.light, steps, start, count, prior)
+    assert left == pytest.approx(misfits(sweep.problem, sweep.light, steps, a, gain), rel=1e-9)
+    assert np.all(left < misfits(sweep.problem, sweep.light, steps, *start))
 
 
 @pytest.mark.parametrize("orders", [(0,), (2,), (0, 2)])

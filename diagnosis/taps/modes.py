@@ -31,6 +31,9 @@ _SECOND_LEAST, _SECOND_LOSS = 1.0, 4.5
 _CLAMP_CENTS, _CLAMP_FALL, _CLAMP_OWN, _CLAMP_LOSS = 2.5, 4.0, 0.5, 1.5
 # Light that leaks in, per its share of what moves: cents, per cent.
 _LEAK_CENTS, _LEAK_LOSS = 15.0, 40.0
+# What may stay of light that was taken off, per its share of what moves near a resonance: cents,
+# per cent; by how much more of the lowest mode; and how near, in octaves.
+_STAYS_CENTS, _STAYS_LOSS, _STAYS_LOWEST, _NEAR = 60.0, 50.0, 4.0, 0.15
 # Sweeps of other volts: cents, per cent.
 _LEVEL_CENTS, _LEVEL_LOSS = 0.6, 1.1
 # What fits of sweeps that are alike usually differ by: cents, per cent.
@@ -71,7 +74,9 @@ def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks
         repeats = _REPEATS if sweep.loudness > highest - SAME_LEVEL else _REPEATS_QUIET
         own = np.concatenate([np.full(len(at), repeats), np.full(len(at), _REPEATS_LOSS)])
         pieces.append(_of_fit(sweep, both, own * unit, here, common))
-        pieces[-1] += _of_leaks(leaks, sweep, here)
+        pieces[-1] += _of_leaks(
+            leaks, sweep, at, here.index(common[0]) if common[0] in here else -1
+        )
     covariance = np.zeros((len(values),) * 2)
     start = 0
     for piece in pieces:
@@ -126,10 +131,28 @@ def _astray(sweeps: Sequence[SweepReading], names: Sequence[str], *, loss: bool)
     return astray
 
 
-def _of_leaks(leaks: Leaks, sweep: SweepReading, here: Sequence[str]) -> Array:
-    """Covariance of what leaks in makes of one sweep's fit."""
-    share = np.hypot(leaks.carrier.get(sweep.name, 0.0), leaks.mixing)
-    errors = np.repeat([_LEAK_CENTS * share, _LEAK_LOSS * share], len(here))
+def _of_leaks(leaks: Leaks, sweep: SweepReading, modes: NDArray[np.intp], lowest: int) -> Array:
+    """Covariance of what leaks in makes of one sweep's fit.
+
+    Parameters
+    ----------
+    leaks : Leaks
+    sweep : SweepReading
+    modes : (a,) int
+        Which of its modes.
+    lowest : int
+        Which of these is the lowest of all sweeps; -1 if none is.
+    """
+    carrier = leaks.carrier.get(sweep.name, 0.0)
+    share = np.hypot(carrier, leaks.mixing)
+    errors = np.repeat([_LEAK_CENTS * share, _LEAK_LOSS * share], len(modes))
+    if sweep.taken_off:
+        near = np.abs(np.log2(sweep.drive_hz / sweep.hz[modes, None])) < _NEAR
+        moves = [np.median(sweep.amplitude_rad[there]) for there in near]
+        stays = carrier * np.median(sweep.amplitude_rad) / np.array(moves)
+        if lowest >= 0:
+            stays[lowest] *= _STAYS_LOWEST
+        errors = np.hypot(errors, np.concatenate([_STAYS_CENTS * stays, _STAYS_LOSS * stays]))
     return np.diag(np.square(errors))
 
 

@@ -51,6 +51,9 @@ _FAR_SIZES = 2.0, 4.0, 6.0
 _MOST_PAIRED, _MOST_BESIDE, _LEAST_GAIN = 5, 4, 3.0
 # Beside so many of the likeliest something unknown is looked for, of this prior.
 _LOOKED_BESIDE, _ALSO = 3, 0.05
+# What is left beside effects of plausible sizes, in deviations, may be their own, that have not
+# quite the form that the catalogue gives them: of what they explain a share of this deviation.
+_PLAUSIBLE, _OWN_FORM = 4.0, 0.15
 # Rivals whose evidence is within so many nats are sampled.
 _CLOSE = 5.0
 # So many of the likeliest, unless they are that far behind in nats, are fitted with nothing taken
@@ -490,11 +493,32 @@ def _probabilities(
     logs = {NONE: float(np.log(PRIOR["none"]))}
     for name, rival in rivals.items():
         logs[name] = _log_odds(rival, null, effects)
+    also = [float(np.log(_ALSO)) + logs[name] + more for name, more in beside.items()]
+    own = {name: _by_form(rivals[name], null, more) for name, more in beside.items()}
+    for name, more in own.items():
+        logs[name] += more
     for name, (first, more) in unseen.items():
         known = 0.0 if first == NONE else rivals[first].log_evidence - null.log_evidence
+        known += own.get(first, 0.0)
         logs[name] = _log_prior(len(name.split("+")), effects) + known + more
-    also = [float(np.log(_ALSO)) + logs[name] + more for name, more in beside.items()]
     seen = np.logaddexp(np.log1p(-_UNSEEN) + unknown, np.log(_UNSEEN))
     logs[UNKNOWN] = float(logsumexp([np.log(PRIOR["unknown"]) + seen, *also]))
     total = logsumexp(list(logs.values()))
     return {name: float(log - total) for name, log in logs.items()}
+
+
+def _by_form(rival: Rival, null: Rival, left: float) -> float:
+    """By how many nats a rival is likelier as what is left beside it may be of its own form.
+
+    Parameters
+    ----------
+    rival, null : Rival
+    left : float
+        Log Bayes factor of anything else beside it.
+    """
+    gained = rival.log_evidence - null.log_evidence
+    if left <= 0 or gained <= 0 or np.abs(rival.sizes).max() > _PLAUSIBLE:
+        return 0.0
+    # Evidence goes by squares: a share of what is explained by its square.
+    log_share = -left / gained / (2 * _OWN_FORM**2)
+    return float(np.logaddexp(np.log(-np.expm1(log_share)), log_share + left))

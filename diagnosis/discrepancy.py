@@ -1,8 +1,8 @@
 """Something that no effect explains: any numbers of any blocks may be off, in no known way.
 
 Of each block it is asked how much likelier its numbers are if something unknown moves them, alike
-in a mode, a band, a time, or each by itself, or ever more with time, by any of several sizes. What
-is unknown moves one block, or a few.
+in a mode, a band, a time, in all of these or in one alone, or each by itself, or ever more with
+time, by any of several sizes. What is unknown moves one block, or a few.
 """
 
 from collections.abc import Iterator, Mapping
@@ -23,6 +23,9 @@ Array = NDArray[np.floating[Any]]
 # Unknown things have any of these sizes, in standard deviations of the numbers that they move.
 _SIZES = (2.0, 5.0, 15.0, 50.0, 150.0, 500.0)
 _KINDS = ("each", "quantity", "mode", "band", "time", "drift")
+_ONE_ALONE = "mode", "band", "time"
+# Of so many modes, bands or times one may be moved alone.
+_FEWEST_OTHERS = 3
 # Fewer times tell no drift.
 _LEAST_TIMES = 4
 # Probability that something unknown moves one block, two, three.
@@ -115,41 +118,54 @@ def anything(comparison: Comparison, rival: Rival) -> float:
 def _with_unknown(comparison: Comparison, left: _Left, block: Block) -> tuple[float, _Left]:
     """Log Bayes factor of something unknown in a block, and what is left beside it."""
     piece = comparison.slices[block.name]
-    found = [(float(gain[0]), kind, size) for gain, kind, size in _gains(left, piece, block)]
-    _, kind, size = max(found)
-    table = _table(block, kind)
-    columns = np.zeros((len(left.residuals), 0 if table is None else table.shape[1]))
-    columns[piece] = 0.0 if table is None else size * table / left.deviation[piece][:, None]
+    found = [(float(gain[0]), moved) for gain, moved in _gains(left, piece, block)]
+    _, moved = max(found, key=lambda way: way[0])
+    columns = np.zeros((len(left.residuals), moved.shape[1]))
+    columns[piece] = moved
     after = left.beside(columns)
     # Of the twin it is known that its noise may be larger: less so where less is left.
     usual = by_noise(comparison, left.residuals[:, 0]) - by_noise(comparison, after.residuals[:, 0])
-    gains = [gain for gain, _, _ in found]
+    gains = [gain for gain, _ in found]
     return float(logsumexp(gains) - np.log(len(gains))) - usual, after
 
 
 def _factor(left: _Left, piece: slice, block: Block) -> Array:
     own, _ = left.of(piece)
-    gains = [gain for gain, _, _ in _gains(left, piece, block)]
+    gains = [gain for gain, _ in _gains(left, piece, block)]
     # Of the twin it is known that its noise may be larger.
     usual = np.array([gain_by_noise(chi2, len(own)) for chi2 in np.sum(own**2, axis=0).tolist()])
     factor: Array = logsumexp(gains, axis=0) - np.log(len(gains)) - usual
     return factor
 
 
-def _gains(left: _Left, piece: slice, block: Block) -> Iterator[tuple[Array, str, float]]:
-    """Yield what log evidence (d,) gains by each kind of something unknown, and each size."""
+def _gains(left: _Left, piece: slice, block: Block) -> Iterator[tuple[Array, Array]]:
+    """Yield what log evidence (d,) gains by each kind of something unknown, and each size.
+
+    With each what it moves (k, c), in units of the noise.
+    """
     own, told = left.of(piece)
     for kind in _KINDS:
         table = _table(block, kind)
         if table is None:
             continue
         table = table / left.deviation[piece][:, None]
-        values, vectors = np.linalg.eigh(table.T @ told @ table)
-        along = (vectors.T @ (table.T @ own)) ** 2
+        pull, known = table.T @ own, table.T @ told @ table
+        values, vectors = np.linalg.eigh(known)
         for size in _SIZES:
-            grown = 1 + size**2 * np.maximum(values, 0)[:, None]
-            gain: Array = 0.5 * np.sum(size**2 * along / grown - np.log(grown), axis=0)
-            yield gain, kind, size
+            together = _gained((vectors.T @ pull) ** 2, values, size)
+            yield np.sum(together, axis=0), size * table
+        if kind in _ONE_ALONE and len(pull) >= _FEWEST_OTHERS:
+            for size in _SIZES:
+                alone = _gained(pull**2, np.diag(known), size)
+                gain: Array = logsumexp(alone, axis=0) - np.log(len(alone))
+                yield gain, size * table[:, [int(np.argmax(alone[:, 0]))]]
+
+
+def _gained(along: Array, known: Array, size: float) -> Array:
+    """Gain (c, d) of what moves along each of c directions, of which so much is known (c,)."""
+    grown = 1 + size**2 * np.maximum(known, 0)[:, None]
+    gained: Array = 0.5 * (size**2 * along / grown - np.log(grown))
+    return gained
 
 
 def _table(block: Block, kind: str) -> Array | None:

@@ -49,6 +49,23 @@ def test_what_no_effect_makes_is_unknown() -> None:
     assert found[UNKNOWN] > 0.9
 
 
+def test_what_a_great_effect_leaves_is_its_own_form_if_it_is_plausible() -> None:
+    found = contest(measured(6, bench(leak=1.5), extra=0.25), EFFECTS)
+    # Something is left beside the slope, but little of what it explains.
+    gained = found.alone["slope"].log_evidence - found.null.log_evidence
+    assert 3 < found.beside["slope"] < 0.05 * gained
+    assert found.probability["slope"] > 0.8
+    # Of a slope that is not plausible it is asked what else there is.
+    found = contest(measured(6, bench(leak=6.0), extra=2.0), EFFECTS)
+    assert found.beside["slope"] > 3
+    assert found.probability[UNKNOWN] > 0.9
+
+
+def test_what_is_left_is_no_form_of_an_effect_that_explains_as_little() -> None:
+    found = contest(measured(5, bench(leak=0.3), extra=0.4), EFFECTS)
+    assert found.probability[UNKNOWN] > 0.9
+
+
 def test_effects_that_move_nothing_do_not_compete() -> None:
     found = contest(measured(6, bench()), EFFECTS)
     assert "nothing" not in found.alone

@@ -5,9 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from diagnosis.taps.carrier import Leaks
 from diagnosis.taps.drive import _torn
 from diagnosis.taps.light import brightness_block, noise_block
-from diagnosis.taps.modes import _levels
+from diagnosis.taps.modes import _levels, _of_leaks
 from diagnosis.taps.vibration import _doubt, at_highest_level, loudest
 from physics.twin import Chip, Twin
 
@@ -66,6 +67,29 @@ def test_acquisitions_that_are_alike_by_chance_are_no_surer_than_light_is() -> N
     apart = C[one, one] + C[two, two] - 2 * C[one, two]
     # Two means of four, or a little less for what a mean of three sweeps takes along.
     assert np.sqrt(apart) > 0.03 * np.sqrt(2 / 4) * 0.7
+
+
+def test_light_that_was_taken_off_makes_calm_modes_uncertain() -> None:
+    drive_hz = 1000.0 * 2 ** (np.arange(COUNT) / 48)
+    sweep = SimpleNamespace(
+        name="up", taken_off=0.02, drive_hz=drive_hz, hz=np.array([1500.0, 3000.0, 6000.0]),
+        amplitude_rad=np.where(drive_hz < 4000, 1.0, 0.1),
+    )  # fmt: skip
+    leaks = Leaks({"up": 0.01}, 0.0)
+
+    def errors(lowest):
+        return np.sqrt(np.diag(_of_leaks(leaks, sweep, np.array([0, 1, 2]), lowest)))
+
+    found = errors(-1)
+    assert found[2] / found[1] == pytest.approx(10, rel=0.05)
+    assert found[0] == found[1]
+    ratio = errors(0) / found
+    assert ratio[[0, 3]].min() > 3
+    assert ratio[[1, 2, 4, 5]] == pytest.approx(1.0)
+    sweep.taken_off = 0.0
+    # Nothing was taken off: all modes alike, and next to nothing.
+    assert errors(0)[:3] == pytest.approx(np.full(3, errors(0)[0]))
+    assert errors(0)[0] < found[0]
 
 
 def test_a_drive_that_jumps_by_a_mode_leaves_its_force_open() -> None:

@@ -41,6 +41,19 @@ def test_an_effect_leaves_nothing_unknown_and_a_wrong_one_does() -> None:
     assert right < 0 < 20 < anything(comparison, fitted(comparison, SLOPE))
 
 
+def test_one_time_may_be_moved_alone(monkeypatch) -> None:
+    comparison = measured(2, bench())
+    lines, clocks = comparison.blocks
+    then = np.array([place.time == "t2" for place in lines.places])
+    moved = replace(lines, values=lines.values + 0.07 * then)
+    comparison = Comparison((moved, clocks), Twin(), (LEVEL,))
+    rival = fitted(comparison)
+    alone = float(discrepancies(comparison, rival)["lines"][0])
+    monkeypatch.setattr("diagnosis.discrepancy._ONE_ALONE", ())
+    assert alone > float(discrepancies(comparison, rival)["lines"][0]) + 1
+    assert alone > 1
+
+
 def test_what_moves_two_blocks_counts_once_for_each() -> None:
     both = measured(3, bench(mixing=0.6, detuning_hz=0.3))
     lines, clocks = (float(factor[0]) for factor in discrepancies(both, fitted(both)).values())

@@ -146,8 +146,8 @@ def local(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Arra
     uv = bent * q
     uu = over + bent * p
     vv = over + bend * q * q
-    lit_u, lit_v = _parts(light, problem.functions.dtype)
-    factor, gone_u, gone_v, misfit = _gone(problem, light, steps, (u, v), gain)
+    lit_u, lit_v = lit = _parts(light, problem.functions.dtype)
+    factor, gone_u, gone_v, misfit = _gone(problem, lit, steps, (u, v), gain)
     return Local(
         u, v, uu, uv, uv, vv,
         lit_u * gone_u + lit_v * gone_v,
@@ -164,17 +164,26 @@ def _parts(light: Complex, dtype: np.dtype[Any]) -> tuple[Array, Array]:
 
 
 def _gone(
-    problem: Problem, light: Complex, steps: Steps, shown: tuple[Array, Array], gain: Array
+    problem: Problem,
+    lit: tuple[Array, Array],
+    steps: Steps,
+    shown: tuple[Array, Array],
+    gain: Array,
 ) -> tuple[Array, Array, Array, Array]:
-    """Gains (s, 1), what is left of phasors where F is shown: real and imaginary parts (s, n).
+    """What holograms leave where light (n,) shows F(u) (s, n): all by real and imaginary parts.
 
-    At last its squares (s,).
+    Returns
+    -------
+    factor : (s, 1) float
+        Gains, no longer their logs.
+    gone_u, gone_v : (s, n) float
+    misfit : (s,) float
+        Squares of these.
     """
     u, v = shown
-    dtype = problem.functions.dtype
-    lit_u, lit_v = _parts(light, dtype)
+    lit_u, lit_v = lit
     # No step of a search, however bold, may overflow.
-    factor = np.exp(np.clip(gain, -_MOST_GAIN, _MOST_GAIN)).astype(dtype)[:, None]
+    factor = np.exp(np.clip(gain, -_MOST_GAIN, _MOST_GAIN)).astype(lit_u.dtype)[:, None]
     gone_u = problem.real[steps] - factor * (lit_u * u - lit_v * v)
     gone_v = problem.imaginary[steps] - factor * (lit_u * v + lit_v * u)
     misfit = np.einsum("sn,sn->s", gone_u, gone_u) + np.einsum("sn,sn->s", gone_v, gone_v)
@@ -183,12 +192,13 @@ def _gone(
 
 def misfits(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Array) -> Array:
     """Squares (s,) of what holograms leave at amplitudes (s, j) and log gains (s,)."""
+    lit = _parts(light, problem.functions.dtype)
 
     def of(some: slice) -> Array:
         displacement = problem.displacement(a[some])
         over, _ = problem.tensor(*displacement)
         shown = over * displacement[0], over * displacement[1]
-        _, _, _, left = _gone(problem, light, steps[some], shown, gain[some])
+        _, _, _, left = _gone(problem, lit, steps[some], shown, gain[some])
         for side in problem.others:
             left = left + misfit_beside(side, light, steps[some], displacement)
         return left

@@ -7,6 +7,7 @@ a line of the air all shapes grow together; both are searched on grids finer tha
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -434,11 +435,12 @@ def solve(whole: Problem, phasors: Phasors, basis: ShapeBasis) -> Search:
         return search
 
     best: Search | None = None
-    for search in side_by_side(begun, list(Search(whole, phasors, basis).starts())):
-        if best is None or search.explained.sum() > best.explained.sum():
-            best = search
-        if best.explained.mean() > (_ALL_SOLVED if best.solved.all() else _MOST_EXPLAINED):
-            break
+    with closing(side_by_side(begun, list(Search(whole, phasors, basis).starts()))) as searches:
+        for search in searches:
+            if best is None or search.explained.sum() > best.explained.sum():
+                best = search
+            if best.explained.mean() > (_ALL_SOLVED if best.solved.all() else _MOST_EXPLAINED):
+                break
     if best is None or best.solved.mean() < _LEAST_SOLVED:
         solved = int(best.solved.sum()) if best else 0
         raise FitError(

@@ -74,9 +74,7 @@ def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks
         repeats = _REPEATS if sweep.loudness > highest - SAME_LEVEL else _REPEATS_QUIET
         own = np.concatenate([np.full(len(at), repeats), np.full(len(at), _REPEATS_LOSS)])
         pieces.append(_of_fit(sweep, both, own * unit, here, common))
-        pieces[-1] += _of_leaks(
-            leaks, sweep, at, here.index(common[0]) if common[0] in here else -1
-        )
+        pieces[-1] += _of_leaks(leaks, sweep, at, [name == common[0] for name in here])
     covariance = np.zeros((len(values),) * 2)
     start = 0
     for piece in pieces:
@@ -131,7 +129,9 @@ def _astray(sweeps: Sequence[SweepReading], names: Sequence[str], *, loss: bool)
     return astray
 
 
-def _of_leaks(leaks: Leaks, sweep: SweepReading, modes: NDArray[np.intp], lowest: int) -> Array:
+def _of_leaks(
+    leaks: Leaks, sweep: SweepReading, modes: NDArray[np.intp], lowest: Sequence[bool]
+) -> Array:
     """Covariance of what leaks in makes of one sweep's fit.
 
     Parameters
@@ -140,18 +140,19 @@ def _of_leaks(leaks: Leaks, sweep: SweepReading, modes: NDArray[np.intp], lowest
     sweep : SweepReading
     modes : (a,) int
         Which of its modes.
-    lowest : int
-        Which of these is the lowest of all sweeps; -1 if none is.
+    lowest : (a,) bool
+        Whether it is the lowest of all sweeps.
     """
     carrier = leaks.carrier.get(sweep.name, 0.0)
     share = np.hypot(carrier, leaks.mixing)
     errors = np.repeat([_LEAK_CENTS * share, _LEAK_LOSS * share], len(modes))
     if sweep.taken_off:
-        near = np.abs(np.log2(sweep.drive_hz / sweep.hz[modes, None])) < _NEAR
+        apart = np.abs(np.log2(sweep.drive_hz / sweep.hz[modes, None]))
+        # Steps may be wider apart than that: the nearest is always near.
+        near = (apart < _NEAR) | (apart == apart.min(axis=1, keepdims=True))
         moves = [np.median(sweep.amplitude_rad[there]) for there in near]
         stays = carrier * np.median(sweep.amplitude_rad) / np.array(moves)
-        if lowest >= 0:
-            stays[lowest] *= _STAYS_LOWEST
+        stays *= np.where(lowest, _STAYS_LOWEST, 1.0)
         errors = np.hypot(errors, np.concatenate([_STAYS_CENTS * stays, _STAYS_LOSS * stays]))
     return np.diag(np.square(errors))
 

@@ -222,12 +222,12 @@ def _root(fits: _Fits, parts: Sequence[Part]) -> Part | None:
     """Fit sweeps by themselves until there is no doubt; tells of which there is least, if any."""
     doubt: dict[str, tuple[int, float]] = {}
     # Most often the first will do.
-    tried = chain([fits.of(parts[0])], side_by_side(fits.of, parts[1:]))
-    for part, fit in zip(parts, tried, strict=False):
-        if fits.keep(part, fit):
-            doubt[part.name] = _doubt(fits.found[part.name])
-            if not doubt[part.name][0]:
-                break
+    with contextlib.closing(side_by_side(fits.of, parts[1:])) as others:
+        for part, fit in zip(parts, chain([fits.of(parts[0])], others), strict=True):
+            if fits.keep(part, fit):
+                doubt[part.name] = _doubt(fits.found[part.name])
+                if not doubt[part.name][0]:
+                    break
     told = [part for part in parts if part.name in doubt]
     return min(told, key=lambda part: doubt[part.name], default=None)
 

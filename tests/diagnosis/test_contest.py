@@ -55,6 +55,9 @@ def test_what_a_great_effect_leaves_is_its_own_form_if_it_is_plausible() -> None
     gained = found.alone["slope"].log_evidence - found.null.log_evidence
     assert 3 < found.beside["slope"] < 0.05 * gained
     assert found.probability["slope"] > 0.8
+    # What need not show beside it is as likely as beside any other.
+    odds = found.log_probability["slope+nothing"] - found.log_probability["slope"]
+    assert odds == pytest.approx(np.log(PRIOR["two"] / 6 / (PRIOR["one"] / 4)))
     # Of a slope that is not plausible it is asked what else there is.
     found = contest(measured(6, bench(leak=6.0), extra=2.0), EFFECTS)
     assert found.beside["slope"] > 3

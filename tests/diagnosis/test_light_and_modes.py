@@ -78,9 +78,10 @@ def test_light_that_was_taken_off_makes_calm_modes_uncertain() -> None:
     leaks = Leaks({"up": 0.01}, 0.0)
 
     def errors(lowest):
-        return np.sqrt(np.diag(_of_leaks(leaks, sweep, np.array([0, 1, 2]), lowest)))
+        modes = np.arange(3)
+        return np.sqrt(np.diag(_of_leaks(leaks, sweep, modes, modes == lowest)))
 
-    found = errors(-1)
+    found = errors(None)
     assert found[2] / found[1] == pytest.approx(10, rel=0.05)
     assert found[0] == found[1]
     ratio = errors(0) / found
@@ -90,6 +91,24 @@ def test_light_that_was_taken_off_makes_calm_modes_uncertain() -> None:
     # Nothing was taken off: all modes alike, and next to nothing.
     assert errors(0)[:3] == pytest.approx(np.full(3, errors(0)[0]))
     assert errors(0)[0] < found[0]
+
+
+def test_steps_far_from_a_resonance_are_near_it_if_none_is_nearer() -> None:
+    sweep = SimpleNamespace(
+        name="up", taken_off=0.02, drive_hz=np.array([1000.0, 2000.0, 4000.0]),
+        hz=np.array([1450.0]), amplitude_rad=np.array([1.0, 0.5, 0.1]),
+    )  # fmt: skip
+
+    def cents():
+        leaks = Leaks({"up": 0.01}, 0.0)
+        return np.sqrt(_of_leaks(leaks, sweep, np.array([0]), [False])[0, 0])
+
+    half = cents()
+    sweep.amplitude_rad[1] = 0.2
+    # Of what moves at 2 kHz, and of the middle: both are that step's.
+    assert cents() == pytest.approx(half)
+    sweep.amplitude_rad[2] = 0.4
+    assert cents() > 1.5 * half
 
 
 def test_a_drive_that_jumps_by_a_mode_leaves_its_force_open() -> None:

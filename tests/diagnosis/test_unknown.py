@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnosis.block import Place
-from diagnosis.discrepancy import anything, discrepancies
+from diagnosis.discrepancy import _gains, _Left, anything, discrepancies
 from diagnosis.rivals import Comparison, Sized, compete
 from diagnosis.sampling import sampled
 from diagnosis.triggers import triggers
@@ -52,6 +52,17 @@ def test_one_time_may_be_moved_alone(monkeypatch) -> None:
     monkeypatch.setattr("diagnosis.discrepancy._ONE_ALONE", ())
     assert alone > float(discrepancies(comparison, rival)["lines"][0]) + 1
     assert alone > 1
+
+
+@pytest.mark.parametrize("deviation", [1.0, 1e4])
+def test_where_nothing_is_off_nothing_unknown_gains(deviation: float) -> None:
+    comparison = measured(2, bench())
+    rival = fitted(comparison)
+    residuals = np.zeros((len(rival.estimate.residuals), 1))
+    left = _Left(residuals, rival.free, deviation * rival.deviation)
+    for block in comparison.blocks:
+        gains = [float(gain[0]) for gain, _ in _gains(left, comparison.slices[block.name], block)]
+        assert max(gains) < 0
 
 
 def test_what_moves_two_blocks_counts_once_for_each() -> None:

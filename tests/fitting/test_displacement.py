@@ -1,6 +1,7 @@
 """Displacement found in phasors that are drawn by the formula, of a plate that is no reed."""
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -344,8 +345,12 @@ def test_a_sweep_may_begin_with_fringes(seed):
 
 
 def test_sweeps_are_begun_side_by_side_as_if_one_after_the_other(monkeypatch):
-    sweep = planted(2, calm_rad=300.0)
+    sweep = planted(2)
     whole = Problem.of(sweep.phasors.value, sweep.basis.functions, BesselTable())
+    # Never enough: all are begun.
+    monkeypatch.setattr("fitting.search._MOST_EXPLAINED", 1.0)
+    monkeypatch.setattr("fitting.search._ALL_SOLVED", 1.0)
+    assert len(list(Search(whole, sweep.phasors, sweep.basis).starts())) == 3
     found = []
     for splits in (True, False):
         monkeypatch.setattr("fitting.side_by_side._SPLITS", splits)
@@ -353,6 +358,46 @@ def test_sweeps_are_begun_side_by_side_as_if_one_after_the_other(monkeypatch):
     one, other = found
     assert one.amplitude == pytest.approx(other.amplitude, abs=1e-6)
     assert one.light == pytest.approx(other.light, rel=1e-6)
+
+
+class Attempt:
+    """Stands in for a search; what it explains depends on where it begins."""
+
+    begun: ClassVar[list[int]] = []
+    explains: ClassVar[dict[int, tuple[float, float]]] = {}
+
+    def __init__(self, *_):
+        self.explained, self.solved = np.zeros(10), np.zeros(10, bool)
+
+    def starts(self):
+        return iter([(number, []) for number in self.explains])
+
+    def begin(self, number, _guesses):
+        self.begun.append(number)
+        explained, solved = self.explains[number]
+        self.explained[:] = explained
+        self.solved[: round(10 * solved)] = True
+
+    def spread(self):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("explains", "begun", "best"),
+    [
+        ([(0.75, 1.0), (0.9, 1.0)], [0], 0.75),
+        ([(0.75, 0.9), (0.72, 1.0), (0.9, 1.0)], [0, 1, 2], 0.9),
+        ([(0.85, 0.5), (0.9, 1.0)], [0], 0.85),
+        ([(0.3, 1.0), (0.2, 1.0)], [0, 1], 0.3),
+    ],
+)
+def test_a_sweep_is_begun_until_enough_is_explained(monkeypatch, explains, begun, best):
+    monkeypatch.setattr("fitting.side_by_side._SPLITS", False)
+    monkeypatch.setattr("fitting.search.Search", Attempt)
+    monkeypatch.setattr(Attempt, "begun", [])
+    monkeypatch.setattr(Attempt, "explains", dict(enumerate(explains)))
+    assert search_all(None, None, None).explained.mean() == pytest.approx(best)
+    assert Attempt.begun == begun
 
 
 def test_a_sweep_of_hundreds_of_fringes_is_refused():

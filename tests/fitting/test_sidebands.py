@@ -176,6 +176,16 @@ def test_a_descent_tells_the_misfits_of_where_it_ends(count):
     assert np.all(left < misfits(sweep.problem, sweep.light, steps, *start))
 
 
+def test_a_descent_takes_no_turn_that_makes_it_worse():
+    sweep, steps = Sweep((), largest_rad=8.0), np.arange(HOLOGRAMS)
+    # A step that takes F for straight goes beyond its largest.
+    start = (0.2 * sweep.a, np.zeros(HOLOGRAMS))
+    a, gain, left = descend(sweep.problem, sweep.light, steps, start, 1, np.eye(FUNCTIONS))
+    stayed = np.all(a == start[0], axis=1)
+    assert 0 < np.count_nonzero(stayed) < HOLOGRAMS
+    assert left == pytest.approx(misfits(sweep.problem, sweep.light, steps, a, gain), rel=1e-9)
+
+
 @pytest.mark.parametrize("orders", [(0,), (2,), (0, 2)])
 def test_gradients_of_the_light_follow_all_sidebands(orders):
     sweep, count = Sweep(orders), 28

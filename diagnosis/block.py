@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from fitting.errors import FitInputError
 from physics.effects.form import Tap
 from physics.twin import Twin
 
@@ -91,10 +92,23 @@ def block(
     ----------
     covariance : (n, n) or (n,) float
         Or standard deviations.
+
+    Raises
+    ------
+    FitInputError
+        If a number, or its error, is none.
     """
     numbers = np.asarray(values, dtype=float)
     if covariance.ndim == 1:
         covariance = np.diag(covariance**2)
+    told = np.isfinite(numbers) & np.isfinite(covariance).all(axis=0) & (np.diag(covariance) > 0)
+    if not told.all():
+        place = places[int(np.argmin(told))]
+        words = " ".join(filter(None, (place.quantity, place.mode, place.time, place.level)))
+        raise FitInputError(
+            f"{name}: no number with an error comes of {words}; look at the runs that it is of, or "
+            "leave them out"
+        )
     lower = linalg.cholesky(covariance, lower=True)
     root = linalg.solve_triangular(lower, np.eye(len(numbers)), lower=True)
     return Block(name, tap, numbers, covariance, tuple(places), tuple(parts), predict, root)

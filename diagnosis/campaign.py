@@ -1,8 +1,11 @@
 """The runs of a campaign in the order in which they were measured, and which are missing."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import UTC, datetime
+
+import numpy as np
 
 from acquire.quality import Verdict
 from acquire.run_layout import Kind
@@ -68,18 +71,14 @@ class Campaign:
         Raises
         ------
         FitInputError
-            If they are not of one reed, or none is a sweep.
+            If none is a sweep, one is named twice, they are not of one reed on one bench or of one
+            campaign, or nobody knows when one began.
         """
         sweeps = [run for run in runs if run.acquisition.kind is Kind.SWEEP]
         if not sweeps:
             told = ", ".join(sorted(run.path.name for run in runs))
             raise FitInputError(f"{told}: no run is a sweep of a driven reed; name at least one")
-        reeds = sorted({(run.reed, run.series) for run in runs})
-        if len(reeds) > 1:
-            told = ", ".join(f"{reed} ({series})" for reed, series in reeds)
-            raise FitInputError(
-                f"runs are of several reeds or series: {told}; diagnose them one by one"
-            )
+        _require_one(runs)
         first = min(_began(run) for run in runs)
         parts = [
             Part(run, (_began(run) - first).total_seconds(), _clock_s(run, first), _name(run))
@@ -88,8 +87,13 @@ class Campaign:
         return cls(_each_once(sorted(parts, key=lambda part: part.began_s)))
 
     def of_kind(self, kind: Kind) -> tuple[Part, ...]:
-        """All runs of a kind."""
-        return tuple(part for part in self.parts if part.run.acquisition.kind is kind)
+        """All runs of a kind; of those of the reed at rest or of no reed, with anything in them."""
+        return tuple(
+            part
+            for part in self.parts
+            if part.run.acquisition.kind is kind
+            and (kind is Kind.SWEEP or any(step.verdict.measured for step in part.run.steps))
+        )
 
     @property
     def sweeps(self) -> tuple[Part, ...]:
@@ -108,7 +112,41 @@ class Campaign:
             lacks.append("a sweep at another drive level (what depends on amplitude)")
         if not any(part.clamping for part in sweeps):
             lacks.append("a sweep after a new clamping (what the clamp does)")
+        told = [step.lock_error_se_hz for part in sweeps for step in part.good_steps]
+        if not np.isfinite(told).any():
+            lacks.append("by how much each step missed its lock (detunings, the walk of phases)")
         return lacks
+
+
+def _require_one(runs: Sequence[Run]) -> None:
+    """Require runs that belong together."""
+    uids = Counter(run.uid for run in runs if run.uid)
+    if twice := [run.path.name for run in runs if uids[run.uid] > 1]:
+        raise FitInputError(f"{', '.join(twice)}: are one run; name it once")
+    of: dict[str, Callable[[Run], str]] = {
+        "reeds or series": lambda run: f"{run.reed} ({run.series})",
+        "kinds of reed": lambda run: run.reed_sha256[:8],
+        "fillings of the chamber": lambda run: run.chamber,
+        "wavelengths and distances": lambda run: _optics(run),
+        "campaigns": lambda run: run.acquisition.campaign,
+    }
+    for what, label in of.items():
+        told = sorted({label(run) for run in runs} - {""})
+        if len(told) > 1:
+            raise FitInputError(
+                f"runs are of several {what}: {', '.join(told)}; diagnose them one by one"
+            )
+    parts = Counter(run.acquisition.part for run in runs if run.acquisition.campaign)
+    if again := [part for part, count in parts.items() if part and count > 1]:
+        raise FitInputError(
+            f"part {again[0]} of a campaign is there {parts[again[0]]} times; name the runs of one "
+            "recording"
+        )
+
+
+def _optics(run: Run) -> str:
+    transform = run.reconstruction.transform
+    return f"{1e9 * transform.wavelength_m:.6g} nm at {transform.distance_m:.6g} m"
 
 
 def _name(run: Run) -> str:
@@ -128,10 +166,18 @@ def _each_once(parts: Sequence[Part]) -> tuple[Part, ...]:
 
 
 def _began(run: Run) -> datetime:
-    return datetime.fromisoformat(run.start_time)
+    """When a run began; without a zone it is taken for UTC."""
+    try:
+        began = datetime.fromisoformat(run.start_time)
+    except ValueError:
+        raise FitInputError(
+            f"{run.path}: start_time is {run.start_time!r}, which is no time; write one as in "
+            "2026-01-01T10:00:00+00:00"
+        ) from None
+    return began if began.tzinfo else began.replace(tzinfo=UTC)
 
 
 def _clock_s(run: Run, first: datetime) -> float:
     """Offset of the camera's clock, whose zero is nobody's concern."""
-    times = [step.timestamps_s[0] for step in run.steps if step.timestamps_s]
+    times = [t for step in run.steps for t in step.timestamps_s[:1] if np.isfinite(t)]
     return min(times, default=0.0) - (_began(run) - first).total_seconds()

@@ -24,7 +24,7 @@ Array = NDArray[np.floating[Any]]
 _SIZES = (2.0, 5.0, 15.0, 50.0, 150.0, 500.0)
 _KINDS = ("each", "quantity", "mode", "band", "time", "drift")
 _ONE_ALONE = "mode", "band", "time"
-# Of so many modes, bands or times one may be moved alone.
+# Of so many modes, bands or times, of all quantities of a block, one may be moved alone.
 _FEWEST_OTHERS = 3
 # Fewer times tell no drift.
 _LEAST_TIMES = 4

@@ -105,6 +105,8 @@ def _mean(series: Series, cents: Array, errors: Array) -> MeanReed | None:
     shown = ~np.isnan(cents)
     used = shown.any(axis=1)
     often = shown[used].sum(axis=0) >= max(1.0, _LEAST_SHARE * used.sum())
+    # Reeds that show none of these tell nothing of their mean.
+    used = shown[:, often].any(axis=1)
     if not used.any() or often.sum() < 4:
         return None
     cents, errors, shown = (part[used][:, often] for part in (cents, errors, shown))

@@ -40,10 +40,12 @@ from diagnosis.taps.still import (
     scatter_block,
     stability_block,
     turn_block,
+    usual_scatter_hz,
 )
 from diagnosis.taps.vibration import SweepReading, read_sweeps, understood_block
 from physics.air import CavityLine, Filling, chamber_of
 from physics.mechanics import Workshop
+from physics.twin import Twin
 
 # Share of the time that fitting sweeps takes.
 _SWEEPS = 0.95
@@ -120,17 +122,21 @@ def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float],
     carriers = read_carriers(campaign.sweeps, still_parts)
     leaking = unshifted_light(campaign.sweeps, still_parts, carriers)
     sweeps, refused = read_sweeps(campaign.sweeps, lambda share: report(_SWEEPS * share), leaking)
+    flat = read_flat(flat_parts, offset_dn) if flat_parts else None
+    missing = campaign.missing
+    if flat_parts and flat is None:
+        missing.append("flat frames that are not saturated (linearity, pattern, vignetting)")
     lines = [CavityLine(frequency_hz=hz) for hz in first.acoustic_lines_hz[:1]]
     return Readings(
         dark=dark,
-        flat=read_flat(flat_parts, offset_dn) if flat_parts else None,
+        flat=flat,
         lo=read_beam(lo_parts, offset_dn) if lo_parts else None,
         stills=tuple(read_stills(still_parts)),
         carriers=tuple(carriers),
         beat=read_beat(campaign.sweeps),
         sweeps=tuple(sweeps),
         refused=tuple(refused),
-        missing=tuple(campaign.missing),
+        missing=tuple(missing),
         rate_hz=float(first.frame_rate_hz),
         sheet=sheet,
         device=Device(
@@ -152,6 +158,7 @@ def blocks(readings: Readings, workshop: Workshop) -> list[Block]:
     """
     sheet, beat, stills, sweeps = readings.sheet, readings.beat, readings.stills, readings.sweeps
     scatter_hz = lock_scatter_hz(beat)
+    usual_hz = usual_scatter_hz(Twin().beams, readings.rate_hz)
     found: list[Block | None] = [log_block(beat)]
     if readings.dark:
         found.append(dark_block(readings.dark, sheet))
@@ -161,8 +168,9 @@ def blocks(readings: Readings, workshop: Workshop) -> list[Block]:
         found.append(lo_block(readings.lo, sheet))
     found.append(lock_block(beat, readings.rate_hz))
     if stills:
-        found.append(turn_block(stills, scatter_hz, readings.rate_hz))
+        found.append(turn_block(stills, scatter_hz or usual_hz, readings.rate_hz))
         found.append(stability_block(stills))
+    if stills and scatter_hz is not None:
         found.append(scatter_block(stills, scatter_hz, readings.rate_hz))
     if readings.carriers:
         found.append(carrier_block(readings.carriers))

@@ -203,7 +203,7 @@ def misfits(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Ar
             left = left + misfit_beside(side, light, steps[some], displacement)
         return left
 
-    return np.concatenate(in_parts(of, len(a)))
+    return np.concatenate([np.zeros(0), *in_parts(of, len(a))])
 
 
 @dataclass

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.runfile import Run, StepRecord
+from fitting.errors import FitError
 from fitting.parallel import in_parts
 from fitting.pictures import good_steps
 from physics.reed.geometry import half_width_m
@@ -218,6 +219,13 @@ def _holograms(
     chosen = np.empty((len(blocks.x_m), len(steps), blocks.high * blocks.wide), np.complex64)
     for k, step in enumerate(steps):
         field = run.field(step.position)
+        if not (
+            np.isfinite(field).all() and step.noise_level > 0 and np.isfinite(step.noise_level)
+        ):
+            raise FitError(
+                f"{run.path}: step {step.index} is said to be ok, but its field or its noise level "
+                "is no number; give it another verdict"
+            )
         if unshifted is not None:
             field = field - unshifted.share.get(step.position, 0.0) * unshifted.light
         chosen[:, k] = blocks.of(field) / np.float32(np.sqrt(step.noise_level))

@@ -58,7 +58,7 @@ def read_beat(parts: Sequence[Part]) -> Beat:
                 hz = float(step.read_drive_hz or step.drive_hz)
                 time_s = float(np.mean(step.timestamps_s)) - part.clock_s
                 rows.append((step.lock_error_hz, step.lock_error_se_hz, hz, time_s, number))
-    lock, error, hz, time_s, number_ = np.array(rows).T
+    lock, error, hz, time_s, number_ = np.reshape(np.array(rows, dtype=float), (-1, 5)).T
     names = tuple(part.name for part in parts)
     return Beat(count, lost, lock, error, hz, time_s, number_.astype(int), names)
 
@@ -80,8 +80,13 @@ def log_block(beat: Beat) -> Block:
     return block("frames", Tap.LOG, values, errors, [Place("frames lost")], ("clocks",), predict)
 
 
-def lock_scatter_hz(beat: Beat) -> float:
-    """Scatter of the lock about what depends on frequency and time, without the image's noise."""
+def lock_scatter_hz(beat: Beat) -> float | None:
+    """Scatter of the lock about what depends on frequency and time, without the image's noise.
+
+    None where hardly a lock has been measured.
+    """
+    if len(beat.lock_hz) < _LEAST:
+        return None
     left = beat.lock_hz - _smooth(beat)
     whole = 1.4826 * float(np.median(np.abs(left - np.median(left))))
     noise = float(np.median(beat.error_hz))
@@ -96,8 +101,8 @@ def _smooth(beat: Beat) -> Array:
     return found
 
 
-def lock_block(beat: Beat, rate_hz: float) -> Block:
-    """Lock of every sweep in every band.
+def lock_block(beat: Beat, rate_hz: float) -> Block | None:
+    """Lock of every sweep in every band; None if nowhere are enough measured.
 
     Parameters
     ----------
@@ -105,7 +110,7 @@ def lock_block(beat: Beat, rate_hz: float) -> Block:
     rate_hz : float
         Frames per second.
     """
-    spread = lock_scatter_hz(beat)
+    spread = lock_scatter_hz(beat) or 0.0
     bands = np.array([band_of(hz) for hz in beat.drive_hz])
     values, errors, places, hz, hours = [], [], [], [], []
     for number, name in enumerate(beat.names):
@@ -119,6 +124,8 @@ def lock_block(beat: Beat, rate_hz: float) -> Block:
             places.append(Place("lock", band=band, time=name))
             hz.append(float(np.mean(beat.drive_hz[chosen])))
             hours.append(float(np.mean(beat.time_s[chosen])) / 3600)
+    if not values:
+        return None
 
     def predict(twin: Twin) -> Array:
         clocks = twin.clocks

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.runfile import Run
+from acquire.runfile import Run, StepRecord
 from diagnosis.block import Block, Place, block
 from diagnosis.campaign import Part
 from diagnosis.taps.vibration import SweepReading
@@ -24,6 +24,8 @@ _CALM_M = 2e-3
 # Of many holograms those count that are calmest.
 _CALMEST = 0.25
 _LEAST_PIXELS = 20
+# Light is seen if it stands out of what noise makes of so many pixels by so many times its scatter.
+_SEEN = 5.0
 # From here to the clamp a reed bends simply. Less than that share of unshifted light is left alone.
 _BENT_M, _LEAST_TAKEN_OFF = 6e-3, 5e-3
 # What of it may stay where it has been taken off.
@@ -64,14 +66,23 @@ def read_carriers(sweeps: Sequence[Part], stills: Sequence[Part]) -> list[Carrie
         at_rest, noise = _at_rest(first)
         light = at_rest[calm]
         power = float(np.vdot(light, light).real) - noise * light.size
-        found += [_carrier(part, calm, light, power) for part in sweeps if _show_same(part, first)]
+        if power < _SEEN * noise * np.sqrt(light.size):
+            continue
+        shown = [part for part in sweeps if _steps(part) and _show_same(part, first)]
+        found += [_carrier(part, calm, light, power) for part in shown]
     return found
+
+
+def _steps(part: Part) -> list[StepRecord]:
+    """Good steps of the sideband that pictures are made of."""
+    return [step for step in part.good_steps if step.order == part.run.sideband_order]
 
 
 def _show_same(sweep: Part, still: Part) -> bool:
     """Whether a sweep shows what is at rest in the same speckle and the same pixels."""
-    same = np.array_equal(sweep.run.x_m, still.run.x_m)
-    return sweep.clamping == still.clamping and same and len(sweep.run.y_m) == len(still.run.y_m)
+    shown, at_rest = sweep.run, still.run
+    same = np.array_equal(shown.x_m, at_rest.x_m) and np.array_equal(shown.y_m, at_rest.y_m)
+    return same and sweep.clamping == still.clamping
 
 
 def _beside_clamp(run: Run, length_m: float) -> NDArray[np.bool_]:
@@ -96,7 +107,7 @@ def _at_rest(part: Part) -> tuple[Complex, float]:
 
 def _carrier(part: Part, calm: NDArray[np.bool_], light: Complex, power: float) -> Carrier:
     run = part.run
-    steps = [step for step in part.good_steps if step.order == run.sideband_order]
+    steps = _steps(part)
     seen = [abs(np.vdot(light, run.field(step.position)[calm])) / power for step in steps]
     noise = float(np.median([step.noise_level for step in steps]))
     volts = float(np.exp(np.mean([np.log(max(step.volts, 1e-6)) for step in steps])))

@@ -23,6 +23,9 @@ Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 _KEPT = 8192
+# Frequencies that lie no further apart, in log, are one: a generator may not play quite what it is
+# asked to.
+_SAME_HZ = 1e-3
 _FULL_V = 16.0
 # Log of the drive: polynomials of this degree are anyone's, and what waves over more than so much
 # of log frequency; noise of one hologram at least, and of a weaker one more.
@@ -69,8 +72,10 @@ class Device:
     tweeter: Tweeter = Tweeter()
 
 
-def line_block(sweeps: Sequence[SweepReading], line: CavityLine, leaks: Leaks) -> Block:
-    """What stands out of the smooth drive, by hologram, mean of all sweeps at full level.
+def line_block(sweeps: Sequence[SweepReading], line: CavityLine, leaks: Leaks) -> Block | None:
+    """What stands out of the smooth drive, by hologram, mean of all sweeps.
+
+    None if they hardly have frequencies in common.
 
     Parameters
     ----------
@@ -79,12 +84,15 @@ def line_block(sweeps: Sequence[SweepReading], line: CavityLine, leaks: Leaks) -
     leaks : Leaks
     """
     hz, log, error = _mean_drive(sweeps)
-    volts = np.interp(hz, sweeps[0].drive_hz, loudest(sweeps)[0].volts)
+    if len(hz) <= _DEGREE + 1:
+        return None
+    loud = loudest(sweeps)[0]
+    volts = np.interp(hz, loud.drive_hz, loud.volts)
     pitch = np.log(hz / np.sqrt(hz[0] * hz[-1]))
     powers = np.polynomial.chebyshev.chebvander(pitch / np.abs(pitch).max(), _DEGREE)
     apart = pitch[:, None] - pitch
     near = np.exp(-0.5 * (apart / _NEAR) ** 2)
-    spoilt = _of_leaks(loudest(sweeps)[0], leaks, hz, near)
+    spoilt = _of_leaks(loud, leaks, hz, near)
     waves = _WAVES**2 * np.exp(-0.5 * (apart / _LENGTH) ** 2)
     waves += np.multiply.outer(spoilt, spoilt) * near
     error = np.hypot(error, _WEAK / _gain(DriveChain(), line, hz))
@@ -158,13 +166,17 @@ def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array]:
     What sweeps differ by smoothly is anyone's; where they differ from hologram to hologram, some of
     their fits are wrong there.
     """
-    hz = np.array(sorted({float(f) for s in sweeps for f in s.drive_hz}))
+    every = np.array(sorted({float(f) for s in sweeps for f in s.drive_hz}))
+    new = np.diff(np.log(every), prepend=-np.inf) > _SAME_HZ
+    hz, place = every[new], np.cumsum(new) - 1
     table = np.full((len(sweeps), len(hz)), np.nan)
     for row, sweep in zip(table, sweeps, strict=True):
         good = ~sweep.off
-        row[np.searchsorted(hz, sweep.drive_hz[good])] = sweep.log_drive[good]
+        row[place[np.searchsorted(every, sweep.drive_hz[good])]] = sweep.log_drive[good]
     told = (np.sum(np.isfinite(table), axis=0) >= min(2, len(sweeps))) & (hz < _HIGHEST_HZ)
     hz, table = hz[told], table[:, told]
+    if not hz.size:
+        return hz, hz, hz
     middle = np.nanmedian(table, axis=0)
     apart = np.where(np.isfinite(table), table - middle, 0.0)
     apart = apart - median_filter(apart, size=(1, _AROUND), mode="nearest")
@@ -177,7 +189,9 @@ def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array]:
 
 
 def level_block(sweeps: Sequence[SweepReading], leaks: Leaks) -> Block | None:
-    """Amplitudes of a sweep at another level beside those of the loudest; None if there is none.
+    """Amplitudes of sweeps at another level beside those of the loudest.
+
+    None if there are none at the same frequencies.
 
     Parameters
     ----------
@@ -191,9 +205,9 @@ def level_block(sweeps: Sequence[SweepReading], leaks: Leaks) -> Block | None:
         return None
     values, errors, places, volts, hz = [], [], [], [], []
     for other in others:
-        by_hz = {float(f): k for k, f in enumerate(other.drive_hz)}
-        chosen = [(k, by_hz[float(f)]) for k, f in enumerate(loud[0].drive_hz) if float(f) in by_hz]
-        one, two = np.array(chosen).T
+        apart = np.abs(np.log(loud[0].drive_hz[:, None] / other.drive_hz))
+        one = np.flatnonzero(apart.min(axis=1) < _SAME_HZ)
+        two = np.argmin(apart[one], axis=1)
         # Where the reed is calm in one of them, light that leaks in tells as much as it does.
         told = ~loud[0].off[one] & ~other.off[two] & (other.deepest_rad[two] > _LIVELY_RAD)
         one, two = one[told], two[told]
@@ -222,8 +236,18 @@ def level_block(sweeps: Sequence[SweepReading], leaks: Leaks) -> Block | None:
     return block("level", Tap.DRIVE, values, covariance, places, ("drive",), predict)
 
 
-def force_block(sweeps: Sequence[SweepReading], workshop: Workshop, device: Device) -> Block:
-    """What moves each mode, beside loudspeaker, chamber and reed of the twin."""
+def force_block(sweeps: Sequence[SweepReading], workshop: Workshop, device: Device) -> Block | None:
+    """What moves each mode, beside loudspeaker, chamber and reed of the twin.
+
+    None if no mode is told by all loud sweeps.
+
+    Parameters
+    ----------
+    sweeps : sequence of SweepReading
+    workshop : Workshop
+        Of the kind of reed.
+    device : Device
+    """
     loud = loudest(sweeps)
     known = workshop.modes(Twin().reed)
     names = [
@@ -231,6 +255,8 @@ def force_block(sweeps: Sequence[SweepReading], workshop: Workshop, device: Devi
         for name in common_modes(sweeps)
         if name in known and all(name in sweep.names for sweep in loud)
     ]
+    if not names:
+        return None
     at = [[sweep.names.index(name) for name in names] for sweep in loud]
     forces = np.array([np.log(np.abs(s.force_rad[i])) for s, i in zip(loud, at, strict=True)])
     error = np.array([s.force_error[i] for s, i in zip(loud, at, strict=True)]).mean(axis=0)

@@ -17,6 +17,8 @@ Array = NDArray[np.floating[Any]]
 
 # Pieces of a sweep's time.
 _PIECES = 8
+# Sweeps end together if they do within so much of log frequency.
+_ENDS = 0.03
 # Light that is brighter by chance is alike from one acquisition to the next: so many count as one.
 _ALIKE = 3.0
 # Log brightness: from one speckle to another, between order 0 and the others, in each band of
@@ -24,6 +26,8 @@ _ALIKE = 3.0
 _SPECKLE, _ORDER, _BAND, _SWEEP = 10.0, 10.0, 0.03, 3e-3
 # Log of the noise beside the image: its level, and from sweep to sweep.
 _NOISE, _NOISE_SWEEP = 0.1, 2e-3
+# ... and of a mean, for programs that tell one noise for all.
+_LEAST_NOISE = 1e-5
 # Share of that noise that is shot noise of the local oscillator.
 _SHOT = 0.96
 # What templates show where nothing leaks: amplitude and its spread. Fringes that a block of pixels
@@ -43,20 +47,22 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
     sweeps = at_highest_level(sweeps)
     table = _Brightness.of(sweeps)
     values, variance, places, columns = [], [], [], []
-    times: list[NDArray[np.intp]] = []
+    pieces: list[tuple[int, NDArray[np.intp]]] = []
     spreads: list[float] = []
     for row, sweep in enumerate(sweeps):
         order = np.argsort(sweep.time_s)
         own = table.beside[row][order]
-        spread = _scatter(own)
+        spread = _scatter(own[table.within(row)[order]])
         spreads.append(spread)
-        for number, piece in enumerate(np.array_split(order, _PIECES)):
+        for number, every in enumerate(np.array_split(order, _PIECES)):
+            piece = every[table.within(row)[every]]
+            if not piece.size:
+                continue
             values.append(float(np.median(table.beside[row][piece])))
             variance.append(_ALIKE * 1.57 * spread**2 / len(piece) + 1e-6)
-            times.append(piece)
+            pieces.append((row, piece))
             places.append(Place("fringes", time=f"{sweep.name} {number + 1}"))
             columns.append(table.shared(row, piece))
-    pieces = [(row, at) for row in range(len(sweeps)) for at in times[row * _PIECES :][:_PIECES]]
     still_s: list[float] = []
     for still in stills:
         # A few acquisitions may be alike by chance; the light is that of the sweeps.
@@ -122,6 +128,16 @@ class _Brightness:
             for sweep, own in zip(self.sweeps, series, strict=True)
         )
 
+    def within(self, row: int) -> NDArray[np.bool_]:
+        """Holograms (k,) of a sweep at frequencies that all that are alike have."""
+        ends = [
+            np.log(s.drive_hz) for s, counts in zip(self.sweeps, self.like, strict=True) if counts
+        ]
+        low, high = max(log.min() for log in ends), min(log.max() for log in ends)
+        own = np.log(self.sweeps[row].drive_hz)
+        inside: NDArray[np.bool_] = (own > low - _ENDS) & (own < high + _ENDS)
+        return inside
+
     def of_light(self, light: Callable[[Array], Array]) -> tuple[Array, ...]:
         """What is expected beside the mean if the light is so at each time."""
         return self.less_mean([light(sweep.time_s) for sweep in self.sweeps])
@@ -152,7 +168,7 @@ def noise_block(sweeps: Sequence[SweepReading]) -> Block:
         spread = _scatter(log[order])
         for number, piece in enumerate(np.array_split(order, _PIECES // 2)):
             values.append(float(np.mean(log[piece])))
-            variance.append(1.2 * spread**2 / len(piece))
+            variance.append(max(1.2 * spread**2 / len(piece), _LEAST_NOISE**2))
             times.append(float(np.mean(sweep.time_s[piece])))
             fringes.append(float(np.mean(sweep.fringe_dn2[piece])))
             places.append(Place("noise beside the image", time=f"{sweep.name} {number + 1}"))
@@ -169,9 +185,18 @@ def noise_block(sweeps: Sequence[SweepReading]) -> Block:
     return block("noise", Tap.SENSOR, values, covariance, places, ("beams", "chip"), predict)
 
 
-def fringe_block(sweeps: Sequence[SweepReading]) -> Block:
-    """What is in fringes beside the first sideband, by templates, of all loud sweeps together."""
-    loud = at_highest_level(sweeps)
+def fringe_block(sweeps: Sequence[SweepReading]) -> Block | None:
+    """What is in fringes beside the first sideband, by templates, of all loud sweeps together.
+
+    None if no hologram has any.
+
+    Parameters
+    ----------
+    sweeps : sequence of SweepReading
+    """
+    loud = [sweep for sweep in at_highest_level(sweeps) if _has_fringes(sweep)]
+    if not loud:
+        return None
     values = [_amplitudes(loud, name) for name in _FLOORS]
     floors = np.array(list(_FLOORS.values()))
     off = max(sweep.taken_off for sweep in loud)
@@ -191,8 +216,15 @@ def fringe_block(sweeps: Sequence[SweepReading]) -> Block:
 def mixing_in(sweeps: Sequence[SweepReading]) -> float:
     """Amplitude of the next sideband in the loud sweeps, beyond what fringes look like anyway."""
     usual, spread = _FLOORS["order_mixing"]
-    mixing = _amplitudes(at_highest_level(sweeps), "order_mixing")
-    return max(mixing - usual - 2 * spread, 0.0)
+    loud = [sweep for sweep in at_highest_level(sweeps) if _has_fringes(sweep)]
+    if not loud:
+        return 0.0
+    return max(_amplitudes(loud, "order_mixing") - usual - 2 * spread, 0.0)
+
+
+def _has_fringes(sweep: SweepReading) -> bool:
+    told = np.isfinite(sweep.template_variance).all(axis=0)
+    return bool(np.any(told & ~sweep.off))
 
 
 def _amplitudes(sweeps: Sequence[SweepReading], name: str) -> float:
@@ -219,6 +251,8 @@ def _shared(columns: Sequence[dict[str, float]]) -> Array:
 
 
 def _scatter(series: Array) -> float:
-    """Scatter from one number to the next, as of numbers without memory."""
+    """Scatter from one number to the next, as of numbers without memory; 0 of fewer than two."""
     steps = np.diff(series)
+    if not steps.size:
+        return 0.0
     return float(1.4826 * np.median(np.abs(steps)) / np.sqrt(2))

@@ -44,11 +44,15 @@ _MODULI_PER_C = -1.0e-3
 _DRY_E, _DRY_G, _DRY_MASS, _DRY_LOSS = 0.08, 0.12, -0.035, -0.25
 # What of a stiffening at the deepest counts for a resonance, on the whole.
 _DEEP = 0.7
+# So near in log frequency the reed moves as much as at its resonance.
+_AT_RESONANCE = 0.03
 _STEP = 0.01
 
 
-def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks) -> Block:
+def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks) -> Block | None:
     """Frequencies in cents and losses in per cent, of all sweeps, beside the twin's.
+
+    None if sweeps have no mode in common.
 
     Parameters
     ----------
@@ -58,12 +62,14 @@ def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks
     """
     known = workshop.modes(Twin().reed)
     common = [name for name in common_modes(sweeps) if name in known]
+    if not common:
+        return None
     values, places, rows = [], [], []
     pieces = []
     highest = max(sweep.loudness for sweep in sweeps)
     for number, sweep in enumerate(sweeps):
         here = [name for name in common if name in sweep.names]
-        at = np.array([sweep.names.index(name) for name in here])
+        at = np.array([sweep.names.index(name) for name in here], dtype=int)
         both = np.concatenate([at, len(sweep.names) + at])
         unit = np.concatenate([np.full(len(at), CENTS), np.full(len(at), 100.0)])
         values += list(CENTS * np.log(sweep.hz[at])) + list(100 * np.log(sweep.loss_factor[at]))
@@ -119,10 +125,12 @@ def _astray(sweeps: Sequence[SweepReading], names: Sequence[str], *, loss: bool)
                     100 * np.log(sweep.loss_factor[at]) if loss else CENTS * np.log(sweep.hz[at])
                 )
     told = np.isfinite(table).sum(axis=0) > 1
+    if not told.any():
+        return np.zeros(len(names))
+    table = table[np.isfinite(table[:, told]).any(axis=1)]
     apart = np.zeros_like(table)
     apart[:, told] = table[:, told] - np.nanmean(table[:, told], axis=0)
-    if told.any():
-        apart -= np.nanmedian(apart[:, told], axis=1, keepdims=True)
+    apart -= np.nanmedian(apart[:, told], axis=1, keepdims=True)
     scatter = np.sqrt(np.nanmean(np.where(told, apart, 0.0) ** 2, axis=0))
     usual = _USUAL_LOSS if loss else _USUAL_CENTS
     astray: Array = np.where(scatter > 3 * usual, scatter, 0.0)
@@ -208,8 +216,10 @@ def _prediction(
     for r, (s, name, _) in enumerate(rows):
         sweep, log_hz = sweeps[s], np.log(found[s][name])
         hours[r] = float(np.interp(log_hz, np.log(sweep.drive_hz), sweep.time_s)) / 3600
-        near = np.abs(np.log(sweep.drive_hz) - log_hz) < 0.03
-        deep[r] = float(np.max(sweep.deepest_rad[near], initial=0.0)) / 10
+        apart = np.abs(np.log(sweep.drive_hz) - log_hz)
+        # Steps may be wider apart than that: the nearest is always near.
+        near = (apart < _AT_RESONANCE) | (apart == apart.min())
+        deep[r] = float(np.max(sweep.deepest_rad[near])) / 10
     nominal = Twin()
     by_E, by_G = (_slope(workshop, nominal, modulus, common) for modulus in ("E_L", "G_LT"))
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from diagnosis.block import Block, Place, block
 from diagnosis.campaign import Part
+from fitting.errors import FitInputError
 from physics.effects.form import Tap
 from physics.sensor import Sensor
 from physics.twin import Beams, Twin
@@ -17,6 +18,8 @@ Array = NDArray[np.floating[Any]]
 
 # A pixel is hot if it stands out of the others by so many times their noise.
 _HOT = 8.0
+# Frames are saturated if half of their pixels reach this share of what a pixel can show.
+_SATURATED = 0.98
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,13 @@ def stacked(parts: Sequence[Part]) -> tuple[Array, Array]:
 
 
 def read_dark(parts: Sequence[Part]) -> Dark:
-    """Read dark frames."""
+    """Read dark frames.
+
+    Raises
+    ------
+    FitInputError
+        If they have no noise.
+    """
     frames = np.concatenate(list(stacked(parts)[0]))
     level = frames.mean(axis=0)
     offset = float(np.median(level))
@@ -108,6 +117,12 @@ def read_dark(parts: Sequence[Part]) -> Dark:
     hot = level - offset > _HOT * max(noise / np.sqrt(len(frames)), 0.3)
     calm = frames[:, ~hot]
     noise = float(np.sqrt(np.mean(calm.var(axis=0, ddof=1))))
+    if not noise:
+        names = ", ".join(part.run.path.name for part in parts)
+        raise FitInputError(
+            f"{names}: no pixel of the dark frames ever changes, as a camera's do; leave them "
+            "out, or measure them anew"
+        )
     moving = np.where(hot, 0.0, frames - level)
     excess = [
         float(np.log(np.mean(moving.mean(axis=axis) ** 2) * moving.shape[axis] / noise**2)
@@ -117,9 +132,14 @@ def read_dark(parts: Sequence[Part]) -> Dark:
     return Dark(offset, noise, float(hot.mean()), hot.size, len(frames), *excess)
 
 
-def read_flat(parts: Sequence[Part], offset_dn: float) -> Flat:
-    """Read flat frames."""
+def read_flat(parts: Sequence[Part], offset_dn: float) -> Flat | None:
+    """Read flat frames; None if all are saturated."""
     frames, exposure_s = stacked(parts)
+    full_dn = min(part.run.saturation_dn for part in parts)
+    below = np.median(frames, axis=(1, 2, 3)) < _SATURATED * full_dn
+    if not below.any():
+        return None
+    frames, exposure_s = frames[below], exposure_s[below]
     mean = frames.mean(axis=1) - np.float32(offset_dn)
     signal = mean.mean(axis=(1, 2))
     variance = frames.var(axis=1, ddof=1).mean(axis=(1, 2))

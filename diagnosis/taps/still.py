@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from diagnosis.block import Block, Place, block, unknown
 from diagnosis.campaign import Part
 from physics.effects.form import Tap
-from physics.twin import Twin
+from physics.twin import Beams, Twin
 
 Array = NDArray[np.floating[Any]]
 
@@ -152,6 +152,12 @@ _WALK, _SCATTER = 0.4, 0.1
 _FLICKER, _CHANGED = 2e-4, 1e-4
 
 
+def usual_scatter_hz(beams: Beams, rate_hz: float) -> float:
+    """Scatter of the lock of acquisitions, by a phase that walks and jitters."""
+    within = np.sqrt(0.5 * beams.walk_rad_s**2 / rate_hz + beams.jitter_rad**2)
+    return float(within * rate_hz / (2 * np.pi))
+
+
 def turn_block(stills: Sequence[Still], scatter_hz: float, rate_hz: float) -> Block:
     """What light at rest turns by within acquisitions, and between them.
 
@@ -245,9 +251,8 @@ def scatter_block(stills: Sequence[Still], lock_scatter_hz: float, rate_hz: floa
 
     def predict(twin: Twin) -> Array:
         beams = twin.beams
-        within = np.sqrt(0.5 * beams.walk_rad_s**2 / rate_hz + beams.jitter_rad**2)
         apart = np.sqrt(beams.walk_rad_s**2 * gaps.mean() + 0.5 * beams.jitter_rad**2)
-        return np.log([within * rate_hz / (2 * np.pi), apart])
+        return np.log([usual_scatter_hz(beams, rate_hz), apart])
 
     # A calmer bench than usual is no gap.
     usual = predict(Twin())

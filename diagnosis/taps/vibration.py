@@ -37,7 +37,7 @@ _USUAL, _FEW_OFF, _FEWEST_MODES = 6e-3, 2, 7
 _BEND, _SMOOTH = 0.01, 0.45
 # Share of the work that the search is.
 _SEARCH = 0.4
-# Sweeps are of one level if their loudness differs by no more.
+# Sweeps are of one level if their loudness, log of volts, differs by no more.
 SAME_LEVEL = 0.1
 
 

@@ -1,25 +1,36 @@
 """Runs of a campaign: put in order, and what is missing told."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from acquire.quality import Verdict
 from acquire.run_layout import Acquisition, Kind
 from diagnosis.campaign import Campaign
 from fitting.errors import FitInputError
 
 
-def run(kind=Kind.SWEEP, second=0, part="", clamping=0, reed="R07", volts=16.0, clock_s=100.0):
+def run(kind=Kind.SWEEP, second=0, part="", clamping=0, volts=16.0, clock_s=100.0, **changed):
     """Say what a run file says, without one."""
-    step = SimpleNamespace(volts=volts, timestamps_s=(clock_s + second, clock_s + second + 0.1))
-    return SimpleNamespace(
-        reed=reed,
-        series="A",
-        start_time=f"2026-01-01T10:00:{second:02d}+00:00",
-        acquisition=Acquisition(kind, "campaign", part, clamping),
-        steps=(step,),
-        path=SimpleNamespace(stem=part or "run", name=f"{part or 'run'}.h5"),
-    )
+    step = SimpleNamespace(
+        volts=volts, timestamps_s=(clock_s + second, clock_s + second + 0.1), verdict=Verdict.OK,
+        lock_error_se_hz=1e-3,
+    )  # fmt: skip
+    transform = SimpleNamespace(wavelength_m=532e-9, distance_m=0.8)
+    told = {
+        "uid": "",
+        "reed": "R07",
+        "series": "A",
+        "reed_sha256": "ab" * 32,
+        "chamber": "asymmetric",
+        "start_time": f"2026-01-01T10:00:{second:02d}+00:00",
+        "acquisition": Acquisition(kind, "campaign" if part else "", part, clamping),
+        "steps": (step,),
+        "path": Path(f"{part or 'run'}.h5"),
+        "reconstruction": SimpleNamespace(transform=transform),
+    }
+    return SimpleNamespace(**told | changed)
 
 
 def test_runs_stand_in_the_order_of_time_on_one_clock() -> None:
@@ -44,14 +55,70 @@ def test_what_is_missing_is_told() -> None:
     ]
 
 
-def test_parts_of_one_name_are_told_apart() -> None:
-    sweeps = [run(second=9, part="up"), run(second=40, part="up"), run(second=20, part="down")]
-    assert [part.name for part in Campaign.of(sweeps).sweeps] == ["up", "down", "up-2"]
+def test_runs_of_one_name_are_told_apart() -> None:
+    sweeps = [run(second=second, path=Path(f"{second}/up.h5")) for second in (9, 40)]
+    assert [part.name for part in Campaign.of([*sweeps, run(second=20)]).sweeps] == [
+        "up", "run", "up-2",
+    ]  # fmt: skip
 
 
-def test_runs_of_two_reeds_are_refused() -> None:
-    with pytest.raises(FitInputError, match=r"R07 \(A\), R08 \(A\)"):
-        Campaign.of([run(), run(reed="R08")])
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"reed": "R08"}, r"R07 \(A\), R08 \(A\); diagnose them one by one"),
+        ({"series": "B"}, r"R07 \(A\), R07 \(B\)"),
+        ({"reed_sha256": "cd" * 32}, "several kinds of reed: abababab, cdcdcdcd"),
+        ({"chamber": "symmetric"}, "fillings of the chamber: asymmetric, symmetric"),
+        ({"acquisition": Acquisition(Kind.SWEEP, "wax", "up", 0)}, "campaigns: campaign, wax"),
+        (
+            {"reconstruction": SimpleNamespace(transform=SimpleNamespace(
+                wavelength_m=633e-9, distance_m=0.8))},
+            "532 nm at 0.8 m, 633 nm at 0.8 m",
+        ),
+        ({}, "part up of a campaign is there 2 times; name the runs of one recording"),
+    ],
+)  # fmt: skip
+def test_runs_that_do_not_belong_together_are_refused(changed, said) -> None:
+    with pytest.raises(FitInputError, match=said):
+        Campaign.of([run(part="up"), run(second=9, part="up", **changed)])
+
+
+def test_runs_that_tell_nothing_of_reed_and_campaign_may_stand_beside_others() -> None:
+    alone = run(second=9, reed_sha256="", acquisition=Acquisition())
+    assert len(Campaign.of([run(part="up"), alone]).sweeps) == 2
+
+
+def test_a_run_that_is_named_twice_is_refused() -> None:
+    with pytest.raises(FitInputError, match=r"a\.h5, b\.h5: are one run; name it once"):
+        Campaign.of([run(uid="1", path=Path("a.h5")), run(uid="1", path=Path("b.h5"))])
+
+
+def test_times_are_read_with_and_without_their_zone() -> None:
+    runs = [run(second=9), run(start_time="2026-01-01T10:00:07")]
+    assert [part.began_s for part in Campaign.of(runs).parts] == [0, 2]
+    with pytest.raises(FitInputError, match=r"run\.h5: start_time is '', which is no time; write"):
+        Campaign.of([run(start_time="")])
+
+
+def test_steps_that_were_not_taken_have_no_time() -> None:
+    taken = run(second=9)
+    skipped = SimpleNamespace(**vars(taken.steps[0]) | {"timestamps_s": (float("nan"),) * 2})
+    taken.steps = (skipped, *taken.steps)
+    assert Campaign.of([taken]).parts[0].clock_s == 109
+
+
+def test_calibrations_in_which_nothing_was_measured_are_missing() -> None:
+    dark = run(Kind.DARK, 5, "dark")
+    dark.steps[0].verdict = Verdict.SKIPPED
+    campaign = Campaign.of([dark, run(second=9, part="up")])
+    assert not campaign.of_kind(Kind.DARK)
+    assert any("dark frames" in lack for lack in campaign.missing)
+
+
+def test_locks_that_were_not_measured_are_missing() -> None:
+    sweep = run()
+    sweep.steps[0].lock_error_se_hz = float("nan")
+    assert any("missed its lock" in lack for lack in Campaign.of([sweep]).missing)
 
 
 def test_a_campaign_needs_a_sweep() -> None:

@@ -28,6 +28,7 @@ def part(stacks, exposures):
              for k in range(len(stacks))]  # fmt: skip
     run = SimpleNamespace(
         steps=steps,
+        saturation_dn=4095,
         frames=lambda position: stacks[position],
         exposure_of=lambda step: exposures[step.position],
     )

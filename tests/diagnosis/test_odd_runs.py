@@ -1,0 +1,244 @@
+"""Runs as no good campaign has them: what is not there is left out."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from acquire.quality import Verdict
+from diagnosis.block import Place, block
+from diagnosis.taps.beat import lock_block, lock_scatter_hz, read_beat
+from diagnosis.taps.carrier import Leaks, read_carriers
+from diagnosis.taps.drive import Device, force_block, level_block, line_block
+from diagnosis.taps.light import brightness_block, fringe_block, mixing_in, noise_block
+from diagnosis.taps.modes import modes_block
+from diagnosis.taps.sensor import read_dark, read_flat
+from diagnosis.taps.still import turn_block, usual_scatter_hz
+from diagnosis.taps.vibration import TEMPLATES
+from fitting.errors import FitError, FitInputError
+from fitting.phasors import _holograms
+from physics.air import CavityLine, Chamber
+from physics.effects.form import Tap
+from physics.reed.geometry import ReedGeometry
+from physics.twin import Beams, Twin
+
+NO_LEAKS = Leaks({}, 0.0)
+MODES = {"F1": 1800.0, "T1": 2900.0, "F2": 5200.0, "T2": 7100.0}
+STEPS_HZ = 1000.0 * 2 ** (np.arange(184) / 48)
+
+
+class FewModes:
+    """A workshop whose reeds have four modes, whatever they are made of."""
+
+    def modes(self, _reed):
+        return {name: SimpleNamespace(hz=hz, loss_factor=0.02) for name, hz in MODES.items()}
+
+
+def sweep(name="up", drive_hz=STEPS_HZ, volts=8.0, names=tuple(MODES), **changed):
+    """Say what a fit says of a sweep in which nothing is off."""
+    count, a = len(drive_hz), len(names)
+    told = {
+        "name": name,
+        "clamping": 0,
+        "loudness": float(np.log(volts)),
+        "names": names,
+        "hz": np.array([MODES.get(mode, 9000.0) for mode in names]),
+        "loss_factor": np.full(a, 0.02),
+        "covariance": 1e-8 * np.eye(2 * a),
+        "force_rad": np.ones(a, complex),
+        "force_error": np.full(a, 0.01),
+        "drive_hz": drive_hz,
+        "volts": np.full(count, volts),
+        "time_s": 1.0 + np.arange(count),
+        "log_drive": 0.3 * np.log(drive_hz / 1e3),
+        "amplitude_rad": np.full(count, 2.0),
+        "deepest_rad": np.full(count, 3.0),
+        "signal": np.log(volts * drive_hz) + 1e-3 * np.sin(np.arange(count)),
+        "noise_dn2": 1e3 * np.exp(1e-3 * np.sin(np.arange(count))),
+        "fringe_dn2": np.ones(count),
+        "off": np.zeros(count, bool),
+        "template": np.full((len(TEMPLATES), count), 1e-2 + 0j),
+        "template_variance": np.full((len(TEMPLATES), count), 1e-6),
+        "taken_off": 0.0,
+    }
+    return SimpleNamespace(**told | changed)
+
+
+def test_numbers_that_are_none_are_refused_by_name() -> None:
+    places = [Place("force", mode="F1", time="up"), Place("force", mode="T1", time="down")]
+    for values, errors in (([1.0, np.nan], [1.0, 1.0]), ([1.0, 1.0], [1.0, 0.0])):
+        with pytest.raises(
+            FitInputError, match="forces: no number with an error comes of force T1"
+        ):
+            block(
+                "forces",
+                Tap.RESPONSE,
+                values,
+                np.array(errors),
+                places,
+                (),
+                lambda _twin: np.zeros(2),
+            )
+
+
+def test_sweeps_without_a_measured_lock_have_no_lock() -> None:
+    step = SimpleNamespace(
+        verdict=Verdict.OK, order=1, lock_error_hz=np.nan, lock_error_se_hz=np.nan,
+        read_drive_hz=None, drive_hz=2000, timestamps_s=(5.0,),
+    )  # fmt: skip
+    run = SimpleNamespace(steps=[step] * 20, sideband_order=1)
+    beat = read_beat([SimpleNamespace(run=run, name="up", clock_s=0.0)])
+    assert beat.steps == 20
+    assert lock_scatter_hz(beat) is None
+    assert lock_block(beat, 12.5) is None
+    still = SimpleNamespace(
+        clamping=0, time_s=np.arange(4.0), turn_rad=np.zeros(3), gap_s=np.ones(3),
+        advance_rad=np.zeros(4), advance_error=np.full(4, 1e-3),
+    )  # fmt: skip
+    usual_hz = usual_scatter_hz(Beams(), 12.5)
+    light = turn_block([still], usual_hz, 12.5)
+    assert np.sqrt(light.covariance[0, 0]) == pytest.approx(usual_hz / 2)
+
+
+def camera(levels_dn, noise_dn=3.0):
+    """Four frames of every level, of a camera that shows no more than 4095."""
+    rng = np.random.default_rng(3)
+    frames = [
+        np.clip(level + noise_dn * rng.standard_normal((4, 24, 32)), 0, 4095).round()
+        for level in levels_dn
+    ]
+    exposures = [0.02 * (k + 1) for k in range(len(frames))]
+    run = SimpleNamespace(
+        path=Path("lamp.h5"), saturation_dn=4095, frames=lambda position: frames[position],
+        exposure_of=lambda step: exposures[step.position],
+        steps=[SimpleNamespace(position=k, verdict=Verdict.OK) for k in range(len(frames))],
+    )  # fmt: skip
+    return [SimpleNamespace(run=run)]
+
+
+def test_saturated_flats_do_not_count() -> None:
+    flat = read_flat(camera([1000, 1950, 5000, 5000]), 50.0)
+    assert flat.exposure_s.tolist() == [0.02, 0.04]
+    assert flat.signal_dn == pytest.approx([950, 1900], abs=1)
+    assert read_flat(camera([5000, 5000]), 50.0) is None
+
+
+def test_dark_frames_that_never_change_are_of_no_camera() -> None:
+    with pytest.raises(FitInputError, match=r"lamp\.h5: no pixel of the dark frames ever changes"):
+        read_dark(camera([50], noise_dn=0.0))
+
+
+def test_light_is_compared_where_all_sweeps_have_frequencies() -> None:
+    low, high = STEPS_HZ[:120], STEPS_HZ[60:]
+    light = brightness_block([sweep("low", low), sweep("high", high)], [])
+    assert 4 <= len(light.values) < 16
+    assert np.abs(light.values).max() < 0.02
+    apart = brightness_block([sweep("low", STEPS_HZ[:80]), sweep("high", STEPS_HZ[100:])], [
+        SimpleNamespace(clamping=0, brightness=np.zeros(1), run=np.zeros(1, int),
+                        run_time_s=np.ones(1))])  # fmt: skip
+    assert [place.quantity for place in apart.places] == ["order 0"]
+
+
+def test_programs_that_tell_one_noise_for_all_are_believed_but_for_little() -> None:
+    noise = noise_block([sweep(noise_dn2=np.full(184, 1e3))])
+    assert noise.values == pytest.approx(np.log(1e3))
+    assert np.linalg.eigvalsh(noise.covariance).min() > 0
+
+
+def test_where_no_hologram_is_told_fringes_tell_nothing() -> None:
+    blind = sweep(off=np.ones(184, bool))
+    assert fringe_block([blind]) is None
+    assert mixing_in([blind]) == 0.0
+    both = fringe_block([blind, sweep("down")])
+    assert both.values == pytest.approx(fringe_block([sweep("down")]).values)
+
+
+def test_frequencies_that_differ_by_what_a_generator_misses_are_one() -> None:
+    missed = STEPS_HZ * (1 + 2e-6 * np.sin(np.arange(184)))
+    up, down = sweep("up", volts=16.0), sweep("down", missed, volts=16.0)
+    quiet = sweep("quiet", missed[::-1][::-1], volts=4.0)
+    line = CavityLine()
+    same = line_block([up, sweep("down", volts=16.0)], line, NO_LEAKS)
+    assert line_block([up, down], line, NO_LEAKS).values == pytest.approx(same.values, abs=1e-6)
+    level = level_block([up, down, quiet], NO_LEAKS)
+    assert level.values == pytest.approx(np.zeros(len(level.values)), abs=1e-4)
+    assert len(level.values) == 12
+
+
+def test_sweeps_at_other_frequencies_tell_no_lines_and_no_levels() -> None:
+    between = STEPS_HZ * 2 ** (1 / 96)
+    up, quiet = sweep(volts=16.0), sweep("quiet", between, volts=4.0)
+    assert line_block([up, quiet], CavityLine(), NO_LEAKS) is None
+    assert level_block([up, quiet], NO_LEAKS) is None
+
+
+def test_lines_of_the_drive_go_by_the_volts_of_the_loudest_sweep() -> None:
+    quiet, loud = sweep("quiet", STEPS_HZ[1:], volts=2.0), sweep("loud", volts=16.0)
+    found = line_block([quiet, loud], CavityLine(), NO_LEAKS)
+    assert found.values == pytest.approx(
+        line_block([loud, quiet], CavityLine(), NO_LEAKS).values, abs=1e-9
+    )
+
+
+def test_sweeps_without_common_modes_tell_none() -> None:
+    high = sweep("high", names=("X9",))
+    assert modes_block([sweep(), high, sweep("down")], FewModes(), NO_LEAKS).values.size == 16
+    assert modes_block([sweep(names=("X9",))], FewModes(), NO_LEAKS) is None
+    device = Device(Chamber(), CavityLine(), 532e-9)
+    assert force_block([sweep(), high], FewModes(), device) is None
+
+
+def test_steps_far_apart_tell_how_far_a_mode_moves_by_the_nearest() -> None:
+    coarse = 1000.0 * 2 ** (np.arange(24) / 6)
+    deep = np.where(np.abs(coarse - 1800) == np.abs(coarse - 1800).min(), 20.0, 0.0)
+    modes = modes_block([sweep(drive_hz=coarse, deepest_rad=deep)], FewModes(), NO_LEAKS)
+    twin = Twin()
+    hard = Twin(surroundings=type(twin.surroundings)(hardening=1e-3))
+    moved = modes.predict(hard) - modes.predict(twin)
+    assert [place.mode for place, by in zip(modes.places, moved, strict=True) if by] == ["F1"]
+
+
+def dark_clamp(signal):
+    """A run of a reed whose clamp shows so much light beside noise."""
+    x_m, y_m = np.linspace(0, 38e-3, 90), np.linspace(-5e-3, 5e-3, 31)
+    rng = np.random.default_rng(1)
+
+    def complex_normal():
+        drawn: np.ndarray = rng.standard_normal((2, len(y_m), len(x_m)))
+        return drawn[0] + 1j * drawn[1]
+
+    light = signal * complex_normal()
+    reed = ReedGeometry()
+    run = SimpleNamespace(
+        x_m=x_m, y_m=y_m, sideband_order=1, frames=lambda position: position,
+        reed_file=lambda: SimpleNamespace(geometry=lambda: reed),
+        field=lambda _position: 0.01 * light + complex_normal(),
+        reconstruction=SimpleNamespace(
+            quadratures=lambda _frames: SimpleNamespace(field=light + complex_normal(), noise=2.0)
+        ),
+    )  # fmt: skip
+    steps = [SimpleNamespace(position=k, order=1, noise_level=2.0, volts=4.0) for k in range(8)]
+    return SimpleNamespace(name="up", run=run, clamping=0, good_steps=steps)
+
+
+def test_a_clamp_that_shows_no_light_tells_of_no_carrier() -> None:
+    assert not read_carriers([dark_clamp(0.0)], [dark_clamp(0.0)])
+    assert len(read_carriers([dark_clamp(10.0)], [dark_clamp(10.0)])) == 1
+
+
+def test_sweeps_without_good_steps_tell_of_no_carrier() -> None:
+    empty = dark_clamp(10.0)
+    empty.good_steps = []
+    assert not read_carriers([empty], [dark_clamp(10.0)])
+
+
+@pytest.mark.parametrize(("field", "noise"), [(np.nan, 1.0), (1.0, 0.0), (1.0, np.nan)])
+def test_holograms_that_are_no_numbers_are_refused_by_name(field, noise) -> None:
+    step = SimpleNamespace(position=0, index=7, noise_level=noise)
+    run = SimpleNamespace(path=Path("up.h5"), field=lambda _position: np.full((2, 2), field))
+    blocks = SimpleNamespace(x_m=np.zeros(1), high=2, wide=2, of=lambda field: field.reshape(1, 4))
+    with pytest.raises(
+        FitError, match=r"up\.h5: step 7 is said to be ok, but its field or its noise"
+    ):
+        _holograms(run, [step], blocks, None)

@@ -34,22 +34,20 @@ class Part:
         What the camera's clock shows when the campaign's shows 0.
     name : str
         Of the part, or of the file where there is none; with a number if it is another's too.
+    clamping : int
+        How often the reed had been clamped anew before; in another campaign it has been.
     """
 
     run: Run
     began_s: float
     clock_s: float
     name: str
+    clamping: int
 
     @property
     def good_steps(self) -> list[StepRecord]:
         """Acquisitions with nothing wrong."""
         return [step for step in self.run.steps if step.verdict is Verdict.OK]
-
-    @property
-    def clamping(self) -> int:
-        """How often the reed had been clamped anew before."""
-        return self.run.acquisition.clamping
 
 
 @dataclass(frozen=True)
@@ -71,8 +69,8 @@ class Campaign:
         Raises
         ------
         FitInputError
-            If none is a sweep, one is named twice, they are not of one reed on one bench or of one
-            campaign, or nobody knows when one began.
+            If none is a sweep, one is named twice, they are not of one reed on one bench, or nobody
+            knows when one began.
         """
         sweeps = [run for run in runs if run.acquisition.kind is Kind.SWEEP]
         if not sweeps:
@@ -80,11 +78,19 @@ class Campaign:
             raise FitInputError(f"{told}: no run is a sweep of a driven reed; name at least one")
         _require_one(runs)
         first = min(_began(run) for run in runs)
+        runs = sorted(runs, key=_began)
+        before = _clampings_before(runs)
         parts = [
-            Part(run, (_began(run) - first).total_seconds(), _clock_s(run, first), _name(run))
+            Part(
+                run,
+                (_began(run) - first).total_seconds(),
+                _clock_s(run, first),
+                _name(run),
+                before[run.acquisition.campaign] + run.acquisition.clamping,
+            )
             for run in runs
         ]
-        return cls(_each_once(sorted(parts, key=lambda part: part.began_s)))
+        return cls(_each_once(parts))
 
     def of_kind(self, kind: Kind) -> tuple[Part, ...]:
         """All runs of a kind; of those of the reed at rest or of no reed, with anything in them."""
@@ -128,7 +134,6 @@ def _require_one(runs: Sequence[Run]) -> None:
         "kinds of reed": lambda run: run.reed_sha256[:8],
         "fillings of the chamber": lambda run: run.chamber,
         "wavelengths and distances": lambda run: _optics(run),
-        "campaigns": lambda run: run.acquisition.campaign,
     }
     for what, label in of.items():
         told = sorted({label(run) for run in runs} - {""})
@@ -136,12 +141,24 @@ def _require_one(runs: Sequence[Run]) -> None:
             raise FitInputError(
                 f"runs are of several {what}: {', '.join(told)}; diagnose them one by one"
             )
-    parts = Counter(run.acquisition.part for run in runs if run.acquisition.campaign)
-    if again := [part for part, count in parts.items() if part and count > 1]:
+    parts = Counter((run.acquisition.campaign, run.acquisition.part) for run in runs)
+    if again := [which for which, count in parts.items() if all(which) and count > 1]:
+        campaign, part = again[0]
         raise FitInputError(
-            f"part {again[0]} of a campaign is there {parts[again[0]]} times; name the runs of one "
-            "recording"
+            f"part {part} of campaign {campaign} is there {parts[again[0]]} times; name the runs "
+            "of one recording"
         )
+
+
+def _clampings_before(runs: Sequence[Run]) -> dict[str, int]:
+    """How often the reed had been clamped when each campaign began, of runs in order of time."""
+    before: dict[str, int] = {}
+    after = 0
+    for campaign in dict.fromkeys(run.acquisition.campaign for run in runs):
+        before[campaign] = after
+        own = [r.acquisition.clamping for r in runs if r.acquisition.campaign == campaign]
+        after += max(own) + 1
+    return before
 
 
 def _optics(run: Run) -> str:

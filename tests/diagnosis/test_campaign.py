@@ -69,13 +69,12 @@ def test_runs_of_one_name_are_told_apart() -> None:
         ({"series": "B"}, r"R07 \(A\), R07 \(B\)"),
         ({"reed_sha256": "cd" * 32}, "several kinds of reed: abababab, cdcdcdcd"),
         ({"chamber": "symmetric"}, "fillings of the chamber: asymmetric, symmetric"),
-        ({"acquisition": Acquisition(Kind.SWEEP, "wax", "up", 0)}, "campaigns: campaign, wax"),
         (
             {"reconstruction": SimpleNamespace(transform=SimpleNamespace(
                 wavelength_m=633e-9, distance_m=0.8))},
             "532 nm at 0.8 m, 633 nm at 0.8 m",
         ),
-        ({}, "part up of a campaign is there 2 times; name the runs of one recording"),
+        ({}, "part up of campaign campaign is there 2 times; name the runs of one"),
     ],
 )  # fmt: skip
 def test_runs_that_do_not_belong_together_are_refused(changed, said) -> None:
@@ -86,6 +85,14 @@ def test_runs_that_do_not_belong_together_are_refused(changed, said) -> None:
 def test_runs_that_tell_nothing_of_reed_and_campaign_may_stand_beside_others() -> None:
     alone = run(second=9, reed_sha256="", acquisition=Acquisition())
     assert len(Campaign.of([run(part="up"), alone]).sweeps) == 2
+
+
+def test_another_campaign_has_clampings_of_its_own() -> None:
+    first = [run(second=9, part="up"), run(second=20, part="again", clamping=1)]
+    acquisitions = [Acquisition(Kind.SWEEP, "next", part, k) for k, part in enumerate("ab")]
+    later = [run(second=40 + k, acquisition=a) for k, a in enumerate(acquisitions)]
+    campaign = Campaign.of([*later, *first])
+    assert [part.clamping for part in campaign.parts] == [0, 1, 2, 3]
 
 
 def test_a_run_that_is_named_twice_is_refused() -> None:

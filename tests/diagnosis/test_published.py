@@ -45,8 +45,9 @@ def effect(name, *moduli, spread=0.3):
 
     return Effect(
         id=name, title=name, stage=Stage.MECHANICS,
-        parameters=(Parameter("size", "", spread, "toy"),), change=change, moves=frozenset({Tap.MODES}),
-        keeps=frozenset({Tap.LOG}), neighbours=(), action=f"measure {name}", reference="",
+        parameters=(Parameter("size", "", spread, "toy"),), change=change,
+        moves=frozenset({Tap.MODES}), keeps=frozenset({Tap.LOG}), neighbours=(),
+        action=f"measure {name}", reference="",
     )  # fmt: skip
 
 

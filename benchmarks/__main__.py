@@ -16,6 +16,9 @@ MODULES = (
     "benchmarks.pace",
     "benchmarks.recovery",
     "benchmarks.identification",
+    "benchmarks.reach",
+    "benchmarks.leaks",
+    "benchmarks.own_data",
     "benchmarks.sealed_sets",
 )
 

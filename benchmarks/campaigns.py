@@ -1,14 +1,32 @@
-"""Campaigns in folders, read once for several benchmarks."""
+"""Campaigns of benches with nothing wrong, for several benchmarks."""
 
 import contextlib
+import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from acquire.runfile import Run
+from blind.cases import Label, record_case
 from diagnosis.campaign import Campaign
 from diagnosis.known_bench import bench_of
 from diagnosis.observing import Readings, read
 from physics.mechanics import Workshop
 from physics.reed.cache import anatomy
+
+# Of laboratories with nothing wrong.
+SEEDS = 197177817, 587805961, 343088919, 925862771, 1616017002
+
+
+@contextlib.contextmanager
+def campaigns(named: Sequence[Path], count: int = 1) -> Iterator[list[Path]]:
+    """Folders as named; of so many laboratories that have nothing wrong if none is."""
+    if named:
+        yield list(named)
+        return
+    with tempfile.TemporaryDirectory() as place:
+        for seed in SEEDS[:count]:
+            record_case(Path(place), str(seed), Label(0, (), True, seed))
+        yield [Path(place) / str(seed) for seed in SEEDS[:count]]
 
 
 def readings_of(folder: Path) -> tuple[Readings, Workshop]:

@@ -1,11 +1,12 @@
 """Whether a diagnosis depends on anything but what was measured.
 
-    python -m benchmarks.leaks CAMPAIGN
+    python -m benchmarks.leaks [CAMPAIGN]
 
-Diagnoses a folder of run files, and again copies of them that have other names and another order,
-other names of reed, campaign and bench, other identifiers and seeds, another day, and nothing about
-who made them; and once more with the parts of the campaign renamed. Prints whether the answers are
-the same, to the last digit; exit status 1 if not.
+Diagnoses a folder of run files, of a campaign recorded for it if none is named, and again copies of
+them that have other names and another order, other names of reed, campaign and bench, other
+identifiers and seeds, another day, and nothing about who made them; and once more with the parts of
+the campaign renamed. Prints whether the answers are the same, to the last digit; exit status 1 if
+not.
 """
 
 import argparse
@@ -21,6 +22,8 @@ from typing import Any
 
 import h5py
 import numpy as np
+
+from benchmarks.campaigns import campaigns
 
 _SEED = 260_614
 _TIMES = "entry/start_time", "entry/end_time"
@@ -85,8 +88,14 @@ def _put(run: h5py.File, path: str, text: str) -> None:
 def main() -> None:
     """Diagnose three times, and compare."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("campaign", type=Path)
-    folder = parser.parse_args().campaign
+    parser.add_argument("campaign", nargs="?", type=Path)
+    asked = parser.parse_args().campaign
+    with campaigns([asked] if asked else []) as (folder,):
+        sys.exit(leaks(folder))
+
+
+def leaks(folder: Path) -> bool:
+    """Whether what must not matter does; prints what."""
     usual, leaked = diagnosed(folder), False
     for parts, keys in ((False, list(usual)), (True, ["verdict", "probability", "likely"])):
         with tempfile.TemporaryDirectory() as place:
@@ -96,7 +105,7 @@ def main() -> None:
         leaked |= bool(apart)
         what = "renamed, re-seeded, stripped" + (", parts renamed" if parts else "")
         print(f"{what}: {'differs in ' + ', '.join(apart) if apart else 'identical'}", flush=True)
-    sys.exit(leaked)
+    return leaked
 
 
 if __name__ == "__main__":

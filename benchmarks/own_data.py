@@ -1,12 +1,13 @@
 """The inverse crime on purpose: how a diagnosis scores on data of its own twin.
 
-    python -m benchmarks.own_data CAMPAIGN [--count N] [--jobs J]
+    python -m benchmarks.own_data [CAMPAIGN] [--count N] [--jobs J]
 
 CAMPAIGN is a folder of run files of a bench with nothing wrong, such as one of tier 0 of `acquire
-blind make`. Its numbers are replaced by what the twin itself predicts, with nuisances drawn from
-their priors, noise from its own covariance, and effects in the catalogue's own form and of the
-sizes that blind cases have. Prints the scores of `acquire blind score`: they are what a diagnosis
-would be worth if nature were its twin, and are to be read beside those of sealed cases.
+blind make`; one is recorded if none is named. Its numbers are replaced by what the twin itself
+predicts, with nuisances drawn from their priors, noise from its own covariance, and effects in the
+catalogue's own form and of the sizes that blind cases have. Prints the scores of `acquire blind
+score`: they are what a diagnosis would be worth if nature were its twin, and are to be read beside
+those of sealed cases.
 """
 
 import argparse
@@ -19,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.campaigns import readings_of
+from benchmarks.campaigns import campaigns, readings_of
 from blind.cases import Label, drawn_label, true_sizes
 from blind.classes import CLASSES
 from blind.report import report, sentences
@@ -85,14 +86,15 @@ def answered(folder: Path, number: int) -> tuple[Label, dict[str, Any]]:
 def main() -> None:
     """Score cases."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("campaign", type=Path)
+    parser.add_argument("campaign", nargs="?", type=Path)
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--jobs", type=int, default=2)
     asked = parser.parse_args()
+    named = [asked.campaign] if asked.campaign else []
     # Processes of a pool split off none themselves: each case has one.
-    with Pool(asked.jobs) as pool:
+    with campaigns(named) as (folder,), Pool(asked.jobs) as pool:
         cases = []
-        told = pool.imap(partial(answered, asked.campaign), range(asked.count))
+        told = pool.imap(partial(answered, folder), range(asked.count))
         for number, answer in enumerate(told):
             cases.append(Case(str(number), *answer))
             print(f"{number + 1} of {asked.count}", end="\r", file=sys.stderr, flush=True)

@@ -1,12 +1,12 @@
 """What campaigns can tell: least sizes of all effects that would be seen, and effects alike.
 
-    python -m benchmarks.reach CAMPAIGN [CAMPAIGN …]
+    python -m benchmarks.reach [CAMPAIGN …]
 
-Folders of run files of benches with nothing wrong, such as tier 0 of `acquire blind make`. Prints,
-of each effect, the median over campaigns of the least size that stands out by five deviations; the
-same in multiples of what is usual in blind cases, which draw 0.5 to 8; the share of its signature
-that nuisances take up; and with which effects it has a cosine of 0.8 or more in most campaigns;
-then the classes that follow.
+Folders of run files of benches with nothing wrong, such as tier 0 of `acquire blind make`; five are
+recorded if none is named. Prints, of each effect, the median over campaigns of the least size that
+stands out by five deviations; the same in multiples of what is usual in blind cases, which draw 0.5
+to 8; the share of its signature that nuisances take up; and with which effects it has a cosine of
+0.8 or more in most campaigns; then the classes that follow.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.campaigns import readings_of
+from benchmarks.campaigns import campaigns, readings_of
 from blind.cases import Label, true_sizes
 from blind.effects import BY_NAME
 from diagnosis.likeness import DETECTABLE, Reach, classes_of, reach_of
@@ -81,10 +81,9 @@ def told(reach: Reach) -> str:
 def main() -> None:
     """Read campaigns, and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("campaigns", nargs="+", type=Path, metavar="CAMPAIGN")
-    reaches = []
-    for folder in parser.parse_args().campaigns:
-        reaches.append(reach_in(*readings_of(folder)))
+    parser.add_argument("campaigns", nargs="*", type=Path, metavar="CAMPAIGN")
+    with campaigns(parser.parse_args().campaigns, count=5) as folders:
+        reaches = [reach_in(*readings_of(folder)) for folder in folders]
     found = together(reaches)
     least = "least size that stands out by 5 deviations"
     print(f"{'effect':<24}{least:<44}{'drawn':>6}{'taken':>6}  alike")

@@ -22,6 +22,7 @@ from blind.scoring import (
     named,
     open_set,
     sets,
+    shuffled,
     size_errors,
 )
 
@@ -51,7 +52,8 @@ def report(cases: Sequence[Case], classes: Classes) -> dict[str, Any]:
         "false_alarms": _share(false_alarms(cases, classes)),
         "class_right": {"all": _share(named(single, classes)),
                         "resolved": _share(named(resolved, classes)),
-                        "foreseen": _share(named(foreseen, classes))},
+                        "foreseen": _share(named(foreseen, classes)),
+                        "shuffled": _mean(shuffled(resolved, classes))},
         "class_among_three": {"all": _share(named(single, classes, 3)),
                               "resolved": _share(named(resolved, classes, 3))},
         "name_right": {"all": _share(named(single, Classes(()))),
@@ -140,7 +142,9 @@ def sentences(scores: Mapping[str, Any]) -> list[str]:
         f"{told(right['resolved'])}, among the first three "
         f"{told(scores['class_among_three']['resolved'])}, by name "
         f"{told(scores['name_right']['resolved'])}; of effects that should stand out by their true "
-        f"size {told(right['foreseen'])}.",
+        f"size {told(right['foreseen'])}; of those that stand out, with labels dealt out anew, "
+        f"{number(right['shuffled']['mean'])} [{number(right['shuffled']['low'])}, "
+        f"{number(right['shuffled']['high'])}].",
         f"Mean probability given to the truth: {number(truth['all']['mean'])}; of single effects "
         f"{number(truth['single']['mean'])}, of those that stand out "
         f"{number(truth['resolved']['mean'])} [{number(truth['resolved']['low'])}, "

@@ -24,7 +24,7 @@ class Action:
     ----------
     id, words : str
     minutes : float
-        Of bench time.
+        Of bench time: 75 s a sweep (`acquire plan campaign`), and hands.
     blocks : tuple of str
         Names of the blocks that it measures again.
     change : callable
@@ -100,7 +100,7 @@ def _part(name: str, do: str = "", **more: Any) -> dict[str, Any]:
 
 
 ACTIONS: Final[tuple[Action, ...]] = (
-    Action("repeat", "the same sweeps once more", 25.0, (*_SWEEP, "lock", "frames"), _same,
+    Action("repeat", "the same sweeps once more", 10.0, (*_SWEEP, "lock", "frames"), _same,
            parts=(_part("up2"), _part("down2", change={"sweep.direction": "down"}),
                   _part("shuffled2", change={"sweep.direction": "shuffled"}),
                   _part("again2", "take the reed out of its clamp, and put it back as it was",

@@ -244,9 +244,9 @@ def _plain(verdict: Verdict) -> str:
         (gap.quantity, f"{gap.before:.3g}", f"{gap.after:.3g}", f"{gap.error:.2g}")
         for gap in verdict.plain
     ]
-    name = "+".join(verdict.effects) or "the likeliest effect"
+    name = "+".join(verdict.effects) or "what explains most"
     told = _title(name) if verdict.effects else name
-    headings = "root mean square of what is left", "without", f"with {told}", "uncertain"
+    headings = "what is left (shapes: sum; others: rms)", "without", f"with {told}", "uncertain"
     return f"{_table(headings, rows, (1, 2, 3))}<p>{html.escape(_NOT_PROOF)}</p>"
 
 

@@ -125,7 +125,7 @@ def to_json(diagnosis: PublishedDiagnosis) -> dict[str, Any]:
             }
             for entry in diagnosis.reach
         },
-        "classes": [list(group) for group in diagnosis.classes],
+        "classes": [list(group) for group in diagnosis.classes if len(group) > 1],
     }
 
 

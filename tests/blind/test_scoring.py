@@ -23,6 +23,7 @@ from blind.scoring import (
     open_set,
     sets,
     share,
+    shuffled,
     size_errors,
 )
 
@@ -200,13 +201,20 @@ def test_a_report_has_all_scores_and_says_them() -> None:
 
 
 def test_shuffled_labels_score_at_chance() -> None:
-    names = [f"e{k}" for k in range(8)]
-    told = names * 20
-    shuffled = list(np.random.default_rng(3).permutation(told))
-    right = named([case(a, {a: 1.0}) for a in told], Classes(()))
-    chance = named([case(a, {b: 1.0}) for a, b in zip(told, shuffled, strict=True)], Classes(()))
-    assert right.value == 1.0
-    assert chance.low < 1 / 8 < chance.high
+    told = [f"e{k}" for k in range(8)] * 20
+    cases = [case(name, {name: 0.9, "none": 0.1}) for name in told]
+    assert named(cases, Classes(())).value == 1.0
+    mean, low, high = shuffled(cases, Classes(()))
+    assert mean == pytest.approx(1 / 8, abs=0.003)
+    # As many are right as of so many draws with that probability.
+    scatter = np.sqrt(7 / 64 / len(cases))
+    assert [low, high] == pytest.approx([1 / 8 - 2 * scatter, 1 / 8 + 2 * scatter], abs=0.01)
+
+
+def test_labels_that_are_all_the_same_cannot_be_shuffled() -> None:
+    assert shuffled([case("crack", {"crack": 1.0})] * 5, Classes(())) == (1.0, 1.0, 1.0)
+    assert np.isnan(shuffled([], Classes(()))[0])
+    assert shuffled([Case("c", Label(1, (("crack", 1.0),), True, 0), None)], CLASSES)[0] == 0.0
 
 
 def test_a_reliability_plot_is_drawn(tmp_path) -> None:

@@ -324,9 +324,12 @@ def _of_sweep(time: str, sweep: str) -> bool:
 
 
 def _only(comparison: Comparison, condition: str) -> list[str]:
-    """Group that holds one sweep's numbers; empty elsewhere."""
+    """Group that holds one sweep's numbers; empty elsewhere.
+
+    Means of all sweeps have some of it, and stay.
+    """
     return [
-        condition if _of_sweep(place.time, condition) else ""
+        condition if _of_sweep(place.time, condition) or place.level == condition else ""
         for block in comparison.blocks
         for place in block.places
     ]

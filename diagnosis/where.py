@@ -105,7 +105,8 @@ def gap_map(comparison: Comparison) -> Map:
     """Put every number beside the nominal twin."""
     nothing = np.zeros(len(comparison.nuisances))
     left = comparison.residuals(comparison.twin(nothing))
-    slope = comparison.slope(nothing)
+    # Here, not where other fits have been.
+    slope = comparison.slope(nothing, 0.0)
     cells: list[Cell] = []
     rows: dict[Tap, list[int]] = {}
     for block in comparison.blocks:

@@ -1,12 +1,18 @@
 """Where a gap lies and how far it shrinks, on a bench whose truth is known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from diagnosis.block import Place
 from diagnosis.how_far import shrinkage
-from diagnosis.rivals import Sized, compete
+from diagnosis.nuisances import Nuisance
+from diagnosis.rivals import Comparison, Sized, compete
+from diagnosis.verdict import _only
 from diagnosis.where import gap_map
 from physics.effects.form import Tap
+from physics.twin import Twin, more
 from tests.diagnosis.toy import COUNT, EFFECTS, bench, measured
 
 
@@ -45,6 +51,22 @@ def test_cells_tell_the_band() -> None:
     assert by_time["t0"].resolvable
     assert not by_time["t3"].resolvable
     assert sum(c.count for c in clear.cells if c.axis == "time") == COUNT
+
+
+def test_the_map_does_not_depend_on_what_was_fitted_before() -> None:
+    curved = Nuisance("level", "", 1.0, lambda t, v: more(t, "beams", fade_per_h=v + v**3), "")
+    blocks = measured(2, bench(mixing=0.8)).blocks
+    fresh, used = (Comparison(blocks, Twin(), (curved,)) for _ in range(2))
+    used.slope(np.array([1.0]))
+    assert gap_map(used) == gap_map(fresh)
+
+
+def test_a_sweep_is_left_out_wherever_it_has_numbers_of_its_own() -> None:
+    places = [Place("lock", time="again"), Place("carrier", level="again"), Place("line"),
+              Place("fringes", time="again 2"), Place("force", time="up", level="up")]  # fmt: skip
+    blocks = [SimpleNamespace(places=places)]
+    left = _only(SimpleNamespace(blocks=blocks), "again")
+    assert left == ["again", "again", "", "again", ""]
 
 
 def test_the_right_effect_closes_the_gap_and_a_wrong_one_does_not() -> None:

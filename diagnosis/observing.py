@@ -1,6 +1,6 @@
 """From runs to the blocks of numbers that a twin is compared with; less with less data."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from threadpoolctl import threadpool_limits
@@ -42,7 +42,7 @@ from diagnosis.taps.still import (
     turn_block,
     usual_scatter_hz,
 )
-from diagnosis.taps.vibration import SweepReading, read_sweeps, understood_block
+from diagnosis.taps.vibration import SweepReading, common_modes, read_sweeps, understood_block
 from physics.air import CavityLine, Filling, chamber_of
 from physics.mechanics import Workshop
 from physics.twin import Twin
@@ -123,9 +123,6 @@ def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float],
     leaking = unshifted_light(campaign.sweeps, still_parts, carriers)
     sweeps, refused = read_sweeps(campaign.sweeps, lambda share: report(_SWEEPS * share), leaking)
     flat = read_flat(flat_parts, offset_dn) if flat_parts else None
-    missing = campaign.missing
-    if flat_parts and flat is None:
-        missing.append("flat frames that are not saturated (linearity, pattern, vignetting)")
     lines = [CavityLine(frequency_hz=hz) for hz in first.acoustic_lines_hz[:1]]
     return Readings(
         dark=dark,
@@ -136,7 +133,7 @@ def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float],
         beat=read_beat(campaign.sweeps),
         sweeps=tuple(sweeps),
         refused=tuple(refused),
-        missing=tuple(missing),
+        missing=tuple(_missing(campaign, sweeps, saturated=bool(flat_parts) and flat is None)),
         rate_hz=float(first.frame_rate_hz),
         sheet=sheet,
         device=Device(
@@ -145,6 +142,18 @@ def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float],
             wavelength_m=first.reconstruction.transform.wavelength_m,
         ),
     )
+
+
+def _missing(campaign: Campaign, sweeps: Sequence[SweepReading], *, saturated: bool) -> list[str]:
+    """What would have told more: runs that are not there, and what those that are do not tell."""
+    missing = campaign.missing
+    if saturated:
+        missing.append("flat frames that are not saturated (linearity, pattern, vignetting)")
+    for sweep in sweeps:
+        compared = {*sweep.names} & {*common_modes(sweeps)}
+        if 2 * len(compared) < len(sweep.names):
+            missing.append(f"modes of {sweep.name} that the first sweep tells (few are compared)")
+    return missing
 
 
 def blocks(readings: Readings, workshop: Workshop) -> list[Block]:

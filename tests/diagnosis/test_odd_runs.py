@@ -8,6 +8,7 @@ import pytest
 
 from acquire.quality import Verdict
 from diagnosis.block import Place, block
+from diagnosis.observing import _missing
 from diagnosis.taps.beat import lock_block, lock_scatter_hz, read_beat
 from diagnosis.taps.carrier import Leaks, read_carriers
 from diagnosis.taps.drive import Device, force_block, level_block, line_block
@@ -187,6 +188,16 @@ def test_sweeps_without_common_modes_tell_none() -> None:
     assert modes_block([sweep(names=("X9",))], FewModes(), NO_LEAKS) is None
     device = Device(Chamber(), CavityLine(), 532e-9)
     assert force_block([sweep(), high], FewModes(), device) is None
+
+
+def test_what_runs_do_not_tell_though_they_are_there_is_missing() -> None:
+    sweeps = [sweep(), sweep("high", names=("X7", "X8", "F1")), sweep("down")]
+    found = _missing(SimpleNamespace(missing=["dark frames"]), sweeps, saturated=True)
+    assert found[0] == "dark frames"
+    assert found[1].startswith("flat frames that are not saturated")
+    assert found[2].startswith("modes of high")
+    assert len(found) == 3
+    assert _missing(SimpleNamespace(missing=[]), sweeps[:1], saturated=False) == []
 
 
 def test_steps_far_apart_tell_how_far_a_mode_moves_by_the_nearest() -> None:

@@ -79,7 +79,7 @@ def _headline(verdict: Verdict) -> str:
 def _where(where: Map) -> str:
     tap = where.first_failing
     if tap is None:
-        return "No tap differs by more than its floor: what is there is not resolvable."
+        return "No tap differs by more than chance makes of so many cells."
     worst = where.taps[tap]
     at = f"{worst.block}, {worst.label}" if worst.label != worst.block else worst.block
     gap = f"{worst.gap:.1f} times its floor"

@@ -1,4 +1,4 @@
-"""The map of a gap as a picture: blocks of numbers by band, mode, time and level."""
+"""The map of a gap as a picture: blocks of numbers by band, mode, time, level and region."""
 
 from typing import Final
 
@@ -9,12 +9,15 @@ from matplotlib.figure import Figure
 
 from diagnosis.where import Cell, Map
 
-_AXES: Final = (("band", "frequency band"), ("mode", "mode"), ("time", "time"), ("level", "level"))
+_AXES: Final = (
+    ("band", "frequency band"), ("mode", "mode"), ("time", "time"), ("level", "level"),
+    ("region", "region"),
+)  # fmt: skip
 _LARGEST = 30.0
 
 
 def draw_map(where: Map) -> Figure:
-    """Draw the gap of all cells: blocks of numbers by band, mode, time and level."""
+    """Draw the gap of all cells: blocks of numbers by band, mode, time, level and region."""
     blocks = [cell for cell in where.cells if cell.axis == "block"]
     panels = [
         (axis, words, list(dict.fromkeys(_short(c) for c in where.cells if c.axis == axis)))

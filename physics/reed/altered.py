@@ -438,6 +438,8 @@ def _numbered(span: _Span, table: CaneTable, highest_hz: float) -> tuple[Array, 
     for _ in range(_MOST_ITERATIONS):
         all_hz, vectors = _solved(span, table, hz)
         found = all_hz[number, number]
+        if np.any(found <= 0):
+            raise ValueError("no such reed is possible: something about it has no stiffness left")
         if not number.size or np.abs(1200 * np.log2(found / hz)).max() < _SETTLED_CENTS:
             hz = found
             break

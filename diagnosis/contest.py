@@ -54,6 +54,10 @@ _LOOKED_BESIDE, _ALSO = 3, 0.05
 # What is left beside effects of plausible sizes, in deviations, may be their own, that have not
 # quite the form that the catalogue gives them: of what they explain a share of this deviation.
 _PLAUSIBLE, _OWN_FORM = 4.0, 0.15
+# The twin without effects is fitted from so many rivals' nuisances.
+_MOST_POLISHED = 4
+# So many searches from elsewhere may end in a worse place.
+_MOST_AGAIN = 4
 # Rivals whose evidence is within so many nats are sampled.
 _CLOSE = 5.0
 # So many of the likeliest, unless they are that far behind in nats, are fitted with nothing taken
@@ -164,11 +168,13 @@ def confirmed(comparison: Comparison, found: Contest, name: str, effects: int) -
     if rival is None or rival.estimate.starts > 1:
         return found
     again = _again(comparison, rival, np.random.default_rng(_SEED))
-    alone, pairs = dict(found.alone), dict(found.pairs)
+    alone, pairs, beside = dict(found.alone), dict(found.pairs), dict(found.beside)
     (alone if name in alone else pairs)[name] = again
+    if name in beside:
+        beside[name] = anything(comparison, again)
     rivals = {**alone, **pairs}
-    odds = _probabilities(found.null, rivals, found.anything, found.beside, found.unseen, effects)
-    return replace(found, alone=alone, pairs=pairs, log_probability=odds)
+    odds = _probabilities(found.null, rivals, found.anything, beside, found.unseen, effects)
+    return replace(found, alone=alone, pairs=pairs, beside=beside, log_probability=odds)
 
 
 @dataclass(frozen=True)
@@ -221,25 +227,32 @@ def _anew(comparison: Comparison, rival: Rival) -> Rival:
 
 
 def polished(comparison: Comparison, null: Rival, rivals: Iterable[Rival]) -> Rival:
-    """Fit the twin without effects again, from where its best rival's nuisances have come to."""
-    best = max(rivals, key=lambda rival: rival.log_evidence, default=None)
-    if best is None:
+    """Fit the twin without effects again, from where its best rivals' nuisances have come to."""
+    best = sorted(rivals, key=lambda rival: -rival.log_evidence)[:_MOST_POLISHED]
+    starts = [rival.estimate.z[: len(comparison.nuisances)] for rival in best]
+    each = side_by_side(lambda start: _without(comparison, start), starts)
+    ends = [end for end in each if end is not None]
+    if not ends:
         return null
-    start = best.estimate.z[: len(comparison.nuisances)]
-    try:
-        again = compete(comparison, (), [start], exact=True)
-    except ValueError:
-        return null
+    again = min(ends, key=lambda end: end.estimate.cost)
     gain = null.estimate.cost - again.estimate.cost
     if gain > SAME_COST:
         # Searches that had agreed have agreed on something else.
         rng = np.random.default_rng(_SEED)
-        near = again.estimate.z + 0.3 * rng.standard_normal(len(start))
+        near = again.estimate.z + 0.3 * rng.standard_normal(len(again.estimate.z))
         return compete(comparison, (), [again.estimate.z, near], exact=True)
     kept = again if gain > 0 else null
-    agreeing = null.estimate.agreeing + (gain > -SAME_COST)
-    starts = null.estimate.starts + 1
-    return replace(kept, estimate=replace(kept.estimate, agreeing=agreeing, starts=starts))
+    least = kept.estimate.cost + SAME_COST
+    agreeing = null.estimate.agreeing + sum(end.estimate.cost < least for end in ends)
+    tried = null.estimate.starts + len(ends)
+    return replace(kept, estimate=replace(kept.estimate, agreeing=agreeing, starts=tried))
+
+
+def _without(comparison: Comparison, start: Array) -> Rival | None:
+    """Fit the twin without effects from one start; None if that is of no possible bench."""
+    with contextlib.suppress(ValueError):
+        return compete(comparison, (), [start], exact=True)
+    return None
 
 
 def _looked_for(
@@ -455,14 +468,21 @@ def _settle(
 
 
 def _again(comparison: Comparison, rival: Rival, rng: np.random.Generator) -> Rival:
-    """Fit a rival from its optimum, and from elsewhere: a certificate that it is the optimum."""
-    z, p = rival.estimate.z, len(comparison.nuisances)
-    elsewhere = z + 0.3 * rng.standard_normal(len(z))
-    elsewhere[p:] = 0.8 * z[p:]
-    try:
-        again = compete(comparison, rival.effects, [z, elsewhere], exact=True)
-    except ValueError:
-        return replace(rival, estimate=replace(rival.estimate, agreeing=0, starts=2))
+    """Fit a rival from its optimum, and from elsewhere: a certificate that it is the optimum.
+
+    A search from elsewhere may end in a worse one; the next may not.
+    """
+    p, again = len(comparison.nuisances), rival
+    for _ in range(_MOST_AGAIN):
+        z = again.estimate.z
+        elsewhere = z + 0.3 * rng.standard_normal(len(z))
+        elsewhere[p:] = 0.8 * z[p:]
+        try:
+            again = compete(comparison, rival.effects, [z, elsewhere], exact=True)
+        except ValueError:
+            return replace(rival, estimate=replace(rival.estimate, agreeing=0, starts=2))
+        if again.estimate.agreeing > 1:
+            break
     return replace(again, elsewhere=rival.elsewhere)
 
 

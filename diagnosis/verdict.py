@@ -33,7 +33,7 @@ _OFF, _MOVED = 3.0, 0.5
 # Of so many rivals it is told what they close.
 _MOST_CLOSED = 8
 # Rivals that turn out to be the likeliest are fitted again, so many one after the other.
-_MOST_CONFIRMED = 3
+_MOST_CONFIRMED = 8
 # A doubtful fit without effects does not matter to what is likelier by so many nats.
 _BEYOND_DOUBT = 20.0
 
@@ -225,7 +225,7 @@ def _named(found: Contest, classes: Sequence[tuple[str, ...]]) -> tuple[Kind, tu
         return "unknown", ()
     names = tuple(best.split("+"))
     rival = found.rival(best)
-    if rival is not None and not rival.estimate.certified:
+    if rival is not None and (not rival.estimate.certified or rival.estimate.starts < 2):
         return "not converged", ()
     return ("effect" if len(names) == 1 else "pair"), names
 

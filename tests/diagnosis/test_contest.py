@@ -7,7 +7,16 @@ from functools import partial
 import numpy as np
 import pytest
 
-from diagnosis.contest import NONE, PRIOR, UNKNOWN, _starts, confirmed, contest, polished
+from diagnosis.contest import (
+    NONE,
+    PRIOR,
+    UNKNOWN,
+    _again,
+    _starts,
+    confirmed,
+    contest,
+    polished,
+)
 from diagnosis.rivals import Sized, compete, compete_straight, d_prime, exactly
 from physics.effects.form import Effect
 from physics.twin import Twin, more
@@ -228,6 +237,62 @@ def test_a_gain_of_form_alone_is_no_signal() -> None:
         gain - 2 * np.sum(np.log(slope.deviation))
     )
     assert d_prime(slope, found.null) == 0.0
+
+
+def test_a_search_that_ends_in_a_worse_place_is_followed_by_another(monkeypatch) -> None:
+    comparison = measured(3, bench(leak=0.6))
+    rival = compete(comparison, (Sized(EFFECTS[0], {}),), [np.zeros(2)], exact=True)
+    for agree, said in (([1, 1, 2], 2), ([1] * 9, 1)):
+        turns = iter(agree)
+        begun = []
+
+        def ended(_comparison, _effects, starts, *, exact, begun=begun, turns=turns):
+            begun.append(starts[1])
+            assert exact
+            estimate = replace(rival.estimate, agreeing=next(turns), starts=len(starts))
+            return replace(rival, estimate=estimate)
+
+        monkeypatch.setattr("diagnosis.contest.compete", ended)
+        again = _again(comparison, rival, np.random.default_rng(0))
+        assert again.estimate.agreeing == said
+        assert again.estimate.certified == (said == 2)
+        assert len(begun) == (3 if said == 2 else 4)
+        # Each from another place, and never from where it has ended.
+        assert len({start.tobytes() for start in begun}) == len(begun)
+
+
+def test_the_twin_without_effects_is_fitted_from_several_rivals(monkeypatch) -> None:
+    comparison = measured(14, bench(fade_per_h=0.5))
+    good = compete(comparison, (), [np.zeros(1)], exact=True)
+    rivals = [
+        replace(good, estimate=replace(good.estimate, z=np.array([k]), log_evidence=-float(k)))
+        for k in range(6)
+    ]
+
+    def ended(costs):
+        def compete(_comparison, _effects, starts, *, exact):
+            assert exact
+            if len(starts) > 1:
+                return replace(good, estimate=replace(good.estimate, starts=2, agreeing=2))
+            cost = costs.get(int(starts[0][0]), 0.0)
+            if np.isnan(cost):
+                raise ValueError("no such bench")
+            estimate = replace(good.estimate, cost=good.estimate.cost + cost, starts=1)
+            return replace(good, estimate=estimate)
+
+        monkeypatch.setattr("diagnosis.contest.compete", compete)
+        return polished(comparison, good, rivals).estimate
+
+    monkeypatch.setattr("fitting.side_by_side._SPLITS", False)
+    assert (ended({0: 9.0, 1: 9.0}).agreeing, ended({}).agreeing) == (3, 5)
+    # The best of them is a little better: kept, and all that are as good agree.
+    found = ended({0: 9.0, 2: -0.5})
+    assert found.cost == pytest.approx(good.estimate.cost - 0.5)
+    assert (found.agreeing, found.starts) == (4, 5)
+    # One is much better: the others have agreed on something else.
+    assert (ended({3: -7.0}).agreeing, ended({3: -7.0}).starts) == (2, 2)
+    # The fifth is not asked, and of no possible bench nothing is learnt.
+    assert ended({4: -7.0, 0: np.nan}).starts == 4
 
 
 def test_a_better_optimum_takes_the_certificate_of_a_worse_one_away() -> None:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from pyvisa.resources import MessageBasedResource
 
 _IDENTIFY: Final = "*IDN?"
+# So many timeouts after the last answer no other comes.
+_LONG: Final = 4.0
 _LIBRARY: Final = "install pyvisa and pyvisa-py (pip install pyvisa pyvisa-py)"
 _REMEDIES: Final = {
     "TCPIP": "check that it is on, the network cable, its address, and that nobody else uses it",
@@ -59,6 +61,8 @@ class VisaLine:
         self._instrument = instrument
         self._device, self._resource, self._timeout_s = device, resource, timeout_s
         self._in_step = False
+        # Of its identity: how often it was asked for, and has not come.
+        self._owed = 0
         # A network socket and a serial line do not say where a message ends; USBTMC and VXI-11 do.
         if resource.upper().startswith("ASRL") or resource.upper().endswith("SOCKET"):
             instrument.read_termination = "\n"
@@ -114,8 +118,9 @@ class VisaLine:
     def drain(self) -> None:
         """Throw away answers that nobody waits for, until questions and answers are in step.
 
-        What the instrument says of itself is told from all other answers, so once it has been
-        asked for and has come, no earlier answer is on its way.
+        What the instrument says of itself is told from all other answers, so once it has come as
+        often as it has been asked for, no earlier answer is on its way. Where it has not, and
+        nothing more comes for long, some of it was lost.
 
         Raises
         ------
@@ -123,13 +128,21 @@ class VisaLine:
             If the instrument does not say what it is, or the connection is lost.
         """
         self._in_step = False
-        self.send(_IDENTIFY)
+        self._ask_identity()
+        heard = False
         deadline_s = time.monotonic() + self._timeout_s
-        while time.monotonic() < deadline_s:
-            if self._read(_IDENTIFY) == self.identity:
-                self._in_step = True
-                return
-        self._raise_silent(_IDENTIFY)
+        while self._owed and time.monotonic() < deadline_s:
+            answer = self._read(_IDENTIFY)
+            heard |= answer == self.identity
+            if heard and answer is not None:
+                deadline_s = time.monotonic() + _LONG * self._timeout_s
+        if not heard:
+            self._raise_silent(_IDENTIFY)
+        self._in_step, self._owed = True, 0
+
+    def _ask_identity(self) -> None:
+        self.send(_IDENTIFY)
+        self._owed += 1
 
     def close(self) -> None:
         """Hang up. May be called twice; raises nothing."""
@@ -141,10 +154,12 @@ class VisaLine:
         """Return what the instrument says of itself, when it has said so twice."""
         heard: list[str] = []
         for question in range(1, 5):
-            answer = self._answer(_IDENTIFY)
+            self._ask_identity()
+            answer = self._read(_IDENTIFY)
             if answer in heard:
                 # With an answer to each question, none is on its way.
                 self._in_step = question == 2
+                self._owed = question - 2
                 return answer
             if answer is not None:
                 heard.append(answer)
@@ -178,6 +193,8 @@ class VisaLine:
         except Exception as error:  # noqa: BLE001  # pyvisa-py raises even bare Exception
             self._raise(text, error)
         answer = message.decode("ascii", errors="replace").strip()
+        if answer and answer == self.identity:
+            self._owed = max(self._owed - 1, 0)
         if answer == text:
             raise InstrumentError(
                 f"{self._device} at {self._resource}: was asked {text!r} and said just that; turn "

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 import pytest
 import usb.core
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pyvisa_py.tcpip import Vxi11CoreClient
 from usb.backend import libusb0, libusb1, openusb
@@ -234,6 +234,7 @@ def test_two_lost_answers_are_an_error_and_the_line_recovers(kind):
     late=st.lists(st.integers(3, 20), max_size=3).map(tuple),
     timeouts=st.sampled_from([0.5, 1.3, 2.4]),
 )
+@example(lost=(), late=(3, 4), timeouts=2.4)
 @settings(max_examples=8, deadline=None)
 def test_no_answer_is_ever_that_of_another_question(lost, late, timeouts):
     short_s = 0.05

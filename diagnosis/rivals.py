@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.block import Block
-from diagnosis.estimate import LEAST_DECREMENT, Estimate, fit, spread_of
+from diagnosis.estimate import Estimate, fit, spread_of
 from diagnosis.nuisances import Nuisance
 from physics.effects.form import Effect, Parameter
 from physics.twin import Twin
@@ -24,6 +24,8 @@ Array = NDArray[np.floating[Any]]
 
 # Slopes are taken anew where a nuisance has moved by so many deviations.
 _FAR, _NEAR, _MOST_NEAR = 1.5, 0.3, 8
+# Where a step might still gain more than that, slopes are taken finely.
+_LEAST_LEFT = 0.1
 # Where a fit has not come to rest they are taken here, of steps that are smaller, so many times.
 _HERE, _FINE, _MOST_FINE = 0.03, 0.15, 3
 _STEP = 0.02
@@ -276,7 +278,7 @@ def compete(
     ends = _ends(residuals, positive, starts, jacobian)
     found = fit(residuals, positive, ends, close, _LEAST_GAIN)
     agreeing = found.agreeing
-    if found.decrement > LEAST_DECREMENT:
+    if found.decrement > _LEAST_LEFT:
         # Slopes of a little way off show steps that there are not.
         found = fit(residuals, positive, [found.z], closer, _LEAST_GAIN)
     # Searches that end at no possible reed agree with none.

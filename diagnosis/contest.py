@@ -56,7 +56,7 @@ _LOOKED_BESIDE, _ALSO = 3, 0.05
 _PLAUSIBLE, _OWN_FORM = 4.0, 0.15
 # The twin without effects is fitted from so many rivals' nuisances.
 _MOST_POLISHED = 4
-# So many searches from elsewhere may end in a worse place.
+# So many searches from elsewhere may end in a worse place, or nowhere.
 _MOST_AGAIN = 4
 # Rivals whose evidence is within so many nats are sampled.
 _CLOSE = 5.0
@@ -470,7 +470,7 @@ def _settle(
 def _again(comparison: Comparison, rival: Rival, rng: np.random.Generator) -> Rival:
     """Fit a rival from its optimum, and from elsewhere: a certificate that it is the optimum.
 
-    A search from elsewhere may end in a worse one; the next may not.
+    A search from elsewhere may end in a worse one, or not come to rest; the next may.
     """
     p, again = len(comparison.nuisances), rival
     for _ in range(_MOST_AGAIN):
@@ -481,7 +481,7 @@ def _again(comparison: Comparison, rival: Rival, rng: np.random.Generator) -> Ri
             again = compete(comparison, rival.effects, [z, elsewhere], exact=True)
         except ValueError:
             return replace(rival, estimate=replace(rival.estimate, agreeing=0, starts=2))
-        if again.estimate.agreeing > 1:
+        if again.estimate.certified:
             break
     return replace(again, elsewhere=rival.elsewhere)
 

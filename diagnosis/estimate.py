@@ -24,9 +24,8 @@ _MOST_ITERATIONS = 60
 _LEAST_GAIN = 1e-7
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-2, 1e-9, 1e9
 # A fit is certified if two starts end this near to each other, and the last step that the
-# curvature asks for would gain no more than this. Slopes are differences: of effects that stand out
-# by dozens of deviations they ask for a tenth for ever (decision 0019).
-SAME_COST, LEAST_DECREMENT = 1.0, 0.5
+# curvature asks for would gain no more than this.
+SAME_COST, LEAST_DECREMENT = 1.0, 0.1
 # Starts lie within this many standard deviations of the prior.
 _START_SPREAD = 1.0
 

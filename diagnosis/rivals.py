@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.block import Block
-from diagnosis.estimate import Estimate, fit, spread_of
+from diagnosis.estimate import LEAST_DECREMENT, Estimate, fit, spread_of
 from diagnosis.nuisances import Nuisance
 from physics.effects.form import Effect, Parameter
 from physics.twin import Twin
@@ -24,8 +24,6 @@ Array = NDArray[np.floating[Any]]
 
 # Slopes are taken anew where a nuisance has moved by so many deviations.
 _FAR, _NEAR, _MOST_NEAR = 1.5, 0.3, 8
-# Where a step might still gain more than that, slopes are taken finely.
-_LEAST_LEFT = 0.1
 # Where a fit has not come to rest they are taken here, of steps that are smaller, so many times.
 _HERE, _FINE, _MOST_FINE = 0.03, 0.15, 3
 _STEP = 0.02
@@ -273,12 +271,12 @@ def compete(
         return np.column_stack([near.at(z), *_by_size(residuals, z, p, positive)])
 
     def closer(z: Array) -> Array:
-        return np.column_stack([here.at(z), *_by_size(residuals, z, p, positive)])
+        return np.column_stack([here.at(z), *_by_size(residuals, z, p, positive, fine=True)])
 
     ends = _ends(residuals, positive, starts, jacobian)
     found = fit(residuals, positive, ends, close, _LEAST_GAIN)
     agreeing = found.agreeing
-    if found.decrement > _LEAST_LEFT:
+    if found.decrement > LEAST_DECREMENT:
         # Slopes of a little way off show steps that there are not.
         found = fit(residuals, positive, [found.z], closer, _LEAST_GAIN)
     # Searches that end at no possible reed agree with none.
@@ -451,18 +449,30 @@ def _positive(comparison: Comparison, effects: Sequence[Sized]) -> list[bool]:
 
 
 def _by_size(
-    residuals: Callable[[Array], Array], z: Array, p: int, positive: Sequence[bool]
+    residuals: Callable[[Array], Array],
+    z: Array,
+    p: int,
+    positive: Sequence[bool],
+    *,
+    fine: bool = False,
 ) -> list[Array]:
-    """Derivatives (n,) along each size, which come after p nuisances."""
+    """Derivatives (n,) along each size, which come after p nuisances.
+
+    Fine ones are good where what an effect moves bends within a step, and cost twice as much.
+    """
     if len(z) == p:
         return []
     here = residuals(z)
     columns: list[Array] = []
     for k in range(p, len(z)):
         step = _STEP if positive[k] or z[k] <= 0 else -_STEP
-        moved = z.copy()
+        step *= _FINE if fine else 1
+        moved, back = z.copy(), z.copy()
         moved[k] += step
-        columns.append((residuals(moved) - here) / step)
+        # Nothing is on the other side of a bound.
+        back[k] -= step if fine and (z[k] > step or not positive[k]) else 0.0
+        other = here if back[k] == z[k] else residuals(back)
+        columns.append((residuals(moved) - other) / (moved[k] - back[k]))
     return columns
 
 

@@ -77,8 +77,8 @@ class Campaign:
             told = ", ".join(sorted(run.path.name for run in runs))
             raise FitInputError(f"{told}: no run is a sweep of a driven reed; name at least one")
         _require_one(runs)
-        first = min(_began(run) for run in runs)
         runs = sorted(runs, key=_began)
+        first = _began(runs[0])
         before = _clampings_before(runs)
         parts = [
             Part(

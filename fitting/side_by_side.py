@@ -143,7 +143,7 @@ def _packed(done: Future[Made]) -> bytes:
         packed = pickle.dumps((trouble, None if trouble else done.result()))
         if trouble:
             pickle.loads(packed)
-    except Exception as error:  # noqa: BLE001 - whatever objects raise who cannot be pickled
+    except Exception as error:  # noqa: BLE001  # objects that cannot be pickled may raise anything
         told = repr(trouble) if trouble else f"what was made cannot be handed back: {error}"
         packed = pickle.dumps((RuntimeError(told), None))
     return packed
@@ -175,6 +175,6 @@ def _done(work: Callable[[Item], Made], item: Item) -> Future[Made]:
     done: Future[Made] = Future()
     try:
         done.set_result(work(item))
-    except Exception as trouble:  # noqa: BLE001 - raised where the answer is asked for
+    except Exception as trouble:  # noqa: BLE001  # raised where the answer is asked for
         done.set_exception(trouble)
     return done

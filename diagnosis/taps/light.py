@@ -194,7 +194,7 @@ def fringe_block(sweeps: Sequence[SweepReading]) -> Block | None:
     ----------
     sweeps : sequence of SweepReading
     """
-    loud = [sweep for sweep in at_highest_level(sweeps) if _has_fringes(sweep)]
+    loud = _with_fringes(at_highest_level(sweeps))
     if not loud:
         return None
     values = [_amplitudes(loud, name) for name in _FLOORS]
@@ -216,15 +216,16 @@ def fringe_block(sweeps: Sequence[SweepReading]) -> Block | None:
 def mixing_in(sweeps: Sequence[SweepReading]) -> float:
     """Amplitude of the next sideband in the loud sweeps, beyond what fringes look like anyway."""
     usual, spread = _FLOORS["order_mixing"]
-    loud = [sweep for sweep in at_highest_level(sweeps) if _has_fringes(sweep)]
+    loud = _with_fringes(at_highest_level(sweeps))
     if not loud:
         return 0.0
     return max(_amplitudes(loud, "order_mixing") - usual - 2 * spread, 0.0)
 
 
-def _has_fringes(sweep: SweepReading) -> bool:
-    told = np.isfinite(sweep.template_variance).all(axis=0)
-    return bool(np.any(told & ~sweep.off))
+def _with_fringes(sweeps: Sequence[SweepReading]) -> list[SweepReading]:
+    """Sweeps of which at least one driven hologram has fringes."""
+    told = [np.isfinite(sweep.template_variance).all(axis=0) & ~sweep.off for sweep in sweeps]
+    return [sweep for sweep, there in zip(sweeps, told, strict=True) if there.any()]
 
 
 def _amplitudes(sweeps: Sequence[SweepReading], name: str) -> float:

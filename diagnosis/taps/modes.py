@@ -155,14 +155,21 @@ def _of_leaks(
     share = np.hypot(carrier, leaks.mixing)
     errors = np.repeat([_LEAK_CENTS * share, _LEAK_LOSS * share], len(modes))
     if sweep.taken_off:
-        apart = np.abs(np.log2(sweep.drive_hz / sweep.hz[modes, None]))
-        # Steps may be wider apart than that: the nearest is always near.
-        near = (apart < _NEAR) | (apart == apart.min(axis=1, keepdims=True))
+        near = _near(np.log2(sweep.drive_hz / sweep.hz[modes, None]), _NEAR)
         moves = [np.median(sweep.amplitude_rad[there]) for there in near]
         stays = carrier * np.median(sweep.amplitude_rad) / np.array(moves)
         stays *= np.where(lowest, _STAYS_LOWEST, 1.0)
         errors = np.hypot(errors, np.concatenate([_STAYS_CENTS * stays, _STAYS_LOSS * stays]))
     return np.diag(np.square(errors))
+
+
+def _near(apart: Array, limit: float) -> NDArray[np.bool_]:
+    """Which steps (..., k) are near, and at least the nearest: they may all be wider apart."""
+    distance = np.abs(apart)
+    near: NDArray[np.bool_] = (distance < limit) | (
+        distance == distance.min(axis=-1, keepdims=True)
+    )
+    return near
 
 
 def _in_common(
@@ -216,9 +223,7 @@ def _prediction(
     for r, (s, name, _) in enumerate(rows):
         sweep, log_hz = sweeps[s], np.log(found[s][name])
         hours[r] = float(np.interp(log_hz, np.log(sweep.drive_hz), sweep.time_s)) / 3600
-        apart = np.abs(np.log(sweep.drive_hz) - log_hz)
-        # Steps may be wider apart than that: the nearest is always near.
-        near = (apart < _AT_RESONANCE) | (apart == apart.min())
+        near = _near(np.log(sweep.drive_hz) - log_hz, _AT_RESONANCE)
         deep[r] = float(np.max(sweep.deepest_rad[near])) / 10
     nominal = Twin()
     by_E, by_G = (_slope(workshop, nominal, modulus, common) for modulus in ("E_L", "G_LT"))

@@ -3,8 +3,9 @@
     python -m benchmarks.sealed_sets [--again N]
 
 Of each set in `benchmarks/sealed`: whether its keys fit the hashes that were committed before it
-was answered, and its scores beside their targets. Then N cases of the last set are recorded anew
-from its key and diagnosed on two processors. Exit status 1 if a key does not fit.
+was answered, and its scores beside their targets: made of what is kept of its answers
+(`benchmarks.sealed_answers`), or as they were made if nothing is. Then N cases of the last set are
+recorded anew from its key and diagnosed on two processors. Exit status 1 if a key does not fit.
 """
 
 import argparse
@@ -19,11 +20,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from benchmarks.sealed_answers import kept_cases
 from blind.cases import Label, record_case
+from blind.classes import CLASSES
 from blind.files import BlindError, labels_of
+from blind.report import report
+from blind.scoring import Classes
 
 FOLDER = Path(__file__).parent / "sealed"
-SETS = "first", "second", "third"
+SETS = "first", "second", "third", "fourth"
 # Score, the number in it, its target, and whether more is better.
 TARGETS = (
     ("false alarms", ("false_alarms", "share"), 0.05, False),
@@ -51,11 +56,39 @@ def published(folder: Path) -> dict[str, Label]:
     """
     labels: dict[str, Label] = {}
     for sealed in sorted(folder.glob("tier*.json")):
-        try:
-            labels |= labels_of(sealed, folder / sealed.name.replace("tier", "key"))
-        except BlindError as error:
-            raise SystemExit(f"sealed_sets: {error}") from None
+        labels |= _labels(sealed)
     return labels
+
+
+def _labels(sealed: Path) -> dict[str, Label]:
+    try:
+        return labels_of(sealed, _beside(sealed, "key"))
+    except BlindError as error:
+        raise SystemExit(f"sealed_sets: {error}") from None
+
+
+def _beside(sealed: Path, what: str) -> Path:
+    return sealed.with_name(sealed.name.replace("tier", what))
+
+
+def scores_of(folder: Path) -> dict[str, Any] | None:
+    """Scores of a set: of what is kept of answers to it, else as they were published, if they are.
+
+    Parameters
+    ----------
+    folder : Path
+        With ``tierN.json`` and ``keyN.json``, and either ``answersN.json`` of each or
+        ``scores.json``.
+    """
+    sealed = sorted(folder.glob("tier*.json"))
+    if all(_beside(path, "answers").exists() for path in sealed):
+        cases = [kept_cases(_labels(path), _beside(path, "answers")) for path in sealed]
+        return report([case for own in cases for case in own], Classes(CLASSES))
+    scored = folder / "scores.json"
+    if not scored.exists():
+        return None
+    published_then: dict[str, Any] = json.loads(scored.read_text(encoding="utf-8"))
+    return published_then
 
 
 def against_targets(scores: dict[str, Any]) -> Iterator[str]:
@@ -108,13 +141,13 @@ def main() -> None:
     asked = parser.parse_args()
     labels: dict[str, Label] = {}
     for folder in (FOLDER / name for name in SETS):
-        scored = folder / "scores.json"
-        if not scored.exists():
+        scores = scores_of(folder)
+        if scores is None:
             print(f"{folder.name} sets: not scored yet")
             continue
         labels = published(folder)
         print(f"{folder.name} sets: {len(labels)} cases, whose keys fit what was sealed")
-        for line in against_targets(json.loads(scored.read_text(encoding="utf-8"))):
+        for line in against_targets(scores):
             print(f"  {line}")
     took_s = list(again(labels, asked.again))
     if took_s:

@@ -9,16 +9,23 @@ import pytest
 
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
-from benchmarks.sealed_sets import FOLDER, SETS, against_targets, published
+from benchmarks.sealed_sets import FOLDER, SETS, against_targets, published, scores_of
 
 DOCS = Path(__file__).parents[2] / "docs"
 _SCORED = [name for name in SETS if (FOLDER / name / "scores.json").exists()]
+_KEPT = [name for name in _SCORED if list((FOLDER / name).glob("answers*.json"))]
 
 
 @pytest.mark.parametrize("name", _SCORED)
 def test_keys_fit_what_was_sealed_and_all_cases_are_scored(name: str) -> None:
     scores = json.loads((FOLDER / name / "scores.json").read_text(encoding="utf-8"))
     assert len(published(FOLDER / name)) == scores["cases"]
+
+
+@pytest.mark.parametrize("name", _KEPT)
+def test_what_is_kept_of_answers_gives_the_scores_that_were_published(name: str) -> None:
+    scores = json.loads((FOLDER / name / "scores.json").read_text(encoding="utf-8"))
+    assert json.loads(json.dumps(scores_of(FOLDER / name))) == scores
 
 
 def test_a_key_that_was_changed_is_told(tmp_path: Path) -> None:

@@ -1,0 +1,88 @@
+"""What scores of sealed cases are made of: a thousandth of answers, small enough to be published.
+
+    python -m benchmarks.sealed_answers DIR ANSWERS KEY
+
+DIR is what `acquire blind make` made, ANSWERS the folder of NAME.json, as `acquire diagnose --json`
+prints them, KEY what fits DIR. What is printed goes into `benchmarks/sealed/SET/answersN.json`, of
+which `benchmarks.sealed_sets` makes the scores of the set.
+"""
+
+import argparse
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from blind.cases import Label
+from blind.files import BlindError, answered_cases
+from blind.scoring import UNKNOWN, Case
+
+# Effects and pairs that are less likely count for nothing in any score.
+_LEAST = 1e-7
+
+
+def essence(case: Case) -> dict[str, Any] | None:
+    """What scores read of an answer; None of none.
+
+    Parameters
+    ----------
+    case : Case
+    """
+    answer = case.answer
+    if answer is None:
+        return None
+    true = {name for name, _ in case.label.effects}
+    closed = {frozenset(true), frozenset(answer["effects_named"])}
+    by = answer["how_far"]["by"]
+    return {
+        "verdict": answer["verdict"],
+        "effects_named": answer["effects_named"],
+        "likely": answer["likely"],
+        "probability": {key: p for key, p in answer["probability"].items()
+                        if p >= _LEAST or key == UNKNOWN},
+        "effects": {name: _of_effect(t) for name, t in answer["effects"].items() if name in true},
+        "how_far": {"by": {key: {end: by[key][end] for end in ("before", "after")}
+                           for key in by if frozenset(key.split("+")) in closed}},
+    }  # fmt: skip
+
+
+def _of_effect(told: Mapping[str, Any]) -> dict[str, Any]:
+    sizes = {
+        name: {"value": size["value"], "error": size["error"]}
+        for name, size in told.get("sizes", {}).items()
+    }
+    kept = {key: told[key] for key in ("d_prime", "detectable") if key in told}
+    return kept | {"sizes": sizes}
+
+
+def kept_cases(labels: Mapping[str, Label], kept: Path) -> list[Case]:
+    """Put labels and kept answers together.
+
+    Parameters
+    ----------
+    labels : mapping of str to Label
+    kept : Path
+        What this program has printed of the same set.
+    """
+    told = json.loads(kept.read_text(encoding="utf-8"))
+    return [Case(name, label, told.get(name)) for name, label in labels.items()]
+
+
+def main() -> None:
+    """Print what scores read of each answer to a set, one case in a line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    for what in ("folder", "answers", "key"):
+        parser.add_argument(what, type=Path)
+    asked = parser.parse_args()
+    try:
+        cases = answered_cases(asked.folder, asked.answers, asked.key)
+    except BlindError as error:
+        raise SystemExit(f"sealed_answers: {error}") from None
+    lines = [
+        f" {json.dumps(c.name)}: {json.dumps(essence(c), separators=(',', ':'))}" for c in cases
+    ]
+    print("{\n" + ",\n".join(lines) + "\n}")
+
+
+if __name__ == "__main__":
+    main()

@@ -69,10 +69,9 @@ def as_drawn(reach: Reach, largest: float = 8.0) -> float:
 
 def told(reach: Reach) -> str:
     """One line of the table."""
-    sizes = "; ".join(
-        f"{p.name} {reach.detectable[p.name]:.2g} {p.unit}".strip()
-        for p in BY_ID[reach.effect].sizes
-    )
+    least = [(p, reach.detectable[p.name]) for p in BY_ID[reach.effect].sizes]
+    seen = [f"{p.name} {size:.2g} {p.unit}".strip() for p, size in least if np.isfinite(size)]
+    sizes = "; ".join(seen) or "no size"
     alike = ", ".join(f"{name} {value:.2f}" for name, value in reach.alike.items())
     absorbed = "-" if np.isnan(reach.absorbed) else f"{reach.absorbed:.0%}"
     return f"{reach.effect:<24}{sizes:<44}{as_drawn(reach):>6.2f}{absorbed:>6}  {alike}"

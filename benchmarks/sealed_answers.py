@@ -1,4 +1,4 @@
-"""What scores of sealed cases are made of: a thousandth of answers, small enough to be published.
+"""What scores of sealed cases are made of: a fortieth of answers, small enough to be published.
 
     python -m benchmarks.sealed_answers DIR ANSWERS KEY
 
@@ -9,7 +9,8 @@ which `benchmarks.sealed_sets` makes the scores of the set.
 
 import argparse
 import json
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -55,16 +56,18 @@ def _of_effect(told: Mapping[str, Any]) -> dict[str, Any]:
     return kept | {"sizes": sizes}
 
 
-def kept_cases(labels: Mapping[str, Label], kept: Path) -> list[Case]:
+def kept_cases(labels: Mapping[str, Label], kept: Sequence[Path]) -> list[Case]:
     """Put labels and kept answers together.
 
     Parameters
     ----------
     labels : mapping of str to Label
-    kept : Path
-        What this program has printed of the same set.
+    kept : sequence of Path
+        What this program has printed of the same sets.
     """
-    told = json.loads(kept.read_text(encoding="utf-8"))
+    told: dict[str, Any] = {}
+    for path in kept:
+        told |= json.loads(path.read_text(encoding="utf-8"))
     return [Case(name, label, told.get(name)) for name, label in labels.items()]
 
 
@@ -78,6 +81,9 @@ def main() -> None:
         cases = answered_cases(asked.folder, asked.answers, asked.key)
     except BlindError as error:
         raise SystemExit(f"sealed_answers: {error}") from None
+    silent = [case.name for case in cases if case.answer is None]
+    if silent:
+        print(f"sealed_answers: no answer to {', '.join(silent)}: counts as wrong", file=sys.stderr)
     lines = [
         f" {json.dumps(c.name)}: {json.dumps(essence(c), separators=(',', ':'))}" for c in cases
     ]

@@ -56,15 +56,11 @@ def published(folder: Path) -> dict[str, Label]:
     """
     labels: dict[str, Label] = {}
     for sealed in sorted(folder.glob("tier*.json")):
-        labels |= _labels(sealed)
+        try:
+            labels |= labels_of(sealed, _beside(sealed, "key"))
+        except BlindError as error:
+            raise SystemExit(f"sealed_sets: {error}") from None
     return labels
-
-
-def _labels(sealed: Path) -> dict[str, Label]:
-    try:
-        return labels_of(sealed, _beside(sealed, "key"))
-    except BlindError as error:
-        raise SystemExit(f"sealed_sets: {error}") from None
 
 
 def _beside(sealed: Path, what: str) -> Path:
@@ -80,10 +76,9 @@ def scores_of(folder: Path) -> dict[str, Any] | None:
         With ``tierN.json`` and ``keyN.json``, and either ``answersN.json`` of each or
         ``scores.json``.
     """
-    sealed = sorted(folder.glob("tier*.json"))
-    if all(_beside(path, "answers").exists() for path in sealed):
-        cases = [kept_cases(_labels(path), _beside(path, "answers")) for path in sealed]
-        return report([case for own in cases for case in own], Classes(CLASSES))
+    kept = [_beside(sealed, "answers") for sealed in sorted(folder.glob("tier*.json"))]
+    if all(path.exists() for path in kept):
+        return report(kept_cases(published(folder), kept), Classes(CLASSES))
     scored = folder / "scores.json"
     if not scored.exists():
         return None

@@ -95,9 +95,13 @@ def test_what_is_printed_is_read_again(
     asked = [str(tmp_path / name) for name in ("cases", "answers", "key.json")]
     monkeypatch.setattr("sys.argv", ["sealed_answers", *asked])
     main()
-    (tmp_path / "kept.json").write_text(capsys.readouterr().out, encoding="utf-8")
+    printed = capsys.readouterr()
+    # Whoever has not waited for all answers is told.
+    assert last in printed.err
+    assert first not in printed.err
+    (tmp_path / "kept.json").write_text(printed.out, encoding="utf-8")
     named = dict(zip(sorted(key["cases"]), labels, strict=True))
-    read = {case.name: case for case in kept_cases(named, tmp_path / "kept.json")}
+    read = {case.name: case for case in kept_cases(named, [tmp_path / "kept.json"])}
     assert set(read) == set(named)
     assert read[last].answer is None
     kept = read[first].answer

@@ -21,7 +21,10 @@ def _answer(case_number: int, named: tuple[str, ...]) -> dict[str, Any]:
     rng = np.random.default_rng(case_number)
     names = sorted({name for group in CLASSES for name in group} | {"carrier", "crack", *named})
     keys = ["none", "unknown", *names, "+".join(named) or "none", "carrier+crack"]
-    shares = rng.dirichlet(np.full(len(keys), 0.1))
+    # Every other answer is right, so that sizes are scored too.
+    weights = np.full(len(keys), 0.1)
+    weights[keys.index("+".join(named) or "none")] += 9.0 * (case_number % 2)
+    shares = rng.dirichlet(weights)
     told = dict.fromkeys(keys, 0.0)
     for key, value in zip(keys, shares.tolist(), strict=True):
         told[key] += value
@@ -34,7 +37,7 @@ def _answer(case_number: int, named: tuple[str, ...]) -> dict[str, Any]:
         "probability": told,
         "effects": {
             name: {
-                "d_prime": float(rng.uniform(0, 9)),
+                "d_prime": float(rng.uniform(0, 12)),
                 "detectable": {"size": 0.123456789, "length": 1e-5},
                 "sizes": {"size": {"value": 0.3333333333, "error": 0.1, "prior": [0, 1]}},
                 "text": "what scores do not read",
@@ -67,6 +70,7 @@ def test_scores_are_those_of_whole_answers(cases: list[Case]) -> None:
     whole, short = (report(some, Classes(CLASSES)) for some in (cases, kept))
     assert _numbers(short) == pytest.approx(_numbers(whole), abs=1e-5, rel=1e-4)
     assert len(set(_numbers(whole).values())) > 50
+    assert whole["sizes"]["sizes"] > 0
     assert len(json.dumps(kept[0].answer)) < 0.5 * len(json.dumps(cases[0].answer))
 
 

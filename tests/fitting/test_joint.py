@@ -35,12 +35,22 @@ def sweep(jointly):
     return jointly.sweeps[0]
 
 
+# The modes that the paper measures.
+MEASURED = ("F1", "T1", "F2", "T2", "X1", "T3", "F3", "X2", "X3")
+
+
+def cents_apart(one, other):
+    """Of frequencies by name."""
+    return {name: float(cents_of(one[name]) - cents_of(other[name])) for name in MEASURED}
+
+
+def found_hz(sweep):
+    return {name: mode.frequency_hz for name, mode in sweep.resonances.items()}
+
+
 def test_frequencies_are_the_eigenfrequencies(sweep, true_hz):
-    """Of the modes that the paper measures, on half the steps and a quarter of the sensor."""
-    apart = {
-        name: float(cents_of(sweep.resonances[name].frequency_hz) - cents_of(true_hz[name]))
-        for name in ("F1", "T1", "F2", "T2", "X1", "T3", "F3", "X2", "X3")
-    }
+    """On half the steps and a quarter of the sensor."""
+    apart = cents_apart(found_hz(sweep), true_hz)
     assert all(abs(cents) < 5 for cents in apart.values()), apart
 
 
@@ -132,13 +142,16 @@ def test_a_mode_has_room_up_to_the_next_of_its_symmetry():
     assert _room_cents("F2", {"F2": 2100.0, "T2": 2150.0}) == 80
 
 
-def test_picks_that_speak_for_no_possible_cane_do_no_harm(sweep_a, sweep, monkeypatch):
+def test_picks_that_speak_for_no_possible_cane_do_no_harm(sweep_a, sweep, true_hz, monkeypatch):
     """Of a shear modulus below zero: modes are sought where the mean cane has them."""
     monkeypatch.setattr("fitting.joint.likely_components", lambda *_: Components(e1=-8.0))
     other = fit_runs([sweep_a], method="joint").sweeps[0]
-    for name in ("F1", "T1", "F2", "T2"):
-        found, hz = sweep.resonances[name], other.resonances[name].frequency_hz
-        assert float(cents_of(hz) - cents_of(found.frequency_hz)) == pytest.approx(0, abs=1)
+    apart = cents_apart(found_hz(other), true_hz)
+    assert all(abs(cents) < 5 for cents in apart.values()), apart
+    same = cents_apart(found_hz(other), found_hz(sweep))
+    # Half the steps leave two frequencies of F2, beside a line of the air: see docs/fit.md.
+    del same["F2"]
+    assert all(abs(cents) < 1 for cents in same.values()), same
 
 
 def test_shapes_alike_have_a_mac_of_1():

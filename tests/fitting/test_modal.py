@@ -391,8 +391,8 @@ def test_phases_of_holograms_are_of_no_matter(sweep, found):
     turn = np.exp(2j * np.pi * np.random.default_rng(4).uniform(size=104))
     fit = sweep.fit(**turned(sweep, turn))
     assert_same(fit, found)
-    ratio = fit.drive / (found.drive * turn)
-    assert np.abs(ratio / ratio[0] - 1).max() < 5e-3
+    # Not the drive by itself: it may take from participations what changes slowly with frequency.
+    assert np.abs(fit.modal_rad / (found.modal_rad * turn[:, None]) - 1).max() < 5e-3
 
 
 @pytest.mark.parametrize("factor", [1 / 30, 5.0])

@@ -21,10 +21,10 @@ run: .stamps/run
 	$(BIN)/acquire run $(PROTOCOL)
 
 test: .stamps/test lint
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile
+	$(BIN)/python -m pytest -q -n auto --maxprocesses 4 --dist loadfile
 
 test-all: .stamps/all
-	$(ALL)/bin/python -m pytest -q -n 2 --dist loadfile \
+	$(ALL)/bin/python -m pytest -q -n auto --maxprocesses 4 --dist loadfile \
 	  tests/peers tests/drivers tests/bench/test_wire.py tests/bench/test_faults.py
 
 lint: .stamps/test

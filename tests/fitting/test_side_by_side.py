@@ -167,10 +167,12 @@ def test_a_process_says_things_without_the_display_that_was_at_work(
 
 # A program whose pieces say who they are, and take long.
 _PROGRAM = """
-import os, sys, time
+import os, signal, sys, time
 from pathlib import Path
 from fitting.side_by_side import side_by_side
 
+# Who runs tests in the background may have interrupts ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 os.sched_getaffinity = lambda _process: {0, 1}
 
 def slow(item):

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from blind.files import BlindError
-from blind.scoring import Case, Classes, best, share
+from blind.scoring import Case, Classes, share, sure_and_right
 
 _BINS = 8
 
@@ -20,18 +20,14 @@ def draw_reliability(cases: Sequence[Case], classes: Classes, path: Path) -> Non
     BlindError
         If the picture cannot be written.
     """
-    sure, right = [], []
-    for case in cases:
-        mass = classes.mass(case.probability)
-        sure.append(mass.get(best(mass), 0.0))
-        right.append(best(mass) == classes.of(case.truth))
+    sure, right = sure_and_right(cases, classes)
     order = np.argsort(sure, kind="stable")
     figure = Figure(figsize=(5.2, 4.6), layout="constrained")
     ax = figure.subplots()
     ax.plot([0, 1], [0, 1], color="0.6", linewidth=1, label="as often right as sure")
     for piece in np.array_split(order, min(_BINS, len(order))):
-        hits = share([right[k] for k in piece])
-        at = float(np.mean([sure[k] for k in piece]))
+        hits = share(right[piece].tolist())
+        at = float(np.mean(sure[piece]))
         ax.errorbar(
             at,
             hits.value,
@@ -44,7 +40,7 @@ def draw_reliability(cases: Sequence[Case], classes: Classes, path: Path) -> Non
     ax.set(
         xlim=(0, 1.02),
         ylim=(0, 1.02),
-        xlabel="probability given to the likeliest class",
+        xlabel="probability given to the likeliest class (1 where none was)",
         ylabel="share of cases in which it is the truth",
         title=f"{len(cases)} sealed cases, 95 % intervals",
     )

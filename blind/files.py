@@ -9,6 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
+from pydantic import BaseModel, FiniteFloat, ValidationError
+
 from blind.cases import (
     TIERS,
     Label,
@@ -21,12 +23,41 @@ from blind.cases import (
 from blind.scoring import Case
 
 SEALED: Final = "sealed.json"
-# What every answer has.
-_ANSWERED: Final = "verdict", "probability", "likely", "effects", "how_far"
 
 
 class BlindError(ValueError):
     """A set of cases that cannot be made, or answers that cannot be scored."""
+
+
+class _Size(BaseModel):
+    value: FiniteFloat
+    error: FiniteFloat
+
+
+class _Effect(BaseModel):
+    d_prime: FiniteFloat
+    detectable: dict[str, FiniteFloat | None]
+    sizes: dict[str, _Size]
+
+
+class _Closed(BaseModel):
+    before: FiniteFloat | None
+    after: FiniteFloat | None
+
+
+class _HowFar(BaseModel):
+    by: dict[str, _Closed]
+
+
+class _Answer(BaseModel):
+    """What scores read of an answer: the rest of it is of no matter here."""
+
+    verdict: str
+    effects_named: list[str]
+    probability: dict[str, FiniteFloat]
+    likely: list[list[str]]
+    effects: dict[str, _Effect]
+    how_far: _HowFar
 
 
 def make_set(
@@ -71,15 +102,24 @@ def make_set(
     sealed = json.dumps(told, indent=1).encode()
     try:
         key.write_text(json.dumps({"nonce": nonce, **kept}, indent=1), encoding="utf-8")
+    except OSError as error:
+        raise BlindError(f"{key}: cannot be written ({error.strerror})") from None
+    try:
         folder.mkdir(parents=True)
         (folder / SEALED).write_bytes(sealed)
     except OSError as error:
-        raise BlindError(f"{error.filename}: cannot be written ({error.strerror})") from None
+        # A key of nothing would only be in the way of the next try.
+        key.unlink()
+        raise BlindError(f"{folder}: cannot be written ({error.strerror})") from None
     report = progress or (lambda _share: None)
     with ProcessPoolExecutor(max_workers=jobs) as pool:
         waiting = [pool.submit(record_case, folder, name, label) for name, label in labels.items()]
         for number, done in enumerate(as_completed(waiting)):
-            done.result()
+            try:
+                done.result()
+            except OSError as error:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise BlindError(f"{folder}: a case cannot be recorded ({error})") from None
             report((number + 1) / count)
     return hashlib.sha256(sealed).hexdigest()
 
@@ -152,8 +192,15 @@ def _cases(path: Path) -> dict[str, Any]:
 
 def _answer(path: Path) -> dict[str, Any]:
     found = _read(path)
-    if not all(key in found for key in _ANSWERED):
-        raise BlindError(f"{path}: is no answer, as `acquire diagnose RUN … --json` prints it")
+    try:
+        _Answer.model_validate(found, strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"]))
+        raise BlindError(
+            f"{path}: is no answer, as `acquire diagnose RUN … --json` prints it ({place}: "
+            f"{first['msg']})"
+        ) from None
     return found
 
 

@@ -15,7 +15,6 @@ from blind.scoring import (
     calibration_error,
     closures,
     confident_wrong,
-    exact,
     false_alarms,
     log_score,
     mean_probability,
@@ -62,8 +61,8 @@ def report(cases: Sequence[Case], classes: Classes) -> dict[str, Any]:
                                  "single": _mean(mean_probability(single, classes)),
                                  "resolved": _mean(mean_probability(resolved, classes))},
         "two_effects_exact": {
-            "all": _share(exact(double, classes)),
-            "resolved": _share(exact([case for case in double if case.resolved], classes)),
+            "all": _share(named(double, classes)),
+            "resolved": _share(named([case for case in double if case.resolved], classes)),
         },
         "unknown_found": {**_share(found), "threshold": _number(threshold), "area": _number(area)},
         "confident_wrong": _share(confident_wrong(cases, classes)),

@@ -243,27 +243,33 @@ def confident_wrong(cases: Sequence[Case], classes: Classes) -> Share:
     )
 
 
-def calibration_error(cases: Sequence[Case], classes: Classes) -> float:
-    """Mean distance between how sure answers are and how often they are right (ECE).
+def sure_and_right(cases: Sequence[Case], classes: Classes) -> tuple[Array, NDArray[np.bool_]]:
+    """How sure each answer (n,) is of its likeliest class, and whether it is right.
 
     What is not answered counts as wrong, and as sure.
     """
-    sure, right = [], []
-    for case in cases:
-        mass = classes.mass(case.probability)
-        sure.append(mass.get(best(mass), 1.0))
-        right.append(best(mass) == classes.of(case.truth))
-    order = np.argsort(sure)
-    pieces = [piece for piece in np.array_split(order, _BINS) if len(piece)]
-    apart = [
-        len(p) * abs(np.mean(np.array(sure)[p]) - np.mean(np.array(right, dtype=float)[p]))
-        for p in pieces
-    ]
-    return float(np.sum(apart) / len(cases)) if len(cases) else float("nan")
+    masses = [classes.mass(case.probability) for case in cases]
+    sure = np.array([mass.get(best(mass), 1.0) for mass in masses])
+    truths = [classes.of(case.truth) for case in cases]
+    right = [best(mass) == truth for mass, truth in zip(masses, truths, strict=True)]
+    return sure, np.array(right, dtype=bool)
+
+
+def calibration_error(cases: Sequence[Case], classes: Classes) -> float:
+    """Mean distance between how sure answers are and how often they are right (ECE)."""
+    if not cases:
+        return float("nan")
+    sure, right = sure_and_right(cases, classes)
+    pieces = [piece for piece in np.array_split(np.argsort(sure), _BINS) if len(piece)]
+    apart = [len(p) * abs(np.mean(sure[p]) - np.mean(right[p].astype(float))) for p in pieces]
+    return float(np.sum(apart) / len(cases))
 
 
 def brier(cases: Sequence[Case], classes: Classes) -> float:
-    """Mean square distance of probabilities from the truth, over all classes."""
+    """Mean square distance of probabilities from the truth, over all classes.
+
+    1 of what is not answered, as of probabilities that are spread over very many classes.
+    """
     scores = []
     for case in cases:
         mass = dict(classes.mass(case.probability))
@@ -288,11 +294,6 @@ def log_score(cases: Sequence[Case], classes: Classes) -> float:
     """Mean log of the probability given to the truth, of a millionth at least."""
     given = [classes.mass(c.probability).get(classes.of(c.truth), 0.0) for c in cases]
     return float(np.mean(np.log(np.maximum(given, _LEAST_GIVEN)))) if given else float("nan")
-
-
-def exact(cases: Sequence[Case], classes: Classes) -> Share:
-    """Cases of several effects of which just these are named."""
-    return named(cases, classes)
 
 
 def size_errors(cases: Sequence[Case], classes: Classes) -> dict[str, float | int | None]:
@@ -337,7 +338,11 @@ def _closure(case: Case) -> float | None:
     """That ratio of one case; None where the truth closes nothing that could be seen."""
     if case.answer is None or not case.answered:
         return 0.0
-    by = {frozenset(name.split("+")): gap for name, gap in case.answer["how_far"]["by"].items()}
+    by = {
+        frozenset(name.split("+")): gap
+        for name, gap in case.answer["how_far"]["by"].items()
+        if gap["before"] is not None and gap["after"] is not None
+    }
     truth = by.get(frozenset(name for name, _ in case.label.effects))
     if truth is None:
         return 0.0 if case.resolved else None

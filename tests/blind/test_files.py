@@ -1,7 +1,9 @@
 """Sets of cases: keys fit what was sealed, and answers find their case."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
+from hashlib import sha256
 
 import pytest
 
@@ -40,10 +42,19 @@ def made(tmp_path, monkeypatch):
     return tmp_path
 
 
-def answer(folder, name):
+SAID = {
+    "verdict": "effect",
+    "effects_named": ["crack"],
+    "probability": {"none": 0.1, "crack": 0.9},
+    "likely": [["crack"]],
+    "effects": {"crack": {"d_prime": 7.0, "detectable": {"depth": None},
+                          "sizes": {"depth": {"value": 1e-4, "error": 1e-5}}}},
+    "how_far": {"by": {"crack": {"before": 4.0, "after": None}}},
+}  # fmt: skip
+
+
+def answer(folder, name, said=SAID):
     (folder / "answers").mkdir(exist_ok=True)
-    said = {"verdict": "none", "probability": {"none": 1.0}, "likely": [["none"]], "effects": {},
-            "how_far": {"by": {}}}  # fmt: skip
     (folder / "answers" / f"{name}.json").write_text(json.dumps(said))
 
 
@@ -92,6 +103,31 @@ def test_what_is_no_answer_is_told(made, content) -> None:
         answered_cases(made / "cases", made / "answers", made / "key.json")
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "place"),
+    [
+        ("verdict", None, "verdict"),
+        ("effects_named", "crack", "effects_named"),
+        ("probability", [], "probability"),
+        ("probability", {"none": None}, "probability.none"),
+        ("probability", {"none": float("nan")}, "probability.none"),
+        ("likely", ["crack"], "likely.0"),
+        ("effects", [], "effects"),
+        ("effects", {"crack": {"detectable": {}, "sizes": {}}}, "effects.crack.d_prime"),
+        ("how_far", {}, "how_far.by"),
+        ("how_far", {"by": {"crack": None}}, "how_far.by.crack"),
+    ],
+)
+def test_an_answer_of_a_wrong_shape_is_told_by_its_place(made, key, value, place) -> None:
+    name = next(iter(json.loads((made / "key.json").read_text())["cases"]))
+    answer(made, name, SAID | {key: value})
+    with pytest.raises(BlindError, match=rf"{name}\.json: is no answer.*\({place}: "):
+        answered_cases(made / "cases", made / "answers", made / "key.json")
+    answer(made, name, {k: v for k, v in SAID.items() if k != key})
+    with pytest.raises(BlindError, match=rf"\({key}: "):
+        answered_cases(made / "cases", made / "answers", made / "key.json")
+
+
 @pytest.mark.parametrize("content", ["{}", "[1]", '{"cases": {}}', "\xff"])
 def test_what_is_no_key_is_told(made, content) -> None:
     answer(made, next(iter(json.loads((made / "key.json").read_text())["cases"])))
@@ -107,6 +143,31 @@ def test_nothing_is_left_of_a_set_whose_key_cannot_be_written(tmp_path) -> None:
     with pytest.raises(BlindError, match="cannot be written"):
         make_set(tmp_path / "cases", tmp_path / "nowhere" / "key.json", 1, 3, 7)
     assert not list(tmp_path.iterdir())
+
+
+def test_no_key_is_left_of_a_set_whose_folder_cannot_be_made(tmp_path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(BlindError, match=r"file/cases: cannot be written"):
+        make_set(tmp_path / "file" / "cases", tmp_path / "key.json", 1, 3, 7)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def _full(folder, name, label):
+    raise OSError(28, "No space left on device")
+
+
+def test_a_disk_that_is_full_is_told(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(files, "record_case", _full)
+    monkeypatch.setattr(files, "ProcessPoolExecutor", lambda max_workers: ThreadPoolExecutor(1))
+    with pytest.raises(BlindError, match=r"cases: a case cannot be recorded .*No space left"):
+        make_set(tmp_path / "cases", tmp_path / "key.json", 1, 3, 7)
+
+
+def test_a_nonce_makes_another_seed_of_the_same() -> None:
+    seeds = {hidden_seed(7, "a"), hidden_seed(7, "b"), hidden_seed(8, "a")}
+    assert len(seeds) == 3
+    # Known beforehand: keys that are published draw their labels again.
+    assert hidden_seed(7, "a") == int(sha256(b"7 a").hexdigest()[:16], 16)
 
 
 def test_a_seed_alone_does_not_tell_the_labels(made) -> None:

@@ -25,6 +25,7 @@ from blind.scoring import (
     share,
     shuffled,
     size_errors,
+    sure_and_right,
 )
 
 CLASSES = Classes([("air_load", "stiffening"), ("crack",)])
@@ -215,6 +216,22 @@ def test_labels_that_are_all_the_same_cannot_be_shuffled() -> None:
     assert shuffled([case("crack", {"crack": 1.0})] * 5, Classes(())) == (1.0, 1.0, 1.0)
     assert np.isnan(shuffled([], Classes(()))[0])
     assert shuffled([Case("c", Label(1, (("crack", 1.0),), True, 0), None)], CLASSES)[0] == 0.0
+
+
+def test_what_is_not_answered_is_sure_and_wrong() -> None:
+    cases = [case("crack", {"crack": 0.8, "none": 0.2}), missing("crack"), missing("")]
+    sure, right = sure_and_right([*cases, case("crack", {"none": 0.7, "crack": 0.3})], CLASSES)
+    assert sure.tolist() == [0.8, 1.0, 1.0, 0.7]
+    assert right.tolist() == [True, False, False, False]
+
+
+def test_a_gap_that_is_not_told_closes_nothing() -> None:
+    told = {"before": 4.0, "after": 1.0}
+    both = answered("crack", "crack", {"crack": told})
+    assert closures([both])["median"] == 1.0
+    # The truth stands out, and its gap is not told.
+    none = answered("crack", "crack", {"crack": told | {"after": None}})
+    assert closures([none])["median"] == 0.0
 
 
 def test_a_reliability_plot_is_drawn(tmp_path) -> None:

@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
 from benchmarks.sealed_sets import FOLDER, SETS, against_targets, published, scores_of
+from blind.classes import UNDETECTABLE
 
 DOCS = Path(__file__).parents[2] / "docs"
 _SCORES = {name: scores for name in SETS if (scores := scores_of(FOLDER / name)) is not None}
@@ -82,3 +83,24 @@ def test_the_page_says_met_and_missed_as_scores_do(name: str) -> None:
     # Two targets are one row: a set of 90 % is to hold the truth neither too seldom nor too often.
     assert said.count("missed") == found.count("missed")
     assert said.count("met") == found.count("met") - 1
+
+
+def test_the_page_tells_intervals_as_scores_do() -> None:
+    page = (DOCS / "blind.md").read_text(encoding="utf-8")
+    own = page.split("## Fourth sets")[1].split("## ")[0]
+    scores = _SCORES["fourth"]
+    given = scores["probability_of_truth"]["resolved"]
+    assert "| {mean:.2f} [{low:.2f}, {high:.2f}] |".format(**given) in own
+    for told in (
+        scores["false_alarms"],
+        scores["class_right"]["resolved"],
+        scores["unknown_found"],
+        scores["two_effects_exact"]["all"],
+    ):
+        assert "| {share:.0%} [{low:.0%}, {high:.0%}] |".format(**told).replace("%", " %") in own
+
+
+def test_what_was_declared_undetectable_is_on_the_page() -> None:
+    page = (DOCS / "reach.md").read_text(encoding="utf-8")
+    declared = page.split("**Undetectable**")[1].split("Only at the largest")[0]
+    assert all(name in declared for name in UNDETECTABLE)

@@ -44,6 +44,8 @@ EXPOSURE: Final = "exposure_s"
 SEAMS: Final = ("position", "kind", "began", "ended", "reason")
 SEAMS_MAX: Final = 64
 EXACT_BYTES: Final = 64
+# Of what went wrong, no more than this is told.
+_LONGEST_REASON = 120
 
 
 SeamKind = Literal["resumed", "paused", "recovered"]
@@ -151,4 +153,4 @@ def short_reason(error: BaseException) -> str:
     quoted = re.search(r"error message = '([^']+)'", said)
     if quoted:
         return quoted[1]
-    return said.splitlines()[0] if said else type(error).__name__
+    return said.splitlines()[0][:_LONGEST_REASON] if said else type(error).__name__

@@ -38,6 +38,9 @@ from holography.region import Region
 
 __all__ = ["MeasuredStep", "Run", "RunLabels", "RunWriter", "StepRecord"]
 
+# What h5py, and whoever makes sense of what it reads, raise where bytes are not what was written.
+_DAMAGE = OSError, RuntimeError, ValueError, TypeError, ArithmeticError
+
 
 @dataclass(frozen=True, slots=True)
 class StepRecord:
@@ -174,7 +177,8 @@ class Run:
         Raises
         ------
         RunFileError
-            If there is no such file, it is no HDF5 or no run file, or parts are missing.
+            If there is no such file, it is no HDF5 or no run file, or parts are missing or
+            damaged.
         """
         path = Path(path)
         if path.is_dir():
@@ -195,6 +199,11 @@ class Run:
             file.close()
             raise RunFileError(
                 f"{path}: is incomplete ({short_reason(error)}); measure again or use another copy"
+            ) from error
+        except _DAMAGE as error:
+            file.close()
+            raise RunFileError(
+                f"{path}: is damaged ({short_reason(error)}); use another copy of the file"
             ) from error
         except BaseException:
             file.close()
@@ -264,7 +273,7 @@ class Run:
         self._require_open()
         try:
             kept = self._file["entry/retakes"][name][number]
-        except OSError as error:
+        except (KeyError, *_DAMAGE) as error:
             raise RunFileError(
                 f"{self.path}: an earlier take of step {step.index} is damaged "
                 f"({short_reason(error)}); use another copy of the file or do without it"
@@ -320,7 +329,7 @@ class Run:
         self._require_open()
         try:
             return self._file["entry/data"][name][step.position]
-        except OSError as error:
+        except (KeyError, *_DAMAGE) as error:
             raise RunFileError(
                 f"{self.path}: step {step.index} is damaged ({short_reason(error)}); "
                 "use another copy of the file or do without this step"

@@ -328,6 +328,35 @@ def test_a_file_that_lacks_a_part_is_incomplete(create, lost):
     assert "\n" not in str(caught.value)
 
 
+def _damaged(content, rng):
+    """The same bytes but for some."""
+    damaged = bytearray(content)
+    for _ in range(rng.choice([20, 200, 2000])):
+        damaged[rng.randrange(len(damaged))] = rng.randrange(256)
+    return bytes(damaged)
+
+
+def test_what_a_disk_has_damaged_is_read_or_refused_in_one_line(plan, create, tmp_path):
+    writer = create()
+    for position in range(4):
+        writer.write(position, measured(plan, position))
+    writer.finish("complete")
+    content, said = writer.path.read_bytes(), []
+    for seed in range(100):
+        path = tmp_path / f"{seed}.h5"
+        path.write_bytes(_damaged(content, random.Random(seed)))
+        try:
+            with Run.open(path) as run:
+                run.reed_file()
+                for step in run.steps:
+                    run.field(step.position)
+        except RunFileError as error:
+            said.append(str(error))
+    assert all("\n" not in line and len(line) < 400 for line in said)
+    for words in ("is damaged", "is incomplete", "is no HDF5 file"):
+        assert any(words in line for line in said), words
+
+
 # --- Takes -------------------------------------------------------------------------------------
 
 

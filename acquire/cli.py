@@ -469,10 +469,12 @@ def diagnose(
 
     tables = [path for path in runs or () if path.suffix.lower() == ".csv"]
     if published or tables:
-        if len(runs or ()) != len(tables) or len(tables) + published > 1:
+        if len(runs or ()) != len(tables) or (published and tables):
             raise FitInputError(
                 "runs, a table of resonances and --published are three kinds of data; give one"
             )
+        if len(tables) > 1:
+            raise FitInputError(f"{len(tables)} tables of resonances were given; give one")
         if out or following or bench:
             raise FitInputError(
                 "--bench, --out and --next are for runs, not for a table of resonances"
@@ -498,21 +500,27 @@ def _diagnose_runs(
     from diagnosis.answer import to_json
     from diagnosis.campaign import Campaign
     from diagnosis.known_bench import base_twin, bench_of
-    from diagnosis.next_runs import write_next
+    from diagnosis.next_runs import require_protocol, sweep_beside, write_next
     from diagnosis.observing import read
     from diagnosis.page import words, write_page
     from diagnosis.verdict import diagnose as judge
     from fitting.comparison.page import require_writable
+    from fitting.errors import FitError
     from physics.mechanics import Workshop
     from physics.reed.cache import anatomy
 
     bench = BenchFile.from_file(bench_name) if bench_name else None
-    for place, option in ((out, "--out"), (following, "--next")):
+    places = [(out, "--out"), (following, "--next")]
+    if following is not None:
+        places.append((sweep_beside(following), "--next"))
+    for place, option in places:
         if place is not None:
             require_writable(place, option)
     files = [file for path in paths for file in _run_files(path)]
     with contextlib.ExitStack() as opened:
         campaign = Campaign.of([opened.enter_context(Run.open(file)) for file in files])
+        if following is not None:
+            require_protocol(campaign.sweeps[0].run)
         bench = bench or bench_of(campaign.sweeps[0].run)
         base = base_twin(bench)
         geometry = campaign.sweeps[0].run.reed_file().geometry()
@@ -520,9 +528,16 @@ def _diagnose_runs(
         with share_progress(_words(), "fitting sweeps") as told:
             readings = read(campaign, bench, told)
     with share_progress(_words(), "trying effects") as told:
-        verdict = judge(readings, workshop, base, progress=told)
+        try:
+            verdict = judge(readings, workshop, base, progress=told)
+        except ValueError as error:
+            raise FitError(
+                f"{campaign.sweeps[0].run.path}: no reed of its kind is near what its campaign "
+                f"shows ({error}); check the reed, the series and the bench file"
+            ) from error
     if out is not None:
-        write_page(verdict, f"Diagnosis of {campaign.sweeps[0].run.reed}", out)
+        runs = [file.name for file in files]
+        write_page(verdict, f"Diagnosis of {campaign.sweeps[0].run.reed}", out, runs)
     if as_json:
         _show_json(to_json(verdict))
     else:
@@ -556,14 +571,21 @@ def _diagnose_resonances(table: Path | None, as_json: bool) -> None:
     from diagnosis.mean_reed import printed_reeds, tabled_reeds
     from diagnosis.published import diagnose_resonances
     from diagnosis.published_page import gap_of_modes, to_json, trials_table, words
+    from fitting.errors import FitInputError
     from physics.effects.catalogue import BY_ID, CATALOGUE
     from physics.mechanics import Workshop
     from physics.reed.cache import anatomy
 
-    reeds = tabled_reeds(table) if table else printed_reeds()
+    reeds = tabled_reeds(table, _tell) if table else printed_reeds()
     workshop = Workshop(anatomy(announce=_tell), _tell)
     with share_progress(_words(), "trying effects") as told:
-        diagnosis = diagnose_resonances(reeds, workshop, CATALOGUE, told)
+        try:
+            diagnosis = diagnose_resonances(reeds, workshop, CATALOGUE, told)
+        except ValueError as error:
+            raise FitInputError(
+                f"{table or 'Table 1'}: no clarinet reed has resonances near these ({error}); "
+                "check frequencies and names of modes"
+            ) from error
     if as_json:
         _show_json(to_json(diagnosis))
         return
@@ -677,14 +699,23 @@ def blind_score(
         from blind.report import report as blind_report
         from blind.report import sentences
         from blind.scoring import Classes
+        from fitting.comparison.page import require_writable
 
         if not len(folders) == len(answers) == len(key):
             raise BlindError(
                 f"{len(folders)} sets of cases, {len(answers)} --answers and {len(key)} --key were "
                 "given; give one of each for every set, in the same order"
             )
+        if picture is not None:
+            if picture.suffix.lower() != ".png":
+                raise BlindError(f"{picture}: is drawn as PNG; give it a name that ends in .png")
+            require_writable(picture, "--picture")
         sets = zip(folders, answers, key, strict=True)
         cases = [case for made in sets for case in answered_cases(*made)]
+        names = [case.name for case in cases]
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise BlindError(f"case {twice} is in two sets; give each set once")
         classes = Classes(CLASSES)
         scores = blind_report(cases, classes)
         if as_json:

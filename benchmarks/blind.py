@@ -7,6 +7,7 @@ that are there already stay. Prints how long each took; `acquire blind score` sc
 """
 
 import argparse
+import json
 import subprocess
 import sys
 import time
@@ -37,15 +38,21 @@ def main() -> None:
     parser.add_argument("answers", type=Path)
     parser.add_argument("--jobs", type=int, default=1)
     asked = parser.parse_args()
+    try:
+        sealed = json.loads((asked.cases / "sealed.json").read_text(encoding="utf-8"))["cases"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise SystemExit(f"blind: {asked.cases}: is no folder of sealed cases") from None
     asked.answers.mkdir(parents=True, exist_ok=True)
     todo = [
-        case
-        for case in sorted(asked.cases.iterdir())
-        if case.is_dir() and not (asked.answers / f"{case.name}.json").exists()
+        asked.cases / name
+        for name in sorted(sealed)
+        if not (asked.answers / f"{name}.json").exists()
     ]
     with ThreadPoolExecutor(asked.jobs) as pool:
         for said in pool.map(lambda case: answer(case, asked.answers), todo):
             print(said, flush=True)
+    if not all((asked.answers / f"{case.name}.json").exists() for case in todo):
+        raise SystemExit(1)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
 Of each case the folder holds the recordings and the hash of its salted label; labels and salts
 stand in a key of their own. Nothing in a recording depends on its label but the physics: names are
-random, times are alike, and every case draws as many random numbers as any other.
+random, times are alike, and so is what cases draw at random, but for effects that are random
+themselves.
 """
 
 import hashlib
@@ -23,6 +24,8 @@ from blind.world import Air, Cane, Chip, Light, World
 
 Tier = Literal[0, 1, 2, 3, 4, 6]
 TIERS: Final = (0, 1, 2, 3, 4, 6)
+# Added to the name of a case that is not whole.
+CUT: Final = ".cut"
 # Sizes of effects are alike likely on a scale of logarithms between these multiples of the usual.
 _SIZES: Final = (0.5, 8.0)
 # What a laboratory may know of itself: so many, of such sizes.
@@ -186,15 +189,16 @@ def commitment(label: Label, salt: str) -> str:
 
 
 def record_case(folder: Path, name: str, label: Label) -> None:
-    """Record the campaign of a case into a folder of its name."""
+    """Record the campaign of a case into a folder of its name, which is there once it is whole."""
     laboratory = Laboratory(sick_world(label))
-    into = folder / name
+    into = folder / f"{name}{CUT}"
     into.mkdir(parents=True)
     told = told_sizes(label)
     for recording in laboratory.campaign():
         write_recording(into / f"{recording.name}.h5", name, laboratory, recording, told)
     if told:
         (into / "bench.yaml").write_text(bench_text(name, laboratory, told), encoding="utf-8")
+    into.rename(folder / name)
 
 
 def hidden_seed(seed: int, nonce: str) -> int:

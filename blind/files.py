@@ -3,6 +3,7 @@
 import hashlib
 import json
 import secrets
+import shutil
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
@@ -12,6 +13,7 @@ from typing import Any, Final
 from pydantic import BaseModel, FiniteFloat, ValidationError
 
 from blind.cases import (
+    CUT,
     TIERS,
     Label,
     commitment,
@@ -88,6 +90,8 @@ def make_set(
     ------
     BlindError
         If there is no such tier, folder or key are there already, or they cannot be written.
+    KeyboardInterrupt
+        Once the cases under way have ended or been interrupted as well: whole ones stay.
     """
     if tier not in TIERS:
         raise BlindError(f"there is no tier {tier}; choose one of {', '.join(map(str, TIERS))}")
@@ -114,13 +118,17 @@ def make_set(
     report = progress or (lambda _share: None)
     with ProcessPoolExecutor(max_workers=jobs) as pool:
         waiting = [pool.submit(record_case, folder, name, label) for name, label in labels.items()]
-        for number, done in enumerate(as_completed(waiting)):
-            try:
+        try:
+            for number, done in enumerate(as_completed(waiting)):
                 done.result()
-            except OSError as error:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise BlindError(f"{folder}: a case cannot be recorded ({error})") from None
-            report((number + 1) / count)
+                report((number + 1) / count)
+        except OSError as error:
+            raise BlindError(f"{folder}: a case cannot be recorded ({error})") from None
+        finally:
+            # Cases that are whole stay.
+            pool.shutdown(cancel_futures=True)
+            for cut in folder.glob(f"*{CUT}"):
+                shutil.rmtree(cut, ignore_errors=True)
     return hashlib.sha256(sealed).hexdigest()
 
 
@@ -140,6 +148,8 @@ def answered_cases(folder: Path, answers: Path, key: Path) -> list[Case]:
     BlindError
         If the key does not fit what was sealed, or nothing was answered.
     """
+    if not answers.is_dir():
+        raise BlindError(f"{answers}: there is no folder of that name; name that of the answers")
     cases = []
     for name, label in labels_of(folder / SEALED, key).items():
         path = answers / f"{name}.json"

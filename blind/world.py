@@ -15,8 +15,8 @@ class Cane:
         Rubbery modulus, spring and dashpot of the arm, MPa and MPa·s (paper, hypothesis H4).
     powers : (float, float)
         Exponents of frequency by which E_L and G_LT grow beyond that.
-    loss, loss_scatter_seed : float, int
-    loss_power : float
+    loss, loss_scatter, loss_power : float
+        Loss factor, its relative scatter from mode to mode, and its exponent of frequency.
     tip_kg, side_kg : float
         Spread over the last 2 mm of the tip; stuck to the left side 10 mm from the tip.
     air : float
@@ -158,7 +158,7 @@ class Light:
         Light lost at the sensor's corners.
     flicker : float
         Share by which every other frame is brighter.
-    shift_m : float
+    shift_m_h : float
         By which the image moves per hour.
     """
 
@@ -192,7 +192,12 @@ class Chip:
     ----------
     rows : int
         And columns.
-    pixel_m, gain_e_dn, read_e, offset_dn, full_e, bits
+    pixel_m : float
+        Side of a pixel.
+    gain_e_dn, offset_dn, bits : float, float, int
+        Electrons per number, the number of no light, and how many bits numbers have.
+    read_e, full_e : float
+        Electrons: noise of reading, and what a pixel holds.
     pattern : float
         Relative scatter of the pixels' sensitivity.
     hot, hot_e_s : float
@@ -219,7 +224,19 @@ class Chip:
 
 @dataclass(frozen=True)
 class World:
-    """One laboratory with one reed."""
+    """One laboratory with one reed.
+
+    Attributes
+    ----------
+    build : Build
+    cane : Cane
+    air : Air
+    clockwork : Clockwork
+    light : Light
+    chip : Chip
+    seed : int
+        Of what is random in it.
+    """
 
     build: Build = field(default_factory=Build)
     cane: Cane = field(default_factory=Cane)

@@ -46,6 +46,8 @@ def to_json(verdict: Verdict) -> dict[str, Any]:
         "unknown": {
             "log_bayes": dict(verdict.contest.unknown),
             "log_bayes_beside": dict(verdict.contest.beside),
+            "beside": verdict.unknown_beside,
+            "block": verdict.unknown_in,
             "triggers": [asdict(t) | {"fired": t.fired} for t in verdict.triggers],
         },
         "sampled": {name: asdict(s) for name, s in verdict.contest.sampled.items()},

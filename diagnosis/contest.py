@@ -177,6 +177,16 @@ def confirmed(comparison: Comparison, found: Contest, name: str, effects: int) -
     return replace(found, alone=alone, pairs=pairs, beside=beside, log_probability=odds)
 
 
+def unknown_beside(found: Contest, effects: int) -> str:
+    """Beside which of so many effects, which pair or none something unknown is likeliest."""
+    logs = {NONE: float(np.log(PRIOR["unknown"])) + found.anything}
+    for name, more in found.beside.items():
+        rival = found.rival(name)
+        if rival is not None:
+            logs[name] = float(np.log(_ALSO)) + _log_odds(rival, found.null, effects) + more
+    return max(logs, key=lambda name: logs[name])
+
+
 @dataclass(frozen=True)
 class _Start:
     """Where effects are looked for: beside nuisances (p,), and whether far out as well."""

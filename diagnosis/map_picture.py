@@ -18,7 +18,7 @@ _LARGEST = 30.0
 
 def draw_map(where: Map) -> Figure:
     """Draw the gap of all cells: blocks of numbers by band, mode, time, level and region."""
-    blocks = [cell for cell in where.cells if cell.axis == "block"]
+    blocks = sorted((c for c in where.cells if c.axis == "block"), key=lambda c: str(c.tap))
     panels = [
         (axis, words, list(dict.fromkeys(_short(c) for c in where.cells if c.axis == axis)))
         for axis, words in _AXES
@@ -48,7 +48,7 @@ def draw_map(where: Map) -> Figure:
     axes[0].set_yticks(range(len(blocks)), names, fontsize=8)
     bar = figure.colorbar(image, ax=list(axes), fraction=0.03, pad=0.01, extend="max")
     bar.ax.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"], minor=False)
-    bar.set_label("gap in units of its floor (grey: not resolvable)", fontsize=8)
+    bar.set_label("gap in units of its floor (grey: not resolvable, white: none)", fontsize=8)
     return figure
 
 

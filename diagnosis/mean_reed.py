@@ -1,5 +1,6 @@
 """Resonances of a mean reed in each series: from the paper's Table 1, or from anyone's table."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,11 +72,17 @@ def printed_reeds() -> list[MeanReed]:
     return reeds
 
 
-def tabled_reeds(path: Path) -> list[MeanReed]:
+def tabled_reeds(path: Path, tell: Callable[[str], None] | None = None) -> list[MeanReed]:
     """Means over the reeds of a table (see `fitting.resonance_table`), in each series that it has.
 
     Where reeds lack modes, means are those of reeds that all have the mean's difference from mode
     to mode: rows and columns are fitted together.
+
+    Parameters
+    ----------
+    path : Path
+    tell : callable, optional
+        Told of rows that are of no mode that is compared.
 
     Raises
     ------
@@ -85,6 +92,9 @@ def tabled_reeds(path: Path) -> list[MeanReed]:
     pieces = list(read_resonances(path, PAPER_MODES))
     if not pieces:
         raise FitInputError(f"{path}: has no rows; write one for every resonance")
+    passed_over = sum(piece.passed_over for piece in pieces)
+    if passed_over and tell is not None:
+        tell(f"{path}: rows of modes other than {', '.join(PAPER_MODES)}: {passed_over}, not used")
     cents = np.concatenate([piece.cents for piece in pieces])
     errors = np.concatenate([piece.error_cents for piece in pieces])
     reeds = []

@@ -7,13 +7,34 @@ import yaml
 
 from acquire.campaign_file import CampaignFile, tasks_of
 from acquire.protocol import Protocol
+from acquire.runfile import Run
 from diagnosis.actions import Worth
 from fitting.errors import FitInputError
 
 _HEAD = """\
-# {words}: {minutes:g} min, to tell {one} from {other}.
+# {words}: {minutes:g} min with sweeps of the paper's length, to tell {one} from {other}.
 # Expected to tell by {nats:.1f} nats of log odds. `acquire run {file} --reed {reed}` runs it.
 """
+
+
+def sweep_beside(path: Path) -> Path:
+    """Protocol of the sweeps of a campaign file that `write_next` writes."""
+    return path.with_name(f"{path.stem}-sweep.yaml")
+
+
+def require_protocol(run: Run) -> None:
+    """Refuse a run that cannot be repeated, before it is diagnosed.
+
+    Raises
+    ------
+    FitInputError
+        If it does not carry the protocol that it was measured by.
+    """
+    if not run.protocol_text.strip():
+        raise FitInputError(
+            f"{run.path}: carries no protocol, of which --next would write another campaign; "
+            "diagnose without --next"
+        )
 
 
 def write_next(
@@ -41,15 +62,18 @@ def write_next(
     Raises
     ------
     FitInputError
-        If nothing is to be told apart, or a file cannot be written.
+        If nothing is to be told apart, or a file cannot be written. One that is there is replaced,
+        but for a protocol that is not what this campaign needs.
     ProtocolError
         If the campaign's protocol cannot be used again.
     """
     best = next((worth for worth in worths if worth.action.parts), None)
     if best is None:
         raise FitInputError("no two causes are to be told apart, so there is nothing to measure")
-    sweep = path.with_name(f"{path.stem}-sweep.yaml")
+    sweep = sweep_beside(path)
     Protocol.from_text(protocol_text, str(sweep))
+    if sweep.exists() and sweep.read_bytes() != protocol_text.encode():
+        raise FitInputError(f"{sweep}: is there already, and another protocol; name another --next")
     action = best.action
     content = {
         "name": f"Next, {action.id.replace('_', ' ')}",

@@ -4,6 +4,7 @@ import base64
 import html
 import math
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
@@ -29,6 +30,7 @@ TAP_WORDS: Final[Mapping[Tap, str]] = {
 }
 _NOT_PROOF: Final = "Closing a gap does not prove its cause: a wrong effect may close it as well."
 _SHOWN = 12
+_RATHER_THAN_NOT = 0.5
 _STYLE: Final = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 1100px;
        margin: 2rem auto; padding: 0 1.5rem; }
@@ -67,13 +69,19 @@ def _headline(verdict: Verdict) -> str:
         return f"Nothing is seen to be wrong with the twin ({p:.0%})."
     if verdict.kind == "unknown":
         p = verdict.probability.get("unknown", 0.0)
-        worst = max(verdict.contest.unknown, key=lambda name: verdict.contest.unknown[name])
-        return f"Something that the catalogue does not have ({p:.0%}), seen in: {worst}."
+        beside = verdict.unknown_beside
+        known = "" if beside == "none" else f", beside {_title(beside)}"
+        seen = f"seen in: {verdict.unknown_in}"
+        return f"Something that the catalogue does not have ({p:.0%}){known}, {seen}."
     if verdict.kind == "not converged":
         return "Not converged: no fit can be trusted, so no effect is named."
     name = "+".join(verdict.effects)
-    titles = " and ".join(_title(effect) for effect in verdict.effects)
-    return f"The twin leaves out: {titles} ({verdict.probability.get(name, 0.0):.0%})."
+    p = verdict.probability.get(name, 0.0)
+    # What is alike speaks for the same.
+    group = next((group for group in verdict.likely if name in group), (name,))
+    sure = sum(verdict.probability.get(other, 0.0) for other in group) >= _RATHER_THAN_NOT
+    leaves_out = "leaves out" if sure else "most likely, but not surely, leaves out"
+    return f"The twin {leaves_out}: {_title(name)} ({p:.0%})."
 
 
 def _where(where: Map) -> str:
@@ -129,8 +137,16 @@ def _share(closed: Shrinkage | None) -> str:
     return f"{kappa:.0%}" if math.isnan(low) else f"{kappa:.0%} [{low:.0%}, {high:.0%}]"
 
 
-def write_page(verdict: Verdict, title: str, page: Path) -> None:
+def write_page(verdict: Verdict, title: str, page: Path, runs: Sequence[str] = ()) -> None:
     """Write the page.
+
+    Parameters
+    ----------
+    verdict : Verdict
+    title : str
+    page : Path
+    runs : sequence of str
+        Names of the files that were diagnosed.
 
     Raises
     ------
@@ -138,16 +154,17 @@ def write_page(verdict: Verdict, title: str, page: Path) -> None:
         If it cannot be written.
     """
     try:
-        page.write_text(document(verdict, title), encoding="utf-8")
+        page.write_text(document(verdict, title, runs), encoding="utf-8")
     except OSError as error:
         raise RunFileError(
             f"{page}: cannot be written ({error.strerror}); choose another place with --out"
         ) from error
 
 
-def document(verdict: Verdict, title: str) -> str:
+def document(verdict: Verdict, title: str, runs: Sequence[str] = ()) -> str:
     """The whole page."""
     said = words(verdict)
+    by = f"{', '.join(runs)}; by reedbench {version('reedbench')}" if runs else ""
     picture = base64.b64encode(png_of(draw_map(verdict.where), dpi=110)).decode()
     body = [
         f"<h1>{html.escape(title)}</h1>",
@@ -156,7 +173,9 @@ def document(verdict: Verdict, title: str) -> str:
         "<h2>Where</h2>",
         f'<img alt="Gap of every cell" src="data:image/png;base64,{picture}">',
         '<p class="facts">Gap in units of its floor: errors of data, numerics and inputs. Below 1 '
-        "it is not resolvable, which does not mean that twin and bench agree.</p>",
+        "it is not resolvable, which does not mean that twin and bench agree. Coloured cells are "
+        "such as chance makes in fewer than one of a hundred campaigns, each by itself; a tap "
+        "differs if chance makes as much of none of all its cells. White: no such numbers.</p>",
         _ladder(verdict.where),
         "<h2>Which</h2>",
         _effects(verdict),
@@ -167,6 +186,7 @@ def document(verdict: Verdict, title: str) -> str:
         _actions(verdict),
         "<h2>What these runs could have shown</h2>",
         _reach(verdict),
+        f'<p class="facts">{html.escape(by)}</p>',
     ]
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8">'
@@ -193,7 +213,10 @@ def _table(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequ
 def _ladder(where: Map) -> str:
     """Shares of the gap by tap."""
     if not where.ladder:
-        return '<p class="facts">The whole gap is not resolvable: no stage has a share of it.</p>'
+        return (
+            '<p class="facts">Of all numbers together the gap is not resolvable, so that no stage '
+            "is given a share of it.</p>"
+        )
     rows = [
         (f"{rung.tap} {TAP_WORDS[rung.tap]}", f"{rung.forward:.0%}", f"{rung.backward:.0%}",
          f"{rung.error:.0%}")

@@ -216,7 +216,7 @@ def diagnose_resonances(
     Raises
     ------
     ValueError
-        If the elastic reed has no mode of a name in the data.
+        If no reed that can be computed is near the data.
     """
     report = progress or (lambda _share: None)
     errors = np.concatenate([reed.error_cents for reed in reeds])

@@ -66,13 +66,11 @@ def words(diagnosis: PublishedDiagnosis, effects: Mapping[str, Effect]) -> list[
     rms = ", ".join(f"{s} {v:.0f} cents" for s, v in diagnosis.elastic.rms_cents.items())
     lines = [f"elastic reed: rms {rms}"]
     for trial in (*diagnosis.alone, *diagnosis.together):
-        if trial.certified and trial.log_bayes > _LEAST_TOLD:
-            sizes = "; ".join(_size(size) for size in trial.sizes)
+        if _is_told(trial):
+            together = len(trial.effects) > 1
+            sizes = "; ".join(_size(size, owned=together) for size in trial.sizes)
             lines.append(f"{' + '.join(trial.effects)}: {sizes}")
-    for group in diagnosis.classes:
-        if len(group) > 1:
-            actions = "; ".join(dict.fromkeys(effects[name].action for name in group))
-            lines.append(f"not told apart by such data: {', '.join(group)} (would: {actions})")
+    lines += _hardly_told(diagnosis, effects)
     if not all(trial.certified for trial in (*diagnosis.alone, *diagnosis.together)):
         lines.append("* the fit has not converged: no effect is to be named by it")
     unseen = [entry.effect for entry in diagnosis.reach if out_of_reach(entry, effects)]
@@ -81,6 +79,26 @@ def words(diagnosis: PublishedDiagnosis, effects: Mapping[str, Effect]) -> list[
             f"out of reach of such data, at three spreads of their priors: {', '.join(unseen)}"
         )
     return [*lines, _NOT_PROOF]
+
+
+def _is_told(trial: Trial) -> bool:
+    return trial.certified and trial.log_bayes > _LEAST_TOLD
+
+
+def _hardly_told(diagnosis: PublishedDiagnosis, effects: Mapping[str, Effect]) -> list[str]:
+    """What each likely effect is alike to, the most alike first, and what would tell it."""
+    reach, lines = {entry.effect: entry for entry in diagnosis.reach}, []
+    for trial in diagnosis.alone:
+        name = trial.effects[0]
+        alike = sorted(reach[name].alike.items(), key=lambda item: -item[1])
+        if alike and _is_told(trial):
+            others = ", ".join(f"{other} ({value:.2f})" for other, value in alike)
+            action = effects[name].action
+            lines.append(
+                f"{name} is hardly told by such data from {others}: cosines of what both move; "
+                f"what would tell it: {action}"
+            )
+    return lines
 
 
 def out_of_reach(reach: Reach, effects: Mapping[str, Effect]) -> bool:
@@ -159,10 +177,12 @@ def _number(value: float) -> float | None:
     return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
-def _size(size: Size) -> str:
+def _size(size: Size, *, owned: bool) -> str:
+    """A size; of which effect, if there are several."""
+    name = f"{size.effect}'s {size.name}" if owned else size.name
     unit = f" {size.unit}" if size.unit else ""
     spreads = f"{size.z:+.1f} spreads of its prior"
-    return f"{size.name} {size.value:.3g} ± {size.error:.1g}{unit} ({spreads})"
+    return f"{name} {size.value:.3g} ± {size.error:.1g}{unit} ({spreads})"
 
 
 def _share(value: float) -> str:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from diagnosis.actions import Worth, ranked_actions
-from diagnosis.contest import NONE, UNKNOWN, Contest, confirmed, contest
+from diagnosis.contest import NONE, UNKNOWN, Contest, confirmed, contest, unknown_beside
+from diagnosis.discrepancy import discrepancies
 from diagnosis.how_far import Plain, Shrinkage, plain_gaps, shrinkage
 from diagnosis.likeness import Reach, classes_of, reach_of
 from diagnosis.nuisances import NUISANCES, of_fits
@@ -57,6 +58,8 @@ class Verdict:
     contest : Contest
     reach : tuple of Reach
         What this campaign could have told of each effect.
+    unknown_beside, unknown_in : str
+        Where something unknown is likeliest: beside which effect or pair or none, in which block.
     triggers : tuple of Trigger
         Signs of something unknown beside what is named.
     closing : tuple of str
@@ -84,6 +87,8 @@ class Verdict:
     where: Map
     contest: Contest
     reach: tuple[Reach, ...]
+    unknown_beside: str
+    unknown_in: str
     triggers: tuple[Trigger, ...]
     closing: tuple[str, ...]
     closed: Shrinkage | None
@@ -171,6 +176,7 @@ def _judged(
     chosen = found.rival("+".join(named)) or _best_alone(found)
     acts = _touched(comparison, found.null, chosen)
     named_or_none = chosen if named else found.null
+    beside = unknown_beside(found, len(effects))
     return Verdict(
         kind=kind,
         effects=named,
@@ -180,6 +186,8 @@ def _judged(
         where=gap_map(comparison),
         contest=found,
         reach=reach,
+        unknown_beside=beside,
+        unknown_in=_block_beside(comparison, found.rival(beside) or found.null),
         triggers=triggers(comparison, named_or_none, _only(comparison, condition)),
         closing=chosen.names,
         closed=shrinkage(found.null, chosen, _where(groups, acts)),
@@ -198,6 +206,12 @@ def _judged(
         missing=told.missing,
         refused=told.refused,
     )
+
+
+def _block_beside(comparison: Comparison, rival: Rival) -> str:
+    """Block in which something unknown is likeliest beside a rival."""
+    factors = discrepancies(comparison, rival)
+    return max(factors, key=lambda name: float(factors[name][0]))
 
 
 def compared(readings: Readings, workshop: Workshop, base: Twin) -> Comparison:

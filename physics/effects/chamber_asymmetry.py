@@ -12,7 +12,7 @@ def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
 
 EFFECT = Effect(
     id="chamber_asymmetry",
-    title="covered half is driven too",
+    title="covered half of the chamber is driven too",
     stage=Stage.ACOUSTICS,
     parameters=(Parameter("share", "", 0.3, "clay that is pressed in by hand", positive=True),),
     change=_change,

@@ -65,3 +65,21 @@ def test_a_key_of_another_set_and_too_few_keys_are_bad_input(cli, sets):
     told = cli("blind", "score", made, made, "--answers", answers, "--key", key)
     assert told.status == 2
     assert "2 sets of cases, 1 --answers and 1 --key" in told.err
+
+
+@pytest.mark.parametrize(
+    ("picture", "words"),
+    [(".", "ends in .png"), ("a.txt", "ends in .png"), ("none/a.png", "there is no folder none")],
+)
+def test_a_picture_that_cannot_be_drawn_is_told_before_anything_is_scored(
+    cli, sets, picture, words
+):
+    told = cli("blind", "score", *_options(sets[0]), "--picture", picture)
+    assert (told.status, told.out) == (2, "")
+    assert words in told.err
+
+
+def test_no_case_counts_twice(cli, sets):
+    told = cli("blind", "score", *_options(sets[0], sets[0]))
+    assert (told.status, told.out) == (2, "")
+    assert "is in two sets; give each set once" in told.err

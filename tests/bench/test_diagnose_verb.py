@@ -37,6 +37,7 @@ def test_one_sweep_becomes_a_page_and_a_next_campaign(cli, measured, folder):
         (["run.h5", "--next", "nowhere/next.yaml"], "with --next"),
         (["."], "holds no run files"),
         (["a.csv", "b.h5"], "three kinds of data"),
+        (["a.csv", "b.csv"], "2 tables of resonances"),
     ],
 )
 def test_mistakes_are_told_in_one_line(cli, folder, arguments, words):

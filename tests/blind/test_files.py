@@ -10,34 +10,15 @@ import pytest
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
 from blind import files
-from blind.cases import drawn_label, hidden_seed
+from blind.cases import CUT, drawn_label, hidden_seed
 from blind.files import BlindError, answered_cases, make_set
 
 
 @pytest.fixture
 def made(tmp_path, monkeypatch):
     """Make a set of three cases without recordings."""
-
-    class Pool:
-        def __init__(self, max_workers):
-            pass
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            return None
-
-        def submit(self, function, folder, name, label):
-            (folder / name).mkdir()
-            return name
-
-    class Done:
-        def result(self):
-            return None
-
-    monkeypatch.setattr(files, "ProcessPoolExecutor", Pool)
-    monkeypatch.setattr(files, "as_completed", lambda waiting: [Done() for _ in waiting])
+    monkeypatch.setattr(files, "record_case", lambda folder, name, _label: (folder / name).mkdir())
+    monkeypatch.setattr(files, "ProcessPoolExecutor", ThreadPoolExecutor)
     make_set(tmp_path / "cases", tmp_path / "key.json", 1, 3, 7)
     return tmp_path
 
@@ -86,6 +67,9 @@ def test_a_key_that_was_changed_is_refused(made) -> None:
 
 
 def test_bad_input_is_told(made, tmp_path) -> None:
+    with pytest.raises(BlindError, match="answers: there is no folder"):
+        answered_cases(made / "cases", made / "answers", made / "key.json")
+    (made / "answers").mkdir()
     with pytest.raises(BlindError, match="has no answer to any case"):
         answered_cases(made / "cases", made / "answers", made / "key.json")
     with pytest.raises(BlindError, match="is there already"):
@@ -158,9 +142,27 @@ def _full(folder, name, label):
 
 def test_a_disk_that_is_full_is_told(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(files, "record_case", _full)
-    monkeypatch.setattr(files, "ProcessPoolExecutor", lambda max_workers: ThreadPoolExecutor(1))
+    monkeypatch.setattr(files, "ProcessPoolExecutor", ThreadPoolExecutor)
     with pytest.raises(BlindError, match=r"cases: a case cannot be recorded .*No space left"):
         make_set(tmp_path / "cases", tmp_path / "key.json", 1, 3, 7)
+
+
+def test_of_a_set_that_is_interrupted_whole_cases_stay(tmp_path, monkeypatch) -> None:
+    begun = []
+
+    def record(folder, name, _label):
+        begun.append(name)
+        if len(begun) == 1:
+            (folder / name).mkdir()
+            return
+        (folder / f"{name}{CUT}").mkdir()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(files, "record_case", record)
+    monkeypatch.setattr(files, "ProcessPoolExecutor", ThreadPoolExecutor)
+    with pytest.raises(KeyboardInterrupt):
+        make_set(tmp_path / "cases", tmp_path / "key.json", 1, 9, 7)
+    assert {path.name for path in (tmp_path / "cases").iterdir()} == {"sealed.json", begun[0]}
 
 
 def test_a_nonce_makes_another_seed_of_the_same() -> None:

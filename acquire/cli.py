@@ -499,7 +499,7 @@ def _diagnose_runs(
     from acquire.runfile import Run
     from diagnosis.answer import to_json
     from diagnosis.campaign import Campaign
-    from diagnosis.known_bench import base_twin, bench_of
+    from diagnosis.known_bench import base_twin, bench_of, only_once
     from diagnosis.next_runs import require_protocol, sweep_beside, write_next
     from diagnosis.observing import read
     from diagnosis.page import words, write_page
@@ -529,7 +529,7 @@ def _diagnose_runs(
             readings = read(campaign, bench, told)
     with share_progress(_words(), "trying effects") as told:
         try:
-            verdict = judge(readings, workshop, base, progress=told)
+            verdict = judge(readings, workshop, base, told, only_once(bench))
         except ValueError as error:
             raise FitError(
                 f"{campaign.sweeps[0].run.path}: no reed of its kind is near what its campaign "

@@ -55,6 +55,18 @@ def base_twin(bench: BenchFile | None) -> Twin:
     return twin
 
 
+def only_once(bench: BenchFile | None) -> tuple[str, ...]:
+    """Effects that a bench tells of and that a twin cannot have twice: there is no asking for more.
+
+    Parameters
+    ----------
+    bench : BenchFile or None
+        Whose effects are all in the catalogue.
+    """
+    told = (bench.known if bench else None) or {}
+    return tuple(name for name in told if BY_ID[name].single)
+
+
 def _values(bench: BenchFile, effect: Effect, sizes: Mapping[str, float | str]) -> dict[str, float]:
     """All parameters of an effect; those that are not told are 0, or in their usual place."""
     values = {p.name: p.places[len(p.places) // 2] if p.places else 0.0 for p in effect.parameters}

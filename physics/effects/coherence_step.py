@@ -24,6 +24,7 @@ EFFECT = Effect(
         Parameter("share", "", 0.0, "at any time", places=_SHARES),
     ),
     change=_change,
+    single=True,
     moves=frozenset({Tap.FIELD}),
     keeps=frozenset({Tap.LOG, Tap.MODES, Tap.SENSOR}),
     neighbours=("laser_drift",),

@@ -13,7 +13,8 @@ def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
     if not values["share"]:
         return twin
     drying_s = twin.surroundings.drying_s * float(np.exp(values["log_time"]))
-    changed = replace(twin.surroundings, drying=values["share"], drying_s=drying_s)
+    drying = twin.surroundings.drying + values["share"]
+    changed = replace(twin.surroundings, drying=drying, drying_s=drying_s)
     return replace(twin, surroundings=changed)
 
 

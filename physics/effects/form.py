@@ -82,6 +82,8 @@ class Effect:
     action : str
         What on the bench tells it from them.
     reference : str
+    single : bool
+        Whether a twin has room for only one of it.
     """
 
     id: str
@@ -94,6 +96,7 @@ class Effect:
     neighbours: tuple[str, ...]
     action: str
     reference: str
+    single: bool = False
 
     @property
     def sizes(self) -> tuple[Parameter, ...]:

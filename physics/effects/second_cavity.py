@@ -40,6 +40,7 @@ EFFECT = Effect(
         Parameter("quality", "", 0.0, "small cavities with openings", places=_QUALITIES),
     ),
     change=_change,
+    single=True,
     moves=frozenset({Tap.DRIVE}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD, Tap.MODES}),
     neighbours=("cavity_line",),

@@ -7,7 +7,7 @@ import pytest
 
 from acquire.bench_file import BenchFile
 from acquire.errors import ProtocolError
-from diagnosis.known_bench import base_twin, bench_of, sensor_of
+from diagnosis.known_bench import base_twin, bench_of, only_once, sensor_of
 from physics.sensor import Sensor
 from physics.twin import Twin
 
@@ -71,3 +71,9 @@ def test_a_camera_is_as_its_data_sheet_says() -> None:
 def test_a_run_without_a_readable_bench_tells_nothing_of_it() -> None:
     assert bench_of(RUN) == BenchFile.from_text(TEXT)
     assert bench_of(SimpleNamespace(bench_text="")) is None
+
+
+def test_what_a_twin_cannot_have_twice_is_not_asked_for_again() -> None:
+    told = bench("{second_cavity: {strength: 0.1}, drying: {share: 0.2}}")
+    assert only_once(told) == ("second_cavity",)
+    assert only_once(None) == only_once(BenchFile.from_text(TEXT)) == ()

@@ -1,17 +1,74 @@
 """All effects are in one form, and none of any is the nominal twin, bit for bit."""
 
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 import physics.effects
 from physics.effects.catalogue import BY_ID, CATALOGUE
 from physics.effects.form import Effect
+from physics.mechanics import Alteration, Layer, SoftSpot, TipMass, YieldingClamp
 from physics.twin import Twin
 
 FOLDER = Path(physics.effects.__file__).parent
 NOT_EFFECTS = {"__init__", "form", "catalogue"}
 each = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.id)
+
+# What an effect of a size has more of, field by field.
+MORE: Mapping[str, Mapping[str, str]] = {
+    "tweeter_compression": {"share": "drive.compression"},
+    "amplifier_rolloff": {"corner": "drive.roll_off"},
+    "cavity_line": {"excess": "drive.line_excess"},
+    "chamber_asymmetry": {"share": "drive.open_right"},
+    "synthesizer_detuning": {"offset": "clocks.detuning_hz"},
+    "synthesizer_drift": {"rate": "clocks.detuning_hz_h"},
+    "generator_clock": {"ratio": "clocks.generator_ppm"},
+    "lost_frames": {"share": "clocks.lost_share"},
+    "bench_vibration": {"jitter": "beams.jitter_rad"},
+    "phase_step_error": {"error": "beams.quarter_error_rad"},
+    "laser_drift": {"fade": "beams.fade_per_h"},
+    "speckle_decorrelation": {"share": "beams.blur"},
+    "carrier_leak": {"share": "beams.leak"},
+    "order_mixing": {"share": "beams.mixing"},
+    "lo_nonuniformity": {"down": "beams.shift_m.0", "right": "beams.shift_m.1"},
+    "vignetting": {"share": "beams.vignette"},
+    "defocus": {"distance": "beams.defocus_m"},
+    "read_noise": {"log_factor": "chip.read_factor"},
+    "fixed_pattern": {"rms": "chip.pattern"},
+    "hot_pixels": {"share": "chip.hot"},
+    "camera_bend": {"share": "chip.bend"},
+    "temperature_drift": {"rate": "surroundings.warming_c_h"},
+    "drying": {"share": "surroundings.drying"},
+    "hardening": {"share": "surroundings.hardening"},
+    "stiffening": {"E_L": "reed.shift.growth_E_L", "G_LT": "reed.shift.growth_G_LT"},
+    "transverse_modulus": {"E_T": "reed.shift.E_T"},
+    "transverse_shear": {"G_LR": "reed.shift.G_LR", "G_TR": "reed.shift.G_TR"},
+    "density": {"density": "reed.shift.density"},
+    "damping_growth": {"exponent": "reed.loss_growth"},
+    "air_load": {"share": "reed.air_share"},
+    "coarse_mesh": {"share": "reed.coarse_share"},
+}
+# Sizes that are logarithms of what a field is multiplied by.
+TIMES: Mapping[str, Mapping[str, str]] = {
+    "tweeter_compression": {"log_corner": "drive.compression_hz"},
+    "temperature_drift": {"log_loss": "surroundings.loss_per_c"},
+    "drying": {"log_time": "surroundings.drying_s"},
+}
+# What reeds are altered by, with a size and the other way round.
+ALTERED: Mapping[str, tuple[str, Alteration, Alteration]] = {
+    "thickness_offset": ("thickness", Layer(0, 0), Layer(0, 0)),
+    "thickness_wedge": ("thickness", Layer(1, 0), Layer(1, 0)),
+    "thickness_crown": ("thickness", Layer(0, 2), Layer(0, 2)),
+    "thickness_tilt": ("thickness", Layer(0, 1), Layer(0, 1)),
+    "tip_mass": ("mass", TipMass(), TipMass()),
+    "clamp_yield": ("yielding", YieldingClamp(), YieldingClamp()),
+    "clamp_tilt": ("yielding", YieldingClamp(1), YieldingClamp(-1)),
+    "crack": ("depth", SoftSpot(12e-3, -2e-3), SoftSpot(12e-3, -2e-3)),
+}
 
 
 def values(effect: Effect, size: float) -> dict[str, float]:
@@ -34,6 +91,102 @@ def test_an_effect_changes_the_twin(effect: Effect) -> None:
     changed = effect.change(Twin(), values(effect, 1.0))
     assert changed != Twin()
     assert hash(changed) is not None
+
+
+def _busy() -> Twin:
+    """A twin that has something of everything already."""
+    reed = replace(Twin().reed, air_share=0.2, coarse_share=0.1, loss_growth=0.05,
+                   alterations=((TipMass(), 1e-7),))  # fmt: skip
+    shifts = {field.name: 0.01 * (k + 1) for k, field in enumerate(fields(reed.shift))}
+    twin = Twin(reed=replace(reed, shift=replace(reed.shift, **shifts)))
+    for part in ("drive", "clocks", "beams", "chip", "surroundings"):
+        there = getattr(twin, part)
+        more: dict[str, Any] = {
+            field.name: 1.1 * value + 0.01 * (k + 1)
+            for k, field in enumerate(fields(there))
+            if isinstance(value := getattr(there, field.name), float)
+        }
+        changed: dict[str, Any] = {part: replace(there, **more)}
+        twin = replace(twin, **changed)
+    return replace(twin, beams=replace(twin.beams, shift_m=(1e-4, 2e-4)))
+
+
+def _flat(value: Any, path: str = "") -> dict[str, Any]:
+    """All fields of a twin by their paths; alterations as they are."""
+    if is_dataclass(value) and not path.endswith("alterations"):
+        inside = {field.name: getattr(value, field.name) for field in fields(value)}
+    elif isinstance(value, tuple) and value and all(isinstance(v, float) for v in value):
+        inside = {str(k): v for k, v in enumerate(value)}
+    else:
+        return {path: value}
+    found: dict[str, Any] = {}
+    for name, own in inside.items():
+        found |= _flat(own, f"{path}.{name}" if path else name)
+    return found
+
+
+def test_the_tables_name_every_effect() -> None:
+    assert {*MORE, *ALTERED, "coherence_step", "second_cavity"} == set(BY_ID)
+    for effect in CATALOGUE:
+        told = {*MORE.get(effect.id, ()), *TIMES.get(effect.id, ())}
+        if told:
+            assert told == {parameter.name for parameter in effect.parameters}
+
+
+@pytest.mark.parametrize("name", MORE)
+def test_an_effect_adds_its_sizes_to_its_own_fields_and_to_nothing_else(name: str) -> None:
+    base, more, times = _busy(), MORE[name], TIMES.get(name, {})
+    sizes = {size: 0.03 * (k + 1) for k, size in enumerate((*more, *times))}
+    before, after = _flat(base), _flat(BY_ID[name].change(base, sizes))
+    expected = before | {path: before[path] + sizes[size] for size, path in more.items()}
+    expected |= {path: before[path] * np.exp(sizes[size]) for size, path in times.items()}
+    assert set(after) == set(expected)
+    assert {p for p in after if after[p] != before[p]} == {*more.values(), *times.values()}
+    for path in (*more.values(), *times.values()):
+        assert after[path] == pytest.approx(expected[path], rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ALTERED)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_altered_reed_is_altered_besides_by_its_own(name: str, sign: int) -> None:
+    size, one, other = ALTERED[name]
+    effect, base = BY_ID[name], _busy()
+    amount = 2e-6 * sign
+    changed = effect.change(base, {size: amount, "x": 12e-3, "y": -2e-3})
+    kind = one if sign > 0 else other
+    # A bed that yields on the other side yields no less.
+    expected = (kind, abs(amount) if one != other else amount)
+    assert changed.reed.alterations == (*base.reed.alterations, expected)
+    assert replace(changed, reed=replace(changed.reed, alterations=base.reed.alterations)) == base
+
+
+def test_a_hop_and_a_line_are_where_they_are_said_to_be() -> None:
+    hopped = BY_ID["coherence_step"].change(Twin(), {"hop": 0.3, "share": 0.6})
+    assert hopped == replace(Twin(), beams=replace(Twin().beams, hop=0.3, hop_share=0.6))
+    sizes = {"strength": 0.2, "log_hz": 0.01, "log_quality": -0.2, "hz": 5e3, "quality": 18.0}
+    drive = BY_ID["second_cavity"].change(Twin(), sizes).drive
+    assert drive.second_line == 0.2
+    assert drive.second_hz == pytest.approx(5e3 * np.exp(0.01))
+    assert drive.second_quality == pytest.approx(18 * np.exp(-0.2))
+    assert replace(drive, second_line=0.0, second_hz=7e3, second_quality=30.0) == Twin().drive
+
+
+@each
+def test_none_of_an_effect_is_what_a_bench_has_already(effect: Effect) -> None:
+    base = effect.change(_busy(), values(effect, 1.0))
+    assert effect.change(base, values(effect, 0.0)) == base
+
+
+@each
+def test_a_little_more_is_little_more_where_there_is_room_for_more(effect: Effect) -> None:
+    base = effect.change(_busy(), values(effect, 1.0))
+    before, after = _flat(base), _flat(effect.change(base, values(effect, 1e-9)))
+    moved = [
+        path
+        for path, value in before.items()
+        if isinstance(value, float) and abs(after[path] - value) > 1e-6 * max(abs(value), 1e-6)
+    ]
+    assert bool(moved) == effect.single
 
 
 @each

@@ -1,0 +1,190 @@
+"""What sealed recordings hold: the effect, for whoever measures, and no word of it."""
+
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
+
+from blind import cases
+from blind.cases import Label, drawn_label, healthy_world, record_case, told_sizes
+from blind.effects import BY_NAME, KINDS
+from blind.laboratory import FRAME_S, Laboratory
+from blind.reed import Build, make_reed
+from blind.world import World
+
+# Of the reed's own shape and wood: their modes are other ones.
+_OF_THE_BUILD = {
+    kind.name
+    for kind in KINDS
+    if kind.change(World(), 1.0, np.random.default_rng(0)).build != World().build
+}
+# Numbers of steps that are measured; all others are settings.
+_MEASURED = {"signal_to_noise", "noise_level", "lock_error_hz", "lock_error_se_hz"}
+
+
+class ShortLaboratory(Laboratory):
+    """A laboratory that takes little of a campaign."""
+
+    def campaign(self, names=()):
+        yield self._recording("dark", "dark", [], 0.0)
+        yield self._recording("rest1", "order0", [], 0.0)
+        yield self._recording("up", "sweep", [60, 61], 1.0)
+
+
+@pytest.fixture(scope="module")
+def plain_reed():
+    return make_reed(Build())
+
+
+@pytest.fixture
+def short(plain_reed, monkeypatch):
+    monkeypatch.setattr("blind.laboratory.make_reed", lambda _build: plain_reed)
+    monkeypatch.setattr(cases, "Laboratory", ShortLaboratory)
+
+
+def _taken(world):
+    """Yield all kinds of pictures, late in a campaign, in which everything has begun."""
+    laboratory = Laboratory(world)
+    laboratory._now_s, laboratory._length_s, laboratory._clamping = 3600.0, 5000.0, 1  # noqa: SLF001  # nothing else lets an hour pass
+    yield laboratory._swept(60, 1.0).image  # noqa: SLF001  # a campaign takes half a minute
+    for kind in ("dark", "flat", "lo_only", "object_only", "order0", "order0", "order0"):
+        yield laboratory._still(0, kind, FRAME_S).frames  # noqa: SLF001  # the same
+
+
+@pytest.fixture(scope="module")
+def well(plain_reed):
+    """A laboratory with nothing wrong, and its pictures."""
+    world = replace(healthy_world(3), build=Build())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("blind.laboratory.make_reed", lambda _build: plain_reed)
+        return world, list(_taken(world))
+
+
+@pytest.mark.parametrize("name", [k.name for k in KINDS if k.name not in _OF_THE_BUILD])
+def test_what_is_sealed_is_in_what_is_recorded(name, short, well):
+    world, pictures = well
+    # Rare things are made frequent.
+    size = 30.0 if name == "lost_frames" else 1.0
+    sick = BY_NAME[name].change(world, size, np.random.default_rng(0))
+    alike = (np.array_equal(a, b) for a, b in zip(pictures, _taken(sick), strict=True))
+    assert not all(alike)
+
+
+def test_what_is_not_sealed_is_recorded_again_the_same(short, well):
+    world, pictures = well
+    assert all(np.array_equal(a, b) for a, b in zip(pictures, _taken(world), strict=True))
+
+
+def _settings(folder):
+    """All that run files hold but for what was measured, by file and place."""
+    found = {}
+    for path in sorted(folder.glob("*.h5")):
+        with h5py.File(path) as file:
+
+            def keep(place, thing, name=path.name):
+                found[name, place] = {k: repr(v) for k, v in thing.attrs.items()}
+                measured = place.startswith("entry/data/f") or place.split("/")[-1] in _MEASURED
+                if isinstance(thing, h5py.Dataset) and not measured:
+                    found[name, place, "value"] = repr(thing[()])
+
+            file.visititems(keep)
+            found[path.name] = {k: repr(v) for k, v in file.attrs.items()}
+    return found
+
+
+def test_nothing_but_pictures_and_what_is_read_off_them_tells_of_an_effect(short, tmp_path):
+    for folder, effects in (
+        ("well", ()),
+        ("sick", (("carrier_leak", 4.0), ("fixed_pattern", 4.0))),
+    ):
+        record_case(tmp_path / folder, "a", Label(1, effects, True, 5))
+    well, sick = (_settings(tmp_path / folder / "a") for folder in ("well", "sick"))
+    assert len(well) > 200
+    assert well == sick
+    assert not any(path.suffix != ".h5" for path in (tmp_path / "sick" / "a").iterdir())
+
+
+def test_a_laboratory_tells_what_it_knows_and_not_what_is_withheld(short, tmp_path):
+    label = drawn_label(6, 3, 5)
+    record_case(tmp_path, "a", label)
+    (withheld, _), *_ = label.effects
+    known = yaml.safe_load((tmp_path / "a" / "bench.yaml").read_text())["known"]
+    assert set(known) == {name for name, _ in label.told} == set(told_sizes(label))
+    assert withheld not in known
+    for path in (tmp_path / "a").iterdir():
+        assert withheld.encode() not in path.read_bytes()
+
+
+def test_a_case_is_there_once_it_is_whole(short, tmp_path, monkeypatch):
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(cases, "write_recording", fail)
+    with pytest.raises(OSError, match="No space left"):
+        record_case(tmp_path, "a", Label(0, (), True, 5))
+    assert [path.name for path in tmp_path.iterdir()] == ["a.cut"]
+
+
+# Sizes of twice the usual in the terms of the catalogue, worked out by hand.
+TOLD = {
+    "tweeter_compression": {"share": 0.3},
+    "amplifier_rolloff": {"corner": 1 / 3},
+    "cavity_line": {"excess": 1.0},
+    "second_cavity": {"strength": 0.12},
+    "chamber_asymmetry": {"share": 0.3},
+    "air_load": {"share": 0.5},
+    "damping_growth": {"exponent": 0.2},
+    "density": {"density": 0.06},
+    "transverse_modulus": {"E_T": 0.2},
+    "thickness_offset": {"thickness": 12e-6},
+    "thickness_wedge": {"thickness": 12e-6},
+    "thickness_crown": {"thickness": 12e-6},
+    "thickness_tilt": {"thickness": 10e-6},
+    "tip_mass": {"mass": 0.8e-6},
+    "clamp_yield": {"yielding": 4e-13},
+    "clamp_tilt": {"yielding": 4e-13},
+    "hardening": {"share": 8e-4},
+    "temperature_drift": {"rate": 8.0},
+    "drying": {"share": 0.2},
+    "bench_vibration": {"jitter": 0.1},
+    "synthesizer_detuning": {"offset": 0.02},
+    "generator_clock": {"ratio": 4.0},
+    "synthesizer_drift": {"rate": 0.1},
+    "lost_frames": {"share": 0.02},
+    "laser_drift": {"fade": 0.3},
+    "coherence_step": {"hop": 0.16},
+    "speckle_decorrelation": {"share": 6e-4},
+    "order_mixing": {"share": 0.06},
+    "carrier_leak": {"share": 0.02},
+    "phase_step_error": {"error": 0.1},
+    "defocus": {"distance": 0.04},
+    "vignetting": {"share": 0.1},
+    "fixed_pattern": {"rms": 0.02},
+    "hot_pixels": {"share": 0.004},
+    "read_noise": {"log_factor": np.log(1.6)},
+    "camera_bend": {"share": 0.06},
+}
+# Of these what is drawn at random is told: only a sum of squares is known beforehand.
+AT_RANDOM = {"transverse_shear": 0.3, "lo_nonuniformity": 0.8e-3}
+
+
+def test_sizes_are_told_as_they_are():
+    told = {
+        kind.name: kind.told(World(), kind.change(World(), 2.0, np.random.default_rng(0)))
+        for kind in KINDS
+        if kind.told is not None
+    }
+    assert set(told) == {*TOLD, *AT_RANDOM, "stiffening"}
+    for name, sizes in TOLD.items():
+        assert told[name] == pytest.approx(sizes, rel=1e-9), name
+    for name, size in AT_RANDOM.items():
+        assert np.hypot(*told[name].values()) == pytest.approx(size, rel=1e-9)
+    powers = told["stiffening"]
+    assert powers["E_L"] / 0.08 + powers["G_LT"] / 0.12 == pytest.approx(1.0)
+    other = BY_NAME["clamp_tilt"]
+    sick = other.change(World(), -2.0, np.random.default_rng(0))
+    assert other.told(World(), sick) == pytest.approx({"yielding": -4e-13})

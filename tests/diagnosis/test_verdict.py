@@ -1,0 +1,296 @@
+"""What a diagnosis says of a bench whose truth is known: verdict, words, page and JSON."""
+
+import json
+import math
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from acquire.errors import RunFileError
+from diagnosis.actions import Action, ranked_actions
+from diagnosis.answer import to_json
+from diagnosis.block import Place, block
+from diagnosis.how_far import plain_gaps
+from diagnosis.likeness import DETECTABLE, classes_of, reach_of
+from diagnosis.map_picture import draw_map
+from diagnosis.nuisances import Nuisance
+from diagnosis.page import document, words, write_page
+from diagnosis.rivals import Comparison, Sized, compete
+from diagnosis.verdict import Told, Verdict, _touched, condition_of, judged
+from physics.effects.catalogue import BY_ID
+from physics.effects.form import Tap
+from physics.twin import Twin, more
+from tests.diagnosis.toy import AT, COUNT, EFFECTS, LEVEL, bench, measured
+
+TOLD = Told("t3", ("a second sweep",), ("x.h5: too few good steps",))
+
+
+def diagnosed(extra: float = 0.0, **changes: float) -> Verdict:
+    return judged(measured(3, bench(**changes), extra=extra), TOLD)
+
+
+@pytest.fixture(scope="module")
+def nothing() -> Verdict:
+    return diagnosed()
+
+
+@pytest.fixture(scope="module")
+def mixed() -> Verdict:
+    return diagnosed(mixing=0.3)
+
+
+@pytest.fixture(scope="module")
+def both() -> Verdict:
+    return diagnosed(leak=0.3, mixing=0.3)
+
+
+@pytest.fixture(scope="module")
+def strange() -> Verdict:
+    return diagnosed(extra=0.5)
+
+
+@pytest.fixture(scope="module")
+def strange_beside() -> Verdict:
+    return diagnosed(mixing=0.6, detuning_hz=0.1)
+
+
+def test_each_truth_has_its_verdict(nothing, mixed, both, strange) -> None:
+    assert (nothing.kind, nothing.effects) == ("none", ())
+    assert (mixed.kind, mixed.effects) == ("effect", ("order_mixing",))
+    assert (both.kind, set(both.effects)) == ("pair", {"carrier_leak", "order_mixing"})
+    assert (strange.kind, strange.effects) == ("unknown", ())
+
+
+def test_probabilities_add_up_and_likely_classes_have_90_percent_and_no_more(
+    nothing, mixed, both, strange
+) -> None:
+    for verdict in (nothing, mixed, both, strange):
+        assert sum(verdict.probability.values()) == pytest.approx(1.0)
+        given = [sum(verdict.probability[n] for n in group) for group in verdict.likely]
+        assert sum(given) >= 0.9
+        assert sum(given[:-1]) < 0.9
+        assert given == sorted(given, reverse=True)
+
+
+def test_something_unknown_is_seen_beside_what_is_known_of(strange, strange_beside) -> None:
+    assert (strange.unknown_beside, strange.unknown_in) == ("none", "lines")
+    told = strange_beside
+    assert told.kind == "unknown"
+    # Beside nothing it would be in the lines, which the next sideband moves.
+    worst = max(told.contest.unknown, key=lambda name: told.contest.unknown[name])
+    assert (worst, told.unknown_beside, told.unknown_in) == ("lines", "order_mixing", "clocks")
+    p = told.probability["unknown"]
+    assert words(told)[0] == (
+        f"Something that the catalogue does not have ({p:.0%}), beside next sideband leaks in, "
+        "seen in: clocks."
+    )
+    answer = to_json(told)["unknown"]
+    assert (answer["beside"], answer["block"]) == ("order_mixing", "clocks")
+
+
+def test_the_first_words_say_what_is_likeliest_and_how_likely(nothing, mixed, both) -> None:
+    p = nothing.probability["none"]
+    assert words(nothing)[0] == f"Nothing is seen to be wrong with the twin ({p:.0%})."
+    p = mixed.probability["order_mixing"]
+    assert p > 0.5
+    assert words(mixed)[0] == f"The twin leaves out: next sideband leaks in ({p:.0%})."
+    name = next(n for n in both.probability if set(n.split("+")) == set(both.effects))
+    assert f"({both.probability[name]:.0%})" in words(both)[0]
+    assert "next sideband leaks in" in words(both)[0]
+
+
+def test_what_is_likeliest_but_not_likely_is_called_so(mixed) -> None:
+    name = "order_mixing"
+    shares = {name: 0.31, "none": 0.3, "carrier_leak": 0.15, "unknown": 0.24}
+    alone = replace(mixed, probability=shares, likely=((name,), ("none",), ("unknown",)))
+    told = "The twin most likely, but not surely, leaves out: next sideband leaks in (31%)."
+    assert words(alone)[0] == told
+    # With what is alike it is likelier than not; but not with 0.46.
+    together = (name, "carrier_leak")
+    assert words(replace(alone, likely=(together, ("none",))))[0] == told
+    shares = shares | {"carrier_leak": 0.25, "unknown": 0.14}
+    likelier = replace(alone, probability=shares, likely=(together, ("none",)))
+    assert words(likelier)[0] == "The twin leaves out: next sideband leaks in (31%)."
+
+
+def test_words_tell_where_how_far_and_what_was_not_measured(mixed) -> None:
+    said = words(mixed)
+    assert re.search(
+        r"First tap that differs: T5 \(sideband maps\), \d\.\d times its floor in lines", said[1]
+    )
+    assert any(line.startswith("It closes 9") or "closes 100%" in line for line in said)
+    assert any("does not prove its cause" in line for line in said)
+    assert said[-2:] == ["Not measured: a second sweep.", "Not used: x.h5: too few good steps."]
+
+
+def test_json_has_sizes_in_their_units(mixed) -> None:
+    answer = to_json(mixed)
+    assert json.loads(json.dumps(answer, allow_nan=False)) == answer
+    assert answer["effects_named"] == ["order_mixing"]
+    told = answer["effects"]["order_mixing"]
+    size = told["sizes"]["share"]
+    # Beside a level that is not known, of numbers with errors of 0.05.
+    bump = np.exp(-((AT / 0.2) ** 2)) / 0.05
+    level = np.full(COUNT, 2.0) / 0.05
+    alone = bump @ bump - (bump @ level) ** 2 / (1 + level @ level)
+    assert size["value"] == pytest.approx(0.3, abs=3 / math.sqrt(alone))
+    assert size["error"] == pytest.approx(1 / math.sqrt(alone), rel=0.2)
+    assert size["z"] == pytest.approx(size["value"] / 0.08)
+    # The size that would stand out by five deviations, and how far the fitted one does.
+    assert told["detectable"]["share"] == pytest.approx(5 / math.sqrt(alone), rel=0.01)
+    assert told["d_prime"] == pytest.approx(size["value"] * math.sqrt(alone), rel=0.1)
+    assert answer["probability"] == dict(
+        sorted(answer["probability"].items(), key=lambda item: -item[1])
+    )
+    assert answer["how_far"]["left_out"]["kappa"] == pytest.approx(1.0, abs=0.15)
+    assert answer["missing"] == ["a second sweep"]
+    assert answer["where"]["first_failing_tap"] == "T5"
+
+
+def test_the_page_has_all_of_it(mixed, tmp_path) -> None:
+    page = tmp_path / "page.html"
+    write_page(mixed, "A <reed>", page, ["up.h5", "dark.h5"])
+    html = page.read_text(encoding="utf-8")
+    assert html == document(mixed, "A <reed>", ["up.h5", "dark.h5"])
+    assert "<h1>A &lt;reed&gt;</h1>" in html
+    assert words(mixed)[0] in html
+    assert "up.h5, dark.h5; by reedbench" in html
+    p = mixed.probability["order_mixing"]
+    size = to_json(mixed)["effects"]["order_mixing"]["sizes"]["share"]
+    row = (
+        rf'next sideband leaks in</td><td class="number">{p:.1%}</td>'
+        rf"<td>share {size['value']:.2g} ± {size['error']:.1g}</td>"
+    )
+    assert re.search(row, html)
+    for rung in mixed.where.ladder:
+        assert re.search(
+            rf'<td>{rung.tap} \w+[^<]*</td><td class="number">{rung.forward:.0%}</td>'
+            rf'<td class="number">{rung.backward:.0%}</td>',
+            html,
+        )
+    with pytest.raises(RunFileError, match="choose another place with --out"):
+        write_page(mixed, "A reed", tmp_path / "nowhere" / "page.html")
+
+
+def test_a_gap_of_nothing_has_no_shares(nothing) -> None:
+    assert "Of all numbers together the gap is not resolvable" in document(nothing, "A reed")
+
+
+def test_the_map_stands_in_the_order_of_taps(mixed) -> None:
+    axes = draw_map(mixed.where).axes
+    rows = [label.get_text() for label in axes[0].get_yticklabels()]
+    assert rows == ["clocks  T3", "lines  T5"]
+
+
+def test_the_sweep_that_is_left_out_is_of_another_clamping_or_the_calmest() -> None:
+    def sweeps(*told):
+        return SimpleNamespace(
+            sweeps=[
+                SimpleNamespace(name=name, clamping=clamping, loudness=loudness)
+                for name, clamping, loudness in told
+            ]
+        )
+
+    assert condition_of(sweeps(("up", 0, 1.0))) == ""
+    assert condition_of(sweeps(("up", 0, 1.0), ("quiet", 0, -0.4), ("down", 0, 1.0))) == "quiet"
+    assert (
+        condition_of(sweeps(("up", 0, 1.0), ("again", 1, 1.0), ("last", 2, 1.0), ("q", 0, -1.0)))
+        == "last"
+    )
+
+
+def test_what_an_effect_touches_is_beside_what_nuisances_do() -> None:
+    # The level, far from where it usually is, is of no effect.
+    comparison = measured(3, bench(fade_per_h=9.0, mixing=0.5))
+    null = compete(comparison, (), [np.zeros(1)])
+    bump = compete(comparison, (Sized(EFFECTS[1], {}),), [np.array([0.0, 0.1])])
+    touched = _touched(comparison, null, bump)
+    moved = bump.sizes[0] * np.exp(-((AT / 0.2) ** 2)) / 0.05
+    expected = np.concatenate([moved, np.zeros(20)]) > 0.5
+    assert (touched == (expected | (np.abs(null.left) > 3))).all()
+    assert 10 < np.count_nonzero(touched) < 40
+
+
+def test_gaps_are_told_in_units_that_people_know() -> None:
+    """Two nepers, three cents, and shares of shapes, of which an effect takes half."""
+    places = [Place("force"), Place("frequency, cents"), Place("share of F2"), Place("share of T1"),
+              Place("nobody's")]  # fmt: skip
+    half = np.array([1.0, 1.5, 0.1, 0.2, 1.0])
+    none = Nuisance("none", "", 1.0, lambda twin, _: twin, "nothing")
+    numbers = block("all", Tap.MODES, 2 * half, np.full(5, 0.01), places, ("beams",),
+                    lambda twin: twin.beams.leak * half)  # fmt: skip
+    comparison = Comparison([numbers], Twin(), (none,))
+    null = compete(comparison, (), [np.zeros(1)])
+    rival = replace(null, estimate=replace(null.estimate, residuals=null.estimate.residuals / 2))
+    told = {gap.quantity: gap for gap in plain_gaps(comparison, null, rival)}
+    assert set(told) == {"response, dB", "resonances, cents", "shapes, 1 - MAC"}
+    decibels = told["response, dB"]
+    # A neper is 8.686 dB.
+    assert (decibels.before, decibels.after) == pytest.approx((2 * 8.6859, 8.6859), rel=1e-4)
+    assert decibels.error == pytest.approx(0.086859, rel=1e-4)
+    cents = told["resonances, cents"]
+    assert (cents.before, cents.after, cents.error) == pytest.approx((3.0, 1.5, 0.01))
+    # What a shape has of others adds up.
+    shapes = told["shapes, 1 - MAC"]
+    assert shapes.before == pytest.approx(0.2**2 + 0.4**2)
+    assert shapes.after == pytest.approx(0.1**2 + 0.2**2)
+
+
+def test_actions_are_ranked_by_what_they_tell_in_a_minute() -> None:
+    comparison = measured(3, bench(leak=0.3))
+    start = np.array([0.0, 0.1])
+    slope, bump = (compete(comparison, (Sized(EFFECTS[k], {}),), [start]) for k in (0, 1))
+
+    def same(twin: Twin) -> Twin:
+        return twin
+
+    told, long, sharp, other = (
+        Action("told", "", 10.0, ("lines",), same),
+        Action("long", "", 20.0, ("lines",), same),
+        Action("sharp", "", 10.0, ("lines",), same, sharper=0.5),
+        Action("other", "", 10.0, ("no such block",), same),
+    )
+    worths = ranked_actions(comparison, slope, bump, (long, other, told, sharp))
+    assert [worth.action.id for worth in worths] == ["sharp", "told", "long"]
+    by_id = {worth.action.id: worth for worth in worths}
+    assert by_id["told"].nats == pytest.approx(by_id["long"].nats)
+    assert by_id["told"].nats_per_minute == pytest.approx(by_id["told"].nats / 10)
+    # As many nats as half the square of the distance between predictions of so many numbers, less
+    # for what is uncertain of them.
+    lines = comparison.blocks[0]
+    apart = lines.predict(slope.twin(comparison)) - lines.predict(bump.twin(comparison))
+    most = 0.5 * float(np.sum((apart / 0.05) ** 2))
+    assert 0.2 * most < by_id["told"].nats < most
+
+
+def test_a_class_has_only_what_is_alike_to_all_of_it_and_reach_is_five_deviations() -> None:
+    east = np.array([[1.0], [0.0], [0.0]])
+    near = np.array([[0.9], [math.sqrt(1 - 0.81)], [0.0]])
+    # Alike to the second alone: cosines of 0.9, 0.9 and 0.62.
+    far = np.array([[0.62], [math.sqrt(1 - 0.62**2)], [0.0]])
+    signatures = {
+        name: (table, table)
+        for name, table in (("air_load", east), ("density", near), ("stiffening", far))
+    }
+    effects = [BY_ID[name] for name in (*signatures, "crack")]
+    reach = reach_of(effects, {n: (np.repeat(a, 1, 1), b) for n, (a, b) in signatures.items()})
+    classes = classes_of(reach)
+    assert sorted(map(len, classes)) == [1, 1, 2]
+    of = {entry.effect: entry for entry in reach}
+    assert set(of["density"].alike) == {"air_load", "stiffening"}
+    (parameter,) = BY_ID["density"].sizes
+    # A deviation of the prior moves by one deviation of the noise.
+    assert of["density"].detectable["density"] == pytest.approx(DETECTABLE * parameter.spread)
+    assert math.isinf(of["crack"].detectable["depth"])
+    half = reach_of([BY_ID["density"]], {"density": (near, near / 2)})[0]
+    assert half.absorbed == pytest.approx(0.75)
+    assert half.detectable["density"] == pytest.approx(2 * DETECTABLE * parameter.spread)
+
+
+def test_the_toy_is_what_these_tests_take_it_for() -> None:
+    assert LEVEL.spread == 2.0
+    assert len(AT) == COUNT
+    assert more(Twin(), "beams", leak=0.5).beams.leak == 0.5

@@ -1,13 +1,16 @@
 """Resonances without a run, of reeds whose frequencies follow from their moduli by a formula."""
 
+import io
 from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from diagnosis.mean_reed import MeanReed, printed_reeds, tabled_reeds
 from diagnosis.published import diagnose_resonances
+from diagnosis.published_page import trials_table, words
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
 from physics.effects.form import Effect, Parameter, Stage, Tap
@@ -106,6 +109,49 @@ def test_effects_that_do_the_same_are_one_class() -> None:
     by_name = {entry.effect: entry for entry in found.reach}
     assert by_name["heavier"].absorbed > 0.99
     assert by_name["across"].absorbed < 0.9
+
+
+def test_words_say_whose_sizes_are_and_what_is_hardly_told_from_what() -> None:
+    effects = (ACROSS_GRAIN, TWIN_OF_IT, HEAVIER, SHEAR)
+    found = diagnosed(reeds(across=0.4), effects=effects)
+    said = words(found, {effect.id: effect for effect in effects})
+    trial = next(trial for trial in found.alone if trial.effects == ("across",))
+    (size,) = trial.sizes
+    assert f"across: size {size.value:.3g} ± {size.error:.1g} ({size.z:+.1f} spreads" in "\n".join(
+        said
+    )
+    hardly = next(line for line in said if line.startswith("across is hardly told"))
+    # Both move the same.
+    assert "from alike (1.00)" in hardly
+    assert hardly.endswith("what would tell it: measure across")
+    both = next(trial for trial in found.together if trial.certified and trial.log_bayes > 1)
+    line = next(line for line in said if line.startswith(" + ".join(both.effects)))
+    assert all(f"{name}'s size" in line for name in both.effects)
+    assert said[-1] == "closing a gap does not prove its cause"
+
+
+def test_the_table_of_trials_tells_shares_as_they_are() -> None:
+    found = diagnosed(reeds(across=0.4), effects=(ACROSS_GRAIN, HEAVIER))
+    console = Console(width=200, file=io.StringIO())
+    console.print(trials_table(found))
+    row = next(r for r in console.file.getvalue().splitlines() if "across " in r)
+    best, before = found.alone[0], found.elastic.rms_cents
+    assert f"{best.kappa:.0%}" in row
+    assert f"{before['A']:.0f} → {best.rms_cents['A']:.0f}" in row
+    assert f"A {best.kappa_other['A']:.0%}" in row
+    assert f"{best.log_bayes:+.1f}" in row
+
+
+def test_rows_of_other_modes_are_told(tmp_path) -> None:
+    said = []
+    odd = ["1,A,f2,3400.0", "1,A,X7,9900.0"]
+    (reed,) = tabled_reeds(table(tmp_path, *rows("1", -30), *odd, *rows("2", 10)), said.append)
+    assert reed.modes == MODES
+    assert len(said) == 1
+    assert said[0].endswith(": 2, not used")
+    said.clear()
+    tabled_reeds(table(tmp_path, *rows("1", -30), *rows("2", 10)), said.append)
+    assert not said
 
 
 def test_a_mode_that_no_such_reed_has_is_named() -> None:

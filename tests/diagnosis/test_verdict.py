@@ -20,6 +20,7 @@ from diagnosis.nuisances import Nuisance
 from diagnosis.page import document, words, write_page
 from diagnosis.rivals import Comparison, Sized, compete
 from diagnosis.verdict import Told, Verdict, _touched, condition_of, judged
+from diagnosis.where import Rung
 from physics.effects.catalogue import BY_ID
 from physics.effects.form import Tap
 from physics.twin import Twin, more
@@ -165,7 +166,9 @@ def test_the_page_has_all_of_it(mixed, tmp_path) -> None:
         rf"<td>share {size['value']:.2g} ± {size['error']:.1g}</td>"
     )
     assert re.search(row, html)
-    for rung in mixed.where.ladder:
+    ladder = (Rung(Tap.HOLOGRAM, 0.25, 0.1, 0.05), Rung(Tap.MAPS, 0.75, 0.9, 0.05))
+    html = document(replace(mixed, where=replace(mixed.where, ladder=ladder)), "A reed")
+    for rung in ladder:
         assert re.search(
             rf'<td>{rung.tap} \w+[^<]*</td><td class="number">{rung.forward:.0%}</td>'
             rf'<td class="number">{rung.backward:.0%}</td>',

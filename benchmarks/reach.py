@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.campaigns import campaigns, readings_of
 from blind.cases import Label, true_sizes
 from blind.effects import BY_NAME
-from diagnosis.likeness import DETECTABLE, Reach, classes_of, reach_of
+from diagnosis.likeness import ALIKE, DETECTABLE, Reach, classes_of, reach_of
 from diagnosis.observing import Readings
 from diagnosis.rivals import compete
 from diagnosis.screening import signatures_of
@@ -51,7 +51,7 @@ def together(reaches: Sequence[Sequence[Reach]]) -> list[Reach]:
             for other in sorted({name for reach in own for name in reach.alike})
         }
         absorbed = float(np.median([reach.absorbed for reach in own]))
-        alike = {name: value for name, value in cosines.items() if value > 0}
+        alike = {name: value for name, value in cosines.items() if value >= ALIKE}
         found.append(Reach(own[0].effect, absorbed, least, alike))
     return found
 

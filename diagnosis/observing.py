@@ -116,7 +116,7 @@ def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float],
     dark_parts, flat_parts = campaign.of_kind(Kind.DARK), campaign.of_kind(Kind.FLAT)
     lo_parts, still_parts = campaign.of_kind(Kind.LO_ONLY), campaign.of_kind(Kind.ORDER0)
     sensor = sensor_of(bench, first)
-    sheet = Sheet(sensor, 0.5 * sensor.shape[0] * sensor.pixel_m)
+    sheet = Sheet(sensor)
     dark = read_dark(dark_parts) if dark_parts else None
     offset_dn = dark.offset_dn if dark else sensor.offset_dn
     carriers = read_carriers(campaign.sweeps, still_parts)

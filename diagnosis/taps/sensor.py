@@ -82,9 +82,9 @@ class Beam:
     Attributes
     ----------
     tilt : (2,) float
-        Of the log of the brightness, per half of the sensor: along rows' numbers, columns'.
+        What the last row, and column, is brighter by than the middle, a share, by a paraboloid.
     bend : float
-        Of the log, in the corners, beside the middle.
+        What the corners are.
     """
 
     tilt: Array
@@ -214,12 +214,15 @@ class Sheet:
     Attributes
     ----------
     sensor : Sensor
-    half_m : float
-        Half a side of the sensor.
     """
 
     sensor: Sensor
-    half_m: float
+
+    @property
+    def half_m(self) -> tuple[float, float]:
+        """Half the sensor, along rows' numbers and columns'."""
+        rows, columns = self.sensor.shape
+        return 0.5 * rows * self.sensor.pixel_m, 0.5 * columns * self.sensor.pixel_m
 
 
 def dark_block(dark: Dark, sheet: Sheet) -> Block:
@@ -284,16 +287,20 @@ def flat_block(flat: Flat, dark: Dark | None, sheet: Sheet) -> Block:
 
 def lo_block(beam: Beam, sheet: Sheet) -> Block:
     """Local oscillator beside a Gaussian beam on the middle of the sensor."""
-    usual = Beams().waist_m
+    usual, halves = Beams().waist_m, sheet.half_m
 
     def predict(twin: Twin) -> Array:
-        beams, half = twin.beams, sheet.half_m
-        tilt = [4 * shift * half / beams.waist_m**2 for shift in beams.shift_m]
-        corner = -4 * half**2 / beams.waist_m**2 - beams.vignette
+        beams = twin.beams
+        tilt = [
+            4 * shift * half / beams.waist_m**2
+            for shift, half in zip(beams.shift_m, halves, strict=True)
+        ]
+        corner = -2 * sum(half**2 for half in halves) / beams.waist_m**2 - beams.vignette
         return np.array([*tilt, corner])
 
     values = [*beam.tilt, beam.bend]
-    errors = np.array([_LO_TILT, _LO_TILT, 8 * _LO_WAIST * (sheet.half_m / usual) ** 2])
+    corner_error = 4 * _LO_WAIST * sum((half / usual) ** 2 for half in halves)
+    errors = np.array([_LO_TILT, _LO_TILT, corner_error])
     places = [
         Place("middle", region="rows"), Place("middle", region="columns"),
         Place("width", region="corners"),

@@ -19,7 +19,7 @@ from physics.sensor import Sensor
 from physics.twin import Beams, Chip, Twin
 
 N = 96
-SHEET = Sheet(Sensor(), 0.5 * N * 6.7e-6)
+SHEET = Sheet(replace(Sensor(), shape=(N, N)))
 
 
 def part(stacks, exposures):
@@ -112,10 +112,26 @@ def test_dark_corners_and_a_shifted_beam_are_found() -> None:
     block = flat_block(flat(corner), dark(), SHEET)
     assert abs(left(block)["cornerscorners"]) > 10
     assert abs(left(block, replace(Twin(), beams=Beams(vignette=0.2)))["cornerscorners"]) < 2
-    y, x = SHEET.half_m * at[:, None], SHEET.half_m * at
+    (half_m, _) = SHEET.half_m
+    y, x = half_m * at[:, None], half_m * at
     beam = np.exp(-2 * ((y - 1e-3) ** 2 + (x + 2e-3) ** 2) / 15e-3**2)
     lo = read_beam([part([drawn(6000 * beam, k) for k in range(8)], [0.08] * 8)], 50.0)
     block = lo_block(lo, SHEET)
     assert abs(left(block)["middlerows"]) > 3
     shifted = replace(Twin(), beams=Beams(shift_m=(1e-3, -2e-3)))
     assert np.abs(block.left(shifted)).max() < 3
+
+
+def test_rows_and_columns_of_a_sensor_that_is_not_square_are_as_far_as_they_are() -> None:
+    sheet = Sheet(replace(Sensor(), shape=(N, 2 * N)))
+    half_y, half_x = sheet.half_m
+    assert half_x == 2 * half_y
+    y, x = half_y * np.linspace(-1, 1, N)[:, None], half_x * np.linspace(-1, 1, 2 * N)
+    shift_m = 1e-3, -2e-3
+    frames = 50 + 1500 * np.exp(-2 * ((y - shift_m[0]) ** 2 + (x - shift_m[1]) ** 2) / 15e-3**2)
+    block = lo_block(read_beam([part([np.stack([frames] * 4)], [0.08])], 50.0), sheet)
+    shifted = replace(Twin(), beams=Beams(shift_m=shift_m))
+    assert np.abs(block.left(shifted)).max() < 1.5
+    # A shift along columns tilts twice as much there as one along rows does here.
+    tilt = block.predict(shifted)[:2]
+    assert tilt[1] / tilt[0] == pytest.approx(2 * shift_m[1] / shift_m[0])

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from diagnosis.mean_reed import MeanReed, printed_reeds, tabled_reeds
-from diagnosis.published import diagnose_resonances
+from diagnosis.published import _kappa, diagnose_resonances
 from diagnosis.published_page import trials_table, words
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
@@ -193,6 +193,21 @@ def test_means_of_a_table_are_those_of_its_reeds(tmp_path) -> None:
     assert reed.modes == MODES
     assert reed.reeds == 3
     assert reed.cents == pytest.approx(cents_of(HZ) + 10, abs=1e-3)
+
+
+def test_means_of_many_reeds_are_as_sure_as_their_number(tmp_path) -> None:
+    path = table(tmp_path, *[row for k in range(16) for row in rows(k, 5 * k)])
+    (reed,) = tabled_reeds(path)
+    # Reading to 25 cents / √12 and a scatter of 25 cents, of sixteen reeds.
+    assert reed.error_cents == pytest.approx(np.hypot(25 / np.sqrt(12), 25) / 4, rel=1e-6)
+
+
+def test_shares_that_are_closed_are_of_what_is_above_the_floor() -> None:
+    before, after = np.array([2.0, -1.0, 3.0]), np.array([1.0, 1.0, -1.5])
+    kappa, low, high = _kappa(before, after, ("F1", "T1", "F2"))
+    gaps = [np.mean(part**2) - 1 for part in (before, after)]
+    assert kappa == pytest.approx((gaps[0] - gaps[1]) / gaps[0])
+    assert low <= kappa <= high
 
 
 def test_a_reed_that_lacks_modes_does_not_bend_the_profile(tmp_path) -> None:

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.block import Place
-from diagnosis.how_far import shrinkage
+from diagnosis.block import Place, block
+from diagnosis.how_far import _left_out, shrinkage
 from diagnosis.nuisances import Nuisance
 from diagnosis.rivals import Comparison, Sized, compete
 from diagnosis.verdict import _only
@@ -110,3 +110,51 @@ def test_an_earlier_stage_that_tells_the_level_takes_the_later_ones_share() -> N
     share = {rung.tap: (rung.forward, rung.backward) for rung in both.ladder}
     assert share[Tap.MAPS][0] > 0.5
     assert share[Tap.HOLOGRAM][1] > 0.0
+
+
+def test_what_one_stage_tells_of_another_is_its_own_share() -> None:
+    # Two stages off alike, by what an unlikely level makes of both: whichever is measured first
+    # has it all, and the other one follows.
+    level = Nuisance("level", "", 0.05, lambda t, v: more(t, "beams", fade_per_h=v), "")
+    both = [
+        block(tap, tap, np.full(20, 0.5), np.full(20, 0.05), [Place("level")] * 20, ("beams",),
+              lambda twin: np.full(20, twin.beams.fade_per_h))
+        for tap in (Tap.HOLOGRAM, Tap.MAPS)
+    ]  # fmt: skip
+    first, second = gap_map(Comparison(both, Twin(), (level,))).ladder
+    # Of one stage alone the square of the gap is 2000·400/8400, of both 4000·400/16400.
+    assert first.forward > 0.95
+    assert second.forward < 0.05
+    assert (first.backward, second.backward) == pytest.approx((second.forward, first.forward))
+
+
+def test_the_chance_of_a_tap_is_that_of_any_cell_of_any_tap() -> None:
+    found = gap_map(measured(2, bench(mixing=0.1)))
+    for tap, worst in found.taps.items():
+        own = [cell.chance for cell in found.cells if cell.tap is tap]
+        assert worst.chance == pytest.approx(min(1.0, len(found.taps) * len(own) * min(own)))
+
+
+def test_a_share_is_of_the_gap_above_its_floor() -> None:
+    comparison = measured(3, bench(mixing=0.15))
+    null = compete(comparison, (), [np.zeros(1)])
+    half = compete(comparison, (Sized(EFFECTS[1], {}),), [np.array([0.0, 0.1])])
+    closed = shrinkage(null, half, groups(comparison))
+    assert closed.floor == 1.0
+    assert closed.before < 4
+    share = (closed.before - closed.after) / (closed.before - 1.0)
+    assert closed.kappa == pytest.approx(share)
+
+
+def test_what_is_left_out_counts_by_what_it_could_be_predicted_to() -> None:
+    """Of a mean of n numbers, one left out is that of n - 1 more uncertain by a root."""
+    n, away = 5, 3.0
+    values = np.zeros(n)
+    values[0] = away
+    level = Nuisance("level", "", 1e3, lambda t, v: more(t, "beams", fade_per_h=v), "")
+    numbers = block("all", Tap.MAPS, values, np.ones(n), [Place("level")] * n, ("beams",),
+                    lambda twin: np.full(n, twin.beams.fade_per_h))  # fmt: skip
+    null = compete(Comparison([numbers], Twin(), (level,)), (), [np.zeros(1)])
+    square, _, count = _left_out((null, null), np.arange(n) == 0)
+    assert square == pytest.approx(away**2 / (1 + 1 / (n - 1)), rel=1e-3)
+    assert count == 1

@@ -1,0 +1,240 @@
+"""What may be wrong moves each tap's numbers by what can be worked out by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diagnosis.taps import drive
+from diagnosis.taps.beat import Beat, lock_block, log_block
+from diagnosis.taps.carrier import Leaks
+from diagnosis.taps.drive import Device, forces_rad, level_block, line_block
+from diagnosis.taps.light import brightness_block, fringe_block, noise_block
+from diagnosis.taps.modes import _prediction
+from diagnosis.taps.still import scatter_block, turn_block
+from diagnosis.taps.vibration import TEMPLATES
+from physics.air import CavityLine, Chamber, Filling
+from physics.twin import Fits, Twin, more, with_cane, with_reed
+
+RATE_HZ = 12.4
+HOUR = 3600.0
+
+
+def moved(block, **parts):
+    """What some fields of parts move a block's numbers by, by its places' names."""
+    twin = Twin()
+    for part, fields in parts.items():
+        twin = more(twin, part, **fields)
+    return block.predict(twin) - block.predict(Twin())
+
+
+@pytest.fixture(scope="module")
+def beat():
+    """Forty steps of two sweeps, at 2 and at 10 kHz, an hour apart."""
+    return Beat(
+        steps=100, lost=0, lock_hz=np.zeros(40), error_hz=np.full(40, 1e-3),
+        drive_hz=np.repeat([2e3, 1e4], 20), time_s=np.repeat([0.0, HOUR], 20),
+        sweep=np.repeat([0, 1], 20), names=("up", "down"),
+    )  # fmt: skip
+
+
+def test_locks_miss_by_what_modulators_are_ahead_and_generators_behind(beat) -> None:
+    lock = lock_block(beat, RATE_HZ)
+    assert [place.time for place in lock.places] == ["up", "down"]
+    assert moved(lock, clocks={"detuning_hz": 0.01}) == pytest.approx([0.01, 0.01])
+    assert moved(lock, clocks={"detuning_hz_h": 0.2}) == pytest.approx([0.0, 0.2])
+    # A generator that runs ahead drives the reed faster: 5 ppm of 2 kHz and 10 kHz.
+    assert moved(lock, clocks={"generator_ppm": 5.0}) == pytest.approx([-0.01, -0.05])
+    # A tenth of a radian of every other step, of 12.4 a second.
+    assert moved(lock, beams={"quarter_error_rad": 0.1}) == pytest.approx([-0.1973] * 2, rel=1e-3)
+
+
+def test_frames_lost_are_counted_on_a_scale_of_even_scatter(beat) -> None:
+    # Four of a hundred.
+    expected = 2 * (np.sqrt(4 + 3 / 8) - np.sqrt(3 / 8))
+    assert moved(log_block(beat), clocks={"lost_share": 0.04}) == pytest.approx([expected])
+
+
+def still(clamping=0):
+    """Six acquisitions at rest, one a second, an hour into a campaign."""
+    count = 6
+    return SimpleNamespace(
+        clamping=clamping, time_s=HOUR + np.arange(count) - 2.5,
+        advance_rad=np.zeros(count), turn_rad=0.01 * np.array([1.0, -1, 1, -1, 1]),
+        gap_s=np.ones(count - 1), brightness=np.zeros(count), run=np.zeros(count, int),
+        run_time_s=np.array([HOUR]),
+    )  # fmt: skip
+
+
+def test_light_at_rest_turns_by_the_modulators_and_by_unequal_steps_only_within() -> None:
+    turn = turn_block([still()], 0.05, RATE_HZ)
+    within, between = (place.quantity.split(", ")[1] for place in turn.places)
+    assert (within, between) == ("within acquisitions", "between acquisitions")
+    assert moved(turn, clocks={"detuning_hz": 0.01}) == pytest.approx([0.01, 0.01])
+    assert moved(turn, clocks={"detuning_hz_h": 0.2}) == pytest.approx([0.2, 0.2], rel=1e-6)
+    assert moved(turn, beams={"quarter_error_rad": 0.1}) == pytest.approx([-0.1973, 0.0], rel=1e-3)
+
+
+def test_phases_scatter_by_what_walks_and_jitters() -> None:
+    scatter = scatter_block([still()], 0.05, RATE_HZ)
+    # Within: 0.05 rad per root second over 1/12.4 s, half of its square; between: over a second.
+    within = 0.5 * 0.05**2 / RATE_HZ, 0.15**2
+    between = 0.05**2, 0.5 * 0.15**2
+    expected = [0.5 * np.log(1 + new / old) for old, new in (within, between)]
+    assert moved(scatter, beams={"jitter_rad": 0.15}) == pytest.approx(expected)
+
+
+def sweep(name="up", begun_s=0.0, length_s=0.0, volts=4.0, clamping=0, **own):
+    """Reading of a sweep of 160 holograms from 1 to 10 kHz."""
+    count = 160
+    fields = {
+        "name": name, "clamping": clamping, "volts": np.full(count, volts),
+        "loudness": float(np.log(volts)), "drive_hz": np.geomspace(1e3, 1e4, count),
+        "time_s": begun_s + np.linspace(0, length_s, count), "noise_dn2": np.full(count, 1600.0),
+        "fringe_dn2": np.full(count, 1e4), "signal": np.log(volts) + np.zeros(count),
+        "log_drive": np.zeros(count), "off": np.zeros(count, bool), "taken_off": 0.0,
+        "deepest_rad": np.full(count, 3.0), "amplitude_rad": np.ones(count),
+        "names": (), "hz": np.zeros(0), "loss_factor": np.zeros(0),
+    }  # fmt: skip
+    return SimpleNamespace(**(fields | own))
+
+
+def test_light_fades_by_its_share_an_hour_and_fringes_by_its_root_of_either_beam() -> None:
+    # One sweep at the begin, one an hour later; the light at rest as well.
+    light = brightness_block([sweep(), sweep("down", HOUR)], [still()])
+    faded = moved(light, beams={"fade_per_h": 0.3})
+    when = [place.time for place in light.places]
+    rest = next(k for k, time in enumerate(when) if time.startswith("at rest"))
+    up, down = ([k for k, t in enumerate(when) if t.startswith(name)] for name in ("up", "down"))
+    assert faded[rest] == pytest.approx(-0.3)
+    # Sweeps are beside their mean.
+    assert faded[up] == pytest.approx(0.15)
+    assert faded[down] == pytest.approx(-0.15)
+    hopped = moved(light, beams={"hop": 0.2})
+    # Contrast of 0.8 from the half of the campaign on.
+    assert hopped[rest] == pytest.approx(np.log(0.8))
+    assert hopped[down] - hopped[up] == pytest.approx(np.log(0.8))
+
+
+def test_noise_is_that_of_the_light_but_for_a_little() -> None:
+    noise = noise_block([sweep(), sweep("down", HOUR)])
+    faded = moved(noise, beams={"fade_per_h": 0.3})
+    down = [k for k, place in enumerate(noise.places) if place.time.startswith("down")]
+    assert faded[down] == pytest.approx(-0.96 * 0.3)
+    assert np.delete(faded, down) == pytest.approx(0.0)
+
+
+def test_fringes_show_what_leaks_in_by_its_amplitude_and_lost_contrast_as_it_is() -> None:
+    there = sweep(template=np.zeros((len(TEMPLATES), 160), complex),
+                  template_variance=np.ones((len(TEMPLATES), 160)))  # fmt: skip
+    fringes = fringe_block([there])
+    assert [place.quantity for place in fringes.places] == ["order mixing", "decorrelation"]
+    for field in ("mixing", "leak"):
+        told = moved(fringes, beams={field: 0.03})
+        assert told == pytest.approx([np.hypot(0.03, 5e-3) - 5e-3, 0.0])
+    assert moved(fringes, beams={"blur": 1e-3}) == pytest.approx([0.0, 1e-3])
+
+
+def test_a_coil_loses_by_the_square_of_its_volts_where_it_moves() -> None:
+    level = level_block([sweep(volts=16.0), sweep("quiet", volts=4.0)], Leaks({}, 0.0))
+    told = moved(level, drive={"compression": 0.5})
+    # At the least frequency 0.5 / (1 + (1/5)²) of what it would be at 16 V; a sixteenth at 4 V.
+    most = 0.5 / (1 + (1.12 / 5) ** 2)
+    assert told[0] == pytest.approx(np.log((1 - most) / (1 - most / 16)), abs=0.02)
+    assert (np.diff(told) > 0).all()
+    assert len(told) > 3
+
+
+def test_a_line_stands_out_of_the_drive_where_it_is() -> None:
+    # Both right at a hologram's frequency.
+    hz = np.geomspace(1e3, 1e4, 160)
+    line = CavityLine(frequency_hz=float(hz[90]))
+    block = line_block([sweep(), sweep("down")], line, Leaks({}, 0.0))
+    at_line, at_second = 90, 130
+    told = moved(block, drive={"second_line": 0.1, "second_hz": float(hz[at_second]) - 7e3,
+                               "second_quality": -10.0})  # fmt: skip
+    # Of a quality of 20: at its middle 1 − 2i of the pressure, and hardly anything far below.
+    assert told[at_second] == pytest.approx(np.log(abs(1 - 2j)))
+    assert abs(told[30]) < 0.15
+    # Of the known line 1.5 times as much.
+    strength = line.strength * line.quality
+    told = moved(block, drive={"line_excess": 0.5})
+    expected = np.log(abs(1 - 1.5j * strength) / abs(1 - 1j * strength))
+    assert told[at_line] == pytest.approx(expected)
+
+
+def test_forces_fall_beyond_an_amplifier_s_corner_and_rise_by_what_clay_lets_through(
+    monkeypatch,
+) -> None:
+    # Modes at 1 and 10 kHz that the left half pushes by 1, the right one by 0.5.
+    modes = {"F1": SimpleNamespace(hz=1e3), "F2": SimpleNamespace(hz=1e4)}
+    monkeypatch.setattr(drive, "_pushes", lambda *_: (1.0, 0.5, 0.0, 1.0))
+    workshop = SimpleNamespace(modes=lambda _reed: modes)
+    device = Device(Chamber(filling=Filling.ASYMMETRIC), CavityLine(), 650e-9)
+    force = forces_rad(workshop, device)
+    usual = force(Twin().drive, Twin().reed, tuple(modes))
+    # With the corner at 10 kHz, of a low-pass of second order: 1/√2 there, 1/√(1 + 10⁻⁴) at 1 kHz.
+    cut = force(more(Twin(), "drive", roll_off=1.0).drive, Twin().reed, tuple(modes))
+    assert cut / usual == pytest.approx([1 / np.sqrt(1 + 1e-4), 1 / np.sqrt(2)])
+    opened = force(more(Twin(), "drive", open_right=0.6).drive, Twin().reed, tuple(modes))
+    assert opened / usual == pytest.approx([1.3, 1.3])
+    whole = forces_rad(workshop, Device(Chamber(filling=Filling.SYMMETRIC), CavityLine(), 650e-9))
+    assert whole(Twin().drive, Twin().reed, ("F1",)) == pytest.approx(1.5 * usual[:1])
+    # As far as light tells: 4π over the wavelength.
+    half = forces_rad(workshop, Device(Chamber(filling=Filling.ASYMMETRIC), CavityLine(), 325e-9))
+    assert half(Twin().drive, Twin().reed, tuple(modes)) == pytest.approx(2 * usual)
+
+
+NAMES, BENDING = ("F1", "T1"), np.array([0.9, 0.2])
+
+
+def of_moduli(reed):
+    """Modes whose squared frequencies go with E_L and G_LT by their shares of bending."""
+    log = BENDING * reed.shift.E_L + (1 - BENDING) * reed.shift.G_LT
+    hz = np.array([2e3, 5e3]) * np.exp(0.5 * log) * (1 - 0.01 * reed.air_share)
+    return {n: SimpleNamespace(hz=f, loss_factor=0.03) for n, f in zip(NAMES, hz, strict=True)}
+
+
+@pytest.fixture(scope="module")
+def modes():
+    """Predict cents, then losses in per cent, of two modes at rest for 1 h 40 min, at 10 rad."""
+    one = sweep(begun_s=6000.0, names=NAMES, hz=np.array([2e3, 5e3]),
+                deepest_rad=np.full(160, 10.0))  # fmt: skip
+    rows = [(0, name, what) for what in ("frequency, cents", "loss, %") for name in NAMES]
+    predict = _prediction(rows, NAMES, [one], SimpleNamespace(modes=of_moduli))
+    return lambda twin: predict(twin) - predict(Twin())
+
+
+def test_frequencies_are_in_cents_and_losses_in_per_cent(modes) -> None:
+    # An octave is 1200 cents; a hundredth lower 17.4.
+    air = modes(with_reed(Twin(), air_share=1.0))
+    assert air == pytest.approx([1200 * np.log2(0.99)] * 2 + [0.0, 0.0])
+    stiffer = modes(with_cane(Twin(), E_L=0.02))
+    assert stiffer == pytest.approx([1200 * np.log2(np.exp(0.01 * b)) for b in BENDING] + [0, 0])
+    exchanged = Twin(fits=Fits((("F1", 3.0, 0.02), ("T1", -1.0, 0.0))))
+    assert modes(exchanged) == pytest.approx([3.0, -1.0, 2.0, 0.0])
+
+
+def test_warmth_softens_by_a_thousandth_a_degree_and_takes_its_share_of_the_loss(modes) -> None:
+    # Three degrees an hour for 100 minutes: five.
+    warm = modes(more(Twin(), "surroundings", warming_c_h=3.0))
+    assert warm[:2] == pytest.approx([1200 * np.log2(np.exp(-0.0025))] * 2, rel=1e-3)
+    assert warm[2:] == pytest.approx([5.0, 5.0])
+    later = modes(more(Twin(), "surroundings", warming_c_h=3.0, begun_h=5 / 3))
+    assert later == pytest.approx(2 * warm)
+
+
+def test_drying_stiffens_and_lightens_by_the_share_that_is_gone(modes) -> None:
+    dry = modes(more(Twin(), "surroundings", drying=0.5))
+    # Four times 1500 s have gone: all but e⁻⁴ of it. All dry 8 % of E_L, 12 % of G_LT, −3.5 % of
+    # the mass and a quarter of the loss.
+    share = 0.5 * (1 - np.exp(-4))
+    log = 0.5 * (BENDING * 0.08 + (1 - BENDING) * 0.12 + 0.035) * share
+    assert dry[:2] == pytest.approx(1200 * log / np.log(2), rel=1e-3)
+    assert dry[2:] == pytest.approx(-25 * share)
+
+
+def test_hardening_counts_by_the_square_of_the_depth(modes) -> None:
+    # 0.7 of what it is at the deepest, of stiffness: half of that of frequency.
+    hard = modes(more(Twin(), "surroundings", hardening=0.01))
+    assert hard == pytest.approx([1200 * 0.5 * 0.7 * 0.01 / np.log(2)] * 2 + [0.0, 0.0])

@@ -651,7 +651,7 @@ def blind_make(
     """Make sealed cases: campaigns of laboratories with something wrong, and hashes of what it is.
 
     DIR/sealed.json holds the hashes; its own, to be published before any case is answered, is
-    printed. A case takes half a minute, and 46 MB.
+    printed. A case takes half a minute to one, and 46 MB.
     """
     with _blind_side():
         from acquire.display import share_progress
@@ -664,7 +664,8 @@ def blind_make(
     if as_json:
         _show_json({"cases": count, "folder": str(folder), "key": str(kept), "sealed_sha256": made})
         return
-    typer.echo(f"{count} cases in {folder}, whose sealed.json has the SHA-256 {made}")
+    cases = "1 case" if count == 1 else f"{count} cases"
+    typer.echo(f"{cases} in {folder}, whose sealed.json has the SHA-256 {made}")
     typer.echo(f"The key is {kept}: keep it from whoever answers.")
 
 

@@ -42,7 +42,7 @@ def draw_reliability(cases: Sequence[Case], classes: Classes, path: Path) -> Non
         ylim=(0, 1.02),
         xlabel="probability given to the likeliest class (1 where none was)",
         ylabel="share of cases in which it is the truth",
-        title=f"{len(cases)} sealed cases, 95 % intervals",
+        title=f"sealed cases: {len(cases)}, with 95 % intervals",
     )
     ax.legend(loc="upper left", frameon=False)
     try:

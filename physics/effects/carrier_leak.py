@@ -19,7 +19,7 @@ EFFECT = Effect(
             "share",
             "",
             0.03,
-            "spurs of synthesizers lie 40 to 60 dB below their line",
+            "spurs of synthesizers lie 40 to 60 dB below their line; unshifted light adds to them",
             positive=True,
         ),
     ),

@@ -11,6 +11,7 @@ not.
 
 import argparse
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -28,11 +29,14 @@ from benchmarks.campaigns import campaigns
 _SEED = 260_614
 _TIMES = "entry/start_time", "entry/end_time"
 _LATER = timedelta(days=4321)
+# When copies seem to have been written, in no order.
+_BEFORE_S = 1e9
 _NAMES = "entry/sample/name", "entry/acquisition/campaign"
 # Of who made a file, and of what: nobody has to say.
 _STRIPPED = (
     "entry/title", "entry/program_name", "entry/user/name", "entry/sample/note",
     "entry/provenance/git_revision", "entry/provenance/bench_fingerprint",
+    "entry/provenance/protocol", "entry/provenance/protocol_sha256",
     "entry/instrument/name", "entry/instrument/camera/identity",
     "entry/instrument/generator/identity", "entry/instrument/synthesizers/identity",
 )  # fmt: skip
@@ -59,6 +63,7 @@ def disguised(folder: Path, into: Path, *, parts: bool) -> None:
             _disguise(run, rng)
             if parts:
                 _put(run, "entry/acquisition/part", f"p{number:02d}")
+        os.utime(copy, (_BEFORE_S + number, _BEFORE_S + number))
 
 
 def _disguise(run: h5py.File, rng: np.random.Generator) -> None:
@@ -68,6 +73,7 @@ def _disguise(run: h5py.File, rng: np.random.Generator) -> None:
         _put(run, path, "Q99")
     for path in _STRIPPED:
         _put(run, path, "")
+    _put(run, "entry/provenance/package_versions", "{}")
     _put(run, "entry/entry_identifier_uuid", rng.bytes(16).hex())
     bench = re.sub(r"^name:.*$", "name: other", _text(run, "entry/provenance/bench"), flags=re.M)
     _put(run, "entry/provenance/bench", bench)

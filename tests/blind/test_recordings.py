@@ -9,6 +9,7 @@ import yaml
 
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
+from benchmarks.leaks import disguised
 from blind import cases
 from blind.cases import Label, drawn_label, healthy_world, record_case, told_sizes
 from blind.effects import BY_NAME, KINDS
@@ -127,6 +128,27 @@ def test_a_case_is_there_once_it_is_whole(short, tmp_path, monkeypatch):
     with pytest.raises(OSError, match="No space left"):
         record_case(tmp_path, "a", Label(0, (), True, 5))
     assert [path.name for path in tmp_path.iterdir()] == ["a.cut"]
+
+
+def test_a_disguise_leaves_nothing_but_what_was_measured(short, tmp_path):
+    record_case(tmp_path, "a", Label(1, (("carrier_leak", 4.0),), True, 5))
+    (tmp_path / "copy").mkdir()
+    disguised(tmp_path / "a", tmp_path / "copy", parts=True)
+    copies = sorted((tmp_path / "copy").iterdir())
+    assert len(copies) == 3
+    assert not {path.name for path in copies} & {path.name for path in (tmp_path / "a").iterdir()}
+    for path in copies:
+        with h5py.File(path) as copy:
+            kind = copy["entry/acquisition/kind"].asstr()[()]
+            number = {"dark": "dark", "order0": "rest1", "sweep": "up"}[kind]
+            with h5py.File(tmp_path / "a" / f"{number}.h5") as own:
+                name = own["entry/data"].attrs["signal"]
+                assert (copy["entry/data"][name][()] == own["entry/data"][name][()]).all()
+                for place in ("entry/sample/name", "entry/start_time", "entry/acquisition/part"):
+                    assert copy[place].asstr()[()] != own[place].asstr()[()]
+                assert "laboratory a" not in copy["entry/provenance/bench"].asstr()[()]
+                assert not copy["entry/program_name"].asstr()[()]
+        assert path.stat().st_mtime == pytest.approx(1e9, abs=100)
 
 
 # Sizes of twice the usual in the terms of the catalogue, worked out by hand.

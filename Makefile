@@ -25,7 +25,8 @@ test: .stamps/test lint
 
 test-all: .stamps/all
 	$(ALL)/bin/python -m pytest -q -n auto --maxprocesses 4 --dist loadfile \
-	  tests/peers tests/drivers tests/bench/test_wire.py tests/bench/test_faults.py
+	  tests/peers tests/fitting/test_modal_peer.py tests/drivers tests/bench/test_wire.py \
+	  tests/bench/test_faults.py
 
 lint: .stamps/test
 	$(BIN)/ruff check .
@@ -58,7 +59,7 @@ bench: .stamps/bench
 	.ci/emulators
 	$(SYSTEM_PYTHON) -m venv --system-site-packages $(ALL)
 	$(ALL)/bin/python -m pip install --quiet --disable-pip-version-check \
-	  --editable ".[dev,basler,peers]"
+	  --editable ".[dev,bench,basler,peers]"
 	@mkdir -p .stamps && touch $@
 
 clean:

@@ -235,20 +235,21 @@ def _effects(verdict: Verdict) -> str:
     shown = sorted(verdict.probability.items(), key=lambda item: -item[1])[:_SHOWN]
     rows = []
     for name, p in shown:
-        effect = BY_ID.get(name)
-        action = effect.action if effect else ""
+        action = "; ".join(BY_ID[part].action for part in name.split("+") if part in BY_ID)
         rows.append((_title(name), f"{p:.1%}", _size_words(verdict, name), action))
     return _table(("effect", "probability", "size", "what tells it apart"), rows, (1,))
 
 
 def _size_words(verdict: Verdict, name: str) -> str:
-    """Sizes of an effect, or of two, as fitted, with errors."""
+    """Sizes of an effect, or of two, each with its own, as fitted, with errors."""
     rival = verdict.contest.rival(name)
-    told = (
-        f"{p.name} {p.spread * z:.2g} ± {p.spread * error:.1g} {p.unit}".strip()
-        for sizes in (rival.told.values() if rival else ())
-        for p, z, error in sizes
-    )
+    told = []
+    for effect, sizes in (rival.told if rival else {}).items():
+        own = "; ".join(
+            f"{p.name} {p.spread * z:.2g} ± {p.spread * error:.1g} {p.unit}".strip()
+            for p, z, error in sizes
+        )
+        told.append(own if effect == name else f"{_title(effect)}: {own}")
     return "; ".join(told)
 
 

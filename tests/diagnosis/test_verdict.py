@@ -178,6 +178,15 @@ def test_the_page_has_all_of_it(mixed, tmp_path) -> None:
         write_page(mixed, "A reed", tmp_path / "nowhere" / "page.html")
 
 
+def test_sizes_of_two_effects_say_whose_they_are(both) -> None:
+    html = document(both, "A reed")
+    for effect in both.effects:
+        size = to_json(both)["pairs"]["+".join(both.effects)]["sizes"][effect]["share"]
+        told = f"{BY_ID[effect].title}: share {size['value']:.2g} ± {size['error']:.1g}"
+        assert told in html
+        assert BY_ID[effect].action in html
+
+
 def test_a_gap_of_nothing_has_no_shares(nothing) -> None:
     assert "Of all numbers together the gap is not resolvable" in document(nothing, "A reed")
 

@@ -500,7 +500,7 @@ def _diagnose_runs(
     from diagnosis.answer import to_json
     from diagnosis.campaign import Campaign
     from diagnosis.known_bench import base_twin, bench_of, only_once
-    from diagnosis.next_runs import require_protocol, sweep_beside, write_next
+    from diagnosis.next_runs import require_repeatable, write_next
     from diagnosis.observing import read
     from diagnosis.page import words, write_page
     from diagnosis.verdict import diagnose as judge
@@ -510,17 +510,14 @@ def _diagnose_runs(
     from physics.reed.cache import anatomy
 
     bench = BenchFile.from_file(bench_name) if bench_name else None
-    places = [(out, "--out"), (following, "--next")]
-    if following is not None:
-        places.append((sweep_beside(following), "--next"))
-    for place, option in places:
+    for place, option in ((out, "--out"), (following, "--next")):
         if place is not None:
             require_writable(place, option)
     files = [file for path in paths for file in _run_files(path)]
     with contextlib.ExitStack() as opened:
         campaign = Campaign.of([opened.enter_context(Run.open(file)) for file in files])
         if following is not None:
-            require_protocol(campaign.sweeps[0].run)
+            require_repeatable(campaign.sweeps[0].run, following)
         bench = bench or bench_of(campaign.sweeps[0].run)
         base = base_twin(bench)
         geometry = campaign.sweeps[0].run.reed_file().geometry()

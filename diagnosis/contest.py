@@ -179,11 +179,8 @@ def confirmed(comparison: Comparison, found: Contest, name: str, effects: int) -
 
 def unknown_beside(found: Contest, effects: int) -> str:
     """Beside which of so many effects, which pair or none something unknown is likeliest."""
-    logs = {NONE: float(np.log(PRIOR["unknown"])) + found.anything}
-    for name, more in found.beside.items():
-        rival = found.rival(name)
-        if rival is not None:
-            logs[name] = float(np.log(_ALSO)) + _log_odds(rival, found.null, effects) + more
+    logs = _also({**found.alone, **found.pairs}, found.null, found.beside, effects)
+    logs[NONE] = float(np.log(PRIOR["unknown"])) + found.anything
     return max(logs, key=lambda name: logs[name])
 
 
@@ -523,7 +520,7 @@ def _probabilities(
     logs = {NONE: float(np.log(PRIOR["none"]))}
     for name, rival in rivals.items():
         logs[name] = _log_odds(rival, null, effects)
-    also = [float(np.log(_ALSO)) + logs[name] + more for name, more in beside.items()]
+    also = _also(rivals, null, beside, effects).values()
     own = {name: _by_form(rivals[name], null, more) for name, more in beside.items()}
     for name, more in own.items():
         logs[name] += more
@@ -535,6 +532,16 @@ def _probabilities(
     logs[UNKNOWN] = float(logsumexp([np.log(PRIOR["unknown"]) + seen, *also]))
     total = logsumexp(list(logs.values()))
     return {name: float(log - total) for name, log in logs.items()}
+
+
+def _also(
+    rivals: Mapping[str, Rival], null: Rival, beside: Mapping[str, float], effects: int
+) -> dict[str, float]:
+    """Log probability of something unknown beside rivals, up to the constant of `_log_odds`."""
+    return {
+        name: float(np.log(_ALSO)) + _log_odds(rivals[name], null, effects) + more
+        for name, more in beside.items()
+    }
 
 
 def _by_form(rival: Rival, null: Rival, left: float) -> float:

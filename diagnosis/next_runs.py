@@ -9,6 +9,7 @@ from acquire.campaign_file import CampaignFile, tasks_of
 from acquire.protocol import Protocol
 from acquire.runfile import Run
 from diagnosis.actions import Worth
+from fitting.comparison.page import require_writable
 from fitting.errors import FitInputError
 
 _HEAD = """\
@@ -22,19 +23,36 @@ def sweep_beside(path: Path) -> Path:
     return path.with_name(f"{path.stem}-sweep.yaml")
 
 
-def require_protocol(run: Run) -> None:
-    """Refuse a run that cannot be repeated, before it is diagnosed.
+def require_repeatable(run: Run, path: Path) -> None:
+    """Refuse what `write_next` could not write, before anything is diagnosed.
+
+    Parameters
+    ----------
+    run : Run
+        A sweep of the campaign.
+    path : Path
+        Of the campaign file.
 
     Raises
     ------
     FitInputError
-        If it does not carry the protocol that it was measured by.
+        If the run does not carry the protocol that it was measured by, or another protocol is
+        where that would be written.
+    RunFileError
+        If the protocol cannot be written there.
+    ProtocolError
+        If the run's protocol cannot be used again.
     """
-    if not run.protocol_text.strip():
+    sweep, protocol = sweep_beside(path), run.protocol_text
+    require_writable(sweep, "--next")
+    if not protocol.strip():
         raise FitInputError(
             f"{run.path}: carries no protocol, of which --next would write another campaign; "
             "diagnose without --next"
         )
+    Protocol.from_text(protocol, f"{run.path}: protocol")
+    if sweep.exists() and sweep.read_bytes() != protocol.encode():
+        raise FitInputError(f"{sweep}: is there already, and another protocol; name another --next")
 
 
 def write_next(
@@ -62,8 +80,7 @@ def write_next(
     Raises
     ------
     FitInputError
-        If nothing is to be told apart, or a file cannot be written. One that is there is replaced,
-        but for a protocol that is not what this campaign needs.
+        If nothing is to be told apart, or a file cannot be written; one that is there is replaced.
     ProtocolError
         If the campaign's protocol cannot be used again.
     """
@@ -72,8 +89,6 @@ def write_next(
         raise FitInputError("no two causes are to be told apart, so there is nothing to measure")
     sweep = sweep_beside(path)
     Protocol.from_text(protocol_text, str(sweep))
-    if sweep.exists() and sweep.read_bytes() != protocol_text.encode():
-        raise FitInputError(f"{sweep}: is there already, and another protocol; name another --next")
     action = best.action
     content = {
         "name": f"Next, {action.id.replace('_', ' ')}",

@@ -1,13 +1,15 @@
 """What to measure next is written as a campaign that runs."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from acquire.campaign_file import CampaignFile, tasks_of
+from acquire.errors import ProtocolError, RunFileError
 from acquire.protocol import Protocol
 from diagnosis.actions import ACTIONS, Action, Worth
-from diagnosis.next_runs import write_next
+from diagnosis.next_runs import require_repeatable, write_next
 from fitting.errors import FitInputError
 
 
@@ -49,3 +51,27 @@ def test_nothing_to_tell_apart_is_said(tmp_path: Path) -> None:
     with pytest.raises(FitInputError, match="no two causes"):
         write_next([], ("", ""), _sweeps(), "R01", tmp_path / "next.yaml")
     assert not list(tmp_path.iterdir())
+
+
+def test_what_cannot_be_written_is_told_before_anything_is_diagnosed(tmp_path: Path) -> None:
+    run = SimpleNamespace(path=tmp_path / "up.h5", protocol_text=_sweeps())
+    file, sweep = tmp_path / "next.yaml", tmp_path / "next-sweep.yaml"
+    require_repeatable(run, file)
+    # What an earlier diagnosis has written may be written again, another protocol not.
+    sweep.write_text(_sweeps(), "utf-8")
+    require_repeatable(run, file)
+    sweep.write_text("name: mine\n", "utf-8")
+    with pytest.raises(FitInputError, match=r"next-sweep\.yaml: is there already"):
+        require_repeatable(run, file)
+    assert sweep.read_text("utf-8") == "name: mine\n"
+    sweep.unlink()
+    sweep.mkdir()
+    with pytest.raises(RunFileError, match="it is a folder"):
+        require_repeatable(run, file)
+    sweep.rmdir()
+    for text, error, words in (
+        ("", FitInputError, "carries no protocol"),
+        ("name: half", ProtocolError, r"up\.h5: protocol"),
+    ):
+        with pytest.raises(error, match=words):
+            require_repeatable(SimpleNamespace(path=run.path, protocol_text=text), file)

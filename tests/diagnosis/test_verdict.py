@@ -23,8 +23,8 @@ from diagnosis.verdict import Told, Verdict, _touched, condition_of, judged
 from diagnosis.where import Rung
 from physics.effects.catalogue import BY_ID
 from physics.effects.form import Tap
-from physics.twin import Twin, more
-from tests.diagnosis.toy import AT, COUNT, EFFECTS, LEVEL, bench, measured
+from physics.twin import Twin
+from tests.diagnosis.toy import AT, COUNT, EFFECTS, bench, measured
 
 TOLD = Told("t3", ("a second sweep",), ("x.h5: too few good steps",))
 
@@ -288,7 +288,7 @@ def test_a_class_has_only_what_is_alike_to_all_of_it_and_reach_is_five_deviation
         for name, table in (("air_load", east), ("density", near), ("stiffening", far))
     }
     effects = [BY_ID[name] for name in (*signatures, "crack")]
-    reach = reach_of(effects, {n: (np.repeat(a, 1, 1), b) for n, (a, b) in signatures.items()})
+    reach = reach_of(effects, signatures)
     classes = classes_of(reach)
     assert sorted(map(len, classes)) == [1, 1, 2]
     of = {entry.effect: entry for entry in reach}
@@ -300,9 +300,3 @@ def test_a_class_has_only_what_is_alike_to_all_of_it_and_reach_is_five_deviation
     half = reach_of([BY_ID["density"]], {"density": (near, near / 2)})[0]
     assert half.absorbed == pytest.approx(0.75)
     assert half.detectable["density"] == pytest.approx(2 * DETECTABLE * parameter.spread)
-
-
-def test_the_toy_is_what_these_tests_take_it_for() -> None:
-    assert LEVEL.spread == 2.0
-    assert len(AT) == COUNT
-    assert more(Twin(), "beams", leak=0.5).beams.leak == 0.5

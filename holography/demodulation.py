@@ -71,6 +71,30 @@ def four_phase(
     return out
 
 
+def unused_combination(frames: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    """Return ``(I0 + I2) - (I1 + I3)``, which a hologram does not use.
+
+    In exact quadrature background and fringes cancel in it.
+
+    Parameters
+    ----------
+    frames : array_like, shape (4, ny, nx)
+        uint8, uint16 or float32.
+
+    Raises
+    ------
+    ValueError
+        If the frames are not four images of real numbers.
+    """
+    frames = _four_frames(frames)
+    unused = np.empty(frames.shape[1:], dtype=np.float32)
+    for top in range(0, len(unused), _STRIP_ROWS):
+        rows = slice(top, top + _STRIP_ROWS)
+        strip = frames[:, rows].astype(np.float32)
+        np.subtract(strip[0] + strip[2], strip[1] + strip[3], out=unused[rows])
+    return unused
+
+
 @dataclass(frozen=True, eq=False)
 class PhaseSteps:
     """How four real frames were stepped.

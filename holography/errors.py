@@ -11,6 +11,9 @@ class BenchError(Exception):
     ----------
     exit_status : int
         Exit status of the command line: 2 for bad input, 1 for a failed run.
+    unconfirmed : tuple of str
+        Outputs of the bench that are not confirmed to be off.
     """
 
     exit_status: int = 1
+    unconfirmed: tuple[str, ...] = ()

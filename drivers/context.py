@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
 
@@ -61,7 +62,23 @@ class BenchContext:
 
         This is how instruments that are one thing (a multi-channel box, a simulated laboratory)
         find it: each asks for ``context.share(Box)``, and the first makes it.
+
+        The object lives as long as the bench, longer than a driver that is closed and opened again
+        after a failure. If it has a method ``close() -> None``, `close` calls it.
         """
         if make not in self._shared:
             self._shared[make] = make(self)
         return cast(T, self._shared[make])
+
+    def close(self) -> None:
+        """Close what the drivers share, the last made first. May be called twice; raises nothing.
+
+        Called after the instruments were closed, also when the bench could not be opened.
+        """
+        while self._shared:
+            _, shared = self._shared.popitem()
+            close = getattr(shared, "close", None)
+            if close is not None:
+                # A driver of others may raise anything; the others are still to be closed.
+                with suppress(Exception):
+                    close()

@@ -5,7 +5,8 @@ method may raise `InstrumentError` when the instrument does not answer or does n
 may raise besides, and what it promises, stands in its docstring.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
@@ -53,7 +54,12 @@ class Instrument(Protocol):
 
 @runtime_checkable
 class SynthesizerPair(Instrument, Protocol):
-    """Two channels on one clock: AOM1 shifts the local oscillator, AOM2 the object beam."""
+    """Two channels on one clock: AOM1 shifts the local oscillator, AOM2 the object beam.
+
+    A driver may have one more property, ``echoes_registers: bool``. True says that `read_pair`
+    returns what was written to the instrument, whether or not the outputs followed; False, that it
+    returns what the outputs play. A driver without it makes no statement.
+    """
 
     @property
     def step_hz(self) -> Fraction:
@@ -113,7 +119,8 @@ class SignalGenerator(Instrument, Protocol):
     def ramp_to(self, volts: float, duration_s: float) -> None:
         """Change the volts gradually, without a click; returns when they are reached.
 
-        On an output that is off, a ramp to 0 V does nothing.
+        On an output that is off, a ramp to 0 V does nothing. It may return before its end is
+        confirmed where answers are slow: nothing may hold up `output_off`.
 
         Raises
         ------
@@ -269,7 +276,10 @@ class Surroundings(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+RoleName = Literal["synthesizers", "generator", "camera"]
+
+
+@dataclass
 class Bench:
     """Three open instruments, a clock, and what they stand for.
 
@@ -282,6 +292,10 @@ class Bench:
         From which everything random on this bench is drawn.
     surroundings : Surroundings or None
         None where a person has to change them.
+    reopen : callable or None
+        Given a role, opens its instrument once more; None where that is not possible.
+    release : callable or None
+        Frees, after the instruments are closed, what was used to open them.
     """
 
     name: str
@@ -293,6 +307,8 @@ class Bench:
     camera: Camera
     clock: Clock
     surroundings: Surroundings | None = None
+    reopen: Callable[[RoleName], Instrument] | None = None
+    release: Callable[[], None] | None = None
 
     @property
     def identities(self) -> Mapping[str, str]:
@@ -303,10 +319,29 @@ class Bench:
             "camera": self.camera.identity,
         }
 
+    def reconnect(self, role: RoleName) -> bool:
+        """Close an instrument and open it again; return False where that is not possible.
+
+        Raises
+        ------
+        InstrumentError
+            If the instrument cannot be opened; its role is then filled by the closed one.
+        """
+        if self.reopen is None:
+            return False
+        getattr(self, role).close()
+        setattr(self, role, self.reopen(role))
+        return True
+
     def close(self) -> None:
         """Release all instruments. May be called twice."""
-        for instrument in (self.generator, self.synthesizers, self.camera):
-            instrument.close()
+        release, self.release = self.release, None
+        with ExitStack() as closing:
+            if release is not None:
+                closing.callback(release)
+            # Whatever becomes of one, the others are closed; the generator first.
+            for instrument in (self.camera, self.synthesizers, self.generator):
+                closing.callback(instrument.close)
 
     def __enter__(self) -> Self:
         return self

@@ -1,16 +1,22 @@
 """Benches are put together from names; what cannot be put together is said in one line."""
 
+import os
+import signal
 import subprocess
 import sys
+import threading
+import time
 from importlib.metadata import EntryPoint
 
 import pytest
 
 from acquire.bench_file import BenchFile
 from drivers import registry
-from drivers.errors import BenchSetupError, InstrumentError
-from drivers.registry import find_driver, known_drivers, open_bench
+from drivers.bench_lock import BenchInUseError
+from drivers.errors import BenchSetupError, InstrumentError, OpeningStoppedError
+from drivers.registry import find_driver, is_simulated, known_drivers, open_bench, open_each
 from drivers.roles import Camera, Preparation, SignalGenerator, SynthesizerPair
+from drivers.safe_off import safe_off
 from drivers.simulated import SimulatedCamera, SimulatedGenerator, SimulatedSynthesizers
 
 PREPARATION = Preparation("R07", "A", "asymmetric")
@@ -138,6 +144,211 @@ def test_a_driver_that_does_not_fill_its_role_leaves_nothing_open(others):
     with pytest.raises(BenchSetupError, match=r"no Camera, it lacks .*grab"):
         open_bench(bench_of(others, camera="Generator"), PREPARATION)
     assert sys.modules[others].closed == ["Generator", "Generator", "Synthesizers"]
+
+
+def test_instruments_are_opened_each_by_itself(others):
+    with open_each(bench_of(others, generator="Nothing"), PREPARATION) as opened:
+        assert set(opened.instruments) == {"synthesizers", "camera"}
+        assert set(opened.failures) == {"generator"}
+        assert "Nothing" in str(opened.failures["generator"])
+        assert opened.bench is None
+        assert sys.modules[others].closed == []
+    assert sorted(sys.modules[others].closed) == ["Camera", "Synthesizers"]
+
+
+def test_instruments_that_are_all_there_are_one_bench(others):
+    with open_each(bench_of(others), PREPARATION, seed=3) as opened:
+        assert opened.failures == {}
+        assert opened.bench.generator is opened.instruments["generator"]
+        assert (opened.bench.seed, opened.bench.preparation) == (3, PREPARATION)
+    assert sorted(sys.modules[others].closed) == ["Camera", "Generator", "Synthesizers"]
+
+
+def test_some_instruments_are_opened_without_the_others(others):
+    roles = ("camera", "generator")
+    with open_each(bench_of(others), PREPARATION, roles=roles) as opened:
+        assert tuple(opened.instruments) == roles
+        assert opened.bench is None
+
+
+def test_opening_each_is_given_up_if_it_is_stopped(others):
+    answers = iter([False, True])
+    with (
+        pytest.raises(OpeningStoppedError) as stopped,
+        open_each(bench_of(others), PREPARATION, stopped=lambda: next(answers)),
+    ):
+        pass
+    assert stopped.value.unconfirmed == ()
+    assert sys.modules[others].closed == ["Synthesizers"]
+
+
+@pytest.mark.parametrize(
+    ("role", "name", "simulated"),
+    [
+        ("generator", "simulated", True),
+        ("generator", "wire-siglent", True),
+        ("camera", "wire-camera", True),
+        ("camera", "drivers.simulated.wire.cameras:LoopbackGigeCamera", True),
+        ("generator", "siglent-sdg2042x", False),
+        ("camera", "basler", False),
+    ],
+)
+def test_simulated_drivers_are_told_from_real_ones(role, name, simulated):
+    assert is_simulated(role, name) is simulated
+
+
+# --- Opening that fails half way ---------------------------------------------------------------
+
+ABSENT = """
+from drivers.errors import InstrumentError
+from others_drivers import Camera, Generator, Synthesizers
+
+orders = []
+
+class AbsentSynthesizers(Synthesizers):
+    def __init__(self, entry, context):
+        raise InstrumentError("synthesizers: do not answer; check the cable")
+
+class AbsentGenerator(Generator):
+    def __init__(self, entry, context):
+        raise OSError("no route")
+
+class LoggedGenerator(Generator):
+    def output_off(self):
+        orders.append("output off")
+    def read(self):
+        return 0, 0.0, False
+
+class StubbornGenerator(LoggedGenerator):
+    def read(self):
+        return 0, 0.0, True
+
+class LoggedSynthesizers(Synthesizers):
+    def rf_off(self):
+        orders.append("RF off")
+"""
+
+
+@pytest.fixture
+def absent(others, tmp_path):
+    """More drivers of somebody else, some of whose instruments are not there."""
+    (tmp_path / "absent_drivers.py").write_text(ABSENT)
+    yield "absent_drivers"
+    sys.modules.pop("absent_drivers", None)
+
+
+def opened_with(module, **drivers):
+    return open_bench(bench_of("others_drivers", **drivers).replace({
+        f"instruments.{role}.driver": f"{module}:{name}" for role, name in drivers.items()
+    }), PREPARATION)  # fmt: skip
+
+
+def test_without_the_synthesizers_the_generator_is_still_switched_off(absent):
+    """An earlier program may have been killed, and left it on."""
+    with pytest.raises(InstrumentError, match="do not answer") as caught:
+        opened_with(absent, synthesizers="AbsentSynthesizers", generator="LoggedGenerator")
+    assert sys.modules[absent].orders == ["output off"]
+    (left,) = caught.value.unconfirmed
+    assert "RF" in left
+    assert any("RF" in note for note in caught.value.__notes__)
+    assert sys.modules["others_drivers"].closed == ["Camera", "LoggedGenerator"]
+
+
+def test_whatever_a_driver_raises_the_others_are_switched_off(absent):
+    with pytest.raises(OSError, match="no route") as caught:
+        opened_with(absent, synthesizers="LoggedSynthesizers", generator="AbsentGenerator")
+    assert sys.modules[absent].orders == ["RF off"]
+    assert any("tweeter output" in note for note in caught.value.__notes__)
+
+
+def test_all_instruments_that_fail_are_named(absent):
+    with pytest.raises(InstrumentError) as caught:
+        opened_with(absent, synthesizers="AbsentSynthesizers", generator="AbsentGenerator")
+    assert "no route" in caught.value.__notes__
+    assert len(caught.value.unconfirmed) == 2
+
+
+def test_an_output_that_stays_on_is_named_too(absent):
+    with pytest.raises(InstrumentError) as caught:
+        opened_with(absent, synthesizers="AbsentSynthesizers", generator="StubbornGenerator")
+    assert any("still on" in what for what in caught.value.unconfirmed)
+
+
+def test_a_stop_while_a_bench_is_opened_opens_no_more(absent):
+    asked = []
+
+    def stopped():
+        asked.append(len(asked))
+        return len(asked) > 2
+
+    with pytest.raises(OpeningStoppedError) as caught:
+        open_bench(
+            bench_of("others_drivers").replace({
+                "instruments.synthesizers.driver": f"{absent}:LoggedSynthesizers",
+                "instruments.generator.driver": f"{absent}:LoggedGenerator",
+            }),
+            PREPARATION, stopped=stopped,
+        )  # fmt: skip
+    assert caught.value.exit_status == 130
+    assert sorted(sys.modules[absent].orders) == ["RF off", "output off"]
+    assert sys.modules["others_drivers"].closed == ["LoggedGenerator", "LoggedSynthesizers"]
+
+
+def test_a_bench_is_one_program_s_alone(absent, tmp_path, monkeypatch):
+    monkeypatch.setenv("REEDBENCH_LOCKS", str(tmp_path / "locks"))
+    bench_file = bench_of("others_drivers").replace(
+        {"instruments.generator.options": {"port": "P"}}
+    )
+    held = open_bench(bench_file, PREPARATION, does="measures R07.h5")
+    with held, pytest.raises(BenchInUseError, match=r"measures R07\.h5"):
+        open_bench(bench_file, PREPARATION)
+    open_bench(bench_file, PREPARATION).close()
+
+
+def test_an_instrument_is_opened_again_after_its_connection_is_lost(absent):
+    """`safe_off` does so once, and what is then confirmed counts."""
+    bench = opened_with(absent, synthesizers="LoggedSynthesizers", generator="LoggedGenerator")
+    lost = bench.synthesizers
+
+    def gone():
+        raise InstrumentError("synthesizers: the port is gone; plug it in again")
+
+    lost.rf_off = gone
+    assert safe_off(bench) == ()
+    assert bench.synthesizers is not lost
+    assert sys.modules[absent].orders == ["output off", "RF off"]
+    bench.close()
+
+
+def test_an_instrument_that_hangs_keeps_nothing_else_on(absent, monkeypatch):
+    monkeypatch.setattr("drivers.safe_off._PATIENCE_S", 1.0)
+    bench = opened_with(absent, synthesizers="LoggedSynthesizers", generator="LoggedGenerator")
+    hanging = threading.Event()
+    bench.generator.ramp_to = lambda volts, duration_s: hanging.wait(20)
+    begun_s = time.monotonic()
+    (left,) = safe_off(bench)
+    assert time.monotonic() - begun_s < 3
+    assert "generator" in left
+    assert sys.modules[absent].orders == ["RF off"]
+    hanging.set()
+
+
+def test_ctrl_c_does_not_keep_the_bench_on(absent, monkeypatch):
+    """Also where a script handles no signals: all is off before the interrupt goes on."""
+    bench = opened_with(absent, synthesizers="LoggedSynthesizers", generator="LoggedGenerator")
+
+    def slow(volts, duration_s):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.3)
+
+    bench.generator.ramp_to = slow
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            safe_off(bench)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert sys.modules[absent].orders == ["output off", "RF off"]
 
 
 def test_importing_the_roles_and_the_registry_does_not_load_scipy():

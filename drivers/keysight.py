@@ -5,6 +5,8 @@ played, and an error queue, which is asked after every command. Nothing of this 
 generator: what they answer is known from the drivers of others and from the SCPI standard.
 """
 
+import re
+from contextlib import suppress
 from dataclasses import dataclass
 from decimal import ROUND_UP, Decimal
 from fractions import Fraction
@@ -17,10 +19,12 @@ from drivers.description import GeneratorDescription
 from drivers.errors import InstrumentError
 from drivers.options import Options, read_options
 from drivers.tweeter import Played, SineRange, TweeterGenerator, in_hertz, matching
-from drivers.visa import open_visa
 
 _DEVICE: Final = "generator (Keysight 33500)"
 _SECTION: Final = "instruments.generator.options"
+# All generators of the maker take these commands.
+_LANGUAGE: Final = re.compile(r"(Keysight|Agilent) Technologies,(33|EDU33|81)\d\d")
+_IDENTITY: Final = re.compile(r"(Keysight|Agilent) Technologies,335\d\d[AB],[^,]+,.+")
 _CAN_PLAY: Final = SineRange(
     least_vpp=Decimal("0.002"),
     most_vpp=Decimal(20),
@@ -35,6 +39,10 @@ _REFERENCES: Final = {"internal": "INT", "external": "EXT"}
 _HIGH_IMPEDANCE_OHM: Final = Decimal("9.8E37")
 _ROUNDING_V: Final = Decimal("0.001")
 _LONGEST_ERROR_QUEUE: Final = 20
+# IEEE 488.2 and SCPI-99 21.8.12: query errors INTERRUPTED and UNTERMINATED.
+_QUERY_ERRORS: Final = (-410, -420)
+# Chosen: how long `output_off`, which has done its work by then, may take to tidy up.
+_TIDYING_S: Final = 0.4
 _NUMBER: Final = r"([+-]\d\.\d+E[+-]\d+)"
 _WAVE: Final = ";".join(
     (
@@ -107,31 +115,37 @@ class KeysightGenerator(TweeterGenerator):
         If the generator is not there, is another one, or does not confirm what it is told.
     """
 
+    _OFF = ("OUTP1 OFF",)
+
     def __init__(self, entry: GeneratorDescription, context: BenchContext) -> None:
         options = read_options(KeysightOptions, entry.options, context.description.name, _SECTION)
         super().__init__(entry, context, _DEVICE, options.resource, _CAN_PLAY)
-        self._line = open_visa(options.resource, options.timeout_s, _DEVICE)
+        self._connect(options.timeout_s, _LANGUAGE, _IDENTITY, _SECTION)
         try:
-            self._require_identity()
             self._prepare()
             self._choose_reference(options.reference)
         except BaseException:
-            self._line.close()
+            self._abandon()
             raise
 
-    def _require_identity(self) -> None:
-        try:
-            matching(r"(Keysight|Agilent) Technologies,335\d\d[AB],[^,]+,.+")(self.identity)
-        except ValueError:
-            raise InstrumentError(
-                f"{self._name}: says that it is {self.identity!r}, which is no 33500; "
-                f"correct {_SECTION}.resource or instruments.generator.driver"
-            ) from None
+    def output_off(self) -> None:
+        """Disconnect the output; see `SignalGenerator.output_off`.
+
+        Raises
+        ------
+        InstrumentError
+        """
+        super().output_off()
+        if self._line.may_have_interrupted:
+            # Its display would show errors that only the haste of this driver has caused.
+            with suppress(InstrumentError), self._line.within(_TIDYING_S):
+                self._read_errors()
 
     def _prepare(self) -> None:
         """Leave nothing of what was set before; limits, the least amplitude, and the output off."""
-        # This empties the error queue as well.
         self.output_off()
+        # Errors of before are not ours.
+        self._read_errors()
         self._tell("*RST")
         self._ask("*OPC?", matching("1"))
         self.output_off()
@@ -143,7 +157,8 @@ class KeysightGenerator(TweeterGenerator):
         self._tell("SOUR1:VOLT:OFFS 0")
         self._arm_limits()
         self._tell("SOUR1:FUNC SIN")
-        self._tell_sine(_STANDBY_HZ, self._can_play.least_vpp)
+        for command in self._sine_commands(_STANDBY_HZ, self._can_play.least_vpp):
+            self._tell(command)
         self._confirm(_STANDBY_HZ, self._can_play.least_vpp, on=False)
 
     def _arm_limits(self) -> None:
@@ -168,41 +183,43 @@ class KeysightGenerator(TweeterGenerator):
                 f"10 MHz at its rear, or correct {_SECTION}.reference"
             )
 
-    def _tell(self, command: str) -> None:
-        """Send a command and empty the error queue, which keeps errors of earlier commands too.
-
-        Raises
-        ------
-        InstrumentError
-            If there was one.
-        """
-        super()._tell(command)
-        errors = []
-        for _ in range(_LONGEST_ERROR_QUEUE + 1):
-            found = self._ask("SYST:ERR?", matching(r'([+-]\d+),"(.*)"'))
-            if int(found[1]) == 0:
-                break
-            errors.append(found[0])
+    def _require_no_errors(self, after: str) -> None:
+        errors = self._read_errors()
         if errors:
             raise InstrumentError(
-                f"{self._name}: was told {command!r} and reports {' and '.join(errors)}; look at "
+                f"{self._name}: was told {after!r} and reports {' and '.join(errors)}; look at "
                 "its front panel"
             )
 
-    def _tell_sine(self, frequency_hz: Fraction, amplitude_vpp: Decimal) -> None:
-        self._tell(f"SOUR1:FREQ {in_hertz(frequency_hz)}")
-        self._tell_amplitude(amplitude_vpp)
+    def _read_errors(self) -> list[str]:
+        """Empty the error queue; return what it held, except what this driver has caused.
 
-    def _tell_amplitude(self, amplitude_vpp: Decimal) -> None:
-        self._tell(f"SOUR1:VOLT {amplitude_vpp:f}")
+        To ask before the last answer was read, which a late answer leads to, is a query error.
+        """
+        errors = []
+        for _ in range(_LONGEST_ERROR_QUEUE + 1):
+            found = self._ask("SYST:ERR?", matching(r'([+-]\d+),"(.*)"'))
+            number = int(found[1])
+            if number == 0:
+                self._line.may_have_interrupted = False
+                break
+            if number not in _QUERY_ERRORS or not self._line.may_have_interrupted:
+                errors.append(found[0])
+        return errors
 
-    def _tell_output(self, on: bool) -> None:
-        self._tell(f"OUTP1 {'ON' if on else 'OFF'}")
+    def _sine_commands(self, frequency_hz: Fraction, amplitude_vpp: Decimal) -> tuple[str, ...]:
+        return (f"SOUR1:FREQ {in_hertz(frequency_hz)}", self._amplitude_command(amplitude_vpp))
+
+    def _amplitude_command(self, amplitude_vpp: Decimal) -> str:
+        return f"SOUR1:VOLT {amplitude_vpp:f}"
+
+    def _output_command(self, on: bool) -> str:
+        return f"OUTP1 {'ON' if on else 'OFF'}"
 
     def _says_on(self) -> bool:
         return self._ask("OUTP1?", matching("([01])"))[1] == "1"
 
-    def _played(self) -> Played:
+    def _ask_played(self) -> Played:
         wave = self._ask(_WAVE, _understand_wave)
         if (
             wave.shape != "SIN"

@@ -7,7 +7,7 @@ where they agree. Nothing here was tried on the instrument itself yet.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -35,6 +35,12 @@ _CHANNEL_LINE: Final = re.compile(
 _LAST_LINE: Final = re.compile(r"[0-9A-F]{2} [0-9A-F]{6} [0-9A-F]{4} [0-9A-F]{4} ([0-9A-F]{2})")
 # Five lines of status, and before them what was still on its way when it was asked for.
 _MOST_LINES: Final = 20
+# Chosen: how often a mark is sent to a box whose answers are out of step.
+_TRIES: Final = 3
+_OFF: Final = ("V0 0", "V1 0")
+# How long RF off waits for one answer before the next command is sent all the same. Command and
+# answer take 10 ms at 9600 baud, and an FTDI adapter keeps characters for 16 ms (its data sheet).
+_OFF_PATIENCE_S: Final = 0.1
 
 _REFUSALS: Final = {
     "?0": "unrecognized command",
@@ -49,8 +55,8 @@ _REFUSALS: Final = {
     "?f": "bad byte",
 }
 _REMEDY: Final = (
-    "check power, cable and port, and that options.baud is the box's own rate (19200 unless "
-    "somebody changed it)"
+    "check power, cable and port, and that options.baud is the box's own rate (19200 unless it was "
+    "changed); if the box or this computer is slow, raise options.timeout_s"
 )
 
 
@@ -118,16 +124,22 @@ class Novatech409B:
     outputs follow at the same moment. RF is off when both amplitudes are 0; never by a frequency of
     0, which makes the output a constant voltage (AN004). Nothing is ever saved in the box (``S``).
 
-    An update of both frequencies is 47 bytes on the wire, commands and answers, and takes 24.5 ms
-    at 19200 baud (25.5 ms above 100 MHz); of one frequency, 28 bytes and 14.6 ms. Reading back
-    is 229 bytes and takes 119 ms.
+    Whether the status (``QUE``) shows registers or outputs while they differ is not documented, so
+    it is found out when the box is opened, see `echoes_registers`. Where it shows registers, a
+    status is no proof of an update, and every update is asked for twice: a second ``I p`` from the
+    same registers changes nothing if the first was made.
+
+    An update of both frequencies is 56 bytes on the wire, commands and answers, and takes 29.2 ms
+    at 19200 baud (30.2 ms from 100 MHz up); of one frequency, 37 bytes and 19.3 ms. Where the
+    status shows outputs, it is 47 bytes and 24.5 ms (25.5 ms), or 28 bytes and 14.6 ms. Reading
+    back is 229 bytes and takes 119 ms. RF is off after 29 bytes and 15 ms; all that `rf_off` does
+    to confirm it is 525 bytes and 0.28 s.
 
     Every command is answered; a command whose answer is missing or garbled is in doubt. Answers
     belong to commands by their order alone, so before anything else is believed, the box has to
     echo a mark that was never sent before: all earlier answers have come by then. A doubtful update
     counts as made only if the box confirms an ``I p`` and its status afterwards is what was to be.
-    Whether the status shows registers or outputs while they differ is not documented; both serve.
-    After an update that failed, the next one sets the box up anew and sends all.
+    After an update that failed, the next one sets the box up again and sends all.
 
     Parameters
     ----------
@@ -155,14 +167,19 @@ class Novatech409B:
         centre = round(entry.centre_hz / _STEP_HZ)
         self._intended = Registers((centre, centre), (0, 0))
         self._confirmed: Registers | None = None
-        self._in_doubt = True
-        self._in_step, self._marks = True, 0
+        self._in_doubt = self._may_be_lit = True
+        self._in_step, self._marks, self._tries = True, 0, _TRIES
+        self._is_manual, self._echoes_registers = False, True
         self._firmware = ""
         self._line = SerialLine(options.port, options.baud, options.timeout_s, _DEVICE)
         try:
+            # Off first: all that follows can fail. The empty line ends what may lie in its input.
+            self._send_all(("", *_OFF, "I p"))
             self._play(self._intended)
-        except InstrumentError:
-            self._line.close()
+            self._echoes_registers = self._finds_registers_echoed()
+            self.rf_off()
+        except BaseException:
+            self.close()
             raise
 
     @property
@@ -176,6 +193,14 @@ class Novatech409B:
         """0.1 Hz, exactly."""
         return _STEP_HZ
 
+    @property
+    def echoes_registers(self) -> bool:
+        """Whether the status shows registers while outputs differ; see `SynthesizerPair`.
+
+        True also if that could not be found out.
+        """
+        return self._echoes_registers
+
     def set_pair(self, aom1_hz: Fraction, aom2_hz: Fraction) -> None:
         """Change both channels in one update; see `SynthesizerPair.set_pair`."""
         steps = (self._nearest("AOM1", aom1_hz), self._nearest("AOM2", aom2_hz))
@@ -184,6 +209,8 @@ class Novatech409B:
     def read_pair(self) -> tuple[Fraction, Fraction]:
         """Return what the box says that both channels play; see `SynthesizerPair.read_pair`.
 
+        If `echoes_registers`, this is what was written, whether or not the outputs followed.
+
         Raises
         ------
         InstrumentError
@@ -191,8 +218,8 @@ class Novatech409B:
         """
         if self._in_doubt:
             raise InstrumentError(
-                f"{self._place}: was asked what it plays after an update that failed, which it "
-                "cannot tell; set the pair anew, and check cable and earth"
+                f"{self._place}: was asked what it plays after an update that failed, which its "
+                "status does not show; set the pair again, and check cable and earth"
             )
         registers = self._read_status()
         if self._confirmed not in (None, registers):
@@ -205,28 +232,55 @@ class Novatech409B:
 
     def rf_on(self) -> None:
         """Give both channels their amplitude; see `SynthesizerPair.rf_on`."""
+        self._may_be_lit = True
         on = replace(self._intended, amplitudes=(self._on_word, self._on_word))
         self._play(on, read_back=True)
 
     def rf_off(self) -> None:
-        """Take both amplitudes to 0; see `SynthesizerPair.rf_off`."""
+        """Take both amplitudes to 0; see `SynthesizerPair.rf_off`.
+
+        It is done in two ways, both in any case: by an update, which is sent before anything is
+        asked and whatever state the line is in; then in automatic update (``I a``), where each
+        command takes effect at once, so that the status shows what the outputs give.
+
+        Raises
+        ------
+        InstrumentError
+            If the status does not show that both outputs are off.
+        """
         self._intended = replace(self._intended, amplitudes=(0, 0))
         confirmed, self._confirmed = self._confirmed, None
-        commands = ("V0 0", "V1 0")
         self._in_doubt = True
+        # A box that says nothing would be waited for three times in each of the two ways.
+        self._tries = 1
         try:
-            self._update(commands, None, (0, 0), read_back=True)
-        except InstrumentError:
-            # The box may hear although nobody hears it.
-            for command in (*commands, "I p"):
-                with suppress(InstrumentError):
-                    self._ask(command)
-            raise
-        self._confirmed = confirmed and self._intended
-        self._in_doubt = False
+            by_update = _failure_of(self._off_by_update)
+            at_once = _failure_of(self._off_at_once)
+        finally:
+            self._tries = _TRIES
+        if at_once is not None and (by_update is not None or self._echoes_registers):
+            causes = dict.fromkeys(
+                str(error).removeprefix(f"{self._place}: ")
+                for error in (by_update, at_once)
+                if error
+            )
+            raise InstrumentError(
+                f"{self._place}: RF off was sent in two ways and is not confirmed; take the power "
+                f"off the modulators' amplifiers ({'; then '.join(causes)})"
+            ) from at_once
+        self._may_be_lit = self._in_doubt = False
+        if self._is_manual:
+            self._confirmed = confirmed and self._intended
 
     def close(self) -> None:
-        """Close the port; the box goes on as it is. May be called twice."""
+        """Take RF off if it may be on, without waiting for long, and close the port.
+
+        Frequencies stay. May be called twice; raises nothing.
+        """
+        if self._may_be_lit:
+            self._may_be_lit = self._in_step = False
+            with suppress(InstrumentError):
+                self._send_all((*_OFF, "I p", "I a", *_OFF, "I m"))
         self._line.close()
 
     def _nearest(self, name: str, hz: Fraction) -> int:
@@ -252,15 +306,70 @@ class Novatech409B:
 
     def _set_up(self) -> None:
         """Make the box speak and update as this driver expects."""
-        # What lay in the box's input may spoil the first answer.
-        if [self._ask(""), self._ask("")] != ["OK", "OK"]:
-            self._in_step = False
         self._obeys("E d")
         self._read_status()
-        # Single tone, phase-continuous, manual update: each may be said twice.
+        # Single tone, phase-continuous, manual update.
         for command in ("M 0", "M n", "I m"):
-            if not (self._obeys(command) or self._obeys(command)):
-                self._raise_unconfirmed(command)
+            self._require_obeyed(command)
+        self._is_manual = True
+
+    def _finds_registers_echoed(self) -> bool:
+        """Return whether the status shows registers that no output follows yet.
+
+        RF is off: the register of a frequency is changed by one step and back, without an update.
+        """
+        intended, confirmed, self._confirmed = self._intended, self._confirmed, None
+        aom1, aom2 = intended.steps
+        other = replace(intended, steps=(aom1 + 1, aom2))
+        (change,), (restore,) = _commands(intended, other), _commands(other, intended)
+        is_changed = self._obeys(change)
+        # Twice, because noise can make one digit of another, but hardly the same twice.
+        shown = {self._read_status().steps[0] for _ in range(2)}
+        self._require_obeyed(restore)
+        self._confirmed = confirmed
+        return not (is_changed and shown == {aom1})
+
+    def _off_by_update(self) -> None:
+        self._send_all((*_OFF, "I p"))
+        self._require(None, (0, 0), ", ".join((*_OFF, "I p")))
+
+    def _off_at_once(self) -> None:
+        commands = ("I a", *_OFF)
+        self._is_manual = False
+        try:
+            if not self._send_all(commands):
+                for command in commands:
+                    self._require_obeyed(command)
+            self._require(None, (0, 0), ", ".join(commands))
+        except InstrumentError:
+            with suppress(InstrumentError):
+                self._send_all(("I m",))
+            raise
+        # If this fails the next update sets the box up again.
+        with suppress(InstrumentError):
+            self._is_manual = self._obeys("I m") or self._obeys("I m")
+
+    def _send_all(self, commands: Sequence[str]) -> bool:
+        """Send commands whatever becomes of their answers; return whether all are confirmed.
+
+        Each waits for its answer for a moment only. On a line that is out of step no answer is
+        believed.
+        """
+        in_step, self._in_step = self._in_step, False
+        answers = []
+        for command in commands:
+            self._line.write(command, discard=not in_step)
+            answer = self._answer(command, commands, _OFF_PATIENCE_S)
+            if answer is not None:
+                answers.append(answer)
+        # Answers that are late come in their order.
+        while in_step and len(answers) < len(commands):
+            answer = self._answer(commands[-1], commands)
+            if answer is None:
+                return False
+            answers.append(answer)
+        self._in_step = in_step and {"OK", *_REFUSALS}.issuperset(answers)
+        return self._in_step and set(answers) == {"OK"}
 
     def _update(
         self,
@@ -275,12 +384,17 @@ class Novatech409B:
         """
         if commands:
             doubts = [command for command in commands if not self._obeys(command)]
-            if not self._obeys("I p"):
-                # The outputs may not have followed although the registers are right. A second
-                # update from the same registers changes nothing if the first was made.
-                self._require(steps, amplitudes, "I p")
-                if not self._obeys("I p"):
-                    self._raise_unconfirmed("I p")
+            wanted, made = 2 if self._echoes_registers else 1, 0
+            for _ in range(wanted + 1):
+                made += self._obeys("I p")
+                if made == wanted:
+                    break
+                if not self._in_step:
+                    # The outputs may not have followed although the registers are right. Another
+                    # update from the same registers changes nothing if the first was made.
+                    self._require(steps, amplitudes, "I p")
+            else:
+                self._raise_unconfirmed("I p")
             read_back = read_back or bool(doubts)
         if read_back:
             self._require(steps, amplitudes, ", ".join(commands) or "QUE")
@@ -319,6 +433,11 @@ class Novatech409B:
             )
         return self._in_step
 
+    def _require_obeyed(self, command: str) -> None:
+        """Send a command that may be said twice until the box confirms it."""
+        if not (self._obeys(command) or self._obeys(command)):
+            self._raise_unconfirmed(command)
+
     def _read_status(self) -> Registers:
         """Ask for the status, a second time if need be."""
         for _ in range(2):
@@ -334,7 +453,7 @@ class Novatech409B:
 
     def _get_in_step(self) -> None:
         """After an answer that did not come as it should, wait until none is on its way."""
-        for _ in range(3):
+        for _ in range(self._tries):
             if self._in_step:
                 return
             self._marks += 1
@@ -346,9 +465,7 @@ class Novatech409B:
                 self._hears(mark) and self._answer(mark) == "?0" and self._ask("E d") == "OK"
             )
         if not self._in_step:
-            raise InstrumentError(
-                f"{self._place}: was asked to echo a mark three times and did not; {_REMEDY}"
-            )
+            raise InstrumentError(f"{self._place}: was asked to echo a mark and did not; {_REMEDY}")
 
     def _hears(self, mark: str) -> bool:
         lines = (self._line.read(mark) for _ in range(_MOST_LINES))
@@ -359,11 +476,13 @@ class Novatech409B:
         self._line.write(command)
         return self._answer(command)
 
-    def _answer(self, command: str) -> str | None:
+    def _answer(
+        self, command: str, sent: Sequence[str] = (), patience_s: float | None = None
+    ) -> str | None:
         for _ in range(_MOST_LINES):
-            answer = self._line.read(command)
+            answer = self._line.read(command, patience_s)
             # With echo on, the command itself comes first.
-            if answer is None or answer not in ("", command):
+            if answer is None or answer not in ("", command, *sent):
                 return answer
         return None
 
@@ -395,6 +514,14 @@ class Novatech409B:
         )
 
 
+def _failure_of(attempt: Callable[[], None]) -> InstrumentError | None:
+    try:
+        attempt()
+    except InstrumentError as error:
+        return error
+    return None
+
+
 def _commands(old: Registers | None, new: Registers) -> list[str]:
     """Return what fills the registers that differ; all if the old ones are unknown."""
     frequencies = [
@@ -417,7 +544,7 @@ def _require_possible(entry: SynthesizersDescription, bench: str) -> None:
             "a Novatech 409B plays multiples of 0.1 Hz; write step: 0.1 Hz"
         )
     low_hz, high_hz = entry.centre_hz - entry.window_hz, entry.centre_hz + entry.window_hz
-    if low_hz <= 0 or high_hz > _HIGHEST_HZ:
+    if high_hz > _HIGHEST_HZ:
         raise BenchSetupError(
             f"bench {bench!r}: instruments.synthesizers.window: reaches from {float(low_hz):.10g} "
             f"to {float(high_hz):.10g} Hz, but a Novatech 409B plays up to "

@@ -19,10 +19,11 @@ from drivers.description import GeneratorDescription
 from drivers.errors import BenchSetupError, InstrumentError, LimitError
 from drivers.options import Options, read_options
 from drivers.tweeter import Played, SineRange, TweeterGenerator, agrees, in_hertz, matching
-from drivers.visa import open_visa
 
 _DEVICE: Final = "generator (Siglent SDG2000X)"
 _SECTION: Final = "instruments.generator.options"
+# All generators of the maker take these commands.
+_LANGUAGE: Final = re.compile(r"Siglent Technologies,SDG")
 _IDENTITY: Final = re.compile(r"Siglent Technologies,SDG2(04|08|12)2X,[^,]+,[^,]+")
 _CAN_PLAY: Final = SineRange(
     least_vpp=Decimal("0.002"),
@@ -32,6 +33,8 @@ _CAN_PLAY: Final = SineRange(
     frequency_digits=10,
 )
 _STANDBY_HZ: Final = Fraction(1000)
+# Chosen: how long closing may wait until the camera's pulses are confirmed to have stopped.
+_CLOSING_S: Final = 0.5
 _NUMBER: Final = re.compile(r"(-?\d+(?:\.\d+)?(?:e[+-]\d+)?)(HZ|S|V|Vrms|dBm)?")
 _REFERENCES: Final = {"internal": "INT", "external": "EXT"}
 # Modulation, sweep and burst, during which a wave is still said to be a sine.
@@ -94,18 +97,19 @@ class SiglentGenerator(TweeterGenerator):
         If the generator is not there, is another one, or does not confirm what it is told.
     """
 
+    _OFF = ("C1:OUTP OFF", "C2:OUTP OFF")
+
     def __init__(self, entry: GeneratorDescription, context: BenchContext) -> None:
         options = read_options(SiglentOptions, entry.options, context.description.name, _SECTION)
         super().__init__(entry, context, _DEVICE, options.resource, _CAN_PLAY)
         self._pulse = options.camera_trigger
         self._plays_pulses = False
-        self._line = open_visa(options.resource, options.timeout_s, _DEVICE)
+        self._connect(options.timeout_s, _LANGUAGE, _IDENTITY, _SECTION)
         try:
-            self._require_identity()
             self._prepare()
             self._choose_reference(options.reference)
         except BaseException:
-            self._line.close()
+            self._abandon()
             raise
         if self._pulse is not None:
             context.share(CameraTrigger).offer(self)
@@ -166,20 +170,12 @@ class SiglentGenerator(TweeterGenerator):
             )
         self._plays_pulses = False
 
-    def close(self) -> None:
-        """Switch off what is on, as far as that is possible, and hang up."""
+    def _leave_off(self) -> None:
+        super()._leave_off()
         if self._plays_pulses:
             self._plays_pulses = False
-            with suppress(InstrumentError):
+            with suppress(InstrumentError), self._line.within(_CLOSING_S):
                 self.stop_pulses()
-        super().close()
-
-    def _require_identity(self) -> None:
-        if not _IDENTITY.fullmatch(self.identity):
-            raise InstrumentError(
-                f"{self._name}: says that it is {self.identity!r}, which is no SDG2000X; correct "
-                f"{_SECTION}.resource or instruments.generator.driver"
-            )
 
     def _prepare(self) -> None:
         """Leave nothing of what was set before; the least amplitude, and the output off."""
@@ -207,19 +203,22 @@ class SiglentGenerator(TweeterGenerator):
                 f"10 MHz at its rear, or correct {_SECTION}.reference"
             )
 
-    def _tell_sine(self, frequency_hz: Fraction, amplitude_vpp: Decimal) -> None:
-        self._tell(f"C1:BSWV FRQ,{in_hertz(frequency_hz)},AMP,{amplitude_vpp:f}")
+    def _sine_commands(self, frequency_hz: Fraction, amplitude_vpp: Decimal) -> tuple[str, ...]:
+        return (f"C1:BSWV FRQ,{in_hertz(frequency_hz)},AMP,{amplitude_vpp:f}",)
 
-    def _tell_amplitude(self, amplitude_vpp: Decimal) -> None:
-        self._tell(f"C1:BSWV AMP,{amplitude_vpp:f}")
+    def _amplitude_command(self, amplitude_vpp: Decimal) -> str:
+        return f"C1:BSWV AMP,{amplitude_vpp:f}"
 
-    def _tell_output(self, on: bool) -> None:
-        self._tell(f"C1:OUTP {'ON' if on else 'OFF'}")
+    def _output_command(self, on: bool) -> str:
+        return f"C1:OUTP {'ON' if on else 'OFF'}"
+
+    def _require_no_errors(self, after: str) -> None:
+        """Do nothing: its error queue is empty also after values that it clamped."""
 
     def _says_on(self) -> bool:
         return self._output("C1")[0] == "ON"
 
-    def _played(self) -> Played:
+    def _ask_played(self) -> Played:
         wave = self._wave("C1")
         switch, load = self._output("C1")
         if wave["WVTP"] != "SINE" or load != "HZ" or Fraction(wave["OFST"]) != 0:

@@ -267,7 +267,7 @@ class SoundCardGenerator:
         self._failure: Exception | None = None
         self._dropouts = 0
         self._dropouts_told = 0
-        self._sounddevice = _import_sounddevice()
+        self._sounddevice = load_sounddevice()
         device = _find_output(self._sounddevice, options, bench.name)
         self._name: str = device["name"]
         self._stream = _open_stream(
@@ -512,7 +512,14 @@ class SoundCardGenerator:
 # --- Opening ---------------------------------------------------------------------------------
 
 
-def _import_sounddevice() -> Any:
+def load_sounddevice() -> Any:
+    """Return the module sounddevice.
+
+    Raises
+    ------
+    BenchSetupError
+        If it, or PortAudio, is not installed.
+    """
     # Only now: importing it already loads, and initialises, the library.
     try:
         return importlib.import_module("sounddevice")

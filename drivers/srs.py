@@ -8,7 +8,7 @@ of the DG645).
 """
 
 import re
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from decimal import ROUND_FLOOR, Decimal
 from fractions import Fraction
 from typing import Annotated, Final, NoReturn, Self
@@ -27,6 +27,11 @@ _STEP_HZ: Final = Fraction(1, 1_000_000)
 _LOWEST_HZ: Final = Fraction(950_000)
 _HIGHEST_HZ: Final = Fraction(2_025_000_000)
 _MODEL: Final = re.compile(r"SG38[246]\b")
+# All RF generators of the maker take these commands.
+_LANGUAGE: Final = re.compile(r"Stanford Research Systems,SG3")
+_OFF: Final = "ENBR 0"
+# Chosen: how long closing may wait until one generator says that it is off.
+_CLOSING_S: Final = 0.5
 _NUMBER: Final = re.compile(r"[+-]?\d+(\.\d*)?([eE][+-]?\d{1,2})?")
 _EXTERNAL: Final = 3
 
@@ -75,7 +80,7 @@ class SRSPair:
     They cannot change at the same moment: between the two settings lie some milliseconds, in which
     the difference is that of no step. Everything that is set is read back and compared exactly. If
     a setting is not confirmed, RF is taken off at both; the next pair that is confirmed turns it on
-    again, if it was on.
+    again, if it was on. RF off is sent to both before anything is asked, and twice.
 
     Parameters
     ----------
@@ -100,13 +105,11 @@ class SRSPair:
         self._power_dbm = f"{power:.2f}"
         self._is_on = False
         self._confirmed: tuple[int, int] | None = None
+        self._boxes: tuple[_Box, ...] = ()
         with ExitStack() as opened:
-            boxes = []
+            opened.callback(self.close)
             for name, resource in zip(("AOM1", "AOM2"), options.resources, strict=True):
-                box = _Box(name, resource, options)
-                opened.callback(box.close)
-                boxes.append(box)
-            self._boxes = tuple(boxes)
+                self._boxes += (_Box(name, resource, options),)
             self._set_up(options.check_timebase)
             opened.pop_all()
 
@@ -119,6 +122,11 @@ class SRSPair:
     def step_hz(self) -> Fraction:
         """1 uHz, exactly."""
         return _STEP_HZ
+
+    @property
+    def echoes_registers(self) -> bool:
+        """False: a frequency is played as soon as it is set, so ``FREQ?`` is what is played."""
+        return False
 
     def set_pair(self, aom1_hz: Fraction, aom2_hz: Fraction) -> None:
         """Change both generators, one right after the other; see `SynthesizerPair.set_pair`."""
@@ -151,14 +159,23 @@ class SRSPair:
         self._is_on = True
 
     def rf_off(self) -> None:
-        """Disable both type-N outputs; see `SynthesizerPair.rf_off`."""
+        """Disable both type-N outputs; see `SynthesizerPair.rf_off`.
+
+        The command goes to both before either is asked, and to both twice, whatever they answer.
+        """
         self._is_on = False
         errors = self._disable()
         if errors:
             raise InstrumentError("; ".join(errors))
 
     def close(self) -> None:
-        """Hang up; the generators go on as they are. May be called twice."""
+        """Take RF off where it may be on, without waiting for long, and hang up.
+
+        May be called twice; raises nothing.
+        """
+        for box in self._boxes:
+            if box.may_be_on:
+                box.send_off()
         for box in self._boxes:
             box.close()
 
@@ -193,13 +210,12 @@ class SRSPair:
                 box.set(command, value)
 
     def _disable(self) -> list[str]:
-        """Disable each output whatever becomes of the other; return what was not confirmed."""
-        errors = []
-        for box in self._boxes:
-            try:
-                box.set("ENBR", "0")
-            except InstrumentError as error:
-                errors.append(str(error))
+        """Disable both outputs twice, whatever they answer; return what was not confirmed."""
+        errors: list[str] = []
+        for _ in range(2):
+            for box in self._boxes:
+                box.send_off()
+            errors = [error for box in self._boxes if (error := box.failure_of_off())]
         return errors
 
     def _raise_off(self, error: InstrumentError) -> NoReturn:
@@ -209,20 +225,48 @@ class SRSPair:
 
 
 class _Box:
-    """One generator, of which all that is set is read back."""
+    """One generator, of which all that is set is read back; off from the first command on.
+
+    Attributes
+    ----------
+    identity : str
+    may_be_on : bool
+        Whether the output was not confirmed to be off since it may have been enabled.
+    """
 
     def __init__(self, name: str, resource: str, options: SRSOptions) -> None:
         self._place = f"{_DEVICE}, {name}, at {resource}"
+        self.may_be_on = True
         self._line: VisaLine = open_visa(
-            resource, options.timeout_s, f"{_DEVICE}, {name},", options.baud
+            resource,
+            options.timeout_s,
+            f"{_DEVICE}, {name},",
+            options.baud,
+            make_safe=(_OFF,),
         )
         self.identity = self._line.identity
+        if _LANGUAGE.match(self.identity):
+            self.send_off()
         if not _MODEL.search(self.identity):
-            self.close()
+            self._line.close()
             raise InstrumentError(
                 f"{self._place}: says that it is {self.identity!r}, no SG382, SG384 or SG386; "
                 "check options.resources"
             )
+
+    def send_off(self) -> None:
+        """Disable the output, whatever becomes of it."""
+        with suppress(InstrumentError):
+            self._line.send(_OFF)
+
+    def failure_of_off(self) -> str | None:
+        """Return why the output is not confirmed to be off; None if it is."""
+        try:
+            self.require("ENBR", "0")
+        except InstrumentError as error:
+            return str(error)
+        self.may_be_on = False
+        return None
 
     def send(self, command: str, value: str) -> None:
         """Set without a look at what becomes of it."""
@@ -254,11 +298,16 @@ class _Box:
 
     def set(self, command: str, value: str) -> None:
         """Set, and compare."""
+        self.may_be_on |= command == "ENBR"
         self.send(command, value)
         self.require(command, value)
 
     def close(self) -> None:
-        """Hang up."""
+        """Disable the output if it may be on, without waiting for long, and hang up."""
+        if self.may_be_on:
+            self.send_off()
+            with suppress(InstrumentError), self._line.within(_CLOSING_S):
+                self.failure_of_off()
         self._line.close()
 
 

@@ -2,27 +2,39 @@
 
 A generator is told volts peak to peak of its open socket; roles and limits speak of peak volts at
 the loudspeaker. Whatever is told is read back: only what a generator says that it plays counts.
+
+Switching off comes first: a ramp to 0 V and `output_off` send their commands before they ask
+anything, so that they take effect although answers are slow or missing.
 """
 
 import math
 import re
+import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from decimal import ROUND_DOWN, Context, Decimal
 from fractions import Fraction
-from typing import Final, TypeVar
+from typing import ClassVar, Final, TypeVar
 
 from drivers.context import BenchContext
 from drivers.description import BenchDescription, GeneratorDescription, OutputDescription
 from drivers.errors import BenchSetupError, InstrumentError, LimitError
-from drivers.visa import VisaLine
+from drivers.visa import LateError, VisaLine, open_visa
 
 T = TypeVar("T")
 
 # Twenty steps take a generator some 0.2 s; the runner asks for ramps of 0.1 s.
 _RAMP_STEPS: Final = 20
+# Chosen: a ramp to 0 V over less is heard as a click.
+_SHORTEST_RAMP_S: Final = 0.05
+# Chosen, since switching off must not take seconds, and a sound generator answers within 20 ms:
+# by how much slow writes may prolong a ramp to 0 V before it is cut short, how long its end is
+# waited for, and how long closing may wait.
+_RAMP_LATE_S: Final = 0.3
+_RAMP_END_S: Final = 0.4
+_CLOSING_S: Final = 1.0
 _MICROHERTZ: Final = Fraction(1, 1_000_000)
 # No generator shows more digits of an amplitude. Never more is played than was asked for.
 _AMPLITUDE: Final = Context(prec=6, rounding=ROUND_DOWN)
@@ -74,9 +86,9 @@ class TweeterGenerator(ABC):
     of 50 ohm gets a seventh of what is asked for. 0 V are played as the least amplitude of the
     generator, because its relay would click; `read` says that amplitude.
 
-    An output that was switched on here and is found off has tripped: that is an error, and only
-    then may `set_sine` switch it on again. What was told and is not read back is never told again
-    blindly, but for switching off.
+    An output that was switched on here and is found off has tripped: that is an error, and
+    `set_sine` does not switch it on again before `output_off` was called. A setting that is not
+    confirmed is never sent again blindly, except for switching off.
 
     Parameters
     ----------
@@ -92,6 +104,9 @@ class TweeterGenerator(ABC):
         If the bench file lacks `output`, or asks for what the generator cannot play.
     """
 
+    # Commands that switch all outputs off, in whatever state the generator is.
+    _OFF: ClassVar[tuple[str, ...]]
+
     _line: VisaLine
 
     def __init__(
@@ -105,9 +120,12 @@ class TweeterGenerator(ABC):
         description = context.description
         output = _required_output(description, entry)
         self._name, self._context, self._can_play = f"{device} at {resource}", context, can_play
+        self._device, self._resource = device, resource
         self._gain = Fraction(str(output.amplifier_gain))
         self._limits, self._step_hz = description.limits, entry.step_hz
         self._told_hz: Fraction | None = None
+        # The amplitude that was sent or read last.
+        self._level_vpp: Decimal | None = None
         self._is_on = False
         self._require_within_range(description)
 
@@ -133,17 +151,23 @@ class TweeterGenerator(ABC):
         told_hz = round(frequency_hz / self._step_hz) * self._step_hz
         if self._is_on:
             self._require_not_tripped(self._says_on())
-        self._tell_sine(told_hz, amplitude_vpp)
+        self._level_vpp = amplitude_vpp
+        for command in self._sine_commands(told_hz, amplitude_vpp):
+            self._tell(command)
         self._confirm(told_hz, amplitude_vpp, on=self._is_on)
         if not self._is_on:
             self._is_on = True
-            self._tell_output(True)
+            self._tell(self._output_command(True))
             self._confirm(told_hz, amplitude_vpp, on=True)
 
     def ramp_to(self, volts: float, duration_s: float) -> None:
         """Change the volts in small steps; see `SignalGenerator.ramp_to`.
 
-        It takes longer than `duration_s` if the generator does.
+        It takes longer than `duration_s` if the generator does. Every step is read back, except on
+        the way to 0 V: this takes at least 50 ms and starts at once, from the last amplitude that
+        was sent or read, and only its end is read back. Because the next call may have to switch
+        off, that waits no longer than 0.4 s. An end that is not confirmed by then is no error here;
+        whatever is called next reads it back.
 
         Raises
         ------
@@ -155,23 +179,22 @@ class TweeterGenerator(ABC):
             raise LimitError(
                 f"{self._name}: was asked to ramp over {duration_s} s; give a time of 0 s or more"
             )
-        if not self._says_on():
-            self._is_on = False
-            if volts == 0:
-                return
+        if volts == 0:
+            self._ramp_to_zero(end_vpp, max(duration_s, _SHORTEST_RAMP_S))
+            return
+        is_on = self._says_on()
+        if self._is_on:
+            self._require_not_tripped(is_on)
+        elif not is_on:
             raise InstrumentError(
                 f"{self._name}: its output is off, but was asked to ramp to {volts:g} V; call "
                 "set_sine first"
             )
         self._is_on = True
         played = self._played()
-        clock, start_vpp = self._context.clock, played.amplitude_vpp
-        start_s = clock.now_s()
-        for part in range(1, _RAMP_STEPS + 1):
-            clock.wait(start_s + duration_s * part / _RAMP_STEPS - clock.now_s())
-            step_vpp = start_vpp + (end_vpp - start_vpp) * part / _RAMP_STEPS
-            self._tell_amplitude(_AMPLITUDE.plus(step_vpp))
-            self._confirm(self._exactly(played.frequency_hz), _AMPLITUDE.plus(step_vpp), on=True)
+        for step_vpp in self._ramp_steps(played.amplitude_vpp, end_vpp, duration_s):
+            self._tell_amplitude(step_vpp)
+            self._confirm(self._exactly(played.frequency_hz), step_vpp, on=True)
 
     def output_off(self) -> None:
         """Disconnect the output; see `SignalGenerator.output_off`.
@@ -180,18 +203,25 @@ class TweeterGenerator(ABC):
         ------
         InstrumentError
         """
-        # Other than an amplitude, this may be told twice.
+        reason, cause = "it says that it is on", None
         for _ in range(2):
-            # What the output itself says counts, not how the command fared.
+            # Unlike an amplitude, this may be sent twice. What the output itself says counts,
+            # not how the command fared.
             with suppress(InstrumentError):
-                self._tell_output(False)
-            if not self._says_on():
+                self._line.send(self._output_command(False))
+            try:
+                is_on = self._says_on()
+            except InstrumentError as error:
+                reason, cause = str(error).removeprefix(f"{self._name}: "), error
+                continue
+            if not is_on:
                 self._is_on = False
                 return
+            reason, cause = "it says that it is on", None
         raise InstrumentError(
-            f"{self._name}: was told to switch its output off, but says that it is on; pull the "
-            "loudspeaker's cable"
-        )
+            f"{self._name}: was asked twice to switch its output off, which is not confirmed, "
+            f"because {reason}; pull the loudspeaker's cable"
+        ) from cause
 
     def read(self) -> tuple[Fraction, float, bool]:
         """Return what is played; see `SignalGenerator.read`.
@@ -209,38 +239,146 @@ class TweeterGenerator(ABC):
         return self._exactly(played.frequency_hz), volts, played.is_on
 
     def close(self) -> None:
-        """Switch off what is on, as far as that is possible, and hang up."""
-        if self._is_on:
-            with suppress(InstrumentError):
-                self.output_off()
+        """Switch off what is on, as far as that is possible within 1 s, and hang up."""
+        self._leave_off()
         self._line.close()
 
     @abstractmethod
-    def _tell_sine(self, frequency_hz: Fraction, amplitude_vpp: Decimal) -> None:
-        """Send a frequency on the grid and volts peak to peak, and nothing else."""
+    def _sine_commands(self, frequency_hz: Fraction, amplitude_vpp: Decimal) -> tuple[str, ...]:
+        """Return what sets a frequency on the grid and volts peak to peak, and nothing else."""
 
     @abstractmethod
-    def _tell_amplitude(self, amplitude_vpp: Decimal) -> None:
-        """Send volts peak to peak, and nothing else."""
+    def _amplitude_command(self, amplitude_vpp: Decimal) -> str:
+        """Return what sets volts peak to peak, and nothing else."""
 
     @abstractmethod
-    def _tell_output(self, on: bool) -> None:
-        """Throw the output's relay."""
+    def _output_command(self, on: bool) -> str:
+        """Return what throws the output's relay."""
 
     @abstractmethod
     def _says_on(self) -> bool:
         """Ask whether the output is on."""
 
     @abstractmethod
-    def _played(self) -> Played:
+    def _ask_played(self) -> Played:
         """Ask what is played; an error if it is no sine, or volts into another load."""
 
+    @abstractmethod
+    def _require_no_errors(self, after: str) -> None:
+        """Raise `InstrumentError` if the generator reports errors; nothing where it cannot."""
+
+    def _connect(
+        self, timeout_s: float, language: re.Pattern[str], model: re.Pattern[str], section: str
+    ) -> None:
+        """Open the line, switch the outputs off, and require the right model.
+
+        Nothing else is sent to an instrument that takes other commands.
+
+        Parameters
+        ----------
+        timeout_s : float
+        language, model : re.Pattern
+            Of the identities that understand the commands, and of those that are driven here.
+        section : str
+            Of the bench file, for the message.
+        """
+        self._line = open_visa(self._resource, timeout_s, self._device, make_safe=self._OFF)
+        if language.match(self.identity):
+            self._send_off()
+        if not model.fullmatch(self.identity):
+            self._line.close()
+            raise InstrumentError(
+                f"{self._name}: says that it is {self.identity!r}, which this driver does not "
+                f"know; correct {section}.resource or instruments.generator.driver"
+            )
+
+    def _leave_off(self) -> None:
+        """Switch off what was switched on here; raises nothing."""
+        if self._is_on:
+            with suppress(InstrumentError), self._line.within(_CLOSING_S):
+                self.output_off()
+
+    def _abandon(self) -> None:
+        """Switch off and hang up, without a look at what becomes of it."""
+        self._send_off()
+        self._line.close()
+
+    def _send_off(self) -> None:
+        for command in self._OFF:
+            with suppress(InstrumentError):
+                self._line.send(command)
+
+    def _ramp_to_zero(self, end_vpp: Decimal, duration_s: float) -> None:
+        """Tell one amplitude after another, and ask for the last alone."""
+        start_vpp = self._level_of_output()
+        if start_vpp is None:
+            return
+        for step_vpp in self._ramp_steps(start_vpp, end_vpp, duration_s, _RAMP_LATE_S):
+            self._level_vpp = step_vpp
+            self._line.send(self._amplitude_command(step_vpp))
+        if not self._line.is_in_step:
+            # Something has just gone wrong or was interrupted: what comes next must not wait.
+            return
+        try:
+            with self._line.within(_RAMP_END_S):
+                self._require_no_errors(f"a ramp to {end_vpp:f} Vpp")
+                played = self._played()
+        except LateError:
+            return
+        if played.is_on:
+            self._confirm_played(self._exactly(played.frequency_hz), end_vpp, played)
+
+    def _level_of_output(self) -> Decimal | None:
+        """Return the amplitude of an output that is on, None if it is off or does not answer."""
+        if self._is_on:
+            return self._level_vpp
+        if not self._line.is_in_step:
+            return None
+        # It was not switched on here, but perhaps at the front panel.
+        try:
+            with self._line.within(_RAMP_END_S):
+                if not self._says_on():
+                    return None
+                self._is_on = True
+                return self._played().amplitude_vpp
+        except LateError:
+            return None
+
+    def _ramp_steps(
+        self, start_vpp: Decimal, end_vpp: Decimal, duration_s: float, late_s: float = math.inf
+    ) -> Iterator[Decimal]:
+        """Yield amplitudes when they are due; only the last if the ramp gets late by `late_s`."""
+        clock = self._context.clock
+        start_s, cut_s = clock.now_s(), time.monotonic() + duration_s + late_s
+        for part in range(1, _RAMP_STEPS + 1):
+            clock.wait(start_s + duration_s * part / _RAMP_STEPS - clock.now_s())
+            if part < _RAMP_STEPS and time.monotonic() > cut_s:
+                continue
+            yield _AMPLITUDE.plus(start_vpp + (end_vpp - start_vpp) * part / _RAMP_STEPS)
+
+    def _played(self) -> Played:
+        """Ask what is played, and remember the amplitude."""
+        played = self._ask_played()
+        self._level_vpp = played.amplitude_vpp
+        return played
+
     def _tell(self, command: str) -> None:
-        """Send a command. If it is not known to have arrived, reading back will tell."""
+        """Send a command. If it is not known to have arrived, reading back shows what became of it.
+
+        Raises
+        ------
+        InstrumentError
+            If the generator reports an error.
+        """
         try:
             self._line.send(command)
         except InstrumentError:
             self._line.drain()
+        self._require_no_errors(command)
+
+    def _tell_amplitude(self, amplitude_vpp: Decimal) -> None:
+        self._level_vpp = amplitude_vpp
+        self._tell(self._amplitude_command(amplitude_vpp))
 
     def _ask(self, question: str, understand: Callable[[str], T]) -> T:
         """Return what is understood of an answer; ask again if nothing is (`ValueError`)."""
@@ -257,7 +395,17 @@ class TweeterGenerator(ABC):
 
     def _confirm(self, frequency_hz: Fraction, amplitude_vpp: Decimal, on: bool) -> None:
         """Require that what was told is played, and remember the exact frequency."""
-        played, can_play = self._played(), self._can_play
+        played = self._played()
+        self._confirm_played(frequency_hz, amplitude_vpp, played)
+        self._told_hz = frequency_hz
+        if on:
+            self._require_not_tripped(played.is_on)
+
+    def _confirm_played(
+        self, frequency_hz: Fraction, amplitude_vpp: Decimal, played: Played
+    ) -> None:
+        """Require that what was set is played."""
+        can_play = self._can_play
         if not (
             agrees(frequency_hz, played.frequency_hz, can_play.frequency_digits)
             and agrees(amplitude_vpp, played.amplitude_vpp, can_play.amplitude_digits)
@@ -266,11 +414,8 @@ class TweeterGenerator(ABC):
                 f"{self._name}: was told to play {float(frequency_hz):.11g} Hz at "
                 f"{amplitude_vpp:f} Vpp, but says {float(played.frequency_hz):.11g} Hz at "
                 f"{played.amplitude_vpp:g} Vpp; it may have missed that or limit itself, or "
-                "somebody uses its front panel"
+                "its front panel is in use"
             )
-        self._told_hz = frequency_hz
-        if on:
-            self._require_not_tripped(played.is_on)
 
     def _exactly(self, said_hz: Fraction) -> Fraction:
         """Return the frequency that was told if that is what is said, else what is said."""
@@ -316,10 +461,9 @@ class TweeterGenerator(ABC):
     def _require_not_tripped(self, is_on: bool) -> None:
         if is_on:
             return
-        self._is_on = False
         raise InstrumentError(
             f"{self._name}: its output is off, but was switched on; look for an overload or a "
-            "short circuit, and whether somebody uses its front panel"
+            "short circuit, and whether its front panel is in use"
         )
 
     def _require_within_range(self, description: BenchDescription) -> None:

@@ -15,7 +15,7 @@ from drivers.roles import Preparation
 from drivers.siglent import SiglentGenerator
 from drivers.simulated.lab import VirtualClock
 from drivers.simulated.wire.keysight import KeysightDevice
-from drivers.simulated.wire.serving import FaultyWire, SocketServer
+from drivers.simulated.wire.serving import FaultyWire, SocketServer, interrupt, unterminated
 from drivers.simulated.wire.siglent import SiglentDevice
 from tests.drivers.usbtmc_bus import UsbtmcInstrument, plugged_in
 from tests.drivers.vxi11_server import Vxi11Server
@@ -38,6 +38,12 @@ class Wire:
         self.heard += data.decode("ascii").splitlines()
         return self._carrier.receive(data)
 
+    def interrupt(self):
+        return interrupt(self.device)
+
+    def unterminated(self):
+        unterminated(self.device)
+
     def spoil(self, faults):
         """Count commands and answers from now on."""
         self._carrier = FaultyWire(self.device, faults)
@@ -50,7 +56,8 @@ class Stand:
     Attributes
     ----------
     device, wire, resource
-    clock : VirtualClock
+    server : SocketServer or Vxi11Server or None
+    clock : VirtualClock or WallClock
         Of the benches, and of the device unless that is on another thread.
     changes : list of (Fraction, float, bool)
         What was at the socket of channel 1, in order.
@@ -60,7 +67,8 @@ class Stand:
     device: object
     wire: Wire
     resource: str
-    clock: VirtualClock
+    server: object
+    clock: object
     changes: list
     contexts: list = field(default_factory=list)
     generators: list = field(default_factory=list)
@@ -98,9 +106,9 @@ class Stands:
     def __exit__(self, *exception):
         self._taken_down.close()
 
-    def __call__(self, maker, wire="usb", **settings):
+    def __call__(self, maker, wire="usb", clock=None, **settings):
         """Put a new device of a maker on ``usb``, a ``socket`` or ``vxi11``."""
-        changes, clock = [], VirtualClock()
+        changes, clock = [], clock or VirtualClock()
 
         def changed(*socket):
             changes.append(socket)
@@ -108,7 +116,8 @@ class Stands:
         clock_of_device = clock if wire == "usb" else None
         device = DEVICES[maker](changed, clock_of_device, **settings)
         carrier = Wire(device)
-        stand = Stand(device, carrier, self._connected(carrier, wire), clock, changes)
+        resource, server = self._connected(carrier, wire)
+        stand = Stand(device, carrier, resource, server, clock, changes)
         self._taken_down.callback(lambda: [generator.close() for generator in stand.generators])
         return stand
 
@@ -116,13 +125,13 @@ class Stands:
         if wire == "usb":
             instrument = UsbtmcInstrument(device, 0xF4EC, 0x1101, "SIM000001")
             self._taken_down.enter_context(plugged_in(instrument))
-            return instrument.resource
+            return instrument.resource, None
         self._taken_down.enter_context(_without_delay())
         server = (SocketServer if wire == "socket" else Vxi11Server)(device)
         self._taken_down.callback(server.close)
         if wire == "socket":
-            return f"TCPIP0::127.0.0.1::{server.port}::SOCKET"
-        return f"TCPIP0::127.0.0.1,{server.port}::inst0::INSTR"
+            return f"TCPIP0::127.0.0.1::{server.port}::SOCKET", server
+        return f"TCPIP0::127.0.0.1,{server.port}::inst0::INSTR", server
 
 
 @contextmanager

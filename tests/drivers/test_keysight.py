@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 
 from drivers.errors import InstrumentError
 from drivers.simulated.wire.keysight import KeysightDevice
+from drivers.simulated.wire.serving import WireFaults
+from drivers.visa import open_visa
 from tests.drivers.generators import GAIN, MOST_V, Stands
 
 DRIVE_HZ = Fraction(2_033_075, 1000)
@@ -148,6 +150,67 @@ def test_what_it_reports_is_said_and_the_queue_is_emptied(stands):
     with pytest.raises(InstrumentError, match=r"was told 'SOUR1:VOLT 4' and reports -222"):
         generator.set_sine(DRIVE_HZ, 4.0)
     assert generator.read() == (DRIVE_HZ, 2.0, True)
+
+
+def test_a_question_before_the_last_answer_was_read_is_a_query_error(stands):
+    stand = stands("keysight")
+    line = open_visa(stand.resource, 0.5, "a host")
+    line.send("FREQ?")
+    line.send("VOLT?")
+    assert float(line.ask("SYST:ERR?").partition(",")[0]) == -410
+    line.close()
+
+
+LATE = WireFaults(late_answer_at=(2,), late_s=0.3)
+
+
+@pytest.mark.parametrize("wire", ["usb", "vxi11", "socket"])
+@pytest.mark.parametrize("lost", [False, True], ids=["late", "lost"])
+def test_a_late_answer_does_not_end_a_run_and_leaves_no_error(stands, wire, lost):
+    stand = stands("keysight", wire)
+    generator = stand.open({"timeout_s": 0.2})
+    generator.set_sine(DRIVE_HZ, 1.0)
+    spoilt = stand.server if wire == "socket" else stand.wire
+    for place in range(1, 8):
+        faults = LATE.model_copy(update={"late_answer_at": (place,)})
+        spoilt.spoil(WireFaults(lose_answer_at=(place,)) if lost else faults)
+        volts = 1.0 + place / 10
+        generator.set_sine(DRIVE_HZ + place, volts)
+        assert generator.read() == (DRIVE_HZ + place, pytest.approx(volts), True)
+    generator.output_off()
+    generator.set_sine(DRIVE_HZ, 1.0)
+    generator.output_off()
+    assert answer(stand.device, "SYST:ERR?") == '+0,"No error"'
+
+
+def test_a_query_error_that_another_has_caused_is_said(stands):
+    stand = stands("keysight")
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, 1.0)
+    stand.device.interrupt()
+    with pytest.raises(InstrumentError, match="reports -410"):
+        generator.set_sine(DRIVE_HZ, 2.0)
+
+
+def test_other_errors_are_said_though_an_answer_was_late(stands):
+    stand = stands("keysight")
+    generator = stand.open({"timeout_s": 0.2})
+    generator.set_sine(DRIVE_HZ, 1.0)
+    stand.device.turn_knob("NONSENSE")
+    # Of its first question, whether the output is on.
+    stand.wire.spoil(WireFaults(lose_answer_at=(1,)))
+    with pytest.raises(InstrumentError, match=r'reports -113,"Undefined header"; look') as caught:
+        generator.set_sine(DRIVE_HZ, 2.0)
+    assert "-4" not in str(caught.value)
+
+
+def test_switching_off_amid_a_question_leaves_no_error(stands):
+    stand = stands("keysight")
+    generator = stand.open({"timeout_s": 0.2})
+    generator.set_sine(DRIVE_HZ, 1.0)
+    stand.wire.spoil(WireFaults(lose_answer_at=(1,)))
+    generator.output_off()
+    assert answer(stand.device, "SYST:ERR?") == '+0,"No error"'
 
 
 def test_errors_from_before_do_not_keep_it_from_opening(stands):

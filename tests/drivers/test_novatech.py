@@ -1,6 +1,7 @@
 """The Novatech 409B: literal bytes, faults on a real serial line, and exact frequencies."""
 
 import math
+import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from fractions import Fraction
@@ -21,6 +22,7 @@ from drivers.novatech import Novatech409B
 from drivers.roles import Preparation, SynthesizerPair
 from drivers.serial_line import SerialLine
 from drivers.simulated.wire import serving
+from drivers.simulated.wire.faults import SynthesizerFaults
 from drivers.simulated.wire.novatech import NovatechDevice
 from drivers.simulated.wire.serving import PtyServer, SocketServer, WireFaults
 
@@ -59,10 +61,11 @@ def opened(port, options=(), **keys):
 class Box:
     """A simulated box, all that it heard, and all that its outputs ever gave."""
 
-    def __init__(self, shows_registers=True):
+    def __init__(self, shows_registers=True, **faults):
         self.changes = []
         self.heard = []
-        self.device = NovatechDevice(self.changes.append, shows_registers)
+        faults = SynthesizerFaults(shows_registers=shows_registers, **faults)
+        self.device = NovatechDevice(self.changes.append, faults)
 
     def receive(self, data):
         self.heard.append(data)
@@ -125,11 +128,31 @@ STATUS_AT_CENTRE = (
 )
 STATUS_OF_PAIR = STATUS_AT_CENTRE.replace("2FAF0800", "2FAF5789", 1)
 STATUS_RF_ON = STATUS_OF_PAIR.replace(" 0000 0000 0000 ", " 0000 01FF 0000 ", 2)
-STATUS_AT_POWER_UP = STATUS_AT_CENTRE.replace("2FAF0800 0000 0000", "05F5E100 0000 03FF")
+STATUS_AT_POWER_UP = STATUS_AT_CENTRE.replace("2FAF0800", "05F5E100")
+
+STATUS_OF_PROBE = STATUS_AT_CENTRE.replace("2FAF0800", "2FAF0801", 1)
+
+
+def off_of(status):
+    """RF off, in two ways; the status is that which follows."""
+    return [
+        ("V0 0\r\n", "OK\r\n"),
+        ("V1 0\r\n", "OK\r\n"),
+        ("I p\r\n", "OK\r\n"),
+        ("QUE\r\n", status),
+        ("I a\r\n", "OK\r\n"),
+        ("V0 0\r\n", "OK\r\n"),
+        ("V1 0\r\n", "OK\r\n"),
+        ("QUE\r\n", status),
+        ("I m\r\n", "OK\r\n"),
+    ]
+
 
 OPENING = [
     ("\r\n", "\r\nOK\r\n"),
-    ("\r\n", "\r\nOK\r\n"),
+    ("V0 0\r\n", "V0 0\r\nOK\r\n"),
+    ("V1 0\r\n", "V1 0\r\nOK\r\n"),
+    ("I p\r\n", "I p\r\nOK\r\n"),
     ("E d\r\n", "E d\r\nOK\r\n"),
     ("QUE\r\n", STATUS_AT_POWER_UP),
     ("M 0\r\n", "OK\r\n"),
@@ -140,22 +163,25 @@ OPENING = [
     ("V0 0\r\n", "OK\r\n"),
     ("V1 0\r\n", "OK\r\n"),
     ("I p\r\n", "OK\r\n"),
+    ("I p\r\n", "OK\r\n"),
     ("QUE\r\n", STATUS_AT_CENTRE),
+    # Does the status show registers?
+    ("F0 80.0000001\r\n", "OK\r\n"),
+    ("QUE\r\n", STATUS_OF_PROBE),
+    ("QUE\r\n", STATUS_OF_PROBE),
+    ("F0 80.0000000\r\n", "OK\r\n"),
+    *off_of(STATUS_AT_CENTRE),
 ]
-SETTING = [("F0 80.0020361\r\n", "OK\r\n"), ("I p\r\n", "OK\r\n")]
+SETTING = [("F0 80.0020361\r\n", "OK\r\n"), ("I p\r\n", "OK\r\n"), ("I p\r\n", "OK\r\n")]
 READING = [("QUE\r\n", STATUS_OF_PAIR)]
 RF_ON = [
     ("V0 511\r\n", "OK\r\n"),
     ("V1 511\r\n", "OK\r\n"),
     ("I p\r\n", "OK\r\n"),
+    ("I p\r\n", "OK\r\n"),
     ("QUE\r\n", STATUS_RF_ON),
 ]
-RF_OFF = [
-    ("V0 0\r\n", "OK\r\n"),
-    ("V1 0\r\n", "OK\r\n"),
-    ("I p\r\n", "OK\r\n"),
-    ("QUE\r\n", STATUS_OF_PAIR),
-]
+RF_OFF = off_of(STATUS_OF_PAIR)
 
 
 class Script:
@@ -199,15 +225,32 @@ def test_a_status_has_the_lengths_that_others_found():
     assert len(answer) == 229
 
 
-def test_an_update_of_both_channels_takes_25_ms_on_the_wire(pair):
-    driver, box = pair
+@pytest.mark.parametrize(
+    ("shows_registers", "pair_hz", "lines", "octets", "milliseconds"),
+    [
+        (True, OTHER_HZ, 4, 56, 29.2),
+        (True, (OTHER_HZ[0], CENTRE_HZ), 3, 37, 19.3),
+        (False, OTHER_HZ, 3, 47, 24.5),
+        (False, (OTHER_HZ[0], CENTRE_HZ), 2, 28, 14.6),
+    ],
+)
+def test_an_update_takes_the_time_that_is_documented(
+    shows_registers, pair_hz, lines, octets, milliseconds
+):
+    box = Box(shows_registers)
+    driver = opened_on(VirtualLine(box, {}))
     box.heard.clear()
-    driver.set_pair(*OTHER_HZ)
-    said = sum(map(len, box.heard))
-    answered = len("OK\r\n") * len(box.heard)
-    assert (len(box.heard), said + answered) == (3, 47)
+    driver.set_pair(*pair_hz)
+    carried = sum(map(len, box.heard)) + len("OK\r\n") * len(box.heard)
+    assert (len(box.heard), carried) == (lines, octets)
     # Start bit, eight bits, stop bit.
-    assert (said + answered) * 10 / 19200 < 0.025
+    assert carried * 10 / 19.2 == pytest.approx(milliseconds, abs=0.05)
+    box.heard.clear()
+    driver.rf_off()
+    asked = box.heard.count(b"QUE\r\n")
+    assert asked == 2
+    carried = sum(map(len, box.heard)) + 4 * (len(box.heard) - asked) + 224 * asked
+    assert carried == 525
 
 
 # --- What the pair does ------------------------------------------------------------------------
@@ -234,7 +277,8 @@ def test_the_reference_stands_in_the_identity_and_no_clock_command_is_sent(plugg
 def test_it_opens_at_the_centre_with_rf_off_and_saves_nothing(pair):
     driver, box = pair
     assert (box.pair_hz, box.amplitudes) == ((CENTRE_HZ, CENTRE_HZ), (0, 0))
-    assert len(box.changes) == 1, "frequencies and amplitudes in one update"
+    assert {output.frequency_hz for output in box.changes[0][:2]} == {10_000_000}
+    assert [output.amplitude for output in box.changes[1][:2]] == [0, 0], "off before anything else"
     driver.rf_on()
     driver.set_pair(*PAIR_HZ)
     driver.rf_off()
@@ -272,7 +316,7 @@ def test_only_what_changes_is_sent(pair):
     box.heard.clear()
     driver.set_pair(OTHER_HZ[0], CENTRE_HZ)
     driver.set_pair(OTHER_HZ[0], CENTRE_HZ)
-    assert box.heard == [b"F1 80.0000000\r\n", b"I p\r\n"]
+    assert box.heard == [b"F1 80.0000000\r\n", b"I p\r\n", b"I p\r\n"]
 
 
 TENTHS = st.integers(750_000_000, 850_000_000).map(lambda tenths: Fraction(tenths, 10))
@@ -387,7 +431,7 @@ def test_an_external_clock_scales_frequencies_as_the_manual_says():
 def test_registers_and_outputs_differ_until_the_update():
     for shows_registers, shown in ((True, b"2FAF5789"), (False, b"2FAF0800")):
         changes = []
-        device = NovatechDevice(changes.append, shows_registers)
+        device = NovatechDevice(changes.append, SynthesizerFaults(shows_registers=shows_registers))
         device.receive(b"E d\r\nF0 80\r\nI m\r\n")
         changes.clear()
         device.receive(b"F0 80.0020361\r\nF1 80.0000000\r\n")
@@ -426,8 +470,8 @@ ACTS = (
     ("rf_off", ()),
 )
 # Exchanges that the opening takes, then each act, on a line without faults.
-EXCHANGES = (13, 4, 2, 1, 3, 1, 4)
-FIRST_UPDATE = 15
+EXCHANGES = (29, 5, 3, 1, 4, 1, 9)
+FIRST_UPDATE = EXCHANGES[0] + 2
 
 
 def session(box, open_it):
@@ -507,7 +551,8 @@ def test_a_fault_on_a_serial_line_never_leaves_a_wrong_belief(kind, late_timeout
 def test_an_unplugged_port_is_an_error():
     def check(at):
         _, failures = session_on_a_port(WireFaults(unplug_at=at))
-        assert failures >= 1
+        # The last answer comes after RF is confirmed off.
+        assert failures >= 1 or at == sum(EXCHANGES)
 
     at_every_exchange(check)
 
@@ -557,8 +602,9 @@ class VirtualLine:
         self.arrivals = []
         self.exchange = 0
 
-    def write(self, text):
-        self.arrivals = [arrival for arrival in self.arrivals if arrival[0] > self.now_s]
+    def write(self, text, discard=True):
+        if discard:
+            self.arrivals = [arrival for arrival in self.arrivals if arrival[0] > self.now_s]
         self.exchange += 1
         fault = self.faults.get(self.exchange)
         if fault == "command lost":
@@ -575,12 +621,13 @@ class VirtualLine:
             self.busy_s += 0.002
             self.arrivals.append((self.busy_s, line))
 
-    def read(self, text):
-        if self.arrivals and self.arrivals[0][0] <= self.now_s + self.TIMEOUT_S:
+    def read(self, text, patience_s=None):
+        wait_s = self.TIMEOUT_S if patience_s is None else patience_s
+        if self.arrivals and self.arrivals[0][0] <= self.now_s + wait_s:
             arrival_s, line = self.arrivals.pop(0)
             self.now_s = max(self.now_s, arrival_s)
             return line
-        self.now_s += self.TIMEOUT_S
+        self.now_s += wait_s
         return None
 
     def close(self):
@@ -602,7 +649,7 @@ FAULTS = ["answer lost", "command lost", "garbled", 0.9, 1.1, 1.9, 2.1, 3.3, 7.0
 
 
 @given(
-    faults=st.dictionaries(st.integers(1, 70), st.sampled_from(FAULTS), max_size=12),
+    faults=st.dictionaries(st.integers(1, 110), st.sampled_from(FAULTS), max_size=12),
     shows_registers=st.booleans(),
 )
 @settings(max_examples=200, deadline=None)
@@ -636,10 +683,10 @@ def test_a_status_that_lacks_a_line_is_none():
 
 
 def test_the_echo_is_off_again_when_answers_are_in_step():
-    lost, echo_off = 8, 11
+    lost, echo_off = 10, 13
     box = Box()
     opened_on(VirtualLine(box, {lost: "answer lost", echo_off: "command lost"}))
-    assert box.heard[7:11] == [b"F0 80.0000000\r\n", b"E e\r\n", b"#1\r\n", b"E e\r\n"]
+    assert box.heard[9:13] == [b"F0 80.0000000\r\n", b"E e\r\n", b"#1\r\n", b"E e\r\n"]
     assert box.device.receive(b"\r\n") == b"OK\r\n"
 
 
@@ -660,8 +707,79 @@ def test_a_lost_update_is_not_believed_though_the_registers_are_right():
     driver = opened_on(VirtualLine(box, {FIRST_UPDATE: "command lost"}))
     box.changes.clear()
     driver.set_pair(*PAIR_HZ)
-    assert box.heard[-2:] == [b"QUE\r\n", b"I p\r\n"]
+    assert box.heard[-3:] == [b"QUE\r\n", b"I p\r\n", b"I p\r\n"]
     assert (box.pair_hz, len(box.changes)) == (PAIR_HZ, 1)
+
+
+@pytest.mark.parametrize("shows_registers", [True, False], ids=["registers", "outputs"])
+def test_it_is_found_out_what_the_status_shows(shows_registers):
+    box = Box(shows_registers)
+    driver = opened_on(VirtualLine(box, {}))
+    assert driver.echoes_registers is shows_registers
+    assert (box.pair_hz, box.amplitudes) == ((CENTRE_HZ, CENTRE_HZ), (0, 0))
+    assert driver.read_pair() == (CENTRE_HZ, CENTRE_HZ)
+    lit = [outputs for outputs in box.changes[2:] if outputs[0].amplitude or outputs[1].amplitude]
+    assert lit == [], "never with RF on"
+
+
+FAULTS_WHEN_OPENING = ["answer lost", "command lost", "garbled", "wrong digit", 1.1, 2.1]
+
+
+@pytest.mark.parametrize("fault", FAULTS_WHEN_OPENING)
+def test_a_box_that_shows_registers_is_never_taken_for_one_that_shows_outputs(fault):
+    for at in range(1, EXCHANGES[0] + 1):
+        try:
+            driver = opened_on(VirtualLine(Box(shows_registers=True), {at: fault}))
+        except InstrumentError:
+            continue
+        assert driver.echoes_registers, at
+
+
+@pytest.mark.parametrize("skipped", range(1, 20))
+def test_an_update_that_is_acknowledged_and_not_carried_out_is_made_all_the_same(skipped):
+    box = Box(shows_registers=True, skips_update_at=(skipped,))
+    assert session(box, lambda: opened_on(VirtualLine(box, {}))) == 0
+    assert box.pair_hz == OTHER_HZ
+
+
+def test_an_update_that_is_not_carried_out_is_an_error_where_the_status_shows_outputs():
+    # Four updates belong to the opening.
+    box = Box(shows_registers=False, skips_update_at=(5,))
+    driver = opened_on(VirtualLine(box, {}))
+    with pytest.raises(InstrumentError, match=r"reads .* amplitudes 0 and 0"):
+        driver.rf_on()
+    driver.rf_on()
+    assert box.amplitudes == (511 / 1023, 511 / 1023)
+
+
+@pytest.mark.parametrize("shows_registers", [True, False], ids=["registers", "outputs"])
+def test_rf_goes_off_though_no_update_is_carried_out_any_more(shows_registers):
+    box = Box(shows_registers)
+    driver = opened_on(VirtualLine(box, {}))
+    driver.rf_on()
+    driver.set_pair(*PAIR_HZ)
+    stuck = SynthesizerFaults(shows_registers=shows_registers, skips_updates_from=1)
+    box.device._faults = stuck  # noqa: SLF001  # from now on
+    driver.rf_off()
+    assert box.amplitudes == (0, 0)
+    assert box.device.receive(b"F0 81\r\nQUE\r\n"), "the box still answers"
+    assert box.pair_hz == PAIR_HZ, "it is back in manual update"
+
+
+def test_rf_off_that_is_confirmed_in_one_way_alone():
+    class WithoutAutomaticUpdate(Box):
+        def receive(self, data):
+            return b"?0\r\n" if data == b"I a\r\n" else super().receive(data)
+
+    box = WithoutAutomaticUpdate(shows_registers=True)
+    with pytest.raises(InstrumentError, match=r"RF off .*not confirmed.*refused 'I a'") as caught:
+        opened_on(VirtualLine(box, {}))
+    assert "\n" not in str(caught.value)
+    box = WithoutAutomaticUpdate(shows_registers=False)
+    driver = opened_on(VirtualLine(box, {}))
+    driver.rf_on()
+    driver.rf_off()
+    assert box.amplitudes == (0, 0)
 
 
 def test_a_lost_update_is_an_error_where_the_status_shows_outputs():
@@ -686,6 +804,94 @@ def test_rf_is_taken_off_even_if_the_box_is_heard_no_more():
     assert box.amplitudes == (0, 0)
 
 
+class Timed(Box):
+    """Remembers when both outputs went off."""
+
+    off_s = None
+
+    def receive(self, data):
+        answer = super().receive(data)
+        if self.amplitudes == (0, 0) and self.off_s is None:
+            self.off_s = time.monotonic()
+        return answer
+
+
+@contextmanager
+def lit(faults, timeout_s):
+    """A driver on a real port with RF on, from when on things go wrong."""
+    box = Timed()
+    server = PtyServer(box)
+    driver = opened(server.port, {"timeout_s": timeout_s})
+    driver.rf_on()
+    box.off_s = None
+    server.spoil(faults)
+    yield driver, box
+    driver.close()
+    server.close()
+
+
+def interrupt_amid(driver):
+    """Press Ctrl-C while an answer is awaited."""
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SerialLine, "read", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            driver.set_pair(*PAIR_HZ)
+
+
+@pytest.mark.parametrize("amid", [False, True], ids=["in step", "amid an update"])
+@pytest.mark.parametrize(
+    ("faults", "timeout_s", "least_s", "most_s"),
+    [
+        (WireFaults(), 0.5, 0.0, 0.5),
+        # Five answers one after another, and three more to get in step again.
+        (WireFaults(slow_s=0.4), 0.7, 1.0, 8 * 0.4 + 0.5),
+        # Three commands, their answers, a mark; three commands, a mark.
+        (WireFaults(lose_answer_at=range(1, 1000)), 0.3, 1.0, 0.7 + 5 * 0.3 + 0.5),
+    ],
+    ids=["prompt", "slow", "never"],
+)
+def test_rf_is_off_before_any_answer_is_waited_for(faults, timeout_s, least_s, most_s, amid):
+    with lit(faults, timeout_s) as (driver, box):
+        if amid:
+            interrupt_amid(driver)
+        started_s = time.monotonic()
+        if faults.lose_answer_at:
+            with pytest.raises(InstrumentError, match=r"RF off .*not confirmed"):
+                driver.rf_off()
+        else:
+            driver.rf_off()
+        returned_s = time.monotonic() - started_s
+        assert box.off_s - started_s < 0.5
+        assert least_s <= returned_s < most_s
+
+
+def test_rf_off_is_sent_in_two_ways_though_no_answer_comes():
+    with lit(WireFaults(lose_answer_at=range(1, 1000)), SHORT["timeout_s"]) as (driver, box):
+        box.heard.clear()
+        with pytest.raises(InstrumentError, match="sent in two ways"):
+            driver.rf_off()
+        said = b"".join(box.heard).decode().split("\r\n")
+        assert said[:3] == ["V0 0", "V1 0", "I p"]
+        assert said[said.index("I a") :][:3] == ["I a", "V0 0", "V1 0"]
+        assert said[-2] == "I m", "left as it was found"
+
+
+@pytest.mark.parametrize("lost", range(1, 10))
+def test_rf_is_off_though_one_command_of_it_is_lost(lost):
+    box = Box()
+    before = sum(EXCHANGES[:2])
+    driver = opened_on(VirtualLine(box, {before + lost: "command lost"}))
+    driver.rf_on()
+    driver.rf_off()
+    assert box.amplitudes == (0, 0)
+    driver.set_pair(*PAIR_HZ)
+    assert (box.pair_hz, box.amplitudes) == (PAIR_HZ, (0, 0))
+
+
 def test_a_failed_rf_on_stays_off_when_the_next_pair_is_set():
     box = Box()
     second_amplitude = sum(EXCHANGES[:1]) + 2
@@ -708,7 +914,7 @@ def test_a_refusal_is_said_in_words():
 
 def test_every_fault_that_a_wire_can_have_is_tested_here():
     tested = {"lose_answer_at", "garble_answer_at", "late_answer_at", "late_s", "lose_command_at"}
-    tested |= {"echo", "wrong_baud", "unplug_at"}
+    tested |= {"echo", "wrong_baud", "unplug_at", "replug_after_s", "slow_s", "slow_from"}
     assert set(WireFaults.model_fields) == tested
 
 
@@ -742,6 +948,55 @@ def test_closing_frees_the_port_and_may_be_done_twice(plugged):
     driver.close()
     with serial.Serial(plugged[1], exclusive=True):
         pass
+
+
+@pytest.mark.parametrize("faults", [WireFaults(), WireFaults(lose_answer_at=range(1, 1000))])
+def test_closing_takes_rf_off_and_does_not_wait_long(faults):
+    with lit(faults, 5.0) as (driver, box):
+        started_s = time.monotonic()
+        driver.close()
+        assert time.monotonic() - started_s < 1.2
+        assert box.amplitudes == (0, 0)
+
+
+def test_closing_says_nothing_to_a_box_whose_rf_is_off(pair):
+    driver, box = pair
+    driver.rf_on()
+    driver.rf_off()
+    box.heard.clear()
+    driver.close()
+    assert box.heard == []
+
+
+def lit_box():
+    box = Box()
+    box.device.receive(b"E d\r\nI m\r\n")
+    assert box.amplitudes == (1, 1)
+    return box
+
+
+def test_a_box_that_answers_nothing_is_off_when_opening_fails():
+    box = lit_box()
+    with (
+        served(box, WireFaults(lose_answer_at=range(1, 1000))) as port,
+        pytest.raises(InstrumentError, match="echo a mark"),
+    ):
+        opened(port, SHORT)
+    assert box.amplitudes == (0, 0)
+
+
+def test_a_box_is_off_though_opening_is_interrupted(monkeypatch):
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Novatech409B, "_set_up", interrupted)
+    box = lit_box()
+    with served(box) as port:
+        with pytest.raises(KeyboardInterrupt):
+            opened(port)
+        assert box.amplitudes == (0, 0)
+        with serial.Serial(port, exclusive=True):
+            pass
 
 
 def test_a_failed_opening_frees_the_port():
@@ -795,7 +1050,6 @@ def test_both_amplitudes_have_to_be_stated():
     [
         ({"step": "1 uHz"}, r"synthesizers\.step: is 1e-06 Hz.*write step: 0\.1 Hz"),
         ({"centre": "170 MHz"}, r"synthesizers\.window: .*plays up to 171127603\.1 Hz"),
-        ({"window": "80 MHz"}, r"synthesizers\.window: reaches from 0 to"),
     ],
 )
 def test_a_bench_file_that_the_box_cannot_play_is_refused(keys, said):

@@ -1,5 +1,6 @@
 """Two SG384 as a pair: literal bytes, faults on real sockets, and safety when one of them fails."""
 
+import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from fractions import Fraction
@@ -20,6 +21,7 @@ from drivers.simulated.wire import serving
 from drivers.simulated.wire.serving import PtyServer, SocketServer, WireFaults
 from drivers.simulated.wire.srs import SRSDevice
 from drivers.srs import SRSPair
+from drivers.visa import VisaLine
 
 PAIRS = yaml.safe_load((Path(__file__).parent / "wire_pairs_srs.yaml").read_text())
 BENCH = BenchFile.from_file()
@@ -102,11 +104,12 @@ def test_the_simulated_generator_answers_what_the_sources_say(pairs):
 
 
 IDENTITY = "Stanford Research Systems,SG384,s/n001796,ver1.21.26\r\n"
+OFF = [("ENBR 0\n", ""), ("ENBR?\n", "0\r\n")]
 WHOLE = [
     ("*IDN?\n", IDENTITY),
     ("*IDN?\n", IDENTITY),
     ("ENBR 0\n", ""),
-    ("ENBR?\n", "0\r\n"),
+    *2 * OFF,
     ("MODL 0\n", ""),
     ("MODL?\n", "0\r\n"),
     ("TIMB?\n", "3\r\n"),
@@ -119,8 +122,7 @@ WHOLE = [
     ("ENBR 1\n", ""),
     ("ENBR?\n", "1\r\n"),
     ("FREQ?\n", "8.0002036125E7\r\n"),
-    ("ENBR 0\n", ""),
-    ("ENBR?\n", "0\r\n"),
+    *2 * OFF,
 ]
 
 
@@ -289,7 +291,7 @@ def test_rf_that_was_taken_off_stays_off_after_a_failure():
 
 def test_rf_that_cannot_be_taken_off_is_said():
     boxes = (Box(), Box())
-    with served(boxes, (WireFaults(unplug_at=9), None)) as resources:
+    with served(boxes, (WireFaults(unplug_at=10), None)) as resources:
         driver = opened(resources, SHORT)
         driver.rf_on()
         with pytest.raises(InstrumentError, match=r"RF is not confirmed off \(.*AOM1"):
@@ -299,6 +301,128 @@ def test_rf_that_cannot_be_taken_off_is_said():
             driver.rf_off()
         driver.close()
         driver.close()
+
+
+class Timed(Box):
+    """Remembers when its output went off."""
+
+    off_s = None
+
+    def receive(self, data):
+        answer = super().receive(data)
+        if not self.device.is_on and self.off_s is None:
+            self.off_s = time.monotonic()
+        return answer
+
+
+@contextmanager
+def both_lit(faults, timeout_s):
+    """A driver with RF on at both, from when on things go wrong at both."""
+    boxes = Timed(), Timed()
+    servers = [SocketServer(box) for box in boxes]
+    resources = [f"TCPIP::127.0.0.1::{server.port}::SOCKET" for server in servers]
+    driver = opened(resources, {"timeout_s": timeout_s})
+    driver.rf_on()
+    for box, server in zip(boxes, servers, strict=True):
+        box.off_s = None
+        server.spoil(faults)
+    yield driver, boxes
+    driver.close()
+    for server in servers:
+        server.close()
+
+
+NEVER = WireFaults(lose_answer_at=range(1, 1000))
+
+
+@pytest.mark.parametrize("amid", [False, True], ids=["in step", "amid a question"])
+@pytest.mark.parametrize(
+    ("faults", "timeout_s", "most_s"),
+    [
+        (WireFaults(), 1.0, 0.5),
+        # Two answers of each, one after another, and two more to get in step again.
+        (WireFaults(slow_s=0.5), 1.0, 6 * 0.5 + 0.5),
+        (NEVER, 0.3, 6 * 0.3 + 0.5),
+    ],
+    ids=["prompt", "slow", "never"],
+)
+def test_rf_is_off_before_any_answer_is_waited_for(faults, timeout_s, most_s, amid):
+    with both_lit(faults, timeout_s) as (driver, boxes):
+        if amid:
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(VisaLine, "_read", _interrupted)
+                with pytest.raises(KeyboardInterrupt):
+                    driver.read_pair()
+        started_s = time.monotonic()
+        if faults is NEVER:
+            with pytest.raises(InstrumentError, match=r"AOM1.*AOM2") as caught:
+                driver.rf_off()
+            assert "\n" not in str(caught.value)
+        else:
+            driver.rf_off()
+        assert time.monotonic() - started_s < most_s
+        assert max(box.off_s for box in boxes) - started_s < 0.3
+
+
+def _interrupted(*_):
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("faults", [WireFaults(), NEVER], ids=["prompt", "never"])
+def test_closing_takes_rf_off_and_does_not_wait_long(faults):
+    with both_lit(faults, 5.0) as (driver, boxes):
+        started_s = time.monotonic()
+        driver.close()
+        assert time.monotonic() - started_s < 1.5
+        assert lit(boxes) == (False, False)
+
+
+def test_rf_off_that_got_lost_is_sent_again(pair):
+    driver, boxes = pair
+    driver.rf_on()
+    receive, heard = boxes[1].receive, []
+
+    def half_deaf(data):
+        heard.append(data)
+        return b"" if heard == [b"ENBR 0\n"] else receive(data)
+
+    boxes[1].receive = half_deaf
+    driver.rf_off()
+    assert lit(boxes) == (False, False)
+    assert heard.count(b"ENBR 0\n") == 2
+
+
+def test_a_frequency_is_played_as_soon_as_it_is_set(pair):
+    assert pair[0].echoes_registers is False
+
+
+def test_opening_that_fails_leaves_both_off():
+    boxes = (Box(timebase=1), Box(timebase=0))
+    with served(boxes) as resources, pytest.raises(InstrumentError, match="TIMB"):
+        opened(resources)
+    assert lit(boxes) == (False, False)
+    boxes = (Box(), Box())
+    with served(boxes, (None, NEVER)) as resources:
+        with pytest.raises(InstrumentError, match=r"AOM2.*did not answer"):
+            opened(resources, SHORT)
+        assert [goes_off(box) for box in boxes] == [True, True], "also that which says nothing"
+
+
+def test_another_model_of_the_same_language_is_switched_off_and_refused():
+    other = Box()
+    other.device._identity = "Stanford Research Systems,SG396,s/n1,ver1"  # noqa: SLF001  # its own
+    with served((Box(), other)) as resources:
+        with pytest.raises(InstrumentError, match="no SG382"):
+            opened(resources)
+        assert goes_off(other)
+
+
+def goes_off(box):
+    """Whether a command that was sent before the line was closed arrives."""
+    until_s = time.monotonic() + 2.0
+    while box.device.is_on and time.monotonic() < until_s:
+        time.sleep(0.01)
+    return not box.device.is_on
 
 
 def session(boxes, resources, options=SHORT):
@@ -335,7 +459,7 @@ def test_a_fault_never_leaves_a_wrong_belief():
         with served(boxes, (None, faults)) as resources, suppress(InstrumentError):
             session(boxes, resources)
 
-    at_once(check, product((*SPOILT_ANSWERS, "lose_command_at"), range(1, 15)))
+    at_once(check, product((*SPOILT_ANSWERS, "lose_command_at"), range(1, 17)))
 
 
 def test_nothing_is_given_up_for_one_spoilt_answer():

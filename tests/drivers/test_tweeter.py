@@ -1,6 +1,8 @@
 """Generators of all makers fill their role, whatever happens on the wire or at the front panel."""
 
 import math
+import threading
+import time
 from fractions import Fraction
 from itertools import pairwise
 
@@ -8,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.context import WallClock
 from drivers.errors import BenchSetupError, InstrumentError, LimitError
 from drivers.roles import SignalGenerator
 from drivers.simulated.wire.serving import WireFaults
@@ -77,6 +80,48 @@ def test_another_instrument_is_told_nothing(stands, maker):
     with pytest.raises(InstrumentError, match=r"says that it is 'Rigol.*correct instruments\.gen"):
         stand.open()
     assert set(stand.wire.heard) == {"*IDN?"}
+
+
+OTHER_MODEL = {
+    "siglent": "Siglent Technologies,SDG1032X,SDG1X000001,1.01.01.33R1B10",
+    "keysight": "Agilent Technologies,33220A,MY44000001,2.02-2.02-22-2",
+}
+
+
+@MAKERS
+def test_another_model_of_the_same_language_is_switched_off_and_refused(stands, maker):
+    stand = stands(maker, identity=OTHER_MODEL[maker])
+    stand.device.turn_knob(SWITCH_ON[maker])
+    with pytest.raises(InstrumentError, match=r"says that it is.*correct instruments\.gen"):
+        stand.open()
+    assert not stand.device.socket[2]
+
+
+@MAKERS
+def test_who_does_not_say_what_it_is_is_switched_off(stands, maker):
+    stand = stands(maker)
+    stand.device.turn_knob(SWITCH_ON[maker])
+    stand.wire.spoil(WireFaults(lose_answer_at=range(1, 100)))
+    with pytest.raises(InstrumentError, match="did not answer"):
+        stand.open({"timeout_s": 0.03})
+    assert not stand.device.socket[2]
+
+
+@MAKERS
+def test_opening_that_fails_half_way_leaves_the_output_off(stands, maker, monkeypatch):
+    stand = stands(maker, has_reference=False)
+    receive = stand.device.receive
+
+    def meddled_with(data):
+        answer = receive(data)
+        if b"ROSC" in data:
+            stand.device.turn_knob(SWITCH_ON[maker])
+        return answer
+
+    monkeypatch.setattr(stand.device, "receive", meddled_with)
+    with pytest.raises(InstrumentError, match=r"ROSC|reference"):
+        stand.open()
+    assert not stand.device.socket[2]
 
 
 @MAKERS
@@ -217,6 +262,43 @@ def test_a_ramp_takes_its_time_in_small_equal_steps(stands, maker, start_v):
 
 
 @MAKERS
+def test_a_ramp_to_0_v_asks_nothing_on_its_way(stands, maker):
+    stand = stands(maker)
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, 8.0)
+    del stand.wire.heard[:]
+    generator.ramp_to(0.0, 0.1)
+    steps = [line.rpartition(" ")[2].rpartition(",")[2] for line in stand.wire.heard]
+    asked = [number for number, line in enumerate(stand.wire.heard) if "?" in line]
+    assert min(asked) >= 10
+    volts = [float(step) * GAIN / 2 for step in steps[: min(asked)]]
+    assert volts[0] == pytest.approx(8.0 * 19 / 20, abs=0.01), "from where it was"
+    assert volts == sorted(volts, reverse=True)
+    assert volts[-1] == pytest.approx(LEAST_V)
+    assert generator.read() == (DRIVE_HZ, LEAST_V, True)
+
+
+@MAKERS
+def test_a_ramp_to_0_v_takes_at_least_50_ms(stands, maker):
+    stand = stands(maker)
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, 8.0)
+    start_s = stand.clock.now_s()
+    generator.ramp_to(0.0, 0.0)
+    assert stand.clock.now_s() - start_s >= 0.05
+
+
+@MAKERS
+def test_a_ramp_to_0_v_that_does_not_get_there_is_an_error(stands, maker):
+    stand = stands(maker)
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, 8.0)
+    stand.wire.spoil(WireFaults(lose_command_at=(20,)))
+    with pytest.raises(InstrumentError, match=r"was told to play .* but says"):
+        generator.ramp_to(0.0, 0.1)
+
+
+@MAKERS
 def test_a_ramp_on_an_output_that_is_off(stands, maker):
     stand = stands(maker)
     generator = stand.open()
@@ -271,12 +353,30 @@ def test_an_output_that_tripped_is_an_error_and_is_not_switched_on_again(stands,
     with pytest.raises(InstrumentError, match="its output is off, but was switched on; look for"):
         generator.set_sine(DRIVE_HZ, 2.0)
     assert stand.device.socket == (DRIVE_HZ, 0.5, False)
-    generator.ramp_to(0.0, 0.1)
-    generator.set_sine(DRIVE_HZ, 2.0)
-    assert generator.read() == (DRIVE_HZ, 2.0, True)
     stand.device.trip()
     with pytest.raises(InstrumentError, match="output is off"):
         generator.ramp_to(1.0, 0.1)
+    generator.output_off()
+    generator.set_sine(DRIVE_HZ, 2.0)
+    assert generator.read() == (DRIVE_HZ, 2.0, True)
+
+
+@MAKERS
+def test_a_ramp_to_0_v_does_not_make_it_forget_that_an_output_tripped(stands, maker):
+    stand = stands(maker)
+    generator = stand.open()
+    generator.set_sine(DRIVE_HZ, 1.0)
+    stand.device.trip()
+    generator.ramp_to(0.0, 0.1)
+    for _ in range(2):
+        with pytest.raises(InstrumentError, match="its output is off, but was switched on"):
+            generator.set_sine(DRIVE_HZ, 2.0)
+        with pytest.raises(InstrumentError, match="its output is off, but was switched on"):
+            generator.ramp_to(2.0, 0.1)
+    assert not stand.device.socket[2]
+    generator.output_off()
+    generator.set_sine(DRIVE_HZ, 2.0)
+    assert stand.device.socket == (DRIVE_HZ, 1.0, True)
 
 
 @MAKERS
@@ -460,6 +560,127 @@ def test_switching_off_is_told_again_if_it_was_not_heard(stands, maker):
     generator.set_sine(DRIVE_HZ, 1.0)
     stand.wire.spoil(WireFaults(lose_command_at=(1,)))
     generator.output_off()
+    assert not stand.device.socket[2]
+
+
+NEVER = WireFaults(lose_answer_at=range(1, 1000))
+SLOW = WireFaults(slow_s=1.0)
+AMID_A_QUESTION = {"siglent": "C1:OUTP?", "keysight": "SYST:ERR?"}
+
+
+@pytest.fixture
+def playing(stands):
+    """Return a function that opens a generator on a socket, in real time, and plays 8 V."""
+
+    def make(maker, timeout_s=2.0):
+        stand = stands(maker, "socket", WallClock())
+        generator = stand.open({"timeout_s": timeout_s})
+        generator.set_sine(DRIVE_HZ, 8.0)
+        del stand.changes[:]
+        return stand, generator
+
+    return make
+
+
+def interrupt_amid(stand, generator, question):
+    """Press Ctrl-C while an answer is awaited."""
+    line = generator._line  # noqa: SLF001  # the moment between a question and its answer
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(line, "_read", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            line.ask(question)
+
+
+def times_to_off(stand, generator):
+    """Switch off as a run does; return how long the volts, the output and the calls took."""
+    called_s, seen = time.monotonic(), {}
+
+    def watch():
+        while not {"ramped", "off"} <= set(seen) and time.monotonic() < called_s + 8:
+            _, volts, on = stand.device.socket
+            if volts * GAIN == pytest.approx(LEAST_V):
+                seen.setdefault("ramped", time.monotonic() - called_s)
+            if not on:
+                seen.setdefault("off", time.monotonic() - called_s)
+            time.sleep(0.002)
+
+    watching = threading.Thread(target=watch)
+    watching.start()
+    errors = []
+    for switch in (lambda: generator.ramp_to(0.0, 0.1), generator.output_off):
+        try:
+            switch()
+        except InstrumentError as error:
+            errors.append(str(error))
+    seen["returned"] = time.monotonic() - called_s
+    watching.join()
+    return seen, errors
+
+
+def ramp_of(stand):
+    """Volts at the load while the output was on."""
+    return [volts * GAIN for _, volts, on in stand.changes if on]
+
+
+@MAKERS
+@pytest.mark.parametrize("amid", [False, True], ids=["in step", "amid a question"])
+@pytest.mark.parametrize("faults", [WireFaults(), SLOW], ids=["prompt", "slow"])
+def test_switching_off_does_not_wait_for_answers(playing, maker, faults, amid):
+    stand, generator = playing(maker)
+    stand.server.spoil(faults)
+    if amid:
+        interrupt_amid(stand, generator, AMID_A_QUESTION[maker])
+    seen, errors = times_to_off(stand, generator)
+    assert seen["off"] < 1.0
+    assert 0.05 < seen["ramped"] < seen["off"] + 0.01
+    assert len(ramp_of(stand)) >= 10
+    assert errors == [], "what is slow is not missing"
+    assert seen["returned"] < (1.0 if faults == WireFaults() else 6.0)
+
+
+@MAKERS
+@pytest.mark.parametrize("amid", [False, True], ids=["in step", "amid a question"])
+def test_switching_off_happens_though_no_answer_comes(playing, maker, amid):
+    stand, generator = playing(maker, timeout_s=0.6)
+    stand.server.spoil(NEVER)
+    if amid:
+        interrupt_amid(stand, generator, AMID_A_QUESTION[maker])
+    seen, errors = times_to_off(stand, generator)
+    assert seen["off"] < 1.0
+    assert len(ramp_of(stand)) >= 10
+    assert len(errors) == 1
+    assert "not confirmed" in errors[0]
+    assert "pull the loudspeaker's cable" in errors[0]
+    assert "\n" not in errors[0]
+    # The end of the ramp, and twice three questions at most.
+    assert seen["returned"] < 0.5 + 0.4 + 3 * 0.6 + 0.5
+
+
+@MAKERS
+def test_switching_off_is_told_twice_though_no_answer_comes(stands, maker):
+    stand = stands(maker, "socket")
+    generator = stand.open({"timeout_s": 0.1})
+    generator.set_sine(DRIVE_HZ, 1.0)
+    # The first command that it hears gets lost.
+    stand.server.spoil(WireFaults(lose_answer_at=range(1, 1000), lose_command_at=(1,)))
+    with pytest.raises(InstrumentError, match="asked twice"):
+        generator.output_off()
+    assert not stand.device.socket[2]
+
+
+@MAKERS
+def test_closing_does_not_wait_long_for_a_generator_that_answers_no_more(stands, maker):
+    stand = stands(maker, "socket")
+    generator = stand.open({"timeout_s": 30.0})
+    generator.set_sine(DRIVE_HZ, 1.0)
+    stand.server.spoil(NEVER)
+    started_s = time.monotonic()
+    generator.close()
+    assert time.monotonic() - started_s < 1.5
     assert not stand.device.socket[2]
 
 

@@ -2,8 +2,13 @@
 
 import errno
 import gc
+import os
+import select
+import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 import warnings
 from contextlib import contextmanager
@@ -12,13 +17,13 @@ import pytest
 import usb.core
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from pyvisa_py.tcpip import Vxi11CoreClient
+from pyvisa_py.tcpip import TCPIPSocketSession
 from usb.backend import libusb0, libusb1, openusb
 
 from drivers.errors import BenchSetupError, InstrumentError
 from drivers.simulated.wire import serving
 from drivers.simulated.wire.serving import FaultyWire, PtyServer, SocketServer, WireFaults
-from drivers.visa import open_visa
+from drivers.visa import LateError, open_visa
 from tests.drivers.usbtmc_bus import UsbtmcInstrument, plugged_in
 from tests.drivers.vxi11_server import Vxi11Server
 
@@ -58,22 +63,28 @@ class Talker:
 @contextmanager
 def on_socket(device, faults):
     server = SocketServer(device, faults)
-    yield f"TCPIP::127.0.0.1::{server.port}::SOCKET"
-    server.close()
+    try:
+        yield f"TCPIP::127.0.0.1::{server.port}::SOCKET"
+    finally:
+        server.close()
 
 
 @contextmanager
 def on_serial(device, faults):
     server = PtyServer(device, faults)
-    yield f"ASRL{server.port}::INSTR"
-    server.close()
+    try:
+        yield f"ASRL{server.port}::INSTR"
+    finally:
+        server.close()
 
 
 @contextmanager
 def on_vxi11(device, faults):
     server = Vxi11Server(FaultyWire(device, faults))
-    yield f"TCPIP::127.0.0.1,{server.port}::inst0::INSTR"
-    server.close()
+    try:
+        yield f"TCPIP::127.0.0.1,{server.port}::inst0::INSTR"
+    finally:
+        server.close()
 
 
 @contextmanager
@@ -182,13 +193,13 @@ def test_a_late_and_garbled_identity_is_not_taken_for_another_answer():
 def test_who_is_interrupted_between_question_and_answer_leaves_the_line_out_of_step(monkeypatch):
     with talking("socket") as line:
         with monkeypatch.context() as patch:
-            patch.setattr("pyvisa.resources.TCPIPSocket.read_raw", _interrupted)
+            patch.setattr(TCPIPSocketSession, "read", _interrupted)
             with pytest.raises(KeyboardInterrupt):
                 line.ask("SAY? one")
         assert line.ask("SAY? two") == "two"
 
 
-def _interrupted(_):
+def _interrupted(*_):
     raise KeyboardInterrupt
 
 
@@ -204,6 +215,111 @@ def test_bytes_beyond_ascii_are_no_answer():
 
     with talking("socket", device=Noisy()) as line:
         assert line.ask("SAY? 1") == "1"
+
+
+STARVED_S = 2.5 * TIMEOUT_S
+
+
+def test_an_answer_that_came_while_this_process_was_stopped_is_no_missing_one(monkeypatch):
+    """A select that found nothing, and then no time until the timeout was over."""
+
+    def starved(*arguments):
+        # Only once: the answer arrives while this process stands still.
+        monkeypatch.setattr("pyvisa_py.tcpip.select.select", right)
+        time.sleep(STARVED_S)
+        return [], [], []
+
+    right, device = select.select, Talker()
+    with talking("socket", device=device) as line:
+        heard = []
+        monkeypatch.setattr(device, "answer", lambda text: heard.append(text) or b"1\n")
+        monkeypatch.setattr(line, "send", _then(line.send, monkeypatch, starved))
+        assert line.ask("SAY? 1") == "1"
+    assert heard == [b"SAY? 1"], "asked once, without a drain"
+
+
+def _then(send, monkeypatch, starved):
+    """Let the next wait for an answer be a starved one."""
+
+    def sent(text):
+        send(text)
+        monkeypatch.setattr("pyvisa_py.tcpip.select.select", starved)
+
+    return sent
+
+
+SLOWLY_ASKED = """
+import sys
+from drivers.visa import open_visa
+line = open_visa(sys.argv[1], float(sys.argv[2]), "a talker")
+print("ready", flush=True)
+print(line.ask("SAY? whole"), flush=True)
+"""
+
+
+def test_a_process_that_is_stopped_amid_an_answer_hears_all_of_it():
+    class Halting(Talker):
+        """Stops who asks in the middle of an answer, for longer than the timeout."""
+
+        def answer(self, line):
+            if line != b"SAY? whole":
+                return super().answer(line)
+            self.told.append(line)
+            threading.Thread(target=self.halve).start()
+            return b"who"
+
+        def halve(self):
+            time.sleep(0.1)
+            asking.send_signal(signal.SIGSTOP)
+            os.write(server._master, b"le\n")  # noqa: SLF001  # the rest of a line, while nobody runs
+            time.sleep(0.8)
+            asking.send_signal(signal.SIGCONT)
+
+    device = Halting()
+    server = PtyServer(device)
+    command = [sys.executable, "-c", SLOWLY_ASKED, f"ASRL{server.port}::INSTR", "0.5"]
+    asking = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    said, _ = asking.communicate(timeout=20)
+    server.close()
+    assert said.split() == ["ready", "whole"]
+    assert device.told == [b"SAY? whole"]
+
+
+def test_within_a_time_no_answer_is_waited_for_any_longer():
+    with talking("socket", WireFaults(lose_answer_at=range(3, 100)), timeout_s=2.0) as line:
+        started_s = time.monotonic()
+        with pytest.raises(LateError, match=r"raise options\.timeout_s"), line.within(0.2):
+            line.ask("SAY? 1")
+        assert 0.15 < time.monotonic() - started_s < 0.6
+        with pytest.raises(LateError), line.within(0.0):
+            line.ask("SAY? 1")
+
+
+def test_what_is_late_within_a_time_is_not_taken_for_another_answer():
+    with talking("socket", WireFaults(late_answer_at=(3,), late_s=0.2), timeout_s=2.0) as line:
+        with pytest.raises(LateError), line.within(0.05):
+            line.ask("SAY? 1")
+        assert line.ask("SAY? 2") == "2"
+
+
+def test_a_missing_answer_names_the_timeout_beside_the_cable(kind):
+    faults = WireFaults(lose_answer_at=range(3, 100))
+    with (
+        talking(kind, faults) as line,
+        pytest.raises(InstrumentError, match=r"cable.*options\.timeout_s"),
+    ):
+        line.ask("SAY? 1")
+
+
+def test_who_does_not_say_what_it_is_is_made_safe_all_the_same(kind):
+    device = Talker()
+    with KINDS[kind](device, WireFaults(lose_answer_at=range(1, 100))) as resource:
+        with pytest.raises(InstrumentError, match="did not answer"):
+            open_visa(resource, TIMEOUT_S, DEVICE, make_safe=("OUTP OFF", "RF OFF"))
+        until_s = time.monotonic() + 2
+        while len(device.told) < 2 and time.monotonic() < until_s:
+            time.sleep(0.01)
+    assert device.told == [b"OUTP OFF", b"RF OFF"]
 
 
 def test_what_was_said_unasked_is_thrown_away():
@@ -248,9 +364,7 @@ def test_no_answer_is_ever_that_of_another_question(lost, late, timeouts):
             assert answer == str(number)
 
 
-def test_a_pulled_plug_is_an_error_that_says_what_to_check(kind, monkeypatch):
-    # Over VXI-11, pyvisa-py waits 5 s for an instrument that is gone to say goodbye.
-    monkeypatch.setattr(Vxi11CoreClient, "destroy_link", lambda client, link: None)
+def test_a_pulled_plug_is_an_error_that_says_what_to_check(kind):
     with talking(kind, WireFaults(unplug_at=4)) as line:
         assert line.ask("SAY? 0") == "0"
         with pytest.raises(InstrumentError) as caught:
@@ -259,8 +373,11 @@ def test_a_pulled_plug_is_an_error_that_says_what_to_check(kind, monkeypatch):
         assert message.startswith(f"{DEVICE} at ")
         assert "; check that it is on" in message
         assert "\n" not in message
+        started_s = time.monotonic()
         line.close()
         line.close()
+    # pyvisa-py would wait 5 s for an instrument that is gone to say goodbye.
+    assert time.monotonic() - started_s < 1
 
 
 def test_a_command_to_an_instrument_that_left_the_bus_is_an_error():
@@ -311,29 +428,49 @@ def test_who_never_says_the_same_of_itself_is_refused():
 # --- Names and libraries -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("resource", "said"),
-    [
-        ("ASRL/dev/nowhere::INSTR", "the name of the port"),
-        ("TCPIP::no.host.invalid::5025::SOCKET", "network cable"),
-    ],
-)
-def test_an_instrument_that_is_not_there_is_named_with_what_to_check(resource, said):
-    # pyvisa-py leaves the socket of a host without a name to the garbage collector.
+UNKNOWN = "no host of the name 'no-such-host'"
+NOT_THERE = [
+    ("ASRL/dev/nowhere::INSTR", None, "the name of the port"),
+    ("TCPIP::no-such-host::5025::SOCKET", socket.EAI_NONAME, UNKNOWN),
+    ("TCPIP::no-such-host::INSTR", socket.EAI_NONAME, UNKNOWN),
+    ("TCPIP::no-such-host,7::inst0::INSTR", socket.EAI_NONAME, UNKNOWN),
+    ("TCPIP::a..b::5025::SOCKET", None, r"no host of the name 'a\.\.b'"),
+    ("TCPIP::a-host::5025::SOCKET", socket.EAI_AGAIN, "name service does not answer"),
+]
+
+
+@pytest.mark.parametrize(("resource", "number", "said"), NOT_THERE)
+def test_an_instrument_that_is_not_there_is_named_with_what_to_check(
+    monkeypatch, resource, number, said
+):
+    if number is not None:
+        monkeypatch.setattr(socket, "getaddrinfo", _unanswered(number))
+    with pytest.raises(InstrumentError, match=said) as caught:
+        open_visa(resource, TIMEOUT_S, DEVICE)
+    assert str(caught.value).startswith(f"{DEVICE} at {resource}: ")
+    assert "\n" not in str(caught.value)
+    assert not isinstance(caught.value, BenchSetupError)
+    assert ("cable" in str(caught.value)) == resource.startswith("ASRL")
+
+
+def _unanswered(number):
+    def look_up(*_):
+        raise socket.gaierror(number, "what the name service says")
+
+    return look_up
+
+
+@pytest.mark.parametrize("kind", ["socket", "vxi11"])
+def test_a_port_where_nobody_listens_is_said_to_refuse(kind):
+    with KINDS[kind](Talker(), WireFaults()) as resource:
+        pass
+    # pyvisa-py leaves the socket of a failed VXI-11 connection to the garbage collector.
     with warnings.catch_warnings(action="ignore", category=ResourceWarning):
-        with pytest.raises(InstrumentError, match=said) as caught:
+        with pytest.raises(InstrumentError, match="host refuses the connection") as caught:
             open_visa(resource, TIMEOUT_S, DEVICE)
-        assert str(caught.value).startswith(f"{DEVICE} at {resource}: ")
-        assert not isinstance(caught.value, BenchSetupError)
+        assert "cable" not in str(caught.value)
         del caught
         gc.collect()
-
-
-def test_a_port_where_nobody_listens_is_named():
-    with on_socket(Talker(), None) as resource:
-        pass
-    with pytest.raises(InstrumentError, match="network cable"):
-        open_visa(resource, TIMEOUT_S, DEVICE)
 
 
 def test_an_empty_bus_is_named():

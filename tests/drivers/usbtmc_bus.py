@@ -20,7 +20,7 @@ import usb.backend.libusb1
 import usb.core
 import usb.util
 
-from drivers.simulated.wire.serving import UnpluggedError
+from drivers.simulated.wire.serving import UnpluggedError, interrupt, unterminated
 
 CONFIGURATION, INTERFACE = 1, 0
 BULK_OUT, BULK_IN = 0x01, 0x82
@@ -71,6 +71,8 @@ class UsbtmcInstrument:
         self._owes_short_packet = False
         if kind == REQUEST_IN:
             self._request = (tag, size)
+            if not self._answers:
+                unterminated(self.device)
             return
         assert kind == MESSAGE_OUT
         assert 0 <= len(data) - 12 - size < 4
@@ -79,6 +81,8 @@ class UsbtmcInstrument:
             command, self._command = self._command.rstrip(b"\n") + b"\n", b""
             # A question that is asked before the last was read takes that answer's place (IEEE
             # 488.2, "interrupted").
+            if self._answers:
+                interrupt(self.device)
             self._answers = self.device.receive(command)
 
     def read_bulk(self):

@@ -5,7 +5,7 @@ import struct
 import threading
 import time
 
-from drivers.simulated.wire.serving import UnpluggedError
+from drivers.simulated.wire.serving import UnpluggedError, interrupt, unterminated
 
 CORE_PROGRAM, CORE_VERSION = 0x0607AF, 1
 PORT_MAPPER, GET_PORT = 100_000, 3
@@ -76,12 +76,15 @@ class Vxi11Server:
         self._command += arguments[20 : 20 + size]
         if flags & END_FLAG:
             command, self._command = self._command.rstrip(b"\n") + b"\n", b""
+            if self._answers:
+                interrupt(self._device)
             self._answers = self._device.receive(command)
         return struct.pack(">iI", NO_ERROR, size)
 
     def _read(self, arguments):
         count, timeout_ms = struct.unpack_from(">II", arguments, 4)
         if not self._answers:
+            unterminated(self._device)
             time.sleep(timeout_ms / 1000)
             return struct.pack(">iiI", TIMED_OUT, 0, 0)
         data, self._answers = self._answers[:count], self._answers[count:]

@@ -10,6 +10,7 @@ from fractions import Fraction
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.context import BenchContext
 from drivers.description import (
@@ -30,6 +31,8 @@ _USB_S: Final = 0.005
 _RELAY_S: Final = 0.1
 _RAMP_STEPS: Final = 20
 _BUFFER_S: Final = 1.0
+# Light of a frame that blinks; see `drivers.simulated.twin.Faults`.
+_BLINK: Final = 0.9
 
 
 class SimulatedSynthesizers:
@@ -39,7 +42,11 @@ class SimulatedSynthesizers:
     ----------
     lab : SimulatedLab
         The room that it stands in.
+    echoes_registers : bool
+        False: what it says is what the laboratory's modulators get.
     """
+
+    echoes_registers = False
 
     def __init__(self, entry: SynthesizersDescription, context: BenchContext) -> None:
         _require_no_options("synthesizers", entry)
@@ -253,10 +260,10 @@ class SimulatedCamera:
         exposure_s = float(self._exposure_s)
         exposures = [(start_s, start_s + exposure_s) for start_s in starts_s]
         # Rendered while they are exposed, so that at a real pace they come when they are over.
-        settings, images = self.lab.state, self.lab.expose(exposures)
+        settings, images = self.lab.state, self._exposed(exposures)
         self.lab.clock.wait(exposures[-1][1] - self.lab.clock.now_s())
         if self.lab.state is not settings:
-            images = self.lab.expose(exposures)
+            images = self._exposed(exposures)
         self._next_id = ids[-1] + 1
         if self._acquisitions == faults.clock_jump_at:
             self._clock_offset_s += faults.clock_jump_s
@@ -271,6 +278,24 @@ class SimulatedCamera:
     def close(self) -> None:
         """Stop."""
         self.stop()
+
+    def _exposed(self, exposures_s: list[tuple[float, float]]) -> list[NDArray[np.uint16]]:
+        """Images of an acquisition, if something is to go wrong with its light."""
+        faults, now = self.lab.faults, self._acquisitions
+        if now in faults.advance_frames_at and self._rate_hz is not None:
+            period_s = float(1 / self._rate_hz)
+            late_s = [(start_s + period_s, end_s + period_s) for start_s, end_s in exposures_s[2:]]
+            exposures_s = [*exposures_s[:2], *late_s]
+        images = self.lab.expose(
+            exposures_s,
+            dark=2 if now in faults.dark_frame_at else None,
+            sagging_from=2 if now in faults.sag_at else None,
+        )
+        if now in faults.blink_at:
+            offset_dn = self.lab.sensor.offset_dn
+            dimmed = offset_dn + _BLINK * (images[2] - offset_dn)
+            images[2] = np.clip(np.rint(dimmed), 0, None).astype(np.uint16)
+        return images
 
     def _spoilt(self, frames: list[Frame]) -> list[Frame]:
         """Frames as they come, if something is to go wrong with the third one."""

@@ -84,6 +84,7 @@ class SimulatedLab:
         self._reed = _reed_on(context, twin)
         self._light: Light = twin.light
         self._rng = context.rng
+        self._clampings = 0
         self._model: BenchModel | None = None
         # When each frame that was delivered really began, by its number and time stamp: what a
         # camera says of its time may be wrong.
@@ -110,6 +111,8 @@ class SimulatedLab:
 
     def change(self, **settings: Any) -> None:
         """Change fields of `BenchState` now, all at the same moment."""
+        if self.faults.modulators_exchanged and "difference_hz" in settings:
+            settings["difference_hz"] = -settings["difference_hz"]
         # Devices at the far end of a wire change theirs on threads of their own.
         with self._changing:
             self._times_s.append(self.clock.now_s())
@@ -132,12 +135,25 @@ class SimulatedLab:
         if self._model is None or shape != self._settings.sensor.shape:
             sensor = replace(self._settings.sensor, shape=shape)
             self._settings = replace(self._settings, sensor=sensor)
-            self._model = BenchModel(self._settings, self._reed, self._rng)
+            self._model = BenchModel(self._settings, self._reed, self._speckle_rng())
 
-    def expose(self, exposures_s: Sequence[tuple[float, float]]) -> list[NDArray[np.uint16]]:
+    def expose(
+        self,
+        exposures_s: Sequence[tuple[float, float]],
+        dark: int | None = None,
+        sagging_from: int | None = None,
+    ) -> list[NDArray[np.uint16]]:
         """Read out exposures of one acquisition, each from a start to an end.
 
         The sensor is that which was prepared.
+
+        Parameters
+        ----------
+        exposures_s : sequence of (float, float)
+        dark : int, optional
+            Number of an exposure that gets no light.
+        sagging_from : int, optional
+            Number of the exposure from which on the loudspeaker has half its volts.
 
         Raises
         ------
@@ -147,10 +163,24 @@ class SimulatedLab:
         if self._model is None:
             raise ValueError("the simulated laboratory has no sensor; call prepare_sensor first")
         gain = self._object_gain()
-        return [
-            self._model.frame(self.segments(*times), self._rng, gain, self._scene)
-            for times in exposures_s
-        ]
+        images = []
+        for number, times_s in enumerate(exposures_s):
+            segments = self.segments(*times_s)
+            if sagging_from is not None and number >= sagging_from:
+                segments = [_with_half_the_volts(segment) for segment in segments]
+            scene = _SCENES[Arrangement.DARK] if number == dark else self._scene
+            turned = gain * self._path(number)
+            images.append(self._model.frame(segments, self._rng, turned, scene))
+        return images
+
+    def _path(self, number: int) -> complex:
+        """Turn of the object light in a frame of an acquisition."""
+        light = self._light
+        # What does not jitter draws nothing: the noise is then that of a bench without jitter.
+        turn_rad = light.path_drift_rad * number
+        if light.path_jitter_rad:
+            turn_rad += light.path_jitter_rad * self._rng.standard_normal()
+        return cmath.rect(1.0, turn_rad)
 
     def arrange(self, arrangement: Arrangement) -> None:
         """Open and close shutters, and light the lamp; see `Surroundings`."""
@@ -159,6 +189,18 @@ class SimulatedLab:
     def clamp_anew(self) -> None:
         """Put the reed back with another speckle: light no longer falls as it did."""
         self._model = None
+        self._clampings += 1
+
+    def _speckle_rng(self) -> np.random.Generator:
+        """Chance that decides the speckle of this clamping, whatever was measured before it.
+
+        So a campaign that another process goes on with finds the speckle that it had.
+        """
+        source = self._rng.bit_generator.seed_seq
+        if not self._clampings or not isinstance(source, np.random.SeedSequence):
+            return self._rng
+        own = np.random.SeedSequence(source.entropy, spawn_key=(self._clampings,))
+        return np.random.default_rng(own)
 
     def _object_gain(self) -> complex:
         """Amplitude of the object's light over the nominal, another for each acquisition."""
@@ -169,6 +211,10 @@ class SimulatedLab:
         if light.phase_scatter:
             phase = self._rng.uniform(0.0, 2 * math.pi)
         return cmath.rect(size, phase)
+
+
+def _with_half_the_volts(segment: Segment) -> Segment:
+    return replace(segment, state=replace(segment.state, drive_v=0.5 * segment.state.drive_v))
 
 
 def _reed_on(context: BenchContext, twin: Twin) -> ReducedReed | WholeReed:

@@ -12,6 +12,7 @@ from drivers.description import BenchDescription, CameraDescription
 from drivers.errors import BenchSetupError
 from drivers.options import Options, read_options
 from drivers.roles import Preparation
+from drivers.simulated.wire.faults import GeneratorFaults, SynthesizerFaults
 from drivers.simulated.wire.serving import WireFaults
 from physics.air import Filling, chamber_of
 from physics.bench import PressureDistortion, TwinSettings
@@ -147,12 +148,17 @@ class Light(Options):
         to the next: power of the laser, efficiency of the modulators.
     phase_scatter : bool
         Whether every acquisition has a phase of the object light of its own, as paths drift.
+    path_drift_rad, path_jitter_rad : float
+        By how much the optical path turns the object light from each frame to the next, and
+        standard deviation of a further turn of each frame, at random.
     """
 
     local_oscillator_e_s: Annotated[float, Field(gt=0)] = _NOMINAL.illumination.local_oscillator_e_s
     object_e_s: Annotated[float, Field(gt=0)] = _NOMINAL.illumination.object_e_s
     gain_scatter: Annotated[float, Field(ge=0, lt=1)] = 0.0
     phase_scatter: bool = False
+    path_drift_rad: Annotated[float, Field(ge=-3, le=3)] = 0.0
+    path_jitter_rad: Annotated[float, Field(ge=0, le=3)] = 0.0
 
 
 class Faults(Options):
@@ -171,6 +177,11 @@ class Faults(Options):
     duplicate_frame_at, reorder_frames_at, partial_frame_at, late_frame_at : tuple of int
         Acquisitions whose third frame is the second once more; comes before the second; ends in
         rows of the second; begins most of a period late.
+    dark_frame_at, blink_at, advance_frames_at, sag_at : tuple of int
+        Acquisitions whose third frame is dark; has 90 % of its light; shows, like the fourth, what
+        came one period later; is the first of two during which the loudspeaker has half its volts.
+    modulators_exchanged : bool
+        Each synthesizer feeds the other's modulator.
     no_frame_from : int or None
         From this acquisition on no frame comes: the trigger's cable is out.
     clock_jump_at : int or None
@@ -179,6 +190,9 @@ class Faults(Options):
         The camera is this much faster than it was told.
     synthesizers_wire, generator_wire : WireFaults
         What goes wrong on the wires of a bench whose instruments have some.
+    synthesizers_device : SynthesizerFaults
+    generator_device : GeneratorFaults
+        What is wrong with the instruments at the far ends of these wires.
     """
 
     tweeter_unplugged: bool = False
@@ -189,12 +203,19 @@ class Faults(Options):
     reorder_frames_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
     partial_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
     late_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
+    dark_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
+    blink_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
+    advance_frames_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
+    sag_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
+    modulators_exchanged: bool = False
     no_frame_from: int | None = None
     clock_jump_at: int | None = None
     clock_jump_s: Annotated[float, Field(ge=-3600, le=3600)] = 0.5
     frame_rate_error_ppm: Annotated[float, Field(ge=-1e5, le=1e5)] = 0.0
     synthesizers_wire: WireFaults = WireFaults()
     generator_wire: WireFaults = WireFaults()
+    synthesizers_device: SynthesizerFaults = SynthesizerFaults()
+    generator_device: GeneratorFaults = GeneratorFaults()
 
 
 class Twin(Options):

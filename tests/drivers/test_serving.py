@@ -2,6 +2,7 @@
 
 import socket
 import time
+from contextlib import suppress
 
 import pytest
 import serial
@@ -37,6 +38,7 @@ def serve():
 
     def make(kind, faults=None):
         servers.append(kind(Shouting(), faults))
+        servers[-1].device = servers[-1]._device  # noqa: SLF001  # what it has heard
         return servers[-1]
 
     yield make
@@ -101,6 +103,42 @@ def test_a_late_answer_comes_when_nobody_waits(serve, kind, ask):
     assert 0.44 < time.monotonic() - started_s < 2
 
 
+@WIRES
+def test_slow_answers_keep_their_order_and_do_not_keep_the_device_from_hearing(serve, kind, ask):
+    server = serve(kind, WireFaults(slow_s=0.25, slow_from=2))
+    started_s = time.monotonic()
+    assert ask(server, b"a\n", b"b\n", b"c\n") == [b"A\n", b"B\n", b"C\n"]
+    assert 0.5 < time.monotonic() - started_s < 1.0
+    server.spoil(WireFaults(slow_s=5.0))
+    assert ask(server, b"d\n", b"e\n") == [b"", b""]
+    assert server.device.heard.endswith(b"d\ne\n")
+
+
+class Forgetting(Shouting):
+    """Throws an answer away that was not read before the next question."""
+
+    interrupted = 0
+
+    def interrupt(self):
+        self.interrupted += 1
+
+
+def test_a_device_that_heeds_ieee_488_2_loses_an_answer_that_was_not_read():
+    device = Forgetting()
+    server = SocketServer(device, WireFaults(late_answer_at=(1,), late_s=0.3))
+    assert ask_socket(server, b"") == [b""]
+    with socket.create_connection(("127.0.0.1", server.port)) as line:
+        line.settimeout(0.5)
+        line.sendall(b"one\n")
+        time.sleep(0.1)
+        line.sendall(b"two\n")
+        assert line.recv(100) == b"TWO\n"
+        line.sendall(b"three\n")
+        assert line.recv(100) == b"THREE\n"
+    server.close()
+    assert device.interrupted == 1
+
+
 def read_until_it_is_gone(line):
     for _ in range(20):
         line.readline()
@@ -129,6 +167,26 @@ def test_an_unplugged_socket_hangs_up_and_listens_no_more(serve):
     assert ask_socket(server, b"a\n") == [b""]
     with pytest.raises(ConnectionError):
         connect_until_nobody_listens(server.port)
+
+
+@WIRES
+def test_a_wire_that_is_plugged_in_again_leads_to_the_same_device(serve, kind, ask):
+    server = serve(kind, WireFaults(unplug_at=2, replug_after_s=0.2))
+    with suppress(OSError):
+        ask(server, b"a\n", b"b\n")
+    time.sleep(0.4)
+    assert ask(server, b"c\n", b"d\n") == [b"C\n", b"D\n"]
+    assert server.device.heard == b"a\nb\nc\nd\n"
+
+
+@WIRES
+def test_a_wire_that_is_never_plugged_in_again_stays_dead(serve, kind, ask):
+    server = serve(kind, WireFaults(unplug_at=1))
+    with suppress(OSError):
+        ask(server, b"a\n")
+    time.sleep(0.1)
+    with pytest.raises(OSError, match=r"."):
+        ask(server, b"c\n")
 
 
 @given(st.binary(min_size=1, max_size=40))

@@ -8,6 +8,7 @@ import importlib.util
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 from drivers.context import BenchContext
@@ -48,6 +49,80 @@ class _Generator:
     output: OutputDescription | None
 
 
+class NovatechFarEnd:
+    """A simulated Novatech at the far end of a pseudo-terminal; ``context.share(NovatechFarEnd)``.
+
+    It outlives the driver: closing the driver hangs up, and opening another finds the same box.
+
+    Parameters
+    ----------
+    context : BenchContext
+
+    Attributes
+    ----------
+    lab : SimulatedLab
+        The room that the simulated box stands in.
+    device : NovatechDevice
+    server : PtyServer
+    """
+
+    def __init__(self, context: BenchContext) -> None:
+        self.lab = context.share(SimulatedLab)
+        faults = self.lab.faults
+        self.device = NovatechDevice(partial(_follow_pair, self.lab), faults.synthesizers_device)
+        self.server = PtyServer(self.device, faults.synthesizers_wire)
+
+    def close(self) -> None:
+        """Take the box away. May be called twice."""
+        self.server.close()
+
+
+# Functions of the laboratory, not methods: an instrument that its own far end holds would stay in
+# memory, and its laboratory with it, until Python looks for circles.
+def _follow_pair(lab: SimulatedLab, outputs: tuple[Output, ...]) -> None:
+    aom1, aom2 = outputs[:2]
+    lab.change(
+        difference_hz=aom1.frequency_hz - aom2.frequency_hz,
+        rf_on=min(aom1.amplitude, aom2.amplitude) > 0,
+    )
+
+
+def _follow_sine(
+    lab: SimulatedLab, volts_per_volt: float, frequency_hz: Fraction, socket_v: float, is_on: bool
+) -> None:
+    lab.change(drive_hz=frequency_hz, drive_v=socket_v * volts_per_volt if is_on else 0.0)
+
+
+class SiglentFarEnd:
+    """A simulated Siglent at the far end of a socket; ``context.share(SiglentFarEnd)``.
+
+    It outlives the driver: closing the driver hangs up, and opening another finds the same
+    generator.
+
+    Parameters
+    ----------
+    context : BenchContext
+
+    Attributes
+    ----------
+    lab : SimulatedLab
+        The room that the simulated generator stands in.
+    device : SiglentDevice
+    server : SocketServer
+    """
+
+    def __init__(self, context: BenchContext) -> None:
+        self.lab = context.share(SimulatedLab)
+        output, faults = context.description.instruments.generator.output, self.lab.faults
+        follow = partial(_follow_sine, self.lab, float(output.amplifier_gain) if output else 1.0)
+        self.device = SiglentDevice(follow, self.lab.clock, faults=faults.generator_device)
+        self.server = SocketServer(self.device, faults.generator_wire)
+
+    def close(self) -> None:
+        """Take the generator away. May be called twice."""
+        self.server.close()
+
+
 class WireNovatech(Novatech409B):
     """The driver of the Novatech 409B, with a simulated one at the far end of a pseudo-terminal.
 
@@ -60,38 +135,21 @@ class WireNovatech(Novatech409B):
     Attributes
     ----------
     lab : SimulatedLab
-        The room that the simulated box stands in.
     device : NovatechDevice
+        See `NovatechFarEnd`.
     """
 
     def __init__(self, entry: SynthesizersDescription, context: BenchContext) -> None:
-        self.lab = context.share(SimulatedLab)
-        self.device = NovatechDevice(self._follow)
-        self._server = PtyServer(self.device, self.lab.faults.synthesizers_wire)
+        far_end = context.share(NovatechFarEnd)
+        self.lab, self.device = far_end.lab, far_end.device
         described = _Synthesizers(
             entry.driver,
-            {**entry.options, "port": self._server.port},
+            {**entry.options, "port": far_end.server.port},
             entry.step_hz,
             entry.centre_hz,
             entry.window_hz,
         )
-        try:
-            super().__init__(described, context)
-        except BaseException:
-            self._server.close()
-            raise
-
-    def close(self) -> None:
-        """Close the port, and take the box away. May be called twice."""
-        super().close()
-        self._server.close()
-
-    def _follow(self, outputs: tuple[Output, ...]) -> None:
-        aom1, aom2 = outputs[:2]
-        self.lab.change(
-            difference_hz=aom1.frequency_hz - aom2.frequency_hz,
-            rf_on=min(aom1.amplitude, aom2.amplitude) > 0,
-        )
+        super().__init__(described, context)
 
 
 class WireSiglent(SiglentGenerator):
@@ -106,33 +164,18 @@ class WireSiglent(SiglentGenerator):
     Attributes
     ----------
     lab : SimulatedLab
-        The room that the simulated generator stands in.
     device : SiglentDevice
+        See `SiglentFarEnd`.
     """
 
     def __init__(self, entry: GeneratorDescription, context: BenchContext) -> None:
-        self.lab = context.share(SimulatedLab)
-        self._volts_per_volt = float(entry.output.amplifier_gain) if entry.output else 1.0
-        self.device = SiglentDevice(self._follow, self.lab.clock)
-        self._server = SocketServer(self.device, self.lab.faults.generator_wire)
-        resource = f"TCPIP::127.0.0.1::{self._server.port}::SOCKET"
+        far_end = context.share(SiglentFarEnd)
+        self.lab, self.device = far_end.lab, far_end.device
+        resource = f"TCPIP::127.0.0.1::{far_end.server.port}::SOCKET"
         described = _Generator(
             entry.driver, {**entry.options, "resource": resource}, entry.step_hz, entry.output
         )
-        try:
-            super().__init__(described, context)
-        except BaseException:
-            self._server.close()
-            raise
-
-    def close(self) -> None:
-        """Hang up, and take the generator away. May be called twice."""
-        super().close()
-        self._server.close()
-
-    def _follow(self, frequency_hz: Fraction, socket_v: float, is_on: bool) -> None:
-        volts = socket_v * self._volts_per_volt if is_on else 0.0
-        self.lab.change(drive_hz=frequency_hz, drive_v=volts)
+        super().__init__(described, context)
 
 
 def wire_camera(entry: CameraDescription, context: BenchContext) -> Camera:

@@ -9,6 +9,7 @@ from fractions import Fraction
 from typing import Final
 
 from drivers.roles import Clock
+from drivers.simulated.wire.faults import GeneratorFaults
 
 Change = Callable[[Fraction, float, bool], None]
 
@@ -36,6 +37,8 @@ _UNDEFINED: Final = -113, "Undefined header"
 _CONFLICT: Final = -221, "Settings conflict"
 _TOO_HIGH: Final = -222, "Data out of range;value clipped to upper limit"
 _TOO_LOW: Final = -222, "Data out of range;value clipped to lower limit"
+_INTERRUPTED: Final = -410, "Query INTERRUPTED"
+_UNTERMINATED: Final = -420, "Query UNTERMINATED"
 _ILLEGAL: Final = -224, "Illegal parameter value"
 
 
@@ -113,6 +116,7 @@ class KeysightDevice:
         What it answers to ``*IDN?``.
     has_reference : bool
         Whether 10 MHz arrive at the rear. Without, it refuses the external reference.
+    faults : GeneratorFaults, optional
     """
 
     def __init__(
@@ -122,8 +126,10 @@ class KeysightDevice:
         identity: str = _IDENTITY,
         *,
         has_reference: bool = True,
+        faults: GeneratorFaults | None = None,
     ) -> None:
         self._on_change, self._clock, self._identity = on_change, clock, identity
+        self._faults, self._heard, self._relay_is_closed = faults or GeneratorFaults(), 0, False
         self._has_reference = has_reference
         self._state = _State()
         self._errors: list[tuple[int, str]] = []
@@ -132,20 +138,31 @@ class KeysightDevice:
 
     @property
     def socket(self) -> tuple[Fraction, float, bool]:
-        """Frequency, peak volts at the open socket, and whether the output is on, of channel 1."""
+        """Of channel 1: frequency, peak volts at the open socket, whether the relay is closed."""
         channel = self._state.channels[0]
-        return channel.frequency_hz, channel.amplitude_vpp / 2, channel.is_on
+        return channel.frequency_hz, channel.amplitude_vpp / 2, self._relay_is_closed
 
     def receive(self, data: bytes) -> bytes:
         """Obey whole lines; the answers to the questions of one line stand on one line."""
         *lines, self._received = (self._received + data).split(b"\n")
         answered = b""
         for line in lines:
+            self._heard += 1
             units = line.decode("ascii", "replace").split(";")
             answers = [answer for unit in units if (answer := self._obey(unit.strip())) is not None]
             if answers:
                 answered += ";".join(answers).encode("ascii") + b"\n"
+            if self._heard in self._faults.trips_at:
+                self.trip()
         return answered
+
+    def interrupt(self) -> None:
+        """Throw away an answer, because bytes arrived before it was read."""
+        self._errors.append(_INTERRUPTED)
+
+    def unterminated(self) -> None:
+        """Have nothing to say when asked to talk."""
+        self._errors.append(_UNTERMINATED)
 
     def trip(self) -> None:
         """Take the output off as an overload does."""
@@ -158,7 +175,8 @@ class KeysightDevice:
 
     def _obey(self, unit: str) -> str | None:
         head, _, value = unit.partition(" ")
-        head, was_on, answer = head.upper().removeprefix(":"), self.socket[2], None
+        head, answer = head.upper().removeprefix(":"), None
+        was_on = self._state.channels[0].is_on
         try:
             if head.endswith("?"):
                 answer = self._answer(head[:-1])
@@ -167,7 +185,7 @@ class KeysightDevice:
         except _RefusedError as refused:
             self._errors.append(refused.entry)
         self._take(_QUERY_S if head.endswith("?") else _WRITE_S)
-        self._take(_RELAY_S if self.socket[2] != was_on else 0.0)
+        self._take(_RELAY_S if self._state.channels[0].is_on != was_on else 0.0)
         self._announce()
         return answer
 
@@ -206,6 +224,8 @@ class KeysightDevice:
         raise _RefusedError(_UNDEFINED)
 
     def _announce(self) -> None:
+        if not self._faults.sticks(self._heard):
+            self._relay_is_closed = self._state.channels[0].is_on
         if self._on_change is not None and self.socket != self._last_change:
             self._on_change(*self.socket)
         self._last_change = self.socket

@@ -11,6 +11,8 @@ from decimal import Decimal, InvalidOperation
 from fractions import Fraction
 from typing import Final
 
+from drivers.simulated.wire.faults import SynthesizerFaults
+
 # 429.4967296 MHz, so that a tuning word of 32 bits counts tenths of a hertz.
 _SYSTEM_CLOCK_HZ: Final = Fraction(2**32, 10)
 _MULTIPLIER: Final = 15
@@ -78,8 +80,9 @@ class NovatechDevice:
     ----------
     on_change : callable
         Told all four outputs whenever any of them changes.
-    shows_registers : bool
-        Whether the status shows registers or outputs while they differ, which no source says.
+    faults : SynthesizerFaults, optional
+        Which updates are not carried out, and whether the status shows registers or outputs while
+        they differ, which no source says.
 
     Attributes
     ----------
@@ -90,11 +93,13 @@ class NovatechDevice:
     """
 
     def __init__(
-        self, on_change: Callable[[tuple[Output, ...]], None], shows_registers: bool = True
+        self,
+        on_change: Callable[[tuple[Output, ...]], None],
+        faults: SynthesizerFaults | None = None,
     ) -> None:
         self._on_change = on_change
-        self._shows_registers = shows_registers
-        self._line = b""
+        self._faults = faults or SynthesizerFaults()
+        self._line, self._updates = b"", 0
         self.saves = 0
         self._saved = _State()
         self._power_up()
@@ -171,7 +176,9 @@ class NovatechDevice:
         elif command == "i" and letter in ("a", "m", "e"):
             state.updates = letter
         elif command == "i" and letter == "p":
-            self._update()
+            self._updates += 1
+            if not self._faults.skips(self._updates):
+                self._update()
         elif command == "m" and letter in ("0", "t"):
             state.plays_table = letter == "t"
         elif command == "m" and letter in ("a", "n"):
@@ -223,7 +230,7 @@ class NovatechDevice:
         return _SYSTEM_CLOCK_HZ * self._state.multiplier / _MULTIPLIER
 
     def _status(self) -> bytes:
-        shown = self._state.channels if self._shows_registers else self._played
+        shown = self._state.channels if self._faults.shows_registers else self._played
         lines = [channel.status() for channel in shown] + ["80 BC0000 0000 0102 21"]
         return "".join(f"{line}\r\n" for line in lines).encode()
 

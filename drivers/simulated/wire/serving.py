@@ -10,7 +10,9 @@ import socket
 import threading
 import time
 import tty
+from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Annotated, Final, Protocol
 
 from pydantic import Field
@@ -24,11 +26,35 @@ _Numbers = Annotated[tuple[int, ...], Field(strict=False)]
 
 
 class WireDevice(Protocol):
-    """The far end of a wire."""
+    """The far end of a wire.
+
+    A device may also have a method ``interrupt() -> None``: it is called when bytes arrive before
+    the last answer was read, and the device throws that answer away (IEEE 488.2, 6.3.2.3). And a
+    method ``unterminated() -> None``, called when an answer is asked for that is not there.
+    """
 
     def receive(self, data: bytes) -> bytes:
         """Take in bytes as they arrive, whole lines or not, and return what is answered at once."""
         ...
+
+
+def interrupt(device: object) -> bool:
+    """Report to a device that bytes arrive before its last answer was read.
+
+    Returns
+    -------
+    bool
+        Whether the device throws the answer away.
+    """
+    method = getattr(device, "interrupt", None)
+    return bool(method is not None and method() is not False)
+
+
+def unterminated(device: object) -> None:
+    """Report to a device that an answer is asked for that is not there."""
+    method = getattr(device, "unterminated", None)
+    if method is not None:
+        method()
 
 
 class WireFaults(Options):
@@ -39,6 +65,10 @@ class WireFaults(Options):
     lose_answer_at, garble_answer_at, late_answer_at : tuple of int
         Answers that never arrive, arrive with a byte changed, or arrive `late_s` late.
     late_s : float
+    slow_s : float
+        Every answer arrives so much later, from the answer `slow_from` on. The device itself obeys
+        at once.
+    slow_from : int
     lose_command_at : tuple of int
         Commands that never reach the device.
     echo : bool
@@ -47,16 +77,21 @@ class WireFaults(Options):
         Neither end understands the other.
     unplug_at : int or None
         The wire is pulled when this answer is due.
+    replug_after_s : float or None
+        It is plugged in again after this time, and stays; None is never.
     """
 
     lose_answer_at: _Numbers = ()
     garble_answer_at: _Numbers = ()
     late_answer_at: _Numbers = ()
     late_s: Annotated[float, Field(ge=0, le=60)] = 1.0
+    slow_s: Annotated[float, Field(ge=0, le=60)] = 0.0
+    slow_from: Annotated[int, Field(ge=1)] = 1
     lose_command_at: _Numbers = ()
     echo: bool = False
     wrong_baud: bool = False
     unplug_at: int | None = None
+    replug_after_s: Annotated[float, Field(ge=0, le=60)] | None = None
 
 
 class UnpluggedError(Exception):
@@ -78,7 +113,20 @@ class FaultyWire:
         self._rest = b""
 
     def receive(self, data: bytes) -> bytes:
-        """Pass on whole commands and return the answers, or what is left of them.
+        """Pass on whole commands and return the answers, or what is left of them, when due.
+
+        Raises
+        ------
+        UnpluggedError
+        """
+        answered = b""
+        for late_s, answer in self.carry(data):
+            time.sleep(late_s)
+            answered += answer
+        return answered
+
+    def carry(self, data: bytes) -> list[tuple[float, bytes]]:
+        """Pass on whole commands; return each answer, and how many seconds later it arrives.
 
         Raises
         ------
@@ -86,20 +134,33 @@ class FaultyWire:
         """
         if self._faults.wrong_baud:
             # No end of a line is seen as one.
-            return _at_another_baud(self._device.receive(_at_another_baud(data)))
+            return [(0.0, _at_another_baud(self._device.receive(_at_another_baud(data))))]
         *lines, self._rest = (self._rest + data).split(b"\n")
-        return b"".join(self._carried(line + b"\n") for line in lines)
+        return [self._carried(line + b"\n") for line in lines]
 
-    def _carried(self, command: bytes) -> bytes:
-        faults = self._faults
+    def interrupt(self) -> bool:
+        """Report bytes that arrive before the last answer was read; see `interrupt`."""
+        return interrupt(self._device)
+
+    def unterminated(self) -> None:
+        """Report that an answer is asked for that is not there; see `unterminated`."""
+        unterminated(self._device)
+
+    def _carried(self, command: bytes) -> tuple[float, bytes]:
+        faults, late_s = self._faults, 0.0
         self._commands += 1
         if self._commands in faults.lose_command_at:
-            return b""
+            return 0.0, b""
         answer = self._device.receive(command)
         if answer:
             self._answers += 1
-            answer = self._spoilt(answer)
-        return command + answer if faults.echo else answer
+            answer, late_s = self._spoilt(answer), self._late_s()
+        return late_s, command + answer if faults.echo else answer
+
+    def _late_s(self) -> float:
+        faults, number = self._faults, self._answers
+        late_s = faults.late_s if number in faults.late_answer_at else 0.0
+        return late_s + (faults.slow_s if number >= faults.slow_from else 0.0)
 
     def _spoilt(self, answer: bytes) -> bytes:
         faults = self._faults
@@ -107,8 +168,6 @@ class FaultyWire:
             raise UnpluggedError
         if self._answers in faults.lose_answer_at:
             return b""
-        if self._answers in faults.late_answer_at:
-            time.sleep(faults.late_s)
         if self._answers in faults.garble_answer_at:
             middle = len(answer) // 2
             answer = answer[:middle] + bytes([answer[middle] ^ 0x15]) + answer[middle + 1 :]
@@ -125,13 +184,24 @@ def _at_another_baud(data: bytes) -> bytes:
 
 
 class _Server:
-    """A thread that carries bytes between a device and somebody at the other end of a wire."""
+    """A thread that carries bytes between a device and a caller at the other end of a wire.
+
+    Answers keep their order. A late one does not keep the device from obeying what comes next.
+    """
 
     def __init__(self, device: WireDevice, faults: WireFaults | None) -> None:
-        self._wire = FaultyWire(device, faults or WireFaults())
+        self._device = device
+        self.spoil(faults or WireFaults())
         self._closing = threading.Event()
         self._pulled = False
+        # Answers on their way, and when they arrive.
+        self._under_way: deque[tuple[float, bytes]] = deque()
         self._thread = threading.Thread(target=self._serve, name=type(self).__name__, daemon=True)
+
+    def spoil(self, faults: WireFaults) -> None:
+        """Let other things go wrong; commands and answers count from now on."""
+        self._faults = faults
+        self._wire = FaultyWire(self._device, faults)
 
     def close(self) -> None:
         """Hang up. May be called twice."""
@@ -142,51 +212,81 @@ class _Server:
     def _serve(self) -> None:
         raise NotImplementedError
 
-    def _carry(self, handle: int, write: Callable[[bytes], object]) -> bool:
-        """Answer what has arrived at a file handle; return whether the wire still holds."""
-        try:
-            data = os.read(handle, _MOST_BYTES)
-            if not data:
-                return False
-            answer = self._wire.receive(data)
+    def _talk(self, handle: int, write: Callable[[bytes], object]) -> None:
+        """Carry bytes at a file handle until the caller hangs up or the wire is pulled."""
+        self._under_way.clear()
+        while not self._closing.is_set():
+            wait_s = _POLL_S
+            if self._under_way:
+                wait_s = min(max(self._under_way[0][0] - time.monotonic(), 0.0), _POLL_S)
+            arrived = bool(select.select([handle], [], [], wait_s)[0])
+            try:
+                if arrived and not self._take(handle):
+                    return
+                self._deliver(write)
+            except UnpluggedError:
+                self._pulled = True
+                return
+            except OSError:
+                return
+
+    def _take(self, handle: int) -> bool:
+        """Pass on what has arrived; return whether the caller is still there."""
+        data = os.read(handle, _MOST_BYTES)
+        if not data:
+            return False
+        if self._under_way and self._wire.interrupt():
+            self._under_way.clear()
+        for late_s, answer in self._wire.carry(data):
+            due_s = time.monotonic() + late_s
+            if self._under_way:
+                due_s = max(due_s, self._under_way[-1][0])
             if answer:
-                write(answer)
-        except UnpluggedError:
-            self._pulled = True
-            return False
-        except OSError:
-            return False
+                self._under_way.append((due_s, answer))
         return True
+
+    def _deliver(self, write: Callable[[bytes], object]) -> None:
+        while self._under_way and self._under_way[0][0] <= time.monotonic():
+            write(self._under_way.popleft()[1])
+
+    def _is_plugged_in_again(self) -> bool:
+        """Wait until a pulled wire is plugged in again; return whether it ever is."""
+        after_s = self._faults.replug_after_s
+        self._pulled = False
+        return after_s is not None and not self._closing.wait(after_s)
 
 
 class PtyServer(_Server):
     """A device on a pseudo-terminal, which is a serial port for all that open it.
 
     Baud rates mean nothing here; `WireFaults.wrong_baud` stands for a wrong one.
-
-    Attributes
-    ----------
-    port : str
-        Path of the port.
     """
 
     def __init__(self, device: WireDevice, faults: WireFaults | None = None) -> None:
         super().__init__(device, faults)
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        self.port = os.ttyname(self._slave)
+        self._plug_in()
         self._thread.start()
 
+    @property
+    def port(self) -> str:
+        """Path of the port, another after the wire was pulled and plugged in again."""
+        return self._port
+
+    def _plug_in(self) -> None:
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        self._port = os.ttyname(self._slave)
+
     def _serve(self) -> None:
-        try:
-            while not self._closing.is_set():
-                if not select.select([self._master], [], [], _POLL_S)[0]:
-                    continue
-                if not self._carry(self._master, lambda answer: os.write(self._master, answer)):
-                    return
-        finally:
-            os.close(self._master)
-            os.close(self._slave)
+        while True:
+            try:
+                self._talk(self._master, lambda answer: os.write(self._master, answer))
+            finally:
+                os.close(self._master)
+                os.close(self._slave)
+            if not (self._pulled and self._is_plugged_in_again()):
+                return
+            self._plug_in()
 
 
 class SocketServer(_Server):
@@ -200,28 +300,28 @@ class SocketServer(_Server):
 
     def __init__(self, device: WireDevice, faults: WireFaults | None = None) -> None:
         super().__init__(device, faults)
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.settimeout(_POLL_S)
+        self._listener = _listener(0)
         self.port: int = self._listener.getsockname()[1]
         self._thread.start()
 
     def _serve(self) -> None:
-        with self._listener:
-            while not self._closing.is_set():
-                try:
-                    caller, _ = self._listener.accept()
-                except TimeoutError:
-                    continue
-                with caller:
-                    if not self._talk(caller):
-                        return
+        while True:
+            with self._listener:
+                self._accept_callers()
+            if not (self._pulled and self._is_plugged_in_again()):
+                return
+            self._listener = _listener(self.port)
 
-    def _talk(self, caller: socket.socket) -> bool:
-        """Serve a caller until it hangs up; return whether the wire still holds."""
-        caller.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        while not self._closing.is_set():
-            if not select.select([caller], [], [], _POLL_S)[0]:
-                continue
-            if not self._carry(caller.fileno(), caller.sendall):
-                return not self._pulled
-        return True
+    def _accept_callers(self) -> None:
+        while not (self._closing.is_set() or self._pulled):
+            with suppress(TimeoutError):
+                caller, _ = self._listener.accept()
+                with caller:
+                    caller.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                    self._talk(caller.fileno(), caller.sendall)
+
+
+def _listener(port: int) -> socket.socket:
+    listener = socket.create_server(("127.0.0.1", port))
+    listener.settimeout(_POLL_S)
+    return listener

@@ -8,6 +8,7 @@ from fractions import Fraction
 from typing import Final
 
 from drivers.roles import Clock
+from drivers.simulated.wire.faults import GeneratorFaults
 
 Change = Callable[[Fraction, float, bool], None]
 
@@ -95,6 +96,7 @@ class SiglentDevice:
         Whether 10 MHz arrive at the rear. Without, it stays on its own reference.
     most_vpp : float
         Volts peak to peak into high impedance beyond which it clamps.
+    faults : GeneratorFaults, optional
     """
 
     def __init__(
@@ -105,8 +107,10 @@ class SiglentDevice:
         *,
         has_reference: bool = True,
         most_vpp: float = 2 * _PEAK_V,
+        faults: GeneratorFaults | None = None,
     ) -> None:
         self._on_change, self._clock, self._identity = on_change, clock, identity
+        self._faults, self._heard, self._relay_is_closed = faults or GeneratorFaults(), 0, False
         self._peak_v = most_vpp / 2
         self._state = _State()
         self._state.reference.is_connected = has_reference
@@ -115,8 +119,9 @@ class SiglentDevice:
 
     @property
     def socket(self) -> tuple[Fraction, float, bool]:
-        """Frequency, peak volts of the open socket, and whether the output is on, of channel 1."""
-        return self._socket_of("C1")
+        """Of channel 1: frequency, peak volts of the open socket, whether the relay is closed."""
+        frequency_hz, volts, _ = self._socket_of("C1")
+        return frequency_hz, volts, self._relay_is_closed
 
     @property
     def trigger(self) -> tuple[Fraction, float, bool]:
@@ -126,7 +131,7 @@ class SiglentDevice:
     def receive(self, data: bytes) -> bytes:
         """Obey whole lines, and answer the questions among them."""
         *lines, self._received = (self._received + data).split(b"\n")
-        answers = (self._obey(line.decode("ascii", "replace").strip()) for line in lines)
+        answers = (self._hear(line.decode("ascii", "replace").strip()) for line in lines)
         return b"".join(answer.encode("ascii") + b"\n" for answer in answers if answer is not None)
 
     def clamp_at(self, most_vpp: float) -> None:
@@ -141,6 +146,13 @@ class SiglentDevice:
     def turn_knob(self, command: str) -> None:
         """Do what a person does at the front panel, told as a command such as ``C1:OUTP ON``."""
         self._obey(command)
+
+    def _hear(self, line: str) -> str | None:
+        self._heard += 1
+        answer = self._obey(line)
+        if self._heard in self._faults.trips_at:
+            self.trip()
+        return answer
 
     def _obey(self, line: str) -> str | None:
         head, _, rest = line.upper().partition(" ")
@@ -274,6 +286,8 @@ class SiglentDevice:
         return channel.frequency_hz, volts, channel.is_on
 
     def _announce(self) -> None:
+        if not self._faults.sticks(self._heard):
+            self._relay_is_closed = self._state.channels["C1"].is_on
         if self._on_change is not None and self.socket != self._last_change:
             self._on_change(*self.socket)
         self._last_change = self.socket

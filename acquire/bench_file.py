@@ -31,7 +31,7 @@ class Instrument(Section):
         Port, address, gain and the like.
     """
 
-    driver: Annotated[str, Field(min_length=1)]
+    driver: Annotated[str, Field(min_length=1, max_length=100)]
     options: Annotated[dict[str, Any], Field(default_factory=dict)]
 
 
@@ -41,6 +41,23 @@ class Synthesizers(Instrument):
     step_hz: Annotated[Frequency, Field(alias="step", gt=0)]
     centre_hz: Annotated[Frequency, Field(alias="centre", gt=0)]
     window_hz: Annotated[Frequency, Field(alias="window", gt=0)]
+
+    @field_validator("window_hz")
+    @classmethod
+    def _about_the_centre(cls, window_hz: Fraction, info: ValidationInfo) -> Fraction:
+        step_hz, centre_hz = info.data.get("step_hz"), info.data.get("centre_hz")
+        if centre_hz is not None and window_hz >= centre_hz:
+            raise ValueError(
+                f"{float(window_hz):.10g} Hz about the centre of {float(centre_hz):.10g} Hz "
+                "reaches down to 0 Hz; write a narrower window or a higher centre"
+            )
+        # AOM2 stands at the multiple of the step that is nearest to the centre.
+        if step_hz is not None and step_hz > window_hz:
+            raise ValueError(
+                f"{float(window_hz):.10g} Hz is narrower than instruments.synthesizers.step, which "
+                f"is {float(step_hz):.10g} Hz; write a wider window or a smaller step"
+            )
+        return window_hz
 
 
 class Output(Section):

@@ -6,7 +6,8 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from acquire.description import Description, Section, find_description
+from acquire.description import Description, Section, find_description, named_beside
+from acquire.errors import ProtocolError
 from acquire.protocol import Protocol, is_campaign
 
 
@@ -83,15 +84,21 @@ def tasks_of(campaign: CampaignFile) -> tuple[Task, ...]:
     Raises
     ------
     ProtocolError
-        If the protocol, or what a part changes of it, is wrong.
+        If the protocol, or what a part changes of it, is wrong; names the campaign and its key.
     """
-    beside = Path(campaign.source).parent / campaign.protocol
-    base = Protocol.from_file(beside if beside.is_file() else campaign.protocol)
+    try:
+        base = Protocol.from_file(named_beside(campaign.source, campaign.protocol))
+    except ProtocolError as error:
+        raise campaign.error("protocol", str(error)) from None
     tasks, clamping = [], 0
-    for part in campaign.parts:
+    for number, part in enumerate(campaign.parts):
         clamping += part.clamp_anew
         name = f"{campaign.name}: {part.name}"[:80]
-        tasks.append(Task(part, base.replace({"name": name, **part.change}), clamping))
+        try:
+            protocol = base.replace({"name": name, **part.change})
+        except ProtocolError as error:
+            raise campaign.error(("parts", number, "change"), str(error)) from None
+        tasks.append(Task(part, protocol, clamping))
     return tuple(tasks)
 
 

@@ -7,7 +7,9 @@ remedy. `acquire.protocol.Protocol` and `acquire.bench_file.BenchFile` are descr
 import difflib
 import hashlib
 import json
-from collections.abc import Mapping
+import math
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -19,18 +21,30 @@ from pydantic import BaseModel, ConfigDict, PrivateAttr, ValidationError
 from pydantic_core import ErrorDetails
 
 from acquire.errors import ProtocolError
-from acquire.quantities import shown_value
+from acquire.quantities import shown_value, unseen_character
 
 KeyPath = tuple[str | int, ...]
 
-# A description is two screens long; these stop a file that is something else before it costs time.
-_MAX_BYTES: Final = 256 * 1024
+# A description is two screens long, and 50 kB with a map of 5000 measured thicknesses. These stop a
+# file that is something else before it costs time; PyYAML reads some 40 kB in a second.
+_MAX_BYTES: Final = 64 * 1024
 _MAX_DEPTH: Final = 12
 _MAX_VALUE_CHARACTERS: Final = 1000
+# Chosen: with the name of a file, a message then fits five lines of a terminal (400 characters).
+_MAX_KEY_CHARACTERS: Final = 40
+_MAX_PATH_CHARACTERS: Final = 100
+_MAX_MESSAGE_CHARACTERS: Final = 260
 
 _PLAIN_TAGS: Final = frozenset(
     f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "bool", "null", "map", "seq")
 )
+# YAML 1.1 reads 010 as 8, 1:30 as 90, 0x10 as 16 and 1_0 as 10. No person at a bench means that.
+_DECIMAL: Final = re.compile(
+    r"[+-]?(?:0|[1-9][0-9]*|(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?)", re.I
+)
+_NOT_FINITE: Final = {
+    ".nan": math.nan, ".inf": math.inf, "+.inf": math.inf, "-.inf": -math.inf,
+}  # fmt: skip
 
 
 # --- Strict YAML -------------------------------------------------------------------------------
@@ -41,7 +55,8 @@ class _StrictLoader(yaml.SafeLoader):
 
     Refused with file, line and key path: anchors and aliases (a short file can expand to
     gigabytes), a key given twice (YAML would silently take the last), keys that are not words,
-    values that are not plain (dates, tags), and depths or lengths that no description has.
+    keys without a value, values that are not plain (dates, tags), numbers that YAML reads otherwise
+    than people do, characters that are not seen, and depths or lengths that no description has.
     """
 
     def __init__(self, text: str, source: str) -> None:
@@ -85,21 +100,36 @@ class _StrictLoader(yaml.SafeLoader):
             seen[key.value] = line
         return node
 
-    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        """Construct one value; what looks like a number and is none (``0x_``) is an error."""
-        try:
-            return super().construct_object(node, deep)
-        except ValueError:
-            problem = f"{shown_value(node.value)} is not a number"
-            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from None
-
     def _check_plain(self, node: yaml.Node | None) -> None:
         if node is None:
             return
         if node.tag not in _PLAIN_TAGS:
             raise self._refusal(f"has the YAML type {node.tag!r}; put the value in quotes")
-        if isinstance(node, yaml.ScalarNode) and len(node.value) > _MAX_VALUE_CHARACTERS:
+        if isinstance(node, yaml.ScalarNode):
+            self._check_scalar(node)
+
+    def _check_scalar(self, node: yaml.ScalarNode) -> None:
+        value, kind = node.value, node.tag.rpartition(":")[2]
+        if len(value) > _MAX_VALUE_CHARACTERS:
             raise self._refusal(f"is longer than {_MAX_VALUE_CHARACTERS} characters; shorten it")
+        unseen = unseen_character(value)
+        if unseen:
+            raise self._refusal(f"holds the character {unseen}; write one line without it")
+        if kind == "null" and not value:
+            raise self._refusal("an empty value should be written out, or its key left out")
+        if kind in ("int", "float"):
+            self._check_number(value)
+
+    def _check_number(self, value: str) -> None:
+        plain = _DECIMAL.fullmatch(value)
+        number = float(value if plain else _NOT_FINITE.get(value.lower(), 0.0))
+        if not math.isfinite(number):
+            raise self._refusal(f"{number} is not a finite number; write one that is")
+        if not plain:
+            raise self._refusal(
+                f"{shown_value(value)} is not a decimal number; write it as 1996.9 is, or in "
+                "quotes if it is a word"
+            )
 
     def _refusal(self, message: str, line: int | None = None, *key: str) -> ProtocolError:
         path = (*self._path, *key)
@@ -153,28 +183,48 @@ def _read_text(file: Traversable, source: str) -> str:
 
 def key_path(path: KeyPath) -> str:
     """Write a path of keys as people do: ``drive.ramp.to``, ``acoustic_lines[0]``."""
-    return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in path).lstrip(".")
+    keys = (
+        f"[{p}]" if isinstance(p, int) else f".{_shortened(p, _MAX_KEY_CHARACTERS)}" for p in path
+    )
+    return _shortened("".join(keys).lstrip("."), _MAX_PATH_CHARACTERS)
+
+
+def _shortened(text: str, characters: int) -> str:
+    """Text with its middle left out if it is long: what is wrong comes first, the remedy last."""
+    if len(text) <= characters:
+        return text
+    half = characters // 2
+    return f"{text[:half]}…{text[-half + 1 :]}"
 
 
 def _error(source: str, path: KeyPath, line: int | None, message: str) -> ProtocolError:
     where = source or "(no name)"
     where = where if line is None else f"{where}:{line}"
+    message = _shortened(message, _MAX_MESSAGE_CHARACTERS)
     parts = (where, key_path(path), message) if path else (where, message)
     # A file may hold anything; line ends and escape sequences must not reach a terminal.
     return ProtocolError("".join(c if c.isprintable() else repr(c)[1:-1] for c in ": ".join(parts)))
 
 
 def _known_keys(model: type[BaseModel], path: KeyPath) -> list[str]:
-    """Keys that may stand at `path`, as they are written in the file."""
-    fields = {info.alias or name: info for name, info in model.model_fields.items()}
-    if not path:
-        return list(fields)
-    section = fields[str(path[0])].annotation
-    # An optional section is a union of its model and None.
-    for candidate in (section, *get_args(section)):
-        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-            return _known_keys(candidate, path[1:])
-    return []
+    """Keys that may stand at `path`, as they are written in the file; none if that is unknown."""
+    models = [model]
+    for step in path:
+        # An item of a list has the section of the list.
+        if isinstance(step, str):
+            models = [below for each in models for below in _sections(each, step)]
+    return [info.alias or name for each in models for name, info in each.model_fields.items()]
+
+
+def _sections(model: type[BaseModel], key: str) -> Iterator[type[BaseModel]]:
+    """Models in the type of a key: a model itself, or one in an option, a tuple or a list."""
+    fields = {info.alias or name: info.annotation for name, info in model.model_fields.items()}
+    kinds: list[Any] = [fields.get(key)]
+    while kinds:
+        kind = kinds.pop()
+        kinds += get_args(kind)
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            yield kind
 
 
 def _explanation(error: ErrorDetails, model: type[BaseModel], content: Mapping[str, Any]) -> str:
@@ -184,7 +234,7 @@ def _explanation(error: ErrorDetails, model: type[BaseModel], content: Mapping[s
         case "value_error":
             return str(error["ctx"]["error"])
         case "extra_forbidden":
-            known = _known_keys(model, path[:-1])
+            known = _known_keys(model, path[:-1]) or ["none"]
             near = difflib.get_close_matches(str(path[-1]), known, n=1, cutoff=0.5)
             remedy = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
             return f"unknown key; {remedy}"
@@ -201,9 +251,10 @@ def _explanation(error: ErrorDetails, model: type[BaseModel], content: Mapping[s
 def _value_at(content: Any, path: KeyPath) -> Any:
     for step in path:
         # Of a value that may be one of several types, a path goes on with the type.
-        if isinstance(content, str | float | int | None):
+        try:
+            content = content[step]
+        except (LookupError, TypeError):
             break
-        content = content[step]
     return content
 
 
@@ -354,13 +405,23 @@ class Description(Section):
         canonical = json.dumps(self.content(), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(canonical.encode()).hexdigest()
 
-    def error(self, key: str, message: str) -> ProtocolError:
-        """Return the error that says `message` of the dotted key path `key` of this file."""
-        path = tuple(key.split("."))
+    def error(self, key: str | KeyPath, message: str) -> ProtocolError:
+        """Return the error that says `message` of a key path of this file, dotted or in parts."""
+        path = tuple(key.split(".")) if isinstance(key, str) else key
         return _error(self.source, path, self._origin.line_of(path), message)
 
 
 # --- Shipped files and names -------------------------------------------------------------------
+
+
+def named_beside(source: str, name: str) -> str | Path:
+    """Return the file of a name in the folder of the file `source`; without one, the name."""
+    neighbour = Path(source).parent / name
+    try:
+        return neighbour if neighbour.is_file() else name
+    except OSError:
+        # No file can have that name; whoever looks for it says so.
+        return name
 
 
 def find_description(name: str, kind: str, folder: str) -> Traversable:

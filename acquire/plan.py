@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
+from itertools import pairwise
 from typing import Any, Final
 
 from acquire.bench_file import BenchFile
@@ -174,13 +175,24 @@ class Plan:
         )
 
     @property
-    def spare_takes(self) -> int:
-        """How many takes a run file has room for besides one of each step.
+    def most_retakes(self) -> int:
+        """How many bad steps are taken again after the last one.
 
         A tenth of the sweep, and a few: if more steps are bad, the trouble is not theirs.
         """
         retries = len(self.steps) * self.protocol.policy.bad_pictures.retry
         return min(retries, len(self.steps) // 10 + 4)
+
+    @property
+    def spare_takes(self) -> int:
+        """How many takes a run file has room for besides one of each step.
+
+        Those that are taken again after the last step, and those after which a run gives up: they
+        are taken again once the trouble is mended.
+        """
+        if not self.most_retakes:
+            return 0
+        return self.most_retakes + min(self.protocol.policy.give_up_after, len(self.steps))
 
     @property
     def duration_s(self) -> float:
@@ -215,7 +227,12 @@ class Plan:
     @property
     def _step_size_bytes(self) -> int:
         if self.protocol.keep == "holograms":
-            return self.region.height * self.region.width * _BYTES_PER_HOLOGRAM_PIXEL
+            try:
+                region = self.region
+            except ValueError:
+                # There is none: the reed lies outside the view, which is a violation.
+                return 0
+            return region.height * region.width * _BYTES_PER_HOLOGRAM_PIXEL
         rows, columns = self.frame_shape
         frames = max(step.frames for step in self.steps)
         return frames * rows * columns * _BYTES_PER_FRAME_PIXEL
@@ -426,6 +443,7 @@ def _leak(protocol: Protocol, drive_hz: Fraction, order: int) -> float:
 
 def _violations(protocol: Protocol, bench: BenchFile, steps: Sequence[Step]) -> Iterator[Violation]:
     yield from _drive_violations(bench, steps)
+    yield from _spacing_violations(bench, steps)
     yield from _volts_violations(protocol, bench)
     yield from _camera_violations(protocol, bench, steps)
     yield from _lock_violations(protocol, bench, steps)
@@ -455,6 +473,20 @@ def _drive_violation(
         f"step {step.index} is driven at {float(step.drive_hz):.10g} Hz, {limit} in bench file "
         f"{bench.source}; {remedy}",
     )
+
+
+def _spacing_violations(bench: BenchFile, steps: Sequence[Step]) -> Iterator[Violation]:
+    # A drive never decreases when the asked one grows, so equal ones follow each other.
+    for step, later in pairwise(steps):
+        possible = step.drive_hz >= bench.limits.drive_min_hz
+        if possible and step.index != later.index and step.drive_hz == later.drive_hz:
+            yield Violation(
+                "sweep.interval",
+                f"steps {step.index} and {later.index} are both driven at "
+                f"{float(step.drive_hz):.10g} Hz, the nearest that the generator of bench file "
+                f"{bench.source} plays and the synthesizers lock to; write a larger interval",
+            )
+            return
 
 
 def _volts_violations(protocol: Protocol, bench: BenchFile) -> Iterator[Violation]:
@@ -500,7 +532,11 @@ def _camera_violations(
         ("camera.height", camera.height, sensor.height),
     ):
         if asked is not None and asked > size:
-            yield Violation(key, f"{asked} pixels are more than the sensor's; write at most {size}")
+            yield Violation(
+                key,
+                f"{asked} pixels are more than the sensor has in bench file {bench.source}; write "
+                f"at most {size}",
+            )
 
 
 def _view_violations(bench: BenchFile, reed: ReedFile) -> Iterator[Violation]:

@@ -3,16 +3,26 @@
 from fractions import Fraction
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal, Self
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from acquire.description import Description, Section, find_description, shipped_files
+from acquire.description import (
+    Description,
+    Section,
+    find_description,
+    named_beside,
+    shipped_files,
+)
 from acquire.errors import ProtocolError
 from acquire.quantities import Angle, Frequency, Interval, Time, Voltage
 
 if TYPE_CHECKING:
     from acquire.reed_file import ReedFile
+
+
+# Chosen: five hours of a camera with 12 frames a second.
+MAX_STEPS: Final = 50_000
 
 
 class Sweep(Section):
@@ -26,8 +36,8 @@ class Sweep(Section):
 
     reference_hz: Annotated[Frequency, Field(alias="reference", gt=0, le=10**9)]
     interval_cents: Annotated[Interval, Field(alias="interval", gt=0, le=1200)]
-    first: Annotated[int, Field(ge=-10_000, le=10_000)]
-    last: Annotated[int, Field(ge=-10_000, le=10_000)]
+    first: Annotated[int, Field(ge=-100_000, le=100_000)]
+    last: Annotated[int, Field(ge=-100_000, le=100_000)]
     stride: Annotated[int, Field(ge=1)] = 1
     direction: Literal["up", "down", "shuffled"] | None = None
 
@@ -164,10 +174,13 @@ class Policies(Section):
     instrument_error : Policy
         An instrument failed. Before the step is tried again, or the next one begun, all is switched
         off and on again.
+    give_up_after : int
+        Steps that may be bad one after another; then the run stops, because a cable may be off.
     """
 
     bad_pictures: Policy = Policy(retry=1, then="skip")
     instrument_error: Policy = Policy(retry=0, then="stop")
+    give_up_after: Annotated[int, Field(ge=1, le=100_000)] = 8
 
 
 class Calibration(Section):
@@ -241,6 +254,16 @@ class Protocol(Description):
             raise ValueError("needs the frames themselves; write keep: frames")
         return calibration
 
+    @model_validator(mode="after")
+    def _require_few_steps(self) -> Self:
+        key, steps = "sweep", len(self.sweep.indices) * len(self.sideband.selected)
+        if self.calibration is not None:
+            key, exposures = "calibration", self.calibration.exposures_s or (self.exposure_s,)
+            steps = self.calibration.count * len(exposures)
+        if steps > MAX_STEPS:
+            raise self.error(key, f"makes {steps} steps; make at most {MAX_STEPS} in one run")
+        return self
+
     @property
     def exposure_s(self) -> Fraction:
         """Exposure of one frame: as asked, or a whole frame period."""
@@ -258,9 +281,8 @@ class Protocol(Description):
         from acquire.reed_file import ReedFile
         from physics.reed.geometry import is_even
 
-        beside = Path(self.source).parent / self.reed
         try:
-            reed = ReedFile.from_file(beside if beside.is_file() else self.reed)
+            reed = ReedFile.from_file(named_beside(self.source, self.reed))
         except ProtocolError as error:
             raise self.error("reed", str(error)) from None
         if not is_even(reed.geometry()):

@@ -6,6 +6,7 @@ through a float. The unit stands in the file; in the program it stands in the na
 
 import math
 import re
+import unicodedata
 from collections.abc import Mapping
 from fractions import Fraction
 from functools import cache, partial
@@ -51,6 +52,8 @@ _KINDS: Final = {
     "degC": ("a temperature", "25 degC"),
 }
 
+_UNSEEN: Final = frozenset({"Cc", "Cf", "Zl", "Zp", "Cs"})
+
 # No quantity of a bench needs more characters, and a longer one could be made to cost minutes.
 _MAX_CHARACTERS: Final = 40
 
@@ -81,6 +84,17 @@ def shown_value(value: object) -> str:
             return "a list"
     text = repr(value)
     return text if len(text) <= _MAX_CHARACTERS else f"{text[: _MAX_CHARACTERS - 1]}…"
+
+
+def unseen_character(text: str) -> str:
+    """Return the first character of a text that nobody sees, such as ``U+001B``; empty if none.
+
+    Those of Unicode's categories control (which includes the ends of lines and what a terminal
+    acts on), format (which includes what turns the direction of writing), line and paragraph
+    separator, and surrogate.
+    """
+    unseen = next((c for c in text if unicodedata.category(c) in _UNSEEN), "")
+    return f"U+{ord(unseen):04X}" if unseen else ""
 
 
 def exact_decimal(value: Fraction) -> str:

@@ -91,6 +91,30 @@ def test_an_exposure_longer_than_a_frame_is_a_violation() -> None:
     assert found.key == "calibration.exposures"
 
 
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        ("{name: up, chnge: {}}", r"parts\[0\]\.chnge: unknown key; did you mean 'change'"),
+        ("3", r"parts\[0\]: 3 is no mapping; give name, change, do"),
+        ("{name: up, change: 3}", r"parts\[0\]\.change"),
+        ("{name: up, change: {a: [1, {b: 2}]}}", r"c\.yaml:4: parts\[0\]\.change: .* a: unknown"),
+        ("{name: up, change: {sweep.lst: 3}}", r"c\.yaml:4: parts\[0\]\.change: .*mean 'last'"),
+        ("{name: up, change: {sweep.last: x}}", r"c\.yaml:4: parts\[0\]\.change: .*sweep\.last"),
+        ("{name: up, change: {keep.all: true}}", r"parts\[0\]\.change: .*no key 'all' below"),
+    ],
+)
+def test_what_is_wrong_with_a_part_names_the_campaign_and_the_part(part: str, said: str) -> None:
+    with pytest.raises(ProtocolError, match=said):
+        tasks_of(described(f"  - {part}\n"))
+
+
+@pytest.mark.parametrize("name", ["seriesZ", "é" * 250])
+def test_a_campaign_without_its_protocol_says_so(name: str) -> None:
+    text = f"name: Test\nprotocol: {name}\nparts: [{{name: up}}]\n"
+    with pytest.raises(ProtocolError, match=r"^c\.yaml:2: protocol: "):
+        tasks_of(CampaignFile.from_text(text, "c.yaml"))
+
+
 def test_parts_need_names_of_their_own() -> None:
     with pytest.raises(ProtocolError, match="has up twice"):
         described("  - name: up\n  - name: up\n")
@@ -138,8 +162,8 @@ def test_a_campaign_leaves_a_run_of_each_part(tmp_path) -> None:
 
 
 def test_somebody_is_asked_where_no_program_can_do_it(tmp_path, monkeypatch) -> None:
-    def by_hand(*asked):
-        return replace(open_bench(*asked), surroundings=None)
+    def by_hand(*asked, **more):
+        return replace(open_bench(*asked, **more), surroundings=None)
 
     monkeypatch.setattr("acquire.script.open_bench", by_hand)
     dark = {**QUICK, "keep": "frames", "calibration": {"kind": "dark", "count": 1}}
@@ -163,5 +187,6 @@ def test_only_a_simulated_camera_has_simulated_surroundings() -> None:
 
 def test_a_campaign_is_never_written_over(tmp_path) -> None:
     (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "notes.txt").write_text("precious")
     with pytest.raises(Exception, match="exists already; choose another place with --out"):
         run_campaign(described("  - name: up\n"), tmp_path / "there", SMALL)

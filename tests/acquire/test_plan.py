@@ -151,7 +151,7 @@ def test_file_sizes(series_a):
     assert series_a.file_size_bytes == 184 * region.height * region.width * 8
     frames = make_plan(SERIES_A.replace(keep="frames"), BENCH)
     assert frames.file_size_bytes == 184 * 4 * 1024 * 1280 * 2
-    assert frames.largest_size_bytes == (184 + 22) * 4 * 1024 * 1280 * 2
+    assert frames.largest_size_bytes == (184 + 22 + 8) * 4 * 1024 * 1280 * 2
     assert series_a.packed_size_bytes is None
     assert 0.5 < frames.packed_size_bytes / frames.file_size_bytes < 0.75
 
@@ -163,7 +163,12 @@ def test_file_sizes(series_a):
 )
 def test_room_for_takes_is_a_tenth_of_the_sweep_and_a_few(last, retry, spare):
     changes = {"sweep.last": last, "policy.bad_pictures.retry": retry}
-    assert make_plan(SERIES_A.replace(changes), BENCH).spare_takes == spare
+    plan = make_plan(SERIES_A.replace(changes), BENCH)
+    assert plan.most_retakes == spare
+    # And for those after which a run gives up.
+    assert plan.spare_takes == (spare + min(8, last) if retry else 0)
+    patient = make_plan(SERIES_A.replace({**changes, "policy.give_up_after": 50}), BENCH)
+    assert patient.spare_takes == (spare + min(50, last) if retry else 0)
 
 
 def test_region_covers_the_reed_and_no_twin(series_a):
@@ -333,6 +338,36 @@ def test_a_reed_out_of_view_is_a_violation(reed, y_mm):
     assert key == "reed"
     assert f"the image of the {plan.reed.name} reed reaches 0.04" in message
     assert "move optics.reed_centre or raise optics.distance in bench file simulated" in message
+
+
+@pytest.mark.parametrize(
+    ("where", "change", "key"),
+    [
+        ("bench", {"optics.reed_centre.y": "1 m"}, "reed"),
+        ("bench", {"optics.reed_size": {"y": "14 m", "x": "38 mm"}}, "reed"),
+        ("protocol", {"camera.width": 10**9}, "camera.width"),
+    ],
+)
+def test_a_reed_far_out_of_view_is_a_violation_with_nothing_to_keep(where, change, key):
+    protocol, bench = Protocol.from_file("quick"), BenchFile.from_file()
+    if where == "bench":
+        bench = bench.replace(change)
+    else:
+        protocol = protocol.replace(change)
+    plan = make_plan(protocol, bench)
+    assert key in [violation.key for violation in plan.violations]
+    assert plan.to_json()["file_size_bytes"] == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "step"),
+    [({"sweep.interval": "0.0001 cents"}, "1 uHz"), ({}, "1 kHz")],
+)
+def test_steps_that_are_driven_alike_are_a_violation(changes, step):
+    bench = BenchFile.from_file().replace({"instruments.generator.step": step})
+    plan = make_plan(Protocol.from_file("quick").replace(changes), bench)
+    (found,) = [v for v in plan.violations if v.key == "sweep.interval"]
+    assert "both driven at" in found.message
 
 
 def test_a_preparation_is_that_of_the_protocol_and_its_reed():

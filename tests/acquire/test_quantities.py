@@ -7,7 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquire.quantities import exact_decimal, format_quantity, parse_quantity, shown_value
+from acquire.quantities import (
+    exact_decimal,
+    format_quantity,
+    parse_quantity,
+    shown_value,
+    unseen_character,
+)
 
 # Powers of ten that the symbols stand for (SI brochure, table 7), written out independently.
 POWERS = {"n": -9, "u": -6, "µ": -6, "μ": -6, "m": -3, "c": -2, "": 0, "k": 3, "M": 6, "G": 9}
@@ -128,3 +134,19 @@ def test_exact_decimal_refuses_endless_decimals(value):
 
 def test_a_long_value_is_shown_short():
     assert shown_value("x" * 1000) == "'" + "x" * 38 + "…"
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("Vandoren V12, été, 日本\u00a012 😀", ""),
+        ("", ""),
+        ("a\x1b[2J", "U+001B"),
+        ("a\nb", "U+000A"),
+        ("\u202eV 5", "U+202E"),
+        ("a\u200bb\x00", "U+200B"),
+        ("\ud800", "U+D800"),
+    ],
+)
+def test_characters_that_nobody_sees_are_found(text, found):
+    assert unseen_character(text) == found

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from holography.demodulation import four_phase
+from holography.demodulation import four_phase, unused_combination
 from holography.fresnel import FresnelTransform
-from holography.phase import PhaseAdvance, phase_advance
+from holography.phase import PhaseAdvance, SteadyTurn, phase_advance, steady_turn
 from holography.region import Region
 
 
@@ -58,6 +58,19 @@ class Reconstruction:
         even, odd = (self.region.crop(image).copy() for image in images)
         empty = np.stack([self.empty.crop(image) for image in images])
         return Quadratures(even, odd, empty)
+
+    def steady_turn(self, frames: npt.ArrayLike, halves: "Quadratures") -> SteadyTurn:
+        """How well four frames fit one steadily turning image, see `holography.phase.steady_turn`.
+
+        Parameters
+        ----------
+        frames : (4, ny, nx)
+        halves : Quadratures
+            Of these frames.
+        """
+        unused = self.region.crop(self.transform.to_object(unused_combination(frames)))
+        # A hologram holds the noise of four frames.
+        return steady_turn(halves.even, halves.odd, unused, 0.25 * halves.noise)
 
 
 @dataclass(frozen=True, eq=False)

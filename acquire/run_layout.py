@@ -1,18 +1,17 @@
 """What writer and reader of a run file agree on, see ``docs/run-file.md``."""
 
+import contextlib
 import re
 from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
 from typing import Final, Literal
 
+from acquire.quality import Verdict
 from acquire.quantities import exact_decimal
 
 FORMAT: Final = "reedbench-run"
-FORMAT_VERSION: Final = 3
-# Version 1 knows no takes but one of each step, no seams, and no lock measured from the frames;
-# version 2 knows nothing but sweeps that stand alone.
-READABLE_VERSIONS: Final = (1, 2, 3)
+FORMAT_VERSION: Final = 4
 
 Status = Literal["running", "complete", "interrupted", "failed"]
 
@@ -33,17 +32,24 @@ MEASURED: Final = {
     "signal_to_noise": "",
     "noise_level": "",
     "saturated_share": "",
+    "brightness_dn": "dn",
     "lock_error_hz": "Hz",
     "lock_error_se_hz": "Hz",
+    "unexplained": "",
 }
-# Columns of measured steps that files of version 1 lack.
-SINCE_VERSION_2: Final = ("lock_error_hz", "lock_error_se_hz")
 # Column that only runs have whose steps are not all exposed alike.
 EXPOSURE: Final = "exposure_s"
 # Columns of `/entry/seams`, and how many of them there may be.
 SEAMS: Final = ("position", "kind", "began", "ended", "reason")
 SEAMS_MAX: Final = 64
+# Positions of `/entry/retakes` that hold no take. A step that is being set aside has UNDER_WAY less
+# its position, so that another process can finish what this one was killed in.
+FREE: Final = -1
+UNDER_WAY: Final = -2
 EXACT_BYTES: Final = 64
+SENTENCE_BYTES: Final = 240
+# How the sentence of a pending step ends that was measured before.
+TO_BE_TAKEN_AGAIN: Final = "to be taken again"
 # Of what went wrong, no more than this is told.
 _LONGEST_REASON = 120
 
@@ -145,6 +151,13 @@ def exact_text(value: Fraction) -> str:
             f"{text} has more than {EXACT_BYTES} characters; no synthesizer has such a step"
         )
     return text
+
+
+def verdict_of(said: bytes) -> Verdict | None:
+    """Return the verdict that a file has of a step; None if the bytes are those of none."""
+    with contextlib.suppress(ValueError):
+        return Verdict(said.decode())
+    return None
 
 
 def short_reason(error: BaseException) -> str:

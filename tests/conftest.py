@@ -1,14 +1,26 @@
 """A simulated bench small enough for tests: a coarse reed before a few thousand pixels."""
 
+import contextlib
 import fcntl
 import os
+import signal
 
+import h5py
+import numpy as np
 import pytest
 
 from acquire.bench_file import BenchFile
+from acquire.checksums import pixel_checksum, row_checksums
 from acquire.plan import make_plan
 from acquire.protocol import Protocol
 from drivers.registry import open_bench
+
+
+def pytest_configure():
+    """Take signals as a terminal's programs do, also under nohup or a shell's background job."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for name in ("SIGHUP", "SIGQUIT", "SIGTERM"):
+        signal.signal(getattr(signal, name), signal.SIG_DFL)
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -77,3 +89,20 @@ def open_small_bench():
     yield make
     for bench in opened:
         bench.close()
+
+
+@pytest.fixture(scope="session")
+def resealed():
+    """Return ``resealed(path)``: a run file, open to be changed, that gets its checksums anew."""
+
+    @contextlib.contextmanager
+    def changing(path):
+        with h5py.File(path, "r+") as file:
+            yield file
+            steps, data = file["entry/steps"], file["entry/data"]
+            pixels = data[data.attrs["signal"]]
+            sums = [pixel_checksum(pixels[k]) for k in range(len(pixels))]
+            steps["pixel_checksum"][...] = np.array(sums, dtype=np.uint64)
+            steps["row_checksum"][...] = row_checksums({n: steps[n][()] for n in steps})
+
+    return changing

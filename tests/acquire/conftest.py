@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 import event_model
-import h5py
 import numpy as np
 import pytest
 
@@ -243,19 +242,6 @@ def documents_of():
         return documents
 
     return read
-
-
-@pytest.fixture
-def as_version_1():
-    """Make of a run file what version 1 of the format would have written."""
-
-    def make(path):
-        with h5py.File(path, "r+") as file:
-            for name in ("retakes", "seams", "steps/lock_error_hz", "steps/lock_error_se_hz"):
-                del file["entry"][name]
-            file.attrs["format_version"] = 1
-
-    return make
 
 
 @pytest.fixture(scope="session")

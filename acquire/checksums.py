@@ -1,0 +1,73 @@
+"""Checksums of the steps in a run file: one over the pixels, one over all other numbers.
+
+BLAKE2b (RFC 7693) with a digest of 8 bytes: a damaged step passes once in 1.8e19 times. It takes
+1.0 ms for a hologram of 0.6 MB and 18 ms for four frames of 10.5 MB, while the camera exposes the
+next step (`python -m benchmarks.watching` prints it).
+"""
+
+import hashlib
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+PIXEL_CHECKSUM: Final = "pixel_checksum"
+ROW_CHECKSUM: Final = "row_checksum"
+CHECKSUMS: Final = (PIXEL_CHECKSUM, ROW_CHECKSUM)
+# A step may be judged again, which changes none of its numbers.
+_NOT_COVERED: Final = frozenset({"verdict", "sentence", ROW_CHECKSUM})
+_DIGEST_BYTES: Final = 8
+
+
+def pixel_checksum(pixels: npt.NDArray[Any]) -> int:
+    """Return the checksum of the pixels of one step, as the file holds them.
+
+    Parameters
+    ----------
+    pixels : (height, width) complex64 or (frames, rows, columns) uint16
+    """
+    return _digest(np.ascontiguousarray(pixels))
+
+
+def row_checksums(columns: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.uint64]:
+    """Return the checksum of each row of a table.
+
+    Parameters
+    ----------
+    columns : mapping of str to (rows, …) array
+        All columns, in the types that the file has, texts of fixed length. ``verdict``,
+        ``sentence`` and ``row_checksum`` may be among them and do not count; every other column
+        does, whatever its name.
+
+    Returns
+    -------
+    (rows,) uint64
+    """
+    names = sorted(columns.keys() - _NOT_COVERED)
+    count = min(len(columns[name]) for name in names)
+    parts = []
+    for name in names if count else ():
+        head = np.frombuffer(name.encode(), np.uint8)
+        entries = np.ascontiguousarray(columns[name]).reshape(count, -1).view(np.uint8)
+        parts += [np.broadcast_to(head, (count, len(head))), entries]
+    rows = np.concatenate(parts, axis=1) if count else ()
+    return np.array([_digest(row) for row in rows], dtype=np.uint64)
+
+
+def whole_rows(columns: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.bool_]:
+    """Return which rows of a table, (rows,) bool, have the checksum that they say.
+
+    Parameters
+    ----------
+    columns : mapping of str to (rows, …) array
+        See `row_checksums`.
+    """
+    same: npt.NDArray[np.bool_] = row_checksums(columns) == columns[ROW_CHECKSUM]
+    return same
+
+
+def _digest(content: npt.NDArray[Any]) -> int:
+    return int.from_bytes(
+        hashlib.blake2b(content.data, digest_size=_DIGEST_BYTES).digest(), "little"
+    )

@@ -1,24 +1,30 @@
 """How sure answers are, beside how often they are right, as a picture."""
 
+import io
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from blind.files import BlindError
 from blind.scoring import Case, Classes, share, sure_and_right
 
 _BINS = 8
 
 
-def draw_reliability(cases: Sequence[Case], classes: Classes, path: Path) -> None:
+def draw_reliability(cases: Sequence[Case], classes: Classes, software: str = "reedbench") -> bytes:
     """Draw a reliability plot: points on the diagonal are as often right as they are sure.
 
-    Raises
-    ------
-    BlindError
-        If the picture cannot be written.
+    Parameters
+    ----------
+    cases : sequence of Case
+    classes : Classes
+    software : str
+        What the picture says that it was made by.
+
+    Returns
+    -------
+    picture : bytes
+        PNG.
     """
     sure, right = sure_and_right(cases, classes)
     order = np.argsort(sure, kind="stable")
@@ -45,7 +51,6 @@ def draw_reliability(cases: Sequence[Case], classes: Classes, path: Path) -> Non
         title=f"sealed cases: {len(cases)}, with 95 % intervals",
     )
     ax.legend(loc="upper left", frameon=False)
-    try:
-        figure.savefig(path, dpi=150)
-    except (OSError, ValueError) as error:
-        raise BlindError(f"{path}: cannot be drawn ({error})") from None
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=150, metadata={"Software": software})
+    return buffer.getvalue()

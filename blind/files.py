@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import secrets
 import shutil
 from collections.abc import Callable
@@ -29,6 +30,10 @@ SEALED: Final = "sealed.json"
 
 class BlindError(ValueError):
     """A set of cases that cannot be made, or answers that cannot be scored."""
+
+
+class BlindDiskError(BlindError):
+    """A disk that refused what was written to it."""
 
 
 class _Size(BaseModel):
@@ -89,32 +94,28 @@ def make_set(
     Raises
     ------
     BlindError
-        If there is no such tier, folder or key are there already, or they cannot be written.
+        If there is no such tier, folder or key are there already, or there is no folder for them.
+    BlindDiskError
+        If they, or a case, cannot be written.
     KeyboardInterrupt
         Once the cases under way have ended or been interrupted as well: whole ones stay.
     """
     if tier not in TIERS:
         raise BlindError(f"there is no tier {tier}; choose one of {', '.join(map(str, TIERS))}")
-    for path in (folder, key):
-        if path.exists():
-            raise BlindError(f"{path}: is there already; name another place")
+    _require_places(folder, key)
     nonce = secrets.token_hex(16)
     mixed = hidden_seed(seed, nonce)
     told, kept = seal([drawn_label(tier, number, mixed) for number in range(count)])
     labels = {name: _label(entry["label"]) for name, entry in _plain(kept)["cases"].items()}
     # Committed before anything is recorded, let alone answered.
     sealed = json.dumps(told, indent=1).encode()
+    _write_new(key, json.dumps({"nonce": nonce, **kept}, indent=1).encode())
     try:
-        key.write_text(json.dumps({"nonce": nonce, **kept}, indent=1), encoding="utf-8")
-    except OSError as error:
-        raise BlindError(f"{key}: cannot be written ({error.strerror})") from None
-    try:
-        folder.mkdir(parents=True)
-        (folder / SEALED).write_bytes(sealed)
-    except OSError as error:
+        _begin(folder, sealed)
+    except BlindDiskError:
         # A key of nothing would only be in the way of the next try.
         key.unlink()
-        raise BlindError(f"{folder}: cannot be written ({error.strerror})") from None
+        raise
     report = progress or (lambda _share: None)
     with ProcessPoolExecutor(max_workers=jobs) as pool:
         waiting = [pool.submit(record_case, folder, name, label) for name, label in labels.items()]
@@ -123,13 +124,64 @@ def make_set(
                 done.result()
                 report((number + 1) / count)
         except OSError as error:
-            raise BlindError(f"{folder}: a case cannot be recorded ({error})") from None
+            raise BlindDiskError(f"{folder}: a case cannot be recorded ({error})") from None
         finally:
             # Cases that are whole stay.
             pool.shutdown(cancel_futures=True)
             for cut in folder.glob(f"*{CUT}"):
                 shutil.rmtree(cut, ignore_errors=True)
     return hashlib.sha256(sealed).hexdigest()
+
+
+def _require_places(folder: Path, key: Path) -> None:
+    """Refuse to replace anything, and places that cannot be written."""
+    for path in (folder, key):
+        # Also of a link that leads nowhere.
+        if os.path.lexists(path):
+            raise BlindError(f"{path}: is there already; name another place")
+    if not key.parent.is_dir():
+        raise BlindError(
+            f"{key}: cannot be written (there is no folder {key.parent}); name another place"
+        )
+    above = next(path for path in folder.absolute().parents if path.exists())
+    if not above.is_dir():
+        raise BlindError(
+            f"{folder}: cannot be written ({above} is not a folder); name another place"
+        )
+    if os.path.realpath(folder) == os.path.realpath(key):
+        raise BlindError(f"{key}: is the name of the folder of cases too; name another key")
+
+
+def _write_new(path: Path, content: bytes) -> None:
+    """Write a file that is not there yet; it is on the disk when this returns, or not there."""
+    try:
+        with path.open("xb") as file:
+            try:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            except BaseException:
+                path.unlink()
+                raise
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise BlindDiskError(f"{path}: cannot be written ({reason}); name another place") from None
+
+
+def _begin(folder: Path, sealed: bytes) -> None:
+    """Make the folder of a set, with its commitments; nothing is left if that fails."""
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise BlindDiskError(
+            f"{folder}: cannot be written ({reason}); name another place"
+        ) from None
+    try:
+        _write_new(folder / SEALED, sealed)
+    except BlindDiskError:
+        folder.rmdir()
+        raise
 
 
 def answered_cases(folder: Path, answers: Path, key: Path) -> list[Case]:

@@ -82,7 +82,7 @@ def write_recording(
     """
     with h5py.File(path, "x") as file:
         file.attrs.update(
-            format="reedbench-run", format_version=3, default="entry", NX_class="NXroot"
+            format="reedbench-run", format_version=4, default="entry", NX_class="NXroot"
         )
         entry = _group(file, "entry", "NXentry", default="data")
         shots = recording.shots
@@ -108,8 +108,8 @@ def write_recording(
         acquisition["clamping"] = recording.clamping
         _provenance(entry, bench_text(case, laboratory, told))
         _instrument(entry, laboratory)
-        _steps(entry, recording)
         _data(entry, laboratory, shots)
+        _steps(entry, recording)
 
 
 def _provenance(entry: Any, bench: str) -> None:
@@ -195,11 +195,32 @@ def _steps(entry: Any, recording: Recording) -> None:
         ("saturated_share", [0.0] * len(shots), ""),
         ("lock_error_hz", [shot.lock_hz for shot in shots], "Hz"),
         ("lock_error_se_hz", [shot.lock_se_hz for shot in shots], "Hz"),
+        ("brightness_dn", [np.nan] * len(shots), "dn"),
+        ("unexplained", [np.nan] * len(shots), ""),
     ):
         _number(steps, name, numbers, unit)
     verdicts = ["partial" if shot.repeated else "ok" for shot in shots]
     steps.create_dataset("verdict", data=verdicts, dtype=_TEXT)
     steps.create_dataset("sentence", data=["" for _ in shots], dtype=_TEXT)
+    _checksums(steps, entry["data"])
+
+
+def _checksums(steps: Any, data: Any) -> None:
+    """Checksums of each step: of its pixels, then of all its numbers."""
+    pixels = data[data.attrs["signal"]]
+    count = len(pixels)
+    steps["pixel_checksum"] = np.array([_digest(pixels[k].tobytes()) for k in range(count)])
+    columns = {name: steps[name][()] for name in sorted(steps)}
+    said = {name: c for name, c in columns.items() if name not in ("verdict", "sentence")}
+    rows = [
+        b"".join(name.encode() + column[k : k + 1].tobytes() for name, column in said.items())
+        for k in range(count)
+    ]
+    steps["row_checksum"] = np.array([_digest(row) for row in rows])
+
+
+def _digest(content: bytes) -> np.uint64:
+    return np.uint64(int.from_bytes(hashlib.blake2b(content, digest_size=8).digest(), "little"))
 
 
 def _leak(shot: Shot) -> float:

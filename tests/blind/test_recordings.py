@@ -9,6 +9,7 @@ import yaml
 
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
+from acquire.runfile import Run
 from benchmarks.leaks import disguised
 from blind import cases
 from blind.cases import Label, drawn_label, healthy_world, record_case, told_sizes
@@ -25,6 +26,8 @@ _OF_THE_BUILD = {
 }
 # Numbers of steps that are measured; all others are settings.
 _MEASURED = {"signal_to_noise", "noise_level", "lock_error_hz", "lock_error_se_hz"}
+# They follow from the numbers and the pictures.
+_MEASURED |= {"pixel_checksum", "row_checksum"}
 
 
 class ShortLaboratory(Laboratory):
@@ -107,6 +110,14 @@ def test_nothing_but_pictures_and_what_is_read_off_them_tells_of_an_effect(short
     assert len(well) > 200
     assert well == sick
     assert not any(path.suffix != ".h5" for path in (tmp_path / "sick" / "a").iterdir())
+
+
+def test_checksums_are_those_that_the_other_side_expects(short, tmp_path):
+    record_case(tmp_path, "a", Label(0, (), True, 5))
+    for path in (tmp_path / "a").glob("*.h5"):
+        with Run.open(path) as run:
+            for step in run:
+                assert np.isfinite(run.field(step.position)).all()
 
 
 def test_a_laboratory_tells_what_it_knows_and_not_what_is_withheld(short, tmp_path):

@@ -234,10 +234,12 @@ def test_a_gap_that_is_not_told_closes_nothing() -> None:
     assert closures([none])["median"] == 0.0
 
 
-def test_a_reliability_plot_is_drawn(tmp_path) -> None:
+def test_a_reliability_plot_is_drawn() -> None:
     cases = [answered("crack", "crack", {}) for _ in range(20)]
-    draw_reliability(cases, CLASSES, tmp_path / "plot.png")
-    assert (tmp_path / "plot.png").stat().st_size > 5000
+    picture = draw_reliability(cases, CLASSES, "ours")
+    assert picture.startswith(b"\x89PNG")
+    assert b"tEXtSoftware\0ours" in picture
+    assert len(picture) > 5000
 
 
 def test_what_should_stand_out_does_not_depend_on_whether_it_was_found() -> None:

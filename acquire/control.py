@@ -1,22 +1,20 @@
 """Lets other processes pause a run, go on with it, or end it.
 
-While a run is measured its process holds a lock on a small file beside the run file, in which its
-number stands. The lock goes with the process, however that ends. Orders are signals; they wait
-until the run can obey, and those that come after its end are lost.
+While a run is measured its process holds the lock of a small file next to the run file. Orders are
+signals, sent to the process that holds the lock; those that come after its end are lost.
 """
 
-import contextlib
-import fcntl
 import os
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import Final, Literal
 
 from acquire.errors import RunFileError
+from acquire.orders import Orders, signals_obeyed
+from drivers.exclusive import Holder, LockedError, exclusive, holder_of
 
 Order = Literal["pause", "continue", "stop"]
 
@@ -25,82 +23,52 @@ _SIGNALS: Final[dict[Order, signal.Signals]] = {
     "continue": signal.SIGUSR2,
     "stop": signal.SIGTERM,
 }
-# Would end a process that has not said what it does about them.
-_DEADLY: Final = (signal.SIGUSR1, signal.SIGUSR2)
 
 
 def control_path(run_path: Path) -> Path:
-    """Return where the number of a run's process stands: ``R07.h5`` → ``R07.process``."""
-    return run_path.with_suffix(".process")
+    """Return the lock file of a run, ``R07.h5`` → ``R07.process``, or of a campaign's folder."""
+    if run_path.suffix == ".h5":
+        return run_path.with_suffix(".process")
+    return run_path / "campaign.process"
 
 
 @contextmanager
-def controllable(run_path: Path) -> Iterator[None]:
-    """Hold the lock of a run while it is measured; hold orders back until the run takes them.
+def controllable(run_path: Path, orders: Orders | None = None) -> Iterator[Orders]:
+    """Hold the lock of a run while it is measured, and obey the signals of others.
 
-    Only runs on a process's main thread can be told anything, because only that gets signals.
+    Only runs on a process's main thread can be given orders, because only that gets signals.
+
+    Parameters
+    ----------
+    run_path : Path
+    orders : Orders, optional
+        Of a campaign, whose signals are obeyed already.
+
+    Yields
+    ------
+    Orders
+        What others ask of the run.
 
     Raises
     ------
     RunFileError
         If another process is measuring this run, or the file cannot be made.
     """
-    path = control_path(run_path)
+    takes_orders = threading.current_thread() is threading.main_thread()
+    path, mine = control_path(run_path), orders or Orders()
     try:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-    except OSError as error:
+        with signals_obeyed(mine), exclusive(path, f"measures {run_path}", takes_orders):
+            yield mine
+    except LockedError as locked:
         raise RunFileError(
-            f"{path}: cannot be made ({error.strerror}); check the folder"
-        ) from error
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise RunFileError(
-                f"{run_path}: is being measured by {_measurer(path)}; wait for its end"
-            ) from None
-        os.ftruncate(descriptor, 0)
-        with _orders_wait() as obeys:
-            try:
-                if obeys:
-                    os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
-                yield
-            finally:
-                # First, so that nobody tells the process anything once it would not survive that.
-                path.unlink(missing_ok=True)
-    finally:
-        os.close(descriptor)
+            f"{run_path}: is being measured by {locked.holder or 'another program'}; wait for its "
+            "end"
+        ) from None
 
 
-class WaitingOrders:
-    """Handler of signals that come before a run can obey, or after its end."""
-
-    def __init__(self) -> None:
-        self._numbers: list[int] = []
-
-    def __call__(self, number: int, _frame: FrameType | None) -> None:
-        """Remember a signal."""
-        self._numbers.append(number)
-
-    def take(self) -> list[int]:
-        """Return the numbers of signals that came, in their order, and forget them."""
-        taken, self._numbers = self._numbers, []
-        return taken
-
-
-@contextmanager
-def _orders_wait() -> Iterator[bool]:
-    """Let orders wait instead of ending the process; yield whether this thread can get any."""
-    if threading.current_thread() is not threading.main_thread():
-        yield False
-        return
-    waiting = WaitingOrders()
-    before = {number: signal.signal(number, waiting) for number in _DEADLY}
-    try:
-        yield True
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler or signal.SIG_DFL)
+def measurer(run_path: Path) -> Holder | None:
+    """Return the process that is measuring a run; None if no process on this computer is."""
+    return holder_of(control_path(run_path))[1]
 
 
 def order(run_path: Path, what: Order) -> int:
@@ -111,48 +79,31 @@ def order(run_path: Path, what: Order) -> int:
     Raises
     ------
     RunFileError
-        If no process is measuring that run, or it belongs to somebody else, or cannot be told.
+        If no process of this computer is measuring that run, or it belongs to somebody else, or
+        takes no orders.
     """
-    path = control_path(run_path)
-    held = _held(path)
-    process = _number(path) if held else None
-    if held and process is None:
-        raise RunFileError(
-            f"{run_path}: is measured by a script on a thread that gets no orders; let the script "
-            f"{what} it"
-        )
-    if process is None:
+    held, holder = holder_of(control_path(run_path))
+    if not held:
         raise RunFileError(
             f"{run_path}: is not being measured; name the run file of a run in work, on this "
             "computer"
         )
+    if holder is None:
+        raise RunFileError(
+            f"{run_path}: is being measured, but {control_path(run_path).name} does not describe a "
+            f"process of this computer; {what} it where it was started"
+        )
+    if not holder.takes_orders:
+        raise RunFileError(
+            f"{run_path}: is measured by a script on a thread that gets no orders; let the script "
+            f"{what} it"
+        )
     try:
-        os.kill(process, _SIGNALS[what])
+        os.kill(holder.pid, _SIGNALS[what])
+    except ProcessLookupError:
+        raise RunFileError(f"{run_path}: process {holder.pid} has just ended") from None
     except PermissionError:
         raise RunFileError(
-            f"{run_path}: process {process} belongs to somebody else; ask them to {what} it"
+            f"{run_path}: process {holder.pid} belongs to somebody else; ask them to {what} it"
         ) from None
-    return process
-
-
-def _held(path: Path) -> bool:
-    """Whether some process holds the lock."""
-    try:
-        with path.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False
-    return False
-
-
-def _measurer(path: Path) -> str:
-    number = _number(path)
-    return "a script" if number is None else f"process {number}"
-
-
-def _number(path: Path) -> int | None:
-    with contextlib.suppress(OSError, ValueError):
-        return int(path.read_text())
-    return None
+    return holder.pid

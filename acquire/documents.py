@@ -4,16 +4,20 @@ Every line is a pair ``[name, document]`` as suitcase-jsonl writes it, so LiveTa
 our runs. Arrays stay in the run file, to which the last documents point.
 """
 
+import contextlib
+import io
 import json
 import math
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Literal, Self, TextIO
+from typing import Any, Final, Literal, Self
 
-from acquire.errors import RunFileError
+from acquire.disk import error_class
+from acquire.errors import DiskError, RunFileError
 from acquire.plan import Plan, Step
 from acquire.run_layout import RunLabels, Status, short_reason
 from acquire.run_writer import MeasuredStep
@@ -37,8 +41,10 @@ _SOURCES: Final = {
     "signal_to_noise": "camera",
     "noise_level": "camera",
     "saturated_share": "camera",
+    "brightness_dn": "camera",
     "lock_error_hz": "camera",
     "lock_error_se_hz": "camera",
+    "unexplained": "camera",
     "verdict": "acquire.quality",
     "sentence": "acquire.quality",
 }
@@ -58,6 +64,35 @@ def documents_path(run_path: Path) -> Path:
     return run_path.with_suffix(".documents.jsonl")
 
 
+def rewritten_path(run_path: Path) -> Path:
+    """Return where documents are put together before a run goes on: ``R07.documents.part``."""
+    return documents_path(run_path).with_suffix(".part")
+
+
+def holds_no_event(run_path: Path) -> bool:
+    """Whether the documents of a run are nothing but the beginning of one without a step.
+
+    A process that is killed before it has made the run file leaves such documents.
+    """
+    try:
+        lines = documents_path(run_path).read_text(encoding="utf-8").splitlines(keepends=True)
+    except (OSError, UnicodeDecodeError):
+        return False
+    # The last line may have been cut short.
+    cut = lines.pop() if lines and not lines[-1].endswith("\n") else ""
+    try:
+        documents = [json.loads(line) for line in lines]
+        names = [name for name, _ in documents]
+        of_run = not documents or documents[0][1]["run_file"] == run_path.name
+    except (ValueError, TypeError, KeyError, IndexError):
+        return False
+    beginning = ["start", "descriptor", "descriptor"]
+    if not of_run or names != beginning[: len(names)]:
+        return False
+    head = json.dumps(beginning[len(names) : len(names) + 1])[:-1]
+    return cut[: len(head)] == head[: len(cut)] if names != beginning else not cut
+
+
 @dataclass(frozen=True, slots=True)
 class _Begun:
     """Documents of a run up to its last event: its start, its two streams, and its events."""
@@ -75,10 +110,14 @@ class _Begun:
         return cls(dict(documents)["start"], streams["primary"], streams["steps"], events)
 
     @property
-    def told(self) -> frozenset[tuple[int, int | None, int]]:
-        """Index, order and take of every event; runs of one order need not say it."""
-        data = (event["data"] for event in self.events)
-        return frozenset((each["index"], each.get("order"), each["take"]) for each in data)
+    def takes(self) -> dict[tuple[int, int], int]:
+        """How often each step was taken, by index and order."""
+        counts: dict[tuple[int, int], int] = {}
+        for event in self.events:
+            data = event["data"]
+            step = data["index"], data["order"]
+            counts[step] = max(counts.get(step, 0), data["take"])
+        return counts
 
 
 class DocumentLog:
@@ -89,7 +128,7 @@ class DocumentLog:
     that say where it is come last, because a file that is being written cannot be read.
     """
 
-    def __init__(self, run_path: Path, file: TextIO, begun: _Begun) -> None:
+    def __init__(self, run_path: Path, file: io.FileIO, begun: _Begun) -> None:
         # It takes longer to import than the rest of this package.
         import event_model
 
@@ -117,6 +156,8 @@ class DocumentLog:
         ------
         RunFileError
             If the documents exist already or cannot be made.
+        DiskError
+            If the disk refuses them.
         """
         import event_model
 
@@ -137,9 +178,9 @@ class DocumentLog:
             raise
         return log
 
-    def has(self, index: int, order: int, take: int) -> bool:
-        """Whether a take's event was there when the documents were gone on with."""
-        return not self._begun.told.isdisjoint({(index, order, take), (index, None, take)})
+    def takes_of(self, index: int, order: int) -> int:
+        """Return how many takes of a step the documents knew when they were opened."""
+        return self._begun.takes.get((index, order), 0)
 
     @classmethod
     def resume(cls, run_path: Path) -> Self:
@@ -153,7 +194,7 @@ class DocumentLog:
         RunFileError
             If there are none, or they are no documents of a run.
         """
-        path = documents_path(run_path)
+        path, whole = documents_path(run_path), rewritten_path(run_path)
         documents = _documents(path)
         try:
             begun = _Begun.read(documents)
@@ -161,13 +202,18 @@ class DocumentLog:
             raise RunFileError(
                 f"{path}: does not begin with the documents of a run; measure the sweep again"
             ) from None
-        whole = path.with_suffix(".part")
         try:
-            with whole.open("w", encoding="utf-8") as part:
-                part.writelines(json.dumps(document) + "\n" for document in documents)
+            # Removed, so that a link with this name is not followed.
+            whole.unlink(missing_ok=True)
+            with whole.open("xb") as part:
+                part.writelines(_line(*document) for document in documents)
+                part.flush()
+                os.fsync(part.fileno())
             whole.replace(path)
-            return cls(run_path, path.open("a", encoding="utf-8"), begun)
+            return cls(run_path, path.open("ab", buffering=0), begun)
         except OSError as error:
+            with contextlib.suppress(OSError):
+                whole.unlink(missing_ok=True)
             raise _cannot_write(path, error) from error
 
     def event(self, data: dict[str, Any], time_s: float) -> None:
@@ -182,27 +228,38 @@ class DocumentLog:
 
         Raises
         ------
-        RunFileError
-            If the disk refuses.
+        DiskError
         """
-        # Those that are gone on with may have been begun when less was told.
+        # Documents that another process began may have fewer columns.
         data = {name: data[name] for name in self._begun.primary["data_keys"]}
         timestamps = dict.fromkeys(data, time_s)
         self._write("event", self._compose_event(data=data, timestamps=timestamps, time=time_s))
 
     def finish(self, status: Status, reason: str = "") -> None:
-        """Write where the arrays are, and the stop document. Does nothing the second time."""
+        """Write where the arrays are, and the stop document. Does nothing the second time.
+
+        Raises
+        ------
+        DiskError
+        """
         if self._file.closed:
             return
         self._point_at_arrays()
         stop = self._compose_stop(exit_status=_EXIT_STATUS[status], reason=reason)
         self._write("stop", stop)
-        self._file.close()
+        try:
+            self._file.close()
+        except OSError as error:
+            raise _cannot_write(self.path, error) from error
 
     def discard(self) -> None:
         """Close and remove documents that say nothing worth keeping."""
         self._file.close()
         self.path.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Close the documents as they are. May be called twice."""
+        self._file.close()
 
     def __enter__(self) -> Self:
         return self
@@ -213,7 +270,7 @@ class DocumentLog:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._file.close()
+        self.close()
 
     def _point_at_arrays(self) -> None:
         import event_model
@@ -242,15 +299,24 @@ class DocumentLog:
         self._counts["steps"] += rows
 
     def _write(self, name: str, document: Any) -> None:
+        """Write a line, whole or not at all."""
+        line = _line(name, document)
+        end = os.fstat(self._file.fileno()).st_size
         try:
-            self._file.write(json.dumps([name, document], allow_nan=False) + "\n")
-            self._file.flush()
+            while line:
+                line = line[self._file.write(line) :]
         except OSError as error:
+            with contextlib.suppress(OSError):
+                self._file.truncate(end)
             raise _cannot_write(self.path, error) from error
 
 
-def _cannot_write(path: Path, error: OSError) -> RunFileError:
-    return RunFileError(f"{path}: cannot be written ({short_reason(error)}); make room on the disk")
+def _line(name: str, document: Any) -> bytes:
+    return (json.dumps([name, document], allow_nan=False) + "\n").encode()
+
+
+def _cannot_write(path: Path, error: OSError) -> DiskError:
+    return DiskError(f"{path}: cannot be written ({short_reason(error)}); make room on the disk")
 
 
 def _documents(path: Path) -> list[tuple[str, Any]]:
@@ -258,7 +324,9 @@ def _documents(path: Path) -> list[tuple[str, Any]]:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise RunFileError(f"{path}: cannot be read ({error}); measure the sweep again") from error
+        raise error_class(error)(
+            f"{path}: cannot be read ({error}); measure the sweep again"
+        ) from error
     documents = []
     for line in lines:
         try:
@@ -293,8 +361,10 @@ def event_data(step: Step, take: int, measured: MeasuredStep) -> dict[str, Any]:
         "signal_to_noise": _finite(measured.signal_to_noise),
         "noise_level": _finite(measured.noise_level),
         "saturated_share": measured.saturated_share,
+        "brightness_dn": _finite(measured.brightness_dn),
         "lock_error_hz": _finite(measured.lock_error_hz),
         "lock_error_se_hz": _finite(measured.lock_error_se_hz),
+        "unexplained": _finite(measured.unexplained),
         "verdict": str(measured.judgement.verdict),
         "sentence": measured.judgement.sentence,
     }
@@ -314,22 +384,25 @@ def recorded_data(record: StepRecord, take: int) -> dict[str, Any]:
         "signal_to_noise": _finite(record.signal_to_noise),
         "noise_level": _finite(record.noise_level),
         "saturated_share": record.saturated_share,
+        "brightness_dn": _finite(record.brightness_dn),
         "lock_error_hz": _finite(record.lock_error_hz),
         "lock_error_se_hz": _finite(record.lock_error_se_hz),
+        "unexplained": _finite(record.unexplained),
         "verdict": str(record.verdict),
         "sentence": record.sentence,
     }
 
 
-def _create(path: Path) -> TextIO:
+def _create(path: Path) -> io.FileIO:
     try:
-        return path.open("x", encoding="utf-8")
+        # Without a buffer: what a disk refuses would be written again when it is closed.
+        return path.open("xb", buffering=0)
     except FileExistsError:
         raise RunFileError(
             f"{path}: exists already and is never overwritten; choose another name or move it"
         ) from None
     except OSError as error:
-        raise RunFileError(
+        raise error_class(error)(
             f"{path}: cannot be made ({short_reason(error)}); check folder and rights"
         ) from error
 

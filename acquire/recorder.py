@@ -4,11 +4,13 @@ The thread lags behind the camera by at most two steps, so memory stays small; i
 the next step waits, with the instruments idle.
 """
 
+import contextlib
+import os
 import shutil
 import time
 import uuid
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,20 +19,30 @@ from typing import Final, Self
 
 import numpy as np
 
+from acquire.disk import error_class
 from acquire.documents import DocumentLog, documents_path, event_data, recorded_data
-from acquire.errors import RunFileError
+from acquire.errors import DiskError, RunFileError
+from acquire.history import History
 from acquire.plan import Plan, Step
 from acquire.quality import (
+    Judgement,
     LockCondition,
     ReadBack,
+    Usual,
     Verdict,
+    brightness_dn,
+    common_turn,
     judge_consecutive,
     judge_fresh,
+    judge_light,
     judge_lock,
     judge_order,
-    judge_phase,
     judge_saturation,
+    judge_settings,
+    judge_shown,
     judge_signal,
+    judge_steady,
+    judge_turn,
     judge_whole,
     most_severe,
     saturated_share,
@@ -41,9 +53,17 @@ from acquire.run_writer import MeasuredStep, RunWriter, now
 from acquire.runfile import Run, StepRecord
 from drivers.roles import Bench, Frame
 from holography.fresnel import FresnelTransform
-from holography.phase import PhaseAdvance
+from holography.phase import NO_TURN, SteadyTurn
 
 _WAITING_STEPS: Final = 2
+_NOT_OF_THE_STEP: Final = (
+    Verdict.DROPPED,
+    Verdict.DISORDERED,
+    Verdict.PARTIAL,
+    Verdict.STALE,
+    Verdict.SETTINGS,
+)
+_WITHOUT_LIGHT: Final = (Verdict.NO_SIGNAL, Verdict.SATURATED)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +75,8 @@ class Acquisition:
     position : int
         Place of the step in the plan, from 0.
     step : Step
-    read_back : ReadBack
+    before, after : ReadBack
+        Of before the frames and after them.
     changed_s : float
         When the last setting was changed, on the camera's clock.
     frames : tuple of Frame
@@ -65,7 +86,8 @@ class Acquisition:
 
     position: int
     step: Step
-    read_back: ReadBack
+    before: ReadBack
+    after: ReadBack
     changed_s: float
     frames: tuple[Frame, ...]
     camera_start: int
@@ -122,9 +144,13 @@ class Recorder:
         self._writer, self._documents = writer, documents
         self._saturation_dn = bench.camera.saturation_dn
         self._reconstruction = reconstruction_of(plan)
+        self._rate_hz = float(plan.protocol.camera.frame_rate_hz)
         self._verdicts = [Verdict.PENDING] * len(plan.steps)
         self._takes = [0] * len(plan.steps)
         self._last: tuple[int, Frame] | None = None
+        # Of drivers that do not say what their read-back is worth, the least is presumed.
+        self._echoes = bool(getattr(bench.synthesizers, "echoes_registers", True))
+        self._history = History()
         self._resumed = False
         self._started_s = self._first_done_s = time.monotonic()
         self._recorded = 0
@@ -183,14 +209,32 @@ class Recorder:
         writer = RunWriter.resume(path, plan)
         try:
             with Run.open(path) as run:
-                steps, retakes, ended = run.steps, run.retakes, run.end_time
+                steps, retakes = run.steps, run.retakes
+                ended = "" if run.status == "running" else run.end_time
             documents = DocumentLog.resume(path)
         except BaseException:
             writer.close()
             raise
         recorder = cls(plan, bench, writer, documents, progress)
-        recorder._take_over(steps, retakes, ended)
+        try:
+            recorder._take_over(steps, retakes, ended)
+        except BaseException:
+            documents.close()
+            writer.close()
+            raise
         return recorder
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is worth knowing of the whole run; to be relied on after `settle`."""
+        step = self._plan.steps[0]
+        turn = common_turn(self._history.usual(), _condition(step, self._plan), step.frames)
+        return (turn,) if turn else ()
+
+    @property
+    def resumed(self) -> bool:
+        """Whether another process began the run."""
+        return self._resumed
 
     @property
     def counts(self) -> Mapping[Verdict, int]:
@@ -268,15 +312,14 @@ class Recorder:
         self._thread.shutdown()
         if error is None:
             return
-        if not (self._resumed or any(self._takes)):
+        if not (self._resumed or any(verdict.measured for verdict in self._verdicts)):
             self._documents.discard()
             self._writer.discard()
             return
-        try:
+        with _noted(error):
             self._documents.finish("failed", str(error))
+        with _noted(error):
             self._writer.finish("failed")
-        except RunFileError as second:
-            error.add_note(str(second))
 
     def _take_over(
         self, steps: Sequence[StepRecord], retakes: Sequence[StepRecord], ended: str
@@ -287,13 +330,19 @@ class Recorder:
             self._takes[earlier.position] += 1
         for step in steps:
             self._verdicts[step.position] = step.verdict
+            known = self._documents.takes_of(step.index, step.order)
             if step.verdict.measured:
                 self._takes[step.position] += 1
                 take = self._takes[step.position]
-                if not self._documents.has(step.index, step.order, take):
+                if take > known:
                     self._documents.event(recorded_data(step, take), time.time())
+            # More than the run file holds, if the disk has damaged one.
+            self._takes[step.position] = max(self._takes[step.position], known)
         first = next((s for s, v in enumerate(self._verdicts) if not v.measured), len(steps))
         reason = "the process was gone" if not ended else "the run had been ended"
+        damaged = [str(steps[position].index) for position in self._writer.damaged]
+        if damaged:
+            reason += f"; damaged on the disk and taken again: step {', '.join(damaged)}"
         self._writer.reopen(Seam(first, "resumed", ended, now(), reason))
 
     def _record(self, acquisition: Acquisition) -> None:
@@ -326,9 +375,17 @@ class Recorder:
         previous = None
         if self._last is not None and self._last[0] == acquisition.camera_start:
             previous = self._last[1]
+        usual = self._history.usual(acquisition.step.exposure_s)
         measured = measure(
-            acquisition, self._plan, self._reconstruction, self._saturation_dn, previous
+            acquisition,
+            self._plan,
+            self._reconstruction,
+            self._saturation_dn,
+            previous,
+            usual,
+            echoes=self._echoes,
         )
+        self._remember(acquisition.step, measured)
         if acquisition.frames:
             newest = max(acquisition.frames, key=lambda frame: frame.id)
             if previous is None or newest.id > previous.id:
@@ -338,6 +395,18 @@ class Recorder:
                     replace(newest, image=newest.image[:0]),
                 )
         return measured
+
+    def _remember(self, step: Step, measured: MeasuredStep) -> None:
+        """Let a step count for what is usual, as far as its frames show the step."""
+        verdict = measured.judgement.verdict
+        if verdict in _NOT_OF_THE_STEP:
+            return
+        # Steps without light say nothing of how bright the next ones should be.
+        if np.isfinite(measured.brightness_dn) and verdict not in _WITHOUT_LIGHT:
+            self._history.add_brightness(step.exposure_s, measured.brightness_dn)
+        if verdict is not Verdict.LIGHT:
+            turn_rad = 2 * np.pi * measured.lock_error_hz / self._rate_hz
+            self._history.add_turn(turn_rad, measured.unexplained)
 
     def _seconds_left(self, steps: int) -> float:
         """Extrapolate; the first step, which includes all preparations, only for itself."""
@@ -354,12 +423,25 @@ class Recorder:
             self._verdicts[position] = verdict
 
 
+@contextlib.contextmanager
+def _noted(first: BaseException) -> Iterator[None]:
+    """Add what fails besides to an error; a disk that refuses is one cause, and one line."""
+    try:
+        yield
+    except RunFileError as second:
+        if not isinstance(first, DiskError):
+            first.add_note(str(second))
+
+
 def measure(
     acquisition: Acquisition,
     plan: Plan,
     reconstruction: Reconstruction,
     saturation_dn: int,
     previous: Frame | None = None,
+    usual: Usual | None = None,
+    *,
+    echoes: bool = False,
 ) -> MeasuredStep:
     """Reconstruct and judge one step.
 
@@ -373,53 +455,110 @@ def measure(
         See `drivers.roles.Camera`.
     previous : Frame, optional
         Last frame of the acquisition before, since when the camera did not stop.
+    usual : Usual, optional
+        What the steps before were like.
+    echoes : bool
+        Whether the synthesizers' read-back only repeats what they were told.
 
     Returns
     -------
     MeasuredStep
         A step of fewer frames than planned has a field of zeros.
     """
-    step, frames, protocol = acquisition.step, acquisition.frames, plan.protocol
-    region, empty = reconstruction.region, reconstruction.empty
-    rate_hz = protocol.camera.frame_rate_hz
-    condition = LockCondition(step.order, rate_hz, float(protocol.tolerance.lock_phase_rad))
+    step, frames, usual = acquisition.step, acquisition.frames, usual or Usual()
+    region, kind = reconstruction.region, _kind(plan)
     field = np.zeros((region.height, region.width), dtype=np.complex64)
-    ratio, noise, phase = np.nan, np.nan, PhaseAdvance(np.nan, np.nan)
+    ratio, noise, turn, level_dn, share = np.nan, np.nan, NO_TURN, np.nan, 0.0
     judgements = [judge_consecutive(frames, step.frames)]
-    interferes = protocol.calibration is None or protocol.calibration.kind == "order0"
-    if len(frames) == step.frames and interferes:
-        halves = reconstruction.quadratures(np.stack([frame.image for frame in frames]))
-        field, noise, phase = halves.field, halves.noise, halves.phase_advance
-        ratio = mean_power(field) / noise if noise > 0 else np.nan
-        # Beyond the first order all may be dark: it is the lower ones that tell of a fault.
-        if step.order <= 1 or len(protocol.sideband.selected) == 1:
-            judgements.append(
-                judge_signal(ratio, region.height * region.width, empty.height * empty.width)
-            )
-        judgements.append(judge_phase(phase, condition, step.frames, step.carrier_leak, ratio))
-    share = saturated_share(frames, saturation_dn) if frames else 0.0
-    judgements.append(judge_saturation(share))
     if frames:
-        ready_s = acquisition.changed_s + float(step.settle_s)
-        judgements.append(judge_fresh(frames, ready_s, previous))
-        judgements.append(judge_order(frames, float(1 / rate_hz), previous))
+        share = saturated_share(frames, saturation_dn)
+        judgements += [judge_saturation(share)]
+        judgements += _judge_frames(acquisition, plan, saturation_dn, previous)
         # Without light rows may well be empty, all of them alike.
-        if protocol.calibration is None or protocol.calibration.kind != "dark":
-            judgements.append(judge_whole(frames, saturation_dn))
-        judgements.append(judge_lock(acquisition.read_back, frames, condition))
-    turn_hz = float(rate_hz) / (2 * np.pi)
+        if kind != "dark":
+            level_dn = float(np.median(brightness_dn(frames, _dark_dn(plan))))
+            light = judge_light(frames, _dark_dn(plan), usual)
+            judgements += [light, judge_whole(frames, saturation_dn)]
+    if len(frames) == step.frames and kind in ("sweep", "order0"):
+        images = np.stack([frame.image for frame in frames])
+        halves = reconstruction.quadratures(images)
+        field, noise = halves.field, halves.noise
+        turn = reconstruction.steady_turn(images, halves)
+        ratio = mean_power(field) / noise if noise > 0 else np.nan
+        # Frames of different brightness say nothing of how their image turns.
+        if light is None:
+            judgements += _judge_turn(turn, step, plan, usual, echoes)
+        judgements.append(_judge_signal(ratio, step, plan, reconstruction))
+    turn_hz = float(plan.protocol.camera.frame_rate_hz) / (2 * np.pi)
     return MeasuredStep(
-        read_back=acquisition.read_back,
+        read_back=acquisition.after,
         changed_s=acquisition.changed_s,
         frames=frames,
         field=field,
         signal_to_noise=ratio,
         noise_level=noise,
         saturated_share=share,
-        lock_error_hz=phase.error_rad * turn_hz,
-        lock_error_se_hz=phase.standard_error_rad * turn_hz,
+        brightness_dn=level_dn,
+        lock_error_hz=turn.error_rad * turn_hz,
+        lock_error_se_hz=turn.standard_error_rad * turn_hz,
+        unexplained=turn.unexplained,
         judgement=most_severe(judgements),
     )
+
+
+def _kind(plan: Plan) -> str:
+    calibration = plan.protocol.calibration
+    return "sweep" if calibration is None else calibration.kind
+
+
+def _judge_turn(
+    turn: SteadyTurn, step: Step, plan: Plan, usual: Usual, echoes: bool
+) -> list[Judgement | None]:
+    """Judge how the image turns from frame to frame."""
+    leak = step.carrier_leak
+    unsteady = judge_steady(turn, leak, usual)
+    # What does not turn steadily has no frequency.
+    wrong = None if unsteady else judge_turn(turn, _condition(step, plan), leak, usual)
+    return [unsteady, wrong, judge_shown(turn, leak) if echoes else None]
+
+
+def _judge_signal(
+    ratio: float, step: Step, plan: Plan, reconstruction: Reconstruction
+) -> Judgement | None:
+    # Beyond the first order all may be dark: it is the lower ones that tell of a fault.
+    if step.order > 1 and len(plan.protocol.sideband.selected) > 1:
+        return None
+    region, empty = reconstruction.region, reconstruction.empty
+    return judge_signal(ratio, region.height * region.width, empty.height * empty.width)
+
+
+def _judge_frames(
+    acquisition: Acquisition, plan: Plan, saturation_dn: int, previous: Frame | None
+) -> list[Judgement | None]:
+    """Judge numbers, times and settings."""
+    step, frames, condition = (
+        acquisition.step,
+        acquisition.frames,
+        _condition(acquisition.step, plan),
+    )
+    period_s = float(plan.protocol.camera.period_s)
+    return [
+        judge_fresh(frames, acquisition.changed_s + float(step.settle_s), previous),
+        judge_order(frames, period_s, previous),
+        judge_settings(step.drive_hz, step.volts, acquisition.before, acquisition.after),
+        judge_lock(acquisition.before, frames, condition),
+        judge_lock(acquisition.after, frames, condition),
+    ]
+
+
+def _condition(step: Step, plan: Plan) -> LockCondition:
+    tolerance_rad = float(plan.protocol.tolerance.lock_phase_rad)
+    return LockCondition(step.order, plan.protocol.camera.frame_rate_hz, tolerance_rad)
+
+
+def _dark_dn(plan: Plan) -> float:
+    sheet = plan.bench.instruments.camera.data_sheet
+    return sheet.offset_dn if sheet else 0.0
 
 
 def make_folder(path: Path) -> None:
@@ -428,13 +567,13 @@ def make_folder(path: Path) -> None:
     Raises
     ------
     RunFileError
-        If it cannot be made, or if the run file's name is unusable or taken: then nothing is made.
+        If it cannot be made, or if the run file's name is unusable: then nothing is made.
     """
-    _require_free_name(path)
+    _require_usable_name(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RunFileError(
+        raise error_class(error)(
             f"{path}: its folder cannot be made ({error.strerror}); choose another place"
         ) from error
 
@@ -448,6 +587,7 @@ def require_writable(plan: Plan, path: Path) -> None:
         If the folder is missing, the name unusable, the disk too small, or one of the files
         exists already.
     """
+    _require_usable_name(path)
     _require_free_name(path)
     if not path.parent.is_dir():
         raise RunFileError(f"{path}: there is no folder {path.parent}; make it first")
@@ -459,15 +599,19 @@ def require_writable(plan: Plan, path: Path) -> None:
         )
 
 
-def _require_free_name(path: Path) -> None:
+def _require_usable_name(path: Path) -> None:
     if path.suffix != ".h5":
         raise RunFileError(f"{path}: the name of a run file ends in .h5; write {path.stem}.h5")
     try:
         path.exists()
     except OSError as error:
         raise RunFileError(f"{path}: {error.strerror}; choose another name") from error
+
+
+def _require_free_name(path: Path) -> None:
     for file in (path, documents_path(path)):
-        if file.exists():
+        # A link that leads nowhere is there, too.
+        if os.path.lexists(file):
             raise RunFileError(
                 f"{file}: exists already and is never overwritten; choose another name or move it"
             )

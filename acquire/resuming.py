@@ -5,7 +5,6 @@ from pathlib import Path
 
 from acquire.errors import RunFileError
 from acquire.plan import Plan
-from acquire.run_layout import FORMAT_VERSION
 from acquire.runfile import Run
 
 
@@ -40,30 +39,31 @@ def unfinished(path: str | Path, plan: Plan) -> Unfinished:
     Raises
     ------
     RunFileError
-        If the run is complete, was written by an older version, or another protocol, bench or kind
-        of reed was measured in it: half a sweep of each would be no sweep.
+        If the run is complete, or another protocol, bench or kind of reed was measured in it: half
+        a sweep of each would be no sweep.
     """
-    with Run.open(path) as run:
+    # A step that the disk has damaged is measured again.
+    with Run.open(path, damaged_as_pending=True) as run:
         if run.status == "complete":
             raise RunFileError(f"{path}: is complete; measure a new run")
-        if run.format_version != FORMAT_VERSION:
-            raise RunFileError(
-                f"{path}: has format version {run.format_version} and cannot be gone on with; "
-                "measure a new run"
-            )
-        _require_same(
-            run,
-            {
-                "protocol": (run.protocol_sha256, plan.protocol.sha256),
-                "bench": (run.bench_fingerprint, plan.bench.fingerprint),
-                "kind of reed": (run.reed_sha256, plan.reed.sha256),
-            },
-        )
+        require_same(run, plan)
         missing = sum(not step.verdict.measured for step in run.steps)
         return Unfinished(run.path, run.reed, run.seed, missing)
 
 
-def _require_same(run: Run, hashes: dict[str, tuple[str, str]]) -> None:
+def require_same(run: Run, plan: Plan) -> None:
+    """Require that a run was begun with a plan's protocol, bench and kind of reed.
+
+    Raises
+    ------
+    RunFileError
+        Names the first that is another one.
+    """
+    hashes = {
+        "protocol": (run.protocol_sha256, plan.protocol.sha256),
+        "bench": (run.bench_fingerprint, plan.bench.fingerprint),
+        "kind of reed": (run.reed_sha256, plan.reed.sha256),
+    }
     for what, (then, today) in hashes.items():
         if then != today:
             raise RunFileError(

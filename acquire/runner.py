@@ -1,34 +1,57 @@
 """One sweep on one bench: the state machine that owns the instruments while they run."""
 
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
-from types import FrameType
-from typing import Final
+from typing import Final, Literal
 
-from acquire.control import WaitingOrders
+from acquire.door import received
+from acquire.orders import Orders, signals_obeyed
 from acquire.plan import Plan, Step
 from acquire.quality import ReadBack, Verdict
 from acquire.recorder import Acquisition, Recorder, StepReport
 from acquire.run_layout import RunLabels, Seam
 from acquire.run_writer import now
-from drivers.errors import InstrumentError
+from drivers.errors import InstrumentError, note_unconfirmed
 from drivers.roles import Bench
+from drivers.safe_off import RAMP_S, safe_off
 
-__all__ = ["RunLabels", "RunState", "RunSummary", "Runner", "StepReport", "run", "safe_off"]
+__all__ = [
+    "RAMP_S",
+    "RunLabels",
+    "RunState",
+    "RunSummary",
+    "Runner",
+    "StepReport",
+    "run",
+    "safe_off",
+]
 
-# A tweeter clicks, and may be harmed, if its voltage jumps.
-RAMP_S: Final = 0.1
 # From step to step of a sweep volts grow by less than this factor; beyond, they are ramped.
 _JUMP: Final = 1.25
-_PAUSE_POLL_S: Final = 0.1
 _ASKED: Final = "somebody asked for it"
+# Where to look first when step after step has the same verdict.
+_CABLES: Final[Mapping[Verdict, str]] = {
+    Verdict.NO_SIGNAL: (
+        "the tweeter's cable and amplifier, then laser, shutters, and the cables from the "
+        "synthesizers to the modulators"
+    ),
+    Verdict.LOCK: "the 10 MHz cables, and those from the synthesizers to the modulators",
+    Verdict.SETTINGS: "the front panels of synthesizers and generator",
+    Verdict.DROPPED: "the camera's bus cable and its trigger cable",
+    Verdict.DISORDERED: "the camera's bus cable and its trigger cable",
+    Verdict.PARTIAL: "the camera's bus cable",
+    Verdict.STALE: "the camera's trigger cable",
+    Verdict.LIGHT: "the laser, the lamp and the shutters",
+    Verdict.UNSTEADY: "what shakes the table, and the tweeter's amplifier",
+    Verdict.SATURATED: "the shutters and the power of the laser",
+    Verdict.SKIPPED: "the cable of the instrument that failed",
+}
 
 
 class RunState(StrEnum):
@@ -65,6 +88,8 @@ class RunSummary:
         A run that failed raises instead.
     reason : str
         Why it was interrupted; empty if it is complete.
+    ended_by : {'', 'person', 'policy'}
+        Who ended it early: somebody, or the protocol's policy.
     counts : mapping of Verdict to int
         Of the steps that were measured.
     steps : int
@@ -75,16 +100,20 @@ class RunSummary:
         On the wall.
     unconfirmed : tuple of str
         What the bench did not confirm while it was switched off; a person has to look.
+    remarks : tuple of str
+        What is worth knowing of the run as a whole.
     """
 
     path: Path
     status: RunState
     reason: str
+    ended_by: Literal["", "person", "policy"]
     counts: Mapping[Verdict, int]
     steps: int
     retaken: int
     duration_s: float
     unconfirmed: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
 
 def run(
@@ -96,13 +125,14 @@ def run(
     *,
     announce: Callable[[str], None] | None = None,
     resume: bool = False,
+    orders: Orders | None = None,
 ) -> RunSummary:
     """Measure a whole plan on an open bench.
 
-    On the main thread, Ctrl-C (SIGINT) and SIGTERM end the run at the next step boundary; a
-    second Ctrl-C gives up the step in work. SIGUSR1 pauses the run and SIGUSR2 goes on with it.
-    However the run ends, the tweeter is ramped down and its output and the RF are switched off
-    before this returns.
+    On the main thread, Ctrl-C and every other signal that would end the process end the run at the
+    next step boundary; a second one gives up the step in work. SIGUSR1 and Ctrl-Z pause the run,
+    SIGUSR2 goes on with it. However the run ends, the tweeter is ramped down and its output and the
+    RF are switched off before this returns.
 
     Parameters
     ----------
@@ -110,15 +140,17 @@ def run(
     bench : Bench
         Stays open.
     path : str or Path
-        Of the run file, which must not exist; the documents are written beside it.
+        Of the run file, which must not exist; the documents are written next to it.
     labels : RunLabels, optional
         What a person says about the run.
     progress : callable, optional
-        Told of every recorded step, on another thread. What it raises stops the run.
+        Called with every recorded step, on another thread. What it raises stops the run.
     announce : callable, optional
-        Told in words of pauses, and of instruments that failed and came back.
+        Called with words about pauses, and about instruments that failed and came back.
     resume : bool
         Whether `path` is that of a run to go on with, see `acquire.resuming`.
+    orders : Orders, optional
+        What others ask of the run. If given, whoever gives it takes care of signals.
 
     Returns
     -------
@@ -132,8 +164,8 @@ def run(
     RunFileError
         If the run cannot be kept at `path`.
     InstrumentError, LimitError
-        If an instrument failed. Steps recorded before are in the file. What could not be
-        confirmed while switching off stands in the exception's notes.
+        If an instrument failed. Steps recorded before are in the file. What is not confirmed to be
+        off is in the exception's notes, and in its `unconfirmed`.
     """
     report = progress or (lambda _: None)
 
@@ -142,7 +174,12 @@ def run(
             return Recorder.resume(plan, bench, Path(path), report)
         return Recorder.create(plan, bench, Path(path), labels or RunLabels(), report)
 
-    return Runner(plan, bench, Path(path), recorder, announce or (lambda _: None)).execute()
+    with ExitStack() as obeying:
+        if orders is None:
+            orders = Orders()
+            obeying.enter_context(signals_obeyed(orders))
+        runner = Runner(plan, bench, Path(path), recorder, announce or (lambda _: None), orders)
+        return runner.execute()
 
 
 class Runner:
@@ -159,9 +196,9 @@ class Runner:
                    ├──────────────────────────────────────┘
                    └→ failed (before anything was switched on)
 
-    `stop` and `pause` set flags that are looked at before each step only. While paused, all is
-    off. `closing` is entered on every way out of `opening`, `stepping` and `paused`: it makes the
-    bench safe first, and closes the files after.
+    Orders are looked at before each step only. While paused, all is off. `closing` is entered on
+    every way out of `opening`, `stepping` and `paused`: it makes the bench safe first, and closes
+    the files after.
 
     Parameters
     ----------
@@ -174,6 +211,12 @@ class Runner:
         Opens the run file, new or to be gone on with.
     announce : callable
         See `run`.
+    orders : Orders, optional
+
+    Attributes
+    ----------
+    orders : Orders
+        What others ask of the run.
     """
 
     def __init__(
@@ -183,12 +226,12 @@ class Runner:
         path: Path,
         recorder: Callable[[], Recorder],
         announce: Callable[[str], None],
+        orders: Orders | None = None,
     ) -> None:
         self._plan, self._bench, self._path = plan, bench, path
         self._open_recorder, self._announce = recorder, announce
+        self.orders = orders or Orders()
         self._state = RunState.IDLE
-        self._stop, self._pause = threading.Event(), threading.Event()
-        self._abortable = False
         self._camera_starts = 0
         self._exposure_s: Fraction | None = None
         # None is an output that is off.
@@ -200,34 +243,6 @@ class Runner:
         """Where the run stands."""
         return self._state
 
-    def stop(self) -> None:
-        """End the run at the next step boundary. May be called from any thread."""
-        self._stop.set()
-
-    def pause(self) -> None:
-        """Switch all off at the next step boundary, and wait. May be called from any thread."""
-        self._pause.set()
-
-    def proceed(self) -> None:
-        """Go on after a pause. May be called from any thread."""
-        self._pause.clear()
-
-    def interrupt(self) -> None:
-        """Do what Ctrl-C asks for: the first time `stop`, then give up the step in work.
-
-        To be called on the thread that executes the run.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            Once, while instruments are in use; never while they are being switched off.
-        """
-        if not self._stop.is_set():
-            self._stop.set()
-        elif self._abortable:
-            self._abortable = False
-            raise KeyboardInterrupt
-
     def execute(self) -> RunSummary:
         """Measure; see `run`.
 
@@ -238,26 +253,26 @@ class Runner:
         """
         started_s = time.monotonic()
         self._enter(RunState.OPENING)
-        with _signals_to(self):
-            try:
-                self._plan.require_possible()
-                recorder, reason = self._record()
-            except BaseException as error:
-                for message in self._unconfirmed:
-                    error.add_note(f"not confirmed while switching off: {message}")
-                self._enter(RunState.FAILED)
-                raise
-            outcome = RunState.INTERRUPTED if reason else RunState.COMPLETE
-            self._enter(outcome)
+        try:
+            self._plan.require_possible()
+            recorder, reason = self._record()
+        except BaseException as error:
+            note_unconfirmed(error, self._unconfirmed)
+            self._enter(RunState.FAILED)
+            raise
+        outcome = RunState.INTERRUPTED if reason else RunState.COMPLETE
+        self._enter(outcome)
         return RunSummary(
             path=self._path,
             status=outcome,
             reason=reason,
+            ended_by="" if not reason else "person" if reason == _ASKED else "policy",
             counts=recorder.counts,
             steps=len(self._plan.steps),
             retaken=sum(max(takes - 1, 0) for takes in recorder.takes),
             duration_s=time.monotonic() - started_s,
             unconfirmed=self._unconfirmed,
+            remarks=recorder.remarks,
         )
 
     def _record(self) -> tuple[Recorder, str]:
@@ -273,15 +288,14 @@ class Runner:
 
     def _measure(self, recorder: Recorder) -> str:
         """Use the instruments, and leave them safe; return why steps are left, empty if none is."""
-        # Two levels, because a second Ctrl-C may strike inside the inner `finally`.
         try:
-            try:
-                self._abortable = True
+            with self.orders.given_up_at(2):
+                # Nothing is switched on for a run that is to end.
+                if self.orders.stopped:
+                    return _ASKED
                 self._open_instruments()
                 self._enter(RunState.STEPPING)
                 return self._take_all(recorder)
-            finally:
-                self._abortable = False
         finally:
             self._enter(RunState.CLOSING)
             self._unconfirmed = safe_off(self._bench)
@@ -314,21 +328,41 @@ class Runner:
             for k in self._plan.sequence
             if not verdicts[k].measured or (again and _bad(verdicts[k]))
         ]
-        for position in todo:
+        for number, position in enumerate(todo, 1):
             if not self._take(recorder, position):
                 return _ASKED
             if policy.then == "stop" and not self._good(recorder, position):
-                return _ASKED if self._stop.is_set() else self._bad_step(recorder, position)
+                return _ASKED if self.orders.stopped else self._bad_step(recorder, position)
+            if number == len(todo):
+                recorder.settle()
+            if reason := self._given_up(recorder.verdicts, todo[:number]):
+                return reason
         for _ in range(policy.retry if policy.then == "skip" else 0):
             recorder.settle()
             bad = [k for k, verdict in enumerate(recorder.verdicts) if _bad(verdict)]
-            # If so many are bad the trouble is not theirs.
-            if len(bad) > recorder.spare:
+            # If so many are bad the trouble is not theirs; unless it was mended meanwhile.
+            most = recorder.spare if recorder.resumed else self._plan.most_retakes
+            if len(bad) > min(most, recorder.spare):
                 break
             for position in bad:
                 if not self._take(recorder, position):
                     return _ASKED
         return ""
+
+    def _given_up(self, verdicts: Sequence[Verdict], taken: Sequence[int]) -> str:
+        """Return why to stop if the last steps are bad one after another; empty if they are not."""
+        limit = self._plan.protocol.policy.give_up_after
+        # The last ones may not have been judged yet.
+        judged = [verdicts[k] for k in taken if verdicts[k] is not Verdict.PENDING]
+        last = judged[-limit:]
+        if len(last) < limit or not all(_lost(verdict) for verdict in last):
+            return ""
+        counts = Counter(last)
+        listed = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
+        return (
+            f"{limit} steps one after another are bad ({listed}); look at "
+            f"{_CABLES[counts.most_common(1)[0][0]]}; then go on with --resume"
+        )
 
     def _bad_step(self, recorder: Recorder, position: int) -> str:
         step, verdict = self._plan.steps[position], recorder.verdicts[position]
@@ -354,7 +388,7 @@ class Runner:
         attempts = 0
         while True:
             self._hold(recorder, position)
-            if self._stop.is_set():
+            if self.orders.stopped:
                 return False
             try:
                 recorder.submit(self._acquire(position))
@@ -375,15 +409,14 @@ class Runner:
 
     def _hold(self, recorder: Recorder, position: int) -> None:
         """Switch all off and wait, if a pause is asked for."""
-        if not self._pause.is_set() or self._stop.is_set():
+        if not self.orders.paused:
             return
         began = now()
         self._enter(RunState.PAUSED)
         self._require_off("to pause")
         self._announce(f"paused, all is off; go on with: acquire continue {self._path}")
-        while self._pause.is_set() and not self._stop.is_set():
-            time.sleep(_PAUSE_POLL_S)
-        if self._stop.is_set():
+        self.orders.wait()
+        if self.orders.stopped:
             return
         self._open_instruments()
         self._enter(RunState.STEPPING)
@@ -430,11 +463,14 @@ class Runner:
         bench.synthesizers.set_pair(step.aom1_hz, step.aom2_hz)
         self._drive(step)
         changed_s = bench.camera.now_s()
-        # Read while the reed settles, so that it costs no time.
-        read_back = self._read_back(step)
+        # Read while the reed settles, so that it costs no time; and once more after the frames,
+        # because only then is it known what was played while they were exposed.
+        before = self._read_back(step)
         bench.clock.wait(changed_s + settle_s - bench.camera.now_s())
-        frames = bench.camera.grab(step.frames, changed_s + settle_s)
-        return Acquisition(position, step, read_back, changed_s, tuple(frames), self._camera_starts)
+        grabbed = bench.camera.grab(step.frames, changed_s + settle_s)
+        after = self._read_back(step)
+        frames = received(grabbed, changed_s, self._plan.frame_shape)
+        return Acquisition(position, step, before, after, changed_s, frames, self._camera_starts)
 
     def _drive(self, step: Step) -> None:
         """Set the generator; volts that are far from the present ones are ramped."""
@@ -442,6 +478,9 @@ class Runner:
         if not step.volts:
             # A reed at rest: the output, off when the instruments were opened, stays off.
             return
+        if volts is not None:
+            # A driver may switch on again what has tripped; the run must not.
+            self._require_on(step)
         if volts is not None and max(volts, step.volts) <= _JUMP * min(volts, step.volts):
             generator.set_sine(step.drive_hz, step.volts)
         else:
@@ -454,13 +493,18 @@ class Runner:
     def _read_back(self, step: Step) -> ReadBack:
         if not step.volts:
             return ReadBack(*self._bench.synthesizers.read_pair(), Fraction(0), 0.0)
+        drive_hz, volts = self._require_on(step)
+        return ReadBack(*self._bench.synthesizers.read_pair(), drive_hz, volts)
+
+    def _require_on(self, step: Step) -> tuple[Fraction, float]:
+        """Return frequency and volts that the generator plays; an error if its output is off."""
         drive_hz, volts, on = self._bench.generator.read()
         if not on:
             raise InstrumentError(
-                f"generator: its output is off at step {step.index}, but was set to "
-                f"{step.volts:g} V; look for an overload or a tripped limit"
+                f"generator: its output is off at step {step.index}, but this run had switched it "
+                "on; look for an overload, a short circuit or a tripped limit"
             )
-        return ReadBack(*self._bench.synthesizers.read_pair(), drive_hz, volts)
+        return drive_hz, volts
 
     def _enter(self, state: RunState) -> None:
         if state not in _NEXT.get(self._state, ()):
@@ -469,68 +513,10 @@ class Runner:
 
 
 def _bad(verdict: Verdict) -> bool:
-    return verdict.measured and verdict is not Verdict.OK
+    """Whether a step is worth another take. One without light would have no more of it."""
+    return verdict.measured and verdict not in (Verdict.OK, Verdict.UNPROVEN)
 
 
-def safe_off(bench: Bench) -> tuple[str, ...]:
-    """Switch off what could harm: ramp the tweeter down, output off, RF off, camera stopped.
-
-    Each is tried whatever became of those before.
-
-    Parameters
-    ----------
-    bench : Bench
-
-    Returns
-    -------
-    tuple of str
-        What was not confirmed, and why. Empty if all is well.
-    """
-    switches: tuple[tuple[str, Callable[[], None]], ...] = (
-        ("tweeter ramp to 0 V", lambda: bench.generator.ramp_to(0.0, RAMP_S)),
-        ("tweeter output off", lambda: _output_off(bench)),
-        ("RF off", bench.synthesizers.rf_off),
-        ("camera stopped", bench.camera.stop),
-    )
-    unconfirmed = []
-    for name, switch in switches:
-        try:
-            switch()
-        except BaseException as error:  # noqa: BLE001  # whatever a driver raises, go on
-            unconfirmed.append(f"{name}: {error}")
-    return tuple(unconfirmed)
-
-
-def _output_off(bench: Bench) -> None:
-    bench.generator.output_off()
-    if bench.generator.read()[2]:
-        raise InstrumentError("generator: its output is still on; pull the tweeter's cable")
-
-
-@contextmanager
-def _signals_to(runner: Runner) -> Iterator[None]:
-    """Let signals end, pause and continue the run, if this is the main thread; others get none."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    actions = {
-        signal.SIGINT: runner.interrupt,
-        signal.SIGTERM: runner.stop,
-        signal.SIGUSR1: runner.pause,
-        signal.SIGUSR2: runner.proceed,
-    }
-
-    def act(number: int, _frame: FrameType | None) -> None:
-        actions[signal.Signals(number)]()
-
-    before = {number: signal.signal(number, act) for number in actions}
-    for handler in before.values():
-        if isinstance(handler, WaitingOrders):
-            for number in handler.take():
-                act(number, None)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler or signal.SIG_DFL)
+def _lost(verdict: Verdict) -> bool:
+    """Whether a step gave nothing that can be used, as when a cable is off."""
+    return verdict is Verdict.SKIPPED or _bad(verdict)

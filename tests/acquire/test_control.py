@@ -31,9 +31,9 @@ def test_a_pause_that_is_asked_for_while_the_bench_is_opened_is_obeyed(
             proceed.start()
 
     bench.before = pause_seen
-    with controllable(path):
+    with controllable(path) as orders:
         assert order(path, "pause") == os.getpid()
-        summary = run(plan, bench.opened(), path)
+        summary = run(plan, bench.opened(), path, orders=orders)
     proceed.join()
     assert summary.status is RunState.COMPLETE
     with Run.open(path) as measured:
@@ -58,7 +58,7 @@ def test_a_run_on_another_thread_is_told_nothing(path):
                 with pytest.raises(RunFileError) as refused:
                     order(path, what)
                 said.append(str(refused.value))
-            with pytest.raises(RunFileError, match=r"is being measured by a script; wait"):
+            with pytest.raises(RunFileError, match=r"is being measured by process \d+ .*; wait"):
                 controllable(path).__enter__()
 
     thread = threading.Thread(target=measure)

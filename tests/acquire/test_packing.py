@@ -11,8 +11,9 @@ import pytest
 
 from acquire import packing
 from acquire.bench_file import BenchFile
-from acquire.errors import RunFileError
-from acquire.packing import pack
+from acquire.disk import DiskFile
+from acquire.errors import DiskError, RunFileError
+from acquire.packing import Packing, pack
 from acquire.protocol import Protocol
 from acquire.runfile import Run
 from acquire.runner import RunState
@@ -36,7 +37,7 @@ def unpacked(plan, tmp_path_factory):
     """A run file that nobody packed, the 12 bits of its frames as a camera gives them."""
     path = tmp_path_factory.mktemp("unpacked") / "run.h5"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("acquire.script.pack", lambda path, progress: 1.0)
+        patch.setattr("acquire.script.pack_frames", lambda path, progress: None)
         assert measure(plan, path, reed="R07").status is RunState.COMPLETE
     return path
 
@@ -65,9 +66,10 @@ def contents(path):
 
 def test_nothing_is_lost(path, unpacked):
     told = []
-    share = pack(path, told.append)
+    packed = pack(path, told.append)
     assert contents(path) == contents(unpacked)
-    assert share == path.stat().st_size / unpacked.stat().st_size
+    assert packed == Packing(unpacked.stat().st_size, path.stat().st_size)
+    assert 0.1 < packed.ratio < 0.9
     with h5py.File(path, "r") as file:
         assert file["entry/data/frames"].compression == "lzf"
         assert file["entry/retakes/frames"].compression == "lzf"
@@ -90,13 +92,14 @@ def test_a_plan_says_what_is_left(plan, path):
 def test_a_packed_run_and_one_of_holograms_are_left_alone(path, plan, tmp_path):
     pack(path)
     packed = path.read_bytes()
-    assert pack(path) == 1.0
+    again = pack(path)
+    assert (again.ratio, "already" in again.reason) == (1.0, True)
     assert path.read_bytes() == packed
     holograms = tmp_path / "holograms.h5"
     protocol = plan.protocol.replace(keep="holograms")
     measure(planned(protocol, plan.bench), holograms, reed="R07")
     before = holograms.read_bytes()
-    assert pack(holograms) == 1.0
+    assert "holograms" in pack(holograms).reason
     assert holograms.read_bytes() == before
 
 
@@ -136,22 +139,110 @@ def disk_refuses(monkeypatch):
 )
 def test_what_goes_wrong_leaves_the_run_as_it_was(path, unpacked, monkeypatch, fault, said):
     fault(monkeypatch)
-    with pytest.raises(RunFileError, match=f"{path}: .*{said}.*the file is whole as it is"):
+    with pytest.raises(DiskError, match=f"{path}: .*{said}.*the file is whole as it is") as told:
+        pack(path)
+    assert told.value.exit_status == 1
+    assert path.read_bytes() == unpacked.read_bytes()
+    assert [file.name for file in path.parent.iterdir()] == ["run.h5"]
+
+
+def change_a_count(copy):
+    copy["entry/data/frames"][-1, -1, -1, -1] += 1
+
+
+def change_a_number(copy):
+    copy["entry/steps/noise_level"][2] *= 1.0001
+
+
+def change_the_header(copy):
+    copy["entry/instrument/laser/wavelength"][()] = 6.4e-7
+
+
+def lose_its_end(path):
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size - 1)
+
+
+@pytest.mark.parametrize(
+    ("fault", "named"),
+    [
+        (change_a_count, "frames 4 of"),
+        (change_a_number, "noise_level"),
+        (change_the_header, "wavelength"),
+        (lose_its_end, "end of the file"),
+    ],
+)
+def test_a_copy_that_comes_back_changed_is_refused(path, unpacked, monkeypatch, fault, named):
+    sync = DiskFile.sync
+
+    def damage(disk):
+        sync(disk)
+        copy = path.with_name(".run.h5.packed")
+        if fault is lose_its_end:
+            fault(copy)
+        else:
+            with h5py.File(copy, "r+", locking=False) as file:
+                fault(file)
+
+    monkeypatch.setattr(DiskFile, "sync", damage)
+    with pytest.raises(DiskError, match=f"comes back changed .*{named}"):
         pack(path)
     assert path.read_bytes() == unpacked.read_bytes()
     assert [file.name for file in path.parent.iterdir()] == ["run.h5"]
 
 
-def test_a_copy_that_differs_by_one_count_is_refused(path, unpacked):
-    def damage(share):
-        if share == pytest.approx(0.7):
-            with h5py.File(path.with_name(".run.h5.packed"), "r+") as copy:
-                copy["entry/data/frames"][-1, -1, -1, -1] += 1
+def test_a_run_with_a_damaged_step_is_not_packed(path, unpacked):
+    with h5py.File(path, "r+") as file:
+        file["entry/data/frames"][1, 2, 3, 4] ^= 1
+    before = path.read_bytes()
+    with pytest.raises(RunFileError, match=r"step 62 is damaged .*checksum.*another copy"):
+        pack(path)
+    assert path.read_bytes() == before
+    assert [file.name for file in path.parent.iterdir()] == ["run.h5"]
 
-    with pytest.raises(RunFileError, match="frames come back changed"):
-        pack(path, damage)
+
+def test_a_flipped_byte_in_a_packed_run_is_noticed(path):
+    pack(path)
+    with h5py.File(path, "r+") as file:
+        file["entry/data/frames"][1, 2, 3, 4] ^= 1
+    with Run.open(path) as run:
+        run.frames(0)
+        with pytest.raises(RunFileError, match="step 62 is damaged"):
+            run.frames(1)
+
+
+def test_a_run_that_is_not_complete_is_not_packed(path):
+    with h5py.File(path, "r+") as file:
+        file["entry/status"][()] = "interrupted"
+    with pytest.raises(RunFileError, match="is interrupted and cannot be packed; go on with it"):
+        pack(path)
+
+
+def test_ctrl_c_in_the_middle_of_a_copy_is_obeyed_and_harms_nothing(path, unpacked, monkeypatch):
+    """Python would raise it inside HDF5, which loses it and a piece of the copy."""
+    write, calls = DiskFile.write, []
+
+    def interrupted(disk, data):
+        calls.append(None)
+        if len(calls) == 20:
+            signal.raise_signal(signal.SIGINT)
+        return write(disk, data)
+
+    monkeypatch.setattr(DiskFile, "write", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        pack(path)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     assert path.read_bytes() == unpacked.read_bytes()
     assert [file.name for file in path.parent.iterdir()] == ["run.h5"]
+
+
+def test_a_link_with_the_name_of_the_copy_is_not_followed(path, tmp_path):
+    precious = tmp_path / "precious.txt"
+    precious.write_text("kept")
+    path.with_name(".run.h5.packed").symlink_to(precious)
+    assert pack(path).ratio < 1
+    assert precious.read_text() == "kept"
+    assert not path.is_symlink()
 
 
 def test_an_interrupted_packing_leaves_the_run_as_it_was(path, unpacked):

@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -51,8 +52,10 @@ def path(tmp_path):
 def test_orders_come_in_the_order_of_the_state_diagram(tiny_plan, fake_bench, path):
     plan, fake = tiny_plan(steps=2), fake_bench()
     run(plan, fake.opened(), path)
-    first = ["set_pair", "set_sine", "ramp_to", "read", "read_pair", "grab"]
-    later = ["set_pair", "set_sine", "read", "read_pair", "grab"]
+    read_back = ["read", "read_pair"]
+    first = ["set_pair", "set_sine", "ramp_to", *read_back, "grab", *read_back]
+    # Before anything is changed the output has to be on still.
+    later = ["set_pair", "read", "set_sine", *read_back, "grab", *read_back]
     opening = ["output_off", "configure", "rf_on", "start"]
     assert fake.names() == [*opening, *first, *later, *SAFE_OFF]
     one, two = plan.steps
@@ -60,7 +63,7 @@ def test_orders_come_in_the_order_of_the_state_diagram(tiny_plan, fake_bench, pa
     assert orders[0] == ("set_pair", one.aom1_hz, one.aom2_hz)
     assert orders[1] == ("set_sine", one.drive_hz, 0.0), "the output comes on without a jump"
     assert orders[2] == ("ramp_to", one.volts, RAMP_S)
-    assert orders[7] == ("set_sine", two.drive_hz, two.volts)
+    assert orders[10] == ("set_sine", two.drive_hz, two.volts)
     assert fake.log[-5] == ("ramp_to", 0.0, RAMP_S)
     assert RAMP_S >= 0.05
     protocol = plan.protocol
@@ -75,7 +78,7 @@ def test_volts_that_jump_are_ramped_and_others_are_not(tiny_plan, fake_bench, pa
     plan, fake = tiny_plan(steps=2, **{"drive.ramp": volts}), fake_bench()
     run(plan, fake.opened(), path)
     second = plan.steps[1]
-    begun = [entry[0] for entry in fake.log].index("grab") + 2
+    begun = [entry[0] for entry in fake.log].index("grab") + 5
     if ramped:
         assert fake.log[begun : begun + 3] == [
             ("ramp_to", 0.0, RAMP_S), ("set_sine", second.drive_hz, 0.0),
@@ -95,8 +98,8 @@ def test_a_loud_step_is_not_followed_at_once_by_the_quiet_one_that_is_taken_agai
     run(plan, fake.opened(), path)
     first = plan.steps[0]
     again = [k for k, entry in enumerate(fake.log) if entry[0] == "set_pair"][5]
-    assert fake.log[again : again + 4] == [
-        ("set_pair", first.aom1_hz, first.aom2_hz), ("ramp_to", 0.0, RAMP_S),
+    assert fake.log[again : again + 5] == [
+        ("set_pair", first.aom1_hz, first.aom2_hz), ("read",), ("ramp_to", 0.0, RAMP_S),
         ("set_sine", first.drive_hz, 0.0), ("ramp_to", first.volts, RAMP_S),
     ]  # fmt: skip
 
@@ -244,17 +247,38 @@ def test_a_camera_that_gives_too_few_frames_is_dropped(tiny_plan, fake_bench, pa
     assert verdicts == [Verdict.DROPPED] * 3
 
 
-def test_an_output_that_tripped_stops_the_run(tiny_plan, fake_bench, path):
+@pytest.mark.parametrize("to", ["0.52 V", "16 V"])
+@pytest.mark.parametrize("when", [("grab", 1), ("set_pair", 2), ("grab", 2)])
+def test_an_output_that_tripped_is_not_switched_on_again(tiny_plan, fake_bench, path, when, to):
+    """During the frames, or between two steps, whether the volts are then ramped or not."""
     fake = fake_bench()
 
     def trip(name, count):
-        if (name, count) == ("read", 2):
+        if (name, count) == when:
             fake.output_on = False
 
     fake.before = trip
-    with pytest.raises(InstrumentError, match="output is off at step 14"):
-        run(tiny_plan(), fake.opened(), path)
+    plan = tiny_plan(**{"drive.ramp": {"from": "0.5 V", "to": to, "first": 12, "last": 16}})
+    with pytest.raises(InstrumentError, match="output is off at step"):
+        run(plan, fake.opened(), path)
+    assert fake.names().count("set_sine") == when[1] - (when[0] == "set_pair")
     assert left_safe(fake)
+
+
+def test_an_output_that_tripped_comes_back_where_the_protocol_says_so(
+    tiny_plan, fake_bench, lit, path
+):
+    plan = tiny_plan(**policy(1, "stop"))
+    fake = fake_bench(picture=lit(plan))
+
+    def trip(name, count):
+        if (name, count) == ("grab", 2):
+            fake.output_on = False
+
+    fake.before = trip
+    assert run(plan, fake.opened(), path).counts == {Verdict.OK: 3}
+    with Run.open(path) as measured:
+        assert [seam.kind for seam in measured.seams] == ["recovered"]
 
 
 # --- Nothing is touched before all is checked --------------------------------------------------
@@ -420,7 +444,7 @@ def test_a_disk_that_fills_up_stops_the_run(tiny_plan, fake_bench, path, monkeyp
 def test_stop_ends_the_run_at_a_step_boundary(tiny_plan, fake_bench, path):
     fake = fake_bench()
     runner = runner_of(tiny_plan(steps=9), fake, path)
-    fake.before = lambda name, count: (name, count) == ("set_sine", 3) and runner.stop()
+    fake.before = lambda name, count: (name, count) == ("set_sine", 3) and runner.orders.stop()
     summary = runner.execute()
     assert summary.status is runner.state is RunState.INTERRUPTED
     assert sum(summary.counts.values()) == fake.names().count("grab") == 3
@@ -434,7 +458,7 @@ def test_stop_ends_the_run_at_a_step_boundary(tiny_plan, fake_bench, path):
 def test_a_stop_during_the_last_step_leaves_a_complete_run(tiny_plan, fake_bench, path):
     fake = fake_bench()
     runner = runner_of(tiny_plan(steps=2), fake, path)
-    fake.before = lambda name, count: (name, count) == ("grab", 2) and runner.stop()
+    fake.before = lambda name, count: (name, count) == ("grab", 2) and runner.orders.stop()
     assert runner.execute().status is RunState.COMPLETE
 
 
@@ -445,8 +469,8 @@ def test_a_second_ctrl_c_gives_up_the_step_but_not_the_safe_off(tiny_plan, fake_
     def impatient(name, count):
         switching_off = runner.state is RunState.CLOSING
         if (name, count) == ("grab", 3) or switching_off:
-            runner.interrupt()
-            runner.interrupt()
+            runner.orders.interrupt()
+            runner.orders.interrupt()
 
     fake.before = impatient
     summary = runner.execute()
@@ -464,8 +488,8 @@ def test_a_second_ctrl_c_gives_up_the_step_but_not_the_safe_off(tiny_plan, fake_
 def test_a_second_ctrl_c_while_switching_off_changes_nothing(tiny_plan, fake_bench, path):
     fake = fake_bench()
     runner = runner_of(tiny_plan(steps=3), fake, path)
-    fake.before = lambda name, count: runner.state is RunState.CLOSING and runner.interrupt()
-    runner.stop()
+    fake.before = lambda name, count: runner.state is RunState.CLOSING and runner.orders.interrupt()
+    runner.orders.stop()
     assert runner.execute().unconfirmed == ()
     assert left_safe(fake)
 
@@ -508,11 +532,11 @@ def test_whatever_happens_when_the_run_ends_in_a_known_state(
             if event == "fail" and not closing:
                 raise InstrumentError("fake: fails; mend it")
             if event == "stop":
-                runner.stop()
+                runner.orders.stop()
             if event.startswith("interrupt"):
-                runner.interrupt()
+                runner.orders.interrupt()
             if event == "interrupt twice":
-                runner.interrupt()
+                runner.orders.interrupt()
             if event == "break display":
                 broken.set()
 
@@ -552,7 +576,7 @@ def attend(runner, fake, *actions):
             while fake.names().count("stop") < pauses or fake.running:
                 time.sleep(0.002)
                 if time.monotonic() > given_up_s:
-                    runner.stop()
+                    runner.orders.stop()
                     return
             # Whatever the runner does while it is paused would be in the log by then.
             time.sleep(0.15)
@@ -571,15 +595,15 @@ def test_while_a_run_is_paused_all_is_off(tiny_plan, fake_bench, lit, path):
     def look_and_go_on():
         orders.extend(fake.names())
         safe.append(left_safe(fake) and runner.state is RunState.PAUSED)
-        runner.proceed()
+        runner.orders.proceed()
 
     attendant = attend(runner, fake, look_and_go_on)
-    fake.before = lambda name, count: (name, count) == ("set_sine", 2) and runner.pause()
+    fake.before = lambda name, count: (name, count) == ("set_sine", 2) and runner.orders.pause()
     summary = runner.execute()
     attendant.join()
     assert safe == [True]
     # The step in work is finished; then all is off, and nothing is asked of the bench.
-    assert orders[-6:] == ["grab", *SAFE_OFF]
+    assert orders[-8:] == ["grab", "read", "read_pair", *SAFE_OFF]
     assert orders.count("grab") == 2
     later = fake.log[len(orders) :]
     third = plan.steps[2]
@@ -601,9 +625,9 @@ def test_while_a_run_is_paused_all_is_off(tiny_plan, fake_bench, lit, path):
 def test_a_run_may_be_paused_again_and_before_its_first_step(tiny_plan, fake_bench, path):
     fake = fake_bench()
     runner = runner_of(tiny_plan(steps=3), fake, path)
-    attendant = attend(runner, fake, runner.proceed, runner.proceed)
-    fake.before = lambda name, count: (name, count) == ("grab", 2) and runner.pause()
-    runner.pause()
+    attendant = attend(runner, fake, runner.orders.proceed, runner.orders.proceed)
+    fake.before = lambda name, count: (name, count) == ("grab", 2) and runner.orders.pause()
+    runner.orders.pause()
     assert runner.execute().status is RunState.COMPLETE
     attendant.join()
     with Run.open(path) as measured:
@@ -616,8 +640,8 @@ def test_a_run_may_be_paused_again_and_before_its_first_step(tiny_plan, fake_ben
 def test_a_stop_ends_a_pause_and_the_run(tiny_plan, fake_bench, path):
     fake = fake_bench()
     runner = runner_of(tiny_plan(steps=4), fake, path)
-    attendant = attend(runner, fake, runner.stop)
-    fake.before = lambda name, count: (name, count) == ("grab", 2) and runner.pause()
+    attendant = attend(runner, fake, runner.orders.stop)
+    fake.before = lambda name, count: (name, count) == ("grab", 2) and runner.orders.pause()
     assert runner.execute().status is RunState.INTERRUPTED
     attendant.join()
     assert fake.names().count("start") == 1, "nothing was switched on again"
@@ -635,8 +659,8 @@ def test_who_goes_on_before_the_pause_has_begun_never_paused(tiny_plan, fake_ben
 
     def hesitate(name, count):
         if (name, count) == ("grab", 2):
-            runner.pause()
-            runner.proceed()
+            runner.orders.pause()
+            runner.orders.proceed()
 
     fake.before = hesitate
     assert runner.execute().status is RunState.COMPLETE
@@ -648,10 +672,10 @@ def test_who_goes_on_before_the_pause_has_begun_never_paused(tiny_plan, fake_ben
 def test_a_run_that_is_to_end_does_not_pause_before(tiny_plan, fake_bench, path):
     fake = fake_bench()
     runner = runner_of(tiny_plan(steps=3), fake, path)
-    runner.pause()
-    runner.stop()
+    runner.orders.pause()
+    runner.orders.stop()
     assert runner.execute().status is RunState.INTERRUPTED
-    assert fake.names() == [*OPENING, *SAFE_OFF]
+    assert fake.names() == SAFE_OFF, "nothing was switched on"
 
 
 @pytest.mark.parametrize("order", ["output_off", "rf_off", "stop"])
@@ -659,7 +683,7 @@ def test_a_pause_in_which_not_all_is_off_ends_the_run(tiny_plan, fake_bench, pat
     """Nobody walks up to a bench that is thought to be off."""
     fake = fake_bench(failing={order: 2 if order == "output_off" else 1})
     runner = runner_of(tiny_plan(steps=3), fake, path)
-    fake.before = lambda name, count: (name, count) == ("grab", 2) and runner.pause()
+    fake.before = lambda name, count: (name, count) == ("grab", 2) and runner.orders.pause()
     said = "switched off to pause, but not all is confirmed: .*mend it; look at it before going on"
     with pytest.raises(InstrumentError, match=said):
         runner.execute()
@@ -688,7 +712,17 @@ def fail_at(fake, order, counts):
 @pytest.mark.parametrize(
     ("order", "count"),
     # The orders of the third step. Only the first step and those after a failure are ramped to.
-    [("set_pair", 3), ("set_sine", 3), ("read", 3), ("read_pair", 3), ("grab", 3)],
+    # Before the drive is changed, before the frames and after them the settings are read.
+    [
+        ("set_pair", 3),
+        ("read", 6),
+        ("set_sine", 3),
+        ("read", 7),
+        ("read_pair", 5),
+        ("grab", 3),
+        ("read", 8),
+        ("read_pair", 6),
+    ],
 )
 def test_after_a_failure_all_is_switched_off_and_on_and_the_step_taken_again(
     tiny_plan, fake_bench, lit, path, order, count
@@ -814,18 +848,18 @@ def test_whatever_fails_and_whoever_pauses_the_run_ends_in_a_known_state(
     def happen(name, count):
         # Whoever paused the run goes on as soon as all is off.
         if name == "stop" and runner.state is RunState.PAUSED:
-            runner.proceed()
+            runner.orders.proceed()
         for event, when in events:
             if when != len(fake.log):
                 continue
             if event == "fail" and name not in SAFE_OFF:
                 raise InstrumentError("fake: fails; mend it")
             if event == "pause":
-                runner.pause()
+                runner.orders.pause()
             if event == "stop":
-                runner.stop()
+                runner.orders.stop()
             if event == "interrupt":
-                runner.interrupt()
+                runner.orders.interrupt()
 
     fake.before = happen
     try:
@@ -849,6 +883,58 @@ def test_whatever_fails_and_whoever_pauses_the_run_ends_in_a_known_state(
         takes = [*measured.steps, *measured.retakes]
         taken = sorted((t.index, str(t.verdict)) for t in takes if t.verdict.measured)
         assert sorted((event["index"], event["verdict"]) for event in told) == taken
+
+
+# --- Giving up ---------------------------------------------------------------------------------
+
+
+def without_the_reed(frames):
+    """The local oscillator alone."""
+    rng = np.random.default_rng(0)
+    noise = rng.normal(2000, 2, (len(frames), *frames[0].image.shape)).round().astype(np.uint16)
+    return [replace(frame, image=image) for frame, image in zip(frames, noise, strict=True)]
+
+
+@pytest.mark.parametrize("limit", [3, 5])
+def test_a_cable_that_is_off_does_not_cost_a_whole_sweep(tiny_plan, fake_bench, lit, path, limit):
+    changes = {"policy.give_up_after": limit, "policy.bad_pictures.retry": 1}
+    plan = tiny_plan(steps=20, **changes)
+    # From the fifth step on there is no light.
+    fake = fake_bench(picture=lit(plan), spoilt=dict.fromkeys(range(5, 99), without_the_reed))
+    summary = run(plan, fake.opened(), path)
+    assert (summary.status, summary.ended_by) == (RunState.INTERRUPTED, "policy")
+    assert f"{limit} steps one after another" in summary.reason
+    assert "tweeter's cable" in summary.reason
+    assert left_safe(fake)
+    # The recorder judges at most three steps behind the camera.
+    assert 4 + limit <= fake.names().count("grab") <= 4 + limit + 3
+    # Mended, the run is gone on with, and the steps that were lost are taken again.
+    mended = fake_bench(picture=lit(plan))
+    summary = run(plan, mended.opened(), path, resume=True)
+    assert (summary.status, summary.counts) == (RunState.COMPLETE, {Verdict.OK: 20})
+
+
+def test_bad_steps_among_good_ones_end_no_run(tiny_plan, fake_bench, lit, path):
+    plan = tiny_plan(steps=9, **{"policy.give_up_after": 2})
+    spoilt = dict.fromkeys((2, 4, 6, 8), lambda frames: frames[1:])
+    summary = run(plan, fake_bench(picture=lit(plan), spoilt=spoilt).opened(), path)
+    assert (summary.status, summary.ended_by) == (RunState.COMPLETE, "")
+    assert summary.counts == {Verdict.OK: 5, Verdict.DROPPED: 4}
+
+
+def test_a_sweep_whose_last_steps_are_lost_is_given_up_too(tiny_plan, fake_bench, lit, path):
+    plan = tiny_plan(steps=6, **{"policy.give_up_after": 3})
+    fake = fake_bench(picture=lit(plan), spoilt=dict.fromkeys((4, 5, 6), lambda frames: frames[1:]))
+    summary = run(plan, fake.opened(), path)
+    assert summary.ended_by == "policy"
+    assert "camera's bus cable" in summary.reason
+
+
+def test_an_instrument_that_fails_at_every_step_is_given_up(tiny_plan, fake_bench, path):
+    plan = tiny_plan(steps=9, **policy(0, "skip"), **{"policy.give_up_after": 3})
+    summary = run(plan, fake_bench(failing={"grab": 1}).opened(), path)
+    assert summary.ended_by == "policy"
+    assert "3 skipped" in summary.reason
 
 
 # --- Signals to real processes -----------------------------------------------------------------

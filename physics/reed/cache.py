@@ -1,20 +1,25 @@
-"""Keep what takes seconds or a minute to compute and is the same every time.
+"""Keep on disk what takes seconds or a minute to compute and gives the same result every time.
 
 An entry is a file of arrays. Its name covers every input, the code of this package and the versions
-of numpy and scipy, so it is never stale. A damaged entry is made anew; a folder that cannot be
-written to costs time, not results.
+of numpy and scipy, so an entry is never out of date. It ends in a seal: the version of the format,
+and a digest of all that comes before and of the entry's name. What does not verify is built again
+and replaced. A folder that cannot be written to costs time, not results.
 """
 
 import contextlib
 import fcntl
 import hashlib
+import io
 import os
-import tempfile
+import secrets
+import shutil
+import stat
+import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 import scipy
@@ -29,8 +34,20 @@ from physics.reed.whole import WholeReed, build_whole_reed
 
 Made = TypeVar("Made")
 _ANATOMY = ("bark_m", "area_m2", "strip_m2")
-_UNREADABLE = (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile)
 Arrays = Mapping[str, NDArray[Any]]
+
+# Raised by an entry that is absent, damaged, or holds other arrays than it should.
+_UNUSABLE: Final = (OSError, KeyError, ValueError)
+# First bytes of a seal; the digit is the version of the format.
+_SEAL_MARK: Final = b"reedbench entry 1\n"
+_SEAL_BYTES: Final = len(_SEAL_MARK) + hashlib.sha256().digest_size
+# A link is not followed, and a pipe without a writer is not waited for.
+_OPEN_FLAGS: Final = os.O_NOFOLLOW | os.O_NONBLOCK
+# Chosen: a program that waits loses at most this, and asks the disk this often.
+_POLL_S: Final = 0.05
+# Chosen: about ten times the longest build (the basis over materials, 1 min). A program that was
+# stopped (Ctrl-Z) keeps its lock; others then compute for themselves.
+_PATIENCE_S: Final = 600.0
 
 # How far each level lies from the limit of ever finer meshes: `python -m benchmarks.convergence`.
 # Every mode below 20 kHz within 10 cents, those of the heel included.
@@ -53,27 +70,37 @@ def kept(
     make: Callable[[], Made],
     to_arrays: Callable[[Made], Arrays],
     from_arrays: Callable[[Arrays], Made],
+    announce: Callable[[str], None] | None = None,
 ) -> Made:
     """Read something from the cache, or make it and keep it.
+
+    Only one program makes the same thing at a time; the others wait and read it.
 
     Parameters
     ----------
     kind : str
         First part of the entry's name.
     inputs : sequence
-        All that decides what is made, told apart by what ``repr`` says of it.
+        All that decides what is made; two inputs are the same if ``repr`` is.
     make : callable
-        May raise what it likes; then nothing is kept.
+        May raise any exception; then nothing is kept.
     to_arrays, from_arrays : callable
-        What is made ↔ named arrays, of numbers or texts.
+        Convert what is made to named arrays, of numbers or texts, and back. Arrays with a number
+        that is not finite are not kept.
+    announce : callable, optional
+        Called with one sentence if another program has to be waited for.
     """
-    path = cache_directory() / f"{kind}-{_key(inputs)}.npz"
-    with contextlib.suppress(*_UNREADABLE):
-        return _load(path, from_arrays)
-    with _alone(path):
+    try:
+        path = cache_directory() / f"{kind}-{_key(inputs)}.npz"
+    except RuntimeError:
+        # Nothing says where this user's home is.
+        return make()
+    with contextlib.suppress(*_UNUSABLE):
+        return from_arrays(_load(path))
+    with _alone(path, announce):
         # Another program may have made it meanwhile.
-        with contextlib.suppress(*_UNREADABLE):
-            return _load(path, from_arrays)
+        with contextlib.suppress(*_UNUSABLE):
+            return from_arrays(_load(path))
         made = make()
         with contextlib.suppress(OSError):
             _save(path, to_arrays(made))
@@ -81,42 +108,170 @@ def kept(
 
 
 @contextlib.contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Wait while another program makes the same; where that cannot be told, do not."""
+def _alone(path: Path, announce: Callable[[str], None] | None) -> Iterator[None]:
+    """Wait while another program makes the same; where that cannot be known, do not wait."""
     lock = path.with_suffix(".lock")
     with contextlib.ExitStack() as held:
         with contextlib.suppress(OSError):
             lock.parent.mkdir(parents=True, exist_ok=True)
-            held.callback(lock.unlink, missing_ok=True)
-            fcntl.flock(held.enter_context(lock.open("w")), fcntl.LOCK_EX)
+            held.callback(_release, lock, _acquire(lock, announce or (lambda _: None)))
         yield
+
+
+def _acquire(lock: Path, announce: Callable[[str], None]) -> int:
+    """Return the descriptor of a lock file that no other program holds.
+
+    Raises
+    ------
+    OSError
+        If it cannot be locked, or is not free within `_PATIENCE_S`.
+    """
+    start_s, announced = time.monotonic(), False
+    while True:
+        descriptor = _open_file(lock, os.O_RDWR | os.O_CREAT)
+        try:
+            if _is_ours(descriptor, lock):
+                return descriptor
+            number = os.pread(descriptor, 20, 0).strip()
+        except BaseException:
+            os.close(descriptor)
+            raise
+        os.close(descriptor)
+        if time.monotonic() - start_s > _PATIENCE_S:
+            raise TimeoutError(f"{lock}: is still held")
+        if not announced:
+            announced = True
+            holder = f"process {number.decode()}" if number.isdigit() else "another program"
+            announce(
+                f"waiting for {holder}, which is computing the same (it holds {lock}); "
+                "Ctrl-C ends the wait"
+            )
+        # Not a lock that blocks: Ctrl-C reaches a program that sleeps.
+        time.sleep(_POLL_S)
+
+
+def _is_ours(descriptor: int, lock: Path) -> bool:
+    """Whether an open file can be locked; then the number of this process is written in it."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # Whoever held it has removed its name since it was opened: others lock another file now.
+        if not os.path.samestat(os.fstat(descriptor), lock.lstat()):
+            return False
+    except (BlockingIOError, FileNotFoundError):
+        return False
+    # The lock holds on a disk that is full, too.
+    with contextlib.suppress(OSError):
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+    return True
+
+
+def _release(lock: Path, descriptor: int) -> None:
+    """Remove a lock file that is held, and let go of it."""
+    with contextlib.suppress(OSError):
+        lock.unlink()
+    # Closing is not enough: processes forked meanwhile have the same open file.
+    fcntl.flock(descriptor, fcntl.LOCK_UN)
+    os.close(descriptor)
+
+
+def _code_digest() -> bytes:
+    """Digest of the source of this package as it is on the disk now."""
+    digest = hashlib.sha256()
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        # Editors leave links to nothing next to a file that is being edited.
+        with contextlib.suppress(OSError):
+            digest.update(source.read_bytes())
+    return digest.digest()
+
+
+# What a running program computes with, whatever is done to the files afterwards.
+_CODE_AT_START: Final = _code_digest()
 
 
 def _key(inputs: Sequence[object]) -> str:
     digest = hashlib.sha256(repr(tuple(inputs)).encode())
     digest.update(f"numpy {np.__version__} scipy {scipy.__version__}".encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(source.read_bytes())
+    # Both: parts of the package that are imported late are those of now.
+    digest.update(_CODE_AT_START + _code_digest())
     return digest.hexdigest()[:24]
 
 
-def _load(path: Path, from_arrays: Callable[[Arrays], Made]) -> Made:
-    # Opened here: numpy leaves a file open that turns out to be no archive.
-    with path.open("rb") as entry, np.load(entry, allow_pickle=False) as arrays:
-        return from_arrays(arrays)
+def _seal(name: str, content: bytes | memoryview) -> bytes:
+    """Return the last bytes of an entry of this name."""
+    digest = hashlib.sha256(_SEAL_MARK + name.encode() + b"\n")
+    digest.update(content)
+    return _SEAL_MARK + digest.digest()
+
+
+def _load(path: Path) -> dict[str, NDArray[Any]]:
+    """Read the arrays of an entry.
+
+    Raises
+    ------
+    OSError, ValueError
+        If there is no entry of this name, or it does not verify.
+    """
+    with open(path, "rb", opener=_open_file) as entry:
+        if not stat.S_ISREG(os.fstat(entry.fileno()).st_mode):
+            raise ValueError(f"{path}: is not a file")
+        # First, so that a large file that is no entry is not read.
+        entry.seek(-_SEAL_BYTES, os.SEEK_END)
+        seal = entry.read()
+        if not seal.startswith(_SEAL_MARK):
+            raise ValueError(f"{path}: has no seal of this version")
+        entry.seek(0)
+        content = entry.read()
+    if _seal(path.name, memoryview(content)[:-_SEAL_BYTES]) != content[-_SEAL_BYTES:]:
+        raise ValueError(f"{path}: does not match its digest")
+    # Only now: numpy and zipfile meet nothing that was not written here.
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        return dict(arrays)
 
 
 def _save(path: Path, arrays: Arrays) -> None:
+    """Write an entry, unless a number in it is not finite.
+
+    Raises
+    ------
+    OSError
+        If the folder or the disk refuses; then the entry is as it was before.
+    """
+    if not all(np.isfinite(a).all() for a in arrays.values() if a.dtype.kind in "fc"):
+        return
+    content = _sealed(path.name, arrays)
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Written aside and renamed: two programs that build at once never see half a file.
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-        unfinished = Path(part.name)
-        try:
-            np.savez(part, allow_pickle=False, **arrays)
-        except BaseException:
-            unfinished.unlink()
-            raise
-    unfinished.replace(path)
+    # Left by a program that was killed while it wrote: only the holder of the lock writes.
+    for left in path.parent.glob(f"{path.stem}.*.part"):
+        left.unlink(missing_ok=True)
+    # Written under another name first: programs that read at the same time never see half a file.
+    unfinished = path.with_suffix(f".{secrets.token_hex(8)}.part")
+    try:
+        with open(unfinished, "xb", opener=_open_file) as part:
+            part.write(content)
+            part.flush()
+            os.fsync(part.fileno())
+        if path.is_dir() and not path.is_symlink():
+            # A file cannot be renamed to the name of a folder.
+            shutil.rmtree(path)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def _sealed(name: str, arrays: Arrays) -> bytes:
+    """Return the bytes of an entry: an archive of arrays whose comment is the seal."""
+    archive = io.BytesIO()
+    np.savez(archive, allow_pickle=False, **arrays)
+    with zipfile.ZipFile(archive, "a") as opened:
+        # Holds the place: the digest also covers the length of the comment.
+        opened.comment = bytes(_SEAL_BYTES)
+    content = archive.getbuffer()[:-_SEAL_BYTES]
+    return b"".join((content, _seal(name, content)))
+
+
+def _open_file(path: str | Path, flags: int) -> int:
+    return os.open(path, flags | _OPEN_FLAGS, 0o666)
 
 
 def reduced_reed(
@@ -134,7 +289,7 @@ def reduced_reed(
     level : MeshLevel
     settings : BasisSettings, optional
     announce : callable, optional
-        Told what is being waited for, if anything.
+        Called with one sentence on what is being waited for, if anything.
 
     Raises
     ------
@@ -151,7 +306,7 @@ def reduced_reed(
     def restored(arrays: Arrays) -> ReducedReed:
         return _reed_of(geometry, settings, arrays)
 
-    return kept("reed", (geometry, level, settings), build, _arrays, restored)
+    return kept("reed", (geometry, level, settings), build, _arrays, restored, announce)
 
 
 def _reed_of(geometry: ReedGeometry, settings: BasisSettings, arrays: Arrays) -> ReducedReed:
@@ -196,7 +351,7 @@ def whole_reed(
         return WholeReed(geometry, settings.cane, **{name: arrays[name] for name in names})
 
     names = [f.name for f in fields(WholeReed) if f.name not in ("geometry", "cane")]
-    return kept("whole", (geometry, level, settings), build, to_arrays, restored)
+    return kept("whole", (geometry, level, settings), build, to_arrays, restored, announce)
 
 
 def anatomy(
@@ -240,4 +395,4 @@ def anatomy(
             **{name: arrays[name] for name in _ANATOMY},
         )
 
-    return kept("anatomy", (geometry, level, settings), build, to_arrays, restored)
+    return kept("anatomy", (geometry, level, settings), build, to_arrays, restored, announce)

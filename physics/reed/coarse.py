@@ -56,4 +56,4 @@ def coarse_mesh_cents(
     def restored(arrays: Arrays) -> dict[str, float]:
         return dict(zip(arrays["names"].tolist(), arrays["cents"].tolist(), strict=True))
 
-    return kept("coarse", (geometry, cane), build, to_arrays, restored)
+    return kept("coarse", (geometry, cane), build, to_arrays, restored, announce)

@@ -61,7 +61,7 @@ def material_basis(
         names = tuple(arrays["names"].tolist())
         return MaterialBasis(geometry, settings.box, names, classes, halves)
 
-    return kept("material", (geometry, level, settings), build, _arrays, restored)
+    return kept("material", (geometry, level, settings), build, _arrays, restored, announce)
 
 
 def _arrays(basis: MaterialBasis) -> Arrays:

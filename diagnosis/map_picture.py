@@ -7,6 +7,7 @@ from matplotlib import colormaps
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from acquire.plain_text import visible
 from diagnosis.where import Cell, Map
 
 _AXES: Final = (
@@ -40,7 +41,9 @@ def draw_map(where: Map) -> Figure:
                 own = cell.gap if cell.resolvable else 0.5
                 table[row, column] = np.nanmax([table[row, column], own])
         image = ax.imshow(np.clip(table, 0.5, _LARGEST), cmap=colours, norm=norm, aspect="auto")
-        ax.set_xticks(range(len(labels)), labels, rotation=90, fontsize=7)
+        # Names of sweeps may hold what matplotlib takes for mathematics.
+        shown = [visible(label) for label in labels]
+        ax.set_xticks(range(len(labels)), shown, rotation=90, fontsize=7, parse_math=False)
         ax.set_yticks(range(len(blocks)), [])
         ax.set_title(title, fontsize=8)
         ax.set_facecolor("white")

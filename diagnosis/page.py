@@ -1,14 +1,14 @@
 """A diagnosis as one self-contained HTML page, and as words for the command line."""
 
 import base64
-import html
 import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
-from acquire.errors import RunFileError
+from acquire.own_output import Output, page_kind, write_output
+from acquire.plain_text import escaped
 from diagnosis.how_far import Shrinkage
 from diagnosis.map_picture import draw_map
 from diagnosis.verdict import Verdict
@@ -31,6 +31,7 @@ TAP_WORDS: Final[Mapping[Tap, str]] = {
 _NOT_PROOF: Final = "Closing a gap does not prove its cause: a wrong effect may close it as well."
 _SHOWN = 12
 _RATHER_THAN_NOT = 0.5
+_PAGE: Final = page_kind("diagnosis")
 _STYLE: Final = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 1100px;
        margin: 2rem auto; padding: 0 1.5rem; }
@@ -137,6 +138,11 @@ def _share(closed: Shrinkage | None) -> str:
     return f"{kappa:.0%}" if math.isnan(low) else f"{kappa:.0%} [{low:.0%}, {high:.0%}]"
 
 
+def page_output(page: Path) -> Output:
+    """Page as an output, for `acquire.own_output.require_writable`."""
+    return Output(page, _PAGE)
+
+
 def write_page(verdict: Verdict, title: str, page: Path, runs: Sequence[str] = ()) -> None:
     """Write the page.
 
@@ -145,20 +151,16 @@ def write_page(verdict: Verdict, title: str, page: Path, runs: Sequence[str] = (
     verdict : Verdict
     title : str
     page : Path
+        An older page of a diagnosis there is replaced, and nothing else.
     runs : sequence of str
         Names of the files that were diagnosed.
 
     Raises
     ------
-    RunFileError
-        If it cannot be written.
+    OutputRefusedError, OutputFailedError
+        If it must not or cannot be written.
     """
-    try:
-        page.write_text(document(verdict, title, runs), encoding="utf-8")
-    except OSError as error:
-        raise RunFileError(
-            f"{page}: cannot be written ({error.strerror}); choose another place with --out"
-        ) from error
+    write_output(page_output(page), document(verdict, title, runs))
 
 
 def document(verdict: Verdict, title: str, runs: Sequence[str] = ()) -> str:
@@ -167,9 +169,9 @@ def document(verdict: Verdict, title: str, runs: Sequence[str] = ()) -> str:
     by = f"{', '.join(runs)}; by reedbench {version('reedbench')}" if runs else ""
     picture = base64.b64encode(png_of(draw_map(verdict.where), dpi=110)).decode()
     body = [
-        f"<h1>{html.escape(title)}</h1>",
-        f'<p class="lead">{html.escape(said[0])}</p>',
-        *(f"<p>{html.escape(sentence)}</p>" for sentence in said[1:]),
+        f"<h1>{escaped(title)}</h1>",
+        f'<p class="lead">{escaped(said[0])}</p>',
+        *(f"<p>{escaped(sentence)}</p>" for sentence in said[1:]),
         "<h2>Where</h2>",
         f'<img alt="Gap of every cell" src="data:image/png;base64,{picture}">',
         '<p class="facts">Gap in units of its floor: errors of data, numerics and inputs. Below 1 '
@@ -186,24 +188,23 @@ def document(verdict: Verdict, title: str, runs: Sequence[str] = ()) -> str:
         _actions(verdict),
         "<h2>What these runs could have shown</h2>",
         _reach(verdict),
-        f'<p class="facts">{html.escape(by)}</p>',
+        f'<p class="facts">{escaped(by)}</p>',
     ]
     return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head>"
+        f"{_PAGE.mark}<title>{escaped(title)}</title><style>{_STYLE}</style></head>"
         f"<body>{''.join(body)}</body></html>"
     )
 
 
 def _table(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int]) -> str:
     """Table of texts; columns of these numbers, from 0, are set flush right."""
-    top = "".join(f"<th>{html.escape(heading)}</th>" for heading in headings)
+    top = "".join(f"<th>{escaped(heading)}</th>" for heading in headings)
     lines = []
     for row in rows:
         cells = (
-            f'<td class="number">{html.escape(text)}</td>'
+            f'<td class="number">{escaped(text)}</td>'
             if column in numbers
-            else f"<td>{html.escape(text)}</td>"
+            else f"<td>{escaped(text)}</td>"
             for column, text in enumerate(row)
         )
         lines.append(f"<tr>{''.join(cells)}</tr>")
@@ -271,7 +272,7 @@ def _plain(verdict: Verdict) -> str:
     name = "+".join(verdict.effects) or "what explains most"
     told = _title(name) if verdict.effects else name
     headings = "what is left (shapes: sum; others: rms)", "without", f"with {told}", "uncertain"
-    return f"{_table(headings, rows, (1, 2, 3))}<p>{html.escape(_NOT_PROOF)}</p>"
+    return f"{_table(headings, rows, (1, 2, 3))}<p>{escaped(_NOT_PROOF)}</p>"
 
 
 def _actions(verdict: Verdict) -> str:
@@ -281,7 +282,7 @@ def _actions(verdict: Verdict) -> str:
     ]
     one, other = verdict.rivals
     between = f"to tell {_title(one)} from {_title(other)}" if one else ""
-    facts = f'<p class="facts">Expected log odds {html.escape(between)}.</p>'
+    facts = f'<p class="facts">Expected log odds {escaped(between)}.</p>'
     return facts + _table(("action", "minutes", "nats", "nats per minute"), rows, (1, 2, 3))
 
 

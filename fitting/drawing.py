@@ -9,6 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from acquire.plain_text import visible
 from acquire.runfile import Run, StepRecord
 from fitting.fit import SweepFit
 from fitting.picking import Resonance
@@ -37,11 +38,14 @@ _OTHER_COLOUR = "#9d9d9d"
 _LINE_COLOUR = "#ff5d5d"
 
 
-def png_of(figure: Figure, dpi: int = 100) -> bytes:
-    """Render a figure as PNG."""
+def png_of(figure: Figure, dpi: int = 100, software: str = "reedbench") -> bytes:
+    """Render a figure as PNG, which says by what software it was made (see `picture_kind`)."""
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
-    figure.savefig(buffer, format="png", dpi=dpi, facecolor=figure.get_facecolor())
+    figure.savefig(
+        buffer, format="png", dpi=dpi, facecolor=figure.get_facecolor(),
+        metadata={"Software": software},
+    )  # fmt: skip
     return buffer.getvalue()
 
 
@@ -188,7 +192,9 @@ def response_plot(sweep: SweepFit, lines_hz: Sequence[float]) -> Figure:
             axes.plot([], [], color=_DARK_COLOUR[letter], label=f"{letter}: {word} modes")
     axes.legend(loc="upper right", frameon=False)
     how = "largest deflection of every mode" if sweep.joint else "fringes counted per mode shape"
-    axes.set_title(f"Reed {sweep.reed}, series {sweep.series}: {how}")
+    title = f"Reed {visible(sweep.reed)}, series {visible(sweep.series)}: {how}"
+    # A name may hold what matplotlib takes for mathematics.
+    axes.set_title(title, parse_math=False)
     return figure
 
 

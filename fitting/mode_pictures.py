@@ -11,9 +11,11 @@ from matplotlib.colors import FuncNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.table import Table
-from rich.text import Text
 from scipy.ndimage import maximum_filter1d, zoom
 
+from acquire.console import plain
+from acquire.own_output import Output, picture_kind, require_writable, write_output
+from acquire.plain_text import visible
 from acquire.reed_file import ReedFile
 from fitting.drawing import png_of
 from fitting.errors import FitInputError
@@ -25,6 +27,7 @@ from physics.reed.modes import HIGHEST_HZ, NamedMode
 Array = NDArray[np.floating[Any]]
 
 PER_ROW = 9
+_SHEET = picture_kind("reed modes")
 _MODULI = ("E_L", "E_T", "E_R", "G_LT", "G_LR", "G_TR")
 _POISSON_RATIOS = ("nu_LT", "nu_LR", "nu_TR")
 # Width of a panel, and what stands between, above and below the panels.
@@ -40,14 +43,14 @@ _STILL_SHARE = 0.02
 
 def modes_table(reed: ReedFile, modes: Sequence[NamedMode]) -> Table:
     """Name, frequency, interval above F6, class and symmetry of every mode; below, the cane."""
-    table = Table(title=Text(f"{reed.name}: modes"), caption=Text(_cane_words(reed)))
+    table = Table(title=plain(f"{reed.name}: modes"), caption=plain(_cane_words(reed)))
     for head in ("mode", "frequency", "cents above F6"):
         table.add_column(head, justify="right")
     table.add_column("class")
     table.add_column("symmetry")
     for mode in modes:
         table.add_row(
-            Text(mode.name),
+            plain(mode.name),
             f"{mode.frequency_hz:.1f} Hz",
             f"{1200 * np.log2(mode.frequency_hz / REFERENCE_HZ):.0f}",
             str(mode.klass),
@@ -139,7 +142,9 @@ def mode_sheet(reed: str, mesh: ReedMesh, modes: Sequence[NamedMode]) -> Figure:
         axes = figure.add_axes(box(left, bottom, _PANEL_IN, tall_in))
         _draw(axes, bark_side(mesh, mode))
         axes.set_title(f"{mode.name} {mode.frequency_hz:.0f} Hz", fontsize=8.5, pad=3)
-    figure.suptitle(f"{reed}: bark side, tip down", y=1 - 0.15 / height_in, va="top")
+    title = f"{visible(reed)}: bark side, tip down"
+    # A name may hold what matplotlib takes for mathematics.
+    figure.suptitle(title, y=1 - 0.15 / height_in, va="top", parse_math=False)
     scale = figure.add_axes(box(0.5 * width_in - 1.5, _FOOT_IN - 0.25, 3.0, 0.1))
     bar = figure.colorbar(ScalarMappable(_norm(), _COLOURS), cax=scale, orientation="horizontal")
     bar.set_ticks([-1, -0.5, -0.1, 0, 0.1, 0.5, 1])
@@ -170,16 +175,22 @@ def _draw(axes: Any, side: BarkSide) -> None:
 
 
 def require_png(path: Path) -> None:
-    """Refuse a name that is not a picture's, before anything is computed.
+    """Refuse a sheet that cannot be written, before anything is computed.
 
     Raises
     ------
     FitInputError
+        If its name is not a picture's.
+    OutputRefusedError
+        If it must not or cannot be written there.
     """
     if path.suffix.lower() != ".png":
         raise FitInputError(f"{path}: pictures are written as PNG; give a name that ends in .png")
-    if not path.parent.is_dir():
-        raise FitInputError(f"{path}: there is no folder {path.parent}; make it or name another")
+    require_writable([_output(path)])
+
+
+def _output(path: Path) -> Output:
+    return Output(path, _SHEET, "--pictures")
 
 
 def write_mode_sheet(
@@ -189,14 +200,8 @@ def write_mode_sheet(
 
     Raises
     ------
-    FitInputError
-        If the file cannot be written.
+    OutputRefusedError, OutputFailedError
+        If the file must not or cannot be written.
     """
     mesh = build_least_mesh(reed.geometry(), level)
-    picture = png_of(mode_sheet(reed.name, mesh, modes), _DPI)
-    try:
-        path.write_bytes(picture)
-    except OSError as error:
-        reason = error.strerror or "unwritable"
-        message = f"{path}: cannot be written: {reason}; check folder and rights"
-        raise FitInputError(message) from None
+    write_output(_output(path), png_of(mode_sheet(reed.name, mesh, modes), _DPI, _SHEET.mark))

@@ -1,6 +1,7 @@
 """Many reeds fitted together: from a table of resonances, or from a folder of run files."""
 
 import csv
+import io
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -12,6 +13,8 @@ import numpy as np
 from rich.table import Table
 
 from acquire.errors import RunFileError
+from acquire.own_output import Output, replacing, table_kind
+from acquire.plain_text import one_line
 from acquire.reed_file import ReedFile
 from acquire.runfile import Run
 from fitting.errors import FitError, FitInputError
@@ -23,7 +26,9 @@ from fitting.populations import Flag, PopulationFit, count_flags, fit_population
 from fitting.resonance_table import (
     COLUMNS,
     ERROR_COLUMN,
+    RUN_COLUMN,
     Resonances,
+    component_columns,
     read_resonances,
     write_components,
 )
@@ -33,6 +38,10 @@ from physics.reed.names import PAPER_MODES
 from physics.reed.viscoelastic import Series
 
 _COUNT = 4
+# With the run of each resonance: a table with these columns is not one that a person typed.
+_RESONANCE_COLUMNS = (*COLUMNS, ERROR_COLUMN, RUN_COLUMN)
+_RESONANCES = table_kind("resonances", _RESONANCE_COLUMNS)
+_COMPONENTS = table_kind("components", component_columns(_COUNT))
 # The components of such fits do not describe the population.
 _UNFIT = Flag.TOO_FEW_RESONANCES | Flag.NOT_CONVERGED
 
@@ -115,24 +124,30 @@ def metamodel_of(
     return finite_element_polynomial(basis_of(kind, announce))
 
 
+def components_output(path: Path) -> Output:
+    """Table of the components of every reed."""
+    return Output(path, _COMPONENTS)
+
+
+def resonances_output(path: Path) -> Output:
+    """Table of the resonances of a folder's runs."""
+    return Output(path, _RESONANCES, None)
+
+
 @contextmanager
-def opened_table(path: Path) -> Iterator[TextIO]:
+def opened_table(output: Output) -> Iterator[TextIO]:
     """Open a table for writing; it appears whole or not at all.
 
     Raises
     ------
-    FitInputError
-        If it cannot be written.
+    OutputRefusedError, OutputFailedError
+        If it must not or cannot be written.
     """
-    part = path.with_name(f"{path.name}.part")
-    try:
-        with part.open("w", newline="", encoding="utf-8") as file:
-            yield file
-        part.replace(path)
-    except OSError as error:
-        raise FitInputError(f"{path}: {error.strerror}; choose another place") from error
-    finally:
-        part.unlink(missing_ok=True)
+    with replacing(output) as file:
+        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        yield text
+        # Hands over what it holds, and leaves the file open.
+        text.detach()
 
 
 def fit_table(
@@ -214,8 +229,9 @@ def write_resonances(
     Raises
     ------
     FitInputError
-        If no run gives resonances, the runs are of several kinds of reeds, or the table cannot be
-        written.
+        If no run gives resonances, or the runs are of several kinds of reeds.
+    OutputRefusedError, OutputFailedError
+        If the table must not or cannot be written.
     """
     tell = announce or (lambda _: None)
     latest = _latest_runs(folder, tell)
@@ -233,13 +249,13 @@ def write_resonances(
         except (FitError, RunFileError) as error:
             tell(f"{path}: passed over: {str(error).removeprefix(f'{path}: ')}")
             continue
-        rows += _rows(sweep)
+        rows += _rows(sweep, path.relative_to(folder))
         lines.setdefault(sweep.reed, []).extend(sweep.lines)
     if not rows:
         raise FitInputError(f"{folder}: no run of series A or B in it shows resonances")
-    with opened_table(table) as file:
+    with opened_table(resonances_output(table)) as file:
         out = csv.writer(file, lineterminator="\n")
-        out.writerow([*COLUMNS, ERROR_COLUMN])
+        out.writerow(_RESONANCE_COLUMNS)
         out.writerows(rows)
     if method != "joint":
         return Measured(kind, len(lines), None)
@@ -282,11 +298,12 @@ def _latest_runs(folder: Path, tell: Callable[[str], None]) -> list[Path]:
     return [path for _, (_, path) in sorted(latest.items())]
 
 
-def _rows(sweep: SweepFit) -> list[tuple[str, ...]]:
-    return [
-        (sweep.reed, sweep.series, name, f"{one.frequency_hz:.3f}", f"{one.error_cents:.4g}")
-        for name, one in sweep.resonances.items()
-    ]
+def _rows(sweep: SweepFit, run: Path) -> list[tuple[str, ...]]:
+    # Names of files may hold bytes that are not UTF-8.
+    source = one_line(str(run))
+    found = sweep.resonances.items()
+    cells = ((name, f"{one.frequency_hz:.3f}", f"{one.error_cents:.4g}") for name, one in found)
+    return [(sweep.reed, sweep.series, *own, source) for own in cells]
 
 
 def summary_table(summary: PopulationSummary) -> Table:

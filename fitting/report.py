@@ -1,11 +1,12 @@
 """One self-contained HTML page about a run, and its pictures as files beside it."""
 
 import base64
-import html
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Final
 
-from acquire.errors import RunFileError
+from acquire.own_output import Output, page_kind, picture_kind, require_writable, write_output
+from acquire.plain_text import escaped
 from acquire.runfile import Run
 from fitting.drawing import contact_sheet, png_of, response_plot
 from fitting.fit import ReedFit, SweepFit
@@ -13,6 +14,8 @@ from fitting.joint_drawing import mode_sheet
 from fitting.picking import Resonance
 from fitting.tables import not_identified_lines
 
+_PAGE: Final = page_kind("report")
+_PICTURES: Final = {name: picture_kind(name) for name in ("contact sheet", "response", "modes")}
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 1400px;
        margin: 2rem auto; padding: 0 1.5rem; }
@@ -26,14 +29,63 @@ img { max-width: 100%; display: block; margin: 0.6rem 0; }
 """
 
 
+def page_of(run: Path) -> Path:
+    """Page of a run's report, if none is named: next to the run file."""
+    return run.with_suffix(".html") if run.name else Path("report.html")
+
+
+def require_report(runs: Sequence[Path], page: Path, *, measured: bool = True) -> None:
+    """Refuse a report that cannot be written, before anything is measured or fitted.
+
+    Parameters
+    ----------
+    runs : sequence of Path
+    page : Path
+    measured : bool
+        Whether the runs are there already. If not, the folder of the page need not be there.
+
+    Raises
+    ------
+    OutputRefusedError
+        If the page or a picture must not or cannot be written.
+    RunFileError
+        If a run cannot be read.
+    """
+    series = [_series_of(run) for run in runs] if measured else ["" for _ in runs]
+    # A set, because a run that is named twice is refused by the fit, which says why.
+    pictures = {
+        _picture_output(page, stem, name) for stem in _stems(runs, series) for name in _PICTURES
+    }
+    require_writable([Output(page, _PAGE), *pictures], runs, makes_folder=not measured)
+
+
+def _series_of(path: Path) -> str:
+    with Run.open(path) as run:
+        return run.series
+
+
+def _stems(runs: Sequence[Path], series: Sequence[str]) -> list[str]:
+    """What the names of each run's pictures begin with; with the series if names are equal."""
+    stems = [run.stem for run in runs]
+    if len(set(stems)) == len(stems):
+        return stems
+    # A file may give its series any name.
+    kept = ["".join(c if c.isalnum() else "-" for c in one) for one in series]
+    return [f"{stem}-{one}" for stem, one in zip(stems, kept, strict=True)]
+
+
+def _picture_output(page: Path, stem: str, name: str) -> Output:
+    return Output(page.with_name(f"{stem}.{name.replace(' ', '-')}.png"), _PICTURES[name])
+
+
 def write_report(fit: ReedFit, page: Path) -> dict[str, Path]:
-    """Write the page, and the contact sheet and response plot of every run beside it.
+    """Write the page, and next to it the contact sheet, response plot and modes of every run.
 
     Parameters
     ----------
     fit : ReedFit
     page : Path
-        Replaced if it exists.
+        An older report there is replaced, and nothing else.
 
     Returns
     -------
@@ -43,12 +95,15 @@ def write_report(fit: ReedFit, page: Path) -> dict[str, Path]:
     Raises
     ------
     RunFileError
-        If a run cannot be read, or the page not be written.
+        If a run cannot be read.
+    OutputRefusedError, OutputFailedError
+        If the page or a picture must not or cannot be written.
     """
+    runs = [sweep.path for sweep in fit.sweeps]
+    require_report(runs, page)
     files, parts = {"report": page}, [_heading(fit), _parameters(fit)]
-    alike = len({sweep.path.stem for sweep in fit.sweeps}) < len(fit.sweeps)
-    for sweep in fit.sweeps:
-        _require_other(page, sweep.path)
+    stems = _stems(runs, [sweep.series for sweep in fit.sweeps])
+    for stem, sweep in zip(stems, fit.sweeps, strict=True):
         with Run.open(sweep.path) as run:
             lines_hz = _lines_hz(sweep, run)
             figures = {
@@ -58,14 +113,14 @@ def write_report(fit: ReedFit, page: Path) -> dict[str, Path]:
             if sweep.joint:
                 figures["modes"] = mode_sheet(sweep.joint, sweep.resonances)
             parts.append(_sweep(sweep, run, fit))
-        stem = f"{sweep.path.stem}-{sweep.series}" if alike else sweep.path.stem
         for name, figure in figures.items():
-            picture = png_of(figure)
+            output = _picture_output(page, stem, name)
+            picture = png_of(figure, software=output.kind.mark)
             label = name if len(fit.sweeps) == 1 else f"{name} {sweep.series}"
-            files[label] = page.with_name(f"{stem}.{name.replace(' ', '-')}.png")
-            _write(files[label], picture)
+            files[label] = output.path
+            write_output(output, picture)
             parts.append(_embedded(name, picture))
-    _write(page, _document(fit.sweeps[0].reed, parts))
+    write_output(Output(page, _PAGE), _document(fit.sweeps[0].reed, parts))
     return files
 
 
@@ -81,7 +136,7 @@ def write_bare_report(runs: Sequence[Path], page: Path, reason: str) -> dict[str
     ----------
     runs : sequence of Path
     page : Path
-        Replaced if it exists.
+        An older report there is replaced, and nothing else.
     reason : str
         Why there is no fit.
 
@@ -93,40 +148,26 @@ def write_bare_report(runs: Sequence[Path], page: Path, reason: str) -> dict[str
     Raises
     ------
     RunFileError
-        If a run cannot be read, or the page not be written.
+        If a run cannot be read.
+    OutputRefusedError, OutputFailedError
+        If the page must not or cannot be written.
     """
-    parts, reeds = [f'<p class="warning">No fit: {html.escape(reason)}</p>'], []
+    require_writable([Output(page, _PAGE)], runs)
+    parts, reeds = [f'<p class="warning">No fit: {escaped(reason)}</p>'], []
     for path in runs:
-        _require_other(page, path)
         with Run.open(path) as run:
             reeds.append(run.reed)
-            title = html.escape(f"Reed {run.reed}, series {run.series}")
+            title = escaped(f"Reed {run.reed}, series {run.series}")
             sheet = png_of(contact_sheet(run, {}, run.acoustic_lines_hz))
             parts.append(f"<h1>{title}</h1>{_facts(run)}{_embedded('contact sheet', sheet)}")
-    _write(page, _document(reeds[0], parts))
+    write_output(Output(page, _PAGE), _document(reeds[0], parts))
     return {"report": page}
 
 
-def _require_other(page: Path, run: Path) -> None:
-    if page.resolve() == run.resolve():
-        raise RunFileError(f"{page}: is the run itself; choose another page with --out")
-
-
-def _write(path: Path, content: str | bytes) -> None:
-    """Write a text or a picture."""
-    data = content.encode() if isinstance(content, str) else content
-    try:
-        path.write_bytes(data)
-    except OSError as error:
-        raise RunFileError(
-            f"{path}: cannot be written ({error.strerror}); choose another place with --out"
-        ) from error
-
-
 def _document(reed: str, parts: Iterable[str]) -> str:
-    title = html.escape(f"Reed {reed}")
+    title = escaped(f"Reed {reed}")
     return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+        f"{_PAGE.mark}<title>{title}</title>"
         f"<style>{_STYLE}</style></head><body>{''.join(parts)}</body></html>"
     )
 
@@ -134,12 +175,12 @@ def _document(reed: str, parts: Iterable[str]) -> str:
 def _heading(fit: ReedFit) -> str:
     series = " and ".join(sweep.series for sweep in fit.sweeps)
     title = f"Reed {fit.sweeps[0].reed}, series {series}"
-    return f"<h1>{html.escape(title)}</h1>"
+    return f"<h1>{escaped(title)}</h1>"
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     def line(cells: Sequence[str], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in cells) + "</tr>"
+        return "<tr>" + "".join(f"<{tag}>{escaped(c)}</{tag}>" for c in cells) + "</tr>"
 
     return f"<table>{line(head, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"
 
@@ -147,7 +188,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def _parameters(fit: ReedFit) -> str:
     """Components and moduli side by side, or why there are none."""
     if fit.parameters is None:
-        return f'<h2>The cane</h2><p class="warning">No parameters: {html.escape(fit.reason)}</p>'
+        return f'<h2>The cane</h2><p class="warning">No parameters: {escaped(fit.reason)}</p>'
     p = fit.parameters
     components = _table(
         ("component (population SD)", "value", "± s.e."),
@@ -169,7 +210,7 @@ def _parameters(fit: ReedFit) -> str:
     misfit = f", with {p.misfit_cents:.1f} cents added to every error" if p.misfit_cents else ""
     facts = (
         f'<p class="facts">Residual rms {p.rms_cents:.1f} cents, χ² per degree of freedom '
-        f"{p.reduced_chi2:.2f}{misfit}; forward model: {html.escape(p.model)}.</p>"
+        f"{p.reduced_chi2:.2f}{misfit}; forward model: {escaped(p.model)}.</p>"
     )
     return (
         f'<h2>The cane</h2><div class="columns">{components}{"".join(moduli)}</div>{facts}{doubt}'
@@ -201,8 +242,8 @@ def _sweep(sweep: SweepFit, run: Run, fit: ReedFit) -> str:
         *("mode", "frequency (Hz)", "± cents", *more),
         *("picture", "phase amplitude (rad)", "residual (cents)"),
     )
-    title = html.escape(f"Series {sweep.series}: resonances")
-    missing = "<br>".join(map(html.escape, not_identified_lines(sweep)))
+    title = escaped(f"Series {sweep.series}: resonances")
+    missing = "<br>".join(map(escaped, not_identified_lines(sweep)))
     return f'<h2>{title}</h2>{_facts(run)}{_table(head, rows)}<p class="facts">{missing}</p>'
 
 
@@ -230,10 +271,10 @@ def _facts(run: Run) -> str:
     ]
     said_by_person = {"operator": labels.operator, "note": labels.note}
     facts += [f"{word}: {text}" for word, text in said_by_person.items() if text]
-    said = "<br>".join(map(html.escape, facts))
+    said = "<br>".join(map(escaped, facts))
     return f'<p class="facts">{said}</p>'
 
 
 def _embedded(name: str, picture: bytes) -> str:
     data = base64.b64encode(picture).decode()
-    return f'<img alt="{html.escape(name)}" src="data:image/png;base64,{data}">'
+    return f'<img alt="{escaped(name)}" src="data:image/png;base64,{data}">'

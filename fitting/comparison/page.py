@@ -1,8 +1,6 @@
 """The comparison as one self-contained HTML page, and as a table for the command line."""
 
 import base64
-import html
-import os
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -10,7 +8,8 @@ from typing import Final
 
 from rich.table import Table
 
-from acquire.errors import RunFileError
+from acquire.own_output import Output, page_kind, write_output
+from acquire.plain_text import escaped
 from fitting.comparison.rows import Drawing, Group, Row, Verdict
 from fitting.comparison.whole import Comparison
 from fitting.drawing import png_of
@@ -20,6 +19,7 @@ _PAPER: Final = (
     "P.-A. Taillard, F. Laloë, M. Gross, J.-P. Dalmont and J. Kergomard, “Statistical estimation "
     "of mechanical parameters of clarinet reeds using experimental and numerical approaches”"
 )
+_PAGE: Final = page_kind("paper")
 _STYLE: Final = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 1320px;
        margin: 2rem auto; padding: 0 1.5rem; }
@@ -58,24 +58,9 @@ _SIGNED: Final = re.compile(r"(?<!\w)-(?=\d)")
 _SHOWN: Final = (Verdict.DIFFERS, Verdict.REFUTED, Verdict.NOT_PRINTED)
 
 
-def require_writable(page: Path, option: str = "--out") -> None:
-    """Refuse a page, or what another option names, that cannot be written, before it is made.
-
-    Raises
-    ------
-    RunFileError
-        Naming the page and why.
-    """
-    if page.is_dir():
-        raise _unwritable(page, "it is a folder", option)
-    if not page.parent.is_dir():
-        raise _unwritable(page, f"there is no folder {page.parent}", option)
-    if not os.access(page if page.exists() else page.parent, os.W_OK):
-        raise _unwritable(page, "permission denied", option)
-
-
-def _unwritable(page: Path, reason: str, option: str = "--out") -> RunFileError:
-    return RunFileError(f"{page}: cannot be written ({reason}); choose another place with {option}")
+def page_output(page: Path) -> Output:
+    """Page as an output, for `acquire.own_output.require_writable`."""
+    return Output(page, _PAGE)
 
 
 def write_page(comparison: Comparison, page: Path) -> None:
@@ -85,24 +70,21 @@ def write_page(comparison: Comparison, page: Path) -> None:
     ----------
     comparison : Comparison
     page : Path
-        Replaced if it exists.
+        An older page of the paper there is replaced, and nothing else.
 
     Raises
     ------
-    RunFileError
-        If it cannot be written.
+    OutputRefusedError, OutputFailedError
+        If it must not or cannot be written.
     """
-    try:
-        page.write_text(document(comparison), encoding="utf-8")
-    except OSError as error:
-        raise _unwritable(page, error.strerror or "unknown") from error
+    write_output(page_output(page), document(comparison))
 
 
 def document(comparison: Comparison) -> str:
     """The whole page."""
     body = [_summary(comparison), *map(_section, comparison.groups)]
     return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{_TITLE}</title>'
+        f"{_PAGE.mark}<title>{_TITLE}</title>"
         f"<style>{_STYLE}</style></head><body>{''.join(body)}</body></html>"
     )
 
@@ -134,7 +116,7 @@ def _summary(comparison: Comparison) -> str:
         f"{count[Verdict.NOT_REPRODUCIBLE]} cannot be had at all."
     )
     rows = "".join(
-        f'<tr><td class="words"><a href="#{group.key}">{html.escape(group.title)}</a></td>'
+        f'<tr><td class="words"><a href="#{group.key}">{escaped(group.title)}</a></td>'
         + "".join(f"<td>{group.count(verdict) or '–'}</td>" for verdict in Verdict)
         + "</tr>"
         for group in comparison.groups
@@ -143,10 +125,10 @@ def _summary(comparison: Comparison) -> str:
     shades = " ".join(
         f'<span class="key {name}">{words}</span>' for name, words in _SHADE_WORDS.items()
     )
-    said = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in comparison.findings)
+    said = "".join(f"<li>{escaped(sentence)}</li>" for sentence in comparison.findings)
     return (
-        f'<h1>{_TITLE}</h1><p class="facts">{html.escape(_PAPER)}. Tables are called as in its '
-        f"source.</p><p>{html.escape(lead)}</p><ul>{said}</ul>"
+        f'<h1>{_TITLE}</h1><p class="facts">{escaped(_PAPER)}. Tables are called as in its '
+        f"source.</p><p>{escaped(lead)}</p><ul>{said}</ul>"
         f'<table class="short"><tr><th class="words">group</th>{head}</tr>{rows}</table>'
         f'<p class="facts">Colours: {shades}. Basis: <i>text</i>, the text suffices; '
         "<i>population</i>, the same procedure on synthetic populations; <i>none</i>, not to be "
@@ -159,8 +141,8 @@ def _section(group: Group) -> str:
     shown = [row for row in group.rows if row.verdict in _SHOWN]
     others = [row for row in group.rows if row.verdict not in _SHOWN]
     parts = [
-        f'<h2 id="{group.key}">{html.escape(group.title)}</h2>',
-        f'<p class="facts">{html.escape(group.method)}</p>',
+        f'<h2 id="{group.key}">{escaped(group.title)}</h2>',
+        f'<p class="facts">{escaped(group.method)}</p>',
         *map(_figure, group.drawings),
     ]
     if shown:
@@ -178,7 +160,7 @@ def _verdicts(rows: Sequence[Row]) -> str:
 
 def _figure(drawing: Drawing) -> str:
     data = base64.b64encode(png_of(drawing.draw(), dpi=120)).decode()
-    caption = html.escape(drawing.caption)
+    caption = escaped(drawing.caption)
     return (
         f'<figure><img alt="{caption}" src="data:image/png;base64,{data}">'
         f"<figcaption>{caption}</figcaption></figure>"
@@ -205,7 +187,7 @@ def _line(row: Row) -> str:
         ("words", str(row.basis)),
         ("remark", _SIGNED.sub("−", row.remark)),
     )
-    inner = "".join(f'<td class="{kind}">{html.escape(text)}</td>' for kind, text in cells)
+    inner = "".join(f'<td class="{kind}">{escaped(text)}</td>' for kind, text in cells)
     return f'<tr class="{_shade(row)}">{inner}</tr>'
 
 

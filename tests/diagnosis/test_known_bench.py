@@ -46,7 +46,7 @@ def test_a_bench_of_which_nothing_is_known_is_the_nominal_twin() -> None:
         ("{synthesizer_detuning: {offset: 0.02}}", "synthesizer_detuning.offset: 0.02 has no unit"),
         ("{tip_mass: {mass: -1e-6 kg}}", "tip_mass.mass: '-1e-6 kg' is negative"),
         ("{tip_mass: {mass: .nan}}", "known.tip_mass.mass: nan"),
-        ("{air_load: {share: .inf}}", "known.air_load.share: inf is no size"),
+        ("{air_load: {share: .inf}}", "known.air_load.share: inf is not a finite number"),
         ("{air_load: {share: true}}", "known.air_load.share.float: True should be a valid number"),
         ("{crack: {depth: 50 um, x: 1 m}}", "is nowhere that it can be; it lies from"),
     ],

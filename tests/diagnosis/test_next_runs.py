@@ -1,12 +1,15 @@
 """What to measure next is written as a campaign that runs."""
 
+import errno
+import os
+import shlex
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from acquire.campaign_file import CampaignFile, tasks_of
-from acquire.errors import ProtocolError, RunFileError
+from acquire.errors import OutputFailedError, OutputRefusedError, ProtocolError
 from acquire.protocol import Protocol
 from diagnosis.actions import ACTIONS, Action, Worth
 from diagnosis.next_runs import require_repeatable, write_next
@@ -47,6 +50,49 @@ def test_the_best_that_software_can_run_is_written(tmp_path: Path) -> None:
     assert task.protocol.calibration.count == 64
 
 
+def test_a_campaign_of_a_reed_of_any_name_can_be_read_and_its_command_copied(
+    tmp_path: Path,
+) -> None:
+    rest = next(action for action in ACTIONS if action.id == "long_rest")
+    file, reed = tmp_path / "$(touch x).yaml", "R7'\nname: other\n\x1b]0;x\x07; touch x"
+    write_next([_worth(rest)], ("none", "drying"), _sweeps(), reed, file)
+    assert CampaignFile.from_file(file).name == "Next, long rest"
+    (command,) = [line for line in file.read_text("utf-8").splitlines() if "--reed" in line]
+    words = shlex.split(command.split("`")[1])
+    assert words[:3] == ["acquire", "run", file.name]
+    assert words[4] == "R7'\\nname: other\\n\\x1b]0;x\\x07; touch x"
+
+
+def test_a_disk_that_is_full_leaves_the_earlier_campaign(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rest, wax = (
+        next(action for action in ACTIONS if action.id == name)
+        for name in ("long_rest", "known_mass")
+    )
+    file = tmp_path / "next.yaml"
+    write_next([_worth(rest)], ("none", "drying"), _sweeps(), "R01", file)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def refuse(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(OutputFailedError, match="No space left"):
+        write_next([_worth(wax)], ("none", "drying"), _sweeps(), "R01", file)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_the_protocol_of_a_campaign_that_was_measured_is_marked_once(tmp_path: Path) -> None:
+    rest = next(action for action in ACTIONS if action.id == "long_rest")
+    file, again = tmp_path / "next.yaml", tmp_path / "again.yaml"
+    write_next([_worth(rest)], ("none", "drying"), _sweeps(), "R01", file)
+    written = (tmp_path / "next-sweep.yaml").read_text("utf-8")
+    write_next([_worth(rest)], ("none", "drying"), written, "R01", again)
+    assert (tmp_path / "again-sweep.yaml").read_text("utf-8") == written
+    assert Protocol.from_text(written).sha256 == Protocol.from_text(_sweeps()).sha256
+
+
 def test_nothing_to_tell_apart_is_said(tmp_path: Path) -> None:
     with pytest.raises(FitInputError, match="no two causes"):
         write_next([], ("", ""), _sweeps(), "R01", tmp_path / "next.yaml")
@@ -57,16 +103,21 @@ def test_what_cannot_be_written_is_told_before_anything_is_diagnosed(tmp_path: P
     run = SimpleNamespace(path=tmp_path / "up.h5", protocol_text=_sweeps())
     file, sweep = tmp_path / "next.yaml", tmp_path / "next-sweep.yaml"
     require_repeatable(run, file)
-    # What an earlier diagnosis has written may be written again, another protocol not.
-    sweep.write_text(_sweeps(), "utf-8")
-    require_repeatable(run, file)
-    sweep.write_text("name: mine\n", "utf-8")
-    with pytest.raises(FitInputError, match=r"next-sweep\.yaml: is there already"):
+    # What an earlier diagnosis has written may be written again, other protocols not.
+    rest = next(action for action in ACTIONS if action.id == "long_rest")
+    for _ in range(2):
+        write_next([_worth(rest)], ("none", "drying"), _sweeps(), "R01", file)
         require_repeatable(run, file)
-    assert sweep.read_text("utf-8") == "name: mine\n"
+    for mine in ("name: mine\n", _sweeps()):
+        sweep.write_text(mine, "utf-8")
+        with pytest.raises(OutputRefusedError, match=r"next-sweep\.yaml: is there already"):
+            require_repeatable(run, file)
+        with pytest.raises(OutputRefusedError, match=r"next-sweep\.yaml: is there already"):
+            write_next([_worth(rest)], ("none", "drying"), _sweeps(), "R01", file)
+        assert sweep.read_text("utf-8") == mine
     sweep.unlink()
     sweep.mkdir()
-    with pytest.raises(RunFileError, match="it is a folder"):
+    with pytest.raises(OutputRefusedError, match="it is a folder"):
         require_repeatable(run, file)
     sweep.rmdir()
     for text, error, words in (

@@ -1,7 +1,10 @@
 """What a diagnosis says of a bench whose truth is known: verdict, words, page and JSON."""
 
+import errno
+import html
 import json
 import math
+import os
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -9,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from acquire.errors import RunFileError
+from acquire.errors import OutputFailedError, OutputRefusedError
 from diagnosis.actions import Action, ranked_actions
 from diagnosis.answer import to_json
 from diagnosis.block import Place, block
@@ -174,8 +177,45 @@ def test_the_page_has_all_of_it(mixed, tmp_path) -> None:
             rf'<td class="number">{rung.backward:.0%}</td>',
             html,
         )
-    with pytest.raises(RunFileError, match="choose another place with --out"):
+    with pytest.raises(OutputRefusedError, match="choose another place with --out"):
         write_page(mixed, "A reed", tmp_path / "nowhere" / "page.html")
+
+
+def test_an_older_page_is_replaced_and_nothing_else(mixed, nothing, tmp_path, monkeypatch) -> None:
+    page, mine = tmp_path / "page.html", tmp_path / "mine.html"
+    write_page(nothing, "A reed", page)
+    write_page(mixed, "A reed", page)
+    assert page.read_text(encoding="utf-8") == document(mixed, "A reed")
+    mine.write_text("<!doctype html>mine", encoding="utf-8")
+    with pytest.raises(OutputRefusedError, match="move it away"):
+        write_page(mixed, "A reed", mine)
+    assert mine.read_text(encoding="utf-8") == "<!doctype html>mine"
+
+    def refuse(descriptor):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(OutputFailedError, match="No space left"):
+        write_page(nothing, "A reed", page)
+    assert page.read_text(encoding="utf-8") == document(mixed, "A reed")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.html", "page.html"]
+
+
+def test_names_are_text_on_the_page_and_in_its_picture(mixed) -> None:
+    hostile, shown = "<script>$\\frac$\x1b", "<script>$\\frac$\\x1b"
+    cells = tuple(
+        replace(cell, label=hostile) if cell.axis != "block" else cell for cell in mixed.where.cells
+    )
+    verdict = replace(mixed, where=replace(mixed.where, cells=cells), missing=(hostile,))
+    page = document(verdict, hostile, [hostile])
+    assert "<script" not in page
+    assert "\x1b" not in page
+    # Title, heading, sentence and sources.
+    assert page.count(html.escape(shown)) == 4
+    labels = [
+        text.get_text() for ax in draw_map(verdict.where).axes for text in ax.get_xticklabels()
+    ]
+    assert shown in labels
 
 
 def test_sizes_of_two_effects_say_whose_they_are(both) -> None:

@@ -10,6 +10,7 @@ from matplotlib.contour import QuadContourSet
 from matplotlib.image import imread
 from rich.console import Console
 
+from acquire.errors import OutputRefusedError
 from acquire.reed_file import ReedFile
 from fitting.drawing import png_of
 from fitting.errors import FitInputError
@@ -170,6 +171,12 @@ def test_a_reed_without_modes_has_an_empty_sheet(mesh):
     assert png_of(mode_sheet("clarinet", mesh, [])).startswith(b"\x89PNG")
 
 
+def test_a_name_is_neither_mathematics_nor_control_codes(mesh):
+    figure = mode_sheet("R7 $\\frac$ \x1b[31m", mesh, [])
+    assert png_of(figure).startswith(b"\x89PNG")
+    assert figure.get_suptitle().startswith("R7 $\\frac$ \\x1b[31m: ")
+
+
 # --- Files and words ---------------------------------------------------------------------------
 
 
@@ -200,11 +207,11 @@ def test_the_sheet_of_an_uneven_reed_is_that_of_its_whole(whole_mesh, tmp_path):
 def test_what_cannot_be_written_is_refused_in_one_line(mesh, tmp_path):
     with pytest.raises(FitInputError, match=r"modes\.jpg: pictures are written as PNG"):
         require_png(tmp_path / "modes.jpg")
-    with pytest.raises(FitInputError, match=r"nowhere/modes\.png: there is no folder"):
+    with pytest.raises(OutputRefusedError, match=r"nowhere/modes\.png: .*there is no folder"):
         require_png(Path(tmp_path, "nowhere", "modes.png"))
     (tmp_path / "folder.png").mkdir()
     require_png(tmp_path / "modes.png")
-    with pytest.raises(FitInputError, match="cannot be written: Is a directory"):
+    with pytest.raises(OutputRefusedError, match="it is a folder"):
         write_mode_sheet(ReedFile.from_file(), LEVEL, [], tmp_path / "folder.png")
 
 

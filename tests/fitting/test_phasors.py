@@ -145,12 +145,17 @@ def axes(sweep_a):
     return y, x, *(round(BLOCK_M / abs(axis[1] - axis[0])) for axis in (y, x))
 
 
-def write_fields(path, fields):
+@pytest.fixture(scope="module")
+def write_fields(resealed):
     """Put fields (k, y, x) in units of noise into a run file."""
-    with h5py.File(path, "r+") as file:
-        level = file["entry/steps/noise_level"][: len(fields)]
-        kept = file["entry/data/field"]
-        kept[: len(fields)] = fields * np.sqrt(level)[:, None, None]
+
+    def write(path, fields):
+        with resealed(path) as file:
+            level = file["entry/steps/noise_level"][: len(fields)]
+            kept = file["entry/data/field"]
+            kept[: len(fields)] = fields * np.sqrt(level)[:, None, None]
+
+    return write
 
 
 def test_every_good_step_is_a_hologram_in_order_of_frequency(sweep_a, phasors):
@@ -209,7 +214,7 @@ def test_blocks_cover_the_reed_without_gaps(phasors):
     assert len(phasors.x_m) * 2 * 3 * 189.5e-6 * 151.6e-6 == pytest.approx(area, rel=0.08)
 
 
-def test_places_are_those_of_the_pixels_with_light(changed, axes):
+def test_places_are_those_of_the_pixels_with_light(changed, axes, write_fields):
     """One pixel of each block is lit, then two, one of them with four times the power."""
     y_m, x_m, high, wide = axes
     rng = np.random.default_rng(4)
@@ -234,7 +239,7 @@ def test_places_are_those_of_the_pixels_with_light(changed, axes):
     assert two.x_m - one.x_m == pytest.approx(0.8 * pitch_x, rel=1e-4)
 
 
-def test_phasors_of_a_planted_run_are_the_planted_ones_in_units_of_noise(changed):
+def test_phasors_of_a_planted_run_are_the_planted_ones_in_units_of_noise(changed, write_fields):
     """Rank one, with a phasor of the hologram alone, as if the whole reed moved alike."""
     rng = np.random.default_rng(5)
     path = changed()
@@ -252,12 +257,12 @@ def test_phasors_of_a_planted_run_are_the_planted_ones_in_units_of_noise(changed
     assert np.mean(factor**2) == pytest.approx(6 * 900, rel=0.03)
 
 
-def test_noise_is_one_where_the_run_shows_nothing_but_noise(changed, sweep_a, phasors):
+def test_noise_is_one_where_the_run_shows_nothing_but_noise(changed, resealed, phasors):
     """Some holograms become what the run's own noise is, at the level that its steps state."""
     path = changed()
     rng = np.random.default_rng(6)
     still = np.arange(3, 87, 9)
-    with h5py.File(path, "r+") as file:
+    with resealed(path) as file:
         field, level = file["entry/data/field"], file["entry/steps/noise_level"]
         for position in still:
             noise = complex_normal(rng, *field.shape[1:])

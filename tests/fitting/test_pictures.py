@@ -69,11 +69,11 @@ def test_brightness_is_the_mean_square_of_a_block_less_the_noise(sweep_a, pictur
             assert pictures.brightness[picture, point] == pytest.approx(expected, rel=1e-4)
 
 
-def test_noise_is_taken_off_without_a_bias(sweep_a, changed):
+def test_noise_is_taken_off_without_a_bias(changed, resealed):
     """Pictures of nothing have a mean brightness of zero."""
     path = changed(only=(1, 21))
     rng = np.random.default_rng(1)
-    with h5py.File(path, "r+") as file:
+    with resealed(path) as file:
         field, level = file["entry/data/field"], file["entry/steps/noise_level"]
         for position in range(11):
             pair = rng.standard_normal((2, *field.shape[1:]))
@@ -124,5 +124,5 @@ def test_a_run_without_the_loudspeaker_has_no_pictures(tmp_path):
     )
     path = tmp_path / "unplugged.h5"
     script.run(script.plan(protocol, bench), path, reed="R07")
-    with pytest.raises(FitError, match=r"0 of 11 steps are good.*11 no_signal.*'s cable"):
+    with pytest.raises(FitError, match=r"0 of 11 steps are good.*[89] no_signal.*'s cable"):
         read(path)

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from acquire.errors import RunFileError
+from acquire.errors import OutputRefusedError, RunFileError
 from acquire.reed_file import ReedFile
 from fitting.errors import FitInputError
 from fitting.fit import FIT_SWEEP
@@ -20,6 +20,7 @@ from fitting.picking import Resonance
 from fitting.population_table import (
     Measured,
     PopulationSummary,
+    components_output,
     fit_table,
     metamodel_of,
     opened_table,
@@ -41,7 +42,7 @@ def table(tmp_path):
 
     def write(text, name="table.csv"):
         path = tmp_path / name
-        path.write_text(text)
+        path.write_text(text, encoding="utf-8", newline="")
         return path
 
     return write
@@ -109,6 +110,18 @@ def test_errors_and_foreign_modes_are_read(table):
         ("reed,series,mode,hz,error_cents\nx,A,F1,2000,0\n", "line 2: error_cents '0'"),
         (HEAD + 'x,A,"F1,2000\n', "line [12]: .*mend the line"),
         (HEAD, "holds no resonances"),
+        (HEAD + "x,A,F1,1996,2\n", "line 2: has more cells .*decimals with a point"),
+        (HEAD + "x,A,F1,1_996\n", "line 2: hz '1_996'; write a frequency"),
+        (HEAD + "x,A,F1,١٩٩٦\n", "line 2: hz '١٩٩٦'; write a frequency"),
+        (HEAD + "x,A,F1,0x7cc\n", "line 2: hz '0x7cc'"),
+        (HEAD + "x,A,F1,1.9962\n", "line 2: hz '1.9962'; write a frequency in Hz"),
+        (HEAD + "x,A,F1,1996200\n", "line 2: hz '1996200'; write a frequency in Hz"),
+        (HEAD + "x\0,A,F1,1996.2\n", "line 2: "),
+        (HEAD + "x\x1b[2J,A,F1,1996.2\n", "line 2: holds the character U.001B"),
+        (HEAD + "x,A,F1\u202e,1996.2\n", "line 2: holds the character U.202E"),
+        ("reed,series,mode,hz,hz\nx,A,F1,1996.2,3\n", "line 1: has the column hz twice"),
+        ("reed,series,mode,hz,error_cents\nx,A,F1,2000,1e-300\n", "line 2: error_cents '1e-300'"),
+        ("reed,series,mode,hz,error_cents\nx,A,F1,2000,1e300\n", "line 2: error_cents '1e300'"),
     ],
 )
 def test_what_is_no_table_is_refused_with_its_line(table, text, words):
@@ -116,6 +129,24 @@ def test_what_is_no_table_is_refused_with_its_line(table, text, words):
     with pytest.raises(FitInputError, match=words) as refusal:
         fitted(path)
     assert str(refusal.value).startswith(str(path))
+
+
+def test_a_message_about_a_long_name_is_short(table):
+    name = "x" * 100_000
+    path = table(HEAD + f"{name},A,F1,2000\n{name},A,F1,2001\n")
+    with pytest.raises(FitInputError, match="has a second F1") as refusal:
+        fitted(path)
+    assert len(str(refusal.value)) < 200 + len(str(path))
+
+
+def test_a_table_of_a_spreadsheet_is_read(tmp_path):
+    # With a byte order mark, ends of lines of Windows, and an empty cell behind the last column.
+    path = tmp_path / "table.csv"
+    path.write_bytes(
+        b"\xef\xbb\xbf" + (HEAD + "x\u00a01,A,F1,2000,\n").replace("\n", "\r\n").encode()
+    )
+    (piece,) = read_resonances(path, PAPER_MODES)
+    assert piece.cents[0, 0, 0] == pytest.approx(cents_of(2000))
 
 
 def test_a_file_that_cannot_be_read_is_refused(tmp_path):
@@ -172,18 +203,18 @@ def test_a_table_appears_whole_or_not_at_all(tmp_path):
     path = tmp_path / "out.csv"
 
     def break_off():
-        with opened_table(path) as file:
+        with opened_table(components_output(path)) as file:
             file.write("half")
             raise FitInputError("broken off")
 
     with pytest.raises(FitInputError, match="broken off"):
         break_off()
     assert list(tmp_path.iterdir()) == []
-    with opened_table(path) as file:
+    with opened_table(components_output(path)) as file:
         file.write("whole")
     assert path.read_text() == "whole"
-    missing = opened_table(Path("/nowhere/out.csv"))
-    with pytest.raises(FitInputError, match="choose another place"), missing:
+    missing = opened_table(components_output(Path("/nowhere/out.csv")))
+    with pytest.raises(OutputRefusedError, match="choose another place with --out"), missing:
         pass
 
 
@@ -193,6 +224,9 @@ def test_a_folder_of_runs_becomes_a_table(sweep_a, fitted_a, tmp_path):
     # Pictures tell of no lines.
     assert measured == Measured(ReedFile.from_file(), 1, None)
     assert measured.to_json() is None
+    with (tmp_path / "table.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["run"] for row in rows} == {sweep_a.name}
     (piece,) = read_resonances(tmp_path / "table.csv", PAPER_MODES)
     assert piece.reeds == (fitted_a.reed,)
     found = {n: r for n, r in fitted_a.resonances.items() if n in PAPER_MODES}

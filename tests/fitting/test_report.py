@@ -8,13 +8,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from acquire.errors import RunFileError
+from acquire.errors import OutputRefusedError, RunFileError
 from fitting.fit import ReedFit
 from fitting.lines import Line
-from fitting.report import _lines_hz, write_report
+from fitting.report import _lines_hz, write_bare_report, write_report
 
 VOID = {"meta", "img", "br"}
-NASTY = '<b>&"R07"</b>'
+NASTY = '<b>&"R07"</b>$\\frac$\x1b]0;x\x07'
+SHOWN = '<b>&"R07"</b>$\\frac$\\x1b]0;x\\x07'
 
 
 class Page(HTMLParser):
@@ -114,9 +115,9 @@ def test_what_people_wrote_is_text_and_never_markup(fitted, changed, tmp_path):
     files = write_report(ReedFit((sweep,), None, f"because of {NASTY}"), tmp_path / "page.html")
     page = Page(files["report"].read_text(encoding="utf-8"))
     assert {"script", "b"}.isdisjoint(page.tags)
-    assert f"Reed {NASTY}, series A" in page.text
-    assert "<script>alert(1)</script>" in page.text
-    assert f"No parameters: because of {NASTY}" in page.text
+    assert f"Reed {SHOWN}, series A" in page.text
+    assert f"<script>alert(1)</script> {SHOWN}" in page.text
+    assert f"No parameters: because of {SHOWN}" in page.text
 
 
 def test_springs_outside_physics_are_told(fitted, tmp_path):
@@ -146,22 +147,30 @@ def test_runs_of_one_name_in_two_folders_do_not_overwrite_each_other(fitted, cha
 
 def test_a_report_is_replaced(fitted, tmp_path):
     page = tmp_path / "page.html"
-    page.write_text("old")
-    write_report(fitted, page)
-    assert "Reed R07" in page.read_text(encoding="utf-8")
+    write_bare_report([fitted.sweeps[0].path], page, "no fit yet")
+    assert "no fit yet" in page.read_text(encoding="utf-8")
+    for _ in range(2):
+        write_report(fitted, page)
+    assert "no fit yet" not in page.read_text(encoding="utf-8")
 
 
 def test_a_report_never_replaces_its_run(fitted, changed):
     run = changed(only=(19, 35))
     before = run.read_bytes()
     sweep = replace(fitted.sweeps[0], path=run)
-    with pytest.raises(RunFileError):
-        write_report(ReedFit((sweep,), None, ""), run)
+    link, other_name = run.with_name("link.html"), run.with_name("page.html")
+    link.symlink_to(run)
+    other_name.hardlink_to(run)
+    for page in (run, link, other_name):
+        with pytest.raises(OutputRefusedError, match="is an input"):
+            write_report(ReedFit((sweep,), None, ""), page)
+        with pytest.raises(OutputRefusedError, match="is an input"):
+            write_bare_report([run], page, "no fit")
     assert run.read_bytes() == before, "the run file is destroyed"
 
 
 def test_a_folder_that_is_not_there_is_an_error_of_one_line(fitted, tmp_path):
-    with pytest.raises(RunFileError, match=r"cannot be written.*--out") as refused:
+    with pytest.raises(OutputRefusedError, match=r"cannot be written.*--out") as refused:
         write_report(fitted, tmp_path / "no" / "page.html")
     assert "\n" not in str(refused.value)
 

@@ -2,7 +2,6 @@
 
 import shutil
 
-import h5py
 import numpy as np
 import pytest
 from scipy.special import j0
@@ -24,7 +23,7 @@ def clean(sweep_a):
 
 
 @pytest.fixture(scope="module")
-def leaky(sweep_a, clean, tmp_path_factory):
+def leaky(sweep_a, clean, tmp_path_factory, resealed):
     """The run with a carrier in every hologram, as J₀ leaves it, and what leaks in at rest."""
     path = tmp_path_factory.mktemp("leaky") / "leaky.h5"
     shutil.copy(sweep_a, path)
@@ -41,7 +40,7 @@ def leaky(sweep_a, clean, tmp_path_factory):
         leaks = [s * image(blocks, light * j0(u)[:, None], at_rest.shape)
                  for s, u in zip(share, moved, strict=True)]  # fmt: skip
         positions = [step.position for step in steps]
-    with h5py.File(path, "r+") as file:
+    with resealed(path) as file:
         kept = file["entry/data/field"]
         for position, leak in zip(positions, leaks, strict=True):
             kept[position] = kept[position] + leak
@@ -87,8 +86,10 @@ def test_a_sweep_that_a_carrier_hides_is_read_once_it_is_taken_off(leaky, clean,
         reed = basis_of(run.reed_file())
         first = fit_jointly(run, reed, finite_element_model(reed), unshifted)
     settled = fit_less(first)
-    assert settled.modal.discrepancy < 0.5 * first.modal.discrepancy
-    assert settled.modal.discrepancy == pytest.approx(clean.modal.discrepancy, rel=0.5)
+    # Of what the carrier adds to the discrepancy, 87 % to 97 % is gone in six runs of other seeds;
+    # what is left is 1.2 to 2.1 times the discrepancy of a run without carrier, by chance.
+    added = first.modal.discrepancy - clean.modal.discrepancy
+    assert first.modal.discrepancy - settled.modal.discrepancy > 0.8 * added
     for name in ("F1", "T1", "F2", "T2", "X1", "T3"):
         hz = settled.resonances[name].frequency_hz
         assert abs(float(cents_of(hz) - cents_of(true_hz[name]))) < 5, name

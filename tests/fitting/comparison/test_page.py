@@ -8,7 +8,8 @@ import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from acquire.errors import RunFileError
+from acquire.errors import OutputRefusedError
+from acquire.own_output import require_writable
 from fitting.comparison.cane import compare_cane
 from fitting.comparison.chain import compare_hypotheses
 from fitting.comparison.factors import compare_factors
@@ -19,7 +20,7 @@ from fitting.comparison.metamodel import compare_metamodel, reference_hz
 from fitting.comparison.page import (
     counts_table,
     document,
-    require_writable,
+    page_output,
     shown_number,
     write_page,
 )
@@ -167,8 +168,8 @@ def test_numbers_are_short(value, text):
 
 def test_a_page_is_written_and_replaced(comparison, tmp_path):
     page = tmp_path / "page.html"
-    page.write_text("old")
-    require_writable(page)
+    write_page(Comparison(comparison.groups[:1], ()), page)
+    require_writable([page_output(page)])
     write_page(comparison, page)
     assert page.read_text(encoding="utf-8") == document(comparison)
 
@@ -178,17 +179,17 @@ def test_places_that_cannot_be_written_are_refused(comparison, tmp_path):
         (tmp_path / "nowhere" / "page.html", "there is no folder"),
         (tmp_path, "it is a folder"),
     ):
-        with pytest.raises(RunFileError, match=words) as told:
-            require_writable(page)
+        with pytest.raises(OutputRefusedError, match=words) as told:
+            require_writable([page_output(page)])
         assert "choose another place with --out" in str(told.value)
-        with pytest.raises(RunFileError, match="choose another place with --out"):
+        with pytest.raises(OutputRefusedError, match="choose another place with --out"):
             write_page(comparison, page)
 
 
 def test_a_page_in_a_locked_folder_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("os.access", lambda path, mode: False)
-    with pytest.raises(RunFileError, match="permission denied"):
-        require_writable(tmp_path / "page.html")
+    with pytest.raises(OutputRefusedError, match="permission denied"):
+        require_writable([page_output(tmp_path / "page.html")])
 
 
 def test_sentences_carry_the_numbers_of_their_rows(

@@ -6,23 +6,32 @@ standard error. Exit status: 2 for bad input, 1 for a failed run, 130 for an int
 
 import contextlib
 import functools
-import json
 import math
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 
+from acquire.bench_verbs import bench_app
+from acquire.console import messages as _words
+from acquire.console import results
+from acquire.console import show_json as _show_json
+from acquire.console import show_message as _tell
+from acquire.errors import OutputFailedError
+from acquire.plain_text import one_line
 from holography.errors import BenchError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from acquire.control import Order
     from acquire.plan import Plan
     from acquire.runfile import RunLabels
+    from acquire.runner import RunSummary
     from fitting.fit import ReedFit
 
 app = typer.Typer(
@@ -67,18 +76,6 @@ def _constant(name: str, kind: str, meaning: str) -> Any:
     return typer.Option(f"--{dashed.lower()}", f"--{dashed}", metavar=kind, help=meaning)
 
 
-def _words() -> Console:
-    return Console(stderr=True, highlight=False)
-
-
-def _tell(text: str) -> None:
-    _words().print(text, markup=False, soft_wrap=True)
-
-
-def _show_json(value: object) -> None:
-    typer.echo(json.dumps(value, indent=2))
-
-
 def _verb(function: Callable[..., None]) -> Callable[..., None]:
     """Make a function a verb of `app`."""
     name = {"list_runs": "list", "proceed": "continue"}.get(function.__name__, function.__name__)
@@ -101,13 +98,31 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             if debug:
                 raise
             for line in (str(error), *getattr(error, "__notes__", ())):
-                _tell(f"acquire: {line}")
-            raise typer.Exit(error.exit_status) from None
-        except KeyboardInterrupt:
-            _tell("acquire: interrupted")
-            raise typer.Exit(INTERRUPTED) from None
+                _tell(one_line(f"acquire: {line}"))
+            raise typer.Exit(1 if error.unconfirmed else error.exit_status) from None
+        except OSError as error:
+            if debug:
+                raise
+            for line in (_disk_words(error), *getattr(error, "__notes__", ())):
+                _tell(one_line(f"acquire: {line}"))
+            raise typer.Exit(1) from None
+        except KeyboardInterrupt as stop:
+            unconfirmed = getattr(stop, "__notes__", ())
+            for line in ("interrupted", *unconfirmed):
+                _tell(one_line(f"acquire: {line}"))
+            raise typer.Exit(1 if unconfirmed else INTERRUPTED) from None
 
     return guarded
+
+
+def _disk_words(error: OSError) -> str:
+    """One line about a file that the system refused where nothing else says so."""
+    where = "" if error.filename is None else f"{error.filename}: "
+    reason = error.strerror or str(error) or type(error).__name__
+    return one_line(f"{where}the system refused it ({reason}); check the disk, then try again")
+
+
+app.add_typer(bench_app(_guarded))
 
 
 def _plan(protocol: str, bench: str, series: str | None = None) -> "Plan":
@@ -142,7 +157,7 @@ def plan(
     if as_json:
         _show_json(planned.to_json())
     else:
-        console = Console(highlight=False)
+        console = results()
         console.print(plan_table(planned))
         for line in plan_summary(planned):
             console.print(line, markup=False, soft_wrap=True)
@@ -167,7 +182,7 @@ def _plan_campaign(name: str, bench: str, as_json: bool) -> None:
             ]
         )
     else:
-        Console(highlight=False).print(campaign_table(tasks, plans))
+        results().print(campaign_table(tasks, plans))
     for planned in plans:
         planned.require_possible()
 
@@ -194,7 +209,10 @@ def run(
         int, typer.Option(min=0, help="Of all that is random on a simulated bench.")
     ] = 0,
     resume: Annotated[
-        Path | None, typer.Option(metavar="RUN", help="Go on with this unfinished run.")
+        Path | None,
+        typer.Option(
+            metavar="RUN|FOLDER", help="Go on with this unfinished run, or campaign's folder."
+        ),
     ] = None,
     fit: Annotated[
         bool, typer.Option(help="Fit the reed and draw the pictures at the end.")
@@ -210,18 +228,25 @@ def run(
 
     labels = RunLabels(strength, note, operator)
     _require_keepable(reed, labels)
-    if names_campaign(protocol):
-        _require_single(resume=resume, series=series)
-        _run_campaign(protocol, bench, out, reed, labels, seed, as_json)
-        return
-    planned = _plan(protocol, bench, series)
-    planned.require_possible()
     if resume is not None:
         said = labels != RunLabels()
         _require_nothing_new(out=out, reed=reed != "unnamed", seed=seed, labels=said)
+    if names_campaign(protocol):
+        _require_single(series=series)
+        _run_campaign(protocol, bench, out, reed, labels, seed, resume, as_json)
+        return
+    planned = _plan(protocol, bench, series)
+    planned.require_possible()
     path = resume or out or _default_path(planned.protocol.series, reed)
+    if fit:
+        from fitting.report import page_of, require_report
+
+        require_report([path], page_of(path), measured=False)
     words = _words()
-    with sweep_progress(words, len(planned.steps)) as bar:
+    with (
+        _failing_in_json({"run": str(path)}, as_json),
+        sweep_progress(words, len(planned.steps)) as bar,
+    ):
         tell = functools.partial(words.print, markup=False, soft_wrap=True)
         heard: Any = {"progress": bar.step, "packing": bar.packing, "announce": tell}
         if resume is not None:
@@ -234,17 +259,36 @@ def run(
         _tell(line)
     answer: dict[str, Any] = {"run": str(path), "status": str(summary.status)}
     answer["reason"] = summary.reason
+    answer["unconfirmed"] = list(summary.unconfirmed)
+    answer["remarks"] = list(summary.remarks)
     answer["verdicts"] = {str(verdict): n for verdict, n in summary.counts.items()}
-    if summary.status != "complete":
+    status = _exit_status(summary)
+    if status or not fit:
         _finish(answer, as_json, [f"run file      {path}"])
-        raise typer.Exit(INTERRUPTED)
-    if not fit:
-        _finish(answer, as_json, [f"run file      {path}"])
-        return
+        raise typer.Exit(status)
     try:
         _report([path], "fem", None, as_json, answer)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, OutputFailedError):
         _finish(answer, as_json, [f"run file      {path}"])
+        raise
+
+
+def _exit_status(summary: "RunSummary") -> int:
+    """Exit status of a run that ended without an error."""
+    if summary.unconfirmed or summary.ended_by == "policy":
+        return 1
+    return INTERRUPTED if summary.ended_by == "person" else 0
+
+
+@contextlib.contextmanager
+def _failing_in_json(answer: dict[str, Any], as_json: bool) -> Iterator[None]:
+    """Print, with --json, how a run ended that failed after its instruments were opened."""
+    try:
+        yield
+    except BenchError as error:
+        if as_json and (error.exit_status != 2 or error.unconfirmed):
+            said = {"status": "failed", "reason": str(error)}
+            _show_json({**answer, **said, "unconfirmed": list(error.unconfirmed)})
         raise
 
 
@@ -266,15 +310,16 @@ def _run_campaign(
     reed: str,
     labels: "RunLabels",
     seed: int,
+    resume: Path | None,
     as_json: bool,
 ) -> None:
-    """Measure all parts of a campaign into a folder."""
+    """Measure all parts of a campaign into a folder, or those that are missing there."""
     from acquire import script
     from acquire.campaign_file import CampaignFile
-    from acquire.display import sweep_progress
+    from acquire.display import run_summary, sweep_progress
 
     campaign = CampaignFile.from_file(name)
-    folder = out or _default_path("campaign", reed).with_suffix("")
+    folder = resume or out or _default_path("campaign", reed).with_suffix("")
     words = _words()
     tell = functools.partial(words.print, markup=False, soft_wrap=True)
     with contextlib.ExitStack() as shown:
@@ -288,20 +333,43 @@ def _run_campaign(
         def wait_for(what: str) -> None:
             shown.close()
             asked = f"Please {what}; then press Enter"
-            typer.prompt(asked, default="", show_default=False, err=True)
+            try:
+                typer.prompt(one_line(asked), default="", show_default=False, err=True)
+            except typer.Abort:
+                raise KeyboardInterrupt from None
 
-        summaries = script.run_campaign(
-            campaign, folder, bench, reed=reed, labels=labels, seed=seed, begin=begin,
-            wait_for=wait_for, progress=lambda report: bars[0].step(report), announce=tell,
-        )  # fmt: skip
-    status = str(summaries[-1].status)
-    parts = {summary.path.stem: {str(v): n for v, n in summary.counts.items()}
-             for summary in summaries}  # fmt: skip
-    answer = {"folder": str(folder), "status": status, "parts": parts}
-    lines = [f"campaign      {folder}", f"next          acquire diagnose {folder}"]
-    _finish(answer, as_json, lines if status == "complete" else lines[:1])
-    if status != "complete":
-        raise typer.Exit(INTERRUPTED)
+        heard: Any = {"begin": begin, "wait_for": wait_for, "announce": tell}
+        heard["progress"] = lambda report: bars[0].step(report)
+        with _failing_in_json({"folder": str(folder)}, as_json):
+            if resume is not None:
+                summaries = script.resume_campaign(campaign, folder, bench, **heard)
+            else:
+                summaries = script.run_campaign(
+                    campaign, folder, bench, reed=reed, labels=labels, seed=seed, **heard
+                )
+    last = summaries[-1]
+    answer = {
+        "folder": str(folder),
+        "status": str(last.status),
+        "reason": last.reason,
+        "unconfirmed": list(last.unconfirmed),
+        "parts": {
+            summary.path.stem: {str(verdict): n for verdict, n in summary.counts.items()}
+            for summary in summaries
+        },
+    }
+    for line in run_summary(last, []) if _exit_status(last) else []:
+        _tell(line)
+    done = _exit_status(last) == 0
+    lines = [f"campaign      {folder}"]
+    lines.append(
+        f"next          acquire diagnose {folder}"
+        if done
+        else f"go on with    acquire run {name} --bench {bench} --resume {folder}"
+    )
+    _finish(answer, as_json, lines)
+    if not done:
+        raise typer.Exit(_exit_status(last))
 
 
 def _require_nothing_new(**asked: object) -> None:
@@ -344,14 +412,14 @@ def _finish(
     if as_json:
         _show_json(answer)
         return
-    console = Console(highlight=False)
+    console = results()
     if fitted is not None:
         _show_fit(console, fitted)
     for line in lines:
         console.print(line, markup=False, soft_wrap=True)
 
 
-def _show_fit(console: Console, fitted: "ReedFit") -> None:
+def _show_fit(console: "Console", fitted: "ReedFit") -> None:
     from fitting.tables import modes_table, not_identified_lines, parameters_table
 
     for sweep in fitted.sweeps:
@@ -381,9 +449,10 @@ def _report(
 ) -> None:
     """Fit, write the page and print the result; without a fit, the page has the pictures only."""
     from fitting.errors import FitError, FitInputError
-    from fitting.report import write_bare_report, write_report
+    from fitting.report import page_of, require_report, write_bare_report, write_report
 
-    page = page or runs[0].with_suffix(".html")
+    page = page or page_of(runs[0])
+    require_report(runs, page)
     fitted, failure = None, None
     try:
         fitted = _fit(runs, model, method)
@@ -496,24 +565,24 @@ def _diagnose_runs(
     """Diagnose the runs of one campaign."""
     from acquire.bench_file import BenchFile
     from acquire.display import share_progress
+    from acquire.own_output import require_writable
     from acquire.runfile import Run
     from diagnosis.answer import to_json
     from diagnosis.campaign import Campaign
     from diagnosis.known_bench import base_twin, bench_of, only_once
-    from diagnosis.next_runs import require_repeatable, write_next
+    from diagnosis.next_runs import next_outputs, require_repeatable, write_next
     from diagnosis.observing import read
-    from diagnosis.page import words, write_page
+    from diagnosis.page import page_output, words, write_page
     from diagnosis.verdict import diagnose as judge
-    from fitting.comparison.page import require_writable
     from fitting.errors import FitError
     from physics.mechanics import Workshop
     from physics.reed.cache import anatomy
 
     bench = BenchFile.from_file(bench_name) if bench_name else None
-    for place, option in ((out, "--out"), (following, "--next")):
-        if place is not None:
-            require_writable(place, option)
     files = [file for path in paths for file in _run_files(path)]
+    outputs = [] if out is None else [page_output(out)]
+    outputs += [] if following is None else next_outputs(following)
+    require_writable(outputs, [*files, *([Path(bench_name)] if bench_name else [])])
     with contextlib.ExitStack() as opened:
         campaign = Campaign.of([opened.enter_context(Run.open(file)) for file in files])
         if following is not None:
@@ -538,7 +607,7 @@ def _diagnose_runs(
     if as_json:
         _show_json(to_json(verdict))
     else:
-        console = Console(highlight=False)
+        console = results()
         for line in words(verdict):
             console.print(line, markup=False, soft_wrap=True)
     if following is not None:
@@ -586,7 +655,7 @@ def _diagnose_resonances(table: Path | None, as_json: bool) -> None:
     if as_json:
         _show_json(to_json(diagnosis))
         return
-    console = Console(highlight=False)
+    console = results()
     console.print(gap_of_modes(diagnosis))
     console.print(trials_table(diagnosis))
     for line in words(diagnosis, BY_ID):
@@ -605,7 +674,7 @@ def effects(as_json: AsJson = False, debug: Debug = False) -> None:
     if as_json:
         _show_json(effects_to_json(CATALOGUE))
         return
-    Console(highlight=False).print(effects_table(CATALOGUE))
+    results().print(effects_table(CATALOGUE))
 
 
 @contextlib.contextmanager
@@ -614,13 +683,15 @@ def _blind_side() -> Iterator[None]:
     from fitting.errors import FitInputError
 
     try:
-        from blind.files import BlindError
+        from blind.files import BlindDiskError, BlindError
     except ImportError as error:
         raise FitInputError(
             f"blind cases need {error.name}, which is not installed; install reedbench[blind]"
         ) from None
     try:
         yield
+    except BlindDiskError as error:
+        raise OutputFailedError(str(error)) from None
     except BlindError as error:
         raise FitInputError(str(error)) from None
 
@@ -662,8 +733,9 @@ def blind_make(
         _show_json({"cases": count, "folder": str(folder), "key": str(kept), "sealed_sha256": made})
         return
     cases = "1 case" if count == 1 else f"{count} cases"
-    typer.echo(f"{cases} in {folder}, whose sealed.json has the SHA-256 {made}")
-    typer.echo(f"The key is {kept}: keep it from whoever answers.")
+    console = results()
+    console.print(f"{cases} in {folder}, whose sealed.json has the SHA-256 {made}", soft_wrap=True)
+    console.print(f"The key is {kept}: keep it from whoever answers.", soft_wrap=True)
 
 
 @_blind_verb
@@ -690,6 +762,8 @@ def blind_score(
     debug: Debug = False,
 ) -> None:
     """Score answers to sealed cases; what is not answered counts as wrong."""
+    from acquire.own_output import Output, picture_kind, require_writable, write_output
+
     with _blind_side():
         from blind.classes import CLASSES
         from blind.drawing import draw_reliability
@@ -697,17 +771,18 @@ def blind_score(
         from blind.report import report as blind_report
         from blind.report import sentences
         from blind.scoring import Classes
-        from fitting.comparison.page import require_writable
 
         if not len(folders) == len(answers) == len(key):
             raise BlindError(
                 f"{len(folders)} sets of cases, {len(answers)} --answers and {len(key)} --key were "
                 "given; give one of each for every set, in the same order"
             )
+        plot = None
         if picture is not None:
             if picture.suffix.lower() != ".png":
                 raise BlindError(f"{picture}: is drawn as PNG; give it a name that ends in .png")
-            require_writable(picture, "--picture")
+            plot = Output(picture, picture_kind("reliability"), "--picture")
+            require_writable([plot])
         sets = zip(folders, answers, key, strict=True)
         cases = [case for made in sets for case in answered_cases(*made)]
         names = [case.name for case in cases]
@@ -719,11 +794,11 @@ def blind_score(
         if as_json:
             _show_json(scores)
         else:
-            console = Console(highlight=False)
+            console = results()
             for line in sentences(scores):
                 console.print(line, markup=False, soft_wrap=True)
-        if picture is not None:
-            draw_reliability(cases, classes, picture)
+        if plot is not None:
+            write_output(plot, draw_reliability(cases, classes, plot.kind.mark))
 
 
 @_verb
@@ -838,7 +913,7 @@ def modes(
     if as_json:
         _show_json(modes_to_json(described, found))
         return
-    console = Console(highlight=False)
+    console = results()
     console.print(modes_table(described, found if level else doubts_marked(found)))
     if pictures:
         console.print(f"pictures      {pictures}", markup=False, soft_wrap=True)
@@ -878,14 +953,17 @@ def population(
     Of a folder's runs the resonances are found first, which takes some seconds a run, and what
     stays at the same frequency from reed to reed is told: lines of the air, not the reeds'.
     """
+    from acquire.own_output import require_writable
     from acquire.reed_file import DEFAULT_REED, ReedFile
     from fitting.errors import FitInputError
     from fitting.fit import method_name, model_name
     from fitting.population_table import (
+        components_output,
         fit_table,
         metamodel_of,
         opened_table,
         remarks,
+        resonances_output,
         summary_table,
         write_resonances,
     )
@@ -894,16 +972,20 @@ def population(
     reed, measured = ReedFile.from_file(kind or DEFAULT_REED), None
     if method and not source.is_dir():
         raise FitInputError("--method: a table already holds resonances; leave it out")
+    if source.is_dir() and kind:
+        raise FitInputError("--kind: run files say which reed they measured; leave it out")
+    outputs = []
     if source.is_dir():
         table = files["resonances"] = source / "resonances.csv"
+        outputs.append(resonances_output(table))
     out = files["components"] = out or table.with_name(f"{table.stem}-components.csv")
+    components = components_output(out)
+    require_writable([*outputs, components], [source])
     if source.is_dir():
-        if kind:
-            raise FitInputError("--kind: run files say which reed they measured; leave it out")
         measured = write_resonances(source, table, _tell, way)
         reed = measured.kind
     words = _words()
-    with opened_table(out) as file, words.status("fitting") as status:
+    with opened_table(components) as file, words.status("fitting") as status:
         summary = fit_table(
             table,
             metamodel_of(forward, reed, _tell),
@@ -916,7 +998,7 @@ def population(
     if as_json:
         _show_json(answer)
         return
-    console = Console(highlight=False)
+    console = results()
     console.print(summary_table(summary))
     for remark in remarks(summary, measured):
         console.print(remark)
@@ -936,19 +1018,20 @@ def paper(
 
     Takes about a minute. With --json alone no page is written.
     """
-    from fitting.comparison.page import counts_table, require_writable, write_page
+    from acquire.own_output import require_writable
+    from fitting.comparison.page import counts_table, page_output, write_page
     from fitting.comparison.whole import compare_paper
 
     page = out or (None if as_json else Path("paper.html"))
     if page:
-        require_writable(page)
+        require_writable([page_output(page)])
     comparison = compare_paper(_tell)
     if page:
         write_page(comparison, page)
     if as_json:
         _show_json(comparison.to_json() | {"page": str(page) if page else None})
         return
-    console = Console(highlight=False)
+    console = results()
     console.print(counts_table(comparison))
     for sentence in comparison.findings:
         console.print(f"- {sentence}", markup=False)
@@ -979,7 +1062,7 @@ def list_runs(
     if as_json:
         _show_json(entries)
     else:
-        Console(highlight=False).print(runs_table(entries))
+        results().print(runs_table(entries))
 
 
 @_verb
@@ -997,7 +1080,43 @@ def show(
     if as_json:
         _show_json(details)
     else:
-        Console(highlight=False).print(details_table(details))
+        results().print(details_table(details))
+
+
+@_verb
+def pack(
+    run_files: Annotated[
+        list[Path], typer.Argument(metavar="RUN …", help="Complete runs that kept frames.")
+    ],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Compress the frames of complete runs without loss, and read the result back.
+
+    `acquire run` does this at the end of a run. Use it for runs where that was interrupted.
+    """
+    from acquire import script
+    from acquire.display import packing_line, packing_to_json, share_progress
+
+    answers, worst = [], 0
+    for path in run_files:
+        try:
+            with share_progress(_words(), f"packing {path.name}") as show:
+                packed = script.pack(path, progress=show)
+        except BenchError as error:
+            if debug:
+                raise
+            # The other runs are packed all the same.
+            _tell(f"acquire: {error}")
+            worst = max(worst, error.exit_status)
+            continue
+        answers.append(packing_to_json(str(path), packed))
+        if not as_json:
+            results().print(packing_line(str(path), packed), soft_wrap=True)
+    if as_json:
+        _show_json(answers)
+    if worst:
+        raise typer.Exit(worst)
 
 
 @_verb
@@ -1036,4 +1155,8 @@ def main() -> None:
     # each other. Read by numpy's libraries when a verb first imports them.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
+    # An order that comes after the end of its run is lost, and ends nothing.
+    for name in ("SIGUSR1", "SIGUSR2"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     app()

@@ -19,15 +19,18 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.table import Table
-from rich.text import Text
 
 from acquire.campaign_file import Task
+from acquire.console import plain
+from acquire.control import control_path
+from acquire.packing import Packing
 from acquire.plan import Plan, Step
 from acquire.quality import Verdict
 from acquire.quantities import exact_decimal
 from acquire.recorder import StepReport
 from acquire.runfile import Run, StepRecord
 from acquire.runner import RunSummary
+from drivers.exclusive import holder_of
 
 
 class Listener(Role):
@@ -79,8 +82,7 @@ def plan_table(plan: Plan) -> Table:
     title = f"{plan.protocol.name} on the {plan.bench.name}"
     if plan.steps:
         title += f", AOM2 at {exact_decimal(plan.steps[0].aom2_hz)} Hz"
-    # Text, because what people wrote may hold what rich takes for markup.
-    table = Table(title=Text(title), box=SIMPLE, pad_edge=False, padding=(0, 0, 0, 1))
+    table = Table(title=plain(title), box=SIMPLE, pad_edge=False, padding=(0, 0, 0, 1))
     several = len(plan.protocol.sideband.selected) > 1
     heads = (
         "k/n" if several else "k",
@@ -112,7 +114,7 @@ def campaign_table(tasks: Sequence[Task], plans: Sequence[Plan]) -> Table:
             str(len(plan.steps)),
             f"{plan.duration_s:.0f}",
             f"{plan.file_size_bytes / 1e6:.0f}",
-            Text(task.part.do or ""),
+            plain(task.part.do or ""),
         )
     return table
 
@@ -216,7 +218,8 @@ def run_summary(summary: RunSummary, troubles: Sequence[str]) -> list[str]:
         lines.append(f"not good: {listed}; for example: {troubles[0]}" if troubles else listed)
     if summary.retaken:
         lines.append(f"taken again: {summary.retaken}")
-    lines += [f"NOT CONFIRMED, please look: {what}" for what in summary.unconfirmed]
+    lines += [f"remark: {remark}" for remark in summary.remarks]
+    lines += [f"NOT CONFIRMED OFF, please look: {what}" for what in summary.unconfirmed]
     return lines
 
 
@@ -266,12 +269,12 @@ def details_table(details: Mapping[str, Any]) -> Table:
 
     def row(head: str, value: object) -> None:
         if value not in ("", None):
-            # Text, because what people wrote may hold what rich takes for markup.
-            table.add_row(head, Text(str(value)))
+            table.add_row(head, plain(value))
 
     strength = f", strength {details['strength']:g}" if details["strength"] else ""
     row("run", details["path"])
-    row("measured", f"{details['start']} to {details['end'] or '(no end)'}, {details['status']}")
+    end = details["end"] or ("now" if details["in_work"] else "(no end)")
+    row("measured", f"{details['start']} to {end}, {_standing(details)}")
     row("protocol", f"{details['title']} ({details['protocol_sha256'][:12]})")
     row("reed", f"{details['reed']} ({details['kind']}){strength}, series {details['series']}")
     row("note", details["note"])
@@ -300,14 +303,44 @@ def runs_table(runs: Sequence[dict[str, object]]) -> Table:
     for run in runs:
         good = f"{run['good']}/{run['steps']}"
         strength = "" if run["strength"] is None else f"{run['strength']:g}"
-        cells = (run["path"], run["reed"], strength, run["series"], run["status"])
-        # Text, because what people wrote may hold what rich takes for markup.
-        table.add_row(*map(Text, map(str, (*cells, good, run["note"]))))
+        cells = (run["path"], run["reed"], strength, run["series"], _standing(run))
+        table.add_row(*map(plain, (*cells, good, run["note"])))
     return table
+
+
+def _standing(entry: Mapping[str, Any]) -> str:
+    """Status of a run, and the process that has it in work."""
+    running = entry["status"] == "running"
+    if not entry["in_work"]:
+        return "stopped: its process is gone, go on with --resume" if running else entry["status"]
+    process = entry["process"]
+    worker = "another computer" if process is None else f"process {process}"
+    return f"being measured by {worker}" if running else f"{entry['status']}, in work: {worker}"
+
+
+def packing_line(run: str, packed: Packing) -> str:
+    """Return what `acquire pack` says of one run."""
+    size = f"{packed.before_bytes / 1e6:.1f} MB"
+    if packed.reason:
+        return f"{run}: {packed.reason} ({size})"
+    return f"{run}: {size} → {packed.after_bytes / 1e6:.1f} MB ({packed.ratio:.0%})"
+
+
+def packing_to_json(run: str, packed: Packing) -> dict[str, object]:
+    """Return what packing a run came to, with stable keys."""
+    return {
+        "run": run,
+        "packed": not packed.reason,
+        "reason": packed.reason,
+        "before_bytes": packed.before_bytes,
+        "after_bytes": packed.after_bytes,
+        "ratio": packed.ratio,
+    }
 
 
 def catalogue_entry(run: Run) -> dict[str, object]:
     """Return what tells a run from others, with stable keys."""
+    held, holder = holder_of(control_path(run.path))
     return {
         "path": str(run.path),
         "start": run.start_time,
@@ -317,6 +350,8 @@ def catalogue_entry(run: Run) -> dict[str, object]:
         "operator": run.labels.operator,
         "note": run.labels.note,
         "status": run.status,
+        "in_work": held,
+        "process": holder.pid if holder else None,
         "steps": len(run),
         "good": int(run.good.sum()),
     }

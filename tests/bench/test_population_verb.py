@@ -83,7 +83,8 @@ def test_lines_of_the_air_are_told_of_a_folder(cli, folder, monkeypatch, measure
         return Measured(ReedFile.from_file(), 5, (Line(4285.0, 8.5, 4),))
 
     monkeypatch.setattr("fitting.population_table.write_resonances", write)
-    Path("reeds.csv").write_text("reed,series,mode,hz\nR1,A,F1,1850\n")
+    columns = "reed,series,mode,hz,error_cents,run"
+    Path("reeds.csv").write_text(f"{columns}\nR1,A,F1,1850,3,R1.h5\n")
     Path("runs").mkdir()
     said = cli("population", "runs", "--model", "paper", "--method", "picture")
     assert "line of the air at 4285 Hz, +8.5 dB: 4 of 5 reeds show it" in said.out
@@ -156,7 +157,10 @@ def test_runs_of_several_kinds_are_no_population(cli, measured, folder):
         ),
         (["none.csv"], "none.csv: No such file"),
         (["reeds.csv", "--model", "magic"], "no forward model 'magic'"),
-        (["reeds.csv", "--out", "nowhere/x.csv"], "nowhere/x.csv: No such file"),
+        (
+            ["reeds.csv", "--out", "nowhere/x.csv"],
+            "nowhere/x.csv: cannot be written (there is no folder",
+        ),
     ],
 )
 def test_mistakes_are_told_in_one_line_and_leave_nothing(cli, table, folder, arguments, words):

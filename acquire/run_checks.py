@@ -22,7 +22,7 @@ from typing import Any, Final, get_args
 import h5py
 import numpy as np
 
-from acquire.checksums import CHECKSUMS
+from acquire.checksums import CHECKSUMS, HEADER_CHECKSUM, header_checksum, in_header
 from acquire.errors import RunFileError
 from acquire.protocol import MAX_STEPS
 from acquire.quality import Verdict
@@ -126,7 +126,8 @@ def _scalars(kind: _Kind, *names: str, optional: bool = False) -> dict[str, _Par
 _GROUPS: Final[dict[str, dict[str, _Part]]] = {
     "entry": _scalars(
         _Kind.TEXT, "title", "entry_identifier_uuid", "start_time", "end_time", "status"
-    ),
+    )
+    | _scalars(_Kind.INTEGER, "header_checksum"),
     "entry/user": _scalars(_Kind.TEXT, "name"),
     "entry/sample": _scalars(_Kind.TEXT, "name", "series", "chamber", "note")
     | _scalars(_Kind.NUMBER, "strength"),
@@ -203,6 +204,7 @@ def require_run(path: Path, file: Any) -> None:
     _require_geometry(check)
     _require_columns(check)
     _require_words(check)
+    _require_header(check)
 
 
 @dataclass(frozen=True)
@@ -703,3 +705,18 @@ def _require_words(check: _Check) -> None:
         "entry/provenance/package_versions",
         "is no list of versions",
     )
+
+
+def _require_header(check: _Check) -> None:
+    """Refuse other labels, geometry or provenance than were written before the first step."""
+    names = [name for name in check.datasets if in_header(name)]
+    for name in names:
+        # Of what is not in the layout the shape was not checked.
+        check.require(math.prod(check.shape(name)) <= _MAX_INDEX, name, "is too long")
+    if header_checksum({name: check.values(name) for name in names}) != check.values(
+        HEADER_CHECKSUM
+    ):
+        raise RunFileError(
+            f"{check.path}: is damaged or altered (labels, geometry or provenance do not have the "
+            "checksum that was written with them); use another copy of the file"
+        )

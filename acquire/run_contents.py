@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from acquire.checksums import CHECKSUMS
+from acquire.checksums import CHECKSUMS, HEADER_CHECKSUM, header_checksum, in_header
 from acquire.errors import DiskError
 from acquire.plan import Plan
 from acquire.proof import differing, missing_bytes
@@ -71,6 +71,14 @@ def fill(file: Any, new: NewRun, *, allocate: bool) -> None:
     _write_retakes(file["entry"], new.plan, allocate=allocate)
     _write_seams(file["entry"])
     _write_data(file["entry"], new.plan, new.reconstruction, allocate=allocate)
+    written: dict[str, Any] = {}
+    file.visititems(lambda name, node: _take_header(written, name, node))
+    _put(file, HEADER_CHECKSUM, np.uint64(header_checksum(written)))
+
+
+def _take_header(written: dict[str, Any], name: str, node: Any) -> None:
+    if isinstance(node, h5py.Dataset) and in_header(name):
+        written[name] = node[()]
 
 
 def prove(path: Path, unborn: Path, new: NewRun) -> None:

@@ -6,8 +6,8 @@ Changes files that are in order (bytes, lines, values, keys, the parsed tree) an
 read them: protocols, benches, reeds, campaigns, tables of resonances, and run files. Each of the
 changed files must be accepted with the meaning that a person reads in it, or refused in one line
 with exit status 2. Prints how many were, and each distinct wrong outcome once, with an example;
-exit status 1 if there is any. Unnoticed are run files in which the bytes of a number, a text or a
-picture were changed, and which are read as if in order, because nothing in them can tell.
+exit status 1 if there is any. Unnoticed are run files in which a status, a verdict, a sentence or a
+note of an interruption was changed; they have no checksum, because they change in files in order.
 """
 
 import argparse

@@ -6,8 +6,10 @@ h5py. A child process reads each of them as `acquire show`, `list`, `fit` and `r
 read must be what the original holds, unless values were changed on purpose.
 """
 
+import contextlib
 import ctypes
 import hashlib
+import io
 import json
 import math
 import os
@@ -18,7 +20,7 @@ import select
 import shutil
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,7 +31,8 @@ import numpy as np
 
 from acquire import script
 from acquire.bench_file import BenchFile
-from acquire.display import catalogue_entry, run_details, troubles_of
+from acquire.console import results
+from acquire.display import catalogue_entry, details_table, run_details, troubles_of
 from acquire.errors import RunFileError
 from acquire.plan import Plan
 from acquire.protocol import Protocol
@@ -55,13 +58,9 @@ _SMALL = {
 _SUPERBLOCK = 96
 
 
-# Whether a run file tells that a picture or number in it was changed. Until it does, files are not
-# judged by the values of datasets whose bytes were changed, nor by pictures that HDF5 reads from
-# another place because one bit of its index was changed.
-CHECKSUMS = False
+# What no checksum covers, because it changes after it was written (docs/run-file.md, Checksums).
+_NOT_COVERED = re.compile(r"entry/(status|end_time|seams/.*|(steps|retakes)/(verdict|sentence))")
 _PICTURES = ("field", "frames")
-# What controls a terminal, but for ends of lines and tabs.
-_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 
 
 @dataclass(frozen=True)
@@ -76,8 +75,8 @@ class Original:
         What is read in it, see `content_of`.
     paths : tuple of str
         Of all groups and datasets.
-    values : list of (int, int)
-        Ranges of bytes that hold values of datasets.
+    values, unchecked : list of (int, int)
+        Ranges of bytes that hold values of datasets, and those of them that have no checksum.
     """
 
     path: Path
@@ -85,6 +84,7 @@ class Original:
     content: dict[str, str]
     paths: tuple[str, ...]
     values: list[tuple[int, int]]
+    unchecked: list[tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,9 @@ class Mutant:
     what : str
         How it was changed.
     expected : {'same', 'unnoticed', 'refused', 'any'}
-        'same': what is read must be the original's content, or the file refused; 'unnoticed': so it
-        should be, but nothing in the file can tell yet; 'refused': the file must be refused; 'any':
-        other values may be read, because others were written as a program would.
+        'same': what is read must be the original's content, or the file refused; 'unnoticed': other
+        content may be read, because no checksum covers it; 'refused': the file must be refused;
+        'any': other values may be read, because others were written as a program would.
     """
 
     path: Path
@@ -128,8 +128,10 @@ def originals(folder: Path) -> list[Original]:
         script.run(plan, path, reed="R07", seed=1, labels=None)
         with h5py.File(path) as file:
             paths = tuple(_object_paths(file))
-            values = sorted(_value_ranges(path, file))
-        made.append(Original(path, plan, content_of(path, plan), paths, values))
+            values = sorted(_value_ranges(path, file, paths))
+            bare = filter(_NOT_COVERED.fullmatch, paths)
+            unchecked = sorted(_dataset_ranges(file[name] for name in bare))
+        made.append(Original(path, plan, content_of(path, plan), paths, values, unchecked))
     return made
 
 
@@ -139,10 +141,20 @@ def _object_paths(file: Any) -> Iterator[str]:
     yield from names
 
 
-def _value_ranges(path: Path, file: Any) -> Iterator[tuple[int, int]]:
+def _value_ranges(path: Path, file: Any, paths: Sequence[str]) -> Iterator[tuple[int, int]]:
     """Ranges of bytes that hold values: raw data, chunks, and heaps of texts of variable length."""
-    datasets = [file[name] for name in _object_paths(file) if isinstance(file[name], h5py.Dataset)]
-    for dataset in datasets:
+    yield from _dataset_ranges(file[name] for name in paths)
+    data, start = path.read_bytes(), 0
+    while (start := data.find(b"GCOL", start)) >= 0:
+        yield start, start + int.from_bytes(data[start + 8 : start + 16], "little")
+        start += 16
+
+
+def _dataset_ranges(nodes: Iterable[Any]) -> Iterator[tuple[int, int]]:
+    """Ranges of bytes of the values of datasets; groups have none."""
+    for dataset in nodes:
+        if not isinstance(dataset, h5py.Dataset):
+            continue
         offset, size = dataset.id.get_offset(), dataset.id.get_storage_size()
         if offset is not None:
             yield offset, offset + size
@@ -150,10 +162,6 @@ def _value_ranges(path: Path, file: Any) -> Iterator[tuple[int, int]]:
             for number in range(dataset.id.get_num_chunks()):
                 chunk = dataset.id.get_chunk_info(number)
                 yield chunk.byte_offset, chunk.byte_offset + chunk.size
-    data, start = path.read_bytes(), 0
-    while (start := data.find(b"GCOL", start)) >= 0:
-        yield start, start + int.from_bytes(data[start + 8 : start + 16], "little")
-        start += 16
 
 
 # --- What is read ------------------------------------------------------------------------------
@@ -214,19 +222,12 @@ def _require_line(said: str) -> None:
         raise Implausible("a message that is not one line", said)
 
 
-def _require_seen(value: Any, key: str = "") -> None:
-    """Require that texts for a terminal hold no control characters but line ends."""
-    if isinstance(value, dict):
-        for name, below in value.items():
-            _require_seen(name, "a key")
-            _require_seen(below, name)
-    elif isinstance(value, list | tuple):
-        for below in value:
-            _require_seen(below, key)
-    elif isinstance(value, str) and any(
-        (c < " " and c not in "\n\t") or c == "\x7f" for c in value
-    ):
-        raise Implausible("a control character reaches the terminal", f"{key}: {value!r}")
+def _require_seen(details: Mapping[str, Any]) -> None:
+    """Require that `acquire show` prints no control characters but line ends."""
+    with contextlib.redirect_stdout(io.StringIO()) as shown:
+        results().print(details_table(details))
+    if not shown.getvalue().replace("\n", "").isprintable():
+        raise Implausible("a control character reaches the terminal", repr(shown.getvalue())[:300])
 
 
 def _compare(mutant: Mutant) -> None:
@@ -238,8 +239,7 @@ def _compare(mutant: Mutant) -> None:
         return
     # Steps that are refused by themselves are missing.
     other = [name for name in read if read[name] != first.get(name)]
-    pictures = all(name.startswith(_PICTURES) for name in other)
-    if other and not CHECKSUMS and (mutant.expected == "unnoticed" or pictures):
+    if other and mutant.expected == "unnoticed":
         raise Unnoticed
     missing = [name for name in first if name not in read]
     refused = [name for name in missing if not name.startswith(_PICTURES)]
@@ -265,8 +265,8 @@ def _inside(position: int, ranges: list[tuple[int, int]]) -> bool:
 
 def _written(path: Path, data: bytes, original: Original, places: list[int]) -> str:
     path.write_bytes(data)
-    in_values = any(_inside(place, original.values) for place in places)
-    return "unnoticed" if in_values else "same"
+    unchecked = any(_inside(place, original.unchecked) for place in places)
+    return "unnoticed" if unchecked else "same"
 
 
 def byte_anywhere(path: Path, original: Original, rng: random.Random) -> str:

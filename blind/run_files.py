@@ -109,6 +109,7 @@ def write_recording(
         _provenance(entry, bench_text(case, laboratory, told))
         _instrument(entry, laboratory)
         _data(entry, laboratory, shots)
+        entry["header_checksum"] = _header_checksum(entry)
         _steps(entry, recording)
 
 
@@ -217,6 +218,26 @@ def _checksums(steps: Any, data: Any) -> None:
         for k in range(count)
     ]
     steps["row_checksum"] = np.array([_digest(row) for row in rows])
+
+
+def _header_checksum(entry: Any) -> np.uint64:
+    """Checksum of labels, geometry and provenance, by the section Checksums."""
+    groups = ("user", "sample", "acquisition", "provenance", "instrument", "region")
+    content = {f"entry/{name}": entry[name][()] for name in (
+        "title", "entry_identifier_uuid", "start_time", "data/y_m", "data/x_m"
+    )}  # fmt: skip
+
+    def take(name: str, node: Any) -> None:
+        if isinstance(node, h5py.Dataset) and name.startswith(groups):
+            content[f"entry/{name}"] = node[()]
+
+    entry.visititems(take)
+    said = (name.encode() + _bytes(content[name]) for name in sorted(content))
+    return _digest(b"".join(said))
+
+
+def _bytes(value: Any) -> bytes:
+    return bytes(value) if isinstance(value, bytes) else bytes(value.tobytes())
 
 
 def _digest(content: bytes) -> np.uint64:

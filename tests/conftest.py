@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from acquire.bench_file import BenchFile
-from acquire.checksums import pixel_checksum, row_checksums
+from acquire.checksums import header_checksum, in_header, pixel_checksum, row_checksums
 from acquire.plan import make_plan
 from acquire.protocol import Protocol
 from drivers.registry import open_bench
@@ -91,6 +91,11 @@ def open_small_bench():
         bench.close()
 
 
+def _values(name, node):
+    """What a header checksum may cover, by its path."""
+    return {name: node[()]} if isinstance(node, h5py.Dataset) and in_header(name) else {}
+
+
 @pytest.fixture(scope="session")
 def resealed():
     """Return ``resealed(path)``: a run file, open to be changed, that gets its checksums anew."""
@@ -104,5 +109,8 @@ def resealed():
             sums = [pixel_checksum(pixels[k]) for k in range(len(pixels))]
             steps["pixel_checksum"][...] = np.array(sums, dtype=np.uint64)
             steps["row_checksum"][...] = row_checksums({n: steps[n][()] for n in steps})
+            header = {}
+            file.visititems(lambda name, node: header.update(_values(name, node)))
+            file["entry/header_checksum"][()] = header_checksum(header)
 
     return changing

@@ -1,14 +1,14 @@
 """Checksums of steps: what the disk damages is noticed, and what is judged again is not."""
 
-import hashlib
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
-from acquire.checksums import pixel_checksum, row_checksums, whole_rows
+from acquire.checksums import in_header, pixel_checksum, row_checksums, whole_rows
 from acquire.errors import RunFileError
 from acquire.quality import Judgement, ReadBack, Verdict
 from acquire.recorder import reconstruction_of
@@ -62,7 +62,8 @@ def flip(path, name, place=0):
         if dataset.chunks:
             at = dataset.id.get_chunk_info(place).byte_offset
         else:
-            at = dataset.id.get_offset() + place * dataset.nbytes // len(dataset)
+            rows = len(dataset) if dataset.shape else 1
+            at = dataset.id.get_offset() + place * dataset.nbytes // rows
     with path.open("r+b") as file:
         file.seek(at)
         byte = file.read(1)[0]
@@ -75,19 +76,46 @@ def columns_of(path, group="entry/steps"):
         return sorted(file[group])
 
 
-def test_a_checksum_can_be_worked_out_with_plain_h5py(measured):
-    """As docs/run-file.md says."""
+def test_checksums_can_be_worked_out_as_the_documentation_shows(measured):
     _, path = measured()
+    text = (Path(__file__).parents[2] / "docs/run-file.md").read_text("utf-8")
+    text = text.partition("## Checksums")[2].partition("\n## ")[0]
+    named = {}
+    for block in text.split("```python\n")[1:]:
+        exec(block.partition("```")[0], named)
     with h5py.File(path, "r") as file:
         steps = file["entry/steps"]
         for k in range(3):
-            digest = hashlib.blake2b(digest_size=8)
-            for name in sorted(steps):
-                if name not in ("verdict", "sentence", "row_checksum"):
-                    digest.update(name.encode() + steps[name][k : k + 1].tobytes())
-            assert int.from_bytes(digest.digest(), "little") == steps["row_checksum"][k]
-            pixels = hashlib.blake2b(file["entry/data/field"][k].tobytes(), digest_size=8)
-            assert int.from_bytes(pixels.digest(), "little") == steps["pixel_checksum"][k]
+            assert named["row_checksum"](file, k) == steps["row_checksum"][k]
+            assert named["pixel_checksum"](file, k) == steps["pixel_checksum"][k]
+        assert named["header_checksum"](file) == file["entry/header_checksum"][()]
+
+
+def test_a_flipped_byte_in_labels_geometry_or_provenance_is_noticed(measured):
+    _, path = measured()
+    with h5py.File(path, "r") as file:
+        names = []
+        file.visititems(lambda name, node: names.append(name) if hasattr(node, "dtype") else None)
+        numbers = [n for n in names if in_header(n) and file[n].dtype.kind in "iuf"]
+    assert len(numbers) > 15
+    for name in [*numbers, "entry/header_checksum"]:
+        copy = shutil.copy(path, path.with_name("copy.h5"))
+        flip(copy, name.removeprefix("entry/"))
+        with pytest.raises(RunFileError, match="is damaged"):
+            Run.open(copy)
+    data = path.read_bytes()
+    protocol = b"sweep:"
+    assert protocol in data
+    path.write_bytes(data.replace(protocol, b"swees:"))
+    with pytest.raises(RunFileError, match=r"labels, geometry or provenance .*checksum"):
+        Run.open(path)
+
+
+def test_what_others_add_does_no_harm(measured):
+    _, path = measured()
+    with h5py.File(path, "r+") as file:
+        file["entry/notes/of/a/reader"] = "hello"
+    Run.open(path).close()
 
 
 @pytest.mark.parametrize("keep", ["holograms", "frames"])

@@ -195,7 +195,7 @@ def planned(path):
     told = {}
     taken = {*READ_BACK_HZ, *(f"{name}_exact" for name in READ_BACK_HZ), *MEASURED}
     taken |= {"timestamp_s", "frame_id", "verdict", "sentence", "field", "began", "ended"}
-    taken |= {"pixel_checksum", "row_checksum"}
+    taken |= {"pixel_checksum", "row_checksum", "header_checksum"}
     taken |= {"start_time", "end_time", "status", "entry_identifier_uuid", "reason", "kind"}
 
     def look(name, item):

@@ -321,8 +321,8 @@ def test_a_text_that_no_run_has_is_refused(run_file, name, text):
 @pytest.mark.parametrize(
     "note", ["première ligne\n\tand 日本語\u200d\r\n", "\x1b[31mred", "bell \x07", "\x9b2J"]
 )
-def test_what_a_person_wrote_is_read(run_file, note):
-    with h5py.File(run_file, "r+") as file:
+def test_what_a_person_wrote_is_read(run_file, resealed, note):
+    with resealed(run_file) as file:
         put(file, "entry/sample/note", data=note)
     with Run.open(run_file) as run:
         assert run.labels.note == note

@@ -116,13 +116,13 @@ def test_what_is_written_is_read(plan, create):
         assert pending.drive_hz == plan.steps[1].drive_hz
 
 
-def test_a_run_says_which_kind_of_reed_was_measured(tiny_plan, create):
+def test_a_run_says_which_kind_of_reed_was_measured(tiny_plan, create, resealed):
     writer = create(plan=tiny_plan(steps=4, reed="bass-clarinet"))
     writer.finish("complete")
     with Run.open(writer.path) as run:
         assert run.reed_file() == ReedFile.from_file("bass-clarinet")
         assert run.reed_text == ReedFile.from_file("bass-clarinet").text
-    with h5py.File(writer.path, "r+") as file:
+    with resealed(writer.path) as file:
         text = file["entry/provenance/reed"].asstr()[()].replace("butt: 7.1 mm", "butt: 7.1")
         del file["entry/provenance/reed"]
         file["entry/provenance/reed"] = text
@@ -131,7 +131,7 @@ def test_a_run_says_which_kind_of_reed_was_measured(tiny_plan, create):
     assert "half_width_at_butt: 7.1 has no unit" in str(refused.value)
     assert "does not understand that reed" in str(refused.value)
     # A file that says nothing was written when there was one kind only.
-    with h5py.File(writer.path, "r+") as file:
+    with resealed(writer.path) as file:
         del file["entry/provenance/reed"]
         del file["entry/provenance/reed_sha256"]
     with Run.open(writer.path) as run:

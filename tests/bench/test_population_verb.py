@@ -5,7 +5,6 @@ import shutil
 from itertools import product
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
@@ -135,10 +134,10 @@ def test_run_files_say_themselves_which_reed_they_measured(cli, measured, folder
     assert "run files say which reed they measured; leave it out" in said.err
 
 
-def test_runs_of_several_kinds_are_no_population(cli, measured, folder):
+def test_runs_of_several_kinds_are_no_population(cli, measured, folder, resealed):
     for run in (measured.a, measured.b):
         shutil.copy(run, folder)
-    with h5py.File(folder / measured.b.name, "r+") as file:
+    with resealed(folder / measured.b.name) as file:
         del file["entry/provenance/reed"]
         file["entry/provenance/reed"] = ReedFile.from_file("bass-clarinet").text
     said = cli("population", folder)

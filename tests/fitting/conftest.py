@@ -3,7 +3,6 @@
 import shutil
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 import yaml
@@ -65,7 +64,7 @@ def true_hz():
 
 
 @pytest.fixture
-def changed(sweep_a, tmp_path):
+def changed(sweep_a, tmp_path, resealed):
     """Return a function that copies the run file with changes.
 
     Of the steps in `only` (first and last k) the verdicts stay, the others become pending;
@@ -74,7 +73,7 @@ def changed(sweep_a, tmp_path):
 
     def make(file_name="changed.h5", only=None, verdicts=None, order=None, **labels):
         path = Path(shutil.copy(sweep_a, tmp_path / file_name))
-        with h5py.File(path, "r+") as file:
+        with resealed(path) as file:
             steps = file["entry/steps"]
             index, said = steps["index"][()], steps["verdict"][()]
             if only is not None:

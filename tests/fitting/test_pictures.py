@@ -1,6 +1,5 @@
 """Brightness of points on the reed, read from a real run file."""
 
-import h5py
 import numpy as np
 import pytest
 
@@ -23,9 +22,9 @@ def read(path):
         return read_pictures(run)
 
 
-def test_runs_of_another_main_sideband_are_refused_with_the_remedy(changed):
+def test_runs_of_another_main_sideband_are_refused_with_the_remedy(changed, resealed):
     path = changed()
-    with h5py.File(path, "r+") as file:
+    with resealed(path) as file:
         file["entry/instrument/synthesizers/sideband_order"][...] = 2
     with pytest.raises(FitError, match="pictures are of sideband 2, and fits need the first; meas"):
         read(path)
@@ -124,5 +123,5 @@ def test_a_run_without_the_loudspeaker_has_no_pictures(tmp_path):
     )
     path = tmp_path / "unplugged.h5"
     script.run(script.plan(protocol, bench), path, reed="R07")
-    with pytest.raises(FitError, match=r"0 of 11 steps are good.*[89] no_signal.*'s cable"):
+    with pytest.raises(FitError, match=r"0 of 11 steps are good.*\d+ no_signal.*'s cable"):
         read(path)

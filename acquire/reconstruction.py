@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from holography.demodulation import four_phase, unused_combination
 from holography.fresnel import FresnelTransform
-from holography.phase import PhaseAdvance, SteadyTurn, phase_advance, steady_turn
+from holography.phase import SteadyTurn, steady_turn
 from holography.region import Region
 
 
@@ -99,11 +99,6 @@ class Quadratures:
     def noise(self) -> float:
         """Mean |H|² of the field where there is nothing but noise."""
         return mean_power(self.empty[0] + np.complex64(1j) * self.empty[1])
-
-    @property
-    def phase_advance(self) -> PhaseAdvance:
-        """By how much the light turns from frame to frame."""
-        return phase_advance(self.even, self.odd, 0.5 * self.noise)
 
 
 def mean_power(field: npt.NDArray[np.complex64]) -> float:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from acquire.quality import Verdict
 from diagnosis.block import BANDS, Block, Place, band_of, block, unknown
 from diagnosis.campaign import Part
+from holography.phase import TURN_OF_FRAMES
 from physics.effects.form import Tap
 from physics.twin import Twin
 
@@ -101,6 +102,21 @@ def _smooth(beat: Beat) -> Array:
     return found
 
 
+def turn_of_unequal_steps(twin: Twin) -> float:
+    """What unequal phase steps, every other one, add to the turn that fits four frames best."""
+    return float(np.dot(TURN_OF_FRAMES, (0, 1, 0, 1)) * twin.beams.quarter_error_rad)
+
+
+def _scatter_of_bands(beat: Beat, bands: NDArray[Any]) -> dict[Any, float]:
+    """Standard deviation of the lock in each band, about what depends on frequency and time.
+
+    Of the steps themselves, because their standard errors know the image's noise only: light of
+    other sidebands scatters the locks of low frequencies several times as much.
+    """
+    left = beat.lock_hz - _smooth(beat)
+    return {band: float(np.sqrt(np.mean(left[bands == band] ** 2))) for band in set(bands)}
+
+
 def lock_block(beat: Beat, rate_hz: float) -> Block | None:
     """Lock of every sweep in every band; None if nowhere are enough measured.
 
@@ -110,28 +126,37 @@ def lock_block(beat: Beat, rate_hz: float) -> Block | None:
     rate_hz : float
         Frames per second.
     """
-    spread = lock_scatter_hz(beat) or 0.0
+    if not len(beat.lock_hz):
+        return None
     bands = np.array([band_of(hz) for hz in beat.drive_hz])
+    scatter_hz = _scatter_of_bands(beat, bands)
     values, errors, places, hz, hours = [], [], [], [], []
     for number, name in enumerate(beat.names):
         for band in BANDS:
             chosen = (beat.sweep == number) & (bands == band)
             if np.count_nonzero(chosen) < _LEAST:
                 continue
-            own = np.hypot(spread, np.median(beat.error_hz[chosen]))
+            own = max(scatter_hz[band], float(np.median(beat.error_hz[chosen])))
             values.append(float(np.mean(beat.lock_hz[chosen])))
-            errors.append(float(own / np.sqrt(np.count_nonzero(chosen))))
+            errors.append(own / np.sqrt(np.count_nonzero(chosen)))
             places.append(Place("lock", band=band, time=name))
             hz.append(float(np.mean(beat.drive_hz[chosen])))
             hours.append(float(np.mean(beat.time_s[chosen])) / 3600)
     if not values:
         return None
+    # Light of other sidebands shifts the lock of a step in every sweep by the same.
+    of_band = {band: np.array([place.band == band for place in places]) for band in BANDS}
+    repeated = [
+        (chosen.astype(float), float(np.max(np.array(errors)[chosen])))
+        for chosen in of_band.values()
+        if chosen.any()
+    ]
 
     def predict(twin: Twin) -> Array:
         clocks = twin.clocks
         lock = clocks.detuning_hz + clocks.detuning_hz_h * np.array(hours)
         lock = lock - 1e-6 * clocks.generator_ppm * np.array(hz)
-        return lock - twin.beams.quarter_error_rad * rate_hz / (2 * np.pi)
+        return lock - turn_of_unequal_steps(twin) * rate_hz / (2 * np.pi)
 
-    covariance = np.diag(np.square(errors)) + unknown((np.ones(len(values)), _COMMON_HZ))
+    covariance = np.diag(np.square(errors)) + unknown((np.ones(len(values)), _COMMON_HZ), *repeated)
     return block("lock", Tap.HOLOGRAM, values, covariance, places, ("clocks", "beams"), predict)

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from diagnosis.block import Block, Place, block, unknown
 from diagnosis.campaign import Part
+from diagnosis.taps.beat import turn_of_unequal_steps
+from holography.phase import TURN_OF_FRAMES
 from physics.effects.form import Tap
 from physics.twin import Beams, Twin
 
@@ -81,7 +83,7 @@ def _still(parts: Sequence[Part], clamping: int) -> Still:
         for step in part.good_steps:
             frames = run.frames(step.position)
             halves = run.reconstruction.quadratures(frames)
-            field, phase = halves.field, halves.phase_advance
+            field, phase = halves.field, run.reconstruction.steady_turn(frames, halves)
             brightness = frames.reshape(4, -1).mean(axis=1, dtype=float)
             begun_s = step.timestamps_s[0] - part.clock_s
             signal = float(np.mean(np.abs(field) ** 2)) - halves.noise
@@ -153,8 +155,13 @@ _FLICKER, _CHANGED = 2e-4, 1e-4
 
 
 def usual_scatter_hz(beams: Beams, rate_hz: float) -> float:
-    """Scatter of the lock of acquisitions, by a phase that walks and jitters."""
-    within = np.sqrt(0.5 * beams.walk_rad_s**2 / rate_hz + beams.jitter_rad**2)
+    """Scatter of the lock of acquisitions, by a phase that walks and jitters.
+
+    The steady turn that fits four frames best is a third of what the phase turns by between the
+    first and the last (`TURN_OF_FRAMES`).
+    """
+    walked = beams.walk_rad_s**2 / (len(TURN_OF_FRAMES) - 1) / rate_hz
+    within = np.sqrt(walked + np.sum(np.square(TURN_OF_FRAMES)) * beams.jitter_rad**2)
     return float(within * rate_hz / (2 * np.pi))
 
 
@@ -192,7 +199,7 @@ def turn_block(stills: Sequence[Still], scatter_hz: float, rate_hz: float) -> Bl
     def predict(twin: Twin) -> Array:
         clocks, within = twin.clocks, np.array(inside)
         lock = clocks.detuning_hz + clocks.detuning_hz_h * np.array(hours)
-        return lock - within * twin.beams.quarter_error_rad * rate_hz / (2 * np.pi)
+        return lock - within * turn_of_unequal_steps(twin) * rate_hz / (2 * np.pi)
 
     parts = ("clocks", "beams")
     return block("light at rest", Tap.HOLOGRAM, values, np.array(errors), places, parts, predict)
@@ -208,7 +215,8 @@ def _spread_between(
     """
     left = np.concatenate([turn - turn.mean() for turn in turns])
     freedoms = max(len(left) - len(turns), 0)
-    walked = within_rad**2 * 2 * rate_hz * float(np.mean(np.concatenate(gaps)))
+    each_frame = (len(TURN_OF_FRAMES) - 1) * within_rad**2
+    walked = each_frame * rate_hz * float(np.mean(np.concatenate(gaps)))
     return float(np.sqrt((np.sum(left**2) + _BELIEVED * walked) / (freedoms + _BELIEVED)))
 
 

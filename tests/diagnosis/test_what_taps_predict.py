@@ -45,8 +45,8 @@ def test_locks_miss_by_what_modulators_are_ahead_and_generators_behind(beat) -> 
     assert moved(lock, clocks={"detuning_hz_h": 0.2}) == pytest.approx([0.0, 0.2])
     # A generator that runs ahead drives the reed faster: 5 ppm of 2 kHz and 10 kHz.
     assert moved(lock, clocks={"generator_ppm": 5.0}) == pytest.approx([-0.01, -0.05])
-    # A tenth of a radian of every other step, of 12.4 a second.
-    assert moved(lock, beams={"quarter_error_rad": 0.1}) == pytest.approx([-0.1973] * 2, rel=1e-3)
+    # A tenth of a radian of every other step, of 12.4 a second; a third of it looks like a turn.
+    assert moved(lock, beams={"quarter_error_rad": 0.1}) == pytest.approx([-0.0658] * 2, rel=1e-3)
 
 
 def test_frames_lost_are_counted_on_a_scale_of_even_scatter(beat) -> None:
@@ -72,13 +72,14 @@ def test_light_at_rest_turns_by_the_modulators_and_by_unequal_steps_only_within(
     assert (within, between) == ("within acquisitions", "between acquisitions")
     assert moved(turn, clocks={"detuning_hz": 0.01}) == pytest.approx([0.01, 0.01])
     assert moved(turn, clocks={"detuning_hz_h": 0.2}) == pytest.approx([0.2, 0.2], rel=1e-6)
-    assert moved(turn, beams={"quarter_error_rad": 0.1}) == pytest.approx([-0.1973, 0.0], rel=1e-3)
+    assert moved(turn, beams={"quarter_error_rad": 0.1}) == pytest.approx([-0.0658, 0.0], rel=1e-3)
 
 
 def test_phases_scatter_by_what_walks_and_jitters() -> None:
     scatter = scatter_block([still()], 0.05, RATE_HZ)
-    # Within: 0.05 rad per root second over 1/12.4 s, half of its square; between: over a second.
-    within = 0.5 * 0.05**2 / RATE_HZ, 0.15**2
+    # Within: a third of the turn from the first frame to the last, three periods of 1/12.4 s apart,
+    # of a walk of 0.05 rad per root second and of jitter in both; between: over a second.
+    within = 3 * 0.05**2 / RATE_HZ / 9, 2 * 0.15**2 / 9
     between = 0.05**2, 0.5 * 0.15**2
     expected = [0.5 * np.log(1 + new / old) for old, new in (within, between)]
     assert moved(scatter, beams={"jitter_rad": 0.15}) == pytest.approx(expected)

@@ -565,11 +565,14 @@ def _lock_violations(
         # A quarter of the frame rate on the synthesizers' grid makes every order exact.
         grid_hz = 4 * bench.instruments.synthesizers.step_hz
         better_hz = max(math.floor(frame_rate_hz / grid_hz), 1) * grid_hz
+        remedy = f"write '{float(better_hz):.10g} Hz', which the synthesizers' steps allow"
+        if better_hz == frame_rate_hz:
+            remedy = "make the generator's step a multiple or a whole part of the synthesizers'"
         yield Violation(
             "camera.frame_rate",
             f"at step {worst.index} the lock misses by {float(worst.lock_residual_hz):.3g} Hz and "
             f"turns the phase by {turn_rad:.3g} rad, more than the {allowed_rad:g} rad of "
-            f"tolerance.lock_phase; write '{float(better_hz):.10g} Hz'",
+            f"tolerance.lock_phase, with the steps of bench file {bench.source}; {remedy}",
         )
 
 

@@ -9,6 +9,9 @@ from drivers.errors import BenchSetupError
 
 M = TypeVar("M", bound=BaseModel)
 
+# Chosen: no key and no value of an option is as long, and a message with both stays short.
+_MAX_CHARACTERS = 80
+
 
 class Options(BaseModel):
     """Options of a driver: frozen; unknown keys and values of another type are refused."""
@@ -40,7 +43,7 @@ def read_options(model: type[M], content: Mapping[str, Any], bench: str, section
         errors = invalid.errors()
         # A misspelt key is also a missing one: name the misspelling.
         first = min(errors, key=lambda error: error["type"] != "extra_forbidden")
-        key = ".".join(str(part) for part in (section, *first["loc"]))
+        key = ".".join(_shown(str(part)) for part in (section, *first["loc"]))
         more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
         if first["type"] == "extra_forbidden":
             known = ", ".join(model.model_fields) or "none"
@@ -49,5 +52,11 @@ def read_options(model: type[M], content: Mapping[str, Any], bench: str, section
             message = "is missing; add it"
         else:
             complaint = first["msg"].removeprefix("Input ").removeprefix("Value error, ")
-            message = f"{complaint}, but is {first['input']!r}; correct it"
+            message = f"{complaint}, but is {_shown(repr(first['input']))}; correct it"
         raise BenchSetupError(f"bench {bench!r}: {key}: {message}{more}") from None
+
+
+def _shown(text: str) -> str:
+    """Text with its middle left out if it is long, so that a message stays one line."""
+    half = _MAX_CHARACTERS // 2
+    return text if len(text) <= _MAX_CHARACTERS else f"{text[:half]}…{text[-half:]}"

@@ -251,6 +251,13 @@ IMPOSSIBLE = {
 }
 
 
+def test_a_step_of_the_generator_that_no_lock_fits_names_the_bench_file():
+    bench = BENCH.replace({"instruments.generator.step": "10001 uHz"})
+    (violation,) = make_plan(SERIES_A, bench).violations
+    assert violation.key == "camera.frame_rate"
+    assert f"bench file {bench.source}; make the generator's step" in violation.message
+
+
 @pytest.mark.parametrize("case", IMPOSSIBLE)
 def test_impossible_plan_is_refused_in_one_line(case):
     changes, key, expected = IMPOSSIBLE[case]

@@ -190,3 +190,12 @@ def test_a_campaign_is_never_written_over(tmp_path) -> None:
     (tmp_path / "there" / "notes.txt").write_text("precious")
     with pytest.raises(Exception, match="exists already; choose another place with --out"):
         run_campaign(described("  - name: up\n"), tmp_path / "there", SMALL)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_setting_that_a_part_changes_twice_is_refused(first) -> None:
+    whole = "sweep: {reference: 1396.9 Hz, interval: 25 cents, first: 1, last: 9}"
+    both = ["sweep.stride: 40", whole] if first else [whole, "sweep.stride: 40"]
+    text = "  - name: quiet\n    change:\n" + "".join(f"      {line}\n" for line in both)
+    with pytest.raises(ProtocolError, match=r"parts\[0\]\.change: .*sweep\.stride: is given twice"):
+        tasks_of(described(text))

@@ -94,6 +94,11 @@ def tasks_of(campaign: CampaignFile) -> tuple[Task, ...]:
     for number, part in enumerate(campaign.parts):
         clamping += part.clamp_anew
         name = f"{campaign.name}: {part.name}"[:80]
+        for key in part.change:
+            whole = next((other for other in part.change if key.startswith(f"{other}.")), None)
+            if whole is not None:
+                message = f"{key} is given twice, also as part of {whole!r}; give it there"
+                raise campaign.error(("parts", number, "change"), message)
         try:
             protocol = base.replace({"name": name, **part.change})
         except ProtocolError as error:

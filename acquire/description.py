@@ -367,12 +367,8 @@ class Description(Section):
         (30, Fraction(8, 1), 'frames')
         """
         origin = _Origin(f"{self.source} (changed)")
-        content, asked = self.content(), {**(changes or {}), **more}
-        for key, value in asked.items():
-            whole = next((other for other in asked if key.startswith(f"{other}.")), None)
-            if whole is not None:
-                message = f"is given twice, also as part of {whole!r}; give it there"
-                raise _error(origin.source, tuple(key.split(".")), None, message)
+        content = self.content()
+        for key, value in {**(changes or {}), **more}.items():
             *sections, last = key.split(".")
             section: Any = content
             for name in sections:

@@ -197,5 +197,5 @@ def test_a_setting_that_a_part_changes_twice_is_refused(first) -> None:
     whole = "sweep: {reference: 1396.9 Hz, interval: 25 cents, first: 1, last: 9}"
     both = ["sweep.stride: 40", whole] if first else [whole, "sweep.stride: 40"]
     text = "  - name: quiet\n    change:\n" + "".join(f"      {line}\n" for line in both)
-    with pytest.raises(ProtocolError, match=r"parts\[0\]\.change: .*sweep\.stride: is given twice"):
+    with pytest.raises(ProtocolError, match=r"parts\[0\]\.change: sweep\.stride is given twice"):
         tasks_of(described(text))

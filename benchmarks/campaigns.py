@@ -5,13 +5,13 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from acquire.runfile import Run
 from blind.cases import Label, record_case
 from diagnosis.campaign import Campaign
 from diagnosis.known_bench import bench_of
 from diagnosis.observing import Readings, read
 from physics.mechanics import Workshop
 from physics.reed.cache import anatomy
+from runs.reader import Run
 
 # Of laboratories with nothing wrong.
 SEEDS = 197177817, 587805961, 343088919, 925862771, 1616017002

@@ -17,7 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from physics.reed.cache import FAST, FINE, STANDARD
+from physics.reed.cache import (
+    FAST,
+    FINE,
+    STANDARD,
+)
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material import Cane
 from physics.reed.mesh import MeshLevel

@@ -5,15 +5,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from acquire import script
-from acquire.bench_file import BenchFile
-from acquire.plan import Plan
+from acquire.runner import script
 from drivers.bench_lock import bench_locked
+from drivers.emulators.novatech import NovatechDevice
+from drivers.emulators.serving import PtyServer, SocketServer
+from drivers.emulators.siglent import SiglentDevice
 from drivers.registry import open_bench
-from drivers.simulated.wire.novatech import NovatechDevice
-from drivers.simulated.wire.serving import PtyServer, SocketServer
-from drivers.simulated.wire.siglent import SiglentDevice
 from holography.errors import BenchError
+from protocols.bench import BenchFile
+from protocols.plan import Plan
 
 _ABSENT_PORT = "/dev/there-is-no-such-port"
 # A port of this computer that nobody listens at.

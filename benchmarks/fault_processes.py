@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from acquire import script
-from acquire.runfile import Run
+from acquire.runner import script
 from benchmarks.fault_list import CALM, Fault
 from benchmarks.struck import Outcome, measured, outcome_of, planned
 from drivers.context import BenchContext
 from drivers.description import GeneratorDescription
-from drivers.simulated.wire.instruments import WireSiglent
+from drivers.emulators.instruments import WireSiglent
 from holography.errors import BenchError
+from runs.reader import Run
 
 _PATIENCE_S = 0.5
 # Linux' flags of unshare.

@@ -16,30 +16,43 @@ from typing import Any
 import numpy as np
 import yaml
 
-from acquire.bench_file import BenchFile
-from acquire.campaign_file import CampaignFile, tasks_of
-from acquire.description import Description
-from acquire.display import campaign_table, plan_summary, plan_table
-from acquire.plan import Plan, make_plan
-from acquire.protocol import Protocol
-from acquire.reed_file import ReedFile
+from acquire.cli.display import (
+    campaign_table,
+    plan_summary,
+    plan_table,
+)
 from benchmarks.fuzz_mutations import Mutation, drawn_mutations, drawn_table_mutations
 from diagnosis.known_bench import base_twin, only_once
 from diagnosis.mean_reed import tabled_reeds
-from drivers.aravis import AravisOptions
-from drivers.basler import BaslerOptions
+from drivers.cameras.aravis import AravisOptions
+from drivers.cameras.basler import BaslerOptions
 from drivers.errors import BenchSetupError
-from drivers.keysight import KeysightOptions
-from drivers.novatech import NovatechOptions
+from drivers.generators.keysight import KeysightOptions
+from drivers.generators.siglent import SiglentOptions
+from drivers.generators.soundcard import SoundCardOptions
 from drivers.options import read_options
 from drivers.registry import find_driver
-from drivers.siglent import SiglentOptions
-from drivers.simulated.twin import bench_constants, bench_geometry, read_twin, twin_settings
-from drivers.soundcard import SoundCardOptions
-from drivers.srs import SRSOptions
-from fitting.resonance_table import COLUMNS, ERROR_COLUMN, read_resonances
+from drivers.simulated.twin import (
+    bench_constants,
+    bench_geometry,
+    read_twin,
+    twin_settings,
+)
+from drivers.synthesizers.novatech import NovatechOptions
+from drivers.synthesizers.srs import SRSOptions
+from fitting.populations.resonance_table import (
+    COLUMNS,
+    ERROR_COLUMN,
+    read_resonances,
+)
 from physics.optics import visible_size_m
 from physics.reed.names import PAPER_MODES
+from protocols.bench import BenchFile
+from protocols.campaign import CampaignFile, tasks_of
+from protocols.plan import Plan, make_plan
+from protocols.protocol import Protocol
+from protocols.reed import ReedFile
+from protocols.strict_yaml import Description
 
 
 class Implausible(Exception):  # noqa: N818  # an outcome of a benchmark, not an error of a program

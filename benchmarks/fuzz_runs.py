@@ -29,17 +29,22 @@ from typing import Any
 import h5py
 import numpy as np
 
-from acquire import script
-from acquire.bench_file import BenchFile
-from acquire.console import results
-from acquire.display import catalogue_entry, details_table, run_details, troubles_of
-from acquire.errors import RunFileError
-from acquire.plan import Plan
-from acquire.protocol import Protocol
-from acquire.resuming import unfinished
-from acquire.runfile import Run
+from acquire.cli.console import results
+from acquire.cli.display import (
+    catalogue_entry,
+    details_table,
+    run_details,
+    troubles_of,
+)
+from acquire.runner import script
+from acquire.runner.resuming import unfinished
 from benchmarks.fuzz_judging import Outcome, Tally, Unnoticed, judged
 from benchmarks.fuzz_readers import Implausible
+from protocols.bench import BenchFile
+from protocols.plan import Plan
+from protocols.protocol import Protocol
+from runs.errors import RunFileError
+from runs.reader import Run
 
 # Chosen: the originals take 0.1 s; a child that says nothing is given up after some hundred times
 # that, on a machine that others use too.

@@ -25,21 +25,21 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.bench_file import BenchFile
-from acquire.plan import make_plan
-from acquire.protocol import Protocol
-from acquire.reed_file import ReedFile
-from acquire.runfile import Run
-from acquire.runner import run
+from acquire.runner.runner import run
 from benchmarks.modal_peer import LIBRARY, peer_modes, peer_version
 from benchmarks.wrong_reeds import WrongRun, make_run
 from drivers.registry import open_bench
+from fitting.cane.fit_runs import fit_sweep, fit_sweep_jointly
 from fitting.errors import FitError
-from fitting.fit import fit_sweep, fit_sweep_jointly
 from fitting.forward import basis_of, finite_element_model
-from fitting.joint import JointFit
-from fitting.lines import Line, common_lines
+from fitting.modal.acoustic_resonances import Line, common_lines
+from fitting.modal.identify import JointFit
 from physics.reed.viscoelastic import Series
+from protocols.bench import BenchFile
+from protocols.plan import make_plan
+from protocols.protocol import Protocol
+from protocols.reed import ReedFile
+from runs.reader import Run
 
 Array = NDArray[np.floating[Any]]
 

@@ -22,7 +22,7 @@ from typing import Any
 
 import h5py
 
-from acquire.protocol import Protocol
+from protocols.protocol import Protocol
 
 _UNFINISHED = (b"pending", b"interrupted", b"skipped")
 

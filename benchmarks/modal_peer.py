@@ -1,4 +1,4 @@
-"""Modes of a sweep by a public library of modal analysis, as a peer of `fitting.modal`.
+"""Modes of a sweep by a public library of modal analysis, as a peer of `fitting.modal.fit`.
 
 sdypy-EMA (`pip install "reedbench[bench]"`, MIT) finds poles by the least-squares complex frequency
 method (LSCF) for rising orders of the model, calls those stable that stay where they were an order

@@ -21,15 +21,24 @@ from typing import Any
 import numpy as np
 
 from benchmarks.campaigns import campaigns, readings_of
-from blind.cases import Label, drawn_label, true_sizes
+from blind.cases import (
+    Label,
+    drawn_label,
+    true_sizes,
+)
 from blind.classes import CLASSES
 from blind.report import report, sentences
 from blind.scoring import Case, Classes
-from diagnosis.answer import to_json
 from diagnosis.rivals import Comparison
-from diagnosis.verdict import Told, compared, condition_of, judged
+from diagnosis.verdict import (
+    Told,
+    compared,
+    condition_of,
+    judged,
+)
 from physics.effects.catalogue import BY_ID
 from physics.twin import Twin
+from reports.diagnosis_json import to_json
 
 _SEED = 260_613
 # Of so many cases in ten nothing, one effect, and two are wrong.

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from acquire import script
-from acquire.bench_file import BenchFile
-from acquire.quality import Verdict
-from acquire.runfile import Run
+from acquire.runner import script
+from protocols.bench import BenchFile
+from runs.reader import Run
+from runs.verdict import Verdict
 
 LIMIT_RATIO = 1.30
 

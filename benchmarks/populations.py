@@ -36,11 +36,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from acquire.reed_file import DEFAULT_REED, ReedFile
-from fitting.forward import basis_of, cents_of, hz_of
-from fitting.paper import adjusted_metamodel
-from fitting.populations import count_flags, fit_population, fit_stream
-from fitting.reedfit import COMPONENTS
+from fitting.cane.reed_fit import COMPONENTS
+from fitting.forward import (
+    basis_of,
+    cents_of,
+    hz_of,
+)
+from fitting.paper.constants import adjusted_metamodel
+from fitting.populations.population import (
+    count_flags,
+    fit_population,
+    fit_stream,
+)
 from physics.reed.basis import ReducedReed
 from physics.reed.geometry import ReedGeometry
 from physics.reed.log_polynomial import LogPolynomial, finite_element_polynomial
@@ -54,6 +61,7 @@ from physics.reed.viscoelastic import (
     storage_modulus,
     viscoelastic_cane,
 )
+from protocols.reed import DEFAULT_REED, ReedFile
 
 Array = NDArray[np.floating[Any]]
 

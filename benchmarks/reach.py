@@ -18,7 +18,13 @@ import numpy as np
 from benchmarks.campaigns import campaigns, readings_of
 from blind.cases import Label, true_sizes
 from blind.effects import BY_NAME
-from diagnosis.likeness import ALIKE, DETECTABLE, Reach, classes_of, reach_of
+from diagnosis.likeness import (
+    ALIKE,
+    DETECTABLE,
+    Reach,
+    classes_of,
+    reach_of,
+)
 from diagnosis.observing import Readings
 from diagnosis.rivals import compete
 from diagnosis.screening import signatures_of

@@ -20,17 +20,22 @@ from typing import Any
 
 import numpy as np
 
-from acquire.bench_file import BenchFile
-from acquire.plan import Plan, make_plan
-from acquire.protocol import Protocol
-from acquire.reed_file import ReedFile
-from acquire.runner import run
+from acquire.runner.runner import run
 from drivers.registry import open_bench
 from drivers.simulated.twin import cane_of
-from fitting.fit import ReedFit, fit_runs
-from fitting.forward import basis_of, finite_element_model, hz_of, viscoelastic_cents
+from fitting.cane.fit_runs import ReedFit, fit_runs
+from fitting.forward import (
+    basis_of,
+    finite_element_model,
+    hz_of,
+    viscoelastic_cents,
+)
 from physics.reed.response import viscoelastic_mode
 from physics.reed.viscoelastic import Series, viscoelastic_cane
+from protocols.bench import BenchFile
+from protocols.plan import Plan, make_plan
+from protocols.protocol import Protocol
+from protocols.reed import ReedFile
 
 # The modes that the project's claim is about.
 CLAIMED = ("F1", "T1", "F2", "T2", "X1", "T3", "F3")

@@ -25,16 +25,20 @@ import numpy.typing as npt
 import scipy
 from scipy.optimize import linear_sum_assignment
 
-from acquire.reed_file import DEFAULT_REED, ReedFile
-from fitting.paper import adjusted_metamodel
+from fitting.paper.constants import adjusted_metamodel
 from physics.reed.cache import FAST, STANDARD
 from physics.reed.material import Cane
-from physics.reed.material_basis import CONSTANTS, MaterialBasis, modes
+from physics.reed.material_basis import (
+    CONSTANTS,
+    MaterialBasis,
+    modes,
+)
 from physics.reed.material_snapshots import TrainingSettings
 from physics.reed.material_training import build_material_basis
 from physics.reed.mesh import MeshLevel
 from physics.reed.modes import NamedMode, reed_modes
 from physics.reed.names import PAPER_MODES
+from protocols.reed import DEFAULT_REED, ReedFile
 
 Array = npt.NDArray[np.float64]
 

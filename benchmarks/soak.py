@@ -31,15 +31,15 @@ from typing import Any
 
 import numpy as np
 
-from acquire import script
-from acquire.bench_file import BenchFile
-from acquire.cli import app
-from acquire.plan import Plan
+from acquire.cli.main import app
+from acquire.runner import script
 from benchmarks.fault_list import CALM, Fault
 from benchmarks.kills import finished_steps, is_complete, is_whole
 from benchmarks.struck import planned
-from fitting.fit import fit_runs
+from fitting.cane.fit_runs import fit_runs
 from holography.errors import BenchError
+from protocols.bench import BenchFile
+from protocols.plan import Plan
 
 WARM_UP = 5
 # Growth per run that counts as a leak. Memory: chosen, a sixth of the frames of one of these runs

@@ -6,19 +6,19 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from acquire import script
-from acquire.bench_file import BenchFile
-from acquire.plan import Plan
-from acquire.quality import Verdict
-from acquire.recorder import StepReport
-from acquire.runfile import Run, StepRecord
-from acquire.runner import RunSummary
+from acquire.runner import script
+from acquire.runner.recorder import StepReport
+from acquire.runner.runner import RunSummary
 from benchmarks.fault_list import Fault
 from drivers.registry import open_bench
 from drivers.roles import Bench
 from drivers.simulated.lab import SimulatedLab
 from holography.errors import BenchError
 from physics.bench import BenchState
+from protocols.bench import BenchFile
+from protocols.plan import Plan
+from runs.reader import Run, StepRecord
+from runs.verdict import Verdict
 
 # A step's volts as the generator can say them, six digits.
 _VOLTS_SHARE = 1e-5
@@ -121,7 +121,7 @@ def measured(
     report : callable, optional
         Called with every recorded step.
     **more
-        For `acquire.script.run`, such as `announce` and `packing`.
+        For `acquire.runner.script.run`, such as `announce` and `packing`.
     """
     labs: list[SimulatedLab] = []
 

@@ -33,13 +33,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from acquire import script
-from acquire.bench_file import BenchFile
-from acquire.checksums import pixel_checksum
-from acquire.display import catalogue_entry
-from acquire.errors import RunFileError
-from acquire.recorder import StepReport
-from acquire.runfile import Run
+from acquire.cli.display import catalogue_entry
+from acquire.runner import script
+from acquire.runner.recorder import StepReport
+from protocols.bench import BenchFile
+from runs.checksums import pixel_checksum
+from runs.errors import RunFileError
+from runs.reader import Run
 
 # Small frames: what is compared is mostly the run file's own work. 30 steps take some 13 s.
 _SMALL: Final = {

@@ -22,10 +22,7 @@ import numpy as np
 from numpy.polynomial.legendre import legval2d
 from numpy.typing import NDArray
 
-from acquire.bench_file import BenchFile
-from acquire.plan import make_plan
-from acquire.protocol import Protocol
-from acquire.runner import run
+from acquire.runner.runner import run
 from drivers.registry import open_bench
 from drivers.simulated.twin import (
     CaneFactors,
@@ -38,10 +35,22 @@ from drivers.simulated.twin import (
 from physics.bench import bench_cane
 from physics.reed.cache import kept
 from physics.reed.fem import Symmetry
-from physics.reed.geometry import Outline, ReedGeometry, half_width_m, thickness_m
-from physics.reed.modes import ModeClass, NamedMode, viscoelastic_modes
+from physics.reed.geometry import (
+    Outline,
+    ReedGeometry,
+    half_width_m,
+    thickness_m,
+)
+from physics.reed.modes import (
+    ModeClass,
+    NamedMode,
+    viscoelastic_modes,
+)
 from physics.reed.surface import on_reed
 from physics.reed.viscoelastic import Series
+from protocols.bench import BenchFile
+from protocols.plan import make_plan
+from protocols.protocol import Protocol
 
 Array = NDArray[np.floating[Any]]
 

@@ -20,7 +20,13 @@ from blind.effects import BY_NAME, KINDS
 from blind.laboratory import Laboratory
 from blind.reed import Build, Wood
 from blind.run_files import bench_text, write_recording
-from blind.world import Air, Cane, Chip, Light, World
+from blind.world import (
+    Air,
+    Cane,
+    Chip,
+    Light,
+    World,
+)
 
 Tier = Literal[0, 1, 2, 3, 4, 6]
 TIERS: Final = (0, 1, 2, 3, 4, 6)

@@ -6,7 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from blind.scoring import Case, Classes, share, sure_and_right
+from blind.scoring import (
+    Case,
+    Classes,
+    share,
+    sure_and_right,
+)
 
 _BINS = 8
 

@@ -8,7 +8,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from blind.optics import WAVELENGTH_M, Camera, Stage, make_stage
+from blind.optics import (
+    WAVELENGTH_M,
+    Camera,
+    Stage,
+    make_stage,
+)
 from blind.reed import ModalReed, make_reed
 from blind.vibration import Answerer, answerer
 from blind.world import World

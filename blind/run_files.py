@@ -11,7 +11,13 @@ from typing import Any
 import h5py
 import numpy as np
 
-from blind.laboratory import FRAME_S, Laboratory, Recording, Shot, step_hz
+from blind.laboratory import (
+    FRAME_S,
+    Laboratory,
+    Recording,
+    Shot,
+    step_hz,
+)
 from blind.optics import DISTANCE_M, WAVELENGTH_M
 
 # No case was measured on any day.

@@ -11,7 +11,12 @@ from diagnosis.block import Block
 from diagnosis.estimate import spread_of
 from diagnosis.rivals import Comparison, Rival
 from physics.mechanics import TipMass
-from physics.twin import Twin, more, with_alteration, with_reed
+from physics.twin import (
+    Twin,
+    more,
+    with_alteration,
+    with_reed,
+)
 
 Array = NDArray[np.floating[Any]]
 
@@ -32,7 +37,7 @@ class Action:
     sharper : float
         Factor on the standard deviations of its numbers.
     parts : tuple of mapping
-        Of a campaign file (see `acquire.campaign_file`); none if no software runs it.
+        Of a campaign file (see `protocols.campaign`); none if no software runs it.
     """
 
     id: str

@@ -7,10 +7,10 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from acquire.quality import Verdict
-from acquire.run_layout import Kind
-from acquire.runfile import Run, StepRecord
 from fitting.errors import FitInputError
+from runs.layout import Kind
+from runs.reader import Run, StepRecord
+from runs.verdict import Verdict
 
 # What each kind of run tells that nothing else does.
 _TELLS = {

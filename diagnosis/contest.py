@@ -28,8 +28,15 @@ from diagnosis.rivals import (
     straightened,
 )
 from diagnosis.sampling import Sampled, checked
-from diagnosis.screening import Base, Screened, count_places, screened, screened_at, usual
-from fitting.side_by_side import side_by_side
+from diagnosis.screening import (
+    Base,
+    Screened,
+    count_places,
+    screened,
+    screened_at,
+    usual,
+)
+from fitting.parallel.processes import side_by_side
 from physics.effects.form import Effect
 
 Array = NDArray[np.floating[Any]]

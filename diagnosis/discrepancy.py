@@ -16,7 +16,12 @@ from scipy.special import logsumexp
 
 from diagnosis.block import Block
 from diagnosis.estimate import covariance_left, spread_of
-from diagnosis.rivals import Comparison, Rival, by_noise, gain_by_noise
+from diagnosis.rivals import (
+    Comparison,
+    Rival,
+    by_noise,
+    gain_by_noise,
+)
 
 Array = NDArray[np.floating[Any]]
 

@@ -4,14 +4,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from acquire.bench_file import BenchFile
-from acquire.errors import ProtocolError
-from acquire.quantities import parse_quantity
-from acquire.runfile import Run
 from physics.effects.catalogue import BY_ID
 from physics.effects.form import Effect, Parameter
 from physics.sensor import Sensor
 from physics.twin import Twin
+from protocols.bench import BenchFile
+from protocols.errors import ProtocolError
+from protocols.units import parse_quantity
+from runs.reader import Run
 
 # Units that may be written with prefixes, such as "5 um".
 _PREFIXED = ("Hz", "m", "rad")

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.comparison.printed import printed
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
-from fitting.resonance_table import read_resonances
+from fitting.paper.printed import printed
+from fitting.populations.resonance_table import read_resonances
 from physics.reed.names import PAPER_MODES
 from physics.reed.viscoelastic import Series
 
@@ -73,7 +73,7 @@ def printed_reeds() -> list[MeanReed]:
 
 
 def tabled_reeds(path: Path, tell: Callable[[str], None] | None = None) -> list[MeanReed]:
-    """Means over the reeds of a table (see `fitting.resonance_table`), in each series that it has.
+    """Return the mean resonances of the reeds of a table, for each series that it has.
 
     Where reeds lack modes, means are those of reeds that all have the mean's difference from mode
     to mode: rows and columns are fitted together.
@@ -81,6 +81,7 @@ def tabled_reeds(path: Path, tell: Callable[[str], None] | None = None) -> list[
     Parameters
     ----------
     path : Path
+        See `fitting.populations.resonance_table`.
     tell : callable, optional
         Told of rows that are of no mode that is compared.
 

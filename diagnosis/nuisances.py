@@ -5,7 +5,14 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from physics.mechanics import Layer
-from physics.twin import Fits, Twin, more, with_alteration, with_cane, with_reed
+from physics.twin import (
+    Fits,
+    Twin,
+    more,
+    with_alteration,
+    with_cane,
+    with_reed,
+)
 
 
 @dataclass(frozen=True)

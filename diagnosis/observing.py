@@ -5,23 +5,37 @@ from dataclasses import dataclass
 
 from threadpoolctl import threadpool_limits
 
-from acquire.bench_file import BenchFile
-from acquire.run_layout import Kind
 from diagnosis.block import Block
 from diagnosis.campaign import Campaign
 from diagnosis.known_bench import sensor_of
-from diagnosis.taps.beat import Beat, lock_block, lock_scatter_hz, log_block, read_beat
-from diagnosis.taps.carrier import (
+from diagnosis.observables.beat import (
+    Beat,
+    lock_block,
+    lock_scatter_hz,
+    log_block,
+    read_beat,
+)
+from diagnosis.observables.carrier import (
     Carrier,
     carrier_block,
     leaks_in,
     read_carriers,
     unshifted_light,
 )
-from diagnosis.taps.drive import Device, force_block, level_block, line_block
-from diagnosis.taps.light import brightness_block, fringe_block, mixing_in, noise_block
-from diagnosis.taps.modes import modes_block
-from diagnosis.taps.sensor import (
+from diagnosis.observables.drive import (
+    Device,
+    force_block,
+    level_block,
+    line_block,
+)
+from diagnosis.observables.light import (
+    brightness_block,
+    fringe_block,
+    mixing_in,
+    noise_block,
+)
+from diagnosis.observables.modes import modes_block
+from diagnosis.observables.sensor import (
     Beam,
     Dark,
     Flat,
@@ -33,8 +47,8 @@ from diagnosis.taps.sensor import (
     read_dark,
     read_flat,
 )
-from diagnosis.taps.shapes import shapes_block
-from diagnosis.taps.still import (
+from diagnosis.observables.shapes import shapes_block
+from diagnosis.observables.still import (
     Still,
     read_stills,
     scatter_block,
@@ -42,10 +56,21 @@ from diagnosis.taps.still import (
     turn_block,
     usual_scatter_hz,
 )
-from diagnosis.taps.vibration import SweepReading, common_modes, read_sweeps, understood_block
-from physics.air import CavityLine, Filling, chamber_of
+from diagnosis.observables.vibration import (
+    SweepReading,
+    common_modes,
+    read_sweeps,
+    understood_block,
+)
+from physics.air import (
+    CavityLine,
+    Filling,
+    chamber_of,
+)
 from physics.mechanics import Workshop
 from physics.twin import Twin
+from protocols.bench import BenchFile
+from runs.layout import Kind
 
 # Share of the time that fitting sweeps takes.
 _SWEEPS = 0.95

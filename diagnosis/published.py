@@ -14,8 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.estimate import Estimate, covariance_left, fit, random_starts
-from diagnosis.likeness import Reach, classes_of, reach_of
+from diagnosis.estimate import (
+    Estimate,
+    covariance_left,
+    fit,
+    random_starts,
+)
+from diagnosis.likeness import (
+    Reach,
+    classes_of,
+    reach_of,
+)
 from diagnosis.mean_reed import MeanReed
 from diagnosis.rivals import Sized
 from diagnosis.screening import places_of

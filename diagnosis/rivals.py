@@ -15,7 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.block import Block
-from diagnosis.estimate import LEAST_DECREMENT, Estimate, fit, spread_of
+from diagnosis.estimate import (
+    LEAST_DECREMENT,
+    Estimate,
+    fit,
+    spread_of,
+)
 from diagnosis.nuisances import Nuisance
 from physics.effects.form import Effect, Parameter
 from physics.twin import Twin

@@ -10,8 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.estimate import spread_of, standing_out, taken_up
-from diagnosis.rivals import Comparison, Rival, Sized
+from diagnosis.estimate import (
+    spread_of,
+    standing_out,
+    taken_up,
+)
+from diagnosis.rivals import (
+    Comparison,
+    Rival,
+    Sized,
+)
 from physics.effects.form import Effect
 from physics.twin import Twin
 

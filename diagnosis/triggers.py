@@ -12,7 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.discrepancy import discrepancies, in_one
-from diagnosis.estimate import covariance_left, spread_of, taken_up
+from diagnosis.estimate import (
+    covariance_left,
+    spread_of,
+    taken_up,
+)
 from diagnosis.rivals import Comparison, Rival
 
 Array = NDArray[np.floating[Any]]

@@ -10,14 +10,30 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from diagnosis.actions import Worth, ranked_actions
-from diagnosis.contest import NONE, UNKNOWN, Contest, confirmed, contest, unknown_beside
+from diagnosis.contest import (
+    NONE,
+    UNKNOWN,
+    Contest,
+    confirmed,
+    contest,
+    unknown_beside,
+)
 from diagnosis.discrepancy import discrepancies
-from diagnosis.how_far import Plain, Shrinkage, plain_gaps, shrinkage
-from diagnosis.likeness import Reach, classes_of, reach_of
+from diagnosis.how_far import (
+    Plain,
+    Shrinkage,
+    plain_gaps,
+    shrinkage,
+)
+from diagnosis.likeness import (
+    Reach,
+    classes_of,
+    reach_of,
+)
 from diagnosis.nuisances import NUISANCES, of_fits
+from diagnosis.observables.vibration import common_modes
 from diagnosis.observing import Readings, blocks
 from diagnosis.rivals import Comparison, Rival
-from diagnosis.taps.vibration import common_modes
 from diagnosis.triggers import Trigger, triggers
 from diagnosis.where import Map, gap_map
 from physics.effects.catalogue import CATALOGUE

@@ -16,7 +16,12 @@ from typing import Any, Final
 
 from drivers.description import InstrumentsDescription
 from drivers.errors import BenchSetupError
-from drivers.exclusive import Holder, LockedError, exclusive, holder_of
+from drivers.exclusive import (
+    Holder,
+    LockedError,
+    exclusive,
+    holder_of,
+)
 
 # Keys of `options:` that say which instrument is meant; all others are settings of it.
 _ADDRESS_KEYS: Final = (

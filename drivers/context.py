@@ -9,7 +9,8 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from drivers.description import BenchDescription
-from drivers.roles import Clock, Preparation, Surroundings
+from drivers.roles import Clock, Surroundings
+from protocols.preparation import Preparation
 
 T = TypeVar("T")
 

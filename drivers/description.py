@@ -1,4 +1,4 @@
-"""What drivers may ask of a bench file. `acquire.bench_file.BenchFile` has this shape."""
+"""What drivers may ask of a bench file. `protocols.bench.BenchFile` has this shape."""
 
 from collections.abc import Mapping
 from fractions import Fraction

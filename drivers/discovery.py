@@ -17,13 +17,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from drivers.aravis import load_aravis
-from drivers.basler import load_pylon
 from drivers.bench_lock import BenchInUseError, address_locked
+from drivers.cameras.aravis import load_aravis
+from drivers.cameras.basler import load_pylon
 from drivers.errors import BenchSetupError, InstrumentError
+from drivers.generators.soundcard import load_sounddevice
 from drivers.roles import RoleName
-from drivers.soundcard import load_sounddevice
-from drivers.visa import open_visa
+from drivers.transport.visa import open_visa
 
 Kind = Literal["serial", "visa", "camera", "sound"]
 

@@ -8,14 +8,14 @@ itself what its instrument runs on, by a method ``reference_clock() -> str`` tha
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
+from drivers.cameras.genicam_camera import GenicamCamera
 from drivers.description import InstrumentDescription
-from drivers.genicam_camera import GenicamCamera
-from drivers.keysight import KeysightGenerator
-from drivers.novatech import Novatech409B
+from drivers.generators.keysight import KeysightGenerator
+from drivers.generators.siglent import SiglentGenerator
+from drivers.generators.soundcard import SoundCardGenerator
 from drivers.roles import Instrument
-from drivers.siglent import SiglentGenerator
-from drivers.soundcard import SoundCardGenerator
-from drivers.srs import SRSPair
+from drivers.synthesizers.novatech import Novatech409B
+from drivers.synthesizers.srs import SRSPair
 
 Source = Literal["external", "own", "unknown"]
 

@@ -12,17 +12,21 @@ import numpy as np
 from drivers.bench_lock import bench_locked
 from drivers.context import BenchContext
 from drivers.description import BenchDescription, InstrumentDescription
-from drivers.errors import BenchSetupError, OpeningStoppedError, note_unconfirmed
+from drivers.errors import (
+    BenchSetupError,
+    OpeningStoppedError,
+    note_unconfirmed,
+)
 from drivers.roles import (
     Bench,
     Camera,
     Instrument,
-    Preparation,
     RoleName,
     SignalGenerator,
     SynthesizerPair,
 )
 from drivers.safe_off import instruments_off
+from protocols.preparation import Preparation
 
 Driver = Callable[[Any, BenchContext], Instrument]
 
@@ -47,22 +51,22 @@ _GROUPS: Final = {
 _BUILT_IN: Final = {
     "synthesizers": {
         "simulated": "drivers.simulated:SimulatedSynthesizers",
-        "novatech-409b": "drivers.novatech:Novatech409B",
-        "srs-sg380": "drivers.srs:SRSPair",
-        "wire-novatech": "drivers.simulated.wire.instruments:WireNovatech",
+        "novatech-409b": "drivers.synthesizers.novatech:Novatech409B",
+        "srs-sg380": "drivers.synthesizers.srs:SRSPair",
+        "wire-novatech": "drivers.emulators.instruments:WireNovatech",
     },
     "generator": {
         "simulated": "drivers.simulated:SimulatedGenerator",
-        "siglent-sdg2042x": "drivers.siglent:SiglentGenerator",
-        "keysight-33500b": "drivers.keysight:KeysightGenerator",
-        "sound-card": "drivers.soundcard:SoundCardGenerator",
-        "wire-siglent": "drivers.simulated.wire.instruments:WireSiglent",
+        "siglent-sdg2042x": "drivers.generators.siglent:SiglentGenerator",
+        "keysight-33500b": "drivers.generators.keysight:KeysightGenerator",
+        "sound-card": "drivers.generators.soundcard:SoundCardGenerator",
+        "wire-siglent": "drivers.emulators.instruments:WireSiglent",
     },
     "camera": {
         "simulated": "drivers.simulated:SimulatedCamera",
-        "basler": "drivers.basler:BaslerCamera",
-        "aravis": "drivers.aravis:AravisCamera",
-        "wire-camera": "drivers.simulated.wire.instruments:wire_camera",
+        "basler": "drivers.cameras.basler:BaslerCamera",
+        "aravis": "drivers.cameras.aravis:AravisCamera",
+        "wire-camera": "drivers.emulators.instruments:wire_camera",
     },
 }
 
@@ -88,7 +92,7 @@ def open_bench(
     Parameters
     ----------
     bench_file : BenchDescription
-        Usually an `acquire.bench_file.BenchFile`.
+        Usually an `protocols.bench.BenchFile`.
     preparation : Preparation
         What stands on the bench.
     seed : int

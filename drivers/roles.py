@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
 from types import TracebackType
-from typing import TYPE_CHECKING, Literal, Protocol, Self, runtime_checkable
+from typing import Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from physics.reed.geometry import ReedGeometry
-    from physics.reed.material import Cane
+from protocols.preparation import Preparation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,32 +224,6 @@ class Clock(Protocol):
     def wait(self, seconds: float) -> None:
         """Return `seconds` later; at once if that is not positive."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class Preparation:
-    """What stands on the bench.
-
-    Attributes
-    ----------
-    reed : str
-        Name that tells this reed from all others.
-    series : str
-        Series of measurements; the reed of series B is dried.
-    chamber : {'asymmetric', 'symmetric'}
-        Whether the right half of the mouthpiece's chamber is filled.
-    geometry : ReedGeometry or None
-        Shape and clamp of reeds of this kind; the paper's clarinet reed if None.
-    constants : Cane or None
-        Elastic constants and density that all reeds of this kind share, all but E_L and G_LT; the
-        paper's reference material if None.
-    """
-
-    reed: str
-    series: str
-    chamber: Literal["asymmetric", "symmetric"]
-    geometry: "ReedGeometry | None" = None
-    constants: "Cane | None" = None
 
 
 class Arrangement(StrEnum):

@@ -13,7 +13,14 @@ from functools import partial
 from typing import Final, cast
 
 from drivers.errors import InstrumentError, note_unconfirmed
-from drivers.roles import Bench, Camera, Instrument, RoleName, SignalGenerator, SynthesizerPair
+from drivers.roles import (
+    Bench,
+    Camera,
+    Instrument,
+    RoleName,
+    SignalGenerator,
+    SynthesizerPair,
+)
 
 # A tweeter clicks, and may be harmed, if its voltage jumps.
 RAMP_S: Final = 0.1

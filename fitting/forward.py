@@ -8,14 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import NearestNDInterpolator, RectBivariateSpline
 
-from acquire.reed_file import ReedFile
-from fitting import paper
+from fitting.paper import constants as paper
 from physics.reed.basis import BasisSettings, ReducedReed
 from physics.reed.cache import reduced_reed
 from physics.reed.metamodel import REFERENCE_HZ
 from physics.reed.names import PAPER_MODES
 from physics.reed.response import Mode, elastic_modes
-from physics.reed.viscoelastic import Series, ViscoelasticCane, storage_modulus_pa
+from physics.reed.viscoelastic import (
+    Series,
+    ViscoelasticCane,
+    storage_modulus_pa,
+)
+from protocols.reed import ReedFile
 
 Array = NDArray[np.floating[Any]]
 

@@ -10,7 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from holography.fresnel import FresnelTransform
-from physics.air import CavityLine, Chamber, cavity_gain, pressure_shape
+from physics.air import (
+    CavityLine,
+    Chamber,
+    cavity_gain,
+    pressure_shape,
+)
 from physics.drive import Tweeter, tweeter_pressure_pa
 from physics.optics import (
     Illumination,

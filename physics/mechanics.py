@@ -33,7 +33,12 @@ from physics.reed.material import Cane
 from physics.reed.modes import at_frequency
 from physics.reed.names import Portrait, names_of
 from physics.reed.radiation import air_load
-from physics.reed.viscoelastic import Components, Series, ViscoelasticCane, viscoelastic_cane
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    ViscoelasticCane,
+    viscoelastic_cane,
+)
 
 Array = NDArray[np.floating[Any]]
 

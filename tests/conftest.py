@@ -9,11 +9,16 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire.bench_file import BenchFile
-from acquire.checksums import header_checksum, in_header, pixel_checksum, row_checksums
-from acquire.plan import make_plan
-from acquire.protocol import Protocol
 from drivers.registry import open_bench
+from protocols.bench import BenchFile
+from protocols.plan import make_plan
+from protocols.protocol import Protocol
+from runs.checksums import (
+    header_checksum,
+    in_header,
+    pixel_checksum,
+    row_checksums,
+)
 
 
 def pytest_configure():

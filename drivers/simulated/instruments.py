@@ -19,7 +19,11 @@ from drivers.description import (
     InstrumentDescription,
     SynthesizersDescription,
 )
-from drivers.errors import BenchSetupError, InstrumentError, LimitError
+from drivers.errors import (
+    BenchSetupError,
+    InstrumentError,
+    LimitError,
+)
 from drivers.roles import Frame
 from drivers.simulated.lab import SimulatedLab
 from physics.sensor import saturation_dn

@@ -24,7 +24,12 @@ from drivers.simulated.twin import (
     read_twin,
     twin_settings,
 )
-from physics.bench import BenchModel, BenchState, Scene, Segment
+from physics.bench import (
+    BenchModel,
+    BenchState,
+    Scene,
+    Segment,
+)
 from physics.reed.basis import ReducedReed
 from physics.reed.cache import reduced_reed, whole_reed
 from physics.reed.geometry import is_even

@@ -9,22 +9,31 @@ import numpy as np
 from pydantic import Field
 
 from drivers.description import BenchDescription, CameraDescription
+from drivers.emulators.faults import GeneratorFaults, SynthesizerFaults
+from drivers.emulators.serving import WireFaults
 from drivers.errors import BenchSetupError
 from drivers.options import Options, read_options
-from drivers.roles import Preparation
-from drivers.simulated.wire.faults import GeneratorFaults, SynthesizerFaults
-from drivers.simulated.wire.serving import WireFaults
 from physics.air import Filling, chamber_of
 from physics.bench import PressureDistortion, TwinSettings
 from physics.drive import Tweeter
-from physics.optics import Illumination, Layout, visible_size_m
+from physics.optics import (
+    Illumination,
+    Layout,
+    visible_size_m,
+)
 from physics.reed.basis import BasisSettings
 from physics.reed.cache import STANDARD
 from physics.reed.geometry import ReedGeometry, ThicknessMap
 from physics.reed.material import Cane
 from physics.reed.mesh import MeshLevel
-from physics.reed.viscoelastic import Components, Series, require_physical, viscoelastic_cane
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    require_physical,
+    viscoelastic_cane,
+)
 from physics.sensor import Sensor
+from protocols.preparation import Preparation
 
 _NOMINAL: Final = TwinSettings()
 

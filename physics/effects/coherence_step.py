@@ -3,7 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from physics.effects.form import Effect, Parameter, Stage, Tap
+from physics.effects.form import (
+    Effect,
+    Parameter,
+    Stage,
+    Tap,
+)
 from physics.twin import Twin
 
 _SHARES = tuple(0.05 * k for k in range(1, 20))

@@ -5,7 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from physics.effects.form import Effect, Parameter, Stage, Tap
+from physics.effects.form import (
+    Effect,
+    Parameter,
+    Stage,
+    Tap,
+)
 from physics.twin import Twin
 
 

@@ -2,7 +2,12 @@
 
 from collections.abc import Mapping
 
-from physics.effects.form import Effect, Parameter, Stage, Tap
+from physics.effects.form import (
+    Effect,
+    Parameter,
+    Stage,
+    Tap,
+)
 from physics.twin import Twin, more
 
 

@@ -6,7 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from physics.effects.form import Effect, Parameter, Stage, Tap
+from physics.effects.form import (
+    Effect,
+    Parameter,
+    Stage,
+    Tap,
+)
 from physics.twin import Twin
 
 # Lines of Q 30 are no closer than half their width apart. Between two of them a line may be

@@ -17,7 +17,11 @@ from scipy.linalg import blas
 
 from physics.reed.anatomy import Anatomy
 from physics.reed.fem import Symmetry
-from physics.reed.material import STIFFNESS_TERMS, Cane, stiffness_terms_pa
+from physics.reed.material import (
+    STIFFNESS_TERMS,
+    Cane,
+    stiffness_terms_pa,
+)
 
 Array = NDArray[np.floating[Any]]
 

@@ -14,8 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from physics.reed.basis import BasisSettings, HalfShapes, ReducedReed, half_shapes, reduced
-from physics.reed.fem import Symmetry, factor, free_dofs, shape_1d, stiffness
+from physics.reed.basis import (
+    BasisSettings,
+    HalfShapes,
+    ReducedReed,
+    half_shapes,
+    reduced,
+)
+from physics.reed.fem import (
+    Symmetry,
+    factor,
+    free_dofs,
+    shape_1d,
+    stiffness,
+)
 from physics.reed.geometry import Clamp, ReedGeometry
 from physics.reed.material import stiffness_terms_pa
 from physics.reed.mesh import HalfReedMesh, MeshLevel

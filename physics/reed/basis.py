@@ -29,7 +29,12 @@ from physics.reed.fem import (
 )
 from physics.reed.geometry import ReedGeometry, half_width_m
 from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mesh import HalfReedMesh, MeshLevel, ReedMesh, build_mesh
+from physics.reed.mesh import (
+    HalfReedMesh,
+    MeshLevel,
+    ReedMesh,
+    build_mesh,
+)
 from physics.reed.modes import HIGHEST_HZ
 from physics.reed.names import vamp_profiles
 

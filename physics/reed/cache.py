@@ -26,7 +26,12 @@ import scipy
 from numpy.typing import NDArray
 
 from physics.reed.anatomy import Anatomy, build_anatomy
-from physics.reed.basis import BasisSettings, HalfBasis, ReducedReed, build_reduced_reed
+from physics.reed.basis import (
+    BasisSettings,
+    HalfBasis,
+    ReducedReed,
+    build_reduced_reed,
+)
 from physics.reed.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
 from physics.reed.mesh import MeshLevel

@@ -4,7 +4,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from physics.reed.cache import STANDARD, Arrays, kept
+from physics.reed.cache import (
+    STANDARD,
+    Arrays,
+    kept,
+)
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material import Cane
 from physics.reed.modes import reed_modes

@@ -16,7 +16,11 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from physics.reed.material import STIFFNESS_TERMS
-from physics.reed.mesh import HalfReedMesh, ReedMesh, lobatto_points
+from physics.reed.mesh import (
+    HalfReedMesh,
+    ReedMesh,
+    lobatto_points,
+)
 
 Array = NDArray[np.floating[Any]]
 IntArray = NDArray[np.intp]

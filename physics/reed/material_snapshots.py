@@ -25,9 +25,22 @@ from physics.reed.fem import (
     stiffness,
 )
 from physics.reed.geometry import ReedGeometry
-from physics.reed.material import STIFFNESS_TERMS, Cane, stiffness_terms_pa
-from physics.reed.material_basis import CONSTANTS, MODULI, MaterialBox, possible_canes
-from physics.reed.mesh import HalfReedMesh, MeshLevel, build_mesh
+from physics.reed.material import (
+    STIFFNESS_TERMS,
+    Cane,
+    stiffness_terms_pa,
+)
+from physics.reed.material_basis import (
+    CONSTANTS,
+    MODULI,
+    MaterialBox,
+    possible_canes,
+)
+from physics.reed.mesh import (
+    HalfReedMesh,
+    MeshLevel,
+    build_mesh,
+)
 from physics.reed.modes import NamedMode, reed_modes
 
 Array = NDArray[np.floating[Any]]

@@ -26,8 +26,17 @@ from physics.reed.fem import (
 )
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mesh import HalfReedMesh, MeshLevel, ReedMesh, build_least_mesh
-from physics.reed.names import Portrait, names_of, vamp_profiles
+from physics.reed.mesh import (
+    HalfReedMesh,
+    MeshLevel,
+    ReedMesh,
+    build_least_mesh,
+)
+from physics.reed.names import (
+    Portrait,
+    names_of,
+    vamp_profiles,
+)
 from physics.reed.viscoelastic import ViscoelasticCane, storage_modulus_pa
 
 Array = NDArray[np.floating[Any]]

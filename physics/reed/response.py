@@ -9,13 +9,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from physics.reed.basis import HalfBasis, ReducedReed, reduced_modes
+from physics.reed.basis import (
+    HalfBasis,
+    ReducedReed,
+    reduced_modes,
+)
 from physics.reed.fem import Symmetry
 from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.modes import HIGHEST_HZ, at_frequency, settled_mode
+from physics.reed.modes import (
+    HIGHEST_HZ,
+    at_frequency,
+    settled_mode,
+)
 from physics.reed.names import Portrait, names_of
 from physics.reed.viscoelastic import ViscoelasticCane
-from physics.reed.whole import ReedPart, WholeReed, parts_of
+from physics.reed.whole import (
+    ReedPart,
+    WholeReed,
+    parts_of,
+)
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]

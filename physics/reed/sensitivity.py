@@ -14,7 +14,11 @@ from numpy.typing import NDArray
 
 from physics.reed.fem import ReedMatrices, projected_stiffness
 from physics.reed.geometry import ReedGeometry
-from physics.reed.material import STIFFNESS_TERMS, Cane, stiffness_matrix_pa
+from physics.reed.material import (
+    STIFFNESS_TERMS,
+    Cane,
+    stiffness_matrix_pa,
+)
 from physics.reed.mesh import MeshLevel
 from physics.reed.modes import NamedMode, reed_modes
 

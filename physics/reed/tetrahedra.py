@@ -31,7 +31,11 @@ from physics.reed.fem import (
 )
 from physics.reed.geometry import ReedGeometry, thickness_m
 from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mesh import HalfReedMesh, MeshLevel, build_mesh
+from physics.reed.mesh import (
+    HalfReedMesh,
+    MeshLevel,
+    build_mesh,
+)
 from physics.reed.modes import NamedMode
 
 Array = NDArray[np.floating[Any]]

@@ -14,7 +14,13 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 from scipy import sparse
 
-from physics.reed.basis import BasisSettings, ReducedReed, flat_side, network, pod
+from physics.reed.basis import (
+    BasisSettings,
+    ReducedReed,
+    flat_side,
+    network,
+    pod,
+)
 from physics.reed.fem import (
     ReedMatrices,
     Symmetry,
@@ -27,7 +33,11 @@ from physics.reed.fem import (
 )
 from physics.reed.geometry import ReedGeometry, half_width_m
 from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mesh import MeshLevel, ReedMesh, build_whole_mesh
+from physics.reed.mesh import (
+    MeshLevel,
+    ReedMesh,
+    build_whole_mesh,
+)
 from physics.reed.modes import HIGHEST_HZ
 
 Array = NDArray[np.floating[Any]]

@@ -11,14 +11,15 @@ import event_model
 import numpy as np
 import pytest
 
-from acquire.bench_file import BenchFile
-from acquire.documents import documents_path
-from acquire.plan import make_plan
-from acquire.protocol import Protocol
-from acquire.provenance import git_revision, package_versions
-from acquire.recorder import reconstruction_of
+from acquire.runner.recorder import reconstruction_of
 from drivers.errors import InstrumentError
-from drivers.roles import Bench, Frame, Preparation
+from drivers.roles import Bench, Frame
+from protocols.bench import BenchFile
+from protocols.plan import make_plan
+from protocols.preparation import Preparation
+from protocols.protocol import Protocol
+from runs.documents import documents_path
+from runs.provenance import git_revision, package_versions
 
 _PROVENANCE = {
     "git_revision": functools.cache(git_revision),
@@ -174,7 +175,7 @@ class FakeCamera(FakeInstrument):
 def _provenance_is_asked_once(monkeypatch):
     """Git and the packages' metadata say the same of every run of these tests."""
     for name, answer in _PROVENANCE.items():
-        monkeypatch.setattr(f"acquire.run_writer.{name}", answer)
+        monkeypatch.setattr(f"runs.writer.{name}", answer)
 
 
 @pytest.fixture
@@ -255,7 +256,9 @@ def processes():
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("OMP_NUM_THREADS", "1")
         context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(["acquire.script", "drivers.simulated", "event_model"])
+        context.set_forkserver_preload(
+            ["acquire.runner.script", "drivers.simulated", "event_model"]
+        )
 
         def start(code, **names):
             heard, said = context.Pipe(duplex=False)

@@ -8,17 +8,21 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire.bench_file import BenchFile
-from acquire.campaign_file import CampaignFile, names_campaign, tasks_of
-from acquire.errors import ProtocolError
-from acquire.plan import make_plan
-from acquire.protocol import Protocol, shipped_protocols
-from acquire.run_layout import Kind
-from acquire.runfile import Run
-from acquire.script import run_campaign
+from acquire.runner.script import run_campaign
 from drivers.context import BenchContext
 from drivers.registry import open_bench
 from drivers.simulated import SimulatedCamera, SimulatedGenerator
+from protocols.bench import BenchFile
+from protocols.campaign import (
+    CampaignFile,
+    names_campaign,
+    tasks_of,
+)
+from protocols.errors import ProtocolError
+from protocols.plan import make_plan
+from protocols.protocol import Protocol, shipped_protocols
+from runs.layout import Kind
+from runs.reader import Run
 
 BENCH = BenchFile.from_file()
 # A camera of few pixels, a coarse reed, and sweeps of few steps.
@@ -165,7 +169,7 @@ def test_somebody_is_asked_where_no_program_can_do_it(tmp_path, monkeypatch) -> 
     def by_hand(*asked, **more):
         return replace(open_bench(*asked, **more), surroundings=None)
 
-    monkeypatch.setattr("acquire.script.open_bench", by_hand)
+    monkeypatch.setattr("acquire.runner.script.open_bench", by_hand)
     dark = {**QUICK, "keep": "frames", "calibration": {"kind": "dark", "count": 1}}
     parts = [{"name": "dark", "do": "cover the camera", "change": dark}]
     asked: list[str] = []

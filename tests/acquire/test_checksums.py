@@ -8,14 +8,28 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire.checksums import in_header, pixel_checksum, row_checksums, whole_rows
-from acquire.errors import RunFileError
-from acquire.quality import Judgement, ReadBack, Verdict
-from acquire.recorder import reconstruction_of
-from acquire.run_layout import Seam
-from acquire.runfile import MeasuredStep, Run, RunLabels, RunWriter
-from acquire.runner import RunState, run
+from acquire.runner.recorder import reconstruction_of
+from acquire.runner.runner import RunState, run
 from drivers.roles import Frame
+from runs.checksums import (
+    in_header,
+    pixel_checksum,
+    row_checksums,
+    whole_rows,
+)
+from runs.errors import RunFileError
+from runs.layout import Seam
+from runs.reader import (
+    MeasuredStep,
+    Run,
+    RunLabels,
+    RunWriter,
+)
+from runs.verdict import (
+    Judgement,
+    ReadBack,
+    Verdict,
+)
 
 # Columns that may change without a step being damaged.
 FREE_TO_CHANGE = {"verdict", "sentence"}

@@ -17,7 +17,13 @@ from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
-from acquire.console import messages, plain, results, show_json, show_message
+from acquire.cli.console import (
+    messages,
+    results,
+    show_json,
+    show_message,
+)
+from reports.plain_text import plain
 
 ROOT = Path(__file__).parents[2]
 HOSTILE = "[bold red]R07[/] :100: \x1b]0;x\x07\x1b[31m\x9b2J\u202e\udcff"
@@ -115,7 +121,7 @@ def test_every_console_is_made_here():
 WORK = """
 import sys, threading, time
 from pathlib import Path
-from acquire.console import messages, results, show_json, show_message
+from acquire.cli.console import messages, results, show_json, show_message
 from rich.progress import Progress
 
 trouble = []

@@ -6,10 +6,14 @@ import threading
 
 import pytest
 
-from acquire.control import control_path, controllable, order
-from acquire.errors import RunFileError
-from acquire.runfile import Run
-from acquire.runner import RunState, run
+from acquire.runner.control import (
+    control_path,
+    controllable,
+    order,
+)
+from acquire.runner.runner import RunState, run
+from runs.errors import RunFileError
+from runs.reader import Run
 
 
 @pytest.fixture

@@ -11,15 +11,24 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire.disk import DiskFile, error_class
-from acquire.documents import DocumentLog, documents_path
-from acquire.errors import DiskError, RunFileError
-from acquire.quality import Judgement, ReadBack, Verdict
-from acquire.recorder import reconstruction_of
-from acquire.runfile import MeasuredStep, Run, RunLabels, RunWriter
-from acquire.runner import run
-from acquire.script import load
+from acquire.runner.recorder import reconstruction_of
+from acquire.runner.runner import run
+from acquire.runner.script import load
 from drivers.roles import Frame
+from runs.disk import DiskFile, error_class
+from runs.documents import DocumentLog, documents_path
+from runs.errors import DiskError, RunFileError
+from runs.reader import (
+    MeasuredStep,
+    Run,
+    RunLabels,
+    RunWriter,
+)
+from runs.verdict import (
+    Judgement,
+    ReadBack,
+    Verdict,
+)
 
 ROOT = Path(__file__).parents[2]
 
@@ -62,7 +71,7 @@ def full(monkeypatch, call, number=errno.ENOSPC):
             raise OSError(number, os.strerror(number))
         return write(descriptor, data, place)
 
-    monkeypatch.setattr("acquire.disk.os.pwrite", refuse)
+    monkeypatch.setattr("runs.disk.os.pwrite", refuse)
     return calls
 
 
@@ -137,7 +146,7 @@ def test_a_new_run_is_on_the_disk_before_it_has_its_name(create, path, monkeypat
         synced.append(path.exists())
         sync(descriptor)
 
-    monkeypatch.setattr("acquire.disk.os.fsync", seen)
+    monkeypatch.setattr("runs.disk.os.fsync", seen)
     create().close()
     assert synced == [False]
 
@@ -196,7 +205,7 @@ def test_a_run_is_complete_once_its_steps_are_on_the_disk(create, plan, path, mo
 
     writer = create()
     writer.write(0, taken(plan, 0))
-    monkeypatch.setattr("acquire.disk.os.fsync", lost)
+    monkeypatch.setattr("runs.disk.os.fsync", lost)
     with pytest.raises(DiskError, match=r"cannot be closed .*Input/output error"):
         writer.finish("complete")
     with Run.open(path) as run_:

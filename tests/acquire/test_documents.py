@@ -7,12 +7,12 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire.documents import documents_path
-from acquire.errors import RunFileError
-from acquire.quality import Verdict
-from acquire.runfile import Run, RunLabels
-from acquire.runner import run
+from acquire.runner.runner import run
 from drivers.errors import InstrumentError
+from runs.documents import documents_path
+from runs.errors import RunFileError
+from runs.reader import Run, RunLabels
+from runs.verdict import Verdict
 
 BEGINNING = ["start", "descriptor", "descriptor"]
 END = ["stream_resource", "stream_datum", "stop"]

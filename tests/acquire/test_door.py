@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquire.door import received
-from acquire.runfile import Run
-from acquire.runner import run
+from acquire.runner.received_frames import received
+from acquire.runner.runner import run
 from drivers.errors import InstrumentError
 from drivers.roles import Frame
+from runs.reader import Run
 
 SHAPE = (3, 4)
 

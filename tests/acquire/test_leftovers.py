@@ -8,14 +8,14 @@ import time
 import h5py
 import pytest
 
-from acquire import script
-from acquire.bench_file import BenchFile
-from acquire.control import control_path, controllable
-from acquire.documents import DocumentLog, documents_path
-from acquire.errors import RunFileError
-from acquire.leftovers import clear_leftovers
-from acquire.runfile import Run, RunLabels
-from acquire.runner import RunState
+from acquire.runner import script
+from acquire.runner.control import control_path, controllable
+from acquire.runner.runner import RunState
+from protocols.bench import BenchFile
+from runs.documents import DocumentLog, documents_path
+from runs.errors import RunFileError
+from runs.leftovers import clear_leftovers
+from runs.reader import Run, RunLabels
 
 PART, PACKED, REWRITTEN = ".run.h5.part", ".run.h5.packed", "run.documents.part"
 
@@ -143,7 +143,7 @@ script.pack(path, progress=lambda share: share > 0.3 and os.kill(os.getpid(), si
 
 def test_a_run_whose_packing_was_killed_is_packed_the_next_time(plan, path, tmp_path, processes):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("acquire.script.pack_frames", lambda _path, _progress: None)
+        patch.setattr("acquire.runner.script.pack_frames", lambda _path, _progress: None)
         script.run(plan, path)
     before = path.read_bytes()
     child, _ = processes(PACKER, path=str(path))

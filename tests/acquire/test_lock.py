@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from acquire.lock import (
+from protocols.frequency_lock import (
     COARSEST_GRID_HZ,
     difference_hz,
     exact_drive_grid,

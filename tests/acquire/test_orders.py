@@ -6,12 +6,16 @@ import threading
 
 import pytest
 
-from acquire import script
-from acquire.orders import Orders, signals_obeyed
-from acquire.recorder import Recorder
-from acquire.runfile import Run, RunLabels
-from acquire.runner import Runner, RunState, run
+from acquire.runner import script
+from acquire.runner.orders import Orders, signals_obeyed
+from acquire.runner.recorder import Recorder
+from acquire.runner.runner import (
+    Runner,
+    RunState,
+    run,
+)
 from drivers.errors import OpeningStoppedError
+from runs.reader import Run, RunLabels
 
 ENDING = [
     signal.Signals[name]
@@ -111,7 +115,7 @@ def test_a_signal_while_the_bench_is_opened_switches_nothing_on(
         os.kill(os.getpid(), number)
         return opened(*asked, **more)
 
-    monkeypatch.setattr("acquire.script.open_bench", strike)
+    monkeypatch.setattr("acquire.runner.script.open_bench", strike)
     with pytest.raises(OpeningStoppedError):
         script.run(plan, path)
     assert not path.exists()

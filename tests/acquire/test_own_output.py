@@ -13,9 +13,9 @@ from contextlib import contextmanager
 import pytest
 from matplotlib.figure import Figure
 
-from acquire import own_output
-from acquire.errors import OutputFailedError, OutputRefusedError
-from acquire.own_output import (
+from reports import own_output
+from reports.errors import OutputFailedError, OutputRefusedError
+from reports.own_output import (
     Output,
     description_kind,
     page_kind,

@@ -9,16 +9,16 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire import packing
-from acquire.bench_file import BenchFile
-from acquire.disk import DiskFile
-from acquire.errors import DiskError, RunFileError
-from acquire.packing import Packing, pack
-from acquire.protocol import Protocol
-from acquire.runfile import Run
-from acquire.runner import RunState
-from acquire.script import plan as planned
-from acquire.script import run as measure
+from acquire.runner.runner import RunState
+from acquire.runner.script import plan as planned
+from acquire.runner.script import run as measure
+from protocols.bench import BenchFile
+from protocols.protocol import Protocol
+from runs import packing
+from runs.disk import DiskFile
+from runs.errors import DiskError, RunFileError
+from runs.packing import Packing, pack
+from runs.reader import Run
 
 SMALL = {
     "sweep.first": 60, "sweep.last": 66, "camera.width": 320, "camera.height": 256,
@@ -37,7 +37,7 @@ def unpacked(plan, tmp_path_factory):
     """A run file that nobody packed, the 12 bits of its frames as a camera gives them."""
     path = tmp_path_factory.mktemp("unpacked") / "run.h5"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("acquire.script.pack_frames", lambda path, progress: None)
+        patch.setattr("acquire.runner.script.pack_frames", lambda path, progress: None)
         assert measure(plan, path, reed="R07").status is RunState.COMPLETE
     return path
 

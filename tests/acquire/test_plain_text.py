@@ -2,7 +2,11 @@
 
 import pytest
 
-from acquire.plain_text import escaped, one_line, visible
+from reports.plain_text import (
+    escaped,
+    one_line,
+    visible,
+)
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,17 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquire.bench_file import BenchFile
-from acquire.errors import ProtocolError
-from acquire.plan import make_plan, ramp_volts, sweep_frequency_hz
-from acquire.protocol import Protocol
-from acquire.reed_file import ReedFile
 from holography.fresnel import FresnelTransform
 from physics.reed.geometry import ReedGeometry
+from protocols.bench import BenchFile
+from protocols.errors import ProtocolError
+from protocols.plan import (
+    make_plan,
+    ramp_volts,
+    sweep_frequency_hz,
+)
+from protocols.protocol import Protocol
+from protocols.reed import ReedFile
 
 SERIES_A = Protocol.from_file("seriesA")
 BENCH = BenchFile.from_file()

@@ -13,11 +13,14 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import acquire.protocol
-from acquire.bench_file import BenchFile, find_bench, shipped_benches
-from acquire.description import find_description
-from acquire.errors import ProtocolError
-from acquire.protocol import (
+import protocols.protocol
+from protocols.bench import (
+    BenchFile,
+    find_bench,
+    shipped_benches,
+)
+from protocols.errors import ProtocolError
+from protocols.protocol import (
     MAX_STEPS,
     Policies,
     Policy,
@@ -25,7 +28,8 @@ from acquire.protocol import (
     find_protocol,
     shipped_protocols,
 )
-from acquire.reed_file import ReedFile
+from protocols.reed import ReedFile
+from protocols.strict_yaml import find_description
 
 SERIES_A = find_protocol("seriesA").read_text(encoding="utf-8")
 BENCH = find_bench().read_text(encoding="utf-8")
@@ -528,10 +532,10 @@ def test_unknown_name_lists_the_shipped_ones():
 def test_reading_a_protocol_loads_no_heavy_library():
     heavy = ("scipy", "matplotlib", "h5py", "pint")
     code = (
-        "import sys, json; import acquire.protocol; "
+        "import sys, json; import protocols.protocol; "
         f"print(json.dumps([name for name in {heavy!r} if name in sys.modules]))"
     )
-    root = Path(acquire.protocol.__file__).parents[1]
+    root = Path(protocols.protocol.__file__).parents[1]
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=True
     )

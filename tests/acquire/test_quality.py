@@ -9,15 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquire.history import History
-from acquire.quality import (
+from acquire.runner.history import History
+from acquire.runner.quality import (
     SATURATED_SHARE_MAX,
     SEVERITY,
-    Judgement,
     LockCondition,
-    ReadBack,
     Usual,
-    Verdict,
     frame_rate_hz,
     judge_consecutive,
     judge_fresh,
@@ -35,10 +32,19 @@ from acquire.quality import (
     saturated_share,
     signal_threshold,
 )
-from acquire.reconstruction import mean_power
 from drivers.roles import Frame
-from holography.phase import NO_TURN, SteadyTurn, steady_turn
+from holography.phase import (
+    NO_TURN,
+    SteadyTurn,
+    steady_turn,
+)
+from holography.reconstruction import mean_power
 from holography.region import Region
+from runs.verdict import (
+    Judgement,
+    ReadBack,
+    Verdict,
+)
 
 RATE_HZ = Fraction(62, 5)
 PERIOD_S = float(1 / RATE_HZ)

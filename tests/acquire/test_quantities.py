@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquire.quantities import (
+from protocols.units import (
     exact_decimal,
     format_quantity,
     parse_quantity,

@@ -5,9 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquire.reconstruction import Quadratures, Reconstruction, empty_region, mean_power
 from holography.demodulation import four_phase
 from holography.fresnel import FresnelTransform
+from holography.reconstruction import (
+    Quadratures,
+    Reconstruction,
+    empty_region,
+    mean_power,
+)
 from holography.region import Region
 
 TRANSFORM = FresnelTransform((64, 80), 6.7e-6, 650e-9, 1.0)

@@ -6,13 +6,17 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from acquire.plan import Plan
-from acquire.quality import ReadBack, Verdict
-from acquire.recorder import Acquisition, measure, reconstruction_of
-from acquire.runfile import Run
-from acquire.runner import RunState, run
+from acquire.runner.recorder import (
+    Acquisition,
+    measure,
+    reconstruction_of,
+)
+from acquire.runner.runner import RunState, run
 from drivers.errors import InstrumentError
 from drivers.roles import Frame
+from protocols.plan import Plan
+from runs.reader import Run
+from runs.verdict import ReadBack, Verdict
 
 RATE_HZ = 12.4
 TWICE = {"policy.bad_pictures.retry": 1}

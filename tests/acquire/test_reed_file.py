@@ -10,11 +10,25 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquire.description import find_description
-from acquire.errors import ProtocolError
-from acquire.protocol import find_protocol
-from acquire.quantities import format_quantity, parse_quantity
-from acquire.reed_file import (
+from physics.reed.conditions import at_temperature
+from physics.reed.geometry import (
+    ClampSide,
+    ReedGeometry,
+    half_width_m,
+    thickness_m,
+)
+from physics.reed.material import Cane
+from physics.reed.material_snapshots import TrainingSettings
+from physics.reed.mesh import MeshLevel
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    storage_modulus_pa,
+    viscoelastic_cane,
+)
+from protocols.errors import ProtocolError
+from protocols.protocol import find_protocol
+from protocols.reed import (
     MESHES,
     ReedFile,
     changed,
@@ -25,17 +39,8 @@ from acquire.reed_file import (
     modes_to_json,
     shipped_reeds,
 )
-from physics.reed.conditions import at_temperature
-from physics.reed.geometry import ClampSide, ReedGeometry, half_width_m, thickness_m
-from physics.reed.material import Cane
-from physics.reed.material_snapshots import TrainingSettings
-from physics.reed.mesh import MeshLevel
-from physics.reed.viscoelastic import (
-    Components,
-    Series,
-    storage_modulus_pa,
-    viscoelastic_cane,
-)
+from protocols.strict_yaml import find_description
+from protocols.units import format_quantity, parse_quantity
 
 CLARINET = find_description("clarinet", "reed", "reeds").read_text(encoding="utf-8")
 ALTO = find_description("alto-saxophone", "reed", "reeds").read_text(encoding="utf-8")
@@ -423,8 +428,8 @@ def basis_modes(tmp_path_factory):
     few = functools.partial(TrainingSettings, snapshots=12, samples=64)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("REEDBENCH_CACHE", str(tmp_path_factory.mktemp("kept")))
-        patch.setattr("acquire.reed_file.STANDARD", COARSE)
-        patch.setattr("acquire.reed_file.TrainingSettings", few)
+        patch.setattr("protocols.reed.STANDARD", COARSE)
+        patch.setattr("protocols.reed.TrainingSettings", few)
         yield functools.partial(modes_by_basis, announce=told.append), told
 
 

@@ -13,18 +13,22 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire import script
-from acquire.bench_file import BenchFile
-from acquire.control import controllable
-from acquire.description import find_description
-from acquire.documents import DocumentLog, documents_path
-from acquire.errors import RunFileError
-from acquire.quality import Verdict
-from acquire.resuming import Unfinished, unfinished
-from acquire.run_layout import MEASURED, READ_BACK_HZ
-from acquire.runfile import Run
-from acquire.runner import RunLabels, RunState, run
+from acquire.runner import script
+from acquire.runner.control import controllable
+from acquire.runner.resuming import Unfinished, unfinished
+from acquire.runner.runner import (
+    RunLabels,
+    RunState,
+    run,
+)
 from drivers.errors import InstrumentError
+from protocols.bench import BenchFile
+from protocols.strict_yaml import find_description
+from runs.documents import DocumentLog, documents_path
+from runs.errors import RunFileError
+from runs.layout import MEASURED, READ_BACK_HZ
+from runs.reader import Run
+from runs.verdict import Verdict
 
 TWICE = {"policy.bad_pictures.retry": 1}
 

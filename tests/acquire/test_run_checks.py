@@ -8,10 +8,10 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire.errors import RunFileError
-from acquire.recorder import reconstruction_of
-from acquire.run_layout import RunLabels
-from acquire.runfile import Run, RunWriter
+from acquire.runner.recorder import reconstruction_of
+from runs.errors import RunFileError
+from runs.layout import RunLabels
+from runs.reader import Run, RunWriter
 
 STEPS = 4
 

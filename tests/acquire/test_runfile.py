@@ -16,16 +16,29 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquire.disk import DiskFile
-from acquire.errors import DiskError, RunFileError
-from acquire.quality import Judgement, ReadBack, Verdict
-from acquire.reconstruction import Reconstruction
-from acquire.reed_file import ReedFile
-from acquire.run_layout import SEAMS_MAX, Seam, exact_text
-from acquire.runfile import MeasuredStep, Run, RunLabels, RunWriter
 from drivers.roles import Frame
 from holography.fresnel import FresnelTransform
+from holography.reconstruction import Reconstruction
 from physics.optics import Layout, reed_axes_m
+from protocols.reed import ReedFile
+from runs.disk import DiskFile
+from runs.errors import DiskError, RunFileError
+from runs.layout import (
+    SEAMS_MAX,
+    Seam,
+    exact_text,
+)
+from runs.reader import (
+    MeasuredStep,
+    Run,
+    RunLabels,
+    RunWriter,
+)
+from runs.verdict import (
+    Judgement,
+    ReadBack,
+    Verdict,
+)
 
 UID = "00000000-0000-4000-8000-000000000001"
 LABELS = RunLabels(strength=3.5, note="wet – 20 °C", operator="Ada")
@@ -273,7 +286,7 @@ def test_a_file_that_cannot_be_made_is_not_left_behind(create, plan, tmp_path, m
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("acquire.run_contents._write_data", full)
+    monkeypatch.setattr("runs.contents._write_data", full)
     with pytest.raises(DiskError, match="No space left on device") as told:
         create()
     assert told.value.exit_status == 1
@@ -733,12 +746,12 @@ def test_whatever_is_written_last_the_run_is_gone_on_with_and_no_take_is_lost(st
 NURSERY = """
 import os, random, signal, time
 import numpy as np
-from acquire.bench_file import BenchFile
-from acquire.plan import make_plan
-from acquire.protocol import Protocol
-from acquire.quality import Judgement, ReadBack, Verdict
-from acquire.recorder import reconstruction_of
-from acquire.runfile import MeasuredStep, RunLabels, RunWriter
+from protocols.bench import BenchFile
+from protocols.plan import make_plan
+from protocols.protocol import Protocol
+from acquire.runner.quality import Judgement, ReadBack, Verdict
+from acquire.runner.recorder import reconstruction_of
+from runs.reader import MeasuredStep, RunLabels, RunWriter
 from drivers.registry import Bench
 from drivers.roles import Frame, Preparation
 
@@ -795,9 +808,9 @@ said.send(len(plan.steps))
 # Writes a run as fast as it can, every step twice, until it is told to stop.
 WRITER = """
 import numpy as np
-from acquire.quality import Judgement, ReadBack, Verdict
-from acquire.recorder import reconstruction_of
-from acquire.runfile import MeasuredStep, RunLabels, RunWriter
+from acquire.runner.quality import Judgement, ReadBack, Verdict
+from acquire.runner.recorder import reconstruction_of
+from runs.reader import MeasuredStep, RunLabels, RunWriter
 from drivers.registry import Bench
 from drivers.roles import Frame, Preparation
 

@@ -13,14 +13,21 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from acquire.errors import ProtocolError, RunFileError
-from acquire.plan import Plan
-from acquire.quality import Verdict
-from acquire.reconstruction import mean_power
-from acquire.recorder import Recorder
-from acquire.runfile import Run, RunLabels
-from acquire.runner import RAMP_S, Runner, RunState, run, safe_off
+from acquire.runner.recorder import Recorder
+from acquire.runner.runner import (
+    RAMP_S,
+    Runner,
+    RunState,
+    run,
+    safe_off,
+)
 from drivers.errors import InstrumentError, LimitError
+from holography.reconstruction import mean_power
+from protocols.errors import ProtocolError
+from protocols.plan import Plan
+from runs.errors import RunFileError
+from runs.reader import Run, RunLabels
+from runs.verdict import Verdict
 
 SAFE_OFF = ["ramp_to", "output_off", "read", "rf_off", "stop"]
 # What a run asks of instruments before and during its steps.
@@ -310,7 +317,7 @@ def test_a_missing_folder_or_a_full_disk_is_found_before(
     with pytest.raises(RunFileError, match="there is no folder"):
         run(tiny_plan(), fake.opened(), tmp_path / "nowhere" / "run.h5")
     usage = type("Usage", (), {"free": 100})
-    monkeypatch.setattr("acquire.recorder.shutil.disk_usage", lambda folder: usage)
+    monkeypatch.setattr("acquire.runner.recorder.shutil.disk_usage", lambda folder: usage)
     with pytest.raises(RunFileError, match="has 0 MB left; make room"):
         run(tiny_plan(), fake.opened(), tmp_path / "run.h5")
     assert fake.log == []
@@ -419,7 +426,7 @@ def test_what_goes_wrong_behind_the_camera_stops_the_run(tiny_plan, fake_bench, 
 
 
 def test_a_disk_that_fills_up_stops_the_run(tiny_plan, fake_bench, path, monkeypatch):
-    from acquire.run_writer import RunWriter
+    from runs.writer import RunWriter
 
     written = RunWriter.write
 
@@ -943,10 +950,10 @@ def test_an_instrument_that_fails_at_every_step_is_given_up(tiny_plan, fake_benc
 # Tells of every step, and of every change of what is switched on.
 CHILD = """
 import threading, time
-from acquire.bench_file import BenchFile
-from acquire.plan import make_plan
-from acquire.protocol import Protocol
-from acquire.runner import run
+from protocols.bench import BenchFile
+from protocols.plan import make_plan
+from protocols.protocol import Protocol
+from acquire.runner.runner import run
 from drivers.registry import open_bench
 from drivers.roles import Preparation
 

@@ -13,18 +13,18 @@ from pathlib import Path
 import pytest
 import yaml
 
-from acquire.bench_check import check_bench
-from acquire.bench_file import BenchFile, find_bench
-from acquire.bench_off import switch_off
-from acquire.bench_shot import shot_plan
-from acquire.errors import ProtocolError
-from acquire.orders import Orders
+from acquire.bench.check import check_bench
+from acquire.bench.off import switch_off
+from acquire.bench.shot import shot_plan
+from acquire.runner.orders import Orders
 from drivers.discovery import Found, Search
+from drivers.emulators.novatech import NovatechDevice
+from drivers.emulators.serving import PtyServer, SocketServer
+from drivers.emulators.siglent import SiglentDevice
 from drivers.registry import open_bench
-from drivers.roles import Preparation
-from drivers.simulated.wire.novatech import NovatechDevice
-from drivers.simulated.wire.serving import PtyServer, SocketServer
-from drivers.simulated.wire.siglent import SiglentDevice
+from protocols.bench import BenchFile, find_bench
+from protocols.errors import ProtocolError
+from protocols.preparation import Preparation
 
 ROOT = Path(__file__).parents[2]
 ABSENT_PORT = "/dev/no-such-port"
@@ -383,7 +383,7 @@ def test_a_run_in_work_is_stopped_and_its_bench_switched_off(
 
 HOLDER = """
 import signal, sys, time
-from acquire.bench_file import BenchFile
+from protocols.bench import BenchFile
 from drivers.bench_lock import bench_locked
 orders = 0
 def count(*_):
@@ -431,7 +431,7 @@ def test_a_program_that_does_not_stop_is_named_with_the_last_resort(room, real_b
 
 
 def test_a_program_that_is_slow_to_stop_is_asked_again(room, real_bench, monkeypatch):
-    monkeypatch.setattr("acquire.bench_off._AGAIN_S", 0.3)
+    monkeypatch.setattr("acquire.bench.off._AGAIN_S", 0.3)
     path, said = real_bench(), []
     room.switch_on()
     with held_by_another(path, orders=2):

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from acquire.campaign_file import CampaignFile, tasks_of
+from protocols.campaign import CampaignFile, tasks_of
 
 
 def test_one_sweep_becomes_a_page_and_a_next_campaign(cli, measured, folder):

@@ -159,9 +159,9 @@ def test_mistakes_are_told_in_one_line(cli, folder, arguments, words):
 def coarse_basis(monkeypatch, tmp_path):
     """A basis that is built within seconds."""
     monkeypatch.setenv("REEDBENCH_CACHE", str(tmp_path / "kept"))
-    monkeypatch.setattr("acquire.reed_file.STANDARD", MeshLevel((2, 2, 2), edge_breaks_m=()))
+    monkeypatch.setattr("protocols.reed.STANDARD", MeshLevel((2, 2, 2), edge_breaks_m=()))
     few = functools.partial(TrainingSettings, snapshots=12, samples=64)
-    monkeypatch.setattr("acquire.reed_file.TrainingSettings", few)
+    monkeypatch.setattr("protocols.reed.TrainingSettings", few)
 
 
 @pytest.mark.usefixtures("coarse_basis")
@@ -202,7 +202,7 @@ def test_a_clamp_outside_the_reed_names_file_and_line(cli, folder):
 
 
 def _clarinet():
-    from acquire.reed_file import ReedFile
+    from protocols.reed import ReedFile
 
     return ReedFile.from_file("clarinet").text
 

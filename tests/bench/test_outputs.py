@@ -12,10 +12,18 @@ import pytest
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
 from blind.cases import drawn_label, seal
-from fitting.comparison.rows import Group, from_text
-from fitting.comparison.whole import Comparison
-from fitting.forward import PaperModel, hz_of, viscoelastic_cents
-from physics.reed.viscoelastic import Components, Series, viscoelastic_cane
+from fitting.forward import (
+    PaperModel,
+    hz_of,
+    viscoelastic_cents,
+)
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    viscoelastic_cane,
+)
+from reproduction.rows import Group, from_text
+from reproduction.whole import Comparison
 
 MINE = b"mine, and dear to me"
 HOSTILE = "R7[bold]\x1b]0;x\x1b[31m\x9b2J\u202e <script>alert(1)</script>$\\frac$"
@@ -50,7 +58,7 @@ def paper(monkeypatch):
         calls.append(announce)
         return Comparison((Group("numbers", "Numbers: some", "How.", rows),), ("One finding.",))
 
-    monkeypatch.setattr("fitting.comparison.whole.compare_paper", compare)
+    monkeypatch.setattr("reproduction.whole.compare_paper", compare)
     return calls
 
 
@@ -227,7 +235,7 @@ def test_a_run_is_told_even_if_its_report_does_not_fit(
     def refuse(output):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("acquire.own_output._keep_mode", lambda path, descriptor: refuse(path))
+    monkeypatch.setattr("reports.own_output._keep_mode", lambda path, descriptor: refuse(path))
     said = cli("run", protocol_file(), "--bench", bench_file(), "--out", "x.h5", "--json")
     assert said.status == 1
     assert said.json["status"] == "complete"
@@ -247,7 +255,7 @@ def test_a_disk_that_fails_while_it_is_read_is_one_line(cli, folder, monkeypatch
     def refuse(*arguments):
         raise OSError(errno.EIO, os.strerror(errno.EIO), "runs\n/R07.h5")
 
-    monkeypatch.setattr("acquire.display.runs_table", refuse)
+    monkeypatch.setattr("acquire.cli.display.runs_table", refuse)
     said = cli("list", ".")
     assert said.status == 1
     (line,) = said.err.splitlines()

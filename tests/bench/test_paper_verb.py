@@ -4,8 +4,12 @@ import json
 
 import pytest
 
-from fitting.comparison.rows import Group, from_text, not_reproducible
-from fitting.comparison.whole import Comparison
+from reproduction.rows import (
+    Group,
+    from_text,
+    not_reproducible,
+)
+from reproduction.whole import Comparison
 
 ROWS = (
     from_text("Table 1", "x", 5, 5.1, 0.2, "Hz"),
@@ -25,7 +29,7 @@ def computed(monkeypatch):
         group = Group("numbers", "Numbers: some", "How.", ROWS)
         return Comparison((group,), ("One finding.",))
 
-    monkeypatch.setattr("fitting.comparison.whole.compare_paper", compare)
+    monkeypatch.setattr("reproduction.whole.compare_paper", compare)
     return calls
 
 

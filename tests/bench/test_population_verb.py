@@ -8,15 +8,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquire.reed_file import ReedFile
 from drivers.simulated.twin import Twin
-from fitting.forward import PaperModel, hz_of, viscoelastic_cents
-from fitting.lines import Line
-from fitting.population_table import Measured
-from fitting.synthetic import modal_cents
+from fitting.forward import (
+    PaperModel,
+    hz_of,
+    viscoelastic_cents,
+)
+from fitting.modal.acoustic_resonances import Line
+from fitting.populations.table import Measured
+from fitting.statistics.synthetic import modal_cents
 from physics.reed.cache import reduced_reed
 from physics.reed.log_polynomial import finite_element_polynomial
-from physics.reed.viscoelastic import Components, Series, viscoelastic_cane
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    viscoelastic_cane,
+)
+from protocols.reed import ReedFile
 
 COARSE = Twin(mesh="coarse").finite_elements
 REEDS = {"R1": Components(0.5, -0.4, 0.3, 0.2), "R2": Components(-1.0, 0.6, -0.2, -0.7)}
@@ -81,7 +89,7 @@ def test_lines_of_the_air_are_told_of_a_folder(cli, folder, monkeypatch, measure
         shutil.copy("reeds.csv", table)
         return Measured(ReedFile.from_file(), 5, (Line(4285.0, 8.5, 4),))
 
-    monkeypatch.setattr("fitting.population_table.write_resonances", write)
+    monkeypatch.setattr("reports.population_tables.write_resonances", write)
     columns = "reed,series,mode,hz,error_cents,run"
     Path("reeds.csv").write_text(f"{columns}\nR1,A,F1,1850,3,R1.h5\n")
     Path("runs").mkdir()
@@ -105,7 +113,7 @@ def test_a_population_of_another_reed_is_fitted_with_its_modes(cli, folder, monk
         asked.append(kind.name)
         return reduced_reed(kind.geometry(), *COARSE, announce)
 
-    monkeypatch.setattr("fitting.population_table.basis_of", note)
+    monkeypatch.setattr("fitting.populations.table.basis_of", note)
     bass = ReedFile.from_file("bass-clarinet")
     model = finite_element_polynomial(reduced_reed(bass.geometry(), *COARSE))
     components = np.array([[e.e1, e.e2, e.e3, e.e4] for e in REEDS.values()])

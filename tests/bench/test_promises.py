@@ -16,15 +16,15 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire import script
-from acquire.reed_file import ReedFile
-from acquire.runfile import Run
+from acquire.runner import script
 from drivers.simulated.twin import Twin, cane_of
 from fitting.errors import FitError
-from fitting.pictures import read_pictures
+from fitting.fringes.pictures import read_pictures
 from physics.reed.cache import reduced_reed
 from physics.reed.response import viscoelastic_mode
 from physics.reed.viscoelastic import Series, viscoelastic_cane
+from protocols.reed import ReedFile
+from runs.reader import Run
 
 VERBS = (
     *("plan", "run", "pause", "continue", "list", "show", "fit", "report", "diagnose"),
@@ -56,7 +56,7 @@ def no_instruments(monkeypatch):
     def refuse(*arguments, **settings):
         raise AssertionError("a bench was opened")
 
-    monkeypatch.setattr("acquire.script.open_bench", refuse)
+    monkeypatch.setattr("acquire.runner.script.open_bench", refuse)
 
 
 # --- README ------------------------------------------------------------------------------------
@@ -208,7 +208,7 @@ def test_another_reed_is_measured_and_fitted_with_its_own_modes(
     """F1 and T1 of an alto saxophone's reed, far below a clarinet's; all with a coarse mesh."""
     alto = ReedFile.from_file("alto-saxophone")
     coarse = reduced_reed(alto.geometry(), *Twin(mesh="coarse").finite_elements)
-    monkeypatch.setattr("fitting.fit.basis_of", lambda kind, announce: coarse)
+    monkeypatch.setattr("fitting.cane.fit_runs.basis_of", lambda kind, announce: coarse)
     protocol = protocol_file(
         **{"reed": "alto-saxophone", "sweep.first": 10, "sweep.last": 60, "sweep.stride": 1},
         **{"camera.width": 640, "camera.height": 512},
@@ -331,7 +331,7 @@ def test_the_paper_s_model_can_be_asked_for(cli, measured, monkeypatch):
         asked.append((model, method))
         raise FitError("far enough")
 
-    monkeypatch.setattr("fitting.fit.fit_runs", note_and_stop)
+    monkeypatch.setattr("fitting.cane.fit_runs.fit_runs", note_and_stop)
     for arguments in ([], ["--model", "paper"], ["--method", "picture"]):
         assert cli("fit", measured.a, *arguments).status == 1
     assert asked == [("fem", "joint"), ("paper", "joint"), ("fem", "picture")]

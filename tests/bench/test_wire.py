@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import yaml
 
-from acquire.bench_file import find_bench
-from acquire.runfile import Run
+from protocols.bench import find_bench
+from runs.reader import Run
 
 PART = {"camera.width": 640, "camera.height": 512, "sweep.first": 16, "sweep.last": 64}
 

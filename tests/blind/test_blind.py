@@ -9,8 +9,6 @@ import pytest
 
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
-from acquire.bench_file import BenchFile
-from acquire.reed_file import ReedFile
 from blind.cases import (
     Label,
     commitment,
@@ -30,7 +28,14 @@ from diagnosis.known_bench import base_twin
 from fitting.forward import basis_of
 from physics.effects.catalogue import BY_ID
 from physics.reed.response import elastic_modes
-from physics.reed.viscoelastic import Components, Series, storage_modulus_pa, viscoelastic_cane
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    storage_modulus_pa,
+    viscoelastic_cane,
+)
+from protocols.bench import BenchFile
+from protocols.reed import ReedFile
 
 
 def test_known_kinds_are_those_of_the_catalogue_and_others_are_not() -> None:

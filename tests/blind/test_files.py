@@ -10,8 +10,16 @@ import pytest
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
 from blind import files
-from blind.cases import CUT, drawn_label, hidden_seed
-from blind.files import BlindError, answered_cases, make_set
+from blind.cases import (
+    CUT,
+    drawn_label,
+    hidden_seed,
+)
+from blind.files import (
+    BlindError,
+    answered_cases,
+    make_set,
+)
 
 
 @pytest.fixture

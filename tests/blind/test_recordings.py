@@ -9,14 +9,20 @@ import yaml
 
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
-from acquire.runfile import Run
 from benchmarks.leaks import disguised
 from blind import cases
-from blind.cases import Label, drawn_label, healthy_world, record_case, told_sizes
+from blind.cases import (
+    Label,
+    drawn_label,
+    healthy_world,
+    record_case,
+    told_sizes,
+)
 from blind.effects import BY_NAME, KINDS
 from blind.laboratory import FRAME_S, Laboratory
 from blind.reed import Build, make_reed
 from blind.world import World
+from runs.reader import Run
 
 # Of the reed's own shape and wood: their modes are other ones.
 _OF_THE_BUILD = {

@@ -10,7 +10,11 @@ import pytest
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
 from benchmarks.sealed_answers import essence, kept_cases, main
-from blind.cases import drawn_label, seal, true_sizes
+from blind.cases import (
+    drawn_label,
+    seal,
+    true_sizes,
+)
 from blind.classes import CLASSES
 from blind.report import report
 from blind.scoring import Case, Classes

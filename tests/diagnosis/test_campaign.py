@@ -5,10 +5,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from acquire.quality import Verdict
-from acquire.run_layout import Acquisition, Kind
 from diagnosis.campaign import Campaign
 from fitting.errors import FitInputError
+from runs.layout import Acquisition, Kind
+from runs.verdict import Verdict
 
 
 def run(kind=Kind.SWEEP, second=0, part="", clamping=0, volts=16.0, clock_s=100.0, **changed):

@@ -17,7 +17,13 @@ from diagnosis.contest import (
     contest,
     polished,
 )
-from diagnosis.rivals import Sized, compete, compete_straight, d_prime, exactly
+from diagnosis.rivals import (
+    Sized,
+    compete,
+    compete_straight,
+    d_prime,
+    exactly,
+)
 from physics.effects.form import Effect
 from physics.twin import Twin, more
 from tests.diagnosis.toy import EFFECTS, bench, effect, measured
@@ -283,7 +289,7 @@ def test_the_twin_without_effects_is_fitted_from_several_rivals(monkeypatch) -> 
         monkeypatch.setattr("diagnosis.contest.compete", compete)
         return polished(comparison, good, rivals).estimate
 
-    monkeypatch.setattr("fitting.side_by_side._SPLITS", False)
+    monkeypatch.setattr("fitting.parallel.processes._SPLITS", False)
     assert (ended({0: 9.0, 1: 9.0}).agreeing, ended({}).agreeing) == (3, 5)
     # The best of them is a little better: kept, and all that are as good agree.
     found = ended({0: 9.0, 2: -0.5})

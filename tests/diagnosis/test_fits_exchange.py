@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from diagnosis.nuisances import of_fits
-from diagnosis.taps.drive import exchanged
+from diagnosis.observables.drive import exchanged
 from physics.twin import Fits, Twin
 
 HZ = np.geomspace(2.5e3, 4.5e3, 40)

@@ -5,11 +5,16 @@ from types import SimpleNamespace
 
 import pytest
 
-from acquire.bench_file import BenchFile
-from acquire.errors import ProtocolError
-from diagnosis.known_bench import base_twin, bench_of, only_once, sensor_of
+from diagnosis.known_bench import (
+    base_twin,
+    bench_of,
+    only_once,
+    sensor_of,
+)
 from physics.sensor import Sensor
 from physics.twin import Twin
+from protocols.bench import BenchFile
+from protocols.errors import ProtocolError
 
 SHIPPED = Path(__file__).parents[2] / "protocols" / "benches" / "simulated.yaml"
 TEXT = SHIPPED.read_text(encoding="utf-8")

@@ -5,11 +5,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.taps.carrier import Leaks
-from diagnosis.taps.drive import _torn
-from diagnosis.taps.light import brightness_block, noise_block
-from diagnosis.taps.modes import _levels, _of_leaks
-from diagnosis.taps.vibration import _doubt, at_highest_level, loudest
+from diagnosis.observables.carrier import Leaks
+from diagnosis.observables.drive import _torn
+from diagnosis.observables.light import brightness_block, noise_block
+from diagnosis.observables.modes import _levels, _of_leaks
+from diagnosis.observables.vibration import (
+    _doubt,
+    at_highest_level,
+    loudest,
+)
 from physics.twin import Chip, Twin
 
 COUNT = 184

@@ -8,12 +8,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from acquire.campaign_file import CampaignFile, tasks_of
-from acquire.errors import OutputFailedError, OutputRefusedError, ProtocolError
-from acquire.protocol import Protocol
-from diagnosis.actions import ACTIONS, Action, Worth
-from diagnosis.next_runs import require_repeatable, write_next
+from diagnosis.actions import (
+    ACTIONS,
+    Action,
+    Worth,
+)
 from fitting.errors import FitInputError
+from protocols.campaign import CampaignFile, tasks_of
+from protocols.errors import ProtocolError
+from protocols.protocol import Protocol
+from reports.errors import OutputFailedError, OutputRefusedError
+from reports.next_campaign import require_repeatable, write_next
 
 
 def _worth(action: Action) -> Worth:

@@ -6,23 +6,37 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from acquire.quality import Verdict
 from diagnosis.block import Place, block
+from diagnosis.observables.beat import (
+    lock_block,
+    lock_scatter_hz,
+    read_beat,
+)
+from diagnosis.observables.carrier import Leaks, read_carriers
+from diagnosis.observables.drive import (
+    Device,
+    force_block,
+    level_block,
+    line_block,
+)
+from diagnosis.observables.light import (
+    brightness_block,
+    fringe_block,
+    mixing_in,
+    noise_block,
+)
+from diagnosis.observables.modes import modes_block
+from diagnosis.observables.sensor import read_dark, read_flat
+from diagnosis.observables.still import turn_block, usual_scatter_hz
+from diagnosis.observables.vibration import TEMPLATES
 from diagnosis.observing import _missing
-from diagnosis.taps.beat import lock_block, lock_scatter_hz, read_beat
-from diagnosis.taps.carrier import Leaks, read_carriers
-from diagnosis.taps.drive import Device, force_block, level_block, line_block
-from diagnosis.taps.light import brightness_block, fringe_block, mixing_in, noise_block
-from diagnosis.taps.modes import modes_block
-from diagnosis.taps.sensor import read_dark, read_flat
-from diagnosis.taps.still import turn_block, usual_scatter_hz
-from diagnosis.taps.vibration import TEMPLATES
 from fitting.errors import FitError, FitInputError
-from fitting.phasors import _holograms
+from fitting.holograms.block_amplitudes import _holograms
 from physics.air import CavityLine, Chamber
 from physics.effects.form import Tap
 from physics.reed.geometry import ReedGeometry
 from physics.twin import Beams, Twin
+from runs.verdict import Verdict
 
 NO_LEAKS = Leaks({}, 0.0)
 MODES = {"F1": 1800.0, "T1": 2900.0, "F2": 5200.0, "T2": 7100.0}

@@ -8,15 +8,24 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from diagnosis.mean_reed import MeanReed, printed_reeds, tabled_reeds
+from diagnosis.mean_reed import (
+    MeanReed,
+    printed_reeds,
+    tabled_reeds,
+)
 from diagnosis.published import _kappa, diagnose_resonances
-from diagnosis.published_page import trials_table, words
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
-from physics.effects.form import Effect, Parameter, Stage, Tap
+from physics.effects.form import (
+    Effect,
+    Parameter,
+    Stage,
+    Tap,
+)
 from physics.reed.names import PAPER_MODES
 from physics.reed.viscoelastic import Series
 from physics.twin import with_cane
+from reports.resonance_diagnosis_page import trials_table, words
 
 MODES = PAPER_MODES[:8]
 HZ = np.array([2000, 3400, 5100, 6800, 8300, 9900, 11500, 12900.0])

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from diagnosis.taps import vibration
+from diagnosis.observables import vibration
 from fitting.errors import FitError
 
 VOLTS = {"up": 8.0, "down": 8.0, "quiet": 2.0, "again": 8.0}

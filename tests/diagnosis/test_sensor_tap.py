@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.taps.sensor import (
+from diagnosis.observables.sensor import (
     Sheet,
     dark_block,
     flat_block,
@@ -16,7 +16,11 @@ from diagnosis.taps.sensor import (
     read_flat,
 )
 from physics.sensor import Sensor
-from physics.twin import Beams, Chip, Twin
+from physics.twin import (
+    Beams,
+    Chip,
+    Twin,
+)
 
 N = 96
 SHEET = Sheet(replace(Sensor(), shape=(N, N)))

@@ -5,12 +5,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.taps.carrier import Carrier, Leaks, carrier_block, leaks_in, unshifted_light
-from diagnosis.taps.shapes import shapes_block
+from diagnosis.observables.carrier import (
+    Carrier,
+    Leaks,
+    carrier_block,
+    leaks_in,
+    unshifted_light,
+)
+from diagnosis.observables.shapes import shapes_block
 from physics.mechanics import ReedMode, TipMass
 from physics.reed.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
-from physics.twin import Beams, Twin, with_alteration
+from physics.twin import (
+    Beams,
+    Twin,
+    with_alteration,
+)
 
 # A reed of three shapes at four places: two symmetric ones, one antisymmetric.
 PLAN = np.array([[1e-3, 1e-3], [1e-3, 4e-3], [10e-3, 0.0], [20e-3, 2e-3]])

@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 
 from diagnosis.block import Place
-from diagnosis.discrepancy import _gains, _Left, anything, discrepancies
-from diagnosis.rivals import Comparison, Sized, compete
+from diagnosis.discrepancy import (
+    _gains,
+    _Left,
+    anything,
+    discrepancies,
+)
+from diagnosis.rivals import (
+    Comparison,
+    Sized,
+    compete,
+)
 from diagnosis.sampling import sampled
 from diagnosis.triggers import triggers
 from physics.twin import Twin

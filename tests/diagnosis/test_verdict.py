@@ -12,21 +12,39 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from acquire.errors import OutputFailedError, OutputRefusedError
 from diagnosis.actions import Action, ranked_actions
-from diagnosis.answer import to_json
 from diagnosis.block import Place, block
 from diagnosis.how_far import plain_gaps
-from diagnosis.likeness import DETECTABLE, classes_of, reach_of
-from diagnosis.map_picture import draw_map
+from diagnosis.likeness import (
+    DETECTABLE,
+    classes_of,
+    reach_of,
+)
 from diagnosis.nuisances import Nuisance
-from diagnosis.page import document, words, write_page
-from diagnosis.rivals import Comparison, Sized, compete
-from diagnosis.verdict import Told, Verdict, _touched, condition_of, judged
+from diagnosis.rivals import (
+    Comparison,
+    Sized,
+    compete,
+)
+from diagnosis.verdict import (
+    Told,
+    Verdict,
+    _touched,
+    condition_of,
+    judged,
+)
 from diagnosis.where import Rung
 from physics.effects.catalogue import BY_ID
 from physics.effects.form import Tap
 from physics.twin import Twin
+from reports.diagnosis_json import to_json
+from reports.diagnosis_page import (
+    document,
+    words,
+    write_page,
+)
+from reports.errors import OutputFailedError, OutputRefusedError
+from reports.gap_map import draw_map
 from tests.diagnosis.toy import AT, COUNT, EFFECTS, bench, measured
 
 TOLD = Told("t3", ("a second sweep",), ("x.h5: too few good steps",))

@@ -5,16 +5,39 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.taps import drive
-from diagnosis.taps.beat import Beat, lock_block, log_block
-from diagnosis.taps.carrier import Leaks
-from diagnosis.taps.drive import Device, forces_rad, level_block, line_block
-from diagnosis.taps.light import brightness_block, fringe_block, noise_block
-from diagnosis.taps.modes import _prediction
-from diagnosis.taps.still import scatter_block, turn_block
-from diagnosis.taps.vibration import TEMPLATES
-from physics.air import CavityLine, Chamber, Filling
-from physics.twin import Fits, Twin, more, with_cane, with_reed
+from diagnosis.observables import drive
+from diagnosis.observables.beat import (
+    Beat,
+    lock_block,
+    log_block,
+)
+from diagnosis.observables.carrier import Leaks
+from diagnosis.observables.drive import (
+    Device,
+    forces_rad,
+    level_block,
+    line_block,
+)
+from diagnosis.observables.light import (
+    brightness_block,
+    fringe_block,
+    noise_block,
+)
+from diagnosis.observables.modes import _prediction
+from diagnosis.observables.still import scatter_block, turn_block
+from diagnosis.observables.vibration import TEMPLATES
+from physics.air import (
+    CavityLine,
+    Chamber,
+    Filling,
+)
+from physics.twin import (
+    Fits,
+    Twin,
+    more,
+    with_cane,
+    with_reed,
+)
 
 RATE_HZ = 12.4
 HOUR = 3600.0

@@ -8,7 +8,11 @@ import pytest
 from diagnosis.block import Place, block
 from diagnosis.how_far import _left_out, shrinkage
 from diagnosis.nuisances import Nuisance
-from diagnosis.rivals import Comparison, Sized, compete
+from diagnosis.rivals import (
+    Comparison,
+    Sized,
+    compete,
+)
 from diagnosis.verdict import _only
 from diagnosis.where import gap_map
 from physics.effects.form import Tap

@@ -9,8 +9,18 @@ import numpy as np
 from diagnosis.block import Place, block
 from diagnosis.nuisances import Nuisance
 from diagnosis.rivals import Comparison
-from physics.effects.form import Effect, Parameter, Stage, Tap
-from physics.twin import Beams, Clocks, Twin, more
+from physics.effects.form import (
+    Effect,
+    Parameter,
+    Stage,
+    Tap,
+)
+from physics.twin import (
+    Beams,
+    Clocks,
+    Twin,
+    more,
+)
 
 COUNT = 60
 AT = np.linspace(-1, 1, COUNT)

@@ -8,15 +8,20 @@ from unittest import mock
 import numpy as np
 from pyvisa_py.tcpip import TCPIPSocketSession
 
-from acquire.bench_file import BenchFile
 from drivers.context import BenchContext
-from drivers.keysight import KeysightGenerator
-from drivers.roles import Preparation
-from drivers.siglent import SiglentGenerator
+from drivers.emulators.keysight import KeysightDevice
+from drivers.emulators.serving import (
+    FaultyWire,
+    SocketServer,
+    interrupt,
+    unterminated,
+)
+from drivers.emulators.siglent import SiglentDevice
+from drivers.generators.keysight import KeysightGenerator
+from drivers.generators.siglent import SiglentGenerator
 from drivers.simulated.lab import VirtualClock
-from drivers.simulated.wire.keysight import KeysightDevice
-from drivers.simulated.wire.serving import FaultyWire, SocketServer, interrupt, unterminated
-from drivers.simulated.wire.siglent import SiglentDevice
+from protocols.bench import BenchFile
+from protocols.preparation import Preparation
 from tests.drivers.usbtmc_bus import UsbtmcInstrument, plugged_in
 from tests.drivers.vxi11_server import Vxi11Server
 

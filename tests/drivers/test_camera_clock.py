@@ -4,7 +4,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.camera_clock import ArrivalClock, BoundedClock, LatchedClock
+from drivers.cameras.clock import (
+    ArrivalClock,
+    BoundedClock,
+    LatchedClock,
+)
 from drivers.simulated.lab import VirtualClock
 
 EXPOSURE_S = 0.03

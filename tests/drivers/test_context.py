@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from acquire.bench_file import BenchFile
 from drivers.context import BenchContext
-from drivers.roles import Preparation
+from protocols.bench import BenchFile
+from protocols.preparation import Preparation
 
 CLOSED = []
 

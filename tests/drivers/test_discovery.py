@@ -14,7 +14,6 @@ import pytest
 import yaml
 from serial.tools import list_ports
 
-from acquire.bench_file import BenchFile
 from drivers import discovery
 from drivers.bench_lock import address_locked
 from drivers.discovery import (
@@ -27,11 +26,12 @@ from drivers.discovery import (
     sound_devices,
     visa_resources,
 )
+from drivers.emulators.novatech import NovatechDevice
+from drivers.emulators.serving import PtyServer, SocketServer
+from drivers.emulators.siglent import SiglentDevice
+from drivers.emulators.srs import SRSDevice
 from drivers.errors import BenchSetupError
-from drivers.simulated.wire.novatech import NovatechDevice
-from drivers.simulated.wire.serving import PtyServer, SocketServer
-from drivers.simulated.wire.siglent import SiglentDevice
-from drivers.simulated.wire.srs import SRSDevice
+from protocols.bench import BenchFile
 from tests.drivers.usbtmc_bus import UsbtmcInstrument, plugged_in
 
 

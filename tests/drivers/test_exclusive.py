@@ -10,9 +10,19 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from acquire.bench_file import BenchFile
-from drivers.bench_lock import BenchInUseError, addresses, bench_locked, holders
-from drivers.exclusive import Holder, LockedError, exclusive, holder_of
+from drivers.bench_lock import (
+    BenchInUseError,
+    addresses,
+    bench_locked,
+    holders,
+)
+from drivers.exclusive import (
+    Holder,
+    LockedError,
+    exclusive,
+    holder_of,
+)
+from protocols.bench import BenchFile
 
 
 @pytest.fixture

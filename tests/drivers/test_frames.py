@@ -5,7 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.frames import LATE_MAX, FrameSequence, steps_between
+from drivers.cameras.frames import (
+    LATE_MAX,
+    FrameSequence,
+    steps_between,
+)
 
 PIXELS = np.zeros((2, 3), np.uint16)
 PERIOD_S = 0.08

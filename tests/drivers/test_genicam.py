@@ -11,12 +11,24 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from drivers.camera_trigger import CameraTrigger
+from drivers.cameras.frames import Delivery
+from drivers.cameras.genicam import (
+    CameraSettings,
+    apply_settings,
+    timestamp_latch,
+)
+from drivers.cameras.genicam_camera import (
+    CameraOptions,
+    GenicamCamera,
+    pulses_for,
+)
+from drivers.cameras.trigger import CameraTrigger
 from drivers.context import BenchContext
-from drivers.errors import BenchSetupError, InstrumentError, LimitError
-from drivers.frames import Delivery
-from drivers.genicam import CameraSettings, apply_settings, timestamp_latch
-from drivers.genicam_camera import CameraOptions, GenicamCamera, pulses_for
+from drivers.errors import (
+    BenchSetupError,
+    InstrumentError,
+    LimitError,
+)
 from drivers.roles import Camera
 from drivers.simulated.lab import VirtualClock
 

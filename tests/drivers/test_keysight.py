@@ -6,10 +6,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from drivers.emulators.keysight import KeysightDevice
+from drivers.emulators.serving import WireFaults
 from drivers.errors import InstrumentError
-from drivers.simulated.wire.keysight import KeysightDevice
-from drivers.simulated.wire.serving import WireFaults
-from drivers.visa import open_visa
+from drivers.transport.visa import open_visa
 from tests.drivers.generators import GAIN, MOST_V, Stands
 
 DRIVE_HZ = Fraction(2_033_075, 1000)

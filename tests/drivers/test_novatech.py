@@ -14,17 +14,26 @@ import yaml
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from acquire.bench_file import BenchFile
-from drivers import novatech
 from drivers.context import BenchContext
-from drivers.errors import BenchSetupError, InstrumentError, LimitError
-from drivers.novatech import Novatech409B
-from drivers.roles import Preparation, SynthesizerPair
-from drivers.serial_line import SerialLine
-from drivers.simulated.wire import serving
-from drivers.simulated.wire.faults import SynthesizerFaults
-from drivers.simulated.wire.novatech import NovatechDevice
-from drivers.simulated.wire.serving import PtyServer, SocketServer, WireFaults
+from drivers.emulators import serving
+from drivers.emulators.faults import SynthesizerFaults
+from drivers.emulators.novatech import NovatechDevice
+from drivers.emulators.serving import (
+    PtyServer,
+    SocketServer,
+    WireFaults,
+)
+from drivers.errors import (
+    BenchSetupError,
+    InstrumentError,
+    LimitError,
+)
+from drivers.roles import SynthesizerPair
+from drivers.synthesizers import novatech
+from drivers.synthesizers.novatech import Novatech409B
+from drivers.transport.serial_line import SerialLine
+from protocols.bench import BenchFile
+from protocols.preparation import Preparation
 
 PAIRS = yaml.safe_load((Path(__file__).parent / "wire_pairs_novatech.yaml").read_text())
 BENCH = BenchFile.from_file()

@@ -4,12 +4,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.keysight import KeysightGenerator
-from drivers.novatech import Novatech409B
+from drivers.generators.keysight import KeysightGenerator
+from drivers.generators.siglent import SiglentGenerator
+from drivers.generators.soundcard import SoundCardGenerator
 from drivers.reference_clock import reference_clock
-from drivers.siglent import SiglentGenerator
-from drivers.soundcard import SoundCardGenerator
-from drivers.srs import SRSPair
+from drivers.synthesizers.novatech import Novatech409B
+from drivers.synthesizers.srs import SRSPair
 
 
 @pytest.mark.parametrize(

@@ -10,14 +10,33 @@ from importlib.metadata import EntryPoint
 
 import pytest
 
-from acquire.bench_file import BenchFile
 from drivers import registry
 from drivers.bench_lock import BenchInUseError
-from drivers.errors import BenchSetupError, InstrumentError, OpeningStoppedError
-from drivers.registry import find_driver, is_simulated, known_drivers, open_bench, open_each
-from drivers.roles import Camera, Preparation, SignalGenerator, SynthesizerPair
+from drivers.errors import (
+    BenchSetupError,
+    InstrumentError,
+    OpeningStoppedError,
+)
+from drivers.registry import (
+    find_driver,
+    is_simulated,
+    known_drivers,
+    open_bench,
+    open_each,
+)
+from drivers.roles import (
+    Camera,
+    SignalGenerator,
+    SynthesizerPair,
+)
 from drivers.safe_off import safe_off
-from drivers.simulated import SimulatedCamera, SimulatedGenerator, SimulatedSynthesizers
+from drivers.simulated import (
+    SimulatedCamera,
+    SimulatedGenerator,
+    SimulatedSynthesizers,
+)
+from protocols.bench import BenchFile
+from protocols.preparation import Preparation
 
 PREPARATION = Preparation("R07", "A", "asymmetric")
 
@@ -188,7 +207,7 @@ def test_opening_each_is_given_up_if_it_is_stopped(others):
         ("generator", "simulated", True),
         ("generator", "wire-siglent", True),
         ("camera", "wire-camera", True),
-        ("camera", "drivers.simulated.wire.cameras:LoopbackGigeCamera", True),
+        ("camera", "drivers.emulators.cameras:LoopbackGigeCamera", True),
         ("generator", "siglent-sdg2042x", False),
         ("camera", "basler", False),
     ],

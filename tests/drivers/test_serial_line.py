@@ -9,9 +9,9 @@ import time
 
 import pytest
 
+from drivers.emulators.serving import PtyServer, WireFaults
 from drivers.errors import BenchSetupError, InstrumentError
-from drivers.serial_line import SerialLine
-from drivers.simulated.wire.serving import PtyServer, WireFaults
+from drivers.transport.serial_line import SerialLine
 
 TIMEOUT_S = 0.2
 
@@ -88,7 +88,7 @@ def test_noise_without_an_end_is_no_line():
 
 READ_ONCE = """
 import sys
-from drivers.serial_line import SerialLine
+from drivers.transport.serial_line import SerialLine
 line = SerialLine(sys.argv[1], 19200, 0.5, "a box")
 print("ready", flush=True)
 print(line.read("?"), flush=True)

@@ -9,7 +9,7 @@ import serial
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.simulated.wire.serving import (
+from drivers.emulators.serving import (
     FaultyWire,
     PtyServer,
     SocketServer,

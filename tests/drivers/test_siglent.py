@@ -9,11 +9,15 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from drivers.camera_trigger import CameraTrigger
-from drivers.errors import BenchSetupError, InstrumentError, LimitError
-from drivers.siglent import understand_wave
-from drivers.simulated.wire.serving import WireFaults
-from drivers.simulated.wire.siglent import SiglentDevice
+from drivers.cameras.trigger import CameraTrigger
+from drivers.emulators.serving import WireFaults
+from drivers.emulators.siglent import SiglentDevice
+from drivers.errors import (
+    BenchSetupError,
+    InstrumentError,
+    LimitError,
+)
+from drivers.generators.siglent import understand_wave
 from tests.drivers.generators import GAIN, Stands
 from tests.drivers.vxi11_server import Vxi11Server
 

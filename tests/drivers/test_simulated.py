@@ -11,7 +11,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import BenchSetupError, InstrumentError, LimitError
+from drivers.errors import (
+    BenchSetupError,
+    InstrumentError,
+    LimitError,
+)
 from holography.demodulation import four_phase
 from physics.bench import BenchState
 

@@ -10,11 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquire.bench_file import BenchFile
 from drivers.context import BenchContext
-from drivers.errors import BenchSetupError, InstrumentError, LimitError
-from drivers.roles import Preparation, SignalGenerator
-from drivers.soundcard import Oscillator, SoundCardGenerator
+from drivers.errors import (
+    BenchSetupError,
+    InstrumentError,
+    LimitError,
+)
+from drivers.generators.soundcard import Oscillator, SoundCardGenerator
+from drivers.roles import SignalGenerator
+from protocols.bench import BenchFile
+from protocols.preparation import Preparation
 
 RATE_HZ = 48_000
 FULL_SCALE_V = 20.0
@@ -290,7 +295,7 @@ def card(monkeypatch):
 
 def bench_of(changes=None, **options):
     content = {
-        "instruments.generator.driver": "drivers.soundcard:SoundCardGenerator",
+        "instruments.generator.driver": "drivers.generators.soundcard:SoundCardGenerator",
         "instruments.generator.output": {"amplifier_gain": 16.0, "load": "8 ohm"},
         "instruments.generator.options": {"volts_per_full_scale": 1.25, "device": 1, **options},
         "limits.volts_min": "0.5 V",
@@ -708,5 +713,5 @@ def test_a_missing_module_names_its_package(monkeypatch):
 
 
 def test_the_library_is_not_loaded_before_a_card_is_opened():
-    code = "import sys, drivers.soundcard; sys.exit('sounddevice' in sys.modules)"
+    code = "import sys, drivers.generators.soundcard; sys.exit('sounddevice' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -13,15 +13,24 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquire.bench_file import BenchFile
 from drivers.context import BenchContext
-from drivers.errors import BenchSetupError, InstrumentError, LimitError
-from drivers.roles import Preparation, SynthesizerPair
-from drivers.simulated.wire import serving
-from drivers.simulated.wire.serving import PtyServer, SocketServer, WireFaults
-from drivers.simulated.wire.srs import SRSDevice
-from drivers.srs import SRSPair
-from drivers.visa import VisaLine
+from drivers.emulators import serving
+from drivers.emulators.serving import (
+    PtyServer,
+    SocketServer,
+    WireFaults,
+)
+from drivers.emulators.srs import SRSDevice
+from drivers.errors import (
+    BenchSetupError,
+    InstrumentError,
+    LimitError,
+)
+from drivers.roles import SynthesizerPair
+from drivers.synthesizers.srs import SRSPair
+from drivers.transport.visa import VisaLine
+from protocols.bench import BenchFile
+from protocols.preparation import Preparation
 
 PAIRS = yaml.safe_load((Path(__file__).parent / "wire_pairs_srs.yaml").read_text())
 BENCH = BenchFile.from_file()

@@ -11,11 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.context import WallClock
-from drivers.errors import BenchSetupError, InstrumentError, LimitError
+from drivers.emulators.serving import WireFaults
+from drivers.errors import (
+    BenchSetupError,
+    InstrumentError,
+    LimitError,
+)
+from drivers.generators.tweeter import agrees, in_hertz
 from drivers.roles import SignalGenerator
-from drivers.simulated.wire.serving import WireFaults
-from drivers.tweeter import agrees, in_hertz
-from drivers.visa import VisaLine
+from drivers.transport.visa import VisaLine
 from tests.drivers.generators import DEVICES, GAIN, MOST_V, Stands
 
 DRIVE_HZ = Fraction(2_033_075, 1000)

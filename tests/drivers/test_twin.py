@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquire.reed_file import ReedFile
 from drivers.context import BenchContext
 from drivers.errors import BenchSetupError
-from drivers.roles import Preparation
 from drivers.simulated.lab import SimulatedLab
 from drivers.simulated.twin import (
     Twin,
@@ -22,7 +20,14 @@ from physics.air import Filling
 from physics.bench import PressureDistortion
 from physics.reed.geometry import ReedGeometry, ThicknessMap
 from physics.reed.material import Cane
-from physics.reed.viscoelastic import Components, Series, require_physical, viscoelastic_cane
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    require_physical,
+    viscoelastic_cane,
+)
+from protocols.preparation import Preparation
+from protocols.reed import ReedFile
 
 
 def settings_of(bench_file, series="A", chamber="asymmetric", reed="R07"):

@@ -20,10 +20,15 @@ from hypothesis import strategies as st
 from pyvisa_py.tcpip import TCPIPSocketSession
 from usb.backend import libusb0, libusb1, openusb
 
+from drivers.emulators import serving
+from drivers.emulators.serving import (
+    FaultyWire,
+    PtyServer,
+    SocketServer,
+    WireFaults,
+)
 from drivers.errors import BenchSetupError, InstrumentError
-from drivers.simulated.wire import serving
-from drivers.simulated.wire.serving import FaultyWire, PtyServer, SocketServer, WireFaults
-from drivers.visa import LateError, open_visa
+from drivers.transport.visa import LateError, open_visa
 from tests.drivers.usbtmc_bus import UsbtmcInstrument, plugged_in
 from tests.drivers.vxi11_server import Vxi11Server
 
@@ -250,7 +255,7 @@ def _then(send, monkeypatch, starved):
 
 SLOWLY_ASKED = """
 import sys
-from drivers.visa import open_visa
+from drivers.transport.visa import open_visa
 line = open_visa(sys.argv[1], float(sys.argv[2]), "a talker")
 print("ready", flush=True)
 print(line.ask("SAY? whole"), flush=True)
@@ -512,7 +517,8 @@ def test_missing_pyvisa_is_named_with_the_packages(monkeypatch):
 
 def test_importing_the_drivers_loads_no_library_of_instruments():
     code = (
-        "import sys, drivers.visa, drivers.serial_line, drivers.novatech, drivers.srs;"
+        "import sys, drivers.transport.visa, drivers.transport.serial_line;"
+        "import drivers.synthesizers.novatech, drivers.synthesizers.srs;"
         "sys.exit(any(name in sys.modules for name in ('pyvisa', 'serial', 'usb')))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -9,14 +9,18 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from acquire.bench_file import BenchFile
-from acquire.plan import make_plan
-from acquire.protocol import Protocol
 from drivers.context import BenchContext
+from drivers.emulators.instruments import (
+    SiglentFarEnd,
+    WireNovatech,
+    WireSiglent,
+)
 from drivers.errors import InstrumentError
 from drivers.registry import open_bench
-from drivers.roles import Preparation
-from drivers.simulated.wire.instruments import SiglentFarEnd, WireNovatech, WireSiglent
+from protocols.bench import BenchFile
+from protocols.plan import make_plan
+from protocols.preparation import Preparation
+from protocols.protocol import Protocol
 
 DRIVE_HZ = Fraction(2_033_075, 1000)
 PAIR_HZ = (Fraction("80002036.1"), Fraction(80_000_000))

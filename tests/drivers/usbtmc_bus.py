@@ -20,7 +20,11 @@ import usb.backend.libusb1
 import usb.core
 import usb.util
 
-from drivers.simulated.wire.serving import UnpluggedError, interrupt, unterminated
+from drivers.emulators.serving import (
+    UnpluggedError,
+    interrupt,
+    unterminated,
+)
 
 CONFIGURATION, INTERFACE = 1, 0
 BULK_OUT, BULK_IN = 0x01, 0x82

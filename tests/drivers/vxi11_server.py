@@ -5,7 +5,11 @@ import struct
 import threading
 import time
 
-from drivers.simulated.wire.serving import UnpluggedError, interrupt, unterminated
+from drivers.emulators.serving import (
+    UnpluggedError,
+    interrupt,
+    unterminated,
+)
 
 CORE_PROGRAM, CORE_VERSION = 0x0607AF, 1
 PORT_MAPPER, GET_PORT = 100_000, 3

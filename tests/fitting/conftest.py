@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import yaml
 
-from acquire import script
+from acquire.runner import script
 from benchmarks.recovery import true_frequencies_hz
-from fitting.fit import fit_runs
+from fitting.cane.fit_runs import fit_runs
 from fitting.forward import finite_element_model
 from physics.reed.cache import reduced_reed
 from physics.reed.viscoelastic import Series

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import j1, jv, jvp
 
-from fitting.bessel import BesselTable, SidebandTable
+from fitting.holograms.bessel import BesselTable, SidebandTable
 
 # What the tables' docstrings promise.
 ERROR = 3e-6

@@ -7,15 +7,23 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from fitting.bessel import BesselTable
-from fitting.displacement import Displacements, fit_displacements, refit_displacements
 from fitting.errors import FitError
-from fitting.light import SharedError, smooth_functions
-from fitting.linear import Normal, Problem, normal
-from fitting.phasors import Phasors
-from fitting.search import Search
-from fitting.search import solve as search_all
-from fitting.shapes import ShapeBasis
+from fitting.holograms.bessel import BesselTable
+from fitting.holograms.block_amplitudes import Phasors
+from fitting.holograms.continuation import Search
+from fitting.holograms.continuation import solve as search_all
+from fitting.holograms.displacement import (
+    Displacements,
+    fit_displacements,
+    refit_displacements,
+)
+from fitting.holograms.object_field import SharedError, smooth_functions
+from fitting.holograms.problem import (
+    Normal,
+    Problem,
+    normal,
+)
+from fitting.holograms.shape_basis import ShapeBasis
 
 # Modes of the plate; the last one is never in resonance, of it only the tail is there.
 NAMES = ("F1", "T1", "F2", "T2", "X1")
@@ -107,7 +115,7 @@ def solve(sweep) -> Displacements:
 def solve_and_settle(sweep) -> Displacements:
     """The same with so many last turns between light and amplitudes that little changes then."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fitting.displacement._FINAL_TURNS", 40)
+        patch.setattr("fitting.holograms.displacement._FINAL_TURNS", 40)
         return solve(sweep)
 
 
@@ -348,12 +356,12 @@ def test_sweeps_are_begun_side_by_side_as_if_one_after_the_other(monkeypatch):
     sweep = planted(2)
     whole = Problem.of(sweep.phasors.value, sweep.basis.functions, BesselTable())
     # Never enough: all are begun.
-    monkeypatch.setattr("fitting.search._MOST_EXPLAINED", 1.0)
-    monkeypatch.setattr("fitting.search._ALL_SOLVED", 1.0)
+    monkeypatch.setattr("fitting.holograms.continuation._MOST_EXPLAINED", 1.0)
+    monkeypatch.setattr("fitting.holograms.continuation._ALL_SOLVED", 1.0)
     assert len(list(Search(whole, sweep.phasors, sweep.basis).starts())) == 3
     found = []
     for splits in (True, False):
-        monkeypatch.setattr("fitting.side_by_side._SPLITS", splits)
+        monkeypatch.setattr("fitting.parallel.processes._SPLITS", splits)
         found.append(search_all(whole, sweep.phasors, sweep.basis).solution)
     one, other = found
     assert one.amplitude == pytest.approx(other.amplitude, abs=1e-6)
@@ -392,8 +400,8 @@ class Attempt:
     ],
 )
 def test_a_sweep_is_begun_until_enough_is_explained(monkeypatch, explains, begun, best):
-    monkeypatch.setattr("fitting.side_by_side._SPLITS", False)
-    monkeypatch.setattr("fitting.search.Search", Attempt)
+    monkeypatch.setattr("fitting.parallel.processes._SPLITS", False)
+    monkeypatch.setattr("fitting.holograms.continuation.Search", Attempt)
     monkeypatch.setattr(Attempt, "begun", [])
     monkeypatch.setattr(Attempt, "explains", dict(enumerate(explains)))
     assert search_all(None, None, None).explained.mean() == pytest.approx(best)

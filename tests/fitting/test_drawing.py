@@ -8,10 +8,17 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from acquire.quality import Verdict
-from acquire.runfile import Run
-from fitting.drawing import PER_ROW, contact_sheet, label_heights, line_steps, png_of, response_plot
-from fitting.picking import Resonance
+from fitting.fringes.picking import Resonance
+from reports.drawing import (
+    PER_ROW,
+    contact_sheet,
+    label_heights,
+    line_steps,
+    png_of,
+    response_plot,
+)
+from runs.reader import Run
+from runs.verdict import Verdict
 
 NOISE = 10.0
 

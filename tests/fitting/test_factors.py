@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import ortho_group, pearsonr
 
 from fitting.errors import FitError
-from fitting.factors import (
+from fitting.statistics.factors import (
     Factors,
     complete_variables,
     correlations,

@@ -5,12 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from acquire.errors import RunFileError
-from acquire.runfile import Run
 from benchmarks.recovery import CLAIMED
 from drivers.simulated.twin import cane_of
-from fitting.errors import FitError
-from fitting.fit import (
+from fitting.cane.fit_runs import (
     ReedFit,
     fit_runs,
     fit_sweep,
@@ -18,11 +15,18 @@ from fitting.fit import (
     mode_shapes,
     model_name,
 )
+from fitting.cane.reed_fit import fit_components
+from fitting.errors import FitError
 from fitting.forward import PaperModel
-from fitting.pictures import read_pictures
-from fitting.reedfit import fit_components
+from fitting.fringes.pictures import read_pictures
 from physics.reed.names import PAPER_MODES, is_symmetric
-from physics.reed.viscoelastic import Series, storage_modulus_pa, viscoelastic_cane
+from physics.reed.viscoelastic import (
+    Series,
+    storage_modulus_pa,
+    viscoelastic_cane,
+)
+from runs.errors import RunFileError
+from runs.reader import Run
 
 REED = "R07"
 # First and last k of pictures in which T1 has most fringes.
@@ -37,7 +41,7 @@ def sweep(fitted):
 @pytest.fixture
 def quick_model(model, reed, monkeypatch):
     """Tabulate the finite elements once for all fits of this module."""
-    monkeypatch.setattr("fitting.fit.finite_element_model", lambda _: model)
+    monkeypatch.setattr("fitting.cane.fit_runs.finite_element_model", lambda _: model)
 
 
 # --- The whole way -----------------------------------------------------------------------------

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.simulated.twin import cane_of
-from fitting import paper
 from fitting.forward import (
     PaperModel,
     cents_of,
@@ -15,10 +14,20 @@ from fitting.forward import (
     name_likeness,
     viscoelastic_cents,
 )
-from physics.reed.metamodel import EXPONENT_E_L, EXPONENT_G_LT, REFERENCE_HZ
+from fitting.paper import constants as paper
+from physics.reed.metamodel import (
+    EXPONENT_E_L,
+    EXPONENT_G_LT,
+    REFERENCE_HZ,
+)
 from physics.reed.names import PAPER_MODES
 from physics.reed.response import viscoelastic_mode
-from physics.reed.viscoelastic import Components, Series, storage_modulus_pa, viscoelastic_cane
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    storage_modulus_pa,
+    viscoelastic_cane,
+)
 
 # Eq. 1 at E_L = 14 GPa, G_LT = 1.1 GPa without adjustments, Hz, and hypothesis H4 at e = 0 against
 # the means of Table 1, cents: worked out from the paper's text by another program.

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from fitting.fringes import FIRST_FRINGE, count_fringes, misfit_without
+from fitting.fringes.fringes import (
+    FIRST_FRINGE,
+    count_fringes,
+    misfit_without,
+)
 
 # The first pictures hold a little of shape 0 alone, as below the reed's first resonance. Then come
 # one resonance each, of up to 40 rad, and one of two shapes a quarter of a period apart in the same

@@ -7,11 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting.drawing import png_of
+from fitting.cane.fit_runs import fit_runs, method_name
 from fitting.errors import FitInputError
-from fitting.fit import fit_runs, method_name
 from fitting.forward import cents_of
-from fitting.joint import (
+from fitting.modal.identify import (
     _doubts,
     _outweighing,
     _room_cents,
@@ -19,9 +18,10 @@ from fitting.joint import (
     mac,
     residual_map,
 )
-from fitting.joint_drawing import mode_sheet
-from fitting.tables import modes_table, not_identified_lines
 from physics.reed.viscoelastic import Components
+from reports.drawing import png_of
+from reports.joint_drawing import mode_sheet
+from reports.tables import modes_table, not_identified_lines
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +144,7 @@ def test_a_mode_has_room_up_to_the_next_of_its_symmetry():
 
 def test_picks_that_speak_for_no_possible_cane_do_no_harm(sweep_a, sweep, true_hz, monkeypatch):
     """Of a shear modulus below zero: modes are sought where the mean cane has them."""
-    monkeypatch.setattr("fitting.joint.likely_components", lambda *_: Components(e1=-8.0))
+    monkeypatch.setattr("fitting.modal.identify.likely_components", lambda *_: Components(e1=-8.0))
     other = fit_runs([sweep_a], method="joint").sweeps[0]
     apart = cents_apart(found_hz(other), true_hz)
     assert all(abs(cents) < 5 for cents in apart.values()), apart

@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from fitting.bessel import BesselTable
-from fitting.light import light_factor, light_step, linearise, smooth_functions
-from fitting.linear import Problem, normal
+from fitting.holograms.bessel import BesselTable
+from fitting.holograms.object_field import (
+    light_factor,
+    light_step,
+    linearise,
+    smooth_functions,
+)
+from fitting.holograms.problem import Problem, normal
 
 POINTS, HOLOGRAMS, FUNCTIONS = 300, 14, 3
 
@@ -140,7 +145,7 @@ def test_couplings_are_products_of_derivatives(largest_rad):
 
 def test_a_step_takes_a_wrong_factor_back(monkeypatch):
     """Light is too bright by a smooth factor, and all displacements stay: fringes tell."""
-    monkeypatch.setattr("fitting.light._STEP", 10.0)
+    monkeypatch.setattr("fitting.holograms.object_field._STEP", 10.0)
     sweep = Sweep(9.0, noise=0.0)
     wrong = np.zeros(55)
     wrong[[1, 9]] = 0.004, -0.003
@@ -172,7 +177,7 @@ def test_the_phase_of_smooth_light_is_never_told_and_its_magnitude_only_by_fring
 
 def test_precision_tells_how_far_light_may_be_off(monkeypatch):
     """Many noises: what steps from the truth go, in units of what they may."""
-    monkeypatch.setattr("fitting.light._STEP", 10.0)
+    monkeypatch.setattr("fitting.holograms.object_field._STEP", 10.0)
     squares = []
     for seed in range(12):
         sweep = Sweep(3.0, seed=seed)

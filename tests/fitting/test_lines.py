@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from fitting.lines import Line, common_lines, drive_lines
+from fitting.modal.acoustic_resonances import (
+    Line,
+    common_lines,
+    drive_lines,
+)
 
 DRIVE_HZ = 1400 * 2 ** (np.arange(1, 185) * 25 / 1200)
 CENTS = 25.0 * np.arange(184)

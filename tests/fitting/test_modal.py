@@ -5,14 +5,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from fitting.displacement import Displacements
 from fitting.errors import FitError
-from fitting.light import SharedError
-from fitting.modal import _LAST, _inverse, _prior, fit_modes
-from fitting.modal_descent import improve
-from fitting.modal_equations import Data, downhill, equations, place
-from fitting.modal_model import UNKNOWN_LINES, Model, State, bend, scalars, terms
-from fitting.shapes import ShapeBasis
+from fitting.holograms.displacement import Displacements
+from fitting.holograms.object_field import SharedError
+from fitting.holograms.shape_basis import ShapeBasis
+from fitting.modal.fit import (
+    _LAST,
+    _inverse,
+    _prior,
+    fit_modes,
+)
+from fitting.modal.model import (
+    UNKNOWN_LINES,
+    Model,
+    State,
+    bend,
+    scalars,
+    terms,
+)
+from fitting.modal.normal_equations import (
+    Data,
+    downhill,
+    equations,
+    place,
+)
+from fitting.modal.optimiser import improve
 
 # Six modes, the last one beyond the sweep.
 NAMES = ("F1", "T1", "F2", "T2", "X1", "symmetric 9")
@@ -558,7 +575,7 @@ def test_matrices_are_those_of_the_derivatives(point):
 
 def settled(point, monkeypatch, iterations, following):
     """Cost and gradient after some of Newton's steps, each with so many that follow it."""
-    monkeypatch.setattr("fitting.modal_descent._FOLLOWING", following)
+    monkeypatch.setattr("fitting.modal.optimiser._FOLLOWING", following)
     state = improve(point.model, point.data, point.prior, point.state, iterations)
     return place(point.model, point.data, point.prior, state)
 
@@ -570,8 +587,8 @@ def test_steps_that_follow_newtons_get_farther_on_the_same_equations(point, monk
 
 
 def test_nothing_is_gained_by_beginning_again_at_the_end(point, monkeypatch):
-    monkeypatch.setattr("fitting.modal_descent._LEAST_PROGRESS", 1e-6)
-    monkeypatch.setattr("fitting.modal_descent._LEAST_GAIN", 1e-7)
+    monkeypatch.setattr("fitting.modal.optimiser._LEAST_PROGRESS", 1e-6)
+    monkeypatch.setattr("fitting.modal.optimiser._LEAST_GAIN", 1e-7)
     end = settled(point, monkeypatch, 60, 12)
     again = settled(replace(point, state=end.state), monkeypatch, 60, 12)
     start = point.cost(point.state)

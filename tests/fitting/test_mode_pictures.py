@@ -10,11 +10,19 @@ from matplotlib.contour import QuadContourSet
 from matplotlib.image import imread
 from rich.console import Console
 
-from acquire.errors import OutputRefusedError
-from acquire.reed_file import ReedFile
-from fitting.drawing import png_of
 from fitting.errors import FitInputError
-from fitting.mode_pictures import (
+from physics.reed.fem import Symmetry
+from physics.reed.geometry import ReedGeometry
+from physics.reed.mesh import (
+    MeshLevel,
+    build_mesh,
+    build_whole_mesh,
+)
+from physics.reed.modes import ModeClass, NamedMode
+from protocols.reed import ReedFile
+from reports.drawing import png_of
+from reports.errors import OutputRefusedError
+from reports.mode_pictures import (
     PER_ROW,
     bark_side,
     mode_sheet,
@@ -22,10 +30,6 @@ from fitting.mode_pictures import (
     require_png,
     write_mode_sheet,
 )
-from physics.reed.fem import Symmetry
-from physics.reed.geometry import ReedGeometry
-from physics.reed.mesh import MeshLevel, build_mesh, build_whole_mesh
-from physics.reed.modes import ModeClass, NamedMode
 
 LEVEL = MeshLevel(orders=(2, 2, 2), edge_breaks_m=())
 TITLES = ("F1 2184 Hz", "T1 3586 Hz")

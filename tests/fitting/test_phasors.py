@@ -8,12 +8,16 @@ import pytest
 import yaml
 from scipy.special import j0, j1, jv
 
-from acquire import script
-from acquire.protocol import Protocol
-from acquire.runfile import Run
+from acquire.runner import script
 from fitting.errors import FitError
-from fitting.phasors import _in_blocks, _leading, read_phasors
+from fitting.holograms.block_amplitudes import (
+    _in_blocks,
+    _leading,
+    read_phasors,
+)
 from physics.reed.geometry import Outline, half_width_m
+from protocols.protocol import Protocol
+from runs.reader import Run
 
 # Side of a block and margin inside the contour, as the module promises them.
 BLOCK_M, EDGE_M = 0.38e-3, 0.25e-3

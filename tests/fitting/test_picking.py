@@ -3,11 +3,24 @@
 import numpy as np
 import pytest
 
-from fitting import paper
-from fitting.forward import PaperModel, cents_of, hz_of, viscoelastic_cents
-from fitting.picking import _Belief, likely_components, pick_resonances
+from fitting.forward import (
+    PaperModel,
+    cents_of,
+    hz_of,
+    viscoelastic_cents,
+)
+from fitting.fringes.picking import (
+    _Belief,
+    likely_components,
+    pick_resonances,
+)
+from fitting.paper import constants as paper
 from physics.reed.names import PAPER_MODES, is_symmetric
-from physics.reed.viscoelastic import Components, Series, viscoelastic_cane
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    viscoelastic_cane,
+)
 
 MODEL = PaperModel()
 STEPS = np.arange(1, 185)
@@ -239,7 +252,7 @@ def linear_cents(model, cane, series):
 
 def test_belief_in_a_linear_model_is_the_exact_conditional_distribution(monkeypatch):
     """One resonance after the other, against all at once by the formula of the conditional."""
-    monkeypatch.setattr("fitting.picking.viscoelastic_cents", linear_cents)
+    monkeypatch.setattr("fitting.fringes.picking.viscoelastic_cents", linear_cents)
 
     def linear(values):
         cane = viscoelastic_cane(Components(*map(float, values)), Series.A)

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from acquire import script
-from acquire.bench_file import BenchFile
-from acquire.runfile import Run
+from acquire.runner import script
 from fitting.errors import FitError
-from fitting.pictures import read_pictures
+from fitting.fringes.pictures import read_pictures
 from physics.reed.geometry import Outline, half_width_m
+from protocols.bench import BenchFile
+from runs.reader import Run
 
 
 @pytest.fixture(scope="module")

@@ -9,28 +9,21 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from acquire.errors import OutputRefusedError, RunFileError
-from acquire.reed_file import ReedFile
+from fitting.cane.fit_runs import FIT_SWEEP
 from fitting.errors import FitInputError
-from fitting.fit import FIT_SWEEP
 from fitting.forward import cents_of, hz_of
-from fitting.lines import Line
-from fitting.paper import adjusted_metamodel
-from fitting.picking import Resonance
-from fitting.population_table import (
-    Measured,
-    PopulationSummary,
-    components_output,
-    fit_table,
-    metamodel_of,
-    opened_table,
-    remarks,
-    write_resonances,
-)
-from fitting.populations import fit_population
-from fitting.resonance_table import GRID_ERROR_CENTS, read_resonances
-from fitting.synthetic import draw_components, observe
+from fitting.fringes.picking import Resonance
+from fitting.modal.acoustic_resonances import Line
+from fitting.paper.constants import adjusted_metamodel
+from fitting.populations.population import fit_population
+from fitting.populations.resonance_table import GRID_ERROR_CENTS, read_resonances
+from fitting.populations.table import Measured, PopulationSummary, fit_table, metamodel_of
+from fitting.statistics.synthetic import draw_components, observe
 from physics.reed.names import PAPER_MODES
+from protocols.reed import ReedFile
+from reports.errors import OutputRefusedError
+from reports.population_tables import components_output, opened_table, remarks, write_resonances
+from runs.errors import RunFileError
 
 METAMODEL = adjusted_metamodel(PAPER_MODES)
 HEAD = "reed,series,mode,hz\n"

@@ -8,21 +8,26 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from fitting import populations
+from fitting.cane.reed_fit import COMPONENTS, fit_components
 from fitting.errors import FitInputError
 from fitting.forward import PaperModel, hz_of
-from fitting.misfit import added_cents, is_misfit
-from fitting.paper import adjusted_metamodel
-from fitting.picking import Resonance
-from fitting.populations import (
+from fitting.fringes.picking import Resonance
+from fitting.modal.excess_scatter import added_cents, is_misfit
+from fitting.paper.constants import adjusted_metamodel
+from fitting.populations import population as populations
+from fitting.populations.population import (
     Flag,
     PopulationFit,
     count_flags,
     fit_population,
     fit_stream,
 )
-from fitting.reedfit import COMPONENTS, fit_components
-from physics.reed.log_polynomial import REED_BOX, Box, fit_log_polynomial, network_pa
+from physics.reed.log_polynomial import (
+    REED_BOX,
+    Box,
+    fit_log_polynomial,
+    network_pa,
+)
 from physics.reed.metamodel import Equation1
 from physics.reed.names import PAPER_MODES
 from physics.reed.viscoelastic import (

@@ -6,12 +6,25 @@ import numpy as np
 import pytest
 
 from drivers.simulated.twin import cane_of
+from fitting.cane.reed_fit import (
+    COMPONENTS,
+    QUOTED_HZ,
+    fit_components,
+)
 from fitting.errors import FitError
-from fitting.forward import PaperModel, hz_of, name_likeness, viscoelastic_cents
-from fitting.picking import Resonance
-from fitting.reedfit import COMPONENTS, QUOTED_HZ, fit_components
+from fitting.forward import (
+    PaperModel,
+    hz_of,
+    name_likeness,
+    viscoelastic_cents,
+)
+from fitting.fringes.picking import Resonance
 from physics.reed.names import PAPER_MODES
-from physics.reed.viscoelastic import Components, Series, viscoelastic_cane
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    viscoelastic_cane,
+)
 
 GRID_CENTS = 25 / np.sqrt(12)
 PAPER = PaperModel()

@@ -8,10 +8,15 @@ from types import SimpleNamespace
 
 import pytest
 
-from acquire.errors import OutputRefusedError, RunFileError
-from fitting.fit import ReedFit
-from fitting.lines import Line
-from fitting.report import _lines_hz, write_bare_report, write_report
+from fitting.cane.fit_runs import ReedFit
+from fitting.modal.acoustic_resonances import Line
+from reports.errors import OutputRefusedError
+from reports.run_page import (
+    _lines_hz,
+    write_bare_report,
+    write_report,
+)
+from runs.errors import RunFileError
 
 VOID = {"meta", "img", "br"}
 NASTY = '<b>&"R07"</b>$\\frac$\x1b]0;x\x07'

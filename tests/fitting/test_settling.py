@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fitting import settling
-from fitting.light import LightStep, SharedError
-from fitting.settling import Solution, settle
+from fitting.holograms import alternating_minimisation as settling
+from fitting.holograms.alternating_minimisation import Solution, settle
+from fitting.holograms.object_field import LightStep, SharedError
 from tests.fitting.test_displacement import complex_normal
 from tests.fitting.test_light import FUNCTIONS, HOLOGRAMS, Sweep
 

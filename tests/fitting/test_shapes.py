@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.shapes import _functions, shape_basis
+from fitting.holograms.shape_basis import _functions, shape_basis
 from physics.reed.basis import reduced_modes
 from physics.reed.geometry import Outline, half_width_m
 from physics.reed.material import stiffness_terms_pa

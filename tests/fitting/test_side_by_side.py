@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from fitting import side_by_side as module
 from fitting.errors import FitError
-from fitting.side_by_side import side_by_side
+from fitting.parallel import processes as module
+from fitting.parallel.processes import side_by_side
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="processes are split off on Linux only"
@@ -169,7 +169,7 @@ def test_a_process_says_things_without_the_display_that_was_at_work(
 _PROGRAM = """
 import os, signal, sys, time
 from pathlib import Path
-from fitting.side_by_side import side_by_side
+from fitting.parallel.processes import side_by_side
 
 # Who runs tests in the background may have interrupts ignored.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -6,13 +6,22 @@ import numpy as np
 import pytest
 from scipy.special import jv
 
-from fitting.bessel import BesselTable
-from fitting.descent import block_light, descend
-from fitting.displacement import fit_displacements
-from fitting.light import linearise, smooth_functions
-from fitting.linear import Problem, misfits, normal
-from fitting.phasors import OtherPhasors
-from fitting.sidebands import Sideband, beside, brightness, phasors
+from fitting.holograms.bessel import BesselTable
+from fitting.holograms.block_amplitudes import OtherPhasors
+from fitting.holograms.displacement import fit_displacements
+from fitting.holograms.levenberg_marquardt import block_light, descend
+from fitting.holograms.object_field import linearise, smooth_functions
+from fitting.holograms.problem import (
+    Problem,
+    misfits,
+    normal,
+)
+from fitting.holograms.sidebands import (
+    Sideband,
+    beside,
+    brightness,
+    phasors,
+)
 from tests.fitting.test_displacement import complex_normal, planted, share_of_error
 
 HOLOGRAMS, BLOCKS, FUNCTIONS = 6, 150, 4

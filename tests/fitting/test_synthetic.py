@@ -7,10 +7,19 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, pearsonr
 
-from fitting import paper
-from fitting.factors import correlations, principal_factors, varimax_factors
-from fitting.forward import PaperModel, cents_of, hz_of, viscoelastic_cents
-from fitting.synthetic import (
+from fitting.forward import (
+    PaperModel,
+    cents_of,
+    hz_of,
+    viscoelastic_cents,
+)
+from fitting.paper import constants as paper
+from fitting.statistics.factors import (
+    correlations,
+    principal_factors,
+    varimax_factors,
+)
+from fitting.statistics.synthetic import (
     GRID_CENTS,
     IDENTIFIED,
     REEDS,

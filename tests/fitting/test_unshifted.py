@@ -6,12 +6,22 @@ import numpy as np
 import pytest
 from scipy.special import j0
 
-from acquire.runfile import Run
-from fitting.fit import fit_runs
-from fitting.forward import basis_of, cents_of, finite_element_model
-from fitting.joint import fit_jointly, fit_less
-from fitting.phasors import Unshifted, _blocks, _holograms, _leading, read_phasors
-from fitting.pictures import good_steps
+from fitting.cane.fit_runs import fit_runs
+from fitting.forward import (
+    basis_of,
+    cents_of,
+    finite_element_model,
+)
+from fitting.fringes.pictures import good_steps
+from fitting.holograms.block_amplitudes import (
+    Unshifted,
+    _blocks,
+    _holograms,
+    _leading,
+    read_phasors,
+)
+from fitting.modal.identify import fit_jointly, fit_less
+from runs.reader import Run
 
 # Amplitude of what leaks in, in units of the light at rest.
 LEAK = 0.03

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from scipy.special import jv
 
-from holography.focus import best_distance, focus_scan, sharpness
+from holography.focus import (
+    best_distance,
+    focus_scan,
+    sharpness,
+)
 from holography.fresnel import FresnelTransform
 from holography.region import region_from_metres
 

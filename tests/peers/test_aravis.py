@@ -17,24 +17,28 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from acquire.plan import make_plan
-from acquire.quality import Verdict
-from acquire.runner import run
-from drivers.errors import BenchSetupError, InstrumentError, LimitError
+from acquire.runner.runner import run
+from drivers.errors import (
+    BenchSetupError,
+    InstrumentError,
+    LimitError,
+)
 from drivers.registry import open_bench
 from drivers.roles import Camera
+from protocols.plan import make_plan
+from runs.verdict import Verdict
 
 with warnings.catch_warnings():
     # Imports through gi are older than importlib's present manners.
     warnings.simplefilter("ignore")
-    from drivers.aravis import AravisCamera, load_aravis
+    from drivers.cameras.aravis import AravisCamera, load_aravis
 
     try:
         load_aravis()
     except BenchSetupError as absent:
         pytest.skip(f"Aravis is absent: {absent}", allow_module_level=True)
 
-from drivers.simulated.wire.cameras import FakeGigeCamera
+from drivers.emulators.cameras import FakeGigeCamera
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 RATE_HZ = Fraction(25)
@@ -46,7 +50,7 @@ GRANTED_BYTES = int(Path("/proc/sys/net/core/rmem_max").read_text())
 TIMEOUT_S = 10.0
 # Registers of GigE Vision.
 TIME_CONTROL, TIME_HIGH, TIME_LOW = 0x0944, 0x0948, 0x094C
-LOOPBACK_CAMERA = "drivers.simulated.wire.cameras:LoopbackGigeCamera"
+LOOPBACK_CAMERA = "drivers.emulators.cameras:LoopbackGigeCamera"
 
 # Python warns of the way in which `gi` finds what it imports.
 pytestmark = pytest.mark.filterwarnings("ignore::ImportWarning")
@@ -332,7 +336,7 @@ def test_it_fills_the_role(connected):
 ALONE = """
 import sys, time
 import numpy as np
-from drivers.simulated.wire.cameras import FakeGigeCamera
+from drivers.emulators.cameras import FakeGigeCamera
 far_end = FakeGigeCamera(lambda exposure_s: np.zeros((48, 64), np.uint16))
 print("ready", flush=True)
 time.sleep(60)

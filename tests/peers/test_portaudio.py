@@ -31,7 +31,7 @@ from fractions import Fraction
 import numpy as np
 import sounddevice
 
-from acquire.bench_file import BenchFile
+from protocols.bench import BenchFile
 from drivers import soundcard
 from drivers.context import BenchContext
 from drivers.errors import BenchSetupError, InstrumentError

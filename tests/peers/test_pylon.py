@@ -22,21 +22,25 @@ with warnings.catch_warnings():
         "pypylon.pylon", reason="pypylon is absent; install it: pip install 'reedbench[basler]'"
     )
 
-from acquire.plan import make_plan
-from acquire.quality import Verdict
-from acquire.runner import run
-from drivers.basler import BaslerCamera
-from drivers.errors import BenchSetupError, InstrumentError, LimitError
+from acquire.runner.runner import run
+from drivers.cameras.basler import BaslerCamera
+from drivers.emulators.cameras import write_images
+from drivers.errors import (
+    BenchSetupError,
+    InstrumentError,
+    LimitError,
+)
 from drivers.registry import open_bench
 from drivers.roles import Camera
-from drivers.simulated.wire.cameras import write_images
+from protocols.plan import make_plan
+from runs.verdict import Verdict
 
 RATE_HZ = Fraction(40)
 EXPOSURE_S = Fraction(1, 100)
 SHAPE = (48, 64)
 FILES = 7
 CONTEXT = SimpleNamespace(description=SimpleNamespace(name="emulated"))
-EMULATED_CAMERA = "drivers.simulated.wire.cameras:EmulatedBaslerCamera"
+EMULATED_CAMERA = "drivers.emulators.cameras:EmulatedBaslerCamera"
 
 
 def entry(bits=12, **options):

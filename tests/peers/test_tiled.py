@@ -10,10 +10,10 @@ import re
 import numpy as np
 import pytest
 
-from acquire.documents import documents_path
-from acquire.quality import Verdict
-from acquire.runfile import Run, RunLabels
-from acquire.runner import run as measure
+from acquire.runner.runner import run as measure
+from runs.documents import documents_path
+from runs.reader import Run, RunLabels
+from runs.verdict import Verdict
 
 ABSENT = "Tiled, bluesky or suitcase is absent; pip install -e '.[peers]'"
 catalog = pytest.importorskip("tiled.catalog", reason=ABSENT)

@@ -11,13 +11,23 @@ from scipy.interpolate import BarycentricInterpolator
 
 from holography.demodulation import four_phase
 from physics.air import Chamber, Filling
-from physics.bench import BenchModel, BenchState, Segment, TwinSettings
+from physics.bench import (
+    BenchModel,
+    BenchState,
+    Segment,
+    TwinSettings,
+)
 from physics.optics import Illumination
 from physics.reed.basis import BasisSettings, build_reduced_reed
 from physics.reed.cache import STANDARD, reduced_reed
 from physics.reed.fem import assemble
 from physics.reed.geometry import ReedGeometry
-from physics.reed.mesh import HalfReedMesh, MeshLevel, build_mesh, lobatto_points
+from physics.reed.mesh import (
+    HalfReedMesh,
+    MeshLevel,
+    build_mesh,
+    lobatto_points,
+)
 from physics.sensor import Sensor
 
 FRAME_RATE_HZ = Fraction(25, 2)

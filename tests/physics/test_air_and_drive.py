@@ -6,7 +6,13 @@ import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from physics.air import CavityLine, Chamber, Filling, cavity_gain, pressure_shape
+from physics.air import (
+    CavityLine,
+    Chamber,
+    Filling,
+    cavity_gain,
+    pressure_shape,
+)
 from physics.drive import Tweeter, tweeter_pressure_pa
 
 FREQUENCIES = st.floats(1.0, 1e5)

@@ -20,13 +20,29 @@ from physics.mechanics import (
     YieldingClamp,
     material_of,
 )
-from physics.reed.altered import added_mass, combined, layer, softening, yielding_clamp
+from physics.reed.altered import (
+    added_mass,
+    combined,
+    layer,
+    softening,
+    yielding_clamp,
+)
 from physics.reed.anatomy import build_anatomy
-from physics.reed.basis import BasisSettings, build_reduced_reed, reduced_modes
+from physics.reed.basis import (
+    BasisSettings,
+    build_reduced_reed,
+    reduced_modes,
+)
 from physics.reed.geometry import half_width_m
 from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.mesh import MeshLevel
-from physics.reed.viscoelastic import Components, Series, ViscoelasticCane, Zener, viscoelastic_cane
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    ViscoelasticCane,
+    Zener,
+    viscoelastic_cane,
+)
 
 EVERYTHING = Mechanics(
     shift=CaneShift(E_L=0.05, E_T=-0.1, G_LR=0.1, density=0.03, growth_E_L=0.01),

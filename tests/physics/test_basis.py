@@ -5,8 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquire.reed_file import ReedFile
-from physics.reed.basis import BasisSettings, build_reduced_reed, reduced_modes
+from physics.reed.basis import (
+    BasisSettings,
+    build_reduced_reed,
+    reduced_modes,
+)
 from physics.reed.fem import (
     Symmetry,
     assemble,
@@ -16,11 +19,16 @@ from physics.reed.fem import (
     mass,
     stiffness,
 )
-from physics.reed.geometry import Outline, ReedGeometry, half_width_m
+from physics.reed.geometry import (
+    Outline,
+    ReedGeometry,
+    half_width_m,
+)
 from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.mesh import MeshLevel, build_mesh
 from physics.reed.names import PAPER_MODES
 from physics.reed.response import elastic_modes, named_modes
+from protocols.reed import ReedFile
 
 BOTH = list(Symmetry)
 # As few elements as a reed can have.

@@ -9,7 +9,14 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from physics.reed.fem import Symmetry, assemble, free_dofs, lowest_modes, mass, stiffness
+from physics.reed.fem import (
+    Symmetry,
+    assemble,
+    free_dofs,
+    lowest_modes,
+    mass,
+    stiffness,
+)
 from physics.reed.material import Cane, stiffness_terms_pa
 
 DENSITY = 520.0

@@ -9,16 +9,35 @@ import numpy as np
 import pytest
 from scipy.special import jv
 
-from holography.demodulation import carrier_leak, four_phase, sideband_gain
-from physics.air import CavityLine, Chamber, Filling, cavity_gain, pressure_shape
-from physics.bench import BenchModel, BenchState, Segment, TwinSettings
+from holography.demodulation import (
+    carrier_leak,
+    four_phase,
+    sideband_gain,
+)
+from physics.air import (
+    CavityLine,
+    Chamber,
+    Filling,
+    cavity_gain,
+    pressure_shape,
+)
+from physics.bench import (
+    BenchModel,
+    BenchState,
+    Segment,
+    TwinSettings,
+)
 from physics.drive import Tweeter, tweeter_pressure_pa
 from physics.optics import beat_integral, reed_axes_m
 from physics.reed.fem import Symmetry
 from physics.reed.geometry import Outline
 from physics.reed.response import forced_response
 from physics.reed.surface import on_reed, surface_shapes
-from physics.reed.viscoelastic import Components, Series, viscoelastic_cane
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    viscoelastic_cane,
+)
 from physics.sensor import Sensor, saturation_dn
 
 FRAME_RATE_HZ = Fraction(25, 2)

@@ -11,7 +11,13 @@ import pytest
 import physics.effects
 from physics.effects.catalogue import BY_ID, CATALOGUE
 from physics.effects.form import Effect
-from physics.mechanics import Alteration, Layer, SoftSpot, TipMass, YieldingClamp
+from physics.mechanics import (
+    Alteration,
+    Layer,
+    SoftSpot,
+    TipMass,
+    YieldingClamp,
+)
 from physics.twin import Twin
 
 FOLDER = Path(physics.effects.__file__).parent

@@ -13,7 +13,11 @@ from physics.reed.fem import (
     mass,
     stiffness,
 )
-from physics.reed.material import Cane, stiffness_matrix_pa, stiffness_terms_pa
+from physics.reed.material import (
+    Cane,
+    stiffness_matrix_pa,
+    stiffness_terms_pa,
+)
 
 # Nine different constants: none can stand in for another.
 ODD_CANE = Cane(

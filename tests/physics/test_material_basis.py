@@ -7,9 +7,24 @@ import pytest
 from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
-from physics.reed.fem import Symmetry, assemble, free_dofs, lowest_modes, mass, stiffness
-from physics.reed.geometry import Clamp, ClampSide, ReedGeometry
-from physics.reed.material import STIFFNESS_TERMS, Cane, stiffness_terms_pa
+from physics.reed.fem import (
+    Symmetry,
+    assemble,
+    free_dofs,
+    lowest_modes,
+    mass,
+    stiffness,
+)
+from physics.reed.geometry import (
+    Clamp,
+    ClampSide,
+    ReedGeometry,
+)
+from physics.reed.material import (
+    STIFFNESS_TERMS,
+    Cane,
+    stiffness_terms_pa,
+)
 from physics.reed.material_basis import (
     CONSTANTS,
     MODULI,
@@ -35,7 +50,11 @@ from physics.reed.material_snapshots import (
 from physics.reed.material_training import build_material_basis
 from physics.reed.material_viscoelastic import settled_modes
 from physics.reed.mesh import MeshLevel, build_mesh
-from physics.reed.modes import ModeClass, reed_modes, viscoelastic_modes
+from physics.reed.modes import (
+    ModeClass,
+    reed_modes,
+    viscoelastic_modes,
+)
 from physics.reed.names import PAPER_MODES
 from physics.reed.viscoelastic import (
     Components,

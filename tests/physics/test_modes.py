@@ -5,15 +5,34 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquire.reed_file import ReedFile
-from fitting.paper import TABLE_9
+from fitting.paper.constants import TABLE_9
 from physics.reed.cache import FAST
-from physics.reed.fem import Symmetry, assemble, free_dofs, lowest_modes, mass, stiffness
-from physics.reed.geometry import Clamp, Outline, ReedGeometry, ThicknessMap
+from physics.reed.fem import (
+    Symmetry,
+    assemble,
+    free_dofs,
+    lowest_modes,
+    mass,
+    stiffness,
+)
+from physics.reed.geometry import (
+    Clamp,
+    Outline,
+    ReedGeometry,
+    ThicknessMap,
+)
 from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mesh import MeshLevel, build_mesh, build_whole_mesh
+from physics.reed.mesh import (
+    MeshLevel,
+    build_mesh,
+    build_whole_mesh,
+)
 from physics.reed.metamodel import REFERENCE_HZ, Equation1
-from physics.reed.modes import at_frequency, reed_modes, viscoelastic_modes
+from physics.reed.modes import (
+    at_frequency,
+    reed_modes,
+    viscoelastic_modes,
+)
 from physics.reed.names import PAPER_MODES
 from physics.reed.response import elastic_modes
 from physics.reed.viscoelastic import (
@@ -23,6 +42,7 @@ from physics.reed.viscoelastic import (
     Zener,
     viscoelastic_cane,
 )
+from protocols.reed import ReedFile
 
 # What is tested here holds on any mesh.
 LEVEL = MeshLevel(orders=(2, 2, 2), edge_breaks_m=(), z_breaks=(0.0, 1.0))

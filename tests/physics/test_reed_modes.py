@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from physics.reed.basis import reduced_modes
-from physics.reed.fem import Symmetry, assemble, free_dofs, lowest_modes, mass, stiffness
+from physics.reed.fem import (
+    Symmetry,
+    assemble,
+    free_dofs,
+    lowest_modes,
+    mass,
+    stiffness,
+)
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.mesh import MeshLevel, build_mesh

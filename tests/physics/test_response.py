@@ -5,10 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physics.air import Chamber, Filling, pressure_shape
+from physics.air import (
+    Chamber,
+    Filling,
+    pressure_shape,
+)
 from physics.reed import response as reed_response
 from physics.reed.basis import reduced_modes
-from physics.reed.fem import Symmetry, factor, free_dofs, mass, stiffness
+from physics.reed.fem import (
+    Symmetry,
+    factor,
+    free_dofs,
+    mass,
+    stiffness,
+)
 from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.names import PAPER_MODES
 from physics.reed.response import (
@@ -17,7 +27,12 @@ from physics.reed.response import (
     named_modes,
     viscoelastic_mode,
 )
-from physics.reed.viscoelastic import Components, Series, storage_modulus_pa, viscoelastic_cane
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    storage_modulus_pa,
+    viscoelastic_cane,
+)
 
 CANE = viscoelastic_cane(Components(), Series.A)
 LOSS = 0.03

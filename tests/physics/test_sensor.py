@@ -5,7 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physics.sensor import Sensor, read_out, saturation_dn
+from physics.sensor import (
+    Sensor,
+    read_out,
+    saturation_dn,
+)
 
 SIDE = 256
 SENSOR = Sensor(shape=(SIDE, SIDE))

@@ -15,7 +15,12 @@ from physics.reed.fem import (
     mass,
     stiffness,
 )
-from physics.reed.geometry import Clamp, ClampSide, half_width_m, thickness_m
+from physics.reed.geometry import (
+    Clamp,
+    ClampSide,
+    half_width_m,
+    thickness_m,
+)
 from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.modes import reed_modes
 from physics.reed.names import PAPER_MODES

@@ -3,18 +3,22 @@
 import numpy as np
 import pytest
 
-from fitting import paper
-from fitting.comparison.mesh_evidence import MeshEvidence, MeshResult
-from fitting.comparison.metamodel import Network, reference_hz
-from fitting.comparison.models import Models, draw_populations
-from fitting.comparison.printed import TABLE_3_CONSTANTS, printed
-from fitting.comparison.rows import Verdict
+from fitting.paper import constants as paper
+from fitting.paper.printed import TABLE_3_CONSTANTS, printed
 from physics.reed.basis import BasisSettings, build_reduced_reed
 from physics.reed.geometry import ReedGeometry
 from physics.reed.mesh import MeshLevel
 from physics.reed.metamodel import Equation1, paper_network_pa
 from physics.reed.names import PAPER_MODES
-from physics.reed.sensitivity import CLASSES, CONSTANTS, TABLE_3_MODES
+from physics.reed.sensitivity import (
+    CLASSES,
+    CONSTANTS,
+    TABLE_3_MODES,
+)
+from reproduction.mesh_evidence import MeshEvidence, MeshResult
+from reproduction.metamodel import Network, reference_hz
+from reproduction.models import Models, draw_populations
+from reproduction.rows import Verdict
 
 
 @pytest.fixture(scope="session")

@@ -7,31 +7,39 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from fitting import paper
-from fitting.comparison.cane import compare_cane
-from fitting.comparison.chain import compare_hypotheses
-from fitting.comparison.correlations import compare_correlations
-from fitting.comparison.factors import compare_factors
-from fitting.comparison.frequencies import compare_frequencies
-from fitting.comparison.mesh_evidence import compare_meshes
-from fitting.comparison.metamodel import compare_metamodel, compute_network, reference_hz
-from fitting.comparison.models import (
+from fitting.forward import hz_of
+from fitting.paper import constants as paper
+from fitting.statistics.synthetic import (
+    IDENTIFIED,
+    REEDS,
+    physical,
+)
+from physics.reed.geometry import Outline, ReedGeometry
+from physics.reed.names import PAPER_MODES
+from physics.reed.sensitivity import CONSTANTS
+from reports.drawing import png_of
+from reproduction.cane import compare_cane
+from reproduction.chain import compare_hypotheses
+from reproduction.correlations import compare_correlations
+from reproduction.factors import compare_factors
+from reproduction.frequencies import compare_frequencies
+from reproduction.mesh_evidence import compare_meshes
+from reproduction.metamodel import (
+    compare_metamodel,
+    compute_network,
+    reference_hz,
+)
+from reproduction.models import (
     as_eq_5d,
     draw_components,
     draw_populations,
     shear_increase,
 )
-from fitting.comparison.out_of_reach import list_out_of_reach
-from fitting.comparison.rows import Basis, Verdict
-from fitting.comparison.sensitivities import compare_sensitivities
-from fitting.comparison.shape import compare_shape, printed_contour_mm
-from fitting.comparison.sweep import compare_sweep, relative_signal
-from fitting.drawing import png_of
-from fitting.forward import hz_of
-from fitting.synthetic import IDENTIFIED, REEDS, physical
-from physics.reed.geometry import Outline, ReedGeometry
-from physics.reed.names import PAPER_MODES
-from physics.reed.sensitivity import CONSTANTS
+from reproduction.out_of_reach import list_out_of_reach
+from reproduction.rows import Basis, Verdict
+from reproduction.sensitivities import compare_sensitivities
+from reproduction.shape import compare_shape, printed_contour_mm
+from reproduction.sweep import compare_sweep, relative_signal
 
 # --- Sweep and light ---------------------------------------
 
@@ -346,7 +354,7 @@ def test_backward_validation_needs_noise_and_rotation(factors, rows_of):
 @pytest.fixture(scope="module")
 def hypotheses(numbers, models):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fitting.comparison.chain._POPULATIONS", 2)
+        patch.setattr("reproduction.chain._POPULATIONS", 2)
         heard = []
         group = compare_hypotheses(numbers, models, heard.append)
     assert heard[-1] == "fitting H1 to H11 to population 2 of 2"

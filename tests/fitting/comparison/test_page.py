@@ -8,23 +8,23 @@ import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from acquire.errors import OutputRefusedError
-from acquire.own_output import require_writable
-from fitting.comparison.cane import compare_cane
-from fitting.comparison.chain import compare_hypotheses
-from fitting.comparison.factors import compare_factors
-from fitting.comparison.findings import findings
-from fitting.comparison.frequencies import compare_frequencies
-from fitting.comparison.mesh_evidence import compare_meshes
-from fitting.comparison.metamodel import compare_metamodel, reference_hz
-from fitting.comparison.page import (
+from reports.errors import OutputRefusedError
+from reports.own_output import require_writable
+from reproduction.cane import compare_cane
+from reproduction.chain import compare_hypotheses
+from reproduction.factors import compare_factors
+from reproduction.findings import findings
+from reproduction.frequencies import compare_frequencies
+from reproduction.mesh_evidence import compare_meshes
+from reproduction.metamodel import compare_metamodel, reference_hz
+from reproduction.page import (
     counts_table,
     document,
     page_output,
     shown_number,
     write_page,
 )
-from fitting.comparison.rows import (
+from reproduction.rows import (
     Drawing,
     Group,
     from_text,
@@ -32,9 +32,9 @@ from fitting.comparison.rows import (
     not_printed,
     not_reproducible,
 )
-from fitting.comparison.sensitivities import compare_sensitivities
-from fitting.comparison.sweep import compare_sweep
-from fitting.comparison.whole import Comparison
+from reproduction.sensitivities import compare_sensitivities
+from reproduction.sweep import compare_sweep
+from reproduction.whole import Comparison
 
 
 @pytest.fixture(scope="module")
@@ -205,7 +205,7 @@ def test_sentences_carry_the_numbers_of_their_rows(
         compare_cane(numbers, models),
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fitting.comparison.chain._POPULATIONS", 2)
+        patch.setattr("reproduction.chain._POPULATIONS", 2)
         chain = compare_hypotheses(numbers, models, lambda words: None)
     said = findings(row for group in (*groups, chain) for row in group.rows)
     assert len(said) == 8

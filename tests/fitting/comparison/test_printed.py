@@ -5,10 +5,15 @@ from pathlib import Path
 
 import pytest
 
-from fitting import paper, synthetic
-from fitting.comparison.printed import TABLE_3_CONSTANTS, Printed
+from fitting.paper import constants as paper
+from fitting.paper.printed import TABLE_3_CONSTANTS, Printed
+from fitting.statistics import synthetic
 from physics.reed.material import Cane
-from physics.reed.metamodel import EXPONENT_E_L, EXPONENT_G_LT, REFERENCE_HZ
+from physics.reed.metamodel import (
+    EXPONENT_E_L,
+    EXPONENT_G_LT,
+    REFERENCE_HZ,
+)
 from physics.reed.names import PAPER_MODES
 from physics.reed.sensitivity import CONSTANTS, field_of
 from physics.reed.viscoelastic import Series, h4_matrix

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from fitting.comparison.rows import (
+from reproduction.rows import (
     Basis,
     Group,
     Verdict,

@@ -6,12 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.comparison import mesh_evidence, sensitivities, whole
-from fitting.comparison.rows import Verdict
 from physics.reed.cache import FAST
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material import Cane
 from physics.reed.sensitivity import CONSTANTS, MODULI
+from reproduction import (
+    mesh_evidence,
+    sensitivities,
+    whole,
+)
+from reproduction.rows import Verdict
 
 KEYS = (
     "sweep shape sensitivities metamodel meshes frequencies factors hypotheses cane correlations "
@@ -26,7 +30,7 @@ def comparison(models, network, evidence, printed_sensitivities):
         patch.setattr(whole, "gather_evidence", lambda announce: evidence)
         patch.setattr(whole, "compute_table_3", lambda announce: printed_sensitivities)
         patch.setattr(whole, "compute_network", lambda reed: network)
-        patch.setattr("fitting.comparison.chain._POPULATIONS", 2)
+        patch.setattr("reproduction.chain._POPULATIONS", 2)
         return whole.compare_paper(lambda words: None)
 
 

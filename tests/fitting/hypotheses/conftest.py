@@ -5,16 +5,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from fitting.factors import orthonormal
-from fitting.hypotheses import paper_structures
-from fitting.hypotheses.population import Population, Priors, Unknowns
-from fitting.hypotheses.prediction import (
+from fitting.paper.constants import H4_ADJUSTMENT_CENTS
+from fitting.statistics.factors import orthonormal
+from fitting.statistics.hypotheses import paper_structures
+from fitting.statistics.hypotheses.population import (
+    Population,
+    Priors,
+    Unknowns,
+)
+from fitting.statistics.hypotheses.prediction import (
     full_adjustment,
     intercept_adjustment,
     paper_resonances,
     predict,
 )
-from fitting.paper import H4_ADJUSTMENT_CENTS
 from physics.reed.names import PAPER_MODES
 
 H4 = paper_structures.h4()

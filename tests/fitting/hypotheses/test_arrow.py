@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 from scipy.linalg import null_space
 
-from fitting.hypotheses.arrow import NormalEquations, Point, minimise
+from fitting.statistics.hypotheses.arrow import (
+    NormalEquations,
+    Point,
+    minimise,
+)
 
 REEDS, OWN, SHARED, ROWS = 7, 3, 5, 9
 

@@ -5,10 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fitting.hypotheses.chain import fit_chain, table_of_hypotheses
-from fitting.hypotheses.determination import determination
-from fitting.hypotheses.joint import continued, fit_hypothesis
-from fitting.hypotheses.population import Priors
+from fitting.statistics.hypotheses.chain import fit_chain, table_of_hypotheses
+from fitting.statistics.hypotheses.determination import determination
+from fitting.statistics.hypotheses.joint import continued, fit_hypothesis
+from fitting.statistics.hypotheses.population import Priors
 from physics.reed.names import PAPER_MODES
 
 

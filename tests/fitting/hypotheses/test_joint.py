@@ -6,13 +6,17 @@ import numpy as np
 import pytest
 
 from fitting.errors import FitInputError
-from fitting.factors import orthonormal
-from fitting.hypotheses.arrow import Point
-from fitting.hypotheses.joint import continued, fit_hypothesis
-from fitting.hypotheses.population import Priors, Unknowns, coefficient_sizes
-from fitting.hypotheses.prediction import paper_resonances
-from fitting.hypotheses.structure import PARAMETER_SIZES
-from fitting.paper import H4_ADJUSTMENT_CENTS, TABLE_9
+from fitting.paper.constants import H4_ADJUSTMENT_CENTS, TABLE_9
+from fitting.statistics.factors import orthonormal
+from fitting.statistics.hypotheses.arrow import Point
+from fitting.statistics.hypotheses.joint import continued, fit_hypothesis
+from fitting.statistics.hypotheses.population import (
+    Priors,
+    Unknowns,
+    coefficient_sizes,
+)
+from fitting.statistics.hypotheses.prediction import paper_resonances
+from fitting.statistics.hypotheses.structure import PARAMETER_SIZES
 from physics.reed.metamodel import Equation1
 from physics.reed.names import PAPER_MODES
 

@@ -6,18 +6,22 @@ import numpy as np
 import pytest
 
 from fitting.forward import PaperModel, viscoelastic_cents
-from fitting.hypotheses.prediction import (
+from fitting.paper.constants import TABLE_9
+from fitting.statistics.hypotheses.prediction import (
     full_adjustment,
     intercept_adjustment,
     no_adjustment,
     paper_resonances,
     predict,
 )
-from fitting.hypotheses.structure import PARAMETER_SIZES
-from fitting.paper import TABLE_9
+from fitting.statistics.hypotheses.structure import PARAMETER_SIZES
 from physics.reed.metamodel import Equation1, paper_network_pa
 from physics.reed.names import PAPER_MODES
-from physics.reed.viscoelastic import Components, Series, viscoelastic_cane
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    viscoelastic_cane,
+)
 
 
 @pytest.fixture(scope="module")

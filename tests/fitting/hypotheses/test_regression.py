@@ -6,9 +6,9 @@ from scipy.optimize import approx_fprime, least_squares
 from scipy.stats import special_ortho_group
 
 from fitting.errors import FitInputError
-from fitting.factors import orthonormal
-from fitting.hypotheses import regression
-from fitting.hypotheses.regression import (
+from fitting.statistics.factors import orthonormal
+from fitting.statistics.hypotheses import regression
+from fitting.statistics.hypotheses.regression import (
     drying_design,
     regress_on_factors,
     regress_with_drying,

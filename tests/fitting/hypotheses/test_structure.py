@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from fitting.errors import FitInputError
-from fitting.hypotheses import paper_structures
-from fitting.hypotheses.structure import PARAMETER_SIZES, coefficients_within, written
+from fitting.statistics.hypotheses import paper_structures
+from fitting.statistics.hypotheses.structure import (
+    PARAMETER_SIZES,
+    coefficients_within,
+    written,
+)
 from physics.reed.viscoelastic import Series, h4_matrix
 
 RELATIVE = 1 / PARAMETER_SIZES[:, None]

@@ -1,0 +1,1 @@
+"""Checks of a bench: open, identify, limits, one locked shot, off."""

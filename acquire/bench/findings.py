@@ -1,0 +1,125 @@
+"""What `acquire bench check` and `acquire bench off` share: the bench file, and their findings."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from drivers.registry import OUTPUTS
+from drivers.roles import Instrument, RoleName
+from drivers.safe_off import instruments_off
+from holography.errors import BenchError
+from protocols.bench import BenchFile
+from protocols.errors import ProtocolError
+from protocols.protocol import Protocol
+
+Result = Literal["pass", "fail", "note", "skipped"]
+
+# What a person can do about an output that no program can reach.
+_BY_HAND: Final[Mapping[str, str]] = {
+    "generator": "switch its output off at its front panel, or pull the loudspeaker's cable",
+    "synthesizers": "switch off the RF amplifiers of the modulators, or the synthesizers",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the table.
+
+    Attributes
+    ----------
+    check : str
+        What was looked at, such as ``opened`` or ``limits``.
+    about : str
+        The role of an instrument, or ``bench``.
+    result : {'pass', 'fail', 'note', 'skipped'}
+        ``note`` is worth knowing, and no failure; ``skipped`` could not be tried, because
+        something else failed.
+    found : str
+    remedy : str
+        What to do; empty if there is nothing to do.
+    """
+
+    check: str
+    about: str
+    result: Result
+    found: str
+    remedy: str = ""
+
+    def to_json(self) -> dict[str, str]:
+        """Return plain values with stable keys."""
+        return {
+            "check": self.check,
+            "about": self.about,
+            "result": self.result,
+            "found": self.found,
+            "remedy": self.remedy,
+        }
+
+
+def read_bench(name: str) -> BenchFile:
+    """Read a bench file, or a shipped bench by its name.
+
+    Raises
+    ------
+    ProtocolError
+        If it cannot be used; says so if it is a protocol.
+    """
+    try:
+        return BenchFile.from_file(name)
+    except ProtocolError as error:
+        try:
+            Protocol.from_file(name)
+        except ProtocolError:
+            raise error from None
+        raise ProtocolError(
+            f"{name}: is a protocol, which says what to measure; name a bench file, which says "
+            "with which instruments, such as simulated"
+        ) from None
+
+
+def failed(check: str, about: str, error: BaseException | str) -> Finding:
+    """Return the finding that something went wrong.
+
+    Parameters
+    ----------
+    check, about : str
+    error : exception or str
+        Messages of this software end with the remedy, after a semicolon.
+    """
+    text = " ".join(str(error).split())
+    if isinstance(error, BaseException) and not isinstance(error, BenchError):
+        text = f"{type(error).__name__}: {text}; this is an error of the driver, please report it"
+    found, _, remedy = text.partition("; ")
+    return Finding(check, about, "fail", found, remedy or "look at its power and its cables")
+
+
+def confirmed_off(check: str, role: RoleName, instrument: Instrument) -> Finding:
+    """Switch an instrument off, and return whether it confirms that.
+
+    Parameters
+    ----------
+    check : str
+    role : {'synthesizers', 'generator', 'camera'}
+    instrument : Instrument
+        Open.
+    """
+    unconfirmed = instruments_off({role: instrument})
+    if unconfirmed:
+        return _with_hands(failed(check, role, "; ".join(unconfirmed)))
+    what = OUTPUTS.get(role)
+    return Finding(check, role, "pass", f"{what}: off, confirmed" if what else "stopped")
+
+
+def unreached(check: str, role: RoleName, error: BaseException | str) -> Finding:
+    """Return the finding that an instrument could not be reached, so that its output may be on."""
+    finding = failed(check, role, error)
+    if role not in OUTPUTS:
+        return Finding(check, role, "note", f"not reached: {finding.found}", finding.remedy)
+    found = f"{OUTPUTS[role]} may still be on; not reached: {finding.found}"
+    return _with_hands(Finding(check, role, "fail", found, finding.remedy))
+
+
+def _with_hands(finding: Finding) -> Finding:
+    by_hand = _BY_HAND.get(finding.about)
+    remedy = f"{by_hand}. Then: {finding.remedy}" if by_hand else finding.remedy
+    return Finding(finding.check, finding.about, finding.result, finding.found, remedy)

@@ -1,0 +1,244 @@
+"""Switches everything off that can be reached, whatever else is wrong with a bench."""
+
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any, Final
+
+from acquire.bench.findings import (
+    Finding,
+    confirmed_off,
+    unreached,
+)
+from acquire.runner.orders import Orders
+from drivers.bench_lock import BenchInUseError
+from drivers.errors import BenchSetupError
+from drivers.exclusive import Holder
+from drivers.registry import (
+    Opened,
+    is_simulated,
+    open_each,
+)
+from drivers.roles import RoleName
+from protocols.bench import BenchFile
+from protocols.preparation import Preparation
+
+_CHECK: Final = "off"
+_DOES: Final = "switches the bench off"
+# The loudspeaker first, because it is what people hear.
+_ORDER: Final[tuple[RoleName, ...]] = ("generator", "synthesizers", "camera")
+# Opening an instrument does not depend on what is on the bench.
+_NOTHING: Final = Preparation("none", "none", "asymmetric")
+
+# Chosen: a step of a sweep takes about a second, switching off another, and a driver may wait for
+# some timeouts of 2 s before that.
+_PATIENCE_S: Final = 15.0
+# Chosen: a run stops at its next step, so an order that was not obeyed by then is given again. The
+# second one gives up the step that is being taken.
+_AGAIN_S: Final = 5.0
+_POLL_S: Final = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class OffReport:
+    """What is off, and what is not.
+
+    Attributes
+    ----------
+    bench : str
+    findings : tuple of Finding
+        One for each instrument.
+    stopped : tuple of int
+        Numbers of the processes that used the bench and were asked to stop.
+    """
+
+    bench: str
+    findings: tuple[Finding, ...]
+    stopped: tuple[int, ...]
+
+    @property
+    def is_off(self) -> bool:
+        """Whether every output is confirmed off."""
+        return all(finding.result != "fail" for finding in self.findings)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values with stable keys."""
+        return {
+            "bench": self.bench,
+            "off": self.is_off,
+            "stopped": list(self.stopped),
+            "findings": [finding.to_json() for finding in self.findings],
+        }
+
+
+def switch_off(
+    bench: BenchFile,
+    orders: Orders,
+    announce: Callable[[str], None],
+    patience_s: float = _PATIENCE_S,
+) -> OffReport:
+    """Switch off every instrument of a bench, each by itself.
+
+    A program of this computer that uses the bench is asked to stop, and waited for: as long as it
+    runs, only it can talk to the instruments.
+
+    Parameters
+    ----------
+    bench : BenchFile
+    orders : Orders
+        A first order to stop ends the waiting for another program, but not the switching off; a
+        second one gives up.
+    announce : callable
+        Called with words about what is being waited for.
+    patience_s : float
+        How long to wait for another program.
+
+    Returns
+    -------
+    OffReport
+    """
+    real = tuple(role for role in _ORDER if not _plays_itself(bench, role))
+    simulated = tuple(
+        Finding(_CHECK, role, "note", "simulated: there is nothing to switch off")
+        for role in _ORDER
+        if role not in real
+    )
+    if not real:
+        return OffReport(bench.name, simulated, ())
+    waiting = _Waiting(orders, announce, patience_s)
+    findings = _switched_off(bench, real, orders, announce, waiting)
+    return OffReport(bench.name, (*findings, *simulated), tuple(waiting.asked))
+
+
+def _plays_itself(bench: BenchFile, role: RoleName) -> bool:
+    try:
+        return is_simulated(role, getattr(bench.instruments, role).driver)
+    except BenchSetupError:
+        # An instrument without a driver is real, and cannot be reached.
+        return False
+
+
+def _switched_off(
+    bench: BenchFile,
+    roles: Sequence[RoleName],
+    orders: Orders,
+    announce: Callable[[str], None],
+    waiting: "_Waiting",
+) -> list[Finding]:
+    with ExitStack() as held:
+        try:
+            opened = _opened(held, bench, roles, orders, announce, waiting)
+        except KeyboardInterrupt:
+            given_up = "you stopped the switching off; run acquire bench off again"
+            return [unreached(_CHECK, role, given_up) for role in roles]
+        except BenchSetupError as error:
+            return [unreached(_CHECK, role, error) for role in roles]
+        return [
+            confirmed_off(_CHECK, role, opened.instruments[role])
+            if role in opened.instruments
+            else unreached(_CHECK, role, opened.failures[role])
+            for role in roles
+        ]
+
+
+def _opened(
+    held: ExitStack,
+    bench: BenchFile,
+    roles: Sequence[RoleName],
+    orders: Orders,
+    announce: Callable[[str], None],
+    waiting: "_Waiting",
+) -> Opened:
+    """Open the instruments, which drivers do with outputs off, once no other program has them.
+
+    Raises
+    ------
+    BenchInUseError
+        If another program does not let go of the bench.
+    """
+    while True:
+        try:
+            # A first order to stop does not end this: the outputs may be on.
+            with orders.given_up_at(2):
+                return held.enter_context(
+                    open_each(bench, _NOTHING, announce=announce, roles=roles, does=_DOES)
+                )
+        except BenchInUseError as busy:
+            waiting.wait(busy)
+
+
+class _Waiting:
+    """Asks other programs to stop, and waits for them.
+
+    Attributes
+    ----------
+    asked : dict of int to float
+        When each process was asked last, on the monotonic clock.
+    """
+
+    def __init__(self, orders: Orders, announce: Callable[[str], None], patience_s: float) -> None:
+        self._orders, self._announce, self._patience_s = orders, announce, patience_s
+        self._deadline_s: float | None = None
+        self.asked: dict[int, float] = {}
+
+    def wait(self, busy: BenchInUseError) -> None:
+        """Ask the process that holds the bench to stop, and wait a little.
+
+        Raises
+        ------
+        BenchInUseError
+            If it cannot be asked, or does not stop in time.
+        """
+        now_s = time.monotonic()
+        if self._deadline_s is None:
+            self._deadline_s = now_s + self._patience_s
+        # A lock that was taken a moment ago may not say yet by whom.
+        if busy.holder is not None:
+            self._ask(busy.holder, now_s)
+        if self._orders.stopped:
+            raise _still_busy(busy, "you stopped the waiting; run acquire bench off again")
+        if now_s > self._deadline_s:
+            raise _still_busy(busy, _last_resort(busy.holder, self._patience_s))
+        time.sleep(_POLL_S)
+
+    def _ask(self, holder: Holder, now_s: float) -> None:
+        if now_s - self.asked.get(holder.pid, -_AGAIN_S) < _AGAIN_S:
+            return
+        if not holder.is_here or holder.pid == os.getpid():
+            return
+        again = holder.pid in self.asked
+        try:
+            os.kill(holder.pid, signal.SIGTERM)
+        except ProcessLookupError:
+            return
+        except PermissionError:
+            raise BenchInUseError(
+                f"in use by {holder}, which belongs to another user; ask them to stop it, or run "
+                "this command with sudo",
+                holder,
+            ) from None
+        self.asked[holder.pid] = now_s
+        self._announce(
+            f"{holder} still uses the bench; asked again to stop"
+            if again
+            else f"{holder} uses the bench; asked to stop, waiting up to {self._patience_s:g} s"
+        )
+
+
+def _last_resort(holder: Holder | None, patience_s: float) -> str:
+    if holder is None or not holder.is_here:
+        return "no process of this computer says that it has it; end that program where it runs"
+    if holder.pid == os.getpid():
+        return "this same program has it; close the bench first"
+    return (
+        f"it did not stop within {patience_s:g} s; end it with: kill -9 {holder.pid}; then run "
+        "acquire bench off again"
+    )
+
+
+def _still_busy(busy: BenchInUseError, what: str) -> BenchInUseError:
+    holder = busy.holder or "a program that does not say which it is"
+    return BenchInUseError(f"in use by {holder}; {what}", busy.holder)

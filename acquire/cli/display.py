@@ -1,0 +1,357 @@
+"""What the command line shows of plans and runs: tables, progress and closing words."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from statistics import median
+from typing import Any
+from typing import Protocol as Role
+
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+from acquire.runner.control import control_path
+from acquire.runner.recorder import StepReport
+from acquire.runner.runner import RunSummary
+from drivers.exclusive import holder_of
+from protocols.campaign import Task
+from protocols.plan import Plan, Step
+from protocols.units import exact_decimal
+from reports.plain_text import plain
+from runs.packing import Packing
+from runs.reader import Run, StepRecord
+from runs.verdict import Verdict
+
+
+class Listener(Role):
+    """Takes the reports of a run as they come."""
+
+    def step(self, report: StepReport) -> None:
+        """Show that a step was recorded."""
+
+    def packing(self, share: float) -> None:
+        """Show the share of the frames that is packed."""
+
+
+class _SweepBar:
+    """A line that lives: the bar of a sweep, then that of its frames being packed."""
+
+    def __init__(self, progress: Progress, steps: int) -> None:
+        self._progress, self._steps = progress, steps
+        self._task = progress.add_task("sweep", total=steps, setting="", verdict="", left="")
+
+    def step(self, report: StepReport) -> None:
+        """Show step, frequency, volts, verdict and time left."""
+        # The bar appears with the first step: what is said before stands alone.
+        if not self._progress.live.is_started:
+            self._progress.start()
+        minutes, seconds = divmod(round(report.seconds_left), 60)
+        colour = "green" if report.verdict is Verdict.OK else "red"
+        again = f" take {report.take}" if report.take > 1 else ""
+        self._progress.update(
+            self._task,
+            completed=report.done,
+            setting=f"{report.drive_hz:8.1f} Hz {report.volts:6.2f} V{again}",
+            verdict=f"[{colour}]{report.verdict}[/{colour}]",
+            left=f"{minutes}:{seconds:02d} left",
+        )
+
+    def packing(self, share: float) -> None:
+        """Show the share of the frames that is packed, as steps."""
+        self._progress.update(
+            self._task,
+            completed=share * self._steps,
+            setting="packing the frames",
+            verdict="",
+            left="",
+        )
+
+
+def plan_table(plan: Plan) -> Table:
+    """Every step of a plan, narrow enough for 80 columns without losing a digit."""
+    title = f"{plan.protocol.name} on the {plan.bench.name}"
+    if plan.steps:
+        title += f", AOM2 at {exact_decimal(plan.steps[0].aom2_hz)} Hz"
+    table = Table(title=plain(title), box=SIMPLE, pad_edge=False, padding=(0, 0, 0, 1))
+    several = len(plan.protocol.sideband.selected) > 1
+    heads = (
+        "k/n" if several else "k",
+        "asked Hz",
+        "drive Hz",
+        "AOM1 Hz",
+        "AOM1 − AOM2",
+        "residual",
+    )
+    rows = [_plan_row(step, several) for step in plan.steps]
+    for column, head in enumerate((*heads, "volts", "leak")):
+        widest = max((len(row[column]) for row in rows), default=0)
+        table.add_column(head, justify="right", min_width=widest)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def campaign_table(tasks: Sequence[Task], plans: Sequence[Plan]) -> Table:
+    """Every part of a campaign, with what somebody is to do before."""
+    table = Table(box=SIMPLE, pad_edge=False, padding=(0, 0, 0, 1))
+    for head in ("part", "of", "steps", "seconds", "MB", "before"):
+        table.add_column(head, justify="right" if head in ("steps", "seconds", "MB") else "left")
+    for task, plan in zip(tasks, plans, strict=True):
+        calibration = task.protocol.calibration
+        table.add_row(
+            task.part.name,
+            "sweep" if calibration is None else calibration.kind,
+            str(len(plan.steps)),
+            f"{plan.duration_s:.0f}",
+            f"{plan.file_size_bytes / 1e6:.0f}",
+            plain(task.part.do or ""),
+        )
+    return table
+
+
+def _plan_row(step: Step, several: bool) -> tuple[str, ...]:
+    return (
+        f"{step.index}/{step.order}" if several else str(step.index),
+        f"{float(step.asked_hz):.3f}",
+        exact_decimal(step.drive_hz),
+        exact_decimal(step.aom1_hz),
+        exact_decimal(step.difference_hz),
+        exact_decimal(step.lock_residual_hz),
+        f"{step.volts:.3f}",
+        f"{step.carrier_leak:.2%}",
+    )
+
+
+def plan_summary(plan: Plan) -> list[str]:
+    """Duration, size and limit violations of a plan, a line each."""
+    minutes, seconds = divmod(round(plan.duration_s), 60)
+    lines = [
+        f"{len(plan.steps)} steps, {minutes} min {seconds:02d} s at the camera's pace, "
+        f"{_sizes(plan)}"
+    ]
+    if not plan.violations:
+        return [*lines, "no limit is violated"]
+    lines += [f"violation: {v.key}: {v.message}" for v in plan.violations]
+    return lines
+
+
+def _sizes(plan: Plan) -> str:
+    size, largest, packed = (
+        f"{(size or 0) / 1e6:.0f} MB"
+        for size in (plan.file_size_bytes, plan.largest_size_bytes, plan.packed_size_bytes)
+    )
+    words = size if size == largest else f"{size} ({largest} if many steps are taken again)"
+    return words if plan.packed_size_bytes is None else f"{words}; about {packed} once packed"
+
+
+@contextmanager
+def sweep_progress(console: Console, steps: int) -> Iterator[Listener]:
+    """Live bar of a sweep: step, frequency, volts, verdict and time left."""
+    columns = (
+        TextColumn("step {task.completed:.0f}/{task.total:.0f}"),
+        BarColumn(),
+        TextColumn("{task.fields[setting]}"),
+        TextColumn("{task.fields[verdict]}"),
+        TextColumn("{task.fields[left]}"),
+    )
+    progress = Progress(*columns, console=console)
+    try:
+        yield _SweepBar(progress, steps)
+    finally:
+        if progress.live.is_started:
+            progress.stop()
+
+
+@contextmanager
+def share_progress(console: Console, what: str) -> Iterator[Callable[[float], None]]:
+    """Live bar of a computation that tells the share of it that is done."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+    )
+    progress = Progress(*columns, console=console)
+    task = progress.add_task(what, total=1.0)
+    try:
+
+        def show(share: float) -> None:
+            # The bar appears with the first share: most often there is nothing to wait for.
+            if not progress.live.is_started:
+                progress.start()
+            progress.update(task, completed=share)
+
+        yield show
+    finally:
+        if progress.live.is_started:
+            progress.stop()
+
+
+def run_summary(summary: RunSummary, troubles: Sequence[str]) -> list[str]:
+    """How a run ended, a line each.
+
+    Parameters
+    ----------
+    summary : RunSummary
+    troubles : sequence of str
+        Sentences of the steps that are not ok.
+    """
+    measured = sum(summary.counts.values())
+    because = f" ({summary.reason})" if summary.reason else ""
+    lines = [
+        f"{summary.status}{because}: {measured} of {summary.steps} steps in "
+        f"{summary.duration_s:.0f} s, {summary.counts.get(Verdict.OK, 0)} good"
+    ]
+    bad = {v: n for v, n in summary.counts.items() if v is not Verdict.OK}
+    if bad:
+        listed = ", ".join(f"{n} {v}" for v, n in bad.items())
+        lines.append(f"not good: {listed}; for example: {troubles[0]}" if troubles else listed)
+    if summary.retaken:
+        lines.append(f"taken again: {summary.retaken}")
+    lines += [f"remark: {remark}" for remark in summary.remarks]
+    lines += [f"NOT CONFIRMED OFF, please look: {what}" for what in summary.unconfirmed]
+    return lines
+
+
+def troubles_of(run: Run) -> list[str]:
+    """Sentences of a run's steps that are not ok, first first."""
+    bad = [s for s in run.steps if s.verdict is not Verdict.OK and s.sentence]
+    return [f"step {step.index}: {step.sentence}" for step in bad]
+
+
+def run_details(run: Run) -> dict[str, object]:
+    """Return all that a run file says of a run but for its pictures, with stable keys."""
+    good = [step for step in run.steps if step.verdict is Verdict.OK]
+    errors = [abs(step.lock_error_hz) for step in good if math.isfinite(step.lock_error_hz)]
+    counts = Counter(str(step.verdict) for step in run.steps)
+    return catalogue_entry(run) | {
+        "end": run.end_time,
+        "title": run.title,
+        "kind": run.reed_file().name,
+        "chamber": run.chamber,
+        "bench": run.bench_name,
+        "bench_fingerprint": run.bench_fingerprint,
+        "protocol_sha256": run.protocol_sha256,
+        "instruments": run.identities,
+        "seed": run.seed,
+        "keep": run.keep,
+        "git_revision": run.git_revision,
+        "verdicts": dict(counts),
+        "lock_error_hz": {
+            "median": float(median(errors)) if errors else None,
+            "largest": max(errors, default=None),
+        },
+        "retakes": [_taken(step) for step in run.retakes],
+        "bad": [_taken(step) for step in run.steps if step.verdict is not Verdict.OK],
+        "seams": [asdict(seam) for seam in run.seams],
+    }
+
+
+def _taken(step: StepRecord) -> dict[str, object]:
+    return {"index": step.index, "verdict": str(step.verdict), "sentence": step.sentence}
+
+
+def details_table(details: Mapping[str, Any]) -> Table:
+    """What `acquire show` shows of `run_details`."""
+    table = Table(box=SIMPLE, show_header=False, pad_edge=False)
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(overflow="fold")
+
+    def row(head: str, value: object) -> None:
+        if value not in ("", None):
+            table.add_row(head, plain(value))
+
+    strength = f", strength {details['strength']:g}" if details["strength"] else ""
+    row("run", details["path"])
+    end = details["end"] or ("now" if details["in_work"] else "(no end)")
+    row("measured", f"{details['start']} to {end}, {_standing(details)}")
+    row("protocol", f"{details['title']} ({details['protocol_sha256'][:12]})")
+    row("reed", f"{details['reed']} ({details['kind']}){strength}, series {details['series']}")
+    row("note", details["note"])
+    row("operator", details["operator"])
+    row("bench", f"{details['bench']} ({details['bench_fingerprint'][:12]})")
+    for role, identity in details["instruments"].items():
+        row(role, identity)
+    row("steps", ", ".join(f"{n} {verdict}" for verdict, n in details["verdicts"].items()))
+    lock = details["lock_error_hz"]
+    if lock["median"] is not None:
+        row("lock error", f"{lock['median']:.2g} Hz median, {lock['largest']:.2g} Hz at most")
+    for key, word in (("retakes", "taken again"), ("bad", "not good")):
+        for step in details[key]:
+            row(word, f"step {step['index']}: {step['verdict']}: {step['sentence']}")
+    for seam in details["seams"]:
+        row("seam", f"{seam['kind']} at step place {seam['position'] + 1}: {seam['reason']}")
+    return table
+
+
+def runs_table(runs: Sequence[dict[str, object]]) -> Table:
+    """Table of the runs of a folder (see `catalogue_entry`)."""
+    table = Table()
+    for head in ("run", "reed", "strength", "series", "status", "good", "note"):
+        # Names of files must be whole to be of use.
+        table.add_column(head, overflow="fold")
+    for run in runs:
+        good = f"{run['good']}/{run['steps']}"
+        strength = "" if run["strength"] is None else f"{run['strength']:g}"
+        cells = (run["path"], run["reed"], strength, run["series"], _standing(run))
+        table.add_row(*map(plain, (*cells, good, run["note"])))
+    return table
+
+
+def _standing(entry: Mapping[str, Any]) -> str:
+    """Status of a run, and the process that has it in work."""
+    running = entry["status"] == "running"
+    if not entry["in_work"]:
+        return "stopped: its process is gone, go on with --resume" if running else entry["status"]
+    process = entry["process"]
+    worker = "another computer" if process is None else f"process {process}"
+    return f"being measured by {worker}" if running else f"{entry['status']}, in work: {worker}"
+
+
+def packing_line(run: str, packed: Packing) -> str:
+    """Return what `acquire pack` says of one run."""
+    size = f"{packed.before_bytes / 1e6:.1f} MB"
+    if packed.reason:
+        return f"{run}: {packed.reason} ({size})"
+    return f"{run}: {size} → {packed.after_bytes / 1e6:.1f} MB ({packed.ratio:.0%})"
+
+
+def packing_to_json(run: str, packed: Packing) -> dict[str, object]:
+    """Return what packing a run came to, with stable keys."""
+    return {
+        "run": run,
+        "packed": not packed.reason,
+        "reason": packed.reason,
+        "before_bytes": packed.before_bytes,
+        "after_bytes": packed.after_bytes,
+        "ratio": packed.ratio,
+    }
+
+
+def catalogue_entry(run: Run) -> dict[str, object]:
+    """Return what tells a run from others, with stable keys."""
+    held, holder = holder_of(control_path(run.path))
+    return {
+        "path": str(run.path),
+        "start": run.start_time,
+        "reed": run.reed,
+        "strength": run.labels.strength,
+        "series": run.series,
+        "operator": run.labels.operator,
+        "note": run.labels.note,
+        "status": run.status,
+        "in_work": held,
+        "process": holder.pid if holder else None,
+        "steps": len(run),
+        "good": int(run.good.sum()),
+    }

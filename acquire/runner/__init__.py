@@ -1,0 +1,1 @@
+"""The runner: one sweep from the first step to the last, and all ways out of it."""

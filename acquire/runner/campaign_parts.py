@@ -1,0 +1,193 @@
+"""The parts of a campaign: which are measured, and what stands on the bench before each."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+
+from acquire.runner.orders import Orders
+from acquire.runner.resuming import require_same
+from drivers.roles import Arrangement, Surroundings
+from protocols.bench import BenchFile
+from protocols.campaign import (
+    CampaignFile,
+    Task,
+    tasks_of,
+)
+from protocols.plan import Plan, make_plan
+from runs.errors import RunFileError
+from runs.layout import RunLabels
+from runs.reader import Run
+
+
+class PartState(StrEnum):
+    """How far a part is measured."""
+
+    NEW = "new"
+    BEGUN = "begun"
+    COMPLETE = "complete"
+
+
+@dataclass(frozen=True)
+class PlannedPart:
+    """A part with its plan and its place.
+
+    Attributes
+    ----------
+    task : Task
+    plan : Plan
+    path : Path
+        Of its run file.
+    """
+
+    task: Task
+    plan: Plan
+    path: Path
+
+    @property
+    def state(self) -> PartState:
+        """How far it is measured.
+
+        Raises
+        ------
+        RunFileError
+            If its run file cannot be read.
+        """
+        if not self.path.exists():
+            return PartState.NEW
+        with Run.open(self.path) as run:
+            return PartState.COMPLETE if run.status == "complete" else PartState.BEGUN
+
+
+@dataclass(frozen=True)
+class Begun:
+    """What all parts of a campaign share.
+
+    Attributes
+    ----------
+    reed : str
+    labels : RunLabels
+        With the campaign's name.
+    seed : int
+    """
+
+    reed: str
+    labels: RunLabels
+    seed: int
+
+
+def planned_parts(
+    campaign: CampaignFile, folder: Path, bench: str | Path | BenchFile
+) -> tuple[PlannedPart, ...]:
+    """Plan every part of a campaign.
+
+    Raises
+    ------
+    ProtocolError
+        If a part is wrong, or the bench cannot carry it out.
+    """
+    described = bench if isinstance(bench, BenchFile) else BenchFile.from_file(bench)
+    parts = tuple(
+        PlannedPart(task, make_plan(task.protocol, described), folder / f"{task.part.name}.h5")
+        for task in tasks_of(campaign)
+    )
+    for part in parts:
+        part.plan.require_possible()
+    return parts
+
+
+def begun_campaign(parts: Sequence[PlannedPart], folder: Path) -> Begun:
+    """Read what a campaign was begun with, and require that it may be gone on with.
+
+    Raises
+    ------
+    RunFileError
+        If the folder holds no part, all parts are complete, or a part was begun with another
+        protocol, bench or kind of reed.
+    """
+    found: Begun | None = None
+    missing = False
+    for part in parts:
+        if not part.path.exists():
+            missing = True
+            continue
+        with Run.open(part.path) as run:
+            require_same(run, part.plan)
+            missing |= run.status != "complete"
+            labels = replace(run.labels, campaign=run.acquisition.campaign)
+            found = found or Begun(run.reed, labels, run.seed)
+    if found is None:
+        raise RunFileError(
+            f"{folder}: holds no part of this campaign; begin it again without --resume"
+        )
+    if not missing:
+        raise RunFileError(f"{folder}: all its parts are complete; measure a new campaign")
+    return found
+
+
+class Arranging:
+    """Brings shutters, lamp and clamp into the state that each part needs.
+
+    Parameters
+    ----------
+    surroundings : Surroundings or None
+        None where a person has to do it.
+    wait_for : callable
+        Called with what a person is to do; returns when it is done.
+    orders : Orders
+    """
+
+    def __init__(
+        self,
+        surroundings: Surroundings | None,
+        wait_for: Callable[[str], None],
+        orders: Orders,
+    ) -> None:
+        self._surroundings, self._wait_for, self._orders = surroundings, wait_for, orders
+        self._last_done = ""
+        self._went_on = False
+
+    def prepare(self, part: PlannedPart, state: PartState) -> None:
+        """Prepare the bench for a part that is to be measured; remember one that is complete.
+
+        The reed is clamped anew once only, however often its part is begun.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If somebody stops the campaign while it waits for a person.
+        """
+        clamps = part.task.part.clamp_anew
+        if self._surroundings is not None:
+            if clamps:
+                self._surroundings.clamp_anew()
+            self._surroundings.arrange(_arrangement(part))
+            return
+        if state is PartState.COMPLETE:
+            self._last_done = self._last_done if clamps else part.task.part.do or self._last_done
+            self._went_on = True
+            return
+        self._ask(part, state)
+
+    def _ask(self, part: PlannedPart, state: PartState) -> None:
+        todo, clamped = part.task.part.do or "", part.task.part.clamp_anew
+        if state is PartState.BEGUN and clamped:
+            # That was done before the part was begun.
+            todo = ""
+        if not todo and (self._went_on or state is PartState.BEGUN):
+            # Nobody knows what became of the bench meanwhile.
+            todo = f"see that the bench is as part {part.task.part.name} needs it"
+            todo += f" ({self._last_done})" if self._last_done else ""
+        if todo:
+            with self._orders.given_up_at(1):
+                self._wait_for(todo)
+        if not clamped:
+            self._last_done = part.task.part.do or self._last_done
+        self._went_on = False
+
+
+def _arrangement(part: PlannedPart) -> Arrangement:
+    calibration = part.task.protocol.calibration
+    if calibration is None or calibration.kind == "order0":
+        return Arrangement.HOLOGRAMS
+    return Arrangement(calibration.kind)

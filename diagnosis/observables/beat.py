@@ -1,0 +1,169 @@
+"""Tap T0 and T3: what the frames of every step tell of frames lost and of the lock."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.block import (
+    BANDS,
+    Block,
+    Place,
+    band_of,
+    block,
+    unknown,
+)
+from diagnosis.campaign import Part
+from holography.phase import TURN_OF_FRAMES
+from physics.effects.form import Tap
+from physics.twin import Twin
+from runs.verdict import Verdict
+
+Array = NDArray[np.floating[Any]]
+
+# What steps are worth of which frames were missing, twice the same, or in another order.
+_LOST = (Verdict.PARTIAL, Verdict.DROPPED, Verdict.DISORDERED)
+
+
+@dataclass(frozen=True)
+class Beat:
+    """All steps of all sweeps.
+
+    Attributes
+    ----------
+    steps, lost : int
+        Acquisitions, and those of them in which a frame was missing or twice the same.
+    lock_hz, error_hz : (k,) float
+        By which the lock was missed, and standard errors; of steps with light enough.
+    drive_hz, time_s : (k,) float
+    sweep : (k,) int
+    names : tuple of str
+        Of the sweeps.
+    """
+
+    steps: int
+    lost: int
+    lock_hz: Array
+    error_hz: Array
+    drive_hz: Array
+    time_s: Array
+    sweep: NDArray[np.intp]
+    names: tuple[str, ...]
+
+
+def read_beat(parts: Sequence[Part]) -> Beat:
+    """Read the steps of sweeps."""
+    rows, lost, count = [], 0, 0
+    for number, part in enumerate(parts):
+        for step in part.run.steps:
+            if not step.verdict.measured or step.order != part.run.sideband_order:
+                continue
+            count += 1
+            lost += step.verdict in _LOST
+            if step.verdict is Verdict.OK and np.isfinite(step.lock_error_se_hz):
+                hz = float(step.read_drive_hz or step.drive_hz)
+                time_s = float(np.mean(step.timestamps_s)) - part.clock_s
+                rows.append((step.lock_error_hz, step.lock_error_se_hz, hz, time_s, number))
+    lock, error, hz, time_s, number_ = np.reshape(np.array(rows, dtype=float), (-1, 5)).T
+    names = tuple(part.name for part in parts)
+    return Beat(count, lost, lock, error, hz, time_s, number_.astype(int), names)
+
+
+# --- Beside the twin ----------------------------------------------------------------------------
+# What all locks may miss together.
+_COMMON_HZ = 4e-4
+# A mean is of so many steps at least.
+_LEAST = 4
+
+
+def log_block(beat: Beat) -> Block:
+    """Frames lost."""
+
+    def predict(twin: Twin) -> Array:
+        return np.array([2 * np.sqrt(beat.steps * twin.clocks.lost_share + 3 / 8)])
+
+    values, errors = [2 * np.sqrt(beat.lost + 3 / 8)], np.array([1.0])
+    return block("frames", Tap.LOG, values, errors, [Place("frames lost")], ("clocks",), predict)
+
+
+def lock_scatter_hz(beat: Beat) -> float | None:
+    """Scatter of the lock about what depends on frequency and time, without the image's noise.
+
+    None where hardly a lock has been measured.
+    """
+    if len(beat.lock_hz) < _LEAST:
+        return None
+    left = beat.lock_hz - _smooth(beat)
+    whole = 1.4826 * float(np.median(np.abs(left - np.median(left))))
+    noise = float(np.median(beat.error_hz))
+    return float(np.sqrt(max(whole**2 - noise**2, (0.1 * whole) ** 2)))
+
+
+def _smooth(beat: Beat) -> Array:
+    columns = np.stack(
+        [np.ones_like(beat.time_s), beat.drive_hz / 1e4 - 1, beat.time_s / 1e3 - 0.5], axis=1
+    )
+    found: Array = columns @ np.linalg.lstsq(columns, beat.lock_hz, rcond=None)[0]
+    return found
+
+
+def turn_of_unequal_steps(twin: Twin) -> float:
+    """What unequal phase steps, every other one, add to the turn that fits four frames best."""
+    return float(np.dot(TURN_OF_FRAMES, (0, 1, 0, 1)) * twin.beams.quarter_error_rad)
+
+
+def _scatter_of_bands(beat: Beat, bands: NDArray[Any]) -> dict[Any, float]:
+    """Standard deviation of the lock in each band, about what depends on frequency and time.
+
+    Of the steps themselves, because their standard errors know the image's noise only: light of
+    other sidebands scatters the locks of low frequencies several times as much.
+    """
+    left = beat.lock_hz - _smooth(beat)
+    return {band: float(np.sqrt(np.mean(left[bands == band] ** 2))) for band in set(bands)}
+
+
+def lock_block(beat: Beat, rate_hz: float) -> Block | None:
+    """Lock of every sweep in every band; None if nowhere are enough measured.
+
+    Parameters
+    ----------
+    beat : Beat
+    rate_hz : float
+        Frames per second.
+    """
+    if not len(beat.lock_hz):
+        return None
+    bands = np.array([band_of(hz) for hz in beat.drive_hz])
+    scatter_hz = _scatter_of_bands(beat, bands)
+    values, errors, places, hz, hours = [], [], [], [], []
+    for number, name in enumerate(beat.names):
+        for band in BANDS:
+            chosen = (beat.sweep == number) & (bands == band)
+            if np.count_nonzero(chosen) < _LEAST:
+                continue
+            own = max(scatter_hz[band], float(np.median(beat.error_hz[chosen])))
+            values.append(float(np.mean(beat.lock_hz[chosen])))
+            errors.append(own / np.sqrt(np.count_nonzero(chosen)))
+            places.append(Place("lock", band=band, time=name))
+            hz.append(float(np.mean(beat.drive_hz[chosen])))
+            hours.append(float(np.mean(beat.time_s[chosen])) / 3600)
+    if not values:
+        return None
+    # Light of other sidebands shifts the lock of a step in every sweep by the same.
+    of_band = {band: np.array([place.band == band for place in places]) for band in BANDS}
+    repeated = [
+        (chosen.astype(float), float(np.max(np.array(errors)[chosen])))
+        for chosen in of_band.values()
+        if chosen.any()
+    ]
+
+    def predict(twin: Twin) -> Array:
+        clocks = twin.clocks
+        lock = clocks.detuning_hz + clocks.detuning_hz_h * np.array(hours)
+        lock = lock - 1e-6 * clocks.generator_ppm * np.array(hz)
+        return lock - turn_of_unequal_steps(twin) * rate_hz / (2 * np.pi)
+
+    covariance = np.diag(np.square(errors)) + unknown((np.ones(len(values)), _COMMON_HZ), *repeated)
+    return block("lock", Tap.HOLOGRAM, values, covariance, places, ("clocks", "beams"), predict)

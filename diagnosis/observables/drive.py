@@ -1,0 +1,383 @@
+"""Taps T1 and T6: the drive's lines, how it follows its level, and how it moves each mode."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, median_filter
+
+from diagnosis.block import (
+    BANDS,
+    Block,
+    Place,
+    band_of,
+    block,
+)
+from diagnosis.observables.carrier import Leaks
+from diagnosis.observables.vibration import (
+    SAME_LEVEL,
+    SweepReading,
+    common_modes,
+    loudest,
+)
+from physics.air import (
+    CavityLine,
+    Chamber,
+    Filling,
+    pressure_shape,
+)
+from physics.drive import Tweeter, tweeter_pressure_pa
+from physics.effects.form import Tap
+from physics.mechanics import (
+    Mechanics,
+    ReedMode,
+    Workshop,
+)
+from physics.reed.fem import Symmetry
+from physics.twin import (
+    DriveChain,
+    Fits,
+    Twin,
+)
+
+Array = NDArray[np.floating[Any]]
+Complex = NDArray[np.complexfloating[Any, Any]]
+
+_KEPT = 8192
+# Frequencies that lie no further apart, in log, are one: a generator may not play quite what it is
+# asked to.
+_SAME_HZ = 1e-3
+_FULL_V = 16.0
+# Log of the drive: polynomials of this degree are anyone's, and what waves over more than so much
+# of log frequency; noise of one hologram at least, and of a weaker one more.
+_DEGREE, _SMOOTH = 5, 1.0
+_WAVES, _LENGTH = 0.12, 0.15
+# ... over which what leaks in at a calm hologram spreads.
+_NEAR = 0.05
+_LEAST, _WEAK = 0.01, 0.02
+# Holograms over which sweeps may differ smoothly; at the ends little tells what is smooth.
+_AROUND, _END_SHARE, _END = 15, 0.06, 0.1
+# Beyond this modes are too many for drive and modes to be told apart surely.
+_HIGHEST_HZ = 16.5e3
+# Log ratio of amplitudes in two sweeps: a common factor, smoothly in frequency, of every band.
+_RATIO, _RATIO_BAND = 0.03, 0.015
+# ... and of what leaks in beside the vibration.
+_SPOILT = 0.25
+# Holograms are compared where both are lively, rad, and so many at least together.
+_LIVELY_RAD, _FEWEST = 0.3, 3
+# Log of what moves a mode: gain, by smooth ripple of the loudspeaker, by pressure that is not the
+# model's.
+_GAIN, _RIPPLE, _FIELD = 0.5, 0.08, 0.15
+_RIPPLE_DEGREE = 5
+# Holograms on either side of a mode in which a drive may jump; from which second difference on, and
+# what share of it forces are then uncertain by.
+_BESIDE, _BENT, _JUMP = 2, 0.4, 0.5
+
+
+@dataclass(frozen=True)
+class Device:
+    """What moves the reed, and the light that shows it, as nominally known.
+
+    Attributes
+    ----------
+    chamber : Chamber
+    line : CavityLine
+        Resonance of the air that the device is known to have.
+    wavelength_m : float
+    tweeter : Tweeter
+    """
+
+    chamber: Chamber
+    line: CavityLine
+    wavelength_m: float
+    tweeter: Tweeter = Tweeter()
+
+
+def line_block(sweeps: Sequence[SweepReading], line: CavityLine, leaks: Leaks) -> Block | None:
+    """What stands out of the smooth drive, by hologram, mean of all sweeps.
+
+    None if they hardly have frequencies in common.
+
+    Parameters
+    ----------
+    sweeps : sequence of SweepReading
+    line : CavityLine
+    leaks : Leaks
+    """
+    hz, log, error = _mean_drive(sweeps)
+    if len(hz) <= _DEGREE + 1:
+        return None
+    loud = loudest(sweeps)[0]
+    volts = np.interp(hz, loud.drive_hz, loud.volts)
+    pitch = np.log(hz / np.sqrt(hz[0] * hz[-1]))
+    powers = np.polynomial.chebyshev.chebvander(pitch / np.abs(pitch).max(), _DEGREE)
+    apart = pitch[:, None] - pitch
+    near = np.exp(-0.5 * (apart / _NEAR) ** 2)
+    spoilt = _of_leaks(loud, leaks, hz, near)
+    waves = _WAVES**2 * np.exp(-0.5 * (apart / _LENGTH) ** 2)
+    waves += np.multiply.outer(spoilt, spoilt) * near
+    error = np.hypot(error, _WEAK / _gain(DriveChain(), line, hz))
+
+    first = sweeps[0]
+    modes = list(zip(first.names, first.hz.tolist(), first.loss_factor.tolist(), strict=True))
+
+    def predict(twin: Twin) -> Array:
+        bent = np.log(_gain(twin.drive, line, hz) * _kept(twin.drive, volts, hz))
+        for name, own_hz, loss in modes:
+            bent = bent + exchanged(twin.fits, name, own_hz, loss, hz)
+        return bent
+
+    covariance = np.diag(error**2) + waves + _SMOOTH**2 * powers @ powers.T
+    places = [Place("drive", band=band_of(float(f))) for f in hz]
+    parts = ("drive", "fits")
+    return block("lines of the drive", Tap.DRIVE, log, covariance, places, parts, predict)
+
+
+def _of_leaks(sweep: SweepReading, leaks: Leaks, hz: Array, near: Array) -> Array:
+    """What light that leaks in makes of the log drive (k,), most where the reed is calm."""
+    calm = np.interp(hz, sweep.drive_hz, np.median(sweep.amplitude_rad) / sweep.amplitude_rad)
+    # Half of a small amplitude is what shows of it; a fit's error there is its neighbours' as well.
+    square = near @ np.minimum(2 * leaks.carrier.get(sweep.name, 0.0) * calm, 1.0) ** 2
+    errors: Array = np.sqrt(square / near.sum(axis=1))
+    return errors
+
+
+def exchanged(fits: Fits, mode: str, own_hz: float, loss: float, hz: Array) -> Array:
+    """What the log drive (k,) takes over of a mode that is told at `own_hz` with `loss`."""
+    cents, log = fits.of(mode)
+    if not cents and not log:
+        return np.zeros(len(hz))
+
+    def response(f: float, eta: float) -> Array:
+        size: Array = np.abs(complex(1, eta) - np.square(hz / f))
+        return size
+
+    true = response(own_hz * 2 ** (-cents / 1200), loss * np.exp(-log))
+    bent: Array = np.log(response(own_hz, loss) / true)
+    return bent
+
+
+def _gain(drive: DriveChain, line: CavityLine, hz: Array) -> Array:
+    """What resounds (k,) between loudspeaker and reed."""
+
+    def through(hz_0: float, quality: float, strength: float) -> Complex:
+        ratio = hz / hz_0
+        return np.asarray(1 + strength / (1 - ratio**2 + 1j * ratio / quality), dtype=complex)
+
+    own = through(
+        line.frequency_hz * np.exp(drive.line_shift),
+        line.quality * np.exp(drive.line_quality),
+        line.strength * (1 + drive.line_excess),
+    )
+    second = through(drive.second_hz, drive.second_quality, drive.second_line)
+    gain: Array = np.maximum(np.abs(own * second + complex(*drive.beside)), 1e-3)
+    return gain
+
+
+def _kept(drive: DriveChain, volts: Array, hz: Array) -> Array:
+    """Share of the pressure that a coil keeps which moves far."""
+    moves = 1 / (1 + (hz / drive.compression_hz) ** 2)
+    kept: Array = np.maximum(1 - drive.compression * moves * (volts / _FULL_V) ** 2, 0.02)
+    return kept
+
+
+def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array]:
+    """Frequencies, log drive per volt and errors (k,) of all holograms, by all sweeps.
+
+    What sweeps differ by smoothly is anyone's; where they differ from hologram to hologram, some of
+    their fits are wrong there.
+    """
+    every = np.array(sorted({float(f) for s in sweeps for f in s.drive_hz}))
+    new = np.diff(np.log(every), prepend=-np.inf) > _SAME_HZ
+    hz, place = every[new], np.cumsum(new) - 1
+    table = np.full((len(sweeps), len(hz)), np.nan)
+    for row, sweep in zip(table, sweeps, strict=True):
+        good = ~sweep.off
+        row[place[np.searchsorted(every, sweep.drive_hz[good])]] = sweep.log_drive[good]
+    told = (np.sum(np.isfinite(table), axis=0) >= min(2, len(sweeps))) & (hz < _HIGHEST_HZ)
+    hz, table = hz[told], table[:, told]
+    if not hz.size:
+        return hz, hz, hz
+    middle = np.nanmedian(table, axis=0)
+    apart = np.where(np.isfinite(table), table - middle, 0.0)
+    apart = apart - median_filter(apart, size=(1, _AROUND), mode="nearest")
+    count = np.sum(np.isfinite(table), axis=0)
+    mean = middle + np.sum(apart, axis=0) / count
+    error = np.sqrt(np.sum(apart**2, axis=0) / np.maximum(count - 1, 1))
+    pitch = np.log(hz / np.sqrt(hz[0] * hz[-1]))
+    ends = np.clip((np.abs(pitch) / np.abs(pitch).max() - 1) / _END_SHARE + 1, 0, 1)
+    return hz, mean, np.sqrt(_LEAST**2 + error**2 + (_END * ends) ** 2)
+
+
+def level_block(sweeps: Sequence[SweepReading], leaks: Leaks) -> Block | None:
+    """Amplitudes of sweeps at another level beside those of the loudest.
+
+    None if there are none at the same frequencies.
+
+    Parameters
+    ----------
+    sweeps : sequence of SweepReading
+    leaks : Leaks
+    """
+    loud = loudest(sweeps)
+    quiet = [sweep for sweep in sweeps if sweep.loudness < loud[0].loudness - SAME_LEVEL]
+    others = [sweep for sweep in quiet if sweep.clamping == loud[0].clamping]
+    if not others:
+        return None
+    values, errors, places, volts, hz = [], [], [], [], []
+    for other in others:
+        apart = np.abs(np.log(loud[0].drive_hz[:, None] / other.drive_hz))
+        one = np.flatnonzero(apart.min(axis=1) < _SAME_HZ)
+        two = np.argmin(apart[one], axis=1)
+        # Where the reed is calm in one of them, light that leaks in tells as much as it does.
+        told = ~loud[0].off[one] & ~other.off[two] & (other.deepest_rad[two] > _LIVELY_RAD)
+        one, two = one[told], two[told]
+        ratio = loud[0].signal[one] - other.signal[two]
+        ratio -= np.log(loud[0].volts[one] / other.volts[two])
+        for piece in np.array_split(np.arange(len(ratio)), 2 * len(BANDS)):
+            if len(piece) < _FEWEST:
+                continue
+            own = 1.4826 * float(np.median(np.abs(ratio[piece] - np.median(ratio[piece]))))
+            values.append(float(np.median(ratio[piece])))
+            least = np.hypot(_RATIO_BAND, _SPOILT * leaks.carrier.get(other.name, 0.0))
+            errors.append(np.hypot(1.25 * own / np.sqrt(len(piece)), least))
+            volts.append((loud[0].volts[one[piece]].mean(), other.volts[two[piece]].mean()))
+            hz.append(float(np.mean(loud[0].drive_hz[one[piece]])))
+            places.append(Place("amplitude over volts", band=band_of(hz[-1]), level=other.name))
+
+    if not values:
+        return None
+
+    def predict(twin: Twin) -> Array:
+        one, two = np.array(volts).T
+        at = np.array(hz)
+        return np.log(_kept(twin.drive, one, at) / _kept(twin.drive, two, at))
+
+    covariance = np.diag(np.square(errors)) + _RATIO**2
+    return block("level", Tap.DRIVE, values, covariance, places, ("drive",), predict)
+
+
+def force_block(sweeps: Sequence[SweepReading], workshop: Workshop, device: Device) -> Block | None:
+    """What moves each mode, beside loudspeaker, chamber and reed of the twin.
+
+    None if no mode is told by all loud sweeps.
+
+    Parameters
+    ----------
+    sweeps : sequence of SweepReading
+    workshop : Workshop
+        Of the kind of reed.
+    device : Device
+    """
+    loud = loudest(sweeps)
+    known = workshop.modes(Twin().reed)
+    names = [
+        name
+        for name in common_modes(sweeps)
+        if name in known and all(name in sweep.names for sweep in loud)
+    ]
+    if not names:
+        return None
+    at = [[sweep.names.index(name) for name in names] for sweep in loud]
+    forces = np.array([np.log(np.abs(s.force_rad[i])) for s, i in zip(loud, at, strict=True)])
+    error = np.array([s.force_error[i] for s, i in zip(loud, at, strict=True)]).mean(axis=0)
+    hz = loud[0].hz[at[0]]
+    volts = np.interp(hz, loud[0].drive_hz, loud[0].volts)
+    pitch = np.log(hz / 4e3) / np.log(5)
+    powers = np.polynomial.legendre.legvander(np.clip(pitch, -1, 1), _RIPPLE_DEGREE)
+    ripple = _RIPPLE * powers[:, 1:] / np.sqrt(np.arange(1, _RIPPLE_DEGREE + 1))
+    doubt = np.array([_doubt(workshop, device.chamber, known[name]) for name in names])
+    torn = np.max([_torn(sweep, hz) for sweep in loud], axis=0)
+    covariance = np.diag(error**2 + doubt**2 + torn**2) + _GAIN**2 + ripple @ ripple.T
+    predicted = forces_rad(workshop, device)
+
+    losses = loud[0].loss_factor[at[0]]
+
+    def predict(twin: Twin) -> Array:
+        resounding = _gain(twin.drive, device.line, hz) * _kept(twin.drive, volts, hz)
+        bent = [
+            float(exchanged(twin.fits, name, own, loss, np.array([own]))[0])
+            for name, own, loss in zip(names, hz.tolist(), losses.tolist(), strict=True)
+        ]
+        force = np.log(predicted(twin.drive, twin.reed, names) * resounding)
+        total: Array = force + np.array(bent)
+        return total
+
+    places = [
+        Place("force", mode=n, band=band_of(float(f))) for n, f in zip(names, hz, strict=True)
+    ]
+    parts = ("reed", "drive", "fits")
+    return block("forces", Tap.RESPONSE, forces.mean(axis=0), covariance, places, parts, predict)
+
+
+def _torn(sweep: SweepReading, hz: Array) -> Array:
+    """Log (a,) of forces by a drive that jumps where a mode is: one is taken for the other."""
+    bends = np.abs(np.diff(sweep.log_drive, 2))
+    nearest = np.argmin(np.abs(np.log(sweep.drive_hz[1:-1]) - np.log(hz)[:, None]), axis=1)
+    worst = maximum_filter1d(bends, 2 * _BESIDE + 1, mode="nearest")[nearest]
+    jumps: Array = _JUMP * np.maximum(worst - _BENT, 0.0)
+    return jumps
+
+
+def forces_rad(
+    workshop: Workshop, device: Device
+) -> Callable[[DriveChain, Mechanics, Sequence[str]], Array]:
+    """Phase amplitudes per volt that forces have modes move by, at rest, where they move most."""
+
+    @lru_cache(maxsize=_KEPT)
+    def pushes(reed: Mechanics, name: str) -> tuple[float, float, float, float]:
+        return _pushes(workshop, device.chamber, workshop.modes(reed)[name])
+
+    def forces(drive: DriveChain, reed: Mechanics, names: Sequence[str]) -> Array:
+        modes = workshop.modes(reed)
+        missing = [name for name in names if name not in modes]
+        if missing:
+            raise ValueError(f"a reed of this kind has no mode {missing[0]}")
+        hz = np.array([modes[name].hz for name in names])
+        left, right, without_signs, deepest = np.array([pushes(reed, name) for name in names]).T
+        share = drive.open_right if device.chamber.filling is Filling.ASYMMETRIC else 1.0
+        at_tip = np.array([abs(tweeter_pressure_pa(device.tweeter, float(f), 1.0)) for f in hz])
+        at_tip /= np.sqrt(1 + (drive.roll_off * hz / 1e4) ** 4)
+        # Where pressures cancel, what is not the model's in them pushes all the same.
+        pushed = np.hypot(left + share * right, _FIELD * without_signs)
+        moved = at_tip * pushed / (2 * np.pi * hz) ** 2
+        force: Array = 4 * np.pi / device.wavelength_m * moved * deepest
+        return force
+
+    return forces
+
+
+def _doubt(workshop: Workshop, chamber: Chamber, mode: ReedMode) -> float:
+    """Log of a force by pressure that is not the model's: more where the model's cancels."""
+    left, _, without_signs, _ = _pushes(workshop, chamber, mode)
+    share = (_FIELD * without_signs) ** 2
+    return float(np.hypot(_FIELD, share / (share + left**2)))
+
+
+def _pushes(
+    workshop: Workshop, chamber: Chamber, mode: ReedMode
+) -> tuple[float, float, float, float]:
+    """Modal forces of unit pressure, and the largest deflection.
+
+    Forces are those on either half of the window, and that on the left if all of it pushed alike.
+    """
+    reed = workshop.anatomy.reed
+    x, y = reed.load_points_m.T
+    whole = replace(chamber, filling=Filling.SYMMETRIC)
+    left = pressure_shape(chamber, mode.hz, x, y)
+    right = pressure_shape(whole, mode.hz, x, -y)
+    start, pushed, moved = 0, np.zeros(2), np.zeros((2, len(reed.plan_m)))
+    everywhere = np.zeros(len(left))
+    for symmetry, half in reed.halves.items():
+        own = mode.coordinates[start : start + half.mass.shape[0]]
+        start += half.mass.shape[0]
+        sign = 1 if symmetry is Symmetry.SYMMETRIC else -1
+        deflection = half.load_z @ own
+        pushed += 0.5 * np.array([left @ deflection, sign * (right @ deflection)])
+        everywhere += deflection
+        moved += np.multiply.outer([1, sign], half.surface_z @ own)
+    without_signs = 0.5 * float(np.abs(left) @ np.abs(everywhere))
+    return float(pushed[0]), float(pushed[1]), without_signs, float(np.abs(moved).max())

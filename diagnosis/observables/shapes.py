@@ -1,0 +1,180 @@
+"""Tap T7: shapes of modes, by what each has of the others beside those of the elastic reed."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.block import (
+    Block,
+    Place,
+    band_of,
+    block,
+)
+from diagnosis.observables.carrier import Leaks
+from diagnosis.observables.vibration import SweepReading
+from fitting.modal.identify import SHAPES_HZ
+from physics.effects.form import Tap
+from physics.mechanics import (
+    Mechanics,
+    ReedMode,
+    Workshop,
+)
+from physics.reed.fem import Symmetry
+from physics.reed.viscoelastic import (
+    ViscoelasticCane,
+    Zener,
+    storage_modulus_pa,
+)
+from physics.twin import Twin
+
+Array = NDArray[np.floating[Any]]
+
+# Shapes of higher modes are told badly.
+_HIGHEST_HZ = 14e3
+# Of a mode's share in another this much may be seen, as an amplitude, and counts.
+_SEEN = 0.02
+# What shares are off by: at least, of modes of one symmetry, of what a share is, and of what leaks
+# into sweeps.
+_LEAST, _SAME_KIND, _SHARE, _LEAK = 2e-3, 6e-3, 0.15, 0.1
+
+
+@dataclass(frozen=True)
+class _Share:
+    """What mode `of` has of mode `has`, mean of all sweeps.
+
+    Attributes
+    ----------
+    of, has : str
+    amplitude, error : float
+    """
+
+    of: str
+    has: str
+    amplitude: float
+    error: float
+
+
+def shapes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks) -> Block | None:
+    """Shapes of modes beside the twin's; None if none is told well."""
+    known = workshop.modes(Twin().reed)
+    names = [n for n in sweeps[0].names if n in known and known[n].hz < _HIGHEST_HZ]
+    shares = _told(sweeps, names)
+    if not shares:
+        return None
+    elastic = _Elastic.of(workshop, sweeps[0])
+
+    def predict(twin: Twin) -> Array:
+        modes = workshop.modes(twin.reed)
+        missing = [share.of for share in shares if share.of not in modes]
+        if missing:
+            raise ValueError(f"a reed of this kind has no mode {missing[0]}")
+        return np.array([elastic.share(modes[share.of], share.has) for share in shares])
+
+    values = np.array([share.amplitude for share in shares])
+    same = np.array([elastic.alike(share.of, share.has) for share in shares])
+    errors = np.sqrt(
+        np.square([share.error for share in shares])
+        + np.where(same, _SAME_KIND, _LEAST) ** 2
+        + (_SHARE * values) ** 2
+        + (_LEAK * np.hypot(leaks.mixing, max(leaks.carrier.values(), default=0.0))) ** 2
+    )
+    places = [
+        Place(f"share of {share.has}", mode=share.of, band=band_of(known[share.of].hz))
+        for share in shares
+    ]
+    return block("shapes", Tap.MODES, values, errors, places, ("reed",), predict)
+
+
+def _told(sweeps: Sequence[SweepReading], names: Sequence[str]) -> list[_Share]:
+    """Shares that are seen, of every two modes the one that is told better."""
+    best: dict[frozenset[str], _Share] = {}
+    for of in names:
+        for has in names:
+            found = [_amplitude(sweep, of, has) for sweep in sweeps]
+            told = np.array([pair for pair in found if pair is not None])
+            if of == has or len(told) < max(1, len(sweeps) - 1):
+                continue
+            scatter = float(told[:, 0].std(ddof=1)) if len(told) > 1 else 0.0
+            error = float(np.hypot(scatter, np.mean(told[:, 1])))
+            both = frozenset((of, has))
+            if error < _SEEN and (both not in best or error < best[both].error):
+                best[both] = _Share(of, has, float(np.mean(told[:, 0])), error)
+    return list(best.values())
+
+
+def _amplitude(sweep: SweepReading, of: str, has: str) -> tuple[float, float] | None:
+    """Share and standard error in one sweep; None where the fit allowed none."""
+    if of not in sweep.names or has not in sweep.shape_names:
+        return None
+    at = sweep.shape_names.index(has), sweep.names.index(of)
+    if not sweep.mixing_spread[at]:
+        return None
+    return float(sweep.mixing[at]), float(sweep.mixing_error[at])
+
+
+@dataclass(frozen=True)
+class _Elastic:
+    """Modes of the elastic reed, which shares are shares of.
+
+    Attributes
+    ----------
+    modes : mapping
+        By name.
+    mass : (s, s) float
+    deflection : dict of float
+        Of each mode where it moves most in holograms, of the sign that it has there.
+    symmetry : dict of Symmetry
+    """
+
+    modes: Mapping[str, ReedMode]
+    mass: Array
+    deflection: dict[str, float]
+    symmetry: dict[str, Symmetry]
+
+    @classmethod
+    def of(cls, workshop: Workshop, sweep: SweepReading) -> "_Elastic":
+        """Settle the elastic reed, with signs as a sweep's fit has them."""
+        cane = Mechanics().cane
+        springs = (
+            Zener(1e-6 * float(storage_modulus_pa(zener, SHAPES_HZ)), 0.0, 0.0)
+            for zener in (cane.young_L, cane.shear_LT)
+        )
+        modes = workshop.modes(Mechanics(cane=ViscoelasticCane(*springs)))
+        deflection, symmetry = {}, {}
+        for name, at_m, value in zip(
+            sweep.shape_names, sweep.shape_peak_m, sweep.shape_peak, strict=True
+        ):
+            if name in modes:
+                here, symmetry[name] = _deflection(workshop, modes[name], at_m)
+                deflection[name] = here / float(value)
+        return cls(modes, workshop.mass_kg, deflection, symmetry)
+
+    def share(self, mode: ReedMode, has: str) -> float:
+        """What a mode has of another, both in units of their largest deflections."""
+        own, other = (
+            float(self.modes[name].coordinates @ self.mass @ mode.coordinates)
+            for name in (mode.name, has)
+        )
+        return other * self.deflection[has] / (own * self.deflection[mode.name])
+
+    def alike(self, one: str, other: str) -> bool:
+        """Whether both are of one symmetry."""
+        return self.symmetry[one] is self.symmetry[other]
+
+
+def _deflection(workshop: Workshop, mode: ReedMode, at_m: Array) -> tuple[float, Symmetry]:
+    """Deflection at a place (2,), and the symmetry of the mode."""
+    reed = workshop.anatomy.reed
+    node = int(np.argmin(np.hypot(reed.plan_m[:, 0] - at_m[0], reed.plan_m[:, 1] - abs(at_m[1]))))
+    start, parts = 0, []
+    for symmetry, half in reed.halves.items():
+        own = mode.coordinates[start : start + half.mass.shape[0]]
+        start += half.mass.shape[0]
+        sign = -1.0 if symmetry is Symmetry.ANTISYMMETRIC and at_m[1] < 0 else 1.0
+        parts.append(
+            (float(own @ half.mass @ own), sign * float(half.surface_z[node] @ own), symmetry)
+        )
+    return sum(part[1] for part in parts), max(parts, key=lambda part: part[0])[2]

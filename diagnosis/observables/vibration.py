@@ -1,0 +1,456 @@
+"""What the sweeps of a campaign tell: modes, drive and light of each, and what their fits leave."""
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import j0, j1, jv
+
+from diagnosis.block import (
+    Block,
+    Place,
+    block,
+)
+from diagnosis.campaign import Part
+from fitting.errors import FitError
+from fitting.forward import basis_of, finite_element_model
+from fitting.holograms.block_amplitudes import Unshifted
+from fitting.modal.fit import ModalFit
+from fitting.modal.identify import (
+    JointFit,
+    fit_again,
+    fit_jointly,
+    fit_less,
+)
+from fitting.parallel.processes import side_by_side
+from physics.effects.form import Tap
+from physics.twin import Twin
+from runs.reader import Run, StepRecord
+
+Array = NDArray[np.floating[Any]]
+Complex = NDArray[np.complexfloating[Any, Any]]
+
+# What may be in a hologram beside its sideband, by name.
+TEMPLATES = ("carrier_leak", "order_mixing", "decorrelation")
+# Modes beyond this are too many to be told apart surely.
+_HIGHEST_HZ = 17e3
+# Modes so far away in log frequency count half as much or less.
+_NEAR = 0.2
+# What modes usually leave of vibrations, and how many holograms; and how many of them are told.
+_USUAL, _FEW_OFF, _FEWEST_MODES = 6e-3, 2, 7
+# Bends of a drive, nepers, and how much it usually has of them, per hologram.
+_BEND, _SMOOTH = 0.01, 0.45
+# Share of the work that the search is.
+_SEARCH = 0.4
+# Sweeps are of one level if their loudness, log of volts, differs by no more.
+SAME_LEVEL = 0.1
+
+
+@dataclass(frozen=True)
+class SweepReading:
+    """One sweep, fitted.
+
+    Attributes
+    ----------
+    name : str
+        Of the part.
+    clamping : int
+    names : tuple of str
+        Of the a identified modes.
+    hz, loss_factor : (a,) float
+    covariance : (2a, 2a) float
+        Of log frequencies, then of log losses.
+    force_rad : (a,) complex
+        Modal amplitude per volt that each mode would have at its own frequency without being
+        resonant: drive times participation.
+    force_error : (a,) float
+        Relative.
+    mixing, mixing_error, mixing_spread : (m, a) float
+        See `fitting.modal.fit.ModalFit`, of the m modes `shape_names`.
+    shape_names : tuple of str
+    shape_hz : (m,) float
+    shape_peak_m, shape_peak : (m, 2), (m,) float
+        Where each shape is largest, and its value there, 1 or -1.
+    drive_hz, volts, time_s : (k,) float
+        Of every hologram; times since the campaign began.
+    log_drive : (k,) float
+        Per volt, in nepers, with what all participations have in common: drive and participations
+        may be exchanged.
+    amplitude_rad : (k,) float
+        Root mean square over the reed.
+    deepest_rad : (k,) float
+        Largest over the reed.
+    brightness : (k,) float
+        Log of the light's amplitude, dn.
+    signal : (k,) float
+        Log of vibration times light: where the reed is calm fringes tell no more than that.
+    noise_dn2 : (k,) float
+        Beside the image.
+    fringe_dn2 : (k,) float
+        Of the fringes, mean over all pixels of the sensor.
+    misfit : (k,) float
+        Mean square of what phasors leave, noise is 1.
+    off : (k,) bool
+        Holograms that show something else.
+    template : (3, k) complex
+        Amplitude of each of `TEMPLATES` in every hologram, in units of the sideband's.
+    template_variance : (3, k) float
+    discrepancy : float
+        See `fitting.modal.fit.ModalFit`.
+    taken_off : float
+        Amplitude of unshifted light that was taken off, in units of the light at rest.
+    """
+
+    name: str
+    clamping: int
+    names: tuple[str, ...]
+    hz: Array
+    loss_factor: Array
+    covariance: Array
+    force_rad: Complex
+    force_error: Array
+    mixing: Array
+    mixing_error: Array
+    mixing_spread: Array
+    shape_names: tuple[str, ...]
+    shape_hz: Array
+    shape_peak_m: Array
+    shape_peak: Array
+    drive_hz: Array
+    volts: Array
+    time_s: Array
+    log_drive: Array
+    amplitude_rad: Array
+    deepest_rad: Array
+    brightness: Array
+    signal: Array
+    noise_dn2: Array
+    fringe_dn2: Array
+    misfit: Array
+    off: NDArray[np.bool_]
+    template: Complex
+    template_variance: Array
+    discrepancy: float
+    taken_off: float = 0.0
+
+    @property
+    def loudness(self) -> float:
+        """Mean log of the volts."""
+        return loudness(self.volts)
+
+
+def read_sweeps(
+    parts: Sequence[Part],
+    progress: Callable[[float], None] | None = None,
+    unshifted: Mapping[str, Unshifted] | None = None,
+) -> tuple[list[SweepReading], list[str]]:
+    """Fit all sweeps: one by itself, the others each from the one before.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+    progress : callable, optional
+        Told the share that is done.
+    unshifted : dict of Unshifted, optional
+        Light that is known to leak into sweeps, by their names.
+
+    Returns
+    -------
+    readings : list of SweepReading
+    refused : list of str
+        Why each of the others could not be fitted.
+    """
+    report = progress or (lambda _share: None)
+    lights = unshifted or {}
+    fits = _Fits(parts[0].run, lights)
+    first = parts[0].clamping
+    loud = sorted(parts, key=lambda part: (part.clamping != first, -_run_loudness(part.run)))
+    calm = sorted(parts, key=lambda part: (part.clamping != first, _run_loudness(part.run)))
+    # A loud sweep shows more, but its fringes may fold; one that is calmer, or of another speckle,
+    # then shows the way.
+    last = _root(fits, list(dict.fromkeys([loud[0], calm[0], loud[-1], *loud[1:2]])))
+    report(_SEARCH)
+    # What a fit begins with settles as it is handed on.
+    turns = list(dict.fromkeys([calm[0], loud[0], *loud]))
+    turns += [loud[0]] + [part for part in turns[:1] if part is last]
+    for number, part in enumerate(turns):
+        if part is not last and fits.keep(part, fits.of(part, last)):
+            last = part
+        report(_SEARCH + (1 - _SEARCH) * (number + 1) / len(turns))
+    fitted = [part for part in parts if part.name in fits.found]
+    readings = side_by_side(
+        lambda part: _read(part, fits.found[part.name], _taken_off(lights.get(part.name))), fitted
+    )
+    read = {part.name: reading for part, reading in zip(fitted, readings, strict=True) if reading}
+    empty = {part.name: f"{part.run.path}: nothing is identified" for part in parts}
+    told = [(empty | fits.refused)[part.name] for part in parts if part.name not in read]
+    return list(read.values()), told
+
+
+class _Fits:
+    """Fits of a campaign's sweeps, as they are found.
+
+    Parameters
+    ----------
+    run : Run
+        One of them.
+    unshifted : dict of Unshifted
+    """
+
+    def __init__(self, run: Run, unshifted: Mapping[str, Unshifted]) -> None:
+        self._reed = basis_of(run.reed_file())
+        self._model, self._unshifted = finite_element_model(self._reed), unshifted
+        self.found: dict[str, JointFit] = {}
+        self.refused: dict[str, str] = {}
+
+    def of(self, part: Part, known: Part | None = None) -> JointFit | FitError:
+        """Fit a sweep from another one that is known, or by itself; or say why it cannot be."""
+        light = self._unshifted.get(part.name)
+        try:
+            if known is None:
+                return fit_jointly(part.run, self._reed, self._model, light)
+            before, moved = self.found[known.name], part.clamping != known.clamping
+            return fit_again(part.run, before, moved=moved, unshifted=light)
+        except FitError as error:
+            return error
+
+    def keep(self, part: Part, fit: JointFit | FitError) -> bool:
+        """Keep a fit; tells whether it is one."""
+        if isinstance(fit, FitError):
+            self.refused[part.name] = str(fit)
+            return False
+        self.found[part.name] = fit
+        return True
+
+
+def _root(fits: _Fits, parts: Sequence[Part]) -> Part | None:
+    """Fit sweeps by themselves until there is no doubt; tells of which there is least, if any."""
+    doubt: dict[str, tuple[int, float]] = {}
+    # Most often the first will do.
+    with contextlib.closing(side_by_side(fits.of, parts[1:])) as others:
+        for part, fit in zip(parts, chain([fits.of(parts[0])], others), strict=True):
+            if fits.keep(part, fit):
+                doubt[part.name] = _doubt(fits.found[part.name])
+                if not doubt[part.name][0]:
+                    break
+    told = [part for part in parts if part.name in doubt]
+    return min(told, key=lambda part: doubt[part.name], default=None)
+
+
+def _read(part: Part, fitted: JointFit, taken_off: float) -> SweepReading | None:
+    """What a sweep's fit says; None if nothing is identified."""
+    if fitted.resonances:
+        with contextlib.suppress(FitError):
+            fitted = fit_less(fitted)
+    return _reading(part, fitted, taken_off) if fitted.resonances else None
+
+
+def _taken_off(light: Unshifted | None) -> float:
+    return float(np.median(np.abs(list(light.share.values())))) if light else 0.0
+
+
+def _bends(fit: JointFit) -> float:
+    """How much the drive bends from step to step: where modes are wrong, it takes their part."""
+    log = np.log(np.abs(fit.modal.drive) / fit.phasors.volts)
+    return float(np.sum(np.log1p((np.diff(log, 2) / _BEND) ** 2 / 4)))
+
+
+def _doubt(fit: JointFit) -> tuple[int, float]:
+    """How far to doubt a fit: not if modes explain holograms as well as usual; and its bends.
+
+    Where hardly a mode is told, vibrations of any size would do.
+    """
+    bends = _bends(fit)
+    few_off = np.count_nonzero(fit.modal.off) <= _FEW_OFF
+    smooth = bends < _SMOOTH * len(fit.phasors.volts)
+    if len(fit.resonances) < _FEWEST_MODES:
+        return 2, bends
+    return int(not (smooth or (fit.modal.discrepancy < _USUAL and few_off))), bends
+
+
+def at_highest_level(sweeps: Sequence[SweepReading]) -> list[SweepReading]:
+    """Sweeps at the highest level."""
+    most = max(sweep.loudness for sweep in sweeps)
+    return [sweep for sweep in sweeps if sweep.loudness > most - SAME_LEVEL]
+
+
+def loudest(sweeps: Sequence[SweepReading]) -> list[SweepReading]:
+    """Those of the first clamping that are at its highest level."""
+    return at_highest_level([s for s in sweeps if s.clamping == sweeps[0].clamping])
+
+
+def _run_loudness(run: Run) -> float:
+    return loudness(np.array([step.volts for step in run.steps]))
+
+
+def loudness(volts: Array) -> float:
+    """Mean log of the volts of a sweep's holograms, without those at rest."""
+    told = volts[volts > 0]
+    return float(np.mean(np.log(told))) if told.size else -np.inf
+
+
+def _reading(part: Part, fitted: JointFit, taken_off: float) -> SweepReading:
+    modal, phasors, found = fitted.modal, fitted.phasors, fitted.displacements
+    kept = np.array([m for m, name in enumerate(modal.names) if name in fitted.resonances])
+    a = len(modal.names)
+    both = np.concatenate([kept, a + kept])
+    by_index = {
+        step.index: step for step in part.run.steps if step.order == part.run.sideband_order
+    }
+    steps = [by_index[int(k)] for k in phasors.step_index]
+    log_hz = np.log(phasors.drive_hz)
+    own = np.log(modal.hz[kept])
+    drive = modal.drive / phasors.volts
+    at_own = np.interp(own, log_hz, np.log(np.abs(drive)))
+    noise = np.array([step.noise_level for step in steps])
+    seen = np.abs(found.light) ** 2
+    template, variance = _templates(fitted)
+    # As modes have it: what all displacements are off together is taken off.
+    u = modal.amplitude_rad @ fitted.basis.functions.T
+    brightness = found.gain + 0.5 * np.log(noise * np.mean(seen))
+    # Block by block: light and vibration may be taken for each other smoothly over the reed.
+    moved = np.abs(found.light) * np.abs(found.amplitude_rad @ fitted.basis.functions.T)
+    signal = found.gain + 0.5 * np.log(noise * np.maximum(np.mean(moved**2, axis=1), 1e-12))
+    pixels = part.run.frame_shape[0] * part.run.frame_shape[1]
+    fringes = np.sum(np.abs(phasors.recorded) ** 2 - 1, axis=0) / pixels
+    shapes = fitted.basis.functions @ fitted.basis.shapes.T
+    highest = np.argmax(np.abs(shapes), axis=0)
+    return SweepReading(
+        name=part.name,
+        clamping=part.clamping,
+        names=tuple(modal.names[m] for m in kept),
+        hz=modal.hz[kept],
+        loss_factor=modal.loss_factor[kept],
+        covariance=modal.covariance[np.ix_(both, both)],
+        force_rad=np.exp(at_own) * modal.participation[kept],
+        force_error=modal.participation_error[kept] / np.abs(modal.participation[kept]),
+        mixing=modal.mixing[:, kept],
+        mixing_error=modal.mixing_error[:, kept],
+        mixing_spread=modal.mixing_spread[:, kept],
+        shape_names=fitted.basis.names,
+        shape_hz=fitted.basis.hz,
+        shape_peak_m=np.stack([phasors.x_m, phasors.y_m], axis=1)[highest],
+        shape_peak=shapes[highest, np.arange(len(highest))],
+        drive_hz=phasors.drive_hz,
+        volts=phasors.volts,
+        time_s=np.array([_middle_s(step) - part.clock_s for step in steps]),
+        log_drive=np.log(np.abs(drive)) + _common(modal, kept, log_hz),
+        amplitude_rad=np.sqrt(np.mean(np.abs(u) ** 2, axis=1)),
+        deepest_rad=np.abs(u).max(axis=1),
+        brightness=brightness,
+        signal=signal,
+        noise_dn2=noise,
+        fringe_dn2=noise * np.maximum(fringes, 0.0),
+        misfit=found.misfit,
+        off=modal.off,
+        template=template,
+        template_variance=variance,
+        discrepancy=modal.discrepancy,
+        taken_off=taken_off,
+    )
+
+
+def _common(modal: ModalFit, kept: NDArray[np.intp], log_hz: Array) -> Array:
+    """Log (k,) of what participations do in common around each frequency."""
+    own = np.log(modal.hz[kept])
+    near = 1 / (1 + ((log_hz[:, None] - own) / _NEAR) ** 2) ** 2
+    at_own = np.abs(modal.participation[kept])
+    square = (np.abs(modal.participations[:, kept]) / at_own) ** 2
+    common: Array = 0.5 * np.log(np.sum(near * square, axis=1) / np.sum(near, axis=1))
+    return common
+
+
+def _middle_s(step: StepRecord) -> float:
+    return float(np.mean(step.timestamps_s))
+
+
+def _templates(fitted: JointFit) -> tuple[Complex, Array]:
+    """Amplitudes (3, k) of what else may be in holograms, and their variances.
+
+    What the displacements' own freedoms can take up is left to them.
+    """
+    found, functions = fitted.displacements, fitted.basis.functions.astype(float)
+    u = found.amplitude_rad @ functions.T
+    size = np.abs(u)
+    unit = u / np.maximum(size, 1e-12)
+    lit = np.exp(found.gain)[:, None] * found.light
+    F, zero, two = unit * j1(size), j0(size), unit**2 * jv(2, size)
+    slope_along = 0.5 * (zero - jv(2, size))
+    slope_across = np.where(size > 1e-6, j1(size) / np.maximum(size, 1e-12), 0.5)
+    left = fitted.phasors.recorded.T - lit * F
+    waves = np.stack([zero, two, -(size**2) * F]) * lit
+    amplitude = np.zeros((len(TEMPLATES), len(u)), complex)
+    variance = np.full((len(TEMPLATES), len(u)), np.inf)
+    for k in np.flatnonzero(found.reached & np.any(found.amplitude_rad, axis=1)):
+        along, across = lit[k] * unit[k] * slope_along[k], 1j * lit[k] * unit[k] * slope_across[k]
+        by_real = along * unit[k].real - across * unit[k].imag
+        by_imaginary = along * unit[k].imag + across * unit[k].real
+        own = [by_real[:, None] * functions, by_imaginary[:, None] * functions]
+        columns = np.hstack([*own, np.stack([lit[k] * F[k], *waves[:, k], left[k]], axis=1)])
+        amplitude[:, k], variance[:, k] = _beside(_real(columns), 2 * functions.shape[1] + 1)
+    return amplitude, variance * np.maximum(found.misfit, 1)
+
+
+def _beside(columns: Array, own: int) -> tuple[Complex, Array]:
+    """Amplitudes (t,) of templates, and variances, beside a hologram's own freedoms.
+
+    Parameters
+    ----------
+    columns : (2n, c) float
+        Real, then imaginary parts: of the freedoms, the templates, and what is left.
+    own : int
+        How many freedoms there are.
+    """
+    n = len(columns) // 2
+    turned = np.concatenate([-columns[n:, own:-1], columns[:n, own:-1]])
+    columns = np.hstack([columns, turned])
+    gram = columns.T @ columns
+    mine = gram[:own, :own] + 1e-9 * np.trace(gram[:own, :own]) / own * np.eye(own)
+    rest = gram[own:, own:] - gram[own:, :own] @ np.linalg.solve(mine, gram[:own, own:])
+    # Light that has lost coherence is in phase with what is left of it; what leaks in is not.
+    count = len(TEMPLATES)
+    in_phase = [t for t, name in enumerate(TEMPLATES)]
+    turned_too = [t for t, name in enumerate(TEMPLATES) if name != "decorrelation"]
+    which = [*in_phase, *(count + 1 + t for t in turned_too)]
+    information = rest[np.ix_(which, which)]
+    found = np.linalg.solve(information, rest[which, count])
+    spread = 0.5 * np.diag(np.linalg.inv(information))
+    amplitude, variance = found[:count].astype(complex), spread[:count].copy()
+    amplitude[turned_too] += 1j * found[count:]
+    variance[turned_too] += spread[count:]
+    return amplitude, variance
+
+
+def _real(columns: Complex) -> Array:
+    """Real, then imaginary parts of rows: (n, …) → (2n, …)."""
+    return np.concatenate([columns.real, columns.imag], axis=0)
+
+
+def common_modes(sweeps: Sequence[SweepReading]) -> list[str]:
+    """Modes that the first sweep tells, and all others but one."""
+    return [
+        name
+        for name, hz in zip(sweeps[0].names, sweeps[0].hz.tolist(), strict=True)
+        if sum(name in sweep.names for sweep in sweeps) >= max(1, len(sweeps) - 1)
+        and hz < _HIGHEST_HZ
+    ]
+
+
+# --- Beside the twin ----------------------------------------------------------------------------
+# By how many sweeps fits fail though nothing is wrong.
+_REFUSED = 0.3
+
+
+def understood_block(understood: int, refused: int) -> Block:
+    """How many sweeps are no vibrations of this reed: no twin expects any."""
+
+    def predict(_twin: Twin) -> Array:
+        return np.zeros(1)
+
+    places = [Place(f"sweeps not understood, of {understood + refused}")]
+    errors = np.array([_REFUSED])
+    return block("sweeps", Tap.RESPONSE, [float(refused)], errors, places, (), predict)

@@ -1,0 +1,1 @@
+"""Emulated instruments that speak the real wire protocols."""

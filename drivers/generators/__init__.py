@@ -1,0 +1,1 @@
+"""Drivers of signal generators for the loudspeaker."""

@@ -1,0 +1,261 @@
+"""Keysight and Agilent 33500 generators: channel 1 drives the loudspeaker.
+
+They have limits of their own for the volts at the socket, which are armed before anything is
+played, and an error queue, which is asked after every command. Nothing of this file has met a real
+generator: what they answer is known from the drivers of others and from the SCPI standard.
+"""
+
+import re
+from contextlib import suppress
+from dataclasses import dataclass
+from decimal import ROUND_UP, Decimal
+from fractions import Fraction
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
+
+from drivers.context import BenchContext
+from drivers.description import GeneratorDescription
+from drivers.errors import InstrumentError
+from drivers.generators.tweeter import (
+    Played,
+    SineRange,
+    TweeterGenerator,
+    in_hertz,
+    matching,
+)
+from drivers.options import Options, read_options
+
+_DEVICE: Final = "generator (Keysight 33500)"
+_SECTION: Final = "instruments.generator.options"
+# All generators of the maker take these commands.
+_LANGUAGE: Final = re.compile(r"(Keysight|Agilent) Technologies,(33|EDU33|81)\d\d")
+_IDENTITY: Final = re.compile(r"(Keysight|Agilent) Technologies,335\d\d[AB],[^,]+,.+")
+_CAN_PLAY: Final = SineRange(
+    least_vpp=Decimal("0.002"),
+    most_vpp=Decimal(20),
+    most_hz=20_000_000,
+    # Its data sheet promises four digits of an amplitude.
+    amplitude_digits=4,
+    frequency_digits=15,
+)
+_STANDBY_HZ: Final = Fraction(1000)
+_REFERENCES: Final = {"internal": "INT", "external": "EXT"}
+# SCPI's infinity is 9.9E37, give or take a rounding.
+_HIGH_IMPEDANCE_OHM: Final = Decimal("9.8E37")
+_ROUNDING_V: Final = Decimal("0.001")
+_LONGEST_ERROR_QUEUE: Final = 20
+# IEEE 488.2 and SCPI-99 21.8.12: query errors INTERRUPTED and UNTERMINATED.
+_QUERY_ERRORS: Final = (-410, -420)
+# Chosen: how long `output_off`, which has done its work by then, may take to tidy up.
+_TIDYING_S: Final = 0.4
+_NUMBER: Final = r"([+-]\d\.\d+E[+-]\d+)"
+_WAVE: Final = ";".join(
+    (
+        ":SOUR1:FUNC?",
+        ":SOUR1:FREQ?",
+        ":SOUR1:VOLT?",
+        ":SOUR1:VOLT:HIGH?",
+        ":SOUR1:VOLT:LOW?",
+        ":OUTP1:LOAD?",
+        ":SOUR1:VOLT:LIM:STAT?",
+        ":OUTP1?",
+    )
+)
+_ANSWER: Final = ";".join(
+    (
+        r"(?P<shape>\w+)",
+        *5 * (_NUMBER,),
+        "(?P<is_limited>[01])",
+        "(?P<is_on>[01])",
+    )
+)
+
+
+class KeysightOptions(Options):
+    """What a bench file says of the generator.
+
+    Attributes
+    ----------
+    resource : str
+        VISA's name, see `drivers.transport.visa`.
+    timeout_s : float
+        How long an answer may take.
+    reference : {'external', 'internal'}
+        Where its 10 MHz come from. On its own reference it drifts against the synthesizers.
+    """
+
+    resource: Annotated[str, Field(min_length=1)]
+    timeout_s: Annotated[float, Field(gt=0, le=60)] = 2.0
+    reference: Literal["external", "internal"] = "external"
+
+
+@dataclass(frozen=True, slots=True)
+class _Wave:
+    shape: str
+    frequency_hz: Decimal
+    amplitude_vpp: Decimal
+    high_v: Decimal
+    low_v: Decimal
+    load_ohm: Decimal
+    is_limited: bool
+    is_on: bool
+
+
+class KeysightGenerator(TweeterGenerator):
+    """A generator of the series 33500A or 33500B as the role `SignalGenerator`.
+
+    Opening it switches both outputs off, resets it, and arms its own limits with those of the
+    bench file.
+
+    Parameters
+    ----------
+    entry : GeneratorDescription
+    context : BenchContext
+
+    Raises
+    ------
+    BenchSetupError
+        If the bench file is wrong.
+    InstrumentError
+        If the generator is not there, is another one, or does not confirm what it is told.
+    """
+
+    _OFF = ("OUTP1 OFF",)
+
+    def __init__(self, entry: GeneratorDescription, context: BenchContext) -> None:
+        options = read_options(KeysightOptions, entry.options, context.description.name, _SECTION)
+        super().__init__(entry, context, _DEVICE, options.resource, _CAN_PLAY)
+        self._connect(options.timeout_s, _LANGUAGE, _IDENTITY, _SECTION)
+        try:
+            self._prepare()
+            self._choose_reference(options.reference)
+        except BaseException:
+            self._abandon()
+            raise
+
+    def output_off(self) -> None:
+        """Disconnect the output; see `SignalGenerator.output_off`.
+
+        Raises
+        ------
+        InstrumentError
+        """
+        super().output_off()
+        if self._line.may_have_interrupted:
+            # Its display would show errors that only the haste of this driver has caused.
+            with suppress(InstrumentError), self._line.within(_TIDYING_S):
+                self._read_errors()
+
+    def _prepare(self) -> None:
+        """Leave nothing of what was set before; limits, the least amplitude, and the output off."""
+        self.output_off()
+        # Errors of before are not ours.
+        self._read_errors()
+        self._tell("*RST")
+        self._ask("*OPC?", matching("1"))
+        self.output_off()
+        # Limits and amplitudes are volts into the load that is told: first the load.
+        self._tell("OUTP1:LOAD INF")
+        self._tell("SOUR1:VOLT:UNIT VPP")
+        # Limits that the present amplitude exceeds would be refused.
+        self._tell_amplitude(self._can_play.least_vpp)
+        self._tell("SOUR1:VOLT:OFFS 0")
+        self._arm_limits()
+        self._tell("SOUR1:FUNC SIN")
+        for command in self._sine_commands(_STANDBY_HZ, self._can_play.least_vpp):
+            self._tell(command)
+        self._confirm(_STANDBY_HZ, self._can_play.least_vpp, on=False)
+
+    def _arm_limits(self) -> None:
+        peak_vpp = self._shown_vpp(self._limits.volts_max_v)
+        # Rounded up, lest the greatest amplitude that is allowed be refused.
+        peak_v = (peak_vpp / 2).quantize(_ROUNDING_V, ROUND_UP)
+        for name, volts in (("HIGH", peak_v), ("LOW", -peak_v)):
+            self._tell(f"SOUR1:VOLT:LIM:{name} {volts:f}")
+            said_v = Decimal(self._ask(f"SOUR1:VOLT:LIM:{name}?", matching(_NUMBER))[1])
+            if abs(said_v - volts) > _ROUNDING_V:
+                raise InstrumentError(
+                    f"{self._name}: was told to limit its socket to {volts:f} V, but says "
+                    f"{said_v:g} V; look whether somebody uses its front panel"
+                )
+        self._tell("SOUR1:VOLT:LIM:STAT ON")
+
+    def _choose_reference(self, reference: str) -> None:
+        self._tell(f"ROSC:SOUR {_REFERENCES[reference]}")
+        if self._ask("ROSC:SOUR?", matching("(INT|EXT)"))[1] != _REFERENCES[reference]:
+            raise InstrumentError(
+                f"{self._name}: was told to use its {reference} reference and does not; check the "
+                f"10 MHz at its rear, or correct {_SECTION}.reference"
+            )
+
+    def _require_no_errors(self, after: str) -> None:
+        errors = self._read_errors()
+        if errors:
+            raise InstrumentError(
+                f"{self._name}: was told {after!r} and reports {' and '.join(errors)}; look at "
+                "its front panel"
+            )
+
+    def _read_errors(self) -> list[str]:
+        """Empty the error queue; return what it held, except what this driver has caused.
+
+        To ask before the last answer was read, which a late answer leads to, is a query error.
+        """
+        errors = []
+        for _ in range(_LONGEST_ERROR_QUEUE + 1):
+            found = self._ask("SYST:ERR?", matching(r'([+-]\d+),"(.*)"'))
+            number = int(found[1])
+            if number == 0:
+                self._line.may_have_interrupted = False
+                break
+            if number not in _QUERY_ERRORS or not self._line.may_have_interrupted:
+                errors.append(found[0])
+        return errors
+
+    def _sine_commands(self, frequency_hz: Fraction, amplitude_vpp: Decimal) -> tuple[str, ...]:
+        return (f"SOUR1:FREQ {in_hertz(frequency_hz)}", self._amplitude_command(amplitude_vpp))
+
+    def _amplitude_command(self, amplitude_vpp: Decimal) -> str:
+        return f"SOUR1:VOLT {amplitude_vpp:f}"
+
+    def _output_command(self, on: bool) -> str:
+        return f"OUTP1 {'ON' if on else 'OFF'}"
+
+    def _says_on(self) -> bool:
+        return self._ask("OUTP1?", matching("([01])"))[1] == "1"
+
+    def _ask_played(self) -> Played:
+        wave = self._ask(_WAVE, _understand_wave)
+        if (
+            wave.shape != "SIN"
+            or wave.load_ohm < _HIGH_IMPEDANCE_OHM
+            or not wave.is_limited
+            or abs(wave.high_v + wave.low_v) > _ROUNDING_V
+        ):
+            raise InstrumentError(
+                f"{self._name}: plays {wave.shape} between {wave.low_v:g} and {wave.high_v:g} V "
+                f"into {wave.load_ohm:g} ohm with its limits {'on' if wave.is_limited else 'off'}, "
+                "instead of a sine without offset into high impedance with limits on; look "
+                "whether somebody uses its front panel"
+            )
+        return Played(Fraction(wave.frequency_hz), wave.amplitude_vpp, wave.is_on)
+
+
+def _understand_wave(answer: str) -> _Wave:
+    """Read an answer to all questions of a wave; its levels have to agree with its amplitude."""
+    found = matching(_ANSWER)(answer)
+    frequency_hz, amplitude_vpp, high_v, low_v, load_ohm = map(Decimal, found.groups()[1:6])
+    # They are volts, whatever unit somebody chose for the amplitude.
+    if abs(high_v - low_v - amplitude_vpp) > _ROUNDING_V:
+        raise ValueError(answer)
+    return _Wave(
+        shape=found["shape"],
+        frequency_hz=frequency_hz,
+        amplitude_vpp=amplitude_vpp,
+        high_v=high_v,
+        low_v=low_v,
+        load_ohm=load_ohm,
+        is_limited=found["is_limited"] == "1",
+        is_on=found["is_on"] == "1",
+    )

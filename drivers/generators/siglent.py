@@ -1,0 +1,314 @@
+"""Siglent SDG2000X generators: channel 1 drives the loudspeaker, channel 2 may trigger the camera.
+
+These generators clamp what they cannot do without a word and report no errors, so every setting is
+read back. What they answer is known from a recorded session with an SDG2042X (firmware
+2.01.01.23R7); the answer about the 10 MHz reference is known from the programming guide alone.
+"""
+
+import re
+from contextlib import suppress
+from decimal import Decimal
+from fractions import Fraction
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
+
+from drivers.cameras.trigger import CameraTrigger
+from drivers.context import BenchContext
+from drivers.description import GeneratorDescription
+from drivers.errors import (
+    BenchSetupError,
+    InstrumentError,
+    LimitError,
+)
+from drivers.generators.tweeter import (
+    Played,
+    SineRange,
+    TweeterGenerator,
+    agrees,
+    in_hertz,
+    matching,
+)
+from drivers.options import Options, read_options
+
+_DEVICE: Final = "generator (Siglent SDG2000X)"
+_SECTION: Final = "instruments.generator.options"
+# All generators of the maker take these commands.
+_LANGUAGE: Final = re.compile(r"Siglent Technologies,SDG")
+_IDENTITY: Final = re.compile(r"Siglent Technologies,SDG2(04|08|12)2X,[^,]+,[^,]+")
+_CAN_PLAY: Final = SineRange(
+    least_vpp=Decimal("0.002"),
+    most_vpp=Decimal(20),
+    most_hz=20_000_000,
+    amplitude_digits=6,
+    frequency_digits=10,
+)
+_STANDBY_HZ: Final = Fraction(1000)
+# Chosen: how long closing may wait until the camera's pulses are confirmed to have stopped.
+_CLOSING_S: Final = 0.5
+_NUMBER: Final = re.compile(r"(-?\d+(?:\.\d+)?(?:e[+-]\d+)?)(HZ|S|V|Vrms|dBm)?")
+_REFERENCES: Final = {"internal": "INT", "external": "EXT"}
+# Modulation, sweep and burst, during which a wave is still said to be a sine.
+_MODES: Final = ("MDWV", "SWWV", "BTWV")
+# Of the redundant numbers of an answer, each of six digits.
+_ROUNDING: Final = Fraction(1, 100_000)
+
+
+class CameraTriggerOptions(Options):
+    """A pulse on channel 2 for each frame, at the frame rate that the camera asks for.
+
+    Attributes
+    ----------
+    width_s : float
+        Of the pulse.
+    high_v : float
+        Volts of the pulse into high impedance, above 0 V between pulses.
+    """
+
+    width_s: Annotated[float, Field(gt=0, le=1)]
+    high_v: Annotated[float, Field(ge=0.1, le=5)]
+
+
+class SiglentOptions(Options):
+    """What a bench file says of the generator.
+
+    Attributes
+    ----------
+    resource : str
+        VISA's name, see `drivers.transport.visa`.
+    timeout_s : float
+        How long an answer may take; a relay takes up to 0.3 s.
+    reference : {'external', 'internal'}
+        Where its 10 MHz come from. On its own reference it drifts against the synthesizers.
+    camera_trigger : CameraTriggerOptions or None
+    """
+
+    resource: Annotated[str, Field(min_length=1)]
+    timeout_s: Annotated[float, Field(gt=0, le=60)] = 2.0
+    reference: Literal["external", "internal"] = "external"
+    camera_trigger: CameraTriggerOptions | None = None
+
+
+class SiglentGenerator(TweeterGenerator):
+    """An SDG2042X, SDG2082X or SDG2122X as the role `SignalGenerator`.
+
+    Opening it switches both outputs off and resets it. With the option `camera_trigger` it offers
+    itself as the source of the bench's `CameraTrigger`.
+
+    Parameters
+    ----------
+    entry : GeneratorDescription
+    context : BenchContext
+
+    Raises
+    ------
+    BenchSetupError
+        If the bench file is wrong.
+    InstrumentError
+        If the generator is not there, is another one, or does not confirm what it is told.
+    """
+
+    _OFF = ("C1:OUTP OFF", "C2:OUTP OFF")
+
+    def __init__(self, entry: GeneratorDescription, context: BenchContext) -> None:
+        options = read_options(SiglentOptions, entry.options, context.description.name, _SECTION)
+        super().__init__(entry, context, _DEVICE, options.resource, _CAN_PLAY)
+        self._pulse = options.camera_trigger
+        self._plays_pulses = False
+        self._connect(options.timeout_s, _LANGUAGE, _IDENTITY, _SECTION)
+        try:
+            self._prepare()
+            self._choose_reference(options.reference)
+        except BaseException:
+            self._abandon()
+            raise
+        if self._pulse is not None:
+            context.share(CameraTrigger).offer(self)
+
+    def play_pulses(self, frame_rate_hz: Fraction) -> None:
+        """Play the camera's pulses on channel 2; see `PulseSource.play_pulses`.
+
+        Raises
+        ------
+        LimitError
+        BenchSetupError
+            If the options have no `camera_trigger`.
+        InstrumentError
+        """
+        pulse = self._pulse
+        if pulse is None:
+            raise BenchSetupError(
+                f"{self._name}: was asked for the camera's pulses; add camera_trigger to {_SECTION}"
+            )
+        if frame_rate_hz <= 0 or (frame_rate_hz * 1_000_000).denominator != 1:
+            raise LimitError(
+                f"{self._name}: was asked for {float(frame_rate_hz):.12g} pulses per second, but "
+                "its grid is 1 uHz; choose a frame rate on it"
+            )
+        if pulse.width_s * frame_rate_hz >= 1:
+            raise LimitError(
+                f"{self._name}: was asked for {float(frame_rate_hz):g} pulses per second of "
+                f"{pulse.width_s:g} s each; shorten {_SECTION}.camera_trigger.width_s"
+            )
+        self.stop_pulses()
+        high_v, width_s = Decimal(str(pulse.high_v)), Decimal(str(pulse.width_s))
+        self._tell("C2:OUTP LOAD,HZ,PLRT,NOR")
+        self._tell(
+            f"C2:BSWV WVTP,PULSE,FRQ,{in_hertz(frame_rate_hz)},OFST,0,AMP,{high_v:f},"
+            f"OFST,{high_v / 2:f},WIDTH,{width_s:f},DLY,0"
+        )
+        self._confirm_pulses(frame_rate_hz, high_v, width_s)
+        self._plays_pulses = True
+        self._tell("C2:OUTP ON")
+        if self._output("C2")[0] != "ON":
+            raise InstrumentError(
+                f"{self._name}: channel 2 is off, but was switched on; look for a short circuit "
+                "in the camera's cable"
+            )
+
+    def stop_pulses(self) -> None:
+        """Switch channel 2 off; see `PulseSource.stop_pulses`.
+
+        Raises
+        ------
+        InstrumentError
+        """
+        self._tell("C2:OUTP OFF")
+        if self._output("C2")[0] != "OFF":
+            raise InstrumentError(
+                f"{self._name}: channel 2 was told to switch off, but says that it is on; pull the "
+                "camera's cable"
+            )
+        self._plays_pulses = False
+
+    def _leave_off(self) -> None:
+        super()._leave_off()
+        if self._plays_pulses:
+            self._plays_pulses = False
+            with suppress(InstrumentError), self._line.within(_CLOSING_S):
+                self.stop_pulses()
+
+    def _prepare(self) -> None:
+        """Leave nothing of what was set before; the least amplitude, and the output off."""
+        self.output_off()
+        self._tell("*RST")
+        self._ask("*OPC?", matching("1"))
+        self.output_off()
+        self._tell("C1:OUTP LOAD,HZ,PLRT,NOR")
+        least_vpp = self._can_play.least_vpp
+        self._tell(f"C1:BSWV WVTP,SINE,FRQ,{in_hertz(_STANDBY_HZ)},OFST,0,AMP,{least_vpp},PHSE,0")
+        self._confirm(_STANDBY_HZ, least_vpp, on=False)
+        for mode in _MODES:
+            if self._ask(f"C1:{mode}?", matching(f"C1:{mode} STATE,(ON|OFF).*"))[1] == "ON":
+                raise InstrumentError(
+                    f"{self._name}: was reset, but still modulates, sweeps or bursts (C1:{mode}); "
+                    "switch that off at its front panel"
+                )
+
+    def _choose_reference(self, reference: str) -> None:
+        self._tell(f"ROSC {_REFERENCES[reference]}")
+        source = self._ask("ROSC?", matching("ROSC (INT|EXT)(?:,.*)?"))[1]
+        if source != _REFERENCES[reference]:
+            raise InstrumentError(
+                f"{self._name}: was told to use its {reference} reference and does not; check the "
+                f"10 MHz at its rear, or correct {_SECTION}.reference"
+            )
+
+    def _sine_commands(self, frequency_hz: Fraction, amplitude_vpp: Decimal) -> tuple[str, ...]:
+        return (f"C1:BSWV FRQ,{in_hertz(frequency_hz)},AMP,{amplitude_vpp:f}",)
+
+    def _amplitude_command(self, amplitude_vpp: Decimal) -> str:
+        return f"C1:BSWV AMP,{amplitude_vpp:f}"
+
+    def _output_command(self, on: bool) -> str:
+        return f"C1:OUTP {'ON' if on else 'OFF'}"
+
+    def _require_no_errors(self, after: str) -> None:
+        """Do nothing: its error queue is empty also after values that it clamped."""
+
+    def _says_on(self) -> bool:
+        return self._output("C1")[0] == "ON"
+
+    def _ask_played(self) -> Played:
+        wave = self._wave("C1")
+        switch, load = self._output("C1")
+        if wave["WVTP"] != "SINE" or load != "HZ" or Fraction(wave["OFST"]) != 0:
+            raise InstrumentError(
+                f"{self._name}: plays {wave['WVTP']} with an offset of {wave['OFST']} V into a "
+                f"load of {load}, instead of a sine without offset into HZ; look whether somebody "
+                "uses its front panel"
+            )
+        return Played(Fraction(wave["FRQ"]), Decimal(wave["AMP"]), switch == "ON")
+
+    def _output(self, channel: str) -> tuple[str, str]:
+        """Return ``ON`` or ``OFF``, and the load that volts are told for."""
+        answers = matching(f"{channel}:OUTP (ON|OFF),LOAD,(HZ|\\d+),PLRT,(?:NOR|INVT)")
+        found = self._ask(f"{channel}:OUTP?", answers)
+        return found[1], found[2]
+
+    def _wave(self, channel: str) -> dict[str, str]:
+        return self._ask(f"{channel}:BSWV?", lambda answer: understand_wave(channel, answer))
+
+    def _confirm_pulses(self, frame_rate_hz: Fraction, high_v: Decimal, width_s: Decimal) -> None:
+        wave = self._wave("C2")
+        if not (
+            wave["WVTP"] == "PULSE"
+            and agrees(frame_rate_hz, Fraction(wave["FRQ"]), 10)
+            and agrees(high_v, Fraction(wave["HLEV"]), 6)
+            and Fraction(wave["LLEV"]) == 0
+            and agrees(width_s, Fraction(wave.get("WIDTH", "0")), 6)
+        ):
+            raise InstrumentError(
+                f"{self._name}: channel 2 was told to play pulses of {width_s} s and {high_v} V at "
+                f"{float(frame_rate_hz):.10g} Hz, but says {wave}; correct "
+                f"{_SECTION}.camera_trigger"
+            )
+
+
+def understand_wave(channel: str, answer: str) -> dict[str, str]:
+    """Read an answer to ``C1:BSWV?``, and require that its redundant numbers agree.
+
+    Parameters
+    ----------
+    channel : {'C1', 'C2'}
+    answer : str
+        Such as ``C1:BSWV WVTP,SINE,FRQ,1000HZ,PERI,0.001S,AMP,4V,…,PHSE,0``.
+
+    Returns
+    -------
+    dict of str to str
+        Numbers without their units, by key.
+
+    Raises
+    ------
+    ValueError
+        If it is no such answer, or has been garbled on its way.
+    """
+    head, _, rest = answer.partition(" ")
+    words = rest.split(",")
+    if head != f"{channel}:BSWV" or len(words) % 2:
+        raise ValueError(answer)
+    wave = dict(zip(words[::2], words[1::2], strict=True))
+    kind = wave.pop("WVTP", "")
+    numbers = {key: _number(value) for key, value in wave.items()}
+    try:
+        frequency_hz, period_s = Fraction(numbers["FRQ"]), Fraction(numbers["PERI"])
+        amplitude_v, offset_v = Fraction(numbers["AMP"]), Fraction(numbers["OFST"])
+        high_v, low_v = Fraction(numbers["HLEV"]), Fraction(numbers["LLEV"])
+    except KeyError as error:
+        raise ValueError(answer) from error
+    rounding_v = _ROUNDING * max(abs(high_v), abs(low_v))
+    if (
+        abs(high_v - low_v - amplitude_v) > rounding_v
+        or abs(high_v + low_v - 2 * offset_v) > rounding_v
+        or abs(frequency_hz * period_s - 1) > _ROUNDING
+    ):
+        raise ValueError(answer)
+    return {"WVTP": kind, **numbers}
+
+
+def _number(text: str) -> str:
+    found = _NUMBER.fullmatch(text)
+    if found is None:
+        raise ValueError(text)
+    return found[1]

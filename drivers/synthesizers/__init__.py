@@ -1,0 +1,1 @@
+"""Drivers of frequency synthesizers for the two AOMs."""

@@ -1,0 +1,1 @@
+"""Serial lines, VISA sessions and host names that drivers talk through."""

@@ -1,0 +1,1 @@
+"""Material parameters of the cane from resonances."""

@@ -1,0 +1,481 @@
+"""From run files to a reed's parameters: what `acquire fit` does."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.cane.reed_fit import (
+    QUOTED_HZ,
+    ReedParameters,
+    fit_components,
+)
+from fitting.errors import FitError, FitInputError
+from fitting.forward import (
+    ForwardModel,
+    PaperModel,
+    basis_of,
+    cents_of,
+    finite_element_model,
+)
+from fitting.fringes.fringes import (
+    Fringes,
+    count_fringes,
+    misfit_without,
+)
+from fitting.fringes.picking import (
+    Resonance,
+    likely_components,
+    pick_resonances,
+)
+from fitting.fringes.pictures import Pictures, read_pictures
+from fitting.modal.acoustic_resonances import Line, drive_lines
+from fitting.modal.identify import (
+    JointFit,
+    fit_jointly,
+    residual_map,
+)
+from physics.reed.basis import ReducedReed
+from physics.reed.geometry import ReedGeometry
+from physics.reed.names import PAPER_MODES
+from physics.reed.response import (
+    Mode,
+    elastic_modes,
+    viscoelastic_mode,
+)
+from physics.reed.surface import surface_shapes
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    ViscoelasticCane,
+    storage_modulus_pa,
+    viscoelastic_cane,
+)
+from protocols.reed import ReedFile
+from runs.reader import Run
+
+Array = NDArray[np.floating[Any]]
+Float = NDArray[np.float32]
+ModelName = Literal["fem", "paper"]
+MODELS: tuple[ModelName, ...] = ("fem", "paper")
+MethodName = Literal["picture", "joint"]
+METHODS: tuple[MethodName, ...] = ("picture", "joint")
+
+# Shapes that pictures are made of: the modes of the vamp up to this frequency.
+_HIGHEST_HZ = 20e3
+_VAMP_CLASSES = "FTX"
+# A picture needs a shape if its misfit without it grows by more than this, as the median with its
+# neighbours. On the twin, modes that are there give 2 to 500, modes that are not 0.9 to 1.1.
+_NEEDED = 1.5
+_SURELY_NEEDED = 3.0
+# Resonances of cane are some 50 cents wide.
+_BESIDE_CENTS = 40.0
+# Fewer modes than this do not tell more of the cane than its population does.
+_TELLING_MODES = 4
+# The mean of the population, and about where its modes lie.
+_MIDDLING = viscoelastic_cane(Components(), Series.A)
+
+
+@dataclass(frozen=True)
+class Response:
+    """How lively a reed and each of its modes are in every hologram.
+
+    Attributes
+    ----------
+    drive_hz : (k,) float
+    names : tuple of str
+    amplitude_rad : (k, m) float
+        Phase amplitude of each mode where it is liveliest.
+    phase_rad : (k,) float
+        Root mean square over the reed.
+    """
+
+    drive_hz: Array
+    names: tuple[str, ...]
+    amplitude_rad: Array
+    phase_rad: Array
+
+
+@dataclass(frozen=True)
+class SweepFit:
+    """Resonances of one run.
+
+    Attributes
+    ----------
+    path : Path
+    reed, series : str
+    reed_file : ReedFile
+        Kind of reed.
+    resonances : dict
+        Found modes by name, in order of frequency.
+    response : Response
+    not_identified : dict
+        Why other modes within the sweep were not found, by name, where that is known.
+    joint : JointFit, optional
+        Everything between holograms and resonances, if they were fitted jointly.
+    """
+
+    path: Path
+    reed: str
+    series: str
+    reed_file: ReedFile
+    resonances: dict[str, Resonance]
+    response: Response
+    not_identified: Mapping[str, str]
+    joint: JointFit | None = None
+
+    @property
+    def lines(self) -> list[Line]:
+        """Where the drive stands out of itself: lines of the air, or what no mode tells."""
+        if self.joint is None:
+            return []
+        phasors, drive = self.joint.phasors, self.joint.modal.drive
+        return drive_lines(phasors.drive_hz, np.log(np.abs(drive) / phasors.volts))
+
+
+@dataclass(frozen=True)
+class ReedFit:
+    """What one or two runs of a reed say about it.
+
+    Attributes
+    ----------
+    sweeps : tuple of SweepFit
+    parameters : ReedParameters or None
+    reason : str
+        Why there are no parameters, if there are none.
+    """
+
+    sweeps: tuple[SweepFit, ...]
+    parameters: ReedParameters | None
+    reason: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fit with stable keys (documented in ``docs/fit.md``)."""
+        runs = [
+            {
+                "path": str(sweep.path),
+                "reed": sweep.reed,
+                "series": sweep.series,
+                "modes": {name: _to_json(sweep, name) for name in sweep.resonances},
+                "not_identified": dict(sweep.not_identified),
+                "lines": [{"hz": line.hz, "height_db": line.height_db} for line in sweep.lines],
+            }
+            for sweep in self.sweeps
+        ]
+        fitted = asdict(self.parameters) if self.parameters else {}
+        keys = (
+            "components",
+            "moduli",
+            "rms_cents",
+            "reduced_chi2",
+            "misfit_cents",
+            "residual_cents",
+            "left_out",
+            "at_limit",
+            "physical",
+            "model",
+        )
+        parameters = {key: fitted.get(key) for key in keys}
+        return {"modes": runs[0]["modes"], **parameters, "reason": self.reason, "runs": runs}
+
+
+def _to_json(sweep: SweepFit, name: str) -> dict[str, Any]:
+    """One found mode with stable keys; those of the joint fit only where there is one."""
+    found = sweep.resonances[name]
+    entry: dict[str, Any] = {
+        "hz": found.frequency_hz,
+        "error_cents": found.error_cents,
+        "step_index": found.step_index,
+        "method": found.method,
+        "identified": True,
+    }
+    if sweep.joint is not None:
+        keys = ("response_hz", "loss_factor", "loss_error", "participation", "likeness")
+        entry |= {key: getattr(found, key) for key in keys}
+        entry["residual"] = residual_map(sweep.joint, name).to_json()
+    return entry
+
+
+def method_name(name: str) -> MethodName:
+    """Return the name of a method, checked.
+
+    Raises
+    ------
+    FitInputError
+        If there is no such method.
+    """
+    for known in METHODS:
+        if name == known:
+            return known
+    raise FitInputError(f"there is no method {name!r}; choose one of {', '.join(METHODS)}")
+
+
+def model_name(name: str) -> ModelName:
+    """Return the name of a forward model, checked.
+
+    Raises
+    ------
+    FitInputError
+        If there is no such model.
+    """
+    for known in MODELS:
+        if name == known:
+            return known
+    raise FitInputError(f"there is no forward model {name!r}; choose one of {', '.join(MODELS)}")
+
+
+def middling_modes(reed: ReducedReed) -> dict[str, Mode]:
+    """Modes of the vamp below 20 kHz of a reed of middling cane: the paper's, then the others.
+
+    Each has the storage moduli of its own frequency.
+    """
+    E, G = (
+        float(storage_modulus_pa(z, QUOTED_HZ)) for z in (_MIDDLING.young_L, _MIDDLING.shear_LT)
+    )
+    settled = {}
+    for name, mode in elastic_modes(reed, E, G).items():
+        if name[0] not in _VAMP_CLASSES:
+            continue
+        with suppress(ValueError):
+            settled[name] = viscoelastic_mode(reed, _MIDDLING, name, mode.frequency_hz)
+    others = sorted(
+        (name for name in settled if name not in PAPER_MODES),
+        key=lambda name: settled[name].frequency_hz,
+    )
+    ordered = [*(name for name in PAPER_MODES if name in settled), *others]
+    return {name: settled[name] for name in ordered if settled[name].frequency_hz < _HIGHEST_HZ}
+
+
+def mode_shapes(
+    reed: ReducedReed,
+    pictures: Pictures,
+    middling: Mapping[str, Mode],
+    cane: ViscoelasticCane | None = None,
+) -> Float:
+    """Deflections (n, m) of modes at a run's points, largest magnitude 1.
+
+    Parameters
+    ----------
+    reed : ReducedReed
+    pictures : Pictures
+    middling : mapping
+        The m modes, see `middling_modes`.
+    cane : ViscoelasticCane, optional
+        Whose modes of these names are taken, where it has them.
+    """
+    surface = surface_shapes(reed, pictures.x_m, pictures.y_m)
+    columns = []
+    for name, mode in middling.items():
+        if cane is not None:
+            with suppress(ValueError):
+                mode = viscoelastic_mode(reed, cane, name, mode.frequency_hz)
+        columns.append(surface[mode.symmetry] @ mode.coordinates.astype(np.float32))
+    shapes = np.stack(columns, axis=1)
+    normalised: Float = (shapes / np.abs(shapes).max(axis=0)).astype(np.float32)
+    return normalised
+
+
+def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
+    """Find the resonances of one run.
+
+    The shapes are first those of a middling cane, then those of the cane that the resonances so
+    found suggest, if they are enough: where two modes come close, their shapes depend on the reed.
+
+    Raises
+    ------
+    FitError
+        If too few pictures are good, or no mode is found in them.
+    """
+    pictures, series = read_pictures(run), Series.B if run.series == "B" else Series.A
+    middling = middling_modes(reed)
+    names = tuple(middling)
+    shapes = mode_shapes(reed, pictures, middling)
+    fringes = count_fringes(pictures.brightness, shapes)
+    found = _pick(pictures, names, shapes, fringes, model, series, run.acoustic_lines_hz)
+    if len(found) >= _TELLING_MODES:
+        shapes = mode_shapes(reed, pictures, middling, _suggested_cane(found, model, series))
+        fringes = count_fringes(pictures.brightness, shapes, fringes)
+        found = _pick(pictures, names, shapes, fringes, model, series, run.acoustic_lines_hz)
+    if not found:
+        raise _nothing_shows(run, pictures)
+    response = Response(pictures.drive_hz, names, np.abs(fringes.amplitude_rad), fringes.phase_rad)
+    return SweepFit(run.path, run.reed, run.series, run.reed_file(), found, response, {})
+
+
+def fit_sweep_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
+    """Find the resonances of one run by one fit of all its holograms, see `fitting.modal.identify`.
+
+    Raises
+    ------
+    FitError
+        If too few holograms are good, none is calm enough to begin with, or no mode is identified.
+    """
+    joint = fit_jointly(run, reed, model)
+    if not joint.resonances:
+        reasons = Counter(joint.not_identified.values()).most_common(1)
+        told = f" ({reasons[0][0]})" if reasons else ""
+        raise FitError(
+            f"{run.path}: nothing is identified{told}; look at the contact sheet that acquire "
+            "report writes"
+        )
+    response = Response(
+        joint.phasors.drive_hz,
+        joint.modal.names,
+        np.abs(joint.modal.modal_rad),
+        np.sqrt(np.sum(np.abs(joint.displacements.amplitude_rad) ** 2, axis=1)),
+    )
+    return SweepFit(
+        run.path,
+        run.reed,
+        run.series,
+        run.reed_file(),
+        joint.resonances,
+        response,
+        joint.not_identified,
+        joint,
+    )
+
+
+def _suggested_cane(
+    found: dict[str, Resonance], model: ForwardModel, series: Series
+) -> ViscoelasticCane:
+    """Cane that the resonances fit; where they fix none, the likeliest of the population."""
+    try:
+        fitted = fit_components({series: found}, model).components
+    except FitError:
+        return viscoelastic_cane(likely_components(found, model, series), series)
+    return viscoelastic_cane(Components(**{n: e.value for n, e in fitted.items()}), series)
+
+
+def _nothing_shows(run: Run, pictures: Pictures) -> FitError:
+    return FitError(
+        f"{run.path}: no mode of a {run.reed_file().name} reed shows in "
+        f"{len(pictures.drive_hz)} pictures; look at the contact sheet that acquire report writes"
+    )
+
+
+def _pick(
+    pictures: Pictures,
+    names: Sequence[str],
+    shapes: Float,
+    fringes: Fringes,
+    model: ForwardModel,
+    series: Series,
+    acoustic_lines_hz: Sequence[float],
+) -> dict[str, Resonance]:
+    def growth(shape: int, picture: int) -> float:
+        without = misfit_without(pictures.brightness, shapes, fringes, shape, picture)
+        return without / max(float(fringes.misfit[picture]), 1e-12)
+
+    def needed(shape: int, picture: int) -> bool:
+        # At the peak itself fringes may be too fine to be resolved; its neighbours then tell. They
+        # may not speak against it where they are too far off to show the same resonance.
+        at_peak = growth(shape, picture)
+        if at_peak > _SURELY_NEEDED:
+            return True
+        distance = np.abs(cents_of(pictures.drive_hz) - cents_of(pictures.drive_hz[picture]))
+        beside = [k for k in (picture - 1, picture + 1) if 0 <= k < len(distance)]
+        together = float(np.median([at_peak, *(growth(shape, k) for k in beside)]))
+        far = bool(np.max(distance[beside]) > _BESIDE_CENTS)
+        return max(together, at_peak if far else 0.0) > _NEEDED
+
+    return pick_resonances(
+        pictures.drive_hz,
+        pictures.step_index,
+        np.abs(fringes.amplitude_rad),
+        names,
+        model,
+        series,
+        needed,
+        acoustic_lines_hz,
+    )
+
+
+def fit_runs(
+    paths: Sequence[str | Path],
+    model: ModelName = "fem",
+    announce: Callable[[str], None] | None = None,
+    method: MethodName = "joint",
+) -> ReedFit:
+    """Fit one run, or a series A and a series B run of the same reed together.
+
+    Parameters
+    ----------
+    paths : sequence of path
+        Run files.
+    model : {'fem', 'paper'}
+        Forward model: finite elements, or the paper's Table 9 with its adjustments.
+    announce : callable, optional
+        Told what takes long.
+    method : {'joint', 'picture'}
+        One fit of all holograms, or the paper's way, by the pictures with most fringes.
+
+    Raises
+    ------
+    FitError
+        If a run shows no modes.
+    FitInputError
+        If the runs do not belong together, or the paper's model is asked for another reed than
+        its own.
+    RunFileError
+        If a file cannot be read.
+    """
+    with ExitStack() as opened:
+        runs = [opened.enter_context(Run.open(path)) for path in paths]
+        _require_one_reed(runs)
+        kind = runs[0].reed_file()
+        require_model(model, kind)
+        reed = basis_of(kind, announce)
+        forward: ForwardModel = PaperModel() if model == "paper" else finite_element_model(reed)
+        sweeps = [FIT_SWEEP[method](run, reed, forward) for run in runs]
+    unknown = [s for s in sweeps if s.series not in set(Series)]
+    if unknown:
+        reason = f"series {unknown[0].series!r} is neither A nor B, whose cane is known (H4)"
+        return ReedFit(tuple(sweeps), None, reason)
+    try:
+        parameters = fit_components({Series(s.series): s.resonances for s in sweeps}, forward)
+    except FitError as error:
+        return ReedFit(tuple(sweeps), None, str(error))
+    return ReedFit(tuple(sweeps), parameters)
+
+
+# How the resonances of a run are found, by method.
+FIT_SWEEP: Mapping[MethodName, Callable[[Run, ReducedReed, ForwardModel], SweepFit]] = {
+    "joint": fit_sweep_jointly,
+    "picture": fit_sweep,
+}
+
+
+def require_model(model: ModelName, kind: ReedFile) -> None:
+    """Refuse the paper's metamodel for another reed than the paper's.
+
+    Raises
+    ------
+    FitInputError
+    """
+    if model == "paper" and kind.geometry() != ReedGeometry():
+        raise FitInputError(
+            f"the paper's model (Table 9) is that of its clarinet reed, and this is another: "
+            f"{kind.name}; choose --model fem"
+        )
+
+
+def _require_one_reed(runs: Sequence[Run]) -> None:
+    """Two runs are fitted together only if they are series A and B of one reed."""
+    if len(runs) == 1:
+        return
+    reeds, series = {run.reed for run in runs}, sorted(run.series for run in runs)
+    kinds = [run.reed_file() for run in runs]
+    if len(reeds) > 1 or series != ["A", "B"] or len({kind.sha256 for kind in kinds}) > 1:
+        told = ", ".join(
+            f"{r.path.name}: reed {r.reed} ({kind.name}), series {r.series}"
+            for r, kind in zip(runs, kinds, strict=True)
+        )
+        raise FitInputError(
+            f"runs fitted together must be series A and B of one reed ({told}); fit them one by one"
+        )

@@ -1,0 +1,1 @@
+"""The paper's way: resonances from the pictures with most fringes."""

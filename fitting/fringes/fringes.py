@@ -1,0 +1,256 @@
+"""Count, in every picture, the fringes that each mode shape contributes.
+
+A picture of the first sideband shows ``B(x) J₁²(φ(x))``, where φ = 4π|w|/λ is the phase amplitude
+of the vibration and B the light that the surface sends to the camera. The vibration is written as
+a sum of known mode shapes, ``φ = |Σ_m a_m W_m|``, and the complex a_m are found for all pictures
+at once by damped least squares. With shapes normalised to a largest deflection of 1, |a_m| is the
+phase amplitude that mode m alone would have at its liveliest point: its fringes, in radians.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.holograms.bessel import SidebandTable
+
+Float = NDArray[np.float32]
+Complex = NDArray[np.complex64]
+Array = NDArray[np.floating[Any]]
+
+# Largest value of J₁²: the brightness of the first bright fringe.
+FIRST_FRINGE = 0.3386
+# Single-shape starts tried per picture, and rounds of spreading solutions and estimating light.
+_STARTS = 2
+_ROUNDS = 2
+# A solution is handed to the next and to the previous picture, as it is, weaker and stronger: on
+# the flank of a resonance amplitudes change by a quarter per step.
+_HANDED_ON = tuple((shift, scale) for shift in (1, -1) for scale in (1.0, 0.75, 1.33))
+# A neighbour's solution is taken if it lowers the misfit to this share.
+_GAIN = 0.9
+_START_STEPS, _NEIGHBOUR_STEPS, _FINAL_STEPS, _ALONE_STEPS = 12, 5, 5, 25
+# Phase amplitudes tried for a single shape, rad.
+_TRIAL_RAD = np.geomspace(0.1, 60.0, 80, dtype=np.float32)
+# Where a picture that must do without a shape starts from: its neighbours may all lie in the same
+# wrong minimum, which some picture farther off does not.
+_AROUND = np.array([-8, -6, -5, -4, -3, -2, -1, 0, 1, 2, 3, 4, 5, 6, 8])
+# Pictures whose brightest share estimates the light B: those in which a point is on a fringe.
+_BRIGHTEST = 6
+# Points that never reach a fringe would get too little light from that estimate.
+_LEAST_LIGHT = 0.6
+# Light below this share of the median is noise: relative to it, noise would look like fringes.
+_DARKEST = 0.1
+
+
+@dataclass(frozen=True)
+class Fringes:
+    """Mode amplitudes of every picture.
+
+    Attributes
+    ----------
+    amplitude_rad : (k, m) complex64
+        Phase amplitude of each shape in each picture, up to a common phase per picture.
+    phase_rad : (k,) float
+        Root mean square over the points of the phase amplitude φ.
+    misfit : (k,) float
+        Mean square of the picture's brightness, relative to B, left unexplained.
+    light : (n,) float32
+        Light B of each point.
+    """
+
+    amplitude_rad: Complex
+    phase_rad: Array
+    misfit: Array
+    light: Float
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Pictures relative to their light (k, n) and the shapes (n, m) they are made of."""
+
+    relative: Float
+    shapes: Float
+    bessel: SidebandTable
+
+    def only(self, pictures: NDArray[np.intp]) -> "_Problem":
+        """Return the same problem for some of the pictures."""
+        return _Problem(self.relative[pictures], self.shapes, self.bessel)
+
+    def residual_and_jacobian(self, a: Complex) -> tuple[Float, Float]:
+        """Residuals (k, n) and derivatives (k, n, 2m) by real, then imaginary parts."""
+        sum_ = a @ self.shapes.T
+        phi = np.abs(sum_)
+        value, slope = self.bessel(phi)
+        # d(J₁²)/dφ over φ, times the parts of the sum: dφ = Re(conj(sum)·W da)/φ.
+        scale = 2 * value * slope / np.maximum(phi, np.float32(1e-6))
+        parts = (sum_.real * scale)[..., None], (sum_.imag * scale)[..., None]
+        jacobian = np.concatenate([part * self.shapes for part in parts], axis=2)
+        return value * value - self.relative, jacobian
+
+
+def mean_square(residual: Float) -> Array:
+    """Mean square (k,) of residuals (k, n)."""
+    squares: Array = np.einsum("kn,kn->k", residual, residual) / residual.shape[1]
+    return squares
+
+
+def _descend(problem: _Problem, a: Complex, steps: int) -> tuple[Complex, Array]:
+    """Levenberg-Marquardt on all pictures side by side, each with its own damping."""
+    residual, jacobian = problem.residual_and_jacobian(a)
+    cost, unknowns = mean_square(residual), jacobian.shape[2]
+    damping = np.full(len(a), 1e-2)
+    for _ in range(steps):
+        normal = np.matmul(jacobian.transpose(0, 2, 1), jacobian) / residual.shape[1]
+        gradient = np.einsum("knu,kn->ku", jacobian, residual) / residual.shape[1]
+        scale = damping * np.trace(normal, axis1=1, axis2=2) / unknowns + 1e-6
+        normal += scale[:, None, None] * np.eye(unknowns)
+        move = -np.linalg.solve(normal, gradient[..., None])[..., 0]
+        half = unknowns // 2
+        moved = (a + (move[:, :half] + 1j * move[:, half:])).astype(np.complex64)
+        new_residual, new_jacobian = problem.residual_and_jacobian(moved)
+        new_cost = mean_square(new_residual)
+        better = new_cost < cost
+        a = np.where(better[:, None], moved, a)
+        cost = np.where(better, new_cost, cost)
+        residual[better], jacobian[better] = new_residual[better], new_jacobian[better]
+        damping = np.where(better, 0.3 * damping, 5 * damping)
+    return a, cost
+
+
+def _single_shape_starts(problem: _Problem) -> tuple[NDArray[np.intp], Float]:
+    """For each picture, shapes in order of likeness (k, m) and their best amplitude (k, m)."""
+    costs, amplitudes = [], []
+    power = mean_square(problem.relative)[:, None]
+    for shape in problem.shapes.T:
+        value, _ = problem.bessel(_TRIAL_RAD[:, None] * np.abs(shape))
+        pattern = value * value
+        overlap = problem.relative @ pattern.T / len(shape)
+        cost = power - 2 * overlap + mean_square(pattern)
+        costs.append(cost.min(axis=1))
+        amplitudes.append(_TRIAL_RAD[cost.argmin(axis=1)])
+    order = np.argsort(np.stack(costs, axis=1), axis=1)
+    return order, np.stack(amplitudes, axis=1)
+
+
+def _start(problem: _Problem) -> tuple[Complex, Array]:
+    """Best descent from the likeliest single shapes of each picture."""
+    order, amplitudes = _single_shape_starts(problem)
+    pictures, shapes = amplitudes.shape
+    # Phases spread by the golden angle: no two shapes start in phase or in opposition.
+    spread = 1e-2 * np.exp(2j * np.pi * 0.618034 * np.arange(shapes))
+    best, cost = np.zeros((pictures, shapes), np.complex64), np.full(pictures, np.inf)
+    for rank in range(min(_STARTS, shapes)):
+        a = np.tile(spread, (pictures, 1)).astype(np.complex64)
+        rows, chosen = np.arange(pictures), order[:, rank]
+        a[rows, chosen] = amplitudes[rows, chosen]
+        a, new = _descend(problem, a, _START_STEPS)
+        best, cost = np.where((new < cost)[:, None], a, best), np.minimum(new, cost)
+    return best, cost
+
+
+def _from_neighbours(problem: _Problem, a: Complex, cost: Array) -> tuple[Complex, Array]:
+    """Let good solutions spread along the sweep: resonances are wider than a step.
+
+    Each picture tries its neighbours' solutions; one that gains by it hands its new solution on,
+    until nobody gains.
+    """
+    last = len(a) - 1
+    spreading = np.arange(len(a))
+    for _ in range(len(a)):
+        gained: list[int] = []
+        for shift, scale in _HANDED_ON:
+            to = spreading + shift
+            inside = (to >= 0) & (to <= last)
+            to, source = to[inside], spreading[inside]
+            if not len(to):
+                continue
+            start = (scale * a[source]).astype(np.complex64)
+            tried, new = _descend(problem.only(to), start, _NEIGHBOUR_STEPS)
+            better = new < _GAIN * cost[to]
+            a[to[better]], cost[to[better]] = tried[better], new[better]
+            gained += to[better].tolist()
+        if not gained:
+            break
+        spreading = np.unique(gained)
+    return a, cost
+
+
+def first_light(brightness: Float) -> Float:
+    """First estimate (n,) of the light B from pictures (k, n): the brightest show a fringe."""
+    count = min(_BRIGHTEST, len(brightness))
+    brightest = np.partition(brightness, -count, axis=0)[-count:].mean(axis=0)
+    light: Float = (brightest / FIRST_FRINGE).astype(np.float32)
+    return np.maximum(light, np.float32(_LEAST_LIGHT) * np.median(light))
+
+
+def count_fringes(brightness: Float, shapes: Float, start: Fringes | None = None) -> Fringes:
+    """Decompose every picture of a sweep into fringes of given shapes.
+
+    Parameters
+    ----------
+    brightness : (k, n) float32
+        Speckle-averaged |H|² of each picture at n points, less its noise; any unit.
+    shapes : (n, m) float32
+        Deflection of each mode shape at the points, largest magnitude 1.
+    start : Fringes, optional
+        Decomposition of the same pictures into almost the same shapes.
+
+    Returns
+    -------
+    Fringes
+
+    Notes
+    -----
+    The problem is not convex. Each picture is started from the single shapes that resemble it
+    most, then tries the solutions of its neighbours; the light B is re-estimated from all
+    pictures in between, by linear least squares.
+    """
+    bessel, light = SidebandTable(1), start.light if start else first_light(brightness)
+    problem = _Problem(brightness / light, shapes, bessel)
+    a, cost = _descend(problem, start.amplitude_rad, _START_STEPS) if start else _start(problem)
+    for _ in range(1 if start else _ROUNDS):
+        a, cost = _from_neighbours(problem, a, cost)
+        light = _light(brightness, a, cost, problem)
+        problem = _Problem(brightness / light, shapes, bessel)
+        a, cost = _descend(problem, a, _FINAL_STEPS)
+    phase = np.sqrt(mean_square(np.abs(a @ shapes.T)))
+    return Fringes(a, phase, cost, light)
+
+
+def _light(brightness: Float, a: Complex, cost: Array, problem: _Problem) -> Float:
+    """Light B (n,) by least squares over pictures, the better explained weighing more."""
+    value, _ = problem.bessel(np.abs(a @ problem.shapes.T))
+    pattern = value * value
+    # Relative to what there is to explain: a dark picture fits any light.
+    unexplained = np.maximum(cost, 1e-12) / np.maximum(mean_square(pattern), 1e-12)
+    weight = np.clip(0.1 * np.median(unexplained) / unexplained, 0.0, 1.0)[:, None]
+    numerator = (weight * brightness * pattern).sum(axis=0)
+    denominator = (weight * pattern * pattern).sum(axis=0)
+    light = numerator / np.maximum(denominator, 1e-12)
+    lifted: Float = np.maximum(light, _DARKEST * np.median(light)).astype(np.float32)
+    return lifted
+
+
+def misfit_without(
+    brightness: Float, shapes: Float, fringes: Fringes, shape: int, picture: int
+) -> float:
+    """Misfit of one picture when one shape may not be used and the others make up for it.
+
+    Beside `Fringes.misfit` it tells whether the picture needs the shape at all: of φ the picture
+    shows the magnitude only, so a shape that is not there can pick up some amplitude.
+
+    Parameters
+    ----------
+    brightness, shapes : as for `count_fringes`
+    fringes : Fringes
+        Their decomposition.
+    shape, picture : int
+        Which column of `shapes`, which row of `brightness`.
+    """
+    near = np.unique(np.clip(picture + _AROUND, 0, len(brightness) - 1))
+    others = np.delete(np.arange(shapes.shape[1]), shape)
+    relative = np.repeat(brightness[picture : picture + 1] / fringes.light, len(near), axis=0)
+    problem = _Problem(relative, shapes[:, others], SidebandTable(1))
+    _, cost = _descend(problem, fringes.amplitude_rad[np.ix_(near, others)], _ALONE_STEPS)
+    return float(cost.min())

@@ -1,0 +1,1 @@
+"""Displacement of the reed from its holograms."""

@@ -1,0 +1,1 @@
+"""Joint fit of modes to all holograms of a sweep."""

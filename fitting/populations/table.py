@@ -1,0 +1,272 @@
+"""Many reeds fitted together: from a table of resonances, or from a folder of run files."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from fitting.cane.fit_runs import (
+    FIT_SWEEP,
+    MethodName,
+    ModelName,
+    SweepFit,
+    require_model,
+)
+from fitting.errors import FitError, FitInputError
+from fitting.forward import basis_of, finite_element_model
+from fitting.modal.acoustic_resonances import Line, common_lines
+from fitting.paper.constants import adjusted_metamodel
+from fitting.populations.population import (
+    Flag,
+    PopulationFit,
+    count_flags,
+    fit_population,
+)
+from fitting.populations.resonance_table import (
+    Resonances,
+    read_resonances,
+    write_components,
+)
+from physics.reed.log_polynomial import finite_element_polynomial
+from physics.reed.metamodel import Metamodel
+from physics.reed.names import PAPER_MODES
+from physics.reed.viscoelastic import Series
+from protocols.reed import ReedFile
+from runs.errors import RunFileError
+from runs.reader import Run
+
+COMPONENTS = 4
+# The components of such fits do not describe the population.
+_UNFIT = Flag.TOO_FEW_RESONANCES | Flag.NOT_CONVERGED
+
+
+@dataclass
+class PopulationSummary:
+    """What is told of a population; grows as its reeds are fitted.
+
+    Attributes
+    ----------
+    reeds, resonances, passed_over : int
+        Reeds, resonances used, and rows of modes that the model does not know.
+    fitted : (4,) int array
+        Reeds that count for each component.
+    """
+
+    reeds: int = 0
+    resonances: int = 0
+    passed_over: int = 0
+    flags: Counter[str] = field(default_factory=Counter)
+    fitted: Any = field(default_factory=lambda: np.zeros(COMPONENTS, dtype=int))
+    _sums: Any = field(default_factory=lambda: np.zeros((3, COMPONENTS)))
+    _squares: float = 0.0
+
+    def add(self, resonances: Resonances, fit: PopulationFit) -> None:
+        """Count a piece of the population."""
+        self.reeds += len(resonances.reeds)
+        self.resonances += int(fit.used.sum())
+        self.passed_over += resonances.passed_over
+        self.flags.update(count_flags(fit.flags))
+        counted = ((fit.flags & int(_UNFIT)) == 0)[:, None] & np.isfinite(fit.components)
+        known = np.where(counted, fit.components, 0.0)
+        errors = np.where(counted, fit.errors, 0.0)
+        self.fitted = self.fitted + counted.sum(axis=0)
+        self._sums = self._sums + np.stack([known, known**2, errors**2]).sum(axis=1)
+        used = np.isfinite(fit.rms_cents)
+        self._squares += float((fit.rms_cents[used] ** 2 * fit.used[used]).sum())
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the summary with stable keys (documented in ``docs/json.md``)."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = self._sums[0] / self.fitted
+            sd = np.sqrt((self._sums[1] - self.fitted * mean**2) / (self.fitted - 1))
+            error = np.sqrt(self._sums[2] / self.fitted)
+        return {
+            "reeds": self.reeds,
+            "resonances": self.resonances,
+            "passed_over": self.passed_over,
+            "rms_cents": (self._squares / self.resonances) ** 0.5 if self.resonances else None,
+            "components": {
+                f"e{k + 1}": {
+                    "reeds": int(self.fitted[k]),
+                    "mean": _known(mean[k]),
+                    "sd": _known(sd[k]),
+                    "rms_error": _known(error[k]),
+                }
+                for k in range(COMPONENTS)
+            },
+            "flags": dict(self.flags),
+        }
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def metamodel_of(
+    model: ModelName, kind: ReedFile, announce: Callable[[str], None] | None = None
+) -> Metamodel:
+    """Metamodel of a kind of reed: the paper's, or polynomials that follow the finite elements.
+
+    Raises
+    ------
+    FitInputError
+        If the paper's is asked for another reed than its own.
+    """
+    require_model(model, kind)
+    if model == "paper":
+        return adjusted_metamodel(PAPER_MODES)
+    return finite_element_polynomial(basis_of(kind, announce))
+
+
+def fit_table(
+    table: Path,
+    metamodel: Metamodel,
+    out: TextIO,
+    progress: Callable[[int], None] | None = None,
+) -> PopulationSummary:
+    """Fit every reed of a table of resonances and write its components.
+
+    Parameters
+    ----------
+    table : Path
+        See `fitting.populations.resonance_table`.
+    metamodel : Metamodel
+    out : text file
+        Takes a row for every reed.
+    progress : callable, optional
+        Told the number of reeds fitted so far.
+
+    Raises
+    ------
+    FitInputError
+        For a table that cannot be read, or an empty one.
+    """
+    summary = PopulationSummary()
+
+    def pieces() -> Iterator[tuple[tuple[str, ...], PopulationFit]]:
+        for resonances in read_resonances(table, metamodel.modes):
+            fit = fit_population(resonances.cents, resonances.error_cents, metamodel)
+            summary.add(resonances, fit)
+            yield resonances.reeds, fit
+            if progress:
+                progress(summary.reeds)
+
+    write_components(out, pieces(), COMPONENTS)
+    if not summary.reeds:
+        raise FitInputError(f"{table}: holds no resonances; it has nothing but its first line")
+    return summary
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What the runs of a folder have in common.
+
+    Attributes
+    ----------
+    kind : ReedFile
+        Kind of reed.
+    sweeps : tuple of (SweepFit, Path)
+        Fits that show modes, and the runs that they are of, relative to the folder.
+    reeds : int
+        How many show modes.
+    lines : tuple of Line, optional
+        What stays at the same frequency from reed to reed, and how many reeds show it: the air's.
+        None if the method does not look for it.
+    """
+
+    kind: ReedFile
+    sweeps: tuple[tuple[SweepFit, Path], ...]
+    reeds: int
+    lines: tuple[Line, ...] | None
+
+    def to_json(self) -> list[dict[str, Any]] | None:
+        """Return the lines with stable keys (documented in ``docs/json.md``)."""
+        if self.lines is None:
+            return None
+        return [asdict(line) for line in self.lines]
+
+
+def measure_resonances(
+    folder: Path,
+    announce: Callable[[str], None] | None = None,
+    method: MethodName = "joint",
+) -> Measured:
+    """Find the resonances of every complete run of a folder.
+
+    Runs of series other than A and B, runs that show no modes, and files that are no runs or
+    damaged are reported and left out; of two runs of one reed and series the later counts.
+
+    Parameters
+    ----------
+    folder : Path
+    announce : callable, optional
+        Receives a line about each run.
+    method : MethodName
+
+    Raises
+    ------
+    FitInputError
+        If no run gives resonances, or the runs are of several kinds of reeds.
+    """
+    tell = announce or (lambda _: None)
+    latest = _latest_runs(folder, tell)
+    kind = _kind_of(folder, latest)
+    reed = basis_of(kind, tell)
+    model = finite_element_model(reed)
+    sweeps: list[tuple[SweepFit, Path]] = []
+    # Those of both series of a reed are one reed's.
+    lines: dict[str, list[Line]] = {}
+    for number, path in enumerate(latest, 1):
+        tell(f"run {number} of {len(latest)}: {path}")
+        try:
+            with Run.open(path) as run:
+                sweep = FIT_SWEEP[method](run, reed, model)
+        except (FitError, RunFileError) as error:
+            tell(f"{path}: passed over: {str(error).removeprefix(f'{path}: ')}")
+            continue
+        if sweep.resonances:
+            sweeps.append((sweep, path.relative_to(folder)))
+        lines.setdefault(sweep.reed, []).extend(sweep.lines)
+    if not sweeps:
+        raise FitInputError(f"{folder}: no run of series A or B in it shows resonances")
+    common = tuple(common_lines(list(lines.values()))) if method == "joint" else None
+    return Measured(kind, tuple(sweeps), len(lines), common)
+
+
+def _kind_of(folder: Path, runs: Sequence[Path]) -> ReedFile:
+    """Kind of reed of all runs; a population is of one."""
+    kinds: dict[str, tuple[ReedFile, Path]] = {}
+    for path in runs:
+        with Run.open(path) as run:
+            kind = run.reed_file()
+        kinds.setdefault(kind.sha256, (kind, path))
+    if not kinds:
+        raise FitInputError(f"{folder}: no run of series A or B in it is complete")
+    if len(kinds) > 1:
+        told = ", ".join(f"{kind.name} in {path.name}" for kind, path in kinds.values())
+        raise FitInputError(
+            f"{folder}: holds runs of several kinds of reeds ({told}); give each kind a folder"
+        )
+    return next(iter(kinds.values()))[0]
+
+
+def _latest_runs(folder: Path, tell: Callable[[str], None]) -> list[Path]:
+    """Complete runs by reed and series."""
+    latest: dict[tuple[str, str], tuple[str, Path]] = {}
+    for path in sorted(folder.rglob("*.h5")):
+        try:
+            with Run.open(path) as run:
+                key, start, status = (run.reed, run.series), run.start_time, run.status
+        except RunFileError as error:
+            tell(str(error))
+            continue
+        if status != "complete" or key[1] not in set(Series):
+            tell(f"{path}: {status}, series {key[1]}: passed over")
+            continue
+        if key in latest:
+            tell(f"{min(latest[key], (start, path))[1]}: there is a later run of that reed")
+        latest[key] = max(latest.get(key, (start, path)), (start, path))
+    return [path for _, (_, path) in sorted(latest.items())]

@@ -1,0 +1,1 @@
+"""Statistics of populations: factor analysis and the hypotheses of the paper."""

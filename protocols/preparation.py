@@ -1,0 +1,34 @@
+"""What stands on the bench: which reed, in which state, behind which chamber."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from physics.reed.geometry import ReedGeometry
+    from physics.reed.material import Cane
+
+
+@dataclass(frozen=True, slots=True)
+class Preparation:
+    """What stands on the bench.
+
+    Attributes
+    ----------
+    reed : str
+        Name that tells this reed from all others.
+    series : str
+        Series of measurements; the reed of series B is dried.
+    chamber : {'asymmetric', 'symmetric'}
+        Whether the right half of the mouthpiece's chamber is filled.
+    geometry : ReedGeometry or None
+        Shape and clamp of reeds of this kind; the paper's clarinet reed if None.
+    constants : Cane or None
+        Elastic constants and density that all reeds of this kind share, all but E_L and G_LT; the
+        paper's reference material if None.
+    """
+
+    reed: str
+    series: str
+    chamber: Literal["asymmetric", "symmetric"]
+    geometry: "ReedGeometry | None" = None
+    constants: "Cane | None" = None

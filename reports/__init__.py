@@ -1,0 +1,1 @@
+"""Tables, JSON, figures and HTML pages of what the other packages find."""

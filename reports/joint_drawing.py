@@ -1,0 +1,135 @@
+"""Pictures of what a joint fit found of each mode."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
+from numpy.typing import NDArray
+
+from fitting.fringes.picking import Resonance
+from fitting.modal.identify import JointFit, left_square
+
+Array = NDArray[np.floating[Any]]
+
+# Modes side by side, and the panels of each.
+_PER_ROW, _PANELS = 2, ("hologram", "fitted shape", "what is left")
+_PANEL_IN, _HEAD_IN, _FOOT_IN = (2.35, 1.0), 0.42, 1.0
+# What is left is drawn up to this many times the noise.
+_MOST_LEFT = 4.0
+# Brighter than so many per cent of the blocks is white.
+_WHITE_PERCENTILE = 99
+# Corners of triangles between blocks are not longer than this, in spacings of blocks.
+_LONGEST = 3.0
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Blocks on the reed, in mm, and triangles between neighbours."""
+
+    triangles: Triangulation
+
+    @classmethod
+    def of(cls, x_m: Array, y_m: Array) -> "_Place":
+        triangles = Triangulation(1e3 * x_m, 1e3 * y_m)
+        corners = np.stack([triangles.x, triangles.y], axis=1)[triangles.triangles]
+        sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        triangles.set_mask(sides > _LONGEST * np.median(sides))
+        return cls(triangles)
+
+
+def mode_sheet(fit: JointFit, resonances: dict[str, Resonance]) -> Figure:
+    """Draw hologram, fitted shape and what the fit leaves, for every identified mode.
+
+    Parameters
+    ----------
+    fit : JointFit
+    resonances : dict
+        Modes to draw, by name.
+    """
+    rows = -(-max(len(resonances), 1) // _PER_ROW)
+    width = _PER_ROW * len(_PANELS) * _PANEL_IN[0]
+    height = rows * (_PANEL_IN[1] + _HEAD_IN) + _FOOT_IN
+    figure = Figure(figsize=(width, height), facecolor="white")
+    place = _Place.of(fit.phasors.x_m, fit.phasors.y_m)
+    for number, (name, found) in enumerate(resonances.items()):
+        row, column = divmod(number, _PER_ROW)
+        for panel, values in enumerate(_values(fit, name)):
+            left = (column * len(_PANELS) + panel) * _PANEL_IN[0] + 0.08
+            bottom = height - (row + 1) * (_PANEL_IN[1] + _HEAD_IN)
+            box = (
+                left / width,
+                bottom / height,
+                (_PANEL_IN[0] - 0.16) / width,
+                _PANEL_IN[1] / height,
+            )
+            _draw(figure.add_axes(box), place, panel, values)
+            if panel == 0:
+                figure.text(
+                    box[0], box[1] + box[3] + 0.1 / height, _words(name, found), fontsize=9
+                )  # fmt: skip
+    _scales(figure, width, height)
+    return figure
+
+
+def _words(name: str, found: Resonance) -> str:
+    words = f"{name}   {found.frequency_hz:.1f} Hz ± {found.error_cents:.1f} cents"
+    if found.loss_factor is not None:
+        words += f"   loss factor {found.loss_factor:.4f}"
+    if found.likeness is not None:
+        words += f"   MAC {found.likeness:.2f}"
+    return f"{words}   step {found.step_index}"
+
+
+def _values(fit: JointFit, name: str) -> tuple[Array, Array, Array]:
+    """Amplitude of the hologram nearest to a resonance, shape, and what is left of the hologram."""
+    m = fit.modal.names.index(name)
+    nearest = int(np.abs(np.log(fit.phasors.drive_hz / fit.modal.hz[m])).argmin())
+    amplitude = np.abs(fit.phasors.value[:, nearest]).astype(float)
+    white = np.percentile(amplitude, _WHITE_PERCENTILE)
+    shape = fit.basis.functions @ fit.modal.shapes[m]
+    largest = shape[np.abs(shape).argmax()]
+    return (
+        np.clip(amplitude / white, 0, 1),
+        shape / largest,
+        left_square(fit, np.array([nearest]))[0],
+    )
+
+
+def _draw(axes: Any, place: _Place, panel: int, values: Array) -> None:
+    if panel == 0:
+        axes.tripcolor(place.triangles, values, cmap="gray", vmin=0, vmax=1, shading="gouraud")
+    elif panel == 1:
+        axes.tripcolor(place.triangles, values, cmap="RdBu_r", vmin=-1, vmax=1, shading="gouraud")
+        if values.min() < 0 < values.max():
+            axes.tricontour(place.triangles, values, levels=[0.0], colors="0.2", linewidths=0.8)
+    else:
+        axes.tripcolor(
+            place.triangles, values, cmap="viridis", vmin=0, vmax=_MOST_LEFT, shading="gouraud"
+        )
+    x, y = place.triangles.x, place.triangles.y
+    axes.set(xlim=(x.min(), x.max()), ylim=(y.min(), y.max()), aspect="equal")
+    axes.axis("off")
+
+
+def _scales(figure: Figure, width: float, height: float) -> None:
+    """Colour bars below, one for each kind of panel."""
+    kinds = (
+        ("gray", Normalize(0, 1), "hologram: amplitude of its light, relative"),
+        ("RdBu_r", Normalize(-1, 1), "fitted shape: deflection, relative; the line is at rest"),
+        (
+            "viridis",
+            Normalize(0, _MOST_LEFT),
+            "left by the fit of displacements: square, noise = 1",
+        ),
+    )
+    for number, (colours, scale, words) in enumerate(kinds):
+        box = ((0.04 + 0.32 * number), 0.5 / height, 0.26, 0.12 / height)
+        bar = figure.colorbar(
+            ScalarMappable(scale, colours), cax=figure.add_axes(box), orientation="horizontal"
+        )
+        bar.set_label(words, fontsize=9)
+        bar.ax.tick_params(labelsize=8)

@@ -1,0 +1,91 @@
+"""All groups of the comparison, computed in one go."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from fitting.paper.printed import printed
+from physics.reed.geometry import ReedGeometry
+from reproduction.cane import compare_cane
+from reproduction.chain import compare_hypotheses
+from reproduction.correlations import compare_correlations
+from reproduction.factors import compare_factors
+from reproduction.findings import findings
+from reproduction.frequencies import compare_frequencies
+from reproduction.mesh_evidence import compare_meshes, gather_evidence
+from reproduction.metamodel import (
+    compare_metamodel,
+    compute_network,
+    reference_hz,
+)
+from reproduction.models import Announce, build_models
+from reproduction.out_of_reach import list_out_of_reach
+from reproduction.rows import (
+    Group,
+    Row,
+    Verdict,
+)
+from reproduction.sensitivities import compare_sensitivities, compute_table_3
+from reproduction.shape import compare_shape
+from reproduction.sweep import compare_sweep
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The paper beside us.
+
+    Attributes
+    ----------
+    groups : tuple of Group
+    findings : tuple of str
+        What they come to, in sentences.
+    """
+
+    groups: tuple[Group, ...]
+    findings: tuple[str, ...]
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """Rows of all groups."""
+        return tuple(row for group in self.groups for row in group.rows)
+
+    def count(self, verdict: Verdict) -> int:
+        """Rows with a verdict."""
+        return sum(group.count(verdict) for group in self.groups)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all of it with stable keys."""
+        return {
+            "counts": {str(verdict): self.count(verdict) for verdict in Verdict},
+            "findings": list(self.findings),
+            "groups": [group.to_json() for group in self.groups],
+        }
+
+
+def compare_paper(announce: Announce) -> Comparison:
+    """Compute everything that can be computed of the paper; takes about a minute.
+
+    Parameters
+    ----------
+    announce : callable
+        Told what is being waited for.
+    """
+    numbers = printed()
+    models = build_models(announce)
+    evidence = gather_evidence(announce)
+    table_3 = compute_table_3(announce)
+    network = compute_network(models.reed)
+    announce("comparing synthetic populations")
+    groups = (
+        compare_sweep(numbers, models.adjusted),
+        compare_shape(numbers, ReedGeometry()),
+        compare_sensitivities(numbers, table_3, evidence),
+        compare_metamodel(numbers, models, network, evidence),
+        compare_meshes(numbers, evidence, reference_hz(models.table_9)),
+        compare_frequencies(numbers, models),
+        compare_factors(numbers, models),
+        compare_hypotheses(numbers, models, announce),
+        compare_cane(numbers, models),
+        compare_correlations(numbers, models),
+        list_out_of_reach(numbers),
+    )
+    return Comparison(groups, findings(row for group in groups for row in group.rows))

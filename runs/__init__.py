@@ -1,0 +1,1 @@
+"""Run files: layout, writer, reader, checksums, packing, documents."""

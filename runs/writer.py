@@ -1,0 +1,559 @@
+"""Writes run files: one sweep in one HDF5 file that explains itself (``docs/run-file.md``).
+
+Everything is allocated before the first step, and read back, so a step overwrites bytes and
+moves nothing. Its verdict is written, and flushed, after its data: a program that is killed at any
+moment leaves a file that opens with plain h5py, in which every step with a verdict is whole. A step
+that is taken again is copied to a spare place first. Checksums show what a disk damages later.
+"""
+
+import contextlib
+import os
+import shutil
+import weakref
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Final, Self
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from drivers.roles import Bench, Frame
+from holography.reconstruction import Reconstruction
+from protocols.plan import Plan
+from runs.checks import require_run
+from runs.checksums import (
+    PIXEL_CHECKSUM,
+    ROW_CHECKSUM,
+    pixel_checksum,
+    row_checksums,
+    whole_rows,
+)
+from runs.contents import (
+    NewRun,
+    fill,
+    planned_columns,
+    prove,
+)
+from runs.disk import (
+    DiskFile,
+    error_class,
+    give_name,
+)
+from runs.errors import DiskError, RunFileError
+from runs.layout import (
+    FREE,
+    MEASURED,
+    READ_BACK_HZ,
+    SEAMS,
+    SENTENCE_BYTES,
+    TO_BE_TAKEN_AGAIN,
+    UNDER_WAY,
+    RunLabels,
+    Seam,
+    Status,
+    exact_text,
+    short_reason,
+    verdict_of,
+)
+from runs.provenance import git_revision, package_versions
+from runs.verdict import (
+    Judgement,
+    ReadBack,
+    Verdict,
+)
+
+# h5py raises the second kind where the disk refuses what it had kept back.
+_DISK_ERRORS: Final = (OSError, RuntimeError)
+# What h5py raises besides where bytes are not what was written.
+_UNREADABLE: Final = (*_DISK_ERRORS, KeyError, ValueError, TypeError)
+# For what HDF5 writes besides a step: a few pages.
+_RESERVE_BYTES: Final = 1_000_000
+# Of a float column that the same plan gave on another computer.
+_ROUNDING: Final = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredStep:
+    """What one acquisition gave.
+
+    Attributes
+    ----------
+    read_back : ReadBack
+    changed_s : float
+        When the last setting was changed, on the camera's clock.
+    frames : sequence of Frame
+    field : (height, width) complex64
+        Around the reed.
+    signal_to_noise, noise_level : float
+        Mean ``|H|²`` in the reed's region over that of an empty pixel, and the latter, in dn².
+    saturated_share : float
+    brightness_dn : float
+        Median of the frames' mean numbers, over that of a dark frame where the bench file says it.
+    lock_error_hz, lock_error_se_hz : float
+        By how much f_AOM1 − f_AOM2 missed the lock, as the frames show it, and its standard error.
+    unexplained : float
+        Power of the image that does not turn steadily, per power of the image.
+    judgement : Judgement
+    """
+
+    read_back: ReadBack
+    changed_s: float
+    frames: Sequence[Frame]
+    field: npt.NDArray[np.complex64]
+    signal_to_noise: float
+    noise_level: float
+    saturated_share: float
+    brightness_dn: float
+    lock_error_hz: float
+    lock_error_se_hz: float
+    unexplained: float
+    judgement: Judgement
+
+
+class RunWriter:
+    """A run file that is being written. Used by one thread at a time.
+
+    Attributes
+    ----------
+    path : Path
+    damaged : tuple of int
+        Positions of steps that `resume` found damaged; they are to be taken again.
+    """
+
+    def __init__(self, path: Path, disk: DiskFile, keep: str) -> None:
+        self.path = path
+        self.damaged: tuple[int, ...] = ()
+        self._disk = disk
+        self._keep, self._name = keep, "field" if keep == "holograms" else "frames"
+        self._file = h5py.File(disk, "r+")
+        try:
+            entry = self._file["entry"]
+            # Opened once: to open a dataset takes longer than to write a number into it.
+            self._steps, self._retakes = dict(entry["steps"]), dict(entry["retakes"])
+            self._signal = entry["data"][self._name]
+            planned = self._steps.keys() - self._retakes.keys()
+            self._planned = {name: self._steps[name][()] for name in planned}
+            disk.check()
+        except BaseException:
+            self._file.close()
+            raise
+        # Also at the end of a process that forgets it: HDF5 would close it when Python is gone.
+        self._closing = weakref.finalize(self, _close, self._file, disk)
+
+    @classmethod
+    def create(
+        cls,
+        path: str | Path,
+        plan: Plan,
+        bench: Bench,
+        labels: RunLabels,
+        reconstruction: Reconstruction,
+        uid: str,
+    ) -> Self:
+        """Make the file with everything that is known before the first step, and read it back.
+
+        Parameters
+        ----------
+        path : str or Path
+        plan : Plan
+        bench : Bench
+            Open, with its camera configured.
+        labels : RunLabels
+        reconstruction : Reconstruction
+            Supplies the geometry that a reader needs to interpret pixels.
+        uid : str
+            Identifies the run everywhere.
+
+        Raises
+        ------
+        RunFileError
+            If the file exists already or cannot be made; none is left behind.
+        DiskError
+            If the disk refuses it, or gives back something else.
+        """
+        path = Path(path)
+        if os.path.lexists(path):
+            raise RunFileError(
+                f"{path}: exists already and is never overwritten; choose another name or move it"
+            )
+        origin = {"git_revision": git_revision() or "", "package_versions": package_versions()}
+        new = NewRun(plan, bench, labels, reconstruction, uid, now(), origin)
+        # A file has its name only once it is whole: killed before, a run leaves none.
+        unborn = unborn_path(path)
+        with contextlib.ExitStack() as undo:
+            try:
+                disk = DiskFile.create(unborn)
+                undo.callback(unborn.unlink, missing_ok=True)
+                undo.callback(disk.close)
+                with h5py.File(disk, "w") as file:
+                    fill(file, new, allocate=True)
+                disk.sync()
+                prove(path, unborn, new)
+                _require_readable(path, unborn)
+                writer = cls(path, disk, plan.protocol.keep)
+                undo.callback(writer.close)
+                give_name(unborn, path)
+            except _DISK_ERRORS as error:
+                raise _cannot_make(path, error) from error
+            undo.pop_all()
+        return writer
+
+    @classmethod
+    def resume(cls, path: str | Path, plan: Plan) -> Self:
+        """Open the file of a run that is not complete, to go on with it.
+
+        Steps that the disk has damaged become steps to be taken again, see `damaged`; an earlier
+        take whose numbers it has damaged is given up.
+
+        Parameters
+        ----------
+        path : str or Path
+        plan : Plan
+            The one that the run was begun with.
+
+        Raises
+        ------
+        RunFileError
+            If another program has the file open, it cannot be written, or its steps are not those
+            of the plan.
+        """
+        path = Path(path)
+        with contextlib.ExitStack() as undo:
+            try:
+                disk = DiskFile.open_existing(path)
+                undo.callback(disk.close)
+                writer = cls(path, disk, plan.protocol.keep)
+            except _UNREADABLE as error:
+                raise error_class(error)(
+                    f"{path}: cannot be gone on with ({short_reason(error)}); see whether another "
+                    "program has it open"
+                ) from error
+            undo.callback(writer.close)
+            writer._require_planned(plan)
+            with writer._disk_errors("its steps cannot be checked"):
+                writer._finish_retakes()
+                writer._give_up_damaged()
+            undo.pop_all()
+        return writer
+
+    @property
+    def spare(self) -> int:
+        """How many takes may still be set aside."""
+        return int(np.count_nonzero(self._retakes["position"][()] == FREE))
+
+    def reopen(self, seam: Seam) -> None:
+        """Note that the run goes on, and where.
+
+        Raises
+        ------
+        DiskError
+        """
+        with self._disk_errors("cannot be written"):
+            self._set_status("running")
+        self.add_seam(seam)
+
+    def add_seam(self, seam: Seam) -> None:
+        """Note where the run was not carried on at once; those beyond the last place are lost.
+
+        Raises
+        ------
+        DiskError
+        """
+        seams = self._file["entry/seams"]
+        free = np.flatnonzero(seams["position"][()] < 0)
+        if not free.size:
+            return
+        with self._disk_errors("cannot be written"):
+            for name in SEAMS[1:]:
+                seams[name][free[0]] = _cut(str(getattr(seam, name)))
+            self._flush()
+            seams["position"][free[0]] = seam.position
+            self._flush()
+
+    def set_aside(self, position: int) -> None:
+        """Copy a step to a spare place, and make its own place that of a step to come.
+
+        Raises
+        ------
+        RunFileError
+            If there is no spare place.
+        DiskError
+        """
+        free = np.flatnonzero(self._retakes["position"][()] == FREE)
+        if not free.size:
+            raise RunFileError(
+                f"{self.path}: has no room for another take of step {position + 1}; measure the "
+                "sweep again"
+            )
+        place = int(free[0])
+        with self._disk_errors(f"step {position + 1} cannot be set aside"):
+            for name, column in self._retakes.items():
+                if name != "position":
+                    source = self._signal if name == self._name else self._steps[name]
+                    column[place] = source[position]
+            self._flush()
+            self._retakes["position"][place] = UNDER_WAY - position
+            self._flush()
+            self._finish_setting_aside(place)
+
+    def write(self, position: int, step: MeasuredStep) -> None:
+        """Write one step; on return all of it is with the operating system.
+
+        Parameters
+        ----------
+        position : int
+            Place in the plan, from 0.
+        step : MeasuredStep
+
+        Raises
+        ------
+        DiskError
+            If the disk refuses; the steps before are safe.
+        """
+        self._require_room()
+        pixels = step.field if self._keep == "holograms" else self._stacked(step.frames)
+        # As the file holds them: the checksum is of these bytes.
+        pixels = np.asarray(pixels, dtype=self._signal.dtype)
+        row = self._row(position, step, pixels)
+        with self._disk_errors(f"step {position + 1} cannot be written"):
+            self._signal[position] = pixels
+            for name, entry in row.items():
+                self._steps[name][position : position + 1] = entry
+            self._flush()
+            self._write_judgement(position, step.judgement)
+
+    def mark(self, position: int, verdict: Verdict, reason: str) -> None:
+        """Note that a step was begun and given up (interrupted), or is done without (skipped).
+
+        Raises
+        ------
+        DiskError
+        """
+        with self._disk_errors("cannot be written"):
+            self._write_judgement(position, Judgement(verdict, reason))
+
+    def finish(self, status: Status) -> None:
+        """Write how the run ended, once all steps are on the disk, and close the file.
+
+        Does nothing to a closed one.
+
+        Raises
+        ------
+        DiskError
+            The file is closed all the same.
+        """
+        if not self._file:
+            return
+        try:
+            with self._disk_errors("cannot be closed"):
+                self._flush()
+                self._disk.sync()
+                self._set_status(status)
+        except DiskError:
+            # A disk that is full may still take what needs no room.
+            with contextlib.suppress(*_DISK_ERRORS):
+                self._set_status("failed")
+            raise
+        finally:
+            self.close()
+
+    def discard(self) -> None:
+        """Close and remove a file that holds nothing worth keeping."""
+        self.close()
+        self.path.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Close the file as it is. May be called twice."""
+        self._closing()
+
+    @contextlib.contextmanager
+    def _disk_errors(self, what: str) -> Iterator[None]:
+        """Say what could not be done, and why."""
+        try:
+            yield
+        except _DISK_ERRORS as error:
+            raise DiskError(
+                f"{self.path}: {what} ({short_reason(error)}); make room on the disk, or replace "
+                "it; the steps before are safe"
+            ) from error
+
+    def _flush(self) -> None:
+        """Hand all over to the operating system, and raise what it refused."""
+        self._file.flush()
+        self._disk.check()
+
+    def _finish_setting_aside(self, place: int) -> None:
+        """Free a step whose take is whole at a place of `/entry/retakes`."""
+        position = UNDER_WAY - int(self._retakes["position"][place])
+        self._make_pending(position, TO_BE_TAKEN_AGAIN)
+        self._retakes["position"][place] = position
+        self._flush()
+
+    def _make_pending(self, position: int, why: str) -> None:
+        """Give up what a step's place holds."""
+        # First: a step with a verdict has the sentence that goes with it.
+        self._steps["verdict"][position] = str(Verdict.PENDING)
+        self._flush()
+        self._write_judgement(position, Judgement(Verdict.PENDING, why))
+
+    def _require_planned(self, plan: Plan) -> None:
+        """Refuse a file whose steps are not those of the plan."""
+        for name, (expected, _unit) in planned_columns(plan).items():
+            found = self._planned.get(name)
+            if found is None or not _as_planned(found, expected):
+                raise RunFileError(
+                    f"{self.path}: its column {name} is not what its protocol gives; the file is "
+                    "damaged, or was begun by another version of this software; measure a new run"
+                )
+
+    def _finish_retakes(self) -> None:
+        """Finish setting aside what a process was killed in; give up takes that are damaged."""
+        positions = self._retakes["position"][()]
+        of_step = np.where(positions <= UNDER_WAY, UNDER_WAY - positions, positions)
+        known = (of_step >= 0) & (of_step < len(self._signal))
+        planned = {name: column[of_step * known] for name, column in self._planned.items()}
+        whole = known & whole_rows(planned | self._taken(self._retakes))
+        for place in np.flatnonzero(positions != FREE):
+            if not whole[place]:
+                self._retakes["position"][place] = FREE
+                self._flush()
+            elif positions[place] <= UNDER_WAY:
+                self._finish_setting_aside(int(place))
+
+    def _give_up_damaged(self) -> None:
+        """Make steps that are not what was written steps to be taken again."""
+        verdicts = [verdict_of(said) for said in self._steps["verdict"][()]]
+        taken = self._taken(self._steps)
+        whole = whole_rows(self._planned | taken)
+        damaged = []
+        for position, verdict in enumerate(verdicts):
+            if verdict is not None and not verdict.measured:
+                continue
+            if verdict is None or not whole[position] or not self._pixels_whole(position, taken):
+                self._make_pending(position, f"was damaged on the disk; {TO_BE_TAKEN_AGAIN}")
+                damaged.append(position)
+        self.damaged = tuple(damaged)
+
+    def _pixels_whole(self, position: int, taken: dict[str, npt.NDArray[Any]]) -> bool:
+        pixels = self._signal[position]
+        # What cannot be read is no reason to measure it again.
+        self._disk.check()
+        return pixel_checksum(pixels) == int(taken[PIXEL_CHECKSUM][position])
+
+    def _taken(self, group: dict[str, Any]) -> dict[str, npt.NDArray[Any]]:
+        """Columns that say what was measured: of steps, or of earlier takes."""
+        names = self._retakes.keys() - {"position", self._name}
+        columns = {name: group[name][()] for name in names}
+        self._disk.check()
+        return columns
+
+    def _planned_row(self, position: int) -> dict[str, npt.NDArray[Any]]:
+        return {name: column[position : position + 1] for name, column in self._planned.items()}
+
+    def _require_room(self) -> None:
+        """Refuse a step for which the disk has no room, while the file can still be closed."""
+        step_bytes = int(self._signal.dtype.itemsize * np.prod(self._signal.shape[1:]))
+        free_bytes = shutil.disk_usage(self.path.parent).free
+        if free_bytes < step_bytes + _RESERVE_BYTES:
+            raise DiskError(
+                f"{self.path}: its disk has {free_bytes / 1e6:.1f} MB left, too little for another "
+                "step; make room on the disk; the steps before are safe"
+            )
+
+    def _stacked(self, frames: Sequence[Frame]) -> npt.NDArray[np.uint16]:
+        """Frames of one step in one array, with zeros for those that did not come.
+
+        Written together, as they lie in the file.
+        """
+        stack = np.zeros(self._signal.shape[1:], dtype=np.uint16)
+        for place, frame in zip(stack, frames, strict=False):
+            place[...] = frame.image
+        return stack
+
+    def _set_status(self, status: Status) -> None:
+        self._file["entry/end_time"][()] = "" if status == "running" else now()
+        self._flush()
+        self._file["entry/status"][()] = status
+        self._flush()
+
+    def _row(
+        self, position: int, step: MeasuredStep, pixels: npt.NDArray[Any]
+    ) -> dict[str, npt.NDArray[Any]]:
+        """All that was measured but for the pixels: an array of one entry for each column."""
+        values: dict[str, object] = {}
+        for column in READ_BACK_HZ:
+            hz: Fraction = getattr(step.read_back, column.removeprefix("read_"))
+            values[column] = float(hz)
+            values[f"{column}_exact"] = exact_text(hz).encode()
+        values["read_volts"] = step.read_back.volts
+        for column in MEASURED:
+            if column != "read_volts":
+                values[column] = getattr(step, column)
+        # Nothing of an earlier take may stay where frames are missing.
+        kept = step.frames[: self._steps["frame_id"].shape[1]]
+        missing = self._steps["frame_id"].shape[1] - len(kept)
+        values["timestamp_s"] = [frame.timestamp_s for frame in kept] + [np.nan] * missing
+        values["frame_id"] = [frame.id for frame in kept] + [-1] * missing
+        values[PIXEL_CHECKSUM] = pixel_checksum(pixels)
+        row = {
+            name: np.array([value], dtype=self._steps[name].dtype) for name, value in values.items()
+        }
+        row[ROW_CHECKSUM] = row_checksums(row | self._planned_row(position))
+        return row
+
+    def _write_judgement(self, position: int, judgement: Judgement) -> None:
+        self._steps["sentence"][position] = _cut(judgement.sentence)
+        self._flush()
+        self._steps["verdict"][position] = str(judgement.verdict)
+        self._flush()
+
+
+def unborn_path(path: Path) -> Path:
+    """Return where a run file is until it is whole: ``R07.h5`` → ``.R07.h5.part``."""
+    return path.with_name(f".{path.name}.part")
+
+
+def _close(file: Any, disk: DiskFile) -> None:
+    """Close HDF5's side first: it may still write."""
+    file.close()
+    disk.close()
+
+
+def _as_planned(found: npt.NDArray[Any], expected: npt.NDArray[Any]) -> bool:
+    """Whether a column is that of a plan, to the rounding of another computer."""
+    if expected.dtype.kind != "f":
+        return np.array_equal(found, expected)
+    same_shape = found.shape == expected.shape
+    return same_shape and np.allclose(found, expected, rtol=_ROUNDING, atol=0.0, equal_nan=True)
+
+
+def _cut(text: str) -> str:
+    """As much of a text as a column holds, cut at a character."""
+    return text.encode()[:SENTENCE_BYTES].decode(errors="ignore")
+
+
+def _require_readable(path: Path, unborn: Path) -> None:
+    """Refuse a new file that holds something which a reader of runs would refuse."""
+    try:
+        with h5py.File(unborn, "r", locking=False) as file:
+            require_run(unborn, file)
+    except RunFileError as refused:
+        reason = str(refused).removeprefix(f"{unborn}: ")
+        raise RunFileError(
+            f"{path}: cannot be made, because no reader would take it: {reason}"
+        ) from None
+
+
+def _cannot_make(path: Path, error: Exception) -> RunFileError:
+    return error_class(error)(
+        f"{path}: cannot be made ({short_reason(error)}); check folder, rights and room on the disk"
+    )
+
+
+def now() -> str:
+    """Return the time, ISO 8601 and UTC."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

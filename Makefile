@@ -25,8 +25,8 @@ test: .stamps/test lint
 
 test-all: .stamps/all
 	$(ALL)/bin/python -m pytest -q -n auto --maxprocesses 4 --dist loadfile \
-	  tests/peers tests/fitting/test_modal_peer.py tests/drivers tests/bench/test_wire.py \
-	  tests/bench/test_faults.py
+	  tests/peers tests/fitting/modal/test_modal_peer.py tests/drivers tests/acquire/cli/test_wire.py \
+	  tests/acquire/cli/test_faults.py
 
 lint: .stamps/test
 	$(BIN)/ruff check .

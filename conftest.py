@@ -1,6 +1,8 @@
-"""Doctests of the README write files: each runs in a folder of its own."""
+"""Fixtures of all tests; doctests of the README write files, each in a folder of its own."""
 
 import pytest
+
+pytest_plugins = ["tests.fixtures.benches", "tests.fixtures.sweeps"]
 
 
 @pytest.fixture(autouse=True)

@@ -31,7 +31,7 @@ from protocols.preparation import Preparation
 Driver = Callable[[Any, BenchContext], Instrument]
 
 # The drivers of this package that play their instrument themselves.
-_SIMULATED: Final = "drivers.simulated"
+_SIMULATED: Final = ("drivers.simulated", "drivers.emulators")
 _ROLES: Final[Mapping[RoleName, type]] = {
     "synthesizers": SynthesizerPair,
     "generator": SignalGenerator,
@@ -333,7 +333,7 @@ def is_simulated(role: str, name: str) -> bool:
         If there is no such driver.
     """
     module = find_driver(role, name).__module__
-    return module == _SIMULATED or module.startswith(f"{_SIMULATED}.")
+    return any(module == package or module.startswith(f"{package}.") for package in _SIMULATED)
 
 
 def known_drivers(role: str) -> dict[str, str]:

@@ -6,8 +6,8 @@ import pytest
 from fitting.holograms import alternating_minimisation as settling
 from fitting.holograms.alternating_minimisation import Solution, settle
 from fitting.holograms.object_field import LightStep, SharedError
-from tests.fitting.test_displacement import complex_normal
-from tests.fitting.test_light import FUNCTIONS, HOLOGRAMS, Sweep
+from tests.fitting.holograms.test_displacement import complex_normal
+from tests.fitting.holograms.test_object_field import FUNCTIONS, HOLOGRAMS, Sweep
 
 # What the log of the light may change by at once.
 LARGEST = 0.3

@@ -22,7 +22,7 @@ from fitting.holograms.sidebands import (
     brightness,
     phasors,
 )
-from tests.fitting.test_displacement import complex_normal, planted, share_of_error
+from tests.fitting.holograms.test_displacement import complex_normal, planted, share_of_error
 
 HOLOGRAMS, BLOCKS, FUNCTIONS = 6, 150, 4
 LIGHT = 40.0

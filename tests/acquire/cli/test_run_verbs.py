@@ -15,7 +15,7 @@ import pytest
 from acquire.runner.control import controllable
 from runs.reader import Run
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from physics.reed.names import PAPER_MODES
 from physics.reed.sensitivity import CONSTANTS, field_of
 from physics.reed.viscoelastic import Series, h4_matrix
 
-PAPER = Path(__file__).parents[4] / "shared" / "paper"
+PAPER = Path(__file__).parents[3] / "shared" / "paper"
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from acquire.cli.console import (
 )
 from reports.plain_text import plain
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 HOSTILE = "[bold red]R07[/] :100: \x1b]0;x\x07\x1b[31m\x9b2J\u202e\udcff"
 SHOWN = "[bold red]R07[/] :100: \\x1b]0;x\\x07\\x1b[31m\\x9b2J\\u202e\\udcff"
 

@@ -26,7 +26,7 @@ from protocols.bench import BenchFile, find_bench
 from protocols.errors import ProtocolError
 from protocols.preparation import Preparation
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 ABSENT_PORT = "/dev/no-such-port"
 
 

@@ -3,7 +3,7 @@
 Results go to standard output, progress and messages to standard error.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
@@ -37,28 +37,6 @@ BenchArgument = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON with stable keys instead.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
-
-Verb = Callable[..., None]
-
-
-def bench_app(guarded: Callable[[Verb], Verb]) -> typer.Typer:
-    """Return the verbs of benches, to be mounted in the command line.
-
-    Parameters
-    ----------
-    guarded : callable
-        Turns the errors of a verb into one line and an exit status.
-    """
-    app = typer.Typer(
-        name="bench",
-        help="Set up a bench: find the instruments, check them, switch them off.",
-        no_args_is_help=True,
-        context_settings={"help_option_names": ["-h", "--help"]},
-    )
-    app.command("list")(guarded(list_found))
-    app.command("check")(guarded(check))
-    app.command("off")(guarded(off))
-    return app
 
 
 def list_found(

@@ -1,0 +1,80 @@
+"""What all verbs share: common options, and errors as one line with an exit status."""
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from acquire.cli.console import show_message
+from holography.errors import BenchError
+from reports.plain_text import one_line
+
+if TYPE_CHECKING:
+    from protocols.plan import Plan
+
+INTERRUPTED = 130
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON with stable keys instead.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+BenchOption = Annotated[str, typer.Option("--bench", help="Bench file, or a shipped bench's name.")]
+RunFiles = Annotated[
+    list[Path], typer.Argument(metavar="RUN [RUN_B]", help="One run, or series A and B of a reed.")
+]
+MethodOption = Annotated[
+    str,
+    typer.Option(
+        "--method",
+        help="How resonances are found: picture (the paper's way, by the pictures with most "
+        "fringes) or joint (one fit of all holograms, with loss factors).",
+    ),
+]
+ModelOption = Annotated[
+    str, typer.Option("--model", help="Forward model: fem (finite elements) or paper (Table 9).")
+]
+
+
+def guarded_verb(function: Callable[..., None]) -> Callable[..., None]:
+    """Turn errors into one line and an exit status."""
+
+    @functools.wraps(function)
+    def guarded(*args: Any, debug: bool = False, **kwargs: Any) -> None:
+        try:
+            function(*args, debug=debug, **kwargs)
+        except BenchError as error:
+            if debug:
+                raise
+            for line in (str(error), *getattr(error, "__notes__", ())):
+                show_message(one_line(f"acquire: {line}"))
+            raise typer.Exit(1 if error.unconfirmed else error.exit_status) from None
+        except OSError as error:
+            if debug:
+                raise
+            for line in (_disk_words(error), *getattr(error, "__notes__", ())):
+                show_message(one_line(f"acquire: {line}"))
+            raise typer.Exit(1) from None
+        except KeyboardInterrupt as stop:
+            unconfirmed = getattr(stop, "__notes__", ())
+            for line in ("interrupted", *unconfirmed):
+                show_message(one_line(f"acquire: {line}"))
+            raise typer.Exit(1 if unconfirmed else INTERRUPTED) from None
+
+    return guarded
+
+
+def _disk_words(error: OSError) -> str:
+    """One line about a file that the system refused where nothing else says so."""
+    where = "" if error.filename is None else f"{error.filename}: "
+    reason = error.strerror or str(error) or type(error).__name__
+    return one_line(f"{where}the system refused it ({reason}); check the disk, then try again")
+
+
+def plan_of(protocol: str, bench: str, series: str | None = None) -> "Plan":
+    """Return the plan of a protocol on a bench, for another series if one is given."""
+    from acquire.runner import script
+
+    described = script.load(protocol)
+    if series is not None:
+        described = described.replace(series=series)
+    return script.plan(described, bench)

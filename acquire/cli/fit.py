@@ -1,0 +1,124 @@
+"""The verbs `acquire fit` and `acquire report`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from acquire.cli.app import (
+    AsJson,
+    Debug,
+    MethodOption,
+    ModelOption,
+    RunFiles,
+)
+from acquire.cli.console import results, show_json, show_message
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from fitting.cane.fit_runs import ReedFit
+
+
+def fit(
+    runs: RunFiles,
+    method: MethodOption = "joint",
+    model: ModelOption = "fem",
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Find the resonances in a run and fit the reed's cane; with A and B, all four components."""
+    fitted = _fit(runs, model, method)
+    finish(fitted.to_json(), as_json, [], fitted)
+
+
+def report(
+    runs: RunFiles,
+    out: Annotated[Path | None, typer.Option(help="Page; beside the run if not given.")] = None,
+    method: MethodOption = "joint",
+    model: ModelOption = "fem",
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Write one self-contained HTML page about a run, and its pictures beside it."""
+    report_runs(runs, model, out, as_json, {}, method)
+
+
+def _fit(runs: list[Path], model: str, method: str = "joint") -> "ReedFit":
+    from fitting.cane.fit_runs import (
+        fit_runs,
+        method_name,
+        model_name,
+    )
+
+    return fit_runs(runs, model_name(model), show_message, method_name(method))
+
+
+def report_runs(
+    runs: list[Path],
+    model: str,
+    page: Path | None,
+    as_json: bool,
+    answer: dict[str, Any],
+    method: str = "joint",
+) -> None:
+    """Fit, write the page and print the result; without a fit, the page has the pictures only."""
+    from fitting.errors import FitError, FitInputError
+    from reports.run_page import (
+        page_of,
+        require_report,
+        write_bare_report,
+        write_report,
+    )
+
+    page = page or page_of(runs[0])
+    require_report(runs, page)
+    fitted, failure = None, None
+    try:
+        fitted = _fit(runs, model, method)
+        files = write_report(fitted, page)
+    except FitInputError:
+        raise
+    except FitError as error:
+        failure = error
+        files = write_bare_report(runs, page, str(error))
+    answer |= {
+        "fit": fitted.to_json() if fitted else None,
+        "files": {name: str(file) for name, file in files.items()},
+    }
+    listed = ({"run file": answer["run"]} if "run" in answer else {}) | files
+    finish(answer, as_json, [f"{name:13} {file}" for name, file in listed.items()], fitted)
+    if failure:
+        raise failure
+
+
+def finish(
+    answer: dict[str, Any], as_json: bool, lines: list[str], fitted: "ReedFit | None" = None
+) -> None:
+    """Print the result of a as JSON or for people."""
+    if as_json:
+        show_json(answer)
+        return
+    console = results()
+    if fitted is not None:
+        _show_fit(console, fitted)
+    for line in lines:
+        console.print(line, markup=False, soft_wrap=True)
+
+
+def _show_fit(console: "Console", fitted: "ReedFit") -> None:
+    from reports.tables import (
+        modes_table,
+        not_identified_lines,
+        parameters_table,
+    )
+
+    for sweep in fitted.sweeps:
+        console.print(modes_table(sweep))
+        for line in not_identified_lines(sweep):
+            console.print(line, markup=False, soft_wrap=True)
+    table = parameters_table(fitted)
+    if table is None:
+        console.print(f"no parameters: {fitted.reason}", markup=False, soft_wrap=True)
+    else:
+        console.print(table)

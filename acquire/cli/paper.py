@@ -1,0 +1,50 @@
+"""The verb `acquire paper`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from acquire.cli.app import (
+    AsJson,
+    Debug,
+)
+from acquire.cli.console import results, show_json, show_message
+
+if TYPE_CHECKING:
+    pass
+
+
+def paper(
+    out: Annotated[
+        Path | None, typer.Option(metavar="PAGE.html", help="Page; paper.html if not given.")
+    ] = None,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Compare the paper's printed numbers with ours, on one self-contained HTML page.
+
+    Takes about a minute. With --json alone no page is written.
+    """
+    from reports.own_output import require_writable
+    from reproduction.page import (
+        counts_table,
+        page_output,
+        write_page,
+    )
+    from reproduction.whole import compare_paper
+
+    page = out or (None if as_json else Path("paper.html"))
+    if page:
+        require_writable([page_output(page)])
+    comparison = compare_paper(show_message)
+    if page:
+        write_page(comparison, page)
+    if as_json:
+        show_json(comparison.to_json() | {"page": str(page) if page else None})
+        return
+    console = results()
+    console.print(counts_table(comparison))
+    for sentence in comparison.findings:
+        console.print(f"- {sentence}", markup=False)
+    console.print(f"page          {page}", markup=False, soft_wrap=True)

@@ -1,0 +1,126 @@
+"""The verbs about run files: `acquire list`, `show`, `pack`, `pause` and `continue`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from acquire.cli.app import (
+    AsJson,
+    Debug,
+)
+from acquire.cli.console import messages, results, show_json, show_message
+from holography.errors import BenchError
+
+if TYPE_CHECKING:
+    from acquire.runner.control import Order
+
+
+def list_runs(
+    folder: Annotated[Path, typer.Argument(help="Folder with run files.")] = Path("runs"),
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """List the runs of a folder: which reed, which series, how they ended."""
+    from acquire.cli.display import catalogue_entry, runs_table
+    from runs.errors import RunFileError
+    from runs.reader import Run
+
+    if not folder.is_dir():
+        state = "is no folder" if folder.exists() else "there is no such folder"
+        raise RunFileError(f"{folder}: {state}; name the one with your run files")
+    entries = []
+    for path in sorted(folder.rglob("*.h5")):
+        try:
+            with Run.open(path) as run_:
+                entries.append(catalogue_entry(run_))
+        except RunFileError as error:
+            show_message(f"acquire: {error}")
+    if as_json:
+        show_json(entries)
+    else:
+        results().print(runs_table(entries))
+
+
+def show_run(
+    run_file: Annotated[Path, typer.Argument(metavar="RUN", help="A run file.")],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Show what a run file says: who, what, with what, which steps are bad, where it has seams."""
+    from acquire.cli.display import details_table, run_details
+    from runs.reader import Run
+
+    with Run.open(run_file) as run_:
+        details = run_details(run_)
+    if as_json:
+        show_json(details)
+    else:
+        results().print(details_table(details))
+
+
+def pack_runs(
+    run_files: Annotated[
+        list[Path], typer.Argument(metavar="RUN …", help="Complete runs that kept frames.")
+    ],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Compress the frames of complete runs without loss, and read the result back.
+
+    `acquire run` does this at the end of a run. Use it for runs where that was interrupted.
+    """
+    from acquire.cli.display import (
+        packing_line,
+        packing_to_json,
+        share_progress,
+    )
+    from acquire.runner import script
+
+    answers, worst = [], 0
+    for path in run_files:
+        try:
+            with share_progress(messages(), f"packing {path.name}") as show:
+                packed = script.pack(path, progress=show)
+        except BenchError as error:
+            if debug:
+                raise
+            # The other runs are packed all the same.
+            show_message(f"acquire: {error}")
+            worst = max(worst, error.exit_status)
+            continue
+        answers.append(packing_to_json(str(path), packed))
+        if not as_json:
+            results().print(packing_line(str(path), packed), soft_wrap=True)
+    if as_json:
+        show_json(answers)
+    if worst:
+        raise typer.Exit(worst)
+
+
+def pause_run(
+    run_file: Annotated[Path, typer.Argument(metavar="RUN", help="File of a run in work.")],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Let a run in work switch all off after its step, and wait."""
+    _order(run_file, "pause", as_json)
+
+
+def continue_run(
+    run_file: Annotated[Path, typer.Argument(metavar="RUN", help="File of a paused run.")],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Let a paused run go on."""
+    _order(run_file, "continue", as_json)
+
+
+def _order(run_file: Path, what: "Order", as_json: bool) -> None:
+    from acquire.runner.control import order
+
+    process = order(run_file, what)
+    if as_json:
+        show_json({"run": str(run_file), "order": what, "process": process})
+    else:
+        show_message(f"{run_file}: process {process} was told to {what}")

@@ -18,9 +18,9 @@ from acquire.runner import script
 from benchmarks.fault_list import CALM, Fault
 from benchmarks.struck import Outcome, measured, outcome_of, planned
 from drivers.context import BenchContext
-from drivers.description import GeneratorDescription
 from drivers.emulators.instruments import WireSiglent
 from holography.errors import BenchError
+from protocols.bench import Generator
 from runs.reader import Run
 
 _PATIENCE_S = 0.5
@@ -38,7 +38,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 class StruckSiglent(WireSiglent):
     """The generator of the wire bench; a signal strikes its process while it is opened."""
 
-    def __init__(self, entry: GeneratorDescription, context: BenchContext) -> None:
+    def __init__(self, entry: Generator, context: BenchContext) -> None:
         os.kill(os.getpid(), int(os.environ[_STRUCK]))
         super().__init__(entry, context)
 

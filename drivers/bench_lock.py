@@ -14,7 +14,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from drivers.description import InstrumentsDescription
 from drivers.errors import BenchSetupError
 from drivers.exclusive import (
     Holder,
@@ -22,6 +21,7 @@ from drivers.exclusive import (
     exclusive,
     holder_of,
 )
+from protocols.bench import Instruments
 
 # Keys of `options:` that say which instrument is meant; all others are settings of it.
 _ADDRESS_KEYS: Final = (
@@ -54,7 +54,7 @@ class BenchInUseError(BenchSetupError):
         self.holder = holder
 
 
-def addresses(instruments: InstrumentsDescription) -> tuple[str, ...]:
+def addresses(instruments: Instruments) -> tuple[str, ...]:
     """Return what tells the instruments of a bench from all others, each once.
 
     Simulated instruments have no address: everybody may have some of their own.
@@ -84,12 +84,12 @@ def _canonical(key: str, value: object) -> str:
 
 
 @contextmanager
-def bench_locked(instruments: InstrumentsDescription, does: str) -> Iterator[None]:
+def bench_locked(instruments: Instruments, does: str) -> Iterator[None]:
     """Hold the lock of every address of a bench.
 
     Parameters
     ----------
-    instruments : InstrumentsDescription
+    instruments : Instruments
     does : str
         What this process does, for the messages of others.
 
@@ -142,7 +142,7 @@ def _hold(held: ExitStack, address: str, does: str) -> None:
         ) from error
 
 
-def holders(instruments: InstrumentsDescription) -> tuple[Holder, ...]:
+def holders(instruments: Instruments) -> tuple[Holder, ...]:
     """Return the processes that use instruments of a bench, each once."""
     found = (holder_of(_lock_path(address))[1] for address in addresses(instruments))
     return tuple(dict.fromkeys(holder for holder in found if holder is not None))

@@ -8,8 +8,8 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from drivers.description import BenchDescription
 from drivers.roles import Clock, Surroundings
+from protocols.bench import BenchFile
 from protocols.preparation import Preparation
 
 T = TypeVar("T")
@@ -37,7 +37,7 @@ class BenchContext:
 
     Attributes
     ----------
-    description : BenchDescription
+    description : BenchFile
         The bench file.
     preparation : Preparation
     rng : numpy.random.Generator
@@ -50,7 +50,7 @@ class BenchContext:
         A driver that can change them puts them here.
     """
 
-    description: BenchDescription
+    description: BenchFile
     preparation: Preparation
     rng: np.random.Generator
     announce: Callable[[str], None]

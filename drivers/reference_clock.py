@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
 from drivers.cameras.genicam_camera import GenicamCamera
-from drivers.description import InstrumentDescription
 from drivers.generators.keysight import KeysightGenerator
 from drivers.generators.siglent import SiglentGenerator
 from drivers.generators.soundcard import SoundCardGenerator
 from drivers.roles import Instrument
 from drivers.synthesizers.novatech import Novatech409B
 from drivers.synthesizers.srs import SRSPair
+from protocols.bench import InstrumentEntry
 
 Source = Literal["external", "own", "unknown"]
 
@@ -38,12 +38,12 @@ class ReferenceClock:
     words: str
 
 
-def reference_clock(entry: InstrumentDescription, instrument: Instrument) -> ReferenceClock:
+def reference_clock(entry: InstrumentEntry, instrument: Instrument) -> ReferenceClock:
     """Return what is known of the clock of an open instrument; nothing is sent to it.
 
     Parameters
     ----------
-    entry : InstrumentDescription
+    entry : Instrument
         Its entry of the bench file.
     instrument : Instrument
     """
@@ -61,7 +61,9 @@ def reference_clock(entry: InstrumentDescription, instrument: Instrument) -> Ref
             return ReferenceClock("own", "its crystal, up to 50 ppm off; it takes no reference")
         case GenicamCamera():
             return _of_camera(entry)
-        case _ if type(instrument).__module__.startswith("drivers.simulated."):
+        case _ if type(instrument).__module__.startswith(
+            ("drivers.simulated.", "drivers.emulators.")
+        ):
             return ReferenceClock("external", "the simulated laboratory has one clock")
         case _:
             return ReferenceClock("unknown", "not known: its driver cannot tell")
@@ -71,21 +73,21 @@ def _said(word: str) -> ReferenceClock:
     return ReferenceClock(word if word in SOURCES else "unknown", f"its driver says: {word}")
 
 
-def _of_generator(entry: InstrumentDescription) -> ReferenceClock:
+def _of_generator(entry: InstrumentEntry) -> ReferenceClock:
     # The driver does not open before ROSC? has confirmed this option.
     if entry.options.get("reference", "external") == "external":
         return ReferenceClock("external", "external 10 MHz, confirmed by the instrument (ROSC)")
     return ReferenceClock("own", "its own crystal, as options.reference says")
 
 
-def _of_srs(entry: InstrumentDescription) -> ReferenceClock:
+def _of_srs(entry: InstrumentEntry) -> ReferenceClock:
     # The driver does not open if neither of the two has an external timebase.
     if entry.options.get("check_timebase", True):
         return ReferenceClock("external", "one of the two, or both, confirm an external timebase")
     return ReferenceClock("unknown", "not known: options.check_timebase is false")
 
 
-def _of_novatech(entry: InstrumentDescription) -> ReferenceClock:
+def _of_novatech(entry: InstrumentEntry) -> ReferenceClock:
     if entry.options.get("external_reference", False):
         return ReferenceClock(
             "external", "external 10 MHz, as the bench file says; the box cannot be asked"
@@ -93,7 +95,7 @@ def _of_novatech(entry: InstrumentDescription) -> ReferenceClock:
     return ReferenceClock("own", "its own crystal, as options.external_reference says")
 
 
-def _of_camera(entry: InstrumentDescription) -> ReferenceClock:
+def _of_camera(entry: InstrumentEntry) -> ReferenceClock:
     trigger = entry.options.get("trigger", "free")
     if str(trigger).startswith("Line"):
         return ReferenceClock("external", f"every frame is triggered by a pulse at {trigger}")

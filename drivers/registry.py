@@ -11,7 +11,6 @@ import numpy as np
 
 from drivers.bench_lock import bench_locked
 from drivers.context import BenchContext
-from drivers.description import BenchDescription, InstrumentDescription
 from drivers.errors import (
     BenchSetupError,
     OpeningStoppedError,
@@ -26,6 +25,7 @@ from drivers.roles import (
     SynthesizerPair,
 )
 from drivers.safe_off import instruments_off
+from protocols.bench import BenchFile, InstrumentEntry
 from protocols.preparation import Preparation
 
 Driver = Callable[[Any, BenchContext], Instrument]
@@ -72,7 +72,7 @@ _BUILT_IN: Final = {
 
 
 def open_bench(
-    bench_file: BenchDescription,
+    bench_file: BenchFile,
     preparation: Preparation,
     seed: int = 0,
     announce: Callable[[str], None] | None = None,
@@ -91,7 +91,7 @@ def open_bench(
 
     Parameters
     ----------
-    bench_file : BenchDescription
+    bench_file : BenchFile
         Usually an `protocols.bench.BenchFile`.
     preparation : Preparation
         What stands on the bench.
@@ -153,7 +153,7 @@ class Opened:
 
 @contextmanager
 def open_each(
-    bench_file: BenchDescription,
+    bench_file: BenchFile,
     preparation: Preparation,
     seed: int = 0,
     announce: Callable[[str], None] | None = None,
@@ -201,7 +201,7 @@ class _Opening:
 
     def __init__(
         self,
-        bench_file: BenchDescription,
+        bench_file: BenchFile,
         preparation: Preparation,
         seed: int,
         announce: Callable[[str], None] | None,
@@ -261,7 +261,7 @@ class _Opening:
 
     def open_one(self, role: RoleName) -> Instrument:
         """Open the instrument of a role."""
-        entry: InstrumentDescription = getattr(self._context.description.instruments, role)
+        entry: InstrumentEntry = getattr(self._context.description.instruments, role)
         instrument = find_driver(role, entry.driver)(entry, self._context)
         try:
             return _filling(_ROLES[role], role, entry.driver, instrument)

@@ -1,6 +1,7 @@
 """Which instrument stands where: bench files, read as strictly as protocols."""
 
 import math
+from collections.abc import Mapping
 from fractions import Fraction
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -30,7 +31,7 @@ _PEAK_PER_VOLT: Final = {
 }
 
 
-class Instrument(Section):
+class InstrumentEntry(Section):
     """One instrument: its driver and, untouched, the options that this driver checks itself.
 
     Attributes
@@ -44,8 +45,12 @@ class Instrument(Section):
     driver: Annotated[str, Field(min_length=1, max_length=100)]
     options: Annotated[dict[str, Any], Field(default_factory=dict)]
 
+    def with_options(self, options: Mapping[str, Any]) -> Self:
+        """Return a copy with other options."""
+        return self.model_copy(update={"options": dict(options)})
 
-class Synthesizers(Instrument):
+
+class Synthesizers(InstrumentEntry):
     """The pair on one clock: AOM2 stays at the centre, AOM1 carries the difference."""
 
     step_hz: Annotated[Frequency, Field(alias="step", gt=0)]
@@ -70,18 +75,18 @@ class Synthesizers(Instrument):
         return window_hz
 
 
-class Output(Section):
+class GeneratorOutput(Section):
     """What lies between a generator's socket and the loudspeaker."""
 
     amplifier_gain: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)]
     load_ohm: Annotated[Resistance, Field(alias="load", gt=0)]
 
 
-class Generator(Instrument):
+class Generator(InstrumentEntry):
     """The signal generator of the tweeter; drivers of real ones ask for `output`."""
 
     step_hz: Annotated[Frequency, Field(alias="step", gt=0)]
-    output: Output | None = None
+    output: GeneratorOutput | None = None
 
 
 class DataSheet(Section):
@@ -93,7 +98,7 @@ class DataSheet(Section):
     full_well_e: Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
-class CameraSensor(Instrument):
+class CameraSensor(InstrumentEntry):
     """The camera and its sensor of square pixels; without a data sheet, one as in the paper."""
 
     width: Annotated[int, Field(ge=16, le=65_536)]

@@ -23,9 +23,9 @@ from drivers.cameras.genicam_camera import (
     pulses_for,
 )
 from drivers.context import BenchContext
-from drivers.description import CameraDescription
 from drivers.errors import BenchSetupError, InstrumentError
 from drivers.options import read_options
+from protocols.bench import CameraSensor
 
 # Registers that every GigE Vision camera has: latch the time, and its upper and lower half.
 _TIME_CONTROL: Final = 0x0944
@@ -70,7 +70,7 @@ class AravisCamera(GenicamCamera):
         If the camera cannot be opened, or another program has it.
     """
 
-    def __init__(self, entry: CameraDescription, context: BenchContext) -> None:
+    def __init__(self, entry: CameraSensor, context: BenchContext) -> None:
         options = read_options(
             AravisOptions, entry.options, context.description.name, "instruments.camera.options"
         )

@@ -13,9 +13,9 @@ from drivers.cameras.genicam_camera import (
     pulses_for,
 )
 from drivers.context import BenchContext
-from drivers.description import CameraDescription
 from drivers.errors import BenchSetupError, InstrumentError
 from drivers.options import read_options
+from protocols.bench import CameraSensor
 
 # What pylon says instead of a block id that it does not know.
 _NO_NUMBER: Final = 2**64 - 1
@@ -48,7 +48,7 @@ class BaslerCamera(GenicamCamera):
         If the camera cannot be opened.
     """
 
-    def __init__(self, entry: CameraDescription, context: BenchContext) -> None:
+    def __init__(self, entry: CameraSensor, context: BenchContext) -> None:
         options = read_options(
             BaslerOptions, entry.options, context.description.name, "instruments.camera.options"
         )

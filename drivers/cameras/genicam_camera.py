@@ -27,7 +27,6 @@ from drivers.cameras.genicam import (
 )
 from drivers.cameras.trigger import CameraTrigger
 from drivers.context import BenchContext, WallClock
-from drivers.description import CameraDescription
 from drivers.errors import (
     BenchSetupError,
     InstrumentError,
@@ -35,6 +34,7 @@ from drivers.errors import (
 )
 from drivers.options import Options
 from drivers.roles import Clock, Frame
+from protocols.bench import CameraSensor
 
 # How often the link is looked at while nothing comes: bounds how well arrivals are known.
 _POLL_S: Final = 0.01
@@ -155,7 +155,7 @@ class GenicamCamera:
     Parameters
     ----------
     link : CameraLink
-    entry : CameraDescription
+    entry : CameraSensor
     options : CameraOptions
     pulses : CameraTrigger, optional
         What to tell that the camera waits for pulses, see `pulses_for`.
@@ -176,7 +176,7 @@ class GenicamCamera:
     def __init__(
         self,
         link: CameraLink,
-        entry: CameraDescription,
+        entry: CameraSensor,
         options: CameraOptions,
         pulses: CameraTrigger | None = None,
         host: Clock | None = None,
@@ -494,7 +494,7 @@ def _require_bits(bits: int, pixel_format: PixelFormat, camera: str) -> None:
 
 
 def _require_within(
-    entry: CameraDescription,
+    entry: CameraSensor,
     frame_rate_hz: Fraction,
     exposure_s: Fraction,
     shape: tuple[int, int],

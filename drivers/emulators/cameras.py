@@ -9,8 +9,8 @@ this module fill the camera's role, so a bench file may name them, as
 import ctypes
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final
@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from drivers.cameras.aravis import AravisCamera, load_aravis
 from drivers.cameras.basler import BaslerCamera, load_pylon
 from drivers.context import BenchContext
-from drivers.description import CameraDescription, DataSheetDescription
 from drivers.errors import BenchSetupError
 from drivers.roles import Frame
 from drivers.simulated.instruments import SimulatedCamera
 from drivers.simulated.lab import SimulatedLab, VirtualClock
+from protocols.bench import CameraSensor
 
 _EMULATED_SERIAL: Final = "0815-0000"
 _LOOPBACK: Final = "127.0.0.1"
@@ -38,33 +38,6 @@ _Fill: Final = ctypes.CFUNCTYPE(
 )
 
 
-@dataclass(frozen=True)
-class _Entry:
-    """A camera's entry of a bench file, with other options."""
-
-    driver: str
-    options: Mapping[str, Any]
-    width: int
-    height: int
-    pixel_m: Fraction
-    bits: int
-    max_frame_rate_hz: Fraction
-    data_sheet: DataSheetDescription | None
-
-
-def _with_options(entry: CameraDescription, options: Mapping[str, Any]) -> CameraDescription:
-    return _Entry(
-        entry.driver,
-        options,
-        entry.width,
-        entry.height,
-        entry.pixel_m,
-        entry.bits,
-        entry.max_frame_rate_hz,
-        entry.data_sheet,
-    )
-
-
 class EmulatedBaslerCamera:
     """The simulated camera, whose pixels pass through pylon's emulator and the Basler driver.
 
@@ -75,7 +48,7 @@ class EmulatedBaslerCamera:
 
     Parameters
     ----------
-    entry : CameraDescription
+    entry : CameraSensor
         Its options are those of `drivers.cameras.basler.BaslerOptions`.
     context : BenchContext
 
@@ -92,13 +65,13 @@ class EmulatedBaslerCamera:
         If pypylon is missing, or was loaded before without ``PYLON_CAMEMU``.
     """
 
-    def __init__(self, entry: CameraDescription, context: BenchContext) -> None:
+    def __init__(self, entry: CameraSensor, context: BenchContext) -> None:
         # Read by pylon when it is loaded.
         os.environ.setdefault("PYLON_CAMEMU", "1")
-        self._simulated = SimulatedCamera(_with_options(entry, {}), context)
+        self._simulated = SimulatedCamera(entry.with_options({}), context)
         self.lab = self._simulated.lab
         options = {"serial": _EMULATED_SERIAL, **entry.options}
-        self.basler = BaslerCamera(_with_options(entry, options), context)
+        self.basler = BaslerCamera(entry.with_options(options), context)
         self._bits = entry.bits
         self._folder = tempfile.TemporaryDirectory(prefix="reedbench-frames-")
 
@@ -186,7 +159,7 @@ class LoopbackGigeCamera(AravisCamera):
 
     Parameters
     ----------
-    entry : CameraDescription
+    entry : CameraSensor
         Its options are those of `drivers.cameras.aravis.AravisOptions`, but for `device`.
     context : BenchContext
 
@@ -203,7 +176,7 @@ class LoopbackGigeCamera(AravisCamera):
         If Aravis is missing, the laboratory's time is not real, or another such camera runs.
     """
 
-    def __init__(self, entry: CameraDescription, context: BenchContext) -> None:
+    def __init__(self, entry: CameraSensor, context: BenchContext) -> None:
         self.lab = context.share(SimulatedLab)
         if isinstance(self.lab.clock, VirtualClock):
             raise BenchSetupError(
@@ -214,7 +187,7 @@ class LoopbackGigeCamera(AravisCamera):
         # Aravis' camera knows no Mono12: 12 bits travel in 16.
         options = {"pixel_format": "Mono16", **entry.options, "device": _LOOPBACK}
         try:
-            super().__init__(_with_options(entry, options), context)
+            super().__init__(entry.with_options(options), context)
         except BaseException:
             self.far_end.close()
             raise

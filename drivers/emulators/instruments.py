@@ -5,19 +5,10 @@ it; what the device then plays is what the laboratory's light and air follow.
 """
 
 import importlib.util
-from collections.abc import Mapping
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
-from typing import Any
 
 from drivers.context import BenchContext
-from drivers.description import (
-    CameraDescription,
-    GeneratorDescription,
-    OutputDescription,
-    SynthesizersDescription,
-)
 from drivers.emulators.novatech import NovatechDevice, Output
 from drivers.emulators.serving import PtyServer, SocketServer
 from drivers.emulators.siglent import SiglentDevice
@@ -26,27 +17,11 @@ from drivers.roles import Camera
 from drivers.simulated.instruments import SimulatedCamera
 from drivers.simulated.lab import SimulatedLab
 from drivers.synthesizers.novatech import Novatech409B
-
-
-@dataclass(frozen=True)
-class _Synthesizers:
-    """Entry of a pair of synthesizers, with other options."""
-
-    driver: str
-    options: Mapping[str, Any]
-    step_hz: Fraction
-    centre_hz: Fraction
-    window_hz: Fraction
-
-
-@dataclass(frozen=True)
-class _Generator:
-    """Entry of a generator, with other options."""
-
-    driver: str
-    options: Mapping[str, Any]
-    step_hz: Fraction
-    output: OutputDescription | None
+from protocols.bench import (
+    CameraSensor,
+    Generator,
+    Synthesizers,
+)
 
 
 class NovatechFarEnd:
@@ -128,7 +103,7 @@ class WireNovatech(Novatech409B):
 
     Parameters
     ----------
-    entry : SynthesizersDescription
+    entry : Synthesizers
         Its options are those of the real driver, but for `port`.
     context : BenchContext
 
@@ -139,17 +114,12 @@ class WireNovatech(Novatech409B):
         See `NovatechFarEnd`.
     """
 
-    def __init__(self, entry: SynthesizersDescription, context: BenchContext) -> None:
+    def __init__(self, entry: Synthesizers, context: BenchContext) -> None:
         far_end = context.share(NovatechFarEnd)
         self.lab, self.device = far_end.lab, far_end.device
-        described = _Synthesizers(
-            entry.driver,
-            {**entry.options, "port": far_end.server.port},
-            entry.step_hz,
-            entry.centre_hz,
-            entry.window_hz,
+        super().__init__(
+            entry.with_options({**entry.options, "port": far_end.server.port}), context
         )
-        super().__init__(described, context)
 
 
 class WireSiglent(SiglentGenerator):
@@ -157,7 +127,7 @@ class WireSiglent(SiglentGenerator):
 
     Parameters
     ----------
-    entry : GeneratorDescription
+    entry : Generator
         Its options are those of the real driver, but for `resource`.
     context : BenchContext
 
@@ -168,17 +138,14 @@ class WireSiglent(SiglentGenerator):
         See `SiglentFarEnd`.
     """
 
-    def __init__(self, entry: GeneratorDescription, context: BenchContext) -> None:
+    def __init__(self, entry: Generator, context: BenchContext) -> None:
         far_end = context.share(SiglentFarEnd)
         self.lab, self.device = far_end.lab, far_end.device
         resource = f"TCPIP::127.0.0.1::{far_end.server.port}::SOCKET"
-        described = _Generator(
-            entry.driver, {**entry.options, "resource": resource}, entry.step_hz, entry.output
-        )
-        super().__init__(described, context)
+        super().__init__(entry.with_options({**entry.options, "resource": resource}), context)
 
 
-def wire_camera(entry: CameraDescription, context: BenchContext) -> Camera:
+def wire_camera(entry: CameraSensor, context: BenchContext) -> Camera:
     """Open the simulated camera behind pylon's emulator, if pypylon is installed.
 
     Without it, frames come from the simulated camera straight. (Frames through Aravis need real
@@ -186,7 +153,7 @@ def wire_camera(entry: CameraDescription, context: BenchContext) -> Camera:
 
     Parameters
     ----------
-    entry : CameraDescription
+    entry : CameraSensor
     context : BenchContext
     """
     if importlib.util.find_spec("pypylon") is None:

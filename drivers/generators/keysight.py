@@ -15,7 +15,6 @@ from typing import Annotated, Final, Literal
 from pydantic import Field
 
 from drivers.context import BenchContext
-from drivers.description import GeneratorDescription
 from drivers.errors import InstrumentError
 from drivers.generators.tweeter import (
     Played,
@@ -25,6 +24,7 @@ from drivers.generators.tweeter import (
     matching,
 )
 from drivers.options import Options, read_options
+from protocols.bench import Generator
 
 _DEVICE: Final = "generator (Keysight 33500)"
 _SECTION: Final = "instruments.generator.options"
@@ -110,7 +110,7 @@ class KeysightGenerator(TweeterGenerator):
 
     Parameters
     ----------
-    entry : GeneratorDescription
+    entry : Generator
     context : BenchContext
 
     Raises
@@ -123,7 +123,7 @@ class KeysightGenerator(TweeterGenerator):
 
     _OFF = ("OUTP1 OFF",)
 
-    def __init__(self, entry: GeneratorDescription, context: BenchContext) -> None:
+    def __init__(self, entry: Generator, context: BenchContext) -> None:
         options = read_options(KeysightOptions, entry.options, context.description.name, _SECTION)
         super().__init__(entry, context, _DEVICE, options.resource, _CAN_PLAY)
         self._connect(options.timeout_s, _LANGUAGE, _IDENTITY, _SECTION)

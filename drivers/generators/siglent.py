@@ -15,7 +15,6 @@ from pydantic import Field
 
 from drivers.cameras.trigger import CameraTrigger
 from drivers.context import BenchContext
-from drivers.description import GeneratorDescription
 from drivers.errors import (
     BenchSetupError,
     InstrumentError,
@@ -30,6 +29,7 @@ from drivers.generators.tweeter import (
     matching,
 )
 from drivers.options import Options, read_options
+from protocols.bench import Generator
 
 _DEVICE: Final = "generator (Siglent SDG2000X)"
 _SECTION: Final = "instruments.generator.options"
@@ -97,7 +97,7 @@ class SiglentGenerator(TweeterGenerator):
 
     Parameters
     ----------
-    entry : GeneratorDescription
+    entry : Generator
     context : BenchContext
 
     Raises
@@ -110,7 +110,7 @@ class SiglentGenerator(TweeterGenerator):
 
     _OFF = ("C1:OUTP OFF", "C2:OUTP OFF")
 
-    def __init__(self, entry: GeneratorDescription, context: BenchContext) -> None:
+    def __init__(self, entry: Generator, context: BenchContext) -> None:
         options = read_options(SiglentOptions, entry.options, context.description.name, _SECTION)
         super().__init__(entry, context, _DEVICE, options.resource, _CAN_PLAY)
         self._pulse = options.camera_trigger

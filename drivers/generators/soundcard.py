@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from drivers.context import BenchContext, WallClock
-from drivers.description import GeneratorDescription
 from drivers.errors import (
     BenchSetupError,
     InstrumentError,
@@ -26,6 +25,7 @@ from drivers.errors import (
 )
 from drivers.options import Options, read_options
 from drivers.roles import Clock
+from protocols.bench import Generator
 
 _SECTION: Final = "instruments.generator.options"
 # Shorter ramps of a loudspeaker's voltage are heard as clicks.
@@ -235,7 +235,7 @@ class SoundCardGenerator:
 
     Parameters
     ----------
-    entry : GeneratorDescription
+    entry : Generator
         With `output`, and `SoundCardOptions` as its options.
     context : BenchContext
     clock : Clock, optional
@@ -251,9 +251,7 @@ class SoundCardGenerator:
         If the device cannot be opened, because it is in use, say.
     """
 
-    def __init__(
-        self, entry: GeneratorDescription, context: BenchContext, clock: Clock | None = None
-    ) -> None:
+    def __init__(self, entry: Generator, context: BenchContext, clock: Clock | None = None) -> None:
         bench = context.description
         options = read_options(SoundCardOptions, entry.options, bench.name, _SECTION)
         if entry.output is None:

@@ -19,11 +19,6 @@ from fractions import Fraction
 from typing import ClassVar, Final, TypeVar
 
 from drivers.context import BenchContext
-from drivers.description import (
-    BenchDescription,
-    GeneratorDescription,
-    OutputDescription,
-)
 from drivers.errors import (
     BenchSetupError,
     InstrumentError,
@@ -33,6 +28,11 @@ from drivers.transport.visa import (
     LateError,
     VisaLine,
     open_visa,
+)
+from protocols.bench import (
+    BenchFile,
+    Generator,
+    GeneratorOutput,
 )
 
 T = TypeVar("T")
@@ -104,7 +104,7 @@ class TweeterGenerator(ABC):
 
     Parameters
     ----------
-    entry : GeneratorDescription
+    entry : Generator
     context : BenchContext
     device, resource : str
         For messages: role and model, and VISA's name.
@@ -123,7 +123,7 @@ class TweeterGenerator(ABC):
 
     def __init__(
         self,
-        entry: GeneratorDescription,
+        entry: Generator,
         context: BenchContext,
         device: str,
         resource: str,
@@ -478,7 +478,7 @@ class TweeterGenerator(ABC):
             "short circuit, and whether its front panel is in use"
         )
 
-    def _require_within_range(self, description: BenchDescription) -> None:
+    def _require_within_range(self, description: BenchFile) -> None:
         """Refuse a bench file that allows what the generator cannot play, or not exactly."""
         can_play, limits = self._can_play, self._limits
         most_v = self._volts(can_play.most_vpp)
@@ -563,9 +563,7 @@ def in_hertz(frequency_hz: Fraction) -> str:
     return f"{whole}.{micro:06d}"
 
 
-def _required_output(
-    description: BenchDescription, entry: GeneratorDescription
-) -> OutputDescription:
+def _required_output(description: BenchFile, entry: Generator) -> GeneratorOutput:
     if entry.output is None:
         raise BenchSetupError(
             f"bench {description.name!r}: instruments.generator.output: is missing; say what lies "

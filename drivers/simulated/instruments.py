@@ -13,12 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.context import BenchContext
-from drivers.description import (
-    CameraDescription,
-    GeneratorDescription,
-    InstrumentDescription,
-    SynthesizersDescription,
-)
 from drivers.errors import (
     BenchSetupError,
     InstrumentError,
@@ -27,6 +21,12 @@ from drivers.errors import (
 from drivers.roles import Frame
 from drivers.simulated.lab import SimulatedLab
 from physics.sensor import saturation_dn
+from protocols.bench import (
+    CameraSensor,
+    Generator,
+    InstrumentEntry,
+    Synthesizers,
+)
 
 # A frequency and an update with their answers, 28 characters at 19 200 baud; a few milliseconds of
 # USB; an output relay.
@@ -52,7 +52,7 @@ class SimulatedSynthesizers:
 
     echoes_registers = False
 
-    def __init__(self, entry: SynthesizersDescription, context: BenchContext) -> None:
+    def __init__(self, entry: Synthesizers, context: BenchContext) -> None:
         _require_no_options("synthesizers", entry)
         self._entry = entry
         self.lab = context.share(SimulatedLab)
@@ -113,7 +113,7 @@ class SimulatedGenerator:
         The room that it stands in.
     """
 
-    def __init__(self, entry: GeneratorDescription, context: BenchContext) -> None:
+    def __init__(self, entry: Generator, context: BenchContext) -> None:
         _require_no_options("generator", entry)
         self._step_hz = entry.step_hz
         self._limits = context.description.limits
@@ -192,7 +192,7 @@ class SimulatedCamera:
         The room that it stands in.
     """
 
-    def __init__(self, entry: CameraDescription, context: BenchContext) -> None:
+    def __init__(self, entry: CameraSensor, context: BenchContext) -> None:
         _require_no_options("camera", entry)
         self._entry = entry
         self.lab = context.share(SimulatedLab)
@@ -352,7 +352,7 @@ class SimulatedCamera:
             )
 
 
-def _require_no_options(role: str, entry: InstrumentDescription) -> None:
+def _require_no_options(role: str, entry: InstrumentEntry) -> None:
     if entry.options:
         raise BenchSetupError(
             f"instruments.{role}.options: the simulated driver knows no option "

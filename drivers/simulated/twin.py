@@ -8,7 +8,6 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from drivers.description import BenchDescription, CameraDescription
 from drivers.emulators.faults import GeneratorFaults, SynthesizerFaults
 from drivers.emulators.serving import WireFaults
 from drivers.errors import BenchSetupError
@@ -33,6 +32,7 @@ from physics.reed.viscoelastic import (
     viscoelastic_cane,
 )
 from physics.sensor import Sensor
+from protocols.bench import BenchFile, CameraSensor
 from protocols.preparation import Preparation
 
 _NOMINAL: Final = TwinSettings()
@@ -335,15 +335,13 @@ def bench_constants(twin: Twin, preparation: Preparation) -> Cane:
     return replace(known, **changed)
 
 
-def twin_settings(
-    twin: Twin, bench_file: BenchDescription, preparation: Preparation
-) -> TwinSettings:
+def twin_settings(twin: Twin, bench_file: BenchFile, preparation: Preparation) -> TwinSettings:
     """Return the settings of `physics` for a bench, with the whole sensor.
 
     Parameters
     ----------
     twin : Twin
-    bench_file : BenchDescription
+    bench_file : BenchFile
         Supplies optics and sensor.
     preparation : Preparation
         Supplies the reed, its moisture (series B is dried), its shape and the chamber.
@@ -388,7 +386,7 @@ def twin_settings(
     )
 
 
-def _sensor(camera: CameraDescription) -> Sensor:
+def _sensor(camera: CameraSensor) -> Sensor:
     """The sensor of a camera, nominal in what its data sheet does not say."""
     shape, pixel_m, sheet = (camera.height, camera.width), float(camera.pixel_m), camera.data_sheet
     if sheet is None:

@@ -17,7 +17,6 @@ from typing import Annotated, Final, Literal, NoReturn, Self
 from pydantic import Field, model_validator
 
 from drivers.context import BenchContext
-from drivers.description import SynthesizersDescription
 from drivers.errors import (
     BenchSetupError,
     InstrumentError,
@@ -25,6 +24,7 @@ from drivers.errors import (
 )
 from drivers.options import Options, read_options
 from drivers.transport.serial_line import SerialLine
+from protocols.bench import Synthesizers
 
 _DEVICE: Final = "synthesizers (Novatech 409B)"
 _STEP_HZ: Final = Fraction(1, 10)
@@ -147,7 +147,7 @@ class Novatech409B:
 
     Parameters
     ----------
-    entry : SynthesizersDescription
+    entry : Synthesizers
     context : BenchContext
 
     Raises
@@ -158,7 +158,7 @@ class Novatech409B:
         If the box does not answer, or does not confirm RF off at the centre.
     """
 
-    def __init__(self, entry: SynthesizersDescription, context: BenchContext) -> None:
+    def __init__(self, entry: Synthesizers, context: BenchContext) -> None:
         bench = context.description.name
         options = read_options(
             NovatechOptions, entry.options, bench, "instruments.synthesizers.options"
@@ -541,7 +541,7 @@ def _commands(old: Registers | None, new: Registers) -> list[str]:
     return frequencies + amplitudes
 
 
-def _require_possible(entry: SynthesizersDescription, bench: str) -> None:
+def _require_possible(entry: Synthesizers, bench: str) -> None:
     if entry.step_hz != _STEP_HZ:
         raise BenchSetupError(
             f"bench {bench!r}: instruments.synthesizers.step: is {float(entry.step_hz):g} Hz, but "

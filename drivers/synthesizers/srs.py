@@ -16,7 +16,6 @@ from typing import Annotated, Final, NoReturn, Self
 from pydantic import Field, model_validator
 
 from drivers.context import BenchContext
-from drivers.description import SynthesizersDescription
 from drivers.errors import (
     BenchSetupError,
     InstrumentError,
@@ -24,6 +23,7 @@ from drivers.errors import (
 )
 from drivers.options import Options, read_options
 from drivers.transport.visa import VisaLine, open_visa
+from protocols.bench import Synthesizers
 
 _DEVICE: Final = "synthesizers (SRS SG380)"
 _STEP_HZ: Final = Fraction(1, 1_000_000)
@@ -88,7 +88,7 @@ class SRSPair:
 
     Parameters
     ----------
-    entry : SynthesizersDescription
+    entry : Synthesizers
     context : BenchContext
 
     Raises
@@ -99,7 +99,7 @@ class SRSPair:
         If a generator does not answer or confirm, is no SG380, or both run on their own clocks.
     """
 
-    def __init__(self, entry: SynthesizersDescription, context: BenchContext) -> None:
+    def __init__(self, entry: Synthesizers, context: BenchContext) -> None:
         bench = context.description.name
         options = read_options(SRSOptions, entry.options, bench, "instruments.synthesizers.options")
         _require_possible(entry, bench)
@@ -319,7 +319,7 @@ def _decimals(steps: int) -> str:
     return f"{steps // 1_000_000}.{steps % 1_000_000:06d}"
 
 
-def _require_possible(entry: SynthesizersDescription, bench: str) -> None:
+def _require_possible(entry: Synthesizers, bench: str) -> None:
     if entry.step_hz != _STEP_HZ:
         raise BenchSetupError(
             f"bench {bench!r}: instruments.synthesizers.step: is {float(entry.step_hz):g} Hz, but "

@@ -42,8 +42,8 @@ def run(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Run file, runs/TIME_SERIES_REED.h5 if not given; or a campaign's folder, "
-            "runs/TIME_campaign_REED."
+            help="Run file, measurements/TIME_SERIES_REED.h5 if not given; or a campaign's folder, "
+            "measurements/TIME_campaign_REED."
         ),
     ] = None,
     seed: Annotated[
@@ -247,4 +247,4 @@ def _require_keepable(reed: str, labels: "RunLabels") -> None:
 def _default_path(series: str, reed: str) -> Path:
     kept = "".join(c if c.isalnum() or c in "-." else "-" for c in f"{series}_{reed}")
     # With its extensions a name of a file may have 255 bytes.
-    return Path("runs", f"{datetime.now():%Y-%m-%dT%H-%M-%S}_{kept:.60}.h5")
+    return Path("measurements", f"{datetime.now():%Y-%m-%dT%H-%M-%S}_{kept:.60}.h5")

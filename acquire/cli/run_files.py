@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def list_runs(
-    folder: Annotated[Path, typer.Argument(help="Folder with run files.")] = Path("runs"),
+    folder: Annotated[Path, typer.Argument(help="Folder with run files.")] = Path("measurements"),
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:

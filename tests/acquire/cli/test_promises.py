@@ -185,7 +185,7 @@ def test_words_of_people_are_shown_as_they_are(cli, folder, protocol_file, bench
 def test_a_run_without_a_name_goes_to_a_folder_of_runs(cli, folder, protocol_file, bench_file):
     asked = ["--bench", bench_file(), "--reed", "R/../07", "--no-fit", "--json"]
     path = Path(cli("run", protocol_file(), *asked).json["run"])
-    assert path.parent == Path("runs")
+    assert path.parent == Path("measurements")
     assert path.is_file()
 
 

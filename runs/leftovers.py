@@ -18,8 +18,8 @@ def clear_leftovers(run_path: Path) -> list[Path]:
 
     Call it while you hold the run's lock (`acquire.runner.control.controllable`): then no living
     process is making these files. Removed are a run file that was not whole yet, a packed copy,
-    documents that were being put together, and documents without an event whose run file was never made. A
-    link is removed itself; what it leads to stays.
+    documents that were being put together, and documents without an event whose run file was never
+    made. A link is removed itself; what it leads to stays.
 
     Documents with events stay, also without their run file: somebody moved it.
 

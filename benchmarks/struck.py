@@ -8,7 +8,7 @@ from typing import Any
 
 from acquire.runner import script
 from acquire.runner.recorder import StepReport
-from acquire.runner.runner import RunSummary
+from acquire.runner.summary import RunSummary
 from benchmarks.fault_list import Fault
 from drivers.registry import open_bench
 from drivers.roles import Bench
@@ -17,7 +17,8 @@ from holography.errors import BenchError
 from physics.bench import BenchState
 from protocols.bench import BenchFile
 from protocols.plan import Plan
-from runs.reader import Run, StepRecord
+from runs.reader import Run
+from runs.records import StepRecord
 from runs.verdict import Verdict
 
 # A step's volts as the generator can say them, six digits.

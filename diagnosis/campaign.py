@@ -9,7 +9,8 @@ import numpy as np
 
 from fitting.errors import FitInputError
 from runs.layout import Kind
-from runs.reader import Run, StepRecord
+from runs.reader import Run
+from runs.records import StepRecord
 from runs.verdict import Verdict
 
 # What each kind of run tells that nothing else does.

@@ -13,7 +13,8 @@ from fitting.cane.fit_runs import SweepFit
 from fitting.fringes.picking import Resonance
 from holography.fringes import block_mean
 from reports.plain_text import visible
-from runs.reader import Run, StepRecord
+from runs.reader import Run
+from runs.records import StepRecord
 
 Array = NDArray[np.floating[Any]]
 

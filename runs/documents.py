@@ -17,7 +17,8 @@ from types import TracebackType
 from typing import Any, Final, Literal, Self
 
 from drivers.roles import Bench
-from protocols.plan import Plan, Step
+from protocols.plan import Plan
+from protocols.step import Step
 from runs.disk import error_class
 from runs.errors import DiskError, RunFileError
 from runs.layout import (
@@ -25,8 +26,8 @@ from runs.layout import (
     Status,
     short_reason,
 )
-from runs.reader import StepRecord
-from runs.writer import MeasuredStep
+from runs.measured_step import MeasuredStep
+from runs.records import StepRecord
 
 _EXIT_STATUS: Final[dict[Status, Literal["success", "abort", "fail"]]] = {
     "complete": "success",

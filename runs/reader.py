@@ -3,8 +3,8 @@
 import contextlib
 import json
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -29,99 +29,35 @@ from runs.checksums import (
 from runs.disk import error_class
 from runs.errors import RunFileError
 from runs.layout import (
-    EXPOSURE,
     FREE,
-    MEASURED,
-    PLANNED_HZ,
-    READ_BACK_HZ,
-    SEAMS,
-    TO_BE_TAKEN_AGAIN,
     UNDER_WAY,
-    Acquisition,
-    Kind,
     RunLabels,
-    Seam,
     short_reason,
     verdict_of,
 )
+from runs.measured_step import MeasuredStep
+from runs.records import (
+    Column,
+    StepRecord,
+    read_acquisition,
+    read_columns,
+    read_seams,
+    read_text,
+    settled_columns,
+    step_records,
+    taken_fields,
+)
 from runs.verdict import Verdict
-from runs.writer import MeasuredStep, RunWriter
+from runs.writer import RunWriter
 
 __all__ = ["MeasuredStep", "Run", "RunLabels", "RunWriter", "StepRecord"]
 
-_Column = npt.NDArray[Any]
 # What h5py, and whoever makes sense of what it reads, raise where bytes are not what was written.
 _DAMAGE = OSError, RuntimeError, ValueError, TypeError, ArithmeticError
 # A step that is being taken again is written within some milliseconds. A run that is still not read
 # after this many times, so long apart, is damaged.
 _READINGS: Final = 6
 _BETWEEN_READINGS_S: Final = 0.02
-
-
-@dataclass(frozen=True, slots=True)
-class StepRecord:
-    """One step of a run file.
-
-    Attributes
-    ----------
-    position : int
-        Place in the file, from 0; what `Run.field` wants.
-    index : int
-        k of the protocol's sweep.
-    asked_hz, drive_hz, aom1_hz, aom2_hz, difference_hz, lock_residual_hz : Fraction
-        As planned.
-    volts : float
-        Peak volts at the load, as planned.
-    carrier_leak : float
-        See `protocols.plan.Step`.
-    read_aom1_hz, read_aom2_hz, read_drive_hz : Fraction or None
-        What the instruments said; None if the step was not measured.
-    read_volts : float
-        NaN if the step was not measured, like all numbers below.
-    exposure_s : float or None
-        Of this step alone; None if it was that of the run.
-    changed_s : float
-        When the last setting was changed, on the camera's clock.
-    timestamps_s : tuple of float
-        Starts of the exposures, on the camera's clock.
-    frame_ids : tuple of int
-        -1 where there is no frame.
-    signal_to_noise, noise_level, saturated_share, brightness_dn : float
-    lock_error_hz, lock_error_se_hz, unexplained : float
-        See `MeasuredStep`.
-    verdict : Verdict
-    sentence : str
-        Why that verdict.
-    """
-
-    position: int
-    index: int
-    order: int
-    asked_hz: Fraction
-    drive_hz: Fraction
-    aom1_hz: Fraction
-    aom2_hz: Fraction
-    difference_hz: Fraction
-    lock_residual_hz: Fraction
-    volts: float
-    carrier_leak: float
-    read_aom1_hz: Fraction | None
-    read_aom2_hz: Fraction | None
-    read_drive_hz: Fraction | None
-    read_volts: float
-    exposure_s: float | None
-    changed_s: float
-    timestamps_s: tuple[float, ...]
-    frame_ids: tuple[int, ...]
-    signal_to_noise: float
-    noise_level: float
-    saturated_share: float
-    brightness_dn: float
-    lock_error_hz: float
-    lock_error_se_hz: float
-    unexplained: float
-    verdict: Verdict
-    sentence: str
 
 
 class Run:
@@ -176,18 +112,21 @@ class Run:
         self._file = file
         entry = file["entry"]
         # First: of a run that is complete, nothing changes any more.
-        self.status = _string(entry, "status")
-        self.uid = _string(entry, "entry_identifier_uuid")
-        self.title = _string(entry, "title")
-        self.start_time, self.end_time = _string(entry, "start_time"), _string(entry, "end_time")
+        self.status = read_text(entry, "status")
+        self.uid = read_text(entry, "entry_identifier_uuid")
+        self.title = read_text(entry, "title")
+        self.start_time, self.end_time = (
+            read_text(entry, "start_time"),
+            read_text(entry, "end_time"),
+        )
         self._read_sample(entry)
         self._read_provenance(entry["provenance"])
         self._read_instrument(entry["instrument"])
         self._read_geometry(entry)
         self.format_version = int(file.attrs["format_version"])
         self._read_steps(entry, damaged_as_pending=damaged_as_pending)
-        self.seams = tuple(_seams(entry["seams"])) if "seams" in entry else ()
-        self.acquisition = _acquisition(entry["acquisition"])
+        self.seams = tuple(read_seams(entry["seams"])) if "seams" in entry else ()
+        self.acquisition = read_acquisition(entry["acquisition"])
 
     @classmethod
     def open(cls, path: str | Path, *, damaged_as_pending: bool = False) -> Self:
@@ -393,7 +332,7 @@ class Run:
 
         Earlier takes are read after the steps: another process may be setting one aside.
         """
-        columns, found = _settled_columns(entry["steps"])
+        columns, found = settled_columns(entry["steps"])
         whole, verdicts = whole_rows(columns), []
         for position, verdict in enumerate(found):
             damaged = verdict is None or (verdict.measured and not whole[position])
@@ -401,13 +340,13 @@ class Run:
                 index = columns["index"][position]
                 raise _DamagedStepError(f"step {index} (row {position})")
             verdicts.append(Verdict.PENDING if verdict is None or damaged else verdict)
-        self.steps = tuple(_records(columns, verdicts))
+        self.steps = tuple(step_records(columns, verdicts))
         self._pixel_checksums: list[int] = columns[PIXEL_CHECKSUM].tolist()
         self._row_checksums: list[int] = columns[ROW_CHECKSUM].tolist()
         self._read_retakes(entry, columns, damaged_as_pending=damaged_as_pending)
 
     def _read_retakes(
-        self, entry: Any, steps: dict[str, _Column], *, damaged_as_pending: bool
+        self, entry: Any, steps: dict[str, Column], *, damaged_as_pending: bool
     ) -> None:
         """Read earlier takes, and check them."""
         self.retakes: tuple[StepRecord, ...] = ()
@@ -417,13 +356,13 @@ class Run:
         positions = entry["retakes/position"][()] if "retakes" in entry else np.array([])
         if np.all(positions == FREE):
             return
-        columns = _columns(entry["retakes"])
+        columns = read_columns(entry["retakes"])
         of_step = np.where(positions <= UNDER_WAY, UNDER_WAY - positions, positions)
         planned = steps.keys() - columns.keys()
         known = np.clip(of_step, 0, len(self.steps) - 1)
         whole = whole_rows(columns | {name: steps[name][known] for name in planned})
         verdicts = [verdict_of(said) for said in columns["verdict"].tolist()]
-        taken = list(_taken(columns, [verdict or Verdict.PENDING for verdict in verdicts]))
+        taken = list(taken_fields(columns, [verdict or Verdict.PENDING for verdict in verdicts]))
         found = []
         for place in np.flatnonzero((of_step >= 0) & (of_step < len(self.steps))):
             step = self.steps[of_step[place]]
@@ -444,36 +383,36 @@ class Run:
 
     def _read_sample(self, entry: Any) -> None:
         sample = entry["sample"]
-        self.reed, self.series = _string(sample, "name"), _string(sample, "series")
-        self.chamber = _string(sample, "chamber")
+        self.reed, self.series = read_text(sample, "name"), read_text(sample, "series")
+        self.chamber = read_text(sample, "chamber")
         strength = float(sample["strength"][()])
         self.labels = RunLabels(
             None if np.isnan(strength) else strength,
-            _string(sample, "note"),
-            _string(entry["user"], "name"),
+            read_text(sample, "note"),
+            read_text(entry["user"], "name"),
         )
 
     def _read_provenance(self, origin: Any) -> None:
-        self.protocol_text = _string(origin, "protocol")
-        self.protocol_sha256 = _string(origin, "protocol_sha256")
+        self.protocol_text = read_text(origin, "protocol")
+        self.protocol_sha256 = read_text(origin, "protocol_sha256")
         # Other programs write files that do not say it.
-        self.reed_text = _string(origin, "reed") if "reed" in origin else None
-        self.reed_sha256 = _string(origin, "reed_sha256") if "reed" in origin else ""
-        self.bench_text = _string(origin, "bench")
-        self.bench_fingerprint = _string(origin, "bench_fingerprint")
-        self.git_revision = _string(origin, "git_revision")
-        self.package_versions: dict[str, str] = json.loads(_string(origin, "package_versions"))
+        self.reed_text = read_text(origin, "reed") if "reed" in origin else None
+        self.reed_sha256 = read_text(origin, "reed_sha256") if "reed" in origin else ""
+        self.bench_text = read_text(origin, "bench")
+        self.bench_fingerprint = read_text(origin, "bench_fingerprint")
+        self.git_revision = read_text(origin, "git_revision")
+        self.package_versions: dict[str, str] = json.loads(read_text(origin, "package_versions"))
         self.seed = int(origin["seed"][()])
 
     def _read_instrument(self, instrument: Any) -> None:
         detector = instrument["camera"]
-        self.bench_name = _string(instrument, "name")
+        self.bench_name = read_text(instrument, "name")
         self.identities = {
-            role: _string(instrument[role], "identity")
+            role: read_text(instrument[role], "identity")
             for role in ("synthesizers", "generator", "camera")
         }
         self.acoustic_lines_hz = tuple(float(hz) for hz in instrument["acoustic_lines"][()])
-        self.frame_rate_hz = Fraction(_string(detector, "frame_rate_exact"))
+        self.frame_rate_hz = Fraction(read_text(detector, "frame_rate_exact"))
         self.exposure_s = float(detector["count_time"][()])
         self.saturation_dn = int(detector["saturation_value"][()])
         self.sideband_order = int(instrument["synthesizers"]["sideband_order"][()])
@@ -530,7 +469,7 @@ def _absent(path: Path) -> RunFileError:
 def _status(file: Any) -> str:
     """How a run ended that cannot be read; empty if that cannot be read either."""
     with contextlib.suppress(KeyError, *_DAMAGE):
-        return _string(file["entry"], "status")
+        return read_text(file["entry"], "status")
     return ""
 
 
@@ -551,93 +490,3 @@ def _failure(path: Path, error: Exception, status: str) -> RunFileError:
     return error_class(error)(
         f"{path}: is damaged ({short_reason(error)}); use another copy of the file"
     )
-
-
-def _acquisition(group: Any) -> Acquisition:
-    return Acquisition(
-        Kind(_string(group, "kind")),
-        _string(group, "campaign"),
-        _string(group, "part"),
-        int(group["clamping"][()]),
-    )
-
-
-def _string(group: Any, name: str) -> str:
-    value: str = group[name].asstr()[()]
-    return value
-
-
-def _columns(group: Any) -> dict[str, _Column]:
-    """All columns of a table of steps but for their pixels."""
-    skipped = {"position", "field", "frames"}
-    return {name: group[name][()] for name in sorted(group.keys() - skipped)}
-
-
-def _settled_columns(group: Any) -> tuple[dict[str, _Column], list[Verdict | None]]:
-    """All columns of a table of steps but for their pixels, and the verdict of each step.
-
-    Another process may be writing. A verdict is written last, and taken back first: where it and
-    the checksum are the same before and after all else was read, so was all else. Other steps are
-    pending: they were just being measured, or set aside. None is a verdict that is damaged.
-    """
-    before, sums_before = (group[name][()] for name in ("verdict", ROW_CHECKSUM))
-    columns = _columns(group)
-    after, sums_after = (group[name][()] for name in ("verdict", ROW_CHECKSUM))
-    same = (before == after) & (sums_before == sums_after)
-    pairs = zip(before.tolist(), same, strict=True)
-    return columns, [verdict_of(said) if kept else Verdict.PENDING for said, kept in pairs]
-
-
-def _texts(column: _Column) -> list[str]:
-    return [text.decode() for text in column.tolist()]
-
-
-def _records(columns: dict[str, _Column], verdicts: Sequence[Verdict]) -> Iterator[StepRecord]:
-    """Give one record per step."""
-    exact = {name: _texts(columns[f"{name}_exact"]) for name in PLANNED_HZ}
-    numbers = ("index", "order", "volts", "carrier_leak")
-    exposures = columns.get(EXPOSURE)
-    for position, taken in enumerate(_taken(columns, verdicts)):
-        # Of any type, for mypy: the mappings supply fields of several types.
-        asked: dict[str, Any] = {name: _fraction(texts[position]) for name, texts in exact.items()}
-        asked |= {name: columns[name][position].item() for name in numbers}
-        exposure_s = np.nan if exposures is None else float(exposures[position])
-        asked["exposure_s"] = None if np.isnan(exposure_s) else exposure_s
-        yield StepRecord(position=position, **asked, **taken)
-
-
-def _taken(columns: dict[str, _Column], verdicts: Sequence[Verdict]) -> Iterator[dict[str, Any]]:
-    """Fields of `StepRecord` that say what was measured.
-
-    A step without a verdict may be just being written: nothing of it is given.
-    """
-    sentences = _texts(columns["sentence"])
-    exact = {name: columns[f"{name}_exact"] for name in READ_BACK_HZ}
-    numbers = {name: columns[name] for name in MEASURED}
-    frames = columns["frame_id"].shape[1]
-    for row, verdict in enumerate(verdicts):
-        there, sentence = verdict.measured, sentences[row]
-        if verdict is Verdict.PENDING and not sentence.endswith(TO_BE_TAKEN_AGAIN):
-            sentence = ""
-        times, ids = columns["timestamp_s"][row].tolist(), columns["frame_id"][row].tolist()
-        yield {
-            "timestamps_s": tuple(times) if there else (np.nan,) * frames,
-            "frame_ids": tuple(ids) if there else (-1,) * frames,
-            "verdict": verdict,
-            "sentence": sentence,
-            **{name: _fraction(c[row].decode()) if there else None for name, c in exact.items()},
-            **{name: c[row].item() if there else np.nan for name, c in numbers.items()},
-        }
-
-
-def _seams(group: Any) -> Iterator[Seam]:
-    # First, because it is written last.
-    positions = group["position"][()]
-    texts = [group[name].asstr()[()] for name in SEAMS[1:]]
-    for position, kind, *others in zip(positions, *texts, strict=True):
-        if position >= 0:
-            yield Seam(int(position), kind, *others)
-
-
-def _fraction(text: str) -> Fraction | None:
-    return Fraction(text) if text else None

@@ -10,14 +10,15 @@ from typing import Any, Final
 
 from acquire.bench.findings import Finding, failed
 from acquire.runner.orders import Orders
-from acquire.runner.runner import RunState
 from acquire.runner.runner import run as measure
+from acquire.runner.summary import RunState
 from drivers.roles import Bench
 from protocols.bench import BenchFile
 from protocols.errors import ProtocolError
 from protocols.plan import Plan, make_plan
 from protocols.protocol import Protocol
-from runs.reader import Run, StepRecord
+from runs.reader import Run
+from runs.records import StepRecord
 from runs.verdict import Verdict
 
 _CHECK: Final = "shot"
@@ -48,7 +49,7 @@ class Shot:
     lock_error_hz, lock_error_se_hz : float
         By how much the light misses the lock, and the standard error.
     signal_to_noise, brightness_dn, saturated_share : float
-        See `runs.reader.StepRecord`.
+        See `runs.records.StepRecord`.
     """
 
     drive_hz: float

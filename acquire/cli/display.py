@@ -22,14 +22,16 @@ from rich.table import Table
 
 from acquire.runner.control import control_path
 from acquire.runner.recorder import StepReport
-from acquire.runner.runner import RunSummary
+from acquire.runner.summary import RunSummary
 from drivers.exclusive import holder_of
 from protocols.campaign import Task
-from protocols.plan import Plan, Step
+from protocols.plan import Plan
+from protocols.step import Step
 from protocols.units import exact_decimal
 from reports.plain_text import plain
 from runs.packing import Packing
-from runs.reader import Run, StepRecord
+from runs.reader import Run
+from runs.records import StepRecord
 from runs.verdict import Verdict
 
 

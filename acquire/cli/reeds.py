@@ -94,10 +94,8 @@ def modes(
     What no option says is the reed's own.
     """
     from acquire.cli.display import share_progress
-    from protocols.errors import ProtocolError
-    from protocols.reed import (
+    from fitting.reed_modes import (
         BASIS,
-        ReedFile,
         changed,
         doubts_marked,
         mesh_level,
@@ -105,6 +103,8 @@ def modes(
         modes_of,
         modes_to_json,
     )
+    from protocols.errors import ProtocolError
+    from protocols.reed import ReedFile
     from reports.mode_pictures import (
         modes_table,
         require_png,

@@ -24,7 +24,7 @@ from reports.errors import OutputFailedError
 from reports.plain_text import one_line
 
 if TYPE_CHECKING:
-    from acquire.runner.runner import RunSummary
+    from acquire.runner.summary import RunSummary
     from protocols.plan import Plan
     from runs.reader import RunLabels
 

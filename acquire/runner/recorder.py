@@ -4,13 +4,10 @@ The thread lags behind the camera by at most two steps, so memory stays small; i
 the next step waits, with the instruments idle.
 """
 
-import contextlib
-import os
-import shutil
 import time
 import uuid
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,55 +17,31 @@ from typing import Final, Self
 import numpy as np
 
 from acquire.runner.history import History
-from acquire.runner.quality import (
-    LockCondition,
-    Usual,
-    brightness_dn,
-    common_turn,
-    judge_consecutive,
-    judge_fresh,
-    judge_light,
-    judge_lock,
-    judge_order,
-    judge_saturation,
-    judge_settings,
-    judge_shown,
-    judge_signal,
-    judge_steady,
-    judge_turn,
-    judge_whole,
-    most_severe,
-    saturated_share,
-)
+from acquire.runner.measuring import Acquisition, lock_condition, measure, noted
+from acquire.runner.quality import common_turn
+from acquire.runner.run_folder import require_writable
 from drivers.roles import Bench, Frame
 from holography.fresnel import FresnelTransform
-from holography.phase import NO_TURN, SteadyTurn
-from holography.reconstruction import Reconstruction, mean_power
-from protocols.plan import Plan, Step
-from runs.disk import error_class
+from holography.reconstruction import Reconstruction
+from protocols.plan import Plan
+from protocols.step import Step
 from runs.documents import (
     DocumentLog,
-    documents_path,
     event_data,
     recorded_data,
 )
-from runs.errors import DiskError, RunFileError
 from runs.layout import (
     RunLabels,
     Seam,
     Status,
 )
-from runs.reader import Run, StepRecord
+from runs.measured_step import MeasuredStep
+from runs.reader import Run
+from runs.records import StepRecord
 from runs.verdict import (
-    Judgement,
-    ReadBack,
     Verdict,
 )
-from runs.writer import (
-    MeasuredStep,
-    RunWriter,
-    now,
-)
+from runs.writer import RunWriter, now
 
 _WAITING_STEPS: Final = 2
 _NOT_OF_THE_STEP: Final = (
@@ -79,33 +52,6 @@ _NOT_OF_THE_STEP: Final = (
     Verdict.SETTINGS,
 )
 _WITHOUT_LIGHT: Final = (Verdict.NO_SIGNAL, Verdict.SATURATED)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Acquisition:
-    """What the instruments gave for one step.
-
-    Attributes
-    ----------
-    position : int
-        Place of the step in the plan, from 0.
-    step : Step
-    before, after : ReadBack
-        Of before the frames and after them.
-    changed_s : float
-        When the last setting was changed, on the camera's clock.
-    frames : tuple of Frame
-    camera_start : int
-        How often the camera had been started: frames are numbered from there.
-    """
-
-    position: int
-    step: Step
-    before: ReadBack
-    after: ReadBack
-    changed_s: float
-    frames: tuple[Frame, ...]
-    camera_start: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +189,7 @@ class Recorder:
     def remarks(self) -> tuple[str, ...]:
         """What is worth knowing of the whole run; to be relied on after `settle`."""
         step = self._plan.steps[0]
-        turn = common_turn(self._history.usual(), _condition(step, self._plan), step.frames)
+        turn = common_turn(self._history.usual(), lock_condition(step, self._plan), step.frames)
         return (turn,) if turn else ()
 
     @property
@@ -331,9 +277,9 @@ class Recorder:
             self._documents.discard()
             self._writer.discard()
             return
-        with _noted(error):
+        with noted(error):
             self._documents.finish("failed", str(error))
-        with _noted(error):
+        with noted(error):
             self._writer.finish("failed")
 
     def _take_over(
@@ -436,200 +382,6 @@ class Recorder:
         if not self._verdicts[position].measured:
             self._writer.mark(position, verdict, reason)
             self._verdicts[position] = verdict
-
-
-@contextlib.contextmanager
-def _noted(first: BaseException) -> Iterator[None]:
-    """Add what fails besides to an error; a disk that refuses is one cause, and one line."""
-    try:
-        yield
-    except RunFileError as second:
-        if not isinstance(first, DiskError):
-            first.add_note(str(second))
-
-
-def measure(
-    acquisition: Acquisition,
-    plan: Plan,
-    reconstruction: Reconstruction,
-    saturation_dn: int,
-    previous: Frame | None = None,
-    usual: Usual | None = None,
-    *,
-    echoes: bool = False,
-) -> MeasuredStep:
-    """Reconstruct and judge one step.
-
-    Parameters
-    ----------
-    acquisition : Acquisition
-    plan : Plan
-        Supplies what was asked for.
-    reconstruction : Reconstruction
-    saturation_dn : int
-        See `drivers.roles.Camera`.
-    previous : Frame, optional
-        Last frame of the acquisition before, since when the camera did not stop.
-    usual : Usual, optional
-        What the steps before were like.
-    echoes : bool
-        Whether the synthesizers' read-back only repeats what they were told.
-
-    Returns
-    -------
-    MeasuredStep
-        A step of fewer frames than planned has a field of zeros.
-    """
-    step, frames, usual = acquisition.step, acquisition.frames, usual or Usual()
-    region, kind = reconstruction.region, _kind(plan)
-    field = np.zeros((region.height, region.width), dtype=np.complex64)
-    ratio, noise, turn, level_dn, share = np.nan, np.nan, NO_TURN, np.nan, 0.0
-    judgements = [judge_consecutive(frames, step.frames)]
-    if frames:
-        share = saturated_share(frames, saturation_dn)
-        judgements += [judge_saturation(share)]
-        judgements += _judge_frames(acquisition, plan, saturation_dn, previous)
-        # Without light rows may well be empty, all of them alike.
-        if kind != "dark":
-            level_dn = float(np.median(brightness_dn(frames, _dark_dn(plan))))
-            light = judge_light(frames, _dark_dn(plan), usual)
-            judgements += [light, judge_whole(frames, saturation_dn)]
-    if len(frames) == step.frames and kind in ("sweep", "order0"):
-        images = np.stack([frame.image for frame in frames])
-        halves = reconstruction.quadratures(images)
-        field, noise = halves.field, halves.noise
-        turn = reconstruction.steady_turn(images, halves)
-        ratio = mean_power(field) / noise if noise > 0 else np.nan
-        # Frames of different brightness say nothing of how their image turns.
-        if light is None:
-            judgements += _judge_turn(turn, step, plan, usual, echoes)
-        judgements.append(_judge_signal(ratio, step, plan, reconstruction))
-    turn_hz = float(plan.protocol.camera.frame_rate_hz) / (2 * np.pi)
-    return MeasuredStep(
-        read_back=acquisition.after,
-        changed_s=acquisition.changed_s,
-        frames=frames,
-        field=field,
-        signal_to_noise=ratio,
-        noise_level=noise,
-        saturated_share=share,
-        brightness_dn=level_dn,
-        lock_error_hz=turn.error_rad * turn_hz,
-        lock_error_se_hz=turn.standard_error_rad * turn_hz,
-        unexplained=turn.unexplained,
-        judgement=most_severe(judgements),
-    )
-
-
-def _kind(plan: Plan) -> str:
-    calibration = plan.protocol.calibration
-    return "sweep" if calibration is None else calibration.kind
-
-
-def _judge_turn(
-    turn: SteadyTurn, step: Step, plan: Plan, usual: Usual, echoes: bool
-) -> list[Judgement | None]:
-    """Judge how the image turns from frame to frame."""
-    leak = step.carrier_leak
-    unsteady = judge_steady(turn, leak, usual)
-    # What does not turn steadily has no frequency.
-    wrong = None if unsteady else judge_turn(turn, _condition(step, plan), leak, usual)
-    return [unsteady, wrong, judge_shown(turn, leak) if echoes else None]
-
-
-def _judge_signal(
-    ratio: float, step: Step, plan: Plan, reconstruction: Reconstruction
-) -> Judgement | None:
-    # Beyond the first order all may be dark: it is the lower ones that tell of a fault.
-    if step.order > 1 and len(plan.protocol.sideband.selected) > 1:
-        return None
-    region, empty = reconstruction.region, reconstruction.empty
-    return judge_signal(ratio, region.height * region.width, empty.height * empty.width)
-
-
-def _judge_frames(
-    acquisition: Acquisition, plan: Plan, saturation_dn: int, previous: Frame | None
-) -> list[Judgement | None]:
-    """Judge numbers, times and settings."""
-    step, frames, condition = (
-        acquisition.step,
-        acquisition.frames,
-        _condition(acquisition.step, plan),
-    )
-    period_s = float(plan.protocol.camera.period_s)
-    return [
-        judge_fresh(frames, acquisition.changed_s + float(step.settle_s), previous),
-        judge_order(frames, period_s, previous),
-        judge_settings(step.drive_hz, step.volts, acquisition.before, acquisition.after),
-        judge_lock(acquisition.before, frames, condition),
-        judge_lock(acquisition.after, frames, condition),
-    ]
-
-
-def _condition(step: Step, plan: Plan) -> LockCondition:
-    tolerance_rad = float(plan.protocol.tolerance.lock_phase_rad)
-    return LockCondition(step.order, plan.protocol.camera.frame_rate_hz, tolerance_rad)
-
-
-def _dark_dn(plan: Plan) -> float:
-    sheet = plan.bench.instruments.camera.data_sheet
-    return sheet.offset_dn if sheet else 0.0
-
-
-def make_folder(path: Path) -> None:
-    """Make the folder of a run file, if it is not there.
-
-    Raises
-    ------
-    RunFileError
-        If it cannot be made, or if the run file's name is unusable: then nothing is made.
-    """
-    _require_usable_name(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise error_class(error)(
-            f"{path}: its folder cannot be made ({error.strerror}); choose another place"
-        ) from error
-
-
-def require_writable(plan: Plan, path: Path) -> None:
-    """Check, before anything is switched on, that a run can be kept at `path`.
-
-    Raises
-    ------
-    RunFileError
-        If the folder is missing, the name unusable, the disk too small, or one of the files
-        exists already.
-    """
-    _require_usable_name(path)
-    _require_free_name(path)
-    if not path.parent.is_dir():
-        raise RunFileError(f"{path}: there is no folder {path.parent}; make it first")
-    free, needed = shutil.disk_usage(path.parent).free, plan.largest_size_bytes
-    if free < needed:
-        raise RunFileError(
-            f"{path}: the run needs {needed / 1e6:.0f} MB, but its disk has {free / 1e6:.0f} MB "
-            "left; make room or choose another folder"
-        )
-
-
-def _require_usable_name(path: Path) -> None:
-    if path.suffix != ".h5":
-        raise RunFileError(f"{path}: the name of a run file ends in .h5; write {path.stem}.h5")
-    try:
-        path.exists()
-    except OSError as error:
-        raise RunFileError(f"{path}: {error.strerror}; choose another name") from error
-
-
-def _require_free_name(path: Path) -> None:
-    for file in (path, documents_path(path)):
-        # A link that leads nowhere is there, too.
-        if os.path.lexists(file):
-            raise RunFileError(
-                f"{file}: exists already and is never overwritten; choose another name or move it"
-            )
 
 
 def reconstruction_of(plan: Plan) -> Reconstruction:

@@ -4,23 +4,20 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
-from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
+from acquire.runner.measuring import Acquisition
 from acquire.runner.orders import Orders, signals_obeyed
 from acquire.runner.received_frames import received
-from acquire.runner.recorder import (
-    Acquisition,
-    Recorder,
-    StepReport,
-)
+from acquire.runner.recorder import Recorder, StepReport
+from acquire.runner.summary import RunState, RunSummary
 from drivers.errors import InstrumentError, note_unconfirmed
 from drivers.roles import Bench
 from drivers.safe_off import RAMP_S, safe_off
-from protocols.plan import Plan, Step
+from protocols.plan import Plan
+from protocols.step import Step
 from runs.layout import RunLabels, Seam
 from runs.verdict import ReadBack, Verdict
 from runs.writer import now
@@ -58,19 +55,6 @@ _CABLES: Final[Mapping[Verdict, str]] = {
 }
 
 
-class RunState(StrEnum):
-    """Where a run stands."""
-
-    IDLE = "idle"
-    OPENING = "opening"
-    STEPPING = "stepping"
-    PAUSED = "paused"
-    CLOSING = "closing"
-    COMPLETE = "complete"
-    INTERRUPTED = "interrupted"
-    FAILED = "failed"
-
-
 _NEXT: Final = {
     RunState.IDLE: {RunState.OPENING},
     RunState.OPENING: {RunState.STEPPING, RunState.CLOSING, RunState.FAILED},
@@ -78,46 +62,6 @@ _NEXT: Final = {
     RunState.PAUSED: {RunState.STEPPING, RunState.CLOSING},
     RunState.CLOSING: {RunState.COMPLETE, RunState.INTERRUPTED, RunState.FAILED},
 }
-
-
-@dataclass(frozen=True, slots=True)
-class RunSummary:
-    """How a run ended.
-
-    Attributes
-    ----------
-    path : Path
-        Of the run file.
-    status : {'complete', 'interrupted'}
-        A run that failed raises instead.
-    reason : str
-        Why it was interrupted; empty if it is complete.
-    ended_by : {'', 'person', 'policy'}
-        Who ended it early: somebody, or the protocol's policy.
-    counts : mapping of Verdict to int
-        Of the steps that were measured.
-    steps : int
-        That were planned.
-    retaken : int
-        Takes besides one of each step, those of an earlier process included.
-    duration_s : float
-        On the wall.
-    unconfirmed : tuple of str
-        What the bench did not confirm while it was switched off; a person has to look.
-    remarks : tuple of str
-        What is worth knowing of the run as a whole.
-    """
-
-    path: Path
-    status: RunState
-    reason: str
-    ended_by: Literal["", "person", "policy"]
-    counts: Mapping[Verdict, int]
-    steps: int
-    retaken: int
-    duration_s: float
-    unconfirmed: tuple[str, ...]
-    remarks: tuple[str, ...] = ()
 
 
 def run(

@@ -18,14 +18,11 @@ from acquire.runner.campaign_parts import (
 )
 from acquire.runner.control import control_path, controllable
 from acquire.runner.orders import Orders
-from acquire.runner.recorder import (
-    StepReport,
-    make_folder,
-    require_writable,
-)
+from acquire.runner.recorder import StepReport
 from acquire.runner.resuming import unfinished
-from acquire.runner.runner import RunState, RunSummary
+from acquire.runner.run_folder import make_folder, require_writable
 from acquire.runner.runner import run as measure
+from acquire.runner.summary import RunState, RunSummary
 from drivers.registry import open_bench
 from drivers.roles import Bench
 from protocols.bench import DEFAULT_BENCH, BenchFile

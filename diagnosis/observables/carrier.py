@@ -18,7 +18,8 @@ from fitting.holograms.block_amplitudes import Unshifted
 from physics.effects.form import Tap
 from physics.reed.geometry import half_width_m
 from physics.twin import Twin
-from runs.reader import Run, StepRecord
+from runs.reader import Run
+from runs.records import StepRecord
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]

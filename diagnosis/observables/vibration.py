@@ -29,7 +29,8 @@ from fitting.modal.identify import (
 from fitting.parallel.processes import side_by_side
 from physics.effects.form import Tap
 from physics.twin import Twin
-from runs.reader import Run, StepRecord
+from runs.reader import Run
+from runs.records import StepRecord
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from fitting.errors import FitError
 from holography.fringes import block_mean
 from physics.reed.geometry import half_width_m
-from runs.reader import Run, StepRecord
+from runs.reader import Run
+from runs.records import StepRecord
 
 Array = NDArray[np.floating[Any]]
 Float = NDArray[np.float32]

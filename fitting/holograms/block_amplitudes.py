@@ -20,7 +20,8 @@ from fitting.errors import FitError
 from fitting.fringes.pictures import good_steps
 from fitting.parallel.threads import in_parts
 from physics.reed.geometry import half_width_m
-from runs.reader import Run, StepRecord
+from runs.reader import Run
+from runs.records import StepRecord
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complex64]

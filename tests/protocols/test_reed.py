@@ -10,6 +10,15 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fitting.reed_modes import (
+    MESHES,
+    changed,
+    doubts_marked,
+    mesh_level,
+    modes_by_basis,
+    modes_of,
+    modes_to_json,
+)
 from physics.reed.conditions import at_temperature
 from physics.reed.geometry import (
     ClampSide,
@@ -28,17 +37,7 @@ from physics.reed.viscoelastic import (
 )
 from protocols.errors import ProtocolError
 from protocols.protocol import find_protocol
-from protocols.reed import (
-    MESHES,
-    ReedFile,
-    changed,
-    doubts_marked,
-    mesh_level,
-    modes_by_basis,
-    modes_of,
-    modes_to_json,
-    shipped_reeds,
-)
+from protocols.reed import ReedFile, shipped_reeds
 from protocols.strict_yaml import find_description
 from protocols.units import format_quantity, parse_quantity
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from acquire.runner.recorder import reconstruction_of
-from acquire.runner.runner import RunState, run
+from acquire.runner.runner import run
+from acquire.runner.summary import RunState
 from drivers.roles import Frame
 from runs.checksums import (
     in_header,

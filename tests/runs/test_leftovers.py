@@ -10,7 +10,7 @@ import pytest
 
 from acquire.runner import script
 from acquire.runner.control import control_path, controllable
-from acquire.runner.runner import RunState
+from acquire.runner.summary import RunState
 from protocols.bench import BenchFile
 from runs.documents import DocumentLog, documents_path
 from runs.errors import RunFileError

@@ -9,9 +9,9 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire.runner.runner import RunState
 from acquire.runner.script import plan as planned
 from acquire.runner.script import run as measure
+from acquire.runner.summary import RunState
 from protocols.bench import BenchFile
 from protocols.protocol import Protocol
 from runs import packing

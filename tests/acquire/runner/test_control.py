@@ -11,7 +11,8 @@ from acquire.runner.control import (
     controllable,
     order,
 )
-from acquire.runner.runner import RunState, run
+from acquire.runner.runner import run
+from acquire.runner.summary import RunState
 from runs.errors import RunFileError
 from runs.reader import Run
 

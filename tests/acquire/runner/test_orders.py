@@ -9,11 +9,8 @@ import pytest
 from acquire.runner import script
 from acquire.runner.orders import Orders, signals_obeyed
 from acquire.runner.recorder import Recorder
-from acquire.runner.runner import (
-    Runner,
-    RunState,
-    run,
-)
+from acquire.runner.runner import Runner, run
+from acquire.runner.summary import RunState
 from drivers.errors import OpeningStoppedError
 from runs.reader import Run, RunLabels
 

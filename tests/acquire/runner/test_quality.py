@@ -9,27 +9,29 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquire.runner.history import History
-from acquire.runner.quality import (
+from acquire.runner.frame_quality import (
     SATURATED_SHARE_MAX,
-    SEVERITY,
-    LockCondition,
-    Usual,
     frame_rate_hz,
     judge_consecutive,
     judge_fresh,
-    judge_light,
-    judge_lock,
     judge_order,
     judge_saturation,
+    judge_whole,
+    saturated_share,
+)
+from acquire.runner.history import History
+from acquire.runner.quality import (
+    SEVERITY,
+    LockCondition,
+    Usual,
+    judge_light,
+    judge_lock,
     judge_settings,
     judge_shown,
     judge_signal,
     judge_steady,
     judge_turn,
-    judge_whole,
     most_severe,
-    saturated_share,
     signal_threshold,
 )
 from drivers.roles import Frame

@@ -6,12 +6,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from acquire.runner.recorder import (
-    Acquisition,
-    measure,
-    reconstruction_of,
-)
-from acquire.runner.runner import RunState, run
+from acquire.runner.measuring import Acquisition, measure
+from acquire.runner.recorder import reconstruction_of
+from acquire.runner.runner import run
+from acquire.runner.summary import RunState
 from drivers.errors import InstrumentError
 from drivers.roles import Frame
 from protocols.plan import Plan

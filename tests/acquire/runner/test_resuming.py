@@ -16,11 +16,8 @@ import pytest
 from acquire.runner import script
 from acquire.runner.control import controllable
 from acquire.runner.resuming import Unfinished, unfinished
-from acquire.runner.runner import (
-    RunLabels,
-    RunState,
-    run,
-)
+from acquire.runner.runner import RunLabels, run
+from acquire.runner.summary import RunState
 from drivers.errors import InstrumentError
 from protocols.bench import BenchFile
 from protocols.strict_yaml import find_description

@@ -14,13 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from acquire.runner.recorder import Recorder
-from acquire.runner.runner import (
-    RAMP_S,
-    Runner,
-    RunState,
-    run,
-    safe_off,
-)
+from acquire.runner.runner import RAMP_S, Runner, run, safe_off
+from acquire.runner.summary import RunState
 from drivers.errors import InstrumentError, LimitError
 from holography.reconstruction import mean_power
 from protocols.errors import ProtocolError

@@ -1,0 +1,206 @@
+"""From four frames to a measured step: demodulation and judgement."""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from acquire.runner.frame_quality import (
+    judge_consecutive,
+    judge_fresh,
+    judge_order,
+    judge_saturation,
+    judge_whole,
+    saturated_share,
+)
+from acquire.runner.quality import (
+    LockCondition,
+    Usual,
+    brightness_dn,
+    judge_light,
+    judge_lock,
+    judge_settings,
+    judge_shown,
+    judge_signal,
+    judge_steady,
+    judge_turn,
+    most_severe,
+)
+from drivers.roles import Frame
+from holography.phase import NO_TURN, SteadyTurn
+from holography.reconstruction import Reconstruction, mean_power
+from protocols.plan import Plan
+from protocols.step import Step
+from runs.errors import DiskError, RunFileError
+from runs.measured_step import MeasuredStep
+from runs.verdict import (
+    Judgement,
+    ReadBack,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Acquisition:
+    """What the instruments gave for one step.
+
+    Attributes
+    ----------
+    position : int
+        Place of the step in the plan, from 0.
+    step : Step
+    before, after : ReadBack
+        Of before the frames and after them.
+    changed_s : float
+        When the last setting was changed, on the camera's clock.
+    frames : tuple of Frame
+    camera_start : int
+        How often the camera had been started: frames are numbered from there.
+    """
+
+    position: int
+    step: Step
+    before: ReadBack
+    after: ReadBack
+    changed_s: float
+    frames: tuple[Frame, ...]
+    camera_start: int
+
+
+@contextlib.contextmanager
+def noted(first: BaseException) -> Iterator[None]:
+    """Add what fails besides to an error; a disk that refuses is one cause, and one line."""
+    try:
+        yield
+    except RunFileError as second:
+        if not isinstance(first, DiskError):
+            first.add_note(str(second))
+
+
+def measure(
+    acquisition: Acquisition,
+    plan: Plan,
+    reconstruction: Reconstruction,
+    saturation_dn: int,
+    previous: Frame | None = None,
+    usual: Usual | None = None,
+    *,
+    echoes: bool = False,
+) -> MeasuredStep:
+    """Reconstruct and judge one step.
+
+    Parameters
+    ----------
+    acquisition : Acquisition
+    plan : Plan
+        Supplies what was asked for.
+    reconstruction : Reconstruction
+    saturation_dn : int
+        See `drivers.roles.Camera`.
+    previous : Frame, optional
+        Last frame of the acquisition before, since when the camera did not stop.
+    usual : Usual, optional
+        What the steps before were like.
+    echoes : bool
+        Whether the synthesizers' read-back only repeats what they were told.
+
+    Returns
+    -------
+    MeasuredStep
+        A step of fewer frames than planned has a field of zeros.
+    """
+    step, frames, usual = acquisition.step, acquisition.frames, usual or Usual()
+    region, kind = reconstruction.region, _kind(plan)
+    field = np.zeros((region.height, region.width), dtype=np.complex64)
+    ratio, noise, turn, level_dn, share = np.nan, np.nan, NO_TURN, np.nan, 0.0
+    judgements = [judge_consecutive(frames, step.frames)]
+    if frames:
+        share = saturated_share(frames, saturation_dn)
+        judgements += [judge_saturation(share)]
+        judgements += _judge_frames(acquisition, plan, saturation_dn, previous)
+        # Without light rows may well be empty, all of them alike.
+        if kind != "dark":
+            level_dn = float(np.median(brightness_dn(frames, _dark_dn(plan))))
+            light = judge_light(frames, _dark_dn(plan), usual)
+            judgements += [light, judge_whole(frames, saturation_dn)]
+    if len(frames) == step.frames and kind in ("sweep", "order0"):
+        images = np.stack([frame.image for frame in frames])
+        halves = reconstruction.quadratures(images)
+        field, noise = halves.field, halves.noise
+        turn = reconstruction.steady_turn(images, halves)
+        ratio = mean_power(field) / noise if noise > 0 else np.nan
+        # Frames of different brightness say nothing of how their image turns.
+        if light is None:
+            judgements += _judge_turn(turn, step, plan, usual, echoes)
+        judgements.append(_judge_signal(ratio, step, plan, reconstruction))
+    turn_hz = float(plan.protocol.camera.frame_rate_hz) / (2 * np.pi)
+    return MeasuredStep(
+        read_back=acquisition.after,
+        changed_s=acquisition.changed_s,
+        frames=frames,
+        field=field,
+        signal_to_noise=ratio,
+        noise_level=noise,
+        saturated_share=share,
+        brightness_dn=level_dn,
+        lock_error_hz=turn.error_rad * turn_hz,
+        lock_error_se_hz=turn.standard_error_rad * turn_hz,
+        unexplained=turn.unexplained,
+        judgement=most_severe(judgements),
+    )
+
+
+def _kind(plan: Plan) -> str:
+    calibration = plan.protocol.calibration
+    return "sweep" if calibration is None else calibration.kind
+
+
+def _judge_turn(
+    turn: SteadyTurn, step: Step, plan: Plan, usual: Usual, echoes: bool
+) -> list[Judgement | None]:
+    """Judge how the image turns from frame to frame."""
+    leak = step.carrier_leak
+    unsteady = judge_steady(turn, leak, usual)
+    # What does not turn steadily has no frequency.
+    wrong = None if unsteady else judge_turn(turn, lock_condition(step, plan), leak, usual)
+    return [unsteady, wrong, judge_shown(turn, leak) if echoes else None]
+
+
+def _judge_signal(
+    ratio: float, step: Step, plan: Plan, reconstruction: Reconstruction
+) -> Judgement | None:
+    # Beyond the first order all may be dark: it is the lower ones that tell of a fault.
+    if step.order > 1 and len(plan.protocol.sideband.selected) > 1:
+        return None
+    region, empty = reconstruction.region, reconstruction.empty
+    return judge_signal(ratio, region.height * region.width, empty.height * empty.width)
+
+
+def _judge_frames(
+    acquisition: Acquisition, plan: Plan, saturation_dn: int, previous: Frame | None
+) -> list[Judgement | None]:
+    """Judge numbers, times and settings."""
+    step, frames, condition = (
+        acquisition.step,
+        acquisition.frames,
+        lock_condition(acquisition.step, plan),
+    )
+    period_s = float(plan.protocol.camera.period_s)
+    return [
+        judge_fresh(frames, acquisition.changed_s + float(step.settle_s), previous),
+        judge_order(frames, period_s, previous),
+        judge_settings(step.drive_hz, step.volts, acquisition.before, acquisition.after),
+        judge_lock(acquisition.before, frames, condition),
+        judge_lock(acquisition.after, frames, condition),
+    ]
+
+
+def lock_condition(step: Step, plan: Plan) -> LockCondition:
+    """Return the lock condition of a step."""
+    tolerance_rad = float(plan.protocol.tolerance.lock_phase_rad)
+    return LockCondition(step.order, plan.protocol.camera.frame_rate_hz, tolerance_rad)
+
+
+def _dark_dn(plan: Plan) -> float:
+    sheet = plan.bench.instruments.camera.data_sheet
+    return sheet.offset_dn if sheet else 0.0

@@ -1,0 +1,127 @@
+"""Which datasets a run file has: their kinds and shapes."""
+
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import Final
+
+from runs.checksums import (
+    CHECKSUMS,
+)
+from runs.layout import (
+    EXPOSURE,
+    MEASURED,
+    PLANNED_HZ,
+    READ_BACK_HZ,
+    SEAMS,
+)
+
+# Frames of a step: the four phases of a hologram.
+_FRAMES: Final = 4
+
+
+class Kind(Enum):
+    """What a dataset holds."""
+
+    TEXT = auto()
+    INTEGER = auto()
+    NUMBER = auto()
+    FIELD = auto()
+    FRAMES = auto()
+
+
+@dataclass(frozen=True)
+class Part:
+    """One dataset of the layout.
+
+    Attributes
+    ----------
+    kind : Kind
+    shape : tuple
+        Lengths of its axes, or their names, see `_lengths`.
+    optional : bool
+        Whether a file may lack it.
+    """
+
+    kind: Kind
+    shape: tuple[str | int, ...] = ()
+    optional: bool = False
+
+
+def _taken(rows: str) -> dict[str, Part]:
+    """Columns that tell what was measured, of steps or of earlier takes."""
+    columns = {f"{name}_exact": Part(Kind.TEXT, (rows,)) for name in READ_BACK_HZ}
+    columns |= {name: Part(Kind.NUMBER, (rows,), optional=True) for name in READ_BACK_HZ}
+    columns |= {name: Part(Kind.NUMBER, (rows,)) for name in MEASURED}
+    columns |= {name: Part(Kind.INTEGER, (rows,)) for name in CHECKSUMS}
+    columns |= {name: Part(Kind.TEXT, (rows,)) for name in ("verdict", "sentence")}
+    return columns | {
+        "timestamp_s": Part(Kind.NUMBER, (rows, _FRAMES)),
+        "frame_id": Part(Kind.INTEGER, (rows, _FRAMES)),
+        EXPOSURE: Part(Kind.NUMBER, (rows,), optional=True),
+    }
+
+
+def _steps() -> dict[str, Part]:
+    columns = {f"{name}_exact": Part(Kind.TEXT, ("steps",)) for name in PLANNED_HZ}
+    columns |= {name: Part(Kind.NUMBER, ("steps",), optional=True) for name in PLANNED_HZ}
+    columns |= {name: Part(Kind.NUMBER, ("steps",)) for name in ("volts", "carrier_leak")}
+    columns["index"] = Part(Kind.INTEGER, ("steps",))
+    columns["order"] = Part(Kind.INTEGER, ("steps",), optional=True)
+    return columns | _taken("steps")
+
+
+def _scalars(kind: Kind, *names: str, optional: bool = False) -> dict[str, Part]:
+    return {name: Part(kind, (), optional) for name in names}
+
+
+# Groups of the layout that a file has or lacks as a whole, with their datasets.
+GROUPS: Final[dict[str, dict[str, Part]]] = {
+    "entry": _scalars(
+        Kind.TEXT, "title", "entry_identifier_uuid", "start_time", "end_time", "status"
+    )
+    | _scalars(Kind.INTEGER, "header_checksum"),
+    "entry/user": _scalars(Kind.TEXT, "name"),
+    "entry/sample": _scalars(Kind.TEXT, "name", "series", "chamber", "note")
+    | _scalars(Kind.NUMBER, "strength"),
+    "entry/acquisition": _scalars(Kind.TEXT, "kind", "campaign", "part")
+    | _scalars(Kind.INTEGER, "clamping"),
+    "entry/provenance": _scalars(
+        Kind.TEXT,
+        *("protocol", "protocol_sha256", "bench", "bench_fingerprint", "git_revision"),
+        "package_versions",
+    )
+    | _scalars(Kind.TEXT, "reed", "reed_sha256", optional=True)
+    | _scalars(Kind.INTEGER, "seed"),
+    "entry/instrument": _scalars(Kind.TEXT, "name")
+    | {"acoustic_lines": Part(Kind.NUMBER, ("lines",))},
+    "entry/instrument/camera": _scalars(Kind.TEXT, "identity", "frame_rate_exact")
+    | _scalars(Kind.NUMBER, "count_time", "pixel_size")
+    | _scalars(Kind.INTEGER, "saturation_value", "rows", "columns"),
+    "entry/instrument/synthesizers": _scalars(Kind.TEXT, "identity")
+    | _scalars(Kind.INTEGER, "sideband_order"),
+    "entry/instrument/generator": _scalars(Kind.TEXT, "identity"),
+    "entry/instrument/laser": _scalars(Kind.NUMBER, "wavelength", "distance"),
+    "entry/region": _scalars(Kind.INTEGER, "row", "column", "height", "width"),
+    "entry/steps": _steps(),
+    "entry/retakes": {"position": Part(Kind.INTEGER, ("retakes",))} | _taken("retakes"),
+    "entry/seams": {"position": Part(Kind.INTEGER, ("seams",))}
+    | {name: Part(Kind.TEXT, ("seams",)) for name in SEAMS[1:]},
+    "entry/data": {
+        "y_m": Part(Kind.NUMBER, ("height",)),
+        "x_m": Part(Kind.NUMBER, ("width",)),
+    },
+}
+
+OPTIONAL_GROUPS: Final = frozenset({"entry/acquisition", "entry/retakes", "entry/seams"})
+
+# What writers write both of, or neither.
+TOGETHER: Final = (
+    ("entry/retakes/position", "entry/seams/position"),
+    ("entry/provenance/reed", "entry/provenance/reed_sha256"),
+    ("entry/steps/lock_error_hz", "entry/steps/lock_error_se_hz"),
+)
+
+PICTURES: Final = {
+    "field": (Kind.FIELD, ("height", "width")),
+    "frames": (Kind.FRAMES, (_FRAMES, "rows", "columns")),
+}

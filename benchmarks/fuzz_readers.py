@@ -38,7 +38,7 @@ from drivers.simulated.twin import (
     read_twin,
     twin_settings,
 )
-from drivers.synthesizers.novatech import NovatechOptions
+from drivers.synthesizers.novatech_registers import NovatechOptions
 from drivers.synthesizers.srs import SRSOptions
 from fitting.populations.resonance_table import (
     COLUMNS,

@@ -43,11 +43,8 @@ from fitting.forward import (
     hz_of,
 )
 from fitting.paper.constants import adjusted_metamodel
-from fitting.populations.population import (
-    count_flags,
-    fit_population,
-    fit_stream,
-)
+from fitting.populations.flags import count_flags
+from fitting.populations.population import fit_population, fit_stream
 from physics.reed.basis import ReducedReed
 from physics.reed.geometry import ReedGeometry
 from physics.reed.log_polynomial import LogPolynomial, finite_element_polynomial

@@ -11,7 +11,8 @@ from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from fitting.fringes.picking import Resonance
-from fitting.modal.identify import JointFit, left_square
+from fitting.modal.identify import JointFit
+from fitting.modal.residual_map import left_square
 
 Array = NDArray[np.floating[Any]]
 

@@ -10,7 +10,7 @@ from runs.documents import (
 )
 from runs.layout import short_reason
 from runs.packing import packed_path
-from runs.writer import unborn_path
+from runs.unborn import unborn_path
 
 
 def clear_leftovers(run_path: Path) -> list[Path]:

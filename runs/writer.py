@@ -23,7 +23,6 @@ import numpy.typing as npt
 from drivers.roles import Bench, Frame
 from holography.reconstruction import Reconstruction
 from protocols.plan import Plan
-from runs.checks import require_run
 from runs.checksums import (
     PIXEL_CHECKSUM,
     ROW_CHECKSUM,
@@ -60,6 +59,7 @@ from runs.layout import (
 )
 from runs.measured_step import MeasuredStep
 from runs.provenance import git_revision, package_versions
+from runs.unborn import cannot_make, require_readable, unborn_path
 from runs.verdict import (
     Judgement,
     Verdict,
@@ -154,12 +154,12 @@ class RunWriter:
                     fill(file, new, allocate=True)
                 disk.sync()
                 prove(path, unborn, new)
-                _require_readable(path, unborn)
+                require_readable(path, unborn)
                 writer = cls(path, disk, plan.protocol.keep)
                 undo.callback(writer.close)
                 give_name(unborn, path)
             except _DISK_ERRORS as error:
-                raise _cannot_make(path, error) from error
+                raise cannot_make(path, error) from error
             undo.pop_all()
         return writer
 
@@ -473,11 +473,6 @@ class RunWriter:
         self._flush()
 
 
-def unborn_path(path: Path) -> Path:
-    """Return where a run file is until it is whole: ``R07.h5`` → ``.R07.h5.part``."""
-    return path.with_name(f".{path.name}.part")
-
-
 def _close(file: Any, disk: DiskFile) -> None:
     """Close HDF5's side first: it may still write."""
     file.close()
@@ -495,24 +490,6 @@ def _as_planned(found: npt.NDArray[Any], expected: npt.NDArray[Any]) -> bool:
 def _cut(text: str) -> str:
     """As much of a text as a column holds, cut at a character."""
     return text.encode()[:SENTENCE_BYTES].decode(errors="ignore")
-
-
-def _require_readable(path: Path, unborn: Path) -> None:
-    """Refuse a new file that holds something which a reader of runs would refuse."""
-    try:
-        with h5py.File(unborn, "r", locking=False) as file:
-            require_run(unborn, file)
-    except RunFileError as refused:
-        reason = str(refused).removeprefix(f"{unborn}: ")
-        raise RunFileError(
-            f"{path}: cannot be made, because no reader would take it: {reason}"
-        ) from None
-
-
-def _cannot_make(path: Path, error: Exception) -> RunFileError:
-    return error_class(error)(
-        f"{path}: cannot be made ({short_reason(error)}); check folder, rights and room on the disk"
-    )
 
 
 def now() -> str:

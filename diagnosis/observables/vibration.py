@@ -19,13 +19,13 @@ from diagnosis.campaign import Part
 from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
 from fitting.holograms.block_amplitudes import Unshifted
-from fitting.modal.fit import ModalFit
 from fitting.modal.identify import (
     JointFit,
     fit_again,
     fit_jointly,
     fit_less,
 )
+from fitting.modal.modal_fit import ModalFit
 from fitting.parallel.processes import side_by_side
 from physics.effects.form import Tap
 from physics.twin import Twin
@@ -71,7 +71,7 @@ class SweepReading:
     force_error : (a,) float
         Relative.
     mixing, mixing_error, mixing_spread : (m, a) float
-        See `fitting.modal.fit.ModalFit`, of the m modes `shape_names`.
+        See `fitting.modal.modal_fit.ModalFit`, of the m modes `shape_names`.
     shape_names : tuple of str
     shape_hz : (m,) float
     shape_peak_m, shape_peak : (m, 2), (m,) float
@@ -101,7 +101,7 @@ class SweepReading:
         Amplitude of each of `TEMPLATES` in every hologram, in units of the sideband's.
     template_variance : (3, k) float
     discrepancy : float
-        See `fitting.modal.fit.ModalFit`.
+        See `fitting.modal.modal_fit.ModalFit`.
     taken_off : float
         Amplitude of unshifted light that was taken off, in units of the light at rest.
     """

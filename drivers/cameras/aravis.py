@@ -17,11 +17,8 @@ from pydantic import Field
 
 from drivers.cameras.frames import Delivery
 from drivers.cameras.genicam import timestamp_latch
-from drivers.cameras.genicam_camera import (
-    CameraOptions,
-    GenicamCamera,
-    pulses_for,
-)
+from drivers.cameras.genicam_camera import GenicamCamera
+from drivers.cameras.genicam_options import CameraOptions, pulses_for
 from drivers.context import BenchContext
 from drivers.errors import BenchSetupError, InstrumentError
 from drivers.options import read_options
@@ -159,7 +156,7 @@ class AravisFeatures:
 
 
 class AravisLink:
-    """An open camera of Aravis; see `drivers.cameras.genicam_camera.CameraLink`.
+    """An open camera of Aravis; see `drivers.cameras.genicam_options.CameraLink`.
 
     Parameters
     ----------

@@ -7,11 +7,8 @@ from typing import Any, Final
 
 from drivers.cameras.frames import Delivery
 from drivers.cameras.genicam import timestamp_latch
-from drivers.cameras.genicam_camera import (
-    CameraOptions,
-    GenicamCamera,
-    pulses_for,
-)
+from drivers.cameras.genicam_camera import GenicamCamera
+from drivers.cameras.genicam_options import CameraOptions, pulses_for
 from drivers.context import BenchContext
 from drivers.errors import BenchSetupError, InstrumentError
 from drivers.options import read_options
@@ -145,7 +142,7 @@ class PylonFeatures:
 
 
 class PylonLink:
-    """An open camera of pylon; see `drivers.cameras.genicam_camera.CameraLink`.
+    """An open camera of pylon; see `drivers.cameras.genicam_options.CameraLink`.
 
     Parameters
     ----------

@@ -16,13 +16,8 @@ from pydantic import Field
 
 from drivers.context import BenchContext
 from drivers.errors import InstrumentError
-from drivers.generators.tweeter import (
-    Played,
-    SineRange,
-    TweeterGenerator,
-    in_hertz,
-    matching,
-)
+from drivers.generators.replies import Played, SineRange, in_hertz, matching
+from drivers.generators.tweeter import TweeterGenerator
 from drivers.options import Options, read_options
 from protocols.bench import Generator
 

@@ -20,14 +20,8 @@ from drivers.errors import (
     InstrumentError,
     LimitError,
 )
-from drivers.generators.tweeter import (
-    Played,
-    SineRange,
-    TweeterGenerator,
-    agrees,
-    in_hertz,
-    matching,
-)
+from drivers.generators.replies import Played, SineRange, agrees, in_hertz, matching
+from drivers.generators.tweeter import TweeterGenerator
 from drivers.options import Options, read_options
 from protocols.bench import Generator
 

@@ -13,7 +13,6 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from decimal import ROUND_DOWN, Context, Decimal
 from fractions import Fraction
 from typing import ClassVar, Final, TypeVar
@@ -24,6 +23,7 @@ from drivers.errors import (
     InstrumentError,
     LimitError,
 )
+from drivers.generators.replies import MICROHERTZ, Played, SineRange, agrees
 from drivers.transport.visa import (
     LateError,
     VisaLine,
@@ -47,48 +47,8 @@ _SHORTEST_RAMP_S: Final = 0.05
 _RAMP_LATE_S: Final = 0.3
 _RAMP_END_S: Final = 0.4
 _CLOSING_S: Final = 1.0
-_MICROHERTZ: Final = Fraction(1, 1_000_000)
 # No generator shows more digits of an amplitude. Never more is played than was asked for.
 _AMPLITUDE: Final = Context(prec=6, rounding=ROUND_DOWN)
-
-
-@dataclass(frozen=True, slots=True)
-class SineRange:
-    """What sines a generator can play into high impedance, and how exactly it says so.
-
-    Attributes
-    ----------
-    least_vpp, most_vpp : Decimal
-        Volts peak to peak.
-    most_hz : int
-        Up to which `most_vpp` holds.
-    amplitude_digits, frequency_digits : int
-        Significant digits of what it says.
-    """
-
-    least_vpp: Decimal
-    most_vpp: Decimal
-    most_hz: int
-    amplitude_digits: int
-    frequency_digits: int
-
-
-@dataclass(frozen=True, slots=True)
-class Played:
-    """What a generator says that it plays.
-
-    Attributes
-    ----------
-    frequency_hz : Fraction
-    amplitude_vpp : Decimal
-        Of the open socket.
-    is_on : bool
-        Whether the output is on.
-    """
-
-    frequency_hz: Fraction
-    amplitude_vpp: Decimal
-    is_on: bool
 
 
 class TweeterGenerator(ABC):
@@ -482,7 +442,7 @@ class TweeterGenerator(ABC):
         """Refuse a bench file that allows what the generator cannot play, or not exactly."""
         can_play, limits = self._can_play, self._limits
         most_v = self._volts(can_play.most_vpp)
-        if self._step_hz % _MICROHERTZ:
+        if self._step_hz % MICROHERTZ:
             key, complaint = (
                 "instruments.generator.step",
                 f"is {float(self._step_hz):g} Hz, but the generator's grid is 1 uHz; write a "
@@ -504,63 +464,6 @@ class TweeterGenerator(ABC):
         else:
             return
         raise BenchSetupError(f"bench {description.name!r}: {key}: {complaint}")
-
-
-def agrees(told: Fraction | Decimal, said: Fraction | Decimal, digits: int) -> bool:
-    """Whether a number is what another looks like with so many significant digits.
-
-    Parameters
-    ----------
-    told : Fraction or Decimal
-        Not 0.
-    said : Fraction or Decimal
-    digits : int
-
-    Returns
-    -------
-    bool
-    """
-    exact = Fraction(told)
-    leading = (Decimal(exact.numerator) / exact.denominator).adjusted()
-    return abs(exact - Fraction(said)) <= Fraction(10) ** (leading - digits + 1) / 2
-
-
-def matching(pattern: str) -> Callable[[str], re.Match[str]]:
-    """Return what understands only answers that match a regular expression as a whole.
-
-    Parameters
-    ----------
-    pattern : str
-
-    Returns
-    -------
-    callable
-        Raises `ValueError` for other answers.
-    """
-
-    def understand(answer: str) -> re.Match[str]:
-        found = re.fullmatch(pattern, answer)
-        if found is None:
-            raise ValueError(answer)
-        return found
-
-    return understand
-
-
-def in_hertz(frequency_hz: Fraction) -> str:
-    """Write a frequency of a whole number of microhertz, all digits of it.
-
-    Parameters
-    ----------
-    frequency_hz : Fraction
-
-    Returns
-    -------
-    str
-        Such as ``2033.075000``.
-    """
-    whole, micro = divmod(round(frequency_hz / _MICROHERTZ), 1_000_000)
-    return f"{whole}.{micro:06d}"
 
 
 def _required_output(description: BenchFile, entry: Generator) -> GeneratorOutput:

@@ -7,30 +7,32 @@ where they agree. Nothing here was tried on the instrument itself yet.
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from itertools import takewhile
-from typing import Annotated, Final, Literal, NoReturn, Self
-
-from pydantic import Field, model_validator
+from typing import Final, NoReturn
 
 from drivers.context import BenchContext
 from drivers.errors import (
-    BenchSetupError,
     InstrumentError,
     LimitError,
 )
-from drivers.options import Options, read_options
+from drivers.options import read_options
+from drivers.synthesizers.novatech_registers import (
+    FULL_SCALE,
+    STEP_HZ,
+    NovatechOptions,
+    Registers,
+    commands_between,
+    failure_of,
+    require_possible,
+)
 from drivers.transport.serial_line import SerialLine
 from protocols.bench import Synthesizers
 
 _DEVICE: Final = "synthesizers (Novatech 409B)"
-_STEP_HZ: Final = Fraction(1, 10)
-_STEPS_PER_MHZ: Final = 10_000_000
-_HIGHEST_HZ: Final = Fraction("171127603.1")
-_FULL_SCALE: Final = 1023
 _CHANNELS: Final = 4
 
 _CHANNEL_LINE: Final = re.compile(
@@ -62,63 +64,6 @@ _REMEDY: Final = (
     "check power, cable and port, and that options.baud is the box's own rate (19200 unless it was "
     "changed); if the box or this computer is slow, raise options.timeout_s"
 )
-
-
-class NovatechOptions(Options):
-    """What a bench file says of a 409B.
-
-    Attributes
-    ----------
-    port : str
-        Serial port, see `SerialLine`.
-    amplitude : float
-        Of both channels when RF is on, as a share of full scale.
-    amplitude_max : float
-        What the modulators and their amplifiers stand, as a share of full scale.
-    timeout_s : float
-        How long the box may take for a line.
-    baud : int
-        The rate that the box is set to.
-    external_reference : bool
-        Whether the box has option /R and a 10 MHz reference is plugged in. It says so in the run
-        file and sends nothing: with /R, no clock command may be sent.
-    """
-
-    port: Annotated[str, Field(min_length=1)]
-    amplitude: Annotated[float, Field(ge=0.001, le=1)]
-    amplitude_max: Annotated[float, Field(ge=0.001, le=1)]
-    timeout_s: Annotated[float, Field(gt=0, le=60)] = 0.5
-    baud: Literal[9600, 19200, 38400, 57600, 115200] = 19200
-    external_reference: bool = False
-
-    @model_validator(mode="after")
-    def _below_maximum(self) -> Self:
-        if self.amplitude > self.amplitude_max:
-            raise ValueError(
-                f"amplitude {self.amplitude:g} is above amplitude_max {self.amplitude_max:g}, "
-                "which would burn the modulators"
-            )
-        return self
-
-
-@dataclass(frozen=True, slots=True)
-class Registers:
-    """What the two channels are set to.
-
-    Attributes
-    ----------
-    steps : (int, int)
-        Frequencies of channels 0 and 1, in 0.1 Hz.
-    amplitudes : (int, int)
-        Of channels 0 and 1, from 0 to 1023.
-    """
-
-    steps: tuple[int, int]
-    amplitudes: tuple[int, int]
-
-    def __str__(self) -> str:
-        hz = " and ".join(f"{steps // 10}.{steps % 10} Hz" for steps in self.steps)
-        return f"{hz}, amplitudes {self.amplitudes[0]} and {self.amplitudes[1]} of {_FULL_SCALE}"
 
 
 class Novatech409B:
@@ -163,12 +108,12 @@ class Novatech409B:
         options = read_options(
             NovatechOptions, entry.options, bench, "instruments.synthesizers.options"
         )
-        _require_possible(entry, bench)
+        require_possible(entry, bench)
         self._options = options
         self._centre_hz, self._window_hz = entry.centre_hz, entry.window_hz
         # Rounded down, so that no share is exceeded.
-        self._on_word = int(options.amplitude * _FULL_SCALE)
-        centre = round(entry.centre_hz / _STEP_HZ)
+        self._on_word = int(options.amplitude * FULL_SCALE)
+        centre = round(entry.centre_hz / STEP_HZ)
         self._intended = Registers((centre, centre), (0, 0))
         self._confirmed: Registers | None = None
         self._in_doubt = self._may_be_lit = True
@@ -195,7 +140,7 @@ class Novatech409B:
     @property
     def step_hz(self) -> Fraction:
         """0.1 Hz, exactly."""
-        return _STEP_HZ
+        return STEP_HZ
 
     @property
     def echoes_registers(self) -> bool:
@@ -232,7 +177,7 @@ class Novatech409B:
             if registers != self._confirmed:
                 self._confirmed = None
         aom1, aom2 = registers.steps
-        return aom1 * _STEP_HZ, aom2 * _STEP_HZ
+        return aom1 * STEP_HZ, aom2 * STEP_HZ
 
     def rf_on(self) -> None:
         """Give both channels their amplitude; see `SynthesizerPair.rf_on`."""
@@ -258,8 +203,8 @@ class Novatech409B:
         # A box that says nothing would be waited for three times in each of the two ways.
         self._tries = 1
         try:
-            by_update = _failure_of(self._off_by_update)
-            at_once = _failure_of(self._off_at_once)
+            by_update = failure_of(self._off_by_update)
+            at_once = failure_of(self._off_at_once)
         finally:
             self._tries = _TRIES
         if at_once is not None and (by_update is not None or self._echoes_registers):
@@ -295,7 +240,7 @@ class Novatech409B:
                 f"{float(self._window_hz):.10g} Hz from {float(self._centre_hz):.10g} Hz; keep it "
                 "inside the window"
             )
-        return round(hz / _STEP_HZ)
+        return round(hz / STEP_HZ)
 
     def _play(self, target: Registers, read_back: bool = False) -> None:
         """Bring the box from what is confirmed, or from anywhere, to a target."""
@@ -303,7 +248,7 @@ class Novatech409B:
         self._in_doubt = True
         if confirmed is None:
             self._set_up()
-        commands = _commands(confirmed, target)
+        commands = commands_between(confirmed, target)
         self._update(commands, target.steps, target.amplitudes, read_back or confirmed is None)
         self._intended = self._confirmed = target
         self._in_doubt = False
@@ -325,7 +270,7 @@ class Novatech409B:
         intended, confirmed, self._confirmed = self._intended, self._confirmed, None
         aom1, aom2 = intended.steps
         other = replace(intended, steps=(aom1 + 1, aom2))
-        (change,), (restore,) = _commands(intended, other), _commands(other, intended)
+        (change,), (restore,) = commands_between(intended, other), commands_between(other, intended)
         is_changed = self._obeys(change)
         # Twice, because noise can make one digit of another, but hardly the same twice.
         shown = {self._read_status().steps[0] for _ in range(2)}
@@ -515,42 +460,4 @@ class Novatech409B:
         raise InstrumentError(
             f"{self._place}: did not confirm {command!r}, sent twice; its outputs are unknown, "
             f"switch RF off; {_REMEDY}"
-        )
-
-
-def _failure_of(attempt: Callable[[], None]) -> InstrumentError | None:
-    try:
-        attempt()
-    except InstrumentError as error:
-        return error
-    return None
-
-
-def _commands(old: Registers | None, new: Registers) -> list[str]:
-    """Return what fills the registers that differ; all if the old ones are unknown."""
-    frequencies = [
-        f"F{channel} {steps // _STEPS_PER_MHZ}.{steps % _STEPS_PER_MHZ:07d}"
-        for channel, steps in enumerate(new.steps)
-        if old is None or steps != old.steps[channel]
-    ]
-    amplitudes = [
-        f"V{channel} {word}"
-        for channel, word in enumerate(new.amplitudes)
-        if old is None or word != old.amplitudes[channel]
-    ]
-    return frequencies + amplitudes
-
-
-def _require_possible(entry: Synthesizers, bench: str) -> None:
-    if entry.step_hz != _STEP_HZ:
-        raise BenchSetupError(
-            f"bench {bench!r}: instruments.synthesizers.step: is {float(entry.step_hz):g} Hz, but "
-            "a Novatech 409B plays multiples of 0.1 Hz; write step: 0.1 Hz"
-        )
-    low_hz, high_hz = entry.centre_hz - entry.window_hz, entry.centre_hz + entry.window_hz
-    if high_hz > _HIGHEST_HZ:
-        raise BenchSetupError(
-            f"bench {bench!r}: instruments.synthesizers.window: reaches from {float(low_hz):.10g} "
-            f"to {float(high_hz):.10g} Hz, but a Novatech 409B plays up to "
-            f"{float(_HIGHEST_HZ):.10g} Hz; narrow it"
         )

@@ -35,11 +35,8 @@ from fitting.fringes.picking import (
 )
 from fitting.fringes.pictures import Pictures, read_pictures
 from fitting.modal.acoustic_resonances import Line, drive_lines
-from fitting.modal.identify import (
-    JointFit,
-    fit_jointly,
-    residual_map,
-)
+from fitting.modal.identify import JointFit, fit_jointly
+from fitting.modal.residual_map import residual_map
 from physics.reed.basis import ReducedReed
 from physics.reed.geometry import ReedGeometry
 from physics.reed.names import PAPER_MODES

@@ -15,16 +15,22 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, fields
-from enum import IntFlag, auto
 from functools import reduce
 from multiprocessing import get_context
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FitInputError
 from fitting.modal.excess_scatter import added_cents, is_misfit
+from fitting.populations.flags import (
+    SPRING_FLAGS,
+    BoundedMetamodel,
+    Flag,
+    FollowingMetamodel,
+    PopulationFit,
+)
 from physics.reed.metamodel import REFERENCE_HZ, Metamodel
 from physics.reed.viscoelastic import (
     Series,
@@ -60,98 +66,6 @@ _RIDGE, _UNKNOWN = 1e-12, 1e8
 # Turns in which a misfit settles, to this share.
 _MISFIT_TURNS, _MISFIT_SETTLED = 8, 1e-3
 _CENT = np.log(2) / 1200
-
-
-class Flag(IntFlag):
-    """What is unusual about a fit. The numbers stand as they came out, whatever is flagged.
-
-    Springs and storage moduli are looked at in the series in which the reed has resonances.
-    """
-
-    TOO_FEW_RESONANCES = auto()
-    """No more resonances than components: nothing is fitted."""
-    UNDETERMINED = auto()
-    """The resonances do not tell all components apart; those unknown are NaN."""
-    NOT_CONVERGED = auto()
-    """No least squares found; the components are the best seen, their errors mean little."""
-    E1_NOT_POSITIVE = auto()
-    E2_NOT_POSITIVE = auto()
-    G1_NOT_POSITIVE = auto()
-    G2_NOT_POSITIVE = auto()
-    STORAGE_MODULUS_NOT_POSITIVE = auto()
-    """E' or G' is not, at the frequency of some mode, observed or not."""
-    OUTSIDE_METAMODEL = auto()
-    """Moduli of an observed mode lie where the metamodel was not fitted."""
-    MODES_LEFT_OUT = auto()
-    """Some modes exchange shapes with others at the reed's moduli; the fit is without them."""
-
-
-_SPRING_FLAGS = (
-    (0, Flag.E1_NOT_POSITIVE),
-    (1, Flag.E2_NOT_POSITIVE),
-    (3, Flag.G1_NOT_POSITIVE),
-    (4, Flag.G2_NOT_POSITIVE),
-)
-
-
-@runtime_checkable
-class BoundedMetamodel(Metamodel, Protocol):
-    """A metamodel that knows where it was fitted."""
-
-    def within(self, E_L_pa: Array, G_LT_pa: Array) -> Mask:
-        """Whether moduli lie there; shapes that broadcast."""
-
-
-@runtime_checkable
-class FollowingMetamodel(Metamodel, Protocol):
-    """A metamodel that knows where it follows which mode."""
-
-    def follows(self, E_L_pa: Array, G_LT_pa: Array) -> Mask:
-        """Whether it does, mode by mode, at moduli (..., m)."""
-
-
-@dataclass(frozen=True)
-class PopulationFit:
-    """What the resonances say about n reeds; what is not known is NaN with an infinite error.
-
-    Attributes
-    ----------
-    components : (n, K) float
-        e1, e2, e3 from series A; e4 too from both series.
-    errors : (n, K) float
-        Standard errors, from the stated errors of the resonances and the misfit.
-    reduced_chi2 : (n,) float
-        Weighted squares per degree of freedom of the best fit with the stated errors.
-    misfit_cents : (n,) float
-        By how much, beside these errors, each resonance is off the model: standard deviation. It
-        is 0 where chance explains `reduced_chi2` (in 5 % of cases).
-    residual_cents : (n, s, m) float
-        Observed less fitted frequencies, NaN for resonances that were not used.
-    rms_cents : (n,) float
-        Their root mean square.
-    used : (n,) int
-        Number of resonances.
-    left_out : (n, s, m) bool
-        Resonances that were not used: at the reed's moduli their modes exchange shapes with others.
-    flags : (n,) int
-        Combinations of `Flag`; ``Flag(flags[k])`` reads as words, 0 is an ordinary fit.
-    """
-
-    components: Array
-    errors: Array
-    reduced_chi2: Array
-    misfit_cents: Array
-    residual_cents: Array
-    rms_cents: Array
-    used: NDArray[np.int64]
-    left_out: Mask
-    flags: NDArray[np.int64]
-
-
-def count_flags(flags: NDArray[np.int64]) -> dict[str, int]:
-    """Number of reeds that bear each flag, by its name; flags that no reed bears are left out."""
-    counts = {str(flag.name): int(np.count_nonzero(flags & int(flag))) for flag in Flag}
-    return {name: count for name, count in counts.items() if count}
 
 
 def fit_population(
@@ -562,7 +476,7 @@ def _moduli_flags(
     """Flags (n,) of springs (6, s, n), storage moduli (m, s, n) and the metamodel's limits."""
     flags = np.zeros(zener.shape[-1], dtype=np.int64)
     measured = used.any(axis=0)
-    for row, flag in _SPRING_FLAGS:
+    for row, flag in SPRING_FLAGS:
         flags |= np.where(((zener[row] <= 0) & measured).any(axis=0), flag, 0)
     E, G = storage_pa
     impossible = ~((E > 0) & (G > 0)) & measured

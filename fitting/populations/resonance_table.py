@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
-from fitting.populations.population import Flag, PopulationFit
+from fitting.populations.flags import Flag, PopulationFit
 from physics.reed.viscoelastic import Series
 from protocols.units import shown_value, unseen_character
 

@@ -19,12 +19,8 @@ from fitting.errors import FitError, FitInputError
 from fitting.forward import basis_of, finite_element_model
 from fitting.modal.acoustic_resonances import Line, common_lines
 from fitting.paper.constants import adjusted_metamodel
-from fitting.populations.population import (
-    Flag,
-    PopulationFit,
-    count_flags,
-    fit_population,
-)
+from fitting.populations.flags import Flag, PopulationFit, count_flags
+from fitting.populations.population import fit_population
 from fitting.populations.resonance_table import (
     Resonances,
     read_resonances,

@@ -17,11 +17,8 @@ from drivers.cameras.genicam import (
     apply_settings,
     timestamp_latch,
 )
-from drivers.cameras.genicam_camera import (
-    CameraOptions,
-    GenicamCamera,
-    pulses_for,
-)
+from drivers.cameras.genicam_camera import GenicamCamera
+from drivers.cameras.genicam_options import CameraOptions, pulses_for
 from drivers.cameras.trigger import CameraTrigger
 from drivers.context import BenchContext
 from drivers.errors import (

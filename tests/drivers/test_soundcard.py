@@ -16,7 +16,8 @@ from drivers.errors import (
     InstrumentError,
     LimitError,
 )
-from drivers.generators.soundcard import Oscillator, SoundCardGenerator
+from drivers.generators.oscillator import Oscillator
+from drivers.generators.soundcard import SoundCardGenerator
 from drivers.roles import SignalGenerator
 from protocols.bench import BenchFile
 from protocols.preparation import Preparation

@@ -17,7 +17,7 @@ from drivers.errors import (
     InstrumentError,
     LimitError,
 )
-from drivers.generators.tweeter import agrees, in_hertz
+from drivers.generators.replies import agrees, in_hertz
 from drivers.roles import SignalGenerator
 from drivers.transport.visa import VisaLine
 from tests.drivers.generators import DEVICES, GAIN, MOST_V, Stands

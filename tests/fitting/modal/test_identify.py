@@ -10,14 +10,8 @@ import pytest
 from fitting.cane.fit_runs import fit_runs, method_name
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
-from fitting.modal.identify import (
-    _doubts,
-    _outweighing,
-    _room_cents,
-    _with_usual_drive,
-    mac,
-    residual_map,
-)
+from fitting.modal.identify import _doubts, _outweighing, _room_cents, _with_usual_drive, mac
+from fitting.modal.residual_map import residual_map
 from physics.reed.viscoelastic import Components
 from reports.drawing import png_of
 from reports.joint_drawing import mode_sheet

@@ -15,13 +15,8 @@ from fitting.fringes.picking import Resonance
 from fitting.modal.excess_scatter import added_cents, is_misfit
 from fitting.paper.constants import adjusted_metamodel
 from fitting.populations import population as populations
-from fitting.populations.population import (
-    Flag,
-    PopulationFit,
-    count_flags,
-    fit_population,
-    fit_stream,
-)
+from fitting.populations.flags import Flag, PopulationFit, count_flags
+from fitting.populations.population import fit_population, fit_stream
 from physics.reed.log_polynomial import (
     REED_BOX,
     Box,

@@ -1,0 +1,68 @@
+"""Where on the reed the joint fit leaves residuals."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.holograms.bessel import BesselTable
+from fitting.modal.identify import Array, JointFit
+
+# Side of a cell of a residual map.
+_CELL_M = 2e-3
+
+
+@dataclass(frozen=True)
+class ResidualMap:
+    """What a fit leaves of the holograms at a resonance, in cells of the reed's surface.
+
+    Attributes
+    ----------
+    x_m, y_m : (c,) float
+        Centres of the cells.
+    value : (c,) float
+        Mean square of what is left of the phasors, in units of the noise: 1 is noise alone.
+    """
+
+    x_m: Array
+    y_m: Array
+    value: Array
+
+    def to_json(self) -> dict[str, list[float]]:
+        """Return the map with stable keys, places in mm."""
+        return {
+            "x_mm": [round(1e3 * float(x), 3) for x in self.x_m],
+            "y_mm": [round(1e3 * float(y), 3) for y in self.y_m],
+            "value": [round(float(v), 2) for v in self.value],
+        }
+
+
+def left_square(fit: JointFit, holograms: NDArray[np.intp]) -> Array:
+    """Squares (s, n) of what displacements leave of holograms (s,), in units of the noise."""
+    found = fit.displacements
+    u = found.amplitude_rad[holograms].astype(np.complex64) @ fit.basis.functions.T
+    over, _ = BesselTable().tensor(np.abs(u))
+    lit = np.exp(found.gain[holograms]).astype(np.float32)[:, None] * found.light
+    left = fit.phasors.value[:, holograms].T - lit * (u * over)
+    square: Array = left.real**2 + left.imag**2
+    return square
+
+
+def residual_map(fit: JointFit, name: str) -> ResidualMap:
+    """Map what is left of the three holograms nearest to a mode's resonance.
+
+    Parameters
+    ----------
+    fit : JointFit
+    name : str
+        Of one of its modes.
+    """
+    phasors = fit.phasors
+    hz = fit.modal.hz[fit.modal.names.index(name)]
+    nearest = np.argsort(np.abs(np.log(phasors.drive_hz / hz)))[:3]
+    square = left_square(fit, nearest).mean(axis=0)
+    cells = np.stack([np.floor(phasors.x_m / _CELL_M), np.floor(phasors.y_m / _CELL_M)], axis=1)
+    places, which = np.unique(cells, axis=0, return_inverse=True)
+    mean = np.bincount(which.ravel(), square) / np.bincount(which.ravel())
+    x_m, y_m = ((places + 0.5) * _CELL_M).T
+    return ResidualMap(x_m, y_m, mean)

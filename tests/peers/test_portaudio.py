@@ -32,10 +32,10 @@ import numpy as np
 import sounddevice
 
 from protocols.bench import BenchFile
-from drivers import soundcard
+from drivers.generators import soundcard
 from drivers.context import BenchContext
 from drivers.errors import BenchSetupError, InstrumentError
-from drivers.roles import Preparation
+from protocols.preparation import Preparation
 
 folder, sessions, told = pathlib.Path(sys.argv[1]), [], {}
 

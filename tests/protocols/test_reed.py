@@ -427,8 +427,8 @@ def basis_modes(tmp_path_factory):
     few = functools.partial(TrainingSettings, snapshots=12, samples=64)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("REEDBENCH_CACHE", str(tmp_path_factory.mktemp("kept")))
-        patch.setattr("protocols.reed.STANDARD", COARSE)
-        patch.setattr("protocols.reed.TrainingSettings", few)
+        patch.setattr("fitting.reed_modes.STANDARD", COARSE)
+        patch.setattr("fitting.reed_modes.TrainingSettings", few)
         yield functools.partial(modes_by_basis, announce=told.append), told
 
 

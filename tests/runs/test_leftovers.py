@@ -135,7 +135,7 @@ def test_a_name_that_a_killed_process_blocked_is_free_again(plan, path, tmp_path
 
 PACKER = """
 import os, signal
-from acquire import script
+from acquire.runner import script
 
 script.pack(path, progress=lambda share: share > 0.3 and os.kill(os.getpid(), signal.SIGKILL))
 """
@@ -169,7 +169,7 @@ def test_a_run_that_is_in_work_is_neither_packed_nor_cleared(plan, path, tmp_pat
 
 
 GOING_ON = """
-from acquire import script
+from acquire.runner import script
 from holography.errors import BenchError
 
 said.send("ready")

@@ -159,9 +159,9 @@ def test_mistakes_are_told_in_one_line(cli, folder, arguments, words):
 def coarse_basis(monkeypatch, tmp_path):
     """A basis that is built within seconds."""
     monkeypatch.setenv("REEDBENCH_CACHE", str(tmp_path / "kept"))
-    monkeypatch.setattr("protocols.reed.STANDARD", MeshLevel((2, 2, 2), edge_breaks_m=()))
+    monkeypatch.setattr("fitting.reed_modes.STANDARD", MeshLevel((2, 2, 2), edge_breaks_m=()))
     few = functools.partial(TrainingSettings, snapshots=12, samples=64)
-    monkeypatch.setattr("protocols.reed.TrainingSettings", few)
+    monkeypatch.setattr("fitting.reed_modes.TrainingSettings", few)
 
 
 @pytest.mark.usefixtures("coarse_basis")

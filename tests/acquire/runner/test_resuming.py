@@ -171,7 +171,7 @@ def test_wherever_a_run_is_killed_it_is_gone_on_with(
 # --- Real processes, killed for good -----------------------------------------------------------
 
 SWEEP = """
-from acquire import script
+from acquire.runner import script
 
 tell = lambda report: said.send(report.done)
 said.send("go")
@@ -227,6 +227,7 @@ def test_after_any_number_of_kills_a_run_is_what_it_would_have_been(
                 for _ in range(rng.randrange(15)):
                     heard.recv()
             while not path.exists():
+                assert child.is_alive()
                 time.sleep(0.001)
             time.sleep(rng.uniform(0, 0.02))
             child.kill()

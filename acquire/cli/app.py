@@ -16,22 +16,28 @@ if TYPE_CHECKING:
 
 INTERRUPTED = 130
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON with stable keys instead.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
-BenchOption = Annotated[str, typer.Option("--bench", help="Bench file, or a shipped bench's name.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the Python traceback of an error.")]
+BenchOption = Annotated[
+    str, typer.Option("--bench", help="Bench file, or the name of a shipped bench.")
+]
 RunFiles = Annotated[
-    list[Path], typer.Argument(metavar="RUN [RUN_B]", help="One run, or series A and B of a reed.")
+    list[Path],
+    typer.Argument(
+        metavar="RUN [RUN_B]", help="One run file, or the run files of series A and B of one reed."
+    ),
 ]
 MethodOption = Annotated[
     str,
     typer.Option(
         "--method",
-        help="How resonances are found: picture (the paper's way, by the pictures with most "
-        "fringes) or joint (one fit of all holograms, with loss factors).",
+        help="How to find resonances. joint: one fit of all holograms, with loss factors. "
+        "picture: the paper's method, by the pictures with most fringes.",
     ),
 ]
 ModelOption = Annotated[
-    str, typer.Option("--model", help="Forward model: fem (finite elements) or paper (Table 9).")
+    str,
+    typer.Option("--model", help="Model of the reed: fem (finite elements) or paper (Table 9)."),
 ]
 
 

@@ -38,28 +38,30 @@ def _blind_side() -> Iterator[None]:
 
 
 def make(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Gets a folder for each case.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder to write; each case gets a folder in it.")
+    ],
     tier: Annotated[
         int,
         typer.Option(
-            help="0: nothing wrong; 1: one effect; 2: one easily taken for another; 3: two; "
-            "4: one that the catalogue lacks; 6: each effect in turn, beside others that are told."
+            help="0: no effect; 1: one effect; 2: one that resembles another; 3: two effects; "
+            "4: one that the catalogue does not have; 6: each effect in turn, with other known effects."
         ),
     ],
-    count: Annotated[int, typer.Option(min=1, help="How many cases.")],
-    seed: Annotated[int, typer.Option(min=0, help="Mixed with what the key alone tells.")],
+    count: Annotated[int, typer.Option(min=1, help="Number of cases.")],
+    seed: Annotated[int, typer.Option(min=0, help="Seed, combined with a secret in the key file.")],
     key: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Gets the labels; DIR.key.json if not given."),
+        typer.Option(metavar="FILE", help="File for the true causes (default: DIR.key.json)."),
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Cases that are made at once.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, help="Number of cases to make in parallel.")] = 1,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Make sealed cases: campaigns of laboratories with something wrong, and hashes of what it is.
+    """Make sealed test cases: campaigns with a hidden cause, and a hash of each cause.
 
-    DIR/sealed.json holds the hashes; its own, to be published before any case is answered, is
-    printed. A case takes half a minute to one, and 46 MB.
+    DIR/sealed.json holds the hashes. Its own SHA-256 is printed: publish it before you answer a
+    case. A case takes 30 to 60 s and 46 MB.
     """
     with _blind_side():
         from acquire.cli.display import share_progress
@@ -74,33 +76,34 @@ def make(
         return
     cases = "1 case" if count == 1 else f"{count} cases"
     console = results()
-    console.print(f"{cases} in {folder}, whose sealed.json has the SHA-256 {made}", soft_wrap=True)
-    console.print(f"The key is {kept}: keep it from whoever answers.", soft_wrap=True)
+    console.print(f"wrote {cases} to {folder}; SHA-256 of sealed.json: {made}", soft_wrap=True)
+    console.print(f"The key is {kept}. Do not show it to the person who answers.", soft_wrap=True)
 
 
 def score(
     folders: Annotated[
-        list[Path], typer.Argument(metavar="DIR…", help="What `blind make` made; scored as one.")
+        list[Path],
+        typer.Argument(metavar="DIR…", help="Folders that `blind make` wrote; scored together."),
     ],
     answers: Annotated[
         list[Path],
         typer.Option(
             metavar="DIR",
-            help="Folder of NAME.json, what `diagnose --json` printed of each case; "
-            "one for each set, in the same order.",
+            help="Folder with NAME.json, the output of `diagnose --json` for each case; "
+            "one folder for each DIR, in the same order.",
         ),
     ],
     key: Annotated[
         list[Path],
-        typer.Option(metavar="FILE", help="Labels, by `blind make`; one for each set."),
+        typer.Option(metavar="FILE", help="Key file of `blind make`; one for each DIR."),
     ],
     picture: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Reliability plot to draw besides.")
+        Path | None, typer.Option(metavar="FILE.png", help="Reliability diagram to write.")
     ] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Score answers to sealed cases; what is not answered counts as wrong."""
+    """Score answers to sealed test cases. A case without an answer counts as wrong."""
     from reports.own_output import (
         Output,
         picture_kind,

@@ -22,35 +22,40 @@ def diagnose(
         list[Path] | None,
         typer.Argument(
             metavar="[RUN …]",
-            help="Runs of one reed in one series, folders of such, or a table of resonances "
-            "(CSV) of clarinet reeds.",
+            help="Run files of one reed in one series, folders of run files, or a CSV table of "
+            "resonances of clarinet reeds.",
         ),
     ] = None,
     published: Annotated[
-        bool, typer.Option("--published", help="Take the paper's Table 1 as data instead of runs.")
+        bool,
+        typer.Option("--published", help="Use Table 1 of the paper as data, instead of run files."),
     ] = False,
     bench: Annotated[
         str | None,
         typer.Option(
-            metavar="FILE", help="Bench file that says what is known of the bench, under known:."
+            metavar="FILE",
+            help="Bench file whose section known: lists known effects of this bench.",
         ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="PAGE.html", help="Page to write besides.")
+        Path | None, typer.Option(metavar="PAGE.html", help="HTML page to write.")
     ] = None,
     following: Annotated[
         Path | None,
         typer.Option(
-            "--next", metavar="FILE.yaml", help="Campaign to write that tells the likeliest apart."
+            "--next",
+            metavar="FILE.yaml",
+            help="Campaign file to write, which would best separate the likeliest causes.",
         ),
     ] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Compare runs with the twin: where they differ, which effect it is, how far it closes that.
+    """Find where measurement and simulation differ, the likeliest cause, and how much it explains.
 
-    Best are all runs of a campaign: dark, flat, the local oscillator alone, order 0 at rest, sweeps
-    up, down, quiet, shuffled and after a new clamping. With less it says less, and what is missing.
+    Give it all runs of a campaign (dark, flat, local oscillator alone, order 0 at rest, and sweeps
+    up, down, at low amplitude, shuffled and after a new clamping). With fewer runs the answer is
+    less certain, and the missing runs are listed.
     """
     from fitting.errors import FitInputError
 
@@ -58,7 +63,7 @@ def diagnose(
     if published or tables:
         if len(runs or ()) != len(tables) or (published and tables):
             raise FitInputError(
-                "runs, a table of resonances and --published are three kinds of data; give one"
+                "run files, a table of resonances and --published exclude each other; give one of them"
             )
         if len(tables) > 1:
             raise FitInputError(f"{len(tables)} tables of resonances were given; give one")
@@ -69,7 +74,7 @@ def diagnose(
         _diagnose_resonances(tables[0] if tables else None, as_json)
         return
     if not runs:
-        raise FitInputError("name runs or a table of resonances, or give --published")
+        raise FitInputError("no data: give run files, a table of resonances, or --published")
     _diagnose_runs(runs, bench, out, following, as_json)
 
 
@@ -123,7 +128,7 @@ def _diagnose_runs(
         workshop = Workshop(anatomy(geometry, announce=show_message), show_message)
         with share_progress(messages(), "fitting sweeps") as told:
             readings = read(campaign, bench, told)
-    with share_progress(messages(), "trying effects") as told:
+    with share_progress(messages(), "fitting causes") as told:
         try:
             verdict = judge(readings, workshop, base, told, only_once(bench))
         except ValueError as error:
@@ -179,7 +184,7 @@ def _diagnose_resonances(table: Path | None, as_json: bool) -> None:
 
     reeds = tabled_reeds(table, show_message) if table else printed_reeds()
     workshop = Workshop(anatomy(announce=show_message), show_message)
-    with share_progress(messages(), "trying effects") as told:
+    with share_progress(messages(), "fitting causes") as told:
         try:
             diagnosis = diagnose_resonances(reeds, workshop, CATALOGUE, told)
         except ValueError as error:
@@ -198,10 +203,7 @@ def _diagnose_resonances(table: Path | None, as_json: bool) -> None:
 
 
 def effects(as_json: AsJson = False, debug: Debug = False) -> None:
-    """List the effects that the twin leaves out and a diagnosis knows.
-
-    Each with the standard deviation that its size is expected to have, or where it may be.
-    """
+    """List the causes that `acquire diagnose` can recognise, each with its expected size."""
     from physics.effects.catalogue import CATALOGUE
     from reports.effects import effects_table, effects_to_json
 

@@ -138,12 +138,12 @@ def plan_summary(plan: Plan) -> list[str]:
     """Duration, size and limit violations of a plan, a line each."""
     minutes, seconds = divmod(round(plan.duration_s), 60)
     lines = [
-        f"{len(plan.steps)} steps, {minutes} min {seconds:02d} s at the camera's pace, "
+        f"{len(plan.steps)} steps, {minutes} min {seconds:02d} s at the frame rate of the camera, "
         f"{_sizes(plan)}"
     ]
     if not plan.violations:
-        return [*lines, "no limit is violated"]
-    lines += [f"violation: {v.key}: {v.message}" for v in plan.violations]
+        return [*lines, "all limits are met"]
+    lines += [f"limit exceeded: {v.key}: {v.message}" for v in plan.violations]
     return lines
 
 
@@ -152,8 +152,10 @@ def _sizes(plan: Plan) -> str:
         f"{(size or 0) / 1e6:.0f} MB"
         for size in (plan.file_size_bytes, plan.largest_size_bytes, plan.packed_size_bytes)
     )
-    words = size if size == largest else f"{size} ({largest} if many steps are taken again)"
-    return words if plan.packed_size_bytes is None else f"{words}; about {packed} once packed"
+    words = (
+        size if size == largest else f"{size} (at most {largest}, if many steps are measured again)"
+    )
+    return words if plan.packed_size_bytes is None else f"{words}; about {packed} after packing"
 
 
 @contextmanager
@@ -219,9 +221,9 @@ def run_summary(summary: RunSummary, troubles: Sequence[str]) -> list[str]:
         listed = ", ".join(f"{n} {v}" for v, n in bad.items())
         lines.append(f"not good: {listed}; for example: {troubles[0]}" if troubles else listed)
     if summary.retaken:
-        lines.append(f"taken again: {summary.retaken}")
+        lines.append(f"measured again: {summary.retaken} steps")
     lines += [f"remark: {remark}" for remark in summary.remarks]
-    lines += [f"NOT CONFIRMED OFF, please look: {what}" for what in summary.unconfirmed]
+    lines += [f"NOT CONFIRMED OFF, check the instrument: {what}" for what in summary.unconfirmed]
     return lines
 
 
@@ -288,7 +290,7 @@ def details_table(details: Mapping[str, Any]) -> Table:
     lock = details["lock_error_hz"]
     if lock["median"] is not None:
         row("lock error", f"{lock['median']:.2g} Hz median, {lock['largest']:.2g} Hz at most")
-    for key, word in (("retakes", "taken again"), ("bad", "not good")):
+    for key, word in (("retakes", "measured again"), ("bad", "not good")):
         for step in details[key]:
             row(word, f"step {step['index']}: {step['verdict']}: {step['sentence']}")
     for seam in details["seams"]:
@@ -314,10 +316,12 @@ def _standing(entry: Mapping[str, Any]) -> str:
     """Status of a run, and the process that has it in work."""
     running = entry["status"] == "running"
     if not entry["in_work"]:
-        return "stopped: its process is gone, go on with --resume" if running else entry["status"]
+        return "stopped without an end; continue it with --resume" if running else entry["status"]
     process = entry["process"]
-    worker = "another computer" if process is None else f"process {process}"
-    return f"being measured by {worker}" if running else f"{entry['status']}, in work: {worker}"
+    worker = "a process on another computer" if process is None else f"process {process}"
+    return (
+        f"being measured by {worker}" if running else f"{entry['status']}, being packed by {worker}"
+    )
 
 
 def packing_line(run: str, packed: Packing) -> str:

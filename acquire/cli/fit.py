@@ -27,20 +27,25 @@ def fit(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Find the resonances in a run and fit the reed's cane; with A and B, all four components."""
+    """Find the resonances of a reed and fit its material parameters.
+
+    Series A and B together determine all four parameters.
+    """
     fitted = _fit(runs, model, method)
     finish(fitted.to_json(), as_json, [], fitted)
 
 
 def report(
     runs: RunFiles,
-    out: Annotated[Path | None, typer.Option(help="Page; beside the run if not given.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Page to write (default: next to the run file).")
+    ] = None,
     method: MethodOption = "joint",
     model: ModelOption = "fem",
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Write one self-contained HTML page about a run, and its pictures beside it."""
+    """Write a self-contained HTML report of a run, and its pictures as PNG files."""
     report_runs(runs, model, out, as_json, {}, method)
 
 

@@ -17,14 +17,15 @@ if TYPE_CHECKING:
 
 def paper(
     out: Annotated[
-        Path | None, typer.Option(metavar="PAGE.html", help="Page; paper.html if not given.")
+        Path | None,
+        typer.Option(metavar="PAGE.html", help="HTML page to write (default: paper.html)."),
     ] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Compare the paper's printed numbers with ours, on one self-contained HTML page.
+    """Compare the numbers that the paper prints with ours, on one self-contained HTML page.
 
-    Takes about a minute. With --json alone no page is written.
+    This takes about a minute. With --json and without --out no page is written.
     """
     from reports.own_output import require_writable
     from reproduction.page import (

@@ -18,15 +18,15 @@ if TYPE_CHECKING:
 
 def plan(
     protocol: Annotated[
-        str, typer.Argument(help="Protocol or campaign: a file, or a shipped one's name.")
+        str, typer.Argument(help="Protocol or campaign: a file, or the name of a shipped one.")
     ],
     bench: BenchOption = "simulated",
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Show every step of a protocol, its duration and size, without touching an instrument.
+    """Show every step of a protocol, its duration and its file size. No instrument is opened.
 
-    Of a campaign, every part.
+    For a campaign, show its parts.
     """
     from acquire.cli.display import plan_summary, plan_table
     from protocols.campaign import names_campaign

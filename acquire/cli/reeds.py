@@ -23,7 +23,9 @@ def _constant(name: str, kind: str, meaning: str) -> Any:
 
 
 def modes(
-    reed: Annotated[str, typer.Argument(help="Reed file, or a shipped reed's name.")] = "clarinet",
+    reed: Annotated[
+        str, typer.Argument(help="Reed file, or the name of a shipped reed.")
+    ] = "clarinet",
     E_L: Annotated[
         str | None, _constant("E_L", "MODULUS", "Young modulus along the grain, such as '13 GPa'.")
     ] = None,
@@ -48,50 +50,62 @@ def modes(
     nu_LT: Annotated[
         float | None,
         _constant(
-            "nu_LT", "RATIO", "Contraction across under stress along the grain, such as 0.22."
+            "nu_LT",
+            "RATIO",
+            "Poisson ratio: contraction across the grain under stress along it, such as 0.22.",
         ),
     ] = None,
     nu_LR: Annotated[
         float | None,
         _constant(
-            "nu_LR", "RATIO", "Contraction through the thickness under stress along the grain."
+            "nu_LR",
+            "RATIO",
+            "Poisson ratio: contraction through the thickness under stress along the grain.",
         ),
     ] = None,
     nu_TR: Annotated[
         float | None,
         _constant(
-            "nu_TR", "RATIO", "Contraction through the thickness under stress across the grain."
+            "nu_TR",
+            "RATIO",
+            "Poisson ratio: contraction through the thickness under stress across the grain.",
         ),
     ] = None,
     density: Annotated[
-        str | None, typer.Option(metavar="DENSITY", help="Such as '520 kg/m^3'.")
+        str | None,
+        typer.Option(metavar="DENSITY", help="Density of the cane, such as '520 kg/m^3'."),
     ] = None,
     thickness_offset: Annotated[
-        str | None, typer.Option(metavar="LENGTH", help="Added to the vamp, such as '10 um'.")
+        str | None,
+        typer.Option(metavar="LENGTH", help="Added to the thickness of the vamp, such as '10 um'."),
     ] = None,
     temperature: Annotated[
         str | None,
-        typer.Option(metavar="TEMPERATURE", help="Of viscoelastic cane, such as '25 degC'."),
+        typer.Option(
+            metavar="TEMPERATURE", help="Temperature of viscoelastic cane, such as '25 degC'."
+        ),
     ] = None,
     dryness: Annotated[
-        float | None, typer.Option(help="Of viscoelastic cane: 0 as series A to 1 as series B.")
+        float | None,
+        typer.Option(help="Dryness of viscoelastic cane, from 0 (series A) to 1 (series B)."),
     ] = None,
     mesh: Annotated[
         str,
         typer.Option(
-            help="Finite elements: fine, standard, or fast (some cents off); or basis: instant, "
-            "once a basis has been built (about a minute, and kept)."
+            help="Mesh: fine, standard or fast (some cents off). basis: answers at once after a "
+            "basis has been built, which takes about a minute and is kept."
         ),
     ] = "fine",
     pictures: Annotated[
-        Path | None, typer.Option(metavar="PATH.png", help="Draw every mode into this file.")
+        Path | None,
+        typer.Option(metavar="PATH.png", help="PNG file to write, with a picture of every mode."),
     ] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """List every mode of a reed below 20 kHz by finite elements: name, frequency, class.
+    """List every mode of a reed below 20 kHz, computed by finite elements.
 
-    What no option says is the reed's own.
+    Each option replaces one value of the reed file.
     """
     from acquire.cli.display import share_progress
     from fitting.reed_modes import (
@@ -148,33 +162,36 @@ def population(
         Path,
         typer.Argument(
             metavar="TABLE.csv|FOLDER",
-            help="Resonances (columns reed, series, mode, hz), or a folder of run files.",
+            help="CSV table of resonances (columns reed, series, mode, hz), or a folder of run files.",
         ),
     ],
     out: Annotated[
-        Path | None, typer.Option(help="Components of every reed; beside SOURCE if not given.")
+        Path | None,
+        typer.Option(
+            help="CSV table to write, with the parameters of every reed (default: next to SOURCE)."
+        ),
     ] = None,
     kind: Annotated[
         str | None,
         typer.Option(
-            help="Of a table: reed file, or a shipped reed's name; clarinet if not given. "
-            "Run files say it themselves."
+            help="Kind of reed of a table: reed file, or the name of a shipped reed (default: "
+            "clarinet). Run files contain it."
         ),
     ] = None,
     model: ModelOption = "fem",
     method: Annotated[
         str | None,
         typer.Option(
-            help="Of a folder: how resonances are found, joint (if not given) or picture."
+            help="How to find resonances in a folder of run files: joint (default) or picture."
         ),
     ] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Fit the cane of many reeds: components with errors for each, and their spread.
+    """Fit the material parameters of many reeds, each with its error.
 
-    Of a folder's runs the resonances are found first, which takes some seconds a run, and what
-    stays at the same frequency from reed to reed is told: lines of the air, not the reeds'.
+    For a folder of run files the resonances are found first, in some seconds for each run. A peak
+    that stays at one frequency in all reeds is reported as an acoustic resonance of the air.
     """
     from fitting.cane.fit_runs import method_name, model_name
     from fitting.errors import FitInputError

@@ -31,37 +31,41 @@ if TYPE_CHECKING:
 
 def run(
     protocol: Annotated[
-        str, typer.Argument(help="Protocol or campaign: a file, or a shipped one's name.")
+        str, typer.Argument(help="Protocol or campaign: a file, or the name of a shipped one.")
     ],
     bench: BenchOption = "simulated",
-    reed: Annotated[str, typer.Option(help="Name that tells this reed from others.")] = "unnamed",
-    strength: Annotated[float | None, typer.Option(help="Nominal strength, such as 3.5.")] = None,
-    series: Annotated[str | None, typer.Option(help="Series, if not the protocol's own.")] = None,
-    note: Annotated[str, typer.Option(help="Anything worth remembering.")] = "",
-    operator: Annotated[str, typer.Option(help="Who is at the bench.")] = "",
+    reed: Annotated[
+        str, typer.Option(help="Name of this reed, unique in your laboratory.")
+    ] = "unnamed",
+    strength: Annotated[
+        float | None, typer.Option(help="Nominal strength of the reed, such as 3.5.")
+    ] = None,
+    series: Annotated[
+        str | None, typer.Option(help="Series, if it differs from the one in the protocol.")
+    ] = None,
+    note: Annotated[str, typer.Option(help="Free text, stored in the run file.")] = "",
+    operator: Annotated[str, typer.Option(help="Name of the person at the bench.")] = "",
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Run file, measurements/TIME_SERIES_REED.h5 if not given; or a campaign's folder, "
-            "measurements/TIME_campaign_REED."
+            help="Run file to write (default: measurements/TIME_SERIES_REED.h5). For a campaign, the "
+            "folder to write (default: measurements/TIME_campaign_REED)."
         ),
     ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, help="Of all that is random on a simulated bench.")
+        int, typer.Option(min=0, help="Seed of the random numbers of a simulated bench.")
     ] = 0,
     resume: Annotated[
         Path | None,
         typer.Option(
-            metavar="RUN|FOLDER", help="Go on with this unfinished run, or campaign's folder."
+            metavar="RUN|FOLDER", help="Continue this unfinished run, or this folder of a campaign."
         ),
     ] = None,
-    fit: Annotated[
-        bool, typer.Option(help="Fit the reed and draw the pictures at the end.")
-    ] = True,
+    fit: Annotated[bool, typer.Option(help="Fit the reed and write the report at the end.")] = True,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Measure a sweep; then fit the reed and draw the pictures. Or measure a whole campaign."""
+    """Measure a sweep, fit the reed and write a report. With a campaign file, measure all its parts."""
     from acquire.cli.display import (
         run_summary,
         sweep_progress,
@@ -232,14 +236,16 @@ def _require_keepable(reed: str, labels: "RunLabels") -> None:
     from runs.errors import RunFileError
 
     if labels.strength is not None and not 0 < labels.strength < math.inf:
-        raise RunFileError(f"--strength: {labels.strength} is no strength; write one such as 3.5")
+        raise RunFileError(
+            f"--strength: {labels.strength} is not a strength; write one such as 3.5"
+        )
     if not reed.strip():
         raise RunFileError("--reed: is blank; write a name that tells this reed from others")
     for option, text in (("reed", reed), ("note", labels.note), ("operator", labels.operator)):
         try:
             text.encode("utf-8")
         except UnicodeEncodeError:
-            raise RunFileError(f"--{option}: is no text in UTF-8; write it anew") from None
+            raise RunFileError(f"--{option}: is not UTF-8 text; type it again") from None
         if "\0" in text:
             raise RunFileError(f"--{option}: holds a null character; leave it out")
 

@@ -21,7 +21,7 @@ def list_runs(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """List the runs of a folder: which reed, which series, how they ended."""
+    """List the run files of a folder with reed, series and status."""
     from acquire.cli.display import catalogue_entry, runs_table
     from runs.errors import RunFileError
     from runs.reader import Run
@@ -43,11 +43,11 @@ def list_runs(
 
 
 def show_run(
-    run_file: Annotated[Path, typer.Argument(metavar="RUN", help="A run file.")],
+    run_file: Annotated[Path, typer.Argument(metavar="RUN", help="Run file.")],
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Show what a run file says: who, what, with what, which steps are bad, where it has seams."""
+    """Show the contents of a run file: labels, instruments, bad steps and interruptions."""
     from acquire.cli.display import details_table, run_details
     from runs.reader import Run
 
@@ -61,14 +61,14 @@ def show_run(
 
 def pack_runs(
     run_files: Annotated[
-        list[Path], typer.Argument(metavar="RUN …", help="Complete runs that kept frames.")
+        list[Path], typer.Argument(metavar="RUN …", help="Run files of complete runs with frames.")
     ],
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Compress the frames of complete runs without loss, and read the result back.
+    """Compress the frames of complete runs without loss, and verify the result.
 
-    `acquire run` does this at the end of a run. Use it for runs where that was interrupted.
+    `acquire run` does this at the end. Use this command if that was interrupted.
     """
     from acquire.cli.display import (
         packing_line,
@@ -99,20 +99,24 @@ def pack_runs(
 
 
 def pause_run(
-    run_file: Annotated[Path, typer.Argument(metavar="RUN", help="File of a run in work.")],
+    run_file: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Run file of a running measurement.")
+    ],
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Let a run in work switch all off after its step, and wait."""
+    """Pause a running measurement after the current step and switch all outputs off."""
     _order(run_file, "pause", as_json)
 
 
 def continue_run(
-    run_file: Annotated[Path, typer.Argument(metavar="RUN", help="File of a paused run.")],
+    run_file: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Run file of a paused measurement.")
+    ],
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Let a paused run go on."""
+    """Continue a paused measurement."""
     _order(run_file, "continue", as_json)
 
 
@@ -123,4 +127,4 @@ def _order(run_file: Path, what: "Order", as_json: bool) -> None:
     if as_json:
         show_json({"run": str(run_file), "order": what, "process": process})
     else:
-        show_message(f"{run_file}: process {process} was told to {what}")
+        show_message(f"{run_file}: sent {what!r} to process {process}")

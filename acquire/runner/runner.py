@@ -35,7 +35,7 @@ __all__ = [
 
 # From step to step of a sweep volts grow by less than this factor; beyond, they are ramped.
 _JUMP: Final = 1.25
-_ASKED: Final = "somebody asked for it"
+_ASKED: Final = "stopped on request"
 # Where to look first when step after step has the same verdict.
 _CABLES: Final[Mapping[Verdict, str]] = {
     Verdict.NO_SIGNAL: (
@@ -362,14 +362,14 @@ class Runner:
         began = now()
         self._enter(RunState.PAUSED)
         self._require_off("to pause")
-        self._announce(f"paused, all is off; go on with: acquire continue {self._path}")
+        self._announce(f"paused, all outputs are off; continue with: acquire continue {self._path}")
         self.orders.wait()
         if self.orders.stopped:
             return
         self._open_instruments()
         self._enter(RunState.STEPPING)
-        recorder.add_seam(Seam(position, "paused", began, now(), "somebody asked for a pause"))
-        self._announce("goes on")
+        recorder.add_seam(Seam(position, "paused", began, now(), "a pause was requested"))
+        self._announce("continuing")
 
     def _recover(self, recorder: Recorder, position: int, error: InstrumentError) -> None:
         """Switch all off and on again after an instrument failed.

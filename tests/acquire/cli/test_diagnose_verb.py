@@ -29,14 +29,14 @@ def test_one_sweep_becomes_a_page_and_a_next_campaign(cli, measured, folder):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "name runs or a table of resonances"),
+        ([], "--published"),
         (["nothing.h5"], "nothing.h5"),
         (["--published", "--next", "next.yaml"], "--next"),
         (["--published", "--bench", "nothing.yaml"], "--bench"),
         (["run.h5", "--out", "nowhere/page.html"], "there is no folder nowhere"),
         (["run.h5", "--next", "nowhere/next.yaml"], "with --next"),
         (["."], "holds no run files"),
-        (["a.csv", "b.h5"], "three kinds of data"),
+        (["a.csv", "b.h5"], "--published exclude"),
         (["a.csv", "b.csv"], "2 tables of resonances"),
     ],
 )

@@ -101,7 +101,7 @@ def test_a_plan_shows_every_step_and_touches_no_instrument(cli, folder, no_instr
     assert (said.status, said.err) == (0, "")
     assert "184 steps" in said.out
     assert re.search(r"\d+ min \d\d s at the camera's pace, \d+ MB", said.out)
-    assert "no limit is violated" in said.out
+    assert "limit exceeded" not in said.out
     assert listing(folder) == {}
 
 
@@ -471,7 +471,7 @@ def test_a_plan_beyond_the_limits_is_shown_with_what_is_wrong(
     path = protocol_file(**changes)
     said = cli("plan", path)
     assert said.status == 2
-    assert f"violation: {key}: " in said.out
+    assert f"limit exceeded: {key}: " in said.out
     answer = cli("plan", path, "--json")
     assert answer.status == 2
     assert key in [violation["key"] for violation in answer.json["violations"]]

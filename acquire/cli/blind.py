@@ -45,7 +45,7 @@ def make(
         int,
         typer.Option(
             help="0: no effect; 1: one effect; 2: one that resembles another; 3: two effects; "
-            "4: one that the catalogue does not have; 6: each effect in turn, with other known effects."
+            "4: one that the catalogue does not have; 6: each effect in turn, with known ones."
         ),
     ],
     count: Annotated[int, typer.Option(min=1, help="Number of cases.")],

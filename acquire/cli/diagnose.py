@@ -51,7 +51,7 @@ def diagnose(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Find where measurement and simulation differ, the likeliest cause, and how much it explains.
+    """Find where measurement and simulation differ, the likeliest cause, and its share.
 
     Give it all runs of a campaign (dark, flat, local oscillator alone, order 0 at rest, and sweeps
     up, down, at low amplitude, shuffled and after a new clamping). With fewer runs the answer is
@@ -63,7 +63,7 @@ def diagnose(
     if published or tables:
         if len(runs or ()) != len(tables) or (published and tables):
             raise FitInputError(
-                "run files, a table of resonances and --published exclude each other; give one of them"
+                "run files, a table of resonances and --published exclude each other; give one"
             )
         if len(tables) > 1:
             raise FitInputError(f"{len(tables)} tables of resonances were given; give one")

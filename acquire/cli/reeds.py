@@ -162,7 +162,7 @@ def population(
         Path,
         typer.Argument(
             metavar="TABLE.csv|FOLDER",
-            help="CSV table of resonances (columns reed, series, mode, hz), or a folder of run files.",
+            help="CSV table of resonances (columns reed, series, mode, hz), or run files.",
         ),
     ],
     out: Annotated[

@@ -48,8 +48,8 @@ def run(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Run file to write (default: measurements/TIME_SERIES_REED.h5). For a campaign, the "
-            "folder to write (default: measurements/TIME_campaign_REED)."
+            help="Run file to write (default: measurements/TIME_SERIES_REED.h5), or for a campaign "
+            "the folder to write (default: measurements/TIME_campaign_REED)."
         ),
     ] = None,
     seed: Annotated[
@@ -57,15 +57,13 @@ def run(
     ] = 0,
     resume: Annotated[
         Path | None,
-        typer.Option(
-            metavar="RUN|FOLDER", help="Continue this unfinished run, or this folder of a campaign."
-        ),
+        typer.Option(metavar="RUN|FOLDER", help="Continue this unfinished run or campaign."),
     ] = None,
     fit: Annotated[bool, typer.Option(help="Fit the reed and write the report at the end.")] = True,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Measure a sweep, fit the reed and write a report. With a campaign file, measure all its parts."""
+    """Measure a sweep, fit the reed and write a report; or measure all parts of a campaign."""
     from acquire.cli.display import (
         run_summary,
         sweep_progress,

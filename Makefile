@@ -43,12 +43,12 @@ bench: .stamps/bench
 	$(PYTHON) -m venv $(VENV)
 	@mkdir -p .stamps && touch $@
 
-.stamps/run: .stamps/venv pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+.stamps/run: .stamps/venv pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable .
 	@touch $@
 
-.stamps/test: .stamps/venv pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+.stamps/test: .stamps/venv pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
 	@touch $@
 
 .stamps/bench: .stamps/venv pyproject.toml

@@ -238,7 +238,7 @@ def closure(frames: npt.ArrayLike, steps: PhaseSteps | None = None) -> float:
     residual = _combine(2 * left[:, 3] / steps.powers, frames)
     fringes = _rms(unequal_steps(frames, steps))
     if not fringes > 1e-6 * _rms(frames[0]):  # the rounding of float32
-        raise ValueError("closure: the frames are all alike; check light, shutter and LO")
+        raise ValueError("closure: all frames are equal; check light, shutter and LO")
     return _rms(residual) / fringes
 
 

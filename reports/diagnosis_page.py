@@ -92,7 +92,7 @@ def _headline(verdict: Verdict) -> str:
 def _where(where: Map) -> str:
     tap = where.first_failing
     if tap is None:
-        return "No tap differs by more than chance makes of so many cells."
+        return "No observable differs by more than chance."
     worst = where.taps[tap]
     at = f"{worst.block}, {worst.label}" if worst.label != worst.block else worst.block
     gap = f"{worst.gap:.1f} times its floor"
@@ -303,5 +303,5 @@ def _reach(verdict: Verdict) -> str:
         )
         absorbed = "" if math.isnan(entry.absorbed) else f"{entry.absorbed:.0%}"
         rows.append((effect.title, least, absorbed, ", ".join(_title(o) for o in entry.alike)))
-    headings = "effect", "least size to be seen", "taken up by what is free", "not told from"
+    headings = "effect", "least size to be seen", "absorbed by nuisance parameters", "not told from"
     return _table(headings, rows, (2,))

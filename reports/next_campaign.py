@@ -102,7 +102,7 @@ def write_next(
     """
     best = next((worth for worth in worths if worth.action.parts), None)
     if best is None:
-        raise FitInputError("no two causes are to be told apart, so there is nothing to measure")
+        raise FitInputError("no two causes have to be separated, so there is nothing to measure")
     campaign, sweep = next_outputs(path)
     require_writable([campaign, sweep])
     Protocol.from_text(_marked(protocol_text), str(sweep.path))

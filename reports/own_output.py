@@ -116,7 +116,7 @@ class Output:
     def elsewhere(self) -> str:
         """What a person can do if nothing can be written there."""
         if self.option is None:
-            return "make room for it there"
+            return "free space there"
         return f"choose another place with {self.option}"
 
 

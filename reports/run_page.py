@@ -247,7 +247,7 @@ def _sweep(sweep: SweepFit, run: Run, fit: ReedFit) -> str:
         )
         for name, found in sweep.resonances.items()
     ]
-    more = ("loss factor", "liveliest at (Hz)", "participation", "MAC") if jointly else ()
+    more = ("loss factor", "peak response at (Hz)", "participation", "MAC") if jointly else ()
     head = (
         *("mode", "frequency (Hz)", "± cents", *more),
         *("picture", "phase amplitude (rad)", "residual (cents)"),

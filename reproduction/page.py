@@ -100,7 +100,7 @@ def document(comparison: Comparison) -> str:
 
 def counts_table(comparison: Comparison) -> Table:
     """Numbers of rows by group and verdict, for the command line."""
-    table = Table(title="The paper's numbers beside ours")
+    table = Table(title="The paper's numbers compared with ours")
     table.add_column("group")
     for verdict in Verdict:
         table.add_column(str(verdict), justify="right")

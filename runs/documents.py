@@ -321,7 +321,7 @@ def _line(name: str, document: Any) -> bytes:
 
 
 def _cannot_write(path: Path, error: OSError) -> DiskError:
-    return DiskError(f"{path}: cannot be written ({short_reason(error)}); make room on the disk")
+    return DiskError(f"{path}: cannot be written ({short_reason(error)}); free space on the disk")
 
 
 def _documents(path: Path) -> list[tuple[str, Any]]:

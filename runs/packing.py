@@ -83,7 +83,7 @@ def pack(path: str | Path, progress: Callable[[float], None] | None = None) -> P
         size_bytes = path.stat().st_size
         if run.status != "complete":
             raise RunFileError(
-                f"{path}: is {run.status} and cannot be packed; go on with it first (acquire run "
+                f"{path}: is {run.status} and cannot be packed; continue it first (acquire run "
                 "… --resume)"
             )
         if run.keep != "frames":

@@ -478,7 +478,7 @@ def _failure(path: Path, error: Exception, status: str) -> RunFileError:
     if isinstance(error, _DamagedStepError):
         instead = "measure again"
         if status not in ("complete", ""):
-            instead = "go on with the run (acquire run … --resume), which takes the step again"
+            instead = "continue the run (acquire run … --resume), which measures the step again"
         return RunFileError(
             f"{path}: the numbers of {error} are damaged: they do not have the checksum that was "
             f"written with them; use another copy of the file, or {instead}"

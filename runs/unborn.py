@@ -34,5 +34,5 @@ def require_readable(path: Path, unborn: Path) -> None:
 def cannot_make(path: Path, error: Exception) -> RunFileError:
     """Return the error that says why a run file cannot be made."""
     return error_class(error)(
-        f"{path}: cannot be made ({short_reason(error)}); check folder, rights and room on the disk"
+        f"{path}: cannot be made ({short_reason(error)}); check folder, permissions and disk space"
     )

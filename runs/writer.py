@@ -190,7 +190,7 @@ class RunWriter:
                 writer = cls(path, disk, plan.protocol.keep)
             except _UNREADABLE as error:
                 raise error_class(error)(
-                    f"{path}: cannot be gone on with ({short_reason(error)}); see whether another "
+                    f"{path}: cannot be continued ({short_reason(error)}); see whether another "
                     "program has it open"
                 ) from error
             undo.callback(writer.close)
@@ -247,8 +247,8 @@ class RunWriter:
         free = np.flatnonzero(self._retakes["position"][()] == FREE)
         if not free.size:
             raise RunFileError(
-                f"{self.path}: has no room for another take of step {position + 1}; measure the "
-                "sweep again"
+                f"{self.path}: has no space to measure step {position + 1} again; measure "
+                "a new sweep"
             )
         place = int(free[0])
         with self._disk_errors(f"step {position + 1} cannot be set aside"):
@@ -338,7 +338,7 @@ class RunWriter:
             yield
         except _DISK_ERRORS as error:
             raise DiskError(
-                f"{self.path}: {what} ({short_reason(error)}); make room on the disk, or replace "
+                f"{self.path}: {what} ({short_reason(error)}); free space on the disk, or replace "
                 "it; the steps before are safe"
             ) from error
 
@@ -422,7 +422,7 @@ class RunWriter:
         if free_bytes < step_bytes + _RESERVE_BYTES:
             raise DiskError(
                 f"{self.path}: its disk has {free_bytes / 1e6:.1f} MB left, too little for another "
-                "step; make room on the disk; the steps before are safe"
+                "step; free space on the disk; the steps before are safe"
             )
 
     def _stacked(self, frames: Sequence[Frame]) -> npt.NDArray[np.uint16]:

@@ -212,7 +212,7 @@ def _run_campaign(
     lines.append(
         f"next          acquire diagnose {folder}"
         if done
-        else f"go on with    acquire run {name} --bench {bench} --resume {folder}"
+        else f"continue with acquire run {name} --bench {bench} --resume {folder}"
     )
     finish(answer, as_json, lines)
     if not done:

@@ -109,6 +109,6 @@ def order(run_path: Path, what: Order) -> int:
         raise RunFileError(f"{run_path}: process {holder.pid} has just ended") from None
     except PermissionError:
         raise RunFileError(
-            f"{run_path}: process {holder.pid} belongs to somebody else; ask them to {what} it"
+            f"{run_path}: process {holder.pid} belongs to another user; ask them to {what} it"
         ) from None
     return holder.pid

@@ -203,7 +203,7 @@ def judge_settings(
         return None
     return Judgement(
         Verdict.SETTINGS,
-        f"the generator plays {wrong}; it may limit itself, or somebody uses its front panel",
+        f"the generator plays {wrong}; it may limit itself, or its front panel is in use",
     )
 
 

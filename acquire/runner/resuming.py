@@ -68,5 +68,5 @@ def require_same(run: Run, plan: Plan) -> None:
         if then != today:
             raise RunFileError(
                 f"{run.path}: was begun with another {what} ({then[:12]} then, {today[:12]} now); "
-                "go on with the one that the run file holds, or measure a new run"
+                "continue with the one in the run file, or measure a new run"
             )

@@ -46,7 +46,7 @@ def require_writable(plan: Plan, path: Path) -> None:
     if free < needed:
         raise RunFileError(
             f"{path}: the run needs {needed / 1e6:.0f} MB, but its disk has {free / 1e6:.0f} MB "
-            "left; make room or choose another folder"
+            "left; free space on the disk or choose another folder"
         )
 
 

@@ -309,7 +309,7 @@ class Runner:
         listed = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
         return (
             f"{limit} steps one after another are bad ({listed}); look at "
-            f"{_CABLES[counts.most_common(1)[0][0]]}; then go on with --resume"
+            f"{_CABLES[counts.most_common(1)[0][0]]}; then continue with --resume"
         )
 
     def _bad_step(self, recorder: Recorder, position: int) -> str:

@@ -173,7 +173,7 @@ def run_campaign(
     folder, said = Path(folder), labels or RunLabels()
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise RunFileError(
-            f"{folder}: exists already; choose another place with --out, or go on with --resume"
+            f"{folder}: exists already; choose another --out, or continue it with --resume"
         )
     make_folder(parts[0].path)
     begun = Begun(reed, replace(said, campaign=folder.name), seed)

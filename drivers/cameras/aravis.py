@@ -234,7 +234,7 @@ class AravisLink:
             if self._lost.is_set():
                 raise InstrumentError(
                     f"camera ({self.camera}): is gone, or another program has taken it, while it "
-                    "was asked for frames; check its cable and power, and open the bench anew"
+                    "was asked for frames; check its cable and power, and open the bench again"
                 )
             return None
         try:

@@ -243,7 +243,7 @@ class PylonLink:
         if self.device.IsCameraDeviceRemoved():
             raise InstrumentError(
                 f"camera ({self.camera}): is gone while it was asked for frames; check its cable "
-                "and power, and open the bench anew"
+                "and power, and open the bench again"
             )
 
 

@@ -271,7 +271,7 @@ class GenicamCamera:
         if image.shape != shape:
             raise InstrumentError(
                 f"camera ({self.link.camera}): sent {image.shape[1]} x {image.shape[0]} pixels, "
-                f"but was set to {shape[1]} x {shape[0]}; configure it anew"
+                f"but was set to {shape[1]} x {shape[0]}; configure it again"
             )
         most = 2**self._entry.bits - 1
         if image.max() > most:

@@ -171,8 +171,8 @@ class KeysightGenerator(TweeterGenerator):
             said_v = Decimal(self._ask(f"SOUR1:VOLT:LIM:{name}?", matching(_NUMBER))[1])
             if abs(said_v - volts) > _ROUNDING_V:
                 raise InstrumentError(
-                    f"{self._name}: was told to limit its socket to {volts:f} V, but says "
-                    f"{said_v:g} V; look whether somebody uses its front panel"
+                    f"{self._name}: was set to limit its output to {volts:f} V, but says "
+                    f"{said_v:g} V; check that its front panel is not in use"
                 )
         self._tell("SOUR1:VOLT:LIM:STAT ON")
 
@@ -180,7 +180,7 @@ class KeysightGenerator(TweeterGenerator):
         self._tell(f"ROSC:SOUR {_REFERENCES[reference]}")
         if self._ask("ROSC:SOUR?", matching("(INT|EXT)"))[1] != _REFERENCES[reference]:
             raise InstrumentError(
-                f"{self._name}: was told to use its {reference} reference and does not; check the "
+                f"{self._name}: was set to use its {reference} reference and does not; check the "
                 f"10 MHz at its rear, or correct {_SECTION}.reference"
             )
 

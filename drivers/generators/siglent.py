@@ -170,7 +170,7 @@ class SiglentGenerator(TweeterGenerator):
         self._tell("C2:OUTP OFF")
         if self._output("C2")[0] != "OFF":
             raise InstrumentError(
-                f"{self._name}: channel 2 was told to switch off, but says that it is on; pull the "
+                f"{self._name}: channel 2 was switched off, but reports that it is on; pull the "
                 "camera's cable"
             )
         self._plays_pulses = False
@@ -204,7 +204,7 @@ class SiglentGenerator(TweeterGenerator):
         source = self._ask("ROSC?", matching("ROSC (INT|EXT)(?:,.*)?"))[1]
         if source != _REFERENCES[reference]:
             raise InstrumentError(
-                f"{self._name}: was told to use its {reference} reference and does not; check the "
+                f"{self._name}: was set to use its {reference} reference and does not; check the "
                 f"10 MHz at its rear, or correct {_SECTION}.reference"
             )
 
@@ -253,7 +253,7 @@ class SiglentGenerator(TweeterGenerator):
             and agrees(width_s, Fraction(wave.get("WIDTH", "0")), 6)
         ):
             raise InstrumentError(
-                f"{self._name}: channel 2 was told to play pulses of {width_s} s and {high_v} V at "
+                f"{self._name}: channel 2 was set to pulses of {width_s} s and {high_v} V at "
                 f"{float(frame_rate_hz):.10g} Hz, but says {wave}; correct "
                 f"{_SECTION}.camera_trigger"
             )

@@ -383,7 +383,7 @@ class TweeterGenerator(ABC):
             and agrees(amplitude_vpp, played.amplitude_vpp, can_play.amplitude_digits)
         ):
             raise InstrumentError(
-                f"{self._name}: was told to play {float(frequency_hz):.11g} Hz at "
+                f"{self._name}: was set to play {float(frequency_hz):.11g} Hz at "
                 f"{amplitude_vpp:f} Vpp, but says {float(played.frequency_hz):.11g} Hz at "
                 f"{played.amplitude_vpp:g} Vpp; it may have missed that or limit itself, or "
                 "its front panel is in use"

@@ -33,7 +33,7 @@ _REFUSED: Final = (
     "interface is on, and that no other program is connected to it"
 )
 _REMEDIES: Final = {
-    "TCPIP": "check that it is on, the network cable, its address, and that nobody else uses it",
+    "TCPIP": "check power, network cable and address, and that no other program uses it",
     "USB": "check that it is on, the USB cable, the numbers in the resource's name, and that this "
     "user may use it (a udev rule)",
     "ASRL": "check that it is on, the cable, the name of the port, and the baud rate",

@@ -107,12 +107,12 @@ def fit_components(
     Raises
     ------
     FitError
-        Without series A (e2 and e4 act alike on series B), or with fewer resonances than
+        Without series A (e2 and e4 have the same effect on series B), or with fewer resonances than
         components.
     """
     if Series.A not in resonances:
         raise FitError(
-            "components need a run of series A: in series B alone e2 and e4 act alike; "
+            "components need a run of series A: in series B alone e2 and e4 have the same effect; "
             "give the reed's series A run too"
         )
     free = COMPONENTS if Series.B in resonances else COMPONENTS[:3]

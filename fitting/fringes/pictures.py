@@ -97,7 +97,7 @@ def good_steps(run: Run) -> list[StepRecord]:
     if run.sideband_order != 1:
         raise FitError(
             f"{run.path}: its pictures are of sideband {run.sideband_order}, and fits need the "
-            "first; measure with sideband.order 1, and the others beside it in sideband.orders"
+            "first; measure with sideband.order 1, and list the others in sideband.orders"
         )
     of_order = [step for step in run.steps if step.order == run.sideband_order]
     good = sorted((s for s in of_order if s.verdict == "ok"), key=lambda step: step.drive_hz)

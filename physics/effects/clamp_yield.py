@@ -33,6 +33,6 @@ EFFECT = Effect(
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
     neighbours=("stiffening", "transverse_shear"),
-    action="clamp the reed anew, harder",
+    action="clamp the reed again, harder",
     reference="paper, section III: strips hold the reed fast",
 )

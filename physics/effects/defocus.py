@@ -26,6 +26,6 @@ EFFECT = Effect(
     moves=frozenset({Tap.FIELD}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
     neighbours=(),
-    action="focus anew on the edges of the reed",
+    action="focus again on the edges of the reed",
     reference="holography by Fresnel transform",
 )

@@ -24,6 +24,6 @@ EFFECT = Effect(
     moves=frozenset({Tap.SENSOR, Tap.FIELD}),
     keeps=frozenset({Tap.LOG, Tap.MODES}),
     neighbours=("coherence_step",),
-    action="a photodiode beside the bench",
+    action="a photodiode next to the bench",
     reference="data sheets of diode lasers",
 )

@@ -41,6 +41,6 @@ EFFECT = Effect(
     moves=frozenset({Tap.DRIVE, Tap.RESPONSE}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD}),
     neighbours=("hardening",),
-    action="sweep at another drive level, a microphone beside",
+    action="sweep at another drive level, a microphone next to it",
     reference="paper, section II.B: amplitudes ramped to 16 V",
 )

@@ -259,7 +259,7 @@ def test_pulses_that_are_not_confirmed_are_said(stands, place):
 
 def test_pulses_that_are_clamped_are_said(stands):
     stand = stands("siglent", most_vpp=4.0)
-    with pytest.raises(InstrumentError, match=r"channel 2 was told to play pulses of 0.001 s and"):
+    with pytest.raises(InstrumentError, match=r"channel 2 was set to pulses of 0.001 s and"):
         stand.open(PULSES).play_pulses(Fraction(12))
     assert not stand.device.trigger[2]
 

@@ -298,7 +298,7 @@ def test_a_ramp_to_0_v_that_does_not_get_there_is_an_error(stands, maker):
     generator = stand.open()
     generator.set_sine(DRIVE_HZ, 8.0)
     stand.wire.spoil(WireFaults(lose_command_at=(20,)))
-    with pytest.raises(InstrumentError, match=r"was told to play .* but says"):
+    with pytest.raises(InstrumentError, match=r"was set to play .* but says"):
         generator.ramp_to(0.0, 0.1)
 
 

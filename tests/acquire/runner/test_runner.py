@@ -313,7 +313,7 @@ def test_a_missing_folder_or_a_full_disk_is_found_before(
         run(tiny_plan(), fake.opened(), tmp_path / "nowhere" / "run.h5")
     usage = type("Usage", (), {"free": 100})
     monkeypatch.setattr("acquire.runner.run_folder.shutil.disk_usage", lambda folder: usage)
-    with pytest.raises(RunFileError, match="has 0 MB left; make room"):
+    with pytest.raises(RunFileError, match="has 0 MB left; free space"):
         run(tiny_plan(), fake.opened(), tmp_path / "run.h5")
     assert fake.log == []
 

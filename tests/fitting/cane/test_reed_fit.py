@@ -284,7 +284,7 @@ def test_errors_of_moduli_are_the_spread_of_noisy_fits():
 
 def test_series_b_alone_is_refused_with_the_reason():
     found = resonances(Components(), PAPER, (Series.B,))
-    with pytest.raises(FitError, match=r"series A.*e2 and e4 act alike"):
+    with pytest.raises(FitError, match=r"series A.*e2 and e4 have the same effect"):
         fit_components(found, PAPER)
 
 

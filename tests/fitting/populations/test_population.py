@@ -479,7 +479,7 @@ def test_too_few_resonances_fit_nothing(exact, series, count):
 
 def test_what_the_resonances_do_not_tell_apart_is_not_known(reeds, exact):
     observed = exact[:2].copy()
-    # Series A knows nothing of drying; in series B alone e2 and e4 act alike.
+    # Series A knows nothing of drying; in series B alone e2 and e4 have the same effect.
     observed[0, 1], observed[1, 0] = np.nan, np.nan
     fit = fit_population(observed, 1.0, FORMULA)
     assert np.isnan(fit.components).tolist() == [[False] * 3 + [True], [False, True, False, True]]

@@ -447,7 +447,7 @@ def test_without_a_spare_place_nothing_is_set_aside(retaking, create):
         writer.set_aside(0)
     writer.write(0, measured(plan, 0, Verdict.DROPPED, take=7))
     assert writer.spare == 0
-    with pytest.raises(RunFileError, match="no room for another take of step 1; measure the sweep"):
+    with pytest.raises(RunFileError, match="no space to measure step 1 again"):
         writer.set_aside(0)
     writer.finish("complete")
     with Run.open(writer.path) as run:

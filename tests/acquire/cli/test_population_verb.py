@@ -87,7 +87,7 @@ def test_lines_of_the_air_are_told_of_a_folder(cli, folder, monkeypatch, measure
     def write(source, table, announce, method):
         asked.append(method)
         shutil.copy("reeds.csv", table)
-        return Measured(ReedFile.from_file(), 5, (Line(4285.0, 8.5, 4),))
+        return Measured(ReedFile.from_file(), (), 5, (Line(4285.0, 8.5, 4),))
 
     monkeypatch.setattr("reports.population_tables.write_resonances", write)
     columns = "reed,series,mode,hz,error_cents,run"

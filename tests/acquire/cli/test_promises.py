@@ -30,7 +30,7 @@ VERBS = (
     *("plan", "run", "pause", "continue", "list", "show", "fit", "report", "diagnose"),
     *("population", "modes", "paper", "effects", "pack"),
 )
-ROOT = Path(script.__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 
 
 def listing(folder):

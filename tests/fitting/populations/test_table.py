@@ -17,7 +17,7 @@ from fitting.modal.acoustic_resonances import Line
 from fitting.paper.constants import adjusted_metamodel
 from fitting.populations.population import fit_population
 from fitting.populations.resonance_table import GRID_ERROR_CENTS, read_resonances
-from fitting.populations.table import Measured, PopulationSummary, fit_table, metamodel_of
+from fitting.populations.table import PopulationSummary, fit_table, metamodel_of
 from fitting.statistics.synthetic import draw_components, observe
 from physics.reed.names import PAPER_MODES
 from protocols.reed import ReedFile
@@ -215,7 +215,8 @@ def test_a_folder_of_runs_becomes_a_table(sweep_a, fitted_a, tmp_path):
     said = []
     measured = write_resonances(sweep_a.parent, tmp_path / "table.csv", said.append, "picture")
     # Pictures tell of no lines.
-    assert measured == Measured(ReedFile.from_file(), 1, None)
+    assert (measured.kind, measured.reeds, measured.lines) == (ReedFile.from_file(), 1, None)
+    assert [path.name for _, path in measured.sweeps] == [sweep_a.name]
     assert measured.to_json() is None
     with (tmp_path / "table.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))

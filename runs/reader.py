@@ -454,9 +454,10 @@ def _opened(path: Path) -> Any:
             if "locking" not in str(error):
                 raise
             return h5py.File(path, "r")
-    except FileNotFoundError:
-        raise _absent(path) from None
     except OSError as error:
+        # Removed after it was looked for, by whatever call of HDF5 that came first.
+        if not path.exists():
+            raise _absent(path) from None
         raise error_class(error)(
             f"{path}: is no HDF5 file, or cannot be read ({short_reason(error)}); name a run file"
         ) from error

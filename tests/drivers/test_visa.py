@@ -376,7 +376,7 @@ def test_a_pulled_plug_is_an_error_that_says_what_to_check(kind):
             line.ask("SAY? 1")
         message = str(caught.value)
         assert message.startswith(f"{DEVICE} at ")
-        assert "; check that it is on" in message
+        assert "; check " in message
         assert "\n" not in message
         started_s = time.monotonic()
         line.close()

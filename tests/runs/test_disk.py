@@ -254,7 +254,9 @@ def test_documents_that_a_disk_refuses_hold_whole_lines(log, path, monkeypatch):
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) + 50, limit[1]))
     try:
-        with pytest.raises(DiskError, match=r"cannot be written .*too large.*room") as refused:
+        with pytest.raises(
+            DiskError, match=r"cannot be written .*too large.*free space"
+        ) as refused:
             log.finish("failed", "why")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limit)

@@ -59,7 +59,7 @@ def test_a_disk_that_fills_up_ends_in_a_safe_stop_and_a_readable_file(tmp_path, 
     ending = "complete" if phase == "packing" else "stopped"
     assert (outcome.ending, outcome.wrong, outcome.off) == (ending, 0, True)
     if phase == "amid":
-        assert "make room on the disk" in outcome.reason
+        assert "free space on the disk" in outcome.reason
 
 
 def test_a_computers_clock_that_is_set_back_changes_nothing_but_time_stamps(tmp_path):

@@ -100,7 +100,7 @@ def test_a_plan_shows_every_step_and_touches_no_instrument(cli, folder, no_instr
     said = cli("plan", "seriesA")
     assert (said.status, said.err) == (0, "")
     assert "184 steps" in said.out
-    assert re.search(r"\d+ min \d\d s at the camera's pace, \d+ MB", said.out)
+    assert re.search(r"\d+ min \d\d s at the frame rate of the camera, \d+ MB", said.out)
     assert "limit exceeded" not in said.out
     assert listing(folder) == {}
 

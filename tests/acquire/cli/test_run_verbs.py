@@ -206,7 +206,7 @@ def test_bad_steps_and_retakes_are_shown(cli, folder, protocol_file, bench_file)
     assert (shown["verdicts"], shown["bad"]) == ({"ok": 9}, [])
     (retake,) = shown["retakes"]
     assert (retake["index"], retake["verdict"]) == (18, "dropped")
-    assert "taken again" in cli("show", "x.h5").out
+    assert "measured again" in cli("show", "x.h5").out
 
 
 # --- Outputs that cannot be confirmed off ------------------------------------------------------

@@ -214,7 +214,7 @@ def test_a_flipped_byte_in_a_packed_run_is_noticed(path):
 def test_a_run_that_is_not_complete_is_not_packed(path):
     with h5py.File(path, "r+") as file:
         file["entry/status"][()] = "interrupted"
-    with pytest.raises(RunFileError, match="is interrupted and cannot be packed; .*--resume"):
+    with pytest.raises(RunFileError, match=r"is interrupted and cannot be packed; .*--resume"):
         pack(path)
 
 

@@ -192,7 +192,7 @@ def test_only_a_simulated_camera_has_simulated_surroundings() -> None:
 def test_a_campaign_is_never_written_over(tmp_path) -> None:
     (tmp_path / "there").mkdir()
     (tmp_path / "there" / "notes.txt").write_text("precious")
-    with pytest.raises(Exception, match="exists already; choose another place with --out"):
+    with pytest.raises(Exception, match="exists already; choose another --out"):
         run_campaign(described("  - name: up\n"), tmp_path / "there", SMALL)
 
 

@@ -126,7 +126,10 @@ def _answer(
     # A display that was at work may hold the locks of its own.
     with open(os.dup(2), "w", encoding="utf-8") as said:
         sys.stdout = sys.stderr = said
-        there.send_bytes(_packed(_done(work, item)))
+        answer = _packed(_done(work, item))
+        # Once it has the answer, the parent may end this process.
+        said.flush()
+        there.send_bytes(answer)
 
 
 def _end_with_parent() -> None:

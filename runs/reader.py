@@ -448,12 +448,13 @@ def _opened(path: Path) -> Any:
     """
     try:
         try:
-            return h5py.File(path, "r", locking=False)
+            file = h5py.File(path, "r", locking=False)
         except OSError as error:
             # This process has it open already, with a lock: HDF5 has one way of locking for both.
             if "locking" not in str(error):
                 raise
             return h5py.File(path, "r")
+        return _shareable(path, file)
     except OSError as error:
         # Removed after it was looked for, by whatever call of HDF5 that came first.
         if not path.exists():
@@ -461,6 +462,22 @@ def _opened(path: Path) -> Any:
         raise error_class(error)(
             f"{path}: is no HDF5 file, or cannot be read ({short_reason(error)}); name a run file"
         ) from error
+
+
+def _shareable(path: Path, file: Any) -> Any:
+    """Open a complete run as other programs of this process do by default: with a shared lock.
+
+    HDF5 opens a file twice in one process only with the same way of locking. Nothing writes to a
+    complete run any more, so the lock keeps no run from being continued.
+    """
+    if _status(file) != "complete":
+        return file
+    file.close()
+    try:
+        return h5py.File(path, "r")
+    except OSError:
+        # A file system that knows no locks, or somebody opened it without one just now.
+        return h5py.File(path, "r", locking=False)
 
 
 def _absent(path: Path) -> RunFileError:

@@ -918,3 +918,14 @@ def test_after_sigkill_every_finished_step_is_whole(processes, tmp_path):
                 assert (run.retaken_field(place) == field).all(), f"seed {seed}"
     # The kills fell into the run, not before or after it.
     assert len({count for count in finished_steps if 0 < count < steps}) > 5, finished_steps
+
+
+def test_a_complete_run_may_be_opened_by_h5py_at_the_same_time(plan, create):
+    writer = create()
+    for position in range(len(plan.steps)):
+        writer.write(position, measured(plan, position))
+    writer.finish("complete")
+    with Run.open(writer.path) as run, h5py.File(writer.path, "r") as file:
+        assert file["entry/status"].asstr()[()] == run.status == "complete"
+    with h5py.File(writer.path, "r", locking=False), Run.open(writer.path) as run:
+        assert run.status == "complete"

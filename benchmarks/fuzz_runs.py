@@ -64,7 +64,9 @@ _SUPERBLOCK = 96
 
 
 # What no checksum covers, because it changes after it was written (docs/run-file.md, Checksums).
-_NOT_COVERED = re.compile(r"entry/(status|end_time|seams/.*|(steps|retakes)/(verdict|sentence))")
+_NOT_COVERED = re.compile(
+    r"entry/(status|end_time|interruptions/.*|(steps|retakes)/(verdict|sentence))"
+)
 _PICTURES = ("field", "frames")
 
 
@@ -643,7 +645,7 @@ _ABSURD_ITEMS: dict[str, tuple[Any, ...]] = {
     "entry/steps/order": (2**40, -(2**40)),
     "entry/steps/volts": (np.nan, -1.0, np.inf),
     "entry/retakes/position": (5, 99, 2**62),
-    "entry/seams/position": (-5, 2**62),
+    "entry/interruptions/position": (-5, 2**62),
     "entry/instrument/acoustic_lines": (np.nan, -1.0, np.inf),
     "entry/data/y_m": (np.nan, np.inf),
     "entry/data/x_m": (np.nan, np.inf),

@@ -183,7 +183,7 @@ def _require_shapes(check: Check, layout: Mapping[str, Part]) -> None:
         "entry/steps/verdict": 1,
         "entry/instrument/acoustic_lines": 1,
         "entry/retakes/position": 1,
-        "entry/seams/position": 1,
+        "entry/interruptions/position": 1,
     }
     for name, axes in {**dict.fromkeys(scalars, 0), **rows}.items():
         if name in layout:
@@ -209,7 +209,7 @@ def _lengths(check: Check, layout: Mapping[str, Part]) -> dict[str, int]:
         "lines": check.shape("entry/instrument/acoustic_lines")[0],
     }
     check.require(1 <= lengths["steps"] <= MAX_STEPS, "entry/steps", f"has {lengths['steps']} rows")
-    for axis in ("retakes", "seams"):
+    for axis in ("retakes", "interruptions"):
         if f"entry/{axis}/position" in layout:
             lengths[axis] = check.shape(f"entry/{axis}/position")[0]
     sizes = {"rows": "instrument/camera", "columns": "instrument/camera"}

@@ -109,7 +109,7 @@ def require_columns(check: Check) -> None:
     _require_range(check, "entry/instrument/acoustic_lines", 0, _MOST_HZ)
     # A place is free, or of a step; one that is being filled has −2 less its step.
     _require_range(check, "entry/retakes/position", -1 - steps, steps - 1)
-    _require_range(check, "entry/seams/position", -1, MAX_STEPS)
+    _require_range(check, "entry/interruptions/position", -1, MAX_STEPS)
     strength = check.values("entry/sample/strength")
     check.require(not math.isinf(strength), "entry/sample/strength", "is infinite")
     # Steps with a verdict have checksums; of the others a killed process may have left half, but

@@ -32,11 +32,11 @@ from runs.layout import (
     FORMAT,
     FORMAT_VERSION,
     FREE,
+    INTERRUPTIONS,
+    INTERRUPTIONS_MAX,
     MEASURED,
     PLANNED_HZ,
     READ_BACK_HZ,
-    SEAMS,
-    SEAMS_MAX,
     SENTENCE_BYTES,
     Kind,
     RunLabels,
@@ -74,7 +74,7 @@ def fill(file: Any, new: NewRun, *, allocate: bool) -> None:
     _write_instruments(file["entry"], new.plan, new.bench)
     _write_steps(file["entry"], new.plan)
     _write_retakes(file["entry"], new.plan, allocate=allocate)
-    _write_seams(file["entry"])
+    _write_interruptions(file["entry"])
     _write_data(file["entry"], new.plan, new.reconstruction, allocate=allocate)
     written: dict[str, Any] = {}
     file.visititems(lambda name, node: _take_header(written, name, node))
@@ -227,11 +227,11 @@ def _write_retakes(entry: Any, plan: Plan, *, allocate: bool) -> None:
         _allocate_signal(retakes, name, dtype, (count, *shape), allocate=allocate)
 
 
-def _write_seams(entry: Any) -> None:
-    seams = _group(entry, "seams", "NXcollection")
-    _allocate(seams, "position", (SEAMS_MAX,), np.int64, -1)
-    for name in SEAMS[1:]:
-        _allocate(seams, name, (SEAMS_MAX,), _text(SENTENCE_BYTES), "")
+def _write_interruptions(entry: Any) -> None:
+    interruptions = _group(entry, "interruptions", "NXcollection")
+    _allocate(interruptions, "position", (INTERRUPTIONS_MAX,), np.int64, -1)
+    for name in INTERRUPTIONS[1:]:
+        _allocate(interruptions, name, (INTERRUPTIONS_MAX,), _text(SENTENCE_BYTES), "")
 
 
 def _allocate_taken(group: Any, count: int, plan: Plan) -> None:

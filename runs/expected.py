@@ -9,10 +9,10 @@ from runs.checksums import (
 )
 from runs.layout import (
     EXPOSURE,
+    INTERRUPTIONS,
     MEASURED,
     PLANNED_HZ,
     READ_BACK_HZ,
-    SEAMS,
 )
 
 # Frames of a step: the four phases of a hologram.
@@ -104,19 +104,19 @@ GROUPS: Final[dict[str, dict[str, Part]]] = {
     "entry/region": _scalars(Kind.INTEGER, "row", "column", "height", "width"),
     "entry/steps": _steps(),
     "entry/retakes": {"position": Part(Kind.INTEGER, ("retakes",))} | _taken("retakes"),
-    "entry/seams": {"position": Part(Kind.INTEGER, ("seams",))}
-    | {name: Part(Kind.TEXT, ("seams",)) for name in SEAMS[1:]},
+    "entry/interruptions": {"position": Part(Kind.INTEGER, ("interruptions",))}
+    | {name: Part(Kind.TEXT, ("interruptions",)) for name in INTERRUPTIONS[1:]},
     "entry/data": {
         "y_m": Part(Kind.NUMBER, ("height",)),
         "x_m": Part(Kind.NUMBER, ("width",)),
     },
 }
 
-OPTIONAL_GROUPS: Final = frozenset({"entry/acquisition", "entry/retakes", "entry/seams"})
+OPTIONAL_GROUPS: Final = frozenset({"entry/acquisition", "entry/retakes", "entry/interruptions"})
 
 # What writers write both of, or neither.
 TOGETHER: Final = (
-    ("entry/retakes/position", "entry/seams/position"),
+    ("entry/retakes/position", "entry/interruptions/position"),
     ("entry/provenance/reed", "entry/provenance/reed_sha256"),
     ("entry/steps/lock_error_hz", "entry/steps/lock_error_se_hz"),
 )

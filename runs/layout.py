@@ -39,9 +39,9 @@ MEASURED: Final = {
 }
 # Column that only runs have whose steps are not all exposed alike.
 EXPOSURE: Final = "exposure_s"
-# Columns of `/entry/seams`, and how many of them there may be.
-SEAMS: Final = ("position", "kind", "began", "ended", "reason")
-SEAMS_MAX: Final = 64
+# Columns of `/entry/interruptions`, and how many of them there may be.
+INTERRUPTIONS: Final = ("position", "kind", "began", "ended", "reason")
+INTERRUPTIONS_MAX: Final = 64
 # Positions of `/entry/retakes` that hold no take. A step that is being set aside has UNDER_WAY less
 # its position, so that another process can finish what this one was killed in.
 FREE: Final = -1
@@ -54,11 +54,11 @@ TO_BE_TAKEN_AGAIN: Final = "to be taken again"
 _LONGEST_REASON = 120
 
 
-SeamKind = Literal["resumed", "paused", "recovered"]
+InterruptionKind = Literal["resumed", "paused", "recovered"]
 
 
 @dataclass(frozen=True)
-class Seam:
+class Interruption:
     """A place where a run was not carried on at once.
 
     Attributes
@@ -73,7 +73,7 @@ class Seam:
     """
 
     position: int
-    kind: SeamKind
+    kind: InterruptionKind
     began: str
     ended: str
     reason: str

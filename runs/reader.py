@@ -41,7 +41,7 @@ from runs.records import (
     StepRecord,
     read_acquisition,
     read_columns,
-    read_seams,
+    read_interruptions,
     read_text,
     settled_columns,
     step_records,
@@ -71,7 +71,7 @@ class Run:
     retakes : tuple of StepRecord
         Takes before the last one, in the order in which they were taken again. Their `position` is
         that of their step; what they look like, `retaken_field` tells by their place here.
-    seams : tuple of Seam
+    interruptions : tuple of Interruption
         Where the run was not carried on at once.
     acquisition : Acquisition
         What it is of.
@@ -125,7 +125,9 @@ class Run:
         self._read_geometry(entry)
         self.format_version = int(file.attrs["format_version"])
         self._read_steps(entry, damaged_as_pending=damaged_as_pending)
-        self.seams = tuple(read_seams(entry["seams"])) if "seams" in entry else ()
+        self.interruptions = (
+            tuple(read_interruptions(entry["interruptions"])) if "interruptions" in entry else ()
+        )
         self.acquisition = read_acquisition(entry["acquisition"])
 
     @classmethod

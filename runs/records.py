@@ -13,14 +13,14 @@ from runs.checksums import (
 )
 from runs.layout import (
     EXPOSURE,
+    INTERRUPTIONS,
     MEASURED,
     PLANNED_HZ,
     READ_BACK_HZ,
-    SEAMS,
     TO_BE_TAKEN_AGAIN,
     Acquisition,
+    Interruption,
     Kind,
-    Seam,
     verdict_of,
 )
 from runs.verdict import Verdict
@@ -175,14 +175,14 @@ def taken_fields(
         }
 
 
-def read_seams(group: Any) -> Iterator[Seam]:
+def read_interruptions(group: Any) -> Iterator[Interruption]:
     """Yield the interruptions of a run."""
     # First, because it is written last.
     positions = group["position"][()]
-    texts = [group[name].asstr()[()] for name in SEAMS[1:]]
+    texts = [group[name].asstr()[()] for name in INTERRUPTIONS[1:]]
     for position, kind, *others in zip(positions, *texts, strict=True):
         if position >= 0:
-            yield Seam(int(position), kind, *others)
+            yield Interruption(int(position), kind, *others)
 
 
 def _fraction(text: str) -> Fraction | None:

@@ -44,14 +44,14 @@ from runs.disk import (
 from runs.errors import DiskError, RunFileError
 from runs.layout import (
     FREE,
+    INTERRUPTIONS,
     MEASURED,
     READ_BACK_HZ,
-    SEAMS,
     SENTENCE_BYTES,
     TO_BE_TAKEN_AGAIN,
     UNDER_WAY,
+    Interruption,
     RunLabels,
-    Seam,
     Status,
     exact_text,
     short_reason,
@@ -206,7 +206,7 @@ class RunWriter:
         """How many takes may still be set aside."""
         return int(np.count_nonzero(self._retakes["position"][()] == FREE))
 
-    def reopen(self, seam: Seam) -> None:
+    def reopen(self, interruption: Interruption) -> None:
         """Note that the run goes on, and where.
 
         Raises
@@ -215,24 +215,24 @@ class RunWriter:
         """
         with self._disk_errors("cannot be written"):
             self._set_status("running")
-        self.add_seam(seam)
+        self.add_interruption(interruption)
 
-    def add_seam(self, seam: Seam) -> None:
+    def add_interruption(self, interruption: Interruption) -> None:
         """Note where the run was not carried on at once; those beyond the last place are lost.
 
         Raises
         ------
         DiskError
         """
-        seams = self._file["entry/seams"]
-        free = np.flatnonzero(seams["position"][()] < 0)
+        interruptions = self._file["entry/interruptions"]
+        free = np.flatnonzero(interruptions["position"][()] < 0)
         if not free.size:
             return
         with self._disk_errors("cannot be written"):
-            for name in SEAMS[1:]:
-                seams[name][free[0]] = _cut(str(getattr(seam, name)))
+            for name in INTERRUPTIONS[1:]:
+                interruptions[name][free[0]] = _cut(str(getattr(interruption, name)))
             self._flush()
-            seams["position"][free[0]] = seam.position
+            interruptions["position"][free[0]] = interruption.position
             self._flush()
 
     def set_aside(self, position: int) -> None:

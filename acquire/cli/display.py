@@ -257,7 +257,7 @@ def run_details(run: Run) -> dict[str, object]:
         },
         "retakes": [_taken(step) for step in run.retakes],
         "bad": [_taken(step) for step in run.steps if step.verdict is not Verdict.OK],
-        "seams": [asdict(seam) for seam in run.seams],
+        "interruptions": [asdict(interruption) for interruption in run.interruptions],
     }
 
 
@@ -293,8 +293,9 @@ def details_table(details: Mapping[str, Any]) -> Table:
     for key, word in (("retakes", "measured again"), ("bad", "not good")):
         for step in details[key]:
             row(word, f"step {step['index']}: {step['verdict']}: {step['sentence']}")
-    for seam in details["seams"]:
-        row("seam", f"{seam['kind']} at step place {seam['position'] + 1}: {seam['reason']}")
+    for each in details["interruptions"]:
+        where = f"{each['kind']} at measurement {each['position'] + 1}"
+        row("interruption", f"{where}: {each['reason']}")
     return table
 
 

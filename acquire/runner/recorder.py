@@ -31,8 +31,8 @@ from runs.documents import (
     recorded_data,
 )
 from runs.layout import (
+    Interruption,
     RunLabels,
-    Seam,
     Status,
 )
 from runs.measured_step import MeasuredStep
@@ -232,9 +232,9 @@ class Recorder:
         """Note that a step was given up (interrupted) or is done without (skipped)."""
         self._waiting.append(self._thread.submit(self._mark, position, verdict, reason))
 
-    def add_seam(self, seam: Seam) -> None:
+    def add_interruption(self, interruption: Interruption) -> None:
         """Note where the run was not carried on at once."""
-        self._waiting.append(self._thread.submit(self._writer.add_seam, seam))
+        self._waiting.append(self._thread.submit(self._writer.add_interruption, interruption))
 
     def settle(self, waiting: int = 0) -> None:
         """Wait until at most `waiting` steps are still in work.
@@ -304,7 +304,7 @@ class Recorder:
         damaged = [str(steps[position].index) for position in self._writer.damaged]
         if damaged:
             reason += f"; damaged on the disk and taken again: step {', '.join(damaged)}"
-        self._writer.reopen(Seam(first, "resumed", ended, now(), reason))
+        self._writer.reopen(Interruption(first, "resumed", ended, now(), reason))
 
     def _record(self, acquisition: Acquisition) -> None:
         step, position = acquisition.step, acquisition.position

@@ -18,7 +18,7 @@ from drivers.roles import Bench
 from drivers.safe_off import RAMP_S, safe_off
 from protocols.plan import Plan
 from protocols.step import Step
-from runs.layout import RunLabels, Seam
+from runs.layout import Interruption, RunLabels
 from runs.verdict import ReadBack, Verdict
 from runs.writer import now
 
@@ -368,7 +368,9 @@ class Runner:
             return
         self._open_instruments()
         self._enter(RunState.STEPPING)
-        recorder.add_seam(Seam(position, "paused", began, now(), "a pause was requested"))
+        recorder.add_interruption(
+            Interruption(position, "paused", began, now(), "a pause was requested")
+        )
         self._announce("continuing")
 
     def _recover(self, recorder: Recorder, position: int, error: InstrumentError) -> None:
@@ -387,7 +389,7 @@ class Runner:
             recorder.mark(position, Verdict.INTERRUPTED, str(error))
             error.add_note(str(second))
             raise error from second
-        recorder.add_seam(Seam(position, "recovered", began, now(), str(error)))
+        recorder.add_interruption(Interruption(position, "recovered", began, now(), str(error)))
         self._announce(f"all was switched off and on again, because {error}")
 
     def _require_off(self, why: str) -> None:

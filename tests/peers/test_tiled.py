@@ -162,7 +162,7 @@ def test_a_run_that_is_gone_on_with_reads_back_as_one(
     found = read_back(tiled, documents)
     assert found.metadata["stop"]["exit_status"] == "success"
     with Run.open(path) as run:
-        assert len(run.seams) == 1
+        assert len(run.interruptions) == 1
         require_same(found["primary"].read(), run.steps)
         np.testing.assert_array_equal(
             found["steps"]["field"].read(), [run.field(step.position) for step in run]

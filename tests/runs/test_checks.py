@@ -229,7 +229,7 @@ def test_a_column_of_a_later_version_does_no_harm(run_file):
     Run.open(run_file).close()
 
 
-@pytest.mark.parametrize("lost", ["entry/retakes", "entry/seams", "entry/provenance/reed"])
+@pytest.mark.parametrize("lost", ["entry/retakes", "entry/interruptions", "entry/provenance/reed"])
 def test_what_is_written_together_is_there_together(run_file, lost):
     def delete(file):
         del file[lost]
@@ -281,7 +281,7 @@ def test_hdf5_is_not_left_to_search_a_heap_of_zeros_for_ever(run_file):
         ("entry/steps/drive_hz", 1.0),
         ("entry/retakes/position", STEPS),
         ("entry/retakes/position", -2 - STEPS),
-        ("entry/seams/position", 2**62),
+        ("entry/interruptions/position", 2**62),
         ("entry/data/y_m", np.nan),
         ("entry/instrument/acoustic_lines", -1.0),
         ("entry/steps/asked_hz_exact", ""),

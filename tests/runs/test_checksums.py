@@ -19,7 +19,7 @@ from runs.checksums import (
     whole_rows,
 )
 from runs.errors import RunFileError
-from runs.layout import Seam
+from runs.layout import Interruption
 from runs.reader import (
     MeasuredStep,
     Run,
@@ -213,7 +213,7 @@ def test_a_damaged_step_is_taken_again_when_its_run_is_gone_on_with(measured, da
             Run.open(path)
     writer = RunWriter.resume(path, plan)
     assert writer.damaged == (2,)
-    writer.reopen(Seam(2, "resumed", "", "", ""))
+    writer.reopen(Interruption(2, "resumed", "", "", ""))
     with Run.open(path) as run:
         assert [step.verdict for step in run] == ["ok", "ok", "pending"]
         assert "damaged" in run.steps[2].sentence
@@ -278,8 +278,8 @@ def test_a_run_with_a_torn_step_is_gone_on_with_and_says_so(
     with Run.open(path) as mended:
         assert mended.good.all()
         mended.field(1)
-        (seam,) = mended.seams
-        assert "damaged" in seam.reason
-        assert "step 14" in seam.reason
+        (interruption,) = mended.interruptions
+        assert "damaged" in interruption.reason
+        assert "step 14" in interruption.reason
     takes = [d["data"] for name, d in documents_of(path) if name == "event"]
     assert [(take["index"], take["take"]) for take in takes] == [(12, 1), (14, 1), (16, 1), (14, 2)]

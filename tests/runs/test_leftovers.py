@@ -207,7 +207,7 @@ def test_of_two_processes_that_go_on_with_a_run_at_once_one_does(
     assert "is being measured by process" in other or "is complete; measure a new run" in other
     with Run.open(path) as whole:
         assert whole.good.all()
-        assert len(whole.seams) == 1
+        assert len(whole.interruptions) == 1
         for step in whole:
             whole.field(step.position)
     events = [name for name, _ in documents_of(path) if name in ("event", "stop")]

@@ -24,8 +24,8 @@ from protocols.reed import ReedFile
 from runs.disk import DiskFile
 from runs.errors import DiskError, RunFileError
 from runs.layout import (
-    SEAMS_MAX,
-    Seam,
+    INTERRUPTIONS_MAX,
+    Interruption,
     exact_text,
 )
 from runs.reader import (
@@ -495,28 +495,35 @@ def test_a_step_that_was_done_without_says_why(create):
             run.field(2)
 
 
-# --- Seams, and going on -----------------------------------------------------------------------
+# --- Interruptions, and going on
+# -----------------------------------------------------------------------
 
 
-def test_seams_are_kept_in_order(create):
-    one = Seam(2, "paused", "2026-01-01T10:00:00+00:00", "2026-01-01T10:05:00+00:00", "tea – or so")
-    two = Seam(3, "recovered", "2026-01-01T11:00:00+00:00", "2026-01-01T11:00:01+00:00", "é" * 300)
+def test_interruptions_are_kept_in_order(create):
+    one = Interruption(
+        2, "paused", "2026-01-01T10:00:00+00:00", "2026-01-01T10:05:00+00:00", "tea – or so"
+    )
+    two = Interruption(
+        3, "recovered", "2026-01-01T11:00:00+00:00", "2026-01-01T11:00:01+00:00", "é" * 300
+    )
     writer = create()
-    writer.add_seam(one)
-    writer.add_seam(two)
+    writer.add_interruption(one)
+    writer.add_interruption(two)
     writer.finish("complete")
     with Run.open(writer.path) as run:
-        assert run.seams == (one, replace(two, reason="é" * 120))
+        assert run.interruptions == (one, replace(two, reason="é" * 120))
 
 
-def test_seams_beyond_the_last_place_are_lost_and_nothing_else(plan, create):
+def test_interruptions_beyond_the_last_place_are_lost_and_nothing_else(plan, create):
     writer = create()
-    for number in range(SEAMS_MAX + 3):
-        writer.add_seam(Seam(number, "paused", "", "", ""))
+    for number in range(INTERRUPTIONS_MAX + 3):
+        writer.add_interruption(Interruption(number, "paused", "", "", ""))
     writer.write(0, measured(plan, 0))
     writer.finish("complete")
     with Run.open(writer.path) as run:
-        assert [seam.position for seam in run.seams] == list(range(SEAMS_MAX))
+        assert [interruption.position for interruption in run.interruptions] == list(
+            range(INTERRUPTIONS_MAX)
+        )
         assert run.good[0]
 
 
@@ -526,13 +533,15 @@ def test_a_file_is_gone_on_with_where_it_stopped(retaking, create):
     writer.write(0, measured(plan, 0))
     writer.write(1, measured(plan, 1, Verdict.LOCK))
     writer.finish("interrupted")
-    seam = Seam(2, "resumed", "2026-01-01T10:00:00+00:00", "2026-01-02T10:00:00+00:00", "was ended")
+    interruption = Interruption(
+        2, "resumed", "2026-01-01T10:00:00+00:00", "2026-01-02T10:00:00+00:00", "was ended"
+    )
     writer = RunWriter.resume(writer.path, plan)
     with Run.open(writer.path) as run:
         assert run.status == "interrupted", "until it really goes on"
-    writer.reopen(seam)
+    writer.reopen(interruption)
     with Run.open(writer.path) as run:
-        assert (run.status, run.end_time, run.seams) == ("running", "", (seam,))
+        assert (run.status, run.end_time, run.interruptions) == ("running", "", (interruption,))
     writer.set_aside(1)
     for position in (1, 2, 3):
         writer.write(position, measured(plan, position))

@@ -64,7 +64,7 @@ def test_a_run_is_paused_and_goes_on(cli, begin, folder):
     assert process.returncode == 0, err
     assert json.loads(out)["verdicts"] == {"ok": 9}
     with Run.open(path) as run:
-        assert [seam.kind for seam in run.seams] == ["paused"]
+        assert [interruption.kind for interruption in run.interruptions] == ["paused"]
     assert "acquire continue x.h5" in err
     assert not (folder / "x.process").exists()
 
@@ -147,9 +147,9 @@ def test_a_run_that_was_killed_is_gone_on_with(cli, begin, folder, protocol_file
     assert (said.json["run"], said.json["verdicts"]) == (str(path), {"ok": 9})
     shown = cli("show", path, "--json").json
     assert (shown["reed"], shown["status"], shown["verdicts"]) == ("R9", "complete", {"ok": 9})
-    (seam,) = shown["seams"]
-    assert (seam["kind"], seam["reason"]) == ("resumed", "the process was gone")
-    assert 3 <= seam["position"] < 9
+    (interruption,) = shown["interruptions"]
+    assert (interruption["kind"], interruption["reason"]) == ("resumed", "the process was gone")
+    assert 3 <= interruption["position"] < 9
     again = cli("run", *same)
     assert (again.status, again.out) == (2, "")
     assert "is complete; measure a new run" in again.err
@@ -331,7 +331,7 @@ def test_a_campaign_that_was_killed_is_gone_on_with(
     assert [run.acquisition.clamping for run in runs] == [0, 0, 1, 1]
     assert {(run.reed, run.seed, run.labels.note) for run in runs} == {("R9", 3, "a note")}
     assert {run.acquisition.campaign for run in runs} == {"c"}
-    assert [seam.kind for seam in runs[2].seams] == ["resumed"]
+    assert [interruption.kind for interruption in runs[2].interruptions] == ["resumed"]
     # The reed was not clamped a second time: its speckle is the same before and after.
     fields = [run.field(0).ravel() for run in runs]
     same = [abs(np.vdot(fields[2], field)) / np.linalg.norm(fields[2]) / np.linalg.norm(field)

@@ -42,7 +42,9 @@ def test_a_pause_that_is_asked_for_while_the_bench_is_opened_is_obeyed(
     proceed.join()
     assert summary.status is RunState.COMPLETE
     with Run.open(path) as measured:
-        assert [(seam.kind, seam.position) for seam in measured.seams] == [("paused", 0)]
+        assert [
+            (interruption.kind, interruption.position) for interruption in measured.interruptions
+        ] == [("paused", 0)]
 
 
 def test_an_order_that_comes_too_late_is_lost_and_ends_nobody(path):

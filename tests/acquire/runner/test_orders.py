@@ -84,7 +84,7 @@ def test_a_signal_pauses_a_run_and_another_goes_on(tiny_plan, fake_bench, lit, p
     assert run(plan, fake.opened(), path, announce=said).status is RunState.COMPLETE
     assert paused[0][1], "all is off while the run is paused"
     with Run.open(path) as measured:
-        assert [seam.kind for seam in measured.seams] == ["paused"]
+        assert [interruption.kind for interruption in measured.interruptions] == ["paused"]
 
 
 def test_two_signals_give_up_the_step_in_work(tiny_plan, fake_bench, path):

@@ -154,9 +154,9 @@ def test_wherever_a_run_is_killed_it_is_gone_on_with(
             kept = [(take.position, take.verdict) for take in measured.retakes]
             assert kept == [(1, Verdict.DROPPED)] * len(kept)
             assert bad <= len(kept) == summary.retaken <= 1
-            (seam,) = measured.seams
-            assert (seam.kind, seam.reason) == ("resumed", "the process was gone")
-            assert seam.began == ""
+            (interruption,) = measured.interruptions
+            assert (interruption.kind, interruption.reason) == ("resumed", "the process was gone")
+            assert interruption.began == ""
         assert_one_stream(documents_of(path), path)
         # Told before the kill or after it, it is the same that is told.
         firsts = [told for told in events_of(documents_of(path)) if told["take"] == 1]
@@ -254,7 +254,7 @@ def test_after_any_number_of_kills_a_run_is_what_it_would_have_been(
             assert measured.good.all()
             assert measured.retakes == ()
             assert (measured.reed, measured.seed, measured.labels) == ("R07", 5, LABELS)
-            assert {seam.kind for seam in measured.seams} <= {"resumed"}
+            assert {interruption.kind for interruption in measured.interruptions} <= {"resumed"}
         assert_one_stream(documents_of(path), path)
     # The kills fell everywhere into the runs.
     assert len(set(kills)) > 3, kills
@@ -297,10 +297,14 @@ def test_an_interrupted_run_goes_on_at_its_first_missing_step(
     assert_kept(before, path)
     with Run.open(path) as measured:
         assert measured.labels == labels
-        (seam,) = measured.seams
-        assert (seam.position, seam.kind, seam.began) == (2, "resumed", ended)
-        assert seam.reason == "the run had been ended"
-        assert seam.began <= seam.ended <= measured.end_time
+        (interruption,) = measured.interruptions
+        assert (interruption.position, interruption.kind, interruption.began) == (
+            2,
+            "resumed",
+            ended,
+        )
+        assert interruption.reason == "the run had been ended"
+        assert interruption.began <= interruption.ended <= measured.end_time
     assert_one_stream(documents_of(path), path)
     assert documents_of(path)[-1][1]["exit_status"] == "success"
 
@@ -336,8 +340,10 @@ def test_steps_that_were_done_without_are_taken_when_a_run_goes_on(
     assert [fake.names().count("grab") for fake in fakes] == [4, 3, 1]
     with Run.open(path) as measured:
         assert measured.good.all()
-        seams = [(seam.position, seam.kind) for seam in measured.seams]
-        assert seams == [(1, "recovered"), (1, "resumed"), (4, "resumed")]
+        interruptions = [
+            (interruption.position, interruption.kind) for interruption in measured.interruptions
+        ]
+        assert interruptions == [(1, "recovered"), (1, "resumed"), (4, "resumed")]
     assert_one_stream(documents_of(path), path)
 
 

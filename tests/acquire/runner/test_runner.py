@@ -280,7 +280,7 @@ def test_an_output_that_tripped_comes_back_where_the_protocol_says_so(
     fake.before = trip
     assert run(plan, fake.opened(), path).counts == {Verdict.OK: 3}
     with Run.open(path) as measured:
-        assert [seam.kind for seam in measured.seams] == ["recovered"]
+        assert [interruption.kind for interruption in measured.interruptions] == ["recovered"]
 
 
 # --- Nothing is touched before all is checked --------------------------------------------------
@@ -617,9 +617,9 @@ def test_while_a_run_is_paused_all_is_off(tiny_plan, fake_bench, lit, path):
     assert left_safe(fake)
     with Run.open(path) as measured:
         assert measured.good.all()
-        (seam,) = measured.seams
-        assert (seam.position, seam.kind) == (2, "paused")
-        assert measured.start_time <= seam.began <= seam.ended <= measured.end_time
+        (interruption,) = measured.interruptions
+        assert (interruption.position, interruption.kind) == (2, "paused")
+        assert measured.start_time <= interruption.began <= interruption.ended <= measured.end_time
         # Frames are numbered from the camera's start.
         assert measured.steps[2].frame_ids[0] < measured.steps[1].frame_ids[0] + 4
 
@@ -633,9 +633,8 @@ def test_a_run_may_be_paused_again_and_before_its_first_step(tiny_plan, fake_ben
     assert runner.execute().status is RunState.COMPLETE
     attendant.join()
     with Run.open(path) as measured:
-        assert [(seam.position, seam.kind) for seam in measured.seams] == [
-            (0, "paused"), (2, "paused")
-        ]  # fmt: skip
+        found = [(each.position, each.kind) for each in measured.interruptions]
+        assert found == [(0, "paused"), (2, "paused")]
         assert all(step.verdict.measured for step in measured)
 
 
@@ -652,7 +651,7 @@ def test_a_stop_ends_a_pause_and_the_run(tiny_plan, fake_bench, path):
     with Run.open(path) as measured:
         assert measured.status == "interrupted"
         assert [step.verdict.measured for step in measured] == [True, True, False, False]
-        assert measured.seams == ()
+        assert measured.interruptions == ()
 
 
 def test_who_goes_on_before_the_pause_has_begun_never_paused(tiny_plan, fake_bench, path):
@@ -668,7 +667,7 @@ def test_who_goes_on_before_the_pause_has_begun_never_paused(tiny_plan, fake_ben
     assert runner.execute().status is RunState.COMPLETE
     assert fake.names().count("start") == 1
     with Run.open(path) as measured:
-        assert measured.seams == ()
+        assert measured.interruptions == ()
 
 
 def test_a_run_that_is_to_end_does_not_pause_before(tiny_plan, fake_bench, path):
@@ -746,9 +745,9 @@ def test_after_a_failure_all_is_switched_off_and_on_and_the_step_taken_again(
     with Run.open(path) as measured:
         assert measured.status == "complete"
         assert measured.retakes == ()
-        (seam,) = measured.seams
-        assert (seam.position, seam.kind) == (2, "recovered")
-        assert seam.reason == f"fake: {order} fails; mend it"
+        (interruption,) = measured.interruptions
+        assert (interruption.position, interruption.kind) == (2, "recovered")
+        assert interruption.reason == f"fake: {order} fails; mend it"
 
 
 def test_a_step_at_which_an_instrument_keeps_failing_is_done_without(
@@ -762,7 +761,9 @@ def test_a_step_at_which_an_instrument_keeps_failing_is_done_without(
     with Run.open(path) as measured:
         assert [step.verdict for step in measured] == ["ok", "skipped", "ok", "ok"]
         assert measured.steps[1].sentence == "fake: grab fails; mend it"
-        assert [(seam.position, seam.kind) for seam in measured.seams] == [(1, "recovered")] * 2
+        assert [
+            (interruption.position, interruption.kind) for interruption in measured.interruptions
+        ] == [(1, "recovered")] * 2
     events = [document["data"] for name, document in documents_of(path) if name == "event"]
     assert [event["index"] for event in events] == [12, 16, 18]
 
@@ -779,7 +780,9 @@ def test_a_run_ends_at_an_instrument_that_keeps_failing_if_it_is_to(
     with Run.open(path) as measured:
         assert measured.status == "failed"
         assert [step.verdict for step in measured][2:] == ["interrupted", "pending"]
-        assert [seam.kind for seam in measured.seams] == ["recovered"] * retry
+        assert [interruption.kind for interruption in measured.interruptions] == [
+            "recovered"
+        ] * retry
 
 
 @pytest.mark.parametrize("then", ["skip", "stop"])
@@ -1036,10 +1039,10 @@ def test_real_signals_pause_a_real_process_and_go_on_with_it(processes, path):
     child.join(20)
     assert child.exitcode == 0
     with Run.open(path) as measured:
-        (seam,) = measured.seams
-        assert (seam.kind, measured.status) == ("paused", "interrupted")
+        (interruption,) = measured.interruptions
+        assert (interruption.kind, measured.status) == ("paused", "interrupted")
         whole = [step.verdict.measured for step in measured]
-        assert 3 <= seam.position < sum(whole)
+        assert 3 <= interruption.position < sum(whole)
         assert whole == sorted(whole, reverse=True)
         assert all(measured.good[: sum(whole)])
 

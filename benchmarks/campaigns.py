@@ -9,7 +9,7 @@ from blind.cases import Label, record_case
 from diagnosis.campaign import Campaign
 from diagnosis.known_bench import bench_of
 from diagnosis.observing import Readings, read
-from physics.mechanics import Workshop
+from physics.mechanics import ReedSolver
 from physics.reed.cache import anatomy
 from runs.reader import Run
 
@@ -29,11 +29,11 @@ def campaigns(named: Sequence[Path], count: int = 1) -> Iterator[list[Path]]:
         yield [Path(place) / str(seed) for seed in SEEDS[:count]]
 
 
-def readings_of(folder: Path) -> tuple[Readings, Workshop]:
+def readings_of(folder: Path) -> tuple[Readings, ReedSolver]:
     """Read all run files of a folder, and make what their reed needs."""
     with contextlib.ExitStack() as opened:
         files = sorted(folder.glob("*.h5"))
         campaign = Campaign.of([opened.enter_context(Run.open(file)) for file in files])
         first = campaign.sweeps[0].run
-        workshop = Workshop(anatomy(first.reed_file().geometry()))
-        return read(campaign, bench_of(first)), workshop
+        reed_solver = ReedSolver(anatomy(first.reed_file().geometry()))
+        return read(campaign, bench_of(first)), reed_solver

@@ -49,8 +49,8 @@ _TRIES = 50
 @lru_cache(maxsize=1)
 def campaign_of(folder: Path) -> tuple[Comparison, str]:
     """Numbers of a campaign beside the twin, and the condition to leave out."""
-    readings, workshop = readings_of(folder)
-    return compared(readings, workshop, Twin()), condition_of(readings)
+    readings, reed_solver = readings_of(folder)
+    return compared(readings, reed_solver, Twin()), condition_of(readings)
 
 
 def with_effects(twin: Twin, label: Label, rng: np.random.Generator) -> Twin:

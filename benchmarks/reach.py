@@ -31,15 +31,15 @@ from diagnosis.screening import signatures_of
 from diagnosis.verdict import compared
 from physics.effects.catalogue import BY_ID, CATALOGUE
 from physics.effects.form import Stage
-from physics.mechanics import Workshop
+from physics.mechanics import ReedSolver
 from physics.twin import Twin
 
 EFFECTS = tuple(effect for effect in CATALOGUE if effect.stage is not Stage.NUMERICS)
 
 
-def reach_in(readings: Readings, workshop: Workshop) -> tuple[Reach, ...]:
+def reach_in(readings: Readings, reed_solver: ReedSolver) -> tuple[Reach, ...]:
     """Reach of one campaign."""
-    comparison = compared(readings, workshop, Twin())
+    comparison = compared(readings, reed_solver, Twin())
     null = compete(comparison, (), [np.zeros(len(comparison.nuisances))], exact=True)
     return reach_of(EFFECTS, signatures_of(comparison, null, EFFECTS))
 

@@ -36,7 +36,7 @@ from diagnosis.screening import (
     screened_at,
     usual,
 )
-from fitting.parallel.processes import side_by_side
+from fitting.parallel.processes import map_processes
 from physics.effects.form import Effect
 
 Array = NDArray[np.floating[Any]]
@@ -139,7 +139,7 @@ def contest(
         straightened(comparison, start.at)
     alone: dict[str, Rival] = {}
     signatures: dict[str, tuple[Array, Array]] = {}
-    each = side_by_side(partial(_looked_for, comparison, begun), effects)
+    each = map_processes(partial(_looked_for, comparison, begun), effects)
     for number, (effect, (table, found)) in enumerate(zip(effects, each, strict=True)):
         if table is not None:
             signatures[effect.id] = table, standing_out(begun[0].base.slopes, table)
@@ -227,7 +227,7 @@ def _refine(comparison: Comparison, rivals: dict[str, Rival], null: Rival, effec
     least = max(*odds.values(), float(np.log(PRIOR["none"]))) - _FAR_BEHIND
     near = [name for name in ranked if odds[name] > least]
     for name, found in zip(
-        near, side_by_side(lambda name: _anew(comparison, rivals[name]), near), strict=True
+        near, map_processes(lambda name: _anew(comparison, rivals[name]), near), strict=True
     ):
         rivals[name] = found
 
@@ -244,7 +244,7 @@ def polished(comparison: Comparison, null: Rival, rivals: Iterable[Rival]) -> Ri
     """Fit the twin without effects again, from where its best rivals' nuisances have come to."""
     best = sorted(rivals, key=lambda rival: -rival.log_evidence)[:_MOST_POLISHED]
     starts = [rival.estimate.z[: len(comparison.nuisances)] for rival in best]
-    each = side_by_side(lambda start: _without(comparison, start), starts)
+    each = map_processes(lambda start: _without(comparison, start), starts)
     ends = [end for end in each if end is not None]
     if not ends:
         return null
@@ -382,7 +382,7 @@ def _pairs(
     apart = [both for names, both in chosen.items() if frozenset(names) not in alike]
     for both in apart:
         straightened(comparison, _about(comparison, both))
-    found = side_by_side(lambda both: _pair(comparison, *both), apart)
+    found = map_processes(lambda both: _pair(comparison, *both), apart)
     return {"+".join(rival.names): rival for rival in found if rival is not None}
 
 
@@ -475,7 +475,7 @@ def _settle(
     found: dict[str, Sampled] = {}
     if odds[first] - odds[second] < _CLOSE:
         close = [name for name in (first, second) if name != NONE]
-        each = side_by_side(lambda name: checked(comparison, rivals[name]), close)
+        each = map_processes(lambda name: checked(comparison, rivals[name]), close)
         for name, (rival, sampled) in zip(close, each, strict=True):
             rivals[name], found[name] = rival, sampled
     return found

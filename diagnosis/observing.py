@@ -67,7 +67,7 @@ from physics.air import (
     Filling,
     chamber_of,
 )
-from physics.mechanics import Workshop
+from physics.mechanics import ReedSolver
 from physics.twin import Twin
 from protocols.bench import BenchFile
 from runs.layout import Kind
@@ -182,13 +182,13 @@ def _missing(campaign: Campaign, sweeps: Sequence[SweepReading], *, saturated: b
     return missing
 
 
-def blocks(readings: Readings, workshop: Workshop) -> list[Block]:
+def blocks(readings: Readings, reed_solver: ReedSolver) -> list[Block]:
     """Put readings beside the twin.
 
     Parameters
     ----------
     readings : Readings
-    workshop : Workshop
+    reed_solver : ReedSolver
         Of the kind of reed.
     """
     sheet, beat, stills, sweeps = readings.sheet, readings.beat, readings.stills, readings.sweeps
@@ -219,8 +219,8 @@ def blocks(readings: Readings, workshop: Workshop) -> list[Block]:
             fringe_block(sweeps),
             line_block(sweeps, readings.device.line, leaks),
             level_block(sweeps, leaks),
-            force_block(sweeps, workshop, readings.device),
-            modes_block(sweeps, workshop, leaks),
-            shapes_block(sweeps, workshop, leaks),
+            force_block(sweeps, reed_solver, readings.device),
+            modes_block(sweeps, reed_solver, leaks),
+            shapes_block(sweeps, reed_solver, leaks),
         ]
     return [block for block in found if block is not None]

@@ -30,7 +30,7 @@ from diagnosis.rivals import Sized
 from diagnosis.screening import places_of
 from fitting.forward import cents_of
 from physics.effects.form import Effect, Parameter
-from physics.mechanics import Mechanics, Workshop
+from physics.mechanics import Mechanics, ReedSolver
 from physics.reed.viscoelastic import ViscoelasticCane, Zener
 from physics.twin import Twin, with_cane
 
@@ -145,13 +145,13 @@ class _Problem:
     Attributes
     ----------
     reeds : tuple of MeanReed
-    workshop : Workshop
+    reed_solver : ReedSolver
     effects : tuple of Sized
     floor_cents : (n,) float
     """
 
     reeds: tuple[MeanReed, ...]
-    workshop: Workshop
+    reed_solver: ReedSolver
     effects: tuple[Sized, ...]
     floor_cents: Array
 
@@ -175,7 +175,7 @@ class _Problem:
         """Cents (n,) above F6."""
         parts = []
         for s, reed in enumerate(self.reeds):
-            modes = self.workshop.modes(self.twin(z, s).reed)
+            modes = self.reed_solver.modes(self.twin(z, s).reed)
             missing = [name for name in reed.modes if name not in modes]
             if missing:
                 raise ValueError(f"a reed of this kind has no mode {missing[0]}")
@@ -184,7 +184,7 @@ class _Problem:
 
     def twin(self, z: Array, series: int) -> Twin:
         """Elastic reed of a series with all effects."""
-        twin = elastic_twin(self.workshop)
+        twin = elastic_twin(self.reed_solver)
         moduli = _MODULI_SPREAD * z[len(_MODULI) * series :][: len(_MODULI)]
         twin = with_cane(twin, **dict(zip(_MODULI, moduli.tolist(), strict=True)))
         rest = z[len(_MODULI) * len(self.reeds) :]
@@ -194,16 +194,16 @@ class _Problem:
         return twin
 
 
-def elastic_twin(workshop: Workshop) -> Twin:
+def elastic_twin(reed_solver: ReedSolver) -> Twin:
     """The reed of reference material, whose moduli do not depend on frequency."""
-    cane = workshop.anatomy.reed.cane
+    cane = reed_solver.anatomy.reed.cane
     springs = (Zener(1e-6 * modulus, 0.0, 0.0) for modulus in (cane.E_L_pa, cane.G_LT_pa))
     return Twin(reed=Mechanics(cane=ViscoelasticCane(*springs)))
 
 
 def diagnose_resonances(
     reeds: Sequence[MeanReed],
-    workshop: Workshop,
+    reed_solver: ReedSolver,
     effects: Sequence[Effect],
     progress: Callable[[float], None] | None = None,
     largest_set: int = 3,
@@ -214,7 +214,7 @@ def diagnose_resonances(
     ----------
     reeds : sequence of MeanReed
         One per series.
-    workshop : Workshop
+    reed_solver : ReedSolver
     effects : sequence of Effect
         Those that move no frequency are told to be out of reach.
     progress : callable, optional
@@ -229,7 +229,7 @@ def diagnose_resonances(
     """
     report = progress or (lambda _share: None)
     errors = np.concatenate([reed.error_cents for reed in reeds])
-    base = _Problem(tuple(reeds), workshop, (), np.hypot(errors, MESH_CENTS))
+    base = _Problem(tuple(reeds), reed_solver, (), np.hypot(errors, MESH_CENTS))
     elastic = _Fitted.of(base)
     placed = [_at_its_best(base, elastic, effect) for effect in effects]
     columns = {sized.effect.id: column for sized, column in placed}
@@ -408,7 +408,7 @@ def _rms(problem: _Problem, left: Array) -> dict[str, float]:
 
 
 def _moduli_pa(problem: _Problem, z: Array) -> dict[str, tuple[float, float]]:
-    cane = problem.workshop.anatomy.reed.cane
+    cane = problem.reed_solver.anatomy.reed.cane
     answer = {}
     for s, reed in enumerate(problem.reeds):
         E, G = np.exp(_MODULI_SPREAD * z[len(_MODULI) * s :][: len(_MODULI)])

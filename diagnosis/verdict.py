@@ -38,7 +38,7 @@ from diagnosis.triggers import Trigger, triggers
 from diagnosis.where import Map, gap_map
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.form import Stage
-from physics.mechanics import Workshop
+from physics.mechanics import ReedSolver
 from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]
@@ -120,7 +120,7 @@ class Verdict:
 
 def diagnose(
     readings: Readings,
-    workshop: Workshop,
+    reed_solver: ReedSolver,
     base: Twin | None = None,
     progress: Callable[[float], None] | None = None,
     without: Sequence[str] = (),
@@ -130,7 +130,7 @@ def diagnose(
     Parameters
     ----------
     readings : Readings
-    workshop : Workshop
+    reed_solver : ReedSolver
         Of the kind of reed.
     base : Twin, optional
         What is known of the bench; nothing if not given.
@@ -139,7 +139,7 @@ def diagnose(
     without : sequence of str
         Effects that the catalogue is to do without.
     """
-    comparison = compared(readings, workshop, base or Twin())
+    comparison = compared(readings, reed_solver, base or Twin())
     told = Told(condition_of(readings), readings.missing, readings.refused)
     return judged(comparison, told, progress, without)
 
@@ -230,10 +230,10 @@ def _block_beside(comparison: Comparison, rival: Rival) -> str:
     return max(factors, key=lambda name: float(factors[name][0]))
 
 
-def compared(readings: Readings, workshop: Workshop, base: Twin) -> Comparison:
+def compared(readings: Readings, reed_solver: ReedSolver, base: Twin) -> Comparison:
     """Put a campaign beside a twin with all that differs from bench to bench."""
     exchanged = of_fits(common_modes(readings.sweeps)) if readings.sweeps else ()
-    return Comparison(blocks(readings, workshop), base, (*NUISANCES, *exchanged))
+    return Comparison(blocks(readings, reed_solver), base, (*NUISANCES, *exchanged))
 
 
 def _likeliest(probability: Mapping[str, float], classes: Sequence[tuple[str, ...]]) -> str:

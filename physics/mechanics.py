@@ -156,7 +156,7 @@ class ReedMode:
     coordinates: Array
 
 
-class Workshop:
+class ReedSolver:
     """Makes reeds of one kind and tells their modes; keeps what does not depend on amounts.
 
     Parameters

@@ -96,7 +96,7 @@ def _diagnose_runs(
     from diagnosis.observing import read
     from diagnosis.verdict import diagnose as judge
     from fitting.errors import FitError
-    from physics.mechanics import Workshop
+    from physics.mechanics import ReedSolver
     from physics.reed.cache import anatomy
     from protocols.bench import BenchFile
     from reports.diagnosis_json import to_json
@@ -125,12 +125,12 @@ def _diagnose_runs(
         bench = bench or bench_of(campaign.sweeps[0].run)
         base = base_twin(bench)
         geometry = campaign.sweeps[0].run.reed_file().geometry()
-        workshop = Workshop(anatomy(geometry, announce=show_message), show_message)
+        reed_solver = ReedSolver(anatomy(geometry, announce=show_message), show_message)
         with share_progress(messages(), "fitting sweeps") as told:
             readings = read(campaign, bench, told)
     with share_progress(messages(), "fitting causes") as told:
         try:
-            verdict = judge(readings, workshop, base, told, only_once(bench))
+            verdict = judge(readings, reed_solver, base, told, only_once(bench))
         except ValueError as error:
             raise FitError(
                 f"{campaign.sweeps[0].run.path}: no reed of its kind is near what its campaign "
@@ -173,7 +173,7 @@ def _diagnose_resonances(table: Path | None, as_json: bool) -> None:
     from diagnosis.published import diagnose_resonances
     from fitting.errors import FitInputError
     from physics.effects.catalogue import BY_ID, CATALOGUE
-    from physics.mechanics import Workshop
+    from physics.mechanics import ReedSolver
     from physics.reed.cache import anatomy
     from reports.resonance_diagnosis_page import (
         gap_of_modes,
@@ -183,10 +183,10 @@ def _diagnose_resonances(table: Path | None, as_json: bool) -> None:
     )
 
     reeds = tabled_reeds(table, show_message) if table else printed_reeds()
-    workshop = Workshop(anatomy(announce=show_message), show_message)
+    reed_solver = ReedSolver(anatomy(announce=show_message), show_message)
     with share_progress(messages(), "fitting causes") as told:
         try:
-            diagnosis = diagnose_resonances(reeds, workshop, CATALOGUE, told)
+            diagnosis = diagnose_resonances(reeds, reed_solver, CATALOGUE, told)
         except ValueError as error:
             raise FitInputError(
                 f"{table or 'Table 1'}: no clarinet reed has resonances near these ({error}); "

@@ -34,7 +34,7 @@ from physics.effects.form import Tap
 from physics.mechanics import (
     Mechanics,
     ReedMode,
-    Workshop,
+    ReedSolver,
 )
 from physics.reed.fem import Symmetry
 from physics.twin import (
@@ -260,7 +260,9 @@ def level_block(sweeps: Sequence[SweepReading], leaks: Leaks) -> Block | None:
     return block("level", Tap.DRIVE, values, covariance, places, ("drive",), predict)
 
 
-def force_block(sweeps: Sequence[SweepReading], workshop: Workshop, device: Device) -> Block | None:
+def force_block(
+    sweeps: Sequence[SweepReading], reed_solver: ReedSolver, device: Device
+) -> Block | None:
     """What moves each mode, beside loudspeaker, chamber and reed of the twin.
 
     None if no mode is told by all loud sweeps.
@@ -268,12 +270,12 @@ def force_block(sweeps: Sequence[SweepReading], workshop: Workshop, device: Devi
     Parameters
     ----------
     sweeps : sequence of SweepReading
-    workshop : Workshop
+    reed_solver : ReedSolver
         Of the kind of reed.
     device : Device
     """
     loud = loudest(sweeps)
-    known = workshop.modes(Twin().reed)
+    known = reed_solver.modes(Twin().reed)
     names = [
         name
         for name in common_modes(sweeps)
@@ -289,10 +291,10 @@ def force_block(sweeps: Sequence[SweepReading], workshop: Workshop, device: Devi
     pitch = np.log(hz / 4e3) / np.log(5)
     powers = np.polynomial.legendre.legvander(np.clip(pitch, -1, 1), _RIPPLE_DEGREE)
     ripple = _RIPPLE * powers[:, 1:] / np.sqrt(np.arange(1, _RIPPLE_DEGREE + 1))
-    doubt = np.array([_doubt(workshop, device.chamber, known[name]) for name in names])
+    doubt = np.array([_doubt(reed_solver, device.chamber, known[name]) for name in names])
     torn = np.max([_torn(sweep, hz) for sweep in loud], axis=0)
     covariance = np.diag(error**2 + doubt**2 + torn**2) + _GAIN**2 + ripple @ ripple.T
-    predicted = forces_rad(workshop, device)
+    predicted = forces_rad(reed_solver, device)
 
     losses = loud[0].loss_factor[at[0]]
 
@@ -323,16 +325,16 @@ def _torn(sweep: SweepReading, hz: Array) -> Array:
 
 
 def forces_rad(
-    workshop: Workshop, device: Device
+    reed_solver: ReedSolver, device: Device
 ) -> Callable[[DriveChain, Mechanics, Sequence[str]], Array]:
     """Phase amplitudes per volt that forces have modes move by, at rest, where they move most."""
 
     @lru_cache(maxsize=_KEPT)
     def pushes(reed: Mechanics, name: str) -> tuple[float, float, float, float]:
-        return _pushes(workshop, device.chamber, workshop.modes(reed)[name])
+        return _pushes(reed_solver, device.chamber, reed_solver.modes(reed)[name])
 
     def forces(drive: DriveChain, reed: Mechanics, names: Sequence[str]) -> Array:
-        modes = workshop.modes(reed)
+        modes = reed_solver.modes(reed)
         missing = [name for name in names if name not in modes]
         if missing:
             raise ValueError(f"a reed of this kind has no mode {missing[0]}")
@@ -350,21 +352,21 @@ def forces_rad(
     return forces
 
 
-def _doubt(workshop: Workshop, chamber: Chamber, mode: ReedMode) -> float:
+def _doubt(reed_solver: ReedSolver, chamber: Chamber, mode: ReedMode) -> float:
     """Log of a force by pressure that is not the model's: more where the model's cancels."""
-    left, _, without_signs, _ = _pushes(workshop, chamber, mode)
+    left, _, without_signs, _ = _pushes(reed_solver, chamber, mode)
     share = (_FIELD * without_signs) ** 2
     return float(np.hypot(_FIELD, share / (share + left**2)))
 
 
 def _pushes(
-    workshop: Workshop, chamber: Chamber, mode: ReedMode
+    reed_solver: ReedSolver, chamber: Chamber, mode: ReedMode
 ) -> tuple[float, float, float, float]:
     """Modal forces of unit pressure, and the largest deflection.
 
     Forces are those on either half of the window, and that on the left if all of it pushed alike.
     """
-    reed = workshop.anatomy.reed
+    reed = reed_solver.anatomy.reed
     x, y = reed.load_points_m.T
     whole = replace(chamber, filling=Filling.SYMMETRIC)
     left = pressure_shape(chamber, mode.hz, x, y)

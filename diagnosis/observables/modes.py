@@ -20,7 +20,7 @@ from diagnosis.observables.vibration import (
     loudest,
 )
 from physics.effects.form import Tap
-from physics.mechanics import Workshop
+from physics.mechanics import ReedSolver
 from physics.twin import (
     Surroundings,
     Twin,
@@ -63,7 +63,9 @@ _AT_RESONANCE = 0.03
 _STEP = 0.01
 
 
-def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks) -> Block | None:
+def modes_block(
+    sweeps: Sequence[SweepReading], reed_solver: ReedSolver, leaks: Leaks
+) -> Block | None:
     """Frequencies in cents and losses in per cent, of all sweeps, beside the twin's.
 
     None if sweeps have no mode in common.
@@ -71,10 +73,10 @@ def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks
     Parameters
     ----------
     sweeps : sequence of SweepReading
-    workshop : Workshop
+    reed_solver : ReedSolver
     leaks : Leaks
     """
-    known = workshop.modes(Twin().reed)
+    known = reed_solver.modes(Twin().reed)
     common = [name for name in common_modes(sweeps) if name in known]
     if not common:
         return None
@@ -103,7 +105,7 @@ def modes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks
     covariance += _in_common(rows, common, sweeps)
     astray = {what: _astray(sweeps, common, loss=what.startswith("loss")) for what in _QUANTITIES}
     covariance += np.diag([astray[what][common.index(name)] ** 2 for _, name, what in rows])
-    predict = _prediction(rows, common, sweeps, workshop)
+    predict = _prediction(rows, common, sweeps, reed_solver)
     parts = ("reed", "surroundings", "fits")
     return block("modes", Tap.MODES, values, covariance, places, parts, predict)
 
@@ -228,7 +230,7 @@ def _prediction(
     rows: Sequence[tuple[int, str, str]],
     common: Sequence[str],
     sweeps: Sequence[SweepReading],
-    workshop: Workshop,
+    reed_solver: ReedSolver,
 ) -> Callable[[Twin], Array]:
     names = np.array([common.index(name) for _, name, _ in rows])
     loss = np.array([what.startswith("loss") for _, _, what in rows])
@@ -240,10 +242,10 @@ def _prediction(
         near = _near(np.log(sweep.drive_hz) - log_hz, _AT_RESONANCE)
         deep[r] = float(np.max(sweep.deepest_rad[near])) / 10
     nominal = Twin()
-    by_E, by_G = (_slope(workshop, nominal, modulus, common) for modulus in ("E_L", "G_LT"))
+    by_E, by_G = (_slope(reed_solver, nominal, modulus, common) for modulus in ("E_L", "G_LT"))
 
     def predict(twin: Twin) -> Array:
-        modes = workshop.modes(twin.reed)
+        modes = reed_solver.modes(twin.reed)
         missing = [name for name in common if name not in modes]
         if missing:
             raise ValueError(f"a reed of this kind has no mode {missing[0]}")
@@ -269,9 +271,9 @@ def _prediction(
     return predict
 
 
-def _slope(workshop: Workshop, twin: Twin, modulus: str, names: Sequence[str]) -> Array:
+def _slope(reed_solver: ReedSolver, twin: Twin, modulus: str, names: Sequence[str]) -> Array:
     """Derivatives of log frequencies by the log of a modulus."""
     ahead, behind = (
-        workshop.modes(with_cane(twin, **{modulus: sign * _STEP}).reed) for sign in (1, -1)
+        reed_solver.modes(with_cane(twin, **{modulus: sign * _STEP}).reed) for sign in (1, -1)
     )
     return np.array([np.log(ahead[n].hz / behind[n].hz) / (2 * _STEP) for n in names])

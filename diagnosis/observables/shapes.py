@@ -20,7 +20,7 @@ from physics.effects.form import Tap
 from physics.mechanics import (
     Mechanics,
     ReedMode,
-    Workshop,
+    ReedSolver,
 )
 from physics.reed.fem import Symmetry
 from physics.reed.viscoelastic import (
@@ -57,17 +57,19 @@ class _Share:
     error: float
 
 
-def shapes_block(sweeps: Sequence[SweepReading], workshop: Workshop, leaks: Leaks) -> Block | None:
+def shapes_block(
+    sweeps: Sequence[SweepReading], reed_solver: ReedSolver, leaks: Leaks
+) -> Block | None:
     """Shapes of modes beside the twin's; None if none is told well."""
-    known = workshop.modes(Twin().reed)
+    known = reed_solver.modes(Twin().reed)
     names = [n for n in sweeps[0].names if n in known and known[n].hz < _HIGHEST_HZ]
     shares = _told(sweeps, names)
     if not shares:
         return None
-    elastic = _Elastic.of(workshop, sweeps[0])
+    elastic = _Elastic.of(reed_solver, sweeps[0])
 
     def predict(twin: Twin) -> Array:
-        modes = workshop.modes(twin.reed)
+        modes = reed_solver.modes(twin.reed)
         missing = [share.of for share in shares if share.of not in modes]
         if missing:
             raise ValueError(f"a reed of this kind has no mode {missing[0]}")
@@ -135,22 +137,22 @@ class _Elastic:
     symmetry: dict[str, Symmetry]
 
     @classmethod
-    def of(cls, workshop: Workshop, sweep: SweepReading) -> "_Elastic":
+    def of(cls, reed_solver: ReedSolver, sweep: SweepReading) -> "_Elastic":
         """Settle the elastic reed, with signs as a sweep's fit has them."""
         cane = Mechanics().cane
         springs = (
             Zener(1e-6 * float(storage_modulus_pa(zener, SHAPES_HZ)), 0.0, 0.0)
             for zener in (cane.young_L, cane.shear_LT)
         )
-        modes = workshop.modes(Mechanics(cane=ViscoelasticCane(*springs)))
+        modes = reed_solver.modes(Mechanics(cane=ViscoelasticCane(*springs)))
         deflection, symmetry = {}, {}
         for name, at_m, value in zip(
             sweep.shape_names, sweep.shape_peak_m, sweep.shape_peak, strict=True
         ):
             if name in modes:
-                here, symmetry[name] = _deflection(workshop, modes[name], at_m)
+                here, symmetry[name] = _deflection(reed_solver, modes[name], at_m)
                 deflection[name] = here / float(value)
-        return cls(modes, workshop.mass_kg, deflection, symmetry)
+        return cls(modes, reed_solver.mass_kg, deflection, symmetry)
 
     def share(self, mode: ReedMode, has: str) -> float:
         """What a mode has of another, both in units of their largest deflections."""
@@ -165,9 +167,9 @@ class _Elastic:
         return self.symmetry[one] is self.symmetry[other]
 
 
-def _deflection(workshop: Workshop, mode: ReedMode, at_m: Array) -> tuple[float, Symmetry]:
+def _deflection(reed_solver: ReedSolver, mode: ReedMode, at_m: Array) -> tuple[float, Symmetry]:
     """Deflection at a place (2,), and the symmetry of the mode."""
-    reed = workshop.anatomy.reed
+    reed = reed_solver.anatomy.reed
     node = int(np.argmin(np.hypot(reed.plan_m[:, 0] - at_m[0], reed.plan_m[:, 1] - abs(at_m[1]))))
     start, parts = 0, []
     for symmetry, half in reed.halves.items():

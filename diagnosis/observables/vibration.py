@@ -26,7 +26,7 @@ from fitting.modal.identify import (
     fit_less,
 )
 from fitting.modal.modal_fit import ModalFit
-from fitting.parallel.processes import side_by_side
+from fitting.parallel.processes import map_processes
 from physics.effects.form import Tap
 from physics.twin import Twin
 from runs.reader import Run
@@ -183,7 +183,7 @@ def read_sweeps(
             last = part
         report(_SEARCH + (1 - _SEARCH) * (number + 1) / len(turns))
     fitted = [part for part in parts if part.name in fits.found]
-    readings = side_by_side(
+    readings = map_processes(
         lambda part: _read(part, fits.found[part.name], _taken_off(lights.get(part.name))), fitted
     )
     read = {part.name: reading for part, reading in zip(fitted, readings, strict=True) if reading}
@@ -232,7 +232,7 @@ def _root(fits: _Fits, parts: Sequence[Part]) -> Part | None:
     """Fit sweeps by themselves until there is no doubt; tells of which there is least, if any."""
     doubt: dict[str, tuple[int, float]] = {}
     # Most often the first will do.
-    with contextlib.closing(side_by_side(fits.of, parts[1:])) as others:
+    with contextlib.closing(map_processes(fits.of, parts[1:])) as others:
         for part, fit in zip(parts, chain([fits.of(parts[0])], others), strict=True):
             if fits.keep(part, fit):
                 doubt[part.name] = _doubt(fits.found[part.name])

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fitting.errors import FitError
 from fitting.fringes.pictures import good_steps
-from fitting.parallel.threads import in_parts
+from fitting.parallel.threads import map_threads
 from physics.reed.geometry import half_width_m
 from runs.reader import Run
 from runs.records import StepRecord
@@ -253,5 +253,5 @@ def _leading(holograms: Complex) -> tuple[Complex, Complex]:
         vectors = np.linalg.eigh(here.conj().transpose(0, 2, 1) @ here)[1][:, :, -1:]
         value[some], right[some] = (here @ vectors)[..., 0], vectors[..., 0]
 
-    in_parts(fill, blocks, _TOGETHER)
+    map_threads(fill, blocks, _TOGETHER)
     return value, right

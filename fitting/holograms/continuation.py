@@ -20,8 +20,8 @@ from fitting.holograms.block_amplitudes import Phasors
 from fitting.holograms.levenberg_marquardt import block_light, descend
 from fitting.holograms.problem import Problem
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.parallel.processes import side_by_side
-from fitting.parallel.threads import in_parts
+from fitting.parallel.processes import map_processes
+from fitting.parallel.threads import map_threads
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complex64]
@@ -419,7 +419,7 @@ class Search:
             misfit[some] = (over * over * square) @ power - 2 * np.abs(along)
             overlap[some] = along
 
-        in_parts(fill, len(grid), _GRID_TOGETHER)
+        map_threads(fill, len(grid), _GRID_TOGETHER)
         best = np.argsort(misfit)[:3]
         found = [(fixed + grid[g] * part) * np.exp(1j * np.angle(overlap[g])) for g in best]
         return [float(misfit[g]) for g in best], found
@@ -435,7 +435,7 @@ def solve(whole: Problem, phasors: Phasors, basis: ShapeBasis) -> Search:
         return search
 
     best: Search | None = None
-    with closing(side_by_side(begun, list(Search(whole, phasors, basis).starts()))) as searches:
+    with closing(map_processes(begun, list(Search(whole, phasors, basis).starts()))) as searches:
         for search in searches:
             if best is None or search.explained.sum() > best.explained.sum():
                 best = search

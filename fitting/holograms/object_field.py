@@ -20,7 +20,7 @@ from fitting.holograms.problem import (
     Problem,
     fill_normal,
 )
-from fitting.parallel.threads import in_parts
+from fitting.parallel.threads import map_threads
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -123,7 +123,7 @@ def linearise(
             turned = turned + seen.turned
         return power, louder, turned, free
 
-    parts = in_parts(fill, len(a))
+    parts = map_threads(fill, len(a))
     shown, louder, turned, free = (np.sum(each, axis=0) for each in zip(*parts, strict=True))
     light_matrix = np.kron(np.eye(2), smooth.T @ (shown[:, None] * smooth) - free)
     light_gradient = np.concatenate([louder @ smooth, turned @ smooth])

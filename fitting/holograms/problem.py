@@ -26,7 +26,7 @@ from fitting.holograms.sidebands import (
     beside,
     misfit_beside,
 )
-from fitting.parallel.threads import in_parts
+from fitting.parallel.threads import map_threads
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -213,7 +213,7 @@ def misfits(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Ar
             left = left + misfit_beside(side, light, steps[some], displacement)
         return left
 
-    return np.concatenate([np.zeros(0), *in_parts(of, len(a))])
+    return np.concatenate([np.zeros(0), *map_threads(of, len(a))])
 
 
 @dataclass
@@ -249,7 +249,7 @@ def normal(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Arr
     def fill(some: slice) -> None:
         fill_normal(whole, some, problem, light, steps[some], a[some], gain[some])
 
-    in_parts(fill, len(a))
+    map_threads(fill, len(a))
     return whole
 
 

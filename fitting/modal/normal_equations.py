@@ -23,7 +23,7 @@ from fitting.modal.model import (
     scalars,
     terms,
 )
-from fitting.parallel.threads import in_parts
+from fitting.parallel.threads import map_threads
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -128,7 +128,7 @@ def _seen(model: Model, data: Data, now: Terms) -> _Seen:
     def fill(some: slice) -> None:
         products[:, :, some] = (columns[some].swapaxes(1, 2) @ columns[some]).transpose(1, 2, 0)
 
-    in_parts(fill, len(columns))
+    map_threads(fill, len(columns))
     return _Seen(columns, products)
 
 
@@ -322,7 +322,7 @@ def _of_own(
         with_mixed[some] = by_mode[:, layout.mix_m, layout.mix_a]
         with_last[some] = beside[:, 2 * vectors :].sum(axis=2)
 
-    in_parts(fill, count, _TOGETHER)
+    map_threads(fill, count, _TOGETHER)
     return with_own, with_mixed, with_last
 
 

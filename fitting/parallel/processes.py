@@ -28,7 +28,7 @@ _SPLITS = sys.platform == "linux"
 _MOST = 8
 
 
-def side_by_side(work: Callable[[Item], Made], items: Sequence[Item]) -> Generator[Made]:
+def map_processes(work: Callable[[Item], Made], items: Sequence[Item]) -> Generator[Made]:
     """Do work for every item; yield what it makes in the order of items.
 
     As many at once as there are processors for this process, up to 8.

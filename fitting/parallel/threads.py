@@ -14,7 +14,7 @@ _TOGETHER = 24
 _THREADS = 2
 
 
-def in_parts(work: Callable[[slice], Made], count: int, together: int = _TOGETHER) -> list[Made]:
+def map_threads(work: Callable[[slice], Made], count: int, together: int = _TOGETHER) -> list[Made]:
     """Do some work for few holograms (or others) at a time, on two processors; results in order.
 
     Work must not call this again: it would wait for itself.

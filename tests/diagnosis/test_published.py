@@ -36,7 +36,7 @@ CENTS = 600 / np.log(2)
 
 
 class Formula:
-    """A workshop in which no mode mixes with another."""
+    """A reed_solver in which no mode mixes with another."""
 
     def __init__(self):
         cane = SimpleNamespace(E_L_pa=14e9, G_LT_pa=1.1e9)
@@ -79,7 +79,7 @@ def reeds(across=0.0, noise_cents=2.0, seed=0):
     return found
 
 
-diagnosed = partial(diagnose_resonances, workshop=Formula(), largest_set=2)
+diagnosed = partial(diagnose_resonances, reed_solver=Formula(), largest_set=2)
 
 
 def test_what_closes_the_gap_is_found_with_its_size() -> None:

@@ -193,19 +193,23 @@ def test_forces_fall_beyond_an_amplifier_s_corner_and_rise_by_what_clay_lets_thr
     # Modes at 1 and 10 kHz that the left half pushes by 1, the right one by 0.5.
     modes = {"F1": SimpleNamespace(hz=1e3), "F2": SimpleNamespace(hz=1e4)}
     monkeypatch.setattr(drive, "_pushes", lambda *_: (1.0, 0.5, 0.0, 1.0))
-    workshop = SimpleNamespace(modes=lambda _reed: modes)
+    reed_solver = SimpleNamespace(modes=lambda _reed: modes)
     device = Device(Chamber(filling=Filling.ASYMMETRIC), CavityLine(), 650e-9)
-    force = forces_rad(workshop, device)
+    force = forces_rad(reed_solver, device)
     usual = force(Twin().drive, Twin().reed, tuple(modes))
     # With the corner at 10 kHz, of a low-pass of second order: 1/√2 there, 1/√(1 + 10⁻⁴) at 1 kHz.
     cut = force(more(Twin(), "drive", roll_off=1.0).drive, Twin().reed, tuple(modes))
     assert cut / usual == pytest.approx([1 / np.sqrt(1 + 1e-4), 1 / np.sqrt(2)])
     opened = force(more(Twin(), "drive", open_right=0.6).drive, Twin().reed, tuple(modes))
     assert opened / usual == pytest.approx([1.3, 1.3])
-    whole = forces_rad(workshop, Device(Chamber(filling=Filling.SYMMETRIC), CavityLine(), 650e-9))
+    whole = forces_rad(
+        reed_solver, Device(Chamber(filling=Filling.SYMMETRIC), CavityLine(), 650e-9)
+    )
     assert whole(Twin().drive, Twin().reed, ("F1",)) == pytest.approx(1.5 * usual[:1])
     # As far as light tells: 4π over the wavelength.
-    half = forces_rad(workshop, Device(Chamber(filling=Filling.ASYMMETRIC), CavityLine(), 325e-9))
+    half = forces_rad(
+        reed_solver, Device(Chamber(filling=Filling.ASYMMETRIC), CavityLine(), 325e-9)
+    )
     assert half(Twin().drive, Twin().reed, tuple(modes)) == pytest.approx(2 * usual)
 
 

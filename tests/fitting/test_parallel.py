@@ -13,7 +13,7 @@ import pytest
 
 from fitting.errors import FitError
 from fitting.parallel import processes as module
-from fitting.parallel.processes import side_by_side
+from fitting.parallel.processes import map_processes
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="processes are split off on Linux only"
@@ -38,7 +38,7 @@ def test_results_come_in_the_order_of_items_whatever_takes_longest(
         time.sleep(0.05 * (3 - item))
         return item**2, os.getpid()
 
-    found = list(side_by_side(late, [0, 1, 2, 3]))
+    found = list(map_processes(late, [0, 1, 2, 3]))
     assert [square for square, _ in found] == [0, 1, 4, 9]
     assert len({process for _, process in found} | {os.getpid()}) == 5
 
@@ -54,7 +54,7 @@ def test_what_one_piece_leaves_in_memory_is_nothing_to_another(
         seen.append(item)
         return list(seen)
 
-    assert list(side_by_side(remember, [1, 2, 3])) == [[1], [2], [3]]
+    assert list(map_processes(remember, [1, 2, 3])) == [[1], [2], [3]]
     assert not seen
 
 
@@ -64,7 +64,7 @@ def test_an_error_is_raised_where_its_turn_is() -> None:
             raise FitError("no such thing")
         return item
 
-    results = side_by_side(fail, [0, 1, 2])
+    results = map_processes(fail, [0, 1, 2])
     assert next(results) == 0
     with pytest.raises(FitError, match="no such thing"):
         next(results)
@@ -78,7 +78,7 @@ def test_work_whose_process_dies_is_done_here() -> None:
             os.kill(os.getpid(), signal.SIGKILL)
         return item
 
-    assert list(side_by_side(die_elsewhere, [5, 6])) == [5, 6]
+    assert list(map_processes(die_elsewhere, [5, 6])) == [5, 6]
 
 
 def test_who_stops_asking_leaves_no_process_behind(tmp_path: Path) -> None:
@@ -88,7 +88,7 @@ def test_who_stops_asking_leaves_no_process_behind(tmp_path: Path) -> None:
             time.sleep(60)
         return item
 
-    results = side_by_side(wait, [0, 1])
+    results = map_processes(wait, [0, 1])
     assert next(results) == 0
     while not (tmp_path / "1").exists() or not (tmp_path / "1").read_text():
         time.sleep(0.01)
@@ -99,7 +99,7 @@ def test_who_stops_asking_leaves_no_process_behind(tmp_path: Path) -> None:
 
 def test_what_cannot_be_handed_back_is_told() -> None:
     with pytest.raises(RuntimeError, match="cannot be handed back"):
-        list(side_by_side(lambda item: lambda: item, [1, 2]))
+        list(map_processes(lambda item: lambda: item, [1, 2]))
 
 
 class PathError(Exception):
@@ -114,7 +114,7 @@ def test_errors_that_cannot_be_handed_back_are_told_in_words() -> None:
         raise PathError("some file", f"lacks {item}")
 
     with pytest.raises(RuntimeError, match="some file: lacks 1"):
-        list(side_by_side(fail, [1, 2]))
+        list(map_processes(fail, [1, 2]))
 
 
 def test_work_whose_process_dies_while_it_answers_is_done_here(
@@ -125,7 +125,7 @@ def test_work_whose_process_dies_while_it_answers_is_done_here(
         os.kill(os.getpid(), signal.SIGKILL)
 
     monkeypatch.setattr(Connection, "send_bytes", half)
-    assert list(side_by_side(lambda item: "a" * item, [100, 200])) == ["a" * 100, "a" * 200]
+    assert list(map_processes(lambda item: "a" * item, [100, 200])) == ["a" * 100, "a" * 200]
 
 
 def test_where_there_may_be_no_other_process_all_is_done_here(
@@ -135,7 +135,7 @@ def test_where_there_may_be_no_other_process_all_is_done_here(
         raise BlockingIOError(11, "too many processes")
 
     monkeypatch.setattr(os, "fork", refused)
-    assert list(side_by_side(lambda item: (item, os.getpid()), [1, 2])) == [
+    assert list(map_processes(lambda item: (item, os.getpid()), [1, 2])) == [
         (1, os.getpid()),
         (2, os.getpid()),
     ]
@@ -160,7 +160,7 @@ def test_a_process_says_things_without_the_display_that_was_at_work(
         return item
 
     begun = time.monotonic()
-    assert list(side_by_side(warn, [1, 2])) == [1, 2]
+    assert list(map_processes(warn, [1, 2])) == [1, 2]
     assert time.monotonic() - begun < 30
     assert {"mind 1", "mind 2"} <= set(capfd.readouterr().err.splitlines())
 
@@ -169,7 +169,7 @@ def test_a_process_says_things_without_the_display_that_was_at_work(
 _PROGRAM = """
 import os, signal, sys, time
 from pathlib import Path
-from fitting.parallel.processes import side_by_side
+from fitting.parallel.processes import map_processes
 
 # Who runs tests in the background may have interrupts ignored.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -183,7 +183,7 @@ def slow(item):
     return "x" * 1_000_000
 
 try:
-    list(side_by_side(slow, [1, 2]))
+    list(map_processes(slow, [1, 2]))
 except KeyboardInterrupt:
     print("interrupted")
 """
@@ -237,11 +237,11 @@ def test_pieces_end_with_who_asked_for_them(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("items", [[], [3]])
 def test_little_work_is_done_here(items: list[int]) -> None:
-    assert list(side_by_side(lambda _item: os.getpid(), items)) == [os.getpid()] * len(items)
+    assert list(map_processes(lambda _item: os.getpid(), items)) == [os.getpid()] * len(items)
 
 
 def test_where_no_process_can_be_split_off_all_is_done_here(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(module, "_SPLITS", False)
-    assert set(side_by_side(lambda _item: os.getpid(), [1, 2, 3])) == {os.getpid()}
+    assert set(map_processes(lambda _item: os.getpid(), [1, 2, 3])) == {os.getpid()}

@@ -14,9 +14,9 @@ from physics.mechanics import (
     CaneShift,
     Layer,
     Mechanics,
+    ReedSolver,
     SoftSpot,
     TipMass,
-    Workshop,
     YieldingClamp,
     material_of,
 )
@@ -60,12 +60,12 @@ ELASTIC = ViscoelasticCane(Zener(14000.0, 0.0, 0.0), Zener(1100.0, 0.0, 0.0))
 
 
 @pytest.fixture(scope="module")
-def workshop(geometry, coarse_level):
-    return Workshop(build_anatomy(geometry, coarse_level, BasisSettings()))
+def reed_solver(geometry, coarse_level):
+    return ReedSolver(build_anatomy(geometry, coarse_level, BasisSettings()))
 
 
-def frequencies(workshop, reed):
-    return np.array([mode.hz for mode in workshop.modes(reed).values()])
+def frequencies(reed_solver, reed):
+    return np.array([mode.hz for mode in reed_solver.modes(reed).values()])
 
 
 def cents(found, other):
@@ -97,9 +97,9 @@ def unit_change(anatomy, kind):
     )
 
 
-def whole(workshop, reed):
+def whole(reed_solver, reed):
     """Stiffness at a frequency and mass of a reed, in all coordinates that it has."""
-    anatomy = workshop.anatomy
+    anatomy = reed_solver.anatomy
     change = combined(
         anatomy, [(amount, unit_change(anatomy, kind)) for kind, amount in reed.alterations]
     )
@@ -129,9 +129,9 @@ def whole(workshop, reed):
     return stiffness, mass[keep]
 
 
-def by_brute_force(workshop, reed, count):
+def by_brute_force(reed_solver, reed, count):
     """Lowest frequencies, each with the moduli that it asks for, by solving for all modes."""
-    stiffness, mass = whole(workshop, reed)
+    stiffness, mass = whole(reed_solver, reed)
 
     def answered(hz, number):
         return np.sqrt(linalg.eigvalsh(stiffness(hz), mass)[number]) / (2 * np.pi)
@@ -151,11 +151,11 @@ def by_brute_force(workshop, reed, count):
     ],
     ids=["nominal", "held", "everything"],
 )
-def test_modes_are_those_of_all_coordinates_with_moduli_of_their_own_frequency(workshop, reed):
-    found = frequencies(workshop, reed)
+def test_modes_are_those_of_all_coordinates_with_moduli_of_their_own_frequency(reed_solver, reed):
+    found = frequencies(reed_solver, reed)
     assert len(found) > 15
     assert np.all(np.diff(found) >= 0)
-    off = np.abs(cents(found, by_brute_force(workshop, reed, len(found))))
+    off = np.abs(cents(found, by_brute_force(reed_solver, reed, len(found))))
     assert off[found < 22e3].max() < 0.05
     assert off.max() < 0.3
 
@@ -164,7 +164,7 @@ def test_a_layer_is_a_reed_that_was_drawn_thicker(geometry):
     step_m, cane, count = 4e-6, Cane(), 4
     # Strains at the surface need cubic elements: of quadratic ones shifts are 8 % off.
     level = MeshLevel(orders=(3, 3, 2))
-    workshop = Workshop(build_anatomy(geometry, level, BasisSettings()))
+    reed_solver = ReedSolver(build_anatomy(geometry, level, BasisSettings()))
 
     def drawn(offset_m):
         thicker = replace(geometry, thickness_offset_m=offset_m)
@@ -175,7 +175,7 @@ def test_a_layer_is_a_reed_that_was_drawn_thicker(geometry):
 
     def grown(offset_m):
         layers = Mechanics(cane=ELASTIC, alterations=((Layer(0, 0), offset_m),))
-        modes = list(workshop.modes(layers).values())
+        modes = list(reed_solver.modes(layers).values())
         first = len(modes[0].coordinates) // 2
         even = [mode.hz for mode in modes if np.any(mode.coordinates[:first])]
         odd = [mode.hz for mode in modes if np.any(mode.coordinates[first:])]
@@ -187,13 +187,13 @@ def test_a_layer_is_a_reed_that_was_drawn_thicker(geometry):
     np.testing.assert_allclose(found, expected, rtol=0.005, atol=0.04)
 
 
-def test_a_little_mass_lowers_modes_by_what_it_moves(workshop):
+def test_a_little_mass_lowers_modes_by_what_it_moves(reed_solver):
     nominal, mass_kg = Mechanics(cane=ELASTIC), 1e-10
-    anatomy = workshop.anatomy
+    anatomy = reed_solver.anatomy
     zone = anatomy.bark_m[:, 0] < 2e-3
     weight = np.where(zone, anatomy.area_m2, 0.0) / (2 * anatomy.area_m2[zone].sum())
-    found = workshop.modes(replace(nominal, alterations=((TipMass(2e-3), mass_kg),)))
-    for name, mode in workshop.modes(nominal).items():
+    found = reed_solver.modes(replace(nominal, alterations=((TipMass(2e-3), mass_kg),)))
+    for name, mode in reed_solver.modes(nominal).items():
         start, moved = 0, {}
         for symmetry, motion in anatomy.motion.items():
             count = motion.shape[2]
@@ -205,24 +205,24 @@ def test_a_little_mass_lowers_modes_by_what_it_moves(workshop):
         assert share == pytest.approx(-energy, rel=1e-3, abs=1.0)
 
 
-def test_stiffer_cane_is_faster_by_the_root(workshop):
+def test_stiffer_cane_is_faster_by_the_root(reed_solver):
     log = 0.2
     moduli = ("E_L", "E_T", "E_R", "G_LT", "G_LR", "G_TR")
     stiffer = Mechanics(cane=ELASTIC, shift=CaneShift(**dict.fromkeys(moduli, log)))
     denser = Mechanics(cane=ELASTIC, shift=CaneShift(density=log))
-    nominal = workshop.modes(Mechanics(cane=ELASTIC))
+    nominal = reed_solver.modes(Mechanics(cane=ELASTIC))
     for reed, power in ((stiffer, 0.5), (denser, -0.5)):
         both = [
-            (mode.hz, nominal[name].hz) for name, mode in workshop.modes(reed).items()
+            (mode.hz, nominal[name].hz) for name, mode in reed_solver.modes(reed).items()
             if name in nominal
         ]  # fmt: skip
         changed, plain = np.transpose(both)
         assert np.abs(cents(changed, plain * np.exp(power * log))).max() < 1e-3
 
 
-def test_a_yielding_clamp_lowers_all_modes_the_more_the_more_it_yields(workshop):
+def test_a_yielding_clamp_lowers_all_modes_the_more_the_more_it_yields(reed_solver):
     each = [
-        frequencies(workshop, Mechanics(alterations=((YieldingClamp(), yielding),)))[:12]
+        frequencies(reed_solver, Mechanics(alterations=((YieldingClamp(), yielding),)))[:12]
         for yielding in (0.0, 1e-16, 1e-14, 1e-13, 1e-12)
     ]
     assert np.abs(cents(each[1], each[0])).max() < 1.0
@@ -239,18 +239,18 @@ def test_a_yielding_clamp_lowers_all_modes_the_more_the_more_it_yields(workshop)
         ((SoftSpot(12e-3, 3e-3), 1e-4), (SoftSpot(12e-3, -3e-3), 1e-4)),
     ],
 )
-def test_what_is_wrong_on_the_left_does_as_much_on_the_right(workshop, left, right):
+def test_what_is_wrong_on_the_left_does_as_much_on_the_right(reed_solver, left, right):
     found, mirrored = (
-        frequencies(workshop, Mechanics(alterations=(change,))) for change in (left, right)
+        frequencies(reed_solver, Mechanics(alterations=(change,))) for change in (left, right)
     )
-    assert np.abs(cents(found, frequencies(workshop, Mechanics())[: len(found)])).max() > 1
+    assert np.abs(cents(found, frequencies(reed_solver, Mechanics())[: len(found)])).max() > 1
     assert np.abs(cents(found, mirrored)).max() < 1e-3
 
 
-def test_air_moves_along_and_takes_sound_away(workshop):
-    vacuum = workshop.modes(Mechanics(loss_factor=0.02))
-    air = workshop.modes(Mechanics(loss_factor=0.02, air_share=1.0))
-    half = workshop.modes(Mechanics(loss_factor=0.02, air_share=0.5))
+def test_air_moves_along_and_takes_sound_away(reed_solver):
+    vacuum = reed_solver.modes(Mechanics(loss_factor=0.02))
+    air = reed_solver.modes(Mechanics(loss_factor=0.02, air_share=1.0))
+    half = reed_solver.modes(Mechanics(loss_factor=0.02, air_share=0.5))
     for name in list(vacuum)[:12]:
         assert vacuum[name].loss_factor == pytest.approx(0.02)
         assert air[name].loss_factor >= half[name].loss_factor >= 0.02
@@ -264,13 +264,13 @@ def test_air_moves_along_and_takes_sound_away(workshop):
     [(Layer(0, 0), -2e-3), (SoftSpot(12e-3, 0.0), 1.0)],
     ids=["no cane left", "nothing carries"],
 )
-def test_what_leaves_no_reed_is_refused(workshop, change):
+def test_what_leaves_no_reed_is_refused(reed_solver, change):
     with pytest.raises(ValueError, match=r"no reed|positive definite|leading minor"):
-        workshop.modes(Mechanics(alterations=(change,)))
+        reed_solver.modes(Mechanics(alterations=(change,)))
 
 
-def test_changes_combine_and_stay_as_they_are(workshop):
-    anatomy = workshop.anatomy
+def test_changes_combine_and_stay_as_they_are(reed_solver):
+    anatomy = reed_solver.anatomy
     parts = [
         (2.0, layer(anatomy, lambda x, y: 1e-6 * (1 + x + y))),
         (-3.0, added_mass(anatomy, lambda x, _y: 1e-3 * x)),
@@ -285,10 +285,10 @@ def test_changes_combine_and_stay_as_they_are(workshop):
             assert np.array_equal(getattr(part, field), own)
 
 
-def test_losses_change_no_frequency(workshop):
+def test_losses_change_no_frequency(reed_solver):
     cane = viscoelastic_cane(Components(), Series.B)
-    plain = workshop.modes(Mechanics(cane=cane))
-    lossy = workshop.modes(Mechanics(cane=cane, loss_factor=0.05, loss_growth=0.5))
+    plain = reed_solver.modes(Mechanics(cane=cane))
+    lossy = reed_solver.modes(Mechanics(cane=cane, loss_factor=0.05, loss_growth=0.5))
     for name, mode in plain.items():
         assert lossy[name].hz == mode.hz
         assert lossy[name].loss_factor == pytest.approx(0.05 * (mode.hz / 4000) ** 0.5)

@@ -6,7 +6,7 @@ from typing import Final
 
 from physics.mechanics import Layer
 from physics.twin import (
-    Fits,
+    FitBias,
     Twin,
     more,
     with_alteration,
@@ -137,6 +137,6 @@ def of_fits(modes: Sequence[str]) -> tuple[Nuisance, ...]:
 def _exchange(mode: str, share: tuple[float, float]) -> Callable[[Twin, float], Twin]:
     def change(twin: Twin, value: float) -> Twin:
         more = (mode, share[0] * value, share[1] * value)
-        return replace(twin, fits=Fits((*twin.fits.exchanged, more)))
+        return replace(twin, fits=FitBias((*twin.fits.exchanged, more)))
 
     return change

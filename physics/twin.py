@@ -68,7 +68,7 @@ class Clocks:
 
 
 @dataclass(frozen=True)
-class Beams:
+class OpticsParameters:
     """Both beams, from the laser to the sensor.
 
     Attributes
@@ -113,7 +113,7 @@ class Beams:
 
 
 @dataclass(frozen=True)
-class Chip:
+class SensorParameters:
     """The camera's sensor.
 
     Attributes
@@ -135,7 +135,7 @@ class Chip:
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class Environment:
     """What changes the reed while it is measured.
 
     Attributes
@@ -161,7 +161,7 @@ class Surroundings:
 
 
 @dataclass(frozen=True)
-class Fits:
+class FitBias:
     """What fits of sweeps take the drive for a mode by, and the other way round.
 
     A mode at another frequency, with the drive bent around it to match, moves a reed almost alike.
@@ -189,19 +189,19 @@ class Twin:
     reed : Mechanics
     drive : DriveChain
     clocks : Clocks
-    beams : Beams
-    chip : Chip
-    surroundings : Surroundings
-    fits : Fits
+    beams : OpticsParameters
+    chip : SensorParameters
+    surroundings : Environment
+    fits : FitBias
     """
 
     reed: Mechanics = field(default_factory=Mechanics)
     drive: DriveChain = DriveChain()
     clocks: Clocks = Clocks()
-    beams: Beams = Beams()
-    chip: Chip = Chip()
-    surroundings: Surroundings = Surroundings()
-    fits: Fits = Fits()
+    beams: OpticsParameters = OpticsParameters()
+    chip: SensorParameters = SensorParameters()
+    surroundings: Environment = Environment()
+    fits: FitBias = FitBias()
 
 
 def more(twin: Twin, part: str, **amounts: float) -> Twin:

@@ -39,7 +39,7 @@ from physics.mechanics import (
 from physics.reed.fem import Symmetry
 from physics.twin import (
     DriveChain,
-    Fits,
+    FitBias,
     Twin,
 )
 
@@ -145,7 +145,7 @@ def _of_leaks(sweep: SweepReading, leaks: Leaks, hz: Array, near: Array) -> Arra
     return errors
 
 
-def exchanged(fits: Fits, mode: str, own_hz: float, loss: float, hz: Array) -> Array:
+def exchanged(fits: FitBias, mode: str, own_hz: float, loss: float, hz: Array) -> Array:
     """What the log drive (k,) takes over of a mode that is told at `own_hz` with `loss`."""
     cents, log = fits.of(mode)
     if not cents and not log:

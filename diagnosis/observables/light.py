@@ -21,7 +21,7 @@ from diagnosis.observables.vibration import (
     at_highest_level,
 )
 from physics.effects.form import Tap
-from physics.twin import Beams, Twin
+from physics.twin import OpticsParameters, Twin
 
 Array = NDArray[np.floating[Any]]
 
@@ -86,7 +86,7 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
             columns.append({f"speckle {still.clamping}": _SPECKLE, "order": _ORDER})
     end_s = max([*still_s, *(float(sweep.time_s.max()) for sweep in sweeps)])
 
-    def light(time_s: Array, beams: Beams) -> Array:
+    def light(time_s: Array, beams: OpticsParameters) -> Array:
         after = time_s > beams.hop_share * end_s
         lost: Array = -beams.fade_per_h * time_s / 3600 + np.log1p(-min(beams.hop, 0.95)) * after
         return lost
@@ -214,7 +214,7 @@ def fringe_block(sweeps: Sequence[SweepReading]) -> Block | None:
     alike = _LEFT_OF_CARRIER if off else 1.0
 
     def predict(twin: Twin) -> Array:
-        beams: Beams = twin.beams
+        beams: OpticsParameters = twin.beams
         mixed = np.sqrt(beams.mixing**2 + (alike * beams.leak) ** 2 + floors[0, 0] ** 2)
         return np.array([mixed, beams.blur + floors[1, 0]])
 

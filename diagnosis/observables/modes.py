@@ -22,7 +22,7 @@ from diagnosis.observables.vibration import (
 from physics.effects.form import Tap
 from physics.mechanics import ReedSolver
 from physics.twin import (
-    Surroundings,
+    Environment,
     Twin,
     with_cane,
 )
@@ -251,7 +251,7 @@ def _prediction(
             raise ValueError(f"a reed of this kind has no mode {missing[0]}")
         hz = np.array([modes[name].hz for name in common])
         eta = np.array([modes[name].loss_factor for name in common])
-        around: Surroundings = twin.surroundings
+        around: Environment = twin.surroundings
         gone = hours + around.begun_h
         degrees = around.warming_c_h * gone
         dry = around.drying * -np.expm1(-3600 * gone / around.drying_s)

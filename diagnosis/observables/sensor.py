@@ -16,7 +16,7 @@ from diagnosis.campaign import Part
 from fitting.errors import FitInputError
 from physics.effects.form import Tap
 from physics.sensor import Sensor
-from physics.twin import Beams, Twin
+from physics.twin import OpticsParameters, Twin
 
 Array = NDArray[np.floating[Any]]
 
@@ -291,7 +291,7 @@ def flat_block(flat: Flat, dark: Dark | None, sheet: Sheet) -> Block:
 
 def lo_block(beam: Beam, sheet: Sheet) -> Block:
     """Local oscillator beside a Gaussian beam on the middle of the sensor."""
-    usual, halves = Beams().waist_m, sheet.half_m
+    usual, halves = OpticsParameters().waist_m, sheet.half_m
 
     def predict(twin: Twin) -> Array:
         beams = twin.beams

@@ -17,7 +17,7 @@ from diagnosis.campaign import Part
 from diagnosis.observables.beat import turn_of_unequal_steps
 from holography.phase import TURN_OF_FRAMES
 from physics.effects.form import Tap
-from physics.twin import Beams, Twin
+from physics.twin import OpticsParameters, Twin
 
 Array = NDArray[np.floating[Any]]
 
@@ -159,7 +159,7 @@ _WALK, _SCATTER = 0.4, 0.1
 _FLICKER, _CHANGED = 2e-4, 1e-4
 
 
-def usual_scatter_hz(beams: Beams, rate_hz: float) -> float:
+def usual_scatter_hz(beams: OpticsParameters, rate_hz: float) -> float:
     """Scatter of the lock of acquisitions, by a phase that walks and jitters.
 
     The steady turn that fits four frames best is a third of what the phase turns by between the

@@ -5,7 +5,7 @@ import pytest
 
 from diagnosis.nuisances import of_fits
 from diagnosis.observables.drive import exchanged
-from physics.twin import Fits, Twin
+from physics.twin import FitBias, Twin
 
 HZ = np.geomspace(2.5e3, 4.5e3, 40)
 
@@ -20,7 +20,7 @@ def test_drive_and_mode_together_are_what_was_measured(cents: float, log: float)
     told_hz, told_loss = true_hz * 2 ** (cents / 1200), true_loss * np.exp(log)
     # The drive is flat; what a fit with another mode makes of it is bent.
     bent = np.log(response(true_hz, true_loss) / response(told_hz, told_loss))
-    found = exchanged(Fits((("T1", cents, log),)), "T1", told_hz, told_loss, HZ)
+    found = exchanged(FitBias((("T1", cents, log),)), "T1", told_hz, told_loss, HZ)
     np.testing.assert_allclose(found, bent, atol=1e-9)
 
 

@@ -35,7 +35,7 @@ from fitting.holograms.block_amplitudes import _holograms
 from physics.air import CavityLine, Chamber
 from physics.effects.form import Tap
 from physics.reed.geometry import ReedGeometry
-from physics.twin import Beams, Twin
+from physics.twin import OpticsParameters, Twin
 from runs.verdict import Verdict
 
 NO_LEAKS = Leaks({}, 0.0)
@@ -111,7 +111,7 @@ def test_sweeps_without_a_measured_lock_have_no_lock() -> None:
         clamping=0, time_s=np.arange(4.0), turn_rad=np.zeros(3), gap_s=np.ones(3),
         advance_rad=np.zeros(4), advance_error=np.full(4, 1e-3),
     )  # fmt: skip
-    usual_hz = usual_scatter_hz(Beams(), 12.5)
+    usual_hz = usual_scatter_hz(OpticsParameters(), 12.5)
     light = turn_block([still], usual_hz, 12.5)
     assert np.sqrt(light.covariance[0, 0]) == pytest.approx(usual_hz / 2)
 

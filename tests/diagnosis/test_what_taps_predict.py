@@ -32,7 +32,7 @@ from physics.air import (
     Filling,
 )
 from physics.twin import (
-    Fits,
+    FitBias,
     Twin,
     more,
     with_cane,
@@ -239,7 +239,7 @@ def test_frequencies_are_in_cents_and_losses_in_per_cent(modes) -> None:
     assert air == pytest.approx([1200 * np.log2(0.99)] * 2 + [0.0, 0.0])
     stiffer = modes(with_cane(Twin(), E_L=0.02))
     assert stiffer == pytest.approx([1200 * np.log2(np.exp(0.01 * b)) for b in BENDING] + [0, 0])
-    exchanged = Twin(fits=Fits((("F1", 3.0, 0.02), ("T1", -1.0, 0.0))))
+    exchanged = Twin(fits=FitBias((("F1", 3.0, 0.02), ("T1", -1.0, 0.0))))
     assert modes(exchanged) == pytest.approx([3.0, -1.0, 2.0, 0.0])
 
 

@@ -16,8 +16,8 @@ from physics.effects.form import (
     Tap,
 )
 from physics.twin import (
-    Beams,
     Clocks,
+    OpticsParameters,
     Twin,
     more,
 )
@@ -28,7 +28,7 @@ AT = np.linspace(-1, 1, COUNT)
 
 def lines(twin: Twin) -> np.ndarray:
     """Numbers of the first tap: a level, a slope, a bump."""
-    beams: Beams = twin.beams
+    beams: OpticsParameters = twin.beams
     return beams.fade_per_h + beams.leak * AT + beams.mixing * np.exp(-((AT / 0.2) ** 2))
 
 

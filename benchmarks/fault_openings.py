@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from acquire.runner import script
+import acquire
 from drivers.bench_lock import bench_locked
 from drivers.emulators.novatech import NovatechDevice
 from drivers.emulators.serving import PtyServer, SocketServer
@@ -131,7 +131,7 @@ def left_on(identity: str | None = None) -> Iterator[tuple[NovatechDevice, Sigle
                 "twin": {"mesh": "coarse"},
             }
         )
-        yield box, generator, script.plan(script.load("quick"), bench)
+        yield box, generator, acquire.plan(acquire.load("quick"), bench).plan
     finally:
         line.close()
         socket.close()

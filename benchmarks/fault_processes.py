@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from acquire.runner import script
+import acquire
 from benchmarks.fault_list import CALM, Fault
 from benchmarks.struck import Outcome, measured, outcome_of, planned
 from drivers.context import BenchContext
@@ -47,24 +47,28 @@ def _strike(number: int) -> None:
     os.kill(os.getpid(), number)
 
 
-def _phase_arguments(number: int, phase: str) -> tuple[Fault, dict[str, Any]]:
+def _phase_arguments(number: int, phase: str) -> tuple[Fault, acquire.Callbacks]:
     """Return the sweep, and what to hand to `measured`, for a signal to strike in a phase."""
     match phase:
         case "sweep":
-            return replace(CALM, amid=lambda _: _strike(number)), {}
+            return replace(CALM, amid=lambda _: _strike(number)), acquire.Callbacks()
         case "pause":
             paused = replace(CALM, amid=lambda _: _strike(signal.SIGUSR1))
-            return paused, {"announce": lambda said: "paused" in said and _strike(number)}
+            return paused, acquire.Callbacks(
+                announce=lambda said: _strike(number) if "paused" in said else None
+            )
         case "retake":
-            return RETAKEN, {"report": lambda step: step.take == 2 and _strike(number)}
+            return RETAKEN, acquire.Callbacks(
+                step=lambda step: _strike(number) if step.take == 2 else None
+            )
         case "packing":
-            return FRAMES, {"packing": lambda _: _strike(number)}
+            return FRAMES, acquire.Callbacks(packing=lambda _: _strike(number))
     os.environ[_STRUCK] = str(int(number))
-    return replace(CALM, name="opening"), {}
+    return replace(CALM, name="opening"), acquire.Callbacks()
 
 
 def _signalled(number: int, phase: str, path: Path, report: Any) -> None:
-    fault, more = _phase_arguments(number, phase)
+    fault, calls = _phase_arguments(number, phase)
     if phase == "opening":
         opened = planned
 
@@ -72,12 +76,12 @@ def _signalled(number: int, phase: str, path: Path, report: Any) -> None:
             plan = opened(asked)
             driver = f"{StruckSiglent.__module__}:{StruckSiglent.__name__}"
             bench = plan.bench.replace({"instruments.generator.driver": driver})
-            return script.plan(plan.protocol, bench)
+            return acquire.plan(plan.protocol, bench).plan
 
         import benchmarks.struck as struck
 
         struck.planned = struck_plan
-    report.send(measured(fault, path, **more))
+    report.send(measured(fault, path, callbacks=calls))
 
 
 def signalled(number: int, phase: str, folder: Path) -> Outcome:
@@ -191,14 +195,14 @@ def _on_a_small_disk(phase: str, path: Path, report: Any) -> None:
             report.send(None)
             return
         filler, place = Path(name, "filler"), Path(name, path.name)
-        fault, more = FRAMES, {}
+        fault, calls = FRAMES, acquire.Callbacks()
         if phase == "beginning":
             _fill_disk(filler)
         elif phase == "amid":
             fault = replace(FRAMES, amid=lambda _: _fill_disk(filler))
         else:
-            more = {"packing": lambda _: _fill_disk(filler), "announce": lambda _: None}
-        ended = measured(fault, place, **more)
+            calls = acquire.Callbacks(packing=lambda _: _fill_disk(filler))
+        ended = measured(fault, place, callbacks=calls)
         if place.exists():
             path.write_bytes(place.read_bytes())
         report.send(ended)
@@ -296,7 +300,7 @@ def locked(folder: Path) -> tuple[str, Outcome]:
     process.wait_till_amid()
     said = ""
     try:
-        script.resume(planned(CALM), process.path)
+        acquire.resume(planned(CALM), process.path)
     except BenchError as error:
         said = str(error)
     outcome = process.outcome()
@@ -352,7 +356,7 @@ def killed(kills: int, folder: Path, seed: int = 0) -> Kills:
         process.outcome()
         if not process.path.exists():
             # Killed before its file had its name; the name is free all the same.
-            script.run(planned(fault), process.path, reed="faults", seed=1)
+            acquire.run(planned(fault), process.path, reed="faults", seed=1)
         before = _good_fields(process.path)
         finished.append(len(before))
         with Run.open(process.path) as opened:

@@ -29,6 +29,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+import acquire
 from acquire.cli.console import results
 from acquire.cli.display import (
     catalogue_entry,
@@ -36,7 +37,6 @@ from acquire.cli.display import (
     run_details,
     troubles_of,
 )
-from acquire.runner import script
 from acquire.runner.resuming import unfinished
 from benchmarks.fuzz_judging import Outcome, Tally, Unnoticed, judged
 from benchmarks.fuzz_readers import Implausible
@@ -127,12 +127,14 @@ def originals(folder: Path) -> list[Original]:
     made = []
     for keep in ("holograms", "frames"):
         path = folder / f"{keep}.h5"
-        plan = script.plan(Protocol.from_file("quick").replace({**_SMALL, "keep": keep}), bench)
+        plan = acquire.plan(
+            Protocol.from_file("quick").replace({**_SMALL, "keep": keep}), bench
+        ).plan
         # As if read from files, whose text is not written again for every run.
-        plan = script.plan(
+        plan = acquire.plan(
             Protocol.from_text(plan.protocol.text), BenchFile.from_text(plan.bench.text)
-        )
-        script.run(plan, path, reed="R07", seed=1, labels=None)
+        ).plan
+        acquire.run(plan, path, reed="R07", seed=1, labels=None)
         with h5py.File(path) as file:
             paths = tuple(_object_paths(file))
             values = sorted(_value_ranges(path, file, paths))

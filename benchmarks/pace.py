@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from acquire.runner import script
+import acquire
 from protocols.bench import BenchFile
 from runs.reader import Run
 from runs.verdict import Verdict
@@ -28,11 +28,11 @@ LIMIT_RATIO = 1.30
 def benchmark(protocol: str) -> dict[str, Any]:
     """Measure one sweep; the result is what ``--json`` prints."""
     bench = BenchFile.from_file().replace({"twin": {"pace": "realtime"}})
-    plan = script.plan(script.load(protocol), bench)
+    plan = acquire.plan(acquire.load(protocol), bench).plan
     exposed_s = sum(s.frames for s in plan.steps) / float(plan.protocol.camera.frame_rate_hz)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "run.h5")
-        summary = script.run(plan, path, reed="pace")
+        summary = acquire.run(plan, path, reed="pace")
         with Run.open(path) as run:
             period_s = float(1 / run.frame_rate_hz)
             starts_s = [step.timestamps_s[0] for step in run if step.timestamps_s]

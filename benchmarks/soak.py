@@ -31,8 +31,8 @@ from typing import Any
 
 import numpy as np
 
+import acquire
 from acquire.cli.main import app
-from acquire.runner import script
 from benchmarks.fault_list import CALM, Fault
 from benchmarks.kills import finished_steps, is_complete, is_whole
 from benchmarks.struck import planned
@@ -165,7 +165,7 @@ def series(name: str, work: Callable[[], object], runs: int, warm_up: int = WARM
 def simulated_plan(changes: Mapping[str, Any] | None = None) -> Plan:
     """Plan the small sweep of `benchmarks.struck` on the simulated bench."""
     bench = BenchFile.from_file().replace({"twin": {"mesh": "coarse"}})
-    return script.plan(planned(CALM).protocol.replace(dict(changes or {})), bench)
+    return acquire.plan(planned(CALM).protocol.replace(dict(changes or {})), bench).plan
 
 
 def works(folder: Path) -> dict[str, Callable[[], object]]:
@@ -175,7 +175,7 @@ def works(folder: Path) -> dict[str, Callable[[], object]]:
 
     def fit() -> None:
         if not fitted.exists():
-            script.run(simulated_plan(_FITTED), fitted, reed="R07")
+            acquire.run(simulated_plan(_FITTED), fitted, reed="R07")
         fit_runs([fitted])
 
     def fail() -> None:
@@ -198,7 +198,7 @@ def failing_plans(folder: Path) -> tuple[Plan, ...]:
         "instruments.synthesizers.options.port": str(folder / "no-such-port"),
     }
     return (
-        script.plan(calm.protocol, calm.bench.replace(unknown_port)),
+        acquire.plan(calm.protocol, calm.bench.replace(unknown_port)).plan,
         planned(Fault("cable", "stopped", "generator", {"generator_wire": {"unplug_at": 100}})),
         planned(Fault("trigger", "stopped", "trigger", {"no_frame_from": 1})),
     )
@@ -207,7 +207,7 @@ def failing_plans(folder: Path) -> tuple[Plan, ...]:
 def _measure(plan: Plan, folder: Path) -> None:
     path = folder / "soak.h5"
     try:
-        script.run(plan, path, reed="R07", seed=_SEED)
+        acquire.run(plan, path, reed="R07", seed=_SEED)
     finally:
         for left in folder.glob("soak.*"):
             left.unlink()

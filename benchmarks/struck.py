@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from acquire.runner import script
+import acquire
+from acquire.runner import run_session
 from acquire.runner.recorder import StepReport
 from acquire.runner.summary import RunSummary
 from benchmarks.fault_list import Fault
@@ -72,7 +73,7 @@ def planned(fault: Fault) -> Plan:
             **fault.bench,
         }
     )
-    return script.plan(script.load("quick").replace({**_SMALL, **fault.protocol}), bench)
+    return acquire.plan(acquire.load("quick").replace({**_SMALL, **fault.protocol}), bench).plan
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ Report = Callable[[StepReport], None]
 
 
 def measured(
-    fault: Fault, path: Path, resume: bool = False, report: Report | None = None, **more: Any
+    fault: Fault, path: Path, resume: bool = False, callbacks: acquire.Callbacks | None = None
 ) -> Ended:
     """Run a sweep; return its summary or why it stopped, what is not confirmed, and the truth.
 
@@ -119,28 +120,27 @@ def measured(
     fault : Fault
     path : Path
     resume : bool
-    report : callable, optional
-        Called with every recorded step.
-    **more
-        For `acquire.runner.script.run`, such as `announce` and `packing`.
+    callbacks : Callbacks, optional
+        As for `acquire.run`.
     """
     labs: list[SimulatedLab] = []
+    given = callbacks or acquire.Callbacks()
 
     def reported(step: StepReport) -> None:
         if fault.amid and step.done == _AMID_STEPS and step.take == 1:
             fault.amid(benches[-1])
-        if report:
-            report(step)
+        given.step(step)
 
     benches: list[Bench] = []
+    calls = replace(given, step=reported)
     ended: RunSummary | str
     with _benches_seen(fault, benches, labs):
         try:
             if resume:
-                ended = script.resume(planned(fault), path, progress=reported, **more)
+                ended = acquire.resume(planned(fault), path, callbacks=calls).summary
             else:
                 plan = planned(fault)
-                ended = script.run(plan, path, reed="faults", seed=1, progress=reported, **more)
+                ended = acquire.run(plan, path, reed="faults", seed=1, callbacks=calls).summary
             notes = ended.unconfirmed
         except BenchError as error:
             ended, notes = str(error), error.unconfirmed
@@ -150,7 +150,7 @@ def measured(
 @contextmanager
 def _benches_seen(fault: Fault, benches: list[Bench], labs: list[SimulatedLab]) -> Any:
     """Let a fault strike every bench that a script opens, and remember its laboratory."""
-    opened = script.open_bench
+    opened = run_session.open_bench
 
     def opening(*asked: Any, **more: Any) -> Bench:
         bench = open_bench(*asked, **more)
@@ -161,11 +161,11 @@ def _benches_seen(fault: Fault, benches: list[Bench], labs: list[SimulatedLab]) 
             fault.strike(bench)
         return bench
 
-    script.open_bench = opening
+    run_session.open_bench = opening
     try:
         yield
     finally:
-        script.open_bench = opened
+        run_session.open_bench = opened
 
 
 def struck(fault: Fault, folder: Path) -> Outcome:

@@ -33,8 +33,8 @@ from typing import Any, Final
 
 import numpy as np
 
+import acquire
 from acquire.cli.display import catalogue_entry
-from acquire.runner import script
 from acquire.runner.recorder import StepReport
 from protocols.bench import BenchFile
 from runs.checksums import pixel_checksum
@@ -80,14 +80,14 @@ _RATIOS: Final = (("watched", "alone"), ("watched", "busy"), ("busy", "alone"))
 def measure(path: Path, done: Any, answer: Any) -> None:
     """Measure a sweep; send seconds and processor seconds for each step."""
     bench = BenchFile.from_file().replace({"twin": {"mesh": "coarse", "pace": "realtime"}})
-    plan = script.plan(script.load("quick").replace(_SMALL), bench)
+    plan = acquire.plan(acquire.load("quick").replace(_SMALL), bench).plan
     times: list[tuple[float, float]] = []
 
     def note(report: StepReport) -> None:
         times.append((time.perf_counter(), time.process_time()))
         done.value = report.done
 
-    script.run(plan, path, reed="watched", progress=note)
+    acquire.run(plan, path, reed="watched", callbacks=acquire.Callbacks(step=note))
     steps = len(times) - 1
     first, last = times[0], times[-1]
     answer.send([(end - start) / steps for start, end in zip(first, last, strict=True)])

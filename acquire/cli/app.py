@@ -3,16 +3,13 @@
 import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from acquire.cli.console import show_message
 from holography.errors import BenchError
 from reports.plain_text import one_line
-
-if TYPE_CHECKING:
-    from protocols.plan import Plan
 
 INTERRUPTED = 130
 
@@ -57,7 +54,7 @@ def guarded_verb(function: Callable[..., None]) -> Callable[..., None]:
         except OSError as error:
             if debug:
                 raise
-            for line in (_disk_words(error), *getattr(error, "__notes__", ())):
+            for line in (_disk_message(error), *getattr(error, "__notes__", ())):
                 show_message(one_line(f"acquire: {line}"))
             raise typer.Exit(1) from None
         except KeyboardInterrupt as stop:
@@ -69,18 +66,8 @@ def guarded_verb(function: Callable[..., None]) -> Callable[..., None]:
     return guarded
 
 
-def _disk_words(error: OSError) -> str:
-    """One line about a file that the system refused where nothing else says so."""
+def _disk_message(error: OSError) -> str:
+    """Return one line about a file error that no other message explains."""
     where = "" if error.filename is None else f"{error.filename}: "
     reason = error.strerror or str(error) or type(error).__name__
     return one_line(f"{where}the system refused it ({reason}); check the disk, then try again")
-
-
-def plan_of(protocol: str, bench: str, series: str | None = None) -> "Plan":
-    """Return the plan of a protocol on a bench, for another series if one is given."""
-    from acquire.runner import script
-
-    described = script.load(protocol)
-    if series is not None:
-        described = described.replace(series=series)
-    return script.plan(described, bench)

@@ -1,9 +1,10 @@
 """The verbs `acquire blind make` and `acquire blind score`."""
 
 import contextlib
+import functools
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -13,9 +14,6 @@ from acquire.cli.app import (
 )
 from acquire.cli.console import messages, results, show_json
 from reports.errors import OutputFailedError
-
-if TYPE_CHECKING:
-    pass
 
 
 @contextlib.contextmanager
@@ -64,13 +62,14 @@ def make(
     case. A case takes 30 to 60 s and 46 MB.
     """
     with _blind_side():
-        from acquire.cli.display import share_progress
+        from acquire.cli.display import stage_progress
         from blind.files import make_set
 
         place = folder.resolve()
         kept = key or place.with_name(f"{place.name}.key.json")
-        with share_progress(messages(), "making cases") as told:
-            made = make_set(folder, kept, tier, count, seed, jobs, told)
+        with stage_progress(messages()) as show:
+            stage = functools.partial(show, "making cases")
+            made = make_set(folder, kept, tier, count, seed, jobs, stage)
     if as_json:
         show_json({"cases": count, "folder": str(folder), "key": str(kept), "sealed_sha256": made})
         return

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import (
     BarColumn,
     Progress,
+    TaskID,
     TaskProgressColumn,
     TextColumn,
     TimeRemainingColumn,
@@ -177,8 +178,8 @@ def sweep_progress(console: Console, steps: int) -> Iterator[Listener]:
 
 
 @contextmanager
-def share_progress(console: Console, what: str) -> Iterator[Callable[[float], None]]:
-    """Live bar of a computation that tells the share of it that is done."""
+def stage_progress(console: Console) -> Iterator[Callable[[str, float], None]]:
+    """Live bars of a computation: one for each stage, with the fraction that is done."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -186,15 +187,17 @@ def share_progress(console: Console, what: str) -> Iterator[Callable[[float], No
         TimeRemainingColumn(),
     )
     progress = Progress(*columns, console=console)
-    task = progress.add_task(what, total=1.0)
+    tasks: dict[str, TaskID] = {}
+
+    def show(stage: str, fraction: float) -> None:
+        # A bar appears with its first report: most often there is nothing to wait for.
+        if not progress.live.is_started:
+            progress.start()
+        if stage not in tasks:
+            tasks[stage] = progress.add_task(stage, total=1.0)
+        progress.update(tasks[stage], completed=fraction)
+
     try:
-
-        def show(share: float) -> None:
-            # The bar appears with the first share: most often there is nothing to wait for.
-            if not progress.live.is_started:
-                progress.start()
-            progress.update(task, completed=share)
-
         yield show
     finally:
         if progress.live.is_started:

@@ -5,13 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from acquire.cli.app import (
-    AsJson,
-    Debug,
-    MethodOption,
-    ModelOption,
-    RunFiles,
-)
+from acquire.cli.app import AsJson, Debug, MethodOption, ModelOption, RunFiles
 from acquire.cli.console import results, show_json, show_message
 
 if TYPE_CHECKING:
@@ -31,8 +25,10 @@ def fit(
 
     Series A and B together determine all four parameters.
     """
-    fitted = _fit(runs, model, method)
-    finish(fitted.to_json(), as_json, [], fitted)
+    import acquire
+
+    fitted = acquire.fit(*runs, method=method, model=model, announce=show_message)
+    finish(fitted.to_json(), as_json, [], fitted.fit)
 
 
 def report(
@@ -49,16 +45,6 @@ def report(
     report_runs(runs, model, out, as_json, {}, method)
 
 
-def _fit(runs: list[Path], model: str, method: str = "joint") -> "ReedFit":
-    from fitting.cane.fit_runs import (
-        fit_runs,
-        method_name,
-        model_name,
-    )
-
-    return fit_runs(runs, model_name(model), show_message, method_name(method))
-
-
 def report_runs(
     runs: list[Path],
     model: str,
@@ -68,6 +54,7 @@ def report_runs(
     method: str = "joint",
 ) -> None:
     """Fit, write the page and print the result; without a fit, the page has the pictures only."""
+    import acquire
     from fitting.errors import FitError, FitInputError
     from reports.run_page import (
         page_of,
@@ -80,8 +67,8 @@ def report_runs(
     require_report(runs, page)
     fitted, failure = None, None
     try:
-        fitted = _fit(runs, model, method)
-        files = write_report(fitted, page)
+        fitted = acquire.fit(*runs, method=method, model=model, announce=show_message)
+        files = write_report(fitted.fit, page)
     except FitInputError:
         raise
     except FitError as error:
@@ -92,7 +79,8 @@ def report_runs(
         "files": {name: str(file) for name, file in files.items()},
     }
     listed = ({"run file": answer["run"]} if "run" in answer else {}) | files
-    finish(answer, as_json, [f"{name:13} {file}" for name, file in listed.items()], fitted)
+    lines = [f"{name:13} {file}" for name, file in listed.items()]
+    finish(answer, as_json, lines, fitted.fit if fitted else None)
     if failure:
         raise failure
 
@@ -100,7 +88,7 @@ def report_runs(
 def finish(
     answer: dict[str, Any], as_json: bool, lines: list[str], fitted: "ReedFit | None" = None
 ) -> None:
-    """Print the result of a as JSON or for people."""
+    """Print the result of a verb, as JSON or for people."""
     if as_json:
         show_json(answer)
         return

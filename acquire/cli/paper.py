@@ -1,7 +1,7 @@
 """The verb `acquire paper`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -10,9 +10,6 @@ from acquire.cli.app import (
     Debug,
 )
 from acquire.cli.console import results, show_json, show_message
-
-if TYPE_CHECKING:
-    pass
 
 
 def paper(

@@ -2,129 +2,143 @@
 
 import contextlib
 import functools
-import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from acquire.cli.app import (
-    INTERRUPTED,
-    AsJson,
-    BenchOption,
-    Debug,
-    plan_of,
-)
+from acquire.cli.app import AsJson, BenchOption, Debug
 from acquire.cli.console import messages, show_json, show_message
 from acquire.cli.fit import finish, report_runs
+from acquire.cli.option_group import takes_options
+from acquire.errors import UsageError
 from holography.errors import BenchError
 from reports.errors import OutputFailedError
 from reports.plain_text import one_line
 
 if TYPE_CHECKING:
-    from acquire.runner.summary import RunSummary
+    from acquire.results.measurement import CampaignResult, RunResult
+    from acquire.runner.callbacks import Callbacks
     from protocols.plan import Plan
-    from runs.reader import RunLabels
+    from runs.layout import RunLabels
+
+_UNNAMED = "unnamed"
 
 
-def run(
-    protocol: Annotated[
-        str, typer.Argument(help="Protocol or campaign: a file, or the name of a shipped one.")
-    ],
-    bench: BenchOption = "simulated",
-    reed: Annotated[
-        str, typer.Option(help="Name of this reed, unique in your laboratory.")
-    ] = "unnamed",
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of `acquire run`."""
+
+    reed: Annotated[str, typer.Option(help="Name of this reed, unique in your laboratory.")] = (
+        _UNNAMED
+    )
     strength: Annotated[
         float | None, typer.Option(help="Nominal strength of the reed, such as 3.5.")
-    ] = None,
+    ] = None
     series: Annotated[
         str | None, typer.Option(help="Series, if it differs from the one in the protocol.")
-    ] = None,
-    note: Annotated[str, typer.Option(help="Free text, stored in the run file.")] = "",
-    operator: Annotated[str, typer.Option(help="Name of the person at the bench.")] = "",
+    ] = None
+    note: Annotated[str, typer.Option(help="Free text, stored in the run file.")] = ""
+    operator: Annotated[str, typer.Option(help="Name of the person at the bench.")] = ""
     out: Annotated[
         Path | None,
         typer.Option(
             help="Run file to write (default: measurements/TIME_SERIES_REED.h5), or for a campaign "
             "the folder to write (default: measurements/TIME_campaign_REED)."
         ),
-    ] = None,
+    ] = None
     seed: Annotated[
         int, typer.Option(min=0, help="Seed of the random numbers of a simulated bench.")
-    ] = 0,
+    ] = 0
     resume: Annotated[
         Path | None,
         typer.Option(metavar="RUN|FOLDER", help="Continue this unfinished run or campaign."),
-    ] = None,
+    ] = None
+
+    def labels(self) -> "RunLabels":
+        """Return what a person says about the run."""
+        from runs.layout import RunLabels
+
+        return RunLabels(self.strength, self.note, self.operator)
+
+
+@takes_options
+def run(
+    protocol: Annotated[
+        str, typer.Argument(help="Protocol or campaign: a file, or the name of a shipped one.")
+    ],
+    options: RunOptions,
+    bench: BenchOption = "simulated",
     fit: Annotated[bool, typer.Option(help="Fit the reed and write the report at the end.")] = True,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
     """Measure a sweep, fit the reed and write a report; or measure all parts of a campaign."""
-    from acquire.cli.display import (
-        run_summary,
-        sweep_progress,
-        troubles_of,
-    )
-    from acquire.runner import script
     from protocols.campaign import names_campaign
-    from runs.reader import Run, RunLabels
 
-    labels = RunLabels(strength, note, operator)
-    _require_keepable(reed, labels)
-    if resume is not None:
-        said = labels != RunLabels()
-        _require_nothing_new(out=out, reed=reed != "unnamed", seed=seed, labels=said)
+    _require_consistent(options)
     if names_campaign(protocol):
-        _require_single(series=series)
-        _run_campaign(protocol, bench, out, reed, labels, seed, resume, as_json)
+        _run_campaign(protocol, bench, options, as_json)
         return
-    planned = plan_of(protocol, bench, series)
-    planned.require_possible()
-    path = resume or out or _default_path(planned.protocol.series, reed)
+    measured = _measure(protocol, bench, options, fit, as_json)
+    answer = measured.to_json()
+    listed = [f"run file      {measured.path}"]
+    if measured.exit_status or not fit:
+        finish(answer, as_json, listed)
+        raise typer.Exit(measured.exit_status)
+    try:
+        report_runs([measured.path], "fem", None, as_json, answer)
+    except (KeyboardInterrupt, OutputFailedError):
+        finish(answer, as_json, listed)
+        raise
+
+
+def _measure(
+    protocol: str, bench: str, options: RunOptions, fit: bool, as_json: bool
+) -> "RunResult":
+    """Measure a sweep, or its missing steps, with a progress bar; show how it ended."""
+    import acquire
+    from acquire.cli.display import run_summary, sweep_progress, troubles_of
+
+    asked = acquire.load(protocol)
+    if options.series is not None:
+        asked = asked.replace(series=options.series)
+    planned = acquire.plan(asked, bench)
+    planned.plan.require_possible()
+    path = options.resume or options.out or _default_path(asked.series, options.reed)
     if fit:
         from reports.run_page import page_of, require_report
 
         require_report([path], page_of(path), measured=False)
-    words = messages()
     with (
         _failing_in_json({"run": str(path)}, as_json),
-        sweep_progress(words, len(planned.steps)) as bar,
+        sweep_progress(messages(), len(planned.steps)) as bar,
     ):
-        tell = functools.partial(words.print, markup=False, soft_wrap=True)
-        heard: Any = {"progress": bar.step, "packing": bar.packing, "announce": tell}
-        if resume is not None:
-            summary = script.resume(planned, path, **heard)
+        calls = acquire.Callbacks(step=bar.step, packing=bar.packing, announce=_announce())
+        if options.resume is not None:
+            measured = acquire.resume(planned, path, callbacks=calls)
         else:
-            summary = script.run(planned, path, reed=reed, labels=labels, seed=seed, **heard)
-    with Run.open(path) as finished:
-        closing = run_summary(summary, troubles_of(finished))
+            measured = acquire.run(
+                planned,
+                path,
+                reed=options.reed,
+                labels=options.labels(),
+                seed=options.seed,
+                callbacks=calls,
+            )
+    with acquire.open_run(path) as finished:
+        closing = run_summary(measured.summary, troubles_of(finished))
     for line in closing:
         show_message(line)
-    answer: dict[str, Any] = {"run": str(path), "status": str(summary.status)}
-    answer["reason"] = summary.reason
-    answer["unconfirmed"] = list(summary.unconfirmed)
-    answer["remarks"] = list(summary.remarks)
-    answer["verdicts"] = {str(verdict): n for verdict, n in summary.counts.items()}
-    status = _exit_status(summary)
-    if status or not fit:
-        finish(answer, as_json, [f"run file      {path}"])
-        raise typer.Exit(status)
-    try:
-        report_runs([path], "fem", None, as_json, answer)
-    except (KeyboardInterrupt, OutputFailedError):
-        finish(answer, as_json, [f"run file      {path}"])
-        raise
+    return measured
 
 
-def _exit_status(summary: "RunSummary") -> int:
-    """Exit status of a run that ended without an error."""
-    if summary.unconfirmed or summary.ended_by == "policy":
-        return 1
-    return INTERRUPTED if summary.ended_by == "person" else 0
+def _announce() -> Any:
+    """Return a function that prints one line among the lines of a progress bar."""
+    return functools.partial(messages().print, markup=False, soft_wrap=True)
 
 
 @contextlib.contextmanager
@@ -139,43 +153,59 @@ def _failing_in_json(answer: dict[str, Any], as_json: bool) -> Iterator[None]:
         raise
 
 
-def _require_single(**asked: object) -> None:
-    """Refuse what campaigns have not."""
-    from protocols.errors import ProtocolError
-
-    for option, value in asked.items():
-        if value is not None:
-            raise ProtocolError(
-                f"--{option}: a campaign has several runs; leave it out, or run one protocol"
-            )
-
-
-def _run_campaign(
-    name: str,
-    bench: str,
-    out: Path | None,
-    reed: str,
-    labels: "RunLabels",
-    seed: int,
-    resume: Path | None,
-    as_json: bool,
-) -> None:
+def _run_campaign(name: str, bench: str, options: RunOptions, as_json: bool) -> None:
     """Measure all parts of a campaign into a folder, or those that are missing there."""
-    from acquire.cli.display import run_summary, sweep_progress
-    from acquire.runner import script
-    from protocols.campaign import CampaignFile
+    import acquire
+    from acquire.cli.display import run_summary
 
-    campaign = CampaignFile.from_file(name)
-    folder = resume or out or _default_path("campaign", reed).with_suffix("")
-    words = messages()
-    tell = functools.partial(words.print, markup=False, soft_wrap=True)
+    if options.series is not None:
+        raise UsageError("--series: a campaign has several runs; leave it out, or run one protocol")
+    campaign = acquire.load_campaign(name)
+    folder = (
+        options.resume or options.out or _default_path("campaign", options.reed).with_suffix("")
+    )
+    with _failing_in_json({"folder": str(folder)}, as_json), _campaign_callbacks() as calls:
+        if options.resume is not None:
+            measured = acquire.resume_campaign(campaign, folder, bench, callbacks=calls)
+        else:
+            measured = acquire.run_campaign(
+                campaign,
+                folder,
+                bench,
+                reed=options.reed,
+                labels=options.labels(),
+                seed=options.seed,
+                callbacks=calls,
+            )
+    if measured.exit_status:
+        for line in run_summary(measured.parts[-1].summary, []):
+            show_message(line)
+    finish(measured.to_json(), as_json, _campaign_lines(measured, name, bench))
+    if measured.exit_status:
+        raise typer.Exit(measured.exit_status)
+
+
+def _campaign_lines(measured: "CampaignResult", name: str, bench: str) -> list[str]:
+    """Return where the campaign is, and the command that comes next."""
+    resume = f"continue with acquire run {name} --bench {bench} --resume {measured.folder}"
+    following = f"next          acquire diagnose {measured.folder}"
+    return [f"campaign      {measured.folder}", resume if measured.exit_status else following]
+
+
+@contextlib.contextmanager
+def _campaign_callbacks() -> Iterator["Callbacks"]:
+    """Show a progress bar for each part, and ask for what a person must do between parts."""
+    from acquire.cli.display import sweep_progress
+    from acquire.runner.callbacks import Callbacks
+
+    announce = _announce()
     with contextlib.ExitStack() as shown:
         bars: list[Any] = []
 
-        def begin(task: Any, planned: "Plan") -> None:
+        def part(task: Any, planned: "Plan") -> None:
             shown.close()
-            tell(f"{task.part.name}: {len(planned.steps)} steps")
-            bars[:] = [shown.enter_context(sweep_progress(words, len(planned.steps)))]
+            announce(f"{task.part.name}: {len(planned.steps)} steps")
+            bars[:] = [shown.enter_context(sweep_progress(messages(), len(planned.steps)))]
 
         def wait_for(what: str) -> None:
             shown.close()
@@ -185,67 +215,29 @@ def _run_campaign(
             except typer.Abort:
                 raise KeyboardInterrupt from None
 
-        heard: Any = {"begin": begin, "wait_for": wait_for, "announce": tell}
-        heard["progress"] = lambda report: bars[0].step(report)
-        with _failing_in_json({"folder": str(folder)}, as_json):
-            if resume is not None:
-                summaries = script.resume_campaign(campaign, folder, bench, **heard)
-            else:
-                summaries = script.run_campaign(
-                    campaign, folder, bench, reed=reed, labels=labels, seed=seed, **heard
-                )
-    last = summaries[-1]
-    answer = {
-        "folder": str(folder),
-        "status": str(last.status),
-        "reason": last.reason,
-        "unconfirmed": list(last.unconfirmed),
-        "parts": {
-            summary.path.stem: {str(verdict): n for verdict, n in summary.counts.items()}
-            for summary in summaries
-        },
-    }
-    for line in run_summary(last, []) if _exit_status(last) else []:
-        show_message(line)
-    done = _exit_status(last) == 0
-    lines = [f"campaign      {folder}"]
-    lines.append(
-        f"next          acquire diagnose {folder}"
-        if done
-        else f"continue with acquire run {name} --bench {bench} --resume {folder}"
-    )
-    finish(answer, as_json, lines)
-    if not done:
-        raise typer.Exit(_exit_status(last))
-
-
-def _require_nothing_new(**asked: object) -> None:
-    """Refuse to change, in an unfinished run, what its file already says."""
-    from runs.errors import RunFileError
-
-    for option, value in asked.items():
-        if value:
-            names = "--strength, --note or --operator" if option == "labels" else f"--{option}"
-            raise RunFileError(f"{names}: the unfinished run has its own already; leave it out")
-
-
-def _require_keepable(reed: str, labels: "RunLabels") -> None:
-    """Refuse, before anything is opened, what a run file cannot hold."""
-    from runs.errors import RunFileError
-
-    if labels.strength is not None and not 0 < labels.strength < math.inf:
-        raise RunFileError(
-            f"--strength: {labels.strength} is not a strength; write one such as 3.5"
+        yield Callbacks(
+            step=lambda report: bars[0].step(report),
+            announce=announce,
+            part=part,
+            wait_for=wait_for,
         )
-    if not reed.strip():
-        raise RunFileError("--reed: is blank; write a name that tells this reed from others")
-    for option, text in (("reed", reed), ("note", labels.note), ("operator", labels.operator)):
-        try:
-            text.encode("utf-8")
-        except UnicodeEncodeError:
-            raise RunFileError(f"--{option}: is not UTF-8 text; type it again") from None
-        if "\0" in text:
-            raise RunFileError(f"--{option}: holds a null character; leave it out")
+
+
+def _require_consistent(options: RunOptions) -> None:
+    """Refuse to change, in an unfinished run, what its file already holds."""
+    if options.resume is None:
+        return
+    given = {
+        "--out": options.out is not None,
+        "--reed": options.reed != _UNNAMED,
+        "--seed": options.seed != 0,
+        "--strength": options.strength is not None,
+        "--note": options.note != "",
+        "--operator": options.operator != "",
+    }
+    for option, is_given in given.items():
+        if is_given:
+            raise UsageError(f"{option}: the unfinished run has its own already; leave it out")
 
 
 def _default_path(series: str, reed: str) -> Path:

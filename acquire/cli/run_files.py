@@ -1,5 +1,6 @@
 """The verbs about run files: `acquire list`, `show`, `pack`, `pause` and `continue`."""
 
+import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +11,7 @@ from acquire.cli.app import (
     Debug,
 )
 from acquire.cli.console import messages, results, show_json, show_message
+from acquire.errors import UsageError
 from holography.errors import BenchError
 
 if TYPE_CHECKING:
@@ -28,7 +30,7 @@ def list_runs(
 
     if not folder.is_dir():
         state = "is no folder" if folder.exists() else "there is no such folder"
-        raise RunFileError(f"{folder}: {state}; name the one with your run files")
+        raise UsageError(f"{folder}: {state}; name the one with your run files")
     entries = []
     for path in sorted(folder.rglob("*.h5")):
         try:
@@ -70,18 +72,19 @@ def pack_runs(
 
     `acquire run` does this at the end. Use this command if that was interrupted.
     """
+    import acquire
     from acquire.cli.display import (
         packing_line,
         packing_to_json,
-        share_progress,
+        stage_progress,
     )
-    from acquire.runner import script
 
     answers, worst = [], 0
     for path in run_files:
         try:
-            with share_progress(messages(), f"packing {path.name}") as show:
-                packed = script.pack(path, progress=show)
+            with stage_progress(messages()) as show:
+                stage = functools.partial(show, f"packing {path.name}")
+                packed = acquire.pack(path, callbacks=acquire.Callbacks(packing=stage))
         except BenchError as error:
             if debug:
                 raise

@@ -1,4 +1,4 @@
-"""The parts of a campaign: which are measured, and what stands on the bench before each."""
+"""The parts of a campaign: which are measured, and how the bench is prepared for each."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -7,6 +7,7 @@ from pathlib import Path
 
 from acquire.runner.orders import Orders
 from acquire.runner.resuming import require_same
+from acquire.runner.run_session import Sample
 from drivers.roles import Arrangement, Surroundings
 from protocols.bench import BenchFile
 from protocols.campaign import (
@@ -16,12 +17,11 @@ from protocols.campaign import (
 )
 from protocols.plan import Plan, make_plan
 from runs.errors import RunFileError
-from runs.layout import RunLabels
 from runs.reader import Run
 
 
 class PartState(StrEnum):
-    """How far a part is measured."""
+    """Whether a part is measured."""
 
     NEW = "new"
     BEGUN = "begun"
@@ -30,14 +30,14 @@ class PartState(StrEnum):
 
 @dataclass(frozen=True)
 class PlannedPart:
-    """A part with its plan and its place.
+    """A part of a campaign with its plan and its run file.
 
     Attributes
     ----------
     task : Task
     plan : Plan
     path : Path
-        Of its run file.
+        Its run file.
     """
 
     task: Task
@@ -46,7 +46,7 @@ class PlannedPart:
 
     @property
     def state(self) -> PartState:
-        """How far it is measured.
+        """Whether the part is measured.
 
         Raises
         ------
@@ -59,25 +59,8 @@ class PlannedPart:
             return PartState.COMPLETE if run.status == "complete" else PartState.BEGUN
 
 
-@dataclass(frozen=True)
-class Begun:
-    """What all parts of a campaign share.
-
-    Attributes
-    ----------
-    reed : str
-    labels : RunLabels
-        With the campaign's name.
-    seed : int
-    """
-
-    reed: str
-    labels: RunLabels
-    seed: int
-
-
 def planned_parts(
-    campaign: CampaignFile, folder: Path, bench: str | Path | BenchFile
+    campaign: CampaignFile, folder: Path, bench: BenchFile
 ) -> tuple[PlannedPart, ...]:
     """Plan every part of a campaign.
 
@@ -86,9 +69,8 @@ def planned_parts(
     ProtocolError
         If a part is wrong, or the bench cannot carry it out.
     """
-    described = bench if isinstance(bench, BenchFile) else BenchFile.from_file(bench)
     parts = tuple(
-        PlannedPart(task, make_plan(task.protocol, described), folder / f"{task.part.name}.h5")
+        PlannedPart(task, make_plan(task.protocol, bench), folder / f"{task.part.name}.h5")
         for task in tasks_of(campaign)
     )
     for part in parts:
@@ -96,16 +78,16 @@ def planned_parts(
     return parts
 
 
-def begun_campaign(parts: Sequence[PlannedPart], folder: Path) -> Begun:
-    """Read what a campaign was begun with, and require that it may be gone on with.
+def begun_campaign(parts: Sequence[PlannedPart], folder: Path) -> Sample:
+    """Read what a campaign was started with, and check that it can be continued.
 
     Raises
     ------
     RunFileError
-        If the folder holds no part, all parts are complete, or a part was begun with another
+        If the folder holds no part, all parts are complete, or a part was started with another
         protocol, bench or kind of reed.
     """
-    found: Begun | None = None
+    found: Sample | None = None
     missing = False
     for part in parts:
         if not part.path.exists():
@@ -115,7 +97,7 @@ def begun_campaign(parts: Sequence[PlannedPart], folder: Path) -> Begun:
             require_same(run, part.plan)
             missing |= run.status != "complete"
             labels = replace(run.labels, campaign=run.acquisition.campaign)
-            found = found or Begun(run.reed, labels, run.seed)
+            found = found or Sample(run.reed, labels, run.seed)
     if found is None:
         raise RunFileError(
             f"{folder}: holds no part of this campaign; begin it again without --resume"
@@ -125,7 +107,7 @@ def begun_campaign(parts: Sequence[PlannedPart], folder: Path) -> Begun:
     return found
 
 
-class Arranging:
+class BenchPreparation:
     """Brings shutters, lamp and clamp into the state that each part needs.
 
     Parameters
@@ -133,7 +115,7 @@ class Arranging:
     surroundings : Surroundings or None
         None where a person has to do it.
     wait_for : callable
-        Called with what a person is to do; returns when it is done.
+        Called with what a person must do; returns when it is done.
     orders : Orders
     """
 
@@ -150,12 +132,12 @@ class Arranging:
     def prepare(self, part: PlannedPart, state: PartState) -> None:
         """Prepare the bench for a part that is to be measured; remember one that is complete.
 
-        The reed is clamped anew once only, however often its part is begun.
+        The reed is clamped again once only, however often its part is started.
 
         Raises
         ------
         KeyboardInterrupt
-            If somebody stops the campaign while it waits for a person.
+            If the campaign is stopped while it waits for a person.
         """
         clamps = part.task.part.clamp_anew
         if self._surroundings is not None:
@@ -172,11 +154,11 @@ class Arranging:
     def _ask(self, part: PlannedPart, state: PartState) -> None:
         todo, clamped = part.task.part.do or "", part.task.part.clamp_anew
         if state is PartState.BEGUN and clamped:
-            # That was done before the part was begun.
+            # The reed was clamped before the part was started.
             todo = ""
         if not todo and (self._went_on or state is PartState.BEGUN):
-            # Nobody knows what became of the bench meanwhile.
-            todo = f"see that the bench is as part {part.task.part.name} needs it"
+            # The bench may have been changed since.
+            todo = f"check that the bench is as part {part.task.part.name} needs it"
             todo += f" ({self._last_done})" if self._last_done else ""
         if todo:
             with self._orders.given_up_at(1):

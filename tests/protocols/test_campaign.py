@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire.runner.script import run_campaign
+from acquire import Callbacks, run_campaign
 from drivers.context import BenchContext
 from drivers.registry import open_bench
 from drivers.simulated import SimulatedCamera, SimulatedGenerator
@@ -140,7 +140,9 @@ def test_a_campaign_leaves_a_run_of_each_part(tmp_path) -> None:
         }
     )  # fmt: skip
     asked: list[str] = []
-    run_campaign(quick, tmp_path / "R07", SMALL, reed="R07", wait_for=asked.append)
+    run_campaign(
+        quick, tmp_path / "R07", SMALL, reed="R07", callbacks=Callbacks(wait_for=asked.append)
+    )
     assert asked == [], "the simulated bench arranges itself"
     runs = {path.stem: Run.open(path) for path in (tmp_path / "R07").glob("*.h5")}
     assert {name: run.acquisition.kind for name, run in runs.items()} == {
@@ -169,12 +171,12 @@ def test_somebody_is_asked_where_no_program_can_do_it(tmp_path, monkeypatch) -> 
     def by_hand(*asked, **more):
         return replace(open_bench(*asked, **more), surroundings=None)
 
-    monkeypatch.setattr("acquire.runner.script.open_bench", by_hand)
+    monkeypatch.setattr("acquire.runner.run_session.open_bench", by_hand)
     dark = {**QUICK, "keep": "frames", "calibration": {"kind": "dark", "count": 1}}
     parts = [{"name": "dark", "do": "cover the camera", "change": dark}]
     asked: list[str] = []
     campaign = described("  - name: up\n").replace({"parts": parts})
-    run_campaign(campaign, tmp_path / "R07", SMALL, wait_for=asked.append)
+    run_campaign(campaign, tmp_path / "R07", SMALL, callbacks=Callbacks(wait_for=asked.append))
     assert asked == ["cover the camera"]
 
 
@@ -192,7 +194,7 @@ def test_only_a_simulated_camera_has_simulated_surroundings() -> None:
 def test_a_campaign_is_never_written_over(tmp_path) -> None:
     (tmp_path / "there").mkdir()
     (tmp_path / "there" / "notes.txt").write_text("precious")
-    with pytest.raises(Exception, match="exists already; choose another --out"):
+    with pytest.raises(Exception, match="exists already; choose another folder"):
         run_campaign(described("  - name: up\n"), tmp_path / "there", SMALL)
 
 

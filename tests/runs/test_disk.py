@@ -11,9 +11,9 @@ import h5py
 import numpy as np
 import pytest
 
+from acquire import load
 from acquire.runner.recorder import reconstruction_of
 from acquire.runner.runner import run
-from acquire.runner.script import load
 from drivers.roles import Frame
 from runs.disk import DiskFile, error_class
 from runs.documents import DocumentLog, documents_path

@@ -8,7 +8,7 @@ import time
 import h5py
 import pytest
 
-from acquire.runner import script
+import acquire
 from acquire.runner.control import control_path, controllable
 from acquire.runner.summary import RunState
 from protocols.bench import BenchFile
@@ -95,7 +95,7 @@ def test_documents_that_may_be_worth_something_stay_and_block_the_name(
     before = begun.read_bytes()
     assert clear_leftovers(path) == []
     with pytest.raises(RunFileError, match=r"run\.documents\.jsonl: exists already"):
-        script.run(tiny_plan(), path)
+        acquire.run(tiny_plan(), path)
     assert begun.read_bytes() == before
     assert names(path.parent) == [begun.name]
 
@@ -114,7 +114,7 @@ def test_what_cannot_be_removed_is_named(path, tmp_path):
 def planned(last):
     small = {"camera.width": 160, "camera.height": 128, "sweep.first": 60, "sweep.last": last}
     bench = BenchFile.from_file().replace({"twin": {"mesh": "coarse"}})
-    return script.plan(script.load("quick").replace({**small, "keep": "frames"}), bench)
+    return acquire.plan(acquire.load("quick").replace({**small, "keep": "frames"}), bench).plan
 
 
 @pytest.fixture
@@ -127,31 +127,37 @@ def test_a_name_that_a_killed_process_blocked_is_free_again(plan, path, tmp_path
     for name in (PART, PACKED, REWRITTEN):
         (tmp_path / name).write_text("half")
     said = []
-    assert script.run(plan, path, announce=said.append).status is RunState.COMPLETE
+    assert (
+        acquire.run(plan, path, callbacks=acquire.Callbacks(announce=said.append)).status
+        is RunState.COMPLETE
+    )
     assert names(tmp_path) == ["run.documents.jsonl", "run.h5"]
     for name in (PART, PACKED, REWRITTEN, "run.documents.jsonl"):
-        assert any(name in line and "process that is gone" in line for line in said)
+        assert any(name in line and "removed" in line for line in said)
 
 
 PACKER = """
 import os, signal
-from acquire.runner import script
+import acquire
 
-script.pack(path, progress=lambda share: share > 0.3 and os.kill(os.getpid(), signal.SIGKILL))
+def strike(share):
+    if share > 0.3:
+        os.kill(os.getpid(), signal.SIGKILL)
+acquire.pack(path, callbacks=acquire.Callbacks(packing=strike))
 """
 
 
 def test_a_run_whose_packing_was_killed_is_packed_the_next_time(plan, path, tmp_path, processes):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("acquire.runner.script.pack_frames", lambda _path, _progress: None)
-        script.run(plan, path)
+        patch.setattr("acquire.runner.run_session.pack", lambda _path, _progress: None)
+        acquire.run(plan, path)
     before = path.read_bytes()
     child, _ = processes(PACKER, path=str(path))
     child.join()
     assert child.exitcode == -signal.SIGKILL
     assert (tmp_path / PACKED).exists()
     assert path.read_bytes() == before
-    packed = script.pack(path)
+    packed = acquire.pack(path)
     assert packed.ratio < 1
     assert names(tmp_path) == ["run.documents.jsonl", "run.h5"]
     with h5py.File(path) as file:
@@ -159,24 +165,24 @@ def test_a_run_whose_packing_was_killed_is_packed_the_next_time(plan, path, tmp_
 
 
 def test_a_run_that_is_in_work_is_neither_packed_nor_cleared(plan, path, tmp_path):
-    script.run(plan, path)
+    acquire.run(plan, path)
     (tmp_path / PART).write_text("of the process that has the run in work")
     with controllable(path), pytest.raises(RunFileError, match="is being measured by process"):
-        script.pack(path)
+        acquire.pack(path)
     assert (tmp_path / PART).exists()
     with pytest.raises(RunFileError, match="no such file"):
-        script.pack(tmp_path / "no" / "run.h5")
+        acquire.pack(tmp_path / "no" / "run.h5")
 
 
 GOING_ON = """
-from acquire.runner import script
+import acquire
 from holography.errors import BenchError
 
 said.send("ready")
 while not go.exists():
     pass
 try:
-    said.send(str(script.resume(plan, path).status))
+    said.send(str(acquire.resume(plan, path).status))
 except BenchError as error:
     said.send(str(error))
 """
@@ -195,7 +201,10 @@ def test_of_two_processes_that_go_on_with_a_run_at_once_one_does(
 
     # Steps enough that some are left when the signal comes.
     plan, go = planned(90), tmp_path / "go"
-    assert script.run(plan, path, progress=end).status is RunState.INTERRUPTED
+    assert (
+        acquire.run(plan, path, callbacks=acquire.Callbacks(step=end)).status
+        is RunState.INTERRUPTED
+    )
     both = [processes(GOING_ON, plan=plan, path=path, go=go) for _ in range(2)]
     assert [heard.recv() for _, heard in both] == ["ready", "ready"]
     go.touch()

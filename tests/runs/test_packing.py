@@ -9,8 +9,9 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire.runner.script import plan as planned
-from acquire.runner.script import run as measure
+from acquire import Callbacks
+from acquire import plan as planned
+from acquire import run as measure
 from acquire.runner.summary import RunState
 from protocols.bench import BenchFile
 from protocols.protocol import Protocol
@@ -29,7 +30,7 @@ SMALL = {
 @pytest.fixture(scope="module")
 def plan():
     bench = BenchFile.from_file("simulated").replace({"twin.mesh": "coarse"})
-    return planned(Protocol.from_file("quick").replace(SMALL), bench)
+    return planned(Protocol.from_file("quick").replace(SMALL), bench).plan
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +38,7 @@ def unpacked(plan, tmp_path_factory):
     """A run file that nobody packed, the 12 bits of its frames as a camera gives them."""
     path = tmp_path_factory.mktemp("unpacked") / "run.h5"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("acquire.runner.script.pack_frames", lambda path, progress: None)
+        patch.setattr("acquire.runner.run_session.pack", lambda path, progress: None)
         assert measure(plan, path, reed="R07").status is RunState.COMPLETE
     return path
 
@@ -109,9 +110,10 @@ def test_only_complete_runs_are_packed(plan, tmp_path):
 
     complete, interrupted = tmp_path / "complete.h5", tmp_path / "interrupted.h5"
     shares = []
-    measure(plan, complete, reed="R07", packing=shares.append)
+    measure(plan, complete, reed="R07", callbacks=Callbacks(packing=shares.append))
     assert shares[-1] == 1.0
-    summary = measure(plan, interrupted, reed="R07", progress=stop_at_once)
+    calls = Callbacks(step=stop_at_once)
+    summary = measure(plan, interrupted, reed="R07", callbacks=calls).summary
     assert summary.status is RunState.INTERRUPTED
     for path, compression in ((complete, "lzf"), (interrupted, None)):
         with h5py.File(path, "r") as file:
@@ -259,7 +261,8 @@ def test_an_interrupted_packing_leaves_the_run_as_it_was(path, unpacked):
 def test_a_run_that_cannot_be_packed_is_complete_all_the_same(plan, tmp_path, monkeypatch):
     disk_refuses(monkeypatch)
     told = []
-    summary = measure(plan, tmp_path / "run.h5", reed="R07", announce=told.append)
+    calls = Callbacks(announce=told.append)
+    summary = measure(plan, tmp_path / "run.h5", reed="R07", callbacks=calls).summary
     assert summary.status is RunState.COMPLETE
     assert "cannot be packed" in told[-1]
     with Run.open(tmp_path / "run.h5") as run:

@@ -49,7 +49,7 @@ def _invoke(*arguments):
 
 @pytest.fixture(autouse=True)
 def _bench_of_the_user(monkeypatch):
-    monkeypatch.setattr("fitting.cane.fit_runs.fit_runs", _fit_once)
+    monkeypatch.setattr("acquire.analysis.fit_runs", _fit_once)
 
 
 @pytest.fixture(scope="session")
@@ -122,7 +122,7 @@ def measured(tmp_path_factory):
     part |= {"sweep.first": 15, "sweep.last": 107}
     said = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fitting.cane.fit_runs.fit_runs", _fit_once)
+        patch.setattr("acquire.analysis.fit_runs", _fit_once)
         for series, more in (("A", ["--json"]), ("B", ["--no-fit"])):
             protocol = _write_protocol(folder / f"{series}.yaml", f"series{series}", part)
             who = ["--reed", REED, "--strength", "3.5", "--note", f"new box {series}"]

@@ -89,7 +89,7 @@ def test_lines_of_the_air_are_told_of_a_folder(cli, folder, monkeypatch, measure
         shutil.copy("reeds.csv", table)
         return Measured(ReedFile.from_file(), (), 5, (Line(4285.0, 8.5, 4),))
 
-    monkeypatch.setattr("reports.population_tables.write_resonances", write)
+    monkeypatch.setattr("acquire.analysis.write_resonances", write)
     columns = "reed,series,mode,hz,error_cents,run"
     Path("reeds.csv").write_text(f"{columns}\nR1,A,F1,1850,3,R1.h5\n")
     Path("runs").mkdir()
@@ -103,7 +103,7 @@ def test_lines_of_the_air_are_told_of_a_folder(cli, folder, monkeypatch, measure
 def test_a_table_is_not_fitted_in_any_way(cli, table):
     said = cli("population", table, "--method", "picture")
     assert (said.status, said.out) == (2, "")
-    assert "--method: a table already holds resonances; leave it out" in said.err
+    assert "method: a table already holds resonances; leave it out" in said.err
 
 
 def test_a_population_of_another_reed_is_fitted_with_its_modes(cli, folder, monkeypatch):

@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire.runner import script
+import acquire
 from drivers.simulated.twin import Twin, cane_of
 from fitting.errors import FitError
 from fitting.fringes.pictures import read_pictures
@@ -56,7 +56,7 @@ def no_instruments(monkeypatch):
     def refuse(*arguments, **settings):
         raise AssertionError("a bench was opened")
 
-    monkeypatch.setattr("acquire.runner.script.open_bench", refuse)
+    monkeypatch.setattr("acquire.runner.run_session.open_bench", refuse)
 
 
 # --- README ------------------------------------------------------------------------------------
@@ -331,7 +331,7 @@ def test_the_paper_s_model_can_be_asked_for(cli, measured, monkeypatch):
         asked.append((model, method))
         raise FitError("far enough")
 
-    monkeypatch.setattr("fitting.cane.fit_runs.fit_runs", note_and_stop)
+    monkeypatch.setattr("acquire.analysis.fit_runs", note_and_stop)
     for arguments in ([], ["--model", "paper"], ["--method", "picture"]):
         assert cli("fit", measured.a, *arguments).status == 1
     assert asked == [("fem", "joint"), ("paper", "joint"), ("fem", "picture")]
@@ -555,7 +555,7 @@ def test_the_printed_formula_is_no_lock_and_gives_no_fit(small_plan, tmp_path):
         return replace(step, aom1_hz=step.aom2_hz + difference_hz, difference_hz=difference_hz)
 
     wrong = replace(right, steps=tuple(misprinted(step) for step in right.steps))
-    summary = script.run(wrong, tmp_path / "wrong.h5", reed="R07")
+    summary = acquire.run(wrong, tmp_path / "wrong.h5", reed="R07")
     assert summary.counts == {"lock": 9}
     with Run.open(summary.path) as run:
         assert all("off the lock" in step.sentence for step in run)
@@ -616,7 +616,7 @@ def traced(folder, bench_file):
     return bench, os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
 
 
-def acquire(*arguments, **settings):
+def started(*arguments, **settings):
     command = [sys.executable, "-m", "acquire", *map(str, arguments)]
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     return subprocess.Popen(command, **streams, **settings)
@@ -638,7 +638,7 @@ def test_ctrl_c_ends_at_a_step_with_everything_off_and_a_readable_file(
 ):
     bench, environment = traced
     protocol = protocol_file(**{"sweep.last": 140})
-    process = acquire("run", protocol, "--bench", bench, "--out", "x.h5", "--json", env=environment)
+    process = started("run", protocol, "--bench", bench, "--out", "x.h5", "--json", env=environment)
     wait_for_events(folder / "x.documents.jsonl", 3, process)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
@@ -669,7 +669,7 @@ def test_a_bad_protocol_opens_no_instrument_in_a_process_of_its_own(folder, trac
     bench, environment = traced
     protocol = protocol_file(**{"camera.frames": 3})
     before = listing(folder)
-    process = acquire("run", protocol, "--bench", bench, "--out", "x.h5", env=environment)
+    process = started("run", protocol, "--bench", bench, "--out", "x.h5", env=environment)
     out, err = process.communicate(timeout=60)
     assert (process.returncode, out) == (2, "")
     assert re.match(r".*small.yaml:\d+: camera.frames: 3 frames", one_line(err))
@@ -677,7 +677,7 @@ def test_a_bad_protocol_opens_no_instrument_in_a_process_of_its_own(folder, trac
 
 
 def test_standard_output_of_a_process_is_json_and_nothing_else(folder, bench_file, protocol_file):
-    process = acquire(
+    process = started(
         "run", protocol_file(), "--bench", bench_file(), "--out", "x.h5", "--json", "--no-fit",
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip

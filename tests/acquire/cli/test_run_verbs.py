@@ -107,7 +107,7 @@ def test_a_run_whose_process_is_gone_is_said_to_be_stopped(cli, begin, folder):
 
 def test_frames_of_complete_runs_are_packed(cli, folder, protocol_file, bench_file, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("acquire.runner.script.pack_frames", lambda _path, _progress: None)
+        patch.setattr("acquire.runner.run_session.pack", lambda _path, _progress: None)
         for name, keep in (("x.h5", "frames"), ("y.h5", "holograms")):
             made = [protocol_file(keep=keep), "--bench", bench_file(), "--out", name, "--no-fit"]
             assert cli("run", *made).status == 0

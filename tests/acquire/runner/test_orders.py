@@ -6,7 +6,8 @@ import threading
 
 import pytest
 
-from acquire.runner import script
+import acquire
+from acquire.runner import run_session
 from acquire.runner.orders import Orders, signals_obeyed
 from acquire.runner.recorder import Recorder
 from acquire.runner.runner import Runner, run
@@ -106,15 +107,15 @@ def test_two_signals_give_up_the_step_in_work(tiny_plan, fake_bench, path):
 def test_a_signal_while_the_bench_is_opened_switches_nothing_on(
     small_plan, path, monkeypatch, number
 ):
-    plan, opened = small_plan(), script.open_bench
+    plan, opened = small_plan(), run_session.open_bench
 
     def strike(*asked, **more):
         os.kill(os.getpid(), number)
         return opened(*asked, **more)
 
-    monkeypatch.setattr("acquire.runner.script.open_bench", strike)
+    monkeypatch.setattr("acquire.runner.run_session.open_bench", strike)
     with pytest.raises(OpeningStoppedError):
-        script.run(plan, path)
+        acquire.run(plan, path)
     assert not path.exists()
     assert not path.with_suffix(".process").exists()
 
@@ -122,9 +123,13 @@ def test_a_signal_while_the_bench_is_opened_switches_nothing_on(
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_while_frames_are_packed_leaves_a_complete_run(small_plan, path, number):
     plan, told = small_plan({"keep": "frames"}), []
-    summary = script.run(
-        plan, path, announce=told.append, packing=lambda share: os.kill(os.getpid(), number)
-    )
+    summary = acquire.run(
+        plan,
+        path,
+        callbacks=acquire.Callbacks(
+            announce=told.append, packing=lambda share: os.kill(os.getpid(), number)
+        ),
+    ).summary
     assert (summary.status, summary.ended_by) == (RunState.COMPLETE, "person")
     assert any("acquire pack" in words for words in told)
     with Run.open(path) as measured:

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire.runner import script
+import acquire
 from acquire.runner.control import controllable
 from acquire.runner.resuming import Unfinished, unfinished
 from acquire.runner.runner import RunLabels, run
@@ -171,14 +171,15 @@ def test_wherever_a_run_is_killed_it_is_gone_on_with(
 # --- Real processes, killed for good -----------------------------------------------------------
 
 SWEEP = """
-from acquire.runner import script
+import acquire
 
 tell = lambda report: said.send(report.done)
 said.send("go")
 if go_on:
-    script.resume(plan, path, progress=tell)
+    acquire.resume(plan, path, callbacks=acquire.Callbacks(step=tell))
 else:
-    script.run(plan, path, reed="R07", seed=5, labels=labels, progress=tell)
+    calls = acquire.Callbacks(step=tell)
+    acquire.run(plan, path, reed="R07", seed=5, labels=labels, callbacks=calls)
 """
 LABELS = RunLabels(strength=3.5, note="of a technician who pulls plugs")
 
@@ -188,7 +189,7 @@ def sweep():
     """Plan the quick protocol on few pixels before a coarse reed."""
     small = {"camera.width": 160, "camera.height": 128, "sweep.stride": 4}
     bench = BenchFile.from_file().replace({"twin": {"mesh": "coarse"}})
-    return script.plan(script.load("quick").replace(small), bench)
+    return acquire.plan(acquire.load("quick").replace(small), bench).plan
 
 
 def planned(path):
@@ -213,7 +214,7 @@ def test_after_any_number_of_kills_a_run_is_what_it_would_have_been(
     processes, sweep, tmp_path, documents_of
 ):
     whole, seed = tmp_path / "whole.h5", random.randrange(10**6)
-    script.run(sweep, whole, reed="R07", seed=5, labels=LABELS)
+    acquire.run(sweep, whole, reed="R07", seed=5, labels=LABELS)
     rng, kills, files = random.Random(seed), [], 0
     expected, undisturbed = planned(whole), measured_steps(whole)
     assert len(undisturbed) == len(sweep.steps)
@@ -246,7 +247,7 @@ def test_after_any_number_of_kills_a_run_is_what_it_would_have_been(
                 break
             kills.append(len(before))
         if not ended:
-            assert script.resume(sweep, path).status is RunState.COMPLETE
+            assert acquire.resume(sweep, path).status is RunState.COMPLETE
         assert_kept(before, path)
         assert planned(path) == expected
         with Run.open(path) as measured:
@@ -419,7 +420,7 @@ def refused(plan, path):
     files = [file for file in (path, documents_path(path)) if file.exists()]
     before = [file.read_bytes() for file in files]
     with pytest.raises(RunFileError) as caught:
-        script.resume(plan, path)
+        acquire.resume(plan, path)
     assert [file.read_bytes() for file in files] == before
     message = str(caught.value)
     assert message.startswith((f"{path}: ", f"{documents_path(path)}: "))
@@ -448,12 +449,12 @@ def test_another_protocol_bench_or_reed_is_no_way_to_go_on(
     with pytest.raises(ZeroDivisionError):
         run(plan, resumable(fake, plan), path)
     assert unfinished(path, plan).missing == 2
-    louder = script.plan(plan.protocol.replace({"drive.ramp.to": "15 V"}), plan.bench)
+    louder = acquire.plan(plan.protocol.replace({"drive.ramp.to": "15 V"}), plan.bench).plan
     assert refused(louder, path).startswith("was begun with another protocol (")
-    other = script.plan(plan.protocol, small_bench_file(loss_factor=0.04))
+    other = acquire.plan(plan.protocol, small_bench_file(loss_factor=0.04)).plan
     assert refused(other, path).startswith("was begun with another bench (")
     reed.write_text(bass.replace("butt: 7.1 mm", "butt: 7.2 mm"))
-    again = script.plan(plan.protocol, plan.bench)
+    again = acquire.plan(plan.protocol, plan.bench).plan
     assert again.reed != plan.reed
     message = refused(again, path)
     assert message.startswith("was begun with another kind of reed (")

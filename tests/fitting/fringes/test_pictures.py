@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from acquire.runner import script
+import acquire
 from fitting.errors import FitError
 from fitting.fringes.pictures import read_pictures
 from physics.reed.geometry import Outline, half_width_m
@@ -118,10 +118,10 @@ def test_eight_pictures_are_enough(changed):
 
 def test_a_run_without_the_loudspeaker_has_no_pictures(tmp_path):
     bench = BenchFile.from_file().replace(twin={"faults": {"tweeter_unplugged": True}})
-    protocol = script.load("quick").replace(
+    protocol = acquire.load("quick").replace(
         {"sweep.last": 32, "camera.width": 320, "camera.height": 256}
     )
     path = tmp_path / "unplugged.h5"
-    script.run(script.plan(protocol, bench), path, reed="R07")
+    acquire.run(acquire.plan(protocol, bench).plan, path, reed="R07")
     with pytest.raises(FitError, match=r"0 of 11 steps are good.*\d+ no_signal.*'s cable"):
         read(path)

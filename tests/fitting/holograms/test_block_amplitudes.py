@@ -8,7 +8,7 @@ import pytest
 import yaml
 from scipy.special import j0, j1, jv
 
-from acquire.runner import script
+import acquire
 from fitting.errors import FitError
 from fitting.holograms.block_amplitudes import (
     _in_blocks,
@@ -296,8 +296,8 @@ def test_a_run_that_kept_frames_gives_the_same_phasors(tmp_path):
     small = {"camera.width": 320, "camera.height": 256, "sweep.first": 14, "sweep.last": 30}
     found = []
     for keep in ("holograms", "frames"):
-        protocol = script.load("quick").replace({**small, "keep": keep})
-        script.run(script.plan(protocol), tmp_path / f"{keep}.h5", reed="R07", seed=3)
+        protocol = acquire.load("quick").replace({**small, "keep": keep})
+        acquire.run(acquire.plan(protocol).plan, tmp_path / f"{keep}.h5", reed="R07", seed=3)
         found.append(read(tmp_path / f"{keep}.h5"))
     held, kept = found
     assert held.step_index.tolist() == kept.step_index.tolist() == list(range(14, 31, 2))
@@ -316,10 +316,10 @@ def three_sidebands(tmp_path_factory):
     """Run file of sidebands 0, 1 and 2 of sixteen vibrations, calm to many fringes."""
     small = {"camera.width": 320, "camera.height": 256, "sweep.first": 14, "sweep.last": 44}
     small["drive.ramp.from"] = "0.1 V"
-    content = {**script.load("quick").replace(small).content(), "sideband": {"orders": [0, 1, 2]}}
+    content = {**acquire.load("quick").replace(small).content(), "sideband": {"orders": [0, 1, 2]}}
     path = tmp_path_factory.mktemp("orders") / "three.h5"
-    plan = script.plan(Protocol.from_text(yaml.safe_dump(content)))
-    script.run(plan, path, reed="R07", seed=3)
+    plan = acquire.plan(Protocol.from_text(yaml.safe_dump(content))).plan
+    acquire.run(plan, path, reed="R07", seed=3)
     return path
 
 

@@ -1,0 +1,157 @@
+"""Diagnose from Python: where measurement and simulation differ, and why."""
+
+from contextlib import ExitStack
+from pathlib import Path
+
+from acquire.measurement import bench_file
+from acquire.results.diagnosis import DiagnosisResult, ResonanceDiagnosisResult
+from acquire.runner.callbacks import Announce, Progress, ignore
+from diagnosis.campaign import Campaign
+from diagnosis.known_bench import base_twin, bench_of, only_once
+from diagnosis.mean_reed import printed_reeds, tabled_reeds
+from diagnosis.observing import read
+from diagnosis.published import diagnose_resonances as judge_resonances
+from diagnosis.verdict import Verdict
+from diagnosis.verdict import diagnose as judge
+from fitting.errors import FitError, FitInputError
+from physics.effects.catalogue import CATALOGUE
+from physics.mechanics import ReedSolver
+from physics.reed.cache import anatomy
+from protocols.bench import BenchFile
+from reports.diagnosis_page import page_output, write_page
+from reports.next_campaign import next_outputs, require_repeatable, write_next
+from reports.own_output import require_writable
+from runs.reader import Run
+
+
+def diagnose(
+    *runs: str | Path,
+    bench: str | Path | BenchFile | None = None,
+    out: str | Path | None = None,
+    next_campaign: str | Path | None = None,
+    announce: Announce = ignore,
+    progress: Progress = ignore,
+) -> DiagnosisResult:
+    """Find where measurement and simulation differ, and the likeliest cause.
+
+    Parameters
+    ----------
+    *runs : str or path
+        Run files of one reed in one series, or folders of run files.
+    bench : str, path or BenchFile, optional
+        Bench file whose section ``known:`` lists known effects; by default, that in the runs.
+    out : str or path, optional
+        HTML page to write.
+    next_campaign : str or path, optional
+        Campaign file to write, which would best separate the likeliest causes.
+    announce, progress : callable, optional
+
+    Returns
+    -------
+    DiagnosisResult
+
+    Raises
+    ------
+    FitInputError
+        If there are no runs, or they do not belong together.
+    FitError
+        If no reed of the kind is near what the runs show.
+    OutputRefusedError
+        If a file would replace one that is not of the same kind.
+    """
+    described = bench if bench is None or isinstance(bench, BenchFile) else bench_file(bench)
+    files = [file for path in runs for file in _run_files(Path(path))]
+    if not files:
+        raise FitInputError("no data: give run files or folders of run files")
+    page = None if out is None else Path(out)
+    following = None if next_campaign is None else Path(next_campaign)
+    outputs = [] if page is None else [page_output(page)]
+    outputs += [] if following is None else next_outputs(following)
+    bench_files = [Path(bench)] if isinstance(bench, str | Path) else []
+    require_writable(outputs, [*files, *bench_files])
+    with ExitStack() as opened:
+        campaign = Campaign.of([opened.enter_context(Run.open(file)) for file in files])
+        first = campaign.sweeps[0].run
+        if following is not None:
+            require_repeatable(first, following)
+        verdict = _verdict(campaign, described, announce, progress)
+        result = DiagnosisResult(verdict, tuple(files), first.reed)
+        protocol_text = first.protocol_text
+    if page is not None:
+        write_page(verdict, result.title, page, [file.name for file in files])
+    if following is not None:
+        write_next(verdict.next_actions, verdict.rivals, protocol_text, first.reed, following)
+    return result
+
+
+def _verdict(
+    campaign: Campaign, bench: BenchFile | None, announce: Announce, progress: Progress
+) -> Verdict:
+    """Fit the sweeps of a campaign, then the causes."""
+    first = campaign.sweeps[0].run
+    described = bench or bench_of(first)
+    base = base_twin(described)
+    solver = ReedSolver(anatomy(first.reed_file().geometry(), announce=announce), announce)
+    readings = read(campaign, described, lambda done: progress("fitting sweeps", done))
+    try:
+        return judge(
+            readings,
+            solver,
+            base,
+            lambda done: progress("fitting causes", done),
+            only_once(described),
+        )
+    except ValueError as error:
+        raise FitError(
+            f"{first.path}: no reed of its kind is near what its campaign shows ({error}); check "
+            "the reed, the series and the bench file"
+        ) from error
+
+
+def diagnose_resonances(
+    table: str | Path | None = None, *, announce: Announce = ignore, progress: Progress = ignore
+) -> ResonanceDiagnosisResult:
+    """Find the likeliest cause of the gap between resonances and the elastic model of a reed.
+
+    Parameters
+    ----------
+    table : str or path, optional
+        CSV table of resonances of clarinet reeds; by default, Table 1 of the paper.
+    announce, progress : callable, optional
+
+    Returns
+    -------
+    ResonanceDiagnosisResult
+
+    Raises
+    ------
+    FitInputError
+        If the table cannot be used, or no clarinet reed has resonances near its values.
+    """
+    reeds = tabled_reeds(Path(table), announce) if table else printed_reeds()
+    solver = ReedSolver(anatomy(announce=announce), announce)
+    try:
+        return ResonanceDiagnosisResult(
+            judge_resonances(
+                reeds, solver, CATALOGUE, lambda done: progress("fitting causes", done)
+            )
+        )
+    except ValueError as error:
+        raise FitInputError(
+            f"{table or 'Table 1'}: no clarinet reed has resonances near these ({error}); check "
+            "frequencies and names of modes"
+        ) from error
+
+
+def _run_files(path: Path) -> list[Path]:
+    """Return the run files of a folder, or the file that is named.
+
+    Raises
+    ------
+    FitInputError
+        If a folder has none.
+    """
+    files = sorted(path.glob("*.h5")) if path.is_dir() else [path]
+    if not files:
+        raise FitInputError(f"{path}: holds no run files (*.h5)")
+    return files

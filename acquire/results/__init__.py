@@ -1,0 +1,1 @@
+"""What the functions of `acquire` return: small frozen objects to print, tabulate and plot."""

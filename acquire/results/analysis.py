@@ -1,0 +1,230 @@
+"""Results of fits: resonances, cane, modes and populations."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from acquire.errors import UsageError
+from acquire.results.base import Result, new_axes
+from fitting.cane.fit_runs import ReedFit, SweepFit
+from fitting.cane.reed_fit import ReedParameters
+from fitting.fringes.picking import Resonance
+from fitting.populations.table import Measured, PopulationSummary
+from fitting.reed_modes import BASIS, mesh_level, modes_to_json
+from physics.reed.modes import NamedMode
+from protocols.reed import ReedFile
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True, repr=False)
+class FitResult(Result):
+    """Resonances of one or two runs of a reed, and the material parameters that fit them.
+
+    Attributes
+    ----------
+    fit : ReedFit
+        With everything that the fit found.
+    """
+
+    fit: ReedFit
+
+    @property
+    def sweeps(self) -> tuple[SweepFit, ...]:
+        """What was found in each run."""
+        return self.fit.sweeps
+
+    @property
+    def resonances(self) -> Mapping[str, Resonance]:
+        """Resonances of the first run, by the name of the mode."""
+        return self.fit.sweeps[0].resonances
+
+    @property
+    def parameters(self) -> ReedParameters | None:
+        """Material parameters with errors; None if the resonances do not determine them."""
+        return self.fit.parameters
+
+    @property
+    def title(self) -> str:
+        """One line that says what this is."""
+        found = ", ".join(f"{len(sweep.resonances)} in {sweep.series}" for sweep in self.sweeps)
+        state = "cane fitted" if self.parameters else f"no parameters: {self.fit.reason}"
+        return f"reed {self.sweeps[0].reed}: resonances {found}; {state}"
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return frequency, error and loss factor of every resonance of every run."""
+        return [
+            {
+                "series": sweep.series,
+                "mode": name,
+                "frequency_hz": found.frequency_hz,
+                "error_cents": found.error_cents,
+                "loss_factor": found.loss_factor,
+                "step_index": found.step_index,
+            }
+            for sweep in self.sweeps
+            for name, found in sweep.resonances.items()
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``acquire fit --json`` prints."""
+        return self.fit.to_json()
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the response of each mode against frequency, with its resonance named."""
+        axes, sweep = new_axes(ax), self.sweeps[0]
+        response = sweep.response
+        axes.plot(response.drive_hz, response.phase_rad, color="0.25", label="whole reed (rms)")
+        for number, name in enumerate(response.names):
+            if name in sweep.resonances:
+                axes.plot(response.drive_hz, response.amplitude_rad[:, number], label=name)
+        axes.set(
+            xscale="log",
+            yscale="log",
+            xlabel="drive frequency (Hz)",
+            ylabel="phase amplitude (rad)",
+            title=self.title,
+        )
+        axes.legend(fontsize="small")
+        return axes
+
+
+@dataclass(frozen=True, repr=False)
+class ModesResult(Result):
+    """Modes of a reed below 20 kHz.
+
+    Attributes
+    ----------
+    reed : ReedFile
+        With the changes that were asked for.
+    modes : tuple of NamedMode
+        Ascending in frequency.
+    mesh : str
+        Mesh that they were computed with.
+    """
+
+    reed: ReedFile
+    modes: tuple[NamedMode, ...]
+    mesh: str
+
+    @property
+    def title(self) -> str:
+        """One line that says what this is."""
+        return f"{self.reed.name}: {len(self.modes)} modes, mesh {self.mesh}"
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return name, frequency, class and symmetry of every mode."""
+        return [
+            {
+                "mode": mode.name,
+                "frequency_hz": mode.frequency_hz,
+                "class": str(mode.klass),
+                "symmetry": str(mode.symmetry),
+            }
+            for mode in self.modes
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``acquire modes --json`` prints."""
+        return modes_to_json(self.reed, self.modes)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the frequencies of the modes, one row for each class."""
+        axes = new_axes(ax)
+        for klass in sorted({str(mode.klass) for mode in self.modes}):
+            own = [mode for mode in self.modes if str(mode.klass) == klass]
+            axes.plot([mode.frequency_hz for mode in own], [klass] * len(own), "|", markersize=20)
+            for mode in own:
+                place = (mode.frequency_hz, klass)
+                axes.annotate(mode.name, place, (0, 12), textcoords="offset points", ha="center")
+        axes.set(xscale="log", xlabel="frequency (Hz)", ylabel="class", title=self.title)
+        return axes
+
+    def write_pictures(self, path: str | Path) -> None:
+        """Write a PNG file with a picture of every mode.
+
+        Raises
+        ------
+        UsageError
+            If the modes come from a reduced basis, which has no shapes.
+        OutputRefusedError, OutputFailedError
+            If the file must not or cannot be written.
+        """
+        from reports.mode_pictures import write_mode_sheet
+
+        if self.mesh == BASIS:
+            raise UsageError("pictures: a basis has no shapes to draw; use the mesh fine")
+        write_mode_sheet(self.reed, mesh_level(self.mesh), self.modes, Path(path))
+
+
+@dataclass(frozen=True, repr=False)
+class PopulationResult(Result):
+    """Material parameters of many reeds.
+
+    Attributes
+    ----------
+    summary : PopulationSummary
+    measured : Measured or None
+        Resonances of the run files, if the source was a folder.
+    components : Path
+        CSV table of the parameters of every reed.
+    resonances : Path or None
+        CSV table of the resonances of a folder's runs.
+    """
+
+    summary: PopulationSummary
+    measured: Measured | None
+    components: Path
+    resonances: Path | None
+
+    @property
+    def title(self) -> str:
+        """One line that says what this is."""
+        return f"{self.summary.reeds} reeds, {self.summary.resonances} resonances"
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """Tables that were written, by name."""
+        written = {"resonances": self.resonances, "components": self.components}
+        return {name: path for name, path in written.items() if path is not None}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return components with errors (in standard deviations) and misfit of every reed."""
+        with self.components.open(encoding="utf-8", newline="") as file:
+            return [
+                {key: _number(text) for key, text in row.items()} for row in csv.DictReader(file)
+            ]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``acquire population --json`` prints."""
+        answer = self.summary.to_json() | {"files": {k: str(p) for k, p in self.files.items()}}
+        return answer | ({"lines": self.measured.to_json()} if self.measured else {})
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the first two components of every reed, with their errors."""
+        axes = new_axes(ax)
+        known = [row for row in self.rows() if isinstance(row["e1"], float)]
+        axes.errorbar(
+            [row["e1"] for row in known],
+            [row["e2"] for row in known],
+            xerr=[row["e1_error"] for row in known],
+            yerr=[row["e2_error"] for row in known],
+            fmt="o",
+        )
+        axes.set(xlabel="e1 (population SD)", ylabel="e2 (population SD)", title=self.title)
+        return axes
+
+
+def _number(text: str) -> float | str | None:
+    """Return a cell of a CSV table as a number where it is one, and None where it is empty."""
+    if text == "":
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        return text

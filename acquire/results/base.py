@@ -1,0 +1,77 @@
+"""What every result can do."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any
+
+from reports.html_table import html_table
+
+from acquire.errors import UsageError
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+
+class Result(ABC):
+    """A result with a title, rows, JSON and a plot.
+
+    ``print(result)`` shows the title. A notebook shows the rows as a table.
+    """
+
+    @property
+    @abstractmethod
+    def title(self) -> str:
+        """One line that says what this is."""
+
+    @abstractmethod
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the rows of the result's table; keys name the quantity and its unit."""
+
+    @abstractmethod
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values with the keys that ``docs`` list for the command's ``--json``."""
+
+    @abstractmethod
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the result.
+
+        Parameters
+        ----------
+        ax : matplotlib axes, optional
+            Axes to draw on; by default, those of a new figure.
+
+        Returns
+        -------
+        matplotlib axes
+        """
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return the rows as a pandas data frame.
+
+        Raises
+        ------
+        UsageError
+            If pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError:
+            raise UsageError("to_dataframe: pandas is not installed; pip install pandas") from None
+        return pd.DataFrame(self.rows())
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.title}>"
+
+    def _repr_html_(self) -> str:
+        return html_table(self.title, self.rows())
+
+
+def new_axes(ax: Axes | None) -> Axes:
+    """Return the axes given, or those of a new figure that belongs to no window."""
+    if ax is not None:
+        return ax
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(8, 4.5), layout="constrained").add_subplot()

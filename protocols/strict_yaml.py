@@ -361,6 +361,7 @@ class Description(Section):
 
         Examples
         --------
+        >>> from protocols.protocol import Protocol
         >>> series_a = Protocol.from_file("seriesA")
         >>> short = series_a.replace({"sweep.last": 30, "drive.ramp.to": "8 V"}, keep="frames")
         >>> short.sweep.last, short.drive.ramp.to_v, short.keep

@@ -1,17 +1,15 @@
-"""One self-contained HTML page about a run, and its pictures as files beside it."""
+"""The HTML page of one or more runs, and its pictures as files next to it."""
 
-import base64
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from matplotlib.figure import Figure
+
 from fitting.cane.fit_runs import ReedFit, SweepFit
-from fitting.fringes.picking import Resonance
-from reports.drawing import (
-    contact_sheet,
-    png_of,
-    response_plot,
-)
+from reports.drawing import contact_sheet, png_of, response_plot
+from reports.fit_tables import parameters_table, remarks, resonances_table
 from reports.joint_drawing import mode_sheet
 from reports.own_output import (
     Output,
@@ -20,23 +18,12 @@ from reports.own_output import (
     require_writable,
     write_output,
 )
-from reports.plain_text import escaped
-from reports.tables import not_identified_lines
+from reports.pages import Picture, render
+from reports.tables import Table
 from runs.reader import Run
 
 _PAGE: Final = page_kind("report")
 _PICTURES: Final = {name: picture_kind(name) for name in ("contact sheet", "response", "modes")}
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 1400px;
-       margin: 2rem auto; padding: 0 1.5rem; }
-h1 { font-size: 1.5rem; margin-bottom: 0.2rem; } h2 { font-size: 1.15rem; margin-top: 2.2rem; }
-table { border-collapse: collapse; margin: 0.6rem 0; }
-th, td { padding: 0.2rem 0.8rem; text-align: right; border-bottom: 1px solid #ddd; }
-th:first-child, td:first-child { text-align: left; }
-img { max-width: 100%; display: block; margin: 0.6rem 0; }
-.facts { color: #555; } .warning { color: #b00020; font-weight: 600; }
-.columns { display: flex; gap: 3rem; flex-wrap: wrap; align-items: flex-start; }
-"""
 
 
 def page_of(run: Path) -> Path:
@@ -111,32 +98,42 @@ def write_report(fit: ReedFit, page: Path) -> dict[str, Path]:
     """
     runs = [sweep.path for sweep in fit.sweeps]
     require_report(runs, page)
-    files, parts = {"report": page}, [_heading(fit), _parameters(fit)]
+    files, sections = {"report": page}, []
     stems = _stems(runs, [sweep.series for sweep in fit.sweeps])
     for stem, sweep in zip(stems, fit.sweeps, strict=True):
         with Run.open(sweep.path) as run:
-            lines_hz = _lines_hz(sweep, run)
-            figures = {
-                "contact sheet": contact_sheet(run, sweep.resonances, lines_hz),
-                "response": response_plot(sweep, lines_hz),
-            }
-            if sweep.joint:
-                figures["modes"] = mode_sheet(sweep.joint, sweep.resonances)
-            parts.append(_sweep(sweep, run, fit))
+            figures = _figures(sweep, run)
+            facts = _facts(run)
+        pictures = []
         for name, figure in figures.items():
             output = _picture_output(page, stem, name)
-            picture = png_of(figure, software=output.kind.mark)
+            png = png_of(figure, software=output.kind.mark)
             label = name if len(fit.sweeps) == 1 else f"{name} {sweep.series}"
             files[label] = output.path
-            write_output(output, picture)
-            parts.append(_embedded(name, picture))
-    write_output(Output(page, _PAGE), _document(fit.sweeps[0].reed, parts))
+            write_output(output, png)
+            pictures.append(_picture(name, png))
+        sections.append(_section(sweep, fit, facts, pictures))
+    series = " and ".join(sweep.series for sweep in fit.sweeps)
+    title = f"Reed {fit.sweeps[0].reed}, series {series}"
+    text = render("run.html", _PAGE, title, no_fit="", cane=_cane(fit), sweeps=sections)
+    write_output(Output(page, _PAGE), text)
     return files
 
 
-def _lines_hz(sweep: SweepFit, run: Run) -> Sequence[float]:
-    """What a joint fit found of lines outweighs what the bench's description says of them."""
-    return [line.hz for line in sweep.lines] if sweep.joint else run.acoustic_lines_hz
+def _figures(sweep: SweepFit, run: Run) -> dict[str, Figure]:
+    peaks_hz = _peaks_hz(sweep, run)
+    figures = {
+        "contact sheet": contact_sheet(run, sweep.resonances, peaks_hz),
+        "response": response_plot(sweep, peaks_hz),
+    }
+    if sweep.joint:
+        figures["modes"] = mode_sheet(sweep.joint, sweep.resonances)
+    return figures
+
+
+def _peaks_hz(sweep: SweepFit, run: Run) -> Sequence[float]:
+    """Excitation peaks that a joint fit found, else those that the bench file lists."""
+    return [peak.hz for peak in sweep.lines] if sweep.joint else run.acoustic_lines_hz
 
 
 def write_bare_report(runs: Sequence[Path], page: Path, reason: str) -> dict[str, Path]:
@@ -163,128 +160,90 @@ def write_bare_report(runs: Sequence[Path], page: Path, reason: str) -> dict[str
         If the page must not or cannot be written.
     """
     require_writable([Output(page, _PAGE)], runs)
-    parts, reeds = [f'<p class="warning">No fit: {escaped(reason)}</p>'], []
+    reeds, sections = [], []
     for path in runs:
         with Run.open(path) as run:
             reeds.append(run.reed)
-            title = escaped(f"Reed {run.reed}, series {run.series}")
             sheet = png_of(contact_sheet(run, {}, run.acoustic_lines_hz))
-            parts.append(f"<h1>{title}</h1>{_facts(run)}{_embedded('contact sheet', sheet)}")
-    write_output(Output(page, _PAGE), _document(reeds[0], parts))
+            title = f"Reed {run.reed}, series {run.series}"
+            sections.append(_Section(title, _facts(run), [_picture("contact sheet", sheet)]))
+    text = render("run.html", _PAGE, f"Reed {reeds[0]}", no_fit=reason, cane=None, sweeps=sections)
+    write_output(Output(page, _PAGE), text)
     return {"report": page}
 
 
-def _document(reed: str, parts: Iterable[str]) -> str:
-    title = escaped(f"Reed {reed}")
-    return (
-        f"{_PAGE.mark}<title>{title}</title>"
-        f"<style>{_STYLE}</style></head><body>{''.join(parts)}</body></html>"
-    )
+@dataclass(frozen=True)
+class _Section:
+    """What the page shows of one run."""
+
+    title: str
+    facts: list[tuple[str, str]]
+    pictures: list[Picture]
+    table: Table | None = None
+    remarks: Sequence[str] = ()
 
 
-def _heading(fit: ReedFit) -> str:
-    series = " and ".join(sweep.series for sweep in fit.sweeps)
-    title = f"Reed {fit.sweeps[0].reed}, series {series}"
-    return f"<h1>{escaped(title)}</h1>"
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    def line(cells: Sequence[str], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{escaped(c)}</{tag}>" for c in cells) + "</tr>"
-
-    return f"<table>{line(head, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"
-
-
-def _parameters(fit: ReedFit) -> str:
-    """Components and moduli side by side, or why there are none."""
-    if fit.parameters is None:
-        return f'<h2>The cane</h2><p class="warning">No parameters: {escaped(fit.reason)}</p>'
-    p = fit.parameters
-    components = _table(
-        ("component (population SD)", "value", "± s.e."),
-        [(name, f"{e.value:+.2f}", f"{e.error:.2f}") for name, e in p.components.items()],
-    )
-    moduli = [
-        _table(
-            (f"modulus, series {series} (MPa)", "value", "± s.e."),
-            [(_modulus(name), f"{e.value:.0f}", f"{e.error:.0f}") for name, e in estimates.items()],
-        )
-        for series, estimates in p.moduli.items()
-    ]
-    doubt = (
-        ""
-        if p.physical
-        else '<p class="warning">A spring came out negative: the fit lies outside physics.</p>'
-    )
-    # A standard deviation, like the errors that it was added to.
-    misfit = f", with {p.misfit_cents:.1f} cents added to every error" if p.misfit_cents else ""
-    facts = (
-        f'<p class="facts">Residual rms {p.rms_cents:.1f} cents, χ² per degree of freedom '
-        f"{p.reduced_chi2:.2f}{misfit}; forward model: {escaped(p.model)}.</p>"
-    )
-    return (
-        f'<h2>The cane</h2><div class="columns">{components}{"".join(moduli)}</div>{facts}{doubt}'
-    )
-
-
-def _modulus(name: str) -> str:
-    return name.removesuffix("_mpa").replace("_4kHz", "′ at 4 kHz")
-
-
-def _sweep(sweep: SweepFit, run: Run, fit: ReedFit) -> str:
-    """Facts about one run and the table of its modes."""
+def _section(
+    sweep: SweepFit, fit: ReedFit, facts: list[tuple[str, str]], pictures: list[Picture]
+) -> _Section:
     residual = fit.parameters.residual_cents.get(sweep.series, {}) if fit.parameters else {}
-    jointly = sweep.joint is not None
-    rows = [
-        (
-            name,
-            f"{found.frequency_hz:.1f}",
-            f"{found.error_cents:.1f}",
-            *(_joint_cells(found) if jointly else ()),
-            str(found.step_index),
-            f"{found.amplitude_rad:.2f}",
-            f"{residual[name]:+.1f}" if name in residual else "not fitted",
-        )
-        for name, found in sweep.resonances.items()
-    ]
-    more = ("loss factor", "peak response at (Hz)", "participation", "MAC") if jointly else ()
-    head = (
-        *("mode", "frequency (Hz)", "± cents", *more),
-        *("picture", "phase amplitude (rad)", "residual (cents)"),
-    )
-    title = escaped(f"Series {sweep.series}: resonances")
-    missing = "<br>".join(map(escaped, not_identified_lines(sweep)))
-    return f'<h2>{title}</h2>{_facts(run)}{_table(head, rows)}<p class="facts">{missing}</p>'
+    table = replace(resonances_table(sweep, residual), title="")
+    return _Section(
+        f"Series {sweep.series}: resonances", facts, pictures, table, remarks(sweep)
+    )  # fmt: skip
 
 
-def _joint_cells(found: Resonance) -> tuple[str, ...]:
-    """What only a joint fit knows of a mode."""
-    loss = "" if found.loss_factor is None else f"{found.loss_factor:.4f}"
-    if found.loss_factor is not None and found.loss_error is not None:
-        loss += f" ± {found.loss_factor * found.loss_error:.4f}"
-    return (
-        loss,
-        "" if found.response_hz is None else f"{found.response_hz:.1f}",
-        "" if found.participation is None else f"{found.participation:.3f}",
-        "" if found.likeness is None else f"{found.likeness:.2f}",
-    )
+@dataclass(frozen=True)
+class _Cane:
+    """What the page shows of the cane's parameters, or why there are none."""
+
+    table: Table | None
+    warnings: Sequence[str]
 
 
-def _facts(run: Run) -> str:
-    """What a run is, who took it, and how it went."""
+def _cane(fit: ReedFit) -> _Cane:
+    table = parameters_table(fit)
+    if fit.parameters is None or table is None:
+        return _Cane(None, [f"No parameters: {fit.reason}"])
+    unphysical = ["A spring came out negative: the fit lies outside physics."]
+    return _Cane(replace(table, title=""), [] if fit.parameters.physical else unphysical)
+
+
+def _facts(run: Run) -> list[tuple[str, str]]:
+    """Return what a run is, who took it, and how it went."""
     labels, good = run.labels, int(run.good.sum())
-    strength = "" if labels.strength is None else f", strength {labels.strength:g}"
     facts = [
-        f"{run.title} on the {run.bench_name}, {run.start_time}{strength}",
-        f"{good} of {len(run)} steps good, status {run.status}",
-        f"run file {run.path.name}",
+        ("protocol", run.title),
+        ("bench", run.bench_name),
+        ("start", run.start_time),
+        ("strength", "" if labels.strength is None else f"{labels.strength:g}"),
+        ("steps", f"{good} of {len(run)} steps good"),
+        ("status", run.status),
+        ("run file", run.path.name),
+        ("operator", labels.operator),
+        ("note", labels.note),
     ]
-    said_by_person = {"operator": labels.operator, "note": labels.note}
-    facts += [f"{word}: {text}" for word, text in said_by_person.items() if text]
-    said = "<br>".join(map(escaped, facts))
-    return f'<p class="facts">{said}</p>'
+    return [(word, text) for word, text in facts if text]
 
 
-def _embedded(name: str, picture: bytes) -> str:
-    data = base64.b64encode(picture).decode()
-    return f'<img alt="{escaped(name)}" src="data:image/png;base64,{data}">'
+_SHOWS: Final = {
+    "contact sheet": (
+        "Image of the vibrating reed at every step of the sweep",
+        "Brightness is the amplitude of the light that the vibration shifted. Each image has the "
+        "number of its step; modes and excitation peaks have coloured frames. Tip down.",
+    ),
+    "response": (
+        "Amplitude of every mode against drive frequency",
+        "Phase amplitude of each mode where it moves most. Points mark the resonances.",
+    ),
+    "modes": (
+        "Hologram, fitted shape and residual of every mode",
+        "For each mode: the hologram nearest to its resonance, the shape that was fitted to all "
+        "holograms, and what the fit leaves of the hologram.",
+    ),
+}
+
+
+def _picture(name: str, png: bytes) -> Picture:
+    alt, caption = _SHOWS[name]
+    return Picture(png, alt, caption, wide=True)

@@ -1,75 +1,154 @@
-"""What the command line shows of a fit."""
+"""Tables of results: described once, shown on the terminal, on HTML pages and in CSV files."""
 
-from rich.table import Table
+import csv
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, TextIO
+
+import rich.table
+from rich.box import HEAVY_HEAD, Box
 from rich.text import Text
 
-from fitting.cane.fit_runs import ReedFit, SweepFit
-from fitting.cane.reed_fit import Estimate
-from fitting.fringes.picking import Resonance
+from reports.plain_text import plain
 
 
-def modes_table(sweep: SweepFit) -> Table:
-    """Resonances of one run."""
-    table = Table(title=Text(f"Reed {sweep.reed}, series {sweep.series}: resonances"))
-    jointly = sweep.joint is not None
-    more = ("loss factor", "liveliest", "MAC") if jointly else ("fringes (rad)",)
-    for head in ("mode", "frequency", "± cents", *more, "picture"):
-        table.add_column(head, justify="right", no_wrap=True)
-    for name, found in sweep.resonances.items():
-        table.add_row(
-            name,
-            f"{found.frequency_hz:.1f} Hz",
-            f"{found.error_cents:.1f}",
-            *(_joint_cells(found) if jointly else (f"{found.amplitude_rad:.1f}",)),
-            str(found.step_index),
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    Attributes
+    ----------
+    key : str
+        Name for programs: header in CSV files, key in records.
+    heading : str
+        Name for people.
+    unit : str
+        Shown after the heading; empty for texts and plain numbers.
+    format : str or callable
+        Format specification such as ``.1f``, or a function from a value to its text. A column with
+        a format holds numbers, which are set flush right.
+    meaning : str
+        What the column holds, in a few words, for readers who see such a table for the first time.
+    wraps : bool
+        Whether long texts are broken into lines on the terminal.
+
+    Examples
+    --------
+    >>> column = Column("frequency_hz", "frequency", "Hz", ".1f")
+    >>> column.title, column.shown(1996.25), column.shown(None)
+    ('frequency (Hz)', '1996.2', '')
+    """
+
+    key: str
+    heading: str
+    unit: str = ""
+    format: str | Callable[[Any], str] = ""
+    meaning: str = ""
+    wraps: bool = True
+
+    @property
+    def title(self) -> str:
+        """Heading with unit."""
+        return f"{self.heading} ({self.unit})" if self.unit else self.heading
+
+    @property
+    def is_number(self) -> bool:
+        """Whether the column holds numbers."""
+        return bool(self.format)
+
+    def shown(self, value: Any) -> str:
+        """Return the text of a value; empty for None and NaN."""
+        if value is None or (isinstance(value, float) and math.isnan(value)):
+            return ""
+        return format(value, self.format) if isinstance(self.format, str) else self.format(value)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of values under columns.
+
+    Attributes
+    ----------
+    columns : tuple of Column
+    rows : tuple of sequences
+        One value for each column; None or NaN where there is none.
+    title, note : str
+        Shown above and below the table.
+    row_kinds : tuple of str
+        Kind of each row, which pages colour; empty if all rows are of one kind.
+    total : bool
+        Whether the last row sums up the others.
+    """
+
+    columns: tuple[Column, ...]
+    rows: tuple[Sequence[Any], ...]
+    title: str = ""
+    note: str = ""
+    row_kinds: tuple[str, ...] = ()
+    total: bool = False
+
+    def select(self, *keys: str) -> "Table":
+        """Return the table with these columns only, in this order."""
+        at = [next(k for k, c in enumerate(self.columns) if c.key == key) for key in keys]
+        rows = tuple([row[k] for k in at] for row in self.rows)
+        columns = tuple(self.columns[k] for k in at)
+        return Table(columns, rows, self.title, self.note, self.row_kinds, self.total)
+
+    @property
+    def texts(self) -> list[list[str]]:
+        """Text of every cell."""
+        return [
+            [column.shown(value) for column, value in zip(self.columns, row, strict=True)]
+            for row in self.rows
+        ]
+
+    @property
+    def meanings(self) -> list[tuple[str, str]]:
+        """Heading and meaning of every column whose meaning is known."""
+        return [(column.heading, column.meaning) for column in self.columns if column.meaning]
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return each row as a dict from column keys to values, for JSON and data frames."""
+        keys = [column.key for column in self.columns]
+        return [dict(zip(keys, row, strict=True)) for row in self.rows]
+
+
+def terminal_table(table: Table, box: Box | None = HEAVY_HEAD, **layout: Any) -> rich.table.Table:
+    """Return a table for the terminal.
+
+    Parameters
+    ----------
+    table : Table
+    box : rich.box.Box, optional
+        Lines between cells; None for no lines.
+    **layout
+        Passed on to `rich.table.Table`.
+    """
+    shown = rich.table.Table(
+        title=plain(table.title) if table.title else None,
+        caption=plain(table.note) if table.note else None,
+        box=box,
+        **layout,
+    )
+    for column in table.columns:
+        # What does not fit is folded, never cut off: names of files must be whole to be of use.
+        # Numbers are not folded either; the unit in a line of its own keeps their columns narrow.
+        shown.add_column(
+            Text(f"{column.heading}\n({column.unit})" if column.unit else column.heading),
+            justify="right" if column.is_number else "left",
+            no_wrap=column.is_number or not column.wraps,
+            overflow="fold",
         )
-    return table
+    for number, row in enumerate(table.texts, 1):
+        if table.total and number == len(table.rows):
+            shown.add_section()
+        shown.add_row(*map(plain, row))
+    return shown
 
 
-def _joint_cells(found: Resonance) -> tuple[str, str, str]:
-    """What only a joint fit knows of a mode."""
-    loss = "" if found.loss_factor is None else f"{found.loss_factor:.4f}"
-    if found.loss_factor is not None and found.loss_error is not None:
-        loss += f" ± {found.loss_factor * found.loss_error:.4f}"
-    response = "" if found.response_hz is None else f"{found.response_hz:.0f} Hz"
-    return loss, response, "" if found.likeness is None else f"{found.likeness:.2f}"
-
-
-def not_identified_lines(sweep: SweepFit) -> list[str]:
-    """Why modes within the sweep are not identified, a line for each reason; lines of the drive."""
-    by_reason: dict[str, list[str]] = {}
-    for name, reason in sweep.not_identified.items():
-        by_reason.setdefault(reason, []).append(name)
-    lines = [f"not identified: {', '.join(names)}: {r}" for r, names in by_reason.items()]
-    return lines + [
-        f"a line of the drive at {line.hz:.0f} Hz, {line.height_db:+.0f} dB: of the air or the "
-        "loudspeaker if other reeds show it too, and no mode"
-        for line in sweep.lines
-    ]
-
-
-def parameters_table(fit: ReedFit) -> Table | None:
-    """Components and moduli with errors; nothing if the fit has none."""
-    if fit.parameters is None:
-        return None
-    parameters = fit.parameters
-    caption = f"rms {parameters.rms_cents:.1f} cents, model: {parameters.model}"
-    if parameters.at_limit:
-        caption += f"; at the limit of the search, so not known: {', '.join(parameters.at_limit)}"
-    table = Table(title=Text(f"Reed {fit.sweeps[0].reed}: the cane"), caption=caption)
-    table.add_column("parameter")
-    table.add_column("value", justify="right")
-    table.add_column("± s.e.", justify="right")
-    table.add_column("unit")
-    for name, estimate in parameters.components.items():
-        table.add_row(name, f"{estimate.value:+.2f}", f"{estimate.error:.2f}", "population SD")
-    for series, moduli in parameters.moduli.items():
-        for name, estimate in moduli.items():
-            table.add_row(*_modulus_row(name, estimate, series))
-    return table
-
-
-def _modulus_row(name: str, estimate: Estimate, series: str) -> tuple[str, str, str, str]:
-    quantity = name.removesuffix("_mpa").replace("_4kHz", "' at 4 kHz")
-    label = f"{quantity}, series {series}"
-    return label, f"{estimate.value:.0f}", f"{estimate.error:.0f}", "MPa"
+def write_csv(file: TextIO, columns: Sequence[Column], rows: Iterable[Sequence[Any]]) -> None:
+    """Write rows as CSV without a header."""
+    out = csv.writer(file, lineterminator="\n")
+    for row in rows:
+        out.writerow([c.shown(value) for c, value in zip(columns, row, strict=True)])

@@ -100,18 +100,15 @@ def finish(
 
 
 def _show_fit(console: "Console", fitted: "ReedFit") -> None:
-    from reports.tables import (
-        modes_table,
-        not_identified_lines,
-        parameters_table,
-    )
+    from reports.fit_tables import parameters_table, remarks, short_resonances_table
+    from reports.tables import terminal_table
 
     for sweep in fitted.sweeps:
-        console.print(modes_table(sweep))
-        for line in not_identified_lines(sweep):
+        console.print(terminal_table(short_resonances_table(sweep)))
+        for line in remarks(sweep):
             console.print(line, markup=False, soft_wrap=True)
     table = parameters_table(fitted)
     if table is None:
         console.print(f"no parameters: {fitted.reason}", markup=False, soft_wrap=True)
     else:
-        console.print(table)
+        console.print(terminal_table(table))

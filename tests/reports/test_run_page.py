@@ -12,7 +12,7 @@ from fitting.cane.fit_runs import ReedFit
 from fitting.modal.acoustic_resonances import Line
 from reports.errors import OutputRefusedError
 from reports.run_page import (
-    _lines_hz,
+    _peaks_hz,
     write_bare_report,
     write_report,
 )
@@ -29,13 +29,21 @@ class Page(HTMLParser):
     def __init__(self, text):
         super().__init__()
         self.open, self.words, self.images, self.links, self.tags = [], [], [], [], []
+        self.declarations = []
         self.feed(text)
         self.close()
         assert self.open == []
 
+    def handle_decl(self, decl):
+        self.declarations.append(decl)
+
     def handle_starttag(self, tag, attrs):
         self.tags.append(tag)
         values = dict(attrs)
+        if tag == "html":
+            assert values["lang"] == "en"
+        if tag == "th":
+            assert values["scope"] in ("col", "row")
         if tag == "img":
             self.images.append(values["src"])
             assert values["alt"]
@@ -52,7 +60,7 @@ class Page(HTMLParser):
 
     @property
     def text(self):
-        return " ".join(self.words)
+        return " ".join(" ".join(self.words).split())
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +87,9 @@ def test_the_page_needs_nothing_else(written, page):
     text = written["report"].read_text(encoding="utf-8")
     assert "http:" not in text
     assert "https:" not in text
+    assert "url(" not in text
+    assert page.declarations == ["doctype html"]
+    assert {"title", "h1"} <= set(page.tags)
     assert "script" not in page.tags
     assert "link" not in page.tags
     assert all(link.startswith("data:image/png;base64,") for link in page.links)
@@ -98,7 +109,8 @@ def test_the_page_tells_modes_components_and_moduli(fitted, page):
     for name, estimate in parameters.components.items():
         assert f"{name} {estimate.value:+.2f} {estimate.error:.2f}" in page.text
     moduli = parameters.moduli["A"]
-    assert f"E1 {moduli['E1_mpa'].value:.0f} {moduli['E1_mpa'].error:.0f}" in page.text
+    modulus = moduli["E1_mpa"]
+    assert f"E1, series A {modulus.value:.0f} {modulus.error:.0f} MPa" in page.text
     assert f"{parameters.rms_cents:.1f} cents" in page.text
     assert "87 of 87 steps good" in page.text
     assert "outside physics" not in page.text
@@ -110,7 +122,7 @@ def test_modes_that_were_not_fitted_are_told(fitted, tmp_path):
     parameters = replace(fitted.parameters, residual_cents={"A": residual})
     files = write_report(replace(fitted, parameters=parameters), tmp_path / "page.html")
     text = Page(files["report"].read_text(encoding="utf-8")).text
-    assert text.count("not fitted") == 1
+    assert text.count(" not fitted") == 1
 
 
 def test_what_people_wrote_is_text_and_never_markup(fitted, changed, tmp_path):
@@ -189,4 +201,4 @@ def test_a_run_that_is_gone_is_an_error(fitted, tmp_path):
 @pytest.mark.parametrize(("joint", "expected"), [(True, [4279.0]), (False, [4308.6])])
 def test_lines_that_a_joint_fit_found_outweigh_those_of_the_bench(joint, expected):
     sweep = SimpleNamespace(joint=object() if joint else None, lines=[Line(4279.0, 8.0)])
-    assert list(_lines_hz(sweep, SimpleNamespace(acoustic_lines_hz=(4308.6,)))) == expected
+    assert list(_peaks_hz(sweep, SimpleNamespace(acoustic_lines_hz=(4308.6,)))) == expected

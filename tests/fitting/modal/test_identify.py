@@ -14,8 +14,8 @@ from fitting.modal.identify import _doubts, _outweighing, _room_cents, _with_usu
 from fitting.modal.residual_map import residual_map
 from physics.reed.viscoelastic import Components
 from reports.drawing import png_of
+from reports.fit_tables import SHORT_JOINT, remarks, short_resonances_table
 from reports.joint_drawing import mode_sheet
-from reports.tables import modes_table, not_identified_lines
 
 
 @pytest.fixture(scope="module")
@@ -88,9 +88,12 @@ def test_a_residual_map_lies_on_the_reed(sweep):
 
 
 def test_the_table_tells_loss_and_what_is_not_identified(sweep):
-    heads = [column.header for column in modes_table(sweep).columns]
-    assert heads[3:6] == ["loss factor", "liveliest", "MAC"]
-    told = " ".join(not_identified_lines(sweep))
+    table = short_resonances_table(sweep)
+    assert tuple(column.key for column in table.columns) == SHORT_JOINT
+    for record, found in zip(table.records(), sweep.resonances.values(), strict=True):
+        assert (record["hz"], record["mac"]) == (found.frequency_hz, found.likeness)
+        assert record["loss_factor"] == (found.loss_factor, found.loss_error)
+    told = " ".join(remarks(sweep))
     assert all(name in told for name in sweep.not_identified)
 
 
@@ -99,7 +102,7 @@ def test_the_line_of_the_cavity_is_told_and_nothing_else(sweep):
     (line,) = sweep.lines
     assert 4200 < line.hz < 4330
     assert 5 < line.height_db < 12
-    assert any(f"{line.hz:.0f} Hz" in told for told in not_identified_lines(sweep))
+    assert any(f"{line.hz:.0f} Hz" in told for told in remarks(sweep))
 
 
 def test_every_identified_mode_is_drawn(sweep):

@@ -1,0 +1,138 @@
+"""Tables of what a fit found: resonances, and parameters of the cane."""
+
+from collections.abc import Mapping
+from typing import Final
+
+from fitting.cane.fit_runs import ReedFit, SweepFit
+from reports.tables import Column, Table
+
+# Columns of the terminal, where 80 characters must suffice.
+SHORT_JOINT: Final = ("mode", "hz", "error_cents", "loss_factor", "response_hz", "mac", "step")
+SHORT_PICTURE: Final = ("mode", "hz", "error_cents", "amplitude_rad", "step")
+_NEEDS_JOINT_FIT: Final = ("loss_factor", "response_hz", "participation", "mac")
+
+
+def _with_error(value: tuple[float, float | None]) -> str:
+    """Loss factor, with its standard error if that is known."""
+    loss, relative_error = value
+    if relative_error is None:
+        return f"{loss:.4f}"
+    return f"{loss:.4f} ± {loss * relative_error:.4f}"
+
+
+_RESONANCE_COLUMNS: Final = (
+    Column("mode", "mode", meaning="F flexural, T transverse, X generic, L lateral, H heel; "
+           "numbered by frequency", wraps=False),
+    Column("hz", "frequency", "Hz", ".1f", "resonance frequency"),
+    Column("error_cents", "±", "cents", ".1f",
+           "standard error of the frequency; 100 cents are a semitone"),
+    Column("loss_factor", "loss factor", "", _with_error,
+           "imaginary part of the mode's stiffness divided by its real part, ± standard error"),
+    Column("response_hz", "peak response", "Hz", ".1f",
+           "drive frequency at which the mode moves most"),
+    Column("participation", "participation", "", ".3f",
+           "how strongly the drive excites the mode; 1 for the mode that it excites most"),
+    Column("mac", "MAC", "", ".2f",
+           "squared correlation of measured and calculated shape; 1 if they are equal"),
+    Column("step", "step", "", "d", "step of the sweep that is nearest to the resonance"),
+    Column("amplitude_rad", "phase amplitude", "rad", ".2f",
+           "amplitude of the optical phase 4πz/λ in that step, where the mode moves most"),
+    Column("residual_cents", "residual", "cents",
+           lambda value: value if isinstance(value, str) else f"{value:+.1f}",
+           "measured less fitted frequency"),
+)  # fmt: skip
+
+
+def resonances_table(sweep: SweepFit, residual_cents: Mapping[str, float] | None = None) -> Table:
+    """Return the resonances of one run.
+
+    Parameters
+    ----------
+    sweep : SweepFit
+    residual_cents : mapping, optional
+        Measured less fitted frequency of each mode that was fitted, by name.
+    """
+    residuals = residual_cents or {}
+    rows = tuple(
+        (
+            name,
+            found.frequency_hz,
+            found.error_cents,
+            None if found.loss_factor is None else (found.loss_factor, found.loss_error),
+            found.response_hz,
+            found.participation,
+            found.likeness,
+            found.step_index,
+            found.amplitude_rad,
+            residuals.get(name, "not fitted"),
+        )
+        for name, found in sweep.resonances.items()
+    )
+    title = f"Reed {sweep.reed}, series {sweep.series}: resonances"
+    table = Table(_RESONANCE_COLUMNS, rows, title)
+    if sweep.joint is not None:
+        return table
+    keys = [column.key for column in table.columns if column.key not in _NEEDS_JOINT_FIT]
+    return table.select(*keys)
+
+
+def short_resonances_table(sweep: SweepFit) -> Table:
+    """Return the resonances of one run, narrow enough for a terminal."""
+    keys = SHORT_PICTURE if sweep.joint is None else SHORT_JOINT
+    return resonances_table(sweep).select(*keys)
+
+
+def remarks(sweep: SweepFit) -> list[str]:
+    """Return why modes within the sweep are not identified, and the excitation peaks, a line each.
+
+    Modes that are missing for the same reason share a line.
+    """
+    by_reason: dict[str, list[str]] = {}
+    for name, reason in sweep.not_identified.items():
+        by_reason.setdefault(reason, []).append(name)
+    lines = [f"{', '.join(names)} not identified: {reason}" for reason, names in by_reason.items()]
+    return lines + [
+        f"excitation peak at {peak.hz:.0f} Hz ({peak.height_db:+.0f} dB). If other reeds show it "
+        "too, it belongs to the air or the loudspeaker, not to the reed."
+        for peak in sweep.lines
+    ]
+
+
+_PARAMETER_COLUMNS: Final = (
+    Column("parameter", "parameter", meaning="e1 … e4 are the components in which the cane of "
+           "reeds varies; E1, E2, G1, G2 are the springs of the viscoelastic model (E along the "
+           "grain, G shear), E′ and G′ its storage moduli"),
+    Column("value", "value", "", str),
+    Column("error", "± s.e.", "", str, "standard error"),
+    Column("unit", "unit", meaning="population SD is a standard deviation of the paper's reeds"),
+)  # fmt: skip
+
+
+def parameters_table(fit: ReedFit) -> Table | None:
+    """Return components and moduli with standard errors; None if the fit has none."""
+    parameters = fit.parameters
+    if parameters is None:
+        return None
+    rows = [
+        (name, f"{estimate.value:+.2f}", f"{estimate.error:.2f}", "population SD")
+        for name, estimate in parameters.components.items()
+    ]
+    rows += [
+        (f"{_quantity(name)}, series {series}", f"{one.value:.0f}", f"{one.error:.0f}", "MPa")
+        for series, moduli in parameters.moduli.items()
+        for name, one in moduli.items()
+    ]
+    # A standard deviation, like the errors that it was added to.
+    scatter = parameters.misfit_cents
+    added = f", with {scatter:.1f} cents added to every error" if scatter else ""
+    note = (
+        f"Residual rms {parameters.rms_cents:.1f} cents, χ² per degree of freedom "
+        f"{parameters.reduced_chi2:.2f}{added}; forward model: {parameters.model}."
+    )
+    if parameters.at_limit:
+        note += f" Not known, because at the limit of the search: {', '.join(parameters.at_limit)}."
+    return Table(_PARAMETER_COLUMNS, tuple(rows), f"Reed {fit.sweeps[0].reed}: the cane", note)
+
+
+def _quantity(name: str) -> str:
+    return name.removesuffix("_mpa").replace("_4kHz", "′ at 4 kHz")

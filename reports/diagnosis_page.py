@@ -1,9 +1,8 @@
-"""A diagnosis as one self-contained HTML page, and as words for the command line."""
+"""A diagnosis as an HTML page, and as sentences for the command line."""
 
-import base64
 import math
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -14,14 +13,11 @@ from physics.effects.catalogue import BY_ID
 from physics.effects.form import Tap
 from reports.drawing import png_of
 from reports.gap_map import draw_map
-from reports.own_output import (
-    Output,
-    page_kind,
-    write_output,
-)
-from reports.plain_text import escaped
+from reports.own_output import Output, page_kind, write_output
+from reports.pages import Picture, render
+from reports.tables import Column, Table
 
-TAP_WORDS: Final[Mapping[Tap, str]] = {
+GROUP_WORDS: Final[Mapping[Tap, str]] = {
     Tap.LOG: "logs",
     Tap.DRIVE: "drive",
     Tap.SENSOR: "sensor",
@@ -32,37 +28,28 @@ TAP_WORDS: Final[Mapping[Tap, str]] = {
     Tap.MODES: "modes",
     Tap.MATERIAL: "material",
 }
-_NOT_PROOF: Final = "Closing a gap does not prove its cause: a wrong effect may close it as well."
-_SHOWN = 12
-_RATHER_THAN_NOT = 0.5
+_NOT_PROOF: Final = (
+    "This does not prove the cause: a wrong effect may explain the difference as well."
+)
+# The most probable candidates that the page lists; the others have next to no probability.
+_LISTED = 12
+# An effect is called the cause if it is more probable than not.
+_PROBABLE = 0.5
+# Measurements that would change the log odds by less, in nats, decide nothing: 0.05 nats change
+# even odds from 50 to 51 %.
+_LEAST_NATS = 0.05
 _PAGE: Final = page_kind("diagnosis")
-_STYLE: Final = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 1100px;
-       margin: 2rem auto; padding: 0 1.5rem; }
-h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2.4rem; }
-.lead { font-size: 1.15rem; }
-table { border-collapse: collapse; margin: 0.6rem 0; }
-th, td { padding: 0.15rem 0.7rem; text-align: left; border-bottom: 1px solid #ddd; }
-td.number { text-align: right; }
-img { max-width: 100%; display: block; } .facts { color: #555; }
-"""
 
 
 def words(verdict: Verdict) -> list[str]:
-    """What the diagnosis says, in sentences."""
+    """Return what the diagnosis says, in sentences; the first names the cause."""
     said = [_headline(verdict), _where(verdict.where)]
     if verdict.kind != "not converged":
-        said.append(f"Likely, 90 % together: {_likely_words(verdict)}.")
+        said.append(f"Candidates that together have 90 % probability: {_likely_words(verdict)}.")
     if verdict.closed is not None and verdict.effects:
-        said.append(_closed_words(verdict))
-        said.append(_NOT_PROOF)
+        said.append(f"{_closed_words(verdict)} {_NOT_PROOF}")
     if verdict.next_actions:
-        best = verdict.next_actions[0]
-        one, other = verdict.rivals
-        said.append(
-            f"To tell {_title(one)} from {_title(other)}: {best.action.words} "
-            f"({best.action.minutes:g} min, about {best.nats:.1f} nats)."
-        )
+        said.append(_next_words(verdict))
     said += [f"Not measured: {what}." for what in verdict.missing]
     said += [f"Not used: {why}." for why in verdict.refused]
     return said
@@ -71,36 +58,40 @@ def words(verdict: Verdict) -> list[str]:
 def _headline(verdict: Verdict) -> str:
     if verdict.kind == "none":
         p = verdict.probability.get("none", 0.0)
-        return f"Nothing is seen to be wrong with the twin ({p:.0%})."
+        return f"Measurement and simulation agree; no cause of a difference is found ({p:.0%})."
     if verdict.kind == "unknown":
         p = verdict.probability.get("unknown", 0.0)
-        beside = verdict.unknown_beside
-        known = "" if beside == "none" else f", beside {_title(beside)}"
-        seen = f"seen in: {verdict.unknown_in}"
-        return f"Something that the catalogue does not have ({p:.0%}){known}, {seen}."
+        other = verdict.unknown_beside
+        known = "" if other == "none" else f", in addition to {_title(other)}"
+        return (
+            f"Cause of the difference: something that is not in the catalogue ({p:.0%}){known}. "
+            f"It shows in: {verdict.unknown_in}."
+        )
     if verdict.kind == "not converged":
-        return "Not converged: no fit can be trusted, so no effect is named."
+        return "The fits have not converged, so no cause is named."
     name = "+".join(verdict.effects)
     p = verdict.probability.get(name, 0.0)
-    # What is alike speaks for the same.
+    # Confusable effects count together: the data cannot say which of them it is.
     group = next((group for group in verdict.likely if name in group), (name,))
-    sure = sum(verdict.probability.get(other, 0.0) for other in group) >= _RATHER_THAN_NOT
-    leaves_out = "leaves out" if sure else "most likely, but not surely, leaves out"
-    return f"The twin {leaves_out}: {_title(name)} ({p:.0%})."
+    sure = sum(verdict.probability.get(other, 0.0) for other in group) >= _PROBABLE
+    what = "Cause of the difference" if sure else "Most likely cause, which is not certain"
+    return f"{what}: {_title(name)} ({p:.0%})."
 
 
 def _where(where: Map) -> str:
     tap = where.first_failing
     if tap is None:
-        return "No observable differs by more than chance."
+        return "No observable differs by more than chance explains."
     worst = where.taps[tap]
     at = f"{worst.block}, {worst.label}" if worst.label != worst.block else worst.block
-    gap = f"{worst.gap:.1f} times its floor"
-    return f"First tap that differs: {tap} ({TAP_WORDS[tap]}), {gap} in {at}."
+    return (
+        f"First observables that differ: {GROUP_WORDS[tap]} ({tap}), by {worst.gap:.1f} times "
+        f"their standard error, in {at}."
+    )
 
 
 def _likely_words(verdict: Verdict) -> str:
-    """Classes, and at last what may be beside the likeliest effect and need not show."""
+    """Return the classes of candidates, pairs with an undetectable second effect last."""
     unseen = [g for g in verdict.likely if all(_is_unseen(name, verdict) for name in g)]
     said = [_class_words(group, verdict) for group in verdict.likely if group not in unseen]
     if unseen:
@@ -108,7 +99,10 @@ def _likely_words(verdict: Verdict) -> str:
         first = verdict.contest.unseen[names[0]][0]
         others = ", ".join(_title(name.removeprefix(f"{first}+")) for name in names)
         p = sum(verdict.probability.get(name, 0.0) for name in names)
-        said.append(f"{_title(first)} beside what need not show ({p:.0%}): {others}")
+        said.append(
+            f"{_title(first)} together with an effect that these data cannot show ({p:.0%}): "
+            f"{others}"
+        )
     return "; ".join(said)
 
 
@@ -128,22 +122,37 @@ def _title(name: str) -> str:
 
 
 def _closed_words(verdict: Verdict) -> str:
-    said = f"It closes {_share(verdict.closed)} of the gap on numbers left out"
+    said = (
+        f"It explains {_fraction(verdict.closed)} of the difference in numbers left out of the fit"
+    )
     if verdict.transferred is not None:
-        said += f", {_share(verdict.transferred)} in sweep '{verdict.condition}', left out whole"
+        said += (
+            f", and {_fraction(verdict.transferred)} in sweep '{verdict.condition}', left out whole"
+        )
     return said + "."
 
 
-def _share(closed: Shrinkage | None) -> str:
+def _next_words(verdict: Verdict) -> str:
+    best = verdict.next_actions[0]
+    if best.nats < _LEAST_NATS:
+        return "No further measurement would help to decide."
+    one, other = verdict.rivals
+    return (
+        f"To decide between {_title(one)} and {_title(other)}: {best.action.words} "
+        f"({best.action.minutes:g} min, about {best.nats:.1f} nats)."
+    )
+
+
+def _fraction(closed: Shrinkage | None) -> str:
     if closed is None or math.isnan(closed.kappa):
         return "no resolvable part"
-    # What is left may be less than its floor: that closes no more than all.
+    # A residual below its standard error would give more than 100 %.
     kappa, low, high = (min(share, 1.0) for share in (closed.kappa, closed.low, closed.high))
     return f"{kappa:.0%}" if math.isnan(low) else f"{kappa:.0%} [{low:.0%}, {high:.0%}]"
 
 
 def page_output(page: Path) -> Output:
-    """Page as an output, for `reports.own_output.require_writable`."""
+    """Return the page as an output, for `reports.own_output.require_writable`."""
     return Output(page, _PAGE)
 
 
@@ -167,86 +176,86 @@ def write_page(verdict: Verdict, title: str, page: Path, runs: Sequence[str] = (
     write_output(page_output(page), document(verdict, title, runs))
 
 
+@dataclass(frozen=True)
+class _Section:
+    """A part of the page."""
+
+    title: str
+    tables: tuple[Table, ...] = ()
+    text: str = ""
+    picture: Picture | None = None
+
+
 def document(verdict: Verdict, title: str, runs: Sequence[str] = ()) -> str:
-    """The whole page."""
-    said = words(verdict)
-    by = f"{', '.join(runs)}; by reedbench {version('reedbench')}" if runs else ""
-    picture = base64.b64encode(png_of(draw_map(verdict.where), dpi=110)).decode()
-    body = [
-        f"<h1>{escaped(title)}</h1>",
-        f'<p class="lead">{escaped(said[0])}</p>',
-        *(f"<p>{escaped(sentence)}</p>" for sentence in said[1:]),
-        "<h2>Where</h2>",
-        f'<img alt="Gap of every cell" src="data:image/png;base64,{picture}">',
-        '<p class="facts">Gap in units of its floor: errors of data, numerics and inputs. Below 1 '
-        "it is not resolvable, which does not mean that twin and bench agree. Coloured cells are "
-        "such as chance makes in fewer than one of a hundred campaigns, each by itself; a tap "
-        "differs if chance makes as much of none of all its cells. White: no such numbers.</p>",
-        _ladder(verdict.where),
-        "<h2>Which</h2>",
-        _effects(verdict),
-        _triggers(verdict),
-        "<h2>How far</h2>",
-        _plain(verdict),
-        "<h2>What to measure next</h2>",
-        _actions(verdict),
-        "<h2>What these runs could have shown</h2>",
-        _reach(verdict),
-        f'<p class="facts">{escaped(by)}</p>',
-    ]
-    return (
-        f"{_PAGE.mark}<title>{escaped(title)}</title><style>{_STYLE}</style></head>"
-        f"<body>{''.join(body)}</body></html>"
+    """Return the whole page."""
+    between = "no two candidates"
+    if verdict.rivals[0]:
+        between = f"{_title(verdict.rivals[0])} and {_title(verdict.rivals[1])}"
+    sections = (
+        _where_section(verdict.where),
+        _Section("Likeliest causes", (_causes(verdict), _triggers(verdict))),
+        _Section("How much of the difference is explained", (_plain(verdict),), _NOT_PROOF),
+        _Section(
+            "What to measure next",
+            (_actions(verdict),),
+            f"How much each measurement is expected to help to decide between {between}.",
+        ),
+        _Section("What these runs could have shown", (_detectability(verdict),)),
+    )
+    return render(
+        "diagnosis.html", _PAGE, title, sentences=words(verdict), sections=sections, runs=runs
     )
 
 
-def _table(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int]) -> str:
-    """Table of texts; columns of these numbers, from 0, are set flush right."""
-    top = "".join(f"<th>{escaped(heading)}</th>" for heading in headings)
-    lines = []
-    for row in rows:
-        cells = (
-            f'<td class="number">{escaped(text)}</td>'
-            if column in numbers
-            else f"<td>{escaped(text)}</td>"
-            for column, text in enumerate(row)
-        )
-        lines.append(f"<tr>{''.join(cells)}</tr>")
-    return f"<table><tr>{top}</tr>{''.join(lines)}</table>"
-
-
-def _ladder(where: Map) -> str:
-    """Shares of the gap by tap."""
+def _where_section(where: Map) -> _Section:
+    """Return the map of the gap, and how it is shared among the stages of the measurement."""
+    picture = Picture(
+        png_of(draw_map(where), dpi=110),
+        "Gap of every group of observables by frequency band, mode, time, level and region",
+        "Gap: difference between measurement and simulation, divided by its standard error (of "
+        "data, numerics and inputs). Grey: a difference that chance explains, which does not mean "
+        "that they agree. Coloured: chance makes such a cell in fewer than one of 100 campaigns. "
+        "A group of observables differs if chance makes none of its cells as large. White: no "
+        "such observables.",
+        wide=True,
+    )
+    title = "Where measurement and simulation differ"
     if not where.ladder:
-        return (
-            '<p class="facts">Of all numbers together the gap is not resolvable, so that no stage '
-            "is given a share of it.</p>"
+        text = (
+            "All observables together do not differ by more than chance explains, so the gap is "
+            "not divided among stages."
         )
-    rows = [
-        (f"{rung.tap} {TAP_WORDS[rung.tap]}", f"{rung.forward:.0%}", f"{rung.backward:.0%}",
-         f"{rung.error:.0%}")
-        for rung in where.ladder
-    ]  # fmt: skip
-    headings = (
-        "stage",
-        "share, earlier stages as measured",
-        "later stages as measured",
-        "± by chance",
+        return _Section(title, (), text, picture)
+    columns = (
+        Column("stage", "stage"),
+        Column("forward", "share of the gap, from the front", "", ".0%",
+               "what the stage adds to the gap if all earlier stages are as measured"),
+        Column("backward", "from the back", "", ".0%",
+               "what it adds if all later stages are as measured"),
+        Column("error", "±", "", ".0%", "standard deviation of either by chance"),
+    )  # fmt: skip
+    rows = tuple((f"{r.tap} {GROUP_WORDS[r.tap]}", r.forward, r.backward, r.error)
+                 for r in where.ladder)  # fmt: skip
+    return _Section(title, (Table(columns, rows),), "", picture)
+
+
+def _causes(verdict: Verdict) -> Table:
+    columns = (
+        Column("cause", "cause"),
+        Column("probability", "probability", "", ".1%"),
+        Column("size", "size", meaning="fitted size ± standard error"),
+        Column("action", "how to check it", meaning="what separates this cause from similar ones"),
     )
-    return _table(headings, rows, (1, 2, 3))
-
-
-def _effects(verdict: Verdict) -> str:
-    shown = sorted(verdict.probability.items(), key=lambda item: -item[1])[:_SHOWN]
+    listed = sorted(verdict.probability.items(), key=lambda item: -item[1])[:_LISTED]
     rows = []
-    for name, p in shown:
+    for name, p in listed:
         action = "; ".join(BY_ID[part].action for part in name.split("+") if part in BY_ID)
-        rows.append((_title(name), f"{p:.1%}", _size_words(verdict, name), action))
-    return _table(("effect", "probability", "size", "what tells it apart"), rows, (1,))
+        rows.append((_title(name), p, _size_words(verdict, name), action))
+    return Table(columns, tuple(rows))
 
 
 def _size_words(verdict: Verdict, name: str) -> str:
-    """Sizes of an effect, or of two, each with its own, as fitted, with errors."""
+    """Return the sizes of an effect, or of both effects of a pair, as fitted, with errors."""
     rival = verdict.contest.rival(name)
     told = []
     for effect, sizes in (rival.told if rival else {}).items():
@@ -258,40 +267,54 @@ def _size_words(verdict: Verdict, name: str) -> str:
     return "; ".join(told)
 
 
-def _triggers(verdict: Verdict) -> str:
-    rows = [
-        (trigger.words, f"{trigger.value:.3g}", f"{trigger.chance:.1%}",
-         "yes" if trigger.fired else "no")
-        for trigger in verdict.triggers
-    ]  # fmt: skip
-    headings = "sign of something that the catalogue lacks", "value", "by chance", "counts"
-    return _table(headings, rows, (1, 2))
+def _triggers(verdict: Verdict) -> Table:
+    columns = (
+        Column("sign", "sign of a cause that is not in the catalogue"),
+        Column("value", "value", "", ".3g"),
+        Column("chance", "by chance", "", ".1%", "probability of so large a value by chance"),
+        Column("counts", "counts", meaning="whether it makes an unknown cause more probable"),
+    )
+    rows = tuple((t.words, t.value, t.chance, "yes" if t.fired else "no") for t in verdict.triggers)
+    return Table(columns, rows)
 
 
-def _plain(verdict: Verdict) -> str:
-    rows = [
-        (gap.quantity, f"{gap.before:.3g}", f"{gap.after:.3g}", f"{gap.error:.2g}")
-        for gap in verdict.plain
-    ]
-    name = "+".join(verdict.effects) or "what explains most"
-    told = _title(name) if verdict.effects else name
-    headings = "what is left (shapes: sum; others: rms)", "without", f"with {told}", "uncertain"
-    return f"{_table(headings, rows, (1, 2, 3))}<p>{escaped(_NOT_PROOF)}</p>"
+def _plain(verdict: Verdict) -> Table:
+    name = "+".join(verdict.effects)
+    effect = _title(name) if name else "the effect that explains most"
+    columns = (
+        Column("quantity", "residual", meaning="measurement less simulation, root mean square; "
+               "of shapes the sum"),
+        Column("before", "without an effect", "", ".3g"),
+        Column("after", f"with {effect}", "", ".3g"),
+        Column("error", "standard error", "", ".2g"),
+    )  # fmt: skip
+    rows = tuple((gap.quantity, gap.before, gap.after, gap.error) for gap in verdict.plain)
+    return Table(columns, rows)
 
 
-def _actions(verdict: Verdict) -> str:
-    rows = [
-        (w.action.words, f"{w.action.minutes:g}", f"{w.nats:.1f}", f"{w.nats_per_minute:.2f}")
-        for w in verdict.next_actions
-    ]
-    one, other = verdict.rivals
-    between = f"to tell {_title(one)} from {_title(other)}" if one else ""
-    facts = f'<p class="facts">Expected log odds {escaped(between)}.</p>'
-    return facts + _table(("action", "minutes", "nats", "nats per minute"), rows, (1, 2, 3))
+def _actions(verdict: Verdict) -> Table:
+    columns = (
+        Column("action", "measurement"),
+        Column("minutes", "time", "min", "g"),
+        Column("nats", "expected log odds", "nats", ".1f",
+               "natural logarithm of the odds; 3 nats are odds of 20 to 1"),
+        Column("nats_per_minute", "per minute", "nats/min", ".2f"),
+    )  # fmt: skip
+    rows = tuple((w.action.words, w.action.minutes, w.nats, w.nats_per_minute)
+                 for w in verdict.next_actions)  # fmt: skip
+    return Table(columns, rows)
 
 
-def _reach(verdict: Verdict) -> str:
-    """Least sizes that would have been seen, and what each effect would be taken for."""
+def _detectability(verdict: Verdict) -> Table:
+    """Return the smallest size of each effect that would show, and what it is confused with."""
+    columns = (
+        Column("effect", "effect"),
+        Column("least", "minimum detectable size",
+               meaning="size at which the effect exceeds its standard error five times"),
+        Column("absorbed", "absorbed by nuisance parameters", "", ".0%",
+               "part of its signature that parameters which differ from bench to bench explain"),
+        Column("confusable", "confusable with"),
+    )  # fmt: skip
     rows = []
     for entry in verdict.reach:
         effect = BY_ID[entry.effect]
@@ -301,7 +324,6 @@ def _reach(verdict: Verdict) -> str:
             else f"{p.name}: no size"
             for p in effect.sizes
         )
-        absorbed = "" if math.isnan(entry.absorbed) else f"{entry.absorbed:.0%}"
-        rows.append((effect.title, least, absorbed, ", ".join(_title(o) for o in entry.alike)))
-    headings = "effect", "least size to be seen", "absorbed by nuisance parameters", "not told from"
-    return _table(headings, rows, (2,))
+        others = ", ".join(_title(other) for other in entry.alike)
+        rows.append((effect.title, least, entry.absorbed, others))
+    return Table(columns, tuple(rows))

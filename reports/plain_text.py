@@ -4,7 +4,6 @@ A name or a note can hold anything: escape sequences that recolour a terminal or
 marks that reverse the direction of writing, bytes that are not UTF-8. All of it is shown as text.
 """
 
-import html
 import unicodedata
 
 from rich.text import Text
@@ -35,11 +34,6 @@ def visible(text: str) -> str:
 def one_line(text: str) -> str:
     """Replace line ends as well, for places where a second line would mean something else."""
     return visible(text).replace("\n", "\\n")
-
-
-def escaped(text: str) -> str:
-    """Return HTML that shows a text, with its unprintable characters visible."""
-    return html.escape(visible(text))
 
 
 def plain(value: object) -> Text:

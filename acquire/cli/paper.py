@@ -25,6 +25,7 @@ def paper(
     This takes about a minute. With --json and without --out no page is written.
     """
     from reports.own_output import require_writable
+    from reports.tables import terminal_table
     from reproduction.page import (
         counts_table,
         page_output,
@@ -42,7 +43,7 @@ def paper(
         show_json(comparison.to_json() | {"page": str(page) if page else None})
         return
     console = results()
-    console.print(counts_table(comparison))
+    console.print(terminal_table(counts_table(comparison)))
     for sentence in comparison.findings:
         console.print(f"- {sentence}", markup=False)
     console.print(f"page          {page}", markup=False, soft_wrap=True)

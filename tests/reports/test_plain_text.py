@@ -2,11 +2,7 @@
 
 import pytest
 
-from reports.plain_text import (
-    escaped,
-    one_line,
-    visible,
-)
+from reports.plain_text import one_line, visible
 
 
 @pytest.mark.parametrize(
@@ -30,9 +26,3 @@ def test_what_does_not_print_becomes_its_escape(text, shown):
 
 def test_a_line_stays_one_line():
     assert one_line("a\nb\x1b") == "a\\nb\\x1b"
-
-
-def test_html_shows_the_same():
-    assert escaped("<script>\x1b</script>&\"'") == (
-        "&lt;script&gt;\\x1b&lt;/script&gt;&amp;&quot;&#x27;"
-    )

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from reports.errors import OutputRefusedError
 from reports.own_output import require_writable
+from reports.tables import terminal_table
 from reproduction.cane import compare_cane
 from reproduction.chain import compare_hypotheses
 from reproduction.factors import compare_factors
@@ -72,11 +73,11 @@ class _Page(HTMLParser):
 
     def handle_starttag(self, tag, attributes):
         attributes = dict(attributes)
-        if tag not in ("meta", "img"):
+        if tag not in ("meta", "img", "br"):
             self.open_tags.append(tag)
         if tag == "tr":
             self.rows.append((attributes.get("class", ""), []))
-        if tag == "td":
+        if tag in ("td", "th"):
             self.rows[-1][1].append("")
         self.sources += [attributes[k] for k in ("src", "href") if k in attributes]
 
@@ -84,7 +85,7 @@ class _Page(HTMLParser):
         assert self.open_tags.pop() == tag
 
     def handle_data(self, data):
-        if "td" in self.open_tags:
+        if {"td", "th"} & set(self.open_tags):
             self.rows[-1][1][-1] += data
 
 
@@ -94,8 +95,10 @@ def page(comparison):
 
 
 def test_every_row_is_there_once_with_its_shade(page, comparison):
-    shades = {cells[1]: shade for shade, cells in page.rows if len(cells) == 9}
-    assert sum(len(cells) == 9 for _, cells in page.rows) == len(comparison.rows)
+    rows = [(shade, cells) for shade, cells in page.rows if len(cells) == 9]
+    rows = [(shade, cells) for shade, cells in rows if cells[0] != "table"]
+    shades = {cells[1]: shade for shade, cells in rows}
+    assert len(rows) == len(comparison.rows)
     assert shades == {
         "as printed": "",
         "a little off": "near",
@@ -130,9 +133,8 @@ def test_the_page_is_closed_and_needs_nothing_else(page, comparison):
 
 def test_the_summary_counts(comparison):
     text = re.sub(r"<[^>]+>", " ", document(comparison))
-    assert "9 comparisons with printed numbers. For 8 of them" in text
-    assert "2 are reproduced" in text
-    assert "5 differ, and 1 are refuted. 1 cannot be had" in text
+    assert re.search(r"9 comparisons .* 8 of them .* 2 are reproduced", text)
+    assert re.search(r"5 differ, and 1 are refuted\. 1 cannot be computed", text)
 
 
 def test_what_agrees_unfolds(comparison):
@@ -143,7 +145,7 @@ def test_what_agrees_unfolds(comparison):
 
 def test_the_table_of_the_command_line_adds_up(comparison):
     console = Console(width=120, file=io.StringIO())
-    console.print(counts_table(comparison))
+    console.print(terminal_table(counts_table(comparison)))
     lines = console.file.getvalue().strip().splitlines()
     assert [word for word in lines[-2].split() if word.isdigit()] == ["2", "5", "1", "1", "1"]
     assert any("First group " in line for line in lines)

@@ -3,21 +3,30 @@
 from collections.abc import Sequence
 from typing import Any
 
-from rich.table import Table
-
 from physics.effects.form import Effect, Parameter
+from reports.tables import Column, Table
 
 
 def effects_table(effects: Sequence[Effect]) -> Table:
-    """Table of effects: names, stages, sizes with the spread of their priors, what tells them."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("effect", no_wrap=True)
-    for heading in ("stage", "what it is", "sizes", "what tells it apart"):
-        table.add_column(heading, overflow="fold")
-    for effect in effects:
-        sizes = "; ".join(_size(parameter) for parameter in effect.parameters)
-        table.add_row(effect.id, effect.stage.value, effect.title, sizes, effect.action)
-    return table
+    """Return names, stages, sizes with the spread of their priors, and how to check each."""
+    columns = (
+        Column("effect", "effect", wraps=False),
+        Column("stage", "stage"),
+        Column("title", "what it is"),
+        Column("sizes", "expected size"),
+        Column("action", "how to check it"),
+    )
+    rows = tuple(
+        (
+            effect.id,
+            effect.stage.value,
+            effect.title,
+            "; ".join(map(_size, effect.parameters)),
+            effect.action,
+        )
+        for effect in effects
+    )
+    return Table(columns, rows)
 
 
 def _size(parameter: Parameter) -> str:

@@ -112,7 +112,8 @@ def _diagnose_resonances(table: Path | None, as_json: bool) -> None:
     import acquire
     from acquire.cli.display import stage_progress
     from physics.effects.catalogue import BY_ID
-    from reports.resonance_diagnosis_page import gap_of_modes, trials_table, words
+    from reports.resonance_diagnosis import gap_of_modes, trials_table, words
+    from reports.tables import terminal_table
 
     with stage_progress(messages()) as progress:
         found = acquire.diagnose_resonances(table, announce=show_message, progress=progress)
@@ -120,8 +121,8 @@ def _diagnose_resonances(table: Path | None, as_json: bool) -> None:
         show_json(found.to_json())
         return
     console = results()
-    console.print(gap_of_modes(found.diagnosis))
-    console.print(trials_table(found.diagnosis))
+    console.print(terminal_table(gap_of_modes(found.diagnosis)))
+    console.print(terminal_table(trials_table(found.diagnosis)))
     for line in words(found.diagnosis, BY_ID):
         console.print(line, markup=False, soft_wrap=True)
 
@@ -130,8 +131,9 @@ def effects(as_json: AsJson = False, debug: Debug = False) -> None:
     """List the causes that `acquire diagnose` can recognise, each with its expected size."""
     from physics.effects.catalogue import CATALOGUE
     from reports.effects import effects_table, effects_to_json
+    from reports.tables import terminal_table
 
     if as_json:
         show_json(effects_to_json(CATALOGUE))
         return
-    results().print(effects_table(CATALOGUE))
+    results().print(terminal_table(effects_table(CATALOGUE), box=None, pad_edge=False))

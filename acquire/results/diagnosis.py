@@ -10,7 +10,7 @@ from acquire.results.base import Result, new_axes
 from diagnosis.published import PublishedDiagnosis
 from diagnosis.verdict import Verdict
 from reports.diagnosis_json import to_json as verdict_to_json
-from reports.resonance_diagnosis_page import to_json as resonances_to_json
+from reports.resonance_diagnosis import to_json as resonances_to_json
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

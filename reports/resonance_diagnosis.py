@@ -1,10 +1,8 @@
-"""What the command line shows of a diagnosis of resonances, and its JSON."""
+"""A diagnosis of resonances as tables, sentences and JSON."""
 
 import math
 from collections.abc import Mapping
 from typing import Any
-
-from rich.table import Table
 
 from diagnosis.likeness import DETECTABLE, Reach
 from diagnosis.published import (
@@ -13,100 +11,122 @@ from diagnosis.published import (
     Trial,
 )
 from physics.effects.form import Effect
+from reports.tables import Column, Table
 
-_NOT_PROOF = "closing a gap does not prove its cause"
-# Sizes are told from so many nats of log odds on.
-_LEAST_TOLD = 1.0
+_NOT_PROOF = "to explain a gap does not prove its cause"
+# Effects with log odds above this, in nats, are described; 1 nat is odds of 2.7 to 1.
+_LEAST_NATS = 1.0
 
 
 def gap_of_modes(diagnosis: PublishedDiagnosis) -> Table:
-    """Gap of every mode beside its floor, per series."""
-    table = Table(title="Resonances less the elastic reed (E_L and G_LT fitted in each series)")
-    table.add_column("mode")
+    """Return the gap of every mode and its standard error, per series."""
+    columns = [Column("mode", "mode")]
     for reed in diagnosis.reeds:
-        table.add_column(f"{reed.series}: gap (cents)", justify="right")
-        table.add_column(f"{reed.series}: floor", justify="right")
+        columns += [
+            Column(f"gap_{reed.series}", f"{reed.series}: gap", "cents", _gap),
+            Column(f"floor_{reed.series}", "±", "cents", ".0f"),
+        ]
     names = list(dict.fromkeys(name for reed in diagnosis.reeds for name in reed.modes))
+    rows = []
     for name in names:
-        row = [name]
+        row: list[Any] = [name]
         for reed in diagnosis.reeds:
             if name not in reed.modes:
-                row += ["", ""]
+                row += [None, None]
                 continue
             at = reed.modes.index(name)
-            gap = float(diagnosis.residual_cents[reed.series][at])
             floor = float(diagnosis.floor_cents[reed.series][at])
-            row += [f"{gap:+.0f}" if abs(gap) > floor else "not resolvable", f"{floor:.0f}"]
-        table.add_row(*row)
-    return table
+            row += [(float(diagnosis.residual_cents[reed.series][at]), floor), floor]
+        rows.append(row)
+    title = "Measured resonances less those of an elastic reed"
+    note = "The elastic reed has E_L and G_LT fitted in each series. ±: standard error of the gap."
+    return Table(tuple(columns), tuple(rows), title, note)
+
+
+def _gap(value: tuple[float, float]) -> str:
+    gap, floor = value
+    return f"{gap:+.0f}" if abs(gap) > floor else "within its error"
 
 
 def trials_table(diagnosis: PublishedDiagnosis) -> Table:
-    """What effects close of the gap, alone and together."""
-    table = Table(title="What effects close of it")
-    table.add_column("effects", no_wrap=True)
-    for reed in diagnosis.reeds:
-        table.add_column(f"rms {reed.series},\ncents", justify="right")
-    table.add_column("κ, mode\nleft out", justify="right")
-    if len(diagnosis.reeds) > 1:
-        table.add_column("κ, other\nseries", justify="right")
-    table.add_column("log odds,\nnats", justify="right")
+    """Return how much of the gap effects explain, alone and together."""
     before = diagnosis.elastic.rms_cents
+    series = [reed.series for reed in diagnosis.reeds]
+    columns = [
+        Column("effects", "effects", wraps=False),
+        *(Column(f"rms_{s}", f"rms {s}", "cents", str) for s in series),
+        Column("explained", "explained,\nmode left out", "", str),
+        Column("explained_other", "explained,\nother series", "", str),
+        Column("log_bayes", "log odds", "nats", str),
+    ]
+    rows = []
     for trial in (*diagnosis.alone, *diagnosis.together):
-        row = ["\n+ ".join(trial.effects)]
-        row += [f"{before[s]:.0f} → {after:.0f}" for s, after in trial.rms_cents.items()]
-        interval = f"[{_share(trial.kappa_low)}, {_share(trial.kappa_high)}]"
-        row.append(f"{_share(trial.kappa)}\n{interval}")
-        if len(diagnosis.reeds) > 1:
-            row.append("\n".join(f"{s} {_share(k)}" for s, k in trial.kappa_other.items()))
+        interval = f"[{_fraction(trial.kappa_low)}, {_fraction(trial.kappa_high)}]"
         odds = f"{trial.log_bayes:+.1f}"
-        row.append(odds if trial.certified else f"{odds} *")
-        table.add_row(*row)
-    return table
+        rows.append(
+            (
+                "\n+ ".join(trial.effects),
+                *(f"{before[s]:.0f} → {trial.rms_cents[s]:.0f}" for s in series),
+                f"{_fraction(trial.kappa)}\n{interval}",
+                "\n".join(f"{s} {_fraction(k)}" for s, k in trial.kappa_other.items()),
+                odds if trial.certified else f"{odds} *",
+            )
+        )
+    table = Table(tuple(columns), tuple(rows), "How much of the gap effects explain")
+    if len(series) > 1:
+        return table
+    return table.select(*(c.key for c in columns if c.key != "explained_other"))
 
 
 def words(diagnosis: PublishedDiagnosis, effects: Mapping[str, Effect]) -> list[str]:
-    """What it comes to, a line each."""
+    """Return what the tables mean and what follows from them, a line each."""
     rms = ", ".join(f"{s} {v:.0f} cents" for s, v in diagnosis.elastic.rms_cents.items())
-    lines = [f"elastic reed: rms {rms}"]
-    for trial in (*diagnosis.alone, *diagnosis.together):
-        if _is_told(trial):
+    trials = (*diagnosis.alone, *diagnosis.together)
+    lines = [
+        "explained: fraction of the gap that disappears with the effect, in modes left out of the "
+        "fit [95 % interval], and in each series with sizes fitted to the other; log odds: against "
+        "the elastic reed, 3 nats are odds of 20 to 1",
+        f"elastic reed: rms {rms}",
+    ]
+    for trial in trials:
+        if _is_likely(trial):
             together = len(trial.effects) > 1
             sizes = "; ".join(_size(size, owned=together) for size in trial.sizes)
             lines.append(f"{' + '.join(trial.effects)}: {sizes}")
-    lines += _hardly_told(diagnosis, effects)
-    if not all(trial.certified for trial in (*diagnosis.alone, *diagnosis.together)):
-        lines.append("* the fit has not converged: no effect is to be named by it")
+    lines += _confusable(diagnosis, effects)
+    if not all(trial.certified for trial in trials):
+        lines.append("* this fit has not converged: do not name an effect by it")
     unseen = [entry.effect for entry in diagnosis.reach if out_of_reach(entry, effects)]
     if unseen:
         lines.append(
-            f"out of reach of such data, at three spreads of their priors: {', '.join(unseen)}"
+            "not detectable with such data, even at three standard deviations of their priors: "
+            f"{', '.join(unseen)}"
         )
     return [*lines, _NOT_PROOF]
 
 
-def _is_told(trial: Trial) -> bool:
-    return trial.certified and trial.log_bayes > _LEAST_TOLD
+def _is_likely(trial: Trial) -> bool:
+    return trial.certified and trial.log_bayes > _LEAST_NATS
 
 
-def _hardly_told(diagnosis: PublishedDiagnosis, effects: Mapping[str, Effect]) -> list[str]:
-    """What each likely effect is alike to, the most alike first, and what would tell it."""
+def _confusable(diagnosis: PublishedDiagnosis, effects: Mapping[str, Effect]) -> list[str]:
+    """Return which effects each likely effect is confusable with, the most similar first."""
     reach, lines = {entry.effect: entry for entry in diagnosis.reach}, []
     for trial in diagnosis.alone:
         name = trial.effects[0]
         alike = sorted(reach[name].alike.items(), key=lambda item: -item[1])
-        if alike and _is_told(trial):
+        if alike and _is_likely(trial):
             others = ", ".join(f"{other} ({value:.2f})" for other, value in alike)
             action = effects[name].action
             lines.append(
-                f"{name} is hardly told by such data from {others}: cosines of what both move; "
-                f"what would tell it: {action}"
+                f"{name} is confusable with {others} (cosines of their signatures); "
+                f"how to check it: {action}"
             )
     return lines
 
 
 def out_of_reach(reach: Reach, effects: Mapping[str, Effect]) -> bool:
-    """Whether no parameter of an effect would stand out at three spreads of its prior."""
+    """Whether no parameter would be detectable at three standard deviations of its prior."""
     spreads = {p.name: p.spread for p in effects[reach.effect].parameters}
     return all(least > 3 * spreads[name] for name, least in reach.detectable.items())
 
@@ -182,13 +202,13 @@ def _number(value: float) -> float | None:
 
 
 def _size(size: Size, *, owned: bool) -> str:
-    """A size; of which effect, if there are several."""
+    """Return a size with its error, and of which effect it is if there are several."""
     name = f"{size.effect}'s {size.name}" if owned else size.name
     unit = f" {size.unit}" if size.unit else ""
-    spreads = f"{size.z:+.1f} spreads of its prior"
+    spreads = f"{size.z:+.1f} SD of its prior"
     return f"{name} {size.value:.3g} ± {size.error:.1g}{unit} ({spreads})"
 
 
-def _share(value: float) -> str:
-    # Nothing is not less than nothing.
+def _fraction(value: float) -> str:
+    # A small negative fraction is shown as 0, not as -0.
     return f"{round(value, 2) + 0.0:.0%}" if math.isfinite(value) else "–"

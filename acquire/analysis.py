@@ -15,6 +15,7 @@ from reports.population_tables import (
     components_output,
     opened_table,
     resonances_output,
+    write_components,
     write_resonances,
 )
 
@@ -149,5 +150,10 @@ def population(
     measured = write_resonances(source, table, announce, way) if source.is_dir() else None
     reed = measured.kind if measured else ReedFile.from_file(kind or DEFAULT_REED)
     with opened_table(components) as file:
-        summary = fit_table(table, metamodel_of(forward, reed, announce), file, fitted)
+        summary = fit_table(
+            table,
+            metamodel_of(forward, reed, announce),
+            lambda reeds, fit: write_components(file, reeds, fit),
+            fitted,
+        )
     return PopulationResult(summary, measured, target, table if measured else None)

@@ -10,7 +10,6 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import FuncNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.table import Table
 from scipy.ndimage import maximum_filter1d, zoom
 
 from fitting.errors import FitInputError
@@ -31,7 +30,8 @@ from reports.own_output import (
     require_writable,
     write_output,
 )
-from reports.plain_text import plain, visible
+from reports.plain_text import visible
+from reports.tables import Column, Table
 
 Array = NDArray[np.floating[Any]]
 
@@ -51,21 +51,25 @@ _STILL_SHARE = 0.02
 
 
 def modes_table(reed: ReedFile, modes: Sequence[NamedMode]) -> Table:
-    """Name, frequency, interval above F6, class and symmetry of every mode; below, the cane."""
-    table = Table(title=plain(f"{reed.name}: modes"), caption=plain(_cane_words(reed)))
-    for head in ("mode", "frequency", "cents above F6"):
-        table.add_column(head, justify="right")
-    table.add_column("class")
-    table.add_column("symmetry")
-    for mode in modes:
-        table.add_row(
-            plain(mode.name),
-            f"{mode.frequency_hz:.1f} Hz",
-            f"{1200 * np.log2(mode.frequency_hz / REFERENCE_HZ):.0f}",
+    """Return name, frequency, interval above F6, class and symmetry of every mode."""
+    columns = (
+        Column("mode", "mode", wraps=False),
+        Column("hz", "frequency", "Hz", ".1f"),
+        Column("cents", "above F6", "cents", ".0f"),
+        Column("class", "class"),
+        Column("symmetry", "symmetry"),
+    )
+    rows = tuple(
+        (
+            mode.name,
+            mode.frequency_hz,
+            1200 * np.log2(mode.frequency_hz / REFERENCE_HZ),
             str(mode.klass),
             str(mode.symmetry),
         )
-    return table
+        for mode in modes
+    )
+    return Table(columns, rows, f"{reed.name}: modes", _cane_words(reed))
 
 
 def _cane_words(reed: ReedFile) -> str:

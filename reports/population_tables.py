@@ -1,24 +1,47 @@
 """Tables of populations: resonances of a folder's runs, components of every reed, a summary."""
 
-import csv
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TextIO
+from typing import Any, Final, TextIO
 
-from rich.table import Table
+import numpy as np
 
 from fitting.cane.fit_runs import MethodName, SweepFit
-from fitting.populations.resonance_table import COLUMNS, ERROR_COLUMN, RUN_COLUMN, component_columns
+from fitting.populations.flags import Flag, PopulationFit
+from fitting.populations.resonance_table import COLUMNS, ERROR_COLUMN, RUN_COLUMN
 from fitting.populations.table import COMPONENTS, Measured, PopulationSummary, measure_resonances
 from reports.own_output import Output, replacing, table_kind
 from reports.plain_text import one_line
+from reports.tables import Column, Table, write_csv
 
-# With the run of each resonance: a table with these columns is not one that a person typed.
-_RESONANCE_COLUMNS = (*COLUMNS, ERROR_COLUMN, RUN_COLUMN)
-_RESONANCES = table_kind("resonances", _RESONANCE_COLUMNS)
-_COMPONENTS = table_kind("components", component_columns(COMPONENTS))
+_REED, _SERIES, _MODE, _HZ = COLUMNS
+_RESONANCE_COLUMNS: Final = (
+    Column(_REED, "reed"),
+    Column(_SERIES, "series"),
+    Column(_MODE, "mode"),
+    Column(_HZ, "frequency", "Hz", ".3f"),
+    Column(ERROR_COLUMN, "±", "cents", ".4g"),
+    # With the run of each resonance: a table with these columns is not one that a person typed.
+    Column(RUN_COLUMN, "run file"),
+)
+_NUMBER: Final = ".6g"
+_COMPONENT_COLUMNS: Final = (
+    Column("reed", "reed"),
+    *(
+        Column(f"e{k}{of}", f"e{k}{of}", "population SD", _NUMBER)
+        for k in range(1, COMPONENTS + 1)
+        for of in ("", "_error")
+    ),
+    Column("rms_cents", "residual", "cents", _NUMBER),
+    Column("reduced_chi2", "χ² per degree of freedom", "", _NUMBER),
+    Column("misfit_cents", "excess scatter", "cents", _NUMBER),
+    Column("resonances", "resonances", "", "d"),
+    Column("flags", "flags"),
+)
+_RESONANCES = table_kind("resonances", [column.key for column in _RESONANCE_COLUMNS])
+_COMPONENTS = table_kind("components", [column.key for column in _COMPONENT_COLUMNS])
 
 
 def components_output(path: Path) -> Output:
@@ -33,7 +56,7 @@ def resonances_output(path: Path) -> Output:
 
 @contextmanager
 def opened_table(output: Output) -> Iterator[TextIO]:
-    """Open a table for writing; it appears whole or not at all.
+    """Open a table for writing, with its header; it appears whole or not at all.
 
     Raises
     ------
@@ -42,6 +65,7 @@ def opened_table(output: Output) -> Iterator[TextIO]:
     """
     with replacing(output) as file:
         text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        text.write(output.kind.mark)
         yield text
         # Hands over what it holds, and leaves the file open.
         text.detach()
@@ -66,45 +90,77 @@ def write_resonances(
     """
     measured = measure_resonances(folder, announce, method)
     with opened_table(resonances_output(table)) as file:
-        out = csv.writer(file, lineterminator="\n")
-        out.writerow(_RESONANCE_COLUMNS)
         for sweep, run in measured.sweeps:
-            out.writerows(_rows(sweep, run))
+            write_csv(file, _RESONANCE_COLUMNS, _resonance_rows(sweep, run))
     return measured
 
 
-def _rows(sweep: SweepFit, run: Path) -> list[tuple[str, ...]]:
+def _resonance_rows(sweep: SweepFit, run: Path) -> Iterator[Sequence[Any]]:
     # Names of files may hold bytes that are not UTF-8.
     source = one_line(str(run))
-    found = sweep.resonances.items()
-    cells = ((name, f"{one.frequency_hz:.3f}", f"{one.error_cents:.4g}") for name, one in found)
-    return [(sweep.reed, sweep.series, *own, source) for own in cells]
+    for name, found in sweep.resonances.items():
+        yield sweep.reed, sweep.series, name, found.frequency_hz, found.error_cents, source
+
+
+def write_components(file: TextIO, reeds: Sequence[str], fit: PopulationFit) -> None:
+    """Write fits of n reeds as CSV: components, errors, residual, χ², scatter, count and flags.
+
+    Parameters
+    ----------
+    file : text file
+        See `opened_table`.
+    reeds : sequence of str
+        n names.
+    fit : PopulationFit
+    """
+    write_csv(file, _COMPONENT_COLUMNS, _component_rows(reeds, fit))
+
+
+def _component_rows(reeds: Sequence[str], fit: PopulationFit) -> Iterator[Sequence[Any]]:
+    pairs = np.stack([fit.components, fit.errors], axis=2).reshape(len(reeds), -1)
+    for n, reed in enumerate(reeds):
+        flags = " ".join(str(flag.name) for flag in Flag(int(fit.flags[n])))
+        quality = fit.rms_cents[n], fit.reduced_chi2[n], fit.misfit_cents[n]
+        yield reed, *pairs[n], *quality, int(fit.used[n]), flags
 
 
 def summary_table(summary: PopulationSummary) -> Table:
-    """What the command line shows of a population."""
-    told = summary.to_json()
-    rms = "" if told["rms_cents"] is None else f", rms {told['rms_cents']:.1f} cents"
-    table = Table(title=f"{summary.reeds} reeds, {summary.resonances} resonances{rms}")
-    for head in ("component", "reeds", "mean", "SD", "± s.e. (rms)"):
-        table.add_column(head, justify="right")
-    for name, row in told["components"].items():
-        values = (row["mean"], row["sd"], row["rms_error"])
-        shown = ["-" if value is None else f"{value:.2f}" for value in values]
-        table.add_row(name, str(row["reeds"]), *shown)
-    return table
+    """Return mean and standard deviation of each component."""
+    known = summary.to_json()
+    rms = "" if known["rms_cents"] is None else f", rms {known['rms_cents']:.1f} cents"
+    unit = "population SD"
+    columns = (
+        Column("component", "component"),
+        Column("reeds", "reeds", "", "d", "reeds whose fit gives the component"),
+        Column("mean", "mean", unit, ".2f"),
+        Column("sd", "SD", unit, ".2f", "standard deviation from reed to reed"),
+        Column("rms_error", "± s.e.", unit, ".2f", "root mean square of the standard errors"),
+    )
+    rows = tuple(
+        (name, row["reeds"], row["mean"], row["sd"], row["rms_error"])
+        for name, row in known["components"].items()
+    )
+    title = f"{summary.reeds} reeds, {summary.resonances} resonances{rms}"
+    return Table(columns, rows, title)
 
 
 def remarks(summary: PopulationSummary, measured: Measured | None = None) -> list[str]:
-    """What is to be said beside the table, of a folder's runs too if they were measured."""
-    lines = (measured.lines if measured else None) or ()
-    of_all = measured.reeds if measured else 0
+    """Return acoustic resonances, rows that were not used, and flags of fits, a line each.
+
+    Parameters
+    ----------
+    summary : PopulationSummary
+    measured : Measured, optional
+        What the runs of a folder gave, if they were measured.
+    """
+    peaks = (measured.lines if measured else None) or ()
+    reeds = measured.reeds if measured else 0
     said = [
-        f"line of the air at {line.hz:.0f} Hz, {line.height_db:+.1f} dB: {line.reeds} of {of_all} "
-        "reeds show it, it is none of theirs"
-        for line in lines
+        f"acoustic resonance at {peak.hz:.0f} Hz ({peak.height_db:+.1f} dB): {peak.reeds} of "
+        f"{reeds} reeds show it, so it belongs to the air or the loudspeaker"
+        for peak in peaks
     ]
     if summary.passed_over:
-        said.append(f"{summary.passed_over} resonances of modes that the model does not know")
+        said.append(f"{summary.passed_over} resonances not used: the model does not know the mode")
     flags = summary.flags.items()
     return [*said, *(f"{count} reeds: {flag.lower().replace('_', ' ')}" for flag, count in flags)]

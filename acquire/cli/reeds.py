@@ -130,6 +130,7 @@ def modes(
     from acquire.cli.display import stage_progress
     from fitting.reed_modes import BASIS, doubts_marked, mesh_level
     from reports.mode_pictures import modes_table, require_png
+    from reports.tables import terminal_table
 
     if pictures:
         if mesh == BASIS:
@@ -147,7 +148,7 @@ def modes(
         return
     console = results()
     shown = doubts_marked(found.modes) if mesh == BASIS else found.modes
-    console.print(modes_table(found.reed, shown))
+    console.print(terminal_table(modes_table(found.reed, shown)))
     if pictures:
         console.print(f"pictures      {pictures}", markup=False, soft_wrap=True)
 
@@ -190,6 +191,7 @@ def population(
     """
     import acquire
     from reports.population_tables import remarks, summary_table
+    from reports.tables import terminal_table
 
     with messages().status("fitting") as status:
         fitted = acquire.population(
@@ -205,7 +207,7 @@ def population(
         show_json(fitted.to_json())
         return
     console = results()
-    console.print(summary_table(fitted.summary))
+    console.print(terminal_table(summary_table(fitted.summary)))
     for remark in remarks(fitted.summary, fitted.measured):
         console.print(remark)
     for name, path in fitted.files.items():

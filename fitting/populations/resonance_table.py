@@ -1,4 +1,4 @@
-"""Tables of resonances of many reeds, read piece by piece, and of the components fitted to them.
+"""Tables of resonances of many reeds, read piece by piece.
 
 A table of resonances is a CSV file with the columns reed, series, mode and hz, and error_cents if
 errors differ; the rows of one reed stand together.
@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
-from fitting.populations.flags import Flag, PopulationFit
 from physics.reed.viscoelastic import Series
 from protocols.units import shown_value, unseen_character
 
@@ -199,34 +198,3 @@ def _gathered(path: Path, piece: list[list[_Row]], modes: tuple[str, ...]) -> Re
                 )
             cents[n, row.series, m], errors[n, row.series, m] = row.cents, row.error_cents
     return Resonances(tuple(rows[0].reed for rows in piece), cents, errors, passed_over)
-
-
-def component_columns(count: int) -> tuple[str, ...]:
-    """Columns of a table of components, of which each reed has a number, 3 or 4."""
-    names = [f"e{k}" for k in range(1, count + 1)]
-    pairs = [column for name in names for column in (name, f"{name}_error")]
-    return ("reed", *pairs, "rms_cents", "reduced_chi2", "misfit_cents", "resonances", "flags")
-
-
-def write_components(
-    file: TextIO, pieces: Iterable[tuple[tuple[str, ...], PopulationFit]], count: int
-) -> None:
-    """Write fits as CSV: components, errors, rms, χ², misfit, number of resonances and flags.
-
-    Parameters
-    ----------
-    file : text file
-    pieces : iterable of (names of n reeds, fits of n reeds)
-    count : int
-        Components of a reed, 3 or 4.
-    """
-    out = csv.writer(file, lineterminator="\n")
-    out.writerow(component_columns(count))
-    for reeds, fit in pieces:
-        pairs = np.stack([fit.components, fit.errors], axis=2).reshape(len(reeds), -1)
-        for n, reed in enumerate(reeds):
-            told = fit.rms_cents[n], fit.reduced_chi2[n], fit.misfit_cents[n]
-            numbers = *pairs[n], *told
-            values = ["" if np.isnan(v) else f"{v:.6g}" for v in numbers]
-            flags = " ".join(str(flag.name) for flag in Flag(int(fit.flags[n])))
-            out.writerow([reed, *values, int(fit.used[n]), flags])

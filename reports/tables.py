@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any, TextIO
 
 import rich.table
-from rich.box import HEAVY_HEAD, Box
+from rich.box import SIMPLE
+from rich.cells import cell_len
 from rich.text import Text
 
 from reports.plain_text import plain
@@ -114,34 +115,31 @@ class Table:
         return [dict(zip(keys, row, strict=True)) for row in self.rows]
 
 
-def terminal_table(table: Table, box: Box | None = HEAVY_HEAD, **layout: Any) -> rich.table.Table:
-    """Return a table for the terminal.
-
-    Parameters
-    ----------
-    table : Table
-    box : rich.box.Box, optional
-        Lines between cells; None for no lines.
-    **layout
-        Passed on to `rich.table.Table`.
-    """
+def terminal_table(table: Table) -> rich.table.Table:
+    """Return a table for the terminal, with as little space between columns as is readable."""
     shown = rich.table.Table(
         title=plain(table.title) if table.title else None,
         caption=plain(table.note) if table.note else None,
-        box=box,
-        **layout,
+        title_justify="left",
+        caption_justify="left",
+        box=SIMPLE,
+        pad_edge=False,
+        padding=(0, 0, 0, 1),
     )
-    for column in table.columns:
+    texts = table.texts
+    for at, column in enumerate(table.columns):
         # What does not fit is folded, never cut off: names of files must be whole to be of use.
         # Numbers are not folded either; the unit in a line of its own keeps their columns narrow.
+        widest = max((cell_len(line) for row in texts for line in row[at].split("\n")), default=0)
         shown.add_column(
             Text(f"{column.heading}\n({column.unit})" if column.unit else column.heading),
             justify="right" if column.is_number else "left",
             no_wrap=column.is_number or not column.wraps,
             overflow="fold",
+            min_width=widest if column.is_number else None,
         )
-    for number, row in enumerate(table.texts, 1):
-        if table.total and number == len(table.rows):
+    for number, row in enumerate(texts, 1):
+        if table.total and number == len(texts):
             shown.add_section()
         shown.add_row(*map(plain, row))
     return shown

@@ -136,4 +136,4 @@ def effects(as_json: AsJson = False, debug: Debug = False) -> None:
     if as_json:
         show_json(effects_to_json(CATALOGUE))
         return
-    results().print(terminal_table(effects_table(CATALOGUE), box=None, pad_edge=False))
+    results().print(terminal_table(effects_table(CATALOGUE)))

@@ -25,11 +25,9 @@ from acquire.runner.control import control_path
 from acquire.runner.recorder import StepReport
 from acquire.runner.summary import RunSummary
 from drivers.exclusive import holder_of
-from protocols.campaign import Task
 from protocols.plan import Plan
-from protocols.step import Step
-from protocols.units import exact_decimal
 from reports.plain_text import plain
+from reports.run_tables import status_words
 from runs.packing import Packing
 from runs.reader import Run
 from runs.records import StepRecord
@@ -78,61 +76,6 @@ class _SweepBar:
             verdict="",
             left="",
         )
-
-
-def plan_table(plan: Plan) -> Table:
-    """Every step of a plan, narrow enough for 80 columns without losing a digit."""
-    title = f"{plan.protocol.name} on the {plan.bench.name}"
-    if plan.steps:
-        title += f", AOM2 at {exact_decimal(plan.steps[0].aom2_hz)} Hz"
-    table = Table(title=plain(title), box=SIMPLE, pad_edge=False, padding=(0, 0, 0, 1))
-    several = len(plan.protocol.sideband.selected) > 1
-    heads = (
-        "k/n" if several else "k",
-        "asked Hz",
-        "drive Hz",
-        "AOM1 Hz",
-        "AOM1 − AOM2",
-        "residual",
-    )
-    rows = [_plan_row(step, several) for step in plan.steps]
-    for column, head in enumerate((*heads, "volts", "leak")):
-        widest = max((len(row[column]) for row in rows), default=0)
-        table.add_column(head, justify="right", min_width=widest)
-    for row in rows:
-        table.add_row(*row)
-    return table
-
-
-def campaign_table(tasks: Sequence[Task], plans: Sequence[Plan]) -> Table:
-    """Every part of a campaign, with what somebody is to do before."""
-    table = Table(box=SIMPLE, pad_edge=False, padding=(0, 0, 0, 1))
-    for head in ("part", "of", "steps", "seconds", "MB", "before"):
-        table.add_column(head, justify="right" if head in ("steps", "seconds", "MB") else "left")
-    for task, plan in zip(tasks, plans, strict=True):
-        calibration = task.protocol.calibration
-        table.add_row(
-            task.part.name,
-            "sweep" if calibration is None else calibration.kind,
-            str(len(plan.steps)),
-            f"{plan.duration_s:.0f}",
-            f"{plan.file_size_bytes / 1e6:.0f}",
-            plain(task.part.do or ""),
-        )
-    return table
-
-
-def _plan_row(step: Step, several: bool) -> tuple[str, ...]:
-    return (
-        f"{step.index}/{step.order}" if several else str(step.index),
-        f"{float(step.asked_hz):.3f}",
-        exact_decimal(step.drive_hz),
-        exact_decimal(step.aom1_hz),
-        exact_decimal(step.difference_hz),
-        exact_decimal(step.lock_residual_hz),
-        f"{step.volts:.3f}",
-        f"{step.carrier_leak:.2%}",
-    )
 
 
 def plan_summary(plan: Plan) -> list[str]:
@@ -281,7 +224,7 @@ def details_table(details: Mapping[str, Any]) -> Table:
     strength = f", strength {details['strength']:g}" if details["strength"] else ""
     row("run", details["path"])
     end = details["end"] or ("now" if details["in_work"] else "(no end)")
-    row("measured", f"{details['start']} to {end}, {_standing(details)}")
+    row("measured", f"{details['start']} to {end}, {status_words(details)}")
     row("protocol", f"{details['title']} ({details['protocol_sha256'][:12]})")
     row("reed", f"{details['reed']} ({details['kind']}){strength}, series {details['series']}")
     row("note", details["note"])
@@ -300,32 +243,6 @@ def details_table(details: Mapping[str, Any]) -> Table:
         where = f"{each['kind']} at measurement {each['position'] + 1}"
         row("interruption", f"{where}: {each['reason']}")
     return table
-
-
-def runs_table(runs: Sequence[dict[str, object]]) -> Table:
-    """Table of the runs of a folder (see `catalogue_entry`)."""
-    table = Table()
-    for head in ("run", "reed", "strength", "series", "status", "good", "note"):
-        # Names of files must be whole to be of use.
-        table.add_column(head, overflow="fold")
-    for run in runs:
-        good = f"{run['good']}/{run['steps']}"
-        strength = "" if run["strength"] is None else f"{run['strength']:g}"
-        cells = (run["path"], run["reed"], strength, run["series"], _standing(run))
-        table.add_row(*map(plain, (*cells, good, run["note"])))
-    return table
-
-
-def _standing(entry: Mapping[str, Any]) -> str:
-    """Status of a run, and the process that has it in work."""
-    running = entry["status"] == "running"
-    if not entry["in_work"]:
-        return "stopped without an end; continue it with --resume" if running else entry["status"]
-    process = entry["process"]
-    worker = "a process on another computer" if process is None else f"process {process}"
-    return (
-        f"being measured by {worker}" if running else f"{entry['status']}, being packed by {worker}"
-    )
 
 
 def packing_line(run: str, packed: Packing) -> str:

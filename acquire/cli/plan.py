@@ -21,8 +21,10 @@ def plan(
     For a campaign, show its parts.
     """
     import acquire
-    from acquire.cli.display import plan_summary, plan_table
+    from acquire.cli.display import plan_summary
     from protocols.campaign import names_campaign
+    from reports.run_tables import plan_table
+    from reports.tables import terminal_table
 
     if names_campaign(protocol):
         _plan_campaign(protocol, bench, as_json)
@@ -32,7 +34,7 @@ def plan(
         show_json(planned.to_json())
     else:
         console = results()
-        console.print(plan_table(planned.plan))
+        console.print(terminal_table(plan_table(planned.plan)))
         for line in plan_summary(planned.plan):
             console.print(line, markup=False, soft_wrap=True)
     if planned.violations:
@@ -42,12 +44,13 @@ def plan(
 def _plan_campaign(name: str, bench: str, as_json: bool) -> None:
     """Show every part of a campaign."""
     import acquire
-    from acquire.cli.display import campaign_table
+    from reports.run_tables import campaign_table
+    from reports.tables import terminal_table
 
     planned = acquire.plan_campaign(acquire.load_campaign(name), bench)
     if as_json:
         show_json(planned.to_json())
     else:
-        results().print(campaign_table(planned.tasks, planned.plans))
+        results().print(terminal_table(campaign_table(planned.tasks, planned.plans)))
     for each in planned.plans:
         each.require_possible()

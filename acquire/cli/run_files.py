@@ -24,7 +24,9 @@ def list_runs(
     debug: Debug = False,
 ) -> None:
     """List the run files of a folder with reed, series and status."""
-    from acquire.cli.display import catalogue_entry, runs_table
+    from acquire.cli.display import catalogue_entry
+    from reports.run_tables import runs_table
+    from reports.tables import terminal_table
     from runs.errors import RunFileError
     from runs.reader import Run
 
@@ -41,7 +43,7 @@ def list_runs(
     if as_json:
         show_json(entries)
     else:
-        results().print(runs_table(entries))
+        results().print(terminal_table(runs_table(entries)))
 
 
 def show_run(

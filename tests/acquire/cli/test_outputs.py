@@ -255,7 +255,7 @@ def test_a_disk_that_fails_while_it_is_read_is_one_line(cli, folder, monkeypatch
     def refuse(*arguments):
         raise OSError(errno.EIO, os.strerror(errno.EIO), "runs\n/R07.h5")
 
-    monkeypatch.setattr("acquire.cli.display.runs_table", refuse)
+    monkeypatch.setattr("reports.run_tables.runs_table", refuse)
     said = cli("list", ".")
     assert said.status == 1
     (line,) = said.err.splitlines()

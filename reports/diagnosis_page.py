@@ -81,7 +81,7 @@ def _headline(verdict: Verdict) -> str:
 def _where(where: Map) -> str:
     tap = where.first_failing
     if tap is None:
-        return "No observable differs by more than chance explains."
+        return "No single observable differs by more than chance explains."
     worst = where.taps[tap]
     at = f"{worst.block}, {worst.label}" if worst.label != worst.block else worst.block
     return (
@@ -118,7 +118,7 @@ def _class_words(group: tuple[str, ...], verdict: Verdict) -> str:
 
 def _title(name: str) -> str:
     parts = [BY_ID[part].title if part in BY_ID else part for part in name.split("+")]
-    return " and ".join(parts) if name != "none" else "no effect"
+    return " + ".join(parts) if name != "none" else "no effect"
 
 
 def _closed_words(verdict: Verdict) -> str:

@@ -62,7 +62,7 @@ def _picture(run: Run, step: StepRecord) -> Array:
 
 
 def contact_sheet(run: Run, resonances: dict[str, Resonance], lines_hz: Sequence[float]) -> Figure:
-    """All pictures of a run in rows of 26, numbered, with modes and acoustic lines marked.
+    """All pictures of a run in rows of 26, numbered, with modes and excitation peaks marked.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def contact_sheet(run: Run, resonances: dict[str, Resonance], lines_hz: Sequence
     resonances : dict
         Modes to mark, by name.
     lines_hz : sequence of float
-        Lines of the air.
+        Excitation peaks.
 
     Raises
     ------
@@ -91,6 +91,8 @@ def contact_sheet(run: Run, resonances: dict[str, Resonance], lines_hz: Sequence
     axes = figure.add_axes((0, 0, 1, 1))
     axes.imshow(canvas, cmap="gray", vmin=0, vmax=1, interpolation="nearest", aspect="auto")
     axes.axis("off")
+    # Frames at the edge would else widen the view and leave white strips.
+    axes.autoscale(False)
     marked = line_steps(run, lines_hz)
     for position, step in enumerate(run.steps):
         top, left = _corner(position, columns, cell_y, cell_x)
@@ -111,7 +113,7 @@ def _label(
     lines: set[int],
     box: tuple[int, int, int, int],
 ) -> None:
-    """Number a picture; name its modes, its acoustic line or what is wrong with it."""
+    """Number a picture; name its modes, its excitation peak or what is wrong with it."""
     left, top, width, height = box
     main = step.order == run.sideband_order
     names = [name for name, found in resonances.items() if main and found.step_index == step.index]
@@ -120,7 +122,7 @@ def _label(
     if names:
         text, colour = f"{number} {'/'.join(names)}", _CLASS_COLOUR.get(names[0][0], "#e0e0e0")
     elif step.index in lines:
-        text, colour = f"{number} line", _LINE_COLOUR
+        text, colour = f"{number} peak", _LINE_COLOUR
     elif step.verdict != "ok":
         words = str(step.verdict).replace("_", " ")
         axes.text(
@@ -140,7 +142,7 @@ def _label(
 
 
 def line_steps(run: Run, lines_hz: Sequence[float]) -> set[int]:
-    """Indices of the steps nearest to acoustic lines, if the sweep covers them."""
+    """Return indices of the steps nearest to excitation peaks, if the sweep covers them."""
     answer = set()
     drive = np.array([float(step.drive_hz) for step in run.steps])
     for line in lines_hz:
@@ -156,7 +158,7 @@ def response_plot(sweep: SweepFit, lines_hz: Sequence[float]) -> Figure:
     ----------
     sweep : SweepFit
     lines_hz : sequence of float
-        Where the drive stands out, or the bench's description says that the air has a line.
+        Excitation peaks that the fit found, or acoustic resonances that the bench file lists.
     """
     figure = Figure(figsize=(13, 6), layout="constrained")
     axes = figure.add_subplot()
@@ -178,7 +180,7 @@ def response_plot(sweep: SweepFit, lines_hz: Sequence[float]) -> Figure:
             xytext=(0, height), textcoords="offset points", ha="center",
             fontsize=8, color=colour, arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.5},
         )  # fmt: skip
-    what = "line of the drive" if sweep.joint else "acoustic line"
+    what = "excitation peak" if sweep.joint else "acoustic resonance"
     for line in lines_hz:
         if hz.min() <= line <= hz.max():
             axes.axvline(line, color=_LINE_COLOUR, linestyle="--", linewidth=1)
@@ -187,12 +189,12 @@ def response_plot(sweep: SweepFit, lines_hz: Sequence[float]) -> Figure:
                 rotation=90, ha="right", va="bottom", fontsize=8, color=_LINE_COLOUR,
             )  # fmt: skip
     for letter, word in (
-        ("F", "flexural"), ("T", "transversal"), ("X", "generic"), ("L", "lateral"),
+        ("F", "flexural"), ("T", "transverse"), ("X", "generic"), ("L", "lateral"),
     ):  # fmt: skip
         if letter in {name[0] for name in sweep.resonances}:
             axes.plot([], [], color=_DARK_COLOUR[letter], label=f"{letter}: {word} modes")
     axes.legend(loc="upper right", frameon=False)
-    how = "largest deflection of every mode" if sweep.joint else "fringes counted per mode shape"
+    how = "peak amplitude of every mode" if sweep.joint else "fringes counted for each mode shape"
     title = f"Reed {visible(sweep.reed)}, series {visible(sweep.series)}: {how}"
     # A name may hold what matplotlib takes for mathematics.
     axes.set_title(title, parse_math=False)

@@ -17,7 +17,7 @@ from fitting.modal.residual_map import left_square
 Array = NDArray[np.floating[Any]]
 
 # Modes side by side, and the panels of each.
-_PER_ROW, _PANELS = 2, ("hologram", "fitted shape", "what is left")
+_PER_ROW, _PANELS = 2, ("hologram", "fitted shape", "residual")
 _PANEL_IN, _HEAD_IN, _FOOT_IN = (2.35, 1.0), 0.42, 1.0
 # What is left is drawn up to this many times the noise.
 _MOST_LEFT = 4.0
@@ -43,7 +43,7 @@ class _Place:
 
 
 def mode_sheet(fit: JointFit, resonances: dict[str, Resonance]) -> Figure:
-    """Draw hologram, fitted shape and what the fit leaves, for every identified mode.
+    """Draw hologram, fitted shape and residual, for every identified mode.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def _words(name: str, found: Resonance) -> str:
 
 
 def _values(fit: JointFit, name: str) -> tuple[Array, Array, Array]:
-    """Amplitude of the hologram nearest to a resonance, shape, and what is left of the hologram."""
+    """Amplitude of the hologram nearest to a resonance, shape, and residual of the hologram."""
     m = fit.modal.names.index(name)
     nearest = int(np.abs(np.log(fit.phasors.drive_hz / fit.modal.hz[m])).argmin())
     amplitude = np.abs(fit.phasors.value[:, nearest]).astype(float)
@@ -119,12 +119,12 @@ def _draw(axes: Any, place: _Place, panel: int, values: Array) -> None:
 def _scales(figure: Figure, width: float, height: float) -> None:
     """Colour bars below, one for each kind of panel."""
     kinds = (
-        ("gray", Normalize(0, 1), "hologram: amplitude of its light, relative"),
-        ("RdBu_r", Normalize(-1, 1), "fitted shape: deflection, relative; the line is at rest"),
+        ("gray", Normalize(0, 1), "hologram: amplitude of the light, relative"),
+        ("RdBu_r", Normalize(-1, 1), "fitted shape: deflection, relative; line: at rest"),
         (
             "viridis",
             Normalize(0, _MOST_LEFT),
-            "left by the fit of displacements: square, noise = 1",
+            "residual of the fit: square, 1 is noise",
         ),
     )
     for number, (colours, scale, words) in enumerate(kinds):

@@ -239,7 +239,7 @@ _SHOWS: Final = {
     "modes": (
         "Hologram, fitted shape and residual of every mode",
         "For each mode: the hologram nearest to its resonance, the shape that was fitted to all "
-        "holograms, and what the fit leaves of the hologram.",
+        "holograms, and the residual of the fit.",
     ),
 }
 

@@ -168,7 +168,7 @@ def test_an_acoustic_line_is_marked_as_one():
     assert line_steps(run, LINES_HZ) == {78}
     sheet = contact_sheet(run, {"F2": resonance("F2", 85)}, LINES_HZ)
     marked = [text for *_, text in cells(sheet, 20) if " " in text]
-    assert marked == ["78 line", "85 F2"]
+    assert marked == ["78 peak", "85 F2"]
     line, mode = (line.get_color() for line in sheet.axes[0].lines)
     assert line != mode
 
@@ -194,7 +194,7 @@ def test_names_of_peaks_do_not_stand_on_each_other():
 
 def test_lines_that_were_found_outweigh_those_of_the_bench():
     run = DrawnRun(lambda x, y: x > 0, indices=range(70, 90))
-    for lines_hz, expected in (((4250.0,), ["77 line"]), ((), [])):
+    for lines_hz, expected in (((4250.0,), ["77 peak"]), ((), [])):
         sheet = contact_sheet(run, {}, lines_hz)
         assert [text for *_, text in cells(sheet, 20) if " " in text] == expected
 
@@ -234,7 +234,7 @@ def test_peaks_of_the_response_are_named_where_they_are(fitted, sweep_a):
         assert labels[name] == (found.frequency_hz, found.amplitude_rad)
     assert "Hz" in axes.get_xlabel()
     assert "rad" in axes.get_ylabel()
-    assert any("acoustic line 4309 Hz" in t.get_text() for t in axes.texts)
+    assert any("acoustic resonance 4309 Hz" in t.get_text() for t in axes.texts)
     assert any(list(line.get_xdata()) == [4308.6, 4308.6] for line in axes.lines)
     for found in sweep.resonances.values():
         low, high = axes.get_ylim()

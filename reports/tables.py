@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TextIO
 
@@ -113,6 +113,29 @@ class Table:
         """Return each row as a dict from column keys to values, for JSON and data frames."""
         keys = [column.key for column in self.columns]
         return [dict(zip(keys, row, strict=True)) for row in self.rows]
+
+
+def records_table(title: str, records: Sequence[Mapping[str, Any]]) -> Table:
+    """Return records as a table, with their keys as headings.
+
+    Parameters
+    ----------
+    title : str
+    records : sequence of mapping
+        All with the same keys, which name quantity and unit.
+    """
+    columns = tuple(
+        Column(
+            key, key, "", _short if any(isinstance(r[key], int | float) for r in records) else ""
+        )
+        for key in (records[0] if records else ())
+    )
+    return Table(columns, tuple(list(record.values()) for record in records), title)
+
+
+def _short(value: Any) -> str:
+    """Return six digits of a float, and all of anything else."""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def terminal_table(table: Table) -> rich.table.Table:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any
 
-from reports.html_table import html_table
-
 from acquire.errors import UsageError
+from reports.pages import table_html
+from reports.tables import records_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -65,7 +65,7 @@ class Result(ABC):
         return f"<{type(self).__name__}: {self.title}>"
 
     def _repr_html_(self) -> str:
-        return html_table(self.title, self.rows())
+        return table_html(records_table(self.title, self.rows()))
 
 
 def new_axes(ax: Axes | None) -> Axes:

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from reports.own_output import page_kind
 from reports.pages import Picture, render, table_html
-from reports.tables import Column, Table, terminal_table, write_csv
+from reports.tables import Column, Table, records_table, terminal_table, write_csv
 
 COLUMNS = (
     Column("mode", "mode", meaning="its name"),
@@ -32,6 +32,12 @@ def test_a_cell_shows_its_value_or_nothing():
 
 def test_records_hold_values_by_key():
     assert TABLE.records()[0] == {"mode": "F1", "hz": 1996.25, "loss": (0.03, 0.01)}
+
+
+def test_records_become_a_table_again():
+    table = records_table("A title", [{"mode": "F1", "hz": 1996.25}, {"mode": "T1", "hz": "none"}])
+    assert table.texts == [["F1", "1996.25"], ["T1", "none"]]
+    assert records_table("Nothing", []).texts == []
 
 
 def test_columns_are_selected_in_the_order_asked_for():

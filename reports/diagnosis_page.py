@@ -11,8 +11,8 @@ from diagnosis.verdict import Verdict
 from diagnosis.where import Map
 from physics.effects.catalogue import BY_ID
 from physics.effects.form import Tap
-from reports.drawing import png_of
-from reports.gap_map import draw_map
+from reports.figures.drawing import png_of
+from reports.figures.gap_map import draw_map
 from reports.own_output import Output, page_kind, write_output
 from reports.pages import Picture, render
 from reports.tables import Column, Table

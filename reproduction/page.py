@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from reports.drawing import png_of
+from reports.figures.drawing import png_of
 from reports.own_output import Output, page_kind, write_output
 from reports.pages import Picture, render
 from reports.tables import Column, Table

@@ -18,7 +18,7 @@ from physics.reed.metamodel import Equation1
 from protocols.bench import BenchFile
 from protocols.plan import Plan, make_plan
 from protocols.protocol import Protocol
-from reports.drawing import PER_ROW
+from reports.figures.drawing import PER_ROW
 from reproduction.rows import (
     Group,
     Row,

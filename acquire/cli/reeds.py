@@ -129,7 +129,7 @@ def modes(
     import acquire
     from acquire.cli.display import stage_progress
     from fitting.reed_modes import BASIS, doubts_marked, mesh_level
-    from reports.mode_pictures import modes_table, require_png
+    from reports.figures.mode_pictures import modes_table, require_png
     from reports.tables import terminal_table
 
     if pictures:

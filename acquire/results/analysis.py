@@ -155,7 +155,7 @@ class ModesResult(Result):
         OutputRefusedError, OutputFailedError
             If the file must not or cannot be written.
         """
-        from reports.mode_pictures import write_mode_sheet
+        from reports.figures.mode_pictures import write_mode_sheet
 
         if self.mesh == BASIS:
             raise UsageError("pictures: a basis has no shapes to draw; use the mesh fine")

@@ -44,7 +44,7 @@ from reports.diagnosis_page import (
     write_page,
 )
 from reports.errors import OutputFailedError, OutputRefusedError
-from reports.gap_map import draw_map
+from reports.figures.gap_map import draw_map
 from tests.diagnosis.toy import AT, COUNT, EFFECTS, bench, measured
 
 TOLD = Told("t3", ("a second sweep",), ("x.h5: too few good steps",))

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.image import imread
 
 from fitting.fringes.picking import Resonance
-from reports.drawing import (
+from reports.figures.drawing import (
     PER_ROW,
     contact_sheet,
     label_heights,

@@ -19,9 +19,9 @@ from physics.reed.mesh import (
 )
 from physics.reed.modes import ModeClass, NamedMode
 from protocols.reed import ReedFile
-from reports.drawing import png_of
 from reports.errors import OutputRefusedError
-from reports.mode_pictures import (
+from reports.figures.drawing import png_of
+from reports.figures.mode_pictures import (
     PER_ROW,
     bark_side,
     mode_sheet,

@@ -17,7 +17,7 @@ from fitting.statistics.synthetic import (
 from physics.reed.geometry import Outline, ReedGeometry
 from physics.reed.names import PAPER_MODES
 from physics.reed.sensitivity import CONSTANTS
-from reports.drawing import png_of
+from reports.figures.drawing import png_of
 from reproduction.cane import compare_cane
 from reproduction.chain import compare_hypotheses
 from reproduction.correlations import compare_correlations

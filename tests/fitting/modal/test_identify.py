@@ -13,9 +13,9 @@ from fitting.forward import cents_of
 from fitting.modal.identify import _doubts, _outweighing, _room_cents, _with_usual_drive, mac
 from fitting.modal.residual_map import residual_map
 from physics.reed.viscoelastic import Components
-from reports.drawing import png_of
+from reports.figures.drawing import png_of
+from reports.figures.joint_drawing import mode_sheet
 from reports.fit_tables import SHORT_JOINT, remarks, short_resonances_table
-from reports.joint_drawing import mode_sheet
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from physics.reed.mesh import (
 from physics.reed.metamodel import REFERENCE_HZ
 from physics.reed.modes import HIGHEST_HZ, NamedMode
 from protocols.reed import ReedFile
-from reports.drawing import png_of
+from reports.figures.drawing import png_of
 from reports.own_output import (
     Output,
     picture_kind,

@@ -2,23 +2,25 @@
 
 import contextlib
 import functools
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquire.cli.app import (
-    AsJson,
-    Debug,
-)
+from acquire.cli.app import AsJson, Debug
 from acquire.cli.console import messages, results, show_json
 from reports.errors import OutputFailedError
+from reports.own_output import Output, picture_kind, require_writable, write_output
+
+if TYPE_CHECKING:
+    from blind.scoring import Case
 
 
 @contextlib.contextmanager
-def _blind_side() -> Iterator[None]:
-    """Errors of the other side, which knows none of the house's."""
+def _blind_errors() -> Iterator[None]:
+    """Turn errors of `blind`, which imports no other package, into errors of the program."""
     from fitting.errors import FitInputError
 
     try:
@@ -61,7 +63,7 @@ def make(
     DIR/sealed.json holds the hashes. Its own SHA-256 is printed: publish it before you answer a
     case. A case takes 30 to 60 s and 46 MB.
     """
-    with _blind_side():
+    with _blind_errors():
         from acquire.cli.display import stage_progress
         from blind.files import make_set
 
@@ -103,39 +105,15 @@ def score(
     debug: Debug = False,
 ) -> None:
     """Score answers to sealed test cases. A case without an answer counts as wrong."""
-    from reports.own_output import (
-        Output,
-        picture_kind,
-        require_writable,
-        write_output,
-    )
-
-    with _blind_side():
+    with _blind_errors():
         from blind.classes import CLASSES
         from blind.drawing import draw_reliability
-        from blind.files import BlindError, answered_cases
         from blind.report import report as blind_report
         from blind.report import sentences
         from blind.scoring import Classes
 
-        if not len(folders) == len(answers) == len(key):
-            raise BlindError(
-                f"{len(folders)} sets of cases, {len(answers)} --answers and {len(key)} --key were "
-                "given; give one of each for every set, in the same order"
-            )
-        plot = None
-        if picture is not None:
-            if picture.suffix.lower() != ".png":
-                raise BlindError(f"{picture}: is drawn as PNG; give it a name that ends in .png")
-            plot = Output(picture, picture_kind("reliability"), "--picture")
-            require_writable([plot])
-        sets = zip(folders, answers, key, strict=True)
-        cases = [case for made in sets for case in answered_cases(*made)]
-        names = [case.name for case in cases]
-        if len(set(names)) < len(names):
-            twice = next(name for name in names if names.count(name) > 1)
-            raise BlindError(f"case {twice} is in two sets; give each set once")
-        classes = Classes(CLASSES)
+        plot = _reliability_output(picture)
+        cases, classes = _scored_cases(folders, answers, key), Classes(CLASSES)
         scores = blind_report(cases, classes)
         if as_json:
             show_json(scores)
@@ -145,3 +123,35 @@ def score(
                 console.print(line, markup=False, soft_wrap=True)
         if plot is not None:
             write_output(plot, draw_reliability(cases, classes, plot.kind.mark))
+
+
+def _scored_cases(
+    folders: Sequence[Path], answers: Sequence[Path], keys: Sequence[Path]
+) -> "list[Case]":
+    """Read the cases of all sets with their answers; no case may be in two sets."""
+    from blind.files import BlindError, answered_cases
+
+    if not len(folders) == len(answers) == len(keys):
+        raise BlindError(
+            f"{len(folders)} sets of cases, {len(answers)} --answers and {len(keys)} --key were "
+            "given; give one of each for every set, in the same order"
+        )
+    sets = zip(folders, answers, keys, strict=True)
+    cases = [case for made in sets for case in answered_cases(*made)]
+    twice = [name for name, count in Counter(case.name for case in cases).items() if count > 1]
+    if twice:
+        raise BlindError(f"case {twice[0]} is in two sets; give each set once")
+    return cases
+
+
+def _reliability_output(picture: Path | None) -> "Output | None":
+    """Return the reliability diagram as an output that may be written."""
+    from blind.files import BlindError
+
+    if picture is None:
+        return None
+    if picture.suffix.lower() != ".png":
+        raise BlindError(f"{picture}: is drawn as PNG; give it a name that ends in .png")
+    plot = Output(picture, picture_kind("reliability"), "--picture")
+    require_writable([plot])
+    return plot

@@ -33,12 +33,12 @@ def results() -> Console:
     Printing raises `OutputFailedError` if standard output is a file that cannot be written. Output
     to a closed terminal or pipe is dropped.
     """
-    return _console(_StandardStream(sys.stdout, must_arrive=True))
+    return _console(_StandardStream(sys.stdout, required=True))
 
 
 def messages() -> Console:
     """Return a console on standard error. Messages that cannot be written are dropped."""
-    return _console(_StandardStream(sys.stderr, must_arrive=False))
+    return _console(_StandardStream(sys.stderr, required=False))
 
 
 def show_message(text: str) -> None:
@@ -54,13 +54,13 @@ def show_json(value: object) -> None:
     OutputFailedError
         See `results`.
     """
-    stream = _StandardStream(sys.stdout, must_arrive=True)
+    stream = _StandardStream(sys.stdout, required=True)
     stream.write(json.dumps(value, indent=2) + "\n")
     stream.flush()
 
 
 def _console(stream: "_StandardStream") -> Console:
-    # Rich needs no more of a file than a `_StandardStream` has.
+    # A `_StandardStream` has every method that Rich calls.
     file = cast(TextIO, stream)
     console = Console(file=file, highlight=False, markup=False, emoji=False)
     console.push_render_hook(_ShownAsText())
@@ -94,14 +94,14 @@ class _StandardStream:
     ----------
     stream : text file, optional
         None if the process was started without it.
-    must_arrive : bool
+    required : bool
         Whether a full or broken disk is an error; if not, the output is dropped there too.
     """
 
-    def __init__(self, stream: TextIO | None, *, must_arrive: bool) -> None:
+    def __init__(self, stream: TextIO | None, *, required: bool) -> None:
         # Rich puts a proxy in its place while it shows a progress bar.
         self._stream: TextIO | None = getattr(stream, "rich_proxied_file", stream)
-        self._must_arrive = must_arrive
+        self._required = required
 
     @property
     def encoding(self) -> str:
@@ -121,7 +121,7 @@ class _StandardStream:
         return len(text)
 
     def flush(self) -> None:
-        """Hand over what was written."""
+        """Write out what is in the buffer."""
         if self._stream is not None:
             with self._minding_losses():
                 self._stream.flush()
@@ -134,7 +134,7 @@ class _StandardStream:
             gone = _reader_is_gone(self._stream, error)
             _send_nowhere(self._stream)
             self._stream = None
-            if self._must_arrive and not gone:
+            if self._required and not gone:
                 raise OutputFailedError(
                     f"standard output: cannot be written ({error.strerror or error}); free space "
                     "or mend the disk, or send the output elsewhere"

@@ -48,7 +48,7 @@ def diagnose(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Find where measurement and simulation differ, the likeliest cause, and its share.
+    """Find where measurement and simulation differ, the likeliest cause, and how much it explains.
 
     Give it all runs of a campaign (dark, flat, local oscillator alone, order 0 at rest, and sweeps
     up, down, at low amplitude, shuffled and after a new clamping). With fewer runs the answer is
@@ -69,7 +69,7 @@ def diagnose(
 
 
 def _require_no_runs(runs: Sequence[Path], tables: Sequence[Path], published: bool) -> None:
-    """Refuse run files beside a table of resonances, and two tables."""
+    """Refuse run files together with a table of resonances, and two tables."""
     if len(runs) != len(tables) or (published and tables):
         raise UsageError(
             "run files, a table of resonances and --published exclude each other; give one"

@@ -1,4 +1,4 @@
-"""What the command line shows of plans and runs: tables, progress and closing words."""
+"""What the command line shows of plans and runs: progress bars, summaries and details."""
 
 import math
 from collections import Counter
@@ -35,17 +35,17 @@ from runs.verdict import Verdict
 
 
 class Listener(Role):
-    """Takes the reports of a run as they come."""
+    """Receives the reports of a run while it is measured."""
 
     def step(self, report: StepReport) -> None:
         """Show that a step was recorded."""
 
-    def packing(self, share: float) -> None:
-        """Show the share of the frames that is packed."""
+    def packing(self, fraction: float) -> None:
+        """Show the fraction of the frames that is packed, from 0 to 1."""
 
 
 class _SweepBar:
-    """A line that lives: the bar of a sweep, then that of its frames being packed."""
+    """Live bar of a sweep, and then of its frames being packed."""
 
     def __init__(self, progress: Progress, steps: int) -> None:
         self._progress, self._steps = progress, steps
@@ -53,7 +53,7 @@ class _SweepBar:
 
     def step(self, report: StepReport) -> None:
         """Show step, frequency, volts, verdict and time left."""
-        # The bar appears with the first step: what is said before stands alone.
+        # The bar appears with the first step, below the messages that come before it.
         if not self._progress.live.is_started:
             self._progress.start()
         minutes, seconds = divmod(round(report.seconds_left), 60)
@@ -67,11 +67,11 @@ class _SweepBar:
             left=f"{minutes}:{seconds:02d} left",
         )
 
-    def packing(self, share: float) -> None:
-        """Show the share of the frames that is packed, as steps."""
+    def packing(self, fraction: float) -> None:
+        """Show the fraction of the frames that is packed, in steps."""
         self._progress.update(
             self._task,
-            completed=share * self._steps,
+            completed=fraction * self._steps,
             setting="packing the frames",
             verdict="",
             left="",
@@ -79,7 +79,7 @@ class _SweepBar:
 
 
 def plan_summary(plan: Plan) -> list[str]:
-    """Duration, size and limit violations of a plan, a line each."""
+    """Return duration, file size and exceeded limits of a plan, one line each."""
     minutes, seconds = divmod(round(plan.duration_s), 60)
     lines = [
         f"{len(plan.steps)} steps, {minutes} min {seconds:02d} s at the frame rate of the camera, "
@@ -147,14 +147,14 @@ def stage_progress(console: Console) -> Iterator[Callable[[str, float], None]]:
             progress.stop()
 
 
-def run_summary(summary: RunSummary, troubles: Sequence[str]) -> list[str]:
-    """How a run ended, a line each.
+def run_summary(summary: RunSummary, bad_steps: Sequence[str]) -> list[str]:
+    """Return how a run ended, as lines.
 
     Parameters
     ----------
     summary : RunSummary
-    troubles : sequence of str
-        Sentences of the steps that are not ok.
+    bad_steps : sequence of str
+        Sentences about the steps that are not ok.
     """
     measured = sum(summary.counts.values())
     because = f" ({summary.reason})" if summary.reason else ""
@@ -165,7 +165,7 @@ def run_summary(summary: RunSummary, troubles: Sequence[str]) -> list[str]:
     bad = {v: n for v, n in summary.counts.items() if v is not Verdict.OK}
     if bad:
         listed = ", ".join(f"{n} {v}" for v, n in bad.items())
-        lines.append(f"not good: {listed}; for example: {troubles[0]}" if troubles else listed)
+        lines.append(f"not good: {listed}; for example: {bad_steps[0]}" if bad_steps else listed)
     if summary.retaken:
         lines.append(f"measured again: {summary.retaken} steps")
     lines += [f"remark: {remark}" for remark in summary.remarks]
@@ -173,14 +173,14 @@ def run_summary(summary: RunSummary, troubles: Sequence[str]) -> list[str]:
     return lines
 
 
-def troubles_of(run: Run) -> list[str]:
-    """Sentences of a run's steps that are not ok, first first."""
+def bad_steps_of(run: Run) -> list[str]:
+    """Return a sentence about each step that is not ok, in the order of the sweep."""
     bad = [s for s in run.steps if s.verdict is not Verdict.OK and s.sentence]
     return [f"step {step.index}: {step.sentence}" for step in bad]
 
 
 def run_details(run: Run) -> dict[str, object]:
-    """Return all that a run file says of a run but for its pictures, with stable keys."""
+    """Return everything in a run file except its pictures, with stable keys."""
     good = [step for step in run.steps if step.verdict is Verdict.OK]
     errors = [abs(step.lock_error_hz) for step in good if math.isfinite(step.lock_error_hz)]
     counts = Counter(str(step.verdict) for step in run.steps)
@@ -212,7 +212,7 @@ def _taken(step: StepRecord) -> dict[str, object]:
 
 
 def details_table(details: Mapping[str, Any]) -> Table:
-    """What `acquire show` shows of `run_details`."""
+    """Return the table that `acquire show` prints of `run_details`."""
     table = Table(box=SIMPLE, show_header=False, pad_edge=False)
     table.add_column(style="dim", no_wrap=True)
     table.add_column(overflow="fold")
@@ -246,7 +246,7 @@ def details_table(details: Mapping[str, Any]) -> Table:
 
 
 def packing_line(run: str, packed: Packing) -> str:
-    """Return what `acquire pack` says of one run."""
+    """Return the line that `acquire pack` prints about one run."""
     size = f"{packed.before_bytes / 1e6:.1f} MB"
     if packed.reason:
         return f"{run}: {packed.reason} ({size})"
@@ -254,7 +254,7 @@ def packing_line(run: str, packed: Packing) -> str:
 
 
 def packing_to_json(run: str, packed: Packing) -> dict[str, object]:
-    """Return what packing a run came to, with stable keys."""
+    """Return the result of packing a run, with stable keys."""
     return {
         "run": run,
         "packed": not packed.reason,
@@ -266,7 +266,7 @@ def packing_to_json(run: str, packed: Packing) -> dict[str, object]:
 
 
 def catalogue_entry(run: Run) -> dict[str, object]:
-    """Return what tells a run from others, with stable keys."""
+    """Return the labels and the state of a run, with stable keys."""
     held, holder = holder_of(control_path(run.path))
     return {
         "path": str(run.path),

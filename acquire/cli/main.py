@@ -77,11 +77,11 @@ app = command_line()
 
 def main() -> None:
     """Entry point of the `acquire` command."""
-    # The runner has two threads of its own; more of them within one matrix product only wait for
-    # each other. Read by numpy's libraries when a verb first imports them.
+    # The runner has two threads. More threads within one matrix product would only wait for each
+    # other. numpy's libraries read these variables when a verb first imports them.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
-    # An order that comes after the end of its run is lost, and ends nothing.
+    # `acquire pause` may send its signal just after the run has ended; it must not end the process.
     for name in ("SIGUSR1", "SIGUSR2"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)

@@ -13,7 +13,7 @@ from typing import Any, get_type_hints
 
 
 def takes_options(verb: Callable[..., None]) -> Callable[..., None]:
-    """Let each field of a verb's dataclass parameters become an option of its own.
+    """Turn each field of a verb's dataclass parameters into an option.
 
     Parameters
     ----------

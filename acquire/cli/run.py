@@ -101,7 +101,7 @@ def _measure(
 ) -> "RunResult":
     """Measure a sweep, or its missing steps, with a progress bar; show how it ended."""
     import acquire
-    from acquire.cli.display import run_summary, sweep_progress, troubles_of
+    from acquire.cli.display import bad_steps_of, run_summary, sweep_progress
 
     asked = acquire.load(protocol)
     if options.series is not None:
@@ -130,7 +130,7 @@ def _measure(
                 callbacks=calls,
             )
     with acquire.open_run(path) as finished:
-        closing = run_summary(measured.summary, troubles_of(finished))
+        closing = run_summary(measured.summary, bad_steps_of(finished))
     for line in closing:
         show_message(line)
     return measured

@@ -90,7 +90,7 @@ def pack_runs(
         except BenchError as error:
             if debug:
                 raise
-            # The other runs are packed all the same.
+            # One bad file does not keep the others from being packed.
             show_message(f"acquire: {error}")
             worst = max(worst, error.exit_status)
             continue

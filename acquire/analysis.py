@@ -138,10 +138,7 @@ def population(
         If a file would replace one that is not of the same kind.
     """
     source, forward, way = Path(source), model_name(model), method_name(method or "joint")
-    if method and not source.is_dir():
-        raise UsageError("method: a table already holds resonances; leave it out")
-    if kind and source.is_dir():
-        raise UsageError("kind: run files say which reed they measured; leave it out")
+    _require_applicable(source, kind, method)
     table = source / "resonances.csv" if source.is_dir() else source
     target = Path(out) if out else table.with_name(f"{table.stem}-components.csv")
     components = components_output(target)
@@ -157,3 +154,11 @@ def population(
             fitted,
         )
     return PopulationResult(summary, measured, target, table if measured else None)
+
+
+def _require_applicable(source: Path, kind: str | Path | None, method: str | None) -> None:
+    """Refuse arguments that a folder of run files, or a table, does not take."""
+    if method and not source.is_dir():
+        raise UsageError("method: a table already holds resonances; leave it out")
+    if kind and source.is_dir():
+        raise UsageError("kind: run files say which reed they measured; leave it out")

@@ -135,8 +135,8 @@ def _cropped(frames: Sequence[Frame]) -> Sequence[Frame]:
     return [replace(f, image=f.image[:-1]) for f in frames]
 
 
-RETRY = {"policy.instrument_error": {"retry": 2, "then": "stop"}}
-SKIP = {"policy.instrument_error": {"retry": 0, "then": "skip"}}
+RETRY = {"policy.instrument_error": {"retries": 2, "then": "stop"}}
+SKIP = {"policy.instrument_error": {"retries": 0, "then": "skip"}}
 GIVE_UP = {"policy.give_up_after": 4}
 # Commands and answers are counted from the opening on; these lie amid the sweep, behind the ramp.
 AMID, AMID_GENERATOR = 40, 100
@@ -289,7 +289,7 @@ GENERATOR = (
         "generator: output trips before a ramp",
         "stopped",
         "output is off",
-        protocol={"drive.ramp.to": "16 V", "drive.ramp.first": 15, "drive.ramp.last": 25},
+        protocol={"drive.to": "16 V", "drive.first": 15, "drive.last": 25},
         amid=_trip,
     ),
     Fault(

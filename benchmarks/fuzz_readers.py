@@ -245,8 +245,7 @@ def _require_steps(plan: Plan) -> None:
         exposures = protocol.calibration.exposures_s or (protocol.exposure_s,)
         count = protocol.calibration.count * len(exposures)
     else:
-        sweep = protocol.sweep
-        count = ((sweep.last - sweep.first) // sweep.stride + 1) * len(protocol.sideband.selected)
+        count = len(protocol.sweep.indices) * len(protocol.sideband.selected)
     _require(len(steps) == count > 0, "the number of steps is not that of the file")
     for step in steps:
         _require(math.isfinite(step.volts) and step.volts >= 0, "volts of a step", step)
@@ -459,19 +458,30 @@ _MORE_PROTOCOL = b"""name: all keys
 series: A
 chamber: symmetric
 reed: bass-clarinet
-sweep:
-  {reference: 1396.9 Hz, interval: 25 cents, first: 12, last: 40, stride: 4, direction: shuffled}
-drive:
-  ramp: {from: 500 mV, to: 16 V, first: 1, last: 73}
+sweep: {law: geometric, reference: 1396.9 Hz, interval: 25 cents, first: 12, last: 40, stride: 4}
+drive: {law: ramp, from: 500 mV, to: 16 V, first: 1, last: 73}
 sideband: {order: 1, orders: [0, 1, 2]}
 camera: {frames: 4, frame_rate: 12.4 Hz, exposure: 40 ms, width: 640, height: 512}
 settle: 40 ms
 tolerance: {lock_phase: 10 mrad}
 policy:
-  bad_pictures: {retry: 2, then: stop}
-  instrument_error: {retry: 1, then: skip}
+  bad_step: {retries: 2, then: stop}
+  instrument_error: {retries: 1, then: skip}
 keep: frames
 """
+_OTHER_LAWS = [
+    re.sub(rb"sweep:.*\ndrive:.*", b"sweep: " + sweep + b"\ndrive: " + drive, _MORE_PROTOCOL)
+    for sweep, drive in (
+        (
+            b"{law: linear, from: 1 kHz, to: 1.5 kHz, step: 12.5 Hz, direction: shuffled}",
+            b"{law: table, frequencies: [1 kHz, 2 kHz, 9 kHz], volts: [8 V, 4 V, 1 V]}",
+        ),
+        (
+            b"{law: list, frequencies: [1 kHz, 1.7 kHz, 3 kHz], direction: down}",
+            b"{law: constant, volts: 500 mV}",
+        ),
+    )
+]
 _CALIBRATION = _MORE_PROTOCOL + b"calibration: {kind: flat, count: 2, exposures: [20 ms, 40 ms]}\n"
 _MORE_BENCH = b"""name: all keys
 instruments:
@@ -501,7 +511,7 @@ optics:
   reed_centre: {y: 22 mm, x: -1 mm}
   reed_size: {y: 14 mm, x: 38 mm}
 limits: {volts_are: rms, volts_min: 1 mV, volts_max: 12 V, drive_min: 20 Hz, drive_max: 20 kHz}
-acoustic_lines: [4308.6 Hz, 9 kHz]
+acoustic_resonances: [4308.6 Hz, 9 kHz]
 known:
   camera_bend: {share: 0.01}
   bench_vibration: {jitter: 100 mrad}
@@ -538,11 +548,11 @@ parts:
     change: {sweep.direction: down, sweep.stride: 40, camera.exposure: 40 ms}
   - name: quiet
     do: take the reed out
-    clamp_anew: true
+    new_clamping: true
     change:
-      drive.ramp.from: 0.125 V
-      drive.ramp.to: 4 V
-      sweep: {reference: 1396.9 Hz, interval: 25 cents, first: 1, last: 9}
+      drive.from: 0.125 V
+      drive.to: 4 V
+      sweep: {law: geometric, reference: 1396.9 Hz, interval: 25 cents, first: 1, last: 9}
 """
 
 
@@ -571,7 +581,9 @@ def _table(error: bool) -> bytes:
 
 READERS = {
     "protocol": Reader(
-        (*_shipped("."), _MORE_PROTOCOL, _CALIBRATION), "protocol.yaml", _read_protocol
+        (*_shipped("."), _MORE_PROTOCOL, *_OTHER_LAWS, _CALIBRATION),
+        "protocol.yaml",
+        _read_protocol,
     ),
     "bench": Reader((*_shipped("benches"), _MORE_BENCH), "bench.yaml", _read_bench),
     "reed": Reader(tuple(_reeds()), "reed.yaml", _read_reed),

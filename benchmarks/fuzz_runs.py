@@ -57,7 +57,7 @@ _ADDRESS_SPACE = 16 << 30
 _BATCH = 40
 _SMALL = {
     "sweep.first": 14, "sweep.last": 22, "camera.width": 160, "camera.height": 128,
-    "policy.bad_pictures": {"retry": 1, "then": "skip"},
+    "policy.bad_step": {"retries": 1, "then": "skip"},
 }  # fmt: skip
 # Of the superblock, version 0.
 _SUPERBLOCK = 96
@@ -196,8 +196,9 @@ def content_of(path: Path, plan: Plan) -> dict[str, str]:
             read[name] = text
         _require_seen(details)
         for name in ("uid", "title", "labels", "acquisition", "reconstruction", "frame_rate_hz",
-                     "exposure_s", "saturation_dn", "sideband_order", "acoustic_lines_hz", "keep",
-                     "protocol_text", "bench_text", "reed_text", "package_versions"):  # fmt: skip
+                     "exposure_s", "saturation_dn", "sideband_order", "acoustic_resonances_hz",
+                     "keep", "protocol_text", "bench_text", "reed_text",
+                     "package_versions"):  # fmt: skip
             read[name] = repr(getattr(run, name))
         read["axes"] = repr((run.y_m.tolist(), run.x_m.tolist()))
         read["reed"] = run.reed_file().sha256
@@ -648,7 +649,7 @@ _ABSURD_ITEMS: dict[str, tuple[Any, ...]] = {
     "entry/steps/volts": (np.nan, -1.0, np.inf),
     "entry/retakes/position": (5, 99, 2**62),
     "entry/interruptions/position": (-5, 2**62),
-    "entry/instrument/acoustic_lines": (np.nan, -1.0, np.inf),
+    "entry/instrument/acoustic_resonances": (np.nan, -1.0, np.inf),
     "entry/data/y_m": (np.nan, np.inf),
     "entry/data/x_m": (np.nan, np.inf),
 }

@@ -206,8 +206,8 @@ def summary(judged: Sequence[Judged]) -> dict[str, Any]:
 
 def _still_run(path: Path) -> None:
     """Sweep with next to no volts: as if the loudspeaker were not connected."""
-    still = {"from": "1e-6 V", "to": "3.2e-5 V", "first": 1, "last": 73}
-    _sweep(path, Protocol.from_file("seriesA").replace({"drive.ramp": still}), None)
+    still = {"law": "ramp", "from": "1e-6 V", "to": "3.2e-5 V", "first": 1, "last": 73}
+    _sweep(path, Protocol.from_file("seriesA").replace(drive=still), None)
 
 
 def _wrong_kind_run(path: Path) -> None:

@@ -36,7 +36,7 @@ instruments:
 optics:
   {{wavelength: 650 nm, distance: 0.8 m, reed_centre: {{y: 22 mm, x: 0 mm}}}}
 limits: {{volts_are: peak, volts_min: 0 V, volts_max: 16 V, drive_min: 20 Hz, drive_max: 20 kHz}}
-acoustic_lines: [4308.6 Hz]
+acoustic_resonances: [4308.6 Hz]
 twin: {{light: {{local_oscillator_e_s: 80000.0, object_e_s: 6000.0}}}}
 """
 
@@ -137,7 +137,7 @@ def _instrument(entry: Any, laboratory: Laboratory) -> None:
     chip = laboratory.world.chip
     instrument = _group(entry, "instrument", "NXinstrument")
     _texts(instrument, name="laboratory")
-    _number(instrument, "acoustic_lines", [4308.6], "Hz")
+    _number(instrument, "acoustic_resonances", [4308.6], "Hz")
     camera = _group(instrument, "camera", "NXdetector")
     _texts(camera, identity="a camera", frame_rate_exact="62/5")
     _number(camera, "frame_rate", float(_FRAME_RATE), "Hz")

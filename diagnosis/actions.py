@@ -109,7 +109,7 @@ ACTIONS: Final[tuple[Action, ...]] = (
            parts=(_part("up2"), _part("down2", change={"sweep.direction": "down"}),
                   _part("shuffled2", change={"sweep.direction": "shuffled"}),
                   _part("again2", "take the reed out of its clamp, and put it back as it was",
-                        clamp_anew=True))),
+                        new_clamping=True))),
     Action("low_pressure", "a sweep in a vacuum chamber", 40.0, ("modes",), _in_vacuum,
            parts=(_part("vacuum", "put the mouthpiece into the vacuum chamber, and pump it out"),)),
     Action("known_mass", "a sweep with 1 mg of wax on the tip", 10.0, ("modes",), _with_wax,

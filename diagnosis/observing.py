@@ -148,7 +148,7 @@ def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float],
     leaking = unshifted_light(campaign.sweeps, still_parts, carriers)
     sweeps, refused = read_sweeps(campaign.sweeps, lambda share: report(_SWEEPS * share), leaking)
     flat = read_flat(flat_parts, offset_dn) if flat_parts else None
-    lines = [CavityLine(frequency_hz=hz) for hz in first.acoustic_lines_hz[:1]]
+    lines = [CavityLine(frequency_hz=hz) for hz in first.acoustic_resonances_hz[:1]]
     report(1.0)
     return Readings(
         dark=dark,

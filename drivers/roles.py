@@ -243,7 +243,7 @@ class Surroundings(Protocol):
         """Let so much light onto the sensor, until told otherwise."""
         ...
 
-    def clamp_anew(self) -> None:
+    def clamp_again(self) -> None:
         """Take the reed out of its clamp, and put it back."""
         ...
 

@@ -1,4 +1,4 @@
-"""Which instrument stands where: bench files, read as strictly as protocols."""
+"""Bench files: instruments, optics and limits of one bench."""
 
 import math
 from collections.abc import Mapping
@@ -32,18 +32,12 @@ _PEAK_PER_VOLT: Final = {
 
 
 class InstrumentEntry(Section):
-    """One instrument: its driver and, untouched, the options that this driver checks itself.
-
-    Attributes
-    ----------
-    driver : str
-        Short name of an entry point, or ``package.module:Class``.
-    options : dict
-        Port, address, gain and the like.
-    """
+    """One instrument with the options of its driver."""
 
     driver: Annotated[str, Field(min_length=1, max_length=100)]
+    """Short name of the driver, or `package.module:Class`."""
     options: Annotated[dict[str, Any], Field(default_factory=dict)]
+    """Port, address, gain and other settings, which the driver checks."""
 
     def with_options(self, options: Mapping[str, Any]) -> Self:
         """Return a copy with other options."""
@@ -51,11 +45,15 @@ class InstrumentEntry(Section):
 
 
 class Synthesizers(InstrumentEntry):
-    """The pair on one clock: AOM2 stays at the centre, AOM1 carries the difference."""
+    """Two synthesizer channels on one clock: AOM2 stays at the centre, AOM1 moves."""
 
     step_hz: Annotated[Frequency, Field(alias="step", gt=0)]
+    """Smallest frequency step of both channels."""
     centre_hz: Annotated[Frequency, Field(alias="centre", gt=0)]
+    """Frequency of AOM2."""
     window_hz: Annotated[Frequency, Field(alias="window", gt=0)]
+    """Distance from the centre that neither channel may exceed, because the modulators diffract no
+    light outside."""
 
     @field_validator("window_hz")
     @classmethod
@@ -76,93 +74,118 @@ class Synthesizers(InstrumentEntry):
 
 
 class GeneratorOutput(Section):
-    """What lies between a generator's socket and the loudspeaker."""
+    """Electrical path from the output of a generator to the loudspeaker."""
 
     amplifier_gain: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)]
+    """Voltage gain of the amplifier."""
     load_ohm: Annotated[Resistance, Field(alias="load", gt=0)]
+    """Impedance of the loudspeaker."""
 
 
 class Generator(InstrumentEntry):
-    """The signal generator of the tweeter; drivers of real ones ask for `output`."""
+    """The signal generator of the tweeter."""
 
     step_hz: Annotated[Frequency, Field(alias="step", gt=0)]
+    """Smallest frequency step."""
     output: GeneratorOutput | None = None
+    """Path from the generator to the loudspeaker. Drivers of real generators require it."""
 
 
 class DataSheet(Section):
-    """What the maker says of a sensor, in electrons and digital numbers of one pixel."""
+    """Data sheet of a sensor, for one pixel, in electrons and digital numbers."""
 
     offset_dn: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    """Digital number of a pixel without light."""
     gain_e_dn: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    """Electrons of one digital number."""
     read_noise_e: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    """Standard deviation of the read noise in electrons."""
     full_well_e: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    """Electrons at which a pixel saturates."""
 
 
 class CameraSensor(InstrumentEntry):
-    """The camera and its sensor of square pixels; without a data sheet, one as in the paper."""
+    """The camera and its sensor with square pixels."""
 
     width: Annotated[int, Field(ge=16, le=65_536)]
+    """Columns of the sensor."""
     height: Annotated[int, Field(ge=16, le=65_536)]
+    """Rows of the sensor."""
     pixel_m: Annotated[Length, Field(alias="pixel", gt=0)]
+    """Distance between neighbouring pixels."""
     bits: Annotated[int, Field(ge=8, le=16)]
+    """Bits of a digital number."""
     max_frame_rate_hz: Annotated[Frequency, Field(alias="max_frame_rate", gt=0)]
+    """Highest frame rate of the whole sensor."""
     data_sheet: DataSheet | None = None
+    """Data sheet of the sensor. Without this key, the sensor of the paper."""
 
 
 class Instruments(Section):
-    """The three roles of a bench."""
+    """The three instruments of a bench."""
 
     synthesizers: Synthesizers
+    """Synthesizers of the two acousto-optic modulators."""
     generator: Generator
+    """Signal generator of the tweeter."""
     camera: CameraSensor
+    """Camera."""
 
 
 class Point(Section):
-    """A place on the object plane, from the optical axis; y along rows, x along columns."""
+    """A point of the object plane, measured from the optical axis."""
 
     y_m: Annotated[Length, Field(alias="y")]
+    """Coordinate along the columns of the sensor."""
     x_m: Annotated[Length, Field(alias="x")]
+    """Coordinate along the rows of the sensor."""
 
 
 class Size(Section):
     """A size on the object plane."""
 
     y_m: Annotated[Length, Field(alias="y", gt=0)]
+    """Size along the columns of the sensor."""
     x_m: Annotated[Length, Field(alias="x", gt=0)]
+    """Size along the rows of the sensor."""
 
 
 class Optics(Section):
-    """Where the reed stands in the image that the hologram reconstructs to.
-
-    Without `reed_size`, as much of the image is kept as the protocol's reed needs.
-    """
+    """Light, distance, and position of the reed in the reconstructed image."""
 
     wavelength_m: Annotated[Length, Field(alias="wavelength", gt=0)]
+    """Wavelength of the laser."""
     distance_m: Annotated[Length, Field(alias="distance", gt=0)]
+    """Distance from the reed to the sensor."""
     reed_centre: Point
+    """Centre of the part of the image that is kept."""
     reed_size: Size | None = None
+    """Size of the part of the image that is kept. Without this key, it is chosen to fit the reed of
+    the protocol."""
 
 
 class Limits(Section):
-    """What the tweeter may be given: volts at the load, and frequencies.
-
-    Makers state volts one way or another, so the file has to say which is meant: `volts_are`.
-    """
+    """Volts at the loudspeaker and drive frequencies that no protocol may leave."""
 
     volts_are: Literal["peak", "peak_to_peak", "rms"]
+    """How `volts_min` and `volts_max` are stated. (Volts of a protocol are always peak volts.)"""
     stated_min_v: Annotated[Voltage, Field(alias="volts_min", ge=0)]
+    """Lowest volts at the loudspeaker."""
     stated_max_v: Annotated[Voltage, Field(alias="volts_max", gt=0)]
+    """Highest volts at the loudspeaker."""
     drive_min_hz: Annotated[Frequency, Field(alias="drive_min", gt=0)]
+    """Lowest drive frequency."""
     drive_max_hz: Annotated[Frequency, Field(alias="drive_max", gt=0)]
+    """Highest drive frequency."""
 
     @property
     def volts_min_v(self) -> Fraction:
-        """Least peak volts at the load."""
+        """Lowest peak volts at the load."""
         return self.stated_min_v * _PEAK_PER_VOLT[self.volts_are]
 
     @property
     def volts_max_v(self) -> Fraction:
-        """Most peak volts at the load."""
+        """Highest peak volts at the load."""
         return self.stated_max_v * _PEAK_PER_VOLT[self.volts_are]
 
     @field_validator("stated_max_v")
@@ -177,39 +200,29 @@ class Limits(Section):
 
 
 class BenchFile(Description):
-    """One bench: its instruments, optics, limits and known resonances.
-
-    Attributes
-    ----------
-    name : str
-        For people.
-    instruments : Instruments
-        Drivers, and what the plan has to know of each instrument.
-    optics : Optics
-        Wavelength, distance and place of the reed.
-    limits : Limits
-        Checked before anything is sent.
-    acoustic_lines_hz : tuple of Fraction
-        Known resonances of the excitation device, which are no modes of a reed.
-    twin : dict
-        Settings of the simulated bench, untouched; the twin checks them.
-    known : dict or None
-        Effects that this bench is known to have, by name, with their sizes, untouched; a diagnosis
-        checks them.
-    """
+    """One bench: its instruments, optics, limits and known resonances."""
 
     kind: ClassVar[str] = "bench"
     folder: ClassVar[str] = "benches"
 
     name: Annotated[str, Field(min_length=1, max_length=80)]
+    """Title in tables and reports."""
     instruments: Instruments
+    """Drivers, and the properties of each instrument that a plan depends on."""
     optics: Optics
+    """Light, distance, and position of the reed in the image."""
     limits: Limits
-    acoustic_lines_hz: Annotated[
-        tuple[Frequency, ...], Field(alias="acoustic_lines", strict=False)
+    """Limits of the drive, checked before anything is sent to an instrument."""
+    acoustic_resonances_hz: Annotated[
+        tuple[Frequency, ...], Field(alias="acoustic_resonances", strict=False)
     ] = ()
+    """Known resonances of the excitation device. Every reed shows them at the same frequency, so
+    they are no modes of a reed."""
     twin: Annotated[dict[str, Any], Field(default_factory=dict)]
+    """Settings of the simulated bench, which checks them."""
     known: dict[str, dict[str, float | str]] | None = None
+    """Effects that this bench is known to have, by name, with their parameters. A diagnosis checks
+    them and includes them in its model."""
 
     @field_validator("optics")
     @classmethod
@@ -227,7 +240,7 @@ class BenchFile(Description):
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of the content: tells benches apart, not their spelling."""
+        """SHA-256 of the content; two files that differ in spelling only have the same."""
         return self.sha256
 
 

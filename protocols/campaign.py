@@ -1,10 +1,10 @@
-"""A campaign: what a diagnosis needs, part by part, each a protocol with its own changes."""
+"""Campaign files: several runs of one reed, each with its own changes to a common protocol."""
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, field_validator
 
 from protocols.errors import ProtocolError
 from protocols.protocol import Protocol, is_campaign
@@ -16,49 +16,36 @@ from protocols.strict_yaml import (
 )
 
 
-class Part(Section):
-    """One run of a campaign.
-
-    Attributes
-    ----------
-    name : str
-        Of the part, and of its run file.
-    change : dict
-        What of the protocol is different, by key path.
-    do : str, optional
-        What somebody at the bench does before; a bench that can does it by itself.
-    clamp_anew : bool
-        Whether that is to take the reed out of its clamp and put it back.
-    """
+class CampaignPart(Section):
+    """One run of a campaign."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]{0,39}$")]
+    """Name of the part and of its run file."""
     change: Annotated[dict[str, Any], Field(default_factory=dict)]
+    """Changes to the protocol: new values by key path, such as `sweep.direction: down`."""
     do: str | None = None
-    clamp_anew: bool = False
+    """Instruction for the person at the bench before this part. A simulated bench follows it by
+    itself."""
+    new_clamping: bool = False
+    """Whether the reed is taken out of its clamp and put back before this part."""
 
 
 class CampaignFile(Description):
-    """Several runs of one reed.
-
-    Attributes
-    ----------
-    name : str
-    protocol : str
-        Of the sweeps: a file beside this one, or the name of a shipped protocol.
-    parts : tuple of Part
-        In the order of time.
-    """
+    """Several runs of one reed."""
 
     kind: ClassVar[str] = "campaign"
     folder: ClassVar[str] = "."
 
     name: Annotated[str, Field(min_length=1, max_length=60)]
+    """Title in tables and reports."""
     protocol: Annotated[str, Field(min_length=1, max_length=255)]
-    parts: Annotated[tuple[Part, ...], Field(strict=False, min_length=1)]
+    """Common protocol: a file next to the campaign file, or the name of a shipped protocol."""
+    parts: Annotated[tuple[CampaignPart, ...], Field(strict=False, min_length=1)]
+    """Runs in the order of measurement."""
 
     @field_validator("parts")
     @classmethod
-    def _each_once(cls, parts: tuple[Part, ...], _info: ValidationInfo) -> tuple[Part, ...]:
+    def _each_once(cls, parts: tuple[CampaignPart, ...]) -> tuple[CampaignPart, ...]:
         names = [part.name for part in parts]
         twice = [name for k, name in enumerate(names) if name in names[:k]]
         if twice:
@@ -68,28 +55,29 @@ class CampaignFile(Description):
 
 @dataclass(frozen=True)
 class Task:
-    """A part, ready to be planned.
+    """A part of a campaign with its complete protocol.
 
     Attributes
     ----------
-    part : Part
+    part : CampaignPart
     protocol : Protocol
+        Common protocol with the changes of the part.
     clamping : int
-        How often the reed has been clamped anew by then.
+        Number of new clampings up to this part, itself included.
     """
 
-    part: Part
+    part: CampaignPart
     protocol: Protocol
     clamping: int
 
 
 def tasks_of(campaign: CampaignFile) -> tuple[Task, ...]:
-    """Work out the protocol of every part.
+    """Return all parts of a campaign, each with its complete protocol.
 
     Raises
     ------
     ProtocolError
-        If the protocol, or what a part changes of it, is wrong; names the campaign and its key.
+        If the protocol or a change to it is wrong. The message names the campaign file and the key.
     """
     try:
         base = Protocol.from_file(named_beside(campaign.source, campaign.protocol))
@@ -97,7 +85,7 @@ def tasks_of(campaign: CampaignFile) -> tuple[Task, ...]:
         raise campaign.error("protocol", str(error)) from None
     tasks, clamping = [], 0
     for number, part in enumerate(campaign.parts):
-        clamping += part.clamp_anew
+        clamping += part.new_clamping
         name = f"{campaign.name}: {part.name}"[:80]
         for key in part.change:
             whole = next((other for other in part.change if key.startswith(f"{other}.")), None)
@@ -113,7 +101,7 @@ def tasks_of(campaign: CampaignFile) -> tuple[Task, ...]:
 
 
 def names_campaign(name_or_path: str | Path) -> bool:
-    """Whether a file, or a shipped one by its name, is a campaign's.
+    """Return whether a file, or a shipped file of that name, describes a campaign.
 
     Raises
     ------
@@ -124,5 +112,5 @@ def names_campaign(name_or_path: str | Path) -> bool:
     try:
         return is_campaign(file.read_text("utf-8"))
     except (OSError, UnicodeDecodeError):
-        # Whoever reads it in earnest says what is wrong with it.
+        # `Description.from_file` reports what is wrong with it.
         return False

@@ -1,11 +1,9 @@
 """The plan: a protocol on a bench, worked out exactly before any instrument is touched."""
 
-import decimal
 import math
 import random
 from collections.abc import Iterator
 from dataclasses import dataclass
-from decimal import Decimal
 from fractions import Fraction
 from typing import Any, Final
 
@@ -26,8 +24,6 @@ from protocols.preparation import Preparation
 from protocols.protocol import (
     Calibration,
     Protocol,
-    Ramp,
-    Sweep,
 )
 from protocols.reed import ReedFile
 from protocols.step import Step, Violation
@@ -42,11 +38,6 @@ _PACKED_SHARE: Final = 0.61
 
 # A shuffled sweep has the same order everywhere and always.
 _SHUFFLE: Final = 20_080_403
-
-_MICRO: Final = Decimal("1e-6")
-# Decimal powers are correctly rounded, so a plan is the same on every machine; those of floats
-# are not. 40 digits leave a µHz exact at any frequency that a protocol can express.
-_EXACT: Final = decimal.Context(prec=40)
 
 
 @dataclass(frozen=True)
@@ -104,24 +95,24 @@ class Plan:
         )
 
     @property
-    def most_retakes(self) -> int:
+    def max_retries(self) -> int:
         """How many bad steps are taken again after the last one.
 
         A tenth of the sweep, and a few: if more steps are bad, the trouble is not theirs.
         """
-        retries = len(self.steps) * self.protocol.policy.bad_pictures.retry
+        retries = len(self.steps) * self.protocol.policy.bad_step.retries
         return min(retries, len(self.steps) // 10 + 4)
 
     @property
-    def spare_takes(self) -> int:
+    def spare_attempts(self) -> int:
         """How many takes a run file has room for besides one of each step.
 
         Those that are taken again after the last step, and those after which a run gives up: they
         are taken again once the trouble is mended.
         """
-        if not self.most_retakes:
+        if not self.max_retries:
             return 0
-        return self.most_retakes + min(self.protocol.policy.give_up_after, len(self.steps))
+        return self.max_retries + min(self.protocol.policy.give_up_after, len(self.steps))
 
     @property
     def duration_s(self) -> float:
@@ -138,7 +129,7 @@ class Plan:
     @property
     def largest_size_bytes(self) -> int:
         """Size if the run needs every place that it has for steps taken again."""
-        return (len(self.steps) + self.spare_takes) * self._step_size_bytes
+        return (len(self.steps) + self.spare_attempts) * self._step_size_bytes
 
     @property
     def packed_size_bytes(self) -> int | None:
@@ -230,54 +221,10 @@ def make_plan(protocol: Protocol, bench: BenchFile) -> Plan:
     return Plan(protocol, reed, bench, steps, violations)
 
 
-def sweep_frequency_hz(sweep: Sweep, index: int) -> Fraction:
-    """Return f_k = reference · 2^(interval·k / 1200 cents), to 1 µHz.
-
-    Parameters
-    ----------
-    sweep : Sweep
-    index : int
-        k.
-
-    Returns
-    -------
-    Fraction
-    """
-    octaves = _decimal(sweep.interval_cents * index / 1200)
-    ratio = _EXACT.power(Decimal(2), octaves)
-    asked_hz = _EXACT.multiply(_decimal(sweep.reference_hz), ratio)
-    return Fraction(_EXACT.quantize(asked_hz, _MICRO))
-
-
-def ramp_volts(ramp: Ramp, index: int) -> float:
-    """Return the peak volts of step `index`, to 1 µV.
-
-    Parameters
-    ----------
-    ramp : Ramp
-    index : int
-        k.
-
-    Returns
-    -------
-    float
-        Growing by ``(to/from)^(1/(last − first))`` per index inside the ramp, constant outside.
-    """
-    inside = min(max(index, ramp.first), ramp.last)
-    share = _decimal(Fraction(inside - ramp.first, ramp.last - ramp.first))
-    ratio = _EXACT.power(_decimal(ramp.to_v / ramp.from_v), share)
-    volts = _EXACT.multiply(_decimal(ramp.from_v), ratio)
-    return float(_EXACT.quantize(volts, _MICRO))
-
-
-def _decimal(value: Fraction) -> Decimal:
-    return _EXACT.divide(Decimal(value.numerator), Decimal(value.denominator))
-
-
 def _step(protocol: Protocol, bench: BenchFile, index: int, order: int) -> Step:
     synthesizers, generator = bench.instruments.synthesizers, bench.instruments.generator
     frame_rate_hz = protocol.camera.frame_rate_hz
-    asked_hz = sweep_frequency_hz(protocol.sweep, index)
+    asked_hz = protocol.sweep.frequency_hz(index)
     # The drive is the same for all orders: only then do they show the same vibration.
     drive_hz = snap_drive(
         asked_hz, protocol.sideband.order, frame_rate_hz, synthesizers.step_hz, generator.step_hz
@@ -294,7 +241,7 @@ def _step(protocol: Protocol, bench: BenchFile, index: int, order: int) -> Step:
         aom2_hz=aom2_hz,
         difference_hz=realised_hz,
         lock_residual_hz=lock_residual_hz(drive_hz, order, frame_rate_hz, realised_hz),
-        volts=ramp_volts(protocol.drive.ramp, index),
+        volts=protocol.drive.volts(index, asked_hz),
         frames=protocol.camera.frames,
         settle_s=protocol.settle_s,
         exposure_s=protocol.exposure_s,
@@ -336,6 +283,3 @@ def _leak(protocol: Protocol, drive_hz: Fraction, order: int) -> float:
         float(drive_hz), float(frame_rate_hz), float(exposure_s), order, off_axis=True
     )
     return float(leak)
-
-
-# --- What the bench cannot do ------------------------------------------------------------------

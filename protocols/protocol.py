@@ -1,4 +1,4 @@
-"""What a sweep is: the protocol and the rules that every protocol file obeys."""
+"""Protocol files: what to measure, with the rules that every protocol obeys."""
 
 from fractions import Fraction
 from importlib.resources.abc import Traversable
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal, Self
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from protocols.errors import ProtocolError
+from protocols.laws import AmplitudeLaw, FrequencyLaw
 from protocols.strict_yaml import (
     Description,
     Section,
@@ -18,9 +19,7 @@ from protocols.strict_yaml import (
 from protocols.units import (
     Angle,
     Frequency,
-    Interval,
     Time,
-    Voltage,
 )
 
 if TYPE_CHECKING:
@@ -31,85 +30,17 @@ if TYPE_CHECKING:
 MAX_STEPS: Final = 50_000
 
 
-class Sweep(Section):
-    """The drive frequencies: f_k = reference · 2^(interval·k / 1200 cents), k = first … last.
-
-    Attributes
-    ----------
-    direction : {'up', 'down', 'shuffled'}, optional
-        In which order steps are taken, up by default. Shuffled is always the same order.
-    """
-
-    reference_hz: Annotated[Frequency, Field(alias="reference", gt=0, le=10**9)]
-    interval_cents: Annotated[Interval, Field(alias="interval", gt=0, le=1200)]
-    first: Annotated[int, Field(ge=-100_000, le=100_000)]
-    last: Annotated[int, Field(ge=-100_000, le=100_000)]
-    stride: Annotated[int, Field(ge=1)] = 1
-    direction: Literal["up", "down", "shuffled"] | None = None
-
-    @field_validator("first", "last")
-    @classmethod
-    def _near_reference(cls, index: int, info: ValidationInfo) -> int:
-        interval_cents = info.data.get("interval_cents")
-        if interval_cents is not None and abs(index) * interval_cents > 20 * 1200:
-            raise ValueError(f"{index} is over 20 octaves from the reference; write a nearer step")
-        return index
-
-    @field_validator("last")
-    @classmethod
-    def _has_steps(cls, last: int, info: ValidationInfo) -> int:
-        first = info.data.get("first")
-        if first is not None and last < first:
-            raise ValueError(
-                f"{last} is below sweep.first {first}, so there are 0 steps; write at least {first}"
-            )
-        return last
-
-    @property
-    def indices(self) -> range:
-        """Indices k of the steps."""
-        return range(self.first, self.last + 1, self.stride)
-
-
-class Ramp(Section):
-    """Peak volts at the load, growing by a constant ratio per index, constant outside."""
-
-    from_v: Annotated[Voltage, Field(alias="from", gt=0, le=1000)]
-    to_v: Annotated[Voltage, Field(alias="to", gt=0, le=1000)]
-    first: int
-    last: int
-
-    @field_validator("last")
-    @classmethod
-    def _rises_over_steps(cls, last: int, info: ValidationInfo) -> int:
-        first = info.data.get("first")
-        if first is not None and last <= first:
-            raise ValueError(f"{last} is not above drive.ramp.first {first}; write a later index")
-        return last
-
-
-class Drive(Section):
-    """What the tweeter gets."""
-
-    ramp: Ramp
-
-
 _Order = Annotated[int, Field(ge=0, le=100)]
 
 
 class Sideband(Section):
-    """Which sideband the difference of the synthesizers selects; 0 is the carrier.
-
-    Attributes
-    ----------
-    order : int
-        The one that pictures are made of, and that the drive's frequency is locked by.
-    orders : tuple of int, optional
-        All that are recorded, in their sequence at each frequency; that one alone by default.
-    """
+    """Which sidebands of the light are recorded."""
 
     order: _Order = 1
+    """Sideband that pictures show and that the drive frequency is locked for; 0 is the carrier."""
     orders: Annotated[tuple[_Order, ...], Field(strict=False)] | None = None
+    """All recorded sidebands, in the order of recording at each frequency. Without this key only
+    `order` is recorded."""
 
     @field_validator("orders")
     @classmethod
@@ -133,13 +64,18 @@ class Sideband(Section):
 
 
 class CameraSettings(Section):
-    """How the camera is run. Without `exposure`, each frame integrates a whole period."""
+    """Settings of the camera."""
 
     frames: int
+    """Frames of one hologram; four-phase demodulation needs exactly 4."""
     frame_rate_hz: Annotated[Frequency, Field(alias="frame_rate", gt=0)]
+    """Frames in a second. A quarter of it has to be a multiple of the synthesizers' step."""
     exposure_s: Annotated[Time | None, Field(alias="exposure", gt=0)] = None
+    """Exposure of one frame. Without this key it is a whole frame period."""
     width: Annotated[int | None, Field(ge=16)] = None
+    """Columns of pixels in the middle of the sensor. Without this key all are read."""
     height: Annotated[int | None, Field(ge=16)] = None
+    """Rows of pixels in the middle of the sensor. Without this key all are read."""
 
     @field_validator("frames")
     @classmethod
@@ -157,99 +93,83 @@ class CameraSettings(Section):
 
 
 class Tolerance(Section):
-    """What the plan may leave imperfect."""
+    """Errors that a plan may have."""
 
     lock_phase_rad: Annotated[Angle, Field(alias="lock_phase", ge=0)] = Fraction(1, 100)
+    """Phase by which an imperfect frequency lock may turn the hologram over its four frames."""
 
 
 class Policy(Section):
-    """What becomes of a step that goes wrong: tried again so often, and what then."""
+    """What happens after one kind of failure."""
 
-    retry: Annotated[int, Field(ge=0, le=5)]
+    retries: Annotated[int, Field(ge=0, le=5)]
+    """How often the step is measured again."""
     then: Literal["skip", "stop"]
+    """What happens if all retries fail: `skip` continues with the next step, `stop` ends the
+    run."""
 
 
 class Policies(Section):
-    """What happens when a step goes wrong.
+    """What happens when a step goes wrong."""
 
-    Attributes
-    ----------
-    bad_pictures : Policy
-        The instruments did as asked, but the step's verdict is not ok. ``skip`` goes on, and takes
-        bad steps again after the last one; ``stop`` takes them again at once, and ends the run.
-    instrument_error : Policy
-        An instrument failed. Before the step is tried again, or the next one begun, all is switched
-        off and on again.
-    give_up_after : int
-        Steps that may be bad one after another; then the run stops, because a cable may be off.
-    """
-
-    bad_pictures: Policy = Policy(retry=1, then="skip")
-    instrument_error: Policy = Policy(retry=0, then="stop")
+    bad_step: Policy = Policy(retries=1, then="skip")
+    """The instruments worked, but the verdict of the step is not ok. With `skip`, bad steps are
+    measured again after the last step; with `stop`, at once."""
+    instrument_error: Policy = Policy(retries=0, then="stop")
+    """An instrument failed. All instruments are switched off and on again before the next
+    attempt."""
     give_up_after: Annotated[int, Field(ge=1, le=100_000)] = 8
+    """Number of bad steps in a row after which the run stops, because a cable may be
+    disconnected."""
 
 
 class Calibration(Section):
-    """Frames of something else than a driven reed.
-
-    Attributes
-    ----------
-    kind : {'dark', 'flat', 'lo_only', 'object_only', 'order0'}
-        No light; even light of a lamp; local oscillator alone; object beam alone; holograms of the
-        reed at rest.
-    count : int
-        Acquisitions of each exposure.
-    exposures_s : tuple, optional
-        One after the other; that of the camera if not given.
-    """
+    """Frames of something else than a driven reed."""
 
     kind: Literal["dark", "flat", "lo_only", "object_only", "order0"]
+    """Light on the sensor: none, even light of a lamp, the local oscillator alone, the object beam
+    alone, or both beams with the reed at rest."""
     count: Annotated[int, Field(ge=1, le=1000)] = 4
+    """Number of acquisitions at each exposure."""
     exposures_s: Annotated[
         tuple[Annotated[Time, Field(gt=0)], ...] | None, Field(alias="exposures", strict=False)
     ] = None
+    """Exposures, measured one after the other. Without this key, the exposure of the camera."""
 
 
 class Protocol(Description):
-    """One sweep: which drives, how loud, how they are recorded.
-
-    Attributes
-    ----------
-    name : str
-        For people.
-    series : str
-        Series that the sweep belongs to, such as A or B.
-    chamber : {'asymmetric', 'symmetric'}
-        Excitation chamber: its right half filled (series A) or empty (series B).
-    reed : str
-        Kind of reed that is measured: a reed file (beside the protocol, or from where the program
-        is started), or the name of a shipped one. See `reed_file`.
-    sweep, drive, sideband, camera, tolerance, policy
-        Sections, see their classes.
-    settle_s : Fraction
-        Wait between a new setting and the first frame that counts.
-    keep : {'holograms', 'frames'}
-        What the run file holds: the complex field around the reed, or the raw frames.
-    calibration : Calibration, optional
-        Takes the place of the sweep; its frames are kept.
-    """
+    """One sweep: frequencies and volts of the drive, and how the holograms are recorded."""
 
     kind: ClassVar[str] = "protocol"
     folder: ClassVar[str] = "."
 
     name: Annotated[str, Field(min_length=1, max_length=80)]
+    """Title in tables and reports."""
     series: Annotated[str, Field(min_length=1, max_length=40)]
+    """Series that the sweep belongs to, such as A or B."""
     chamber: Literal["asymmetric", "symmetric"]
+    """Excitation chamber: with its right half filled (series A) or empty (series B)."""
     reed: Annotated[str, Field(min_length=1, max_length=255)] = "clarinet"
-    sweep: Sweep
-    drive: Drive
+    """Kind of reed that is measured: a reed file next to the protocol or in the current folder, or
+    the name of a shipped reed."""
+    sweep: FrequencyLaw
+    """Drive frequencies of the steps."""
+    drive: AmplitudeLaw
+    """Peak volts at the loudspeaker."""
     sideband: Sideband = Sideband()
+    """Which sidebands of the light are recorded."""
     camera: CameraSettings
+    """Settings of the camera."""
     settle_s: Annotated[Time, Field(alias="settle", ge=0)]
+    """Wait between a new setting and the first frame that counts."""
     tolerance: Tolerance = Tolerance()
+    """Errors that a plan may have."""
     policy: Policies = Policies()
+    """What happens when a step goes wrong."""
     keep: Literal["holograms", "frames"] = "holograms"
+    """What the run file holds: the complex field around the reed, or all frames."""
     calibration: Calibration | None = None
+    """Frames of something else than a driven reed, in place of the sweep. Needs `keep: frames`."""
 
     @field_validator("calibration")
     @classmethod

@@ -1,4 +1,4 @@
-"""What a reed is: shape, clamp and cane of one reed, read as strictly as protocols."""
+"""Reed files: shape, clamp and cane of one reed."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -52,17 +52,23 @@ _Component = Annotated[float, Field(ge=-6, le=6)]
 
 
 class OutlineSection(Section):
-    """The reed seen from above; the widths are those of the side's line at tip and butt."""
+    """The reed seen from above: an arc at the tip, rounded corners, straight sides."""
 
     tip_radius_m: Annotated[Length, Field(alias="tip_radius", gt=0)]
+    """Radius of the arc at the tip, whose centre lies on the axis."""
     corner_radius_m: Annotated[Length, Field(alias="corner_radius", gt=0)]
+    """Radius of the smaller arc that rounds each corner."""
     corner_centre_m: Annotated[Length, Field(alias="corner_centre", gt=0)]
+    """Distance of the centre of the smaller arc from the tip."""
     half_width_at_tip_m: Annotated[Length, Field(alias="half_width_at_tip", gt=0)]
+    """Distance of the side from the axis, where the line of the side meets the tip."""
     half_width_at_butt_m: Annotated[Length, Field(alias="half_width_at_butt", gt=0)]
+    """Distance of the side from the axis at the butt."""
     length_m: Annotated[Length, Field(alias="length", gt=0)]
+    """Length from tip to butt."""
 
     def outline(self) -> Outline:
-        """Outline as physics knows it."""
+        """Return the outline for `physics`."""
         return Outline(
             tip_radius_m=float(self.tip_radius_m),
             corner_radius_m=float(self.corner_radius_m),
@@ -76,13 +82,16 @@ class OutlineSection(Section):
 
 
 class Vamp(Section):
-    """Thicknesses on lines at three distances y from the axis, at the abscissae x on each."""
+    """Thickness of the vamp along three lines parallel to the axis."""
 
     x_m: Annotated[tuple[Length, ...], Field(alias="x", strict=False, min_length=4)]
+    """Distances from the tip, ascending."""
     y_m: Annotated[tuple[Length, Length, Length], Field(alias="y", strict=False)]
+    """Distances of the three lines from the axis, ascending."""
     thickness_m: Annotated[
         tuple[_Thicknesses, _Thicknesses, _Thicknesses], Field(alias="thickness", strict=False)
     ]
+    """Thicknesses: a row for each y, in it a value for each x."""
 
     @field_validator("thickness_m")
     @classmethod
@@ -99,41 +108,48 @@ class Vamp(Section):
 
 
 class Heel(Section):
-    """A cylinder whose axis lies `sagitta` below the flat side."""
+    """Bark side of the heel, a cylinder along the grain."""
 
     radius_m: Annotated[Length, Field(alias="radius", gt=0)]
+    """Radius of the cylinder."""
     sagitta_m: Annotated[Length, Field(alias="sagitta")]
+    """Distance of the axis of the cylinder below the flat side."""
 
 
 class ClampSection(Section):
-    """Two strips along the reed, mirror images in its median plane, on which nothing moves."""
+    """Two strips along the reed, mirror images of each other, on which nothing moves."""
 
     from_m: Annotated[Length, Field(alias="from", gt=0)]
+    """Distance of the strips from the tip."""
     to_m: Annotated[Length, Field(alias="to", gt=0)]
+    """Distance of the far end of the strips from the tip."""
     inner_m: Annotated[Length, Field(alias="inner", ge=0)]
+    """Distance of the inner edge of each strip from the axis."""
     outer_m: Annotated[Length, Field(alias="outer", gt=0)]
+    """Distance of the outer edge of each strip from the axis."""
     side: Literal["bark", "flat", "both"] = "bark"
+    """Side of the reed that the strips are on."""
 
     def clamp(self) -> Clamp:
-        """Clamp as physics knows it."""
+        """Return the clamp for `physics`."""
         along = float(self.from_m), float(self.to_m)
         return Clamp(along, (float(self.inner_m), float(self.outer_m)), ClampSide(self.side))
 
 
 class ThicknessMapSection(Section):
-    """Measured deviations from the drawing: a row for each x, in it a value for each y.
-
-    Even in y or not; each side of the axis has values of its own.
-    """
+    """Measured deviations of the thickness from the drawing, on both sides of the axis."""
 
     x_m: Annotated[_Lengths, Field(alias="x")]
+    """Distances from the tip, ascending."""
     y_m: Annotated[_Lengths, Field(alias="y")]
+    """Distances from the axis, ascending, with both signs."""
     deviation_m: Annotated[tuple[_Lengths, ...], Field(alias="deviation", strict=False)]
+    """Deviations: a row for each x, in it a value for each y."""
 
     @field_validator("y_m")
     @classmethod
     def _on_either_side(cls, y_m: tuple[Fraction, ...]) -> tuple[Fraction, ...]:
-        # What was measured on one side might be meant for both, or for one.
+        # Values of one side alone could be meant for that side or for both.
         if y_m and not min(y_m) < 0 < max(y_m):
             raise ValueError(
                 "lies on one side of the axis only; give values of either sign, and for an even "
@@ -142,7 +158,7 @@ class ThicknessMapSection(Section):
         return y_m
 
     def thickness_map(self) -> ThicknessMap:
-        """Map as physics knows it."""
+        """Return the thickness map for `physics`."""
         rows = tuple(_floats(row) for row in self.deviation_m)
         return ThicknessMap(_floats(self.x_m), _floats(self.y_m), rows)
 
@@ -151,14 +167,20 @@ class GeometrySection(Section):
     """Shape and clamp of a reed."""
 
     outline: OutlineSection
+    """The reed seen from above."""
     vamp: Vamp
+    """Thickness of the vamp."""
     heel: Heel
+    """Bark side of the heel. Where vamp and heel meet, the heel takes over."""
     clamp: ClampSection
+    """Where the reed is held."""
     thickness_offset_m: Annotated[Length, Field(alias="thickness_offset")] = Fraction(0)
+    """Thickness added to the whole vamp; it may be negative."""
     thickness_map: ThicknessMapSection | None = None
+    """Measured deviations of the thickness from the drawing."""
 
     def geometry(self) -> ReedGeometry:
-        """Geometry as physics knows it."""
+        """Return shape and clamp for `physics`."""
         measured = self.thickness_map
         axis, middle, side = self.vamp.y_m
         return ReedGeometry(
@@ -179,59 +201,68 @@ class GeometrySection(Section):
 
 
 class ViscoelasticSection(Section):
-    """E_L and G_LT that follow frequency: components of hypothesis H4, in population SD."""
+    """Components e1 … e4 of viscoelastic cane, in standard deviations of the paper's population."""
 
     e1: _Component = 0.0
+    """Component e1."""
     e2: _Component = 0.0
+    """Component e2."""
     e3: _Component = 0.0
+    """Component e3."""
     e4: _Component = 0.0
+    """Component e4."""
 
 
 class CaneSection(Section):
-    """Elastic constants and density; E_L and G_LT are fixed, or `viscoelastic` gives them."""
+    """Elastic constants and density. L is along the grain, T across it, R through the thickness."""
 
     E_L_pa: Annotated[Modulus | None, Field(alias="E_L", gt=0)] = None
+    """Young's modulus along the grain. Leave it out with `viscoelastic`."""
     E_T_pa: Annotated[Modulus, Field(alias="E_T", gt=0)]
+    """Young's modulus across the grain."""
     E_R_pa: Annotated[Modulus, Field(alias="E_R", gt=0)]
+    """Young's modulus through the thickness."""
     G_LT_pa: Annotated[Modulus | None, Field(alias="G_LT", gt=0)] = None
+    """Shear modulus in the plane of the reed. Leave it out with `viscoelastic`."""
     G_LR_pa: Annotated[Modulus, Field(alias="G_LR", gt=0)]
+    """Shear modulus of the plane L-R."""
     G_TR_pa: Annotated[Modulus, Field(alias="G_TR", gt=0)]
+    """Shear modulus of the plane T-R."""
     nu_LT: _PoissonRatio
+    """Poisson ratio: contraction along T under stress along L."""
     nu_LR: _PoissonRatio
+    """Poisson ratio: contraction along R under stress along L."""
     nu_TR: _PoissonRatio
+    """Poisson ratio: contraction along R under stress along T."""
     density_kg_m3: Annotated[Density, Field(alias="density", gt=0, le=20_000)]
+    """Density."""
     viscoelastic: ViscoelasticSection | None = None
+    """E_L and G_LT that depend on frequency, in place of fixed ones."""
 
 
 class Conditions(Section):
-    """Temperature, and dryness from 0 (series A, ambient) to 1 (series B, dried)."""
+    """Conditions of viscoelastic cane."""
 
     temperature_c: Annotated[Temperature | None, Field(alias="temperature", ge=-20, le=100)] = None
+    """Temperature. Without this key, that of the paper's measurements."""
     dryness: Annotated[float | None, Field(ge=0, le=1)] = None
+    """From 0 (ambient, series A) to 1 (dried, series B). Without this key, 0."""
 
 
 class ReedFile(Description):
-    """One reed: shape, clamp and cane.
-
-    Attributes
-    ----------
-    name : str
-        For people.
-    shape : GeometrySection
-        Key ``geometry`` of the file.
-    material : CaneSection
-        Key ``cane`` of the file.
-    conditions : Conditions
-        Of a viscoelastic cane only.
-    """
+    """One reed: shape, clamp and cane."""
 
     kind: ClassVar[str] = "reed"
     folder: ClassVar[str] = "reeds"
 
     name: Annotated[str, Field(min_length=1, max_length=80)]
+    """Title in tables and reports."""
     shape: Annotated[GeometrySection, Field(alias="geometry")]
+    """Shape and clamp."""
     material: Annotated[CaneSection, Field(alias="cane")]
+    """Elastic constants and density."""
     conditions: Conditions = Conditions()
+    """Temperature and dryness, for viscoelastic cane only."""
 
     @classmethod
     def from_file(cls, name_or_path: str | Path = DEFAULT_REED) -> Self:
@@ -249,11 +280,11 @@ class ReedFile(Description):
         return self
 
     def geometry(self) -> ReedGeometry:
-        """Shape and clamp as physics knows them."""
+        """Return shape and clamp for `physics`."""
         return self.shape.geometry()
 
     def cane(self, frequency_hz: float = REFERENCE_HZ) -> Cane:
-        """Elastic constants; those of viscoelastic cane have the storage moduli of a frequency."""
+        """Return the elastic constants, for viscoelastic cane the storage moduli at a frequency."""
         written = {field.name: getattr(self.material, field.name) for field in fields(Cane)}
         constants = Cane(**{key: float(v) for key, v in written.items() if v is not None})
         viscoelastic = self.viscoelastic()
@@ -262,12 +293,12 @@ class ReedFile(Description):
         return at_frequency(constants, viscoelastic, frequency_hz)
 
     def constants(self) -> Cane:
-        """Elastic constants and density without E_L and G_LT, which are the reference's."""
+        """Return elastic constants and density, with E_L and G_LT of the reference material."""
         reference = Cane()
         return replace(self.cane(), E_L_pa=reference.E_L_pa, G_LT_pa=reference.G_LT_pa)
 
     def viscoelastic(self) -> ViscoelasticCane | None:
-        """Zener moduli under the reed's conditions; None if its moduli are fixed."""
+        """Return the Zener moduli under the conditions of the reed; None for fixed moduli."""
         section = self.material.viscoelastic
         if section is None:
             return None
@@ -282,7 +313,7 @@ def _floats(values: Sequence[Fraction]) -> tuple[float, ...]:
 
 
 def _require_cane(reed: ReedFile) -> None:
-    """Refuse cane whose moduli are not said, or said twice, or make no material.
+    """Refuse cane whose moduli are missing, given twice or physically impossible.
 
     Raises
     ------
@@ -311,8 +342,8 @@ def _require_fixed_moduli(reed: ReedFile) -> None:
     if reed.conditions != Conditions():
         raise reed.error(
             "conditions",
-            "temperature and dryness mean something for viscoelastic cane only, and the moduli of "
-            "this one are fixed; leave them out, or write the cane as alto-saxophone.yaml does",
+            "temperature and dryness apply to viscoelastic cane only, and the moduli of this one "
+            "are fixed; leave them out, or write the cane as alto-saxophone.yaml does",
         )
 
 
@@ -333,7 +364,7 @@ def _require_following_moduli(reed: ReedFile) -> None:
 
 
 def _key_at_fault(geometry: ReedGeometry) -> str:
-    """Key of the part without which the rest makes a reed; of all of it if there is none."""
+    """Return the key of the part that makes the geometry impossible, or that of all of it."""
     outline = geometry.outline
     length_m = outline.length_m
     width_m = outline.side_half_width_m - outline.side_taper * length_m

@@ -74,7 +74,7 @@ class Violation:
     Attributes
     ----------
     key : str
-        Key path in the protocol that would mend it, such as ``drive.ramp.to``.
+        Key path in the protocol that would mend it, such as ``drive.to``.
     message : str
         What is wrong and what to write.
     """

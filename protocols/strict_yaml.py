@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -24,6 +24,9 @@ from protocols.errors import ProtocolError
 from protocols.units import shown_value, unseen_character
 
 KeyPath = tuple[str | int, ...]
+
+# Key that names the kind of a section of which there are several kinds, such as a sweep law.
+KIND_KEY: Final = "law"
 
 # A description is two screens long, and 50 kB with a map of 5000 measured thicknesses. These stop a
 # file that is something else before it costs time; PyYAML reads some 40 kB in a second.
@@ -182,7 +185,7 @@ def _read_text(file: Traversable, source: str) -> str:
 
 
 def key_path(path: KeyPath) -> str:
-    """Write a path of keys as people do: ``drive.ramp.to``, ``acoustic_lines[0]``."""
+    """Write a path of keys as people do: ``drive.to``, ``acoustic_resonances[0]``."""
     keys = (
         f"[{p}]" if isinstance(p, int) else f".{_shortened(p, _MAX_KEY_CHARACTERS)}" for p in path
     )
@@ -206,46 +209,84 @@ def _error(source: str, path: KeyPath, line: int | None, message: str) -> Protoc
     return ProtocolError("".join(c if c.isprintable() else repr(c)[1:-1] for c in ": ".join(parts)))
 
 
-def _known_keys(model: type[BaseModel], path: KeyPath) -> list[str]:
-    """Keys that may stand at `path`, as they are written in the file; none if that is unknown."""
-    models = [model]
-    for step in path:
+def _resolved(model: type[BaseModel], location: KeyPath) -> tuple[KeyPath, list[type[BaseModel]]]:
+    """Return the key path in the file for a location of pydantic, and the models at that path.
+
+    In a section of which there are several kinds, such as sweep laws, pydantic adds the name of the
+    kind to the location. It is not part of the key path.
+    """
+    path: list[str | int] = []
+    models, kind_follows = [model], False
+    for step in location:
+        if kind_follows:
+            models = [each for each in models if step in _kind_names(each)]
+            kind_follows = False
+            continue
+        path.append(step)
         # An item of a list has the section of the list.
         if isinstance(step, str):
-            models = [below for each in models for below in _sections(each, step)]
-    return [info.alias or name for each in models for name, info in each.model_fields.items()]
+            fields = [
+                info
+                for each in models
+                for name, info in each.model_fields.items()
+                if step == (info.alias or name)
+            ]
+            kind_follows = any(info.discriminator for info in fields)
+            models = [below for info in fields for below in _models_in(info.annotation)]
+    return tuple(path), models
 
 
-def _sections(model: type[BaseModel], key: str) -> Iterator[type[BaseModel]]:
+def _kind_names(model: type[BaseModel]) -> tuple[Any, ...]:
+    return get_args(model.model_fields[KIND_KEY].annotation)
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
     """Models in the type of a key: a model itself, or one in an option, a tuple or a list."""
-    fields = {info.alias or name: info.annotation for name, info in model.model_fields.items()}
-    kinds: list[Any] = [fields.get(key)]
+    kinds: list[Any] = [annotation]
     while kinds:
-        kind = kinds.pop()
+        kind = kinds.pop(0)
         kinds += get_args(kind)
         if isinstance(kind, type) and issubclass(kind, BaseModel):
             yield kind
 
 
-def _explanation(error: ErrorDetails, model: type[BaseModel], content: Mapping[str, Any]) -> str:
-    """Say in words what pydantic found wrong at one place, and what to do."""
-    path = error["loc"]
+def _explanation(
+    error: ErrorDetails, model: type[BaseModel], content: Mapping[str, Any]
+) -> tuple[KeyPath, str]:
+    """Say at which key path pydantic found something wrong, what it is, and what to do."""
+    path, models = _resolved(model, error["loc"])
+    value = shown_value(_value_at(content, path))
     match error["type"]:
         case "value_error":
-            return str(error["ctx"]["error"])
+            return path, str(error["ctx"]["error"])
         case "extra_forbidden":
-            known = _known_keys(model, path[:-1]) or ["none"]
+            _, models = _resolved(model, error["loc"][:-1])
+            known = _keys_of(models) or ["none"]
             near = difflib.get_close_matches(str(path[-1]), known, n=1, cutoff=0.5)
             remedy = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
-            return f"unknown key; {remedy}"
+            return path, f"unknown key; {remedy}"
         case "missing":
-            return "is missing; add it, see the shipped files for how it is written"
-        case "model_type":
-            known = _known_keys(model, path)
-            return f"{shown_value(_value_at(content, path))} is no mapping; give {', '.join(known)}"
+            return path, "is missing; add it, see the shipped files for how it is written"
+        case "model_type" | "model_attributes_type":
+            return path, f"{value} is no mapping; give {', '.join(_keys_of(models))}"
+        case "union_tag_not_found":
+            return (*path, KIND_KEY), f"is missing; write one of {_kinds(models)}"
+        case "union_tag_invalid":
+            named = shown_value(_value_at(content, (*path, KIND_KEY)))
+            return (*path, KIND_KEY), f"{named} is unknown; write one of {_kinds(models)}"
         case _:
             complaint = error["msg"].removeprefix("Input ").removeprefix("String ")
-            return f"{shown_value(_value_at(content, path))} {complaint}"
+            return path, f"{value} {complaint}"
+
+
+def _keys_of(models: Sequence[type[BaseModel]]) -> list[str]:
+    """Keys of some models as they are written in the file, each once."""
+    keys = (info.alias or name for each in models for name, info in each.model_fields.items())
+    return list(dict.fromkeys(keys))
+
+
+def _kinds(models: Sequence[type[BaseModel]]) -> str:
+    return ", ".join(str(name) for each in models for name in _kind_names(each))
 
 
 def _value_at(content: Any, path: KeyPath) -> Any:
@@ -262,9 +303,14 @@ def _value_at(content: Any, path: KeyPath) -> Any:
 
 
 class Section(BaseModel):
-    """A frozen part of a description; unknown keys and values of another type are refused."""
+    """A frozen part of a description; unknown keys and values of another type are refused.
 
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+    The text below a field describes its key in the reference of all keys.
+    """
+
+    model_config = ConfigDict(
+        frozen=True, strict=True, extra="forbid", use_attribute_docstrings=True
+    )
 
 
 @dataclass(frozen=True)
@@ -333,8 +379,8 @@ class Description(Section):
             errors = invalid.errors()
             # A misspelt key is also a missing one: name the misspelling.
             error = min(errors, key=lambda e: e["type"] != "extra_forbidden")
-            path, others = error["loc"], len(errors) - 1
-            message = _explanation(error, cls, content)
+            others = len(errors) - 1
+            path, message = _explanation(error, cls, content)
             message += f" (and {others} more)" if others else ""
             raise _error(origin.source, path, origin.line_of(path), message) from None
 
@@ -363,8 +409,8 @@ class Description(Section):
         --------
         >>> from protocols.protocol import Protocol
         >>> series_a = Protocol.from_file("seriesA")
-        >>> short = series_a.replace({"sweep.last": 30, "drive.ramp.to": "8 V"}, keep="frames")
-        >>> short.sweep.last, short.drive.ramp.to_v, short.keep
+        >>> short = series_a.replace({"sweep.last": 30, "drive.to": "8 V"}, keep="frames")
+        >>> short.sweep.last, short.drive.to_v, short.keep
         (30, Fraction(8, 1), 'frames')
         """
         origin = _Origin(f"{self.source} (changed)")

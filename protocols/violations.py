@@ -24,56 +24,61 @@ def find_violations(
     protocol: Protocol, bench: BenchFile, steps: Sequence[Step]
 ) -> Iterator[Violation]:
     """Yield every limit of the bench that the steps break."""
-    yield from _drive_violations(bench, steps)
-    yield from _spacing_violations(bench, steps)
+    yield from _drive_violations(protocol, bench, steps)
+    yield from _spacing_violations(protocol, bench, steps)
     yield from _volts_violations(protocol, bench)
     yield from find_camera_violations(protocol, bench, steps)
     yield from _lock_violations(protocol, bench, steps)
     yield from _synthesizer_violations(protocol, bench, steps)
 
 
-def _drive_violations(bench: BenchFile, steps: Sequence[Step]) -> Iterator[Violation]:
-    limits = bench.limits
+def _drive_violations(
+    protocol: Protocol, bench: BenchFile, steps: Sequence[Step]
+) -> Iterator[Violation]:
+    limits, sweep = bench.limits, protocol.sweep
     low = [step for step in steps if step.drive_hz < limits.drive_min_hz]
     high = [step for step in steps if step.drive_hz > limits.drive_max_hz]
     # Frequencies grow with the index, so what is possible lies between the two.
     possible = [step.index for step in steps[len(low) : len(steps) - len(high)]]
+    none = sweep.scale_key, "no step of the sweep is possible, change it"
     if low:
         limit = f"below the {float(limits.drive_min_hz):.10g} Hz of limits.drive_min"
-        yield _drive_violation("sweep.first", low[-1], limit, bench, possible[:1])
+        key, remedy = sweep.remedy_to_begin_at(possible[0]) if possible else none
+        yield _drive_violation(key, low[-1], limit, bench, remedy)
     if high:
         limit = f"above the {float(limits.drive_max_hz):.10g} Hz of limits.drive_max"
-        yield _drive_violation("sweep.last", high[0], limit, bench, possible[-1:])
+        key, remedy = sweep.remedy_to_end_at(possible[-1]) if possible else none
+        yield _drive_violation(key, high[0], limit, bench, remedy)
 
 
-def _drive_violation(
-    key: str, step: Step, limit: str, bench: BenchFile, possible: Sequence[int]
-) -> Violation:
-    remedy = f"write {possible[0]}" if possible else "no step of the sweep is possible, change it"
+def _drive_violation(key: str, step: Step, limit: str, bench: BenchFile, remedy: str) -> Violation:
     return Violation(
-        key if possible else "sweep.reference",
+        f"sweep.{key}",
         f"step {step.index} is driven at {float(step.drive_hz):.10g} Hz, {limit} in bench file "
         f"{bench.source}; {remedy}",
     )
 
 
-def _spacing_violations(bench: BenchFile, steps: Sequence[Step]) -> Iterator[Violation]:
+def _spacing_violations(
+    protocol: Protocol, bench: BenchFile, steps: Sequence[Step]
+) -> Iterator[Violation]:
+    key, remedy = protocol.sweep.spacing
     # A drive never decreases when the asked one grows, so equal ones follow each other.
     for step, later in pairwise(steps):
         possible = step.drive_hz >= bench.limits.drive_min_hz
         if possible and step.index != later.index and step.drive_hz == later.drive_hz:
             yield Violation(
-                "sweep.interval",
+                f"sweep.{key}",
                 f"steps {step.index} and {later.index} are both driven at "
                 f"{float(step.drive_hz):.10g} Hz, the nearest that the generator of bench file "
-                f"{bench.source} plays and the synthesizers lock to; write a larger interval",
+                f"{bench.source} plays and the synthesizers lock to; {remedy}",
             )
             return
 
 
 def _volts_violations(protocol: Protocol, bench: BenchFile) -> Iterator[Violation]:
-    limits, ramp = bench.limits, protocol.drive.ramp
-    for key, volts in (("drive.ramp.from", ramp.from_v), ("drive.ramp.to", ramp.to_v)):
+    limits = bench.limits
+    for key, volts in protocol.drive.extremes():
         if volts > limits.volts_max_v:
             word, limit_key, remedy = "above", "volts_max", "most"
             limit = math.floor(1000 * limits.volts_max_v) / 1000
@@ -83,7 +88,7 @@ def _volts_violations(protocol: Protocol, bench: BenchFile) -> Iterator[Violatio
         else:
             continue
         yield Violation(
-            key,
+            f"drive.{key}",
             f"{float(volts):g} V is {word} the {limit:g} V (peak) of limits.{limit_key} in bench "
             f"file {bench.source}; write at {remedy} '{limit:g} V'",
         )
@@ -170,5 +175,5 @@ def _synthesizer_violations(
             "sideband.orders" if protocol.sideband.orders else "sideband.order",
             f"at step {widest.index} AOM1 would stand {float(widest.difference_hz):.10g} Hz from "
             f"the centre, outside the window of {float(synthesizers.window_hz):.10g} Hz in bench "
-            f"file {bench.source}; lower the order or sweep.last",
+            f"file {bench.source}; lower the order, or end the sweep at a lower frequency",
         )

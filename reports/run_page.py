@@ -133,7 +133,7 @@ def _figures(sweep: SweepFit, run: Run) -> dict[str, Figure]:
 
 def _peaks_hz(sweep: SweepFit, run: Run) -> Sequence[float]:
     """Excitation peaks that a joint fit found, else those that the bench file lists."""
-    return [peak.hz for peak in sweep.lines] if sweep.joint else run.acoustic_lines_hz
+    return [peak.hz for peak in sweep.lines] if sweep.joint else run.acoustic_resonances_hz
 
 
 def write_bare_report(runs: Sequence[Path], page: Path, reason: str) -> dict[str, Path]:
@@ -164,7 +164,7 @@ def write_bare_report(runs: Sequence[Path], page: Path, reason: str) -> dict[str
     for path in runs:
         with Run.open(path) as run:
             reeds.append(run.reed)
-            sheet = png_of(contact_sheet(run, {}, run.acoustic_lines_hz))
+            sheet = png_of(contact_sheet(run, {}, run.acoustic_resonances_hz))
             title = f"Reed {run.reed}, series {run.series}"
             sections.append(_Section(title, _facts(run), [_picture("contact sheet", sheet)]))
     text = render("run.html", _PAGE, f"Reed {reeds[0]}", no_fit=reason, cane=None, sweeps=sections)

@@ -181,7 +181,7 @@ def _require_shapes(check: Check, layout: Mapping[str, Part]) -> None:
     scalars = [name for name, part in layout.items() if not part.shape]
     rows = {
         "entry/steps/verdict": 1,
-        "entry/instrument/acoustic_lines": 1,
+        "entry/instrument/acoustic_resonances": 1,
         "entry/retakes/position": 1,
         "entry/interruptions/position": 1,
     }
@@ -206,7 +206,7 @@ def _lengths(check: Check, layout: Mapping[str, Part]) -> dict[str, int]:
     """Lengths of the axes of the layout, by name."""
     lengths = {
         "steps": check.shape("entry/steps/verdict")[0],
-        "lines": check.shape("entry/instrument/acoustic_lines")[0],
+        "lines": check.shape("entry/instrument/acoustic_resonances")[0],
     }
     check.require(1 <= lengths["steps"] <= MAX_STEPS, "entry/steps", f"has {lengths['steps']} rows")
     for axis in ("retakes", "interruptions"):

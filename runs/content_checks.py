@@ -106,7 +106,7 @@ def require_columns(check: Check) -> None:
     _require_range(check, "entry/instrument/synthesizers/sideband_order", 0, _MAX_ORDER)
     _require_range(check, "entry/instrument/camera/saturation_value", 1, 65_535)
     _require_range(check, "entry/steps/volts", 0, 1000)
-    _require_range(check, "entry/instrument/acoustic_lines", 0, _MOST_HZ)
+    _require_range(check, "entry/instrument/acoustic_resonances", 0, _MOST_HZ)
     # A place is free, or of a step; one that is being filled has −2 less its step.
     _require_range(check, "entry/retakes/position", -1 - steps, steps - 1)
     _require_range(check, "entry/interruptions/position", -1, MAX_STEPS)

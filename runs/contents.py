@@ -171,7 +171,12 @@ def _write_instruments(entry: Any, plan: Plan, bench: Bench) -> None:
     camera, optics, limits = plan.bench.instruments.camera, plan.bench.optics, plan.bench.limits
     instrument = _group(entry, "instrument", "NXinstrument")
     _put(instrument, "name", bench.name)
-    _put(instrument, "acoustic_lines", [float(hz) for hz in plan.bench.acoustic_lines_hz], "Hz")
+    _put(
+        instrument,
+        "acoustic_resonances",
+        [float(hz) for hz in plan.bench.acoustic_resonances_hz],
+        "Hz",
+    )
     for role, identity in bench.identities.items():
         kind = "NXdetector" if role == "camera" else "NXcollection"
         _put(_group(instrument, role, kind), "identity", identity)
@@ -219,7 +224,7 @@ def planned_columns(plan: Plan) -> dict[str, tuple[npt.NDArray[Any], str]]:
 
 def _write_retakes(entry: Any, plan: Plan, *, allocate: bool) -> None:
     """Places for takes that were taken again; position -1 is a free one."""
-    retakes, count = _group(entry, "retakes", "NXcollection"), plan.spare_takes
+    retakes, count = _group(entry, "retakes", "NXcollection"), plan.spare_attempts
     _allocate(retakes, "position", (count,), np.int64, FREE)
     _allocate_taken(retakes, count, plan)
     if count:

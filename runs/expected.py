@@ -93,7 +93,7 @@ GROUPS: Final[dict[str, dict[str, Part]]] = {
     | _scalars(Kind.TEXT, "reed", "reed_sha256", optional=True)
     | _scalars(Kind.INTEGER, "seed"),
     "entry/instrument": _scalars(Kind.TEXT, "name")
-    | {"acoustic_lines": Part(Kind.NUMBER, ("lines",))},
+    | {"acoustic_resonances": Part(Kind.NUMBER, ("lines",))},
     "entry/instrument/camera": _scalars(Kind.TEXT, "identity", "frame_rate_exact")
     | _scalars(Kind.NUMBER, "count_time", "pixel_size")
     | _scalars(Kind.INTEGER, "saturation_value", "rows", "columns"),

@@ -94,7 +94,7 @@ class Run:
     package_versions : dict
     seed : int
     keep : {'holograms', 'frames'}
-    acoustic_lines_hz : tuple of float
+    acoustic_resonances_hz : tuple of float
         Known resonances of the excitation device.
     frame_rate_hz : Fraction
     exposure_s : float
@@ -413,7 +413,9 @@ class Run:
             role: read_text(instrument[role], "identity")
             for role in ("synthesizers", "generator", "camera")
         }
-        self.acoustic_lines_hz = tuple(float(hz) for hz in instrument["acoustic_lines"][()])
+        self.acoustic_resonances_hz = tuple(
+            float(hz) for hz in instrument["acoustic_resonances"][()]
+        )
         self.frame_rate_hz = Fraction(read_text(detector, "frame_rate_exact"))
         self.exposure_s = float(detector["count_time"][()])
         self.saturation_dn = int(detector["saturation_value"][()])

@@ -107,18 +107,8 @@ def shot_plan(bench: BenchFile, hz: float | None = None, volts: float | None = N
         Protocol.from_file("quick").replace(
             {
                 "name": "Bench check",
-                "sweep": {
-                    "reference": f"{drive_hz:.6f} Hz",
-                    "interval": "25 cents",
-                    "first": 0,
-                    "last": 0,
-                },
-                "drive.ramp": {
-                    "from": f"{peak_v:.6f} V",
-                    "to": f"{peak_v:.6f} V",
-                    "first": 0,
-                    "last": 1,
-                },
+                "sweep": {"law": "list", "frequencies": [f"{drive_hz:.6f} Hz"]},
+                "drive": {"law": "constant", "volts": f"{peak_v:.6f} V"},
                 "camera": {
                     "frames": 4,
                     "frame_rate": f"{float(rate_hz):.6f} Hz",
@@ -126,7 +116,7 @@ def shot_plan(bench: BenchFile, hz: float | None = None, volts: float | None = N
                     "width": min(_WIDTH, camera.width),
                     "height": min(_HEIGHT, camera.height),
                 },
-                "policy": {"bad_pictures": {"retry": 0, "then": "skip"}},
+                "policy": {"bad_step": {"retries": 0, "then": "skip"}},
             }
         ),
         bench,

@@ -139,10 +139,10 @@ class BenchPreparation:
         KeyboardInterrupt
             If the campaign is stopped while it waits for a person.
         """
-        clamps = part.task.part.clamp_anew
+        clamps = part.task.part.new_clamping
         if self._surroundings is not None:
             if clamps:
-                self._surroundings.clamp_anew()
+                self._surroundings.clamp_again()
             self._surroundings.arrange(_arrangement(part))
             return
         if state is PartState.COMPLETE:
@@ -152,7 +152,7 @@ class BenchPreparation:
         self._ask(part, state)
 
     def _ask(self, part: PlannedPart, state: PartState) -> None:
-        todo, clamped = part.task.part.do or "", part.task.part.clamp_anew
+        todo, clamped = part.task.part.do or "", part.task.part.new_clamping
         if state is PartState.BEGUN and clamped:
             # The reed was clamped before the part was started.
             todo = ""

@@ -267,7 +267,7 @@ class Runner:
 
         Empty if it does not.
         """
-        policy = self._plan.protocol.policy.bad_pictures
+        policy = self._plan.protocol.policy.bad_step
         # A run that was ended by a bad step goes on with it, if there is room for another take.
         again = policy.then == "stop" and recorder.spare > 0
         verdicts = recorder.verdicts
@@ -285,11 +285,11 @@ class Runner:
                 recorder.settle()
             if reason := self._given_up(recorder.verdicts, todo[:number]):
                 return reason
-        for _ in range(policy.retry if policy.then == "skip" else 0):
+        for _ in range(policy.retries if policy.then == "skip" else 0):
             recorder.settle()
             bad = [k for k, verdict in enumerate(recorder.verdicts) if _bad(verdict)]
             # If so many are bad the trouble is not theirs; unless it was mended meanwhile.
-            most = recorder.spare if recorder.resumed else self._plan.most_retakes
+            most = recorder.spare if recorder.resumed else self._plan.max_retries
             if len(bad) > min(most, recorder.spare):
                 break
             for position in bad:
@@ -321,7 +321,7 @@ class Runner:
 
     def _good(self, recorder: Recorder, position: int) -> bool:
         """Wait for a step's verdict, and take it again while it is bad and policy allows."""
-        for _ in range(self._plan.protocol.policy.bad_pictures.retry):
+        for _ in range(self._plan.protocol.policy.bad_step.retries):
             recorder.settle()
             if not _bad(recorder.verdicts[position]) or not recorder.spare:
                 break
@@ -343,11 +343,11 @@ class Runner:
                 return True
             except InstrumentError as error:
                 attempts += 1
-                if attempts > policy.retry and policy.then == "stop":
+                if attempts > policy.retries and policy.then == "stop":
                     recorder.mark(position, Verdict.INTERRUPTED, str(error))
                     raise
                 self._recover(recorder, position, error)
-                if attempts > policy.retry:
+                if attempts > policy.retries:
                     recorder.mark(position, Verdict.SKIPPED, str(error))
                     return True
             except BaseException as error:

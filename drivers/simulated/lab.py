@@ -191,7 +191,7 @@ class SimulatedLab:
         """Open and close shutters, and light the lamp; see `Surroundings`."""
         self._scene = _SCENES[arrangement]
 
-    def clamp_anew(self) -> None:
+    def clamp_again(self) -> None:
         """Put the reed back with another speckle: light no longer falls as it did."""
         self._model = None
         self._clampings += 1

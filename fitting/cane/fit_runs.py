@@ -293,11 +293,11 @@ def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
     names = tuple(middling)
     shapes = mode_shapes(reed, pictures, middling)
     fringes = count_fringes(pictures.brightness, shapes)
-    found = _pick(pictures, names, shapes, fringes, model, series, run.acoustic_lines_hz)
+    found = _pick(pictures, names, shapes, fringes, model, series, run.acoustic_resonances_hz)
     if len(found) >= _TELLING_MODES:
         shapes = mode_shapes(reed, pictures, middling, _suggested_cane(found, model, series))
         fringes = count_fringes(pictures.brightness, shapes, fringes)
-        found = _pick(pictures, names, shapes, fringes, model, series, run.acoustic_lines_hz)
+        found = _pick(pictures, names, shapes, fringes, model, series, run.acoustic_resonances_hz)
     if not found:
         raise _nothing_shows(run, pictures)
     response = Response(pictures.drive_hz, names, np.abs(fringes.amplitude_rad), fringes.phase_rad)
@@ -363,7 +363,7 @@ def _pick(
     fringes: Fringes,
     model: ForwardModel,
     series: Series,
-    acoustic_lines_hz: Sequence[float],
+    acoustic_resonances_hz: Sequence[float],
 ) -> dict[str, Resonance]:
     def growth(shape: int, picture: int) -> float:
         without = misfit_without(pictures.brightness, shapes, fringes, shape, picture)
@@ -389,7 +389,7 @@ def _pick(
         model,
         series,
         needed,
-        acoustic_lines_hz,
+        acoustic_resonances_hz,
     )
 
 

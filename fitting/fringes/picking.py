@@ -164,7 +164,7 @@ def pick_resonances(
     model: ForwardModel,
     series: Series,
     needed: Callable[[int, int], bool],
-    acoustic_lines_hz: Sequence[float] = (),
+    acoustic_resonances_hz: Sequence[float] = (),
     misfit_cents: float = paper.H4_MISFIT_CENTS,
 ) -> dict[str, Resonance]:
     """Pick for every mode the picture with most of its fringes.
@@ -183,7 +183,7 @@ def pick_resonances(
     needed : callable
         ``needed(shape, picture)`` says whether that picture cannot be explained without that
         shape; a maximum where it can is passed over.
-    acoustic_lines_hz : sequence of float
+    acoustic_resonances_hz : sequence of float
         Resonances of the excitation device; pictures next to them are not picked.
     misfit_cents : float
         Standard deviation of a reed's resonances from those of any cane in the model's shape.
@@ -196,7 +196,7 @@ def pick_resonances(
     cents = cents_of(drive_hz)
     spacing = np.gradient(cents) if len(cents) > 1 else np.full(1, np.inf)
     clear = np.ones(len(cents), dtype=bool)
-    for line in acoustic_lines_hz:
+    for line in acoustic_resonances_hz:
         clear &= np.abs(cents - cents_of(line)) > _LINE_CENTS
     belief = _Belief(model, series, misfit_cents)
     found: dict[str, Resonance] = {}

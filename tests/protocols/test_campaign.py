@@ -39,8 +39,8 @@ def test_the_shipped_campaign_has_what_a_diagnosis_needs() -> None:
     kinds = [t.protocol.calibration.kind for t in tasks if t.protocol.calibration]
     assert set(kinds) == set(Kind) - {Kind.SWEEP}
     sweeps = [task.protocol for task in tasks if task.protocol.calibration is None]
-    assert {sweep.sweep.direction for sweep in sweeps} == {None, "down", "shuffled"}
-    assert len({sweep.drive.ramp.to_v for sweep in sweeps}) == 2
+    assert {sweep.sweep.direction for sweep in sweeps} == {"up", "down", "shuffled"}
+    assert len({sweep.drive.to_v for sweep in sweeps}) == 2
     assert tasks[-1].clamping == 1
     assert all(not make_plan(task.protocol, BENCH).violations for task in tasks)
 
@@ -135,7 +135,7 @@ def test_a_campaign_leaves_a_run_of_each_part(tmp_path) -> None:
                 {"name": "rest", "change": {**QUICK, "keep": "frames",
                                             "calibration": {"kind": "order0", "count": 1}}},
                 {"name": "down", "change": {**QUICK, "sweep.direction": "down"}},
-                {"name": "again", "clamp_anew": True, "change": QUICK},
+                {"name": "again", "new_clamping": True, "change": QUICK},
             ]
         }
     )  # fmt: skip
@@ -200,7 +200,7 @@ def test_a_campaign_is_never_written_over(tmp_path) -> None:
 
 @pytest.mark.parametrize("first", [True, False])
 def test_a_setting_that_a_part_changes_twice_is_refused(first) -> None:
-    whole = "sweep: {reference: 1396.9 Hz, interval: 25 cents, first: 1, last: 9}"
+    whole = "sweep: {law: geometric, reference: 1396.9 Hz, interval: 25 cents, first: 1, last: 9}"
     both = ["sweep.stride: 40", whole] if first else [whole, "sweep.stride: 40"]
     text = "  - name: quiet\n    change:\n" + "".join(f"      {line}\n" for line in both)
     with pytest.raises(ProtocolError, match=r"parts\[0\]\.change: sweep\.stride is given twice"):

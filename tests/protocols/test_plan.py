@@ -15,11 +15,7 @@ from holography.fresnel import FresnelTransform
 from physics.reed.geometry import ReedGeometry
 from protocols.bench import BenchFile
 from protocols.errors import ProtocolError
-from protocols.plan import (
-    make_plan,
-    ramp_volts,
-    sweep_frequency_hz,
-)
+from protocols.plan import make_plan
 from protocols.protocol import Protocol
 from protocols.reed import ReedFile
 
@@ -72,7 +68,7 @@ def test_drives_of_the_paper(series_a, index, drive_hz):
 
 
 def test_step_78_is_the_acoustic_line_of_the_bench(series_a):
-    assert BENCH.acoustic_lines_hz == (series_a.steps[77].drive_hz,)
+    assert BENCH.acoustic_resonances_hz == (series_a.steps[77].drive_hz,)
 
 
 def test_every_step_locks_exactly(series_a):
@@ -99,9 +95,9 @@ def test_ramp_of_the_paper(series_a):
 
 
 def test_ramp_is_constant_before_it_begins():
-    ramp = SERIES_A.replace({"drive.ramp.first": 40}).drive.ramp
-    assert [ramp_volts(ramp, index) for index in (1, 40, 73, 100)] == [0.5, 0.5, 16.0, 16.0]
-    assert ramp_volts(ramp, 41) > 0.5
+    ramp = SERIES_A.replace({"drive.first": 40}).drive
+    assert [ramp.volts(k, Fraction(1000)) for k in (1, 40, 73, 100)] == [0.5, 0.5, 16.0, 16.0]
+    assert ramp.volts(41, Fraction(1000)) > 0.5
 
 
 @given(st.integers(-200, 200), st.integers(1, 400), st.integers(1, 10**6))
@@ -114,9 +110,7 @@ def test_frequencies_at_any_interval(index, interval, millihertz):
         }
     )
     expected_hz = millihertz / 1000 * 2 ** (interval * index / 12000)
-    assert float(sweep_frequency_hz(sweep, index)) == pytest.approx(
-        expected_hz, rel=1e-12, abs=0.51e-6
-    )
+    assert float(sweep.frequency_hz(index)) == pytest.approx(expected_hz, rel=1e-12, abs=0.51e-6)
 
 
 def test_quick_sweep_shows_all_modes_on_enough_pixels():
@@ -165,14 +159,14 @@ def test_file_sizes(series_a):
     # A tenth of the sweep and four, but no more than can be asked for.
     [(184, 1, 22), (184, 0, 0), (184, 5, 22), (2, 1, 2), (2, 5, 4), (1, 1, 1), (60, 1, 10)],
 )
-def test_room_for_takes_is_a_tenth_of_the_sweep_and_a_few(last, retry, spare):
-    changes = {"sweep.last": last, "policy.bad_pictures.retry": retry}
+def test_spare_attempts_are_a_tenth_of_the_sweep_and_four(last, retry, spare):
+    changes = {"sweep.last": last, "policy.bad_step.retries": retry}
     plan = make_plan(SERIES_A.replace(changes), BENCH)
-    assert plan.most_retakes == spare
+    assert plan.max_retries == spare
     # And for those after which a run gives up.
-    assert plan.spare_takes == (spare + min(8, last) if retry else 0)
+    assert plan.spare_attempts == (spare + min(8, last) if retry else 0)
     patient = make_plan(SERIES_A.replace({**changes, "policy.give_up_after": 50}), BENCH)
-    assert patient.spare_takes == (spare + min(50, last) if retry else 0)
+    assert patient.spare_attempts == (spare + min(50, last) if retry else 0)
 
 
 def test_region_covers_the_reed_and_no_twin(series_a):
@@ -237,8 +231,8 @@ def test_carrier_leak_vanishes_off_the_frame_grid(series_a):
 # --- What the bench cannot do ------------------------------------------------------------------
 
 IMPOSSIBLE = {
-    "17 V": ({"drive.ramp.to": "17 V"}, "drive.ramp.to", "17 V is above the 16 V"),
-    "17 V at the start": ({"drive.ramp.from": "17 V"}, "drive.ramp.from", "write at most '16 V'"),
+    "17 V": ({"drive.to": "17 V"}, "drive.to", "17 V is above the 16 V"),
+    "17 V at the start": ({"drive.from": "17 V"}, "drive.from", "write at most '16 V'"),
     "30 kHz at the end": ({"sweep.last": 213}, "sweep.last", "write 184"),
     "30 kHz all along": ({"sweep.reference": "30 kHz"}, "sweep.reference", "30436.4 Hz, above"),
     "too low a start": ({"sweep.first": -300}, "sweep.first", "write -294"),
@@ -291,16 +285,14 @@ def test_low_volts_and_narrow_windows_belong_to_the_bench():
         {"limits.volts_min": "0.6 V", "instruments.synthesizers.window": "10 kHz"}
     )
     keys = [violation.key for violation in make_plan(SERIES_A, bench).violations]
-    assert keys == ["drive.ramp.from", "sideband.order"]
+    assert keys == ["drive.from", "sideband.order"]
 
 
 def test_all_violations_are_collected_and_counted():
-    protocol = SERIES_A.replace(
-        {"drive.ramp.to": "17 V", "sweep.last": 190, "camera.exposure": "1 s"}
-    )
+    protocol = SERIES_A.replace({"drive.to": "17 V", "sweep.last": 190, "camera.exposure": "1 s"})
     plan = make_plan(protocol, BENCH)
     assert {violation.key for violation in plan.violations} == {
-        "drive.ramp.to", "sweep.last", "camera.exposure"
+        "drive.to", "sweep.last", "camera.exposure"
     }  # fmt: skip
     with pytest.raises(ProtocolError, match=r"\(and 2 more\)$"):
         plan.require_possible()
@@ -374,7 +366,7 @@ def test_a_reed_far_out_of_view_is_a_violation_with_nothing_to_keep(where, chang
     ("changes", "step"),
     [({"sweep.interval": "0.0001 cents"}, "1 uHz"), ({}, "1 kHz")],
 )
-def test_steps_that_are_driven_alike_are_a_violation(changes, step):
+def test_steps_at_the_same_drive_frequency_are_a_violation(changes, step):
     bench = BenchFile.from_file().replace({"instruments.generator.step": step})
     plan = make_plan(Protocol.from_file("quick").replace(changes), bench)
     (found,) = [v for v in plan.violations if v.key == "sweep.interval"]
@@ -398,11 +390,11 @@ def test_a_preparation_is_that_of_the_protocol_and_its_reed():
 def test_limits_are_compared_with_peak_volts_however_they_are_stated(volts_are, stated, peak_v):
     limits = {"limits.volts_are": volts_are, "limits.volts_max": stated}
     bench = BENCH.replace(limits)
-    allowed = SERIES_A.replace({"drive.ramp.to": f"{peak_v} V"})
+    allowed = SERIES_A.replace({"drive.to": f"{peak_v} V"})
     assert make_plan(allowed, bench).violations == ()
-    beyond = SERIES_A.replace({"drive.ramp.to": f"{peak_v + 0.001} V"})
+    beyond = SERIES_A.replace({"drive.to": f"{peak_v + 0.001} V"})
     (violation,) = make_plan(beyond, bench).violations
-    assert violation.key == "drive.ramp.to"
+    assert violation.key == "drive.to"
     assert f"above the {peak_v:g} V (peak) of limits.volts_max" in violation.message
     assert violation.message.endswith(f"write at most '{peak_v:g} V'")
 

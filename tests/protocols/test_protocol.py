@@ -54,7 +54,7 @@ def test_series_a_is_the_sweep_of_the_paper():
     assert protocol.sweep.reference_hz == Fraction("1396.9")
     assert protocol.sweep.interval_cents == 25
     assert protocol.sweep.indices == range(1, 185)
-    ramp = protocol.drive.ramp
+    ramp = protocol.drive
     assert (ramp.from_v, ramp.to_v, ramp.first, ramp.last) == (Fraction(1, 2), 16, 1, 73)
     assert protocol.sideband.order == 1
     assert (protocol.camera.frames, protocol.camera.frame_rate_hz) == (4, Fraction("12.4"))
@@ -65,12 +65,15 @@ def test_what_happens_when_a_step_goes_wrong_can_be_said():
     quick = Protocol.from_file("quick")
     # What stands in series A is what holds where nothing is said.
     assert quick.policy == Protocol.from_file("seriesA").policy == Policies()
-    assert (quick.policy.bad_pictures.retry, quick.policy.bad_pictures.then) == (1, "skip")
-    assert (quick.policy.instrument_error.retry, quick.policy.instrument_error.then) == (0, "stop")
-    changed = quick.replace({"policy.instrument_error": {"retry": 2, "then": "skip"}})
-    assert changed.policy.instrument_error == Policy(retry=2, then="skip")
-    assert changed.policy.bad_pictures == quick.policy.bad_pictures
-    assert changed.replace({"policy.bad_pictures.then": "stop"}).policy.bad_pictures.retry == 1
+    assert (quick.policy.bad_step.retries, quick.policy.bad_step.then) == (1, "skip")
+    assert (quick.policy.instrument_error.retries, quick.policy.instrument_error.then) == (
+        0,
+        "stop",
+    )
+    changed = quick.replace({"policy.instrument_error": {"retries": 2, "then": "skip"}})
+    assert changed.policy.instrument_error == Policy(retries=2, then="skip")
+    assert changed.policy.bad_step == quick.policy.bad_step
+    assert changed.replace({"policy.bad_step.then": "stop"}).policy.bad_step.retries == 1
     assert Protocol.from_text(changed.text) == changed
 
 
@@ -160,7 +163,7 @@ def test_bench_keeps_options_and_twin_untouched():
     assert bench.instruments.generator.options == {"port": "/dev/ttyUSB0", "gain": 4.0}
     assert bench.fingerprint != BenchFile.from_file().fingerprint
     assert BenchFile.from_text(bench.replace({}).text).fingerprint == bench.fingerprint
-    assert bench.acoustic_lines_hz == (Fraction("4308.6"),)
+    assert bench.acoustic_resonances_hz == (Fraction("4308.6"),)
 
 
 # --- replace -----------------------------------------------------------------------------------
@@ -169,9 +172,9 @@ def test_bench_keeps_options_and_twin_untouched():
 def test_replace_takes_key_paths_and_leaves_the_original():
     series_a = Protocol.from_file("seriesA")
     changed = series_a.replace(
-        {"sweep.last": 30, "drive.ramp.to": "8 V", "camera.exposure": "40 ms"}, keep="frames"
+        {"sweep.last": 30, "drive.to": "8 V", "camera.exposure": "40 ms"}, keep="frames"
     )
-    assert (changed.sweep.last, changed.drive.ramp.to_v) == (30, 8)
+    assert (changed.sweep.last, changed.drive.to_v) == (30, 8)
     assert (changed.exposure_s, changed.keep) == (Fraction(1, 25), "frames")
     assert changed.replace({"camera.exposure": None}).camera.exposure_s is None
     assert series_a == Protocol.from_file("seriesA")
@@ -184,7 +187,7 @@ def test_replace_takes_key_paths_and_leaves_the_original():
     [
         ({"sweep.lst": 30}, "sweep.lst: unknown key; did you mean 'last'?"),
         ({"sweep.last": "30"}, "sweep.last: '30'"),
-        ({"drive.ramp.to": 8}, "drive.ramp.to: 8 has no unit"),
+        ({"drive.to": 8}, "drive.to: 8 has no unit"),
         ({"keep.frames": True}, "keep: has no key 'frames' below it"),
         ({"optics.distance": "1 m"}, "optics: unknown key"),
     ],
@@ -214,20 +217,20 @@ WRONG_TEXTS = {
     "missing key": ("  frame_rate: 12.4 Hz\n", "", "camera.frame_rate: is missing"),
     "missing unit": ("1396.9 Hz", "1396.9", "sweep.reference: 1396.9 has no unit; write a freq"),
     "missing unit, quoted": ("12.4 Hz\n", "'12.4'\n", "camera.frame_rate: '12.4' is not a number"),
-    "wrong unit": ("16 V,", "16 Hz,", "drive.ramp.to: '16 Hz' is not a voltage"),
+    "wrong unit": ("16 V,", "16 Hz,", "drive.to: '16 Hz' is not a voltage"),
     "unknown unit": ("settle: 40 ms", "settle: 40 msec", "settle: '40 msec' has the unknown"),
-    "NaN": ("from: 0.5 V", "from: .nan", "drive.ramp.from: nan is not a finite number"),
-    "NaN with unit": ("from: 0.5 V", "from: nan V", "drive.ramp.from: 'nan V' is not a number"),
-    "infinite": ("16 V,", ".inf,", "drive.ramp.to: inf is not a finite number"),
+    "NaN": ("from: 0.5 V", "from: .nan", "drive.from: nan is not a finite number"),
+    "NaN with unit": ("from: 0.5 V", "from: nan V", "drive.from: 'nan V' is not a number"),
+    "infinite": ("16 V,", ".inf,", "drive.to: inf is not a finite number"),
     "negative volts": (
         "from: 0.5 V",
         "from: -0.5 V",
-        "drive.ramp.from: '-0.5 V' should be greater than 0",
+        "drive.from: '-0.5 V' should be greater than 0",
     ),
     "absurd volts": (
         "from: 0.5 V",
         "from: 1e30 V",
-        "drive.ramp.from: '1e30 V' should be less than",
+        "drive.from: '1e30 V' should be less than",
     ),
     "bool": ("first: 1\n", "first: yes\n", "sweep.first: True should be a valid integer"),
     "float index": ("first: 1\n", "first: 1.0\n", "sweep.first: 1.0 should be a valid integer"),
@@ -248,27 +251,35 @@ WRONG_TEXTS = {
     "0 steps": ("last: 184", "last: 0", "sweep.last: 0 is below sweep.first 1, so there are 0 st"),
     "too many octaves": ("last: 184", "last: 5000", "sweep.last: 5000 is over 20 octaves"),
     "no stride": ("last: 184", "last: 184\n  stride: 0", "sweep.stride: 0 should be greater"),
-    "no ramp": ("last: 73", "last: 1", "drive.ramp.last: 1 is not above drive.ramp.first 1"),
+    "no ramp": ("last: 73", "last: 1", "drive.last: 1 is not above drive.first 1"),
     "frames 3": ("frames: 4", "frames: 3", "camera.frames: 3 frames make no hologram"),
     "frames 8": ("frames: 4", "frames: 8", "camera.frames: 8 frames make no hologram"),
     "not a choice": ("asymmetric\n", "lopsided\n", "chamber: 'lopsided' should be 'asymmetric'"),
     "scalar for a section": ("\n  order: 1", " 1", "sideband: 1 is no mapping; give order"),
     "list for a section": ("\n  order: 1", " [1]", "sideband: a list is no mapping"),
     "unknown policy": (
-        "retry: 1, then",
         "retries: 1, then",
-        "policy.bad_pictures.retries: unknown",
+        "retry: 1, then",
+        "policy.bad_step.retries: unknown",
     ),
     "half a policy": (
-        "{retry: 1, then: skip}",
-        "{retry: 1}",
-        "policy.bad_pictures.then: is missing",
+        "{retries: 1, then: skip}",
+        "{retries: 1}",
+        "policy.bad_step.then: is missing",
     ),
-    "endless retries": ("retry: 1, then", "retry: 6, then", "policy.bad_pictures.retry: 6 should"),
-    "negative retries": ("retry: 1, then", "retry: -1, then", "policy.bad_pictures.retry: -1 sho"),
-    "no such end": ("then: skip}", "then: panic}", "policy.bad_pictures.then: 'panic' should be"),
+    "endless retries": (
+        "retries: 1, then",
+        "retries: 6, then",
+        "policy.bad_step.retries: 6 should",
+    ),
+    "negative retries": (
+        "retries: 1, then",
+        "retries: -1, then",
+        "policy.bad_step.retries: -1 sho",
+    ),
+    "no such end": ("then: skip}", "then: panic}", "policy.bad_step.then: 'panic' should be"),
     "scalar for a policy": (
-        "instrument_error: {retry: 0, then: stop}",
+        "instrument_error: {retries: 0, then: stop}",
         "instrument_error: stop",
         "policy.instrument_error: 'stop' is no mapping",
     ),
@@ -405,7 +416,7 @@ WRONG_BENCHES = {
     ),
     "limits exchanged": ("volts_max: 16 V", "volts_max: 0 V", "limits.volts_max: '0 V' should"),
     "drive exchanged": ("drive_max: 20 kHz", "drive_max: 20 Hz", "limits.drive_max: the maximum"),
-    "line without unit": ("[4308.6 Hz]", "[4308.6]", "acoustic_lines[0]: 4308.6 has no unit"),
+    "line without unit": ("[4308.6 Hz]", "[4308.6]", "acoustic_resonances[0]: 4308.6 has no unit"),
     "window down to 0 Hz": ("centre: 80 MHz", "centre: 80 uHz", "synthesizers.window: 5000000 Hz"),
     "steps beyond the window": ("step: 0.1 Hz", "step: 6 MHz", "narrower than instruments.synth"),
     "long driver": ("driver: simulated", f"driver: {'s' * 101}", "synthesizers.driver: 'sss"),

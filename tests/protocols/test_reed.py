@@ -206,7 +206,7 @@ IMPOSSIBLE = {
     "moduli twice": ({"cane.viscoelastic": {}}, "cane.E_L: is fixed, but cane.viscoelastic makes"),
     "temperature of fixed moduli": (
         {"conditions.temperature": "25 degC"},
-        "conditions: temperature and dryness mean something for viscoelastic cane only",
+        "conditions: temperature and dryness apply to viscoelastic cane only",
     ),
     "clamp behind the reed": (
         {"geometry.clamp.to": "70 mm"},

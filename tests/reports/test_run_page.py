@@ -201,4 +201,4 @@ def test_a_run_that_is_gone_is_an_error(fitted, tmp_path):
 @pytest.mark.parametrize(("joint", "expected"), [(True, [4279.0]), (False, [4308.6])])
 def test_lines_that_a_joint_fit_found_outweigh_those_of_the_bench(joint, expected):
     sweep = SimpleNamespace(joint=object() if joint else None, lines=[Line(4279.0, 8.0)])
-    assert list(_peaks_hz(sweep, SimpleNamespace(acoustic_lines_hz=(4308.6,)))) == expected
+    assert list(_peaks_hz(sweep, SimpleNamespace(acoustic_resonances_hz=(4308.6,)))) == expected

@@ -19,7 +19,7 @@ STEPS = 4
 @pytest.fixture
 def run_file(tiny_plan, fake_bench, tmp_path):
     """Path of a run file with room for earlier takes, none of whose steps was measured."""
-    plan = tiny_plan(STEPS, **{"policy.bad_pictures.retry": 1})
+    plan = tiny_plan(STEPS, **{"policy.bad_step.retries": 1})
     path = tmp_path / "run.h5"
     writer = RunWriter.create(
         path, plan, fake_bench().opened(), RunLabels(), reconstruction_of(plan), "uid"
@@ -283,7 +283,7 @@ def test_hdf5_is_not_left_to_search_a_heap_of_zeros_for_ever(run_file):
         ("entry/retakes/position", -2 - STEPS),
         ("entry/interruptions/position", 2**62),
         ("entry/data/y_m", np.nan),
-        ("entry/instrument/acoustic_lines", -1.0),
+        ("entry/instrument/acoustic_resonances", -1.0),
         ("entry/steps/asked_hz_exact", ""),
         ("entry/steps/drive_hz_exact", "12"),
         ("entry/steps/verdict", "great"),

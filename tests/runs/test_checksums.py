@@ -55,7 +55,7 @@ def measured(tiny_plan, fake_bench, tmp_path):
     """Write a run of three good steps, the second at its second take; return plan and path."""
 
     def make(keep="holograms", status="complete"):
-        plan = tiny_plan(steps=3, keep=keep, **{"policy.bad_pictures.retry": 1})
+        plan = tiny_plan(steps=3, keep=keep, **{"policy.bad_step.retries": 1})
         writer = RunWriter.create(
             tmp_path / f"{keep}.h5", plan, fake_bench().opened(), RunLabels(),
             reconstruction_of(plan), "uid",
@@ -231,7 +231,7 @@ def test_a_damaged_earlier_take_is_given_up_when_its_run_is_gone_on_with(measure
     plan, path = measured(status="interrupted")
     flip(path, "retakes/noise_level", 0)
     writer = RunWriter.resume(path, plan)
-    assert (writer.spare, writer.damaged) == (plan.spare_takes, ())
+    assert (writer.spare, writer.damaged) == (plan.spare_attempts, ())
     writer.finish("complete")
     with Run.open(path) as run:
         assert run.good.all()
@@ -247,7 +247,7 @@ def test_a_take_that_was_torn_while_it_was_set_aside_stays_where_it_was(measured
     with Run.open(path, damaged_as_pending=True) as run:
         assert (run.steps[2].verdict, len(run.retakes)) == (Verdict.STALE, 1)
     writer = RunWriter.resume(path, plan)
-    assert writer.spare == plan.spare_takes - 1
+    assert writer.spare == plan.spare_attempts - 1
     writer.finish("complete")
     with Run.open(path) as run:
         assert (run.steps[2].verdict, len(run.retakes)) == (Verdict.STALE, 1)

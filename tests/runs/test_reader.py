@@ -164,7 +164,7 @@ def test_a_run_explains_itself(plan, create):
         assert (run.bench_name, run.bench_fingerprint) == ("fake bench", "0" * 64)
         assert run.identities == dict.fromkeys(("synthesizers", "generator", "camera"), "fake")
         assert run.package_versions["numpy"] == np.__version__
-        assert run.acoustic_lines_hz == (4308.6,)
+        assert run.acoustic_resonances_hz == (4308.6,)
         assert (run.frame_rate_hz, run.sideband_order) == (Fraction(62, 5), 1)
         assert run.exposure_s == pytest.approx(1 / 12.4)
         assert run.saturation_dn == 4095
@@ -386,7 +386,7 @@ def retaking(tiny_plan):
     """Plan some steps that may be taken twice."""
 
     def make(steps=4, **changes):
-        return tiny_plan(steps, **{"policy.bad_pictures.retry": 1, **changes})
+        return tiny_plan(steps, **{"policy.bad_step.retries": 1, **changes})
 
     return make
 
@@ -399,7 +399,7 @@ def test_of_a_step_that_was_taken_again_both_takes_are_kept(retaking, create, ke
     writer = create(plan=plan)
     writer.write(0, measured(plan, 0))
     writer.write(1, first)
-    assert writer.spare == plan.spare_takes == 8
+    assert writer.spare == plan.spare_attempts == 8
     writer.set_aside(1)
     assert writer.spare == 7
     with Run.open(writer.path) as run:
@@ -426,7 +426,7 @@ def test_of_a_step_that_was_taken_again_both_takes_are_kept(retaking, create, ke
 
 
 def test_takes_before_the_last_stand_in_the_order_in_which_they_were_taken_again(retaking, create):
-    plan = retaking(**{"policy.bad_pictures.retry": 2})
+    plan = retaking(**{"policy.bad_step.retries": 2})
     writer = create(plan=plan)
     for position in (2, 0):
         writer.write(position, measured(plan, position, Verdict.LOCK))
@@ -440,9 +440,9 @@ def test_takes_before_the_last_stand_in_the_order_in_which_they_were_taken_again
 
 
 def test_without_a_spare_place_nothing_is_set_aside(retaking, create):
-    plan = retaking(**{"policy.bad_pictures.retry": 5})
+    plan = retaking(**{"policy.bad_step.retries": 5})
     writer = create(plan=plan)
-    for _ in range(plan.spare_takes):
+    for _ in range(plan.spare_attempts):
         writer.write(0, measured(plan, 0, Verdict.DROPPED))
         writer.set_aside(0)
     writer.write(0, measured(plan, 0, Verdict.DROPPED, take=7))

@@ -419,7 +419,7 @@ BAD = {
     "three frames": ({"camera.frames": 3}, "camera.frames"),
 }
 BEYOND = {
-    "17 V": ({"drive.ramp.to": "17 V"}, "drive.ramp.to"),
+    "17 V": ({"drive.to": "17 V"}, "drive.to"),
     "30 kHz": ({"sweep.last": 214}, "sweep.last"),
     "all at 30 kHz": ({"sweep.reference": "30 kHz"}, "sweep.reference"),
 }
@@ -537,7 +537,7 @@ def test_a_run_that_cannot_be_fitted_keeps_its_file_and_fails(
 
 def test_one_dropped_frame_spoils_one_step(cli, folder, protocol_file, bench_file):
     bench = bench_file(faults={"drop_frame_at": [3]})
-    once = protocol_file(**{"policy.bad_pictures": {"retry": 0, "then": "skip"}})
+    once = protocol_file(**{"policy.bad_step": {"retries": 0, "then": "skip"}})
     said = cli("run", once, "--bench", bench, "--out", "x.h5", "--no-fit", "--json")
     assert said.json["verdicts"] == {"ok": 8, "dropped": 1}
     with Run.open("x.h5") as run:

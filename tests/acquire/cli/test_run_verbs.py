@@ -305,7 +305,7 @@ def test_a_campaign_that_was_killed_is_gone_on_with(
     cli, folder, protocol_file, bench_file, campaign_of
 ):
     """Parts that are complete stay, the broken one goes on, and the rest follows."""
-    parts = {"third": ["clamp_anew: true", "do: take the reed out and put it back"]}
+    parts = {"third": ["new_clamping: true", "do: take the reed out and put it back"]}
     campaign = campaign_of(protocol_file(), "first", "second", "third", "fourth", **parts)
     bench = bench_file(pace="realtime")
     process = subprocess.Popen(

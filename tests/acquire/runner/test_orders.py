@@ -46,7 +46,7 @@ def path(tmp_path):
 def test_a_signal_stops_a_run_and_leaves_the_bench_off(
     tiny_plan, fake_bench, lit, path, number, phase
 ):
-    plan = tiny_plan(steps=5, **{"policy.bad_pictures.retry": 1})
+    plan = tiny_plan(steps=5, **{"policy.bad_step.retries": 1})
     fake = fake_bench(picture=lit(plan), spoilt={2: lambda frames: frames[1:]})
     before = signal.getsignal(number)
 

@@ -17,7 +17,7 @@ from runs.reader import Run
 from runs.verdict import ReadBack, Verdict
 
 RATE_HZ = 12.4
-TWICE = {"policy.bad_pictures.retry": 1}
+TWICE = {"policy.bad_step.retries": 1}
 
 
 @pytest.fixture
@@ -133,7 +133,7 @@ def test_every_fault_of_frames_has_its_verdict_and_is_mended(
 ):
     spoil, verdict, said = FAULTS[fault]
     for retry in (0, 1):
-        plan, path = tiny_plan(**{"policy.bad_pictures.retry": retry}), tmp_path / f"{retry}.h5"
+        plan, path = tiny_plan(**{"policy.bad_step.retries": retry}), tmp_path / f"{retry}.h5"
         fake = fake_bench(picture=lit(plan), spoilt={2: spoil})
         summary = run(plan, fake.opened(), path)
         assert summary.status is RunState.COMPLETE
@@ -194,7 +194,7 @@ def test_frames_that_were_given_before_are_stale(tiny_plan, fake_bench, lit, pat
 
 def test_after_the_camera_was_stopped_frames_are_numbered_anew(tiny_plan, fake_bench, lit, path):
     """Their numbers were seen before, and their clock went on."""
-    plan = tiny_plan(steps=4, **{"policy.instrument_error": {"retry": 1, "then": "stop"}})
+    plan = tiny_plan(steps=4, **{"policy.instrument_error": {"retries": 1, "then": "stop"}})
     fake = fake_bench(picture=lit(plan), spoilt={})
     whole = fake.opened()
     grab = whole.camera.grab
@@ -245,7 +245,7 @@ def assert_measured(errors_hz, standard_errors_hz, true_hz):
 def test_a_wrong_difference_of_the_synthesizers_is_measured_from_the_light(
     small_plan, open_small_bench, path, error_hz
 ):
-    plan = small_plan({**AROUND_F1, "policy.bad_pictures.retry": 0})
+    plan = small_plan({**AROUND_F1, "policy.bad_step.retries": 0})
     wrong = detuned(plan, Fraction(error_hz))
     run(wrong, open_small_bench(wrong), path)
     assert_measured(*lock_errors(path), float(error_hz))
@@ -257,7 +257,7 @@ def test_another_rate_of_the_camera_is_measured_from_the_light(
     small_plan, open_small_bench, path, error_ppm
 ):
     """The light turns by a quarter in a period that is shorter or longer than it should be."""
-    changes = {**AROUND_F1, "policy.bad_pictures.retry": 0}
+    changes = {**AROUND_F1, "policy.bad_step.retries": 0}
     plan = small_plan(changes, faults={"frame_rate_error_ppm": error_ppm})
     run(plan, open_small_bench(plan), path)
     ratio = 1 + 1e-6 * error_ppm
@@ -269,7 +269,7 @@ def test_another_rate_of_the_camera_is_measured_from_the_light(
 def test_what_the_light_shows_counts_whatever_the_instruments_say(
     small_plan, open_small_bench, path, error_hz
 ):
-    plan = small_plan({**AROUND_F1, "policy.bad_pictures.retry": 0})
+    plan = small_plan({**AROUND_F1, "policy.bad_step.retries": 0})
     bench = open_small_bench(plan)
     played, asked = bench.synthesizers.set_pair, {}
 
@@ -291,7 +291,7 @@ def test_what_the_light_shows_counts_whatever_the_instruments_say(
 
 def test_a_loudspeaker_that_is_unplugged_shows_no_wrong_lock(small_plan, open_small_bench, path):
     """The carrier's light is there, but turns with no lock at all."""
-    changes = {**AROUND_F1, "policy.bad_pictures.retry": 0}
+    changes = {**AROUND_F1, "policy.bad_step.retries": 0}
     plan = small_plan(changes, faults={"tweeter_unplugged": True})
     run(plan, open_small_bench(plan), path)
     assert set(verdicts_of(path)) == {"no_signal"}
@@ -379,7 +379,7 @@ def test_a_single_fault_of_the_simulated_bench_is_mended(
 
 
 def test_a_step_that_stays_bad_keeps_all_its_takes(tiny_plan, fake_bench, lit, path):
-    plan = tiny_plan(**{"policy.bad_pictures.retry": 2})
+    plan = tiny_plan(**{"policy.bad_step.retries": 2})
     # The second step is the second acquisition, and alone in both rounds that follow.
     spoilt = {
         2: FAULTS["a frame is lost"][0], 4: FAULTS["no light"][0], 5: FAULTS["too much light"][0]
@@ -411,7 +411,7 @@ def test_if_too_many_steps_are_bad_the_trouble_is_not_theirs(
 
 def test_a_step_that_was_done_without_is_not_bad(tiny_plan, fake_bench, lit, path):
     """An instrument failed at it, as often as policy allows: it is not taken after the last."""
-    changes = {**TWICE, "policy.instrument_error": {"retry": 0, "then": "skip"}}
+    changes = {**TWICE, "policy.instrument_error": {"retries": 0, "then": "skip"}}
     plan = tiny_plan(**changes)
     fake = fake_bench(picture=lit(plan))
 
@@ -428,7 +428,7 @@ def test_a_step_that_was_done_without_is_not_bad(tiny_plan, fake_bench, lit, pat
 def test_an_instrument_that_fails_at_a_second_take_leaves_the_first(
     tiny_plan, fake_bench, lit, path
 ):
-    changes = {**TWICE, "policy.instrument_error": {"retry": 0, "then": "skip"}}
+    changes = {**TWICE, "policy.instrument_error": {"retries": 0, "then": "skip"}}
     plan = tiny_plan(**changes)
     fake = fake_bench(picture=lit(plan), spoilt={2: FAULTS["too much light"][0]})
 
@@ -448,10 +448,10 @@ def test_an_instrument_that_fails_at_a_second_take_leaves_the_first(
 
 
 def stopping(retry):
-    return {"policy.bad_pictures": {"retry": retry, "then": "stop"}}
+    return {"policy.bad_step": {"retries": retry, "then": "stop"}}
 
 
-def test_a_run_that_is_to_stop_at_bad_pictures_takes_them_again_at_once(
+def test_a_run_that_is_to_stop_at_bad_step_takes_them_again_at_once(
     tiny_plan, fake_bench, lit, path
 ):
     plan = tiny_plan(**stopping(1))
@@ -466,7 +466,7 @@ def test_a_run_that_is_to_stop_at_bad_pictures_takes_them_again_at_once(
 
 
 @pytest.mark.parametrize("retry", [0, 1])
-def test_a_run_that_is_to_stop_at_bad_pictures_ends_at_that_step(
+def test_a_run_that_is_to_stop_at_bad_step_ends_at_that_step(
     tiny_plan, fake_bench, lit, path, retry
 ):
     plan = tiny_plan(steps=4, **stopping(retry))

@@ -27,7 +27,7 @@ from runs.layout import MEASURED, READ_BACK_HZ
 from runs.reader import Run
 from runs.verdict import Verdict
 
-TWICE = {"policy.bad_pictures.retry": 1}
+TWICE = {"policy.bad_step.retries": 1}
 
 
 @pytest.fixture
@@ -314,7 +314,7 @@ def test_steps_that_were_done_without_are_taken_when_a_run_goes_on(
     tiny_plan, fake_bench, lit, path, documents_of
 ):
     """And what failed then may fail again: the run stays one that can be gone on with."""
-    plan = tiny_plan(steps=5, **{"policy.instrument_error": {"retry": 0, "then": "skip"}})
+    plan = tiny_plan(steps=5, **{"policy.instrument_error": {"retries": 0, "then": "skip"}})
     fakes = [fake_bench(picture=lit(plan)) for _ in range(3)]
 
     def fail_at(fake, count, error):
@@ -369,7 +369,7 @@ def test_bad_steps_of_a_run_that_was_ended_are_taken_again(
 def test_a_run_that_a_bad_step_ended_goes_on_with_that_step_if_it_may_be_taken_again(
     tiny_plan, fake_bench, lit, path, documents_of, retry
 ):
-    plan = tiny_plan(steps=4, **{"policy.bad_pictures": {"retry": retry, "then": "stop"}})
+    plan = tiny_plan(steps=4, **{"policy.bad_step": {"retries": retry, "then": "stop"}})
     fake = fake_bench(picture=lit(plan), spoilt=dict.fromkeys((2, 3), dropped))
     assert run(plan, resumable(fake, plan), path).status is RunState.INTERRUPTED
     fake = fake_bench(picture=lit(plan))
@@ -449,7 +449,7 @@ def test_another_protocol_bench_or_reed_is_no_way_to_go_on(
     with pytest.raises(ZeroDivisionError):
         run(plan, resumable(fake, plan), path)
     assert unfinished(path, plan).missing == 2
-    louder = acquire.plan(plan.protocol.replace({"drive.ramp.to": "15 V"}), plan.bench).plan
+    louder = acquire.plan(plan.protocol.replace({"drive.to": "15 V"}), plan.bench).plan
     assert refused(louder, path).startswith("was begun with another protocol (")
     other = acquire.plan(plan.protocol, small_bench_file(loss_factor=0.04)).plan
     assert refused(other, path).startswith("was begun with another bench (")

@@ -76,8 +76,8 @@ def test_orders_come_in_the_order_of_the_state_diagram(tiny_plan, fake_bench, pa
 @pytest.mark.parametrize(("to", "ramped"), [("1.24 V", False), ("1.26 V", True), ("0.79 V", True)])
 def test_volts_that_jump_are_ramped_and_others_are_not(tiny_plan, fake_bench, path, to, ramped):
     """Up or down by more than a quarter. Between two ramps the frequency changes at 0 V."""
-    volts = {"from": "1 V", "to": to, "first": 12, "last": 14}
-    plan, fake = tiny_plan(steps=2, **{"drive.ramp": volts}), fake_bench()
+    volts = {"law": "ramp", "from": "1 V", "to": to, "first": 12, "last": 14}
+    plan, fake = tiny_plan(steps=2, drive=volts), fake_bench()
     run(plan, fake.opened(), path)
     second = plan.steps[1]
     begun = [entry[0] for entry in fake.log].index("grab") + 5
@@ -94,8 +94,8 @@ def test_volts_that_jump_are_ramped_and_others_are_not(tiny_plan, fake_bench, pa
 def test_a_loud_step_is_not_followed_at_once_by_the_quiet_one_that_is_taken_again(
     tiny_plan, fake_bench, lit, path
 ):
-    volts = {"from": "0.5 V", "to": "1 V", "first": 12, "last": 20}
-    plan = tiny_plan(steps=5, **{"drive.ramp": volts, "policy.bad_pictures.retry": 1})
+    volts = {"law": "ramp", "from": "0.5 V", "to": "1 V", "first": 12, "last": 20}
+    plan = tiny_plan(steps=5, **{"drive": volts, "policy.bad_step.retries": 1})
     fake = fake_bench(picture=lit(plan), spoilt={1: lambda frames: frames[1:]})
     run(plan, fake.opened(), path)
     first = plan.steps[0]
@@ -236,7 +236,7 @@ def test_the_printed_formula_of_the_paper_is_caught(small_plan, open_small_bench
     ],
 )
 def test_each_fault_has_its_verdict(small_plan, open_small_bench, path, faults, verdicts):
-    plan = small_plan({"policy.bad_pictures.retry": 0}, faults=faults)
+    plan = small_plan({"policy.bad_step.retries": 0}, faults=faults)
     assert verdicts_of(plan, open_small_bench(plan), path) == verdicts
 
 
@@ -260,7 +260,7 @@ def test_an_output_that_tripped_is_not_switched_on_again(tiny_plan, fake_bench, 
             fake.output_on = False
 
     fake.before = trip
-    plan = tiny_plan(**{"drive.ramp": {"from": "0.5 V", "to": to, "first": 12, "last": 16}})
+    plan = tiny_plan(drive={"law": "ramp", "from": "0.5 V", "to": to, "first": 12, "last": 16})
     with pytest.raises(InstrumentError, match="output is off at step"):
         run(plan, fake.opened(), path)
     assert fake.names().count("set_sine") == when[1] - (when[0] == "set_pair")
@@ -287,7 +287,7 @@ def test_an_output_that_tripped_comes_back_where_the_protocol_says_so(
 
 
 def test_an_impossible_plan_touches_no_instrument(tiny_plan, fake_bench, path):
-    plan, fake = tiny_plan(**{"drive.ramp.to": "17 V"}), fake_bench()
+    plan, fake = tiny_plan(**{"drive.to": "17 V"}), fake_bench()
     with pytest.raises(ProtocolError, match="17 V is above"):
         run(plan, fake.opened(), path)
     assert fake.log == []
@@ -697,7 +697,7 @@ def test_a_pause_in_which_not_all_is_off_ends_the_run(tiny_plan, fake_bench, pat
 
 
 def policy(retry, then):
-    return {"policy.instrument_error": {"retry": retry, "then": then}}
+    return {"policy.instrument_error": {"retries": retry, "then": then}}
 
 
 def fail_at(fake, order, counts):
@@ -846,7 +846,7 @@ def test_whatever_fails_and_whoever_pauses_the_run_ends_in_a_known_state(
     tiny_plan, fake_bench, lit, tmp_path_factory, documents_of, events, retry, then
 ):
     path = tmp_path_factory.mktemp("any") / "run.h5"
-    plan = tiny_plan(steps=4, **policy(retry, then), **{"policy.bad_pictures.retry": 1})
+    plan = tiny_plan(steps=4, **policy(retry, then), **{"policy.bad_step.retries": 1})
     fake = fake_bench(picture=lit(plan), spoilt={2: lambda frames: frames[1:]})
     runner = runner_of(plan, fake, path)
 
@@ -903,7 +903,7 @@ def without_the_reed(frames):
 
 @pytest.mark.parametrize("limit", [3, 5])
 def test_a_cable_that_is_off_does_not_cost_a_whole_sweep(tiny_plan, fake_bench, lit, path, limit):
-    changes = {"policy.give_up_after": limit, "policy.bad_pictures.retry": 1}
+    changes = {"policy.give_up_after": limit, "policy.bad_step.retries": 1}
     plan = tiny_plan(steps=20, **changes)
     # From the fifth step on there is no light.
     fake = fake_bench(picture=lit(plan), spoilt=dict.fromkeys(range(5, 99), without_the_reed))

@@ -53,7 +53,7 @@ def pick(curves, steps=STEPS, needed=lambda shape, picture: True, lines=(), seri
     names = tuple(curves)
     amplitude = np.stack([curve(cents) for curve in curves.values()], axis=1)
     return pick_resonances(
-        hz_of(cents), steps, amplitude, names, MODEL, series, needed, acoustic_lines_hz=lines
+        hz_of(cents), steps, amplitude, names, MODEL, series, needed, acoustic_resonances_hz=lines
     )
 
 

@@ -315,7 +315,7 @@ def test_a_run_that_kept_frames_gives_the_same_phasors(tmp_path):
 def three_sidebands(tmp_path_factory):
     """Run file of sidebands 0, 1 and 2 of sixteen vibrations, calm to many fringes."""
     small = {"camera.width": 320, "camera.height": 256, "sweep.first": 14, "sweep.last": 44}
-    small["drive.ramp.from"] = "0.1 V"
+    small["drive.from"] = "0.1 V"
     content = {**acquire.load("quick").replace(small).content(), "sideband": {"orders": [0, 1, 2]}}
     path = tmp_path_factory.mktemp("orders") / "three.h5"
     plan = acquire.plan(Protocol.from_text(yaml.safe_dump(content))).plan

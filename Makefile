@@ -25,7 +25,7 @@ test: .stamps/test lint
 
 test-all: .stamps/all
 	$(ALL)/bin/python -m pytest -q -n auto --maxprocesses 4 --dist loadfile \
-	  tests/peers tests/fitting/modal/test_modal_peer.py tests/drivers tests/acquire/cli/test_wire.py \
+	  tests/peers tests/fitting/modal/test_modal_peer.py tests/drivers tests/acquire/cli/test_emulated.py \
 	  tests/acquire/cli/test_faults.py
 
 lint: .stamps/test

@@ -1,4 +1,4 @@
-"""The faults that strike a run on the wire bench, and what each is to end in."""
+"""The faults that strike a run on the emulated bench, and what each is to end in."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

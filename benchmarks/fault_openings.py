@@ -7,9 +7,9 @@ from typing import Any
 
 import acquire
 from drivers.bench_lock import bench_locked
-from drivers.emulators.novatech import NovatechDevice
+from drivers.emulators.novatech import NovatechEmulator
 from drivers.emulators.serving import PtyServer, SocketServer
-from drivers.emulators.siglent import SiglentDevice
+from drivers.emulators.siglent import SiglentEmulator
 from drivers.registry import open_bench
 from holography.errors import BenchError
 from protocols.bench import BenchFile
@@ -110,15 +110,17 @@ class Opened:
 
 
 @contextmanager
-def left_on(identity: str | None = None) -> Iterator[tuple[NovatechDevice, SiglentDevice, Plan]]:
+def left_on(
+    identity: str | None = None,
+) -> Iterator[tuple[NovatechEmulator, SiglentEmulator, Plan]]:
     """Instruments as a killed program left them, and a plan on their bench."""
-    box = NovatechDevice(lambda _: None)
-    generator = SiglentDevice(identity=identity) if identity else SiglentDevice()
+    box = NovatechEmulator(lambda _: None)
+    generator = SiglentEmulator(identity=identity) if identity else SiglentEmulator()
     generator.turn_knob("C1:BSWV AMP,2")
     generator.turn_knob("C1:OUTP ON")
     line, socket = PtyServer(box), SocketServer(generator)
     try:
-        bench = BenchFile.from_file("wire").replace(
+        bench = BenchFile.from_file("emulated").replace(
             {
                 "instruments.synthesizers.driver": "novatech-409b",
                 "instruments.synthesizers.options.port": line.port,

@@ -18,7 +18,7 @@ import acquire
 from benchmarks.fault_list import CALM, Fault
 from benchmarks.struck import Outcome, measured, outcome_of, planned
 from drivers.context import BenchContext
-from drivers.emulators.instruments import WireSiglent
+from drivers.emulators.instruments import EmulatedSiglent
 from holography.errors import BenchError
 from protocols.bench import Generator
 from runs.reader import Run
@@ -35,8 +35,8 @@ PHASES = ("opening", "sweep", "pause", "retake", "packing")
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
-class StruckSiglent(WireSiglent):
-    """The generator of the wire bench; a signal strikes its process while it is opened."""
+class StruckSiglent(EmulatedSiglent):
+    """The generator of the emulated bench; a signal strikes its process while it is opened."""
 
     def __init__(self, entry: Generator, context: BenchContext) -> None:
         os.kill(os.getpid(), int(os.environ[_STRUCK]))

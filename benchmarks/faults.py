@@ -1,8 +1,8 @@
 """What becomes of a run when something goes wrong: a table of faults and their outcomes.
 
 Faults strike a small sweep that runs through the real drivers of Novatech and Siglent
-(``benches/wire.yaml``). Afterwards the laboratory itself is asked what it really played during each
-exposure: a step that is marked good must have had the frequencies and the volts of the plan from
+(``benches/emulated.yaml``). Afterwards the laboratory itself is asked what it really played during
+each exposure: a step that is marked good must have had the planned frequencies and volts from
 the first frame to the last. Then either the sweep is complete, or it stopped with all off (or said
 what could not be confirmed) and said why. Signals strike in every phase of a run, processes are
 killed at random instants, disks fill, benches cannot be opened.

@@ -23,7 +23,7 @@ from diagnosis.mean_reed import tabled_reeds
 from drivers.cameras.aravis import AravisOptions
 from drivers.cameras.basler import BaslerOptions
 from drivers.errors import BenchSetupError
-from drivers.generators.keysight import KeysightOptions
+from drivers.generators.options import GeneratorOptions
 from drivers.generators.siglent import SiglentOptions
 from drivers.generators.soundcard import SoundCardOptions
 from drivers.options import read_options
@@ -305,14 +305,14 @@ def _read_protocol(file: Path) -> None:
 
 
 # Options of drivers that can be checked without an instrument; `port` and `resource` are added to
-# those of the wire bench, as its drivers do.
+# those of the emulated bench, as its drivers do.
 _OPTIONS: dict[str, tuple[Any, dict[str, str]]] = {
-    "wire-novatech": (NovatechOptions, {"port": "x"}),
+    "emulated-novatech": (NovatechOptions, {"port": "x"}),
     "novatech-409b": (NovatechOptions, {}),
     "srs-sg380": (SRSOptions, {}),
-    "wire-siglent": (SiglentOptions, {"resource": "x"}),
+    "emulated-siglent": (SiglentOptions, {"resource": "x"}),
     "siglent-sdg2042x": (SiglentOptions, {}),
-    "keysight-33500b": (KeysightOptions, {}),
+    "keysight-33500b": (GeneratorOptions, {}),
     "sound-card": (SoundCardOptions, {}),
     "basler": (BaslerOptions, {}),
     "aravis": (AravisOptions, {}),

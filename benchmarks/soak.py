@@ -1,6 +1,6 @@
 """Whether many runs in one process leave it as it was, and whether rival programs harm each other.
 
-Twenty runs on the simulated bench, on the wire bench, runs that fail half way, and fits, all in
+Twenty runs on the simulated bench, on the emulated bench, runs that fail half way, and fits, all in
 one process: after a few runs to warm up, memory, open files and threads must not grow. Six
 processes that start at once with an empty cache must compute the reed once and measure the same
 pixels. Two programs that want the same run file or the same campaign folder at once: one must
@@ -184,7 +184,7 @@ def works(folder: Path) -> dict[str, Callable[[], object]]:
 
     return {
         "runs on the simulated bench": lambda: _measure(simulated, folder),
-        "runs on the wire bench": lambda: _measure(wire, folder),
+        "runs on the emulated bench": lambda: _measure(wire, folder),
         "runs that fail": fail,
         "fits": fit,
     }

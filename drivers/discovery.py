@@ -39,7 +39,7 @@ _VISA_TIMEOUT_S: Final = 0.5
 # An answer of one line, with its echo and what was still on its way.
 _MOST_LINES: Final = 8
 
-# Whose identity begins like this, has that driver; see `_IDENTITY` and `_MODEL` of the drivers.
+# Whose identity begins like this, has that driver; see `_MODEL` of the drivers.
 _DRIVERS: Final[Sequence[tuple[str, RoleName, str]]] = (
     (r"Siglent Technologies,SDG2(04|08|12)2X,", "generator", "siglent-sdg2042x"),
     (r"(Keysight|Agilent) Technologies,335\d\d[AB],", "generator", "keysight-33500b"),

@@ -16,7 +16,13 @@ _MAX_CHARACTERS = 80
 class Options(BaseModel):
     """Options of a driver: frozen; unknown keys and values of another type are refused."""
 
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(
+        frozen=True,
+        strict=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
+    )
 
 
 def read_options(model: type[M], content: Mapping[str, Any], bench: str, section: str) -> M:

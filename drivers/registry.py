@@ -53,20 +53,20 @@ _BUILT_IN: Final = {
         "simulated": "drivers.simulated:SimulatedSynthesizers",
         "novatech-409b": "drivers.synthesizers.novatech:Novatech409B",
         "srs-sg380": "drivers.synthesizers.srs:SRSPair",
-        "wire-novatech": "drivers.emulators.instruments:WireNovatech",
+        "emulated-novatech": "drivers.emulators.instruments:EmulatedNovatech",
     },
     "generator": {
         "simulated": "drivers.simulated:SimulatedGenerator",
         "siglent-sdg2042x": "drivers.generators.siglent:SiglentGenerator",
         "keysight-33500b": "drivers.generators.keysight:KeysightGenerator",
         "sound-card": "drivers.generators.soundcard:SoundCardGenerator",
-        "wire-siglent": "drivers.emulators.instruments:WireSiglent",
+        "emulated-siglent": "drivers.emulators.instruments:EmulatedSiglent",
     },
     "camera": {
         "simulated": "drivers.simulated:SimulatedCamera",
         "basler": "drivers.cameras.basler:BaslerCamera",
         "aravis": "drivers.cameras.aravis:AravisCamera",
-        "wire-camera": "drivers.emulators.instruments:wire_camera",
+        "emulated-camera": "drivers.emulators.instruments:emulated_camera",
     },
 }
 

@@ -1,17 +1,19 @@
-"""The real drivers, each in front of a simulated instrument in the simulated laboratory.
+"""The real drivers, each connected to an emulated instrument in the simulated laboratory.
 
-What a real driver says goes over a real pseudo-terminal or socket to a device that knows nothing of
-it; what the device then plays is what the laboratory's light and air follow.
+The driver speaks over a real pseudo-terminal or socket to an emulator, and light and air of the
+laboratory follow what the emulator plays.
 """
 
 import importlib.util
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
+from typing import Generic, TypeVar
 
 from drivers.context import BenchContext
-from drivers.emulators.novatech import NovatechDevice, Output
+from drivers.emulators.novatech import NovatechEmulator, Output
 from drivers.emulators.serving import PtyServer, SocketServer
-from drivers.emulators.siglent import SiglentDevice
+from drivers.emulators.siglent import SiglentEmulator
 from drivers.generators.siglent import SiglentGenerator
 from drivers.roles import Camera
 from drivers.simulated.instruments import SimulatedCamera
@@ -23,36 +25,50 @@ from protocols.bench import (
     Synthesizers,
 )
 
+Device = TypeVar("Device")
+Server = TypeVar("Server", PtyServer, SocketServer)
 
-class NovatechFarEnd:
-    """A simulated Novatech at the far end of a pseudo-terminal; ``context.share(NovatechFarEnd)``.
 
-    It outlives the driver: closing the driver hangs up, and opening another finds the same box.
+@dataclass(frozen=True)
+class Served(Generic[Device, Server]):
+    """An emulator and the server that carries its bytes.
 
-    Parameters
-    ----------
-    context : BenchContext
+    It outlives the driver: closing the driver closes the connection, and opening another one finds
+    the same instrument. Drivers get it by ``context.share(serve_novatech)``.
 
     Attributes
     ----------
     lab : SimulatedLab
-        The room that the simulated box stands in.
-    device : NovatechDevice
-    server : PtyServer
+        Laboratory that follows the instrument.
+    device : NovatechEmulator or SiglentEmulator
+    server : PtyServer or SocketServer
     """
 
-    def __init__(self, context: BenchContext) -> None:
-        self.lab = context.share(SimulatedLab)
-        faults = self.lab.faults
-        self.device = NovatechDevice(partial(_follow_pair, self.lab), faults.synthesizers_device)
-        self.server = PtyServer(self.device, faults.synthesizers_wire)
+    lab: SimulatedLab
+    device: Device
+    server: Server
 
     def close(self) -> None:
-        """Take the box away. May be called twice."""
+        """Stop the server. May be called twice."""
         self.server.close()
 
 
-# Functions of the laboratory, not methods: an instrument that its own far end holds would stay in
+def serve_novatech(context: BenchContext) -> Served[NovatechEmulator, PtyServer]:
+    """Connect an emulated Novatech to a pseudo-terminal."""
+    lab = context.share(SimulatedLab)
+    device = NovatechEmulator(partial(_follow_pair, lab), lab.faults.synthesizers_device)
+    return Served(lab, device, PtyServer(device, lab.faults.synthesizers_wire))
+
+
+def serve_siglent(context: BenchContext) -> Served[SiglentEmulator, SocketServer]:
+    """Connect an emulated Siglent to a network socket."""
+    lab, output = context.share(SimulatedLab), context.description.instruments.generator.output
+    follow = partial(_follow_sine, lab, float(output.amplifier_gain) if output else 1.0)
+    device = SiglentEmulator(follow, lab.clock, faults=lab.faults.generator_device)
+    return Served(lab, device, SocketServer(device, lab.faults.generator_wire))
+
+
+# Functions of the laboratory, not methods: an instrument that its own server holds would stay in
 # memory, and its laboratory with it, until Python looks for circles.
 def _follow_pair(lab: SimulatedLab, outputs: tuple[Output, ...]) -> None:
     aom1, aom2 = outputs[:2]
@@ -68,87 +84,53 @@ def _follow_sine(
     lab.change(drive_hz=frequency_hz, drive_v=socket_v * volts_per_volt if is_on else 0.0)
 
 
-class SiglentFarEnd:
-    """A simulated Siglent at the far end of a socket; ``context.share(SiglentFarEnd)``.
-
-    It outlives the driver: closing the driver hangs up, and opening another finds the same
-    generator.
-
-    Parameters
-    ----------
-    context : BenchContext
-
-    Attributes
-    ----------
-    lab : SimulatedLab
-        The room that the simulated generator stands in.
-    device : SiglentDevice
-    server : SocketServer
-    """
-
-    def __init__(self, context: BenchContext) -> None:
-        self.lab = context.share(SimulatedLab)
-        output, faults = context.description.instruments.generator.output, self.lab.faults
-        follow = partial(_follow_sine, self.lab, float(output.amplifier_gain) if output else 1.0)
-        self.device = SiglentDevice(follow, self.lab.clock, faults=faults.generator_device)
-        self.server = SocketServer(self.device, faults.generator_wire)
-
-    def close(self) -> None:
-        """Take the generator away. May be called twice."""
-        self.server.close()
-
-
-class WireNovatech(Novatech409B):
-    """The driver of the Novatech 409B, with a simulated one at the far end of a pseudo-terminal.
+class EmulatedNovatech(Novatech409B):
+    """The driver of the Novatech 409B, connected to an emulator by a pseudo-terminal.
 
     Parameters
     ----------
     entry : Synthesizers
-        Its options are those of the real driver, but for `port`.
+        Its options are those of the real driver, except `port`.
     context : BenchContext
 
     Attributes
     ----------
     lab : SimulatedLab
-    device : NovatechDevice
-        See `NovatechFarEnd`.
+    device : NovatechEmulator
     """
 
     def __init__(self, entry: Synthesizers, context: BenchContext) -> None:
-        far_end = context.share(NovatechFarEnd)
-        self.lab, self.device = far_end.lab, far_end.device
-        super().__init__(
-            entry.with_options({**entry.options, "port": far_end.server.port}), context
-        )
+        served = context.share(serve_novatech)
+        self.lab, self.device = served.lab, served.device
+        super().__init__(entry.with_options({**entry.options, "port": served.server.port}), context)
 
 
-class WireSiglent(SiglentGenerator):
-    """The driver of the SDG2042X, with a simulated one at the far end of a socket.
+class EmulatedSiglent(SiglentGenerator):
+    """The driver of the SDG2042X, connected to an emulator by a network socket.
 
     Parameters
     ----------
     entry : Generator
-        Its options are those of the real driver, but for `resource`.
+        Its options are those of the real driver, except `resource`.
     context : BenchContext
 
     Attributes
     ----------
     lab : SimulatedLab
-    device : SiglentDevice
-        See `SiglentFarEnd`.
+    device : SiglentEmulator
     """
 
     def __init__(self, entry: Generator, context: BenchContext) -> None:
-        far_end = context.share(SiglentFarEnd)
-        self.lab, self.device = far_end.lab, far_end.device
-        resource = f"TCPIP::127.0.0.1::{far_end.server.port}::SOCKET"
+        served = context.share(serve_siglent)
+        self.lab, self.device = served.lab, served.device
+        resource = f"TCPIP::127.0.0.1::{served.server.port}::SOCKET"
         super().__init__(entry.with_options({**entry.options, "resource": resource}), context)
 
 
-def wire_camera(entry: CameraSensor, context: BenchContext) -> Camera:
+def emulated_camera(entry: CameraSensor, context: BenchContext) -> Camera:
     """Open the simulated camera behind pylon's emulator, if pypylon is installed.
 
-    Without it, frames come from the simulated camera straight. (Frames through Aravis need real
+    Without it, frames come directly from the simulated camera. (Frames through Aravis need real
     time: name ``drivers.emulators.cameras:LoopbackGigeCamera`` as the driver.)
 
     Parameters

@@ -1,17 +1,15 @@
-"""A simulated Keysight 33512B, after the drivers of others and the SCPI standard."""
+"""An emulator of the Keysight 33512B, after the drivers of others and the SCPI standard."""
 
 import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from decimal import Decimal, DecimalException
 from fractions import Fraction
 from typing import Final
 
 from drivers.emulators.faults import GeneratorFaults
+from drivers.emulators.generator import Change, Channel, GeneratorEmulator, finite_number
 from drivers.roles import Clock
-
-Change = Callable[[Fraction, float, bool], None]
 
 _IDENTITY: Final = "Agilent Technologies,33512B,MY00000001,5.03-3.15-2.00-58-00"
 _SHAPES: Final = ("SINusoid", "SQUare", "TRIangle", "RAMP", "PULSe", "PRBS", "NOISe", "ARB", "DC")
@@ -23,7 +21,6 @@ _SOURCE_OHM: Final = 50.0
 _LEAST_OHM: Final = 1.0
 _MOST_OHM: Final = 10_000.0
 _INFINITE: Final = 9.9e37
-_ABSURD: Final = Decimal("1e30")
 _VPP_PER_RMS: Final = 2 * math.sqrt(2)
 
 # Not measured: what such instruments usually take.
@@ -56,34 +53,21 @@ class _RefusedError(Exception):
 
 
 @dataclass
-class _Channel:
-    """Volts are those of the open socket; what is said of them is for the load."""
+class _Channel(Channel):
+    """Volts are those of the open socket; answers give them for the load."""
 
-    shape: str = "SIN"
-    frequency_hz: Fraction = Fraction(1000)
     amplitude_vpp: float = 0.2
-    offset_v: float = 0.0
+    shape: str = "SIN"
     unit: str = "VPP"
     load_ohm: float = 50.0
     high_limit_v: float = _PEAK_V
     low_limit_v: float = -_PEAK_V
     is_limited: bool = False
-    is_on: bool = False
 
     @property
     def divider(self) -> float:
         """Volts at the load per volt of the open socket."""
         return self.load_ohm / (self.load_ohm + _SOURCE_OHM) if self.load_ohm < _INFINITE else 1.0
-
-    @property
-    def high_v(self) -> float:
-        """Upper peak."""
-        return self.offset_v + self.amplitude_vpp / 2
-
-    @property
-    def low_v(self) -> float:
-        """Lower peak."""
-        return self.offset_v - self.amplitude_vpp / 2
 
     @property
     def reach_v(self) -> tuple[float, float]:
@@ -99,24 +83,18 @@ class _State:
     reference: str = "INT"
 
 
-class KeysightDevice:
-    """The far end of a wire: a generator that says what it did not like, if it is asked.
+class KeysightEmulator(GeneratorEmulator):
+    """A Keysight 33512B, which reports errors in a queue.
 
     It knows shape, frequency, amplitude, offset, levels, limits and load of both channels, and the
     10 MHz reference; of shapes other than a sine only the name.
 
     Parameters
     ----------
-    on_change : callable, optional
-        Told frequency, peak volts at the open socket and whether the output is on, whenever one of
-        them changes on channel 1. Called on the thread that calls `receive`.
-    clock : Clock, optional
-        On which the instrument takes its time; without one it takes none.
-    identity : str
-        What it answers to ``*IDN?``.
+    on_change, clock, identity, faults
+        See `GeneratorEmulator`.
     has_reference : bool
         Whether 10 MHz arrive at the rear. Without, it refuses the external reference.
-    faults : GeneratorFaults, optional
     """
 
     def __init__(
@@ -128,33 +106,10 @@ class KeysightDevice:
         has_reference: bool = True,
         faults: GeneratorFaults | None = None,
     ) -> None:
-        self._on_change, self._clock, self._identity = on_change, clock, identity
-        self._faults, self._heard, self._relay_is_closed = faults or GeneratorFaults(), 0, False
         self._has_reference = has_reference
         self._state = _State()
         self._errors: list[tuple[int, str]] = []
-        self._received = b""
-        self._last_change = self.socket
-
-    @property
-    def socket(self) -> tuple[Fraction, float, bool]:
-        """Of channel 1: frequency, peak volts at the open socket, whether the relay is closed."""
-        channel = self._state.channels[0]
-        return channel.frequency_hz, channel.amplitude_vpp / 2, self._relay_is_closed
-
-    def receive(self, data: bytes) -> bytes:
-        """Obey whole lines; the answers to the questions of one line stand on one line."""
-        *lines, self._received = (self._received + data).split(b"\n")
-        answered = b""
-        for line in lines:
-            self._heard += 1
-            units = line.decode("ascii", "replace").split(";")
-            answers = [answer for unit in units if (answer := self._obey(unit.strip())) is not None]
-            if answers:
-                answered += ";".join(answers).encode("ascii") + b"\n"
-            if self._heard in self._faults.trips_at:
-                self.trip()
-        return answered
+        super().__init__(on_change, clock, identity, faults)
 
     def interrupt(self) -> None:
         """Throw away an answer, because bytes arrived before it was read."""
@@ -164,16 +119,20 @@ class KeysightDevice:
         """Have nothing to say when asked to talk."""
         self._errors.append(_UNTERMINATED)
 
-    def trip(self) -> None:
-        """Take the output off as an overload does."""
-        self._state.channels[0].is_on = False
-        self._announce()
+    @property
+    def _first_channel(self) -> Channel:
+        return self._state.channels[0]
 
-    def turn_knob(self, command: str) -> None:
-        """Do what a person does at the front panel, told as a command such as ``OUTP1 ON``."""
-        self._obey(command)
+    def _obey(self, line: str) -> str | None:
+        # The answers to the questions of one line stand on one line.
+        answers = [
+            answer
+            for unit in line.split(";")
+            if (answer := self._obey_unit(unit.strip())) is not None
+        ]
+        return ";".join(answers) if answers else None
 
-    def _obey(self, unit: str) -> str | None:
+    def _obey_unit(self, unit: str) -> str | None:
         head, _, value = unit.partition(" ")
         head, answer = head.upper().removeprefix(":"), None
         was_on = self._state.channels[0].is_on
@@ -223,30 +182,16 @@ class KeysightDevice:
                 return setting, self._state.channels[int(found["channel"] or "1") - 1]
         raise _RefusedError(_UNDEFINED)
 
-    def _announce(self) -> None:
-        if not self._faults.sticks(self._heard):
-            self._relay_is_closed = self._state.channels[0].is_on
-        if self._on_change is not None and self.socket != self._last_change:
-            self._on_change(*self.socket)
-        self._last_change = self.socket
-
-    def _take(self, seconds: float) -> None:
-        if self._clock is not None:
-            self._clock.wait(seconds)
-
 
 def _said(number: float) -> str:
     return f"{number:+.15E}"
 
 
 def _number(text: str) -> Fraction:
-    try:
-        number = Decimal(text)
-    except DecimalException:
-        raise _RefusedError(_NOT_A_NUMBER) from None
-    if not number.is_finite() or abs(number) > _ABSURD:
+    number = finite_number(text)
+    if number is None:
         raise _RefusedError(_NOT_A_NUMBER)
-    return Fraction(number)
+    return number
 
 
 def _chosen(text: str, words: tuple[str, ...]) -> str:

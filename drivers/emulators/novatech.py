@@ -73,7 +73,7 @@ class _State:
     baud: int = 19200
 
 
-class NovatechDevice:
+class NovatechEmulator:
     """The box, as one who types on its serial line finds it after power-up.
 
     Parameters

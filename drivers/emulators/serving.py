@@ -25,7 +25,7 @@ _MOST_BYTES: Final = 4096
 _Numbers = Annotated[tuple[int, ...], Field(strict=False)]
 
 
-class WireDevice(Protocol):
+class EmulatedDevice(Protocol):
     """The far end of a wire.
 
     A device may also have a method ``interrupt() -> None``: it is called when bytes arrive before
@@ -103,11 +103,11 @@ class FaultyWire:
 
     Parameters
     ----------
-    device : WireDevice
+    device : EmulatedDevice
     faults : WireFaults
     """
 
-    def __init__(self, device: WireDevice, faults: WireFaults) -> None:
+    def __init__(self, device: EmulatedDevice, faults: WireFaults) -> None:
         self._device, self._faults = device, faults
         self._commands = self._answers = 0
         self._rest = b""
@@ -189,7 +189,7 @@ class _Server:
     Answers keep their order. A late one does not keep the device from obeying what comes next.
     """
 
-    def __init__(self, device: WireDevice, faults: WireFaults | None) -> None:
+    def __init__(self, device: EmulatedDevice, faults: WireFaults | None) -> None:
         self._device = device
         self.spoil(faults or WireFaults())
         self._closing = threading.Event()
@@ -262,7 +262,7 @@ class PtyServer(_Server):
     Baud rates mean nothing here; `WireFaults.wrong_baud` stands for a wrong one.
     """
 
-    def __init__(self, device: WireDevice, faults: WireFaults | None = None) -> None:
+    def __init__(self, device: EmulatedDevice, faults: WireFaults | None = None) -> None:
         super().__init__(device, faults)
         self._plug_in()
         self._thread.start()
@@ -298,7 +298,7 @@ class SocketServer(_Server):
         On 127.0.0.1.
     """
 
-    def __init__(self, device: WireDevice, faults: WireFaults | None = None) -> None:
+    def __init__(self, device: EmulatedDevice, faults: WireFaults | None = None) -> None:
         super().__init__(device, faults)
         self._listener = _listener(0)
         self.port: int = self._listener.getsockname()[1]

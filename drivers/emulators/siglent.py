@@ -1,16 +1,20 @@
-"""A simulated Siglent SDG2042X, after recorded answers of a real one (firmware 2.01.01.23R7)."""
+"""An emulator of the Siglent SDG2042X, after recorded answers (firmware 2.01.01.23R7)."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from decimal import Decimal, DecimalException
 from fractions import Fraction
 from typing import Final
 
 from drivers.emulators.faults import GeneratorFaults
+from drivers.emulators.generator import (
+    Change,
+    Channel,
+    GeneratorEmulator,
+    Socket,
+    finite_number,
+)
 from drivers.roles import Clock
-
-Change = Callable[[Fraction, float, bool], None]
 
 _IDENTITY: Final = "Siglent Technologies,SDG2042X,SDG2XSIM000001,2.01.01.23R7"
 _LEAST_VPP: Final = 0.002
@@ -26,8 +30,6 @@ _SHORTEST_EDGE_S: Final = 8.4e-9
 # Commands that turn a sine into something else while it is still said to be one.
 _MODES: Final = ("MDWV", "SWWV", "BTWV")
 
-_ABSURD: Final = Decimal("1e30")
-
 # As measured on the instrument.
 _QUERY_S: Final = 0.004
 _WRITE_S: Final = 0.006
@@ -37,11 +39,9 @@ _RESET_S: Final = 0.12
 
 
 @dataclass
-class _Channel:
-    wave: str = "SINE"
-    frequency_hz: Fraction = Fraction(1000)
+class _Channel(Channel):
     amplitude_vpp: float = 4.0
-    offset_v: float = 0.0
+    wave: str = "SINE"
     phase_deg: float = 0.0
     duty_percent: float = 50.0
     width_s: float = 2e-4
@@ -53,7 +53,6 @@ class _Channel:
     polarity: str = "NOR"
     mode: str | None = None
     is_combined: bool = False
-    is_on: bool = False
 
     @property
     def divider(self) -> float:
@@ -76,8 +75,8 @@ class _State:
     reference: _Reference = field(default_factory=_Reference)
 
 
-class SiglentDevice:
-    """The far end of a wire: an SDG2042X that clamps what it cannot do, without a word.
+class SiglentEmulator(GeneratorEmulator):
+    """A Siglent SDG2042X, which clamps what it cannot do and reports no errors.
 
     It knows sines, squares and pulses on both channels, loads, the 10 MHz reference, and that the
     sum of both channels, or a modulation, sweep or burst, is on or off. A command that it does not
@@ -85,18 +84,12 @@ class SiglentDevice:
 
     Parameters
     ----------
-    on_change : callable, optional
-        Told frequency, peak volts at the open socket and whether the output is on, whenever one of
-        them changes on channel 1. Called on the thread that calls `receive`.
-    clock : Clock, optional
-        On which the instrument takes its time; without one it takes none.
-    identity : str
-        What it answers to ``*IDN?``.
+    on_change, clock, identity, faults
+        See `GeneratorEmulator`.
     has_reference : bool
         Whether 10 MHz arrive at the rear. Without, it stays on its own reference.
     most_vpp : float
         Volts peak to peak into high impedance beyond which it clamps.
-    faults : GeneratorFaults, optional
     """
 
     def __init__(
@@ -109,50 +102,26 @@ class SiglentDevice:
         most_vpp: float = 2 * _PEAK_V,
         faults: GeneratorFaults | None = None,
     ) -> None:
-        self._on_change, self._clock, self._identity = on_change, clock, identity
-        self._faults, self._heard, self._relay_is_closed = faults or GeneratorFaults(), 0, False
         self._peak_v = most_vpp / 2
         self._state = _State()
         self._state.reference.is_connected = has_reference
-        self._received = b""
-        self._last_change = self.socket
+        super().__init__(on_change, clock, identity, faults)
 
     @property
-    def socket(self) -> tuple[Fraction, float, bool]:
-        """Of channel 1: frequency, peak volts of the open socket, whether the relay is closed."""
-        frequency_hz, volts, _ = self._socket_of("C1")
-        return frequency_hz, volts, self._relay_is_closed
-
-    @property
-    def trigger(self) -> tuple[Fraction, float, bool]:
-        """The same of channel 2, where the camera's trigger is played."""
+    def trigger(self) -> Socket:
+        """Frequency, peak volts and switch of channel 2, which plays the camera's trigger."""
         return self._socket_of("C2")
 
-    def receive(self, data: bytes) -> bytes:
-        """Obey whole lines, and answer the questions among them."""
-        *lines, self._received = (self._received + data).split(b"\n")
-        answers = (self._hear(line.decode("ascii", "replace").strip()) for line in lines)
-        return b"".join(answer.encode("ascii") + b"\n" for answer in answers if answer is not None)
-
     def clamp_at(self, most_vpp: float) -> None:
-        """Clamp at so many volts peak to peak from now on, as another firmware might."""
+        """Clamp at `most_vpp` volts peak to peak from now on, as another firmware might."""
         self._peak_v = most_vpp / 2
 
-    def trip(self) -> None:
-        """Take the output off as the protection against an overload does: without a word."""
-        self._state.channels["C1"].is_on = False
-        self._announce()
+    @property
+    def _first_channel(self) -> Channel:
+        return self._state.channels["C1"]
 
-    def turn_knob(self, command: str) -> None:
-        """Do what a person does at the front panel, told as a command such as ``C1:OUTP ON``."""
-        self._obey(command)
-
-    def _hear(self, line: str) -> str | None:
-        self._heard += 1
-        answer = self._obey(line)
-        if self._heard in self._faults.trips_at:
-            self.trip()
-        return answer
+    def _played(self) -> Socket:
+        return self._socket_of("C1")
 
     def _obey(self, line: str) -> str | None:
         head, _, rest = line.upper().partition(" ")
@@ -236,7 +205,7 @@ class SiglentDevice:
                 self._clamp_frequency(channel)
             return
         self._take(_WRITE_S)
-        number = _number(value)
+        number = finite_number(value)
         if number is None:
             return
         if key == "FRQ" and number > 0:
@@ -264,8 +233,7 @@ class SiglentDevice:
         """Set one level, changed such that all stay within what the instrument can give."""
         halved = channel.frequency_hz > _FULL_VOLTS_HZ
         peak_v = self._peak_v * channel.divider / (2 if halved else 1)
-        high_v = channel.offset_v + channel.amplitude_vpp / 2
-        low_v = channel.offset_v - channel.amplitude_vpp / 2
+        high_v, low_v = channel.high_v, channel.low_v
         if key == "AMP":
             most_vpp = 2 * (peak_v - abs(channel.offset_v))
             channel.amplitude_vpp = max(min(volts, most_vpp), _LEAST_VPP)
@@ -279,29 +247,18 @@ class SiglentDevice:
                 low_v = _between(-peak_v, volts, high_v - _LEAST_VPP)
             channel.amplitude_vpp, channel.offset_v = high_v - low_v, (high_v + low_v) / 2
 
-    def _socket_of(self, name: str) -> tuple[Fraction, float, bool]:
+    def _socket_of(self, name: str) -> Socket:
         channel, channels = self._state.channels[name], self._state.channels.values()
         played = channels if channel.is_combined else (channel,)
         volts = sum(each.amplitude_vpp / 2 / each.divider for each in played)
         return channel.frequency_hz, volts, channel.is_on
-
-    def _announce(self) -> None:
-        if not self._faults.sticks(self._heard):
-            self._relay_is_closed = self._state.channels["C1"].is_on
-        if self._on_change is not None and self.socket != self._last_change:
-            self._on_change(*self.socket)
-        self._last_change = self.socket
-
-    def _take(self, seconds: float) -> None:
-        if self._clock is not None:
-            self._clock.wait(seconds)
 
 
 def _set_output(channel: _Channel, key: str, value: str) -> None:
     if key == "PLRT" and value in ("NOR", "INVT"):
         channel.polarity = value
     elif key == "LOAD":
-        before, number = channel.divider, _number(value)
+        before, number = channel.divider, finite_number(value)
         if value == "HZ":
             channel.load_ohm = None
         elif number is not None:
@@ -333,8 +290,7 @@ def _wave_fields(channel: _Channel) -> Iterator[str]:
     yield f"AMP,{amplitude_vpp:.6g}V,AMPVRMS,{volts_rms:.6g}Vrms"
     if channel.load_ohm is not None:
         yield f"AMPDBM,{10 * math.log10(volts_rms**2 / channel.load_ohm / 1e-3):.6g}dBm"
-    high_v, low_v = channel.offset_v + amplitude_vpp / 2, channel.offset_v - amplitude_vpp / 2
-    yield f"OFST,{channel.offset_v:.6g}V,HLEV,{high_v:.6g}V,LLEV,{low_v:.6g}V"
+    yield f"OFST,{channel.offset_v:.6g}V,HLEV,{channel.high_v:.6g}V,LLEV,{channel.low_v:.6g}V"
     if channel.wave == "PULSE":
         yield f"DUTY,{100 * channel.width_s * frequency_hz:.6g},WIDTH,{channel.width_s:.6g}"
         yield f"RISE,{channel.rise_s:.6g}S,FALL,{channel.fall_s:.6g}S,DLY,{channel.delay_s:.6g}"
@@ -346,14 +302,6 @@ def _wave_fields(channel: _Channel) -> Iterator[str]:
 
 def _pairs(words: list[str]) -> Iterator[tuple[str, str]]:
     return zip(words[::2], words[1::2], strict=False)
-
-
-def _number(text: str) -> Fraction | None:
-    try:
-        number = Decimal(text)
-    except DecimalException:
-        return None
-    return Fraction(number) if number.is_finite() and abs(number) < _ABSURD else None
 
 
 def _between(least: float, value: float, most: float) -> float:

@@ -34,7 +34,7 @@ class _RefusedError(Exception):
         self.number = number
 
 
-class SRSDevice:
+class SRSEmulator:
     """The generator, as one who calls it over LAN finds it after power-up.
 
     Parameters

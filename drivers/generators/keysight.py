@@ -10,32 +10,15 @@ from contextlib import suppress
 from dataclasses import dataclass
 from decimal import ROUND_UP, Decimal
 from fractions import Fraction
-from typing import Annotated, Final, Literal
-
-from pydantic import Field
+from typing import Final
 
 from drivers.context import BenchContext
 from drivers.errors import InstrumentError
+from drivers.generators.options import GeneratorOptions, generator_options
 from drivers.generators.replies import Played, SineRange, in_hertz, matching
-from drivers.generators.tweeter import TweeterGenerator
-from drivers.options import Options, read_options
+from drivers.generators.tweeter import STANDBY_HZ, TweeterGenerator
 from protocols.bench import Generator
 
-_DEVICE: Final = "generator (Keysight 33500)"
-_SECTION: Final = "instruments.generator.options"
-# All generators of the maker take these commands.
-_LANGUAGE: Final = re.compile(r"(Keysight|Agilent) Technologies,(33|EDU33|81)\d\d")
-_IDENTITY: Final = re.compile(r"(Keysight|Agilent) Technologies,335\d\d[AB],[^,]+,.+")
-_CAN_PLAY: Final = SineRange(
-    least_vpp=Decimal("0.002"),
-    most_vpp=Decimal(20),
-    most_hz=20_000_000,
-    # Its data sheet promises four digits of an amplitude.
-    amplitude_digits=4,
-    frequency_digits=15,
-)
-_STANDBY_HZ: Final = Fraction(1000)
-_REFERENCES: Final = {"internal": "INT", "external": "EXT"}
 # SCPI's infinity is 9.9E37, give or take a rounding.
 _HIGH_IMPEDANCE_OHM: Final = Decimal("9.8E37")
 _ROUNDING_V: Final = Decimal("0.001")
@@ -67,24 +50,6 @@ _ANSWER: Final = ";".join(
 )
 
 
-class KeysightOptions(Options):
-    """What a bench file says of the generator.
-
-    Attributes
-    ----------
-    resource : str
-        VISA's name, see `drivers.transport.visa`.
-    timeout_s : float
-        How long an answer may take.
-    reference : {'external', 'internal'}
-        Where its 10 MHz come from. On its own reference it drifts against the synthesizers.
-    """
-
-    resource: Annotated[str, Field(min_length=1)]
-    timeout_s: Annotated[float, Field(gt=0, le=60)] = 2.0
-    reference: Literal["external", "internal"] = "external"
-
-
 @dataclass(frozen=True, slots=True)
 class _Wave:
     shape: str
@@ -100,34 +65,27 @@ class _Wave:
 class KeysightGenerator(TweeterGenerator):
     """A generator of the series 33500A or 33500B as the role `SignalGenerator`.
 
-    Opening it switches both outputs off, resets it, and arms its own limits with those of the
-    bench file.
-
-    Parameters
-    ----------
-    entry : Generator
-    context : BenchContext
-
-    Raises
-    ------
-    BenchSetupError
-        If the bench file is wrong.
-    InstrumentError
-        If the generator is not there, is another one, or does not confirm what it is told.
+    Opening it arms its own limits with those of the bench file; see `TweeterGenerator`.
     """
 
+    _DEVICE = "generator (Keysight 33500)"
+    # All generators of the maker take these commands.
+    _LANGUAGE = re.compile(r"(Keysight|Agilent) Technologies,(33|EDU33|81)\d\d")
+    _MODEL = re.compile(r"(Keysight|Agilent) Technologies,335\d\d[AB],[^,]+,.+")
+    _CAN_PLAY = SineRange(
+        least_vpp=Decimal("0.002"),
+        most_vpp=Decimal(20),
+        most_hz=20_000_000,
+        # Its data sheet promises four digits of an amplitude.
+        amplitude_digits=4,
+        frequency_digits=15,
+    )
     _OFF = ("OUTP1 OFF",)
+    _OUTPUT = "OUTP1"
+    _REFERENCE = "ROSC:SOUR"
 
     def __init__(self, entry: Generator, context: BenchContext) -> None:
-        options = read_options(KeysightOptions, entry.options, context.description.name, _SECTION)
-        super().__init__(entry, context, _DEVICE, options.resource, _CAN_PLAY)
-        self._connect(options.timeout_s, _LANGUAGE, _IDENTITY, _SECTION)
-        try:
-            self._prepare()
-            self._choose_reference(options.reference)
-        except BaseException:
-            self._abandon()
-            raise
+        super().__init__(entry, context, generator_options(GeneratorOptions, entry, context))
 
     def output_off(self) -> None:
         """Disconnect the output; see `SignalGenerator.output_off`.
@@ -142,15 +100,8 @@ class KeysightGenerator(TweeterGenerator):
             with suppress(InstrumentError), self._line.within(_TIDYING_S):
                 self._read_errors()
 
-    def _prepare(self) -> None:
-        """Leave nothing of what was set before; limits, the least amplitude, and the output off."""
-        self.output_off()
-        # Errors of before are not ours.
-        self._read_errors()
-        self._tell("*RST")
-        self._ask("*OPC?", matching("1"))
-        self.output_off()
-        # Limits and amplitudes are volts into the load that is told: first the load.
+    def _set_up(self) -> None:
+        # Limits and amplitudes are volts into the load that is set: first the load.
         self._tell("OUTP1:LOAD INF")
         self._tell("SOUR1:VOLT:UNIT VPP")
         # Limits that the present amplitude exceeds would be refused.
@@ -158,9 +109,9 @@ class KeysightGenerator(TweeterGenerator):
         self._tell("SOUR1:VOLT:OFFS 0")
         self._arm_limits()
         self._tell("SOUR1:FUNC SIN")
-        for command in self._sine_commands(_STANDBY_HZ, self._can_play.least_vpp):
+        for command in self._sine_commands(STANDBY_HZ, self._can_play.least_vpp):
             self._tell(command)
-        self._confirm(_STANDBY_HZ, self._can_play.least_vpp, on=False)
+        self._confirm(STANDBY_HZ, self._can_play.least_vpp, on=False)
 
     def _arm_limits(self) -> None:
         peak_vpp = self._shown_vpp(self._limits.volts_max_v)
@@ -175,22 +126,6 @@ class KeysightGenerator(TweeterGenerator):
                     f"{said_v:g} V; check that its front panel is not in use"
                 )
         self._tell("SOUR1:VOLT:LIM:STAT ON")
-
-    def _choose_reference(self, reference: str) -> None:
-        self._tell(f"ROSC:SOUR {_REFERENCES[reference]}")
-        if self._ask("ROSC:SOUR?", matching("(INT|EXT)"))[1] != _REFERENCES[reference]:
-            raise InstrumentError(
-                f"{self._name}: was set to use its {reference} reference and does not; check the "
-                f"10 MHz at its rear, or correct {_SECTION}.reference"
-            )
-
-    def _require_no_errors(self, after: str) -> None:
-        errors = self._read_errors()
-        if errors:
-            raise InstrumentError(
-                f"{self._name}: was told {after!r} and reports {' and '.join(errors)}; look at "
-                "its front panel"
-            )
 
     def _read_errors(self) -> list[str]:
         """Empty the error queue; return what it held, except what this driver has caused.
@@ -213,9 +148,6 @@ class KeysightGenerator(TweeterGenerator):
 
     def _amplitude_command(self, amplitude_vpp: Decimal) -> str:
         return f"SOUR1:VOLT {amplitude_vpp:f}"
-
-    def _output_command(self, on: bool) -> str:
-        return f"OUTP1 {'ON' if on else 'OFF'}"
 
     def _says_on(self) -> bool:
         return self._ask("OUTP1?", matching("([01])"))[1] == "1"

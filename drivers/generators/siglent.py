@@ -9,7 +9,7 @@ import re
 from contextlib import suppress
 from decimal import Decimal
 from fractions import Fraction
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final
 
 from pydantic import Field
 
@@ -20,28 +20,15 @@ from drivers.errors import (
     InstrumentError,
     LimitError,
 )
+from drivers.generators.options import OPTIONS_KEY, GeneratorOptions, generator_options
 from drivers.generators.replies import Played, SineRange, agrees, in_hertz, matching
-from drivers.generators.tweeter import TweeterGenerator
-from drivers.options import Options, read_options
+from drivers.generators.tweeter import STANDBY_HZ, TweeterGenerator
+from drivers.options import Options
 from protocols.bench import Generator
 
-_DEVICE: Final = "generator (Siglent SDG2000X)"
-_SECTION: Final = "instruments.generator.options"
-# All generators of the maker take these commands.
-_LANGUAGE: Final = re.compile(r"Siglent Technologies,SDG")
-_IDENTITY: Final = re.compile(r"Siglent Technologies,SDG2(04|08|12)2X,[^,]+,[^,]+")
-_CAN_PLAY: Final = SineRange(
-    least_vpp=Decimal("0.002"),
-    most_vpp=Decimal(20),
-    most_hz=20_000_000,
-    amplitude_digits=6,
-    frequency_digits=10,
-)
-_STANDBY_HZ: Final = Fraction(1000)
 # Chosen: how long closing may wait until the camera's pulses are confirmed to have stopped.
 _CLOSING_S: Final = 0.5
 _NUMBER: Final = re.compile(r"(-?\d+(?:\.\d+)?(?:e[+-]\d+)?)(HZ|S|V|Vrms|dBm)?")
-_REFERENCES: Final = {"internal": "INT", "external": "EXT"}
 # Modulation, sweep and burst, during which a wave is still said to be a sine.
 _MODES: Final = ("MDWV", "SWWV", "BTWV")
 # Of the redundant numbers of an answer, each of six digits.
@@ -49,73 +36,48 @@ _ROUNDING: Final = Fraction(1, 100_000)
 
 
 class CameraTriggerOptions(Options):
-    """A pulse on channel 2 for each frame, at the frame rate that the camera asks for.
-
-    Attributes
-    ----------
-    width_s : float
-        Of the pulse.
-    high_v : float
-        Volts of the pulse into high impedance, above 0 V between pulses.
-    """
+    """A pulse on channel 2 for each frame, at the frame rate that the camera asks for."""
 
     width_s: Annotated[float, Field(gt=0, le=1)]
+    """Width of the pulse, in s."""
     high_v: Annotated[float, Field(ge=0.1, le=5)]
+    """Volts of the pulse into high impedance; between pulses there are 0 V."""
 
 
-class SiglentOptions(Options):
-    """What a bench file says of the generator.
+class SiglentOptions(GeneratorOptions):
+    """Options of a Siglent generator."""
 
-    Attributes
-    ----------
-    resource : str
-        VISA's name, see `drivers.transport.visa`.
-    timeout_s : float
-        How long an answer may take; a relay takes up to 0.3 s.
-    reference : {'external', 'internal'}
-        Where its 10 MHz come from. On its own reference it drifts against the synthesizers.
-    camera_trigger : CameraTriggerOptions or None
-    """
-
-    resource: Annotated[str, Field(min_length=1)]
-    timeout_s: Annotated[float, Field(gt=0, le=60)] = 2.0
-    reference: Literal["external", "internal"] = "external"
     camera_trigger: CameraTriggerOptions | None = None
+    """Pulses on channel 2 that trigger the camera."""
 
 
 class SiglentGenerator(TweeterGenerator):
     """An SDG2042X, SDG2082X or SDG2122X as the role `SignalGenerator`.
 
-    Opening it switches both outputs off and resets it. With the option `camera_trigger` it offers
-    itself as the source of the bench's `CameraTrigger`.
-
-    Parameters
-    ----------
-    entry : Generator
-    context : BenchContext
-
-    Raises
-    ------
-    BenchSetupError
-        If the bench file is wrong.
-    InstrumentError
-        If the generator is not there, is another one, or does not confirm what it is told.
+    With the option `camera_trigger` it offers itself as the source of the bench's `CameraTrigger`;
+    see `TweeterGenerator`.
     """
 
+    _DEVICE = "generator (Siglent SDG2000X)"
+    # All generators of the maker take these commands.
+    _LANGUAGE = re.compile(r"Siglent Technologies,SDG")
+    _MODEL = re.compile(r"Siglent Technologies,SDG2(04|08|12)2X,[^,]+,[^,]+")
+    _CAN_PLAY = SineRange(
+        least_vpp=Decimal("0.002"),
+        most_vpp=Decimal(20),
+        most_hz=20_000_000,
+        amplitude_digits=6,
+        frequency_digits=10,
+    )
     _OFF = ("C1:OUTP OFF", "C2:OUTP OFF")
+    _OUTPUT = "C1:OUTP"
+    _REFERENCE = "ROSC"
+    _REFERENCE_ANSWER = "ROSC (INT|EXT)(?:,.*)?"
 
     def __init__(self, entry: Generator, context: BenchContext) -> None:
-        options = read_options(SiglentOptions, entry.options, context.description.name, _SECTION)
-        super().__init__(entry, context, _DEVICE, options.resource, _CAN_PLAY)
-        self._pulse = options.camera_trigger
-        self._plays_pulses = False
-        self._connect(options.timeout_s, _LANGUAGE, _IDENTITY, _SECTION)
-        try:
-            self._prepare()
-            self._choose_reference(options.reference)
-        except BaseException:
-            self._abandon()
-            raise
+        options = generator_options(SiglentOptions, entry, context)
+        self._pulse, self._plays_pulses = options.camera_trigger, False
+        super().__init__(entry, context, options)
         if self._pulse is not None:
             context.share(CameraTrigger).offer(self)
 
@@ -132,7 +94,8 @@ class SiglentGenerator(TweeterGenerator):
         pulse = self._pulse
         if pulse is None:
             raise BenchSetupError(
-                f"{self._name}: was asked for the camera's pulses; add camera_trigger to {_SECTION}"
+                f"{self._name}: was asked for the camera's pulses; add camera_trigger to "
+                f"{OPTIONS_KEY}"
             )
         if frame_rate_hz <= 0 or (frame_rate_hz * 1_000_000).denominator != 1:
             raise LimitError(
@@ -142,7 +105,7 @@ class SiglentGenerator(TweeterGenerator):
         if pulse.width_s * frame_rate_hz >= 1:
             raise LimitError(
                 f"{self._name}: was asked for {float(frame_rate_hz):g} pulses per second of "
-                f"{pulse.width_s:g} s each; shorten {_SECTION}.camera_trigger.width_s"
+                f"{pulse.width_s:g} s each; shorten {OPTIONS_KEY}.camera_trigger.width_s"
             )
         self.stop_pulses()
         high_v, width_s = Decimal(str(pulse.high_v)), Decimal(str(pulse.width_s))
@@ -182,16 +145,11 @@ class SiglentGenerator(TweeterGenerator):
             with suppress(InstrumentError), self._line.within(_CLOSING_S):
                 self.stop_pulses()
 
-    def _prepare(self) -> None:
-        """Leave nothing of what was set before; the least amplitude, and the output off."""
-        self.output_off()
-        self._tell("*RST")
-        self._ask("*OPC?", matching("1"))
-        self.output_off()
+    def _set_up(self) -> None:
         self._tell("C1:OUTP LOAD,HZ,PLRT,NOR")
         least_vpp = self._can_play.least_vpp
-        self._tell(f"C1:BSWV WVTP,SINE,FRQ,{in_hertz(_STANDBY_HZ)},OFST,0,AMP,{least_vpp},PHSE,0")
-        self._confirm(_STANDBY_HZ, least_vpp, on=False)
+        self._tell(f"C1:BSWV WVTP,SINE,FRQ,{in_hertz(STANDBY_HZ)},OFST,0,AMP,{least_vpp},PHSE,0")
+        self._confirm(STANDBY_HZ, least_vpp, on=False)
         for mode in _MODES:
             if self._ask(f"C1:{mode}?", matching(f"C1:{mode} STATE,(ON|OFF).*"))[1] == "ON":
                 raise InstrumentError(
@@ -199,26 +157,15 @@ class SiglentGenerator(TweeterGenerator):
                     "switch that off at its front panel"
                 )
 
-    def _choose_reference(self, reference: str) -> None:
-        self._tell(f"ROSC {_REFERENCES[reference]}")
-        source = self._ask("ROSC?", matching("ROSC (INT|EXT)(?:,.*)?"))[1]
-        if source != _REFERENCES[reference]:
-            raise InstrumentError(
-                f"{self._name}: was set to use its {reference} reference and does not; check the "
-                f"10 MHz at its rear, or correct {_SECTION}.reference"
-            )
-
     def _sine_commands(self, frequency_hz: Fraction, amplitude_vpp: Decimal) -> tuple[str, ...]:
         return (f"C1:BSWV FRQ,{in_hertz(frequency_hz)},AMP,{amplitude_vpp:f}",)
 
     def _amplitude_command(self, amplitude_vpp: Decimal) -> str:
         return f"C1:BSWV AMP,{amplitude_vpp:f}"
 
-    def _output_command(self, on: bool) -> str:
-        return f"C1:OUTP {'ON' if on else 'OFF'}"
-
-    def _require_no_errors(self, after: str) -> None:
-        """Do nothing: its error queue is empty also after values that it clamped."""
+    def _read_errors(self) -> list[str]:
+        # Its error queue is empty also after values that it clamped.
+        return []
 
     def _says_on(self) -> bool:
         return self._output("C1")[0] == "ON"
@@ -255,7 +202,7 @@ class SiglentGenerator(TweeterGenerator):
             raise InstrumentError(
                 f"{self._name}: channel 2 was set to pulses of {width_s} s and {high_v} V at "
                 f"{float(frame_rate_hz):.10g} Hz, but says {wave}; correct "
-                f"{_SECTION}.camera_trigger"
+                f"{OPTIONS_KEY}.camera_trigger"
             )
 
 

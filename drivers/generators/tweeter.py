@@ -18,24 +18,26 @@ from fractions import Fraction
 from typing import ClassVar, Final, TypeVar
 
 from drivers.context import BenchContext
-from drivers.errors import (
-    BenchSetupError,
-    InstrumentError,
-    LimitError,
+from drivers.errors import InstrumentError, LimitError
+from drivers.generators.options import (
+    OPTIONS_KEY,
+    GeneratorOptions,
+    require_within_range,
+    required_output,
 )
-from drivers.generators.replies import MICROHERTZ, Played, SineRange, agrees
+from drivers.generators.replies import Played, SineRange, agrees, matching
 from drivers.transport.visa import (
     LateError,
     VisaLine,
     open_visa,
 )
-from protocols.bench import (
-    BenchFile,
-    Generator,
-    GeneratorOutput,
-)
+from protocols.bench import Generator
 
 T = TypeVar("T")
+
+# Chosen: a frequency that every generator can play, for its least amplitude after a reset.
+STANDBY_HZ: Final = Fraction(1000)
+_REFERENCES: Final = {"internal": "INT", "external": "EXT"}
 
 # Twenty steps take a generator some 0.2 s; the runner asks for ramps of 0.1 s.
 _RAMP_STEPS: Final = 20
@@ -62,44 +64,57 @@ class TweeterGenerator(ABC):
     `set_sine` does not switch it on again before `output_off` was called. A setting that is not
     confirmed is never sent again blindly, except for switching off.
 
+    Opening it switches all outputs off and resets it.
+
     Parameters
     ----------
     entry : Generator
     context : BenchContext
-    device, resource : str
-        For messages: role and model, and VISA's name.
-    can_play : SineRange
+    options : GeneratorOptions
 
     Raises
     ------
     BenchSetupError
         If the bench file lacks `output`, or asks for what the generator cannot play.
+    InstrumentError
+        If the generator is not there, is another one, or does not confirm a setting.
     """
 
+    # Role and model, for messages.
+    _DEVICE: ClassVar[str]
+    # Identities that understand the commands, and those that are driven here.
+    _LANGUAGE: ClassVar[re.Pattern[str]]
+    _MODEL: ClassVar[re.Pattern[str]]
+    _CAN_PLAY: ClassVar[SineRange]
     # Commands that switch all outputs off, in whatever state the generator is.
     _OFF: ClassVar[tuple[str, ...]]
+    # Commands of the relay of the output and of the 10 MHz reference, and the answer to the latter.
+    _OUTPUT: ClassVar[str]
+    _REFERENCE: ClassVar[str]
+    _REFERENCE_ANSWER: ClassVar[str] = "(INT|EXT)"
 
     _line: VisaLine
 
-    def __init__(
-        self,
-        entry: Generator,
-        context: BenchContext,
-        device: str,
-        resource: str,
-        can_play: SineRange,
-    ) -> None:
+    def __init__(self, entry: Generator, context: BenchContext, options: GeneratorOptions) -> None:
         description = context.description
-        output = _required_output(description, entry)
-        self._name, self._context, self._can_play = f"{device} at {resource}", context, can_play
-        self._device, self._resource = device, resource
+        output = required_output(description, entry)
+        self._name, self._resource = f"{self._DEVICE} at {options.resource}", options.resource
+        self._context, self._can_play = context, self._CAN_PLAY
         self._gain = Fraction(str(output.amplifier_gain))
         self._limits, self._step_hz = description.limits, entry.step_hz
         self._told_hz: Fraction | None = None
         # The amplitude that was sent or read last.
         self._level_vpp: Decimal | None = None
         self._is_on = False
-        self._require_within_range(description)
+        require_within_range(self._CAN_PLAY, description, entry)
+        self._connect(options.timeout_s)
+        try:
+            self._reset()
+            self._set_up()
+            self._choose_reference(options.reference)
+        except BaseException:
+            self._abandon()
+            raise
 
     @property
     def identity(self) -> str:
@@ -224,8 +239,8 @@ class TweeterGenerator(ABC):
         """Return what sets volts peak to peak, and nothing else."""
 
     @abstractmethod
-    def _output_command(self, on: bool) -> str:
-        """Return what throws the output's relay."""
+    def _set_up(self) -> None:
+        """Set the least amplitude after a reset, with the output off."""
 
     @abstractmethod
     def _says_on(self) -> bool:
@@ -236,32 +251,50 @@ class TweeterGenerator(ABC):
         """Ask what is played; an error if it is no sine, or volts into another load."""
 
     @abstractmethod
-    def _require_no_errors(self, after: str) -> None:
-        """Raise `InstrumentError` if the generator reports errors; nothing where it cannot."""
+    def _read_errors(self) -> list[str]:
+        """Empty the error queue and return its entries; none if there is no queue."""
 
-    def _connect(
-        self, timeout_s: float, language: re.Pattern[str], model: re.Pattern[str], section: str
-    ) -> None:
+    def _require_no_errors(self, after: str) -> None:
+        errors = self._read_errors()
+        if errors:
+            raise InstrumentError(
+                f"{self._name}: was told {after!r} and reports {' and '.join(errors)}; look at "
+                "its front panel"
+            )
+
+    def _output_command(self, on: bool) -> str:
+        return f"{self._OUTPUT} {'ON' if on else 'OFF'}"
+
+    def _connect(self, timeout_s: float) -> None:
         """Open the line, switch the outputs off, and require the right model.
 
         Nothing else is sent to an instrument that takes other commands.
-
-        Parameters
-        ----------
-        timeout_s : float
-        language, model : re.Pattern
-            Of the identities that understand the commands, and of those that are driven here.
-        section : str
-            Of the bench file, for the message.
         """
-        self._line = open_visa(self._resource, timeout_s, self._device, make_safe=self._OFF)
-        if language.match(self.identity):
+        self._line = open_visa(self._resource, timeout_s, self._DEVICE, make_safe=self._OFF)
+        if self._LANGUAGE.match(self.identity):
             self._send_off()
-        if not model.fullmatch(self.identity):
+        if not self._MODEL.fullmatch(self.identity):
             self._line.close()
             raise InstrumentError(
                 f"{self._name}: says that it is {self.identity!r}, which this driver does not "
-                f"know; correct {section}.resource or instruments.generator.driver"
+                f"know; correct {OPTIONS_KEY}.resource or instruments.generator.driver"
+            )
+
+    def _reset(self) -> None:
+        """Leave nothing of earlier settings, with the output off."""
+        self.output_off()
+        self._read_errors()
+        self._tell("*RST")
+        self._ask("*OPC?", matching("1"))
+        self.output_off()
+
+    def _choose_reference(self, reference: str) -> None:
+        source = _REFERENCES[reference]
+        self._tell(f"{self._REFERENCE} {source}")
+        if self._ask(f"{self._REFERENCE}?", matching(self._REFERENCE_ANSWER))[1] != source:
+            raise InstrumentError(
+                f"{self._name}: was set to use its {reference} reference and does not; check the "
+                f"10 MHz at its rear, or correct {OPTIONS_KEY}.reference"
             )
 
     def _leave_off(self) -> None:
@@ -437,40 +470,3 @@ class TweeterGenerator(ABC):
             f"{self._name}: its output is off, but was switched on; look for an overload or a "
             "short circuit, and whether its front panel is in use"
         )
-
-    def _require_within_range(self, description: BenchFile) -> None:
-        """Refuse a bench file that allows what the generator cannot play, or not exactly."""
-        can_play, limits = self._can_play, self._limits
-        most_v = self._volts(can_play.most_vpp)
-        if self._step_hz % MICROHERTZ:
-            key, complaint = (
-                "instruments.generator.step",
-                f"is {float(self._step_hz):g} Hz, but the generator's grid is 1 uHz; write a "
-                "multiple of that",
-            )
-        elif limits.volts_max_v > most_v:
-            key, complaint = (
-                "limits.volts_max",
-                f"allows {float(limits.volts_max_v):g} V peak, but the generator and its amplifier "
-                f"give {float(most_v):g} V; lower it, or correct "
-                "instruments.generator.output.amplifier_gain",
-            )
-        elif limits.drive_max_hz > can_play.most_hz:
-            key, complaint = (
-                "limits.drive_max",
-                f"is above the {can_play.most_hz} Hz that the generator plays at full volts; "
-                "lower it",
-            )
-        else:
-            return
-        raise BenchSetupError(f"bench {description.name!r}: {key}: {complaint}")
-
-
-def _required_output(description: BenchFile, entry: Generator) -> GeneratorOutput:
-    if entry.output is None:
-        raise BenchSetupError(
-            f"bench {description.name!r}: instruments.generator.output: is missing; say what lies "
-            "between the socket and the loudspeaker, such as output: {amplifier_gain: 2, load: 8 "
-            "ohm}"
-        )
-    return entry.output

@@ -380,42 +380,7 @@ def open_visa(
         If the instrument is not there, its host is unknown or refuses the connection, or it does
         not say twice the same of itself.
     """
-    try:
-        import pyvisa
-        from pyvisa.rname import InvalidResourceName, parse_resource_name
-
-        manager = pyvisa.ResourceManager("@py")
-    except (ImportError, ValueError) as error:
-        raise BenchSetupError(
-            f"{device} at {resource}: cannot be opened ({_one_line(error)}); {_LIBRARY}"
-        ) from error
-    try:
-        parsed: Any = parse_resource_name(resource)
-    except InvalidResourceName as error:
-        raise BenchSetupError(
-            f"{device}: {resource!r} is no VISA resource; write TCPIP::host::INSTR, "
-            "TCPIP::host::port::SOCKET, USB::vendor::product::serial::INSTR or ASRL<port>::INSTR"
-        ) from error
-    if hasattr(parsed, "host_address"):
-        # VXI-11 writes host,port where no port mapper is to be asked.
-        host = parsed.host_address.partition(",")[0]
-        require_known_host(host, f"{device} at {resource}", "its resource of the bench file")
-    milliseconds = round(1000 * timeout_s)
-    settings: dict[str, Any] = {"baud_rate": baud} if _is_serial(resource) and baud else {}
-    try:
-        instrument = manager.open_resource(
-            resource, open_timeout=milliseconds, timeout=milliseconds, **settings
-        )
-    except Exception as error:
-        if resource.upper().startswith("USB") and _lacks_libusb():
-            raise BenchSetupError(
-                f"{device} at {resource}: USB cannot be used; install libusb-1.0 (Debian: apt "
-                "install libusb-1.0-0)"
-            ) from error
-        remedy = _REFUSED if is_refused(error) else _remedy(resource)
-        raise InstrumentError(
-            f"{device} at {resource}: cannot be opened ({_one_line(error)}); {remedy}"
-        ) from error
+    instrument = _open_resource(resource, timeout_s, f"{device} at {resource}", baud)
     _send_at_once(instrument)
     line = VisaLine(cast("MessageBasedResource", instrument), device, resource, timeout_s)
     try:
@@ -427,6 +392,52 @@ def open_visa(
         line.close()
         raise
     return line
+
+
+def _open_resource(resource: str, timeout_s: float, place: str, baud: int | None) -> Any:
+    """Open a resource with pyvisa-py; `place` names the instrument in messages."""
+    try:
+        import pyvisa
+
+        manager = pyvisa.ResourceManager("@py")
+    except (ImportError, ValueError) as error:
+        raise BenchSetupError(
+            f"{place}: cannot be opened ({_one_line(error)}); {_LIBRARY}"
+        ) from error
+    _require_name(resource, place)
+    milliseconds = round(1000 * timeout_s)
+    settings: dict[str, Any] = {"baud_rate": baud} if _is_serial(resource) and baud else {}
+    try:
+        return manager.open_resource(
+            resource, open_timeout=milliseconds, timeout=milliseconds, **settings
+        )
+    except Exception as error:
+        if resource.upper().startswith("USB") and _lacks_libusb():
+            raise BenchSetupError(
+                f"{place}: USB cannot be used; install libusb-1.0 (Debian: apt install "
+                "libusb-1.0-0)"
+            ) from error
+        remedy = _REFUSED if is_refused(error) else _remedy(resource)
+        raise InstrumentError(
+            f"{place}: cannot be opened ({_one_line(error)}); {remedy}"
+        ) from error
+
+
+def _require_name(resource: str, place: str) -> None:
+    """Refuse a text that is no VISA resource, or names an unknown host."""
+    from pyvisa.rname import InvalidResourceName, parse_resource_name
+
+    try:
+        parsed: Any = parse_resource_name(resource)
+    except InvalidResourceName as error:
+        raise BenchSetupError(
+            f"{place}: {resource!r} is no VISA resource; write TCPIP::host::INSTR, "
+            "TCPIP::host::port::SOCKET, USB::vendor::product::serial::INSTR or ASRL<port>::INSTR"
+        ) from error
+    if hasattr(parsed, "host_address"):
+        # VXI-11 writes host,port where no port mapper is to be asked.
+        host = parsed.host_address.partition(",")[0]
+        require_known_host(host, place, "its resource of the bench file")
 
 
 def _send_at_once(instrument: Any) -> None:

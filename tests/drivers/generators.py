@@ -9,14 +9,14 @@ import numpy as np
 from pyvisa_py.tcpip import TCPIPSocketSession
 
 from drivers.context import BenchContext
-from drivers.emulators.keysight import KeysightDevice
+from drivers.emulators.keysight import KeysightEmulator
 from drivers.emulators.serving import (
     FaultyWire,
     SocketServer,
     interrupt,
     unterminated,
 )
-from drivers.emulators.siglent import SiglentDevice
+from drivers.emulators.siglent import SiglentEmulator
 from drivers.generators.keysight import KeysightGenerator
 from drivers.generators.siglent import SiglentGenerator
 from drivers.simulated.lab import VirtualClock
@@ -28,8 +28,8 @@ from tests.drivers.vxi11_server import Vxi11Server
 BENCH = BenchFile.from_file()
 GAIN = 2.0
 MOST_V = 16.0
-DRIVERS = {SiglentDevice: SiglentGenerator, KeysightDevice: KeysightGenerator}
-DEVICES = {"siglent": SiglentDevice, "keysight": KeysightDevice}
+DRIVERS = {SiglentEmulator: SiglentGenerator, KeysightEmulator: KeysightGenerator}
+DEVICES = {"siglent": SiglentEmulator, "keysight": KeysightEmulator}
 
 
 class Wire:

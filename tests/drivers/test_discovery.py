@@ -26,10 +26,10 @@ from drivers.discovery import (
     sound_devices,
     visa_resources,
 )
-from drivers.emulators.novatech import NovatechDevice
+from drivers.emulators.novatech import NovatechEmulator
 from drivers.emulators.serving import PtyServer, SocketServer
-from drivers.emulators.siglent import SiglentDevice
-from drivers.emulators.srs import SRSDevice
+from drivers.emulators.siglent import SiglentEmulator
+from drivers.emulators.srs import SRSEmulator
 from drivers.errors import BenchSetupError
 from protocols.bench import BenchFile
 from tests.drivers.usbtmc_bus import UsbtmcInstrument, plugged_in
@@ -93,7 +93,7 @@ def read_line(found):
 
 
 def test_a_serial_port_is_not_asked_unless_that_is_wanted(at_ports):
-    device = Heard(NovatechDevice(lambda _: None))
+    device = Heard(NovatechEmulator(lambda _: None))
     (port,) = at_ports(device)
     (found,) = serial_ports(ask=False).found
     assert (found.address, found.answer, found.driver) == (port, "", None)
@@ -102,7 +102,7 @@ def test_a_serial_port_is_not_asked_unless_that_is_wanted(at_ports):
 
 
 def test_a_novatech_is_recognised_and_nothing_is_changed(at_ports):
-    device = Heard(NovatechDevice(lambda _: None))
+    device = Heard(NovatechEmulator(lambda _: None))
     before = device.device.outputs
     (port,) = at_ports(device)
     (found,) = serial_ports(ask=True).found
@@ -114,7 +114,7 @@ def test_a_novatech_is_recognised_and_nothing_is_changed(at_ports):
 
 
 def test_an_instrument_of_ieee_488_on_a_serial_line_is_recognised(at_ports):
-    (port,) = at_ports(SRSDevice(lambda *_: None))
+    (port,) = at_ports(SRSEmulator(lambda *_: None))
     (found,) = serial_ports(ask=True).found
     assert found.answer.startswith("Stanford Research Systems,SG384")
     assert found.driver == "srs-sg380"
@@ -150,7 +150,7 @@ def held_by_another(port):
 
 
 def test_a_port_that_a_run_uses_is_not_asked(at_ports):
-    device = Heard(NovatechDevice(lambda _: None))
+    device = Heard(NovatechEmulator(lambda _: None))
     (port,) = at_ports(device)
     with held_by_another(port) as process:
         (found,) = serial_ports(ask=True).found
@@ -160,7 +160,7 @@ def test_a_port_that_a_run_uses_is_not_asked(at_ports):
 
 
 def test_a_port_has_the_name_that_it_keeps(at_ports, tmp_path, monkeypatch):
-    (port,) = at_ports(NovatechDevice(lambda _: None))
+    (port,) = at_ports(NovatechEmulator(lambda _: None))
     link = tmp_path / "usb-FTDI_409B_A1-if00-port0"
     link.symlink_to(port)
     monkeypatch.setattr(discovery, "_STABLE_NAMES", tmp_path)
@@ -170,7 +170,7 @@ def test_a_port_has_the_name_that_it_keeps(at_ports, tmp_path, monkeypatch):
 
 
 def test_a_port_without_permission_names_the_remedy(at_ports, monkeypatch):
-    device = Heard(NovatechDevice(lambda _: None))
+    device = Heard(NovatechEmulator(lambda _: None))
     at_ports(device)
     monkeypatch.setattr(os, "access", lambda *_: False)
     (found,) = serial_ports(ask=True).found
@@ -182,7 +182,7 @@ def test_a_port_without_permission_names_the_remedy(at_ports, monkeypatch):
 
 
 def test_a_generator_on_usb_is_found_and_only_asked_what_it_is(no_network):
-    device = Heard(SiglentDevice())
+    device = Heard(SiglentEmulator())
     instrument = UsbtmcInstrument(device, 0xF4EC, 0x1102, "SDG2XSIM")
     with plugged_in(instrument), usb_sessions():
         search = visa_resources()
@@ -219,7 +219,7 @@ def test_one_bus_that_fails_does_not_hide_the_others(no_network, monkeypatch):
         raise OSError("Network is unreachable")
 
     monkeypatch.setattr(TCPIPInstrSession, "list_resources", staticmethod(unreachable))
-    instrument = UsbtmcInstrument(SiglentDevice(), 0xF4EC, 0x1102, "SDG2XSIM")
+    instrument = UsbtmcInstrument(SiglentEmulator(), 0xF4EC, 0x1102, "SDG2XSIM")
     with plugged_in(instrument), usb_sessions():
         search = visa_resources()
     assert len(search.found) == 1

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from drivers.emulators.keysight import KeysightDevice
+from drivers.emulators.keysight import KeysightEmulator
 from drivers.emulators.serving import WireFaults
 from drivers.errors import InstrumentError
 from drivers.transport.visa import open_visa
@@ -29,7 +29,7 @@ def answer(device, line):
 
 
 def test_a_reset_leaves_the_defaults_of_the_series():
-    device = KeysightDevice()
+    device = KeysightEmulator()
     for line in ("OUTP:LOAD INF", "VOLT 5", "FREQ 2000", "OUTP ON", "*RST"):
         assert answer(device, line) == ""
     said = answer(device, "FUNC?;:FREQ?;:VOLT?;:VOLT:OFFS?;:VOLT:UNIT?;:OUTP:LOAD?;:OUTP?")
@@ -43,7 +43,7 @@ def test_a_reset_leaves_the_defaults_of_the_series():
     "head", ["SOUR1:VOLT:LIM:STAT", "source:voltage:limit:state", ":VOLTage:LIMit:STATe"]
 )
 def test_short_and_long_forms_are_the_same(head):
-    device = KeysightDevice()
+    device = KeysightEmulator()
     assert answer(device, f"{head} ON;{head}?") == "1"
     assert answer(device, f"{head} 0;{head}?") == "0"
     assert answer(device, "SYST:ERR?") == '+0,"No error"'
@@ -63,7 +63,7 @@ def test_short_and_long_forms_are_the_same(head):
     ],
 )
 def test_what_it_does_not_like_stands_in_its_error_queue(line, error):
-    device = KeysightDevice()
+    device = KeysightEmulator()
     answer(device, line)
     assert [answer(device, "SYST:ERR?") for _ in range(2)] == [error, '+0,"No error"']
     answer(device, line)
@@ -72,7 +72,7 @@ def test_what_it_does_not_like_stands_in_its_error_queue(line, error):
 
 
 def test_volts_are_said_for_the_load_and_in_the_unit():
-    device = KeysightDevice()
+    device = KeysightEmulator()
     answer(device, "VOLT 2;OUTP:LOAD INF")
     assert device.socket[1] == 2.0
     for unit, volts in (("VPP", 4.0), ("VRMS", 2**0.5)):
@@ -87,7 +87,7 @@ def test_volts_are_said_for_the_load_and_in_the_unit():
 @given(st.lists(st.binary(max_size=30), max_size=6))
 @example([b"FREQ nan\nVOLT 1e999\nOUTP:LOAD -1\nVOLT:OFFS 99\n", b"VOLT:LIM:HIGH inf;:VOLT -1\n"])
 def test_nothing_that_is_sent_makes_it_fall_over(lines):
-    device = KeysightDevice()
+    device = KeysightEmulator()
     for line in lines:
         device.receive(line)
     device.receive(b"\n")

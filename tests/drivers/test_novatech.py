@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from drivers.context import BenchContext
 from drivers.emulators import serving
 from drivers.emulators.faults import SynthesizerFaults
-from drivers.emulators.novatech import NovatechDevice
+from drivers.emulators.novatech import NovatechEmulator
 from drivers.emulators.serving import (
     PtyServer,
     SocketServer,
@@ -74,7 +74,7 @@ class Box:
         self.changes = []
         self.heard = []
         faults = SynthesizerFaults(shows_registers=shows_registers, **faults)
-        self.device = NovatechDevice(self.changes.append, faults)
+        self.device = NovatechEmulator(self.changes.append, faults)
 
     def receive(self, data):
         self.heard.append(data)
@@ -121,7 +121,7 @@ def pair(plugged):
 
 @pytest.mark.parametrize("pairs", PAIRS, ids=lambda pairs: pairs["source"][:30])
 def test_the_simulated_box_answers_what_the_sources_say(pairs):
-    device = NovatechDevice(lambda outputs: None)
+    device = NovatechEmulator(lambda outputs: None)
     if pairs.get("quiet"):
         device.receive(b"E d\r\n")
     for line in pairs["conversation"]:
@@ -220,13 +220,13 @@ def test_the_driver_says_and_understands_literal_bytes():
 
 
 def test_the_simulated_box_agrees_with_the_driver_s_literal_bytes():
-    device = NovatechDevice(lambda outputs: None)
+    device = NovatechEmulator(lambda outputs: None)
     for said, answered in OPENING + SETTING + READING + RF_ON + RF_OFF:
         assert device.receive(said.encode()) == answered.encode()
 
 
 def test_a_status_has_the_lengths_that_others_found():
-    device = NovatechDevice(lambda outputs: None)
+    device = NovatechEmulator(lambda outputs: None)
     # pyodine takes lines of 48 characters, Stanford's STI asks for more than 225 with the echo.
     answer = device.receive(b"QUE\r\n")
     echo, *lines = answer.decode().splitlines()
@@ -408,7 +408,7 @@ def test_a_box_may_have_been_left_in_any_state(plugged, left):
 
 
 def test_a_serial_line_behind_a_terminal_server_works_too():
-    device = NovatechDevice(lambda outputs: None)
+    device = NovatechEmulator(lambda outputs: None)
     server = SocketServer(device)
     driver = opened(f"socket://127.0.0.1:{server.port}")
     driver.set_pair(*PAIR_HZ)
@@ -421,7 +421,7 @@ def test_a_serial_line_behind_a_terminal_server_works_too():
 
 
 def test_at_no_frequency_the_output_is_a_voltage_not_off():
-    device = NovatechDevice(lambda outputs: None)
+    device = NovatechEmulator(lambda outputs: None)
     device.receive(b"E d\r\nM a\r\nF0 0\r\nP0 4096\r\nV0 512\r\n")
     levels = [device.outputs[0].level(time_s) for time_s in (0.0, 0.1, 0.2)]
     # AN004: V0 512 gives half of the full-scale voltage.
@@ -429,7 +429,7 @@ def test_at_no_frequency_the_output_is_a_voltage_not_off():
 
 
 def test_an_external_clock_scales_frequencies_as_the_manual_says():
-    device = NovatechDevice(lambda outputs: None)
+    device = NovatechEmulator(lambda outputs: None)
     # Manual 4.8: 1.544 MHz from 10 MHz x 15 takes F0 4.4209530.
     device.receive(b"E d\r\nC E\r\nF0 4.4209530\r\n")
     assert float(device.outputs[0].frequency_hz) == pytest.approx(1.544e6, rel=1e-7)
@@ -440,7 +440,9 @@ def test_an_external_clock_scales_frequencies_as_the_manual_says():
 def test_registers_and_outputs_differ_until_the_update():
     for shows_registers, shown in ((True, b"2FAF5789"), (False, b"2FAF0800")):
         changes = []
-        device = NovatechDevice(changes.append, SynthesizerFaults(shows_registers=shows_registers))
+        device = NovatechEmulator(
+            changes.append, SynthesizerFaults(shows_registers=shows_registers)
+        )
         device.receive(b"E d\r\nF0 80\r\nI m\r\n")
         changes.clear()
         device.receive(b"F0 80.0020361\r\nF1 80.0000000\r\n")
@@ -452,7 +454,7 @@ def test_registers_and_outputs_differ_until_the_update():
 
 
 def test_in_table_mode_the_first_two_channels_play_the_table():
-    device = NovatechDevice(lambda outputs: None)
+    device = NovatechEmulator(lambda outputs: None)
     device.receive(b"E d\r\nM t\r\nF0 80\r\nF1 80\r\nF2 80\r\n")
     assert [output.frequency_hz == CENTRE_HZ for output in device.outputs[:3]] == [0, 0, 1]
     device.receive(b"M 0\r\n")
@@ -461,7 +463,7 @@ def test_in_table_mode_the_first_two_channels_play_the_table():
 
 @given(st.lists(st.binary(max_size=12) | st.sampled_from([b"\r\n", b"\n", b"F0 80\r\n"])))
 def test_the_simulated_box_survives_any_bytes(pieces):
-    device = NovatechDevice(lambda outputs: None)
+    device = NovatechEmulator(lambda outputs: None)
     for piece in pieces:
         device.receive(piece)
     device.receive(b"\r\n")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from drivers.cameras.trigger import CameraTrigger
 from drivers.emulators.serving import WireFaults
-from drivers.emulators.siglent import SiglentDevice
+from drivers.emulators.siglent import SiglentEmulator
 from drivers.errors import (
     BenchSetupError,
     InstrumentError,
@@ -48,7 +48,7 @@ def answer(device, line):
 def test_the_simulated_generator_answers_as_the_real_one_did():
     if not TRANSCRIPT.exists():
         pytest.skip(f"the recorded session is not at {TRANSCRIPT}")
-    device, said, answers = SiglentDevice(), None, 0
+    device, said, answers = SiglentEmulator(), None, 0
     for number, line in enumerate(TRANSCRIPT.read_text().splitlines(), start=1):
         if line.startswith("-> "):
             said = answer(device, line[3:])
@@ -90,14 +90,14 @@ def test_the_simulated_generator_answers_as_the_real_one_did():
     ],
 )
 def test_other_waves_are_said_as_the_real_one_says_them(told, said):
-    device = SiglentDevice()
+    device = SiglentEmulator()
     for line in told:
         assert answer(device, line) == ""
     assert answer(device, "C1:BSWV?") == said
 
 
 def test_a_mode_ends_when_another_begins_and_with_another_wave():
-    device = SiglentDevice()
+    device = SiglentEmulator()
     assert answer(device, "C1:MDWV?") == "C1:MDWV STATE,OFF"
     for mode in ("MDWV", "BTWV"):
         answer(device, f"C1:{mode} STATE,ON")
@@ -110,7 +110,7 @@ def test_a_mode_ends_when_another_begins_and_with_another_wave():
 @given(st.lists(st.binary(max_size=30), max_size=6))
 @example([b"C1:BSWV FRQ,nan\n", b"C1:BSWV AMP,1e999\nC1:OUTP LOAD,inf\n", b"C1:BSWV FRQ,-1\n"])
 def test_nothing_that_is_sent_makes_it_fall_over(lines):
-    device = SiglentDevice()
+    device = SiglentEmulator()
     for line in lines:
         device.receive(line)
     device.receive(b"\n")

@@ -20,7 +20,7 @@ from drivers.emulators.serving import (
     SocketServer,
     WireFaults,
 )
-from drivers.emulators.srs import SRSDevice
+from drivers.emulators.srs import SRSEmulator
 from drivers.errors import (
     BenchSetupError,
     InstrumentError,
@@ -65,7 +65,7 @@ class Box:
     def __init__(self, **settings):
         self.heard = []
         self.changes = []
-        self.device = SRSDevice(lambda *state: self.changes.append(state), **settings)
+        self.device = SRSEmulator(lambda *state: self.changes.append(state), **settings)
 
     def receive(self, data):
         self.heard += data.decode("ascii", errors="replace").splitlines()
@@ -107,7 +107,7 @@ def lit(boxes):
 
 @pytest.mark.parametrize("pairs", PAIRS, ids=lambda pairs: pairs["source"][:30])
 def test_the_simulated_generator_answers_what_the_sources_say(pairs):
-    device = SRSDevice(lambda *state: None)
+    device = SRSEmulator(lambda *state: None)
     for line in pairs["conversation"]:
         assert device.receive(line["said"].encode()) == line["answered"].encode(), line
 

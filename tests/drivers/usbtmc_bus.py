@@ -43,11 +43,11 @@ CLEAR, CLEAR_STATUS, CAPABILITIES, STATUS_BYTE, REMOTE = 5, 6, 7, 128, 160
 
 
 class UsbtmcInstrument:
-    """A `WireDevice` behind USBTMC: its lines are messages.
+    """A `EmulatedDevice` behind USBTMC: its lines are messages.
 
     Parameters
     ----------
-    device : WireDevice
+    device : EmulatedDevice
         May be a `FaultyWire`; where that is unplugged, this leaves the bus.
     vendor, product : int
     serial : str

@@ -23,11 +23,11 @@ POLL_S = 0.01
 
 
 class Vxi11Server:
-    """Serves a `WireDevice` on a port of this computer, to one caller at a time.
+    """Serves a `EmulatedDevice` on a port of this computer, to one caller at a time.
 
     Parameters
     ----------
-    device : WireDevice
+    device : EmulatedDevice
         May be a `FaultyWire`; where that is unplugged, the server hangs up.
     port_mapper_port : int, optional
         Also answer there where the core channel is; 111 is the port that all callers ask.

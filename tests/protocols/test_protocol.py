@@ -86,7 +86,7 @@ def test_series_b_differs_only_in_the_excitation():
 
 def test_shipped_files_are_complete():
     assert shipped_protocols() == ("quick", "seriesA", "seriesB")
-    assert shipped_benches() == ("simulated", "wire")
+    assert shipped_benches() == ("emulated", "simulated")
 
 
 @pytest.mark.parametrize("model", [Protocol, BenchFile])
@@ -537,7 +537,9 @@ def test_unknown_name_lists_the_shipped_ones():
     message = refusal(find_protocol, "serieA")
     assert "did you mean seriesA?" in message
     assert "shipped are campaign, quick, seriesA, seriesB" in message
-    assert "nor a shipped bench of that name; shipped are simulated" in refusal(find_bench, "lab")
+    assert "nor a shipped bench of that name; shipped are emulated, simulated" in refusal(
+        find_bench, "lab"
+    )
 
 
 def test_reading_a_protocol_loads_no_heavy_library():

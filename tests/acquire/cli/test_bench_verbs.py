@@ -18,9 +18,9 @@ from acquire.bench.off import switch_off
 from acquire.bench.shot import shot_plan
 from acquire.runner.orders import Orders
 from drivers.discovery import Found, Search
-from drivers.emulators.novatech import NovatechDevice
+from drivers.emulators.novatech import NovatechEmulator
 from drivers.emulators.serving import PtyServer, SocketServer
-from drivers.emulators.siglent import SiglentDevice
+from drivers.emulators.siglent import SiglentEmulator
 from drivers.registry import open_bench
 from protocols.bench import BenchFile, find_bench
 from protocols.errors import ProtocolError
@@ -34,8 +34,8 @@ ABSENT_PORT = "/dev/no-such-port"
 class Room:
     """Two simulated instruments that go on when no program talks to them, and where they are."""
 
-    synthesizers: NovatechDevice
-    generator: SiglentDevice
+    synthesizers: NovatechEmulator
+    generator: SiglentEmulator
     port: str
     resource: str
 
@@ -55,7 +55,7 @@ class Room:
 @pytest.fixture
 def room():
     with ExitStack() as taken_down:
-        synthesizers, generator = NovatechDevice(lambda _: None), SiglentDevice()
+        synthesizers, generator = NovatechEmulator(lambda _: None), SiglentEmulator()
         line, network = PtyServer(synthesizers), SocketServer(generator)
         taken_down.callback(line.close)
         taken_down.callback(network.close)
@@ -68,7 +68,7 @@ def real_bench(tmp_path, room):
     """Return a function that writes a bench of the real drivers in that room."""
 
     def write(port=None, changes=None, **twin):
-        content = yaml.safe_load(find_bench("wire").read_text(encoding="utf-8"))
+        content = yaml.safe_load(find_bench("emulated").read_text(encoding="utf-8"))
         content["twin"] = {"mesh": "coarse", **twin}
         instruments = content["instruments"]
         instruments["synthesizers"]["driver"] = "novatech-409b"
@@ -87,8 +87,8 @@ def real_bench(tmp_path, room):
 
 
 @pytest.fixture
-def wire_bench(tmp_path):
-    content = yaml.safe_load(find_bench("wire").read_text(encoding="utf-8"))
+def emulated_bench(tmp_path):
+    content = yaml.safe_load(find_bench("emulated").read_text(encoding="utf-8"))
     content["twin"] = {"mesh": "coarse"}
     path = tmp_path / "wire.yaml"
     path.write_text(yaml.safe_dump(content))
@@ -108,9 +108,9 @@ def finding(said, check, about):
 # --- check -------------------------------------------------------------------------------------
 
 
-def test_a_good_bench_passes_and_leaves_no_file(cli, folder, wire_bench):
+def test_a_good_bench_passes_and_leaves_no_file(cli, folder, emulated_bench):
     before = sorted(folder.rglob("*"))
-    said = cli("bench", "check", wire_bench, "--json")
+    said = cli("bench", "check", emulated_bench, "--json")
     assert said.status == 0, said.out
     assert sorted(folder.rglob("*")) == before
     answer = said.json
@@ -129,8 +129,8 @@ def test_a_good_bench_passes_and_leaves_no_file(cli, folder, wire_bench):
     assert shot["signal_to_noise"] > 10
 
 
-def test_the_table_is_read_by_people_too(cli, folder, wire_bench):
-    said = cli("bench", "check", wire_bench, "--hz", "1976", "--volts", "1")
+def test_the_table_is_read_by_people_too(cli, folder, emulated_bench):
+    said = cli("bench", "check", emulated_bench, "--hz", "1976", "--volts", "1")
     assert said.status == 0
     assert "1976" in said.out
     assert "the bench is ready" in said.out
@@ -343,7 +343,7 @@ def test_a_camera_that_is_missing_is_a_remark(cli, folder, room, real_bench):
     assert room.outputs == (False, False)
 
 
-@pytest.mark.parametrize("bench", ["simulated", "wire"])
+@pytest.mark.parametrize("bench", ["simulated", "emulated"])
 def test_on_a_simulated_bench_there_is_nothing_to_switch_off(cli, folder, bench):
     said = cli("bench", "off", bench)
     assert said.status == 0

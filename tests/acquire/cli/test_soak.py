@@ -48,7 +48,7 @@ def test_each_kind_of_leak_is_seen():
 
 
 @pytest.mark.parametrize(
-    "name", ["runs on the simulated bench", "runs on the wire bench", "runs that fail"]
+    "name", ["runs on the simulated bench", "runs on the emulated bench", "runs that fail"]
 )
 def test_runs_leave_no_file_and_no_thread(name, tmp_path):
     done = soak.series(name, soak.works(tmp_path)[name], 2, 0)

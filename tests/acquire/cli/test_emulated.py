@@ -13,11 +13,11 @@ PART = {"camera.width": 640, "camera.height": 512, "sweep.first": 16, "sweep.las
 
 
 @pytest.fixture
-def wire_file(tmp_path):
-    """Return a function that writes the wire bench with a coarse reed."""
+def emulated_file(tmp_path):
+    """Return a function that writes the emulated bench with a coarse reed."""
 
     def write(**twin):
-        content = yaml.safe_load(find_bench("wire").read_text(encoding="utf-8"))
+        content = yaml.safe_load(find_bench("emulated").read_text(encoding="utf-8"))
         content["twin"] = {"mesh": "coarse", **twin}
         path = tmp_path / "wire.yaml"
         path.write_text(yaml.safe_dump(content))
@@ -26,9 +26,11 @@ def wire_file(tmp_path):
     return write
 
 
-def test_a_sweep_over_wires_ends_in_the_same_fit(cli, folder, protocol_file, bench_file, wire_file):
+def test_a_sweep_over_wires_ends_in_the_same_fit(
+    cli, folder, protocol_file, bench_file, emulated_file
+):
     fits = []
-    for name, bench in (("plain", bench_file()), ("wire", wire_file())):
+    for name, bench in (("plain", bench_file()), ("wire", emulated_file())):
         out = ["--bench", bench, "--reed", "R07", "--out", f"{name}.h5", "--seed", "4", "--json"]
         said = cli("run", protocol_file(**PART), *out, "--no-fit")
         assert said.status == 0, said.err
@@ -50,13 +52,15 @@ def test_a_sweep_over_wires_ends_in_the_same_fit(cli, folder, protocol_file, ben
             assert np.corrcoef(pictures[0].ravel(), pictures[1].ravel())[0, 1] > 0.95
 
 
-def test_a_wire_bench_without_an_amplifier_s_gain_is_refused(cli, folder, protocol_file, wire_file):
-    path = wire_file()
+def test_a_emulated_bench_without_an_amplifier_s_gain_is_refused(
+    cli, folder, protocol_file, emulated_file
+):
+    path = emulated_file()
     path.write_text(path.read_text().replace("amplifier_gain", "gain"))
     said = cli("run", protocol_file(), "--bench", path, "--out", "x.h5")
     assert (said.status, said.out) == (2, "")
     assert "generator.output.gain: unknown key; known are amplifier_gain, load" in said.err
-    content = yaml.safe_load(find_bench("wire").read_text(encoding="utf-8"))
+    content = yaml.safe_load(find_bench("emulated").read_text(encoding="utf-8"))
     del content["instruments"]["generator"]["output"]
     path.write_text(yaml.safe_dump(content))
     said = cli("run", protocol_file(), "--bench", path, "--out", "x.h5")

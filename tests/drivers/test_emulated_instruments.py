@@ -11,9 +11,9 @@ import pytest
 
 from drivers.context import BenchContext
 from drivers.emulators.instruments import (
-    SiglentFarEnd,
-    WireNovatech,
-    WireSiglent,
+    EmulatedNovatech,
+    EmulatedSiglent,
+    serve_siglent,
 )
 from drivers.errors import InstrumentError
 from drivers.registry import open_bench
@@ -29,11 +29,11 @@ UNPLUGGED_ONCE = {"unplug_at": 80, "replug_after_s": 1.0}
 
 @pytest.fixture
 def context():
-    """Return a function that gives the context of a wire bench with faults of its twin."""
+    """Return a function that gives the context of a emulated bench with faults of its twin."""
     made = []
 
     def make(**faults):
-        bench = BenchFile.from_file("wire").replace(
+        bench = BenchFile.from_file("emulated").replace(
             {
                 "twin": {"mesh": "coarse", "faults": faults},
                 "instruments.generator.options": {"timeout_s": 0.2},
@@ -50,7 +50,7 @@ def context():
 
 def opened(kind, context):
     instruments = context.description.instruments
-    entry = instruments.synthesizers if kind is WireNovatech else instruments.generator
+    entry = instruments.synthesizers if kind is EmulatedNovatech else instruments.generator
     return kind(entry, context)
 
 
@@ -67,13 +67,13 @@ def servers():
 
 def test_a_box_keeps_what_it_plays_while_no_driver_talks_to_it(context, servers):
     bench = context()
-    first = opened(WireNovatech, bench)
+    first = opened(EmulatedNovatech, bench)
     first.set_pair(*PAIR_HZ)
     device = first.device
     device.receive(b"V0 511\r\nV1 511\r\nI p\r\n")
     first.close()
     assert [output.frequency_hz for output in device.outputs[:2]] == list(PAIR_HZ)
-    second = opened(WireNovatech, bench)
+    second = opened(EmulatedNovatech, bench)
     assert second.device is device
     assert [output.amplitude for output in device.outputs[:2]] == [0, 0], "off when opened"
     second.set_pair(*PAIR_HZ)
@@ -86,13 +86,13 @@ def test_a_box_keeps_what_it_plays_while_no_driver_talks_to_it(context, servers)
 
 def test_a_generator_keeps_playing_while_no_driver_talks_to_it(context, servers):
     bench = context()
-    first = opened(WireSiglent, bench)
+    first = opened(EmulatedSiglent, bench)
     first.set_sine(DRIVE_HZ, 1.0)
     device = first.device
     first.close()
     device.turn_knob("C1:OUTP ON")
-    assert bench.share(SiglentFarEnd).device is device
-    second = opened(WireSiglent, bench)
+    assert bench.share(serve_siglent).device is device
+    second = opened(EmulatedSiglent, bench)
     assert second.device is device
     assert not device.socket[2], "off when opened"
     second.set_sine(DRIVE_HZ, 2.0)
@@ -104,7 +104,7 @@ def test_a_generator_keeps_playing_while_no_driver_talks_to_it(context, servers)
 
 def use_until_it_fails(instrument):
     for number in range(100):
-        if isinstance(instrument, WireNovatech):
+        if isinstance(instrument, EmulatedNovatech):
             instrument.set_pair(PAIR_HZ[0] + Fraction(number, 10), PAIR_HZ[1])
         else:
             instrument.set_sine(DRIVE_HZ + number, 1.0)
@@ -112,13 +112,13 @@ def use_until_it_fails(instrument):
 
 @pytest.mark.parametrize(
     ("kind", "wire"),
-    [(WireNovatech, "synthesizers_wire"), (WireSiglent, "generator_wire")],
+    [(EmulatedNovatech, "synthesizers_wire"), (EmulatedSiglent, "generator_wire")],
     ids=["novatech", "siglent"],
 )
 def test_a_wire_that_was_pulled_can_be_opened_again(context, kind, wire):
     bench = context(**{wire: UNPLUGGED_ONCE})
     first = opened(kind, bench)
-    if kind is WireNovatech:
+    if kind is EmulatedNovatech:
         first.rf_on()
     with pytest.raises(InstrumentError):
         use_until_it_fails(first)
@@ -126,7 +126,7 @@ def test_a_wire_that_was_pulled_can_be_opened_again(context, kind, wire):
     with pytest.raises(InstrumentError):
         opened(kind, bench)
     state = first.lab.state
-    assert (state.rf_on, state.drive_v > 0) == (kind is WireNovatech, kind is WireSiglent)
+    assert (state.rf_on, state.drive_v > 0) == (kind is EmulatedNovatech, kind is EmulatedSiglent)
     time.sleep(UNPLUGGED_ONCE["replug_after_s"] + 0.3)
     second = opened(kind, bench)
     assert second.device is first.device
@@ -143,8 +143,8 @@ def test_faults_of_the_instruments_stand_in_the_twin(context):
         generator_device={"trips_at": [60]},
     )
     with pytest.raises(InstrumentError, match="reads"):
-        opened(WireNovatech, bench)
-    generator = opened(WireSiglent, bench)
+        opened(EmulatedNovatech, bench)
+    generator = opened(EmulatedSiglent, bench)
     with pytest.raises(InstrumentError, match="its output is off, but was switched on"):
         use_until_it_fails(generator)
     generator.close()
@@ -152,7 +152,7 @@ def test_faults_of_the_instruments_stand_in_the_twin(context):
 
 def test_a_relay_that_sticks_is_not_noticed_by_the_generator(context):
     bench = context(generator_device={"relay_sticks_from": 60})
-    generator = opened(WireSiglent, bench)
+    generator = opened(EmulatedSiglent, bench)
     for number in range(20):
         generator.set_sine(DRIVE_HZ + number, 1.0)
     generator.output_off()
@@ -164,7 +164,7 @@ def test_a_relay_that_sticks_is_not_noticed_by_the_generator(context):
 
 def test_a_closed_bench_leaves_nothing_in_memory():
     """A laboratory of full size holds some hundred megabytes."""
-    plan = make_plan(Protocol.from_file("quick"), BenchFile.from_file("wire").replace(
+    plan = make_plan(Protocol.from_file("quick"), BenchFile.from_file("emulated").replace(
         {"twin": {"mesh": "coarse"}, "instruments.camera.driver": "simulated"}
     ))  # fmt: skip
     gc.collect()

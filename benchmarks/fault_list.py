@@ -24,7 +24,7 @@ class Fault:
     said : str
         Words of the reason of a run that stopped, or of the verdict of a step that was mended.
     faults : mapping
-        Of the twin, see `drivers.simulated.twin.Faults`.
+        Of the twin, see `drivers.simulated.settings.Faults`.
     protocol, bench, twin : mapping
         Changes of the protocol and the bench by key path, and other settings of the twin.
     unconfirmed : bool

@@ -20,22 +20,15 @@ from acquire.cli.display import plan_summary
 from benchmarks.fuzz_mutations import Mutation, drawn_mutations, drawn_table_mutations
 from diagnosis.known_bench import base_twin, only_once
 from diagnosis.mean_reed import tabled_reeds
-from drivers.cameras.aravis import AravisOptions
-from drivers.cameras.basler import BaslerOptions
 from drivers.errors import BenchSetupError
-from drivers.generators.options import GeneratorOptions
-from drivers.generators.siglent import SiglentOptions
-from drivers.generators.soundcard import SoundCardOptions
 from drivers.options import read_options
 from drivers.registry import find_driver
-from drivers.simulated.twin import (
+from drivers.simulated.settings import (
     bench_constants,
     bench_geometry,
-    read_twin,
-    twin_settings,
+    model_settings,
+    read_simulation,
 )
-from drivers.synthesizers.novatech_registers import NovatechOptions
-from drivers.synthesizers.srs import SRSOptions
 from fitting.populations.resonance_table import (
     COLUMNS,
     ERROR_COLUMN,
@@ -304,19 +297,8 @@ def _read_protocol(file: Path) -> None:
     _require(again == protocol, "a text reads as another protocol")
 
 
-# Options of drivers that can be checked without an instrument; `port` and `resource` are added to
-# those of the emulated bench, as its drivers do.
-_OPTIONS: dict[str, tuple[Any, dict[str, str]]] = {
-    "emulated-novatech": (NovatechOptions, {"port": "x"}),
-    "novatech-409b": (NovatechOptions, {}),
-    "srs-sg380": (SRSOptions, {}),
-    "emulated-siglent": (SiglentOptions, {"resource": "x"}),
-    "siglent-sdg2042x": (SiglentOptions, {}),
-    "keysight-33500b": (GeneratorOptions, {}),
-    "sound-card": (SoundCardOptions, {}),
-    "basler": (BaslerOptions, {}),
-    "aravis": (AravisOptions, {}),
-}
+# Options that the drivers of the emulated bench add.
+_ADDED = {"emulated-novatech": {"port": "x"}, "emulated-siglent": {"resource": "x"}}
 
 
 def _read_bench(file: Path) -> None:
@@ -327,14 +309,12 @@ def _read_bench(file: Path) -> None:
     plan.require_possible()
     for role in ("synthesizers", "generator", "camera"):
         entry = getattr(bench.instruments, role)
-        find_driver(role, entry.driver)
-        model, more = _OPTIONS.get(entry.driver, (None, {}))
+        model = getattr(find_driver(role, entry.driver), "OPTIONS", None)
         if model is not None:
-            read_options(
-                model, {**entry.options, **more}, bench.name, f"instruments.{role}.options"
-            )
-    twin, preparation = read_twin(bench.twin, bench.name), plan.preparation("R07")
-    twin_settings(twin, bench, preparation)
+            options = {**entry.options, **_ADDED.get(entry.driver, {})}
+            read_options(model, options, bench.name, f"instruments.{role}.options")
+    twin, preparation = read_simulation(bench.simulation, bench.name), plan.preparation("R07")
+    model_settings(twin, bench, preparation)
     try:
         bench_geometry(twin, preparation)
     except ValueError as error:
@@ -515,7 +495,7 @@ acoustic_resonances: [4308.6 Hz, 9 kHz]
 known:
   camera_bend: {share: 0.01}
   bench_vibration: {jitter: 100 mrad}
-twin:
+simulation:
   reed: {e1: 0.5, e2: -0.5, e3: 0.0, e4: 0.0}
   shape:
     thickness_offset_um: 3.0

@@ -22,7 +22,7 @@ import numpy as np
 
 from acquire.runner.runner import run
 from drivers.registry import open_bench
-from drivers.simulated.twin import cane_of
+from drivers.simulated.settings import cane_of
 from fitting.cane.fit_runs import ReedFit, fit_runs
 from fitting.forward import (
     basis_of,
@@ -149,7 +149,7 @@ def benchmark(
     reeds: int, first: int, protocol: str, kind: str, loss_factor: float
 ) -> dict[str, Any]:
     """Recover a number of reeds; the result is what ``--json`` prints."""
-    bench = BenchFile.from_file().replace({"twin": {"loss_factor": loss_factor}})
+    bench = BenchFile.from_file().replace({"simulation": {"loss_factor": loss_factor}})
     plan = make_plan(Protocol.from_file(protocol).replace(reed=kind), bench)
     recoveries = []
     with tempfile.TemporaryDirectory() as folder:

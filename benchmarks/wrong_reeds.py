@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 
 from acquire.runner.runner import run
 from drivers.registry import open_bench
-from drivers.simulated.twin import (
+from drivers.simulated.settings import (
     CaneFactors,
     bench_constants,
     bench_geometry,
     cane_of,
-    read_twin,
-    twin_settings,
+    model_settings,
+    read_simulation,
 )
 from physics.bench import bench_cane
 from physics.reed.cache import kept
@@ -87,7 +87,7 @@ def wrong_bench(
       in the rms. (On the thick end of the vamp that alone is up to tens of µm.)
 
     All nine elastic constants and the density are multiplied by 1 + `constants`·N(0, 1), drawn
-    again beyond 2 standard deviations. Pressure and light are as `drivers.simulated.twin` says.
+    again beyond 2 standard deviations. Pressure and light are as `drivers.simulated.settings` says.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def wrong_bench(
     rng = np.random.default_rng([seed, *hashlib.sha256(reed.encode()).digest()])
     deviation_um = _thickness_map_um(rng, thickness_um, asymmetry)
     factors = {name: _factor(rng, constants) for name in CaneFactors.model_fields}
-    twin = {
+    settings = {
         "shape": {
             "thickness_map": {
                 "x_mm": MAP_X_MM.tolist(),
@@ -111,7 +111,7 @@ def wrong_bench(
         "pressure": {"distortion": pressure, "seed": int(rng.integers(2**31))},
         "light": {"gain_scatter": gain, "phase_scatter": phase},
     }
-    return BenchFile.from_file().replace({"twin": twin})
+    return BenchFile.from_file().replace({"simulation": settings})
 
 
 def _thickness_map_um(rng: np.random.Generator, thickness_um: float, asymmetry: float) -> Array:
@@ -151,8 +151,8 @@ def _factor(rng: np.random.Generator, deviation: float) -> float:
 def true_modes(bench: BenchFile, reed: str, series: Series) -> dict[str, dict[str, Any]]:
     """Eigenfrequencies below 20 kHz of the reed that stands on a bench, by name.
 
-    By finite elements of the twin's own mesh, each mode with the moduli of its own frequency, and
-    without loss. Kept in the cache.
+    By finite elements of the simulation's own mesh, each mode with the moduli of its own frequency,
+    and without loss. Kept in the cache.
 
     Returns
     -------
@@ -161,11 +161,11 @@ def true_modes(bench: BenchFile, reed: str, series: Series) -> dict[str, dict[st
         modes exchange shapes, so that the name says little), ascending in frequency.
     """
     plan = make_plan(Protocol.from_file(PROTOCOLS[series]), bench)
-    preparation, twin = plan.preparation(reed), read_twin(bench.twin, bench.name)
-    geometry = bench_geometry(twin, preparation) or ReedGeometry()
-    constants = bench_constants(twin, preparation)
-    cane = bench_cane(twin_settings(twin, bench, preparation))
-    level, _ = twin.finite_elements
+    preparation, simulation = plan.preparation(reed), read_simulation(bench.simulation, bench.name)
+    geometry = bench_geometry(simulation, preparation) or ReedGeometry()
+    constants = bench_constants(simulation, preparation)
+    cane = bench_cane(model_settings(simulation, bench, preparation))
+    level, _ = simulation.finite_elements
 
     def solve() -> list[NamedMode]:
         return viscoelastic_modes(geometry, constants, cane, level)
@@ -220,7 +220,7 @@ def make_run(wanted: WrongRun) -> str:
         "reed": wanted.reed,
         "series": str(wanted.series),
         "components": asdict(cane_of(wanted.reed)),
-        "twin": bench_file.twin,
+        "simulation": bench_file.simulation,
         "modes": true_modes(bench_file, wanted.reed, wanted.series),
     }
     with open_bench(bench_file, plan.preparation(wanted.reed), wanted.number) as bench:

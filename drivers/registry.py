@@ -115,7 +115,7 @@ def open_bench(
         If another program uses an instrument of this bench.
     BenchSetupError
         If a driver is unknown, cannot be imported or does not fill its role, or its options or
-        those of the twin are wrong. No instrument stays open.
+        those of the simulation are wrong. No instrument stays open.
     InstrumentError
         If an instrument does not answer. None stays open. The notes of the exception name what
         else failed and which outputs may still be on.

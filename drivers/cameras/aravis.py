@@ -33,27 +33,18 @@ _RECEIVE_LIMIT: Final = Path("/proc/sys/net/core/rmem_max")
 
 
 class AravisOptions(CameraOptions):
-    """Options of a camera through Aravis.
-
-    Attributes
-    ----------
-    device : str or None
-        Aravis' name of the camera, or its address; not needed if there is only one.
-    stamped_at : {'exposure_start', 'exposure_end'}
-        What the camera's time stamps tell. If the end is stated in error, frames are taken for
-        older than they are, which costs time; if the start is, frames are taken for fresh that are
-        not.
-    socket_buffer_bytes : int
-        What the system keeps of a GigE camera's packets until they are read. Without
-        ``sysctl net.core.rmem_max`` of as much, the system gives less.
-    packet_socket : bool
-        Whether to read packets past the system's UDP if that is permitted (to root).
-    """
+    """Options of a camera through Aravis."""
 
     device: str | None = None
+    """Name of the camera in Aravis, or its address, needed if there are several."""
     stamped_at: Literal["exposure_start", "exposure_end"] = "exposure_end"
+    """What the time stamps of the camera mean. A wrong `exposure_end` costs time; a wrong
+    `exposure_start` takes frames for newer than they are."""
     socket_buffer_bytes: Annotated[int, Field(ge=100_000, le=2**30)] = 4_000_000
+    """Buffer of the system for packets of a GigE camera, in bytes. The system gives less if
+    `sysctl net.core.rmem_max` is lower."""
     packet_socket: bool = True
+    """Whether to read packets past the UDP layer of the system if that is permitted (to root)."""
 
 
 class AravisCamera(GenicamCamera):
@@ -67,9 +58,11 @@ class AravisCamera(GenicamCamera):
         If the camera cannot be opened, or another program has it.
     """
 
+    OPTIONS = AravisOptions
+
     def __init__(self, entry: CameraSensor, context: BenchContext) -> None:
         options = read_options(
-            AravisOptions, entry.options, context.description.name, "instruments.camera.options"
+            self.OPTIONS, entry.options, context.description.name, "instruments.camera.options"
         )
         link = AravisLink(options)
         try:

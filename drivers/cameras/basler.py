@@ -20,15 +20,10 @@ _TRIGGER_READY_MS: Final = 1000
 
 
 class BaslerOptions(CameraOptions):
-    """Options of a Basler camera.
-
-    Attributes
-    ----------
-    serial : str or None
-        Its serial number; not needed if there is only one camera.
-    """
+    """Options of a Basler camera."""
 
     serial: str | None = None
+    """Serial number of the camera, needed if there are several."""
 
 
 class BaslerCamera(GenicamCamera):
@@ -45,9 +40,11 @@ class BaslerCamera(GenicamCamera):
         If the camera cannot be opened.
     """
 
+    OPTIONS = BaslerOptions
+
     def __init__(self, entry: CameraSensor, context: BenchContext) -> None:
         options = read_options(
-            BaslerOptions, entry.options, context.description.name, "instruments.camera.options"
+            self.OPTIONS, entry.options, context.description.name, "instruments.camera.options"
         )
         link = PylonLink(options.serial)
         try:

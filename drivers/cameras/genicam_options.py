@@ -17,31 +17,21 @@ from drivers.options import Options
 
 
 class CameraOptions(Options):
-    """Options that all GenICam cameras have.
-
-    Attributes
-    ----------
-    trigger : {'free', 'software', 'Line0', 'Line1', 'Line2', 'Line3'}
-        What starts an exposure: the camera's clock, this computer, or a rising edge at a line.
-    pulses : {'bench', 'elsewhere'}
-        Who plays the edges at a line: an instrument of this bench, which is told when to, or
-        something that plays all the time.
-    pixel_format : {'Mono8', 'Mono10', 'Mono12', 'Mono16'}
-        As many bits as `bits` says, or Mono16 with the pixels in the lower bits.
-    timeout_s : float
-        How long a frame may be overdue.
-    saturation_dn : int or None
-        Number at which pixels stop growing with light, if that is below what the ADC can tell.
-    buffer_s : float
-        For how long frames are kept that nobody asks for.
-    """
+    """Options of all GenICam cameras."""
 
     trigger: Trigger = "free"
+    """What starts an exposure: the clock of the camera, this computer, or a rising edge at a
+    line."""
     pulses: Literal["bench", "elsewhere"] = "bench"
+    """Source of the edges at a line: an instrument of this bench, or a source that always runs."""
     pixel_format: PixelFormat = "Mono12"
+    """Pixel format: as many bits as `bits` states, or Mono16 with the pixels in the lower bits."""
     timeout_s: Annotated[float, Field(gt=0, le=600)] = 2.0
+    """Longest wait for a frame that is due, in s."""
     saturation_dn: Annotated[int, Field(ge=1, le=65_535)] | None = None
+    """Digital number at which pixels saturate, if that is below the highest of the ADC."""
     buffer_s: Annotated[float, Field(ge=1, le=60)] = 1.5
+    """Time in s for which frames are kept that nothing has asked for."""
 
 
 class CameraLink(Protocol):

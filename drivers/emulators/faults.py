@@ -1,4 +1,4 @@
-"""Faults of the simulated instruments themselves; those of their wires are `WireFaults`."""
+"""Faults of the emulated instruments; those of their connections are `WireFaults`."""
 
 from typing import Annotated
 
@@ -10,21 +10,14 @@ _Numbers = Annotated[tuple[int, ...], Field(strict=False)]
 
 
 class SynthesizerFaults(Options):
-    """What is wrong with a simulated pair of synthesizers.
-
-    Attributes
-    ----------
-    skips_update_at : tuple of int
-        Updates (``I p``), counted from 1, that are acknowledged and not carried out.
-    skips_updates_from : int or None
-        From this update on, none is carried out.
-    shows_registers : bool
-        Whether the status shows registers, or outputs, while they differ.
-    """
+    """Faults of an emulated pair of synthesizers. Updates (``I p``) count from 1."""
 
     skips_update_at: _Numbers = ()
+    """Updates that are acknowledged and not carried out."""
     skips_updates_from: int | None = None
+    """Update from which on none is carried out."""
     shows_registers: bool = True
+    """Whether the status shows registers, or outputs, while they differ."""
 
     def skips(self, update: int) -> bool:
         """Return whether an update, counted from 1, is not carried out."""
@@ -33,19 +26,13 @@ class SynthesizerFaults(Options):
 
 
 class GeneratorFaults(Options):
-    """What is wrong with a simulated generator. Lines that it hears count from 1.
-
-    Attributes
-    ----------
-    trips_at : tuple of int
-        After these lines the output trips, as after an overload.
-    relay_sticks_from : int or None
-        From this line on the output's relay stays as it is. The generator does not notice: it says
-        that its output is as it was set.
-    """
+    """Faults of an emulated generator. Lines that it receives count from 1."""
 
     trips_at: _Numbers = ()
+    """Lines after which the output trips, as after an overload."""
     relay_sticks_from: int | None = None
+    """Line from which on the relay of the output does not move. The generator does not notice: it
+    reports its output as it was set."""
 
     def sticks(self, line: int) -> bool:
         """Return whether the relay sticks at a line."""

@@ -58,44 +58,34 @@ def unterminated(device: object) -> None:
 
 
 class WireFaults(Options):
-    """What goes wrong on a wire. Commands, which are lines, and answers to them count from 1.
-
-    Attributes
-    ----------
-    lose_answer_at, garble_answer_at, late_answer_at : tuple of int
-        Answers that never arrive, arrive with a byte changed, or arrive `late_s` late.
-    late_s : float
-    slow_s : float
-        Every answer arrives so much later, from the answer `slow_from` on. The device itself obeys
-        at once.
-    slow_from : int
-    lose_command_at : tuple of int
-        Commands that never reach the device.
-    echo : bool
-        The device says back what it hears, before it answers.
-    wrong_baud : bool
-        Neither end understands the other.
-    unplug_at : int or None
-        The wire is pulled when this answer is due.
-    replug_after_s : float or None
-        It is plugged in again after this time, and stays; None is never.
-    """
+    """Faults of a connection. Commands, which are lines, and answers to them count from 1."""
 
     lose_answer_at: _Numbers = ()
+    """Answers that never arrive."""
     garble_answer_at: _Numbers = ()
+    """Answers that arrive with a byte changed."""
     late_answer_at: _Numbers = ()
+    """Answers that arrive `late_s` late."""
     late_s: Annotated[float, Field(ge=0, le=60)] = 1.0
+    """Delay of late answers, in s."""
     slow_s: Annotated[float, Field(ge=0, le=60)] = 0.0
+    """Delay in s of every answer from `slow_from` on. The device itself obeys at once."""
     slow_from: Annotated[int, Field(ge=1)] = 1
+    """First answer that is slow."""
     lose_command_at: _Numbers = ()
+    """Commands that never reach the device."""
     echo: bool = False
+    """The device repeats each command before it answers."""
     wrong_baud: bool = False
+    """Neither end understands the other."""
     unplug_at: int | None = None
+    """Answer at which the cable is unplugged."""
     replug_after_s: Annotated[float, Field(ge=0, le=60)] | None = None
+    """Time in s after which the cable is plugged in again for good. Without this key, never."""
 
 
 class UnpluggedError(Exception):
-    """The wire was pulled."""
+    """The cable is unplugged."""
 
 
 class FaultyWire:

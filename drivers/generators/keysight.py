@@ -68,6 +68,8 @@ class KeysightGenerator(TweeterGenerator):
     Opening it arms its own limits with those of the bench file; see `TweeterGenerator`.
     """
 
+    OPTIONS = GeneratorOptions
+
     _DEVICE = "generator (Keysight 33500)"
     # All generators of the maker take these commands.
     _LANGUAGE = re.compile(r"(Keysight|Agilent) Technologies,(33|EDU33|81)\d\d")
@@ -85,7 +87,7 @@ class KeysightGenerator(TweeterGenerator):
     _REFERENCE = "ROSC:SOUR"
 
     def __init__(self, entry: Generator, context: BenchContext) -> None:
-        super().__init__(entry, context, generator_options(GeneratorOptions, entry, context))
+        super().__init__(entry, context, generator_options(self.OPTIONS, entry, context))
 
     def output_off(self) -> None:
         """Disconnect the output; see `SignalGenerator.output_off`.

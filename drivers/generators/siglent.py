@@ -58,6 +58,8 @@ class SiglentGenerator(TweeterGenerator):
     see `TweeterGenerator`.
     """
 
+    OPTIONS = SiglentOptions
+
     _DEVICE = "generator (Siglent SDG2000X)"
     # All generators of the maker take these commands.
     _LANGUAGE = re.compile(r"Siglent Technologies,SDG")
@@ -75,7 +77,7 @@ class SiglentGenerator(TweeterGenerator):
     _REFERENCE_ANSWER = "ROSC (INT|EXT)(?:,.*)?"
 
     def __init__(self, entry: Generator, context: BenchContext) -> None:
-        options = generator_options(SiglentOptions, entry, context)
+        options = generator_options(self.OPTIONS, entry, context)
         self._pulse, self._plays_pulses = options.camera_trigger, False
         super().__init__(entry, context, options)
         if self._pulse is not None:

@@ -41,28 +41,21 @@ _WRONG_KEYS: Final = {-9998: "channel", -9997: "sample_rate_hz", -9996: "device"
 
 
 class SoundCardOptions(Options):
-    """What a bench file says of a sound card.
-
-    Attributes
-    ----------
-    device : int or str or None
-        Index, or part of the name, of PortAudio's output device; the system's default if None.
-    sample_rate_hz : int
-        More than twice the highest drive, and best one that the card has without resampling.
-    volts_per_full_scale : float
-        Peak volts of a full-scale sine at the card's line output with the amplifier connected and
-        all volume controls as they stay. A person has to measure it: there is no usual value.
-    channel : int
-        That drives the amplifier, counted from 1, which is the left one; the others are silent.
-    block_frames : int
-        Samples per call of the audio thread; more of them bear a busier computer.
-    """
+    """Options of a sound card."""
 
     device: int | Annotated[str, Field(min_length=1)] | None = None
+    """Index, or part of the name, of PortAudio's output device. Without this key, the default
+    device of the system."""
     sample_rate_hz: Annotated[int, Field(gt=0)] = 48_000
+    """Sample rate in Hz, more than twice the highest drive frequency; choose one that the card has
+    without resampling."""
     volts_per_full_scale: Annotated[float, Field(gt=0)]
+    """Peak volts of a full-scale sine at the line output, with the amplifier connected and all
+    volume controls at their final position. It has to be measured: there is no usual value."""
     channel: Annotated[int, Field(ge=1)] = 1
+    """Channel that drives the amplifier, from 1, the left one. The others are silent."""
     block_frames: Annotated[int, Field(ge=16, le=65_536)] = 1024
+    """Samples per call of the audio thread; raise it on a busy computer."""
 
 
 class SoundCardGenerator:
@@ -96,9 +89,11 @@ class SoundCardGenerator:
         If the device cannot be opened, because it is in use, say.
     """
 
+    OPTIONS = SoundCardOptions
+
     def __init__(self, entry: Generator, context: BenchContext, clock: Clock | None = None) -> None:
         bench = context.description
-        options = read_options(SoundCardOptions, entry.options, bench.name, _SECTION)
+        options = read_options(self.OPTIONS, entry.options, bench.name, _SECTION)
         if entry.output is None:
             raise BenchSetupError(
                 f"bench {bench.name!r}: instruments.generator.output: is missing; add "

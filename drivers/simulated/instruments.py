@@ -35,7 +35,7 @@ _USB_S: Final = 0.005
 _RELAY_S: Final = 0.1
 _RAMP_STEPS: Final = 20
 _BUFFER_S: Final = 1.0
-# Light of a frame that blinks; see `drivers.simulated.twin.Faults`.
+# Light of a frame that blinks; see `drivers.simulated.settings.Faults`.
 _BLINK: Final = 0.9
 
 
@@ -356,5 +356,6 @@ def _require_no_options(role: str, entry: InstrumentEntry) -> None:
     if entry.options:
         raise BenchSetupError(
             f"instruments.{role}.options: the simulated driver knows no option "
-            f"{', '.join(sorted(entry.options))}; settings of the simulation stand under twin:"
+            f"{', '.join(sorted(entry.options))}; write settings of the simulated bench under "
+            "simulation:"
         )

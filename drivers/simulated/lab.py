@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from drivers.context import BenchContext, WallClock
 from drivers.errors import BenchSetupError
 from drivers.roles import Arrangement, Clock
-from drivers.simulated.twin import (
+from drivers.simulated.settings import (
     Faults,
     Light,
-    Twin,
+    Simulation,
     bench_constants,
     bench_geometry,
-    read_twin,
-    twin_settings,
+    model_settings,
+    read_simulation,
 )
 from physics.bench import (
     BenchModel,
@@ -75,19 +75,19 @@ class SimulatedLab:
     Raises
     ------
     BenchSetupError
-        If the twin's section of the bench file is wrong.
+        If the simulation's section of the bench file is wrong.
     """
 
     def __init__(self, context: BenchContext) -> None:
         bench_file = context.description
-        twin = read_twin(bench_file.twin, bench_file.name)
-        self.faults: Faults = twin.faults
-        self.clock: Clock = WallClock() if twin.pace == "realtime" else VirtualClock()
+        simulation = read_simulation(bench_file.simulation, bench_file.name)
+        self.faults: Faults = simulation.faults
+        self.clock: Clock = WallClock() if simulation.pace == "realtime" else VirtualClock()
         context.clock = self.clock
         self._scene = Scene()
-        self._settings = twin_settings(twin, bench_file, context.preparation)
-        self._reed = _reed_on(context, twin)
-        self._light: Light = twin.light
+        self._settings = model_settings(simulation, bench_file, context.preparation)
+        self._reed = _reed_on(context, simulation)
+        self._light: Light = simulation.light
         self._rng = context.rng
         self._clampings = 0
         self._model: BenchModel | None = None
@@ -222,23 +222,23 @@ def _with_half_the_volts(segment: Segment) -> Segment:
     return replace(segment, state=replace(segment.state, drive_v=0.5 * segment.state.drive_v))
 
 
-def _reed_on(context: BenchContext, twin: Twin) -> ReducedReed | WholeReed:
+def _reed_on(context: BenchContext, simulation: Simulation) -> ReducedReed | WholeReed:
     """Return the reed on the bench; one that is not its own mirror image is solved whole.
 
     Raises
     ------
     BenchSetupError
-        If the twin's changes of shape or cane leave nothing that could be a reed.
+        If the simulation's changes of shape or cane leave nothing that could be a reed.
     """
-    level, basis = twin.finite_elements
-    settings = replace(basis, cane=bench_constants(twin, context.preparation))
+    level, basis = simulation.finite_elements
+    settings = replace(basis, cane=bench_constants(simulation, context.preparation))
     try:
-        geometry = bench_geometry(twin, context.preparation)
+        geometry = bench_geometry(simulation, context.preparation)
         if geometry is None or is_even(geometry):
             return reduced_reed(geometry, level, settings, context.announce)
         return whole_reed(geometry, level, settings, context.announce)
     except ValueError as error:
         raise BenchSetupError(
-            f"bench {context.description.name!r}: twin.shape and twin.cane_factors make no reed: "
-            f"{error}; correct them, or leave them out for the reed of the protocol"
+            f"bench {context.description.name!r}: simulation.shape and simulation.cane_factors "
+            f"make no reed: {error}; correct them, or leave them out for the reed of the protocol"
         ) from None

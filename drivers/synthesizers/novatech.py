@@ -103,10 +103,12 @@ class Novatech409B:
         If the box does not answer, or does not confirm RF off at the centre.
     """
 
+    OPTIONS = NovatechOptions
+
     def __init__(self, entry: Synthesizers, context: BenchContext) -> None:
         bench = context.description.name
         options = read_options(
-            NovatechOptions, entry.options, bench, "instruments.synthesizers.options"
+            self.OPTIONS, entry.options, bench, "instruments.synthesizers.options"
         )
         require_possible(entry, bench)
         self._options = options

@@ -24,31 +24,22 @@ FULL_SCALE: Final = 1023
 
 
 class NovatechOptions(Options):
-    """What a bench file says of a 409B.
-
-    Attributes
-    ----------
-    port : str
-        Serial port, see `SerialLine`.
-    amplitude : float
-        Of both channels when RF is on, as a share of full scale.
-    amplitude_max : float
-        What the modulators and their amplifiers stand, as a share of full scale.
-    timeout_s : float
-        How long the box may take for a line.
-    baud : int
-        The rate that the box is set to.
-    external_reference : bool
-        Whether the box has option /R and a 10 MHz reference is plugged in. It says so in the run
-        file and sends nothing: with /R, no clock command may be sent.
-    """
+    """Options of a Novatech 409B."""
 
     port: Annotated[str, Field(min_length=1)]
+    """Serial port, such as `/dev/ttyUSB0`."""
     amplitude: Annotated[float, Field(ge=0.001, le=1)]
+    """Amplitude of both channels when RF is on, as a fraction of full scale."""
     amplitude_max: Annotated[float, Field(ge=0.001, le=1)]
+    """Highest amplitude that the modulators and their amplifiers stand, as a fraction of full
+    scale."""
     timeout_s: Annotated[float, Field(gt=0, le=60)] = 0.5
+    """Longest wait for a line, in s."""
     baud: Literal[9600, 19200, 38400, 57600, 115200] = 19200
+    """Baud rate that the box is set to."""
     external_reference: bool = False
+    """Whether the box has option /R and a 10 MHz reference is connected. The run file records it;
+    nothing is sent, because with /R no clock command may be sent."""
 
     @model_validator(mode="after")
     def _below_maximum(self) -> Self:

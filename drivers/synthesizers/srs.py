@@ -41,30 +41,20 @@ _EXTERNAL: Final = 3
 
 
 class SRSOptions(Options):
-    """What a bench file says of the two generators.
-
-    Attributes
-    ----------
-    resources : list of str
-        VISA's names of the generators of AOM1 and AOM2, see `open_visa`.
-    power_dbm : float
-        Of both type-N outputs when RF is on.
-    power_max_dbm : float
-        What the modulators and their amplifiers stand.
-    timeout_s : float
-        How long a generator may take for an answer.
-    baud : int or None
-        For generators on serial lines.
-    check_timebase : bool
-        Whether to refuse two generators that both say that they run on their own clock.
-    """
+    """Options of two Stanford Research generators."""
 
     resources: Annotated[list[str], Field(min_length=2, max_length=2)]
+    """VISA names of the generators of AOM1 and AOM2."""
     power_dbm: Annotated[float, Field(ge=-110, le=16.5)]
+    """Power of both type-N outputs when RF is on, in dBm."""
     power_max_dbm: Annotated[float, Field(ge=-110, le=16.5)]
+    """Highest power that the modulators and their amplifiers stand, in dBm."""
     timeout_s: Annotated[float, Field(gt=0, le=60)] = 1.0
+    """Longest wait for an answer, in s."""
     baud: Annotated[int, Field(gt=0)] | None = None
+    """Baud rate of generators on serial lines."""
     check_timebase: bool = True
+    """Whether to refuse two generators that both report that they run on their own clock."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -99,9 +89,13 @@ class SRSPair:
         If a generator does not answer or confirm, is no SG380, or both run on their own clocks.
     """
 
+    OPTIONS = SRSOptions
+
     def __init__(self, entry: Synthesizers, context: BenchContext) -> None:
         bench = context.description.name
-        options = read_options(SRSOptions, entry.options, bench, "instruments.synthesizers.options")
+        options = read_options(
+            self.OPTIONS, entry.options, bench, "instruments.synthesizers.options"
+        )
         _require_possible(entry, bench)
         self._centre_hz, self._window_hz = entry.centre_hz, entry.window_hz
         # Rounded down to what AMPR resolves, so that the maximum is not exceeded.

@@ -29,13 +29,13 @@ UNPLUGGED_ONCE = {"unplug_at": 80, "replug_after_s": 1.0}
 
 @pytest.fixture
 def context():
-    """Return a function that gives the context of a emulated bench with faults of its twin."""
+    """Return a function that gives the context of an emulated bench with simulated faults."""
     made = []
 
     def make(**faults):
         bench = BenchFile.from_file("emulated").replace(
             {
-                "twin": {"mesh": "coarse", "faults": faults},
+                "simulation": {"mesh": "coarse", "faults": faults},
                 "instruments.generator.options": {"timeout_s": 0.2},
             }
         )
@@ -165,7 +165,7 @@ def test_a_relay_that_sticks_is_not_noticed_by_the_generator(context):
 def test_a_closed_bench_leaves_nothing_in_memory():
     """A laboratory of full size holds some hundred megabytes."""
     plan = make_plan(Protocol.from_file("quick"), BenchFile.from_file("emulated").replace(
-        {"twin": {"mesh": "coarse"}, "instruments.camera.driver": "simulated"}
+        {"simulation": {"mesh": "coarse"}, "instruments.camera.driver": "simulated"}
     ))  # fmt: skip
     gc.collect()
     gc.disable()

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.simulated.twin import cane_of
+from drivers.simulated.settings import cane_of
 from fitting.forward import (
     PaperModel,
     cents_of,

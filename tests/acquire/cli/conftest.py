@@ -67,11 +67,11 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def bench_file(tmp_path):
-    """Return a function that writes a bench with a coarse reed and settings of the twin."""
+    """Return a function that writes a bench with a coarse reed and settings of the simulation."""
 
     def write(name="bench.yaml", drivers=None, **twin):
         content = yaml.safe_load(find_bench().read_text(encoding="utf-8"))
-        content["twin"] = {"mesh": "coarse", **twin}
+        content["simulation"] = {"mesh": "coarse", **twin}
         for role, driver in (drivers or {}).items():
             content["instruments"][role]["driver"] = driver
         path = tmp_path / name

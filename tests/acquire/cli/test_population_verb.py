@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.simulated.twin import Twin
+from drivers.simulated.settings import Simulation
 from fitting.forward import (
     PaperModel,
     hz_of,
@@ -26,7 +26,7 @@ from physics.reed.viscoelastic import (
 )
 from protocols.reed import ReedFile
 
-COARSE = Twin(mesh="coarse").finite_elements
+COARSE = Simulation(mesh="coarse").finite_elements
 REEDS = {"R1": Components(0.5, -0.4, 0.3, 0.2), "R2": Components(-1.0, 0.6, -0.2, -0.7)}
 
 

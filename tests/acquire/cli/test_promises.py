@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import acquire
-from drivers.simulated.twin import Twin, cane_of
+from drivers.simulated.settings import Simulation, cane_of
 from fitting.errors import FitError
 from fitting.fringes.pictures import read_pictures
 from physics.reed.cache import reduced_reed
@@ -207,7 +207,7 @@ def test_another_reed_is_measured_and_fitted_with_its_own_modes(
 ):
     """F1 and T1 of an alto saxophone's reed, far below a clarinet's; all with a coarse mesh."""
     alto = ReedFile.from_file("alto-saxophone")
-    coarse = reduced_reed(alto.geometry(), *Twin(mesh="coarse").finite_elements)
+    coarse = reduced_reed(alto.geometry(), *Simulation(mesh="coarse").finite_elements)
     monkeypatch.setattr("fitting.cane.fit_runs.basis_of", lambda kind, announce: coarse)
     protocol = protocol_file(
         **{"reed": "alto-saxophone", "sweep.first": 10, "sweep.last": 60, "sweep.stride": 1},

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.recovery import CLAIMED
-from drivers.simulated.twin import cane_of
+from drivers.simulated.settings import cane_of
 from fitting.cane.fit_runs import (
     ReedFit,
     fit_runs,

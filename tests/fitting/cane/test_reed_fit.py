@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.simulated.twin import cane_of
+from drivers.simulated.settings import cane_of
 from fitting.cane.reed_fit import (
     COMPONENTS,
     QUOTED_HZ,

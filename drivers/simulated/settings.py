@@ -1,4 +1,4 @@
-"""The ``twin:`` section of a bench file: which reed, which light, which faults, how fast."""
+"""The ``simulation:`` section of a bench file: reed, light, faults, and the pace of time."""
 
 import hashlib
 from collections.abc import Mapping
@@ -49,28 +49,27 @@ _Factor = Annotated[float, Field(gt=0, le=10)]
 
 
 class ReedComponents(Options):
-    """The four components of the cane, in standard deviations of the population."""
+    """The four components of the cane, in standard deviations of the paper's population."""
 
     e1: Annotated[float, Field(ge=-6, le=6)] = 0.0
+    """Component e1."""
     e2: Annotated[float, Field(ge=-6, le=6)] = 0.0
+    """Component e2."""
     e3: Annotated[float, Field(ge=-6, le=6)] = 0.0
+    """Component e3."""
     e4: Annotated[float, Field(ge=-6, le=6)] = 0.0
+    """Component e4."""
 
 
 class ThicknessDeviations(Options):
-    """Deviations of the vamp from the drawing, see `physics.reed.geometry.ThicknessMap`.
-
-    Attributes
-    ----------
-    x_mm, y_mm : tuple of float
-        Abscissae and ordinates, ascending; y of either sign.
-    deviation_um : tuple of tuple of float
-        A row for each x, in it a value for each y.
-    """
+    """Deviations of the vamp from the drawing, see `physics.reed.geometry.ThicknessMap`."""
 
     x_mm: _Numbers
+    """Distances from the tip in mm, ascending."""
     y_mm: _Numbers
+    """Distances from the axis in mm, ascending, with both signs."""
     deviation_um: Annotated[tuple[_Numbers, ...], Field(strict=False)]
+    """Deviations in µm: a row for each x, in it a value for each y."""
 
     def thickness_map(self) -> ThicknessMap:
         """Return the map as physics knows it.
@@ -81,7 +80,6 @@ class ThicknessDeviations(Options):
             If it says nothing of one side, or has rows of another length.
         """
         if not min(self.y_mm, default=0.0) < 0 < max(self.y_mm, default=0.0):
-            # What was measured on one side might be meant for both, or for one.
             raise ValueError("y_mm of the thickness map lies on one side of the axis only")
         for number, row in enumerate(self.deviation_um, 1):
             if len(row) != len(self.y_mm):
@@ -97,166 +95,141 @@ class ThicknessDeviations(Options):
 
 
 class Shape(Options):
-    """How the reed on the bench differs from the protocol's, even in y or not.
-
-    Attributes
-    ----------
-    thickness_map : ThicknessDeviations or None
-        In place of that of the protocol's reed, if it has one.
-    thickness_offset_um : float
-        Added all over the vamp.
-    """
+    """Differences of the simulated reed from the reed of the protocol."""
 
     thickness_map: ThicknessDeviations | None = None
+    """Deviations from the drawing, in place of those of the protocol's reed."""
     thickness_offset_um: Annotated[float, Field(ge=-1000, le=1000)] = 0.0
+    """Thickness in µm added to the whole vamp."""
 
 
 class CaneFactors(Options):
-    """Constants of the cane on the bench over those of the protocol's reed.
+    """Constants of the simulated cane divided by those of the protocol's reed.
 
-    Those of E_L and G_LT multiply the moduli that follow from the reed's components, at every
+    The factors of E_L and G_LT multiply the moduli that follow from the reed's components, at every
     frequency.
     """
 
     E_L: _Factor = 1.0
+    """Factor of E_L."""
     E_T: _Factor = 1.0
+    """Factor of E_T."""
     E_R: _Factor = 1.0
+    """Factor of E_R."""
     G_LT: _Factor = 1.0
+    """Factor of G_LT."""
     G_LR: _Factor = 1.0
+    """Factor of G_LR."""
     G_TR: _Factor = 1.0
+    """Factor of G_TR."""
     nu_LT: _Factor = 1.0
+    """Factor of nu_LT."""
     nu_LR: _Factor = 1.0
+    """Factor of nu_LR."""
     nu_TR: _Factor = 1.0
+    """Factor of nu_TR."""
     density: _Factor = 1.0
+    """Factor of the density."""
 
 
 class Pressure(Options):
-    """How the pressure on the reed differs from the model's, see `PressureDistortion`.
-
-    Attributes
-    ----------
-    distortion : float
-        Rms of a smooth random complex field; the pressure is the model's times 1 + this field.
-    seed : int
-        The field is always the same for one seed.
-    """
+    """Differences of the pressure on the reed from the model, see `PressureDistortion`."""
 
     distortion: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Rms of a smooth random complex field F; the pressure is that of the model times 1 + F."""
     seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the field."""
 
 
 class Light(Options):
-    """Both beams, see `physics.optics.Illumination`.
-
-    Attributes
-    ----------
-    local_oscillator_e_s, object_e_s : float
-        Electrons per pixel and second.
-    gain_scatter : float
-        Standard deviation of the logarithm of the object light's amplitude from one acquisition
-        to the next: power of the laser, efficiency of the modulators.
-    phase_scatter : bool
-        Whether every acquisition has a phase of the object light of its own, as paths drift.
-    path_drift_rad, path_jitter_rad : float
-        By how much the optical path turns the object light from each frame to the next, and
-        standard deviation of a further turn of each frame, at random.
-    """
+    """Both beams, see `physics.optics.Illumination`."""
 
     local_oscillator_e_s: Annotated[float, Field(gt=0)] = _NOMINAL.illumination.local_oscillator_e_s
+    """Local oscillator, in electrons per pixel and second."""
     object_e_s: Annotated[float, Field(gt=0)] = _NOMINAL.illumination.object_e_s
+    """Object beam, in electrons per pixel and second."""
     gain_scatter: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Standard deviation of the logarithm of the object light's amplitude from one acquisition to
+    the next, as from the power of the laser and the efficiency of the modulators."""
     phase_scatter: bool = False
+    """Whether the phase of the object light is random in every acquisition, as when paths drift."""
     path_drift_rad: Annotated[float, Field(ge=-3, le=3)] = 0.0
+    """Phase in rad by which the optical path turns the object light from each frame to the next."""
     path_jitter_rad: Annotated[float, Field(ge=0, le=3)] = 0.0
+    """Standard deviation in rad of a further random phase of each frame."""
+
+
+_Acquisitions = Annotated[tuple[int, ...], Field(strict=False)]
 
 
 class Faults(Options):
-    """What is wrong with the bench, for tests and for training.
-
-    Attributes
-    ----------
-    tweeter_unplugged : bool
-        The generator drives a cable that ends nowhere.
-    local_oscillator_factor : float
-        The local oscillator is this much too bright; 4 saturates the camera.
-    drop_frame_at : tuple of int
-        Acquisitions, counted from 1, whose third frame is lost between camera and computer.
-    stale_frame_at : tuple of int
-        Acquisitions, counted from 1, in which frames come out of a buffer, older than asked for.
-    duplicate_frame_at, reorder_frames_at, partial_frame_at, late_frame_at : tuple of int
-        Acquisitions whose third frame is the second once more; comes before the second; ends in
-        rows of the second; begins most of a period late.
-    dark_frame_at, blink_at, advance_frames_at, sag_at : tuple of int
-        Acquisitions whose third frame is dark; has 90 % of its light; shows, like the fourth, what
-        came one period later; is the first of two during which the loudspeaker has half its volts.
-    modulators_exchanged : bool
-        Each synthesizer feeds the other's modulator.
-    no_frame_from : int or None
-        From this acquisition on no frame comes: the trigger's cable is out.
-    clock_jump_at : int or None
-        During this acquisition the camera's clock jumps by `clock_jump_s`.
-    frame_rate_error_ppm : float
-        The camera is this much faster than it was told.
-    synthesizers_wire, generator_wire : WireFaults
-        What goes wrong on the wires of a bench whose instruments have some.
-    synthesizers_device : SynthesizerFaults
-    generator_device : GeneratorFaults
-        What is wrong with the instruments at the far ends of these wires.
-    """
+    """Faults of the bench, for tests and for training. Acquisitions count from 1."""
 
     tweeter_unplugged: bool = False
+    """Disconnect the loudspeaker from the generator."""
     local_oscillator_factor: Annotated[float, Field(gt=0, le=1000)] = 1.0
-    drop_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
-    stale_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
-    duplicate_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
-    reorder_frames_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
-    partial_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
-    late_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
-    dark_frame_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
-    blink_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
-    advance_frames_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
-    sag_at: Annotated[tuple[int, ...], Field(strict=False)] = ()
+    """Factor of the local oscillator's power; 4 saturates the camera."""
+    drop_frame_at: _Acquisitions = ()
+    """Acquisitions whose third frame is lost between camera and computer."""
+    stale_frame_at: _Acquisitions = ()
+    """Acquisitions whose frames come out of a buffer, older than the setting."""
+    duplicate_frame_at: _Acquisitions = ()
+    """Acquisitions whose third frame is a copy of the second."""
+    reorder_frames_at: _Acquisitions = ()
+    """Acquisitions whose third frame comes before the second."""
+    partial_frame_at: _Acquisitions = ()
+    """Acquisitions whose third frame ends in rows of the second."""
+    late_frame_at: _Acquisitions = ()
+    """Acquisitions whose third frame begins most of a period late."""
+    dark_frame_at: _Acquisitions = ()
+    """Acquisitions whose third frame is dark."""
+    blink_at: _Acquisitions = ()
+    """Acquisitions whose third frame has 90 % of its light."""
+    advance_frames_at: _Acquisitions = ()
+    """Acquisitions whose third and fourth frames show light of one period later."""
+    sag_at: _Acquisitions = ()
+    """Acquisitions in whose last two frames the loudspeaker has half its volts."""
     modulators_exchanged: bool = False
+    """Connect each synthesizer to the other modulator."""
     no_frame_from: int | None = None
+    """Acquisition from which on no frame comes, as when the trigger cable is unplugged."""
     clock_jump_at: int | None = None
+    """Acquisition during which the clock of the camera jumps by `clock_jump_s`."""
     clock_jump_s: Annotated[float, Field(ge=-3600, le=3600)] = 0.5
+    """Jump of the camera's clock, in s."""
     frame_rate_error_ppm: Annotated[float, Field(ge=-1e5, le=1e5)] = 0.0
+    """Error of the camera's frame rate in parts per million; positive is too fast."""
     synthesizers_wire: WireFaults = WireFaults()
+    """Faults of the connection to the emulated synthesizers."""
     generator_wire: WireFaults = WireFaults()
+    """Faults of the connection to the emulated generator."""
     synthesizers_device: SynthesizerFaults = SynthesizerFaults()
+    """Faults of the emulated synthesizers."""
     generator_device: GeneratorFaults = GeneratorFaults()
+    """Faults of the emulated generator."""
 
 
-class Twin(Options):
-    """The whole section. What is not said is nominal.
-
-    Attributes
-    ----------
-    reed : ReedComponents or None
-        The cane; without it, that of the reed's name (`cane_of`).
-    shape : Shape
-        What of the reed's shape plan and fit do not know.
-    cane_factors : CaneFactors
-        What of its cane they do not know.
-    pressure : Pressure
-        What of the pressure on it they do not know.
-    loss_factor : float
-        Of the cane.
-    mesh : {'standard', 'coarse'}
-        How finely the reed is computed.
-    pace : {'fast', 'realtime'}
-        Whether time passes as fast as frames can be computed, or as on the wall.
-    """
+class Simulation(Options):
+    """Settings of the simulated bench."""
 
     reed: ReedComponents | None = None
+    """Cane of the reed. Without this key, it follows from the name of the reed (`cane_of`)."""
     shape: Shape = Shape()
+    """Differences of shape that plan and fit do not know."""
     cane_factors: CaneFactors = CaneFactors()
+    """Differences of the cane that plan and fit do not know."""
     pressure: Pressure = Pressure()
+    """Differences of the pressure that plan and fit do not know."""
     loss_factor: Annotated[float, Field(gt=0, lt=1)] = _NOMINAL.loss_factor
+    """Loss factor of the cane."""
     light: Light = Light()
+    """Local oscillator and object beam."""
     mesh: Literal["standard", "coarse"] = "standard"
+    """Mesh of the finite elements."""
     pace: Literal["fast", "realtime"] = "fast"
+    """Whether simulated time passes as fast as frames can be computed, or in real time."""
     faults: Faults = Faults()
+    """Faults, for tests and for training."""
 
     @property
     def finite_elements(self) -> tuple[MeshLevel, BasisSettings]:
@@ -268,15 +241,15 @@ def _scaled(factor: float, values: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(factor * value for value in values)
 
 
-def read_twin(content: Mapping[str, Any], bench_name: str) -> Twin:
-    """Check the ``twin:`` section of a bench file.
+def read_simulation(content: Mapping[str, Any], bench_name: str) -> Simulation:
+    """Check the ``simulation:`` section of a bench file.
 
     Raises
     ------
     BenchSetupError
         With the key path of the first thing that is wrong.
     """
-    return read_options(Twin, content, bench_name, "twin")
+    return read_options(Simulation, content, bench_name, "simulation")
 
 
 def cane_of(reed: str) -> Components:
@@ -301,17 +274,17 @@ def _physical(cane: Components) -> bool:
     return True
 
 
-def bench_geometry(twin: Twin, preparation: Preparation) -> ReedGeometry | None:
+def bench_geometry(simulation: Simulation, preparation: Preparation) -> ReedGeometry | None:
     """Return the shape of the reed on the bench; None is the paper's.
 
-    That is the preparation's, unless the twin says how it differs.
+    That is the preparation's, unless the simulation says how it differs.
 
     Raises
     ------
     ValueError
         If the thickness map is none; whether it makes a reed is for the mesh to say.
     """
-    shape = twin.shape
+    shape = simulation.shape
     if shape == Shape():
         return preparation.geometry
     drawn = preparation.geometry or ReedGeometry()
@@ -323,9 +296,9 @@ def bench_geometry(twin: Twin, preparation: Preparation) -> ReedGeometry | None:
     )
 
 
-def bench_constants(twin: Twin, preparation: Preparation) -> Cane:
+def bench_constants(simulation: Simulation, preparation: Preparation) -> Cane:
     """Return the constants, other than E_L and G_LT, of the cane on the bench."""
-    known, factors = preparation.constants or Cane(), twin.cane_factors
+    known, factors = preparation.constants or Cane(), simulation.cane_factors
     changed = {
         field.name: getattr(known, field.name)
         * getattr(factors, field.name.removesuffix("_pa").removesuffix("_kg_m3"))
@@ -335,12 +308,14 @@ def bench_constants(twin: Twin, preparation: Preparation) -> Cane:
     return replace(known, **changed)
 
 
-def twin_settings(twin: Twin, bench_file: BenchFile, preparation: Preparation) -> TwinSettings:
+def model_settings(
+    simulation: Simulation, bench_file: BenchFile, preparation: Preparation
+) -> TwinSettings:
     """Return the settings of `physics` for a bench, with the whole sensor.
 
     Parameters
     ----------
-    twin : Twin
+    simulation : Simulation
     bench_file : BenchFile
         Supplies optics and sensor.
     preparation : Preparation
@@ -354,27 +329,29 @@ def twin_settings(twin: Twin, bench_file: BenchFile, preparation: Preparation) -
     camera, optics = bench_file.instruments.camera, bench_file.optics
     geometry, size = preparation.geometry or ReedGeometry(), optics.reed_size
     series = Series.B if preparation.series == "B" else Series.A
-    cane = Components(**twin.reed.model_dump()) if twin.reed else cane_of(preparation.reed)
+    cane = (
+        Components(**simulation.reed.model_dump()) if simulation.reed else cane_of(preparation.reed)
+    )
     try:
         require_physical(viscoelastic_cane(cane, series))
     except ValueError as error:
         raise BenchSetupError(
-            f"bench {bench_file.name!r}: twin.reed: {error} ({cane}, series {series}); choose "
-            "components nearer to 0"
+            f"bench {bench_file.name!r}: simulation.reed: {error} ({cane}, series {series}); "
+            "choose components nearer to 0"
         ) from None
-    factor = twin.faults.local_oscillator_factor
+    factor = simulation.faults.local_oscillator_factor
     return TwinSettings(
         components=cane,
         series=series,
-        E_L_factor=twin.cane_factors.E_L,
-        G_LT_factor=twin.cane_factors.G_LT,
-        loss_factor=twin.loss_factor,
+        E_L_factor=simulation.cane_factors.E_L,
+        G_LT_factor=simulation.cane_factors.G_LT,
+        loss_factor=simulation.loss_factor,
         chamber=chamber_of(geometry, Filling(preparation.chamber)),
-        distortion=PressureDistortion(twin.pressure.distortion, twin.pressure.seed),
-        tweeter=Tweeter(connected=not twin.faults.tweeter_unplugged),
+        distortion=PressureDistortion(simulation.pressure.distortion, simulation.pressure.seed),
+        tweeter=Tweeter(connected=not simulation.faults.tweeter_unplugged),
         illumination=Illumination(
-            local_oscillator_e_s=twin.light.local_oscillator_e_s * factor,
-            object_e_s=twin.light.object_e_s,
+            local_oscillator_e_s=simulation.light.local_oscillator_e_s * factor,
+            object_e_s=simulation.light.object_e_s,
         ),
         layout=Layout(
             wavelength_m=float(optics.wavelength_m),

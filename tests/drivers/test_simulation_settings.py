@@ -1,4 +1,4 @@
-"""The twin's section of a bench file becomes physics, or one line of complaint."""
+"""The simulation's section of a bench file becomes physics, or one line of complaint."""
 
 from dataclasses import replace
 
@@ -8,13 +8,13 @@ import pytest
 from drivers.context import BenchContext
 from drivers.errors import BenchSetupError
 from drivers.simulated.lab import SimulatedLab
-from drivers.simulated.twin import (
-    Twin,
+from drivers.simulated.settings import (
+    Simulation,
     bench_constants,
     bench_geometry,
     cane_of,
-    read_twin,
-    twin_settings,
+    model_settings,
+    read_simulation,
 )
 from physics.air import Filling
 from physics.bench import PressureDistortion
@@ -31,8 +31,8 @@ from protocols.reed import ReedFile
 
 
 def settings_of(bench_file, series="A", chamber="asymmetric", reed="R07"):
-    twin = read_twin(bench_file.twin, bench_file.name)
-    return twin_settings(twin, bench_file, Preparation(reed, series, chamber))
+    simulation = read_simulation(bench_file.simulation, bench_file.name)
+    return model_settings(simulation, bench_file, Preparation(reed, series, chamber))
 
 
 def test_a_name_is_always_the_same_cane():
@@ -79,7 +79,7 @@ def test_the_bench_file_decides_optics_sensor_and_reed(small_bench_file):
 def test_another_reed_has_a_mouthpiece_of_its_own(small_bench_file):
     bench_file, bass = small_bench_file(), ReedFile.from_file("bass-clarinet").geometry()
     preparation = Preparation("R07", "A", "asymmetric", bass)
-    settings = twin_settings(read_twin({}, "bench"), bench_file, preparation)
+    settings = model_settings(read_simulation({}, "bench"), bench_file, preparation)
     clarinet = settings_of(bench_file)
     # The paper's mouthpiece, and one with the same walls for a reed that is clamped at 45 mm.
     assert (clarinet.chamber.length_m, clarinet.chamber.half_width_m) == (33e-3, 5.3e-3)
@@ -115,13 +115,13 @@ def test_the_reed_on_the_bench_differs_from_the_protocols_in_what_is_said():
     bass = ReedFile.from_file("bass-clarinet")
     preparation = Preparation("R07", "A", "asymmetric", bass.geometry(), bass.constants())
     factors = {"E_T": 1.1, "nu_LR": 0.9, "density": 1.2, "E_L": 1.3, "G_LT": 0.7}
-    twin = read_twin({"shape": skew_map(5, -2.5), "cane_factors": factors}, "mine")
+    simulation = read_simulation({"shape": skew_map(5, -2.5), "cane_factors": factors}, "mine")
     measured = ThicknessMap((0.0, 35e-3), (-6.5e-3, 6.5e-3), ((-2.5e-6, 5e-6),) * 2)
-    geometry = bench_geometry(twin, preparation)
+    geometry = bench_geometry(simulation, preparation)
     assert geometry.thickness_map.deviation_m == pytest.approx(np.array(measured.deviation_m))
     assert geometry.thickness_map.y_m == pytest.approx(measured.y_m)
     assert replace(geometry, thickness_map=None) == bass.geometry()
-    known, cane = bass.constants(), bench_constants(twin, preparation)
+    known, cane = bass.constants(), bench_constants(simulation, preparation)
     assert cane.E_T_pa == pytest.approx(1.1 * known.E_T_pa)
     assert cane.nu_LR == pytest.approx(0.9 * known.nu_LR)
     assert cane.density_kg_m3 == pytest.approx(1.2 * known.density_kg_m3)
@@ -134,10 +134,12 @@ def test_an_offset_adds_to_what_the_protocol_knows_and_a_map_replaces_it():
         thickness_offset_m=2e-6, thickness_map=ThicknessMap((0.0, 1.0), (0.0, 1.0), ((1.0, 1.0),))
     )
     preparation = Preparation("R07", "A", "asymmetric", known)
-    lifted = bench_geometry(read_twin({"shape": {"thickness_offset_um": 3}}, "mine"), preparation)
+    lifted = bench_geometry(
+        read_simulation({"shape": {"thickness_offset_um": 3}}, "mine"), preparation
+    )
     assert lifted.thickness_offset_m == pytest.approx(5e-6)
     assert lifted.thickness_map == known.thickness_map
-    other = bench_geometry(read_twin({"shape": skew_map(1, 1)}, "mine"), preparation)
+    other = bench_geometry(read_simulation({"shape": skew_map(1, 1)}, "mine"), preparation)
     assert other.thickness_offset_m == known.thickness_offset_m
     assert other.thickness_map.x_m == (0.0, 35e-3)
 
@@ -154,7 +156,8 @@ def test_moduli_and_pressure_of_the_bench_reach_physics(small_bench_file):
 
 def test_plan_and_chamber_are_those_of_the_reed_that_the_protocol_knows(small_bench_file):
     nominal, wrong = (
-        settings_of(small_bench_file(**twin)) for twin in ({}, {"shape": skew_map(9, -9)})
+        settings_of(small_bench_file(**simulation))
+        for simulation in ({}, {"shape": skew_map(9, -9)})
     )
     assert wrong == nominal
 
@@ -170,22 +173,27 @@ def test_the_laboratory_solves_an_uneven_reed_whole(right_um, kind, small_bench_
     preparation = Preparation("R07", "A", "asymmetric")
     bench_file = small_bench_file(shape=skew_map(5.0, right_um))
     SimulatedLab(BenchContext(bench_file, preparation, np.random.default_rng(0), print))
-    twin = read_twin(bench_file.twin, "mine")
-    assert asked == [(kind, bench_geometry(twin, preparation))]
+    simulation = read_simulation(bench_file.simulation, "mine")
+    assert asked == [(kind, bench_geometry(simulation, preparation))]
 
 
 @pytest.mark.parametrize(
-    ("twin", "said"),
+    ("simulation", "said"),
     [
-        ({"shape": skew_map(-500, 0)}, r"twin\.shape and .*µm thick at .*; correct them, or"),
+        ({"shape": skew_map(-500, 0)}, r"simulation\.shape and .*µm thick at .*; correct them, or"),
         ({"shape": skew_map(1, 2, y_mm=[0, 6.5])}, r"make no reed: y_mm .* one side of the axis"),
         ({"shape": skew_map(1, 2, y_mm=[-1, 0, 1])}, r"row 1 of deviation_um has 2 values for 3"),
-        ({"cane_factors": {"nu_TR": 9.0}}, r"twin\.cane_factors make no reed: .*Poisson ratios"),
+        (
+            {"cane_factors": {"nu_TR": 9.0}},
+            r"simulation\.cane_factors make no reed: .*Poisson ratios",
+        ),
     ],
 )
-def test_a_bench_without_a_possible_reed_is_refused(twin, said, small_bench_file):
+def test_a_bench_without_a_possible_reed_is_refused(simulation, said, small_bench_file):
     preparation = Preparation("R07", "A", "asymmetric")
-    context = BenchContext(small_bench_file(**twin), preparation, np.random.default_rng(0), print)
+    context = BenchContext(
+        small_bench_file(**simulation), preparation, np.random.default_rng(0), print
+    )
     with pytest.raises(BenchSetupError, match=said) as caught:
         SimulatedLab(context)
     assert "\n" not in str(caught.value)
@@ -193,7 +201,9 @@ def test_a_bench_without_a_possible_reed_is_refused(twin, said, small_bench_file
 
 def test_faults_reach_physics(small_bench_file):
     faults = {"tweeter_unplugged": True, "local_oscillator_factor": 4}
-    settings, nominal = (settings_of(small_bench_file(**twin)) for twin in ({"faults": faults}, {}))
+    settings, nominal = (
+        settings_of(small_bench_file(**simulation)) for simulation in ({"faults": faults}, {})
+    )
     assert not settings.tweeter.connected
     assert nominal.tweeter.connected
     ratio = settings.illumination.local_oscillator_e_s / nominal.illumination.local_oscillator_e_s
@@ -203,34 +213,34 @@ def test_faults_reach_physics(small_bench_file):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ({"mash": "coarse"}, r"twin\.mash: unknown key"),
-        ({"mesh": "fine"}, r"twin\.mesh: .*'standard' or 'coarse', but is 'fine'"),
-        ({"loss_factor": 0}, r"twin\.loss_factor: .*greater than 0, but is 0"),
-        ({"loss_factor": float("nan")}, r"twin\.loss_factor: .*finite"),
-        ({"reed": {"e1": "0"}}, r"twin\.reed\.e1: .*valid number"),
-        ({"faults": {"drop_frame_at": 3}}, r"twin\.faults\.drop_frame_at: "),
+        ({"mash": "coarse"}, r"simulation\.mash: unknown key"),
+        ({"mesh": "fine"}, r"simulation\.mesh: .*'standard' or 'coarse', but is 'fine'"),
+        ({"loss_factor": 0}, r"simulation\.loss_factor: .*greater than 0, but is 0"),
+        ({"loss_factor": float("nan")}, r"simulation\.loss_factor: .*finite"),
+        ({"reed": {"e1": "0"}}, r"simulation\.reed\.e1: .*valid number"),
+        ({"faults": {"drop_frame_at": 3}}, r"simulation\.faults\.drop_frame_at: "),
         ({"pace": "slow", "mesh": 1}, r"\(and 1 more\)"),
-        ({"shape": {"thickness": 1}}, r"twin\.shape\.thickness: unknown key"),
+        ({"shape": {"thickness": 1}}, r"simulation\.shape\.thickness: unknown key"),
         ({"shape": {"thickness_map": {"x_mm": [0, 1]}}}, r"thickness_map\.y_mm: is missing"),
-        ({"cane_factors": {"E_T": 0}}, r"twin\.cane_factors\.E_T: .*greater than 0"),
-        ({"cane_factors": {"E_X": 1.1}}, r"twin\.cane_factors\.E_X: unknown key"),
-        ({"pressure": {"distortion": -0.1}}, r"twin\.pressure\.distortion: "),
-        ({"pressure": {"seed": 0.5}}, r"twin\.pressure\.seed: "),
-        ({"light": {"gain_scatter": 1.0}}, r"twin\.light\.gain_scatter: .*less than 1"),
-        ({"light": {"phase_scatter": 1}}, r"twin\.light\.phase_scatter: "),
+        ({"cane_factors": {"E_T": 0}}, r"simulation\.cane_factors\.E_T: .*greater than 0"),
+        ({"cane_factors": {"E_X": 1.1}}, r"simulation\.cane_factors\.E_X: unknown key"),
+        ({"pressure": {"distortion": -0.1}}, r"simulation\.pressure\.distortion: "),
+        ({"pressure": {"seed": 0.5}}, r"simulation\.pressure\.seed: "),
+        ({"light": {"gain_scatter": 1.0}}, r"simulation\.light\.gain_scatter: .*less than 1"),
+        ({"light": {"phase_scatter": 1}}, r"simulation\.light\.phase_scatter: "),
     ],
 )
 def test_a_wrong_twin_is_refused_in_one_line(content, said):
     with pytest.raises(BenchSetupError, match=said) as caught:
-        read_twin(content, "mine")
+        read_simulation(content, "mine")
     assert str(caught.value).startswith("bench 'mine': ")
     assert "\n" not in str(caught.value)
 
 
 def test_components_outside_physics_are_refused(small_bench_file):
-    with pytest.raises(BenchSetupError, match=r"twin\.reed: G2 = .*nearer to 0"):
+    with pytest.raises(BenchSetupError, match=r"simulation\.reed: G2 = .*nearer to 0"):
         settings_of(small_bench_file(reed={"e1": -3.5, "e3": 0.0}))
 
 
 def test_nothing_said_is_nominal():
-    assert read_twin({}, "mine") == Twin()
+    assert read_simulation({}, "mine") == Simulation()

@@ -35,7 +35,7 @@ _ADDRESS_KEYS: Final = (
     "ip",
     "url",
 )
-# Sixteen hexadecimal digits tell 10^9 addresses apart with a chance of 3 % of any two alike.
+# With sixteen hexadecimal digits, two of 10^9 addresses are equal with a probability of 3 %.
 _NAME_DIGITS: Final = 16
 _EVERYBODY: Final = 0o1777
 

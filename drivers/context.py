@@ -1,4 +1,4 @@
-"""What a driver is handed when its bench is opened, and where the drivers of one bench meet."""
+"""Context that drivers get when their bench is opened, and through which they share objects."""
 
 import time
 from collections.abc import Callable
@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 class WallClock:
-    """The time of the room, from the moment that this clock was made."""
+    """Real time since this clock was made."""
 
     def __init__(self) -> None:
         self._start_s = time.monotonic()
@@ -41,9 +41,9 @@ class BenchContext:
         The bench file.
     preparation : Preparation
     rng : numpy.random.Generator
-        The only source of chance on this bench.
+        The only source of random numbers on this bench.
     announce : callable
-        Told, in a few words, what is being waited for.
+        Called with a few words about what is being waited for.
     clock : Clock
         The bench's clock. A driver that brings a time of its own puts it here.
     surroundings : Surroundings or None

@@ -1,4 +1,4 @@
-"""Finds what is plugged into this computer, and says how a bench file names it.
+"""Find instruments that are connected to this computer, and their lines in a bench file.
 
 Each kind of thing has a search of its own: serial ports, VISA resources (USB and LAN), cameras,
 sound devices. A search that fails is a remark, and does not hide what the others find. Nothing is
@@ -62,7 +62,7 @@ _KEYS_OF_DRIVERS: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """One thing that is plugged in.
+    """One connected instrument or port.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What one search found.
+    """Result of one search.
 
     Attributes
     ----------

@@ -10,7 +10,7 @@ class InstrumentError(BenchError):
 
 
 class OpeningStoppedError(InstrumentError):
-    """Somebody stopped a bench while it was opened."""
+    """A bench was stopped while it was opened."""
 
     exit_status = 130
 

@@ -174,7 +174,7 @@ def holder_of(path: Path) -> tuple[bool, Holder | None]:
     -------
     (bool, Holder or None)
         None also if the process that the file describes does not run on this computer: it may
-        run on another one that shares the folder, or somebody may have changed the file.
+        run on another one that shares the folder, or the file may have been changed.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)

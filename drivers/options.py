@@ -1,4 +1,4 @@
-"""What a bench file says to a driver under ``options:``, read as strictly as the rest of it."""
+"""Options of a driver in a bench file, read as strictly as the rest of the file."""
 
 from collections.abc import Mapping
 from typing import Any, TypeVar
@@ -26,7 +26,7 @@ class Options(BaseModel):
 
 
 def read_options(model: type[M], content: Mapping[str, Any], bench: str, section: str) -> M:
-    """Check a section of a bench file that acquire leaves to its driver.
+    """Check a section of a bench file that its driver checks.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is known of the clock that an instrument runs on.
+"""Knowledge of the clock that an instrument runs on.
 
 Holograms have a phase only if synthesizers, generator and camera share one clock. A driver may say
 itself what its instrument runs on, by a method ``reference_clock() -> str`` that returns one of

@@ -85,7 +85,7 @@ def open_bench(
     A driver is a callable, usually a class, that takes the instrument's entry of the bench file
     and the `BenchContext`, and returns the open instrument with its outputs off.
 
-    Every instrument is tried, whatever becomes of the others, because an earlier program that was
+    Every instrument is opened even if others fail, because an earlier program that was
     killed may have left any of them on. If one cannot be opened, the others are switched off and
     closed.
 
@@ -94,7 +94,7 @@ def open_bench(
     bench_file : BenchFile
         Usually an `protocols.bench.BenchFile`.
     preparation : Preparation
-        What stands on the bench.
+        Reed and chamber.
     seed : int
         Everything random on a simulated bench follows from it.
     announce : callable, optional
@@ -102,7 +102,7 @@ def open_bench(
     does : str
         What this program does, for the messages of others that want the same bench.
     stopped : callable, optional
-        Asked before each instrument whether somebody wants the program to stop.
+        Called before each instrument; returns whether the program has to stop.
 
     Returns
     -------
@@ -134,7 +134,7 @@ def open_bench(
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """What could be opened of a bench.
+    """Instruments of a bench that could be opened.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
-"""What every instrument of a role can do, whoever makes it.
+"""Roles: the methods that every instrument of a role has.
 
 A driver is any class that satisfies one of these protocols; nothing has to be inherited. Every
 method may raise `InstrumentError` when the instrument does not answer or does not confirm; what it
-may raise besides, and what it promises, stands in its docstring.
+may raise in addition, and what it promises, is in its docstring.
 """
 
 from collections.abc import Callable, Mapping
@@ -38,7 +38,7 @@ class Frame:
 
 
 class Instrument(Protocol):
-    """What all instruments have in common."""
+    """Common part of all instruments."""
 
     @property
     def identity(self) -> str:
@@ -186,7 +186,7 @@ class Camera(Instrument, Protocol):
     def grab(self, count: int, not_before_s: float) -> list[Frame]:
         """Return the next `count` frames, and wait for those that have not come yet.
 
-        The camera keeps frames that nobody asked for yet, at least for a second: instruments may
+        The camera keeps unread frames for at least a second: instruments may
         be read while it exposes.
 
         Parameters
@@ -227,7 +227,7 @@ class Clock(Protocol):
 
 
 class Arrangement(StrEnum):
-    """What is let onto the sensor."""
+    """Light on the sensor."""
 
     HOLOGRAMS = "holograms"
     DARK = "dark"
@@ -237,10 +237,10 @@ class Arrangement(StrEnum):
 
 
 class Surroundings(Protocol):
-    """What stands around the instruments, where a program can change it: shutters, lamp, clamp."""
+    """Shutters, lamp and clamp of a bench that a program can operate."""
 
     def arrange(self, arrangement: Arrangement) -> None:
-        """Let so much light onto the sensor, until told otherwise."""
+        """Change the light on the sensor until the next call."""
         ...
 
     def clamp_again(self) -> None:
@@ -284,7 +284,7 @@ class Bench:
 
     @property
     def identities(self) -> Mapping[str, str]:
-        """What each instrument says that it is, by role."""
+        """Identity of each instrument, by role."""
         return {
             "synthesizers": self.synthesizers.identity,
             "generator": self.generator.identity,

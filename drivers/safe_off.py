@@ -56,7 +56,7 @@ class _Switching:
 
     @property
     def unconfirmed(self) -> Sequence[str]:
-        """What was not confirmed by now."""
+        """Outputs that are not confirmed off."""
         if self._unconfirmed is None:
             return [f"{self._role} off: no answer within {_PATIENCE_S:g} s; look at it"]
         return self._unconfirmed

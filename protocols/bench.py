@@ -64,7 +64,7 @@ class Synthesizers(InstrumentEntry):
                 f"{float(window_hz):.10g} Hz about the centre of {float(centre_hz):.10g} Hz "
                 "reaches down to 0 Hz; write a narrower window or a higher centre"
             )
-        # AOM2 stands at the multiple of the step that is nearest to the centre.
+        # AOM2 has the multiple of the step that is nearest to the centre.
         if step_hz is not None and step_hz > window_hz:
             raise ValueError(
                 f"{float(window_hz):.10g} Hz is narrower than instruments.synthesizers.step, which "
@@ -260,7 +260,7 @@ def _require_fresnel(optics: Optics, camera: CameraSensor) -> None:
 
 
 def find_bench(name_or_path: str | Path = DEFAULT_BENCH) -> Traversable:
-    """Find a bench file: a file of yours first, then a shipped one by name.
+    """Find a bench file by its path, or a shipped one by its name.
 
     Parameters
     ----------

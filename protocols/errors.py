@@ -1,4 +1,4 @@
-"""Errors of descriptions: protocols, benches, reeds, campaigns."""
+"""Errors of protocol, bench, reed and campaign files."""
 
 from holography.errors import BenchError
 

@@ -3,7 +3,7 @@
 Four frames step in quadrature only if ``f_AOM1 − f_AOM2 = n·f + f_CCD/4`` (decision 0001), and
 all three frequencies live on grids of their own: the synthesizers' step, the generator's step, the
 camera's frame rate. This module finds the drive nearest to what was asked at which the condition
-holds exactly, and says what is left where no such drive is near.
+holds exactly, and the residual where no such drive is near.
 """
 
 import math

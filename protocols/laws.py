@@ -34,7 +34,7 @@ _PeakVolts = Annotated[Voltage, Field(gt=0, le=1000)]
 
 
 class BaseFrequencyLaw(Section):
-    """What all frequency laws share: frequencies grow with the index of the step.
+    """Common part of all frequency laws. Frequencies grow with the index of the step.
 
     Attributes
     ----------
@@ -243,7 +243,7 @@ class FrequencyList(BaseFrequencyLaw):
 
 
 class BaseAmplitudeLaw(Section):
-    """What all amplitude laws share: peak volts at the loudspeaker."""
+    """Common part of all amplitude laws. Volts are peak volts at the loudspeaker."""
 
     @abstractmethod
     def volts(self, index: int, frequency_hz: Fraction) -> float:

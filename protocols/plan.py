@@ -1,4 +1,4 @@
-"""The plan: a protocol on a bench, worked out exactly before any instrument is touched."""
+"""The plan: all settings of a protocol on a bench, exact, before any instrument is touched."""
 
 import math
 import random
@@ -32,11 +32,11 @@ from protocols.violations import find_camera_violations, find_view_violations, f
 
 _BYTES_PER_HOLOGRAM_PIXEL: Final = 8  # complex64
 _BYTES_PER_FRAME_PIXEL: Final = 2  # uint16
-# Of frames of 12 bits, see `Plan.packed_size_bytes`.
-_PACKED_SHARE: Final = 0.61
+# Measured on frames of 12 bits; see `Plan.packed_size_bytes`.
+_PACKED_FRACTION: Final = 0.61
 
 
-# A shuffled sweep has the same order everywhere and always.
+# Chosen: any fixed seed, so that a shuffled sweep has the same order everywhere.
 _SHUFFLE: Final = 20_080_403
 
 
@@ -64,7 +64,7 @@ class Plan:
 
     @property
     def sequence(self) -> tuple[int, ...]:
-        """Places of the steps in the order in which they are taken."""
+        """Positions of the steps in the order of measurement."""
         places = list(range(len(self.steps)))
         if self.protocol.sweep.direction == "down":
             places.reverse()
@@ -79,16 +79,16 @@ class Plan:
 
     @property
     def region(self) -> Region:
-        """Part of the reconstructed image that holds the reed."""
+        """Part of the reconstructed image that contains the reed."""
         return reed_region(self.layout, object_transform(self.protocol, self.bench))
 
     @property
     def layout(self) -> Layout:
-        """Where the reed stands before the sensor."""
+        """Position of the reed in front of the sensor."""
         return layout_of(self.bench, self.reed)
 
     def preparation(self, reed: str) -> Preparation:
-        """What stands on the bench when this plan is run on the reed of a name."""
+        """Return the preparation of the bench for a run of this plan on the reed `reed`."""
         protocol = self.protocol
         return Preparation(
             reed, protocol.series, protocol.chamber, self.reed.geometry(), self.reed.constants()
@@ -96,19 +96,19 @@ class Plan:
 
     @property
     def max_retries(self) -> int:
-        """How many bad steps are taken again after the last one.
+        """Largest number of bad steps that are measured again after the last step.
 
-        A tenth of the sweep, and a few: if more steps are bad, the trouble is not theirs.
+        A tenth of the sweep and four: if more steps are bad, the cause lies elsewhere.
         """
         retries = len(self.steps) * self.protocol.policy.bad_step.retries
         return min(retries, len(self.steps) // 10 + 4)
 
     @property
     def spare_attempts(self) -> int:
-        """How many takes a run file has room for besides one of each step.
+        """Number of attempts that a run file can hold in addition to one for each step.
 
-        Those that are taken again after the last step, and those after which a run gives up: they
-        are taken again once the trouble is mended.
+        They are the retries after the last step, and the bad steps in a row after which a run gives
+        up, which are measured again once the cause is repaired.
         """
         if not self.max_retries:
             return 0
@@ -116,32 +116,32 @@ class Plan:
 
     @property
     def duration_s(self) -> float:
-        """Time that a real camera takes: settling, waiting for its next frame, and the frames."""
+        """Duration with a real camera: settling, waiting for its next frame, and the frames."""
         period_s = self.protocol.camera.period_s
         periods = sum(math.ceil(step.settle_s / period_s) + step.frames for step in self.steps)
         return float(periods * period_s)
 
     @property
     def file_size_bytes(self) -> int:
-        """Size of what the run file keeps of all steps, before frames are packed."""
+        """Size of the data of all steps in the run file, before frames are packed."""
         return len(self.steps) * self._step_size_bytes
 
     @property
     def largest_size_bytes(self) -> int:
-        """Size if the run needs every place that it has for steps taken again."""
+        """Size if the run needs all its spare attempts."""
         return (len(self.steps) + self.spare_attempts) * self._step_size_bytes
 
     @property
     def packed_size_bytes(self) -> int | None:
-        """About the size once frames are packed, which a complete run's are; None without frames.
+        """Approximate size after packing, which a complete run does; None without frames.
 
-        One byte of each pixel is noise, which nothing shrinks; of the other, which has the bits
-        above 8, little is left.
+        One byte of each pixel is noise and cannot be compressed; the other holds the bits above 8
+        and compresses well.
         """
         return (
             None
             if self.protocol.keep == "holograms"
-            else round(_PACKED_SHARE * self.file_size_bytes)
+            else round(_PACKED_FRACTION * self.file_size_bytes)
         )
 
     @property
@@ -187,14 +187,14 @@ class Plan:
 
 
 def make_plan(protocol: Protocol, bench: BenchFile) -> Plan:
-    """Work out a sweep without touching an instrument.
+    """Plan a sweep without touching an instrument.
 
     Parameters
     ----------
     protocol : Protocol
-        What is asked for.
+        The protocol.
     bench : BenchFile
-        What there is.
+        The bench.
 
     Returns
     -------
@@ -250,7 +250,7 @@ def _step(protocol: Protocol, bench: BenchFile, index: int, order: int) -> Step:
 
 
 def _still_steps(protocol: Protocol, calibration: Calibration, bench: BenchFile) -> Iterator[Step]:
-    """Acquisitions of a reed that is not driven, at one exposure after the other."""
+    """Yield acquisitions of a reed that is not driven, one exposure after the other."""
     synthesizers = bench.instruments.synthesizers
     aom2_hz = nearest_multiple(synthesizers.centre_hz, synthesizers.step_hz)
     frame_rate_hz = protocol.camera.frame_rate_hz
@@ -278,7 +278,7 @@ def _leak(protocol: Protocol, drive_hz: Fraction, order: int) -> float:
     # Frames cannot overlap: an exposure beyond the period is a violation, and counts as a period.
     exposure_s = min(protocol.exposure_s, protocol.camera.period_s)
     frame_rate_hz = protocol.camera.frame_rate_hz
-    # The reed stands off the axis: the carrier's twin falls beside what is kept of the image.
+    # The reed stands off the axis, so the twin image of the carrier lies outside the kept part.
     leak = carrier_leak(
         float(drive_hz), float(frame_rate_hz), float(exposure_s), order, off_axis=True
     )

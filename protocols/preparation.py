@@ -1,4 +1,4 @@
-"""What stands on the bench: which reed, in which state, behind which chamber."""
+"""Preparation of the bench: the reed, its state and the excitation chamber."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -10,12 +10,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Preparation:
-    """What stands on the bench.
+    """The reed on the bench and how it is excited.
 
     Attributes
     ----------
     reed : str
-        Name that tells this reed from all others.
+        Unique name of this reed.
     series : str
         Series of measurements; the reed of series B is dried.
     chamber : {'asymmetric', 'symmetric'}

@@ -59,7 +59,7 @@ class Sideband(Section):
 
     @property
     def selected(self) -> tuple[int, ...]:
-        """All orders, in their sequence at each frequency."""
+        """All recorded orders, in the order of recording at each frequency."""
         return self.orders or (self.order,)
 
 
@@ -203,7 +203,7 @@ class Protocol(Description):
         ProtocolError
             If there is no such file or anything in it is wrong, or the reed is uneven.
         """
-        # Not with the module: a protocol is read without the libraries that compute reeds.
+        # Imported here, because protocols are read without the libraries that compute reeds.
         from physics.reed.geometry import is_even
         from protocols.reed import ReedFile
 
@@ -221,7 +221,7 @@ class Protocol(Description):
 
 
 def find_protocol(name_or_path: str | Path) -> Traversable:
-    """Find a protocol: a file of yours first, then a shipped one by name.
+    """Find a protocol by its path, or a shipped one by its name.
 
     Parameters
     ----------
@@ -238,11 +238,11 @@ def find_protocol(name_or_path: str | Path) -> Traversable:
 
 
 def shipped_protocols() -> tuple[str, ...]:
-    """Names of the protocols that come with the software, sorted."""
+    """Return the names of the shipped protocols, sorted."""
     files = shipped_files(Protocol.folder).items()
     return tuple(sorted(name for name, file in files if not is_campaign(file.read_text("utf-8"))))
 
 
 def is_campaign(text: str) -> bool:
-    """Whether the text of a file describes a campaign: several protocols, part by part."""
+    """Return whether the text of a file describes a campaign."""
     return any(line.startswith("parts:") for line in text.splitlines())

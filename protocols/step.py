@@ -9,7 +9,7 @@ from protocols.units import exact_decimal
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One line of the plan.
+    """One step of a plan: its frequencies, volts, sideband and exposure.
 
     Attributes
     ----------
@@ -18,19 +18,19 @@ class Step:
     order : int
         Sideband that the synthesizers select.
     asked_hz : Fraction
-        What the protocol asks for, to 1 µHz.
+        Frequency that the protocol asks for, to 1 µHz.
     drive_hz : Fraction
-        What the tweeter gets: the nearest frequency that can be locked to.
+        Drive frequency: the nearest one that the synthesizers can lock to.
     aom1_hz, aom2_hz, difference_hz : Fraction
         Both synthesizers, and AOM1 − AOM2.
     lock_residual_hz : Fraction
-        By how much `difference_hz` misses the lock; 0 is a perfect lock.
+        Difference between `difference_hz` and the lock; 0 is a perfect lock.
     volts : float
         Peak volts at the load, to 1 µV.
     frames : int
         Frames of the acquisition.
     settle_s, exposure_s : Fraction
-        Wait after setting, and exposure of one frame.
+        Wait after a new setting, and exposure of one frame.
     carrier_leak : float
         Amplitude of the carrier in the hologram, relative to what the sideband gives per unit
         amplitude, see `holography.demodulation.carrier_leak`.
@@ -74,7 +74,7 @@ class Violation:
     Attributes
     ----------
     key : str
-        Key path in the protocol that would mend it, such as ``drive.to``.
+        Key path in the protocol that removes it, such as ``drive.to``.
     message : str
         What is wrong and what to write.
     """

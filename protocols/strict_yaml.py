@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, PrivateAttr, ValidationError
 from pydantic_core import ErrorDetails
 
 from protocols.errors import ProtocolError
-from protocols.units import shown_value, unseen_character
+from protocols.units import invisible_character, shown_value
 
 KeyPath = tuple[str | int, ...]
 
@@ -41,7 +41,7 @@ _MAX_MESSAGE_CHARACTERS: Final = 260
 _PLAIN_TAGS: Final = frozenset(
     f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "bool", "null", "map", "seq")
 )
-# YAML 1.1 reads 010 as 8, 1:30 as 90, 0x10 as 16 and 1_0 as 10. No person at a bench means that.
+# YAML 1.1 reads 010 as 8, 1:30 as 90, 0x10 as 16 and 1_0 as 10, which no user expects.
 _DECIMAL: Final = re.compile(
     r"[+-]?(?:0|[1-9][0-9]*|(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?)", re.I
 )
@@ -54,12 +54,12 @@ _NOT_FINITE: Final = {
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """Safe YAML less what a description has no use for; remembers where each key stands.
+    """Safe YAML without features that descriptions do not need; records the line of each key.
 
     Refused with file, line and key path: anchors and aliases (a short file can expand to
     gigabytes), a key given twice (YAML would silently take the last), keys that are not words,
-    keys without a value, values that are not plain (dates, tags), numbers that YAML reads otherwise
-    than people do, characters that are not seen, and depths or lengths that no description has.
+    keys without a value, values that are not plain (dates, tags), numbers that YAML 1.1 reads in an
+    unexpected way, invisible characters, and depths or lengths that no description has.
     """
 
     def __init__(self, text: str, source: str) -> None:
@@ -115,9 +115,9 @@ class _StrictLoader(yaml.SafeLoader):
         value, kind = node.value, node.tag.rpartition(":")[2]
         if len(value) > _MAX_VALUE_CHARACTERS:
             raise self._refusal(f"is longer than {_MAX_VALUE_CHARACTERS} characters; shorten it")
-        unseen = unseen_character(value)
-        if unseen:
-            raise self._refusal(f"holds the character {unseen}; write one line without it")
+        invisible = invisible_character(value)
+        if invisible:
+            raise self._refusal(f"holds the character {invisible}; write one line without it")
         if kind == "null" and not value:
             raise self._refusal("an empty value should be written out, or its key left out")
         if kind in ("int", "float"):
@@ -140,7 +140,7 @@ class _StrictLoader(yaml.SafeLoader):
 
 
 def _load_strictly(text: str, source: str) -> tuple[dict[str, Any], dict[KeyPath, int]]:
-    """Read YAML into plain values, and say in which line each key path stands."""
+    """Read YAML; return its plain values and the line of each key path."""
     try:
         loader = _StrictLoader(text, source)
         content = loader.get_single_data()
@@ -185,7 +185,7 @@ def _read_text(file: Traversable, source: str) -> str:
 
 
 def key_path(path: KeyPath) -> str:
-    """Write a path of keys as people do: ``drive.to``, ``acoustic_resonances[0]``."""
+    """Write a path of keys as in messages: ``drive.to``, ``acoustic_resonances[0]``."""
     keys = (
         f"[{p}]" if isinstance(p, int) else f".{_shortened(p, _MAX_KEY_CHARACTERS)}" for p in path
     )
@@ -193,7 +193,7 @@ def key_path(path: KeyPath) -> str:
 
 
 def _shortened(text: str, characters: int) -> str:
-    """Text with its middle left out if it is long: what is wrong comes first, the remedy last."""
+    """Shorten a text in its middle: the problem comes first and the remedy last."""
     if len(text) <= characters:
         return text
     half = characters // 2
@@ -315,7 +315,7 @@ class Section(BaseModel):
 
 @dataclass(frozen=True)
 class _Origin:
-    """Where a description came from. Never compared: equal settings make equal descriptions."""
+    """Source of a description; never compared, so equal settings are equal descriptions."""
 
     source: str = field(default="(made in Python)", compare=False)
     text: str | None = field(default=None, compare=False)
@@ -440,7 +440,7 @@ class Description(Section):
 
     @property
     def text(self) -> str:
-        """YAML that reads as this description: as a person wrote it, or the plain content."""
+        """YAML of this description: the original text, or the plain content."""
         if self._origin.text is not None:
             return self._origin.text
         written: str = yaml.safe_dump(self.content(), sort_keys=False, allow_unicode=True)
@@ -467,12 +467,12 @@ def named_beside(source: str, name: str) -> str | Path:
     try:
         return neighbour if neighbour.is_file() else name
     except OSError:
-        # No file can have that name; whoever looks for it says so.
+        # No file can have that name; `find_description` reports it.
         return name
 
 
 def find_description(name: str, kind: str, folder: str) -> Traversable:
-    """Find a file of yours, or a shipped file in `folder`; `kind` is its word in the error."""
+    """Find a file by its path, or a shipped file in `folder`; `kind` names it in errors."""
     path = Path(name)
     try:
         exists, is_folder = path.exists(), path.is_dir()

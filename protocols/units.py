@@ -1,7 +1,7 @@
 """Quantities with units, exact: ``"12.4 Hz"`` in a file → ``Fraction(62, 5)`` in the program.
 
 A protocol is exact from its text to the tuning word of a synthesizer, so nothing here passes
-through a float. The unit stands in the file; in the program it stands in the name (``_hz``).
+through a float. In the file the unit belongs to the value; in the program, to the name (``_hz``).
 """
 
 import math
@@ -52,7 +52,7 @@ _KINDS: Final = {
     "degC": ("a temperature", "25 degC"),
 }
 
-_UNSEEN: Final = frozenset({"Cc", "Cf", "Zl", "Zp", "Cs"})
+_INVISIBLE: Final = frozenset({"Cc", "Cf", "Zl", "Zp", "Cs"})
 
 # No quantity of a bench needs more characters, and a longer one could be made to cost minutes.
 _MAX_CHARACTERS: Final = 40
@@ -86,15 +86,15 @@ def shown_value(value: object) -> str:
     return text if len(text) <= _MAX_CHARACTERS else f"{text[: _MAX_CHARACTERS - 1]}…"
 
 
-def unseen_character(text: str) -> str:
-    """Return the first character of a text that nobody sees, such as ``U+001B``; empty if none.
+def invisible_character(text: str) -> str:
+    """Return the first invisible character of a text, such as ``U+001B``; empty if none.
 
     Those of Unicode's categories control (which includes the ends of lines and what a terminal
     acts on), format (which includes what turns the direction of writing), line and paragraph
     separator, and surrogate.
     """
-    unseen = next((c for c in text if unicodedata.category(c) in _UNSEEN), "")
-    return f"U+{ord(unseen):04X}" if unseen else ""
+    invisible = next((c for c in text if unicodedata.category(c) in _INVISIBLE), "")
+    return f"U+{ord(invisible):04X}" if invisible else ""
 
 
 def exact_decimal(value: Fraction) -> str:

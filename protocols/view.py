@@ -1,4 +1,4 @@
-"""What the camera sees: frame shape, object plane and the place of the reed in it."""
+"""Geometry of the image: frame shape, object plane and the position of the reed in it."""
 
 from holography.fresnel import FresnelTransform
 from physics.optics import (
@@ -13,13 +13,13 @@ from protocols.reed import ReedFile
 
 
 def frame_shape(protocol: Protocol, bench: BenchFile) -> tuple[int, int]:
-    """Rows and columns ``(ny, nx)`` of one frame: the sensor, or its middle part."""
+    """Return rows and columns ``(ny, nx)`` of one frame: the sensor, or its middle part."""
     sensor, asked = bench.instruments.camera, protocol.camera
     return (asked.height or sensor.height, asked.width or sensor.width)
 
 
 def object_transform(protocol: Protocol, bench: BenchFile) -> FresnelTransform:
-    """Transform between the part of the sensor that a protocol uses and the object plane."""
+    """Return the transform between the used part of the sensor and the object plane."""
     return FresnelTransform(
         shape=frame_shape(protocol, bench),
         pixel_m=float(bench.instruments.camera.pixel_m),
@@ -29,7 +29,7 @@ def object_transform(protocol: Protocol, bench: BenchFile) -> FresnelTransform:
 
 
 def layout_of(bench: BenchFile, reed: ReedFile) -> Layout:
-    """Return where the reed stands before the sensor, and how much of its image is kept."""
+    """Return the position of the reed, and the size of the part of its image that is kept."""
     optics, size = bench.optics, bench.optics.reed_size
     return Layout(
         wavelength_m=float(optics.wavelength_m),

@@ -1,4 +1,4 @@
-"""Limits of a bench that a plan may break, each with its remedy."""
+"""Violations: limits of a bench that a plan exceeds, each with its remedy."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -16,14 +16,14 @@ from protocols.reed import ReedFile
 from protocols.step import Step, Violation
 from protocols.view import layout_of
 
-# Part of the view, to either side of the axis, in which a reed's image may lie.
-_VIEW_SHARE: Final = 0.45
+# Chosen: fraction of the view on either side of the axis that the image of a reed may fill.
+_VIEW_FRACTION: Final = 0.45
 
 
 def find_violations(
     protocol: Protocol, bench: BenchFile, steps: Sequence[Step]
 ) -> Iterator[Violation]:
-    """Yield every limit of the bench that the steps break."""
+    """Yield every limit of the bench that the steps exceed."""
     yield from _drive_violations(protocol, bench, steps)
     yield from _spacing_violations(protocol, bench, steps)
     yield from _volts_violations(protocol, bench)
@@ -128,13 +128,13 @@ def find_camera_violations(
 
 
 def find_view_violations(bench: BenchFile, reed: ReedFile) -> Iterator[Violation]:
-    """Yield what of the reed's image the camera does not see."""
+    """Yield a violation if the camera does not see the whole image of the reed."""
     optics, layout = bench.optics, layout_of(bench, reed)
     view_m = float(optics.wavelength_m * optics.distance_m / bench.instruments.camera.pixel_m)
     for axis, centre_m, size_m in zip("yx", layout.reed_centre_m, layout.reed_size_m, strict=True):
         edge_m = abs(centre_m) + size_m / 2
         # A margin of 5 % of the view, so that the region also fits on a coarser image.
-        if edge_m > _VIEW_SHARE * view_m:
+        if edge_m > _VIEW_FRACTION * view_m:
             yield Violation(
                 "reed",
                 f"the image of the {reed.name} reed reaches {edge_m:.4g} m from the axis in "

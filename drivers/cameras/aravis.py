@@ -157,7 +157,7 @@ class AravisLink:
     """
 
     stamps_frames = True
-    # Cameras differ in whether they begin anew.
+    # Some cameras begin again at the first number, others count on.
     first_number = None
 
     def __init__(self, options: AravisOptions) -> None:
@@ -182,7 +182,7 @@ class AravisLink:
 
     @property
     def loss_remedy(self) -> str:
-        """What to do if frames arrive incomplete."""
+        """Remedy for frames that arrive incomplete."""
         asked = self._options.socket_buffer_bytes
         granted = int(_RECEIVE_LIMIT.read_text()) if _RECEIVE_LIMIT.exists() else asked
         if self._gige and granted < asked:
@@ -193,7 +193,7 @@ class AravisLink:
         return "use jumbo packets (MTU 9000), raise options.socket_buffer_bytes or lower the rate"
 
     def open_stream(self, buffers: int) -> None:
-        """Make ready for so many frames to wait."""
+        """Prepare buffers for `buffers` frames."""
         aravis, options = self._aravis, self._options
         with asking(self.camera, f"to keep {buffers} frames"):
             if self._gige and not options.packet_socket:
@@ -245,7 +245,7 @@ class AravisLink:
 
     def close(self) -> None:
         """Let go of the camera; raises nothing."""
-        # Aravis lets go of a camera when nobody holds it.
+        # Aravis releases a camera when its last reference goes.
         self._stream = self._camera = self._device = self.latch = None
         self.features = AravisFeatures(self._aravis, None, self.camera)
 
@@ -264,7 +264,7 @@ class AravisLink:
             times = [_latched_ticks(self._device, self.camera) for _ in range(2)]
         except InstrumentError:
             return None
-        # Registers that nobody minds stay as they are.
+        # Registers without an effect here stay as they are.
         if per_s <= 0 or not 0 < times[0] < times[1]:
             return None
         return lambda: _latched_ticks(self._device, self.camera) / per_s

@@ -174,7 +174,7 @@ class PylonLink:
         self.identity = _identity(chosen, self.features)
 
     def open_stream(self, buffers: int) -> None:
-        """Make ready for so many frames to wait."""
+        """Prepare buffers for `buffers` frames."""
         with asking(self._pylon, self.camera, f"to keep {buffers} frames"):
             self.device.MaxNumBuffer.SetValue(buffers)
 
@@ -232,8 +232,8 @@ class PylonLink:
     def _require_number(self, number: int) -> None:
         if number == _NO_NUMBER:
             raise InstrumentError(
-                f"camera ({self.camera}): does not number its frames, so that nobody knows what is "
-                "missing; update its firmware, or use another camera"
+                f"camera ({self.camera}): does not number its frames, so that lost frames would "
+                "not be noticed; update its firmware, or use another camera"
             )
 
     def _require_there(self) -> None:

@@ -1,4 +1,4 @@
-"""What time it is on a camera, and when an exposure began.
+"""Clocks of cameras: the time on a camera, and the start of an exposure.
 
 All three clocks err to one side only: a frame is never believed to have begun later than it did,
 relative to `now_s`. A camera that is asked for frames from now on may so lose time, but never
@@ -17,7 +17,7 @@ class CameraClock(Protocol):
 
     @property
     def name(self) -> str:
-        """What this clock goes by, in a few words."""
+        """Source of this clock, in a few words."""
         ...
 
     @property
@@ -30,7 +30,7 @@ class CameraClock(Protocol):
         ...
 
     def started(self) -> None:
-        """Take note that the camera is about to be told to start."""
+        """Record that the camera is about to be started."""
         ...
 
     def began_s(self, stamp_s: float, absent_s: float, exposure_s: float) -> float:
@@ -66,7 +66,7 @@ class LatchedClock:
 
     @property
     def name(self) -> str:
-        """What this clock goes by."""
+        """Source of this clock."""
         return "times of the camera's clock, latched"
 
     @property
@@ -89,7 +89,7 @@ class LatchedClock:
 class BoundedClock:
     """The clock of a camera that stamps its frames but does not tell its time.
 
-    No frame is stamped before the camera was told to start: that bounds the difference of both
+    No frame is stamped before the camera was started: that bounds the difference of both
     clocks from above, and `now_s` goes by this bound. No frame arrives before it is stamped: that
     bounds it from below, and `error_s` is the distance of both bounds. The upper one is widened by
     the drift of two crystals since the start, 0.1 ms per second.
@@ -110,7 +110,7 @@ class BoundedClock:
 
     @property
     def name(self) -> str:
-        """What this clock goes by."""
+        """Source of this clock."""
         return "times of the camera's clock, bounded by its start"
 
     @property
@@ -120,7 +120,7 @@ class BoundedClock:
 
     @property
     def error_s(self) -> float:
-        """By how much `now_s` may be late; it is never early."""
+        """Largest delay of `now_s`, which is never early."""
         return self._offset_s() - self._least_s + self._drift_s()
 
     def now_s(self) -> float:
@@ -176,7 +176,7 @@ class ArrivalClock:
 
     @property
     def name(self) -> str:
-        """What this clock goes by."""
+        """Source of this clock."""
         return "no time stamps: times of arrival at the computer, less exposure and readout"
 
     @property

@@ -1,4 +1,4 @@
-"""What a camera's stream delivers, in order: numbers that wrap, frames late, twice or never."""
+"""Sort the frames of a stream: numbers wrap, frames come late, twice or never."""
 
 from dataclasses import dataclass
 from typing import Any, Final

@@ -88,7 +88,7 @@ class Features(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class CameraSettings:
-    """How a camera is to run.
+    """Settings of a running camera.
 
     Attributes
     ----------
@@ -221,7 +221,7 @@ def _source(trigger: Trigger) -> str:
 def _set_region(features: Features, shape: tuple[int, int]) -> None:
     """Read out the middle of the sensor, as nearly as the camera's increments allow."""
     sides = (("Height", "OffsetY", shape[0]), ("Width", "OffsetX", shape[1]))
-    # A part that does not begin at the edge leaves less room to grow.
+    # A part that does not begin at the edge has less space to grow.
     for _, offset, _ in sides:
         if features.writable(offset):
             features.set_integer(offset, features.integer_range(offset)[0])
@@ -268,7 +268,7 @@ def _set_trigger(features: Features, trigger: Trigger) -> None:
 
 
 def _differing(features: Features, asked: CameraSettings, camera: str) -> list[str]:
-    """What reads back otherwise than asked for, each in a few words."""
+    """Return the settings that read back differently, each in a few words."""
     texts = {"PixelFormat": asked.pixel_format, "AcquisitionMode": "Continuous"}
     if features.has("TriggerMode"):
         texts["TriggerMode"] = "Off" if asked.trigger == "free" else "On"

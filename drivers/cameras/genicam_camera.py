@@ -45,7 +45,7 @@ class GenicamCamera:
 
         idle ─ configure → configured ─ start → running ─ stop → configured
 
-    Frames that arrive while nobody asks wait in the link's buffers; `grab` passes over those that
+    Frames that arrive between two calls wait in the link's buffers; `grab` passes over those that
     began too early. A frame that arrived incomplete is never handed over; the gap in the ids shows
     it.
 
@@ -247,8 +247,8 @@ class GenicamCamera:
             return math.nan
         if self.link.stamps_frames and delivery.stamp_s <= 0:
             raise InstrumentError(
-                f"camera ({self.link.camera}): sent a frame without a time stamp, so that nobody "
-                "knows when it began; switch its time stamps on"
+                f"camera ({self.link.camera}): sent a frame without a time stamp, so its start is "
+                "not known; switch its time stamps on"
             )
         image = self._checked(delivery.image, settings.shape)
         began_s = self._clock.began_s(delivery.stamp_s, self._absent_s, float(settings.exposure_s))
@@ -323,7 +323,7 @@ class GenicamCamera:
 
 @dataclass
 class _Wait:
-    """How long frames are waited for.
+    """Longest wait for frames.
 
     A time is over when no frame lay ready after it, so that a computer that was busy with
     something else gives up nothing that has come meanwhile.

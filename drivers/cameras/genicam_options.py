@@ -37,12 +37,12 @@ class CameraOptions(Options):
 class CameraLink(Protocol):
     """An open camera, and the stream of its frames.
 
-    All methods may raise `InstrumentError`: the camera is gone, or refuses.
+    All methods may raise `InstrumentError` if the camera is gone or refuses.
     """
 
     @property
     def camera(self) -> str:
-        """What to call the camera in messages."""
+        """Name of the camera in messages."""
         ...
 
     @property
@@ -62,34 +62,34 @@ class CameraLink(Protocol):
 
     @property
     def stamped_at_end(self) -> bool:
-        """Whether a time stamp tells the end of an exposure instead of its start."""
+        """Whether a time stamp is the end of an exposure instead of its start."""
         ...
 
     @property
     def latch(self) -> Callable[[], float] | None:
-        """What asks the camera for its time in s, if it can tell."""
+        """Function that reads the clock of the camera in s; None if it cannot."""
         ...
 
     @property
     def first_number(self) -> int | None:
-        """What the camera calls the first frame since its start; None if it counts on."""
+        """Number of the first frame after a start; None if the camera counts on."""
         ...
 
     @property
     def loss_remedy(self) -> str:
-        """What to do if frames arrive incomplete."""
+        """Remedy for frames that arrive incomplete."""
         ...
 
     def open_stream(self, buffers: int) -> None:
-        """Make ready for so many frames to wait; they come after `start` only."""
+        """Prepare buffers for `buffers` frames, which come after `start` only."""
         ...
 
     def start(self) -> None:
-        """Tell the camera to take frames."""
+        """Start the stream of frames."""
         ...
 
     def stop(self) -> None:
-        """Take no more frames."""
+        """Stop the stream of frames."""
         ...
 
     def receive(self, timeout_s: float) -> Delivery | None:
@@ -101,7 +101,7 @@ class CameraLink(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the camera; raises nothing."""
+        """Release the camera; raises nothing."""
         ...
 
 

@@ -28,7 +28,7 @@ class PulseSource(Protocol):
 
 
 class CameraTrigger:
-    """Where the source of pulses of a bench and its camera meet: ``context.share(CameraTrigger)``.
+    """Connects the source of pulses of a bench to its camera: ``context.share(CameraTrigger)``.
 
     The frame rate is known only when a run begins, and to the camera alone. So the source offers
     itself when it is opened, and a camera that waits for pulses asks for them when it starts.

@@ -55,7 +55,7 @@ class EmulatedBaslerCamera:
     Attributes
     ----------
     lab : SimulatedLab
-        The room that it stands in.
+        Laboratory that it belongs to.
     basler : BaslerCamera
         The real driver.
 
@@ -77,7 +77,7 @@ class EmulatedBaslerCamera:
 
     @property
     def identity(self) -> str:
-        """Of the emulator, and of the simulation behind it."""
+        """Identity of the emulator, and of the simulation behind it."""
         return f"{self.basler.link.identity}; frames and times of a {self._simulated.identity}"
 
     @property
@@ -166,7 +166,7 @@ class LoopbackGigeCamera(AravisCamera):
     Attributes
     ----------
     lab : SimulatedLab
-        The room that it stands in.
+        Laboratory that it belongs to.
     far_end : FakeGigeCamera
         The camera on the other side of the network.
 

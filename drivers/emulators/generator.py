@@ -1,4 +1,4 @@
-"""What the emulators of signal generators share: two channels, a relay, and faults of both."""
+"""Common part of the emulated generators: two channels, a relay, and their faults."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable

@@ -40,7 +40,7 @@ _ILLEGAL: Final = -224, "Illegal parameter value"
 
 
 class _RefusedError(Exception):
-    """What goes into the error queue of the instrument.
+    """An entry of the error queue of the instrument.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class KeysightEmulator(GeneratorEmulator):
         self._errors.append(_INTERRUPTED)
 
     def unterminated(self) -> None:
-        """Have nothing to say when asked to talk."""
+        """Have nothing to shown when asked to talk."""
         self._errors.append(_UNTERMINATED)
 
     @property
@@ -140,7 +140,7 @@ class KeysightEmulator(GeneratorEmulator):
             if head.endswith("?"):
                 answer = self._answer(head[:-1])
             elif head:
-                self._tell(head, value.strip().upper())
+                self._set(head, value.strip().upper())
         except _RefusedError as refused:
             self._errors.append(refused.entry)
         self._take(_QUERY_S if head.endswith("?") else _WRITE_S)
@@ -159,9 +159,9 @@ class KeysightEmulator(GeneratorEmulator):
         if _REFERENCE.fullmatch(head):
             return self._state.reference
         setting, channel = self._found(head)
-        return setting.say(channel)
+        return setting.shown(channel)
 
-    def _tell(self, head: str, value: str) -> None:
+    def _set(self, head: str, value: str) -> None:
         if head == "*CLS":
             self._errors.clear()
         elif head == "*RST":
@@ -173,7 +173,7 @@ class KeysightEmulator(GeneratorEmulator):
             self._state.reference = source
         elif head not in _CONSTANT_ANSWERS:
             setting, channel = self._found(head)
-            setting.tell(channel, value)
+            setting.change(channel, value)
 
     def _found(self, head: str) -> "tuple[_Setting, _Channel]":
         for setting in _SETTINGS:
@@ -183,7 +183,7 @@ class KeysightEmulator(GeneratorEmulator):
         raise _RefusedError(_UNDEFINED)
 
 
-def _said(number: float) -> str:
+def _shown(number: float) -> str:
     return f"{number:+.15E}"
 
 
@@ -221,27 +221,27 @@ def _refuse(entry: tuple[int, str] | None) -> None:
         raise _RefusedError(entry)
 
 
-def _tell_shape(channel: _Channel, value: str) -> None:
+def _set_shape(channel: _Channel, value: str) -> None:
     channel.shape = _chosen(value, _SHAPES)
 
 
-def _tell_frequency(channel: _Channel, value: str) -> None:
+def _set_frequency(channel: _Channel, value: str) -> None:
     asked_hz = _number(value)
     channel.frequency_hz = min(max(asked_hz, _LEAST_HZ), _MOST_HZ)
     if asked_hz != channel.frequency_hz:
         raise _RefusedError(_TOO_HIGH if asked_hz > _MOST_HZ else _TOO_LOW)
 
 
-def _say_amplitude(channel: _Channel) -> str:
+def _shown_amplitude(channel: _Channel) -> str:
     volts_rms = channel.amplitude_vpp * channel.divider / _VPP_PER_RMS
     if channel.unit == "VRMS":
-        return _said(volts_rms)
+        return _shown(volts_rms)
     if channel.unit == "DBM":
-        return _said(10 * math.log10(volts_rms**2 / channel.load_ohm / 1e-3))
-    return _said(channel.amplitude_vpp * channel.divider)
+        return _shown(10 * math.log10(volts_rms**2 / channel.load_ohm / 1e-3))
+    return _shown(channel.amplitude_vpp * channel.divider)
 
 
-def _tell_amplitude(channel: _Channel, value: str) -> None:
+def _set_amplitude(channel: _Channel, value: str) -> None:
     asked = float(_number(value))
     if channel.unit == "DBM":
         asked = math.sqrt(10 ** (asked / 10) * 1e-3 * channel.load_ohm)
@@ -253,46 +253,46 @@ def _tell_amplitude(channel: _Channel, value: str) -> None:
     _refuse(entry)
 
 
-def _tell_offset(channel: _Channel, value: str) -> None:
+def _set_offset(channel: _Channel, value: str) -> None:
     asked_v, half_v = float(_number(value)) / channel.divider, channel.amplitude_vpp / 2
     low_v, high_v = channel.reach_v
     channel.offset_v, entry = _clipped(low_v + half_v, asked_v, high_v - half_v)
     _refuse(entry)
 
 
-def _tell_high(channel: _Channel, value: str) -> None:
-    _tell_levels(channel, channel.low_v, float(_number(value)) / channel.divider)
+def _set_high(channel: _Channel, value: str) -> None:
+    _set_levels(channel, channel.low_v, float(_number(value)) / channel.divider)
 
 
-def _tell_low(channel: _Channel, value: str) -> None:
-    _tell_levels(channel, float(_number(value)) / channel.divider, channel.high_v)
+def _set_low(channel: _Channel, value: str) -> None:
+    _set_levels(channel, float(_number(value)) / channel.divider, channel.high_v)
 
 
-def _tell_levels(channel: _Channel, low_v: float, high_v: float) -> None:
+def _set_levels(channel: _Channel, low_v: float, high_v: float) -> None:
     least_v, most_v = channel.reach_v
     if not (least_v <= low_v and high_v - low_v >= _LEAST_VPP and high_v <= most_v):
         raise _RefusedError(_CONFLICT)
     channel.amplitude_vpp, channel.offset_v = high_v - low_v, (high_v + low_v) / 2
 
 
-def _tell_unit(channel: _Channel, value: str) -> None:
+def _set_unit(channel: _Channel, value: str) -> None:
     unit = _chosen(value, ("VPP", "VRMS", "DBM"))
     if unit == "DBM" and channel.load_ohm >= _INFINITE:
         raise _RefusedError(_CONFLICT)
     channel.unit = unit
 
 
-def _tell_high_limit(channel: _Channel, value: str) -> None:
+def _set_high_limit(channel: _Channel, value: str) -> None:
     channel.high_limit_v = float(_number(value)) / channel.divider
     _drop_limits_in_conflict(channel)
 
 
-def _tell_low_limit(channel: _Channel, value: str) -> None:
+def _set_low_limit(channel: _Channel, value: str) -> None:
     channel.low_limit_v = float(_number(value)) / channel.divider
     _drop_limits_in_conflict(channel)
 
 
-def _tell_limited(channel: _Channel, value: str) -> None:
+def _set_limited(channel: _Channel, value: str) -> None:
     channel.is_limited = _switched(value)
     _drop_limits_in_conflict(channel)
 
@@ -305,11 +305,11 @@ def _drop_limits_in_conflict(channel: _Channel) -> None:
         raise _RefusedError(_CONFLICT)
 
 
-def _tell_output(channel: _Channel, value: str) -> None:
+def _set_output(channel: _Channel, value: str) -> None:
     channel.is_on = _switched(value)
 
 
-def _tell_load(channel: _Channel, value: str) -> None:
+def _set_load(channel: _Channel, value: str) -> None:
     if value in ("INF", "INFINITY"):
         channel.load_ohm = _INFINITE
         return
@@ -332,11 +332,11 @@ def _compiled(notation: str) -> re.Pattern[str]:
 
 @dataclass(frozen=True)
 class _Setting:
-    """A command, what it answers when asked, and what it does when told."""
+    """A command: its answer as a question, and its effect as a setting."""
 
     head: re.Pattern[str]
-    say: Callable[[_Channel], str]
-    tell: Callable[[_Channel, str], None]
+    shown: Callable[[_Channel], str]
+    change: Callable[[_Channel, str], None]
 
 
 _CONSTANT_ANSWERS: Final = {"*OPC": "1", "*OPT": "0"}
@@ -344,19 +344,23 @@ _ERROR: Final = _compiled("SYSTem:ERRor[:NEXT]")
 _REFERENCE: Final = _compiled("ROSCillator:SOURce")
 _VOLTS: Final = "[SOURce<n>:]VOLTage"
 _SETTINGS: Final = tuple(
-    _Setting(_compiled(notation), say, tell)
-    for notation, say, tell in (
-        ("[SOURce<n>:]FUNCtion", lambda c: c.shape, _tell_shape),
-        ("[SOURce<n>:]FREQuency", lambda c: _said(float(c.frequency_hz)), _tell_frequency),
-        (_VOLTS, _say_amplitude, _tell_amplitude),
-        (f"{_VOLTS}:OFFSet", lambda c: _said(c.offset_v * c.divider), _tell_offset),
-        (f"{_VOLTS}:HIGH", lambda c: _said(c.high_v * c.divider), _tell_high),
-        (f"{_VOLTS}:LOW", lambda c: _said(c.low_v * c.divider), _tell_low),
-        (f"{_VOLTS}:UNIT", lambda c: c.unit, _tell_unit),
-        (f"{_VOLTS}:LIMit:HIGH", lambda c: _said(c.high_limit_v * c.divider), _tell_high_limit),
-        (f"{_VOLTS}:LIMit:LOW", lambda c: _said(c.low_limit_v * c.divider), _tell_low_limit),
-        (f"{_VOLTS}:LIMit:STATe", lambda c: str(int(c.is_limited)), _tell_limited),
-        ("OUTPut<n>[:STATe]", lambda c: str(int(c.is_on)), _tell_output),
-        ("OUTPut<n>:LOAD", lambda c: _said(c.load_ohm), _tell_load),
+    _Setting(_compiled(notation), shown, change)
+    for notation, shown, change in (
+        ("[SOURce<n>:]FUNCtion", lambda c: c.shape, _set_shape),
+        ("[SOURce<n>:]FREQuency", lambda c: _shown(float(c.frequency_hz)), _set_frequency),
+        (_VOLTS, _shown_amplitude, _set_amplitude),
+        (f"{_VOLTS}:OFFSet", lambda c: _shown(c.offset_v * c.divider), _set_offset),
+        (f"{_VOLTS}:HIGH", lambda c: _shown(c.high_v * c.divider), _set_high),
+        (f"{_VOLTS}:LOW", lambda c: _shown(c.low_v * c.divider), _set_low),
+        (f"{_VOLTS}:UNIT", lambda c: c.unit, _set_unit),
+        (
+            f"{_VOLTS}:LIMit:HIGH",
+            lambda c: _shown(c.high_limit_v * c.divider),
+            _set_high_limit,
+        ),
+        (f"{_VOLTS}:LIMit:LOW", lambda c: _shown(c.low_limit_v * c.divider), _set_low_limit),
+        (f"{_VOLTS}:LIMit:STATe", lambda c: str(int(c.is_limited)), _set_limited),
+        ("OUTPut<n>[:STATe]", lambda c: str(int(c.is_on)), _set_output),
+        ("OUTPut<n>:LOAD", lambda c: _shown(c.load_ohm), _set_load),
     )
 )

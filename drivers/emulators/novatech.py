@@ -30,7 +30,7 @@ class _RefusedError(Exception):
 
 @dataclass(frozen=True)
 class Output:
-    """What one socket of the box gives.
+    """Output of one socket of the box.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class NovatechEmulator:
     Parameters
     ----------
     on_change : callable
-        Told all four outputs whenever any of them changes.
+        Called with all four outputs whenever one of them changes.
     faults : SynthesizerFaults, optional
         Which updates are not carried out, and whether the status shows registers or outputs while
         they differ, which no source says.

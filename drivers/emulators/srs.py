@@ -40,7 +40,8 @@ class SRSEmulator:
     Parameters
     ----------
     on_change : callable
-        Told frequency in Hz, power in dBm and whether the type-N output is on, at every change.
+        Called with frequency in Hz, power in dBm and whether the type-N output is on, at every
+        change.
     timebase : int
         0 crystal, 1 OCXO, 2 rubidium, 3 external.
     serial_number : str

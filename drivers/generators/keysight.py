@@ -104,15 +104,15 @@ class KeysightGenerator(TweeterGenerator):
 
     def _set_up(self) -> None:
         # Limits and amplitudes are volts into the load that is set: first the load.
-        self._tell("OUTP1:LOAD INF")
-        self._tell("SOUR1:VOLT:UNIT VPP")
+        self._command("OUTP1:LOAD INF")
+        self._command("SOUR1:VOLT:UNIT VPP")
         # Limits that the present amplitude exceeds would be refused.
-        self._tell_amplitude(self._can_play.least_vpp)
-        self._tell("SOUR1:VOLT:OFFS 0")
+        self._set_amplitude(self._can_play.least_vpp)
+        self._command("SOUR1:VOLT:OFFS 0")
         self._arm_limits()
-        self._tell("SOUR1:FUNC SIN")
+        self._command("SOUR1:FUNC SIN")
         for command in self._sine_commands(STANDBY_HZ, self._can_play.least_vpp):
-            self._tell(command)
+            self._command(command)
         self._confirm(STANDBY_HZ, self._can_play.least_vpp, on=False)
 
     def _arm_limits(self) -> None:
@@ -120,14 +120,14 @@ class KeysightGenerator(TweeterGenerator):
         # Rounded up, lest the greatest amplitude that is allowed be refused.
         peak_v = (peak_vpp / 2).quantize(_ROUNDING_V, ROUND_UP)
         for name, volts in (("HIGH", peak_v), ("LOW", -peak_v)):
-            self._tell(f"SOUR1:VOLT:LIM:{name} {volts:f}")
-            said_v = Decimal(self._ask(f"SOUR1:VOLT:LIM:{name}?", matching(_NUMBER))[1])
-            if abs(said_v - volts) > _ROUNDING_V:
+            self._command(f"SOUR1:VOLT:LIM:{name} {volts:f}")
+            read_v = Decimal(self._ask(f"SOUR1:VOLT:LIM:{name}?", matching(_NUMBER))[1])
+            if abs(read_v - volts) > _ROUNDING_V:
                 raise InstrumentError(
                     f"{self._name}: was set to limit its output to {volts:f} V, but says "
-                    f"{said_v:g} V; check that its front panel is not in use"
+                    f"{read_v:g} V; check that its front panel is not in use"
                 )
-        self._tell("SOUR1:VOLT:LIM:STAT ON")
+        self._command("SOUR1:VOLT:LIM:STAT ON")
 
     def _read_errors(self) -> list[str]:
         """Empty the error queue; return what it held, except what this driver has caused.
@@ -151,7 +151,7 @@ class KeysightGenerator(TweeterGenerator):
     def _amplitude_command(self, amplitude_vpp: Decimal) -> str:
         return f"SOUR1:VOLT {amplitude_vpp:f}"
 
-    def _says_on(self) -> bool:
+    def _reports_on(self) -> bool:
         return self._ask("OUTP1?", matching("([01])"))[1] == "1"
 
     def _ask_played(self) -> Played:
@@ -166,7 +166,7 @@ class KeysightGenerator(TweeterGenerator):
                 f"{self._name}: plays {wave.shape} between {wave.low_v:g} and {wave.high_v:g} V "
                 f"into {wave.load_ohm:g} ohm with its limits {'on' if wave.is_limited else 'off'}, "
                 "instead of a sine without offset into high impedance with limits on; look "
-                "whether somebody uses its front panel"
+                "whether its front panel is in use"
             )
         return Played(Fraction(wave.frequency_hz), wave.amplitude_vpp, wave.is_on)
 
@@ -175,7 +175,7 @@ def _understand_wave(answer: str) -> _Wave:
     """Read an answer to all questions of a wave; its levels have to agree with its amplitude."""
     found = matching(_ANSWER)(answer)
     frequency_hz, amplitude_vpp, high_v, low_v, load_ohm = map(Decimal, found.groups()[1:6])
-    # They are volts, whatever unit somebody chose for the amplitude.
+    # They are volts, whatever the unit of the amplitude.
     if abs(high_v - low_v - amplitude_vpp) > _ROUNDING_V:
         raise ValueError(answer)
     return _Wave(

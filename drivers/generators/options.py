@@ -49,8 +49,8 @@ def required_output(description: BenchFile, entry: Generator) -> GeneratorOutput
     """
     if entry.output is None:
         raise BenchSetupError(
-            f"bench {description.name!r}: instruments.generator.output: is missing; say what lies "
-            "between the socket and the loudspeaker, such as output: {amplifier_gain: 2, load: 8 "
+            f"bench {description.name!r}: instruments.generator.output: is missing; describe the "
+            "path from the socket to the loudspeaker, such as output: {amplifier_gain: 2, load: 8 "
             "ohm}"
         )
     return entry.output

@@ -39,7 +39,7 @@ class Tone:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far an `Oscillator` has come, as of its last block.
+    """Progress of an `Oscillator` after its last block.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Oscillator:
 
     @property
     def progress(self) -> Progress:
-        """How far the sine has come. May be read from any thread."""
+        """Progress of the sine. May be read from any thread."""
         return self._progress
 
     def play(self, frequency_hz: Fraction, volts: float, ramp_samples: int) -> Tone:

@@ -12,16 +12,16 @@ MICROHERTZ: Final = Fraction(1, 1_000_000)
 
 @dataclass(frozen=True, slots=True)
 class SineRange:
-    """What sines a generator can play into high impedance, and how exactly it says so.
+    """Range of the sines that a generator plays into high impedance, and digits of its answers.
 
     Attributes
     ----------
     least_vpp, most_vpp : Decimal
         Volts peak to peak.
     most_hz : int
-        Up to which `most_vpp` holds.
+        Highest frequency at which `most_vpp` holds.
     amplitude_digits, frequency_digits : int
-        Significant digits of what it says.
+        Significant digits of its answers.
     """
 
     least_vpp: Decimal
@@ -33,13 +33,13 @@ class SineRange:
 
 @dataclass(frozen=True, slots=True)
 class Played:
-    """What a generator says that it plays.
+    """Output of a generator as it reports it.
 
     Attributes
     ----------
     frequency_hz : Fraction
     amplitude_vpp : Decimal
-        Of the open socket.
+        Volts peak to peak of the open socket.
     is_on : bool
         Whether the output is on.
     """
@@ -49,27 +49,27 @@ class Played:
     is_on: bool
 
 
-def agrees(told: Fraction | Decimal, said: Fraction | Decimal, digits: int) -> bool:
-    """Whether a number is what another looks like with so many significant digits.
+def agrees(exact: Fraction | Decimal, shown: Fraction | Decimal, digits: int) -> bool:
+    """Return whether a number is another one rounded to some significant digits.
 
     Parameters
     ----------
-    told : Fraction or Decimal
+    exact : Fraction or Decimal
         Not 0.
-    said : Fraction or Decimal
+    shown : Fraction or Decimal
     digits : int
 
     Returns
     -------
     bool
     """
-    exact = Fraction(told)
-    leading = (Decimal(exact.numerator) / exact.denominator).adjusted()
-    return abs(exact - Fraction(said)) <= Fraction(10) ** (leading - digits + 1) / 2
+    value = Fraction(exact)
+    leading = (Decimal(value.numerator) / value.denominator).adjusted()
+    return abs(value - Fraction(shown)) <= Fraction(10) ** (leading - digits + 1) / 2
 
 
 def matching(pattern: str) -> Callable[[str], re.Match[str]]:
-    """Return what understands only answers that match a regular expression as a whole.
+    """Return a parser of answers that match a regular expression as a whole.
 
     Parameters
     ----------

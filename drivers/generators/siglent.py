@@ -111,14 +111,14 @@ class SiglentGenerator(TweeterGenerator):
             )
         self.stop_pulses()
         high_v, width_s = Decimal(str(pulse.high_v)), Decimal(str(pulse.width_s))
-        self._tell("C2:OUTP LOAD,HZ,PLRT,NOR")
-        self._tell(
+        self._command("C2:OUTP LOAD,HZ,PLRT,NOR")
+        self._command(
             f"C2:BSWV WVTP,PULSE,FRQ,{in_hertz(frame_rate_hz)},OFST,0,AMP,{high_v:f},"
             f"OFST,{high_v / 2:f},WIDTH,{width_s:f},DLY,0"
         )
         self._confirm_pulses(frame_rate_hz, high_v, width_s)
         self._plays_pulses = True
-        self._tell("C2:OUTP ON")
+        self._command("C2:OUTP ON")
         if self._output("C2")[0] != "ON":
             raise InstrumentError(
                 f"{self._name}: channel 2 is off, but was switched on; look for a short circuit "
@@ -132,7 +132,7 @@ class SiglentGenerator(TweeterGenerator):
         ------
         InstrumentError
         """
-        self._tell("C2:OUTP OFF")
+        self._command("C2:OUTP OFF")
         if self._output("C2")[0] != "OFF":
             raise InstrumentError(
                 f"{self._name}: channel 2 was switched off, but reports that it is on; pull the "
@@ -148,9 +148,9 @@ class SiglentGenerator(TweeterGenerator):
                 self.stop_pulses()
 
     def _set_up(self) -> None:
-        self._tell("C1:OUTP LOAD,HZ,PLRT,NOR")
+        self._command("C1:OUTP LOAD,HZ,PLRT,NOR")
         least_vpp = self._can_play.least_vpp
-        self._tell(f"C1:BSWV WVTP,SINE,FRQ,{in_hertz(STANDBY_HZ)},OFST,0,AMP,{least_vpp},PHSE,0")
+        self._command(f"C1:BSWV WVTP,SINE,FRQ,{in_hertz(STANDBY_HZ)},OFST,0,AMP,{least_vpp},PHSE,0")
         self._confirm(STANDBY_HZ, least_vpp, on=False)
         for mode in _MODES:
             if self._ask(f"C1:{mode}?", matching(f"C1:{mode} STATE,(ON|OFF).*"))[1] == "ON":
@@ -169,7 +169,7 @@ class SiglentGenerator(TweeterGenerator):
         # Its error queue is empty also after values that it clamped.
         return []
 
-    def _says_on(self) -> bool:
+    def _reports_on(self) -> bool:
         return self._output("C1")[0] == "ON"
 
     def _ask_played(self) -> Played:
@@ -178,13 +178,13 @@ class SiglentGenerator(TweeterGenerator):
         if wave["WVTP"] != "SINE" or load != "HZ" or Fraction(wave["OFST"]) != 0:
             raise InstrumentError(
                 f"{self._name}: plays {wave['WVTP']} with an offset of {wave['OFST']} V into a "
-                f"load of {load}, instead of a sine without offset into HZ; look whether somebody "
-                "uses its front panel"
+                f"load of {load}, instead of a sine without offset into HZ; look whether its "
+                "front panel is in use"
             )
         return Played(Fraction(wave["FRQ"]), Decimal(wave["AMP"]), switch == "ON")
 
     def _output(self, channel: str) -> tuple[str, str]:
-        """Return ``ON`` or ``OFF``, and the load that volts are told for."""
+        """Return ``ON`` or ``OFF``, and the load that volts refer to."""
         answers = matching(f"{channel}:OUTP (ON|OFF),LOAD,(HZ|\\d+),PLRT,(?:NOR|INVT)")
         found = self._ask(f"{channel}:OUTP?", answers)
         return found[1], found[2]

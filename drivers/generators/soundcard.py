@@ -77,8 +77,8 @@ class SoundCardGenerator:
         With `output`, and `SoundCardOptions` as its options.
     context : BenchContext
     clock : Clock, optional
-        By which to wait for the card. It plays in the time of the room, so that is the default,
-        whatever the bench's clock may be.
+        Clock that waits for the card. The card plays in real time, so that is the default, whatever
+        the clock of the bench.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""What generators of all makers share that drive a loudspeaker through an amplifier.
+"""Common part of the generators that drive a loudspeaker through an amplifier.
 
-A generator is told volts peak to peak of its open socket; roles and limits speak of peak volts at
-the loudspeaker. Whatever is told is read back: only what a generator says that it plays counts.
+Commands to a generator state volts peak to peak of its open socket; roles and limits state peak
+volts at the loudspeaker. Every setting is read back: only what a generator reports counts.
 
 Switching off comes first: a ramp to 0 V and `output_off` send their commands before they ask
 anything, so that they take effect although answers are slow or missing.
@@ -102,7 +102,7 @@ class TweeterGenerator(ABC):
         self._context, self._can_play = context, self._CAN_PLAY
         self._gain = Fraction(str(output.amplifier_gain))
         self._limits, self._step_hz = description.limits, entry.step_hz
-        self._told_hz: Fraction | None = None
+        self._last_set_hz: Fraction | None = None
         # The amplitude that was sent or read last.
         self._level_vpp: Decimal | None = None
         self._is_on = False
@@ -135,17 +135,17 @@ class TweeterGenerator(ABC):
         """
         self._require_frequency(frequency_hz)
         amplitude_vpp = self._amplitude_vpp(volts)
-        told_hz = round(frequency_hz / self._step_hz) * self._step_hz
+        grid_hz = round(frequency_hz / self._step_hz) * self._step_hz
         if self._is_on:
-            self._require_not_tripped(self._says_on())
+            self._require_not_tripped(self._reports_on())
         self._level_vpp = amplitude_vpp
-        for command in self._sine_commands(told_hz, amplitude_vpp):
-            self._tell(command)
-        self._confirm(told_hz, amplitude_vpp, on=self._is_on)
+        for command in self._sine_commands(grid_hz, amplitude_vpp):
+            self._command(command)
+        self._confirm(grid_hz, amplitude_vpp, on=self._is_on)
         if not self._is_on:
             self._is_on = True
-            self._tell(self._output_command(True))
-            self._confirm(told_hz, amplitude_vpp, on=True)
+            self._command(self._output_command(True))
+            self._confirm(grid_hz, amplitude_vpp, on=True)
 
     def ramp_to(self, volts: float, duration_s: float) -> None:
         """Change the volts in small steps; see `SignalGenerator.ramp_to`.
@@ -169,7 +169,7 @@ class TweeterGenerator(ABC):
         if volts == 0:
             self._ramp_to_zero(end_vpp, max(duration_s, _SHORTEST_RAMP_S))
             return
-        is_on = self._says_on()
+        is_on = self._reports_on()
         if self._is_on:
             self._require_not_tripped(is_on)
         elif not is_on:
@@ -180,7 +180,7 @@ class TweeterGenerator(ABC):
         self._is_on = True
         played = self._played()
         for step_vpp in self._ramp_steps(played.amplitude_vpp, end_vpp, duration_s):
-            self._tell_amplitude(step_vpp)
+            self._set_amplitude(step_vpp)
             self._confirm(self._exactly(played.frequency_hz), step_vpp, on=True)
 
     def output_off(self) -> None:
@@ -197,7 +197,7 @@ class TweeterGenerator(ABC):
             with suppress(InstrumentError):
                 self._line.send(self._output_command(False))
             try:
-                is_on = self._says_on()
+                is_on = self._reports_on()
             except InstrumentError as error:
                 reason, cause = str(error).removeprefix(f"{self._name}: "), error
                 continue
@@ -226,29 +226,29 @@ class TweeterGenerator(ABC):
         return self._exactly(played.frequency_hz), volts, played.is_on
 
     def close(self) -> None:
-        """Switch off what is on, as far as that is possible within 1 s, and hang up."""
+        """Switch off what is on, as far as that is possible within 1 s, and close the line."""
         self._leave_off()
         self._line.close()
 
     @abstractmethod
     def _sine_commands(self, frequency_hz: Fraction, amplitude_vpp: Decimal) -> tuple[str, ...]:
-        """Return what sets a frequency on the grid and volts peak to peak, and nothing else."""
+        """Return the commands that set a frequency on the grid and volts peak to peak."""
 
     @abstractmethod
     def _amplitude_command(self, amplitude_vpp: Decimal) -> str:
-        """Return what sets volts peak to peak, and nothing else."""
+        """Return the command that sets volts peak to peak."""
 
     @abstractmethod
     def _set_up(self) -> None:
         """Set the least amplitude after a reset, with the output off."""
 
     @abstractmethod
-    def _says_on(self) -> bool:
+    def _reports_on(self) -> bool:
         """Ask whether the output is on."""
 
     @abstractmethod
     def _ask_played(self) -> Played:
-        """Ask what is played; an error if it is no sine, or volts into another load."""
+        """Read what is played; raise if it is no sine, or for another load."""
 
     @abstractmethod
     def _read_errors(self) -> list[str]:
@@ -258,7 +258,7 @@ class TweeterGenerator(ABC):
         errors = self._read_errors()
         if errors:
             raise InstrumentError(
-                f"{self._name}: was told {after!r} and reports {' and '.join(errors)}; look at "
+                f"{self._name}: was sent {after!r} and reports {' and '.join(errors)}; look at "
                 "its front panel"
             )
 
@@ -284,13 +284,13 @@ class TweeterGenerator(ABC):
         """Leave nothing of earlier settings, with the output off."""
         self.output_off()
         self._read_errors()
-        self._tell("*RST")
+        self._command("*RST")
         self._ask("*OPC?", matching("1"))
         self.output_off()
 
     def _choose_reference(self, reference: str) -> None:
         source = _REFERENCES[reference]
-        self._tell(f"{self._REFERENCE} {source}")
+        self._command(f"{self._REFERENCE} {source}")
         if self._ask(f"{self._REFERENCE}?", matching(self._REFERENCE_ANSWER))[1] != source:
             raise InstrumentError(
                 f"{self._name}: was set to use its {reference} reference and does not; check the "
@@ -304,7 +304,7 @@ class TweeterGenerator(ABC):
                 self.output_off()
 
     def _abandon(self) -> None:
-        """Switch off and hang up, without a look at what becomes of it."""
+        """Switch off and close the line, without reading back."""
         self._send_off()
         self._line.close()
 
@@ -314,7 +314,7 @@ class TweeterGenerator(ABC):
                 self._line.send(command)
 
     def _ramp_to_zero(self, end_vpp: Decimal, duration_s: float) -> None:
-        """Tell one amplitude after another, and ask for the last alone."""
+        """Send one amplitude after another, and read only the last one back."""
         start_vpp = self._level_of_output()
         if start_vpp is None:
             return
@@ -342,7 +342,7 @@ class TweeterGenerator(ABC):
         # It was not switched on here, but perhaps at the front panel.
         try:
             with self._line.within(_RAMP_END_S):
-                if not self._says_on():
+                if not self._reports_on():
                     return None
                 self._is_on = True
                 return self._played().amplitude_vpp
@@ -362,13 +362,13 @@ class TweeterGenerator(ABC):
             yield _AMPLITUDE.plus(start_vpp + (end_vpp - start_vpp) * part / _RAMP_STEPS)
 
     def _played(self) -> Played:
-        """Ask what is played, and remember the amplitude."""
+        """Read what is played, and remember the amplitude."""
         played = self._ask_played()
         self._level_vpp = played.amplitude_vpp
         return played
 
-    def _tell(self, command: str) -> None:
-        """Send a command. If it is not known to have arrived, reading back shows what became of it.
+    def _command(self, command: str) -> None:
+        """Send a command. Reading back shows whether it arrived.
 
         Raises
         ------
@@ -381,12 +381,12 @@ class TweeterGenerator(ABC):
             self._line.drain()
         self._require_no_errors(command)
 
-    def _tell_amplitude(self, amplitude_vpp: Decimal) -> None:
+    def _set_amplitude(self, amplitude_vpp: Decimal) -> None:
         self._level_vpp = amplitude_vpp
-        self._tell(self._amplitude_command(amplitude_vpp))
+        self._command(self._amplitude_command(amplitude_vpp))
 
     def _ask(self, question: str, understand: Callable[[str], T]) -> T:
-        """Return what is understood of an answer; ask again if nothing is (`ValueError`)."""
+        """Return the parsed answer; ask again if it cannot be parsed (`ValueError`)."""
         for _ in range(2):
             answer = self._line.ask(question)
             try:
@@ -399,10 +399,10 @@ class TweeterGenerator(ABC):
         )
 
     def _confirm(self, frequency_hz: Fraction, amplitude_vpp: Decimal, on: bool) -> None:
-        """Require that what was told is played, and remember the exact frequency."""
+        """Require that the settings are played, and remember the exact frequency."""
         played = self._played()
         self._confirm_played(frequency_hz, amplitude_vpp, played)
-        self._told_hz = frequency_hz
+        self._last_set_hz = frequency_hz
         if on:
             self._require_not_tripped(played.is_on)
 
@@ -422,10 +422,10 @@ class TweeterGenerator(ABC):
                 "its front panel is in use"
             )
 
-    def _exactly(self, said_hz: Fraction) -> Fraction:
-        """Return the frequency that was told if that is what is said, else what is said."""
-        told_hz, digits = self._told_hz, self._can_play.frequency_digits
-        return told_hz if told_hz is not None and agrees(told_hz, said_hz, digits) else said_hz
+    def _exactly(self, read_hz: Fraction) -> Fraction:
+        """Return the exact frequency that was set if the reading agrees, else the reading."""
+        grid_hz, digits = self._last_set_hz, self._can_play.frequency_digits
+        return grid_hz if grid_hz is not None and agrees(grid_hz, read_hz, digits) else read_hz
 
     def _amplitude_vpp(self, volts: float) -> Decimal:
         """Volts peak to peak of the open socket for peak volts at the load, if allowed."""
@@ -447,7 +447,7 @@ class TweeterGenerator(ABC):
         return max(amplitude_vpp, least_vpp)
 
     def _shown_vpp(self, volts: Fraction) -> Decimal:
-        """Volts peak to peak of the open socket, as a generator can be told and says them."""
+        """Volts peak to peak of the open socket, with the digits of a command."""
         exact_vpp = 2 * volts / self._gain
         return _AMPLITUDE.divide(Decimal(exact_vpp.numerator), exact_vpp.denominator)
 

@@ -1,7 +1,7 @@
 """Simulated instruments with the manners of real ones.
 
 They round to their grids, refuse what is out of limits before anything changes, take time to
-answer, and the camera runs freely whether or not somebody listens.
+answer, and the camera runs freely whether or not its frames are read.
 """
 
 import math
@@ -45,7 +45,7 @@ class SimulatedSynthesizers:
     Attributes
     ----------
     lab : SimulatedLab
-        The room that it stands in.
+        Laboratory that it belongs to.
     echoes_registers : bool
         False: what it says is what the laboratory's modulators get.
     """
@@ -110,7 +110,7 @@ class SimulatedGenerator:
     Attributes
     ----------
     lab : SimulatedLab
-        The room that it stands in.
+        Laboratory that it belongs to.
     """
 
     def __init__(self, entry: Generator, context: BenchContext) -> None:
@@ -189,7 +189,7 @@ class SimulatedCamera:
     Attributes
     ----------
     lab : SimulatedLab
-        The room that it stands in.
+        Laboratory that it belongs to.
     """
 
     def __init__(self, entry: CameraSensor, context: BenchContext) -> None:

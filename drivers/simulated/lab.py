@@ -1,4 +1,4 @@
-"""The room that all simulated instruments stand in: its time, its settings, its light."""
+"""The laboratory of all simulated instruments: its time, its settings, its light."""
 
 import cmath
 import math
@@ -48,7 +48,7 @@ _SCENES: Final = {
 
 
 class VirtualClock:
-    """A time that passes only when somebody waits."""
+    """A time that passes only during waits."""
 
     def __init__(self) -> None:
         self._now_s = 0.0
@@ -67,7 +67,7 @@ class VirtualClock:
 
 
 class SimulatedLab:
-    """One room with one reed in it, shared by the simulated instruments of a bench.
+    """One laboratory with one reed, shared by the simulated instruments of a bench.
 
     It remembers every change of a setting with its time, so that an exposure is rendered with the
     settings that really were there while it lasted, however many they were.

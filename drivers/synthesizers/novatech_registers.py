@@ -53,7 +53,7 @@ class NovatechOptions(Options):
 
 @dataclass(frozen=True, slots=True)
 class Registers:
-    """What the two channels are set to.
+    """Settings of the two channels.
 
     Attributes
     ----------

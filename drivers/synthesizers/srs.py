@@ -113,7 +113,7 @@ class SRSPair:
 
     @property
     def identity(self) -> str:
-        """What both generators say that they are."""
+        """Identities of both generators."""
         return " and ".join(box.identity for box in self._boxes)
 
     @property
@@ -279,7 +279,7 @@ class _Box:
                 return Fraction(answer)
         raise InstrumentError(
             f"{self._place}: answered {answer!r} to '{command}?', which is no number; check that "
-            "nobody else uses it, and the cable"
+            "the cable, and that no other program uses it"
         )
 
     def require(self, command: str, value: str) -> None:
@@ -290,8 +290,8 @@ class _Box:
         if answers[-1] != Fraction(value):
             raise InstrumentError(
                 f"{self._place}: was asked for '{command} {value}' and reads "
-                f"{float(answers[-1]):.16g}; check that it can do this and that nobody turns its "
-                "knob"
+                f"{float(answers[-1]):.16g}; check that it can do this, and that its front "
+                "panel is not in use"
             )
 
     def set(self, command: str, value: str) -> None:

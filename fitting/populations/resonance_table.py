@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
 from physics.reed.viscoelastic import Series
-from protocols.units import shown_value, unseen_character
+from protocols.units import invisible_character, shown_value
 
 Array = NDArray[np.floating[Any]]
 
@@ -144,7 +144,7 @@ def _row(path: Path, line: int, row: dict[str, Any]) -> _Row:
             "a point, and names that have a comma in quotes"
         )
     reed, series, mode = ((row[column] or "").strip() for column in COLUMNS[:3])
-    unseen = unseen_character(reed + mode)
+    unseen = invisible_character(reed + mode)
     if unseen:
         raise FitInputError(f"{path}: line {line}: holds the character {unseen}; leave it out")
     if not reed:

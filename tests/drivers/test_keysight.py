@@ -147,7 +147,7 @@ def test_what_it_reports_is_said_and_the_queue_is_emptied(stands):
     with pytest.raises(InstrumentError, match=r'reports -113,"Und.* and -222,.*; look at its'):
         generator.set_sine(DRIVE_HZ, 2.0)
     assert answer(stand.device, "SYST:ERR?") == '+0,"No error"'
-    with pytest.raises(InstrumentError, match=r"was told 'SOUR1:VOLT 4' and reports -222"):
+    with pytest.raises(InstrumentError, match=r"was sent 'SOUR1:VOLT 4' and reports -222"):
         generator.set_sine(DRIVE_HZ, 4.0)
     assert generator.read() == (DRIVE_HZ, 2.0, True)
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from protocols.units import (
     exact_decimal,
     format_quantity,
+    invisible_character,
     parse_quantity,
     shown_value,
-    unseen_character,
 )
 
 # Powers of ten that the symbols stand for (SI brochure, table 7), written out independently.
@@ -149,4 +149,4 @@ def test_a_long_value_is_shown_short():
     ],
 )
 def test_characters_that_nobody_sees_are_found(text, found):
-    assert unseen_character(text) == found
+    assert invisible_character(text) == found

@@ -531,7 +531,7 @@ def test_every_verb_of_benches_has_help_and_json(cli, verb):
 @pytest.mark.parametrize(
     ("name", "remedy"),
     [
-        ("atlantis", "shipped are simulated, wire"),
+        ("atlantis", "shipped are emulated, simulated"),
         ("seriesA", "is a protocol"),
         (str(ROOT / "protocols" / "seriesA.yaml"), "is a protocol"),
         (str(ROOT / "README.md"), "README.md"),

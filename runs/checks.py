@@ -1,9 +1,10 @@
-"""What must hold of a run file before it is read: layout, types, sizes and a few numbers.
+"""Check layout, types, sizes and some numbers of a run file before its data are read.
 
-HDF5 lets a file say that its data lie in another file, that a column has 10¹² rows, or that a text
-is a number. Reading such a file would open what nobody named, ask for terabytes, or return nonsense
-as good. So every object is looked at first, without following a link and without reading an array;
-then the numbers that say where and how large everything is; then what people get to see.
+An HDF5 file can say that its data are in another file, that a column has 10¹² rows, or that a text
+is a number. Reading such a file would open a file that the user did not name, ask for terabytes of
+memory, or return nonsense without an error. So every object is checked first, without following a
+link and without reading an array; then the numbers that give positions and sizes; then the texts
+that are shown to the user.
 """
 
 import math
@@ -33,26 +34,26 @@ from runs.layout import (
 from runs.stored import Check, altered, datasets, places_of_data, require_heaps
 from runs.verdict import Verdict
 
-# No filter shrinks more than deflate does (1032 : 1, zlib's documentation).
-_MOST_SHRUNK: Final = 1032
+# Largest compression ratio of all filters: that of deflate (zlib documentation: 1032 : 1).
+_MAX_COMPRESSION: Final = 1032
 
 
 def require_run(path: Path, file: Any) -> None:
-    """Refuse a file that is no run file, or whose parts are not what the layout says.
+    """Raise an error unless a file is a run file with the layout of this version.
 
     Parameters
     ----------
     path : Path
-        For its size, and for messages.
+        Path of the file; used for its size and in messages.
     file : h5py.File
-        Open for reading.
+        The same file, open for reading.
 
     Raises
     ------
     RunFileError
-        Naming the part and what is wrong with it.
+        If an object does not have the layout. The message names the object and what is wrong.
     KeyError, OSError, RuntimeError, ValueError, TypeError
-        As h5py, where HDF5 itself finds damage.
+        Raised by h5py if HDF5 itself finds damage.
     """
     _require_version(path, file)
     check = Check(path, path.stat().st_size, dict(datasets(path, file)))
@@ -72,74 +73,76 @@ def require_run(path: Path, file: Any) -> None:
     require_header(check)
 
 
-# --- Whether it is ours ------------------------------------------------------------------------
+# --- Format and version ------------------------------------------------------------------------
 
 
 def _require_version(path: Path, file: Any) -> None:
-    """Refuse a file of another version, which may be laid out otherwise."""
+    """Raise an error if the file has another format version: its layout may differ."""
     if not h5py.h5a.exists(file.id, b"format"):
         raise _no_run_file(path)
     found = _attribute(file, "format_version", h5py.h5t.INTEGER)
     if found == FORMAT_VERSION:
         return
     newer = found is not None and found > FORMAT_VERSION
-    remedy = "update it" if newer else "measure again, or read the file with plain h5py"
+    remedy = "update this software" if newer else "measure again, or read the file with plain h5py"
     raise RunFileError(
-        f"{path}: has format version {shown_value(_plain(found))}, this software reads version "
+        f"{path}: has format version {shown_value(_as_python(found))}, this software reads version "
         f"{FORMAT_VERSION}; {remedy}"
     )
 
 
-def _plain(value: Any) -> Any:
-    """Value of an attribute as Python has it."""
+def _as_python(value: Any) -> Any:
+    """Convert a numpy scalar to a Python number; return other values unchanged."""
     return value.item() if isinstance(value, np.generic) else value
 
 
 def _no_run_file(path: Path) -> RunFileError:
-    return RunFileError(f"{path}: is HDF5 but no run file; name one that acquire wrote")
+    return RunFileError(
+        f"{path}: is an HDF5 file but not a run file; name a file that acquire wrote"
+    )
 
 
-def _attribute(holder: Any, name: str, kind: int) -> Any:
-    """Single value of an attribute; None if there is none, or one of another kind."""
-    if not h5py.h5a.exists(holder.id, name.encode()):
+def _attribute(node: Any, name: str, type_class: int) -> Any:
+    """Return the value of a scalar attribute; None if it is missing or of another type class."""
+    if not h5py.h5a.exists(node.id, name.encode()):
         return None
-    attribute = h5py.h5a.open(holder.id, name.encode())
-    if attribute.shape != () or attribute.get_type().get_class() != kind:
+    attribute = h5py.h5a.open(node.id, name.encode())
+    if attribute.shape != () or attribute.get_type().get_class() != type_class:
         return None
-    return holder.attrs[name]
+    return node.attrs[name]
 
 
 # --- Objects, types and shapes -----------------------------------------------------------------
 
 
 def _layout(file: Any, check: Check) -> dict[str, Part]:
-    """Datasets that the file has to have, and those that it may have and has.
+    """Return the required datasets, and the optional ones that the file has.
 
     Raises
     ------
     KeyError
-        Naming one that is missing.
+        If a required dataset is missing.
     """
     layout: dict[str, Part] = {}
     for group, parts in GROUPS.items():
         if group in OPTIONAL_GROUPS and group not in file:
             continue
-        for last, part in parts.items():
-            name = f"{group}/{last}"
+        for dataset_name, part in parts.items():
+            name = f"{group}/{dataset_name}"
             if name in check.datasets:
                 layout[name] = part
             elif not part.optional:
                 raise KeyError(f"{name} is missing")
-    for one, other in TOGETHER:
-        if (one in layout) != (other in layout):
-            raise KeyError(f"{other if one in layout else one} is missing")
+    for first, second in TOGETHER:
+        if (first in layout) != (second in layout):
+            raise KeyError(f"{second if first in layout else first} is missing")
     signal = _attribute(file["entry/data"], "signal", h5py.h5t.STRING)
     if signal not in PICTURES:
-        raise altered(check.path, "entry/data", "does not say what its signal is")
+        raise altered(check.path, "entry/data", "has no valid attribute 'signal'")
     kind, axes = PICTURES[str(signal)]
     layout[f"entry/data/{signal}"] = Part(kind, ("steps", *axes))
-    places = "entry/retakes/position"
-    if places in layout and check.shape(places) != (0,):
+    retake_positions = "entry/retakes/position"
+    if retake_positions in layout and check.shape(retake_positions) != (0,):
         layout[f"entry/retakes/{signal}"] = Part(kind, ("retakes", *axes))
     for name in layout:
         if name not in check.datasets:
@@ -148,18 +151,19 @@ def _layout(file: Any, check: Check) -> dict[str, Part]:
 
 
 def _require_type(check: Check, name: str, part: Part) -> None:
-    """Refuse another type than that of the layout, to the last bit of its description."""
+    """Raise an error if a dataset has not exactly a type that the layout allows."""
     found = check.datasets[name].id.get_type()
     if part.kind is Kind.TEXT:
         fits = found.get_class() == h5py.h5t.STRING and found.get_size() <= MAX_TEXT_BYTES
     else:
-        fits = any(found.equal(known) for known in _types(part.kind))
-    check.require(fits, name, f"holds no {part.kind.name.lower()}")
+        fits = any(found.equal(allowed) for allowed in _types(part.kind))
+    check.require(fits, name, f"is not of the type {part.kind.name.lower()}")
 
 
 def _types(kind: Kind) -> Sequence[Any]:
+    """Return the HDF5 types that a dataset of one kind may have."""
     h5t = h5py.h5t
-    whole = [
+    integers = [
         getattr(h5t, f"STD_{sign}{bits}{order}")
         for sign in "IU"
         for bits in (8, 16, 32, 64)
@@ -167,17 +171,17 @@ def _types(kind: Kind) -> Sequence[Any]:
     ]
     match kind:
         case Kind.INTEGER:
-            return whole
+            return integers
         case Kind.FIELD:
             return [h5t.py_create(np.dtype(np.complex64), logical=True)]
         case Kind.FRAMES:
             return [h5t.STD_U16LE, h5t.STD_U16BE]
         case _:
-            return [*whole, h5t.IEEE_F32LE, h5t.IEEE_F64LE, h5t.IEEE_F32BE, h5t.IEEE_F64BE]
+            return [*integers, h5t.IEEE_F32LE, h5t.IEEE_F64LE, h5t.IEEE_F32BE, h5t.IEEE_F64BE]
 
 
 def _require_shapes(check: Check, layout: Mapping[str, Part]) -> None:
-    """Refuse shapes that do not fit together, or that the file has no bytes for."""
+    """Raise an error if shapes do not fit together, or need more bytes than the file has."""
     scalars = [name for name, part in layout.items() if not part.shape]
     rows = {
         "entry/steps/verdict": 1,
@@ -197,13 +201,13 @@ def _require_shapes(check: Check, layout: Mapping[str, Part]) -> None:
         check.require(
             check.shape(name) == expected,
             name,
-            f"has the shape {check.shape(name)} in place of {expected}",
+            f"has the shape {check.shape(name)} instead of {expected}",
         )
         _require_bytes(check, name)
 
 
 def _lengths(check: Check, layout: Mapping[str, Part]) -> dict[str, int]:
-    """Lengths of the axes of the layout, by name."""
+    """Return the lengths of the axes of the layout, by name."""
     lengths = {
         "steps": check.shape("entry/steps/verdict")[0],
         "lines": check.shape("entry/instrument/acoustic_resonances")[0],
@@ -220,15 +224,16 @@ def _lengths(check: Check, layout: Mapping[str, Part]) -> dict[str, int]:
 
 
 def _require_bytes(check: Check, name: str) -> None:
-    """Refuse a dataset that is larger than what the file has for it."""
+    """Raise an error if a dataset is larger than the bytes that the file stores for it."""
     dataset = check.datasets[name]
     made, shape = dataset.made, dataset.shape
     size_bytes = math.prod(shape) * dataset.id.get_type().get_size()
     if made.get_nfilters():
-        # Pictures without light have no bytes once they are packed; only one is ever read at once.
+        # Packed images that are all zero occupy no bytes, so the sum says nothing. Images are read
+        # one at a time: the size of one is what matters.
         one_bytes = size_bytes // max(shape[0], 1) if shape else size_bytes
         check.require(
-            one_bytes <= _MOST_SHRUNK * check.size_bytes,
+            one_bytes <= _MAX_COMPRESSION * check.size_bytes,
             name,
             f"is larger than a file of {check.size_bytes} bytes can hold",
         )
@@ -237,12 +242,12 @@ def _require_bytes(check: Check, name: str) -> None:
         check.require(
             size_bytes <= stored <= check.size_bytes,
             name,
-            f"needs {size_bytes} bytes and has {stored}",
+            f"needs {size_bytes} bytes, but {stored} are stored",
         )
 
 
 def _require_chunks(check: Check, layout: Mapping[str, Part]) -> None:
-    """Refuse pictures that are not stored step by step, or that are good and have no bytes."""
+    """Raise an error unless images are stored one chunk per step, and good steps have a chunk."""
     good = (check.values("entry/steps/verdict") == Verdict.OK).tolist()
     for name, part in layout.items():
         dataset = check.datasets[name]
@@ -252,20 +257,17 @@ def _require_chunks(check: Check, layout: Mapping[str, Part]) -> None:
         pictures = part.kind in (Kind.FIELD, Kind.FRAMES)
         chunk = made.get_chunk()
         expected = (1, *shape[1:])
-        check.require(pictures and chunk == expected, name, f"is stored in pieces of {chunk}")
+        check.require(pictures and chunk == expected, name, f"is stored in chunks of shape {chunk}")
         listed: list[tuple[int, ...]] = []
         dataset.id.chunk_iter(lambda piece, into=listed: into.append(piece.chunk_offset))
-        places = [(row, *(0 for _ in shape[1:])) for row in range(shape[0])]
-        needed = places
+        offsets = [(row, *(0 for _ in shape[1:])) for row in range(shape[0])]
+        needed = offsets
         if made.get_nfilters():
-            # Those that are packed and hold no light have no bytes, but then they are not good.
-            is_needed = good if name.startswith("entry/data/") else [False] * len(places)
-            needed = [place for place, needs in zip(places, is_needed, strict=True) if needs]
+            # Packed images that are all zero have no chunk, but such steps are never good.
+            is_needed = good if name.startswith("entry/data/") else [False] * len(offsets)
+            needed = [offset for offset, needs in zip(offsets, is_needed, strict=True) if needs]
         check.require(
-            len(set(listed)) == len(listed) and set(needed) <= set(listed) <= set(places),
+            len(set(listed)) == len(listed) and set(needed) <= set(listed) <= set(offsets),
             name,
-            "has lost the place of a step",
+            "lacks the chunk of a step, or has a wrong one",
         )
-
-
-# --- What stands in it -------------------------------------------------------------------------

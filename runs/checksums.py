@@ -1,8 +1,8 @@
-"""Checksums of a run file: of each step's pixels and other numbers, and of its header.
+"""Checksums of a run file: two for each step (pixels, other numbers) and one for the header.
 
-BLAKE2b (RFC 7693) with a digest of 8 bytes: a damaged step passes once in 1.8e19 times. It takes
-1.0 ms for a hologram of 0.6 MB and 18 ms for four frames of 10.5 MB, while the camera exposes the
-next step (`python -m benchmarks.watching` prints it).
+They are BLAKE2b (RFC 7693) digests of 8 bytes: a damaged step goes unnoticed once in 1.8e19 times.
+The checksum of a hologram of 0.6 MB takes 1.0 ms, that of four frames of 10.5 MB takes 18 ms, while
+the camera exposes the next step (`python -m benchmarks.watching` prints both times).
 """
 
 import hashlib
@@ -16,7 +16,8 @@ PIXEL_CHECKSUM: Final = "pixel_checksum"
 ROW_CHECKSUM: Final = "row_checksum"
 CHECKSUMS: Final = (PIXEL_CHECKSUM, ROW_CHECKSUM)
 HEADER_CHECKSUM: Final = "entry/header_checksum"
-# Written before the first step and never changed. What others add elsewhere does no harm.
+# The header is written before the first step and never changed. Data that users add to other groups
+# do not change its checksum.
 _HEADER_GROUPS: Final = (
     "entry/user/", "entry/sample/", "entry/acquisition/", "entry/provenance/", "entry/instrument/",
     "entry/region/",
@@ -30,17 +31,18 @@ _HEADER_NAMES: Final = frozenset(
         "entry/data/x_m",
     }
 )
-# A step may be judged again, which changes none of its numbers.
+# A step may be judged again; that changes its verdict and sentence, but none of its numbers.
 _NOT_COVERED: Final = frozenset({"verdict", "sentence", ROW_CHECKSUM})
 _DIGEST_BYTES: Final = 8
 
 
 def pixel_checksum(pixels: npt.NDArray[Any]) -> int:
-    """Return the checksum of the pixels of one step, as the file holds them.
+    """Return the checksum of the pixels of one step.
 
     Parameters
     ----------
     pixels : (height, width) complex64 or (frames, rows, columns) uint16
+        Pixels in dn, in the data type of the file.
     """
     return _digest(np.ascontiguousarray(pixels))
 
@@ -51,9 +53,8 @@ def row_checksums(columns: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.uin
     Parameters
     ----------
     columns : mapping of str to (rows, …) array
-        All columns, in the types that the file has, texts of fixed length. ``verdict``,
-        ``sentence`` and ``row_checksum`` may be among them and do not count; every other column
-        does, whatever its name.
+        All columns, in the data types of the file, with texts of fixed length. The checksum covers
+        every column except ``verdict``, ``sentence`` and ``row_checksum``.
 
     Returns
     -------
@@ -71,30 +72,37 @@ def row_checksums(columns: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.uin
 
 
 def whole_rows(columns: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.bool_]:
-    """Return which rows of a table, (rows,) bool, have the checksum that they say.
+    """Return which rows of a table match their stored checksum.
 
     Parameters
     ----------
     columns : mapping of str to (rows, …) array
-        See `row_checksums`.
+        See `row_checksums`; here ``row_checksum`` is required.
+
+    Returns
+    -------
+    (rows,) bool
     """
     same: npt.NDArray[np.bool_] = row_checksums(columns) == columns[ROW_CHECKSUM]
     return same
 
 
 def in_header(name: str) -> bool:
-    """Return whether the header checksum covers the dataset of a path: labels, geometry, origin."""
+    """Return whether the header checksum covers a dataset, given by its path.
+
+    The header is the labels, the geometry and the provenance of a run.
+    """
     return name in _HEADER_NAMES or name.startswith(_HEADER_GROUPS)
 
 
 def header_checksum(values: Mapping[str, str | bytes | npt.NDArray[Any]]) -> int:
-    """Return the checksum of a run file's labels, geometry and provenance.
+    """Return the checksum of the labels, geometry and provenance of a run file.
 
     Parameters
     ----------
     values : mapping of str to text or array
-        By the paths of datasets, such as ``entry/sample/name``; those that are not `in_header` do
-        not count. Numbers have the types that the file has.
+        Values of datasets by path, such as ``entry/sample/name``. Datasets that are not `in_header`
+        are ignored. Numbers have the data types of the file.
     """
     digest = hashlib.blake2b(digest_size=_DIGEST_BYTES)
     for name in sorted(filter(in_header, values)):

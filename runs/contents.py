@@ -1,6 +1,7 @@
-"""What a new run file holds before its first step, and the proof that the disk has it.
+"""Write everything that a run file holds before its first step, and prove that the disk has it.
 
-See ``docs/run-file.md``. Room for everything is made here: a step only overwrites bytes.
+The layout is described in ``docs/run-file.md``. All space is allocated here, so that writing a step
+only overwrites bytes.
 """
 
 import io
@@ -46,15 +47,32 @@ from runs.layout import (
 from runs.proof import differing, missing_bytes
 from runs.verdict import Verdict
 
+# Chosen: the longest verdict and status ("interrupted") has 11 bytes.
 _VERDICT_BYTES: Final = 16
+# Chosen: an ISO 8601 time in UTC, as `writer.now` returns it, has 25 bytes.
 _TIME_BYTES: Final = 40
-# What h5py raises where bytes are not what was written.
+# Errors that h5py raises when bytes differ from those that were written.
 _UNREADABLE: Final = (OSError, RuntimeError, KeyError, ValueError, TypeError)
 
 
 @dataclass(frozen=True)
 class NewRun:
-    """What a run file says before its first step."""
+    """Everything that is known about a run before its first step.
+
+    Attributes
+    ----------
+    plan : Plan
+    bench : Bench
+        Open bench; supplies names, identities and preparation.
+    labels : RunLabels
+    reconstruction : Reconstruction
+    uid : str
+        Unique identifier of the run.
+    began : str
+        Time of the start, ISO 8601.
+    origin : mapping of str to object
+        ``git_revision`` and ``package_versions``, see `runs.provenance`.
+    """
 
     plan: Plan
     bench: Bench
@@ -68,7 +86,13 @@ class NewRun:
 def fill(file: Any, new: NewRun, *, allocate: bool) -> None:
     """Write everything that is known before the first step.
 
-    `allocate` makes room for the pictures of every step.
+    Parameters
+    ----------
+    file : h5py.File
+        Empty file, open for writing.
+    new : NewRun
+    allocate : bool
+        Whether space for the images of all steps is allocated now.
     """
     _write_entry(file, new)
     _write_instruments(file["entry"], new.plan, new.bench)
@@ -77,22 +101,31 @@ def fill(file: Any, new: NewRun, *, allocate: bool) -> None:
     _write_interruptions(file["entry"])
     _write_data(file["entry"], new.plan, new.reconstruction, allocate=allocate)
     written: dict[str, Any] = {}
-    file.visititems(lambda name, node: _take_header(written, name, node))
+    file.visititems(lambda name, node: _add_header(written, name, node))
     _put(file, HEADER_CHECKSUM, np.uint64(header_checksum(written)))
 
 
-def _take_header(written: dict[str, Any], name: str, node: Any) -> None:
+def _add_header(values: dict[str, Any], name: str, node: Any) -> None:
+    """Add the value of a dataset to `values` if the header checksum covers it."""
     if isinstance(node, h5py.Dataset) and in_header(name):
-        written[name] = node[()]
+        values[name] = node[()]
 
 
 def prove(path: Path, unborn: Path, new: NewRun) -> None:
-    """Read a new file back, and compare it with what was to be written.
+    """Read a new file back and compare it with the content that should have been written.
+
+    Parameters
+    ----------
+    path : Path
+        Final path of the run file; used in messages.
+    unborn : Path
+        Path of the new file, see `runs.unborn`.
+    new : NewRun
 
     Raises
     ------
     DiskError
-        If anything in it differs, is missing, or cannot be read.
+        If anything differs, is missing, or cannot be read.
     """
     pictures = frozenset(f"/entry/{group}/{_kept(new.plan)[0]}" for group in ("data", "retakes"))
     try:
@@ -101,23 +134,23 @@ def prove(path: Path, unborn: Path, new: NewRun) -> None:
         if not wrong:
             with (
                 h5py.File(unborn, "r", locking=False) as found,
-                h5py.File(io.BytesIO(), "w") as own,
+                h5py.File(io.BytesIO(), "w") as expected,
             ):
-                fill(own, new, allocate=False)
-                wrong = differing(found, own, pictures) or _unallocated(found, pictures)
+                fill(expected, new, allocate=False)
+                wrong = differing(found, expected, pictures) or _unallocated(found, pictures)
     except _UNREADABLE as error:
-        wrong = f"all ({short_reason(error)})"
+        wrong = f"everything: {short_reason(error)}"
     if wrong:
         raise DiskError(
-            f"{path}: cannot be made: the disk does not give back what was written ({wrong}); "
-            "measure onto another disk"
+            f"{path}: cannot be made: the disk does not give back what was written (wrong: {wrong})"
+            "; use another disk"
         )
 
 
 def _unallocated(file: Any, pictures: frozenset[str]) -> str:
-    """Name of pictures that do not have all of their room; empty if they do."""
-    there = [file[name] for name in sorted(pictures) if name in file]
-    return next((p.name for p in there if p.id.get_storage_size() != p.nbytes), "")
+    """Return the name of an image dataset that is not fully allocated; empty if there is none."""
+    found = [file[name] for name in sorted(pictures) if name in file]
+    return next((p.name for p in found if p.id.get_storage_size() != p.nbytes), "")
 
 
 def _write_entry(file: Any, new: NewRun) -> None:
@@ -200,11 +233,11 @@ def _write_steps(entry: Any, plan: Plan) -> None:
     steps = _group(entry, "steps", "NXcollection")
     for name, (values, unit) in planned_columns(plan).items():
         _put(steps, name, values, unit)
-    _allocate_taken(steps, len(plan.steps), plan)
+    _allocate_measured(steps, len(plan.steps), plan)
 
 
 def planned_columns(plan: Plan) -> dict[str, tuple[npt.NDArray[Any], str]]:
-    """What is planned of each step: values and unit of each column of `/entry/steps`."""
+    """Return values and unit of each column of ``/entry/steps`` that the plan determines."""
     steps = plan.steps
     columns: dict[str, tuple[npt.NDArray[Any], str]] = {
         "index": (np.array([step.index for step in steps]), ""),
@@ -223,10 +256,10 @@ def planned_columns(plan: Plan) -> dict[str, tuple[npt.NDArray[Any], str]]:
 
 
 def _write_retakes(entry: Any, plan: Plan, *, allocate: bool) -> None:
-    """Places for takes that were taken again; position -1 is a free one."""
+    """Allocate places for earlier takes of steps that are measured again; position -1 is free."""
     retakes, count = _group(entry, "retakes", "NXcollection"), plan.spare_attempts
     _allocate(retakes, "position", (count,), np.int64, FREE)
-    _allocate_taken(retakes, count, plan)
+    _allocate_measured(retakes, count, plan)
     if count:
         name, dtype, shape = _kept(plan)
         _allocate_signal(retakes, name, dtype, (count, *shape), allocate=allocate)
@@ -239,7 +272,8 @@ def _write_interruptions(entry: Any) -> None:
         _allocate(interruptions, name, (INTERRUPTIONS_MAX,), _text(SENTENCE_BYTES), "")
 
 
-def _allocate_taken(group: Any, count: int, plan: Plan) -> None:
+def _allocate_measured(group: Any, count: int, plan: Plan) -> None:
+    """Allocate the columns of everything that is measured, with `count` rows."""
     frames = (count, max(step.frames for step in plan.steps))
     for name in READ_BACK_HZ:
         _allocate(group, name, (count,), np.float64, np.nan, "Hz")
@@ -258,13 +292,13 @@ def _write_data(entry: Any, plan: Plan, reconstruction: Reconstruction, *, alloc
     region, transform = reconstruction.region, reconstruction.transform
     y_m, x_m = reed_axes_m(plan.layout, region, transform)
     data = _group(entry, "data", "NXdata")
-    # Soft, so that the axis is stored once.
+    # A soft link, so that the axis is stored once.
     data["drive_hz"] = h5py.SoftLink("/entry/steps/drive_hz")
     _put(data, "y_m", y_m, "m")
     _put(data, "x_m", x_m, "m")
-    where = _group(entry, "region", "NXcollection")
+    region_group = _group(entry, "region", "NXcollection")
     for name in ("row", "column", "height", "width"):
-        _put(where, name, getattr(region, name))
+        _put(region_group, name, getattr(region, name))
     name, dtype, shape = _kept(plan)
     axes = ["drive_hz", "y_m", "x_m"] if name == "field" else ["drive_hz", ".", ".", "."]
     data.attrs.update({"signal": name, "axes": axes})
@@ -272,7 +306,7 @@ def _write_data(entry: Any, plan: Plan, reconstruction: Reconstruction, *, alloc
 
 
 def _kept(plan: Plan) -> tuple[str, Any, tuple[int, ...]]:
-    """Name, type and shape of what is kept of each step."""
+    """Return name, type and shape of the images that the run keeps of each step."""
     if plan.protocol.keep == "holograms":
         return "field", np.complex64, (plan.region.height, plan.region.width)
     return "frames", np.uint16, (max(step.frames for step in plan.steps), *plan.frame_shape)
@@ -281,15 +315,16 @@ def _kept(plan: Plan) -> tuple[str, Any, tuple[int, ...]]:
 def _allocate_signal(
     group: Any, name: str, dtype: Any, shape: tuple[int, ...], *, allocate: bool
 ) -> None:
-    """Make room for the pictures of every step, a chunk each.
+    """Allocate space for the images of all steps, one chunk for each step.
 
-    Not compressed: chunks that take their place when they come make HDF5 split its index now and
-    then, and a program killed at that moment leaves steps that cannot be read (decision 0010).
+    The chunks are not compressed. HDF5 allocates a compressed chunk when it is written, and
+    sometimes splits its chunk index for it; a program that is killed at that moment leaves steps
+    that cannot be read (decision 0010).
     """
     early = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     if allocate:
         early.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-    # Zeros for steps to come are not written, the file system supplies them.
+    # Without fill values: the file system returns zeros for steps that are not written yet.
     dataset = group.create_dataset(
         name, shape, dtype, chunks=(1, *shape[1:]), dcpl=early, fill_time="never"
     )
@@ -311,7 +346,7 @@ def _put(group: Any, name: str, value: object, unit: str = "") -> None:
 def _allocate(
     group: Any, name: str, shape: tuple[int, ...], dtype: Any, empty: object, unit: str = ""
 ) -> None:
-    """Make a column and write it, so that HDF5 allocates its bytes now."""
+    """Create a column and write its empty values, so that HDF5 allocates its bytes now."""
     content = np.full(shape, empty.encode() if isinstance(empty, str) else empty, dtype)
     dataset = group.create_dataset(name, data=content, dtype=dtype)
     if unit:

@@ -1,7 +1,7 @@
-"""Files that HDF5 writes to, and what a disk says when it refuses.
+"""Files that HDF5 writes to, and errors of the disk.
 
-HDF5 does not stand a disk that refuses: errors that come while it closes something are printed and
-lost, and the process may crash at its end. So HDF5 writes through a `DiskFile`, which keeps the
+HDF5 does not handle disk errors well: errors that occur while it closes an object are printed and
+lost, and the process may crash when it ends. So HDF5 writes through a `DiskFile`, which keeps the
 error until the writer asks for it.
 """
 
@@ -20,30 +20,38 @@ from runs.errors import DiskError, RunFileError
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer, WriteableBuffer
 
-# What the operating system says of a disk that fails, is full, or is gone (errno(3)).
+# Errors of the operating system for a disk that fails, is full, or was removed (errno(3)).
 _DISK_FAULTS: Final = frozenset(
     {errno.EIO, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENXIO, errno.ENODEV, errno.ESTALE}
 )
-# A file system that knows no locks (flock(2)); HDF5 does without them there, too.
+# Errors of a file system that has no locks (flock(2)). HDF5 also works without locks there.
 _NO_LOCKS: Final = frozenset({errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK})
 
 
 def give_name(unborn: Path, path: Path) -> None:
-    """Give a file that is whole its name, and never take that of another file.
+    """Rename a finished file, without ever replacing another file.
+
+    Parameters
+    ----------
+    unborn : Path
+        Current path of the file.
+    path : Path
+        New path.
 
     Raises
     ------
     FileExistsError
-        If a file has that name.
+        If a file already has the new path.
     OSError
+        If the file cannot be renamed.
     """
     try:
         os.link(unborn, path, follow_symlinks=False)
     except FileExistsError:
         raise
     except OSError:
-        # A file system without hard links (FAT, some network folders). Whoever makes a file of this
-        # name between the two calls loses it; programs of this project hold the run's lock.
+        # The file system has no hard links (FAT, some network folders). A file that another program
+        # creates between the two calls is lost; programs of this project hold the run's lock.
         if os.path.lexists(path):
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from None
         unborn.rename(path)
@@ -52,16 +60,17 @@ def give_name(unborn: Path, path: Path) -> None:
 
 
 class DiskFile(io.RawIOBase):
-    """A file for ``h5py.File`` that raises nothing into HDF5; made by `create` and `open_existing`.
+    """File object for ``h5py.File`` that never raises an error into HDF5.
 
-    While it is open other programs that ask for HDF5's lock are refused. An error of the disk is
-    kept; writing goes on as if nothing had happened, until `check` raises it. After that the file
-    can still be used: to a full disk a status may yet be written.
+    Use `create` or `open_existing` to open one. While it is open, it holds HDF5's lock, so other
+    programs cannot open the file with a lock. An error of the disk is kept, and HDF5 continues as
+    if the disk had accepted the bytes, until `check` raises the error. The file can still be used
+    after that: a full disk may accept a short status.
     """
 
     def __init__(self, path: Path, flags: int) -> None:
         super().__init__()
-        self._place = 0
+        self._offset = 0
         self._error: OSError | None = None
         self._descriptor = -1
         self._descriptor = os.open(path, flags | os.O_RDWR | os.O_CLOEXEC, 0o666)
@@ -74,43 +83,48 @@ class DiskFile(io.RawIOBase):
 
     @classmethod
     def create(cls, path: Path) -> Self:
-        """Make a new file in place of whatever has that name; a link is removed, not followed.
+        """Create a file, and remove an existing file or link of that name first.
+
+        A link is removed, not followed.
 
         Raises
         ------
         OSError
+            If the file cannot be created.
         """
         path.unlink(missing_ok=True)
         return cls(path, os.O_CREAT | os.O_EXCL)
 
     @classmethod
     def open_existing(cls, path: Path) -> Self:
-        """Open a file to change it.
+        """Open a file for reading and writing.
 
         Raises
         ------
         OSError
-            `BlockingIOError` if another program has it open and locked.
+            If the file cannot be opened; `BlockingIOError` if another program has locked it.
         """
         return cls(path, 0)
 
     def check(self) -> None:
-        """Raise what the disk refused since the last time.
+        """Raise the first error of the disk since the last call, if there was one.
 
         Raises
         ------
         OSError
+            The error of the disk.
         """
         error, self._error = self._error, None
         if error is not None:
             raise error
 
     def sync(self) -> None:
-        """Wait until all is on the disk.
+        """Wait until all written bytes are on the disk.
 
         Raises
         ------
         OSError
+            If the disk refused any of them.
         """
         os.fsync(self._descriptor)
         self.check()
@@ -128,54 +142,54 @@ class DiskFile(io.RawIOBase):
         return True
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Set the place of the next byte, and return it."""
+        """Set the offset of the next byte, and return it."""
         if whence == os.SEEK_CUR:
-            offset += self._place
+            offset += self._offset
         elif whence == os.SEEK_END:
             offset += os.fstat(self._descriptor).st_size
-        self._place = offset
-        return self._place
+        self._offset = offset
+        return self._offset
 
     def tell(self) -> int:
-        """Return the place of the next byte."""
-        return self._place
+        """Return the offset of the next byte."""
+        return self._offset
 
     def readinto(self, buffer: "WriteableBuffer") -> int:
-        """Read; beyond the end of the file, and where the disk refuses, are zeros."""
+        """Fill a buffer; with zeros beyond the end of the file and where the disk refuses."""
         view, done = memoryview(buffer).cast("B"), 0
         with self._errors_kept():
             while done < len(view):
-                count = os.preadv(self._descriptor, [view[done:]], self._place + done)
+                count = os.preadv(self._descriptor, [view[done:]], self._offset + done)
                 if not count:
                     break
                 done += count
         view[done:] = bytes(len(view) - done)
-        self._place += len(view)
+        self._offset += len(view)
         return len(view)
 
     def write(self, data: "ReadableBuffer") -> int:
-        """Write all of it, or keep the error."""
+        """Write all bytes, or keep the error for `check`."""
         view, done = memoryview(data).cast("B"), 0
         with self._errors_kept():
             while done < len(view):
-                done += os.pwrite(self._descriptor, view[done:], self._place + done)
-        self._place += len(view)
+                done += os.pwrite(self._descriptor, view[done:], self._offset + done)
+        self._offset += len(view)
         return len(view)
 
     def truncate(self, size: int | None = None) -> int:
-        """Set the size of the file, or keep the error."""
-        size = self._place if size is None else size
+        """Set the size of the file, or keep the error for `check`."""
+        size = self._offset if size is None else size
         with self._errors_kept():
             os.ftruncate(self._descriptor, size)
         return size
 
     def flush(self) -> None:
-        """Do nothing: what was written is with the operating system already."""
+        """Do nothing: every write goes to the operating system at once."""
 
     def close(self) -> None:
         """Close the file. May be called twice."""
         super().close()
-        # Its number may belong to another file from now on.
+        # The operating system may give the same number to another file as soon as this is closed.
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             os.close(descriptor)
@@ -189,12 +203,12 @@ class DiskFile(io.RawIOBase):
 
 
 def error_class(error: BaseException) -> type[RunFileError]:
-    """Return `DiskError` if it was the disk that refused, `RunFileError` if it was anything else.
+    """Return `DiskError` if an error comes from the disk, `RunFileError` if not.
 
     Parameters
     ----------
     error : BaseException
-        Of the operating system, or of HDF5, which quotes it.
+        Error of the operating system, or of HDF5, which quotes the operating system.
     """
     number = error.errno if isinstance(error, OSError) else None
     quoted = re.search(r"errno = (\d+)", str(error))

@@ -1,7 +1,7 @@
-"""A run as documents of the bluesky event model, one JSON line each beside the run file.
+"""Write a run as documents of the bluesky event model, to a JSON lines file next to the run file.
 
-Every line is a pair ``[name, document]`` as suitcase-jsonl writes it, so LiveTable and Tiled read
-our runs. Arrays stay in the run file, to which the last documents point.
+Every line is a pair ``[name, document]`` as suitcase-jsonl writes it, so LiveTable and Tiled can
+read runs. Arrays stay in the run file; the last documents point to them.
 """
 
 import contextlib
@@ -53,7 +53,7 @@ _SOURCES: Final = {
     "verdict": "acquire.runner.quality",
     "sentence": "acquire.runner.quality",
 }
-_WHOLE = ("index", "order", "take")
+_INTEGERS: Final = ("index", "order", "take")
 _UNITS: Final = {
     "asked_hz": "Hz",
     "drive_hz": "Hz",
@@ -65,19 +65,19 @@ _UNITS: Final = {
 
 
 def documents_path(run_path: Path) -> Path:
-    """Return where the documents of a run file stand: ``R07.h5`` → ``R07.documents.jsonl``."""
+    """Return the path of the documents of a run file: ``R07.h5`` → ``R07.documents.jsonl``."""
     return run_path.with_suffix(".documents.jsonl")
 
 
 def rewritten_path(run_path: Path) -> Path:
-    """Return where documents are put together before a run goes on: ``R07.documents.part``."""
+    """Return the path at which `DocumentLog.resume` writes documents: ``R07.documents.part``."""
     return documents_path(run_path).with_suffix(".part")
 
 
 def holds_no_event(run_path: Path) -> bool:
-    """Whether the documents of a run are nothing but the beginning of one without a step.
+    """Return whether the documents of a run hold only its beginning, without any step.
 
-    A process that is killed before it has made the run file leaves such documents.
+    A process that is killed before it has created the run file leaves such documents.
     """
     try:
         lines = documents_path(run_path).read_text(encoding="utf-8").splitlines(keepends=True)
@@ -100,7 +100,7 @@ def holds_no_event(run_path: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Begun:
-    """Documents of a run up to its last event: its start, its two streams, and its events."""
+    """Documents of a run up to its last event: start, descriptors of two streams, events."""
 
     start: Any
     primary: Any
@@ -109,14 +109,14 @@ class _Begun:
 
     @classmethod
     def read(cls, documents: Sequence[tuple[str, Any]]) -> Self:
-        """Take them from pairs of name and document; KeyError or TypeError if one is missing."""
+        """Collect them from pairs of name and document; KeyError or TypeError if one is missing."""
         streams = {found["name"]: found for name, found in documents if name == "descriptor"}
         events = tuple(found for name, found in documents if name == "event")
         return cls(dict(documents)["start"], streams["primary"], streams["steps"], events)
 
     @property
     def takes(self) -> dict[tuple[int, int], int]:
-        """How often each step was taken, by index and order."""
+        """Return the number of takes of each step, by index and order."""
         counts: dict[tuple[int, int], int] = {}
         for event in self.events:
             data = event["data"]
@@ -126,15 +126,16 @@ class _Begun:
 
 
 class DocumentLog:
-    """Documents of one run; a context manager. Made by `create` and `resume`.
+    """Documents of one run, open for writing; a context manager.
 
-    The stream ``primary`` has an event for every take. The stream ``steps`` is the array of what
-    the run file keeps: a row for every planned step, of its last take, or of zeros. The documents
-    that say where it is come last, because a file that is being written cannot be read.
+    Use `create` or `resume` to open them. The stream ``primary`` has one event for every take. The
+    stream ``steps`` is the array in the run file: one row for every planned step, which holds its
+    last take, or zeros. The documents that say where this array is are written last, because a
+    file that is being written cannot be read.
     """
 
     def __init__(self, run_path: Path, file: io.FileIO, begun: _Begun) -> None:
-        # It takes longer to import than the rest of this package.
+        # Imported here, because it takes longer to import than all the rest of this package.
         import event_model
 
         self.path = documents_path(run_path)
@@ -145,22 +146,22 @@ class DocumentLog:
 
     @classmethod
     def create(cls, run_path: Path, plan: Plan, bench: Bench, labels: RunLabels, uid: str) -> Self:
-        """Begin the documents of a new run.
+        """Create the documents of a new run, with its start and its descriptors.
 
         Parameters
         ----------
         run_path : Path
-            Of the run file.
+            Path of the run file.
         plan : Plan
         bench : Bench
         labels : RunLabels
         uid : str
-            Of the run file, and of the start document.
+            Unique identifier of the run file and of the start document.
 
         Raises
         ------
         RunFileError
-            If the documents exist already or cannot be made.
+            If the documents exist already or cannot be created.
         DiskError
             If the disk refuses them.
         """
@@ -184,22 +185,22 @@ class DocumentLog:
         return log
 
     def takes_of(self, index: int, order: int) -> int:
-        """Return how many takes of a step the documents knew when they were opened."""
+        """Return how many takes of a step the documents held when they were opened."""
         return self._begun.takes.get((index, order), 0)
 
     @classmethod
     def resume(cls, run_path: Path) -> Self:
-        """Go on with the documents of a run that is not complete.
+        """Open the documents of a run that is not complete, to continue them.
 
-        A line that was cut short, and the last documents of a run that was ended, are left out: a
-        run has one beginning and one end.
+        An incomplete last line and the closing documents of an interrupted run are removed: a run
+        has one beginning and one end.
 
         Raises
         ------
         RunFileError
-            If there are none, or they are no documents of a run.
+            If there are no documents, or they are not those of a run.
         """
-        path, whole = documents_path(run_path), rewritten_path(run_path)
+        path, rewritten = documents_path(run_path), rewritten_path(run_path)
         documents = _documents(path)
         try:
             begun = _Begun.read(documents)
@@ -208,17 +209,17 @@ class DocumentLog:
                 f"{path}: does not begin with the documents of a run; measure the sweep again"
             ) from None
         try:
-            # Removed, so that a link with this name is not followed.
-            whole.unlink(missing_ok=True)
-            with whole.open("xb") as part:
+            # A link of this name must not be followed.
+            rewritten.unlink(missing_ok=True)
+            with rewritten.open("xb") as part:
                 part.writelines(_line(*document) for document in documents)
                 part.flush()
                 os.fsync(part.fileno())
-            whole.replace(path)
+            rewritten.replace(path)
             return cls(run_path, path.open("ab", buffering=0), begun)
         except OSError as error:
             with contextlib.suppress(OSError):
-                whole.unlink(missing_ok=True)
+                rewritten.unlink(missing_ok=True)
             raise _cannot_write(path, error) from error
 
     def event(self, data: dict[str, Any], time_s: float) -> None:
@@ -227,25 +228,27 @@ class DocumentLog:
         Parameters
         ----------
         data : dict
-            See `event_data` and `recorded_data`.
+            Data of the event, from `event_data` or `recorded_data`.
         time_s : float
-            POSIX time of the measurement.
+            POSIX time of the measurement, in s.
 
         Raises
         ------
         DiskError
+            If the disk refuses the event.
         """
-        # Documents that another process began may have fewer columns.
+        # Documents that another version of this software created may have fewer columns.
         data = {name: data[name] for name in self._begun.primary["data_keys"]}
         timestamps = dict.fromkeys(data, time_s)
         self._write("event", self._compose_event(data=data, timestamps=timestamps, time=time_s))
 
     def finish(self, status: Status, reason: str = "") -> None:
-        """Write where the arrays are, and the stop document. Does nothing the second time.
+        """Write where the arrays are, and the stop document. Do nothing if already closed.
 
         Raises
         ------
         DiskError
+            If the disk refuses the documents.
         """
         if self._file.closed:
             return
@@ -258,12 +261,12 @@ class DocumentLog:
             raise _cannot_write(self.path, error) from error
 
     def discard(self) -> None:
-        """Close and remove documents that say nothing worth keeping."""
+        """Close the documents and remove their file."""
         self._file.close()
         self.path.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Close the documents as they are. May be called twice."""
+        """Close the documents without a stop document. May be called twice."""
         self._file.close()
 
     def __enter__(self) -> Self:
@@ -285,7 +288,7 @@ class DocumentLog:
         compose = event_model.ComposeStreamResource(self._begun.start)
         bundle = compose(
             mimetype="application/x-hdf5",
-            # Not escaped, because Tiled would not undo it.
+            # Not percent-encoded, because Tiled does not decode the path.
             uri=f"file://localhost/{self._run_path.absolute().as_posix().lstrip('/')}",
             data_key=name,
             parameters={
@@ -304,7 +307,7 @@ class DocumentLog:
         self._counts["steps"] += rows
 
     def _write(self, name: str, document: Any) -> None:
-        """Write a line, whole or not at all."""
+        """Write a complete line or nothing."""
         line = _line(name, document)
         end = os.fstat(self._file.fileno()).st_size
         try:
@@ -325,7 +328,7 @@ def _cannot_write(path: Path, error: OSError) -> DiskError:
 
 
 def _documents(path: Path) -> list[tuple[str, Any]]:
-    """Documents of a run as far as they are whole, but for that of its end."""
+    """Return all undamaged documents of a run without those of its end."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -344,14 +347,14 @@ def _documents(path: Path) -> list[tuple[str, Any]]:
 
 
 def event_data(step: Step, take: int, measured: MeasuredStep) -> dict[str, Any]:
-    """Data of the event of a step that was just measured.
+    """Return the data of the event of a step that was just measured.
 
     Parameters
     ----------
     step : Step
-        As planned.
+        The step as planned.
     take : int
-        From 1: how often the step was taken.
+        Number of the take, from 1.
     measured : MeasuredStep
     """
     read = measured.read_back
@@ -376,7 +379,7 @@ def event_data(step: Step, take: int, measured: MeasuredStep) -> dict[str, Any]:
 
 
 def recorded_data(record: StepRecord, take: int) -> dict[str, Any]:
-    """Data of the event of a measured step that a run file holds, see `event_data`."""
+    """Return the data of the event of a measured step in a run file, see `event_data`."""
     aom1_hz, aom2_hz = record.read_aom1_hz or 0, record.read_aom2_hz or 0
     return {
         "index": record.index,
@@ -400,7 +403,7 @@ def recorded_data(record: StepRecord, take: int) -> dict[str, Any]:
 
 def _create(path: Path) -> io.FileIO:
     try:
-        # Without a buffer: what a disk refuses would be written again when it is closed.
+        # Unbuffered: a buffer would write refused bytes again when the file is closed.
         return path.open("xb", buffering=0)
     except FileExistsError:
         raise RunFileError(
@@ -416,7 +419,7 @@ def _metadata(run_path: Path, plan: Plan, bench: Bench, labels: RunLabels) -> di
     preparation = bench.preparation
     return {
         "plan_name": plan.protocol.name,
-        # LiveTable wants both. Nobody numbers the runs of a bench; this grows from one to the next.
+        # LiveTable requires both. Runs of a bench have no numbers; the time grows from run to run.
         "plan_type": "protocol",
         "scan_id": int(time.time()),
         "run_file": run_path.name,
@@ -439,7 +442,7 @@ def _data_keys() -> dict[str, dict[str, Any]]:
     keys = {}
     for name, source in _SOURCES.items():
         text = name in ("verdict", "sentence")
-        dtype = "string" if text else "integer" if name in _WHOLE else "number"
+        dtype = "string" if text else "integer" if name in _INTEGERS else "number"
         keys[name] = {"source": source, "dtype": dtype, "shape": []}
         if name in _UNITS:
             keys[name]["units"] = _UNITS[name]
@@ -447,7 +450,7 @@ def _data_keys() -> dict[str, dict[str, Any]]:
 
 
 def _array_keys(plan: Plan) -> dict[str, dict[str, Any]]:
-    """Describe what the run file keeps of one step."""
+    """Return the data key of the images that the run file keeps of one step."""
     if plan.protocol.keep == "holograms":
         name, source, dtype = "field", "holography.reconstruction", "<c8"
         sizes = {"y_m": plan.region.height, "x_m": plan.region.width}
@@ -469,7 +472,7 @@ def _array_keys(plan: Plan) -> dict[str, dict[str, Any]]:
 
 
 def _rows(plan: Plan) -> dict[str, dict[str, Any]]:
-    """Say which row belongs to which index of the protocol's sweep, and which sideband."""
+    """Return index and sideband order of each row, as the configuration of a descriptor."""
     rows = {name: [getattr(step, name) for step in plan.steps] for name in ("index", "order")}
     key = {
         "source": "protocol",
@@ -487,5 +490,5 @@ def _rows(plan: Plan) -> dict[str, dict[str, Any]]:
 
 
 def _finite(value: float) -> float:
-    """JSON knows no NaN; what could not be measured for want of frames is 0."""
+    """Return a number, or 0 if it is NaN (not measured, frames missing): JSON has no NaN."""
     return value if math.isfinite(value) else 0.0

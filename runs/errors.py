@@ -1,4 +1,4 @@
-"""Errors of run files and of the disks that hold them."""
+"""Errors of run files and of the disks on which they are stored."""
 
 from holography.errors import BenchError
 
@@ -10,6 +10,6 @@ class RunFileError(BenchError):
 
 
 class DiskError(RunFileError):
-    """A disk that refuses to be written or read: full, gone, or failing."""
+    """A disk that cannot be written or read: it is full, removed, or failing."""
 
     exit_status = 1

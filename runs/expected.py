@@ -1,12 +1,10 @@
-"""Which datasets a run file has: their kinds and shapes."""
+"""The datasets of a run file: what kind of data each holds, and its shape."""
 
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Final
 
-from runs.checksums import (
-    CHECKSUMS,
-)
+from runs.checksums import CHECKSUMS
 from runs.layout import (
     EXPOSURE,
     INTERRUPTIONS,
@@ -15,12 +13,12 @@ from runs.layout import (
     READ_BACK_HZ,
 )
 
-# Frames of a step: the four phases of a hologram.
+# Frames of a step: four-phase demodulation needs four (decision 0001).
 _FRAMES: Final = 4
 
 
 class Kind(Enum):
-    """What a dataset holds."""
+    """Kind of data that a dataset holds."""
 
     TEXT = auto()
     INTEGER = auto()
@@ -36,10 +34,10 @@ class Part:
     Attributes
     ----------
     kind : Kind
-    shape : tuple
-        Lengths of its axes, or their names, see `_lengths`.
+    shape : tuple of str or int
+        Lengths of its axes, or names of axes whose lengths `runs.checks` reads from the file.
     optional : bool
-        Whether a file may lack it.
+        Whether a file without it is valid.
     """
 
     kind: Kind
@@ -47,8 +45,8 @@ class Part:
     optional: bool = False
 
 
-def _taken(rows: str) -> dict[str, Part]:
-    """Columns that tell what was measured, of steps or of earlier takes."""
+def _measured(rows: str) -> dict[str, Part]:
+    """Return the columns that hold what was measured; `rows` is the name of their first axis."""
     columns = {f"{name}_exact": Part(Kind.TEXT, (rows,)) for name in READ_BACK_HZ}
     columns |= {name: Part(Kind.NUMBER, (rows,), optional=True) for name in READ_BACK_HZ}
     columns |= {name: Part(Kind.NUMBER, (rows,)) for name in MEASURED}
@@ -62,19 +60,20 @@ def _taken(rows: str) -> dict[str, Part]:
 
 
 def _steps() -> dict[str, Part]:
+    """Return the columns of ``/entry/steps``: what was planned and what was measured."""
     columns = {f"{name}_exact": Part(Kind.TEXT, ("steps",)) for name in PLANNED_HZ}
     columns |= {name: Part(Kind.NUMBER, ("steps",), optional=True) for name in PLANNED_HZ}
     columns |= {name: Part(Kind.NUMBER, ("steps",)) for name in ("volts", "carrier_leak")}
     columns["index"] = Part(Kind.INTEGER, ("steps",))
     columns["order"] = Part(Kind.INTEGER, ("steps",), optional=True)
-    return columns | _taken("steps")
+    return columns | _measured("steps")
 
 
 def _scalars(kind: Kind, *names: str, optional: bool = False) -> dict[str, Part]:
     return {name: Part(kind, (), optional) for name in names}
 
 
-# Groups of the layout that a file has or lacks as a whole, with their datasets.
+# Datasets of each group, by name. A file has all required datasets of a group or lacks the group.
 GROUPS: Final[dict[str, dict[str, Part]]] = {
     "entry": _scalars(
         Kind.TEXT, "title", "entry_identifier_uuid", "start_time", "end_time", "status"
@@ -103,7 +102,7 @@ GROUPS: Final[dict[str, dict[str, Part]]] = {
     "entry/instrument/laser": _scalars(Kind.NUMBER, "wavelength", "distance"),
     "entry/region": _scalars(Kind.INTEGER, "row", "column", "height", "width"),
     "entry/steps": _steps(),
-    "entry/retakes": {"position": Part(Kind.INTEGER, ("retakes",))} | _taken("retakes"),
+    "entry/retakes": {"position": Part(Kind.INTEGER, ("retakes",))} | _measured("retakes"),
     "entry/interruptions": {"position": Part(Kind.INTEGER, ("interruptions",))}
     | {name: Part(Kind.TEXT, ("interruptions",)) for name in INTERRUPTIONS[1:]},
     "entry/data": {
@@ -114,13 +113,14 @@ GROUPS: Final[dict[str, dict[str, Part]]] = {
 
 OPTIONAL_GROUPS: Final = frozenset({"entry/acquisition", "entry/retakes", "entry/interruptions"})
 
-# What writers write both of, or neither.
+# Pairs of datasets: a file has both of them or neither.
 TOGETHER: Final = (
     ("entry/retakes/position", "entry/interruptions/position"),
     ("entry/provenance/reed", "entry/provenance/reed_sha256"),
     ("entry/steps/lock_error_hz", "entry/steps/lock_error_se_hz"),
 )
 
+# Images that a run keeps, by the name of their dataset: kind and axes of the images of one step.
 PICTURES: Final = {
     "field": (Kind.FIELD, ("height", "width")),
     "frames": (Kind.FRAMES, (_FRAMES, "rows", "columns")),

@@ -1,4 +1,4 @@
-"""What writer and reader of a run file agree on, see ``docs/run-file.md``."""
+"""Names and conventions that writer and reader of a run file share, see ``docs/run-file.md``."""
 
 import contextlib
 import re
@@ -15,7 +15,7 @@ FORMAT_VERSION: Final = 4
 
 Status = Literal["running", "complete", "interrupted", "failed"]
 
-# Columns of `/entry/steps`. Every frequency also has a column `<name>_exact` of text.
+# Planned frequencies of a step. Each also has a column `<name>_exact` with the exact value as text.
 PLANNED_HZ: Final = (
     "asked_hz",
     "drive_hz",
@@ -24,8 +24,9 @@ PLANNED_HZ: Final = (
     "difference_hz",
     "lock_residual_hz",
 )
+# Frequencies that the instruments report during a step, with `_exact` columns too.
 READ_BACK_HZ: Final = ("read_aom1_hz", "read_aom2_hz", "read_drive_hz")
-# Numbers of a measured step besides its frequencies, each with its unit.
+# All other numbers of a measured step, each with its unit.
 MEASURED: Final = {
     "read_volts": "V",
     "changed_s": "s",
@@ -37,21 +38,26 @@ MEASURED: Final = {
     "lock_error_se_hz": "Hz",
     "unexplained": "",
 }
-# Column that only runs have whose steps are not all exposed alike.
+# Column of the exposure of each step; only in runs whose steps have different exposures.
 EXPOSURE: Final = "exposure_s"
-# Columns of `/entry/interruptions`, and how many of them there may be.
+# Columns of `/entry/interruptions`.
 INTERRUPTIONS: Final = ("position", "kind", "began", "ended", "reason")
+# Rows of `/entry/interruptions`. Chosen; interruptions beyond the last row are not recorded.
 INTERRUPTIONS_MAX: Final = 64
-# Positions of `/entry/retakes` that hold no take. A step that is being set aside has UNDER_WAY less
-# its position, so that another process can finish what this one was killed in.
+# Values of `/entry/retakes/position`. FREE is a place without a take. While a step is being copied
+# to a place, the place has the value UNDER_WAY - position of the step, so that another process can
+# finish the copy if this one is killed.
 FREE: Final = -1
 UNDER_WAY: Final = -2
+# Longest text of an exact number. Chosen: the frequency of a 48-bit tuning word below 1 GHz has up
+# to 58 characters as an exact decimal.
 EXACT_BYTES: Final = 64
+# Longest sentence of a step, and longest text of an interruption. Chosen; longer texts are cut.
 SENTENCE_BYTES: Final = 240
-# How the sentence of a pending step ends that was measured before.
-TO_BE_TAKEN_AGAIN: Final = "to be taken again"
-# Of what went wrong, no more than this is told.
-_LONGEST_REASON = 120
+# End of the sentence of a pending step that was measured before.
+TO_BE_TAKEN_AGAIN: Final = "to be measured again"
+# Longest reason in an error message, in characters. Chosen; longer reasons are cut.
+_MAX_REASON_LENGTH: Final = 120
 
 
 InterruptionKind = Literal["resumed", "paused", "recovered"]
@@ -59,17 +65,18 @@ InterruptionKind = Literal["resumed", "paused", "recovered"]
 
 @dataclass(frozen=True)
 class Interruption:
-    """A place where a run was not carried on at once.
+    """A place in a run where measuring stopped and continued later.
 
     Attributes
     ----------
     position : int
-        Of the step that came after it, from 0.
+        Position of the first step after it, from 0.
     kind : {'resumed', 'paused', 'recovered'}
-        By another process, after a pause, or after an instrument had failed.
+        Continued by another process, after a pause, or after the failure of an instrument.
     began, ended : str
-        ISO 8601.
+        Times, ISO 8601.
     reason : str
+        Why the run was interrupted.
     """
 
     position: int
@@ -80,7 +87,7 @@ class Interruption:
 
 
 class Kind(StrEnum):
-    """What a run is of."""
+    """What a run measures: a sweep, or one of the calibrations."""
 
     SWEEP = "sweep"
     DARK = "dark"
@@ -92,17 +99,17 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Acquisition:
-    """What a run is of, and which part of a campaign it is.
+    """What a run measures, and which part of a campaign it is.
 
     Attributes
     ----------
     kind : Kind
     campaign : str
-        The same in all runs of a campaign; empty if it stands alone.
+        Name of the campaign, the same in all its runs; empty if the run belongs to no campaign.
     part : str
-        Name within the campaign.
+        Name of the run within the campaign.
     clamping : int
-        How often the reed had been clamped anew since the campaign began.
+        How often the reed was removed and clamped again since the campaign began.
     """
 
     kind: Kind = Kind.SWEEP
@@ -113,16 +120,18 @@ class Acquisition:
 
 @dataclass(frozen=True)
 class RunLabels:
-    """What a person says about a run; reed and series stand in the bench's preparation.
+    """Labels that the operator gives a run; reed and series are in the preparation of the bench.
 
     Attributes
     ----------
     strength : float or None
-        Nominal strength of the reed, such as 3.5.
+        Nominal strength of the reed, such as 3.5; None if unknown.
     note, operator : str
+        Free text, and the name of the operator.
     campaign, part : str
-        Of what the run is a part; see `Acquisition`.
+        Name of the campaign and of the run in it, see `Acquisition`.
     clamping : int
+        See `Acquisition`.
     """
 
     strength: float | None = None
@@ -134,12 +143,14 @@ class RunLabels:
 
 
 def exact_text(value: Fraction) -> str:
-    """Write a fraction exactly, as decimals where they end: what ``Fraction(text)`` reads back.
+    """Return a fraction as exact text that ``Fraction(text)`` reads back.
+
+    The text is a decimal number if that is exact, and ``p/q`` if not.
 
     Raises
     ------
     ValueError
-        If it needs more characters than a run file holds.
+        If the text has more characters than a run file stores.
     """
     try:
         text = exact_decimal(value)
@@ -153,17 +164,21 @@ def exact_text(value: Fraction) -> str:
     return text
 
 
-def verdict_of(said: bytes) -> Verdict | None:
-    """Return the verdict that a file has of a step; None if the bytes are those of none."""
+def verdict_of(content: bytes) -> Verdict | None:
+    """Return the verdict that a run file holds as bytes; None if they are not a verdict."""
     with contextlib.suppress(ValueError):
-        return Verdict(said.decode())
+        return Verdict(content.decode())
     return None
 
 
 def short_reason(error: BaseException) -> str:
-    """Return the operating system's words, also where HDF5 quotes them, or the first line of it."""
-    said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    quoted = re.search(r"error message = '([^']+)'", said)
+    """Return the reason of an error in a few words, for a message of one line.
+
+    This is the text of the operating system, also if HDF5 quotes it, or else the first line of the
+    error, or its class name.
+    """
+    text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    quoted = re.search(r"error message = '([^']+)'", text)
     if quoted:
         return quoted[1]
-    return said.splitlines()[0][:_LONGEST_REASON] if said else type(error).__name__
+    return text.splitlines()[0][:_MAX_REASON_LENGTH] if text else type(error).__name__

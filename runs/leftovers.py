@@ -1,36 +1,38 @@
-"""What a process that died left beside a run file, and nothing needs any more."""
+"""Remove files that a dead process left next to a run file and that nothing needs any more."""
 
 from pathlib import Path
 
 from runs.disk import error_class
-from runs.documents import (
-    documents_path,
-    holds_no_event,
-    rewritten_path,
-)
+from runs.documents import documents_path, holds_no_event, rewritten_path
 from runs.layout import short_reason
 from runs.packing import packed_path
 from runs.unborn import unborn_path
 
 
 def clear_leftovers(run_path: Path) -> list[Path]:
-    """Remove what a dead process left of exactly this run; return what was removed.
+    """Remove unfinished files of one run that a dead process left.
 
     Call it while you hold the run's lock (`acquire.runner.control.controllable`): then no living
-    process is making these files. Removed are a run file that was not whole yet, a packed copy,
-    documents that were being put together, and documents without an event whose run file was never
-    made. A link is removed itself; what it leads to stays.
+    process is writing these files. Removed are an unfinished run file, a packed copy, unfinished
+    documents of a resumed run, and documents without an event if there is no run file. If one of
+    these names is a link, only the link is removed.
 
-    Documents with events stay, also without their run file: somebody moved it.
+    Documents with events stay, even without their run file: the user may have moved it.
 
     Parameters
     ----------
     run_path : Path
+        Path of the run file.
+
+    Returns
+    -------
+    list of Path
+        Files that were removed.
 
     Raises
     ------
     RunFileError
-        If one of them cannot be removed.
+        If a file cannot be removed.
     """
     found = [
         path
@@ -44,7 +46,7 @@ def clear_leftovers(run_path: Path) -> list[Path]:
             path.unlink(missing_ok=True)
         except OSError as error:
             raise error_class(error)(
-                f"{path}: was left by a process that is gone, and cannot be removed "
-                f"({short_reason(error)}); remove it"
+                f"{path}: was left by a process that died, and cannot be removed "
+                f"({short_reason(error)}); remove it yourself"
             ) from error
     return found

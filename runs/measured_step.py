@@ -1,4 +1,4 @@
-"""What one step gave, ready to be written."""
+"""Data of one measured step, ready to be written to a run file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,34 +7,38 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.roles import Frame
-from runs.verdict import (
-    Judgement,
-    ReadBack,
-)
+from runs.verdict import Judgement, ReadBack
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredStep:
-    """What one acquisition gave.
+    """Frames, field and quality figures of one step.
 
     Attributes
     ----------
     read_back : ReadBack
+        Settings that the instruments reported during the step.
     changed_s : float
-        When the last setting was changed, on the camera's clock.
+        Time of the last change of a setting on the camera's clock, in s.
     frames : sequence of Frame
     field : (height, width) complex64
-        Around the reed.
-    signal_to_noise, noise_level : float
-        Mean ``|H|²`` in the reed's region over that of an empty pixel, and the latter, in dn².
+        Object field in the region around the reed, in dn.
+    signal_to_noise : float
+        Mean ``|H|²`` in the reed's region, divided by `noise_level`.
+    noise_level : float
+        Mean ``|H|²`` of an empty pixel, in dn².
     saturated_share : float
+        Fraction of pixels that are saturated.
     brightness_dn : float
-        Median of the frames' mean numbers, over that of a dark frame where the bench file says it.
+        Median of the mean values of the frames, in dn; above that of a dark frame if the bench
+        file states that.
     lock_error_hz, lock_error_se_hz : float
-        By how much f_AOM1 − f_AOM2 missed the lock, as the frames show it, and its standard error.
+        Deviation of f_AOM1 − f_AOM2 from the frequency lock, measured in the frames, and its
+        standard error, in Hz.
     unexplained : float
-        Power of the image that does not turn steadily, per power of the image.
+        Fraction of the power of the image that does not rotate uniformly from frame to frame.
     judgement : Judgement
+        Verdict on the step.
     """
 
     read_back: ReadBack

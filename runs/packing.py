@@ -1,8 +1,8 @@
-"""Packs the frames of a complete run: the same run file, smaller, without the loss of a bit.
+"""Pack a complete run: compress its frames without loss, which makes the run file smaller.
 
-A run file is written uncompressed, because only bytes that have their place beforehand are safe
-from a process that is killed (decision 0010). Once a run is complete it is copied into a compressed
-file, read back, and only then is the copy given the run's name.
+A run file is written uncompressed, because only space that was allocated beforehand is safe if the
+process is killed (decision 0010). Once a run is complete, it is copied to a compressed file. The
+copy is read back and compared, and only then replaces the run file.
 """
 
 import shutil
@@ -27,25 +27,25 @@ from runs.proof import differing, missing_bytes
 from runs.reader import Run
 from runs.verdict import Verdict
 
-# Groups of the run file that hold frames, with the group whose rows say what each is.
+# Groups of the run file that hold frames, and for each the group with their verdicts and checksums.
 _WITH_FRAMES: Final = {"data": "steps", "retakes": "retakes"}
 _FRAMES: Final = frozenset(f"/entry/{name}/frames" for name in _WITH_FRAMES)
-# What h5py raises where it cannot read or write.
+# Errors that h5py raises when it cannot read or write.
 _UNREADABLE: Final = (OSError, RuntimeError, KeyError, ValueError, TypeError)
-# Share of the work that copying is; reading back is the rest.
+# Fraction of the time that copying takes; reading back takes the rest. Chosen for the progress bar.
 _COPYING: Final = 0.7
 
 
 @dataclass(frozen=True)
 class Packing:
-    """What packing a run came to.
+    """Result of packing a run.
 
     Attributes
     ----------
     before_bytes, after_bytes : int
-        Sizes of the run file.
+        Size of the run file before and after.
     reason : str
-        Why there was nothing to pack; empty if it was packed now.
+        Why the run was not packed; empty if it was packed.
     """
 
     before_bytes: int
@@ -54,7 +54,7 @@ class Packing:
 
     @property
     def ratio(self) -> float:
-        """Size after over size before."""
+        """Return the size after packing, divided by the size before."""
         return self.after_bytes / self.before_bytes
 
 
@@ -64,19 +64,23 @@ def pack(path: str | Path, progress: Callable[[float], None] | None = None) -> P
     Parameters
     ----------
     path : str or Path
-        Replaced at once, by a file that was read back and found equal; until then it stays as it
-        was, whatever happens.
+        Path of the run file. It stays unchanged, whatever happens, until the packed copy was read
+        back and found equal; the copy then replaces it in one operation.
     progress : callable, optional
-        Told of the share that is done, from 0 to 1.
+        Called with the fraction of the work that is done, from 0 to 1.
+
+    Returns
+    -------
+    Packing
 
     Raises
     ------
     RunFileError
-        If the run is not complete, or damaged.
+        If the run is not complete, or is damaged.
     DiskError
-        If the disk has no room for the copy, or refuses to be read or written.
+        If the disk has no space for the copy, or cannot be read or written.
     KeyboardInterrupt
-        If somebody pressed Ctrl-C.
+        If the operator pressed Ctrl-C.
     """
     path = Path(path)
     with Run.open(path) as run:
@@ -87,47 +91,52 @@ def pack(path: str | Path, progress: Callable[[float], None] | None = None) -> P
                 "… --resume)"
             )
         if run.keep != "frames":
-            return Packing(size_bytes, size_bytes, "keeps holograms, which do not get smaller")
+            return Packing(size_bytes, size_bytes, "keeps holograms, which cannot be compressed")
         labels = [f"step {step.index}" for step in run.steps]
     packed = packed_path(path)
     try:
-        with _interrupts_held_back() as obey, h5py.File(path, "r", locking=False) as source:
+        with _interrupts_delayed() as obey, h5py.File(path, "r", locking=False) as source:
             if source["entry/data/frames"].compression:
                 return Packing(size_bytes, size_bytes, "is packed already")
-            _require_room(path, size_bytes)
+            _require_space(path, size_bytes)
             report = _reporter(progress, obey)
-            _write_copy(source, packed, path, labels, lambda share: report(_COPYING * share))
-            _prove(source, packed, path, lambda share: report(_COPYING + (1 - _COPYING) * share))
+            _write_copy(source, packed, path, labels, lambda done: report(_COPYING * done))
+            _prove(source, packed, path, lambda done: report(_COPYING + (1 - _COPYING) * done))
             shutil.copymode(path, packed)
             packed.replace(path)
         return Packing(size_bytes, path.stat().st_size)
     except _UNREADABLE as error:
         raise error_class(error)(
-            f"{path}: its frames cannot be packed ({short_reason(error)}); the file is whole as it "
-            "is"
+            f"{path}: its frames cannot be packed ({short_reason(error)}); the file is unchanged, "
+            "try again later or keep it unpacked"
         ) from error
     finally:
         packed.unlink(missing_ok=True)
 
 
 def packed_path(path: Path) -> Path:
-    """Return where the packed copy of a run file is made: ``R07.h5`` → ``.R07.h5.packed``."""
+    """Return the path of the packed copy of a run file: ``R07.h5`` → ``.R07.h5.packed``."""
     return path.with_name(f".{path.name}.packed")
 
 
-def _require_room(path: Path, size_bytes: int) -> None:
+def _require_space(path: Path, size_bytes: int) -> None:
+    """Raise an error if the disk has no space for a second file of the same size."""
     free_bytes = shutil.disk_usage(path.parent).free
     if free_bytes < size_bytes:
         raise DiskError(
-            f"{path}: packing its frames may take {size_bytes / 1e6:.0f} MB for a while, but its "
-            f"disk has {free_bytes / 1e6:.0f} MB left; the file is whole as it is"
+            f"{path}: packing needs {size_bytes / 1e6:.0f} MB of free disk space for a copy, but "
+            f"its disk has {free_bytes / 1e6:.0f} MB left; the file is unchanged, free space and "
+            "pack it again (acquire pack)"
         )
 
 
 def _write_copy(
     source: Any, packed: Path, path: Path, labels: list[str], report: Callable[[float], None]
 ) -> None:
-    """Write a copy with compressed frames, and wait until it is on the disk."""
+    """Write a copy with compressed frames and wait until it is on the disk.
+
+    `labels` are the names of the steps in messages.
+    """
     disk = DiskFile.create(packed)
     try:
         with h5py.File(disk, "w") as target:
@@ -140,18 +149,17 @@ def _write_copy(
                     continue
                 group = entry.create_group(name)
                 group.attrs.update(part.attrs)
-                _copy_small(source, part, group)
+                _copy_all_but_frames(source, part, group)
                 if "frames" in part:
                     rows = _Rows.of(source["entry"], name, labels)
-                    tell = report if name == "data" else _say_nothing
-                    _copy_frames(part["frames"], group, rows, path, disk, tell)
+                    report_here = report if name == "data" else _ignore
+                    _copy_frames(part["frames"], group, rows, path, disk, report_here)
         disk.sync()
     finally:
         disk.close()
 
 
-def _copy_small(source: Any, part: Any, group: Any) -> None:
-    """Copy all of a group but its frames."""
+def _copy_all_but_frames(source: Any, part: Any, group: Any) -> None:
     for key in part:
         link = part.get(key, getlink=True)
         if isinstance(link, h5py.SoftLink):
@@ -162,7 +170,7 @@ def _copy_small(source: Any, part: Any, group: Any) -> None:
 
 @dataclass(frozen=True)
 class _Rows:
-    """What a file says of its frames, place by place.
+    """Checksums and names of the frames of one group; each place holds the frames of one take.
 
     Attributes
     ----------
@@ -170,7 +178,7 @@ class _Rows:
     holds : (places,) bool
         Whether a place holds a take.
     labels : list of str
-        What to call it.
+        Name of the take in messages.
     """
 
     checksums: npt.NDArray[np.uint64]
@@ -179,18 +187,18 @@ class _Rows:
 
     @classmethod
     def of(cls, entry: Any, name: str, labels: list[str]) -> "_Rows":
-        """Read them for the frames of a group."""
+        """Read them from the file for the group of a name."""
         rows = entry[_WITH_FRAMES[name]]
         verdicts = rows["verdict"].asstr()[()]
-        holds = np.array([Verdict(said).measured for said in verdicts], dtype=bool)
+        holds = np.array([Verdict(verdict).measured for verdict in verdicts], dtype=bool)
         if "position" in rows:
             positions = rows["position"][()]
             holds &= positions > FREE
             labels = [f"an earlier take of {labels[max(k, 0)]}" for k in positions]
         return cls(rows[PIXEL_CHECKSUM][()], holds, labels)
 
-    def whole(self, place: int, frames: npt.NDArray[Any]) -> bool:
-        """Whether frames are those that were written."""
+    def are_undamaged(self, place: int, frames: npt.NDArray[Any]) -> bool:
+        """Return whether the frames match their checksum, or no take is expected here."""
         return not self.holds[place] or pixel_checksum(frames) == int(self.checksums[place])
 
 
@@ -208,13 +216,13 @@ def _copy_frames(
     packed.attrs.update(frames.attrs)
     for place in range(len(frames)):
         step = frames[place]
-        if not rows.whole(place, step):
+        if not rows.are_undamaged(place, step):
             raise RunFileError(
                 f"{path}: {rows.labels[place]} is damaged (its frames do not have the checksum "
                 "that was written with them), so the run is not packed; use another copy of the "
                 "file"
             )
-        # A place without frames needs no chunk: what is not there is zero.
+        # A place without frames needs no chunk: HDF5 reads a missing chunk as zeros.
         if step.any():
             packed[place] = step
         disk.check()
@@ -222,20 +230,20 @@ def _copy_frames(
 
 
 def _prove(source: Any, packed: Path, path: Path, report: Callable[[float], None]) -> None:
-    """Read the copy back, and refuse one that is not the same run."""
+    """Read the packed copy back, and raise an error unless it equals the run."""
     wrong = "the end of the file" if missing_bytes(packed) else ""
     with suppress(*_UNREADABLE), h5py.File(packed, "r", locking=False) as copy:
         wrong = wrong or differing(copy, source, _FRAMES) or _first_changed(source, copy, report)
         if not wrong:
             return
     raise DiskError(
-        f"{path}: comes back changed from a packed copy ({wrong or 'it cannot be read'}); the file "
-        "is whole as it is, look after its disk"
+        f"{path}: its packed copy differs from it ({wrong or 'the copy cannot be read'}), so the "
+        "disk is not reliable; the file is unchanged, copy it to another disk"
     )
 
 
 def _first_changed(source: Any, copy: Any, report: Callable[[float], None]) -> str:
-    """Name of the first frames that differ; empty if none do."""
+    """Return the name of the first frames that differ; empty if all are equal."""
     for name in _WITH_FRAMES:
         if "frames" not in source["entry"][name]:
             continue
@@ -248,39 +256,39 @@ def _first_changed(source: Any, copy: Any, report: Callable[[float], None]) -> s
     return ""
 
 
-def _say_nothing(_share: float) -> None:
-    """Report nothing."""
+def _ignore(_fraction: float) -> None:
+    """Do nothing with a report of progress."""
 
 
 def _reporter(
     progress: Callable[[float], None] | None, obey: Callable[[], None]
 ) -> Callable[[float], None]:
-    """Return what is called after each step: obeys an interrupt, then reports."""
+    """Return a function to call after each step: it obeys an interrupt, then reports progress."""
 
-    def report(share: float) -> None:
+    def report(fraction: float) -> None:
         obey()
-        (progress or _say_nothing)(share)
+        (progress or _ignore)(fraction)
 
     return report
 
 
 @contextmanager
-def _interrupts_held_back() -> Iterator[Callable[[], None]]:
-    """Keep Ctrl-C until the function that is yielded is called, or to the end.
+def _interrupts_delayed() -> Iterator[Callable[[], None]]:
+    """Delay Ctrl-C until the yielded function is called, or until the end.
 
-    In the middle of HDF5 it would be lost, and a piece of the copy with it.
+    Inside a call of HDF5, the interrupt would be lost together with a part of the copy.
     """
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(before):
         yield lambda: None
         return
-    came: list[FrameType | None] = []
+    pending: list[FrameType | None] = []
 
     def obey() -> None:
-        if came:
-            before(signal.SIGINT, came.pop())
+        if pending:
+            before(signal.SIGINT, pending.pop())
 
-    signal.signal(signal.SIGINT, lambda _number, frame: came.append(frame))
+    signal.signal(signal.SIGINT, lambda _number, frame: pending.append(frame))
     try:
         yield obey
     finally:

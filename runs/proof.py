@@ -1,4 +1,4 @@
-"""Proves that an HDF5 file is on the disk as it was meant to be."""
+"""Compare an HDF5 file on the disk with the content that was to be written."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,43 +8,44 @@ import h5py
 import numpy as np
 
 _SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
-# Byte at which a superblock says how long the file is, by its version (HDF5 File Format
-# Specification 3.0, section II.A); eight bytes, little-endian.
+# Offset of the file length in a superblock, by version of the superblock. The length has eight
+# bytes, little-endian (HDF5 File Format Specification 3.0, section II.A).
 _LENGTH_AT: Final = {0: 40, 1: 44, 2: 28, 3: 28}
 _LENGTH_BYTES: Final = 8
+# Bytes to read: more than the last offset plus the length.
 _SUPERBLOCK_BYTES: Final = 64
 
 
 def missing_bytes(path: Path) -> int:
-    """Return by how many bytes a file is shorter than its superblock says; 0 if it is whole.
+    """Return how many bytes are missing at the end of a file, compared with its superblock.
 
     Raises
     ------
     OSError
-        If it cannot be read, or does not begin as an HDF5 file does.
+        If the file cannot be read, or does not begin with an HDF5 superblock.
     """
     with path.open("rb") as file:
         head = file.read(_SUPERBLOCK_BYTES)
-    whole = len(head) == _SUPERBLOCK_BYTES and head.startswith(_SIGNATURE)
-    at = _LENGTH_AT.get(head[len(_SIGNATURE)]) if whole else None
-    if at is None:
-        raise OSError("its first bytes are not those of HDF5")
-    length = int.from_bytes(head[at : at + _LENGTH_BYTES], "little")
+    is_hdf5 = len(head) == _SUPERBLOCK_BYTES and head.startswith(_SIGNATURE)
+    offset = _LENGTH_AT.get(head[len(_SIGNATURE)]) if is_hdf5 else None
+    if offset is None:
+        raise OSError("its first bytes are not those of an HDF5 file")
+    length = int.from_bytes(head[offset : offset + _LENGTH_BYTES], "little")
     return max(length - path.stat().st_size, 0)
 
 
 def differing(found: Any, expected: Any, passed_over: frozenset[str] = frozenset()) -> str:
-    """Return the name of the first thing in which a file is not as expected; empty if none is.
+    """Return the name of the first object in which two files differ; empty if they are equal.
 
-    Compared are names, attributes, links, types, shapes and values of everything.
+    Names, attributes, links, types, shapes and values are compared.
 
     Parameters
     ----------
     found, expected : h5py.File
         Open for reading.
     passed_over : frozenset of str
-        Paths of datasets whose values, filters and places are not compared, but their types,
-        shapes and attributes are.
+        Paths of datasets whose values and storage are not compared; their types, shapes and
+        attributes are.
     """
     return next(_differences(found, expected, passed_over), "")
 
@@ -56,7 +57,7 @@ def _differences(found: Any, expected: Any, passed_over: frozenset[str]) -> Iter
         yield next(iter(found.keys() ^ expected.keys()))
         return
     for name in expected:
-        # Hard links have no path.
+        # Soft and external links have a path, hard links have none.
         paths = [getattr(file.get(name, getlink=True), "path", None) for file in (found, expected)]
         if paths != [None, None]:
             if paths[0] != paths[1]:
@@ -82,7 +83,7 @@ def _same_dataset(one: Any, other: Any, *, values: bool) -> bool:
 
 
 def _bytes(dataset: Any) -> bytes:
-    """Content of a dataset, so that NaN equals NaN."""
+    """Return the content of a dataset as bytes, in which NaN equals NaN."""
     content = np.asarray(dataset[()])
-    # Texts of any length come as objects.
+    # h5py returns texts of variable length as Python objects.
     return repr(content.tolist()).encode() if content.dtype.hasobject else content.tobytes()

@@ -1,4 +1,4 @@
-"""Where a run came from: revision of this software and versions of what it stands on."""
+"""Provenance of a run: the revision of this software and the versions of packages it uses."""
 
 import subprocess
 from importlib.metadata import PackageNotFoundError, version
@@ -6,21 +6,22 @@ from pathlib import Path
 from typing import Final
 
 _PACKAGES: Final = ("reedbench", "numpy", "scipy", "h5py", "pydantic", "event-model")
-_PATIENCE_S: Final = 5.0
+# Longest wait for git. Chosen: git answers within 0.1 s on a local disk.
+_TIMEOUT_S: Final = 5.0
 
 
 def git_revision() -> str | None:
-    """Return the git revision of this software, with ``-dirty`` if it was changed since.
+    """Return the git revision of this software, with ``-dirty`` if files were changed since.
 
     Returns
     -------
     str or None
-        None if there is no git, or this software does not lie in a checkout of its own (it may
-        be installed inside somebody else's).
+        None if git is not installed, or this software is not in a git checkout of its own (it may
+        be installed inside the checkout of another project).
     """
-    here = Path(__file__)
-    tracked = _git(here.parent, "ls-files", "--error-unmatch", here.name)
-    return _git(here.parent, "describe", "--always", "--dirty", "--abbrev=40") if tracked else None
+    file = Path(__file__)
+    tracked = _git(file.parent, "ls-files", "--error-unmatch", file.name)
+    return _git(file.parent, "describe", "--always", "--dirty", "--abbrev=40") if tracked else None
 
 
 def _git(folder: Path, *arguments: str) -> str | None:
@@ -30,7 +31,7 @@ def _git(folder: Path, *arguments: str) -> str | None:
             cwd=folder,
             capture_output=True,
             text=True,
-            timeout=_PATIENCE_S,
+            timeout=_TIMEOUT_S,
             check=True,
         )
     except (OSError, subprocess.SubprocessError):

@@ -1,4 +1,4 @@
-"""Run files: one sweep in one HDF5 file that explains itself (``docs/run-file.md``)."""
+"""Read run files: one sweep in one self-describing HDF5 file (``docs/run-file.md``)."""
 
 import contextlib
 import json
@@ -20,21 +20,10 @@ from holography.region import Region
 from protocols.errors import ProtocolError
 from protocols.reed import ReedFile
 from runs.checks import require_run
-from runs.checksums import (
-    PIXEL_CHECKSUM,
-    ROW_CHECKSUM,
-    pixel_checksum,
-    whole_rows,
-)
+from runs.checksums import PIXEL_CHECKSUM, ROW_CHECKSUM, pixel_checksum, whole_rows
 from runs.disk import error_class
 from runs.errors import RunFileError
-from runs.layout import (
-    FREE,
-    UNDER_WAY,
-    RunLabels,
-    short_reason,
-    verdict_of,
-)
+from runs.layout import FREE, UNDER_WAY, RunLabels, short_reason, verdict_of
 from runs.measured_step import MeasuredStep
 from runs.records import (
     Column,
@@ -52,12 +41,12 @@ from runs.writer import RunWriter
 
 __all__ = ["MeasuredStep", "Run", "RunLabels", "RunWriter", "StepRecord"]
 
-# What h5py, and whoever makes sense of what it reads, raise where bytes are not what was written.
+# Errors that h5py and the interpretation of values raise when bytes differ from what was written.
 _DAMAGE = OSError, RuntimeError, ValueError, TypeError, ArithmeticError
-# A step that is being taken again is written within some milliseconds. A run that is still not read
-# after this many times, so long apart, is damaged.
-_READINGS: Final = 6
-_BETWEEN_READINGS_S: Final = 0.02
+# While a step is measured again, its row changes for a few milliseconds. A running run that cannot
+# be read after this many attempts, with these pauses, is damaged. Chosen: 0.1 s in total.
+_MAX_READINGS: Final = 6
+_READING_PAUSE_S: Final = 0.02
 
 
 class Run:
@@ -67,31 +56,32 @@ class Run:
     ----------
     path : Path
     steps : tuple of StepRecord
-        All that were planned, measured or not; of those that were taken again, the last take.
+        All planned steps, measured or not; the last take of those that were measured again.
     retakes : tuple of StepRecord
-        Takes before the last one, in the order in which they were taken again. Their `position` is
-        that of their step; what they look like, `retaken_field` tells by their place here.
+        Earlier takes, in the order in which their steps were measured again. Their `position` is
+        that of their step. `retaken_field` returns their fields, by index in this tuple.
     interruptions : tuple of Interruption
-        Where the run was not carried on at once.
+        Places where measuring stopped and continued later.
     acquisition : Acquisition
-        What it is of.
+        What the run measures, and its part in a campaign.
     uid, title, start_time, end_time : str
         Times are ISO 8601; `end_time` is empty if the run was killed.
     format_version : int
     status : {'running', 'complete', 'interrupted', 'failed'}
-        ``running`` also stands in the file of a run that was killed.
+        The file of a run that was killed also says ``running``.
     reed, series, chamber : str
+        Preparation of the bench: name of the reed, series (A or B), excitation chamber.
     reed_text : str or None
-        Description of the kind of reed, see `reed_file`.
+        Text of the reed file, see `reed_file`.
     reed_sha256 : str
-        Its hash; empty where there is none.
+        SHA-256 of `reed_text`; empty if there is none.
     labels : RunLabels
     bench_name, bench_fingerprint, bench_text, protocol_text, protocol_sha256 : str
-    identities : dict
-        What each instrument said that it is, by role.
+    identities : dict of str to str
+        Identity that each instrument reported, by role.
     git_revision : str
         Empty if unknown.
-    package_versions : dict
+    package_versions : dict of str to str
     seed : int
     keep : {'holograms', 'frames'}
     acoustic_resonances_hz : tuple of float
@@ -99,26 +89,24 @@ class Run:
     frame_rate_hz : Fraction
     exposure_s : float
     sideband_order : int
-        The one that pictures are made of; each step has its own.
+        Sideband of the images that are shown; each step has its own order.
     saturation_dn : int
     reconstruction : Reconstruction
         Geometry of frames and fields.
     y_m, x_m : (height,) and (width,) float64
-        Reed coordinates of the rows and columns of a field.
+        Reed coordinates of the rows and columns of a field, in m.
     """
 
     def __init__(self, path: Path, file: Any, *, damaged_as_pending: bool = False) -> None:
         self.path = path
         self._file = file
         entry = file["entry"]
-        # First: of a run that is complete, nothing changes any more.
+        # Read first: if the status is complete, everything else that is read is final.
         self.status = read_text(entry, "status")
         self.uid = read_text(entry, "entry_identifier_uuid")
         self.title = read_text(entry, "title")
-        self.start_time, self.end_time = (
-            read_text(entry, "start_time"),
-            read_text(entry, "end_time"),
-        )
+        self.start_time = read_text(entry, "start_time")
+        self.end_time = read_text(entry, "end_time")
         self._read_sample(entry)
         self._read_provenance(entry["provenance"])
         self._read_instrument(entry["instrument"])
@@ -134,23 +122,21 @@ class Run:
     def open(cls, path: str | Path, *, damaged_as_pending: bool = False) -> Self:
         """Open a run file; also one that another process is measuring.
 
-        What is read are the steps that were measured by now; open it again to see those that came
-        later.
+        Only steps that are measured by now are seen. Open the file again to see later steps.
 
         Parameters
         ----------
         path : str or Path
         damaged_as_pending : bool
-            Whether steps whose numbers are damaged are read as steps that were not measured,
-            instead of being refused.
+            True reads steps with damaged numbers as steps that are not measured; False raises an
+            error.
 
         Raises
         ------
         RunFileError
-            If there is no such file, it is no HDF5 or no run file, or parts are missing or
-            damaged.
+            If there is no such file, it is not a run file, or parts are missing or damaged.
         DiskError
-            If its disk refuses to be read.
+            If the disk cannot be read.
         """
         path = Path(path)
         if path.is_dir():
@@ -167,24 +153,24 @@ class Run:
             except (KeyError, *_DAMAGE) as error:
                 status = _status(file)
                 file.close()
-                # Of a run in work a step may just be taken again: what is read of it is half of
-                # one take and half of the next.
                 if not path.exists():
                     raise _absent(path) from error
-                if status != "running" or readings == _READINGS:
+                if status != "running" or readings == _MAX_READINGS:
                     raise _failure(path, error, status) from error
-                time.sleep(_BETWEEN_READINGS_S)
+                # The runner may just have changed a step that is measured again, so that half of
+                # the row belongs to one take and half to the next: wait and read again.
+                time.sleep(_READING_PAUSE_S)
             except BaseException:
                 file.close()
                 raise
 
     def reed_file(self) -> ReedFile:
-        """Kind of reed that was measured.
+        """Return the description of the reed that was measured.
 
         Raises
         ------
         RunFileError
-            If this software does not understand the description that the run carries.
+            If this software does not understand the description in the run file.
         """
         if self.reed_text is None:
             return ReedFile.from_file()
@@ -195,21 +181,21 @@ class Run:
 
     @property
     def region(self) -> Region:
-        """Part of the object image that the fields hold."""
+        """Return the part of the object image that the fields hold."""
         return self.reconstruction.region
 
     @property
     def frame_shape(self) -> tuple[int, int]:
-        """Rows and columns of one frame."""
+        """Return the number of rows and columns of a frame."""
         return self.reconstruction.transform.shape
 
     @property
     def good(self) -> npt.NDArray[np.bool_]:
-        """Which steps have the verdict ok, (steps,) bool."""
+        """Return which steps have the verdict ok, (steps,) bool."""
         return np.array([step.verdict is Verdict.OK for step in self.steps], dtype=bool)
 
     def field(self, position: int) -> npt.NDArray[np.complex64]:
-        """Complex field around the reed of one step, (height, width) complex64.
+        """Return the complex field around the reed at one step, (height, width) complex64, in dn.
 
         Parameters
         ----------
@@ -219,7 +205,7 @@ class Run:
         Raises
         ------
         RunFileError
-            If that step holds no data, or the file keeps it damaged.
+            If the step holds no data or is damaged.
         """
         if self.keep == "frames":
             return self.reconstruction.field(self.frames(position))
@@ -227,31 +213,31 @@ class Run:
         return field
 
     def exposure_of(self, step: StepRecord) -> float:
-        """Exposure of a step in s."""
+        """Return the exposure of a step in s."""
         return self.exposure_s if step.exposure_s is None else step.exposure_s
 
     def retaken_field(self, number: int) -> npt.NDArray[np.complex64]:
-        """Complex field around the reed of one of `retakes`, (height, width) complex64.
+        """Return the complex field of one of `retakes`, (height, width) complex64, in dn.
 
         Raises
         ------
         RunFileError
-            If the file keeps it damaged, or is closed.
+            If the take is damaged, or the file is closed.
         """
         step, name = self.retakes[number], "field" if self.keep == "holograms" else "frames"
         self._require_open()
-        what = f"an earlier take of step {step.index}"
-        place, said = self._retake_places[number], self._retake_checksums[number]
-        kept = self._pixels(f"retakes/{name}", place, said, what)
-        return kept if name == "field" else self.reconstruction.field(kept)
+        label = f"an earlier take of step {step.index}"
+        place, checksum = self._retake_places[number], self._retake_checksums[number]
+        pixels = self._pixels(f"retakes/{name}", place, checksum, label)
+        return pixels if name == "field" else self.reconstruction.field(pixels)
 
     def frames(self, position: int) -> npt.NDArray[np.uint16]:
-        """Frames of one step, (4, ny, nx) uint16.
+        """Return the frames of one step, (4, ny, nx) uint16, in dn.
 
         Raises
         ------
         RunFileError
-            If the run kept holograms, or that step holds no data.
+            If the run kept holograms, or the step holds no data or is damaged.
         """
         if self.keep != "frames":
             raise RunFileError(
@@ -289,40 +275,40 @@ class Run:
                 "use steps that were measured"
             )
         self._require_open()
-        said = self._pixel_checksums[position]
+        checksum = self._pixel_checksums[position]
         try:
-            return self._pixels(f"data/{name}", position, said, f"step {step.index}")
+            return self._pixels(f"data/{name}", position, checksum, f"step {step.index}")
         except RunFileError as error:
-            if self._taken_again(position):
+            if self._has_changed(position):
                 raise RunFileError(
-                    f"{self.path}: step {step.index} was taken again since the file was opened; "
+                    f"{self.path}: step {step.index} was measured again since the file was opened; "
                     "open it again"
                 ) from error
             raise
 
-    def _pixels(self, name: str, place: int, said: int, what: str) -> Any:
-        """Pixels of one take, if they are what was written."""
+    def _pixels(self, name: str, place: int, checksum: int, label: str) -> Any:
+        """Return the pixels of one take, if they match their checksum."""
         try:
             pixels = self._file["entry"][name][place]
         except (KeyError, *_DAMAGE) as error:
             raise error_class(error)(
-                f"{self.path}: {what} is damaged ({short_reason(error)}); "
+                f"{self.path}: {label} is damaged ({short_reason(error)}); "
                 "use another copy of the file or do without this step"
             ) from error
-        if pixel_checksum(pixels) != said:
+        if pixel_checksum(pixels) != checksum:
             raise RunFileError(
-                f"{self.path}: {what} is damaged (its pixels do not have the checksum that was "
+                f"{self.path}: {label} is damaged (its pixels do not have the checksum that was "
                 "written with them); use another copy of the file or do without this step"
             )
         return pixels
 
-    def _taken_again(self, position: int) -> bool:
-        """Whether another process has changed a step since this file was opened."""
+    def _has_changed(self, position: int) -> bool:
+        """Return whether another process has changed a step since this file was opened."""
         with contextlib.suppress(KeyError, *_DAMAGE):
             steps = self._file["entry/steps"]
             verdict = Verdict(steps["verdict"].asstr()[position])
-            said = int(steps[ROW_CHECKSUM][position])
-            return said != self._row_checksums[position] or not verdict.measured
+            checksum = int(steps[ROW_CHECKSUM][position])
+            return checksum != self._row_checksums[position] or not verdict.measured
         return False
 
     def _require_open(self) -> None:
@@ -330,14 +316,14 @@ class Run:
             raise RunFileError(f"{self.path}: is closed; open it again with Run.open")
 
     def _read_steps(self, entry: Any, *, damaged_as_pending: bool) -> None:
-        """Read what was planned and measured, and check it.
+        """Read and check all steps, then their earlier takes.
 
-        Earlier takes are read after the steps: another process may be setting one aside.
+        This order matters: another process may be moving a step to the earlier takes.
         """
         columns, found = settled_columns(entry["steps"])
-        whole, verdicts = whole_rows(columns), []
+        intact, verdicts = whole_rows(columns), []
         for position, verdict in enumerate(found):
-            damaged = verdict is None or (verdict.measured and not whole[position])
+            damaged = verdict is None or (verdict.measured and not intact[position])
             if damaged and not damaged_as_pending:
                 index = columns["index"][position]
                 raise _DamagedStepError(f"step {index} (row {position})")
@@ -350,11 +336,11 @@ class Run:
     def _read_retakes(
         self, entry: Any, steps: dict[str, Column], *, damaged_as_pending: bool
     ) -> None:
-        """Read earlier takes, and check them."""
+        """Read and check earlier takes."""
         self.retakes: tuple[StepRecord, ...] = ()
         self._retake_places: list[int] = []
         self._retake_checksums: list[int] = []
-        # Files in which no step can be taken twice need no such group.
+        # Files of other programs may have no such group.
         positions = entry["retakes/position"][()] if "retakes" in entry else np.array([])
         if np.all(positions == FREE):
             return
@@ -362,8 +348,8 @@ class Run:
         of_step = np.where(positions <= UNDER_WAY, UNDER_WAY - positions, positions)
         planned = steps.keys() - columns.keys()
         known = np.clip(of_step, 0, len(self.steps) - 1)
-        whole = whole_rows(columns | {name: steps[name][known] for name in planned})
-        verdicts = [verdict_of(said) for said in columns["verdict"].tolist()]
+        intact = whole_rows(columns | {name: steps[name][known] for name in planned})
+        verdicts = [verdict_of(content) for content in columns["verdict"].tolist()]
         taken = list(taken_fields(columns, [verdict or Verdict.PENDING for verdict in verdicts]))
         found = []
         for place in np.flatnonzero((of_step >= 0) & (of_step < len(self.steps))):
@@ -372,10 +358,10 @@ class Run:
                 columns[ROW_CHECKSUM][place] == self._row_checksums[step.position]
                 and taken[place]["verdict"] is step.verdict
             )
-            # A take that is just being set aside stands in both places, and counts once.
+            # A take that another process is copying is in both places, and counts once.
             if step.verdict.measured and (same or positions[place] <= UNDER_WAY):
                 continue
-            if whole[place] and verdicts[place] is not None:
+            if intact[place] and verdicts[place] is not None:
                 found.append(replace(step, **taken[place]))
                 self._retake_places.append(int(place))
             elif not damaged_as_pending:
@@ -397,7 +383,7 @@ class Run:
     def _read_provenance(self, origin: Any) -> None:
         self.protocol_text = read_text(origin, "protocol")
         self.protocol_sha256 = read_text(origin, "protocol_sha256")
-        # Other programs write files that do not say it.
+        # Files of other programs may lack the reed.
         self.reed_text = read_text(origin, "reed") if "reed" in origin else None
         self.reed_sha256 = read_text(origin, "reed_sha256") if "reed" in origin else ""
         self.bench_text = read_text(origin, "bench")
@@ -423,7 +409,7 @@ class Run:
 
     def _read_geometry(self, entry: Any) -> None:
         detector, laser = entry["instrument"]["camera"], entry["instrument"]["laser"]
-        data, where = entry["data"], entry["region"]
+        data, region = entry["data"], entry["region"]
         self.keep = "holograms" if data.attrs["signal"] == "field" else "frames"
         self.y_m: npt.NDArray[np.float64] = data["y_m"][()]
         self.x_m: npt.NDArray[np.float64] = data["x_m"][()]
@@ -434,45 +420,46 @@ class Run:
                 wavelength_m=float(laser["wavelength"][()]),
                 distance_m=float(laser["distance"][()]),
             ),
-            Region(*(int(where[name][()]) for name in ("row", "column", "height", "width"))),
+            Region(*(int(region[name][()]) for name in ("row", "column", "height", "width"))),
         )
 
 
 class _DamagedStepError(ValueError):
-    """The numbers of a take are not what was written; the message says of which."""
+    """The numbers of a take do not match their checksum; the message names the take."""
 
 
 def _opened(path: Path) -> Any:
-    """Open a file for reading, whoever is writing it.
+    """Open an HDF5 file for reading, even if another process is writing it.
 
     Raises
     ------
     RunFileError
-        If it is no HDF5 file.
+        If it cannot be read as an HDF5 file.
     """
     try:
         try:
             file = h5py.File(path, "r", locking=False)
         except OSError as error:
-            # This process has it open already, with a lock: HDF5 has one way of locking for both.
+            # This process already has the file open with a lock, and HDF5 requires the same
+            # locking mode for both.
             if "locking" not in str(error):
                 raise
             return h5py.File(path, "r")
         return _shareable(path, file)
     except OSError as error:
-        # Removed after it was looked for, by whatever call of HDF5 that came first.
+        # The file may have been removed after `Run.open` found it.
         if not path.exists():
             raise _absent(path) from None
         raise error_class(error)(
-            f"{path}: is no HDF5 file, or cannot be read ({short_reason(error)}); name a run file"
+            f"{path}: cannot be read as an HDF5 file ({short_reason(error)}); name a run file"
         ) from error
 
 
 def _shareable(path: Path, file: Any) -> Any:
-    """Open a complete run as other programs of this process do by default: with a shared lock.
+    """Reopen a complete run with a shared lock, the default of other libraries in this process.
 
-    HDF5 opens a file twice in one process only with the same way of locking. Nothing writes to a
-    complete run any more, so the lock keeps no run from being continued.
+    HDF5 opens a file twice in one process only with the same locking mode. A complete run is never
+    continued, so the lock does not block a writer.
     """
     if _status(file) != "complete":
         return file
@@ -480,7 +467,7 @@ def _shareable(path: Path, file: Any) -> Any:
     try:
         return h5py.File(path, "r")
     except OSError:
-        # A file system that knows no locks, or somebody opened it without one just now.
+        # The file system has no locks, or this process just opened the file without one.
         return h5py.File(path, "r", locking=False)
 
 
@@ -489,14 +476,14 @@ def _absent(path: Path) -> RunFileError:
 
 
 def _status(file: Any) -> str:
-    """How a run ended that cannot be read; empty if that cannot be read either."""
+    """Return the status of a run that may be damaged; empty if the status cannot be read."""
     with contextlib.suppress(KeyError, *_DAMAGE):
         return read_text(file["entry"], "status")
     return ""
 
 
 def _failure(path: Path, error: Exception, status: str) -> RunFileError:
-    """Say why a run file cannot be read, and what to do."""
+    """Return the error that says why a run file cannot be read, and what to do."""
     if isinstance(error, _DamagedStepError):
         instead = "measure again"
         if status not in ("complete", ""):

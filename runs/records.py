@@ -1,4 +1,4 @@
-"""Records of steps and interruptions, from the columns of a run file."""
+"""Make records of steps and interruptions from the columns of a run file."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from runs.checksums import (
-    ROW_CHECKSUM,
-)
+from runs.checksums import ROW_CHECKSUM
 from runs.layout import (
     EXPOSURE,
     INTERRUPTIONS,
@@ -35,25 +33,28 @@ class StepRecord:
     Attributes
     ----------
     position : int
-        Place in the file, from 0; what `Run.field` wants.
+        Row in the file, from 0; the argument of `Run.field`.
     index : int
-        k of the protocol's sweep.
+        Index k of the step in the protocol's sweep.
+    order : int
+        Order of the sideband that the step measures.
     asked_hz, drive_hz, aom1_hz, aom2_hz, difference_hz, lock_residual_hz : Fraction
-        As planned.
+        Planned frequencies, see `protocols.step.Step`.
     volts : float
-        Peak volts at the load, as planned.
+        Planned peak volts at the load.
     carrier_leak : float
         See `protocols.step.Step`.
     read_aom1_hz, read_aom2_hz, read_drive_hz : Fraction or None
-        What the instruments said; None if the step was not measured.
+        Frequencies that the instruments reported; None if the step was not measured.
     read_volts : float
-        NaN if the step was not measured, like all numbers below.
+        Peak volts that the generator reported. NaN if the step was not measured, like all numbers
+        below.
     exposure_s : float or None
-        Of this step alone; None if it was that of the run.
+        Exposure of this step; None if it is that of the run.
     changed_s : float
-        When the last setting was changed, on the camera's clock.
+        Time of the last change of a setting on the camera's clock, in s.
     timestamps_s : tuple of float
-        Starts of the exposures, on the camera's clock.
+        Start of each exposure on the camera's clock, in s.
     frame_ids : tuple of int
         -1 where there is no frame.
     signal_to_noise, noise_level, saturated_share, brightness_dn : float
@@ -61,7 +62,7 @@ class StepRecord:
         See `MeasuredStep`.
     verdict : Verdict
     sentence : str
-        Why that verdict.
+        Reason of the verdict.
     """
 
     position: int
@@ -95,7 +96,7 @@ class StepRecord:
 
 
 def read_acquisition(group: Any) -> Acquisition:
-    """Return what a run is a part of."""
+    """Return what a run measures and its part in a campaign."""
     return Acquisition(
         Kind(read_text(group, "kind")),
         read_text(group, "campaign"),
@@ -111,24 +112,31 @@ def read_text(group: Any, name: str) -> str:
 
 
 def read_columns(group: Any) -> dict[str, Column]:
-    """All columns of a table of steps but for their pixels."""
+    """Return all columns of a table of steps except their pixels."""
     skipped = {"position", "field", "frames"}
     return {name: group[name][()] for name in sorted(group.keys() - skipped)}
 
 
 def settled_columns(group: Any) -> tuple[dict[str, Column], list[Verdict | None]]:
-    """All columns of a table of steps but for their pixels, and the verdict of each step.
+    """Read a table of steps, which another process may be changing.
 
-    Another process may be writing. A verdict is written last, and taken back first: where it and
-    the checksum are the same before and after all else was read, so was all else. Other steps are
-    pending: they were just being measured, or set aside. None is a verdict that is damaged.
+    The writer of a step writes its verdict last and withdraws it first. So if verdict and checksum
+    of a row are the same before and after its other columns are read, these belong together. Other
+    steps are being measured or set aside at this moment, and are returned as pending.
+
+    Returns
+    -------
+    columns : dict of str to (steps, …) array
+        All columns except the pixels.
+    verdicts : list of Verdict or None
+        Verdict of each step; None if it is damaged.
     """
     before, sums_before = (group[name][()] for name in ("verdict", ROW_CHECKSUM))
     columns = read_columns(group)
     after, sums_after = (group[name][()] for name in ("verdict", ROW_CHECKSUM))
     same = (before == after) & (sums_before == sums_after)
     pairs = zip(before.tolist(), same, strict=True)
-    return columns, [verdict_of(said) if kept else Verdict.PENDING for said, kept in pairs]
+    return columns, [verdict_of(text) if settled else Verdict.PENDING for text, settled in pairs]
 
 
 def _texts(column: Column) -> list[str]:
@@ -136,48 +144,48 @@ def _texts(column: Column) -> list[str]:
 
 
 def step_records(columns: dict[str, Column], verdicts: Sequence[Verdict]) -> Iterator[StepRecord]:
-    """Give one record per step."""
+    """Yield one record per step."""
     exact = {name: _texts(columns[f"{name}_exact"]) for name in PLANNED_HZ}
     numbers = ("index", "order", "volts", "carrier_leak")
     exposures = columns.get(EXPOSURE)
     for position, taken in enumerate(taken_fields(columns, verdicts)):
-        # Of any type, for mypy: the mappings supply fields of several types.
-        asked: dict[str, Any] = {name: _fraction(texts[position]) for name, texts in exact.items()}
-        asked |= {name: columns[name][position].item() for name in numbers}
+        # Any, because the fields of a record have several types.
+        planned: dict[str, Any] = {key: _fraction(texts[position]) for key, texts in exact.items()}
+        planned |= {name: columns[name][position].item() for name in numbers}
         exposure_s = np.nan if exposures is None else float(exposures[position])
-        asked["exposure_s"] = None if np.isnan(exposure_s) else exposure_s
-        yield StepRecord(position=position, **asked, **taken)
+        planned["exposure_s"] = None if np.isnan(exposure_s) else exposure_s
+        yield StepRecord(position=position, **planned, **taken)
 
 
 def taken_fields(
     columns: dict[str, Column], verdicts: Sequence[Verdict]
 ) -> Iterator[dict[str, Any]]:
-    """Fields of `StepRecord` that say what was measured.
+    """Yield, for each step, the fields of `StepRecord` that hold what was measured.
 
-    A step without a verdict may be just being written: nothing of it is given.
+    A step without a measurement gets empty values, because it may be half written.
     """
     sentences = _texts(columns["sentence"])
     exact = {name: columns[f"{name}_exact"] for name in READ_BACK_HZ}
     numbers = {name: columns[name] for name in MEASURED}
     frames = columns["frame_id"].shape[1]
     for row, verdict in enumerate(verdicts):
-        there, sentence = verdict.measured, sentences[row]
+        measured, sentence = verdict.measured, sentences[row]
         if verdict is Verdict.PENDING and not sentence.endswith(TO_BE_TAKEN_AGAIN):
             sentence = ""
         times, ids = columns["timestamp_s"][row].tolist(), columns["frame_id"][row].tolist()
         yield {
-            "timestamps_s": tuple(times) if there else (np.nan,) * frames,
-            "frame_ids": tuple(ids) if there else (-1,) * frames,
+            "timestamps_s": tuple(times) if measured else (np.nan,) * frames,
+            "frame_ids": tuple(ids) if measured else (-1,) * frames,
             "verdict": verdict,
             "sentence": sentence,
-            **{name: _fraction(c[row].decode()) if there else None for name, c in exact.items()},
-            **{name: c[row].item() if there else np.nan for name, c in numbers.items()},
+            **{name: _fraction(c[row].decode()) if measured else None for name, c in exact.items()},
+            **{name: c[row].item() if measured else np.nan for name, c in numbers.items()},
         }
 
 
 def read_interruptions(group: Any) -> Iterator[Interruption]:
     """Yield the interruptions of a run."""
-    # First, because it is written last.
+    # Read first, because it is written last: a row with a position is complete.
     positions = group["position"][()]
     texts = [group[name].asstr()[()] for name in INTERRUPTIONS[1:]]
     for position, kind, *others in zip(positions, *texts, strict=True):

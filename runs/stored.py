@@ -1,4 +1,4 @@
-"""How the datasets of a run file are stored: checked before any of them is read."""
+"""Check how the datasets of a run file are stored, before any of them is read."""
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,16 +13,17 @@ import h5py
 from protocols.units import shown_value
 from runs.errors import RunFileError
 
-# The one link of the layout, and what it leads to.
+# The only soft link of the layout, and its target.
 _LINKS: Final = {"entry/data/drive_hz": "/entry/steps/drive_hz"}
 
-# Filters that every h5py has: deflate, shuffle, fletcher32, lzf.
+# Identifiers of the filters that every h5py includes: deflate, shuffle, fletcher32, lzf.
 _FILTERS: Final = frozenset({1, 2, 3, 32000})
 
-# Signature of a heap of texts of any length, and size of what stands before it and each object.
-_HEAP, _HEAP_HEAD = b"GCOL", 16
+# Signature of a global heap (texts of variable length), and size in bytes of the header of the heap
+# and of each object in it (HDF5 File Format Specification 3.0, section III.E).
+_HEAP, _HEAP_HEADER_BYTES = b"GCOL", 16
 
-# Chosen: a run file has 130 objects.
+# Chosen: a run file has 130 objects; users may add theirs.
 _MAX_OBJECTS: Final = 10_000
 
 
@@ -34,9 +35,9 @@ class _Stored:
     ----------
     id : DatasetID
     made : PropDCID
-        What it was made with: layout, filters, other files.
+        Creation properties: layout, filters, external files.
     shape : tuple of int
-        Empty for a single value, and also where there is none, see `_require_shapes`.
+        Empty for a scalar, and for a dataset without a value, which `runs.checks` refuses.
     """
 
     id: Any
@@ -46,16 +47,17 @@ class _Stored:
 
 @dataclass(frozen=True)
 class Check:
-    """What is checked.
+    """A run file that is being checked.
 
     Attributes
     ----------
     path : Path
     size_bytes : int
-        Of the file.
+        Size of the file.
     datasets : mapping of str to _Stored
+        All datasets, by path.
     read : dict of str to array or str
-        What was read of them.
+        Values that were read already, by path; filled by `values`.
     """
 
     path: Path
@@ -64,16 +66,16 @@ class Check:
     read: dict[str, Any] = field(default_factory=dict)
 
     def require(self, holds: bool, name: str, what: str) -> None:
-        """Refuse the file unless something holds of the dataset of a name."""
+        """Raise an error about a dataset unless a condition holds; `what` says what is wrong."""
         if not holds:
             raise altered(self.path, name, what)
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Shape of a dataset, as it is stored."""
+        """Return the shape of a dataset in the file."""
         return self.datasets[name].shape
 
     def values(self, name: str) -> Any:
-        """All of a dataset of numbers, or of a column of texts; read once."""
+        """Return the values of a dataset of numbers or texts; the file is read only once."""
         if name not in self.read:
             dataset = h5py.Dataset(self.datasets[name].id)
             text = h5py.check_string_dtype(dataset.dtype)
@@ -82,21 +84,21 @@ class Check:
 
 
 def altered(path: Path, name: str, what: str) -> RunFileError:
-    """Return the error that says what is wrong with a dataset."""
+    """Return an error that names a dataset and says what is wrong with it."""
     return RunFileError(
         f"{path}: is damaged or altered ({_shown(name)} {what}); use another copy of the file"
     )
 
 
 def _shown(name: str) -> str:
-    """Name of an object, which may hold anything, on one line."""
+    """Return the name of an object on one line; a damaged name may hold any characters."""
     return name if name.isprintable() and len(name) < 80 else shown_value(name)
 
 
 def datasets(path: Path, file: Any) -> Iterator[tuple[str, _Stored]]:
-    """All datasets with their names; only hard links lead to them, one to each."""
+    """Yield the path and storage of each dataset; raise an error if any has a second hard link."""
     groups = [("", h5py.h5g.open(file.id, b"/"))]
-    # An object's address is its identity.
+    # The address of an object in the file identifies it.
     seen = {_address(groups[0][1])}
     while groups:
         above, group = groups.pop()
@@ -127,32 +129,38 @@ def _address(opened: Any) -> int:
 
 
 def _is_known_link(path: Path, group: Any, link: bytes, name: str) -> bool:
-    """Whether a link is that of the layout; all others are refused unless they are hard."""
+    """Return whether a link is the soft link of the layout; raise an error for other soft links."""
     kind = group.links.get_info(link).type
     if kind == h5py.h5l.TYPE_HARD:
         return False
     if kind != h5py.h5l.TYPE_SOFT:
-        raise altered(path, name, "lies in another file")
+        raise altered(path, name, "is in another file")
     if group.links.get_val(link) != _LINKS.get(name, "").encode():
-        raise altered(path, name, "is a link to something else")
+        raise altered(path, name, "is a link that does not belong to the layout")
     return True
 
 
 def _require_storage(path: Path, name: str, made: Any) -> None:
-    """Refuse what lies in another file, or cannot be read without others' software."""
+    """Raise an error if data are in another file, or need filters that h5py does not include."""
     if made.get_external_count() or made.get_layout() == h5py.h5d.VIRTUAL:
         raise altered(path, name, "keeps its data in another file")
     filters = {made.get_filter(k)[0] for k in range(made.get_nfilters())}
     if not filters <= _FILTERS:
-        raise altered(path, name, f"is stored through the unknown filter {max(filters)}")
+        raise altered(path, name, f"is stored with the unknown filter {max(filters)}")
 
 
 def places_of_data(check: Check) -> list[tuple[int, int]]:
-    """First and last byte of all data, in order; refuse those outside the file, or upon each other.
+    """Return the byte ranges of all data in the file, sorted.
+
+    Returns
+    -------
+    list of (int, int)
+        Offset of the first byte, and of the byte after the last one.
 
     Raises
     ------
     RunFileError
+        If a range leaves the file or overlaps another one.
     """
     places = sorted(
         (start, start + size, name)
@@ -161,14 +169,14 @@ def places_of_data(check: Check) -> list[tuple[int, int]]:
         if size
     )
     for start, end, name in places:
-        check.require(start > 0 and end <= check.size_bytes, name, "lies outside the file")
+        check.require(start > 0 and end <= check.size_bytes, name, "is partly outside the file")
     for (_, end, _), (start, _, name) in pairwise(places):
-        check.require(end <= start, name, "shares bytes with something else")
+        check.require(end <= start, name, "shares bytes with another dataset")
     return [(start, end) for start, end, _ in places]
 
 
 def _places(dataset: _Stored) -> list[tuple[int, int]]:
-    """First byte in the file, and number of bytes, of every piece of a dataset."""
+    """Return offset and number of bytes of every chunk of a dataset."""
     layout = dataset.made.get_layout()
     if layout == h5py.h5d.CONTIGUOUS:
         start = dataset.id.get_offset()
@@ -180,10 +188,10 @@ def _places(dataset: _Stored) -> list[tuple[int, int]]:
 
 
 def require_heaps(check: Check, data: Sequence[tuple[int, int]]) -> None:
-    """Refuse a heap of texts in which HDF5 would search for ever.
+    """Raise an error if a global heap would make HDF5 loop forever.
 
-    HDF5 2.0 goes through a heap object by object, and stays where it is at one whose number and
-    size are 0 (Format Specification, III.E "Global Heap").
+    HDF5 2.0 reads a heap object by object, and never gets past an object whose number and size are
+    both 0 (HDF5 File Format Specification 3.0, section III.E).
     """
     ends = [0, *(end for _, end in data)]
     starts = [*(start for start, _ in data), check.size_bytes]
@@ -197,14 +205,14 @@ def require_heaps(check: Check, data: Sequence[tuple[int, int]]) -> None:
 
 
 def _is_endless(content: mmap, start: int, end: int) -> bool:
-    """Whether a heap between two places holds an object of number and size 0."""
-    size = int.from_bytes(content[start + 8 : start + _HEAP_HEAD], "little")
-    place, last = start + _HEAP_HEAD, min(start + size, end) - _HEAP_HEAD
+    """Return whether the heap at `start` holds an object whose number and size are both 0."""
+    size = int.from_bytes(content[start + 8 : start + _HEAP_HEADER_BYTES], "little")
+    place, last = start + _HEAP_HEADER_BYTES, min(start + size, end) - _HEAP_HEADER_BYTES
     while place <= last:
         number, size = struct.unpack_from("<H6xQ", content, place)
         if number == 0:
-            # What is left, which is the last.
+            # Object 0 is the free space of the heap, and the last object.
             return bool(size == 0)
         # Objects begin at multiples of 8 bytes.
-        place += _HEAP_HEAD + -(-size // 8) * 8
+        place += _HEAP_HEADER_BYTES + -(-size // 8) * 8
     return False

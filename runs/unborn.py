@@ -1,33 +1,41 @@
-"""Run files that have no name yet."""
+"""New run files: they have a temporary name until they are finished and checked."""
 
 from pathlib import Path
 
 import h5py
 
 from runs.checks import require_run
-from runs.disk import (
-    error_class,
-)
+from runs.disk import error_class
 from runs.errors import RunFileError
-from runs.layout import (
-    short_reason,
-)
+from runs.layout import short_reason
 
 
 def unborn_path(path: Path) -> Path:
-    """Return where a run file is until it is whole: ``R07.h5`` → ``.R07.h5.part``."""
+    """Return the temporary path of a new run file: ``R07.h5`` → ``.R07.h5.part``."""
     return path.with_name(f".{path.name}.part")
 
 
 def require_readable(path: Path, unborn: Path) -> None:
-    """Refuse a new file that holds something which a reader of runs would refuse."""
+    """Raise an error if readers of run files would refuse a new file.
+
+    Parameters
+    ----------
+    path : Path
+        Final path of the file; used in messages.
+    unborn : Path
+        Temporary path of the file.
+
+    Raises
+    ------
+    RunFileError
+    """
     try:
         with h5py.File(unborn, "r", locking=False) as file:
             require_run(unborn, file)
     except RunFileError as refused:
         reason = str(refused).removeprefix(f"{unborn}: ")
         raise RunFileError(
-            f"{path}: cannot be made, because no reader would take it: {reason}"
+            f"{path}: cannot be made, because it could not be read again: {reason}"
         ) from None
 
 

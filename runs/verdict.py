@@ -1,4 +1,4 @@
-"""The verdict on a step, and what the instruments said that they played."""
+"""The verdict on a step, and the settings that the instruments reported."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -6,26 +6,26 @@ from fractions import Fraction
 
 
 class Verdict(StrEnum):
-    """What became of a step.
+    """Result of a step: whether its data can be used, or what is wrong.
 
     Attributes
     ----------
     OK : the step can be used.
     DROPPED : frames are missing between the first and the last.
-    DISORDERED : frames came twice or in another order, or their time stamps jump.
-    PARTIAL : a frame is not filled to its end.
-    STALE : an exposure began before the setting had settled, or was seen before.
-    SETTINGS : what the instruments played changed during the frames, or is not what was asked for.
-    LIGHT : one frame, or all four, have another brightness than those around them.
-    LOCK : what was played, the real frame rate or the light itself misses the sideband.
-    UNSTEADY : the four frames do not fit one steadily turning image.
-    SATURATED : too many pixels are at their limit.
-    NO_SIGNAL : the reed's region holds no more light than an empty one.
-    UNPROVEN : nothing is wrong, but too little light shows that the lock held, and the synthesizers
-        only repeat what they were told.
-    PENDING : the step was not measured yet.
-    INTERRUPTED : the step was begun and given up; it holds no data.
-    SKIPPED : an instrument failed at this step and the run went on without it; it holds no data.
+    DISORDERED : frames came twice or in the wrong order, or their time stamps jump.
+    PARTIAL : a frame is incomplete.
+    STALE : an exposure began before the setting had settled, or a frame was returned before.
+    SETTINGS : the instruments' settings changed during the frames, or differ from the plan.
+    LIGHT : the brightness of one frame, or of all four, differs from that of neighbouring frames.
+    LOCK : the synthesizers, the real frame rate or the light itself miss the frequency lock.
+    UNSTEADY : the four frames do not fit one uniformly rotating image.
+    SATURATED : too many pixels are saturated.
+    NO_SIGNAL : the reed's region holds no more light than an empty region.
+    UNPROVEN : nothing is wrong, but there is too little light to prove the frequency lock, and the
+        synthesizers only return the settings that were sent to them.
+    PENDING : the step is not measured yet.
+    INTERRUPTED : the step was started but not finished; it holds no data.
+    SKIPPED : an instrument failed at this step and the run continued; the step holds no data.
     """
 
     OK = "ok"
@@ -46,7 +46,7 @@ class Verdict(StrEnum):
 
     @property
     def measured(self) -> bool:
-        """Whether a step of this verdict holds data, good or bad."""
+        """Return whether a step with this verdict holds data, good or bad."""
         return self not in (Verdict.PENDING, Verdict.INTERRUPTED, Verdict.SKIPPED)
 
 
@@ -60,11 +60,12 @@ class Judgement:
 
 @dataclass(frozen=True, slots=True)
 class ReadBack:
-    """What the instruments said that they were playing during a step.
+    """Settings that the instruments reported during a step.
 
     Attributes
     ----------
     aom1_hz, aom2_hz, drive_hz : Fraction
+        Frequencies of the two synthesizer channels and of the generator.
     volts : float
         Peak volts at the load.
     """

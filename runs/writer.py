@@ -1,9 +1,9 @@
-"""Writes run files: one sweep in one HDF5 file that explains itself (``docs/run-file.md``).
+"""Write run files: one sweep in one self-describing HDF5 file (``docs/run-file.md``).
 
-Everything is allocated before the first step, and read back, so a step overwrites bytes and
-moves nothing. Its verdict is written, and flushed, after its data: a program that is killed at any
-moment leaves a file that opens with plain h5py, in which every step with a verdict is whole. A step
-that is taken again is copied to a spare place first. Checksums show what a disk damages later.
+Everything is allocated before the first step and read back, so writing a step only overwrites
+bytes. The verdict of a step is written and flushed after its data: a program that is killed at any
+moment leaves a file that opens with plain h5py, and in which every step with a verdict is complete.
+Before a step is measured again, it is copied to a spare place. Checksums detect later damage.
 """
 
 import contextlib
@@ -30,17 +30,8 @@ from runs.checksums import (
     row_checksums,
     whole_rows,
 )
-from runs.contents import (
-    NewRun,
-    fill,
-    planned_columns,
-    prove,
-)
-from runs.disk import (
-    DiskFile,
-    error_class,
-    give_name,
-)
+from runs.contents import NewRun, fill, planned_columns, prove
+from runs.disk import DiskFile, error_class, give_name
 from runs.errors import DiskError, RunFileError
 from runs.layout import (
     FREE,
@@ -60,18 +51,16 @@ from runs.layout import (
 from runs.measured_step import MeasuredStep
 from runs.provenance import git_revision, package_versions
 from runs.unborn import cannot_make, require_readable, unborn_path
-from runs.verdict import (
-    Judgement,
-    Verdict,
-)
+from runs.verdict import Judgement, Verdict
 
-# h5py raises the second kind where the disk refuses what it had kept back.
+# h5py raises RuntimeError if the disk refuses bytes that HDF5 had in a cache.
 _DISK_ERRORS: Final = (OSError, RuntimeError)
-# What h5py raises besides where bytes are not what was written.
+# Errors that h5py raises when bytes differ from those that were written.
 _UNREADABLE: Final = (*_DISK_ERRORS, KeyError, ValueError, TypeError)
-# For what HDF5 writes besides a step: a few pages.
+# Disk space to keep free after a step. Chosen: HDF5 writes a few pages of 4 KiB to close a file.
 _RESERVE_BYTES: Final = 1_000_000
-# Of a float column that the same plan gave on another computer.
+# Largest relative difference of a planned number between two computers. Chosen: far above the
+# rounding of float64 (1e-16), far below any step of a setting.
 _ROUNDING: Final = 1e-9
 
 
@@ -82,7 +71,7 @@ class RunWriter:
     ----------
     path : Path
     damaged : tuple of int
-        Positions of steps that `resume` found damaged; they are to be taken again.
+        Positions of steps that `resume` found damaged; they must be measured again.
     """
 
     def __init__(self, path: Path, disk: DiskFile, keep: str) -> None:
@@ -93,7 +82,7 @@ class RunWriter:
         self._file = h5py.File(disk, "r+")
         try:
             entry = self._file["entry"]
-            # Opened once: to open a dataset takes longer than to write a number into it.
+            # Opened once: opening a dataset takes longer than writing a number to it.
             self._steps, self._retakes = dict(entry["steps"]), dict(entry["retakes"])
             self._signal = entry["data"][self._name]
             planned = self._steps.keys() - self._retakes.keys()
@@ -102,7 +91,8 @@ class RunWriter:
         except BaseException:
             self._file.close()
             raise
-        # Also at the end of a process that forgets it: HDF5 would close it when Python is gone.
+        # Closes the file at exit if the caller forgot it. HDF5 itself would do so too late, after
+        # Python has ended.
         self._closing = weakref.finalize(self, _close, self._file, disk)
 
     @classmethod
@@ -115,7 +105,7 @@ class RunWriter:
         reconstruction: Reconstruction,
         uid: str,
     ) -> Self:
-        """Make the file with everything that is known before the first step, and read it back.
+        """Create the file with everything that is known before the first step, and read it back.
 
         Parameters
         ----------
@@ -125,16 +115,16 @@ class RunWriter:
             Open, with its camera configured.
         labels : RunLabels
         reconstruction : Reconstruction
-            Supplies the geometry that a reader needs to interpret pixels.
+            Geometry that a reader needs to interpret pixels.
         uid : str
-            Identifies the run everywhere.
+            Unique identifier of the run.
 
         Raises
         ------
         RunFileError
-            If the file exists already or cannot be made; none is left behind.
+            If the file exists already or cannot be created; no file is left behind.
         DiskError
-            If the disk refuses it, or gives back something else.
+            If the disk refuses the file, or does not give back what was written.
         """
         path = Path(path)
         if os.path.lexists(path):
@@ -143,7 +133,7 @@ class RunWriter:
             )
         origin = {"git_revision": git_revision() or "", "package_versions": package_versions()}
         new = NewRun(plan, bench, labels, reconstruction, uid, now(), origin)
-        # A file has its name only once it is whole: killed before, a run leaves none.
+        # The file gets its name only when it is finished, so a killed process leaves no bad run.
         unborn = unborn_path(path)
         with contextlib.ExitStack() as undo:
             try:
@@ -165,16 +155,16 @@ class RunWriter:
 
     @classmethod
     def resume(cls, path: str | Path, plan: Plan) -> Self:
-        """Open the file of a run that is not complete, to go on with it.
+        """Open the file of a run that is not complete, to continue it.
 
-        Steps that the disk has damaged become steps to be taken again, see `damaged`; an earlier
-        take whose numbers it has damaged is given up.
+        Steps that the disk has damaged become pending, see `damaged`. Earlier takes with damaged
+        numbers are removed.
 
         Parameters
         ----------
         path : str or Path
         plan : Plan
-            The one that the run was begun with.
+            The plan with which the run was started.
 
         Raises
         ------
@@ -190,8 +180,8 @@ class RunWriter:
                 writer = cls(path, disk, plan.protocol.keep)
             except _UNREADABLE as error:
                 raise error_class(error)(
-                    f"{path}: cannot be continued ({short_reason(error)}); see whether another "
-                    "program has it open"
+                    f"{path}: cannot be continued ({short_reason(error)}); close other programs "
+                    "that have it open"
                 ) from error
             undo.callback(writer.close)
             writer._require_planned(plan)
@@ -203,26 +193,28 @@ class RunWriter:
 
     @property
     def spare(self) -> int:
-        """How many takes may still be set aside."""
+        """Return how many more takes can be set aside."""
         return int(np.count_nonzero(self._retakes["position"][()] == FREE))
 
     def reopen(self, interruption: Interruption) -> None:
-        """Note that the run goes on, and where.
+        """Record that the run continues, and after which interruption.
 
         Raises
         ------
         DiskError
+            If the disk refuses it.
         """
         with self._disk_errors("cannot be written"):
             self._set_status("running")
         self.add_interruption(interruption)
 
     def add_interruption(self, interruption: Interruption) -> None:
-        """Note where the run was not carried on at once; those beyond the last place are lost.
+        """Record an interruption; it is ignored if `layout.INTERRUPTIONS_MAX` are recorded.
 
         Raises
         ------
         DiskError
+            If the disk refuses it.
         """
         interruptions = self._file["entry/interruptions"]
         free = np.flatnonzero(interruptions["position"][()] < 0)
@@ -236,13 +228,14 @@ class RunWriter:
             self._flush()
 
     def set_aside(self, position: int) -> None:
-        """Copy a step to a spare place, and make its own place that of a step to come.
+        """Copy a step to a spare place, and make the step pending.
 
         Raises
         ------
         RunFileError
             If there is no spare place.
         DiskError
+            If the disk refuses the copy.
         """
         free = np.flatnonzero(self._retakes["position"][()] == FREE)
         if not free.size:
@@ -262,22 +255,22 @@ class RunWriter:
             self._finish_setting_aside(place)
 
     def write(self, position: int, step: MeasuredStep) -> None:
-        """Write one step; on return all of it is with the operating system.
+        """Write one step; on return the operating system has all its bytes.
 
         Parameters
         ----------
         position : int
-            Place in the plan, from 0.
+            Position of the step in the plan, from 0.
         step : MeasuredStep
 
         Raises
         ------
         DiskError
-            If the disk refuses; the steps before are safe.
+            If the disk refuses the step; earlier steps are safe.
         """
-        self._require_room()
+        self._require_space()
         pixels = step.field if self._keep == "holograms" else self._stacked(step.frames)
-        # As the file holds them: the checksum is of these bytes.
+        # Converted before the checksum, which covers the bytes of the file.
         pixels = np.asarray(pixels, dtype=self._signal.dtype)
         row = self._row(position, step, pixels)
         with self._disk_errors(f"step {position + 1} cannot be written"):
@@ -288,24 +281,25 @@ class RunWriter:
             self._write_judgement(position, step.judgement)
 
     def mark(self, position: int, verdict: Verdict, reason: str) -> None:
-        """Note that a step was begun and given up (interrupted), or is done without (skipped).
+        """Record that a step was not finished (interrupted) or is left out (skipped).
 
         Raises
         ------
         DiskError
+            If the disk refuses it.
         """
         with self._disk_errors("cannot be written"):
             self._write_judgement(position, Judgement(verdict, reason))
 
     def finish(self, status: Status) -> None:
-        """Write how the run ended, once all steps are on the disk, and close the file.
+        """Wait until all steps are on the disk, write the final status, and close the file.
 
-        Does nothing to a closed one.
+        Do nothing if the file is closed already.
 
         Raises
         ------
         DiskError
-            The file is closed all the same.
+            If the disk refuses anything. The file is closed nevertheless.
         """
         if not self._file:
             return
@@ -315,7 +309,7 @@ class RunWriter:
                 self._disk.sync()
                 self._set_status(status)
         except DiskError:
-            # A disk that is full may still take what needs no room.
+            # A full disk still accepts a status, which overwrites allocated bytes.
             with contextlib.suppress(*_DISK_ERRORS):
                 self._set_status("failed")
             raise
@@ -323,90 +317,92 @@ class RunWriter:
             self.close()
 
     def discard(self) -> None:
-        """Close and remove a file that holds nothing worth keeping."""
+        """Close the file and remove it."""
         self.close()
         self.path.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Close the file as it is. May be called twice."""
+        """Close the file without a final status. May be called twice."""
         self._closing()
 
     @contextlib.contextmanager
-    def _disk_errors(self, what: str) -> Iterator[None]:
-        """Say what could not be done, and why."""
+    def _disk_errors(self, state: str) -> Iterator[None]:
+        """Convert errors of the disk to a `DiskError` that says what could not be done, and why."""
         try:
             yield
         except _DISK_ERRORS as error:
             raise DiskError(
-                f"{self.path}: {what} ({short_reason(error)}); free space on the disk, or replace "
+                f"{self.path}: {state} ({short_reason(error)}); free space on the disk, or replace "
                 "it; the steps before are safe"
             ) from error
 
     def _flush(self) -> None:
-        """Hand all over to the operating system, and raise what it refused."""
+        """Pass all bytes to the operating system, and raise an error that it returned."""
         self._file.flush()
         self._disk.check()
 
     def _finish_setting_aside(self, place: int) -> None:
-        """Free a step whose take is whole at a place of `/entry/retakes`."""
+        """Make a step pending whose take is completely copied to a place of `/entry/retakes`."""
         position = UNDER_WAY - int(self._retakes["position"][place])
         self._make_pending(position, TO_BE_TAKEN_AGAIN)
         self._retakes["position"][place] = position
         self._flush()
 
-    def _make_pending(self, position: int, why: str) -> None:
-        """Give up what a step's place holds."""
-        # First: a step with a verdict has the sentence that goes with it.
+    def _make_pending(self, position: int, reason: str) -> None:
+        """Declare the data of a step invalid, so that it is measured again."""
+        # The verdict first: readers must never see it together with a sentence of another one.
         self._steps["verdict"][position] = str(Verdict.PENDING)
         self._flush()
-        self._write_judgement(position, Judgement(Verdict.PENDING, why))
+        self._write_judgement(position, Judgement(Verdict.PENDING, reason))
 
     def _require_planned(self, plan: Plan) -> None:
-        """Refuse a file whose steps are not those of the plan."""
+        """Raise an error if the steps of the file are not those of the plan."""
         for name, (expected, _unit) in planned_columns(plan).items():
             found = self._planned.get(name)
-            if found is None or not _as_planned(found, expected):
+            if found is None or not _is_as_planned(found, expected):
                 raise RunFileError(
-                    f"{self.path}: its column {name} is not what its protocol gives; the file is "
-                    "damaged, or was begun by another version of this software; measure a new run"
+                    f"{self.path}: its column {name} does not follow from its protocol; the file "
+                    "is damaged, or was begun by another version of this software; measure again"
                 )
 
     def _finish_retakes(self) -> None:
-        """Finish setting aside what a process was killed in; give up takes that are damaged."""
+        """Finish copies of takes that a killed process began; remove damaged earlier takes."""
         positions = self._retakes["position"][()]
         of_step = np.where(positions <= UNDER_WAY, UNDER_WAY - positions, positions)
         known = (of_step >= 0) & (of_step < len(self._signal))
         planned = {name: column[of_step * known] for name, column in self._planned.items()}
-        whole = known & whole_rows(planned | self._taken(self._retakes))
+        intact = known & whole_rows(planned | self._measured(self._retakes))
         for place in np.flatnonzero(positions != FREE):
-            if not whole[place]:
+            if not intact[place]:
                 self._retakes["position"][place] = FREE
                 self._flush()
             elif positions[place] <= UNDER_WAY:
                 self._finish_setting_aside(int(place))
 
     def _give_up_damaged(self) -> None:
-        """Make steps that are not what was written steps to be taken again."""
-        verdicts = [verdict_of(said) for said in self._steps["verdict"][()]]
-        taken = self._taken(self._steps)
-        whole = whole_rows(self._planned | taken)
+        """Make steps pending whose bytes do not match their checksums."""
+        verdicts = [verdict_of(content) for content in self._steps["verdict"][()]]
+        measured = self._measured(self._steps)
+        intact = whole_rows(self._planned | measured)
         damaged = []
         for position, verdict in enumerate(verdicts):
             if verdict is not None and not verdict.measured:
                 continue
-            if verdict is None or not whole[position] or not self._pixels_whole(position, taken):
+            checksum = int(measured[PIXEL_CHECKSUM][position])
+            if verdict is None or not (intact[position] and self._has_pixels(position, checksum)):
                 self._make_pending(position, f"was damaged on the disk; {TO_BE_TAKEN_AGAIN}")
                 damaged.append(position)
         self.damaged = tuple(damaged)
 
-    def _pixels_whole(self, position: int, taken: dict[str, npt.NDArray[Any]]) -> bool:
+    def _has_pixels(self, position: int, checksum: int) -> bool:
+        """Return whether the stored pixels of a step have this checksum."""
         pixels = self._signal[position]
-        # What cannot be read is no reason to measure it again.
+        # An unreadable disk must end the resume here, and not count as a damaged step.
         self._disk.check()
-        return pixel_checksum(pixels) == int(taken[PIXEL_CHECKSUM][position])
+        return pixel_checksum(pixels) == checksum
 
-    def _taken(self, group: dict[str, Any]) -> dict[str, npt.NDArray[Any]]:
-        """Columns that say what was measured: of steps, or of earlier takes."""
+    def _measured(self, group: dict[str, Any]) -> dict[str, npt.NDArray[Any]]:
+        """Return the columns that hold what was measured, of steps or of earlier takes."""
         names = self._retakes.keys() - {"position", self._name}
         columns = {name: group[name][()] for name in names}
         self._disk.check()
@@ -415,8 +411,8 @@ class RunWriter:
     def _planned_row(self, position: int) -> dict[str, npt.NDArray[Any]]:
         return {name: column[position : position + 1] for name, column in self._planned.items()}
 
-    def _require_room(self) -> None:
-        """Refuse a step for which the disk has no room, while the file can still be closed."""
+    def _require_space(self) -> None:
+        """Raise an error if the disk lacks space for a step, while the file can still be closed."""
         step_bytes = int(self._signal.dtype.itemsize * np.prod(self._signal.shape[1:]))
         free_bytes = shutil.disk_usage(self.path.parent).free
         if free_bytes < step_bytes + _RESERVE_BYTES:
@@ -426,10 +422,7 @@ class RunWriter:
             )
 
     def _stacked(self, frames: Sequence[Frame]) -> npt.NDArray[np.uint16]:
-        """Frames of one step in one array, with zeros for those that did not come.
-
-        Written together, as they lie in the file.
-        """
+        """Return the frames of one step as the file stores them, with zeros for missing frames."""
         stack = np.zeros(self._signal.shape[1:], dtype=np.uint16)
         for place, frame in zip(stack, frames, strict=False):
             place[...] = frame.image
@@ -444,7 +437,7 @@ class RunWriter:
     def _row(
         self, position: int, step: MeasuredStep, pixels: npt.NDArray[Any]
     ) -> dict[str, npt.NDArray[Any]]:
-        """All that was measured but for the pixels: an array of one entry for each column."""
+        """Return everything that was measured except pixels: one array, (1, …), for each column."""
         values: dict[str, object] = {}
         for column in READ_BACK_HZ:
             hz: Fraction = getattr(step.read_back, column.removeprefix("read_"))
@@ -454,7 +447,7 @@ class RunWriter:
         for column in MEASURED:
             if column != "read_volts":
                 values[column] = getattr(step, column)
-        # Nothing of an earlier take may stay where frames are missing.
+        # Filled up if frames are missing, so that no values of an earlier take stay.
         kept = step.frames[: self._steps["frame_id"].shape[1]]
         missing = self._steps["frame_id"].shape[1] - len(kept)
         values["timestamp_s"] = [frame.timestamp_s for frame in kept] + [np.nan] * missing
@@ -474,13 +467,13 @@ class RunWriter:
 
 
 def _close(file: Any, disk: DiskFile) -> None:
-    """Close HDF5's side first: it may still write."""
+    """Close a file; HDF5 first, because it may still write to the disk."""
     file.close()
     disk.close()
 
 
-def _as_planned(found: npt.NDArray[Any], expected: npt.NDArray[Any]) -> bool:
-    """Whether a column is that of a plan, to the rounding of another computer."""
+def _is_as_planned(found: npt.NDArray[Any], expected: npt.NDArray[Any]) -> bool:
+    """Return whether a column equals that of the plan, within `_ROUNDING`."""
     if expected.dtype.kind != "f":
         return np.array_equal(found, expected)
     same_shape = found.shape == expected.shape
@@ -488,10 +481,10 @@ def _as_planned(found: npt.NDArray[Any], expected: npt.NDArray[Any]) -> bool:
 
 
 def _cut(text: str) -> str:
-    """As much of a text as a column holds, cut at a character."""
+    """Return as much of a text as a column holds, cut between two characters."""
     return text.encode()[:SENTENCE_BYTES].decode(errors="ignore")
 
 
 def now() -> str:
-    """Return the time, ISO 8601 and UTC."""
+    """Return the present time in UTC, ISO 8601, to the second."""
     return datetime.now(UTC).isoformat(timespec="seconds")

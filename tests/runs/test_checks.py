@@ -72,7 +72,7 @@ def test_another_file_is_never_opened_by_a_link(run_file, decoy, name):
         del file[name]
         file[name] = h5py.ExternalLink(decoy, name)
 
-    assert f"{name} lies in another file" in refused(run_file, link)
+    assert f"{name} is in another file" in refused(run_file, link)
 
 
 def test_another_file_is_never_opened_for_data(run_file, decoy):
@@ -113,7 +113,7 @@ def test_a_column_is_no_link_to_another(run_file, target):
         del file["entry/steps/volts"]
         file["entry/steps/volts"] = h5py.SoftLink(target)
 
-    assert "entry/steps/volts is a link to something else" in refused(run_file, link)
+    assert "entry/steps/volts is a link" in refused(run_file, link)
 
 
 @pytest.mark.parametrize("of", ["entry/steps/carrier_leak", "entry", "/"])
@@ -143,7 +143,7 @@ def test_a_column_of_another_type_is_refused(run_file, kind):
     def retype(file):
         put(file, "entry/steps/volts", shape=(STEPS,), dtype=TYPES[kind])
 
-    assert "entry/steps/volts holds no number" in refused(run_file, retype)
+    assert "(entry/steps/volts is not of the type number)" in refused(run_file, retype)
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,7 @@ def test_a_column_of_another_type_is_refused(run_file, kind):
     ],
 )
 def test_what_holds_something_else_is_refused(run_file, name, made):
-    assert f"{name} holds no" in refused(run_file, lambda file: put(file, name, **made))
+    assert f"({name} is not of the type" in refused(run_file, lambda file: put(file, name, **made))
 
 
 @pytest.mark.parametrize(
@@ -344,7 +344,7 @@ def test_pictures_of_no_kind_are_refused(run_file, signal):
         else:
             file["entry/data"].attrs["signal"] = signal
 
-    assert "entry/data does not say" in refused(run_file, write)
+    assert "(entry/data has no valid attribute" in refused(run_file, write)
 
 
 def test_a_step_that_was_being_written_when_the_program_was_killed_is_no_damage(run_file):

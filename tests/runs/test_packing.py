@@ -133,17 +133,17 @@ def disk_refuses(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("fault", "said"),
+    ("fault", "reason"),
     [
-        (no_room, r"may take \d+ MB for a while, but its disk has 1 MB left"),
+        (no_room, r"needs \d+ MB .* has 1 MB left"),
         (disk_refuses, r"cannot be packed \(.*No space left"),
     ],
 )
-def test_what_goes_wrong_leaves_the_run_as_it_was(path, unpacked, monkeypatch, fault, said):
+def test_what_goes_wrong_leaves_the_run_as_it_was(path, unpacked, monkeypatch, fault, reason):
     fault(monkeypatch)
-    with pytest.raises(DiskError, match=f"{path}: .*{said}.*the file is whole as it is") as told:
+    with pytest.raises(DiskError, match=f"{path}: .*{reason}.*unchanged") as caught:
         pack(path)
-    assert told.value.exit_status == 1
+    assert caught.value.exit_status == 1
     assert path.read_bytes() == unpacked.read_bytes()
     assert [file.name for file in path.parent.iterdir()] == ["run.h5"]
 
@@ -187,7 +187,7 @@ def test_a_copy_that_comes_back_changed_is_refused(path, unpacked, monkeypatch, 
                 fault(file)
 
     monkeypatch.setattr(DiskFile, "sync", damage)
-    with pytest.raises(DiskError, match=f"comes back changed .*{named}"):
+    with pytest.raises(DiskError, match=f"packed copy .*{named}"):
         pack(path)
     assert path.read_bytes() == unpacked.read_bytes()
     assert [file.name for file in path.parent.iterdir()] == ["run.h5"]

@@ -259,5 +259,5 @@ def test_a_file_that_is_no_run_is_refused(tmp_path, quick_model):
     with pytest.raises(RunFileError, match="no such file"):
         fit_runs([path], method="picture")
     path.write_text("not HDF5")
-    with pytest.raises(RunFileError, match="no HDF5 file"):
+    with pytest.raises(RunFileError, match="HDF5 file"):
         fit_runs([path], method="picture")

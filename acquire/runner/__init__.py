@@ -1,1 +1,1 @@
-"""The runner: one sweep from the first step to the last, and all ways out of it."""
+"""The runner: measures one sweep, and leaves the bench off however the sweep ends."""

@@ -1,7 +1,7 @@
-"""Lets other processes pause a run, go on with it, or end it.
+"""Pause, continue or stop a run from another process.
 
-While a run is measured its process holds the lock of a small file next to the run file. Orders are
-signals, sent to the process that holds the lock; those that come after its end are lost.
+While a run is measured, its process holds the lock of a small file next to the run file. Orders are
+signals that are sent to the process that holds the lock. An order after the end of the run is lost.
 """
 
 import os
@@ -13,12 +13,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from acquire.runner.orders import Orders, signals_obeyed
-from drivers.exclusive import (
-    Holder,
-    LockedError,
-    exclusive,
-    holder_of,
-)
+from drivers.exclusive import Holder, LockedError, exclusive, holder_of
 from runs.errors import RunFileError
 
 Order = Literal["pause", "continue", "stop"]
@@ -31,7 +26,13 @@ _SIGNALS: Final[dict[Order, signal.Signals]] = {
 
 
 def control_path(run_path: Path) -> Path:
-    """Return the lock file of a run, ``R07.h5`` → ``R07.process``, or of a campaign's folder."""
+    """Return the path of the lock file of a run (``R07.h5`` → ``R07.process``) or of a campaign.
+
+    Parameters
+    ----------
+    run_path : Path
+        Path of the run file, or folder of the campaign.
+    """
     if run_path.suffix == ".h5":
         return run_path.with_suffix(".process")
     return run_path / "campaign.process"
@@ -39,74 +40,85 @@ def control_path(run_path: Path) -> Path:
 
 @contextmanager
 def controllable(run_path: Path, orders: Orders | None = None) -> Iterator[Orders]:
-    """Hold the lock of a run while it is measured, and obey the signals of others.
+    """Hold the lock of a run while it is measured, and obey signals of other processes.
 
-    Only runs on a process's main thread can be given orders, because only that gets signals.
+    Only a run on the main thread of a process obeys orders, because only that thread gets signals.
 
     Parameters
     ----------
     run_path : Path
+        Path of the run file, or folder of a campaign.
     orders : Orders, optional
-        Of a campaign, whose signals are obeyed already.
+        Orders of the campaign to which the run belongs.
 
     Yields
     ------
     Orders
-        What others ask of the run.
+        Orders to this run.
 
     Raises
     ------
     RunFileError
-        If another process is measuring this run, or the file cannot be made.
+        If another process is measuring this run, or the lock file cannot be created.
     """
     takes_orders = threading.current_thread() is threading.main_thread()
-    path, mine = control_path(run_path), orders or Orders()
+    path, own_orders = control_path(run_path), orders or Orders()
     try:
-        with signals_obeyed(mine), exclusive(path, f"measures {run_path}", takes_orders):
-            yield mine
+        with signals_obeyed(own_orders), exclusive(path, f"measures {run_path}", takes_orders):
+            yield own_orders
     except LockedError as locked:
         raise RunFileError(
-            f"{run_path}: is being measured by {locked.holder or 'another program'}; wait for its "
-            "end"
+            f"{run_path}: is being measured by {locked.holder or 'another program'}; wait until it "
+            "ends"
         ) from None
 
 
 def measurer(run_path: Path) -> Holder | None:
-    """Return the process that is measuring a run; None if no process on this computer is."""
+    """Return the process of this computer that is measuring a run; None if there is none."""
     return holder_of(control_path(run_path))[1]
 
 
 def order(run_path: Path, what: Order) -> int:
-    """Tell the process that measures a run to pause, go on, or end; return its number.
+    """Order the process that measures a run to pause, continue or stop after its present step.
 
-    It obeys at the next step.
+    Parameters
+    ----------
+    run_path : Path
+        Path of the run file, or folder of a campaign.
+    what : {'pause', 'continue', 'stop'}
+
+    Returns
+    -------
+    int
+        Number of the process.
 
     Raises
     ------
     RunFileError
-        If no process of this computer is measuring that run, or it belongs to somebody else, or
-        takes no orders.
+        If no process of this computer is measuring the run, the process belongs to another user,
+        or it does not obey orders.
     """
     held, holder = holder_of(control_path(run_path))
     if not held:
         raise RunFileError(
-            f"{run_path}: is not being measured; name the run file of a run in work, on this "
-            "computer"
+            f"{run_path}: is not being measured; name a run that this computer is measuring now"
         )
     if holder is None:
         raise RunFileError(
-            f"{run_path}: is being measured, but {control_path(run_path).name} does not describe a "
-            f"process of this computer; {what} it where it was started"
+            f"{run_path}: is being measured, but {control_path(run_path).name} does not name a "
+            f"process of this computer; {what} it on the computer where it was started"
         )
     if not holder.takes_orders:
         raise RunFileError(
-            f"{run_path}: is measured by a script on a thread that gets no orders; let the script "
-            f"{what} it"
+            f"{run_path}: is measured by a script, on a thread that gets no signals; {what} it "
+            "from that script"
         )
     try:
         os.kill(holder.pid, _SIGNALS[what])
     except ProcessLookupError:
-        raise RunFileError(f"{run_path}: process {holder.pid} has just ended") from None
+        raise RunFileError(
+            f"{run_path}: process {holder.pid} has just ended; there is nothing to {what}"
+        ) from None
     except PermissionError:
         raise RunFileError(
             f"{run_path}: process {holder.pid} belongs to another user; ask them to {what} it"

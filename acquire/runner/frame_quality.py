@@ -1,4 +1,4 @@
-"""What the frames of one acquisition are worth as a camera delivered them."""
+"""Judge the frames of one acquisition as the camera delivered them: number, order, content."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -10,19 +10,34 @@ import numpy.typing as npt
 from drivers.roles import Frame
 from runs.verdict import Judgement, Verdict
 
-# Hot pixels of a good CCD are some ten in a million.
+# Largest allowed fraction of saturated pixels. Chosen: a good CCD has about ten hot pixels in a
+# million; ten times that are allowed.
 SATURATED_SHARE_MAX: Final = 1e-4
 
-# Of a frame period, and of the time between two frames, by which time stamps may be off.
-_PERIOD_SHARE: Final = 0.5
+# Largest error of a time stamp, as a fraction of a frame period. Chosen: a missing or repeated
+# frame changes the time by a whole period.
+_STAMP_TOLERANCE: Final = 0.5
 
+# Largest drift of the camera's clock, per unit of time. Chosen: quartz clocks drift by less than
+# 1e-4.
 _CLOCK_DRIFT: Final = 1e-4
 
 
 def judge_consecutive(frames: Sequence[Frame], expected: int) -> Judgement | None:
-    """`DROPPED` unless there are as many frames as expected, and none is missing between them.
+    """Return `DROPPED` if the number of frames is wrong, or a frame is missing between others.
 
-    In which order they came, and whether one came twice, `judge_order` tells.
+    `judge_order` finds frames in the wrong order and frames that came twice.
+
+    Parameters
+    ----------
+    frames : sequence of Frame
+    expected : int
+        Number of frames that were requested.
+
+    Returns
+    -------
+    Judgement or None
+        None if no frame is missing.
     """
     ids = [frame.id for frame in frames]
     if len(ids) != expected:
@@ -42,25 +57,30 @@ def judge_consecutive(frames: Sequence[Frame], expected: int) -> Judgement | Non
 def judge_order(
     frames: Sequence[Frame], period_s: float, previous: Frame | None = None
 ) -> Judgement | None:
-    """`DISORDERED` unless time stamps follow the numbers of the frames.
+    """Return `DISORDERED` unless the time stamps of frames agree with their numbers.
 
-    From each frame to the next, and from the last one of the acquisition before, so many periods
-    have to pass as numbers. Of an interval, half a period and a ten-thousandth (clocks drift) may
-    be missing or too much.
+    If the number of a frame is k above that of the frame before, its time stamp must be k periods
+    later, within half a period and 1e-4 of the interval (drift of the clock). This includes the
+    interval from the last frame of the acquisition before.
 
     Parameters
     ----------
     frames : sequence of Frame
         In the order in which they came.
     period_s : float
-        Of the frames, as asked for.
+        Requested frame period, in s.
     previous : Frame, optional
-        Last one of the acquisition before, since when the camera did not stop.
+        Last frame of the acquisition before, if the camera was not restarted since.
+
+    Returns
+    -------
+    Judgement or None
+        None if the order is right.
     """
     chain = [frame for frame in (previous, *frames) if frame is not None]
     for before, after in pairwise(chain):
         if after.id <= before.id:
-            # A number that was seen before is not new, see `judge_fresh`.
+            # `judge_fresh` judges frames that were returned in the acquisition before.
             if before is previous:
                 continue
             return Judgement(
@@ -69,10 +89,10 @@ def judge_order(
             )
         expected_s = (after.id - before.id) * period_s
         off_s = after.timestamp_s - before.timestamp_s - expected_s
-        if abs(off_s) > _PERIOD_SHARE * period_s + _CLOCK_DRIFT * expected_s:
+        if abs(off_s) > _STAMP_TOLERANCE * period_s + _CLOCK_DRIFT * expected_s:
             return Judgement(
                 Verdict.DISORDERED,
-                f"from frame {before.id} to {after.id} the camera's clock went "
+                f"from frame {before.id} to {after.id} the camera's clock advanced by "
                 f"{1e3 * (expected_s + off_s):.4g} ms instead of {1e3 * expected_s:.4g} ms; check "
                 "its trigger and clock",
             )
@@ -80,10 +100,21 @@ def judge_order(
 
 
 def judge_whole(frames: Sequence[Frame], saturation_dn: int) -> Judgement | None:
-    """`PARTIAL` if rows of a frame are empty, or those of the frame before.
+    """Return `PARTIAL` if rows of a frame are empty, or equal to those of the frame before.
 
-    Light has noise: no row of it comes twice. A buffer that was not filled to its end holds zeros
-    or what it held before. (Saturated rows are all alike, and judged as such.)
+    Light has noise, so no row of light repeats exactly. A buffer that was not filled to its end
+    holds zeros or its old content. Saturated rows are also equal; `judge_saturation` judges them.
+
+    Parameters
+    ----------
+    frames : sequence of Frame
+    saturation_dn : int
+        Value of a saturated pixel.
+
+    Returns
+    -------
+    Judgement or None
+        None if all frames are complete.
     """
     for frame in frames:
         empty = ~np.any(frame.image, axis=1)
@@ -93,14 +124,14 @@ def judge_whole(frames: Sequence[Frame], saturation_dn: int) -> Judgement | None
         same = np.all(before.image == after.image, axis=1)
         same &= np.any(after.image < saturation_dn, axis=1) & np.any(after.image, axis=1)
         if same.any():
-            return _partial(after, same, f"those of frame {before.id}")
+            return _partial(after, same, f"equal to those of frame {before.id}")
     return None
 
 
-def _partial(frame: Frame, rows: npt.NDArray[np.bool_], what: str) -> Judgement:
+def _partial(frame: Frame, rows: npt.NDArray[np.bool_], state: str) -> Judgement:
     return Judgement(
         Verdict.PARTIAL,
-        f"{np.count_nonzero(rows)} of {len(rows)} rows of frame {frame.id} are {what}; check the "
+        f"{np.count_nonzero(rows)} of {len(rows)} rows of frame {frame.id} are {state}; check the "
         "camera's bus and the load of the computer",
     )
 
@@ -108,15 +139,20 @@ def _partial(frame: Frame, rows: npt.NDArray[np.bool_], what: str) -> Judgement:
 def judge_fresh(
     frames: Sequence[Frame], ready_s: float, previous: Frame | None = None
 ) -> Judgement | None:
-    """`STALE` if an exposure began before the last setting had settled, or is no new one.
+    """Return `STALE` if an exposure began before the setting had settled, or a frame is old.
 
     Parameters
     ----------
     frames : sequence of Frame
     ready_s : float
-        When it had settled, on the camera's clock.
+        Time at which the setting had settled, on the camera's clock, in s.
     previous : Frame, optional
-        Last one of the acquisition before, since when the camera did not stop.
+        Last frame of the acquisition before, if the camera was not restarted since.
+
+    Returns
+    -------
+    Judgement or None
+        None if all frames are new and began in time.
     """
     if previous is not None and min(frame.id for frame in frames) <= previous.id:
         return Judgement(
@@ -135,7 +171,7 @@ def judge_fresh(
 
 
 def judge_saturation(share: float) -> Judgement | None:
-    """`SATURATED` if more than `SATURATED_SHARE_MAX` of all pixels are at their limit."""
+    """Return `SATURATED` if more than `SATURATED_SHARE_MAX` of all pixels are saturated."""
     if share <= SATURATED_SHARE_MAX:
         return None
     return Judgement(
@@ -146,7 +182,7 @@ def judge_saturation(share: float) -> Judgement | None:
 
 
 def frame_rate_hz(frames: Sequence[Frame]) -> float | None:
-    """Return the frame rate by ids and time stamps; None for fewer than two frames."""
+    """Return the frame rate from numbers and time stamps; None for fewer than two frames."""
     first, last = frames[0], frames[-1]
     duration_s = last.timestamp_s - first.timestamp_s
     if last.id == first.id or duration_s <= 0:
@@ -155,5 +191,5 @@ def frame_rate_hz(frames: Sequence[Frame]) -> float | None:
 
 
 def saturated_share(frames: Sequence[Frame], saturation_dn: int) -> float:
-    """Return the share of all pixels of all frames that are at `saturation_dn` or above."""
+    """Return the fraction of all pixels of all frames that are at `saturation_dn` or above."""
     return float(np.mean([np.mean(frame.image >= saturation_dn) for frame in frames]))

@@ -1,4 +1,4 @@
-"""What the steps of a run have been like: by it a step that is unlike the others is known."""
+"""Remember light and brightness of the last steps, to recognise a step that differs from them."""
 
 from collections import deque
 from fractions import Fraction
@@ -8,39 +8,47 @@ import numpy as np
 
 from acquire.runner.quality import Usual
 
-# Chosen: a table and a laser change within minutes, which are some hundred steps; a median of this
-# many is known to a sixth of the scatter.
+# Steps whose light is remembered. Chosen: the optical table and the laser change within minutes,
+# which is about a hundred steps; the median of 64 steps has an error of a sixth of the scatter.
 _REMEMBERED: Final = 64
+# Steps whose brightness is remembered, for each exposure. Chosen: the laser drifts within minutes,
+# so only the last few steps count.
 _NEIGHBOURS: Final = 5
-# Standard deviation of a Gaussian per median absolute deviation.
+# Ratio of standard deviation and median absolute deviation of a Gaussian: 1/Φ⁻¹(3/4).
 _GAUSSIAN: Final = 1.4826
 
 
 class History:
-    """The last steps of one run, in the order in which they were taken."""
+    """Light and brightness of the last steps of one run, in the order of measurement."""
 
     def __init__(self) -> None:
         self._turns: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
         self._brightness: dict[Fraction, deque[float]] = {}
 
     def add_turn(self, turn_rad: float, unexplained: float) -> None:
-        """Remember how the light of a step turned; steps without light tell nothing.
+        """Remember the phase turn of the light of a step; ignore a step without light.
 
         Parameters
         ----------
         turn_rad, unexplained : float
-            See `holography.phase.SteadyTurn`.
+            `error_rad` and `unexplained` of `holography.phase.SteadyTurn`; NaN without light.
         """
         if np.isfinite(turn_rad) and np.isfinite(unexplained):
             self._turns.append((turn_rad, unexplained))
 
     def add_brightness(self, exposure_s: Fraction, brightness_dn: float) -> None:
-        """Remember how bright the frames of a step were."""
+        """Remember the brightness of the frames of a step, for its exposure."""
         recent = self._brightness.setdefault(exposure_s, deque(maxlen=_NEIGHBOURS))
         recent.append(brightness_dn)
 
     def usual(self, exposure_s: Fraction | None = None) -> Usual:
-        """Return what the steps have been like; their brightness only for an exposure."""
+        """Return the usual values of the remembered steps.
+
+        Parameters
+        ----------
+        exposure_s : Fraction, optional
+            Exposure for which the usual brightness is wanted; without it, brightness is NaN.
+        """
         recent = () if exposure_s is None else self._brightness.get(exposure_s, ())
         brightness_dn = float(np.median(recent)) if recent else np.nan
         if not self._turns:

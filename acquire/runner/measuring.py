@@ -1,4 +1,4 @@
-"""From four frames to a measured step: demodulation and judgement."""
+"""Demodulate and judge the four frames of a step."""
 
 import contextlib
 from collections.abc import Iterator
@@ -34,28 +34,25 @@ from protocols.plan import Plan
 from protocols.step import Step
 from runs.errors import DiskError, RunFileError
 from runs.measured_step import MeasuredStep
-from runs.verdict import (
-    Judgement,
-    ReadBack,
-)
+from runs.verdict import Judgement, ReadBack
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Acquisition:
-    """What the instruments gave for one step.
+    """Frames of one step, and settings that the instruments reported.
 
     Attributes
     ----------
     position : int
-        Place of the step in the plan, from 0.
+        Position of the step in the plan, from 0.
     step : Step
     before, after : ReadBack
-        Of before the frames and after them.
+        Settings that were read before and after the frames.
     changed_s : float
-        When the last setting was changed, on the camera's clock.
+        Time of the last change of a setting on the camera's clock, in s.
     frames : tuple of Frame
     camera_start : int
-        How often the camera had been started: frames are numbered from there.
+        How often the camera was started in this run; each start resets the frame numbers.
     """
 
     position: int
@@ -69,7 +66,10 @@ class Acquisition:
 
 @contextlib.contextmanager
 def noted(first: BaseException) -> Iterator[None]:
-    """Add what fails besides to an error; a disk that refuses is one cause, and one line."""
+    """Add a second error as a note to a first one.
+
+    If the first is an error of the disk, the second has the same cause and is ignored.
+    """
     try:
         yield
     except RunFileError as second:
@@ -93,21 +93,22 @@ def measure(
     ----------
     acquisition : Acquisition
     plan : Plan
-        Supplies what was asked for.
+        Plan of the run, with the requested settings.
     reconstruction : Reconstruction
     saturation_dn : int
-        See `drivers.roles.Camera`.
+        Value of a saturated pixel, see `drivers.roles.Camera`.
     previous : Frame, optional
-        Last frame of the acquisition before, since when the camera did not stop.
+        Last frame of the acquisition before, if the camera was not restarted since.
     usual : Usual, optional
-        What the steps before were like.
+        Usual values of the steps before.
     echoes : bool
-        Whether the synthesizers' read-back only repeats what they were told.
+        Whether the synthesizers only return the settings that were sent to them, instead of
+        measuring their outputs.
 
     Returns
     -------
     MeasuredStep
-        A step of fewer frames than planned has a field of zeros.
+        A step with fewer frames than planned has a field of zeros.
     """
     step, frames, usual = acquisition.step, acquisition.frames, usual or Usual()
     region, kind = reconstruction.region, _kind(plan)
@@ -118,7 +119,7 @@ def measure(
         share = saturated_share(frames, saturation_dn)
         judgements += [judge_saturation(share)]
         judgements += _judge_frames(acquisition, plan, saturation_dn, previous)
-        # Without light rows may well be empty, all of them alike.
+        # In a dark run, empty or equal rows are no fault.
         if kind != "dark":
             level_dn = float(np.median(brightness_dn(frames, _dark_dn(plan))))
             light = judge_light(frames, _dark_dn(plan), usual)
@@ -129,7 +130,7 @@ def measure(
         field, noise = halves.field, halves.noise
         turn = reconstruction.steady_turn(images, halves)
         ratio = mean_power(field) / noise if noise > 0 else np.nan
-        # Frames of different brightness say nothing of how their image turns.
+        # If the brightness differs between frames, the turn of their image cannot be measured.
         if light is None:
             judgements += _judge_turn(turn, step, plan, usual, echoes)
         judgements.append(_judge_signal(ratio, step, plan, reconstruction))
@@ -158,10 +159,10 @@ def _kind(plan: Plan) -> str:
 def _judge_turn(
     turn: SteadyTurn, step: Step, plan: Plan, usual: Usual, echoes: bool
 ) -> list[Judgement | None]:
-    """Judge how the image turns from frame to frame."""
+    """Judge how the phase of the image turns from frame to frame."""
     leak = step.carrier_leak
     unsteady = judge_steady(turn, leak, usual)
-    # What does not turn steadily has no frequency.
+    # A frequency error is defined only if the phase turns uniformly.
     wrong = None if unsteady else judge_turn(turn, lock_condition(step, plan), leak, usual)
     return [unsteady, wrong, judge_shown(turn, leak) if echoes else None]
 
@@ -169,7 +170,7 @@ def _judge_turn(
 def _judge_signal(
     ratio: float, step: Step, plan: Plan, reconstruction: Reconstruction
 ) -> Judgement | None:
-    # Beyond the first order all may be dark: it is the lower ones that tell of a fault.
+    # Sidebands above the first may be dark without a fault; the lower orders show faults.
     if step.order > 1 and len(plan.protocol.sideband.selected) > 1:
         return None
     region, empty = reconstruction.region, reconstruction.empty
@@ -179,7 +180,7 @@ def _judge_signal(
 def _judge_frames(
     acquisition: Acquisition, plan: Plan, saturation_dn: int, previous: Frame | None
 ) -> list[Judgement | None]:
-    """Judge numbers, times and settings."""
+    """Judge frame numbers, times and settings."""
     step, frames, condition = (
         acquisition.step,
         acquisition.frames,
@@ -196,7 +197,7 @@ def _judge_frames(
 
 
 def lock_condition(step: Step, plan: Plan) -> LockCondition:
-    """Return the lock condition of a step."""
+    """Return the condition that a step must satisfy to be locked."""
     tolerance_rad = float(plan.protocol.tolerance.lock_phase_rad)
     return LockCondition(step.order, plan.protocol.camera.frame_rate_hz, tolerance_rad)
 

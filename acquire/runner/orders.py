@@ -1,7 +1,7 @@
-"""What people ask of a run while it goes on: to stop, to pause, to go on.
+"""Orders to a run while it is measured: stop, pause, continue.
 
-Orders come as signals or from other threads. While `signals_obeyed` is in force, no signal that can
-be caught ends the process: it is an order to stop, and whoever uses the bench switches it off.
+Orders come as signals or from other threads. Inside `signals_obeyed`, a signal that can be caught
+does not end the process: it is an order to stop, and the code that uses the bench switches it off.
 """
 
 import signal
@@ -12,107 +12,108 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Final
 
-# Signals by which the operating system ends or suspends a process, but for these (signal(7)):
-# those that cannot be caught,
+# Every signal that ends or suspends a process (signal(7)) is an order, with these exceptions:
+# signals that cannot be caught,
 _UNCATCHABLE: Final = ("SIGKILL", "SIGSTOP")
-# those that report a fault of the program itself, which a handler would only repeat,
+# signals that report a fault of the program itself: a handler would return to the fault,
 _FAULTS: Final = ("SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGTRAP", "SIGSYS")
-# those that end nothing,
+# signals that do not end a process,
 _HARMLESS: Final = ("SIGCHLD", "SIGCLD", "SIGURG", "SIGWINCH", "SIGCONT", "SIGINFO", "SIGTTIN")
-# and those that Python itself turns into errors of the write that caused them.
+# and signals that Python converts to an error of the write that caused them.
 _ERRORS: Final = ("SIGPIPE", "SIGXFSZ")
 _PAUSE: Final = ("SIGUSR1", "SIGTSTP")
 _CONTINUE: Final = ("SIGUSR2",)
-# A background process that writes to its terminal would be suspended with its outputs on.
+# Without this, the system would suspend a background process that writes to its terminal, and its
+# outputs would stay on.
 _IGNORED: Final = ("SIGTTOU",)
-# Background processes of a shell are started with some signals ignored, and this program ignores
-# orders that come too late. These are obeyed all the same; others were ignored on purpose, as
-# SIGHUP is by nohup.
+# Signals that are obeyed even if they were ignored before: a shell starts background processes with
+# some of them ignored, and this program itself ignores late orders. Other ignored signals were
+# ignored on purpose, such as SIGHUP by nohup, and stay ignored.
 _ALWAYS: Final = ("SIGINT", "SIGQUIT", "SIGTERM", "SIGUSR1", "SIGUSR2")
 
-# Who goes on after a pause does not notice a tenth of a second.
+# Chosen: an operator who continues a run does not notice a delay of a tenth of a second.
 _POLL_S: Final = 0.1
 
 Handler = Callable[[int, FrameType | None], Any] | int | None
 
 
 class Orders:
-    """Stop, pause and continue; may be given from any thread."""
+    """Orders to stop, pause and continue a run; every thread may give them."""
 
     def __init__(self) -> None:
         self._stop, self._pause = threading.Event(), threading.Event()
-        # How many orders to stop it takes until `interrupt` raises; 0: it never does.
-        self._patience = 0
+        # Number of the order to stop at which `interrupt` raises; 0 if it never raises.
+        self._raises_at = 0
 
     @property
     def stopped(self) -> bool:
-        """Whether the run is to end."""
+        """Return whether the run was ordered to stop."""
         return self._stop.is_set()
 
     @property
     def paused(self) -> bool:
-        """Whether the run is to pause, and not to end."""
+        """Return whether the run was ordered to pause, and not to stop."""
         return self._pause.is_set() and not self.stopped
 
     def stop(self) -> None:
-        """End the run at the next step boundary."""
+        """Order the run to stop after the present step."""
         self._stop.set()
 
     def pause(self) -> None:
-        """Switch all off at the next step boundary, and wait."""
+        """Order the run to switch all outputs off after the present step, and to wait."""
         self._pause.set()
 
     def proceed(self) -> None:
-        """Go on after a pause."""
+        """Order the run to continue after a pause."""
         self._pause.clear()
 
     def wait(self) -> None:
-        """Wait as long as the run is to pause."""
+        """Wait until the run is ordered to continue or to stop."""
         while self.paused:
             time.sleep(_POLL_S)
 
     def interrupt(self) -> None:
-        """Do what Ctrl-C asks for: the first time `stop`, then give up what is being done.
+        """Obey Ctrl-C: the first stops the run after its step, the second gives up the step.
 
-        To be called on the thread that executes the run.
+        Call it on the thread that executes the run.
 
         Raises
         ------
         KeyboardInterrupt
-            Inside `given_up_at`, when its number of orders has come.
+            Inside `given_up_at`, at the order that is given there.
         """
         repeated = self._stop.is_set()
         self._stop.set()
-        if self._patience == 1 or (self._patience == 2 and repeated):
-            self._patience = 0
+        if self._raises_at == 1 or (self._raises_at == 2 and repeated):
+            self._raises_at = 0
             raise KeyboardInterrupt
 
     @contextmanager
     def given_up_at(self, order: int) -> Iterator[None]:
-        """Let the first or second order to stop raise KeyboardInterrupt, once.
+        """Raise KeyboardInterrupt inside the context at the first or second order to stop, once.
 
         Parameters
         ----------
         order : {1, 2}
-            With 1, an order that came before counts.
+            1 also counts an order that came before the context.
         """
-        before = self._patience
+        before = self._raises_at
         try:
-            self._patience = order
+            self._raises_at = order
             if order == 1 and self.stopped:
                 raise KeyboardInterrupt
             yield
         finally:
-            # Who has given up once is not interrupted again while clearing up.
-            self._patience = before if self._patience else 0
+            # After one KeyboardInterrupt, the code that cleans up is not interrupted again.
+            self._raises_at = before if self._raises_at else 0
 
 
 @contextmanager
 def signals_obeyed(orders: Orders) -> Iterator[None]:
-    """Turn signals into orders, if this is the main thread; other threads get no signals.
+    """Convert signals to orders inside the context; do nothing on other threads than the main one.
 
-    Signals that end a process stop the run. SIGUSR1 and Ctrl-Z (SIGTSTP) pause it, SIGUSR2 goes on
-    with it. Other handlers that the program has set stay in force.
+    Signals that end a process stop the run. SIGUSR1 and Ctrl-Z (SIGTSTP) pause it, SIGUSR2
+    continues it. Handlers that the program has set for other signals stay in force.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -125,7 +126,7 @@ def signals_obeyed(orders: Orders) -> Iterator[None]:
     before: dict[int, Handler] = {}
     try:
         for number in actions:
-            if _may_be_taken(number):
+            if _is_to_be_handled(number):
                 before[number] = signal.signal(number, act)
         for number in _numbers(_IGNORED):
             before[number] = signal.signal(number, signal.SIG_IGN)
@@ -136,21 +137,19 @@ def signals_obeyed(orders: Orders) -> Iterator[None]:
 
 
 def _actions(orders: Orders) -> dict[int, Callable[[], None]]:
-    """What to do at each signal that this system knows."""
-    left_alone = _numbers(
+    """Return the order for each signal of this operating system."""
+    excepted = _numbers(
         (*_UNCATCHABLE, *_FAULTS, *_HARMLESS, *_ERRORS, *_PAUSE, *_CONTINUE, *_IGNORED)
     )
     actions = {
-        int(number): orders.interrupt
-        for number in signal.valid_signals()
-        if number not in left_alone
+        int(number): orders.interrupt for number in signal.valid_signals() if number not in excepted
     }
     actions |= dict.fromkeys(_numbers(_PAUSE), orders.pause)
     return actions | dict.fromkeys(_numbers(_CONTINUE), orders.proceed)
 
 
-def _may_be_taken(number: int) -> bool:
-    """Whether a signal would end the process, or must stop a run whoever handles it."""
+def _is_to_be_handled(number: int) -> bool:
+    """Return whether a signal would end the process, or must always stop the run."""
     if number in _numbers(_ALWAYS):
         return True
     return signal.getsignal(number) is signal.SIG_DFL

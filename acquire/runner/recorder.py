@@ -1,7 +1,7 @@
-"""What happens to frames once the camera has given them: seen, judged and kept, on a thread.
+"""Demodulate, judge and write the steps of a run on a thread, while the camera exposes the next.
 
-The thread lags behind the camera by at most two steps, so memory stays small; if it cannot keep up
-the next step waits, with the instruments idle.
+The thread is at most two steps behind the camera, so memory use stays small. If it cannot keep up,
+the next step waits with the instruments idle.
 """
 
 import time
@@ -25,25 +25,17 @@ from holography.fresnel import FresnelTransform
 from holography.reconstruction import Reconstruction
 from protocols.plan import Plan
 from protocols.step import Step
-from runs.documents import (
-    DocumentLog,
-    event_data,
-    recorded_data,
-)
-from runs.layout import (
-    Interruption,
-    RunLabels,
-    Status,
-)
+from runs.documents import DocumentLog, event_data, recorded_data
+from runs.layout import Interruption, RunLabels, Status
 from runs.measured_step import MeasuredStep
 from runs.reader import Run
 from runs.records import StepRecord
-from runs.verdict import (
-    Verdict,
-)
+from runs.verdict import Verdict
 from runs.writer import RunWriter, now
 
-_WAITING_STEPS: Final = 2
+# Largest number of unfinished steps. Chosen: one waits while one is processed.
+_MAX_WAITING_STEPS: Final = 2
+# Verdicts of steps whose frames do not show the step, or are not all there.
 _NOT_OF_THE_STEP: Final = (
     Verdict.DROPPED,
     Verdict.DISORDERED,
@@ -51,27 +43,29 @@ _NOT_OF_THE_STEP: Final = (
     Verdict.STALE,
     Verdict.SETTINGS,
 )
+# Verdicts of steps whose brightness is not usual.
 _WITHOUT_LIGHT: Final = (Verdict.NO_SIGNAL, Verdict.SATURATED)
 
 
 @dataclass(frozen=True, slots=True)
 class StepReport:
-    """What a progress display is told after each step.
+    """Report of one recorded step, for a progress display.
 
     Attributes
     ----------
     done, of : int
-        Steps recorded, this one included, and steps planned.
+        Number of recorded steps, including this one, and of planned steps.
     index : int
-        k of the protocol's sweep.
+        Index k of the step in the protocol's sweep.
     take : int
-        From 1: how often this step was taken.
+        Number of the take of this step, from 1.
     drive_hz, volts : float
-        As planned.
+        Planned drive frequency and peak volts.
     verdict : Verdict
     sentence : str
+        Reason of the verdict.
     seconds_left : float
-        At the mean pace so far.
+        Remaining time at the mean pace so far.
     """
 
     done: int
@@ -86,11 +80,11 @@ class StepReport:
 
 
 class Recorder:
-    """The run file and its documents, fed through a queue; a context manager.
+    """Run file and documents of one run, written by a thread that reads a queue; a context manager.
 
-    Leaving the context because of an exception marks the run as failed; of a new run in which no
-    step was recorded it leaves no file. Otherwise `finish` says how the run ended. Made by `create`
-    and `resume`.
+    Use `create` or `resume` to open one, and `finish` to end a run. If the context is left because
+    of an exception, the run is marked as failed; if it is a new run without a recorded step, its
+    files are removed.
     """
 
     def __init__(
@@ -109,7 +103,7 @@ class Recorder:
         self._verdicts = [Verdict.PENDING] * len(plan.steps)
         self._takes = [0] * len(plan.steps)
         self._last: tuple[int, Frame] | None = None
-        # Of drivers that do not say what their read-back is worth, the least is presumed.
+        # A driver that makes no statement about its read-back may only return what was sent to it.
         self._echoes = bool(getattr(bench.synthesizers, "echoes_registers", True))
         self._history = History()
         self._resumed = False
@@ -127,23 +121,24 @@ class Recorder:
         labels: RunLabels,
         progress: Callable[[StepReport], None],
     ) -> Self:
-        """Begin a new run.
+        """Create the files of a new run.
 
         Parameters
         ----------
         plan : Plan
         bench : Bench
-            Open.
+            Open bench.
         path : Path
-            Of the run file.
+            Path of the run file.
         labels : RunLabels
         progress : callable
-            Told of every recorded step, on the recorder's thread. What it raises stops the run.
+            Called with the report of every recorded step, on the recorder's thread. An exception
+            that it raises stops the run.
 
         Raises
         ------
         RunFileError
-            If the files exist already or cannot be made, or the disk is too small.
+            If the files exist already or cannot be created, or the disk has too little space.
         """
         require_writable(plan, path)
         uid = str(uuid.uuid4())
@@ -159,14 +154,14 @@ class Recorder:
     def resume(
         cls, plan: Plan, bench: Bench, path: Path, progress: Callable[[StepReport], None]
     ) -> Self:
-        """Go on with a run that is not complete. See `create`, and `acquire.runner.resuming`.
+        """Open the files of a run to continue it; see `create`, and `acquire.runner.resuming`.
 
         Raises
         ------
         RunFileError
             If another program has the files open, or they cannot be written.
         """
-        # First, because it is refused where another program has the file open.
+        # The writer first: it fails if another program has the file open.
         writer = RunWriter.resume(path, plan)
         try:
             with Run.open(path) as run:
@@ -178,7 +173,7 @@ class Recorder:
             raise
         recorder = cls(plan, bench, writer, documents, progress)
         try:
-            recorder._take_over(steps, retakes, ended)
+            recorder._restore(steps, retakes, ended)
         except BaseException:
             documents.close()
             writer.close()
@@ -187,73 +182,73 @@ class Recorder:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What is worth knowing of the whole run; to be relied on after `settle`."""
+        """Return remarks about the whole run; complete after `settle`."""
         step = self._plan.steps[0]
         turn = common_turn(self._history.usual(), lock_condition(step, self._plan), step.frames)
         return (turn,) if turn else ()
 
     @property
     def resumed(self) -> bool:
-        """Whether another process began the run."""
+        """Return whether another process began the run."""
         return self._resumed
 
     @property
     def counts(self) -> Mapping[Verdict, int]:
-        """How many steps that hold data have each verdict."""
+        """Return the number of measured steps with each verdict."""
         return dict(Counter(verdict for verdict in self._verdicts if verdict.measured))
 
     @property
     def verdicts(self) -> Sequence[Verdict]:
-        """What is known of every planned step; to be relied on after `settle`."""
+        """Return the verdict of every planned step; complete after `settle`."""
         return tuple(self._verdicts)
 
     @property
     def takes(self) -> Sequence[int]:
-        """How often each planned step was taken; to be relied on after `settle`."""
+        """Return the number of takes of every planned step; complete after `settle`."""
         return tuple(self._takes)
 
     @property
     def spare(self) -> int:
-        """How many takes may still be set aside; to be asked for after `settle`."""
+        """Return how many more takes can be set aside; call it only after `settle`."""
         return self._writer.spare
 
     def submit(self, acquisition: Acquisition) -> None:
-        """Hand over a step; waits while `_WAITING_STEPS` others are in work.
+        """Queue a step for recording; wait while `_MAX_WAITING_STEPS` earlier steps are unfinished.
 
         Raises
         ------
         Exception
-            Whatever went wrong with an earlier step.
+            The error of an earlier step, if there was one.
         """
-        self.settle(_WAITING_STEPS - 1)
+        self.settle(_MAX_WAITING_STEPS - 1)
         self._waiting.append(self._thread.submit(self._record, acquisition))
 
     def mark(self, position: int, verdict: Verdict, reason: str) -> None:
-        """Note that a step was given up (interrupted) or is done without (skipped)."""
+        """Record that a step was not finished (interrupted) or is left out (skipped)."""
         self._waiting.append(self._thread.submit(self._mark, position, verdict, reason))
 
     def add_interruption(self, interruption: Interruption) -> None:
-        """Note where the run was not carried on at once."""
+        """Record an interruption of the run."""
         self._waiting.append(self._thread.submit(self._writer.add_interruption, interruption))
 
     def settle(self, waiting: int = 0) -> None:
-        """Wait until at most `waiting` steps are still in work.
+        """Wait until at most `waiting` steps are unfinished.
 
         Raises
         ------
         Exception
-            Whatever went wrong with one of the finished steps.
+            The error of a finished step, if there was one.
         """
         while self._waiting and (len(self._waiting) > waiting or self._waiting[0].done()):
             self._waiting.popleft().result()
 
     def finish(self, status: Status, reason: str = "") -> None:
-        """Wait for all steps, and close both files.
+        """Wait for all steps, write how the run ended, and close both files.
 
         Raises
         ------
         Exception
-            Whatever went wrong with a step, or with closing.
+            The error of a step or of closing, if there was one.
         """
         self.settle()
         self._thread.shutdown()
@@ -269,7 +264,7 @@ class Recorder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        # What was measured before the failure is still worth keeping.
+        # Steps that were measured before the failure are still written.
         self._thread.shutdown()
         if error is None:
             return
@@ -282,10 +277,13 @@ class Recorder:
         with noted(error):
             self._writer.finish("failed")
 
-    def _take_over(
+    def _restore(
         self, steps: Sequence[StepRecord], retakes: Sequence[StepRecord], ended: str
     ) -> None:
-        """Know what a run file holds, and tell of steps whose event was lost with the process."""
+        """Restore verdicts and takes from a run file, and write events that are missing.
+
+        An event is missing if the process was killed after it wrote the step.
+        """
         self._resumed = True
         for earlier in retakes:
             self._takes[earlier.position] += 1
@@ -297,13 +295,13 @@ class Recorder:
                 take = self._takes[step.position]
                 if take > known:
                     self._documents.event(recorded_data(step, take), time.time())
-            # More than the run file holds, if the disk has damaged one.
+            # The documents know more takes than the run file if the disk has damaged one.
             self._takes[step.position] = max(self._takes[step.position], known)
         first = next((s for s, v in enumerate(self._verdicts) if not v.measured), len(steps))
-        reason = "the process was gone" if not ended else "the run had been ended"
+        reason = "the process had died" if not ended else "the run had ended early"
         damaged = [str(steps[position].index) for position in self._writer.damaged]
         if damaged:
-            reason += f"; damaged on the disk and taken again: step {', '.join(damaged)}"
+            reason += f"; damaged on the disk and measured again: step {', '.join(damaged)}"
         self._writer.reopen(Interruption(first, "resumed", ended, now(), reason))
 
     def _record(self, acquisition: Acquisition) -> None:
@@ -332,7 +330,7 @@ class Recorder:
         )
 
     def _measured(self, acquisition: Acquisition) -> MeasuredStep:
-        """Judge a step beside the frames of the one before, which this one's must follow."""
+        """Demodulate and judge a step; its frames must follow those of the step before."""
         previous = None
         if self._last is not None and self._last[0] == acquisition.camera_start:
             previous = self._last[1]
@@ -350,7 +348,7 @@ class Recorder:
         if acquisition.frames:
             newest = max(acquisition.frames, key=lambda frame: frame.id)
             if previous is None or newest.id > previous.id:
-                # Without its picture, which is large.
+                # Kept without its pixels, to save memory.
                 self._last = (
                     acquisition.camera_start,
                     replace(newest, image=newest.image[:0]),
@@ -358,11 +356,10 @@ class Recorder:
         return measured
 
     def _remember(self, step: Step, measured: MeasuredStep) -> None:
-        """Let a step count for what is usual, as far as its frames show the step."""
+        """Add a step to the history, as far as its verdict allows."""
         verdict = measured.judgement.verdict
         if verdict in _NOT_OF_THE_STEP:
             return
-        # Steps without light say nothing of how bright the next ones should be.
         if np.isfinite(measured.brightness_dn) and verdict not in _WITHOUT_LIGHT:
             self._history.add_brightness(step.exposure_s, measured.brightness_dn)
         if verdict is not Verdict.LIGHT:
@@ -370,7 +367,10 @@ class Recorder:
             self._history.add_turn(turn_rad, measured.unexplained)
 
     def _seconds_left(self, steps: int) -> float:
-        """Extrapolate; the first step, which includes all preparations, only for itself."""
+        """Extrapolate the remaining time.
+
+        The first step includes all preparations, so it is ignored as soon as there is a second.
+        """
         now_s = time.monotonic()
         if self._recorded == 1:
             self._first_done_s = now_s
@@ -378,14 +378,14 @@ class Recorder:
         return (now_s - self._first_done_s) / (self._recorded - 1) * steps
 
     def _mark(self, position: int, verdict: Verdict, reason: str) -> None:
-        # A take that was measured before stays what it is.
+        # The data of an earlier take stay valid.
         if not self._verdicts[position].measured:
             self._writer.mark(position, verdict, reason)
             self._verdicts[position] = verdict
 
 
 def reconstruction_of(plan: Plan) -> Reconstruction:
-    """Geometry of frames and fields of a plan."""
+    """Return the geometry of frames and fields of a plan."""
     optics, camera = plan.bench.optics, plan.bench.instruments.camera
     transform = FresnelTransform(
         shape=plan.frame_shape,

@@ -1,4 +1,4 @@
-"""What has to be the same for a run to be gone on with by another process."""
+"""Check that a run can be continued: same protocol, bench file and reed file as at its start."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,15 +10,17 @@ from runs.reader import Run
 
 @dataclass(frozen=True)
 class Unfinished:
-    """A run that may be gone on with.
+    """A run that can be continued.
 
     Attributes
     ----------
     path : Path
     reed : str
+        Name of the reed.
     seed : int
+        Seed of the simulated bench.
     missing : int
-        Steps that are still to be taken.
+        Number of steps that are not measured yet.
     """
 
     path: Path
@@ -28,21 +30,25 @@ class Unfinished:
 
 
 def unfinished(path: str | Path, plan: Plan) -> Unfinished:
-    """Check that a plan is that of a run which is not complete.
+    """Check that a run is not complete and was begun with a plan, so that it can be continued.
 
     Parameters
     ----------
     path : str or Path
-        Of the run file.
+        Path of the run file.
     plan : Plan
+
+    Returns
+    -------
+    Unfinished
 
     Raises
     ------
     RunFileError
-        If the run is complete, or another protocol, bench or kind of reed was measured in it: half
-        a sweep of each would be no sweep.
+        If the run is complete, or was begun with another protocol, bench or reed file: a sweep
+        whose halves differ cannot be used.
     """
-    # A step that the disk has damaged is measured again.
+    # A damaged step counts as pending, so that it is measured again.
     with Run.open(path, damaged_as_pending=True) as run:
         if run.status == "complete":
             raise RunFileError(f"{path}: is complete; measure a new run")
@@ -52,21 +58,22 @@ def unfinished(path: str | Path, plan: Plan) -> Unfinished:
 
 
 def require_same(run: Run, plan: Plan) -> None:
-    """Require that a run was begun with a plan's protocol, bench and kind of reed.
+    """Raise an error unless a run was begun with the protocol, bench and reed file of a plan.
 
     Raises
     ------
     RunFileError
-        Names the first that is another one.
+        If one of them differs; names the first.
     """
     hashes = {
         "protocol": (run.protocol_sha256, plan.protocol.sha256),
         "bench": (run.bench_fingerprint, plan.bench.fingerprint),
         "kind of reed": (run.reed_sha256, plan.reed.sha256),
     }
-    for what, (then, today) in hashes.items():
-        if then != today:
+    for what, (run_hash, plan_hash) in hashes.items():
+        if run_hash != plan_hash:
             raise RunFileError(
-                f"{run.path}: was begun with another {what} ({then[:12]} then, {today[:12]} now); "
-                "continue with the one in the run file, or measure a new run"
+                f"{run.path}: was begun with another {what} ({run_hash[:12]} then, "
+                f"{plan_hash[:12]} now); continue with the one in the run file, or measure a new "
+                "run"
             )

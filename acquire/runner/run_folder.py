@@ -1,4 +1,4 @@
-"""The place of a run file: its folder, its name, and room on the disk."""
+"""Check folder, name and disk space for a run file before it is created."""
 
 import os
 import shutil
@@ -6,37 +6,35 @@ from pathlib import Path
 
 from protocols.plan import Plan
 from runs.disk import error_class
-from runs.documents import (
-    documents_path,
-)
+from runs.documents import documents_path
 from runs.errors import RunFileError
 
 
 def make_folder(path: Path) -> None:
-    """Make the folder of a run file, if it is not there.
+    """Create the folder of a run file if it does not exist.
 
     Raises
     ------
     RunFileError
-        If it cannot be made, or if the run file's name is unusable: then nothing is made.
+        If the folder cannot be created, or the name of the run file cannot be used.
     """
     _require_usable_name(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise error_class(error)(
-            f"{path}: its folder cannot be made ({error.strerror}); choose another place"
+            f"{path}: its folder cannot be made ({error.strerror}); choose another folder"
         ) from error
 
 
 def require_writable(plan: Plan, path: Path) -> None:
-    """Check, before anything is switched on, that a run can be kept at `path`.
+    """Check, before an instrument is switched on, that a run can be written to `path`.
 
     Raises
     ------
     RunFileError
-        If the folder is missing, the name unusable, the disk too small, or one of the files
-        exists already.
+        If the folder is missing, the name cannot be used, the disk has too little space, or one
+        of the files exists already.
     """
     _require_usable_name(path)
     _require_free_name(path)
@@ -61,7 +59,7 @@ def _require_usable_name(path: Path) -> None:
 
 def _require_free_name(path: Path) -> None:
     for file in (path, documents_path(path)):
-        # A link that leads nowhere is there, too.
+        # lexists, because a link without a target also blocks the name.
         if os.path.lexists(file):
             raise RunFileError(
                 f"{file}: exists already and is never overwritten; choose another name or move it"

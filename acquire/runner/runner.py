@@ -1,4 +1,4 @@
-"""One sweep on one bench: the state machine that owns the instruments while they run."""
+"""Measure one sweep on one bench, with a state machine that controls all instruments."""
 
 import time
 from collections import Counter
@@ -33,10 +33,12 @@ __all__ = [
     "safe_off",
 ]
 
-# From step to step of a sweep volts grow by less than this factor; beyond, they are ramped.
-_JUMP: Final = 1.25
-_ASKED: Final = "stopped on request"
-# Where to look first when step after step has the same verdict.
+# Largest ratio of volts that are changed without a ramp. Chosen: the volts of a shipped protocol
+# change by less from step to step.
+_MAX_JUMP: Final = 1.25
+# Reason of a run that an order has stopped.
+_ON_REQUEST: Final = "stopped on request"
+# What to check first if many steps one after another have the same verdict.
 _CABLES: Final[Mapping[Verdict, str]] = {
     Verdict.NO_SIGNAL: (
         "the tweeter's cable and amplifier, then laser, shutters, and the cables from the "
@@ -49,12 +51,12 @@ _CABLES: Final[Mapping[Verdict, str]] = {
     Verdict.PARTIAL: "the camera's bus cable",
     Verdict.STALE: "the camera's trigger cable",
     Verdict.LIGHT: "the laser, the lamp and the shutters",
-    Verdict.UNSTEADY: "what shakes the table, and the tweeter's amplifier",
+    Verdict.UNSTEADY: "vibrations of the table, and the tweeter's amplifier",
     Verdict.SATURATED: "the shutters and the power of the laser",
     Verdict.SKIPPED: "the cable of the instrument that failed",
 }
 
-
+# States that may follow each state; `Runner` draws them.
 _NEXT: Final = {
     RunState.IDLE: {RunState.OPENING},
     RunState.OPENING: {RunState.STEPPING, RunState.CLOSING, RunState.FAILED},
@@ -77,43 +79,44 @@ def run(
 ) -> RunSummary:
     """Measure a whole plan on an open bench.
 
-    On the main thread, Ctrl-C and every other signal that would end the process end the run at the
-    next step boundary; a second one gives up the step in work. SIGUSR1 and Ctrl-Z pause the run,
-    SIGUSR2 goes on with it. However the run ends, the tweeter is ramped down and its output and the
-    RF are switched off before this returns.
+    On the main thread, Ctrl-C and every other signal that would end the process stop the run after
+    the present step; a second one gives up that step. SIGUSR1 and Ctrl-Z pause the run, SIGUSR2
+    continues it. However the run ends, the tweeter is ramped down, and its output and the RF are
+    switched off before this function returns.
 
     Parameters
     ----------
     plan : Plan
     bench : Bench
-        Stays open.
+        Open bench; it stays open.
     path : str or Path
-        Of the run file, which must not exist; the documents are written next to it.
+        Path of the run file, which must not exist. The documents are written next to it.
     labels : RunLabels, optional
-        What a person says about the run.
+        Labels that the operator gives the run.
     progress : callable, optional
-        Called with every recorded step, on another thread. What it raises stops the run.
+        Called with a `StepReport` of every recorded step, on another thread. An exception that it
+        raises stops the run.
     announce : callable, optional
-        Called with words about pauses, and about instruments that failed and came back.
+        Called with a text about pauses, and about instruments that failed and work again.
     resume : bool
-        Whether `path` is that of a run to go on with, see `acquire.runner.resuming`.
+        True if `path` is a run to continue, see `acquire.runner.resuming`.
     orders : Orders, optional
-        What others ask of the run. If given, whoever gives it takes care of signals.
+        Orders to the run. If given, the caller must convert signals to orders.
 
     Returns
     -------
     RunSummary
-        Of a complete or interrupted run.
+        Summary of the run, which is complete or interrupted.
 
     Raises
     ------
     ProtocolError
-        If the bench cannot carry out the plan; no instrument was touched.
+        If the bench cannot carry out the plan; no instrument was used.
     RunFileError
-        If the run cannot be kept at `path`.
+        If the run cannot be written to `path`.
     InstrumentError, LimitError
-        If an instrument failed. Steps recorded before are in the file. What is not confirmed to be
-        off is in the exception's notes, and in its `unconfirmed`.
+        If an instrument failed. Steps before are in the file. Outputs that are not confirmed off
+        are in the notes of the exception, and in its `unconfirmed`.
     """
     report = progress or (lambda _: None)
 
@@ -131,7 +134,7 @@ def run(
 
 
 class Runner:
-    """Carries out one plan, once.
+    """Measure one plan, once.
 
     ::
 
@@ -139,24 +142,24 @@ class Runner:
                    │        │   ↑ one step:   │           ↑     ├→ interrupted
                    │        ├───┘ set pair,   └───────────┤     └→ failed
                    │        │     set generator, settle,  │
-                   │        │     grab, hand over         │
+                   │        │     grab, submit            │
                    │        └─────────────────────────────┤
                    ├──────────────────────────────────────┘
                    └→ failed (before anything was switched on)
 
-    Orders are looked at before each step only. While paused, all is off. `closing` is entered on
-    every way out of `opening`, `stepping` and `paused`: it makes the bench safe first, and closes
-    the files after.
+    Orders are obeyed before each step only. While the run is paused, all outputs are off. Every way
+    out of `opening`, `stepping` and `paused` leads through `closing`, which switches the bench off
+    and then closes the files.
 
     Parameters
     ----------
     plan : Plan
     bench : Bench
-        Open.
+        Open bench.
     path : Path
-        Of the run file.
+        Path of the run file.
     recorder : callable
-        Opens the run file, new or to be gone on with.
+        Function that opens the run file, a new one or one to continue.
     announce : callable
         See `run`.
     orders : Orders, optional
@@ -164,7 +167,7 @@ class Runner:
     Attributes
     ----------
     orders : Orders
-        What others ask of the run.
+        Orders to the run.
     """
 
     def __init__(
@@ -182,22 +185,22 @@ class Runner:
         self._state = RunState.IDLE
         self._camera_starts = 0
         self._exposure_s: Fraction | None = None
-        # None is an output that is off.
+        # None means that the output is off.
         self._volts: float | None = None
         self._unconfirmed: tuple[str, ...] = ()
 
     @property
     def state(self) -> RunState:
-        """Where the run stands."""
+        """Return the present state."""
         return self._state
 
     def execute(self) -> RunSummary:
-        """Measure; see `run`.
+        """Measure the plan; see `run` for results and errors.
 
         Raises
         ------
         RuntimeError
-            If called a second time.
+            If it is called a second time.
         """
         started_s = time.monotonic()
         self._enter(RunState.OPENING)
@@ -214,7 +217,7 @@ class Runner:
             path=self._path,
             status=outcome,
             reason=reason,
-            ended_by="" if not reason else "person" if reason == _ASKED else "policy",
+            ended_by="" if not reason else "person" if reason == _ON_REQUEST else "policy",
             counts=recorder.counts,
             steps=len(self._plan.steps),
             retaken=sum(max(takes - 1, 0) for takes in recorder.takes),
@@ -224,26 +227,26 @@ class Runner:
         )
 
     def _record(self) -> tuple[Recorder, str]:
-        """Measure into the run file; return its recorder, and why the run was interrupted."""
+        """Open the run file and measure; return its recorder, and why the run was interrupted."""
         recorder = self._open_recorder()
         with recorder:
             try:
                 reason = self._measure(recorder)
             except KeyboardInterrupt:
-                reason = _ASKED
+                reason = _ON_REQUEST
             recorder.finish("interrupted" if reason else "complete", reason)
         return recorder, reason
 
     def _measure(self, recorder: Recorder) -> str:
-        """Use the instruments, and leave them safe; return why steps are left, empty if none is."""
+        """Measure all steps and switch the bench off; return why the run ends early, or empty."""
         try:
             with self.orders.given_up_at(2):
-                # Nothing is switched on for a run that is to end.
+                # If the run was stopped already, no instrument is switched on.
                 if self.orders.stopped:
-                    return _ASKED
+                    return _ON_REQUEST
                 self._open_instruments()
                 self._enter(RunState.STEPPING)
-                return self._take_all(recorder)
+                return self._measure_all(recorder)
         finally:
             self._enter(RunState.CLOSING)
             self._unconfirmed = safe_off(self._bench)
@@ -262,13 +265,10 @@ class Runner:
         self._bench.camera.configure(rate_hz, exposure_s, self._plan.frame_shape)
         self._exposure_s = exposure_s
 
-    def _take_all(self, recorder: Recorder) -> str:
-        """Take what is to be taken, then what turned out bad again; return why the run ends early.
-
-        Empty if it does not.
-        """
+    def _measure_all(self, recorder: Recorder) -> str:
+        """Measure pending steps, then bad steps again; return why the run ends early, or empty."""
         policy = self._plan.protocol.policy.bad_step
-        # A run that was ended by a bad step goes on with it, if there is room for another take.
+        # If a bad step had stopped the run, measure it again, if there is space for another take.
         again = policy.then == "stop" and recorder.spare > 0
         verdicts = recorder.verdicts
         todo = [
@@ -278,9 +278,9 @@ class Runner:
         ]
         for number, position in enumerate(todo, 1):
             if not self._take(recorder, position):
-                return _ASKED
-            if policy.then == "stop" and not self._good(recorder, position):
-                return _ASKED if self.orders.stopped else self._bad_step(recorder, position)
+                return _ON_REQUEST
+            if policy.then == "stop" and not self._is_good(recorder, position):
+                return _ON_REQUEST if self.orders.stopped else self._bad_step(recorder, position)
             if number == len(todo):
                 recorder.settle()
             if reason := self._given_up(recorder.verdicts, todo[:number]):
@@ -288,19 +288,20 @@ class Runner:
         for _ in range(policy.retries if policy.then == "skip" else 0):
             recorder.settle()
             bad = [k for k, verdict in enumerate(recorder.verdicts) if _bad(verdict)]
-            # If so many are bad the trouble is not theirs; unless it was mended meanwhile.
+            # Too many bad steps have a common cause, so measuring them again does not help. Before
+            # a run is continued, the operator may have removed that cause.
             most = recorder.spare if recorder.resumed else self._plan.max_retries
             if len(bad) > min(most, recorder.spare):
                 break
             for position in bad:
                 if not self._take(recorder, position):
-                    return _ASKED
+                    return _ON_REQUEST
         return ""
 
     def _given_up(self, verdicts: Sequence[Verdict], taken: Sequence[int]) -> str:
-        """Return why to stop if the last steps are bad one after another; empty if they are not."""
+        """Return why to stop if all of the last steps are bad; empty if they are not."""
         limit = self._plan.protocol.policy.give_up_after
-        # The last ones may not have been judged yet.
+        # The newest steps may not be judged yet.
         judged = [verdicts[k] for k in taken if verdicts[k] is not Verdict.PENDING]
         last = judged[-limit:]
         if len(last) < limit or not all(_lost(verdict) for verdict in last):
@@ -308,7 +309,7 @@ class Runner:
         counts = Counter(last)
         listed = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
         return (
-            f"{limit} steps one after another are bad ({listed}); look at "
+            f"{limit} steps one after another are bad ({listed}); check "
             f"{_CABLES[counts.most_common(1)[0][0]]}; then continue with --resume"
         )
 
@@ -316,11 +317,11 @@ class Runner:
         step, verdict = self._plan.steps[position], recorder.verdicts[position]
         return (
             f"step {step.index} is {verdict} after {recorder.takes[position]} takes, and the "
-            "protocol's policy is to stop then"
+            "policy of the protocol (bad_step) is to stop; see the sentence of this step"
         )
 
-    def _good(self, recorder: Recorder, position: int) -> bool:
-        """Wait for a step's verdict, and take it again while it is bad and policy allows."""
+    def _is_good(self, recorder: Recorder, position: int) -> bool:
+        """Return whether a step is good, after measuring it again as often as the policy allows."""
         for _ in range(self._plan.protocol.policy.bad_step.retries):
             recorder.settle()
             if not _bad(recorder.verdicts[position]) or not recorder.spare:
@@ -331,7 +332,7 @@ class Runner:
         return not _bad(recorder.verdicts[position])
 
     def _take(self, recorder: Recorder, position: int) -> bool:
-        """Take one step, through pauses and failures; return False if the run is to end."""
+        """Measure one step, with pauses and retries; return False if the run has to stop."""
         policy = self._plan.protocol.policy.instrument_error
         attempts = 0
         while True:
@@ -351,12 +352,12 @@ class Runner:
                     recorder.mark(position, Verdict.SKIPPED, str(error))
                     return True
             except BaseException as error:
-                reason = str(error) or "given up by a second Ctrl-C"
+                reason = str(error) or "given up after a second Ctrl-C"
                 recorder.mark(position, Verdict.INTERRUPTED, reason)
                 raise
 
     def _hold(self, recorder: Recorder, position: int) -> None:
-        """Switch all off and wait, if a pause is asked for."""
+        """If a pause is ordered, switch all outputs off, wait, and open the instruments again."""
         if not self.orders.paused:
             return
         began = now()
@@ -374,12 +375,12 @@ class Runner:
         self._announce("continuing")
 
     def _recover(self, recorder: Recorder, position: int, error: InstrumentError) -> None:
-        """Switch all off and on again after an instrument failed.
+        """Switch all outputs off and on again after an instrument failed.
 
         Raises
         ------
         InstrumentError
-            The one that made it necessary, if the bench cannot be made safe or does not come back.
+            The first error, if the bench cannot be switched off or on.
         """
         began = now()
         try:
@@ -390,19 +391,20 @@ class Runner:
             error.add_note(str(second))
             raise error from second
         recorder.add_interruption(Interruption(position, "recovered", began, now(), str(error)))
-        self._announce(f"all was switched off and on again, because {error}")
+        self._announce(f"all outputs were switched off and on again, because of: {error}")
 
-    def _require_off(self, why: str) -> None:
+    def _require_off(self, when: str) -> None:
+        """Switch all outputs off; raise an error if one of them is not confirmed off."""
         unconfirmed = safe_off(self._bench)
         self._volts = None
         if unconfirmed:
             raise InstrumentError(
-                f"the bench was switched off {why}, but not all is confirmed: "
-                f"{'; '.join(unconfirmed)}; look at it before going on"
+                f"the bench was switched off {when}, but not all outputs are confirmed off: "
+                f"{'; '.join(unconfirmed)}; check them before you continue"
             )
 
     def _acquire(self, position: int) -> Acquisition:
-        """Set one step, let it settle, and take its frames."""
+        """Set one step, wait until it has settled, and take its frames."""
         bench, step = self._bench, self._plan.steps[position]
         settle_s = float(step.settle_s)
         if step.exposure_s != self._exposure_s:
@@ -413,8 +415,8 @@ class Runner:
         bench.synthesizers.set_pair(step.aom1_hz, step.aom2_hz)
         self._drive(step)
         changed_s = bench.camera.now_s()
-        # Read while the reed settles, so that it costs no time; and once more after the frames,
-        # because only then is it known what was played while they were exposed.
+        # Read while the reed settles, so that it costs no time; and again after the frames, to know
+        # that the settings were the same while they were exposed.
         before = self._read_back(step)
         bench.clock.wait(changed_s + settle_s - bench.camera.now_s())
         grabbed = bench.camera.grab(step.frames, changed_s + settle_s)
@@ -423,15 +425,15 @@ class Runner:
         return Acquisition(position, step, before, after, changed_s, frames, self._camera_starts)
 
     def _drive(self, step: Step) -> None:
-        """Set the generator; volts that are far from the present ones are ramped."""
+        """Set the generator, with a ramp if the volts change by more than `_MAX_JUMP`."""
         generator, volts = self._bench.generator, self._volts
         if not step.volts:
-            # A reed at rest: the output, off when the instruments were opened, stays off.
+            # For a reed at rest, the output stays off, as it is since the instruments were opened.
             return
         if volts is not None:
-            # A driver may switch on again what has tripped; the run must not.
+            # If the output has tripped, a driver might switch it on again. That must not happen.
             self._require_on(step)
-        if volts is not None and max(volts, step.volts) <= _JUMP * min(volts, step.volts):
+        if volts is not None and max(volts, step.volts) <= _MAX_JUMP * min(volts, step.volts):
             generator.set_sine(step.drive_hz, step.volts)
         else:
             if volts is not None:
@@ -447,7 +449,7 @@ class Runner:
         return ReadBack(*self._bench.synthesizers.read_pair(), drive_hz, volts)
 
     def _require_on(self, step: Step) -> tuple[Fraction, float]:
-        """Return frequency and volts that the generator plays; an error if its output is off."""
+        """Return the generator's frequency and volts; raise an error if its output is off."""
         drive_hz, volts, on = self._bench.generator.read()
         if not on:
             raise InstrumentError(
@@ -463,10 +465,10 @@ class Runner:
 
 
 def _bad(verdict: Verdict) -> bool:
-    """Whether a step is worth another take. One without light would have no more of it."""
+    """Return whether measuring a step again can help; it cannot if there is too little light."""
     return verdict.measured and verdict not in (Verdict.OK, Verdict.UNPROVEN)
 
 
 def _lost(verdict: Verdict) -> bool:
-    """Whether a step gave nothing that can be used, as when a cable is off."""
+    """Return whether a step gave no usable data, for example because a cable is off."""
     return verdict is Verdict.SKIPPED or _bad(verdict)

@@ -1,4 +1,4 @@
-"""How a run stands, and how it ended."""
+"""State of a run while it is measured, and summary of a run that ended."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from runs.verdict import Verdict
 
 
 class RunState(StrEnum):
-    """Where a run stands."""
+    """State of a run; `acquire.runner.runner.Runner` shows the transitions."""
 
     IDLE = "idle"
     OPENING = "opening"
@@ -24,30 +24,30 @@ class RunState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RunSummary:
-    """How a run ended.
+    """Summary of a run that ended.
 
     Attributes
     ----------
     path : Path
-        Of the run file.
+        Path of the run file.
     status : {'complete', 'interrupted'}
-        A run that failed raises instead.
+        A run that fails raises an error and has no summary.
     reason : str
-        Why it was interrupted; empty if it is complete.
+        Why the run was interrupted; empty if it is complete.
     ended_by : {'', 'person', 'policy'}
-        Who ended it early: somebody, or the protocol's policy.
+        Who ended the run early: the operator, or the policy of the protocol.
     counts : mapping of Verdict to int
-        Of the steps that were measured.
+        Number of measured steps with each verdict.
     steps : int
-        That were planned.
+        Number of planned steps.
     retaken : int
-        Takes besides one of each step, those of an earlier process included.
+        Number of takes beyond one for each step, including takes of an earlier process.
     duration_s : float
-        On the wall.
+        Duration of the run in s.
     unconfirmed : tuple of str
-        What the bench did not confirm while it was switched off; a person has to look.
+        Outputs that were not confirmed off at the end; the operator has to check them.
     remarks : tuple of str
-        What is worth knowing of the run as a whole.
+        Remarks about the whole run.
     """
 
     path: Path

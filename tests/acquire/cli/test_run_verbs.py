@@ -148,7 +148,7 @@ def test_a_run_that_was_killed_is_gone_on_with(cli, begin, folder, protocol_file
     shown = cli("show", path, "--json").json
     assert (shown["reed"], shown["status"], shown["verdicts"]) == ("R9", "complete", {"ok": 9})
     (interruption,) = shown["interruptions"]
-    assert (interruption["kind"], interruption["reason"]) == ("resumed", "the process was gone")
+    assert (interruption["kind"], interruption["reason"]) == ("resumed", "the process had died")
     assert 3 <= interruption["position"] < 9
     again = cli("run", *same)
     assert (again.status, again.out) == (2, "")

@@ -72,7 +72,7 @@ def test_a_run_on_another_thread_is_told_nothing(path):
     thread.start()
     thread.join()
     assert len(said) == 2
-    assert all("a thread that gets no orders; let the script" in each for each in said)
+    assert all("a thread that gets no signals; " in each for each in said)
 
 
 def test_a_run_that_nobody_measures_gets_no_orders(path):

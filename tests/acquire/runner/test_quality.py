@@ -151,7 +151,7 @@ def test_a_clock_that_jumps_within_an_acquisition_is_disordered(where, jump, sta
         assert judgement.verdict is Verdict.DISORDERED
         went_ms = 1e3 * (1 + jump) * PERIOD_S
         assert (
-            f"{6 + where} to {7 + where} the camera's clock went {went_ms:.4g} ms"
+            f"{6 + where} to {7 + where} the camera's clock advanced by {went_ms:.4g} ms"
             in judgement.sentence
         )
         assert f"instead of {1e3 * PERIOD_S:.4g} ms" in judgement.sentence
@@ -219,7 +219,7 @@ def test_a_frame_that_ends_as_the_one_before_is_partial(number, rows):
     frames[number].image[-rows:] = frames[number - 1].image[-rows:]
     judgement = judge_whole(frames, SATURATED)
     assert judgement.verdict is Verdict.PARTIAL
-    expected = f"{rows} of 12 rows of frame {7 + number} are those of frame {6 + number}"
+    expected = f"{rows} of 12 rows of frame {7 + number} are equal to those of frame {6 + number}"
     assert expected in judgement.sentence
 
 

@@ -112,9 +112,9 @@ FAULTS = {
     "two are exchanged": (reordered(0, 2, 1, 3), "disordered", "came after frame"),
     "the last comes first": (reordered(3, 0, 1, 2), "disordered", "came after frame"),
     "one comes twice": (renumbered(0, 1, 1, 2), "disordered", "came after frame"),
-    "one stamp is wrong": (stamped(0, 0.06, 0, 0), "disordered", "clock went 140.6 ms instead"),
+    "one stamp is wrong": (stamped(0, 0.06, 0, 0), "disordered", "140.6 ms instead"),
     "a frame ends in zeros": (pictured(ends_in_zeros), "partial", "12 of 32 rows of frame"),
-    "a frame ends as the one before": (pictured(ends_as_before), "partial", "are those of frame"),
+    "a frame ends as the one before": (pictured(ends_as_before), "partial", "equal to those of"),
     "a frame is that before": (pictured(lambda im: im[[0, 1, 1, 3]]), "partial", "32 of 32 rows"),
     "a buffer was not empty": (renumbered(-1, 0, 1, 2), "stale", "before the setting had settled"),
     "too much light": (pictured(lambda im: im + 60_000), "saturated", "100 % of the pixels"),
@@ -168,7 +168,7 @@ def test_a_clock_that_jumps_spoils_the_step_in_which_it_does(
     run(plan, fake_bench(picture=lit(plan), spoilt=spoilt).opened(), path)
     assert verdicts_of(path) == [after if verdict == "after" else verdict for verdict in verdicts]
     with Run.open(path) as measured:
-        assert "the camera's clock went" in measured.steps[1].sentence
+        assert "the camera's clock" in measured.steps[1].sentence
 
 
 @pytest.mark.parametrize(("old", "look_new"), [(0, True), (0, False), (3, False)])

@@ -155,7 +155,7 @@ def test_wherever_a_run_is_killed_it_is_gone_on_with(
             assert kept == [(1, Verdict.DROPPED)] * len(kept)
             assert bad <= len(kept) == summary.retaken <= 1
             (interruption,) = measured.interruptions
-            assert (interruption.kind, interruption.reason) == ("resumed", "the process was gone")
+            assert (interruption.kind, interruption.reason) == ("resumed", "the process had died")
             assert interruption.began == ""
         assert_one_stream(documents_of(path), path)
         # Told before the kill or after it, it is the same that is told.
@@ -304,7 +304,7 @@ def test_an_interrupted_run_goes_on_at_its_first_missing_step(
             "resumed",
             ended,
         )
-        assert interruption.reason == "the run had been ended"
+        assert interruption.reason == "the run had ended early"
         assert interruption.began <= interruption.ended <= measured.end_time
     assert_one_stream(documents_of(path), path)
     assert documents_of(path)[-1][1]["exit_status"] == "success"
@@ -475,7 +475,7 @@ def test_a_run_that_another_program_has_open_is_not_gone_on_with(ended, processe
     plan, path = ended
     child, heard = processes(HOLDER, path=str(path), mode=mode)
     heard.recv()
-    assert "another program has it open" in refused(plan, path)
+    assert "close other programs that have it open" in refused(plan, path)
     child.kill()
     child.join()
     unfinished(path, plan)

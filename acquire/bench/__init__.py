@@ -1,1 +1,1 @@
-"""Checks of a bench: open, identify, limits, one locked shot, off."""
+"""Check a bench (`acquire bench check`) and switch it off (`acquire bench off`)."""

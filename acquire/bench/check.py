@@ -1,4 +1,4 @@
-"""Checks a bench before the first sweep: every instrument, its limits, and one locked shot."""
+"""Check a bench before the first sweep: every instrument, its limits, and one locked shot."""
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
@@ -6,56 +6,46 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Final
 
-from acquire.bench.findings import (
-    Finding,
-    confirmed_off,
-    failed,
-    unreached,
-)
+from acquire.bench.findings import Finding, confirmed_off, failed, unreached
 from acquire.bench.shot import Shot, take_shot
 from acquire.runner.orders import Orders
 from drivers.bench_lock import BenchInUseError
 from drivers.errors import LimitError
 from drivers.reference_clock import reference_clock
-from drivers.registry import (
-    OUTPUTS,
-    Opened,
-    open_each,
-)
-from drivers.roles import (
-    Instrument,
-    RoleName,
-    SignalGenerator,
-    SynthesizerPair,
-)
+from drivers.registry import OUTPUTS, Opened, open_each
+from drivers.roles import Instrument, RoleName, SignalGenerator, SynthesizerPair
 from drivers.safe_off import RAMP_S
 from protocols.bench import BenchFile
 from protocols.plan import Plan
 
+# Name of the reed in the preparation: a check needs no real one.
 _REED: Final = "bench check"
-_DOES: Final = "checks the bench"
+# Text for other programs that find the bench in use.
+_PURPOSE: Final = "checks the bench"
+# Name of the last check, on which `CheckReport.unconfirmed` depends.
 _OFF: Final = "off at the end"
 
 _ROLES: Final[tuple[RoleName, ...]] = ("synthesizers", "generator", "camera")
-# By so little a driver that plays what it should refuse harms nothing. Chosen: more than the four
-# digits that generators say of their volts.
+# How far the check goes beyond a limit: relative volts, and Hz. Chosen: so little that a driver
+# that does not refuse it harms nothing, and more than the four digits of volts of a generator.
 _VOLTS_BEYOND: Final = 1e-3
 _HZ_BEYOND: Final = Fraction(1)
 
 
 @dataclass(frozen=True, slots=True)
 class CheckReport:
-    """How a check ended.
+    """Result of a check of a bench.
 
     Attributes
     ----------
     bench : str
+        Name of the bench.
     findings : tuple of Finding
-        In the order in which they were made.
+        Findings in the order of the checks.
     shot : Shot or None
-        None if none was taken.
+        The locked shot; None if none was taken.
     interrupted : bool
-        Whether it was stopped before its end.
+        Whether the check was stopped before its end.
     """
 
     bench: str
@@ -65,14 +55,14 @@ class CheckReport:
 
     @property
     def passed(self) -> bool:
-        """Whether the bench is ready to measure."""
+        """Return whether the bench is ready to measure."""
         return not self.interrupted and all(
             finding.result in ("pass", "note") for finding in self.findings
         )
 
     @property
     def unconfirmed(self) -> tuple[str, ...]:
-        """What is not confirmed off at the end."""
+        """Return the outputs that were not confirmed off at the end, each with its remedy."""
         return tuple(
             f"{finding.about}: {finding.found}; {finding.remedy}"
             for finding in self.findings
@@ -80,7 +70,7 @@ class CheckReport:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values with stable keys."""
+        """Return the report as JSON values with stable keys."""
         return {
             "bench": self.bench,
             "passed": self.passed,
@@ -100,7 +90,8 @@ class _Stage:
     opened: Opened
 
     def instrument(self, role: RoleName) -> Instrument | None:
-        """Return an open instrument; one that was opened again takes the place of the first."""
+        """Return an open instrument by its role; None if it could not be opened."""
+        # An instrument that had to be opened twice is in `opened.bench` only.
         if self.opened.bench is not None:
             return getattr(self.opened.bench, role)  # type: ignore[no-any-return]  # by its name
         return self.opened.instruments.get(role)
@@ -109,17 +100,17 @@ class _Stage:
 def check_bench(
     bench: BenchFile, plan: Plan, orders: Orders, announce: Callable[[str], None]
 ) -> CheckReport:
-    """Check a bench, and leave it off.
+    """Check a bench, and leave all its outputs off.
 
     Parameters
     ----------
     bench : BenchFile
     plan : Plan
-        Of the shot, see `acquire.bench.shot.shot_plan`.
+        Plan of the shot, see `acquire.bench.shot.shot_plan`.
     orders : Orders
-        A first order to stop ends the check after what is being checked, a second at once.
+        The first order to stop ends the check after the present part, a second one at once.
     announce : callable
-        Called with words about what is being waited for.
+        Called with a text while the check waits for something.
 
     Returns
     -------
@@ -128,8 +119,8 @@ def check_bench(
     Raises
     ------
     OpeningStoppedError, KeyboardInterrupt
-        If it was stopped while the bench was opened; its outputs are off, but for those in the
-        notes of the exception.
+        If the check was stopped while the bench was opened. Outputs that are not confirmed off are
+        in the notes of the exception.
     """
     findings = [Finding("bench file", "bench", "pass", f"{bench.name} ({bench.source})")]
     shot = None
@@ -168,17 +159,17 @@ def _opened(
                 bench,
                 plan.preparation(_REED),
                 announce=announce,
-                does=_DOES,
+                does=_PURPOSE,
                 stopped=lambda: orders.stopped,
             )
         )
 
 
-# --- What is checked ---------------------------------------------------------------------------
+# --- The checks --------------------------------------------------------------------------------
 
 
 def _opened_each(stage: _Stage) -> list[Finding]:
-    """Whether each instrument could be opened, and what it says that it is."""
+    """Check that each instrument could be opened, and report its identity."""
     failures = stage.opened.failures
     findings = _each(stage, "opened", _ROLES, _identity)
     return [
@@ -188,17 +179,17 @@ def _opened_each(stage: _Stage) -> list[Finding]:
 
 
 def _off_after_opening(stage: _Stage) -> list[Finding]:
-    """Whether outputs are off that an earlier program may have left on."""
+    """Check that outputs are off that an earlier program may have left on."""
     return _each(stage, "off after opening", tuple(OUTPUTS), _off_now)
 
 
 def _reference_clocks(stage: _Stage) -> list[Finding]:
-    """Whether the instruments run on a clock that they share."""
+    """Check that the instruments use a common reference clock."""
     return _each(stage, "reference clock", _ROLES, _clock)
 
 
 def _limits(stage: _Stage) -> list[Finding]:
-    """Whether drivers refuse what the bench file forbids, and change nothing then."""
+    """Check that drivers refuse settings beyond the limits, and change nothing then."""
     return [
         *_each(stage, "limits", ("synthesizers",), _window),
         *_each(stage, "limits", ("generator",), _drive_limits),
@@ -206,8 +197,8 @@ def _limits(stage: _Stage) -> list[Finding]:
 
 
 def _smallest_volts(stage: _Stage) -> list[Finding]:
-    """Whether the generator plays the smallest volts that the bench file allows, and stops."""
-    return _each(stage, "smallest volts", ("generator",), _quietest)
+    """Check that the generator plays the smallest allowed volts, and switches off again."""
+    return _each(stage, "smallest volts", ("generator",), _play_smallest_volts)
 
 
 _STEPS: Final[Sequence[Callable[[_Stage], list[Finding]]]] = (
@@ -225,7 +216,7 @@ def _each(
     roles: Iterable[RoleName],
     look: Callable[[_Stage, RoleName, Any], Finding],
 ) -> list[Finding]:
-    """Look at some instruments; what a driver raises is a finding too."""
+    """Apply a check to instruments; an exception of a driver becomes a finding."""
     findings = []
     for role in roles:
         instrument = stage.instrument(role)
@@ -252,10 +243,10 @@ def _clock(stage: _Stage, role: RoleName, instrument: Instrument) -> Finding:
     if clock.source == "external":
         return Finding("reference clock", role, "pass", clock.words)
     remedy = (
-        "look at its front panel whether it follows the 10 MHz"
+        "check at its front panel that it uses the external 10 MHz reference"
         if clock.source == "unknown"
-        else "without a clock that all instruments share, maps of phase are wrong; see "
-        "docs/hardware.md for the cable and the option"
+        else "connect it to the 10 MHz clock that all instruments share, because phase maps are "
+        "wrong without it; docs/hardware.md describes cable and option"
     )
     return Finding("reference clock", role, "note", clock.words, remedy)
 
@@ -283,7 +274,7 @@ def _drive_limits(stage: _Stage, role: RoleName, generator: SignalGenerator) -> 
     volts = [most_v * (1 + _VOLTS_BEYOND)]
     volts += [least_v * (1 - _VOLTS_BEYOND)] if least_v > 0 else []
     drives_hz = [high_hz + _HZ_BEYOND, low_hz - min(_HZ_BEYOND, low_hz / 2)]
-    # First as a ramp: of an output that is off, nothing is played even if it is not refused.
+    # The ramp first: the output is off, so nothing is played even if the driver does not refuse.
     attempts = {
         f"{v:.6g} V": [
             lambda v=v: generator.ramp_to(v, RAMP_S),
@@ -304,7 +295,7 @@ def _all_refused(
     attempts: dict[str, list[Any]],
     read: Callable[[], object],
 ) -> Finding:
-    """Try what lies beyond limits: each has to be a `LimitError`, and to change nothing."""
+    """Try settings beyond limits: each must raise a `LimitError` and change nothing."""
     before = read()
     for what, tries in attempts.items():
         for attempt in tries:
@@ -317,23 +308,23 @@ def _all_refused(
                     "fail",
                     f"{what} is beyond the limits of the bench file, and "
                     f"{outcome or 'was refused, but changed what it plays'}",
-                    "do not measure with this driver: it does not keep to the limits; report this",
+                    "do not measure with this driver, because it ignores limits; report this",
                 )
     return Finding("limits", role, "pass", f"refused, nothing changed: {', '.join(attempts)}")
 
 
 def _outcome(attempt: Callable[[], None]) -> str:
-    """Return what became of an attempt; empty if it was refused as it should be."""
+    """Return what happened to an attempt; empty if it was refused correctly."""
     try:
         attempt()
     except LimitError:
         return ""
     except Exception as error:  # noqa: BLE001  # a driver may raise anything
-        return f"was not refused as such ({error})"
+        return f"failed with another error than a limit ({error})"
     return "was accepted"
 
 
-def _quietest(stage: _Stage, role: RoleName, generator: SignalGenerator) -> Finding:
+def _play_smallest_volts(stage: _Stage, role: RoleName, generator: SignalGenerator) -> Finding:
     least_v = float(stage.bench.limits.volts_min_v)
     generator.set_sine(stage.plan.steps[0].drive_hz, 0.0)
     if least_v:
@@ -343,7 +334,7 @@ def _quietest(stage: _Stage, role: RoleName, generator: SignalGenerator) -> Find
     if off.result == "fail":
         return off
     if not is_on:
-        return failed("smallest volts", role, "its output did not switch on; look for an overload")
+        return failed("smallest volts", role, "its output did not switch on; check for an overload")
     found = f"asked for {least_v:g} V, plays {volts:.4g} V at {float(hz):.10g} Hz; then off"
     return Finding("smallest volts", role, "pass", found)
 
@@ -354,15 +345,16 @@ def _shot(
     orders: Orders,
     announce: Callable[[str], None],
 ) -> tuple[Finding, Shot | None]:
-    """Take the shot, unless something is wrong already."""
+    """Take the shot, unless a check before it has failed."""
     bench = stage.opened.bench
     if bench is None or any(finding.result == "fail" for finding in findings):
-        return Finding("shot", "bench", "skipped", "something above failed", "fix that first"), None
+        reason, remedy = "an earlier check failed", "fix that first, then check again"
+        return Finding("shot", "bench", "skipped", reason, remedy), None
     return take_shot(stage.plan, bench, orders, announce)
 
 
 def _all_off(stage: _Stage) -> list[Finding]:
-    """Switch everything off, and say of each instrument whether that is confirmed."""
+    """Switch everything off, and return for each instrument whether it confirmed that."""
     findings = []
     for role in _ROLES:
         instrument = stage.instrument(role)

@@ -1,4 +1,4 @@
-"""What `acquire bench check` and `acquire bench off` share: the bench file, and their findings."""
+"""Findings of `acquire bench check` and `acquire bench off`, and how both read a bench file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from protocols.protocol import Protocol
 
 Result = Literal["pass", "fail", "note", "skipped"]
 
-# What a person can do about an output that no program can reach.
+# Remedy for the operator if an output may be on and the program cannot reach the instrument.
 _BY_HAND: Final[Mapping[str, str]] = {
     "generator": "switch its output off at its front panel, or pull the loudspeaker's cable",
     "synthesizers": "switch off the RF amplifiers of the modulators, or the synthesizers",
@@ -23,18 +23,19 @@ _BY_HAND: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of the table.
+    """Result of one check of one instrument; one line of the table.
 
     Attributes
     ----------
     check : str
-        What was looked at, such as ``opened`` or ``limits``.
+        Name of the check, such as ``opened`` or ``limits``.
     about : str
-        The role of an instrument, or ``bench``.
+        Role of the instrument, or ``bench``.
     result : {'pass', 'fail', 'note', 'skipped'}
-        ``note`` is worth knowing, and no failure; ``skipped`` could not be tried, because
-        something else failed.
+        ``note`` is information, not a failure; ``skipped`` means that the check was impossible,
+        because another one failed.
     found : str
+        What the check found.
     remedy : str
         What to do; empty if there is nothing to do.
     """
@@ -46,7 +47,7 @@ class Finding:
     remedy: str = ""
 
     def to_json(self) -> dict[str, str]:
-        """Return plain values with stable keys."""
+        """Return the finding as JSON values with stable keys."""
         return {
             "check": self.check,
             "about": self.about,
@@ -62,7 +63,7 @@ def read_bench(name: str) -> BenchFile:
     Raises
     ------
     ProtocolError
-        If it cannot be used; says so if it is a protocol.
+        If it cannot be used. The message says so if it is a protocol.
     """
     try:
         return BenchFile.from_file(name)
@@ -78,30 +79,32 @@ def read_bench(name: str) -> BenchFile:
 
 
 def failed(check: str, about: str, error: BaseException | str) -> Finding:
-    """Return the finding that something went wrong.
+    """Return the finding that a check failed.
 
     Parameters
     ----------
     check, about : str
+        See `Finding`.
     error : exception or str
-        Messages of this software end with the remedy, after a semicolon.
+        Error; a message of this software has its remedy after a semicolon.
     """
     text = " ".join(str(error).split())
     if isinstance(error, BaseException) and not isinstance(error, BenchError):
         text = f"{type(error).__name__}: {text}; this is an error of the driver, please report it"
     found, _, remedy = text.partition("; ")
-    return Finding(check, about, "fail", found, remedy or "look at its power and its cables")
+    return Finding(check, about, "fail", found, remedy or "check its power supply and its cables")
 
 
 def confirmed_off(check: str, role: RoleName, instrument: Instrument) -> Finding:
-    """Switch an instrument off, and return whether it confirms that.
+    """Switch an instrument off, and return the finding whether it confirmed that.
 
     Parameters
     ----------
     check : str
+        See `Finding`.
     role : {'synthesizers', 'generator', 'camera'}
     instrument : Instrument
-        Open.
+        Open instrument.
     """
     unconfirmed = instruments_off({role: instrument})
     if unconfirmed:

@@ -1,4 +1,4 @@
-"""Switches everything off that can be reached, whatever else is wrong with a bench."""
+"""Switch off every instrument of a bench that can be reached, even if others fail."""
 
 import os
 import signal
@@ -8,51 +8,46 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, Final
 
-from acquire.bench.findings import (
-    Finding,
-    confirmed_off,
-    unreached,
-)
+from acquire.bench.findings import Finding, confirmed_off, unreached
 from acquire.runner.orders import Orders
 from drivers.bench_lock import BenchInUseError
 from drivers.errors import BenchSetupError
 from drivers.exclusive import Holder
-from drivers.registry import (
-    Opened,
-    is_simulated,
-    open_each,
-)
+from drivers.registry import Opened, is_simulated, open_each
 from drivers.roles import RoleName
 from protocols.bench import BenchFile
 from protocols.preparation import Preparation
 
 _CHECK: Final = "off"
-_DOES: Final = "switches the bench off"
-# The loudspeaker first, because it is what people hear.
+# Text for other programs that find the bench in use.
+_PURPOSE: Final = "switches the bench off"
+# The tweeter first, because it is loud and drives the reed.
 _ORDER: Final[tuple[RoleName, ...]] = ("generator", "synthesizers", "camera")
-# Opening an instrument does not depend on what is on the bench.
-_NOTHING: Final = Preparation("none", "none", "asymmetric")
+# Opening an instrument does not depend on the preparation.
+_NO_PREPARATION: Final = Preparation("none", "none", "asymmetric")
 
-# Chosen: a step of a sweep takes about a second, switching off another, and a driver may wait for
-# some timeouts of 2 s before that.
-_PATIENCE_S: Final = 15.0
-# Chosen: a run stops at its next step, so an order that was not obeyed by then is given again. The
-# second one gives up the step that is being taken.
-_AGAIN_S: Final = 5.0
+# Longest wait for another program. Chosen: a step of a sweep takes about 1 s, switching off another
+# second, and a driver may wait for several timeouts of 2 s before that.
+_MAX_WAIT_S: Final = 15.0
+# Time after which the other program is asked again. Chosen: a run stops after its present step,
+# which ends earlier; the second order gives up that step.
+_ASK_AGAIN_S: Final = 5.0
+# Pause between two attempts to open the bench. Chosen: short compared with a step.
 _POLL_S: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class OffReport:
-    """What is off, and what is not.
+    """Result of switching off a bench.
 
     Attributes
     ----------
     bench : str
+        Name of the bench.
     findings : tuple of Finding
-        One for each instrument.
+        One finding for each instrument.
     stopped : tuple of int
-        Numbers of the processes that used the bench and were asked to stop.
+        Numbers of processes that used the bench and were asked to stop.
     """
 
     bench: str
@@ -61,11 +56,11 @@ class OffReport:
 
     @property
     def is_off(self) -> bool:
-        """Whether every output is confirmed off."""
+        """Return whether every output is confirmed off."""
         return all(finding.result != "fail" for finding in self.findings)
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values with stable keys."""
+        """Return the report as JSON values with stable keys."""
         return {
             "bench": self.bench,
             "off": self.is_off,
@@ -78,29 +73,29 @@ def switch_off(
     bench: BenchFile,
     orders: Orders,
     announce: Callable[[str], None],
-    patience_s: float = _PATIENCE_S,
+    patience_s: float = _MAX_WAIT_S,
 ) -> OffReport:
-    """Switch off every instrument of a bench, each by itself.
+    """Switch off every instrument of a bench, each independently of the others.
 
-    A program of this computer that uses the bench is asked to stop, and waited for: as long as it
-    runs, only it can talk to the instruments.
+    A program of this computer that uses the bench is asked to stop first, because only that program
+    can talk to the instruments while it runs.
 
     Parameters
     ----------
     bench : BenchFile
     orders : Orders
-        A first order to stop ends the waiting for another program, but not the switching off; a
+        The first order to stop ends the wait for another program, but not the switching off; a
         second one gives up.
     announce : callable
-        Called with words about what is being waited for.
+        Called with a text while this function waits for another program.
     patience_s : float
-        How long to wait for another program.
+        Longest wait for another program, in s.
 
     Returns
     -------
     OffReport
     """
-    real = tuple(role for role in _ORDER if not _plays_itself(bench, role))
+    real = tuple(role for role in _ORDER if not _is_simulated(bench, role))
     simulated = tuple(
         Finding(_CHECK, role, "note", "simulated: there is nothing to switch off")
         for role in _ORDER
@@ -113,11 +108,11 @@ def switch_off(
     return OffReport(bench.name, (*findings, *simulated), tuple(waiting.asked))
 
 
-def _plays_itself(bench: BenchFile, role: RoleName) -> bool:
+def _is_simulated(bench: BenchFile, role: RoleName) -> bool:
     try:
         return is_simulated(role, getattr(bench.instruments, role).driver)
     except BenchSetupError:
-        # An instrument without a driver is real, and cannot be reached.
+        # An instrument without a driver counts as real, and cannot be reached.
         return False
 
 
@@ -132,7 +127,7 @@ def _switched_off(
         try:
             opened = _opened(held, bench, roles, orders, announce, waiting)
         except KeyboardInterrupt:
-            given_up = "you stopped the switching off; run acquire bench off again"
+            given_up = "you interrupted the switching off; run acquire bench off again"
             return [unreached(_CHECK, role, given_up) for role in roles]
         except BenchSetupError as error:
             return [unreached(_CHECK, role, error) for role in roles]
@@ -152,31 +147,31 @@ def _opened(
     announce: Callable[[str], None],
     waiting: "_Waiting",
 ) -> Opened:
-    """Open the instruments, which drivers do with outputs off, once no other program has them.
+    """Open the instruments as soon as no other program uses them; drivers open with outputs off.
 
     Raises
     ------
     BenchInUseError
-        If another program does not let go of the bench.
+        If another program continues to use the bench.
     """
     while True:
         try:
-            # A first order to stop does not end this: the outputs may be on.
+            # The first order to stop does not end this, because the outputs may be on.
             with orders.given_up_at(2):
                 return held.enter_context(
-                    open_each(bench, _NOTHING, announce=announce, roles=roles, does=_DOES)
+                    open_each(bench, _NO_PREPARATION, announce=announce, roles=roles, does=_PURPOSE)
                 )
         except BenchInUseError as busy:
             waiting.wait(busy)
 
 
 class _Waiting:
-    """Asks other programs to stop, and waits for them.
+    """Ask other programs to stop, and wait for them.
 
     Attributes
     ----------
     asked : dict of int to float
-        When each process was asked last, on the monotonic clock.
+        Time at which each process was asked last, on the monotonic clock, in s.
     """
 
     def __init__(self, orders: Orders, announce: Callable[[str], None], patience_s: float) -> None:
@@ -185,27 +180,27 @@ class _Waiting:
         self.asked: dict[int, float] = {}
 
     def wait(self, busy: BenchInUseError) -> None:
-        """Ask the process that holds the bench to stop, and wait a little.
+        """Ask the process that uses the bench to stop, and wait for `_POLL_S`.
 
         Raises
         ------
         BenchInUseError
-            If it cannot be asked, or does not stop in time.
+            If the process cannot be asked, or does not stop in time.
         """
         now_s = time.monotonic()
         if self._deadline_s is None:
             self._deadline_s = now_s + self._patience_s
-        # A lock that was taken a moment ago may not say yet by whom.
+        # A new lock may not name its process yet.
         if busy.holder is not None:
             self._ask(busy.holder, now_s)
         if self._orders.stopped:
-            raise _still_busy(busy, "you stopped the waiting; run acquire bench off again")
+            raise _still_busy(busy, "you interrupted the wait; run acquire bench off again")
         if now_s > self._deadline_s:
             raise _still_busy(busy, _last_resort(busy.holder, self._patience_s))
         time.sleep(_POLL_S)
 
     def _ask(self, holder: Holder, now_s: float) -> None:
-        if now_s - self.asked.get(holder.pid, -_AGAIN_S) < _AGAIN_S:
+        if now_s - self.asked.get(holder.pid, -_ASK_AGAIN_S) < _ASK_AGAIN_S:
             return
         if not holder.is_here or holder.pid == os.getpid():
             return
@@ -230,15 +225,15 @@ class _Waiting:
 
 def _last_resort(holder: Holder | None, patience_s: float) -> str:
     if holder is None or not holder.is_here:
-        return "no process of this computer says that it has it; end that program where it runs"
+        return "no process of this computer uses it; end the program on the computer where it runs"
     if holder.pid == os.getpid():
-        return "this same program has it; close the bench first"
+        return "this program itself uses it; close the bench first"
     return (
         f"it did not stop within {patience_s:g} s; end it with: kill -9 {holder.pid}; then run "
         "acquire bench off again"
     )
 
 
-def _still_busy(busy: BenchInUseError, what: str) -> BenchInUseError:
-    holder = busy.holder or "a program that does not say which it is"
-    return BenchInUseError(f"in use by {holder}; {what}", busy.holder)
+def _still_busy(busy: BenchInUseError, remedy: str) -> BenchInUseError:
+    holder = busy.holder or "an unknown program"
+    return BenchInUseError(f"in use by {holder}; {remedy}", busy.holder)

@@ -1,4 +1,4 @@
-"""The shot of a bench check: one step that is locked, quiet, and judged as in a sweep."""
+"""Take the shot of a bench check: one locked step with few volts, judged as in a sweep."""
 
 import math
 import tempfile
@@ -22,32 +22,33 @@ from runs.records import StepRecord
 from runs.verdict import Verdict
 
 _CHECK: Final = "shot"
-# Near the first bending resonance of a clarinet's reed, where the least volts of the shipped
-# protocols give most light: signal to noise 75 on the simulated bench, 1.2 in mid-sweep.
+# Near the first bending resonance of a clarinet reed, where the smallest volts of the shipped
+# protocols give the most light: signal to noise is 75 on the simulated bench, and 1.2 in mid-sweep.
 DEFAULT_HZ: Final = 2000.0
-# Where the ramps of the shipped protocols begin.
+# Volts at which the ramps of the shipped protocols begin.
 DEFAULT_VOLTS: Final = 0.5
-# That of the shipped protocols; slower where the camera is.
+# Frame rate of the shipped protocols; slower if the camera is slower.
 _FRAME_RATE_HZ: Final = Fraction("12.4")
-# Most real cameras cannot expose a whole period. Chosen: half of it.
-_EXPOSED_SHARE: Final = Fraction(1, 2)
-# The part of the sensor that the protocol `quick` reads.
+# Exposure as a fraction of the frame period. Chosen: half, because most real cameras cannot expose
+# for a whole period.
+_EXPOSED_FRACTION: Final = Fraction(1, 2)
+# Part of the sensor that the protocol `quick` reads.
 _WIDTH, _HEIGHT = 640, 512
 
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """What the locked shot of four frames showed.
+    """Result of the locked shot of four frames.
 
     Attributes
     ----------
     drive_hz, volts : float
-        Of the tweeter; peak volts at the loudspeaker.
+        Drive frequency, and peak volts at the tweeter.
     verdict : Verdict
     sentence : str
-        Why that verdict.
+        Reason of the verdict.
     lock_error_hz, lock_error_se_hz : float
-        By how much the light misses the lock, and the standard error.
+        Deviation of the light from the frequency lock, and its standard error, in Hz.
     signal_to_noise, brightness_dn, saturated_share : float
         See `runs.records.StepRecord`.
     """
@@ -63,7 +64,7 @@ class Shot:
     saturated_share: float
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values with stable keys; null where a number is not known."""
+        """Return the shot as JSON values with stable keys; None for unknown numbers."""
         return {
             "drive_hz": self.drive_hz,
             "volts": self.volts,
@@ -78,31 +79,31 @@ class Shot:
 
 
 def shot_plan(bench: BenchFile, hz: float | None = None, volts: float | None = None) -> Plan:
-    """Plan one step that is locked and quiet.
+    """Plan one locked step with few volts.
 
     Parameters
     ----------
     bench : BenchFile
     hz, volts : float, optional
-        Drive and peak volts at the loudspeaker; `DEFAULT_HZ` and `DEFAULT_VOLTS`, or the nearest
-        that the bench allows.
+        Drive frequency, and peak volts at the tweeter. Default: `DEFAULT_HZ` and `DEFAULT_VOLTS`,
+        or the nearest values that the bench allows.
 
     Returns
     -------
     Plan
-        With `violations` if the bench cannot do it.
+        Plan of one step; it has `violations` if the bench cannot carry it out.
 
     Raises
     ------
     ProtocolError
-        If `hz` or `volts` lie outside the limits of the bench file.
+        If `hz` or `volts` is outside the limits of the bench file.
     """
     limits = bench.limits
     drive_hz = _within("--hz", hz, DEFAULT_HZ, limits.drive_min_hz, limits.drive_max_hz, "Hz")
     peak_v = _within("--volts", volts, DEFAULT_VOLTS, limits.volts_min_v, limits.volts_max_v, "V")
     camera = bench.instruments.camera
     rate_hz = _frame_rate_hz(bench)
-    exposure_ms = max(math.floor(1000 * _EXPOSED_SHARE / rate_hz), 1)
+    exposure_ms = max(math.floor(1000 * _EXPOSED_FRACTION / rate_hz), 1)
     return make_plan(
         Protocol.from_file("quick").replace(
             {
@@ -131,21 +132,21 @@ def _within(
     most: Fraction,
     unit: str,
 ) -> float:
-    """Return what was asked for, or the allowed value nearest to the default."""
+    """Return the requested value, or the allowed value nearest to the default."""
     low, high = float(least), float(most)
     if asked is None:
         return min(max(default, low), high)
-    # Written so that NaN is refused too. 0 V drive nothing, and plans know microvolts.
+    # Negated, so that NaN is refused. Plans round to 1 µV, and 0 V would not drive the reed.
     if not (low <= asked <= high and round(asked, 6) > 0):
         raise ProtocolError(
-            f"{option}: {asked:g} {unit} is outside the limits of the bench file; write more than "
-            f"0, and between {low:g} and {high:g}"
+            f"{option}: {asked:g} {unit} is outside the limits of the bench file; write a value "
+            f"above 0 and between {low:g} and {high:g}"
         )
     return asked
 
 
 def _frame_rate_hz(bench: BenchFile) -> Fraction:
-    """Return a frame rate whose quarter lies on the synthesizers' grid, if the camera has one."""
+    """Return a frame rate whose quarter is on the synthesizers' grid, if the camera has one."""
     most_hz = bench.instruments.camera.max_frame_rate_hz
     if most_hz >= _FRAME_RATE_HZ:
         return _FRAME_RATE_HZ
@@ -156,14 +157,14 @@ def _frame_rate_hz(bench: BenchFile) -> Fraction:
 def take_shot(
     plan: Plan, bench: Bench, orders: Orders, announce: Callable[[str], None]
 ) -> tuple[Finding, Shot | None]:
-    """Take the planned step as a sweep takes it, into a file that is thrown away.
+    """Measure the planned step as in a sweep, to a temporary file.
 
     Parameters
     ----------
     plan : Plan
-        See `shot_plan`.
+        Plan of the shot, see `shot_plan`.
     bench : Bench
-        Is left off, as after every run.
+        Open bench. Its outputs are off afterwards, as after every run.
     orders : Orders
     announce : callable
 
@@ -172,9 +173,9 @@ def take_shot(
     Finding
         Passes if the verdict is ok.
     Shot or None
-        None if none was recorded.
+        None if no shot was recorded.
     """
-    announce("takes one locked shot of four frames")
+    announce("taking one locked shot of four frames")
     try:
         with tempfile.TemporaryDirectory(prefix="reedbench-check-") as folder:
             path = Path(folder, "check.h5")

@@ -431,7 +431,7 @@ def test_a_program_that_does_not_stop_is_named_with_the_last_resort(room, real_b
 
 
 def test_a_program_that_is_slow_to_stop_is_asked_again(room, real_bench, monkeypatch):
-    monkeypatch.setattr("acquire.bench.off._AGAIN_S", 0.3)
+    monkeypatch.setattr("acquire.bench.off._ASK_AGAIN_S", 0.3)
     path, said = real_bench(), []
     room.switch_on()
     with held_by_another(path, orders=2):

@@ -1,4 +1,4 @@
-"""Light on a sensor: frames → complex hologram → field on the object → displacement.
+"""Digital holography: frames → complex hologram → field on the object → displacement.
 
-Pure functions of arrays. Nothing here knows an instrument, a reed or a file.
+All functions are pure functions of arrays. Instruments, reeds and files are not known here.
 """

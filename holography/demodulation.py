@@ -1,8 +1,8 @@
-"""Four frames → one complex hologram, and what the four frames let through besides.
+"""Four-phase demodulation: four frames → one complex hologram; phase steps and leakage.
 
 Frame m = 0…3 starts at ``m / f_CCD``. A beat ``2 Re[c exp(2πi·offset·t)]`` between object light
-and local oscillator (LO) is stepped in quadrature when ``offset = -f_CCD/4``; with the LO shifted
-by ``n·f + f_CCD/4`` that is the beat of sideband n (``docs/decisions/0001``).
+and local oscillator (LO) advances by a quarter of a turn per frame if ``offset = -f_CCD/4``. With
+the LO shifted by ``n·f + f_CCD/4``, this is the beat of sideband n (``docs/decisions/0001``).
 """
 
 from dataclasses import dataclass
@@ -12,17 +12,22 @@ import numpy.typing as npt
 import scipy.ndimage
 import scipy.optimize
 
+# Exact quadrature (``docs/decisions/0001``).
 NOMINAL_STEPS_RAD = (0.0, np.pi / 2, np.pi, 3 * np.pi / 2)
 
-# Cast strip by strip: four strips stay in the cache.
+# Rows that are converted at a time. Chosen: strips of four frames fit into the processor's cache.
 _STRIP_ROWS = 128
-# Wider than a fringe or a speckle, narrower than the profile of a beam.
+# Width of the filter for the background, in pixels. Chosen: wider than a fringe or a speckle,
+# narrower than the profile of a beam.
 _BACKGROUND_PX = 65
-# Beyond this fringes and background are told apart by noise.
-_WORST_CONDITION = 15.0
-# Three degrees. Series without fringes, or stepped through fewer than three phases, exceed it.
-_WORST_STEP_ERROR_RAD = 0.05
-# Starting points of the fit of the steps, relative to the nominal ones.
+# Largest condition number of the model of the frames. Chosen: above it, noise decides what counts
+# as fringes and what as background.
+_MAX_CONDITION = 15.0
+# Largest standard error of a measured step. Chosen: three degrees; series without fringes, and
+# series with fewer than three phases, exceed it.
+_MAX_STEP_ERROR_RAD = 0.05
+# Starting points of the fit of the steps, relative to the nominal steps. Chosen: from 0.6 to 1.2 of
+# the nominal ones, because the fit has several minima.
 _STEP_SCALES = (1.0, 0.6, 0.8, 1.2)
 
 
@@ -34,10 +39,10 @@ def four_phase(
     Parameters
     ----------
     frames : array_like, shape (4, ny, nx)
-        uint8, uint16 or float32. Unsigned frames do not wrap; other real types are rounded to
-        float32.
+        Frames of uint8, uint16 or float32. Differences of unsigned frames do not wrap; other real
+        types are rounded to float32.
     out : ndarray of complex64, shape (ny, nx), optional
-        Where to put the hologram.
+        Array to which the hologram is written.
 
     Returns
     -------
@@ -51,8 +56,8 @@ def four_phase(
 
     Notes
     -----
-    E and E_LO are amplitudes of ``exp(+2πiνt)``. With that time factor light that diverges from
-    the object carries ``exp(-ikr)``, which is what `holography.fresnel` focuses at a positive
+    E and E_LO are amplitudes of ``exp(+2πiνt)``. With that time factor, light that diverges from
+    the object has the phase factor ``exp(-ikr)``, which `holography.fresnel` focuses at a positive
     distance.
     """
     frames = _four_frames(frames)
@@ -61,7 +66,7 @@ def four_phase(
     elif out.shape != frames.shape[1:] or out.dtype != np.complex64:
         raise ValueError(
             f"four_phase: out is {out.dtype} {out.shape}, the hologram complex64 "
-            f"{frames.shape[1:]}; hand in an array of that type and shape"
+            f"{frames.shape[1:]}; give an array of that type and shape"
         )
     for top in range(0, out.shape[0], _STRIP_ROWS):
         rows = slice(top, top + _STRIP_ROWS)
@@ -74,12 +79,16 @@ def four_phase(
 def unused_combination(frames: npt.ArrayLike) -> npt.NDArray[np.float32]:
     """Return ``(I0 + I2) - (I1 + I3)``, which a hologram does not use.
 
-    In exact quadrature background and fringes cancel in it.
+    In exact quadrature, background and fringes cancel in it.
 
     Parameters
     ----------
     frames : array_like, shape (4, ny, nx)
-        uint8, uint16 or float32.
+        Frames of uint8, uint16 or float32.
+
+    Returns
+    -------
+    ndarray of float32, shape (ny, nx)
 
     Raises
     ------
@@ -97,7 +106,7 @@ def unused_combination(frames: npt.ArrayLike) -> npt.NDArray[np.float32]:
 
 @dataclass(frozen=True, eq=False)
 class PhaseSteps:
-    """How four real frames were stepped.
+    """Measured phase steps of four frames, with the brightness and contrast of each frame.
 
     The frames are ``I_m = powers[m] · (a + visibilities[m] · 2 Re[c exp(-i·steps_rad[m])])``.
 
@@ -108,13 +117,13 @@ class PhaseSteps:
     powers : ndarray of float64, shape (4,)
         Mean intensity of each frame, relative to the mean of all.
     visibilities : ndarray of float64, shape (4,)
-        Fringe amplitude of each frame over its mean intensity, relative to the mean of all.
-        Ones where the whole light drifted; not ones where one of the two beams did.
+        Fringe amplitude of each frame divided by its mean intensity, relative to the mean of all.
+        All are 1 if both beams drifted together; they differ if only one of the beams did.
     closure : float
-        `closure` of the frames as they came, before any correction. NaN where it was not measured.
+        `closure` of the frames without any correction. NaN if it was not measured.
     error_rad : float
-        Standard error of the steps, where covariances scatter by the mean variance of the frames
-        over the square root of the number of pixels. NaN where it was not measured.
+        Standard error of the steps, if covariances scatter by the mean variance of the frames
+        divided by the square root of the number of pixels. NaN if it was not measured.
     """
 
     steps_rad: npt.NDArray[np.float64]
@@ -135,42 +144,42 @@ def measure_phase_steps(frames: npt.ArrayLike) -> PhaseSteps:
     Parameters
     ----------
     frames : array_like, shape (4, ny, nx)
-        uint8, uint16 or float32. Many fringes or speckles are needed (the phase must take all
-        values with equal weight, independently of the background).
+        Frames of uint8, uint16 or float32, with many fringes or speckles: all values of the phase
+        must be equally frequent, independently of the background.
 
     Returns
     -------
     PhaseSteps
-        Of ``±θ``, which no series can tell apart, the one whose steps are nearer to +π/2; each
-        step is within π of that.
+        Frames cannot distinguish the steps θ from -θ. The sign is chosen such that the steps are
+        nearer to +π/2; each step is within π of that.
 
     Raises
     ------
     ValueError
         If the frames are not four images of real numbers, a frame is dark, there are no fringes
-        above the noise, or they were not stepped.
+        above the noise, or the phase does not change from frame to frame.
 
     Notes
     -----
-    The principal components of the frames minus their mean presume ``Σ exp(iθ_m) = 0``: the mean
-    of unequally stepped frames contains fringes. On the public Fresnel lens series they are wrong
-    by up to 40° per step; the covariance fit agrees with the phases of its off-axis carrier within
-    1.5° (``tests/peers/test_public_holograms.py``).
+    A principal component analysis of the frames minus their mean would assume
+    ``Σ exp(iθ_m) = 0``; the mean of frames with unequal steps contains fringes. On the public
+    Fresnel lens series its steps are wrong by up to 40°, while the covariance fit agrees with the
+    phases of the off-axis carrier within 1.5° (``tests/peers/test_public_holograms.py``).
     """
     frames = _four_frames(frames)
     means = frames.mean(axis=(1, 2), dtype=np.float64)
     if not means.min() > 0:
         raise ValueError(
             f"measure_phase_steps: mean intensities are {means.round(3)}; "
-            "every frame needs light, take the series again"
+            "every frame needs light, measure the series again"
         )
     powers = means / means.mean()
     covariance = _covariance(frames, powers)
     amplitudes, steps_rad, error_rad = _fit_covariance(covariance, frames[0].size)
-    if not error_rad < _WORST_STEP_ERROR_RAD:
+    if not error_rad < _MAX_STEP_ERROR_RAD:
         raise ValueError(
-            "measure_phase_steps: the frames hold no stepped fringes above their noise; "
-            "check LO detuning and measure the steps on a series with more object light"
+            "measure_phase_steps: the frames show no stepped fringes above their noise; "
+            "check the frequency of the LO, and use a series with more object light"
         )
     visibilities = amplitudes / amplitudes.mean()
     return PhaseSteps(steps_rad, powers, visibilities, closure(frames), error_rad)
@@ -182,20 +191,21 @@ def unequal_steps(frames: npt.ArrayLike, steps: PhaseSteps) -> npt.NDArray[np.co
     Parameters
     ----------
     frames : array_like, shape (4, ny, nx)
-        uint8, uint16 or float32.
+        Frames of uint8, uint16 or float32.
     steps : PhaseSteps
-        Of this series.
+        Phase steps of these frames.
 
     Returns
     -------
     ndarray of complex64, shape (ny, nx)
-        ``4c`` of the model of `PhaseSteps`; for exact steps and equal powers, `four_phase`.
+        ``4c`` of the model of `PhaseSteps`. For exact quadrature and equal powers it equals the
+        result of `four_phase`.
 
     Raises
     ------
     ValueError
-        If the frames are not four images of real numbers, or the steps cannot tell fringes from
-        background (fewer than three different phases).
+        If the frames are not four images of real numbers, or the steps do not separate fringes
+        from background (fewer than three different phases).
     """
     frames = _four_frames(frames)
     inverse = np.linalg.pinv(_design(steps))
@@ -207,37 +217,38 @@ def unequal_steps(frames: npt.ArrayLike, steps: PhaseSteps) -> npt.NDArray[np.co
 
 
 def closure(frames: npt.ArrayLike, steps: PhaseSteps | None = None) -> float:
-    """What four frames contain that background and fringes cannot explain, relative to the fringes.
+    """Return the part of four frames that background and fringes do not explain.
 
     Parameters
     ----------
     frames : array_like, shape (4, ny, nx)
-        uint8, uint16 or float32.
+        Frames of uint8, uint16 or float32.
     steps : PhaseSteps, optional
-        Without it exact quadrature and equal powers are presumed.
+        Phase steps of the frames. Default: exact quadrature and equal powers.
 
     Returns
     -------
     float
-        ``rms(I0 + I2 - I1 - I3) / rms(H)`` without `steps`; with them the same of the one
-        combination of frames in which background and fringes cancel. The floor is noise: σ of
-        the frames gives ``2σ / rms(H)``.
+        ``rms(I0 + I2 - I1 - I3) / rms(H)`` without `steps`. With `steps`, the same for the one
+        combination of frames in which background and fringes cancel. Noise of standard deviation σ
+        in each frame contributes ``2σ / rms(H)``.
 
     Raises
     ------
     ValueError
-        If the frames are not four images of real numbers, hold no fringes, or the steps cannot
-        tell fringes from background.
+        If the frames are not four images of real numbers, hold no fringes, or the steps do not
+        separate fringes from background.
     """
     frames = _four_frames(frames)
     if steps is None:
         ones = np.ones(4)
         steps = PhaseSteps(np.array(NOMINAL_STEPS_RAD), ones, ones)
     left = np.linalg.svd(_design(steps))[0]
-    # The unit vector that is orthogonal to the model; (1, -1, 1, -1)/2 in quadrature.
+    # left[:, 3] is the unit vector orthogonal to the model; (1, -1, 1, -1)/2 in quadrature.
     residual = _combine(2 * left[:, 3] / steps.powers, frames)
     fringes = _rms(unequal_steps(frames, steps))
-    if not fringes > 1e-6 * _rms(frames[0]):  # the rounding of float32
+    # 1e-6 is the size of rounding errors in float32.
+    if not fringes > 1e-6 * _rms(frames[0]):
         raise ValueError("closure: all frames are equal; check light, shutter and LO")
     return _rms(residual) / fringes
 
@@ -245,15 +256,15 @@ def closure(frames: npt.ArrayLike, steps: PhaseSteps | None = None) -> float:
 def sideband_gain(
     offset_hz: npt.ArrayLike, frame_rate_hz: float, exposure_s: float
 ) -> npt.NDArray[np.complex128]:
-    """Complex gain of the four-phase demodulation for one beat.
+    """Return the complex gain of four-phase demodulation for beats of given frequencies.
 
     ``H = Σ_m (1, j, -1, -j)_m · 2 Re[c ⟨exp(2πi·offset·t)⟩_m] = G(offset) c + G(-offset) conj(c)``
-    where ⟨ ⟩_m is the mean over the exposure of frame m, from ``m / frame_rate_hz`` on.
+    where ⟨ ⟩_m is the mean over the exposure of frame m, which begins at ``m / frame_rate_hz``.
 
     Parameters
     ----------
     offset_hz : array_like
-        Frequency of the beat, light minus LO. That of sideband k with the LO tuned to sideband n
+        Frequency of the beat, light minus LO. For sideband k, with the LO tuned to sideband n, it
         is ``(k - n)·f - f_CCD/4``.
     frame_rate_hz : float
         Frame rate ``f_CCD``.
@@ -263,9 +274,9 @@ def sideband_gain(
     Returns
     -------
     ndarray of complex128
-        G, in the unit "mean of one frame": 4 sinc(1/4) = 3.60 in modulus at ``-f_CCD/4`` with a
-        full exposure, 4 with a short one; it vanishes at the offsets 0, ``+f_CCD/4`` and
-        ``f_CCD/2``.
+        Gain G, of the shape of `offset_hz`, in units of the mean of one frame. Its modulus at
+        ``-f_CCD/4`` is 4 sinc(1/4) = 3.60 for an exposure of a whole frame, and 4 for a short one;
+        it is 0 at the offsets 0, ``+f_CCD/4`` and ``f_CCD/2``.
 
     Raises
     ------
@@ -290,10 +301,11 @@ def carrier_leak(
     *,
     off_axis: bool = False,
 ) -> npt.NDArray[np.float64]:
-    """How much unshifted light a hologram of one sideband lets through.
+    """Return how much of the carrier leaks into the hologram of one sideband.
 
-    The LO is tuned to ``order·f + f_CCD/4``. The amplitude of the unshifted light in the hologram,
-    relative to that of the sideband, is this figure times ``|J_0(φ) / J_order(φ)|``.
+    The LO is tuned to ``order·f + f_CCD/4``. The amplitude of the carrier (unshifted light) in the
+    hologram, relative to that of the sideband, is the returned value times
+    ``|J_0(φ) / J_order(φ)|``.
 
     Parameters
     ----------
@@ -306,14 +318,14 @@ def carrier_leak(
     order : int
         Sideband n to which the LO is tuned.
     off_axis : bool
-        Count only the carrier that lands on the image. Its twin, which an off-axis crop removes,
-        is counted by default (rms over the random phase of speckle).
+        True counts only the carrier in the image. False also counts its twin image, as a root mean
+        square over the random phase of speckle; a crop off axis removes the twin.
 
     Returns
     -------
     ndarray of float64
-        Of the shape of `drive_hz`. With order 1, zero at odd multiples of ``f_CCD/4``; off axis
-        at odd multiples of ``f_CCD/2`` too.
+        Leak, of the shape of `drive_hz`. For order 1 it is zero at odd multiples of ``f_CCD/4``,
+        and off axis also at odd multiples of ``f_CCD/2``.
 
     Raises
     ------
@@ -339,18 +351,18 @@ def _four_frames(frames: npt.ArrayLike) -> npt.NDArray[np.generic]:
 
 
 def _require_timing(frame_rate_hz: float, exposure_s: float) -> None:
-    # One part in 10⁹ for an exposure computed as 1 / frame rate.
+    # 1e-9 allows for the rounding of an exposure that was computed as 1 / frame rate.
     if not (frame_rate_hz > 0 and 0 < exposure_s * frame_rate_hz <= 1 + 1e-9):
         raise ValueError(
             f"four-phase demodulation: frame rate {frame_rate_hz} Hz with exposure {exposure_s} s; "
-            "both are positive and an exposure lasts at most one frame"
+            "both must be positive, and an exposure lasts at most one frame"
         )
 
 
 def _covariance(
     frames: npt.NDArray[np.generic], powers: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """Covariance of the normalised frames without their smooth background, shape (4, 4)."""
+    """Return the covariance (4, 4) of the normalised frames without their smooth background."""
     fringes = []
     for frame, power in zip(frames, powers, strict=True):
         normalised = frame.astype(np.float32) / np.float32(power)
@@ -363,7 +375,7 @@ def _covariance(
 def _fit_covariance(
     covariance: npt.NDArray[np.float64], pixels: int
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], float]:
-    """Fringe amplitudes and steps, both of shape (4,), and the standard error of the steps."""
+    """Return fringe amplitudes (4,), steps (4,) in rad, and the standard error of the steps."""
     scale = np.trace(covariance) / 4 or 1.0
     upper = np.triu_indices(4)
     measured = covariance[upper] / scale
@@ -397,7 +409,7 @@ def _fit_covariance(
 
 
 def _forward(phases_rad: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Cumulative steps from 0, each within π of π/2, in the direction of most quadrature."""
+    """Return cumulative steps from 0, with the sign and multiples of 2π nearest to π/2 each."""
     increments = np.diff(phases_rad)
     if np.sum(np.sin(increments)) < 0:
         increments = -increments
@@ -406,15 +418,15 @@ def _forward(phases_rad: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def _design(steps: PhaseSteps) -> npt.NDArray[np.float64]:
-    """Matrix (4, 3) from background, real and imaginary part of c to the normalised frames."""
+    """Return the matrix (4, 3) that maps background, Re c and Im c to the normalised frames."""
     design = np.ones((4, 3))
     design[:, 1] = 2 * steps.visibilities * np.cos(steps.steps_rad)
     design[:, 2] = 2 * steps.visibilities * np.sin(steps.steps_rad)
-    if not np.linalg.cond(design) < _WORST_CONDITION:
+    if not np.linalg.cond(design) < _MAX_CONDITION:
         raise ValueError(
             f"phase steps of {np.rad2deg(steps.steps_rad).round(1)} degrees with visibilities "
-            f"{steps.visibilities.round(2)} do not tell fringes from background; "
-            "check LO detuning and light, and take the series again"
+            f"{steps.visibilities.round(2)} do not separate fringes from background; "
+            "check the frequency of the LO and the light, and measure the series again"
         )
     return design
 
@@ -422,7 +434,7 @@ def _design(steps: PhaseSteps) -> npt.NDArray[np.float64]:
 def _combine(
     weights: npt.NDArray[np.float64], frames: npt.NDArray[np.generic]
 ) -> npt.NDArray[np.float32]:
-    """Weighted sum of the frames."""
+    """Return the weighted sum (ny, nx) of the frames."""
     total = np.zeros(frames.shape[1:], dtype=np.float32)
     for weight, frame in zip(weights.astype(np.float32), frames, strict=True):
         total += np.multiply(frame, weight, dtype=np.float32, casting="same_kind")

@@ -1,4 +1,4 @@
-"""Distance at which a hologram is in focus, from its sharpness."""
+"""Find the distance at which a hologram is in focus, by the sharpness of its image."""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,16 +8,20 @@ import scipy.optimize
 from holography.fresnel import FresnelTransform
 from holography.region import Region
 
-# Image pixels. A speckle of the single-FFT transform is one pixel wide at every distance: the
-# first width averages it, the second follows illumination.
+# Widths (σ) of two Gaussian filters, in image pixels. In images of the single-FFT transform a
+# speckle is one pixel wide at every distance. Chosen: the first filter averages speckle, the second
+# follows the illumination.
 _SPECKLE_WIDTH_PX = 2.0
 _DETAIL_WIDTH_PX = 8.0
-# Of the mean: keeps the logarithm from looking into the noise of dark background.
+# Added to the intensity, as a fraction of its mean. Chosen, so that the logarithm does not amplify
+# noise in a dark background.
 _FLOOR = 0.1
 
 
 def sharpness(image: npt.ArrayLike) -> float:
-    """Variance of the logarithm of an image, between the widths of speckle and illumination.
+    """Return the sharpness of an image: the variance of the logarithm of its details.
+
+    Details are structures between the widths of speckle and of illumination.
 
     Parameters
     ----------
@@ -27,7 +31,7 @@ def sharpness(image: npt.ArrayLike) -> float:
     Returns
     -------
     float
-        Does not depend on brightness. 0 for a uniform image.
+        Sharpness, which does not depend on brightness; 0 for a uniform image.
 
     Raises
     ------
@@ -36,10 +40,11 @@ def sharpness(image: npt.ArrayLike) -> float:
 
     Notes
     -----
-    Speckle has full contrast in focus and out of it, and it multiplies the picture: variance or
-    gradients of intensity follow the brightest speckles. Averaged over a few speckles and in
-    logarithms it is additive and alike everywhere, and the dark lines (nodal fringes, edges),
-    which light fills as soon as focus is lost, weigh as much as the bright ones.
+    Speckle has full contrast in focus and out of focus, and it multiplies the image. Variance or
+    gradients of the intensity therefore measure the brightest speckles. In the logarithm of an
+    image that is averaged over a few speckles, speckle is additive and has the same variance
+    everywhere. Dark lines (nodal lines, edges), which fill with light out of focus, then weigh as
+    much as bright ones.
     """
     intensity = np.asarray(image, dtype=np.float32)
     mean = float(intensity.mean(dtype=np.float64))
@@ -60,12 +65,12 @@ def focus_scan(
     distances_m: npt.ArrayLike,
     region: Region,
 ) -> npt.NDArray[np.float64]:
-    """Sharpness of the image order over distance.
+    """Return the sharpness of the image order at several distances.
 
     Parameters
     ----------
     hologram : array_like, shape (ny, nx)
-        Complex hologram, or a single off-axis frame. Its mean, a part of the zero order, is
+        Complex hologram, or a single off-axis frame. Its mean, which is part of the zero order, is
         subtracted.
     pixel_m : float
         Pitch of the sensor pixels.
@@ -74,12 +79,14 @@ def focus_scan(
     distances_m : array_like, shape (n,)
         Distances to try, each valid for `FresnelTransform`.
     region : Region
-        Pixels of the reconstruction that hold the image order and neither zero order nor twin.
-        In pixels the order stays where it is at all distances; only its size goes as 1/distance.
+        Pixels of the reconstruction that hold the image order, but neither zero order nor twin
+        image. In pixels, the order has the same position at all distances; its size is
+        proportional to 1/distance.
 
     Returns
     -------
     ndarray of float64, shape (n,)
+        Sharpness at each distance.
 
     Raises
     ------
@@ -111,12 +118,12 @@ def best_distance(
     distances_m: npt.ArrayLike,
     region: Region,
 ) -> float:
-    """Distance of best focus: the sharpest of a scan, refined between its neighbours.
+    """Return the distance of best focus: the sharpest one of a scan, refined.
 
     Parameters
     ----------
     hologram, pixel_m, wavelength_m, region
-        As for `focus_scan`.
+        See `focus_scan`.
     distances_m : array_like, shape (n,)
         Increasing distances. The steps should not exceed the depth of focus
         ``4 λ (z / sensor width)²``, 2 cm on this bench at 1 m.
@@ -124,12 +131,12 @@ def best_distance(
     Returns
     -------
     float
-        In m.
+        Distance in m.
 
     Raises
     ------
     ValueError
-        As `focus_scan`; if the sharpest distance is the first or last one.
+        See `focus_scan`; also if the sharpest distance is the first or last one.
     """
     distances = np.atleast_1d(np.asarray(distances_m, dtype=np.float64))
     curve = focus_scan(hologram, pixel_m, wavelength_m, distances, region)

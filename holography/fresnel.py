@@ -1,7 +1,7 @@
 """Fresnel propagation between sensor and object with one FFT.
 
-At the distances of a sideband bench the angular spectrum aliases (beyond ``N dx²/λ``, 0.09 m for
-1280 pixels of 6.7 µm at 650 nm), exactly where the single-FFT transform begins to be valid.
+The single-FFT transform is valid from the distance ``N dx²/λ`` on (0.09 m for 1280 pixels of 6.7 µm
+at 650 nm). Beyond this distance, and so on this bench, the angular spectrum method aliases.
 """
 
 from dataclasses import dataclass
@@ -18,16 +18,16 @@ Complex64Array = npt.NDArray[np.complex64]
 class FresnelTransform:
     """Unitary single-FFT Fresnel transform between a sensor and a plane parallel to it.
 
-    A positive distance means that light travelled it from the object to the sensor. Amplitudes
-    are those of ``exp(+2πiνt)``, as in all of this software: a wave that diverges from the object
-    carries ``exp(-ikr)``, and its curvature on the sensor is ``exp(-iπr²/(λz))``. That is the
-    wave that `four_phase` gives for real frames at ``n·f + f_CCD/4``; of its conjugate, the twin
-    image, `to_object` makes a blur.
+    A positive distance means that light travels from the object to the sensor. Amplitudes are
+    those of ``exp(+2πiνt)``, as in all of this software: a wave that diverges from the object has
+    the phase factor ``exp(-ikr)``, and its curvature on the sensor is ``exp(-iπr²/(λz))``.
+    `four_phase` returns this wave for frames at ``n·f + f_CCD/4``. Its conjugate, the twin image,
+    is out of focus after `to_object`.
 
-    Both planes have centred grids: pixel ``(ny//2, nx//2)`` lies on the optical axis of
-    each. The transform keeps ``Σ|field|²``; a field per unit of length follows from
+    Both planes have centred grids: pixel ``(ny//2, nx//2)`` is on the optical axis. The transform
+    preserves ``Σ|field|²``; a field per unit of length follows from
     ``U_sensor = to_sensor(U_object) * sqrt(dy_o dx_o) / pixel_m``. The constant phase
-    ``i·exp(-ikz)`` is kept, so absolute phases agree with the Fresnel integral.
+    ``i·exp(-ikz)`` is included, so absolute phases agree with the Fresnel integral.
 
     Attributes
     ----------
@@ -38,25 +38,25 @@ class FresnelTransform:
     wavelength_m : float
         Wavelength of the light.
     distance_m : float
-        Distance from object to sensor. At least ``max(ny, nx) * pixel_m² / wavelength_m``:
-        below that the sensor's chirp turns by more than π from one pixel to the next.
+        Distance from object to sensor, at least ``max(ny, nx) * pixel_m² / wavelength_m``: below
+        that, the phase of the sensor's chirp changes by more than π from one pixel to the next.
     workers : int
-        Threads of the FFT.
+        Number of threads of the FFT.
 
     Raises
     ------
     ValueError
-        If the shape, a length or the number of workers is not positive, or the distance is
-        outside validity.
+        If the shape, a length or the number of workers is not positive, or the distance is too
+        short.
 
     Notes
     -----
-    The object chirp is undersampled towards the edges of the object plane when the distance
-    exceeds the limit above. This does no harm to intensities, nor to the round trip: light that
-    would miss the real sensor is folded back onto it, which only concerns `to_sensor` of fields
-    that scatter beyond the sensor.
+    If the distance exceeds the limit above, the object chirp is undersampled towards the edges of
+    the object plane. This affects neither intensities nor the round trip. It only affects
+    `to_sensor` for fields that scatter beyond the sensor: such light is folded back onto it.
 
-    The chirps are built on first use, in double precision, and kept: 8 bytes per pixel and chirp.
+    The chirps are computed in double precision at the first use, and kept in memory as complex64
+    (8 bytes per pixel and chirp).
     """
 
     shape: tuple[int, int]
@@ -84,13 +84,16 @@ class FresnelTransform:
 
     @property
     def object_pitch_m(self) -> tuple[float, float]:
-        """Pitch ``(dy, dx)`` of object images, ``wavelength * distance / (N * pixel)``."""
+        """Return the pitch ``(dy, dx)`` of object images in m.
+
+        It is ``wavelength * distance / (N * pixel)`` along each axis.
+        """
         rows, columns = self.shape
-        reach = self.wavelength_m * self.distance_m / self.pixel_m
-        return reach / rows, reach / columns
+        width_m = self.wavelength_m * self.distance_m / self.pixel_m
+        return width_m / rows, width_m / columns
 
     def to_object(self, hologram: npt.ArrayLike) -> Complex64Array:
-        """Field on the object from the field on the sensor; inverse and adjoint of `to_sensor`.
+        """Propagate a field from the sensor to the object; inverse and adjoint of `to_sensor`.
 
         Parameters
         ----------
@@ -100,6 +103,7 @@ class FresnelTransform:
         Returns
         -------
         ndarray of complex64, shape (..., ny, nx)
+            Field on the object.
 
         Raises
         ------
@@ -112,7 +116,7 @@ class FresnelTransform:
         return field
 
     def to_sensor(self, field: npt.ArrayLike) -> Complex64Array:
-        """Field on the sensor from the field on the object; inverse and adjoint of `to_object`.
+        """Propagate a field from the object to the sensor; inverse and adjoint of `to_object`.
 
         Parameters
         ----------
@@ -122,6 +126,7 @@ class FresnelTransform:
         Returns
         -------
         ndarray of complex64, shape (..., ny, nx)
+            Field on the sensor.
 
         Raises
         ------
@@ -134,7 +139,7 @@ class FresnelTransform:
         return hologram
 
     def intensity(self, hologram: npt.ArrayLike) -> npt.NDArray[np.float32]:
-        """``|to_object(hologram)|²``, without the pass over the object chirp that it cancels.
+        """Return ``|to_object(hologram)|²``, faster, because the object chirp is not needed.
 
         Parameters
         ----------
@@ -165,7 +170,7 @@ class FresnelTransform:
                 f"{self.shape}; crop or pad the field, or build a transform for its shape"
             )
         product = np.multiply(field, chirp, dtype=np.complex64, casting="same_kind")
-        # The cross term of -iπ(x - x')²/(λz) is +2πi·xx'/(λz), an inverse FFT.
+        # The cross term of -iπ(x - x')²/(λz) is +2πi·xx'/(λz), which is an inverse FFT.
         fft2 = scipy.fft.ifft2 if forward else scipy.fft.fft2
         spectrum: Complex64Array = fft2(
             product, norm="ortho", overwrite_x=True, workers=self.workers
@@ -174,27 +179,28 @@ class FresnelTransform:
 
     @cached_property
     def _forward_chirps(self) -> tuple[Complex64Array, Complex64Array]:
-        """Sensor and object chirps of `to_sensor`."""
+        """Return the sensor and object chirps of `to_sensor`."""
         return self._chirps(sign=-1)
 
     @cached_property
     def _backward_chirps(self) -> tuple[Complex64Array, Complex64Array]:
-        """Sensor and object chirps of `to_object`: those of `to_sensor`, conjugated."""
+        """Return the sensor and object chirps of `to_object`: those of `to_sensor`, conjugated."""
         return self._chirps(sign=1)
 
     def _chirps(self, sign: int) -> tuple[Complex64Array, Complex64Array]:
-        """Sensor chirp, which takes all constant factors, and object chirp."""
-        # exp(ikz)/i, the conjugate of the Fresnel integral's factor, in cycles.
+        """Return the sensor chirp, which includes all constant factors, and the object chirp."""
+        # Phase in cycles of exp(ikz)/i, the conjugate of the Fresnel integral's factor.
         constant = self.distance_m / self.wavelength_m - 0.25
         sensor = self._cycles((self.pixel_m, self.pixel_m))
         sensor[0] += constant % 1.0
         return _outer_phasor(sensor, sign), _outer_phasor(self._cycles(self.object_pitch_m), sign)
 
     def _cycles(self, pitch_m: tuple[float, float]) -> list[npt.NDArray[np.float64]]:
-        """Phase of a plane's curvature along its rows and columns, in cycles.
+        """Return the phase of a plane's chirp along its rows and along its columns, in cycles.
 
-        Half of the centring of the FFT, ``exp(±2πi (m - c)(n - c)/N)`` with ``c = N // 2``, is
-        folded into each plane (for even N it is the sign ``(-1)^(m + n)``): nothing is shifted.
+        A centred FFT has the kernel ``exp(±2πi (m - c)(n - c)/N)`` with ``c = N // 2``. Each plane
+        includes half of the additional phase (for even N it is the sign ``(-1)^(m + n)``), so that
+        no array has to be shifted.
         """
         cycles = []
         for count, pitch in zip(self.shape, pitch_m, strict=True):

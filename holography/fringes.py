@@ -1,4 +1,4 @@
-"""From the brightness of a sideband image to displacement."""
+"""Displacement from the brightness of a sideband image (Bessel fringes)."""
 
 import numpy as np
 import numpy.typing as npt
@@ -6,26 +6,27 @@ import scipy.special
 
 
 def phase_amplitude(displacement_m: npt.ArrayLike, wavelength_m: float) -> npt.NDArray[np.float64]:
-    """Amplitude of the phase modulation, ``φ = 4πz/λ``.
+    """Return the amplitude of the phase modulation, ``φ = 4πz/λ``.
 
     Parameters
     ----------
     displacement_m : array_like
-        Peak displacement z along the common direction of illumination and observation (normal
-        incidence, reflection).
+        Peak displacement z in m along the common direction of illumination and observation
+        (reflection at normal incidence).
     wavelength_m : float
         Wavelength of the light.
 
     Returns
     -------
     ndarray of float64
-        In rad, of the shape of `displacement_m`. Sideband n has the amplitude ``J_n(φ)``.
+        Phase amplitude in rad, of the shape of `displacement_m`. Sideband n has the amplitude
+        ``J_n(φ)``.
     """
     return 4 * np.pi / wavelength_m * np.asarray(displacement_m, dtype=np.float64)
 
 
 def first_sideband_maxima_m(count: int, wavelength_m: float) -> npt.NDArray[np.float64]:
-    """Peak displacements at which the image of sideband 1 is brightest.
+    """Return the peak displacements at which the image of sideband 1 is brightest.
 
     Parameters
     ----------
@@ -52,20 +53,20 @@ def first_sideband_maxima_m(count: int, wavelength_m: float) -> npt.NDArray[np.f
 
 
 def block_mean(image: npt.ArrayLike, factor_y: int, factor_x: int) -> npt.NDArray[np.float32]:
-    """Mean over rectangles of pixels.
+    """Return the mean of each rectangular block of pixels.
 
     Parameters
     ----------
     image : array_like, shape (..., ny, nx)
-        Real.
+        Real image.
     factor_y, factor_x : int
-        Rows and columns of a block. Trailing rows and columns that do not fill a block are
+        Rows and columns of a block. Rows and columns at the end that do not fill a block are
         dropped.
 
     Returns
     -------
     ndarray of float32, shape (..., ny//factor_y, nx//factor_x)
-        Summed in double precision.
+        Means, computed in double precision.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""From the frames of one step to the light field around the reed.
+"""Reconstruct the light field around the reed from the frames of one step.
 
-The runner reconstructs while it measures, and the reader of a run file that kept its frames
-reconstructs later; both do it here, so both get the same bits.
+The runner reconstructs while it measures. The reader of a run file that kept frames reconstructs
+later. Both use this module, so they get identical results.
 """
 
 from dataclasses import dataclass
@@ -17,12 +17,12 @@ from holography.region import Region
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """How frames of one run become fields.
+    """Geometry of a run, which turns its frames into fields.
 
     Attributes
     ----------
     transform : FresnelTransform
-        Between the sensor, of the shape of the frames, and the reed.
+        Transform between sensor and reed, for the shape of the frames.
     region : Region
         Part of the object image that holds the reed.
     """
@@ -32,11 +32,19 @@ class Reconstruction:
 
     @property
     def empty(self) -> Region:
-        """Part of the object image that holds nothing but noise, see `empty_region`."""
+        """Return the part of the object image that holds only noise, see `empty_region`."""
         return empty_region(self.transform.shape, self.region)
 
     def field(self, frames: npt.ArrayLike) -> npt.NDArray[np.complex64]:
-        """Field around the reed (height, width) complex64 of four frames (4, ny, nx).
+        """Return the field around the reed from four frames.
+
+        Parameters
+        ----------
+        frames : (4, ny, nx) uint16
+
+        Returns
+        -------
+        (height, width) complex64
 
         Raises
         ------
@@ -46,12 +54,16 @@ class Reconstruction:
         return self.quadratures(frames).field
 
     def quadratures(self, frames: npt.ArrayLike) -> "Quadratures":
-        """Both halves of a hologram, I0 − I2 and I1 − I3, on the object plane.
+        """Return both halves of a hologram, I0 − I2 and I1 − I3, in the object plane.
+
+        Parameters
+        ----------
+        frames : (4, ny, nx) uint16
 
         Raises
         ------
         ValueError
-            As for `field`.
+            If the frames are not four images of the sensor's shape.
         """
         hologram = four_phase(frames)
         images = [self.transform.to_object(part) for part in (hologram.real, hologram.imag)]
@@ -60,13 +72,13 @@ class Reconstruction:
         return Quadratures(even, odd, empty)
 
     def steady_turn(self, frames: npt.ArrayLike, halves: "Quadratures") -> SteadyTurn:
-        """How well four frames fit one steadily turning image, see `holography.phase.steady_turn`.
+        """Measure the phase turn between four frames, see `holography.phase.steady_turn`.
 
         Parameters
         ----------
-        frames : (4, ny, nx)
+        frames : (4, ny, nx) uint16
         halves : Quadratures
-            Of these frames.
+            Result of `quadratures` for these frames.
         """
         unused = self.region.crop(self.transform.to_object(unused_combination(frames)))
         # A hologram holds the noise of four frames.
@@ -75,14 +87,14 @@ class Reconstruction:
 
 @dataclass(frozen=True, eq=False)
 class Quadratures:
-    """A hologram in two halves, each transformed to the object plane.
+    """The two halves of a hologram, each transformed to the object plane.
 
     Attributes
     ----------
     even, odd : (height, width) complex64
         Images of I0 − I2 and I1 − I3 around the reed.
     empty : (2, rows, columns) complex64
-        Of both, where there is nothing but noise.
+        Both images in the region that holds only noise.
     """
 
     even: npt.NDArray[np.complex64]
@@ -91,33 +103,34 @@ class Quadratures:
 
     @property
     def field(self) -> npt.NDArray[np.complex64]:
-        """Field around the reed (height, width) complex64, see `four_phase`."""
+        """Return the field (height, width) complex64 around the reed, see `four_phase`."""
         field: npt.NDArray[np.complex64] = self.even + np.complex64(1j) * self.odd
         return field
 
     @property
     def noise(self) -> float:
-        """Mean |H|² of the field where there is nothing but noise."""
+        """Return the mean ``|H|²`` of the region that holds only noise."""
         return mean_power(self.empty[0] + np.complex64(1j) * self.empty[1])
 
 
 def mean_power(field: npt.NDArray[np.complex64]) -> float:
-    """Mean ``|H|²`` of a field."""
+    """Return the mean ``|H|²`` of a field."""
     return float(np.mean(np.square(field.real)) + np.mean(np.square(field.imag)))
 
 
 def empty_region(shape: tuple[int, int], region: Region) -> Region:
-    """Return the part of an object image that neither the reed's image nor its twin reaches.
+    """Return a part of an object image that neither the reed's image nor its twin image reaches.
 
-    Of the four strips beside, above and below reed and twin image (the reed's point reflection in
-    the optical axis, out of focus), the outer half of the largest.
+    The twin image is the reed's point reflection in the optical axis, out of focus. Four strips
+    remain on the left, right, above and below both images; the result is the outer half of the
+    largest one.
 
     Parameters
     ----------
     shape : (int, int)
         Rows and columns of the image.
     region : Region
-        The reed's.
+        Region of the reed's image.
 
     Returns
     -------
@@ -130,8 +143,8 @@ def empty_region(shape: tuple[int, int], region: Region) -> Region:
         mirrored = 2 * (count // 2) - start - length + 1
         before = min(start, mirrored)
         after = count - max(start, mirrored) - length
-        for room, at_end in ((before, False), (after, True)):
-            depth = max(room // 2, 1)
+        for free, at_end in ((before, False), (after, True)):
+            depth = max(free // 2, 1)
             strips.append((depth * shape[1 - axis], axis, count - depth if at_end else 0, depth))
     _, axis, start, depth = max(strips)
     if axis == 0:

@@ -1,4 +1,4 @@
-"""Rectangles of pixels: the part of a reconstruction that holds the image order."""
+"""Rectangular regions of an image, such as the part of a reconstruction with the reed."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 @dataclass(frozen=True)
 class Region:
-    """Rectangle of whole pixels.
+    """Rectangular region of whole pixels.
 
     Attributes
     ----------
@@ -40,14 +40,14 @@ class Region:
 
     @property
     def slices(self) -> tuple[slice, slice]:
-        """Rows and columns as slices."""
+        """Return the rows and columns as slices."""
         return (
             slice(self.row, self.row + self.height),
             slice(self.column, self.column + self.width),
         )
 
     def crop(self, image: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
-        """View of the rectangle.
+        """Return a view of the region in an image.
 
         Parameters
         ----------
@@ -56,19 +56,19 @@ class Region:
         Returns
         -------
         ndarray, shape (..., height, width)
-            Shares memory with `image`.
+            View, which shares memory with `image`.
 
         Raises
         ------
         ValueError
-            If the rectangle leaves the image.
+            If the region leaves the image.
         """
         self._require_inside(image.shape)
         view: npt.NDArray[Scalar] = image[(..., *self.slices)]
         return view
 
     def paste(self, field: npt.NDArray[Scalar], shape: tuple[int, int]) -> npt.NDArray[Scalar]:
-        """Image that holds `field` in the rectangle and zeros elsewhere; adjoint of `crop`.
+        """Return an image with `field` in the region and zeros elsewhere; adjoint of `crop`.
 
         Parameters
         ----------
@@ -79,12 +79,12 @@ class Region:
         Returns
         -------
         ndarray, shape (..., ny, nx)
-            With the dtype of `field`.
+            Image with the dtype of `field`.
 
         Raises
         ------
         ValueError
-            If `field` has another size than the rectangle, or the rectangle leaves the image.
+            If `field` has another size than the region, or the region leaves the image.
         """
         if field.shape[-2:] != (self.height, self.width):
             raise ValueError(
@@ -101,25 +101,25 @@ class Region:
         if self.row + self.height > rows or self.column + self.width > columns:
             raise ValueError(
                 f"{self}: leaves the image of {rows}x{columns} pixels; "
-                "move the region or check for which image it was made"
+                "move the region, or use the image for which it was made"
             )
 
 
 def region_from_metres(
     centre_m: tuple[float, float], size_m: tuple[float, float], transform: FresnelTransform
 ) -> Region:
-    """Smallest region of an object image that covers a rectangle given in metres.
+    """Return the smallest region of an object image that covers a rectangle given in metres.
 
     Parameters
     ----------
     centre_m : tuple of float
-        Centre ``(y, x)`` of the rectangle from the optical axis, positive towards higher rows
-        and columns.
+        Centre ``(y, x)`` of the rectangle relative to the optical axis, in m, positive towards
+        higher rows and columns.
     size_m : tuple of float
-        Height and width of the rectangle.
+        Height and width of the rectangle, in m.
     transform : FresnelTransform
-        Its object pitch and shape are used. Pixel i covers ``(i - 1/2, i + 1/2)`` pitches, counted
-        from the axis.
+        Transform that gives pitch and shape of the object image. Pixel i covers
+        ``(i - 1/2, i + 1/2)`` pitches, counted from the axis.
 
     Returns
     -------

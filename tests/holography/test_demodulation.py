@@ -208,7 +208,7 @@ def test_fringes_that_were_not_stepped_are_refused(degrees):
 
 @pytest.mark.parametrize("degrees", [(0, 180, 0, 180), (0, 180, 4, 184)])
 def test_steps_with_fewer_than_three_phases_are_refused(degrees):
-    with pytest.raises(ValueError, match="do not tell fringes"):
+    with pytest.raises(ValueError, match="do not separate fringes"):
         unequal_steps(np.ones((4, 8, 8), np.uint16), phase_steps(degrees))
 
 

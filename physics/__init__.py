@@ -1,4 +1,4 @@
-"""The twin: reed, air, drive, optics and sensor of the bench, from first principles.
+"""Model of the bench from first principles: reed, air, drive, optics and sensor.
 
-Nothing here knows an instrument, a file or a protocol.
+Instruments, files and protocols are not known here.
 """

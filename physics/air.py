@@ -1,4 +1,4 @@
-"""The air that drives the reed: the mouthpiece's chamber between tweeter and reed."""
+"""The air that drives the reed: the chamber of the mouthpiece, between tweeter and reed."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,17 +11,22 @@ from physics.reed.geometry import ReedGeometry
 
 Array = NDArray[np.floating[Any]]
 
-# Of the clarinet's mouthpiece: the window ends this far before the clamp, and its side walls cover
-# this much of the reed's edges.
+# Distance between the end of the window and the clamp, and width of the reed's edge that a side
+# wall covers. Chosen: with these, a clarinet reed gets the default dimensions of `Chamber`.
 _BEFORE_CLAMP_M = 5.2e-3
 _COVERED_EDGE_M = 1.275e-3
 
 
 class Filling(StrEnum):
-    """How the mouthpiece's chamber is prepared."""
+    """Preparation of the mouthpiece's chamber.
+
+    Attributes
+    ----------
+    SYMMETRIC : the chamber is open.
+    ASYMMETRIC : modelling clay fills the right half, so only the left half of the reed is driven.
+    """
 
     SYMMETRIC = "symmetric"
-    # Right half filled with modelling clay: only the left half of the reed is driven.
     ASYMMETRIC = "asymmetric"
 
 
@@ -35,11 +40,11 @@ class Chamber:
     length_m : float
         Length of the window under the reed, from the tip.
     half_width_m : float
-        Half width of the window; the side walls protect the reed's edges beyond it.
+        Half width of the window; the side walls cover the reed's edges beyond it.
     edge_m : float
-        Distance over which the pressure falls at a wall.
+        Distance over which the pressure falls to zero at a wall.
     sound_speed_m_s : float
-        At about 20 °C.
+        Speed of sound; the default is that of air at about 20 °C.
     """
 
     filling: Filling = Filling.SYMMETRIC
@@ -50,14 +55,15 @@ class Chamber:
 
 
 def chamber_of(geometry: ReedGeometry, filling: Filling) -> Chamber:
-    """Chamber of a mouthpiece that takes a reed as the paper's takes a clarinet reed.
+    """Return the chamber of a mouthpiece for a given reed.
 
-    Its window ends as far before the clamp, and its walls cover as much of the reed's edges.
+    Distance from window to clamp and covered width of the edges are those of a clarinet reed on the
+    paper's mouthpiece.
     """
     half_width_m = geometry.outline.side_half_width_m - _COVERED_EDGE_M
     return Chamber(
         filling,
-        # To the micrometre: what is the same reed has the same chamber to the last bit.
+        # Rounded to 1 µm, so that equal reeds have chambers that are equal to the last bit.
         length_m=round(geometry.clamp.x_m[0] - _BEFORE_CLAMP_M, 6),
         half_width_m=round(half_width_m, 6),
     )
@@ -70,10 +76,11 @@ class CavityLine:
     Attributes
     ----------
     frequency_hz : float
-        4308.6 Hz on the paper's bench (picture 78 of both series).
+        Resonance frequency; 4308.6 Hz on the paper's bench (picture 78 of both series).
     quality : float
+        Quality factor.
     strength : float
-        Static share of the resonant path beside the direct one.
+        Pressure through the resonant path at low frequency, relative to the direct path.
     """
 
     frequency_hz: float = 4308.6
@@ -82,17 +89,28 @@ class CavityLine:
 
 
 def cavity_gain(line: CavityLine, frequency_hz: float) -> complex:
-    """Pressure at the tip over the pressure at the tweeter."""
+    """Return the ratio of the pressures at the reed's tip and at the tweeter."""
     ratio = frequency_hz / line.frequency_hz
     return 1 + line.strength / (1 - ratio**2 + 1j * ratio / line.quality)
 
 
 def pressure_shape(chamber: Chamber, frequency_hz: float, x_m: Array, y_m: Array) -> Array:
-    """Pressure on the reed's flat side over the pressure at its tip, at points (any shape).
+    """Return the pressure on the reed's flat side, relative to the pressure at its tip.
 
-    Along the reed a standing wave that is closed at the tip; across it, full pressure over the
-    open part of the window. Positive y is the left side, which stays open when the right half is
-    filled.
+    Along the reed it is a standing wave that is closed at the tip. Across the reed it is constant
+    over the open part of the window. Positive y is the left side, which stays open if the right
+    half is filled.
+
+    Parameters
+    ----------
+    chamber : Chamber
+    frequency_hz : float
+    x_m, y_m : float arrays of one shape
+        Points on the flat side in coordinates of the reed, in m.
+
+    Returns
+    -------
+    float array of the same shape
     """
     wavenumber = 2 * np.pi * frequency_hz / chamber.sound_speed_m_s
 

@@ -1,4 +1,4 @@
-"""The whole twin: from what the instruments are set to, to what the camera reads."""
+"""The simulated bench: from the settings of the instruments to the frames of the camera."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -47,21 +47,24 @@ Float = NDArray[np.float32]
 Complex = NDArray[np.complexfloating[Any, Any]]
 Complex64 = NDArray[np.complex64]
 
-# Degrees along the window, across it and in ln f of what distorts a pressure, and the band.
+# Degrees of the polynomials of a pressure distortion: along the window, across it, and in ln f.
+# Chosen: smooth over the window and over the band.
 _DISTORTION_DEGREES = (2, 2, 3)
+# Frequency band of a pressure distortion: about that of the paper's sweeps.
 _BAND_HZ = (1e3, 20e3)
 
 
 @dataclass(frozen=True)
 class PressureDistortion:
-    """A pressure on the reed that is not the model's: that times 1 + a smooth random field.
+    """A smooth random error of the pressure on the reed: the factor 1 + a complex random field.
 
     Attributes
     ----------
     rms : float
-        Of the complex field, over the chamber's window and 1 to 20 kHz in octaves; 0 is the model.
+        Root mean square of the complex field, over the chamber's window and over 1 to 20 kHz with
+        equal weight per octave; 0 for no error.
     seed : int
-        Tells fields of one rms apart.
+        Seed of the random field.
     """
 
     rms: float = 0.0
@@ -70,18 +73,25 @@ class PressureDistortion:
 
 @dataclass(frozen=True)
 class TwinSettings:
-    """Everything that makes one simulated bench with one reed on it.
+    """All parameters of one simulated bench with one reed.
 
     Attributes
     ----------
     components : Components
-        The reed's cane.
+        Components e1 … e4 of the reed's cane.
     series : Series
-        Moisture: A as bought, B dried.
+        Moisture of the reed: A as bought, B dried.
     E_L_factor, G_LT_factor : float
-        Of this cane's moduli, over those that its components say.
+        Factors on the moduli E_L and G_LT that follow from the components.
     loss_factor : float
-        Of the cane, the same for all modes (see decision 0004).
+        Loss factor of the cane, the same for all modes (decision 0004).
+    chamber : Chamber
+    distortion : PressureDistortion
+    line : CavityLine
+    tweeter : Tweeter
+    illumination : Illumination
+    layout : Layout
+    sensor : Sensor
     """
 
     components: Components = Components()
@@ -100,17 +110,18 @@ class TwinSettings:
 
 @dataclass(frozen=True)
 class BenchState:
-    """What the instruments impose on light and air.
+    """Settings of the instruments, as they act on light and air.
 
     Attributes
     ----------
     difference_hz : Fraction
-        f_AOM1 − f_AOM2.
+        Frequency difference f_AOM1 − f_AOM2.
     drive_hz : Fraction
+        Drive frequency.
     drive_v : float
-        Peak volts at the tweeter; 0 is off.
+        Peak volts at the tweeter; 0 if it is off.
     rf_on : bool
-        Whether the modulators diffract: without radio frequency no light reaches the sensor.
+        Whether the modulators get RF; without it no light reaches the sensor.
     """
 
     difference_hz: Fraction
@@ -121,13 +132,14 @@ class BenchState:
 
 @dataclass(frozen=True)
 class Scene:
-    """Which light reaches the sensor.
+    """Light that reaches the sensor.
 
     Attributes
     ----------
     local_oscillator, object_beam : bool
+        Whether the beam is open.
     lamp_e_s : float
-        Electrons per pixel and second of even light.
+        Uniform light of a lamp, in electrons per pixel and second.
     """
 
     local_oscillator: bool = True
@@ -137,7 +149,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of one exposure during which the state was constant, on the bench's clock."""
+    """Part of one exposure during which the state was constant; times on the bench's clock."""
 
     start_s: float
     end_s: float
@@ -145,12 +157,12 @@ class Segment:
 
 
 def bench_cane(settings: TwinSettings) -> ViscoelasticCane:
-    """Zener moduli of the cane on a bench.
+    """Return the Zener moduli of the cane on a bench.
 
     Raises
     ------
     ValueError
-        If its components are outside physics (see `require_physical`).
+        If the moduli are physically impossible (see `require_physical`).
     """
     cane = viscoelastic_cane(settings.components, settings.series)
     require_physical(cane)
@@ -160,7 +172,7 @@ def bench_cane(settings: TwinSettings) -> ViscoelasticCane:
 
 
 def _scaled(zener: Zener, factor: float) -> Zener:
-    # All three alike: the storage modulus is that much greater at every frequency.
+    # The same factor for all three multiplies the storage modulus at every frequency by it.
     return Zener(
         factor * zener.spring_mpa, factor * zener.arm_spring_mpa, factor * zener.arm_dashpot_mpa_s
     )
@@ -169,11 +181,23 @@ def _scaled(zener: Zener, factor: float) -> Zener:
 def distortion_factor(
     distortion: PressureDistortion, chamber: Chamber, frequency_hz: float, x_m: Array, y_m: Array
 ) -> Complex:
-    """Pressure over that of the model, at points of the flat side (any shape).
+    """Return the factor by which a distortion changes the pressure, at points of the flat side.
 
-    1 + a sum of products of Legendre polynomials in x, y and ln f, of random complex weights. None
-    is constant over the window: such a one would be a gain. Beyond window and band the field goes
-    on as at their edges.
+    It is 1 plus a sum of products of Legendre polynomials in x, y and ln f with random complex
+    weights. Products that are constant over the window are left out, because they would be a gain.
+    Outside the window and the band, the values at their edges are used.
+
+    Parameters
+    ----------
+    distortion : PressureDistortion
+    chamber : Chamber
+    frequency_hz : float
+    x_m, y_m : float arrays of one shape
+        Points in coordinates of the reed, in m.
+
+    Returns
+    -------
+    complex array of the same shape
     """
     rng = np.random.default_rng(distortion.seed)
     shape = [degree + 1 for degree in _DISTORTION_DEGREES]
@@ -182,9 +206,9 @@ def distortion_factor(
     weights[0, 0] = 0.0
     weights *= distortion.rms / np.linalg.norm(weights)
     low, high = np.log(_BAND_HZ)
-    along, across, pitch = (
-        _legendre(place, degree)
-        for place, degree in zip(
+    along, across, in_frequency = (
+        _legendre(coordinate, degree)
+        for coordinate, degree in zip(
             (
                 2 * x_m / chamber.length_m - 1,
                 y_m / chamber.half_width_m,
@@ -194,26 +218,33 @@ def distortion_factor(
             strict=True,
         )
     )
-    factor: Complex = 1 + np.einsum("lm,...l,...m->...", weights @ pitch[0], along, across)
+    factor: Complex = 1 + np.einsum("lm,...l,...m->...", weights @ in_frequency[0], along, across)
     return factor
 
 
-def _legendre(place: Array, degree: int) -> Array:
-    """Legendre polynomials (…, degree + 1) of mean square 1 over −1 … 1, constant beyond."""
-    table = np.polynomial.legendre.legvander(np.clip(place, -1, 1), degree)
+def _legendre(coordinate: Array, degree: int) -> Array:
+    """Return Legendre polynomials (…, degree + 1) of mean square 1 over −1 … 1, constant beyond."""
+    table = np.polynomial.legendre.legvander(np.clip(coordinate, -1, 1), degree)
     normalised: Array = table * np.sqrt(2 * np.arange(degree + 1) + 1)
     return normalised
 
 
 class BenchModel:
-    """Renders the frames of a simulated bench.
+    """Render the frames of a simulated bench.
 
-    Holds what is fixed for a run: the reed, its speckle, the transform. Frames are pure functions
-    of the segments of their exposure and of the noise drawn from the generator handed in.
+    The object holds what is fixed during a run: the reed, its speckle and the transform. A frame
+    is a pure function of the segments of its exposure and of the random generator.
 
-    The reed is taken to follow a change of drive at once (its ring-down, Q/πf, is a few ms) and
-    the light of the object alone, ``|E|²``, to be that of the reed at rest: it is the same in all
-    frames of a step, so demodulation cancels it.
+    Two approximations: the reed follows a change of the drive at once (its ring-down, Q/πf, takes
+    a few ms), and the intensity of the object light, ``|E|²``, is that of the reed at rest (it is
+    equal in all frames of a step, so demodulation cancels it).
+
+    Parameters
+    ----------
+    settings : TwinSettings
+    reed : ReducedReed or WholeReed
+    rng : numpy.random.Generator
+        Source of the speckle.
     """
 
     def __init__(
@@ -232,8 +263,9 @@ class BenchModel:
         self._object = self._scattered_light(x, y, rng)
         self._lo = self._local_oscillator()
         self._at_rest = np.abs(self.transform.to_sensor(self._pasted(self._object))) ** 2
-        # The four frames of a step share all but their beat integrals. Functions, not methods: a
-        # cache that holds the bench would keep its memory until the garbage is next collected.
+        # Cached, because the four frames of a step differ in their beat integrals only. Functions
+        # instead of methods, because a cache that refers to this object would keep its memory until
+        # the next garbage collection.
         self._response = lru_cache(maxsize=4)(
             partial(_unit_response, settings, reed, self._cane, self._shapes)
         )
@@ -242,7 +274,7 @@ class BenchModel:
         )
 
     def _scattered_light(self, x: Array, y: Array, rng: np.random.Generator) -> Complex64:
-        """Amplitude of the light of each lit pixel (n,), in √(electrons/s)."""
+        """Return the light amplitude of each pixel on the reed (n,), in √(electrons/s)."""
         light, height_width = self.settings.illumination, x.shape
         rough = speckle(height_width, rng)[self._lit]
         middle = 0.5 * self.settings.layout.reed_size_m[1]
@@ -253,7 +285,7 @@ class BenchModel:
         return scattered
 
     def _local_oscillator(self) -> Float:
-        """Amplitude of the local oscillator on the sensor (ny, nx), in √(electrons/s)."""
+        """Return the amplitude of the local oscillator on the sensor (ny, nx), √(electrons/s)."""
         light, sensor = self.settings.illumination, self.settings.sensor
         r2 = np.add.outer(*[(sensor.pixel_m * (np.arange(n) - n // 2)) ** 2 for n in sensor.shape])
         profile = np.exp(-r2 / light.local_oscillator_waist_m**2)
@@ -265,13 +297,13 @@ class BenchModel:
         return int(np.prod(self.settings.sensor.shape))
 
     def _pasted(self, lit: Complex64) -> Complex64:
-        """Object plane (ny, nx) with values on the lit pixels and darkness elsewhere."""
+        """Return the object plane (ny, nx) with values on the reed's pixels and 0 elsewhere."""
         patch = np.zeros(self._lit.shape, dtype=np.complex64)
         patch[self._lit] = lit
         return self.region.paste(patch, self.settings.sensor.shape)
 
     def displacement_m(self, drive_hz: Fraction, drive_v: float) -> Complex64:
-        """Complex displacement (height, width) of the visible reed along z; 0 beside it."""
+        """Return the complex displacement (height, width) of the reed along z, in m; 0 outside."""
         patch = np.zeros(self._lit.shape, dtype=np.complex64)
         patch[self._lit] = drive_v * self._response(drive_hz)
         return patch
@@ -288,23 +320,25 @@ class BenchModel:
         Parameters
         ----------
         segments : sequence of Segment
-            Stretches of the exposure, in order.
+            Parts of the exposure, in order.
         rng : numpy.random.Generator
-            Source of shot and read noise.
+            Source of shot noise and read noise.
         object_gain : complex, optional
-            Amplitude of the light on the object over the nominal: laser, modulator, path.
+            Amplitude of the light on the object relative to its nominal value: changes of laser,
+            modulator and optical path.
         scene : Scene, optional
-            Both beams, and no lamp.
+            Light that reaches the sensor. Default: both beams, and no lamp.
 
         Returns
         -------
         (ny, nx) uint16
+            Frame in dn.
         """
         lit = [s for s in segments if s.state.rf_on]
         duration = np.float32(sum(s.end_s - s.start_s for s in lit))
         if scene != Scene():
-            whole_s = sum(s.end_s - s.start_s for s in segments)
-            return self._plain_frame(scene, float(duration), whole_s, rng)
+            exposure_s = sum(s.end_s - s.start_s for s in segments)
+            return self._plain_frame(scene, float(duration), exposure_s, rng)
         field = np.zeros(len(self._object), dtype=np.complex64)
         for segment in lit:
             field += self._integrated_field(segment)
@@ -318,10 +352,13 @@ class BenchModel:
         return read_out(self.settings.sensor, mean_e, rng)
 
     def _plain_frame(
-        self, scene: Scene, duration_s: float, whole_s: float, rng: np.random.Generator
+        self, scene: Scene, duration_s: float, exposure_s: float, rng: np.random.Generator
     ) -> NDArray[np.uint16]:
-        """Read out one exposure without interference: beams for a time, a lamp for the whole."""
-        mean_e = np.full(self.settings.sensor.shape, scene.lamp_e_s * whole_s, dtype=np.float32)
+        """Read out one exposure without interference.
+
+        The beams are on for `duration_s`, a lamp for the whole exposure.
+        """
+        mean_e = np.full(self.settings.sensor.shape, scene.lamp_e_s * exposure_s, dtype=np.float32)
         if scene.local_oscillator:
             mean_e += np.float32(duration_s) * self._lo * self._lo
         if scene.object_beam:
@@ -329,7 +366,7 @@ class BenchModel:
         return read_out(self.settings.sensor, mean_e, rng)
 
     def _integrated_field(self, segment: Segment) -> Complex64:
-        """∫ E(t)·exp(−2πi·difference·t) dt over a segment, on the lit pixels (n,)."""
+        """Return ∫ E(t)·exp(−2πi·difference·t) dt over a segment, on the reed's pixels (n,)."""
         state = segment.state
         total = np.zeros(len(self._object), dtype=np.complex64)
         for order, light in self._light(state.difference_hz, state.drive_hz, state.drive_v):
@@ -345,7 +382,7 @@ def _unit_response(
     shapes: Mapping[Symmetry | None, Float],
     drive_hz: Fraction,
 ) -> Complex64:
-    """Displacement (n,) of the lit pixels per volt, in m."""
+    """Return the complex displacement of the reed's pixels (n,) per volt, in m/V."""
 
     def pressure(hz: float, x: Array, y: Array) -> NDArray[np.complex128]:
         at_tip = tweeter_pressure_pa(settings.tweeter, hz, 1.0)
@@ -374,7 +411,7 @@ def _light_of_sidebands(
     drive_hz: Fraction,
     drive_v: float,
 ) -> list[tuple[int, Complex64]]:
-    """Sideband orders and their light on the lit pixels (n,), in √(electrons/s)."""
+    """Return the sideband orders and their light on the reed's pixels (n,), √(electrons/s)."""
     if drive_v == 0 or drive_hz == 0:
         return [(0, scattered)]
     orders = kept_orders(difference_hz, drive_hz)

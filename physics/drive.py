@@ -1,20 +1,20 @@
-"""From volts at the amplifier's load to sound pressure: the tweeter."""
+"""The tweeter: sound pressure from the volts at the amplifier's load."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Tweeter:
-    """A dome tweeter screwed onto the mouthpiece: a band-pass, minimum phase.
+    """A dome tweeter that is screwed onto the mouthpiece: a minimum-phase band-pass.
 
     Attributes
     ----------
     sensitivity_pa_v : float
         Pressure per volt in the middle of the band.
     resonance_hz, resonance_quality : float
-        Mechanical resonance; the response falls as f² below it.
+        Mechanical resonance; the response is proportional to f² below it.
     corner_hz : float
-        The voice coil's inductance lets it fall as 1/f above this.
+        Corner frequency of the voice coil's inductance; the response falls as 1/f above it.
     connected : bool
         Whether the cable is plugged in.
     """
@@ -27,7 +27,7 @@ class Tweeter:
 
 
 def tweeter_pressure_pa(tweeter: Tweeter, frequency_hz: float, volts: float) -> complex:
-    """Complex pressure amplitude for a sine of peak volts at the load."""
+    """Return the complex pressure amplitude in Pa for a sine of given peak volts at the load."""
     if not tweeter.connected:
         return 0j
     ratio = frequency_hz / tweeter.resonance_hz

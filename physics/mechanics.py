@@ -1,7 +1,7 @@
-"""The reed of the twin: its cane, what has been done to it, and the modes that follow, by name.
+"""Mechanical model of a reed: its cane, its alterations, and its modes by name.
 
-A description is made of what is known of the reed on the bench; a null in every field is the
-nominal twin: the reed of the drawing, of cane as the paper has it, clamped fast, in vacuum.
+If all shifts, growths, alterations and fractions are zero, the model is the nominal reed: the
+geometry of the reed file and the cane of the paper, rigidly clamped, in vacuum.
 """
 
 from collections.abc import Callable, Mapping
@@ -42,23 +42,26 @@ from physics.reed.viscoelastic import (
 
 Array = NDArray[np.floating[Any]]
 
-# Where moduli and losses that grow with frequency are those without growth.
+# Frequency at which a growth of moduli or losses changes nothing. Chosen: near the middle of the
+# sweep, on a logarithmic scale.
 PIVOT_HZ = 4000.0
-# Modes up to here are told; those just above the sweep bend its end.
+# Highest mode that is computed. Chosen: above the sweep, because modes just above its end still
+# contribute to the response there.
 HIGHEST_HZ = 24e3
+# Results to keep in each cache. Chosen: bounds the memory of a long diagnosis.
 _KEPT = 512
 
 
 @dataclass(frozen=True)
 class CaneShift:
-    """By how much a cane differs from the nominal one, as logarithms of factors.
+    """Difference of a cane from the nominal cane, as natural logarithms of factors.
 
     Attributes
     ----------
     E_L, E_T, E_R, G_LT, G_LR, G_TR, density : float
+        Logarithm of the factor on this modulus, or on the density.
     growth_E_L, growth_G_LT : float
-        Exponents with which these moduli grow with frequency beyond the nominal growth, as
-        (f / 4 kHz) to their power.
+        Additional growth of these moduli with frequency: exponent of (f / 4 kHz).
     """
 
     E_L: float = 0.0
@@ -74,10 +77,16 @@ class CaneShift:
 
 @dataclass(frozen=True)
 class Layer:
-    """Cane that the vamp has beyond the drawing, 1 m thick at its thickest.
+    """Additional cane on the vamp; an amount of 1 is a thickness of 1 m where it is thickest.
 
-    A product of Legendre polynomials, of a degree along the vamp and of one from the right side to
-    the left.
+    The thickness is a product of two Legendre polynomials.
+
+    Attributes
+    ----------
+    along : int
+        Degree of the polynomial along the vamp.
+    across : int
+        Degree of the polynomial from the right side to the left side.
     """
 
     along: int
@@ -86,14 +95,28 @@ class Layer:
 
 @dataclass(frozen=True)
 class TipMass:
-    """Mass of 1 kg spread evenly over the last part of the reed's tip."""
+    """Additional mass, spread uniformly over the tip; an amount of 1 is 1 kg.
+
+    Attributes
+    ----------
+    length_m : float
+        Length of the tip that is covered.
+    """
 
     length_m: float = 2e-3
 
 
 @dataclass(frozen=True)
 class SoftSpot:
-    """Cane 1 m deep that carries nothing along the grain, around a place of the bark side."""
+    """Cane without stiffness along the grain, in a Gaussian spot; an amount of 1 is 1 m deep.
+
+    Attributes
+    ----------
+    x_m, y_m : float
+        Centre of the spot on the bark side.
+    radius_m : float
+        Standard deviation of the Gaussian.
+    """
 
     x_m: float
     y_m: float
@@ -102,7 +125,13 @@ class SoftSpot:
 
 @dataclass(frozen=True)
 class YieldingClamp:
-    """Strips on beds that yield by 1 m per Pa; side 0 is both, 1 the left one, −1 the right one."""
+    """Compliance of the clamp; an amount of 1 is 1 m per Pa.
+
+    Attributes
+    ----------
+    side : {0, 1, -1}
+        Strip of the clamp that yields: 0 both, 1 the left one, −1 the right one.
+    """
 
     side: int = 0
 
@@ -112,21 +141,23 @@ Alteration = Layer | TipMass | SoftSpot | YieldingClamp
 
 @dataclass(frozen=True)
 class Mechanics:
-    """A reed on the bench.
+    """Mechanical parameters of a reed on the bench.
 
     Attributes
     ----------
     cane : ViscoelasticCane
-        The nominal moduli.
+        Nominal moduli.
     shift : CaneShift
+        Difference from the nominal moduli.
     loss_factor, loss_growth : float
-        Of the cane at 4 kHz, and the exponent with which it grows with frequency.
+        Loss factor of the cane at 4 kHz, and its growth with frequency: exponent of (f / 4 kHz).
     alterations : tuple of (Alteration, float)
-        Each with its amount, in the unit that it names.
+        Alterations of the reed or its clamp, each with its amount.
     air_share : float
-        Of the density of air around the reed; 0 is vacuum.
+        Density of the air around the reed, as a fraction of normal air; 0 is vacuum.
     coarse_share : float
-        Of the stiffness that a coarse mesh adds (see `physics.reed.coarse`).
+        Fraction of the additional stiffness of a coarse mesh that is included (see
+        `physics.reed.coarse`).
     """
 
     cane: ViscoelasticCane = viscoelastic_cane(Components(), Series.A)
@@ -145,9 +176,11 @@ class ReedMode:
     Attributes
     ----------
     name : str
+        Name of the mode, such as F1.
     hz, loss_factor : float
+        Resonance frequency and loss factor.
     coordinates : (s,) float
-        See `physics.reed.altered.Vibrations`.
+        Mode shape, see `physics.reed.altered.Vibrations`.
     """
 
     name: str
@@ -157,13 +190,20 @@ class ReedMode:
 
 
 class ReedSolver:
-    """Makes reeds of one kind and tells their modes; keeps what does not depend on amounts.
+    """Compute the modes of reeds of one kind, and cache intermediate results.
 
     Parameters
     ----------
     anatomy : Anatomy
+        Finite-element model of the kind of reed.
     announce : callable, optional
-        Told what is being waited for, if anything.
+        Called with a text before a computation that takes long.
+
+    Attributes
+    ----------
+    modes : callable
+        Cached function from `Mechanics` to a mapping of `ReedMode` by name, sorted by frequency.
+        It raises ValueError if such a reed is physically impossible.
     """
 
     def __init__(self, anatomy: Anatomy, announce: Callable[[str], None] | None = None) -> None:
@@ -177,26 +217,27 @@ class ReedSolver:
             lambda cane, shift: CaneTable.of(material_of(anatomy, cane, shift), HIGHEST_HZ)
         )
         self._named = lru_cache(maxsize=None)(self._named_shapes)
-        # Differences by one parameter leave most of a campaign's reeds as they were.
+        # Cached, because a finite difference in one parameter leaves most reeds of a campaign
+        # unchanged.
         self.modes = lru_cache(maxsize=_KEPT)(self._modes)
 
     def _modes(self, reed: Mechanics) -> Mapping[str, ReedMode]:
-        """Modes of a reed up to 24 kHz, by name, in order of frequency.
+        """Return the modes of a reed up to 24 kHz by name, sorted by frequency.
 
-        Each has the name of the mode of the nominal reed that it is most like.
+        Each mode gets the name of the most similar mode of the nominal reed.
 
         Raises
         ------
         ValueError
-            If the description is of no possible reed.
+            If such a reed is physically impossible.
         """
         found = self._vibrations(reed)
         growth = (found.hz / PIVOT_HZ) ** reed.loss_growth
         loss = reed.loss_factor * growth + found.radiated
         names, shapes = self._named(reed.cane)
         modes = {}
-        likeness = np.abs(shapes.T @ self.mass_kg @ found.coordinates)
-        rows, columns = linear_sum_assignment(likeness, maximize=True)
+        similarity = np.abs(shapes.T @ self.mass_kg @ found.coordinates)
+        rows, columns = linear_sum_assignment(similarity, maximize=True)
         named = dict(zip(columns.tolist(), (names[row] for row in rows), strict=True))
         for m in sorted(named):
             name, hz = named[m], float(found.hz[m])
@@ -208,16 +249,16 @@ class ReedSolver:
     def _vibrations(self, reed: Mechanics) -> Vibrations:
         parts = [(amount, self._unit(kind)) for kind, amount in reed.alterations if amount]
         change = combined(self.anatomy, parts)
-        air = _thinner(self._air(), reed.air_share) if reed.air_share else None
+        air = _thinned(self._air(), reed.air_share) if reed.air_share else None
         return vibrations(self.anatomy, change, self._canes(reed.cane, reed.shift), HIGHEST_HZ, air)
 
     @cached_property
     def mass_kg(self) -> Array:
-        """Mass (s, s) of the nominal reed, in coordinates of its modes."""
+        """Return the mass matrix (s, s) of the nominal reed in kg, in coordinates of its modes."""
         return self.anatomy.reed.cane.density_kg_m3 * self.anatomy.mass
 
     def _named_shapes(self, cane: ViscoelasticCane) -> tuple[list[str], Array]:
-        """Names and shapes (s, m) of the modes of the nominal reed."""
+        """Return names and shapes (s, m) of the modes of the nominal reed."""
         found = self._vibrations(Mechanics(cane=cane))
         portraits, start = [], 0
         density = self.anatomy.reed.cane.density_kg_m3
@@ -244,35 +285,37 @@ class ReedSolver:
 def material_of(
     anatomy: Anatomy, kind: ViscoelasticCane, shift: CaneShift
 ) -> Callable[[float], Cane]:
-    """Cane of a reed at a frequency in Hz."""
+    """Return a function that gives the cane of a reed at a frequency in Hz."""
     nominal = anatomy.reed.cane
 
     def cane(hz: float) -> Cane:
-        here = at_frequency(nominal, kind, hz)
-        octaves = np.log(hz / PIVOT_HZ)
-        factors = {
-            "E_L_pa": shift.E_L + shift.growth_E_L * octaves,
+        unshifted = at_frequency(nominal, kind, hz)
+        log_ratio = np.log(hz / PIVOT_HZ)
+        log_factors = {
+            "E_L_pa": shift.E_L + shift.growth_E_L * log_ratio,
             "E_T_pa": shift.E_T,
             "E_R_pa": shift.E_R,
-            "G_LT_pa": shift.G_LT + shift.growth_G_LT * octaves,
+            "G_LT_pa": shift.G_LT + shift.growth_G_LT * log_ratio,
             "G_LR_pa": shift.G_LR,
             "G_TR_pa": shift.G_TR,
             "density_kg_m3": shift.density,
         }
         changed = {
-            name: getattr(here, name) * float(np.exp(log)) for name, log in factors.items() if log
+            name: getattr(unshifted, name) * float(np.exp(log))
+            for name, log in log_factors.items()
+            if log
         }
-        return replace(here, **changed) if changed else here
+        return replace(unshifted, **changed) if changed else unshifted
 
     return cane
 
 
-def _thinner(air: AirLoad, share: float) -> AirLoad:
-    return AirLoad(air.hz, share * air.mass_kg, share * air.resistance_kg_s)
+def _thinned(air: AirLoad, fraction: float) -> AirLoad:
+    return AirLoad(air.hz, fraction * air.mass_kg, fraction * air.resistance_kg_s)
 
 
 def _unit_change(anatomy: Anatomy, kind: Alteration) -> Change:
-    """What an alteration of one unit adds."""
+    """Return the change of stiffness and mass by an alteration of amount 1."""
     outline, end_m = anatomy.reed.geometry.outline, anatomy.reed.geometry.vamp_x_m[-1]
     if isinstance(kind, YieldingClamp):
         return yielding_clamp(anatomy, float(kind.side >= 0), float(kind.side <= 0))

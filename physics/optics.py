@@ -1,4 +1,4 @@
-"""Light from a vibrating, speckled reed, and what one exposure keeps of its sidebands."""
+"""Light from a vibrating reed with speckle, and its sidebands in one exposure."""
 
 import math
 from collections.abc import Sequence
@@ -19,24 +19,26 @@ Array = NDArray[np.floating[Any]]
 Float = NDArray[np.float32]
 Complex64 = NDArray[np.complex64]
 
-# Sidebands whose frame integral, relative to the largest, could change a pixel are kept.
+# Sidebands that are always computed. Chosen: the integrals of others over a frame are too small to
+# change a pixel.
 _KEPT_ORDERS = (-1, 0, 1, 2)
-# Kept of the image besides the vamp of a reed.
-_BESIDE_REED_MM, _BEHIND_VAMP_MM = 0.5, 2.5
+# Margins of the image around the vamp of a reed: across the reed in total, and behind the vamp.
+# Chosen: a clarinet reed gets the default `Layout.reed_size_m`.
+_SIDE_MARGIN_MM, _HEEL_MARGIN_MM = 0.5, 2.5
 
 
 @dataclass(frozen=True)
 class Illumination:
-    """Light on the reed and on the sensor, as electrons per pixel and second.
+    """Light on the reed and on the sensor, in electrons per pixel and second.
 
     Attributes
     ----------
     local_oscillator_e_s : float
-        At the middle of the sensor.
+        Local oscillator at the middle of the sensor.
     local_oscillator_waist_m : float
         1/e² radius of the expanded local oscillator on the sensor.
     object_e_s : float
-        Mean over the sensor of the light scattered by the reed.
+        Light that the reed scatters, as a mean over the sensor.
     object_waist_m : float
         1/e² radius of the illumination on the reed.
     """
@@ -49,14 +51,17 @@ class Illumination:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the reed stands before the sensor.
+    """Position of the reed in front of the sensor.
 
     Attributes
     ----------
-    wavelength_m, distance_m : float
+    wavelength_m : float
+        Wavelength of the laser.
+    distance_m : float
+        Distance from reed to sensor.
     reed_centre_m : (float, float)
-        Centre (y, x) of the visible reed from the optical axis; off axis, so that the image order
-        lies apart from the zero order and from the twin image.
+        Centre (y, x) of the visible reed relative to the optical axis. It is off axis, so that the
+        image order is separated from the zero order and from the twin image.
     reed_size_m : (float, float)
         Height and width (y, x) of the rectangle around the visible reed; the tip touches its left
         side.
@@ -69,22 +74,22 @@ class Layout:
 
 
 def visible_size_m(geometry: ReedGeometry) -> tuple[float, float]:
-    """Height and width (y, x) of the vamp with some air beside it and some heel behind.
+    """Return height and width (y, x) of the vamp with a margin, in m, for `Layout.reed_size_m`.
 
-    In whole millimetres: `Layout.reed_size_m` of a bench that keeps what there is to see.
+    Both are rounded up to whole millimetres.
     """
-    y_mm = 1e3 * 2 * geometry.outline.side_half_width_m + _BESIDE_REED_MM
-    x_mm = 1e3 * geometry.vamp_x_m[-1] + _BEHIND_VAMP_MM
+    y_mm = 1e3 * 2 * geometry.outline.side_half_width_m + _SIDE_MARGIN_MM
+    x_mm = 1e3 * geometry.vamp_x_m[-1] + _HEEL_MARGIN_MM
     return 1e-3 * math.ceil(y_mm), 1e-3 * math.ceil(x_mm)
 
 
 def reed_region(layout: Layout, transform: FresnelTransform) -> Region:
-    """Pixels of an object image that hold the visible reed."""
+    """Return the region of an object image that holds the visible reed."""
     return region_from_metres(layout.reed_centre_m, layout.reed_size_m, transform)
 
 
 def reed_axes_m(layout: Layout, region: Region, transform: FresnelTransform) -> tuple[Array, Array]:
-    """Reed coordinates of a region's pixels: y (height,) and x (width,)."""
+    """Return the reed coordinates of a region's pixels in m: y (height,) and x (width,)."""
     pitch_y, pitch_x = transform.object_pitch_m
     ny, nx = transform.shape
     y = (np.arange(region.height) + region.row - ny // 2) * pitch_y - layout.reed_centre_m[0]
@@ -93,10 +98,19 @@ def reed_axes_m(layout: Layout, region: Region, transform: FresnelTransform) -> 
 
 
 def speckle(shape: tuple[int, int], rng: np.random.Generator) -> Complex64:
-    """Fully developed speckle of an optically rough surface: circular Gaussian, mean power 1.
+    """Draw fully developed speckle of a rough surface: circular Gaussian, mean power 1.
 
-    One draw per resolution cell of the hologram: roughness within a cell is unresolved, so cells
-    are independent.
+    Each pixel is one resolution cell of the hologram. Roughness within a cell is not resolved, so
+    cells are independent.
+
+    Parameters
+    ----------
+    shape : (int, int)
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    complex64 array of that shape
     """
     parts = rng.standard_normal((2, *shape), dtype=np.float32)
     rough: Complex64 = ((parts[0] + 1j * parts[1]) / np.sqrt(2)).astype(np.complex64)
@@ -106,9 +120,9 @@ def speckle(shape: tuple[int, int], rng: np.random.Generator) -> Complex64:
 def sidebands(
     orders: Sequence[int], displacement_m: Complex64, wavelength_m: float
 ) -> list[Complex64]:
-    """Complex amplitudes of sidebands of the reflected light, per unit amplitude at rest.
+    """Return the complex amplitudes of sidebands of the reflected light, relative to rest.
 
-    A surface moving by ``Re(w e^{iωt})`` along the beam modulates the phase by
+    A surface that moves by ``Re(w e^{iωt})`` along the beam modulates the phase by
     ``φ cos(ωt + arg w)`` with ``φ = 4π|w|/λ``; sideband n is ``iⁿ J_n(φ) e^{i n arg w}``.
     Backscattering along the line of sight is assumed, as in the paper.
 
@@ -116,20 +130,21 @@ def sidebands(
     ----------
     orders : sequence of int
     displacement_m : (n,) complex64
+        Complex displacement w.
     wavelength_m : float
 
     Returns
     -------
     list of (n,) complex64
-        One per order.
+        Amplitudes, one array for each order.
     """
     size = np.abs(displacement_m).astype(np.float64)
-    # The direction of a motion too small to have one does not matter: J_n vanishes there.
+    # Without motion the phase of w is undefined, but J_n is 0 there for n ≠ 0.
     unit = displacement_m / np.maximum(size, np.finfo(np.float64).tiny)
     bessel = _bessel({abs(order) for order in orders}, phase_amplitude(size, wavelength_m))
     answer = []
     for order in orders:
-        # J_{−n} = (−1)ⁿ J_n turns i^{−n} into iⁿ: both sidebands have the same factor.
+        # With J_{−n} = (−1)ⁿ J_n, sidebands n and −n have the same factor iⁿ.
         direction = unit if order >= 0 else unit.conj()
         factor = 1j ** abs(order) * bessel[abs(order)] * direction ** abs(order)
         answer.append(factor.astype(np.complex64))
@@ -137,16 +152,16 @@ def sidebands(
 
 
 def _bessel(orders: set[int], phi: Array) -> dict[int, Array]:
-    """Bessel functions J_n(φ) of whole orders n ≥ 0, each shaped as φ."""
+    """Return Bessel functions J_n(φ) by order n ≥ 0, each of the shape of φ."""
     values = {0: j0(phi), 1: j1(phi)}
-    # Ten times faster than jv; the recurrence loses no digits that matter above the limit.
+    # J_2 by recurrence, ten times faster than jv; by its series where the recurrence is inaccurate.
     series = phi < 1e-3
     values[2] = np.where(series, phi**2 / 8, 2 * values[1] / np.where(series, 1, phi) - values[0])
     return values | {order: jv(order, phi) for order in orders - values.keys()}
 
 
 def beat_integral(offset_hz: Fraction, start_s: float, end_s: float) -> complex:
-    """``∫ exp(2πi·offset·t) dt`` over one stretch of an exposure, in s."""
+    """Return ``∫ exp(2πi·offset·t) dt`` over a part of an exposure, in s."""
     offset = float(offset_hz)
     if offset == 0.0:
         return complex(end_s - start_s)
@@ -155,10 +170,10 @@ def beat_integral(offset_hz: Fraction, start_s: float, end_s: float) -> complex:
 
 
 def kept_orders(difference_hz: Fraction, drive_hz: Fraction) -> tuple[int, ...]:
-    """Sidebands to carry through an exposure.
+    """Return the orders of the sidebands that have to be computed for an exposure.
 
-    The carrier and its neighbours always: their tails leak into a weak first sideband. Beyond
-    them the one that the difference frequency selects.
+    These are always the carrier and its neighbours, because they leak into a weak first sideband.
+    The sideband that the difference frequency selects, and its neighbours, are added.
     """
     selected = round(difference_hz / drive_hz) if drive_hz else 0
     around = (selected - 1, selected, selected + 1)

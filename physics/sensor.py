@@ -1,4 +1,4 @@
-"""The camera's sensor: electrons in, digital numbers out."""
+"""The camera's sensor: converts electrons to digital numbers."""
 
 from dataclasses import dataclass
 
@@ -24,10 +24,11 @@ class Sensor:
     gain_e_dn : float
         Electrons per digital number.
     read_noise_e : float
-        Standard deviation per pixel and frame.
+        Standard deviation of the read noise per pixel and frame, in electrons.
     offset_dn : float
         Digital number of a dark pixel.
     bits : int
+        Resolution of the ADC.
     """
 
     shape: tuple[int, int] = (1024, 1280)
@@ -40,21 +41,22 @@ class Sensor:
 
 
 def read_out(sensor: Sensor, mean_e: Float, rng: np.random.Generator) -> Counts:
-    """Digitise one exposure.
+    """Draw noise and digitise one exposure.
 
-    Shot noise is drawn as a normal deviate with the mean's variance: of a Poisson deviate of the
-    thousands of electrons of a local oscillator it lacks the skewness, about 1 %.
+    Shot noise is drawn from a normal distribution with the variance of a Poisson distribution. For
+    the thousands of electrons of a local oscillator, only the skewness of about 1 % is neglected.
 
     Parameters
     ----------
     sensor : Sensor
     mean_e : (ny, nx) float32
-        Expected electrons; overwritten.
+        Expected number of electrons; overwritten.
     rng : numpy.random.Generator
 
     Returns
     -------
     (ny, nx) uint16
+        Frame in dn.
     """
     noise = rng.standard_normal(mean_e.shape, dtype=np.float32)
     np.maximum(mean_e, 0.0, out=mean_e)
@@ -62,13 +64,13 @@ def read_out(sensor: Sensor, mean_e: Float, rng: np.random.Generator) -> Counts:
     mean_e += noise
     np.minimum(mean_e, np.float32(sensor.full_well_e), out=mean_e)
     mean_e *= np.float32(1 / sensor.gain_e_dn)
-    # Half a number more turns truncation into rounding.
+    # The additional 0.5 dn turns the truncation of astype into rounding.
     mean_e += np.float32(sensor.offset_dn + 0.5)
     np.clip(mean_e, 0, 2**sensor.bits - 1, out=mean_e)
     return mean_e.astype(np.uint16)
 
 
 def saturation_dn(sensor: Sensor) -> int:
-    """Digital number at which a pixel is saturated: the lesser of full well and ADC."""
+    """Return the digital number of a saturated pixel: the limit of full well or ADC."""
     well = sensor.full_well_e / sensor.gain_e_dn + sensor.offset_dn
     return int(min(well, 2**sensor.bits - 1))

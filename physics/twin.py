@@ -1,6 +1,6 @@
-"""The twin's description of a bench and of the reed on it: what it takes for true.
+"""Parameters of the model of a bench with a reed, as the diagnosis uses them.
 
-Every field's default is what the nominal twin assumes. An effect replaces a few of them.
+The defaults are those of the nominal model. An effect changes a few of them.
 """
 
 from dataclasses import dataclass, field, replace
@@ -11,25 +11,27 @@ from physics.mechanics import Alteration, Mechanics
 
 @dataclass(frozen=True)
 class DriveChain:
-    """From volts to the pressure on the reed.
+    """Drive chain: from volts to the pressure on the reed.
 
     Attributes
     ----------
     compression : float
-        Share of the pressure that is lost at 16 V where the coil moves most.
+        Fraction of the pressure that is lost at 16 V and low frequency, where the coil moves most.
     compression_hz : float
-        Above this the coil moves less.
+        Frequency above which the coil moves less.
     roll_off : float
-        10 kHz over the corner of the amplifier's second-order low-pass.
-    line_excess, line_quality, line_shift : float
-        What the device's known line is stronger by, a share; of higher quality and higher, as
-        logarithms.
+        10 kHz divided by the corner frequency of the amplifier's second-order low-pass.
+    line_excess : float
+        Relative change of the strength of the known acoustic resonance of the excitation device.
+    line_quality, line_shift : float
+        Natural logarithms of the factors on its quality and on its frequency.
     beside : (float, float)
-        Real and imaginary part of the share of the pressure that takes another way.
+        Real and imaginary part of the pressure that reaches the reed on another path, relative to
+        the direct one.
     second_line, second_hz, second_quality : float
-        Strength of another resonance of the air, and where.
+        Strength, frequency and quality of a second acoustic resonance.
     open_right : float
-        Share of the pressure that reaches the half which clay should cover.
+        Fraction of the pressure that reaches the half of the chamber that clay should fill.
     """
 
     compression: float = 0.0
@@ -47,18 +49,18 @@ class DriveChain:
 
 @dataclass(frozen=True)
 class Clocks:
-    """What frequencies are beside what they are set to.
+    """Errors of frequencies and clocks.
 
     Attributes
     ----------
     detuning_hz : float
-        Of the difference of the modulators.
+        Error of the difference frequency of the two modulators.
     detuning_hz_h : float
-        What that grows by.
+        Growth of this error per hour.
     generator_ppm : float
-        The drive's clock over the modulators'.
+        Relative error of the generator's clock compared with the synthesizers' clock, in ppm.
     lost_share : float
-        Acquisitions with a frame lost or doubled.
+        Fraction of acquisitions with a lost or repeated frame.
     """
 
     detuning_hz: float = 0.0
@@ -69,32 +71,33 @@ class Clocks:
 
 @dataclass(frozen=True)
 class OpticsParameters:
-    """Both beams, from the laser to the sensor.
+    """Parameters of both beams, from the laser to the sensor.
 
     Attributes
     ----------
     walk_rad_s : float
-        How fast the phase between the beams walks, rad per root second.
+        Random walk of the phase between the beams, in rad per square root of a second.
     jitter_rad : float
-        Of that phase, from frame to frame.
+        Standard deviation of additional random changes of this phase from frame to frame.
     quarter_error_rad : float
-        Of every other phase step.
+        Phase error of every second phase step.
     fade_per_h : float
-        Share of the laser's power lost.
+        Relative loss of the laser's power per hour.
     hop, hop_share : float
-        What fringes lose of their contrast, and at which share of the campaign.
+        Relative loss of fringe contrast by a laser mode hop, and its time as a fraction of the
+        campaign.
     blur : float
-        Contrast lost per square of the phase amplitude.
+        Loss of contrast per square of the phase amplitude.
     leak, mixing : float
-        Amplitude of the carrier, and of the next sideband, in every sideband.
+        Relative amplitude of the carrier, and of the next sideband, in the image of each sideband.
     shift_m : (float, float)
-        Of the local oscillator's middle, along rows' and columns' numbers.
+        Displacement of the local oscillator's centre on the sensor, along rows and columns (y, x).
     waist_m : float
-        Of the local oscillator on the sensor.
+        1/e² radius of the local oscillator on the sensor.
     vignette : float
-        Share of the light lost in the corners.
+        Fraction of the light that is lost in the corners.
     defocus_m : float
-        Error of the distance that images are focused at.
+        Error of the distance at which images are focused.
     """
 
     walk_rad_s: float = 0.05
@@ -114,18 +117,18 @@ class OpticsParameters:
 
 @dataclass(frozen=True)
 class SensorParameters:
-    """The camera's sensor.
+    """Errors of the camera's sensor.
 
     Attributes
     ----------
     read_factor : float
-        Read noise over that of the data sheet, log.
+        Natural logarithm of the read noise divided by that of the data sheet.
     pattern : float
-        Rms of the pixels' sensitivity beyond what every sensor has.
+        Standard deviation of the pixels' relative sensitivity, in addition to that of any sensor.
     hot : float
-        Share of hot pixels.
+        Fraction of hot pixels.
     bend : float
-        Share by which a full pixel reads low.
+        Sensor nonlinearity: relative error of a full pixel, which reads too low.
     """
 
     read_factor: float = 0.0
@@ -136,20 +139,20 @@ class SensorParameters:
 
 @dataclass(frozen=True)
 class Environment:
-    """What changes the reed while it is measured.
+    """Influences that change the reed while it is measured.
 
     Attributes
     ----------
     warming_c_h : float
-        Degrees per hour.
+        Increase of the temperature, in °C per hour.
     loss_per_c : float
-        Relative change of the loss per degree.
+        Relative change of the loss factor per °C.
     drying, drying_s : float
-        Share of the way to a dry reed, and how long that takes.
+        Final dryness (0 as at the start, 1 dry), and the time constant of drying.
     hardening : float
-        Relative stiffening at a phase amplitude of 10 rad.
+        Relative increase of stiffness at a phase amplitude of 10 rad.
     begun_h : float
-        How long all this has gone on when a campaign begins.
+        Time from the beginning of these changes to the start of the campaign, in hours.
     """
 
     warming_c_h: float = 0.0
@@ -162,27 +165,29 @@ class Environment:
 
 @dataclass(frozen=True)
 class FitBias:
-    """What fits of sweeps take the drive for a mode by, and the other way round.
+    """Errors of the fit of a sweep that confuses the response of a mode with that of the drive.
 
-    A mode at another frequency, with the drive bent around it to match, moves a reed almost alike.
+    A mode at another frequency gives almost the same motion if the frequency response of the drive
+    changes around it.
 
     Attributes
     ----------
     exchanged : tuple of (str, float, float)
-        Mode, cents by which its frequency is told too high, and how much its loss is, a logarithm.
+        Name of a mode, error of its fitted frequency in cents, and natural logarithm of the factor
+        on its fitted loss.
     """
 
     exchanged: tuple[tuple[str, float, float], ...] = ()
 
     def of(self, mode: str) -> tuple[float, float]:
-        """Cents and logarithm of a mode."""
+        """Return the errors of a mode: frequency in cents, and logarithm of the loss factor."""
         own = [(cents, log) for name, cents, log in self.exchanged if name == mode]
         return sum(cents for cents, _ in own), sum(log for _, log in own)
 
 
 @dataclass(frozen=True)
 class Twin:
-    """A bench as the twin sees it.
+    """All parameters of the model of a bench with a reed.
 
     Attributes
     ----------
@@ -205,38 +210,38 @@ class Twin:
 
 
 def more(twin: Twin, part: str, **amounts: float) -> Twin:
-    """Twin with more of some fields of a part.
+    """Return a copy of the parameters with amounts added to some fields.
 
     Parameters
     ----------
     twin : Twin
     part : str
-        Name of the part.
+        Name of an attribute of `Twin`, such as ``beams``.
     **amounts : float
-        Added to the fields of these names.
+        Amounts to add, by the names of fields of that part.
     """
     if not any(amounts.values()):
         return twin
-    there = getattr(twin, part)
-    fields: dict[str, Any] = {name: getattr(there, name) + by for name, by in amounts.items()}
-    changed: dict[str, Any] = {part: replace(there, **fields)}
+    old = getattr(twin, part)
+    fields: dict[str, Any] = {name: getattr(old, name) + by for name, by in amounts.items()}
+    changed: dict[str, Any] = {part: replace(old, **fields)}
     return replace(twin, **changed)
 
 
 def with_reed(twin: Twin, **changes: Any) -> Twin:
-    """Twin with other fields of its reed."""
+    """Return a copy of the parameters with other values of some fields of the reed."""
     return replace(twin, reed=replace(twin.reed, **changes))
 
 
 def with_cane(twin: Twin, **more: float) -> Twin:
-    """Twin whose cane's shifts are that much greater."""
+    """Return a copy of the parameters with amounts added to fields of the reed's `CaneShift`."""
     shift = twin.reed.shift
     changed = {name: getattr(shift, name) + value for name, value in more.items()}
     return with_reed(twin, shift=replace(shift, **changed))
 
 
 def with_alteration(twin: Twin, kind: Alteration, amount: float) -> Twin:
-    """Twin whose reed has been altered besides."""
+    """Return a copy of the parameters with one more alteration of the reed."""
     if not amount:
         return twin
     return with_reed(twin, alterations=(*twin.reed.alterations, (kind, amount)))

@@ -1,10 +1,11 @@
 """Demodulate and judge the four frames of a step."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from acquire.runner.frame_quality import (
     judge_consecutive,
@@ -102,8 +103,7 @@ def measure(
     usual : Usual, optional
         Usual values of the steps before.
     echoes : bool
-        Whether the synthesizers only return the settings that were sent to them, instead of
-        measuring their outputs.
+        Whether the synthesizers' read-back only repeats the settings that were sent to them.
 
     Returns
     -------
@@ -111,44 +111,100 @@ def measure(
         A step with fewer frames than planned has a field of zeros.
     """
     step, frames, usual = acquisition.step, acquisition.frames, usual or Usual()
-    region, kind = reconstruction.region, _kind(plan)
-    field = np.zeros((region.height, region.width), dtype=np.complex64)
-    ratio, noise, turn, level_dn, share = np.nan, np.nan, NO_TURN, np.nan, 0.0
+    level_dn, light = _brightness(frames, plan, usual)
     judgements = [judge_consecutive(frames, step.frames)]
     if frames:
-        share = saturated_share(frames, saturation_dn)
-        judgements += [judge_saturation(share)]
         judgements += _judge_frames(acquisition, plan, saturation_dn, previous)
-        # In a dark run, empty or equal rows are no fault.
-        if kind != "dark":
-            level_dn = float(np.median(brightness_dn(frames, _dark_dn(plan))))
-            light = judge_light(frames, _dark_dn(plan), usual)
-            judgements += [light, judge_whole(frames, saturation_dn)]
-    if len(frames) == step.frames and kind in ("sweep", "order0"):
-        images = np.stack([frame.image for frame in frames])
-        halves = reconstruction.quadratures(images)
-        field, noise = halves.field, halves.noise
-        turn = reconstruction.steady_turn(images, halves)
-        ratio = mean_power(field) / noise if noise > 0 else np.nan
+        judgements += _judge_pixels(frames, plan, saturation_dn, light)
+    hologram = _demodulated(acquisition, plan, reconstruction)
+    if hologram.is_complete:
         # If the brightness differs between frames, the turn of their image cannot be measured.
         if light is None:
-            judgements += _judge_turn(turn, step, plan, usual, echoes)
-        judgements.append(_judge_signal(ratio, step, plan, reconstruction))
-    turn_hz = float(plan.protocol.camera.frame_rate_hz) / (2 * np.pi)
+            judgements += _judge_turn(hologram.turn, step, plan, usual, echoes)
+        judgements.append(_judge_signal(hologram.signal_to_noise, step, plan, reconstruction))
     return MeasuredStep(
         read_back=acquisition.after,
         changed_s=acquisition.changed_s,
         frames=frames,
-        field=field,
-        signal_to_noise=ratio,
-        noise_level=noise,
-        saturated_share=share,
+        field=hologram.field,
+        signal_to_noise=hologram.signal_to_noise,
+        noise_level=hologram.noise,
+        saturated_share=saturated_share(frames, saturation_dn) if frames else 0.0,
         brightness_dn=level_dn,
-        lock_error_hz=turn.error_rad * turn_hz,
-        lock_error_se_hz=turn.standard_error_rad * turn_hz,
-        unexplained=turn.unexplained,
+        lock_error_hz=hologram.lock_error_hz,
+        lock_error_se_hz=hologram.lock_error_se_hz,
+        unexplained=hologram.turn.unexplained,
         judgement=most_severe(judgements),
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Hologram:
+    """Complex image of one step, and how it turns from frame to frame.
+
+    Attributes
+    ----------
+    is_complete : bool
+        Whether all frames were there; if not, the field is zero and the numbers are NaN.
+    field : (height, width) complex64
+    noise, signal_to_noise : float
+        Mean power of the noise, and of the image in units of it.
+    turn : SteadyTurn
+    frame_rate_hz : float
+    """
+
+    is_complete: bool
+    field: npt.NDArray[np.complex64]
+    noise: float
+    signal_to_noise: float
+    turn: SteadyTurn
+    frame_rate_hz: float
+
+    @property
+    def lock_error_hz(self) -> float:
+        """Turn of the image per second, in periods."""
+        return self.turn.error_rad * (self.frame_rate_hz / (2 * np.pi))
+
+    @property
+    def lock_error_se_hz(self) -> float:
+        """Standard error of `lock_error_hz`."""
+        return self.turn.standard_error_rad * (self.frame_rate_hz / (2 * np.pi))
+
+
+def _demodulated(acquisition: Acquisition, plan: Plan, reconstruction: Reconstruction) -> _Hologram:
+    """Demodulate the frames of a step that is measured with a sideband and has all its frames."""
+    frames, region = acquisition.frames, reconstruction.region
+    rate_hz = float(plan.protocol.camera.frame_rate_hz)
+    if len(frames) != acquisition.step.frames or _kind(plan) not in ("sweep", "order0"):
+        empty = np.zeros((region.height, region.width), dtype=np.complex64)
+        return _Hologram(False, empty, np.nan, np.nan, NO_TURN, rate_hz)
+    images = np.stack([frame.image for frame in frames])
+    halves = reconstruction.quadratures(images)
+    ratio = mean_power(halves.field) / halves.noise if halves.noise > 0 else np.nan
+    turn = reconstruction.steady_turn(images, halves)
+    return _Hologram(True, halves.field, halves.noise, ratio, turn, rate_hz)
+
+
+def _judge_pixels(
+    frames: Sequence[Frame], plan: Plan, saturation_dn: int, light: Judgement | None
+) -> list[Judgement | None]:
+    """Judge the values of the pixels."""
+    judgements = [judge_saturation(saturated_share(frames, saturation_dn)), light]
+    # In a dark run, empty or equal rows are no fault.
+    if _kind(plan) != "dark":
+        judgements.append(judge_whole(frames, saturation_dn))
+    return judgements
+
+
+def _brightness(
+    frames: Sequence[Frame], plan: Plan, usual: Usual
+) -> tuple[float, Judgement | None]:
+    """Return the median brightness in dn and its judgement; NaN and None in a dark run."""
+    if not frames or _kind(plan) == "dark":
+        return np.nan, None
+    dark_dn = _dark_dn(plan)
+    level_dn = float(np.median(brightness_dn(frames, dark_dn)))
+    return level_dn, judge_light(frames, dark_dn, usual)
 
 
 def _kind(plan: Plan) -> str:

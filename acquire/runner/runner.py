@@ -1,5 +1,6 @@
 """Measure one sweep on one bench, with a state machine that controls all instruments."""
 
+import functools
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -103,11 +104,6 @@ def run(
     orders : Orders, optional
         Orders to the run. If given, the caller must convert signals to orders.
 
-    Returns
-    -------
-    RunSummary
-        Summary of the run, which is complete or interrupted.
-
     Raises
     ------
     ProtocolError
@@ -118,19 +114,18 @@ def run(
         If an instrument failed. Steps before are in the file. Outputs that are not confirmed off
         are in the notes of the exception, and in its `unconfirmed`.
     """
-    report = progress or (lambda _: None)
-
-    def recorder() -> Recorder:
-        if resume:
-            return Recorder.resume(plan, bench, Path(path), report)
-        return Recorder.create(plan, bench, Path(path), labels or RunLabels(), report)
-
+    report, place = progress or (lambda _: None), Path(path)
+    if resume:
+        recorder = functools.partial(Recorder.resume, plan, bench, place, report)
+    else:
+        recorder = functools.partial(
+            Recorder.create, plan, bench, place, labels or RunLabels(), report
+        )
     with ExitStack() as obeying:
         if orders is None:
             orders = Orders()
             obeying.enter_context(signals_obeyed(orders))
-        runner = Runner(plan, bench, Path(path), recorder, announce or (lambda _: None), orders)
-        return runner.execute()
+        return Runner(plan, bench, place, recorder, announce or (lambda _: None), orders).execute()
 
 
 class Runner:

@@ -10,7 +10,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
@@ -25,6 +24,7 @@ from runs.disk import error_class
 from runs.errors import RunFileError
 from runs.layout import FREE, UNDER_WAY, RunLabels, short_reason, verdict_of
 from runs.measured_step import MeasuredStep
+from runs.opening import DAMAGE, DamagedStepError, absent, failure, open_file, status_of
 from runs.records import (
     Column,
     StepRecord,
@@ -41,8 +41,6 @@ from runs.writer import RunWriter
 
 __all__ = ["MeasuredStep", "Run", "RunLabels", "RunWriter", "StepRecord"]
 
-# Errors that h5py and the interpretation of values raise when bytes differ from what was written.
-_DAMAGE = OSError, RuntimeError, ValueError, TypeError, ArithmeticError
 # While a step is measured again, its row changes for a few milliseconds. A running run that cannot
 # be read after this many attempts, with these pauses, is damaged. Chosen: 0.1 s in total.
 _MAX_READINGS: Final = 6
@@ -142,21 +140,21 @@ class Run:
         if path.is_dir():
             raise RunFileError(f"{path}: is a folder; name a run file in it")
         if not path.is_file():
-            raise _absent(path)
+            raise absent(path)
         readings = 0
         while True:
             readings += 1
-            file = _opened(path)
+            file = open_file(path)
             try:
                 require_run(path, file)
                 return cls(path, file, damaged_as_pending=damaged_as_pending)
-            except (KeyError, *_DAMAGE) as error:
-                status = _status(file)
+            except (KeyError, *DAMAGE) as error:
+                status = status_of(file)
                 file.close()
                 if not path.exists():
-                    raise _absent(path) from error
+                    raise absent(path) from error
                 if status != "running" or readings == _MAX_READINGS:
-                    raise _failure(path, error, status) from error
+                    raise failure(path, error, status) from error
                 # The runner may just have changed a step that is measured again, so that half of
                 # the row belongs to one take and half to the next: wait and read again.
                 time.sleep(_READING_PAUSE_S)
@@ -290,7 +288,7 @@ class Run:
         """Return the pixels of one take, if they match their checksum."""
         try:
             pixels = self._file["entry"][name][place]
-        except (KeyError, *_DAMAGE) as error:
+        except (KeyError, *DAMAGE) as error:
             raise error_class(error)(
                 f"{self.path}: {label} is damaged ({short_reason(error)}); "
                 "use another copy of the file or do without this step"
@@ -304,7 +302,7 @@ class Run:
 
     def _has_changed(self, position: int) -> bool:
         """Return whether another process has changed a step since this file was opened."""
-        with contextlib.suppress(KeyError, *_DAMAGE):
+        with contextlib.suppress(KeyError, *DAMAGE):
             steps = self._file["entry/steps"]
             verdict = Verdict(steps["verdict"].asstr()[position])
             checksum = int(steps[ROW_CHECKSUM][position])
@@ -326,7 +324,7 @@ class Run:
             damaged = verdict is None or (verdict.measured and not intact[position])
             if damaged and not damaged_as_pending:
                 index = columns["index"][position]
-                raise _DamagedStepError(f"step {index} (row {position})")
+                raise DamagedStepError(f"step {index} (row {position})")
             verdicts.append(Verdict.PENDING if verdict is None or damaged else verdict)
         self.steps = tuple(step_records(columns, verdicts))
         self._pixel_checksums: list[int] = columns[PIXEL_CHECKSUM].tolist()
@@ -365,7 +363,7 @@ class Run:
                 found.append(replace(step, **taken[place]))
                 self._retake_places.append(int(place))
             elif not damaged_as_pending:
-                raise _DamagedStepError(f"an earlier take of step {step.index}")
+                raise DamagedStepError(f"an earlier take of step {step.index}")
         self.retakes = tuple(found)
         self._retake_checksums = columns[PIXEL_CHECKSUM][self._retake_places].tolist()
 
@@ -422,80 +420,3 @@ class Run:
             ),
             Region(*(int(region[name][()]) for name in ("row", "column", "height", "width"))),
         )
-
-
-class _DamagedStepError(ValueError):
-    """The numbers of a take do not match their checksum; the message names the take."""
-
-
-def _opened(path: Path) -> Any:
-    """Open an HDF5 file for reading, even if another process is writing it.
-
-    Raises
-    ------
-    RunFileError
-        If it cannot be read as an HDF5 file.
-    """
-    try:
-        try:
-            file = h5py.File(path, "r", locking=False)
-        except OSError as error:
-            # This process already has the file open with a lock, and HDF5 requires the same
-            # locking mode for both.
-            if "locking" not in str(error):
-                raise
-            return h5py.File(path, "r")
-        return _shareable(path, file)
-    except OSError as error:
-        # The file may have been removed after `Run.open` found it.
-        if not path.exists():
-            raise _absent(path) from None
-        raise error_class(error)(
-            f"{path}: cannot be read as an HDF5 file ({short_reason(error)}); name a run file"
-        ) from error
-
-
-def _shareable(path: Path, file: Any) -> Any:
-    """Reopen a complete run with a shared lock, the default of other libraries in this process.
-
-    HDF5 opens a file twice in one process only with the same locking mode. A complete run is never
-    continued, so the lock does not block a writer.
-    """
-    if _status(file) != "complete":
-        return file
-    file.close()
-    try:
-        return h5py.File(path, "r")
-    except OSError:
-        # The file system has no locks, or this process just opened the file without one.
-        return h5py.File(path, "r", locking=False)
-
-
-def _absent(path: Path) -> RunFileError:
-    return RunFileError(f"{path}: there is no such file; check the name")
-
-
-def _status(file: Any) -> str:
-    """Return the status of a run that may be damaged; empty if the status cannot be read."""
-    with contextlib.suppress(KeyError, *_DAMAGE):
-        return read_text(file["entry"], "status")
-    return ""
-
-
-def _failure(path: Path, error: Exception, status: str) -> RunFileError:
-    """Return the error that says why a run file cannot be read, and what to do."""
-    if isinstance(error, _DamagedStepError):
-        instead = "measure again"
-        if status not in ("complete", ""):
-            instead = "continue the run (acquire run … --resume), which measures the step again"
-        return RunFileError(
-            f"{path}: the numbers of {error} are damaged: they do not have the checksum that was "
-            f"written with them; use another copy of the file, or {instead}"
-        )
-    if isinstance(error, KeyError):
-        return RunFileError(
-            f"{path}: is incomplete ({short_reason(error)}); measure again or use another copy"
-        )
-    return error_class(error)(
-        f"{path}: is damaged ({short_reason(error)}); use another copy of the file"
-    )

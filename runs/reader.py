@@ -8,7 +8,7 @@ from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ from runs.checks import require_run
 from runs.checksums import PIXEL_CHECKSUM, ROW_CHECKSUM, pixel_checksum, whole_rows
 from runs.disk import error_class
 from runs.errors import RunFileError
+from runs.labelled_arrays import fields_dataset, steps_frame
 from runs.layout import FREE, UNDER_WAY, RunLabels, short_reason, verdict_of
 from runs.measured_step import MeasuredStep
 from runs.opening import DAMAGE, DamagedStepError, absent, failure, open_file, status_of
@@ -38,6 +39,10 @@ from runs.records import (
 )
 from runs.verdict import Verdict
 from runs.writer import RunWriter
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
 
 __all__ = ["MeasuredStep", "Run", "RunLabels", "RunWriter", "StepRecord"]
 
@@ -243,6 +248,18 @@ class Run:
             )
         frames: npt.NDArray[np.uint16] = self._read("frames", position)
         return frames
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Return one row for each planned step, see `runs.labelled_arrays.steps_frame`."""
+        return steps_frame(self)
+
+    def to_xarray(self) -> "xr.Dataset":
+        """Return the fields of all measured steps, see `runs.labelled_arrays.fields_dataset`."""
+        return fields_dataset(self)
+
+    def __repr__(self) -> str:
+        good = int(self.good.sum())
+        return f"<Run {self.path}: {self.reed}, {self.status}, {good} of {len(self)} steps good>"
 
     def close(self) -> None:
         """Close the file. May be called twice."""

@@ -19,9 +19,10 @@ from drivers.registry import find_driver, known_drivers
 from drivers.simulated.settings import Simulation
 from protocols.bench import BenchFile
 from protocols.campaign import CampaignFile
+from protocols.key_paths import KIND_KEY
 from protocols.protocol import Protocol
 from protocols.reed import ReedFile
-from protocols.strict_yaml import KIND_KEY, Description
+from protocols.strict_yaml import Description
 from protocols.units import format_quantity
 
 _FILES: tuple[type[Description], ...] = (Protocol, BenchFile, ReedFile, CampaignFile)

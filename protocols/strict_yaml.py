@@ -9,24 +9,20 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, ClassVar, Final, Self, get_args
+from typing import Any, ClassVar, Final, Self
 
 import yaml
 from pydantic import BaseModel, ConfigDict, PrivateAttr, ValidationError
 from pydantic_core import ErrorDetails
 
 from protocols.errors import ProtocolError
+from protocols.key_paths import KIND_KEY, KeyPath, keys_of, kinds, resolved
 from protocols.units import invisible_character, shown_value
-
-KeyPath = tuple[str | int, ...]
-
-# Key that names the kind of a section of which there are several kinds, such as a sweep law.
-KIND_KEY: Final = "law"
 
 # A description is two screens long, and 50 kB with a map of 5000 measured thicknesses. These stop a
 # file that is something else before it costs time; PyYAML reads some 40 kB in a second.
@@ -209,84 +205,33 @@ def _error(source: str, path: KeyPath, line: int | None, message: str) -> Protoc
     return ProtocolError("".join(c if c.isprintable() else repr(c)[1:-1] for c in ": ".join(parts)))
 
 
-def _resolved(model: type[BaseModel], location: KeyPath) -> tuple[KeyPath, list[type[BaseModel]]]:
-    """Return the key path in the file for a location of pydantic, and the models at that path.
-
-    In a section of which there are several kinds, such as sweep laws, pydantic adds the name of the
-    kind to the location. It is not part of the key path.
-    """
-    path: list[str | int] = []
-    models, kind_follows = [model], False
-    for step in location:
-        if kind_follows:
-            models = [each for each in models if step in _kind_names(each)]
-            kind_follows = False
-            continue
-        path.append(step)
-        # An item of a list has the section of the list.
-        if isinstance(step, str):
-            fields = [
-                info
-                for each in models
-                for name, info in each.model_fields.items()
-                if step == (info.alias or name)
-            ]
-            kind_follows = any(info.discriminator for info in fields)
-            models = [below for info in fields for below in _models_in(info.annotation)]
-    return tuple(path), models
-
-
-def _kind_names(model: type[BaseModel]) -> tuple[Any, ...]:
-    return get_args(model.model_fields[KIND_KEY].annotation)
-
-
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Models in the type of a key: a model itself, or one in an option, a tuple or a list."""
-    kinds: list[Any] = [annotation]
-    while kinds:
-        kind = kinds.pop(0)
-        kinds += get_args(kind)
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
-            yield kind
-
-
 def _explanation(
     error: ErrorDetails, model: type[BaseModel], content: Mapping[str, Any]
 ) -> tuple[KeyPath, str]:
     """Say at which key path pydantic found something wrong, what it is, and what to do."""
-    path, models = _resolved(model, error["loc"])
+    path, models = resolved(model, error["loc"])
     value = shown_value(_value_at(content, path))
     match error["type"]:
         case "value_error":
             return path, str(error["ctx"]["error"])
         case "extra_forbidden":
-            _, models = _resolved(model, error["loc"][:-1])
-            known = _keys_of(models) or ["none"]
+            _, models = resolved(model, error["loc"][:-1])
+            known = keys_of(models) or ["none"]
             near = difflib.get_close_matches(str(path[-1]), known, n=1, cutoff=0.5)
             remedy = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
             return path, f"unknown key; {remedy}"
         case "missing":
             return path, "is missing; add it, see the shipped files for how it is written"
         case "model_type" | "model_attributes_type":
-            return path, f"{value} is no mapping; give {', '.join(_keys_of(models))}"
+            return path, f"{value} is no mapping; give {', '.join(keys_of(models))}"
         case "union_tag_not_found":
-            return (*path, KIND_KEY), f"is missing; write one of {_kinds(models)}"
+            return (*path, KIND_KEY), f"is missing; write one of {kinds(models)}"
         case "union_tag_invalid":
             named = shown_value(_value_at(content, (*path, KIND_KEY)))
-            return (*path, KIND_KEY), f"{named} is unknown; write one of {_kinds(models)}"
+            return (*path, KIND_KEY), f"{named} is unknown; write one of {kinds(models)}"
         case _:
             complaint = error["msg"].removeprefix("Input ").removeprefix("String ")
             return path, f"{value} {complaint}"
-
-
-def _keys_of(models: Sequence[type[BaseModel]]) -> list[str]:
-    """Keys of some models as they are written in the file, each once."""
-    keys = (info.alias or name for each in models for name, info in each.model_fields.items())
-    return list(dict.fromkeys(keys))
-
-
-def _kinds(models: Sequence[type[BaseModel]]) -> str:
-    return ", ".join(str(name) for each in models for name in _kind_names(each))
 
 
 def _value_at(content: Any, path: KeyPath) -> Any:

@@ -32,10 +32,10 @@ import numpy as np
 import acquire
 from acquire.cli.console import results
 from acquire.cli.display import (
+    bad_steps_of,
     catalogue_entry,
     details_table,
     run_details,
-    troubles_of,
 )
 from acquire.runner.resuming import unfinished
 from benchmarks.fuzz_judging import Outcome, Tally, Unnoticed, judged
@@ -189,7 +189,7 @@ def content_of(path: Path, plan: Plan) -> dict[str, str]:
     read: dict[str, str] = {}
     with Run.open(path) as run:
         details = run_details(run)
-        shown = {"details": details, "entry": catalogue_entry(run), "troubles": troubles_of(run)}
+        shown = {"details": details, "entry": catalogue_entry(run), "bad_steps": bad_steps_of(run)}
         for name, value in shown.items():
             text = json.dumps(value, default=repr).replace(str(path), "")
             json.loads(text)

@@ -130,7 +130,7 @@ def left_on(
                     "timeout_s": 0.8,
                 },
                 "instruments.camera.driver": "simulated",
-                "simulation": {"mesh": "coarse"},
+                "twin": {"mesh": "coarse"},
             }
         )
         yield box, generator, acquire.plan(acquire.load("quick"), bench).plan

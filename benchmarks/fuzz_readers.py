@@ -313,7 +313,7 @@ def _read_bench(file: Path) -> None:
         if model is not None:
             options = {**entry.options, **_ADDED.get(entry.driver, {})}
             read_options(model, options, bench.name, f"instruments.{role}.options")
-    twin, preparation = read_simulation(bench.simulation, bench.name), plan.preparation("R07")
+    twin, preparation = read_simulation(bench.twin, bench.name), plan.preparation("R07")
     model_settings(twin, bench, preparation)
     try:
         bench_geometry(twin, preparation)
@@ -495,7 +495,7 @@ acoustic_resonances: [4308.6 Hz, 9 kHz]
 known:
   camera_bend: {share: 0.01}
   bench_vibration: {jitter: 100 mrad}
-simulation:
+twin:
   reed: {e1: 0.5, e2: -0.5, e3: 0.0, e4: 0.0}
   shape:
     thickness_offset_um: 3.0

@@ -27,7 +27,7 @@ LIMIT_RATIO = 1.30
 
 def benchmark(protocol: str) -> dict[str, Any]:
     """Measure one sweep; the result is what ``--json`` prints."""
-    bench = BenchFile.from_file().replace({"simulation": {"pace": "realtime"}})
+    bench = BenchFile.from_file().replace({"twin": {"pace": "realtime"}})
     plan = acquire.plan(acquire.load(protocol), bench).plan
     exposed_s = sum(s.frames for s in plan.steps) / float(plan.protocol.camera.frame_rate_hz)
     with tempfile.TemporaryDirectory() as folder:

@@ -149,7 +149,7 @@ def benchmark(
     reeds: int, first: int, protocol: str, kind: str, loss_factor: float
 ) -> dict[str, Any]:
     """Recover a number of reeds; the result is what ``--json`` prints."""
-    bench = BenchFile.from_file().replace({"simulation": {"loss_factor": loss_factor}})
+    bench = BenchFile.from_file().replace({"twin": {"loss_factor": loss_factor}})
     plan = make_plan(Protocol.from_file(protocol).replace(reed=kind), bench)
     recoveries = []
     with tempfile.TemporaryDirectory() as folder:

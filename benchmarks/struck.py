@@ -63,7 +63,7 @@ class Outcome:
 def planned(fault: Fault) -> Plan:
     """Plan of the sweep that a fault strikes."""
     twin = {"mesh": "coarse", **fault.twin, "faults": dict(fault.faults)}
-    bench = BenchFile.from_file("emulated").replace({"simulation": twin})
+    bench = BenchFile.from_file("emulated").replace({"twin": twin})
     # The software of a camera maker is no part of what is tried here.
     bench = bench.replace(
         {

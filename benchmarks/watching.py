@@ -79,7 +79,7 @@ _RATIOS: Final = (("watched", "alone"), ("watched", "busy"), ("busy", "alone"))
 
 def measure(path: Path, done: Any, answer: Any) -> None:
     """Measure a sweep; send seconds and processor seconds for each step."""
-    bench = BenchFile.from_file().replace({"simulation": {"mesh": "coarse", "pace": "realtime"}})
+    bench = BenchFile.from_file().replace({"twin": {"mesh": "coarse", "pace": "realtime"}})
     plan = acquire.plan(acquire.load("quick").replace(_SMALL), bench).plan
     times: list[tuple[float, float]] = []
 

@@ -111,7 +111,7 @@ def wrong_bench(
         "pressure": {"distortion": pressure, "seed": int(rng.integers(2**31))},
         "light": {"gain_scatter": gain, "phase_scatter": phase},
     }
-    return BenchFile.from_file().replace({"simulation": settings})
+    return BenchFile.from_file().replace({"twin": settings})
 
 
 def _thickness_map_um(rng: np.random.Generator, thickness_um: float, asymmetry: float) -> Array:
@@ -161,7 +161,7 @@ def true_modes(bench: BenchFile, reed: str, series: Series) -> dict[str, dict[st
         modes exchange shapes, so that the name says little), ascending in frequency.
     """
     plan = make_plan(Protocol.from_file(PROTOCOLS[series]), bench)
-    preparation, simulation = plan.preparation(reed), read_simulation(bench.simulation, bench.name)
+    preparation, simulation = plan.preparation(reed), read_simulation(bench.twin, bench.name)
     geometry = bench_geometry(simulation, preparation) or ReedGeometry()
     constants = bench_constants(simulation, preparation)
     cane = bench_cane(model_settings(simulation, bench, preparation))
@@ -220,7 +220,7 @@ def make_run(wanted: WrongRun) -> str:
         "reed": wanted.reed,
         "series": str(wanted.series),
         "components": asdict(cane_of(wanted.reed)),
-        "simulation": bench_file.simulation,
+        "twin": bench_file.twin,
         "modes": true_modes(bench_file, wanted.reed, wanted.series),
     }
     with open_bench(bench_file, plan.preparation(wanted.reed), wanted.number) as bench:

@@ -37,7 +37,7 @@ optics:
   {{wavelength: 650 nm, distance: 0.8 m, reed_centre: {{y: 22 mm, x: 0 mm}}}}
 limits: {{volts_are: peak, volts_min: 0 V, volts_max: 16 V, drive_min: 20 Hz, drive_max: 20 kHz}}
 acoustic_resonances: [4308.6 Hz]
-simulation: {{light: {{local_oscillator_e_s: 80000.0, object_e_s: 6000.0}}}}
+twin: {{light: {{local_oscillator_e_s: 80000.0, object_e_s: 6000.0}}}}
 """
 
 

@@ -28,7 +28,7 @@ from protocols.units import format_quantity
 _FILES: tuple[type[Description], ...] = (Protocol, BenchFile, ReedFile, CampaignFile)
 # Sections that a description leaves to a driver, and the model that checks them.
 _CHECKED_BY_DRIVER: dict[tuple[type[BaseModel], str], type[BaseModel]] = {
-    (BenchFile, "simulation"): Simulation,
+    (BenchFile, "twin"): Simulation,
 }
 _WORDS = {str: "text", int: "whole number", float: "number", bool: "true or false"}
 _QUANTITIES = {

@@ -218,7 +218,7 @@ class BenchFile(Description):
     ] = ()
     """Known resonances of the excitation device. Every reed shows them at the same frequency, so
     they are no modes of a reed."""
-    simulation: Annotated[dict[str, Any], Field(default_factory=dict)]
+    twin: Annotated[dict[str, Any], Field(default_factory=dict)]
     """Settings of the simulated bench, which checks them."""
     known: dict[str, dict[str, float | str]] | None = None
     """Effects that this bench is known to have, by name, with their parameters. A diagnosis checks

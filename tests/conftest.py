@@ -60,7 +60,7 @@ def small_bench_file():
     """Return the simulated bench with a coarse reed and changes by key path."""
 
     def make(**twin):
-        return BenchFile.from_file().replace({"simulation": {"mesh": "coarse", **twin}})
+        return BenchFile.from_file().replace({"twin": {"mesh": "coarse", **twin}})
 
     return make
 

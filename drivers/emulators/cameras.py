@@ -154,7 +154,7 @@ class LoopbackGigeCamera(AravisCamera):
 
     Frames run freely in real time: each shows the exposure that ends when it is stamped, and is
     sent packet by packet to the real driver, which waits, orders and dates them. The laboratory
-    must run in real time (``simulation: {pace: realtime}``) and rendering must take less than a
+    must run in real time (``twin: {pace: realtime}``) and rendering must take less than a
     frame period.
 
     Parameters
@@ -180,7 +180,7 @@ class LoopbackGigeCamera(AravisCamera):
         self.lab = context.share(SimulatedLab)
         if isinstance(self.lab.clock, VirtualClock):
             raise BenchSetupError(
-                f"bench {context.description.name!r}: simulation.pace is fast, but a camera on the "
+                f"bench {context.description.name!r}: twin.pace is fast, but a camera on the "
                 "network needs real time; write pace: realtime"
             )
         self.far_end = FakeGigeCamera(self._exposed)

@@ -357,5 +357,5 @@ def _require_no_options(role: str, entry: InstrumentEntry) -> None:
         raise BenchSetupError(
             f"instruments.{role}.options: the simulated driver knows no option "
             f"{', '.join(sorted(entry.options))}; write settings of the simulated bench under "
-            "simulation:"
+            "twin:"
         )

@@ -80,7 +80,7 @@ class SimulatedLab:
 
     def __init__(self, context: BenchContext) -> None:
         bench_file = context.description
-        simulation = read_simulation(bench_file.simulation, bench_file.name)
+        simulation = read_simulation(bench_file.twin, bench_file.name)
         self.faults: Faults = simulation.faults
         self.clock: Clock = WallClock() if simulation.pace == "realtime" else VirtualClock()
         context.clock = self.clock
@@ -239,6 +239,6 @@ def _reed_on(context: BenchContext, simulation: Simulation) -> ReducedReed | Who
         return whole_reed(geometry, level, settings, context.announce)
     except ValueError as error:
         raise BenchSetupError(
-            f"bench {context.description.name!r}: simulation.shape and simulation.cane_factors "
+            f"bench {context.description.name!r}: twin.shape and twin.cane_factors "
             f"make no reed: {error}; correct them, or leave them out for the reed of the protocol"
         ) from None

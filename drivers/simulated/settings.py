@@ -1,4 +1,4 @@
-"""The ``simulation:`` section of a bench file: reed, light, faults, and the pace of time."""
+"""The ``twin:`` section of a bench file: reed, light, faults, and the pace of time."""
 
 import hashlib
 from collections.abc import Mapping
@@ -242,14 +242,14 @@ def _scaled(factor: float, values: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def read_simulation(content: Mapping[str, Any], bench_name: str) -> Simulation:
-    """Check the ``simulation:`` section of a bench file.
+    """Check the ``twin:`` section of a bench file.
 
     Raises
     ------
     BenchSetupError
         With the key path of the first thing that is wrong.
     """
-    return read_options(Simulation, content, bench_name, "simulation")
+    return read_options(Simulation, content, bench_name, "twin")
 
 
 def cane_of(reed: str) -> Components:
@@ -336,7 +336,7 @@ def model_settings(
         require_physical(viscoelastic_cane(cane, series))
     except ValueError as error:
         raise BenchSetupError(
-            f"bench {bench_file.name!r}: simulation.reed: {error} ({cane}, series {series}); "
+            f"bench {bench_file.name!r}: twin.reed: {error} ({cane}, series {series}); "
             "choose components nearer to 0"
         ) from None
     factor = simulation.faults.local_oscillator_factor

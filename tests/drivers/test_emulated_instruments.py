@@ -35,7 +35,7 @@ def context():
     def make(**faults):
         bench = BenchFile.from_file("emulated").replace(
             {
-                "simulation": {"mesh": "coarse", "faults": faults},
+                "twin": {"mesh": "coarse", "faults": faults},
                 "instruments.generator.options": {"timeout_s": 0.2},
             }
         )
@@ -165,7 +165,7 @@ def test_a_relay_that_sticks_is_not_noticed_by_the_generator(context):
 def test_a_closed_bench_leaves_nothing_in_memory():
     """A laboratory of full size holds some hundred megabytes."""
     plan = make_plan(Protocol.from_file("quick"), BenchFile.from_file("emulated").replace(
-        {"simulation": {"mesh": "coarse"}, "instruments.camera.driver": "simulated"}
+        {"twin": {"mesh": "coarse"}, "instruments.camera.driver": "simulated"}
     ))  # fmt: skip
     gc.collect()
     gc.disable()

@@ -168,7 +168,7 @@ def test_drivers_of_others_share_what_they_need(others):
 def test_an_unknown_driver_is_named_with_the_remedy(driver, said):
     bench_file = BenchFile.from_file().replace({"instruments.camera.driver": driver})
     with pytest.raises(BenchSetupError, match=said) as caught:
-        open_bench(bench_file.replace({"simulation.mesh": "coarse"}), PREPARATION)
+        open_bench(bench_file.replace({"twin.mesh": "coarse"}), PREPARATION)
     assert "instruments.camera.driver" in str(caught.value)
     assert "\n" not in str(caught.value)
     assert isinstance(caught.value, InstrumentError)

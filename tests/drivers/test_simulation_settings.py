@@ -31,7 +31,7 @@ from protocols.reed import ReedFile
 
 
 def settings_of(bench_file, series="A", chamber="asymmetric", reed="R07"):
-    simulation = read_simulation(bench_file.simulation, bench_file.name)
+    simulation = read_simulation(bench_file.twin, bench_file.name)
     return model_settings(simulation, bench_file, Preparation(reed, series, chamber))
 
 
@@ -173,19 +173,19 @@ def test_the_laboratory_solves_an_uneven_reed_whole(right_um, kind, small_bench_
     preparation = Preparation("R07", "A", "asymmetric")
     bench_file = small_bench_file(shape=skew_map(5.0, right_um))
     SimulatedLab(BenchContext(bench_file, preparation, np.random.default_rng(0), print))
-    simulation = read_simulation(bench_file.simulation, "mine")
+    simulation = read_simulation(bench_file.twin, "mine")
     assert asked == [(kind, bench_geometry(simulation, preparation))]
 
 
 @pytest.mark.parametrize(
     ("simulation", "said"),
     [
-        ({"shape": skew_map(-500, 0)}, r"simulation\.shape and .*µm thick at .*; correct them, or"),
+        ({"shape": skew_map(-500, 0)}, r"twin\.shape and .*µm thick at .*; correct them, or"),
         ({"shape": skew_map(1, 2, y_mm=[0, 6.5])}, r"make no reed: y_mm .* one side of the axis"),
         ({"shape": skew_map(1, 2, y_mm=[-1, 0, 1])}, r"row 1 of deviation_um has 2 values for 3"),
         (
             {"cane_factors": {"nu_TR": 9.0}},
-            r"simulation\.cane_factors make no reed: .*Poisson ratios",
+            r"twin\.cane_factors make no reed: .*Poisson ratios",
         ),
     ],
 )
@@ -213,21 +213,21 @@ def test_faults_reach_physics(small_bench_file):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ({"mash": "coarse"}, r"simulation\.mash: unknown key"),
-        ({"mesh": "fine"}, r"simulation\.mesh: .*'standard' or 'coarse', but is 'fine'"),
-        ({"loss_factor": 0}, r"simulation\.loss_factor: .*greater than 0, but is 0"),
-        ({"loss_factor": float("nan")}, r"simulation\.loss_factor: .*finite"),
-        ({"reed": {"e1": "0"}}, r"simulation\.reed\.e1: .*valid number"),
-        ({"faults": {"drop_frame_at": 3}}, r"simulation\.faults\.drop_frame_at: "),
+        ({"mash": "coarse"}, r"twin\.mash: unknown key"),
+        ({"mesh": "fine"}, r"twin\.mesh: .*'standard' or 'coarse', but is 'fine'"),
+        ({"loss_factor": 0}, r"twin\.loss_factor: .*greater than 0, but is 0"),
+        ({"loss_factor": float("nan")}, r"twin\.loss_factor: .*finite"),
+        ({"reed": {"e1": "0"}}, r"twin\.reed\.e1: .*valid number"),
+        ({"faults": {"drop_frame_at": 3}}, r"twin\.faults\.drop_frame_at: "),
         ({"pace": "slow", "mesh": 1}, r"\(and 1 more\)"),
-        ({"shape": {"thickness": 1}}, r"simulation\.shape\.thickness: unknown key"),
+        ({"shape": {"thickness": 1}}, r"twin\.shape\.thickness: unknown key"),
         ({"shape": {"thickness_map": {"x_mm": [0, 1]}}}, r"thickness_map\.y_mm: is missing"),
-        ({"cane_factors": {"E_T": 0}}, r"simulation\.cane_factors\.E_T: .*greater than 0"),
-        ({"cane_factors": {"E_X": 1.1}}, r"simulation\.cane_factors\.E_X: unknown key"),
-        ({"pressure": {"distortion": -0.1}}, r"simulation\.pressure\.distortion: "),
-        ({"pressure": {"seed": 0.5}}, r"simulation\.pressure\.seed: "),
-        ({"light": {"gain_scatter": 1.0}}, r"simulation\.light\.gain_scatter: .*less than 1"),
-        ({"light": {"phase_scatter": 1}}, r"simulation\.light\.phase_scatter: "),
+        ({"cane_factors": {"E_T": 0}}, r"twin\.cane_factors\.E_T: .*greater than 0"),
+        ({"cane_factors": {"E_X": 1.1}}, r"twin\.cane_factors\.E_X: unknown key"),
+        ({"pressure": {"distortion": -0.1}}, r"twin\.pressure\.distortion: "),
+        ({"pressure": {"seed": 0.5}}, r"twin\.pressure\.seed: "),
+        ({"light": {"gain_scatter": 1.0}}, r"twin\.light\.gain_scatter: .*less than 1"),
+        ({"light": {"phase_scatter": 1}}, r"twin\.light\.phase_scatter: "),
     ],
 )
 def test_a_wrong_twin_is_refused_in_one_line(content, said):
@@ -238,7 +238,7 @@ def test_a_wrong_twin_is_refused_in_one_line(content, said):
 
 
 def test_components_outside_physics_are_refused(small_bench_file):
-    with pytest.raises(BenchSetupError, match=r"simulation\.reed: G2 = .*nearer to 0"):
+    with pytest.raises(BenchSetupError, match=r"twin\.reed: G2 = .*nearer to 0"):
         settings_of(small_bench_file(reed={"e1": -3.5, "e3": 0.0}))
 
 

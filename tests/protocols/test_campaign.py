@@ -26,7 +26,7 @@ from runs.reader import Run
 
 BENCH = BenchFile.from_file()
 # A camera of few pixels, a coarse reed, and sweeps of few steps.
-SMALL = BENCH.replace({"simulation": {"mesh": "coarse"}})
+SMALL = BENCH.replace({"twin": {"mesh": "coarse"}})
 QUICK = {"camera.width": 192, "camera.height": 192, "sweep.last": 16, "sweep.first": 12}
 
 

@@ -93,7 +93,7 @@ def test_shipped_files_are_complete():
 def test_optional_sections_have_defaults(model):
     text, dropped = {
         Protocol: (SERIES_A, ("sideband", "tolerance", "policy", "keep")),
-        BenchFile: (BENCH, ("simulation",)),
+        BenchFile: (BENCH, ("twin",)),
     }[model]
     content = yaml.safe_load(text)
     short = {key: value for key, value in content.items() if key not in dropped}
@@ -155,11 +155,11 @@ def test_hash_is_of_the_meaning():
 
 
 def test_bench_keeps_options_and_twin_untouched():
-    text = BENCH.replace(
-        "simulation: {}", "simulation: {seed: 3, loss: [0.02, {F1: 0.03}]}"
-    ).replace("    step: 1 uHz", "    step: 1 uHz\n    options: {port: /dev/ttyUSB0, gain: 4.0}")
+    text = BENCH.replace("twin: {}", "twin: {seed: 3, loss: [0.02, {F1: 0.03}]}").replace(
+        "    step: 1 uHz", "    step: 1 uHz\n    options: {port: /dev/ttyUSB0, gain: 4.0}"
+    )
     bench = BenchFile.from_text(text)
-    assert bench.simulation == {"seed": 3, "loss": [0.02, {"F1": 0.03}]}
+    assert bench.twin == {"seed": 3, "loss": [0.02, {"F1": 0.03}]}
     assert bench.instruments.generator.options == {"port": "/dev/ttyUSB0", "gain": 4.0}
     assert bench.fingerprint != BenchFile.from_file().fingerprint
     assert BenchFile.from_text(bench.replace({}).text).fingerprint == bench.fingerprint

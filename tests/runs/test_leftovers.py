@@ -113,7 +113,7 @@ def test_what_cannot_be_removed_is_named(path, tmp_path):
 
 def planned(last):
     small = {"camera.width": 160, "camera.height": 128, "sweep.first": 60, "sweep.last": last}
-    bench = BenchFile.from_file().replace({"simulation": {"mesh": "coarse"}})
+    bench = BenchFile.from_file().replace({"twin": {"mesh": "coarse"}})
     return acquire.plan(acquire.load("quick").replace({**small, "keep": "frames"}), bench).plan
 
 

@@ -29,7 +29,7 @@ SMALL = {
 
 @pytest.fixture(scope="module")
 def plan():
-    bench = BenchFile.from_file("simulated").replace({"simulation.mesh": "coarse"})
+    bench = BenchFile.from_file("simulated").replace({"twin.mesh": "coarse"})
     return planned(Protocol.from_file("quick").replace(SMALL), bench).plan
 
 

@@ -71,7 +71,7 @@ def bench_file(tmp_path):
 
     def write(name="bench.yaml", drivers=None, **twin):
         content = yaml.safe_load(find_bench().read_text(encoding="utf-8"))
-        content["simulation"] = {"mesh": "coarse", **twin}
+        content["twin"] = {"mesh": "coarse", **twin}
         for role, driver in (drivers or {}).items():
             content["instruments"][role]["driver"] = driver
         path = tmp_path / name

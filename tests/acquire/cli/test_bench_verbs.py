@@ -69,7 +69,7 @@ def real_bench(tmp_path, room):
 
     def write(port=None, changes=None, **twin):
         content = yaml.safe_load(find_bench("emulated").read_text(encoding="utf-8"))
-        content["simulation"] = {"mesh": "coarse", **twin}
+        content["twin"] = {"mesh": "coarse", **twin}
         instruments = content["instruments"]
         instruments["synthesizers"]["driver"] = "novatech-409b"
         instruments["synthesizers"]["options"] |= {"port": port or room.port, "timeout_s": 0.2}
@@ -89,7 +89,7 @@ def real_bench(tmp_path, room):
 @pytest.fixture
 def emulated_bench(tmp_path):
     content = yaml.safe_load(find_bench("emulated").read_text(encoding="utf-8"))
-    content["simulation"] = {"mesh": "coarse"}
+    content["twin"] = {"mesh": "coarse"}
     path = tmp_path / "wire.yaml"
     path.write_text(yaml.safe_dump(content))
     return path

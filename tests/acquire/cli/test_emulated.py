@@ -18,7 +18,7 @@ def emulated_file(tmp_path):
 
     def write(**twin):
         content = yaml.safe_load(find_bench("emulated").read_text(encoding="utf-8"))
-        content["simulation"] = {"mesh": "coarse", **twin}
+        content["twin"] = {"mesh": "coarse", **twin}
         path = tmp_path / "wire.yaml"
         path.write_text(yaml.safe_dump(content))
         return path

@@ -45,7 +45,7 @@ def test_the_table_has_the_same(cli, clarinet):
     assert answer.status == 0
     for mode in clarinet["modes"]:
         row = next(line for line in answer.out.splitlines() if f" {mode['name']} " in line)
-        assert f"{mode['hz']:.1f} Hz" in row
+        assert f"{mode['hz']:.1f}" in row.split()
         assert mode["class"] in row
         assert mode["symmetry"] in row
     assert "cents above F6" in answer.out

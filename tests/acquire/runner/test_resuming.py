@@ -188,7 +188,7 @@ LABELS = RunLabels(strength=3.5, note="of a technician who pulls plugs")
 def sweep():
     """Plan the quick protocol on few pixels before a coarse reed."""
     small = {"camera.width": 160, "camera.height": 128, "sweep.stride": 4}
-    bench = BenchFile.from_file().replace({"simulation": {"mesh": "coarse"}})
+    bench = BenchFile.from_file().replace({"twin": {"mesh": "coarse"}})
     return acquire.plan(acquire.load("quick").replace(small), bench).plan
 
 

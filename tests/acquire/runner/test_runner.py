@@ -956,7 +956,7 @@ from drivers.registry import open_bench
 from drivers.roles import Preparation
 
 protocol = Protocol.from_file("quick").replace({"camera.width": 160, "camera.height": 128})
-bench_file = BenchFile.from_file().replace({"simulation": {"mesh": "coarse", "pace": pace}})
+bench_file = BenchFile.from_file().replace({"twin": {"mesh": "coarse", "pace": pace}})
 one_at_a_time = threading.Lock()
 
 def tell(what):

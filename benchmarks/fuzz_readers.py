@@ -493,7 +493,7 @@ optics:
 limits: {volts_are: rms, volts_min: 1 mV, volts_max: 12 V, drive_min: 20 Hz, drive_max: 20 kHz}
 acoustic_resonances: [4308.6 Hz, 9 kHz]
 known:
-  camera_bend: {share: 0.01}
+  sensor_nonlinearity: {fraction: 0.01}
   bench_vibration: {jitter: 100 mrad}
 twin:
   reed: {e1: 0.5, e2: -0.5, e3: 0.0, e4: 0.0}

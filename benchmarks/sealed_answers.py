@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.sealed_names import SealedNames
 from blind.cases import Label
 from blind.files import BlindError, answered_cases
 from blind.scoring import UNKNOWN, Case
@@ -57,18 +58,21 @@ def _of_effect(told: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def kept_cases(labels: Mapping[str, Label], kept: Sequence[Path]) -> list[Case]:
-    """Put labels and kept answers together.
+    """Return the cases of a published set, in today's names.
 
     Parameters
     ----------
     labels : mapping of str to Label
+        In today's names.
     kept : sequence of Path
-        What this program has printed of the same sets.
+        What this program has printed of the same sets, in the names of that time.
     """
-    told: dict[str, Any] = {}
+    answers: dict[str, Any] = {}
     for path in kept:
-        told |= json.loads(path.read_text(encoding="utf-8"))
-    return [Case(name, label, told.get(name)) for name, label in labels.items()]
+        answers |= json.loads(path.read_text(encoding="utf-8"))
+    names = SealedNames.read()
+    today = {case: names.answer(answer) for case, answer in answers.items() if answer is not None}
+    return [Case(name, label, today.get(name)) for name, label in labels.items()]
 
 
 def main() -> None:

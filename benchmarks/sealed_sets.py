@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.sealed_answers import kept_cases
+from benchmarks.sealed_names import SealedNames
 from blind.cases import Label, record_case
 from blind.classes import CLASSES
 from blind.files import BlindError, labels_of
@@ -47,7 +48,7 @@ _TIERS = 0, 1, 3, 4
 
 
 def published(folder: Path) -> dict[str, Label]:
-    """Labels of a set by the cases' names, where keys fit what was sealed.
+    """Return the labels of a set by case, in today's names, if its keys fit what was sealed.
 
     Raises
     ------
@@ -55,11 +56,13 @@ def published(folder: Path) -> dict[str, Label]:
         If one does not.
     """
     labels: dict[str, Label] = {}
+    names = SealedNames.read()
     for sealed in sorted(folder.glob("tier*.json")):
         try:
-            labels |= labels_of(sealed, _beside(sealed, "key"))
+            found = labels_of(sealed, _beside(sealed, "key"))
         except BlindError as error:
             raise SystemExit(f"sealed_sets: {error}") from None
+        labels |= {case: names.label(label) for case, label in found.items()}
     return labels
 
 

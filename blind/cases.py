@@ -36,20 +36,20 @@ CUT: Final = ".cut"
 _SIZES: Final = (0.5, 8.0)
 # What a laboratory may know of itself: so many, of such sizes.
 TELLABLE: Final = (
-    "carrier_leak", "laser_drift", "synthesizer_detuning", "phase_step_error", "vignetting",
-    "chamber_asymmetry", "air_load", "tip_mass", "read_noise", "tweeter_compression",
+    "carrier_leak", "laser_power_drift", "synthesizer_detuning", "phase_step_error", "vignetting",
+    "chamber_leakage", "air_load", "tip_mass", "read_noise", "tweeter_compression",
 )  # fmt: skip
 _TOLD, _TOLD_SIZES = 3, (0.5, 2.0)
 # Pairs that are known to look alike.
 _ALIKE: Final = (
-    ("stiffening", "air_load"),
-    ("stiffening", "thickness_wedge"),
-    ("thickness_tilt", "clamp_tilt"),
+    ("viscoelastic_stiffening", "air_load"),
+    ("viscoelastic_stiffening", "thickness_wedge"),
+    ("thickness_tilt", "clamp_asymmetry"),
     ("temperature_drift", "drying"),
     ("thickness_offset", "thickness_wedge"),
     ("transverse_modulus", "thickness_crown"),
-    ("read_noise", "fixed_pattern"),
-    ("lo_nonuniformity", "vignetting"),
+    ("read_noise", "fixed_pattern_noise"),
+    ("lo_misalignment", "vignetting"),
 )
 
 

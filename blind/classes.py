@@ -18,7 +18,7 @@ UNDETECTABLE: Final[tuple[str, ...]] = (
     "crack",
     "defocus",
     "density",
-    "stiffening",
+    "viscoelastic_stiffening",
     "thickness_tilt",
     "transverse_shear",
 )

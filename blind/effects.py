@@ -78,7 +78,7 @@ def _stiffening(world: World, size: float, rng: np.random.Generator) -> World:
     return replace(world, cane=replace(world.cane, powers=powers))
 
 
-def _clamp_tilt(world: World, size: float, _rng: np.random.Generator) -> World:
+def _clamp_asymmetry(world: World, size: float, _rng: np.random.Generator) -> World:
     beds = (2e-13 * abs(size), 0.0) if size > 0 else (0.0, 2e-13 * abs(size))
     return replace(world, build=replace(world.build, yielding_m3_n=beds))
 
@@ -89,7 +89,7 @@ def _crack(world: World, size: float, rng: np.random.Generator) -> World:
     return replace(world, cane=cane)
 
 
-def _second_cavity(world: World, size: float, rng: np.random.Generator) -> World:
+def _second_acoustic_resonance(world: World, size: float, rng: np.random.Generator) -> World:
     hz = float(np.exp(rng.uniform(np.log(2500.0), np.log(15000.0))))
     q = float(rng.uniform(15, 60))
     air = replace(world.air, second=0.06 * size, second_hz=hz, second_q=q)
@@ -141,7 +141,7 @@ def _told_powers(_well: World, sick: World) -> dict[str, float]:
 
 def _told_beds(_well: World, sick: World) -> dict[str, float]:
     left, right = sick.build.yielding_m3_n
-    return {"yielding": left if left == right else left - right}
+    return {"compliance": left if left == right else left - right}
 
 
 def _told_lo(_well: World, sick: World) -> dict[str, float]:
@@ -159,34 +159,38 @@ def _told_noise(_well: World, sick: World) -> dict[str, float]:
 
 
 def _told_rolloff(_well: World, sick: World) -> dict[str, float]:
-    return {"corner": 1e4 / sick.air.roll_hz}
+    return {"inverse_corner": 1e4 / sick.air.roll_hz}
 
 
 KINDS: Final[tuple[Kind, ...]] = (
     Kind(
         "tweeter_compression",
         _in("air", compression=lambda s: min(0.15 * s, 0.8)),
-        told=_field("share", "air", "compression"),
+        told=_field("fraction", "air", "compression"),
     ),
     Kind(
         "amplifier_rolloff", _in("air", roll_hz=lambda s: 60e3 / max(s, 1e-3)), told=_told_rolloff
     ),
     Kind(
-        "cavity_line",
+        "acoustic_resonance",
         _in("air", line=lambda s: 0.12 * (1 + 0.5 * s)),
         signed=False,
         told=_field("excess", "air", "line", 1 / 0.12),
     ),
-    Kind("second_cavity", _second_cavity, told=_field("strength", "air", "second")),
     Kind(
-        "chamber_asymmetry",
-        _in("air", open_right=lambda s: min(0.15 * s, 1.0)),
-        told=_field("share", "air", "open_right"),
+        "second_acoustic_resonance",
+        _second_acoustic_resonance,
+        told=_field("strength", "air", "second"),
     ),
-    Kind("air_load", _in("cane", air=lambda s: 0.25 * s), told=_field("share", "cane", "air")),
-    Kind("stiffening", _stiffening, told=_told_powers),
     Kind(
-        "damping_growth",
+        "chamber_leakage",
+        _in("air", open_right=lambda s: min(0.15 * s, 1.0)),
+        told=_field("fraction", "air", "open_right"),
+    ),
+    Kind("air_load", _in("cane", air=lambda s: 0.25 * s), told=_field("fraction", "cane", "air")),
+    Kind("viscoelastic_stiffening", _stiffening, told=_told_powers),
+    Kind(
+        "frequency_dependent_damping",
         _in("cane", loss_power=lambda s: 0.1 * s),
         signed=True,
         told=_field("exponent", "cane", "loss_power"),
@@ -222,14 +226,16 @@ KINDS: Final[tuple[Kind, ...]] = (
         "tip_mass", _in("cane", tip_kg=lambda s: 0.4e-6 * s), told=_field("mass", "cane", "tip_kg")
     ),
     Kind(
-        "clamp_yield", _in("build", yielding_m3_n=lambda s: (2e-13 * s, 2e-13 * s)), told=_told_beds
+        "clamp_compliance",
+        _in("build", yielding_m3_n=lambda s: (2e-13 * s, 2e-13 * s)),
+        told=_told_beds,
     ),
-    Kind("clamp_tilt", _clamp_tilt, signed=True, told=_told_beds),
+    Kind("clamp_asymmetry", _clamp_asymmetry, signed=True, told=_told_beds),
     Kind("crack", _crack),
     Kind(
-        "hardening",
+        "hardening_nonlinearity",
         _in("cane", hardening=lambda s: 4e-4 * s),
-        told=_field("share", "cane", "hardening"),
+        told=_field("fraction", "cane", "hardening"),
     ),
     Kind(
         "temperature_drift",
@@ -240,7 +246,7 @@ KINDS: Final[tuple[Kind, ...]] = (
     Kind(
         "drying",
         _in("cane", drying=lambda s: min(0.1 * s, 1.0)),
-        told=_field("share", "cane", "drying"),
+        told=_field("fraction", "cane", "drying"),
     ),
     Kind(
         "bench_vibration",
@@ -268,31 +274,33 @@ KINDS: Final[tuple[Kind, ...]] = (
     Kind(
         "lost_frames",
         _in("clockwork", repeats=lambda s: min(0.01 * s, 0.3)),
-        told=_field("share", "clockwork", "repeats"),
+        told=_field("fraction", "clockwork", "repeats"),
     ),
     Kind(
-        "laser_drift",
+        "laser_power_drift",
         _in("light", fade_per_h=lambda s: 0.15 * s),
         signed=True,
-        told=_field("fade", "light", "fade_per_h"),
+        told=_field("loss_rate", "light", "fade_per_h"),
     ),
     Kind(
-        "coherence_step",
+        "laser_mode_hop",
         _in("light", hop=lambda s: min(0.08 * s, 0.7), hop_at=lambda _s: 0.55),
-        told=_field("hop", "light", "hop"),
+        told=_field("contrast_loss", "light", "hop"),
     ),
     Kind(
         "speckle_decorrelation",
         _in("light", blur=lambda s: 3e-4 * s),
-        told=_field("share", "light", "blur"),
+        told=_field("contrast_loss", "light", "blur"),
     ),
     Kind(
-        "order_mixing",
+        "sideband_crosstalk",
         _in("light", mixing=lambda s: 0.03 * s),
-        told=_field("share", "light", "mixing"),
+        told=_field("fraction", "light", "mixing"),
     ),
     Kind(
-        "carrier_leak", _in("light", leak=lambda s: 0.01 * s), told=_field("share", "light", "leak")
+        "carrier_leak",
+        _in("light", leak=lambda s: 0.01 * s),
+        told=_field("fraction", "light", "leak"),
     ),
     Kind(
         "phase_step_error",
@@ -306,23 +314,23 @@ KINDS: Final[tuple[Kind, ...]] = (
         signed=True,
         told=_field("distance", "light", "defocus_m"),
     ),
-    Kind("lo_nonuniformity", _lo_shift, told=_told_lo),
+    Kind("lo_misalignment", _lo_shift, told=_told_lo),
     Kind(
         "vignetting",
         _in("light", vignette=lambda s: 0.05 * s),
-        told=_field("share", "light", "vignette"),
+        told=_field("fraction", "light", "vignette"),
     ),
-    Kind("fixed_pattern", _in("chip", pattern=lambda s: 0.01 * s), told=_told_pattern),
+    Kind("fixed_pattern_noise", _in("chip", pattern=lambda s: 0.01 * s), told=_told_pattern),
     Kind(
         "hot_pixels",
         _in("chip", hot=lambda s: min(0.002 * s, 0.1)),
-        told=_field("share", "chip", "hot"),
+        told=_field("fraction", "chip", "hot"),
     ),
     Kind("read_noise", _in("chip", read_e=lambda s: 12.0 * (1 + 0.3 * s)), told=_told_noise),
     Kind(
-        "camera_bend",
+        "sensor_nonlinearity",
         _in("chip", bend=lambda s: min(0.03 * s, 0.5)),
-        told=_field("share", "chip", "bend"),
+        told=_field("fraction", "chip", "bend"),
     ),
     # --- What no catalogue has -----------------------------------------------------------------
     Kind("side_mass", _in("cane", side_kg=lambda s: 1e-6 * s), known=False),

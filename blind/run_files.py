@@ -43,7 +43,7 @@ twin: {{light: {{local_oscillator_e_s: 80000.0, object_e_s: 6000.0}}}}
 
 # Units of what a laboratory may tell of its effects.
 _UNITS = {
-    "laser_drift": "1/h",
+    "laser_power_drift": "1/h",
     "synthesizer_detuning": "Hz",
     "phase_step_error": "rad",
     "tip_mass": "kg",

@@ -42,7 +42,7 @@ _LEAST_NOISE = 1e-5
 _SHOT = 0.96
 # What templates show where nothing leaks: amplitude and its spread. Fringes that a block of pixels
 # averages look a little like either.
-_FLOORS = {"order_mixing": (5e-3, 2.5e-3), "decorrelation": (1.15e-4, 3e-5)}
+_FLOORS = {"sideband_crosstalk": (5e-3, 2.5e-3), "decorrelation": (1.15e-4, 3e-5)}
 # Share of a carrier that looks like the next sideband once it has been taken off, and what doubt
 # that leaves of either.
 _LEFT_OF_CARRIER, _OF_TAKEN_OFF = 0.2, (0.15, 3e-3)
@@ -225,11 +225,11 @@ def fringe_block(sweeps: Sequence[SweepReading]) -> Block | None:
 
 def mixing_in(sweeps: Sequence[SweepReading]) -> float:
     """Amplitude of the next sideband in the loud sweeps, beyond what fringes look like anyway."""
-    usual, spread = _FLOORS["order_mixing"]
+    usual, spread = _FLOORS["sideband_crosstalk"]
     loud = _with_fringes(at_highest_level(sweeps))
     if not loud:
         return 0.0
-    return max(_amplitudes(loud, "order_mixing") - usual - 2 * spread, 0.0)
+    return max(_amplitudes(loud, "sideband_crosstalk") - usual - 2 * spread, 0.0)
 
 
 def _with_fringes(sweeps: Sequence[SweepReading]) -> list[SweepReading]:

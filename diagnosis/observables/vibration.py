@@ -36,7 +36,7 @@ Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 # What may be in a hologram beside its sideband, by name.
-TEMPLATES = ("carrier_leak", "order_mixing", "decorrelation")
+TEMPLATES = ("carrier_leak", "sideband_crosstalk", "decorrelation")
 # Modes beyond this are too many to be told apart surely.
 _HIGHEST_HZ = 17e3
 # Modes so far away in log frequency count half as much or less.

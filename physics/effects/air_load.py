@@ -12,7 +12,7 @@ from physics.twin import Twin, with_reed
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return with_reed(twin, air_share=twin.reed.air_share + values["share"])
+    return with_reed(twin, air_share=twin.reed.air_share + values["fraction"])
 
 
 EFFECT = Effect(
@@ -21,7 +21,7 @@ EFFECT = Effect(
     stage=Stage.ACOUSTICS,
     parameters=(
         Parameter(
-            "share",
+            "fraction",
             "",
             0.7,
             "1 is free air on both sides in a baffle; a mouthpiece is neither",
@@ -31,7 +31,7 @@ EFFECT = Effect(
     change=_change,
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("stiffening", "thickness_offset"),
+    neighbours=("viscoelastic_stiffening", "thickness_offset"),
     action="sweep at low pressure",
     reference="Rayleigh, Theory of Sound, section 302",
 )

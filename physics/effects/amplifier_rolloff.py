@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "drive", roll_off=values["corner"])
+    return more(twin, "drive", roll_off=values["inverse_corner"])
 
 
 EFFECT = Effect(
@@ -21,7 +21,7 @@ EFFECT = Effect(
     stage=Stage.DRIVE,
     parameters=(
         Parameter(
-            "corner",
+            "inverse_corner",
             "",
             0.7,
             "10 kHz over its corner; audio amplifiers reach 20 kHz to 100 kHz",
@@ -31,7 +31,7 @@ EFFECT = Effect(
     change=_change,
     moves=frozenset({Tap.RESPONSE}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD, Tap.MODES}),
-    neighbours=("damping_growth",),
+    neighbours=("frequency_dependent_damping",),
     action="measure the voltage at the tweeter",
     reference="Butterworth, On the theory of filter amplifiers, 1930",
 )

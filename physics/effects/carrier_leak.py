@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "beams", leak=values["share"])
+    return more(twin, "beams", leak=values["fraction"])
 
 
 EFFECT = Effect(
@@ -21,7 +21,7 @@ EFFECT = Effect(
     stage=Stage.OPTICS,
     parameters=(
         Parameter(
-            "share",
+            "fraction",
             "",
             0.03,
             "spurs of synthesizers lie 40 to 60 dB below their line; unshifted light adds to them",
@@ -31,7 +31,7 @@ EFFECT = Effect(
     change=_change,
     moves=frozenset({Tap.MAPS}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
-    neighbours=("order_mixing",),
+    neighbours=("sideband_crosstalk",),
     action="a sweep with the drive off",
     reference="data sheets of direct digital synthesizers",
 )

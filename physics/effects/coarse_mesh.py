@@ -12,14 +12,16 @@ from physics.twin import Twin, with_reed
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return with_reed(twin, coarse_share=twin.reed.coarse_share + values["share"])
+    return with_reed(twin, coarse_share=twin.reed.coarse_share + values["fraction"])
 
 
 EFFECT = Effect(
     id="coarse_mesh",
     title="mesh too coarse",
     stage=Stage.NUMERICS,
-    parameters=(Parameter("share", "", 1.0, "1 is quadratic tetrahedra of 2 mm, 1 mm at the tip"),),
+    parameters=(
+        Parameter("fraction", "", 1.0, "1 is quadratic tetrahedra of 2 mm, 1 mm at the tip"),
+    ),
     change=_change,
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),

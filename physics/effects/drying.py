@@ -15,10 +15,10 @@ from physics.twin import Twin
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    if not values["share"]:
+    if not values["fraction"]:
         return twin
     drying_s = twin.surroundings.drying_s * float(np.exp(values["log_time"]))
-    drying = twin.surroundings.drying + values["share"]
+    drying = twin.surroundings.drying + values["fraction"]
     changed = replace(twin.surroundings, drying=drying, drying_s=drying_s)
     return replace(twin, surroundings=changed)
 
@@ -29,7 +29,7 @@ EFFECT = Effect(
     stage=Stage.ENVIRONMENT,
     parameters=(
         Parameter(
-            "share",
+            "fraction",
             "",
             0.25,
             "a reed that was moistened loses most of it in an hour",

@@ -12,18 +12,18 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "chip", hot=values["share"])
+    return more(twin, "chip", hot=values["fraction"])
 
 
 EFFECT = Effect(
     id="hot_pixels",
     title="hot pixels",
     stage=Stage.CAMERA,
-    parameters=(Parameter("share", "", 0.005, "sensors that are not cooled", positive=True),),
+    parameters=(Parameter("fraction", "", 0.005, "sensors that are not cooled", positive=True),),
     change=_change,
     moves=frozenset({Tap.SENSOR}),
     keeps=frozenset({Tap.LOG, Tap.MODES}),
-    neighbours=("fixed_pattern",),
+    neighbours=("fixed_pattern_noise",),
     action="dark frames",
     reference="data sheets of CCD cameras",
 )

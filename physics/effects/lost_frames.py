@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "clocks", lost_share=values["share"])
+    return more(twin, "clocks", lost_share=values["fraction"])
 
 
 EFFECT = Effect(
@@ -21,7 +21,7 @@ EFFECT = Effect(
     stage=Stage.TIMING,
     parameters=(
         Parameter(
-            "share", "", 0.03, "of the acquisitions, on a bus that others use", positive=True
+            "fraction", "", 0.03, "of the acquisitions, on a bus that others use", positive=True
         ),
     ),
     change=_change,

@@ -23,7 +23,7 @@ EFFECT = Effect(
     change=_change,
     moves=frozenset({Tap.SENSOR}),
     keeps=frozenset({Tap.LOG, Tap.MODES}),
-    neighbours=("fixed_pattern",),
+    neighbours=("fixed_pattern_noise",),
     action="dark frames",
     reference="photon transfer",
 )

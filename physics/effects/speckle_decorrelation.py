@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "beams", blur=values["share"])
+    return more(twin, "beams", blur=values["contrast_loss"])
 
 
 EFFECT = Effect(
@@ -21,13 +21,17 @@ EFFECT = Effect(
     stage=Stage.OPTICS,
     parameters=(
         Parameter(
-            "share", "1/rad2", 0.001, "speckle that changes as the surface tilts", positive=True
+            "contrast_loss",
+            "1/rad2",
+            0.001,
+            "speckle that changes as the surface tilts",
+            positive=True,
         ),
     ),
     change=_change,
     moves=frozenset({Tap.MAPS}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
-    neighbours=("order_mixing",),
+    neighbours=("sideband_crosstalk",),
     action="the same at half the amplitude",
     reference="Yamaguchi, Optica Acta 28 (1981): decorrelation by tilt",
 )

@@ -24,7 +24,7 @@ EFFECT = Effect(
     change=_change,
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("clamp_tilt",),
+    neighbours=("clamp_asymmetry",),
     action="measure the thickness of the vamp",
     reference="paper, section III.A",
 )

@@ -26,7 +26,7 @@ EFFECT = Effect(
     change=_change,
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("clamp_yield",),
+    neighbours=("clamp_compliance",),
     action="measure a short thick strip",
     reference="paper, Table 3",
 )

@@ -15,10 +15,10 @@ from physics.twin import Twin
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    if not values["share"]:
+    if not values["fraction"]:
         return twin
     corner_hz = twin.drive.compression_hz * float(np.exp(values["log_corner"]))
-    changed = replace(twin.drive, compression=twin.drive.compression + values["share"])
+    changed = replace(twin.drive, compression=twin.drive.compression + values["fraction"])
     return replace(twin, drive=replace(changed, compression_hz=corner_hz))
 
 
@@ -28,7 +28,11 @@ EFFECT = Effect(
     stage=Stage.DRIVE,
     parameters=(
         Parameter(
-            "share", "", 0.3, "a dome tweeter near its rated power loses 1 to 3 dB", positive=True
+            "fraction",
+            "",
+            0.3,
+            "a dome tweeter near its rated power loses 1 to 3 dB",
+            positive=True,
         ),
         Parameter(
             "log_corner",
@@ -40,7 +44,7 @@ EFFECT = Effect(
     change=_change,
     moves=frozenset({Tap.DRIVE, Tap.RESPONSE}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD}),
-    neighbours=("hardening",),
+    neighbours=("hardening_nonlinearity",),
     action="sweep at another drive level, a microphone next to it",
     reference="paper, section II.B: amplitudes ramped to 16 V",
 )

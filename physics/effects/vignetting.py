@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "beams", vignette=values["share"])
+    return more(twin, "beams", vignette=values["fraction"])
 
 
 EFFECT = Effect(
@@ -21,7 +21,7 @@ EFFECT = Effect(
     stage=Stage.CAMERA,
     parameters=(
         Parameter(
-            "share",
+            "fraction",
             "",
             0.15,
             "windows, mounts and beam splitters at the edge of the field",
@@ -31,7 +31,7 @@ EFFECT = Effect(
     change=_change,
     moves=frozenset({Tap.SENSOR}),
     keeps=frozenset({Tap.LOG, Tap.MODES}),
-    neighbours=("lo_nonuniformity",),
+    neighbours=("lo_misalignment",),
     action="shift the camera",
     reference="frames of even light",
 )

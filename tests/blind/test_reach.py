@@ -9,21 +9,29 @@ from diagnosis.likeness import Reach
 
 
 def reach(size, absorbed=0.5, **alike):
-    return Reach("carrier_leak", absorbed, {"share": size}, alike)
+    return Reach("carrier_leak", absorbed, {"fraction": size}, alike)
 
 
 def test_effects_are_alike_if_they_are_in_more_campaigns_than_not() -> None:
-    half = [[reach(0.002, order_mixing=0.85)], [reach(0.004)]]
+    half = [[reach(0.002, sideband_crosstalk=0.85)], [reach(0.004)]]
     assert together(half)[0].alike == {}
-    most = [*half, [reach(0.003, absorbed=0.1, order_mixing=0.95)]]
+    most = [*half, [reach(0.003, absorbed=0.1, sideband_crosstalk=0.95)]]
     (found,) = together(most)
-    assert found.alike == {"order_mixing": 0.85}
-    assert found.detectable == {"share": 0.003}
+    assert found.alike == {"sideband_crosstalk": 0.85}
+    assert found.detectable == {"fraction": 0.003}
     assert found.absorbed == 0.5
 
 
 def test_a_least_size_is_a_multiple_of_what_blind_cases_draw() -> None:
     # Usual is 1 %.
     assert as_drawn(reach(0.004)) == pytest.approx(0.4)
-    line = told(reach(0.004, order_mixing=0.85))
-    assert line.split() == ["carrier_leak", "share", "0.004", "0.40", "50%", "order_mixing", "0.85"]
+    line = told(reach(0.004, sideband_crosstalk=0.85))
+    assert line.split() == [
+        "carrier_leak",
+        "fraction",
+        "0.004",
+        "0.40",
+        "50%",
+        "sideband_crosstalk",
+        "0.85",
+    ]

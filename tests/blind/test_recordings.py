@@ -109,7 +109,7 @@ def _settings(folder):
 def test_nothing_but_pictures_and_what_is_read_off_them_tells_of_an_effect(short, tmp_path):
     for folder, effects in (
         ("well", ()),
-        ("sick", (("carrier_leak", 4.0), ("fixed_pattern", 4.0))),
+        ("sick", (("carrier_leak", 4.0), ("fixed_pattern_noise", 4.0))),
     ):
         record_case(tmp_path / folder, "a", Label(1, effects, True, 5))
     well, sick = (_settings(tmp_path / folder / "a") for folder in ("well", "sick"))
@@ -170,13 +170,13 @@ def test_a_disguise_leaves_nothing_but_what_was_measured(short, tmp_path):
 
 # Sizes of twice the usual in the terms of the catalogue, worked out by hand.
 TOLD = {
-    "tweeter_compression": {"share": 0.3},
-    "amplifier_rolloff": {"corner": 1 / 3},
-    "cavity_line": {"excess": 1.0},
-    "second_cavity": {"strength": 0.12},
-    "chamber_asymmetry": {"share": 0.3},
-    "air_load": {"share": 0.5},
-    "damping_growth": {"exponent": 0.2},
+    "tweeter_compression": {"fraction": 0.3},
+    "amplifier_rolloff": {"inverse_corner": 1 / 3},
+    "acoustic_resonance": {"excess": 1.0},
+    "second_acoustic_resonance": {"strength": 0.12},
+    "chamber_leakage": {"fraction": 0.3},
+    "air_load": {"fraction": 0.5},
+    "frequency_dependent_damping": {"exponent": 0.2},
     "density": {"density": 0.06},
     "transverse_modulus": {"E_T": 0.2},
     "thickness_offset": {"thickness": 12e-6},
@@ -184,31 +184,31 @@ TOLD = {
     "thickness_crown": {"thickness": 12e-6},
     "thickness_tilt": {"thickness": 10e-6},
     "tip_mass": {"mass": 0.8e-6},
-    "clamp_yield": {"yielding": 4e-13},
-    "clamp_tilt": {"yielding": 4e-13},
-    "hardening": {"share": 8e-4},
+    "clamp_compliance": {"compliance": 4e-13},
+    "clamp_asymmetry": {"compliance": 4e-13},
+    "hardening_nonlinearity": {"fraction": 8e-4},
     "temperature_drift": {"rate": 8.0},
-    "drying": {"share": 0.2},
+    "drying": {"fraction": 0.2},
     "bench_vibration": {"jitter": 0.1},
     "synthesizer_detuning": {"offset": 0.02},
     "generator_clock": {"ratio": 4.0},
     "synthesizer_drift": {"rate": 0.1},
-    "lost_frames": {"share": 0.02},
-    "laser_drift": {"fade": 0.3},
-    "coherence_step": {"hop": 0.16},
-    "speckle_decorrelation": {"share": 6e-4},
-    "order_mixing": {"share": 0.06},
-    "carrier_leak": {"share": 0.02},
+    "lost_frames": {"fraction": 0.02},
+    "laser_power_drift": {"loss_rate": 0.3},
+    "laser_mode_hop": {"contrast_loss": 0.16},
+    "speckle_decorrelation": {"contrast_loss": 6e-4},
+    "sideband_crosstalk": {"fraction": 0.06},
+    "carrier_leak": {"fraction": 0.02},
     "phase_step_error": {"error": 0.1},
     "defocus": {"distance": 0.04},
-    "vignetting": {"share": 0.1},
-    "fixed_pattern": {"rms": 0.02},
-    "hot_pixels": {"share": 0.004},
+    "vignetting": {"fraction": 0.1},
+    "fixed_pattern_noise": {"rms": 0.02},
+    "hot_pixels": {"fraction": 0.004},
     "read_noise": {"log_factor": np.log(1.6)},
-    "camera_bend": {"share": 0.06},
+    "sensor_nonlinearity": {"fraction": 0.06},
 }
 # Of these what is drawn at random is told: only a sum of squares is known beforehand.
-AT_RANDOM = {"transverse_shear": 0.3, "lo_nonuniformity": 0.8e-3}
+AT_RANDOM = {"transverse_shear": 0.3, "lo_misalignment": 0.8e-3}
 
 
 def test_sizes_are_told_as_they_are():
@@ -217,13 +217,13 @@ def test_sizes_are_told_as_they_are():
         for kind in KINDS
         if kind.told is not None
     }
-    assert set(told) == {*TOLD, *AT_RANDOM, "stiffening"}
+    assert set(told) == {*TOLD, *AT_RANDOM, "viscoelastic_stiffening"}
     for name, sizes in TOLD.items():
         assert told[name] == pytest.approx(sizes, rel=1e-9), name
     for name, size in AT_RANDOM.items():
         assert np.hypot(*told[name].values()) == pytest.approx(size, rel=1e-9)
-    powers = told["stiffening"]
+    powers = told["viscoelastic_stiffening"]
     assert powers["E_L"] / 0.08 + powers["G_LT"] / 0.12 == pytest.approx(1.0)
-    other = BY_NAME["clamp_tilt"]
+    other = BY_NAME["clamp_asymmetry"]
     sick = other.change(World(), -2.0, np.random.default_rng(0))
-    assert other.told(World(), sick) == pytest.approx({"yielding": -4e-13})
+    assert other.told(World(), sick) == pytest.approx({"compliance": -4e-13})

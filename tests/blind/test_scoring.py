@@ -28,7 +28,7 @@ from blind.scoring import (
     sure_and_right,
 )
 
-CLASSES = Classes([("air_load", "stiffening"), ("crack",)])
+CLASSES = Classes([("air_load", "viscoelastic_stiffening"), ("crack",)])
 
 
 def case(truth, probability, likely=(), known=True, verdict="effect", d_prime=9.0):
@@ -58,7 +58,9 @@ def test_a_false_alarm_is_anything_but_nothing_and_silence_too() -> None:
     loud = case("", {"none": 0.3, "unknown": 0.7}, verdict="unknown")
     stuck = case("", {"none": 1.0}, verdict="not converged")
     # Each by itself is less likely than nothing, the class is more.
-    split = case("", {"none": 0.4, "air_load": 0.3, "stiffening": 0.3}, verdict="effect")
+    split = case(
+        "", {"none": 0.4, "air_load": 0.3, "viscoelastic_stiffening": 0.3}, verdict="effect"
+    )
     one = split.answer | {"verdict": "none"}
     cases = [calm, loud, stuck, split, Case("c", split.label, one), missing("")]
     found = false_alarms([*cases, case("crack", {"none": 1.0})], CLASSES)
@@ -66,7 +68,7 @@ def test_a_false_alarm_is_anything_but_nothing_and_silence_too() -> None:
 
 
 def test_a_member_of_the_class_counts_and_shares_add_up() -> None:
-    split = case("air_load", {"stiffening": 0.35, "air_load": 0.25, "crack": 0.4})
+    split = case("air_load", {"viscoelastic_stiffening": 0.35, "air_load": 0.25, "crack": 0.4})
     assert named([split], CLASSES).hits == 1
     assert named([split], Classes([])).hits == 0
     assert named([split], Classes([]), first=3).hits == 1
@@ -74,7 +76,9 @@ def test_a_member_of_the_class_counts_and_shares_add_up() -> None:
 
 
 def test_pairs_count_by_their_classes_in_any_order() -> None:
-    pair = case("crack+air_load", {"stiffening+crack": 0.7, "crack": 0.3}, verdict="pair")
+    pair = case(
+        "crack+air_load", {"viscoelastic_stiffening+crack": 0.7, "crack": 0.3}, verdict="pair"
+    )
     assert named([pair], CLASSES).hits == 1
     assert named([pair], Classes([])).hits == 0
 
@@ -97,7 +101,9 @@ def test_the_open_set_opens_for_few_of_the_known() -> None:
 def test_sure_and_wrong_about_an_unknown_kind() -> None:
     sure = case("x", {"crack": 0.95, "unknown": 0.05}, known=False)
     unsure = case("x", {"crack": 0.6, "unknown": 0.4}, known=False)
-    split = case("x", {"air_load": 0.5, "stiffening": 0.45, "unknown": 0.05}, known=False)
+    split = case(
+        "x", {"air_load": 0.5, "viscoelastic_stiffening": 0.45, "unknown": 0.05}, known=False
+    )
     found = confident_wrong([sure, unsure, split], CLASSES)
     assert (found.hits, found.cases) == (2, 3)
 
@@ -115,7 +121,7 @@ def test_calibrated_answers_have_no_error_and_sure_wrong_ones_have_all() -> None
 
 
 def test_sets_cover_by_class() -> None:
-    cases = [case("air_load", {"crack": 1.0}, likely=[("crack",), ("stiffening",)]),
+    cases = [case("air_load", {"crack": 1.0}, likely=[("crack",), ("viscoelastic_stiffening",)]),
              case("air_load", {"crack": 1.0}, likely=[("crack",)]), missing("crack"),
              case("crack", {}, likely=[("crack",)], verdict="not converged")]  # fmt: skip
     covered, size = sets(cases, CLASSES)
@@ -171,10 +177,12 @@ def test_pairs_close_gaps_whichever_comes_first() -> None:
 
 
 def test_sizes_are_compared_with_what_the_laboratory_had() -> None:
-    label = Label(1, (("laser_drift", 2.0),), True, 5)
-    true = true_sizes(label)["laser_drift"]["fade"]
-    made = answered("laser_drift", "laser_drift", {})
-    made.answer["effects"]["laser_drift"]["sizes"] = {"fade": {"value": 1.1 * true, "error": 0.03}}
+    label = Label(1, (("laser_power_drift", 2.0),), True, 5)
+    true = true_sizes(label)["laser_power_drift"]["loss_rate"]
+    made = answered("laser_power_drift", "laser_power_drift", {})
+    made.answer["effects"]["laser_power_drift"]["sizes"] = {
+        "loss_rate": {"value": 1.1 * true, "error": 0.03}
+    }
     found = size_errors([Case("c", label, made.answer)], CLASSES)
     assert found["sizes"] == 1
     assert found["bias"] == pytest.approx(0.1)
@@ -243,11 +251,11 @@ def test_a_reliability_plot_is_drawn() -> None:
 
 
 def test_what_should_stand_out_does_not_depend_on_whether_it_was_found() -> None:
-    label = Label(1, (("laser_drift", 4.0),), True, 0)
-    (true,) = true_sizes(label)["laser_drift"].values()
+    label = Label(1, (("laser_power_drift", 4.0),), True, 0)
+    (true,) = true_sizes(label)["laser_power_drift"].values()
 
     def answered(least):
-        effects = {"laser_drift": {"d_prime": 0.0, "detectable": {"fade": least}}}
+        effects = {"laser_power_drift": {"d_prime": 0.0, "detectable": {"loss_rate": least}}}
         return Case("c", label, {"verdict": "none", "probability": {"none": 1.0}, "likely": [],
                                  "effects": effects})  # fmt: skip
 

@@ -9,8 +9,11 @@ import pytest
 
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
+from benchmarks.sealed_names import TABLE, SealedNames
 from benchmarks.sealed_sets import FOLDER, SETS, against_targets, published, scores_of
+from blind.cases import Label
 from blind.classes import UNDETECTABLE
+from blind.effects import BY_NAME
 
 DOCS = Path(__file__).parents[2] / "docs"
 _SCORES = {name: scores for name in SETS if (scores := scores_of(FOLDER / name)) is not None}
@@ -104,3 +107,15 @@ def test_what_was_declared_undetectable_is_on_the_page() -> None:
     page = (DOCS / "reach.md").read_text(encoding="utf-8")
     declared = page.split("**Undetectable**")[1].split("Only at the largest")[0]
     assert all(name in declared for name in UNDETECTABLE)
+
+
+def test_published_names_are_translated_to_names_of_today() -> None:
+    names = SealedNames.read()
+    label = names.label(Label(3, (("order_mixing", 2.0), ("crack", 1.0)), True, 5))
+    assert label.effects == (("sideband_crosstalk", 2.0), ("crack", 1.0))
+    for name in SETS:
+        told = {n for one in published(FOLDER / name).values() for n, _ in one.effects + one.told}
+        assert told <= set(BY_NAME)
+    table = json.loads(TABLE.read_text(encoding="utf-8"))
+    assert set(table["effects"].values()) | set(table["sizes"]) <= set(BY_NAME)
+    assert not set(table["effects"]) & set(BY_NAME)

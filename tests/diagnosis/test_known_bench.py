@@ -30,8 +30,8 @@ def bench(known: str) -> BenchFile:
 
 def test_effects_are_put_on_the_twin_in_their_units() -> None:
     twin = base_twin(
-        bench("{synthesizer_detuning: {offset: 20 mHz}, air_load: {share: 0.9}, "
-              "laser_drift: {fade: 0.3 1/h}}")
+        bench("{synthesizer_detuning: {offset: 20 mHz}, air_load: {fraction: 0.9}, "
+              "laser_power_drift: {loss_rate: 0.3 1/h}}")
     )  # fmt: skip
     assert twin.clocks.detuning_hz == pytest.approx(0.02)
     assert twin.reed.air_share == pytest.approx(0.9)
@@ -45,14 +45,14 @@ def test_a_bench_of_which_nothing_is_known_is_the_nominal_twin() -> None:
 @pytest.mark.parametrize(
     ("known", "said"),
     [
-        ("{gremlins: {share: 1.0}}", "known.gremlins is no effect of the catalogue"),
-        ("{air_load: {shere: 0.9}}", "known.air_load.shere is no size of it; it has share"),
-        ("{laser_drift: {fade: 0.3 1/s}}", "known.laser_drift.fade: '0.3 1/s' is not in its unit"),
+        ("{gremlins: {fraction: 1.0}}", "known.gremlins is no effect of the catalogue"),
+        ("{air_load: {shere: 0.9}}", "known.air_load.shere is no size of it; it has fraction"),
+        ("{laser_power_drift: {loss_rate: 0.3 1/s}}", "loss_rate: '0.3 1/s' is not in its unit"),
         ("{synthesizer_detuning: {offset: 0.02}}", "synthesizer_detuning.offset: 0.02 has no unit"),
         ("{tip_mass: {mass: -1e-6 kg}}", "tip_mass.mass: '-1e-6 kg' is negative"),
         ("{tip_mass: {mass: .nan}}", "known.tip_mass.mass: nan"),
-        ("{air_load: {share: .inf}}", "known.air_load.share: inf is not a finite number"),
-        ("{air_load: {share: true}}", "known.air_load.share.float: True should be a valid number"),
+        ("{air_load: {fraction: .inf}}", "known.air_load.fraction: inf is not a finite number"),
+        ("{air_load: {fraction: true}}", "air_load.fraction.float: True should be a valid number"),
         ("{crack: {depth: 50 um, x: 1 m}}", "is nowhere that it can be; it lies from"),
     ],
 )  # fmt: skip
@@ -79,6 +79,6 @@ def test_a_run_without_a_readable_bench_tells_nothing_of_it() -> None:
 
 
 def test_what_a_twin_cannot_have_twice_is_not_asked_for_again() -> None:
-    told = bench("{second_cavity: {strength: 0.1}, drying: {share: 0.2}}")
-    assert only_once(told) == ("second_cavity",)
+    told = bench("{second_acoustic_resonance: {strength: 0.1}, drying: {fraction: 0.2}}")
+    assert only_once(told) == ("second_acoustic_resonance",)
     assert only_once(None) == only_once(BenchFile.from_text(TEXT)) == ()

@@ -81,8 +81,8 @@ def strange_beside() -> Verdict:
 
 def test_each_truth_has_its_verdict(nothing, mixed, both, strange) -> None:
     assert (nothing.kind, nothing.effects) == ("none", ())
-    assert (mixed.kind, mixed.effects) == ("effect", ("order_mixing",))
-    assert (both.kind, set(both.effects)) == ("pair", {"carrier_leak", "order_mixing"})
+    assert (mixed.kind, mixed.effects) == ("effect", ("sideband_crosstalk",))
+    assert (both.kind, set(both.effects)) == ("pair", {"carrier_leak", "sideband_crosstalk"})
     assert (strange.kind, strange.effects) == ("unknown", ())
 
 
@@ -103,20 +103,20 @@ def test_something_unknown_is_seen_beside_what_is_known_of(strange, strange_besi
     assert told.kind == "unknown"
     # Beside nothing it would be in the lines, which the next sideband moves.
     worst = max(told.contest.unknown, key=lambda name: told.contest.unknown[name])
-    assert (worst, told.unknown_beside, told.unknown_in) == ("lines", "order_mixing", "clocks")
+    assert (worst, told.unknown_beside, told.unknown_in) == ("lines", "sideband_crosstalk", "clocks")
     p = told.probability["unknown"]
-    for part in (f"({p:.0%})", BY_ID["order_mixing"].title, "clocks"):
+    for part in (f"({p:.0%})", BY_ID["sideband_crosstalk"].title, "clocks"):
         assert part in words(told)[0]
     answer = to_json(told)["unknown"]
-    assert (answer["beside"], answer["block"]) == ("order_mixing", "clocks")
+    assert (answer["beside"], answer["block"]) == ("sideband_crosstalk", "clocks")
 
 
 def test_the_first_words_say_what_is_likeliest_and_how_likely(nothing, mixed, both) -> None:
     p = nothing.probability["none"]
     assert f"no cause of a difference is found ({p:.0%})" in words(nothing)[0]
-    p = mixed.probability["order_mixing"]
+    p = mixed.probability["sideband_crosstalk"]
     assert p > 0.5
-    title = BY_ID["order_mixing"].title
+    title = BY_ID["sideband_crosstalk"].title
     assert f"{title} ({p:.0%})" in words(mixed)[0]
     name = next(n for n in both.probability if set(n.split("+")) == set(both.effects))
     assert f"({both.probability[name]:.0%})" in words(both)[0]
@@ -124,7 +124,7 @@ def test_the_first_words_say_what_is_likeliest_and_how_likely(nothing, mixed, bo
 
 
 def test_what_is_likeliest_but_not_likely_is_called_so(mixed) -> None:
-    name = "order_mixing"
+    name = "sideband_crosstalk"
     shares = {name: 0.31, "none": 0.3, "carrier_leak": 0.15, "unknown": 0.24}
     alone = replace(mixed, probability=shares, likely=((name,), ("none",), ("unknown",)))
     cause = f"{BY_ID[name].title} (31%)"
@@ -149,9 +149,9 @@ def test_words_tell_where_how_far_and_what_was_not_measured(mixed) -> None:
 def test_json_has_sizes_in_their_units(mixed) -> None:
     answer = to_json(mixed)
     assert json.loads(json.dumps(answer, allow_nan=False)) == answer
-    assert answer["effects_named"] == ["order_mixing"]
-    told = answer["effects"]["order_mixing"]
-    size = told["sizes"]["share"]
+    assert answer["effects_named"] == ["sideband_crosstalk"]
+    told = answer["effects"]["sideband_crosstalk"]
+    size = told["sizes"]["fraction"]
     # Beside a level that is not known, of numbers with errors of 0.05.
     bump = np.exp(-((AT / 0.2) ** 2)) / 0.05
     level = np.full(COUNT, 2.0) / 0.05
@@ -160,7 +160,7 @@ def test_json_has_sizes_in_their_units(mixed) -> None:
     assert size["error"] == pytest.approx(1 / math.sqrt(alone), rel=0.2)
     assert size["z"] == pytest.approx(size["value"] / 0.08)
     # The size that would stand out by five deviations, and how far the fitted one does.
-    assert told["detectable"]["share"] == pytest.approx(5 / math.sqrt(alone), rel=0.01)
+    assert told["detectable"]["fraction"] == pytest.approx(5 / math.sqrt(alone), rel=0.01)
     assert told["d_prime"] == pytest.approx(size["value"] * math.sqrt(alone), rel=0.1)
     assert answer["probability"] == dict(
         sorted(answer["probability"].items(), key=lambda item: -item[1])
@@ -184,10 +184,10 @@ def test_the_page_has_all_of_it(mixed, tmp_path) -> None:
     assert "<h1>A &lt;reed&gt;</h1>" in html
     assert words(mixed)[0] in html
     assert "up.h5, dark.h5" in html
-    p = mixed.probability["order_mixing"]
-    size = to_json(mixed)["effects"]["order_mixing"]["sizes"]["share"]
+    p = mixed.probability["sideband_crosstalk"]
+    size = to_json(mixed)["effects"]["sideband_crosstalk"]["sizes"]["fraction"]
     row = (
-        BY_ID["order_mixing"].title,
+        BY_ID["sideband_crosstalk"].title,
         f"{p:.1%}",
         f"share {size['value']:.2g} ± {size['error']:.1g}",
     )
@@ -243,8 +243,8 @@ def test_names_are_text_on_the_page_and_in_its_picture(mixed) -> None:
 def test_sizes_of_two_effects_say_whose_they_are(both) -> None:
     html = document(both, "A reed")
     for effect in both.effects:
-        size = to_json(both)["pairs"]["+".join(both.effects)]["sizes"][effect]["share"]
-        told = f"{BY_ID[effect].title}: share {size['value']:.2g} ± {size['error']:.1g}"
+        size = to_json(both)["pairs"]["+".join(both.effects)]["sizes"][effect]["fraction"]
+        told = f"{BY_ID[effect].title}: fraction {size['value']:.2g} ± {size['error']:.1g}"
         assert told in html
         assert BY_ID[effect].action in html
 

@@ -26,37 +26,37 @@ each = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.id
 
 # What an effect of a size has more of, field by field.
 MORE: Mapping[str, Mapping[str, str]] = {
-    "tweeter_compression": {"share": "drive.compression"},
-    "amplifier_rolloff": {"corner": "drive.roll_off"},
-    "cavity_line": {"excess": "drive.line_excess"},
-    "chamber_asymmetry": {"share": "drive.open_right"},
+    "tweeter_compression": {"fraction": "drive.compression"},
+    "amplifier_rolloff": {"inverse_corner": "drive.roll_off"},
+    "acoustic_resonance": {"excess": "drive.line_excess"},
+    "chamber_leakage": {"fraction": "drive.open_right"},
     "synthesizer_detuning": {"offset": "clocks.detuning_hz"},
     "synthesizer_drift": {"rate": "clocks.detuning_hz_h"},
     "generator_clock": {"ratio": "clocks.generator_ppm"},
-    "lost_frames": {"share": "clocks.lost_share"},
+    "lost_frames": {"fraction": "clocks.lost_share"},
     "bench_vibration": {"jitter": "beams.jitter_rad"},
     "phase_step_error": {"error": "beams.quarter_error_rad"},
-    "laser_drift": {"fade": "beams.fade_per_h"},
-    "speckle_decorrelation": {"share": "beams.blur"},
-    "carrier_leak": {"share": "beams.leak"},
-    "order_mixing": {"share": "beams.mixing"},
-    "lo_nonuniformity": {"down": "beams.shift_m.0", "right": "beams.shift_m.1"},
-    "vignetting": {"share": "beams.vignette"},
+    "laser_power_drift": {"loss_rate": "beams.fade_per_h"},
+    "speckle_decorrelation": {"contrast_loss": "beams.blur"},
+    "carrier_leak": {"fraction": "beams.leak"},
+    "sideband_crosstalk": {"fraction": "beams.mixing"},
+    "lo_misalignment": {"down": "beams.shift_m.0", "right": "beams.shift_m.1"},
+    "vignetting": {"fraction": "beams.vignette"},
     "defocus": {"distance": "beams.defocus_m"},
     "read_noise": {"log_factor": "chip.read_factor"},
-    "fixed_pattern": {"rms": "chip.pattern"},
-    "hot_pixels": {"share": "chip.hot"},
-    "camera_bend": {"share": "chip.bend"},
+    "fixed_pattern_noise": {"rms": "chip.pattern"},
+    "hot_pixels": {"fraction": "chip.hot"},
+    "sensor_nonlinearity": {"fraction": "chip.bend"},
     "temperature_drift": {"rate": "surroundings.warming_c_h"},
-    "drying": {"share": "surroundings.drying"},
-    "hardening": {"share": "surroundings.hardening"},
-    "stiffening": {"E_L": "reed.shift.growth_E_L", "G_LT": "reed.shift.growth_G_LT"},
+    "drying": {"fraction": "surroundings.drying"},
+    "hardening_nonlinearity": {"fraction": "surroundings.hardening"},
+    "viscoelastic_stiffening": {"E_L": "reed.shift.growth_E_L", "G_LT": "reed.shift.growth_G_LT"},
     "transverse_modulus": {"E_T": "reed.shift.E_T"},
     "transverse_shear": {"G_LR": "reed.shift.G_LR", "G_TR": "reed.shift.G_TR"},
     "density": {"density": "reed.shift.density"},
-    "damping_growth": {"exponent": "reed.loss_growth"},
-    "air_load": {"share": "reed.air_share"},
-    "coarse_mesh": {"share": "reed.coarse_share"},
+    "frequency_dependent_damping": {"exponent": "reed.loss_growth"},
+    "air_load": {"fraction": "reed.air_share"},
+    "coarse_mesh": {"fraction": "reed.coarse_share"},
 }
 # Sizes that are logarithms of what a field is multiplied by.
 TIMES: Mapping[str, Mapping[str, str]] = {
@@ -71,8 +71,8 @@ ALTERED: Mapping[str, tuple[str, Alteration, Alteration]] = {
     "thickness_crown": ("thickness", Layer(0, 2), Layer(0, 2)),
     "thickness_tilt": ("thickness", Layer(0, 1), Layer(0, 1)),
     "tip_mass": ("mass", TipMass(), TipMass()),
-    "clamp_yield": ("yielding", YieldingClamp(), YieldingClamp()),
-    "clamp_tilt": ("yielding", YieldingClamp(1), YieldingClamp(-1)),
+    "clamp_compliance": ("compliance", YieldingClamp(), YieldingClamp()),
+    "clamp_asymmetry": ("compliance", YieldingClamp(1), YieldingClamp(-1)),
     "crack": ("depth", SoftSpot(12e-3, -2e-3), SoftSpot(12e-3, -2e-3)),
 }
 
@@ -132,7 +132,7 @@ def _flat(value: Any, path: str = "") -> dict[str, Any]:
 
 
 def test_the_tables_name_every_effect() -> None:
-    assert {*MORE, *ALTERED, "coherence_step", "second_cavity"} == set(BY_ID)
+    assert {*MORE, *ALTERED, "laser_mode_hop", "second_acoustic_resonance"} == set(BY_ID)
     for effect in CATALOGUE:
         told = {*MORE.get(effect.id, ()), *TIMES.get(effect.id, ())}
         if told:
@@ -167,10 +167,10 @@ def test_an_altered_reed_is_altered_besides_by_its_own(name: str, sign: int) -> 
 
 
 def test_a_hop_and_a_line_are_where_they_are_said_to_be() -> None:
-    hopped = BY_ID["coherence_step"].change(Twin(), {"hop": 0.3, "share": 0.6})
+    hopped = BY_ID["laser_mode_hop"].change(Twin(), {"contrast_loss": 0.3, "time_fraction": 0.6})
     assert hopped == replace(Twin(), beams=replace(Twin().beams, hop=0.3, hop_share=0.6))
     sizes = {"strength": 0.2, "log_hz": 0.01, "log_quality": -0.2, "hz": 5e3, "quality": 18.0}
-    drive = BY_ID["second_cavity"].change(Twin(), sizes).drive
+    drive = BY_ID["second_acoustic_resonance"].change(Twin(), sizes).drive
     assert drive.second_line == 0.2
     assert drive.second_hz == pytest.approx(5e3 * np.exp(0.01))
     assert drive.second_quality == pytest.approx(18 * np.exp(-0.2))

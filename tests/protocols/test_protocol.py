@@ -444,7 +444,11 @@ def test_a_reed_s_name_that_no_file_can_have_is_no_reed():
 
 @pytest.mark.parametrize(
     ("known", "key"),
-    [({"camera_bend": {"share": [1]}}, "known.camera_bend.share"), ([1], "known"), (3, "known")],
+    [
+        ({"sensor_nonlinearity": {"fraction": [1]}}, "known.sensor_nonlinearity.fraction"),
+        ([1], "known"),
+        (3, "known"),
+    ],
 )
 def test_a_list_for_the_size_of_an_effect_is_refused(known, key):
     message = refusal(BenchFile.from_text, BENCH + f"known: {known}\n", "lab.yaml")

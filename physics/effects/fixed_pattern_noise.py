@@ -1,4 +1,4 @@
-"""A camera that reads low where it is bright."""
+"""Pixels that are not alike."""
 
 from collections.abc import Mapping
 
@@ -12,20 +12,18 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "chip", bend=values["share"])
+    return more(twin, "chip", pattern=values["rms"])
 
 
 EFFECT = Effect(
-    id="camera_bend",
-    title="camera bends",
+    id="fixed_pattern_noise",
+    title="pattern of the sensor",
     stage=Stage.CAMERA,
-    parameters=(
-        Parameter("share", "", 0.1, "anti-blooming, a well that is nearly full", positive=True),
-    ),
+    parameters=(Parameter("rms", "", 0.03, "old sensors, dust", positive=True),),
     change=_change,
     moves=frozenset({Tap.SENSOR}),
     keeps=frozenset({Tap.LOG, Tap.MODES}),
-    neighbours=(),
-    action="flat frames at several exposures",
+    neighbours=("read_noise",),
+    action="frames of even light",
     reference="photon transfer",
 )

@@ -16,7 +16,7 @@ def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
 
 
 EFFECT = Effect(
-    id="damping_growth",
+    id="frequency_dependent_damping",
     title="losses grow with frequency",
     stage=Stage.MECHANICS,
     parameters=(Parameter("exponent", "", 0.3, "loss tangents of wood from 1 to 20 kHz"),),

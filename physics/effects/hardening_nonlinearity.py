@@ -12,16 +12,16 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "surroundings", hardening=values["share"])
+    return more(twin, "surroundings", hardening=values["fraction"])
 
 
 EFFECT = Effect(
-    id="hardening",
+    id="hardening_nonlinearity",
     title="stiffer at large amplitude",
     stage=Stage.MECHANICS,
     parameters=(
         Parameter(
-            "share",
+            "fraction",
             "",
             0.002,
             "relative stiffening at a phase amplitude of 10 rad, half a micrometre",

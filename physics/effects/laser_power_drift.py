@@ -12,18 +12,18 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "beams", fade_per_h=values["fade"])
+    return more(twin, "beams", fade_per_h=values["loss_rate"])
 
 
 EFFECT = Effect(
-    id="laser_drift",
+    id="laser_power_drift",
     title="laser drifts",
     stage=Stage.OPTICS,
-    parameters=(Parameter("fade", "1/h", 0.4, "diode lasers that warm up"),),
+    parameters=(Parameter("loss_rate", "1/h", 0.4, "diode lasers that warm up"),),
     change=_change,
     moves=frozenset({Tap.SENSOR, Tap.FIELD}),
     keeps=frozenset({Tap.LOG, Tap.MODES}),
-    neighbours=("coherence_step",),
+    neighbours=("laser_mode_hop",),
     action="a photodiode next to the bench",
     reference="data sheets of diode lasers",
 )

@@ -15,24 +15,27 @@ _SHARES = tuple(0.05 * k for k in range(1, 20))
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    if not values["hop"]:
+    if not values["contrast_loss"]:
         return twin
-    return replace(twin, beams=replace(twin.beams, hop=values["hop"], hop_share=values["share"]))
+    return replace(
+        twin,
+        beams=replace(twin.beams, hop=values["contrast_loss"], hop_share=values["time_fraction"]),
+    )
 
 
 EFFECT = Effect(
-    id="coherence_step",
+    id="laser_mode_hop",
     title="laser hops",
     stage=Stage.OPTICS,
     parameters=(
-        Parameter("hop", "", 0.2, "from a little to most of the contrast", positive=True),
-        Parameter("share", "", 0.0, "at any time", places=_SHARES),
+        Parameter("contrast_loss", "", 0.2, "from a little to most of the contrast", positive=True),
+        Parameter("time_fraction", "", 0.0, "at any time", places=_SHARES),
     ),
     change=_change,
     single=True,
     moves=frozenset({Tap.FIELD}),
     keeps=frozenset({Tap.LOG, Tap.MODES, Tap.SENSOR}),
-    neighbours=("laser_drift",),
+    neighbours=("laser_power_drift",),
     action="a reference picture at every step",
     reference="multimode diode lasers",
 )

@@ -13,16 +13,16 @@ from physics.twin import Twin, with_alteration
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    amount = values["yielding"]
+    amount = values["compliance"]
     return with_alteration(twin, YieldingClamp(1 if amount > 0 else -1), abs(amount))
 
 
 EFFECT = Effect(
-    id="clamp_tilt",
+    id="clamp_asymmetry",
     title="one strip of the clamp yields",
     stage=Stage.MECHANICS,
     parameters=(
-        Parameter("yielding", "m/Pa", 2e-13, "0.5 mm of hard plastic, 2.5 GPa, under one strip"),
+        Parameter("compliance", "m/Pa", 2e-13, "0.5 mm of hard plastic, 2.5 GPa, under one strip"),
     ),
     change=_change,
     moves=frozenset({Tap.MODES}),

@@ -13,16 +13,16 @@ from physics.twin import Twin, with_alteration
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return with_alteration(twin, YieldingClamp(), values["yielding"])
+    return with_alteration(twin, YieldingClamp(), values["compliance"])
 
 
 EFFECT = Effect(
-    id="clamp_yield",
+    id="clamp_compliance",
     title="clamp yields",
     stage=Stage.MECHANICS,
     parameters=(
         Parameter(
-            "yielding",
+            "compliance",
             "m/Pa",
             2e-13,
             "0.5 mm of hard plastic, 2.5 GPa, under each strip",
@@ -32,7 +32,7 @@ EFFECT = Effect(
     change=_change,
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("stiffening", "transverse_shear"),
+    neighbours=("viscoelastic_stiffening", "transverse_shear"),
     action="clamp the reed again, harder",
     reference="paper, section III: strips hold the reed fast",
 )

@@ -1,4 +1,4 @@
-"""Pixels that are not alike."""
+"""A camera that reads low where it is bright."""
 
 from collections.abc import Mapping
 
@@ -12,18 +12,20 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "chip", pattern=values["rms"])
+    return more(twin, "chip", bend=values["fraction"])
 
 
 EFFECT = Effect(
-    id="fixed_pattern",
-    title="pattern of the sensor",
+    id="sensor_nonlinearity",
+    title="camera bends",
     stage=Stage.CAMERA,
-    parameters=(Parameter("rms", "", 0.03, "old sensors, dust", positive=True),),
+    parameters=(
+        Parameter("fraction", "", 0.1, "anti-blooming, a well that is nearly full", positive=True),
+    ),
     change=_change,
     moves=frozenset({Tap.SENSOR}),
     keeps=frozenset({Tap.LOG, Tap.MODES}),
-    neighbours=("read_noise",),
-    action="frames of even light",
+    neighbours=(),
+    action="flat frames at several exposures",
     reference="photon transfer",
 )

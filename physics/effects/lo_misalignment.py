@@ -19,7 +19,7 @@ def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
 
 
 EFFECT = Effect(
-    id="lo_nonuniformity",
+    id="lo_misalignment",
     title="local oscillator off centre",
     stage=Stage.OPTICS,
     parameters=(

@@ -12,14 +12,14 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "drive", open_right=values["share"])
+    return more(twin, "drive", open_right=values["fraction"])
 
 
 EFFECT = Effect(
-    id="chamber_asymmetry",
+    id="chamber_leakage",
     title="covered half of the chamber is driven too",
     stage=Stage.ACOUSTICS,
-    parameters=(Parameter("share", "", 0.3, "clay that is pressed in by hand", positive=True),),
+    parameters=(Parameter("fraction", "", 0.3, "clay that is pressed in by hand", positive=True),),
     change=_change,
     moves=frozenset({Tap.RESPONSE}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD, Tap.MODES}),

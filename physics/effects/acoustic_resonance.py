@@ -16,7 +16,7 @@ def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
 
 
 EFFECT = Effect(
-    id="cavity_line",
+    id="acoustic_resonance",
     title="known line is stronger",
     stage=Stage.ACOUSTICS,
     parameters=(
@@ -31,7 +31,7 @@ EFFECT = Effect(
     change=_change,
     moves=frozenset({Tap.DRIVE}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD, Tap.MODES}),
-    neighbours=("second_cavity",),
+    neighbours=("second_acoustic_resonance",),
     action="change the volume of the chamber",
     reference="paper, section III: picture 78 of both series",
 )

@@ -12,16 +12,16 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "beams", mixing=values["share"])
+    return more(twin, "beams", mixing=values["fraction"])
 
 
 EFFECT = Effect(
-    id="order_mixing",
+    id="sideband_crosstalk",
     title="next sideband leaks in",
     stage=Stage.OPTICS,
     parameters=(
         Parameter(
-            "share",
+            "fraction",
             "",
             0.08,
             "the camera integrates over an exposure: sidebands far apart vanish, spurs do not",

@@ -34,7 +34,7 @@ def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
 
 
 EFFECT = Effect(
-    id="second_cavity",
+    id="second_acoustic_resonance",
     title="another line of the air",
     stage=Stage.ACOUSTICS,
     parameters=(
@@ -48,7 +48,7 @@ EFFECT = Effect(
     single=True,
     moves=frozenset({Tap.DRIVE}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD, Tap.MODES}),
-    neighbours=("cavity_line",),
+    neighbours=("acoustic_resonance",),
     action="change the volume of the chamber; another reed",
     reference="paper, section III",
 )

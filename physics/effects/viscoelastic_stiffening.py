@@ -16,7 +16,7 @@ def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
 
 
 EFFECT = Effect(
-    id="stiffening",
+    id="viscoelastic_stiffening",
     title="moduli grow with frequency",
     stage=Stage.MECHANICS,
     parameters=(
@@ -38,7 +38,7 @@ EFFECT = Effect(
     change=_change,
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("air_load", "thickness_wedge", "clamp_yield"),
+    neighbours=("air_load", "thickness_wedge", "clamp_compliance"),
     action="sweep to higher frequencies, or at low pressure",
     reference="paper, section IV.B",
 )

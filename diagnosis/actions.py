@@ -79,7 +79,7 @@ def _with_wax(twin: Twin) -> Twin:
 
 
 def _after_an_hour(twin: Twin) -> Twin:
-    return more(twin, "surroundings", begun_h=1.0)
+    return more(twin, "environment", begun_h=1.0)
 
 
 def _without_clay(twin: Twin) -> Twin:

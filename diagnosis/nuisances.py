@@ -63,9 +63,9 @@ def _drive(name: str, spread: float, source: str) -> Nuisance:
 
 def _beside(part: int) -> Nuisance:
     def change(twin: Twin, value: float) -> Twin:
-        beside = list(twin.drive.beside)
+        beside = list(twin.drive.bypass)
         beside[part] += value
-        drive = replace(twin.drive, beside=(beside[0], beside[1]))
+        drive = replace(twin.drive, bypass=(beside[0], beside[1]))
         return replace(twin, drive=drive)
 
     name = ("beside, real", "beside, imaginary")[part]
@@ -108,9 +108,9 @@ NUISANCES: Final[tuple[Nuisance, ...]] = (
         lambda twin, value: with_reed(twin, coarse_share=twin.reed.coarse_share + value),
         "decision 0009: what finer elements change",
     ),
-    _drive("line_excess", 0.07, "the same device, taken apart and put together"),
-    _drive("line_quality", 0.07, "the same device, taken apart and put together"),
-    _drive("line_shift", 0.004, "speed of sound within 2 degrees"),
+    _drive("resonance_excess", 0.07, "the same device, taken apart and put together"),
+    _drive("resonance_quality", 0.07, "the same device, taken apart and put together"),
+    _drive("resonance_shift", 0.004, "speed of sound within 2 degrees"),
     _beside(0),
     _beside(1),
     *(_layer(along, across) for along in range(4) for across in range(4) if along + across < 5),
@@ -137,6 +137,6 @@ def of_fits(modes: Sequence[str]) -> tuple[Nuisance, ...]:
 def _exchange(mode: str, share: tuple[float, float]) -> Callable[[Twin, float], Twin]:
     def change(twin: Twin, value: float) -> Twin:
         more = (mode, share[0] * value, share[1] * value)
-        return replace(twin, fits=FitBias((*twin.fits.exchanged, more)))
+        return replace(twin, fit_bias=FitBias((*twin.fit_bias.exchanged, more)))
 
     return change

@@ -193,7 +193,7 @@ def blocks(readings: Readings, reed_solver: ReedSolver) -> list[Block]:
     """
     sheet, beat, stills, sweeps = readings.sheet, readings.beat, readings.stills, readings.sweeps
     scatter_hz = lock_scatter_hz(beat)
-    usual_hz = usual_scatter_hz(Twin().beams, readings.rate_hz)
+    usual_hz = usual_scatter_hz(Twin().optics, readings.rate_hz)
     found: list[Block | None] = [log_block(beat)]
     if readings.dark:
         found.append(dark_block(readings.dark, sheet))

@@ -21,14 +21,14 @@ class DriveChain:
         Frequency above which the coil moves less.
     roll_off : float
         10 kHz divided by the corner frequency of the amplifier's second-order low-pass.
-    line_excess : float
+    resonance_excess : float
         Relative change of the strength of the known acoustic resonance of the excitation device.
-    line_quality, line_shift : float
+    resonance_quality, resonance_shift : float
         Natural logarithms of the factors on its quality and on its frequency.
-    beside : (float, float)
+    bypass : (float, float)
         Real and imaginary part of the pressure that reaches the reed on another path, relative to
         the direct one.
-    second_line, second_hz, second_quality : float
+    second_strength, second_hz, second_quality : float
         Strength, frequency and quality of a second acoustic resonance.
     open_right : float
         Fraction of the pressure that reaches the half of the chamber that clay should fill.
@@ -37,11 +37,11 @@ class DriveChain:
     compression: float = 0.0
     compression_hz: float = 5e3
     roll_off: float = 0.0
-    line_excess: float = 0.0
-    line_quality: float = 0.0
-    line_shift: float = 0.0
-    beside: tuple[float, float] = (0.0, 0.0)
-    second_line: float = 0.0
+    resonance_excess: float = 0.0
+    resonance_quality: float = 0.0
+    resonance_shift: float = 0.0
+    bypass: tuple[float, float] = (0.0, 0.0)
+    second_strength: float = 0.0
     second_hz: float = 7e3
     second_quality: float = 30.0
     open_right: float = 0.0
@@ -59,14 +59,14 @@ class Clocks:
         Growth of this error per hour.
     generator_ppm : float
         Relative error of the generator's clock compared with the synthesizers' clock, in ppm.
-    lost_share : float
+    lost_fraction : float
         Fraction of acquisitions with a lost or repeated frame.
     """
 
     detuning_hz: float = 0.0
     detuning_hz_h: float = 0.0
     generator_ppm: float = 0.0
-    lost_share: float = 0.0
+    lost_fraction: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -83,12 +83,12 @@ class OpticsParameters:
         Phase error of every second phase step.
     fade_per_h : float
         Relative loss of the laser's power per hour.
-    hop, hop_share : float
+    hop, hop_time_fraction : float
         Relative loss of fringe contrast by a laser mode hop, and its time as a fraction of the
         campaign.
-    blur : float
+    decorrelation_per_rad2 : float
         Loss of contrast per square of the phase amplitude.
-    leak, mixing : float
+    leak, crosstalk : float
         Relative amplitude of the carrier, and of the next sideband, in the image of each sideband.
     shift_m : (float, float)
         Displacement of the local oscillator's centre on the sensor, along rows and columns (y, x).
@@ -105,10 +105,10 @@ class OpticsParameters:
     quarter_error_rad: float = 0.0
     fade_per_h: float = 0.0
     hop: float = 0.0
-    hop_share: float = 0.5
-    blur: float = 0.0
+    hop_time_fraction: float = 0.5
+    decorrelation_per_rad2: float = 0.0
     leak: float = 0.0
-    mixing: float = 0.0
+    crosstalk: float = 0.0
     shift_m: tuple[float, float] = (0.0, 0.0)
     waist_m: float = 15e-3
     vignette: float = 0.0
@@ -127,14 +127,14 @@ class SensorParameters:
         Standard deviation of the pixels' relative sensitivity, in addition to that of any sensor.
     hot : float
         Fraction of hot pixels.
-    bend : float
+    nonlinearity : float
         Sensor nonlinearity: relative error of a full pixel, which reads too low.
     """
 
     read_factor: float = 0.0
     pattern: float = 0.0
     hot: float = 0.0
-    bend: float = 0.0
+    nonlinearity: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -194,19 +194,19 @@ class Twin:
     reed : Mechanics
     drive : DriveChain
     clocks : Clocks
-    beams : OpticsParameters
-    chip : SensorParameters
-    surroundings : Environment
-    fits : FitBias
+    optics : OpticsParameters
+    sensor : SensorParameters
+    environment : Environment
+    fit_bias : FitBias
     """
 
     reed: Mechanics = field(default_factory=Mechanics)
     drive: DriveChain = DriveChain()
     clocks: Clocks = Clocks()
-    beams: OpticsParameters = OpticsParameters()
-    chip: SensorParameters = SensorParameters()
-    surroundings: Environment = Environment()
-    fits: FitBias = FitBias()
+    optics: OpticsParameters = OpticsParameters()
+    sensor: SensorParameters = SensorParameters()
+    environment: Environment = Environment()
+    fit_bias: FitBias = FitBias()
 
 
 def more(twin: Twin, part: str, **amounts: float) -> Twin:

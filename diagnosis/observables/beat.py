@@ -82,7 +82,7 @@ def log_block(beat: Beat) -> Block:
     """Frames lost."""
 
     def predict(twin: Twin) -> Array:
-        return np.array([2 * np.sqrt(beat.steps * twin.clocks.lost_share + 3 / 8)])
+        return np.array([2 * np.sqrt(beat.steps * twin.clocks.lost_fraction + 3 / 8)])
 
     values, errors = [2 * np.sqrt(beat.lost + 3 / 8)], np.array([1.0])
     return block("frames", Tap.LOG, values, errors, [Place("frames lost")], ("clocks",), predict)
@@ -111,7 +111,7 @@ def _smooth(beat: Beat) -> Array:
 
 def turn_of_unequal_steps(twin: Twin) -> float:
     """What unequal phase steps, every other one, add to the turn that fits four frames best."""
-    return float(np.dot(TURN_OF_FRAMES, (0, 1, 0, 1)) * twin.beams.quarter_error_rad)
+    return float(np.dot(TURN_OF_FRAMES, (0, 1, 0, 1)) * twin.optics.quarter_error_rad)
 
 
 def _scatter_of_bands(beat: Beat, bands: NDArray[Any]) -> dict[Any, float]:
@@ -166,4 +166,4 @@ def lock_block(beat: Beat, rate_hz: float) -> Block | None:
         return lock - turn_of_unequal_steps(twin) * rate_hz / (2 * np.pi)
 
     covariance = np.diag(np.square(errors)) + unknown((np.ones(len(values)), _COMMON_HZ), *repeated)
-    return block("lock", Tap.HOLOGRAM, values, covariance, places, ("clocks", "beams"), predict)
+    return block("lock", Tap.HOLOGRAM, values, covariance, places, ("clocks", "optics"), predict)

@@ -223,11 +223,11 @@ def carrier_block(carriers: Sequence[Carrier]) -> Block:
     noise = np.array([c.error for c in carriers]) * 0.3
 
     def predict(twin: Twin) -> Array:
-        amplitude: Array = np.hypot(twin.beams.leak, floor)
+        amplitude: Array = np.hypot(twin.optics.leak, floor)
         return amplitude
 
     covariance = np.diag(noise**2 + (_SWEEPS * floor) ** 2)
     covariance += _REEDS**2 * np.multiply.outer(floor, floor)
     places = [Place("carrier beside the clamp", level=c.name) for c in carriers]
     values = [c.share for c in carriers]
-    return block("carrier", Tap.MAPS, values, covariance, places, ("beams",), predict)
+    return block("carrier", Tap.MAPS, values, covariance, places, ("optics",), predict)

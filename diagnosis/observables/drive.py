@@ -127,12 +127,12 @@ def line_block(sweeps: Sequence[SweepReading], line: CavityLine, leaks: Leaks) -
     def predict(twin: Twin) -> Array:
         bent = np.log(_gain(twin.drive, line, hz) * _kept(twin.drive, volts, hz))
         for name, own_hz, loss in modes:
-            bent = bent + exchanged(twin.fits, name, own_hz, loss, hz)
+            bent = bent + exchanged(twin.fit_bias, name, own_hz, loss, hz)
         return bent
 
     covariance = np.diag(error**2) + waves + _SMOOTH**2 * powers @ powers.T
     places = [Place("drive", band=band_of(float(f))) for f in hz]
-    parts = ("drive", "fits")
+    parts = ("drive", "fit_bias")
     return block("lines of the drive", Tap.DRIVE, log, covariance, places, parts, predict)
 
 
@@ -168,12 +168,12 @@ def _gain(drive: DriveChain, line: CavityLine, hz: Array) -> Array:
         return np.asarray(1 + strength / (1 - ratio**2 + 1j * ratio / quality), dtype=complex)
 
     own = through(
-        line.frequency_hz * np.exp(drive.line_shift),
-        line.quality * np.exp(drive.line_quality),
-        line.strength * (1 + drive.line_excess),
+        line.frequency_hz * np.exp(drive.resonance_shift),
+        line.quality * np.exp(drive.resonance_quality),
+        line.strength * (1 + drive.resonance_excess),
     )
-    second = through(drive.second_hz, drive.second_quality, drive.second_line)
-    gain: Array = np.maximum(np.abs(own * second + complex(*drive.beside)), 1e-3)
+    second = through(drive.second_hz, drive.second_quality, drive.second_strength)
+    gain: Array = np.maximum(np.abs(own * second + complex(*drive.bypass)), 1e-3)
     return gain
 
 
@@ -301,7 +301,7 @@ def force_block(
     def predict(twin: Twin) -> Array:
         resounding = _gain(twin.drive, device.line, hz) * _kept(twin.drive, volts, hz)
         bent = [
-            float(exchanged(twin.fits, name, own, loss, np.array([own]))[0])
+            float(exchanged(twin.fit_bias, name, own, loss, np.array([own]))[0])
             for name, own, loss in zip(names, hz.tolist(), losses.tolist(), strict=True)
         ]
         force = np.log(predicted(twin.drive, twin.reed, names) * resounding)
@@ -311,7 +311,7 @@ def force_block(
     places = [
         Place("force", mode=n, band=band_of(float(f))) for n, f in zip(names, hz, strict=True)
     ]
-    parts = ("reed", "drive", "fits")
+    parts = ("reed", "drive", "fit_bias")
     return block("forces", Tap.RESPONSE, forces.mean(axis=0), covariance, places, parts, predict)
 
 

@@ -87,17 +87,17 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
     end_s = max([*still_s, *(float(sweep.time_s.max()) for sweep in sweeps)])
 
     def light(time_s: Array, beams: OpticsParameters) -> Array:
-        after = time_s > beams.hop_share * end_s
+        after = time_s > beams.hop_time_fraction * end_s
         lost: Array = -beams.fade_per_h * time_s / 3600 + np.log1p(-min(beams.hop, 0.95)) * after
         return lost
 
     def predict(twin: Twin) -> Array:
-        beside = table.of_light(lambda time_s: light(time_s, twin.beams))
+        beside = table.of_light(lambda time_s: light(time_s, twin.optics))
         of_sweeps = [float(np.median(beside[row][at])) for row, at in pieces]
-        return np.array([*of_sweeps, *light(np.array(still_s), twin.beams)])
+        return np.array([*of_sweeps, *light(np.array(still_s), twin.optics)])
 
     covariance = np.diag(variance) + _shared(columns)
-    return block("brightness", Tap.FIELD, values, covariance, places, ("beams",), predict)
+    return block("brightness", Tap.FIELD, values, covariance, places, ("optics",), predict)
 
 
 @dataclass(frozen=True)
@@ -187,12 +187,12 @@ def noise_block(sweeps: Sequence[SweepReading]) -> Block:
     beside = np.array(fringes) / np.exp(min(values))
 
     def predict(twin: Twin) -> Array:
-        shot = usual - _SHOT * twin.beams.fade_per_h * hours
-        noise: Array = shot + np.log1p(twin.chip.pattern**2 * beside)
+        shot = usual - _SHOT * twin.optics.fade_per_h * hours
+        noise: Array = shot + np.log1p(twin.sensor.pattern**2 * beside)
         return noise
 
     covariance = np.diag(variance) + _shared(columns)
-    return block("noise", Tap.SENSOR, values, covariance, places, ("beams", "chip"), predict)
+    return block("noise", Tap.SENSOR, values, covariance, places, ("optics", "sensor"), predict)
 
 
 def fringe_block(sweeps: Sequence[SweepReading]) -> Block | None:
@@ -214,13 +214,13 @@ def fringe_block(sweeps: Sequence[SweepReading]) -> Block | None:
     alike = _LEFT_OF_CARRIER if off else 1.0
 
     def predict(twin: Twin) -> Array:
-        beams: OpticsParameters = twin.beams
-        mixed = np.sqrt(beams.mixing**2 + (alike * beams.leak) ** 2 + floors[0, 0] ** 2)
-        return np.array([mixed, beams.blur + floors[1, 0]])
+        beams: OpticsParameters = twin.optics
+        mixed = np.sqrt(beams.crosstalk**2 + (alike * beams.leak) ** 2 + floors[0, 0] ** 2)
+        return np.array([mixed, beams.decorrelation_per_rad2 + floors[1, 0]])
 
     places = [Place(name.replace("_", " ")) for name in _FLOORS]
     errors = np.hypot(floors[:, 1], off * np.array(_OF_TAKEN_OFF))
-    return block("fringes", Tap.MAPS, values, errors, places, ("beams",), predict)
+    return block("fringes", Tap.MAPS, values, errors, places, ("optics",), predict)
 
 
 def mixing_in(sweeps: Sequence[SweepReading]) -> float:

@@ -106,7 +106,7 @@ def modes_block(
     astray = {what: _astray(sweeps, common, loss=what.startswith("loss")) for what in _QUANTITIES}
     covariance += np.diag([astray[what][common.index(name)] ** 2 for _, name, what in rows])
     predict = _prediction(rows, common, sweeps, reed_solver)
-    parts = ("reed", "surroundings", "fits")
+    parts = ("reed", "environment", "fit_bias")
     return block("modes", Tap.MODES, values, covariance, places, parts, predict)
 
 
@@ -251,7 +251,7 @@ def _prediction(
             raise ValueError(f"a reed of this kind has no mode {missing[0]}")
         hz = np.array([modes[name].hz for name in common])
         eta = np.array([modes[name].loss_factor for name in common])
-        around: Environment = twin.surroundings
+        around: Environment = twin.environment
         gone = hours + around.begun_h
         degrees = around.warming_c_h * gone
         dry = around.drying * -np.expm1(-3600 * gone / around.drying_s)
@@ -260,7 +260,7 @@ def _prediction(
         shift = by_E[names] * E + by_G[names] * G - 0.5 * _DRY_MASS * dry
         shift = shift + 0.5 * _DEEP * around.hardening * deep**2
         lossier = around.loss_per_c * degrees + _DRY_LOSS * dry
-        cents, log = np.array([twin.fits.of(name) for name in common]).T
+        cents, log = np.array([twin.fit_bias.of(name) for name in common]).T
         answer: Array = np.where(
             loss,
             100 * (np.log(eta[names]) + lossier + log[names]),

@@ -234,8 +234,8 @@ def dark_block(dark: Dark, sheet: Sheet) -> Block:
     sensor = sheet.sensor
 
     def predict(twin: Twin) -> Array:
-        read_dn = sensor.read_noise_e * np.exp(twin.chip.read_factor) / sensor.gain_e_dn
-        hot = 2 * np.sqrt(twin.chip.hot * dark.pixels + 3 / 8)
+        read_dn = sensor.read_noise_e * np.exp(twin.sensor.read_factor) / sensor.gain_e_dn
+        hot = 2 * np.sqrt(twin.sensor.hot * dark.pixels + 3 / 8)
         return np.array([sensor.offset_dn, 0.5 * np.log(read_dn**2 + 1 / 12), hot, 0.0, 0.0])
 
     names = "offset", "read noise", "hot pixels", "noise of rows", "noise of columns"
@@ -248,7 +248,7 @@ def dark_block(dark: Dark, sheet: Sheet) -> Block:
     ]
     errors = np.array([_OFFSET_DN, _NOISE, _HOT_COUNT, _BANDING, _BANDING])
     places = [Place(name) for name in names]
-    return block("dark frames", Tap.SENSOR, values, errors, places, ("chip",), predict)
+    return block("dark frames", Tap.SENSOR, values, errors, places, ("sensor",), predict)
 
 
 def flat_block(flat: Flat, dark: Dark | None, sheet: Sheet) -> Block:
@@ -262,12 +262,12 @@ def flat_block(flat: Flat, dark: Dark | None, sheet: Sheet) -> Block:
 
     def predict(twin: Twin) -> Array:
         filled = signal / full_dn
-        bent = np.log(np.maximum(1 - twin.chip.bend * filled, 0.05))
-        steeper = 2 * np.log(np.maximum(1 - 2 * twin.chip.bend * filled, 0.05))
-        pattern = 0.5 * np.log(_PATTERN**2 + twin.chip.pattern**2)
+        bent = np.log(np.maximum(1 - twin.sensor.nonlinearity * filled, 0.05))
+        steeper = 2 * np.log(np.maximum(1 - 2 * twin.sensor.nonlinearity * filled, 0.05))
+        pattern = 0.5 * np.log(_PATTERN**2 + twin.sensor.pattern**2)
         conversion = np.log(sensor.gain_e_dn) + float(np.mean(bent - steeper))
         return np.array(
-            [*(bent[1:] - bent[0]), pattern, conversion, -twin.beams.vignette, 0.0, 0.0]
+            [*(bent[1:] - bent[0]), pattern, conversion, -twin.optics.vignette, 0.0, 0.0]
         )
 
     several = len(signal) - 1
@@ -286,7 +286,7 @@ def flat_block(flat: Flat, dark: Dark | None, sheet: Sheet) -> Block:
         Place("pattern"), Place("electrons per number"), Place("corners", region="corners"),
         Place("tilt of the light", region="rows"), Place("tilt of the light", region="columns"),
     ]  # fmt: skip
-    return block("even light", Tap.SENSOR, values, errors, places, ("chip", "beams"), predict)
+    return block("even light", Tap.SENSOR, values, errors, places, ("sensor", "optics"), predict)
 
 
 def lo_block(beam: Beam, sheet: Sheet) -> Block:
@@ -294,7 +294,7 @@ def lo_block(beam: Beam, sheet: Sheet) -> Block:
     usual, halves = OpticsParameters().waist_m, sheet.half_m
 
     def predict(twin: Twin) -> Array:
-        beams = twin.beams
+        beams = twin.optics
         tilt = [
             4 * shift * half / beams.waist_m**2
             for shift, half in zip(beams.shift_m, halves, strict=True)
@@ -309,4 +309,4 @@ def lo_block(beam: Beam, sheet: Sheet) -> Block:
         Place("middle", region="rows"), Place("middle", region="columns"),
         Place("width", region="corners"),
     ]  # fmt: skip
-    return block("local oscillator", Tap.SENSOR, values, errors, places, ("beams",), predict)
+    return block("local oscillator", Tap.SENSOR, values, errors, places, ("optics",), predict)

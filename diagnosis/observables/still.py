@@ -206,7 +206,7 @@ def turn_block(stills: Sequence[Still], scatter_hz: float, rate_hz: float) -> Bl
         lock = clocks.detuning_hz + clocks.detuning_hz_h * np.array(hours)
         return lock - within * turn_of_unequal_steps(twin) * rate_hz / (2 * np.pi)
 
-    parts = ("clocks", "beams")
+    parts = ("clocks", "optics")
     return block("light at rest", Tap.HOLOGRAM, values, np.array(errors), places, parts, predict)
 
 
@@ -263,7 +263,7 @@ def scatter_block(stills: Sequence[Still], lock_scatter_hz: float, rate_hz: floa
     walk = np.array([1.0, 1.0])
 
     def predict(twin: Twin) -> Array:
-        beams = twin.beams
+        beams = twin.optics
         apart = np.sqrt(beams.walk_rad_s**2 * gaps.mean() + 0.5 * beams.jitter_rad**2)
         return np.log([usual_scatter_hz(beams, rate_hz), apart])
 
@@ -274,5 +274,5 @@ def scatter_block(stills: Sequence[Still], lock_scatter_hz: float, rate_hz: floa
     covariance = errors + unknown((walk, _WALK))
     places = [Place("phase within acquisitions"), Place("phase between acquisitions")]
     return block(
-        "scatter of phases", Tap.HOLOGRAM, values, covariance, places, ("beams",), predict,
+        "scatter of phases", Tap.HOLOGRAM, values, covariance, places, ("optics",), predict,
     )  # fmt: skip

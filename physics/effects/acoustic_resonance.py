@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "drive", line_excess=values["excess"])
+    return more(twin, "drive", resonance_excess=values["excess"])
 
 
 EFFECT = Effect(

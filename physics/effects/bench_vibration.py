@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "beams", jitter_rad=values["jitter"])
+    return more(twin, "optics", jitter_rad=values["jitter"])
 
 
 EFFECT = Effect(

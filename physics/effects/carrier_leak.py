@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "beams", leak=values["fraction"])
+    return more(twin, "optics", leak=values["fraction"])
 
 
 EFFECT = Effect(

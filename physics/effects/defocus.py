@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "beams", defocus_m=values["distance"])
+    return more(twin, "optics", defocus_m=values["distance"])
 
 
 EFFECT = Effect(

@@ -17,10 +17,10 @@ from physics.twin import Twin
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
     if not values["fraction"]:
         return twin
-    drying_s = twin.surroundings.drying_s * float(np.exp(values["log_time"]))
-    drying = twin.surroundings.drying + values["fraction"]
-    changed = replace(twin.surroundings, drying=drying, drying_s=drying_s)
-    return replace(twin, surroundings=changed)
+    drying_s = twin.environment.drying_s * float(np.exp(values["log_time"]))
+    drying = twin.environment.drying + values["fraction"]
+    changed = replace(twin.environment, drying=drying, drying_s=drying_s)
+    return replace(twin, environment=changed)
 
 
 EFFECT = Effect(

@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "chip", pattern=values["rms"])
+    return more(twin, "sensor", pattern=values["rms"])
 
 
 EFFECT = Effect(

@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "surroundings", hardening=values["fraction"])
+    return more(twin, "environment", hardening=values["fraction"])
 
 
 EFFECT = Effect(

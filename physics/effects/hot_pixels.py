@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "chip", hot=values["fraction"])
+    return more(twin, "sensor", hot=values["fraction"])
 
 
 EFFECT = Effect(

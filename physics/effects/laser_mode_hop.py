@@ -19,7 +19,9 @@ def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
         return twin
     return replace(
         twin,
-        beams=replace(twin.beams, hop=values["contrast_loss"], hop_share=values["time_fraction"]),
+        optics=replace(
+            twin.optics, hop=values["contrast_loss"], hop_time_fraction=values["time_fraction"]
+        ),
     )
 
 

@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "beams", fade_per_h=values["loss_rate"])
+    return more(twin, "optics", fade_per_h=values["loss_rate"])
 
 
 EFFECT = Effect(

@@ -13,9 +13,9 @@ from physics.twin import Twin
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    y_m, x_m = twin.beams.shift_m
+    y_m, x_m = twin.optics.shift_m
     moved = y_m + values["down"], x_m + values["right"]
-    return replace(twin, beams=replace(twin.beams, shift_m=moved))
+    return replace(twin, optics=replace(twin.optics, shift_m=moved))
 
 
 EFFECT = Effect(

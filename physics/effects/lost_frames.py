@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "clocks", lost_share=values["fraction"])
+    return more(twin, "clocks", lost_fraction=values["fraction"])
 
 
 EFFECT = Effect(

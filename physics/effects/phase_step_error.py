@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "beams", quarter_error_rad=values["error"])
+    return more(twin, "optics", quarter_error_rad=values["error"])
 
 
 EFFECT = Effect(

@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "chip", read_factor=values["log_factor"])
+    return more(twin, "sensor", read_factor=values["log_factor"])
 
 
 EFFECT = Effect(

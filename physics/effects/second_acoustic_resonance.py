@@ -26,7 +26,7 @@ def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
         return twin
     drive = replace(
         twin.drive,
-        second_line=values["strength"],
+        second_strength=values["strength"],
         second_hz=values["hz"] * float(np.exp(values["log_hz"])),
         second_quality=values["quality"] * float(np.exp(values["log_quality"])),
     )

@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "chip", bend=values["fraction"])
+    return more(twin, "sensor", nonlinearity=values["fraction"])
 
 
 EFFECT = Effect(

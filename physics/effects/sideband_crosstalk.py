@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "beams", mixing=values["fraction"])
+    return more(twin, "optics", crosstalk=values["fraction"])
 
 
 EFFECT = Effect(

@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "beams", blur=values["contrast_loss"])
+    return more(twin, "optics", decorrelation_per_rad2=values["contrast_loss"])
 
 
 EFFECT = Effect(

@@ -17,13 +17,13 @@ from physics.twin import Twin
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
     if not values["rate"]:
         return twin
-    loss = twin.surroundings.loss_per_c * float(np.exp(values["log_loss"]))
+    loss = twin.environment.loss_per_c * float(np.exp(values["log_loss"]))
     changed = replace(
-        twin.surroundings,
-        warming_c_h=twin.surroundings.warming_c_h + values["rate"],
+        twin.environment,
+        warming_c_h=twin.environment.warming_c_h + values["rate"],
         loss_per_c=loss,
     )
-    return replace(twin, surroundings=changed)
+    return replace(twin, environment=changed)
 
 
 EFFECT = Effect(

@@ -12,7 +12,7 @@ from physics.twin import Twin, more
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "beams", vignette=values["fraction"])
+    return more(twin, "optics", vignette=values["fraction"])
 
 
 EFFECT = Effect(

@@ -75,9 +75,9 @@ def test_what_a_laboratory_tells_of_itself_is_what_it_has() -> None:
     bench = BenchFile.from_text(bench_text("case", laboratory, told_sizes(label)))
     twin, world = base_twin(bench), laboratory.world
     assert twin.reed.air_share == pytest.approx(world.cane.air)
-    assert twin.beams.leak == pytest.approx(world.light.leak)
+    assert twin.optics.leak == pytest.approx(world.light.leak)
     assert twin.clocks.detuning_hz == pytest.approx(world.clockwork.detuning_hz, rel=1e-4)
-    assert twin.chip.read_factor >= 0
+    assert twin.sensor.read_factor >= 0
 
 
 def test_sizes_of_known_kinds_are_told_in_the_terms_of_the_catalogue() -> None:

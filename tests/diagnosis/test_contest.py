@@ -45,7 +45,7 @@ def test_nothing_is_named_on_a_bench_with_nothing_wrong(seed: int) -> None:
 
 @pytest.mark.parametrize(
     ("changes", "name"),
-    [({"leak": 0.4}, "slope"), ({"leak": -0.4}, "slope"), ({"mixing": 0.5}, "bump"),
+    [({"leak": 0.4}, "slope"), ({"leak": -0.4}, "slope"), ({"crosstalk": 0.5}, "bump"),
      ({"detuning_hz": -0.3}, "offset")],
 )  # fmt: skip
 def test_what_is_wrong_is_named(changes: dict[str, float], name: str) -> None:
@@ -54,7 +54,7 @@ def test_what_is_wrong_is_named(changes: dict[str, float], name: str) -> None:
 
 
 def test_two_things_are_named_together() -> None:
-    found = probabilities(measured(4, bench(mixing=0.6, detuning_hz=0.3)))
+    found = probabilities(measured(4, bench(crosstalk=0.6, detuning_hz=0.3)))
     best = max(found, key=found.get)
     assert set(best.split("+")) == {"bump", "offset"}
 
@@ -104,7 +104,7 @@ def test_what_need_not_show_is_likely_beside_what_does() -> None:
 
 def test_effects_that_are_alike_are_no_pair() -> None:
     # What a slope of not quite its form leaves is not another slope.
-    alike = effect("incline", "beams", "leak")
+    alike = effect("incline", "optics", "leak")
     found = contest(measured(6, bench(leak=1.5), extra=0.05), (*EFFECTS, alike))
     assert {"slope", "incline"} <= set(found.alone)
     both = {"slope+incline", "incline+slope"}
@@ -121,7 +121,7 @@ def test_beside_nothing_only_what_moves_nothing_is_unseen() -> None:
 
 def test_slopes_are_fine_where_they_have_to_be() -> None:
     comparison = measured(6, bench())
-    kink = replace(comparison.nuisances[0], change=lambda t, v: more(t, "beams", fade_per_h=v**3))
+    kink = replace(comparison.nuisances[0], change=lambda t, v: more(t, "optics", fade_per_h=v**3))
     bent = type(comparison)(comparison.blocks, Twin(), (kink,))
     at, noise, spread = np.array([0.4]), 0.05, kink.spread
     true = 3 * (0.4 * spread) ** 2 * spread / noise
@@ -135,7 +135,7 @@ def test_slopes_are_fine_where_they_have_to_be() -> None:
 def _harming(twin: Twin, values: Mapping[str, float]) -> Twin:
     """Do harm if there is little of it; from three deviations on it is what there is."""
     size = values["size"]
-    return more(twin, "beams", leak=-0.2 * size + 0.02 * size**3)
+    return more(twin, "optics", leak=-0.2 * size + 0.02 * size**3)
 
 
 def test_an_effect_that_shows_only_when_large_is_found() -> None:

@@ -29,5 +29,5 @@ def test_exchanges_add_up_and_belong_to_their_mode() -> None:
     for nuisance in of_fits(["T1", "F2"]):
         assert nuisance.of_fits
         twin = nuisance.change(twin, 2.0 if nuisance.unit else 0.5)
-    assert twin.fits.of("T1") == twin.fits.of("F2") == (2.0, 0.5)
-    assert twin.fits.of("X1") == (0.0, 0.0)
+    assert twin.fit_bias.of("T1") == twin.fit_bias.of("F2") == (2.0, 0.5)
+    assert twin.fit_bias.of("X1") == (0.0, 0.0)

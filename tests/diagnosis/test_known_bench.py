@@ -35,7 +35,7 @@ def test_effects_are_put_on_the_twin_in_their_units() -> None:
     )  # fmt: skip
     assert twin.clocks.detuning_hz == pytest.approx(0.02)
     assert twin.reed.air_share == pytest.approx(0.9)
-    assert twin.beams.fade_per_h == pytest.approx(0.3)
+    assert twin.optics.fade_per_h == pytest.approx(0.3)
 
 
 def test_a_bench_of_which_nothing_is_known_is_the_nominal_twin() -> None:

@@ -35,7 +35,7 @@ def test_pixels_that_differ_spread_fringes_by_the_square_of_what_they_differ_by(
     p, noise, fringes = 0.05, 1600.0, 2e5
     block = noise_block([sweep("dim", noise, 0.0), sweep("up", noise + p**2 * fringes, fringes)])
     half = len(block.values) // 2
-    told = block.predict(Twin(chip=SensorParameters(pattern=p)))
+    told = block.predict(Twin(sensor=SensorParameters(pattern=p)))
     assert np.mean(told[half:]) - np.mean(told[:half]) == pytest.approx(
         np.log1p(p**2 * fringes / noise), abs=3e-3
     )

@@ -219,7 +219,7 @@ def test_steps_far_apart_tell_how_far_a_mode_moves_by_the_nearest() -> None:
     deep = np.where(np.abs(coarse - 1800) == np.abs(coarse - 1800).min(), 20.0, 0.0)
     modes = modes_block([sweep(drive_hz=coarse, deepest_rad=deep)], FewModes(), NO_LEAKS)
     twin = Twin()
-    hard = Twin(surroundings=type(twin.surroundings)(hardening=1e-3))
+    hard = Twin(environment=type(twin.environment)(hardening=1e-3))
     moved = modes.predict(hard) - modes.predict(twin)
     assert [place.mode for place, by in zip(modes.places, moved, strict=True) if by] == ["F1"]
 

@@ -82,7 +82,7 @@ def test_a_camera_as_its_data_sheet_says_leaves_nothing() -> None:
 def test_read_noise_is_found_by_its_factor() -> None:
     block = dark_block(dark(read_e=18.0), SHEET)
     assert left(block)["read noise"] > 5
-    louder = replace(Twin(), chip=SensorParameters(read_factor=float(np.log(1.5))))
+    louder = replace(Twin(), sensor=SensorParameters(read_factor=float(np.log(1.5))))
     assert abs(left(block, louder)["read noise"]) < 1
 
 
@@ -92,7 +92,7 @@ def test_hot_pixels_are_counted_and_no_noise() -> None:
     found = read_dark([part([drawn(240.0 * hot, seed) for seed in range(4)], [0.08] * 4)])
     assert found.hot == pytest.approx(hot.mean(), rel=0.02)
     assert found.noise_dn == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.01)
-    named = replace(Twin(), chip=SensorParameters(hot=float(hot.mean())))
+    named = replace(Twin(), sensor=SensorParameters(hot=float(hot.mean())))
     assert left(dark_block(found, SHEET))["hot pixels"] > 3
     assert abs(left(dark_block(found, SHEET), named)["hot pixels"]) < 1
 
@@ -106,7 +106,7 @@ def test_noise_that_rows_have_in_common_shows_in_rows_alone() -> None:
 def test_a_camera_that_bends_is_found_by_its_bend() -> None:
     block = flat_block(flat(bend=0.06), dark(), SHEET)
     assert max(abs(v) for k, v in left(block).items() if k.startswith("linearity")) > 5
-    bent = replace(Twin(), chip=SensorParameters(bend=0.06))
+    bent = replace(Twin(), sensor=SensorParameters(nonlinearity=0.06))
     assert np.abs(block.left(bent)).max() < 4
 
 
@@ -116,7 +116,7 @@ def test_dark_corners_and_a_shifted_beam_are_found() -> None:
     block = flat_block(flat(corner), dark(), SHEET)
     assert abs(left(block)["cornerscorners"]) > 10
     assert (
-        abs(left(block, replace(Twin(), beams=OpticsParameters(vignette=0.2)))["cornerscorners"])
+        abs(left(block, replace(Twin(), optics=OpticsParameters(vignette=0.2)))["cornerscorners"])
         < 2
     )
     (half_m, _) = SHEET.half_m
@@ -125,7 +125,7 @@ def test_dark_corners_and_a_shifted_beam_are_found() -> None:
     lo = read_beam([part([drawn(6000 * beam, k) for k in range(8)], [0.08] * 8)], 50.0)
     block = lo_block(lo, SHEET)
     assert abs(left(block)["middlerows"]) > 3
-    shifted = replace(Twin(), beams=OpticsParameters(shift_m=(1e-3, -2e-3)))
+    shifted = replace(Twin(), optics=OpticsParameters(shift_m=(1e-3, -2e-3)))
     assert np.abs(block.left(shifted)).max() < 3
 
 
@@ -137,7 +137,7 @@ def test_rows_and_columns_of_a_sensor_that_is_not_square_are_as_far_as_they_are(
     shift_m = 1e-3, -2e-3
     frames = 50 + 1500 * np.exp(-2 * ((y - shift_m[0]) ** 2 + (x - shift_m[1]) ** 2) / 15e-3**2)
     block = lo_block(read_beam([part([np.stack([frames] * 4)], [0.08])], 50.0), sheet)
-    shifted = replace(Twin(), beams=OpticsParameters(shift_m=shift_m))
+    shifted = replace(Twin(), optics=OpticsParameters(shift_m=shift_m))
     assert np.abs(block.left(shifted)).max() < 1.5
     # A shift along columns tilts twice as much there as one along rows does here.
     tilt = block.predict(shifted)[:2]

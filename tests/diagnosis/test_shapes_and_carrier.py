@@ -110,7 +110,7 @@ def carriers(leak=0.0):
 
 
 def test_a_carrier_is_told_where_the_reed_hardly_moves() -> None:
-    leak = Twin(beams=OpticsParameters(leak=0.015))
+    leak = Twin(optics=OpticsParameters(leak=0.015))
     block = carrier_block(carriers(0.015))
     assert np.sum(block.left(leak) ** 2) == pytest.approx(0.0, abs=1e-9)
     assert np.sum(block.left(Twin()) ** 2) > 100

@@ -45,7 +45,7 @@ def test_something_unknown_is_likelier_only_where_numbers_are_off() -> None:
 
 
 def test_an_effect_leaves_nothing_unknown_and_a_wrong_one_does() -> None:
-    comparison = measured(2, bench(mixing=0.6))
+    comparison = measured(2, bench(crosstalk=0.6))
     right = anything(comparison, fitted(comparison, BUMP))
     assert right < 0 < 20 < anything(comparison, fitted(comparison, SLOPE))
 
@@ -75,7 +75,7 @@ def test_where_nothing_is_off_nothing_unknown_gains(deviation: float) -> None:
 
 
 def test_what_moves_two_blocks_counts_once_for_each() -> None:
-    both = measured(3, bench(mixing=0.6, detuning_hz=0.3))
+    both = measured(3, bench(crosstalk=0.6, detuning_hz=0.3))
     lines, clocks = (float(factor[0]) for factor in discrepancies(both, fitted(both)).values())
     total = anything(both, fitted(both))
     assert total > max(lines, clocks) + 10
@@ -85,7 +85,7 @@ def test_what_moves_two_blocks_counts_once_for_each() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_chance_fires_no_sign_beside_the_truth(seed: int) -> None:
-    found = signs(measured(seed, bench(mixing=0.5)), BUMP)
+    found = signs(measured(seed, bench(crosstalk=0.5)), BUMP)
     assert set(found) == {"discrepancy", "largest", "implausible"}
     assert not any(sign.fired for sign in found.values())
 

@@ -61,12 +61,12 @@ def nothing() -> Verdict:
 
 @pytest.fixture(scope="module")
 def mixed() -> Verdict:
-    return diagnosed(mixing=0.3)
+    return diagnosed(crosstalk=0.3)
 
 
 @pytest.fixture(scope="module")
 def both() -> Verdict:
-    return diagnosed(leak=0.3, mixing=0.3)
+    return diagnosed(leak=0.3, crosstalk=0.3)
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def strange() -> Verdict:
 
 @pytest.fixture(scope="module")
 def strange_beside() -> Verdict:
-    return diagnosed(mixing=0.6, detuning_hz=0.1)
+    return diagnosed(crosstalk=0.6, detuning_hz=0.1)
 
 
 def test_each_truth_has_its_verdict(nothing, mixed, both, strange) -> None:
@@ -278,7 +278,7 @@ def test_the_sweep_that_is_left_out_is_of_another_clamping_or_the_calmest() -> N
 
 def test_what_an_effect_touches_is_beside_what_nuisances_do() -> None:
     # The level, far from where it usually is, is of no effect.
-    comparison = measured(3, bench(fade_per_h=9.0, mixing=0.5))
+    comparison = measured(3, bench(fade_per_h=9.0, crosstalk=0.5))
     null = compete(comparison, (), [np.zeros(1)])
     bump = compete(comparison, (Sized(EFFECTS[1], {}),), [np.array([0.0, 0.1])])
     touched = _touched(comparison, null, bump)
@@ -294,8 +294,8 @@ def test_gaps_are_told_in_units_that_people_know() -> None:
               Place("nobody's")]  # fmt: skip
     half = np.array([1.0, 1.5, 0.1, 0.2, 1.0])
     none = Nuisance("none", "", 1.0, lambda twin, _: twin, "nothing")
-    numbers = block("all", Tap.MODES, 2 * half, np.full(5, 0.01), places, ("beams",),
-                    lambda twin: twin.beams.leak * half)  # fmt: skip
+    numbers = block("all", Tap.MODES, 2 * half, np.full(5, 0.01), places, ("optics",),
+                    lambda twin: twin.optics.leak * half)  # fmt: skip
     comparison = Comparison([numbers], Twin(), (none,))
     null = compete(comparison, (), [np.zeros(1)])
     rival = replace(null, estimate=replace(null.estimate, residuals=null.estimate.residuals / 2))

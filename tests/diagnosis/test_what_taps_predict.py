@@ -69,13 +69,13 @@ def test_locks_miss_by_what_modulators_are_ahead_and_generators_behind(beat) -> 
     # A generator that runs ahead drives the reed faster: 5 ppm of 2 kHz and 10 kHz.
     assert moved(lock, clocks={"generator_ppm": 5.0}) == pytest.approx([-0.01, -0.05])
     # A tenth of a radian of every other step, of 12.4 a second; a third of it looks like a turn.
-    assert moved(lock, beams={"quarter_error_rad": 0.1}) == pytest.approx([-0.0658] * 2, rel=1e-3)
+    assert moved(lock, optics={"quarter_error_rad": 0.1}) == pytest.approx([-0.0658] * 2, rel=1e-3)
 
 
 def test_frames_lost_are_counted_on_a_scale_of_even_scatter(beat) -> None:
     # Four of a hundred.
     expected = 2 * (np.sqrt(4 + 3 / 8) - np.sqrt(3 / 8))
-    assert moved(log_block(beat), clocks={"lost_share": 0.04}) == pytest.approx([expected])
+    assert moved(log_block(beat), clocks={"lost_fraction": 0.04}) == pytest.approx([expected])
 
 
 def still(clamping=0):
@@ -95,7 +95,7 @@ def test_light_at_rest_turns_by_the_modulators_and_by_unequal_steps_only_within(
     assert (within, between) == ("within acquisitions", "between acquisitions")
     assert moved(turn, clocks={"detuning_hz": 0.01}) == pytest.approx([0.01, 0.01])
     assert moved(turn, clocks={"detuning_hz_h": 0.2}) == pytest.approx([0.2, 0.2], rel=1e-6)
-    assert moved(turn, beams={"quarter_error_rad": 0.1}) == pytest.approx([-0.0658, 0.0], rel=1e-3)
+    assert moved(turn, optics={"quarter_error_rad": 0.1}) == pytest.approx([-0.0658, 0.0], rel=1e-3)
 
 
 def test_phases_scatter_by_what_walks_and_jitters() -> None:
@@ -105,7 +105,7 @@ def test_phases_scatter_by_what_walks_and_jitters() -> None:
     within = 3 * 0.05**2 / RATE_HZ / 9, 2 * 0.15**2 / 9
     between = 0.05**2, 0.5 * 0.15**2
     expected = [0.5 * np.log(1 + new / old) for old, new in (within, between)]
-    assert moved(scatter, beams={"jitter_rad": 0.15}) == pytest.approx(expected)
+    assert moved(scatter, optics={"jitter_rad": 0.15}) == pytest.approx(expected)
 
 
 def sweep(name="up", begun_s=0.0, length_s=0.0, volts=4.0, clamping=0, **own):
@@ -126,7 +126,7 @@ def sweep(name="up", begun_s=0.0, length_s=0.0, volts=4.0, clamping=0, **own):
 def test_light_fades_by_its_share_an_hour_and_fringes_by_its_root_of_either_beam() -> None:
     # One sweep at the begin, one an hour later; the light at rest as well.
     light = brightness_block([sweep(), sweep("down", HOUR)], [still()])
-    faded = moved(light, beams={"fade_per_h": 0.3})
+    faded = moved(light, optics={"fade_per_h": 0.3})
     when = [place.time for place in light.places]
     rest = next(k for k, time in enumerate(when) if time.startswith("at rest"))
     up, down = ([k for k, t in enumerate(when) if t.startswith(name)] for name in ("up", "down"))
@@ -134,7 +134,7 @@ def test_light_fades_by_its_share_an_hour_and_fringes_by_its_root_of_either_beam
     # Sweeps are beside their mean.
     assert faded[up] == pytest.approx(0.15)
     assert faded[down] == pytest.approx(-0.15)
-    hopped = moved(light, beams={"hop": 0.2})
+    hopped = moved(light, optics={"hop": 0.2})
     # Contrast of 0.8 from the half of the campaign on.
     assert hopped[rest] == pytest.approx(np.log(0.8))
     assert hopped[down] - hopped[up] == pytest.approx(np.log(0.8))
@@ -142,7 +142,7 @@ def test_light_fades_by_its_share_an_hour_and_fringes_by_its_root_of_either_beam
 
 def test_noise_is_that_of_the_light_but_for_a_little() -> None:
     noise = noise_block([sweep(), sweep("down", HOUR)])
-    faded = moved(noise, beams={"fade_per_h": 0.3})
+    faded = moved(noise, optics={"fade_per_h": 0.3})
     down = [k for k, place in enumerate(noise.places) if place.time.startswith("down")]
     assert faded[down] == pytest.approx(-0.96 * 0.3)
     assert np.delete(faded, down) == pytest.approx(0.0)
@@ -152,11 +152,11 @@ def test_fringes_show_what_leaks_in_by_its_amplitude_and_lost_contrast_as_it_is(
     there = sweep(template=np.zeros((len(TEMPLATES), 160), complex),
                   template_variance=np.ones((len(TEMPLATES), 160)))  # fmt: skip
     fringes = fringe_block([there])
-    assert [place.quantity for place in fringes.places] == ["order mixing", "decorrelation"]
-    for field in ("mixing", "leak"):
-        told = moved(fringes, beams={field: 0.03})
+    assert [place.quantity for place in fringes.places] == ["sideband crosstalk", "decorrelation"]
+    for field in ("crosstalk", "leak"):
+        told = moved(fringes, optics={field: 0.03})
         assert told == pytest.approx([np.hypot(0.03, 5e-3) - 5e-3, 0.0])
-    assert moved(fringes, beams={"blur": 1e-3}) == pytest.approx([0.0, 1e-3])
+    assert moved(fringes, optics={"decorrelation_per_rad2": 1e-3}) == pytest.approx([0.0, 1e-3])
 
 
 def test_a_coil_loses_by_the_square_of_its_volts_where_it_moves() -> None:
@@ -175,14 +175,14 @@ def test_a_line_stands_out_of_the_drive_where_it_is() -> None:
     line = CavityLine(frequency_hz=float(hz[90]))
     block = line_block([sweep(), sweep("down")], line, Leaks({}, 0.0))
     at_line, at_second = 90, 130
-    told = moved(block, drive={"second_line": 0.1, "second_hz": float(hz[at_second]) - 7e3,
+    told = moved(block, drive={"second_strength": 0.1, "second_hz": float(hz[at_second]) - 7e3,
                                "second_quality": -10.0})  # fmt: skip
     # Of a quality of 20: at its middle 1 − 2i of the pressure, and hardly anything far below.
     assert told[at_second] == pytest.approx(np.log(abs(1 - 2j)))
     assert abs(told[30]) < 0.15
     # Of the known line 1.5 times as much.
     strength = line.strength * line.quality
-    told = moved(block, drive={"line_excess": 0.5})
+    told = moved(block, drive={"resonance_excess": 0.5})
     expected = np.log(abs(1 - 1.5j * strength) / abs(1 - 1j * strength))
     assert told[at_line] == pytest.approx(expected)
 
@@ -239,21 +239,21 @@ def test_frequencies_are_in_cents_and_losses_in_per_cent(modes) -> None:
     assert air == pytest.approx([1200 * np.log2(0.99)] * 2 + [0.0, 0.0])
     stiffer = modes(with_cane(Twin(), E_L=0.02))
     assert stiffer == pytest.approx([1200 * np.log2(np.exp(0.01 * b)) for b in BENDING] + [0, 0])
-    exchanged = Twin(fits=FitBias((("F1", 3.0, 0.02), ("T1", -1.0, 0.0))))
+    exchanged = Twin(fit_bias=FitBias((("F1", 3.0, 0.02), ("T1", -1.0, 0.0))))
     assert modes(exchanged) == pytest.approx([3.0, -1.0, 2.0, 0.0])
 
 
 def test_warmth_softens_by_a_thousandth_a_degree_and_takes_its_share_of_the_loss(modes) -> None:
     # Three degrees an hour for 100 minutes: five.
-    warm = modes(more(Twin(), "surroundings", warming_c_h=3.0))
+    warm = modes(more(Twin(), "environment", warming_c_h=3.0))
     assert warm[:2] == pytest.approx([1200 * np.log2(np.exp(-0.0025))] * 2, rel=1e-3)
     assert warm[2:] == pytest.approx([5.0, 5.0])
-    later = modes(more(Twin(), "surroundings", warming_c_h=3.0, begun_h=5 / 3))
+    later = modes(more(Twin(), "environment", warming_c_h=3.0, begun_h=5 / 3))
     assert later == pytest.approx(2 * warm)
 
 
 def test_drying_stiffens_and_lightens_by_the_share_that_is_gone(modes) -> None:
-    dry = modes(more(Twin(), "surroundings", drying=0.5))
+    dry = modes(more(Twin(), "environment", drying=0.5))
     # Four times 1500 s have gone: all but e⁻⁴ of it. All dry 8 % of E_L, 12 % of G_LT, −3.5 % of
     # the mass and a quarter of the loss.
     share = 0.5 * (1 - np.exp(-4))
@@ -264,5 +264,5 @@ def test_drying_stiffens_and_lightens_by_the_share_that_is_gone(modes) -> None:
 
 def test_hardening_counts_by_the_square_of_the_depth(modes) -> None:
     # 0.7 of what it is at the deepest, of stiffness: half of that of frequency.
-    hard = modes(more(Twin(), "surroundings", hardening=0.01))
+    hard = modes(more(Twin(), "environment", hardening=0.01))
     assert hard == pytest.approx([1200 * 0.5 * 0.7 * 0.01 / np.log(2)] * 2 + [0.0, 0.0])

@@ -43,13 +43,13 @@ def test_chance_of_a_gap_is_uniform_where_nothing_is_wrong() -> None:
 def test_the_first_failing_tap_is_where_the_cause_shows_first() -> None:
     assert gap_map(measured(1, bench())).first_failing is None
     assert gap_map(measured(1, bench(detuning_hz=0.3))).first_failing is Tap.HOLOGRAM
-    assert gap_map(measured(1, bench(mixing=0.6))).first_failing is Tap.MAPS
+    assert gap_map(measured(1, bench(crosstalk=0.6))).first_failing is Tap.MAPS
 
 
 def test_cells_tell_the_band() -> None:
-    found = gap_map(measured(2, bench(leak=0.0, mixing=0.0), extra=0.0))
+    found = gap_map(measured(2, bench(leak=0.0, crosstalk=0.0), extra=0.0))
     assert not any(cell.resolvable for cell in found.cells)
-    clear = gap_map(measured(2, bench(mixing=0.8)))
+    clear = gap_map(measured(2, bench(crosstalk=0.8)))
     by_time = {c.label: c for c in clear.cells if c.axis == "time"}
     # The bump stands in the middle, whose numbers are of time 0.
     assert by_time["t0"].resolvable
@@ -58,8 +58,8 @@ def test_cells_tell_the_band() -> None:
 
 
 def test_the_map_does_not_depend_on_what_was_fitted_before() -> None:
-    curved = Nuisance("level", "", 1.0, lambda t, v: more(t, "beams", fade_per_h=v + v**3), "")
-    blocks = measured(2, bench(mixing=0.8)).blocks
+    curved = Nuisance("level", "", 1.0, lambda t, v: more(t, "optics", fade_per_h=v + v**3), "")
+    blocks = measured(2, bench(crosstalk=0.8)).blocks
     fresh, used = (Comparison(blocks, Twin(), (curved,)) for _ in range(2))
     used.slope(np.array([1.0]))
     assert gap_map(used) == gap_map(fresh)
@@ -74,7 +74,7 @@ def test_a_sweep_is_left_out_wherever_it_has_numbers_of_its_own() -> None:
 
 
 def test_the_right_effect_closes_the_gap_and_a_wrong_one_does_not() -> None:
-    comparison = measured(3, bench(fade_per_h=0.4, mixing=0.5))
+    comparison = measured(3, bench(fade_per_h=0.4, crosstalk=0.5))
     null = compete(comparison, (), [np.zeros(1)])
     right, wrong = (
         compete(comparison, (Sized(EFFECTS[k], {}),), [np.array([0.0, 0.1])]) for k in (1, 0)
@@ -119,10 +119,10 @@ def test_an_earlier_stage_that_tells_the_level_takes_the_later_ones_share() -> N
 def test_what_one_stage_tells_of_another_is_its_own_share() -> None:
     # Two stages off alike, by what an unlikely level makes of both: whichever is measured first
     # has it all, and the other one follows.
-    level = Nuisance("level", "", 0.05, lambda t, v: more(t, "beams", fade_per_h=v), "")
+    level = Nuisance("level", "", 0.05, lambda t, v: more(t, "optics", fade_per_h=v), "")
     both = [
-        block(tap, tap, np.full(20, 0.5), np.full(20, 0.05), [Place("level")] * 20, ("beams",),
-              lambda twin: np.full(20, twin.beams.fade_per_h))
+        block(tap, tap, np.full(20, 0.5), np.full(20, 0.05), [Place("level")] * 20, ("optics",),
+              lambda twin: np.full(20, twin.optics.fade_per_h))
         for tap in (Tap.HOLOGRAM, Tap.MAPS)
     ]  # fmt: skip
     first, second = gap_map(Comparison(both, Twin(), (level,))).ladder
@@ -133,14 +133,14 @@ def test_what_one_stage_tells_of_another_is_its_own_share() -> None:
 
 
 def test_the_chance_of_a_tap_is_that_of_any_cell_of_any_tap() -> None:
-    found = gap_map(measured(2, bench(mixing=0.1)))
+    found = gap_map(measured(2, bench(crosstalk=0.1)))
     for tap, worst in found.taps.items():
         own = [cell.chance for cell in found.cells if cell.tap is tap]
         assert worst.chance == pytest.approx(min(1.0, len(found.taps) * len(own) * min(own)))
 
 
 def test_a_share_is_of_the_gap_above_its_floor() -> None:
-    comparison = measured(3, bench(mixing=0.15))
+    comparison = measured(3, bench(crosstalk=0.15))
     null = compete(comparison, (), [np.zeros(1)])
     half = compete(comparison, (Sized(EFFECTS[1], {}),), [np.array([0.0, 0.1])])
     closed = shrinkage(null, half, groups(comparison))
@@ -155,9 +155,9 @@ def test_what_is_left_out_counts_by_what_it_could_be_predicted_to() -> None:
     n, away = 5, 3.0
     values = np.zeros(n)
     values[0] = away
-    level = Nuisance("level", "", 1e3, lambda t, v: more(t, "beams", fade_per_h=v), "")
-    numbers = block("all", Tap.MAPS, values, np.ones(n), [Place("level")] * n, ("beams",),
-                    lambda twin: np.full(n, twin.beams.fade_per_h))  # fmt: skip
+    level = Nuisance("level", "", 1e3, lambda t, v: more(t, "optics", fade_per_h=v), "")
+    numbers = block("all", Tap.MAPS, values, np.ones(n), [Place("level")] * n, ("optics",),
+                    lambda twin: np.full(n, twin.optics.fade_per_h))  # fmt: skip
     null = compete(Comparison([numbers], Twin(), (level,)), (), [np.zeros(1)])
     square, _, count = _left_out((null, null), np.arange(n) == 0)
     assert square == pytest.approx(away**2 / (1 + 1 / (n - 1)), rel=1e-3)

@@ -28,17 +28,17 @@ AT = np.linspace(-1, 1, COUNT)
 
 def lines(twin: Twin) -> np.ndarray:
     """Numbers of the first tap: a level, a slope, a bump."""
-    beams: OpticsParameters = twin.beams
-    return beams.fade_per_h + beams.leak * AT + beams.mixing * np.exp(-((AT / 0.2) ** 2))
+    beams: OpticsParameters = twin.optics
+    return beams.fade_per_h + beams.leak * AT + beams.crosstalk * np.exp(-((AT / 0.2) ** 2))
 
 
 def clocks(twin: Twin) -> np.ndarray:
     """Numbers of the second tap."""
     clocks: Clocks = twin.clocks
-    return clocks.detuning_hz + 0.3 * twin.beams.leak * AT[:20]
+    return clocks.detuning_hz + 0.3 * twin.optics.leak * AT[:20]
 
 
-LEVEL = Nuisance("level", "", 2.0, lambda t, v: more(t, "beams", fade_per_h=v), "anything")
+LEVEL = Nuisance("level", "", 2.0, lambda t, v: more(t, "optics", fade_per_h=v), "anything")
 
 
 def _changed(part: str, field: str, twin: Twin, values: Mapping[str, float]) -> Twin:
@@ -62,10 +62,10 @@ def effect(name: str, part: str, field: str, positive: bool = False) -> Effect:
 
 
 EFFECTS = (
-    effect("slope", "beams", "leak"),
-    effect("bump", "beams", "mixing", positive=True),
+    effect("slope", "optics", "leak"),
+    effect("bump", "optics", "crosstalk", positive=True),
     effect("offset", "clocks", "detuning_hz"),
-    effect("nothing", "chip", "bend", positive=True),
+    effect("nothing", "sensor", "nonlinearity", positive=True),
 )
 
 
@@ -78,9 +78,9 @@ def measured(seed: int, truth: Twin, noise: float = 0.05, extra: float = 0.0) ->
         Place("line", band="low" if a < 0 else "high", time=f"t{int(4 * abs(a))}") for a in AT
     ]
     both = [
-        block("lines", Tap.MAPS, y, np.full(COUNT, noise), places, ("beams",), lines),
+        block("lines", Tap.MAPS, y, np.full(COUNT, noise), places, ("optics",), lines),
         block("clocks", Tap.HOLOGRAM, y2, np.full(20, noise), [Place("clock")] * 20,
-              ("clocks", "beams"), clocks),
+              ("clocks", "optics"), clocks),
     ]  # fmt: skip
     return Comparison(both, Twin(), (LEVEL,))
 
@@ -90,4 +90,4 @@ def bench(**changes: float) -> Twin:
     twin = Twin()
     detuning = changes.pop("detuning_hz", 0.0)
     twin = replace(twin, clocks=replace(twin.clocks, detuning_hz=detuning))
-    return replace(twin, beams=replace(twin.beams, **changes))
+    return replace(twin, optics=replace(twin.optics, **changes))

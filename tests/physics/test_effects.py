@@ -28,28 +28,28 @@ each = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.id
 MORE: Mapping[str, Mapping[str, str]] = {
     "tweeter_compression": {"fraction": "drive.compression"},
     "amplifier_rolloff": {"inverse_corner": "drive.roll_off"},
-    "acoustic_resonance": {"excess": "drive.line_excess"},
+    "acoustic_resonance": {"excess": "drive.resonance_excess"},
     "chamber_leakage": {"fraction": "drive.open_right"},
     "synthesizer_detuning": {"offset": "clocks.detuning_hz"},
     "synthesizer_drift": {"rate": "clocks.detuning_hz_h"},
     "generator_clock": {"ratio": "clocks.generator_ppm"},
-    "lost_frames": {"fraction": "clocks.lost_share"},
-    "bench_vibration": {"jitter": "beams.jitter_rad"},
-    "phase_step_error": {"error": "beams.quarter_error_rad"},
-    "laser_power_drift": {"loss_rate": "beams.fade_per_h"},
-    "speckle_decorrelation": {"contrast_loss": "beams.blur"},
-    "carrier_leak": {"fraction": "beams.leak"},
-    "sideband_crosstalk": {"fraction": "beams.mixing"},
-    "lo_misalignment": {"down": "beams.shift_m.0", "right": "beams.shift_m.1"},
-    "vignetting": {"fraction": "beams.vignette"},
-    "defocus": {"distance": "beams.defocus_m"},
-    "read_noise": {"log_factor": "chip.read_factor"},
-    "fixed_pattern_noise": {"rms": "chip.pattern"},
-    "hot_pixels": {"fraction": "chip.hot"},
-    "sensor_nonlinearity": {"fraction": "chip.bend"},
-    "temperature_drift": {"rate": "surroundings.warming_c_h"},
-    "drying": {"fraction": "surroundings.drying"},
-    "hardening_nonlinearity": {"fraction": "surroundings.hardening"},
+    "lost_frames": {"fraction": "clocks.lost_fraction"},
+    "bench_vibration": {"jitter": "optics.jitter_rad"},
+    "phase_step_error": {"error": "optics.quarter_error_rad"},
+    "laser_power_drift": {"loss_rate": "optics.fade_per_h"},
+    "speckle_decorrelation": {"contrast_loss": "optics.decorrelation_per_rad2"},
+    "carrier_leak": {"fraction": "optics.leak"},
+    "sideband_crosstalk": {"fraction": "optics.crosstalk"},
+    "lo_misalignment": {"down": "optics.shift_m.0", "right": "optics.shift_m.1"},
+    "vignetting": {"fraction": "optics.vignette"},
+    "defocus": {"distance": "optics.defocus_m"},
+    "read_noise": {"log_factor": "sensor.read_factor"},
+    "fixed_pattern_noise": {"rms": "sensor.pattern"},
+    "hot_pixels": {"fraction": "sensor.hot"},
+    "sensor_nonlinearity": {"fraction": "sensor.nonlinearity"},
+    "temperature_drift": {"rate": "environment.warming_c_h"},
+    "drying": {"fraction": "environment.drying"},
+    "hardening_nonlinearity": {"fraction": "environment.hardening"},
     "viscoelastic_stiffening": {"E_L": "reed.shift.growth_E_L", "G_LT": "reed.shift.growth_G_LT"},
     "transverse_modulus": {"E_T": "reed.shift.E_T"},
     "transverse_shear": {"G_LR": "reed.shift.G_LR", "G_TR": "reed.shift.G_TR"},
@@ -61,8 +61,8 @@ MORE: Mapping[str, Mapping[str, str]] = {
 # Sizes that are logarithms of what a field is multiplied by.
 TIMES: Mapping[str, Mapping[str, str]] = {
     "tweeter_compression": {"log_corner": "drive.compression_hz"},
-    "temperature_drift": {"log_loss": "surroundings.loss_per_c"},
-    "drying": {"log_time": "surroundings.drying_s"},
+    "temperature_drift": {"log_loss": "environment.loss_per_c"},
+    "drying": {"log_time": "environment.drying_s"},
 }
 # What reeds are altered by, with a size and the other way round.
 ALTERED: Mapping[str, tuple[str, Alteration, Alteration]] = {
@@ -105,7 +105,7 @@ def _busy() -> Twin:
                    alterations=((TipMass(), 1e-7),))  # fmt: skip
     shifts = {field.name: 0.01 * (k + 1) for k, field in enumerate(fields(reed.shift))}
     twin = Twin(reed=replace(reed, shift=replace(reed.shift, **shifts)))
-    for part in ("drive", "clocks", "beams", "chip", "surroundings"):
+    for part in ("drive", "clocks", "optics", "sensor", "environment"):
         there = getattr(twin, part)
         more: dict[str, Any] = {
             field.name: 1.1 * value + 0.01 * (k + 1)
@@ -114,7 +114,7 @@ def _busy() -> Twin:
         }
         changed: dict[str, Any] = {part: replace(there, **more)}
         twin = replace(twin, **changed)
-    return replace(twin, beams=replace(twin.beams, shift_m=(1e-4, 2e-4)))
+    return replace(twin, optics=replace(twin.optics, shift_m=(1e-4, 2e-4)))
 
 
 def _flat(value: Any, path: str = "") -> dict[str, Any]:
@@ -168,13 +168,13 @@ def test_an_altered_reed_is_altered_besides_by_its_own(name: str, sign: int) -> 
 
 def test_a_hop_and_a_line_are_where_they_are_said_to_be() -> None:
     hopped = BY_ID["laser_mode_hop"].change(Twin(), {"contrast_loss": 0.3, "time_fraction": 0.6})
-    assert hopped == replace(Twin(), beams=replace(Twin().beams, hop=0.3, hop_share=0.6))
+    assert hopped == replace(Twin(), optics=replace(Twin().optics, hop=0.3, hop_time_fraction=0.6))
     sizes = {"strength": 0.2, "log_hz": 0.01, "log_quality": -0.2, "hz": 5e3, "quality": 18.0}
     drive = BY_ID["second_acoustic_resonance"].change(Twin(), sizes).drive
-    assert drive.second_line == 0.2
+    assert drive.second_strength == 0.2
     assert drive.second_hz == pytest.approx(5e3 * np.exp(0.01))
     assert drive.second_quality == pytest.approx(18 * np.exp(-0.2))
-    assert replace(drive, second_line=0.0, second_hz=7e3, second_quality=30.0) == Twin().drive
+    assert replace(drive, second_strength=0.0, second_hz=7e3, second_quality=30.0) == Twin().drive
 
 
 @each

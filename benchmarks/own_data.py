@@ -58,7 +58,7 @@ def with_effects(twin: Twin, label: Label, rng: np.random.Generator) -> Twin:
     sizes = true_sizes(label)
     for name, multiple in label.effects:
         effect = BY_ID[name]
-        values = {p.name: float(rng.choice(p.places)) for p in effect.placed}
+        values = {p.name: float(rng.choice(p.grid)) for p in effect.gridded}
         for p in effect.sizes:
             # A size that nobody tells is a share of what is usual.
             values[p.name] = sizes.get(name, {}).get(p.name, 0.3 * multiple * p.spread)

@@ -30,7 +30,7 @@ from diagnosis.rivals import compete
 from diagnosis.screening import signatures_of
 from diagnosis.verdict import compared
 from physics.effects.catalogue import BY_ID, CATALOGUE
-from physics.effects.form import Stage
+from physics.effects.effect import Stage
 from physics.mechanics import ReedSolver
 from physics.twin import Twin
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from fitting.errors import FitInputError
-from physics.effects.form import Tap
+from physics.effects.effect import Tap
 from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]

@@ -37,7 +37,7 @@ from diagnosis.screening import (
     usual,
 )
 from fitting.parallel.processes import map_processes
-from physics.effects.form import Effect
+from physics.effects.effect import Effect
 
 Array = NDArray[np.floating[Any]]
 

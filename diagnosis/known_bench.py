@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from physics.effects.catalogue import BY_ID
-from physics.effects.form import Effect, Parameter
+from physics.effects.effect import Effect, Parameter
 from physics.sensor import Sensor
 from physics.twin import Twin
 from protocols.bench import BenchFile
@@ -64,12 +64,12 @@ def only_once(bench: BenchFile | None) -> tuple[str, ...]:
         Whose effects are all in the catalogue.
     """
     told = (bench.known if bench else None) or {}
-    return tuple(name for name in told if BY_ID[name].single)
+    return tuple(name for name in told if BY_ID[name].unique)
 
 
 def _values(bench: BenchFile, effect: Effect, sizes: Mapping[str, float | str]) -> dict[str, float]:
     """All parameters of an effect; those that are not told are 0, or in their usual place."""
-    values = {p.name: p.places[len(p.places) // 2] if p.places else 0.0 for p in effect.parameters}
+    values = {p.name: p.grid[len(p.grid) // 2] if p.grid else 0.0 for p in effect.parameters}
     by_name = {parameter.name: parameter for parameter in effect.parameters}
     for name, text in sizes.items():
         if name not in by_name:
@@ -91,8 +91,8 @@ def _value(parameter: Parameter, text: float | str) -> float:
         raise ValueError(f"{text!r} is no size")
     if parameter.positive and value < 0:
         raise ValueError(f"{text!r} is negative, which this size cannot be")
-    if parameter.places and not min(parameter.places) <= value <= max(parameter.places):
-        told = f"{min(parameter.places):g} to {max(parameter.places):g} {parameter.unit}".strip()
+    if parameter.grid and not min(parameter.grid) <= value <= max(parameter.grid):
+        told = f"{min(parameter.grid):g} to {max(parameter.grid):g} {parameter.unit}".strip()
         raise ValueError(f"{text!r} is nowhere that it can be; it lies from {told}")
     return value
 

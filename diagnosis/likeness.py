@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from physics.effects.form import Effect
+from physics.effects.effect import Effect
 
 Array = NDArray[np.floating[Any]]
 

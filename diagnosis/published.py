@@ -29,7 +29,7 @@ from diagnosis.mean_reed import MeanReed
 from diagnosis.rivals import Sized
 from diagnosis.screening import places_of
 from fitting.forward import cents_of
-from physics.effects.form import Effect, Parameter
+from physics.effects.effect import Effect, Parameter
 from physics.mechanics import Mechanics, ReedSolver
 from physics.reed.viscoelastic import ViscoelasticCane, Zener
 from physics.twin import Twin, with_cane

@@ -22,7 +22,7 @@ from diagnosis.estimate import (
     spread_of,
 )
 from diagnosis.nuisances import Nuisance
-from physics.effects.form import Effect, Parameter
+from physics.effects.effect import Effect, Parameter
 from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]

@@ -20,7 +20,7 @@ from diagnosis.rivals import (
     Rival,
     Sized,
 )
-from physics.effects.form import Effect
+from physics.effects.effect import Effect
 from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]
@@ -35,14 +35,14 @@ _FARTHEST, _NEAREST = 6.0, 0.05
 
 def places_of(effect: Effect) -> Iterator[Sized]:
     """Yield an effect at all places where it may be."""
-    names = [parameter.name for parameter in effect.placed]
-    for at in product(*(parameter.places for parameter in effect.placed)):
+    names = [parameter.name for parameter in effect.gridded]
+    for at in product(*(parameter.grid for parameter in effect.gridded)):
         yield Sized(effect, dict(zip(names, at, strict=True)))
 
 
 def count_places(effect: Effect) -> int:
     """At how many places an effect may be."""
-    return math.prod(len(parameter.places) for parameter in effect.placed)
+    return math.prod(len(parameter.grid) for parameter in effect.gridded)
 
 
 @dataclass(frozen=True)

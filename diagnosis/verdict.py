@@ -37,7 +37,7 @@ from diagnosis.rivals import Comparison, Rival
 from diagnosis.triggers import Trigger, triggers
 from diagnosis.where import Map, gap_map
 from physics.effects.catalogue import CATALOGUE
-from physics.effects.form import Stage
+from physics.effects.effect import Stage
 from physics.mechanics import ReedSolver
 from physics.twin import Twin
 

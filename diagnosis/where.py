@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from diagnosis.block import Block
 from diagnosis.estimate import taken_up
 from diagnosis.rivals import Comparison
-from physics.effects.form import Tap
+from physics.effects.effect import Tap
 
 Array = NDArray[np.floating[Any]]
 

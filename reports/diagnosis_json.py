@@ -9,7 +9,7 @@ import numpy as np
 from diagnosis.how_far import Shrinkage
 from diagnosis.rivals import d_prime
 from diagnosis.verdict import Verdict
-from physics.effects.form import Parameter
+from physics.effects.effect import Parameter
 
 # A parameter beyond so many deviations of its prior is not plausible.
 _PLAUSIBLE = 3.0

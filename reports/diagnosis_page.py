@@ -10,7 +10,7 @@ from diagnosis.how_far import Shrinkage
 from diagnosis.verdict import Verdict
 from diagnosis.where import Map
 from physics.effects.catalogue import BY_ID
-from physics.effects.form import Tap
+from physics.effects.effect import Tap
 from reports.figures.drawing import png_of
 from reports.figures.gap_map import draw_map
 from reports.own_output import Output, page_kind, write_output

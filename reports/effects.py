@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from physics.effects.form import Effect, Parameter
+from physics.effects.effect import Effect, Parameter
 from reports.tables import Column, Table
 
 
@@ -30,8 +30,8 @@ def effects_table(effects: Sequence[Effect]) -> Table:
 
 
 def _size(parameter: Parameter) -> str:
-    if parameter.places:
-        low, high = min(parameter.places), max(parameter.places)
+    if parameter.grid:
+        low, high = min(parameter.grid), max(parameter.grid)
         return f"{parameter.name} {low:.3g} to {high:.3g} {parameter.unit}".strip()
     sign = "" if parameter.positive else "±"
     return f"{parameter.name} {sign}{parameter.spread:g} {parameter.unit}".strip()
@@ -46,7 +46,7 @@ def effects_to_json(effects: Sequence[Effect]) -> list[dict[str, Any]]:
             "stage": effect.stage.value,
             "parameters": [
                 {"name": p.name, "unit": p.unit, "spread": p.spread, "positive": p.positive,
-                 "places": list(p.places), "source": p.source}
+                 "grid": list(p.grid), "source": p.source}
                 for p in effect.parameters
             ],
             "moves": sorted(effect.moves),

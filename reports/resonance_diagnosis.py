@@ -10,7 +10,7 @@ from diagnosis.published import (
     Size,
     Trial,
 )
-from physics.effects.form import Effect
+from physics.effects.effect import Effect
 from reports.tables import Column, Table
 
 _NOT_PROOF = "to explain a gap does not prove its cause"

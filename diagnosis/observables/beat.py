@@ -17,7 +17,7 @@ from diagnosis.block import (
 )
 from diagnosis.campaign import Part
 from holography.phase import TURN_OF_FRAMES
-from physics.effects.form import Tap
+from physics.effects.effect import Tap
 from physics.twin import Twin
 from runs.verdict import Verdict
 

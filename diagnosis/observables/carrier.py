@@ -15,7 +15,7 @@ from diagnosis.block import (
 from diagnosis.campaign import Part
 from diagnosis.observables.vibration import SweepReading
 from fitting.holograms.block_amplitudes import Unshifted
-from physics.effects.form import Tap
+from physics.effects.effect import Tap
 from physics.reed.geometry import half_width_m
 from physics.twin import Twin
 from runs.reader import Run

@@ -30,7 +30,7 @@ from physics.air import (
     pressure_shape,
 )
 from physics.drive import Tweeter, tweeter_pressure_pa
-from physics.effects.form import Tap
+from physics.effects.effect import Tap
 from physics.mechanics import (
     Mechanics,
     ReedMode,

@@ -20,7 +20,7 @@ from diagnosis.observables.vibration import (
     SweepReading,
     at_highest_level,
 )
-from physics.effects.form import Tap
+from physics.effects.effect import Tap
 from physics.twin import OpticsParameters, Twin
 
 Array = NDArray[np.floating[Any]]

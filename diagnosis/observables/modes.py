@@ -19,7 +19,7 @@ from diagnosis.observables.vibration import (
     common_modes,
     loudest,
 )
-from physics.effects.form import Tap
+from physics.effects.effect import Tap
 from physics.mechanics import ReedSolver
 from physics.twin import (
     Environment,

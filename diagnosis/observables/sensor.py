@@ -14,7 +14,7 @@ from diagnosis.block import (
 )
 from diagnosis.campaign import Part
 from fitting.errors import FitInputError
-from physics.effects.form import Tap
+from physics.effects.effect import Tap
 from physics.sensor import Sensor
 from physics.twin import OpticsParameters, Twin
 

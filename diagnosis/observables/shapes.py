@@ -16,7 +16,7 @@ from diagnosis.block import (
 from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.vibration import SweepReading
 from fitting.modal.identify import SHAPES_HZ
-from physics.effects.form import Tap
+from physics.effects.effect import Tap
 from physics.mechanics import (
     Mechanics,
     ReedMode,

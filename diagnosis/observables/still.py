@@ -16,7 +16,7 @@ from diagnosis.block import (
 from diagnosis.campaign import Part
 from diagnosis.observables.beat import turn_of_unequal_steps
 from holography.phase import TURN_OF_FRAMES
-from physics.effects.form import Tap
+from physics.effects.effect import Tap
 from physics.twin import OpticsParameters, Twin
 
 Array = NDArray[np.floating[Any]]

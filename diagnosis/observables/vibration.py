@@ -27,7 +27,7 @@ from fitting.modal.identify import (
 )
 from fitting.modal.modal_fit import ModalFit
 from fitting.parallel.processes import map_processes
-from physics.effects.form import Tap
+from physics.effects.effect import Tap
 from physics.twin import Twin
 from runs.reader import Run
 from runs.records import StepRecord

@@ -1,34 +1,23 @@
-"""The known resonance of the excitation device, stronger than it was."""
+"""The known acoustic resonance of the excitation device, stronger than measured before."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "drive", resonance_excess=values["excess"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="acoustic_resonance",
-    title="known line is stronger",
+    title="known acoustic resonance is stronger",
     stage=Stage.ACOUSTICS,
+    position=1,
     parameters=(
         Parameter(
             "excess",
             "",
             1.0,
-            "chambers are filled by hand: from nothing to some times as strong",
+            "chambers are filled by hand: from no resonance to several times the usual strength",
             positive=True,
         ),
     ),
-    change=_change,
+    change=additive("drive", resonance_excess="excess"),
     moves=frozenset({Tap.DRIVE}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD, Tap.MODES}),
     neighbours=("second_acoustic_resonance",),

@@ -1,24 +1,13 @@
-"""Air that moves along with the reed, and sound that it sends out."""
+"""Air that moves with the reed and adds mass, and sound that the reed radiates."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, with_reed
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return with_reed(twin, air_share=twin.reed.air_share + values["fraction"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="air_load",
-    title="air moves along",
+    title="air adds mass and radiation loss",
     stage=Stage.ACOUSTICS,
+    position=0,
     parameters=(
         Parameter(
             "fraction",
@@ -28,7 +17,7 @@ EFFECT = Effect(
             positive=True,
         ),
     ),
-    change=_change,
+    change=additive("reed", air_share="fraction"),
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
     neighbours=("viscoelastic_stiffening", "thickness_offset"),

@@ -1,34 +1,23 @@
-"""An amplifier that does not reach the end of the band."""
+"""An amplifier whose gain falls towards the end of the band."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "drive", roll_off=values["inverse_corner"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="amplifier_rolloff",
-    title="amplifier rolls off",
+    title="amplifier rolls off at high frequency",
     stage=Stage.DRIVE,
+    position=1,
     parameters=(
         Parameter(
             "inverse_corner",
             "",
             0.7,
-            "10 kHz over its corner; audio amplifiers reach 20 kHz to 100 kHz",
+            "10 kHz divided by the corner frequency; audio amplifiers reach 20 to 100 kHz",
             positive=True,
         ),
     ),
-    change=_change,
+    change=additive("drive", roll_off="inverse_corner"),
     moves=frozenset({Tap.RESPONSE}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD, Tap.MODES}),
     neighbours=("frequency_dependent_damping",),

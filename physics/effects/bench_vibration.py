@@ -1,30 +1,19 @@
-"""A bench that shakes: the phase between the beams is another one in each frame."""
+"""A bench that vibrates: the phase between the beams changes from frame to frame."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "optics", jitter_rad=values["jitter"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="bench_vibration",
     title="bench vibrates",
     stage=Stage.ENVIRONMENT,
+    position=2,
     parameters=(
         Parameter(
             "jitter", "rad", 0.15, "a tenth of a wavelength of path is 0.6 rad", positive=True
         ),
     ),
-    change=_change,
+    change=additive("optics", jitter_rad="jitter"),
     moves=frozenset({Tap.HOLOGRAM}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
     neighbours=("phase_step_error",),

@@ -1,34 +1,23 @@
-"""Light that no vibration has shifted, in every sideband."""
+"""Light at the carrier frequency in the hologram of every sideband."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "optics", leak=values["fraction"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="carrier_leak",
-    title="carrier leaks in",
+    title="carrier leaks into the hologram",
     stage=Stage.OPTICS,
+    position=4,
     parameters=(
         Parameter(
             "fraction",
             "",
             0.03,
-            "spurs of synthesizers lie 40 to 60 dB below their line; unshifted light adds to them",
+            "spurs of synthesizers are 40 to 60 dB below the carrier; unshifted light adds to them",
             positive=True,
         ),
     ),
-    change=_change,
+    change=additive("optics", leak="fraction"),
     moves=frozenset({Tap.MAPS}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
     neighbours=("sideband_crosstalk",),

@@ -1,95 +1,36 @@
-"""Every effect that is known, in the order of the chain from the drive to the number."""
+"""Find every effect: each module of this package that defines ``EFFECT`` is one."""
 
+import pkgutil
 from collections.abc import Mapping
+from importlib import import_module
 from types import MappingProxyType
 from typing import Final
 
-from physics.effects import (
-    acoustic_resonance,
-    air_load,
-    amplifier_rolloff,
-    bench_vibration,
-    carrier_leak,
-    chamber_leakage,
-    clamp_asymmetry,
-    clamp_compliance,
-    coarse_mesh,
-    crack,
-    defocus,
-    density,
-    drying,
-    fixed_pattern_noise,
-    frequency_dependent_damping,
-    generator_clock,
-    hardening_nonlinearity,
-    hot_pixels,
-    laser_mode_hop,
-    laser_power_drift,
-    lo_misalignment,
-    lost_frames,
-    phase_step_error,
-    read_noise,
-    second_acoustic_resonance,
-    sensor_nonlinearity,
-    sideband_crosstalk,
-    speckle_decorrelation,
-    synthesizer_detuning,
-    synthesizer_drift,
-    temperature_drift,
-    thickness_crown,
-    thickness_offset,
-    thickness_tilt,
-    thickness_wedge,
-    tip_mass,
-    transverse_modulus,
-    transverse_shear,
-    tweeter_compression,
-    vignetting,
-    viscoelastic_stiffening,
-)
-from physics.effects.form import Effect
+import physics.effects
+from physics.effects.effect import Effect, Stage
 
-CATALOGUE: Final[tuple[Effect, ...]] = (
-    tweeter_compression.EFFECT,
-    amplifier_rolloff.EFFECT,
-    lost_frames.EFFECT,
-    synthesizer_detuning.EFFECT,
-    generator_clock.EFFECT,
-    synthesizer_drift.EFFECT,
-    viscoelastic_stiffening.EFFECT,
-    frequency_dependent_damping.EFFECT,
-    density.EFFECT,
-    transverse_modulus.EFFECT,
-    transverse_shear.EFFECT,
-    thickness_offset.EFFECT,
-    thickness_wedge.EFFECT,
-    thickness_crown.EFFECT,
-    thickness_tilt.EFFECT,
-    tip_mass.EFFECT,
-    clamp_compliance.EFFECT,
-    clamp_asymmetry.EFFECT,
-    crack.EFFECT,
-    hardening_nonlinearity.EFFECT,
-    air_load.EFFECT,
-    acoustic_resonance.EFFECT,
-    second_acoustic_resonance.EFFECT,
-    chamber_leakage.EFFECT,
-    laser_power_drift.EFFECT,
-    laser_mode_hop.EFFECT,
-    speckle_decorrelation.EFFECT,
-    sideband_crosstalk.EFFECT,
-    carrier_leak.EFFECT,
-    phase_step_error.EFFECT,
-    defocus.EFFECT,
-    lo_misalignment.EFFECT,
-    vignetting.EFFECT,
-    fixed_pattern_noise.EFFECT,
-    hot_pixels.EFFECT,
-    read_noise.EFFECT,
-    sensor_nonlinearity.EFFECT,
-    temperature_drift.EFFECT,
-    drying.EFFECT,
-    bench_vibration.EFFECT,
-    coarse_mesh.EFFECT,
-)
+
+def discovered() -> tuple[Effect, ...]:
+    """Return all effects in the order of the measuring chain: by stage, position and identifier.
+
+    The order is fixed because sums of evidence depend on it in their last digits.
+
+    Raises
+    ------
+    ValueError
+        If an effect's identifier is not the name of its file.
+    """
+    effects = []
+    for module in pkgutil.iter_modules(physics.effects.__path__, "physics.effects."):
+        effect = getattr(import_module(module.name), "EFFECT", None)
+        if effect is None:
+            continue
+        if not isinstance(effect, Effect) or module.name != f"physics.effects.{effect.id}":
+            raise ValueError(f"{module.name}: EFFECT has to be an Effect with the file's name")
+        effects.append(effect)
+    stages = list(Stage)
+    return tuple(sorted(effects, key=lambda e: (stages.index(e.stage), e.position, e.id)))
+
+
+CATALOGUE: Final[tuple[Effect, ...]] = discovered()
 BY_ID: Final[Mapping[str, Effect]] = MappingProxyType({effect.id: effect for effect in CATALOGUE})

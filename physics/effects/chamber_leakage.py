@@ -1,26 +1,15 @@
-"""Clay that does not cover its half of the mouthpiece."""
+"""Clay that does not seal its half of the mouthpiece chamber."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "drive", open_right=values["fraction"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="chamber_leakage",
-    title="covered half of the chamber is driven too",
+    title="sound leaks into the covered half of the chamber",
     stage=Stage.ACOUSTICS,
+    position=3,
     parameters=(Parameter("fraction", "", 0.3, "clay that is pressed in by hand", positive=True),),
-    change=_change,
+    change=additive("drive", open_right="fraction"),
     moves=frozenset({Tap.RESPONSE}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD, Tap.MODES}),
     neighbours=("thickness_tilt",),

@@ -1,26 +1,22 @@
-"""A clamp of which one strip yields: the left one, or, negative, the right one."""
+"""A clamp with one compliant strip: the left one, or the right one if the size is negative."""
 
 from collections.abc import Mapping
 
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 from physics.mechanics import YieldingClamp
 from physics.twin import Twin, with_alteration
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    amount = values["compliance"]
-    return with_alteration(twin, YieldingClamp(1 if amount > 0 else -1), abs(amount))
+    compliance = values["compliance"]
+    return with_alteration(twin, YieldingClamp(1 if compliance > 0 else -1), abs(compliance))
 
 
 EFFECT = Effect(
     id="clamp_asymmetry",
-    title="one strip of the clamp yields",
+    title="one strip of the clamp is compliant",
     stage=Stage.MECHANICS,
+    position=11,
     parameters=(
         Parameter("compliance", "m/Pa", 2e-13, "0.5 mm of hard plastic, 2.5 GPa, under one strip"),
     ),

@@ -1,25 +1,14 @@
-"""A clamp that yields: strips on elastic beds."""
+"""A clamp whose strips rest on elastic beds."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
+from physics.effects.changes import altered
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 from physics.mechanics import YieldingClamp
-from physics.twin import Twin, with_alteration
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return with_alteration(twin, YieldingClamp(), values["compliance"])
-
 
 EFFECT = Effect(
     id="clamp_compliance",
-    title="clamp yields",
+    title="clamp is compliant",
     stage=Stage.MECHANICS,
+    position=10,
     parameters=(
         Parameter(
             "compliance",
@@ -29,7 +18,7 @@ EFFECT = Effect(
             positive=True,
         ),
     ),
-    change=_change,
+    change=altered(YieldingClamp(), "compliance"),
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
     neighbours=("viscoelastic_stiffening", "transverse_shear"),

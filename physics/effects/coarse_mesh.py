@@ -1,28 +1,17 @@
-"""A mesh too coarse, whose elements are stiffer than what they stand for."""
+"""A finite-element mesh that is too coarse, and therefore too stiff."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, with_reed
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return with_reed(twin, coarse_share=twin.reed.coarse_share + values["fraction"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="coarse_mesh",
-    title="mesh too coarse",
+    title="mesh is too coarse",
     stage=Stage.NUMERICS,
+    position=0,
     parameters=(
         Parameter("fraction", "", 1.0, "1 is quadratic tetrahedra of 2 mm, 1 mm at the tip"),
     ),
-    change=_change,
+    change=additive("reed", coarse_share="fraction"),
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
     neighbours=("transverse_modulus",),

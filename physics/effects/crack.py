@@ -1,13 +1,8 @@
-"""A crack, or fibres that have come apart, under the bark side."""
+"""A crack, or separated fibres, under the bark side."""
 
 from collections.abc import Mapping
 
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 from physics.mechanics import SoftSpot
 from physics.twin import Twin, with_alteration
 
@@ -18,16 +13,17 @@ def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
 
 EFFECT = Effect(
     id="crack",
-    title="crack",
+    title="crack in the vamp",
     stage=Stage.MECHANICS,
+    position=12,
     parameters=(
         Parameter(
             "depth", "m", 6e-05, "a tenth of the thickness in the middle of the vamp", positive=True
         ),
         Parameter(
-            "x", "m", 0.0, "anywhere on the vamp", places=(8e-3, 12e-3, 16e-3, 20e-3, 24e-3, 28e-3)
+            "x", "m", 0.0, "anywhere on the vamp", grid=(8e-3, 12e-3, 16e-3, 20e-3, 24e-3, 28e-3)
         ),
-        Parameter("y", "m", 0.0, "anywhere on the vamp", places=(-4e-3, -2e-3, 0.0, 2e-3, 4e-3)),
+        Parameter("y", "m", 0.0, "anywhere on the vamp", grid=(-4e-3, -2e-3, 0.0, 2e-3, 4e-3)),
     ),
     change=_change,
     moves=frozenset({Tap.MODES}),

@@ -1,28 +1,22 @@
-"""Images focused at a distance at which the reed is not."""
+"""Images focused at a distance where the reed is not."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "optics", defocus_m=values["distance"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="defocus",
-    title="out of focus",
+    title="image is out of focus",
     stage=Stage.OPTICS,
+    position=6,
     parameters=(
-        Parameter("distance", "m", 0.05, "distances measured with a ruler, and reeds put back"),
+        Parameter(
+            "distance",
+            "m",
+            0.05,
+            "distances are measured with a ruler, and reeds are put back by hand",
+        ),
     ),
-    change=_change,
+    change=additive("optics", defocus_m="distance"),
     moves=frozenset({Tap.FIELD}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
     neighbours=(),

@@ -1,26 +1,15 @@
-"""Cane denser or lighter than the reference material, as by moisture."""
+"""Cane denser or lighter than the reference material, for example because it is moist."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, with_cane
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return with_cane(twin, density=values["density"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="density",
-    title="density of the cane",
+    title="density of the cane differs",
     stage=Stage.MECHANICS,
+    position=2,
     parameters=(Parameter("density", "", 0.1, "density of cane, 450 to 600 kg/m³"),),
-    change=_change,
+    change=additive("reed.shift", density="density"),
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
     neighbours=("transverse_modulus",),

@@ -1,26 +1,15 @@
-"""Pixels that are not alike."""
+"""Pixels whose sensitivity differs more than usual."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "sensor", pattern=values["rms"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="fixed_pattern_noise",
-    title="pattern of the sensor",
+    title="pixel sensitivity varies",
     stage=Stage.CAMERA,
+    position=1,
     parameters=(Parameter("rms", "", 0.03, "old sensors, dust", positive=True),),
-    change=_change,
+    change=additive("sensor", pattern="rms"),
     moves=frozenset({Tap.SENSOR}),
     keeps=frozenset({Tap.LOG, Tap.MODES}),
     neighbours=("read_noise",),

@@ -1,26 +1,15 @@
-"""Losses that grow with frequency, where the twin has one loss factor."""
+"""Losses that grow with frequency, where the nominal model has one loss factor."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, with_reed
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return with_reed(twin, loss_growth=twin.reed.loss_growth + values["exponent"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="frequency_dependent_damping",
-    title="losses grow with frequency",
+    title="loss factor grows with frequency",
     stage=Stage.MECHANICS,
+    position=1,
     parameters=(Parameter("exponent", "", 0.3, "loss tangents of wood from 1 to 20 kHz"),),
-    change=_change,
+    change=additive("reed", loss_growth="exponent"),
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
     neighbours=("air_load",),

@@ -1,28 +1,17 @@
-"""A drive whose clock is not the modulators' one."""
+"""A drive generator whose clock differs from the synthesizers' clock."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "clocks", generator_ppm=values["ratio"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="generator_clock",
-    title="clocks disagree",
+    title="generator and synthesizer clocks disagree",
     stage=Stage.TIMING,
+    position=2,
     parameters=(
-        Parameter("ratio", "ppm", 5.0, "crystal oscillators keep within some parts per million"),
+        Parameter("ratio", "ppm", 5.0, "crystal oscillators agree within a few parts per million"),
     ),
-    change=_change,
+    change=additive("clocks", generator_ppm="ratio"),
     moves=frozenset({Tap.HOLOGRAM}),
     keeps=frozenset({Tap.SENSOR, Tap.MODES}),
     neighbours=("synthesizer_detuning",),

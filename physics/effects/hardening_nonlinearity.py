@@ -1,24 +1,13 @@
-"""A reed that gets stiffer as it vibrates more."""
+"""A reed whose stiffness grows with its vibration amplitude."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "environment", hardening=values["fraction"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="hardening_nonlinearity",
-    title="stiffer at large amplitude",
+    title="stiffness grows with amplitude",
     stage=Stage.MECHANICS,
+    position=13,
     parameters=(
         Parameter(
             "fraction",
@@ -28,7 +17,7 @@ EFFECT = Effect(
             positive=True,
         ),
     ),
-    change=_change,
+    change=additive("environment", hardening="fraction"),
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD}),
     neighbours=("temperature_drift",),

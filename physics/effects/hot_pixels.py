@@ -1,26 +1,15 @@
-"""Pixels that fill up in the dark."""
+"""Pixels that fill up without light."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "sensor", hot=values["fraction"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="hot_pixels",
     title="hot pixels",
     stage=Stage.CAMERA,
+    position=2,
     parameters=(Parameter("fraction", "", 0.005, "sensors that are not cooled", positive=True),),
-    change=_change,
+    change=additive("sensor", hot="fraction"),
     moves=frozenset({Tap.SENSOR}),
     keeps=frozenset({Tap.LOG, Tap.MODES}),
     neighbours=("fixed_pattern_noise",),

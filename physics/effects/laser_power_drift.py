@@ -1,26 +1,15 @@
-"""A laser whose power drifts: both beams get weaker together."""
+"""A laser whose power drifts, so that both beams get weaker together."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "optics", fade_per_h=values["loss_rate"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="laser_power_drift",
-    title="laser drifts",
+    title="laser power drifts",
     stage=Stage.OPTICS,
+    position=0,
     parameters=(Parameter("loss_rate", "1/h", 0.4, "diode lasers that warm up"),),
-    change=_change,
+    change=additive("optics", fade_per_h="loss_rate"),
     moves=frozenset({Tap.SENSOR, Tap.FIELD}),
     keeps=frozenset({Tap.LOG, Tap.MODES}),
     neighbours=("laser_mode_hop",),

@@ -1,32 +1,18 @@
-"""A local oscillator that does not fall on the middle of the sensor."""
+"""A local oscillator that is not centred on the sensor."""
 
-from collections.abc import Mapping
-from dataclasses import replace
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    y_m, x_m = twin.optics.shift_m
-    moved = y_m + values["down"], x_m + values["right"]
-    return replace(twin, optics=replace(twin.optics, shift_m=moved))
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="lo_misalignment",
-    title="local oscillator off centre",
+    title="local oscillator is off centre",
     stage=Stage.OPTICS,
+    position=7,
     parameters=(
-        Parameter("down", "m", 0.0008, "a turn of a mirror mount"),
-        Parameter("right", "m", 0.0008, "a turn of a mirror mount"),
+        Parameter("down", "m", 0.0008, "one turn of a mirror mount"),
+        Parameter("right", "m", 0.0008, "one turn of a mirror mount"),
     ),
-    change=_change,
+    change=additive("optics", shift_m=("down", "right")),
     moves=frozenset({Tap.SENSOR}),
     keeps=frozenset({Tap.LOG, Tap.MODES}),
     neighbours=("vignetting",),

@@ -1,33 +1,26 @@
-"""Frames that are lost, or come twice."""
+"""Camera frames that are lost or delivered twice."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "clocks", lost_fraction=values["fraction"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="lost_frames",
-    title="frames lost",
+    title="camera frames are lost or repeated",
     stage=Stage.TIMING,
+    position=0,
     parameters=(
         Parameter(
-            "fraction", "", 0.03, "of the acquisitions, on a bus that others use", positive=True
+            "fraction",
+            "",
+            0.03,
+            "fraction of the acquisitions, on a bus shared with other devices",
+            positive=True,
         ),
     ),
-    change=_change,
+    change=additive("clocks", lost_fraction="fraction"),
     moves=frozenset({Tap.LOG}),
-    keeps=frozenset({Tap.SENSOR, Tap.MODES, Tap.FIELD}),
+    keeps=frozenset({Tap.SENSOR, Tap.FIELD, Tap.MODES}),
     neighbours=(),
     action="look at the camera's frame counter",
-    reference="the frame numbers of every acquisition",
+    reference="frame numbers of every acquisition",
 )

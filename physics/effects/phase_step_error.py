@@ -1,26 +1,15 @@
-"""Phase steps that are not a quarter of a turn, every other one."""
+"""Phase steps between frames that alternate around a quarter turn."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "optics", quarter_error_rad=values["error"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="phase_step_error",
-    title="phase steps unequal",
+    title="phase steps are unequal",
     stage=Stage.OPTICS,
+    position=5,
     parameters=(Parameter("error", "rad", 0.15, "a tenth of a quarter turn"),),
-    change=_change,
+    change=additive("optics", quarter_error_rad="error"),
     moves=frozenset({Tap.HOLOGRAM}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
     neighbours=("synthesizer_detuning",),

@@ -1,26 +1,15 @@
-"""A camera that reads with more noise than its data sheet says."""
+"""A camera with more read noise than its data sheet states."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "sensor", read_factor=values["log_factor"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="read_noise",
-    title="read noise",
+    title="read noise exceeds the data sheet",
     stage=Stage.CAMERA,
+    position=3,
     parameters=(Parameter("log_factor", "", 0.5, "pick-up, warm electronics", positive=True),),
-    change=_change,
+    change=additive("sensor", read_factor="log_factor"),
     moves=frozenset({Tap.SENSOR}),
     keeps=frozenset({Tap.LOG, Tap.MODES}),
     neighbours=("fixed_pattern_noise",),

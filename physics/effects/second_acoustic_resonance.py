@@ -1,4 +1,4 @@
-"""A second resonance of the air, that nobody has told of."""
+"""An acoustic resonance that the bench file does not list."""
 
 import math
 from collections.abc import Mapping
@@ -6,19 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 from physics.twin import Twin
 
-# Lines of Q 30 are no closer than half their width apart. Between two of them a line may be
-# anywhere, and between two qualities.
-_APART = 0.018
-_HZ = tuple(float(hz) for hz in 2000.0 * (1 + _APART) ** np.arange(117))
-_QUALITIES, _LOG_QUALITY = (18.0, 42.0), 0.35
+# Resonances of Q 30 are resolved if they are at least half their width apart. Between two grid
+# frequencies, and between two qualities, the continuous parameters move the resonance.
+_RELATIVE_STEP = 0.018
+_GRID_HZ = tuple(float(hz) for hz in 2000.0 * (1 + _RELATIVE_STEP) ** np.arange(117))
+_GRID_QUALITY, _LOG_QUALITY_SD = (18.0, 42.0), 0.35
 
 
 def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
@@ -35,20 +30,21 @@ def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
 
 EFFECT = Effect(
     id="second_acoustic_resonance",
-    title="another line of the air",
+    title="unlisted acoustic resonance",
     stage=Stage.ACOUSTICS,
+    position=2,
     parameters=(
-        Parameter("strength", "", 0.2, "like the known line of the device", positive=True),
-        Parameter("log_hz", "", _APART / math.sqrt(12), "anywhere between two places"),
-        Parameter("log_quality", "", _LOG_QUALITY, "small cavities with openings"),
-        Parameter("hz", "Hz", 0.0, "anywhere in the sweep", places=_HZ),
-        Parameter("quality", "", 0.0, "small cavities with openings", places=_QUALITIES),
+        Parameter("strength", "", 0.2, "like the known resonance of the device", positive=True),
+        Parameter("log_hz", "", _RELATIVE_STEP / math.sqrt(12), "uniform between grid frequencies"),
+        Parameter("log_quality", "", _LOG_QUALITY_SD, "small cavities with openings"),
+        Parameter("hz", "Hz", 0.0, "anywhere in the sweep", grid=_GRID_HZ),
+        Parameter("quality", "", 0.0, "small cavities with openings", grid=_GRID_QUALITY),
     ),
     change=_change,
-    single=True,
     moves=frozenset({Tap.DRIVE}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD, Tap.MODES}),
     neighbours=("acoustic_resonance",),
     action="change the volume of the chamber; another reed",
     reference="paper, section III",
+    unique=True,
 )

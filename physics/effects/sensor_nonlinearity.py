@@ -1,28 +1,17 @@
-"""A camera that reads low where it is bright."""
+"""A sensor that reads low where the image is bright."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "sensor", nonlinearity=values["fraction"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="sensor_nonlinearity",
-    title="camera bends",
+    title="sensor response is nonlinear",
     stage=Stage.CAMERA,
+    position=4,
     parameters=(
-        Parameter("fraction", "", 0.1, "anti-blooming, a well that is nearly full", positive=True),
+        Parameter("fraction", "", 0.1, "anti-blooming; a well that is nearly full", positive=True),
     ),
-    change=_change,
+    change=additive("sensor", nonlinearity="fraction"),
     moves=frozenset({Tap.SENSOR}),
     keeps=frozenset({Tap.LOG, Tap.MODES}),
     neighbours=(),

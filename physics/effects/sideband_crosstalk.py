@@ -1,40 +1,26 @@
-"""The next sideband in every sideband."""
+"""Light of the next sideband in the hologram of every sideband."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "optics", crosstalk=values["fraction"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="sideband_crosstalk",
-    title="next sideband leaks in",
+    title="next sideband leaks into the hologram",
     stage=Stage.OPTICS,
+    position=3,
     parameters=(
         Parameter(
             "fraction",
             "",
             0.08,
-            "the camera integrates over an exposure: sidebands far apart vanish, spurs do not",
+            "an exposure averages distant sidebands out, but not spurs of the synthesizers",
             positive=True,
         ),
     ),
-    change=_change,
+    change=additive("optics", crosstalk="fraction"),
     moves=frozenset({Tap.MAPS}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
-    neighbours=(
-        "speckle_decorrelation",
-        "carrier_leak",
-    ),
+    neighbours=("speckle_decorrelation", "carrier_leak"),
     action="look at the second sideband",
     reference="paper, section II.A",
 )

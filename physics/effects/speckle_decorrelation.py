@@ -1,24 +1,13 @@
-"""Fringes that lose contrast where the reed moves most."""
+"""Fringes that lose contrast where the vibration amplitude is large."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "optics", decorrelation_per_rad2=values["contrast_loss"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="speckle_decorrelation",
     title="fringes lose contrast with amplitude",
     stage=Stage.OPTICS,
+    position=2,
     parameters=(
         Parameter(
             "contrast_loss",
@@ -28,7 +17,7 @@ EFFECT = Effect(
             positive=True,
         ),
     ),
-    change=_change,
+    change=additive("optics", decorrelation_per_rad2="contrast_loss"),
     moves=frozenset({Tap.MAPS}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
     neighbours=("sideband_crosstalk",),

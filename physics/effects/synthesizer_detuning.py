@@ -1,30 +1,19 @@
-"""Modulators that are apart by something else than they are set to."""
+"""AOM synthesizers whose frequency difference is not the commanded one."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "clocks", detuning_hz=values["offset"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="synthesizer_detuning",
-    title="modulators detuned",
+    title="synthesizers are detuned",
     stage=Stage.TIMING,
+    position=1,
     parameters=(
         Parameter(
-            "offset", "Hz", 0.03, "a step of a synthesizer of 32 bits at 80 MHz is 0.02 to 0.1 Hz"
+            "offset", "Hz", 0.03, "one step of a 32-bit synthesizer at 80 MHz is 0.02 to 0.1 Hz"
         ),
     ),
-    change=_change,
+    change=additive("clocks", detuning_hz="offset"),
     moves=frozenset({Tap.HOLOGRAM}),
     keeps=frozenset({Tap.SENSOR, Tap.MODES}),
     neighbours=("phase_step_error",),

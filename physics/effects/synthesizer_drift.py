@@ -1,26 +1,15 @@
-"""Modulators whose difference drifts."""
+"""AOM synthesizers whose frequency difference drifts."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "clocks", detuning_hz_h=values["rate"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="synthesizer_drift",
-    title="modulators drift apart",
+    title="synthesizers drift apart",
     stage=Stage.TIMING,
+    position=3,
     parameters=(Parameter("rate", "Hz/h", 0.15, "oscillators that warm up"),),
-    change=_change,
+    change=additive("clocks", detuning_hz_h="rate"),
     moves=frozenset({Tap.HOLOGRAM}),
     keeps=frozenset({Tap.SENSOR, Tap.MODES}),
     neighbours=("synthesizer_detuning",),

@@ -1,45 +1,23 @@
-"""Cane that warms up, or cools down, while it is measured."""
+"""Cane that warms up or cools down during the campaign."""
 
-from collections.abc import Mapping
-from dataclasses import replace
-
-import numpy as np
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    if not values["rate"]:
-        return twin
-    loss = twin.environment.loss_per_c * float(np.exp(values["log_loss"]))
-    changed = replace(
-        twin.environment,
-        warming_c_h=twin.environment.warming_c_h + values["rate"],
-        loss_per_c=loss,
-    )
-    return replace(twin, environment=changed)
-
+from physics.effects.changes import changed
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="temperature_drift",
     title="temperature drifts",
     stage=Stage.ENVIRONMENT,
+    position=0,
     parameters=(
-        Parameter("rate", "degC/h", 6.0, "rooms, and reeds beside lamps and lasers"),
+        Parameter("rate", "degC/h", 6.0, "laboratories, and reeds next to lamps and lasers"),
         Parameter(
             "log_loss",
             "",
             0.5,
-            "how the loss of wood follows temperature differs from piece to piece",
+            "the loss of wood depends on temperature differently from piece to piece",
         ),
     ),
-    change=_change,
+    change=changed("environment", add={"warming_c_h": "rate"}, scale={"loss_per_c": "log_loss"}),
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD}),
     neighbours=("drying",),

@@ -1,27 +1,18 @@
 """A vamp that is thicker on one side than on the other."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
+from physics.effects.changes import altered
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 from physics.mechanics import Layer
-from physics.twin import Twin, with_alteration
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return with_alteration(twin, Layer(0, 1), values["thickness"])
-
 
 EFFECT = Effect(
     id="thickness_tilt",
-    title="vamp thicker on its left side",
+    title="vamp is thicker on its left side",
     stage=Stage.MECHANICS,
-    parameters=(Parameter("thickness", "m", 10e-6, "paper, section III.A: thickness to 10 µm"),),
-    change=_change,
+    position=8,
+    parameters=(
+        Parameter("thickness", "m", 10e-6, "thickness is known to 10 µm: paper, section III.A"),
+    ),
+    change=altered(Layer(0, 1), "thickness"),
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
     neighbours=("clamp_asymmetry",),

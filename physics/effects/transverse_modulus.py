@@ -1,24 +1,13 @@
-"""A Young modulus across the grain that is not that of the reference material."""
+"""A Young modulus across the grain that differs from the reference material's."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, with_cane
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return with_cane(twin, E_T=values["E_T"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="transverse_modulus",
-    title="Young modulus across the grain",
+    title="Young modulus across the grain differs",
     stage=Stage.MECHANICS,
+    position=3,
     parameters=(
         Parameter(
             "E_T",
@@ -27,7 +16,7 @@ EFFECT = Effect(
             "spread of transverse moduli of cane in the literature that the paper cites",
         ),
     ),
-    change=_change,
+    change=additive("reed.shift", E_T="E_T"),
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
     neighbours=("thickness_crown",),

@@ -1,29 +1,18 @@
-"""Shear moduli through the thickness that are not those of the reference material."""
+"""Shear moduli through the thickness that differ from the reference material's."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, with_cane
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return with_cane(twin, G_LR=values["G_LR"], G_TR=values["G_TR"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="transverse_shear",
-    title="shear moduli through the thickness",
+    title="shear moduli through the thickness differ",
     stage=Stage.MECHANICS,
+    position=4,
     parameters=(
         Parameter("G_LR", "", 0.3, "spread of shear moduli of hardwoods and cane"),
         Parameter("G_TR", "", 0.3, "spread of shear moduli of hardwoods and cane"),
     ),
-    change=_change,
+    change=additive("reed.shift", G_LR="G_LR", G_TR="G_TR"),
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
     neighbours=("clamp_compliance",),

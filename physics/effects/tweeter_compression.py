@@ -1,31 +1,13 @@
 """A tweeter whose gain falls as its coil moves farther."""
 
-from collections.abc import Mapping
-from dataclasses import replace
-
-import numpy as np
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    if not values["fraction"]:
-        return twin
-    corner_hz = twin.drive.compression_hz * float(np.exp(values["log_corner"]))
-    changed = replace(twin.drive, compression=twin.drive.compression + values["fraction"])
-    return replace(twin, drive=replace(changed, compression_hz=corner_hz))
-
+from physics.effects.changes import changed
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="tweeter_compression",
-    title="tweeter compresses",
+    title="tweeter compresses at high level",
     stage=Stage.DRIVE,
+    position=0,
     parameters=(
         Parameter(
             "fraction",
@@ -38,10 +20,12 @@ EFFECT = Effect(
             "log_corner",
             "",
             0.4,
-            "the coil moves most where the dome is driven by its stiffness, up to some kHz",
+            "the coil moves most where stiffness controls the dome, up to some kHz",
         ),
     ),
-    change=_change,
+    change=changed(
+        "drive", add={"compression": "fraction"}, scale={"compression_hz": "log_corner"}
+    ),
     moves=frozenset({Tap.DRIVE, Tap.RESPONSE}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD}),
     neighbours=("hardening_nonlinearity",),

@@ -1,24 +1,13 @@
-"""Light that does not reach the corners of the sensor."""
+"""Optics that keep light from the corners of the sensor."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, more
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, "optics", vignette=values["fraction"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="vignetting",
-    title="corners are dark",
+    title="corners of the image are dark",
     stage=Stage.CAMERA,
+    position=0,
     parameters=(
         Parameter(
             "fraction",
@@ -28,7 +17,7 @@ EFFECT = Effect(
             positive=True,
         ),
     ),
-    change=_change,
+    change=additive("optics", vignette="fraction"),
     moves=frozenset({Tap.SENSOR}),
     keeps=frozenset({Tap.LOG, Tap.MODES}),
     neighbours=("lo_misalignment",),

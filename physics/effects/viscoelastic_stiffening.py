@@ -1,24 +1,13 @@
-"""Cane whose moduli grow with frequency: viscoelastic stiffening beyond what the twin has."""
+"""Cane whose moduli grow with frequency more than the nominal model assumes."""
 
-from collections.abc import Mapping
-
-from physics.effects.form import (
-    Effect,
-    Parameter,
-    Stage,
-    Tap,
-)
-from physics.twin import Twin, with_cane
-
-
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return with_cane(twin, growth_E_L=values["E_L"], growth_G_LT=values["G_LT"])
-
+from physics.effects.changes import additive
+from physics.effects.effect import Effect, Parameter, Stage, Tap
 
 EFFECT = Effect(
     id="viscoelastic_stiffening",
     title="moduli grow with frequency",
     stage=Stage.MECHANICS,
+    position=0,
     parameters=(
         Parameter(
             "E_L",
@@ -35,7 +24,7 @@ EFFECT = Effect(
             positive=True,
         ),
     ),
-    change=_change,
+    change=additive("reed.shift", growth_E_L="E_L", growth_G_LT="G_LT"),
     moves=frozenset({Tap.MODES}),
     keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
     neighbours=("air_load", "thickness_wedge", "clamp_compliance"),

@@ -24,7 +24,7 @@ from diagnosis.rivals import (
     d_prime,
     exactly,
 )
-from physics.effects.form import Effect
+from physics.effects.effect import Effect
 from physics.twin import Twin, more
 from tests.diagnosis.toy import EFFECTS, bench, effect, measured
 

@@ -33,7 +33,7 @@ from diagnosis.observing import _missing
 from fitting.errors import FitError, FitInputError
 from fitting.holograms.block_amplitudes import _holograms
 from physics.air import CavityLine, Chamber
-from physics.effects.form import Tap
+from physics.effects.effect import Tap
 from physics.reed.geometry import ReedGeometry
 from physics.twin import OpticsParameters, Twin
 from runs.verdict import Verdict

@@ -16,7 +16,7 @@ from diagnosis.mean_reed import (
 from diagnosis.published import _kappa, diagnose_resonances
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
-from physics.effects.form import (
+from physics.effects.effect import (
     Effect,
     Parameter,
     Stage,

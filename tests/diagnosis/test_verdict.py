@@ -35,7 +35,7 @@ from diagnosis.verdict import (
 )
 from diagnosis.where import Rung
 from physics.effects.catalogue import BY_ID
-from physics.effects.form import Tap
+from physics.effects.effect import Tap
 from physics.twin import Twin
 from reports.diagnosis_json import to_json
 from reports.diagnosis_page import (
@@ -189,7 +189,7 @@ def test_the_page_has_all_of_it(mixed, tmp_path) -> None:
     row = (
         BY_ID["sideband_crosstalk"].title,
         f"{p:.1%}",
-        f"share {size['value']:.2g} ± {size['error']:.1g}",
+        f"fraction {size['value']:.2g} ± {size['error']:.1g}",
     )
     assert row in {cells[:3] for cells in rows_of(html)}
     ladder = (Rung(Tap.HOLOGRAM, 0.25, 0.1, 0.05), Rung(Tap.MAPS, 0.75, 0.9, 0.05))

@@ -15,7 +15,7 @@ from diagnosis.rivals import (
 )
 from diagnosis.verdict import _only
 from diagnosis.where import gap_map
-from physics.effects.form import Tap
+from physics.effects.effect import Tap
 from physics.twin import Twin, more
 from tests.diagnosis.toy import COUNT, EFFECTS, bench, measured
 

@@ -9,7 +9,7 @@ import numpy as np
 from diagnosis.block import Place, block
 from diagnosis.nuisances import Nuisance
 from diagnosis.rivals import Comparison
-from physics.effects.form import (
+from physics.effects.effect import (
     Effect,
     Parameter,
     Stage,

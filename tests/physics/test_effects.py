@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import physics.effects
-from physics.effects.catalogue import BY_ID, CATALOGUE
-from physics.effects.form import Effect
+from physics.effects.catalogue import BY_ID, CATALOGUE, discovered
+from physics.effects.effect import Effect, Stage
 from physics.mechanics import (
     Alteration,
     Layer,
@@ -21,7 +21,7 @@ from physics.mechanics import (
 from physics.twin import Twin
 
 FOLDER = Path(physics.effects.__file__).parent
-NOT_EFFECTS = {"__init__", "form", "catalogue"}
+NOT_EFFECTS = {"__init__", "effect", "changes", "catalogue"}
 each = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.id)
 
 # What an effect of a size has more of, field by field.
@@ -78,13 +78,17 @@ ALTERED: Mapping[str, tuple[str, Alteration, Alteration]] = {
 
 
 def values(effect: Effect, size: float) -> dict[str, float]:
-    return {p.name: p.places[0] if p.places else size * p.spread for p in effect.parameters}
+    return {p.name: p.grid[0] if p.grid else size * p.spread for p in effect.parameters}
 
 
-def test_every_file_is_in_the_catalogue() -> None:
+def test_every_file_is_in_the_catalogue_in_the_order_of_the_chain() -> None:
     files = {path.stem for path in FOLDER.glob("*.py")} - NOT_EFFECTS
     assert files == set(BY_ID)
     assert len(CATALOGUE) >= 30
+    stages = [list(Stage).index(effect.stage) for effect in CATALOGUE]
+    assert stages == sorted(stages)
+    # What a pair costs is summed in this order: it may not depend on the file system.
+    assert discovered() == CATALOGUE
 
 
 @each
@@ -192,7 +196,7 @@ def test_a_little_more_is_little_more_where_there_is_room_for_more(effect: Effec
         for path, value in before.items()
         if isinstance(value, float) and abs(after[path] - value) > 1e-6 * max(abs(value), 1e-6)
     ]
-    assert bool(moved) == effect.single
+    assert bool(moved) == effect.unique
 
 
 @each
@@ -205,5 +209,5 @@ def test_effects_say_what_they_must(effect: Effect) -> None:
     assert set(effect.neighbours) <= set(BY_ID) - {effect.id}
     for parameter in effect.parameters:
         assert parameter.source
-        assert parameter.places or parameter.spread > 0
+        assert parameter.grid or parameter.spread > 0
     assert effect.sizes, "an effect has a size"

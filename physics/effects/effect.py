@@ -1,14 +1,13 @@
-"""The form of an effect: what the nominal twin leaves out, and how it shows if it is there."""
+"""An effect: a physical cause that the nominal model leaves out, as a change of its parameters."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from physics.twin import Twin
+from physics.effects.changes import Change
 
 
 class Stage(StrEnum):
-    """Where in the chain from the drive to the number an effect acts."""
+    """Part of the measuring chain in which an effect acts, from the drive to the computation."""
 
     DRIVE = "drive"
     TIMING = "timing"
@@ -36,7 +35,7 @@ class Tap(StrEnum):
 
 @dataclass(frozen=True)
 class Parameter:
-    """Size of an effect; 0 is none of it, exactly.
+    """Parameter of an effect: a size, of which 0 is no effect, or a value from a grid.
 
     Attributes
     ----------
@@ -44,14 +43,14 @@ class Parameter:
     unit : str
         Empty for a plain number.
     spread : float
-        Standard deviation of the prior, in this unit.
+        Standard deviation of the prior of a size, in this unit.
     source : str
-        Where the spread is from; never the data under test.
+        Source of the prior; never the data under test.
     positive : bool
-        Whether only values from 0 up are possible.
-    places : tuple of float
-        Values that are alike likely, of what has no size, such as a place or a time; the others
-        have sizes.
+        Whether a size cannot be negative.
+    grid : tuple of float
+        For a parameter without a size, such as a position or a time: its possible values, equally
+        likely. Empty for a size.
     """
 
     name: str
@@ -59,22 +58,23 @@ class Parameter:
     spread: float
     source: str
     positive: bool = False
-    places: tuple[float, ...] = ()
+    grid: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect that the nominal twin leaves out.
+    """One effect.
 
     Attributes
     ----------
     id : str
-        Its file's name.
+        Identifier, the name of its file.
     title : str
     stage : Stage
     parameters : tuple of Parameter
     change : callable
-        ``change(twin, values)``: the twin with the effect; with every value 0, the same twin.
+        ``change(twin, values)`` returns the parameters with the effect; with every size 0 it
+        returns equal parameters.
     moves, keeps : frozenset of Tap
         Taps that it must move where it is large, and those that it must leave alone.
     neighbours : tuple of str
@@ -82,28 +82,31 @@ class Effect:
     action : str
         What on the bench tells it from them.
     reference : str
-    single : bool
-        Whether a twin has room for only one of it.
+    position : int
+        Place among the effects of its stage; effects of equal position are sorted by identifier.
+    unique : bool
+        Whether the model can hold only one effect of this kind.
     """
 
     id: str
     title: str
     stage: Stage
     parameters: tuple[Parameter, ...]
-    change: Callable[[Twin, Mapping[str, float]], Twin]
+    change: Change
     moves: frozenset[Tap]
     keeps: frozenset[Tap]
     neighbours: tuple[str, ...]
     action: str
     reference: str
-    single: bool = False
+    position: int = 99
+    unique: bool = False
 
     @property
     def sizes(self) -> tuple[Parameter, ...]:
         """Parameters that have a size."""
-        return tuple(parameter for parameter in self.parameters if not parameter.places)
+        return tuple(parameter for parameter in self.parameters if not parameter.grid)
 
     @property
-    def placed(self) -> tuple[Parameter, ...]:
-        """Parameters that are places."""
-        return tuple(parameter for parameter in self.parameters if parameter.places)
+    def gridded(self) -> tuple[Parameter, ...]:
+        """Parameters whose values are from a grid."""
+        return tuple(parameter for parameter in self.parameters if parameter.grid)

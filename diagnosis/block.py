@@ -7,6 +7,7 @@ Gaussian, and what is unknown in proportion to known columns is added to their c
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,24 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from fitting.errors import FitInputError
-from physics.effects.effect import Tap
 from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]
+
+
+class Observable(StrEnum):
+    """Where measurement and model are compared, in the order of the measuring chain."""
+
+    LOG = "log"
+    DRIVE = "drive"
+    SENSOR = "sensor"
+    HOLOGRAM = "hologram"
+    FIELD = "field"
+    MAPS = "maps"
+    RESPONSE = "response"
+    MODES = "modes"
+    MATERIAL = "material"
+
 
 # Edges of the bands that frequencies are told in.
 BANDS_HZ = (0.0, 2.8e3, 5.6e3, 8e3, 11e3, 14e3, np.inf)
@@ -50,7 +65,7 @@ class Block:
     Attributes
     ----------
     name : str
-    tap : Tap
+    tap : Observable
     values : (n,) float
     covariance : (n, n) float
     places : tuple of Place
@@ -63,7 +78,7 @@ class Block:
     """
 
     name: str
-    tap: Tap
+    tap: Observable
     values: Array
     covariance: Array
     places: tuple[Place, ...]
@@ -79,7 +94,7 @@ class Block:
 
 def block(
     name: str,
-    tap: Tap,
+    tap: Observable,
     values: Sequence[float] | Array,
     covariance: Array,
     places: Sequence[Place],

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.discrepancy import discrepancies, in_one
+from diagnosis.effect_notes import notes_of
 from diagnosis.estimate import (
     covariance_left,
     spread_of,
@@ -122,7 +123,7 @@ def _transfer(rival: Rival, residuals: Array, left_out: NDArray[np.bool_]) -> Ar
 
 def _kept(comparison: Comparison, rival: Rival) -> NDArray[np.bool_]:
     """Numbers of taps that all effects of a rival must leave alone."""
-    taps = frozenset.intersection(*(sized.effect.keeps for sized in rival.effects))
+    taps = frozenset.intersection(*(notes_of(sized.effect).unaffected for sized in rival.effects))
     kept = np.zeros(len(rival.estimate.residuals), dtype=bool)
     for block in comparison.blocks:
         kept[comparison.slices[block.name]] = block.tap in taps

@@ -5,7 +5,7 @@ uncertainty of validation of ASME V&V 20: of the data, of the numerics and of th
 knows better. What lies below the floor is not resolvable, which is not to say that it agrees.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from diagnosis.block import Block
+from diagnosis.block import Block, Observable
 from diagnosis.estimate import taken_up
 from diagnosis.rivals import Comparison
-from physics.effects.effect import Tap
 
 Array = NDArray[np.floating[Any]]
 
@@ -31,7 +30,7 @@ class Cell:
 
     Attributes
     ----------
-    tap : Tap
+    tap : Observable
     block : str
     axis, label : str
         What these numbers have in common: a coordinate of their place, and its value.
@@ -42,7 +41,7 @@ class Cell:
         Probability of as large a gap by chance.
     """
 
-    tap: Tap
+    tap: Observable
     block: str
     axis: str
     label: str
@@ -62,14 +61,14 @@ class Rung:
 
     Attributes
     ----------
-    tap : Tap
+    tap : Observable
     forward, backward : float
         Share of the whole gap, with all earlier taps as measured, and with all later ones.
     error : float
         Standard deviation of either, by chance.
     """
 
-    tap: Tap
+    tap: Observable
     forward: float
     backward: float
     error: float
@@ -91,11 +90,11 @@ class Map:
     """
 
     cells: tuple[Cell, ...]
-    taps: dict[Tap, Cell]
+    taps: dict[Observable, Cell]
     ladder: tuple[Rung, ...]
 
     @property
-    def first_failing(self) -> Tap | None:
+    def first_failing(self) -> Observable | None:
         """First tap, from logs to material, at which measurement and twin differ."""
         failing = (tap for tap, worst in self.taps.items() if worst.chance < _CHANCE)
         return next(failing, None)
@@ -108,7 +107,7 @@ def gap_map(comparison: Comparison) -> Map:
     # Here, not where other fits have been.
     slope = comparison.slope(nothing, 0.0)
     cells: list[Cell] = []
-    rows: dict[Tap, list[int]] = {}
+    rows: dict[Observable, list[int]] = {}
     for block in comparison.blocks:
         piece = comparison.slices[block.name]
         lower = np.linalg.inv(block.root)
@@ -120,11 +119,16 @@ def gap_map(comparison: Comparison) -> Map:
         for axis in AXES:
             cells += _along(block, axis, gap, variance)
     taps = {}
-    for tap in sorted(rows):
+    for tap in _in_order(rows):
         own = [cell for cell in cells if cell.tap is tap]
         worst = min(own, key=lambda cell: cell.chance)
         taps[tap] = replace(worst, chance=min(1.0, len(rows) * len(own) * worst.chance))
     return Map(tuple(cells), taps, tuple(_ladder(left, slope, rows)))
+
+
+def _in_order(rows: Iterable[Observable]) -> list[Observable]:
+    """Observables in the order of the measuring chain."""
+    return sorted(rows, key=list(Observable).index)
 
 
 def _square(left: Array, slope: Array, chosen: Sequence[int]) -> float:
@@ -133,16 +137,16 @@ def _square(left: Array, slope: Array, chosen: Sequence[int]) -> float:
     return float(own @ (own - taken_up(inputs, own)))
 
 
-def _ladder(left: Array, slope: Array, rows: Mapping[Tap, Sequence[int]]) -> list[Rung]:
+def _ladder(left: Array, slope: Array, rows: Mapping[Observable, Sequence[int]]) -> list[Rung]:
     """What each tap adds if the twin gets what all before it, or all after it, have measured.
 
     That is what the tap's numbers are off by once those others have told of the nuisances.
     """
-    order = sorted(rows)
+    order = _in_order(rows)
     count = {tap: len(rows[tap]) for tap in order}
 
-    def added(taps: Sequence[Tap]) -> dict[Tap, float]:
-        found, total = dict[Tap, float](), 0.0
+    def added(taps: Sequence[Observable]) -> dict[Observable, float]:
+        found, total = dict[Observable, float](), 0.0
         chosen: list[int] = []
         for tap in taps:
             chosen += list(rows[tap])

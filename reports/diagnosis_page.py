@@ -6,27 +6,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from diagnosis.block import Observable
+from diagnosis.effect_notes import notes_of
 from diagnosis.how_far import Shrinkage
 from diagnosis.verdict import Verdict
 from diagnosis.where import Map
 from physics.effects.catalogue import BY_ID
-from physics.effects.effect import Tap
 from reports.figures.drawing import png_of
 from reports.figures.gap_map import draw_map
 from reports.own_output import Output, page_kind, write_output
 from reports.pages import Picture, render
 from reports.tables import Column, Table
 
-GROUP_WORDS: Final[Mapping[Tap, str]] = {
-    Tap.LOG: "logs",
-    Tap.DRIVE: "drive",
-    Tap.SENSOR: "sensor",
-    Tap.HOLOGRAM: "holograms",
-    Tap.FIELD: "field of the reed at rest",
-    Tap.MAPS: "sideband maps",
-    Tap.RESPONSE: "response",
-    Tap.MODES: "modes",
-    Tap.MATERIAL: "material",
+GROUP_WORDS: Final[Mapping[Observable, str]] = {
+    Observable.LOG: "logs",
+    Observable.DRIVE: "drive",
+    Observable.SENSOR: "sensor",
+    Observable.HOLOGRAM: "holograms",
+    Observable.FIELD: "field of the reed at rest",
+    Observable.MAPS: "sideband maps",
+    Observable.RESPONSE: "response",
+    Observable.MODES: "modes",
+    Observable.MATERIAL: "material",
 }
 _NOT_PROOF: Final = (
     "This does not prove the cause: a wrong effect may explain the difference as well."
@@ -85,7 +86,7 @@ def _where(where: Map) -> str:
     worst = where.taps[tap]
     at = f"{worst.block}, {worst.label}" if worst.label != worst.block else worst.block
     return (
-        f"First observables that differ: {GROUP_WORDS[tap]} ({tap}), by {worst.gap:.1f} times "
+        f"First observables that differ: {GROUP_WORDS[tap]}, by {worst.gap:.1f} times "
         f"their standard error, in {at}."
     )
 
@@ -234,7 +235,7 @@ def _where_section(where: Map) -> _Section:
                "what it adds if all later stages are as measured"),
         Column("error", "±", "", ".0%", "standard deviation of either by chance"),
     )  # fmt: skip
-    rows = tuple((f"{r.tap} {GROUP_WORDS[r.tap]}", r.forward, r.backward, r.error)
+    rows = tuple((GROUP_WORDS[r.tap], r.forward, r.backward, r.error)
                  for r in where.ladder)  # fmt: skip
     return _Section(title, (Table(columns, rows),), "", picture)
 
@@ -249,7 +250,7 @@ def _causes(verdict: Verdict) -> Table:
     listed = sorted(verdict.probability.items(), key=lambda item: -item[1])[:_LISTED]
     rows = []
     for name, p in listed:
-        action = "; ".join(BY_ID[part].action for part in name.split("+") if part in BY_ID)
+        action = "; ".join(notes_of(BY_ID[part]).check for part in name.split("+") if part in BY_ID)
         rows.append((_title(name), p, _size_words(verdict, name), action))
     return Table(columns, tuple(rows))
 

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+from diagnosis.block import Observable
+from diagnosis.effect_notes import notes_of
 from physics.effects.effect import Effect, Parameter
 from reports.tables import Column, Table
 
@@ -14,7 +16,7 @@ def effects_table(effects: Sequence[Effect]) -> Table:
         Column("stage", "stage"),
         Column("title", "what it is"),
         Column("sizes", "expected size"),
-        Column("action", "how to check it"),
+        Column("check", "how to check it"),
     )
     rows = tuple(
         (
@@ -22,7 +24,7 @@ def effects_table(effects: Sequence[Effect]) -> Table:
             effect.stage.value,
             effect.title,
             "; ".join(map(_size, effect.parameters)),
-            effect.action,
+            notes_of(effect).check,
         )
         for effect in effects
     )
@@ -49,10 +51,9 @@ def effects_to_json(effects: Sequence[Effect]) -> list[dict[str, Any]]:
                  "grid": list(p.grid), "source": p.source}
                 for p in effect.parameters
             ],
-            "moves": sorted(effect.moves),
-            "keeps": sorted(effect.keeps),
-            "neighbours": list(effect.neighbours),
-            "action": effect.action,
+            "unaffected": [o.value for o in Observable if o in notes_of(effect).unaffected],
+            "similar": list(notes_of(effect).similar),
+            "check": notes_of(effect).check,
             "reference": effect.reference,
         }
         for effect in effects

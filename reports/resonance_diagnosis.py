@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from diagnosis.effect_notes import notes_of
 from diagnosis.likeness import DETECTABLE, Reach
 from diagnosis.published import (
     PublishedDiagnosis,
@@ -117,7 +118,7 @@ def _confusable(diagnosis: PublishedDiagnosis, effects: Mapping[str, Effect]) ->
         alike = sorted(reach[name].alike.items(), key=lambda item: -item[1])
         if alike and _is_likely(trial):
             others = ", ".join(f"{other} ({value:.2f})" for other, value in alike)
-            action = effects[name].action
+            action = notes_of(effects[name]).check
             lines.append(
                 f"{name} is confusable with {others} (cosines of their signatures); "
                 f"how to check it: {action}"

@@ -1,4 +1,4 @@
-"""Tap T0 and T3: what the frames of every step tell of frames lost and of the lock."""
+"""Logs and frequency lock of all steps of all sweeps."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from diagnosis.block import (
     BANDS,
     Block,
+    Observable,
     Place,
     band_of,
     block,
@@ -17,7 +18,6 @@ from diagnosis.block import (
 )
 from diagnosis.campaign import Part
 from holography.phase import TURN_OF_FRAMES
-from physics.effects.effect import Tap
 from physics.twin import Twin
 from runs.verdict import Verdict
 
@@ -85,7 +85,9 @@ def log_block(beat: Beat) -> Block:
         return np.array([2 * np.sqrt(beat.steps * twin.clocks.lost_fraction + 3 / 8)])
 
     values, errors = [2 * np.sqrt(beat.lost + 3 / 8)], np.array([1.0])
-    return block("frames", Tap.LOG, values, errors, [Place("frames lost")], ("clocks",), predict)
+    return block(
+        "frames", Observable.LOG, values, errors, [Place("frames lost")], ("clocks",), predict
+    )
 
 
 def lock_scatter_hz(beat: Beat) -> float | None:
@@ -166,4 +168,6 @@ def lock_block(beat: Beat, rate_hz: float) -> Block | None:
         return lock - turn_of_unequal_steps(twin) * rate_hz / (2 * np.pi)
 
     covariance = np.diag(np.square(errors)) + unknown((np.ones(len(values)), _COMMON_HZ), *repeated)
-    return block("lock", Tap.HOLOGRAM, values, covariance, places, ("clocks", "optics"), predict)
+    return block(
+        "lock", Observable.HOLOGRAM, values, covariance, places, ("clocks", "optics"), predict
+    )

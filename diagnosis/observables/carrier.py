@@ -1,4 +1,4 @@
-"""Tap T5: light that no vibration has shifted, seen where the reed hardly moves."""
+"""Carrier light in the holograms, seen near the clamp where the reed hardly moves."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from diagnosis.block import (
     Block,
+    Observable,
     Place,
     block,
 )
 from diagnosis.campaign import Part
 from diagnosis.observables.vibration import SweepReading
 from fitting.holograms.block_amplitudes import Unshifted
-from physics.effects.effect import Tap
 from physics.reed.geometry import half_width_m
 from physics.twin import Twin
 from runs.reader import Run
@@ -230,4 +230,4 @@ def carrier_block(carriers: Sequence[Carrier]) -> Block:
     covariance += _REEDS**2 * np.multiply.outer(floor, floor)
     places = [Place("carrier beside the clamp", level=c.name) for c in carriers]
     values = [c.share for c in carriers]
-    return block("carrier", Tap.MAPS, values, covariance, places, ("optics",), predict)
+    return block("carrier", Observable.MAPS, values, covariance, places, ("optics",), predict)

@@ -1,4 +1,4 @@
-"""Taps T1 and T6: the drive's lines, how it follows its level, and how it moves each mode."""
+"""Drive and response: excitation peaks, amplitude against drive level, forces on modes."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +12,7 @@ from scipy.ndimage import maximum_filter1d, median_filter
 from diagnosis.block import (
     BANDS,
     Block,
+    Observable,
     Place,
     band_of,
     block,
@@ -30,7 +31,6 @@ from physics.air import (
     pressure_shape,
 )
 from physics.drive import Tweeter, tweeter_pressure_pa
-from physics.effects.effect import Tap
 from physics.mechanics import (
     Mechanics,
     ReedMode,
@@ -133,7 +133,7 @@ def line_block(sweeps: Sequence[SweepReading], line: CavityLine, leaks: Leaks) -
     covariance = np.diag(error**2) + waves + _SMOOTH**2 * powers @ powers.T
     places = [Place("drive", band=band_of(float(f))) for f in hz]
     parts = ("drive", "fit_bias")
-    return block("lines of the drive", Tap.DRIVE, log, covariance, places, parts, predict)
+    return block("lines of the drive", Observable.DRIVE, log, covariance, places, parts, predict)
 
 
 def _of_leaks(sweep: SweepReading, leaks: Leaks, hz: Array, near: Array) -> Array:
@@ -257,7 +257,7 @@ def level_block(sweeps: Sequence[SweepReading], leaks: Leaks) -> Block | None:
         return np.log(_kept(twin.drive, one, at) / _kept(twin.drive, two, at))
 
     covariance = np.diag(np.square(errors)) + _RATIO**2
-    return block("level", Tap.DRIVE, values, covariance, places, ("drive",), predict)
+    return block("level", Observable.DRIVE, values, covariance, places, ("drive",), predict)
 
 
 def force_block(
@@ -312,7 +312,9 @@ def force_block(
         Place("force", mode=n, band=band_of(float(f))) for n, f in zip(names, hz, strict=True)
     ]
     parts = ("reed", "drive", "fit_bias")
-    return block("forces", Tap.RESPONSE, forces.mean(axis=0), covariance, places, parts, predict)
+    return block(
+        "forces", Observable.RESPONSE, forces.mean(axis=0), covariance, places, parts, predict
+    )
 
 
 def _torn(sweep: SweepReading, hz: Array) -> Array:

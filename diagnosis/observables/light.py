@@ -1,4 +1,4 @@
-"""Taps T4 and T5: brightness of fringes in the course of a campaign, and what else is in them."""
+"""Brightness of fringes during a campaign, noise, and what else is in the fringes."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from diagnosis.block import (
     BANDS,
     Block,
+    Observable,
     Place,
     band_of,
     block,
@@ -20,7 +21,6 @@ from diagnosis.observables.vibration import (
     SweepReading,
     at_highest_level,
 )
-from physics.effects.effect import Tap
 from physics.twin import OpticsParameters, Twin
 
 Array = NDArray[np.floating[Any]]
@@ -97,7 +97,7 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
         return np.array([*of_sweeps, *light(np.array(still_s), twin.optics)])
 
     covariance = np.diag(variance) + _shared(columns)
-    return block("brightness", Tap.FIELD, values, covariance, places, ("optics",), predict)
+    return block("brightness", Observable.FIELD, values, covariance, places, ("optics",), predict)
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,9 @@ def noise_block(sweeps: Sequence[SweepReading]) -> Block:
         return noise
 
     covariance = np.diag(variance) + _shared(columns)
-    return block("noise", Tap.SENSOR, values, covariance, places, ("optics", "sensor"), predict)
+    return block(
+        "noise", Observable.SENSOR, values, covariance, places, ("optics", "sensor"), predict
+    )
 
 
 def fringe_block(sweeps: Sequence[SweepReading]) -> Block | None:
@@ -220,7 +222,7 @@ def fringe_block(sweeps: Sequence[SweepReading]) -> Block | None:
 
     places = [Place(name.replace("_", " ")) for name in _FLOORS]
     errors = np.hypot(floors[:, 1], off * np.array(_OF_TAKEN_OFF))
-    return block("fringes", Tap.MAPS, values, errors, places, ("optics",), predict)
+    return block("fringes", Observable.MAPS, values, errors, places, ("optics",), predict)
 
 
 def mixing_in(sweeps: Sequence[SweepReading]) -> float:

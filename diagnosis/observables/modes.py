@@ -1,4 +1,4 @@
-"""Tap T7: frequencies and losses of all modes in all sweeps."""
+"""Frequencies and losses of all modes in all sweeps."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from diagnosis.block import (
     Block,
+    Observable,
     Place,
     band_of,
     block,
@@ -19,7 +20,6 @@ from diagnosis.observables.vibration import (
     common_modes,
     loudest,
 )
-from physics.effects.effect import Tap
 from physics.mechanics import ReedSolver
 from physics.twin import (
     Environment,
@@ -107,7 +107,7 @@ def modes_block(
     covariance += np.diag([astray[what][common.index(name)] ** 2 for _, name, what in rows])
     predict = _prediction(rows, common, sweeps, reed_solver)
     parts = ("reed", "environment", "fit_bias")
-    return block("modes", Tap.MODES, values, covariance, places, parts, predict)
+    return block("modes", Observable.MODES, values, covariance, places, parts, predict)
 
 
 def _of_fit(

@@ -1,4 +1,4 @@
-"""Tap T2: what frames without fringes tell of the camera, and of the beams that fall on it."""
+"""Frames without fringes: camera, vignetting, local oscillator."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from diagnosis.block import (
     Block,
+    Observable,
     Place,
     block,
 )
 from diagnosis.campaign import Part
 from fitting.errors import FitInputError
-from physics.effects.effect import Tap
 from physics.sensor import Sensor
 from physics.twin import OpticsParameters, Twin
 
@@ -248,7 +248,7 @@ def dark_block(dark: Dark, sheet: Sheet) -> Block:
     ]
     errors = np.array([_OFFSET_DN, _NOISE, _HOT_COUNT, _BANDING, _BANDING])
     places = [Place(name) for name in names]
-    return block("dark frames", Tap.SENSOR, values, errors, places, ("sensor",), predict)
+    return block("dark frames", Observable.SENSOR, values, errors, places, ("sensor",), predict)
 
 
 def flat_block(flat: Flat, dark: Dark | None, sheet: Sheet) -> Block:
@@ -286,7 +286,9 @@ def flat_block(flat: Flat, dark: Dark | None, sheet: Sheet) -> Block:
         Place("pattern"), Place("electrons per number"), Place("corners", region="corners"),
         Place("tilt of the light", region="rows"), Place("tilt of the light", region="columns"),
     ]  # fmt: skip
-    return block("even light", Tap.SENSOR, values, errors, places, ("sensor", "optics"), predict)
+    return block(
+        "even light", Observable.SENSOR, values, errors, places, ("sensor", "optics"), predict
+    )
 
 
 def lo_block(beam: Beam, sheet: Sheet) -> Block:
@@ -309,4 +311,6 @@ def lo_block(beam: Beam, sheet: Sheet) -> Block:
         Place("middle", region="rows"), Place("middle", region="columns"),
         Place("width", region="corners"),
     ]  # fmt: skip
-    return block("local oscillator", Tap.SENSOR, values, errors, places, ("optics",), predict)
+    return block(
+        "local oscillator", Observable.SENSOR, values, errors, places, ("optics",), predict
+    )

@@ -1,4 +1,4 @@
-"""Tap T7: shapes of modes, by what each has of the others beside those of the elastic reed."""
+"""Mode shapes, as fractions of the elastic reed's modes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from diagnosis.block import (
     Block,
+    Observable,
     Place,
     band_of,
     block,
@@ -16,7 +17,6 @@ from diagnosis.block import (
 from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.vibration import SweepReading
 from fitting.modal.identify import SHAPES_HZ
-from physics.effects.effect import Tap
 from physics.mechanics import (
     Mechanics,
     ReedMode,
@@ -87,7 +87,7 @@ def shapes_block(
         Place(f"share of {share.has}", mode=share.of, band=band_of(known[share.of].hz))
         for share in shares
     ]
-    return block("shapes", Tap.MODES, values, errors, places, ("reed",), predict)
+    return block("shapes", Observable.MODES, values, errors, places, ("reed",), predict)
 
 
 def _told(sweeps: Sequence[SweepReading], names: Sequence[str]) -> list[_Share]:

@@ -1,4 +1,4 @@
-"""Taps T3 and T4: what holograms of the reed at rest tell of phase steps, light and speckle."""
+"""Holograms and field of the reed at rest: phase steps, brightness, speckle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from diagnosis.block import (
     Block,
+    Observable,
     Place,
     block,
     unknown,
@@ -16,7 +17,6 @@ from diagnosis.block import (
 from diagnosis.campaign import Part
 from diagnosis.observables.beat import turn_of_unequal_steps
 from holography.phase import TURN_OF_FRAMES
-from physics.effects.effect import Tap
 from physics.twin import OpticsParameters, Twin
 
 Array = NDArray[np.floating[Any]]
@@ -207,7 +207,9 @@ def turn_block(stills: Sequence[Still], scatter_hz: float, rate_hz: float) -> Bl
         return lock - within * turn_of_unequal_steps(twin) * rate_hz / (2 * np.pi)
 
     parts = ("clocks", "optics")
-    return block("light at rest", Tap.HOLOGRAM, values, np.array(errors), places, parts, predict)
+    return block(
+        "light at rest", Observable.HOLOGRAM, values, np.array(errors), places, parts, predict
+    )
 
 
 def _spread_between(
@@ -243,7 +245,7 @@ def stability_block(stills: Sequence[Still]) -> Block:
     def predict(_twin: Twin) -> Array:
         return np.zeros(len(values))
 
-    return block("still light", Tap.FIELD, values, np.array(errors), places, (), predict)
+    return block("still light", Observable.FIELD, values, np.array(errors), places, (), predict)
 
 
 def scatter_block(stills: Sequence[Still], lock_scatter_hz: float, rate_hz: float) -> Block | None:
@@ -274,5 +276,5 @@ def scatter_block(stills: Sequence[Still], lock_scatter_hz: float, rate_hz: floa
     covariance = errors + unknown((walk, _WALK))
     places = [Place("phase within acquisitions"), Place("phase between acquisitions")]
     return block(
-        "scatter of phases", Tap.HOLOGRAM, values, covariance, places, ("optics",), predict,
+        "scatter of phases", Observable.HOLOGRAM, values, covariance, places, ("optics",), predict,
     )  # fmt: skip

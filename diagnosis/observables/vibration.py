@@ -1,4 +1,4 @@
-"""What the sweeps of a campaign tell: modes, drive and light of each, and what their fits leave."""
+"""Joint fits of the sweeps of a campaign: modes, drive and light, and their residuals."""
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
@@ -12,6 +12,7 @@ from scipy.special import j0, j1, jv
 
 from diagnosis.block import (
     Block,
+    Observable,
     Place,
     block,
 )
@@ -27,7 +28,6 @@ from fitting.modal.identify import (
 )
 from fitting.modal.modal_fit import ModalFit
 from fitting.parallel.processes import map_processes
-from physics.effects.effect import Tap
 from physics.twin import Twin
 from runs.reader import Run
 from runs.records import StepRecord
@@ -454,4 +454,4 @@ def understood_block(understood: int, refused: int) -> Block:
 
     places = [Place(f"sweeps not understood, of {understood + refused}")]
     errors = np.array([_REFUSED])
-    return block("sweeps", Tap.RESPONSE, [float(refused)], errors, places, (), predict)
+    return block("sweeps", Observable.RESPONSE, [float(refused)], errors, places, (), predict)

@@ -1,7 +1,7 @@
 """The known acoustic resonance of the excitation device, stronger than measured before."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="acoustic_resonance",
@@ -18,9 +18,5 @@ EFFECT = Effect(
         ),
     ),
     change=additive("drive", resonance_excess="excess"),
-    moves=frozenset({Tap.DRIVE}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD, Tap.MODES}),
-    neighbours=("second_acoustic_resonance",),
-    action="change the volume of the chamber",
     reference="paper, section III: picture 78 of both series",
 )

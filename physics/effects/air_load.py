@@ -1,7 +1,7 @@
 """Air that moves with the reed and adds mass, and sound that the reed radiates."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="air_load",
@@ -18,9 +18,5 @@ EFFECT = Effect(
         ),
     ),
     change=additive("reed", air_share="fraction"),
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("viscoelastic_stiffening", "thickness_offset"),
-    action="sweep at low pressure",
     reference="Rayleigh, Theory of Sound, section 302",
 )

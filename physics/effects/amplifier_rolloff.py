@@ -1,7 +1,7 @@
 """An amplifier whose gain falls towards the end of the band."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="amplifier_rolloff",
@@ -18,9 +18,5 @@ EFFECT = Effect(
         ),
     ),
     change=additive("drive", roll_off="inverse_corner"),
-    moves=frozenset({Tap.RESPONSE}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD, Tap.MODES}),
-    neighbours=("frequency_dependent_damping",),
-    action="measure the voltage at the tweeter",
     reference="Butterworth, On the theory of filter amplifiers, 1930",
 )

@@ -1,7 +1,7 @@
 """A bench that vibrates: the phase between the beams changes from frame to frame."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="bench_vibration",
@@ -14,9 +14,5 @@ EFFECT = Effect(
         ),
     ),
     change=additive("optics", jitter_rad="jitter"),
-    moves=frozenset({Tap.HOLOGRAM}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
-    neighbours=("phase_step_error",),
-    action="look at order 0 with all machines off",
     reference="interferometry without an isolated table",
 )

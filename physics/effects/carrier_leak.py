@@ -1,7 +1,7 @@
 """Light at the carrier frequency in the hologram of every sideband."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="carrier_leak",
@@ -18,9 +18,5 @@ EFFECT = Effect(
         ),
     ),
     change=additive("optics", leak="fraction"),
-    moves=frozenset({Tap.MAPS}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
-    neighbours=("sideband_crosstalk",),
-    action="a sweep with the drive off",
     reference="data sheets of direct digital synthesizers",
 )

@@ -1,7 +1,7 @@
 """Clay that does not seal its half of the mouthpiece chamber."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="chamber_leakage",
@@ -10,9 +10,5 @@ EFFECT = Effect(
     position=3,
     parameters=(Parameter("fraction", "", 0.3, "clay that is pressed in by hand", positive=True),),
     change=additive("drive", open_right="fraction"),
-    moves=frozenset({Tap.RESPONSE}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD, Tap.MODES}),
-    neighbours=("thickness_tilt",),
-    action="take the clay out",
     reference="paper, section II: asymmetric excitation",
 )

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 from physics.mechanics import YieldingClamp
 from physics.twin import Twin, with_alteration
 
@@ -21,9 +21,5 @@ EFFECT = Effect(
         Parameter("compliance", "m/Pa", 2e-13, "0.5 mm of hard plastic, 2.5 GPa, under one strip"),
     ),
     change=_change,
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("thickness_tilt",),
-    action="turn the reed over in the clamp",
     reference="paper, section III",
 )

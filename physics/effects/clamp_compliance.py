@@ -1,7 +1,7 @@
 """A clamp whose strips rest on elastic beds."""
 
 from physics.effects.changes import altered
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 from physics.mechanics import YieldingClamp
 
 EFFECT = Effect(
@@ -19,9 +19,5 @@ EFFECT = Effect(
         ),
     ),
     change=altered(YieldingClamp(), "compliance"),
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("viscoelastic_stiffening", "transverse_shear"),
-    action="clamp the reed again, harder",
     reference="paper, section III: strips hold the reed fast",
 )

@@ -1,7 +1,7 @@
 """A finite-element mesh that is too coarse, and therefore too stiff."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="coarse_mesh",
@@ -12,9 +12,5 @@ EFFECT = Effect(
         Parameter("fraction", "", 1.0, "1 is quadratic tetrahedra of 2 mm, 1 mm at the tip"),
     ),
     change=additive("reed", coarse_share="fraction"),
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("transverse_modulus",),
-    action="halve the mesh",
     reference="paper, section IV: parabolic tetrahedra, 5927 points",
 )

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 from physics.mechanics import SoftSpot
 from physics.twin import Twin, with_alteration
 
@@ -26,9 +26,5 @@ EFFECT = Effect(
         Parameter("y", "m", 0.0, "anywhere on the vamp", grid=(-4e-3, -2e-3, 0.0, 2e-3, 4e-3)),
     ),
     change=_change,
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("thickness_tilt",),
-    action="look at the curvature of the shapes; a microscope",
     reference="Rayleigh, Theory of Sound, section 88: a change of stiffness",
 )

@@ -1,7 +1,7 @@
 """Images focused at a distance where the reed is not."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="defocus",
@@ -17,9 +17,5 @@ EFFECT = Effect(
         ),
     ),
     change=additive("optics", defocus_m="distance"),
-    moves=frozenset({Tap.FIELD}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
-    neighbours=(),
-    action="focus again on the edges of the reed",
     reference="holography by Fresnel transform",
 )

@@ -1,7 +1,7 @@
 """Cane denser or lighter than the reference material, for example because it is moist."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="density",
@@ -10,9 +10,5 @@ EFFECT = Effect(
     position=2,
     parameters=(Parameter("density", "", 0.1, "density of cane, 450 to 600 kg/m³"),),
     change=additive("reed.shift", density="density"),
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("transverse_modulus",),
-    action="weigh the reed",
     reference="paper, section III: density taken as constant",
 )

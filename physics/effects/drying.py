@@ -1,7 +1,7 @@
 """A moist reed that dries during the campaign."""
 
 from physics.effects.changes import changed
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="drying",
@@ -24,9 +24,5 @@ EFFECT = Effect(
         ),
     ),
     change=changed("environment", add={"drying": "fraction"}, scale={"drying_s": "log_time"}),
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD}),
-    neighbours=("temperature_drift",),
-    action="wait for an hour and sweep again; weigh the reed",
     reference="paper, series A and B; Obataya and Norimoto, Mokuzai Gakkaishi 41, 289 (1995)",
 )

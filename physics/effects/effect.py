@@ -19,20 +19,6 @@ class Stage(StrEnum):
     NUMERICS = "numerics"
 
 
-class Tap(StrEnum):
-    """Where measurement and twin can be compared, from logs to material."""
-
-    LOG = "T0"
-    DRIVE = "T1"
-    SENSOR = "T2"
-    HOLOGRAM = "T3"
-    FIELD = "T4"
-    MAPS = "T5"
-    RESPONSE = "T6"
-    MODES = "T7"
-    MATERIAL = "T8"
-
-
 @dataclass(frozen=True)
 class Parameter:
     """Parameter of an effect: a size, of which 0 is no effect, or a value from a grid.
@@ -75,12 +61,6 @@ class Effect:
     change : callable
         ``change(twin, values)`` returns the parameters with the effect; with every size 0 it
         returns equal parameters.
-    moves, keeps : frozenset of Tap
-        Taps that it must move where it is large, and those that it must leave alone.
-    neighbours : tuple of str
-        Effects that it may be taken for.
-    action : str
-        What on the bench tells it from them.
     reference : str
     position : int
         Place among the effects of its stage; effects of equal position are sorted by identifier.
@@ -93,10 +73,6 @@ class Effect:
     stage: Stage
     parameters: tuple[Parameter, ...]
     change: Change
-    moves: frozenset[Tap]
-    keeps: frozenset[Tap]
-    neighbours: tuple[str, ...]
-    action: str
     reference: str
     position: int = 99
     unique: bool = False

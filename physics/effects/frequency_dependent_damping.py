@@ -1,7 +1,7 @@
 """Losses that grow with frequency, where the nominal model has one loss factor."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="frequency_dependent_damping",
@@ -10,9 +10,5 @@ EFFECT = Effect(
     position=1,
     parameters=(Parameter("exponent", "", 0.3, "loss tangents of wood from 1 to 20 kHz"),),
     change=additive("reed", loss_growth="exponent"),
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("air_load",),
-    action="let modes ring down",
     reference="Ono and Norimoto, loss of spruce against frequency",
 )

@@ -1,7 +1,7 @@
 """A drive generator whose clock differs from the synthesizers' clock."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="generator_clock",
@@ -12,9 +12,5 @@ EFFECT = Effect(
         Parameter("ratio", "ppm", 5.0, "crystal oscillators agree within a few parts per million"),
     ),
     change=additive("clocks", generator_ppm="ratio"),
-    moves=frozenset({Tap.HOLOGRAM}),
-    keeps=frozenset({Tap.SENSOR, Tap.MODES}),
-    neighbours=("synthesizer_detuning",),
-    action="one clock for all instruments",
     reference="data sheets of quartz oscillators",
 )

@@ -1,7 +1,7 @@
 """A reed whose stiffness grows with its vibration amplitude."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="hardening_nonlinearity",
@@ -18,9 +18,5 @@ EFFECT = Effect(
         ),
     ),
     change=additive("environment", hardening="fraction"),
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD}),
-    neighbours=("temperature_drift",),
-    action="sweep at another drive level, in random order",
     reference="Duffing, Erzwungene Schwingungen, 1918",
 )

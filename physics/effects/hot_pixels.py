@@ -1,7 +1,7 @@
 """Pixels that fill up without light."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="hot_pixels",
@@ -10,9 +10,5 @@ EFFECT = Effect(
     position=2,
     parameters=(Parameter("fraction", "", 0.005, "sensors that are not cooled", positive=True),),
     change=additive("sensor", hot="fraction"),
-    moves=frozenset({Tap.SENSOR}),
-    keeps=frozenset({Tap.LOG, Tap.MODES}),
-    neighbours=("fixed_pattern_noise",),
-    action="dark frames",
     reference="data sheets of CCD cameras",
 )

@@ -1,7 +1,7 @@
 """A laser that hops to another mode: fringe contrast drops at once, brightness does not."""
 
 from physics.effects.changes import changed
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="laser_mode_hop",
@@ -19,10 +19,6 @@ EFFECT = Effect(
         ),
     ),
     change=changed("optics", put={"hop": "contrast_loss", "hop_time_fraction": "time_fraction"}),
-    moves=frozenset({Tap.FIELD}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
-    neighbours=("laser_power_drift",),
-    action="a reference picture at every step",
     reference="multimode diode lasers",
     unique=True,
 )

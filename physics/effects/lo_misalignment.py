@@ -1,7 +1,7 @@
 """A local oscillator that is not centred on the sensor."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="lo_misalignment",
@@ -13,9 +13,5 @@ EFFECT = Effect(
         Parameter("right", "m", 0.0008, "one turn of a mirror mount"),
     ),
     change=additive("optics", shift_m=("down", "right")),
-    moves=frozenset({Tap.SENSOR}),
-    keeps=frozenset({Tap.LOG, Tap.MODES}),
-    neighbours=("vignetting",),
-    action="frames of the local oscillator alone",
     reference="Gaussian beams",
 )

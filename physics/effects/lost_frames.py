@@ -1,7 +1,7 @@
 """Camera frames that are lost or delivered twice."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="lost_frames",
@@ -18,9 +18,5 @@ EFFECT = Effect(
         ),
     ),
     change=additive("clocks", lost_fraction="fraction"),
-    moves=frozenset({Tap.LOG}),
-    keeps=frozenset({Tap.SENSOR, Tap.FIELD, Tap.MODES}),
-    neighbours=(),
-    action="look at the camera's frame counter",
     reference="frame numbers of every acquisition",
 )

@@ -1,7 +1,7 @@
 """A camera with more read noise than its data sheet states."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="read_noise",
@@ -10,9 +10,5 @@ EFFECT = Effect(
     position=3,
     parameters=(Parameter("log_factor", "", 0.5, "pick-up, warm electronics", positive=True),),
     change=additive("sensor", read_factor="log_factor"),
-    moves=frozenset({Tap.SENSOR}),
-    keeps=frozenset({Tap.LOG, Tap.MODES}),
-    neighbours=("fixed_pattern_noise",),
-    action="dark frames",
     reference="photon transfer",
 )

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 from physics.twin import Twin
 
 # Resonances of Q 30 are resolved if they are at least half their width apart. Between two grid
@@ -41,10 +41,6 @@ EFFECT = Effect(
         Parameter("quality", "", 0.0, "small cavities with openings", grid=_GRID_QUALITY),
     ),
     change=_change,
-    moves=frozenset({Tap.DRIVE}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD, Tap.MODES}),
-    neighbours=("acoustic_resonance",),
-    action="change the volume of the chamber; another reed",
     reference="paper, section III",
     unique=True,
 )

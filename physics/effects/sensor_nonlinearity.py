@@ -1,7 +1,7 @@
 """A sensor that reads low where the image is bright."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="sensor_nonlinearity",
@@ -12,9 +12,5 @@ EFFECT = Effect(
         Parameter("fraction", "", 0.1, "anti-blooming; a well that is nearly full", positive=True),
     ),
     change=additive("sensor", nonlinearity="fraction"),
-    moves=frozenset({Tap.SENSOR}),
-    keeps=frozenset({Tap.LOG, Tap.MODES}),
-    neighbours=(),
-    action="flat frames at several exposures",
     reference="photon transfer",
 )

@@ -1,7 +1,7 @@
 """Light of the next sideband in the hologram of every sideband."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="sideband_crosstalk",
@@ -18,9 +18,5 @@ EFFECT = Effect(
         ),
     ),
     change=additive("optics", crosstalk="fraction"),
-    moves=frozenset({Tap.MAPS}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
-    neighbours=("speckle_decorrelation", "carrier_leak"),
-    action="look at the second sideband",
     reference="paper, section II.A",
 )

@@ -1,7 +1,7 @@
 """Fringes that lose contrast where the vibration amplitude is large."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="speckle_decorrelation",
@@ -18,9 +18,5 @@ EFFECT = Effect(
         ),
     ),
     change=additive("optics", decorrelation_per_rad2="contrast_loss"),
-    moves=frozenset({Tap.MAPS}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.MODES}),
-    neighbours=("sideband_crosstalk",),
-    action="the same at half the amplitude",
     reference="Yamaguchi, Optica Acta 28 (1981): decorrelation by tilt",
 )

@@ -1,7 +1,7 @@
 """AOM synthesizers whose frequency difference is not the commanded one."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="synthesizer_detuning",
@@ -14,9 +14,5 @@ EFFECT = Effect(
         ),
     ),
     change=additive("clocks", detuning_hz="offset"),
-    moves=frozenset({Tap.HOLOGRAM}),
-    keeps=frozenset({Tap.SENSOR, Tap.MODES}),
-    neighbours=("phase_step_error",),
-    action="compare both tuning words; order 0 over minutes",
     reference="paper, equation 3",
 )

@@ -1,7 +1,7 @@
 """AOM synthesizers whose frequency difference drifts."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="synthesizer_drift",
@@ -10,9 +10,5 @@ EFFECT = Effect(
     position=3,
     parameters=(Parameter("rate", "Hz/h", 0.15, "oscillators that warm up"),),
     change=additive("clocks", detuning_hz_h="rate"),
-    moves=frozenset({Tap.HOLOGRAM}),
-    keeps=frozenset({Tap.SENSOR, Tap.MODES}),
-    neighbours=("synthesizer_detuning",),
-    action="wait until they are warm",
     reference="data sheets of quartz oscillators",
 )

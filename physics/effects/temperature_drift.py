@@ -1,7 +1,7 @@
 """Cane that warms up or cools down during the campaign."""
 
 from physics.effects.changes import changed
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="temperature_drift",
@@ -18,9 +18,5 @@ EFFECT = Effect(
         ),
     ),
     change=changed("environment", add={"warming_c_h": "rate"}, scale={"loss_per_c": "log_loss"}),
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD}),
-    neighbours=("drying",),
-    action="sweep up and down, and again after an hour",
     reference="Weidenfeller et al., Mater. Res. 21, e20170795 (2018)",
 )

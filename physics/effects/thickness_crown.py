@@ -1,7 +1,7 @@
 """A vamp thicker at its sides and thinner in its middle than in the drawing."""
 
 from physics.effects.changes import altered
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 from physics.mechanics import Layer
 
 EFFECT = Effect(
@@ -13,9 +13,5 @@ EFFECT = Effect(
         Parameter("thickness", "m", 10e-6, "thickness is known to 10 µm: paper, section III.A"),
     ),
     change=altered(Layer(0, 2), "thickness"),
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("transverse_modulus",),
-    action="measure the thickness of the vamp",
     reference="paper, section III.A",
 )

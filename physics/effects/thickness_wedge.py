@@ -1,7 +1,7 @@
 """A vamp whose thickness grows towards the heel faster than in the drawing."""
 
 from physics.effects.changes import altered
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 from physics.mechanics import Layer
 
 EFFECT = Effect(
@@ -13,9 +13,5 @@ EFFECT = Effect(
         Parameter("thickness", "m", 10e-6, "thickness is known to 10 µm: paper, section III.A"),
     ),
     change=altered(Layer(1, 0), "thickness"),
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("viscoelastic_stiffening",),
-    action="measure the thickness of the vamp",
     reference="paper, section III.A",
 )

@@ -1,7 +1,7 @@
 """A small mass, such as moisture or wax, on the last 2 mm of the tip."""
 
 from physics.effects.changes import altered
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 from physics.mechanics import TipMass
 
 EFFECT = Effect(
@@ -13,9 +13,5 @@ EFFECT = Effect(
         Parameter("mass", "kg", 0.5e-6, "a drop of 1 mm diameter weighs 0.5 mg", positive=True),
     ),
     change=altered(TipMass(), "mass"),
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("air_load", "thickness_wedge"),
-    action="weigh the reed, or wipe its tip",
     reference="Rayleigh, Theory of Sound, section 91",
 )

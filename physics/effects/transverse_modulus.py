@@ -1,7 +1,7 @@
 """A Young modulus across the grain that differs from the reference material's."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="transverse_modulus",
@@ -17,9 +17,5 @@ EFFECT = Effect(
         ),
     ),
     change=additive("reed.shift", E_T="E_T"),
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("thickness_crown",),
-    action="measure a cross-cut strip",
     reference="paper, Table 3: modes T are sensitive to E_T",
 )

@@ -1,7 +1,7 @@
 """Shear moduli through the thickness that differ from the reference material's."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="transverse_shear",
@@ -13,9 +13,5 @@ EFFECT = Effect(
         Parameter("G_TR", "", 0.3, "spread of shear moduli of hardwoods and cane"),
     ),
     change=additive("reed.shift", G_LR="G_LR", G_TR="G_TR"),
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("clamp_compliance",),
-    action="measure a short thick strip",
     reference="paper, Table 3",
 )

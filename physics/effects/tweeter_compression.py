@@ -1,7 +1,7 @@
 """A tweeter whose gain falls as its coil moves farther."""
 
 from physics.effects.changes import changed
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="tweeter_compression",
@@ -26,9 +26,5 @@ EFFECT = Effect(
     change=changed(
         "drive", add={"compression": "fraction"}, scale={"compression_hz": "log_corner"}
     ),
-    moves=frozenset({Tap.DRIVE, Tap.RESPONSE}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.FIELD}),
-    neighbours=("hardening_nonlinearity",),
-    action="sweep at another drive level, a microphone next to it",
     reference="paper, section II.B: amplitudes ramped to 16 V",
 )

@@ -1,7 +1,7 @@
 """Optics that keep light from the corners of the sensor."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="vignetting",
@@ -18,9 +18,5 @@ EFFECT = Effect(
         ),
     ),
     change=additive("optics", vignette="fraction"),
-    moves=frozenset({Tap.SENSOR}),
-    keeps=frozenset({Tap.LOG, Tap.MODES}),
-    neighbours=("lo_misalignment",),
-    action="shift the camera",
     reference="frames of even light",
 )

@@ -1,7 +1,7 @@
 """Cane whose moduli grow with frequency more than the nominal model assumes."""
 
 from physics.effects.changes import additive
-from physics.effects.effect import Effect, Parameter, Stage, Tap
+from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="viscoelastic_stiffening",
@@ -25,9 +25,5 @@ EFFECT = Effect(
         ),
     ),
     change=additive("reed.shift", growth_E_L="E_L", growth_G_LT="G_LT"),
-    moves=frozenset({Tap.MODES}),
-    keeps=frozenset({Tap.LOG, Tap.SENSOR, Tap.HOLOGRAM, Tap.FIELD}),
-    neighbours=("air_load", "thickness_wedge", "clamp_compliance"),
-    action="sweep to higher frequencies, or at low pressure",
     reference="paper, section IV.B",
 )

@@ -7,6 +7,7 @@ from matplotlib import colormaps
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from diagnosis.block import Observable
 from diagnosis.where import Cell, Map
 from reports.plain_text import visible
 
@@ -19,7 +20,9 @@ _LARGEST = 30.0
 
 def draw_map(where: Map) -> Figure:
     """Draw the gap of all cells: blocks of numbers by band, mode, time, level and region."""
-    blocks = sorted((c for c in where.cells if c.axis == "block"), key=lambda c: str(c.tap))
+    blocks = sorted(
+        (c for c in where.cells if c.axis == "block"), key=lambda c: list(Observable).index(c.tap)
+    )
     panels = [
         (axis, words, list(dict.fromkeys(_short(c) for c in where.cells if c.axis == axis)))
         for axis, words in _AXES

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.block import Place, block
+from diagnosis.block import Observable, Place, block
 from diagnosis.observables.beat import (
     lock_block,
     lock_scatter_hz,
@@ -33,7 +33,6 @@ from diagnosis.observing import _missing
 from fitting.errors import FitError, FitInputError
 from fitting.holograms.block_amplitudes import _holograms
 from physics.air import CavityLine, Chamber
-from physics.effects.effect import Tap
 from physics.reed.geometry import ReedGeometry
 from physics.twin import OpticsParameters, Twin
 from runs.verdict import Verdict
@@ -88,7 +87,7 @@ def test_numbers_that_are_none_are_refused_by_name() -> None:
         ):
             block(
                 "forces",
-                Tap.RESPONSE,
+                Observable.RESPONSE,
                 values,
                 np.array(errors),
                 places,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from diagnosis.effect_notes import notes_of
 from diagnosis.mean_reed import (
     MeanReed,
     printed_reeds,
@@ -20,7 +21,6 @@ from physics.effects.effect import (
     Effect,
     Parameter,
     Stage,
-    Tap,
 )
 from physics.reed.names import PAPER_MODES
 from physics.reed.viscoelastic import Series
@@ -59,8 +59,7 @@ def effect(name, *moduli, spread=0.3):
     return Effect(
         id=name, title=name, stage=Stage.MECHANICS,
         parameters=(Parameter("size", "", spread, "toy"),), change=change,
-        moves=frozenset({Tap.MODES}), keeps=frozenset({Tap.LOG}), neighbours=(),
-        action=f"measure {name}", reference="",
+        reference="",
     )  # fmt: skip
 
 
@@ -131,7 +130,7 @@ def test_words_say_whose_sizes_are_and_what_is_hardly_told_from_what() -> None:
     hardly = next(line for line in said if line.startswith("across is confusable"))
     # Both move the same.
     assert "alike (1.00)" in hardly
-    assert hardly.endswith("measure across")
+    assert hardly.endswith(notes_of(ACROSS_GRAIN).check)
     both = next(trial for trial in found.together if trial.certified and trial.log_bayes > 1)
     line = next(line for line in said if line.startswith(" + ".join(both.effects)))
     assert all(f"{name}'s size" in line for name in both.effects)

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from diagnosis.actions import Action, ranked_actions
-from diagnosis.block import Place, block
+from diagnosis.block import Observable, Place, block
+from diagnosis.effect_notes import notes_of
 from diagnosis.how_far import plain_gaps
 from diagnosis.likeness import (
     DETECTABLE,
@@ -35,10 +36,10 @@ from diagnosis.verdict import (
 )
 from diagnosis.where import Rung
 from physics.effects.catalogue import BY_ID
-from physics.effects.effect import Tap
 from physics.twin import Twin
 from reports.diagnosis_json import to_json
 from reports.diagnosis_page import (
+    GROUP_WORDS,
     document,
     words,
     write_page,
@@ -103,7 +104,11 @@ def test_something_unknown_is_seen_beside_what_is_known_of(strange, strange_besi
     assert told.kind == "unknown"
     # Beside nothing it would be in the lines, which the next sideband moves.
     worst = max(told.contest.unknown, key=lambda name: told.contest.unknown[name])
-    assert (worst, told.unknown_beside, told.unknown_in) == ("lines", "sideband_crosstalk", "clocks")
+    assert (worst, told.unknown_beside, told.unknown_in) == (
+        "lines",
+        "sideband_crosstalk",
+        "clocks",
+    )
     p = told.probability["unknown"]
     for part in (f"({p:.0%})", BY_ID["sideband_crosstalk"].title, "clocks"):
         assert part in words(told)[0]
@@ -141,7 +146,7 @@ def test_what_is_likeliest_but_not_likely_is_called_so(mixed) -> None:
 
 def test_words_tell_where_how_far_and_what_was_not_measured(mixed) -> None:
     said = words(mixed)
-    assert re.search(r"sideband maps \(T5\), by \d\.\d times .* in lines", said[1])
+    assert re.search(r"sideband maps, by \d\.\d times .* in lines", said[1])
     assert any(re.search(r"explains (9\d|100)%.* does not prove the cause", line) for line in said)
     assert said[-2:] == ["Not measured: a second sweep.", "Not used: x.h5: too few good steps."]
 
@@ -167,7 +172,7 @@ def test_json_has_sizes_in_their_units(mixed) -> None:
     )
     assert answer["how_far"]["left_out"]["kappa"] == pytest.approx(1.0, abs=0.15)
     assert answer["missing"] == ["a second sweep"]
-    assert answer["where"]["first_failing_tap"] == "T5"
+    assert answer["where"]["first_failing_tap"] == "maps"
 
 
 def rows_of(html: str) -> list[tuple[str, ...]]:
@@ -192,12 +197,12 @@ def test_the_page_has_all_of_it(mixed, tmp_path) -> None:
         f"fraction {size['value']:.2g} ± {size['error']:.1g}",
     )
     assert row in {cells[:3] for cells in rows_of(html)}
-    ladder = (Rung(Tap.HOLOGRAM, 0.25, 0.1, 0.05), Rung(Tap.MAPS, 0.75, 0.9, 0.05))
+    ladder = (Rung(Observable.HOLOGRAM, 0.25, 0.1, 0.05), Rung(Observable.MAPS, 0.75, 0.9, 0.05))
     html = document(replace(mixed, where=replace(mixed.where, ladder=ladder)), "A reed")
     for rung in ladder:
         numbers = (f"{rung.forward:.0%}", f"{rung.backward:.0%}")
         assert any(
-            cells[0].startswith(str(rung.tap)) and cells[1:3] == numbers for cells in rows_of(html)
+            cells[0] == GROUP_WORDS[rung.tap] and cells[1:3] == numbers for cells in rows_of(html)
         )
     with pytest.raises(OutputRefusedError, match="choose another place with --out"):
         write_page(mixed, "A reed", tmp_path / "nowhere" / "page.html")
@@ -246,7 +251,7 @@ def test_sizes_of_two_effects_say_whose_they_are(both) -> None:
         size = to_json(both)["pairs"]["+".join(both.effects)]["sizes"][effect]["fraction"]
         told = f"{BY_ID[effect].title}: fraction {size['value']:.2g} ± {size['error']:.1g}"
         assert told in html
-        assert BY_ID[effect].action in html
+        assert notes_of(BY_ID[effect]).check in html
 
 
 def test_a_gap_of_nothing_has_no_shares(nothing) -> None:
@@ -256,7 +261,7 @@ def test_a_gap_of_nothing_has_no_shares(nothing) -> None:
 def test_the_map_stands_in_the_order_of_taps(mixed) -> None:
     axes = draw_map(mixed.where).axes
     rows = [label.get_text() for label in axes[0].get_yticklabels()]
-    assert rows == ["clocks  T3", "lines  T5"]
+    assert rows == ["clocks  hologram", "lines  maps"]
 
 
 def test_the_sweep_that_is_left_out_is_of_another_clamping_or_the_calmest() -> None:
@@ -294,7 +299,7 @@ def test_gaps_are_told_in_units_that_people_know() -> None:
               Place("nobody's")]  # fmt: skip
     half = np.array([1.0, 1.5, 0.1, 0.2, 1.0])
     none = Nuisance("none", "", 1.0, lambda twin, _: twin, "nothing")
-    numbers = block("all", Tap.MODES, 2 * half, np.full(5, 0.01), places, ("optics",),
+    numbers = block("all", Observable.MODES, 2 * half, np.full(5, 0.01), places, ("optics",),
                     lambda twin: twin.optics.leak * half)  # fmt: skip
     comparison = Comparison([numbers], Twin(), (none,))
     null = compete(comparison, (), [np.zeros(1)])

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.block import Place, block
+from diagnosis.block import Observable, Place, block
 from diagnosis.how_far import _left_out, shrinkage
 from diagnosis.nuisances import Nuisance
 from diagnosis.rivals import (
@@ -15,7 +15,6 @@ from diagnosis.rivals import (
 )
 from diagnosis.verdict import _only
 from diagnosis.where import gap_map
-from physics.effects.effect import Tap
 from physics.twin import Twin, more
 from tests.diagnosis.toy import COUNT, EFFECTS, bench, measured
 
@@ -42,8 +41,8 @@ def test_chance_of_a_gap_is_uniform_where_nothing_is_wrong() -> None:
 
 def test_the_first_failing_tap_is_where_the_cause_shows_first() -> None:
     assert gap_map(measured(1, bench())).first_failing is None
-    assert gap_map(measured(1, bench(detuning_hz=0.3))).first_failing is Tap.HOLOGRAM
-    assert gap_map(measured(1, bench(crosstalk=0.6))).first_failing is Tap.MAPS
+    assert gap_map(measured(1, bench(detuning_hz=0.3))).first_failing is Observable.HOLOGRAM
+    assert gap_map(measured(1, bench(crosstalk=0.6))).first_failing is Observable.MAPS
 
 
 def test_cells_tell_the_band() -> None:
@@ -100,8 +99,8 @@ def test_shares_of_the_ladder_add_up_either_way_and_name_the_stage() -> None:
     assert sum(rung.forward for rung in ladder) == pytest.approx(1.0)
     assert sum(rung.backward for rung in ladder) == pytest.approx(1.0)
     share = {rung.tap: rung.forward for rung in ladder}
-    assert share[Tap.HOLOGRAM] == pytest.approx(1.0, abs=0.05)
-    assert share[Tap.MAPS] == pytest.approx(0.0, abs=0.05)
+    assert share[Observable.HOLOGRAM] == pytest.approx(1.0, abs=0.05)
+    assert share[Observable.MAPS] == pytest.approx(0.0, abs=0.05)
 
 
 def test_where_nothing_is_wrong_no_stage_has_a_share() -> None:
@@ -112,8 +111,8 @@ def test_an_earlier_stage_that_tells_the_level_takes_the_later_ones_share() -> N
     # Both taps are off alike by what an unknown level makes of the later one alone.
     both = gap_map(measured(5, bench(leak=1.0)))
     share = {rung.tap: (rung.forward, rung.backward) for rung in both.ladder}
-    assert share[Tap.MAPS][0] > 0.5
-    assert share[Tap.HOLOGRAM][1] > 0.0
+    assert share[Observable.MAPS][0] > 0.5
+    assert share[Observable.HOLOGRAM][1] > 0.0
 
 
 def test_what_one_stage_tells_of_another_is_its_own_share() -> None:
@@ -123,7 +122,7 @@ def test_what_one_stage_tells_of_another_is_its_own_share() -> None:
     both = [
         block(tap, tap, np.full(20, 0.5), np.full(20, 0.05), [Place("level")] * 20, ("optics",),
               lambda twin: np.full(20, twin.optics.fade_per_h))
-        for tap in (Tap.HOLOGRAM, Tap.MAPS)
+        for tap in (Observable.HOLOGRAM, Observable.MAPS)
     ]  # fmt: skip
     first, second = gap_map(Comparison(both, Twin(), (level,))).ladder
     # Of one stage alone the square of the gap is 2000·400/8400, of both 4000·400/16400.
@@ -156,7 +155,7 @@ def test_what_is_left_out_counts_by_what_it_could_be_predicted_to() -> None:
     values = np.zeros(n)
     values[0] = away
     level = Nuisance("level", "", 1e3, lambda t, v: more(t, "optics", fade_per_h=v), "")
-    numbers = block("all", Tap.MAPS, values, np.ones(n), [Place("level")] * n, ("optics",),
+    numbers = block("all", Observable.MAPS, values, np.ones(n), [Place("level")] * n, ("optics",),
                     lambda twin: np.full(n, twin.optics.fade_per_h))  # fmt: skip
     null = compete(Comparison([numbers], Twin(), (level,)), (), [np.zeros(1)])
     square, _, count = _left_out((null, null), np.arange(n) == 0)

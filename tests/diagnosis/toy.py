@@ -6,14 +6,13 @@ from functools import partial
 
 import numpy as np
 
-from diagnosis.block import Place, block
+from diagnosis.block import Observable, Place, block
 from diagnosis.nuisances import Nuisance
 from diagnosis.rivals import Comparison
 from physics.effects.effect import (
     Effect,
     Parameter,
     Stage,
-    Tap,
 )
 from physics.twin import (
     Clocks,
@@ -53,10 +52,6 @@ def effect(name: str, part: str, field: str, positive: bool = False) -> Effect:
         stage=Stage.OPTICS,
         parameters=(Parameter("size", "", 1.0, "toy", positive),),
         change=partial(_changed, part, field),
-        moves=frozenset({Tap.MAPS}),
-        keeps=frozenset({Tap.LOG}),
-        neighbours=(),
-        action="",
         reference="",
     )
 
@@ -78,8 +73,8 @@ def measured(seed: int, truth: Twin, noise: float = 0.05, extra: float = 0.0) ->
         Place("line", band="low" if a < 0 else "high", time=f"t{int(4 * abs(a))}") for a in AT
     ]
     both = [
-        block("lines", Tap.MAPS, y, np.full(COUNT, noise), places, ("optics",), lines),
-        block("clocks", Tap.HOLOGRAM, y2, np.full(20, noise), [Place("clock")] * 20,
+        block("lines", Observable.MAPS, y, np.full(COUNT, noise), places, ("optics",), lines),
+        block("clocks", Observable.HOLOGRAM, y2, np.full(20, noise), [Place("clock")] * 20,
               ("clocks", "optics"), clocks),
     ]  # fmt: skip
     return Comparison(both, Twin(), (LEVEL,))

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import acquire
+from diagnosis.block import Observable
 from drivers.simulated.settings import Simulation, cane_of
 from fitting.errors import FitError
 from fitting.fringes.pictures import read_pictures
@@ -358,7 +359,7 @@ def test_a_diagnosis_says_where_which_and_what_is_missing(cli, measured, folder)
     answer = said.json
     assert answer["verdict"] in {"none", "effect", "pair", "unknown", "not converged"}
     assert sum(answer["probability"].values()) == pytest.approx(1, abs=1e-3)
-    assert set(answer["where"]["taps"]) <= {f"T{k}" for k in range(9)}
+    assert set(answer["where"]["taps"]) <= set(Observable)
     assert len(answer["effects"]) >= 20
     # One sweep tells nothing of the sensor, and of nothing that needs a second one.
     assert any("dark" in what for what in answer["missing"])
@@ -370,7 +371,7 @@ def test_a_diagnosis_says_where_which_and_what_is_missing(cli, measured, folder)
 def test_the_catalogue_of_effects_is_listed_for_people_and_programs(cli):
     told = cli("effects", "--json").json
     assert len(told) >= 30
-    assert {"id", "stage", "parameters", "moves", "keeps", "action"} <= set(told[0])
+    assert {"id", "stage", "parameters", "unaffected", "similar", "check"} <= set(told[0])
     assert all(effect["id"] in cli("effects").out for effect in told[:3])
 
 

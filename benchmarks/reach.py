@@ -25,7 +25,7 @@ from diagnosis.likeness import (
     classes_of,
     reach_of,
 )
-from diagnosis.observing import Readings
+from diagnosis.readings.campaign_readings import Readings
 from diagnosis.rivals import compete
 from diagnosis.screening import signatures_of
 from diagnosis.verdict import compared

@@ -31,8 +31,9 @@ from diagnosis.likeness import (
     reach_of,
 )
 from diagnosis.nuisances import NUISANCES, of_fits
-from diagnosis.observables.vibration import common_modes
-from diagnosis.observing import Readings, blocks
+from diagnosis.observing import blocks
+from diagnosis.readings.campaign_readings import Readings
+from diagnosis.readings.sweeps import common_modes
 from diagnosis.rivals import Comparison, Rival
 from diagnosis.triggers import Trigger, triggers
 from diagnosis.where import Map, gap_map

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,165 +13,20 @@ from diagnosis.block import (
     Place,
     block,
 )
-from diagnosis.campaign import Part
-from diagnosis.observables.vibration import SweepReading
-from fitting.holograms.block_amplitudes import Unshifted
-from physics.reed.geometry import half_width_m
+from diagnosis.observable_source import GroupSource
+from diagnosis.readings.campaign_readings import Readings
+from diagnosis.readings.carrier import Carrier, carrier_floor
+from diagnosis.readings.sweeps import SweepReading
+from physics.mechanics import ReedSolver
 from physics.twin import Twin
-from runs.reader import Run
-from runs.records import StepRecord
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
-# From here to the clamp a reed hardly moves.
-_CALM_M = 2e-3
-# Of many holograms those count that are calmest.
-_CALMEST = 0.25
-_LEAST_PIXELS = 20
-# Light is seen if it stands out of what noise makes of so many pixels by so many times its scatter.
-_SEEN = 5.0
-# From here to the clamp a reed bends simply. Less than that share of unshifted light is left alone.
-_BENT_M, _LEAST_TAKEN_OFF = 6e-3, 5e-3
-# What of it may stay where it has been taken off.
+# Log of how much the light that a reed shows next to its clamp differs between reeds and sweeps.
+_REEDS, _SWEEPS = 0.4, 0.15
+# Fraction of the carrier that may stay where it has been subtracted.
 _LEFT = 0.3
-
-
-@dataclass(frozen=True)
-class Carrier:
-    """Light of the reed at rest in the holograms of one sweep, beside its clamp.
-
-    Attributes
-    ----------
-    name : str
-        Of the sweep.
-    share : float
-        Amplitude in units of that of the light at rest, in the calmest holograms.
-    error : float
-        Standard deviation that noise gives it in one hologram.
-    volts : float
-        Geometric mean.
-    """
-
-    name: str
-    share: float
-    error: float
-    volts: float
-
-
-def read_carriers(sweeps: Sequence[Part], stills: Sequence[Part]) -> list[Carrier]:
-    """Read all sweeps of clampings of which there is light at rest, and whose clamp is seen."""
-    found = []
-    stills = [part for part in stills if part.good_steps]
-    for clamping in sorted({part.clamping for part in stills}):
-        first = next(part for part in stills if part.clamping == clamping)
-        calm = _beside_clamp(first.run, _CALM_M)
-        if np.count_nonzero(calm) < _LEAST_PIXELS:
-            continue
-        at_rest, noise = _at_rest(first)
-        light = at_rest[calm]
-        power = float(np.vdot(light, light).real) - noise * light.size
-        if power < _SEEN * noise * np.sqrt(light.size):
-            continue
-        shown = [part for part in sweeps if _steps(part) and _show_same(part, first)]
-        found += [_carrier(part, calm, light, power) for part in shown]
-    return found
-
-
-def _steps(part: Part) -> list[StepRecord]:
-    """Good steps of the sideband that pictures are made of."""
-    return [step for step in part.good_steps if step.order == part.run.sideband_order]
-
-
-def _show_same(sweep: Part, still: Part) -> bool:
-    """Whether a sweep shows what is at rest in the same speckle and the same pixels."""
-    shown, at_rest = sweep.run, still.run
-    same = np.array_equal(shown.x_m, at_rest.x_m) and np.array_equal(shown.y_m, at_rest.y_m)
-    return same and sweep.clamping == still.clamping
-
-
-def _beside_clamp(run: Run, length_m: float) -> NDArray[np.bool_]:
-    """Which pixels (height, width) show the reed beside its clamp."""
-    reed = run.reed_file().geometry()
-    near = run.x_m > reed.clamp.x_m[0] - length_m
-    inside = np.abs(run.y_m)[:, None] < half_width_m(reed.outline, run.x_m)
-    beside: NDArray[np.bool_] = near & inside
-    return beside
-
-
-def _at_rest(part: Part) -> tuple[Complex, float]:
-    """Mean light (height, width) of a reed at rest, and the variance of its noise."""
-    fields, noises = [], []
-    for step in part.good_steps:
-        halves = part.run.reconstruction.quadratures(part.run.frames(step.position))
-        fields.append(halves.field)
-        noises.append(halves.noise)
-    turned = [f * np.exp(-1j * np.angle(np.vdot(fields[0], f))) for f in fields]
-    return np.mean(turned, axis=0), float(np.mean(noises)) / len(fields)
-
-
-def _carrier(part: Part, calm: NDArray[np.bool_], light: Complex, power: float) -> Carrier:
-    run = part.run
-    steps = _steps(part)
-    seen = [abs(np.vdot(light, run.field(step.position)[calm])) / power for step in steps]
-    noise = float(np.median([step.noise_level for step in steps]))
-    volts = float(np.exp(np.mean([np.log(max(step.volts, 1e-6)) for step in steps])))
-    return Carrier(part.name, float(np.quantile(seen, _CALMEST)), np.sqrt(noise / power), volts)
-
-
-def unshifted_light(
-    sweeps: Sequence[Part], stills: Sequence[Part], carriers: Sequence[Carrier]
-) -> dict[str, Unshifted]:
-    """Light that leaks into sweeps, by their names, where it is so much that fits would suffer.
-
-    It is as large in all holograms of a sweep, and its phase in each is what the reed shows where
-    it would meet its clamp. The calmest sweep tells how large.
-
-    Parameters
-    ----------
-    sweeps, stills : sequence of Part
-    carriers : sequence of Carrier
-        By `read_carriers`.
-    """
-    if not carriers:
-        return {}
-    calmest = min(carriers, key=lambda carrier: carrier.volts)
-    usual = float(_floor([calmest])[0])
-    share = float(np.sqrt(max(calmest.share**2 - usual**2, 0.0)))
-    if share < max(_LEAST_TAKEN_OFF, 2 * usual):
-        return {}
-    found: dict[str, Unshifted] = {}
-    for still in [part for part in stills if part.good_steps]:
-        shown = [p for p in sweeps if p.name not in found and _show_same(p, still)]
-        if shown:
-            light, _ = _at_rest(still)
-            found |= {part.name: _unshifted(part, light, share) for part in shown}
-    return found
-
-
-def _unshifted(part: Part, at_rest: Complex, share: float) -> Unshifted:
-    """Light at rest (height, width) that leaks into each hologram of a sweep by so much."""
-    run = part.run
-    near = _beside_clamp(run, _BENT_M)
-    y_m, x_m = (at[near] for at in np.meshgrid(run.y_m, run.x_m, indexing="ij"))
-    away = (run.reed_file().geometry().clamp.x_m[0] - x_m) / _BENT_M
-    aside = y_m / max(float(np.abs(y_m).max()), 1e-12)
-    # A reed bends from its clamp on, and twists.
-    moved = np.stack([away**0, away**2, away**3, away**2 * aside], axis=1)
-    of_light = np.linalg.pinv(at_rest[near][:, None] * moved)[0]
-    shares = {}
-    for step in part.good_steps:
-        seen = complex(of_light @ run.field(step.position)[near])
-        shares[step.position] = share * seen / max(abs(seen), 1e-12)
-    return Unshifted(at_rest.astype(np.complex64), shares)
-
-
-# --- Beside the twin ----------------------------------------------------------------------------
-# What reeds move by there in calm holograms, in units of the light, per volt; log of how much that
-# differs from reed to reed, and from sweep to sweep.
-_MOVES, _REEDS, _SWEEPS = 6e-4, 0.4, 0.15
-# That quantile of numbers that are noise alone, in units of its root mean square.
-_NOISE = float(np.sqrt(-np.log1p(-_CALMEST)))
 
 
 @dataclass(frozen=True)
@@ -201,7 +56,11 @@ def leaks_in(carriers: Sequence[Carrier], sweeps: Sequence[SweepReading], mixing
         See `diagnosis.observables.light.mixing_in`.
     """
     share = dict(
-        zip([c.name for c in carriers], [c.share for c in carriers] - _floor(carriers), strict=True)
+        zip(
+            [c.name for c in carriers],
+            [c.share for c in carriers] - carrier_floor(carriers),
+            strict=True,
+        )
     )
     carrier = {
         sweep.name: max(share.get(sweep.name, 0.0), 0.0)
@@ -212,14 +71,9 @@ def leaks_in(carriers: Sequence[Carrier], sweeps: Sequence[SweepReading], mixing
     return Leaks(carrier, mixing)
 
 
-def _floor(carriers: Sequence[Carrier]) -> Array:
-    """What is taken for a carrier (c,) where none leaks in."""
-    return np.array([np.hypot(_MOVES * c.volts, _NOISE * c.error) for c in carriers])
-
-
 def carrier_block(carriers: Sequence[Carrier]) -> Block:
     """Carrier in the sideband of each sweep."""
-    floor = _floor(carriers)
+    floor = carrier_floor(carriers)
     noise = np.array([c.error for c in carriers]) * 0.3
 
     def predict(twin: Twin) -> Array:
@@ -231,3 +85,10 @@ def carrier_block(carriers: Sequence[Carrier]) -> Block:
     places = [Place("carrier beside the clamp", level=c.name) for c in carriers]
     values = [c.share for c in carriers]
     return block("carrier", Observable.MAPS, values, covariance, places, ("optics",), predict)
+
+
+def _carrier(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
+    return carrier_block(readings.carriers) if readings.carriers else None
+
+
+SOURCES: Final = (GroupSource(8, _carrier),)

@@ -1,9 +1,9 @@
 """Drive and response: excitation peaks, amplitude against drive level, forces on modes."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,20 +17,19 @@ from diagnosis.block import (
     band_of,
     block,
 )
+from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks
-from diagnosis.observables.vibration import (
-    SAME_LEVEL,
-    SweepReading,
-    common_modes,
-    loudest,
-)
+from diagnosis.observables.light import leaks_of
+from diagnosis.readings.campaign_readings import Readings
+from diagnosis.readings.device import Device
+from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, loudest
 from physics.air import (
     CavityLine,
     Chamber,
     Filling,
     pressure_shape,
 )
-from physics.drive import Tweeter, tweeter_pressure_pa
+from physics.drive import tweeter_pressure_pa
 from physics.mechanics import (
     Mechanics,
     ReedMode,
@@ -75,25 +74,6 @@ _RIPPLE_DEGREE = 5
 # Holograms on either side of a mode in which a drive may jump; from which second difference on, and
 # what share of it forces are then uncertain by.
 _BESIDE, _BENT, _JUMP = 2, 0.4, 0.5
-
-
-@dataclass(frozen=True)
-class Device:
-    """What moves the reed, and the light that shows it, as nominally known.
-
-    Attributes
-    ----------
-    chamber : Chamber
-    line : CavityLine
-        Resonance of the air that the device is known to have.
-    wavelength_m : float
-    tweeter : Tweeter
-    """
-
-    chamber: Chamber
-    line: CavityLine
-    wavelength_m: float
-    tweeter: Tweeter = Tweeter()
 
 
 def line_block(sweeps: Sequence[SweepReading], line: CavityLine, leaks: Leaks) -> Block | None:
@@ -385,3 +365,21 @@ def _pushes(
         moved += np.multiply.outer([1, sign], half.surface_z @ own)
     without_signs = 0.5 * float(np.abs(left) @ np.abs(everywhere))
     return float(pushed[0]), float(pushed[1]), without_signs, float(np.abs(moved).max())
+
+
+def _lines(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
+    if not readings.sweeps:
+        return None
+    return line_block(readings.sweeps, readings.device.line, leaks_of(readings))
+
+
+def _level(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
+    return level_block(readings.sweeps, leaks_of(readings)) if readings.sweeps else None
+
+
+def _forces(readings: Readings, reed_solver: ReedSolver) -> Block | None:
+    sweeps = readings.sweeps
+    return force_block(sweeps, reed_solver, readings.device) if sweeps else None
+
+
+SOURCES: Final = (GroupSource(13, _lines), GroupSource(14, _level), GroupSource(15, _forces))

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,12 @@ from diagnosis.block import (
     band_of,
     block,
 )
-from diagnosis.observables.still import Still
-from diagnosis.observables.vibration import (
-    TEMPLATES,
-    SweepReading,
-    at_highest_level,
-)
+from diagnosis.observable_source import GroupSource
+from diagnosis.observables.carrier import Leaks, leaks_in
+from diagnosis.readings.campaign_readings import Readings
+from diagnosis.readings.reed_at_rest import Still
+from diagnosis.readings.sweeps import TEMPLATES, SweepReading, at_highest_level
+from physics.mechanics import ReedSolver
 from physics.twin import OpticsParameters, Twin
 
 Array = NDArray[np.floating[Any]]
@@ -269,3 +269,23 @@ def _scatter(series: Array) -> float:
     if not steps.size:
         return 0.0
     return float(1.4826 * np.median(np.abs(steps)) / np.sqrt(2))
+
+
+def leaks_of(readings: Readings) -> Leaks:
+    """Return what leaks into the sweeps of a campaign."""
+    return leaks_in(readings.carriers, readings.sweeps, mixing_in(readings.sweeps))
+
+
+def _brightness(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
+    return brightness_block(readings.sweeps, readings.stills) if readings.sweeps else None
+
+
+def _noise(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
+    return noise_block(readings.sweeps) if readings.sweeps else None
+
+
+def _fringes(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
+    return fringe_block(readings.sweeps) if readings.sweeps else None
+
+
+SOURCES: Final = (GroupSource(10, _brightness), GroupSource(11, _noise), GroupSource(12, _fringes))

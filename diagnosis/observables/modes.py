@@ -1,7 +1,7 @@
 """Frequencies and losses of all modes in all sweeps."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +13,11 @@ from diagnosis.block import (
     band_of,
     block,
 )
+from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks
-from diagnosis.observables.vibration import (
-    SAME_LEVEL,
-    SweepReading,
-    common_modes,
-    loudest,
-)
+from diagnosis.observables.light import leaks_of
+from diagnosis.readings.campaign_readings import Readings
+from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, loudest
 from physics.mechanics import ReedSolver
 from physics.twin import (
     Environment,
@@ -277,3 +275,11 @@ def _slope(reed_solver: ReedSolver, twin: Twin, modulus: str, names: Sequence[st
         reed_solver.modes(with_cane(twin, **{modulus: sign * _STEP}).reed) for sign in (1, -1)
     )
     return np.array([np.log(ahead[n].hz / behind[n].hz) / (2 * _STEP) for n in names])
+
+
+def _modes(readings: Readings, reed_solver: ReedSolver) -> Block | None:
+    sweeps = readings.sweeps
+    return modes_block(sweeps, reed_solver, leaks_of(readings)) if sweeps else None
+
+
+SOURCES: Final = (GroupSource(16, _modes),)

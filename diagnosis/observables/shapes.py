@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,11 @@ from diagnosis.block import (
     band_of,
     block,
 )
+from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks
-from diagnosis.observables.vibration import SweepReading
+from diagnosis.observables.light import leaks_of
+from diagnosis.readings.campaign_readings import Readings
+from diagnosis.readings.sweeps import SweepReading
 from fitting.modal.identify import SHAPES_HZ
 from physics.mechanics import (
     Mechanics,
@@ -180,3 +183,11 @@ def _deflection(reed_solver: ReedSolver, mode: ReedMode, at_m: Array) -> tuple[f
             (float(own @ half.mass @ own), sign * float(half.surface_z[node] @ own), symmetry)
         )
     return sum(part[1] for part in parts), max(parts, key=lambda part: part[0])[2]
+
+
+def _shapes(readings: Readings, reed_solver: ReedSolver) -> Block | None:
+    sweeps = readings.sweeps
+    return shapes_block(sweeps, reed_solver, leaks_of(readings)) if sweeps else None
+
+
+SOURCES: Final = (GroupSource(17, _shapes),)

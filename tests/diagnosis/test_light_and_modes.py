@@ -9,11 +9,7 @@ from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.drive import _torn
 from diagnosis.observables.light import brightness_block, noise_block
 from diagnosis.observables.modes import _levels, _of_leaks
-from diagnosis.observables.vibration import (
-    _doubt,
-    at_highest_level,
-    loudest,
-)
+from diagnosis.readings.sweeps import _doubt, at_highest_level, loudest
 from physics.twin import SensorParameters, Twin
 
 COUNT = 184

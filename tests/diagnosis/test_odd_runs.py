@@ -7,18 +7,9 @@ import numpy as np
 import pytest
 
 from diagnosis.block import Observable, Place, block
-from diagnosis.observables.beat import (
-    lock_block,
-    lock_scatter_hz,
-    read_beat,
-)
-from diagnosis.observables.carrier import Leaks, read_carriers
-from diagnosis.observables.drive import (
-    Device,
-    force_block,
-    level_block,
-    line_block,
-)
+from diagnosis.observables.carrier import Leaks
+from diagnosis.observables.drive import force_block, level_block, line_block
+from diagnosis.observables.frequency_lock import lock_block, lock_scatter_hz
 from diagnosis.observables.light import (
     brightness_block,
     fringe_block,
@@ -26,10 +17,13 @@ from diagnosis.observables.light import (
     noise_block,
 )
 from diagnosis.observables.modes import modes_block
-from diagnosis.observables.sensor import read_dark, read_flat
-from diagnosis.observables.still import turn_block, usual_scatter_hz
-from diagnosis.observables.vibration import TEMPLATES
-from diagnosis.observing import _missing
+from diagnosis.observables.reed_at_rest import turn_block, usual_scatter_hz
+from diagnosis.readings.camera import read_dark, read_flat
+from diagnosis.readings.campaign_readings import _missing
+from diagnosis.readings.carrier import read_carriers
+from diagnosis.readings.device import Device
+from diagnosis.readings.step_log import read_beat
+from diagnosis.readings.sweeps import TEMPLATES
 from fitting.errors import FitError, FitInputError
 from fitting.holograms.block_amplitudes import _holograms
 from physics.air import CavityLine, Chamber

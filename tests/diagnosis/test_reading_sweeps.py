@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from diagnosis.observables import vibration
+from diagnosis.readings import sweeps as sweep_readings
 from fitting.errors import FitError
 
 VOLTS = {"up": 8.0, "down": 8.0, "quiet": 2.0, "again": 8.0}
@@ -43,19 +43,19 @@ def fitted(monkeypatch):
             raise FitError(f"{run.name} shows another reed")
         return SimpleNamespace(name=run.name, resonances=before.resonances, of=before.of)
 
-    monkeypatch.setattr(vibration, "basis_of", lambda _file: None)
-    monkeypatch.setattr(vibration, "finite_element_model", lambda _reed: None)
-    monkeypatch.setattr(vibration, "fit_jointly", jointly)
-    monkeypatch.setattr(vibration, "fit_again", again)
-    monkeypatch.setattr(vibration, "fit_less", lambda fit: fit)
-    monkeypatch.setattr(vibration, "_doubt", lambda fit: told.doubt.get(fit.name, (0, 0.0)))
-    monkeypatch.setattr(vibration, "_reading", lambda part, fit, _off: (part.name, fit.of))
+    monkeypatch.setattr(sweep_readings, "basis_of", lambda _file: None)
+    monkeypatch.setattr(sweep_readings, "finite_element_model", lambda _reed: None)
+    monkeypatch.setattr(sweep_readings, "fit_jointly", jointly)
+    monkeypatch.setattr(sweep_readings, "fit_again", again)
+    monkeypatch.setattr(sweep_readings, "fit_less", lambda fit: fit)
+    monkeypatch.setattr(sweep_readings, "_doubt", lambda fit: told.doubt.get(fit.name, (0, 0.0)))
+    monkeypatch.setattr(sweep_readings, "_reading", lambda part, fit, _off: (part.name, fit.of))
     yield told
     assert not multiprocessing.active_children()
 
 
 def test_the_loudest_is_fitted_by_itself_and_handed_on(fitted) -> None:
-    read, refused = vibration.read_sweeps(PARTS)
+    read, refused = sweep_readings.read_sweeps(PARTS)
     assert read == [(name, "up") for name in VOLTS]
     assert not refused
     assert fitted.again == [
@@ -70,30 +70,30 @@ def test_the_loudest_is_fitted_by_itself_and_handed_on(fitted) -> None:
 def test_the_first_without_doubt_will_do(fitted) -> None:
     # Of those that are tried after the loudest: the calmest, then one of another clamping.
     fitted.doubt = {"up": (1, 2.0), "quiet": (1, 1.0)}
-    assert {of for _, of in vibration.read_sweeps(PARTS)[0]} == {"again"}
+    assert {of for _, of in sweep_readings.read_sweeps(PARTS)[0]} == {"again"}
 
 
 def test_the_least_doubtful_will_do_if_none_is_without(fitted) -> None:
     fitted.doubt = {"up": (1, 2.0), "quiet": (1, 1.0), "again": (2, 0.0), "down": (1, 3.0)}
-    assert {of for _, of in vibration.read_sweeps(PARTS)[0]} == {"quiet"}
+    assert {of for _, of in sweep_readings.read_sweeps(PARTS)[0]} == {"quiet"}
 
 
 def test_what_cannot_be_fitted_by_itself_can_from_another(fitted) -> None:
     fitted.refused = {"up", "quiet"}
-    read, refused = vibration.read_sweeps(PARTS)
+    read, refused = sweep_readings.read_sweeps(PARTS)
     assert read == [(name, "again") for name in VOLTS]
     assert not refused
 
 
 def test_what_cannot_be_fitted_at_all_is_told_by_its_reason(fitted) -> None:
     fitted.lost = {"down"}
-    read, refused = vibration.read_sweeps(PARTS)
+    read, refused = sweep_readings.read_sweeps(PARTS)
     assert [name for name, _ in read] == ["up", "quiet", "again"]
     assert refused == ["down shows another reed"]
 
 
 def test_a_campaign_of_which_nothing_can_be_fitted_is_told(fitted) -> None:
     fitted.refused = set(VOLTS)
-    read, refused = vibration.read_sweeps(PARTS)
+    read, refused = sweep_readings.read_sweeps(PARTS)
     assert not read
     assert refused == [f"{name} cannot be fitted" for name in VOLTS]

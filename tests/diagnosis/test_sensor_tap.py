@@ -6,15 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.observables.sensor import (
-    Sheet,
-    dark_block,
-    flat_block,
-    lo_block,
-    read_beam,
-    read_dark,
-    read_flat,
-)
+from diagnosis.observables.sensor import dark_block, flat_block, lo_block
+from diagnosis.readings.camera import Sheet, read_beam, read_dark, read_flat
 from physics.sensor import Sensor
 from physics.twin import (
     OpticsParameters,

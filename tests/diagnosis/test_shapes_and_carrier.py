@@ -5,14 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.observables.carrier import (
-    Carrier,
-    Leaks,
-    carrier_block,
-    leaks_in,
-    unshifted_light,
-)
+from diagnosis.observables.carrier import Leaks, carrier_block, leaks_in
 from diagnosis.observables.shapes import shapes_block
+from diagnosis.readings.carrier import Carrier, unshifted_light
 from physics.mechanics import ReedMode, TipMass
 from physics.reed.fem import Symmetry
 from physics.reed.geometry import ReedGeometry

@@ -352,14 +352,14 @@ def test_a_class_has_only_what_is_alike_to_all_of_it_and_reach_is_five_deviation
     far = np.array([[0.62], [math.sqrt(1 - 0.62**2)], [0.0]])
     signatures = {
         name: (table, table)
-        for name, table in (("air_load", east), ("density", near), ("stiffening", far))
+        for name, table in (("air_load", east), ("density", near), ("viscoelastic_stiffening", far))
     }
     effects = [BY_ID[name] for name in (*signatures, "crack")]
     reach = reach_of(effects, signatures)
     classes = classes_of(reach)
     assert sorted(map(len, classes)) == [1, 1, 2]
     of = {entry.effect: entry for entry in reach}
-    assert set(of["density"].alike) == {"air_load", "stiffening"}
+    assert set(of["density"].alike) == {"air_load", "viscoelastic_stiffening"}
     (parameter,) = BY_ID["density"].sizes
     # A deviation of the prior moves by one deviation of the noise.
     assert of["density"].detectable["density"] == pytest.approx(DETECTABLE * parameter.spread)

@@ -6,26 +6,19 @@ import numpy as np
 import pytest
 
 from diagnosis.observables import drive
-from diagnosis.observables.beat import (
-    Beat,
-    lock_block,
-    log_block,
-)
 from diagnosis.observables.carrier import Leaks
-from diagnosis.observables.drive import (
-    Device,
-    forces_rad,
-    level_block,
-    line_block,
-)
+from diagnosis.observables.drive import forces_rad, level_block, line_block
+from diagnosis.observables.frequency_lock import lock_block, log_block
 from diagnosis.observables.light import (
     brightness_block,
     fringe_block,
     noise_block,
 )
 from diagnosis.observables.modes import _prediction
-from diagnosis.observables.still import scatter_block, turn_block
-from diagnosis.observables.vibration import TEMPLATES
+from diagnosis.observables.reed_at_rest import scatter_block, turn_block
+from diagnosis.readings.device import Device
+from diagnosis.readings.step_log import Beat
+from diagnosis.readings.sweeps import TEMPLATES
 from physics.air import (
     CavityLine,
     Chamber,

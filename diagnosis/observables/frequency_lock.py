@@ -1,8 +1,6 @@
 """Logs and frequency lock of all steps of all sweeps."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,62 +14,16 @@ from diagnosis.block import (
     block,
     unknown,
 )
-from diagnosis.campaign import Part
+from diagnosis.observable_source import GroupSource
+from diagnosis.readings.campaign_readings import Readings
+from diagnosis.readings.step_log import Beat
 from holography.phase import TURN_OF_FRAMES
+from physics.mechanics import ReedSolver
 from physics.twin import Twin
-from runs.verdict import Verdict
 
 Array = NDArray[np.floating[Any]]
 
-# What steps are worth of which frames were missing, twice the same, or in another order.
-_LOST = (Verdict.PARTIAL, Verdict.DROPPED, Verdict.DISORDERED)
 
-
-@dataclass(frozen=True)
-class Beat:
-    """All steps of all sweeps.
-
-    Attributes
-    ----------
-    steps, lost : int
-        Acquisitions, and those of them in which a frame was missing or twice the same.
-    lock_hz, error_hz : (k,) float
-        By which the lock was missed, and standard errors; of steps with light enough.
-    drive_hz, time_s : (k,) float
-    sweep : (k,) int
-    names : tuple of str
-        Of the sweeps.
-    """
-
-    steps: int
-    lost: int
-    lock_hz: Array
-    error_hz: Array
-    drive_hz: Array
-    time_s: Array
-    sweep: NDArray[np.intp]
-    names: tuple[str, ...]
-
-
-def read_beat(parts: Sequence[Part]) -> Beat:
-    """Read the steps of sweeps."""
-    rows, lost, count = [], 0, 0
-    for number, part in enumerate(parts):
-        for step in part.run.steps:
-            if not step.verdict.measured or step.order != part.run.sideband_order:
-                continue
-            count += 1
-            lost += step.verdict in _LOST
-            if step.verdict is Verdict.OK and np.isfinite(step.lock_error_se_hz):
-                hz = float(step.read_drive_hz or step.drive_hz)
-                time_s = float(np.mean(step.timestamps_s)) - part.clock_s
-                rows.append((step.lock_error_hz, step.lock_error_se_hz, hz, time_s, number))
-    lock, error, hz, time_s, number_ = np.reshape(np.array(rows, dtype=float), (-1, 5)).T
-    names = tuple(part.name for part in parts)
-    return Beat(count, lost, lock, error, hz, time_s, number_.astype(int), names)
-
-
-# --- Beside the twin ----------------------------------------------------------------------------
 # What all locks may miss together.
 _COMMON_HZ = 4e-4
 # A mean is of so many steps at least.
@@ -171,3 +123,13 @@ def lock_block(beat: Beat, rate_hz: float) -> Block | None:
     return block(
         "lock", Observable.HOLOGRAM, values, covariance, places, ("clocks", "optics"), predict
     )
+
+
+def _lock(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
+    return lock_block(readings.beat, readings.rate_hz)
+
+
+SOURCES: Final = (
+    GroupSource(0, lambda readings, _reed_solver: log_block(readings.beat)),
+    GroupSource(4, _lock),
+)

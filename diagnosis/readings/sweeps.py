@@ -10,12 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0, j1, jv
 
-from diagnosis.block import (
-    Block,
-    Observable,
-    Place,
-    block,
-)
 from diagnosis.campaign import Part
 from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
@@ -28,7 +22,6 @@ from fitting.modal.identify import (
 )
 from fitting.modal.modal_fit import ModalFit
 from fitting.parallel.processes import map_processes
-from physics.twin import Twin
 from runs.reader import Run
 from runs.records import StepRecord
 
@@ -439,19 +432,3 @@ def common_modes(sweeps: Sequence[SweepReading]) -> list[str]:
         if sum(name in sweep.names for sweep in sweeps) >= max(1, len(sweeps) - 1)
         and hz < _HIGHEST_HZ
     ]
-
-
-# --- Beside the twin ----------------------------------------------------------------------------
-# By how many sweeps fits fail though nothing is wrong.
-_REFUSED = 0.3
-
-
-def understood_block(understood: int, refused: int) -> Block:
-    """How many sweeps are no vibrations of this reed: no twin expects any."""
-
-    def predict(_twin: Twin) -> Array:
-        return np.zeros(1)
-
-    places = [Place(f"sweeps not understood, of {understood + refused}")]
-    errors = np.array([_REFUSED])
-    return block("sweeps", Observable.RESPONSE, [float(refused)], errors, places, (), predict)

@@ -1,0 +1,207 @@
+"""Frames without fringes: dark frames, even light, one beam alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.campaign import Part
+from fitting.errors import FitInputError
+from physics.sensor import Sensor
+
+Array = NDArray[np.floating[Any]]
+
+# A pixel is hot if it stands out of the others by so many times their noise.
+_HOT = 8.0
+# Frames are saturated if half of their pixels reach this share of what a pixel can show.
+_SATURATED = 0.98
+
+
+@dataclass(frozen=True)
+class Dark:
+    """Frames without light.
+
+    Attributes
+    ----------
+    offset_dn : float
+    noise_dn : float
+        Standard deviation of a pixel in time.
+    hot : float
+        Share of the pixels.
+    pixels, frames : int
+    row_excess, column_excess : float
+        Log of the variance of means of rows, and of columns, in time, over what single pixels make
+        of it.
+    """
+
+    offset_dn: float
+    noise_dn: float
+    hot: float
+    pixels: int
+    frames: int
+    row_excess: float
+    column_excess: float
+
+
+@dataclass(frozen=True)
+class Flat:
+    """Frames of even light, at several exposures.
+
+    Attributes
+    ----------
+    exposure_s : (e,) float
+    signal_dn : (e,) float
+        Mean above the offset.
+    variance_dn : (e,) float
+        Of a pixel in time.
+    pattern : float
+        Rms by which pixels differ from their surroundings, a share.
+    corner : float
+        What the corners are brighter by, a share, by a paraboloid.
+    tilt : (2,) float
+        What the last row, and column, is brighter by than the middle.
+    """
+
+    exposure_s: Array
+    signal_dn: Array
+    variance_dn: Array
+    pattern: float
+    corner: float
+    tilt: Array
+
+
+@dataclass(frozen=True)
+class Beam:
+    """Frames of one beam alone.
+
+    Attributes
+    ----------
+    tilt : (2,) float
+        What the last row, and column, is brighter by than the middle, a share, by a paraboloid.
+    bend : float
+        What the corners are.
+    """
+
+    tilt: Array
+    bend: float
+
+
+def stacked(parts: Sequence[Part]) -> tuple[Array, Array]:
+    """Frames (e, 4, ny, nx) and exposures (e,) of all acquisitions of runs that kept frames."""
+    frames, exposures = [], []
+    for part in parts:
+        for step in part.run.steps:
+            if step.verdict.measured:
+                frames.append(part.run.frames(step.position).astype(np.float32))
+                exposures.append(part.run.exposure_of(step))
+    return np.stack(frames), np.array(exposures)
+
+
+def read_dark(parts: Sequence[Part]) -> Dark:
+    """Read dark frames.
+
+    Raises
+    ------
+    FitInputError
+        If they have no noise.
+    """
+    frames = np.concatenate(list(stacked(parts)[0]))
+    level = frames.mean(axis=0)
+    offset = float(np.median(level))
+    noise = float(np.sqrt(np.median(frames.var(axis=0, ddof=1)) / _median_of_chi2(len(frames))))
+    hot = level - offset > _HOT * max(noise / np.sqrt(len(frames)), 0.3)
+    calm = frames[:, ~hot]
+    noise = float(np.sqrt(np.mean(calm.var(axis=0, ddof=1))))
+    if not noise:
+        names = ", ".join(part.run.path.name for part in parts)
+        raise FitInputError(
+            f"{names}: no pixel of the dark frames ever changes, as a camera's do; leave them "
+            "out, or measure them anew"
+        )
+    moving = np.where(hot, 0.0, frames - level)
+    excess = [
+        float(np.log(np.mean(moving.mean(axis=axis) ** 2) * moving.shape[axis] / noise**2)
+              + np.log(len(frames) / (len(frames) - 1)) - np.log(1 - hot.mean()))
+        for axis in (2, 1)
+    ]  # fmt: skip
+    return Dark(offset, noise, float(hot.mean()), hot.size, len(frames), *excess)
+
+
+def read_flat(parts: Sequence[Part], offset_dn: float) -> Flat | None:
+    """Read flat frames; None if all are saturated."""
+    frames, exposure_s = stacked(parts)
+    full_dn = min(part.run.saturation_dn for part in parts)
+    below = np.median(frames, axis=(1, 2, 3)) < _SATURATED * full_dn
+    if not below.any():
+        return None
+    frames, exposure_s = frames[below], exposure_s[below]
+    mean = frames.mean(axis=1) - np.float32(offset_dn)
+    signal = mean.mean(axis=(1, 2))
+    variance = frames.var(axis=1, ddof=1).mean(axis=(1, 2))
+    whole = np.einsum("eyx,e->yx", mean, exposure_s) / np.sum(exposure_s**2)
+    surface, coefficients = _paraboloid(whole)
+    rough = whole / surface
+    noise = np.sqrt(np.sum(exposure_s**2 * variance) / 4) / np.sum(exposure_s**2)
+    pattern2 = (
+        float(np.median(np.abs(rough - 1)) * 1.4826) ** 2 - float(noise / np.mean(surface)) ** 2
+    )
+    return Flat(
+        exposure_s, signal, variance, float(np.sqrt(max(pattern2, 0.0))), coefficients[0],
+        coefficients[1:],
+    )  # fmt: skip
+
+
+def read_beam(parts: Sequence[Part], offset_dn: float) -> Beam:
+    """Read frames of one beam."""
+    frames, exposure_s = stacked(parts)
+    mean = frames.mean(axis=1) - np.float32(offset_dn)
+    whole = np.einsum("eyx,e->yx", mean, exposure_s) / np.sum(exposure_s**2)
+    _, coefficients = _paraboloid(whole)
+    return Beam(coefficients[1:], coefficients[0])
+
+
+def _paraboloid(image: Array) -> tuple[Array, Array]:
+    """Paraboloid (ny, nx) nearest to an image, and its coefficients over the middle.
+
+    Returns
+    -------
+    surface : (ny, nx) float
+    coefficients : (3,) float
+        What corners are brighter by, and what the last row and column are.
+    """
+    rows, columns = image.shape
+    y, x = np.linspace(-1, 1, rows), np.linspace(-1, 1, columns)
+    Y, X = np.meshgrid(y, x, indexing="ij")
+    terms = np.stack([np.ones_like(Y), 0.5 * (Y**2 + X**2), Y, X], axis=-1).reshape(-1, 4)
+    found = np.linalg.lstsq(terms, image.ravel(), rcond=None)[0]
+    for _ in range(3):
+        left = image.ravel() - terms @ found
+        kept = np.abs(left) < 5 * 1.4826 * np.median(np.abs(left))
+        found = np.linalg.lstsq(terms[kept], image.ravel()[kept], rcond=None)[0]
+    return (terms @ found).reshape(rows, columns), found[1:] / found[0]
+
+
+def _median_of_chi2(frames: int) -> float:
+    """Median of a variance of so many frames over its mean."""
+    freedoms = frames - 1
+    return float((1 - 2 / (9 * freedoms)) ** 3)
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What is known of camera and local oscillator beforehand.
+
+    Attributes
+    ----------
+    sensor : Sensor
+    """
+
+    sensor: Sensor
+
+    @property
+    def half_m(self) -> tuple[float, float]:
+        """Half the sensor, along rows' numbers and columns'."""
+        rows, columns = self.sensor.shape
+        return 0.5 * rows * self.sensor.pixel_m, 0.5 * columns * self.sensor.pixel_m

@@ -1,0 +1,134 @@
+"""What all runs of a campaign say; less with fewer runs."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from threadpoolctl import threadpool_limits
+
+from diagnosis.campaign import Campaign
+from diagnosis.known_bench import sensor_of
+from diagnosis.readings.camera import Beam, Dark, Flat, Sheet, read_beam, read_dark, read_flat
+from diagnosis.readings.carrier import Carrier, read_carriers, unshifted_light
+from diagnosis.readings.device import Device
+from diagnosis.readings.reed_at_rest import Still, read_stills
+from diagnosis.readings.step_log import Beat, read_beat
+from diagnosis.readings.sweeps import SweepReading, common_modes, read_sweeps
+from physics.air import (
+    CavityLine,
+    Filling,
+    chamber_of,
+)
+from protocols.bench import BenchFile
+from runs.layout import Kind
+
+# Share of the time that fitting sweeps takes.
+_SWEEPS = 0.95
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What the runs of a campaign say.
+
+    Attributes
+    ----------
+    dark, flat, lo : Dark, Flat, Beam or None
+    stills : tuple of Still
+    carriers : tuple of Carrier
+    beat : Beat
+    sweeps : tuple of SweepReading
+    refused : tuple of str
+        Why sweeps could not be fitted.
+    missing : tuple of str
+        What would have told more.
+    rate_hz : float
+        Frames per second.
+    sheet : Sheet
+    device : Device
+    extra : mapping
+        What modules of `diagnosis.observables` read by themselves, by the names of their sources.
+    """
+
+    dark: Dark | None
+    flat: Flat | None
+    lo: Beam | None
+    stills: tuple[Still, ...]
+    carriers: tuple[Carrier, ...]
+    beat: Beat
+    sweeps: tuple[SweepReading, ...]
+    refused: tuple[str, ...]
+    missing: tuple[str, ...]
+    rate_hz: float
+    sheet: Sheet
+    device: Device
+    extra: Mapping[str, object] = field(default_factory=dict)
+
+
+def read_runs(
+    campaign: Campaign,
+    bench: BenchFile | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Readings:
+    """Read all runs.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    bench : BenchFile, optional
+        What is known of the bench.
+    progress : callable, optional
+        Called with the fraction that is done.
+
+    Raises
+    ------
+    RunFileError
+        If a run cannot be read.
+    """
+    # Matrices are small: threads of linear algebra would wait for each other.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _read(campaign, bench, progress or (lambda _share: None))
+
+
+def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float], None]) -> Readings:
+    first = campaign.sweeps[0].run
+    dark_parts, flat_parts = campaign.of_kind(Kind.DARK), campaign.of_kind(Kind.FLAT)
+    lo_parts, still_parts = campaign.of_kind(Kind.LO_ONLY), campaign.of_kind(Kind.ORDER0)
+    sensor = sensor_of(bench, first)
+    sheet = Sheet(sensor)
+    dark = read_dark(dark_parts) if dark_parts else None
+    offset_dn = dark.offset_dn if dark else sensor.offset_dn
+    carriers = read_carriers(campaign.sweeps, still_parts)
+    leaking = unshifted_light(campaign.sweeps, still_parts, carriers)
+    sweeps, refused = read_sweeps(campaign.sweeps, lambda share: report(_SWEEPS * share), leaking)
+    flat = read_flat(flat_parts, offset_dn) if flat_parts else None
+    lines = [CavityLine(frequency_hz=hz) for hz in first.acoustic_resonances_hz[:1]]
+    report(1.0)
+    return Readings(
+        dark=dark,
+        flat=flat,
+        lo=read_beam(lo_parts, offset_dn) if lo_parts else None,
+        stills=tuple(read_stills(still_parts)),
+        carriers=tuple(carriers),
+        beat=read_beat(campaign.sweeps),
+        sweeps=tuple(sweeps),
+        refused=tuple(refused),
+        missing=tuple(_missing(campaign, sweeps, saturated=bool(flat_parts) and flat is None)),
+        rate_hz=float(first.frame_rate_hz),
+        sheet=sheet,
+        device=Device(
+            chamber=chamber_of(first.reed_file().geometry(), Filling(first.chamber)),
+            line=lines[0] if lines else CavityLine(),
+            wavelength_m=first.reconstruction.transform.wavelength_m,
+        ),
+    )
+
+
+def _missing(campaign: Campaign, sweeps: Sequence[SweepReading], *, saturated: bool) -> list[str]:
+    """What would have told more: runs that are not there, and what those that are do not tell."""
+    missing = campaign.missing
+    if saturated:
+        missing.append("flat frames that are not saturated (linearity, pattern, vignetting)")
+    for sweep in sweeps:
+        compared = {*sweep.names} & {*common_modes(sweeps)}
+        if 2 * len(compared) < len(sweep.names):
+            missing.append(f"modes of {sweep.name} that the first sweep tells (few are compared)")
+    return missing

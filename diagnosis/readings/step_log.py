@@ -1,0 +1,60 @@
+"""Lost frames and lock errors of all steps of all sweeps."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.campaign import Part
+from runs.verdict import Verdict
+
+Array = NDArray[np.floating[Any]]
+
+# What steps are worth of which frames were missing, twice the same, or in another order.
+_LOST = (Verdict.PARTIAL, Verdict.DROPPED, Verdict.DISORDERED)
+
+
+@dataclass(frozen=True)
+class Beat:
+    """All steps of all sweeps.
+
+    Attributes
+    ----------
+    steps, lost : int
+        Acquisitions, and those of them in which a frame was missing or twice the same.
+    lock_hz, error_hz : (k,) float
+        By which the lock was missed, and standard errors; of steps with light enough.
+    drive_hz, time_s : (k,) float
+    sweep : (k,) int
+    names : tuple of str
+        Of the sweeps.
+    """
+
+    steps: int
+    lost: int
+    lock_hz: Array
+    error_hz: Array
+    drive_hz: Array
+    time_s: Array
+    sweep: NDArray[np.intp]
+    names: tuple[str, ...]
+
+
+def read_beat(parts: Sequence[Part]) -> Beat:
+    """Read the steps of sweeps."""
+    rows, lost, count = [], 0, 0
+    for number, part in enumerate(parts):
+        for step in part.run.steps:
+            if not step.verdict.measured or step.order != part.run.sideband_order:
+                continue
+            count += 1
+            lost += step.verdict in _LOST
+            if step.verdict is Verdict.OK and np.isfinite(step.lock_error_se_hz):
+                hz = float(step.read_drive_hz or step.drive_hz)
+                time_s = float(np.mean(step.timestamps_s)) - part.clock_s
+                rows.append((step.lock_error_hz, step.lock_error_se_hz, hz, time_s, number))
+    lock, error, hz, time_s, number_ = np.reshape(np.array(rows, dtype=float), (-1, 5)).T
+    names = tuple(part.name for part in parts)
+    return Beat(count, lost, lock, error, hz, time_s, number_.astype(int), names)

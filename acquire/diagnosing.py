@@ -7,12 +7,12 @@ from acquire.measurement import bench_file
 from acquire.results.diagnosis import DiagnosisResult, ResonanceDiagnosisResult
 from acquire.runner.callbacks import Announce, Progress, ignore
 from diagnosis.campaign import Campaign
+from diagnosis.campaign_diagnosis import Diagnosis
+from diagnosis.campaign_diagnosis import diagnose as judge
 from diagnosis.known_bench import base_twin, bench_of, only_once
 from diagnosis.mean_reed import printed_reeds, tabled_reeds
-from diagnosis.observing import read
-from diagnosis.published import diagnose_resonances as judge_resonances
-from diagnosis.verdict import Verdict
-from diagnosis.verdict import diagnose as judge
+from diagnosis.observe import read
+from diagnosis.resonance_diagnosis import diagnose_resonances as judge_resonances
 from fitting.errors import FitError, FitInputError
 from physics.effects.catalogue import CATALOGUE
 from physics.mechanics import ReedSolver
@@ -80,13 +80,13 @@ def diagnose(
     if page is not None:
         write_page(verdict, result.title, page, [file.name for file in files])
     if following is not None:
-        write_next(verdict.next_actions, verdict.rivals, protocol_text, first.reed, following)
+        write_next(verdict.next_experiments, verdict.compared, protocol_text, first.reed, following)
     return result
 
 
 def _verdict(
     campaign: Campaign, bench: BenchFile | None, announce: Announce, progress: Progress
-) -> Verdict:
+) -> Diagnosis:
     """Fit the sweeps of a campaign, then the causes."""
     first = campaign.sweeps[0].run
     described = bench or bench_of(first)

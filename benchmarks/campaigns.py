@@ -8,7 +8,7 @@ from pathlib import Path
 from blind.cases import Label, record_case
 from diagnosis.campaign import Campaign
 from diagnosis.known_bench import bench_of
-from diagnosis.observing import read
+from diagnosis.observe import read
 from diagnosis.readings.campaign_readings import Readings
 from physics.mechanics import ReedSolver
 from physics.reed.cache import anatomy

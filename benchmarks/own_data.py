@@ -29,13 +29,13 @@ from blind.cases import (
 from blind.classes import CLASSES
 from blind.report import report, sentences
 from blind.scoring import Case, Classes
-from diagnosis.rivals import Comparison
-from diagnosis.verdict import (
-    Told,
-    compared,
+from diagnosis.campaign_diagnosis import (
+    CampaignSummary,
     condition_of,
-    judged,
+    diagnose_problem,
+    inference_problem,
 )
+from diagnosis.inference.problem import InferenceProblem
 from physics.effects.catalogue import BY_ID
 from physics.twin import Twin
 from reports.diagnosis_json import to_json
@@ -47,10 +47,10 @@ _TRIES = 50
 
 
 @lru_cache(maxsize=1)
-def campaign_of(folder: Path) -> tuple[Comparison, str]:
+def campaign_of(folder: Path) -> tuple[InferenceProblem, str]:
     """Numbers of a campaign beside the twin, and the condition to leave out."""
     readings, reed_solver = readings_of(folder)
-    return compared(readings, reed_solver, Twin()), condition_of(readings)
+    return inference_problem(readings, reed_solver, Twin()), condition_of(readings)
 
 
 def with_effects(twin: Twin, label: Label, rng: np.random.Generator) -> Twin:
@@ -66,30 +66,30 @@ def with_effects(twin: Twin, label: Label, rng: np.random.Generator) -> Twin:
     return twin
 
 
-def imagined(comparison: Comparison, label: Label, rng: np.random.Generator) -> Comparison:
+def imagined(problem: InferenceProblem, label: Label, rng: np.random.Generator) -> InferenceProblem:
     """The same numbers as the twin would have them."""
     for _ in range(_TRIES):
-        z = rng.standard_normal(len(comparison.nuisances))
+        z = rng.standard_normal(len(problem.nuisances))
         try:
-            twin = with_effects(comparison.twin(z), label, rng)
-            predicted = [block.predict(twin) for block in comparison.blocks]
+            twin = with_effects(problem.twin(z), label, rng)
+            predicted = [block.predict(twin) for block in problem.groups]
         except ValueError:
             continue
         blocks = [
             replace(block, values=told + np.linalg.cholesky(block.covariance) @ noise)
-            for block, told in zip(comparison.blocks, predicted, strict=True)
+            for block, told in zip(problem.groups, predicted, strict=True)
             for noise in [rng.standard_normal(len(told))]
         ]
-        return Comparison(blocks, comparison.base, comparison.nuisances)
+        return InferenceProblem(blocks, problem.base, problem.nuisances)
     raise SystemExit(f"own_data: no reed is possible with {label.effects}")
 
 
 def answered(folder: Path, number: int) -> tuple[Label, dict[str, Any]]:
     """Draw a case, and diagnose it."""
-    comparison, condition = campaign_of(folder)
+    problem, condition = campaign_of(folder)
     label = drawn_label(_TIERS[number % len(_TIERS)], number, _SEED)
-    own = imagined(comparison, label, np.random.default_rng([_SEED, number]))
-    return label, to_json(judged(own, Told(condition)))
+    own = imagined(problem, label, np.random.default_rng([_SEED, number]))
+    return label, to_json(diagnose_problem(own, CampaignSummary(condition)))
 
 
 def main() -> None:

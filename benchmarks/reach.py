@@ -18,17 +18,17 @@ import numpy as np
 from benchmarks.campaigns import campaigns, readings_of
 from blind.cases import Label, true_sizes
 from blind.effects import BY_NAME
-from diagnosis.likeness import (
-    ALIKE,
-    DETECTABLE,
-    Reach,
-    classes_of,
-    reach_of,
+from diagnosis.campaign_diagnosis import inference_problem
+from diagnosis.inference.candidates import fit_model
+from diagnosis.inference.screening import signatures_of
+from diagnosis.inference.similarity import (
+    CONFUSABLE,
+    DETECTION_SIGMA,
+    Detectability,
+    confusable_classes,
+    detectability_of,
 )
 from diagnosis.readings.campaign_readings import Readings
-from diagnosis.rivals import compete
-from diagnosis.screening import signatures_of
-from diagnosis.verdict import compared
 from physics.effects.catalogue import BY_ID, CATALOGUE
 from physics.effects.effect import Stage
 from physics.mechanics import ReedSolver
@@ -37,14 +37,14 @@ from physics.twin import Twin
 EFFECTS = tuple(effect for effect in CATALOGUE if effect.stage is not Stage.NUMERICS)
 
 
-def reach_in(readings: Readings, reed_solver: ReedSolver) -> tuple[Reach, ...]:
+def reach_in(readings: Readings, reed_solver: ReedSolver) -> tuple[Detectability, ...]:
     """Reach of one campaign."""
-    comparison = compared(readings, reed_solver, Twin())
-    null = compete(comparison, (), [np.zeros(len(comparison.nuisances))], exact=True)
-    return reach_of(EFFECTS, signatures_of(comparison, null, EFFECTS))
+    problem = inference_problem(readings, reed_solver, Twin())
+    null = fit_model(problem, (), [np.zeros(len(problem.nuisances))], exact=True)
+    return detectability_of(EFFECTS, signatures_of(problem, null, EFFECTS))
 
 
-def together(reaches: Sequence[Sequence[Reach]]) -> list[Reach]:
+def together(reaches: Sequence[Sequence[Detectability]]) -> list[Detectability]:
     """Medians over campaigns; effects are alike if they are in most campaigns."""
     found = []
     for own in zip(*reaches, strict=True):
@@ -53,32 +53,34 @@ def together(reaches: Sequence[Sequence[Reach]]) -> list[Reach]:
             for name in own[0].detectable
         }
         cosines = {
-            other: float(np.median([reach.alike.get(other, 0.0) for reach in own]))
-            for other in sorted({name for reach in own for name in reach.alike})
+            other: float(np.median([reach.confusable.get(other, 0.0) for reach in own]))
+            for other in sorted({name for reach in own for name in reach.confusable})
         }
         absorbed = float(np.median([reach.absorbed for reach in own]))
-        alike = {name: value for name, value in cosines.items() if value >= ALIKE}
-        found.append(Reach(own[0].effect, absorbed, least, alike))
+        alike = {name: value for name, value in cosines.items() if value >= CONFUSABLE}
+        found.append(Detectability(own[0].effect, absorbed, least, alike))
     return found
 
 
-def as_drawn(reach: Reach, largest: float = 8.0) -> float:
+def as_drawn(reach: Detectability, largest: float = 8.0) -> float:
     """Multiple of a blind case's usual size from which on an effect stands out; NaN if untold."""
     multiples = []
     for sign in (1, -1) if BY_NAME[reach.effect].signed else (1,):
         label = Label(1, ((reach.effect, sign * largest),), True, 0)
         sizes = true_sizes(label).get(reach.effect, {})
-        out = [DETECTABLE * v / reach.detectable[name] for name, v in sizes.items()]
-        multiples.append(largest * DETECTABLE / float(np.linalg.norm(out)) if any(out) else np.nan)
+        out = [DETECTION_SIGMA * v / reach.detectable[name] for name, v in sizes.items()]
+        multiples.append(
+            largest * DETECTION_SIGMA / float(np.linalg.norm(out)) if any(out) else np.nan
+        )
     return float(np.min(multiples))
 
 
-def told(reach: Reach) -> str:
+def told(reach: Detectability) -> str:
     """One line of the table."""
     least = [(p, reach.detectable[p.name]) for p in BY_ID[reach.effect].sizes]
     seen = [f"{p.name} {size:.2g} {p.unit}".strip() for p, size in least if np.isfinite(size)]
     sizes = "; ".join(seen) or "no size"
-    alike = ", ".join(f"{name} {value:.2f}" for name, value in reach.alike.items())
+    alike = ", ".join(f"{name} {value:.2f}" for name, value in reach.confusable.items())
     absorbed = "-" if np.isnan(reach.absorbed) else f"{reach.absorbed:.0%}"
     return f"{reach.effect:<24}{sizes:<44}{as_drawn(reach):>6.2f}{absorbed:>6}  {alike}"
 
@@ -94,7 +96,7 @@ def main() -> None:
     print(f"{'effect':<24}{least:<44}{'drawn':>6}{'taken':>6}  alike")
     for reach in found:
         print(told(reach))
-    print("classes:", *("|".join(group) for group in classes_of(found) if len(group) > 1))
+    print("classes:", *("|".join(group) for group in confusable_classes(found) if len(group) > 1))
 
 
 if __name__ == "__main__":

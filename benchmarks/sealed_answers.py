@@ -35,7 +35,7 @@ def essence(case: Case) -> dict[str, Any] | None:
         return None
     true = {name for name, _ in case.label.effects}
     closed = {frozenset(true), frozenset(answer["effects_named"])}
-    by = answer["how_far"]["by"]
+    by = answer["explained_fraction"]["by"]
     return {
         "verdict": answer["verdict"],
         "effects_named": answer["effects_named"],
@@ -43,7 +43,7 @@ def essence(case: Case) -> dict[str, Any] | None:
         "probability": {key: p for key, p in answer["probability"].items()
                         if p >= _LEAST or key == UNKNOWN},
         "effects": {name: _of_effect(t) for name, t in answer["effects"].items() if name in true},
-        "how_far": {"by": {key: {end: by[key][end] for end in ("before", "after")}
+        "explained_fraction": {"by": {key: {end: by[key][end] for end in ("before", "after")}
                            for key in by if frozenset(key.split("+")) in closed}},
     }  # fmt: skip
 

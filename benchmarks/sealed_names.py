@@ -23,12 +23,13 @@ class SealedNames:
     ----------
     table : mapping
         ``effects``: identifiers, old to new; ``sizes``: for each new identifier the names of its
-        sizes, old to new.
+        sizes, old to new; ``keys``: keys of an answer, old to new.
     """
 
     def __init__(self, table: Mapping[str, Any]) -> None:
         self._effects: dict[str, str] = dict(table["effects"])
         self._sizes: dict[str, dict[str, str]] = dict(table["sizes"])
+        self._keys: dict[str, str] = dict(table["keys"])
 
     @classmethod
     def read(cls, path: Path = TABLE) -> "SealedNames":
@@ -50,14 +51,15 @@ class SealedNames:
     def answer(self, answer: Mapping[str, Any]) -> dict[str, Any]:
         """Return what is kept of an answer (see `benchmarks.sealed_answers`) in today's names."""
         effects = {self.hypothesis(name): entry for name, entry in answer["effects"].items()}
-        by = answer["how_far"]["by"]
+        answer = {self._keys.get(key, key): value for key, value in answer.items()}
+        by = answer["explained_fraction"]["by"]
         return {
             **answer,
             "effects_named": [self.hypothesis(name) for name in answer["effects_named"]],
             "likely": [[self.hypothesis(name) for name in group] for group in answer["likely"]],
             "probability": {self.hypothesis(k): p for k, p in answer["probability"].items()},
             "effects": {name: self._effect(name, entry) for name, entry in effects.items()},
-            "how_far": {"by": {self.hypothesis(name): gap for name, gap in by.items()}},
+            "explained_fraction": {"by": {self.hypothesis(n): gap for n, gap in by.items()}},
         }
 
     def _effect(self, effect: str, entry: Mapping[str, Any]) -> dict[str, Any]:

@@ -52,7 +52,7 @@ class _Closed(BaseModel):
     after: FiniteFloat | None
 
 
-class _HowFar(BaseModel):
+class _Explained(BaseModel):
     by: dict[str, _Closed]
 
 
@@ -64,7 +64,7 @@ class _Answer(BaseModel):
     probability: dict[str, FiniteFloat]
     likely: list[list[str]]
     effects: dict[str, _Effect]
-    how_far: _HowFar
+    explained_fraction: _Explained
 
 
 def make_set(

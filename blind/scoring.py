@@ -340,7 +340,7 @@ def _closure(case: Case) -> float | None:
         return 0.0
     by = {
         frozenset(name.split("+")): gap
-        for name, gap in case.answer["how_far"]["by"].items()
+        for name, gap in case.answer["explained_fraction"]["by"].items()
         if gap["before"] is not None and gap["after"] is not None
     }
     truth = by.get(frozenset(name for name, _ in case.label.effects))

@@ -23,7 +23,7 @@ _TELLS = {
 
 
 @dataclass(frozen=True)
-class Part:
+class CampaignRun:
     """One run of a campaign.
 
     Attributes
@@ -57,11 +57,11 @@ class Campaign:
 
     Attributes
     ----------
-    parts : tuple of Part
+    parts : tuple of CampaignRun
         In the order of time.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[CampaignRun, ...]
 
     @classmethod
     def of(cls, runs: Sequence[Run]) -> "Campaign":
@@ -82,7 +82,7 @@ class Campaign:
         first = _began(runs[0])
         before = _clampings_before(runs)
         parts = [
-            Part(
+            CampaignRun(
                 run,
                 (_began(run) - first).total_seconds(),
                 _clock_s(run, first),
@@ -93,7 +93,7 @@ class Campaign:
         ]
         return cls(_each_once(parts))
 
-    def of_kind(self, kind: Kind) -> tuple[Part, ...]:
+    def of_kind(self, kind: Kind) -> tuple[CampaignRun, ...]:
         """All runs of a kind; of those of the reed at rest or of no reed, with anything in them."""
         return tuple(
             part
@@ -103,7 +103,7 @@ class Campaign:
         )
 
     @property
-    def sweeps(self) -> tuple[Part, ...]:
+    def sweeps(self) -> tuple[CampaignRun, ...]:
         """Sweeps of the driven reed."""
         return self.of_kind(Kind.SWEEP)
 
@@ -171,9 +171,9 @@ def _name(run: Run) -> str:
     return run.acquisition.part or run.path.stem
 
 
-def _each_once(parts: Sequence[Part]) -> tuple[Part, ...]:
+def _each_once(parts: Sequence[CampaignRun]) -> tuple[CampaignRun, ...]:
     """Parts with names of their own: the second of a name gets -2, and so on."""
-    named: dict[str, Part] = {}
+    named: dict[str, CampaignRun] = {}
     for part in parts:
         name, number = part.name, 1
         while name in named:

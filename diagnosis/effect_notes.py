@@ -10,7 +10,7 @@ from functools import lru_cache
 from types import MappingProxyType
 from typing import Final
 
-from diagnosis.block import Observable
+from diagnosis.observable_groups import Observable
 from physics.effects.effect import Effect
 from physics.twin import Twin
 

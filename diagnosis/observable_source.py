@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from diagnosis.block import Block
 from diagnosis.campaign import Campaign
+from diagnosis.observable_groups import ObservableGroup
 from diagnosis.readings.campaign_readings import Readings
 from physics.mechanics import ReedSolver
 
@@ -26,6 +26,6 @@ class GroupSource:
     """
 
     position: int
-    build: Callable[[Readings, ReedSolver], Block | None]
+    build: Callable[[Readings, ReedSolver], ObservableGroup | None]
     name: str = ""
     read: Callable[[Campaign], object] | None = None

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.how_far import Shrinkage
-from diagnosis.rivals import d_prime
-from diagnosis.verdict import Verdict
+from diagnosis.campaign_diagnosis import Diagnosis
+from diagnosis.explained_fraction import ExplainedFraction
+from diagnosis.inference.candidates import d_prime
 from physics.effects.effect import Parameter
 
 # A parameter beyond so many deviations of its prior is not plausible.
@@ -16,7 +16,7 @@ _PLAUSIBLE = 3.0
 _LEAST_TOLD = 1e-6
 
 
-def to_json(verdict: Verdict) -> dict[str, Any]:
+def to_json(verdict: Diagnosis) -> dict[str, Any]:
     """Verdict with stable keys."""
     told = {name: p for name, p in verdict.probability.items() if p > _LEAST_TOLD}
     return {
@@ -25,90 +25,107 @@ def to_json(verdict: Verdict) -> dict[str, Any]:
         "probability": dict(sorted(told.items(), key=lambda item: -item[1])),
         "classes": [list(group) for group in verdict.classes if len(group) > 1],
         "likely": [list(group) for group in verdict.likely],
-        "where": _where(verdict),
-        "how_far": _how_far(verdict),
+        "gap": _gap(verdict),
+        "explained_fraction": _explained(verdict),
         "next": {
-            "between": list(verdict.rivals),
-            "actions": [
-                {"id": w.action.id, "words": w.action.words, "minutes": w.action.minutes,
-                 "nats": w.nats, "nats_per_minute": w.nats_per_minute}
-                for w in verdict.next_actions
+            "between": list(verdict.compared),
+            "experiments": [
+                {
+                    "id": w.experiment.id,
+                    "description": w.experiment.description,
+                    "minutes": w.experiment.minutes,
+                    "expected_nats": w.expected_nats,
+                    "nats_per_minute": w.nats_per_minute,
+                }
+                for w in verdict.next_experiments
             ],
         },
         "effects": _effects(verdict),
         "pairs": {
             name: {
-                "log_bayes": rival.log_evidence - verdict.contest.null.log_evidence,
-                "sizes": {effect: _sizes(told) for effect, told in rival.told.items()},
+                "log_bayes": candidate.log_evidence - verdict.selection.null.log_evidence,
+                "sizes": {
+                    effect: _sizes(told) for effect, told in candidate.size_estimates.items()
+                },
             }
-            for name, rival in verdict.contest.pairs.items()
+            for name, candidate in verdict.selection.pairs.items()
         },
         "unknown": {
-            "log_bayes": dict(verdict.contest.unknown),
-            "log_bayes_beside": dict(verdict.contest.beside),
-            "beside": verdict.unknown_beside,
-            "block": verdict.unknown_in,
-            "triggers": [asdict(t) | {"fired": t.fired} for t in verdict.triggers],
+            "log_bayes": dict(verdict.selection.group_log_bayes),
+            "log_bayes_with": dict(verdict.selection.unknown_log_bayes_with),
+            "with": verdict.unknown_with,
+            "group": verdict.unknown_in,
+            "checks": [asdict(t) | {"significant": t.significant} for t in verdict.checks],
         },
-        "sampled": {name: asdict(s) for name, s in verdict.contest.sampled.items()},
+        "importance_sampling": {name: asdict(s) for name, s in verdict.selection.sampled.items()},
         "missing": list(verdict.missing),
         "refused": list(verdict.refused),
-    }  # fmt: skip
-
-
-def _where(verdict: Verdict) -> dict[str, Any]:
-    where = verdict.where
-    return {
-        "first_failing_tap": where.first_failing,
-        "taps": {
-            tap: {"gap": worst.gap, "chance": worst.chance, "block": worst.block,
-                  "axis": worst.axis, "label": worst.label}
-            for tap, worst in where.taps.items()
-        },
-        "ladder": [asdict(rung) for rung in where.ladder],
-        "cells": [asdict(cell) | {"resolvable": cell.resolvable} for cell in where.cells],
-    }  # fmt: skip
-
-
-def _how_far(verdict: Verdict) -> dict[str, Any]:
-    return {
-        "of": list(verdict.closing),
-        "left_out": _shrinkage(verdict.closed),
-        "condition": verdict.condition,
-        "other_condition": _shrinkage(verdict.transferred),
-        "by": {name: _shrinkage(closed) for name, closed in verdict.closed_by.items()},
-        "plain": [asdict(gap) for gap in verdict.plain],
     }
 
 
-def _shrinkage(closed: Shrinkage | None) -> dict[str, float | None] | None:
+def _gap(verdict: Diagnosis) -> dict[str, Any]:
+    gap = verdict.gap
+    return {
+        "first_failing_observable": gap.first_failing,
+        "observables": {
+            observable: {
+                "gap": worst.gap,
+                "chance": worst.chance,
+                "group": worst.group,
+                "axis": worst.axis,
+                "label": worst.label,
+            }
+            for observable, worst in gap.observables.items()
+        },
+        "ladder": [asdict(rung) for rung in gap.ladder],
+        "cells": [asdict(cell) | {"resolvable": cell.resolvable} for cell in gap.cells],
+    }
+
+
+def _explained(verdict: Diagnosis) -> dict[str, Any]:
+    return {
+        "of": list(verdict.explained_with),
+        "left_out": _fraction(verdict.explained),
+        "condition": verdict.condition,
+        "other_condition": _fraction(verdict.explained_other_sweep),
+        "by": {name: _fraction(closed) for name, closed in verdict.explained_by.items()},
+        "in_units": [asdict(entry) for entry in verdict.gaps_in_units],
+    }
+
+
+def _fraction(closed: ExplainedFraction | None) -> dict[str, float | None] | None:
     if closed is None:
         return None
     return {k: None if np.isnan(v) else v for k, v in asdict(closed).items()}
 
 
-def _effects(verdict: Verdict) -> dict[str, Any]:
-    found, null = verdict.contest, verdict.contest.null
-    reach = {entry.effect: entry for entry in verdict.reach}
+def _effects(verdict: Diagnosis) -> dict[str, Any]:
+    found, null = verdict.selection, verdict.selection.null
+    reach = {entry.effect: entry for entry in verdict.detectability}
     told = {}
-    for name, rival in found.alone.items():
+    for name, candidate in found.single.items():
         own = reach[name]
         told[name] = {
-            "log_bayes": rival.log_evidence - null.log_evidence,
-            "d_prime": d_prime(null, rival),
-            "sizes": _sizes(rival.told[name]),
-            "places": dict(rival.effects[0].places),
-            "certified": rival.estimate.certified,
+            "log_bayes": candidate.log_evidence - null.log_evidence,
+            "d_prime": d_prime(null, candidate),
+            "sizes": _sizes(candidate.size_estimates[name]),
+            "location": dict(candidate.effects[0].location),
+            "converged": candidate.estimate.converged,
             "absorbed": None if np.isnan(own.absorbed) else own.absorbed,
             "detectable": {k: v if np.isfinite(v) else None for k, v in own.detectable.items()},
-            "alike": own.alike,
+            "confusable": own.confusable,
         }
     return told
 
 
 def _sizes(told: Sequence[tuple[Parameter, float, float]]) -> dict[str, Any]:
     return {
-        p.name: {"value": p.spread * z, "error": p.spread * error, "unit": p.unit, "z": z,
-                 "plausible": abs(z) < _PLAUSIBLE}
+        p.name: {
+            "value": p.spread * z,
+            "error": p.spread * error,
+            "unit": p.unit,
+            "z": z,
+            "plausible": abs(z) < _PLAUSIBLE,
+        }
         for p, z, error in told
-    }  # fmt: skip
+    }

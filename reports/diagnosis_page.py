@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from diagnosis.block import Observable
+from diagnosis.campaign_diagnosis import Diagnosis
 from diagnosis.effect_notes import notes_of
-from diagnosis.how_far import Shrinkage
-from diagnosis.verdict import Verdict
-from diagnosis.where import Map
+from diagnosis.explained_fraction import ExplainedFraction
+from diagnosis.gap_map import GapMap
+from diagnosis.observable_groups import Observable
 from physics.effects.catalogue import BY_ID
 from reports.figures.drawing import png_of
 from reports.figures.gap_map import draw_map
@@ -42,27 +42,27 @@ _LEAST_NATS = 0.05
 _PAGE: Final = page_kind("diagnosis")
 
 
-def words(verdict: Verdict) -> list[str]:
+def words(verdict: Diagnosis) -> list[str]:
     """Return what the diagnosis says, in sentences; the first names the cause."""
-    said = [_headline(verdict), _where(verdict.where)]
+    said = [_headline(verdict), _where(verdict.gap)]
     if verdict.kind != "not converged":
         said.append(f"Candidates that together have 90 % probability: {_likely_words(verdict)}.")
-    if verdict.closed is not None and verdict.effects:
+    if verdict.explained is not None and verdict.effects:
         said.append(f"{_closed_words(verdict)} {_NOT_PROOF}")
-    if verdict.next_actions:
+    if verdict.next_experiments:
         said.append(_next_words(verdict))
     said += [f"Not measured: {what}." for what in verdict.missing]
     said += [f"Not used: {why}." for why in verdict.refused]
     return said
 
 
-def _headline(verdict: Verdict) -> str:
+def _headline(verdict: Diagnosis) -> str:
     if verdict.kind == "none":
         p = verdict.probability.get("none", 0.0)
         return f"Measurement and simulation agree; no cause of a difference is found ({p:.0%})."
     if verdict.kind == "unknown":
         p = verdict.probability.get("unknown", 0.0)
-        other = verdict.unknown_beside
+        other = verdict.unknown_with
         known = "" if other == "none" else f", in addition to {_title(other)}"
         return (
             f"Cause of the difference: something that is not in the catalogue ({p:.0%}){known}. "
@@ -79,25 +79,25 @@ def _headline(verdict: Verdict) -> str:
     return f"{what}: {_title(name)} ({p:.0%})."
 
 
-def _where(where: Map) -> str:
+def _where(where: GapMap) -> str:
     tap = where.first_failing
     if tap is None:
         return "No single observable differs by more than chance explains."
-    worst = where.taps[tap]
-    at = f"{worst.block}, {worst.label}" if worst.label != worst.block else worst.block
+    worst = where.observables[tap]
+    at = f"{worst.group}, {worst.label}" if worst.label != worst.group else worst.group
     return (
         f"First observables that differ: {GROUP_WORDS[tap]}, by {worst.gap:.1f} times "
         f"their standard error, in {at}."
     )
 
 
-def _likely_words(verdict: Verdict) -> str:
+def _likely_words(verdict: Diagnosis) -> str:
     """Return the classes of candidates, pairs with an undetectable second effect last."""
     unseen = [g for g in verdict.likely if all(_is_unseen(name, verdict) for name in g)]
     said = [_class_words(group, verdict) for group in verdict.likely if group not in unseen]
     if unseen:
         names = [name for group in unseen for name in group]
-        first = verdict.contest.unseen[names[0]][0]
+        first = verdict.selection.undetectable[names[0]][0]
         others = ", ".join(_title(name.removeprefix(f"{first}+")) for name in names)
         p = sum(verdict.probability.get(name, 0.0) for name in names)
         said.append(
@@ -107,11 +107,11 @@ def _likely_words(verdict: Verdict) -> str:
     return "; ".join(said)
 
 
-def _is_unseen(name: str, verdict: Verdict) -> bool:
-    return "+" in name and name in verdict.contest.unseen
+def _is_unseen(name: str, verdict: Diagnosis) -> bool:
+    return "+" in name and name in verdict.selection.undetectable
 
 
-def _class_words(group: tuple[str, ...], verdict: Verdict) -> str:
+def _class_words(group: tuple[str, ...], verdict: Diagnosis) -> str:
     p = sum(verdict.probability.get(name, 0.0) for name in group)
     titles = " or ".join(_title(name) for name in group)
     return f"{titles} ({p:.0%})"
@@ -122,33 +122,31 @@ def _title(name: str) -> str:
     return " + ".join(parts) if name != "none" else "no effect"
 
 
-def _closed_words(verdict: Verdict) -> str:
-    said = (
-        f"It explains {_fraction(verdict.closed)} of the difference in numbers left out of the fit"
-    )
-    if verdict.transferred is not None:
-        said += (
-            f", and {_fraction(verdict.transferred)} in sweep '{verdict.condition}', left out whole"
-        )
+def _closed_words(verdict: Diagnosis) -> str:
+    own = _fraction(verdict.explained)
+    said = f"It explains {own} of the difference in numbers left out of the fit"
+    if verdict.explained_other_sweep is not None:
+        other = _fraction(verdict.explained_other_sweep)
+        said += f", and {other} in sweep '{verdict.condition}', left out whole"
     return said + "."
 
 
-def _next_words(verdict: Verdict) -> str:
-    best = verdict.next_actions[0]
-    if best.nats < _LEAST_NATS:
+def _next_words(verdict: Diagnosis) -> str:
+    best = verdict.next_experiments[0]
+    if best.expected_nats < _LEAST_NATS:
         return "No further measurement would help to decide."
-    one, other = verdict.rivals
+    one, other = verdict.compared
     return (
-        f"To decide between {_title(one)} and {_title(other)}: {best.action.words} "
-        f"({best.action.minutes:g} min, about {best.nats:.1f} nats)."
+        f"To decide between {_title(one)} and {_title(other)}: {best.experiment.description} "
+        f"({best.experiment.minutes:g} min, about {best.expected_nats:.1f} nats)."
     )
 
 
-def _fraction(closed: Shrinkage | None) -> str:
-    if closed is None or math.isnan(closed.kappa):
+def _fraction(closed: ExplainedFraction | None) -> str:
+    if closed is None or math.isnan(closed.fraction):
         return "no resolvable part"
     # A residual below its standard error would give more than 100 %.
-    kappa, low, high = (min(share, 1.0) for share in (closed.kappa, closed.low, closed.high))
+    kappa, low, high = (min(share, 1.0) for share in (closed.fraction, closed.low, closed.high))
     return f"{kappa:.0%}" if math.isnan(low) else f"{kappa:.0%} [{low:.0%}, {high:.0%}]"
 
 
@@ -157,12 +155,12 @@ def page_output(page: Path) -> Output:
     return Output(page, _PAGE)
 
 
-def write_page(verdict: Verdict, title: str, page: Path, runs: Sequence[str] = ()) -> None:
+def write_page(verdict: Diagnosis, title: str, page: Path, runs: Sequence[str] = ()) -> None:
     """Write the page.
 
     Parameters
     ----------
-    verdict : Verdict
+    verdict : Diagnosis
     title : str
     page : Path
         An older page of a diagnosis there is replaced, and nothing else.
@@ -187,13 +185,13 @@ class _Section:
     picture: Picture | None = None
 
 
-def document(verdict: Verdict, title: str, runs: Sequence[str] = ()) -> str:
+def document(verdict: Diagnosis, title: str, runs: Sequence[str] = ()) -> str:
     """Return the whole page."""
     between = "no two candidates"
-    if verdict.rivals[0]:
-        between = f"{_title(verdict.rivals[0])} and {_title(verdict.rivals[1])}"
+    if verdict.compared[0]:
+        between = f"{_title(verdict.compared[0])} and {_title(verdict.compared[1])}"
     sections = (
-        _where_section(verdict.where),
+        _where_section(verdict.gap),
         _Section("Likeliest causes", (_causes(verdict), _triggers(verdict))),
         _Section("How much of the difference is explained", (_plain(verdict),), _NOT_PROOF),
         _Section(
@@ -208,7 +206,7 @@ def document(verdict: Verdict, title: str, runs: Sequence[str] = ()) -> str:
     )
 
 
-def _where_section(where: Map) -> _Section:
+def _where_section(where: GapMap) -> _Section:
     """Return the map of the gap, and how it is shared among the stages of the measurement."""
     picture = Picture(
         png_of(draw_map(where), dpi=110),
@@ -235,12 +233,12 @@ def _where_section(where: Map) -> _Section:
                "what it adds if all later stages are as measured"),
         Column("error", "±", "", ".0%", "standard deviation of either by chance"),
     )  # fmt: skip
-    rows = tuple((GROUP_WORDS[r.tap], r.forward, r.backward, r.error)
+    rows = tuple((GROUP_WORDS[r.observable], r.forward, r.backward, r.error)
                  for r in where.ladder)  # fmt: skip
     return _Section(title, (Table(columns, rows),), "", picture)
 
 
-def _causes(verdict: Verdict) -> Table:
+def _causes(verdict: Diagnosis) -> Table:
     columns = (
         Column("cause", "cause"),
         Column("probability", "probability", "", ".1%"),
@@ -255,11 +253,11 @@ def _causes(verdict: Verdict) -> Table:
     return Table(columns, tuple(rows))
 
 
-def _size_words(verdict: Verdict, name: str) -> str:
+def _size_words(verdict: Diagnosis, name: str) -> str:
     """Return the sizes of an effect, or of both effects of a pair, as fitted, with errors."""
-    rival = verdict.contest.rival(name)
+    rival = verdict.selection.candidate(name)
     told = []
-    for effect, sizes in (rival.told if rival else {}).items():
+    for effect, sizes in (rival.size_estimates if rival else {}).items():
         own = "; ".join(
             f"{p.name} {p.spread * z:.2g} ± {p.spread * error:.1g} {p.unit}".strip()
             for p, z, error in sizes
@@ -268,18 +266,20 @@ def _size_words(verdict: Verdict, name: str) -> str:
     return "; ".join(told)
 
 
-def _triggers(verdict: Verdict) -> Table:
+def _triggers(verdict: Diagnosis) -> Table:
     columns = (
         Column("sign", "sign of a cause that is not in the catalogue"),
         Column("value", "value", "", ".3g"),
         Column("chance", "by chance", "", ".1%", "probability of so large a value by chance"),
         Column("counts", "counts", meaning="whether it makes an unknown cause more probable"),
     )
-    rows = tuple((t.words, t.value, t.chance, "yes" if t.fired else "no") for t in verdict.triggers)
+    rows = tuple(
+        (t.description, t.value, t.chance, "yes" if t.significant else "no") for t in verdict.checks
+    )
     return Table(columns, rows)
 
 
-def _plain(verdict: Verdict) -> Table:
+def _plain(verdict: Diagnosis) -> Table:
     name = "+".join(verdict.effects)
     effect = _title(name) if name else "the effect that explains most"
     columns = (
@@ -289,11 +289,11 @@ def _plain(verdict: Verdict) -> Table:
         Column("after", f"with {effect}", "", ".3g"),
         Column("error", "standard error", "", ".2g"),
     )  # fmt: skip
-    rows = tuple((gap.quantity, gap.before, gap.after, gap.error) for gap in verdict.plain)
+    rows = tuple((gap.quantity, gap.before, gap.after, gap.error) for gap in verdict.gaps_in_units)
     return Table(columns, rows)
 
 
-def _actions(verdict: Verdict) -> Table:
+def _actions(verdict: Diagnosis) -> Table:
     columns = (
         Column("action", "measurement"),
         Column("minutes", "time", "min", "g"),
@@ -301,12 +301,14 @@ def _actions(verdict: Verdict) -> Table:
                "natural logarithm of the odds; 3 nats are odds of 20 to 1"),
         Column("nats_per_minute", "per minute", "nats/min", ".2f"),
     )  # fmt: skip
-    rows = tuple((w.action.words, w.action.minutes, w.nats, w.nats_per_minute)
-                 for w in verdict.next_actions)  # fmt: skip
+    rows = tuple(
+        (w.experiment.description, w.experiment.minutes, w.expected_nats, w.nats_per_minute)
+        for w in verdict.next_experiments
+    )
     return Table(columns, rows)
 
 
-def _detectability(verdict: Verdict) -> Table:
+def _detectability(verdict: Diagnosis) -> Table:
     """Return the smallest size of each effect that would show, and what it is confused with."""
     columns = (
         Column("effect", "effect"),
@@ -317,7 +319,7 @@ def _detectability(verdict: Verdict) -> Table:
         Column("confusable", "confusable with"),
     )  # fmt: skip
     rows = []
-    for entry in verdict.reach:
+    for entry in verdict.detectability:
         effect = BY_ID[entry.effect]
         least = "; ".join(
             f"{p.name} {entry.detectable[p.name]:.2g} {p.unit}".strip()
@@ -325,6 +327,6 @@ def _detectability(verdict: Verdict) -> Table:
             else f"{p.name}: no size"
             for p in effect.sizes
         )
-        others = ", ".join(_title(other) for other in entry.alike)
+        others = ", ".join(_title(other) for other in entry.confusable)
         rows.append((effect.title, least, entry.absorbed, others))
     return Table(columns, tuple(rows))

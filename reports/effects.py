@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
-from diagnosis.block import Observable
 from diagnosis.effect_notes import notes_of
+from diagnosis.observable_groups import Observable
 from physics.effects.effect import Effect, Parameter
 from reports.tables import Column, Table
 

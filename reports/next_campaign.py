@@ -7,7 +7,7 @@ from typing import Final
 
 import yaml
 
-from diagnosis.actions import Worth
+from diagnosis.experiment_design import RankedExperiment
 from fitting.errors import FitInputError
 from protocols.campaign import CampaignFile, tasks_of
 from protocols.protocol import Protocol
@@ -69,13 +69,17 @@ def require_repeatable(run: Run, path: Path) -> None:
 
 
 def write_next(
-    worths: Sequence[Worth], between: tuple[str, str], protocol_text: str, reed: str, path: Path
-) -> Worth:
+    worths: Sequence[RankedExperiment],
+    between: tuple[str, str],
+    protocol_text: str,
+    reed: str,
+    path: Path,
+) -> RankedExperiment:
     """Write the best action that software can run, and next to it the protocol of its sweeps.
 
     Parameters
     ----------
-    worths : sequence of Worth
+    worths : sequence of RankedExperiment
         The best first.
     between : (str, str)
         What they are to tell apart.
@@ -88,7 +92,7 @@ def write_next(
 
     Returns
     -------
-    worth : Worth
+    worth : RankedExperiment
         What the file does.
 
     Raises
@@ -100,22 +104,27 @@ def write_next(
     ProtocolError
         If the campaign's protocol cannot be used again.
     """
-    best = next((worth for worth in worths if worth.action.parts), None)
+    best = next((worth for worth in worths if worth.experiment.campaign_parts), None)
     if best is None:
         raise FitInputError("no two causes have to be separated, so there is nothing to measure")
     campaign, sweep = next_outputs(path)
     require_writable([campaign, sweep])
     Protocol.from_text(_marked(protocol_text), str(sweep.path))
-    action = best.action
+    action = best.experiment
     content = {
         "name": f"Next, {action.id.replace('_', ' ')}",
         "protocol": sweep.path.name,
-        "parts": [dict(part) for part in action.parts],
+        "parts": [dict(part) for part in action.campaign_parts],
     }
     head = _HEAD.format(
-        words=action.words.capitalize(), minutes=action.minutes, one=between[0], other=between[1],
-        nats=best.nats, file=shlex.quote(one_line(path.name)), reed=shlex.quote(one_line(reed)),
-    )  # fmt: skip
+        words=action.description.capitalize(),
+        minutes=action.minutes,
+        one=between[0],
+        other=between[1],
+        nats=best.expected_nats,
+        file=shlex.quote(one_line(path.name)),
+        reed=shlex.quote(one_line(reed)),
+    )
     write_output(sweep, _marked(protocol_text))
     body = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
     write_output(campaign, f"{_CAMPAIGN.mark}{head}\n{body}")

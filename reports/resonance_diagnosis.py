@@ -5,12 +5,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from diagnosis.effect_notes import notes_of
-from diagnosis.likeness import DETECTABLE, Reach
-from diagnosis.published import (
-    PublishedDiagnosis,
-    Size,
-    Trial,
-)
+from diagnosis.inference.similarity import DETECTION_SIGMA, Detectability
+from diagnosis.resonance_diagnosis import ResonanceDiagnosis
+from diagnosis.resonance_fit import ResonanceFit, Size
 from physics.effects.effect import Effect
 from reports.tables import Column, Table
 
@@ -19,7 +16,7 @@ _NOT_PROOF = "to explain a gap does not prove its cause"
 _LEAST_NATS = 1.0
 
 
-def gap_of_modes(diagnosis: PublishedDiagnosis) -> Table:
+def gap_of_modes(diagnosis: ResonanceDiagnosis) -> Table:
     """Return the gap of every mode and its standard error, per series."""
     columns = [Column("mode", "mode")]
     for reed in diagnosis.reeds:
@@ -49,7 +46,7 @@ def _gap(value: tuple[float, float]) -> str:
     return f"{gap:+.0f}" if abs(gap) > floor else "within its error"
 
 
-def trials_table(diagnosis: PublishedDiagnosis) -> Table:
+def trials_table(diagnosis: ResonanceDiagnosis) -> Table:
     """Return how much of the gap effects explain, alone and together."""
     before = diagnosis.elastic.rms_cents
     series = [reed.series for reed in diagnosis.reeds]
@@ -61,16 +58,16 @@ def trials_table(diagnosis: PublishedDiagnosis) -> Table:
         Column("log_bayes", "log odds", "nats", str),
     ]
     rows = []
-    for trial in (*diagnosis.alone, *diagnosis.together):
-        interval = f"[{_fraction(trial.kappa_low)}, {_fraction(trial.kappa_high)}]"
+    for trial in (*diagnosis.single, *diagnosis.together):
+        interval = f"[{_fraction(trial.explained_low)}, {_fraction(trial.explained_high)}]"
         odds = f"{trial.log_bayes:+.1f}"
         rows.append(
             (
                 "\n+ ".join(trial.effects),
                 *(f"{before[s]:.0f} → {trial.rms_cents[s]:.0f}" for s in series),
-                f"{_fraction(trial.kappa)}\n{interval}",
-                "\n".join(f"{s} {_fraction(k)}" for s, k in trial.kappa_other.items()),
-                odds if trial.certified else f"{odds} *",
+                f"{_fraction(trial.explained)}\n{interval}",
+                "\n".join(f"{s} {_fraction(k)}" for s, k in trial.explained_other_series.items()),
+                odds if trial.converged else f"{odds} *",
             )
         )
     table = Table(tuple(columns), tuple(rows), "How much of the gap effects explain")
@@ -79,10 +76,10 @@ def trials_table(diagnosis: PublishedDiagnosis) -> Table:
     return table.select(*(c.key for c in columns if c.key != "explained_other"))
 
 
-def words(diagnosis: PublishedDiagnosis, effects: Mapping[str, Effect]) -> list[str]:
+def words(diagnosis: ResonanceDiagnosis, effects: Mapping[str, Effect]) -> list[str]:
     """Return what the tables mean and what follows from them, a line each."""
     rms = ", ".join(f"{s} {v:.0f} cents" for s, v in diagnosis.elastic.rms_cents.items())
-    trials = (*diagnosis.alone, *diagnosis.together)
+    trials = (*diagnosis.single, *diagnosis.together)
     lines = [
         "explained: fraction of the gap that disappears with the effect, in modes left out of the "
         "fit [95 % interval], and in each series with sizes fitted to the other; log odds: against "
@@ -95,9 +92,9 @@ def words(diagnosis: PublishedDiagnosis, effects: Mapping[str, Effect]) -> list[
             sizes = "; ".join(_size(size, owned=together) for size in trial.sizes)
             lines.append(f"{' + '.join(trial.effects)}: {sizes}")
     lines += _confusable(diagnosis, effects)
-    if not all(trial.certified for trial in trials):
+    if not all(trial.converged for trial in trials):
         lines.append("* this fit has not converged: do not name an effect by it")
-    unseen = [entry.effect for entry in diagnosis.reach if out_of_reach(entry, effects)]
+    unseen = [entry.effect for entry in diagnosis.detectability if out_of_reach(entry, effects)]
     if unseen:
         lines.append(
             "not detectable with such data, even at three standard deviations of their priors: "
@@ -106,16 +103,16 @@ def words(diagnosis: PublishedDiagnosis, effects: Mapping[str, Effect]) -> list[
     return [*lines, _NOT_PROOF]
 
 
-def _is_likely(trial: Trial) -> bool:
-    return trial.certified and trial.log_bayes > _LEAST_NATS
+def _is_likely(trial: ResonanceFit) -> bool:
+    return trial.converged and trial.log_bayes > _LEAST_NATS
 
 
-def _confusable(diagnosis: PublishedDiagnosis, effects: Mapping[str, Effect]) -> list[str]:
+def _confusable(diagnosis: ResonanceDiagnosis, effects: Mapping[str, Effect]) -> list[str]:
     """Return which effects each likely effect is confusable with, the most similar first."""
-    reach, lines = {entry.effect: entry for entry in diagnosis.reach}, []
-    for trial in diagnosis.alone:
+    reach, lines = {entry.effect: entry for entry in diagnosis.detectability}, []
+    for trial in diagnosis.single:
         name = trial.effects[0]
-        alike = sorted(reach[name].alike.items(), key=lambda item: -item[1])
+        alike = sorted(reach[name].confusable.items(), key=lambda item: -item[1])
         if alike and _is_likely(trial):
             others = ", ".join(f"{other} ({value:.2f})" for other, value in alike)
             action = notes_of(effects[name]).check
@@ -126,13 +123,13 @@ def _confusable(diagnosis: PublishedDiagnosis, effects: Mapping[str, Effect]) ->
     return lines
 
 
-def out_of_reach(reach: Reach, effects: Mapping[str, Effect]) -> bool:
+def out_of_reach(reach: Detectability, effects: Mapping[str, Effect]) -> bool:
     """Whether no parameter would be detectable at three standard deviations of its prior."""
     spreads = {p.name: p.spread for p in effects[reach.effect].parameters}
     return all(least > 3 * spreads[name] for name, least in reach.detectable.items())
 
 
-def to_json(diagnosis: PublishedDiagnosis) -> dict[str, Any]:
+def to_json(diagnosis: ResonanceDiagnosis) -> dict[str, Any]:
     """Return the diagnosis with stable keys; what is not a number becomes null."""
     return {
         "series": {
@@ -157,22 +154,22 @@ def to_json(diagnosis: PublishedDiagnosis) -> dict[str, Any]:
             for reed in diagnosis.reeds
         },
         "elastic": _trial(diagnosis.elastic),
-        "alone": [_trial(trial) for trial in diagnosis.alone],
-        "together": [_trial(trial) for trial in diagnosis.together],
-        "reach": {
+        "single": [_trial(trial) for trial in diagnosis.single],
+        "combined": [_trial(trial) for trial in diagnosis.together],
+        "detectability": {
             entry.effect: {
                 "absorbed": _number(entry.absorbed),
                 "detectable": {name: _number(v) for name, v in entry.detectable.items()},
-                "deviations": DETECTABLE,
-                "alike": {name: _number(v) for name, v in entry.alike.items()},
+                "deviations": DETECTION_SIGMA,
+                "confusable": {name: _number(v) for name, v in entry.confusable.items()},
             }
-            for entry in diagnosis.reach
+            for entry in diagnosis.detectability
         },
         "classes": [list(group) for group in diagnosis.classes if len(group) > 1],
     }
 
 
-def _trial(trial: Trial) -> dict[str, Any]:
+def _trial(trial: ResonanceFit) -> dict[str, Any]:
     return {
         "effects": list(trial.effects),
         "sizes": [
@@ -187,11 +184,16 @@ def _trial(trial: Trial) -> dict[str, Any]:
             for size in trial.sizes
         ],
         "rms_cents": {s: _number(v) for s, v in trial.rms_cents.items()},
-        "kappa": _number(trial.kappa),
-        "kappa_interval": [_number(trial.kappa_low), _number(trial.kappa_high)],
-        "kappa_from_other_series": {s: _number(v) for s, v in trial.kappa_other.items()},
+        "explained_fraction": _number(trial.explained),
+        "explained_fraction_interval": [
+            _number(trial.explained_low),
+            _number(trial.explained_high),
+        ],
+        "explained_fraction_from_other_series": {
+            s: _number(v) for s, v in trial.explained_other_series.items()
+        },
         "log_bayes": _number(trial.log_bayes),
-        "converged": trial.certified,
+        "converged": trial.converged,
         "moduli_pa": {
             s: {"E_L": _number(E), "G_LT": _number(G)} for s, (E, G) in trial.moduli_pa.items()
         },

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from acquire.results.base import Result, new_axes
-from diagnosis.published import PublishedDiagnosis
-from diagnosis.verdict import Verdict
+from diagnosis.campaign_diagnosis import Diagnosis
+from diagnosis.resonance_diagnosis import ResonanceDiagnosis
 from reports.diagnosis_json import to_json as verdict_to_json
 from reports.resonance_diagnosis import to_json as resonances_to_json
 
@@ -22,14 +22,14 @@ class DiagnosisResult(Result):
 
     Attributes
     ----------
-    verdict : Verdict
+    verdict : Diagnosis
         With everything that the diagnosis found.
     runs : tuple of Path
         Run files that were used.
     reed : str
     """
 
-    verdict: Verdict
+    verdict: Diagnosis
     runs: tuple[Path, ...]
     reed: str
 
@@ -70,10 +70,10 @@ class ResonanceDiagnosisResult(Result):
 
     Attributes
     ----------
-    diagnosis : PublishedDiagnosis
+    diagnosis : ResonanceDiagnosis
     """
 
-    diagnosis: PublishedDiagnosis
+    diagnosis: ResonanceDiagnosis
 
     @property
     def title(self) -> str:
@@ -86,7 +86,7 @@ class ResonanceDiagnosisResult(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """Return log odds and the rms gap that is left with each cause, in cents."""
-        trials = (*self.diagnosis.alone, *self.diagnosis.together)
+        trials = (*self.diagnosis.single, *self.diagnosis.together)
         return [
             {"cause": "+".join(trial.effects), "log_odds_nats": trial.log_bayes}
             | {f"rms_{series}_cents": left for series, left in trial.rms_cents.items()}

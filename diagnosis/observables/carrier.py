@@ -7,15 +7,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.block import (
-    Block,
-    Observable,
-    Place,
-    block,
-)
+from diagnosis.observable_groups import Coordinates, Observable, ObservableGroup, observable_group
 from diagnosis.observable_source import GroupSource
 from diagnosis.readings.campaign_readings import Readings
-from diagnosis.readings.carrier import Carrier, carrier_floor
+from diagnosis.readings.carrier import CarrierReading, carrier_floor
 from diagnosis.readings.sweeps import SweepReading
 from physics.mechanics import ReedSolver
 from physics.twin import Twin
@@ -45,12 +40,14 @@ class Leaks:
     mixing: float
 
 
-def leaks_in(carriers: Sequence[Carrier], sweeps: Sequence[SweepReading], mixing: float) -> Leaks:
+def leaks_in(
+    carriers: Sequence[CarrierReading], sweeps: Sequence[SweepReading], mixing: float
+) -> Leaks:
     """What leaks into each sweep.
 
     Parameters
     ----------
-    carriers : sequence of Carrier
+    carriers : sequence of CarrierReading
     sweeps : sequence of SweepReading
     mixing : float
         See `diagnosis.observables.light.mixing_in`.
@@ -71,7 +68,7 @@ def leaks_in(carriers: Sequence[Carrier], sweeps: Sequence[SweepReading], mixing
     return Leaks(carrier, mixing)
 
 
-def carrier_block(carriers: Sequence[Carrier]) -> Block:
+def carrier_group(carriers: Sequence[CarrierReading]) -> ObservableGroup:
     """Carrier in the sideband of each sweep."""
     floor = carrier_floor(carriers)
     noise = np.array([c.error for c in carriers]) * 0.3
@@ -82,13 +79,15 @@ def carrier_block(carriers: Sequence[Carrier]) -> Block:
 
     covariance = np.diag(noise**2 + (_SWEEPS * floor) ** 2)
     covariance += _REEDS**2 * np.multiply.outer(floor, floor)
-    places = [Place("carrier beside the clamp", level=c.name) for c in carriers]
+    places = [Coordinates("carrier beside the clamp", level=c.name) for c in carriers]
     values = [c.share for c in carriers]
-    return block("carrier", Observable.MAPS, values, covariance, places, ("optics",), predict)
+    return observable_group(
+        "carrier", Observable.MAPS, values, covariance, places, ("optics",), predict
+    )
 
 
-def _carrier(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
-    return carrier_block(readings.carriers) if readings.carriers else None
+def _carrier(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
+    return carrier_group(readings.carriers) if readings.carriers else None
 
 
 SOURCES: Final = (GroupSource(8, _carrier),)

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, median_filter
 
-from diagnosis.block import (
+from diagnosis.observable_groups import (
     BANDS,
-    Block,
+    Coordinates,
     Observable,
-    Place,
+    ObservableGroup,
     band_of,
-    block,
+    observable_group,
 )
 from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks
@@ -76,7 +76,9 @@ _RIPPLE_DEGREE = 5
 _BESIDE, _BENT, _JUMP = 2, 0.4, 0.5
 
 
-def line_block(sweeps: Sequence[SweepReading], line: CavityLine, leaks: Leaks) -> Block | None:
+def excitation_group(
+    sweeps: Sequence[SweepReading], line: CavityLine, leaks: Leaks
+) -> ObservableGroup | None:
     """What stands out of the smooth drive, by hologram, mean of all sweeps.
 
     None if they hardly have frequencies in common.
@@ -111,9 +113,11 @@ def line_block(sweeps: Sequence[SweepReading], line: CavityLine, leaks: Leaks) -
         return bent
 
     covariance = np.diag(error**2) + waves + _SMOOTH**2 * powers @ powers.T
-    places = [Place("drive", band=band_of(float(f))) for f in hz]
+    places = [Coordinates("drive", band=band_of(float(f))) for f in hz]
     parts = ("drive", "fit_bias")
-    return block("lines of the drive", Observable.DRIVE, log, covariance, places, parts, predict)
+    return observable_group(
+        "lines of the drive", Observable.DRIVE, log, covariance, places, parts, predict
+    )
 
 
 def _of_leaks(sweep: SweepReading, leaks: Leaks, hz: Array, near: Array) -> Array:
@@ -192,7 +196,7 @@ def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array]:
     return hz, mean, np.sqrt(_LEAST**2 + error**2 + (_END * ends) ** 2)
 
 
-def level_block(sweeps: Sequence[SweepReading], leaks: Leaks) -> Block | None:
+def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup | None:
     """Amplitudes of sweeps at another level beside those of the loudest.
 
     None if there are none at the same frequencies.
@@ -226,7 +230,9 @@ def level_block(sweeps: Sequence[SweepReading], leaks: Leaks) -> Block | None:
             errors.append(np.hypot(1.25 * own / np.sqrt(len(piece)), least))
             volts.append((loud[0].volts[one[piece]].mean(), other.volts[two[piece]].mean()))
             hz.append(float(np.mean(loud[0].drive_hz[one[piece]])))
-            places.append(Place("amplitude over volts", band=band_of(hz[-1]), level=other.name))
+            places.append(
+                Coordinates("amplitude over volts", band=band_of(hz[-1]), level=other.name)
+            )
 
     if not values:
         return None
@@ -237,12 +243,14 @@ def level_block(sweeps: Sequence[SweepReading], leaks: Leaks) -> Block | None:
         return np.log(_kept(twin.drive, one, at) / _kept(twin.drive, two, at))
 
     covariance = np.diag(np.square(errors)) + _RATIO**2
-    return block("level", Observable.DRIVE, values, covariance, places, ("drive",), predict)
+    return observable_group(
+        "level", Observable.DRIVE, values, covariance, places, ("drive",), predict
+    )
 
 
-def force_block(
+def force_group(
     sweeps: Sequence[SweepReading], reed_solver: ReedSolver, device: Device
-) -> Block | None:
+) -> ObservableGroup | None:
     """What moves each mode, beside loudspeaker, chamber and reed of the twin.
 
     None if no mode is told by all loud sweeps.
@@ -289,10 +297,10 @@ def force_block(
         return total
 
     places = [
-        Place("force", mode=n, band=band_of(float(f))) for n, f in zip(names, hz, strict=True)
+        Coordinates("force", mode=n, band=band_of(float(f))) for n, f in zip(names, hz, strict=True)
     ]
     parts = ("reed", "drive", "fit_bias")
-    return block(
+    return observable_group(
         "forces", Observable.RESPONSE, forces.mean(axis=0), covariance, places, parts, predict
     )
 
@@ -367,19 +375,19 @@ def _pushes(
     return float(pushed[0]), float(pushed[1]), without_signs, float(np.abs(moved).max())
 
 
-def _lines(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
+def _lines(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
     if not readings.sweeps:
         return None
-    return line_block(readings.sweeps, readings.device.line, leaks_of(readings))
+    return excitation_group(readings.sweeps, readings.device.line, leaks_of(readings))
 
 
-def _level(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
-    return level_block(readings.sweeps, leaks_of(readings)) if readings.sweeps else None
+def _level(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
+    return level_group(readings.sweeps, leaks_of(readings)) if readings.sweeps else None
 
 
-def _forces(readings: Readings, reed_solver: ReedSolver) -> Block | None:
+def _forces(readings: Readings, reed_solver: ReedSolver) -> ObservableGroup | None:
     sweeps = readings.sweeps
-    return force_block(sweeps, reed_solver, readings.device) if sweeps else None
+    return force_group(sweeps, reed_solver, readings.device) if sweeps else None
 
 
 SOURCES: Final = (GroupSource(13, _lines), GroupSource(14, _level), GroupSource(15, _forces))

@@ -5,18 +5,18 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.block import (
+from diagnosis.observable_groups import (
     BANDS,
-    Block,
+    Coordinates,
     Observable,
-    Place,
+    ObservableGroup,
     band_of,
-    block,
-    unknown,
+    observable_group,
+    unknown_directions,
 )
 from diagnosis.observable_source import GroupSource
 from diagnosis.readings.campaign_readings import Readings
-from diagnosis.readings.step_log import Beat
+from diagnosis.readings.step_log import StepLog
 from holography.phase import TURN_OF_FRAMES
 from physics.mechanics import ReedSolver
 from physics.twin import Twin
@@ -30,19 +30,19 @@ _COMMON_HZ = 4e-4
 _LEAST = 4
 
 
-def log_block(beat: Beat) -> Block:
+def lost_frames_group(beat: StepLog) -> ObservableGroup:
     """Frames lost."""
 
     def predict(twin: Twin) -> Array:
         return np.array([2 * np.sqrt(beat.steps * twin.clocks.lost_fraction + 3 / 8)])
 
     values, errors = [2 * np.sqrt(beat.lost + 3 / 8)], np.array([1.0])
-    return block(
-        "frames", Observable.LOG, values, errors, [Place("frames lost")], ("clocks",), predict
+    return observable_group(
+        "frames", Observable.LOG, values, errors, [Coordinates("frames lost")], ("clocks",), predict
     )
 
 
-def lock_scatter_hz(beat: Beat) -> float | None:
+def lock_scatter_hz(beat: StepLog) -> float | None:
     """Scatter of the lock about what depends on frequency and time, without the image's noise.
 
     None where hardly a lock has been measured.
@@ -55,7 +55,7 @@ def lock_scatter_hz(beat: Beat) -> float | None:
     return float(np.sqrt(max(whole**2 - noise**2, (0.1 * whole) ** 2)))
 
 
-def _smooth(beat: Beat) -> Array:
+def _smooth(beat: StepLog) -> Array:
     columns = np.stack(
         [np.ones_like(beat.time_s), beat.drive_hz / 1e4 - 1, beat.time_s / 1e3 - 0.5], axis=1
     )
@@ -68,7 +68,7 @@ def turn_of_unequal_steps(twin: Twin) -> float:
     return float(np.dot(TURN_OF_FRAMES, (0, 1, 0, 1)) * twin.optics.quarter_error_rad)
 
 
-def _scatter_of_bands(beat: Beat, bands: NDArray[Any]) -> dict[Any, float]:
+def _scatter_of_bands(beat: StepLog, bands: NDArray[Any]) -> dict[Any, float]:
     """Standard deviation of the lock in each band, about what depends on frequency and time.
 
     Of the steps themselves, because their standard errors know the image's noise only: light of
@@ -78,12 +78,12 @@ def _scatter_of_bands(beat: Beat, bands: NDArray[Any]) -> dict[Any, float]:
     return {band: float(np.sqrt(np.mean(left[bands == band] ** 2))) for band in set(bands)}
 
 
-def lock_block(beat: Beat, rate_hz: float) -> Block | None:
+def lock_group(beat: StepLog, rate_hz: float) -> ObservableGroup | None:
     """Lock of every sweep in every band; None if nowhere are enough measured.
 
     Parameters
     ----------
-    beat : Beat
+    beat : StepLog
     rate_hz : float
         Frames per second.
     """
@@ -100,7 +100,7 @@ def lock_block(beat: Beat, rate_hz: float) -> Block | None:
             own = max(scatter_hz[band], float(np.median(beat.error_hz[chosen])))
             values.append(float(np.mean(beat.lock_hz[chosen])))
             errors.append(own / np.sqrt(np.count_nonzero(chosen)))
-            places.append(Place("lock", band=band, time=name))
+            places.append(Coordinates("lock", band=band, time=name))
             hz.append(float(np.mean(beat.drive_hz[chosen])))
             hours.append(float(np.mean(beat.time_s[chosen])) / 3600)
     if not values:
@@ -119,17 +119,19 @@ def lock_block(beat: Beat, rate_hz: float) -> Block | None:
         lock = lock - 1e-6 * clocks.generator_ppm * np.array(hz)
         return lock - turn_of_unequal_steps(twin) * rate_hz / (2 * np.pi)
 
-    covariance = np.diag(np.square(errors)) + unknown((np.ones(len(values)), _COMMON_HZ), *repeated)
-    return block(
+    covariance = np.diag(np.square(errors)) + unknown_directions(
+        (np.ones(len(values)), _COMMON_HZ), *repeated
+    )
+    return observable_group(
         "lock", Observable.HOLOGRAM, values, covariance, places, ("clocks", "optics"), predict
     )
 
 
-def _lock(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
-    return lock_block(readings.beat, readings.rate_hz)
+def _lock(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
+    return lock_group(readings.beat, readings.rate_hz)
 
 
 SOURCES: Final = (
-    GroupSource(0, lambda readings, _reed_solver: log_block(readings.beat)),
+    GroupSource(0, lambda readings, _reed_solver: lost_frames_group(readings.beat)),
     GroupSource(4, _lock),
 )

@@ -7,18 +7,18 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.block import (
+from diagnosis.observable_groups import (
     BANDS,
-    Block,
+    Coordinates,
     Observable,
-    Place,
+    ObservableGroup,
     band_of,
-    block,
+    observable_group,
 )
 from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks, leaks_in
 from diagnosis.readings.campaign_readings import Readings
-from diagnosis.readings.reed_at_rest import Still
+from diagnosis.readings.reed_at_rest import RestHolograms
 from diagnosis.readings.sweeps import TEMPLATES, SweepReading, at_highest_level
 from physics.mechanics import ReedSolver
 from physics.twin import OpticsParameters, Twin
@@ -48,7 +48,9 @@ _FLOORS = {"sideband_crosstalk": (5e-3, 2.5e-3), "decorrelation": (1.15e-4, 3e-5
 _LEFT_OF_CARRIER, _OF_TAKEN_OFF = 0.2, (0.15, 3e-3)
 
 
-def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) -> Block:
+def brightness_group(
+    sweeps: Sequence[SweepReading], stills: Sequence[RestHolograms]
+) -> ObservableGroup:
     """Brightness of fringes in the course of time, of all sweeps and at rest.
 
     What holograms of one drive show is vibration times light: sweeps that repeat others tell how
@@ -71,7 +73,7 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
             values.append(float(np.median(table.beside[row][piece])))
             variance.append(_ALIKE * 1.57 * spread**2 / len(piece) + 1e-6)
             pieces.append((row, piece))
-            places.append(Place("fringes", time=f"{sweep.name} {number + 1}"))
+            places.append(Coordinates("fringes", time=f"{sweep.name} {number + 1}"))
             columns.append(table.shared(row, piece))
     still_s: list[float] = []
     for still in stills:
@@ -82,7 +84,7 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
             values.append(float(np.mean(own_brightness)))
             variance.append(_ALIKE * own_spread**2 / len(own_brightness))
             still_s.append(float(at))
-            places.append(Place("order 0", time=f"at rest {still.clamping + 1}.{number + 1}"))
+            places.append(Coordinates("order 0", time=f"at rest {still.clamping + 1}.{number + 1}"))
             columns.append({f"speckle {still.clamping}": _SPECKLE, "order": _ORDER})
     end_s = max([*still_s, *(float(sweep.time_s.max()) for sweep in sweeps)])
 
@@ -97,7 +99,9 @@ def brightness_block(sweeps: Sequence[SweepReading], stills: Sequence[Still]) ->
         return np.array([*of_sweeps, *light(np.array(still_s), twin.optics)])
 
     covariance = np.diag(variance) + _shared(columns)
-    return block("brightness", Observable.FIELD, values, covariance, places, ("optics",), predict)
+    return observable_group(
+        "brightness", Observable.FIELD, values, covariance, places, ("optics",), predict
+    )
 
 
 @dataclass(frozen=True)
@@ -165,7 +169,7 @@ class _Brightness:
         return columns
 
 
-def noise_block(sweeps: Sequence[SweepReading]) -> Block:
+def noise_group(sweeps: Sequence[SweepReading]) -> ObservableGroup:
     """Noise beside the image: shot noise of the local oscillator, in the course of time.
 
     Pixels that are not alike spread what fringes there are all over the image.
@@ -181,7 +185,7 @@ def noise_block(sweeps: Sequence[SweepReading]) -> Block:
             variance.append(max(1.2 * spread**2 / len(piece), _LEAST_NOISE**2))
             times.append(float(np.mean(sweep.time_s[piece])))
             fringes.append(float(np.mean(sweep.fringe_dn2[piece])))
-            places.append(Place("noise beside the image", time=f"{sweep.name} {number + 1}"))
+            places.append(Coordinates("noise beside the image", time=f"{sweep.name} {number + 1}"))
             columns.append({"level": _NOISE, f"sweep {sweep.name}": _NOISE_SWEEP})
     usual, hours = float(np.mean(values)), np.array(times) / 3600
     beside = np.array(fringes) / np.exp(min(values))
@@ -192,12 +196,12 @@ def noise_block(sweeps: Sequence[SweepReading]) -> Block:
         return noise
 
     covariance = np.diag(variance) + _shared(columns)
-    return block(
+    return observable_group(
         "noise", Observable.SENSOR, values, covariance, places, ("optics", "sensor"), predict
     )
 
 
-def fringe_block(sweeps: Sequence[SweepReading]) -> Block | None:
+def fringe_group(sweeps: Sequence[SweepReading]) -> ObservableGroup | None:
     """What is in fringes beside the first sideband, by templates, of all loud sweeps together.
 
     None if no hologram has any.
@@ -220,9 +224,11 @@ def fringe_block(sweeps: Sequence[SweepReading]) -> Block | None:
         mixed = np.sqrt(beams.crosstalk**2 + (alike * beams.leak) ** 2 + floors[0, 0] ** 2)
         return np.array([mixed, beams.decorrelation_per_rad2 + floors[1, 0]])
 
-    places = [Place(name.replace("_", " ")) for name in _FLOORS]
+    places = [Coordinates(name.replace("_", " ")) for name in _FLOORS]
     errors = np.hypot(floors[:, 1], off * np.array(_OF_TAKEN_OFF))
-    return block("fringes", Observable.MAPS, values, errors, places, ("optics",), predict)
+    return observable_group(
+        "fringes", Observable.MAPS, values, errors, places, ("optics",), predict
+    )
 
 
 def mixing_in(sweeps: Sequence[SweepReading]) -> float:
@@ -276,16 +282,16 @@ def leaks_of(readings: Readings) -> Leaks:
     return leaks_in(readings.carriers, readings.sweeps, mixing_in(readings.sweeps))
 
 
-def _brightness(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
-    return brightness_block(readings.sweeps, readings.stills) if readings.sweeps else None
+def _brightness(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
+    return brightness_group(readings.sweeps, readings.stills) if readings.sweeps else None
 
 
-def _noise(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
-    return noise_block(readings.sweeps) if readings.sweeps else None
+def _noise(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
+    return noise_group(readings.sweeps) if readings.sweeps else None
 
 
-def _fringes(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
-    return fringe_block(readings.sweeps) if readings.sweeps else None
+def _fringes(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
+    return fringe_group(readings.sweeps) if readings.sweeps else None
 
 
 SOURCES: Final = (GroupSource(10, _brightness), GroupSource(11, _noise), GroupSource(12, _fringes))

@@ -6,12 +6,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.block import (
-    Block,
+from diagnosis.observable_groups import (
+    Coordinates,
     Observable,
-    Place,
+    ObservableGroup,
     band_of,
-    block,
+    observable_group,
 )
 from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks
@@ -61,9 +61,9 @@ _AT_RESONANCE = 0.03
 _STEP = 0.01
 
 
-def modes_block(
+def modes_group(
     sweeps: Sequence[SweepReading], reed_solver: ReedSolver, leaks: Leaks
-) -> Block | None:
+) -> ObservableGroup | None:
     """Frequencies in cents and losses in per cent, of all sweeps, beside the twin's.
 
     None if sweeps have no mode in common.
@@ -89,7 +89,9 @@ def modes_block(
         values += list(CENTS * np.log(sweep.hz[at])) + list(100 * np.log(sweep.loss_factor[at]))
         for what in _QUANTITIES:
             for name, hz in zip(here, sweep.hz[at], strict=True):
-                places.append(Place(what, mode=name, band=band_of(float(hz)), time=sweep.name))
+                places.append(
+                    Coordinates(what, mode=name, band=band_of(float(hz)), time=sweep.name)
+                )
                 rows.append((number, name, what))
         repeats = _REPEATS if sweep.loudness > highest - SAME_LEVEL else _REPEATS_QUIET
         own = np.concatenate([np.full(len(at), repeats), np.full(len(at), _REPEATS_LOSS)])
@@ -105,7 +107,7 @@ def modes_block(
     covariance += np.diag([astray[what][common.index(name)] ** 2 for _, name, what in rows])
     predict = _prediction(rows, common, sweeps, reed_solver)
     parts = ("reed", "environment", "fit_bias")
-    return block("modes", Observable.MODES, values, covariance, places, parts, predict)
+    return observable_group("modes", Observable.MODES, values, covariance, places, parts, predict)
 
 
 def _of_fit(
@@ -277,9 +279,9 @@ def _slope(reed_solver: ReedSolver, twin: Twin, modulus: str, names: Sequence[st
     return np.array([np.log(ahead[n].hz / behind[n].hz) / (2 * _STEP) for n in names])
 
 
-def _modes(readings: Readings, reed_solver: ReedSolver) -> Block | None:
+def _modes(readings: Readings, reed_solver: ReedSolver) -> ObservableGroup | None:
     sweeps = readings.sweeps
-    return modes_block(sweeps, reed_solver, leaks_of(readings)) if sweeps else None
+    return modes_group(sweeps, reed_solver, leaks_of(readings)) if sweeps else None
 
 
 SOURCES: Final = (GroupSource(16, _modes),)

@@ -6,17 +6,17 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.block import (
-    Block,
+from diagnosis.observable_groups import (
+    Coordinates,
     Observable,
-    Place,
-    block,
-    unknown,
+    ObservableGroup,
+    observable_group,
+    unknown_directions,
 )
 from diagnosis.observable_source import GroupSource
 from diagnosis.observables.frequency_lock import lock_scatter_hz, turn_of_unequal_steps
 from diagnosis.readings.campaign_readings import Readings
-from diagnosis.readings.reed_at_rest import Still
+from diagnosis.readings.reed_at_rest import RestHolograms
 from holography.phase import TURN_OF_FRAMES
 from physics.mechanics import ReedSolver
 from physics.twin import OpticsParameters, Twin
@@ -43,12 +43,14 @@ def usual_scatter_hz(beams: OpticsParameters, rate_hz: float) -> float:
     return float(within * rate_hz / (2 * np.pi))
 
 
-def turn_block(stills: Sequence[Still], scatter_hz: float, rate_hz: float) -> Block:
+def phase_turn_group(
+    stills: Sequence[RestHolograms], scatter_hz: float, rate_hz: float
+) -> ObservableGroup:
     """What light at rest turns by within acquisitions, and between them.
 
     Parameters
     ----------
-    stills : sequence of Still
+    stills : sequence of RestHolograms
     scatter_hz : float
         Of the lock in sweeps.
     rate_hz : float
@@ -63,14 +65,14 @@ def turn_block(stills: Sequence[Still], scatter_hz: float, rate_hz: float) -> Bl
         when = f"clamping {still.clamping + 1}"
         values.append(float(np.mean(still.advance_rad)) * turn_hz)
         errors.append(max(scatter_hz / np.sqrt(len(still.advance_rad)), 1e-4))
-        places.append(Place("lock at rest, within acquisitions", time=when))
+        places.append(Coordinates("lock at rest, within acquisitions", time=when))
         inside.append(1.0)
         hours.append(float(np.mean(still.time_s)) / 3600)
         if not turn.size:
             continue
         values.append(-float(np.sum(turn) / np.sum(gap)) / (2 * np.pi))
         errors.append(_FEW * between / np.sqrt(len(turn)) / float(np.mean(gap)) / (2 * np.pi))
-        places.append(Place("lock at rest, between acquisitions", time=when))
+        places.append(Coordinates("lock at rest, between acquisitions", time=when))
         inside.append(0.0)
         hours.append(hours[-1])
 
@@ -80,7 +82,7 @@ def turn_block(stills: Sequence[Still], scatter_hz: float, rate_hz: float) -> Bl
         return lock - within * turn_of_unequal_steps(twin) * rate_hz / (2 * np.pi)
 
     parts = ("clocks", "optics")
-    return block(
+    return observable_group(
         "light at rest", Observable.HOLOGRAM, values, np.array(errors), places, parts, predict
     )
 
@@ -100,7 +102,7 @@ def _spread_between(
     return float(np.sqrt((np.sum(left**2) + _BELIEVED * walked) / (freedoms + _BELIEVED)))
 
 
-def stability_block(stills: Sequence[Still]) -> Block:
+def stability_group(stills: Sequence[RestHolograms]) -> ObservableGroup:
     """Brightness of every other frame, and speckle that should be the same."""
     values, errors, places = [], [], []
     for still in stills:
@@ -108,20 +110,24 @@ def stability_block(stills: Sequence[Still]) -> Block:
         values.append(float(np.mean(still.frame_ratio)))
         own = still.frame_scatter / np.sqrt(len(still.frame_ratio))
         errors.append(float(np.hypot(own, _FLICKER)))
-        places.append(Place("every other frame's brightness", time=when))
+        places.append(Coordinates("every other frame's brightness", time=when))
         for a in range(len(still.likeness)):
             for b in range(a):
                 values.append(1 - float(still.likeness[a, b]))
                 errors.append(_CHANGED)
-                places.append(Place("speckle that has changed", time=when))
+                places.append(Coordinates("speckle that has changed", time=when))
 
     def predict(_twin: Twin) -> Array:
         return np.zeros(len(values))
 
-    return block("still light", Observable.FIELD, values, np.array(errors), places, (), predict)
+    return observable_group(
+        "still light", Observable.FIELD, values, np.array(errors), places, (), predict
+    )
 
 
-def scatter_block(stills: Sequence[Still], lock_scatter_hz: float, rate_hz: float) -> Block | None:
+def phase_scatter_group(
+    stills: Sequence[RestHolograms], lock_scatter_hz: float, rate_hz: float
+) -> ObservableGroup | None:
     """Scatter of phases, within acquisitions of all sweeps and between those of light at rest.
 
     None if too few of the latter are good.
@@ -146,30 +152,30 @@ def scatter_block(stills: Sequence[Still], lock_scatter_hz: float, rate_hz: floa
     usual = predict(Twin())
     values = np.maximum(np.log([max(lock_scatter_hz, 1e-9), max(between, 1e-9)]), usual - _WALK)
     errors = np.diag([_SCATTER**2, _SCATTER**2 + 0.5 / freedoms])
-    covariance = errors + unknown((walk, _WALK))
-    places = [Place("phase within acquisitions"), Place("phase between acquisitions")]
-    return block(
+    covariance = errors + unknown_directions((walk, _WALK))
+    places = [Coordinates("phase within acquisitions"), Coordinates("phase between acquisitions")]
+    return observable_group(
         "scatter of phases", Observable.HOLOGRAM, values, covariance, places, ("optics",), predict,
     )  # fmt: skip
 
 
-def _turns(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
+def _turns(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
     if not readings.stills:
         return None
     usual_hz = usual_scatter_hz(Twin().optics, readings.rate_hz)
     scatter_hz = lock_scatter_hz(readings.beat) or usual_hz
-    return turn_block(readings.stills, scatter_hz, readings.rate_hz)
+    return phase_turn_group(readings.stills, scatter_hz, readings.rate_hz)
 
 
-def _stability(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
-    return stability_block(readings.stills) if readings.stills else None
+def _stability(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
+    return stability_group(readings.stills) if readings.stills else None
 
 
-def _scatter(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
+def _scatter(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
     scatter_hz = lock_scatter_hz(readings.beat)
     if not readings.stills or scatter_hz is None:
         return None
-    return scatter_block(readings.stills, scatter_hz, readings.rate_hz)
+    return phase_scatter_group(readings.stills, scatter_hz, readings.rate_hz)
 
 
 SOURCES: Final = (GroupSource(5, _turns), GroupSource(6, _stability), GroupSource(7, _scatter))

@@ -5,14 +5,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.block import (
-    Block,
-    Observable,
-    Place,
-    block,
-)
+from diagnosis.observable_groups import Coordinates, Observable, ObservableGroup, observable_group
 from diagnosis.observable_source import GroupSource
-from diagnosis.readings.camera import Beam, Dark, Flat, Sheet
+from diagnosis.readings.camera import DarkFrames, FlatFrames, LocalOscillatorFrames, SensorSheet
 from diagnosis.readings.campaign_readings import Readings
 from physics.mechanics import ReedSolver
 from physics.twin import OpticsParameters, Twin
@@ -34,7 +29,7 @@ _PATTERN, _PATTERN_SPREAD = 3e-3, 0.3
 _LO_TILT, _LO_WAIST = 1e-3, 0.2
 
 
-def dark_block(dark: Dark, sheet: Sheet) -> Block:
+def dark_group(dark: DarkFrames, sheet: SensorSheet) -> ObservableGroup:
     """Dark frames beside the data sheet."""
     sensor = sheet.sensor
 
@@ -52,11 +47,13 @@ def dark_block(dark: Dark, sheet: Sheet) -> Block:
         dark.column_excess,
     ]
     errors = np.array([_OFFSET_DN, _NOISE, _HOT_COUNT, _BANDING, _BANDING])
-    places = [Place(name) for name in names]
-    return block("dark frames", Observable.SENSOR, values, errors, places, ("sensor",), predict)
+    places = [Coordinates(name) for name in names]
+    return observable_group(
+        "dark frames", Observable.SENSOR, values, errors, places, ("sensor",), predict
+    )
 
 
-def flat_block(flat: Flat, dark: Dark | None, sheet: Sheet) -> Block:
+def flat_group(flat: FlatFrames, dark: DarkFrames | None, sheet: SensorSheet) -> ObservableGroup:
     """Even light beside a linear camera."""
     sensor, order = sheet.sensor, np.argsort(flat.exposure_s)
     signal = flat.signal_dn[order]
@@ -86,17 +83,20 @@ def flat_block(flat: Flat, dark: Dark | None, sheet: Sheet) -> Block:
     ]
     errors = np.diag([_LAMP**2] * several + [_PATTERN_SPREAD**2, _GAIN**2] + [_UNEVEN**2] * 3)
     errors[:several, :several] += _LAMP**2
-    places = [Place(f"linearity at {share:.0%}") for share in signal[1:] / full_dn]
+    places = [Coordinates(f"linearity at {share:.0%}") for share in signal[1:] / full_dn]
     places += [
-        Place("pattern"), Place("electrons per number"), Place("corners", region="corners"),
-        Place("tilt of the light", region="rows"), Place("tilt of the light", region="columns"),
-    ]  # fmt: skip
-    return block(
+        Coordinates("pattern"),
+        Coordinates("electrons per number"),
+        Coordinates("corners", region="corners"),
+        Coordinates("tilt of the light", region="rows"),
+        Coordinates("tilt of the light", region="columns"),
+    ]
+    return observable_group(
         "even light", Observable.SENSOR, values, errors, places, ("sensor", "optics"), predict
     )
 
 
-def lo_block(beam: Beam, sheet: Sheet) -> Block:
+def local_oscillator_group(beam: LocalOscillatorFrames, sheet: SensorSheet) -> ObservableGroup:
     """Local oscillator beside a Gaussian beam on the middle of the sensor."""
     usual, halves = OpticsParameters().waist_m, sheet.half_m
 
@@ -113,25 +113,26 @@ def lo_block(beam: Beam, sheet: Sheet) -> Block:
     corner_error = 4 * _LO_WAIST * sum((half / usual) ** 2 for half in halves)
     errors = np.array([_LO_TILT, _LO_TILT, corner_error])
     places = [
-        Place("middle", region="rows"), Place("middle", region="columns"),
-        Place("width", region="corners"),
-    ]  # fmt: skip
-    return block(
+        Coordinates("middle", region="rows"),
+        Coordinates("middle", region="columns"),
+        Coordinates("width", region="corners"),
+    ]
+    return observable_group(
         "local oscillator", Observable.SENSOR, values, errors, places, ("optics",), predict
     )
 
 
-def _dark(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
-    return dark_block(readings.dark, readings.sheet) if readings.dark else None
+def _dark(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
+    return dark_group(readings.dark, readings.sheet) if readings.dark else None
 
 
-def _flat(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
+def _flat(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
     flat = readings.flat
-    return flat_block(flat, readings.dark, readings.sheet) if flat else None
+    return flat_group(flat, readings.dark, readings.sheet) if flat else None
 
 
-def _lo(readings: Readings, _reed_solver: ReedSolver) -> Block | None:
-    return lo_block(readings.lo, readings.sheet) if readings.lo else None
+def _lo(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
+    return local_oscillator_group(readings.lo, readings.sheet) if readings.lo else None
 
 
 SOURCES: Final = (GroupSource(1, _dark), GroupSource(2, _flat), GroupSource(3, _lo))

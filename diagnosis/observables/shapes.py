@@ -7,12 +7,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.block import (
-    Block,
+from diagnosis.observable_groups import (
+    Coordinates,
     Observable,
-    Place,
+    ObservableGroup,
     band_of,
-    block,
+    observable_group,
 )
 from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks
@@ -60,9 +60,9 @@ class _Share:
     error: float
 
 
-def shapes_block(
+def shapes_group(
     sweeps: Sequence[SweepReading], reed_solver: ReedSolver, leaks: Leaks
-) -> Block | None:
+) -> ObservableGroup | None:
     """Shapes of modes beside the twin's; None if none is told well."""
     known = reed_solver.modes(Twin().reed)
     names = [n for n in sweeps[0].names if n in known and known[n].hz < _HIGHEST_HZ]
@@ -87,10 +87,10 @@ def shapes_block(
         + (_LEAK * np.hypot(leaks.mixing, max(leaks.carrier.values(), default=0.0))) ** 2
     )
     places = [
-        Place(f"share of {share.has}", mode=share.of, band=band_of(known[share.of].hz))
+        Coordinates(f"share of {share.has}", mode=share.of, band=band_of(known[share.of].hz))
         for share in shares
     ]
-    return block("shapes", Observable.MODES, values, errors, places, ("reed",), predict)
+    return observable_group("shapes", Observable.MODES, values, errors, places, ("reed",), predict)
 
 
 def _told(sweeps: Sequence[SweepReading], names: Sequence[str]) -> list[_Share]:
@@ -185,9 +185,9 @@ def _deflection(reed_solver: ReedSolver, mode: ReedMode, at_m: Array) -> tuple[f
     return sum(part[1] for part in parts), max(parts, key=lambda part: part[0])[2]
 
 
-def _shapes(readings: Readings, reed_solver: ReedSolver) -> Block | None:
+def _shapes(readings: Readings, reed_solver: ReedSolver) -> ObservableGroup | None:
     sweeps = readings.sweeps
-    return shapes_block(sweeps, reed_solver, leaks_of(readings)) if sweeps else None
+    return shapes_group(sweeps, reed_solver, leaks_of(readings)) if sweeps else None
 
 
 SOURCES: Final = (GroupSource(17, _shapes),)

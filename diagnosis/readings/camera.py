@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.campaign import Part
+from diagnosis.campaign import CampaignRun
 from fitting.errors import FitInputError
 from physics.sensor import Sensor
 
@@ -20,7 +20,7 @@ _SATURATED = 0.98
 
 
 @dataclass(frozen=True)
-class Dark:
+class DarkFrames:
     """Frames without light.
 
     Attributes
@@ -46,7 +46,7 @@ class Dark:
 
 
 @dataclass(frozen=True)
-class Flat:
+class FlatFrames:
     """Frames of even light, at several exposures.
 
     Attributes
@@ -73,7 +73,7 @@ class Flat:
 
 
 @dataclass(frozen=True)
-class Beam:
+class LocalOscillatorFrames:
     """Frames of one beam alone.
 
     Attributes
@@ -88,7 +88,7 @@ class Beam:
     bend: float
 
 
-def stacked(parts: Sequence[Part]) -> tuple[Array, Array]:
+def stacked(parts: Sequence[CampaignRun]) -> tuple[Array, Array]:
     """Frames (e, 4, ny, nx) and exposures (e,) of all acquisitions of runs that kept frames."""
     frames, exposures = [], []
     for part in parts:
@@ -99,7 +99,7 @@ def stacked(parts: Sequence[Part]) -> tuple[Array, Array]:
     return np.stack(frames), np.array(exposures)
 
 
-def read_dark(parts: Sequence[Part]) -> Dark:
+def read_dark(parts: Sequence[CampaignRun]) -> DarkFrames:
     """Read dark frames.
 
     Raises
@@ -126,10 +126,10 @@ def read_dark(parts: Sequence[Part]) -> Dark:
               + np.log(len(frames) / (len(frames) - 1)) - np.log(1 - hot.mean()))
         for axis in (2, 1)
     ]  # fmt: skip
-    return Dark(offset, noise, float(hot.mean()), hot.size, len(frames), *excess)
+    return DarkFrames(offset, noise, float(hot.mean()), hot.size, len(frames), *excess)
 
 
-def read_flat(parts: Sequence[Part], offset_dn: float) -> Flat | None:
+def read_flat(parts: Sequence[CampaignRun], offset_dn: float) -> FlatFrames | None:
     """Read flat frames; None if all are saturated."""
     frames, exposure_s = stacked(parts)
     full_dn = min(part.run.saturation_dn for part in parts)
@@ -147,19 +147,19 @@ def read_flat(parts: Sequence[Part], offset_dn: float) -> Flat | None:
     pattern2 = (
         float(np.median(np.abs(rough - 1)) * 1.4826) ** 2 - float(noise / np.mean(surface)) ** 2
     )
-    return Flat(
+    return FlatFrames(
         exposure_s, signal, variance, float(np.sqrt(max(pattern2, 0.0))), coefficients[0],
         coefficients[1:],
     )  # fmt: skip
 
 
-def read_beam(parts: Sequence[Part], offset_dn: float) -> Beam:
+def read_local_oscillator(parts: Sequence[CampaignRun], offset_dn: float) -> LocalOscillatorFrames:
     """Read frames of one beam."""
     frames, exposure_s = stacked(parts)
     mean = frames.mean(axis=1) - np.float32(offset_dn)
     whole = np.einsum("eyx,e->yx", mean, exposure_s) / np.sum(exposure_s**2)
     _, coefficients = _paraboloid(whole)
-    return Beam(coefficients[1:], coefficients[0])
+    return LocalOscillatorFrames(coefficients[1:], coefficients[0])
 
 
 def _paraboloid(image: Array) -> tuple[Array, Array]:
@@ -190,7 +190,7 @@ def _median_of_chi2(frames: int) -> float:
 
 
 @dataclass(frozen=True)
-class Sheet:
+class SensorSheet:
     """What is known of camera and local oscillator beforehand.
 
     Attributes

@@ -7,11 +7,19 @@ from threadpoolctl import threadpool_limits
 
 from diagnosis.campaign import Campaign
 from diagnosis.known_bench import sensor_of
-from diagnosis.readings.camera import Beam, Dark, Flat, Sheet, read_beam, read_dark, read_flat
-from diagnosis.readings.carrier import Carrier, read_carriers, unshifted_light
+from diagnosis.readings.camera import (
+    DarkFrames,
+    FlatFrames,
+    LocalOscillatorFrames,
+    SensorSheet,
+    read_dark,
+    read_flat,
+    read_local_oscillator,
+)
+from diagnosis.readings.carrier import CarrierReading, read_carriers, unshifted_light
 from diagnosis.readings.device import Device
-from diagnosis.readings.reed_at_rest import Still, read_stills
-from diagnosis.readings.step_log import Beat, read_beat
+from diagnosis.readings.reed_at_rest import RestHolograms, read_rest_holograms
+from diagnosis.readings.step_log import StepLog, read_step_log
 from diagnosis.readings.sweeps import SweepReading, common_modes, read_sweeps
 from physics.air import (
     CavityLine,
@@ -31,10 +39,10 @@ class Readings:
 
     Attributes
     ----------
-    dark, flat, lo : Dark, Flat, Beam or None
-    stills : tuple of Still
-    carriers : tuple of Carrier
-    beat : Beat
+    dark, flat, lo : DarkFrames, FlatFrames, LocalOscillatorFrames or None
+    stills : tuple of RestHolograms
+    carriers : tuple of CarrierReading
+    beat : StepLog
     sweeps : tuple of SweepReading
     refused : tuple of str
         Why sweeps could not be fitted.
@@ -42,23 +50,23 @@ class Readings:
         What would have told more.
     rate_hz : float
         Frames per second.
-    sheet : Sheet
+    sheet : SensorSheet
     device : Device
     extra : mapping
         What modules of `diagnosis.observables` read by themselves, by the names of their sources.
     """
 
-    dark: Dark | None
-    flat: Flat | None
-    lo: Beam | None
-    stills: tuple[Still, ...]
-    carriers: tuple[Carrier, ...]
-    beat: Beat
+    dark: DarkFrames | None
+    flat: FlatFrames | None
+    lo: LocalOscillatorFrames | None
+    stills: tuple[RestHolograms, ...]
+    carriers: tuple[CarrierReading, ...]
+    beat: StepLog
     sweeps: tuple[SweepReading, ...]
     refused: tuple[str, ...]
     missing: tuple[str, ...]
     rate_hz: float
-    sheet: Sheet
+    sheet: SensorSheet
     device: Device
     extra: Mapping[str, object] = field(default_factory=dict)
 
@@ -93,7 +101,7 @@ def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float],
     dark_parts, flat_parts = campaign.of_kind(Kind.DARK), campaign.of_kind(Kind.FLAT)
     lo_parts, still_parts = campaign.of_kind(Kind.LO_ONLY), campaign.of_kind(Kind.ORDER0)
     sensor = sensor_of(bench, first)
-    sheet = Sheet(sensor)
+    sheet = SensorSheet(sensor)
     dark = read_dark(dark_parts) if dark_parts else None
     offset_dn = dark.offset_dn if dark else sensor.offset_dn
     carriers = read_carriers(campaign.sweeps, still_parts)
@@ -105,10 +113,10 @@ def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float],
     return Readings(
         dark=dark,
         flat=flat,
-        lo=read_beam(lo_parts, offset_dn) if lo_parts else None,
-        stills=tuple(read_stills(still_parts)),
+        lo=read_local_oscillator(lo_parts, offset_dn) if lo_parts else None,
+        stills=tuple(read_rest_holograms(still_parts)),
         carriers=tuple(carriers),
-        beat=read_beat(campaign.sweeps),
+        beat=read_step_log(campaign.sweeps),
         sweeps=tuple(sweeps),
         refused=tuple(refused),
         missing=tuple(_missing(campaign, sweeps, saturated=bool(flat_parts) and flat is None)),

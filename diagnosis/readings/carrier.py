@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.campaign import Part
+from diagnosis.campaign import CampaignRun
 from fitting.holograms.block_amplitudes import Unshifted
 from physics.reed.geometry import half_width_m
 from runs.reader import Run
@@ -28,7 +28,7 @@ _BENT_M, _LEAST_TAKEN_OFF = 6e-3, 5e-3
 
 
 @dataclass(frozen=True)
-class Carrier:
+class CarrierReading:
     """Light of the reed at rest in the holograms of one sweep, beside its clamp.
 
     Attributes
@@ -49,7 +49,9 @@ class Carrier:
     volts: float
 
 
-def read_carriers(sweeps: Sequence[Part], stills: Sequence[Part]) -> list[Carrier]:
+def read_carriers(
+    sweeps: Sequence[CampaignRun], stills: Sequence[CampaignRun]
+) -> list[CarrierReading]:
     """Read all sweeps of clampings of which there is light at rest, and whose clamp is seen."""
     found = []
     stills = [part for part in stills if part.good_steps]
@@ -68,12 +70,12 @@ def read_carriers(sweeps: Sequence[Part], stills: Sequence[Part]) -> list[Carrie
     return found
 
 
-def _steps(part: Part) -> list[StepRecord]:
+def _steps(part: CampaignRun) -> list[StepRecord]:
     """Good steps of the sideband that pictures are made of."""
     return [step for step in part.good_steps if step.order == part.run.sideband_order]
 
 
-def _show_same(sweep: Part, still: Part) -> bool:
+def _show_same(sweep: CampaignRun, still: CampaignRun) -> bool:
     """Whether a sweep shows what is at rest in the same speckle and the same pixels."""
     shown, at_rest = sweep.run, still.run
     same = np.array_equal(shown.x_m, at_rest.x_m) and np.array_equal(shown.y_m, at_rest.y_m)
@@ -89,7 +91,7 @@ def _beside_clamp(run: Run, length_m: float) -> NDArray[np.bool_]:
     return beside
 
 
-def _at_rest(part: Part) -> tuple[Complex, float]:
+def _at_rest(part: CampaignRun) -> tuple[Complex, float]:
     """Mean light (height, width) of a reed at rest, and the variance of its noise."""
     fields, noises = [], []
     for step in part.good_steps:
@@ -100,17 +102,21 @@ def _at_rest(part: Part) -> tuple[Complex, float]:
     return np.mean(turned, axis=0), float(np.mean(noises)) / len(fields)
 
 
-def _carrier(part: Part, calm: NDArray[np.bool_], light: Complex, power: float) -> Carrier:
+def _carrier(
+    part: CampaignRun, calm: NDArray[np.bool_], light: Complex, power: float
+) -> CarrierReading:
     run = part.run
     steps = _steps(part)
     seen = [abs(np.vdot(light, run.field(step.position)[calm])) / power for step in steps]
     noise = float(np.median([step.noise_level for step in steps]))
     volts = float(np.exp(np.mean([np.log(max(step.volts, 1e-6)) for step in steps])))
-    return Carrier(part.name, float(np.quantile(seen, _CALMEST)), np.sqrt(noise / power), volts)
+    return CarrierReading(
+        part.name, float(np.quantile(seen, _CALMEST)), np.sqrt(noise / power), volts
+    )
 
 
 def unshifted_light(
-    sweeps: Sequence[Part], stills: Sequence[Part], carriers: Sequence[Carrier]
+    sweeps: Sequence[CampaignRun], stills: Sequence[CampaignRun], carriers: Sequence[CarrierReading]
 ) -> dict[str, Unshifted]:
     """Light that leaks into sweeps, by their names, where it is so much that fits would suffer.
 
@@ -119,8 +125,8 @@ def unshifted_light(
 
     Parameters
     ----------
-    sweeps, stills : sequence of Part
-    carriers : sequence of Carrier
+    sweeps, stills : sequence of CampaignRun
+    carriers : sequence of CarrierReading
         By `read_carriers`.
     """
     if not carriers:
@@ -139,7 +145,7 @@ def unshifted_light(
     return found
 
 
-def _unshifted(part: Part, at_rest: Complex, share: float) -> Unshifted:
+def _unshifted(part: CampaignRun, at_rest: Complex, share: float) -> Unshifted:
     """Light at rest (height, width) that leaks into each hologram of a sweep by so much."""
     run = part.run
     near = _beside_clamp(run, _BENT_M)
@@ -163,6 +169,6 @@ _MOVES = 6e-4
 _NOISE = float(np.sqrt(-np.log1p(-_CALMEST)))
 
 
-def carrier_floor(carriers: Sequence[Carrier]) -> Array:
+def carrier_floor(carriers: Sequence[CarrierReading]) -> Array:
     """What is taken for a carrier (c,) where none leaks in."""
     return np.array([np.hypot(_MOVES * c.volts, _NOISE * c.error) for c in carriers])

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.campaign import Part
+from diagnosis.campaign import CampaignRun
 
 Array = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
-class Still:
+class RestHolograms:
     """Holograms of the reed at rest, of one clamping, in the order of time.
 
     Attributes
@@ -61,14 +61,14 @@ class Still:
     noise_dn2: Array
 
 
-def read_stills(parts: Sequence[Part]) -> list[Still]:
+def read_rest_holograms(parts: Sequence[CampaignRun]) -> list[RestHolograms]:
     """Read order 0 of the reed at rest, one record per clamping."""
     parts = [part for part in parts if part.good_steps]
     clampings = sorted({part.clamping for part in parts})
     return [_still([p for p in parts if p.clamping == c], c) for c in clampings]
 
 
-def _still(parts: Sequence[Part], clamping: int) -> Still:
+def _still(parts: Sequence[CampaignRun], clamping: int) -> RestHolograms:
     rows: list[tuple[float, ...]] = []
     turns, gaps, means = [], [], []
     scatter = []
@@ -100,7 +100,7 @@ def _still(parts: Sequence[Part], clamping: int) -> Still:
         means.append((np.array(fields), rows[-1][-1]))
     time_s, advance, error, bright, ratio_, noise = np.array(rows).T
     likeness, likeness_error = _likeness(means)
-    return Still(
+    return RestHolograms(
         clamping=clamping,
         time_s=time_s,
         advance_rad=advance,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.campaign import Part
+from diagnosis.campaign import CampaignRun
 from runs.verdict import Verdict
 
 Array = NDArray[np.floating[Any]]
@@ -17,7 +17,7 @@ _LOST = (Verdict.PARTIAL, Verdict.DROPPED, Verdict.DISORDERED)
 
 
 @dataclass(frozen=True)
-class Beat:
+class StepLog:
     """All steps of all sweeps.
 
     Attributes
@@ -42,7 +42,7 @@ class Beat:
     names: tuple[str, ...]
 
 
-def read_beat(parts: Sequence[Part]) -> Beat:
+def read_step_log(parts: Sequence[CampaignRun]) -> StepLog:
     """Read the steps of sweeps."""
     rows, lost, count = [], 0, 0
     for number, part in enumerate(parts):
@@ -57,4 +57,4 @@ def read_beat(parts: Sequence[Part]) -> Beat:
                 rows.append((step.lock_error_hz, step.lock_error_se_hz, hz, time_s, number))
     lock, error, hz, time_s, number_ = np.reshape(np.array(rows, dtype=float), (-1, 5)).T
     names = tuple(part.name for part in parts)
-    return Beat(count, lost, lock, error, hz, time_s, number_.astype(int), names)
+    return StepLog(count, lost, lock, error, hz, time_s, number_.astype(int), names)

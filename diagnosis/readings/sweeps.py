@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0, j1, jv
 
-from diagnosis.campaign import Part
+from diagnosis.campaign import CampaignRun
 from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
 from fitting.holograms.block_amplitudes import Unshifted
@@ -138,7 +138,7 @@ class SweepReading:
 
 
 def read_sweeps(
-    parts: Sequence[Part],
+    parts: Sequence[CampaignRun],
     progress: Callable[[float], None] | None = None,
     unshifted: Mapping[str, Unshifted] | None = None,
 ) -> tuple[list[SweepReading], list[str]]:
@@ -146,7 +146,7 @@ def read_sweeps(
 
     Parameters
     ----------
-    parts : sequence of Part
+    parts : sequence of CampaignRun
     progress : callable, optional
         Told the share that is done.
     unshifted : dict of Unshifted, optional
@@ -201,7 +201,7 @@ class _Fits:
         self.found: dict[str, JointFit] = {}
         self.refused: dict[str, str] = {}
 
-    def of(self, part: Part, known: Part | None = None) -> JointFit | FitError:
+    def of(self, part: CampaignRun, known: CampaignRun | None = None) -> JointFit | FitError:
         """Fit a sweep from another one that is known, or by itself; or say why it cannot be."""
         light = self._unshifted.get(part.name)
         try:
@@ -212,7 +212,7 @@ class _Fits:
         except FitError as error:
             return error
 
-    def keep(self, part: Part, fit: JointFit | FitError) -> bool:
+    def keep(self, part: CampaignRun, fit: JointFit | FitError) -> bool:
         """Keep a fit; tells whether it is one."""
         if isinstance(fit, FitError):
             self.refused[part.name] = str(fit)
@@ -221,7 +221,7 @@ class _Fits:
         return True
 
 
-def _root(fits: _Fits, parts: Sequence[Part]) -> Part | None:
+def _root(fits: _Fits, parts: Sequence[CampaignRun]) -> CampaignRun | None:
     """Fit sweeps by themselves until there is no doubt; tells of which there is least, if any."""
     doubt: dict[str, tuple[int, float]] = {}
     # Most often the first will do.
@@ -235,7 +235,7 @@ def _root(fits: _Fits, parts: Sequence[Part]) -> Part | None:
     return min(told, key=lambda part: doubt[part.name], default=None)
 
 
-def _read(part: Part, fitted: JointFit, taken_off: float) -> SweepReading | None:
+def _read(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepReading | None:
     """What a sweep's fit says; None if nothing is identified."""
     if fitted.resonances:
         with contextlib.suppress(FitError):
@@ -287,7 +287,7 @@ def loudness(volts: Array) -> float:
     return float(np.mean(np.log(told))) if told.size else -np.inf
 
 
-def _reading(part: Part, fitted: JointFit, taken_off: float) -> SweepReading:
+def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepReading:
     modal, phasors, found = fitted.modal, fitted.phasors, fitted.displacements
     kept = np.array([m for m, name in enumerate(modal.names) if name in fitted.resonances])
     a = len(modal.names)

@@ -7,8 +7,8 @@ from matplotlib import colormaps
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from diagnosis.block import Observable
-from diagnosis.where import Cell, Map
+from diagnosis.gap_map import GapCell, GapMap
+from diagnosis.observable_groups import Observable
 from reports.plain_text import visible
 
 _AXES: Final = (
@@ -18,10 +18,11 @@ _AXES: Final = (
 _LARGEST = 30.0
 
 
-def draw_map(where: Map) -> Figure:
+def draw_map(where: GapMap) -> Figure:
     """Draw the gap of all cells: blocks of numbers by band, mode, time, level and region."""
     blocks = sorted(
-        (c for c in where.cells if c.axis == "block"), key=lambda c: list(Observable).index(c.tap)
+        (c for c in where.cells if c.axis == "group"),
+        key=lambda c: list(Observable).index(c.observable),
     )
     panels = [
         (axis, words, list(dict.fromkeys(_short(c) for c in where.cells if c.axis == axis)))
@@ -35,12 +36,12 @@ def draw_map(where: Map) -> Figure:
     axes = figure.subplots(1, len(widths), width_ratios=widths, squeeze=False)[0]
     norm = LogNorm(1.0, _LARGEST)
     colours = colormaps["YlOrRd"].with_extremes(under="#d5d8dc", bad="white")
-    for ax, (axis, title, labels) in zip(axes, [("block", "all", ["all"]), *panels], strict=True):
+    for ax, (axis, title, labels) in zip(axes, [("group", "all", ["all"]), *panels], strict=True):
         table = np.full((len(blocks), len(labels)), np.nan)
         for cell in where.cells:
             if cell.axis == axis:
-                column = 0 if axis == "block" else labels.index(_short(cell))
-                row = next(k for k, block in enumerate(blocks) if block.block == cell.block)
+                column = 0 if axis == "group" else labels.index(_short(cell))
+                row = next(k for k, block in enumerate(blocks) if block.group == cell.group)
                 own = cell.gap if cell.resolvable else 0.5
                 table[row, column] = np.nanmax([table[row, column], own])
         image = ax.imshow(np.clip(table, 0.5, _LARGEST), cmap=colours, norm=norm, aspect="auto")
@@ -50,7 +51,7 @@ def draw_map(where: Map) -> Figure:
         ax.set_yticks(range(len(blocks)), [])
         ax.set_title(title, fontsize=8)
         ax.set_facecolor("white")
-    names = [f"{block.block}  {block.tap}" for block in blocks]
+    names = [f"{block.group}  {block.observable}" for block in blocks]
     axes[0].set_yticks(range(len(blocks)), names, fontsize=8)
     bar = figure.colorbar(image, ax=list(axes), fraction=0.03, pad=0.01, extend="max")
     bar.ax.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"], minor=False)
@@ -58,7 +59,7 @@ def draw_map(where: Map) -> Figure:
     return figure
 
 
-def _short(cell: Cell) -> str:
+def _short(cell: GapCell) -> str:
     """Label of a cell, sweeps without their pieces."""
     in_pieces = cell.axis == "time" and cell.label[-1:].isdigit()
     return cell.label.rsplit(" ", 1)[0] if in_pieces else cell.label

@@ -38,7 +38,7 @@ SAID = {
     "likely": [["crack"]],
     "effects": {"crack": {"d_prime": 7.0, "detectable": {"depth": None},
                           "sizes": {"depth": {"value": 1e-4, "error": 1e-5}}}},
-    "how_far": {"by": {"crack": {"before": 4.0, "after": None}}},
+    "explained_fraction": {"by": {"crack": {"before": 4.0, "after": None}}},
 }  # fmt: skip
 
 
@@ -106,8 +106,8 @@ def test_what_is_no_answer_is_told(made, content) -> None:
         ("likely", ["crack"], "likely.0"),
         ("effects", [], "effects"),
         ("effects", {"crack": {"detectable": {}, "sizes": {}}}, "effects.crack.d_prime"),
-        ("how_far", {}, "how_far.by"),
-        ("how_far", {"by": {"crack": None}}, "how_far.by.crack"),
+        ("explained_fraction", {}, "explained_fraction.by"),
+        ("explained_fraction", {"by": {"crack": None}}, "explained_fraction.by.crack"),
     ],
 )
 def test_an_answer_of_a_wrong_shape_is_told_by_its_place(made, key, value, place) -> None:

@@ -5,19 +5,19 @@ import pytest
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
 from benchmarks.reach import as_drawn, together, told
-from diagnosis.likeness import Reach
+from diagnosis.inference.similarity import Detectability
 
 
 def reach(size, absorbed=0.5, **alike):
-    return Reach("carrier_leak", absorbed, {"fraction": size}, alike)
+    return Detectability("carrier_leak", absorbed, {"fraction": size}, alike)
 
 
 def test_effects_are_alike_if_they_are_in_more_campaigns_than_not() -> None:
     half = [[reach(0.002, sideband_crosstalk=0.85)], [reach(0.004)]]
-    assert together(half)[0].alike == {}
+    assert together(half)[0].confusable == {}
     most = [*half, [reach(0.003, absorbed=0.1, sideband_crosstalk=0.95)]]
     (found,) = together(most)
-    assert found.alike == {"sideband_crosstalk": 0.85}
+    assert found.confusable == {"sideband_crosstalk": 0.85}
     assert found.detectable == {"fraction": 0.003}
     assert found.absorbed == 0.5
 

@@ -146,7 +146,7 @@ def answered(truth, named, by, sizes=None, **more):
     """A case with what its answer says of gaps and sizes."""
     probability = {named or "none": 0.9, "unknown": 0.1}
     made = case(truth, probability, likely=[(named or "none",)], **more)
-    made.answer["how_far"] = {"by": by}
+    made.answer["explained_fraction"] = {"by": by}
     made.answer["effects_named"] = named.split("+") if named else []
     for name, size in (sizes or {}).items():
         made.answer["effects"][name]["sizes"] = size

@@ -48,8 +48,10 @@ def _answer(case_number: int, named: tuple[str, ...]) -> dict[str, Any]:
             }
             for name in names
         },
-        "how_far": {"by": {key: dict(gap, after=gap["after"] + n) for n, key in enumerate(told)}},
-        "where": list(range(1000)),
+        "explained_fraction": {
+            "by": {key: dict(gap, after=gap["after"] + n) for n, key in enumerate(told)}
+        },
+        "gap": list(range(1000)),
     }
 
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from diagnosis.block import Observable
 from diagnosis.effect_notes import NOTES, notes_of
+from diagnosis.observable_groups import Observable
 from physics.effects.catalogue import BY_ID, CATALOGUE
 from physics.effects.changes import additive
 from physics.effects.effect import Effect, Parameter, Stage

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.nuisances import of_fits
+from diagnosis.inference.nuisances import of_fits
 from diagnosis.observables.drive import exchanged
 from physics.twin import FitBias, Twin
 

@@ -7,7 +7,7 @@ import pytest
 
 from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.drive import _torn
-from diagnosis.observables.light import brightness_block, noise_block
+from diagnosis.observables.light import brightness_group, noise_group
 from diagnosis.observables.modes import _levels, _of_leaks
 from diagnosis.readings.sweeps import _doubt, at_highest_level, loudest
 from physics.twin import SensorParameters, Twin
@@ -29,7 +29,7 @@ def sweep(name, noise_dn2, fringe_dn2, clamping=0, loudness=1.0):
 def test_pixels_that_differ_spread_fringes_by_the_square_of_what_they_differ_by() -> None:
     # Of two sweeps one has bright fringes; what p of them is spread out is p² of their power.
     p, noise, fringes = 0.05, 1600.0, 2e5
-    block = noise_block([sweep("dim", noise, 0.0), sweep("up", noise + p**2 * fringes, fringes)])
+    block = noise_group([sweep("dim", noise, 0.0), sweep("up", noise + p**2 * fringes, fringes)])
     half = len(block.values) // 2
     told = block.predict(Twin(sensor=SensorParameters(pattern=p)))
     assert np.mean(told[half:]) - np.mean(told[:half]) == pytest.approx(
@@ -46,8 +46,10 @@ def test_runs_at_rest_are_averaged_by_themselves_however_long_they_are() -> None
         clamping=0, time_s=np.arange(12.0), brightness=np.r_[np.zeros(4), np.full(8, -0.2)],
         run=np.repeat([0, 1], [4, 8]), run_time_s=np.array([1.5, 7.5]),
     )  # fmt: skip
-    block = brightness_block([sweep("up", 1.0, 0.0), sweep("down", 1.0, 0.0)], [still])
-    rest = [v for v, p in zip(block.values, block.places, strict=True) if p.quantity == "order 0"]
+    block = brightness_group([sweep("up", 1.0, 0.0), sweep("down", 1.0, 0.0)], [still])
+    rest = [
+        v for v, p in zip(block.values, block.coordinates, strict=True) if p.quantity == "order 0"
+    ]
     assert rest == pytest.approx([0.0, -0.2])
 
 
@@ -61,8 +63,8 @@ def test_acquisitions_that_are_alike_by_chance_are_no_surer_than_light_is() -> N
         clamping=0, time_s=np.arange(8.0), brightness=np.repeat([0.0, 0.04], 4),
         run=np.repeat([0, 1], 4), run_time_s=np.array([1.5, 5.5]),
     )  # fmt: skip
-    block = brightness_block(sweeps, [still])
-    one, two = (k for k, place in enumerate(block.places) if place.quantity == "order 0")
+    block = brightness_group(sweeps, [still])
+    one, two = (k for k, place in enumerate(block.coordinates) if place.quantity == "order 0")
     C = block.covariance
     apart = C[one, one] + C[two, two] - 2 * C[one, two]
     # Two means of four, or a little less for what a mean of three sweeps takes along.

@@ -6,23 +6,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.block import Observable, Place, block
+from diagnosis.observable_groups import Coordinates, Observable, observable_group
 from diagnosis.observables.carrier import Leaks
-from diagnosis.observables.drive import force_block, level_block, line_block
-from diagnosis.observables.frequency_lock import lock_block, lock_scatter_hz
+from diagnosis.observables.drive import excitation_group, force_group, level_group
+from diagnosis.observables.frequency_lock import lock_group, lock_scatter_hz
 from diagnosis.observables.light import (
-    brightness_block,
-    fringe_block,
+    brightness_group,
+    fringe_group,
     mixing_in,
-    noise_block,
+    noise_group,
 )
-from diagnosis.observables.modes import modes_block
-from diagnosis.observables.reed_at_rest import turn_block, usual_scatter_hz
+from diagnosis.observables.modes import modes_group
+from diagnosis.observables.reed_at_rest import phase_turn_group, usual_scatter_hz
 from diagnosis.readings.camera import read_dark, read_flat
 from diagnosis.readings.campaign_readings import _missing
 from diagnosis.readings.carrier import read_carriers
 from diagnosis.readings.device import Device
-from diagnosis.readings.step_log import read_beat
+from diagnosis.readings.step_log import read_step_log
 from diagnosis.readings.sweeps import TEMPLATES
 from fitting.errors import FitError, FitInputError
 from fitting.holograms.block_amplitudes import _holograms
@@ -74,12 +74,15 @@ def sweep(name="up", drive_hz=STEPS_HZ, volts=8.0, names=tuple(MODES), **changed
 
 
 def test_numbers_that_are_none_are_refused_by_name() -> None:
-    places = [Place("force", mode="F1", time="up"), Place("force", mode="T1", time="down")]
+    places = [
+        Coordinates("force", mode="F1", time="up"),
+        Coordinates("force", mode="T1", time="down"),
+    ]
     for values, errors in (([1.0, np.nan], [1.0, 1.0]), ([1.0, 1.0], [1.0, 0.0])):
         with pytest.raises(
             FitInputError, match="forces: no number with an error comes of force T1"
         ):
-            block(
+            observable_group(
                 "forces",
                 Observable.RESPONSE,
                 values,
@@ -96,16 +99,16 @@ def test_sweeps_without_a_measured_lock_have_no_lock() -> None:
         read_drive_hz=None, drive_hz=2000, timestamps_s=(5.0,),
     )  # fmt: skip
     run = SimpleNamespace(steps=[step] * 20, sideband_order=1)
-    beat = read_beat([SimpleNamespace(run=run, name="up", clock_s=0.0)])
+    beat = read_step_log([SimpleNamespace(run=run, name="up", clock_s=0.0)])
     assert beat.steps == 20
     assert lock_scatter_hz(beat) is None
-    assert lock_block(beat, 12.5) is None
+    assert lock_group(beat, 12.5) is None
     still = SimpleNamespace(
         clamping=0, time_s=np.arange(4.0), turn_rad=np.zeros(3), gap_s=np.ones(3),
         advance_rad=np.zeros(4), advance_error=np.full(4, 1e-3),
     )  # fmt: skip
     usual_hz = usual_scatter_hz(OpticsParameters(), 12.5)
-    light = turn_block([still], usual_hz, 12.5)
+    light = phase_turn_group([still], usual_hz, 12.5)
     assert np.sqrt(light.covariance[0, 0]) == pytest.approx(usual_hz / 2)
 
 
@@ -139,27 +142,27 @@ def test_dark_frames_that_never_change_are_of_no_camera() -> None:
 
 def test_light_is_compared_where_all_sweeps_have_frequencies() -> None:
     low, high = STEPS_HZ[:120], STEPS_HZ[60:]
-    light = brightness_block([sweep("low", low), sweep("high", high)], [])
+    light = brightness_group([sweep("low", low), sweep("high", high)], [])
     assert 4 <= len(light.values) < 16
     assert np.abs(light.values).max() < 0.02
-    apart = brightness_block([sweep("low", STEPS_HZ[:80]), sweep("high", STEPS_HZ[100:])], [
+    apart = brightness_group([sweep("low", STEPS_HZ[:80]), sweep("high", STEPS_HZ[100:])], [
         SimpleNamespace(clamping=0, brightness=np.zeros(1), run=np.zeros(1, int),
                         run_time_s=np.ones(1))])  # fmt: skip
-    assert [place.quantity for place in apart.places] == ["order 0"]
+    assert [place.quantity for place in apart.coordinates] == ["order 0"]
 
 
 def test_programs_that_tell_one_noise_for_all_are_believed_but_for_little() -> None:
-    noise = noise_block([sweep(noise_dn2=np.full(184, 1e3))])
+    noise = noise_group([sweep(noise_dn2=np.full(184, 1e3))])
     assert noise.values == pytest.approx(np.log(1e3))
     assert np.linalg.eigvalsh(noise.covariance).min() > 0
 
 
 def test_where_no_hologram_is_told_fringes_tell_nothing() -> None:
     blind = sweep(off=np.ones(184, bool))
-    assert fringe_block([blind]) is None
+    assert fringe_group([blind]) is None
     assert mixing_in([blind]) == 0.0
-    both = fringe_block([blind, sweep("down")])
-    assert both.values == pytest.approx(fringe_block([sweep("down")]).values)
+    both = fringe_group([blind, sweep("down")])
+    assert both.values == pytest.approx(fringe_group([sweep("down")]).values)
 
 
 def test_frequencies_that_differ_by_what_a_generator_misses_are_one() -> None:
@@ -167,9 +170,11 @@ def test_frequencies_that_differ_by_what_a_generator_misses_are_one() -> None:
     up, down = sweep("up", volts=16.0), sweep("down", missed, volts=16.0)
     quiet = sweep("quiet", missed[::-1][::-1], volts=4.0)
     line = CavityLine()
-    same = line_block([up, sweep("down", volts=16.0)], line, NO_LEAKS)
-    assert line_block([up, down], line, NO_LEAKS).values == pytest.approx(same.values, abs=1e-6)
-    level = level_block([up, down, quiet], NO_LEAKS)
+    same = excitation_group([up, sweep("down", volts=16.0)], line, NO_LEAKS)
+    assert excitation_group([up, down], line, NO_LEAKS).values == pytest.approx(
+        same.values, abs=1e-6
+    )
+    level = level_group([up, down, quiet], NO_LEAKS)
     assert level.values == pytest.approx(np.zeros(len(level.values)), abs=1e-4)
     assert len(level.values) == 12
 
@@ -177,24 +182,24 @@ def test_frequencies_that_differ_by_what_a_generator_misses_are_one() -> None:
 def test_sweeps_at_other_frequencies_tell_no_lines_and_no_levels() -> None:
     between = STEPS_HZ * 2 ** (1 / 96)
     up, quiet = sweep(volts=16.0), sweep("quiet", between, volts=4.0)
-    assert line_block([up, quiet], CavityLine(), NO_LEAKS) is None
-    assert level_block([up, quiet], NO_LEAKS) is None
+    assert excitation_group([up, quiet], CavityLine(), NO_LEAKS) is None
+    assert level_group([up, quiet], NO_LEAKS) is None
 
 
 def test_lines_of_the_drive_go_by_the_volts_of_the_loudest_sweep() -> None:
     quiet, loud = sweep("quiet", STEPS_HZ[1:], volts=2.0), sweep("loud", volts=16.0)
-    found = line_block([quiet, loud], CavityLine(), NO_LEAKS)
+    found = excitation_group([quiet, loud], CavityLine(), NO_LEAKS)
     assert found.values == pytest.approx(
-        line_block([loud, quiet], CavityLine(), NO_LEAKS).values, abs=1e-9
+        excitation_group([loud, quiet], CavityLine(), NO_LEAKS).values, abs=1e-9
     )
 
 
 def test_sweeps_without_common_modes_tell_none() -> None:
     high = sweep("high", names=("X9",))
-    assert modes_block([sweep(), high, sweep("down")], FewModes(), NO_LEAKS).values.size == 16
-    assert modes_block([sweep(names=("X9",))], FewModes(), NO_LEAKS) is None
+    assert modes_group([sweep(), high, sweep("down")], FewModes(), NO_LEAKS).values.size == 16
+    assert modes_group([sweep(names=("X9",))], FewModes(), NO_LEAKS) is None
     device = Device(Chamber(), CavityLine(), 532e-9)
-    assert force_block([sweep(), high], FewModes(), device) is None
+    assert force_group([sweep(), high], FewModes(), device) is None
 
 
 def test_what_runs_do_not_tell_though_they_are_there_is_missing() -> None:
@@ -210,11 +215,11 @@ def test_what_runs_do_not_tell_though_they_are_there_is_missing() -> None:
 def test_steps_far_apart_tell_how_far_a_mode_moves_by_the_nearest() -> None:
     coarse = 1000.0 * 2 ** (np.arange(24) / 6)
     deep = np.where(np.abs(coarse - 1800) == np.abs(coarse - 1800).min(), 20.0, 0.0)
-    modes = modes_block([sweep(drive_hz=coarse, deepest_rad=deep)], FewModes(), NO_LEAKS)
+    modes = modes_group([sweep(drive_hz=coarse, deepest_rad=deep)], FewModes(), NO_LEAKS)
     twin = Twin()
     hard = Twin(environment=type(twin.environment)(hardening=1e-3))
     moved = modes.predict(hard) - modes.predict(twin)
-    assert [place.mode for place, by in zip(modes.places, moved, strict=True) if by] == ["F1"]
+    assert [place.mode for place, by in zip(modes.coordinates, moved, strict=True) if by] == ["F1"]
 
 
 def dark_clamp(signal):

@@ -12,16 +12,16 @@ from fitting.errors import FitError
 VOLTS = {"up": 8.0, "down": 8.0, "quiet": 2.0, "again": 8.0}
 
 
-class Part(SimpleNamespace):
+class CampaignRun(SimpleNamespace):
     """A part of a campaign."""
 
     __hash__ = object.__hash__
 
 
-def part(name: str) -> Part:
+def part(name: str) -> CampaignRun:
     steps = [SimpleNamespace(volts=VOLTS[name])] * 3
     run = SimpleNamespace(name=name, path=Path(f"{name}.h5"), steps=steps, reed_file=lambda: None)
-    return Part(name=name, clamping=int(name == "again"), run=run)
+    return CampaignRun(name=name, clamping=int(name == "again"), run=run)
 
 
 PARTS = [part(name) for name in VOLTS]

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.observables.carrier import Leaks, carrier_block, leaks_in
-from diagnosis.observables.shapes import shapes_block
-from diagnosis.readings.carrier import Carrier, unshifted_light
+from diagnosis.observables.carrier import Leaks, carrier_group, leaks_in
+from diagnosis.observables.shapes import shapes_group
+from diagnosis.readings.carrier import CarrierReading, unshifted_light
 from physics.mechanics import ReedMode, TipMass
 from physics.reed.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
@@ -58,12 +58,14 @@ def sweep(mixing, error=1e-3, twist_sign=1.0):
 
 
 def predicted(block, twin):
-    return dict(zip([(p.mode, p.quantity) for p in block.places], block.predict(twin), strict=True))
+    return dict(
+        zip([(p.mode, p.quantity) for p in block.coordinates], block.predict(twin), strict=True)
+    )
 
 
 @pytest.mark.parametrize("twist_sign", [1.0, -1.0])
 def test_shares_are_in_units_of_largest_deflections_with_the_signs_of_the_basis(twist_sign) -> None:
-    block = shapes_block([sweep(np.zeros((3, 3)), twist_sign=twist_sign)], WORKSHOP, NO_LEAKS)
+    block = shapes_group([sweep(np.zeros((3, 3)), twist_sign=twist_sign)], WORKSHOP, NO_LEAKS)
     assert block is not None
     np.testing.assert_array_equal(block.predict(Twin()), 0.0)
     found = predicted(block, ALTERED)
@@ -75,15 +77,15 @@ def test_shares_are_in_units_of_largest_deflections_with_the_signs_of_the_basis(
 def test_shares_are_told_once_and_where_fits_disagree_hardly() -> None:
     small, large = np.zeros((3, 3)), np.zeros((3, 3))
     large[1, 0] = 0.01
-    block = shapes_block([sweep(small), sweep(large), sweep(small)], WORKSHOP, NO_LEAKS)
+    block = shapes_group([sweep(small), sweep(large), sweep(small)], WORKSHOP, NO_LEAKS)
     assert block is not None
     assert len(block.values) == 3
-    assert shapes_block([sweep(small, error=0.1)], WORKSHOP, NO_LEAKS) is None
+    assert shapes_group([sweep(small, error=0.1)], WORKSHOP, NO_LEAKS) is None
 
 
 def test_what_leaks_in_makes_shapes_uncertain() -> None:
-    plain = shapes_block([sweep(np.zeros((3, 3)))], WORKSHOP, NO_LEAKS)
-    spoilt = shapes_block([sweep(np.zeros((3, 3)))], WORKSHOP, Leaks({"up": 0.2}, 0.0))
+    plain = shapes_group([sweep(np.zeros((3, 3)))], WORKSHOP, NO_LEAKS)
+    spoilt = shapes_group([sweep(np.zeros((3, 3)))], WORKSHOP, Leaks({"up": 0.2}, 0.0))
     assert plain is not None
     assert spoilt is not None
     assert (np.diag(spoilt.covariance) > 5 * np.diag(plain.covariance)).all()
@@ -99,17 +101,21 @@ QUARTER = np.sqrt(np.log(4 / 3))
 def carriers(leak=0.0):
     """Two sweeps, a loud one and a quiet one, of a reed that moves a little by its clamp."""
     return [
-        Carrier(name, float(np.hypot(leak, np.hypot(6e-4 * volts, QUARTER * 8e-4))), 8e-4, volts)
+        CarrierReading(
+            name, float(np.hypot(leak, np.hypot(6e-4 * volts, QUARTER * 8e-4))), 8e-4, volts
+        )
         for name, volts in (("up", 8.0), ("quiet", 2.0))
     ]
 
 
 def test_a_carrier_is_told_where_the_reed_hardly_moves() -> None:
     leak = Twin(optics=OpticsParameters(leak=0.015))
-    block = carrier_block(carriers(0.015))
-    assert np.sum(block.left(leak) ** 2) == pytest.approx(0.0, abs=1e-9)
-    assert np.sum(block.left(Twin()) ** 2) > 100
-    assert np.sum(carrier_block(carriers()).left(Twin()) ** 2) == pytest.approx(0.0, abs=1e-9)
+    block = carrier_group(carriers(0.015))
+    assert np.sum(block.whitened_residual(leak) ** 2) == pytest.approx(0.0, abs=1e-9)
+    assert np.sum(block.whitened_residual(Twin()) ** 2) > 100
+    assert np.sum(carrier_group(carriers()).whitened_residual(Twin()) ** 2) == pytest.approx(
+        0.0, abs=1e-9
+    )
 
 
 def test_leaks_count_by_what_moves_in_a_sweep() -> None:
@@ -167,7 +173,7 @@ def part(name, run, clamping=0):
 
 def test_what_leaks_in_is_told_hologram_by_hologram_though_the_reed_moves() -> None:
     quiet, still = Held(0.02, 1, volts=2.0), Held(0.0, 2)
-    carriers = [Carrier("quiet", 0.02, 1e-5, 2.0)]
+    carriers = [CarrierReading("quiet", 0.02, 1e-5, 2.0)]
     found = unshifted_light([part("quiet", quiet)], [part("rest", still)], carriers)["quiet"]
     np.testing.assert_allclose(found.light, quiet.light, rtol=1e-6)
     shares = np.array([found.share[k] for k in range(40)])
@@ -177,8 +183,8 @@ def test_what_leaks_in_is_told_hologram_by_hologram_though_the_reed_moves() -> N
 
 def test_little_light_and_light_of_another_clamping_stay() -> None:
     quiet, still = Held(0.02, 1, volts=2.0), Held(0.0, 2)
-    little = [Carrier("quiet", 2e-3, 1e-5, 2.0)]
-    much = [Carrier("quiet", 0.02, 1e-5, 2.0)]
+    little = [CarrierReading("quiet", 2e-3, 1e-5, 2.0)]
+    much = [CarrierReading("quiet", 0.02, 1e-5, 2.0)]
     assert unshifted_light([part("quiet", quiet)], [part("rest", still)], little) == {}
     assert unshifted_light([part("quiet", quiet, 1)], [part("rest", still)], much) == {}
     assert unshifted_light([part("quiet", quiet)], [part("rest", still)], []) == {}

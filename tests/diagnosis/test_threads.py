@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from diagnosis import observing, verdict
+from diagnosis import campaign_diagnosis, observe
+from diagnosis.readings import campaign_readings
 
 
 class ReachedError(Exception):
@@ -30,16 +31,16 @@ def count_of_threads():
 
 
 def test_effects_are_tried_on_one_thread(monkeypatch):
-    monkeypatch.setattr(verdict, "contest", count_threads)
+    monkeypatch.setattr(campaign_diagnosis, "select_model", count_threads)
     with pytest.raises(ReachedError) as reached:
-        verdict.judged(SimpleNamespace(), verdict.Told())
+        campaign_diagnosis.diagnose_problem(SimpleNamespace(), campaign_diagnosis.CampaignSummary())
     assert reached.value.args == (1,)
     assert count_of_threads() == 2
 
 
 def test_campaigns_are_read_on_one_thread(monkeypatch):
-    monkeypatch.setattr(observing, "sensor_of", count_threads)
+    monkeypatch.setattr(campaign_readings, "sensor_of", count_threads)
     campaign = SimpleNamespace(sweeps=[SimpleNamespace(run=None)], of_kind=lambda _kind: [])
     with pytest.raises(ReachedError) as reached:
-        observing.read(campaign)
+        observe.read(campaign)
     assert reached.value.args == (1,)

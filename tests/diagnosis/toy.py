@@ -6,9 +6,9 @@ from functools import partial
 
 import numpy as np
 
-from diagnosis.block import Observable, Place, block
-from diagnosis.nuisances import Nuisance
-from diagnosis.rivals import Comparison
+from diagnosis.inference.nuisances import Nuisance
+from diagnosis.inference.problem import InferenceProblem
+from diagnosis.observable_groups import Coordinates, Observable, observable_group
 from physics.effects.effect import (
     Effect,
     Parameter,
@@ -64,20 +64,29 @@ EFFECTS = (
 )
 
 
-def measured(seed: int, truth: Twin, noise: float = 0.05, extra: float = 0.0) -> Comparison:
+def measured(seed: int, truth: Twin, noise: float = 0.05, extra: float = 0.0) -> InferenceProblem:
     """Measure a bench; `extra` is something that no effect can make."""
     rng = np.random.default_rng(seed)
     y = lines(truth) + noise * rng.standard_normal(COUNT) + extra * np.sign(np.sin(40 * AT))
     y2 = clocks(truth) + noise * rng.standard_normal(20)
     places = [
-        Place("line", band="low" if a < 0 else "high", time=f"t{int(4 * abs(a))}") for a in AT
+        Coordinates("line", band="low" if a < 0 else "high", time=f"t{int(4 * abs(a))}") for a in AT
     ]
     both = [
-        block("lines", Observable.MAPS, y, np.full(COUNT, noise), places, ("optics",), lines),
-        block("clocks", Observable.HOLOGRAM, y2, np.full(20, noise), [Place("clock")] * 20,
-              ("clocks", "optics"), clocks),
-    ]  # fmt: skip
-    return Comparison(both, Twin(), (LEVEL,))
+        observable_group(
+            "lines", Observable.MAPS, y, np.full(COUNT, noise), places, ("optics",), lines
+        ),
+        observable_group(
+            "clocks",
+            Observable.HOLOGRAM,
+            y2,
+            np.full(20, noise),
+            [Coordinates("clock")] * 20,
+            ("clocks", "optics"),
+            clocks,
+        ),
+    ]
+    return InferenceProblem(both, Twin(), (LEVEL,))
 
 
 def bench(**changes: float) -> Twin:

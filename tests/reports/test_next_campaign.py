@@ -8,11 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from diagnosis.actions import (
-    ACTIONS,
-    Action,
-    Worth,
-)
+from diagnosis.experiment_design import EXPERIMENTS, Experiment, RankedExperiment
 from fitting.errors import FitInputError
 from protocols.campaign import CampaignFile, tasks_of
 from protocols.errors import ProtocolError
@@ -21,35 +17,36 @@ from reports.errors import OutputFailedError, OutputRefusedError
 from reports.next_campaign import require_repeatable, write_next
 
 
-def _worth(action: Action) -> Worth:
-    return Worth(action, 3.0, 3.0 / action.minutes)
+def _worth(action: Experiment) -> RankedExperiment:
+    return RankedExperiment(action, 3.0, 3.0 / action.minutes)
 
 
 def _sweeps() -> str:
     return Protocol.from_file("seriesA").text
 
 
-@pytest.mark.parametrize("action", [a for a in ACTIONS if a.parts], ids=lambda a: a.id)
+@pytest.mark.parametrize("action", [a for a in EXPERIMENTS if a.campaign_parts], ids=lambda a: a.id)
 def test_every_action_is_a_campaign_of_the_sweeps_that_were_run(
-    action: Action, tmp_path: Path
+    action: Experiment, tmp_path: Path
 ) -> None:
     file = tmp_path / "next.yaml"
     assert (
-        write_next([_worth(action)], ("crack", "drying"), _sweeps(), "R01", file).action is action
+        write_next([_worth(action)], ("crack", "drying"), _sweeps(), "R01", file).experiment
+        is action
     )
     tasks = tasks_of(CampaignFile.from_file(file))
-    assert [task.part.name for task in tasks] == [part["name"] for part in action.parts]
+    assert [task.part.name for task in tasks] == [part["name"] for part in action.campaign_parts]
     assert {task.protocol.drive for task in tasks} == {Protocol.from_text(_sweeps()).drive}
     assert "tell crack from drying" in file.read_text()
 
 
 def test_the_best_that_software_can_run_is_written(tmp_path: Path) -> None:
-    by_hand = Action("listen", "an ear at the tip", 1.0, (), lambda twin: twin)
+    by_hand = Experiment("listen", "an ear at the tip", 1.0, (), lambda twin: twin)
     file = tmp_path / "next.yaml"
-    rest = next(action for action in ACTIONS if action.id == "long_rest")
-    wax = next(action for action in ACTIONS if action.id == "known_mass")
+    rest = next(action for action in EXPERIMENTS if action.id == "long_rest")
+    wax = next(action for action in EXPERIMENTS if action.id == "known_mass")
     worths = [_worth(by_hand), _worth(rest), _worth(wax)]
-    assert write_next(worths, ("none", "drying"), _sweeps(), "R01", file).action is rest
+    assert write_next(worths, ("none", "drying"), _sweeps(), "R01", file).experiment is rest
     (task,) = tasks_of(CampaignFile.from_file(file))
     assert task.protocol.calibration is not None
     assert task.protocol.calibration.count == 64
@@ -58,7 +55,7 @@ def test_the_best_that_software_can_run_is_written(tmp_path: Path) -> None:
 def test_a_campaign_of_a_reed_of_any_name_can_be_read_and_its_command_copied(
     tmp_path: Path,
 ) -> None:
-    rest = next(action for action in ACTIONS if action.id == "long_rest")
+    rest = next(action for action in EXPERIMENTS if action.id == "long_rest")
     file, reed = tmp_path / "$(touch x).yaml", "R7'\nname: other\n\x1b]0;x\x07; touch x"
     write_next([_worth(rest)], ("none", "drying"), _sweeps(), reed, file)
     assert CampaignFile.from_file(file).name == "Next, long rest"
@@ -72,7 +69,7 @@ def test_a_disk_that_is_full_leaves_the_earlier_campaign(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rest, wax = (
-        next(action for action in ACTIONS if action.id == name)
+        next(action for action in EXPERIMENTS if action.id == name)
         for name in ("long_rest", "known_mass")
     )
     file = tmp_path / "next.yaml"
@@ -89,7 +86,7 @@ def test_a_disk_that_is_full_leaves_the_earlier_campaign(
 
 
 def test_the_protocol_of_a_campaign_that_was_measured_is_marked_once(tmp_path: Path) -> None:
-    rest = next(action for action in ACTIONS if action.id == "long_rest")
+    rest = next(action for action in EXPERIMENTS if action.id == "long_rest")
     file, again = tmp_path / "next.yaml", tmp_path / "again.yaml"
     write_next([_worth(rest)], ("none", "drying"), _sweeps(), "R01", file)
     written = (tmp_path / "next-sweep.yaml").read_text("utf-8")
@@ -109,7 +106,7 @@ def test_what_cannot_be_written_is_told_before_anything_is_diagnosed(tmp_path: P
     file, sweep = tmp_path / "next.yaml", tmp_path / "next-sweep.yaml"
     require_repeatable(run, file)
     # What an earlier diagnosis has written may be written again, other protocols not.
-    rest = next(action for action in ACTIONS if action.id == "long_rest")
+    rest = next(action for action in EXPERIMENTS if action.id == "long_rest")
     for _ in range(2):
         write_next([_worth(rest)], ("none", "drying"), _sweeps(), "R01", file)
         require_repeatable(run, file)

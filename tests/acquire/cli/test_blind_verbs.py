@@ -23,7 +23,7 @@ def _made(folder, tier, count, answered):
     (made / "sealed.json").write_text(json.dumps(told))
     key.write_text(json.dumps(kept))
     said = {"verdict": "none", "probability": {"none": 0.9, "unknown": 0.1}, "likely": [["none"]],
-            "effects": {}, "effects_named": [], "how_far": {"by": {}}}  # fmt: skip
+            "effects": {}, "effects_named": [], "explained_fraction": {"by": {}}}  # fmt: skip
     for name in list(told["cases"])[:answered]:
         (answers / f"{name}.json").write_text(json.dumps(said))
     return made, answers, key

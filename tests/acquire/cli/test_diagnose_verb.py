@@ -20,10 +20,10 @@ def test_one_sweep_becomes_a_page_and_a_next_campaign(cli, measured, folder):
     html = page.read_text(encoding="utf-8")
     assert "What to measure next" in html
     assert "<svg" in html or "data:image" in html
-    best = next(w for w in answer["next"]["actions"] if w["id"] != "microphone")
+    best = next(w for w in answer["next"]["experiments"] if w["id"] != "microphone")
     tasks = tasks_of(CampaignFile.from_file(following))
     assert tasks
-    assert best["words"].capitalize() in following.read_text(encoding="utf-8")
+    assert best["description"].capitalize() in following.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

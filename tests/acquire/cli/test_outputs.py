@@ -23,7 +23,7 @@ from physics.reed.viscoelastic import (
     viscoelastic_cane,
 )
 from reproduction.rows import Group, from_text
-from reproduction.whole import Comparison
+from reproduction.whole import InferenceProblem
 
 MINE = b"mine, and dear to me"
 HOSTILE = "R7[bold]\x1b]0;x\x1b[31m\x9b2J\u202e <script>alert(1)</script>$\\frac$"
@@ -56,7 +56,9 @@ def paper(monkeypatch):
 
     def compare(announce):
         calls.append(announce)
-        return Comparison((Group("numbers", "Numbers: some", "How.", rows),), ("One finding.",))
+        return InferenceProblem(
+            (Group("numbers", "Numbers: some", "How.", rows),), ("One finding.",)
+        )
 
     monkeypatch.setattr("reproduction.whole.compare_paper", compare)
     return calls
@@ -71,7 +73,7 @@ def sealed(folder):
     Path("cases/sealed.json").write_text(json.dumps(told))
     Path("key.json").write_text(json.dumps(kept))
     said = {"verdict": "none", "probability": {"none": 0.9, "unknown": 0.1}, "likely": [["none"]],
-            "effects": {}, "effects_named": [], "how_far": {"by": {}}}  # fmt: skip
+            "effects": {}, "effects_named": [], "explained_fraction": {"by": {}}}  # fmt: skip
     (name,) = told["cases"]
     Path(f"answers/{name}.json").write_text(json.dumps(said))
     return ["cases", "--answers", "answers", "--key", "key.json"]

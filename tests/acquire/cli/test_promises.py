@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import acquire
-from diagnosis.block import Observable
+from diagnosis.observable_groups import Observable
 from drivers.simulated.settings import Simulation, cane_of
 from fitting.errors import FitError
 from fitting.fringes.pictures import read_pictures
@@ -359,7 +359,7 @@ def test_a_diagnosis_says_where_which_and_what_is_missing(cli, measured, folder)
     answer = said.json
     assert answer["verdict"] in {"none", "effect", "pair", "unknown", "not converged"}
     assert sum(answer["probability"].values()) == pytest.approx(1, abs=1e-3)
-    assert set(answer["where"]["taps"]) <= set(Observable)
+    assert set(answer["gap"]["observables"]) <= set(Observable)
     assert len(answer["effects"]) >= 20
     # One sweep tells nothing of the sensor, and of nothing that needs a second one.
     assert any("dark" in what for what in answer["missing"])

@@ -12,29 +12,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.actions import Action, ranked_actions
-from diagnosis.block import Observable, Place, block
-from diagnosis.effect_notes import notes_of
-from diagnosis.how_far import plain_gaps
-from diagnosis.likeness import (
-    DETECTABLE,
-    classes_of,
-    reach_of,
-)
-from diagnosis.nuisances import Nuisance
-from diagnosis.rivals import (
-    Comparison,
-    Sized,
-    compete,
-)
-from diagnosis.verdict import (
-    Told,
-    Verdict,
+from diagnosis.campaign_diagnosis import (
+    CampaignSummary,
+    Diagnosis,
     _touched,
     condition_of,
-    judged,
+    diagnose_problem,
 )
-from diagnosis.where import Rung
+from diagnosis.effect_notes import notes_of
+from diagnosis.experiment_design import Experiment, rank_experiments
+from diagnosis.explained_fraction import gaps_in_units
+from diagnosis.gap_map import LadderStep
+from diagnosis.inference.candidates import fit_model
+from diagnosis.inference.nuisances import Nuisance
+from diagnosis.inference.problem import InferenceProblem, LocatedEffect
+from diagnosis.inference.similarity import DETECTION_SIGMA, confusable_classes, detectability_of
+from diagnosis.observable_groups import Coordinates, Observable, observable_group
 from physics.effects.catalogue import BY_ID
 from physics.twin import Twin
 from reports.diagnosis_json import to_json
@@ -48,35 +41,35 @@ from reports.errors import OutputFailedError, OutputRefusedError
 from reports.figures.gap_map import draw_map
 from tests.diagnosis.toy import AT, COUNT, EFFECTS, bench, measured
 
-TOLD = Told("t3", ("a second sweep",), ("x.h5: too few good steps",))
+TOLD = CampaignSummary("t3", ("a second sweep",), ("x.h5: too few good steps",))
 
 
-def diagnosed(extra: float = 0.0, **changes: float) -> Verdict:
-    return judged(measured(3, bench(**changes), extra=extra), TOLD)
+def diagnosed(extra: float = 0.0, **changes: float) -> Diagnosis:
+    return diagnose_problem(measured(3, bench(**changes), extra=extra), TOLD)
 
 
 @pytest.fixture(scope="module")
-def nothing() -> Verdict:
+def nothing() -> Diagnosis:
     return diagnosed()
 
 
 @pytest.fixture(scope="module")
-def mixed() -> Verdict:
+def mixed() -> Diagnosis:
     return diagnosed(crosstalk=0.3)
 
 
 @pytest.fixture(scope="module")
-def both() -> Verdict:
+def both() -> Diagnosis:
     return diagnosed(leak=0.3, crosstalk=0.3)
 
 
 @pytest.fixture(scope="module")
-def strange() -> Verdict:
+def strange() -> Diagnosis:
     return diagnosed(extra=0.5)
 
 
 @pytest.fixture(scope="module")
-def strange_beside() -> Verdict:
+def strange_beside() -> Diagnosis:
     return diagnosed(crosstalk=0.6, detuning_hz=0.1)
 
 
@@ -99,12 +92,14 @@ def test_probabilities_add_up_and_likely_classes_have_90_percent_and_no_more(
 
 
 def test_something_unknown_is_seen_beside_what_is_known_of(strange, strange_beside) -> None:
-    assert (strange.unknown_beside, strange.unknown_in) == ("none", "lines")
+    assert (strange.unknown_with, strange.unknown_in) == ("none", "lines")
     told = strange_beside
     assert told.kind == "unknown"
     # Beside nothing it would be in the lines, which the next sideband moves.
-    worst = max(told.contest.unknown, key=lambda name: told.contest.unknown[name])
-    assert (worst, told.unknown_beside, told.unknown_in) == (
+    worst = max(
+        told.selection.group_log_bayes, key=lambda name: told.selection.group_log_bayes[name]
+    )
+    assert (worst, told.unknown_with, told.unknown_in) == (
         "lines",
         "sideband_crosstalk",
         "clocks",
@@ -113,7 +108,7 @@ def test_something_unknown_is_seen_beside_what_is_known_of(strange, strange_besi
     for part in (f"({p:.0%})", BY_ID["sideband_crosstalk"].title, "clocks"):
         assert part in words(told)[0]
     answer = to_json(told)["unknown"]
-    assert (answer["beside"], answer["block"]) == ("sideband_crosstalk", "clocks")
+    assert (answer["with"], answer["group"]) == ("sideband_crosstalk", "clocks")
 
 
 def test_the_first_words_say_what_is_likeliest_and_how_likely(nothing, mixed, both) -> None:
@@ -170,9 +165,9 @@ def test_json_has_sizes_in_their_units(mixed) -> None:
     assert answer["probability"] == dict(
         sorted(answer["probability"].items(), key=lambda item: -item[1])
     )
-    assert answer["how_far"]["left_out"]["kappa"] == pytest.approx(1.0, abs=0.15)
+    assert answer["explained_fraction"]["left_out"]["fraction"] == pytest.approx(1.0, abs=0.15)
     assert answer["missing"] == ["a second sweep"]
-    assert answer["where"]["first_failing_tap"] == "maps"
+    assert answer["gap"]["first_failing_observable"] == "maps"
 
 
 def rows_of(html: str) -> list[tuple[str, ...]]:
@@ -197,12 +192,16 @@ def test_the_page_has_all_of_it(mixed, tmp_path) -> None:
         f"fraction {size['value']:.2g} ± {size['error']:.1g}",
     )
     assert row in {cells[:3] for cells in rows_of(html)}
-    ladder = (Rung(Observable.HOLOGRAM, 0.25, 0.1, 0.05), Rung(Observable.MAPS, 0.75, 0.9, 0.05))
-    html = document(replace(mixed, where=replace(mixed.where, ladder=ladder)), "A reed")
+    ladder = (
+        LadderStep(Observable.HOLOGRAM, 0.25, 0.1, 0.05),
+        LadderStep(Observable.MAPS, 0.75, 0.9, 0.05),
+    )
+    html = document(replace(mixed, gap=replace(mixed.gap, ladder=ladder)), "A reed")
     for rung in ladder:
         numbers = (f"{rung.forward:.0%}", f"{rung.backward:.0%}")
         assert any(
-            cells[0] == GROUP_WORDS[rung.tap] and cells[1:3] == numbers for cells in rows_of(html)
+            cells[0] == GROUP_WORDS[rung.observable] and cells[1:3] == numbers
+            for cells in rows_of(html)
         )
     with pytest.raises(OutputRefusedError, match="choose another place with --out"):
         write_page(mixed, "A reed", tmp_path / "nowhere" / "page.html")
@@ -231,17 +230,15 @@ def test_an_older_page_is_replaced_and_nothing_else(mixed, nothing, tmp_path, mo
 def test_names_are_text_on_the_page_and_in_its_picture(mixed) -> None:
     hostile, shown = "<script>$\\frac$\x1b", "<script>$\\frac$\\x1b"
     cells = tuple(
-        replace(cell, label=hostile) if cell.axis != "block" else cell for cell in mixed.where.cells
+        replace(cell, label=hostile) if cell.axis != "group" else cell for cell in mixed.gap.cells
     )
-    verdict = replace(mixed, where=replace(mixed.where, cells=cells), missing=(hostile,))
+    verdict = replace(mixed, gap=replace(mixed.gap, cells=cells), missing=(hostile,))
     page = document(verdict, hostile, [hostile])
     assert "<script" not in page
     assert "\x1b" not in page
     # Title, heading, sentence and sources.
     assert page.count(html.escape(shown)) == 4
-    labels = [
-        text.get_text() for ax in draw_map(verdict.where).axes for text in ax.get_xticklabels()
-    ]
+    labels = [text.get_text() for ax in draw_map(verdict.gap).axes for text in ax.get_xticklabels()]
     assert shown in labels
 
 
@@ -259,7 +256,7 @@ def test_a_gap_of_nothing_has_no_shares(nothing) -> None:
 
 
 def test_the_map_stands_in_the_order_of_taps(mixed) -> None:
-    axes = draw_map(mixed.where).axes
+    axes = draw_map(mixed.gap).axes
     rows = [label.get_text() for label in axes[0].get_yticklabels()]
     assert rows == ["clocks  hologram", "lines  maps"]
 
@@ -283,28 +280,42 @@ def test_the_sweep_that_is_left_out_is_of_another_clamping_or_the_calmest() -> N
 
 def test_what_an_effect_touches_is_beside_what_nuisances_do() -> None:
     # The level, far from where it usually is, is of no effect.
-    comparison = measured(3, bench(fade_per_h=9.0, crosstalk=0.5))
-    null = compete(comparison, (), [np.zeros(1)])
-    bump = compete(comparison, (Sized(EFFECTS[1], {}),), [np.array([0.0, 0.1])])
-    touched = _touched(comparison, null, bump)
+    problem = measured(3, bench(fade_per_h=9.0, crosstalk=0.5))
+    null = fit_model(problem, (), [np.zeros(1)])
+    bump = fit_model(problem, (LocatedEffect(EFFECTS[1], {}),), [np.array([0.0, 0.1])])
+    touched = _touched(problem, null, bump)
     moved = bump.sizes[0] * np.exp(-((AT / 0.2) ** 2)) / 0.05
     expected = np.concatenate([moved, np.zeros(20)]) > 0.5
-    assert (touched == (expected | (np.abs(null.left) > 3))).all()
+    assert (touched == (expected | (np.abs(null.whitened_residual) > 3))).all()
     assert 10 < np.count_nonzero(touched) < 40
 
 
 def test_gaps_are_told_in_units_that_people_know() -> None:
     """Two nepers, three cents, and shares of shapes, of which an effect takes half."""
-    places = [Place("force"), Place("frequency, cents"), Place("share of F2"), Place("share of T1"),
-              Place("nobody's")]  # fmt: skip
+    places = [
+        Coordinates("force"),
+        Coordinates("frequency, cents"),
+        Coordinates("share of F2"),
+        Coordinates("share of T1"),
+        Coordinates("nobody's"),
+    ]
     half = np.array([1.0, 1.5, 0.1, 0.2, 1.0])
     none = Nuisance("none", "", 1.0, lambda twin, _: twin, "nothing")
-    numbers = block("all", Observable.MODES, 2 * half, np.full(5, 0.01), places, ("optics",),
-                    lambda twin: twin.optics.leak * half)  # fmt: skip
-    comparison = Comparison([numbers], Twin(), (none,))
-    null = compete(comparison, (), [np.zeros(1)])
-    rival = replace(null, estimate=replace(null.estimate, residuals=null.estimate.residuals / 2))
-    told = {gap.quantity: gap for gap in plain_gaps(comparison, null, rival)}
+    numbers = observable_group(
+        "all",
+        Observable.MODES,
+        2 * half,
+        np.full(5, 0.01),
+        places,
+        ("optics",),
+        lambda twin: twin.optics.leak * half,
+    )
+    problem = InferenceProblem([numbers], Twin(), (none,))
+    null = fit_model(problem, (), [np.zeros(1)])
+    candidate = replace(
+        null, estimate=replace(null.estimate, residuals=null.estimate.residuals / 2)
+    )
+    told = {gap.quantity: gap for gap in gaps_in_units(problem, null, candidate)}
     assert set(told) == {"response, dB", "resonances, cents", "shapes, 1 - MAC"}
     decibels = told["response, dB"]
     # A neper is 8.686 dB.
@@ -319,30 +330,30 @@ def test_gaps_are_told_in_units_that_people_know() -> None:
 
 
 def test_actions_are_ranked_by_what_they_tell_in_a_minute() -> None:
-    comparison = measured(3, bench(leak=0.3))
+    problem = measured(3, bench(leak=0.3))
     start = np.array([0.0, 0.1])
-    slope, bump = (compete(comparison, (Sized(EFFECTS[k], {}),), [start]) for k in (0, 1))
+    slope, bump = (fit_model(problem, (LocatedEffect(EFFECTS[k], {}),), [start]) for k in (0, 1))
 
     def same(twin: Twin) -> Twin:
         return twin
 
     told, long, sharp, other = (
-        Action("told", "", 10.0, ("lines",), same),
-        Action("long", "", 20.0, ("lines",), same),
-        Action("sharp", "", 10.0, ("lines",), same, sharper=0.5),
-        Action("other", "", 10.0, ("no such block",), same),
+        Experiment("told", "", 10.0, ("lines",), same),
+        Experiment("long", "", 20.0, ("lines",), same),
+        Experiment("sharp", "", 10.0, ("lines",), same, sd_factor=0.5),
+        Experiment("other", "", 10.0, ("no such block",), same),
     )
-    worths = ranked_actions(comparison, slope, bump, (long, other, told, sharp))
-    assert [worth.action.id for worth in worths] == ["sharp", "told", "long"]
-    by_id = {worth.action.id: worth for worth in worths}
-    assert by_id["told"].nats == pytest.approx(by_id["long"].nats)
-    assert by_id["told"].nats_per_minute == pytest.approx(by_id["told"].nats / 10)
+    worths = rank_experiments(problem, slope, bump, (long, other, told, sharp))
+    assert [worth.experiment.id for worth in worths] == ["sharp", "told", "long"]
+    by_id = {worth.experiment.id: worth for worth in worths}
+    assert by_id["told"].expected_nats == pytest.approx(by_id["long"].expected_nats)
+    assert by_id["told"].nats_per_minute == pytest.approx(by_id["told"].expected_nats / 10)
     # As many nats as half the square of the distance between predictions of so many numbers, less
     # for what is uncertain of them.
-    lines = comparison.blocks[0]
-    apart = lines.predict(slope.twin(comparison)) - lines.predict(bump.twin(comparison))
+    lines = problem.groups[0]
+    apart = lines.predict(slope.twin(problem)) - lines.predict(bump.twin(problem))
     most = 0.5 * float(np.sum((apart / 0.05) ** 2))
-    assert 0.2 * most < by_id["told"].nats < most
+    assert 0.2 * most < by_id["told"].expected_nats < most
 
 
 def test_a_class_has_only_what_is_alike_to_all_of_it_and_reach_is_five_deviations() -> None:
@@ -355,15 +366,15 @@ def test_a_class_has_only_what_is_alike_to_all_of_it_and_reach_is_five_deviation
         for name, table in (("air_load", east), ("density", near), ("viscoelastic_stiffening", far))
     }
     effects = [BY_ID[name] for name in (*signatures, "crack")]
-    reach = reach_of(effects, signatures)
-    classes = classes_of(reach)
+    reach = detectability_of(effects, signatures)
+    classes = confusable_classes(reach)
     assert sorted(map(len, classes)) == [1, 1, 2]
     of = {entry.effect: entry for entry in reach}
-    assert set(of["density"].alike) == {"air_load", "viscoelastic_stiffening"}
+    assert set(of["density"].confusable) == {"air_load", "viscoelastic_stiffening"}
     (parameter,) = BY_ID["density"].sizes
     # A deviation of the prior moves by one deviation of the noise.
-    assert of["density"].detectable["density"] == pytest.approx(DETECTABLE * parameter.spread)
+    assert of["density"].detectable["density"] == pytest.approx(DETECTION_SIGMA * parameter.spread)
     assert math.isinf(of["crack"].detectable["depth"])
-    half = reach_of([BY_ID["density"]], {"density": (near, near / 2)})[0]
+    half = detectability_of([BY_ID["density"]], {"density": (near, near / 2)})[0]
     assert half.absorbed == pytest.approx(0.75)
-    assert half.detectable["density"] == pytest.approx(2 * DETECTABLE * parameter.spread)
+    assert half.detectable["density"] == pytest.approx(2 * DETECTION_SIGMA * parameter.spread)

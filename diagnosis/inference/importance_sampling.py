@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 from scipy.stats import multivariate_t
 
-from diagnosis.estimate import spread_of
-from diagnosis.rivals import Comparison, Rival
+from diagnosis.inference.candidates import Candidate
+from diagnosis.inference.estimation import posterior_covariance
+from diagnosis.inference.problem import InferenceProblem
 
 Array = NDArray[np.floating[Any]]
 
@@ -22,7 +23,7 @@ _LEAST_EFFECTIVE = 10.0
 
 @dataclass(frozen=True)
 class Sampled:
-    """Evidence of a rival by importance sampling over the sizes of its effects.
+    """Evidence of a candidate by importance sampling over the sizes of its effects.
 
     Attributes
     ----------
@@ -36,23 +37,25 @@ class Sampled:
     effective: float
 
 
-def sampled(comparison: Comparison, rival: Rival, seed: int = 0, draws: int = _DRAWS) -> Sampled:
-    """Sample a rival's evidence.
+def sampled(
+    problem: InferenceProblem, candidate: Candidate, seed: int = 0, draws: int = _DRAWS
+) -> Sampled:
+    """Sample a candidate's evidence.
 
     Sizes are drawn; nuisances, along which the twin is straight, are integrated for each draw.
 
     Parameters
     ----------
-    comparison : Comparison
-    rival : Rival
+    problem : InferenceProblem
+    candidate : Candidate
         With effects.
     seed, draws : int
     """
-    p, sizes = len(comparison.nuisances), rival.sizes
-    z, J = rival.estimate.z[:p], rival.estimate.jacobian[:, :p]
-    uncertain = spread_of(J)
-    spread = _WIDER**2 * rival.estimate.covariance[p:, p:]
-    bound = np.array([s.positive for sized in rival.effects for s in sized.sizes])
+    p, sizes = len(problem.nuisances), candidate.sizes
+    z, J = candidate.estimate.z[:p], candidate.estimate.jacobian[:, :p]
+    uncertain = posterior_covariance(J)
+    spread = _WIDER**2 * candidate.estimate.covariance[p:, p:]
+    bound = np.array([s.positive for located in candidate.effects for s in located.sizes])
     wide = multivariate_t(np.maximum(sizes, 0) * bound + sizes * ~bound, spread, df=_FREEDOMS)
     drawn = np.atleast_2d(wide.rvs(draws, random_state=np.random.default_rng(seed)))
     drawn = drawn.reshape(draws, len(sizes))
@@ -63,7 +66,7 @@ def sampled(comparison: Comparison, rival: Rival, seed: int = 0, draws: int = _D
         if np.any(bound & (size < 0)):
             continue
         try:
-            r = comparison.residuals(rival.changed(comparison.twin(z), size)) / rival.deviation
+            r = problem.residuals(candidate.changed(problem.twin(z), size)) / candidate.deviation
         except ValueError:
             continue
         g = J.T @ r + z
@@ -74,12 +77,12 @@ def sampled(comparison: Comparison, rival: Rival, seed: int = 0, draws: int = _D
     log_evidence = float(logsumexp(logs) - np.log(draws))
     log_evidence += 0.5 * float(np.linalg.slogdet(uncertain)[1])
     weights = np.exp(logs - logsumexp(logs))
-    return Sampled(log_evidence - rival.estimate.log_evidence, float(1 / np.sum(weights**2)))
+    return Sampled(log_evidence - candidate.estimate.log_evidence, float(1 / np.sum(weights**2)))
 
 
-def checked(comparison: Comparison, rival: Rival) -> tuple[Rival, Sampled]:
-    """Rival with its evidence by importance sampling, if enough draws count."""
-    found = sampled(comparison, rival)
+def checked(problem: InferenceProblem, candidate: Candidate) -> tuple[Candidate, Sampled]:
+    """Candidate with its evidence by importance sampling, if enough draws count."""
+    found = sampled(problem, candidate)
     if found.effective < _LEAST_EFFECTIVE:
-        return rival, found
-    return replace(rival, fitted=rival.fitted + found.gain), found
+        return candidate, found
+    return replace(candidate, fit_log_evidence=candidate.fit_log_evidence + found.gain), found

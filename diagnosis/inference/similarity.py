@@ -12,9 +12,9 @@ from physics.effects.effect import Effect
 Array = NDArray[np.floating[Any]]
 
 # Effects this alike, when what is free anyway has taken what it can, are one class.
-ALIKE: Final = 0.8
+CONFUSABLE: Final = 0.8
 # Deviations by which an effect is to stand out.
-DETECTABLE: Final = 5.0
+DETECTION_SIGMA: Final = 5.0
 # Directions along which an effect moves less than this share of its most are rounding.
 _ROUNDING = 1e-6
 
@@ -51,7 +51,7 @@ def cosine(one: Array, other: Array) -> float:
 
 
 @dataclass(frozen=True)
-class Reach:
+class Detectability:
     """What data could tell of an effect.
 
     Attributes
@@ -62,19 +62,19 @@ class Reach:
     detectable : dict of float
         Least size, per parameter in its own unit, that stands out by five deviations; infinite if
         no size would.
-    alike : dict of float
+    confusable : dict of float
         Cosine beside other effects from 0.8 on, by name.
     """
 
     effect: str
     absorbed: float
     detectable: dict[str, float]
-    alike: dict[str, float]
+    confusable: dict[str, float]
 
 
-def reach_of(
+def detectability_of(
     effects: Sequence[Effect], signatures: Mapping[str, tuple[Array, Array]]
-) -> tuple[Reach, ...]:
+) -> tuple[Detectability, ...]:
     """Tell what data could say of each effect.
 
     Parameters
@@ -82,8 +82,8 @@ def reach_of(
     effects : sequence of Effect
     signatures : mapping of ((n, s), (n, s)) float
         What each size moves by a deviation of its prior, whitened: all of it, and what of that
-        stands out of what is free anyway (see `standing_out`). Effects that move nothing may be
-        left out.
+        is left after marginalising the nuisances (see `marginalised_signature`). Effects that
+        move nothing may be left out.
     """
     alike = cosines({name: left for name, (_, left) in signatures.items()})
     return tuple(_reach(effect, signatures.get(effect.id), alike) for effect in effects)
@@ -93,19 +93,19 @@ def _reach(
     effect: Effect,
     signature: tuple[Array, Array] | None,
     alike: Mapping[str, Mapping[str, float]],
-) -> Reach:
+) -> Detectability:
     if signature is None or not np.any(signature[0]):
         nothing = {parameter.name: float("inf") for parameter in effect.sizes}
-        return Reach(effect.id, float("nan"), nothing, {})
+        return Detectability(effect.id, float("nan"), nothing, {})
     whole, left = signature
     with np.errstate(divide="ignore"):
-        least = DETECTABLE * np.array([p.spread for p in effect.sizes])
+        least = DETECTION_SIGMA * np.array([p.spread for p in effect.sizes])
         least = least / np.linalg.norm(left, axis=0)
-    return Reach(
+    return Detectability(
         effect=effect.id,
         absorbed=1 - float(np.sum(left**2) / np.sum(whole**2)),
         detectable=dict(zip([p.name for p in effect.sizes], least.tolist(), strict=True)),
-        alike={name: value for name, value in alike[effect.id].items() if value >= ALIKE},
+        confusable={name: value for name, value in alike[effect.id].items() if value >= CONFUSABLE},
     )
 
 
@@ -120,9 +120,9 @@ def cosines(signatures: Mapping[str, Array]) -> dict[str, dict[str, float]]:
     }
 
 
-def classes_of(reach: Sequence[Reach]) -> tuple[tuple[str, ...], ...]:
+def confusable_classes(reach: Sequence[Detectability]) -> tuple[tuple[str, ...], ...]:
     """Groups of effects each of which is alike to all others of its group, larger groups first."""
-    near = {entry.effect: set(entry.alike) for entry in reach}
+    near = {entry.effect: set(entry.confusable) for entry in reach}
     left, groups = set(near), []
     while left:
         seed = max(sorted(left), key=lambda name: len(near[name] & left))

@@ -7,8 +7,8 @@ from functools import cache
 from importlib import import_module
 
 import diagnosis.observables
-from diagnosis.block import Block
 from diagnosis.campaign import Campaign
+from diagnosis.observable_groups import ObservableGroup
 from diagnosis.observable_source import GroupSource
 from diagnosis.readings.campaign_readings import Readings, read_runs
 from physics.mechanics import ReedSolver
@@ -50,7 +50,7 @@ def read(
     return replace(readings, extra=extra) if extra else readings
 
 
-def blocks(readings: Readings, reed_solver: ReedSolver) -> list[Block]:
+def observable_groups(readings: Readings, reed_solver: ReedSolver) -> list[ObservableGroup]:
     """Return the groups of observables that a campaign has data for, in fixed order.
 
     Parameters

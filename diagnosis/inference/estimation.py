@@ -31,7 +31,7 @@ _START_SPREAD = 1.0
 
 
 @dataclass(frozen=True)
-class Estimate:
+class MapEstimate:
     """Parameters at the greatest posterior density.
 
     Attributes
@@ -50,7 +50,7 @@ class Estimate:
         In nats; of whitened data.
     decrement : float
         What the next full step would gain.
-    agreeing : int
+    consistent_starts : int
         Starts that ended within 1 of the least cost, this one included.
     starts : int
     """
@@ -62,13 +62,13 @@ class Estimate:
     cost: float
     log_evidence: float
     decrement: float
-    agreeing: int
+    consistent_starts: int
     starts: int
 
     @property
-    def certified(self) -> bool:
+    def converged(self) -> bool:
         """Whether it is known to be the fit, and not where a search has stopped."""
-        return self.agreeing >= min(2, self.starts) and self.decrement < LEAST_DECREMENT
+        return self.consistent_starts >= min(2, self.starts) and self.decrement < LEAST_DECREMENT
 
     @property
     def chi2(self) -> float:
@@ -82,7 +82,7 @@ def fit(
     starts: Sequence[Array],
     jacobian: Callable[[Array], Array] | None = None,
     least_gain: float = _LEAST_GAIN,
-) -> Estimate:
+) -> MapEstimate:
     """Find the parameters of the greatest posterior density.
 
     Parameters
@@ -123,20 +123,20 @@ def fit(
     gradient = J.T @ r + z
     free = ~(bound & (z <= 0) & (gradient > 0))
     step = np.linalg.solve(precision[np.ix_(free, free)], gradient[free])
-    return Estimate(
+    return MapEstimate(
         z=z,
-        covariance=spread_of(J),
+        covariance=posterior_covariance(J),
         residuals=r,
         jacobian=J,
         cost=cost,
         log_evidence=_log_evidence(cost, precision, gradient, z, bound),
         decrement=float(gradient[free] @ step),
-        agreeing=agreeing,
+        consistent_starts=agreeing,
         starts=len(starts),
     )
 
 
-def spread_of(slopes: Array) -> Array:
+def posterior_covariance(slopes: Array) -> Array:
     """Covariance (p, p) of parameters of which slopes (n, p) of whitened residuals tell."""
     p = slopes.shape[1]
     covariance: Array = linalg.cho_solve(
@@ -145,13 +145,13 @@ def spread_of(slopes: Array) -> Array:
     return covariance
 
 
-def taken_up(slopes: Array, moved: Array) -> Array:
+def absorbed_part(slopes: Array, moved: Array) -> Array:
     """What parameters of slopes (n, p) take up of residuals that move (n, d)."""
-    answer: Array = slopes @ (spread_of(slopes) @ (slopes.T @ moved))
+    answer: Array = slopes @ (posterior_covariance(slopes) @ (slopes.T @ moved))
     return answer
 
 
-def standing_out(slopes: Array, moved: Array) -> Array:
+def marginalised_signature(slopes: Array, moved: Array) -> Array:
     """Residuals that move (n, d), in units of all that is uncertain: the root of what is left.
 
     Squares of columns are by how much the cost rises if nothing but parameters of slopes (n, p) is
@@ -162,10 +162,10 @@ def standing_out(slopes: Array, moved: Array) -> Array:
     return out
 
 
-def covariance_left(slopes: Array, some: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Array:
+def residual_covariance(slopes: Array, some: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Array:
     """Covariance (k, k) of some residuals, at the optimum of parameters of slopes (n, p)."""
     own = slopes[some]
-    left: Array = np.eye(len(own)) - own @ spread_of(slopes) @ own.T
+    left: Array = np.eye(len(own)) - own @ posterior_covariance(slopes) @ own.T
     return left
 
 

@@ -1,6 +1,6 @@
 """Signs that the cause is none of the catalogue's, each beside what chance makes of it.
 
-Chance is what campaigns would show in which the best rival were true: noise, nuisances and the
+Chance is what campaigns would show in which the best candidate were true: noise, nuisances and the
 form of its effects are drawn, and the same is done to each as to the one that was measured.
 """
 
@@ -11,14 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.discrepancy import discrepancies, in_one
 from diagnosis.effect_notes import notes_of
-from diagnosis.estimate import (
-    covariance_left,
-    spread_of,
-    taken_up,
-)
-from diagnosis.rivals import Comparison, Rival
+from diagnosis.inference.candidates import Candidate
+from diagnosis.inference.discrepancy import group_discrepancies, log_bayes_any_group
+from diagnosis.inference.estimation import absorbed_part, posterior_covariance, residual_covariance
+from diagnosis.inference.problem import InferenceProblem
 
 Array = NDArray[np.floating[Any]]
 
@@ -30,12 +27,12 @@ _SELDOM = 0.01
 
 
 @dataclass(frozen=True)
-class Trigger:
+class PredictiveCheck:
     """One sign.
 
     Attributes
     ----------
-    id, words : str
+    id, description : str
     value : float
     chance : float
         Share of campaigns without anything unknown in which it is as large; no less than one in as
@@ -43,25 +40,25 @@ class Trigger:
     """
 
     id: str
-    words: str
+    description: str
     value: float
     chance: float
 
     @property
-    def fired(self) -> bool:
+    def significant(self) -> bool:
         """Whether chance hardly explains it."""
         return self.chance < _SELDOM
 
 
-def triggers(
-    comparison: Comparison, rival: Rival, condition: Sequence[str], seed: int = 0
-) -> tuple[Trigger, ...]:
-    """Look for all signs beside a rival.
+def predictive_checks(
+    problem: InferenceProblem, candidate: Candidate, condition: Sequence[str], seed: int = 0
+) -> tuple[PredictiveCheck, ...]:
+    """Look for all signs beside a candidate.
 
     Parameters
     ----------
-    comparison : Comparison
-    rival : Rival
+    problem : InferenceProblem
+    candidate : Candidate
         What is named; the one without effects if nothing is.
     condition : sequence of str
         Not empty for the numbers of a condition that is left out whole (see `how_far`).
@@ -69,64 +66,66 @@ def triggers(
         Of the draws.
     """
     rng = np.random.default_rng(seed)
-    both = _with_drawn(rival, rng)
+    both = _with_drawn(candidate, rng)
     found = [
         _sign("discrepancy", "numbers move together as no effect has them do",
-              in_one(discrepancies(comparison, rival, both))),
-        _sign("largest", "one number is farther off than any should be", _largest(rival, both)),
+              log_bayes_any_group(group_discrepancies(problem, candidate, both))),
+        _sign("largest", "one number is farther off than any should be", _largest(candidate, both)),
     ]  # fmt: skip
     left_out = np.array([bool(name) for name in condition])
     if left_out.any():
         found.append(
             _sign("transfer", "the other condition is not as predicted",
-                  _transfer(rival, both, left_out))
+                  _transfer(candidate, both, left_out))
         )  # fmt: skip
-    if rival.effects:
-        found.append(_implausible(rival, rng))
-        kept = _kept(comparison, rival)
+    if candidate.effects:
+        found.append(_implausible(candidate, rng))
+        kept = _kept(problem, candidate)
         if kept.any():
             found.append(_sign("kept", "what the effect must leave alone has moved",
                                _moved(both, kept)))  # fmt: skip
     return tuple(found)
 
 
-def _sign(name: str, words: str, values: Array) -> Trigger:
+def _sign(name: str, words: str, values: Array) -> PredictiveCheck:
     """Sign of the first value, beside those of the others."""
     chance = (1 + np.count_nonzero(values[1:] >= values[0])) / len(values)
-    return Trigger(name, words, float(values[0]), float(chance))
+    return PredictiveCheck(name, words, float(values[0]), float(chance))
 
 
-def _with_drawn(rival: Rival, rng: np.random.Generator) -> Array:
-    """What a rival leaves (n, 1 + d): of what was measured, and of campaigns if it is true."""
-    J, n = rival.free, len(rival.estimate.residuals)
+def _with_drawn(candidate: Candidate, rng: np.random.Generator) -> Array:
+    """What a candidate leaves (n, 1 + d): of what was measured, and of campaigns if it is true."""
+    J, n = candidate.free_jacobian, len(candidate.estimate.residuals)
     noise = np.sqrt(1 - 2 / _FREEDOMS) * rng.standard_t(_FREEDOMS, (n, _DRAWS))
     measured = noise + J @ rng.standard_normal((J.shape[1], _DRAWS))
-    left = measured - taken_up(J, measured)
-    return np.column_stack([rival.estimate.residuals, left])
+    left = measured - absorbed_part(J, measured)
+    return np.column_stack([candidate.estimate.residuals, left])
 
 
-def _largest(rival: Rival, residuals: Array) -> Array:
-    J = rival.free
-    variance = 1 - np.einsum("np,pq,nq->n", J, spread_of(J), J, optimize=True)
+def _largest(candidate: Candidate, residuals: Array) -> Array:
+    J = candidate.free_jacobian
+    variance = 1 - np.einsum("np,pq,nq->n", J, posterior_covariance(J), J, optimize=True)
     scaled = np.abs(residuals) / np.sqrt(np.maximum(variance, 1e-6))[:, None]
     largest: Array = scaled.max(axis=0)
     return largest
 
 
-def _transfer(rival: Rival, residuals: Array, left_out: NDArray[np.bool_]) -> Array:
+def _transfer(candidate: Candidate, residuals: Array, left_out: NDArray[np.bool_]) -> Array:
     """Squares of what a condition leaves that is predicted by the others."""
-    inner, left = covariance_left(rival.free, left_out), residuals[left_out]
+    inner, left = residual_covariance(candidate.free_jacobian, left_out), residuals[left_out]
     out = np.linalg.solve(inner, left)
     squares: Array = np.sum(out * left, axis=0)
     return squares
 
 
-def _kept(comparison: Comparison, rival: Rival) -> NDArray[np.bool_]:
-    """Numbers of taps that all effects of a rival must leave alone."""
-    taps = frozenset.intersection(*(notes_of(sized.effect).unaffected for sized in rival.effects))
-    kept = np.zeros(len(rival.estimate.residuals), dtype=bool)
-    for block in comparison.blocks:
-        kept[comparison.slices[block.name]] = block.tap in taps
+def _kept(problem: InferenceProblem, candidate: Candidate) -> NDArray[np.bool_]:
+    """Numbers of taps that all effects of a candidate must leave alone."""
+    taps = frozenset.intersection(
+        *(notes_of(located.effect).unaffected for located in candidate.effects)
+    )
+    kept = np.zeros(len(candidate.estimate.residuals), dtype=bool)
+    for block in problem.groups:
+        kept[problem.slices[block.name]] = block.tap in taps
     return kept
 
 
@@ -136,7 +135,7 @@ def _moved(residuals: Array, kept: NDArray[np.bool_]) -> Array:
     return squares
 
 
-def _implausible(rival: Rival, rng: np.random.Generator) -> Trigger:
-    usual = np.abs(rng.standard_normal((len(rival.sizes), _DRAWS))).max(axis=0)
-    values = np.append(np.abs(rival.sizes).max(), usual)
+def _implausible(candidate: Candidate, rng: np.random.Generator) -> PredictiveCheck:
+    usual = np.abs(rng.standard_normal((len(candidate.sizes), _DRAWS))).max(axis=0)
+    values = np.append(np.abs(candidate.sizes).max(), usual)
     return _sign("implausible", "a size is beyond what is plausible", values)

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from diagnosis.estimate import covariance_left
-from diagnosis.rivals import Comparison, Rival
+from diagnosis.inference.candidates import Candidate
+from diagnosis.inference.estimation import residual_covariance
+from diagnosis.inference.problem import InferenceProblem
 
 Array = NDArray[np.floating[Any]]
 
@@ -24,7 +25,7 @@ _CHANCE = 0.01
 
 
 @dataclass(frozen=True)
-class Shrinkage:
+class ExplainedFraction:
     """Share of a gap that an effect closes.
 
     Attributes
@@ -32,7 +33,7 @@ class Shrinkage:
     before, after, floor : float
         Mean square of what is left, in units of errors of data and prediction: of the twin without
         and with the effect, and of a right one.
-    kappa, low, high : float
+    fraction, low, high : float
         (before − after) / (before − floor), and its 95 % interval; NaN if the gap is not
         resolvable.
     """
@@ -40,17 +41,19 @@ class Shrinkage:
     before: float
     after: float
     floor: float
-    kappa: float
+    fraction: float
     low: float
     high: float
 
 
-def shrinkage(null: Rival, rival: Rival, groups: Sequence[str], seed: int = 0) -> Shrinkage:
-    """Find what a rival takes off the gap, in groups that are left out.
+def explained_fraction(
+    null: Candidate, candidate: Candidate, groups: Sequence[str], seed: int = 0
+) -> ExplainedFraction:
+    """Find what a candidate takes off the gap, in groups that are left out.
 
     Parameters
     ----------
-    null, rival : Rival
+    null, candidate : Candidate
     groups : sequence of str
         Name of each number's group; numbers whose group is empty are never left out.
     seed : int
@@ -58,19 +61,19 @@ def shrinkage(null: Rival, rival: Rival, groups: Sequence[str], seed: int = 0) -
     """
     names = sorted({name for name in groups if name})
     if not names:
-        return Shrinkage(*[np.nan] * 6)
+        return ExplainedFraction(*[np.nan] * 6)
     labels = np.array(groups)
-    rows = np.array([_left_out((null, rival), labels == name) for name in names])
+    rows = np.array([_left_out((null, candidate), labels == name) for name in names])
     rng = np.random.default_rng(seed)
     count = len(names)
     drawn = rng.multinomial(count, np.full(count, 1 / count), size=_DRAWS) if count > 1 else None
     sums = rows.sum(axis=0)
     before, after, floor = float(sums[0] / sums[2]), float(sums[1] / sums[2]), 1.0
     if chi2.sf(sums[0], sums[2]) > _CHANCE:
-        return Shrinkage(before, after, floor, np.nan, np.nan, np.nan)
+        return ExplainedFraction(before, after, floor, np.nan, np.nan, np.nan)
     kappa = (before - after) / (before - floor)
     if drawn is None:
-        return Shrinkage(before, after, floor, kappa, np.nan, np.nan)
+        return ExplainedFraction(before, after, floor, kappa, np.nan, np.nan)
     b, a, f = (drawn @ rows).T
     told = b > f
     low, high = (
@@ -78,7 +81,7 @@ def shrinkage(null: Rival, rival: Rival, groups: Sequence[str], seed: int = 0) -
         if np.count_nonzero(told) > _DRAWS // 2
         else (np.nan, np.nan)
     )
-    return Shrinkage(before, after, floor, kappa, float(low), float(high))
+    return ExplainedFraction(before, after, floor, kappa, float(low), float(high))
 
 
 # Quantities that people know, by what places say: name, and factor from the block's unit.
@@ -92,7 +95,7 @@ _KNOWN: Final = {
 
 
 @dataclass(frozen=True)
-class Plain:
+class GapInUnits:
     """A gap in a unit that people know.
 
     Attributes
@@ -110,14 +113,16 @@ class Plain:
     error: float
 
 
-def plain_gaps(comparison: Comparison, null: Rival, rival: Rival) -> list[Plain]:
+def gaps_in_units(
+    problem: InferenceProblem, null: Candidate, candidate: Candidate
+) -> list[GapInUnits]:
     """Gaps in cents, per cent of Q, dB, and 1 - MAC, as far as they were measured."""
     squares: dict[str, list[tuple[float, float, float]]] = {}
-    for block in comparison.blocks:
-        piece, lower = comparison.slices[block.name], np.linalg.inv(block.root)
-        both = [lower @ each.left[piece] for each in (null, rival)]
+    for block in problem.groups:
+        piece, lower = problem.slices[block.name], np.linalg.inv(block.whitening)
+        both = [lower @ each.whitened_residual[piece] for each in (null, candidate)]
         for place, before, after, variance in zip(
-            block.places, *both, np.diag(block.covariance), strict=True
+            block.coordinates, *both, np.diag(block.covariance), strict=True
         ):
             known = _KNOWN.get(place.quantity)
             if known:
@@ -130,17 +135,19 @@ def plain_gaps(comparison: Comparison, null: Rival, rival: Rival) -> list[Plain]
         # What a shape has of others adds up to what its MAC lacks; other gaps are means.
         of_shapes = name.startswith("shapes")
         mean = np.sum(rows, axis=0) if of_shapes else np.sqrt(np.mean(rows, axis=0))
-        told.append(Plain(name, *(float(value) for value in mean)))
+        told.append(GapInUnits(name, *(float(value) for value in mean)))
     return told
 
 
-def _left_out(rivals: tuple[Rival, Rival], chosen: NDArray[np.bool_]) -> tuple[float, float, float]:
+def _left_out(
+    candidates: tuple[Candidate, Candidate], chosen: NDArray[np.bool_]
+) -> tuple[float, float, float]:
     """Squares of what a group leaves if it is left out, without and with effects; and its count."""
     squares, at = [], np.flatnonzero(chosen)
-    for rival in rivals:
-        J, wide = rival.free, rival.deviation[at]
-        inner = covariance_left(J, at)
-        out = wide * np.linalg.solve(inner, rival.estimate.residuals[at])
+    for candidate in candidates:
+        J, wide = candidate.free_jacobian, candidate.deviation[at]
+        inner = residual_covariance(J, at)
+        out = wide * np.linalg.solve(inner, candidate.estimate.residuals[at])
         # Errors of the prediction, and of the data by themselves: form is no excuse here.
         predicted = wide[:, None] * (np.linalg.inv(inner) - np.eye(len(at))) * wide
         squares.append(float(out @ np.linalg.solve(np.eye(len(at)) + predicted, out)))

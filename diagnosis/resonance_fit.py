@@ -1,33 +1,15 @@
-"""Resonances without a run: which effects take the elastic reed to them, and which cannot be told.
+"""Fit mean resonances with the elastic reed and chosen effects."""
 
-The elastic reed has two moduli per series, E_L and G_LT, and nothing else that is free. Effects
-are added to it, alone and together, with parameters that all series share. What no effect explains
-is a misfit of unknown size, which evidence averages over: else the effect that is least wrong would
-seem certain.
-"""
-
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.estimate import (
-    Estimate,
-    covariance_left,
-    fit,
-    random_starts,
-)
-from diagnosis.likeness import (
-    Reach,
-    classes_of,
-    reach_of,
-)
+from diagnosis.inference.estimation import MapEstimate, fit, random_starts, residual_covariance
+from diagnosis.inference.problem import LocatedEffect
 from diagnosis.mean_reed import MeanReed
-from diagnosis.rivals import Sized
-from diagnosis.screening import places_of
 from fitting.forward import cents_of
 from physics.effects.effect import Effect, Parameter
 from physics.mechanics import Mechanics, ReedSolver
@@ -35,21 +17,17 @@ from physics.reed.viscoelastic import ViscoelasticCane, Zener
 from physics.twin import Twin, with_cane
 
 Array = NDArray[np.floating[Any]]
+_SEED = 20_080_401
+_DRAWS = 2000
+_STARTS = 2
+# Misfit with which parameters are searched for.
+_SEARCH_CENTS = 20.0
+# What neither model nor effect explains: alike likely on a scale of logarithms.
+_MISFITS_CENTS = np.geomspace(1.0, 100.0, 13)
+_MODULI = ("E_L", "G_LT")
 
 # Moduli of either series are expected within a third of those of the reference material.
 _MODULI_SPREAD = 0.3
-_MODULI = ("E_L", "G_LT")
-# Of converged elements beside their limit, modes of the vamp (decision 0009).
-MESH_CENTS = 4.0
-# What neither model nor effect explains: alike likely on a scale of logarithms.
-_MISFITS_CENTS = np.geomspace(1.0, 100.0, 13)
-# Misfit with which parameters are searched for.
-_SEARCH_CENTS = 20.0
-_STARTS = 2
-# Sets of as many effects that are fitted without straightening anything.
-_SETS = 3
-_DRAWS = 2000
-_SEED = 20_080_401
 
 
 @dataclass(frozen=True)
@@ -73,7 +51,7 @@ class Size:
 
 
 @dataclass(frozen=True)
-class Trial:
+class ResonanceFit:
     """What effects together take off the gap.
 
     Attributes
@@ -83,14 +61,14 @@ class Trial:
     sizes : tuple of Size
     rms_cents : dict of float
         What is left, per series.
-    kappa, kappa_low, kappa_high : float
+    explained, explained_low, explained_high : float
         Share of the explainable gap that is closed where the mode was left out of the fit, and its
         95 % interval over modes.
-    kappa_other : dict of float
+    explained_other_series : dict of float
         The same in each series with sizes from the other one; empty if there is one series only.
     log_bayes : float
         Log of the odds beside the elastic reed, in nats.
-    certified : bool
+    converged : bool
     moduli_pa : dict
         E_L and G_LT, per series.
     """
@@ -98,67 +76,36 @@ class Trial:
     effects: tuple[str, ...]
     sizes: tuple[Size, ...]
     rms_cents: dict[str, float]
-    kappa: float
-    kappa_low: float
-    kappa_high: float
-    kappa_other: dict[str, float]
+    explained: float
+    explained_low: float
+    explained_high: float
+    explained_other_series: dict[str, float]
     log_bayes: float
-    certified: bool
+    converged: bool
     moduli_pa: dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
-class PublishedDiagnosis:
-    """All that resonances without a run tell.
-
-    Attributes
-    ----------
-    reeds : tuple of MeanReed
-    floor_cents : dict of (m,) float
-        Errors of data and mesh, per series.
-    elastic : Trial
-    alone : tuple of Trial
-        Every effect by itself, the best first.
-    together : tuple of Trial
-        The best pairs and triples.
-    reach : tuple of Reach
-    classes : tuple of tuple of str
-        Effects that such data do not tell apart.
-    residual_cents : dict of (m,) float
-        Data less elastic reed, per series.
-    """
-
-    reeds: tuple[MeanReed, ...]
-    floor_cents: dict[str, Array]
-    elastic: Trial
-    alone: tuple[Trial, ...]
-    together: tuple[Trial, ...]
-    reach: tuple[Reach, ...]
-    classes: tuple[tuple[str, ...], ...]
-    residual_cents: dict[str, Array]
-
-
-@dataclass(frozen=True)
-class _Problem:
+class ResonanceProblem:
     """Data, and the elastic reed with chosen effects as their model.
 
     Attributes
     ----------
     reeds : tuple of MeanReed
     reed_solver : ReedSolver
-    effects : tuple of Sized
+    effects : tuple of LocatedEffect
     floor_cents : (n,) float
     """
 
     reeds: tuple[MeanReed, ...]
     reed_solver: ReedSolver
-    effects: tuple[Sized, ...]
+    effects: tuple[LocatedEffect, ...]
     floor_cents: Array
 
     @property
     def sizes(self) -> list[tuple[Effect, Parameter]]:
         """Of all effects, each with its own."""
-        return [(sized.effect, p) for sized in self.effects for p in sized.sizes]
+        return [(located.effect, p) for located in self.effects for p in located.sizes]
 
     @property
     def positive(self) -> list[bool]:
@@ -188,9 +135,9 @@ class _Problem:
         moduli = _MODULI_SPREAD * z[len(_MODULI) * series :][: len(_MODULI)]
         twin = with_cane(twin, **dict(zip(_MODULI, moduli.tolist(), strict=True)))
         rest = z[len(_MODULI) * len(self.reeds) :]
-        for sized in self.effects:
-            own, rest = rest[: len(sized.sizes)], rest[len(sized.sizes) :]
-            twin = sized.change(twin, own)
+        for located in self.effects:
+            own, rest = rest[: len(located.sizes)], rest[len(located.sizes) :]
+            twin = located.change(twin, own)
         return twin
 
 
@@ -201,90 +148,28 @@ def elastic_twin(reed_solver: ReedSolver) -> Twin:
     return Twin(reed=Mechanics(cane=ViscoelasticCane(*springs)))
 
 
-def diagnose_resonances(
-    reeds: Sequence[MeanReed],
-    reed_solver: ReedSolver,
-    effects: Sequence[Effect],
-    progress: Callable[[float], None] | None = None,
-    largest_set: int = 3,
-) -> PublishedDiagnosis:
-    """Find which effects close the gap between resonances and the elastic reed.
-
-    Parameters
-    ----------
-    reeds : sequence of MeanReed
-        One per series.
-    reed_solver : ReedSolver
-    effects : sequence of Effect
-        Those that move no frequency are told to be out of reach.
-    progress : callable, optional
-        Told the share that is done.
-    largest_set : int
-        Most effects that are tried together.
-
-    Raises
-    ------
-    ValueError
-        If no reed that can be computed is near the data.
-    """
-    report = progress or (lambda _share: None)
-    errors = np.concatenate([reed.error_cents for reed in reeds])
-    base = _Problem(tuple(reeds), reed_solver, (), np.hypot(errors, MESH_CENTS))
-    elastic = _Fitted.of(base)
-    placed = [_at_its_best(base, elastic, effect) for effect in effects]
-    columns = {sized.effect.id: column for sized, column in placed}
-    seen = [sized for sized, column in placed if np.any(column)]
-    alone = []
-    for number, sized in enumerate(seen):
-        alone.append(_Fitted.of(replace(base, effects=(sized,))))
-        report((1 + number) / (len(seen) + 2 * _SETS))
-    together = []
-    sets = _best_sets(base, elastic, seen, columns, largest_set)
-    for number, chosen in enumerate(sets):
-        together.append(_Fitted.of(replace(base, effects=chosen)))
-        report((1 + len(seen) + 2 * _SETS * (1 + number) / len(sets)) / (len(seen) + 2 * _SETS + 1))
-    starts = np.cumsum([0, *(len(reed.cents) for reed in reeds)])
-    names = [reed.series.value for reed in reeds]
-    pieces = {name: slice(a, b) for name, a, b in zip(names, starts, starts[1:], strict=False)}
-    ranked = sorted((trial.told(elastic) for trial in alone), key=lambda t: -t.log_bayes)
-    unexplained = min(fitted.over_misfits()[1] for fitted in (elastic, *alone, *together))
-    reach = _reach(base, elastic, effects, columns, unexplained)
-    return PublishedDiagnosis(
-        reeds=tuple(reeds),
-        floor_cents={name: base.floor_cents[piece] for name, piece in pieces.items()},
-        elastic=elastic.told(elastic),
-        alone=tuple(ranked),
-        together=tuple(
-            sorted((trial.told(elastic) for trial in together), key=lambda t: -t.log_bayes)
-        ),
-        reach=reach,
-        classes=classes_of(reach),
-        residual_cents={name: elastic.left[piece] for name, piece in pieces.items()},
-    )
-
-
 @dataclass(frozen=True)
-class _Fitted:
+class FittedReed:
     """A model at its best parameters, and how it goes on from there.
 
     Attributes
     ----------
-    problem : _Problem
-    estimate : Estimate
+    problem : ResonanceProblem
+    estimate : MapEstimate
         With the misfit of the search.
-    left : (n,) float
+    residual_cents : (n,) float
         Data less model, cents.
-    slope : (n, p) float
+    jacobian_cents : (n, p) float
         Cents per unit of the priors.
     """
 
-    problem: _Problem
-    estimate: Estimate
-    left: Array
-    slope: Array
+    problem: ResonanceProblem
+    estimate: MapEstimate
+    residual_cents: Array
+    jacobian_cents: Array
 
     @classmethod
-    def of(cls, problem: _Problem) -> "_Fitted":
+    def of(cls, problem: ResonanceProblem) -> "FittedReed":
         """Fit a problem, from several starts."""
         deviation = np.hypot(problem.floor_cents, _SEARCH_CENTS)
 
@@ -297,11 +182,11 @@ class _Fitted:
         left = -estimate.residuals * deviation
         return cls(problem, estimate, left, estimate.jacobian * deviation[:, None])
 
-    def linear(self, misfit_cents: float) -> Estimate:
+    def linear(self, misfit_cents: float) -> MapEstimate:
         """Fit anew with another misfit, along the slopes."""
-        return _linear(
-            self.left,
-            self.slope,
+        return fit_linear(
+            self.residual_cents,
+            self.jacobian_cents,
             self.estimate.z,
             np.hypot(self.problem.floor_cents, misfit_cents),
             self.problem.positive,
@@ -326,7 +211,7 @@ class _Fitted:
         names = [name for reed in self.problem.reeds for name in reed.modes]
         return -_left_out(J, estimate.residuals, names) * deviation
 
-    def told(self, elastic: "_Fitted") -> Trial:
+    def summary(self, elastic: "FittedReed") -> ResonanceFit:
         """Trial beside the elastic reed."""
         problem, count = self.problem, len(_MODULI) * len(self.problem.reeds)
         own, misfit = self.over_misfits()
@@ -344,23 +229,23 @@ class _Fitted:
         names = [name for reed in problem.reeds for name in reed.modes]
         kappa, low, high = _kappa(before, after, names)
         left = -at.residuals * np.hypot(problem.floor_cents, misfit)
-        return Trial(
-            effects=tuple(sized.effect.id for sized in problem.effects),
+        return ResonanceFit(
+            effects=tuple(located.effect.id for located in problem.effects),
             sizes=sizes,
             rms_cents=_rms(problem, left),
-            kappa=kappa,
-            kappa_low=low,
-            kappa_high=high,
-            kappa_other=_transferred(self, elastic, misfit, reference_misfit),
+            explained=kappa,
+            explained_low=low,
+            explained_high=high,
+            explained_other_series=_transferred(self, elastic, misfit, reference_misfit),
             log_bayes=own - reference,
-            certified=self.estimate.certified,
+            converged=self.estimate.converged,
             moduli_pa=_moduli_pa(problem, at.z),
         )
 
 
-def _linear(
+def fit_linear(
     left: Array, slope: Array, z: Array, deviation: Array, positive: Sequence[bool]
-) -> Estimate:
+) -> MapEstimate:
     """Best parameters where what is left (n,) at z changes along slopes (n, p)."""
     whitened = slope / deviation[:, None]
     start = -left / deviation
@@ -372,7 +257,7 @@ def _left_out(jacobian: Array, residuals: Array, names: Sequence[str]) -> Array:
     answer = np.empty_like(residuals)
     for name in set(names):
         block = np.flatnonzero([other == name for other in names])
-        answer[block] = np.linalg.solve(covariance_left(jacobian, block), residuals[block])
+        answer[block] = np.linalg.solve(residual_covariance(jacobian, block), residuals[block])
     return answer
 
 
@@ -399,7 +284,7 @@ def _kappa(before: Array, after: Array, names: Sequence[str]) -> tuple[float, fl
     return closed(np.ones(len(before))), float(low), float(high)
 
 
-def _rms(problem: _Problem, left: Array) -> dict[str, float]:
+def _rms(problem: ResonanceProblem, left: Array) -> dict[str, float]:
     starts = np.cumsum([0, *(len(reed.cents) for reed in problem.reeds)])
     return {
         reed.series.value: float(np.sqrt(np.mean(left[a:b] ** 2)))
@@ -407,7 +292,7 @@ def _rms(problem: _Problem, left: Array) -> dict[str, float]:
     }
 
 
-def _moduli_pa(problem: _Problem, z: Array) -> dict[str, tuple[float, float]]:
+def _moduli_pa(problem: ResonanceProblem, z: Array) -> dict[str, tuple[float, float]]:
     cane = problem.reed_solver.anatomy.reed.cane
     answer = {}
     for s, reed in enumerate(problem.reeds):
@@ -417,7 +302,7 @@ def _moduli_pa(problem: _Problem, z: Array) -> dict[str, tuple[float, float]]:
 
 
 def _transferred(
-    trial: _Fitted, elastic: _Fitted, misfit_cents: float, reference_cents: float
+    trial: FittedReed, elastic: FittedReed, misfit_cents: float, reference_cents: float
 ) -> dict[str, float]:
     """Share of the gap closed in each series with sizes that only the other series has told."""
     problem = trial.problem
@@ -429,98 +314,32 @@ def _transferred(
         here = np.arange(starts[s], starts[s + 1])
         there = np.setdiff1d(np.arange(starts[-1]), here)
         moduli = np.arange(count * s, count * (s + 1))
-        learnt = _linear(
-            trial.left[there],
-            trial.slope[there],
+        learnt = fit_linear(
+            trial.residual_cents[there],
+            trial.jacobian_cents[there],
             trial.estimate.z,
             np.hypot(problem.floor_cents[there], misfit_cents),
             problem.positive,
         )
         effects = np.arange(count * len(problem.reeds), len(learnt.z))
-        carried = trial.slope[np.ix_(here, effects)] @ (learnt.z - trial.estimate.z)[effects]
+        carried = (
+            trial.jacobian_cents[np.ix_(here, effects)] @ (learnt.z - trial.estimate.z)[effects]
+        )
         gaps = []
         for fitted, left, misfit in (
-            (elastic, elastic.left[here], reference_cents),
-            (trial, trial.left[here] - carried, misfit_cents),
+            (elastic, elastic.residual_cents[here], reference_cents),
+            (trial, trial.residual_cents[here] - carried, misfit_cents),
         ):
             deviation = np.hypot(problem.floor_cents[here], misfit)
             start_z = fitted.estimate.z[moduli]
-            at = _linear(
-                left, fitted.slope[np.ix_(here, moduli)], start_z, deviation, [False] * count
+            at = fit_linear(
+                left,
+                fitted.jacobian_cents[np.ix_(here, moduli)],
+                start_z,
+                deviation,
+                [False] * count,
             )
             out = _left_out(at.jacobian, at.residuals, reed.modes) * deviation
             gaps.append(float(np.mean((out / problem.floor_cents[here]) ** 2)) - 1)
         answer[reed.series.value] = (gaps[0] - gaps[1]) / gaps[0] if gaps[0] > 0 else float("nan")
-    return answer
-
-
-def _at_its_best(base: _Problem, elastic: _Fitted, effect: Effect) -> tuple[Sized, Array]:
-    """An effect at its likeliest place, and what its sizes move there."""
-    deviation = np.hypot(base.floor_cents, 0.5 * elastic.over_misfits()[1])
-    found = [(sized, _signature(base, elastic.estimate.z, sized)) for sized in places_of(effect)]
-    if len(found) == 1:
-        return found[0]
-    return max(found, key=lambda at: _evidence(base, elastic, (at[0],), [at[1]], deviation))
-
-
-def _signature(base: _Problem, z: Array, sized: Sized) -> Array:
-    """Cents (n, k) per prior deviation of each of an effect's k sizes, at the elastic fit."""
-    # Far enough that rounding does not count, near enough to be straight.
-    step, here = 0.05, base.predicted(z)
-    problem, columns = replace(base, effects=(sized,)), []
-    for number in range(len(sized.sizes)):
-        unit = np.zeros(len(sized.sizes))
-        unit[number] = step
-        columns.append((problem.predicted(np.append(z, unit)) - here) / step)
-    return np.stack(columns, axis=1)
-
-
-def _evidence(
-    base: _Problem,
-    elastic: _Fitted,
-    effects: tuple[Sized, ...],
-    columns: Sequence[Array],
-    deviation: Array,
-) -> float:
-    """Log evidence of effects along their signatures (n, k)."""
-    slope = np.hstack([elastic.slope, *columns])
-    z = np.append(elastic.estimate.z, np.zeros(slope.shape[1] - elastic.slope.shape[1]))
-    positive = replace(base, effects=effects).positive
-    return _linear(elastic.left, slope, z, deviation, positive).log_evidence
-
-
-def _reach(
-    base: _Problem,
-    elastic: _Fitted,
-    effects: Sequence[Effect],
-    columns: Mapping[str, Array],
-    misfit_cents: float,
-) -> tuple[Reach, ...]:
-    """What such data could tell of effects beside a misfit that none of them explains."""
-    deviation = np.hypot(base.floor_cents, misfit_cents)
-    moduli, _ = np.linalg.qr(elastic.slope / deviation[:, None])
-    whole = {name: column / deviation[:, None] for name, column in columns.items()}
-    left = {name: column - moduli @ (moduli.T @ column) for name, column in whole.items()}
-    return reach_of(effects, {name: (whole[name], left[name]) for name in whole})
-
-
-def _best_sets(
-    base: _Problem,
-    elastic: _Fitted,
-    effects: Sequence[Sized],
-    columns: Mapping[str, Array],
-    largest: int,
-) -> list[tuple[Sized, ...]]:
-    """Best few sets of two effects, of three, and so on, along the slopes at the elastic reed."""
-    _, misfit = elastic.over_misfits()
-    # What a set leaves is less than what the elastic reed leaves.
-    deviation = np.hypot(base.floor_cents, 0.5 * misfit)
-    answer: list[tuple[Sized, ...]] = []
-    for size in range(2, largest + 1):
-        ranked = []
-        for chosen in combinations(effects, size):
-            own = [columns[sized.effect.id] for sized in chosen]
-            ranked.append((_evidence(base, elastic, chosen, own, deviation), chosen))
-        ranked.sort(key=lambda entry: -entry[0])
-        answer += [chosen for _, chosen in ranked[:_SETS]]
     return answer

@@ -14,7 +14,8 @@ from diagnosis.mean_reed import (
     printed_reeds,
     tabled_reeds,
 )
-from diagnosis.published import _kappa, diagnose_resonances
+from diagnosis.resonance_diagnosis import diagnose_resonances
+from diagnosis.resonance_fit import _kappa
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
 from physics.effects.effect import (
@@ -84,38 +85,38 @@ diagnosed = partial(diagnose_resonances, reed_solver=Formula(), largest_set=2)
 
 def test_what_closes_the_gap_is_found_with_its_size() -> None:
     found = diagnosed(reeds(across=0.4), effects=(SHEAR, ACROSS_GRAIN, HEAVIER, NOTHING))
-    best = found.alone[0]
+    best = found.single[0]
     assert best.effects == ("across",)
-    assert best.certified
+    assert best.converged
     (size,) = best.sizes
     assert size.value == pytest.approx(0.4, abs=3 * size.error)
     assert size.error < 0.05
-    assert best.kappa_low > 0.9
-    assert set(best.kappa_other) == {"A", "B"}
-    assert min(best.kappa_other.values()) > 0.9
+    assert best.explained_low > 0.9
+    assert set(best.explained_other_series) == {"A", "B"}
+    assert min(best.explained_other_series.values()) > 0.9
     assert best.rms_cents["A"] < 3 < 20 < found.elastic.rms_cents["A"]
     for series, E, G in (("A", 0.1, -0.2), ("B", -0.05, 0.1)):
         E_L, G_LT = best.moduli_pa[series]
         assert np.log([E_L / 14e9, G_LT / 1.1e9]) == pytest.approx([E, G], abs=0.02)
     # A density that moduli take up closes nothing.
-    heavier = next(trial for trial in found.alone if trial.effects == ("heavier",))
+    heavier = next(trial for trial in found.single if trial.effects == ("heavier",))
     assert heavier.log_bayes < 0
-    assert abs(heavier.kappa) < 0.05
-    assert all(trial.effects != ("nothing",) for trial in found.alone)
+    assert abs(heavier.explained) < 0.05
+    assert all(trial.effects != ("nothing",) for trial in found.single)
     assert all("across" in trial.effects for trial in found.together[:2])
 
 
 def test_where_the_elastic_reed_is_right_nothing_is_likelier() -> None:
     for seed in range(3):
         found = diagnosed(reeds(seed=seed), effects=(SHEAR, ACROSS_GRAIN, HEAVIER))
-        assert max(trial.log_bayes for trial in found.alone) < 1.5
+        assert max(trial.log_bayes for trial in found.single) < 1.5
         assert found.elastic.rms_cents["A"] < 4
 
 
 def test_effects_that_do_the_same_are_one_class() -> None:
     found = diagnosed(reeds(across=0.4), effects=(ACROSS_GRAIN, TWIN_OF_IT, HEAVIER))
     assert ("across", "alike") in [tuple(sorted(group)) for group in found.classes]
-    by_name = {entry.effect: entry for entry in found.reach}
+    by_name = {entry.effect: entry for entry in found.detectability}
     assert by_name["heavier"].absorbed > 0.99
     assert by_name["across"].absorbed < 0.9
 
@@ -124,14 +125,14 @@ def test_words_say_whose_sizes_are_and_what_is_hardly_told_from_what() -> None:
     effects = (ACROSS_GRAIN, TWIN_OF_IT, HEAVIER, SHEAR)
     found = diagnosed(reeds(across=0.4), effects=effects)
     said = words(found, {effect.id: effect for effect in effects})
-    trial = next(trial for trial in found.alone if trial.effects == ("across",))
+    trial = next(trial for trial in found.single if trial.effects == ("across",))
     (size,) = trial.sizes
     assert f"across: size {size.value:.3g} ± {size.error:.1g} ({size.z:+.1f} SD" in "\n".join(said)
     hardly = next(line for line in said if line.startswith("across is confusable"))
     # Both move the same.
     assert "alike (1.00)" in hardly
     assert hardly.endswith(notes_of(ACROSS_GRAIN).check)
-    both = next(trial for trial in found.together if trial.certified and trial.log_bayes > 1)
+    both = next(trial for trial in found.together if trial.converged and trial.log_bayes > 1)
     line = next(line for line in said if line.startswith(" + ".join(both.effects)))
     assert all(f"{name}'s size" in line for name in both.effects)
     assert "does not prove its cause" in said[-1]
@@ -142,10 +143,10 @@ def test_the_table_of_trials_tells_shares_as_they_are() -> None:
     console = Console(width=200, file=io.StringIO())
     console.print(terminal_table(trials_table(found)))
     row = next(r for r in console.file.getvalue().splitlines() if "across " in r)
-    best, before = found.alone[0], found.elastic.rms_cents
-    assert f"{best.kappa:.0%}" in row
+    best, before = found.single[0], found.elastic.rms_cents
+    assert f"{best.explained:.0%}" in row
     assert f"{before['A']:.0f} → {best.rms_cents['A']:.0f}" in row
-    assert f"A {best.kappa_other['A']:.0%}" in row
+    assert f"A {best.explained_other_series['A']:.0%}" in row
     assert f"{best.log_bayes:+.1f}" in row
 
 
@@ -211,10 +212,10 @@ def test_means_of_many_reeds_are_as_sure_as_their_number(tmp_path) -> None:
 
 def test_shares_that_are_closed_are_of_what_is_above_the_floor() -> None:
     before, after = np.array([2.0, -1.0, 3.0]), np.array([1.0, 1.0, -1.5])
-    kappa, low, high = _kappa(before, after, ("F1", "T1", "F2"))
+    explained, low, high = _kappa(before, after, ("F1", "T1", "F2"))
     gaps = [np.mean(part**2) - 1 for part in (before, after)]
-    assert kappa == pytest.approx((gaps[0] - gaps[1]) / gaps[0])
-    assert low <= kappa <= high
+    assert explained == pytest.approx((gaps[0] - gaps[1]) / gaps[0])
+    assert low <= explained <= high
 
 
 def test_a_reed_that_lacks_modes_does_not_bend_the_profile(tmp_path) -> None:

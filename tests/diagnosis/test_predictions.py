@@ -7,17 +7,17 @@ import pytest
 
 from diagnosis.observables import drive
 from diagnosis.observables.carrier import Leaks
-from diagnosis.observables.drive import forces_rad, level_block, line_block
-from diagnosis.observables.frequency_lock import lock_block, log_block
+from diagnosis.observables.drive import excitation_group, forces_rad, level_group
+from diagnosis.observables.frequency_lock import lock_group, lost_frames_group
 from diagnosis.observables.light import (
-    brightness_block,
-    fringe_block,
-    noise_block,
+    brightness_group,
+    fringe_group,
+    noise_group,
 )
 from diagnosis.observables.modes import _prediction
-from diagnosis.observables.reed_at_rest import scatter_block, turn_block
+from diagnosis.observables.reed_at_rest import phase_scatter_group, phase_turn_group
 from diagnosis.readings.device import Device
-from diagnosis.readings.step_log import Beat
+from diagnosis.readings.step_log import StepLog
 from diagnosis.readings.sweeps import TEMPLATES
 from physics.air import (
     CavityLine,
@@ -47,7 +47,7 @@ def moved(block, **parts):
 @pytest.fixture(scope="module")
 def beat():
     """Forty steps of two sweeps, at 2 and at 10 kHz, an hour apart."""
-    return Beat(
+    return StepLog(
         steps=100, lost=0, lock_hz=np.zeros(40), error_hz=np.full(40, 1e-3),
         drive_hz=np.repeat([2e3, 1e4], 20), time_s=np.repeat([0.0, HOUR], 20),
         sweep=np.repeat([0, 1], 20), names=("up", "down"),
@@ -55,8 +55,8 @@ def beat():
 
 
 def test_locks_miss_by_what_modulators_are_ahead_and_generators_behind(beat) -> None:
-    lock = lock_block(beat, RATE_HZ)
-    assert [place.time for place in lock.places] == ["up", "down"]
+    lock = lock_group(beat, RATE_HZ)
+    assert [place.time for place in lock.coordinates] == ["up", "down"]
     assert moved(lock, clocks={"detuning_hz": 0.01}) == pytest.approx([0.01, 0.01])
     assert moved(lock, clocks={"detuning_hz_h": 0.2}) == pytest.approx([0.0, 0.2])
     # A generator that runs ahead drives the reed faster: 5 ppm of 2 kHz and 10 kHz.
@@ -68,7 +68,9 @@ def test_locks_miss_by_what_modulators_are_ahead_and_generators_behind(beat) -> 
 def test_frames_lost_are_counted_on_a_scale_of_even_scatter(beat) -> None:
     # Four of a hundred.
     expected = 2 * (np.sqrt(4 + 3 / 8) - np.sqrt(3 / 8))
-    assert moved(log_block(beat), clocks={"lost_fraction": 0.04}) == pytest.approx([expected])
+    assert moved(lost_frames_group(beat), clocks={"lost_fraction": 0.04}) == pytest.approx(
+        [expected]
+    )
 
 
 def still(clamping=0):
@@ -83,8 +85,8 @@ def still(clamping=0):
 
 
 def test_light_at_rest_turns_by_the_modulators_and_by_unequal_steps_only_within() -> None:
-    turn = turn_block([still()], 0.05, RATE_HZ)
-    within, between = (place.quantity.split(", ")[1] for place in turn.places)
+    turn = phase_turn_group([still()], 0.05, RATE_HZ)
+    within, between = (place.quantity.split(", ")[1] for place in turn.coordinates)
     assert (within, between) == ("within acquisitions", "between acquisitions")
     assert moved(turn, clocks={"detuning_hz": 0.01}) == pytest.approx([0.01, 0.01])
     assert moved(turn, clocks={"detuning_hz_h": 0.2}) == pytest.approx([0.2, 0.2], rel=1e-6)
@@ -92,7 +94,7 @@ def test_light_at_rest_turns_by_the_modulators_and_by_unequal_steps_only_within(
 
 
 def test_phases_scatter_by_what_walks_and_jitters() -> None:
-    scatter = scatter_block([still()], 0.05, RATE_HZ)
+    scatter = phase_scatter_group([still()], 0.05, RATE_HZ)
     # Within: a third of the turn from the first frame to the last, three periods of 1/12.4 s apart,
     # of a walk of 0.05 rad per root second and of jitter in both; between: over a second.
     within = 3 * 0.05**2 / RATE_HZ / 9, 2 * 0.15**2 / 9
@@ -118,9 +120,9 @@ def sweep(name="up", begun_s=0.0, length_s=0.0, volts=4.0, clamping=0, **own):
 
 def test_light_fades_by_its_share_an_hour_and_fringes_by_its_root_of_either_beam() -> None:
     # One sweep at the begin, one an hour later; the light at rest as well.
-    light = brightness_block([sweep(), sweep("down", HOUR)], [still()])
+    light = brightness_group([sweep(), sweep("down", HOUR)], [still()])
     faded = moved(light, optics={"fade_per_h": 0.3})
-    when = [place.time for place in light.places]
+    when = [place.time for place in light.coordinates]
     rest = next(k for k, time in enumerate(when) if time.startswith("at rest"))
     up, down = ([k for k, t in enumerate(when) if t.startswith(name)] for name in ("up", "down"))
     assert faded[rest] == pytest.approx(-0.3)
@@ -134,9 +136,9 @@ def test_light_fades_by_its_share_an_hour_and_fringes_by_its_root_of_either_beam
 
 
 def test_noise_is_that_of_the_light_but_for_a_little() -> None:
-    noise = noise_block([sweep(), sweep("down", HOUR)])
+    noise = noise_group([sweep(), sweep("down", HOUR)])
     faded = moved(noise, optics={"fade_per_h": 0.3})
-    down = [k for k, place in enumerate(noise.places) if place.time.startswith("down")]
+    down = [k for k, place in enumerate(noise.coordinates) if place.time.startswith("down")]
     assert faded[down] == pytest.approx(-0.96 * 0.3)
     assert np.delete(faded, down) == pytest.approx(0.0)
 
@@ -144,8 +146,11 @@ def test_noise_is_that_of_the_light_but_for_a_little() -> None:
 def test_fringes_show_what_leaks_in_by_its_amplitude_and_lost_contrast_as_it_is() -> None:
     there = sweep(template=np.zeros((len(TEMPLATES), 160), complex),
                   template_variance=np.ones((len(TEMPLATES), 160)))  # fmt: skip
-    fringes = fringe_block([there])
-    assert [place.quantity for place in fringes.places] == ["sideband crosstalk", "decorrelation"]
+    fringes = fringe_group([there])
+    assert [place.quantity for place in fringes.coordinates] == [
+        "sideband crosstalk",
+        "decorrelation",
+    ]
     for field in ("crosstalk", "leak"):
         told = moved(fringes, optics={field: 0.03})
         assert told == pytest.approx([np.hypot(0.03, 5e-3) - 5e-3, 0.0])
@@ -153,7 +158,7 @@ def test_fringes_show_what_leaks_in_by_its_amplitude_and_lost_contrast_as_it_is(
 
 
 def test_a_coil_loses_by_the_square_of_its_volts_where_it_moves() -> None:
-    level = level_block([sweep(volts=16.0), sweep("quiet", volts=4.0)], Leaks({}, 0.0))
+    level = level_group([sweep(volts=16.0), sweep("quiet", volts=4.0)], Leaks({}, 0.0))
     told = moved(level, drive={"compression": 0.5})
     # At the least frequency 0.5 / (1 + (1/5)²) of what it would be at 16 V; a sixteenth at 4 V.
     most = 0.5 / (1 + (1.12 / 5) ** 2)
@@ -166,7 +171,7 @@ def test_a_line_stands_out_of_the_drive_where_it_is() -> None:
     # Both right at a hologram's frequency.
     hz = np.geomspace(1e3, 1e4, 160)
     line = CavityLine(frequency_hz=float(hz[90]))
-    block = line_block([sweep(), sweep("down")], line, Leaks({}, 0.0))
+    block = excitation_group([sweep(), sweep("down")], line, Leaks({}, 0.0))
     at_line, at_second = 90, 130
     told = moved(block, drive={"second_strength": 0.1, "second_hz": float(hz[at_second]) - 7e3,
                                "second_quality": -10.0})  # fmt: skip

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from diagnosis.block import Block, Observable
-from diagnosis.estimate import taken_up
-from diagnosis.rivals import Comparison
+from diagnosis.inference.estimation import absorbed_part
+from diagnosis.inference.problem import InferenceProblem
+from diagnosis.observable_groups import Observable, ObservableGroup
 
 Array = NDArray[np.floating[Any]]
 
@@ -25,13 +25,13 @@ _CHANCE = 0.01
 
 
 @dataclass(frozen=True)
-class Cell:
+class GapCell:
     """Some numbers of one tap.
 
     Attributes
     ----------
-    tap : Observable
-    block : str
+    observable : Observable
+    group : str
     axis, label : str
         What these numbers have in common: a coordinate of their place, and its value.
     count : int
@@ -41,8 +41,8 @@ class Cell:
         Probability of as large a gap by chance.
     """
 
-    tap: Observable
-    block: str
+    observable: Observable
+    group: str
     axis: str
     label: str
     count: int
@@ -56,74 +56,74 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Rung:
+class LadderStep:
     """What one tap adds to the gap, if the twin gets what was measured at others.
 
     Attributes
     ----------
-    tap : Observable
+    observable : Observable
     forward, backward : float
         Share of the whole gap, with all earlier taps as measured, and with all later ones.
     error : float
         Standard deviation of either, by chance.
     """
 
-    tap: Observable
+    observable: Observable
     forward: float
     backward: float
     error: float
 
 
 @dataclass(frozen=True)
-class Map:
+class GapMap:
     """All cells of a campaign.
 
     Attributes
     ----------
-    cells : tuple of Cell
-        Of every coordinate, and of whole blocks (axis ``block``).
-    taps : dict of Cell
+    cells : tuple of GapCell
+        Of every coordinate, and of whole blocks (axis ``observable_group``).
+    observables : dict of GapCell
         Of each tap the cell that chance explains least, with the chance that any cell of any tap is
         as far off.
-    ladder : tuple of Rung
+    ladder : tuple of LadderStep
         From logs to material; shares add up to 1 either way. Empty if the whole is not resolvable.
     """
 
-    cells: tuple[Cell, ...]
-    taps: dict[Observable, Cell]
-    ladder: tuple[Rung, ...]
+    cells: tuple[GapCell, ...]
+    observables: dict[Observable, GapCell]
+    ladder: tuple[LadderStep, ...]
 
     @property
     def first_failing(self) -> Observable | None:
         """First tap, from logs to material, at which measurement and twin differ."""
-        failing = (tap for tap, worst in self.taps.items() if worst.chance < _CHANCE)
+        failing = (tap for tap, worst in self.observables.items() if worst.chance < _CHANCE)
         return next(failing, None)
 
 
-def gap_map(comparison: Comparison) -> Map:
+def gap_map(problem: InferenceProblem) -> GapMap:
     """Put every number beside the nominal twin."""
-    nothing = np.zeros(len(comparison.nuisances))
-    left = comparison.residuals(comparison.twin(nothing))
+    nothing = np.zeros(len(problem.nuisances))
+    left = problem.residuals(problem.twin(nothing))
     # Here, not where other fits have been.
-    slope = comparison.slope(nothing, 0.0)
-    cells: list[Cell] = []
+    slope = problem.jacobian(nothing, 0.0)
+    cells: list[GapCell] = []
     rows: dict[Observable, list[int]] = {}
-    for block in comparison.blocks:
-        piece = comparison.slices[block.name]
-        lower = np.linalg.inv(block.root)
+    for block in problem.groups:
+        piece = problem.slices[block.name]
+        lower = np.linalg.inv(block.whitening)
         gap = lower @ left[piece]
         inputs = lower @ slope[piece]
         variance = block.covariance + inputs @ inputs.T
-        cells.append(_cell(block, "block", block.name, range(len(gap)), gap, variance))
+        cells.append(_cell(block, "group", block.name, range(len(gap)), gap, variance))
         rows.setdefault(block.tap, []).extend(range(piece.start, piece.stop))
         for axis in AXES:
             cells += _along(block, axis, gap, variance)
     taps = {}
     for tap in _in_order(rows):
-        own = [cell for cell in cells if cell.tap is tap]
+        own = [cell for cell in cells if cell.observable is tap]
         worst = min(own, key=lambda cell: cell.chance)
         taps[tap] = replace(worst, chance=min(1.0, len(rows) * len(own) * worst.chance))
-    return Map(tuple(cells), taps, tuple(_ladder(left, slope, rows)))
+    return GapMap(tuple(cells), taps, tuple(_ladder(left, slope, rows)))
 
 
 def _in_order(rows: Iterable[Observable]) -> list[Observable]:
@@ -134,10 +134,12 @@ def _in_order(rows: Iterable[Observable]) -> list[Observable]:
 def _square(left: Array, slope: Array, chosen: Sequence[int]) -> float:
     """Square of what is left (n,) in some numbers, in units of its floor."""
     own, inputs = left[chosen], slope[chosen]
-    return float(own @ (own - taken_up(inputs, own)))
+    return float(own @ (own - absorbed_part(inputs, own)))
 
 
-def _ladder(left: Array, slope: Array, rows: Mapping[Observable, Sequence[int]]) -> list[Rung]:
+def _ladder(
+    left: Array, slope: Array, rows: Mapping[Observable, Sequence[int]]
+) -> list[LadderStep]:
     """What each tap adds if the twin gets what all before it, or all after it, have measured.
 
     That is what the tap's numbers are off by once those others have told of the nuisances.
@@ -162,7 +164,7 @@ def _ladder(left: Array, slope: Array, rows: Mapping[Observable, Sequence[int]])
     forward, backward = ({t: max(step[t] - count[t], 0.0) for t in order} for step in steps)
     gap, back = sum(forward.values()), sum(backward.values())
     return [
-        Rung(
+        LadderStep(
             tap,
             forward[tap] / gap,
             backward[tap] / back,
@@ -172,8 +174,8 @@ def _ladder(left: Array, slope: Array, rows: Mapping[Observable, Sequence[int]])
     ]
 
 
-def _along(block: Block, axis: str, gap: Array, variance: Array) -> list[Cell]:
-    labels = [getattr(place, axis) for place in block.places]
+def _along(block: ObservableGroup, axis: str, gap: Array, variance: Array) -> list[GapCell]:
+    labels = [getattr(place, axis) for place in block.coordinates]
     names = [name for name in dict.fromkeys(labels) if name]
     if axis != "quantity" and len(names) < 2:
         return []
@@ -186,12 +188,17 @@ def _along(block: Block, axis: str, gap: Array, variance: Array) -> list[Cell]:
 
 
 def _cell(
-    block: Block, axis: str, label: str, chosen: Sequence[int], gap: Array, variance: Array
-) -> Cell:
+    block: ObservableGroup,
+    axis: str,
+    label: str,
+    chosen: Sequence[int],
+    gap: Array,
+    variance: Array,
+) -> GapCell:
     at = np.array(list(chosen))
     own = gap[at]
     square = float(own @ np.linalg.solve(variance[np.ix_(at, at)], own))
     chance = float(chi2.sf(square, len(at)))
-    return Cell(
+    return GapCell(
         block.tap, block.name, axis, label, len(at), float(np.sqrt(square / len(at))), chance
     )

@@ -14,14 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from diagnosis.block import Block
-from diagnosis.estimate import covariance_left, spread_of
-from diagnosis.rivals import (
-    Comparison,
-    Rival,
-    by_noise,
-    gain_by_noise,
-)
+from diagnosis.inference.candidates import Candidate
+from diagnosis.inference.estimation import posterior_covariance, residual_covariance
+from diagnosis.inference.problem import InferenceProblem, group_noise_gain, noise_inflation_gain
+from diagnosis.observable_groups import ObservableGroup
 
 Array = NDArray[np.floating[Any]]
 
@@ -39,7 +35,7 @@ _BLOCKS = (0.6, 0.25, 0.15)
 
 @dataclass(frozen=True)
 class _Left:
-    """What a rival leaves of d campaigns, and what takes part of it up.
+    """What a candidate leaves of d campaigns, and what takes part of it up.
 
     Attributes
     ----------
@@ -57,7 +53,7 @@ class _Left:
 
     def of(self, piece: slice) -> tuple[Array, Array]:
         """Residuals (k, d) of a block, and their covariance (k, k)."""
-        return self.residuals[piece], covariance_left(self.slopes, piece)
+        return self.residuals[piece], residual_covariance(self.slopes, piece)
 
     def beside(self, columns: Array) -> "_Left":
         """What is left once columns (n, c) are free as well, of priors of variance 1."""
@@ -65,49 +61,52 @@ class _Left:
         # At an optimum, slopes pull as hard as priors do: only new columns are not at theirs.
         pull = np.zeros((slopes.shape[1], self.residuals.shape[1]))
         pull[self.slopes.shape[1] :] = columns.T @ self.residuals
-        return _Left(self.residuals - slopes @ spread_of(slopes) @ pull, slopes, self.deviation)
+        return _Left(
+            self.residuals - slopes @ posterior_covariance(slopes) @ pull, slopes, self.deviation
+        )
 
 
-def discrepancies(
-    comparison: Comparison, rival: Rival, residuals: Array | None = None
+def group_discrepancies(
+    problem: InferenceProblem, candidate: Candidate, residuals: Array | None = None
 ) -> dict[str, Array]:
-    """Log Bayes factors of something unknown in each block beside a rival, by the block's name.
+    """Log Bayes factors of something unknown in each block beside a candidate, by the block's name.
 
     Parameters
     ----------
-    comparison : Comparison
-    rival : Rival
+    problem : InferenceProblem
+    candidate : Candidate
     residuals : (n, d) float, optional
-        What the rival leaves of d campaigns; of the one that it was fitted to if not given.
+        What the candidate leaves of d campaigns; of the one that it was fitted to if not given.
 
     Returns
     -------
     dict of (d,) float
     """
     left = _Left(
-        rival.estimate.residuals[:, None] if residuals is None else residuals,
-        rival.free,
-        rival.deviation,
+        candidate.estimate.residuals[:, None] if residuals is None else residuals,
+        candidate.free_jacobian,
+        candidate.deviation,
     )
     return {
-        block.name: _factor(left, comparison.slices[block.name], block)
-        for block in comparison.blocks
+        block.name: _factor(left, problem.slices[block.name], block) for block in problem.groups
     }
 
 
-def in_one(factors: Mapping[str, Array]) -> Array:
+def log_bayes_any_group(factors: Mapping[str, Array]) -> Array:
     """Log Bayes factors (d,) of something unknown that moves any one block."""
     total: Array = logsumexp(np.stack(list(factors.values())), axis=0) - np.log(len(factors))
     return total
 
 
-def anything(comparison: Comparison, rival: Rival) -> float:
+def log_bayes_any_unknown(problem: InferenceProblem, candidate: Candidate) -> float:
     """Log Bayes factor of something unknown that moves any one block, or a few together."""
-    left = _Left(rival.estimate.residuals[:, None], rival.free, rival.deviation)
-    count, gained = len(comparison.blocks), 0.0
-    logs, still = [], list(comparison.blocks)
+    left = _Left(
+        candidate.estimate.residuals[:, None], candidate.free_jacobian, candidate.deviation
+    )
+    count, gained = len(problem.groups), 0.0
+    logs, still = [], list(problem.groups)
     for number, share in enumerate(_BLOCKS[:count], 1):
-        tried = [_with_unknown(comparison, left, block) for block in still]
+        tried = [_with_unknown(problem, left, block) for block in still]
         prior = np.log(share) - np.log(comb(count, number))
         logs.append(float(prior + gained + logsumexp([factor for factor, _ in tried])))
         best = int(np.argmax([factor for factor, _ in tried]))
@@ -120,30 +119,34 @@ def anything(comparison: Comparison, rival: Rival) -> float:
     return float(logsumexp(logs))
 
 
-def _with_unknown(comparison: Comparison, left: _Left, block: Block) -> tuple[float, _Left]:
+def _with_unknown(
+    problem: InferenceProblem, left: _Left, block: ObservableGroup
+) -> tuple[float, _Left]:
     """Log Bayes factor of something unknown in a block, and what is left beside it."""
-    piece = comparison.slices[block.name]
+    piece = problem.slices[block.name]
     found = [(float(gain[0]), moved) for gain, moved in _gains(left, piece, block)]
     _, moved = max(found, key=lambda way: way[0])
     columns = np.zeros((len(left.residuals), moved.shape[1]))
     columns[piece] = moved
     after = left.beside(columns)
     # Of the twin it is known that its noise may be larger: less so where less is left.
-    usual = by_noise(comparison, left.residuals[:, 0]) - by_noise(comparison, after.residuals[:, 0])
+    usual = noise_inflation_gain(problem, left.residuals[:, 0]) - noise_inflation_gain(
+        problem, after.residuals[:, 0]
+    )
     gains = [gain for gain, _ in found]
     return float(logsumexp(gains) - np.log(len(gains))) - usual, after
 
 
-def _factor(left: _Left, piece: slice, block: Block) -> Array:
+def _factor(left: _Left, piece: slice, block: ObservableGroup) -> Array:
     own, _ = left.of(piece)
     gains = [gain for gain, _ in _gains(left, piece, block)]
     # Of the twin it is known that its noise may be larger.
-    usual = np.array([gain_by_noise(chi2, len(own)) for chi2 in np.sum(own**2, axis=0).tolist()])
+    usual = np.array([group_noise_gain(chi2, len(own)) for chi2 in np.sum(own**2, axis=0).tolist()])
     factor: Array = logsumexp(gains, axis=0) - np.log(len(gains)) - usual
     return factor
 
 
-def _gains(left: _Left, piece: slice, block: Block) -> Iterator[tuple[Array, Array]]:
+def _gains(left: _Left, piece: slice, block: ObservableGroup) -> Iterator[tuple[Array, Array]]:
     """Yield what log evidence (d,) gains by each kind of something unknown, and each size.
 
     With each what it moves (k, c), in units of the noise.
@@ -173,7 +176,7 @@ def _gained(along: Array, known: Array, size: float) -> Array:
     return gained
 
 
-def _table(block: Block, kind: str) -> Array | None:
+def _table(block: ObservableGroup, kind: str) -> Array | None:
     """Columns (n, c) along which something unknown may move a block, whitened."""
     if kind == "each":
         return np.eye(len(block.values))
@@ -181,25 +184,25 @@ def _table(block: Block, kind: str) -> Array | None:
     if moved is None:
         return None
     deviation = np.sqrt(1 / np.diag(np.linalg.inv(block.covariance)))
-    table: Array = block.root @ (deviation[:, None] * moved)
+    table: Array = block.whitening @ (deviation[:, None] * moved)
     return table
 
 
-def _alike(block: Block, kind: str) -> Array | None:
+def _alike(block: ObservableGroup, kind: str) -> Array | None:
     """Columns (n, c) of ones, where a quantity has one mode, band or time."""
-    labels = [f"{place.quantity} {getattr(place, kind)}" for place in block.places]
+    labels = [f"{place.quantity} {getattr(place, kind)}" for place in block.coordinates]
     names = sorted(set(labels))
     if len(names) in (1, len(labels)) and kind != "quantity":
         return None
     return np.array([[label == name for name in names] for label in labels], dtype=float)
 
 
-def _drifting(block: Block) -> Array | None:
+def _drifting(block: ObservableGroup) -> Array | None:
     """Columns (n, c) along which a quantity moves in step with time."""
     columns = []
-    for quantity in dict.fromkeys(place.quantity for place in block.places):
-        own = np.array([place.quantity == quantity for place in block.places])
-        times = [place.time for place in block.places if place.quantity == quantity]
+    for quantity in dict.fromkeys(place.quantity for place in block.coordinates):
+        own = np.array([place.quantity == quantity for place in block.coordinates])
+        times = [place.time for place in block.coordinates if place.quantity == quantity]
         order = list(dict.fromkeys(times))
         if len(order) < _LEAST_TIMES:
             continue

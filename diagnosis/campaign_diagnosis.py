@@ -9,34 +9,30 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from diagnosis.actions import Worth, ranked_actions
-from diagnosis.contest import (
-    NONE,
-    UNKNOWN,
-    Contest,
-    confirmed,
-    contest,
-    unknown_beside,
+from diagnosis.experiment_design import RankedExperiment, rank_experiments
+from diagnosis.explained_fraction import (
+    ExplainedFraction,
+    GapInUnits,
+    explained_fraction,
+    gaps_in_units,
 )
-from diagnosis.discrepancy import discrepancies
-from diagnosis.how_far import (
-    Plain,
-    Shrinkage,
-    plain_gaps,
-    shrinkage,
+from diagnosis.gap_map import GapMap, gap_map
+from diagnosis.inference.candidates import Candidate
+from diagnosis.inference.discrepancy import group_discrepancies
+from diagnosis.inference.model_selection import (
+    ModelSelection,
+    likeliest_unknown,
+    refit_candidate,
+    select_model,
 )
-from diagnosis.likeness import (
-    Reach,
-    classes_of,
-    reach_of,
-)
-from diagnosis.nuisances import NUISANCES, of_fits
-from diagnosis.observing import blocks
+from diagnosis.inference.nuisances import NUISANCES, of_fits
+from diagnosis.inference.predictive_checks import PredictiveCheck, predictive_checks
+from diagnosis.inference.probabilities import NONE, UNKNOWN
+from diagnosis.inference.problem import InferenceProblem
+from diagnosis.inference.similarity import Detectability, confusable_classes, detectability_of
+from diagnosis.observe import observable_groups
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import common_modes
-from diagnosis.rivals import Comparison, Rival
-from diagnosis.triggers import Trigger, triggers
-from diagnosis.where import Map, gap_map
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.effect import Stage
 from physics.mechanics import ReedSolver
@@ -48,16 +44,16 @@ Kind = Literal["none", "effect", "pair", "unknown", "not converged"]
 COVERAGE: Final = 0.9
 # A number off by so many deviations, or moved by an effect by so many, is part of a gap.
 _OFF, _MOVED = 3.0, 0.5
-# Of so many rivals it is told what they close.
+# Of so many candidates it is told what they close.
 _MOST_CLOSED = 8
-# Rivals that turn out to be the likeliest are fitted again, so many one after the other.
+# Candidates that turn out to be the likeliest are fitted again, so many one after the other.
 _MOST_CONFIRMED = 8
 # A doubtful fit without effects does not matter to what is likelier by so many nats.
 _BEYOND_DOUBT = 20.0
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Diagnosis:
     """What a campaign says.
 
     Attributes
@@ -71,27 +67,27 @@ class Verdict:
         Effects that this campaign does not tell apart.
     likely : tuple of tuple of str
         Fewest classes that together have 90 % of the probability.
-    where : Map
-    contest : Contest
-    reach : tuple of Reach
+    gap : GapMap
+    selection : ModelSelection
+    detectability : tuple of Detectability
         What this campaign could have told of each effect.
-    unknown_beside, unknown_in : str
+    unknown_with, unknown_in : str
         Where something unknown is likeliest: beside which effect or pair or none, in which block.
-    triggers : tuple of Trigger
+    checks : tuple of PredictiveCheck
         Signs of something unknown beside what is named.
-    closing : tuple of str
+    explained_with : tuple of str
         What is named; if nothing is, the effect that explains most by itself.
-    closed, transferred : Shrinkage or None
+    explained, explained_other_sweep : ExplainedFraction or None
         By these, on numbers left out; and in the condition that was left out whole.
-    closed_by : dict of Shrinkage
-        On all numbers, by each rival that is better than none.
-    plain : tuple of Plain
+    explained_by : dict of ExplainedFraction
+        On all numbers, by each candidate that is better than none.
+    gaps_in_units : tuple of GapInUnits
         The same gap in units that people know.
     condition : str
         That condition.
-    next_actions : tuple of Worth
+    next_experiments : tuple of RankedExperiment
         The best first, to tell the two likeliest apart.
-    rivals : (str, str)
+    compared : (str, str)
         These two.
     missing, refused : tuple of str
     """
@@ -101,20 +97,20 @@ class Verdict:
     probability: dict[str, float]
     classes: tuple[tuple[str, ...], ...]
     likely: tuple[tuple[str, ...], ...]
-    where: Map
-    contest: Contest
-    reach: tuple[Reach, ...]
-    unknown_beside: str
+    gap: GapMap
+    selection: ModelSelection
+    detectability: tuple[Detectability, ...]
+    unknown_with: str
     unknown_in: str
-    triggers: tuple[Trigger, ...]
-    closing: tuple[str, ...]
-    closed: Shrinkage | None
-    transferred: Shrinkage | None
-    closed_by: dict[str, Shrinkage]
-    plain: tuple[Plain, ...]
+    checks: tuple[PredictiveCheck, ...]
+    explained_with: tuple[str, ...]
+    explained: ExplainedFraction | None
+    explained_other_sweep: ExplainedFraction | None
+    explained_by: dict[str, ExplainedFraction]
+    gaps_in_units: tuple[GapInUnits, ...]
     condition: str
-    next_actions: tuple[Worth, ...]
-    rivals: tuple[str, str]
+    next_experiments: tuple[RankedExperiment, ...]
+    compared: tuple[str, str]
     missing: tuple[str, ...]
     refused: tuple[str, ...]
 
@@ -125,7 +121,7 @@ def diagnose(
     base: Twin | None = None,
     progress: Callable[[float], None] | None = None,
     without: Sequence[str] = (),
-) -> Verdict:
+) -> Diagnosis:
     """Compare a campaign with the twin.
 
     Parameters
@@ -140,13 +136,13 @@ def diagnose(
     without : sequence of str
         Effects that the catalogue is to do without.
     """
-    comparison = compared(readings, reed_solver, base or Twin())
-    told = Told(condition_of(readings), readings.missing, readings.refused)
-    return judged(comparison, told, progress, without)
+    problem = inference_problem(readings, reed_solver, base or Twin())
+    told = CampaignSummary(condition_of(readings), readings.missing, readings.refused)
+    return diagnose_problem(problem, told, progress, without)
 
 
 @dataclass(frozen=True)
-class Told:
+class CampaignSummary:
     """What is known of a campaign beside its numbers.
 
     Attributes
@@ -161,80 +157,87 @@ class Told:
     refused: tuple[str, ...] = ()
 
 
-def judged(
-    comparison: Comparison,
-    told: Told,
+def diagnose_problem(
+    problem: InferenceProblem,
+    told: CampaignSummary,
     progress: Callable[[float], None] | None = None,
     without: Sequence[str] = (),
-) -> Verdict:
+) -> Diagnosis:
     """Judge numbers that are beside the twin already; parameters as those of `diagnose`."""
     # Matrices are small: threads of linear algebra would wait for each other more than compute.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _judged(comparison, told, progress, without)
+        return _judged(problem, told, progress, without)
 
 
 def _judged(
-    comparison: Comparison,
-    told: Told,
+    problem: InferenceProblem,
+    told: CampaignSummary,
     progress: Callable[[float], None] | None,
     without: Sequence[str],
-) -> Verdict:
+) -> Diagnosis:
     effects = [e for e in CATALOGUE if e.stage is not Stage.NUMERICS and e.id not in without]
-    found = contest(comparison, effects, progress)
-    reach = reach_of(effects, found.signatures)
-    classes = classes_of(reach)
+    found = select_model(problem, effects, progress)
+    reach = detectability_of(effects, found.signatures)
+    classes = confusable_classes(reach)
     for _ in range(_MOST_CONFIRMED):
         # Nothing is named on one search's word.
-        found = confirmed(comparison, found, _likeliest(found.probability, classes), len(effects))
+        found = refit_candidate(
+            problem, found, _likeliest(found.probability, classes), len(effects)
+        )
     probability = found.probability
     kind, named = _named(found, classes)
     first, second = _two_likeliest(found)
-    groups, condition = _groups(comparison), told.condition
-    chosen = found.rival("+".join(named)) or _best_alone(found)
-    acts = _touched(comparison, found.null, chosen)
+    groups, condition = _groups(problem), told.condition
+    chosen = found.candidate("+".join(named)) or _best_alone(found)
+    acts = _touched(problem, found.null, chosen)
     named_or_none = chosen if named else found.null
-    beside = unknown_beside(found, len(effects))
-    return Verdict(
+    beside = likeliest_unknown(found, len(effects))
+    return Diagnosis(
         kind=kind,
         effects=named,
         probability=probability,
         classes=classes,
         likely=_likely(probability, classes),
-        where=gap_map(comparison),
-        contest=found,
-        reach=reach,
-        unknown_beside=beside,
-        unknown_in=_block_beside(comparison, found.rival(beside) or found.null),
-        triggers=triggers(comparison, named_or_none, _only(comparison, condition)),
-        closing=chosen.names,
-        closed=shrinkage(found.null, chosen, _where(groups, acts)),
-        transferred=(
-            shrinkage(found.null, chosen, _where(_only(comparison, condition), acts))
+        gap=gap_map(problem),
+        selection=found,
+        detectability=reach,
+        unknown_with=beside,
+        unknown_in=_block_beside(problem, found.candidate(beside) or found.null),
+        checks=predictive_checks(problem, named_or_none, _only(problem, condition)),
+        explained_with=chosen.names,
+        explained=explained_fraction(found.null, chosen, _where(groups, acts)),
+        explained_other_sweep=(
+            explained_fraction(found.null, chosen, _where(_only(problem, condition), acts))
             if condition
             else None
         ),
-        closed_by={
-            name: shrinkage(found.null, rival, groups) for name, rival in _better(found).items()
+        explained_by={
+            name: explained_fraction(found.null, candidate, groups)
+            for name, candidate in _better(found).items()
         },
-        plain=tuple(plain_gaps(comparison, found.null, chosen)),
+        gaps_in_units=tuple(gaps_in_units(problem, found.null, chosen)),
         condition=condition,
-        next_actions=tuple(ranked_actions(comparison, first, second)) if first and second else (),
-        rivals=(_name(first), _name(second)),
+        next_experiments=tuple(rank_experiments(problem, first, second))
+        if first and second
+        else (),
+        compared=(_name(first), _name(second)),
         missing=told.missing,
         refused=told.refused,
     )
 
 
-def _block_beside(comparison: Comparison, rival: Rival) -> str:
-    """Block in which something unknown is likeliest beside a rival."""
-    factors = discrepancies(comparison, rival)
+def _block_beside(problem: InferenceProblem, candidate: Candidate) -> str:
+    """Block in which something unknown is likeliest beside a candidate."""
+    factors = group_discrepancies(problem, candidate)
     return max(factors, key=lambda name: float(factors[name][0]))
 
 
-def compared(readings: Readings, reed_solver: ReedSolver, base: Twin) -> Comparison:
+def inference_problem(readings: Readings, reed_solver: ReedSolver, base: Twin) -> InferenceProblem:
     """Put a campaign beside a twin with all that differs from bench to bench."""
     exchanged = of_fits(common_modes(readings.sweeps)) if readings.sweeps else ()
-    return Comparison(blocks(readings, reed_solver), base, (*NUISANCES, *exchanged))
+    return InferenceProblem(
+        observable_groups(readings, reed_solver), base, (*NUISANCES, *exchanged)
+    )
 
 
 def _likeliest(probability: Mapping[str, float], classes: Sequence[tuple[str, ...]]) -> str:
@@ -244,45 +247,53 @@ def _likeliest(probability: Mapping[str, float], classes: Sequence[tuple[str, ..
     return max(group, key=lambda name: probability.get(name, 0.0))
 
 
-def _named(found: Contest, classes: Sequence[tuple[str, ...]]) -> tuple[Kind, tuple[str, ...]]:
+def _named(
+    found: ModelSelection, classes: Sequence[tuple[str, ...]]
+) -> tuple[Kind, tuple[str, ...]]:
     """What is named, if its fit is one."""
     best = _likeliest(found.probability, classes)
     beyond = found.log_probability[best] - found.log_probability[NONE]
-    if not found.null.estimate.certified and beyond < _BEYOND_DOUBT:
+    if not found.null.estimate.converged and beyond < _BEYOND_DOUBT:
         return "not converged", ()
     if best == NONE:
         return "none", ()
     if best == UNKNOWN:
         return "unknown", ()
     names = tuple(best.split("+"))
-    rival = found.rival(best)
-    if rival is not None and (not rival.estimate.certified or rival.estimate.starts < 2):
+    candidate = found.candidate(best)
+    if candidate is not None and (
+        not candidate.estimate.converged or candidate.estimate.starts < 2
+    ):
         return "not converged", ()
     return ("effect" if len(names) == 1 else "pair"), names
 
 
-def _better(found: Contest) -> dict[str, Rival]:
-    """Likeliest few rivals that are better than none."""
-    rivals = {**found.alone, **found.pairs}
-    better = [name for name in rivals if rivals[name].log_evidence > found.null.log_evidence]
-    ranked = sorted(better, key=lambda name: -rivals[name].log_evidence)
-    return {name: rivals[name] for name in ranked[:_MOST_CLOSED]}
+def _better(found: ModelSelection) -> dict[str, Candidate]:
+    """Likeliest few candidates that are better than none."""
+    candidates = {**found.single, **found.pairs}
+    better = [
+        name for name in candidates if candidates[name].log_evidence > found.null.log_evidence
+    ]
+    ranked = sorted(better, key=lambda name: -candidates[name].log_evidence)
+    return {name: candidates[name] for name in ranked[:_MOST_CLOSED]}
 
 
-def _best_alone(found: Contest) -> Rival:
+def _best_alone(found: ModelSelection) -> Candidate:
     """Effect that explains most by itself; none if none was fitted."""
-    return max(found.alone.values(), key=lambda rival: rival.log_evidence, default=found.null)
+    return max(
+        found.single.values(), key=lambda candidate: candidate.log_evidence, default=found.null
+    )
 
 
-def _two_likeliest(found: Contest) -> tuple[Rival | None, Rival | None]:
+def _two_likeliest(found: ModelSelection) -> tuple[Candidate | None, Candidate | None]:
     """Likeliest two of no effect, each by itself, and pairs."""
-    rivals = {NONE: found.null, **found.alone, **found.pairs}
-    ranked = sorted(rivals, key=lambda name: -found.log_probability[name])
-    return (rivals[ranked[0]], rivals[ranked[1]]) if len(ranked) > 1 else (None, None)
+    candidates = {NONE: found.null, **found.single, **found.pairs}
+    ranked = sorted(candidates, key=lambda name: -found.log_probability[name])
+    return (candidates[ranked[0]], candidates[ranked[1]]) if len(ranked) > 1 else (None, None)
 
 
-def _name(rival: Rival | None) -> str:
-    return "" if rival is None else "+".join(rival.names) or NONE
+def _name(candidate: Candidate | None) -> str:
+    return "" if candidate is None else "+".join(candidate.names) or NONE
 
 
 def _mass(
@@ -314,11 +325,11 @@ def _likely(
     return tuple(chosen)
 
 
-def _touched(comparison: Comparison, null: Rival, rival: Rival) -> NDArray[np.bool_]:
-    """Numbers where there is anything to close: off without effects, or moved by the rival's."""
-    z = rival.estimate.z[: len(comparison.nuisances)]
-    moved = rival.left - comparison.residuals(comparison.twin(z))
-    off = np.abs(null.left) > _OFF
+def _touched(problem: InferenceProblem, null: Candidate, candidate: Candidate) -> NDArray[np.bool_]:
+    """Return which numbers differ without effects, or are moved by the effects of a candidate."""
+    z = candidate.estimate.z[: len(problem.nuisances)]
+    moved = candidate.whitened_residual - problem.residuals(problem.twin(z))
+    off = np.abs(null.whitened_residual) > _OFF
     touched: NDArray[np.bool_] = off | (np.abs(moved) > _MOVED)
     return touched
 
@@ -328,11 +339,11 @@ def _where(groups: Sequence[str], chosen: NDArray[np.bool_]) -> list[str]:
     return [name if here else "" for name, here in zip(groups, chosen.tolist(), strict=True)]
 
 
-def _groups(comparison: Comparison) -> list[str]:
+def _groups(problem: InferenceProblem) -> list[str]:
     """Which numbers are left out together: those of a mode, of a band, of a time, of a block."""
     names = []
-    for block in comparison.blocks:
-        for place in block.places:
+    for block in problem.groups:
+        for place in block.coordinates:
             label = place.mode or place.band or place.time or place.quantity
             names.append(f"{block.name} {label}")
     return names
@@ -354,13 +365,13 @@ def _of_sweep(time: str, sweep: str) -> bool:
     return time == sweep or re.fullmatch(rf"{re.escape(sweep)} \d+", time) is not None
 
 
-def _only(comparison: Comparison, condition: str) -> list[str]:
+def _only(problem: InferenceProblem, condition: str) -> list[str]:
     """Group that holds one sweep's numbers; empty elsewhere.
 
     Means of all sweeps have some of it, and stay.
     """
     return [
         condition if _of_sweep(place.time, condition) or place.level == condition else ""
-        for block in comparison.blocks
-        for place in block.places
+        for block in problem.groups
+        for place in block.coordinates
     ]

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from diagnosis.estimate import (
-    covariance_left,
+from diagnosis.inference.candidates import _by_size
+from diagnosis.inference.estimation import (
+    absorbed_part,
     fit,
+    marginalised_signature,
+    posterior_covariance,
     random_starts,
-    spread_of,
-    standing_out,
-    taken_up,
+    residual_covariance,
 )
-from diagnosis.rivals import _by_size
 
 
 def linear(seed: int, n: int = 12, p: int = 3):
@@ -45,9 +45,9 @@ def test_a_fit_is_certified_only_where_two_searches_agree() -> None:
 
     alone = fit(residuals, [False], [np.array([3.1]), np.array([-0.1])])
     assert alone.z[0] == pytest.approx(3.0, abs=0.1)
-    assert not alone.certified
+    assert not alone.converged
     together = fit(residuals, [False], [np.array([3.1]), np.array([2.9])])
-    assert together.certified
+    assert together.converged
 
 
 def test_impossible_starts_are_left_out_and_none_is_an_error() -> None:
@@ -76,20 +76,20 @@ def test_what_parameters_take_up_and_leave_is_that_of_the_joint_gaussian() -> No
     # Residuals are noise and what parameters of unit priors move: covariance I + S Sᵀ.
     whole = np.eye(9) + S @ S.T
     np.testing.assert_allclose(
-        spread_of(S), np.eye(3) - S.T @ np.linalg.solve(whole, S), atol=1e-12
+        posterior_covariance(S), np.eye(3) - S.T @ np.linalg.solve(whole, S), atol=1e-12
     )
     left = np.linalg.solve(whole, y)
-    np.testing.assert_allclose(y - taken_up(S, y), left, atol=1e-12)
+    np.testing.assert_allclose(y - absorbed_part(S, y), left, atol=1e-12)
     some = slice(2, 6)
     np.testing.assert_allclose(
-        covariance_left(S, some), np.linalg.inv(whole)[some, some], atol=1e-12
+        residual_covariance(S, some), np.linalg.inv(whole)[some, some], atol=1e-12
     )
 
 
 def test_what_stands_out_costs_its_square() -> None:
     S, _ = linear(5, n=9, p=3)
     moved = np.random.default_rng(6).standard_normal((9, 2))
-    out = standing_out(S, moved)
+    out = marginalised_signature(S, moved)
     for k in range(2):
         # The least cost of residuals that move so, over all sizes of the parameters.
         found = fit(lambda z, k=k: moved[:, k] - S @ z, [False] * 3, [np.zeros(3)])

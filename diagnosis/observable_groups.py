@@ -40,8 +40,8 @@ BANDS = ("to 2.8 kHz", "2.8-5.6 kHz", "5.6-8 kHz", "8-11 kHz", "11-14 kHz", "fro
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where in the comparison a number stands; empty where a coordinate says nothing.
+class Coordinates:
+    """Where in the problem a number stands; empty where a coordinate says nothing.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Block:
+class ObservableGroup:
     """n numbers of one tap.
 
     Attributes
@@ -68,12 +68,12 @@ class Block:
     tap : Observable
     values : (n,) float
     covariance : (n, n) float
-    places : tuple of Place
+    coordinates : tuple of Coordinates
     parts : tuple of str
         Parts of the twin that the prediction depends on.
     predict : callable
         ``predict(twin)`` gives (n,) float.
-    root : (n, n) float
+    whitening : (n, n) float
         ``root @ (values - predicted)`` has unit covariance.
     """
 
@@ -81,26 +81,26 @@ class Block:
     tap: Observable
     values: Array
     covariance: Array
-    places: tuple[Place, ...]
+    coordinates: tuple[Coordinates, ...]
     parts: tuple[str, ...]
     predict: Callable[[Twin], Array]
-    root: Array
+    whitening: Array
 
-    def left(self, twin: Twin) -> Array:
+    def whitened_residual(self, twin: Twin) -> Array:
         """What a twin leaves (n,), whitened."""
-        left: Array = self.root @ (self.values - self.predict(twin))
+        left: Array = self.whitening @ (self.values - self.predict(twin))
         return left
 
 
-def block(
+def observable_group(
     name: str,
     tap: Observable,
     values: Sequence[float] | Array,
     covariance: Array,
-    places: Sequence[Place],
+    places: Sequence[Coordinates],
     parts: Sequence[str],
     predict: Callable[[Twin], Array],
-) -> Block:
+) -> ObservableGroup:
     """Make a block.
 
     Parameters
@@ -126,7 +126,9 @@ def block(
         )
     lower = linalg.cholesky(covariance, lower=True)
     root = linalg.solve_triangular(lower, np.eye(len(numbers)), lower=True)
-    return Block(name, tap, numbers, covariance, tuple(places), tuple(parts), predict, root)
+    return ObservableGroup(
+        name, tap, numbers, covariance, tuple(places), tuple(parts), predict, root
+    )
 
 
 def band_of(hz: float) -> str:
@@ -134,7 +136,7 @@ def band_of(hz: float) -> str:
     return BANDS[int(np.searchsorted(BANDS_HZ, hz, side="right")) - 1]
 
 
-def unknown(*columns: tuple[Array, float]) -> Array:
+def unknown_directions(*columns: tuple[Array, float]) -> Array:
     """Covariance (n, n) of what is unknown in proportion to columns (n,), with their deviations."""
     total = sum(spread**2 * np.multiply.outer(column, column) for column, spread in columns)
     return np.asarray(total)

@@ -5,22 +5,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.block import Observable, Place, block
-from diagnosis.how_far import _left_out, shrinkage
-from diagnosis.nuisances import Nuisance
-from diagnosis.rivals import (
-    Comparison,
-    Sized,
-    compete,
-)
-from diagnosis.verdict import _only
-from diagnosis.where import gap_map
+from diagnosis.campaign_diagnosis import _only
+from diagnosis.explained_fraction import _left_out, explained_fraction
+from diagnosis.gap_map import gap_map
+from diagnosis.inference.candidates import fit_model
+from diagnosis.inference.nuisances import Nuisance
+from diagnosis.inference.problem import InferenceProblem, LocatedEffect
+from diagnosis.observable_groups import Coordinates, Observable, observable_group
 from physics.twin import Twin, more
 from tests.diagnosis.toy import COUNT, EFFECTS, bench, measured
 
 
-def groups(comparison):
-    return [f"{b.name} {p.time or p.quantity}" for b in comparison.blocks for p in b.places]
+def groups(problem):
+    return [f"{b.name} {p.time or p.quantity}" for b in problem.groups for p in b.coordinates]
 
 
 def test_chance_of_a_gap_is_uniform_where_nothing_is_wrong() -> None:
@@ -29,7 +26,7 @@ def test_chance_of_a_gap_is_uniform_where_nothing_is_wrong() -> None:
     for seed in range(60):
         # The level is drawn from its prior: it is unknown, not wrong.
         found = gap_map(measured(seed, bench(fade_per_h=2.0 * rng.standard_normal())))
-        whole = next(c for c in found.cells if c.axis == "block" and c.block == "lines")
+        whole = next(c for c in found.cells if c.axis == "group" and c.group == "lines")
         chances.append(whole.chance)
         failing += found.first_failing is not None
     # Means of 60 uniform numbers scatter by 0.037, and 6 ± 2.3 of them lie below 0.1.
@@ -58,47 +55,52 @@ def test_cells_tell_the_band() -> None:
 
 def test_the_map_does_not_depend_on_what_was_fitted_before() -> None:
     curved = Nuisance("level", "", 1.0, lambda t, v: more(t, "optics", fade_per_h=v + v**3), "")
-    blocks = measured(2, bench(crosstalk=0.8)).blocks
-    fresh, used = (Comparison(blocks, Twin(), (curved,)) for _ in range(2))
-    used.slope(np.array([1.0]))
+    blocks = measured(2, bench(crosstalk=0.8)).groups
+    fresh, used = (InferenceProblem(blocks, Twin(), (curved,)) for _ in range(2))
+    used.jacobian(np.array([1.0]))
     assert gap_map(used) == gap_map(fresh)
 
 
 def test_a_sweep_is_left_out_wherever_it_has_numbers_of_its_own() -> None:
-    places = [Place("lock", time="again"), Place("carrier", level="again"), Place("line"),
-              Place("fringes", time="again 2"), Place("force", time="up", level="up")]  # fmt: skip
-    blocks = [SimpleNamespace(places=places)]
-    left = _only(SimpleNamespace(blocks=blocks), "again")
+    places = [
+        Coordinates("lock", time="again"),
+        Coordinates("carrier", level="again"),
+        Coordinates("line"),
+        Coordinates("fringes", time="again 2"),
+        Coordinates("force", time="up", level="up"),
+    ]
+    blocks = [SimpleNamespace(coordinates=places)]
+    left = _only(SimpleNamespace(groups=blocks), "again")
     assert left == ["again", "again", "", "again", ""]
 
 
 def test_the_right_effect_closes_the_gap_and_a_wrong_one_does_not() -> None:
-    comparison = measured(3, bench(fade_per_h=0.4, crosstalk=0.5))
-    null = compete(comparison, (), [np.zeros(1)])
+    problem = measured(3, bench(fade_per_h=0.4, crosstalk=0.5))
+    null = fit_model(problem, (), [np.zeros(1)])
     right, wrong = (
-        compete(comparison, (Sized(EFFECTS[k], {}),), [np.array([0.0, 0.1])]) for k in (1, 0)
+        fit_model(problem, (LocatedEffect(EFFECTS[k], {}),), [np.array([0.0, 0.1])]) for k in (1, 0)
     )
-    closed = shrinkage(null, right, groups(comparison))
-    assert closed.kappa == pytest.approx(1.0, abs=0.15)
-    assert closed.low <= closed.kappa <= closed.high
-    assert shrinkage(null, wrong, groups(comparison)).kappa < 0.2
+    closed = explained_fraction(null, right, groups(problem))
+    assert closed.fraction == pytest.approx(1.0, abs=0.15)
+    assert closed.low <= closed.fraction <= closed.high
+    assert explained_fraction(null, wrong, groups(problem)).fraction < 0.2
 
 
 def test_no_gap_is_not_resolvable_rather_than_closed() -> None:
     for seed in range(6):
-        comparison = measured(seed, bench())
-        null = compete(comparison, (), [np.zeros(1)])
-        slope = compete(comparison, (Sized(EFFECTS[0], {}),), [np.zeros(2)])
-        closed = shrinkage(null, slope, groups(comparison))
+        problem = measured(seed, bench())
+        null = fit_model(problem, (), [np.zeros(1)])
+        slope = fit_model(problem, (LocatedEffect(EFFECTS[0], {}),), [np.zeros(2)])
+        closed = explained_fraction(null, slope, groups(problem))
         # Where chance leaves a gap above the floor, it is none that could surely be closed.
-        assert np.isnan(closed.kappa) or np.isnan(closed.low) or closed.low < 0.2
+        assert np.isnan(closed.fraction) or np.isnan(closed.low) or closed.low < 0.2
 
 
 def test_shares_of_the_ladder_add_up_either_way_and_name_the_stage() -> None:
     ladder = gap_map(measured(4, bench(detuning_hz=0.4))).ladder
     assert sum(rung.forward for rung in ladder) == pytest.approx(1.0)
     assert sum(rung.backward for rung in ladder) == pytest.approx(1.0)
-    share = {rung.tap: rung.forward for rung in ladder}
+    share = {rung.observable: rung.forward for rung in ladder}
     assert share[Observable.HOLOGRAM] == pytest.approx(1.0, abs=0.05)
     assert share[Observable.MAPS] == pytest.approx(0.0, abs=0.05)
 
@@ -110,7 +112,7 @@ def test_where_nothing_is_wrong_no_stage_has_a_share() -> None:
 def test_an_earlier_stage_that_tells_the_level_takes_the_later_ones_share() -> None:
     # Both taps are off alike by what an unknown level makes of the later one alone.
     both = gap_map(measured(5, bench(leak=1.0)))
-    share = {rung.tap: (rung.forward, rung.backward) for rung in both.ladder}
+    share = {rung.observable: (rung.forward, rung.backward) for rung in both.ladder}
     assert share[Observable.MAPS][0] > 0.5
     assert share[Observable.HOLOGRAM][1] > 0.0
 
@@ -120,11 +122,18 @@ def test_what_one_stage_tells_of_another_is_its_own_share() -> None:
     # has it all, and the other one follows.
     level = Nuisance("level", "", 0.05, lambda t, v: more(t, "optics", fade_per_h=v), "")
     both = [
-        block(tap, tap, np.full(20, 0.5), np.full(20, 0.05), [Place("level")] * 20, ("optics",),
-              lambda twin: np.full(20, twin.optics.fade_per_h))
+        observable_group(
+            tap,
+            tap,
+            np.full(20, 0.5),
+            np.full(20, 0.05),
+            [Coordinates("level")] * 20,
+            ("optics",),
+            lambda twin: np.full(20, twin.optics.fade_per_h),
+        )
         for tap in (Observable.HOLOGRAM, Observable.MAPS)
-    ]  # fmt: skip
-    first, second = gap_map(Comparison(both, Twin(), (level,))).ladder
+    ]
+    first, second = gap_map(InferenceProblem(both, Twin(), (level,))).ladder
     # Of one stage alone the square of the gap is 2000·400/8400, of both 4000·400/16400.
     assert first.forward > 0.95
     assert second.forward < 0.05
@@ -133,20 +142,20 @@ def test_what_one_stage_tells_of_another_is_its_own_share() -> None:
 
 def test_the_chance_of_a_tap_is_that_of_any_cell_of_any_tap() -> None:
     found = gap_map(measured(2, bench(crosstalk=0.1)))
-    for tap, worst in found.taps.items():
-        own = [cell.chance for cell in found.cells if cell.tap is tap]
-        assert worst.chance == pytest.approx(min(1.0, len(found.taps) * len(own) * min(own)))
+    for tap, worst in found.observables.items():
+        own = [cell.chance for cell in found.cells if cell.observable is tap]
+        assert worst.chance == pytest.approx(min(1.0, len(found.observables) * len(own) * min(own)))
 
 
 def test_a_share_is_of_the_gap_above_its_floor() -> None:
-    comparison = measured(3, bench(crosstalk=0.15))
-    null = compete(comparison, (), [np.zeros(1)])
-    half = compete(comparison, (Sized(EFFECTS[1], {}),), [np.array([0.0, 0.1])])
-    closed = shrinkage(null, half, groups(comparison))
+    problem = measured(3, bench(crosstalk=0.15))
+    null = fit_model(problem, (), [np.zeros(1)])
+    half = fit_model(problem, (LocatedEffect(EFFECTS[1], {}),), [np.array([0.0, 0.1])])
+    closed = explained_fraction(null, half, groups(problem))
     assert closed.floor == 1.0
     assert closed.before < 4
     share = (closed.before - closed.after) / (closed.before - 1.0)
-    assert closed.kappa == pytest.approx(share)
+    assert closed.fraction == pytest.approx(share)
 
 
 def test_what_is_left_out_counts_by_what_it_could_be_predicted_to() -> None:
@@ -155,9 +164,16 @@ def test_what_is_left_out_counts_by_what_it_could_be_predicted_to() -> None:
     values = np.zeros(n)
     values[0] = away
     level = Nuisance("level", "", 1e3, lambda t, v: more(t, "optics", fade_per_h=v), "")
-    numbers = block("all", Observable.MAPS, values, np.ones(n), [Place("level")] * n, ("optics",),
-                    lambda twin: np.full(n, twin.optics.fade_per_h))  # fmt: skip
-    null = compete(Comparison([numbers], Twin(), (level,)), (), [np.zeros(1)])
+    numbers = observable_group(
+        "all",
+        Observable.MAPS,
+        values,
+        np.ones(n),
+        [Coordinates("level")] * n,
+        ("optics",),
+        lambda twin: np.full(n, twin.optics.fade_per_h),
+    )
+    null = fit_model(InferenceProblem([numbers], Twin(), (level,)), (), [np.zeros(1)])
     square, _, count = _left_out((null, null), np.arange(n) == 0)
     assert square == pytest.approx(away**2 / (1 + 1 / (n - 1)), rel=1e-3)
     assert count == 1

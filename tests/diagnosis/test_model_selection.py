@@ -1,4 +1,4 @@
-"""Rivals on a bench whose truth is known."""
+"""Candidates on a bench whose truth is known."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -7,30 +7,20 @@ from functools import partial
 import numpy as np
 import pytest
 
-from diagnosis.contest import (
-    NONE,
-    PRIOR,
-    UNKNOWN,
-    _again,
-    _starts,
-    confirmed,
-    contest,
-    polished,
-)
-from diagnosis.rivals import (
-    Sized,
-    compete,
-    compete_straight,
-    d_prime,
-    exactly,
-)
+from diagnosis.inference.candidate_search import refit_without_effects, search_starts
+from diagnosis.inference.candidates import d_prime, fit_linearised, fit_model, with_nonlinear_cost
+from diagnosis.inference.model_selection import refit_candidate, refit_from_elsewhere, select_model
+from diagnosis.inference.probabilities import NONE, PRIOR, UNKNOWN
+from diagnosis.inference.problem import LocatedEffect
 from physics.effects.effect import Effect
 from physics.twin import Twin, more
 from tests.diagnosis.toy import EFFECTS, bench, effect, measured
 
 
-def probabilities(comparison):
-    return {name: np.exp(log) for name, log in contest(comparison, EFFECTS).log_probability.items()}
+def probabilities(problem):
+    return {
+        name: np.exp(log) for name, log in select_model(problem, EFFECTS).log_probability.items()
+    }
 
 
 def test_probabilities_sum_to_one() -> None:
@@ -65,36 +55,36 @@ def test_what_no_effect_makes_is_unknown() -> None:
 
 
 def test_what_a_great_effect_leaves_is_its_own_form_if_it_is_plausible() -> None:
-    found = contest(measured(6, bench(leak=1.5), extra=0.25), EFFECTS)
+    found = select_model(measured(6, bench(leak=1.5), extra=0.25), EFFECTS)
     # Something is left beside the slope, but little of what it explains.
-    gained = found.alone["slope"].log_evidence - found.null.log_evidence
-    assert 3 < found.beside["slope"] < 0.05 * gained
+    gained = found.single["slope"].log_evidence - found.null.log_evidence
+    assert 3 < found.unknown_log_bayes_with["slope"] < 0.05 * gained
     assert found.probability["slope"] > 0.8
     # What need not show beside it is as likely as beside any other.
     odds = found.log_probability["slope+nothing"] - found.log_probability["slope"]
     assert odds == pytest.approx(np.log(PRIOR["two"] / 6 / (PRIOR["one"] / 4)))
     # Of a slope that is not plausible it is asked what else there is.
-    found = contest(measured(6, bench(leak=6.0), extra=2.0), EFFECTS)
-    assert found.beside["slope"] > 3
+    found = select_model(measured(6, bench(leak=6.0), extra=2.0), EFFECTS)
+    assert found.unknown_log_bayes_with["slope"] > 3
     assert found.probability[UNKNOWN] > 0.9
 
 
 def test_what_is_left_is_no_form_of_an_effect_that_explains_as_little() -> None:
-    found = contest(measured(5, bench(leak=0.3), extra=0.4), EFFECTS)
+    found = select_model(measured(5, bench(leak=0.3), extra=0.4), EFFECTS)
     assert found.probability[UNKNOWN] > 0.9
 
 
 def test_effects_that_move_nothing_do_not_compete() -> None:
-    found = contest(measured(6, bench()), EFFECTS)
-    assert "nothing" not in found.alone
+    found = select_model(measured(6, bench()), EFFECTS)
+    assert "nothing" not in found.single
     assert set(found.signatures) == {"slope", "bump", "offset"}
 
 
 def test_what_need_not_show_is_likely_beside_what_does() -> None:
-    comparison = measured(6, bench(leak=0.6))
-    found = contest(comparison, EFFECTS)
+    problem = measured(6, bench(leak=0.6))
+    found = select_model(problem, EFFECTS)
     # "nothing" moves nothing: beside the slope it is as likely as two effects are.
-    assert found.unseen["slope+nothing"] == ("slope", 0.0)
+    assert found.undetectable["slope+nothing"] == ("slope", 0.0)
     odds = found.log_probability["slope+nothing"] - found.log_probability["slope"]
     assert odds == pytest.approx(np.log(PRIOR["two"] / 6 / (PRIOR["one"] / 4)))
     # What would show, were it there, is less likely than that.
@@ -105,28 +95,29 @@ def test_what_need_not_show_is_likely_beside_what_does() -> None:
 def test_effects_that_are_alike_are_no_pair() -> None:
     # What a slope of not quite its form leaves is not another slope.
     alike = effect("incline", "optics", "leak")
-    found = contest(measured(6, bench(leak=1.5), extra=0.05), (*EFFECTS, alike))
-    assert {"slope", "incline"} <= set(found.alone)
+    found = select_model(measured(6, bench(leak=1.5), extra=0.05), (*EFFECTS, alike))
+    assert {"slope", "incline"} <= set(found.single)
     both = {"slope+incline", "incline+slope"}
     assert not both & set(found.log_probability)
     assert found.probability["slope"] == pytest.approx(found.probability["incline"], rel=0.01)
 
 
 def test_beside_nothing_only_what_moves_nothing_is_unseen() -> None:
-    found = contest(measured(6, bench()), EFFECTS)
-    assert set(found.unseen) == {"nothing"}
+    found = select_model(measured(6, bench()), EFFECTS)
+    assert set(found.undetectable) == {"nothing"}
     odds = found.log_probability["nothing"] - found.log_probability[NONE]
     assert odds == pytest.approx(np.log(PRIOR["one"] / 4 / PRIOR["none"]))
 
 
 def test_slopes_are_fine_where_they_have_to_be() -> None:
-    comparison = measured(6, bench())
-    kink = replace(comparison.nuisances[0], change=lambda t, v: more(t, "optics", fade_per_h=v**3))
-    bent = type(comparison)(comparison.blocks, Twin(), (kink,))
+    problem = measured(6, bench())
+    kink = replace(problem.nuisances[0], change=lambda t, v: more(t, "optics", fade_per_h=v**3))
+    bent = type(problem)(problem.groups, Twin(), (kink,))
     at, noise, spread = np.array([0.4]), 0.05, kink.spread
     true = 3 * (0.4 * spread) ** 2 * spread / noise
     coarse, fine = (
-        bent.slope_beside(at, lambda twin: twin, fine=fine)[:60, 0].mean() for fine in (False, True)
+        bent.jacobian_of_changed(at, lambda twin: twin, fine=fine)[:60, 0].mean()
+        for fine in (False, True)
     )
     assert fine == pytest.approx(true, rel=1e-4)
     assert coarse != pytest.approx(true, rel=0.03)
@@ -139,17 +130,17 @@ def _harming(twin: Twin, values: Mapping[str, float]) -> Twin:
 
 
 def test_an_effect_that_shows_only_when_large_is_found() -> None:
-    comparison = measured(15, bench(leak=0.6))
-    found = contest(comparison, (replace(EFFECTS[1], change=_harming), *EFFECTS[2:]))
-    assert found.alone["bump"].sizes[0] > 3
+    problem = measured(15, bench(leak=0.6))
+    found = select_model(problem, (replace(EFFECTS[1], change=_harming), *EFFECTS[2:]))
+    assert found.single["bump"].sizes[0] > 3
     assert found.probability["bump"] > 0.5
 
 
 @pytest.mark.parametrize(("fade_per_h", "count"), [(1.0, 1), (12.0, 2)])
 def test_effects_are_looked_for_from_nothing_if_nuisances_are_far_off(fade_per_h, count) -> None:
-    comparison = measured(16, bench(fade_per_h=fade_per_h))
-    null = compete(comparison, (), [np.zeros(1)], exact=True)
-    found = _starts(comparison, null)
+    problem = measured(16, bench(fade_per_h=fade_per_h))
+    null = fit_model(problem, (), [np.zeros(1)], exact=True)
+    found = search_starts(problem, null)
     assert len(found) == count
     np.testing.assert_array_equal(found[0].at, null.estimate.z)
     if count > 1:
@@ -158,9 +149,9 @@ def test_effects_are_looked_for_from_nothing_if_nuisances_are_far_off(fade_per_h
 
 
 def test_sizes_come_back_within_their_errors() -> None:
-    comparison = measured(7, bench(fade_per_h=0.5, leak=0.3))
-    slope = Sized(EFFECTS[0], {})
-    found = compete(comparison, (slope,), [np.zeros(2)])
+    problem = measured(7, bench(fade_per_h=0.5, leak=0.3))
+    slope = LocatedEffect(EFFECTS[0], {})
+    found = fit_model(problem, (slope,), [np.zeros(2)])
     error = np.sqrt(found.estimate.covariance[1, 1])
     assert found.estimate.z[1] == pytest.approx(0.3, abs=4 * error)
     assert error < 0.02
@@ -169,13 +160,13 @@ def test_sizes_come_back_within_their_errors() -> None:
 
 def test_a_louder_noise_than_told_is_no_effect() -> None:
     # Replicates that were a third too quiet: everything is off by a little more than it should be.
-    comparison = measured(8, Twin(), noise=0.05)
+    problem = measured(8, Twin(), noise=0.05)
     louder = measured(8, Twin(), noise=0.065)
     blocks = [
-        type(b)(**{**vars(b), "covariance": a.covariance, "root": a.root})
-        for a, b in zip(comparison.blocks, louder.blocks, strict=True)
+        type(b)(**{**vars(b), "covariance": a.covariance, "whitening": a.whitening})
+        for a, b in zip(problem.groups, louder.groups, strict=True)
     ]
-    found = probabilities(type(comparison)(blocks, Twin(), comparison.nuisances))
+    found = probabilities(type(problem)(blocks, Twin(), problem.nuisances))
     assert max(found, key=found.get) == NONE
 
 
@@ -191,52 +182,52 @@ def _brittle(limit: float) -> Effect:
 
 
 def test_an_effect_that_is_possible_only_when_small_is_found_all_the_same() -> None:
-    comparison = measured(8, bench(leak=0.4))
-    found = contest(comparison, (_brittle(0.45), *EFFECTS[1:]))
+    problem = measured(8, bench(leak=0.4))
+    found = select_model(problem, (_brittle(0.45), *EFFECTS[1:]))
     assert max(found.probability, key=lambda name: found.probability[name]) == "slope"
-    assert found.alone["slope"].sizes[0] == pytest.approx(0.4, abs=0.1)
+    assert found.single["slope"].sizes[0] == pytest.approx(0.4, abs=0.1)
 
 
 def test_searches_that_end_at_no_possible_bench_certify_nothing() -> None:
-    comparison = measured(9, bench(leak=0.4))
-    slope = Sized(_brittle(1.0), {})
+    problem = measured(9, bench(leak=0.4))
+    slope = LocatedEffect(_brittle(1.0), {})
     starts = [np.zeros(2), np.array([0.0, 3.0])]
-    found = compete(comparison, (slope,), starts, exact=True)
-    assert (found.estimate.agreeing, found.estimate.starts) == (1, 2)
-    assert not found.estimate.certified
-    assert compete(comparison, (slope,), [np.zeros(2), np.ones(2)], exact=True).estimate.certified
+    found = fit_model(problem, (slope,), starts, exact=True)
+    assert (found.estimate.consistent_starts, found.estimate.starts) == (1, 2)
+    assert not found.estimate.converged
+    assert fit_model(problem, (slope,), [np.zeros(2), np.ones(2)], exact=True).estimate.converged
 
 
 def test_what_is_confirmed_has_been_fitted_from_two_starts() -> None:
-    comparison = measured(10, bench(leak=0.3))
-    found = contest(comparison, EFFECTS)
+    problem = measured(10, bench(leak=0.3))
+    found = select_model(problem, EFFECTS)
     for name in ("slope", "offset"):
-        rival = confirmed(comparison, found, name, len(EFFECTS)).rival(name)
-        assert rival is not None
-        assert rival.estimate.starts > 1
-    assert confirmed(comparison, found, NONE, len(EFFECTS)) is found
+        candidate = refit_candidate(problem, found, name, len(EFFECTS)).candidate(name)
+        assert candidate is not None
+        assert candidate.estimate.starts > 1
+    assert refit_candidate(problem, found, NONE, len(EFFECTS)) is found
 
 
 def test_counting_a_straight_fit_exactly_changes_nothing_where_all_is_straight() -> None:
-    comparison = measured(11, bench(leak=0.3))
-    slope = Sized(EFFECTS[0], {})
-    straight = compete_straight(comparison, (slope,), np.zeros(1), np.zeros(1))
-    exact = exactly(comparison, straight)
+    problem = measured(11, bench(leak=0.3))
+    slope = LocatedEffect(EFFECTS[0], {})
+    straight = fit_linearised(problem, (slope,), np.zeros(1), np.zeros(1))
+    exact = with_nonlinear_cost(problem, straight)
     assert exact.estimate.cost == pytest.approx(straight.estimate.cost)
     assert exact.log_evidence == pytest.approx(straight.log_evidence)
 
 
 def test_what_nobody_can_see_may_still_be_unknown() -> None:
     # Nothing is off: what is unknown is as likely as before, but for what would have been seen.
-    found = contest(measured(12, bench()), EFFECTS).log_probability
+    found = select_model(measured(12, bench()), EFFECTS).log_probability
     assert 0.3 * PRIOR["unknown"] / PRIOR["none"] < np.exp(found[UNKNOWN] - found[NONE]) < 0.25
 
 
 def test_a_gain_of_form_alone_is_no_signal() -> None:
     # An effect far from its form is less certain by itself: that costs likelihood.
-    comparison = measured(13, bench(leak=2.0))
-    found = contest(comparison, EFFECTS)
-    slope = found.alone["slope"]
+    problem = measured(13, bench(leak=2.0))
+    found = select_model(problem, EFFECTS)
+    slope = found.single["slope"]
     assert np.sum(np.log(slope.deviation)) > 5
     gain = found.null.estimate.cost - slope.estimate.cost
     assert d_prime(found.null, slope) ** 2 == pytest.approx(
@@ -246,8 +237,8 @@ def test_a_gain_of_form_alone_is_no_signal() -> None:
 
 
 def test_a_search_that_ends_in_a_worse_place_is_followed_by_another(monkeypatch) -> None:
-    comparison = measured(3, bench(leak=0.6))
-    rival = compete(comparison, (Sized(EFFECTS[0], {}),), [np.zeros(2)], exact=True)
+    problem = measured(3, bench(leak=0.6))
+    candidate = fit_model(problem, (LocatedEffect(EFFECTS[0], {}),), [np.zeros(2)], exact=True)
     for agree, said in (([1, 1, 2], 2), ([1] * 9, 1)):
         turns = iter(agree)
         begun = []
@@ -255,62 +246,69 @@ def test_a_search_that_ends_in_a_worse_place_is_followed_by_another(monkeypatch)
         def ended(_comparison, _effects, starts, *, exact, begun=begun, turns=turns):
             begun.append(starts[1])
             assert exact
-            estimate = replace(rival.estimate, agreeing=next(turns), starts=len(starts))
-            return replace(rival, estimate=estimate)
+            estimate = replace(
+                candidate.estimate, consistent_starts=next(turns), starts=len(starts)
+            )
+            return replace(candidate, estimate=estimate)
 
-        monkeypatch.setattr("diagnosis.contest.compete", ended)
-        again = _again(comparison, rival, np.random.default_rng(0))
-        assert again.estimate.agreeing == said
-        assert again.estimate.certified == (said == 2)
+        monkeypatch.setattr("diagnosis.inference.model_selection.fit_model", ended)
+        again = refit_from_elsewhere(problem, candidate, np.random.default_rng(0))
+        assert again.estimate.consistent_starts == said
+        assert again.estimate.converged == (said == 2)
         assert len(begun) == (3 if said == 2 else 4)
         # Each from another place, and never from where it has ended.
         assert len({start.tobytes() for start in begun}) == len(begun)
 
 
 def test_the_twin_without_effects_is_fitted_from_several_rivals(monkeypatch) -> None:
-    comparison = measured(14, bench(fade_per_h=0.5))
-    good = compete(comparison, (), [np.zeros(1)], exact=True)
-    rivals = [
+    problem = measured(14, bench(fade_per_h=0.5))
+    good = fit_model(problem, (), [np.zeros(1)], exact=True)
+    candidates = [
         replace(good, estimate=replace(good.estimate, z=np.array([k]), log_evidence=-float(k)))
         for k in range(6)
     ]
 
     def ended(costs):
-        def compete(_comparison, _effects, starts, *, exact):
+        def fit_model(_comparison, _effects, starts, *, exact):
             assert exact
             if len(starts) > 1:
-                return replace(good, estimate=replace(good.estimate, starts=2, agreeing=2))
+                return replace(good, estimate=replace(good.estimate, starts=2, consistent_starts=2))
             cost = costs.get(int(starts[0][0]), 0.0)
             if np.isnan(cost):
                 raise ValueError("no such bench")
             estimate = replace(good.estimate, cost=good.estimate.cost + cost, starts=1)
             return replace(good, estimate=estimate)
 
-        monkeypatch.setattr("diagnosis.contest.compete", compete)
-        return polished(comparison, good, rivals).estimate
+        monkeypatch.setattr("diagnosis.inference.candidate_search.fit_model", fit_model)
+        return refit_without_effects(problem, good, candidates).estimate
 
     monkeypatch.setattr("fitting.parallel.processes._SPLITS", False)
-    assert (ended({0: 9.0, 1: 9.0}).agreeing, ended({}).agreeing) == (3, 5)
+    assert (ended({0: 9.0, 1: 9.0}).consistent_starts, ended({}).consistent_starts) == (3, 5)
     # The best of them is a little better: kept, and all that are as good agree.
     found = ended({0: 9.0, 2: -0.5})
     assert found.cost == pytest.approx(good.estimate.cost - 0.5)
-    assert (found.agreeing, found.starts) == (4, 5)
+    assert (found.consistent_starts, found.starts) == (4, 5)
     # One is much better: the others have agreed on something else.
-    assert (ended({3: -7.0}).agreeing, ended({3: -7.0}).starts) == (2, 2)
+    assert (ended({3: -7.0}).consistent_starts, ended({3: -7.0}).starts) == (2, 2)
     # The fifth is not asked, and of no possible bench nothing is learnt.
     assert ended({4: -7.0, 0: np.nan}).starts == 4
 
 
 def test_a_better_optimum_takes_the_certificate_of_a_worse_one_away() -> None:
-    comparison = measured(14, bench(fade_per_h=0.5))
-    good = compete(comparison, (), [np.zeros(1)], exact=True)
+    problem = measured(14, bench(fade_per_h=0.5))
+    good = fit_model(problem, (), [np.zeros(1)], exact=True)
     # Two searches that agreed on something much worse.
     worse = replace(
-        good, estimate=replace(good.estimate, cost=good.estimate.cost + 50, agreeing=2, starts=2)
+        good,
+        estimate=replace(
+            good.estimate, cost=good.estimate.cost + 50, consistent_starts=2, starts=2
+        ),
     )
-    rival = contest(comparison, EFFECTS).alone["slope"]
-    again = polished(comparison, worse, [rival])
+    candidate = select_model(problem, EFFECTS).single["slope"]
+    again = refit_without_effects(problem, worse, [candidate])
     assert again.estimate.cost == pytest.approx(good.estimate.cost, abs=0.1)
-    assert (again.estimate.agreeing, again.estimate.starts) == (2, 2)
-    kept = polished(comparison, replace(good, estimate=replace(good.estimate, agreeing=1)), [rival])
-    assert (kept.estimate.agreeing, kept.estimate.starts) == (2, 2)
+    assert (again.estimate.consistent_starts, again.estimate.starts) == (2, 2)
+    kept = refit_without_effects(
+        problem, replace(good, estimate=replace(good.estimate, consistent_starts=1)), [candidate]
+    )
+    assert (kept.estimate.consistent_starts, kept.estimate.starts) == (2, 2)

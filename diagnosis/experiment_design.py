@@ -1,0 +1,249 @@
+"""Experiments that separate two candidates, ranked by expected information per minute."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.inference.candidates import Candidate
+from diagnosis.inference.estimation import posterior_covariance
+from diagnosis.inference.problem import InferenceProblem
+from diagnosis.observable_groups import ObservableGroup
+from physics.mechanics import TipMass
+from physics.twin import (
+    Twin,
+    more,
+    with_alteration,
+    with_reed,
+)
+
+Array = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One experiment: something to do, and groups of observables to measure again.
+
+    Attributes
+    ----------
+    id, description : str
+    minutes : float
+        Bench time: 75 s for each sweep (`acquire plan campaign`), and handling.
+    groups : tuple of str
+        Names of the groups of observables that it measures again.
+    change : callable
+        ``change(twin)`` returns the model of the bench during the experiment.
+    sd_factor : float
+        Factor on the standard deviations of these observables.
+    campaign_parts : tuple of mapping
+        Parts of a campaign file (see `protocols.campaign`); empty if software cannot run it.
+    """
+
+    id: str
+    description: str
+    minutes: float
+    groups: tuple[str, ...]
+    change: Callable[[Twin], Twin]
+    sd_factor: float = 1.0
+    campaign_parts: tuple[Mapping[str, Any], ...] = ()
+
+
+@dataclass(frozen=True)
+class RankedExperiment:
+    """An experiment and the information expected from it.
+
+    Attributes
+    ----------
+    experiment : Experiment
+    expected_nats : float
+        Expected gain of log odds between the two candidates.
+    nats_per_minute : float
+    """
+
+    experiment: Experiment
+    expected_nats: float
+    nats_per_minute: float
+
+
+def _same(twin: Twin) -> Twin:
+    return twin
+
+
+def _in_vacuum(twin: Twin) -> Twin:
+    return with_reed(twin, air_share=0.0)
+
+
+def _with_wax(twin: Twin) -> Twin:
+    return with_alteration(twin, TipMass(), 1e-6)
+
+
+def _after_an_hour(twin: Twin) -> Twin:
+    return more(twin, "environment", begun_h=1.0)
+
+
+def _without_clay(twin: Twin) -> Twin:
+    return replace(twin, drive=replace(twin.drive, open_right=1.0))
+
+
+_SWEEP: Final = ("modes", "lines of the drive", "forces", "level", "brightness", "noise", "fringes")
+_STILL: Final = ("light at rest", "still light", "scatter of phases")
+_FRAMES: Final = ("dark frames", "even light", "local oscillator")
+_LADDER: Final = ("20 ms", "40 ms", "60 ms", "80 ms")
+
+
+def _frames(kind: str, count: int, exposures: Sequence[str] = ()) -> dict[str, Any]:
+    """What a sweep's protocol is to be changed by for frames of something else."""
+    told: dict[str, Any] = {"kind": kind, "count": count}
+    if exposures:
+        told["exposures"] = list(exposures)
+    return {"keep": "frames", "calibration": told}
+
+
+def _part(name: str, do: str = "", **more: Any) -> dict[str, Any]:
+    return {"name": name, **({"do": do} if do else {}), **more}
+
+
+EXPERIMENTS: Final[tuple[Experiment, ...]] = (
+    Experiment(
+        "repeat",
+        "the same sweeps once more",
+        10.0,
+        (*_SWEEP, "lock", "frames"),
+        _same,
+        campaign_parts=(
+            _part("up2"),
+            _part("down2", change={"sweep.direction": "down"}),
+            _part("shuffled2", change={"sweep.direction": "shuffled"}),
+            _part(
+                "again2",
+                "take the reed out of its clamp, and put it back as it was",
+                new_clamping=True,
+            ),
+        ),
+    ),
+    Experiment(
+        "low_pressure",
+        "a sweep in a vacuum chamber",
+        40.0,
+        ("modes",),
+        _in_vacuum,
+        campaign_parts=(
+            _part("vacuum", "put the mouthpiece into the vacuum chamber, and pump it out"),
+        ),
+    ),
+    Experiment(
+        "known_mass",
+        "a sweep with 1 mg of wax on the tip",
+        10.0,
+        ("modes",),
+        _with_wax,
+        campaign_parts=(_part("wax", "stick 1 mg of wax to the middle of the tip"),),
+    ),
+    Experiment(
+        "wait",
+        "the same sweeps after an hour",
+        65.0,
+        ("modes",),
+        _after_an_hour,
+        campaign_parts=(
+            _part("later", "wait an hour, and touch nothing"),
+            _part("later_down", change={"sweep.direction": "down"}),
+        ),
+    ),
+    Experiment(
+        "without_clay",
+        "a sweep with both halves of the chamber open",
+        10.0,
+        ("forces", "lines of the drive"),
+        _without_clay,
+        campaign_parts=(
+            _part("open", "take the clay out of the chamber", change={"chamber": "symmetric"}),
+        ),
+    ),
+    Experiment(
+        "long_rest",
+        "order 0 of the reed at rest, 64 acquisitions",
+        2.0,
+        _STILL,
+        _same,
+        0.25,
+        campaign_parts=(
+            _part("long_rest", "let both beams through", change=_frames("order0", 64)),
+        ),
+    ),
+    Experiment(
+        "more_frames",
+        "dark, flat and local oscillator frames, 64 of each",
+        3.0,
+        _FRAMES,
+        _same,
+        0.5,
+        campaign_parts=(
+            _part("dark2", "cover the camera", change=_frames("dark", 64)),
+            _part(
+                "flat2",
+                "block both beams, and light the camera evenly with a lamp",
+                change=_frames("flat", 16, _LADDER),
+            ),
+            _part(
+                "lo2",
+                "lamp off; let the local oscillator through, and block the object beam",
+                change=_frames("lo_only", 16, _LADDER),
+            ),
+        ),
+    ),
+    Experiment(
+        "microphone",
+        "the sound at the tip by a microphone, with the reed held",
+        15.0,
+        ("lines of the drive", "level"),
+        _same,
+        0.3,
+    ),
+)
+
+
+def rank_experiments(
+    problem: InferenceProblem,
+    one: Candidate,
+    other: Candidate,
+    actions: Sequence[Experiment] = EXPERIMENTS,
+) -> list[RankedExperiment]:
+    """Rank actions by what they are expected to tell of two candidates, per minute.
+
+    Parameters
+    ----------
+    problem : InferenceProblem
+    one, other : Candidate
+    """
+    twins = one.twin(problem), other.twin(problem)
+    by_name = {block.name: block for block in problem.groups}
+    worths = []
+    for action in actions:
+        chosen = [by_name[name] for name in action.groups if name in by_name]
+        if not chosen:
+            continue
+        try:
+            nats = sum(_told(problem, block, one, twins, action) for block in chosen)
+        except ValueError:
+            continue
+        worths.append(RankedExperiment(action, nats, nats / action.minutes))
+    return sorted(worths, key=lambda worth: -worth.nats_per_minute)
+
+
+def _told(
+    problem: InferenceProblem,
+    block: ObservableGroup,
+    candidate: Candidate,
+    twins: tuple[Twin, Twin],
+    action: Experiment,
+) -> float:
+    """Half the square of the distance between two predictions, in units of all that is unknown."""
+    apart = block.predict(action.change(twins[0])) - block.predict(action.change(twins[1]))
+    piece = problem.slices[block.name]
+    J = candidate.free_jacobian
+    slope = np.linalg.inv(block.whitening) @ (candidate.deviation[piece][:, None] * J[piece])
+    variance = action.sd_factor**2 * block.covariance + slope @ posterior_covariance(J) @ slope.T
+    return 0.5 * float(apart @ np.linalg.solve(variance, apart))

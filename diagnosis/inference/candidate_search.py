@@ -1,0 +1,327 @@
+"""Search for candidates: each effect at its best location, and likely pairs."""
+
+import contextlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from diagnosis.inference.candidates import (
+    Candidate,
+    fit_linearised,
+    fit_model,
+    linearised_cost,
+    prepare_jacobian,
+    with_nonlinear_cost,
+)
+from diagnosis.inference.estimation import SAME_COST
+from diagnosis.inference.probabilities import NONE, PRIOR, log_odds, rank_candidates
+from diagnosis.inference.problem import InferenceProblem, LocatedEffect
+from diagnosis.inference.screening import (
+    Baseline,
+    ScreenedEffect,
+    count_locations,
+    most_typical,
+    screen_at,
+    screen_effect,
+)
+from diagnosis.inference.similarity import CONFUSABLE, cosine
+from fitting.parallel.processes import map_processes
+from physics.effects.effect import Effect
+
+Array = NDArray[np.floating[Any]]
+SEED = 20_080_402
+# So many of the likeliest, unless they are that far behind in nats, are fitted with nothing taken
+# for straight.
+_MOST_REFINED, _FAR_BEHIND = 5, 8.0
+# The twin without effects is fitted from so many candidates' nuisances.
+_MOST_POLISHED = 4
+# Of the best effects, all pairs; and the best with as many that explain most of what it leaves.
+_MOST_PAIRED, _MOST_BESIDE, _LEAST_GAIN = 5, 4, 3.0
+# In deviations of their priors, sizes far out.
+_FAR_SIZES = 2.0, 4.0, 6.0
+# Residuals of so many times their noise, squared, in the mean are far off; and nuisances of so many
+# deviations.
+_FAR_OFF, _FAR_BENT = 2.0, 4.0
+# An effect that gains so many nats where it gains most is tried at as many of its best places.
+_MUCH, _MOST_PLACES = 20.0, 6
+
+
+@dataclass(frozen=True)
+class SearchStart:
+    """Where effects are looked for: beside nuisances (p,), and whether far out as well."""
+
+    at: Array
+    base: Baseline
+    far: bool = True
+
+
+def search_starts(problem: InferenceProblem, null: Candidate) -> list[SearchStart]:
+    """Nuisances to begin with.
+
+    What fits are free to exchange may hide an effect: it is looked for without that as well. If the
+    twin without effects is far off, so may be all that it has been bent to.
+    """
+    at = null.estimate.z
+    found = [SearchStart(at, Baseline.at(problem, at))]
+    if problem.is_fit_bias.any():
+        kept = np.where(problem.is_fit_bias, 0.0, at)
+        found.append(SearchStart(kept, Baseline.at(problem, kept), far=False))
+    bent = np.abs(at).max(initial=0.0) > _FAR_BENT
+    if bent or null.estimate.chi2 > _FAR_OFF * len(null.whitened_residual):
+        nothing = np.zeros(len(at))
+        found.append(SearchStart(nothing, Baseline.at(problem, nothing)))
+    return found
+
+
+def refine_best(
+    problem: InferenceProblem, candidates: dict[str, Candidate], null: Candidate, effects: int
+) -> None:
+    """Fit the likeliest candidates anew, with nothing taken for straight."""
+    ranked = rank_candidates(candidates, null, effects)[:_MOST_REFINED]
+    if not ranked:
+        return
+    odds = {name: log_odds(candidates[name], null, effects) for name in ranked}
+    least = max(*odds.values(), float(np.log(PRIOR["none"]))) - _FAR_BEHIND
+    near = [name for name in ranked if odds[name] > least]
+    for name, found in zip(
+        near, map_processes(lambda name: _refit(problem, candidates[name]), near), strict=True
+    ):
+        candidates[name] = found
+
+
+def _refit(problem: InferenceProblem, candidate: Candidate) -> Candidate:
+    """Refit a candidate with the nonlinear model; return it unchanged if that fails."""
+    with contextlib.suppress(ValueError):
+        found = fit_model(problem, candidate.effects, [candidate.estimate.z])
+        return replace(found, other_locations=candidate.other_locations)
+    return candidate
+
+
+def refit_without_effects(
+    problem: InferenceProblem, null: Candidate, candidates: Iterable[Candidate]
+) -> Candidate:
+    """Refit the model without effects from the nuisances of its best candidates."""
+    best = sorted(candidates, key=lambda candidate: -candidate.log_evidence)[:_MOST_POLISHED]
+    starts = [candidate.estimate.z[: len(problem.nuisances)] for candidate in best]
+    each = map_processes(lambda start: _without(problem, start), starts)
+    ends = [end for end in each if end is not None]
+    if not ends:
+        return null
+    again = min(ends, key=lambda end: end.estimate.cost)
+    gain = null.estimate.cost - again.estimate.cost
+    if gain > SAME_COST:
+        # Searches that had agreed have agreed on something else.
+        rng = np.random.default_rng(SEED)
+        near = again.estimate.z + 0.3 * rng.standard_normal(len(again.estimate.z))
+        return fit_model(problem, (), [again.estimate.z, near], exact=True)
+    kept = again if gain > 0 else null
+    least = kept.estimate.cost + SAME_COST
+    agreeing = null.estimate.consistent_starts + sum(end.estimate.cost < least for end in ends)
+    tried = null.estimate.starts + len(ends)
+    return replace(kept, estimate=replace(kept.estimate, consistent_starts=agreeing, starts=tried))
+
+
+def _without(problem: InferenceProblem, start: Array) -> Candidate | None:
+    """Fit the twin without effects from one start; None if that is of no possible bench."""
+    with contextlib.suppress(ValueError):
+        return fit_model(problem, (), [start], exact=True)
+    return None
+
+
+def search_effect(
+    problem: InferenceProblem, begun: Sequence[SearchStart], effect: Effect
+) -> tuple[Array | None, Candidate | None]:
+    """What an effect moves (n, s) where it is usual, and its fit; None if it moves nothing."""
+    places = [screen_effect(problem, start.base, effect) for start in begun]
+    table = most_typical(places[0]).signature if places[0] else None
+    return table, _alone(problem, begun, places)
+
+
+def _alone(
+    problem: InferenceProblem,
+    begun: Sequence[SearchStart],
+    places: Sequence[Sequence[ScreenedEffect]],
+) -> Candidate | None:
+    """Fit one effect, at its best place; None if it moves nothing, or is of no possible reed.
+
+    Parameters
+    ----------
+    problem : InferenceProblem
+    begun : sequence of SearchStart
+    places : sequence of sequence of ScreenedEffect
+        The effect beside each of these.
+    """
+    fitted = [_at_its_best(problem, start, own) for start, own in zip(begun, places, strict=True)]
+    found = [candidate for candidate in fitted if candidate is not None]
+    if any(other.estimate.cost < found[0].estimate.cost for other in found[1:]):
+        # What is straight far from an optimum may promise more than there is.
+        found = [
+            exact
+            for candidate in found
+            if (exact := _with_nonlinear_cost(problem, candidate)) is not None
+        ]
+    return min(found, key=lambda candidate: candidate.estimate.cost, default=None)
+
+
+def _with_nonlinear_cost(problem: InferenceProblem, candidate: Candidate) -> Candidate | None:
+    try:
+        return with_nonlinear_cost(problem, candidate)
+    except ValueError:
+        return None
+
+
+def _at_its_best(
+    problem: InferenceProblem, start: SearchStart, places: Sequence[ScreenedEffect]
+) -> Candidate | None:
+    """Fit one effect at its best place, from where it is begun."""
+    if not places:
+        return None
+    ranked = sorted(places, key=lambda place: -place.gain)
+    tried = [(ranked[0], ranked[0].sizes)]
+    if ranked[0].gain > _MUCH:
+        # What does much need not be where it would be if it did as much of what little of it does.
+        for place in ranked[:_MOST_PLACES]:
+            tried += [(place, place.sizes), (place, _first(place, np.sign(place.sizes[0])))]
+    if start.far:
+        tried += [(ranked[0], sizes) for sizes in _far_out(problem, start.at, ranked[0])]
+    found = [
+        (candidate, place)
+        for place, sizes in tried
+        if (candidate := fit_linearised_or_none(problem, (place.located,), start.at, sizes))
+        is not None
+    ]
+    if not found:
+        return None
+    candidate, best = min(found, key=lambda pair: pair[0].estimate.cost)
+    # Elsewhere it is worse by as much as its signature says; here the fit is exact.
+    count = count_locations(best.located.effect)
+    others = float(logsumexp([place.gain - ranked[0].gain for place in places]) - np.log(count))
+    return replace(candidate, other_locations=others)
+
+
+def _far_out(problem: InferenceProblem, about: Array, place: ScreenedEffect) -> list[Array]:
+    """Sizes (s,) far out that are better than none, though a little of the effect may not be."""
+    signs = (1.0,) if place.located.sizes[0].positive else (1.0, -1.0)
+    sizes = [_first(place, sign * size) for sign in signs for size in _FAR_SIZES]
+    effects = (place.located,)
+    nothing = linearised_cost(problem, (), about, np.zeros(0))
+    costs = [linearised_cost(problem, effects, about, tried) for tried in sizes]
+    best = int(np.argmin(costs))
+    return [sizes[best]] if costs[best] < nothing else []
+
+
+def _first(place: ScreenedEffect, size: float) -> Array:
+    """Sizes (s,) of which the first is given and the others are usual."""
+    sizes: Array = np.zeros(len(place.sizes))
+    sizes[0] = size
+    return sizes
+
+
+def confusable_pairs(signatures: Mapping[str, tuple[Array, Array]]) -> set[frozenset[str]]:
+    """Pairs of effects so alike that both together are but one that need not have its form."""
+    return {
+        frozenset((one, other))
+        for one, other in combinations(signatures, 2)
+        if cosine(signatures[one][1], signatures[other][1]) >= CONFUSABLE
+    }
+
+
+def fit_pairs(
+    problem: InferenceProblem,
+    null: Candidate,
+    alone: Mapping[str, Candidate],
+    effects: Sequence[Effect],
+    alike: set[frozenset[str]],
+) -> dict[str, Candidate]:
+    """Fit pairs: of the best effects, and of the best with what explains what it leaves.
+
+    Not of effects that are alike.
+    """
+    ranked = sorted(alone.values(), key=lambda candidate: -candidate.log_evidence)
+    best = [r for r in ranked if r.log_evidence > null.log_evidence + _LEAST_GAIN][:_MOST_PAIRED]
+    chosen = {tuple(sorted((a.names[0], b.names[0]))): (a, b) for a, b in combinations(best, 2)}
+    for first in best[:1]:
+        for other in _beside(problem, first, alone, effects):
+            chosen.setdefault(tuple(sorted((first.names[0], other.names[0]))), (first, other))
+    apart = [both for names, both in chosen.items() if frozenset(names) not in alike]
+    for both in apart:
+        prepare_jacobian(problem, _about(problem, both))
+    found = map_processes(lambda both: _pair(problem, *both), apart)
+    return {"+".join(candidate.names): candidate for candidate in found if candidate is not None}
+
+
+def undetectable_alternatives(
+    problem: InferenceProblem,
+    null: Candidate,
+    alone: Mapping[str, Candidate],
+    pairs: Mapping[str, Candidate],
+    effects: Sequence[Effect],
+    alike: set[frozenset[str]],
+) -> dict[str, tuple[str, float]]:
+    """What may be there beside nothing, or beside the likeliest effect, and need not show."""
+    found = {effect.id: (NONE, 0.0) for effect in effects if effect.id not in alone}
+    best = max(alone.values(), key=lambda candidate: candidate.log_evidence, default=null)
+    if best.log_evidence < null.log_evidence + _LEAST_GAIN:
+        return found
+    first, base = best.names[0], Baseline.of(problem, best)
+    for effect in effects:
+        name = "+".join((first, effect.id))
+        fitted = {name, "+".join((effect.id, first))} & set(pairs)
+        if effect.id == first or fitted or frozenset((first, effect.id)) in alike:
+            continue
+        other = alone.get(effect.id)
+        more = screen_at(problem, base, other.effects[0]) if other else None
+        # What would show is among the pairs that were fitted, or would do no better there.
+        found[name] = first, min(more.gain, 0.0) if more else 0.0
+    return found
+
+
+def _beside(
+    problem: InferenceProblem,
+    first: Candidate,
+    alone: Mapping[str, Candidate],
+    effects: Sequence[Effect],
+) -> list[Candidate]:
+    """Effects that explain most of what the first leaves."""
+    gains, base = {}, Baseline.of(problem, first)
+    for effect in effects:
+        other = alone.get(effect.id)
+        if other is None or effect.id == first.names[0]:
+            continue
+        found = screen_at(problem, base, other.effects[0])
+        if found is not None and found.gain > _LEAST_GAIN:
+            gains[effect.id] = found.gain
+    ranked = sorted(gains, key=lambda name: -gains[name])
+    return [alone[name] for name in ranked[:_MOST_BESIDE]]
+
+
+def _about(problem: InferenceProblem, both: tuple[Candidate, Candidate]) -> Array:
+    """Nuisances (p,) from where a pair is fitted: those of the better."""
+    better = min(both, key=lambda candidate: candidate.estimate.cost)
+    return better.estimate.z[: len(problem.nuisances)]
+
+
+def _pair(problem: InferenceProblem, one: Candidate, other: Candidate) -> Candidate | None:
+    first, second = sorted((one, other), key=lambda candidate: candidate.estimate.cost)
+    about = _about(problem, (first, second))
+    sizes = np.concatenate([first.sizes, second.sizes])
+    pair = fit_linearised_or_none(problem, (*first.effects, *second.effects), about, sizes)
+    if pair is None:
+        return None
+    # Each is where it was found; elsewhere they are as much worse as by themselves.
+    return replace(pair, other_locations=one.other_locations + other.other_locations)
+
+
+def fit_linearised_or_none(
+    problem: InferenceProblem, effects: Sequence[LocatedEffect], about: Array, sizes: Array
+) -> Candidate | None:
+    """Candidate with all that nuisances do taken for straight; None of no possible reed."""
+    try:
+        return fit_linearised(problem, effects, about, sizes)
+    except ValueError:
+        return None

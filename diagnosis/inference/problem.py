@@ -1,0 +1,152 @@
+"""The inference problem: observables of a campaign, and the model whose nuisances are unknown."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.inference.nuisances import Nuisance
+from diagnosis.observable_groups import ObservableGroup
+from physics.effects.effect import Effect, Parameter
+from physics.twin import Twin
+
+Array = NDArray[np.floating[Any]]
+# The noise of a block may be larger than its replicates say: log.
+_NOISE_SPREAD, _MOST_NOISE = 0.15, 3.0
+_KEPT, _SLOPES_KEPT = 4096, 4
+STEP = 0.02
+# Where a fit has not come to rest they are taken here, of steps that are smaller, so many times.
+HERE, FINE, MOST_FINE = 0.03, 0.15, 3
+
+# Slopes are taken anew where a nuisance has moved by so many deviations.
+_FAR, NEAR, MOST_NEAR = 1.5, 0.3, 8
+
+
+class InferenceProblem:
+    """Blocks of a campaign beside a twin whose nuisances are to be found.
+
+    Parameters
+    ----------
+    groups : sequence of ObservableGroup
+    base : Twin
+        What is known of the bench.
+    nuisances : sequence of Nuisance
+    """
+
+    def __init__(
+        self, blocks: Sequence[ObservableGroup], base: Twin, nuisances: Sequence[Nuisance]
+    ) -> None:
+        self.groups, self.base, self.nuisances = tuple(blocks), base, tuple(nuisances)
+        self._left = lru_cache(maxsize=_KEPT)(self._left_of)
+        starts = np.cumsum([0, *(len(block.values) for block in blocks)])
+        self.slices = {
+            block.name: slice(int(a), int(b))
+            for block, a, b in zip(blocks, starts, starts[1:], strict=False)
+        }
+        self._slopes: list[tuple[Array, Array]] = []
+
+    @property
+    def is_fit_bias(self) -> NDArray[np.bool_]:
+        """Which nuisances (p,) only say what fits take for something else."""
+        return np.array([nuisance.of_fits for nuisance in self.nuisances], dtype=bool)
+
+    def twin(self, z: Array) -> Twin:
+        """Twin with nuisances z (p,), in units of their priors."""
+        twin = self.base
+        for nuisance, size in zip(self.nuisances, z.tolist(), strict=True):
+            if size:
+                twin = nuisance.change(twin, nuisance.spread * size)
+        return twin
+
+    def residuals(self, twin: Twin) -> Array:
+        """What a twin leaves (n,), whitened: twin less measurement."""
+        return -np.concatenate(
+            [
+                self._left(number, tuple(getattr(twin, part) for part in block.parts))
+                for number, block in enumerate(self.groups)
+            ]
+        )
+
+    def _left_of(self, number: int, parts: tuple[Any, ...]) -> Array:
+        block = self.groups[number]
+        return block.whitened_residual(Twin(**dict(zip(block.parts, parts, strict=True))))
+
+    def jacobian(self, z: Array, far: float = _FAR) -> Array:
+        """Derivatives (n, p) along the nuisances, no farther from z than so many deviations."""
+        for at, slope in self._slopes:
+            if np.abs(z - at).max() <= far:
+                return slope
+        slope = self.jacobian_of_changed(z, lambda twin: twin)
+        self._slopes = [(z.copy(), slope), *self._slopes[: _SLOPES_KEPT - 1]]
+        return slope
+
+    def jacobian_of_changed(
+        self, z: Array, change: Callable[[Twin], Twin], *, fine: bool = False
+    ) -> Array:
+        """Derivatives (n, p) along the nuisances at z, of twins that are changed besides.
+
+        Fine ones are good where modes nearly meet, and cost twice as much.
+        """
+        here, columns = self.residuals(change(self.twin(z))), []
+        for k in range(len(z)):
+            step = -STEP if z[k] > 0 else STEP
+            step *= FINE if fine else 1
+            moved, back = z.copy(), z.copy()
+            moved[k] += step
+            back[k] -= step
+            other = self.residuals(change(self.twin(back))) if fine else here
+            more = self.residuals(change(self.twin(moved))) - other
+            columns.append(more / (2 * step if fine else step))
+        return np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True)
+class LocatedEffect:
+    """An effect with its places chosen.
+
+    Attributes
+    ----------
+    effect : Effect
+    location : mapping
+        Values of its parameters that are places.
+    """
+
+    effect: Effect
+    location: Mapping[str, float]
+
+    @property
+    def sizes(self) -> tuple[Parameter, ...]:
+        """Parameters that are to be found."""
+        return self.effect.sizes
+
+    def change(self, twin: Twin, z: Array) -> Twin:
+        """Twin with the effect at sizes z, in units of their priors."""
+        values = {p.name: p.spread * float(v) for p, v in zip(self.sizes, z, strict=True)}
+        return self.effect.change(twin, {**values, **self.location})
+
+
+def with_effects(twin: Twin, effects: Sequence[LocatedEffect], sizes: Array) -> Twin:
+    """Return the model with effects of given sizes (s,), in units of their priors."""
+    for located in effects:
+        count = len(located.sizes)
+        twin = located.change(twin, sizes[:count])
+        sizes = sizes[count:]
+    return twin
+
+
+def noise_inflation_gain(problem: InferenceProblem, residuals: Array) -> float:
+    """What evidence gains by noise that may be larger in each block."""
+    return sum(
+        group_noise_gain(float(np.sum(residuals[piece] ** 2)), piece.stop - piece.start)
+        for piece in problem.slices.values()
+    )
+
+
+def group_noise_gain(chi2: float, count: int) -> float:
+    """Gain of log evidence by the likeliest factor on the noise of a block of so many numbers."""
+    logs = np.linspace(0.0, _MOST_NOISE * _NOISE_SPREAD, 61)
+    gains = 0.5 * chi2 * (1 - np.exp(-2 * logs)) - count * logs - 0.5 * (logs / _NOISE_SPREAD) ** 2
+    return float(gains.max())

@@ -13,8 +13,8 @@ from runs.reader import Run
 from runs.records import StepRecord
 from runs.verdict import Verdict
 
-# What each kind of run tells that nothing else does.
-_TELLS = {
+# What only this kind of run shows.
+_SHOWS = {
     Kind.DARK: "dark frames (offset, read noise, hot pixels)",
     Kind.FLAT: "flat frames (linearity, pattern, vignetting)",
     Kind.LO_ONLY: "frames of the local oscillator alone (its profile)",
@@ -36,7 +36,7 @@ class CampaignRun:
     name : str
         Of the part, or of the file where there is none; with a number if it is another's too.
     clamping : int
-        How often the reed had been clamped anew before; in another campaign it has been.
+        How often the reed had been clamped again before; another campaign counts as once more.
     """
 
     run: Run
@@ -70,13 +70,13 @@ class Campaign:
         Raises
         ------
         FitInputError
-            If none is a sweep, one is named twice, they are not of one reed on one bench, or nobody
-            knows when one began.
+            If none is a sweep, one is named twice, they are not of one reed on one bench, or the
+            start of one is unknown.
         """
         sweeps = [run for run in runs if run.acquisition.kind is Kind.SWEEP]
         if not sweeps:
-            told = ", ".join(sorted(run.path.name for run in runs))
-            raise FitInputError(f"{told}: no run is a sweep of a driven reed; name at least one")
+            names = ", ".join(sorted(run.path.name for run in runs))
+            raise FitInputError(f"{names}: no run is a sweep of a driven reed; name at least one")
         _require_one(runs)
         runs = sorted(runs, key=_began)
         first = _began(runs[0])
@@ -109,8 +109,8 @@ class Campaign:
 
     @property
     def missing(self) -> list[str]:
-        """What would tell more and is not there."""
-        lacks = [told for kind, told in _TELLS.items() if not self.of_kind(kind)]
+        """Runs that are missing, and what they would show."""
+        lacks = [shows for kind, shows in _SHOWS.items() if not self.of_kind(kind)]
         sweeps = self.sweeps
         if len(sweeps) < 2:
             lacks.append("a second sweep (what repeats and what drifts)")
@@ -119,8 +119,8 @@ class Campaign:
             lacks.append("a sweep at another drive level (what depends on amplitude)")
         if not any(part.clamping for part in sweeps):
             lacks.append("a sweep after a new clamping (what the clamp does)")
-        told = [step.lock_error_se_hz for part in sweeps for step in part.good_steps]
-        if not np.isfinite(told).any():
+        errors = [step.lock_error_se_hz for part in sweeps for step in part.good_steps]
+        if not np.isfinite(errors).any():
             lacks.append("by how much each step missed its lock (detunings, the walk of phases)")
         return lacks
 
@@ -129,7 +129,7 @@ def _require_one(runs: Sequence[Run]) -> None:
     """Require runs that belong together."""
     uids = Counter(run.uid for run in runs if run.uid)
     if twice := [run.path.name for run in runs if uids[run.uid] > 1]:
-        raise FitInputError(f"{', '.join(twice)}: are one run; name it once")
+        raise FitInputError(f"{', '.join(twice)}: are the same run; name it once")
     of: dict[str, Callable[[Run], str]] = {
         "reeds or series": lambda run: f"{run.reed} ({run.series})",
         "kinds of reed": lambda run: run.reed_sha256[:8],
@@ -137,10 +137,10 @@ def _require_one(runs: Sequence[Run]) -> None:
         "wavelengths and distances": lambda run: _optics(run),
     }
     for what, label in of.items():
-        told = sorted({label(run) for run in runs} - {""})
-        if len(told) > 1:
+        labels = sorted({label(run) for run in runs} - {""})
+        if len(labels) > 1:
             raise FitInputError(
-                f"runs are of several {what}: {', '.join(told)}; diagnose them one by one"
+                f"runs are of several {what}: {', '.join(labels)}; diagnose them one by one"
             )
     parts = Counter((run.acquisition.campaign, run.acquisition.part) for run in runs)
     if again := [which for which, count in parts.items() if all(which) and count > 1]:
@@ -196,6 +196,6 @@ def _began(run: Run) -> datetime:
 
 
 def _clock_s(run: Run, first: datetime) -> float:
-    """Offset of the camera's clock, whose zero is nobody's concern."""
+    """Return the offset of the camera's clock, whose zero is arbitrary."""
     times = [t for step in run.steps for t in step.timestamps_s[:1] if np.isfinite(t)]
     return min(times, default=0.0) - (_began(run) - first).total_seconds()

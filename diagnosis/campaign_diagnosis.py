@@ -1,4 +1,4 @@
-"""The answer of a diagnosis: where, which, how far, and what to measure next."""
+"""Diagnose a campaign: where measurement and model differ, why, and what to measure next."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -42,53 +42,54 @@ Array = NDArray[np.floating[Any]]
 Kind = Literal["none", "effect", "pair", "unknown", "not converged"]
 
 COVERAGE: Final = 0.9
-# A number off by so many deviations, or moved by an effect by so many, is part of a gap.
+# A number belongs to a gap if it is off, or moved by the effect, by this many deviations.
 _OFF, _MOVED = 3.0, 0.5
-# Of so many candidates it is told what they close.
+# Most candidates whose explained fraction is computed.
 _MOST_CLOSED = 8
-# Candidates that turn out to be the likeliest are fitted again, so many one after the other.
+# Most candidates that are refitted one after the other because they have become the likeliest.
 _MOST_CONFIRMED = 8
-# A doubtful fit without effects does not matter to what is likelier by so many nats.
+# A fit without effects that has not converged does not matter beyond this many nats.
 _BEYOND_DOUBT = 20.0
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What a campaign says.
+    """The answer of a diagnosis.
 
     Attributes
     ----------
     kind : {'none', 'effect', 'pair', 'unknown', 'not converged'}
     effects : tuple of str
-        Ids of the effects named.
+        Identifiers of the effects that are named.
     probability : dict of float
         Of 'none', 'unknown', effects, and pairs joined by '+'.
     classes : tuple of tuple of str
-        Effects that this campaign does not tell apart.
+        Groups of effects that this campaign cannot separate.
     likely : tuple of tuple of str
-        Fewest classes that together have 90 % of the probability.
+        The fewest classes that together have 90 % of the probability.
     gap : GapMap
     selection : ModelSelection
     detectability : tuple of Detectability
-        What this campaign could have told of each effect.
+        How well this campaign can detect each effect.
     unknown_with, unknown_in : str
-        Where something unknown is likeliest: beside which effect or pair or none, in which block.
+        Where something unknown is likeliest: in addition to which effect, pair or none, and in
+        which group of observables.
     checks : tuple of PredictiveCheck
-        Signs of something unknown beside what is named.
+        Predictive checks of what is named.
     explained_with : tuple of str
-        What is named; if nothing is, the effect that explains most by itself.
+        The effects named, or else the one that explains most by itself.
     explained, explained_other_sweep : ExplainedFraction or None
-        By these, on numbers left out; and in the condition that was left out whole.
+        Fraction that these explain, on numbers left out, and in the sweep that was left out.
     explained_by : dict of ExplainedFraction
-        On all numbers, by each candidate that is better than none.
+        The same on all numbers, for each candidate that is better than none.
     gaps_in_units : tuple of GapInUnits
-        The same gap in units that people know.
+        The same gap in familiar units.
     condition : str
-        That condition.
+        Name of that sweep.
     next_experiments : tuple of RankedExperiment
-        The best first, to tell the two likeliest apart.
+        Experiments that separate the two likeliest candidates, the best first.
     compared : (str, str)
-        These two.
+        The two likeliest candidates.
     missing, refused : tuple of str
     """
 
@@ -122,7 +123,7 @@ def diagnose(
     progress: Callable[[float], None] | None = None,
     without: Sequence[str] = (),
 ) -> Diagnosis:
-    """Compare a campaign with the twin.
+    """Diagnose a campaign.
 
     Parameters
     ----------
@@ -130,25 +131,25 @@ def diagnose(
     reed_solver : ReedSolver
         Of the kind of reed.
     base : Twin, optional
-        What is known of the bench; nothing if not given.
+        Model with what is known of the bench; by default the nominal one.
     progress : callable, optional
-        Told the share that is done.
+        Called with the fraction that is done.
     without : sequence of str
-        Effects that the catalogue is to do without.
+        Identifiers of effects that are not tried.
     """
     problem = inference_problem(readings, reed_solver, base or Twin())
-    told = CampaignSummary(condition_of(readings), readings.missing, readings.refused)
-    return diagnose_problem(problem, told, progress, without)
+    summary = CampaignSummary(condition_of(readings), readings.missing, readings.refused)
+    return diagnose_problem(problem, summary, progress, without)
 
 
 @dataclass(frozen=True)
 class CampaignSummary:
-    """What is known of a campaign beside its numbers.
+    """What is known of a campaign besides its observables.
 
     Attributes
     ----------
     condition : str
-        Sweep that is left out whole; empty if there is none.
+        Sweep that is left out completely; empty if there is none.
     missing, refused : tuple of str
     """
 
@@ -159,19 +160,19 @@ class CampaignSummary:
 
 def diagnose_problem(
     problem: InferenceProblem,
-    told: CampaignSummary,
+    summary: CampaignSummary,
     progress: Callable[[float], None] | None = None,
     without: Sequence[str] = (),
 ) -> Diagnosis:
-    """Judge numbers that are beside the twin already; parameters as those of `diagnose`."""
+    """Diagnose an inference problem; other parameters as those of `diagnose`."""
     # Matrices are small: threads of linear algebra would wait for each other more than compute.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _judged(problem, told, progress, without)
+        return _judged(problem, summary, progress, without)
 
 
 def _judged(
     problem: InferenceProblem,
-    told: CampaignSummary,
+    summary: CampaignSummary,
     progress: Callable[[float], None] | None,
     without: Sequence[str],
 ) -> Diagnosis:
@@ -180,14 +181,14 @@ def _judged(
     reach = detectability_of(effects, found.signatures)
     classes = confusable_classes(reach)
     for _ in range(_MOST_CONFIRMED):
-        # Nothing is named on one search's word.
+        # A single search is no proof of an optimum.
         found = refit_candidate(
             problem, found, _likeliest(found.probability, classes), len(effects)
         )
     probability = found.probability
     kind, named = _named(found, classes)
     first, second = _two_likeliest(found)
-    groups, condition = _groups(problem), told.condition
+    groups, condition = _groups(problem), summary.condition
     chosen = found.candidate("+".join(named)) or _best_alone(found)
     acts = _touched(problem, found.null, chosen)
     named_or_none = chosen if named else found.null
@@ -202,7 +203,7 @@ def _judged(
         selection=found,
         detectability=reach,
         unknown_with=beside,
-        unknown_in=_block_beside(problem, found.candidate(beside) or found.null),
+        unknown_in=_likeliest_group(problem, found.candidate(beside) or found.null),
         checks=predictive_checks(problem, named_or_none, _only(problem, condition)),
         explained_with=chosen.names,
         explained=explained_fraction(found.null, chosen, _where(groups, acts)),
@@ -221,19 +222,19 @@ def _judged(
         if first and second
         else (),
         compared=(_name(first), _name(second)),
-        missing=told.missing,
-        refused=told.refused,
+        missing=summary.missing,
+        refused=summary.refused,
     )
 
 
-def _block_beside(problem: InferenceProblem, candidate: Candidate) -> str:
-    """Block in which something unknown is likeliest beside a candidate."""
+def _likeliest_group(problem: InferenceProblem, candidate: Candidate) -> str:
+    """Return the group in which something unknown is likeliest, given a candidate."""
     factors = group_discrepancies(problem, candidate)
     return max(factors, key=lambda name: float(factors[name][0]))
 
 
 def inference_problem(readings: Readings, reed_solver: ReedSolver, base: Twin) -> InferenceProblem:
-    """Put a campaign beside a twin with all that differs from bench to bench."""
+    """Return the inference problem of a campaign, with all nuisances."""
     exchanged = of_fits(common_modes(readings.sweeps)) if readings.sweeps else ()
     return InferenceProblem(
         observable_groups(readings, reed_solver), base, (*NUISANCES, *exchanged)
@@ -241,7 +242,7 @@ def inference_problem(readings: Readings, reed_solver: ReedSolver, base: Twin) -
 
 
 def _likeliest(probability: Mapping[str, float], classes: Sequence[tuple[str, ...]]) -> str:
-    """Of the likeliest class the likeliest."""
+    """Return the likeliest hypothesis of the likeliest class."""
     mass = _mass(probability, classes)
     group = max(mass, key=lambda group: mass[group])
     return max(group, key=lambda name: probability.get(name, 0.0))
@@ -250,7 +251,7 @@ def _likeliest(probability: Mapping[str, float], classes: Sequence[tuple[str, ..
 def _named(
     found: ModelSelection, classes: Sequence[tuple[str, ...]]
 ) -> tuple[Kind, tuple[str, ...]]:
-    """What is named, if its fit is one."""
+    """Return the verdict and the effects that are named."""
     best = _likeliest(found.probability, classes)
     beyond = found.log_probability[best] - found.log_probability[NONE]
     if not found.null.estimate.converged and beyond < _BEYOND_DOUBT:
@@ -269,7 +270,7 @@ def _named(
 
 
 def _better(found: ModelSelection) -> dict[str, Candidate]:
-    """Likeliest few candidates that are better than none."""
+    """Return the likeliest candidates that are better than none."""
     candidates = {**found.single, **found.pairs}
     better = [
         name for name in candidates if candidates[name].log_evidence > found.null.log_evidence
@@ -340,7 +341,7 @@ def _where(groups: Sequence[str], chosen: NDArray[np.bool_]) -> list[str]:
 
 
 def _groups(problem: InferenceProblem) -> list[str]:
-    """Which numbers are left out together: those of a mode, of a band, of a time, of a block."""
+    """Return for each number the label of those that are left out with it."""
     names = []
     for block in problem.groups:
         for place in block.coordinates:

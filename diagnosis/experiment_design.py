@@ -94,11 +94,11 @@ _LADDER: Final = ("20 ms", "40 ms", "60 ms", "80 ms")
 
 
 def _frames(kind: str, count: int, exposures: Sequence[str] = ()) -> dict[str, Any]:
-    """What a sweep's protocol is to be changed by for frames of something else."""
-    told: dict[str, Any] = {"kind": kind, "count": count}
+    """Return the changes of a sweep's protocol that record calibration frames."""
+    calibration: dict[str, Any] = {"kind": kind, "count": count}
     if exposures:
-        told["exposures"] = list(exposures)
-    return {"keep": "frames", "calibration": told}
+        calibration["exposures"] = list(exposures)
+    return {"keep": "frames", "calibration": calibration}
 
 
 def _part(name: str, do: str = "", **more: Any) -> dict[str, Any]:
@@ -108,7 +108,7 @@ def _part(name: str, do: str = "", **more: Any) -> dict[str, Any]:
 EXPERIMENTS: Final[tuple[Experiment, ...]] = (
     Experiment(
         "repeat",
-        "the same sweeps once more",
+        "repeat the sweeps",
         10.0,
         (*_SWEEP, "lock", "frames"),
         _same,
@@ -125,7 +125,7 @@ EXPERIMENTS: Final[tuple[Experiment, ...]] = (
     ),
     Experiment(
         "low_pressure",
-        "a sweep in a vacuum chamber",
+        "sweep in a vacuum chamber",
         40.0,
         ("modes",),
         _in_vacuum,
@@ -135,7 +135,7 @@ EXPERIMENTS: Final[tuple[Experiment, ...]] = (
     ),
     Experiment(
         "known_mass",
-        "a sweep with 1 mg of wax on the tip",
+        "sweep with 1 mg of wax on the tip",
         10.0,
         ("modes",),
         _with_wax,
@@ -143,7 +143,7 @@ EXPERIMENTS: Final[tuple[Experiment, ...]] = (
     ),
     Experiment(
         "wait",
-        "the same sweeps after an hour",
+        "repeat the sweeps after an hour",
         65.0,
         ("modes",),
         _after_an_hour,
@@ -154,7 +154,7 @@ EXPERIMENTS: Final[tuple[Experiment, ...]] = (
     ),
     Experiment(
         "without_clay",
-        "a sweep with both halves of the chamber open",
+        "sweep with both halves of the chamber open",
         10.0,
         ("forces", "lines of the drive"),
         _without_clay,
@@ -164,7 +164,7 @@ EXPERIMENTS: Final[tuple[Experiment, ...]] = (
     ),
     Experiment(
         "long_rest",
-        "order 0 of the reed at rest, 64 acquisitions",
+        "record order 0 of the reed at rest, 64 acquisitions",
         2.0,
         _STILL,
         _same,
@@ -175,7 +175,7 @@ EXPERIMENTS: Final[tuple[Experiment, ...]] = (
     ),
     Experiment(
         "more_frames",
-        "dark, flat and local oscillator frames, 64 of each",
+        "record dark, flat and local oscillator frames, 64 of each",
         3.0,
         _FRAMES,
         _same,
@@ -196,7 +196,7 @@ EXPERIMENTS: Final[tuple[Experiment, ...]] = (
     ),
     Experiment(
         "microphone",
-        "the sound at the tip by a microphone, with the reed held",
+        "measure the sound at the tip with a microphone, with the reed held",
         15.0,
         ("lines of the drive", "level"),
         _same,
@@ -209,9 +209,9 @@ def rank_experiments(
     problem: InferenceProblem,
     one: Candidate,
     other: Candidate,
-    actions: Sequence[Experiment] = EXPERIMENTS,
+    experiments: Sequence[Experiment] = EXPERIMENTS,
 ) -> list[RankedExperiment]:
-    """Rank actions by what they are expected to tell of two candidates, per minute.
+    """Rank experiments by the information per minute that they are expected to give.
 
     Parameters
     ----------
@@ -221,26 +221,26 @@ def rank_experiments(
     twins = one.twin(problem), other.twin(problem)
     by_name = {block.name: block for block in problem.groups}
     worths = []
-    for action in actions:
+    for action in experiments:
         chosen = [by_name[name] for name in action.groups if name in by_name]
         if not chosen:
             continue
         try:
-            nats = sum(_told(problem, block, one, twins, action) for block in chosen)
+            nats = sum(_expected_nats(problem, block, one, twins, action) for block in chosen)
         except ValueError:
             continue
         worths.append(RankedExperiment(action, nats, nats / action.minutes))
     return sorted(worths, key=lambda worth: -worth.nats_per_minute)
 
 
-def _told(
+def _expected_nats(
     problem: InferenceProblem,
     block: ObservableGroup,
     candidate: Candidate,
     twins: tuple[Twin, Twin],
     action: Experiment,
 ) -> float:
-    """Half the square of the distance between two predictions, in units of all that is unknown."""
+    """Return the expected log odds: half the squared distance of two predictions, whitened."""
     apart = block.predict(action.change(twins[0])) - block.predict(action.change(twins[1]))
     piece = problem.slices[block.name]
     J = candidate.free_jacobian

@@ -1,4 +1,4 @@
-"""How far a gap shrinks once an effect is added, on numbers that the fit has not seen.
+"""Explained fraction: how much of a gap an effect closes, on numbers that the fit has not seen.
 
 Numbers are left out in groups, such as all of a mode or all of a sweep, and predicted by the rest:
 exactly, in the model that is linear around the fit. The gap is the mean square of what is left
@@ -20,19 +20,19 @@ from diagnosis.inference.problem import InferenceProblem
 Array = NDArray[np.floating[Any]]
 
 _DRAWS = 2000
-# A gap that chance makes more often than this is none.
+# A gap that chance makes more often than this is not resolvable.
 _CHANCE = 0.01
 
 
 @dataclass(frozen=True)
 class ExplainedFraction:
-    """Share of a gap that an effect closes.
+    """Fraction of a gap that an effect closes.
 
     Attributes
     ----------
     before, after, floor : float
-        Mean square of what is left, in units of errors of data and prediction: of the twin without
-        and with the effect, and of a right one.
+        Mean square residual in units of errors of data and prediction: of the model without and
+        with the effect, and of a right model.
     fraction, low, high : float
         (before − after) / (before − floor), and its 95 % interval; NaN if the gap is not
         resolvable.
@@ -49,7 +49,7 @@ class ExplainedFraction:
 def explained_fraction(
     null: Candidate, candidate: Candidate, groups: Sequence[str], seed: int = 0
 ) -> ExplainedFraction:
-    """Find what a candidate takes off the gap, in groups that are left out.
+    """Return the fraction of the gap that a candidate closes, on groups that are left out.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def explained_fraction(
     return ExplainedFraction(before, after, floor, kappa, float(low), float(high))
 
 
-# Quantities that people know, by what places say: name, and factor from the block's unit.
+# Familiar quantities: name and factor from the unit of the group, by the quantity of coordinates.
 _KNOWN: Final = {
     "frequency, cents": ("resonances, cents", 1.0),
     "loss, %": ("Q, %", 1.0),
@@ -96,15 +96,15 @@ _KNOWN: Final = {
 
 @dataclass(frozen=True)
 class GapInUnits:
-    """A gap in a unit that people know.
+    """A gap in a familiar unit.
 
     Attributes
     ----------
     quantity : str
     before, after : float
-        Root mean square of what the twin leaves without and with the effects, each fitted.
+        Root mean square residual of the fitted model without and with the effects.
     error : float
-        Root mean square of what is uncertain.
+        Root mean square uncertainty.
     """
 
     quantity: str
@@ -116,7 +116,7 @@ class GapInUnits:
 def gaps_in_units(
     problem: InferenceProblem, null: Candidate, candidate: Candidate
 ) -> list[GapInUnits]:
-    """Gaps in cents, per cent of Q, dB, and 1 - MAC, as far as they were measured."""
+    """Return gaps in cents, per cent of Q, dB, and 1 - MAC, as far as they were measured."""
     squares: dict[str, list[tuple[float, float, float]]] = {}
     for block in problem.groups:
         piece, lower = problem.slices[block.name], np.linalg.inv(block.whitening)
@@ -132,7 +132,7 @@ def gaps_in_units(
                 squares.setdefault("shapes, 1 - MAC", []).append((before**2, after**2, variance))
     told = []
     for name, rows in squares.items():
-        # What a shape has of others adds up to what its MAC lacks; other gaps are means.
+        # Fractions of other shapes add up to 1 - MAC; other gaps are means.
         of_shapes = name.startswith("shapes")
         mean = np.sum(rows, axis=0) if of_shapes else np.sqrt(np.mean(rows, axis=0))
         told.append(GapInUnits(name, *(float(value) for value in mean)))
@@ -142,7 +142,7 @@ def gaps_in_units(
 def _left_out(
     candidates: tuple[Candidate, Candidate], chosen: NDArray[np.bool_]
 ) -> tuple[float, float, float]:
-    """Squares of what a group leaves if it is left out, without and with effects; and its count."""
+    """Return squared residuals of a left-out group, without and with effects, and its count."""
     squares, at = [], np.flatnonzero(chosen)
     for candidate in candidates:
         J, wide = candidate.free_jacobian, candidate.deviation[at]

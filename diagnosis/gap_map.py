@@ -1,8 +1,8 @@
-"""Where a campaign and the nominal twin differ, in units of what either leaves uncertain.
+"""Gap map: where a campaign and the nominal model differ, in units of the standard uncertainty.
 
-The gap of a number is measurement less twin, with nothing fitted; its floor is the standard
-uncertainty of validation of ASME V&V 20: of the data, of the numerics and of the inputs that nobody
-knows better. What lies below the floor is not resolvable, which is not to say that it agrees.
+The gap of a number is measurement less model, with nothing fitted; its floor is the standard
+uncertainty of validation of ASME V&V 20: of data, numerics and inputs. A gap below the floor is not
+resolvable, which does not mean that measurement and model agree.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,20 +20,20 @@ from diagnosis.observable_groups import Observable, ObservableGroup
 Array = NDArray[np.floating[Any]]
 
 AXES = ("quantity", "mode", "band", "region", "time", "level")
-# A cell is resolvable if chance makes as much of it in fewer than this share of campaigns.
+# A cell is resolvable if chance makes as much in a smaller fraction of campaigns.
 _CHANCE = 0.01
 
 
 @dataclass(frozen=True)
 class GapCell:
-    """Some numbers of one tap.
+    """Some numbers of one observable.
 
     Attributes
     ----------
     observable : Observable
     group : str
     axis, label : str
-        What these numbers have in common: a coordinate of their place, and its value.
+        Coordinate that these numbers have in common, and its value.
     count : int
     gap : float
         Root mean square in units of the floor.
@@ -51,19 +51,19 @@ class GapCell:
 
     @property
     def resolvable(self) -> bool:
-        """Whether it stands above its floor."""
+        """Whether the gap is above its floor and not due to chance."""
         return self.gap > 1 and self.chance < _CHANCE
 
 
 @dataclass(frozen=True)
 class LadderStep:
-    """What one tap adds to the gap, if the twin gets what was measured at others.
+    """Fraction of the gap that one observable adds, given the measurement of others.
 
     Attributes
     ----------
     observable : Observable
     forward, backward : float
-        Share of the whole gap, with all earlier taps as measured, and with all later ones.
+        Fraction of the whole gap, given all earlier observables, and given all later ones.
     error : float
         Standard deviation of either, by chance.
     """
@@ -83,10 +83,11 @@ class GapMap:
     cells : tuple of GapCell
         Of every coordinate, and of whole blocks (axis ``observable_group``).
     observables : dict of GapCell
-        Of each tap the cell that chance explains least, with the chance that any cell of any tap is
-        as far off.
+        For each observable the cell that chance explains least, with the chance that any cell of
+        any observable is as far off.
     ladder : tuple of LadderStep
-        From logs to material; shares add up to 1 either way. Empty if the whole is not resolvable.
+        In the order of the measuring chain; fractions add up to 1 either way. Empty if the
+        whole gap is not resolvable.
     """
 
     cells: tuple[GapCell, ...]
@@ -95,13 +96,13 @@ class GapMap:
 
     @property
     def first_failing(self) -> Observable | None:
-        """First tap, from logs to material, at which measurement and twin differ."""
+        """First observable in the measuring chain at which measurement and model differ."""
         failing = (tap for tap, worst in self.observables.items() if worst.chance < _CHANCE)
         return next(failing, None)
 
 
 def gap_map(problem: InferenceProblem) -> GapMap:
-    """Put every number beside the nominal twin."""
+    """Compare every number with the nominal model."""
     nothing = np.zeros(len(problem.nuisances))
     left = problem.residuals(problem.twin(nothing))
     # Here, not where other fits have been.
@@ -132,7 +133,7 @@ def _in_order(rows: Iterable[Observable]) -> list[Observable]:
 
 
 def _square(left: Array, slope: Array, chosen: Sequence[int]) -> float:
-    """Square of what is left (n,) in some numbers, in units of its floor."""
+    """Return the squared residual (n,) of some numbers, in units of its floor."""
     own, inputs = left[chosen], slope[chosen]
     return float(own @ (own - absorbed_part(inputs, own)))
 
@@ -140,9 +141,9 @@ def _square(left: Array, slope: Array, chosen: Sequence[int]) -> float:
 def _ladder(
     left: Array, slope: Array, rows: Mapping[Observable, Sequence[int]]
 ) -> list[LadderStep]:
-    """What each tap adds if the twin gets what all before it, or all after it, have measured.
+    """Return what each observable adds to the gap, given all before it, or all after it.
 
-    That is what the tap's numbers are off by once those others have told of the nuisances.
+    That is what its numbers are off by once the others have determined the nuisances.
     """
     order = _in_order(rows)
     count = {tap: len(rows[tap]) for tap in order}
@@ -160,7 +161,7 @@ def _ladder(
     least = [min(chi2.sf(step[tap], count[tap]) for tap in order) for step in steps]
     if len(order) * max(least) > _CHANCE:
         return []
-    # What is less than its floor is no share of a gap.
+    # A contribution below its floor is no fraction of a gap.
     forward, backward = ({t: max(step[t] - count[t], 0.0) for t in order} for step in steps)
     gap, back = sum(forward.values()), sum(backward.values())
     return [

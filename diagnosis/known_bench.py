@@ -36,7 +36,7 @@ def sensor_of(bench: BenchFile | None, run: Run) -> Sensor:
 
 
 def base_twin(bench: BenchFile | None) -> Twin:
-    """Twin with the effects that a bench file tells of under ``known:``.
+    """Return the model with the effects that a bench file lists under ``known:``.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def base_twin(bench: BenchFile | None) -> Twin:
         effect = BY_ID.get(name)
         if effect is None or bench is None:
             raise ProtocolError(
-                f"{bench.source if bench else name}: known.{name} is no effect of the catalogue; "
+                f"{bench.source if bench else name}: known.{name} is not a known effect; "
                 "`acquire effects` lists them"
             )
         twin = effect.change(twin, _values(bench, effect, sizes))
@@ -68,7 +68,7 @@ def only_once(bench: BenchFile | None) -> tuple[str, ...]:
 
 
 def _values(bench: BenchFile, effect: Effect, sizes: Mapping[str, float | str]) -> dict[str, float]:
-    """All parameters of an effect; those that are not told are 0, or in their usual place."""
+    """Return all parameters of an effect; those not given are 0, or in the middle of their grid."""
     values = {p.name: p.grid[len(p.grid) // 2] if p.grid else 0.0 for p in effect.parameters}
     by_name = {parameter.name: parameter for parameter in effect.parameters}
     for name, text in sizes.items():
@@ -92,8 +92,8 @@ def _value(parameter: Parameter, text: float | str) -> float:
     if parameter.positive and value < 0:
         raise ValueError(f"{text!r} is negative, which this size cannot be")
     if parameter.grid and not min(parameter.grid) <= value <= max(parameter.grid):
-        told = f"{min(parameter.grid):g} to {max(parameter.grid):g} {parameter.unit}".strip()
-        raise ValueError(f"{text!r} is nowhere that it can be; it lies from {told}")
+        limits = f"{min(parameter.grid):g} to {max(parameter.grid):g} {parameter.unit}".strip()
+        raise ValueError(f"{text!r} is outside its range; choose a value from {limits}")
     return value
 
 

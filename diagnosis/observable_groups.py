@@ -1,8 +1,8 @@
-"""Numbers of one kind that measurement and twin are compared by, each with its error and its place.
+"""Groups of observables: numbers with errors, coordinates, and the law that predicts them.
 
-What a campaign leaves open without the twin being wrong, such as the level of the drive or the
-exact profile of a reed's surface beyond a few functions, is part of the errors: all errors are
-Gaussian, and what is unknown in proportion to known columns is added to their covariance.
+What a campaign leaves open although the model is right, such as the level of the drive or details
+of a reed's profile, is part of the errors. All errors are Gaussian; what is unknown in proportion
+to known columns is added to their covariance.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,14 +34,14 @@ class Observable(StrEnum):
     MATERIAL = "material"
 
 
-# Edges of the bands that frequencies are told in.
+# Edges of the frequency bands.
 BANDS_HZ = (0.0, 2.8e3, 5.6e3, 8e3, 11e3, 14e3, np.inf)
 BANDS = ("to 2.8 kHz", "2.8-5.6 kHz", "5.6-8 kHz", "8-11 kHz", "11-14 kHz", "from 14 kHz")
 
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Where in the problem a number stands; empty where a coordinate says nothing.
+    """Coordinates of a number; empty where a coordinate does not apply.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Coordinates:
 
 @dataclass(frozen=True)
 class ObservableGroup:
-    """n numbers of one tap.
+    """n numbers of one observable, compared with one prediction.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class ObservableGroup:
     covariance : (n, n) float
     coordinates : tuple of Coordinates
     parts : tuple of str
-        Parts of the twin that the prediction depends on.
+        Parts of the model that the prediction depends on.
     predict : callable
         ``predict(twin)`` gives (n,) float.
     whitening : (n, n) float
@@ -87,7 +87,7 @@ class ObservableGroup:
     whitening: Array
 
     def whitened_residual(self, twin: Twin) -> Array:
-        """What a twin leaves (n,), whitened."""
+        """Return the whitened residual (n,) of a model."""
         left: Array = self.whitening @ (self.values - self.predict(twin))
         return left
 
@@ -101,7 +101,7 @@ def observable_group(
     parts: Sequence[str],
     predict: Callable[[Twin], Array],
 ) -> ObservableGroup:
-    """Make a block.
+    """Return a group of observables.
 
     Parameters
     ----------
@@ -111,18 +111,18 @@ def observable_group(
     Raises
     ------
     FitInputError
-        If a number, or its error, is none.
+        If a number or its error is not finite.
     """
     numbers = np.asarray(values, dtype=float)
     if covariance.ndim == 1:
         covariance = np.diag(covariance**2)
-    told = np.isfinite(numbers) & np.isfinite(covariance).all(axis=0) & (np.diag(covariance) > 0)
-    if not told.all():
-        place = places[int(np.argmin(told))]
+    valid = np.isfinite(numbers) & np.isfinite(covariance).all(axis=0) & (np.diag(covariance) > 0)
+    if not valid.all():
+        place = places[int(np.argmin(valid))]
         words = " ".join(filter(None, (place.quantity, place.mode, place.time, place.level)))
         raise FitInputError(
-            f"{name}: no number with an error comes of {words}; look at the runs that it is of, or "
-            "leave them out"
+            f"{name}: {words} has no finite value and error; check the runs that it is "
+            "from, or leave them out"
         )
     lower = linalg.cholesky(covariance, lower=True)
     root = linalg.solve_triangular(lower, np.eye(len(numbers)), lower=True)
@@ -132,11 +132,11 @@ def observable_group(
 
 
 def band_of(hz: float) -> str:
-    """Name of the band of a frequency."""
+    """Return the name of the band of a frequency."""
     return BANDS[int(np.searchsorted(BANDS_HZ, hz, side="right")) - 1]
 
 
 def unknown_directions(*columns: tuple[Array, float]) -> Array:
-    """Covariance (n, n) of what is unknown in proportion to columns (n,), with their deviations."""
+    """Return the covariance (n, n) of unknown amounts of columns (n,), with their deviations."""
     total = sum(spread**2 * np.multiply.outer(column, column) for column, spread in columns)
     return np.asarray(total)

@@ -24,13 +24,13 @@ from physics.mechanics import ReedSolver
 Array = NDArray[np.floating[Any]]
 # Sets of as many effects that are fitted without straightening anything.
 _SETS = 3
-# Of converged elements beside their limit, modes of the vamp (decision 0009).
+# Difference of converged elements from their limit, modes of the vamp (decision 0009).
 MESH_CENTS = 4.0
 
 
 @dataclass(frozen=True)
 class ResonanceDiagnosis:
-    """All that resonances without a run tell.
+    """The answer of a diagnosis of resonances.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class ResonanceDiagnosis:
         The best pairs and triples.
     detectability : tuple of Detectability
     classes : tuple of tuple of str
-        Effects that such data do not tell apart.
+        Groups of effects that such data cannot separate.
     residual_cents : dict of (m,) float
         Data less elastic reed, per series.
     """
@@ -74,9 +74,9 @@ def diagnose_resonances(
         One per series.
     reed_solver : ReedSolver
     effects : sequence of Effect
-        Those that move no frequency are told to be out of reach.
+        Those without influence on frequencies are reported as undetectable.
     progress : callable, optional
-        Told the share that is done.
+        Called with the fraction that is done.
     largest_set : int
         Most effects that are tried together.
 
@@ -124,7 +124,7 @@ def diagnose_resonances(
 def _at_its_best(
     base: ResonanceProblem, elastic: FittedReed, effect: Effect
 ) -> tuple[LocatedEffect, Array]:
-    """An effect at its likeliest place, and what its sizes move there."""
+    """Return an effect at its likeliest location, and its signature there."""
     deviation = np.hypot(base.floor_cents, 0.5 * elastic.over_misfits()[1])
     found = [
         (located, _signature(base, elastic.estimate.z, located)) for located in locations_of(effect)
@@ -136,7 +136,7 @@ def _at_its_best(
 
 def _signature(base: ResonanceProblem, z: Array, located: LocatedEffect) -> Array:
     """Cents (n, k) per prior deviation of each of an effect's k sizes, at the elastic fit."""
-    # Far enough that rounding does not count, near enough to be straight.
+    # Large compared with rounding, small compared with the curvature.
     step, here = 0.05, base.predicted(z)
     problem, columns = replace(base, effects=(located,)), []
     for number in range(len(located.sizes)):
@@ -167,7 +167,7 @@ def _reach(
     columns: Mapping[str, Array],
     misfit_cents: float,
 ) -> tuple[Detectability, ...]:
-    """What such data could tell of effects beside a misfit that none of them explains."""
+    """Return how well such data detect effects, given a misfit that none explains."""
     deviation = np.hypot(base.floor_cents, misfit_cents)
     moduli, _ = np.linalg.qr(elastic.jacobian_cents / deviation[:, None])
     whole = {name: column / deviation[:, None] for name, column in columns.items()}

@@ -22,7 +22,7 @@ _DRAWS = 2000
 _STARTS = 2
 # Misfit with which parameters are searched for.
 _SEARCH_CENTS = 20.0
-# What neither model nor effect explains: alike likely on a scale of logarithms.
+# Misfits that neither model nor effect explains, cents; equally likely on a logarithmic scale.
 _MISFITS_CENTS = np.geomspace(1.0, 100.0, 13)
 _MODULI = ("E_L", "G_LT")
 
@@ -52,7 +52,7 @@ class Size:
 
 @dataclass(frozen=True)
 class ResonanceFit:
-    """What effects together take off the gap.
+    """Fit of the elastic reed with chosen effects.
 
     Attributes
     ----------
@@ -62,12 +62,12 @@ class ResonanceFit:
     rms_cents : dict of float
         What is left, per series.
     explained, explained_low, explained_high : float
-        Share of the explainable gap that is closed where the mode was left out of the fit, and its
+        Fraction of the gap that is explained where the mode was left out of the fit, and its
         95 % interval over modes.
     explained_other_series : dict of float
         The same in each series with sizes from the other one; empty if there is one series only.
     log_bayes : float
-        Log of the odds beside the elastic reed, in nats.
+        Log odds against the elastic reed, in nats.
     converged : bool
     moduli_pa : dict
         E_L and G_LT, per series.
@@ -183,7 +183,7 @@ class FittedReed:
         return cls(problem, estimate, left, estimate.jacobian * deviation[:, None])
 
     def linear(self, misfit_cents: float) -> MapEstimate:
-        """Fit anew with another misfit, along the slopes."""
+        """Refit the linearised model with another misfit."""
         return fit_linear(
             self.residual_cents,
             self.jacobian_cents,
@@ -212,7 +212,7 @@ class FittedReed:
         return -_left_out(J, estimate.residuals, names) * deviation
 
     def summary(self, elastic: "FittedReed") -> ResonanceFit:
-        """Trial beside the elastic reed."""
+        """Return the fit compared with the elastic reed."""
         problem, count = self.problem, len(_MODULI) * len(self.problem.reeds)
         own, misfit = self.over_misfits()
         reference, reference_misfit = elastic.over_misfits()
@@ -227,7 +227,7 @@ class FittedReed:
         before = elastic.held_out(reference_misfit) / problem.floor_cents
         after = self.held_out(misfit) / problem.floor_cents
         names = [name for reed in problem.reeds for name in reed.modes]
-        kappa, low, high = _kappa(before, after, names)
+        kappa, low, high = _explained(before, after, names)
         left = -at.residuals * np.hypot(problem.floor_cents, misfit)
         return ResonanceFit(
             effects=tuple(located.effect.id for located in problem.effects),
@@ -261,8 +261,8 @@ def _left_out(jacobian: Array, residuals: Array, names: Sequence[str]) -> Array:
     return answer
 
 
-def _kappa(before: Array, after: Array, names: Sequence[str]) -> tuple[float, float, float]:
-    """Share of the explainable gap that is closed, and its 95 % interval over modes.
+def _explained(before: Array, after: Array, names: Sequence[str]) -> tuple[float, float, float]:
+    """Return the explained fraction, and its 95 % interval over modes.
 
     Parameters
     ----------
@@ -304,7 +304,7 @@ def _moduli_pa(problem: ResonanceProblem, z: Array) -> dict[str, tuple[float, fl
 def _transferred(
     trial: FittedReed, elastic: FittedReed, misfit_cents: float, reference_cents: float
 ) -> dict[str, float]:
-    """Share of the gap closed in each series with sizes that only the other series has told."""
+    """Return the fraction explained in each series with the sizes of the other series."""
     problem = trial.problem
     if len(problem.reeds) < 2 or not problem.effects:
         return {}

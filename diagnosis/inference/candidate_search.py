@@ -35,25 +35,26 @@ from physics.effects.effect import Effect
 
 Array = NDArray[np.floating[Any]]
 SEED = 20_080_402
-# So many of the likeliest, unless they are that far behind in nats, are fitted with nothing taken
-# for straight.
+# The likeliest candidates, at most this many and within this many nats of the best, are refitted
+# with the nonlinear model.
 _MOST_REFINED, _FAR_BEHIND = 5, 8.0
-# The twin without effects is fitted from so many candidates' nuisances.
+# The model without effects is refitted from the nuisances of this many candidates.
 _MOST_POLISHED = 4
-# Of the best effects, all pairs; and the best with as many that explain most of what it leaves.
+# Pairs: all of the best effects, and the best with those that explain most of its residuals, if
+# they gain at least this many nats.
 _MOST_PAIRED, _MOST_BESIDE, _LEAST_GAIN = 5, 4, 3.0
-# In deviations of their priors, sizes far out.
+# Large sizes that are tried, in prior standard deviations.
 _FAR_SIZES = 2.0, 4.0, 6.0
-# Residuals of so many times their noise, squared, in the mean are far off; and nuisances of so many
-# deviations.
+# The model without effects is far off from this mean square residual, or this size of a nuisance
+# in prior standard deviations.
 _FAR_OFF, _FAR_BENT = 2.0, 4.0
-# An effect that gains so many nats where it gains most is tried at as many of its best places.
+# Effects that gain more than this many nats at their best location are refitted at this many.
 _MUCH, _MOST_PLACES = 20.0, 6
 
 
 @dataclass(frozen=True)
 class SearchStart:
-    """Where effects are looked for: beside nuisances (p,), and whether far out as well."""
+    """Nuisances (p,) from which effects are searched for, and whether large sizes are tried."""
 
     at: Array
     base: Baseline
@@ -61,10 +62,10 @@ class SearchStart:
 
 
 def search_starts(problem: InferenceProblem, null: Candidate) -> list[SearchStart]:
-    """Nuisances to begin with.
+    """Return the nuisances from which effects are searched for.
 
-    What fits are free to exchange may hide an effect: it is looked for without that as well. If the
-    twin without effects is far off, so may be all that it has been bent to.
+    Fit biases can hide an effect, so that the search also starts without them. If the model without
+    effects is far off, its nuisances may be too, so that the search also starts from none.
     """
     at = null.estimate.z
     found = [SearchStart(at, Baseline.at(problem, at))]
@@ -81,7 +82,7 @@ def search_starts(problem: InferenceProblem, null: Candidate) -> list[SearchStar
 def refine_best(
     problem: InferenceProblem, candidates: dict[str, Candidate], null: Candidate, effects: int
 ) -> None:
-    """Fit the likeliest candidates anew, with nothing taken for straight."""
+    """Refit the likeliest candidates with the nonlinear model."""
     ranked = rank_candidates(candidates, null, effects)[:_MOST_REFINED]
     if not ranked:
         return
@@ -115,7 +116,7 @@ def refit_without_effects(
     again = min(ends, key=lambda end: end.estimate.cost)
     gain = null.estimate.cost - again.estimate.cost
     if gain > SAME_COST:
-        # Searches that had agreed have agreed on something else.
+        # The searches that agreed had found a worse optimum.
         rng = np.random.default_rng(SEED)
         near = again.estimate.z + 0.3 * rng.standard_normal(len(again.estimate.z))
         return fit_model(problem, (), [again.estimate.z, near], exact=True)
@@ -127,7 +128,7 @@ def refit_without_effects(
 
 
 def _without(problem: InferenceProblem, start: Array) -> Candidate | None:
-    """Fit the twin without effects from one start; None if that is of no possible bench."""
+    """Fit the model without effects from one start; None if no such bench is possible."""
     with contextlib.suppress(ValueError):
         return fit_model(problem, (), [start], exact=True)
     return None
@@ -136,7 +137,7 @@ def _without(problem: InferenceProblem, start: Array) -> Candidate | None:
 def search_effect(
     problem: InferenceProblem, begun: Sequence[SearchStart], effect: Effect
 ) -> tuple[Array | None, Candidate | None]:
-    """What an effect moves (n, s) where it is usual, and its fit; None if it moves nothing."""
+    """Return the median signature (n, s) of an effect and its fit; None without a signature."""
     places = [screen_effect(problem, start.base, effect) for start in begun]
     table = most_typical(places[0]).signature if places[0] else None
     return table, _alone(problem, begun, places)
@@ -147,19 +148,19 @@ def _alone(
     begun: Sequence[SearchStart],
     places: Sequence[Sequence[ScreenedEffect]],
 ) -> Candidate | None:
-    """Fit one effect, at its best place; None if it moves nothing, or is of no possible reed.
+    """Fit one effect at its best location; None without a signature, or of no possible reed.
 
     Parameters
     ----------
     problem : InferenceProblem
     begun : sequence of SearchStart
     places : sequence of sequence of ScreenedEffect
-        The effect beside each of these.
+        The screened effect for each start.
     """
     fitted = [_at_its_best(problem, start, own) for start, own in zip(begun, places, strict=True)]
     found = [candidate for candidate in fitted if candidate is not None]
     if any(other.estimate.cost < found[0].estimate.cost for other in found[1:]):
-        # What is straight far from an optimum may promise more than there is.
+        # Far from an optimum the linearised model may promise too much.
         found = [
             exact
             for candidate in found
@@ -178,13 +179,13 @@ def _with_nonlinear_cost(problem: InferenceProblem, candidate: Candidate) -> Can
 def _at_its_best(
     problem: InferenceProblem, start: SearchStart, places: Sequence[ScreenedEffect]
 ) -> Candidate | None:
-    """Fit one effect at its best place, from where it is begun."""
+    """Fit one effect at its best location from one start."""
     if not places:
         return None
     ranked = sorted(places, key=lambda place: -place.gain)
     tried = [(ranked[0], ranked[0].sizes)]
     if ranked[0].gain > _MUCH:
-        # What does much need not be where it would be if it did as much of what little of it does.
+        # The best location of a large effect need not be that of the score test.
         for place in ranked[:_MOST_PLACES]:
             tried += [(place, place.sizes), (place, _first(place, np.sign(place.sizes[0])))]
     if start.far:
@@ -198,14 +199,14 @@ def _at_its_best(
     if not found:
         return None
     candidate, best = min(found, key=lambda pair: pair[0].estimate.cost)
-    # Elsewhere it is worse by as much as its signature says; here the fit is exact.
+    # Other locations are worse by what the score test says; here the fit is exact.
     count = count_locations(best.located.effect)
     others = float(logsumexp([place.gain - ranked[0].gain for place in places]) - np.log(count))
     return replace(candidate, other_locations=others)
 
 
 def _far_out(problem: InferenceProblem, about: Array, place: ScreenedEffect) -> list[Array]:
-    """Sizes (s,) far out that are better than none, though a little of the effect may not be."""
+    """Return large sizes (s,) that are better than none, even if small ones are not."""
     signs = (1.0,) if place.located.sizes[0].positive else (1.0, -1.0)
     sizes = [_first(place, sign * size) for sign in signs for size in _FAR_SIZES]
     effects = (place.located,)
@@ -216,14 +217,14 @@ def _far_out(problem: InferenceProblem, about: Array, place: ScreenedEffect) -> 
 
 
 def _first(place: ScreenedEffect, size: float) -> Array:
-    """Sizes (s,) of which the first is given and the others are usual."""
+    """Return sizes (s,) with the first given and the others at their prior centre."""
     sizes: Array = np.zeros(len(place.sizes))
     sizes[0] = size
     return sizes
 
 
 def confusable_pairs(signatures: Mapping[str, tuple[Array, Array]]) -> set[frozenset[str]]:
-    """Pairs of effects so alike that both together are but one that need not have its form."""
+    """Return pairs of effects that are confusable, and therefore not fitted together."""
     return {
         frozenset((one, other))
         for one, other in combinations(signatures, 2)
@@ -238,9 +239,9 @@ def fit_pairs(
     effects: Sequence[Effect],
     alike: set[frozenset[str]],
 ) -> dict[str, Candidate]:
-    """Fit pairs: of the best effects, and of the best with what explains what it leaves.
+    """Fit pairs: of the best effects, and of the best with those that explain its residuals.
 
-    Not of effects that are alike.
+    Confusable effects are not paired.
     """
     ranked = sorted(alone.values(), key=lambda candidate: -candidate.log_evidence)
     best = [r for r in ranked if r.log_evidence > null.log_evidence + _LEAST_GAIN][:_MOST_PAIRED]
@@ -263,7 +264,7 @@ def undetectable_alternatives(
     effects: Sequence[Effect],
     alike: set[frozenset[str]],
 ) -> dict[str, tuple[str, float]]:
-    """What may be there beside nothing, or beside the likeliest effect, and need not show."""
+    """Return effects that may be present, alone or with the likeliest, without being seen."""
     found = {effect.id: (NONE, 0.0) for effect in effects if effect.id not in alone}
     best = max(alone.values(), key=lambda candidate: candidate.log_evidence, default=null)
     if best.log_evidence < null.log_evidence + _LEAST_GAIN:
@@ -276,7 +277,7 @@ def undetectable_alternatives(
             continue
         other = alone.get(effect.id)
         more = screen_at(problem, base, other.effects[0]) if other else None
-        # What would show is among the pairs that were fitted, or would do no better there.
+        # An effect that would be seen is among the fitted pairs, or gains nothing there.
         found[name] = first, min(more.gain, 0.0) if more else 0.0
     return found
 
@@ -287,7 +288,7 @@ def _beside(
     alone: Mapping[str, Candidate],
     effects: Sequence[Effect],
 ) -> list[Candidate]:
-    """Effects that explain most of what the first leaves."""
+    """Return effects that explain most of the residuals of the first."""
     gains, base = {}, Baseline.of(problem, first)
     for effect in effects:
         other = alone.get(effect.id)
@@ -301,7 +302,7 @@ def _beside(
 
 
 def _about(problem: InferenceProblem, both: tuple[Candidate, Candidate]) -> Array:
-    """Nuisances (p,) from where a pair is fitted: those of the better."""
+    """Return the nuisances (p,) from which a pair is fitted: those of the better effect."""
     better = min(both, key=lambda candidate: candidate.estimate.cost)
     return better.estimate.z[: len(problem.nuisances)]
 
@@ -313,14 +314,14 @@ def _pair(problem: InferenceProblem, one: Candidate, other: Candidate) -> Candid
     pair = fit_linearised_or_none(problem, (*first.effects, *second.effects), about, sizes)
     if pair is None:
         return None
-    # Each is where it was found; elsewhere they are as much worse as by themselves.
+    # Both stay at their locations; other locations count as for each alone.
     return replace(pair, other_locations=one.other_locations + other.other_locations)
 
 
 def fit_linearised_or_none(
     problem: InferenceProblem, effects: Sequence[LocatedEffect], about: Array, sizes: Array
 ) -> Candidate | None:
-    """Candidate with all that nuisances do taken for straight; None of no possible reed."""
+    """Fit the linearised model; None if no such reed is possible."""
     try:
         return fit_linearised(problem, effects, about, sizes)
     except ValueError:

@@ -39,13 +39,13 @@ _LEAST_GAIN = 1e-4
 
 @dataclass(frozen=True)
 class Candidate:
-    """A twin with chosen effects, fitted.
+    """The model with chosen effects, fitted.
 
     Attributes
     ----------
     effects : tuple of LocatedEffect
     estimate : MapEstimate
-        Of nuisances, then of the effects' sizes; residuals and slopes in units of `deviation`.
+        Of nuisances, then of the effects' sizes; residuals and Jacobian in units of `deviation`.
     fit_log_evidence : float
         Log evidence of the fit.
     chi2 : dict of float
@@ -54,7 +54,7 @@ class Candidate:
         Standard deviation of the whitened residuals: 1, and more where the effects do much, which
         have not quite the form that the catalogue gives them.
     other_locations : float
-        What other places of the effects add to the log evidence.
+        What other locations of the effects add to the log evidence.
     """
 
     effects: tuple[LocatedEffect, ...]
@@ -66,12 +66,12 @@ class Candidate:
 
     @property
     def log_evidence(self) -> float:
-        """Of the fit, and of other places."""
+        """Log evidence of the fit and of other locations."""
         return self.fit_log_evidence + self.other_locations
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Ids of the effects."""
+        """Identifiers of the effects."""
         return tuple(located.effect.id for located in self.effects)
 
     @property
@@ -82,7 +82,7 @@ class Candidate:
 
     @property
     def size_estimates(self) -> dict[str, list[tuple[Parameter, float, float]]]:
-        """Of every effect, by its id, each size and its error in units of the prior."""
+        """For each effect, its sizes with value and error in units of the prior."""
         errors = np.sqrt(np.diag(self.estimate.covariance))[-len(self.sizes) :]
         found = iter(zip(self.sizes.tolist(), errors.tolist(), strict=True))
         return {
@@ -92,13 +92,13 @@ class Candidate:
 
     @property
     def whitened_residual(self) -> Array:
-        """What is left (n,), whitened."""
+        """Whitened residuals (n,)."""
         left: Array = self.estimate.residuals * self.deviation
         return left
 
     @property
     def free_jacobian(self) -> Array:
-        """Derivatives (n, q) of the estimate's residuals along all that is not held at 0."""
+        """Jacobian (n, q) of the estimate along all parameters that are not held at 0."""
         positive = [size.positive for located in self.effects for size in located.sizes]
         held = np.zeros(len(self.estimate.z), dtype=bool)
         held[len(held) - len(positive) :] = np.array(positive, dtype=bool) & (self.sizes <= 0)
@@ -106,19 +106,19 @@ class Candidate:
         return free
 
     def twin(self, problem: InferenceProblem) -> Twin:
-        """The twin as fitted."""
+        """Return the fitted model."""
         count = len(problem.nuisances)
         return self.changed(problem.twin(self.estimate.z[:count]), self.sizes)
 
     def changed(self, twin: Twin, sizes: Array) -> Twin:
-        """A twin with the candidate's effects at other sizes (s,)."""
+        """Return a model with the candidate's effects at other sizes (s,)."""
         return with_effects(twin, self.effects, sizes)
 
 
 def d_prime(null: Candidate, candidate: Candidate) -> float:
-    """By how many deviations a candidate's likelihood stands out of that without effects.
+    """Return at how many standard deviations a candidate is detected, against no effect.
 
-    What an effect moves is less certain by itself, which a cost in units of that does not tell.
+    The form of an effect adds to its uncertainty, which is corrected for.
     """
     form = 2 * float(np.sum(np.log(candidate.deviation)) - np.sum(np.log(null.deviation)))
     gain = null.estimate.cost - candidate.estimate.cost - form
@@ -132,17 +132,17 @@ def fit_model(
     *,
     exact: bool = False,
 ) -> Candidate:
-    """Fit a twin with effects.
+    """Fit the model with effects.
 
     Parameters
     ----------
     problem : InferenceProblem
     effects : sequence of LocatedEffect
-        None is the twin without any.
+        Empty for the model without effects.
     starts : sequence of (p + s,) float
         Nuisances, then sizes of all effects.
     exact : bool
-        Whether slopes along the nuisances are to be those where the fit ends.
+        Whether the Jacobian along the nuisances is taken where the fit ends.
 
     Raises
     ------
@@ -177,17 +177,18 @@ def fit_model(
     found = fit(residuals, positive, ends, close, _LEAST_GAIN)
     agreeing = found.consistent_starts
     if found.decrement > LEAST_DECREMENT:
-        # Slopes of a little way off show steps that there are not.
+        # A Jacobian taken a little way off can show a step that is not there.
         found = fit(residuals, positive, [found.z], closer, _LEAST_GAIN)
-    # Searches that end at no possible reed agree with none.
+    # Searches that end at no possible reed agree with none of the others.
     found = replace(found, consistent_starts=agreeing, starts=len(starts))
     return _loosened(problem, effects, by_effects(found.z), found)
 
 
 class _Slopes:
-    """Slopes along the nuisances beside effects, taken anew where a fit has moved far.
+    """Jacobians along the nuisances, given effects, taken again where a fit has moved far.
 
-    At most so often: fits that move on and on explain nothing, and slopes cost most of the time.
+    Their number is limited: fits that keep moving explain nothing, and Jacobians take most of the
+    time.
     """
 
     def __init__(
@@ -221,7 +222,7 @@ def _ends(
     starts: Sequence[Array],
     jacobian: Callable[[Array], Array],
 ) -> list[Array]:
-    """Where searches end that begin at each of some starts; those of no possible reed do not."""
+    """Return where searches from each start end, except those of no possible reed."""
     ends = []
     for start in starts:
         with contextlib.suppress(ValueError):
@@ -232,14 +233,14 @@ def _ends(
 def fit_linearised(
     problem: InferenceProblem, effects: Sequence[LocatedEffect], about: Array, sizes: Array
 ) -> Candidate:
-    """Fit a twin with effects as if all that nuisances do were straight.
+    """Fit the model with effects, linearised in the nuisances.
 
     Parameters
     ----------
     problem : InferenceProblem
     effects : sequence of LocatedEffect
     about : (p,) float
-        Nuisances at which slopes are taken.
+        Nuisances at which the model is linearised.
     sizes : (s,) float
         To begin with.
 
@@ -270,16 +271,16 @@ def fit_linearised(
 
 
 def prepare_jacobian(problem: InferenceProblem, about: Array) -> None:
-    """Take the slopes at nuisances (p,) that all fits need which take those for straight."""
+    """Compute the Jacobian at nuisances (p,) that linearised fits there share."""
     problem.jacobian(about, NEAR)
 
 
 def linearised_cost(
     problem: InferenceProblem, effects: Sequence[LocatedEffect], about: Array, sizes: Array
 ) -> float:
-    """Least cost of effects of given sizes (s,) if all that nuisances do were straight.
+    """Return the least cost of effects of given sizes (s,) in the linearised model.
 
-    Infinite of no possible reed. Parameters as those of `fit_linearised`.
+    Infinite if no such reed is possible. Parameters as those of `fit_linearised`.
     """
     slope = problem.jacobian(about, NEAR)
     try:

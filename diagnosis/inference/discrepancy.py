@@ -1,8 +1,8 @@
-"""Something that no effect explains: any numbers of any blocks may be off, in no known way.
+"""Discrepancies: something unknown that shifts numbers of any group of observables.
 
-Of each block it is asked how much likelier its numbers are if something unknown moves them, alike
-in a mode, a band, a time, in all of these or in one alone, or each by itself, or ever more with
-time, by any of several sizes. What is unknown moves one block, or a few.
+For each group, the evidence is computed that something unknown shifts its numbers: equally within
+a mode, a band or a time, in all of these or in one alone; each number by itself; or as a drift.
+Several sizes are tried. Something unknown shifts one group or a few.
 """
 
 from collections.abc import Iterator, Mapping
@@ -21,21 +21,21 @@ from diagnosis.observable_groups import ObservableGroup
 
 Array = NDArray[np.floating[Any]]
 
-# Unknown things have any of these sizes, in standard deviations of the numbers that they move.
+# Sizes of a discrepancy that are tried, in standard deviations of the numbers.
 _SIZES = (2.0, 5.0, 15.0, 50.0, 150.0, 500.0)
 _KINDS = ("each", "quantity", "mode", "band", "time", "drift")
 _ONE_ALONE = "mode", "band", "time"
-# Of so many modes, bands or times, of all quantities of a block, one may be moved alone.
+# A single mode, band or time is tried alone if a group has at least this many.
 _FEWEST_OTHERS = 3
-# Fewer times tell no drift.
+# Fewer times do not determine a drift.
 _LEAST_TIMES = 4
-# Probability that something unknown moves one block, two, three.
+# Probability that something unknown shifts one group, two, three.
 _BLOCKS = (0.6, 0.25, 0.15)
 
 
 @dataclass(frozen=True)
 class _Left:
-    """What a candidate leaves of d campaigns, and what takes part of it up.
+    """Residuals of a candidate on d campaigns, and the Jacobian that absorbs part of them.
 
     Attributes
     ----------
@@ -52,11 +52,11 @@ class _Left:
     deviation: Array
 
     def of(self, piece: slice) -> tuple[Array, Array]:
-        """Residuals (k, d) of a block, and their covariance (k, k)."""
+        """Return the residuals (k, d) of a group, and their covariance (k, k)."""
         return self.residuals[piece], residual_covariance(self.slopes, piece)
 
-    def beside(self, columns: Array) -> "_Left":
-        """What is left once columns (n, c) are free as well, of priors of variance 1."""
+    def with_columns(self, columns: Array) -> "_Left":
+        """Return the residuals after columns (n, c) with unit priors have been fitted too."""
         slopes = np.hstack([self.slopes, columns])
         # At an optimum, slopes pull as hard as priors do: only new columns are not at theirs.
         pull = np.zeros((slopes.shape[1], self.residuals.shape[1]))
@@ -69,14 +69,14 @@ class _Left:
 def group_discrepancies(
     problem: InferenceProblem, candidate: Candidate, residuals: Array | None = None
 ) -> dict[str, Array]:
-    """Log Bayes factors of something unknown in each block beside a candidate, by the block's name.
+    """Return log Bayes factors of something unknown in each group, given a candidate.
 
     Parameters
     ----------
     problem : InferenceProblem
     candidate : Candidate
     residuals : (n, d) float, optional
-        What the candidate leaves of d campaigns; of the one that it was fitted to if not given.
+        Residuals on d campaigns; by default those of the fit.
 
     Returns
     -------
@@ -93,13 +93,13 @@ def group_discrepancies(
 
 
 def log_bayes_any_group(factors: Mapping[str, Array]) -> Array:
-    """Log Bayes factors (d,) of something unknown that moves any one block."""
+    """Return log Bayes factors (d,) of something unknown that shifts any one group."""
     total: Array = logsumexp(np.stack(list(factors.values())), axis=0) - np.log(len(factors))
     return total
 
 
 def log_bayes_any_unknown(problem: InferenceProblem, candidate: Candidate) -> float:
-    """Log Bayes factor of something unknown that moves any one block, or a few together."""
+    """Return the log Bayes factor of something unknown that shifts one group or a few."""
     left = _Left(
         candidate.estimate.residuals[:, None], candidate.free_jacobian, candidate.deviation
     )
@@ -112,7 +112,7 @@ def log_bayes_any_unknown(problem: InferenceProblem, candidate: Candidate) -> fl
         best = int(np.argmax([factor for factor, _ in tried]))
         if tried[best][0] <= 0:
             break
-        # What is moved has its columns from now on.
+        # A shifted group keeps its columns from here on.
         gained += tried[best][0]
         left = tried[best][1]
         del still[best]
@@ -122,14 +122,14 @@ def log_bayes_any_unknown(problem: InferenceProblem, candidate: Candidate) -> fl
 def _with_unknown(
     problem: InferenceProblem, left: _Left, block: ObservableGroup
 ) -> tuple[float, _Left]:
-    """Log Bayes factor of something unknown in a block, and what is left beside it."""
+    """Return the log Bayes factor of something unknown in a group, and what it leaves."""
     piece = problem.slices[block.name]
     found = [(float(gain[0]), moved) for gain, moved in _gains(left, piece, block)]
     _, moved = max(found, key=lambda way: way[0])
     columns = np.zeros((len(left.residuals), moved.shape[1]))
     columns[piece] = moved
-    after = left.beside(columns)
-    # Of the twin it is known that its noise may be larger: less so where less is left.
+    after = left.with_columns(columns)
+    # Larger noise is part of the model already: it explains less where less is left.
     usual = noise_inflation_gain(problem, left.residuals[:, 0]) - noise_inflation_gain(
         problem, after.residuals[:, 0]
     )
@@ -140,17 +140,14 @@ def _with_unknown(
 def _factor(left: _Left, piece: slice, block: ObservableGroup) -> Array:
     own, _ = left.of(piece)
     gains = [gain for gain, _ in _gains(left, piece, block)]
-    # Of the twin it is known that its noise may be larger.
+    # Larger noise is part of the model already.
     usual = np.array([group_noise_gain(chi2, len(own)) for chi2 in np.sum(own**2, axis=0).tolist()])
     factor: Array = logsumexp(gains, axis=0) - np.log(len(gains)) - usual
     return factor
 
 
 def _gains(left: _Left, piece: slice, block: ObservableGroup) -> Iterator[tuple[Array, Array]]:
-    """Yield what log evidence (d,) gains by each kind of something unknown, and each size.
-
-    With each what it moves (k, c), in units of the noise.
-    """
+    """Yield the gain of log evidence (d,) and the columns (k, c) of each discrepancy."""
     own, told = left.of(piece)
     for kind in _KINDS:
         table = _table(block, kind)
@@ -170,14 +167,14 @@ def _gains(left: _Left, piece: slice, block: ObservableGroup) -> Iterator[tuple[
 
 
 def _gained(along: Array, known: Array, size: float) -> Array:
-    """Gain (c, d) of what moves along each of c directions, of which so much is known (c,)."""
+    """Return the gain (c, d) of a shift along c directions with information `known` (c,)."""
     grown = 1 + size**2 * np.maximum(known, 0)[:, None]
     gained: Array = 0.5 * (size**2 * along / grown - np.log(grown))
     return gained
 
 
 def _table(block: ObservableGroup, kind: str) -> Array | None:
-    """Columns (n, c) along which something unknown may move a block, whitened."""
+    """Return whitened columns (n, c) along which something unknown may shift a group."""
     if kind == "each":
         return np.eye(len(block.values))
     moved = _drifting(block) if kind == "drift" else _alike(block, kind)
@@ -189,7 +186,7 @@ def _table(block: ObservableGroup, kind: str) -> Array | None:
 
 
 def _alike(block: ObservableGroup, kind: str) -> Array | None:
-    """Columns (n, c) of ones, where a quantity has one mode, band or time."""
+    """Return columns (n, c) of ones where a quantity has one mode, band or time."""
     labels = [f"{place.quantity} {getattr(place, kind)}" for place in block.coordinates]
     names = sorted(set(labels))
     if len(names) in (1, len(labels)) and kind != "quantity":
@@ -198,7 +195,7 @@ def _alike(block: ObservableGroup, kind: str) -> Array | None:
 
 
 def _drifting(block: ObservableGroup) -> Array | None:
-    """Columns (n, c) along which a quantity moves in step with time."""
+    """Return columns (n, c) along which a quantity drifts with time."""
     columns = []
     for quantity in dict.fromkeys(place.quantity for place in block.coordinates):
         own = np.array([place.quantity == quantity for place in block.coordinates])

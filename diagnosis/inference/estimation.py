@@ -1,9 +1,9 @@
-"""Fit a twin to data: Gaussian noise, proper priors, evidence, and a certificate that it is a fit.
+"""Fit parameters with Gaussian noise and proper priors, with evidence and a check of convergence.
 
-Parameters are told in units of their priors: 0 is the prior's centre, ±1 a standard deviation. One
-that cannot be negative has half a Gaussian. Everything here is least squares of whitened residuals
-``r(z)`` and of z itself, by Levenberg and Marquardt; evidence is Laplace's, with what a bound cuts
-off the posterior along the parameters that it binds.
+Parameters z are in units of their priors: 0 is the prior's centre, ±1 a standard deviation. One
+that cannot be negative has half a Gaussian. The cost is the sum of squares of the whitened
+residuals ``r(z)`` and of z, minimised by Levenberg–Marquardt. Evidence is Laplace's approximation,
+corrected for what a bound cuts off the posterior.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,13 +18,13 @@ from scipy.special import log_ndtr
 Array = NDArray[np.floating[Any]]
 Residuals = Callable[[Array], Array]
 
-# Of a parameter's standard deviation, for slopes.
+# Step of finite differences, in prior standard deviations.
 _STEP = 1e-3
 _MOST_ITERATIONS = 60
 _LEAST_GAIN = 1e-7
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-2, 1e-9, 1e9
-# A fit is certified if two starts end this near to each other, and the last step that the
-# curvature asks for would gain no more than this.
+# A fit has converged if two starts end within this cost of each other, and a further full step
+# would gain no more than this decrement.
 SAME_COST, LEAST_DECREMENT = 1.0, 0.1
 # Starts lie within this many standard deviations of the prior.
 _START_SPREAD = 1.0
@@ -67,7 +67,7 @@ class MapEstimate:
 
     @property
     def converged(self) -> bool:
-        """Whether it is known to be the fit, and not where a search has stopped."""
+        """Whether two starts agree, and a further step would gain nothing."""
         return self.consistent_starts >= min(2, self.starts) and self.decrement < LEAST_DECREMENT
 
     @property
@@ -137,7 +137,7 @@ def fit(
 
 
 def posterior_covariance(slopes: Array) -> Array:
-    """Covariance (p, p) of parameters of which slopes (n, p) of whitened residuals tell."""
+    """Return the posterior covariance (p, p) of parameters with a whitened Jacobian (n, p)."""
     p = slopes.shape[1]
     covariance: Array = linalg.cho_solve(
         linalg.cho_factor(np.eye(p) + slopes.T @ slopes), np.eye(p)
@@ -146,16 +146,16 @@ def posterior_covariance(slopes: Array) -> Array:
 
 
 def absorbed_part(slopes: Array, moved: Array) -> Array:
-    """What parameters of slopes (n, p) take up of residuals that move (n, d)."""
+    """Return the part of a shift (n, d) that parameters with Jacobian (n, p) absorb."""
     answer: Array = slopes @ (posterior_covariance(slopes) @ (slopes.T @ moved))
     return answer
 
 
 def marginalised_signature(slopes: Array, moved: Array) -> Array:
-    """Residuals that move (n, d), in units of all that is uncertain: the root of what is left.
+    """Return a signature (n, d) whitened by noise and nuisance covariance.
 
-    Squares of columns are by how much the cost rises if nothing but parameters of slopes (n, p) is
-    there to take them up.
+    Squares of its columns are the increase of the cost if only nuisances, Jacobian (n, p), can
+    absorb the signature.
     """
     along, size, _ = np.linalg.svd(slopes, full_matrices=False)
     out: Array = moved - along @ ((1 - 1 / np.hypot(1.0, size))[:, None] * (along.T @ moved))
@@ -163,7 +163,7 @@ def marginalised_signature(slopes: Array, moved: Array) -> Array:
 
 
 def residual_covariance(slopes: Array, some: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Array:
-    """Covariance (k, k) of some residuals, at the optimum of parameters of slopes (n, p)."""
+    """Return the covariance (k, k) of some residuals at the optimum, Jacobian (n, p)."""
     own = slopes[some]
     left: Array = np.eye(len(own)) - own @ posterior_covariance(slopes) @ own.T
     return left

@@ -1,4 +1,4 @@
-"""Evidence by importance sampling, where Laplace's is to be checked."""
+"""Check Laplace's evidence by importance sampling."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,10 +14,10 @@ from diagnosis.inference.problem import InferenceProblem
 
 Array = NDArray[np.floating[Any]]
 
-# Draws are from Student's distribution, wider than the posterior.
+# Degrees of freedom of Student's distribution, and its width over the posterior's.
 _FREEDOMS, _WIDER = 4, 1.5
 _DRAWS = 96
-# Fewer draws that count tell no evidence.
+# With fewer effective draws Laplace's evidence stays.
 _LEAST_EFFECTIVE = 10.0
 
 
@@ -28,9 +28,9 @@ class Sampled:
     Attributes
     ----------
     gain : float
-        What the log evidence is more than Laplace's.
+        Log evidence minus Laplace's.
     effective : float
-        How many draws count.
+        Effective number of draws.
     """
 
     gain: float
@@ -42,7 +42,7 @@ def sampled(
 ) -> Sampled:
     """Sample a candidate's evidence.
 
-    Sizes are drawn; nuisances, along which the twin is straight, are integrated for each draw.
+    Sizes are drawn; nuisances, in which the model is linear, are integrated for each draw.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def sampled(
 
 
 def checked(problem: InferenceProblem, candidate: Candidate) -> tuple[Candidate, Sampled]:
-    """Candidate with its evidence by importance sampling, if enough draws count."""
+    """Return a candidate with its sampled evidence, if enough draws are effective."""
     found = sampled(problem, candidate)
     if found.effective < _LEAST_EFFECTIVE:
         return candidate, found

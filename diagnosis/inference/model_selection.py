@@ -42,41 +42,41 @@ from fitting.parallel.processes import map_processes
 from physics.effects.effect import Effect
 
 Array = NDArray[np.floating[Any]]
-# Candidates whose evidence is within so many nats are sampled.
+# Candidates whose log evidence is within this many nats are checked by importance sampling.
 _CLOSE = 5.0
-# So many searches from elsewhere may end in a worse place, or nowhere.
+# Most searches from other starts: some end in a worse optimum or do not come to rest.
 _MOST_AGAIN = 4
-# Beside so many of the likeliest something unknown is looked for, of this prior.
+# Something unknown is tried in addition to this many of the likeliest effects.
 _LOOKED_BESIDE = 3
 
 
 @dataclass(frozen=True)
 class ModelSelection:
-    """All candidates.
+    """All candidates and the probability of each.
 
     Attributes
     ----------
     null : Candidate
     single : dict of Candidate
-        By id.
+        Candidates with one effect, by identifier.
     pairs : dict of Candidate
-        By ids joined by '+'.
+        Candidates with two effects, by identifiers joined by '+'.
     signatures : dict of ((n, s) float, (n, s) float)
-        What effects move where that is usual for them, whitened, and what of it stands out.
+        Whitened and marginalised signature of each effect, at its median location.
     group_log_bayes : dict of float
-        Log Bayes factor of something unknown in each block, beside none.
+        Log Bayes factor of something unknown in each group, against no effect.
     unknown_log_bayes : float
-        The same in any of them, or in a few.
+        The same in any group, or in a few.
     unknown_log_bayes_with : dict of float
-        Log Bayes factor of something unknown beside each of the likeliest candidates, by its ids.
+        Log Bayes factor of something unknown in addition to each of the likeliest candidates.
     sampled : dict of Sampled
-        Of candidates so near that their evidence was sampled.
+        Importance samples of candidates with similar evidence.
     undetectable : dict of (str, float)
-        What may be there and need not show, and was not fitted: effects that move nothing here, and
-        pairs of the likeliest effect with any other. Of each what it is beside, and what its
-        evidence is more by.
+        Alternatives that need not be seen and were not fitted: effects without a signature here,
+        and pairs of the likeliest effect with another one. For each the effect that it is
+        paired with, and the gain of log evidence.
     log_probability : dict of float
-        Of `NONE`, `UNKNOWN`, ids, and ids of pairs joined by '+'.
+        Log probability of `NONE`, `UNKNOWN`, effects, and pairs joined by '+'.
     """
 
     null: Candidate
@@ -92,11 +92,11 @@ class ModelSelection:
 
     @property
     def probability(self) -> dict[str, float]:
-        """Of each name."""
+        """Probability of each hypothesis."""
         return {name: float(np.exp(log)) for name, log in self.log_probability.items()}
 
     def candidate(self, name: str) -> Candidate | None:
-        """Candidate of a name; None of `NONE` and `UNKNOWN`."""
+        """Return the candidate of a name; None for `NONE`, `UNKNOWN` and what was not fitted."""
         return self.single.get(name) or self.pairs.get(name)
 
 
@@ -105,7 +105,15 @@ def select_model(
     effects: Sequence[Effect],
     progress: Callable[[float], None] | None = None,
 ) -> ModelSelection:
-    """Let all effects compete."""
+    """Fit all candidates, and weigh them by evidence and prior.
+
+    Parameters
+    ----------
+    problem : InferenceProblem
+    effects : sequence of Effect
+    progress : callable, optional
+        Called with the fraction that is done.
+    """
     report = progress or (lambda _share: None)
     rng = np.random.default_rng(SEED)
     nothing = np.zeros(len(problem.nuisances))
@@ -168,7 +176,7 @@ def refit_candidate(
 
 
 def likeliest_unknown(found: ModelSelection, effects: int) -> str:
-    """Beside which of so many effects, which pair or none something unknown is likeliest."""
+    """Return the effect, pair or `NONE` in addition to which something unknown is likeliest."""
     logs = log_odds_with_unknown(
         {**found.single, **found.pairs}, found.null, found.unknown_log_bayes_with, effects
     )
@@ -183,7 +191,7 @@ def _settle(
     effects: int,
     rng: np.random.Generator,
 ) -> dict[str, Sampled]:
-    """Fit the best two again from elsewhere, and sample their evidence if they are close.
+    """Refit the best candidate from other starts, and sample the best two if they are close.
 
     Replaces them among the candidates.
     """
@@ -205,9 +213,9 @@ def _settle(
 def refit_from_elsewhere(
     problem: InferenceProblem, candidate: Candidate, rng: np.random.Generator
 ) -> Candidate:
-    """Fit a candidate from its optimum, and from elsewhere: a certificate that it is the optimum.
+    """Fit a candidate from its optimum and from other starts, to confirm the optimum.
 
-    A search from elsewhere may end in a worse one, or not come to rest; the next may.
+    A search may end in a worse optimum or not come to rest; then the next one is tried.
     """
     p, again = len(problem.nuisances), candidate
     for _ in range(_MOST_AGAIN):

@@ -1,4 +1,4 @@
-"""What differs from bench to bench and reed to reed without the twin being wrong."""
+"""Nuisance parameters: what differs between benches and reeds although the model is right."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from physics.twin import (
 
 @dataclass(frozen=True)
 class Nuisance:
-    """One such thing; 0 is the nominal twin.
+    """One nuisance parameter; 0 is the nominal model.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class Nuisance:
         ``change(twin, value)``: the twin with it.
     source : str
     of_fits : bool
-        Whether it is what fits of sweeps take for something else.
+        Whether it is a fit bias.
     """
 
     name: str
@@ -61,14 +61,14 @@ def _drive(name: str, spread: float, source: str) -> Nuisance:
     )
 
 
-def _beside(part: int) -> Nuisance:
+def _bypass(part: int) -> Nuisance:
     def change(twin: Twin, value: float) -> Twin:
-        beside = list(twin.drive.bypass)
-        beside[part] += value
-        drive = replace(twin.drive, bypass=(beside[0], beside[1]))
+        bypass = list(twin.drive.bypass)
+        bypass[part] += value
+        drive = replace(twin.drive, bypass=(bypass[0], bypass[1]))
         return replace(twin, drive=drive)
 
-    name = ("beside, real", "beside, imaginary")[part]
+    name = ("bypass, real", "bypass, imaginary")[part]
     return Nuisance(name, "", 0.04, change, "sound that goes around: some per cent")
 
 
@@ -111,18 +111,18 @@ NUISANCES: Final[tuple[Nuisance, ...]] = (
     _drive("resonance_excess", 0.07, "the same device, taken apart and put together"),
     _drive("resonance_quality", 0.07, "the same device, taken apart and put together"),
     _drive("resonance_shift", 0.004, "speed of sound within 2 degrees"),
-    _beside(0),
-    _beside(1),
+    _bypass(0),
+    _bypass(1),
     *(_layer(along, across) for along in range(4) for across in range(4) if along + across < 5),
 )
 
-# What fits take a drive for a mode by: cents, and a logarithm of the loss.
+# Fit bias of a mode: cents, and logarithm of the loss.
 _EXCHANGED_CENTS, _EXCHANGED_LOSS = 12.0, 0.12
 _METHOD = "fits of simulated sweeps: a few of a hundred modes are 10 to 40 cents off"
 
 
 def of_fits(modes: Sequence[str]) -> tuple[Nuisance, ...]:
-    """What fits may have exchanged between the drive and each of some modes."""
+    """Return the fit biases of modes: frequency and loss that a fit has mistaken for the drive."""
     of_each = (
         ("cents", "cents", _EXCHANGED_CENTS, (1.0, 0.0)),
         ("loss", "", _EXCHANGED_LOSS, (0.0, 1.0)),

@@ -1,7 +1,7 @@
-"""Signs that the cause is none of the catalogue's, each beside what chance makes of it.
+"""Predictive checks: signs that the cause is not in the catalogue, each compared with chance.
 
-Chance is what campaigns would show in which the best candidate were true: noise, nuisances and the
-form of its effects are drawn, and the same is done to each as to the one that was measured.
+Campaigns are drawn from the candidate that is named, with noise, nuisances and the form of its
+effects, and evaluated as the measured one is.
 """
 
 from collections.abc import Sequence
@@ -20,23 +20,22 @@ from diagnosis.inference.problem import InferenceProblem
 Array = NDArray[np.floating[Any]]
 
 _DRAWS = 1000
-# Errors of fits have longer tails than a Gaussian's: Student's, of so many freedoms.
+# Degrees of freedom of Student's distribution: errors of fits have longer tails than a Gaussian.
 _FREEDOMS = 5
-# Signs that chance shows more seldom than this count.
+# A check is significant if chance makes as much in a smaller fraction of campaigns.
 _SELDOM = 0.01
 
 
 @dataclass(frozen=True)
 class PredictiveCheck:
-    """One sign.
+    """One predictive check.
 
     Attributes
     ----------
     id, description : str
     value : float
     chance : float
-        Share of campaigns without anything unknown in which it is as large; no less than one in as
-        many as were drawn.
+        Fraction of drawn campaigns, without anything unknown, in which the value is as large.
     """
 
     id: str
@@ -46,14 +45,14 @@ class PredictiveCheck:
 
     @property
     def significant(self) -> bool:
-        """Whether chance hardly explains it."""
+        """Whether chance does not explain the value."""
         return self.chance < _SELDOM
 
 
 def predictive_checks(
     problem: InferenceProblem, candidate: Candidate, condition: Sequence[str], seed: int = 0
 ) -> tuple[PredictiveCheck, ...]:
-    """Look for all signs beside a candidate.
+    """Make all predictive checks of a candidate.
 
     Parameters
     ----------
@@ -68,33 +67,33 @@ def predictive_checks(
     rng = np.random.default_rng(seed)
     both = _with_drawn(candidate, rng)
     found = [
-        _sign("discrepancy", "numbers move together as no effect has them do",
+        _sign("discrepancy", "numbers deviate together in a way that no effect explains",
               log_bayes_any_group(group_discrepancies(problem, candidate, both))),
-        _sign("largest", "one number is farther off than any should be", _largest(candidate, both)),
+        _sign("largest", "one number deviates more than any should", _largest(candidate, both)),
     ]  # fmt: skip
     left_out = np.array([bool(name) for name in condition])
     if left_out.any():
         found.append(
-            _sign("transfer", "the other condition is not as predicted",
+            _sign("transfer", "the sweep that was left out is not as predicted",
                   _transfer(candidate, both, left_out))
         )  # fmt: skip
     if candidate.effects:
         found.append(_implausible(candidate, rng))
         kept = _kept(problem, candidate)
         if kept.any():
-            found.append(_sign("kept", "what the effect must leave alone has moved",
+            found.append(_sign("kept", "an observable that the effect must leave alone has changed",
                                _moved(both, kept)))  # fmt: skip
     return tuple(found)
 
 
 def _sign(name: str, words: str, values: Array) -> PredictiveCheck:
-    """Sign of the first value, beside those of the others."""
+    """Compare the first value with the others, which are drawn."""
     chance = (1 + np.count_nonzero(values[1:] >= values[0])) / len(values)
     return PredictiveCheck(name, words, float(values[0]), float(chance))
 
 
 def _with_drawn(candidate: Candidate, rng: np.random.Generator) -> Array:
-    """What a candidate leaves (n, 1 + d): of what was measured, and of campaigns if it is true."""
+    """Return residuals (n, 1 + d): of the measured campaign, and of campaigns drawn from it."""
     J, n = candidate.free_jacobian, len(candidate.estimate.residuals)
     noise = np.sqrt(1 - 2 / _FREEDOMS) * rng.standard_t(_FREEDOMS, (n, _DRAWS))
     measured = noise + J @ rng.standard_normal((J.shape[1], _DRAWS))
@@ -111,7 +110,7 @@ def _largest(candidate: Candidate, residuals: Array) -> Array:
 
 
 def _transfer(candidate: Candidate, residuals: Array, left_out: NDArray[np.bool_]) -> Array:
-    """Squares of what a condition leaves that is predicted by the others."""
+    """Return the squared residual of a condition predicted by the others."""
     inner, left = residual_covariance(candidate.free_jacobian, left_out), residuals[left_out]
     out = np.linalg.solve(inner, left)
     squares: Array = np.sum(out * left, axis=0)
@@ -119,7 +118,7 @@ def _transfer(candidate: Candidate, residuals: Array, left_out: NDArray[np.bool_
 
 
 def _kept(problem: InferenceProblem, candidate: Candidate) -> NDArray[np.bool_]:
-    """Numbers of taps that all effects of a candidate must leave alone."""
+    """Return which numbers all effects of a candidate must leave alone."""
     taps = frozenset.intersection(
         *(notes_of(located.effect).unaffected for located in candidate.effects)
     )
@@ -130,7 +129,7 @@ def _kept(problem: InferenceProblem, candidate: Candidate) -> NDArray[np.bool_]:
 
 
 def _moved(residuals: Array, kept: NDArray[np.bool_]) -> Array:
-    """Squares of what numbers that must not move are off by."""
+    """Return the sum of squares of numbers that must not change."""
     squares: Array = np.sum(residuals[kept] ** 2, axis=0)
     return squares
 
@@ -138,4 +137,4 @@ def _moved(residuals: Array, kept: NDArray[np.bool_]) -> Array:
 def _implausible(candidate: Candidate, rng: np.random.Generator) -> PredictiveCheck:
     usual = np.abs(rng.standard_normal((len(candidate.sizes), _DRAWS))).max(axis=0)
     values = np.append(np.abs(candidate.sizes).max(), usual)
-    return _sign("implausible", "a size is beyond what is plausible", values)
+    return _sign("implausible", "a size is implausible", values)

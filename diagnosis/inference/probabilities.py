@@ -12,26 +12,27 @@ from diagnosis.inference.candidates import (
 )
 
 Array = NDArray[np.floating[Any]]
-# What is left beside effects of plausible sizes, in deviations, may be their own, that have not
-# quite the form that the catalogue gives them: of what they explain a share of this deviation.
+# Residuals of an effect of plausible size (in prior standard deviations) may be due to its form,
+# which deviates from the catalogue's by this fraction (standard deviation).
 _PLAUSIBLE, _OWN_FORM = 4.0, 0.15
+# Prior of something unknown in addition to an effect, relative to the effect's.
 _ALSO = 0.05
-# Something unknown may be too small to be seen, as many a known effect is.
+# Probability that something unknown is too small to be seen.
 _UNSEEN = 0.3
 
 NONE, UNKNOWN = "none", "unknown"
-# Prior probabilities: nothing wrong, one effect, two, something that is not in the catalogue. Who
-# asks what is wrong has a reason to.
+# Prior probabilities, a choice (docs/diagnosis.md): no effect, one effect, two effects, something
+# that is not in the catalogue.
 PRIOR = {"none": 0.25, "one": 0.5, "two": 0.1, "unknown": 0.15}
 
 
 def log_odds(candidate: Candidate, null: Candidate, effects: int) -> float:
-    """Log probability of a candidate, up to a constant that all share."""
+    """Return the log probability of a candidate, up to a common constant."""
     return log_prior(len(candidate.effects), effects) + candidate.log_evidence - null.log_evidence
 
 
 def log_prior(count: int, effects: int) -> float:
-    """Log prior of one of so many effects, or of one pair of them."""
+    """Return the log prior of one of `effects` effects, or of one pair of them."""
     if count == 1:
         return float(np.log(PRIOR["one"] / effects))
     return float(np.log(PRIOR["two"] / (effects * (effects - 1) / 2)))
@@ -73,7 +74,7 @@ def log_probabilities(
 def log_odds_with_unknown(
     candidates: Mapping[str, Candidate], null: Candidate, beside: Mapping[str, float], effects: int
 ) -> dict[str, float]:
-    """Log probability of something unknown beside candidates, up to the constant of `log_odds`."""
+    """Return the log probability of something unknown in addition to each candidate."""
     return {
         name: float(np.log(_ALSO)) + log_odds(candidates[name], null, effects) + more
         for name, more in beside.items()
@@ -81,13 +82,13 @@ def log_odds_with_unknown(
 
 
 def _by_form(candidate: Candidate, null: Candidate, left: float) -> float:
-    """By how many nats a candidate is likelier as what is left beside it may be of its own form.
+    """Return the gain of a candidate, in nats, because its residuals may be due to its form.
 
     Parameters
     ----------
     candidate, null : Candidate
     left : float
-        Log Bayes factor of anything else beside it.
+        Log Bayes factor of something unknown in addition to it.
     """
     gained = candidate.log_evidence - null.log_evidence
     if left <= 0 or gained <= 0 or np.abs(candidate.sizes).max() > _PLAUSIBLE:

@@ -14,19 +14,19 @@ from physics.effects.effect import Effect, Parameter
 from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]
-# The noise of a block may be larger than its replicates say: log.
+# Log of how much larger the noise of a group may be than its replicates: prior and limit.
 _NOISE_SPREAD, _MOST_NOISE = 0.15, 3.0
 _KEPT, _SLOPES_KEPT = 4096, 4
 STEP = 0.02
-# Where a fit has not come to rest they are taken here, of steps that are smaller, so many times.
+# Where a fit has not come to rest: distance, fraction of the step, and most Jacobians.
 HERE, FINE, MOST_FINE = 0.03, 0.15, 3
 
-# Slopes are taken anew where a nuisance has moved by so many deviations.
+# The Jacobian is taken again where a nuisance has moved by this many prior deviations; limits.
 _FAR, NEAR, MOST_NEAR = 1.5, 0.3, 8
 
 
 class InferenceProblem:
-    """Blocks of a campaign beside a twin whose nuisances are to be found.
+    """The observables of a campaign, and the model whose nuisances are unknown.
 
     Parameters
     ----------
@@ -50,11 +50,11 @@ class InferenceProblem:
 
     @property
     def is_fit_bias(self) -> NDArray[np.bool_]:
-        """Which nuisances (p,) only say what fits take for something else."""
+        """Which nuisances (p,) are fit biases."""
         return np.array([nuisance.of_fits for nuisance in self.nuisances], dtype=bool)
 
     def twin(self, z: Array) -> Twin:
-        """Twin with nuisances z (p,), in units of their priors."""
+        """Return the model with nuisances z (p,), in units of their priors."""
         twin = self.base
         for nuisance, size in zip(self.nuisances, z.tolist(), strict=True):
             if size:
@@ -62,7 +62,7 @@ class InferenceProblem:
         return twin
 
     def residuals(self, twin: Twin) -> Array:
-        """What a twin leaves (n,), whitened: twin less measurement."""
+        """Return the whitened residuals (n,): model less measurement."""
         return -np.concatenate(
             [
                 self._left(number, tuple(getattr(twin, part) for part in block.parts))
@@ -75,7 +75,7 @@ class InferenceProblem:
         return block.whitened_residual(Twin(**dict(zip(block.parts, parts, strict=True))))
 
     def jacobian(self, z: Array, far: float = _FAR) -> Array:
-        """Derivatives (n, p) along the nuisances, no farther from z than so many deviations."""
+        """Return the Jacobian (n, p) along the nuisances, taken within `far` deviations of z."""
         for at, slope in self._slopes:
             if np.abs(z - at).max() <= far:
                 return slope
@@ -86,9 +86,9 @@ class InferenceProblem:
     def jacobian_of_changed(
         self, z: Array, change: Callable[[Twin], Twin], *, fine: bool = False
     ) -> Array:
-        """Derivatives (n, p) along the nuisances at z, of twins that are changed besides.
+        """Return the Jacobian (n, p) along the nuisances at z, of a changed model.
 
-        Fine ones are good where modes nearly meet, and cost twice as much.
+        Fine central differences are accurate where modes nearly meet, and cost twice as much.
         """
         here, columns = self.residuals(change(self.twin(z))), []
         for k in range(len(z)):
@@ -105,13 +105,13 @@ class InferenceProblem:
 
 @dataclass(frozen=True)
 class LocatedEffect:
-    """An effect with its places chosen.
+    """An effect at one location.
 
     Attributes
     ----------
     effect : Effect
     location : mapping
-        Values of its parameters that are places.
+        Values of its parameters that have a grid.
     """
 
     effect: Effect
@@ -119,11 +119,11 @@ class LocatedEffect:
 
     @property
     def sizes(self) -> tuple[Parameter, ...]:
-        """Parameters that are to be found."""
+        """Sizes that are fitted."""
         return self.effect.sizes
 
     def change(self, twin: Twin, z: Array) -> Twin:
-        """Twin with the effect at sizes z, in units of their priors."""
+        """Return the model with the effect at sizes z, in units of their priors."""
         values = {p.name: p.spread * float(v) for p, v in zip(self.sizes, z, strict=True)}
         return self.effect.change(twin, {**values, **self.location})
 
@@ -138,7 +138,7 @@ def with_effects(twin: Twin, effects: Sequence[LocatedEffect], sizes: Array) -> 
 
 
 def noise_inflation_gain(problem: InferenceProblem, residuals: Array) -> float:
-    """What evidence gains by noise that may be larger in each block."""
+    """Return the gain of log evidence because the noise of each group may be larger."""
     return sum(
         group_noise_gain(float(np.sum(residuals[piece] ** 2)), piece.stop - piece.start)
         for piece in problem.slices.values()
@@ -146,7 +146,7 @@ def noise_inflation_gain(problem: InferenceProblem, residuals: Array) -> float:
 
 
 def group_noise_gain(chi2: float, count: int) -> float:
-    """Gain of log evidence by the likeliest factor on the noise of a block of so many numbers."""
+    """Return the gain of log evidence by the likeliest factor on the noise of a group."""
     logs = np.linspace(0.0, _MOST_NOISE * _NOISE_SPREAD, 61)
     gains = 0.5 * chi2 * (1 - np.exp(-2 * logs)) - count * logs - 0.5 * (logs / _NOISE_SPREAD) ** 2
     return float(gains.max())

@@ -1,4 +1,4 @@
-"""Which effects may be there: a score test of each beside a fit, one or two twins apiece."""
+"""Screening: a score test of each effect at each location, at the cost of one or two models."""
 
 import contextlib
 import math
@@ -22,29 +22,29 @@ from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]
 
-# Sizes at which signatures are taken, in deviations of the prior: the first that a reed may have.
+# Sizes at which signatures are taken, in prior standard deviations: the first possible one.
 _PROBES = 1.0, 0.2
-# Effects that move whitened numbers by less do not move them.
+# Effects that shift whitened numbers by less have no signature.
 _LEAST_MOVED = 1e-6
-# Searches begin no farther out, and a positive size no nearer to nothing.
+# Searches start within these sizes; positive sizes not below the second.
 _FARTHEST, _NEAREST = 6.0, 0.05
 
 
 def locations_of(effect: Effect) -> Iterator[LocatedEffect]:
-    """Yield an effect at all places where it may be."""
+    """Yield an effect at all its possible locations."""
     names = [parameter.name for parameter in effect.gridded]
     for at in product(*(parameter.grid for parameter in effect.gridded)):
         yield LocatedEffect(effect, dict(zip(names, at, strict=True)))
 
 
 def count_locations(effect: Effect) -> int:
-    """At how many places an effect may be."""
+    """Return the number of possible locations of an effect."""
     return math.prod(len(parameter.grid) for parameter in effect.gridded)
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """A twin that effects are added to, fitted or not.
+    """The model to which effects are added, fitted or not.
 
     Attributes
     ----------
@@ -66,14 +66,14 @@ class Baseline:
 
     @classmethod
     def of(cls, problem: InferenceProblem, candidate: Candidate) -> "Baseline":
-        """A candidate as fitted."""
+        """Return the baseline of a fitted candidate."""
         slopes, left = candidate.free_jacobian, candidate.estimate.residuals
         fitted = np.zeros(slopes.shape[1])
         return cls(candidate.twin(problem), left, slopes, fitted, candidate.deviation)
 
     @classmethod
     def at(cls, problem: InferenceProblem, z: Array) -> "Baseline":
-        """A twin with nuisances z (p,)."""
+        """Return the baseline with nuisances z (p,)."""
         twin, slopes = problem.twin(z), problem.jacobian(z)
         residuals = problem.residuals(twin)
         return cls(twin, residuals, slopes, slopes.T @ residuals + z, np.ones(len(residuals)))
@@ -81,7 +81,7 @@ class Baseline:
 
 @dataclass(frozen=True)
 class ScreenedEffect:
-    """An effect at one place, along its signature.
+    """An effect at one location, and its score test.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class ScreenedEffect:
     signature : (n, s) float
         The signature, whitened, per deviation of each size's prior.
     detectability : float
-        By how many deviations one deviation of the first size stands out.
+        Standard deviations at which one prior deviation of the first size is detected.
     """
 
     located: LocatedEffect
@@ -106,9 +106,9 @@ class ScreenedEffect:
 def screen_effect(
     problem: InferenceProblem, base: Baseline, effect: Effect
 ) -> list[ScreenedEffect]:
-    """Gain of log evidence by adding an effect at each of its places, of either sign.
+    """Return the gain of log evidence by adding an effect at each location, with the better sign.
 
-    Places where the effect moves nothing, or is of no possible reed, are left out.
+    Locations without a signature, or of no possible reed, are left out.
     """
     found = [screen_at(problem, base, located) for located in locations_of(effect)]
     return [one for one in found if one is not None]
@@ -117,14 +117,14 @@ def screen_effect(
 def screen_at(
     problem: InferenceProblem, base: Baseline, located: LocatedEffect
 ) -> ScreenedEffect | None:
-    """The same at one place; None if it moves nothing there, or is of no possible reed."""
+    """Return the same at one location; None without a signature, or of no possible reed."""
     signs = (1.0,) if located.sizes[0].positive else (1.0, -1.0)
     each = [_screened(problem, base, located, sign) for sign in signs]
     return max((one for one in each if one), key=lambda one: one.gain, default=None)
 
 
 def most_typical(found: Sequence[ScreenedEffect]) -> ScreenedEffect:
-    """Of an effect at several places, the one where it is neither seen best nor worst."""
+    """Return the location with the median detectability."""
     return sorted(found, key=lambda one: one.detectability)[len(found) // 2]
 
 
@@ -151,7 +151,7 @@ def _screened(
 def signature(
     problem: InferenceProblem, base: Baseline, located: LocatedEffect, sign: float
 ) -> Array | None:
-    """What each size of an effect moves (n, s), whitened; None if nothing, or of no reed."""
+    """Return the whitened signature (n, s) of an effect; None if 0, or of no possible reed."""
     for probe in _PROBES:
         with contextlib.suppress(ValueError):
             table = _probed(problem, base, located, sign, probe)
@@ -180,7 +180,7 @@ def _probed(
 def signatures_of(
     problem: InferenceProblem, null: Candidate, effects: Sequence[Effect]
 ) -> dict[str, tuple[Array, Array]]:
-    """What each effect moves (n, s) where it is usual, whitened, and what of it stands out."""
+    """Return each effect's whitened and marginalised signature (n, s), at its median location."""
     base, found = Baseline.of(problem, null), {}
     for effect in effects:
         places = screen_effect(problem, base, effect)

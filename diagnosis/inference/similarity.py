@@ -1,4 +1,4 @@
-"""How alike effects are in what they move, and which are so alike that they count as one."""
+"""Similarity of effects' signatures, confusable effects, and the minimum detectable size."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,21 +11,21 @@ from physics.effects.effect import Effect
 
 Array = NDArray[np.floating[Any]]
 
-# Effects this alike, when what is free anyway has taken what it can, are one class.
+# Effects whose marginalised signatures have at least this cosine are confusable.
 CONFUSABLE: Final = 0.8
-# Deviations by which an effect is to stand out.
+# An effect is detected at this many standard deviations.
 DETECTION_SIGMA: Final = 5.0
-# Directions along which an effect moves less than this share of its most are rounding.
+# Directions along which an effect moves less than this fraction of its largest are rounding.
 _ROUNDING = 1e-6
 
 
 def cosine(one: Array, other: Array) -> float:
-    """Largest cosine between what two effects can do.
+    """Return the largest cosine between the signatures of two effects.
 
     Parameters
     ----------
     one, other : (n, k) float
-        What each of an effect's sizes moves, whitened.
+        Whitened signature of each size of an effect.
 
     Returns
     -------
@@ -52,18 +52,18 @@ def cosine(one: Array, other: Array) -> float:
 
 @dataclass(frozen=True)
 class Detectability:
-    """What data could tell of an effect.
+    """How well data can detect an effect.
 
     Attributes
     ----------
     effect : str
     absorbed : float
-        Share of its signature that what is free anyway takes up; NaN if it has none.
+        Fraction of its signature that nuisances absorb; NaN if it has no signature.
     detectable : dict of float
-        Least size, per parameter in its own unit, that stands out by five deviations; infinite if
-        no size would.
+        Minimum size, for each parameter in its unit, that is detected at five standard deviations;
+        infinite if no size is.
     confusable : dict of float
-        Cosine beside other effects from 0.8 on, by name.
+        Cosine with each effect from 0.8 on, by identifier.
     """
 
     effect: str
@@ -75,15 +75,15 @@ class Detectability:
 def detectability_of(
     effects: Sequence[Effect], signatures: Mapping[str, tuple[Array, Array]]
 ) -> tuple[Detectability, ...]:
-    """Tell what data could say of each effect.
+    """Return how well data can detect each effect.
 
     Parameters
     ----------
     effects : sequence of Effect
     signatures : mapping of ((n, s), (n, s)) float
-        What each size moves by a deviation of its prior, whitened: all of it, and what of that
-        is left after marginalising the nuisances (see `marginalised_signature`). Effects that
-        move nothing may be left out.
+        Whitened signature of each size, for one standard deviation of its prior: all of it, and
+        what is left after marginalising the nuisances (see `marginalised_signature`). Effects
+        without a signature may be left out.
     """
     alike = cosines({name: left for name, (_, left) in signatures.items()})
     return tuple(_reach(effect, signatures.get(effect.id), alike) for effect in effects)
@@ -110,7 +110,7 @@ def _reach(
 
 
 def cosines(signatures: Mapping[str, Array]) -> dict[str, dict[str, float]]:
-    """Cosine of every effect with every other."""
+    """Return the cosine of every effect with every other."""
     names = list(signatures)
     return {
         name: {
@@ -121,7 +121,7 @@ def cosines(signatures: Mapping[str, Array]) -> dict[str, dict[str, float]]:
 
 
 def confusable_classes(reach: Sequence[Detectability]) -> tuple[tuple[str, ...], ...]:
-    """Groups of effects each of which is alike to all others of its group, larger groups first."""
+    """Return groups in which all effects are confusable with each other, larger groups first."""
     near = {entry.effect: set(entry.confusable) for entry in reach}
     left, groups = set(near), []
     while left:

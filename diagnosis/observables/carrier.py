@@ -69,7 +69,7 @@ def leaks_in(
 
 
 def carrier_group(carriers: Sequence[CarrierReading]) -> ObservableGroup:
-    """Carrier in the sideband of each sweep."""
+    """Compare the carrier in the sideband of each sweep."""
     floor = carrier_floor(carriers)
     noise = np.array([c.error for c in carriers]) * 0.3
 
@@ -79,7 +79,7 @@ def carrier_group(carriers: Sequence[CarrierReading]) -> ObservableGroup:
 
     covariance = np.diag(noise**2 + (_SWEEPS * floor) ** 2)
     covariance += _REEDS**2 * np.multiply.outer(floor, floor)
-    places = [Coordinates("carrier beside the clamp", level=c.name) for c in carriers]
+    places = [Coordinates("carrier near the clamp", level=c.name) for c in carriers]
     values = [c.share for c in carriers]
     return observable_group(
         "carrier", Observable.MAPS, values, covariance, places, ("optics",), predict

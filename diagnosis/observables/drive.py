@@ -54,19 +54,19 @@ _FULL_V = 16.0
 # of log frequency; noise of one hologram at least, and of a weaker one more.
 _DEGREE, _SMOOTH = 5, 1.0
 _WAVES, _LENGTH = 0.12, 0.15
-# ... over which what leaks in at a calm hologram spreads.
+# Log frequency over which leaked light at a small-amplitude hologram spreads.
 _NEAR = 0.05
 _LEAST, _WEAK = 0.01, 0.02
 # Holograms over which sweeps may differ smoothly; at the ends little tells what is smooth.
 _AROUND, _END_SHARE, _END = 15, 0.06, 0.1
-# Beyond this modes are too many for drive and modes to be told apart surely.
+# Beyond this frequency modes are too dense to separate them from the drive.
 _HIGHEST_HZ = 16.5e3
 # Log ratio of amplitudes in two sweeps: a common factor, smoothly in frequency, of every band.
 _RATIO, _RATIO_BAND = 0.03, 0.015
-# ... and of what leaks in beside the vibration.
+# ... and of light that leaks into the hologram.
 _SPOILT = 0.25
-# Holograms are compared where both are lively, rad, and so many at least together.
-_LIVELY_RAD, _FEWEST = 0.3, 3
+# Holograms are compared where both have at least this amplitude, rad, and at least this many.
+_LEAST_AMPLITUDE_RAD, _FEWEST = 0.3, 3
 # Log of what moves a mode: gain, by smooth ripple of the loudspeaker, by pressure that is not the
 # model's.
 _GAIN, _RIPPLE, _FIELD = 0.5, 0.08, 0.15
@@ -79,7 +79,7 @@ _BESIDE, _BENT, _JUMP = 2, 0.4, 0.5
 def excitation_group(
     sweeps: Sequence[SweepReading], line: CavityLine, leaks: Leaks
 ) -> ObservableGroup | None:
-    """What stands out of the smooth drive, by hologram, mean of all sweeps.
+    """Compare peaks above the smooth drive, by hologram, mean of all sweeps.
 
     None if they hardly have frequencies in common.
 
@@ -121,7 +121,7 @@ def excitation_group(
 
 
 def _of_leaks(sweep: SweepReading, leaks: Leaks, hz: Array, near: Array) -> Array:
-    """What light that leaks in makes of the log drive (k,), most where the reed is calm."""
+    """Return the error of the log drive (k,) by leaked light, largest at small amplitude."""
     calm = np.interp(hz, sweep.drive_hz, np.median(sweep.amplitude_rad) / sweep.amplitude_rad)
     # Half of a small amplitude is what shows of it; a fit's error there is its neighbours' as well.
     square = near @ np.minimum(2 * leaks.carrier.get(sweep.name, 0.0) * calm, 1.0) ** 2
@@ -130,7 +130,7 @@ def _of_leaks(sweep: SweepReading, leaks: Leaks, hz: Array, near: Array) -> Arra
 
 
 def exchanged(fits: FitBias, mode: str, own_hz: float, loss: float, hz: Array) -> Array:
-    """What the log drive (k,) takes over of a mode that is told at `own_hz` with `loss`."""
+    """Return the bend of the log drive (k,) by the fit bias of a mode reported at `own_hz`."""
     cents, log = fits.of(mode)
     if not cents and not log:
         return np.zeros(len(hz))
@@ -145,7 +145,7 @@ def exchanged(fits: FitBias, mode: str, own_hz: float, loss: float, hz: Array) -
 
 
 def _gain(drive: DriveChain, line: CavityLine, hz: Array) -> Array:
-    """What resounds (k,) between loudspeaker and reed."""
+    """Return the gain (k,) of acoustic resonances between loudspeaker and reed."""
 
     def through(hz_0: float, quality: float, strength: float) -> Complex:
         ratio = hz / hz_0
@@ -162,7 +162,7 @@ def _gain(drive: DriveChain, line: CavityLine, hz: Array) -> Array:
 
 
 def _kept(drive: DriveChain, volts: Array, hz: Array) -> Array:
-    """Share of the pressure that a coil keeps which moves far."""
+    """Return the fraction (k,) of the pressure that a compressing tweeter keeps."""
     moves = 1 / (1 + (hz / drive.compression_hz) ** 2)
     kept: Array = np.maximum(1 - drive.compression * moves * (volts / _FULL_V) ** 2, 0.02)
     return kept
@@ -197,7 +197,7 @@ def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array]:
 
 
 def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup | None:
-    """Amplitudes of sweeps at another level beside those of the loudest.
+    """Compare amplitudes of sweeps at another level with those of the loudest.
 
     None if there are none at the same frequencies.
 
@@ -216,8 +216,8 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
         apart = np.abs(np.log(loud[0].drive_hz[:, None] / other.drive_hz))
         one = np.flatnonzero(apart.min(axis=1) < _SAME_HZ)
         two = np.argmin(apart[one], axis=1)
-        # Where the reed is calm in one of them, light that leaks in tells as much as it does.
-        told = ~loud[0].off[one] & ~other.off[two] & (other.deepest_rad[two] > _LIVELY_RAD)
+        # At small amplitude, leaked light is as large as the signal.
+        told = ~loud[0].off[one] & ~other.off[two] & (other.deepest_rad[two] > _LEAST_AMPLITUDE_RAD)
         one, two = one[told], two[told]
         ratio = loud[0].signal[one] - other.signal[two]
         ratio -= np.log(loud[0].volts[one] / other.volts[two])
@@ -251,9 +251,9 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
 def force_group(
     sweeps: Sequence[SweepReading], reed_solver: ReedSolver, device: Device
 ) -> ObservableGroup | None:
-    """What moves each mode, beside loudspeaker, chamber and reed of the twin.
+    """Compare the force on each mode with that of loudspeaker, chamber and reed of the model.
 
-    None if no mode is told by all loud sweeps.
+    None if no mode is identified in all loud sweeps.
 
     Parameters
     ----------
@@ -354,7 +354,8 @@ def _pushes(
 ) -> tuple[float, float, float, float]:
     """Modal forces of unit pressure, and the largest deflection.
 
-    Forces are those on either half of the window, and that on the left if all of it pushed alike.
+    Forces are those on either half of the window, and that on the left if the pressure there pushed
+    in phase with the mode everywhere.
     """
     reed = reed_solver.anatomy.reed
     x, y = reed.load_points_m.T

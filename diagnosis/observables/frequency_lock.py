@@ -24,9 +24,9 @@ from physics.twin import Twin
 Array = NDArray[np.floating[Any]]
 
 
-# What all locks may miss together.
+# Error that all locks may have in common, Hz.
 _COMMON_HZ = 4e-4
-# A mean is of so many steps at least.
+# Fewest steps of a mean.
 _LEAST = 4
 
 

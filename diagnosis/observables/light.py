@@ -29,14 +29,14 @@ Array = NDArray[np.floating[Any]]
 _PIECES = 8
 # Sweeps end together if they do within so much of log frequency.
 _ENDS = 0.03
-# Light that is brighter by chance is alike from one acquisition to the next: so many count as one.
+# Chance brightness is correlated over this many acquisitions.
 _ALIKE = 3.0
 # Log brightness: from one speckle to another, between order 0 and the others, in each band of
 # sweeps of another clamping, in each sweep.
 _SPECKLE, _ORDER, _BAND, _SWEEP = 10.0, 10.0, 0.03, 3e-3
-# Log of the noise beside the image: its level, and from sweep to sweep.
+# Log of the noise next to the image: its level, and from sweep to sweep.
 _NOISE, _NOISE_SWEEP = 0.1, 2e-3
-# ... and of a mean, for programs that tell one noise for all.
+# ... and of a mean, for programs that record one noise for all.
 _LEAST_NOISE = 1e-5
 # Share of that noise that is shot noise of the local oscillator.
 _SHOT = 0.96
@@ -51,10 +51,10 @@ _LEFT_OF_CARRIER, _OF_TAKEN_OFF = 0.2, (0.15, 3e-3)
 def brightness_group(
     sweeps: Sequence[SweepReading], stills: Sequence[RestHolograms]
 ) -> ObservableGroup:
-    """Brightness of fringes in the course of time, of all sweeps and at rest.
+    """Compare the brightness of fringes over time, of all sweeps and at rest.
 
     What holograms of one drive show is vibration times light: sweeps that repeat others tell how
-    the light differs, whatever the vibration is. Those of another level tell of the drive.
+    the light differs, whatever the vibration is. Sweeps at another level depend on the drive.
     """
     sweeps = at_highest_level(sweeps)
     table = _Brightness.of(sweeps)
@@ -63,21 +63,21 @@ def brightness_group(
     spreads: list[float] = []
     for row, sweep in enumerate(sweeps):
         order = np.argsort(sweep.time_s)
-        own = table.beside[row][order]
+        own = table.relative[row][order]
         spread = _scatter(own[table.within(row)[order]])
         spreads.append(spread)
         for number, every in enumerate(np.array_split(order, _PIECES)):
             piece = every[table.within(row)[every]]
             if not piece.size:
                 continue
-            values.append(float(np.median(table.beside[row][piece])))
+            values.append(float(np.median(table.relative[row][piece])))
             variance.append(_ALIKE * 1.57 * spread**2 / len(piece) + 1e-6)
             pieces.append((row, piece))
             places.append(Coordinates("fringes", time=f"{sweep.name} {number + 1}"))
             columns.append(table.shared(row, piece))
     still_s: list[float] = []
     for still in stills:
-        # A few acquisitions may be alike by chance; the light is that of the sweeps.
+        # A few acquisitions may agree by chance; the light is that of the sweeps.
         own_spread = max(_scatter(still.brightness), float(np.median(spreads)), 5e-3)
         for number, at in enumerate(still.run_time_s):
             own_brightness = still.brightness[still.run == number]
@@ -94,8 +94,8 @@ def brightness_group(
         return lost
 
     def predict(twin: Twin) -> Array:
-        beside = table.of_light(lambda time_s: light(time_s, twin.optics))
-        of_sweeps = [float(np.median(beside[row][at])) for row, at in pieces]
+        relative = table.of_light(lambda time_s: light(time_s, twin.optics))
+        of_sweeps = [float(np.median(relative[row][at])) for row, at in pieces]
         return np.array([*of_sweeps, *light(np.array(still_s), twin.optics)])
 
     covariance = np.diag(variance) + _shared(columns)
@@ -106,7 +106,7 @@ def brightness_group(
 
 @dataclass(frozen=True)
 class _Brightness:
-    """Light of each sweep beside the mean of those that are alike, hologram by hologram.
+    """Light of each sweep compared with the mean of sweeps of one clamping, by hologram.
 
     Attributes
     ----------
@@ -114,22 +114,22 @@ class _Brightness:
         Of one level.
     like : (s,) bool
         Sweeps of the first clamping.
-    beside : tuple of (k,) float
+    relative : tuple of (k,) float
     """
 
     sweeps: Sequence[SweepReading]
     like: NDArray[np.bool_]
-    beside: tuple[Array, ...]
+    relative: tuple[Array, ...]
 
     @classmethod
     def of(cls, sweeps: Sequence[SweepReading]) -> "_Brightness":
-        """Put the sweeps of a campaign beside each other."""
+        """Compare the sweeps of a campaign."""
         like = np.array([sweep.clamping == sweeps[0].clamping for sweep in sweeps])
         signals = [sweep.signal - np.log(sweep.volts) for sweep in sweeps]
         return cls(sweeps, like, cls(sweeps, like, ()).less_mean(signals))
 
     def less_mean(self, series: Sequence[Array]) -> tuple[Array, ...]:
-        """Series (k,) of each sweep less the mean of those alike, at the same frequencies."""
+        """Return series (k,) of each sweep less the mean over the first clamping's sweeps."""
         grid = np.log(self.sweeps[0].drive_hz)
         alike = [
             np.interp(grid, np.log(sweep.drive_hz), own)
@@ -143,7 +143,7 @@ class _Brightness:
         )
 
     def within(self, row: int) -> NDArray[np.bool_]:
-        """Holograms (k,) of a sweep at frequencies that all that are alike have."""
+        """Return which holograms (k,) of a sweep are at frequencies that all others have."""
         ends = [
             np.log(s.drive_hz) for s, counts in zip(self.sweeps, self.like, strict=True) if counts
         ]
@@ -153,7 +153,7 @@ class _Brightness:
         return inside
 
     def of_light(self, light: Callable[[Array], Array]) -> tuple[Array, ...]:
-        """What is expected beside the mean if the light is so at each time."""
+        """Return the light expected relative to the mean, for a given light at each time."""
         return self.less_mean([light(sweep.time_s) for sweep in self.sweeps])
 
     def shared(self, row: int, piece: NDArray[np.intp]) -> dict[str, float]:
@@ -170,9 +170,9 @@ class _Brightness:
 
 
 def noise_group(sweeps: Sequence[SweepReading]) -> ObservableGroup:
-    """Noise beside the image: shot noise of the local oscillator, in the course of time.
+    """Compare noise next to the image, mostly shot noise of the local oscillator, over time.
 
-    Pixels that are not alike spread what fringes there are all over the image.
+    Fixed-pattern noise spreads fringes all over the image.
     """
     values, variance, places, times, fringes = [], [], [], [], []
     columns: list[dict[str, float]] = []
@@ -185,7 +185,7 @@ def noise_group(sweeps: Sequence[SweepReading]) -> ObservableGroup:
             variance.append(max(1.2 * spread**2 / len(piece), _LEAST_NOISE**2))
             times.append(float(np.mean(sweep.time_s[piece])))
             fringes.append(float(np.mean(sweep.fringe_dn2[piece])))
-            places.append(Coordinates("noise beside the image", time=f"{sweep.name} {number + 1}"))
+            places.append(Coordinates("noise next to the image", time=f"{sweep.name} {number + 1}"))
             columns.append({"level": _NOISE, f"sweep {sweep.name}": _NOISE_SWEEP})
     usual, hours = float(np.mean(values)), np.array(times) / 3600
     beside = np.array(fringes) / np.exp(min(values))
@@ -202,7 +202,7 @@ def noise_group(sweeps: Sequence[SweepReading]) -> ObservableGroup:
 
 
 def fringe_group(sweeps: Sequence[SweepReading]) -> ObservableGroup | None:
-    """What is in fringes beside the first sideband, by templates, of all loud sweeps together.
+    """Compare other light in the fringes, by templates, in all loud sweeps together.
 
     None if no hologram has any.
 
@@ -216,7 +216,7 @@ def fringe_group(sweeps: Sequence[SweepReading]) -> ObservableGroup | None:
     values = [_amplitudes(loud, name) for name in _FLOORS]
     floors = np.array(list(_FLOORS.values()))
     off = max(sweep.taken_off for sweep in loud)
-    # A carrier goes by J0, the next sideband by J2: but for a constant they are much alike.
+    # A carrier goes as J0, the next sideband as J2: apart from a constant they are similar.
     alike = _LEFT_OF_CARRIER if off else 1.0
 
     def predict(twin: Twin) -> Array:

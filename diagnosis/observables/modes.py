@@ -48,7 +48,7 @@ _LEAK_CENTS, _LEAK_LOSS = 15.0, 40.0
 _STAYS_CENTS, _STAYS_LOSS, _STAYS_LOWEST, _NEAR = 60.0, 50.0, 4.0, 0.15
 # Sweeps of other volts: cents, per cent.
 _LEVEL_CENTS, _LEVEL_LOSS = 0.6, 1.1
-# What fits of sweeps that are alike usually differ by: cents, per cent.
+# Usual difference of fits of equal sweeps: cents, per cent.
 _USUAL_CENTS, _USUAL_LOSS = 0.25, 0.4
 _QUANTITIES = "frequency, cents", "loss, %"
 # Degrees and moisture: relative changes of moduli, mass and loss, per degree and when all dry.
@@ -64,7 +64,7 @@ _STEP = 0.01
 def modes_group(
     sweeps: Sequence[SweepReading], reed_solver: ReedSolver, leaks: Leaks
 ) -> ObservableGroup | None:
-    """Frequencies in cents and losses in per cent, of all sweeps, beside the twin's.
+    """Compare frequencies (cents) and losses (per cent) of all sweeps with the model.
 
     None if sweeps have no mode in common.
 
@@ -127,7 +127,7 @@ def _of_fit(
 
 
 def _astray(sweeps: Sequence[SweepReading], names: Sequence[str], *, loss: bool) -> Array:
-    """By how much fits of sweeps that should be alike contradict each other in each mode (a,).
+    """Return by how much fits of equal sweeps contradict each other in each mode (a,).
 
     What all modes of a sweep differ by is the reed's, and does not count.
     """

@@ -24,9 +24,9 @@ from physics.twin import OpticsParameters, Twin
 Array = NDArray[np.floating[Any]]
 
 
-# How well few numbers tell their own scatter; and as of how many numbers that is which a walk says.
+# Factor for the scatter of few numbers, and the weight of the scatter by a phase walk, in numbers.
 _FEW, _BELIEVED = 1.2, 4.0
-# Log of how fast phases walk, and of what scatter of phases is beside that.
+# Log of how fast phases walk, and of the further scatter of phases.
 _WALK, _SCATTER = 0.4, 0.1
 # Brightness of every other frame; speckle that has changed.
 _FLICKER, _CHANGED = 2e-4, 1e-4
@@ -46,7 +46,7 @@ def usual_scatter_hz(beams: OpticsParameters, rate_hz: float) -> float:
 def phase_turn_group(
     stills: Sequence[RestHolograms], scatter_hz: float, rate_hz: float
 ) -> ObservableGroup:
-    """What light at rest turns by within acquisitions, and between them.
+    """Compare the turn of light at rest within acquisitions, and between them.
 
     Parameters
     ----------
@@ -92,8 +92,8 @@ def _spread_between(
 ) -> float:
     """Scatter of phases from one acquisition to the next, by themselves and by a phase that walks.
 
-    Few acquisitions hardly tell their own scatter; a phase that walks by so much within each of
-    them walks by so much more between them.
+    Few acquisitions hardly determine their own scatter, so that it is combined with the walk of the
+    phase between them.
     """
     left = np.concatenate([turn - turn.mean() for turn in turns])
     freedoms = max(len(left) - len(turns), 0)
@@ -148,7 +148,7 @@ def phase_scatter_group(
         apart = np.sqrt(beams.walk_rad_s**2 * gaps.mean() + 0.5 * beams.jitter_rad**2)
         return np.log([usual_scatter_hz(beams, rate_hz), apart])
 
-    # A calmer bench than usual is no gap.
+    # A bench quieter than usual is not a gap.
     usual = predict(Twin())
     values = np.maximum(np.log([max(lock_scatter_hz, 1e-9), max(between, 1e-9)]), usual - _WALK)
     errors = np.diag([_SCATTER**2, _SCATTER**2 + 0.5 / freedoms])

@@ -19,7 +19,7 @@ Array = NDArray[np.floating[Any]]
 _OFFSET_DN, _NOISE, _GAIN = 1.0, 0.05, 0.03
 # What rows and columns may have in common by chance.
 _BANDING = 0.1
-# Counts of hot pixels are known to this, beside their own scatter.
+# Error of the count of hot pixels, on the square-root scale.
 _HOT_COUNT = 3.0
 # Lamps: from exposure to exposure, and from the middle to the edge.
 _LAMP, _UNEVEN = 7e-4, 4e-3
@@ -30,7 +30,7 @@ _LO_TILT, _LO_WAIST = 1e-3, 0.2
 
 
 def dark_group(dark: DarkFrames, sheet: SensorSheet) -> ObservableGroup:
-    """Dark frames beside the data sheet."""
+    """Compare dark frames with the data sheet."""
     sensor = sheet.sensor
 
     def predict(twin: Twin) -> Array:
@@ -54,7 +54,7 @@ def dark_group(dark: DarkFrames, sheet: SensorSheet) -> ObservableGroup:
 
 
 def flat_group(flat: FlatFrames, dark: DarkFrames | None, sheet: SensorSheet) -> ObservableGroup:
-    """Even light beside a linear camera."""
+    """Compare frames of even light with a linear camera."""
     sensor, order = sheet.sensor, np.argsort(flat.exposure_s)
     signal = flat.signal_dn[order]
     rate = np.log(signal / flat.exposure_s[order])
@@ -75,7 +75,7 @@ def flat_group(flat: FlatFrames, dark: DarkFrames | None, sheet: SensorSheet) ->
     several = len(signal) - 1
     values = [
         *(rate[1:] - rate[0]),
-        # A better sensor than usual is no gap.
+        # A sensor better than usual is not a gap.
         np.log(max(flat.pattern, _PATTERN)),
         gain,
         flat.corner,
@@ -97,7 +97,7 @@ def flat_group(flat: FlatFrames, dark: DarkFrames | None, sheet: SensorSheet) ->
 
 
 def local_oscillator_group(beam: LocalOscillatorFrames, sheet: SensorSheet) -> ObservableGroup:
-    """Local oscillator beside a Gaussian beam on the middle of the sensor."""
+    """Compare the local oscillator with a Gaussian beam centred on the sensor."""
     usual, halves = OpticsParameters().waist_m, sheet.half_m
 
     def predict(twin: Twin) -> Array:

@@ -35,7 +35,7 @@ from physics.twin import Twin
 
 Array = NDArray[np.floating[Any]]
 
-# Shapes of higher modes are told badly.
+# Shapes of higher modes are poorly determined.
 _HIGHEST_HZ = 14e3
 # Of a mode's share in another this much may be seen, as an amplitude, and counts.
 _SEEN = 0.02
@@ -63,10 +63,10 @@ class _Share:
 def shapes_group(
     sweeps: Sequence[SweepReading], reed_solver: ReedSolver, leaks: Leaks
 ) -> ObservableGroup | None:
-    """Shapes of modes beside the twin's; None if none is told well."""
+    """Compare mode shapes with the model's; None if none is well determined."""
     known = reed_solver.modes(Twin().reed)
     names = [n for n in sweeps[0].names if n in known and known[n].hz < _HIGHEST_HZ]
-    shares = _told(sweeps, names)
+    shares = _seen_shares(sweeps, names)
     if not shares:
         return None
     elastic = _Elastic.of(reed_solver, sweeps[0])
@@ -79,7 +79,7 @@ def shapes_group(
         return np.array([elastic.share(modes[share.of], share.has) for share in shares])
 
     values = np.array([share.amplitude for share in shares])
-    same = np.array([elastic.alike(share.of, share.has) for share in shares])
+    same = np.array([elastic.same_symmetry(share.of, share.has) for share in shares])
     errors = np.sqrt(
         np.square([share.error for share in shares])
         + np.where(same, _SAME_KIND, _LEAST) ** 2
@@ -93,8 +93,8 @@ def shapes_group(
     return observable_group("shapes", Observable.MODES, values, errors, places, ("reed",), predict)
 
 
-def _told(sweeps: Sequence[SweepReading], names: Sequence[str]) -> list[_Share]:
-    """Shares that are seen, of every two modes the one that is told better."""
+def _seen_shares(sweeps: Sequence[SweepReading], names: Sequence[str]) -> list[_Share]:
+    """Return the fractions that are seen; of every two modes the better determined one."""
     best: dict[frozenset[str], _Share] = {}
     for of in names:
         for has in names:
@@ -165,7 +165,7 @@ class _Elastic:
         )
         return other * self.deflection[has] / (own * self.deflection[mode.name])
 
-    def alike(self, one: str, other: str) -> bool:
+    def same_symmetry(self, one: str, other: str) -> bool:
         """Whether both are of one symmetry."""
         return self.symmetry[one] is self.symmetry[other]
 

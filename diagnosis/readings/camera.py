@@ -13,7 +13,7 @@ from physics.sensor import Sensor
 
 Array = NDArray[np.floating[Any]]
 
-# A pixel is hot if it stands out of the others by so many times their noise.
+# A pixel is hot if it exceeds the median by this many times the noise.
 _HOT = 8.0
 # Frames are saturated if half of their pixels reach this share of what a pixel can show.
 _SATURATED = 0.98
@@ -118,7 +118,7 @@ def read_dark(parts: Sequence[CampaignRun]) -> DarkFrames:
         names = ", ".join(part.run.path.name for part in parts)
         raise FitInputError(
             f"{names}: no pixel of the dark frames ever changes, as a camera's do; leave them "
-            "out, or measure them anew"
+            "out, or measure them again"
         )
     moving = np.where(hot, 0.0, frames - level)
     excess = [
@@ -184,7 +184,7 @@ def _paraboloid(image: Array) -> tuple[Array, Array]:
 
 
 def _median_of_chi2(frames: int) -> float:
-    """Median of a variance of so many frames over its mean."""
+    """Return the median of a variance over its mean, for a number of frames."""
     freedoms = frames - 1
     return float((1 - 2 / (9 * freedoms)) ** 3)
 

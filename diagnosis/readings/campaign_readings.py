@@ -47,7 +47,7 @@ class Readings:
     refused : tuple of str
         Why sweeps could not be fitted.
     missing : tuple of str
-        What would have told more.
+        Runs and properties that would improve the diagnosis.
     rate_hz : float
         Frames per second.
     sheet : SensorSheet
@@ -131,12 +131,12 @@ def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float],
 
 
 def _missing(campaign: Campaign, sweeps: Sequence[SweepReading], *, saturated: bool) -> list[str]:
-    """What would have told more: runs that are not there, and what those that are do not tell."""
+    """Return what would improve the diagnosis: missing runs, and what the others do not show."""
     missing = campaign.missing
     if saturated:
         missing.append("flat frames that are not saturated (linearity, pattern, vignetting)")
     for sweep in sweeps:
         compared = {*sweep.names} & {*common_modes(sweeps)}
         if 2 * len(compared) < len(sweep.names):
-            missing.append(f"modes of {sweep.name} that the first sweep tells (few are compared)")
+            missing.append(f"modes of {sweep.name} that the first sweep shows (few are compared)")
     return missing

@@ -16,12 +16,12 @@ from runs.records import StepRecord
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
-# From here to the clamp a reed hardly moves.
-_CALM_M = 2e-3
-# Of many holograms those count that are calmest.
-_CALMEST = 0.25
+# Length next to the clamp, m, where a reed hardly moves.
+_STILL_M = 2e-3
+# Quantile of holograms, by carrier, that counts: those of small amplitude.
+_QUANTILE = 0.25
 _LEAST_PIXELS = 20
-# Light is seen if it stands out of what noise makes of so many pixels by so many times its scatter.
+# Light is seen if it exceeds the noise by this many standard deviations.
 _SEEN = 5.0
 # From here to the clamp a reed bends simply. Less than that share of unshifted light is left alone.
 _BENT_M, _LEAST_TAKEN_OFF = 6e-3, 5e-3
@@ -29,14 +29,14 @@ _BENT_M, _LEAST_TAKEN_OFF = 6e-3, 5e-3
 
 @dataclass(frozen=True)
 class CarrierReading:
-    """Light of the reed at rest in the holograms of one sweep, beside its clamp.
+    """Light of the reed at rest in the holograms of one sweep, near its clamp.
 
     Attributes
     ----------
     name : str
         Of the sweep.
     share : float
-        Amplitude in units of that of the light at rest, in the calmest holograms.
+        Amplitude in units of that of the light at rest, in holograms of small amplitude.
     error : float
         Standard deviation that noise gives it in one hologram.
     volts : float
@@ -57,7 +57,7 @@ def read_carriers(
     stills = [part for part in stills if part.good_steps]
     for clamping in sorted({part.clamping for part in stills}):
         first = next(part for part in stills if part.clamping == clamping)
-        calm = _beside_clamp(first.run, _CALM_M)
+        calm = _near_clamp(first.run, _STILL_M)
         if np.count_nonzero(calm) < _LEAST_PIXELS:
             continue
         at_rest, noise = _at_rest(first)
@@ -82,13 +82,13 @@ def _show_same(sweep: CampaignRun, still: CampaignRun) -> bool:
     return same and sweep.clamping == still.clamping
 
 
-def _beside_clamp(run: Run, length_m: float) -> NDArray[np.bool_]:
-    """Which pixels (height, width) show the reed beside its clamp."""
+def _near_clamp(run: Run, length_m: float) -> NDArray[np.bool_]:
+    """Return which pixels (height, width) show the reed near its clamp."""
     reed = run.reed_file().geometry()
     near = run.x_m > reed.clamp.x_m[0] - length_m
     inside = np.abs(run.y_m)[:, None] < half_width_m(reed.outline, run.x_m)
-    beside: NDArray[np.bool_] = near & inside
-    return beside
+    shown: NDArray[np.bool_] = near & inside
+    return shown
 
 
 def _at_rest(part: CampaignRun) -> tuple[Complex, float]:
@@ -111,7 +111,7 @@ def _carrier(
     noise = float(np.median([step.noise_level for step in steps]))
     volts = float(np.exp(np.mean([np.log(max(step.volts, 1e-6)) for step in steps])))
     return CarrierReading(
-        part.name, float(np.quantile(seen, _CALMEST)), np.sqrt(noise / power), volts
+        part.name, float(np.quantile(seen, _QUANTILE)), np.sqrt(noise / power), volts
     )
 
 
@@ -121,7 +121,7 @@ def unshifted_light(
     """Light that leaks into sweeps, by their names, where it is so much that fits would suffer.
 
     It is as large in all holograms of a sweep, and its phase in each is what the reed shows where
-    it would meet its clamp. The calmest sweep tells how large.
+    it would meet its clamp. The sweep of smallest amplitude determines how large.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def unshifted_light(
 def _unshifted(part: CampaignRun, at_rest: Complex, share: float) -> Unshifted:
     """Light at rest (height, width) that leaks into each hologram of a sweep by so much."""
     run = part.run
-    near = _beside_clamp(run, _BENT_M)
+    near = _near_clamp(run, _BENT_M)
     y_m, x_m = (at[near] for at in np.meshgrid(run.y_m, run.x_m, indexing="ij"))
     away = (run.reed_file().geometry().clamp.x_m[0] - x_m) / _BENT_M
     aside = y_m / max(float(np.abs(y_m).max()), 1e-12)
@@ -166,9 +166,9 @@ def _unshifted(part: CampaignRun, at_rest: Complex, share: float) -> Unshifted:
 # volt.
 _MOVES = 6e-4
 # That quantile of numbers that are noise alone, in units of its root mean square.
-_NOISE = float(np.sqrt(-np.log1p(-_CALMEST)))
+_NOISE = float(np.sqrt(-np.log1p(-_QUANTILE)))
 
 
 def carrier_floor(carriers: Sequence[CarrierReading]) -> Array:
-    """What is taken for a carrier (c,) where none leaks in."""
+    """Return the apparent carrier (c,) where none leaks in."""
     return np.array([np.hypot(_MOVES * c.volts, _NOISE * c.error) for c in carriers])

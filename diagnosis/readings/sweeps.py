@@ -28,13 +28,13 @@ from runs.records import StepRecord
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
-# What may be in a hologram beside its sideband, by name.
+# What may be in a hologram in addition to its sideband, by name.
 TEMPLATES = ("carrier_leak", "sideband_crosstalk", "decorrelation")
-# Modes beyond this are too many to be told apart surely.
+# Beyond this frequency modes are too dense to be separated.
 _HIGHEST_HZ = 17e3
 # Modes so far away in log frequency count half as much or less.
 _NEAR = 0.2
-# What modes usually leave of vibrations, and how many holograms; and how many of them are told.
+# Usual discrepancy of the modes, usual number of holograms that do not fit, fewest modes.
 _USUAL, _FEW_OFF, _FEWEST_MODES = 6e-3, 2, 7
 # Bends of a drive, nepers, and how much it usually has of them, per hologram.
 _BEND, _SMOOTH = 0.01, 0.45
@@ -81,7 +81,7 @@ class SweepReading:
     brightness : (k,) float
         Log of the light's amplitude, dn.
     signal : (k,) float
-        Log of vibration times light: where the reed is calm fringes tell no more than that.
+        Log of vibration times light: at small amplitude fringes determine no more than that.
     noise_dn2 : (k,) float
         Beside the image.
     fringe_dn2 : (k,) float
@@ -181,8 +181,8 @@ def read_sweeps(
     )
     read = {part.name: reading for part, reading in zip(fitted, readings, strict=True) if reading}
     empty = {part.name: f"{part.run.path}: nothing is identified" for part in parts}
-    told = [(empty | fits.refused)[part.name] for part in parts if part.name not in read]
-    return list(read.values()), told
+    refused = [(empty | fits.refused)[part.name] for part in parts if part.name not in read]
+    return list(read.values()), refused
 
 
 class _Fits:
@@ -256,7 +256,7 @@ def _bends(fit: JointFit) -> float:
 def _doubt(fit: JointFit) -> tuple[int, float]:
     """How far to doubt a fit: not if modes explain holograms as well as usual; and its bends.
 
-    Where hardly a mode is told, vibrations of any size would do.
+    With few identified modes, vibrations of any size would fit.
     """
     bends = _bends(fit)
     few_off = np.count_nonzero(fit.modal.off) <= _FEW_OFF
@@ -390,7 +390,7 @@ def _templates(fitted: JointFit) -> tuple[Complex, Array]:
 
 
 def _beside(columns: Array, own: int) -> tuple[Complex, Array]:
-    """Amplitudes (t,) of templates, and variances, beside a hologram's own freedoms.
+    """Amplitudes (t,) of templates, and variances, in addition to a hologram's own parameters.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ def test_another_campaign_has_clampings_of_its_own() -> None:
 
 
 def test_a_run_that_is_named_twice_is_refused() -> None:
-    with pytest.raises(FitInputError, match=r"a\.h5, b\.h5: are one run; name it once"):
+    with pytest.raises(FitInputError, match=r"a\.h5, b\.h5: are the same run; name it once"):
         Campaign.of([run(uid="1", path=Path("a.h5")), run(uid="1", path=Path("b.h5"))])
 
 

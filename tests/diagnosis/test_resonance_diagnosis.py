@@ -15,7 +15,7 @@ from diagnosis.mean_reed import (
     tabled_reeds,
 )
 from diagnosis.resonance_diagnosis import diagnose_resonances
-from diagnosis.resonance_fit import _kappa
+from diagnosis.resonance_fit import _explained
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
 from physics.effects.effect import (
@@ -212,7 +212,7 @@ def test_means_of_many_reeds_are_as_sure_as_their_number(tmp_path) -> None:
 
 def test_shares_that_are_closed_are_of_what_is_above_the_floor() -> None:
     before, after = np.array([2.0, -1.0, 3.0]), np.array([1.0, 1.0, -1.5])
-    explained, low, high = _kappa(before, after, ("F1", "T1", "F2"))
+    explained, low, high = _explained(before, after, ("F1", "T1", "F2"))
     gaps = [np.mean(part**2) - 1 for part in (before, after)]
     assert explained == pytest.approx((gaps[0] - gaps[1]) / gaps[0])
     assert low <= explained <= high

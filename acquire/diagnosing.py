@@ -16,7 +16,7 @@ from diagnosis.resonance_diagnosis import diagnose_resonances as judge_resonance
 from fitting.errors import FitError, FitInputError
 from physics.effects.catalogue import CATALOGUE
 from physics.mechanics import ReedSolver
-from physics.reed.cache import anatomy
+from physics.reed.cache import shape_derivatives
 from protocols.bench import BenchFile
 from reports.diagnosis_page import page_output, write_page
 from reports.next_campaign import next_outputs, require_repeatable, write_next
@@ -91,7 +91,9 @@ def _verdict(
     first = campaign.sweeps[0].run
     described = bench or bench_of(first)
     base = base_twin(described)
-    solver = ReedSolver(anatomy(first.reed_file().geometry(), announce=announce), announce)
+    solver = ReedSolver(
+        shape_derivatives(first.reed_file().geometry(), announce=announce), announce
+    )
     readings = read(campaign, described, lambda done: progress("fitting sweeps", done))
     try:
         return judge(
@@ -129,7 +131,7 @@ def diagnose_resonances(
         If the table cannot be used, or no clarinet reed has resonances near its values.
     """
     reeds = tabled_reeds(Path(table), announce) if table else printed_reeds()
-    solver = ReedSolver(anatomy(announce=announce), announce)
+    solver = ReedSolver(shape_derivatives(announce=announce), announce)
     try:
         return ResonanceDiagnosisResult(
             judge_resonances(

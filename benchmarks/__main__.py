@@ -21,7 +21,7 @@ MODULES = (
     "benchmarks.identification",
     "benchmarks.reach",
     "benchmarks.leaks",
-    "benchmarks.own_data",
+    "benchmarks.inverse_crime",
     "benchmarks.sealed_sets",
 )
 

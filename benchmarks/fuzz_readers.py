@@ -35,7 +35,7 @@ from fitting.populations.resonance_table import (
     read_resonances,
 )
 from physics.optics import visible_size_m
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from protocols.bench import BenchFile
 from protocols.campaign import CampaignFile, tasks_of
 from protocols.plan import Plan, make_plan

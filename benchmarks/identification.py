@@ -32,7 +32,7 @@ from drivers.registry import open_bench
 from fitting.cane.fit_runs import fit_sweep, fit_sweep_jointly
 from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
-from fitting.modal.acoustic_resonances import Line, common_lines
+from fitting.modal.acoustic_resonances import ExcitationPeak, common_excitation_peaks
 from fitting.modal.identify import JointFit
 from physics.reed.viscoelastic import Series
 from protocols.bench import BenchFile
@@ -47,7 +47,7 @@ Array = NDArray[np.floating[Any]]
 CLAIMED = ("F1", "T1", "F2", "T2", "T3", "F3", "X2")
 BIAS_CENTS, SD_CENTS, COVERAGE, FIT_S = 5.0, 5.0, (0.60, 0.76), 10.0
 # A name that the reed's own finite elements hardly know is no truth.
-_LEAST_LIKENESS = 0.5
+_LEAST_SIMILARITY = 0.5
 # The library is given so many points of the reed.
 _PEER_POINTS = 60
 _METHODS = ("joint", "picture", LIBRARY)
@@ -64,7 +64,7 @@ class Judged:
     true_names: list[str]
     joint_s: float
     picture_s: float
-    lines: list[Line]
+    excitation_peaks: list[ExcitationPeak]
 
 
 def judge(path: Path) -> Judged:
@@ -73,7 +73,7 @@ def judge(path: Path) -> Judged:
     true_hz = {
         name: mode["hz"]
         for name, mode in truth["modes"].items()
-        if mode["likeness"] > _LEAST_LIKENESS
+        if mode["similarity"] > _LEAST_SIMILARITY
     }
     with Run.open(path) as opened:
         reed = basis_of(opened.reed_file())
@@ -103,7 +103,7 @@ def judge(path: Path) -> Judged:
         list(true_hz),
         middle_s - start_s,
         end_s - middle_s,
-        sweep.lines,
+        sweep.excitation_peaks,
     )
 
 
@@ -119,7 +119,9 @@ def _by_library(joint: JointFit, expected_hz: Mapping[str, float]) -> dict[str, 
     told = joint.displacements.reached
     response = (joint.displacements.amplitude_rad / joint.modal.drive[:, None])[told]
     modes = peer_modes(
-        joint.phasors.drive_hz[told], response @ functions[points].T.astype(float), expected_hz
+        joint.block_amplitudes.drive_hz[told],
+        response @ functions[points].T.astype(float),
+        expected_hz,
     )
     return {name: mode.hz for name, mode in modes.items()}
 
@@ -158,11 +160,11 @@ def _normalised(judged: Sequence[Judged], names: Sequence[str]) -> Array:
     )
 
 
-def _by_reed(judged: Sequence[Judged]) -> list[list[Line]]:
+def _by_reed(judged: Sequence[Judged]) -> list[list[ExcitationPeak]]:
     """Lines of each reed, in whatever series."""
-    lines: dict[str, list[Line]] = {}
+    lines: dict[str, list[ExcitationPeak]] = {}
     for each in judged:
-        lines.setdefault(each.run.rpartition("-")[0], []).extend(each.lines)
+        lines.setdefault(each.run.rpartition("-")[0], []).extend(each.excitation_peaks)
     return list(lines.values())
 
 
@@ -187,7 +189,9 @@ def summary(judged: Sequence[Judged]) -> dict[str, Any]:
         "library": peer_version(),
         "modes": tables,
         "coverage": coverage,
-        "common_lines": [asdict(line) for line in common_lines(_by_reed(judged))],
+        "common_excitation_peaks": [
+            asdict(line) for line in common_excitation_peaks(_by_reed(judged))
+        ],
         "fit_s": {
             "median": float(np.median(seconds)),
             "most": max(seconds),
@@ -293,7 +297,7 @@ def _print_claims(result: dict[str, Any]) -> None:
         f"a run is fitted in {seconds['median']:.1f} s, {seconds['most']:.1f} s at most, "
         f"{seconds['longer']} of {result['runs']} longer than {FIT_S:g} s: {met('time_met')}"
     )
-    for line in result["common_lines"]:
+    for line in result["common_excitation_peaks"]:
         print(
             f"line of the drive at {line['hz']:.0f} Hz, {line['height_db']:+.1f} dB, in "
             f"{line['reeds']} of {result['reeds']} reeds"

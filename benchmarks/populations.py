@@ -49,7 +49,7 @@ from physics.reed.basis import ReducedReed
 from physics.reed.geometry import ReedGeometry
 from physics.reed.log_polynomial import LogPolynomial, finite_element_polynomial
 from physics.reed.metamodel import Metamodel
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.response import viscoelastic_mode
 from physics.reed.viscoelastic import (
     Components,

@@ -28,16 +28,13 @@ from scipy.optimize import linear_sum_assignment
 from fitting.paper.constants import adjusted_metamodel
 from physics.reed.cache import FAST, STANDARD
 from physics.reed.material import Cane
-from physics.reed.material_basis import (
-    CONSTANTS,
-    MaterialBasis,
-    modes,
-)
+from physics.reed.material_basis import MaterialBasis, modes
+from physics.reed.material_constants import CONSTANTS
 from physics.reed.material_snapshots import TrainingSettings
 from physics.reed.material_training import build_material_basis
 from physics.reed.mesh import MeshLevel
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.modes import NamedMode, reed_modes
-from physics.reed.names import PAPER_MODES
 from protocols.reed import DEFAULT_REED, ReedFile
 
 Array = npt.NDArray[np.float64]
@@ -109,7 +106,7 @@ def compare(
         for m, mode, deviation in paired(found.hz[0], asked, mine):
             name = basis.names[m]
             cents[name], same[name] = deviation, mode.name == name
-            clear[name] = bool(found.likeness[0, m] > CLEAR)
+            clear[name] = bool(found.similarity[0, m] > CLEAR)
     return Comparison(cents, clear, same, solve_s)
 
 

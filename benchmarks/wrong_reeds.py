@@ -157,7 +157,7 @@ def true_modes(bench: BenchFile, reed: str, series: Series) -> dict[str, dict[st
     Returns
     -------
     dict
-        Name → ``hz``, ``symmetry`` (of the part with more energy) and ``likeness`` (low where
+        Name → ``hz``, ``symmetry`` (of the part with more energy) and ``similarity`` (low where
         modes exchange shapes, so that the name says little), ascending in frequency.
     """
     plan = make_plan(Protocol.from_file(PROTOCOLS[series]), bench)
@@ -186,7 +186,7 @@ def true_modes(bench: BenchFile, reed: str, series: Series) -> dict[str, dict[st
         mode.name: {
             "hz": mode.frequency_hz,
             "symmetry": str(mode.symmetry),
-            "likeness": mode.likeness,
+            "similarity": mode.similarity,
         }
         for mode in modes
     }

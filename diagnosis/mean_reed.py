@@ -12,7 +12,7 @@ from fitting.errors import FitInputError
 from fitting.forward import cents_of
 from fitting.paper.printed import printed
 from fitting.populations.resonance_table import read_resonances
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.viscoelastic import Series
 
 Array = NDArray[np.floating[Any]]

@@ -12,7 +12,7 @@ from fitting.paper import constants as paper
 from physics.reed.basis import BasisSettings, ReducedReed
 from physics.reed.cache import reduced_reed
 from physics.reed.metamodel import REFERENCE_HZ
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.response import Mode, elastic_modes
 from physics.reed.viscoelastic import (
     Series,
@@ -69,7 +69,7 @@ class ForwardModel(Protocol):
     def elastic_cents(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
         """Cents above F6 (m,) where mode m has the moduli E_L[m], G_LT[m]."""
 
-    def likeness(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
+    def similarity(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
         """How far each mode's shape bears out its name (m,); 1 is the mode at its purest."""
 
 
@@ -83,7 +83,7 @@ class FiniteElementModel:
 
     modes: tuple[str, ...]
     splines: tuple[RectBivariateSpline, ...]
-    likenesses: tuple[RectBivariateSpline, ...]
+    similarities: tuple[RectBivariateSpline, ...]
     name: str = "finite elements"
     iterations: int = _ITERATIONS
 
@@ -96,16 +96,16 @@ class FiniteElementModel:
         """Cents above F6 (m,); moduli beyond the table are taken at its edge."""
         return _at(self.splines, E_L_pa, G_LT_pa)
 
-    def likeness(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
+    def similarity(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
         """Likeness of shape and name (m,), interpolated linearly."""
-        return _at(self.likenesses, E_L_pa, G_LT_pa)
+        return _at(self.similarities, E_L_pa, G_LT_pa)
 
 
 def _entry(mode: Mode | None) -> tuple[float, float]:
-    """Cents and likeness; a mode so mixed with others that none bears its name has no likeness."""
+    """Return cents and similarity; the similarity is 0 if no mode has the name."""
     if mode is None:
         return np.nan, 0.0
-    return float(cents_of(mode.frequency_hz)), mode.likeness
+    return float(cents_of(mode.frequency_hz)), mode.similarity
 
 
 def _fill_from_nearest(cents: Array) -> None:
@@ -147,7 +147,7 @@ def finite_element_model(
     return FiniteElementModel(
         modes,
         tuple(RectBivariateSpline(*axes, cents) for cents in table[0]),
-        tuple(RectBivariateSpline(*axes, likeness, kx=1, ky=1) for likeness in table[1]),
+        tuple(RectBivariateSpline(*axes, similarity, kx=1, ky=1) for similarity in table[1]),
     )
 
 
@@ -169,7 +169,7 @@ class PaperModel:
         """Cents above F6 (m,) by Eq. 1."""
         return paper.adjusted_metamodel(self.modes).evaluate(E_L_pa, G_LT_pa)[0]
 
-    def likeness(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
+    def similarity(self, E_L_pa: Array, G_LT_pa: Array) -> Array:
         """Ones (m,): a formula has no shapes to doubt."""
         return np.ones(len(E_L_pa))
 
@@ -187,13 +187,13 @@ def viscoelastic_cents(model: ForwardModel, cane: ViscoelasticCane, series: Seri
     return cents
 
 
-def name_likeness(model: ForwardModel, cane: ViscoelasticCane, cents: Array) -> Array:
+def name_similarity(model: ForwardModel, cane: ViscoelasticCane, cents: Array) -> Array:
     """How far the modes of a reed bear out their names (m,), at their frequencies in cents.
 
-    Where two modes of one symmetry come close they exchange shapes: likeness falls to a half,
+    Where two modes of one symmetry come close they exchange shapes: similarity falls to a half,
     of that of a pure mode, and the frequency of either no longer follows one modulus.
     """
-    return model.likeness(*_storage_moduli_pa(cane, hz_of(cents)))
+    return model.similarity(*_storage_moduli_pa(cane, hz_of(cents)))
 
 
 def _storage_moduli_pa(cane: ViscoelasticCane, hz: Array) -> tuple[Array, Array]:

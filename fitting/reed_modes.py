@@ -14,13 +14,9 @@ from physics.reed.cache import (
 from physics.reed.geometry import (
     is_even,
 )
-from physics.reed.material_basis import (
-    MaterialBasis,
-    ReedModes,
-    constants_of,
-    modes,
-)
+from physics.reed.material_basis import MaterialBasis, ReedModes, modes
 from physics.reed.material_cache import material_basis
+from physics.reed.material_constants import constants_of
 from physics.reed.material_snapshots import TrainingSettings, heaviest_kg_m3
 from physics.reed.material_viscoelastic import settled_modes
 from physics.reed.mesh import MeshLevel
@@ -120,7 +116,7 @@ def modes_by_basis(
     Returns
     -------
     list of NamedMode
-        `shape` has no nodes; `likeness` is that to the reference's mode of the name.
+        `shape` has no nodes; `similarity` is that to the reference's mode of the name.
 
     Raises
     ------
@@ -159,12 +155,12 @@ def _modes_off(basis: MaterialBasis, reed: ReedFile) -> ReedModes:
 def _named_modes(basis: MaterialBasis, found: ReedModes) -> list[NamedMode]:
     symmetries = {name: symmetry for symmetry, half in basis.halves.items() for name in half.names}
     named = [
-        NamedMode(name, hz, klass, symmetries[name], likeness, np.empty((0, 3)))
-        for name, klass, hz, likeness in zip(
+        NamedMode(name, hz, klass, symmetries[name], similarity, np.empty((0, 3)))
+        for name, klass, hz, similarity in zip(
             basis.names,
             basis.classes,
             found.hz[0].tolist(),
-            found.likeness[0].tolist(),
+            found.similarity[0].tolist(),
             strict=True,
         )
         if hz <= HIGHEST_HZ
@@ -211,7 +207,7 @@ def _key_and_unit(name: str) -> tuple[str, float, str]:
 def doubts_marked(modes: Sequence[NamedMode]) -> list[NamedMode]:
     """The same modes with "?" after names that bear out less than half of the motion."""
     return [
-        mode if mode.likeness >= _CLEAR else replace(mode, name=f"{mode.name}?") for mode in modes
+        mode if mode.similarity >= _CLEAR else replace(mode, name=f"{mode.name}?") for mode in modes
     ]
 
 
@@ -231,7 +227,7 @@ def modes_to_json(reed: ReedFile, modes: Sequence[NamedMode]) -> dict[str, Any]:
                 "hz": mode.frequency_hz,
                 "class": str(mode.klass),
                 "symmetry": str(mode.symmetry),
-                "likeness": mode.likeness,
+                "similarity": mode.similarity,
             }
             for mode in modes
         ],

@@ -14,25 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from physics.reed.altered import (
-    AirLoad,
-    CaneTable,
+from physics.reed.coarse import coarse_mesh_cents
+from physics.reed.geometry import half_width_m
+from physics.reed.material import Cane
+from physics.reed.mode_classification import ModeDescriptor, names_of
+from physics.reed.modes import at_frequency
+from physics.reed.radiation import air_load
+from physics.reed.shape_derivatives import ShapeDerivatives
+from physics.reed.structural_changes import (
     Change,
-    Vibrations,
     added_mass,
     combined,
     layer,
     softening,
-    vibrations,
     yielding_clamp,
 )
-from physics.reed.anatomy import Anatomy
-from physics.reed.coarse import coarse_mesh_cents
-from physics.reed.geometry import half_width_m
-from physics.reed.material import Cane
-from physics.reed.modes import at_frequency
-from physics.reed.names import Portrait, names_of
-from physics.reed.radiation import air_load
+from physics.reed.structural_modification import AirLoad, CaneTable, Vibrations, vibrations
 from physics.reed.viscoelastic import (
     Components,
     Series,
@@ -180,7 +177,7 @@ class ReedMode:
     hz, loss_factor : float
         Resonance frequency and loss factor.
     coordinates : (s,) float
-        Mode shape, see `physics.reed.altered.Vibrations`.
+        Mode shape, see `physics.reed.structural_modification.Vibrations`.
     """
 
     name: str
@@ -194,7 +191,7 @@ class ReedSolver:
 
     Parameters
     ----------
-    anatomy : Anatomy
+    shape_derivatives : ShapeDerivatives
         Finite-element model of the kind of reed.
     announce : callable, optional
         Called with a text before a computation that takes long.
@@ -206,15 +203,21 @@ class ReedSolver:
         It raises ValueError if such a reed is physically impossible.
     """
 
-    def __init__(self, anatomy: Anatomy, announce: Callable[[str], None] | None = None) -> None:
-        self.anatomy = anatomy
-        self._unit = lru_cache(maxsize=None)(lambda kind: _unit_change(anatomy, kind))
-        self._air = lru_cache(maxsize=1)(lambda: air_load(anatomy.reed))
+    def __init__(
+        self, shape_derivatives: ShapeDerivatives, announce: Callable[[str], None] | None = None
+    ) -> None:
+        self.shape_derivatives = shape_derivatives
+        self._unit = lru_cache(maxsize=None)(lambda kind: _unit_change(shape_derivatives, kind))
+        self._air = lru_cache(maxsize=1)(lambda: air_load(shape_derivatives.reed))
         self._coarse = lru_cache(maxsize=1)(
-            lambda: coarse_mesh_cents(anatomy.reed.geometry, anatomy.reed.cane, announce)
+            lambda: coarse_mesh_cents(
+                shape_derivatives.reed.geometry, shape_derivatives.reed.cane, announce
+            )
         )
         self._canes = lru_cache(maxsize=_KEPT)(
-            lambda cane, shift: CaneTable.of(material_of(anatomy, cane, shift), HIGHEST_HZ)
+            lambda cane, shift: CaneTable.of(
+                material_of(shape_derivatives, cane, shift), HIGHEST_HZ
+            )
         )
         self._named = lru_cache(maxsize=None)(self._named_shapes)
         # Cached, because a finite difference in one parameter leaves most reeds of a campaign
@@ -248,29 +251,31 @@ class ReedSolver:
 
     def _vibrations(self, reed: Mechanics) -> Vibrations:
         parts = [(amount, self._unit(kind)) for kind, amount in reed.alterations if amount]
-        change = combined(self.anatomy, parts)
+        change = combined(self.shape_derivatives, parts)
         air = _thinned(self._air(), reed.air_share) if reed.air_share else None
-        return vibrations(self.anatomy, change, self._canes(reed.cane, reed.shift), HIGHEST_HZ, air)
+        return vibrations(
+            self.shape_derivatives, change, self._canes(reed.cane, reed.shift), HIGHEST_HZ, air
+        )
 
     @cached_property
     def mass_kg(self) -> Array:
         """Return the mass matrix (s, s) of the nominal reed in kg, in coordinates of its modes."""
-        return self.anatomy.reed.cane.density_kg_m3 * self.anatomy.mass
+        return self.shape_derivatives.reed.cane.density_kg_m3 * self.shape_derivatives.mass
 
     def _named_shapes(self, cane: ViscoelasticCane) -> tuple[list[str], Array]:
         """Return names and shapes (s, m) of the modes of the nominal reed."""
         found = self._vibrations(Mechanics(cane=cane))
-        portraits, start = [], 0
-        density = self.anatomy.reed.cane.density_kg_m3
-        for symmetry, half in self.anatomy.reed.halves.items():
+        descriptors, start = [], 0
+        density = self.shape_derivatives.reed.cane.density_kg_m3
+        for symmetry, half in self.shape_derivatives.reed.halves.items():
             own = found.coordinates[start : start + half.mass.shape[0]]
             start += half.mass.shape[0]
 
             def squared(part: Array, own: Array = own) -> Array:
                 return density * np.asarray(np.einsum("rm,rm->m", own, part @ own))
 
-            portraits.append(
-                Portrait(
+            descriptors.append(
+                ModeDescriptor(
                     symmetry=symmetry,
                     share=squared(half.mass),
                     sideways=squared(half.lateral_mass),
@@ -279,14 +284,14 @@ class ReedSolver:
                     square=squared(half.vamp_square) / density,
                 )
             )
-        return [naming.name for naming in names_of(portraits)], found.coordinates
+        return [naming.name for naming in names_of(descriptors)], found.coordinates
 
 
 def material_of(
-    anatomy: Anatomy, kind: ViscoelasticCane, shift: CaneShift
+    shape_derivatives: ShapeDerivatives, kind: ViscoelasticCane, shift: CaneShift
 ) -> Callable[[float], Cane]:
     """Return a function that gives the cane of a reed at a frequency in Hz."""
-    nominal = anatomy.reed.cane
+    nominal = shape_derivatives.reed.cane
 
     def cane(hz: float) -> Cane:
         unshifted = at_frequency(nominal, kind, hz)
@@ -314,15 +319,18 @@ def _thinned(air: AirLoad, fraction: float) -> AirLoad:
     return AirLoad(air.hz, fraction * air.mass_kg, fraction * air.resistance_kg_s)
 
 
-def _unit_change(anatomy: Anatomy, kind: Alteration) -> Change:
+def _unit_change(shape_derivatives: ShapeDerivatives, kind: Alteration) -> Change:
     """Return the change of stiffness and mass by an alteration of amount 1."""
-    outline, end_m = anatomy.reed.geometry.outline, anatomy.reed.geometry.vamp_x_m[-1]
+    outline, end_m = (
+        shape_derivatives.reed.geometry.outline,
+        shape_derivatives.reed.geometry.vamp_x_m[-1],
+    )
     if isinstance(kind, YieldingClamp):
-        return yielding_clamp(anatomy, float(kind.side >= 0), float(kind.side <= 0))
+        return yielding_clamp(shape_derivatives, float(kind.side >= 0), float(kind.side <= 0))
     if isinstance(kind, TipMass):
-        zone = anatomy.area_m2 * (anatomy.bark_m[:, 0] < kind.length_m)
+        zone = shape_derivatives.area_m2 * (shape_derivatives.bark_m[:, 0] < kind.length_m)
         area_m2 = 2 * float(zone.sum())
-        return added_mass(anatomy, lambda x, y: (x < kind.length_m) / area_m2)
+        return added_mass(shape_derivatives, lambda x, y: (x < kind.length_m) / area_m2)
     if isinstance(kind, SoftSpot):
 
         def depth(x: Array, y: Array) -> Array:
@@ -330,7 +338,7 @@ def _unit_change(anatomy: Anatomy, kind: Alteration) -> Change:
             bell: Array = np.exp(-r2 / (2 * kind.radius_m**2))
             return bell
 
-        return softening(anatomy, depth)
+        return softening(shape_derivatives, depth)
     along = np.polynomial.legendre.Legendre.basis(kind.along)
     across = np.polynomial.legendre.Legendre.basis(kind.across)
 
@@ -339,4 +347,4 @@ def _unit_change(anatomy: Anatomy, kind: Alteration) -> Change:
         grown: Array = along(2 * x / end_m - 1) * across(eta)
         return grown
 
-    return layer(anatomy, thickness)
+    return layer(shape_derivatives, thickness)

@@ -61,7 +61,7 @@ def resonances_table(sweep: SweepFit, residual_cents: Mapping[str, float] | None
             None if found.loss_factor is None else (found.loss_factor, found.loss_error),
             found.response_hz,
             found.participation,
-            found.likeness,
+            found.similarity,
             found.step_index,
             found.amplitude_rad,
             residuals.get(name, "not fitted"),
@@ -94,7 +94,7 @@ def remarks(sweep: SweepFit) -> list[str]:
     return lines + [
         f"excitation peak at {peak.hz:.0f} Hz ({peak.height_db:+.0f} dB). If other reeds show it "
         "too, it belongs to the air or the loudspeaker, not to the reed."
-        for peak in sweep.lines
+        for peak in sweep.excitation_peaks
     ]
 
 

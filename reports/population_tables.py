@@ -153,7 +153,7 @@ def remarks(summary: PopulationSummary, measured: Measured | None = None) -> lis
     measured : Measured, optional
         What the runs of a folder gave, if they were measured.
     """
-    peaks = (measured.lines if measured else None) or ()
+    peaks = (measured.excitation_peaks if measured else None) or ()
     reeds = measured.reeds if measured else 0
     said = [
         f"acoustic resonance at {peak.hz:.0f} Hz ({peak.height_db:+.1f} dB): {peak.reeds} of "

@@ -11,7 +11,7 @@ from fitting.statistics.factors import principal_factors, varimax_factors
 from fitting.statistics.hypotheses.chain import HypothesisRow, table_of_hypotheses
 from fitting.statistics.synthetic import IDENTIFIED, REEDS
 from physics.reed.metamodel import Metamodel
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from reproduction.models import (
     Announce,
     Models,

@@ -12,7 +12,7 @@ from fitting.statistics.synthetic import (
     mode_correlations,
     series_correlations,
 )
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from reproduction.models import (
     NOISE_CENTS,
     Models,

@@ -26,7 +26,7 @@ from fitting.statistics.synthetic import (
     backward_validation,
     variable_names,
 )
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from reproduction.models import (
     NOISE_CENTS,
     Models,
@@ -103,9 +103,9 @@ def compute_factors(populations: Populations, variables: tuple[str, ...]) -> Pop
 
 def _in_order_of_components(found: Factors, components: Array) -> Array:
     """Scores (n, 4) of the factors like e1…e4, in that order and with their signs."""
-    likeness = correlations(components, found.scores)
-    _, order = linear_sum_assignment(np.abs(likeness), maximize=True)
-    signs = np.sign(likeness[range(_FACTORS), order])
+    similarity = correlations(components, found.scores)
+    _, order = linear_sum_assignment(np.abs(similarity), maximize=True)
+    signs = np.sign(similarity[range(_FACTORS), order])
     return np.asarray(found.scores[:, order] * signs)
 
 
@@ -224,8 +224,8 @@ def _reconstruction_rows(numbers: Printed, found: PopulationFactors) -> Iterator
         numbers.pca.reconstruction_rmsd_cents_4_factors, as_eq_5d(found.rmsd_cents), 1.0, "cents",
         "with the divisor of Eq. eq5d",
     )  # fmt: skip
-    likeness = np.abs(found.loadings[:, -len(_COMPONENTS) :])
-    own = likeness[:, range(_FACTORS), range(_FACTORS)]
+    similarity = np.abs(found.loadings[:, -len(_COMPONENTS) :])
+    own = similarity[:, range(_FACTORS), range(_FACTORS)]
     for word, values in (("least", own.min(axis=1)), ("most", own.max(axis=1))):
         yield from_populations(
             "Conclusion", f"correlation of a component with its factor, {word}",

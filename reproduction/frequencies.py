@@ -16,7 +16,7 @@ from fitting.statistics.synthetic import (
 )
 from physics.reed.basis import ReducedReed
 from physics.reed.metamodel import Metamodel
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.response import elastic_modes, viscoelastic_mode
 from physics.reed.viscoelastic import (
     Components,
@@ -192,7 +192,7 @@ def _computed(reed: ReducedReed, mode: str, series: Series, printed_hz: float) -
     best = min(found, key=lambda m: abs(np.log2(m.frequency_hz / printed_hz)))
     if len(found) == 1:
         return best.frequency_hz, "no adjustments"
-    shares = " and ".join(f"{m.name} {m.frequency_hz:.0f} Hz ({m.likeness:.2f})" for m in found)
+    shares = " and ".join(f"{m.name} {m.frequency_hz:.0f} Hz ({m.similarity:.2f})" for m in found)
     return best.frequency_hz, (
         f"no adjustments; our {shares} mix the shapes of both names, so that either name fits "
         "either: the nearer one is compared"

@@ -14,8 +14,8 @@ from physics.reed.fem import ReedMatrices, assemble
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material import Cane
 from physics.reed.mesh import build_mesh
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.modes import NamedMode, reed_modes
-from physics.reed.names import PAPER_MODES
 from physics.reed.sensitivity import CONSTANTS, rayleigh_sensitivities
 from physics.reed.tetrahedra import PLAIN, tetrahedral_reed
 from reproduction.models import Announce

@@ -19,7 +19,7 @@ from physics.reed.metamodel import (
     fit_equation_1,
     paper_network_pa,
 )
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.response import elastic_modes
 from physics.reed.sensitivity import CONSTANTS
 from reproduction.mesh_evidence import MeshEvidence, MeshResult

@@ -13,7 +13,7 @@ from physics.reed.basis import ReducedReed
 from physics.reed.cache import reduced_reed
 from physics.reed.log_polynomial import finite_element_polynomial
 from physics.reed.metamodel import Equation1, Metamodel
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.viscoelastic import storage_modulus
 
 Array = NDArray[np.floating[Any]]

@@ -10,8 +10,8 @@ from reports.figures.drawing import png_of
 from reports.own_output import Output, page_kind, write_output
 from reports.pages import Picture, render
 from reports.tables import Column, Table
-from reproduction.rows import Drawing, Group, Row, Verdict
-from reproduction.whole import Comparison
+from reproduction.rows import Agreement, Drawing, Group, Row
+from reproduction.whole import PaperComparison
 
 _TITLE: Final = "The paper, number by number"
 _PAPER: Final = (
@@ -30,7 +30,7 @@ _SHADE_WORDS: Final = {
 # A hyphen that is a minus.
 _SIGNED: Final = re.compile(r"(?<!\w)-(?=\d)")
 # Shown at once; the others unfold.
-_SHOWN: Final = (Verdict.DIFFERS, Verdict.REFUTED, Verdict.NOT_PRINTED)
+_SHOWN: Final = (Agreement.DIFFERS, Agreement.REFUTED, Agreement.NOT_PRINTED)
 
 
 def shown_number(value: float | None) -> str:
@@ -79,12 +79,12 @@ def page_output(page: Path) -> Output:
     return Output(page, _PAGE)
 
 
-def write_page(comparison: Comparison, page: Path) -> None:
+def write_page(comparison: PaperComparison, page: Path) -> None:
     """Write the page.
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : PaperComparison
     page : Path
         An older page of the paper there is replaced, and nothing else.
 
@@ -96,7 +96,7 @@ def write_page(comparison: Comparison, page: Path) -> None:
     write_output(page_output(page), document(comparison))
 
 
-def document(comparison: Comparison) -> str:
+def document(comparison: PaperComparison) -> str:
     """Return the whole page."""
     return render(
         "paper.html",
@@ -105,36 +105,36 @@ def document(comparison: Comparison) -> str:
         paper=_PAPER,
         lead=_lead(comparison),
         findings=comparison.findings,
-        verdicts=list(Verdict),
+        verdicts=list(Agreement),
         shades=list(_SHADE_WORDS.items()),
         columns=Table(_COLUMNS, ()).meanings,
         groups=[_section(group) for group in comparison.groups],
     )
 
 
-def counts_table(comparison: Comparison) -> Table:
-    """Return numbers of rows by group and verdict, for the command line."""
+def counts_table(comparison: PaperComparison) -> Table:
+    """Return numbers of rows by group and agreement, for the command line."""
     columns = (
         Column("group", "group"),
-        *(Column(verdict.name.lower(), str(verdict), "", "d") for verdict in Verdict),
+        *(Column(agreement.name.lower(), str(agreement), "", "d") for agreement in Agreement),
     )
     rows = [
-        (group.title.partition(":")[0], *map(group.count, Verdict)) for group in comparison.groups
+        (group.title.partition(":")[0], *map(group.count, Agreement)) for group in comparison.groups
     ]
-    rows.append(("all", *map(comparison.count, Verdict)))
+    rows.append(("all", *map(comparison.count, Agreement)))
     return Table(columns, tuple(rows), "The paper's numbers compared with ours", total=True)
 
 
-def _lead(comparison: Comparison) -> str:
-    count = {verdict: comparison.count(verdict) for verdict in Verdict}
-    printed = len(comparison.rows) - count[Verdict.NOT_PRINTED]
-    computed = printed - count[Verdict.NOT_REPRODUCIBLE]
+def _lead(comparison: PaperComparison) -> str:
+    count = {agreement: comparison.count(agreement) for agreement in Agreement}
+    printed = len(comparison.rows) - count[Agreement.NOT_PRINTED]
+    computed = printed - count[Agreement.NOT_REPRODUCIBLE]
     return (
         f"{printed} comparisons with printed numbers. {computed} of them can be computed, from the "
         "text alone or from synthetic populations of reeds in place of the 55 measured reeds: "
-        f"{count[Verdict.REPRODUCED]} are reproduced within their tolerance, "
-        f"{count[Verdict.DIFFERS]} differ, and {count[Verdict.REFUTED]} are refuted. "
-        f"{count[Verdict.NOT_REPRODUCIBLE]} cannot be computed."
+        f"{count[Agreement.REPRODUCED]} are reproduced within their tolerance, "
+        f"{count[Agreement.DIFFERS]} differ, and {count[Agreement.REFUTED]} are refuted. "
+        f"{count[Agreement.NOT_REPRODUCIBLE]} cannot be computed."
     )
 
 
@@ -153,23 +153,23 @@ class _Section:
 
 
 def _section(group: Group) -> _Section:
-    shown = [row for row in group.rows if row.verdict in _SHOWN]
-    others = [row for row in group.rows if row.verdict not in _SHOWN]
+    shown = [row for row in group.rows if row.agreement in _SHOWN]
+    others = [row for row in group.rows if row.agreement not in _SHOWN]
     return _Section(
         group.key,
         group.title,
         group.method,
-        [group.count(verdict) for verdict in Verdict],
+        [group.count(agreement) for agreement in Agreement],
         [_picture(drawing) for drawing in group.drawings],
         _rows_table(shown) if shown else None,
         _rows_table(others) if others else None,
-        f"{'The other ' if shown else ''}{len(others)} rows: {_verdicts(others)}",
+        f"{'The other ' if shown else ''}{len(others)} rows: {_agreements(others)}",
     )
 
 
-def _verdicts(rows: Sequence[Row]) -> str:
-    counts = {verdict: sum(row.verdict is verdict for row in rows) for verdict in Verdict}
-    return ", ".join(f"{n} {verdict}" for verdict, n in counts.items() if n)
+def _agreements(rows: Sequence[Row]) -> str:
+    counts = {agreement: sum(row.agreement is agreement for row in rows) for agreement in Agreement}
+    return ", ".join(f"{n} {agreement}" for agreement, n in counts.items() if n)
 
 
 def _picture(drawing: Drawing) -> Picture:
@@ -196,9 +196,9 @@ def _rows_table(rows: Sequence[Row]) -> Table:
 
 
 def _shade(row: Row) -> str:
-    if row.verdict is Verdict.REFUTED:
+    if row.agreement is Agreement.REFUTED:
         return "refuted"
-    if row.verdict is not Verdict.DIFFERS or row.difference is None:
+    if row.agreement is not Agreement.DIFFERS or row.difference is None:
         return ""
     tolerances = abs(row.difference) / row.tolerance if row.tolerance else float("inf")
     return next(name for most, name in _SHADES if tolerances <= most)

@@ -18,7 +18,7 @@ class Basis(StrEnum):
     NONE = "none"
 
 
-class Verdict(StrEnum):
+class Agreement(StrEnum):
     """How a row came out."""
 
     REPRODUCED = "reproduced"
@@ -68,16 +68,16 @@ class Row:
     refuted: bool = False
 
     @property
-    def verdict(self) -> Verdict:
+    def agreement(self) -> Agreement:
         """What may be said of the printed number."""
         if self.ours is None:
-            return Verdict.NOT_REPRODUCIBLE
+            return Agreement.NOT_REPRODUCIBLE
         if self.difference is None:
-            return Verdict.NOT_PRINTED
+            return Agreement.NOT_PRINTED
         # Rounding of a difference does not put a number at the edge of its tolerance outside.
         if abs(self.difference) <= self.tolerance * (1 + 1e-9):
-            return Verdict.REPRODUCED
-        return Verdict.REFUTED if self.refuted else Verdict.DIFFERS
+            return Agreement.REPRODUCED
+        return Agreement.REFUTED if self.refuted else Agreement.DIFFERS
 
     def to_json(self) -> dict[str, Any]:
         """Return the row with stable keys."""
@@ -92,7 +92,7 @@ class Row:
             "tolerance": self.tolerance,
             "spread": self.spread,
             "basis": str(self.basis),
-            "verdict": str(self.verdict),
+            "agreement": str(self.agreement),
             "remark": self.remark,
         }
 
@@ -126,9 +126,9 @@ class Group:
     rows: tuple[Row, ...]
     drawings: tuple[Drawing, ...] = ()
 
-    def count(self, verdict: Verdict) -> int:
-        """Rows with a verdict."""
-        return sum(row.verdict is verdict for row in self.rows)
+    def count(self, agreement: Agreement) -> int:
+        """Rows with a agreement."""
+        return sum(row.agreement is agreement for row in self.rows)
 
     def to_json(self) -> dict[str, Any]:
         """Return the group with stable keys."""
@@ -136,7 +136,7 @@ class Group:
             "key": self.key,
             "title": self.title,
             "method": self.method,
-            "counts": {str(verdict): self.count(verdict) for verdict in Verdict},
+            "counts": {str(agreement): self.count(agreement) for agreement in Agreement},
             "rows": [row.to_json() for row in self.rows],
         }
 

@@ -20,9 +20,9 @@ from reproduction.metamodel import (
 from reproduction.models import Announce, build_models
 from reproduction.out_of_reach import list_out_of_reach
 from reproduction.rows import (
+    Agreement,
     Group,
     Row,
-    Verdict,
 )
 from reproduction.sensitivities import compare_sensitivities, compute_table_3
 from reproduction.shape import compare_shape
@@ -30,7 +30,7 @@ from reproduction.sweep import compare_sweep
 
 
 @dataclass(frozen=True)
-class Comparison:
+class PaperComparison:
     """The paper beside us.
 
     Attributes
@@ -48,20 +48,20 @@ class Comparison:
         """Rows of all groups."""
         return tuple(row for group in self.groups for row in group.rows)
 
-    def count(self, verdict: Verdict) -> int:
-        """Rows with a verdict."""
-        return sum(group.count(verdict) for group in self.groups)
+    def count(self, agreement: Agreement) -> int:
+        """Rows with a agreement."""
+        return sum(group.count(agreement) for group in self.groups)
 
     def to_json(self) -> dict[str, Any]:
         """Return all of it with stable keys."""
         return {
-            "counts": {str(verdict): self.count(verdict) for verdict in Verdict},
+            "counts": {str(agreement): self.count(agreement) for agreement in Agreement},
             "findings": list(self.findings),
             "groups": [group.to_json() for group in self.groups],
         }
 
 
-def compare_paper(announce: Announce) -> Comparison:
+def compare_paper(announce: Announce) -> PaperComparison:
     """Compute everything that can be computed of the paper; takes about a minute.
 
     Parameters
@@ -88,4 +88,4 @@ def compare_paper(announce: Announce) -> Comparison:
         compare_correlations(numbers, models),
         list_out_of_reach(numbers),
     )
-    return Comparison(groups, findings(row for group in groups for row in group.rows))
+    return PaperComparison(groups, findings(row for group in groups for row in group.rows))

@@ -12,7 +12,7 @@ from acquire.errors import UsageError
 from acquire.results.base import Result, new_axes
 from fitting.cane.fit_runs import ReedFit, SweepFit
 from fitting.cane.reed_fit import ReedParameters
-from fitting.fringes.picking import Resonance
+from fitting.fringes.fringe_peaks import Resonance
 from fitting.populations.table import Measured, PopulationSummary
 from fitting.reed_modes import BASIS, mesh_level, modes_to_json
 from physics.reed.modes import NamedMode
@@ -203,7 +203,7 @@ class PopulationResult(Result):
     def to_json(self) -> dict[str, Any]:
         """Return what ``acquire population --json`` prints."""
         answer = self.summary.to_json() | {"files": {k: str(p) for k, p in self.files.items()}}
-        return answer | ({"lines": self.measured.to_json()} if self.measured else {})
+        return answer | ({"excitation_peaks": self.measured.to_json()} if self.measured else {})
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the first two components of every reed, with their errors."""

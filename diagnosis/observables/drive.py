@@ -357,7 +357,7 @@ def _pushes(
     Forces are those on either half of the window, and that on the left if the pressure there pushed
     in phase with the mode everywhere.
     """
-    reed = reed_solver.anatomy.reed
+    reed = reed_solver.shape_derivatives.reed
     x, y = reed.load_points_m.T
     whole = replace(chamber, filling=Filling.SYMMETRIC)
     left = pressure_shape(chamber, mode.hz, x, y)

@@ -172,7 +172,7 @@ class _Elastic:
 
 def _deflection(reed_solver: ReedSolver, mode: ReedMode, at_m: Array) -> tuple[float, Symmetry]:
     """Deflection at a place (2,), and the symmetry of the mode."""
-    reed = reed_solver.anatomy.reed
+    reed = reed_solver.shape_derivatives.reed
     node = int(np.argmin(np.hypot(reed.plan_m[:, 0] - at_m[0], reed.plan_m[:, 1] - abs(at_m[1]))))
     start, parts = 0, []
     for symmetry, half in reed.halves.items():

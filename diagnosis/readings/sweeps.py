@@ -13,14 +13,10 @@ from scipy.special import j0, j1, jv
 from diagnosis.campaign import CampaignRun
 from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
-from fitting.holograms.block_amplitudes import Unshifted
-from fitting.modal.identify import (
-    JointFit,
-    fit_again,
-    fit_jointly,
-    fit_less,
-)
+from fitting.holograms.block_amplitudes import UnshiftedLight
+from fitting.modal.identify import JointFit, fit_jointly
 from fitting.modal.modal_fit import ModalFit
+from fitting.modal.refit import fit_same_reed, fit_without_unshifted
 from fitting.parallel.processes import map_processes
 from runs.reader import Run
 from runs.records import StepRecord
@@ -140,7 +136,7 @@ class SweepReading:
 def read_sweeps(
     parts: Sequence[CampaignRun],
     progress: Callable[[float], None] | None = None,
-    unshifted: Mapping[str, Unshifted] | None = None,
+    unshifted: Mapping[str, UnshiftedLight] | None = None,
 ) -> tuple[list[SweepReading], list[str]]:
     """Fit all sweeps: one by itself, the others each from the one before.
 
@@ -149,7 +145,7 @@ def read_sweeps(
     parts : sequence of CampaignRun
     progress : callable, optional
         Told the share that is done.
-    unshifted : dict of Unshifted, optional
+    unshifted : dict of UnshiftedLight, optional
         Light that is known to leak into sweeps, by their names.
 
     Returns
@@ -192,10 +188,10 @@ class _Fits:
     ----------
     run : Run
         One of them.
-    unshifted : dict of Unshifted
+    unshifted : dict of UnshiftedLight
     """
 
-    def __init__(self, run: Run, unshifted: Mapping[str, Unshifted]) -> None:
+    def __init__(self, run: Run, unshifted: Mapping[str, UnshiftedLight]) -> None:
         self._reed = basis_of(run.reed_file())
         self._model, self._unshifted = finite_element_model(self._reed), unshifted
         self.found: dict[str, JointFit] = {}
@@ -208,7 +204,7 @@ class _Fits:
             if known is None:
                 return fit_jointly(part.run, self._reed, self._model, light)
             before, moved = self.found[known.name], part.clamping != known.clamping
-            return fit_again(part.run, before, moved=moved, unshifted=light)
+            return fit_same_reed(part.run, before, moved=moved, unshifted=light)
         except FitError as error:
             return error
 
@@ -239,17 +235,17 @@ def _read(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepReading
     """What a sweep's fit says; None if nothing is identified."""
     if fitted.resonances:
         with contextlib.suppress(FitError):
-            fitted = fit_less(fitted)
+            fitted = fit_without_unshifted(fitted)
     return _reading(part, fitted, taken_off) if fitted.resonances else None
 
 
-def _taken_off(light: Unshifted | None) -> float:
-    return float(np.median(np.abs(list(light.share.values())))) if light else 0.0
+def _taken_off(light: UnshiftedLight | None) -> float:
+    return float(np.median(np.abs(list(light.fraction.values())))) if light else 0.0
 
 
 def _bends(fit: JointFit) -> float:
     """How much the drive bends from step to step: where modes are wrong, it takes their part."""
-    log = np.log(np.abs(fit.modal.drive) / fit.phasors.volts)
+    log = np.log(np.abs(fit.modal.drive) / fit.block_amplitudes.volts)
     return float(np.sum(np.log1p((np.diff(log, 2) / _BEND) ** 2 / 4)))
 
 
@@ -260,7 +256,7 @@ def _doubt(fit: JointFit) -> tuple[int, float]:
     """
     bends = _bends(fit)
     few_off = np.count_nonzero(fit.modal.off) <= _FEW_OFF
-    smooth = bends < _SMOOTH * len(fit.phasors.volts)
+    smooth = bends < _SMOOTH * len(fit.block_amplitudes.volts)
     if len(fit.resonances) < _FEWEST_MODES:
         return 2, bends
     return int(not (smooth or (fit.modal.discrepancy < _USUAL and few_off))), bends
@@ -301,13 +297,13 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
     drive = modal.drive / phasors.volts
     at_own = np.interp(own, log_hz, np.log(np.abs(drive)))
     noise = np.array([step.noise_level for step in steps])
-    seen = np.abs(found.light) ** 2
+    seen = np.abs(found.object_field) ** 2
     template, variance = _templates(fitted)
     # As modes have it: what all displacements are off together is taken off.
     u = modal.amplitude_rad @ fitted.basis.functions.T
     brightness = found.gain + 0.5 * np.log(noise * np.mean(seen))
     # Block by block: light and vibration may be taken for each other smoothly over the reed.
-    moved = np.abs(found.light) * np.abs(found.amplitude_rad @ fitted.basis.functions.T)
+    moved = np.abs(found.object_field) * np.abs(found.amplitude_rad @ fitted.basis.functions.T)
     signal = found.gain + 0.5 * np.log(noise * np.maximum(np.mean(moved**2, axis=1), 1e-12))
     pixels = part.run.frame_shape[0] * part.run.frame_shape[1]
     fringes = np.sum(np.abs(phasors.recorded) ** 2 - 1, axis=0) / pixels
@@ -371,11 +367,11 @@ def _templates(fitted: JointFit) -> tuple[Complex, Array]:
     u = found.amplitude_rad @ functions.T
     size = np.abs(u)
     unit = u / np.maximum(size, 1e-12)
-    lit = np.exp(found.gain)[:, None] * found.light
+    lit = np.exp(found.gain)[:, None] * found.object_field
     F, zero, two = unit * j1(size), j0(size), unit**2 * jv(2, size)
     slope_along = 0.5 * (zero - jv(2, size))
     slope_across = np.where(size > 1e-6, j1(size) / np.maximum(size, 1e-12), 0.5)
-    left = fitted.phasors.recorded.T - lit * F
+    left = fitted.block_amplitudes.recorded.T - lit * F
     waves = np.stack([zero, two, -(size**2) * F]) * lit
     amplitude = np.zeros((len(TEMPLATES), len(u)), complex)
     variance = np.full((len(TEMPLATES), len(u)), np.inf)

@@ -1,4 +1,4 @@
-"""From run files to a reed's parameters: what `acquire fit` does."""
+"""Fit the resonances and the cane of a reed from its run files (`acquire fit`)."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -23,23 +23,24 @@ from fitting.forward import (
     cents_of,
     finite_element_model,
 )
+from fitting.fringes.fringe_peaks import (
+    FringeCurves,
+    Resonance,
+    likely_components,
+    pick_fringe_peaks,
+)
 from fitting.fringes.fringes import (
     Fringes,
     count_fringes,
     misfit_without,
 )
-from fitting.fringes.picking import (
-    Resonance,
-    likely_components,
-    pick_resonances,
-)
 from fitting.fringes.pictures import Pictures, read_pictures
-from fitting.modal.acoustic_resonances import Line, drive_lines
+from fitting.modal.acoustic_resonances import ExcitationPeak, find_excitation_peaks
 from fitting.modal.identify import JointFit, fit_jointly
 from fitting.modal.residual_map import residual_map
 from physics.reed.basis import ReducedReed
 from physics.reed.geometry import ReedGeometry
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.response import (
     Mode,
     elastic_modes,
@@ -63,33 +64,34 @@ MODELS: tuple[ModelName, ...] = ("fem", "paper")
 MethodName = Literal["picture", "joint"]
 METHODS: tuple[MethodName, ...] = ("picture", "joint")
 
-# Shapes that pictures are made of: the modes of the vamp up to this frequency.
+# Shapes that are fitted to pictures: the modes of the vamp up to this frequency.
 _HIGHEST_HZ = 20e3
 _VAMP_CLASSES = "FTX"
-# A picture needs a shape if its misfit without it grows by more than this, as the median with its
-# neighbours. On the twin, modes that are there give 2 to 500, modes that are not 0.9 to 1.1.
+# A picture needs a shape if its misfit without the shape grows by more than this factor, as the
+# median over the picture and its neighbours. On the simulated bench, modes that vibrate give 2 to
+# 500, others 0.9 to 1.1.
 _NEEDED = 1.5
 _SURELY_NEEDED = 3.0
-# Resonances of cane are some 50 cents wide.
+# Neighbours farther away than this may not show the resonance, which is about 50 cents wide.
 _BESIDE_CENTS = 40.0
-# Fewer modes than this do not tell more of the cane than its population does.
-_TELLING_MODES = 4
-# The mean of the population, and about where its modes lie.
+# With fewer modes the cane of the population is as good as a fitted one.
+_LEAST_MODES = 4
+# Mean cane of the population.
 _MIDDLING = viscoelastic_cane(Components(), Series.A)
 
 
 @dataclass(frozen=True)
 class Response:
-    """How lively a reed and each of its modes are in every hologram.
+    """Amplitudes of a reed and of each of its modes in every hologram.
 
     Attributes
     ----------
     drive_hz : (k,) float
     names : tuple of str
     amplitude_rad : (k, m) float
-        Phase amplitude of each mode where it is liveliest.
+        Largest phase amplitude of each mode over the reed.
     phase_rad : (k,) float
-        Root mean square over the reed.
+        Rms phase amplitude over the reed.
     """
 
     drive_hz: Array
@@ -112,9 +114,9 @@ class SweepFit:
         Found modes by name, in order of frequency.
     response : Response
     not_identified : dict
-        Why other modes within the sweep were not found, by name, where that is known.
+        Reasons why other modes within the sweep were not found, by name.
     joint : JointFit, optional
-        Everything between holograms and resonances, if they were fitted jointly.
+        The joint fit, if the holograms were fitted jointly.
     """
 
     path: Path
@@ -127,24 +129,24 @@ class SweepFit:
     joint: JointFit | None = None
 
     @property
-    def lines(self) -> list[Line]:
-        """Where the drive stands out of itself: lines of the air, or what no mode tells."""
+    def excitation_peaks(self) -> list[ExcitationPeak]:
+        """Peaks of the fitted drive: acoustic resonances, or vibration that no mode explains."""
         if self.joint is None:
             return []
-        phasors, drive = self.joint.phasors, self.joint.modal.drive
-        return drive_lines(phasors.drive_hz, np.log(np.abs(drive) / phasors.volts))
+        blocks, drive = self.joint.block_amplitudes, self.joint.modal.drive
+        return find_excitation_peaks(blocks.drive_hz, np.log(np.abs(drive) / blocks.volts))
 
 
 @dataclass(frozen=True)
 class ReedFit:
-    """What one or two runs of a reed say about it.
+    """Fit of one or two runs of a reed.
 
     Attributes
     ----------
     sweeps : tuple of SweepFit
     parameters : ReedParameters or None
     reason : str
-        Why there are no parameters, if there are none.
+        Reason if there are no parameters.
     """
 
     sweeps: tuple[SweepFit, ...]
@@ -160,7 +162,9 @@ class ReedFit:
                 "series": sweep.series,
                 "modes": {name: _to_json(sweep, name) for name in sweep.resonances},
                 "not_identified": dict(sweep.not_identified),
-                "lines": [{"hz": line.hz, "height_db": line.height_db} for line in sweep.lines],
+                "excitation_peaks": [
+                    {"hz": peak.hz, "height_db": peak.height_db} for peak in sweep.excitation_peaks
+                ],
             }
             for sweep in self.sweeps
         ]
@@ -182,7 +186,7 @@ class ReedFit:
 
 
 def _to_json(sweep: SweepFit, name: str) -> dict[str, Any]:
-    """One found mode with stable keys; those of the joint fit only where there is one."""
+    """Return one found mode with stable keys; some exist only after a joint fit."""
     found = sweep.resonances[name]
     entry: dict[str, Any] = {
         "hz": found.frequency_hz,
@@ -192,7 +196,7 @@ def _to_json(sweep: SweepFit, name: str) -> dict[str, Any]:
         "identified": True,
     }
     if sweep.joint is not None:
-        keys = ("response_hz", "loss_factor", "loss_error", "participation", "likeness")
+        keys = ("response_hz", "loss_factor", "loss_error", "participation", "similarity")
         entry |= {key: getattr(found, key) for key in keys}
         entry["residual"] = residual_map(sweep.joint, name).to_json()
     return entry
@@ -227,9 +231,9 @@ def model_name(name: str) -> ModelName:
 
 
 def middling_modes(reed: ReducedReed) -> dict[str, Mode]:
-    """Modes of the vamp below 20 kHz of a reed of middling cane: the paper's, then the others.
+    """Compute the modes of the vamp below 20 kHz of a reed of mean cane: the paper's, then others.
 
-    Each has the storage moduli of its own frequency.
+    Each mode is computed with the storage moduli at its own frequency.
     """
     E, G = (
         float(storage_modulus_pa(z, QUOTED_HZ)) for z in (_MIDDLING.young_L, _MIDDLING.shear_LT)
@@ -254,7 +258,7 @@ def mode_shapes(
     middling: Mapping[str, Mode],
     cane: ViscoelasticCane | None = None,
 ) -> Float:
-    """Deflections (n, m) of modes at a run's points, largest magnitude 1.
+    """Return deflections (n, m) of modes at a run's points, largest magnitude 1.
 
     Parameters
     ----------
@@ -263,7 +267,7 @@ def mode_shapes(
     middling : mapping
         The m modes, see `middling_modes`.
     cane : ViscoelasticCane, optional
-        Whose modes of these names are taken, where it has them.
+        Cane of the modes; modes that it does not have keep their mean shape.
     """
     surface = surface_shapes(reed, pictures.x_m, pictures.y_m)
     columns = []
@@ -280,8 +284,8 @@ def mode_shapes(
 def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
     """Find the resonances of one run.
 
-    The shapes are first those of a middling cane, then those of the cane that the resonances so
-    found suggest, if they are enough: where two modes come close, their shapes depend on the reed.
+    The shapes are first those of mean cane, then those of the cane that is fitted to the resonances
+    found so far, if these are enough: the shapes of two close modes depend on the reed.
 
     Raises
     ------
@@ -294,7 +298,7 @@ def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
     shapes = mode_shapes(reed, pictures, middling)
     fringes = count_fringes(pictures.brightness, shapes)
     found = _pick(pictures, names, shapes, fringes, model, series, run.acoustic_resonances_hz)
-    if len(found) >= _TELLING_MODES:
+    if len(found) >= _LEAST_MODES:
         shapes = mode_shapes(reed, pictures, middling, _suggested_cane(found, model, series))
         fringes = count_fringes(pictures.brightness, shapes, fringes)
         found = _pick(pictures, names, shapes, fringes, model, series, run.acoustic_resonances_hz)
@@ -305,23 +309,24 @@ def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
 
 
 def fit_sweep_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
-    """Find the resonances of one run by one fit of all its holograms, see `fitting.modal.identify`.
+    """Find the resonances of one run by a joint fit of all its holograms.
 
     Raises
     ------
     FitError
-        If too few holograms are good, none is calm enough to begin with, or no mode is identified.
+        If too few holograms are good or explained, or no mode is
+        identified.
     """
     joint = fit_jointly(run, reed, model)
     if not joint.resonances:
         reasons = Counter(joint.not_identified.values()).most_common(1)
-        told = f" ({reasons[0][0]})" if reasons else ""
+        reason = f" ({reasons[0][0]})" if reasons else ""
         raise FitError(
-            f"{run.path}: nothing is identified{told}; look at the contact sheet that acquire "
+            f"{run.path}: nothing is identified{reason}; look at the contact sheet that acquire "
             "report writes"
         )
     response = Response(
-        joint.phasors.drive_hz,
+        joint.block_amplitudes.drive_hz,
         joint.modal.names,
         np.abs(joint.modal.modal_rad),
         np.sqrt(np.sum(np.abs(joint.displacements.amplitude_rad) ** 2, axis=1)),
@@ -341,7 +346,7 @@ def fit_sweep_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> Sweep
 def _suggested_cane(
     found: dict[str, Resonance], model: ForwardModel, series: Series
 ) -> ViscoelasticCane:
-    """Cane that the resonances fit; where they fix none, the likeliest of the population."""
+    """Fit the cane to the resonances; if they do not determine it, use the likeliest cane."""
     try:
         fitted = fit_components({series: found}, model).components
     except FitError:
@@ -370,8 +375,8 @@ def _pick(
         return without / max(float(fringes.misfit[picture]), 1e-12)
 
     def needed(shape: int, picture: int) -> bool:
-        # At the peak itself fringes may be too fine to be resolved; its neighbours then tell. They
-        # may not speak against it where they are too far off to show the same resonance.
+        # At the peak itself fringes may be too fine to be resolved: then its neighbours decide, if
+        # they are near enough to show the same resonance.
         at_peak = growth(shape, picture)
         if at_peak > _SURELY_NEEDED:
             return True
@@ -381,16 +386,10 @@ def _pick(
         far = bool(np.max(distance[beside]) > _BESIDE_CENTS)
         return max(together, at_peak if far else 0.0) > _NEEDED
 
-    return pick_resonances(
-        pictures.drive_hz,
-        pictures.step_index,
-        np.abs(fringes.amplitude_rad),
-        names,
-        model,
-        series,
-        needed,
-        acoustic_resonances_hz,
+    curves = FringeCurves(
+        pictures.drive_hz, pictures.step_index, np.abs(fringes.amplitude_rad), names
     )
+    return pick_fringe_peaks(curves, model, series, needed, acoustic_resonances_hz)
 
 
 def fit_runs(
@@ -408,9 +407,9 @@ def fit_runs(
     model : {'fem', 'paper'}
         Forward model: finite elements, or the paper's Table 9 with its adjustments.
     announce : callable, optional
-        Told what takes long.
+        Called with a sentence about each step that takes long.
     method : {'joint', 'picture'}
-        One fit of all holograms, or the paper's way, by the pictures with most fringes.
+        Joint fit of all holograms, or the paper's way, by the pictures with most fringes.
 
     Raises
     ------
@@ -469,10 +468,11 @@ def _require_one_reed(runs: Sequence[Run]) -> None:
     reeds, series = {run.reed for run in runs}, sorted(run.series for run in runs)
     kinds = [run.reed_file() for run in runs]
     if len(reeds) > 1 or series != ["A", "B"] or len({kind.sha256 for kind in kinds}) > 1:
-        told = ", ".join(
+        runs_given = ", ".join(
             f"{r.path.name}: reed {r.reed} ({kind.name}), series {r.series}"
             for r, kind in zip(runs, kinds, strict=True)
         )
         raise FitInputError(
-            f"runs fitted together must be series A and B of one reed ({told}); fit them one by one"
+            "runs fitted together must be series A and B of one reed "
+            f"({runs_given}); fit them one by one"
         )

@@ -12,10 +12,10 @@ from fitting.errors import FitError
 from fitting.forward import (
     ForwardModel,
     cents_of,
-    name_likeness,
+    name_similarity,
     viscoelastic_cents,
 )
-from fitting.fringes.picking import Resonance
+from fitting.fringes.fringe_peaks import Resonance
 from fitting.modal.excess_scatter import added_cents, is_misfit
 from physics.reed.viscoelastic import (
     Components,
@@ -28,24 +28,24 @@ from physics.reed.viscoelastic import (
 Array = NDArray[np.floating[Any]]
 
 COMPONENTS = ("e1", "e2", "e3", "e4")
-# Below this likeness, relative to a pure mode, it has given part of its name away.
-_LEAST_LIKENESS = 0.85
-# No reed is so far from the mean of the population, in its standard deviations.
+# Below this similarity, relative to a pure mode, the mode is mixed with another one.
+_LEAST_SIMILARITY = 0.85
+# Limits of the components, in standard deviations of the population.
 _FARTHEST_SD = 6.0
-# A search that ends this close to them has ended at these limits.
+# A component this close to a limit is at the limit.
 _AT_LIMIT_SD = 1e-3
-# Residuals beyond this many standard errors count less in the first look.
+# Residuals beyond this many standard errors have less weight in the first, robust fit.
 _OUTLIER = 2.0
-# ... in which no resonance counts more than one known to a step of 25 cents.
+# ... in which all errors are at least that of a step of 25 cents (25 / √12).
 _EVEN_CENTS = 7.2
-# Turns in which a misfit settles, to this share.
+# Most iterations of the excess scatter, and relative change at which they end.
 _MISFIT_TURNS, _MISFIT_SETTLED = 10, 1e-3
 # The paper quotes storage moduli at this frequency (Tables 6 and 7).
 QUOTED_HZ = 4000.0
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ValueWithError:
     """A value with its standard error."""
 
     value: float
@@ -54,7 +54,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class ReedParameters:
-    """What the resonances say about the cane.
+    """Parameters of the cane that were fitted to the resonances.
 
     Attributes
     ----------
@@ -67,22 +67,23 @@ class ReedParameters:
     residual_cents : dict
         Per series and mode.
     left_out : dict
-        Per series, modes found but not fitted: they exchange shapes with a neighbour.
+        Per series, modes that were found but not fitted, because they exchange shapes with a
+        neighbour.
     reduced_chi2 : float
-        Weighted squares per degree of freedom of the best fit with the errors that are told.
+        Weighted squares per degree of freedom of the best fit with the stated errors.
     misfit_cents : float
-        By how much, beside these errors, each frequency is off: standard deviation. It is 0 if
-        chance explains `reduced_chi2` (in 5 % of cases).
+        Excess scatter: standard deviation of the frequencies around the model, in addition to the
+        stated errors. It is 0 if `reduced_chi2` passes a χ² test at 5 %.
     at_limit : list of str
-        Components that ended at the limits of the search, ±6: the resonances do not tell them, or
-        one has a wrong name. The number is then the limit's.
+        Components that ended at the limits of ±6: the resonances do not determine them, or one has
+        a wrong name. Their values are then meaningless.
     physical : bool
-        Whether all springs came out positive.
+        Whether all springs are positive.
     model : str
     """
 
-    components: dict[str, Estimate]
-    moduli: dict[str, dict[str, Estimate]]
+    components: dict[str, ValueWithError]
+    moduli: dict[str, dict[str, ValueWithError]]
     rms_cents: float
     residual_cents: dict[str, dict[str, float]]
     left_out: dict[str, list[str]]
@@ -122,31 +123,43 @@ def fit_components(
         for name, found in named.items()
         if name in model.modes
     ]
-    # Modes that exchange shapes are known only once the cane is: a first, robust look at all.
+    # Which modes exchange shapes is known only for a known cane: first a robust fit to all modes.
     _require_enough(observed, len(free))
     errors = np.maximum(_errors_cents(observed), _EVEN_CENTS)
     values, _ = _weighted(observed, errors, model, np.zeros(len(free)), "soft_l1")
-    distinct = [o for o in observed if _likeness(o, values, model) >= _LEAST_LIKENESS]
+    distinct = [o for o in observed if _similarity(o, values, model) >= _LEAST_SIMILARITY]
     _require_enough(distinct, len(free))
+    left_out = {
+        str(s): [o.name for o in observed if o.series is s and o not in distinct]
+        for s in resonances
+    }
+    return _parameters(distinct, free, list(resonances), left_out, model)
+
+
+def _parameters(
+    distinct: "Sequence[_Observation]",
+    free: Sequence[str],
+    series: Sequence[Series],
+    left_out: dict[str, list[str]],
+    model: ForwardModel,
+) -> ReedParameters:
+    """Fit the free components to observations and collect the results."""
     values, covariance, chi2, misfit = _least_squares(distinct, model, len(free))
     residual = _residual_cents(distinct, values, model)
     return ReedParameters(
         components={
-            name: Estimate(float(value), float(np.sqrt(variance)))
+            name: ValueWithError(float(value), float(np.sqrt(variance)))
             for name, value, variance in zip(free, values, np.diag(covariance), strict=True)
         },
-        moduli={str(s): _moduli(values, covariance, s) for s in resonances},
+        moduli={str(s): _moduli(values, covariance, s) for s in series},
         rms_cents=float(np.sqrt(np.mean(residual**2))),
         residual_cents={
             str(s): {
                 o.name: float(r) for o, r in zip(distinct, residual, strict=True) if o.series is s
             }
-            for s in resonances
+            for s in series
         },
-        left_out={
-            str(s): [o.name for o in observed if o.series is s and o not in distinct]
-            for s in resonances
-        },
+        left_out=left_out,
         reduced_chi2=chi2,
         misfit_cents=misfit,
         at_limit=[
@@ -154,7 +167,7 @@ def fit_components(
             for name, value in zip(free, values, strict=True)
             if abs(value) > _FARTHEST_SD - _AT_LIMIT_SD
         ],
-        physical=all(_springs_positive(_cane(values, s)) for s in resonances),
+        physical=all(_springs_positive(_cane(values, s)) for s in series),
         model=model.name,
     )
 
@@ -184,10 +197,10 @@ def _errors_cents(observed: Sequence[_Observation]) -> Array:
 def _least_squares(
     observed: Sequence[_Observation], model: ForwardModel, count: int
 ) -> tuple[Array, Array, float, float]:
-    """Best components (count,), their covariance, χ² per degree of freedom, misfit in cents.
+    """Return components (count,), covariance, χ² per degree of freedom, and excess scatter.
 
-    A reed differs from its model by more than frequencies are uncertain, and by no less at the
-    modes that are known best. What is left says by how much (see `misfit.added_cents`).
+    A reed differs from its model by more than the errors of its frequencies, also at the modes that
+    are known best. The residuals show by how much (see `fitting.modal.excess_scatter`).
     """
     errors, freedom = _errors_cents(observed), len(observed) - count
     values, jacobian = _weighted(observed, errors, model, np.zeros(count))
@@ -211,7 +224,7 @@ def _weighted(
     start: Array,
     loss: Literal["linear", "soft_l1"] = "linear",
 ) -> tuple[Array, Array]:
-    """Best components and the slopes of residuals in units of their errors."""
+    """Return the best components, and the jacobian of residuals in units of their errors."""
 
     def weighted(values: Array) -> Array:
         return np.asarray(_residual_cents(observed, values, model) / errors)
@@ -222,7 +235,7 @@ def _weighted(
 
 
 def _residual_cents(observed: Sequence[_Observation], values: Array, model: ForwardModel) -> Array:
-    """Observed less computed, in cents (one per observation)."""
+    """Return observed minus computed frequencies in cents."""
     computed = {
         s: viscoelastic_cents(model, _cane(values, s), s) for s in {o.series for o in observed}
     }
@@ -231,10 +244,10 @@ def _residual_cents(observed: Sequence[_Observation], values: Array, model: Forw
     )
 
 
-def _likeness(observation: _Observation, values: Array, model: ForwardModel) -> float:
+def _similarity(observation: _Observation, values: Array, model: ForwardModel) -> float:
     cane = _cane(values, observation.series)
     cents = viscoelastic_cents(model, cane, observation.series)
-    return float(name_likeness(model, cane, cents)[observation.mode])
+    return float(name_similarity(model, cane, cents)[observation.mode])
 
 
 def _cane(values: Array, series: Series) -> ViscoelasticCane:
@@ -245,8 +258,8 @@ def _springs_positive(cane: ViscoelasticCane) -> bool:
     return all(min(z.spring_mpa, z.arm_spring_mpa) > 0 for z in (cane.young_L, cane.shear_LT))
 
 
-def _moduli(values: Array, covariance: Array, series: Series) -> dict[str, Estimate]:
-    """Moduli in MPa with errors carried over to first order."""
+def _moduli(values: Array, covariance: Array, series: Series) -> dict[str, ValueWithError]:
+    """Return moduli in MPa with errors, propagated to first order."""
 
     def moduli(e: Array) -> Array:
         cane = _cane(e, series)
@@ -256,9 +269,9 @@ def _moduli(values: Array, covariance: Array, series: Series) -> dict[str, Estim
 
     names = ("E1_mpa", "E2_mpa", "G1_mpa", "G2_mpa", "E_4kHz_mpa", "G_4kHz_mpa")
     step = 1e-4 * np.eye(len(values))
-    slopes = np.stack([(moduli(values + d) - moduli(values - d)) / 2e-4 for d in step], axis=1)
-    errors = np.sqrt(np.einsum("ni,ij,nj->n", slopes, covariance, slopes))
+    jacobian = np.stack([(moduli(values + d) - moduli(values - d)) / 2e-4 for d in step], axis=1)
+    errors = np.sqrt(np.einsum("ni,ij,nj->n", jacobian, covariance, jacobian))
     return {
-        name: Estimate(float(value), float(error))
+        name: ValueWithError(float(value), float(error))
         for name, value, error in zip(names, moduli(values), errors, strict=True)
     }

@@ -1,10 +1,10 @@
-"""Count, in every picture, the fringes that each mode shape contributes.
+"""Fit the amplitude of each mode shape to the fringes of every picture.
 
 A picture of the first sideband shows ``B(x) J₁²(φ(x))``, where φ = 4π|w|/λ is the phase amplitude
-of the vibration and B the light that the surface sends to the camera. The vibration is written as
-a sum of known mode shapes, ``φ = |Σ_m a_m W_m|``, and the complex a_m are found for all pictures
-at once by damped least squares. With shapes normalised to a largest deflection of 1, |a_m| is the
-phase amplitude that mode m alone would have at its liveliest point: its fringes, in radians.
+of the vibration and B the intensity of the light from the surface. The vibration is a sum of known
+mode shapes, ``φ = |Σ_m a_m W_m|``. The complex amplitudes a_m are found for all pictures at once by
+Levenberg-Marquardt steps. With shapes normalised to a largest deflection of 1, |a_m| is the largest
+phase amplitude of mode m alone: its fringes, in radians.
 """
 
 from dataclasses import dataclass
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.holograms.bessel import SidebandTable
+from fitting.levenberg_marquardt import Damping, NormalEquations, minimise_all
 
 Float = NDArray[np.float32]
 Complex = NDArray[np.complex64]
@@ -21,21 +22,23 @@ Array = NDArray[np.floating[Any]]
 
 # Largest value of J₁²: the brightness of the first bright fringe.
 FIRST_FRINGE = 0.3386
-# Single-shape starts tried per picture, and rounds of spreading solutions and estimating light.
+# Single-shape starts of each picture, and rounds over neighbours' solutions and light.
 _STARTS = 2
 _ROUNDS = 2
 # A solution is handed to the next and to the previous picture, as it is, weaker and stronger: on
 # the flank of a resonance amplitudes change by a quarter per step.
 _HANDED_ON = tuple((shift, scale) for shift in (1, -1) for scale in (1.0, 0.75, 1.33))
-# A neighbour's solution is taken if it lowers the misfit to this share.
+# A neighbour's solution is used if it decreases the misfit to this fraction.
 _GAIN = 0.9
 _START_STEPS, _NEIGHBOUR_STEPS, _FINAL_STEPS, _ALONE_STEPS = 12, 5, 5, 25
+# Chosen by hand; no study of other values is kept.
+_DAMPING = Damping(first=1e-2, after_gain=0.3, after_loss=5, constant=1e-6)
 # Phase amplitudes tried for a single shape, rad.
 _TRIAL_RAD = np.geomspace(0.1, 60.0, 80, dtype=np.float32)
-# Where a picture that must do without a shape starts from: its neighbours may all lie in the same
-# wrong minimum, which some picture farther off does not.
+# Pictures from which a fit without a shape starts: all near neighbours may lie in the same wrong
+# minimum, but not those farther away.
 _AROUND = np.array([-8, -6, -5, -4, -3, -2, -1, 0, 1, 2, 3, 4, 5, 6, 8])
-# Pictures whose brightest share estimates the light B: those in which a point is on a fringe.
+# The light B of a point is estimated from this many pictures, in which the point is brightest.
 _BRIGHTEST = 6
 # Points that never reach a fringe would get too little light from that estimate.
 _LEAST_LIGHT = 0.6
@@ -54,7 +57,7 @@ class Fringes:
     phase_rad : (k,) float
         Root mean square over the points of the phase amplitude φ.
     misfit : (k,) float
-        Mean square of the picture's brightness, relative to B, left unexplained.
+        Mean square residual of the picture's brightness, relative to B.
     light : (n,) float32
         Light B of each point.
     """
@@ -67,18 +70,18 @@ class Fringes:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Pictures relative to their light (k, n) and the shapes (n, m) they are made of."""
+    """Pictures (k, n) divided by their light, and the mode shapes (n, m)."""
 
     relative: Float
     shapes: Float
     bessel: SidebandTable
 
     def only(self, pictures: NDArray[np.intp]) -> "_Problem":
-        """Return the same problem for some of the pictures."""
+        """Return the problem of some of the pictures."""
         return _Problem(self.relative[pictures], self.shapes, self.bessel)
 
     def residual_and_jacobian(self, a: Complex) -> tuple[Float, Float]:
-        """Residuals (k, n) and derivatives (k, n, 2m) by real, then imaginary parts."""
+        """Return residuals (k, n) and derivatives (k, n, 2m) by real, then imaginary parts."""
         sum_ = a @ self.shapes.T
         phi = np.abs(sum_)
         value, slope = self.bessel(phi)
@@ -90,36 +93,39 @@ class _Problem:
 
 
 def mean_square(residual: Float) -> Array:
-    """Mean square (k,) of residuals (k, n)."""
+    """Return the mean square (k,) of residuals (k, n)."""
     squares: Array = np.einsum("kn,kn->k", residual, residual) / residual.shape[1]
     return squares
 
 
-def _descend(problem: _Problem, a: Complex, steps: int) -> tuple[Complex, Array]:
-    """Levenberg-Marquardt on all pictures side by side, each with its own damping."""
-    residual, jacobian = problem.residual_and_jacobian(a)
-    cost, unknowns = mean_square(residual), jacobian.shape[2]
-    damping = np.full(len(a), 1e-2)
-    for _ in range(steps):
-        normal = np.matmul(jacobian.transpose(0, 2, 1), jacobian) / residual.shape[1]
-        gradient = np.einsum("knu,kn->ku", jacobian, residual) / residual.shape[1]
-        scale = damping * np.trace(normal, axis1=1, axis2=2) / unknowns + 1e-6
-        normal += scale[:, None, None] * np.eye(unknowns)
-        move = -np.linalg.solve(normal, gradient[..., None])[..., 0]
-        half = unknowns // 2
-        moved = (a + (move[:, :half] + 1j * move[:, half:])).astype(np.complex64)
-        new_residual, new_jacobian = problem.residual_and_jacobian(moved)
-        new_cost = mean_square(new_residual)
-        better = new_cost < cost
-        a = np.where(better[:, None], moved, a)
-        cost = np.where(better, new_cost, cost)
-        residual[better], jacobian[better] = new_residual[better], new_jacobian[better]
-        damping = np.where(better, 0.3 * damping, 5 * damping)
-    return a, cost
+def _fit_amplitudes(problem: _Problem, start: Complex, iterations: int) -> tuple[Complex, Array]:
+    """Fit the amplitudes (k, m) of all pictures; return them and the misfits (k,)."""
+    modes = start.shape[1]
+
+    def complex_of(x: Array) -> Complex:
+        return (x[:, :modes] + 1j * x[:, modes:]).astype(np.complex64)
+
+    def equations(x: Array) -> NormalEquations:
+        residual, jacobian = problem.residual_and_jacobian(complex_of(x))
+        points = residual.shape[1]
+        matrix = np.matmul(jacobian.transpose(0, 2, 1), jacobian) / points
+        return NormalEquations(
+            cost_terms=mean_square(residual)[None],
+            negative_gradient=-np.einsum("knu,kn->ku", jacobian, residual) / points,
+            matrix=matrix,
+            curvature=np.trace(matrix, axis1=1, axis2=2),
+        )
+
+    def cost_terms(x: Array) -> Array:
+        return mean_square(problem.residual_and_jacobian(complex_of(x))[0])[None]
+
+    x0 = np.concatenate([start.real, start.imag], axis=1)
+    x, (misfit,) = minimise_all(equations, cost_terms, x0, iterations, _DAMPING)
+    return complex_of(x), misfit
 
 
 def _single_shape_starts(problem: _Problem) -> tuple[NDArray[np.intp], Float]:
-    """For each picture, shapes in order of likeness (k, m) and their best amplitude (k, m)."""
+    """For each picture, shapes in order of similarity (k, m) and their best amplitude (k, m)."""
     costs, amplitudes = [], []
     power = mean_square(problem.relative)[:, None]
     for shape in problem.shapes.T:
@@ -134,7 +140,7 @@ def _single_shape_starts(problem: _Problem) -> tuple[NDArray[np.intp], Float]:
 
 
 def _start(problem: _Problem) -> tuple[Complex, Array]:
-    """Best descent from the likeliest single shapes of each picture."""
+    """Fit every picture from its best single shapes, and keep the best result."""
     order, amplitudes = _single_shape_starts(problem)
     pictures, shapes = amplitudes.shape
     # Phases spread by the golden angle: no two shapes start in phase or in opposition.
@@ -144,16 +150,15 @@ def _start(problem: _Problem) -> tuple[Complex, Array]:
         a = np.tile(spread, (pictures, 1)).astype(np.complex64)
         rows, chosen = np.arange(pictures), order[:, rank]
         a[rows, chosen] = amplitudes[rows, chosen]
-        a, new = _descend(problem, a, _START_STEPS)
+        a, new = _fit_amplitudes(problem, a, _START_STEPS)
         best, cost = np.where((new < cost)[:, None], a, best), np.minimum(new, cost)
     return best, cost
 
 
 def _from_neighbours(problem: _Problem, a: Complex, cost: Array) -> tuple[Complex, Array]:
-    """Let good solutions spread along the sweep: resonances are wider than a step.
+    """Fit pictures from their neighbours' solutions, because resonances are wider than a step.
 
-    Each picture tries its neighbours' solutions; one that gains by it hands its new solution on,
-    until nobody gains.
+    A picture that improves passes its new solution on, until no picture improves.
     """
     last = len(a) - 1
     spreading = np.arange(len(a))
@@ -166,7 +171,7 @@ def _from_neighbours(problem: _Problem, a: Complex, cost: Array) -> tuple[Comple
             if not len(to):
                 continue
             start = (scale * a[source]).astype(np.complex64)
-            tried, new = _descend(problem.only(to), start, _NEIGHBOUR_STEPS)
+            tried, new = _fit_amplitudes(problem.only(to), start, _NEIGHBOUR_STEPS)
             better = new < _GAIN * cost[to]
             a[to[better]], cost[to[better]] = tried[better], new[better]
             gained += to[better].tolist()
@@ -177,7 +182,7 @@ def _from_neighbours(problem: _Problem, a: Complex, cost: Array) -> tuple[Comple
 
 
 def first_light(brightness: Float) -> Float:
-    """First estimate (n,) of the light B from pictures (k, n): the brightest show a fringe."""
+    """Estimate the light B (n,) from the brightest of pictures (k, n), which show a fringe."""
     count = min(_BRIGHTEST, len(brightness))
     brightest = np.partition(brightness, -count, axis=0)[-count:].mean(axis=0)
     light: Float = (brightest / FIRST_FRINGE).astype(np.float32)
@@ -185,7 +190,7 @@ def first_light(brightness: Float) -> Float:
 
 
 def count_fringes(brightness: Float, shapes: Float, start: Fringes | None = None) -> Fringes:
-    """Decompose every picture of a sweep into fringes of given shapes.
+    """Fit the amplitudes of given mode shapes to every picture of a sweep.
 
     Parameters
     ----------
@@ -194,7 +199,7 @@ def count_fringes(brightness: Float, shapes: Float, start: Fringes | None = None
     shapes : (n, m) float32
         Deflection of each mode shape at the points, largest magnitude 1.
     start : Fringes, optional
-        Decomposition of the same pictures into almost the same shapes.
+        Fit of the same pictures with almost the same shapes.
 
     Returns
     -------
@@ -202,18 +207,20 @@ def count_fringes(brightness: Float, shapes: Float, start: Fringes | None = None
 
     Notes
     -----
-    The problem is not convex. Each picture is started from the single shapes that resemble it
-    most, then tries the solutions of its neighbours; the light B is re-estimated from all
-    pictures in between, by linear least squares.
+    The problem is not convex. Each picture starts from the single shapes that resemble it most,
+    then from the solutions of its neighbours. In between, the light B is fitted to all pictures by
+    linear least squares.
     """
     bessel, light = SidebandTable(1), start.light if start else first_light(brightness)
     problem = _Problem(brightness / light, shapes, bessel)
-    a, cost = _descend(problem, start.amplitude_rad, _START_STEPS) if start else _start(problem)
+    a, cost = (
+        _fit_amplitudes(problem, start.amplitude_rad, _START_STEPS) if start else _start(problem)
+    )
     for _ in range(1 if start else _ROUNDS):
         a, cost = _from_neighbours(problem, a, cost)
         light = _light(brightness, a, cost, problem)
         problem = _Problem(brightness / light, shapes, bessel)
-        a, cost = _descend(problem, a, _FINAL_STEPS)
+        a, cost = _fit_amplitudes(problem, a, _FINAL_STEPS)
     phase = np.sqrt(mean_square(np.abs(a @ shapes.T)))
     return Fringes(a, phase, cost, light)
 
@@ -235,22 +242,22 @@ def _light(brightness: Float, a: Complex, cost: Array, problem: _Problem) -> Flo
 def misfit_without(
     brightness: Float, shapes: Float, fringes: Fringes, shape: int, picture: int
 ) -> float:
-    """Misfit of one picture when one shape may not be used and the others make up for it.
+    """Return the misfit of one picture if it is fitted without one shape.
 
-    Beside `Fringes.misfit` it tells whether the picture needs the shape at all: of φ the picture
-    shows the magnitude only, so a shape that is not there can pick up some amplitude.
+    Compared with `Fringes.misfit` it shows whether the picture needs the shape at all: a picture
+    shows only the magnitude of φ, so that a mode which does not vibrate may get some amplitude.
 
     Parameters
     ----------
     brightness, shapes : as for `count_fringes`
     fringes : Fringes
-        Their decomposition.
+        Fit of the pictures with all shapes.
     shape, picture : int
-        Which column of `shapes`, which row of `brightness`.
+        Column of `shapes`, row of `brightness`.
     """
     near = np.unique(np.clip(picture + _AROUND, 0, len(brightness) - 1))
     others = np.delete(np.arange(shapes.shape[1]), shape)
     relative = np.repeat(brightness[picture : picture + 1] / fringes.light, len(near), axis=0)
     problem = _Problem(relative, shapes[:, others], SidebandTable(1))
-    _, cost = _descend(problem, fringes.amplitude_rad[np.ix_(near, others)], _ALONE_STEPS)
+    _, cost = _fit_amplitudes(problem, fringes.amplitude_rad[np.ix_(near, others)], _ALONE_STEPS)
     return float(cost.min())

@@ -18,11 +18,11 @@ Float = NDArray[np.float32]
 
 # Side of the blocks over which speckle is averaged. The finest fringes are twice as wide.
 _BLOCK_M = 0.35e-3
-# Margin inside the contour: blocks on the edge hold less reed than others.
+# Margin inside the contour: blocks on the edge contain less reed than others.
 _EDGE_M = 0.25e-3
-# The image fades behind the vamp: the clamp begins, nothing moves.
+# Behind the vamp the clamp begins: the reed is dark there and does not move.
 _BEHIND_VAMP_M = 1e-3
-# Enough points to tell fifteen shapes apart; more only cost time.
+# Number of points: enough to separate fifteen shapes; more only cost time.
 _MOST_POINTS = 1300
 # Fewer pictures than this are no sweep: a resonance is 2 to 3 steps wide.
 _LEAST_PICTURES = 8
@@ -57,7 +57,7 @@ def read_pictures(run: Run) -> Pictures:
     Raises
     ------
     FitError
-        If too few steps are good; says what the others suffer from.
+        If too few steps are good. The message lists the verdicts of the others.
     RunFileError
         If a step cannot be read.
     """
@@ -66,9 +66,9 @@ def read_pictures(run: Run) -> Pictures:
     y, x = (_block_centres(a, f) for a, f in zip((run.y_m, run.x_m), factors, strict=True))
     Y, X = np.meshgrid(y, x, indexing="ij")
     reed = run.reed_file().geometry()
-    beside = half_width_m(reed.outline, X) - np.abs(Y)
+    inside_edge_m = half_width_m(reed.outline, X) - np.abs(Y)
     visible_m = reed.vamp_x_m[-1] + _BEHIND_VAMP_M
-    inside = (beside > _EDGE_M) & (X > 2 * _EDGE_M) & (visible_m > X)
+    inside = (inside_edge_m > _EDGE_M) & (X > 2 * _EDGE_M) & (visible_m > X)
     chosen = np.flatnonzero(inside)
     # A stride that shares no factor with the rows spreads the points over the reed.
     chosen = chosen[:: max(1, -(-len(chosen) // _MOST_POINTS))]
@@ -121,7 +121,7 @@ def _troubles(steps: Sequence[StepRecord]) -> str:
     bad = [step for step in steps if step.verdict != "ok"]
     counts = {v: sum(s.verdict == v for s in bad) for v in {s.verdict for s in bad}}
     listed = ", ".join(f"{n} {v}" for v, n in sorted(counts.items(), key=lambda i: -i[1]))
-    told = next(
+    reason = next(
         (s.sentence for s in bad if s.sentence and counts[s.verdict] == max(counts.values())), ""
     )
-    return f"{listed}: {told}" if told else listed
+    return f"{listed}: {reason}" if reason else listed

@@ -1,4 +1,4 @@
-"""Light and amplitudes of solved holograms settle together."""
+"""Alternating minimisation over the object field and the amplitudes of solved holograms."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.holograms.levenberg_marquardt import (
-    GAIN_HELD,
-    block_light,
-    descend,
+from fitting.holograms.amplitudes import (
+    HALF_GAIN_PRECISION,
+    block_object_field,
+    fit_amplitudes,
 )
 from fitting.holograms.object_field import (
-    LightStep,
-    light_factor,
-    light_step,
+    FieldStep,
+    field_factor,
+    field_step,
     linearise,
-    log_light_factor,
+    log_field_factor,
 )
 from fitting.holograms.problem import Problem
 
@@ -24,54 +24,56 @@ Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complex64]
 Amplitudes = NDArray[np.complexfloating[Any, Any]]
 
-# Prior standard deviation of amplitudes, rad: only against what the data do not tell at all.
+# Prior standard deviation of amplitudes, rad: weak, for directions that the data do not determine.
 FINAL_RAD = 10.0
-# Log of the light changes by no more at once.
+# Largest change of the log of the object field in one step.
 _LARGEST_STEP = 0.3
-# Inverse of the misfit above which a hologram is not explained.
+# Holograms of a smaller weight (inverse misfit) are not explained.
 _LEAST_WEIGHT = 0.5
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Amplitudes (k, j), log gains (k,) and light (n,)."""
+    """Amplitudes (k, j), log gains (k,) and object field (n,)."""
 
     amplitude: Amplitudes
     gain: Array
-    light: Complex
+    object_field: Complex
 
 
-def settle(
+def alternating_step(
     problem: Problem, exact: Problem, smooth: Array, at: Solution
-) -> tuple[Solution, LightStep]:
-    """One turn: amplitudes, light block by block, then its smooth part with amplitudes together.
+) -> tuple[Solution, FieldStep]:
+    """Minimise once over the amplitudes, the object field of each block, and its smooth factor.
+
+    The smooth factor is fitted together with the amplitudes.
 
     Parameters
     ----------
     problem, exact : Problem
-        Of the holograms that are solved; the same in single and in double precision.
+        The problem of the solved holograms, in single and in double precision.
     smooth : (n, c) float
         See `fitting.holograms.object_field.smooth_functions`.
     at : Solution
-        Where they are.
+        Start.
     """
     steps = np.arange(len(at.gain))
     size = at.amplitude.shape[1]
     weak = FINAL_RAD**-2 * np.eye(size)
-    a, gain, misfit = descend(
-        problem, at.light, steps, (at.amplitude, at.gain - np.mean(at.gain)), 2, weak
+    a, gain, misfit = fit_amplitudes(
+        problem, at.object_field, steps, (at.amplitude, at.gain - np.mean(at.gain)), 2, weak
     )
     weight = 1 / np.maximum(misfit / problem.seen, 1)
-    light = block_light(problem, steps, a, gain, weight, at.light)
-    held = 0.5 * np.diag([FINAL_RAD**-2] * 2 * size + [2 * GAIN_HELD])
-    linear = linearise(exact, smooth, light, a, gain, weight)
+    object_field = block_object_field(problem, steps, a, gain, weight, at.object_field)
+    held = 0.5 * np.diag([FINAL_RAD**-2] * 2 * size + [2 * HALF_GAIN_PRECISION])
+    linear = linearise(exact, smooth, object_field, a, gain, weight)
     x = np.concatenate([a.real, a.imag, gain[:, None]], axis=1)
-    step = light_step(linear, held, x, weight)
-    # A step that is no small one, because some holograms are in a wrong fringe, is cut short.
-    largest = float(np.abs(log_light_factor(smooth, step.move)).max())
-    share = min(1.0, _LARGEST_STEP / max(largest, 1e-12))
-    # Holograms that are not explained would be thrown anywhere: they follow in the next turn.
+    step = field_step(linear, held, x, weight)
+    # Holograms in a wrong fringe can make the step too long for the linearisation: it is cut.
+    largest = float(np.abs(log_field_factor(smooth, step.move)).max())
+    fraction = min(1.0, _LARGEST_STEP / max(largest, 1e-12))
+    # Holograms that are not explained do not follow: their equations mean little.
     follow = weight > _LEAST_WEIGHT
-    y = np.where(follow[:, None], x + share * step.holograms, x)
-    factor = light_factor(smooth, share * step.move)
-    return Solution(y[:, :size] + 1j * y[:, size:-1], y[:, -1], light * factor), step
+    y = np.where(follow[:, None], x + fraction * step.holograms, x)
+    factor = field_factor(smooth, fraction * step.move)
+    return Solution(y[:, :size] + 1j * y[:, size:-1], y[:, -1], object_field * factor), step

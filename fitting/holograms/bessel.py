@@ -1,4 +1,4 @@
-"""Bessel functions from tables: interpolation is an order of magnitude faster than evaluation."""
+"""Interpolate Bessel functions in tables, which is about ten times faster than evaluating them."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,14 +15,14 @@ _SERIES_RAD = 0.05
 
 
 class BesselTable:
-    """What J₁ makes of vectors, at phases from 0 to `largest`, to 3·10⁻⁶; constant beyond.
+    """J₁(φ)/φ and J₂(φ)/φ² for 0 ≤ φ ≤ `largest`, within 3·10⁻⁶; constant beyond.
 
     Parameters
     ----------
     largest : float
-        In rad.
+        Largest φ of the table, rad.
     per_rad : int
-        Entries.
+        Entries in the table per rad.
     """
 
     def __init__(self, largest: float = 200.0, per_rad: int = 200) -> None:
@@ -36,14 +36,14 @@ class BesselTable:
         self._ratio, self._bend = (table.astype(np.float32) for table in (ratio, -bend))
 
     def over_argument(self, phi: Float) -> Float:
-        """J₁(φ)/φ at phases φ ≥ 0 (any shape)."""
+        """Return J₁(φ)/φ for φ ≥ 0 (any shape)."""
         (ratio,) = _between(phi, self._per_rad, self._last, (self._ratio,))
         return ratio
 
     def tensor(self, phi: Float) -> tuple[Float, Float]:
-        """α = J₁(φ)/φ and β = −J₂(φ)/φ² at phases φ ≥ 0 (any shape).
+        """Return α = J₁(φ)/φ and β = −J₂(φ)/φ² for φ ≥ 0 (any shape).
 
-        Of ``F(u) = u J₁(|u|)/|u|`` they make both value and slope, for a plane vector u:
+        For a plane vector u, the function ``F(u) = u J₁(|u|)/|u|`` and its derivative are
         ``F = α u`` and ``dF/du = α 1 + β u uᵀ``.
         """
         ratio, bend = _between(phi, self._per_rad, self._last, (self._ratio, self._bend))
@@ -51,16 +51,16 @@ class BesselTable:
 
 
 class SidebandTable:
-    """J_n and its derivative at phases from 0 to `largest`, to 3·10⁻⁶; constant beyond.
+    """J_n(φ) and its derivative for 0 ≤ φ ≤ `largest`, within 3·10⁻⁶; constant beyond.
 
     Parameters
     ----------
     order : int
-        n.
+        Order n.
     largest : float
-        In rad.
+        Largest φ of the table, rad.
     per_rad : int
-        Entries.
+        Entries in the table per rad.
     """
 
     def __init__(self, order: int, largest: float = 200.0, per_rad: int = 200) -> None:
@@ -70,7 +70,7 @@ class SidebandTable:
         self._tables = tuple(f(order, phi).astype(np.float32) for f in (jv, jvp))
 
     def __call__(self, phi: Float) -> tuple[Float, Float]:
-        """J_n and J_n′ at phases φ ≥ 0 (any shape)."""
+        """Return J_n(φ) and J_n′(φ) for φ ≥ 0 (any shape)."""
         value, slope = _between(phi, self._per_rad, self._last, self._tables)
         return value, slope
 
@@ -78,7 +78,7 @@ class SidebandTable:
 def _between(
     phi: Float, per_rad: np.float32, last: np.float32, tables: Sequence[Float]
 ) -> list[Float]:
-    """Interpolate in tables between their entries."""
+    """Interpolate linearly in tables."""
     position = np.minimum(phi * per_rad, last)
     index = position.astype(np.int32)
     # In single precision: with integers numpy would take doubles.

@@ -1,12 +1,11 @@
-"""Holograms of a sweep as phasors: one complex number for each block of the image and hologram.
+"""Compress the holograms of a sweep to one complex number for each block of pixels.
 
-A hologram of the first sideband is ``H(x) = c a(x) F(u(x))`` plus noise: a(x) is the light that the
-rough surface sends to the camera, the same in all holograms; u(x) the complex phase amplitude of
-the vibration, and ``F(u) = u J₁(|u|)/|u|``. Within a block of a few pixels u hardly changes while
-a(x) is random. The holograms of a block, one row each, are then a matrix of rank one, whose left
-singular vector holds ``c F(u)`` of all holograms with the noise of all pixels averaged, and whose
-right singular vector says how much light each pixel has, and so which place in the block it is
-that the phasors are those of.
+A hologram of the first sideband is ``H(x) = c a(x) F(u(x))`` plus noise. The speckle field a(x) of
+the rough surface is the same in all holograms; u(x) is the complex phase amplitude of the
+vibration, and ``F(u) = u J₁(|u|)/|u|``. Within a block of a few pixels u is nearly constant while
+a(x) is random. The holograms of a block, one in each row, therefore form a matrix of rank one. Its
+left singular vector is ``c F(u)`` of all holograms, averaged over the noise of the pixels. Its
+right singular vector is the speckle field of the pixels, which weights their coordinates.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,29 +25,30 @@ from runs.records import StepRecord
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complex64]
 
-# Side of a block. Ten of the finest speckles that a full sensor resolves are enough to average, and
-# displacements may still grow by a radian or two from one side to the other.
+# Side of a block: ten of the finest speckles that a full sensor resolves are enough to average, and
+# the displacement may still change by 1 to 2 rad across the block.
 _BLOCK_M = 0.38e-3
-# Margin inside the contour: blocks on the edge hold less reed than others.
+# Margin inside the contour: blocks on the edge contain less reed than others.
 _EDGE_M = 0.25e-3
-# The image fades behind the vamp: the clamp begins, nothing moves.
+# Behind the vamp the clamp begins: the reed is dark there and does not move.
 _BEHIND_VAMP_M = 1e-3
-# Blocks whose holograms still lie in the processor's cache.
-_TOGETHER = 16
+# Number of blocks whose holograms fit into the processor's cache.
+_BLOCKS_AT_ONCE = 16
 
 
 @dataclass(frozen=True)
-class OtherPhasors:
-    """What every block shows in another sideband of the same vibrations.
+class SidebandAmplitudes:
+    """Block amplitudes of another sideband of the same vibrations.
 
     Attributes
     ----------
     order : int
-        Of the sideband.
+        Order of the sideband.
     value : (n, k) complex64
-        ``A c F_n(u)`` with the same light A and vibrations u, c of its own; 0 where there is none.
+        ``A c F_n(u)`` with the same object field A and vibrations u, but other factors c; 0 where
+        there is no hologram.
     present : (k,) bool
-        For which vibrations there is a good hologram.
+        True where there is a good hologram.
     """
 
     order: int
@@ -57,42 +57,42 @@ class OtherPhasors:
 
 
 @dataclass(frozen=True)
-class Unshifted:
-    """Light that no vibration has shifted and that leaks into holograms of a run.
+class UnshiftedLight:
+    """Light of sideband 0 that leaks into the holograms of a run.
 
     Attributes
     ----------
     light : (height, width) complex64
-        Of the reed at rest, as `Run.field` has it.
-    share : dict of complex
-        How much of it each hologram has, by its position in the run.
+        Field of the reed at rest, in the units of `Run.field`.
+    fraction : dict of complex
+        Fraction of it in each hologram, by the hologram's position in the run.
     """
 
     light: Complex
-    share: Mapping[int, complex]
+    fraction: Mapping[int, complex]
 
 
 @dataclass(frozen=True)
-class Phasors:
-    """What every block shows in every good hologram of a run.
+class BlockAmplitudes:
+    """Block amplitudes of all good holograms of a run.
 
     Attributes
     ----------
     value : (n, k) complex64
-        ``A c F(u)`` in units of the noise's standard deviation; A is one unknown complex number
+        ``A c F(u)`` in units of the noise's standard deviation. A is one unknown complex number
         for each block.
     x_m, y_m : (n,) float
-        Places on the reed that they are those of.
+        Coordinates of the blocks on the reed.
     step_index : (k,) int
         Index of each hologram in the protocol.
     drive_hz : (k,) float
         Realised drive frequencies, ascending.
     volts : (k,) float
         Peak volts at the load.
-    others : tuple of OtherPhasors
-        Of other sidebands, if the protocol asks for them.
-    taken_off : (n, k) complex64, optional
-        What `value` would have more if no unshifted light had been taken off the holograms.
+    others : tuple of SidebandAmplitudes
+        Block amplitudes of the other sidebands of the protocol.
+    subtracted : (n, k) complex64, optional
+        Unshifted light that was subtracted from `value`.
     """
 
     value: Complex
@@ -101,38 +101,38 @@ class Phasors:
     step_index: NDArray[np.intp]
     drive_hz: Array
     volts: Array
-    others: tuple[OtherPhasors, ...] = ()
-    taken_off: Complex | None = None
+    others: tuple[SidebandAmplitudes, ...] = ()
+    subtracted: Complex | None = None
 
     @property
     def recorded(self) -> Complex:
-        """Value (n, k) with what has been taken off."""
-        return self.value if self.taken_off is None else self.value + self.taken_off
+        """Block amplitudes (n, k) before unshifted light was subtracted."""
+        return self.value if self.subtracted is None else self.value + self.subtracted
 
 
-def read_phasors(run: Run, unshifted: Unshifted | None = None) -> Phasors:
-    """Compress the good holograms of a run, of all its sidebands, in order of frequency.
+def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> BlockAmplitudes:
+    """Read the block amplitudes of all good holograms of a run, in order of drive frequency.
 
     Parameters
     ----------
     run : Run
-    unshifted : Unshifted, optional
-        To be taken off the holograms.
+    unshifted : UnshiftedLight, optional
+        Subtracted from the holograms.
 
     Raises
     ------
     FitError
-        If too few steps are good; says what the others suffer from.
+        If too few steps are good. The message lists the verdicts of the others.
     RunFileError
         If a step cannot be read.
     """
     steps = good_steps(run)
     blocks = _blocks(run)
     others = _others(run, steps)
-    together = [*steps, *(step for found in others.values() for step in found.values())]
-    value, right = _leading(_holograms(run, together, blocks, unshifted))
+    all_steps = [*steps, *(step for found in others.values() for step in found.values())]
+    value, right = _leading(_holograms(run, all_steps, blocks, unshifted))
     light = np.abs(right) ** 2
-    return Phasors(
+    return BlockAmplitudes(
         value=np.ascontiguousarray(value[:, : len(steps)]),
         x_m=np.sum(light * blocks.x_m, axis=1),
         y_m=np.sum(light * blocks.y_m, axis=1),
@@ -140,12 +140,14 @@ def read_phasors(run: Run, unshifted: Unshifted | None = None) -> Phasors:
         drive_hz=np.array([float(step.read_drive_hz or step.drive_hz) for step in steps]),
         volts=np.array([step.volts for step in steps]),
         others=_split(others, value[:, len(steps) :], len(steps)),
-        taken_off=None if unshifted is None else _taken_off(unshifted, steps, blocks, right),
+        subtracted=None
+        if unshifted is None
+        else _unshifted_amplitudes(unshifted, steps, blocks, right),
     )
 
 
 def _others(run: Run, steps: Sequence[StepRecord]) -> dict[int, dict[int, StepRecord]]:
-    """Good steps of other sidebands by order, and by which of the steps (k,) they belong to."""
+    """Return the good steps of other sidebands: by order, then by the number of the step (k,)."""
     place = {step.index: k for k, step in enumerate(steps)}
     found: dict[int, dict[int, StepRecord]] = {}
     for step in run.steps:
@@ -156,28 +158,35 @@ def _others(run: Run, steps: Sequence[StepRecord]) -> dict[int, dict[int, StepRe
 
 def _split(
     others: dict[int, dict[int, StepRecord]], value: Complex, count: int
-) -> tuple[OtherPhasors, ...]:
-    """Put the columns (n, …) of other sidebands beside those of the k steps that they belong to."""
+) -> tuple[SidebandAmplitudes, ...]:
+    """Assign the columns (n, …) of other sidebands to the k steps that they belong to."""
     split, first = [], 0
     for order, found in others.items():
         places = np.array(list(found))
-        beside = np.zeros((len(value), count), np.complex64)
-        beside[:, places] = value[:, first : first + len(found)]
-        split.append(OtherPhasors(order, beside, np.isin(np.arange(count), places)))
+        assigned = np.zeros((len(value), count), np.complex64)
+        assigned[:, places] = value[:, first : first + len(found)]
+        split.append(SidebandAmplitudes(order, assigned, np.isin(np.arange(count), places)))
         first += len(found)
     return tuple(split)
 
 
 def _in_blocks(axis_m: Array, factor: int) -> Array:
-    """Coordinates (blocks, factor) of the whole blocks along an axis."""
+    """Return the coordinates (blocks, factor) of all whole blocks along an axis."""
     return axis_m[: len(axis_m) // factor * factor].reshape(-1, factor)
 
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Blocks of so many pixels high and wide that lie inside (rows, columns).
+    """Blocks of pixels on the vamp.
 
-    Places (n, p) are those of all pixels of each, row by row.
+    Attributes
+    ----------
+    inside : (rows, columns) bool
+        Which blocks of the image are used.
+    high, wide : int
+        Pixels in a block.
+    x_m, y_m : (n, p) float
+        Coordinates of the pixels of each used block, row by row.
     """
 
     inside: NDArray[np.bool_]
@@ -187,7 +196,7 @@ class _Blocks:
     y_m: Array
 
     def of(self, field: Complex) -> Complex:
-        """Blocks (n, p) of a field."""
+        """Return the pixels (n, p) of a field, sorted into blocks."""
         (rows, columns), high, wide = self.inside.shape, self.high, self.wide
         whole = field[: rows * high, : columns * wide].reshape(rows, high, columns, wide)
         chosen = whole.transpose(0, 2, 1, 3)[self.inside]
@@ -195,14 +204,14 @@ class _Blocks:
 
 
 def _blocks(run: Run) -> _Blocks:
-    """Blocks of a run's image that lie on the vamp."""
+    """Find the blocks of a run's image that lie on the vamp."""
     high, wide = (max(1, round(_BLOCK_M / abs(a[1] - a[0]))) for a in (run.y_m, run.x_m))
     y_m, x_m = _in_blocks(run.y_m, high), _in_blocks(run.x_m, wide)
     Y, X = np.meshgrid(y_m.mean(axis=1), x_m.mean(axis=1), indexing="ij")
     reed = run.reed_file().geometry()
-    beside = half_width_m(reed.outline, X) - np.abs(Y)
+    inside_edge_m = half_width_m(reed.outline, X) - np.abs(Y)
     visible_m = reed.vamp_x_m[-1] + _BEHIND_VAMP_M
-    inside = (beside > _EDGE_M) & (X > 2 * _EDGE_M) & (visible_m > X)
+    inside = (inside_edge_m > _EDGE_M) & (X > 2 * _EDGE_M) & (visible_m > X)
     rows, columns = np.nonzero(inside)
     return _Blocks(
         inside=inside,
@@ -214,9 +223,9 @@ def _blocks(run: Run) -> _Blocks:
 
 
 def _holograms(
-    run: Run, steps: Sequence[StepRecord], blocks: _Blocks, unshifted: Unshifted | None
+    run: Run, steps: Sequence[StepRecord], blocks: _Blocks, unshifted: UnshiftedLight | None
 ) -> Complex:
-    """Fields (n, k, p) of the blocks inside, of noise 1, less unshifted light."""
+    """Read the fields (n, k, p) of all blocks in units of the noise, less unshifted light."""
     chosen = np.empty((len(blocks.x_m), len(steps), blocks.high * blocks.wide), np.complex64)
     for k, step in enumerate(steps):
         field = run.field(step.position)
@@ -228,23 +237,25 @@ def _holograms(
                 "is no number; give it another verdict"
             )
         if unshifted is not None:
-            field = field - unshifted.share.get(step.position, 0.0) * unshifted.light
+            field = field - unshifted.fraction.get(step.position, 0.0) * unshifted.light
         chosen[:, k] = blocks.of(field) / np.float32(np.sqrt(step.noise_level))
     return chosen
 
 
-def _taken_off(
-    unshifted: Unshifted, steps: Sequence[StepRecord], blocks: _Blocks, right: Complex
+def _unshifted_amplitudes(
+    unshifted: UnshiftedLight, steps: Sequence[StepRecord], blocks: _Blocks, right: Complex
 ) -> Complex:
-    """What phasors (n, k) lose by it, by right singular vectors (n, p)."""
-    share = [unshifted.share.get(step.position, 0.0) / np.sqrt(step.noise_level) for step in steps]
+    """Return the block amplitudes (n, k) of unshifted light, for right singular vectors (n, p)."""
+    fractions = [
+        unshifted.fraction.get(step.position, 0.0) / np.sqrt(step.noise_level) for step in steps
+    ]
     light = np.sum(blocks.of(unshifted.light) * right, axis=1)
-    off: Complex = np.multiply.outer(light, share).astype(np.complex64)
+    off: Complex = np.multiply.outer(light, fractions).astype(np.complex64)
     return off
 
 
 def _leading(holograms: Complex) -> tuple[Complex, Complex]:
-    """Leading left singular vectors (n, k) times singular values, and right ones (n, p)."""
+    """Return leading left singular vectors (n, k) times singular values, and right ones (n, p)."""
     blocks, count, pixels = holograms.shape
     value, right = np.empty((blocks, count), np.complex64), np.empty((blocks, pixels), np.complex64)
 
@@ -253,5 +264,5 @@ def _leading(holograms: Complex) -> tuple[Complex, Complex]:
         vectors = np.linalg.eigh(here.conj().transpose(0, 2, 1) @ here)[1][:, :, -1:]
         value[some], right[some] = (here @ vectors)[..., 0], vectors[..., 0]
 
-    map_threads(fill, blocks, _TOGETHER)
+    map_threads(fill, blocks, _BLOCKS_AT_ONCE)
     return value, right

@@ -1,9 +1,10 @@
-"""The vibration of a sweep's holograms, found one after another from those that are easy to read.
+"""Solve the holograms of a sweep by continuation in frequency.
 
-The problem is not convex: beyond |u| = 1.84 phasors fall and turn over. It is solved from the calm
-holograms outwards, in which all is linear. Each hologram starts from a solved neighbour in
-frequency: near resonances one shape grows by some factor and turns by some angle between them, at
-a line of the air all shapes grow together; both are searched on grids finer than a fringe.
+The problem is not convex: beyond |u| = 1.84 the block amplitudes decrease again. It is solved from
+the holograms of small amplitude outwards, where it is linear. Each hologram starts from a solved
+neighbour in frequency. Between the two, one mode shape changes by a complex factor near its
+resonance, or all shapes change by one factor at an acoustic resonance. Both are searched on grids
+that are finer than a fringe.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,8 +17,8 @@ from numpy.typing import NDArray
 
 from fitting.errors import FitError
 from fitting.holograms.alternating_minimisation import Solution
-from fitting.holograms.block_amplitudes import Phasors
-from fitting.holograms.levenberg_marquardt import block_light, descend
+from fitting.holograms.amplitudes import block_object_field, fit_amplitudes
+from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.problem import Problem
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.parallel.processes import map_processes
@@ -30,171 +31,181 @@ Steps = NDArray[np.intp]
 
 # Largest value of J₁, and holograms whose brightest show it in a block.
 _FIRST_LOBE, _BRIGHTEST = 0.5819, 4
-# Blocks that move more than so many per cent of all are sure to show it in some hologram.
-_LIVELIEST = 75
-# A hologram is calm if 95 % of its blocks show less than this: φ below 0.7 rad, all linear.
-_CALM = 0.33
+# Blocks above this percentile of vibration surely reach that value in some hologram.
+_LARGEST_PERCENTILE = 75
+# A hologram has small amplitudes if 95 % of its blocks show less than this: φ below 0.7 rad.
+_SMALL_AMPLITUDE = 0.33
 # ... and still on the first slope, below 1.2 rad.
 _STILL_LINEAR = 0.5
-# Of a shape with a largest deflection up to this, phasors have the signs of the shape.
+# Of a shape with a largest deflection up to this, block amplitudes have the signs of the shape.
 _LINEAR_RAD = 1.0
-# Largest deflections that the lowest holograms may have if they are not calm, and how many.
+# Trial values of the largest deflection of the lowest holograms, and how many of those are used.
 _FRINGES_RAD, _FRINGED = np.geomspace(1.5, 20.0, 8), 6
-# If so much of a sweep is explained it is not begun again otherwise; less will do if all holograms
+# No other start is tried if this fraction of a sweep is explained; less is enough if all holograms
 # are solved.
 _MOST_EXPLAINED, _ALL_SOLVED = 0.8, 0.7
 # Less than that may be explained by chance.
 _LEAST_SOLVED = 0.2
 _LEAST_SIGNAL = 1.5
-# Of all blocks, every third serves the search, every ninth the grids. Fewer let displacements fold.
-_SEARCH_STRIDE, _GRID_STRIDE = 3, 9
+# Every third block is used in the continuation, every ninth on the grids. With fewer, displacements
+# fold into wrong fringes.
+_CONTINUATION_STRIDE, _GRID_STRIDE = 3, 9
 # Grid of one shape's amplitude: step in radius, angles, and how far beyond the neighbour's.
 _RADIUS_STEP_RAD, _ANGLES, _BEYOND, _ROOM_RAD = 0.35, 12, 2.0, 5.0
 _SCALES = np.geomspace(0.3, 3.2, 36).astype(np.complex64)
 _GRID_TOGETHER = 128
-# Modes this near to a hologram, besides the liveliest of its neighbour, may be resonating.
+# Modes this near to a hologram, and the strongest of its neighbour, may be resonant.
 _NEAR_CENTS = 350.0
 _STARTS, _QUICK = 5, 5
-DESCENT = 6
-# From one hologram to the next all grow or shrink by no more.
+ITERATIONS = 6
+# Largest factor of all amplitudes from one hologram to the next.
 _STEEPEST = 1.7
-# Neighbours are explained alike, unless one is in a wrong fringe: ratio of misfits.
-ALIKE = 1.15
-_CALM_TURNS = 15
-# Resonances are no sharper than this; modes may be livelier than expected by this factor; and what
-# shapes that are not the finite elements' may add, a share.
+# Two holograms or solutions with misfits within this ratio are explained equally well; a larger
+# ratio means that one is in a wrong fringe.
+SAME_FRINGE_RATIO = 1.15
+_START_TURNS = 15
+# Prior of amplitudes: half width of a resonance, factor by which a mode may exceed its expected
+# response, and fraction for shapes that differ from the finite elements.
 _SHARPEST, _ROOM, _OTHER_SHAPES = 0.1, 5.0, 0.05
-# Misfits, as reduced χ², that holograms may have to be handed on, the better ones first; and how
-# far: at last beyond some that cannot be solved.
+# Largest reduced χ² of a hologram from which its neighbours start, the better ones first, and over
+# how many steps: finally also across holograms that cannot be solved.
 _THRESHOLDS = ((2.5, 1), (4.0, 1), (8.0, 1), (20.0, 1), (20.0, 3))
-# Or the share of the light that may be left.
+# ... or this fraction of the hologram's power as residual.
 _ENOUGH = 0.03
-# A pair of neighbours is tried again in better light, but so often only.
-_MOST_LIGHTS = 3
-# The light is found anew when so many more holograms have been solved.
+# How often a pair of neighbours is tried again after the object field has improved.
+_MOST_FIELDS = 3
+# The object field is fitted again when the number of solved holograms has grown by this factor.
 _MORE_SOLVED = 1.3
 
 
 def _size(a: Amplitudes) -> Array:
-    """Root of the mean square (s,) of displacements over the reed, at least a tenth of a rad."""
+    """Return the rms displacement (s,) over the reed, at least 0.1 rad."""
     size: Array = np.maximum(np.sqrt(np.sum(np.abs(a) ** 2, axis=1)), 0.1)
     return size
 
 
 @dataclass(frozen=True)
 class _Guess:
-    """A mode that a hologram shows, with a largest deflection."""
+    """Assumption that a hologram shows one mode with a given largest deflection."""
 
     hologram: int
     mode: int
     largest_rad: float = 1.0
 
 
-class Search:
-    """Amplitudes, misfits and light of a sweep while its holograms are solved one after another."""
+class Continuation:
+    """Amplitudes, misfits and object field of a sweep whose holograms are solved in turn."""
 
-    def __init__(self, whole: Problem, phasors: Phasors, basis: ShapeBasis) -> None:
+    def __init__(
+        self, whole: Problem, block_amplitudes: BlockAmplitudes, basis: ShapeBasis
+    ) -> None:
         self.whole, self._most, self._few = (
-            whole, whole.every(_SEARCH_STRIDE), whole.every(_GRID_STRIDE)
+            whole, whole.every(_CONTINUATION_STRIDE), whole.every(_GRID_STRIDE)
         )  # fmt: skip
         self._basis = basis
-        self._value, self._magnitude = phasors.value, np.abs(phasors.value)
+        self._value, self._magnitude = block_amplitudes.value, np.abs(block_amplitudes.value)
         ascending = np.sort(self._magnitude, axis=1)
         self._brightest = ascending[:, -_BRIGHTEST:].mean(axis=1) / _FIRST_LOBE
         self._shown = np.percentile(self._magnitude / self._brightest[:, None], 95, axis=0)
-        self._cents, self._mode_cents = 1200 * np.log2(phasors.drive_hz), 1200 * np.log2(basis.hz)
-        count = phasors.value.shape[1]
+        self._cents, self._mode_cents = (
+            1200 * np.log2(block_amplitudes.drive_hz),
+            1200 * np.log2(basis.hz),
+        )
+        count = block_amplitudes.value.shape[1]
         self.amplitude: Amplitudes = np.zeros((count, basis.functions.shape[1]), complex)
         self.gain: Array = np.zeros(count)
         self.misfit: Array = np.full(count, np.inf)
-        self.light: Complex = np.zeros(len(phasors.value), np.complex64)
+        self.object_field: Complex = np.zeros(len(block_amplitudes.value), np.complex64)
         self._solved = np.zeros(count, dtype=bool)
-        self._enough = enough(phasors)
+        self._enough = enough(block_amplitudes)
 
     @property
-    def _most_light(self) -> Complex:
-        return self.light[::_SEARCH_STRIDE]
+    def _most_object_field(self) -> Complex:
+        return self.object_field[::_CONTINUATION_STRIDE]
 
     def starts(self) -> Iterator[tuple[Steps, Sequence[_Guess]]]:
-        """Holograms to begin with, each set with guesses.
+        """Yield sets of holograms to begin with, each with guesses.
 
-        First those at the low end of the sweep, where a reed moves much like its first mode at
-        rest, if they are calm; then the same, calm or not; at last all calm ones, of which the
-        lowest and the clearest may resemble any of their neighbours.
+        First the holograms at the low end of the sweep, if their amplitudes are small: there the
+        reed moves nearly like its first mode. Then the same holograms with any amplitude. Then all
+        holograms of small amplitude; the lowest and the brightest of them may resemble any of the
+        nearest modes.
         """
         signal = np.sqrt(np.maximum(np.mean(self._magnitude**2, axis=0) - 1, 0))
         clear = signal > _LEAST_SIGNAL
         low = np.flatnonzero(clear & (self._shown < _STILL_LINEAR))
         if low.size and not clear[: low[0]].any():
-            together = low[: int(np.argmax(np.diff([*low, np.inf]) > 1)) + 1]
-            yield together, [_Guess(int(low[0]), self._near(low[0])[0])]
+            common_mode_shift = low[: int(np.argmax(np.diff([*low, np.inf]) > 1)) + 1]
+            yield common_mode_shift, [_Guess(int(low[0]), self._near(low[0])[0])]
         if clear.any():
             first = int(np.argmax(clear))
             few = np.flatnonzero(clear[first : first + _FRINGED]) + first
             mode = self._near(first)[0]
             yield few, [_Guess(first, mode, float(rad)) for rad in _FRINGES_RAD]
-        calm = np.flatnonzero(clear & (self._shown < _CALM))
-        if calm.size:
-            firsts = (calm[0], calm[np.argmax(signal[calm])])
-            yield calm, [_Guess(int(k), mode) for k in firsts for mode in self._near(k)[:4]]
+        small = np.flatnonzero(clear & (self._shown < _SMALL_AMPLITUDE))
+        if small.size:
+            firsts = (small[0], small[np.argmax(signal[small])])
+            yield small, [_Guess(int(k), mode) for k in firsts for mode in self._near(k)[:4]]
 
     def _near(self, step: int) -> list[int]:
-        """Modes, the nearest to a hologram first."""
+        """Return the modes in order of their distance in frequency from a hologram."""
         return [int(m) for m in np.argsort(np.abs(self._mode_cents - self._cents[step]))]
 
     def begin(self, few: Steps, guesses: Iterable[_Guess]) -> None:
-        """Solve some holograms from the best of some guesses."""
+        """Solve some holograms from the best of several guesses."""
         self.amplitude[:], self.gain[:], self.misfit[:] = 0, 0, np.inf
         self._solved[:] = False
         best = np.inf
         for guess in guesses:
-            light, a, left = self._calm(few, guess)
+            object_field, a, left = self._small_amplitude_start(few, guess)
             if left.sum() < best:
                 best = float(left.sum())
-                self.light, self.amplitude[few] = light, a
+                self.object_field, self.amplitude[few] = object_field, a
                 self.misfit[few] = left / self._most.blocks
 
     @property
     def solution(self) -> Solution:
-        """As far as it has come."""
-        return Solution(self.amplitude, self.gain, self.light)
+        """The solution reached so far."""
+        return Solution(self.amplitude, self.gain, self.object_field)
 
-    def go_on_with(self, solution: Solution, misfit: Array) -> None:
-        """Go on from a better solution, with misfits (k,), to what it does not explain."""
-        self.amplitude, self.gain, self.light = (
-            solution.amplitude.copy(), solution.gain.copy(), solution.light
+    def continue_from(self, solution: Solution, misfit: Array) -> None:
+        """Continue from a better solution, with misfits (k,), to holograms that it misses."""
+        self.amplitude, self.gain, self.object_field = (
+            solution.amplitude.copy(), solution.gain.copy(), solution.object_field
         )  # fmt: skip
         self.misfit = misfit.copy()
         self._solved[:] = False
-        self.spread()
+        self.solve_outwards()
         self._revise()
 
     @property
     def solved(self) -> NDArray[np.bool_]:
-        """Which holograms (k,) are."""
+        """Mask (k,) of the solved holograms."""
         return self._solved
 
     @property
     def explained(self) -> NDArray[np.bool_]:
-        """Which holograms (k,) are, down to their noise: they are in the right fringe."""
+        """Mask (k,) of the holograms explained down to their noise, in the right fringe."""
         return self.misfit < _THRESHOLDS[0][0]
 
     @property
     def best_explained(self) -> NDArray[np.bool_]:
-        """Which holograms (k,) are, as well as most of those that are solved."""
+        """Mask (k,) of the holograms explained as well as most of the solved ones."""
         usual = max(float(np.median(self.misfit[self._solved])), 1.0)
         return self.misfit < _THRESHOLDS[0][0] * usual
 
-    def _calm(self, few: Steps, guess: _Guess) -> tuple[Complex, Amplitudes, Array]:
-        """Light and amplitudes of some holograms, in turns, and their misfits."""
+    def _small_amplitude_start(
+        self, few: Steps, guess: _Guess
+    ) -> tuple[Complex, Amplitudes, Array]:
+        """Fit object field and amplitudes of some holograms in turns; return them and misfits."""
         shape = self._basis.shapes[guess.mode]
         u = self._basis.functions @ shape * np.float32(guess.largest_rad)
         over, _ = self.whole.bessel.tensor(np.abs(u))
         turn = np.exp(1j * np.angle(self._value[:, guess.hologram])) * np.sign(u * over)
-        light = (self._brightest * turn).astype(np.complex64)
+        object_field = (self._brightest * turn).astype(np.complex64)
         gain: Array = np.zeros(len(few))
         if guess.largest_rad > _LINEAR_RAD:
-            self.light = light
+            self.object_field = object_field
             scales = guess.largest_rad * _SCALES
             a = np.array([self._on_grid(int(k), shape, scales)[1][0] for k in few])
             size = _size(a)
@@ -204,86 +215,91 @@ class Search:
             relative = self._magnitude[:, few] / self._brightest[:, None]
             size = 2 * np.sqrt(np.mean(relative**2, axis=0))
         prior = self._prior(few, size)
-        for turn_number in range(_CALM_TURNS):
-            a, _, left = descend(
-                self._most, light[::_SEARCH_STRIDE], few, (a, gain), 1 if turn_number else 2, prior
+        for turn_number in range(_START_TURNS):
+            a, _, left = fit_amplitudes(
+                self._most,
+                object_field[::_CONTINUATION_STRIDE],
+                few,
+                (a, gain),
+                1 if turn_number else 2,
+                prior,
             )
-            light = block_light(self.whole, few, a, gain, np.ones(len(few)))
-            # Where the reed is liveliest some hologram of the sweep has shown the first lobe.
-            liveliness = np.sum(np.square(self.whole.phasors(a)), axis=(0, 1))
-            lively = liveliness > np.percentile(liveliness, _LIVELIEST)
-            scale = float(np.median(self._brightest[lively] / np.abs(light[lively])))
-            light, a = light * np.float32(scale), a / scale
-        return light, a, left
+            object_field = block_object_field(self.whole, few, a, gain, np.ones(len(few)))
+            # Where the reed moves most, some hologram of the sweep has reached the largest J₁.
+            power = np.sum(np.square(self.whole.bessel_vectors(a)), axis=(0, 1))
+            moving = power > np.percentile(power, _LARGEST_PERCENTILE)
+            scale = float(np.median(self._brightest[moving] / np.abs(object_field[moving])))
+            object_field, a = object_field * np.float32(scale), a / scale
+        return object_field, a, left
 
     def _prior(self, steps: Steps, size: Array) -> Array:
-        """Precision (s, j, j) of the amplitudes of holograms of given sizes (s,), rms in rad.
+        """Return the prior precision (s, j, j) of amplitudes, for rms displacements (s,) in rad.
 
-        Light that varies smoothly over the reed looks like another shape, the more so the less
-        fringes there are. What a mode may contribute is therefore held to what it has under any
-        pressure: its compliance, times how near it is to its resonance.
+        An object field that varies smoothly over the reed resembles another mode shape, the more
+        so the fewer fringes there are. The prior therefore limits each mode to its response under
+        any pressure: its compliance times its resonance curve.
         """
         ratio = 2 ** ((self._cents[steps, None] - self._mode_cents) / 600)
         moving = 2 ** (self._mode_cents / -600) / np.maximum(np.abs(1 - ratio), _SHARPEST)
         moving = _ROOM * moving / moving.max(axis=1, keepdims=True)
         shapes = self._basis.shapes
-        spread = np.einsum("sm,mi,mj->sij", moving**2, shapes, shapes, optimize=True)
-        spread += _OTHER_SHAPES**2 * np.eye(shapes.shape[1])
-        precision: Array = np.linalg.inv(spread) / size[:, None, None] ** 2
+        solve_outwards = np.einsum("sm,mi,mj->sij", moving**2, shapes, shapes, optimize=True)
+        solve_outwards += _OTHER_SHAPES**2 * np.eye(shapes.shape[1])
+        precision: Array = np.linalg.inv(solve_outwards) / size[:, None, None] ** 2
         return precision
 
-    def spread(self) -> None:
-        """Solve hologram after hologram beside those that are solved."""
-        self._go_on()
-        if not self._solved.all() and self._solve_calm():
-            self._go_on()
+    def solve_outwards(self) -> None:
+        """Solve the holograms next to solved ones until none is left that can be solved."""
+        self._solve_outwards()
+        if not self._solved.all() and self._solve_small_amplitudes():
+            self._solve_outwards()
 
-    def _go_on(self) -> None:
-        """From neighbour to neighbour, the better ones first."""
-        # Which lights each pair has been tried in.
+    def _solve_outwards(self) -> None:
+        """Solve from neighbour to neighbour, the better explained ones first."""
+        # Versions of the object field in which each pair has been tried.
         tried: dict[tuple[int, int], list[int]] = {}
-        light = 0
+        object_field = 0
 
         def to_be_tried(pair: tuple[int, int]) -> bool:
             lights = tried.get(pair, [])
-            return light not in lights and len(lights) < _MOST_LIGHTS
+            return object_field not in lights and len(lights) < _MOST_FIELDS
 
         for threshold, reach in _THRESHOLDS:
             good = np.maximum(self._enough, threshold)
             self._solved |= self.misfit < good
-            self._relight()
-            lit, light = int(self._solved.sum()), light + 1
+            self._update_object_field()
+            lit, object_field = int(self._solved.sum()), object_field + 1
             while frontier := [pair for pair in self._frontier(reach) if to_be_tried(pair)]:
                 for step, source in frontier:
                     if self._solved[step]:
                         continue
-                    tried.setdefault((step, source), []).append(light)
+                    tried.setdefault((step, source), []).append(object_field)
                     self._solve(step, source)
                     self._solved[step] = self.misfit[step] < good[step]
                     if self._solved.sum() > _MORE_SOLVED * lit + 2:
-                        self._relight(1)
-                        lit, light = int(self._solved.sum()), light + 1
+                        self._update_object_field(1)
+                        lit, object_field = int(self._solved.sum()), object_field + 1
 
-    def _solve_calm(self) -> bool:
-        """Solve calm holograms beyond those that nobody can: with known light they are linear."""
+    def _solve_small_amplitudes(self) -> bool:
+        """Solve holograms of small amplitude from 0: with a known object field they are linear."""
         start = np.zeros((1, self.amplitude.shape[1]), complex)
-        calm = np.flatnonzero(~self._solved & (self._shown < _STILL_LINEAR))
-        for step in calm:
-            self.attempt(int(step), start, ((self._most, _SEARCH_STRIDE, DESCENT),))
-        return bool((self.misfit[calm] < _THRESHOLDS[0][0]).any())
+        small = np.flatnonzero(~self._solved & (self._shown < _STILL_LINEAR))
+        for step in small:
+            self.attempt(int(step), start, ((self._most, _CONTINUATION_STRIDE, ITERATIONS),))
+        return bool((self.misfit[small] < _THRESHOLDS[0][0]).any())
 
     def _revise(self) -> None:
-        """Try holograms that are explained worse than a neighbour once more from that side."""
+        """Solve holograms again from a neighbour that is explained better."""
         last = len(self.misfit) - 1
         for step in np.argsort(-self.misfit):
             for source in (step - 1, step + 1):
                 if not 0 <= source <= last or not self._solved[source]:
                     continue
-                if self.misfit[step] > ALIKE * max(float(self.misfit[source]), 1):
+                if self.misfit[step] > SAME_FRINGE_RATIO * max(float(self.misfit[source]), 1):
                     self._solve(int(step), int(source))
 
     def _frontier(self, reach: int) -> list[tuple[int, int]]:
-        """Unsolved holograms, each with a solved one not farther off than that."""
+        """Return pairs of an unsolved hologram and a solved one at most `reach` steps away."""
         last = len(self._solved) - 1
         return [
             (step, int(source))
@@ -292,49 +308,54 @@ class Search:
             if 0 <= step <= last and not self._solved[step]
         ]
 
-    def _relight(self, turns: int = 2) -> None:
-        """Find the light anew from what is solved, and what is solved from the light."""
+    def _update_object_field(self, turns: int = 2) -> None:
+        """Fit the object field to the solved holograms, then these to the object field."""
         solved = np.flatnonzero(self._solved)
         if not solved.size:
             return
         for _ in range(turns):
             weight = 1 / np.maximum(self.misfit[solved], 1)
             start = self.amplitude[solved], self.gain[solved]
-            self.light = block_light(self.whole, solved, *start, weight)
-            self.amplitude[solved], self.gain[solved], left = descend(
-                self._most, self._most_light, solved, start, 2, self._prior(solved, _size(start[0]))
+            self.object_field = block_object_field(self.whole, solved, *start, weight)
+            self.amplitude[solved], self.gain[solved], left = fit_amplitudes(
+                self._most,
+                self._most_object_field,
+                solved,
+                start,
+                2,
+                self._prior(solved, _size(start[0])),
             )
             self.misfit[solved] = left / self._most.blocks
-            # What all gains have in common is light.
+            # The mean gain belongs to the object field.
             common = float(np.mean(self.gain[solved]))
             self.gain[solved] -= common
-            self.light = self.light * np.float32(np.exp(common))
+            self.object_field = self.object_field * np.float32(np.exp(common))
 
     def _solve(self, step: int, source: int) -> None:
-        """Try to find the amplitudes of one hologram from those of a neighbour."""
+        """Try to solve one hologram from the amplitudes of a neighbour."""
         neighbour = self.amplitude[source]
         scaled = self._on_grid(step, neighbour, _SCALES)[1][0]
         trend = self.trend(step, source)
         quick = np.array([scaled] if trend is None else [trend, scaled])
-        self.attempt(step, quick, ((self._most, _SEARCH_STRIDE, _QUICK),), trend)
-        if self.misfit[step] < ALIKE * max(float(self.misfit[source]), 1):
+        self.attempt(step, quick, ((self._most, _CONTINUATION_STRIDE, _QUICK),), trend)
+        if self.misfit[step] < SAME_FRINGE_RATIO * max(float(self.misfit[source]), 1):
             return
         starts = np.array([neighbour, *self._starts(step, neighbour)])
         self.attempt(
             step,
             starts,
-            ((self._few, _GRID_STRIDE, DESCENT), (self._most, _SEARCH_STRIDE, DESCENT)),
+            ((self._few, _GRID_STRIDE, ITERATIONS), (self._most, _CONTINUATION_STRIDE, ITERATIONS)),
         )
 
     def trend(self, step: int, source: int) -> Amplitudes | None:
-        """Amplitudes (j,) of a neighbour, if they go on growing or shrinking as they did before."""
+        """Extrapolate amplitudes (j,) to a hologram from its neighbour and the one before that."""
         before = 2 * source - step
         if not (0 <= before < len(self._solved) and self._solved[before]):
             return None
         size, former = _size(self.amplitude[[source, before]])
         a = self.amplitude[source] * np.clip(size / former, 1 / _STEEPEST, _STEEPEST)
-        light = self.light[::_GRID_STRIDE]
-        (turned,) = self._few.turned(light, np.array([step]), a[None])
+        object_field = self.object_field[::_GRID_STRIDE]
+        (turned,) = self._few.turned(object_field, np.array([step]), a[None])
         return np.asarray(turned)
 
     def attempt(
@@ -344,7 +365,7 @@ class Search:
         levels: tuple[tuple[Problem, int, int], ...],
         near: Amplitudes | None = None,
     ) -> None:
-        """Descend from some starts to one hologram's amplitudes, and keep them if they are better.
+        """Fit one hologram's amplitudes from several starts, and keep the best if it is better.
 
         Parameters
         ----------
@@ -354,24 +375,23 @@ class Search:
         levels : tuple of (problem, stride, turns)
             First with few of the blocks.
         near : (j,) complex, optional
-            What is expected.
+            Expected amplitudes.
 
         Notes
         -----
-        Of two that explain the hologram alike the one that is nearer to what is expected is taken,
-        if that is told: where phasors fall again beyond 1.84 rad displacements may fold back, and
-        be as smooth as noise lets them be.
+        Beyond 1.84 rad the block amplitudes decrease again, so that a folded displacement may
+        explain the hologram equally well. Of two such solutions the one nearer to `near` is taken.
         """
         gain: Array = np.zeros(len(a))
         for problem, stride, turns in levels:
-            steps, light = np.full(len(a), step), self.light[::stride]
+            steps, object_field = np.full(len(a), step), self.object_field[::stride]
             prior = self._prior(steps, _size(a))
-            a, gain, left = descend(problem, light, steps, (a, gain), turns, prior)
+            a, gain, left = fit_amplitudes(problem, object_field, steps, (a, gain), turns, prior)
             best = np.argsort(left)[:2]
             a, gain = a[best], gain[best]
             found = left[best] / problem.blocks
         first = 0
-        if near is not None and len(a) > 1 and found[1] < ALIKE * max(found[0], 1):
+        if near is not None and len(a) > 1 and found[1] < SAME_FRINGE_RATIO * max(found[0], 1):
             first = int(np.argmin(np.linalg.norm(a - near, axis=1)))
         if found[first] < self.misfit[step]:
             self.amplitude[step], self.gain[step], self.misfit[step] = (
@@ -379,7 +399,7 @@ class Search:
             )  # fmt: skip
 
     def _starts(self, step: int, neighbour: Amplitudes) -> list[Amplitudes]:
-        """Likeliest changes of a neighbour's amplitudes: of one shape, or of all by a factor."""
+        """Return the likeliest changes of a neighbour's amplitudes: of one shape, or of all."""
         likely = list(zip(*self._on_grid(step, neighbour, _SCALES), strict=True))
         near = np.abs(self._mode_cents - self._cents[step]) < _NEAR_CENTS
         shapes = self._basis.shapes
@@ -398,14 +418,14 @@ class Search:
     def _on_grid(
         self, step: int, part: Amplitudes, grid: Complex, fixed: Amplitudes | None = None
     ) -> tuple[list[float], list[Amplitudes]]:
-        """Best three of ``[fixed +] factor · part`` over factors (g,), and their misfits."""
+        """Return the three best ``[fixed +] factor · part`` over factors (g,), and misfits."""
         few = self._few
         if fixed is None:
             fixed = np.zeros_like(part)
         u, v = few.displacement(np.stack([part, fixed]))
-        light = self.light[::_GRID_STRIDE]
-        power = light.real**2 + light.imag**2
-        pull = light.conj() * self._value[::_GRID_STRIDE, step]
+        object_field = self.object_field[::_GRID_STRIDE]
+        power = object_field.real**2 + object_field.imag**2
+        pull = object_field.conj() * self._value[::_GRID_STRIDE, step]
         misfit, overlap = np.empty(len(grid)), np.empty(len(grid), complex)
 
         def fill(some: slice) -> None:
@@ -425,36 +445,39 @@ class Search:
         return [float(misfit[g]) for g in best], found
 
 
-def solve(whole: Problem, phasors: Phasors, basis: ShapeBasis) -> Search:
-    """Solve the sweep, of one sideband, from one start after another, until most of it is."""
+def solve(whole: Problem, block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> Continuation:
+    """Solve the first sideband of a sweep, from one start after another until most is explained."""
 
-    def begun(start: tuple[Steps, Sequence[_Guess]]) -> Search:
-        search = Search(whole, phasors, basis)
-        search.begin(*start)
-        search.spread()
-        return search
+    def begun(start: tuple[Steps, Sequence[_Guess]]) -> Continuation:
+        continuation = Continuation(whole, block_amplitudes, basis)
+        continuation.begin(*start)
+        continuation.solve_outwards()
+        return continuation
 
-    best: Search | None = None
-    with closing(map_processes(begun, list(Search(whole, phasors, basis).starts()))) as searches:
-        for search in searches:
-            if best is None or search.explained.sum() > best.explained.sum():
-                best = search
+    best: Continuation | None = None
+    with closing(
+        map_processes(begun, list(Continuation(whole, block_amplitudes, basis).starts()))
+    ) as searches:
+        for continuation in searches:
+            if best is None or continuation.explained.sum() > best.explained.sum():
+                best = continuation
             if best.explained.mean() > (_ALL_SOLVED if best.solved.all() else _MOST_EXPLAINED):
                 break
     if best is None or best.solved.mean() < _LEAST_SOLVED:
         solved = int(best.solved.sum()) if best else 0
         raise FitError(
-            f"only {solved} of {len(phasors.drive_hz)} holograms can be explained as vibrations of "
-            "this reed: none shows any light, or there are too many fringes; begin with less volts"
+            f"only {solved} of {len(block_amplitudes.drive_hz)} holograms can be explained as "
+            "vibrations of this reed: none shows any light, or there are too many fringes; begin "
+            "with less volts"
         )
     return best
 
 
-def enough(phasors: Phasors) -> Array:
-    """Misfits (k,) that holograms may have at least.
+def enough(block_amplitudes: BlockAmplitudes) -> Array:
+    """Return the misfit (k,) that is always accepted: a fraction of each hologram's power.
 
-    Where displacements grow by many radians within a block phasors are no longer those of one
-    place, and leave more than noise: a share of the light.
+    Where the displacement changes by many radians within a block, a block amplitude is no longer
+    that of one point, and the residual is larger than the noise.
     """
-    share: Array = _ENOUGH * np.mean(np.abs(phasors.value) ** 2, axis=0)
-    return share
+    accepted: Array = _ENOUGH * np.mean(np.abs(block_amplitudes.value) ** 2, axis=0)
+    return accepted

@@ -1,10 +1,11 @@
-"""From phasors to displacement: the complex vibration of the whole reed in every hologram.
+"""Fit the complex displacement of the whole reed in every hologram to its block amplitudes.
 
-The phasors of a block are ``A c_k F(u_k)`` (see `fitting.holograms.block_amplitudes`): its light A
-is unknown and the same in all holograms, c_k a phase of the hologram, ``u_k = Σ_j a_kj Φ_j`` the
-complex phase amplitude there, made of few functions Φ. Light and amplitudes are found in
-turns by least squares, from a start that `fitting.holograms.continuation` finds; the phase of a
-hologram is that of its amplitudes, for ``F(u e^{iθ}) = F(u) e^{iθ}``.
+The amplitudes of a block are ``A c_k F(u_k)`` (see `fitting.holograms.block_amplitudes`). The
+object field A is unknown and the same in all holograms, c_k is the phase of a hologram, and
+``u_k = Σ_j a_kj Φ_j`` is the complex phase amplitude, a sum of few functions Φ. Object field and
+amplitudes are fitted by alternating minimisation from the start that
+`fitting.holograms.continuation` finds. The phase of a hologram is part of its amplitudes, because
+``F(u e^{iθ}) = F(u) e^{iθ}``.
 """
 
 from collections.abc import Sequence
@@ -18,21 +19,21 @@ from fitting.errors import FitError
 from fitting.holograms.alternating_minimisation import (
     FINAL_RAD,
     Solution,
-    settle,
+    alternating_step,
 )
+from fitting.holograms.amplitudes import HALF_GAIN_PRECISION, fit_amplitudes
 from fitting.holograms.bessel import BesselTable
-from fitting.holograms.block_amplitudes import Phasors
+from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.continuation import (
-    ALIKE,
-    DESCENT,
+    ITERATIONS,
+    SAME_FRINGE_RATIO,
     enough,
     solve,
 )
-from fitting.holograms.levenberg_marquardt import GAIN_HELD, descend
 from fitting.holograms.object_field import (
-    LightStep,
-    SharedError,
-    light_factor,
+    CommonModeError,
+    FieldStep,
+    field_factor,
     smooth_functions,
 )
 from fitting.holograms.problem import Problem
@@ -44,15 +45,16 @@ Amplitudes = NDArray[np.complexfloating[Any, Any]]
 Steps = NDArray[np.intp]
 
 _FINAL_TURNS, _QUICK_TURNS = 4, 2
-# If a smaller share of the holograms is explained the search goes on from settled light.
+# If a smaller fraction of the holograms is explained, the continuation is repeated with the
+# converged object field.
 _ENOUGH = 0.95
-# Beyond this a hologram has not reached the floor of its noise.
+# A hologram with a larger misfit is far from its noise.
 _FLOOR = 30.0
 
 
 @dataclass(frozen=True)
 class Displacements:
-    """Complex phase amplitudes of every hologram, and what is known of them.
+    """Complex phase amplitudes of every hologram, with their information.
 
     Attributes
     ----------
@@ -60,148 +62,158 @@ class Displacements:
         Coordinates of u in a `ShapeBasis`; the phase common to one hologram is arbitrary.
     information : (k, 2j, 2j) float
         Inverse covariance of their real, then imaginary parts, from noise and misfit.
-    shared : SharedError
-        What all of them may be off together, beside that.
+    common_mode : CommonModeError
+        Error that all of them have in common, in addition to their noise.
     misfit : (k,) float
-        Mean square of what is left of the phasors, in units of the noise: 1 is noise alone.
+        Mean square residual of the block amplitudes, in units of the noise.
     gain : (k,) float
-        Log of what holograms are brighter by.
-    light : (n,) complex64
-        Of each block, in units of the noise.
+        Log of the brightness of holograms.
+    object_field : (n,) complex64
+        Object field of each block, in units of the noise.
     reached : (k,) bool
-        Whether the fit of a hologram has come near to its noise.
+        Whether the misfit of a hologram is near that of its noise.
     """
 
     amplitude_rad: Amplitudes
     information: Array
-    shared: SharedError
+    common_mode: CommonModeError
     misfit: Array
     gain: Array
-    light: Complex
+    object_field: Complex
     reached: NDArray[np.bool_]
 
 
-def fit_displacements(phasors: Phasors, basis: ShapeBasis) -> Displacements:
+def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> Displacements:
     """Find the vibration of the whole reed in every hologram of a sweep.
 
     Parameters
     ----------
-    phasors : Phasors
+    block_amplitudes : BlockAmplitudes
     basis : ShapeBasis
-        At the points of the phasors.
+        At the points of the block amplitudes.
 
     Raises
     ------
     FitError
         If hardly any hologram can be explained.
     """
-    whole = Problem.of(phasors.value, basis.functions, BesselTable(), phasors.others)
-    search = solve(replace(whole, others=()), phasors, basis)
+    whole = Problem.of(
+        block_amplitudes.value, basis.functions, BesselTable(), block_amplitudes.others
+    )
+    search = solve(replace(whole, others=()), block_amplitudes, basis)
     if search.explained.mean() > _ENOUGH:
-        return _finished(whole, phasors, search.solution, search.solved, _FINAL_TURNS)
-    # Light that has settled shows more than that of the search.
-    better = _finished(whole, phasors, search.solution, search.best_explained, _QUICK_TURNS)
-    search.go_on_with(Solution(better.amplitude_rad, better.gain, better.light), better.misfit)
-    return _finished(whole, phasors, search.solution, search.solved, _QUICK_TURNS)
+        return _finished(whole, block_amplitudes, search.solution, search.solved, _FINAL_TURNS)
+    # With the converged object field, more holograms can be solved.
+    better = _finished(
+        whole, block_amplitudes, search.solution, search.best_explained, _QUICK_TURNS
+    )
+    search.continue_from(
+        Solution(better.amplitude_rad, better.gain, better.object_field), better.misfit
+    )
+    return _finished(whole, block_amplitudes, search.solution, search.solved, _QUICK_TURNS)
 
 
 def refit_displacements(
-    phasors: Phasors,
+    block_amplitudes: BlockAmplitudes,
     basis: ShapeBasis,
     before: Displacements,
     expected_rad: Sequence[Amplitudes],
     off: NDArray[np.bool_],
-    together: Array,
+    common_mode_shift: Array,
 ) -> Displacements:
-    """Fit a sweep once more, from what is known of it by now.
+    """Fit a sweep again from expected amplitudes.
 
     Parameters
     ----------
-    phasors : Phasors
+    block_amplitudes : BlockAmplitudes
     basis : ShapeBasis
     before : Displacements
     expected_rad : sequence of (k, j) complex
-        What amplitudes may be, up to a phase of each hologram; of those that explain a hologram
-        alike the last counts.
+        Expected amplitudes, up to a phase of each hologram. Of those that explain a hologram
+        equally well the last is used.
     off : (k,) bool
-        Holograms that are tried from there: they show something else so far, or nothing.
-    together : (q,) float
-        What all displacements are off together (see `fitting.holograms.object_field.SharedError`).
+        Holograms that are solved from there, because they are not explained so far.
+    common_mode_shift : (q,) float
+        Common-mode error of all displacements, as the modal fit found it (see
+        `fitting.holograms.object_field.CommonModeError`).
 
     Raises
     ------
     FitError
         If no hologram can be explained.
     """
-    whole = Problem.of(phasors.value, basis.functions, BesselTable(), phasors.others)
-    light = before.light * light_factor(smooth_functions(phasors.x_m, phasors.y_m), together)
-    changes = before.shared.response @ together
+    blocks = block_amplitudes
+    whole = Problem.of(blocks.value, basis.functions, BesselTable(), blocks.others)
+    smooth = smooth_functions(blocks.x_m, blocks.y_m)
+    object_field = before.object_field * field_factor(smooth, common_mode_shift)
+    changes = before.common_mode.response @ common_mode_shift
     size = before.amplitude_rad.shape[1]
     a = before.amplitude_rad + changes[:, :size] + 1j * changes[:, size:]
     steps, gain, misfit = np.flatnonzero(off), before.gain.copy(), before.misfit.copy()
     weak = FINAL_RAD**-2 * np.eye(size)
-    good = np.minimum(ALIKE * misfit[steps], np.maximum(_FLOOR, enough(phasors)[steps]))
+    accepted = np.maximum(_FLOOR, enough(blocks)[steps])
+    good = np.minimum(SAME_FRINGE_RATIO * misfit[steps], accepted)
     for expected in expected_rad:
-        start = whole.turned(light, steps, expected[steps])
-        tried, louder, left = descend(
-            whole, light, steps, (start, np.zeros(len(steps))), DESCENT, weak
+        start = whole.turned(object_field, steps, expected[steps])
+        tried, louder, left = fit_amplitudes(
+            whole, object_field, steps, (start, np.zeros(len(steps))), ITERATIONS, weak
         )
         found = left / whole.seen[steps]
         better = found < good
         chosen = steps[better]
         a[chosen], gain[chosen], misfit[chosen] = tried[better], louder[better], found[better]
-        alike = np.minimum(good, ALIKE * np.maximum(found, 1))
-        good = np.where(better, alike, good)
-    at, solved = Solution(a, gain, light), np.isfinite(misfit)
+        equally_good = np.minimum(good, SAME_FRINGE_RATIO * np.maximum(found, 1))
+        good = np.where(better, equally_good, good)
+    at, solved = Solution(a, gain, object_field), np.isfinite(misfit)
     if not solved.any():
         raise FitError(
-            f"none of {len(solved)} holograms shows what another run has told; measure it anew, or "
-            "fit it by itself"
+            f"none of {len(solved)} holograms agrees with the other run; measure it again, or fit "
+            "it alone"
         )
-    return _finished(whole, phasors, at, solved, _QUICK_TURNS)
+    return _finished(whole, blocks, at, solved, _QUICK_TURNS)
 
 
 def _finished(
     whole: Problem,
-    phasors: Phasors,
+    block_amplitudes: BlockAmplitudes,
     at: Solution,
     solved: NDArray[np.bool_],
     turns: int,
 ) -> Displacements:
-    """Let light and amplitudes of the solved holograms settle."""
+    """Minimise over object field and amplitudes of the solved holograms in turns."""
     steps = np.flatnonzero(solved)
-    smooth = smooth_functions(phasors.x_m, phasors.y_m)
+    smooth = smooth_functions(block_amplitudes.x_m, block_amplitudes.y_m)
     problem = whole.some(steps)
     exact = problem.exact()
-    at = Solution(at.amplitude[steps], at.gain[steps], at.light)
+    at = Solution(at.amplitude[steps], at.gain[steps], at.object_field)
     for _ in range(turns):
-        at, step = settle(problem, exact, smooth, at)
-    return _told(len(phasors.drive_hz), steps, at, step, problem.seen)
+        at, step = alternating_step(problem, exact, smooth, at)
+    return _displacements_of(len(block_amplitudes.drive_hz), steps, at, step, problem.seen)
 
 
-def _told(
-    holograms: int, solved: Steps, at: Solution, step: LightStep, seen: Array
+def _displacements_of(
+    holograms: int, solved: Steps, at: Solution, step: FieldStep, seen: Array
 ) -> Displacements:
-    """Put together what the solved holograms tell; the others tell nothing."""
+    """Collect the displacements of the solved holograms; the others have no information."""
     end, size = step.linear.normal, at.amplitude.shape[1]
     of_these = end.misfit / seen
-    # The gain of a hologram is nobody's concern any more; it takes information with it.
-    coupling, known = end.matrix[:, :-1, -1:], end.matrix[:, -1, -1] + GAIN_HELD
-    told = end.matrix[:, :-1, :-1] - coupling @ coupling.swapaxes(1, 2) / known[:, None, None]
+    # Marginalise over the gains of the holograms.
+    coupling, known = end.matrix[:, :-1, -1:], end.matrix[:, -1, -1] + HALF_GAIN_PRECISION
+    marginal = end.matrix[:, :-1, :-1] - coupling @ coupling.swapaxes(1, 2) / known[:, None, None]
     amplitude: Amplitudes = np.zeros((holograms, size), complex)
     information = np.zeros((holograms, 2 * size, 2 * size))
-    response = np.zeros((holograms, *step.shared.response.shape[1:]))
+    response = np.zeros((holograms, *step.common_mode.response.shape[1:]))
     misfit, gain = np.full(holograms, np.inf), np.zeros(holograms)
     amplitude[solved], gain[solved], misfit[solved] = at.amplitude, at.gain, of_these
     # Noise of variance 1 has half of it in either part.
-    information[solved] = 2 * told / np.maximum(of_these, 1)[:, None, None]
-    response[solved] = step.shared.response
+    information[solved] = 2 * marginal / np.maximum(of_these, 1)[:, None, None]
+    response[solved] = step.common_mode.response
     return Displacements(
         amplitude_rad=amplitude,
         information=information,
-        shared=SharedError(response, step.shared.precision),
+        common_mode=CommonModeError(response, step.common_mode.precision),
         misfit=misfit,
         gain=gain,
-        light=at.light,
+        object_field=at.object_field,
         reached=misfit < _FLOOR,
     )

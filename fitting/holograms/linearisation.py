@@ -1,4 +1,4 @@
-"""Phasors of one sideband around a displacement: their slopes, and the equations these make."""
+"""Linearise the block amplitudes of one sideband around a displacement."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -12,21 +12,22 @@ Array = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class Local:
-    """Phasors (s, n) of some holograms and their slopes, all relative to light and gain.
+    """Block amplitudes of s holograms and their derivatives, relative to object field and gain.
 
     Attributes
     ----------
     u, v : (s, n) float
-        F, real and imaginary parts.
+        Real and imaginary parts of F.
     uu, vu, uv, vv : (s, n) float
-        Derivatives of its real and imaginary parts (first letter) by those of the displacement.
-    left_u, left_v : (s, n) float
-        What is left of the phasors, times the complex conjugate of the light.
+        Derivatives of the real and imaginary part of F (first letter) with respect to the real and
+        imaginary part of the displacement (second letter).
+    residual_u, residual_v : (s, n) float
+        Residuals of the block amplitudes, times the complex conjugate of the object field.
     power : (n,) float
-        Of the light.
+        Squared magnitude of the object field.
     gain : (s, 1) float
     misfit : (s,) float
-        Squares of what is left.
+        Sum of squared residuals.
     """
 
     u: Array
@@ -35,47 +36,49 @@ class Local:
     vu: Array
     uv: Array
     vv: Array
-    left_u: Array
-    left_v: Array
+    residual_u: Array
+    residual_v: Array
     power: Array
     gain: Array
     misfit: Array
 
 
 def gradient(here: Local, functions: Array) -> Array:
-    """Of half the misfit, downhill: (s, 2j + 1)."""
-    pulls = (here.uu * here.left_u + here.vu * here.left_v,
-             here.uv * here.left_u + here.vv * here.left_v)  # fmt: skip
-    louder = here.u * here.left_u + here.v * here.left_v
+    """Return the negative gradient (s, 2j + 1) of half the misfit."""
+    pulls = (here.uu * here.residual_u + here.vu * here.residual_v,
+             here.uv * here.residual_u + here.vv * here.residual_v)  # fmt: skip
+    louder = here.u * here.residual_u + here.v * here.residual_v
     columns = [pull @ functions for pull in pulls] + [louder.sum(axis=1, keepdims=True)]
     found: Array = here.gain * np.concatenate(columns, axis=1)
     return found.astype(float)
 
 
 def fill_matrix(matrix: Array, here: Local, functions: Array, pairs: Array) -> None:
-    """Write normal matrices (s, 2j + 1, 2j + 1)."""
+    """Write the normal matrices (s, 2j + 1, 2j + 1) into `matrix`."""
     size = functions.shape[1]
     square = (here.gain**2).astype(float)
     power = here.power
     weights = (here.uu * here.uu + here.vu * here.vu,
                here.uu * here.uv + here.vu * here.vv,
                here.uv * here.uv + here.vv * here.vv)  # fmt: skip
-    # All at once: few holograms' products take as long as it takes to read the pairs.
+    # One product: for few holograms its time is that of reading the pairs.
     packed = np.split((power * np.concatenate(weights)) @ pairs, 3)
     for row, column, products in zip((0, 0, 1), (0, 1, 1), packed, strict=True):
         block = matrix[:, row * size :, column * size :][:, :size, :size]
         write_symmetric(block, square * products)
         if row != column:
             matrix[:, size:-1, :size] = block
-    beside = (here.uu * here.u + here.vu * here.v, here.uv * here.u + here.vv * here.v)
-    coupling = square * np.concatenate([(power * part) @ functions for part in beside], axis=1)
+    sideband_equations = (here.uu * here.u + here.vu * here.v, here.uv * here.u + here.vv * here.v)
+    coupling = square * np.concatenate(
+        [(power * part) @ functions for part in sideband_equations], axis=1
+    )
     matrix[:, -1, :-1] = matrix[:, :-1, -1] = coupling
     matrix[:, -1, -1] = square[:, 0] * ((here.u * here.u + here.v * here.v) @ here.power)
 
 
 @cache
 def triangle(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices of an upper triangle."""
+    """Return the row and column indices of an upper triangle."""
     one, other = np.triu_indices(size)
     return one, other
 

@@ -1,11 +1,12 @@
-"""What of the light cannot be told from vibration: a smooth factor that all holograms share.
+"""Fit the smooth factor of the object field that is nearly confounded with the vibration.
 
-The phasors are ``A c_k F(u_k)``. Where the reed is calm, ``F(u) = u/2``: light that is brighter by
-a smooth factor and displacements that are smaller by it look the same. Fringes tell the magnitude
-of that factor but never its phase, for ``F(u e^{iθ}) = F(u) e^{iθ}``. So light and displacements,
-found in turns, settle slowly, and what they settle at is one answer of many. Here the factor is
-found by one Newton step in which the displacements of all holograms follow; and what it may still
-be is told to those who know more of displacements: that modes have real shapes.
+The block amplitudes are ``A c_k F(u_k)``. At small amplitudes ``F(u) = u/2``: an object field that
+is brighter by a smooth factor, with displacements that are smaller by it, gives the same holograms.
+Fringes determine the magnitude of that factor but never its phase, because
+``F(u e^{iθ}) = F(u) e^{iθ}``. Alternating minimisation over object field and displacements would
+therefore converge slowly, to one solution of many. Here one Newton step finds the factor, and the
+displacements of all holograms follow it. The remaining uncertainty of the factor is returned as a
+common-mode error; the modal fit reduces it, because modes have real shapes.
 """
 
 from dataclasses import dataclass
@@ -25,25 +26,26 @@ from fitting.parallel.threads import map_threads
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
-# Total degree of the polynomials in x and y that the factor's logarithm is made of.
+# Total degree in x and y of the polynomial that is the factor's logarithm.
 _DEGREE = 6
-# Prior standard deviation of each of their coefficients, in nepers or rad: only against what the
-# data do not tell at all.
+# Prior standard deviation of each coefficient, in nepers or rad: weak, for the directions that the
+# data do not determine.
 _LOOSE = 1.0
-# ... and of a step of theirs: along what data do not tell the factor stays where it is.
+# ... and of a step: along those directions the factor stays where it is.
 _STEP = 0.01
 
 
 @dataclass(frozen=True)
-class SharedError:
-    """By how much all displacements are off together if the light is not what it was taken for.
+class CommonModeError:
+    """Error that all displacements have in common because the object field is uncertain.
 
     Attributes
     ----------
     response : (k, 2j, q) float
-        Change of amplitudes (real, then imaginary parts) of every hologram by each of q freedoms.
+        Derivatives of the amplitudes (real, then imaginary parts) of every hologram with respect
+        to the q parameters of the error.
     precision : (q, q) float
-        Inverse covariance of the freedoms.
+        Inverse covariance of the parameters.
     """
 
     response: Array
@@ -52,26 +54,27 @@ class SharedError:
 
 @dataclass(frozen=True)
 class Linear:
-    """Phasors linearised around displacements, gains and the light's smooth factor.
+    """Block amplitudes linearised in displacements, gains and the object field's smooth factor.
 
     Attributes
     ----------
     normal : Normal
-        Equations of each of k holograms, by real and imaginary parts of amplitudes, log gain.
+        Normal equations of each of k holograms.
     coupling : (k, 2j + 1, 2c) float
-        Of these with the log of the factor: its magnitude, then its phase.
-    light_matrix, light_gradient : (2c, 2c), (2c,) float
-        Equations of that, holograms weighted.
+        Elements of the normal matrix between the unknowns of a hologram and the coefficients of
+        the log factor: of its magnitude, then of its phase.
+    field_matrix, field_gradient : (2c, 2c), (2c,) float
+        Normal equations of the coefficients, summed over weighted holograms.
     """
 
     normal: Normal
     coupling: Array
-    light_matrix: Array
-    light_gradient: Array
+    field_matrix: Array
+    field_gradient: Array
 
 
 def smooth_functions(x_m: Array, y_m: Array) -> Array:
-    """Polynomials (n, c) at points (n,) of the reed, the first of them constant."""
+    """Return Legendre polynomials (n, c) at points (n,) of the reed; the first is constant."""
     x, y = (2 * (at - at.min()) / max(float(np.ptp(at)), 1e-12) - 1 for at in (x_m, y_m))
     along, across = (np.polynomial.legendre.legvander(at, _DEGREE) for at in (x, y))
     return np.stack(
@@ -81,67 +84,73 @@ def smooth_functions(x_m: Array, y_m: Array) -> Array:
 
 
 def linearise(
-    problem: Problem, smooth: Array, light: Complex, a: Complex, gain: Array, weight: Array
+    problem: Problem, smooth: Array, object_field: Complex, a: Complex, gain: Array, weight: Array
 ) -> Linear:
-    """Linearise all phasors around light (n,), amplitudes (k, j) and log gains (k,).
+    """Linearise all block amplitudes in the object field, amplitudes and log gains.
 
     Parameters
     ----------
     problem : Problem
-        In double precision: along flat directions light and displacements cancel to a millionth.
+        In double precision: along flat directions, the effects of object field and displacement
+        cancel to one part in a million.
     smooth : (n, c) float
-        What the log of the light's factor is made of.
+        See `smooth_functions`.
+    object_field : (n,) complex
+    a : (k, j) complex
+        Amplitudes.
+    gain : (k,) float
+        Log gains.
     weight : (k,) float
-        Of each hologram in the equations of the light.
+        Weight of each hologram in the equations of the object field.
     """
     functions, count = problem.functions, smooth.shape[1]
     size = functions.shape[1]
-    power = (light.real**2 + light.imag**2).astype(float)[:, None]
+    power = (object_field.real**2 + object_field.imag**2).astype(float)[:, None]
     products = ((power * functions)[:, :, None] * smooth[:, None, :]).reshape(len(functions), -1)
     normal = Normal.empty(len(a), size)
     coupling = np.zeros((len(a), 2 * size + 1, 2 * count))
 
     def fill(some: slice) -> tuple[Array, Array, Array, Array]:
         steps = np.arange(len(a))[some]
-        here, others = fill_normal(normal, some, problem, light, steps, a[some], gain[some])
-        first = _with_light(here, products, count, weight[some])
+        here, others = fill_normal(normal, some, problem, object_field, steps, a[some], gain[some])
+        first = _field_terms(here, products, count, weight[some])
         coupling[some, :-1] = first.coupling
         coupling[some, -1, :count] = first.shown @ smooth
         power, louder, turned = weight[some] @ first.shown, first.louder, first.turned
         free = np.zeros((count, count))
         for other in others:
             trust = weight[some] * other.present
-            seen = _with_light(other.here, products, count, trust)
-            # Brightness and phase of these holograms are free; they take off what they may be.
+            seen = _field_terms(other.here, products, count, trust)
+            # Brightness and phase of these holograms are free: they are eliminated.
             common = (other.present[:, None] * seen.shown) @ smooth
-            told = common / other.known[:, None]
+            eliminated = common / other.known[:, None]
             coupling[some, :-1] += other.present[:, None, None] * seen.coupling
-            coupling[some, :-1, :count] -= other.of_gain[:, :, None] * told[:, None]
-            coupling[some, :-1, count:] -= other.of_phase[:, :, None] * told[:, None]
-            free += (weight[some, None] * common).T @ told
+            coupling[some, :-1, :count] -= other.of_gain[:, :, None] * eliminated[:, None]
+            coupling[some, :-1, count:] -= other.of_phase[:, :, None] * eliminated[:, None]
+            free += (weight[some, None] * common).T @ eliminated
             power, louder = power + trust @ seen.shown, louder + seen.louder
             turned = turned + seen.turned
         return power, louder, turned, free
 
     parts = map_threads(fill, len(a))
     shown, louder, turned, free = (np.sum(each, axis=0) for each in zip(*parts, strict=True))
-    light_matrix = np.kron(np.eye(2), smooth.T @ (shown[:, None] * smooth) - free)
-    light_gradient = np.concatenate([louder @ smooth, turned @ smooth])
-    return Linear(normal, coupling, light_matrix, light_gradient)
+    field_matrix = np.kron(np.eye(2), smooth.T @ (shown[:, None] * smooth) - free)
+    field_gradient = np.concatenate([louder @ smooth, turned @ smooth])
+    return Linear(normal, coupling, field_matrix, field_gradient)
 
 
 @dataclass(frozen=True)
-class _WithLight:
-    """What phasors of one sideband tell of the light.
+class _FieldTerms:
+    """Contribution of one sideband to the equations of the object field.
 
     Attributes
     ----------
     coupling : (s, 2j, 2c) float
-        Of amplitudes with the log of the factor.
+        Elements of the normal matrix between amplitudes and coefficients of the log factor.
     shown : (s, n) float
-        Power of the phasors.
+        Power of the block amplitudes.
     louder, turned : (n,) float
-        Pulls at magnitude and phase, holograms weighted.
+        Negative gradients of log magnitude and phase, summed over weighted holograms.
     """
 
     coupling: Array
@@ -150,8 +159,12 @@ class _WithLight:
     turned: Array
 
 
-def _with_light(here: Local, products: Array, count: int, weight: Array) -> _WithLight:
-    """`products` (n, j c) of functions and c parts of the factor are times the light's power."""
+def _field_terms(here: Local, products: Array, count: int, weight: Array) -> _FieldTerms:
+    """Compute the contribution of a sideband.
+
+    `products` (n, j c) are the functions times the c smooth functions times the power of the
+    object field.
+    """
     square = (here.gain**2).astype(float)
     rows = (
         (here.uu * here.u + here.vu * here.v, here.vu * here.u - here.uu * here.v),
@@ -161,70 +174,72 @@ def _with_light(here: Local, products: Array, count: int, weight: Array) -> _Wit
     # From (2, 2, s, j c) to amplitudes, then coefficients of magnitude and phase.
     blocks = blocks.reshape(2, 2, len(square), -1, count).transpose(2, 0, 3, 1, 4)
     pulled = weight[:, None] * here.gain
-    return _WithLight(
+    return _FieldTerms(
         coupling=blocks.reshape(len(square), -1, 2 * count),
         shown=square * (here.u * here.u + here.v * here.v) * here.power,
-        louder=np.sum(pulled * (here.u * here.left_u + here.v * here.left_v), axis=0),
-        turned=np.sum(pulled * (here.u * here.left_v - here.v * here.left_u), axis=0),
+        louder=np.sum(pulled * (here.u * here.residual_u + here.v * here.residual_v), axis=0),
+        turned=np.sum(pulled * (here.u * here.residual_v - here.v * here.residual_u), axis=0),
     )
 
 
-def light_factor(smooth: Array, move: Array) -> NDArray[np.complex64]:
-    """Factor (n,) of the light.
+def field_factor(smooth: Array, move: Array) -> NDArray[np.complex64]:
+    """Return the smooth factor (n,) of the object field.
 
     Parameters
     ----------
     smooth : (n, c) float
         See `smooth_functions`.
     move : (2c - 1,) float
-        Coefficients of its logarithm: of the magnitude, then of the phase without its constant,
-        which is that of the holograms and arbitrary.
+        Coefficients of its logarithm: of the magnitude, then of the phase without the constant,
+        which belongs to the holograms and is arbitrary.
     """
-    factor: NDArray[np.complex64] = np.exp(log_light_factor(smooth, move)).astype(np.complex64)
+    factor: NDArray[np.complex64] = np.exp(log_field_factor(smooth, move)).astype(np.complex64)
     return factor
 
 
-def log_light_factor(smooth: Array, move: Array) -> Complex:
-    """Logarithm (n,) of `light_factor`."""
+def log_field_factor(smooth: Array, move: Array) -> Complex:
+    """Return the logarithm (n,) of `field_factor`."""
     count = smooth.shape[1]
     factor: Complex = smooth @ move[:count] + 1j * (smooth[:, 1:] @ move[count:])
     return factor
 
 
 @dataclass(frozen=True)
-class LightStep:
-    """A Newton step of the light's factor, and of what follows it.
+class FieldStep:
+    """A Newton step of the object field's factor and of all holograms.
 
     Attributes
     ----------
     move : (q,) float
-        See `light_factor`.
+        See `field_factor`.
     holograms : (k, 2j + 1) float
         Changes of amplitudes and log gains.
-    shared : SharedError
-        What may be added to it at no cost that the data would notice.
+    common_mode : CommonModeError
+        Uncertainty of the factor and its effect on the displacements.
     linear : Linear
-        What it was found from.
+        The equations that were solved.
     """
 
     move: Array
     holograms: Array
-    shared: SharedError
+    common_mode: CommonModeError
     linear: Linear
 
 
-def light_step(linear: Linear, held: Array, x: Array, weight: Array) -> LightStep:
-    """Best change of the light's factor, if the holograms follow.
+def field_step(linear: Linear, held: Array, x: Array, weight: Array) -> FieldStep:
+    """Solve for the change of the object field's factor and of all holograms.
 
     Parameters
     ----------
     linear : Linear
     held : (2j + 1, 2j + 1) float
-        Prior precision of amplitudes and log gains x (k, 2j + 1) around 0.
+        Half the prior precision of amplitudes and log gains around 0.
+    x : (k, 2j + 1) float
+        Amplitudes (real, then imaginary parts) and log gains.
     weight : (k,) float
         As in `linearise`.
     """
-    count = len(linear.light_gradient) // 2
+    count = len(linear.field_gradient) // 2
     kept = np.delete(np.arange(2 * count), count)
     coupling = linear.coupling[:, :, kept]
     pull = linear.normal.gradient - x @ held
@@ -232,14 +247,14 @@ def light_step(linear: Linear, held: Array, x: Array, weight: Array) -> LightSte
         linear.normal.matrix + held, np.concatenate([coupling, pull[..., None]], axis=2)
     )
     response, alone = reply[:, :, :-1], reply[:, :, -1]
-    schur = linear.light_matrix[np.ix_(kept, kept)] - np.einsum(
+    schur = linear.field_matrix[np.ix_(kept, kept)] - np.einsum(
         "kxc,kxd,k->cd", coupling, response, weight, optimize=True
     )
-    force = linear.light_gradient[kept] - np.einsum(
+    force = linear.field_gradient[kept] - np.einsum(
         "kxc,kx,k->c", coupling, alone, weight, optimize=True
     )
-    # Half of it: the misfit, of noise of variance 1, is half of χ².
+    # Half the precision: the misfit, of noise of variance 1, is half of χ².
     schur = 0.5 * (schur + schur.T) + 0.5 * _LOOSE**-2 * np.eye(len(kept))
     move = np.linalg.solve(schur + 0.5 * _STEP**-2 * np.eye(len(kept)), force)
-    shared = SharedError(-response[:, :-1], 2 * schur)
-    return LightStep(move, alone - response @ move, shared, linear)
+    common_mode = CommonModeError(-response[:, :-1], 2 * schur)
+    return FieldStep(move, alone - response @ move, common_mode, linear)

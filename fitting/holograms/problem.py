@@ -1,7 +1,7 @@
-"""Phasors of a sweep as functions of displacement, linearised: what all turns of the fit share.
+"""The least-squares problem of a sweep: block amplitudes as functions of the displacement.
 
-The phasors of block n in hologram k are ``A_n e^{γ_k} F(u_kn)`` with light A, log gain γ and
-``u = Σ_j a_j Φ_j``. In the plane of real and imaginary parts ``F = α u`` and
+The amplitude of block n in hologram k is ``A_n e^{γ_k} F(u_kn)`` with object field A, log gain γ
+and ``u = Σ_j a_j Φ_j``. In the plane of real and imaginary parts ``F = α u`` and
 ``dF/du = α 1 + β u uᵀ`` (see `fitting.holograms.bessel`).
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.holograms.bessel import BesselTable
-from fitting.holograms.block_amplitudes import OtherPhasors
+from fitting.holograms.block_amplitudes import SidebandAmplitudes
 from fitting.holograms.linearisation import (
     Local,
     fill_matrix,
@@ -21,10 +21,10 @@ from fitting.holograms.linearisation import (
     triangle,
 )
 from fitting.holograms.sidebands import (
-    Beside,
-    Sideband,
-    beside,
-    misfit_beside,
+    OtherSideband,
+    SidebandEquations,
+    sideband_equations,
+    sideband_misfit,
 )
 from fitting.parallel.threads import map_threads
 
@@ -32,24 +32,25 @@ Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 Steps = NDArray[np.intp]
 
-# Holograms are nowhere near so much brighter or darker than each other, in nepers.
+# Limit of log gains, in nepers: far beyond any real difference between holograms.
 _MOST_GAIN = 3.0
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Phasors, what displacements are made of, and products of these that never change.
+    """Block amplitudes, functions of the displacement, and products that never change.
 
     Attributes
     ----------
     real, imaginary : (k, n) float
-        Phasors of each hologram.
+        Block amplitudes of each hologram.
     functions : (n, j) float
+        Functions Φ whose sum is the displacement.
     pairs : (n, j(j+1)/2) float
         Products of two functions.
     bessel : BesselTable
-    others : tuple of Sideband
-        What else is seen of the same vibrations.
+    others : tuple of OtherSideband
+        Other sidebands of the same vibrations.
     """
 
     real: Array
@@ -57,7 +58,7 @@ class Problem:
     functions: Array
     pairs: Array
     bessel: BesselTable
-    others: tuple[Sideband, ...] = ()
+    others: tuple[OtherSideband, ...] = ()
 
     @classmethod
     def of(
@@ -65,21 +66,21 @@ class Problem:
         value: Complex,
         functions: Array,
         bessel: BesselTable,
-        others: Sequence[OtherPhasors] = (),
+        others: Sequence[SidebandAmplitudes] = (),
     ) -> "Problem":
-        """Of phasors (n, k); everything is computed as precisely as the functions are given."""
+        """Set up a problem from block amplitudes (n, k), in the precision of the functions."""
         one, other = triangle(functions.shape[1])
         real, imaginary = (
             np.ascontiguousarray(part.T.astype(functions.dtype))
             for part in (value.real, value.imag)
         )
         pairs = functions[:, one] * functions[:, other]
-        sidebands = tuple(Sideband.of(each, functions.dtype) for each in others)
+        sidebands = tuple(OtherSideband.of(each, functions.dtype) for each in others)
         return cls(real, imaginary, functions, pairs, bessel, sidebands)
 
     def every(self, stride: int) -> "Problem":
-        """Return the same problem for some of the blocks."""
-        # Whole arrays of their own: products with strided ones take several times as long.
+        """Return the same problem for every `stride`-th block."""
+        # Contiguous copies: products with strided arrays take several times as long.
         return Problem(
             np.ascontiguousarray(self.real[:, ::stride]),
             np.ascontiguousarray(self.imaginary[:, ::stride]),
@@ -110,107 +111,112 @@ class Problem:
 
     @property
     def blocks(self) -> int:
-        """How many blocks there are."""
+        """Number of blocks."""
         return len(self.functions)
 
     @property
     def seen(self) -> Array:
-        """How many phasors there are of each hologram's vibration (k,)."""
+        """Number of block amplitudes of each vibration (k,), over all sidebands."""
         seen: Array = np.full(len(self.real), float(self.blocks))
         for each in self.others:
             seen += self.blocks * each.present
         return seen
 
-    def phasors(self, a: Complex) -> tuple[Array, Array]:
-        """F(u) of amplitudes (s, j) at all blocks: real and imaginary parts (s, n)."""
+    def bessel_vectors(self, a: Complex) -> tuple[Array, Array]:
+        """Return real and imaginary parts (s, n) of F(u) for amplitudes (s, j)."""
         u, v = self.displacement(a)
         over, _ = self.tensor(u, v)
         return over * u, over * v
 
-    def turned(self, light: Complex, steps: Steps, a: Complex) -> Complex:
-        """Turn amplitudes (s, j) to the phases that holograms (s,) have them in."""
-        u, v = self.phasors(a)
+    def turned(self, object_field: Complex, steps: Steps, a: Complex) -> Complex:
+        """Multiply amplitudes (s, j) by the phase factors that fit holograms (s,) best."""
+        u, v = self.bessel_vectors(a)
         seen = self.real[steps] + 1j * self.imaginary[steps]
-        overlap = np.sum((u - 1j * v) * light.conj() * seen, axis=1)
+        overlap = np.sum((u - 1j * v) * object_field.conj() * seen, axis=1)
         turned: Complex = a * np.exp(1j * np.angle(overlap))[:, None]
         return turned
 
     def displacement(self, a: Complex) -> tuple[Array, Array]:
-        """Displacements u of amplitudes (s, j) at all blocks: real and imaginary parts (s, n)."""
+        """Return real and imaginary parts (s, n) of the displacement for amplitudes (s, j)."""
         real, imaginary = (np.asarray(p, self.functions.dtype) for p in (a.real, a.imag))
         return real @ self.functions.T, imaginary @ self.functions.T
 
     def tensor(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """α and β of displacements with real and imaginary parts u, v."""
+        """Return α and β for displacements with real and imaginary parts u, v."""
         phi = np.sqrt(u * u + v * v)
         over, bend = self.bessel.tensor(phi.astype(np.float32, copy=False))
         return over.astype(phi.dtype, copy=False), bend.astype(phi.dtype, copy=False)
 
 
-def local(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Array) -> Local:
-    """Phasors of holograms (s,) and their slopes at amplitudes (s, j) and log gains (s,)."""
+def local(problem: Problem, object_field: Complex, steps: Steps, a: Complex, gain: Array) -> Local:
+    """Linearise the block amplitudes of holograms (s,) at amplitudes (s, j) and log gains (s,)."""
     p, q = problem.displacement(a)
-    over, bend = problem.tensor(p, q)
-    u, v = over * p, over * q
-    bent = bend * p
-    uv = bent * q
-    uu = over + bent * p
-    vv = over + bend * q * q
-    lit_u, lit_v = lit = _parts(light, problem.functions.dtype)
-    factor, gone_u, gone_v, misfit = _gone(problem, lit, steps, (u, v), gain)
+    alpha, beta = problem.tensor(p, q)
+    u, v = alpha * p, alpha * q
+    beta_p = beta * p
+    uv = beta_p * q
+    uu = alpha + beta_p * p
+    vv = alpha + beta * q * q
+    lit_u, lit_v = lit = _parts(object_field, problem.functions.dtype)
+    factor, residual_u, residual_v, misfit = _residuals(problem, lit, steps, (u, v), gain)
     return Local(
         u, v, uu, uv, uv, vv,
-        lit_u * gone_u + lit_v * gone_v,
-        lit_u * gone_v - lit_v * gone_u,
+        lit_u * residual_u + lit_v * residual_v,
+        lit_u * residual_v - lit_v * residual_u,
         lit_u * lit_u + lit_v * lit_v,
         factor,
         misfit,
     )  # fmt: skip
 
 
-def _parts(light: Complex, dtype: np.dtype[Any]) -> tuple[Array, Array]:
-    """Real and imaginary parts (n,)."""
-    return light.real.astype(dtype), light.imag.astype(dtype)
+def _parts(object_field: Complex, dtype: np.dtype[Any]) -> tuple[Array, Array]:
+    """Return real and imaginary parts (n,)."""
+    return object_field.real.astype(dtype), object_field.imag.astype(dtype)
 
 
-def _gone(
+def _residuals(
     problem: Problem,
     lit: tuple[Array, Array],
     steps: Steps,
     shown: tuple[Array, Array],
     gain: Array,
 ) -> tuple[Array, Array, Array, Array]:
-    """What holograms leave where light (n,) shows F(u) (s, n): all by real and imaginary parts.
+    """Compute the residuals of holograms for real and imaginary parts of F(u) (s, n).
 
     Returns
     -------
     factor : (s, 1) float
-        Gains, no longer their logs.
-    gone_u, gone_v : (s, n) float
+        Gains (not their logs).
+    residual_u, residual_v : (s, n) float
+        Real and imaginary parts.
     misfit : (s,) float
-        Squares of these.
+        Sum of their squares.
     """
     u, v = shown
     lit_u, lit_v = lit
-    # No step of a search, however bold, may overflow.
+    # A long step must not overflow.
     factor = np.exp(np.clip(gain, -_MOST_GAIN, _MOST_GAIN)).astype(lit_u.dtype)[:, None]
-    gone_u = problem.real[steps] - factor * (lit_u * u - lit_v * v)
-    gone_v = problem.imaginary[steps] - factor * (lit_u * v + lit_v * u)
-    misfit = np.einsum("sn,sn->s", gone_u, gone_u) + np.einsum("sn,sn->s", gone_v, gone_v)
-    return factor, gone_u, gone_v, misfit.astype(float)
+    residual_u = problem.real[steps] - factor * (lit_u * u - lit_v * v)
+    residual_v = problem.imaginary[steps] - factor * (lit_u * v + lit_v * u)
+    misfit = np.einsum("sn,sn->s", residual_u, residual_u) + np.einsum(
+        "sn,sn->s", residual_v, residual_v
+    )
+    return factor, residual_u, residual_v, misfit.astype(float)
 
 
-def misfits(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Array) -> Array:
-    """Squares (s,) of what holograms leave at amplitudes (s, j) and log gains (s,)."""
-    lit = _parts(light, problem.functions.dtype)
+def misfits(
+    problem: Problem, object_field: Complex, steps: Steps, a: Complex, gain: Array
+) -> Array:
+    """Return squared residuals (s,) at amplitudes (s, j) and log gains (s,)."""
+    lit = _parts(object_field, problem.functions.dtype)
 
     def of(some: slice) -> Array:
         displacement = problem.displacement(a[some])
         over, _ = problem.tensor(*displacement)
         shown = over * displacement[0], over * displacement[1]
-        _, _, _, left = _gone(problem, lit, steps[some], shown, gain[some])
+        _, _, _, left = _residuals(problem, lit, steps[some], shown, gain[some])
         for side in problem.others:
-            left = left + misfit_beside(side, light, steps[some], displacement)
+            left = left + sideband_misfit(side, object_field, steps[some], displacement)
         return left
 
     return np.concatenate([np.zeros(0), *map_threads(of, len(a))])
@@ -218,9 +224,16 @@ def misfits(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Ar
 
 @dataclass
 class Normal:
-    """Normal equations of some holograms, by real and imaginary parts of amplitudes and log gain.
+    """Normal equations of s holograms.
 
-    Misfits (s,), gradients (s, 2j + 1), matrices (s, 2j + 1, 2j + 1).
+    The unknowns are the real and imaginary parts of the amplitudes, then the log gain.
+
+    Attributes
+    ----------
+    misfit : (s,) float
+    gradient : (s, 2j + 1) float
+        Negative gradient of half the misfit.
+    matrix : (s, 2j + 1, 2j + 1) float
     """
 
     misfit: Array
@@ -229,25 +242,21 @@ class Normal:
 
     @classmethod
     def empty(cls, holograms: int, functions: int) -> "Normal":
-        """To be filled."""
+        """Allocate normal equations."""
         size = 2 * functions + 1
         return cls(
             np.empty(holograms), np.empty((holograms, size)), np.empty((holograms, size, size))
         )
 
-    def take_over(self, better: NDArray[np.bool_], other: "Normal") -> None:
-        """Replace those of the holograms that are better."""
-        self.misfit[better] = other.misfit[better]
-        self.gradient[better] = other.gradient[better]
-        self.matrix[better] = other.matrix[better]
 
-
-def normal(problem: Problem, light: Complex, steps: Steps, a: Complex, gain: Array) -> Normal:
-    """Linearise the phasors of holograms (s,) around amplitudes (s, j) and log gains (s,)."""
+def normal(
+    problem: Problem, object_field: Complex, steps: Steps, a: Complex, gain: Array
+) -> Normal:
+    """Return the normal equations of holograms (s,) at amplitudes (s, j) and log gains (s,)."""
     whole = Normal.empty(len(a), problem.functions.shape[1])
 
     def fill(some: slice) -> None:
-        fill_normal(whole, some, problem, light, steps[some], a[some], gain[some])
+        fill_normal(whole, some, problem, object_field, steps[some], a[some], gain[some])
 
     map_threads(fill, len(a))
     return whole
@@ -257,36 +266,36 @@ def fill_normal(
     whole: Normal,
     some: slice,
     problem: Problem,
-    light: Complex,
+    object_field: Complex,
     steps: Steps,
     a: Complex,
     gain: Array,
-) -> tuple[Local, list[Beside]]:
-    """Write some of the equations, of all sidebands, around amplitudes and log gains.
+) -> tuple[Local, list[SidebandEquations]]:
+    """Write normal equations of all sidebands into a slice of `whole`.
 
     Parameters
     ----------
     whole : Normal
-        Where to.
+        Overwritten in `some`.
     some : slice
-        Which of its holograms, s of them.
+        The s holograms of `whole` to write.
     steps : (s,) int
-        Which those are in the problem.
+        Numbers of these holograms in the problem.
     a : (s, j) complex
     gain : (s,) float
 
     Returns
     -------
     tuple of Local and list of Beside
-        What the equations were made of: the first sideband, and the others.
+        Linearisations of the first sideband and of the others.
     """
     functions, pairs = problem.functions, problem.pairs
-    here = local(problem, light, steps, a, gain)
+    here = local(problem, object_field, steps, a, gain)
     whole.misfit[some] = here.misfit
     whole.gradient[some] = gradient(here, functions)
     fill_matrix(whole.matrix[some], here, functions, pairs)
     others = [
-        beside(side, functions, pairs, light, steps, problem.displacement(a))
+        sideband_equations(side, functions, pairs, object_field, steps, problem.displacement(a))
         for side in problem.others
     ]
     for other in others:

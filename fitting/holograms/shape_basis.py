@@ -1,4 +1,4 @@
-"""What displacements of a reed are made of: the shapes of its modes, and a basis of their span."""
+"""Mode shapes of a reed at points of its surface, and an orthogonal basis of their span."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,12 +16,13 @@ from physics.reed.surface import surface_shapes
 Array = NDArray[np.floating[Any]]
 Float = NDArray[np.float32]
 
-# Modes far above the sweep add what is left of them at rest, and room for shapes that differ.
+# Modes above the sweep contribute their static response, and freedom for shapes that differ from
+# those of the finite elements.
 _HIGHEST_HZ = 40e3
-# Shapes up to here are to be met exactly; higher ones count less and less.
+# Shapes up to here are represented exactly; the weight of higher ones decreases with frequency.
 _EXACT_HZ = 22e3
-# Functions that add less than this share of the first are noise of the interpolation.
-_LEAST_SHARE = 3e-3
+# Functions with a singular value below this fraction of the first are noise of the interpolation.
+_LEAST_FRACTION = 3e-3
 _MOST_FUNCTIONS = 32
 
 
@@ -32,15 +33,15 @@ class ShapeBasis:
     Attributes
     ----------
     functions : (n, j) float32
-        Of mean square 1 and uncorrelated over the points.
+        Orthogonal functions, mean square 1 over the points.
     shapes : (m, j) float
         Coordinates of the shapes of all modes, each with a largest deflection of 1 at the points.
     names : tuple of str
-        Of the modes; a symmetry and a number where they have none.
+        Names of the modes; symmetry and number where a mode has no name.
     hz : (m,) float
-        Their frequencies in this cane, ascending.
+        Eigenfrequencies in this cane, ascending.
     stiffening : (m,) float
-        Exponent with which the stiffness that a mode feels grows with frequency around its own.
+        Exponent of the growth of a mode's stiffness with frequency near its resonance.
     """
 
     functions: Float
@@ -58,21 +59,21 @@ def shape_basis(
     y_m: Array,
     growth: Callable[[float], tuple[float, float]] | None = None,
 ) -> ShapeBasis:
-    """Shapes of the modes of a reed with fixed moduli, those of its heel and sides included.
+    """Compute the mode shapes of a reed for fixed moduli, including modes of its heel and sides.
 
     Parameters
     ----------
     reed : ReducedReed
     E_L_pa, G_LT_pa : float
-        Moduli in the middle of the sweep: shapes depend on them little.
+        Moduli in the middle of the sweep; shapes depend little on them.
     x_m, y_m : (n,) float
         Points on the bark side.
     growth : callable, optional
-        Exponents with which E_L and G_LT grow with frequency, at a frequency in Hz.
+        Returns the exponents with which E_L and G_LT grow with frequency, at a frequency in Hz.
     """
     cane = replace(reed.cane, E_L_pa=E_L_pa, G_LT_pa=G_LT_pa)
     terms = stiffness_terms_pa(cane)
-    by_E, by_G = (_slope_pa(cane, modulus) for modulus in ("E_L_pa", "G_LT_pa"))
+    by_E, by_G = (_jacobian_pa(cane, modulus) for modulus in ("E_L_pa", "G_LT_pa"))
     surface = surface_shapes(reed, x_m, y_m)
     named = {
         (mode.symmetry, round(mode.frequency_hz, 3)): name
@@ -83,7 +84,7 @@ def shape_basis(
         hz, vectors = reduced_modes(half, terms, reed.cane.density_kg_m3)
         below = int(np.count_nonzero(hz < _HIGHEST_HZ))
         deflections = surface[symmetry] @ vectors[:, :below]
-        energy, share_E, share_G = (
+        energy, by_E_L, by_G_LT = (
             np.einsum(
                 "im,tij,jm,t->m", vectors, half.stiffness_terms, vectors, weight, optimize=True
             )
@@ -91,7 +92,7 @@ def shape_basis(
         )
         for number in range(below):
             exponents = growth(float(hz[number])) if growth else (0.0, 0.0)
-            felt = np.dot(exponents, (share_E[number], share_G[number])) / energy[number]
+            felt = np.dot(exponents, (by_E_L[number], by_G_LT[number])) / energy[number]
             key, other = (symmetry, round(float(hz[number]), 3)), _unnamed(symmetry, number)
             name = named.get(key, other)
             found.append((float(hz[number]), name, deflections[:, number], float(felt)))
@@ -110,15 +111,15 @@ def shape_basis(
     )
 
 
-def _slope_pa(cane: Cane, modulus: str) -> Array:
-    """Derivatives of the stiffness terms by the logarithm of a modulus."""
+def _jacobian_pa(cane: Cane, modulus: str) -> Array:
+    """Return the derivatives of the stiffness terms with respect to the log of a modulus."""
     step = 1e-4
     ahead, behind = (
         stiffness_terms_pa(replace(cane, **{modulus: getattr(cane, modulus) * (1 + sign * step)}))
         for sign in (1, -1)
     )
-    slope: Array = (ahead - behind) / (2 * step)
-    return slope
+    jacobian: Array = (ahead - behind) / (2 * step)
+    return jacobian
 
 
 def _unnamed(symmetry: Symmetry, number: int) -> str:
@@ -126,9 +127,9 @@ def _unnamed(symmetry: Symmetry, number: int) -> str:
 
 
 def _functions(deflection: Array, hz: Array) -> Array:
-    """Orthogonal functions (n, j), of mean square 1, that shapes (n, m) are made of."""
+    """Return orthogonal functions (n, j) of mean square 1 that span shapes (n, m)."""
     weight = np.minimum(1.0, (_EXACT_HZ / hz) ** 2)
     left, values, _ = np.linalg.svd(deflection * weight, full_matrices=False)
-    size = min(_MOST_FUNCTIONS, int(np.count_nonzero(values > _LEAST_SHARE * values[0])))
+    size = min(_MOST_FUNCTIONS, int(np.count_nonzero(values > _LEAST_FRACTION * values[0])))
     functions: Array = left[:, :size] * np.sqrt(len(deflection))
     return functions

@@ -1,8 +1,8 @@
-"""Other sidebands of the same vibrations, beside the first.
+"""Normal equations of further sidebands of the same vibrations.
 
-The phasors of sideband n are ``A c F_n(u)`` with the same light A and displacement u and
-``F_n(u) = J_n(|u|) (u/|u|)^n``. The phase of c is free, and its magnitude nearly: both are found
-for each hologram, and what they may be is taken off what its phasors tell of displacement.
+The block amplitudes of sideband n are ``A c F_n(u)`` with the object field A and displacement u of
+the first sideband and ``F_n(u) = J_n(|u|) (u/|u|)^n``. The phase of c is free, and its magnitude
+nearly so. Both are fitted for each hologram and eliminated from its normal equations.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.holograms.bessel import SidebandTable
-from fitting.holograms.block_amplitudes import OtherPhasors
+from fitting.holograms.block_amplitudes import SidebandAmplitudes
 from fitting.holograms.linearisation import (
     Local,
     fill_matrix,
@@ -23,24 +23,24 @@ Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 Steps = NDArray[np.intp]
 
-# Below this direction and J_n/φ of a displacement are of no matter: F_n is flat there, or n is 1.
+# Below this the direction of a displacement and J_n/φ do not matter: F_n is flat there, or n is 1.
 _STILL_RAD = 1e-6
-# A hologram that is dark tells nothing of its brightness: it lies between these.
+# Limits of |c|: a dark hologram does not determine its brightness.
 _DARKEST, _BRIGHTEST = 0.8, 1.25
-# What a dark hologram is told of brightness and phase, so that nothing is divided by zero.
-_TOLD = 1e-6
+# Added to the power of a hologram, so that a dark one does not divide by zero.
+_LEAST_POWER = 1e-6
 
 
 @dataclass(frozen=True)
-class Sideband:
-    """Phasors of another sideband.
+class OtherSideband:
+    """Block amplitudes of another sideband.
 
     Attributes
     ----------
     order : int
     real, imaginary : (k, n) float
     present : (k,) float
-        1 where there is a hologram, 0 where there is none.
+        1 where there is a hologram, else 0.
     table : SidebandTable
     """
 
@@ -51,50 +51,52 @@ class Sideband:
     table: SidebandTable
 
     @classmethod
-    def of(cls, phasors: OtherPhasors, dtype: Any) -> "Sideband":
-        """Of phasors, as precise as a type."""
+    def of(cls, block_amplitudes: SidebandAmplitudes, dtype: Any) -> "OtherSideband":
+        """Convert block amplitudes to a floating-point type."""
         real, imaginary = (
             np.ascontiguousarray(part.T.astype(dtype))
-            for part in (phasors.value.real, phasors.value.imag)
+            for part in (block_amplitudes.value.real, block_amplitudes.value.imag)
         )
-        table = SidebandTable(phasors.order)
-        return cls(phasors.order, real, imaginary, phasors.present.astype(float), table)
+        table = SidebandTable(block_amplitudes.order)
+        return cls(
+            block_amplitudes.order, real, imaginary, block_amplitudes.present.astype(float), table
+        )
 
-    def every(self, stride: int) -> "Sideband":
-        """Return the same for some of the blocks."""
+    def every(self, stride: int) -> "OtherSideband":
+        """Return the same for every `stride`-th block."""
         real, imaginary = (
             np.ascontiguousarray(part[:, ::stride]) for part in (self.real, self.imaginary)
         )
-        return Sideband(self.order, real, imaginary, self.present, self.table)
+        return OtherSideband(self.order, real, imaginary, self.present, self.table)
 
-    def some(self, steps: Steps) -> "Sideband":
+    def some(self, steps: Steps) -> "OtherSideband":
         """Return the same for some of the holograms."""
-        return Sideband(
+        return OtherSideband(
             self.order, self.real[steps], self.imaginary[steps], self.present[steps], self.table
         )
 
-    def exact(self) -> "Sideband":
+    def exact(self) -> "OtherSideband":
         """Return the same in double precision."""
         real, imaginary = self.real.astype(float), self.imaginary.astype(float)
-        return Sideband(self.order, real, imaginary, self.present, self.table)
+        return OtherSideband(self.order, real, imaginary, self.present, self.table)
 
 
 @dataclass(frozen=True)
-class Beside:
-    """What another sideband tells of some holograms (s,), brightness and phase left free.
+class SidebandEquations:
+    """Normal equations of s holograms of a sideband, after elimination of brightness and phase.
 
     Attributes
     ----------
     here : Local
-        Phasors, already turned by the phase found.
+        Linearised block amplitudes, turned by the fitted phase.
     present : (s,) float
-        See `Sideband`.
+        See `OtherSideband`.
     of_gain, of_phase : (s, 2j) float
-        Products of amplitudes with log brightness and phase.
+        Elements of the normal matrix between amplitudes and log brightness or phase.
     known : (s,) float
-        What is told of either: the power of the phasors.
+        Diagonal element of log brightness and of phase: the power of the block amplitudes.
     misfit : (s,) float
-        0 where there is no hologram, and so are gradient and matrix.
+        0 where there is no hologram; so are gradient and matrix.
     gradient : (s, 2j) float
     matrix : (s, 2j, 2j) float
     """
@@ -109,26 +111,26 @@ class Beside:
     matrix: Array
 
 
-def beside(
-    side: Sideband,
+def sideband_equations(
+    side: OtherSideband,
     functions: Array,
     pairs: Array,
-    light: Complex,
+    object_field: Complex,
     steps: Steps,
     displacement: tuple[Array, Array],
-) -> Beside:
-    """Linearise phasors of another sideband around displacements: real, imaginary parts (s, n)."""
-    here = _local(side, light, steps, displacement)
+) -> SidebandEquations:
+    """Linearise another sideband at displacements with real and imaginary parts (s, n)."""
+    here = _local(side, object_field, steps, displacement)
     size = functions.shape[1]
     whole = np.empty((len(steps), 2 * size + 1, 2 * size + 1))
     fill_matrix(whole, here, functions, pairs)
     square = (here.gain**2).astype(float)
     turning = (here.vu * here.u - here.uu * here.v, here.vv * here.u - here.uv * here.v)
     of_phase = square * np.concatenate([(here.power * t) @ functions for t in turning], axis=1)
-    of_gain, known = whole[:, :-1, -1], whole[:, -1, -1] + _TOLD
+    of_gain, known = whole[:, :-1, -1], whole[:, -1, -1] + _LEAST_POWER
     free = of_gain[:, :, None] * of_gain[:, None] + of_phase[:, :, None] * of_phase[:, None]
     present = side.present[steps]
-    return Beside(
+    return SidebandEquations(
         here=here,
         present=present,
         of_gain=of_gain,
@@ -140,16 +142,16 @@ def beside(
     )
 
 
-def misfit_beside(
-    side: Sideband, light: Complex, steps: Steps, displacement: tuple[Array, Array]
+def sideband_misfit(
+    side: OtherSideband, object_field: Complex, steps: Steps, displacement: tuple[Array, Array]
 ) -> Array:
-    """Squares (s,) of what holograms leave of another sideband; 0 where there is none."""
-    left: Array = _local(side, light, steps, displacement).misfit * side.present[steps]
+    """Return squared residuals (s,) of another sideband; 0 where it has no hologram."""
+    left: Array = _local(side, object_field, steps, displacement).misfit * side.present[steps]
     return left
 
 
-def phasors(side: Sideband, displacement: tuple[Array, Array]) -> Complex:
-    """F_n(u) of displacements: real, imaginary parts (s, n)."""
+def sideband_values(side: OtherSideband, displacement: tuple[Array, Array]) -> Complex:
+    """Return F_n(u) (s, n) for displacements with real and imaginary parts (s, n)."""
     p, q = displacement
     phi = np.sqrt(p * p + q * q)
     value, _ = side.table(phi.astype(np.float32, copy=False))
@@ -157,19 +159,19 @@ def phasors(side: Sideband, displacement: tuple[Array, Array]) -> Complex:
     return found
 
 
-def brightness(side: Sideband, shown: Complex, light: Complex, steps: Steps) -> Complex:
-    """Brightness and phase c (s,) of holograms whose phasors should be A F_n (s, n)."""
-    lit = light * shown
+def brightness(side: OtherSideband, shown: Complex, object_field: Complex, steps: Steps) -> Complex:
+    """Fit the factors c (s,) of holograms whose block amplitudes are c A F_n (s, n)."""
+    lit = object_field * shown
     overlap = np.sum(lit.real * side.real[steps] + lit.imag * side.imaginary[steps], axis=1)
     turned = np.sum(lit.real * side.imaginary[steps] - lit.imag * side.real[steps], axis=1)
-    power = np.sum(lit.real**2 + lit.imag**2, axis=1) + _TOLD
+    power = np.sum(lit.real**2 + lit.imag**2, axis=1) + _LEAST_POWER
     c = (overlap + 1j * turned) / power
     found: Complex = np.clip(np.abs(c), _DARKEST, _BRIGHTEST) * np.exp(1j * np.angle(c))
     return found
 
 
 def _direction(phi: Array, p: Array, q: Array) -> Complex:
-    """Displacements over their magnitude; 1 where there is none."""
+    """Return displacements divided by their magnitude; 1 where that is 0."""
     moving = phi > _STILL_RAD
     safe = np.where(moving, phi, 1)
     direction: Complex = np.where(moving, p, 1) / safe + 1j * (np.where(moving, q, 0) / safe)
@@ -177,7 +179,7 @@ def _direction(phi: Array, p: Array, q: Array) -> Complex:
 
 
 def _local(
-    side: Sideband, light: Complex, steps: Steps, displacement: tuple[Array, Array]
+    side: OtherSideband, object_field: Complex, steps: Steps, displacement: tuple[Array, Array]
 ) -> Local:
     p, q = displacement
     n, dtype = side.order, p.dtype
@@ -185,7 +187,7 @@ def _local(
     value, slope = (t.astype(dtype, copy=False) for t in side.table(phi.astype(np.float32)))
     direction = _direction(phi, p, q)
     turn = direction**n
-    # J_n/φ, where that is not flat.
+    # J_n/φ, where F_n is not flat.
     over = n * np.divide(value, phi, out=np.zeros_like(phi), where=phi > _STILL_RAD)
     along, across = direction.real, direction.imag
     by_p, by_q = (
@@ -193,10 +195,10 @@ def _local(
         turn * (slope * across + 1j * over * along),
     )
     shown = value * turn
-    c = brightness(side, shown, light, steps)
+    c = brightness(side, shown, object_field, steps)
     factor = np.abs(c).astype(dtype)[:, None]
     seen = (side.real[steps] + 1j * side.imaginary[steps]) * np.exp(-1j * np.angle(c))[:, None]
-    lit = light.astype(shown.dtype)
+    lit = object_field.astype(shown.dtype)
     left = seen.astype(shown.dtype) - factor * (lit * shown)
     misfit = np.sum(left.real**2 + left.imag**2, axis=1)
     left = lit.conj() * left

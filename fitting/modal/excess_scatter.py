@@ -1,4 +1,4 @@
-"""By how much a reed is off its model, beside what its resonances are uncertain by."""
+"""Excess scatter of resonances around a model, in addition to their standard errors."""
 
 from typing import Any
 
@@ -9,15 +9,15 @@ from scipy.special import chdtrc
 Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
 
-# A misfit that chance alone would give this rarely is taken for one.
+# Significance level of the χ² test.
 _IMPROBABLE = 0.05
-# Newton's steps climb to the root from below; each trebles a small start at least.
+# Newton steps increase towards the root; each at least triples a small start.
 _STEPS = 60
 _SETTLED = 1e-9
 
 
 def is_misfit(reduced_chi2: Array | float, freedom: Array | int) -> Mask:
-    """Whether chance does not explain squares per degree of freedom.
+    """Test whether χ² is too large to be explained by the standard errors.
 
     Parameters
     ----------
@@ -29,16 +29,17 @@ def is_misfit(reduced_chi2: Array | float, freedom: Array | int) -> Mask:
 
 
 def added_cents(residual_cents: Array, error_cents: Array, freedom: Array) -> Array:
-    """Standard deviation that, added to the errors, makes residuals as large as they should be.
+    """Return the excess scatter of each reed (Paule and Mandel, J. Res. Nat. Bur. Stand. 87, 1982).
 
-    The variance τ² for which ``Σ r² / (σ² + τ²)`` is the number of freedoms (Paule and Mandel,
-    J. Res. Nat. Bur. Standards 87, 1982); 0 if the errors alone make it no more.
+    It is the standard deviation τ for which ``Σ r² / (σ² + τ²)`` is the number of degrees of
+    freedom; 0 if the standard errors alone explain the residuals.
 
     Parameters
     ----------
     residual_cents, error_cents : (n, r) float
-        Of r resonances of n reeds; NaN residuals are none.
+        Residuals of r resonances of n reeds (NaN where missing), and their standard errors.
     freedom : (n,) float
+        Degrees of freedom.
 
     Returns
     -------
@@ -48,12 +49,12 @@ def added_cents(residual_cents: Array, error_cents: Array, freedom: Array) -> Ar
     variance, added = error_cents**2, np.zeros(len(square))
     climbing = np.ones(len(square), dtype=bool)
     for _ in range(_STEPS):
-        share = square / (variance + added[:, None])
-        excess = share.sum(axis=1) - freedom
-        slope = (share / (variance + added[:, None])).sum(axis=1)
-        step = np.divide(excess, slope, out=np.zeros_like(added), where=climbing & (excess > 0))
+        weighted = square / (variance + added[:, None])
+        excess = weighted.sum(axis=1) - freedom
+        decrease = (weighted / (variance + added[:, None])).sum(axis=1)
+        step = np.divide(excess, decrease, out=np.zeros_like(added), where=climbing & (excess > 0))
         added = added + step
-        # One that has arrived stays: it does not feel the others, to the last bit.
+        # A reed that has converged stays: its result must not depend on the other reeds.
         climbing &= step > _SETTLED * added
         if not climbing.any():
             break

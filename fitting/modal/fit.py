@@ -1,22 +1,22 @@
-"""One joint model of a whole sweep: shared modes, each with its frequency, loss and shape.
+"""Fit one joint model to a whole sweep: modes with frequency, loss factor and shape.
 
 The displacement of hologram k, in coordinates j of few functions, is
 
     a_kj = d_k Σ_m h_m(f_k) p_m(f_k) T_mj,    h_m(f) = 1 / (1 + iη_m − (f/f_m)^(2 − γ_m))
 
-with the known exponents γ_m of cane that stiffens with frequency, the shared eigenfrequencies f_m
-and loss factors η_m, shapes ``T_mj = Σ_n (δ_mn + E_mn) S_nj`` near those S of the finite elements,
-participations p_m(f), complex and smooth, and the drive d_k: its phase is free, since nobody knows
-that of a hologram; its magnitude follows the volts, smoothly but for lines of the air. A hologram
-therefore tells by the balance of its modes as much as by its strength how near each of them is to
-its resonance.
+with the known exponents γ_m of cane that stiffens with frequency, eigenfrequencies f_m, loss
+factors η_m, shapes ``T_mj = Σ_n (δ_mn + E_mn) S_nj`` near those S of the finite elements, complex
+and smooth participations p_m(f), and the drive d_k. The phase of the drive is free, because the
+phase of a hologram is unknown. Its magnitude follows the volts smoothly, except at acoustic
+resonances. The ratio of the modes in a hologram therefore shows as much as their size how near each
+of them is to its resonance.
 
-All is found by one damped least squares against the amplitudes of `fitting.holograms.displacement`
-and their information. Shapes are allowed to differ from those of the finite elements as
-perturbations let them: the more, the closer two modes are. Displacements may all be off together,
-as far as light and vibration cannot be told apart (see `fitting.holograms.object_field`). What
-amplitudes are off beyond their noise, because no model is perfect, is estimated from what is left
-and added to the noise.
+All parameters are found by one damped least-squares fit to the amplitudes of
+`fitting.holograms.displacement` and their information. Shapes may differ from those of the finite
+elements as by a perturbation: the more, the closer two modes are in frequency. All displacements
+may have a common-mode error, because object field and vibration are partly confounded (see
+`fitting.holograms.object_field`). The discrepancy of the model is estimated from the residuals and
+added to the noise.
 """
 
 from collections.abc import Sequence
@@ -32,10 +32,10 @@ from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import (
-    KNOWN_LINES,
+    KNOWN_DRIVE_DOF,
     LOSS,
     TAIL_TERMS,
-    UNKNOWN_LINES,
+    UNKNOWN_DRIVE_DOF,
     Model,
     Prior,
     State,
@@ -44,8 +44,8 @@ from fitting.modal.model import (
 )
 from fitting.modal.noise import (
     Noise,
-    alike,
     balanced,
+    correlated_holograms,
     data_of,
     inflated,
     noise_of,
@@ -55,7 +55,7 @@ from fitting.modal.normal_equations import (
     Equations,
     equations,
 )
-from fitting.modal.optimiser import improve, without_drive
+from fitting.modal.optimiser import minimise_cost, without_drive
 
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -64,34 +64,34 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 _DEGREE = 4
 # Prior of a loss factor: within a factor of 1.5.
 _LOSS_SPREAD = 0.4
-# Shapes mix as if stiffness and mass were off by this share; no two more than that.
+# Shapes mix as if stiffness and mass were wrong by this fraction; largest and least coefficient.
 _PERTURBATION, _MOST_MIXING, _LEAST_MIXING = 0.08, 0.5, 5e-3
-# Participations are expected to be within 3 times of what the stage before found.
+# Prior of participations: within 3 times the value of the stage before.
 _SCALE = 3.0
 _LEAST_SCALE = 3e-3
-# What rounding may take off the smallest eigenvalues of a matrix of units.
+# Added to the diagonal of a matrix of unit diagonal: more than its rounding.
 _ROUNDING = 1e-11
-# How often it is estimated what amplitudes are off beyond their noise.
+# How often the discrepancy is estimated.
 _ROUNDS = 3
-# ... and how often if the modes are known.
+# ... and how often if the modes are known from another fit.
 _AGAIN = 2
 
 
 @dataclass(frozen=True)
 class _Stage:
-    """One round of the fit: freedoms grow from round to round.
+    """Priors of one stage of the fit; they widen from stage to stage.
 
     Attributes
     ----------
     discrepancy : float
-        Standard deviation of what either part of each amplitude may be off, as a share of the root
-        mean square of its hologram's.
+        Standard deviation of the discrepancy of the real or imaginary part of an amplitude, as a
+        fraction of the hologram's rms amplitude.
     decay : float
-        Of the prior of participations, from each power of log frequency to the next.
+        Ratio of the prior standard deviations of successive polynomial degrees of a participation.
     detuning : float
-        Prior standard deviation of frequencies, a share.
+        Prior standard deviation of log frequencies.
     mixing : float
-        Factor on the prior of the shapes' mixing.
+        Factor on the prior of the mixing of shapes.
     iterations : int
     """
 
@@ -111,7 +111,7 @@ _LAST = _Stage(0.015, 0.7, 0.02, 1.0, 4)
 
 
 def _prior(model: Model, stage: _Stage, centre_hz: Array, scale: Array) -> Prior:
-    """Prior of a stage; `scale` (m,) are the participations expected."""
+    """Return the prior of a stage; `scale` (m,) is the expected size of participations."""
     count, powers = len(model.active), model.powers.shape[1]
     centre = np.zeros((count + len(model.reference), model.slots))
     spread = np.zeros_like(centre)
@@ -132,12 +132,12 @@ def _prior(model: Model, stage: _Stage, centre_hz: Array, scale: Array) -> Prior
 
 
 def _mixing(model: Model, centre_hz: Array) -> Array:
-    """Prior standard deviation (a, m) of how much of each mode's shape another may take up."""
+    """Return the prior standard deviation (a, m) of the mixing of each shape into a mode."""
     hz = model.reference_hz.copy()
     hz[model.active] = centre_hz
     squares = hz**2
-    apart = np.abs(squares[model.active, None] - squares)
-    near = np.sqrt(squares[model.active, None] * squares) / np.maximum(apart, 1e-9)
+    whitened_residual = np.abs(squares[model.active, None] - squares)
+    near = np.sqrt(squares[model.active, None] * squares) / np.maximum(whitened_residual, 1e-9)
     mixing: Array = np.minimum(_PERTURBATION * near, _MOST_MIXING)
     mixing[np.arange(len(model.active)), model.active] = 0
     return mixing
@@ -151,32 +151,55 @@ def fit_modes(
     start_hz: dict[str, float],
     known: ModalFit | None = None,
     most_off: int | None = None,
-    lines: float = UNKNOWN_LINES,
+    drive_dof: float = UNKNOWN_DRIVE_DOF,
 ) -> ModalFit:
     """Fit the joint model of a sweep.
 
     Parameters
     ----------
     displacements : Displacements
-        Of its k holograms.
+        Displacements of the k holograms.
     basis : ShapeBasis
     drive_hz, volts : (k,) float
-        If the drive is known better than by its volts, that.
+        Drive frequencies, and the expected magnitude of the drive, up to a smooth factor.
     start_hz : dict
-        Where the search for each mode begins, by name: all modes of the basis with a resonance
-        within the sweep, seen or not.
+        Start frequency of each mode, by name, for all modes of the basis with a resonance within
+        the sweep.
     known : ModalFit, optional
-        Of the same sweep, to begin with.
+        Start of the fit.
     most_off : int, optional
-        If more holograms are off the fit ends early: good enough to tell what they should show.
-    lines : float, optional
-        How much the drive may stand out of what it is expected to be, see
-        `fitting.modal.model.Model`.
+        If more holograms are outliers, the fit ends early: it is good enough to predict them.
+    drive_dof : float, optional
+        Degrees of freedom of the drive's prior, see `fitting.modal.model.Model`.
 
     Returns
     -------
     ModalFit
     """
+    model, centre_hz = _model(basis, drive_hz, volts, start_hz, drive_dof)
+    noise = noise_of(displacements)
+    if known is None:
+        state = _staged(model, displacements, noise, centre_hz)
+        rounds, discrepancy = _ROUNDS, _LAST.discrepancy
+    else:
+        state = _again(known.state, known, displacements)
+        rounds, discrepancy = _AGAIN, known.discrepancy
+    prior, correlated = _prior(model, _LAST, centre_hz, _scale(model, state)), 1.0
+    for _ in range(rounds):
+        end = _round(model, displacements, noise, prior, state, (discrepancy, correlated))
+        state, noise, discrepancy = end.state, end.noise, end.next_discrepancy
+        if drive_dof == KNOWN_DRIVE_DOF:
+            # Correlated holograms must not outweigh the known drive.
+            correlated = correlated_holograms(noise, end.whitened_residual, state.log_drive)
+        if most_off is not None and np.count_nonzero(_off(displacements, noise)) > most_off:
+            break
+    return _finish(model, displacements, basis.names, end)
+
+
+def _model(
+    basis: ShapeBasis, drive_hz: Array, volts: Array, start_hz: dict[str, float], drive_dof: float
+) -> tuple[Model, Array]:
+    """Set up the model; also return the start frequencies (a,) of the active modes."""
     active = np.array([m for m, name in enumerate(basis.names) if name in start_hz])
     centre_hz = np.array([start_hz[basis.names[m]] for m in active])
     spread = np.log(drive_hz / np.sqrt(drive_hz[0] * drive_hz[-1]))
@@ -185,62 +208,55 @@ def fit_modes(
     reference_hz = basis.hz * np.exp(np.median(shifts))
     reference_hz[active] = centre_hz
     model = Model(
-        drive_hz, np.log(volts), lines, powers, basis.shapes, reference_hz, basis.stiffening, active
+        drive_hz,
+        np.log(volts),
+        drive_dof,
+        powers,
+        basis.shapes,
+        reference_hz,
+        basis.stiffening,
+        active,
     )
-    noise = noise_of(displacements)
-    if known is None:
-        state = _staged(model, displacements, noise, centre_hz)
-        rounds, discrepancy = _ROUNDS, _LAST.discrepancy
-    else:
-        state = _again(known.state, known, displacements)
-        rounds, discrepancy = _AGAIN, known.discrepancy
-    prior, together = _prior(model, _LAST, centre_hz, _scale(model, state)), 1.0
-    for _ in range(rounds):
-        end = _round(model, displacements, noise, prior, state, (discrepancy, together))
-        state, noise, discrepancy = end.state, end.noise, end.next_discrepancy
-        if lines == KNOWN_LINES:
-            # What is known of the drive is not to be outweighed by what counts twice.
-            together = alike(noise, end.apart, state.log_drive)
-        if most_off is not None and np.count_nonzero(_off(displacements, noise)) > most_off:
-            break
-    return _finish(model, displacements, basis.names, end)
+    return model, centre_hz
 
 
 def _staged(model: Model, displacements: Displacements, noise: Noise, centre_hz: Array) -> State:
-    """Let freedoms grow from stage to stage."""
+    """Fit with priors that widen from stage to stage."""
     state, scale = _begin(model, displacements)
     for stage in _STAGES:
         prior = _prior(model, stage, centre_hz, scale)
         data = data_of(displacements, noise, stage.discrepancy)
-        state = improve(model, data, prior, _fixed(prior, state), stage.iterations)
+        state = minimise_cost(model, data, prior, _fixed(prior, state), stage.iterations)
         scale = _scale(model, state)
     return state
 
 
 def _again(state: State, known: ModalFit, displacements: Displacements) -> State:
-    """Begin with modes that are known: only the drive of every hologram is to be found."""
+    """Start from known modes: only the drive of every hologram is fitted to the displacements."""
     unit = known.amplitude_rad / known.drive[:, None]
     drive = np.sum(unit.conj() * displacements.amplitude_rad, axis=1)
     drive = np.where(np.abs(drive) > 0, drive / np.sum(np.abs(unit) ** 2, axis=1), known.drive)
-    return replace(state, log_drive=np.log(drive), together=np.zeros_like(state.together))
+    return replace(
+        state, log_drive=np.log(drive), common_mode_shift=np.zeros_like(state.common_mode_shift)
+    )
 
 
 def _fixed(prior: Prior, state: State) -> State:
-    """Put parameters that are not free where they are expected."""
+    """Set fixed parameters to their prior values."""
     return replace(state, x=np.where(prior.free, state.x, prior.centre))
 
 
 def _scale(model: Model, state: State) -> Array:
-    """Root of the mean square (m,) of the participations."""
+    """Return the rms participation (m,) of each mode."""
     p = terms(model, state).participation
     scale: Array = np.maximum(np.sqrt(np.mean(np.abs(p) ** 2, axis=0)), _LEAST_SCALE)
     return scale
 
 
 def _begin(model: Model, displacements: Displacements) -> tuple[State, Array]:
-    """Constant participations for which every hologram is most nearly a multiple of the model."""
-    told = np.any(displacements.amplitude_rad, axis=1)
-    amplitude, information = displacements.amplitude_rad[told], displacements.information[told]
+    """Find the constant participations for which holograms are most nearly multiples of a model."""
+    known = np.any(displacements.amplitude_rad, axis=1)
+    amplitude, information = displacements.amplitude_rad[known], displacements.information[known]
     size, modes = amplitude.shape[1], len(model.reference)
     real, cross, imaginary = (
         information[:, :size, :size],
@@ -248,7 +264,7 @@ def _begin(model: Model, displacements: Displacements) -> tuple[State, Array]:
         information[:, size:, size:],
     )
     hermitian = 0.5 * (real + imaginary) + 0.5j * cross
-    ratio = (model.hz[told, None] / model.reference_hz) ** (2 - model.stiffening)
+    ratio = (model.hz[known, None] / model.reference_hz) ** (2 - model.stiffening)
     columns = (1 / (1 + 1j * LOSS - ratio))[:, None, :] * model.reference.T
     seen = hermitian @ columns
     force = np.einsum("kij,kj->ki", hermitian, amplitude)
@@ -262,16 +278,16 @@ def _begin(model: Model, displacements: Displacements) -> tuple[State, Array]:
     expected = columns @ p
     drive = np.einsum("ki,ki->k", expected.conj(), amplitude)
     drive = drive / np.sum(np.abs(expected) ** 2, axis=1)
-    # Of holograms that tell nothing, as loud as their neighbours.
-    log_drive = np.interp(np.log(model.hz), np.log(model.hz[told]), np.log(np.abs(drive))) + 0j
-    log_drive[told] = np.log(drive)
-    together = np.zeros(len(displacements.shared.precision))
-    state = State(_constant(model, p), log_drive, together)
+    # Holograms without information get the drive of their neighbours.
+    log_drive = np.interp(np.log(model.hz), np.log(model.hz[known]), np.log(np.abs(drive))) + 0j
+    log_drive[known] = np.log(drive)
+    common_mode_shift = np.zeros(len(displacements.common_mode.precision))
+    state = State(_constant(model, p), log_drive, common_mode_shift)
     return state, np.maximum(np.abs(p), _LEAST_SCALE)
 
 
 def _constant(model: Model, p: Complex) -> Array:
-    """Parameters (v, p) of constant participations, the loss expected, and shapes as they are."""
+    """Return parameters (v, p): constant participations, expected loss factors, no mixing."""
     count, powers = len(model.active), model.powers.shape[1]
     x = np.zeros((count + len(model.reference), model.slots))
     x[:count, 0], x[:count, powers] = p[model.active].real, p[model.active].imag
@@ -285,7 +301,7 @@ def _constant(model: Model, p: Complex) -> Array:
 
 @dataclass(frozen=True)
 class _Round:
-    """Where the last round has come.
+    """Result of one round of the fit.
 
     Attributes
     ----------
@@ -293,22 +309,22 @@ class _Round:
     state : State
     here : Equations
     covariance : (q, q) float
-        Of all parameters but the drive.
-    apart : (k, 2j) float
-        What is left, in deviations along the noise's directions.
+        Covariance of all parameters except the drive.
+    whitened_residual : (k, 2j) float
+        Residuals along the noise's directions, in standard deviations.
     misfit : float
-        Its mean square, by freedom.
+        Sum of their squares, divided by the degrees of freedom.
     discrepancy, next_discrepancy : float
-        That it was found with, and what is left of.
+        Discrepancy that was used, and the one that the residuals give.
     noise : Noise
-        As it is known now.
+        Noise with the variance of outliers increased.
     """
 
     prior: Prior
     state: State
     here: Equations
     covariance: Array
-    apart: Array
+    whitened_residual: Array
     misfit: float
     discrepancy: float
     next_discrepancy: float
@@ -323,44 +339,47 @@ def _round(
     state: State,
     off: tuple[float, float],
 ) -> _Round:
-    """Improve, and estimate the discrepancy that makes what is left as large as it should be.
+    """Minimise the cost, and estimate the discrepancy for which χ² is as expected.
 
-    `off` is the discrepancy, and how many holograms tell as much as one would by itself: beside
-    what is known of the drive, so many count as one.
+    `off` is the discrepancy, and the number of holograms that count as one independent hologram.
     """
-    discrepancy, together = off
+    discrepancy, correlated = off
     data = data_of(displacements, noise, discrepancy)
     start = _fixed(prior, state)
-    state = improve(model, data.weighing(1 / together), prior, start, _LAST.iterations)
+    state = minimise_cost(model, data.weighing(1 / correlated), prior, start, _LAST.iterations)
     state = with_gain(model, state)
     here = equations(model, data, prior, state)
     covariance = _inverse(without_drive(here, 0.0, np.float64)[0])
-    freedoms = 2 * data.amplitude.size - 2 * len(model.hz) - _told(prior, data, covariance)
-    apart = data.apart(terms(model, state).amplitude, state.together)
-    left = apart * noise.deviation(discrepancy)
+    freedoms = (
+        2 * data.amplitude.size - 2 * len(model.hz) - _effective_parameters(prior, data, covariance)
+    )
+    whitened_residual = data.whitened_residual(
+        terms(model, state).amplitude, state.common_mode_shift
+    )
+    left = whitened_residual * noise.deviation(discrepancy)
     return _Round(
         prior=prior,
         state=state,
         here=here,
         covariance=covariance,
-        apart=apart,
-        misfit=float(np.sum(apart**2)) / freedoms,
+        whitened_residual=whitened_residual,
+        misfit=float(np.sum(whitened_residual**2)) / freedoms,
         discrepancy=discrepancy,
-        next_discrepancy=balanced(inflated(noise, apart), left, freedoms),
-        noise=inflated(noise, apart),
+        next_discrepancy=balanced(inflated(noise, whitened_residual), left, freedoms),
+        noise=inflated(noise, whitened_residual),
     )
 
 
 def _finish(
     model: Model, displacements: Displacements, names: Sequence[str], end: _Round
 ) -> ModalFit:
-    """Tell modes and their errors."""
+    """Return modes and standard errors."""
     prior, state, now = end.prior, end.state, terms(model, end.state)
-    # The discrepancy of the last round left somewhat more or less than it should.
-    factor = end.misfit * alike(end.noise, end.apart, state.log_drive)
-    # Drive and participations have a common factor, which may be anything: of the latter only what
-    # they are beside a given drive counts.
-    beside_drive = factor * _inverse(end.here.matrix)
+    # χ² of the last round is not exactly as expected, and neighbouring residuals are correlated.
+    factor = end.misfit * correlated_holograms(end.noise, end.whitened_residual, state.log_drive)
+    # Drive and participations have an undetermined common factor: the errors of participations are
+    # those for a given drive.
+    given_drive = factor * _inverse(end.here.matrix)
     count, powers = len(model.active), model.powers.shape[1]
     spread = np.zeros_like(state.x)
     deviations = np.sqrt(factor * np.diag(end.covariance))
@@ -368,7 +387,7 @@ def _finish(
     own_hz = np.exp(state.x[:count, 2 * powers])
     number = np.full(prior.centre.shape, -1)
     number[prior.free] = np.arange(np.count_nonzero(prior.free))
-    told = np.concatenate([number[:count, 2 * powers], number[:count, 2 * powers + 1]])
+    own = np.concatenate([number[:count, 2 * powers], number[:count, 2 * powers + 1]])
     mixes = prior.free[count:, :count]
     nearest = np.abs(np.log(model.hz[:, None] / own_hz)).argmin(axis=0)
     return ModalFit(
@@ -377,45 +396,45 @@ def _finish(
         error_cents=spread[:count, 2 * powers] * 1200 / np.log(2),
         loss_factor=now.loss[model.active],
         loss_error=spread[:count, 2 * powers + 1],
-        covariance=factor * end.covariance[np.ix_(told, told)],
+        covariance=factor * end.covariance[np.ix_(own, own)],
         shapes=now.shapes[model.active],
         mixing=np.where(mixes, state.x[count:, :count], 0.0),
         mixing_error=np.where(mixes, spread[count:, :count], 0.0),
         mixing_spread=np.where(mixes, _spread(prior)[count:, :count], 0.0),
         participation=now.participation[nearest, model.active],
-        participation_error=_participation_error(model, prior, beside_drive, nearest),
+        participation_error=_participation_error(model, prior, given_drive, nearest),
         participations=now.participation[:, model.active],
         drive=np.exp(state.log_drive),
         amplitude_rad=now.amplitude,
         modal_rad=now.modal[:, model.active],
         misfit=end.misfit,
         discrepancy=end.discrepancy,
-        together=state.together,
+        common_mode_shift=state.common_mode_shift,
         off=_off(displacements, end.noise),
         state=state,
     )
 
 
 def _spread(prior: Prior) -> Array:
-    """Standard deviations (v, p) that parameters were expected to have; 0 where they are fixed."""
+    """Return the prior standard deviations (v, p) of all parameters; 0 where they are fixed."""
     spread: Array = np.zeros(prior.precision.shape)
     spread[prior.free] = prior.precision[prior.free] ** -0.5
     return spread
 
 
 def _off(displacements: Displacements, noise: Noise) -> NDArray[np.bool_]:
-    """Which holograms (k,) show something else, or nothing."""
+    """Mask (k,) of holograms that are outliers or have no information."""
     off: NDArray[np.bool_] = (noise.inflation > 1) | ~np.any(displacements.information, axis=(1, 2))
     return off
 
 
 def _inverse(matrix: Array) -> Array:
-    """Inverse of a positive matrix of parameters of very different sizes.
+    """Invert a positive definite matrix of parameters of very different sizes.
 
     Raises
     ------
     FitError
-        If rounding has left none of it.
+        If the matrix is not positive definite because of rounding.
     """
     unit = 1 / np.sqrt(np.diag(matrix))
     scaled = unit[:, None] * matrix * unit + _ROUNDING * np.eye(len(unit))
@@ -423,7 +442,7 @@ def _inverse(matrix: Array) -> Array:
         root = linalg.cholesky(scaled, lower=True)
     except (np.linalg.LinAlgError, ValueError):
         raise FitError(
-            "the holograms do not tell the modes of this reed apart; look at the contact sheet "
+            "the holograms cannot separate the modes of this reed; look at the contact sheet "
             "that acquire report writes, or count fringes: --method picture"
         ) from None
     (solve,) = linalg.get_blas_funcs(("trsm",), (root,))
@@ -432,8 +451,8 @@ def _inverse(matrix: Array) -> Array:
     return inverse
 
 
-def _told(prior: Prior, data: Data, covariance: Array) -> float:
-    """How many parameters the data tell: those that prior knowledge holds count in part."""
+def _effective_parameters(prior: Prior, data: Data, covariance: Array) -> float:
+    """Return the effective number of parameters: those that the prior determines count in part."""
     known = np.concatenate([prior.precision[prior.free], np.diag(data.precision)])
     return float(len(known) - np.sum(known * np.diag(covariance)))
 
@@ -441,7 +460,7 @@ def _told(prior: Prior, data: Data, covariance: Array) -> float:
 def _participation_error(
     model: Model, prior: Prior, covariance: Array, nearest: NDArray[np.intp]
 ) -> Array:
-    """Standard errors (a,) of participations at the modes' own holograms."""
+    """Return standard errors (a,) of participations at the holograms nearest to the modes."""
     number = np.full(prior.centre.shape, -1)
     number[prior.free] = np.arange(np.count_nonzero(prior.free))
     powers, errors = model.powers.shape[1], []

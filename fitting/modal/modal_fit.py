@@ -21,38 +21,40 @@ class ModalFit:
     Attributes
     ----------
     names : tuple of str
-        Of the a modes whose resonance lies in the sweep.
+        Names of the a modes whose resonance lies in the sweep.
     hz, loss_factor : (a,) float
         Eigenfrequencies and loss factors.
     error_cents, loss_error : (a,) float
-        Standard errors; of the loss factor, relative.
+        Standard errors; that of the loss factor is relative.
     covariance : (2a, 2a) float
-        Of log frequencies, then of log loss factors.
+        Covariance of log frequencies, then of log loss factors.
     shapes : (a, j) float
         Coordinates of the shapes in the `ShapeBasis`.
     mixing, mixing_error, mixing_spread : (m, a) float
-        By how much of each mode's shape in the basis each of these modes has more than by the
-        finite elements, its standard error and that of its prior; 0 where none is allowed.
+        Coefficient of each shape of the basis in the shape of each of these modes, in addition to
+        the shape of the finite elements; its standard error; standard deviation of its prior. 0
+        where no mixing is allowed.
     participation : (a,) complex
-        At the mode's own frequency, per unit of drive.
+        Participation at the mode's own frequency, per unit of drive.
     participation_error : (a,) float
-        Standard error of its magnitude, beside a given drive.
+        Standard error of its magnitude for a given drive.
     participations : (k, a) complex
-        At all frequencies.
+        Participations at all frequencies.
     drive : (k,) complex
-        Of every hologram; the phase is arbitrary.
+        Drive of every hologram; its phase is arbitrary.
     amplitude_rad : (k, j) complex
-        As the model has it.
+        Amplitudes that the model predicts.
     modal_rad : (k, a) complex
         Largest deflection of every mode in every hologram.
     misfit : float
-        Mean square of what is left, in units of noise and discrepancy.
+        Mean square residual, in units of noise and discrepancy.
     discrepancy : float
-        See `_Stage`, as estimated.
-    together : (q,) float
-        What displacements are off together (see `fitting.holograms.object_field.SharedError`).
+        Estimated discrepancy of the model, as a fraction of a hologram's rms amplitude.
+    common_mode_shift : (q,) float
+        Fitted common-mode error of the displacements (see
+        `fitting.holograms.object_field.CommonModeError`).
     off : (k,) bool
-        Holograms that show something else, by far, or nothing that was told.
+        Holograms that are outliers, or that have no information.
     state : State
     """
 
@@ -74,6 +76,6 @@ class ModalFit:
     modal_rad: Complex
     misfit: float
     discrepancy: float
-    together: Array
+    common_mode_shift: Array
     off: NDArray[np.bool_]
     state: State

@@ -1,4 +1,4 @@
-"""The joint model of a sweep: what is known before, its parameters, and what follows from them.
+"""The joint model of a sweep: constants, parameters, predicted amplitudes and priors.
 
 The displacement of hologram k, in coordinates j of few functions, is
 
@@ -18,48 +18,53 @@ from scipy import linalg
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
-# Participations of modes beyond the sweep, of which only the tail shows, are of degree 1.
+# Modes beyond the sweep show only their tails: their participations have two coefficients.
 TAIL_TERMS = 2
 # Loss factor of dry cane.
 LOSS = 0.03
-# The drive's magnitude, in nepers: second difference of its smooth part from step to step.
+# Smooth part of the drive's log magnitude: scale of its second difference from step to step, in
+# nepers, and iterations of the reweighted smoothing.
 _BEND, _BEND_TURNS = 0.01, 8
-# Freedoms of Student's distribution, which lets lines stand out: where none is known, and where
-# what other sweeps have shown of them has been taken off.
-UNKNOWN_LINES, KNOWN_LINES = 4.0, 100.0
-# What holograms may be livelier or calmer besides, at first and at least.
+# Degrees of freedom of the drive's Student distributions, which admit excitation peaks: for an
+# unknown drive, and for a drive that is known from another sweep.
+UNKNOWN_DRIVE_DOF, KNOWN_DRIVE_DOF = 4.0, 100.0
+# Scatter of single holograms around the smooth drive, in nepers: start and lower limit.
 _FIRST_GAIN, _LEAST_GAIN = 0.1, 3e-3
 
 
 @dataclass(frozen=True)
 class Model:
-    """What is known before the fit.
+    """Constants of the joint model.
 
-    Parameters of one vector of coordinates stand together. Vectors are the shapes of the a active
-    modes, then those S of all m modes. Of an active mode's: participation (real, imaginary parts),
-    log frequency, log loss. Of the others: the mixing E into each active mode, and participations
-    of a mode beyond the sweep.
+    The parameters are stored in rows, one for each vector of coordinates that they multiply: first
+    the shapes of the a active modes, then the shapes S of all m modes. The row of an active mode
+    contains its participation (real, then imaginary parts), log frequency and log loss factor. The
+    row of a shape S contains its mixing E into each active mode, and the participations of a mode
+    beyond the sweep.
 
     Attributes
     ----------
     hz : (k,) float
+        Drive frequencies.
     log_volts : (k,) float
-        Or what else the drive is expected to be, up to a smooth factor.
-    lines : float
-        `UNKNOWN_LINES` or `KNOWN_LINES`.
+        Log of the expected magnitude of the drive, up to a smooth factor.
+    drive_dof : float
+        `UNKNOWN_DRIVE_DOF` or `KNOWN_DRIVE_DOF`.
     powers : (k, n) float
         Chebyshev polynomials of log frequency.
     reference : (m, j) float
         Shapes S.
     reference_hz : (m,) float
+        Expected eigenfrequencies.
     stiffening : (m,) float
         See `fitting.holograms.shape_basis.ShapeBasis`.
     active : (a,) int
+        Modes whose resonance lies in the sweep.
     """
 
     hz: Array
     log_volts: Array
-    lines: float
+    drive_dof: float
     powers: Array
     reference: Array
     reference_hz: Array
@@ -68,7 +73,7 @@ class Model:
 
     @property
     def slots(self) -> int:
-        """Most parameters of one vector."""
+        """Length of a row of parameters."""
         return int(max(2 * self.powers.shape[1] + 2, len(self.active) + 2 * TAIL_TERMS))
 
     @property
@@ -79,25 +84,33 @@ class Model:
 
 @dataclass(frozen=True)
 class State:
-    """Parameters (v, p) of the vectors, the log (complex) of the drive (k,), the holograms' gain.
+    """Values of all parameters.
 
-    The last is the standard deviation of what they are brighter or darker by chance, in nepers.
+    Attributes
+    ----------
+    x : (v, p) float
+        Parameters, one row for each vector (see `Model`).
+    log_drive : (k,) complex
+    common_mode_shift : (q,) float
+        Common-mode error of the displacements.
+    gain : float
+        Standard deviation of the scatter of single holograms around a smooth drive, in nepers.
     """
 
     x: Array
     log_drive: Complex
-    together: Array
+    common_mode_shift: Array
     gain: float = _FIRST_GAIN
 
 
 @dataclass(frozen=True)
 class Terms:
-    """What follows from a state.
+    """Quantities that the model predicts for a state.
 
     Attributes
     ----------
     resonance, participation : (k, m) complex
-        h and p.
+        h and p of the model's equation.
     shapes : (m, j) float
         T.
     loss : (m,) float
@@ -118,7 +131,7 @@ class Terms:
 
 
 def terms(model: Model, state: State) -> Terms:
-    """Work out what a state says of all holograms."""
+    """Evaluate the model for a state."""
     x, active, passive = state.x, model.active, model.passive
     count, powers = len(active), model.powers.shape[1]
     hz, loss = model.reference_hz.copy(), np.full(len(model.reference), LOSS)
@@ -138,7 +151,7 @@ def terms(model: Model, state: State) -> Terms:
 
 
 def scalars(model: Model, state: State, terms: Terms) -> Complex:
-    """Derivatives by all parameters, without the vectors that they multiply: (k, v, p)."""
+    """Return derivatives (k, v, p) by all parameters, without the vectors that they multiply."""
     active, passive, count = model.active, model.passive, len(model.active)
     powers = model.powers.shape[1]
     drive = np.exp(state.log_drive)[:, None]
@@ -166,27 +179,29 @@ class Prior:
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """Which parameters (v, p) are any."""
+        """Mask (v, p) of the parameters that are not fixed."""
         return np.isfinite(self.precision)
 
     def cost(self, x: Array) -> float:
-        """Twice the negative log of the prior."""
+        """Return twice the negative log of the prior density."""
         free = self.free
         return float(np.sum(self.precision[free] * (x - self.centre)[free] ** 2))
 
 
 @dataclass(frozen=True)
-class Bend:
-    """What is expected of the drive's magnitude.
+class DrivePrior:
+    """Prior of the drive's log magnitude, at a state.
 
     Attributes
     ----------
     cost : float
+        Twice the negative log density.
     gradient : (k,) float
+        Negative gradient of half the cost.
     known : (k,) float
-        What is told of the smooth part by each hologram.
+        Information of each hologram on the smooth part.
     whole : (3, k) float
-        What is told of it by all, and by its smoothness: bands of a matrix, the diagonal last.
+        Information of all holograms and of the smoothness prior: bands of a matrix, diagonal last.
     """
 
     cost: float
@@ -196,20 +211,20 @@ class Bend:
 
     @property
     def curvature(self) -> Array:
-        """Curvature (k, k): whatever the magnitude becomes, the smooth part follows it."""
+        """Half the Hessian (k, k) of the cost, with the smooth part eliminated."""
         follows = linalg.solveh_banded(self.whole, np.diag(self.known), check_finite=False)
         curvature = np.diag(self.known) - self.known[:, None] * follows
         return 0.5 * (curvature + curvature.T)
 
 
-def bend(model: Model, state: State) -> Bend:
-    """Divide the drive's magnitude into a smooth part and what holograms are livelier by.
+def drive_prior_at(model: Model, state: State) -> DrivePrior:
+    """Split the drive's log magnitude into a smooth part and the scatter of single holograms.
 
-    Both of Student's distribution: a line of the air is a bend of the one, or a few large values
-    of the other.
+    The second differences of the smooth part, and the scatter, have Student distributions, so that
+    an acoustic resonance may be a bend of the one or a few large values of the other.
     """
     magnitude = state.log_drive.real - model.log_volts
-    smooth, freedoms = magnitude, model.lines
+    smooth, freedoms = magnitude, model.drive_dof
     for _ in range(_BEND_TURNS):
         bent = (freedoms + 1) / (freedoms + (np.diff(smooth, 2) / _BEND) ** 2)
         known = (freedoms + 1) / (freedoms * state.gain**2 + (magnitude - smooth) ** 2)
@@ -220,11 +235,11 @@ def bend(model: Model, state: State) -> Bend:
     cost = np.sum(np.log1p((np.diff(smooth, 2) / _BEND) ** 2 / freedoms))
     cost += np.sum(np.log1p((gain / state.gain) ** 2 / freedoms))
     gradient = -(freedoms + 1) * gain / (freedoms * state.gain**2 + gain**2)
-    return Bend(float((freedoms + 1) * cost), gradient, known, whole)
+    return DrivePrior(float((freedoms + 1) * cost), gradient, known, whole)
 
 
 def _stiff(bent: Array) -> Array:
-    """Bands (3, k), the diagonal last, of second differences squared, each weighing (k − 2,)."""
+    """Return the bands (3, k), diagonal last, of squared second differences of weights (k − 2,)."""
     bands = np.zeros((3, len(bent) + 2))
     for offset, weight in enumerate((1, 4, 1)):
         bands[2, offset : offset + len(bent)] += weight * bent
@@ -236,7 +251,7 @@ def _stiff(bent: Array) -> Array:
 
 
 def with_gain(model: Model, state: State) -> State:
-    """Estimate by how much holograms are livelier or calmer than a smooth drive makes them."""
+    """Estimate the scatter of single holograms around a smooth drive."""
     magnitude = state.log_drive.real - model.log_volts
     spread = float(np.median(np.abs(np.diff(magnitude, 2)))) / 0.6745
     # Second differences of independent numbers have six times their variance.

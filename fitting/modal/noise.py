@@ -1,7 +1,7 @@
-"""What amplitudes may be off: noise, and what no model explains.
+"""Errors of the amplitudes: measurement noise, and discrepancy of the model.
 
-The latter is a share of the vibration of each hologram, alike in neighbouring ones, and the same in
-all directions. It is estimated from what a fit leaves.
+The discrepancy is a fraction of the vibration of each hologram, correlated between neighbouring
+holograms and equal in all directions. It is estimated from the residuals of a fit.
 """
 
 from dataclasses import dataclass, replace
@@ -17,13 +17,13 @@ from fitting.modal.normal_equations import Data
 Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
-# Standard deviations that discrepancy may have, as shares of a hologram's vibration.
+# Limits of the discrepancy's standard deviation, as a fraction of a hologram's vibration.
 _DISCREPANCY = (1e-4, 0.3)
-# Prior standard deviation of amplitudes, rad: only against what the data do not tell at all.
+# Prior standard deviation of amplitudes, rad: weak, for directions that the data do not determine.
 _LOOSE_RAD = 100.0
-# Holograms so many steps apart may still be alike in what no model explains.
+# Largest distance in steps at which residuals may be correlated.
 _FAR = 10
-# Holograms are off if what is left of them is that many times as much as usual, squared.
+# A hologram is an outlier if its mean square residual exceeds the median by this factor.
 _OFF = 10.0
 
 
@@ -34,13 +34,13 @@ class Noise:
     Attributes
     ----------
     directions : (k, 2j, 2j) float
-        One in each row.
+        One direction in each row.
     variance : (k, 2j) float
-        Along them.
+        Variance along each direction.
     power : (k,) float
         Mean square of a hologram's amplitudes.
     inflation : (k,) float
-        Factor on the variance of holograms that show something else.
+        Factor on the variance of holograms that are outliers.
     """
 
     directions: Array
@@ -49,14 +49,14 @@ class Noise:
     inflation: Array
 
     def deviation(self, discrepancy: float) -> Array:
-        """Standard deviation (k, 2j) along the directions, with discrepancy."""
+        """Return the standard deviation (k, 2j) along the directions, including discrepancy."""
         variance = self.variance + discrepancy**2 * self.power[:, None]
         deviation: Array = np.sqrt(self.inflation[:, None] * variance)
         return deviation
 
 
 def noise_of(displacements: Displacements) -> Noise:
-    """Diagonalise what is known of every hologram's amplitudes."""
+    """Diagonalise the information of every hologram's amplitudes."""
     information, directions = np.linalg.eigh(displacements.information)
     return Noise(
         directions.swapaxes(1, 2),
@@ -66,22 +66,24 @@ def noise_of(displacements: Displacements) -> Noise:
     )
 
 
-def inflated(noise: Noise, apart: Array) -> Noise:
-    """Trust holograms less that are off (k, 2j), in deviations, by far more than others."""
-    square = np.mean(apart**2, axis=1) * noise.inflation
+def inflated(noise: Noise, whitened_residual: Array) -> Noise:
+    """Increase the variance of holograms whose whitened residuals (k, 2j) are outliers."""
+    square = np.mean(whitened_residual**2, axis=1) * noise.inflation
     usual = max(float(np.median(square)), 1.0)
     return replace(noise, inflation=np.where(square > _OFF * usual, square / usual, 1.0))
 
 
 def data_of(displacements: Displacements, noise: Noise, discrepancy: float) -> Data:
-    """Tell what holograms tell if the model is off by a share of each hologram's amplitude."""
-    shared = displacements.shared
+    """Whiten the displacements by noise and a given discrepancy of the model."""
+    common_mode = displacements.common_mode
     root = noise.directions / noise.deviation(discrepancy)[..., None]
-    return Data(displacements.amplitude_rad, root, root @ shared.response, shared.precision)
+    return Data(
+        displacements.amplitude_rad, root, root @ common_mode.response, common_mode.precision
+    )
 
 
 def balanced(noise: Noise, left: Array, freedoms: float) -> float:
-    """Discrepancy with which what is left (k, 2j), along the directions, is what it should be."""
+    """Return the discrepancy for which residuals (k, 2j) have the χ² expected of `freedoms`."""
 
     def excess(log_discrepancy: float) -> float:
         return float(np.sum((left / noise.deviation(np.exp(log_discrepancy))) ** 2)) - freedoms
@@ -94,13 +96,13 @@ def balanced(noise: Noise, left: Array, freedoms: float) -> float:
     return float(np.exp(optimize.brentq(excess, least, most, xtol=1e-3)))
 
 
-def alike(noise: Noise, apart: Array, log_drive: Complex) -> float:
-    """How many holograms tell as much as one would if what is left of each were its own.
+def correlated_holograms(noise: Noise, whitened_residual: Array, log_drive: Complex) -> float:
+    """Return the number of neighbouring holograms that count as one independent hologram.
 
-    What no model explains is alike in neighbouring holograms, up to the phase of the drive: the sum
-    of correlations over distances.
+    The residuals of neighbouring holograms are correlated, up to the phase of the drive. The number
+    is the sum of their correlations over all distances (integrated autocorrelation), at least 1.
     """
-    left = (noise.directions.swapaxes(1, 2) @ apart[..., None])[..., 0]
+    left = (noise.directions.swapaxes(1, 2) @ whitened_residual[..., None])[..., 0]
     size = left.shape[1] // 2
     turned = (left[:, :size] + 1j * left[:, size:]) * np.exp(-1j * log_drive.imag)[:, None]
     whole = np.sum(np.abs(turned) ** 2)

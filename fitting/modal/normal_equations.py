@@ -1,9 +1,10 @@
-"""Normal equations of the joint model: by its parameters, what all is off together, and the drive.
+"""Normal equations of the joint model, for its parameters, the common-mode error and the drive.
 
-A derivative is a complex number for each hologram, times one of few vectors of coordinates: shapes
-T of the active modes, and S of all. So their products through the information are those of the
-vectors, a small matrix for each hologram, times these numbers. Mixing coefficients, which are most
-of the parameters, share their numbers: that of mode m into a moves all by ``d h_a p_a S_m``.
+A derivative is a complex number for each hologram, times one of few vectors of coordinates: the
+shapes T of the active modes and S of all modes. Products of derivatives are therefore products of
+the vectors through the information, a small matrix for each hologram, times products of these
+numbers. Most parameters are mixing coefficients, and many have the same numbers: the derivative by
+the mixing of mode m into a is ``d h_a p_a S_m``.
 """
 
 from dataclasses import dataclass
@@ -14,12 +15,12 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from fitting.modal.model import (
-    Bend,
+    DrivePrior,
     Model,
     Prior,
     State,
     Terms,
-    bend,
+    drive_prior_at,
     scalars,
     terms,
 )
@@ -29,23 +30,23 @@ Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 
-# Parameters whose columns, beside all others, still lie in the processor's cache.
-_TOGETHER = 40
+# Number of parameters whose products with all columns fit into the processor's cache.
+_ROWS_AT_ONCE = 40
 
 
 @dataclass(frozen=True)
 class Data:
-    """What holograms tell, in units of their errors.
+    """Amplitudes of all holograms, with the root of their information.
 
     Attributes
     ----------
     amplitude : (k, j) complex
     root : (k, 2j, 2j) float
-        Root of the information of their real, then imaginary parts.
+        Root of the information on the real, then imaginary parts of the amplitudes.
     response : (k, 2j, q) float
-        Of amplitudes to what they are off together, times that root.
+        Derivatives of the amplitudes by the common-mode error, times that root.
     precision : (q, q) float
-        Inverse covariance of that.
+        Inverse covariance of the common-mode error.
     """
 
     amplitude: Complex
@@ -53,18 +54,18 @@ class Data:
     response: Array
     precision: Array
 
-    def apart(self, amplitude: Complex, together: Array) -> Array:
-        """Distance (k, 2j) of every hologram from what a model says."""
-        apart = parts(self.amplitude - amplitude)[..., None]
-        return (self.root @ apart)[..., 0] + self.response @ together
+    def whitened_residual(self, amplitude: Complex, common_mode_shift: Array) -> Array:
+        """Return the whitened residuals (k, 2j) of amplitudes (k, j) that a model predicts."""
+        whitened_residual = parts(self.amplitude - amplitude)[..., None]
+        return (self.root @ whitened_residual)[..., 0] + self.response @ common_mode_shift
 
     def weighing(self, share: float) -> "Data":
-        """Return the same, of which each hologram counts as a share of one."""
+        """Return the same data with every hologram weighted by a factor."""
         root = np.sqrt(share)
         return Data(self.amplitude, root * self.root, root * self.response, self.precision)
 
     def single(self) -> "Data":
-        """Return the same in single precision: twice as fast, and good enough for a step."""
+        """Return the same data in single precision: twice as fast, and exact enough for a step."""
         return Data(
             self.amplitude,
             self.root.astype(np.float32),
@@ -74,20 +75,22 @@ class Data:
 
 
 def parts(complex_rows: Complex) -> Array:
-    """Real, then imaginary parts: (k, j) → (k, 2j)."""
+    """Concatenate real and imaginary parts: (k, j) → (k, 2j)."""
     return np.concatenate([complex_rows.real, complex_rows.imag], axis=1)
 
 
 @dataclass(frozen=True)
 class Equations:
-    """Curvature of half the cost along the parameters: those free, then what all is off together.
+    """Half the Gauss-Newton Hessian of the cost.
 
     Attributes
     ----------
     matrix : (q, q) float
+        Block of the free parameters, then the common-mode error.
     coupling : (q, 2k) float
-        With log magnitude, then phase of the drive.
+        Block between these and the drive: its log magnitude, then its phase.
     drive_matrix : (2k, 2k) float
+        Block of the drive.
     """
 
     matrix: Array
@@ -97,21 +100,21 @@ class Equations:
 
 @dataclass(frozen=True)
 class _Seen:
-    """Vectors (their real, then imaginary multiples) and `together` through the information.
+    """Vectors (real, then imaginary multiples) and common-mode responses, whitened.
 
     Attributes
     ----------
     columns : (k, 2j, 2v + q) float
-        Times the root of the information.
+        Whitened vectors.
     products : (2v + q, 2v + q, k) float
-        Of these.
+        Their scalar products.
     """
 
     columns: Array
     products: Array
 
     def along(self, drive: Array) -> Array:
-        """Products (2, 2v + q, k) with combinations (2, 2v, k) of vectors."""
+        """Return the products (2, 2v + q, k) with linear combinations (2, 2v, k) of vectors."""
         by_hologram = np.ascontiguousarray(drive.transpose(2, 0, 1))
         moved = by_hologram @ self.columns[:, :, : drive.shape[1]].swapaxes(1, 2)
         return np.ascontiguousarray((moved @ self.columns).transpose(1, 2, 0))
@@ -120,7 +123,7 @@ class _Seen:
 def _seen(model: Model, data: Data, now: Terms) -> _Seen:
     vectors = np.concatenate([now.shapes[model.active], model.reference]).astype(data.root.dtype)
     real, imaginary = (half @ vectors.T for half in np.split(data.root, 2, axis=2))
-    # What all are off together moves the amplitudes as if the model moved the other way.
+    # The common-mode error moves the amplitudes, which is as if the model moved the other way.
     columns = np.concatenate([real, imaginary, -data.response], axis=2)
     size = columns.shape[2]
     products = np.empty((size, size, len(columns)), columns.dtype)
@@ -133,14 +136,14 @@ def _seen(model: Model, data: Data, now: Terms) -> _Seen:
 
 
 def equations(model: Model, data: Data, prior: Prior, state: State) -> Equations:
-    """Linearise the model around a state."""
+    """Return the normal equations at a state."""
     now = terms(model, state)
     seen, layout = _seen(model, data, now), _layout(model, prior)
-    # As precise as the data are given.
+    # In the precision of the data.
     numbers = np.result_type(data.root, np.complex64)
     by = scalars(model, state, now)[:, layout.own_v, layout.own_p]
     own = np.ascontiguousarray(by.T.astype(numbers))
-    # All that mixes into a mode is moved by the same number.
+    # All shapes that mix into a mode have the same factor.
     mixed = np.ascontiguousarray(now.modal[:, model.active].T.astype(numbers))
     drive = _drive(model, now, layout.vectors).astype(data.root.dtype)
     moved = seen.along(drive)
@@ -156,42 +159,48 @@ def equations(model: Model, data: Data, prior: Prior, state: State) -> Equations
 
 
 @dataclass(frozen=True)
-class Place:
-    """A state and how good it is.
+class Evaluation:
+    """A state with its residuals and cost.
 
     Attributes
     ----------
     state : State
     terms : Terms
-    left : (k, 2j) float
-        See `Data.apart`.
-    bent : Bend
+    residual : (k, 2j) float
+        Whitened residuals, see `Data.whitened_residual`.
+    drive_prior : DrivePrior
     cost : float
         Twice the negative log of the posterior density.
     """
 
     state: State
     terms: Terms
-    left: Array
-    bent: Bend
+    residual: Array
+    drive_prior: DrivePrior
     cost: float
 
 
-def place(model: Model, data: Data, prior: Prior, state: State) -> Place:
-    """Work out how good a state is."""
-    now, bent, together = terms(model, state), bend(model, state), state.together
-    left = data.apart(now.amplitude, together)
-    known = float(together @ data.precision @ together) + prior.cost(state.x)
-    return Place(state, now, left, bent, float(np.sum(left**2)) + known + bent.cost)
+def evaluate(model: Model, data: Data, prior: Prior, state: State) -> Evaluation:
+    """Compute residuals and cost of a state."""
+    now, drive_prior, common_mode_shift = (
+        terms(model, state),
+        drive_prior_at(model, state),
+        state.common_mode_shift,
+    )
+    residual = data.whitened_residual(now.amplitude, common_mode_shift)
+    known = float(common_mode_shift @ data.precision @ common_mode_shift) + prior.cost(state.x)
+    return Evaluation(
+        state, now, residual, drive_prior, float(np.sum(residual**2)) + known + drive_prior.cost
+    )
 
 
-def downhill(model: Model, data: Data, prior: Prior, at: Place) -> Array:
-    """Negative gradient (q + 2k,) of half the cost, in the order of `Equations`, then the drive.
+def negative_gradient(model: Model, data: Data, prior: Prior, at: Evaluation) -> Array:
+    """Return the negative gradient (q + 2k,) of half the cost, in the order of `Equations`.
 
-    A fraction of what `equations` costs.
+    This takes a small fraction of the time of `equations`.
     """
-    state, now, left, layout = at.state, at.terms, at.left, _layout(model, prior)
-    force = (left[:, None, :] @ data.root)[:, 0]
+    state, now, residual, layout = at.state, at.terms, at.residual, _layout(model, prior)
+    force = (residual[:, None, :] @ data.root)[:, 0]
     real, imaginary = np.split(force, 2, axis=1)
     vectors = np.concatenate([now.shapes[model.active], model.reference])
     pull = np.concatenate([vectors @ real.T, vectors @ imaginary.T])
@@ -200,16 +209,16 @@ def downhill(model: Model, data: Data, prior: Prior, at: Place) -> Array:
     by_parameters = np.concatenate(
         [
             *_own_and_mixed(layout, pull, own, mixed),
-            -np.einsum("kcq,kc->q", data.response, left, optimize=True),
+            -np.einsum("kcq,kc->q", data.response, residual, optimize=True),
         ]
     )[layout.order(len(data.precision))]
     offset = prior.precision[prior.free] * (state.x - prior.centre)[prior.free]
     drive = _drive(model, now, layout.vectors)
     by_drive = np.einsum("lck,ck->lk", drive, pull)
-    by_drive[0] += at.bent.gradient
+    by_drive[0] += at.drive_prior.gradient
     return np.concatenate(
         [
-            by_parameters - np.concatenate([offset, data.precision @ state.together]),
+            by_parameters - np.concatenate([offset, data.precision @ state.common_mode_shift]),
             by_drive.ravel(),
         ]
     )
@@ -217,16 +226,16 @@ def downhill(model: Model, data: Data, prior: Prior, at: Place) -> Array:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Which parameters are free: of one vector each, and mixing coefficients.
+    """Positions of the free parameters: own parameters of a vector, and mixing coefficients.
 
     Attributes
     ----------
     own_v, own_p : (p,) int
-        Vectors and slots of the former.
+        Row and column of the own parameters in a state.
     mix_m, mix_a : (q,) int
-        Modes whose shapes are mixed into those of active ones.
+        Mode whose shape is mixed, and active mode into which it is mixed.
     active, vectors : int
-        How many there are.
+        Number of active modes, and of vectors.
     slots : int
         See `Model.slots`.
     """
@@ -239,11 +248,11 @@ class _Layout:
     vectors: int
     slots: int
 
-    def order(self, together: int) -> NDArray[np.intp]:
-        """Sort own, then mixing parameters as they stand in a state; the rest stays behind."""
+    def order(self, common_modes: int) -> NDArray[np.intp]:
+        """Return the order of a state for own, then mixing parameters; common modes stay last."""
         vector = np.concatenate([self.own_v, self.mix_m + self.active])
         order = np.argsort(vector * self.slots + np.concatenate([self.own_p, self.mix_a]))
-        return np.concatenate([order, len(order) + np.arange(together)])
+        return np.concatenate([order, len(order) + np.arange(common_modes)])
 
 
 def _layout(model: Model, prior: Prior) -> _Layout:
@@ -256,7 +265,7 @@ def _layout(model: Model, prior: Prior) -> _Layout:
 
 
 def _matrix(layout: _Layout, seen: _Seen, own: Complex, mixed: Complex) -> Array:
-    """Products (q, q) of all columns: own, mixing, together."""
+    """Return the products (q, q) of all columns: own, mixing, common mode."""
     active, vectors = layout.active, layout.vectors
     mix_m, mix_a = layout.mix_m, layout.mix_a
     last = seen.products[2 * vectors :]
@@ -277,7 +286,7 @@ def _matrix(layout: _Layout, seen: _Seen, own: Complex, mixed: Complex) -> Array
 def _own_and_mixed(
     layout: _Layout, pull: Array, own: Complex, mixed: Complex
 ) -> tuple[Array, Array]:
-    """Sums over holograms of columns times what pulls at their vectors (2v, k)."""
+    """Return sums over holograms of columns times the forces (2v, k) on their vectors."""
     active, vectors, own_v = layout.active, layout.vectors, layout.own_v
     of_mixed = _with_mixed(pull[None], mixed, active, vectors)[0]
     return (
@@ -287,7 +296,7 @@ def _own_and_mixed(
 
 
 def _coupling(layout: _Layout, own: Complex, mixed: Complex, moved: Array) -> Array:
-    """Products (q, 2, k) of all columns with those of the drive's log magnitude and phase."""
+    """Return the products (q, 2, k) of all columns with those of the drive."""
     active, vectors, own_v = layout.active, layout.vectors, layout.own_v
     of_own = [own.real * m[own_v] + own.imag * m[own_v + vectors] for m in moved]
     of_mixed = [_by_mixed(m, mixed, active, vectors)[layout.mix_m, layout.mix_a] for m in moved]
@@ -303,7 +312,7 @@ def _coupling(layout: _Layout, own: Complex, mixed: Complex, moved: Array) -> Ar
 def _of_own(
     layout: _Layout, seen: _Seen, own: Complex, mixed: Complex
 ) -> tuple[Array, Array, Array]:
-    """Products of columns of one vector each with such (p, p), mixing (p, r), together (p, q)."""
+    """Return products of own columns with own (p, p), mixing (p, r), common-mode ones (p, q)."""
     active, vectors, own_v = layout.active, layout.vectors, layout.own_v
     count = len(own_v)
     with_own = np.empty((count, count))
@@ -311,48 +320,46 @@ def _of_own(
     with_last = np.empty((count, len(seen.products) - 2 * vectors))
 
     def fill(some: slice) -> None:
-        # Few at a time: beside all other vectors each is as long as there are holograms.
+        # Few rows at a time: each has a number for every vector and hologram.
         real, imaginary = own.real[some, None], own.imag[some, None]
-        beside = np.empty((len(real), *seen.products.shape[1:]), seen.products.dtype)
+        rows = np.empty((len(real), *seen.products.shape[1:]), seen.products.dtype)
         for row, v in enumerate(own_v[some]):
-            np.multiply(real[row], seen.products[v], out=beside[row])
-            beside[row] += imaginary[row] * seen.products[v + vectors]
-        with_own[some] = _with_own(beside, own_v, own, vectors)
-        by_mode = _with_mixed(beside, mixed, active, vectors)
+            np.multiply(real[row], seen.products[v], out=rows[row])
+            rows[row] += imaginary[row] * seen.products[v + vectors]
+        with_own[some] = _with_own(rows, own_v, own, vectors)
+        by_mode = _with_mixed(rows, mixed, active, vectors)
         with_mixed[some] = by_mode[:, layout.mix_m, layout.mix_a]
-        with_last[some] = beside[:, 2 * vectors :].sum(axis=2)
+        with_last[some] = rows[:, 2 * vectors :].sum(axis=2)
 
-    map_threads(fill, count, _TOGETHER)
+    map_threads(fill, count, _ROWS_AT_ONCE)
     return with_own, with_mixed, with_last
 
 
-def _with_own(beside: Array, own_v: NDArray[np.intp], own: Complex, vectors: int) -> Array:
-    """Products (p, p) of columns with those of a vector of its own each."""
-    product = np.empty((len(beside), len(own_v)))
+def _with_own(rows: Array, own_v: NDArray[np.intp], own: Complex, vectors: int) -> Array:
+    """Return the products (p, p) of rows with own columns."""
+    product = np.empty((len(rows), len(own_v)))
     for v in np.unique(own_v):
         of_v = own_v == v
-        product[:, of_v] = (
-            beside[:, v] @ own.real[of_v].T + beside[:, v + vectors] @ own.imag[of_v].T
-        )
+        product[:, of_v] = rows[:, v] @ own.real[of_v].T + rows[:, v + vectors] @ own.imag[of_v].T
     return product
 
 
-def _with_mixed(beside: Array, mixed: Complex, active: int, vectors: int) -> Array:
-    """Products (p, m, a) of columns with all mixing coefficients."""
-    real, imaginary = beside[:, active:vectors], beside[:, active + vectors : 2 * vectors]
+def _with_mixed(rows: Array, mixed: Complex, active: int, vectors: int) -> Array:
+    """Return the products (p, m, a) of rows with the columns of all mixing coefficients."""
+    real, imaginary = rows[:, active:vectors], rows[:, active + vectors : 2 * vectors]
     product: Array = real @ mixed.real.T + imaginary @ mixed.imag.T
     return product
 
 
 def _by_mixed(seen: Array, mixed: Complex, active: int, vectors: int) -> Array:
-    """What (2v + q, k) has of mixing coefficients: (m, a, k)."""
+    """Return the elements (m, a, k) of mixing coefficients in rows (2v + q, k)."""
     real, imaginary = seen[active:vectors, None], seen[active + vectors : 2 * vectors, None]
     found: Array = real * mixed.real + imaginary * mixed.imag
     return found
 
 
 def _mixed_with_mixed(products: Array, mixed: Complex, active: int, vectors: int) -> Array:
-    """Products (m, a, m, a) of all mixing coefficients with each other."""
+    """Return the products (m, a, m, a) of the columns of all mixing coefficients."""
     halves = slice(active, vectors), slice(active + vectors, 2 * vectors)
     numbers = mixed.real, mixed.imag
     modes = vectors - active
@@ -365,7 +372,10 @@ def _mixed_with_mixed(products: Array, mixed: Complex, active: int, vectors: int
 
 
 def _drive(model: Model, now: Terms, vectors: int) -> Array:
-    """Derivatives (2, 2v, k) by log magnitude and phase: amplitudes, and these turned by 90°."""
+    """Return the derivatives (2, 2v, k) by log magnitude and phase of the drive.
+
+    They are the amplitudes, and the amplitudes turned by 90°.
+    """
     weight = np.zeros((vectors, len(model.hz)), complex)
     active, passive = model.active, model.passive
     weight[: len(active)] = now.modal[:, active].T
@@ -379,9 +389,9 @@ def _drive(model: Model, now: Terms, vectors: int) -> Array:
 
 
 def _drive_matrix(model: Model, state: State, moved: Array, drive: Array) -> Array:
-    count, bent = len(model.hz), bend(model, state)
+    count, drive_prior = len(model.hz), drive_prior_at(model, state)
     own = np.einsum("lck,mck->lmk", moved[:, : drive.shape[1]], drive)
-    matrix = linalg.block_diag(bent.curvature, np.zeros((count, count)))
+    matrix = linalg.block_diag(drive_prior.curvature, np.zeros((count, count)))
     k = np.arange(count)
     for row in range(2):
         for column in range(2):

@@ -1,4 +1,4 @@
-"""Where on the reed the joint fit leaves residuals."""
+"""Map the residuals of the joint fit on the surface of the reed."""
 
 from dataclasses import dataclass
 
@@ -14,14 +14,14 @@ _CELL_M = 2e-3
 
 @dataclass(frozen=True)
 class ResidualMap:
-    """What a fit leaves of the holograms at a resonance, in cells of the reed's surface.
+    """Residuals of the holograms at a resonance, in cells of the reed's surface.
 
     Attributes
     ----------
     x_m, y_m : (c,) float
         Centres of the cells.
     value : (c,) float
-        Mean square of what is left of the phasors, in units of the noise: 1 is noise alone.
+        Mean square residual of the block amplitudes, in units of the noise: 1 is noise alone.
     """
 
     x_m: Array
@@ -37,31 +37,33 @@ class ResidualMap:
         }
 
 
-def left_square(fit: JointFit, holograms: NDArray[np.intp]) -> Array:
-    """Squares (s, n) of what displacements leave of holograms (s,), in units of the noise."""
+def squared_residual(fit: JointFit, holograms: NDArray[np.intp]) -> Array:
+    """Return the squared residuals (s, n) of holograms (s,), in units of the noise."""
     found = fit.displacements
     u = found.amplitude_rad[holograms].astype(np.complex64) @ fit.basis.functions.T
     over, _ = BesselTable().tensor(np.abs(u))
-    lit = np.exp(found.gain[holograms]).astype(np.float32)[:, None] * found.light
-    left = fit.phasors.value[:, holograms].T - lit * (u * over)
+    lit = np.exp(found.gain[holograms]).astype(np.float32)[:, None] * found.object_field
+    left = fit.block_amplitudes.value[:, holograms].T - lit * (u * over)
     square: Array = left.real**2 + left.imag**2
     return square
 
 
 def residual_map(fit: JointFit, name: str) -> ResidualMap:
-    """Map what is left of the three holograms nearest to a mode's resonance.
+    """Map the mean residual of the three holograms nearest to a mode's resonance.
 
     Parameters
     ----------
     fit : JointFit
     name : str
-        Of one of its modes.
+        Name of one of its modes.
     """
-    phasors = fit.phasors
+    block_amplitudes = fit.block_amplitudes
     hz = fit.modal.hz[fit.modal.names.index(name)]
-    nearest = np.argsort(np.abs(np.log(phasors.drive_hz / hz)))[:3]
-    square = left_square(fit, nearest).mean(axis=0)
-    cells = np.stack([np.floor(phasors.x_m / _CELL_M), np.floor(phasors.y_m / _CELL_M)], axis=1)
+    nearest = np.argsort(np.abs(np.log(block_amplitudes.drive_hz / hz)))[:3]
+    square = squared_residual(fit, nearest).mean(axis=0)
+    cells = np.stack(
+        [np.floor(block_amplitudes.x_m / _CELL_M), np.floor(block_amplitudes.y_m / _CELL_M)], axis=1
+    )
     places, which = np.unique(cells, axis=0, return_inverse=True)
     mean = np.bincount(which.ravel(), square) / np.bincount(which.ravel())
     x_m, y_m = ((places + 0.5) * _CELL_M).T

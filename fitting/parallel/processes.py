@@ -1,8 +1,7 @@
-"""Work in pieces, side by side, each piece in a process of its own.
+"""Apply a function to several items in parallel, each in a separate (forked) process.
 
-Every piece begins with what is known when it is split off: what one leaves in memory changes
-nothing for another, so that where processes can be split off results depend neither on their order
-nor on the number of processors.
+Every process starts with a copy of this process's memory and changes nothing for the others. The
+results therefore depend neither on the order of the items nor on the number of processors.
 """
 
 import multiprocessing
@@ -22,30 +21,29 @@ from typing import TypeVar
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 
-# Elsewhere processes cannot be split off, or not safely.
+# Other platforms cannot fork, or not safely.
 _SPLITS = sys.platform == "linux"
-# Each needs memory of its own.
+# Limit of processes, because each needs its own memory.
 _MOST = 8
 
 
 def map_processes(work: Callable[[Item], Made], items: Sequence[Item]) -> Generator[Made]:
-    """Do work for every item; yield what it makes in the order of items.
+    """Call a function for every item in parallel processes; yield results in the order of items.
 
-    As many at once as there are processors for this process, up to 8.
-
-    What a process has not handed back before it died, and what no process can be split off for, is
-    made here; all is where processes cannot be split off, or in one that was.
+    There are as many processes as processors, at most 8. If a process dies or cannot be started,
+    its item is computed in this process; so are all items where forking is not possible, or inside
+    such a process.
 
     Parameters
     ----------
     work : callable
-        What it makes or raises must be possible to pickle; what it changes is lost.
+        Its results and exceptions must be picklable. Changes that it makes in memory are lost.
     items : sequence
 
     Raises
     ------
     Exception
-        What work raises.
+        The exceptions of `work`.
     """
     if not _SPLITS or multiprocessing.current_process().daemon or len(items) < 2:
         yield from map(work, items)
@@ -115,15 +113,15 @@ def _split_off(
 def _answer(
     there: Connection, inherited: list[Connection], work: Callable[[Item], Made], item: Item
 ) -> None:
-    """Do a piece of work in a process of its own, and hand it back."""
-    # Who interrupts means all: the process that is asked ends those that it has split off.
+    """Compute one item in the child process and send the result back."""
+    # An interrupt goes to all processes: the parent ends its children.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    # Nobody but the process that is asked reads, so that no answer waits for one that has died.
+    # Only the parent reads, so that no result waits for a process that has died.
     for connection in inherited:
         connection.close()
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    # A display that was at work may hold the locks of its own.
+    # The copy of a progress display may hold the locks of standard output.
     with open(os.dup(2), "w", encoding="utf-8") as said:
         sys.stdout = sys.stderr = said
         answer = _packed(_done(work, item))
@@ -140,20 +138,20 @@ def _end_with_parent() -> None:
 
 
 def _packed(done: Future[Made]) -> bytes:
-    """What was made or raised, as bytes that can be read back."""
+    """Pickle a result or exception."""
     trouble = done.exception()
     try:
         packed = pickle.dumps((trouble, None if trouble else done.result()))
         if trouble:
             pickle.loads(packed)
     except Exception as error:  # noqa: BLE001  # objects that cannot be pickled may raise anything
-        told = repr(trouble) if trouble else f"what was made cannot be handed back: {error}"
-        packed = pickle.dumps((RuntimeError(told), None))
+        words = repr(trouble) if trouble else f"what was made cannot be handed back: {error}"
+        packed = pickle.dumps((RuntimeError(words), None))
     return packed
 
 
 def _handed_back(connection: Connection, process: BaseProcess) -> Future[Made] | None:
-    """What a process has made or raised; None if it has died."""
+    """Return the result or exception of a process; None if it has died."""
     try:
         trouble, made = pickle.loads(connection.recv_bytes())
     except (EOFError, OSError):

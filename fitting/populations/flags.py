@@ -22,7 +22,7 @@ class Flag(IntFlag):
     TOO_FEW_RESONANCES = auto()
     """No more resonances than components: nothing is fitted."""
     UNDETERMINED = auto()
-    """The resonances do not tell all components apart; those unknown are NaN."""
+    """The resonances do not determine all components; undetermined ones are NaN."""
     NOT_CONVERGED = auto()
     """No least squares found; the components are the best seen, their errors mean little."""
     E1_NOT_POSITIVE = auto()
@@ -47,35 +47,35 @@ SPRING_FLAGS = (
 
 @runtime_checkable
 class BoundedMetamodel(Metamodel, Protocol):
-    """A metamodel that knows where it was fitted."""
+    """A metamodel with a known range of moduli."""
 
     def within(self, E_L_pa: Array, G_LT_pa: Array) -> Mask:
-        """Whether moduli lie there; shapes that broadcast."""
+        """Return whether moduli lie in the range; the shapes broadcast."""
 
 
 @runtime_checkable
 class FollowingMetamodel(Metamodel, Protocol):
-    """A metamodel that knows where it follows which mode."""
+    """A metamodel that is valid for each mode in its own range of moduli."""
 
     def follows(self, E_L_pa: Array, G_LT_pa: Array) -> Mask:
-        """Whether it does, mode by mode, at moduli (..., m)."""
+        """Return whether the metamodel is valid for each mode, at moduli (..., m)."""
 
 
 @dataclass(frozen=True)
 class PopulationFit:
-    """What the resonances say about n reeds; what is not known is NaN with an infinite error.
+    """Fitted components of n reeds; undetermined ones are NaN with an infinite error.
 
     Attributes
     ----------
     components : (n, K) float
         e1, e2, e3 from series A; e4 too from both series.
     errors : (n, K) float
-        Standard errors, from the stated errors of the resonances and the misfit.
+        Standard errors, from the stated errors of the resonances and the excess scatter.
     reduced_chi2 : (n,) float
         Weighted squares per degree of freedom of the best fit with the stated errors.
     misfit_cents : (n,) float
-        By how much, beside these errors, each resonance is off the model: standard deviation. It
-        is 0 where chance explains `reduced_chi2` (in 5 % of cases).
+        Excess scatter: standard deviation of the resonances around the model, in addition to the
+        stated errors. It is 0 where `reduced_chi2` passes a χ² test at 5 %.
     residual_cents : (n, s, m) float
         Observed less fitted frequencies, NaN for resonances that were not used.
     rms_cents : (n,) float
@@ -83,9 +83,9 @@ class PopulationFit:
     used : (n,) int
         Number of resonances.
     left_out : (n, s, m) bool
-        Resonances that were not used: at the reed's moduli their modes exchange shapes with others.
+        Resonances that were not used, because their modes exchange shapes with others.
     flags : (n,) int
-        Combinations of `Flag`; ``Flag(flags[k])`` reads as words, 0 is an ordinary fit.
+        Combinations of `Flag`; 0 is an ordinary fit.
     """
 
     components: Array
@@ -100,6 +100,6 @@ class PopulationFit:
 
 
 def count_flags(flags: NDArray[np.int64]) -> dict[str, int]:
-    """Number of reeds that bear each flag, by its name; flags that no reed bears are left out."""
+    """Return the number of reeds with each flag, by its name; unused flags are omitted."""
     counts = {str(flag.name): int(np.count_nonzero(flags & int(flag))) for flag in Flag}
     return {name: count for name, count in counts.items() if count}

@@ -17,14 +17,14 @@ from fitting.cane.fit_runs import (
 )
 from fitting.errors import FitError, FitInputError
 from fitting.forward import basis_of, finite_element_model
-from fitting.modal.acoustic_resonances import Line, common_lines
+from fitting.modal.acoustic_resonances import ExcitationPeak, common_excitation_peaks
 from fitting.paper.constants import adjusted_metamodel
 from fitting.populations.flags import Flag, PopulationFit, count_flags
 from fitting.populations.population import fit_population
 from fitting.populations.resonance_table import Resonances, read_resonances
 from physics.reed.log_polynomial import finite_element_polynomial
 from physics.reed.metamodel import Metamodel
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.viscoelastic import Series
 from protocols.reed import ReedFile
 from runs.errors import RunFileError
@@ -37,7 +37,7 @@ _UNFIT = Flag.TOO_FEW_RESONANCES | Flag.NOT_CONVERGED
 
 @dataclass
 class PopulationSummary:
-    """What is told of a population; grows as its reeds are fitted.
+    """Statistics of a population, updated as its reeds are fitted.
 
     Attributes
     ----------
@@ -160,7 +160,7 @@ class Measured:
         Fits that show modes, and the runs that they are of, relative to the folder.
     reeds : int
         How many show modes.
-    lines : tuple of Line, optional
+    excitation_peaks : tuple of ExcitationPeak, optional
         What stays at the same frequency from reed to reed, and how many reeds show it: the air's.
         None if the method does not look for it.
     """
@@ -168,13 +168,13 @@ class Measured:
     kind: ReedFile
     sweeps: tuple[tuple[SweepFit, Path], ...]
     reeds: int
-    lines: tuple[Line, ...] | None
+    excitation_peaks: tuple[ExcitationPeak, ...] | None
 
     def to_json(self) -> list[dict[str, Any]] | None:
         """Return the lines with stable keys (documented in ``docs/json.md``)."""
-        if self.lines is None:
+        if self.excitation_peaks is None:
             return None
-        return [asdict(line) for line in self.lines]
+        return [asdict(peak) for peak in self.excitation_peaks]
 
 
 def measure_resonances(
@@ -191,7 +191,7 @@ def measure_resonances(
     ----------
     folder : Path
     announce : callable, optional
-        Receives a line about each run.
+        Receives a line of text about each run.
     method : MethodName
 
     Raises
@@ -199,29 +199,33 @@ def measure_resonances(
     FitInputError
         If no run gives resonances, or the runs are of several kinds of reeds.
     """
-    tell = announce or (lambda _: None)
-    latest = _latest_runs(folder, tell)
+    say = announce or (lambda _: None)
+    latest = _latest_runs(folder, say)
     kind = _kind_of(folder, latest)
-    reed = basis_of(kind, tell)
+    reed = basis_of(kind, say)
     model = finite_element_model(reed)
     sweeps: list[tuple[SweepFit, Path]] = []
     # Those of both series of a reed are one reed's.
-    lines: dict[str, list[Line]] = {}
+    excitation_peaks: dict[str, list[ExcitationPeak]] = {}
     for number, path in enumerate(latest, 1):
-        tell(f"run {number} of {len(latest)}: {path}")
+        say(f"run {number} of {len(latest)}: {path}")
         try:
             with Run.open(path) as run:
                 sweep = FIT_SWEEP[method](run, reed, model)
         except (FitError, RunFileError) as error:
-            tell(f"{path}: passed over: {str(error).removeprefix(f'{path}: ')}")
+            say(f"{path}: passed over: {str(error).removeprefix(f'{path}: ')}")
             continue
         if sweep.resonances:
             sweeps.append((sweep, path.relative_to(folder)))
-        lines.setdefault(sweep.reed, []).extend(sweep.lines)
+        excitation_peaks.setdefault(sweep.reed, []).extend(sweep.excitation_peaks)
     if not sweeps:
         raise FitInputError(f"{folder}: no run of series A or B in it shows resonances")
-    common = tuple(common_lines(list(lines.values()))) if method == "joint" else None
-    return Measured(kind, tuple(sweeps), len(lines), common)
+    common = (
+        tuple(common_excitation_peaks(list(excitation_peaks.values())))
+        if method == "joint"
+        else None
+    )
+    return Measured(kind, tuple(sweeps), len(excitation_peaks), common)
 
 
 def _kind_of(folder: Path, runs: Sequence[Path]) -> ReedFile:
@@ -234,14 +238,14 @@ def _kind_of(folder: Path, runs: Sequence[Path]) -> ReedFile:
     if not kinds:
         raise FitInputError(f"{folder}: no run of series A or B in it is complete")
     if len(kinds) > 1:
-        told = ", ".join(f"{kind.name} in {path.name}" for kind, path in kinds.values())
+        named = ", ".join(f"{kind.name} in {path.name}" for kind, path in kinds.values())
         raise FitInputError(
-            f"{folder}: holds runs of several kinds of reeds ({told}); give each kind a folder"
+            f"{folder}: holds runs of several kinds of reeds ({named}); give each kind a folder"
         )
     return next(iter(kinds.values()))[0]
 
 
-def _latest_runs(folder: Path, tell: Callable[[str], None]) -> list[Path]:
+def _latest_runs(folder: Path, say: Callable[[str], None]) -> list[Path]:
     """Complete runs by reed and series."""
     latest: dict[tuple[str, str], tuple[str, Path]] = {}
     for path in sorted(folder.rglob("*.h5")):
@@ -249,12 +253,12 @@ def _latest_runs(folder: Path, tell: Callable[[str], None]) -> list[Path]:
             with Run.open(path) as run:
                 key, start, status = (run.reed, run.series), run.start_time, run.status
         except RunFileError as error:
-            tell(str(error))
+            say(str(error))
             continue
         if status != "complete" or key[1] not in set(Series):
-            tell(f"{path}: {status}, series {key[1]}: passed over")
+            say(f"{path}: {status}, series {key[1]}: passed over")
             continue
         if key in latest:
-            tell(f"{min(latest[key], (start, path))[1]}: there is a later run of that reed")
+            say(f"{min(latest[key], (start, path))[1]}: there is a later run of that reed")
         latest[key] = max(latest.get(key, (start, path)), (start, path))
     return [path for _, (_, path) in sorted(latest.items())]

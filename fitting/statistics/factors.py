@@ -254,7 +254,7 @@ def _centred(values: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class Reconstruction:
+class FactorReconstruction:
     """Variables as linear functions of factors (paper, hypothesis H10).
 
     Attributes
@@ -272,7 +272,7 @@ class Reconstruction:
     rmsd_cents: float
 
 
-def reconstruct(observed_cents: Array, scores: Array) -> Reconstruction:
+def reconstruct(observed_cents: Array, scores: Array) -> FactorReconstruction:
     """Regress each variable on factors by least squares, missing observations left out.
 
     Parameters
@@ -303,7 +303,7 @@ def reconstruct(observed_cents: Array, scores: Array) -> Reconstruction:
     )
     cents = design @ coefficients.T
     rmsd = np.sqrt(np.mean((observed_cents - cents)[known] ** 2))
-    return Reconstruction(coefficients, cents, float(rmsd))
+    return FactorReconstruction(coefficients, cents, float(rmsd))
 
 
 def orthonormal(components: Array) -> Array:

@@ -35,8 +35,8 @@ from physics.reed.mesh import (
     ReedMesh,
     build_mesh,
 )
+from physics.reed.mode_classification import vamp_profiles
 from physics.reed.modes import HIGHEST_HZ
-from physics.reed.names import vamp_profiles
 
 Array = NDArray[np.floating[Any]]
 

@@ -25,7 +25,6 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from physics.reed.anatomy import Anatomy, build_anatomy
 from physics.reed.basis import (
     BasisSettings,
     HalfBasis,
@@ -35,10 +34,11 @@ from physics.reed.basis import (
 from physics.reed.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
 from physics.reed.mesh import MeshLevel
+from physics.reed.shape_derivatives import ShapeDerivatives, build_shape_derivatives
 from physics.reed.whole import WholeReed, build_whole_reed
 
 Made = TypeVar("Made")
-_ANATOMY = ("bark_m", "area_m2", "strip_m2")
+_SHAPE_DERIVATIVES = ("bark_m", "area_m2", "strip_m2")
 Arrays = Mapping[str, NDArray[Any]]
 
 # Raised by an entry that is absent, damaged, or holds other arrays than it should.
@@ -359,45 +359,47 @@ def whole_reed(
     return kept("whole", (geometry, level, settings), build, to_arrays, restored, announce)
 
 
-def anatomy(
+def shape_derivatives(
     geometry: ReedGeometry | None = None,
     level: MeshLevel = STANDARD,
     settings: BasisSettings | None = None,
     announce: Callable[[str], None] | None = None,
-) -> Anatomy:
-    """Anatomy of a reed from the cache, or built and kept; see `reduced_reed`.
+) -> ShapeDerivatives:
+    """ShapeDerivatives of a reed from the cache, or built and kept; see `reduced_reed`.
 
     Raises
     ------
     ValueError
-        For an impossible geometry or material (see `build_anatomy`).
+        For an impossible geometry or material (see `build_shape_derivatives`).
     """
     geometry, settings = geometry or ReedGeometry(), settings or BasisSettings()
 
-    def build() -> Anatomy:
+    def build() -> ShapeDerivatives:
         if announce:
             announce("laying the reed open by finite elements (kept for the next time)")
-        return build_anatomy(geometry, level, settings)
+        return build_shape_derivatives(geometry, level, settings)
 
-    def to_arrays(made: Anatomy) -> Arrays:
+    def to_arrays(made: ShapeDerivatives) -> Arrays:
         arrays = {f"reed_{name}": array for name, array in _arrays(made.reed).items()}
-        arrays |= {name: getattr(made, name) for name in _ANATOMY}
+        arrays |= {name: getattr(made, name) for name in _SHAPE_DERIVATIVES}
         for symmetry in Symmetry:
             arrays[f"{symmetry}_clamped"] = np.array(made.clamped[symmetry])
             arrays[f"{symmetry}_strain"] = made.strain[symmetry]
             arrays[f"{symmetry}_motion"] = made.motion[symmetry]
         return arrays
 
-    def restored(arrays: Arrays) -> Anatomy:
+    def restored(arrays: Arrays) -> ShapeDerivatives:
         reed = _reed_of(
             geometry, settings, {name[5:]: arrays[name] for name in arrays if name[:5] == "reed_"}
         )
-        return Anatomy(
+        return ShapeDerivatives(
             reed=reed,
             clamped={symmetry: int(arrays[f"{symmetry}_clamped"]) for symmetry in Symmetry},
             strain={symmetry: arrays[f"{symmetry}_strain"] for symmetry in Symmetry},
             motion={symmetry: arrays[f"{symmetry}_motion"] for symmetry in Symmetry},
-            **{name: arrays[name] for name in _ANATOMY},
+            **{name: arrays[name] for name in _SHAPE_DERIVATIVES},
         )
 
-    return kept("anatomy", (geometry, level, settings), build, to_arrays, restored, announce)
+    return kept(
+        "shape_derivatives", (geometry, level, settings), build, to_arrays, restored, announce
+    )

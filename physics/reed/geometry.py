@@ -269,7 +269,7 @@ def require_possible(geometry: ReedGeometry) -> None:
     Raises
     ------
     ValueError
-        Naming the first thing wrong, its value and what it must be.
+        ModeClassification the first thing wrong, its value and what it must be.
     """
     outline, clamp = geometry.outline, geometry.clamp
     _require_outline(outline)

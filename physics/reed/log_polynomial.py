@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from physics.reed.basis import ReducedReed
 from physics.reed.metamodel import REFERENCE_HZ
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.response import elastic_modes
 
 Array = NDArray[np.floating[Any]]
 
 # Rounding of a modulus at an edge of its range does not put it outside.
 _EDGE = 1e-9
-# So far off the others, a mode of the vamp has met one that lends it no likeness (X1 meets L1).
+# So far off the others, a mode of the vamp has met one that lends it no similarity (X1 meets L1).
 _OTHER_BRANCH_CENTS = 10.0
 # A polynomial this close to a mode follows it: a resonance in a sweep of 25-cent steps is known to
 # 7 cents.
@@ -288,7 +288,7 @@ def finite_element_polynomial(
     degree: int = 5,
     box: Box = REED_BOX,
     count: int = 24,
-    least_likeness: float = 0.95,
+    least_similarity: float = 0.95,
 ) -> LogPolynomial:
     """Follow the modes of a reed by name, straight through their crossings with others.
 
@@ -296,8 +296,8 @@ def finite_element_polynomial(
     ----------
     count : int
         Materials per modulus at which the modes are computed.
-    least_likeness : float
-        Materials that give a mode less of its likeness, relative to the mode at its purest, are
+    least_similarity : float
+        Materials that give a mode less of its similarity, relative to the mode at its purest, are
         left out: the bend of a crossing would be spread over the whole box.
 
     Raises
@@ -306,9 +306,9 @@ def finite_element_polynomial(
         See `fit_log_polynomial`.
     """
     E, G = network_pa(box, count)
-    table, likeness = _tabulate(reed, modes, E, G)
-    purest = np.percentile(likeness, 90, axis=0)
-    cents = np.where(likeness < least_likeness * purest, np.nan, table)
+    table, similarity = _tabulate(reed, modes, E, G)
+    purest = np.percentile(similarity, 90, axis=0)
+    cents = np.where(similarity < least_similarity * purest, np.nan, table)
     while True:
         polynomial = fit_log_polynomial(modes, E, G, cents, degree, box)
         found = polynomial.evaluate(E[:, None], G[:, None])[0]
@@ -330,13 +330,13 @@ def _cells(followed: NDArray[np.bool_], count: int) -> Cells:
 def _tabulate(
     reed: ReducedReed, modes: tuple[str, ...], E_L_pa: Array, G_LT_pa: Array
 ) -> tuple[Array, Array]:
-    """Cents above F6, NaN where a mode is missing, and likeness, (n, m) each."""
+    """Cents above F6, NaN where a mode is missing, and similarity, (n, m) each."""
     cents = np.full((len(E_L_pa), len(modes)), np.nan)
-    likeness = np.zeros_like(cents)
+    similarity = np.zeros_like(cents)
     for n, (E, G) in enumerate(zip(E_L_pa, G_LT_pa, strict=True)):
         found = elastic_modes(reed, float(E), float(G))
         for m, name in enumerate(modes):
             if name in found:
                 cents[n, m] = 1200 * np.log2(found[name].frequency_hz / REFERENCE_HZ)
-                likeness[n, m] = found[name].likeness
-    return cents, likeness
+                similarity[n, m] = found[name].similarity
+    return cents, similarity

@@ -9,7 +9,7 @@ rest, and are eliminated first. `material_training` makes the matrices.
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -21,29 +21,19 @@ from scipy.optimize import linear_sum_assignment
 
 from physics.reed.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
-from physics.reed.material import STIFFNESS_TERMS, Cane
+from physics.reed.material_constants import (
+    CONSTANTS,
+    SLOPES,
+    MaterialBox,
+    possible_canes,
+    terms_and_slopes,
+    within_box,
+)
 from physics.reed.modes import ModeClass
 
 Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
 
-# Elastic constants of a cane, in the order of `Cane`: six moduli, three Poisson ratios.
-CONSTANTS = tuple(field.name for field in fields(Cane))[:-1]
-MODULI = CONSTANTS[:6]
-# What frequencies are derived by, in the order of `ReedModes.slopes`.
-SLOPES = (
-    *(f"ln {name}" for name in MODULI),
-    *CONSTANTS[6:],
-    "ln density_kg_m3",
-    "thickness_offset_m",
-)
-# Positions in the stiffness matrix of `STIFFNESS_TERMS` that couple normal strains.
-_NORMAL = tuple((int(term[0]) - 1, int(term[1]) - 1) for term in STIFFNESS_TERMS[:6])
-# The remaining terms are the shear moduli TR, LR and LT.
-_SHEAR = tuple(MODULI.index(name) for name in ("G_TR_pa", "G_LR_pa", "G_LT_pa"))
-_POISSON = ((0, 1), (0, 2), (1, 2))
-# No solid is softer or stiffer, and no reed as thick as this; beyond, numbers would overflow.
-_MODULI_PA = (1.0, 1e15)
 _LARGEST_OFFSET_M = 1.0
 # Modes beyond the named ones among which a name may be found where unnamed modes come lower.
 SPARE_CANDIDATES = 8
@@ -52,33 +42,6 @@ SPARE_CANDIDATES = 8
 _BLOCKS = 4
 # Reeds that are worked on together.
 _CHUNK = 32
-
-
-@dataclass(frozen=True)
-class MaterialBox:
-    """Range (lowest, highest) of every input that a basis answers for.
-
-    The density may be any up to `material_snapshots.heaviest_kg_m3`; of heavier cane the highest
-    modes are rough.
-
-    Attributes
-    ----------
-    E_L_pa … nu_TR : (float, float)
-        As in `Cane`.
-    thickness_offset_m : (float, float)
-        Added to the offset of the reed's geometry.
-    """
-
-    E_L_pa: tuple[float, float] = (7e9, 21e9)
-    E_T_pa: tuple[float, float] = (480e6 / 1.33, 480e6 * 1.33)
-    E_R_pa: tuple[float, float] = (480e6 / 1.33, 480e6 * 1.33)
-    G_LT_pa: tuple[float, float] = (0.45e9, 2e9)
-    G_LR_pa: tuple[float, float] = (1200e6 / 1.33, 1200e6 * 1.33)
-    G_TR_pa: tuple[float, float] = (1200e6 / 1.33, 1200e6 * 1.33)
-    nu_LT: tuple[float, float] = (0.15, 0.30)
-    nu_LR: tuple[float, float] = (0.15, 0.30)
-    nu_TR: tuple[float, float] = (0.15, 0.30)
-    thickness_offset_m: tuple[float, float] = (-20e-6, 20e-6)
 
 
 @dataclass(frozen=True)
@@ -145,7 +108,7 @@ class ReedModes:
     slopes : (n, m, 11) float, or None if not asked for
         Derivatives of ln hz by the inputs in `SLOPES`: by the logarithms of moduli and density
         (no unit), by Poisson ratios (no unit) and by the thickness offset (1/m).
-    likeness : (n, m) float
+    similarity : (n, m) float
         Share of the mode in the motion of the mode that bears its name for the reference cane, 0
         to 1; near one half where two modes of one symmetry exchange shapes.
     within : (n,) bool
@@ -157,23 +120,8 @@ class ReedModes:
     names: tuple[str, ...]
     hz: Array
     slopes: Array | None
-    likeness: Array
+    similarity: Array
     within: Mask
-
-
-def constants_of(canes: Sequence[Cane]) -> Array:
-    """Elastic constants (n, 9) of canes, in the order of `CONSTANTS`."""
-    return np.array([astuple(cane)[:9] for cane in canes], dtype=float).reshape(-1, 9)
-
-
-def within_box(box: MaterialBox, constants: Array, thickness_offset_m: Array) -> Mask:
-    """Which reeds (n,) of constants (n, 9) and offsets (n,) lie in a box, its ends included."""
-    limits = np.asarray(astuple(box))
-    inputs = np.column_stack([constants, thickness_offset_m])
-    # The ends of the box are often computed: a rounding error is not outside.
-    slack = 1e-9 * np.diff(limits)[:, 0]
-    inside = (inputs >= limits[:, 0] - slack) & (inputs <= limits[:, 1] + slack)
-    return np.asarray(inside.all(axis=1))
 
 
 def modes(
@@ -191,7 +139,7 @@ def modes(
     through. It is the shape of the reference cane, so that a name depends on the reed alone and
     not on a way to it. Half of the box's reeds at its corners, `names` would give the clarinet's
     modes the same names in nine of ten reeds and more, but T5 in 88 %, X4 in 74 and X6 in 66,
-    which exchange shapes with each other; where `likeness` exceeds 3/4, always, but T5 in 90 %,
+    which exchange shapes with each other; where `similarity` exceeds 3/4, always, but T5 in 90 %,
     X4 in 85 and X6 in 81 (``python -m benchmarks.reduced_basis``).
 
     Set ``OMP_NUM_THREADS=1``: the matrices are small, and more threads inside each slow all down.
@@ -217,10 +165,16 @@ def modes(
         names=basis.names,
         hz=np.full(shape, np.nan),
         slopes=np.full((*shape, len(SLOPES)), np.nan) if slopes else None,
-        likeness=np.full(shape, np.nan),
+        similarity=np.full(shape, np.nan),
         within=reeds.within,
     )
     halves = [_prepared(half, basis.names) for half in basis.halves.values()]
+    _solve_all(halves, reeds, answer, threads)
+    return answer
+
+
+def _solve_all(halves: Sequence["_Half"], reeds: "_Reeds", answer: ReedModes, threads: int) -> None:
+    """Solve all possible reeds, some at a time in every thread."""
     which = np.flatnonzero(reeds.possible)
     chunks: SimpleQueue[NDArray[np.intp]] = SimpleQueue()
     for start in range(0, len(which), _CHUNK):
@@ -240,7 +194,6 @@ def modes(
         with ThreadPoolExecutor(threads) as pool:
             for task in [pool.submit(work) for _ in range(threads)]:
                 task.result()
-    return answer
 
 
 def all_modes(
@@ -420,7 +373,7 @@ def _solve(
     for half in halves:
         at = np.ix_(which, half.places)
         solved = _solved(half, terms, reeds.place[which])
-        chosen, answer.likeness[at] = _named(solved.vectors, half.named_shapes)
+        chosen, answer.similarity[at] = _named(solved.vectors, half.named_shapes)
         eigenvalues = np.take_along_axis(solved.eigenvalues, chosen, axis=1)
         # Far outside the box a reed may have no stiffness left.
         eigenvalues = np.where(eigenvalues > 0, eigenvalues, np.nan)
@@ -491,7 +444,7 @@ def _energies(forms: Sequence[tuple[int, int, Array]], shapes: Array, scratch: A
 
 
 def _named(vectors: Array, named_shapes: Array) -> tuple[NDArray[np.intp], Array]:
-    """Place (n, m) of each named mode among eigenvectors (n, r, r), and its likeness (n, m)."""
+    """Place (n, m) of each named mode among eigenvectors (n, r, r), and its similarity (n, m)."""
     candidates = vectors[:, :, : len(named_shapes) + SPARE_CANDIDATES]
     shares = np.matmul(named_shapes, candidates) ** 2
     chosen = shares.argmax(axis=2)
@@ -499,44 +452,3 @@ def _named(vectors: Array, named_shapes: Array) -> tuple[NDArray[np.intp], Array
     for reed in np.flatnonzero((np.diff(np.sort(chosen, axis=1)) == 0).any(axis=1)):
         chosen[reed] = linear_sum_assignment(shares[reed], maximize=True)[1]
     return chosen, np.take_along_axis(shares, chosen[..., None], axis=2)[..., 0]
-
-
-def possible_canes(constants: Array) -> Mask:
-    """Which canes (n,) of constants (n, 9) store energy however they are strained."""
-    moduli, (softest, stiffest) = constants[:, :6], _MODULI_PA
-    solid = np.all((moduli >= softest) & (moduli <= stiffest), axis=1)
-    solid &= np.isfinite(constants).all(axis=1)
-    # A stand-in keeps the arithmetic quiet.
-    safe = np.where(solid[:, None], constants, np.asarray(astuple(Cane())[:9]))
-    E, nu = safe[:, :3], safe[:, 6:]
-    # Minors of the compliance matrix, scaled to a unit diagonal.
-    c = np.stack([nu[:, k] * np.sqrt(E[:, j] / E[:, i]) for k, (i, j) in enumerate(_POISSON)])
-    determinant = 1 - 2 * np.prod(c, axis=0) - np.sum(c**2, axis=0)
-    return np.asarray(solid & (np.abs(c) < 1).all(axis=0) & (determinant > 0))
-
-
-def terms_and_slopes(constants: Array) -> tuple[Array, Array]:
-    """Nine stiffnesses (n, 9), and their derivatives (n, 9, 9) by ln moduli and Poisson ratios."""
-    count = len(constants)
-    E, nu = constants[:, :3], constants[:, 6:]
-    compliance = np.zeros((count, 3, 3))
-    by_constants = np.zeros((count, 6, 3, 3))
-    for i in range(3):
-        compliance[:, i, i] = 1 / E[:, i]
-        by_constants[:, i, i, i] = -1 / E[:, i]
-    for k, (i, j) in enumerate(_POISSON):
-        for a, b in ((i, j), (j, i)):
-            compliance[:, a, b] = -nu[:, k] / E[:, i]
-            by_constants[:, i, a, b] = nu[:, k] / E[:, i]
-            by_constants[:, 3 + k, a, b] = -1 / E[:, i]
-    stiffness = np.linalg.inv(compliance)
-    changes = -stiffness[:, None] @ by_constants @ stiffness[:, None]
-    shear = constants[:, _SHEAR]
-    rows, columns = np.transpose(_NORMAL)
-    terms = np.concatenate([stiffness[:, rows, columns], shear], axis=1)
-    slopes = np.zeros((count, 9, 9))
-    normal = changes[:, :, rows, columns].transpose(0, 2, 1)
-    slopes[:, :6, :3], slopes[:, :6, 6:] = normal[..., :3], normal[..., 3:]
-    for row, column in enumerate(_SHEAR):
-        slopes[:, 6 + row, column] = shear[:, row]
-    return terms, slopes

@@ -19,12 +19,8 @@ from scipy import linalg
 from physics.reed.cache import STANDARD
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.material_basis import (
-    HalfMaterialBasis,
-    MaterialBasis,
-    condensed_stiffness,
-    terms_and_slopes,
-)
+from physics.reed.material_basis import HalfMaterialBasis, MaterialBasis, condensed_stiffness
+from physics.reed.material_constants import terms_and_slopes
 from physics.reed.material_snapshots import (
     TRAINED_BEYOND,
     LargeBasis,

@@ -8,15 +8,8 @@ from scipy.optimize import linear_sum_assignment
 
 from physics.reed.fem import Symmetry
 from physics.reed.material import Cane
-from physics.reed.material_basis import (
-    CONSTANTS,
-    SPARE_CANDIDATES,
-    MaterialBasis,
-    ReedModes,
-    all_modes,
-    constants_of,
-    within_box,
-)
+from physics.reed.material_basis import SPARE_CANDIDATES, MaterialBasis, ReedModes, all_modes
+from physics.reed.material_constants import CONSTANTS, constants_of, within_box
 from physics.reed.modes import HIGHEST_HZ
 from physics.reed.viscoelastic import ViscoelasticCane, storage_modulus_pa
 
@@ -57,17 +50,17 @@ def settled_modes(
     ValueError
         If the reed cannot be, or the iteration does not settle.
     """
-    hz, likeness = np.empty((2, 1, len(basis.names)))
+    hz, similarity = np.empty((2, 1, len(basis.names)))
     for symmetry, half in basis.halves.items():
         places = [basis.names.index(name) for name in half.names]
         settled_hz, shapes = _settled(basis, symmetry, constants, cane, thickness_offset_m)
         shares = (half.named_shapes.T @ shapes) ** 2
         chosen = linear_sum_assignment(shares, maximize=True)[1]
         hz[0, places] = settled_hz[chosen]
-        likeness[0, places] = shares[np.arange(len(chosen)), chosen]
+        similarity[0, places] = shares[np.arange(len(chosen)), chosen]
     offset_m = np.full(len(basis.names), thickness_offset_m)
     within = within_box(basis.box, _constants_at(constants, cane, hz[0]), offset_m).all()
-    return ReedModes(basis.names, hz, None, likeness, np.array([within]))
+    return ReedModes(basis.names, hz, None, similarity, np.array([within]))
 
 
 def _settled(

@@ -32,8 +32,8 @@ from physics.reed.mesh import (
     ReedMesh,
     build_least_mesh,
 )
-from physics.reed.names import (
-    Portrait,
+from physics.reed.mode_classification import (
+    ModeDescriptor,
     names_of,
     vamp_profiles,
 )
@@ -84,12 +84,13 @@ class NamedMode:
     Attributes
     ----------
     name : str
-        See `physics.reed.names`; ``?`` and a number where a better claimant bears the name.
+        See `physics.reed.mode_classification`; ``?`` and a number where another mode has the
+        name.
     frequency_hz : float
     klass : ModeClass
     symmetry : Symmetry
         Of the part with more kinetic energy: a reed that is not its own mirror image mixes both.
-    likeness : float
+    similarity : float
         Share of its motion that bears out its name; low where two modes exchange shapes.
     shape : (n, 3) float
         Displacements at the nodes of `mesh.build_least_mesh`, mass-normalised over that mesh.
@@ -99,7 +100,7 @@ class NamedMode:
     frequency_hz: float
     klass: ModeClass
     symmetry: Symmetry
-    likeness: float
+    similarity: float
     shape: Array
 
 
@@ -220,15 +221,17 @@ def _named_modes(
         solved = list(pool.map(solve, systems))
     for system, (frequencies, reduced) in zip(systems, solved, strict=True):
         shapes = _at_nodes(system, reduced)
-        namings = names_of(_portraits(geometry, system, shapes))
+        namings = names_of(_descriptors(geometry, system, shapes))
         for m, (naming, hz) in enumerate(zip(namings, frequencies, strict=True)):
             klass = _CLASSES.get(naming.name[0], ModeClass.GENERIC)
-            likeness = naming.likeness
+            similarity = naming.similarity
             if klass not in (ModeClass.LATERAL, ModeClass.HEEL):
                 # What moves beside and behind the vamp bears out no name of the vamp.
-                likeness *= 1 - naming.outside
+                similarity *= 1 - naming.outside
             shape = shapes[:, :, m]
-            found.append(NamedMode(naming.name, float(hz), klass, naming.symmetry, likeness, shape))
+            found.append(
+                NamedMode(naming.name, float(hz), klass, naming.symmetry, similarity, shape)
+            )
     wanted = [mode for mode in found if mode.frequency_hz <= highest_hz]
     return sorted(wanted, key=lambda mode: mode.frequency_hz)
 
@@ -361,7 +364,7 @@ def _parts(system: _System, shapes: Array) -> dict[Symmetry, Array]:
     }
 
 
-def _portraits(geometry: ReedGeometry, system: _System, shapes: Array) -> list[Portrait]:
+def _descriptors(geometry: ReedGeometry, system: _System, shapes: Array) -> list[ModeDescriptor]:
     """What names tell motions (n, 3, m) by."""
     parts = _parts(system, shapes)
 
@@ -385,7 +388,7 @@ def _portraits(geometry: ReedGeometry, system: _System, shapes: Array) -> list[P
         bark = part[:, 2].reshape(*block, -1)[:, right, -1]
         profiles, points = vamp_profiles(plan_m[:, right], bark, geometry.vamp_x_m[-1])
         answer.append(
-            Portrait(
+            ModeDescriptor(
                 symmetry=symmetry,
                 share=energies[symmetry] / total,
                 sideways=energy(part[:, 1]) / total,

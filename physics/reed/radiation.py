@@ -12,9 +12,9 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy import linalg
 
-from physics.reed.altered import AirLoad
 from physics.reed.basis import ReducedReed
 from physics.reed.fem import Symmetry
+from physics.reed.structural_modification import AirLoad
 from physics.reed.surface import on_reed, surface_shapes
 
 Array = NDArray[np.floating[Any]]

@@ -16,12 +16,12 @@ from physics.reed.basis import (
 )
 from physics.reed.fem import Symmetry
 from physics.reed.material import Cane, stiffness_terms_pa
+from physics.reed.mode_classification import ModeDescriptor, names_of
 from physics.reed.modes import (
     HIGHEST_HZ,
     at_frequency,
     settled_mode,
 )
-from physics.reed.names import Portrait, names_of
 from physics.reed.viscoelastic import ViscoelasticCane
 from physics.reed.whole import (
     ReedPart,
@@ -51,7 +51,7 @@ class Mode:
     symmetry : Symmetry
     coordinates : (r,) float
         Mass-normalised shape of the half reed in its reduced coordinates.
-    likeness : float
+    similarity : float
         Share of its motion on the vamp, or of its energy for lateral modes and those of the heel,
         that bears out its name; low where two modes of the vamp exchange shapes.
     """
@@ -60,7 +60,7 @@ class Mode:
     frequency_hz: float
     symmetry: Symmetry
     coordinates: Array
-    likeness: float
+    similarity: float
 
 
 def named_modes(reed: ReducedReed) -> int:
@@ -90,7 +90,7 @@ def _named(
         squares: Array = np.einsum("rm,rm->m", shapes, part @ shapes)
         return squares
 
-    portrait = Portrait(
+    descriptor = ModeDescriptor(
         symmetry=symmetry,
         share=np.ones(len(hz)),
         sideways=density_kg_m3 * squared(half.lateral_mass),
@@ -99,8 +99,8 @@ def _named(
         square=squared(half.vamp_square),
     )
     return {
-        naming.name: Mode(naming.name, float(f), symmetry, shape, naming.likeness)
-        for naming, f, shape in zip(names_of([portrait]), hz, shapes.T, strict=True)
+        naming.name: Mode(naming.name, float(f), symmetry, shape, naming.similarity)
+        for naming, f, shape in zip(names_of([descriptor]), hz, shapes.T, strict=True)
     }
 
 

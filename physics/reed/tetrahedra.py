@@ -48,7 +48,7 @@ _TIP_M = 6e-3
 # Modes computed beyond those that give names: stiff elements change their order.
 _SPARE_MODES = 4
 # A motion less like the mode that it is compared with bears no name.
-_LEAST_LIKENESS = 0.5
+_LEAST_SIMILARITY = 0.5
 # Nodes of an element, vertices first, then the midpoints of these edges.
 _EDGES = tuple(combinations(range(4), 2))
 # Exact for polynomials of degree 5; products of quadratic shape functions have 4.
@@ -90,7 +90,7 @@ class TetrahedralReed:
     matrices : ReedMatrices
         Of the half reed.
     modes : list of NamedMode
-        Ascending in frequency, shapes at the nodes of the half reed. `likeness` is the share of
+        Ascending in frequency, shapes at the nodes of the half reed. `similarity` is the share of
         the motion that the mode has in common with that of the mesh divided; modes that have
         little in common with any are left out.
     """
@@ -307,18 +307,18 @@ def _named(
     """Give mass-normalised shapes (f, m) of one symmetry the names of those they are like."""
     trial = np.stack([divided.carried(mode.shape).ravel()[free] for mode in like], axis=1)
     trial = trial / np.sqrt(np.einsum("fr,fr->r", trial, mass_ff @ trial))
-    likeness = (trial.T @ (mass_ff @ shapes)) ** 2
+    similarity = (trial.T @ (mass_ff @ shapes)) ** 2
     answer = []
-    pairs = np.transpose(linear_sum_assignment(likeness, maximize=True)).tolist()
+    pairs = np.transpose(linear_sum_assignment(similarity, maximize=True)).tolist()
     for r, m in pairs:
-        if likeness[r, m] >= _LEAST_LIKENESS:
+        if similarity[r, m] >= _LEAST_SIMILARITY:
             everywhere = np.zeros(divided.mesh.nodes_m.size)
             everywhere[free] = shapes[:, m]
             answer.append(
                 replace(
                     like[r],
                     frequency_hz=float(frequencies_hz[m]),
-                    likeness=float(likeness[r, m]),
+                    similarity=float(similarity[r, m]),
                     shape=everywhere.reshape(-1, 3),
                 )
             )

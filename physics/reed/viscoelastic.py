@@ -152,7 +152,7 @@ def require_physical(cane: ViscoelasticCane) -> None:
     Raises
     ------
     ValueError
-        Naming the first such spring.
+        ModeClassification the first such spring.
     """
     for letter, zener in (("E", cane.young_L), ("G", cane.shear_LT)):
         for rank, value in ((1, zener.spring_mpa), (2, zener.arm_spring_mpa)):

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fitting.cane.fit_runs import SweepFit
-from fitting.fringes.picking import Resonance
+from fitting.fringes.fringe_peaks import Resonance
 from holography.fringes import block_mean
 from reports.plain_text import visible
 from runs.reader import Run

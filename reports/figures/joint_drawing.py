@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
-from fitting.fringes.picking import Resonance
+from fitting.fringes.fringe_peaks import Resonance
 from fitting.modal.identify import JointFit
-from fitting.modal.residual_map import left_square
+from fitting.modal.residual_map import squared_residual
 
 Array = NDArray[np.floating[Any]]
 
@@ -55,7 +55,7 @@ def mode_sheet(fit: JointFit, resonances: dict[str, Resonance]) -> Figure:
     width = _PER_ROW * len(_PANELS) * _PANEL_IN[0]
     height = rows * (_PANEL_IN[1] + _HEAD_IN) + _FOOT_IN
     figure = Figure(figsize=(width, height), facecolor="white")
-    place = _Place.of(fit.phasors.x_m, fit.phasors.y_m)
+    place = _Place.of(fit.block_amplitudes.x_m, fit.block_amplitudes.y_m)
     for number, (name, found) in enumerate(resonances.items()):
         row, column = divmod(number, _PER_ROW)
         for panel, values in enumerate(_values(fit, name)):
@@ -80,23 +80,23 @@ def _words(name: str, found: Resonance) -> str:
     words = f"{name}   {found.frequency_hz:.1f} Hz ± {found.error_cents:.1f} cents"
     if found.loss_factor is not None:
         words += f"   loss factor {found.loss_factor:.4f}"
-    if found.likeness is not None:
-        words += f"   MAC {found.likeness:.2f}"
+    if found.similarity is not None:
+        words += f"   MAC {found.similarity:.2f}"
     return f"{words}   step {found.step_index}"
 
 
 def _values(fit: JointFit, name: str) -> tuple[Array, Array, Array]:
     """Amplitude of the hologram nearest to a resonance, shape, and residual of the hologram."""
     m = fit.modal.names.index(name)
-    nearest = int(np.abs(np.log(fit.phasors.drive_hz / fit.modal.hz[m])).argmin())
-    amplitude = np.abs(fit.phasors.value[:, nearest]).astype(float)
+    nearest = int(np.abs(np.log(fit.block_amplitudes.drive_hz / fit.modal.hz[m])).argmin())
+    amplitude = np.abs(fit.block_amplitudes.value[:, nearest]).astype(float)
     white = np.percentile(amplitude, _WHITE_PERCENTILE)
     shape = fit.basis.functions @ fit.modal.shapes[m]
     largest = shape[np.abs(shape).argmax()]
     return (
         np.clip(amplitude / white, 0, 1),
         shape / largest,
-        left_square(fit, np.array([nearest]))[0],
+        squared_residual(fit, np.array([nearest]))[0],
     )
 
 

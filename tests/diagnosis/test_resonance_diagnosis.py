@@ -23,7 +23,7 @@ from physics.effects.effect import (
     Parameter,
     Stage,
 )
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.viscoelastic import Series
 from physics.twin import with_cane
 from reports.resonance_diagnosis import trials_table, words
@@ -42,7 +42,7 @@ class Formula:
 
     def __init__(self):
         cane = SimpleNamespace(E_L_pa=14e9, G_LT_pa=1.1e9)
-        self.anatomy = SimpleNamespace(reed=SimpleNamespace(cane=cane))
+        self.shape_derivatives = SimpleNamespace(reed=SimpleNamespace(cane=cane))
 
     def modes(self, reed):
         shift = reed.shift

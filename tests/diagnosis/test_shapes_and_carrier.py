@@ -39,7 +39,7 @@ def modes(reed):
 
 
 ANATOMY = SimpleNamespace(reed=SimpleNamespace(plan_m=PLAN, halves=HALVES))
-WORKSHOP = SimpleNamespace(modes=modes, mass_kg=np.eye(3), anatomy=ANATOMY)
+WORKSHOP = SimpleNamespace(modes=modes, mass_kg=np.eye(3), shape_derivatives=ANATOMY)
 NO_LEAKS = Leaks({"up": 0.0}, 0.0)
 
 
@@ -176,7 +176,7 @@ def test_what_leaks_in_is_told_hologram_by_hologram_though_the_reed_moves() -> N
     carriers = [CarrierReading("quiet", 0.02, 1e-5, 2.0)]
     found = unshifted_light([part("quiet", quiet)], [part("rest", still)], carriers)["quiet"]
     np.testing.assert_allclose(found.light, quiet.light, rtol=1e-6)
-    shares = np.array([found.share[k] for k in range(40)])
+    shares = np.array([found.fraction[k] for k in range(40)])
     assert np.abs(shares) == pytest.approx(np.hypot(0.02, 0.0), rel=0.01)
     assert np.abs(np.angle(shares / quiet.phases)).max() < 0.05
 

@@ -11,7 +11,7 @@ from fitting.forward import (
     cents_of,
     finite_element_model,
     hz_of,
-    name_likeness,
+    name_similarity,
     viscoelastic_cents,
 )
 from fitting.paper import constants as paper
@@ -20,7 +20,7 @@ from physics.reed.metamodel import (
     EXPONENT_G_LT,
     REFERENCE_HZ,
 )
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.response import viscoelastic_mode
 from physics.reed.viscoelastic import (
     Components,
@@ -143,8 +143,8 @@ def deviations(reed, model, canes):
     answer = {name: [] for name in PAPER_MODES}
     for cane, series in canes:
         cents = viscoelastic_cents(model, cane, series)
-        likeness = name_likeness(model, cane, cents)
-        for name, at, how_like in zip(PAPER_MODES, cents, likeness, strict=True):
+        similarity = name_similarity(model, cane, cents)
+        for name, at, how_like in zip(PAPER_MODES, cents, similarity, strict=True):
             if how_like >= 0.85:
                 mode = viscoelastic_mode(reed, cane, name, float(hz_of(at)))
                 answer[name].append(at - float(cents_of(mode.frequency_hz)))
@@ -197,14 +197,14 @@ def test_moduli_beyond_the_table_are_taken_at_its_edge(model):
 
 
 def test_likeness_tells_pure_modes_from_those_that_cross(model):
-    pure = dict(zip(PAPER_MODES, model.likeness(*MIDDLING_PA), strict=True))
+    pure = dict(zip(PAPER_MODES, model.similarity(*MIDDLING_PA), strict=True))
     assert min(pure[name] for name in ("F1", "T1", "F2", "X1", "T3")) > 0.9
     # T4 meets F4 where the cane is soft along the grain and stiff in shear.
     crossing = np.linspace(1.2e9, 2.1e9, 40)
-    likeness = [model.likeness(np.full(11, 10.5e9), np.full(11, G)) for G in crossing]
-    assert min(row[PAPER_MODES.index("T4")] for row in likeness) < 0.85
-    assert min(row[PAPER_MODES.index("F1")] for row in likeness) > 0.9
-    assert (PaperModel().likeness(*MIDDLING_PA) == 1).all()
+    similarity = [model.similarity(np.full(11, 10.5e9), np.full(11, G)) for G in crossing]
+    assert min(row[PAPER_MODES.index("T4")] for row in similarity) < 0.85
+    assert min(row[PAPER_MODES.index("F1")] for row in similarity) > 0.9
+    assert (PaperModel().similarity(*MIDDLING_PA) == 1).all()
 
 
 def test_only_the_modes_asked_for_are_tabulated(reed, model, monkeypatch):

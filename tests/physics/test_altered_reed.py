@@ -20,14 +20,6 @@ from physics.mechanics import (
     YieldingClamp,
     material_of,
 )
-from physics.reed.altered import (
-    added_mass,
-    combined,
-    layer,
-    softening,
-    yielding_clamp,
-)
-from physics.reed.anatomy import build_anatomy
 from physics.reed.basis import (
     BasisSettings,
     build_reduced_reed,
@@ -36,6 +28,8 @@ from physics.reed.basis import (
 from physics.reed.geometry import half_width_m
 from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.mesh import MeshLevel
+from physics.reed.shape_derivatives import build_shape_derivatives
+from physics.reed.structural_changes import added_mass, combined, layer, softening, yielding_clamp
 from physics.reed.viscoelastic import (
     Components,
     Series,
@@ -61,7 +55,7 @@ ELASTIC = ViscoelasticCane(Zener(14000.0, 0.0, 0.0), Zener(1100.0, 0.0, 0.0))
 
 @pytest.fixture(scope="module")
 def reed_solver(geometry, coarse_level):
-    return ReedSolver(build_anatomy(geometry, coarse_level, BasisSettings()))
+    return ReedSolver(build_shape_derivatives(geometry, coarse_level, BasisSettings()))
 
 
 def frequencies(reed_solver, reed):
@@ -72,24 +66,27 @@ def cents(found, other):
     return 1200 * np.log2(np.asarray(found) / np.asarray(other))
 
 
-def unit_change(anatomy, kind):
+def unit_change(shape_derivatives, kind):
     """What one unit of an alteration adds, as its docstring says."""
     if isinstance(kind, YieldingClamp):
-        return yielding_clamp(anatomy, float(kind.side >= 0), float(kind.side <= 0))
+        return yielding_clamp(shape_derivatives, float(kind.side >= 0), float(kind.side <= 0))
     if isinstance(kind, TipMass):
-        inside = anatomy.bark_m[:, 0] < kind.length_m
-        area_m2 = 2 * anatomy.area_m2[inside].sum()
-        return added_mass(anatomy, lambda x, _y: (x < kind.length_m) / area_m2)
+        inside = shape_derivatives.bark_m[:, 0] < kind.length_m
+        area_m2 = 2 * shape_derivatives.area_m2[inside].sum()
+        return added_mass(shape_derivatives, lambda x, _y: (x < kind.length_m) / area_m2)
     if isinstance(kind, SoftSpot):
         return softening(
-            anatomy,
+            shape_derivatives,
             lambda x, y: np.exp(
                 -((x - kind.x_m) ** 2 + (y - kind.y_m) ** 2) / (2 * kind.radius_m**2)
             ),
         )
-    outline, end_m = anatomy.reed.geometry.outline, anatomy.reed.geometry.vamp_x_m[-1]
+    outline, end_m = (
+        shape_derivatives.reed.geometry.outline,
+        shape_derivatives.reed.geometry.vamp_x_m[-1],
+    )
     return layer(
-        anatomy,
+        shape_derivatives,
         lambda x, y: (
             eval_legendre(kind.along, 2 * x / end_m - 1)
             * eval_legendre(kind.across, y / half_width_m(outline, x))
@@ -99,18 +96,19 @@ def unit_change(anatomy, kind):
 
 def whole(reed_solver, reed):
     """Stiffness at a frequency and mass of a reed, in all coordinates that it has."""
-    anatomy = reed_solver.anatomy
+    shape_derivatives = reed_solver.shape_derivatives
     change = combined(
-        anatomy, [(amount, unit_change(anatomy, kind)) for kind, amount in reed.alterations]
+        shape_derivatives,
+        [(amount, unit_change(shape_derivatives, kind)) for kind, amount in reed.alterations],
     )
-    halves = list(anatomy.reed.halves.values())
+    halves = list(shape_derivatives.reed.halves.values())
     each = [half.stiffness_terms for half in halves]
     terms = np.stack([linalg.block_diag(*t) for t in zip(*each, strict=True)])
     terms += change.stiffness_terms
-    cane = material_of(anatomy, reed.cane, reed.shift)
+    cane = material_of(shape_derivatives, reed.cane, reed.shift)
     mass = linalg.block_diag(*[half.mass for half in halves]) + change.mass
     mass = cane(1.0).density_kg_m3 * mass + change.mass_kg
-    held = list(anatomy.clamped.values())
+    held = list(shape_derivatives.clamped.values())
     starts = [0, halves[0].mass.shape[0]]
     moving = np.ones(len(mass), dtype=bool)
     for start, clamped, half in zip(starts, held, halves, strict=True):
@@ -164,7 +162,7 @@ def test_a_layer_is_a_reed_that_was_drawn_thicker(geometry):
     step_m, cane, count = 4e-6, Cane(), 4
     # Strains at the surface need cubic elements: of quadratic ones shifts are 8 % off.
     level = MeshLevel(orders=(3, 3, 2))
-    reed_solver = ReedSolver(build_anatomy(geometry, level, BasisSettings()))
+    reed_solver = ReedSolver(build_shape_derivatives(geometry, level, BasisSettings()))
 
     def drawn(offset_m):
         thicker = replace(geometry, thickness_offset_m=offset_m)
@@ -189,13 +187,15 @@ def test_a_layer_is_a_reed_that_was_drawn_thicker(geometry):
 
 def test_a_little_mass_lowers_modes_by_what_it_moves(reed_solver):
     nominal, mass_kg = Mechanics(cane=ELASTIC), 1e-10
-    anatomy = reed_solver.anatomy
-    zone = anatomy.bark_m[:, 0] < 2e-3
-    weight = np.where(zone, anatomy.area_m2, 0.0) / (2 * anatomy.area_m2[zone].sum())
+    shape_derivatives = reed_solver.shape_derivatives
+    zone = shape_derivatives.bark_m[:, 0] < 2e-3
+    weight = np.where(zone, shape_derivatives.area_m2, 0.0) / (
+        2 * shape_derivatives.area_m2[zone].sum()
+    )
     found = reed_solver.modes(replace(nominal, alterations=((TipMass(2e-3), mass_kg),)))
     for name, mode in reed_solver.modes(nominal).items():
         start, moved = 0, {}
-        for symmetry, motion in anatomy.motion.items():
+        for symmetry, motion in shape_derivatives.motion.items():
             count = motion.shape[2]
             moved[symmetry] = motion @ mode.coordinates[start : start + count]
             start += count
@@ -270,15 +270,15 @@ def test_what_leaves_no_reed_is_refused(reed_solver, change):
 
 
 def test_changes_combine_and_stay_as_they_are(reed_solver):
-    anatomy = reed_solver.anatomy
+    shape_derivatives = reed_solver.shape_derivatives
     parts = [
-        (2.0, layer(anatomy, lambda x, y: 1e-6 * (1 + x + y))),
-        (-3.0, added_mass(anatomy, lambda x, _y: 1e-3 * x)),
-        (0.5, yielding_clamp(anatomy, 1e-13, 2e-13)),
+        (2.0, layer(shape_derivatives, lambda x, y: 1e-6 * (1 + x + y))),
+        (-3.0, added_mass(shape_derivatives, lambda x, _y: 1e-3 * x)),
+        (0.5, yielding_clamp(shape_derivatives, 1e-13, 2e-13)),
     ]
     for field in ("stiffness_terms", "mass", "mass_kg", "compliance_m_n"):
         before = [getattr(part, field).copy() for _, part in parts]
-        total = getattr(combined(anatomy, parts), field)
+        total = getattr(combined(shape_derivatives, parts), field)
         expected = sum(amount * own for (amount, _), own in zip(parts, before, strict=True))
         np.testing.assert_allclose(total, expected, rtol=1e-12, atol=1e-30)
         for (_, part), own in zip(parts, before, strict=True):

@@ -26,7 +26,7 @@ from physics.reed.geometry import (
 )
 from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.mesh import MeshLevel, build_mesh
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.response import elastic_modes, named_modes
 from protocols.reed import ReedFile
 

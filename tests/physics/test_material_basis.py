@@ -25,37 +25,29 @@ from physics.reed.material import (
     Cane,
     stiffness_terms_pa,
 )
-from physics.reed.material_basis import (
+from physics.reed.material_basis import HalfMaterialBasis, all_modes, condensed_stiffness, modes
+from physics.reed.material_cache import material_basis
+from physics.reed.material_constants import (
     CONSTANTS,
     MODULI,
     SLOPES,
-    HalfMaterialBasis,
     MaterialBox,
-    all_modes,
-    condensed_stiffness,
     constants_of,
-    modes,
     possible_canes,
     terms_and_slopes,
     within_box,
 )
-from physics.reed.material_cache import material_basis
-from physics.reed.material_snapshots import (
-    TrainingSettings,
-    at_place,
-    canes_of_box,
-    integrals,
-    large_bases,
-)
+from physics.reed.material_integrals import integrals
+from physics.reed.material_snapshots import TrainingSettings, at_place, canes_of_box, large_bases
 from physics.reed.material_training import build_material_basis
 from physics.reed.material_viscoelastic import settled_modes
 from physics.reed.mesh import MeshLevel, build_mesh
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.modes import (
     ModeClass,
     reed_modes,
     viscoelastic_modes,
 )
-from physics.reed.names import PAPER_MODES
 from physics.reed.viscoelastic import (
     Components,
     Series,
@@ -235,7 +227,7 @@ class TestNames:
         rules = reed_modes(ReedGeometry(), Cane(), LEVEL)
         assert basis.names == tuple(mode.name for mode in rules)
         assert basis.classes == tuple(mode.klass for mode in rules)
-        assert found.likeness.min() > 0.999
+        assert found.similarity.min() > 0.999
         assert np.all(np.diff(found.hz[0]) > 0)
 
     def test_clear_names_are_those_of_the_rules(self, basis):
@@ -251,7 +243,7 @@ class TestNames:
                 )
             }
             for m, name in enumerate(basis.names):
-                if found.likeness[k, m] > 0.75 and name in STEADY:
+                if found.similarity[k, m] > 0.75 and name in STEADY:
                     compared += 1
                     cents = 1200 * np.log2(found.hz[k, m] / by_rule[name])
                     assert abs(cents) < PROMISED_CENTS, (name, cane)
@@ -265,7 +257,7 @@ class TestNames:
         T3, F3 = (basis.names.index(name) for name in ("T3", "F3"))
         assert found.hz[0, T3] < found.hz[0, F3]
         assert found.hz[-1, T3] > found.hz[-1, F3]
-        assert found.likeness[:, [T3, F3]].min() > 0.8
+        assert found.similarity[:, [T3, F3]].min() > 0.8
         steps = 1200 * np.abs(np.diff(np.log2(found.hz[:, [T3, F3]]), axis=0))
         assert steps.max() < 8
 
@@ -277,13 +269,13 @@ class TestNames:
         at = [basis.names.index(name) for name in ("T4", "F4")]
         gap = 1200 * np.log2(found.hz[:, at[1]] / found.hz[:, at[0]])
         assert np.abs(gap).min() > 30
-        likeness = found.likeness[:, at]
-        assert likeness[0].min() > 0.9
+        similarity = found.similarity[:, at]
+        assert similarity[0].min() > 0.9
         changes = np.flatnonzero(np.diff(np.sign(gap)))
         assert len(changes) == 1
-        np.testing.assert_allclose(likeness[changes[0]], 0.5, atol=0.05)
+        np.testing.assert_allclose(similarity[changes[0]], 0.5, atol=0.05)
         # Both ways from there names become clearer.
-        assert abs(likeness.sum(axis=1).argmin() - changes[0]) <= 1
+        assert abs(similarity.sum(axis=1).argmin() - changes[0]) <= 1
 
     def test_clear_names_are_found_beyond_modes_that_have_none(self, basis):
         canes, offsets = reeds(600, seed=33, corners=True)
@@ -298,7 +290,7 @@ class TestNames:
             clear = shares.max(axis=2) > 0.6
             np.testing.assert_allclose(found.hz[:, at][clear], likest[clear], rtol=1e-9)
             np.testing.assert_allclose(
-                found.likeness[:, at][clear], shares.max(axis=2)[clear], rtol=1e-6
+                found.similarity[:, at][clear], shares.max(axis=2)[clear], rtol=1e-6
             )
             beyond += np.count_nonzero(clear & (shares.argmax(axis=2) >= len(at)))
         assert beyond > 0
@@ -309,8 +301,8 @@ class TestNames:
         for half in basis.halves.values():
             hz = np.sort(found.hz[:, [basis.names.index(name) for name in half.names]], axis=1)
             assert np.diff(hz, axis=1).min() > 0
-        assert found.likeness.min() >= 0
-        assert found.likeness.max() <= 1 + 1e-9
+        assert found.similarity.min() >= 0
+        assert found.similarity.max() <= 1 + 1e-9
 
 
 class TestManyReeds:
@@ -320,7 +312,7 @@ class TestManyReeds:
         together = modes(basis, constants, density_of(canes), offsets)
         mixed = modes(basis, constants[order], density_of(canes)[order], offsets[order], threads=1)
         np.testing.assert_allclose(mixed.hz, together.hz[order], rtol=1e-9)
-        np.testing.assert_allclose(mixed.likeness, together.likeness[order], atol=1e-9)
+        np.testing.assert_allclose(mixed.similarity, together.similarity[order], atol=1e-9)
         np.testing.assert_allclose(mixed.slopes, together.slopes[order], atol=1e-8, rtol=1e-8)
         one = modes(basis, constants[5:6], density_of(canes)[5], offsets[5])
         np.testing.assert_allclose(one.hz[0], together.hz[5], rtol=1e-9)
@@ -420,7 +412,7 @@ class TestViscoelasticCane:
         assert found.names == expected.names
         assert found.slopes is None
         np.testing.assert_allclose(found.hz, expected.hz, rtol=1e-7)
-        np.testing.assert_allclose(found.likeness, expected.likeness, atol=1e-5)
+        np.testing.assert_allclose(found.similarity, expected.similarity, atol=1e-5)
         assert found.within.tolist() == [True]
 
     @pytest.mark.parametrize(
@@ -430,7 +422,7 @@ class TestViscoelasticCane:
     def test_every_mode_has_the_moduli_of_its_own_frequency(self, basis, components, overtaken):
         cane = viscoelastic_cane(components, Series.A)
         found = settled_modes(basis, Cane(), cane)
-        assert found.likeness.min() > 0.6
+        assert found.similarity.min() > 0.6
         T4, F4 = (found.hz[0, basis.names.index(name)] for name in ("T4", "F4"))
         assert (T4 > F4) == overtaken
         for m, hz in enumerate(found.hz[0]):
@@ -581,7 +573,7 @@ class TestTraining:
         box = replace(BOX, thickness_offset_m=(-5e-6, 30e-6))
         basis = build_material_basis(ReedGeometry(), TINY, replace(FEW, box=box))
         found = modes(basis, constants_of([Cane()]), 520.0, 12.5e-6)
-        assert found.likeness.min() > 0.999
+        assert found.similarity.min() > 0.999
 
     @pytest.mark.parametrize(
         ("changed", "named"),

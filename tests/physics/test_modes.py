@@ -28,12 +28,12 @@ from physics.reed.mesh import (
     build_whole_mesh,
 )
 from physics.reed.metamodel import REFERENCE_HZ, Equation1
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.modes import (
     at_frequency,
     reed_modes,
     viscoelastic_modes,
 )
-from physics.reed.names import PAPER_MODES
 from physics.reed.response import elastic_modes
 from physics.reed.viscoelastic import (
     Components,
@@ -110,7 +110,7 @@ def test_classes_follow_names(modes):
     assert len({mode.name for mode in modes}) == len(modes)
     for mode in modes:
         assert mode.klass == CLASSES[mode.name[0]]
-        assert 0.2 < mode.likeness <= 1
+        assert 0.2 < mode.similarity <= 1
 
 
 def test_sideways_motion_bears_out_no_name_of_the_vamp(geometry):
@@ -122,7 +122,7 @@ def test_sideways_motion_bears_out_no_name_of_the_vamp(geometry):
         if mode.klass == "lateral":
             assert share > 0.4
         else:
-            assert mode.likeness <= 1 - share
+            assert mode.similarity <= 1 - share
 
 
 def test_a_lower_limit_gives_the_same_modes_and_names(modes, geometry):
@@ -222,7 +222,7 @@ def test_likenesses_are_those_of_the_reduced_reed(
         half, v = coarse_reed.halves[other.symmetry], other.coordinates
         outside = 520.0 * v @ (half.lateral_mass + half.heel_mass) @ v
         left = 1.0 if mode.name[0] in "LH" else 1 - outside
-        assert mode.likeness == pytest.approx(left * other.likeness, abs=3e-3), mode.name
+        assert mode.similarity == pytest.approx(left * other.similarity, abs=3e-3), mode.name
         compared.append(mode.name)
     assert len(set(PAPER_MODES) & set(compared)) >= 10
 
@@ -247,7 +247,7 @@ def test_waves_too_fine_for_the_profiles_take_no_name_from_others():
     transversal = [mode.name for mode in modes if mode.klass == "transversal"]
     assert transversal == ["T1", "T2", "T3", "T4", "T5", "T6"]
     unnamed = [mode for mode in modes if mode.name.startswith("?")]
-    assert [(mode.name, mode.likeness) for mode in unnamed] == [("?1a", 0.0)]
+    assert [(mode.name, mode.similarity) for mode in unnamed] == [("?1a", 0.0)]
     assert unnamed[0].frequency_hz > modes[-1].frequency_hz * 0.9
 
 
@@ -257,7 +257,7 @@ def test_faint_resemblance_gives_no_name(geometry):
     named = [mode for mode in modes if not mode.name.startswith("?")]
     assert len({mode.name for mode in modes}) == len(modes)
     assert 0 < len(modes) - len(named) < 4
-    assert min(mode.likeness for mode in named) > 0.1
+    assert min(mode.similarity for mode in named) > 0.1
 
 
 # --- Viscoelastic ------------------------------------------------------------------------------
@@ -361,7 +361,7 @@ def test_an_even_reed_solved_whole_has_the_modes_of_its_halves():
     np.testing.assert_allclose(frequencies(whole), frequencies(halves), rtol=1e-9)
     for one, other in zip(whole, halves, strict=True):
         assert (one.name, one.klass, one.symmetry) == (other.name, other.klass, other.symmetry)
-        assert one.likeness == pytest.approx(other.likeness, abs=1e-6)
+        assert one.similarity == pytest.approx(other.similarity, abs=1e-6)
 
 
 def test_viscoelastic_cane_of_an_even_reed_solved_whole():
@@ -381,7 +381,7 @@ def test_mirror_images_sound_alike():
     ):
         assert (one.name, one.symmetry) == (other.name, other.symmetry)
         assert one.frequency_hz == pytest.approx(other.frequency_hz, rel=1e-9)
-        assert one.likeness == pytest.approx(other.likeness, abs=1e-5)
+        assert one.similarity == pytest.approx(other.similarity, abs=1e-5)
         image = reflected(mesh, other.shape)
         sign = np.sign(np.vdot(image, one.shape))
         np.testing.assert_allclose(sign * image, one.shape, atol=1e-4 * np.abs(image).max())
@@ -448,7 +448,7 @@ def test_two_modes_of_one_frequency_and_unlike_symmetry_mix_to_first_order(cross
     assert gap_hz > 0.5
     for name, mode in found.items():
         left = 0.5 if name in ("F3", "T3") else 1.0
-        assert mode.likeness == pytest.approx(left * crossing[name].likeness, rel=0.03)
+        assert mode.similarity == pytest.approx(left * crossing[name].similarity, rel=0.03)
 
 
 def on_both_sides(half_mesh, mode):
@@ -465,6 +465,6 @@ def test_a_reed_may_be_uneven_beyond_recognition(geometry):
     assert len({mode.name for mode in modes}) == len(modes)
     assert [mode.name for mode in modes[:3]] == ["F1", "T1", "F2"]
     for mode in modes:
-        assert 0 <= mode.likeness <= 1
+        assert 0 <= mode.similarity <= 1
         if mode.name.startswith("?"):
             assert mode.name[-1] == mode.symmetry[0]

@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from physics.reed.fem import Symmetry
-from physics.reed.names import (
+from physics.reed.mode_classification import (
     PAPER_MODES,
-    Portrait,
+    ModeDescriptor,
     assign_names,
     is_symmetric,
-    likenesses,
     name_of,
     names_of,
+    similarities,
     vamp_profiles,
     width_profiles,
 )
@@ -92,10 +92,10 @@ def test_a_shape_drawn_by_hand_bears_its_name(width_order, nodal_lines):
     across = np.polynomial.legendre.Legendre.basis(width_order)(eta)
     profiles = width_profiles((along[:, None] * across)[..., None], eta)
     square = np.sum(profiles[:, width_order % 2 :: 2] ** 2, axis=(0, 1))
-    (found,) = likenesses(profiles, square, symmetric=width_order % 2 == 0)
+    (found,) = similarities(profiles, square, symmetric=width_order % 2 == 0)
     assert found[name_of(width_order, nodal_lines)] > 0.98
     assert sum(found.values()) == pytest.approx(1)
-    (half_of_it,) = likenesses(profiles, 2 * square, symmetric=width_order % 2 == 0)
+    (half_of_it,) = similarities(profiles, 2 * square, symmetric=width_order % 2 == 0)
     assert sum(half_of_it.values()) == pytest.approx(0.5)
 
 
@@ -105,7 +105,7 @@ def test_nodal_lines_are_counted_without_the_foot_where_signs_mean_nothing():
     profiles[:, 0, 0] = [0.01, 1, 0.5, 0, -0.4, -0.015, 0.01, -0.01]
     profiles[:, 0, 1] = [-0.5, 1, 0.5, 0, -0.4, -0.3, 0.03, -0.03]
     square = np.sum(profiles**2, axis=(0, 1))
-    first, second = likenesses(profiles, square, symmetric=True)
+    first, second = similarities(profiles, square, symmetric=True)
     assert first["F2"] == pytest.approx(1)
     assert second["F5"] == pytest.approx(1)
 
@@ -154,8 +154,8 @@ def test_no_name_is_given_twice(candidates):
 @settings(deadline=None)
 @given(CANDIDATES)
 def test_likeness_given_is_the_candidates_own(candidates):
-    for candidate, (name, likeness) in zip(candidates, assign_names(candidates), strict=True):
-        assert likeness == candidate.get(name, 0.0)
+    for candidate, (name, similarity) in zip(candidates, assign_names(candidates), strict=True):
+        assert similarity == candidate.get(name, 0.0)
 
 
 @settings(deadline=None)
@@ -168,7 +168,7 @@ def test_the_assignment_has_the_greatest_total_likeness(candidates):
         sum(c.get(name, 0.0) for c, name in zip(candidates, choice, strict=True))
         for choice in permutations(names, len(candidates))
     )
-    assert sum(likeness for _, likeness in assign_names(candidates)) == pytest.approx(best)
+    assert sum(similarity for _, similarity in assign_names(candidates)) == pytest.approx(best)
 
 
 def test_of_two_claims_to_one_name_the_better_wins():
@@ -186,8 +186,8 @@ def test_nobody_bears_a_name_without_a_claim_to_it():
 EVEN, ODD = Symmetry.SYMMETRIC, Symmetry.ANTISYMMETRIC
 
 
-def portrait(symmetry, motions, *, share=1.0, sideways=0.0, behind=0.0, square=1.0):
-    """Portrait of motions given as {width order: (nodal lines, amplitude)} each."""
+def descriptor(symmetry, motions, *, share=1.0, sideways=0.0, behind=0.0, square=1.0):
+    """ModeDescriptor of motions given as {width order: (nodal lines, amplitude)} each."""
     profiles = np.zeros((24, 7, len(motions)))
     x = np.linspace(0, 1, 24)
     for m, motion in enumerate(motions):
@@ -196,18 +196,18 @@ def portrait(symmetry, motions, *, share=1.0, sideways=0.0, behind=0.0, square=1
             profiles[:, order, m] = amplitude * along / np.linalg.norm(along)
     count = len(motions)
     numbers = (np.broadcast_to(value, count) for value in (share, sideways, behind))
-    return Portrait(symmetry, *numbers, profiles, np.broadcast_to(square, count))
+    return ModeDescriptor(symmetry, *numbers, profiles, np.broadcast_to(square, count))
 
 
-def named(*portraits):
-    return [naming.name for naming in names_of(portraits)]
+def named(*descriptors):
+    return [naming.name for naming in names_of(descriptors)]
 
 
 def test_motions_bear_the_names_that_they_are_most_like():
-    found = names_of([portrait(EVEN, [{0: (1, 1.0)}, {2: (0, 0.8), 0: (2, 0.6)}])])
+    found = names_of([descriptor(EVEN, [{0: (1, 1.0)}, {2: (0, 0.8), 0: (2, 0.6)}])])
     assert [naming.name for naming in found] == ["F2", "T2"]
     assert [naming.symmetry for naming in found] == [EVEN, EVEN]
-    assert [naming.likeness for naming in found] == pytest.approx([1.0, 0.64])
+    assert [naming.similarity for naming in found] == pytest.approx([1.0, 0.64])
     assert [naming.outside for naming in found] == [0.0, 0.0]
 
 
@@ -217,23 +217,23 @@ def test_one_clear_likeness_is_worth_more_than_two_faint_ones():
         {4: (0, np.sqrt(0.55)), 0: (3, np.sqrt(0.3))},
         {4: (0, np.sqrt(0.5)), 0: (3, np.sqrt(0.2))},
     ]
-    assert named(portrait(EVEN, motions)) == ["T4", "F4"]
+    assert named(descriptor(EVEN, motions)) == ["T4", "F4"]
 
 
 def test_faint_claims_give_no_name():
     """Of two T2, one is for 9 % an F1, which nobody else is."""
     faint = {2: (0, np.sqrt(0.91)), 0: (0, 0.3)}
-    assert named(portrait(EVEN, [{2: (0, 1.0)}, faint])) == ["T2", "?1s"]
+    assert named(descriptor(EVEN, [{2: (0, 1.0)}, faint])) == ["T2", "?1s"]
     less_faint = {2: (0, np.sqrt(0.85)), 0: (0, np.sqrt(0.15))}
-    assert named(portrait(EVEN, [{2: (0, 1.0)}, less_faint])) == ["T2", "F1"]
+    assert named(descriptor(EVEN, [{2: (0, 1.0)}, less_faint])) == ["T2", "F1"]
 
 
 def test_waves_that_profiles_do_not_resolve_bear_out_no_name():
     """What little the profiles see of a T7 looks like an X(5,1)."""
     fine, coarse = {5: (1, np.sqrt(0.05))}, {5: (1, np.sqrt(0.6)), 3: (2, np.sqrt(0.4))}
-    assert named(portrait(ODD, [fine, coarse])) == ["?1a", "X(5,1)"]
-    assert named(portrait(ODD, [fine])) == ["?1a"]
-    assert named(portrait(ODD, [fine], square=0.05)) == ["X(5,1)"]
+    assert named(descriptor(ODD, [fine, coarse])) == ["?1a", "X(5,1)"]
+    assert named(descriptor(ODD, [fine])) == ["?1a"]
+    assert named(descriptor(ODD, [fine], square=0.05)) == ["X(5,1)"]
 
 
 @pytest.mark.parametrize(
@@ -250,14 +250,16 @@ def test_what_moves_elsewhere_than_the_vamp_is_lateral_or_the_heels(
     symmetry, sideways, behind, expected
 ):
     order = 1 if symmetry is ODD else 0
-    (found,) = names_of([portrait(symmetry, [{order: (0, 1.0)}], sideways=sideways, behind=behind)])
-    assert (found.name, found.likeness) == (expected[0], pytest.approx(expected[1]))
+    (found,) = names_of(
+        [descriptor(symmetry, [{order: (0, 1.0)}], sideways=sideways, behind=behind)]
+    )
+    assert (found.name, found.similarity) == (expected[0], pytest.approx(expected[1]))
     assert found.outside == pytest.approx(sideways + behind)
 
 
 def test_each_kind_is_counted_by_itself_from_the_lowest():
     sideways, behind = [0.9, 0.0, 0.8, 0.0, 0.0], [0.0, 0.9, 0.0, 0.7, 0.0]
-    assert named(portrait(ODD, [{1: (0, 1.0)}] * 5, sideways=sideways, behind=behind)) == [
+    assert named(descriptor(ODD, [{1: (0, 1.0)}] * 5, sideways=sideways, behind=behind)) == [
         "L1",
         "H1a",
         "L2",
@@ -265,20 +267,20 @@ def test_each_kind_is_counted_by_itself_from_the_lowest():
         "T1",
     ]
     alike = [{1: (0, amplitude)} for amplitude in (0.8, 1.0, 0.9)]
-    assert named(portrait(ODD, alike)) == ["?1a", "T1", "?2a"]
+    assert named(descriptor(ODD, alike)) == ["?1a", "T1", "?2a"]
 
 
 def test_a_motion_of_both_symmetries_has_that_of_its_larger_part():
     """An uneven reed: each of two motions is half F3, half T3, and each bears another name."""
-    even = portrait(EVEN, [{0: (2, 1.0)}] * 2, share=[0.45, 0.52])
-    odd = portrait(ODD, [{3: (0, 1.0)}] * 2, share=[0.55, 0.48])
+    even = descriptor(EVEN, [{0: (2, 1.0)}] * 2, share=[0.45, 0.52])
+    odd = descriptor(ODD, [{3: (0, 1.0)}] * 2, share=[0.55, 0.48])
     found = names_of([even, odd])
     assert [(naming.name, naming.symmetry) for naming in found] == [("T3", ODD), ("F3", EVEN)]
-    assert [naming.likeness for naming in found] == pytest.approx([0.55, 0.52])
+    assert [naming.similarity for naming in found] == pytest.approx([0.55, 0.52])
 
 
 def test_no_motions_have_no_names():
-    assert names_of([portrait(EVEN, [])]) == []
+    assert names_of([descriptor(EVEN, [])]) == []
 
 
 def test_the_papers_modes_are_present_in_every_reed_of_the_population(standard_reed):

@@ -18,7 +18,7 @@ from physics.reed.fem import (
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.mesh import MeshLevel, build_mesh
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.response import elastic_modes
 
 # Eq. 1 of the paper at E_L = 14 GPa, G_LT = 1.1 GPa, and how far (cents) the limit of ever finer

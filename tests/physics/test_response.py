@@ -20,7 +20,7 @@ from physics.reed.fem import (
     stiffness,
 )
 from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.response import (
     elastic_modes,
     forced_response,
@@ -74,8 +74,8 @@ def test_motion_that_profiles_do_not_resolve_bears_out_no_name(coarse_reed):
     modes = elastic_modes(coarse_reed, 12e9, 0.9e9)
     # Those with fine waves are integrated too roughly on so coarse a mesh.
     for name in ("F1", "T1", "F2", "X1"):
-        expected = 0.5 * modes[name].likeness
-        assert half_resolved[name].likeness == pytest.approx(expected, rel=0.15)
+        expected = 0.5 * modes[name].similarity
+        assert half_resolved[name].similarity == pytest.approx(expected, rel=0.15)
 
 
 # With the moduli of either frequency, the name T2 is the other mode's: F2 and T2 exchange shapes.
@@ -96,7 +96,7 @@ def test_modes_that_exchange_shapes_settle(coarse_reed):
         numbers.append(number)
     # The second and the third of their symmetry.
     assert numbers == [1, 1, 1, 2]
-    assert max(mode.likeness for mode in found) < 0.7
+    assert max(mode.similarity for mode in found) < 0.7
 
 
 def test_settled_by_number_modes_are_those_settled_by_name(coarse_reed, monkeypatch):
@@ -107,7 +107,7 @@ def test_settled_by_number_modes_are_those_settled_by_name(coarse_reed, monkeypa
         assert (other.name, other.symmetry) == (mode.name, mode.symmetry)
         assert cents(other.frequency_hz, mode.frequency_hz) == pytest.approx(0, abs=0.01)
         # Names are told among other shapes, each with moduli of its own.
-        assert other.likeness == pytest.approx(mode.likeness, abs=1e-3)
+        assert other.similarity == pytest.approx(mode.similarity, abs=1e-3)
 
 
 def stored(reed, symmetry, hz):

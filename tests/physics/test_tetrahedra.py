@@ -22,8 +22,8 @@ from physics.reed.geometry import (
     thickness_m,
 )
 from physics.reed.material import Cane, stiffness_terms_pa
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.modes import reed_modes
-from physics.reed.names import PAPER_MODES
 from physics.reed.sensitivity import MODULI, rayleigh_sensitivities
 from physics.reed.tetrahedra import (
     PLAIN,
@@ -198,9 +198,9 @@ def test_impossible_sizes_are_refused(geometry, sizes):
 
 def test_tetrahedra_bear_the_names_of_what_they_are_like(reeds):
     for reed in reeds:
-        likeness = {mode.name: mode.likeness for mode in reed.modes}
-        assert set(PAPER_MODES) <= set(likeness)
-        assert min(likeness[name] for name in PAPER_MODES) > 0.9
+        similarity = {mode.name: mode.similarity for mode in reed.modes}
+        assert set(PAPER_MODES) <= set(similarity)
+        assert min(similarity[name] for name in PAPER_MODES) > 0.9
         frequencies = [mode.frequency_hz for mode in reed.modes]
         assert frequencies == sorted(frequencies)
         symmetric = {mode.name for mode in reed.modes if mode.symmetry is Symmetry.SYMMETRIC}

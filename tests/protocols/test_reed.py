@@ -401,7 +401,7 @@ def test_json_has_what_is_documented(fast_modes):
     for answer in (elastic, viscoelastic):
         assert set(answer) == {"reed", "material", "modes"}
         for mode in answer["modes"]:
-            assert list(mode) == ["name", "hz", "class", "symmetry", "likeness"]
+            assert list(mode) == ["name", "hz", "class", "symmetry", "similarity"]
     assert elastic["reed"] == "clarinet"
     assert elastic["material"]["E_L_pa"] == 14e9
     assert elastic["material"]["viscoelastic"] is None
@@ -482,7 +482,7 @@ def test_another_cane_in_the_file_is_another_reference(basis_modes):
     before = len(told)
     modes = answer(original, original)
     assert len(told) == before + 1
-    assert min(mode.likeness for mode in modes) > 0.999
+    assert min(mode.similarity for mode in modes) > 0.999
 
 
 OUTSIDE = {
@@ -544,6 +544,6 @@ def test_viscoelastic_cane_that_leaves_the_box_with_frequency_is_refused(basis_m
 
 def test_names_in_doubt_are_marked(fast_modes):
     clear, doubtful = (
-        replace(fast_modes["clarinet"][0], likeness=likeness) for likeness in (0.5, 0.49)
+        replace(fast_modes["clarinet"][0], similarity=similarity) for similarity in (0.5, 0.49)
     )
     assert [mode.name for mode in doubts_marked([clear, doubtful])] == ["F1", "F1?"]

@@ -9,7 +9,7 @@ from physics.reed.basis import BasisSettings, build_reduced_reed
 from physics.reed.geometry import ReedGeometry
 from physics.reed.mesh import MeshLevel
 from physics.reed.metamodel import Equation1, paper_network_pa
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.sensitivity import (
     CLASSES,
     CONSTANTS,
@@ -18,7 +18,7 @@ from physics.reed.sensitivity import (
 from reproduction.mesh_evidence import MeshEvidence, MeshResult
 from reproduction.metamodel import Network, reference_hz
 from reproduction.models import Models, draw_populations
-from reproduction.rows import Verdict
+from reproduction.rows import Agreement
 
 
 @pytest.fixture(scope="session")
@@ -99,7 +99,7 @@ def differing():
     """Return a function that lists quantities that are not as printed."""
 
     def names(group):
-        wrong = (Verdict.DIFFERS, Verdict.REFUTED)
-        return {row.quantity for row in group.rows if row.verdict in wrong}
+        wrong = (Agreement.DIFFERS, Agreement.REFUTED)
+        return {row.quantity for row in group.rows if row.agreement in wrong}
 
     return names

@@ -15,7 +15,7 @@ from fitting.statistics.synthetic import (
     physical,
 )
 from physics.reed.geometry import Outline, ReedGeometry
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.sensitivity import CONSTANTS
 from reports.figures.drawing import png_of
 from reproduction.cane import compare_cane
@@ -36,7 +36,7 @@ from reproduction.models import (
     shear_increase,
 )
 from reproduction.out_of_reach import list_out_of_reach
-from reproduction.rows import Basis, Verdict
+from reproduction.rows import Agreement, Basis
 from reproduction.sensitivities import compare_sensitivities
 from reproduction.shape import compare_shape, printed_contour_mm
 from reproduction.sweep import compare_sweep, relative_signal
@@ -55,7 +55,7 @@ def test_the_sweep_is_reproduced_but_for_two_misprints(sweep, differing):
         "signal of the first sideband with (f + f_CCD)/4, as printed",
         "relative SD of a mode, most",
     }
-    assert sweep.count(Verdict.REFUTED) == 2
+    assert sweep.count(Agreement.REFUTED) == 2
 
 
 def test_all_extremes_of_table_1_are_pictures(sweep, numbers):
@@ -87,7 +87,7 @@ def test_the_sideband_is_whole_with_the_right_difference_and_gone_with_the_print
 def test_the_shape_is_the_papers(numbers, differing):
     group = compare_shape(numbers, ReedGeometry())
     assert not differing(group)
-    assert group.count(Verdict.REPRODUCED) > 10
+    assert group.count(Agreement.REPRODUCED) > 10
     ours = {row.quantity: row.ours for row in group.rows}
     assert ours["volume of the reed"] == pytest.approx(1653.2, abs=0.2)
     assert ours["vamp meets heel on the axis, x"] == pytest.approx(34.72, abs=0.01)
@@ -125,9 +125,9 @@ def test_other_sensitivities_are_told_and_refuted_if_meshes_span_them(
     for name in ("T1", "T2", "T3", "T4"):
         ours[name][column] += 0.02
     rows = rows_of(compare_sensitivities(numbers, ours, evidence))
-    assert rows["transversal: G_LT"].verdict is Verdict.REFUTED
-    assert rows["transversal: E_L"].verdict is Verdict.REPRODUCED
-    assert rows["transversal: sum of the six moduli"].verdict is Verdict.DIFFERS
+    assert rows["transversal: G_LT"].agreement is Agreement.REFUTED
+    assert rows["transversal: E_L"].agreement is Agreement.REPRODUCED
+    assert rows["transversal: sum of the six moduli"].agreement is Agreement.DIFFERS
     # Of 16 modes, four changed by 0.02.
     assert rows["all 16 modes: G_LT"].difference == pytest.approx(0.005, abs=1e-4)
 
@@ -138,7 +138,7 @@ def test_without_meshes_that_span_it_a_sensitivity_differs(
     ours = {name: 1.1 * row for name, row in printed_sensitivities.items()}
     one_mesh = replace(evidence, tetrahedra=(evidence.converged,) * 2)
     rows = rows_of(compare_sensitivities(numbers, ours, one_mesh))
-    assert rows["flexural: E_L"].verdict is Verdict.DIFFERS
+    assert rows["flexural: E_L"].agreement is Agreement.DIFFERS
 
 
 # --- Eq. 1 and Table 9, and the mesh ---------------------------------------
@@ -159,7 +159,7 @@ def test_a_network_that_follows_table_9_is_table_9(
     told = differing(group)
     # What was made up: converged elements 1 % softer in T3.
     assert "T3: reference material" in told
-    assert rows["T3: reference material"].verdict is Verdict.REFUTED
+    assert rows["T3: reference material"].agreement is Agreement.REFUTED
     assert "F1: reference material" not in told
     assert rows["rms of the adjustments of a_m0, as printed"].ours == pytest.approx(54.5, abs=0.1)
 
@@ -183,8 +183,8 @@ def test_noise_in_the_network_widens_the_extremes(numbers, models, network, evid
     )
     # Formula less finite elements: the one that stands out is not followed.
     assert rows["F1: δ−"].ours < -40
-    assert rows["F1: δ−"].verdict is Verdict.DIFFERS
-    assert rows["T1: δ−"].verdict is Verdict.REPRODUCED
+    assert rows["F1: δ−"].agreement is Agreement.DIFFERS
+    assert rows["T1: δ−"].agreement is Agreement.REPRODUCED
 
 
 def test_t4_and_f4_are_told_by_their_order(models):
@@ -209,7 +209,7 @@ def test_the_reference_material_is_where_the_transcript_has_it(table_9):
 def test_meshes_are_listed_and_drawn(numbers, evidence, table_9, rows_of):
     group = compare_meshes(numbers, evidence, reference_hz(table_9))
     rows = rows_of(group)
-    assert {row.verdict for row in group.rows} == {Verdict.NOT_PRINTED}
+    assert {row.agreement for row in group.rows} == {Agreement.NOT_PRINTED}
     shift = rows["T3, tetrahedra of 2 mm"].ours / evidence.converged.hz["T3"]
     assert shift == pytest.approx(1.02 / 0.99)
     assert "-17 cents from Table 9 (9532 Hz)" in rows["T3, converged hexahedra"].remark
@@ -303,12 +303,12 @@ def test_x6_and_t5_share_their_shapes(frequencies, rows_of):
     rows = rows_of(frequencies)
     for name in ("BX6", "BT5"):
         row = rows[f"{name}: mean, by converged finite elements"]
-        assert row.verdict is Verdict.REPRODUCED
+        assert row.agreement is Agreement.REPRODUCED
         assert "mix the shapes of both names" in row.remark
-        likenesses = [float(share) for share in re.findall(r"\((0\.\d\d)\)", row.remark)]
-        assert len(likenesses) == 2
-        assert max(likenesses) < 0.75
-    assert rows["BX5: SD"].verdict is Verdict.NOT_REPRODUCIBLE
+        similarities = [float(share) for share in re.findall(r"\((0\.\d\d)\)", row.remark)]
+        assert len(similarities) == 2
+        assert max(similarities) < 0.75
+    assert rows["BX5: SD"].agreement is Agreement.NOT_REPRODUCIBLE
 
 
 # --- Table 2 ---------------------------------------
@@ -324,7 +324,7 @@ def test_what_table_2_says_of_itself(factors, rows_of):
     assert rows["farthest that VARIMAX moves a loading"].ours < 5e-4
     shares = [rows[f"share of factor {n}, from the loadings"].ours for n in range(1, 5)]
     assert shares == pytest.approx([53.5, 21.3, 10.6, 4.8], abs=0.06)
-    assert rows["sum of the shares, from the loadings"].verdict is Verdict.DIFFERS
+    assert rows["sum of the shares, from the loadings"].agreement is Agreement.DIFFERS
 
 
 def test_factors_of_synthetic_reeds_are_like_the_papers(factors, rows_of):
@@ -340,12 +340,12 @@ def test_factors_of_synthetic_reeds_are_like_the_papers(factors, rows_of):
 
 def test_backward_validation_needs_noise_and_rotation(factors, rows_of):
     rows = rows_of(factors)
-    assert rows["sum of four shares, as described"].verdict is Verdict.REFUTED
+    assert rows["sum of four shares, as described"].agreement is Agreement.REFUTED
     assert rows["sum of four shares, as described"].ours > 99
-    assert rows["sum of four shares, with noise"].verdict is Verdict.REPRODUCED
+    assert rows["sum of four shares, with noise"].agreement is Agreement.REPRODUCED
     for n in range(1, 5):
         name = f"share of factor {n}, with noise, after rotation"
-        assert rows[name].verdict is Verdict.REPRODUCED
+        assert rows[name].agreement is Agreement.REPRODUCED
 
 
 # --- Table 4a ---------------------------------------
@@ -364,7 +364,7 @@ def hypotheses(numbers, models):
 def test_counts_of_coefficients_are_the_papers(hypotheses):
     counts = [row for row in hypotheses.rows if "RMSD" not in row.quantity]
     assert len(counts) == 11 + 11 + 9 + 3
-    assert {row.verdict for row in counts} == {Verdict.REPRODUCED}
+    assert {row.agreement for row in counts} == {Agreement.REPRODUCED}
 
 
 def test_misfits_fall_along_the_chain(hypotheses, rows_of):
@@ -379,7 +379,7 @@ def test_table_1_alone_gives_h1_with_the_divisor_of_equation_5d(hypotheses, rows
     plain = rows["H1: RMSD over what was observed, from Table 1 alone"]
     divided = rows["H1: RMSD with the divisor of Eq. eq5d, from Table 1 alone"]
     assert plain.ours == pytest.approx(79.0, abs=0.1)
-    assert (plain.verdict, divided.verdict) == (Verdict.REFUTED, Verdict.REPRODUCED)
+    assert (plain.agreement, divided.agreement) == (Agreement.REFUTED, Agreement.REPRODUCED)
 
 
 # --- The cane ---------------------------------------
@@ -395,7 +395,7 @@ def test_tables_6_and_7_follow_from_the_coefficients(cane):
         row for row in cane.rows if row.table in ("Table 6", "Table 7") and row.basis is Basis.TEXT
     ]
     assert len(linear) == 24
-    assert {row.verdict for row in linear} == {Verdict.REPRODUCED}
+    assert {row.agreement for row in linear} == {Agreement.REPRODUCED}
     # Rounding of four digits, nothing more.
     assert max(abs(row.difference / row.printed) for row in linear) < 3e-3
 
@@ -403,25 +403,25 @@ def test_tables_6_and_7_follow_from_the_coefficients(cane):
 def test_moduli_of_the_figure_are_means_over_the_reeds(cane, rows_of):
     rows = rows_of(cane)
     for name in ("G_LT at F4, series A", "G_LT at F4, series B", "E_L at F4, series A"):
-        assert rows[name].verdict is Verdict.REPRODUCED
+        assert rows[name].agreement is Agreement.REPRODUCED
     assert "the mean reed has 1323 MPa" in rows["G_LT at F4, series A"].remark
 
 
 def test_one_identity_and_one_unit_are_misprinted(cane, rows_of):
     rows = rows_of(cane)
     identities = [row for row in cane.rows if row.table == "Eq. H4b"]
-    wrong = [row.quantity for row in identities if row.verdict is Verdict.REFUTED]
+    wrong = [row.quantity for row in identities if row.agreement is Agreement.REFUTED]
     assert wrong == ["2 G1 - G2 at ě = (0.5, 0.75, 1.25)"]
     assert len(identities) == 4
-    assert rows["Lord's dry cane at 4 kHz, p in MPa·s^α, as printed"].verdict is Verdict.REFUTED
-    assert rows["Lord's dry cane at 4 kHz, p in MPa·s"].verdict is Verdict.REPRODUCED
+    assert rows["Lord's dry cane at 4 kHz, p in MPa·s^α, as printed"].agreement is Agreement.REFUTED
+    assert rows["Lord's dry cane at 4 kHz, p in MPa·s"].agreement is Agreement.REPRODUCED
     assert rows["relaxation time, 10 °C warmer: decrease"].ours == pytest.approx(16.1, abs=0.1)
 
 
 def test_properties_of_the_storage_modulus_hold(cane):
     properties = [row for row in cane.rows if row.table == "Eq. 4"]
     assert len(properties) == 4
-    assert {row.verdict for row in properties} == {Verdict.REPRODUCED}
+    assert {row.agreement for row in properties} == {Agreement.REPRODUCED}
 
 
 def test_coefficients_that_are_changed_are_told(numbers, models, differing):
@@ -444,7 +444,7 @@ def test_computed_correlations_are_the_papers(numbers, models, rows_of):
 
 def test_what_cannot_be_had_has_a_reason(numbers):
     group = list_out_of_reach(numbers)
-    assert {row.verdict for row in group.rows} == {Verdict.NOT_REPRODUCIBLE}
+    assert {row.agreement for row in group.rows} == {Agreement.NOT_REPRODUCIBLE}
     assert all(row.remark and row.printed is not None for row in group.rows)
     h5 = [row for row in group.rows if "H5, series" in row.quantity]
     assert len(h5) == 32

@@ -35,7 +35,7 @@ from reproduction.rows import (
 )
 from reproduction.sensitivities import compare_sensitivities
 from reproduction.sweep import compare_sweep
-from reproduction.whole import Comparison
+from reproduction.whole import PaperComparison
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def comparison():
         Group("first", "First group: more words", "How.", rows, (Drawing("A & B", draw),)),
         Group("second", "Second", "So.", rows[:1]),
     )
-    return Comparison(groups, ("One < two.", "Three."))
+    return PaperComparison(groups, ("One < two.", "Three."))
 
 
 class _Page(HTMLParser):
@@ -170,7 +170,7 @@ def test_numbers_are_short(value, text):
 
 def test_a_page_is_written_and_replaced(comparison, tmp_path):
     page = tmp_path / "page.html"
-    write_page(Comparison(comparison.groups[:1], ()), page)
+    write_page(PaperComparison(comparison.groups[:1], ()), page)
     require_writable([page_output(page)])
     write_page(comparison, page)
     assert page.read_text(encoding="utf-8") == document(comparison)

@@ -14,7 +14,7 @@ from physics.reed.metamodel import (
     EXPONENT_G_LT,
     REFERENCE_HZ,
 )
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.sensitivity import CONSTANTS, field_of
 from physics.reed.viscoelastic import Series, h4_matrix
 

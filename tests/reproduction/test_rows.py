@@ -1,4 +1,4 @@
-"""Rows: differences, tolerances, verdicts, and what JSON says of them."""
+"""Rows: differences, tolerances, agreements, and what JSON says of them."""
 
 import json
 
@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from reproduction.rows import (
+    Agreement,
     Basis,
     Group,
-    Verdict,
     from_populations,
     from_text,
     interval_from_populations,
@@ -19,41 +19,41 @@ from reproduction.rows import (
 
 
 @pytest.mark.parametrize(
-    ("ours", "refuted", "verdict"),
+    ("ours", "refuted", "agreement"),
     [
-        (10.5, False, Verdict.REPRODUCED),
-        (9.5, True, Verdict.REPRODUCED),
-        (10.51, False, Verdict.DIFFERS),
-        (9.4, True, Verdict.REFUTED),
+        (10.5, False, Agreement.REPRODUCED),
+        (9.5, True, Agreement.REPRODUCED),
+        (10.51, False, Agreement.DIFFERS),
+        (9.4, True, Agreement.REFUTED),
     ],
 )
-def test_a_difference_within_tolerance_is_reproduced(ours, refuted, verdict):
+def test_a_difference_within_tolerance_is_reproduced(ours, refuted, agreement):
     row = from_text("Table 1", "x", 10, ours, 0.5, "Hz", refuted=refuted)
-    assert row.verdict is verdict
+    assert row.agreement is agreement
     assert row.difference == pytest.approx(ours - 10)
     assert row.basis is Basis.TEXT
 
 
 def test_rounding_does_not_push_a_number_out():
-    assert from_text("T", "x", 0.1, 0.1 + 0.2, 0.2).verdict is Verdict.REPRODUCED
-    assert from_text("T", "x", 5, 5, 0).verdict is Verdict.REPRODUCED
+    assert from_text("T", "x", 0.1, 0.1 + 0.2, 0.2).agreement is Agreement.REPRODUCED
+    assert from_text("T", "x", 5, 5, 0).agreement is Agreement.REPRODUCED
 
 
 def test_intervals_are_in_cents():
     row = interval_from_text("T", "x", 1000, 2000, 1200)
     assert row.difference == pytest.approx(1200)
     assert (row.unit, row.difference_unit) == ("Hz", "cents")
-    assert row.verdict is Verdict.REPRODUCED
-    assert interval_from_text("T", "x", 2000, 1000, 1199).verdict is Verdict.DIFFERS
+    assert row.agreement is Agreement.REPRODUCED
+    assert interval_from_text("T", "x", 2000, 1000, 1199).agreement is Agreement.DIFFERS
 
 
 def test_populations_give_mean_spread_and_a_wider_tolerance():
     values = [1.0, 3.0, 5.0]
     row = from_populations("T", "x", 6.9, values, 0.1)
     assert (row.ours, row.spread, row.tolerance) == pytest.approx((3.0, 2.0, 4.0))
-    assert row.verdict is Verdict.REPRODUCED
+    assert row.agreement is Agreement.REPRODUCED
     assert row.basis is Basis.POPULATION
-    assert from_populations("T", "x", 7.1, values, 0.1).verdict is Verdict.DIFFERS
+    assert from_populations("T", "x", 7.1, values, 0.1).agreement is Agreement.DIFFERS
     assert from_populations("T", "x", 7.1, values, 5.0).tolerance == 5.0
 
 
@@ -67,9 +67,9 @@ def test_intervals_of_populations_have_their_spread_in_cents():
 
 
 def test_what_is_missing_says_so():
-    assert not_printed("T", "x", 3).verdict is Verdict.NOT_PRINTED
+    assert not_printed("T", "x", 3).agreement is Agreement.NOT_PRINTED
     row = not_reproducible("T", "x", 3, "Hz", "not in the text")
-    assert row.verdict is Verdict.NOT_REPRODUCIBLE
+    assert row.agreement is Agreement.NOT_REPRODUCIBLE
     assert row.basis is Basis.NONE
     assert row.remark == "not in the text"
 
@@ -92,12 +92,12 @@ def test_json_has_stable_keys_and_plain_numbers():
         "not printed": 1,
     }
     keys = "table quantity printed ours difference unit difference_unit tolerance spread basis "
-    keys += "verdict remark"
+    keys += "agreement remark"
     assert all(list(row) == keys.split() for row in answer["rows"])
     assert answer["rows"][0] | {"remark": ""} == {
         "table": "T", "quantity": "a", "printed": 1.0, "ours": 2.0, "difference": 1.0,
         "unit": "Hz", "difference_unit": "Hz", "tolerance": 0.5, "spread": None, "basis": "text",
-        "verdict": "differs", "remark": "",
+        "agreement": "differs", "remark": "",
     }  # fmt: skip
     assert answer["rows"][2]["printed"] is None
     assert answer["rows"][3]["ours"] is None

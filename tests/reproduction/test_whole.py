@@ -15,7 +15,7 @@ from reproduction import (
     sensitivities,
     whole,
 )
-from reproduction.rows import Verdict
+from reproduction.rows import Agreement
 
 KEYS = (
     "sweep shape sensitivities metamodel meshes frequencies factors hypotheses cane correlations "
@@ -43,9 +43,9 @@ def test_all_groups_are_there_and_no_row_twice(comparison):
 def test_counts_add_up(comparison):
     answer = comparison.to_json()
     assert sum(answer["counts"].values()) == len(comparison.rows)
-    for verdict in Verdict:
-        parts = [group["counts"][str(verdict)] for group in answer["groups"]]
-        assert answer["counts"][str(verdict)] == sum(parts) == comparison.count(verdict)
+    for agreement in Agreement:
+        parts = [group["counts"][str(agreement)] for group in answer["groups"]]
+        assert answer["counts"][str(agreement)] == sum(parts) == comparison.count(agreement)
 
 
 def test_it_is_json_without_gaps(comparison):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FitInputError
-from fitting.statistics.hypotheses.arrow import Point, minimise
+from fitting.statistics.hypotheses.arrow import Minimum, Point, minimise
 from fitting.statistics.hypotheses.population import (
     Population,
     Priors,
@@ -150,9 +150,8 @@ def fit_hypothesis(
     adjustment = full_adjustment() if structure.all_of_equation_1 else intercept_adjustment()
     variance = priors.noise_cents**2
     if start is None:
-        plain = Population.posed(
-            observed, structure, model, priors, no_adjustment(), structure.start
-        )
+        unadjusted = no_adjustment(), structure.start
+        plain = Population.posed(observed, structure, model, priors, *unadjusted)
         start = _without_adjustments(plain, variance, most_iterations)
     _require_shapes(start, structure, observed)
     start = replace(start, adjustments_cents=_widened(start.adjustments_cents, adjustment))
@@ -163,11 +162,15 @@ def fit_hypothesis(
     found = minimise(
         population, point, tolerance=tolerance * variance, most_iterations=most_iterations
     )
+    return _joint_fit(population, found)
+
+
+def _joint_fit(population: Population, found: Minimum) -> JointFit:
     unknowns = population.unknowns(found.point)
     return JointFit(
         population=population,
         unknowns=unknowns,
-        parameters=structure.parameters(unknowns.coefficients, unknowns.components),
+        parameters=population.structure.parameters(unknowns.coefficients, unknowns.components),
         residual_cents=population.residual_cents(found.point),
         cost=found.cost,
         iterations=found.iterations,

@@ -18,7 +18,7 @@ from physics.reed.metamodel import (
     Metamodel,
     paper_network_pa,
 )
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.viscoelastic import StorageModulus, storage_modulus
 
 Array = NDArray[np.floating[Any]]

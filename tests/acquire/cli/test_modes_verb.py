@@ -26,7 +26,7 @@ def test_json_lists_the_modes_of_the_paper(clarinet):
     assert set(clarinet) == {"reed", "material", "modes"}
     assert clarinet["reed"] == "clarinet"
     for mode in clarinet["modes"]:
-        assert list(mode) == ["name", "hz", "class", "symmetry", "likeness"]
+        assert list(mode) == ["name", "hz", "class", "symmetry", "similarity"]
     listed = {mode["name"]: (mode["class"], mode["symmetry"]) for mode in clarinet["modes"]}
     assert listed["F1"] == ("flexural", "symmetric")
     assert listed["T1"] == ("transversal", "antisymmetric")
@@ -176,7 +176,7 @@ def test_a_basis_answers_at_once_when_it_has_been_built(cli):
     second = cli("modes", "--mesh", "basis", "--json", *options)
     assert second.err == ""
     assert [list(mode) for mode in second.json["modes"]] == [
-        ["name", "hz", "class", "symmetry", "likeness"]
+        ["name", "hz", "class", "symmetry", "similarity"]
     ] * len(second.json["modes"])
     assert hz(second.json)["T1"] > hz(first.json)["T1"]
 
@@ -185,7 +185,7 @@ def test_a_basis_answers_at_once_when_it_has_been_built(cli):
 def test_the_table_of_a_basis_marks_names_in_doubt(cli):
     options = ("--e-l", "18 GPa", "--g-lt", "0.45 GPa")
     listed = cli("modes", "--mesh", "basis", "--json", *options).json["modes"]
-    doubtful = [mode["name"] for mode in listed if mode["likeness"] < 0.5]
+    doubtful = [mode["name"] for mode in listed if mode["similarity"] < 0.5]
     assert 0 < len(doubtful) < len(listed)
     table = cli("modes", "--mesh", "basis", *options).out
     for mode in listed:

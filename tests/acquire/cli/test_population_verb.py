@@ -14,7 +14,7 @@ from fitting.forward import (
     hz_of,
     viscoelastic_cents,
 )
-from fitting.modal.acoustic_resonances import Line
+from fitting.modal.acoustic_resonances import ExcitationPeak
 from fitting.populations.table import Measured
 from fitting.statistics.synthetic import modal_cents
 from physics.reed.cache import reduced_reed
@@ -75,7 +75,7 @@ def test_a_folder_of_runs_is_fitted(cli, measured, folder):
     assert said.status == 0
     assert said.json["reeds"] == 1
     # One reed tells of no common line.
-    assert said.json["lines"] == []
+    assert said.json["excitation_peaks"] == []
     table = Path(said.json["files"]["resonances"])
     assert table == measured.a.parent / "resonances.csv"
     table.unlink()
@@ -87,7 +87,7 @@ def test_lines_of_the_air_are_told_of_a_folder(cli, folder, monkeypatch, measure
     def write(source, table, announce, method):
         asked.append(method)
         shutil.copy("reeds.csv", table)
-        return Measured(ReedFile.from_file(), (), 5, (Line(4285.0, 8.5, 4),))
+        return Measured(ReedFile.from_file(), (), 5, (ExcitationPeak(4285.0, 8.5, 4),))
 
     monkeypatch.setattr("acquire.analysis.write_resonances", write)
     columns = "reed,series,mode,hz,error_cents,run"
@@ -96,7 +96,7 @@ def test_lines_of_the_air_are_told_of_a_folder(cli, folder, monkeypatch, measure
     said = cli("population", "runs", "--model", "paper", "--method", "picture")
     assert "4285 Hz (+8.5 dB): 4 of 5 reeds" in said.out
     told = cli("population", "runs", "--model", "paper", "--json").json
-    assert told["lines"] == [{"hz": 4285.0, "height_db": 8.5, "reeds": 4}]
+    assert told["excitation_peaks"] == [{"hz": 4285.0, "height_db": 8.5, "reeds": 4}]
     assert asked == ["picture", "joint"]
 
 

@@ -19,7 +19,7 @@ from fitting.cane.reed_fit import fit_components
 from fitting.errors import FitError
 from fitting.forward import PaperModel
 from fitting.fringes.pictures import read_pictures
-from physics.reed.names import PAPER_MODES, is_symmetric
+from physics.reed.mode_classification import PAPER_MODES, is_symmetric
 from physics.reed.viscoelastic import (
     Series,
     storage_modulus_pa,
@@ -123,7 +123,7 @@ def test_json_has_the_documented_keys(fitted, sweep_a):
     (run,) = answer["runs"]
     assert run == {
         "path": str(sweep_a), "reed": REED, "series": "A", "modes": answer["modes"],
-        "not_identified": {}, "lines": [],
+        "not_identified": {}, "excitation_peaks": [],
     }  # fmt: skip
 
 

@@ -15,11 +15,11 @@ from fitting.errors import FitError
 from fitting.forward import (
     PaperModel,
     hz_of,
-    name_likeness,
+    name_similarity,
     viscoelastic_cents,
 )
-from fitting.fringes.picking import Resonance
-from physics.reed.names import PAPER_MODES
+from fitting.fringes.fringe_peaks import Resonance
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.viscoelastic import (
     Components,
     Series,
@@ -320,8 +320,8 @@ def crossing(model):
     for number in range(60):
         cane = replace(cane_of(f"crossing-{number}"), e4=0.0)
         zener = viscoelastic_cane(cane, Series.A)
-        likeness = name_likeness(model, zener, viscoelastic_cents(model, zener, Series.A))
-        named = dict(zip(PAPER_MODES, likeness, strict=True))
+        similarity = name_similarity(model, zener, viscoelastic_cents(model, zener, Series.A))
+        named = dict(zip(PAPER_MODES, similarity, strict=True))
         if named.pop("F4") < 0.8 and min(named.values()) > 0.87:
             return cane
     raise AssertionError("no reed of the population has such an F4")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fitting.holograms import alternating_minimisation as settling
-from fitting.holograms.alternating_minimisation import Solution, settle
-from fitting.holograms.object_field import LightStep, SharedError
+from fitting.holograms.alternating_minimisation import Solution, alternating_step
+from fitting.holograms.object_field import CommonModeError, FieldStep
 from tests.fitting.holograms.test_displacement import complex_normal
 from tests.fitting.holograms.test_object_field import FUNCTIONS, HOLOGRAMS, Sweep
 
@@ -14,11 +14,11 @@ LARGEST = 0.3
 
 
 def turn(sweep, at):
-    return settle(sweep.problem, sweep.problem.exact(), sweep.smooth, at)
+    return alternating_step(sweep.problem, sweep.problem.exact(), sweep.smooth, at)
 
 
 def truth(sweep):
-    return Solution(sweep.a, sweep.gain, sweep.light.astype(np.complex64))
+    return Solution(sweep.a, sweep.gain, sweep.object_field.astype(np.complex64))
 
 
 @pytest.fixture
@@ -30,12 +30,12 @@ def thrown(monkeypatch):
         move = np.zeros(2 * sweep.smooth.shape[1] - 1)
         move[1] = log_factor / np.abs(sweep.smooth[:, 1]).max()
         holograms = np.full((HOLOGRAMS, 2 * FUNCTIONS + 1), change)
-        shared = SharedError(np.zeros((HOLOGRAMS, 2 * FUNCTIONS, 1)), np.eye(1))
+        shared = CommonModeError(np.zeros((HOLOGRAMS, 2 * FUNCTIONS, 1)), np.eye(1))
 
         def step(linear, held, x, weight):
-            return LightStep(move, holograms, shared, linear)
+            return FieldStep(move, holograms, shared, linear)
 
-        monkeypatch.setattr(settling, "light_step", step)
+        monkeypatch.setattr(settling, "field_step", step)
 
     return throw
 
@@ -45,7 +45,7 @@ def test_at_the_truth_nothing_moves():
     at, _ = turn(sweep, truth(sweep))
     # But what all gains have in common, which is light.
     common = np.mean(sweep.gain - at.gain)
-    assert np.abs(at.light / (sweep.light * np.exp(common)) - 1).max() < 1e-3
+    assert np.abs(at.object_field / (sweep.object_field * np.exp(common)) - 1).max() < 1e-3
     assert at.amplitude == pytest.approx(sweep.a, abs=2e-3)
     assert at.gain + common == pytest.approx(sweep.gain, abs=2e-3)
 
@@ -54,10 +54,10 @@ def test_light_off_by_a_smooth_factor_comes_back():
     """Turns of light block by block and of amplitudes alone would take hundreds."""
     sweep = Sweep(6.0, noise=0.0)
     factor = np.exp(0.1 * sweep.smooth[:, 1] + 0.1j * sweep.smooth[:, 2])
-    at = Solution(sweep.a, sweep.gain, (sweep.light * factor).astype(np.complex64))
+    at = Solution(sweep.a, sweep.gain, (sweep.object_field * factor).astype(np.complex64))
     for _ in range(4):
         at, _ = turn(sweep, at)
-    off = np.abs(at.light / sweep.light)
+    off = np.abs(at.object_field / sweep.object_field)
     assert off.std() / off.mean() < 0.01
 
 
@@ -70,7 +70,7 @@ def test_long_steps_of_the_light_are_cut_short_and_those_of_holograms_with_them(
     still, _ = turn(sweep, truth(sweep))
     thrown(sweep, asked, 0.1)
     moved, _ = turn(sweep, truth(sweep))
-    change = np.log(np.abs(moved.light / still.light))
+    change = np.log(np.abs(moved.object_field / still.object_field))
     assert np.abs(change).max() == pytest.approx(done, rel=1e-3)
     expected = 0.1 * (1 + 1j) * done / asked
     assert moved.amplitude - still.amplitude == pytest.approx(

@@ -55,7 +55,7 @@ def test_the_ratio_is_a_half_at_zero_and_near_it(table):
     phi = np.concatenate([[0.0], np.geomspace(1e-30, 2e-3, 400)]).astype(np.float32)
     ratio = table.over_argument(phi)
     assert ratio[0] == 0.5
-    # J₁(φ)/φ = ½ − φ²/16: relative, for here nothing but the ratio itself is seen of a phasor.
+    # J₁(φ)/φ = ½ − φ²/16: the error is relative, because the ratio alone sets a block amplitude.
     assert ratio == pytest.approx(0.5 - phi.astype(float) ** 2 / 16, rel=5e-6)
 
 

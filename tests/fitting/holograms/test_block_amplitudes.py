@@ -1,4 +1,4 @@
-"""Holograms compressed to phasors: planted matrices of rank one, and run files made to order."""
+"""Block amplitudes of planted matrices of rank one, and of run files made for the test."""
 
 import shutil
 
@@ -13,7 +13,7 @@ from fitting.errors import FitError
 from fitting.holograms.block_amplitudes import (
     _in_blocks,
     _leading,
-    read_phasors,
+    read_block_amplitudes,
 )
 from physics.reed.geometry import Outline, half_width_m
 from protocols.protocol import Protocol
@@ -25,7 +25,7 @@ NUMBERS = {"holograms": 50, "pixels": 6, "blocks": 300}
 
 
 def leading(holograms):
-    """Phasors, and shares of light."""
+    """Block amplitudes, and shares of light."""
     value, vectors = _leading(holograms)
     return value, np.abs(vectors) ** 2
 
@@ -37,14 +37,14 @@ def complex_normal(rng, *shape):
 
 def read(path):
     with Run.open(path) as run:
-        return read_phasors(run)
+        return read_block_amplitudes(run)
 
 
 # --- Matrices of rank one ----------------------------------------------------------------------
 
 
 def planted(light, seed=0, **numbers):
-    """Phasors (n, k), light of pixels (n, p) of a given root sum of squares, noisy holograms."""
+    """Block amplitudes (n, k), speckle field (n, p) of a given norm, and noisy holograms."""
     rng = np.random.default_rng(seed)
     size = {**NUMBERS, **numbers}
     n, k, p = size["blocks"], size["holograms"], size["pixels"]
@@ -137,7 +137,7 @@ def test_axes_are_cut_into_whole_blocks():
 
 
 @pytest.fixture(scope="module")
-def phasors(sweep_a):
+def block_amplitudes(sweep_a):
     return read(sweep_a)
 
 
@@ -162,28 +162,32 @@ def write_fields(resealed):
     return write
 
 
-def test_every_good_step_is_a_hologram_in_order_of_frequency(sweep_a, phasors):
+def test_every_good_step_is_a_hologram_in_order_of_frequency(sweep_a, block_amplitudes):
     with Run.open(sweep_a) as run:
         assert run.good.all()
-        assert phasors.step_index.tolist() == [step.index for step in run]
-        assert phasors.drive_hz == pytest.approx([float(s.read_drive_hz) for s in run], rel=1e-12)
-        assert phasors.volts == pytest.approx([step.volts for step in run], rel=1e-12)
-    assert (np.diff(phasors.drive_hz) > 0).all()
-    assert phasors.value.shape == (len(phasors.x_m), 87)
-    assert phasors.value.dtype == np.complex64
+        assert block_amplitudes.step_index.tolist() == [step.index for step in run]
+        assert block_amplitudes.drive_hz == pytest.approx(
+            [float(s.read_drive_hz) for s in run], rel=1e-12
+        )
+        assert block_amplitudes.volts == pytest.approx([step.volts for step in run], rel=1e-12)
+    assert (np.diff(block_amplitudes.drive_hz) > 0).all()
+    assert block_amplitudes.value.shape == (len(block_amplitudes.x_m), 87)
+    assert block_amplitudes.value.dtype == np.complex64
 
 
-def test_bad_steps_are_left_out_and_the_order_of_the_file_is_of_no_matter(changed, axes, phasors):
+def test_bad_steps_are_left_out_and_the_order_of_the_file_is_of_no_matter(
+    changed, axes, block_amplitudes
+):
     order = np.random.default_rng(3).permutation(87)
     path = changed(only=(21, 61), verdicts={31: "saturated", 45: "pending"}, order=order)
     few = read(path)
     kept = [k for k in range(21, 62, 2) if k not in (31, 45)]
     assert few.step_index.tolist() == kept
-    columns = np.searchsorted(phasors.step_index, kept)
-    assert few.drive_hz == pytest.approx(phasors.drive_hz[columns], rel=1e-12)
-    assert few.volts == pytest.approx(phasors.volts[columns], rel=1e-12)
+    columns = np.searchsorted(block_amplitudes.step_index, kept)
+    assert few.drive_hz == pytest.approx(block_amplitudes.drive_hz[columns], rel=1e-12)
+    assert few.volts == pytest.approx(block_amplitudes.volts[columns], rel=1e-12)
     # Fewer holograms weigh pixels a little differently: where there is light, all but the same.
-    there, here = np.abs(phasors.value[:, columns]), np.abs(few.value)
+    there, here = np.abs(block_amplitudes.value[:, columns]), np.abs(few.value)
     overlap = np.sum(there * here, axis=0) / np.linalg.norm(there, axis=0)
     assert overlap / np.linalg.norm(here, axis=0) == pytest.approx(1, abs=0.02)
 
@@ -193,29 +197,32 @@ def test_too_few_good_steps_are_refused_with_what_is_wrong(changed):
         read(changed(only=(21, 34)))
 
 
-def test_places_lie_inside_the_visible_reed_and_inside_their_blocks(phasors, axes):
+def test_places_lie_inside_the_visible_reed_and_inside_their_blocks(block_amplitudes, axes):
     y_m, x_m, high, wide = axes
     assert (high, wide) == (2, 3)
-    for axis, places, size in ((y_m, phasors.y_m, high), (x_m, phasors.x_m, wide)):
+    for axis, places, size in (
+        (y_m, block_amplitudes.y_m, high),
+        (x_m, block_amplitudes.x_m, wide),
+    ):
         whole = axis[: len(axis) // size * size].reshape(-1, size)
         # Some block has a place between its outermost pixels.
         low, up = np.sort(whole[:, [0, -1]], axis=1).T
         slack = 1e-9
         inside = (places[:, None] >= low - slack) & (places[:, None] <= up + slack)
         assert (inside.sum(axis=1) == 1).all()
-    assert (np.abs(phasors.y_m) < half_width_m(Outline(), phasors.x_m)).all()
-    assert phasors.x_m.min() > EDGE_M
-    assert 34e-3 < phasors.x_m.max() < 36e-3
-    assert phasors.y_m.max() > 5e-3
-    assert phasors.y_m.min() < -5e-3
+    assert (np.abs(block_amplitudes.y_m) < half_width_m(Outline(), block_amplitudes.x_m)).all()
+    assert block_amplitudes.x_m.min() > EDGE_M
+    assert 34e-3 < block_amplitudes.x_m.max() < 36e-3
+    assert block_amplitudes.y_m.max() > 5e-3
+    assert block_amplitudes.y_m.min() < -5e-3
 
 
-def test_blocks_cover_the_reed_without_gaps(phasors):
+def test_blocks_cover_the_reed_without_gaps(block_amplitudes):
     # Area of the outline inside the margin, over that of a block.
     x = np.linspace(2 * EDGE_M, 35e-3, 2000)
     wide = np.maximum(half_width_m(Outline(), x) - EDGE_M, 0) * 2
     area = np.trapezoid(wide, x)
-    assert len(phasors.x_m) * 2 * 3 * 189.5e-6 * 151.6e-6 == pytest.approx(area, rel=0.08)
+    assert len(block_amplitudes.x_m) * 2 * 3 * 189.5e-6 * 151.6e-6 == pytest.approx(area, rel=0.08)
 
 
 def test_places_are_those_of_the_pixels_with_light(changed, axes, write_fields):
@@ -244,7 +251,7 @@ def test_places_are_those_of_the_pixels_with_light(changed, axes, write_fields):
 
 
 def test_phasors_of_a_planted_run_are_the_planted_ones_in_units_of_noise(changed, write_fields):
-    """Rank one, with a phasor of the hologram alone, as if the whole reed moved alike."""
+    """Rank one, with a block amplitude of the hologram alone, as if the whole reed moved alike."""
     rng = np.random.default_rng(5)
     path = changed()
     with Run.open(path) as run:
@@ -261,7 +268,7 @@ def test_phasors_of_a_planted_run_are_the_planted_ones_in_units_of_noise(changed
     assert np.mean(factor**2) == pytest.approx(6 * 900, rel=0.03)
 
 
-def test_noise_is_one_where_the_run_shows_nothing_but_noise(changed, resealed, phasors):
+def test_noise_is_one_where_the_run_shows_nothing_but_noise(changed, resealed, block_amplitudes):
     """Some holograms become what the run's own noise is, at the level that its steps state."""
     path = changed()
     rng = np.random.default_rng(6)
@@ -276,14 +283,14 @@ def test_noise_is_one_where_the_run_shows_nothing_but_noise(changed, resealed, p
     assert np.mean(np.abs(value[:, still]) ** 2, axis=0) == pytest.approx(1, abs=0.12)
     moving = np.setdiff1d(np.arange(87), still)
     assert np.sum(np.abs(value[:, moving]) ** 2) == pytest.approx(
-        np.sum(np.abs(phasors.value[:, moving]) ** 2), rel=0.01
+        np.sum(np.abs(block_amplitudes.value[:, moving]) ** 2), rel=0.01
     )
 
 
-def test_noise_of_the_simulated_camera_is_one(phasors):
+def test_noise_of_the_simulated_camera_is_one(block_amplitudes):
     """Near the clamp calm holograms are light times next to no motion: the rest is noise."""
-    clamped = (phasors.x_m > 33e-3) & (np.abs(phasors.y_m) < 4e-3)
-    value = phasors.value[np.ix_(clamped, phasors.volts < 1.0)]
+    clamped = (block_amplitudes.x_m > 33e-3) & (np.abs(block_amplitudes.y_m) < 4e-3)
+    value = block_amplitudes.value[np.ix_(clamped, block_amplitudes.volts < 1.0)]
     blocks, holograms = value.shape
     assert holograms > 5
     # The motion there: bending and twisting.

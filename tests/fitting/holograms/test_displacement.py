@@ -1,4 +1,4 @@
-"""Displacement found in phasors that are drawn by the formula, of a plate that is no reed."""
+"""Displacement fitted to block amplitudes that the formula makes, of a plate that is no reed."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -9,15 +9,15 @@ from scipy.special import j1
 
 from fitting.errors import FitError
 from fitting.holograms.bessel import BesselTable
-from fitting.holograms.block_amplitudes import Phasors
-from fitting.holograms.continuation import Search
+from fitting.holograms.block_amplitudes import BlockAmplitudes
+from fitting.holograms.continuation import Continuation
 from fitting.holograms.continuation import solve as search_all
 from fitting.holograms.displacement import (
     Displacements,
     fit_displacements,
     refit_displacements,
 )
-from fitting.holograms.object_field import SharedError, smooth_functions
+from fitting.holograms.object_field import CommonModeError, smooth_functions
 from fitting.holograms.problem import (
     Normal,
     Problem,
@@ -46,8 +46,8 @@ class Sweep:
 
     modal: np.ndarray
     gain: np.ndarray
-    light: np.ndarray
-    phasors: Phasors
+    object_field: np.ndarray
+    block_amplitudes: BlockAmplitudes
     basis: ShapeBasis
 
     @property
@@ -84,7 +84,9 @@ def plate(rng, points):
     return x, y, ShapeBasis(functions.astype(np.float32), coordinates, NAMES, MODE_HZ, np.zeros(5))
 
 
-def planted(seed=0, peak_rad=97.0, light=LIGHT, points=POINTS, calm_rad=CALM_RAD, factor=1.0):
+def planted(
+    seed=0, peak_rad=97.0, object_field=LIGHT, points=POINTS, calm_rad=CALM_RAD, factor=1.0
+):
     """Draw a sweep; `peak_rad` is that of F1's resonance at full drive, which later ones share."""
     rng = np.random.default_rng(seed)
     x, y, basis = plate(rng, points)
@@ -94,22 +96,28 @@ def planted(seed=0, peak_rad=97.0, light=LIGHT, points=POINTS, calm_rad=CALM_RAD
     ramp = calm_rad / np.abs(modal[0]).max() * 2 ** (np.arange(len(DRIVE_HZ)) / OCTAVE)
     modal *= (np.minimum(1, ramp) * factor * turn)[:, None]
     # Blocks of some eight speckles.
-    a = light * np.sqrt(rng.gamma(8, 1 / 8, points)) * np.exp(2j * np.pi * rng.uniform(size=points))
+    a = (
+        object_field
+        * np.sqrt(rng.gamma(8, 1 / 8, points))
+        * np.exp(2j * np.pi * rng.uniform(size=points))
+    )
     gain = GAIN * rng.standard_normal(len(DRIVE_HZ))
     u = modal @ basis.shapes @ basis.functions.T.astype(float)
     seen = np.exp(gain)[:, None] * a * moved(u)
     value = (seen + complex_normal(rng, *u.shape)).T.astype(np.complex64)
     steps = np.arange(len(DRIVE_HZ))
-    phasors = Phasors(value, x, y, steps, DRIVE_HZ, np.ones(len(steps)))
-    return Sweep(modal, gain, a, phasors, basis)
+    block_amplitudes = BlockAmplitudes(value, x, y, steps, DRIVE_HZ, np.ones(len(steps)))
+    return Sweep(modal, gain, a, block_amplitudes, basis)
 
 
 def with_value(sweep, value):
-    return replace(sweep, phasors=replace(sweep.phasors, value=value.astype(np.complex64)))
+    return replace(
+        sweep, block_amplitudes=replace(sweep.block_amplitudes, value=value.astype(np.complex64))
+    )
 
 
 def solve(sweep) -> Displacements:
-    return fit_displacements(sweep.phasors, sweep.basis)
+    return fit_displacements(sweep.block_amplitudes, sweep.basis)
 
 
 def solve_and_settle(sweep) -> Displacements:
@@ -135,7 +143,7 @@ def share_of_error(sweep, found):
     return np.linalg.norm(error_rad(sweep, found), axis=1) / np.linalg.norm(sweep.true_rad, axis=1)
 
 
-def jacobian(light, functions, a):
+def jacobian(object_field, functions, a):
     """Derivatives (n, 2j + 1) of light times F, by differences.
 
     By real, then imaginary parts of a, and by log gain.
@@ -144,15 +152,15 @@ def jacobian(light, functions, a):
     for move in step * np.concatenate([np.eye(len(a)), 1j * np.eye(len(a))]):
         ahead, behind = (moved(functions @ (a + sign * move)) for sign in (1, -1))
         columns.append((ahead - behind) / (2 * step))
-    return light[:, None] * np.stack([*columns, moved(functions @ a)], axis=1)
+    return object_field[:, None] * np.stack([*columns, moved(functions @ a)], axis=1)
 
 
-def fisher(light, functions, a):
-    """Information (2j, 2j) in phasors with complex noise of variance 1: half of it in either part.
+def fisher(object_field, functions, a):
+    """Information (2j, 2j) in block amplitudes with complex noise of variance 1.
 
     Of amplitudes, where nobody knows the gain but that it is small.
     """
-    J = jacobian(light, functions.astype(float), a)
+    J = jacobian(object_field, functions.astype(float), a)
     whole = 2 * (J.conj().T @ J).real
     whole[-1, -1] += GAIN**-2
     return whole[:-1, :-1] - np.outer(whole[:-1, -1], whole[-1, :-1]) / whole[-1, -1]
@@ -160,7 +168,9 @@ def fisher(light, functions, a):
 
 def common_factor(sweep, found):
     """Complex factor of all light found to that planted."""
-    return np.sum(sweep.light.conj() * found.light) / np.sum(np.abs(sweep.light) ** 2)
+    return np.sum(sweep.object_field.conj() * found.object_field) / np.sum(
+        np.abs(sweep.object_field) ** 2
+    )
 
 
 def normalised_square(error, information):
@@ -197,7 +207,7 @@ def test_the_sweep_is_calm_first_and_has_many_fringes_then(sweep):
 
 def test_every_hologram_is_explained_down_to_its_noise(settled):
     assert settled.reached.all()
-    # Less what ten numbers of each hologram and one of each block's 84 phasors explain.
+    # Less what ten numbers of each hologram and one of each block's 84 block amplitudes explain.
     assert settled.misfit.mean() == pytest.approx(1 - 5 / POINTS - 1 / 84, abs=0.015)
     # Of 400 complex numbers: standard deviation 0.05.
     assert np.abs(settled.misfit - 1).max() < 0.2
@@ -215,7 +225,7 @@ def test_amplitudes_are_found_up_to_one_phase_for_each_hologram(sweep, settled):
 def test_errors_are_those_of_the_noise(sweep, settled):
     """Information by differences of the formula, as if the light were known."""
     functions = sweep.basis.functions
-    lights = np.exp(sweep.gain)[:, None] * sweep.light
+    lights = np.exp(sweep.gain)[:, None] * sweep.object_field
     information = np.array(
         [fisher(lit, functions, a) for lit, a in zip(lights, settled.amplitude_rad, strict=True)]
     )
@@ -231,9 +241,9 @@ def test_light_is_found_where_blocks_move(sweep, settled):
     moving = told > 1
     assert np.count_nonzero(moving) > 0.7 * POINTS
     # All gains together and the light have one common factor.
-    error = settled.light / common_factor(sweep, settled) - sweep.light
-    assert np.sqrt(np.mean(np.abs(error[moving] / sweep.light[moving]) ** 2)) < 0.03
-    assert settled.light.dtype == np.complex64
+    error = settled.object_field / common_factor(sweep, settled) - sweep.object_field
+    assert np.sqrt(np.mean(np.abs(error[moving] / sweep.object_field[moving]) ** 2)) < 0.03
+    assert settled.object_field.dtype == np.complex64
 
 
 def test_light_has_next_to_no_factor(sweep, settled):
@@ -253,8 +263,8 @@ def test_errors_are_those_that_information_tells(sweep, solved):
 
 def assert_information(sweep, found, k, gain):
     told = found.information[k] * max(found.misfit[k], 1)
-    light = np.exp(gain) * found.light
-    expected = fisher(light, sweep.basis.functions, found.amplitude_rad[k])
+    object_field = np.exp(gain) * found.object_field
+    expected = fisher(object_field, sweep.basis.functions, found.amplitude_rad[k])
     assert told == pytest.approx(expected, abs=0.03 * np.abs(expected).max())
 
 
@@ -271,7 +281,7 @@ def test_information_of_calm_holograms_is_that_of_the_formula(sweep, settled, k)
 
 def test_misfit_weakens_information(sweep, solved):
     rng = np.random.default_rng(8)
-    value = sweep.phasors.value.copy()
+    value = sweep.block_amplitudes.value.copy()
     value[:, 30] += 2 * complex_normal(rng, len(value))
     found = solve(with_value(sweep, value))
     assert found.misfit[30] - solved.misfit[30] == pytest.approx(4, rel=0.2)
@@ -301,7 +311,7 @@ def test_resonances_of_more_than_five_micrometres_are_followed():
 
 @pytest.mark.parametrize("light", [300.0])
 def test_more_light_does_no_harm(light):
-    sweep = planted(light=light)
+    sweep = planted(object_field=light)
     found = solve(sweep)
     assert found.reached.all()
     assert_followed(sweep, found)
@@ -322,7 +332,7 @@ def test_a_line_of_the_air_is_followed():
 @pytest.fixture(scope="module")
 def spoilt(sweep):
     """Hologram 30 shows something else entirely."""
-    value = sweep.phasors.value.copy()
+    value = sweep.block_amplitudes.value.copy()
     value[:, 30] = 10 * complex_normal(np.random.default_rng(9), len(value))
     return solve_and_settle(with_value(sweep, value))
 
@@ -354,18 +364,18 @@ def test_a_sweep_may_begin_with_fringes(seed):
 
 def test_sweeps_are_begun_side_by_side_as_if_one_after_the_other(monkeypatch):
     sweep = planted(2)
-    whole = Problem.of(sweep.phasors.value, sweep.basis.functions, BesselTable())
+    whole = Problem.of(sweep.block_amplitudes.value, sweep.basis.functions, BesselTable())
     # Never enough: all are begun.
     monkeypatch.setattr("fitting.holograms.continuation._MOST_EXPLAINED", 1.0)
     monkeypatch.setattr("fitting.holograms.continuation._ALL_SOLVED", 1.0)
-    assert len(list(Search(whole, sweep.phasors, sweep.basis).starts())) == 3
+    assert len(list(Continuation(whole, sweep.block_amplitudes, sweep.basis).starts())) == 3
     found = []
     for splits in (True, False):
         monkeypatch.setattr("fitting.parallel.processes._SPLITS", splits)
-        found.append(search_all(whole, sweep.phasors, sweep.basis).solution)
+        found.append(search_all(whole, sweep.block_amplitudes, sweep.basis).solution)
     one, other = found
     assert one.amplitude == pytest.approx(other.amplitude, abs=1e-6)
-    assert one.light == pytest.approx(other.light, rel=1e-6)
+    assert one.object_field == pytest.approx(other.object_field, rel=1e-6)
 
 
 class Attempt:
@@ -386,7 +396,7 @@ class Attempt:
         self.explained[:] = explained
         self.solved[: round(10 * solved)] = True
 
-    def spread(self):
+    def solve_outwards(self):
         pass
 
 
@@ -401,7 +411,7 @@ class Attempt:
 )
 def test_a_sweep_is_begun_until_enough_is_explained(monkeypatch, explains, begun, best):
     monkeypatch.setattr("fitting.parallel.processes._SPLITS", False)
-    monkeypatch.setattr("fitting.holograms.continuation.Search", Attempt)
+    monkeypatch.setattr("fitting.holograms.continuation.Continuation", Attempt)
     monkeypatch.setattr(Attempt, "begun", [])
     monkeypatch.setattr(Attempt, "explains", dict(enumerate(explains)))
     assert search_all(None, None, None).explained.mean() == pytest.approx(best)
@@ -416,7 +426,7 @@ def test_a_sweep_of_hundreds_of_fringes_is_refused():
 
 
 def test_without_light_a_sweep_is_refused(sweep):
-    noise = complex_normal(np.random.default_rng(10), *sweep.phasors.value.shape)
+    noise = complex_normal(np.random.default_rng(10), *sweep.block_amplitudes.value.shape)
     with pytest.raises(FitError, match="shows any light"):
         solve(with_value(sweep, noise))
 
@@ -433,10 +443,10 @@ def test_holograms_in_a_wrong_fringe_are_found_where_they_are_expected(sweep, se
     misfit[lost] = 1e4
     before = replace(settled, amplitude_rad=amplitude, misfit=misfit)
     expected = 1.01 * sweep.true_rad * np.exp(2j * np.arange(84))[:, None]
-    together = np.zeros(len(settled.shared.precision))
+    together = np.zeros(len(settled.common_mode.precision))
     # Of several expectations the one that explains a hologram counts.
     several = 0.6 * expected, expected, 1.3 * expected
-    found = refit_displacements(sweep.phasors, sweep.basis, before, several, off, together)
+    found = refit_displacements(sweep.block_amplitudes, sweep.basis, before, several, off, together)
     assert found.reached.all()
     assert found.misfit[lost].max() < 1.3
     assert share_of_error(sweep, found)[lost].max() < 0.04
@@ -445,21 +455,25 @@ def test_holograms_in_a_wrong_fringe_are_found_where_they_are_expected(sweep, se
 def test_what_is_expected_counts_only_if_it_explains_a_hologram(sweep, settled):
     liveliest = int(largest_rad(sweep).argmax())
     off = np.arange(84) == liveliest
-    together = np.zeros(len(settled.shared.precision))
+    together = np.zeros(len(settled.common_mode.precision))
     expected = 0.6 * sweep.true_rad
-    found = refit_displacements(sweep.phasors, sweep.basis, settled, [expected], off, together)
+    found = refit_displacements(
+        sweep.block_amplitudes, sweep.basis, settled, [expected], off, together
+    )
     assert found.misfit[liveliest] == pytest.approx(settled.misfit[liveliest], rel=0.02)
 
 
 def test_a_sweep_of_something_else_is_refused(sweep, settled):
     rng = np.random.default_rng(12)
-    value = sweep.phasors.value.T
+    value = sweep.block_amplitudes.value.T
     noise = with_value(sweep, (30 * complex_normal(rng, *value.shape)).T)
     before = replace(settled, misfit=np.full(84, np.inf))
-    together = np.zeros(len(settled.shared.precision))
+    together = np.zeros(len(settled.common_mode.precision))
     everything, expected = np.ones(84, dtype=bool), [settled.amplitude_rad]
-    with pytest.raises(FitError, match="none of 84 holograms shows what another run has told"):
-        refit_displacements(noise.phasors, sweep.basis, before, expected, everything, together)
+    with pytest.raises(FitError, match="none of 84 holograms"):
+        refit_displacements(
+            noise.block_amplitudes, sweep.basis, before, expected, everything, together
+        )
 
 
 @pytest.fixture(scope="module")
@@ -468,9 +482,13 @@ def plateau():
 
     Functions are many: they let a shape bend where it crosses the fringe.
     """
-    dim = planted(light=30.0)
+    dim = planted(object_field=30.0)
     rng = np.random.default_rng(11)
-    x, y, shapes = dim.phasors.x_m, dim.phasors.y_m, dim.basis.shapes @ dim.basis.functions.T
+    x, y, shapes = (
+        dim.block_amplitudes.x_m,
+        dim.block_amplitudes.y_m,
+        dim.basis.shapes @ dim.basis.functions.T,
+    )
     more = [(1 - x) ** 2 * x**i * y**j for i in range(6) for j in range(4)]
     every = np.concatenate([shapes.T, np.stack(more, axis=1)], axis=1)
     functions = np.linalg.svd(every, full_matrices=False)[0][:, :24] * np.sqrt(len(x))
@@ -486,7 +504,7 @@ def plateau():
     modal[:, 0], modal[:, 1] = largest, 0.1j * largest
     modal *= np.exp(2j * np.pi * rng.uniform(size=(84, 1)))
     u = modal @ dim.basis.shapes @ dim.basis.functions.T.astype(float)
-    value = (dim.light * moved(u) + complex_normal(rng, *u.shape)).T
+    value = (dim.object_field * moved(u) + complex_normal(rng, *u.shape)).T
     return with_value(replace(dim, modal=modal, gain=np.zeros(84)), value)
 
 
@@ -494,21 +512,23 @@ def plateau():
 def test_of_expectations_that_are_alike_the_last_counts(plateau, last):
     """Of two branches of the first fringe, which both explain what is seen."""
     size = plateau.basis.functions.shape[1]
-    smooth = smooth_functions(plateau.phasors.x_m, plateau.phasors.y_m)
+    smooth = smooth_functions(plateau.block_amplitudes.x_m, plateau.block_amplitudes.y_m)
     nothing = np.zeros(2 * smooth.shape[1] - 1)
-    shared = SharedError(np.zeros((84, 2 * size, len(nothing))), np.eye(len(nothing)))
+    shared = CommonModeError(np.zeros((84, 2 * size, len(nothing))), np.eye(len(nothing)))
     before = Displacements(
         amplitude_rad=plateau.true_rad.copy(),
         information=np.zeros((84, 2 * size, 2 * size)),
-        shared=shared,
+        common_mode=shared,
         misfit=np.ones(84),
         gain=np.zeros(84),
-        light=plateau.light.astype(np.complex64),
+        object_field=plateau.object_field.astype(np.complex64),
         reached=np.ones(84, dtype=bool),
     )
     off = np.isin(np.arange(84), np.arange(26, 50, 4))
     several = [factor * plateau.true_rad for factor in (1.4 - last, last)]
-    found = refit_displacements(plateau.phasors, plateau.basis, before, several, off, nothing)
+    found = refit_displacements(
+        plateau.block_amplitudes, plateau.basis, before, several, off, nothing
+    )
     shares = share_of_error(plateau, found)[off]
     assert (shares < 0.15).all() if last == 1 else (shares > 0.3).all()
 
@@ -516,15 +536,15 @@ def test_of_expectations_that_are_alike_the_last_counts(plateau, last):
 @pytest.fixture
 def lit(plateau):
     """Search in that sweep, its light known."""
-    whole = Problem.of(plateau.phasors.value, plateau.basis.functions, BesselTable())
-    search = Search(whole, plateau.phasors, plateau.basis)
-    search.begin([0], [])
-    search.light = plateau.light.astype(np.complex64)
-    return search
+    whole = Problem.of(plateau.block_amplitudes.value, plateau.basis.functions, BesselTable())
+    continuation = Continuation(whole, plateau.block_amplitudes, plateau.basis)
+    continuation.begin([0], [])
+    continuation.object_field = plateau.object_field.astype(np.complex64)
+    return continuation
 
 
 def test_of_two_that_are_alike_the_expected_is_taken(plateau, lit):
-    """Phasors of 2.6 rad and of 1.2 are alike; a shape may pass from one to the other smoothly."""
+    """Block amplitudes of 2.6 rad and of 1.2 rad are equal; a shape may pass between the two."""
     for step in range(20, 50, 2):
         true = plateau.true_rad[step]
         starts = np.array([true, 0.4 * true])
@@ -569,16 +589,16 @@ def assert_alike(one, other):
 
 def test_the_phase_of_a_hologram_is_of_no_matter(sweep, solved):
     turn = np.exp(2j * np.pi * np.random.default_rng(11).uniform(size=84))
-    turned = solve(with_value(sweep, sweep.phasors.value * turn))
+    turned = solve(with_value(sweep, sweep.block_amplitudes.value * turn))
     assert_alike(turned, solved)
     assert turned.misfit == pytest.approx(solved.misfit, rel=5e-3)
 
 
 def test_the_phase_of_a_block_is_that_of_its_light(sweep, solved):
     turn = np.exp(2j * np.pi * np.random.default_rng(12).uniform(size=POINTS))
-    turned = solve(with_value(sweep, sweep.phasors.value * turn[:, None]))
+    turned = solve(with_value(sweep, sweep.block_amplitudes.value * turn[:, None]))
     assert_alike(turned, solved)
-    ratio = turned.light / (solved.light * turn)
+    ratio = turned.object_field / (solved.object_field * turn)
     assert np.abs(ratio / ratio[0] - 1).max() < 0.05
 
 
@@ -607,12 +627,16 @@ class Point:
 def point(request):
     rng = np.random.default_rng(13)
     _, _, basis = plate(rng, 200)
-    light, gain = LIGHT * complex_normal(rng, 200), 0.2
+    object_field, gain = LIGHT * complex_normal(rng, 200), 0.2
     a = LEVELS_RAD[request.param] * complex_normal(rng, 5)
-    value = light * moved(basis.functions @ complex_normal(rng, 5)) + complex_normal(rng, 200)
+    value = object_field * moved(basis.functions @ complex_normal(rng, 5)) + complex_normal(
+        rng, 200
+    )
     problem = Problem.of(value[:, None].astype(np.complex64), basis.functions, BesselTable())
-    linear = normal(problem, light.astype(np.complex64), np.array([0]), a[None], np.array([gain]))
-    return Point(value, np.exp(gain) * light, basis.functions.astype(float), a, linear)
+    linear = normal(
+        problem, object_field.astype(np.complex64), np.array([0]), a[None], np.array([gain])
+    )
+    return Point(value, np.exp(gain) * object_field, basis.functions.astype(float), a, linear)
 
 
 def test_the_misfit_is_the_sum_of_squares(point):
@@ -635,11 +659,13 @@ def test_the_matrix_is_that_of_the_derivatives(point):
 
 
 def test_holograms_are_linearised_side_by_side_as_if_alone(sweep):
-    problem = Problem.of(sweep.phasors.value, sweep.basis.functions, BesselTable())
-    light, steps = sweep.light.astype(np.complex64), np.array([3, 40, 41])
-    whole = normal(problem, light, steps, sweep.true_rad[steps], sweep.gain[steps])
+    problem = Problem.of(sweep.block_amplitudes.value, sweep.basis.functions, BesselTable())
+    object_field, steps = sweep.object_field.astype(np.complex64), np.array([3, 40, 41])
+    whole = normal(problem, object_field, steps, sweep.true_rad[steps], sweep.gain[steps])
     for place, step in enumerate(steps):
-        one = normal(problem, light, steps[[place]], sweep.true_rad[[step]], sweep.gain[[step]])
+        one = normal(
+            problem, object_field, steps[[place]], sweep.true_rad[[step]], sweep.gain[[step]]
+        )
         assert one.misfit[0] == pytest.approx(whole.misfit[place], rel=1e-5)
         scale = np.abs(one.matrix).max()
         assert whole.matrix[place] == pytest.approx(one.matrix[0], abs=1e-5 * scale)

@@ -6,8 +6,8 @@ from scipy.special import j1
 
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.object_field import (
-    light_factor,
-    light_step,
+    field_factor,
+    field_step,
     linearise,
     smooth_functions,
 )
@@ -28,7 +28,7 @@ def complex_normal(rng, *shape):
 
 
 class Sweep:
-    """Phasors by the formula, of holograms with a largest phase of `largest_rad`."""
+    """Block amplitudes by the formula, of holograms with a largest phase of `largest_rad`."""
 
     def __init__(self, largest_rad, noise=1.0, seed=0):
         rng = np.random.default_rng(seed)
@@ -40,17 +40,17 @@ class Sweep:
         a *= largest_rad / np.abs(a @ self.functions.T).max(axis=1)[:, None]
         self.a = a * rng.uniform(0.3, 1, HOLOGRAMS)[:, None]
         self.gain = 0.02 * rng.standard_normal(HOLOGRAMS)
-        self.light = 30 * complex_normal(rng, POINTS)
-        seen = np.exp(self.gain)[:, None] * self.light * moved(self.a @ self.functions.T)
+        self.object_field = 30 * complex_normal(rng, POINTS)
+        seen = np.exp(self.gain)[:, None] * self.object_field * moved(self.a @ self.functions.T)
         value = (seen + noise * complex_normal(rng, HOLOGRAMS, POINTS)).T
         self.problem = Problem.of(value, self.functions, BesselTable())
         self.smooth = smooth_functions(self.x, self.y)
         self.weight = rng.uniform(0.5, 1, HOLOGRAMS)
 
-    def linear(self, light=None, a=None):
-        light = self.light if light is None else light
+    def linear(self, object_field=None, a=None):
+        object_field = self.object_field if object_field is None else object_field
         a = self.a if a is None else a
-        return linearise(self.problem, self.smooth, light, a, self.gain, self.weight)
+        return linearise(self.problem, self.smooth, object_field, a, self.gain, self.weight)
 
 
 def prior(amplitude=1e-4, gain=200.0):
@@ -79,11 +79,11 @@ def test_smooth_functions_are_polynomials_of_total_degree_six():
 def test_a_factor_is_the_exponential_of_magnitude_and_phase():
     smooth = smooth_functions(*np.random.default_rng(2).uniform(0, 1, (2, 50)))
     move = np.random.default_rng(3).normal(0, 0.1, 55)
-    factor = light_factor(smooth, move)
+    factor = field_factor(smooth, move)
     assert np.log(np.abs(factor)) == pytest.approx(smooth @ move[:28], abs=1e-6)
     # Of the phase there is no constant: that of the holograms is free.
     assert np.angle(factor) == pytest.approx(smooth[:, 1:] @ move[28:], abs=1e-6)
-    both = light_factor(smooth, move) * light_factor(smooth, -move)
+    both = field_factor(smooth, move) * field_factor(smooth, -move)
     assert np.abs(both - 1).max() < 1e-6
 
 
@@ -94,7 +94,7 @@ def test_a_factor_is_the_exponential_of_magnitude_and_phase():
 def test_equations_of_holograms_are_those_of_the_search(largest_rad):
     sweep = Sweep(largest_rad)
     linear, steps = sweep.linear(), np.arange(HOLOGRAMS)
-    expected = normal(sweep.problem, sweep.light, steps, sweep.a, sweep.gain)
+    expected = normal(sweep.problem, sweep.object_field, steps, sweep.a, sweep.gain)
     assert linear.normal.misfit == pytest.approx(expected.misfit, rel=1e-12)
     assert linear.normal.gradient == pytest.approx(expected.gradient, rel=1e-9)
     assert linear.normal.matrix == pytest.approx(expected.matrix, rel=1e-9)
@@ -107,37 +107,39 @@ def test_gradients_of_the_light_are_minus_half_the_slope_of_the_misfit(largest_r
 
     def misfit(move):
         factor = np.exp(sweep.smooth @ (move[:count] + 1j * move[count:]))
-        return sweep.weight @ sweep.linear(sweep.light * factor).normal.misfit
+        return sweep.weight @ sweep.linear(sweep.object_field * factor).normal.misfit
 
     slopes = []
     for unit in np.eye(2 * count):
         slopes.append((misfit(1e-5 * unit) - misfit(-1e-5 * unit)) / 2e-5)
     expected = -0.5 * np.array(slopes)
-    assert linear.light_gradient == pytest.approx(expected, abs=2e-4 * np.abs(expected).max())
+    assert linear.field_gradient == pytest.approx(expected, abs=2e-4 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("largest_rad", [0.5, 9.0])
 def test_couplings_are_products_of_derivatives(largest_rad):
-    """By differences of the phasors themselves, of one hologram."""
+    """By differences of the block amplitudes themselves, of one hologram."""
     sweep, k, step = Sweep(largest_rad), 5, 1e-6
     linear, count = sweep.linear(), 28
-    lit = np.exp(sweep.gain[k]) * sweep.light
+    lit = np.exp(sweep.gain[k]) * sweep.object_field
     at = moved(sweep.a[k] @ sweep.functions.T)
     columns = []
     for move in step * np.concatenate([np.eye(FUNCTIONS), 1j * np.eye(FUNCTIONS)]):
         ahead, behind = (moved((sweep.a[k] + s * move) @ sweep.functions.T) for s in (1, -1))
         columns.append(lit * (ahead - behind) / (2 * step))
     own = np.stack([*columns, lit * at], axis=1)
-    beside = (lit * at)[:, None] * np.concatenate([sweep.smooth, 1j * sweep.smooth], axis=1)
-    expected = (own.conj().T @ beside).real
+    sideband_equations = (lit * at)[:, None] * np.concatenate(
+        [sweep.smooth, 1j * sweep.smooth], axis=1
+    )
+    expected = (own.conj().T @ sideband_equations).real
     assert linear.coupling[k] == pytest.approx(expected, abs=1e-4 * np.abs(expected).max())
     whole = sum(
-        w * np.exp(2 * g) * np.abs(sweep.light * moved(a @ sweep.functions.T)) ** 2
+        w * np.exp(2 * g) * np.abs(sweep.object_field * moved(a @ sweep.functions.T)) ** 2
         for w, g, a in zip(sweep.weight, sweep.gain, sweep.a, strict=True)
     )
     square = sweep.smooth.T @ (whole[:, None] * sweep.smooth)
-    assert linear.light_matrix[:count, :count] == pytest.approx(square, rel=1e-4)
-    assert linear.light_matrix[count:, count:] == pytest.approx(square, rel=1e-4)
+    assert linear.field_matrix[:count, :count] == pytest.approx(square, rel=1e-4)
+    assert linear.field_matrix[count:, count:] == pytest.approx(square, rel=1e-4)
 
 
 # --- Steps -------------------------------------------------------------------------------------
@@ -149,12 +151,12 @@ def test_a_step_takes_a_wrong_factor_back(monkeypatch):
     sweep = Sweep(9.0, noise=0.0)
     wrong = np.zeros(55)
     wrong[[1, 9]] = 0.004, -0.003
-    light = sweep.light * light_factor(sweep.smooth, wrong)
-    linear = sweep.linear(light)
+    object_field = sweep.object_field * field_factor(sweep.smooth, wrong)
+    linear = sweep.linear(object_field)
     x = np.concatenate([sweep.a.real, sweep.a.imag, sweep.gain[:, None]], axis=1)
-    step = light_step(linear, prior(), 0 * x, sweep.weight)
+    step = field_step(linear, prior(), 0 * x, sweep.weight)
     assert step.move[[1, 9]] == pytest.approx([-0.004, 0.003], abs=3e-4)
-    after = light * light_factor(sweep.smooth, step.move)
+    after = object_field * field_factor(sweep.smooth, step.move)
     y = sweep.a + step.holograms[:, :FUNCTIONS] + 1j * step.holograms[:, FUNCTIONS : 2 * FUNCTIONS]
     assert sweep.linear(after, y).normal.misfit.sum() < 0.01 * linear.normal.misfit.sum()
 
@@ -165,7 +167,7 @@ def test_the_phase_of_smooth_light_is_never_told_and_its_magnitude_only_by_fring
     for largest_rad in (0.3, 9.0):
         sweep = Sweep(largest_rad, noise=0.0)
         x = np.concatenate([sweep.a.real, sweep.a.imag, sweep.gain[:, None]], axis=1)
-        shared = light_step(sweep.linear(), prior(gain=1e4), x, np.ones(HOLOGRAMS)).shared
+        shared = field_step(sweep.linear(), prior(gain=1e4), x, np.ones(HOLOGRAMS)).common_mode
         assert shared.response.shape == (HOLOGRAMS, 2 * FUNCTIONS, 55)
         # A constant factor of the magnitude: the displacements take it up whole while calm.
         known.append(shared.precision[0, 0])
@@ -183,8 +185,8 @@ def test_precision_tells_how_far_light_may_be_off(monkeypatch):
         sweep = Sweep(3.0, seed=seed)
         sweep.weight = np.ones(HOLOGRAMS)
         x = np.concatenate([sweep.a.real, sweep.a.imag, sweep.gain[:, None]], axis=1)
-        step = light_step(sweep.linear(), prior(gain=1e6), 0 * x, sweep.weight)
-        eigenvalues, vectors = np.linalg.eigh(step.shared.precision)
+        step = field_step(sweep.linear(), prior(gain=1e6), 0 * x, sweep.weight)
+        eigenvalues, vectors = np.linalg.eigh(step.common_mode.precision)
         # What the data do not tell is held by the prior.
         sure = eigenvalues > 30
         squares.append(np.mean((vectors.T @ step.move)[sure] ** 2 * eigenvalues[sure]))

@@ -9,7 +9,7 @@ from fitting.holograms.shape_basis import _functions, shape_basis
 from physics.reed.basis import reduced_modes
 from physics.reed.geometry import Outline, half_width_m
 from physics.reed.material import stiffness_terms_pa
-from physics.reed.names import PAPER_MODES, is_symmetric
+from physics.reed.mode_classification import PAPER_MODES, is_symmetric
 from physics.reed.response import elastic_modes
 from physics.reed.surface import surface_shapes
 

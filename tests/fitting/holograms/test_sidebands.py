@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.special import jv
 
+from fitting.holograms.amplitudes import block_object_field, fit_amplitudes
 from fitting.holograms.bessel import BesselTable
-from fitting.holograms.block_amplitudes import OtherPhasors
+from fitting.holograms.block_amplitudes import SidebandAmplitudes
 from fitting.holograms.displacement import fit_displacements
-from fitting.holograms.levenberg_marquardt import block_light, descend
 from fitting.holograms.object_field import linearise, smooth_functions
 from fitting.holograms.problem import (
     Problem,
@@ -17,10 +17,10 @@ from fitting.holograms.problem import (
     normal,
 )
 from fitting.holograms.sidebands import (
-    Sideband,
-    beside,
+    OtherSideband,
     brightness,
-    phasors,
+    sideband_equations,
+    sideband_values,
 )
 from tests.fitting.holograms.test_displacement import complex_normal, planted, share_of_error
 
@@ -48,14 +48,14 @@ class Sweep:
         self.functions = rng.uniform(-1, 1, (BLOCKS, FUNCTIONS))
         self.a = complex_normal(rng, HOLOGRAMS, FUNCTIONS)
         self.a *= self.largest_rad / np.abs(self.a @ self.functions.T).max()
-        self.light = LIGHT * complex_normal(rng, BLOCKS)
+        self.object_field = LIGHT * complex_normal(rng, BLOCKS)
         self.weight = rng.uniform(0.5, 1, HOLOGRAMS)
         u = self.a @ self.functions.T
 
         def seen(order, c):
-            return c[:, None] * self.light * sideband(order, u) + self.noise * complex_normal(
-                rng, HOLOGRAMS, BLOCKS
-            )
+            return c[:, None] * self.object_field * sideband(
+                order, u
+            ) + self.noise * complex_normal(rng, HOLOGRAMS, BLOCKS)
 
         self.c = {
             n: np.exp(0.05 * rng.standard_normal(HOLOGRAMS) + 2j * np.pi * rng.uniform(size=6))
@@ -63,52 +63,54 @@ class Sweep:
         }
         present = np.arange(HOLOGRAMS) != 2
         self.others = [
-            OtherPhasors(n, np.where(present[:, None], seen(n, self.c[n]), 0).T, present)
+            SidebandAmplitudes(n, np.where(present[:, None], seen(n, self.c[n]), 0).T, present)
             for n in self.orders
         ]
         first = seen(1, np.ones(HOLOGRAMS)).T
         self.problem = Problem.of(first, self.functions, BesselTable(), self.others)
         self.smooth = smooth_functions(self.x, self.y)
 
-    def beside(self, a=None, light=None):
-        return beside(
+    def sideband_equations(self, a=None, object_field=None):
+        return sideband_equations(
             self.problem.others[0],
             self.functions,
             self.problem.pairs,
-            self.light if light is None else light,
+            self.object_field if object_field is None else object_field,
             np.arange(HOLOGRAMS),
             self.problem.displacement(self.a if a is None else a),
         )
 
-    def linear(self, light=None):
-        light = self.light if light is None else light
+    def linear(self, object_field=None):
+        object_field = self.object_field if object_field is None else object_field
         zero = np.zeros(HOLOGRAMS)
-        return linearise(self.problem, self.smooth, light, self.a, zero, self.weight)
+        return linearise(self.problem, self.smooth, object_field, self.a, zero, self.weight)
 
 
-# --- Phasors -----------------------------------------------------------------------------------
+# --- Block amplitudes -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_phasors_are_those_of_the_sideband(order):
     sweep = Sweep((order,), 30.0)
-    shown = phasors(sweep.problem.others[0], sweep.problem.displacement(sweep.a))
+    shown = sideband_values(sweep.problem.others[0], sweep.problem.displacement(sweep.a))
     assert np.abs(shown - sideband(order, sweep.a @ sweep.functions.T)).max() < 2e-5
 
 
 def test_where_nothing_moves_only_the_carrier_is_bright():
     still = np.zeros((2, 3)), np.zeros((2, 3))
     for order, expected in ((0, 1), (1, 0), (2, 0)):
-        side = Sideband.of(OtherPhasors(order, np.zeros((3, 2)), np.ones(2, bool)), float)
-        assert phasors(side, still) == pytest.approx(np.full((2, 3), expected))
+        side = OtherSideband.of(
+            SidebandAmplitudes(order, np.zeros((3, 2)), np.ones(2, bool)), float
+        )
+        assert sideband_values(side, still) == pytest.approx(np.full((2, 3), expected))
 
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_brightness_and_phase_are_found(order):
     sweep = Sweep((order,), noise=0.0)
     side, present = sweep.problem.others[0], np.arange(HOLOGRAMS) != 2
-    shown = phasors(side, sweep.problem.displacement(sweep.a))
-    found = brightness(side, shown, sweep.light, np.arange(HOLOGRAMS))
+    shown = sideband_values(side, sweep.problem.displacement(sweep.a))
+    found = brightness(side, shown, sweep.object_field, np.arange(HOLOGRAMS))
     assert np.abs(found / sweep.c[order] - 1)[present].max() < 1e-4
 
 
@@ -124,17 +126,23 @@ def test_gradients_are_minus_half_the_slope_of_what_is_left(order, largest_rad):
     # Tables are single precision: no smaller step.
     sweep, step = Sweep((order,), largest_rad), 3e-3
     slopes = [
-        (sweep.beside(sweep.a + move).misfit - sweep.beside(sweep.a - move).misfit) / (2 * step)
+        (
+            sweep.sideband_equations(sweep.a + move).misfit
+            - sweep.sideband_equations(sweep.a - move).misfit
+        )
+        / (2 * step)
         for move in step * np.concatenate([np.eye(FUNCTIONS), 1j * np.eye(FUNCTIONS)])
     ]
     expected = -0.5 * np.array(slopes).T
-    assert sweep.beside().gradient == pytest.approx(expected, abs=5e-3 * np.abs(expected).max())
+    assert sweep.sideband_equations().gradient == pytest.approx(
+        expected, abs=5e-3 * np.abs(expected).max()
+    )
 
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_matrices_leave_brightness_and_phase_free(order):
     sweep, step, k = Sweep((order,), noise=0.0), 1e-6, 3
-    lit = sweep.c[order][k] * sweep.light
+    lit = sweep.c[order][k] * sweep.object_field
     columns = []
     for move in step * np.concatenate([np.eye(FUNCTIONS), 1j * np.eye(FUNCTIONS)]):
         ahead, behind = (
@@ -146,12 +154,12 @@ def test_matrices_leave_brightness_and_phase_free(order):
     free = np.stack([free, 1j * free], axis=1)
     coupling = (own.conj().T @ free).real
     expected = (own.conj().T @ own).real - coupling @ coupling.T / np.sum(np.abs(free[:, 0]) ** 2)
-    found = sweep.beside().matrix[k]
+    found = sweep.sideband_equations().matrix[k]
     assert found == pytest.approx(expected, abs=2e-4 * np.abs(expected).max())
 
 
 def test_a_sideband_that_was_not_recorded_tells_nothing():
-    found = Sweep((0,)).beside()
+    found = Sweep((0,)).sideband_equations()
     assert found.misfit[2] == 0
     assert not found.gradient[2].any()
     assert not found.matrix[2].any()
@@ -160,7 +168,7 @@ def test_a_sideband_that_was_not_recorded_tells_nothing():
 def test_equations_of_the_light_are_those_of_the_search():
     sweep = Sweep((0, 2))
     expected = normal(
-        sweep.problem, sweep.light, np.arange(HOLOGRAMS), sweep.a, np.zeros(HOLOGRAMS)
+        sweep.problem, sweep.object_field, np.arange(HOLOGRAMS), sweep.a, np.zeros(HOLOGRAMS)
     )
     found = sweep.linear().normal
     for one, other in ((found.misfit, expected.misfit), (found.gradient, expected.gradient)):
@@ -172,7 +180,7 @@ def test_equations_of_the_light_are_those_of_the_search():
 @pytest.mark.parametrize("orders", [(), (0, 2)])
 def test_misfits_without_slopes_are_those_with_them(orders):
     sweep, gain = Sweep(orders), 0.1 * np.arange(HOLOGRAMS)
-    point = sweep.problem, sweep.light, np.arange(HOLOGRAMS), 0.9 * sweep.a, gain
+    point = sweep.problem, sweep.object_field, np.arange(HOLOGRAMS), 0.9 * sweep.a, gain
     assert misfits(*point) == pytest.approx(normal(*point).misfit, rel=1e-9)
 
 
@@ -180,19 +188,25 @@ def test_misfits_without_slopes_are_those_with_them(orders):
 def test_a_descent_tells_the_misfits_of_where_it_ends(count):
     sweep, steps = Sweep((0, 2)), np.arange(HOLOGRAMS)
     start, prior = (0.9 * sweep.a, np.zeros(HOLOGRAMS)), np.eye(FUNCTIONS)
-    a, gain, left = descend(sweep.problem, sweep.light, steps, start, count, prior)
-    assert left == pytest.approx(misfits(sweep.problem, sweep.light, steps, a, gain), rel=1e-9)
-    assert np.all(left < misfits(sweep.problem, sweep.light, steps, *start))
+    a, gain, left = fit_amplitudes(sweep.problem, sweep.object_field, steps, start, count, prior)
+    assert left == pytest.approx(
+        misfits(sweep.problem, sweep.object_field, steps, a, gain), rel=1e-9
+    )
+    assert np.all(left < misfits(sweep.problem, sweep.object_field, steps, *start))
 
 
 def test_a_descent_takes_no_turn_that_makes_it_worse():
     sweep, steps = Sweep((), largest_rad=8.0), np.arange(HOLOGRAMS)
     # A step that takes F for straight goes beyond its largest.
     start = (0.2 * sweep.a, np.zeros(HOLOGRAMS))
-    a, gain, left = descend(sweep.problem, sweep.light, steps, start, 1, np.eye(FUNCTIONS))
+    a, gain, left = fit_amplitudes(
+        sweep.problem, sweep.object_field, steps, start, 1, np.eye(FUNCTIONS)
+    )
     stayed = np.all(a == start[0], axis=1)
     assert 0 < np.count_nonzero(stayed) < HOLOGRAMS
-    assert left == pytest.approx(misfits(sweep.problem, sweep.light, steps, a, gain), rel=1e-9)
+    assert left == pytest.approx(
+        misfits(sweep.problem, sweep.object_field, steps, a, gain), rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("orders", [(0,), (2,), (0, 2)])
@@ -201,30 +215,30 @@ def test_gradients_of_the_light_follow_all_sidebands(orders):
 
     def misfit(move):
         factor = np.exp(sweep.smooth @ (move[:count] + 1j * move[count:]))
-        return sweep.weight @ sweep.linear(sweep.light * factor).normal.misfit
+        return sweep.weight @ sweep.linear(sweep.object_field * factor).normal.misfit
 
     slopes = [(misfit(1e-4 * unit) - misfit(-1e-4 * unit)) / 2e-4 for unit in np.eye(2 * count)]
     expected = -0.5 * np.array(slopes)
-    found = sweep.linear().light_gradient
+    found = sweep.linear().field_gradient
     assert found == pytest.approx(expected, abs=3e-3 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("order", [0, 2])
 def test_light_is_coupled_to_displacement_with_brightness_and_phase_free(order):
-    """What other sidebands add, from derivatives of their phasors by differences."""
+    """What other sidebands add, from derivatives of their block amplitudes by differences."""
     sweep, step = Sweep((order,), noise=0.0), 1e-6
     with_it = sweep.linear()
     without = linearise(
         replace(sweep.problem, others=()),
         sweep.smooth,
-        sweep.light,
+        sweep.object_field,
         sweep.a,
         np.zeros(HOLOGRAMS),
         sweep.weight,
     )
     matrix = np.zeros((56, 56))
     for k in np.flatnonzero(np.arange(HOLOGRAMS) != 2):
-        lit = sweep.c[order][k] * sweep.light
+        lit = sweep.c[order][k] * sweep.object_field
         at = lit * sideband(order, sweep.a[k] @ sweep.functions.T)
         columns = []
         for move in step * np.concatenate([np.eye(FUNCTIONS), 1j * np.eye(FUNCTIONS)]):
@@ -245,7 +259,7 @@ def test_light_is_coupled_to_displacement_with_brightness_and_phase_free(order):
         matrix += sweep.weight[k] * (of_light.conj().T @ of_light).real
     # A hologram that is not there couples nothing.
     assert with_it.coupling[2] == pytest.approx(without.coupling[2])
-    found = with_it.light_matrix - without.light_matrix
+    found = with_it.field_matrix - without.field_matrix
     assert found == pytest.approx(matrix, abs=1e-3 * np.abs(matrix).max())
 
 
@@ -255,11 +269,13 @@ def test_light_is_coupled_to_displacement_with_brightness_and_phase_free(order):
 def test_light_is_found_from_all_sidebands():
     sweep = Sweep((0, 2), noise=0.0)
     steps, zero = np.arange(HOLOGRAMS), np.zeros(HOLOGRAMS)
-    wrong = sweep.light * np.exp(0.01 * sweep.smooth[:, 1])
-    found = block_light(sweep.problem, steps, sweep.a, zero, sweep.weight, wrong)
-    assert np.abs(found / sweep.light - 1).max() < 0.01
-    rough = block_light(replace(sweep.problem, others=()), steps, sweep.a, zero, sweep.weight)
-    assert rough == pytest.approx(sweep.light, rel=1e-4)
+    wrong = sweep.object_field * np.exp(0.01 * sweep.smooth[:, 1])
+    found = block_object_field(sweep.problem, steps, sweep.a, zero, sweep.weight, wrong)
+    assert np.abs(found / sweep.object_field - 1).max() < 0.01
+    rough = block_object_field(
+        replace(sweep.problem, others=()), steps, sweep.a, zero, sweep.weight
+    )
+    assert rough == pytest.approx(sweep.object_field, rel=1e-4)
 
 
 @pytest.fixture(scope="module")
@@ -271,18 +287,20 @@ def with_orders():
     others = []
     for order in (0, 2):
         turn = np.exp(2j * np.pi * rng.uniform(size=(len(u), 1)))
-        seen = turn * sweep.light * sideband(order, u) + complex_normal(rng, *u.shape)
-        others.append(OtherPhasors(order, seen.T.astype(np.complex64), np.ones(len(u), dtype=bool)))
-    return replace(sweep, phasors=replace(sweep.phasors, others=tuple(others)))
+        seen = turn * sweep.object_field * sideband(order, u) + complex_normal(rng, *u.shape)
+        others.append(
+            SidebandAmplitudes(order, seen.T.astype(np.complex64), np.ones(len(u), dtype=bool))
+        )
+    return replace(sweep, block_amplitudes=replace(sweep.block_amplitudes, others=tuple(others)))
 
 
 def test_the_carrier_tells_light_from_displacement(with_orders):
     """The phase of smooth light, which the first sideband leaves open."""
-    alone = fit_displacements(replace(with_orders.phasors, others=()), with_orders.basis)
-    found = fit_displacements(with_orders.phasors, with_orders.basis)
+    alone = fit_displacements(replace(with_orders.block_amplitudes, others=()), with_orders.basis)
+    found = fit_displacements(with_orders.block_amplitudes, with_orders.basis)
     assert found.reached.all()
     assert found.misfit == pytest.approx(np.ones(84), abs=0.35)
-    known = [np.linalg.eigvalsh(each.shared.precision)[1] for each in (alone, found)]
+    known = [np.linalg.eigvalsh(each.common_mode.precision)[1] for each in (alone, found)]
     assert known[1] > 10 * known[0]
     errors = [np.median(share_of_error(with_orders, each)) for each in (alone, found)]
     assert errors[1] < 0.7 * errors[0]

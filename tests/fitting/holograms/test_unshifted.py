@@ -14,13 +14,14 @@ from fitting.forward import (
 )
 from fitting.fringes.pictures import good_steps
 from fitting.holograms.block_amplitudes import (
-    Unshifted,
+    UnshiftedLight,
     _blocks,
     _holograms,
     _leading,
-    read_phasors,
+    read_block_amplitudes,
 )
-from fitting.modal.identify import fit_jointly, fit_less
+from fitting.modal.identify import fit_jointly
+from fitting.modal.refit import fit_without_unshifted
 from runs.reader import Run
 
 # Amplitude of what leaks in, in units of the light at rest.
@@ -42,7 +43,7 @@ def leaky(sweep_a, clean, tmp_path_factory, resealed):
         steps, blocks = good_steps(run), _blocks(run)
         _, right = _leading(_holograms(run, steps, blocks, None))
         # What all pixels have in common with the fit's light, in units of the noise.
-        light = clean.displacements.light[:, None] * right.conj()
+        light = clean.displacements.object_field[:, None] * right.conj()
         moved = np.abs(clean.modal.amplitude_rad @ clean.basis.functions.T)
         noise = np.sqrt([step.noise_level for step in steps])
         share = LEAK * np.exp(2j * np.pi * rng.random(len(steps))) * noise
@@ -54,7 +55,7 @@ def leaky(sweep_a, clean, tmp_path_factory, resealed):
         kept = file["entry/data/field"]
         for position, leak in zip(positions, leaks, strict=True):
             kept[position] = kept[position] + leak
-    return path, Unshifted(at_rest, dict(zip(positions, share.tolist(), strict=True)))
+    return path, UnshiftedLight(at_rest, dict(zip(positions, share.tolist(), strict=True)))
 
 
 def image(blocks, values, shape):
@@ -71,31 +72,33 @@ def image(blocks, values, shape):
 
 def test_nothing_is_taken_off_if_nothing_leaks(sweep_a) -> None:
     with Run.open(sweep_a) as run:
-        plain = read_phasors(run)
-        none = read_phasors(run, Unshifted(np.ones(run.field(0).shape, np.complex64), {}))
+        plain = read_block_amplitudes(run)
+        none = read_block_amplitudes(
+            run, UnshiftedLight(np.ones(run.field(0).shape, np.complex64), {})
+        )
     np.testing.assert_array_equal(none.value, plain.value)
-    assert plain.taken_off is None
-    assert none.taken_off is not None
-    assert not none.taken_off.any()
+    assert plain.subtracted is None
+    assert none.subtracted is not None
+    assert not none.subtracted.any()
 
 
 def test_what_is_taken_off_is_in_what_was_recorded(leaky) -> None:
     path, unshifted = leaky
     with Run.open(path) as run:
-        less = read_phasors(run, unshifted)
-    assert less.taken_off is not None
-    np.testing.assert_allclose(less.recorded - less.taken_off, less.value, atol=1e-3)
+        less = read_block_amplitudes(run, unshifted)
+    assert less.subtracted is not None
+    np.testing.assert_allclose(less.recorded - less.subtracted, less.value, atol=1e-3)
     # Of light at rest as much is taken off everywhere.
-    ratio = np.abs(less.taken_off).mean(axis=0) / np.abs(less.taken_off).mean()
+    ratio = np.abs(less.subtracted).mean(axis=0) / np.abs(less.subtracted).mean()
     assert ratio == pytest.approx(1, abs=1e-3)
 
 
-def test_a_sweep_that_a_carrier_hides_is_read_once_it_is_taken_off(leaky, clean, true_hz) -> None:
+def test_a_sweep_that_a_carrier_hides_is_read_once_it_is_subtracted(leaky, clean, true_hz) -> None:
     path, unshifted = leaky
     with Run.open(path) as run:
         reed = basis_of(run.reed_file())
         first = fit_jointly(run, reed, finite_element_model(reed), unshifted)
-    settled = fit_less(first)
+    settled = fit_without_unshifted(first)
     # Of what the carrier adds to the discrepancy, 87 % to 97 % is gone in six runs of other seeds;
     # what is left is 1.2 to 2.1 times the discrepancy of a run without carrier, by chance.
     added = first.modal.discrepancy - clean.modal.discrepancy
@@ -106,4 +109,4 @@ def test_a_sweep_that_a_carrier_hides_is_read_once_it_is_taken_off(leaky, clean,
 
 
 def test_without_unshifted_light_there_is_nothing_to_settle(clean) -> None:
-    assert fit_less(clean) is clean
+    assert fit_without_unshifted(clean) is clean

@@ -7,7 +7,7 @@ import pytest
 
 from fitting.errors import FitError
 from fitting.holograms.displacement import Displacements
-from fitting.holograms.object_field import SharedError
+from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.fit import (
     _LAST,
@@ -16,20 +16,20 @@ from fitting.modal.fit import (
     fit_modes,
 )
 from fitting.modal.model import (
-    UNKNOWN_LINES,
+    UNKNOWN_DRIVE_DOF,
     Model,
     State,
-    bend,
+    drive_prior_at,
     scalars,
     terms,
 )
 from fitting.modal.normal_equations import (
     Data,
-    downhill,
     equations,
-    place,
+    evaluate,
+    negative_gradient,
 )
-from fitting.modal.optimiser import improve
+from fitting.modal.optimiser import minimise_cost
 
 # Six modes, the last one beyond the sweep.
 NAMES = ("F1", "T1", "F2", "T2", "X1", "symmetric 9")
@@ -92,7 +92,7 @@ def planted(
     mode_hz=MODE_HZ,
     strength=PARTICIPATION,
     off_cents=8.0,
-    lines=(),
+    drive_dof=(),
     mixing=0.5,
     gain_nepers=GAIN,
 ):
@@ -113,7 +113,7 @@ def planted(
     volts = np.minimum(16, 0.5 * 2 ** (np.arange(len(DRIVE_HZ)) / 15))
     gain = np.exp(gain_nepers * rng.standard_normal(len(DRIVE_HZ)))
     magnitude = 0.1 * volts * (1 + 0.2 * np.sin(octaves)) * gain
-    for k, factor in lines:
+    for k, factor in drive_dof:
         magnitude[k] *= factor
     drive = magnitude * np.exp(2j * np.pi * rng.uniform(size=len(DRIVE_HZ)))
     a = response(hz, LOSS[:modes], p, shapes, drive)
@@ -125,14 +125,14 @@ def planted(
     error = np.einsum("kij,kj->ki", root, rng.standard_normal((len(a), size)))
     information = np.linalg.inv(root @ root.swapaxes(1, 2))
     a = a + error[:, :FUNCTIONS] + 1j * error[:, FUNCTIONS:]
-    shared = SharedError(np.zeros((len(a), size, 0)), np.zeros((0, 0)))
+    common_mode = CommonModeError(np.zeros((len(a), size, 0)), np.zeros((0, 0)))
     displacements = Displacements(
         amplitude_rad=a,
         information=information,
-        shared=shared,
+        common_mode=common_mode,
         misfit=np.ones(len(a)),
         gain=np.zeros(len(a)),
-        light=np.ones(10, np.complex64),
+        object_field=np.ones(10, np.complex64),
         reached=np.ones(len(a), dtype=bool),
     )
     basis = ShapeBasis(
@@ -311,8 +311,8 @@ def test_a_mode_beyond_the_sweep_is_none_of_the_modes(found):
 @pytest.mark.parametrize("factor", [0.4, 3.0])
 def test_a_line_of_the_air_between_modes_moves_none(factor):
     between = int(np.abs(np.log(DRIVE_HZ / 3650)).argmin())
-    lines = [(between, factor), (between + 1, np.sqrt(factor))]
-    with_line, plain = planted(6, noise=0.01, lines=lines), planted(6, noise=0.01)
+    drive_dof = [(between, factor), (between + 1, np.sqrt(factor))]
+    with_line, plain = planted(6, noise=0.01, drive_dof=drive_dof), planted(6, noise=0.01)
     fit, before = with_line.fit(), plain.fit()
     assert (np.abs(cents(fit.hz, with_line.hz[:5])) < 3 * fit.error_cents).all()
     ratio = np.abs(fit.drive / before.drive)
@@ -322,7 +322,7 @@ def test_a_line_of_the_air_between_modes_moves_none(factor):
 @pytest.mark.parametrize("factor", [1.5, 3.0])
 def test_a_line_of_the_air_beside_a_resonance_moves_it_by_no_more_than_is_told(factor):
     beside = int(np.abs(np.log(DRIVE_HZ / MODE_HZ[2])).argmin()) + 1
-    sweep = planted(6, noise=0.02, lines=[(beside, factor), (beside + 1, np.sqrt(factor))])
+    sweep = planted(6, noise=0.02, drive_dof=[(beside, factor), (beside + 1, np.sqrt(factor))])
     fit = sweep.fit()
     assert (np.abs(cents(fit.hz, sweep.hz[:5])) < 4 * fit.error_cents).all()
 
@@ -459,10 +459,12 @@ class Point:
         return terms(self.model, replace(self.state, x=x)).amplitude
 
     def cost(self, state):
-        apart = self.data.apart(terms(self.model, state).amplitude, state.together)
+        apart = self.data.whitened_residual(
+            terms(self.model, state).amplitude, state.common_mode_shift
+        )
         misfit = float(np.sum(apart**2))
-        known = state.together @ self.data.precision @ state.together
-        return misfit + known + self.prior.cost(state.x) + bend(self.model, state).cost
+        known = state.common_mode_shift @ self.data.precision @ state.common_mode_shift
+        return misfit + known + self.prior.cost(state.x) + drive_prior_at(self.model, state).cost
 
 
 @pytest.fixture(scope="module")
@@ -476,7 +478,7 @@ def point():
     model = Model(
         hz,
         np.log(np.full(len(k), 3.0)),
-        UNKNOWN_LINES,
+        UNKNOWN_DRIVE_DOF,
         powers,
         reference,
         MODE_HZ[:5],
@@ -523,11 +525,13 @@ def test_derivatives_are_scalars_times_vectors(point):
 
 def test_gradients_are_minus_half_the_slope_of_the_cost(point):
     state, free = point.state, point.prior.free
-    here = place(point.model, point.data, point.prior, state)
+    here = evaluate(point.model, point.data, point.prior, state)
     assert here.cost == pytest.approx(point.cost(state), rel=1e-12)
-    down = downhill(point.model, point.data, point.prior, here)
+    down = negative_gradient(point.model, point.data, point.prior, here)
     by_x = differences(lambda x: point.cost(replace(state, x=x)), state.x)[free]
-    by_all = differences(lambda z: point.cost(replace(state, together=z)), state.together)
+    by_all = differences(
+        lambda z: point.cost(replace(state, common_mode_shift=z)), state.common_mode_shift
+    )
     slopes = np.concatenate([by_x, by_all])
     count = 2 * len(state.log_drive)
     assert down[:-count] == pytest.approx(-0.5 * slopes, abs=1e-5 * np.abs(slopes).max())
@@ -563,7 +567,7 @@ def test_matrices_are_those_of_the_derivatives(point):
     held[len(by_x) :, len(by_x) :] = data.precision
     count = len(amplitude)
     bent = np.zeros((2 * count, 2 * count))
-    bent[:count, :count] = bend(model, state).curvature
+    bent[:count, :count] = drive_prior_at(model, state).curvature
     for given, one, other, known in (
         (here.matrix, own, own, held),
         (here.coupling, own, drive, 0),
@@ -576,8 +580,8 @@ def test_matrices_are_those_of_the_derivatives(point):
 def settled(point, monkeypatch, iterations, following):
     """Cost and gradient after some of Newton's steps, each with so many that follow it."""
     monkeypatch.setattr("fitting.modal.optimiser._FOLLOWING", following)
-    state = improve(point.model, point.data, point.prior, point.state, iterations)
-    return place(point.model, point.data, point.prior, state)
+    state = minimise_cost(point.model, point.data, point.prior, point.state, iterations)
+    return evaluate(point.model, point.data, point.prior, state)
 
 
 def test_steps_that_follow_newtons_get_farther_on_the_same_equations(point, monkeypatch):
@@ -600,7 +604,7 @@ def test_a_step_that_overflows_is_cut(point):
     far = point.state.x.copy()
     far[:3, 11] += 6.0
     lost = replace(point.state, x=far)
-    state = improve(point.model, point.data, point.prior, lost, 8)
+    state = minimise_cost(point.model, point.data, point.prior, lost, 8)
     assert np.isfinite(point.cost(state))
     assert point.cost(state) < point.cost(lost)
 
@@ -610,5 +614,5 @@ def test_what_has_no_inverse_is_said_with_the_remedy():
     matrix[0, 1] = matrix[1, 0] = 0.3
     assert _inverse(matrix) == pytest.approx(np.linalg.inv(matrix))
     matrix[0, 1] = matrix[1, 0] = 2.0
-    with pytest.raises(FitError, match="do not tell the modes of this reed apart"):
+    with pytest.raises(FitError, match="--method picture"):
         _inverse(matrix)

@@ -10,8 +10,9 @@ import pytest
 from fitting.cane.fit_runs import fit_runs, method_name
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
-from fitting.modal.identify import _doubts, _outweighing, _room_cents, _with_usual_drive, mac
+from fitting.modal.identify import _doubts, _with_smooth_drive, mac
 from fitting.modal.residual_map import residual_map
+from fitting.modal.start_frequencies import _outweighing, _room_cents
 from physics.reed.viscoelastic import Components
 from reports.figures.drawing import png_of
 from reports.figures.joint_drawing import mode_sheet
@@ -70,7 +71,7 @@ def test_what_is_said_of_a_mode_is_of_that_mode(jointly, sweep):
         assert mode["hz"] == found.frequency_hz
         assert abs(cents_of(mode["response_hz"]) - cents_of(mode["hz"])) < 150
         assert 0 < mode["participation"] <= 1
-        assert 0.5 <= mode["likeness"] <= 1
+        assert 0.5 <= mode["similarity"] <= 1
         assert {len(values) for values in mode["residual"].values()} == {
             len(residual_map(sweep.joint, name).value)
         }
@@ -91,7 +92,7 @@ def test_the_table_tells_loss_and_what_is_not_identified(sweep):
     table = short_resonances_table(sweep)
     assert tuple(column.key for column in table.columns) == SHORT_JOINT
     for record, found in zip(table.records(), sweep.resonances.values(), strict=True):
-        assert (record["hz"], record["mac"]) == (found.frequency_hz, found.likeness)
+        assert (record["hz"], record["mac"]) == (found.frequency_hz, found.similarity)
         assert record["loss_factor"] == (found.loss_factor, found.loss_error)
     told = " ".join(remarks(sweep))
     assert all(name in told for name in sweep.not_identified)
@@ -99,7 +100,7 @@ def test_the_table_tells_loss_and_what_is_not_identified(sweep):
 
 def test_the_line_of_the_cavity_is_told_and_nothing_else(sweep):
     """The simulated cavity rings at 4309 Hz; its gain is highest a little below."""
-    (line,) = sweep.lines
+    (line,) = sweep.excitation_peaks
     assert 4200 < line.hz < 4330
     assert 5 < line.height_db < 12
     assert any(f"{line.hz:.0f} Hz" in told for told in remarks(sweep))
@@ -110,7 +111,7 @@ def test_every_identified_mode_is_drawn(sweep):
     words = " ".join(text.get_text() for text in figure.texts)
     for name, found in sweep.resonances.items():
         assert f"{name}   {found.frequency_hz:.1f} Hz" in words
-        assert f"MAC {found.likeness:.2f}" in words
+        assert f"MAC {found.similarity:.2f}" in words
     # Hologram, shape and residual of each, and a scale for each of these.
     assert len(figure.axes) == 3 * len(sweep.resonances) + 3
     assert png_of(figure).startswith(b"\x89PNG")
@@ -120,7 +121,7 @@ def test_modes_of_another_kind_of_reed_are_not_believed(sweep):
     joint = sweep.joint
     doubts = _doubts(replace(joint.modal, discrepancy=0.3), joint.basis, joint.displacements)
     assert set(doubts) == set(joint.modal.names)
-    assert all("another reed" in reason for reason in doubts.values())
+    assert all("check that reed" in reason for reason in doubts.values())
     few = replace(joint.displacements, reached=np.arange(len(joint.displacements.reached)) % 3 > 0)
     doubts = _doubts(joint.modal, joint.basis, few)
     assert all("cannot be explained" in reason for reason in doubts.values())
@@ -141,7 +142,9 @@ def test_a_mode_has_room_up_to_the_next_of_its_symmetry():
 
 def test_picks_that_speak_for_no_possible_cane_do_no_harm(sweep_a, sweep, true_hz, monkeypatch):
     """Of a shear modulus below zero: modes are sought where the mean cane has them."""
-    monkeypatch.setattr("fitting.modal.identify.likely_components", lambda *_: Components(e1=-8.0))
+    monkeypatch.setattr(
+        "fitting.modal.start_frequencies.likely_components", lambda *_: Components(e1=-8.0)
+    )
     other = fit_runs([sweep_a], method="joint").sweeps[0]
     apart = cents_apart(found_hz(other), true_hz)
     assert all(abs(cents) < 5 for cents in apart.values()), apart
@@ -173,4 +176,4 @@ def test_holograms_that_are_off_are_expected_with_the_drive_of_the_others():
     modal = SimpleNamespace(
         drive=drive, amplitude_rad=drive[:, None] * np.array([1.0, 2j]), off=off
     )
-    assert _with_usual_drive(modal, hz) == pytest.approx(amplitude)
+    assert _with_smooth_drive(modal, hz) == pytest.approx(amplitude)

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from fitting.cane.reed_fit import COMPONENTS, fit_components
 from fitting.errors import FitInputError
 from fitting.forward import PaperModel, hz_of
-from fitting.fringes.picking import Resonance
+from fitting.fringes.fringe_peaks import Resonance
 from fitting.modal.excess_scatter import added_cents, is_misfit
 from fitting.paper.constants import adjusted_metamodel
 from fitting.populations import population as populations
@@ -24,7 +24,7 @@ from physics.reed.log_polynomial import (
     network_pa,
 )
 from physics.reed.metamodel import Equation1
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.viscoelastic import (
     Components,
     Series,

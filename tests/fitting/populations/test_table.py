@@ -12,14 +12,14 @@ import pytest
 from fitting.cane.fit_runs import FIT_SWEEP
 from fitting.errors import FitInputError
 from fitting.forward import cents_of, hz_of
-from fitting.fringes.picking import Resonance
-from fitting.modal.acoustic_resonances import Line
+from fitting.fringes.fringe_peaks import Resonance
+from fitting.modal.acoustic_resonances import ExcitationPeak
 from fitting.paper.constants import adjusted_metamodel
 from fitting.populations.population import fit_population
 from fitting.populations.resonance_table import GRID_ERROR_CENTS, read_resonances
 from fitting.populations.table import PopulationSummary, fit_table, metamodel_of
 from fitting.statistics.synthetic import draw_components, observe
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from protocols.reed import ReedFile
 from reports.errors import OutputRefusedError
 from reports.population_tables import (
@@ -222,7 +222,8 @@ def test_a_folder_of_runs_becomes_a_table(sweep_a, fitted_a, tmp_path):
     said = []
     measured = write_resonances(sweep_a.parent, tmp_path / "table.csv", said.append, "picture")
     # Pictures tell of no lines.
-    assert (measured.kind, measured.reeds, measured.lines) == (ReedFile.from_file(), 1, None)
+    assert (measured.kind, measured.reeds) == (ReedFile.from_file(), 1)
+    assert measured.excitation_peaks is None
     assert [path.name for _, path in measured.sweeps] == [sweep_a.name]
     assert measured.to_json() is None
     with (tmp_path / "table.csv").open(newline="", encoding="utf-8") as file:
@@ -248,7 +249,7 @@ class SweepWithLines:
 
     def __init__(self, run, *lines_hz):
         self.reed, self.series = run.reed, run.series
-        self.lines = [Line(hz, 8.0) for hz in lines_hz]
+        self.excitation_peaks = [ExcitationPeak(hz, 8.0) for hz in lines_hz]
 
 
 def test_lines_that_stay_from_reed_to_reed_are_told(changed, monkeypatch, tmp_path):
@@ -262,7 +263,7 @@ def test_lines_that_stay_from_reed_to_reed_are_told(changed, monkeypatch, tmp_pa
 
     monkeypatch.setitem(FIT_SWEEP, "joint", fit)
     measured = write_resonances(tmp_path, tmp_path / "table.csv")
-    (line,) = measured.lines
+    (line,) = measured.excitation_peaks
     assert (line.reeds, measured.reeds) == (3, 3)
     assert line.hz == pytest.approx(4285, abs=0.1)
     assert measured.to_json() == [{"hz": line.hz, "height_db": line.height_db, "reeds": 3}]

@@ -35,7 +35,7 @@ from fitting.statistics.synthetic import (
     variable_names,
     zener_parameters,
 )
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.viscoelastic import (
     Components,
     Series,

@@ -19,7 +19,7 @@ from fitting.statistics.hypotheses.prediction import (
     paper_resonances,
     predict,
 )
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 
 H4 = paper_structures.h4()
 ADJUSTMENTS = np.array([[H4_ADJUSTMENT_CENTS[name]] for name in PAPER_MODES])

@@ -9,7 +9,7 @@ from fitting.statistics.hypotheses.chain import fit_chain, table_of_hypotheses
 from fitting.statistics.hypotheses.determination import determination
 from fitting.statistics.hypotheses.joint import continued, fit_hypothesis
 from fitting.statistics.hypotheses.population import Priors
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 
 
 @pytest.fixture(scope="module")

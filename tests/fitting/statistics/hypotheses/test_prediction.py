@@ -16,7 +16,7 @@ from fitting.statistics.hypotheses.prediction import (
 )
 from fitting.statistics.hypotheses.structure import PARAMETER_SIZES
 from physics.reed.metamodel import Equation1, paper_network_pa
-from physics.reed.names import PAPER_MODES
+from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.viscoelastic import (
     Components,
     Series,

@@ -1,8 +1,8 @@
-"""The paper's way to resonances: the picture in which the fringes of a mode are locally most.
+"""Find resonances the paper's way: pick the picture in which a mode has most fringes.
 
-Names come from similarity with the finite-element shapes: fringes are counted per shape. Where a
-mode is looked for is a matter of what is already known: the population of reeds first, then also
-the modes found so far, since few components govern all frequencies.
+Fringes are counted for each shape of the finite elements, which gives the modes their names. Each
+mode is searched near its expected frequency: first that of the population of reeds, then also that
+which the modes found so far imply, because few components determine all frequencies.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +18,7 @@ from fitting.forward import (
     viscoelastic_cents,
 )
 from fitting.paper import constants as paper
-from physics.reed.names import is_symmetric
+from physics.reed.mode_classification import is_symmetric
 from physics.reed.viscoelastic import (
     Components,
     Series,
@@ -29,22 +29,23 @@ Array = NDArray[np.floating[Any]]
 
 # Half width of a search window, in standard deviations of the prediction.
 _WINDOW_SD = 4.0
-# Pictures this close to an acoustic line of the bench show all modes at once.
+# Pictures this close to an acoustic resonance of the bench show all modes at once.
 _LINE_CENTS = 60.0
-# A maximum must stand out of the noise of the count, rad: a first fringe begins at 1.84.
+# Least amplitude of a maximum, rad: above the noise of the count; a first fringe is at 1.84 rad.
 _LEAST_RAD = 0.1
-# ... and of the most fringes of its shape within the window: ripples on a flank are no resonance.
-_LEAST_SHARE = 0.2
+# ... and as a fraction of the largest amplitude of its shape in the window: a ripple on a flank is
+# no resonance.
+_LEAST_FRACTION = 0.2
 # Reeds lie within these many standard deviations of the population's mean.
 _FARTHEST_SD = 4.0
-# Steps of Gauss and Newton that a belief takes when it learns.
-_BELIEF_STEPS = 2
+# Gauss-Newton steps after each new resonance.
+_GAUSS_NEWTON_STEPS = 2
 # Two modes of one symmetry that are expected this close may have exchanged shapes.
 _EXCHANGE_CENTS = 150.0
 # Two modes of one symmetry come no closer than this: the closest pairs of the population, F2 and
 # T2 or F4 and T4, keep more than 90 cents.
 _REPULSION_CENTS = 50.0
-# Order of search: the liveliest and best separated modes narrow the windows of the others.
+# Order of search: the strongest and best separated modes narrow the windows of the others.
 _SEARCH_ORDER = ("F1", "T1", "F2", "T3", "T2", "X1", "F3", "X2", "X3", "F4", "T4")
 
 
@@ -66,13 +67,14 @@ class Resonance:
     method : str
         ``picture``, or ``joint`` (see `fitting.modal.identify`), which alone knows what follows.
     response_hz : float, optional
-        Where the mode is liveliest in the sweep: not its eigenfrequency where the drive is steep.
+        Drive frequency of the mode's peak response. It differs from the eigenfrequency where the
+        drive changes steeply.
     loss_factor, loss_error : float, optional
-        The latter relative.
+        The error is relative.
     participation : float, optional
-        How strongly the drive moves the mode, per unit of the one that it moves most.
-    likeness : float, optional
-        Of its shape and that of the finite elements' mode of its name (MAC).
+        How strongly the drive excites the mode, relative to the mode that it excites most.
+    similarity : float, optional
+        Modal assurance criterion of its shape and the finite-element shape of its name.
     """
 
     name: str
@@ -85,14 +87,34 @@ class Resonance:
     loss_factor: float | None = None
     loss_error: float | None = None
     participation: float | None = None
-    likeness: float | None = None
+    similarity: float | None = None
 
 
-class _Belief:
-    """Normal distribution of the components, narrowed by every resonance found.
+@dataclass(frozen=True)
+class FringeCurves:
+    """Phase amplitudes of all shapes in all pictures of a sweep (see `fitting.fringes.fringes`).
 
-    The model is linearised at the mean, anew whenever the mean moves: near crossings of modes
-    frequencies are far from linear in the components.
+    Attributes
+    ----------
+    drive_hz : (k,) float
+        Realised drive frequencies of the pictures, ascending.
+    step_index : (k,) int
+    amplitude_rad : (k, m) float
+    names : (m,) str
+        Names of the shapes.
+    """
+
+    drive_hz: Array
+    step_index: NDArray[np.intp]
+    amplitude_rad: Array
+    names: Sequence[str]
+
+
+class _Posterior:
+    """Normal distribution of the components, given the resonances found so far.
+
+    The model is linearised again whenever the mean changes: near crossings of modes, frequencies
+    are far from linear in the components.
     """
 
     def __init__(self, model: ForwardModel, series: Series, misfit_cents: float) -> None:
@@ -103,9 +125,9 @@ class _Belief:
         self._linearise()
 
     def predict(self, m: int) -> tuple[float, float]:
-        """Expected cents of mode m and standard deviation, the model's own misfit included."""
-        slope = self._slopes[m]
-        variance = slope @ self._covariance @ slope + self._misfit_cents**2
+        """Return expected cents of mode m and standard deviation, including the model's misfit."""
+        gradient = self._jacobian[m]
+        variance = gradient @ self._covariance @ gradient + self._misfit_cents**2
         return float(self._expected[m]), float(np.sqrt(variance))
 
     @property
@@ -114,15 +136,15 @@ class _Belief:
         return Components(*map(float, self._mean))
 
     def learn(self, m: int, cents: float) -> None:
-        """Condition on mode m having been found at a number of cents."""
+        """Condition on the frequency of mode m, in cents."""
         self._found[m] = cents
         modes, observed = list(self._found), np.array([*self._found.values()])
         weight = 1 / self._misfit_cents**2
-        for _ in range(_BELIEF_STEPS):
-            slopes = self._slopes[modes]
-            offset = observed - self._expected[modes] + slopes @ self._mean
-            self._covariance = np.linalg.inv(np.eye(4) + weight * slopes.T @ slopes)
-            mean = self._covariance @ (weight * slopes.T @ offset)
+        for _ in range(_GAUSS_NEWTON_STEPS):
+            jacobian = self._jacobian[modes]
+            offset = observed - self._expected[modes] + jacobian @ self._mean
+            self._covariance = np.linalg.inv(np.eye(4) + weight * jacobian.T @ jacobian)
+            mean = self._covariance @ (weight * jacobian.T @ offset)
             self._mean = np.clip(mean, -_FARTHEST_SD, _FARTHEST_SD)
             self._linearise()
 
@@ -133,7 +155,7 @@ class _Belief:
 
         step = 0.5 * np.eye(4)
         self._expected = cents(self._mean)
-        self._slopes = np.stack(
+        self._jacobian = np.stack(
             [cents(self._mean + d) - cents(self._mean - d) for d in step], axis=1
         )
 
@@ -144,89 +166,81 @@ def likely_components(
     series: Series,
     misfit_cents: float = paper.H4_MISFIT_CENTS,
 ) -> Components:
-    """Components of a reed of the population that has these resonances, to first order.
+    """Estimate the components of a reed from its resonances and the population, to first order.
 
-    Rougher than a fit, but there is always an answer: what the resonances do not tell is taken
-    from the population.
+    This is less exact than a fit but always has a result: components that the resonances do not
+    determine are those of the population.
     """
-    belief = _Belief(model, series, misfit_cents)
+    posterior = _Posterior(model, series, misfit_cents)
     for name, found in resonances.items():
         if name in model.modes:
-            belief.learn(model.modes.index(name), float(cents_of(found.frequency_hz)))
-    return belief.components
+            posterior.learn(model.modes.index(name), float(cents_of(found.frequency_hz)))
+    return posterior.components
 
 
-def pick_resonances(
-    drive_hz: Array,
-    step_index: NDArray[np.intp],
-    amplitude_rad: Array,
-    names: Sequence[str],
+def pick_fringe_peaks(
+    curves: FringeCurves,
     model: ForwardModel,
     series: Series,
     needed: Callable[[int, int], bool],
     acoustic_resonances_hz: Sequence[float] = (),
     misfit_cents: float = paper.H4_MISFIT_CENTS,
 ) -> dict[str, Resonance]:
-    """Pick for every mode the picture with most of its fringes.
+    """Pick for every mode the picture in which it has most fringes.
 
     Parameters
     ----------
-    drive_hz : (k,) float
-        Realised drive frequencies of the pictures, ascending.
-    step_index : (k,) int
-    amplitude_rad : (k, m) float
-        Phase amplitude of each shape in each picture (see `fitting.fringes.fringes`).
-    names : (m,) str
+    curves : FringeCurves
     model : ForwardModel
-        Says where to look.
+        Predicts the frequencies.
     series : Series
     needed : callable
-        ``needed(shape, picture)`` says whether that picture cannot be explained without that
-        shape; a maximum where it can is passed over.
+        ``needed(shape, picture)`` is true if the picture cannot be explained without the shape;
+        other maxima are ignored.
     acoustic_resonances_hz : sequence of float
         Resonances of the excitation device; pictures next to them are not picked.
     misfit_cents : float
-        Standard deviation of a reed's resonances from those of any cane in the model's shape.
+        Standard deviation of a reed's resonances around the model.
 
     Returns
     -------
     dict
-        Resonances by name, those found only, in order of frequency.
+        Found resonances by name, in order of frequency.
     """
-    cents = cents_of(drive_hz)
+    cents, names = cents_of(curves.drive_hz), curves.names
     spacing = np.gradient(cents) if len(cents) > 1 else np.full(1, np.inf)
     clear = np.ones(len(cents), dtype=bool)
     for line in acoustic_resonances_hz:
         clear &= np.abs(cents - cents_of(line)) > _LINE_CENTS
-    belief = _Belief(model, series, misfit_cents)
+    posterior = _Posterior(model, series, misfit_cents)
     found: dict[str, Resonance] = {}
     for name in _SEARCH_ORDER:
         if name not in names or name not in model.modes:
             continue
-        expected, sd = belief.predict(model.modes.index(name))
+        expected, sd = posterior.predict(model.modes.index(name))
         window = clear & (np.abs(cents - expected) < _WINDOW_SD * sd)
         free = window & ~_taken(cents, name, found)
         best = None
-        for shape in _shapes_to_follow(name, names, belief, model):
-            peaks = _peaks(amplitude_rad[:, shape], window, free)
+        for shape in _shapes_to_follow(name, names, posterior, model):
+            peaks = _peaks(curves.amplitude_rad[:, shape], window, free)
             best = next((k for k in peaks if needed(shape, k)), None)
             if best is not None:
                 break
         if best is None:
             continue
-        belief.learn(model.modes.index(name), float(cents[best]))
+        posterior.learn(model.modes.index(name), float(cents[best]))
         found[name] = Resonance(
             name=name,
-            frequency_hz=float(drive_hz[best]),
+            frequency_hz=float(curves.drive_hz[best]),
             error_cents=float(spacing[best] / np.sqrt(12)),
-            step_index=int(step_index[best]),
-            amplitude_rad=float(amplitude_rad[best, shape]),
+            step_index=int(curves.step_index[best]),
+            amplitude_rad=float(curves.amplitude_rad[best, shape]),
         )
     return dict(sorted(found.items(), key=lambda item: item[1].frequency_hz))
 
 
 def _taken(cents: Array, name: str, found: Mapping[str, Resonance]) -> NDArray[np.bool_]:
-    """Pictures (k,) too near to a mode of the same symmetry: such modes repel each other."""
+    """Mask (k,) of pictures too near to a mode of the same symmetry: such modes repel."""
     near = np.zeros(len(cents), dtype=bool)
     for other, resonance in found.items():
         if is_symmetric(other) == is_symmetric(name):
@@ -235,13 +249,13 @@ def _taken(cents: Array, name: str, found: Mapping[str, Resonance]) -> NDArray[n
 
 
 def _shapes_to_follow(
-    name: str, names: Sequence[str], belief: _Belief, model: ForwardModel
+    name: str, names: Sequence[str], posterior: _Posterior, model: ForwardModel
 ) -> list[int]:
-    """Shapes whose fringes may show a mode: its own, then those it may have exchanged it with."""
-    expected, _ = belief.predict(model.modes.index(name))
+    """Return the shapes that a mode may have: its own, then those of modes it may mix with."""
+    expected, _ = posterior.predict(model.modes.index(name))
 
     def distance_cents(other: str) -> float:
-        return abs(belief.predict(model.modes.index(other))[0] - expected)
+        return abs(posterior.predict(model.modes.index(other))[0] - expected)
 
     partners = [
         other
@@ -253,10 +267,10 @@ def _shapes_to_follow(
 
 
 def _peaks(fringes: Array, window: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[int]:
-    """Free pictures of a window where the fringes are locally most, the highest first."""
+    """Return the local maxima among the free pictures of a window, the highest first."""
     if not window.any():
         return []
-    least = max(_LEAST_RAD, _LEAST_SHARE * float(fringes[window].max()))
+    least = max(_LEAST_RAD, _LEAST_FRACTION * float(fringes[window].max()))
     before, after = np.roll(fringes, 1), np.roll(fringes, -1)
     peak = (fringes >= before) & (fringes >= after) & (fringes > least) & free
     peak[[0, -1]] = False

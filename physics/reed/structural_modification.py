@@ -1,27 +1,20 @@
-"""Changes of a reed, and the vibrations of a reed that is changed, driven by cane and air alike.
+"""Vibrations of a reed that is changed (see `structural_changes`), with cane and air."""
 
-A change is what a layer, a mass or a clamp that yields adds to stiffness, mass and compliance, in
-the coordinates of an `Anatomy`: those of symmetric motion, then those of antisymmetric. Changes
-are vectors: see `combined`.
-"""
-
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 from scipy.interpolate import CubicSpline
-from scipy.linalg import blas
 
-from physics.reed.anatomy import Anatomy
-from physics.reed.fem import Symmetry
 from physics.reed.material import (
-    STIFFNESS_TERMS,
     Cane,
     stiffness_terms_pa,
 )
+from physics.reed.shape_derivatives import ShapeDerivatives
+from physics.reed.structural_changes import Change
 
 Array = NDArray[np.floating[Any]]
 
@@ -42,109 +35,6 @@ _MARGIN, _ALIKE = 1.15, 0.3
 # ... and begin with moduli of the nearest of these shares of it.
 _PIVOTS = (0.12, 0.3, 0.55, 0.85)
 _NO_STIFFNESS = "a mode has no stiffness left: thickness, moduli or clamp are of no reed"
-
-
-@dataclass(frozen=True)
-class Change:
-    """What is added to a reed, in s coordinates; m of either symmetry move its strip.
-
-    Attributes
-    ----------
-    stiffness_terms : (9, s, s) float
-        Per unit of each independent stiffness of the cane.
-    mass : (s, s) float
-        Per unit density.
-    mass_kg : (s, s) float
-        Of what is no cane.
-    compliance_m_n : (2m, 2m) float
-        Of what holds the strip.
-    """
-
-    stiffness_terms: Array
-    mass: Array
-    mass_kg: Array
-    compliance_m_n: Array
-
-
-def unchanged(anatomy: Anatomy) -> Change:
-    """Nothing added."""
-    sizes = [half.mass.shape[0] for half in anatomy.reed.halves.values()]
-    s, m = sum(sizes), len(sizes) * len(anatomy.strip_m2)
-    return Change(np.zeros((9, s, s)), np.zeros((s, s)), np.zeros((s, s)), np.zeros((m, m)))
-
-
-def combined(anatomy: Anatomy, parts: Iterable[tuple[float, Change]]) -> Change:
-    """Sum of changes, each multiplied by an amount."""
-    total = unchanged(anatomy)
-    for amount, change in parts:
-        for field in fields(Change):
-            # In place: arrays are large, and to make new ones takes longer than to add.
-            into = getattr(total, field.name).ravel()
-            blas.daxpy(getattr(change, field.name).ravel(), into, a=amount)
-    return total
-
-
-def layer(anatomy: Anatomy, thickness: Callable[[Array, Array], Array]) -> Change:
-    """Cane grown on the bark side.
-
-    Parameters
-    ----------
-    anatomy : Anatomy
-    thickness : callable
-        In m at points (x, y), y of either sign; holds in first order.
-    """
-    weights = _even_odd(anatomy, thickness)
-    return Change(
-        _strain_terms(anatomy, weights),
-        _products(anatomy.motion, weights),
-        *_nothing_more(anatomy),
-    )
-
-
-def softening(anatomy: Anatomy, depth: Callable[[Array, Array], Array]) -> Change:
-    """Stiffness along the grain lost under the bark side, as by a crack; the mass stays.
-
-    Parameters
-    ----------
-    anatomy : Anatomy
-    depth : callable
-        In m at points (x, y): of cane that carries nothing along the grain.
-    """
-    even, odd = _even_odd(anatomy, depth)
-    terms = _strain_terms(anatomy, (-even, -odd))
-    terms[[not term.startswith("1") for term in STIFFNESS_TERMS]] = 0
-    none = unchanged(anatomy)
-    return Change(terms, none.mass, none.mass_kg, none.compliance_m_n)
-
-
-def added_mass(anatomy: Anatomy, kg_m2: Callable[[Array, Array], Array]) -> Change:
-    """Mass that sticks to the bark side: water, wax.
-
-    Parameters
-    ----------
-    anatomy : Anatomy
-    kg_m2 : callable
-        At points (x, y).
-    """
-    none = unchanged(anatomy)
-    mass_kg = _products(anatomy.motion, _even_odd(anatomy, kg_m2))
-    return Change(none.stiffness_terms, none.mass, mass_kg, none.compliance_m_n)
-
-
-def yielding_clamp(anatomy: Anatomy, left_m3_n: float, right_m3_n: float) -> Change:
-    """Strips on elastic beds.
-
-    Parameters
-    ----------
-    anatomy : Anatomy
-    left_m3_n, right_m3_n : float
-        Yielding in m per Pa of the strips at positive and negative y.
-    """
-    own = np.linalg.inv(anatomy.strip_m2)
-    mean, difference = 0.5 * (left_m3_n + right_m3_n), 0.5 * (left_m3_n - right_m3_n)
-    none = unchanged(anatomy)
-    compliance = np.block([[mean * own, difference * own], [difference * own, mean * own]])
-    return Change(none.stiffness_terms, none.mass, none.mass_kg, compliance)
 
 
 @dataclass(frozen=True)
@@ -216,7 +106,7 @@ class CaneTable:
 
 
 def vibrations(
-    anatomy: Anatomy,
+    shape_derivatives: ShapeDerivatives,
     change: Change,
     canes: CaneTable,
     highest_hz: float,
@@ -228,7 +118,7 @@ def vibrations(
 
     Parameters
     ----------
-    anatomy : Anatomy
+    shape_derivatives : ShapeDerivatives
     change : Change
     canes : CaneTable
         Up to that frequency.
@@ -242,7 +132,8 @@ def vibrations(
         If moduli grow too fast with frequency for modes to settle, or a change leaves no reed.
     """
     found = [
-        _settled(span, canes, highest_hz) for span in _spans(anatomy, change, canes.spanning, air)
+        _settled(span, canes, highest_hz)
+        for span in _spans(shape_derivatives, change, canes.spanning, air)
     ]
     hz, coordinates, radiated = (np.concatenate(p, axis=-1) for p in zip(*found, strict=True))
     order = np.argsort(hz)
@@ -274,14 +165,14 @@ class _Span:
 
 
 def _spans(
-    anatomy: Anatomy,
+    shape_derivatives: ShapeDerivatives,
     change: Change,
     spanning: Sequence[tuple[Cane, int]],
     air: AirLoad | None,
 ) -> Iterator[_Span]:
     """Yield spans of low modes: one per symmetry, or one if the change couples them."""
-    terms = anatomy.stiffness_terms + change.stiffness_terms
-    mass = anatomy.mass + change.mass
+    terms = shape_derivatives.stiffness_terms + change.stiffness_terms
+    mass = shape_derivatives.mass + change.mass
     matrices = [
         (
             np.tensordot(stiffness_terms_pa(cane), terms, axes=1),
@@ -289,7 +180,7 @@ def _spans(
         )
         for cane, _ in spanning
     ]
-    for into, springs, symmetries in _coordinates(anatomy, change):
+    for into, springs, symmetries in _coordinates(shape_derivatives, change):
         vectors = np.linalg.qr(
             np.hstack(
                 [
@@ -322,16 +213,18 @@ def _lowest(stiffness: Array, mass: Array, count: int) -> Array:
     return vectors
 
 
-def _coordinates(anatomy: Anatomy, change: Change) -> Iterator[tuple[Array, Array, int]]:
+def _coordinates(
+    shape_derivatives: ShapeDerivatives, change: Change
+) -> Iterator[tuple[Array, Array, int]]:
     """Coordinates (s, c) that are solved for together, their springs (c, c), and symmetries.
 
     Those of the strip are taken in units in which each stores the energy of a unit spring: a clamp
     that does not yield has none.
     """
-    sizes = [half.mass.shape[0] for half in anatomy.reed.halves.values()]
-    held = list(anatomy.clamped.values())
+    sizes = [half.mass.shape[0] for half in shape_derivatives.reed.halves.values()]
+    held = list(shape_derivatives.clamped.values())
     starts = np.cumsum([0, *sizes[:-1]])
-    m = len(anatomy.strip_m2)
+    m = len(shape_derivatives.strip_m2)
     strip = np.concatenate(
         [start + n + np.arange(m) for start, n in zip(starts, held, strict=True)]
     )
@@ -425,8 +318,8 @@ def _followed(
         return None, None
     kept = hz < highest_hz
     hz, v = hz[kept], v[kept]
-    likeness = np.abs(v @ (_matrices(span, table, hz[:1])[1][0] if len(hz) else 0) @ v.T)
-    if len(hz) and np.abs(likeness - np.diag(np.diag(likeness))).max(initial=0.0) > _ALIKE:
+    similarity = np.abs(v @ (_matrices(span, table, hz[:1])[1][0] if len(hz) else 0) @ v.T)
+    if len(hz) and np.abs(similarity - np.diag(np.diag(similarity))).max(initial=0.0) > _ALIKE:
         return None, None
     order = np.argsort(hz)
     return hz[order], v[order]
@@ -480,50 +373,3 @@ def _matrices(span: _Span, table: CaneTable, hz: Array) -> tuple[Array, Array]:
     density = table.density_kg_m3(log_hz)[:, None, None]
     K = np.tensordot(table.moduli_pa(log_hz), span.stiffness_terms, axes=1) + span.springs_n_m
     return K, density * span.mass + span.mass_kg + span.air_kg(hz)
-
-
-def _nothing_more(anatomy: Anatomy) -> tuple[Array, Array]:
-    none = unchanged(anatomy)
-    return none.mass_kg, none.compliance_m_n
-
-
-def _even_odd(anatomy: Anatomy, function: Callable[[Array, Array], Array]) -> tuple[Array, Array]:
-    """Even and odd parts (q,) of a function of the vamp's plan, times the area of each point."""
-    x, y = anatomy.bark_m.T
-    area = anatomy.area_m2 * (x < anatomy.reed.geometry.vamp_x_m[-1])
-    left, right = function(x, y), function(x, -y)
-    return 0.5 * area * (left + right), 0.5 * area * (left - right)
-
-
-def _strain_terms(anatomy: Anatomy, weights: tuple[Array, Array]) -> Array:
-    """Strain energy (9, s, s) in a layer of even and odd thickness times area (q,)."""
-    return np.stack(
-        [
-            _products(
-                {s: strain[[int(term[0]) - 1, int(term[1]) - 1]] for s, strain in both.items()},
-                weights,
-                pairs=((0, 1),) if term[0] == term[1] else ((0, 1), (1, 0)),
-            )
-            for term, both in ((term, anatomy.strain) for term in STIFFNESS_TERMS)
-        ]
-    )
-
-
-def _products(
-    fields: dict[Symmetry, Array],
-    weights: tuple[Array, Array],
-    pairs: tuple[tuple[int, int], ...] = ((0, 0), (1, 1), (2, 2)),
-) -> Array:
-    """Integrals (s, s) of products of components of fields (c, q, r) of either symmetry."""
-    even, odd = weights
-    blocks = [
-        [
-            sum(
-                fields[a][i].T @ ((even if a is b else odd)[:, None] * fields[b][j])
-                for i, j in pairs
-            )
-            for b in Symmetry
-        ]
-        for a in Symmetry
-    ]
-    return np.block(blocks)

@@ -44,7 +44,7 @@ _GAUSS = 8
 
 
 @dataclass(frozen=True)
-class Anatomy:
+class ShapeDerivatives:
     """What tells how changes of a reed change its vibrations.
 
     Attributes
@@ -88,7 +88,9 @@ class Anatomy:
         return whole
 
 
-def build_anatomy(geometry: ReedGeometry, level: MeshLevel, settings: BasisSettings) -> Anatomy:
+def build_shape_derivatives(
+    geometry: ReedGeometry, level: MeshLevel, settings: BasisSettings
+) -> ShapeDerivatives:
     """Compute what changes of a reed need, by finite elements.
 
     Raises
@@ -103,7 +105,7 @@ def build_anatomy(geometry: ReedGeometry, level: MeshLevel, settings: BasisSetti
     }
     loose = HalfShapes(held.mesh, held.matrices, held.middle, shapes)
     bark_m, area_m2, values, gradients, elements = _bark_side(held.mesh)
-    return Anatomy(
+    return ShapeDerivatives(
         reed=reduced(geometry, settings, loose),
         clamped={symmetry: motion.shape[2] for symmetry, motion in held.shapes.items()},
         bark_m=bark_m,

@@ -1,6 +1,6 @@
 """The inverse crime on purpose: how a diagnosis scores on data of its own twin.
 
-    python -m benchmarks.own_data [CAMPAIGN] [--count N] [--jobs J]
+    python -m benchmarks.inverse_crime [CAMPAIGN] [--count N] [--jobs J]
 
 CAMPAIGN is a folder of run files of a bench with nothing wrong, such as one of tier 0 of `acquire
 blind make`; one is recorded if none is named. Its numbers are replaced by what the twin itself

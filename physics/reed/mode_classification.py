@@ -44,7 +44,7 @@ _SUFFIXES = {
 
 
 @dataclass(frozen=True)
-class Portrait:
+class ModeDescriptor:
     """What names tell m motions of a reed by, in their part of one symmetry.
 
     Attributes
@@ -68,7 +68,7 @@ class Portrait:
 
 
 @dataclass(frozen=True)
-class Naming:
+class ModeClassification:
     """Name of a motion.
 
     Attributes
@@ -77,7 +77,7 @@ class Naming:
         ``?`` and a number where a better claimant bears the name.
     symmetry : Symmetry
         Of the part with more kinetic energy.
-    likeness : float
+    similarity : float
         Share of the vamp's motion that bears out the name; of a lateral mode or one of the heel,
         of the kinetic energy.
     outside : float
@@ -86,7 +86,7 @@ class Naming:
 
     name: str
     symmetry: Symmetry
-    likeness: float
+    similarity: float
     outside: float
 
 
@@ -177,61 +177,63 @@ def _point_weights(eta: Array) -> Array:
     return np.diff(edges, axis=1)
 
 
-def names_of(portraits: Sequence[Portrait]) -> list[Naming]:
+def names_of(descriptors: Sequence[ModeDescriptor]) -> list[ModeClassification]:
     """Name motions, no two alike.
 
     Parameters
     ----------
-    portraits : sequence of Portrait
+    descriptors : sequence of ModeDescriptor
         Of the same m motions, ascending in frequency: one of half a reed, whose motions have one
         symmetry; two of a whole reed, whose motions may have parts of both.
 
     Returns
     -------
-    list of Naming
+    list of ModeClassification
     """
-    outside = np.sum([portrait.sideways + portrait.behind for portrait in portraits], axis=0)
-    larger = np.argmax([portrait.share for portrait in portraits], axis=0)
+    outside = np.sum(
+        [descriptor.sideways + descriptor.behind for descriptor in descriptors], axis=0
+    )
+    larger = np.argmax([descriptor.share for descriptor in descriptors], axis=0)
     vamp = np.flatnonzero(outside <= _FOREIGN_SHARE).tolist()
-    claims = _claims(portraits)
-    # Squared: one clear likeness is worth more than two faint ones.
+    claims = _claims(descriptors)
+    # Squared: one clear similarity is worth more than two faint ones.
     weights = [
         {name: claim**2 for name, claim in claims[m].items() if claim > _LEAST_CLAIM} for m in vamp
     ]
     names = dict(zip(vamp, (name for name, _ in assign_names(weights)), strict=True))
     counts: Counter[str] = Counter()
     answer = []
-    for m, portrait in enumerate(portraits[k] for k in larger):
+    for m, descriptor in enumerate(descriptors[k] for k in larger):
         name = names.get(m)
         if name in claims[m]:
-            likeness = claims[m][name]
+            similarity = claims[m][name]
         else:
-            kind, likeness = ("?", 0.0) if name else _foreign_kind(portrait, m)
-            suffix = _SUFFIXES.get((kind, portrait.symmetry), "")
+            kind, similarity = ("?", 0.0) if name else _foreign_kind(descriptor, m)
+            suffix = _SUFFIXES.get((kind, descriptor.symmetry), "")
             counts[kind + suffix] += 1
             name = f"{kind}{counts[kind + suffix]}{suffix}"
-        answer.append(Naming(name, portrait.symmetry, likeness, float(outside[m])))
+        answer.append(ModeClassification(name, descriptor.symmetry, similarity, float(outside[m])))
     return answer
 
 
-def _foreign_kind(portrait: Portrait, number: int) -> tuple[str, float]:
+def _foreign_kind(descriptor: ModeDescriptor, number: int) -> tuple[str, float]:
     """L or H, and the share of the kinetic energy that says so."""
-    sideways, behind = float(portrait.sideways[number]), float(portrait.behind[number])
+    sideways, behind = float(descriptor.sideways[number]), float(descriptor.behind[number])
     return ("L", sideways) if sideways > behind else ("H", behind)
 
 
-def _claims(portraits: Sequence[Portrait]) -> list[dict[str, float]]:
+def _claims(descriptors: Sequence[ModeDescriptor]) -> list[dict[str, float]]:
     """Names that motions could bear on the vamp, and the share of each motion behind each name."""
-    claims: list[dict[str, float]] = [{} for _ in portraits[0].share]
-    for portrait in portraits:
-        symmetric = portrait.symmetry is Symmetry.SYMMETRIC
-        own = likenesses(portrait.profiles, portrait.square, symmetric=symmetric)
-        for claim, share, names in zip(claims, portrait.share.tolist(), own, strict=True):
-            claim |= {name: share * likeness for name, likeness in names.items()}
+    claims: list[dict[str, float]] = [{} for _ in descriptors[0].share]
+    for descriptor in descriptors:
+        symmetric = descriptor.symmetry is Symmetry.SYMMETRIC
+        own = similarities(descriptor.profiles, descriptor.square, symmetric=symmetric)
+        for claim, share, names in zip(claims, descriptor.share.tolist(), own, strict=True):
+            claim |= {name: share * similarity for name, similarity in names.items()}
     return claims
 
 
-def likenesses(profiles: Array, square: Array, *, symmetric: bool) -> list[dict[str, float]]:
+def similarities(profiles: Array, square: Array, *, symmetric: bool) -> list[dict[str, float]]:
     """Names that vibrations of the vamp could bear, each with the share of motion behind it.
 
     Parameters
@@ -268,23 +270,23 @@ def likenesses(profiles: Array, square: Array, *, symmetric: bool) -> list[dict[
 def assign_names(candidates: Sequence[dict[str, float]]) -> list[tuple[str, float]]:
     """Give each of several vibrations a name of its own.
 
-    The assignment with the greatest total likeness: where two modes exchange shapes (the avoided
+    The assignment with the greatest total similarity: where two modes exchange shapes (the avoided
     crossing of T4 and F4), each gets the name that the other likes less.
 
     Returns
     -------
-    list of (name, likeness)
+    list of (name, similarity)
     """
     names = sorted({name for candidate in candidates for name in candidate})
     # Enough nameless places that nobody is forced into a name that is taken.
     names += [f"?{place}" for place in range(1, len(candidates) + 1)]
     # A name that one has no claim to is worth less than none.
-    likeness = np.array(
+    similarity = np.array(
         [[c.get(name, 0.0 if name.startswith("?") else -1.0) for name in names] for c in candidates]
     ).reshape(len(candidates), len(names))
-    rows, columns = linear_sum_assignment(likeness, maximize=True)
+    rows, columns = linear_sum_assignment(similarity, maximize=True)
     return [
-        (names[column], float(likeness[row, column]))
+        (names[column], float(similarity[row, column]))
         for row, column in sorted(zip(rows, columns, strict=True))
     ]
 

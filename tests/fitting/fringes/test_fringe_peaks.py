@@ -9,13 +9,14 @@ from fitting.forward import (
     hz_of,
     viscoelastic_cents,
 )
-from fitting.fringes.picking import (
-    _Belief,
+from fitting.fringes.fringe_peaks import (
+    FringeCurves,
+    _Posterior,
     likely_components,
-    pick_resonances,
+    pick_fringe_peaks,
 )
 from fitting.paper import constants as paper
-from physics.reed.names import PAPER_MODES, is_symmetric
+from physics.reed.mode_classification import PAPER_MODES, is_symmetric
 from physics.reed.viscoelastic import (
     Components,
     Series,
@@ -52,9 +53,8 @@ def pick(curves, steps=STEPS, needed=lambda shape, picture: True, lines=(), seri
     cents = 25.0 * steps
     names = tuple(curves)
     amplitude = np.stack([curve(cents) for curve in curves.values()], axis=1)
-    return pick_resonances(
-        hz_of(cents), steps, amplitude, names, MODEL, series, needed, acoustic_resonances_hz=lines
-    )
+    fringes = FringeCurves(hz_of(cents), steps, amplitude, names)
+    return pick_fringe_peaks(fringes, MODEL, series, needed, acoustic_resonances_hz=lines)
 
 
 def peaks(*places):
@@ -252,7 +252,7 @@ def linear_cents(model, cane, series):
 
 def test_belief_in_a_linear_model_is_the_exact_conditional_distribution(monkeypatch):
     """One resonance after the other, against all at once by the formula of the conditional."""
-    monkeypatch.setattr("fitting.fringes.picking.viscoelastic_cents", linear_cents)
+    monkeypatch.setattr("fitting.fringes.fringe_peaks.viscoelastic_cents", linear_cents)
 
     def linear(values):
         cane = viscoelastic_cane(Components(*map(float, values)), Series.A)
@@ -261,7 +261,7 @@ def test_belief_in_a_linear_model_is_the_exact_conditional_distribution(monkeypa
     learnt = {6: 60.0, 0: -45.0, 4: 20.0, 2: 80.0}
     origin = linear(np.zeros(4))
     slopes = np.stack([linear(unit) - origin for unit in np.eye(4)], axis=1)
-    belief = _Belief(MODEL, Series.A, paper.H4_MISFIT_CENTS)
+    belief = _Posterior(MODEL, Series.A, paper.H4_MISFIT_CENTS)
     for m, offset in learnt.items():
         belief.learn(m, float(origin[m] + offset))
 
@@ -292,7 +292,7 @@ def test_nothing_found_leaves_the_middle_of_the_population():
 
 
 def test_belief_starts_from_the_population():
-    belief = _Belief(MODEL, Series.A, paper.H4_MISFIT_CENTS)
+    belief = _Posterior(MODEL, Series.A, paper.H4_MISFIT_CENTS)
     for m, name in enumerate(PAPER_MODES):
         expected, sd = belief.predict(m)
         assert expected == pytest.approx(centres()[name])

@@ -1,0 +1,113 @@
+"""Amplitudes of holograms from a known object field, and the object field from amplitudes."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.holograms.problem import Problem, misfits, normal
+from fitting.holograms.sidebands import brightness, sideband_values
+from fitting.levenberg_marquardt import Damping, NormalEquations, minimise_all
+
+Array = NDArray[np.floating[Any]]
+Complex = NDArray[np.complex64]
+Amplitudes = NDArray[np.complexfloating[Any, Any]]
+Steps = NDArray[np.intp]
+
+# Prior standard deviation of a hologram's gain, in nepers: laser and modulators drift.
+GAIN = 0.05
+# Half of its precision: the misfit, of noise of variance 1, is half of χ².
+HALF_GAIN_PRECISION = 0.5 * GAIN**-2
+# Chosen by hand; no study of other values is kept.
+_DAMPING = Damping(first=1e-3, after_gain=0.2, after_loss=6, constant=1e-3, largest=1e6)
+
+
+def fit_amplitudes(
+    problem: Problem,
+    object_field: Complex,
+    steps: Steps,
+    start: tuple[Amplitudes, Array],
+    iterations: int,
+    prior: Array,
+) -> tuple[Amplitudes, Array, Array]:
+    """Fit amplitudes and gains of holograms to block amplitudes by Levenberg-Marquardt steps.
+
+    Parameters
+    ----------
+    problem : Problem
+    object_field : (n,) complex64
+    steps : (s,) int
+        Numbers of the holograms in the problem.
+    start : tuple of (s, j) complex and (s,) float
+        Amplitudes in rad, and log gains.
+    iterations : int
+        At least 1.
+    prior : (j, j) or (s, j, j) float
+        Precision of the amplitudes around 0.
+
+    Returns
+    -------
+    amplitude : (s, j) complex
+    gain : (s,) float
+        Log gains.
+    misfit : (s,) float
+        Squared residuals of the block amplitudes.
+    """
+    a, gain = start
+    size = a.shape[1]
+    precision = np.zeros((len(a), 2 * size + 1, 2 * size + 1))
+    # Half of it: the misfit, of noise of variance 1, is half of χ².
+    precision[:, :size, :size] = precision[:, size:-1, size:-1] = 0.5 * prior
+    precision[:, -1, -1] = HALF_GAIN_PRECISION
+
+    def with_prior_cost(misfit: Array, x: Array) -> Array:
+        return np.stack([misfit, np.sum(x * (precision @ x[..., None])[..., 0], axis=1)])
+
+    def equations(x: Array) -> NormalEquations:
+        here = normal(problem, object_field, steps, x[:, :size] + 1j * x[:, size:-1], x[:, -1])
+        return NormalEquations(
+            cost_terms=with_prior_cost(here.misfit, x),
+            negative_gradient=here.gradient - (precision @ x[..., None])[..., 0],
+            matrix=here.matrix + precision,
+            curvature=np.trace(here.matrix[:, :-1, :-1], axis1=1, axis2=2),
+        )
+
+    def cost_terms(x: Array) -> Array:
+        a = x[:, :size] + 1j * x[:, size:-1]
+        return with_prior_cost(misfits(problem, object_field, steps, a, x[:, -1]), x)
+
+    x0 = np.concatenate([a.real, a.imag, gain[:, None]], axis=1)
+    x, (misfit, _) = minimise_all(equations, cost_terms, x0, iterations, _DAMPING, damped=2 * size)
+    return x[:, :size] + 1j * x[:, size:-1], x[:, -1], misfit
+
+
+def block_object_field(
+    problem: Problem,
+    steps: Steps,
+    a: Amplitudes,
+    gain: Array,
+    weight: Array,
+    before: Complex | None = None,
+) -> Complex:
+    """Fit the object field (n,) of every block to holograms (s,) of given weights.
+
+    `before` is the object field so far; it is needed if there are other sidebands.
+    """
+    u, v = problem.bessel_vectors(a)
+    factor = np.exp(gain).astype(np.float32)[:, None]
+    weighed = (weight[:, None] * factor).astype(np.float32)
+    real, imaginary = problem.real[steps], problem.imaginary[steps]
+    power = np.sum(weighed * factor * (u * u + v * v), axis=0)
+    object_field = np.sum(weighed * (u * real + v * imaginary), axis=0) + 1j * np.sum(
+        weighed * (u * imaginary - v * real), axis=0
+    )
+    if before is not None:
+        for side in problem.others:
+            shown = sideband_values(side, problem.displacement(a))
+            shown = brightness(side, shown, before, steps).astype(np.complex64)[:, None] * shown
+            trust = (weight * side.present[steps]).astype(np.float32)[:, None]
+            seen = side.real[steps] + 1j * side.imaginary[steps]
+            power += np.sum(trust * (shown.real**2 + shown.imag**2), axis=0)
+            object_field += np.sum(trust * shown.conj() * seen, axis=0)
+    found: Complex = (object_field / np.maximum(power, np.float32(1e-9))).astype(np.complex64)
+    return found

@@ -1,0 +1,154 @@
+"""Start frequencies of the joint fit: where each mode is looked for in a sweep."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.forward import ForwardModel, cents_of, viscoelastic_cents
+from fitting.fringes.fringe_peaks import FringeCurves, likely_components, pick_fringe_peaks
+from fitting.holograms.block_amplitudes import BlockAmplitudes
+from fitting.holograms.displacement import Displacements
+from fitting.holograms.shape_basis import ShapeBasis, shape_basis
+from physics.reed.basis import ReducedReed
+from physics.reed.mode_classification import PAPER_MODES, is_symmetric
+from physics.reed.response import viscoelastic_modes
+from physics.reed.viscoelastic import (
+    Components,
+    Series,
+    ViscoelasticCane,
+    storage_modulus_pa,
+    viscoelastic_cane,
+)
+
+Array = NDArray[np.floating[Any]]
+
+# Moduli in the middle of the sweep, in which shapes are computed.
+SHAPES_HZ = 4000.0
+# Frequency ratio of the central differences that give the growth of moduli.
+_STEP = 1.01
+# Modes whose resonance lies beyond the sweep by no more than this still bend its end.
+_BEYOND = 1.03
+# Shapes up to here are used to find the modes with large amplitudes in each hologram.
+_LOOK_HZ = 24e3
+# Scatter of resonances of reeds whose shape differs from the finite elements by about 10 µm.
+_MISFIT_CENTS = 60.0
+# A hologram of large amplitude is assigned to a mode if the cane fitted to all of them agrees
+# within this fraction of the distance to the next mode of that symmetry, within limits.
+_ROOM, _AGREE_CENTS = 0.4, (80.0, 300.0)
+
+
+def middling_shapes(
+    reed: ReducedReed, cane: ViscoelasticCane, block_amplitudes: BlockAmplitudes
+) -> ShapeBasis:
+    """Compute the shapes of a reed of average cane."""
+
+    def moduli_pa(hz: float) -> Array:
+        return np.array([storage_modulus_pa(z, hz) for z in (cane.young_L, cane.shear_LT)])
+
+    def growth(hz: float) -> tuple[float, float]:
+        E, G = np.log(moduli_pa(hz * _STEP) / moduli_pa(hz / _STEP)) / (2 * np.log(_STEP))
+        return float(E), float(G)
+
+    E_pa, G_pa = moduli_pa(SHAPES_HZ)
+    return shape_basis(
+        reed, float(E_pa), float(G_pa), block_amplitudes.x_m, block_amplitudes.y_m, growth
+    )
+
+
+def start_frequencies(
+    block_amplitudes: BlockAmplitudes,
+    basis: ShapeBasis,
+    displacements: Displacements,
+    reed: ReducedReed,
+    model: ForwardModel,
+    series: Series,
+) -> dict[str, float]:
+    """Return the start frequency of each mode within the sweep, by name.
+
+    The holograms with the largest amplitudes of the paper's modes determine the cane, and the cane
+    determines all other modes. A mode that is larger than all others at its own peak starts there,
+    because a reed need not have the nominal shape of its kind.
+    """
+    look = basis.hz < _LOOK_HZ
+    modal = np.abs(displacements.amplitude_rad @ np.linalg.pinv(basis.shapes[look]))
+    names = [name for name, counts in zip(basis.names, look, strict=True) if counts]
+    weighty = _outweighing(modal * np.linalg.norm(basis.shapes[look], axis=1), names)
+    curves = FringeCurves(block_amplitudes.drive_hz, block_amplitudes.step_index, modal, names)
+    picked = pick_fringe_peaks(
+        curves,
+        model,
+        series,
+        lambda _shape, _picture: True,
+        misfit_cents=_MISFIT_CENTS,
+    )
+    components = likely_components(picked, model, series, _MISFIT_CENTS)
+    try:
+        expected = _expected_hz(basis, reed, viscoelastic_cane(components, series))
+    except ValueError:
+        # The picked peaks belong to no possible cane: use the mean cane of the population.
+        components = Components()
+        expected = _expected_hz(basis, reed, viscoelastic_cane(components, series))
+    paper_cents = dict(
+        zip(
+            model.modes,
+            viscoelastic_cents(model, viscoelastic_cane(components, series), series),
+            strict=True,
+        )
+    )
+    starts = dict(expected)
+    for name in expected:
+        if name not in PAPER_MODES or name not in paper_cents:
+            continue
+        seen_hz = [block_amplitudes.drive_hz[k] for k in weighty[name]]
+        if name in picked:
+            seen_hz.append(picked[name].frequency_hz)
+        # A peak may belong to another mode or to the excitation: it is used if the cane agrees.
+        apart = [abs(float(cents_of(hz)) - paper_cents[name]) for hz in seen_hz]
+        if apart and min(apart) < _room_cents(name, paper_cents):
+            starts[name] = float(seen_hz[int(np.argmin(apart))])
+    first, last = block_amplitudes.drive_hz[0], block_amplitudes.drive_hz[-1]
+    return {n: hz for n, hz in starts.items() if first / _BEYOND < hz < last * _BEYOND}
+
+
+def _outweighing(weight: Array, names: Sequence[str]) -> dict[str, list[int]]:
+    """Find the holograms in which a mode has a local maximum and is larger than all others.
+
+    Parameters
+    ----------
+    weight : (k, m) float
+        Size of each mode in each hologram.
+    """
+    inner, before, after = weight[1:-1], weight[:-2], weight[2:]
+    most = inner.argmax(axis=1)
+    return {
+        name: [
+            int(k) + 1
+            for k in np.flatnonzero(
+                (inner[:, m] > before[:, m]) & (inner[:, m] > after[:, m]) & (most == m)
+            )
+        ]
+        for m, name in enumerate(names)
+    }
+
+
+def _room_cents(name: str, cents: Mapping[str, float]) -> float:
+    """Return how far a mode may be from its expected frequency without being another one."""
+    others = [
+        abs(at - cents[name])
+        for other, at in cents.items()
+        if other != name and is_symmetric(other) == is_symmetric(name)
+    ]
+    least, most = _AGREE_CENTS
+    return float(np.clip(_ROOM * min(others, default=np.inf), least, most))
+
+
+def _expected_hz(basis: ShapeBasis, reed: ReducedReed, cane: ViscoelasticCane) -> dict[str, float]:
+    """Return the eigenfrequencies of the modes that a reed of this cane has."""
+    modes = viscoelastic_modes(reed, cane)
+    return {
+        name: modes[name].frequency_hz
+        for name, hz in zip(basis.names, basis.hz, strict=True)
+        if hz < _LOOK_HZ and name in modes
+    }

@@ -48,7 +48,7 @@ class ForwardModel(Protocol):
     name : str
     modes : tuple of str
     iterations : int
-        How often the moduli are taken anew at the frequencies just computed.
+        How often the moduli are computed again at the resulting frequencies.
     """
 
     @property

@@ -97,7 +97,7 @@ def minimise_all(
     Notes
     -----
     J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed., section 10.3. The factors on the
-    damping are constants of the caller instead of functions of the gain ratio.
+    damping are constants that the caller chooses, not functions of the gain ratio.
     """
     x, here = start.copy(), equations(start)
     terms = here.cost_terms.copy()

@@ -36,7 +36,7 @@ MESHES: Final = {"fine": FINE, "standard": STANDARD, "fast": FAST}
 # In place of a level: not computed but read off a basis over materials, built once for a reed.
 BASIS: Final = "basis"
 
-# A name that bears out less than this share of a motion is in doubt.
+# A name that bears out less than this fraction of a motion is in doubt.
 _CLEAR: Final = 0.5
 
 

@@ -84,20 +84,20 @@ def compute_factors(populations: Populations, variables: tuple[str, ...]) -> Pop
     names = variable_names(PAPER_MODES)
     columns = [names.index(name) for name in variables]
     complete = np.array([IDENTIFIED[name] for name in PAPER_MODES]).T == REEDS
-    shares: dict[str, list[Array]] = {"both": [], "A": [], "B": []}
+    fractions: dict[str, list[Array]] = {"both": [], "A": [], "B": []}
     loadings, rmsd = [], []
     for cents in populations.observed_cents:
         components = fit_hypothesis(cents, h4()).unknowns.components
         parts = {"both": cents[:, complete], "A": cents[:, 0, complete[0]]}
         parts["B"] = cents[:, 1, complete[1]]
         for name, values in parts.items():
-            shares[name].append(100 * principal_factors(values, 1).spectrum[: _FACTORS + 1])
+            fractions[name].append(100 * principal_factors(values, 1).spectrum[: _FACTORS + 1])
         flat = cents.reshape(len(cents), -1)
         found = varimax_factors(principal_factors(parts["both"], _FACTORS), components)
         scores = _in_order_of_components(found, components)
         loadings.append(correlations(np.hstack([flat[:, columns], components]), scores))
         rmsd.append(reconstruct(flat, found.scores).rmsd_cents)
-    both, A, B = (np.array(shares[name]) for name in ("both", "A", "B"))
+    both, A, B = (np.array(fractions[name]) for name in ("both", "A", "B"))
     return PopulationFactors(both, A, B, np.array(loadings), np.array(rmsd))
 
 
@@ -121,11 +121,11 @@ def compare_factors(numbers: Printed, models: Models) -> Group:
         f"{len(found.both)} synthetic populations of {REEDS} reeds with {NOISE_CENTS:g} cents of "
         "noise (so chosen that four factors explain 91.2 %). What follows from the printed table "
         "itself is told from it. Tolerated: "
-        f"{_LOADING:g} for loadings, {_PERCENT:g} % point for shares, two standard deviations "
+        f"{_LOADING:g} for loadings, {_PERCENT:g} % point for fractions, two standard deviations "
         "from one population to the next.",
         (
             *_printed_rows(numbers),
-            *_share_rows(numbers, found),
+            *_fraction_rows(numbers, found),
             *_validation_rows(numbers, models),
             *_reconstruction_rows(numbers, found),
             *_loading_rows(numbers, found),
@@ -149,41 +149,41 @@ def _printed_rows(numbers: Printed) -> Iterator[Row]:
     )  # fmt: skip
     count = numbers.pca.variables
     variables = table[:count]
-    shares = 100 * np.linalg.eigvalsh(variables.T @ variables)[::-1] / count
+    fractions = 100 * np.linalg.eigvalsh(variables.T @ variables)[::-1] / count
     for n, (printed, ours) in enumerate(
-        zip(numbers.pca.both.variance_percent, shares, strict=True), 1
+        zip(numbers.pca.both.variance_percent, fractions, strict=True), 1
     ):
         yield from_text(
-            "Table 2", f"share of factor {n}, from the loadings", printed, ours, 0.5, "%",
+            "Table 2", f"fraction of factor {n}, from the loadings", printed, ours, 0.5, "%",
             "eigenvalues of a correlation matrix" if n == 1 else "",
         )  # fmt: skip
     yield from_text(
-        "Table 2", "sum of the shares, from the loadings", numbers.pca.both.sum,
-        float(shares.sum()), 0.5, "%", "Table 2 has less variance than the text; unexplained",
+        "Table 2", "sum of the fractions, from the loadings", numbers.pca.both.sum,
+        float(fractions.sum()), 0.5, "%", "Table 2 has less variance than the text; unexplained",
     )  # fmt: skip
 
 
-def _share_rows(numbers: Printed, found: PopulationFactors) -> Iterator[Row]:
+def _fraction_rows(numbers: Printed, found: PopulationFactors) -> Iterator[Row]:
     parts: tuple[tuple[str, Shares, Array], ...] = (
         ("both series", numbers.pca.both, found.both),
         ("series A", numbers.pca.A, found.A),
         ("series B", numbers.pca.B, found.B),
     )
-    for words, printed, shares in parts:
+    for words, printed, fractions in parts:
         kept = len(printed.variance_percent)
         for n, value in enumerate(printed.variance_percent):
             yield from_populations(
-                "Principal components", f"{words}: share of factor {n + 1}", value, shares[:, n],
-                _PERCENT, "%",
+                "Principal components", f"{words}: fraction of factor {n + 1}", value,
+                fractions[:, n], _PERCENT, "%",
             )  # fmt: skip
         yield from_populations(
-            "Principal components", f"{words}: sum of {kept} shares", printed.sum,
-            shares[:, :kept].sum(axis=1), _PERCENT, "%",
+            "Principal components", f"{words}: sum of {kept} fractions", printed.sum,
+            fractions[:, :kept].sum(axis=1), _PERCENT, "%",
         )  # fmt: skip
         following = printed.fifth if printed.fourth is None else printed.fourth
         yield from_populations(
-            "Principal components", f"{words}: share of factor {kept + 1}", following or np.nan,
-            shares[:, kept], _PERCENT, "%",
+            "Principal components", f"{words}: fraction of factor {kept + 1}", following or np.nan,
+            fractions[:, kept], _PERCENT, "%",
         )  # fmt: skip
 
 
@@ -198,12 +198,12 @@ def _validation_rows(numbers: Printed, models: Models) -> Iterator[Row]:
         for noise, grid in ((0.0, None), (NOISE_CENTS, 25.0))
     )  # fmt: skip
     yield from_text(
-        where, "sum of four shares, as described", printed.sum, 100 * exact.principal.sum_mean,
+        where, "sum of four fractions, as described", printed.sum, 100 * exact.principal.sum_mean,
         2 * printed.sd, "%", "four components and no noise leave next to nothing to a fifth factor",
         refuted=True,
     )  # fmt: skip
     yield from_text(
-        where, "sum of four shares, with noise", printed.sum, 100 * noisy.principal.sum_mean,
+        where, "sum of four fractions, with noise", printed.sum, 100 * noisy.principal.sum_mean,
         printed.sd, "%", f"{NOISE_CENTS:g} cents",
     )  # fmt: skip
     yield from_text(
@@ -212,7 +212,7 @@ def _validation_rows(numbers: Printed, models: Models) -> Iterator[Row]:
     for n, value in enumerate(printed.variance_percent):
         principal, turned = 100 * noisy.principal.mean[n], 100 * noisy.rotated.mean[n]
         yield from_text(
-            where, f"share of factor {n + 1}, with noise, after rotation", value, turned,
+            where, f"fraction of factor {n + 1}, with noise, after rotation", value, turned,
             2 * 100 * float(noisy.rotated.sd[n]), "%",
             f"{principal:.1f} % before rotation; H4 for H5, whose coefficients are not printed",
         )  # fmt: skip

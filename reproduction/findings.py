@@ -73,10 +73,10 @@ def _misprints(rows: Mapping[str, Row]) -> str:
 
 def _names(rows: Mapping[str, Row]) -> str:
     observed = rows["BX6: mean, by converged finite elements"]
-    shares = observed.remark.partition("; ")[2].partition(", so that")[0]
+    fractions = observed.remark.partition("; ")[2].partition(", so that")[0]
     return (
         "The paper holds the name of its X6 for uncertain, and rightly. In series B, where it has "
-        f"X6 at {observed.printed:.0f} Hz and T5 far above, {shares}: either name fits either."
+        f"X6 at {observed.printed:.0f} Hz and T5 far above, {fractions}: either name fits either."
     )
 
 
@@ -100,11 +100,11 @@ def _divisor(rows: Mapping[str, Row]) -> str:
 
 
 def _validation(rows: Mapping[str, Row]) -> str:
-    exact = _ours(rows["sum of four shares, as described"])
-    printed = rows["sum of four shares, as described"].printed
+    exact = _ours(rows["sum of four fractions, as described"])
+    printed = rows["sum of four fractions, as described"].printed
     return (
         "The backward random validation is hardly as described: four components without noise "
-        f"leave {exact:.1f} % to four factors, not {printed} %. With noise, and shares taken "
+        f"leave {exact:.1f} % to four factors, not {printed} %. With noise, and fractions taken "
         "after rotation, its numbers come out."
     )
 

@@ -192,8 +192,8 @@ def _computed(reed: ReducedReed, mode: str, series: Series, printed_hz: float) -
     best = min(found, key=lambda m: abs(np.log2(m.frequency_hz / printed_hz)))
     if len(found) == 1:
         return best.frequency_hz, "no adjustments"
-    shares = " and ".join(f"{m.name} {m.frequency_hz:.0f} Hz ({m.similarity:.2f})" for m in found)
+    mixed = " and ".join(f"{m.name} {m.frequency_hz:.0f} Hz ({m.similarity:.2f})" for m in found)
     return best.frequency_hz, (
-        f"no adjustments; our {shares} mix the shapes of both names, so that either name fits "
+        f"no adjustments; our {mixed} mix the shapes of both names, so that either name fits "
         "either: the nearer one is compared"
     )

@@ -1,4 +1,4 @@
-"""What the paper's mesh did to frequencies: shrinking tetrahedra beside converged hexahedra."""
+"""Effect of the paper's mesh on frequencies: ever finer tetrahedra and converged hexahedra."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -124,7 +124,7 @@ def _deviation_rows(numbers: Printed, network: Network, refitted: Equation1) -> 
             )
     within = numbers.text["within_cents"]
     yield not_printed(
-        "Eq. 1", f"share of the network within ±{within:g} cents",
+        "Eq. 1", f"fraction of the network within ±{within:g} cents",
         100 * float(np.mean(np.abs(off) < within)), "%", "the text: generally better than that",
     )  # fmt: skip
 

@@ -50,8 +50,8 @@ def _residual_rows(numbers: Printed) -> Iterator[Row]:
     """What the paper found in the residuals of H5."""
     text, where = numbers.text, "Results"
     for n, loadings in enumerate(numbers.residual_loadings, 1):
-        share = text[f"residual_factor_{n}_percent"]
-        yield not_reproducible(where, f"residual factor {n}: share", share, "%", _H5)
+        fraction = text[f"residual_factor_{n}_percent"]
+        yield not_reproducible(where, f"residual factor {n}: fraction", fraction, "%", _H5)
         for name, value in loadings.items():
             yield not_reproducible(where, f"residual factor {n} with {name}", value, "", _H5)
     for coefficient, increases in (

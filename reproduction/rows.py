@@ -1,4 +1,4 @@
-"""Rows of the comparison: a printed number beside ours, and what may be said of the two."""
+"""Rows of the comparison: a printed number, our number, and whether they agree."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -235,8 +235,8 @@ def _count_rows(numbers: Printed) -> Iterator[Row]:
     complete = [s.identified == sample.reeds for m in seen.values() for s in m.values()]
     yield from_text("Table 1", "variables with all reeds", numbers.pca.variables, sum(complete), 0)
     known = [s for by_series in seen.values() for s in by_series.values() if s.sd_hz and s.mean_hz]
-    share = [100 * (s.sd_hz or 0.0) / (s.mean_hz or 1.0) for s in known]
-    for word, ours in (("least", min(share)), ("most", max(share))):
+    fraction = [100 * (s.sd_hz or 0.0) / (s.mean_hz or 1.0) for s in known]
+    for word, ours in (("least", min(fraction)), ("most", max(fraction))):
         yield from_text(
             "Statistics", f"relative SD of a mode, {word}",
             text[f"relative_sd_{word}_percent"], ours, 0.5, "%",

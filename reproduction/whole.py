@@ -31,7 +31,7 @@ from reproduction.sweep import compare_sweep
 
 @dataclass(frozen=True)
 class PaperComparison:
-    """The paper beside us.
+    """Comparison of all printed numbers with ours.
 
     Attributes
     ----------

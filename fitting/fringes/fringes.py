@@ -42,7 +42,7 @@ _AROUND = np.array([-8, -6, -5, -4, -3, -2, -1, 0, 1, 2, 3, 4, 5, 6, 8])
 _BRIGHTEST = 6
 # Points that never reach a fringe would get too little light from that estimate.
 _LEAST_LIGHT = 0.6
-# Light below this share of the median is noise: relative to it, noise would look like fringes.
+# Light below this fraction of the median is noise: relative to it, noise would look like fringes.
 _DARKEST = 0.1
 
 

@@ -59,9 +59,9 @@ class Data:
         whitened_residual = parts(self.amplitude - amplitude)[..., None]
         return (self.root @ whitened_residual)[..., 0] + self.response @ common_mode_shift
 
-    def weighing(self, share: float) -> "Data":
+    def weighing(self, fraction: float) -> "Data":
         """Return the same data with every hologram weighted by a factor."""
-        root = np.sqrt(share)
+        root = np.sqrt(fraction)
         return Data(self.amplitude, root * self.root, root * self.response, self.precision)
 
     def single(self) -> "Data":

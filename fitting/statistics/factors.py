@@ -18,8 +18,8 @@ Array = NDArray[np.floating[Any]]
 
 # Two reeds always correlate perfectly.
 _FEWEST_PAIRS = 3
-# Singular values below this share of the largest, and sums of squares or of fourth powers that
-# cancel to less than this share, are rounding.
+# Singular values below this fraction of the largest, and sums of squares or of fourth powers that
+# cancel to less than this fraction, are rounding.
 _RANK, _ROUNDING = 1e-10, 1e-12
 # Plane rotations by less, in radians, are rounding; a dozen sweeps get there.
 _SMALLEST_ROTATION, _MOST_SWEEPS = 1e-12, 1000
@@ -50,7 +50,7 @@ class Factors:
     spectrum: Array
 
     @property
-    def shares(self) -> Array:
+    def fractions(self) -> Array:
         """Share of the variance that each factor explains, (k,)."""
         return np.asarray(self.weights @ self.loadings**2)
 
@@ -92,7 +92,7 @@ def principal_factors(
     count : int
         Factors kept, k.
     matrix : {'correlation', 'covariance'}
-        Whether each variable counts the same, which is what the paper did (the shares that
+        Whether each variable counts the same, which is what the paper did (the fractions that
         follow from its Table 2 say so), or after its variance.
 
     Raises
@@ -210,7 +210,7 @@ def varimax_factors(
 
 
 def _in_order(factors: Factors) -> Factors:
-    order = np.argsort(-factors.shares, kind="stable")
+    order = np.argsort(-factors.fractions, kind="stable")
     loadings = factors.loadings[:, order]
     peaks = np.take_along_axis(loadings, np.abs(loadings).argmax(axis=0)[None], axis=0)
     sign = np.where(peaks[0] < 0, -1.0, 1.0)

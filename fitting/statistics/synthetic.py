@@ -109,7 +109,7 @@ def modal_cents(components: Array, metamodel: Metamodel, *, passes: int | None =
     metamodel : Metamodel
         Of m modes.
     passes : int, optional
-        How often the moduli are taken anew, from the means of Table 1 on; the paper did it once.
+        How often the moduli are computed again at the resulting frequencies; the paper did it once.
         Without, until nothing changes.
 
     Returns
@@ -185,7 +185,7 @@ def observe(
         grid has no ends.
     identified : mapping of mode to (int, int), optional
         On how many of 55 reeds each mode is found in series A and B, see `IDENTIFIED`; of n reeds
-        it is the same share. Which reeds those are is left to chance. Without, all are found.
+        it is the same fraction. Which reeds those are is left to chance. Without, all are found.
     passes : int, optional
         See `modal_cents`.
 
@@ -230,13 +230,13 @@ def variable_names(modes: Sequence[str]) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class ShareStatistics:
+class FractionStatistics:
     """Shares of variance of k factors over several populations.
 
     Attributes
     ----------
     mean, sd : (k,) float
-        Of each factor's share.
+        Of each factor's fraction.
     sum_mean, sum_sd : float
         Of what all together explain.
     """
@@ -253,14 +253,14 @@ class BackwardValidation:
 
     Attributes
     ----------
-    principal : ShareStatistics
+    principal : FractionStatistics
         Of principal components.
-    rotated : ShareStatistics
+    rotated : FractionStatistics
         After VARIMAX rotation of variables and components, as in the paper's Table 2.
     """
 
-    principal: ShareStatistics
-    rotated: ShareStatistics
+    principal: FractionStatistics
+    rotated: FractionStatistics
 
 
 def backward_validation(
@@ -277,8 +277,8 @@ def backward_validation(
     """Principal components of populations drawn from N(0, 1), with the paper's variables.
 
     The variables are those that Table 1 has on all 55 reeds, as far as the metamodel has the mode.
-    Without noise four factors explain all but a percent. The shares that the paper prints are like
-    those after rotation here, and unlike those of principal components.
+    Without noise four factors explain all but a percent. The printed fractions are similar to those
+    after rotation here, and different from those of principal components.
 
     Parameters
     ----------
@@ -307,14 +307,14 @@ def backward_validation(
             passes=passes,
         )
         found = factors.principal_factors(cents[:, complete], count)
-        principal.append(found.shares)
-        rotated.append(factors.varimax_factors(found, components).shares)
-    return BackwardValidation(_share_statistics(principal), _share_statistics(rotated))
+        principal.append(found.fractions)
+        rotated.append(factors.varimax_factors(found, components).fractions)
+    return BackwardValidation(_fraction_statistics(principal), _fraction_statistics(rotated))
 
 
-def _share_statistics(shares: Sequence[Array]) -> ShareStatistics:
-    each, total = np.array(shares), np.sum(shares, axis=1)
-    return ShareStatistics(
+def _fraction_statistics(fractions: Sequence[Array]) -> FractionStatistics:
+    each, total = np.array(fractions), np.sum(fractions, axis=1)
+    return FractionStatistics(
         mean=each.mean(axis=0),
         sd=each.std(axis=0, ddof=1),
         sum_mean=float(total.mean()),

@@ -1,9 +1,9 @@
-"""Least squares in which every reed has unknowns of its own beside those that all reeds share.
+"""Least squares with unknowns of each reed and unknowns that all reeds have in common.
 
-The normal matrix is an arrow: a small block for each reed, a border for the shared unknowns. The
-reeds' blocks are eliminated one by one, so that a step costs time in proportion to the reeds.
-Linear equality constraints on the steps (see `NormalEquations.constraints`) join the border as
-Lagrange multipliers.
+The normal matrix has the form of an arrow: a small block for each reed, and a border for the common
+unknowns. The blocks are eliminated one by one, so that the time of a step is proportional to the
+number of reeds. Linear equality constraints on the steps (see `NormalEquations.constraints`) are
+added to the border with Lagrange multipliers.
 """
 
 from collections.abc import Sequence
@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.floating[Any]]
 
 _FIRST_DAMPING, _LEAST_DAMPING = 1e-3, 1e-9
-# A step taken under more damping than this is short because it is damped, not at the goal.
+# With more damping than this a step may be short because of the damping, far from the minimum.
 _UNDAMPED = 1e-4
 _SOFTER, _STIFFER = 0.2, 4.0
-# A decrease of this share of the expected one makes the next step bolder.
+# The damping decreases if the cost decreases by this fraction of the expected amount.
 _AS_EXPECTED = 0.25
-# A smaller share of the cost is lost in the rounding of its sum.
+# Relative rounding error of the cost.
 _ROUNDING = 1e-14
 # Steps remembered by the acceleration.
 _MEMORY = 6
@@ -43,17 +43,17 @@ class Point:
     own: Array
 
     def plus(self, other: "Point", factor: float = 1.0) -> "Point":
-        """Go from here by a multiple of another."""
+        """Add a multiple of another point or step."""
         return Point(self.shared + factor * other.shared, self.own + factor * other.own)
 
     def dot(self, other: "Point") -> float:
-        """Scalar product."""
+        """Return the scalar product."""
         return float(np.vdot(self.shared, other.shared) + np.vdot(self.own, other.own))
 
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Squares to be minimised, to second order in a step.
+    """Sum of squares to be minimised, to second order in a step.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class NormalEquations:
     constraints: Array
 
     def step(self, damping: float) -> Point:
-        """Damped step (Marquardt's scaling) within the constraints."""
+        """Return the damped step (Marquardt's scaling) within the constraints."""
         _, K, q = self.cross.shape
         shared = self.shared * (1 + damping * np.eye(q))
         own = self.own * (1 + damping * np.eye(K))
@@ -91,18 +91,18 @@ class NormalEquations:
         return Point(outer[:q], solved[..., -1] - solved[..., :-1] @ outer)
 
     def expected_decrease(self, step: Point) -> float:
-        """Decrease of the cost that the slope at this point promises for a damped step."""
+        """Return the decrease of the cost that the gradient predicts for a damped step."""
         return Point(self.shared_descent, self.own_descent).dot(step)
 
     def times(self, step: Point) -> Point:
-        """JᵀJ times a step."""
+        """Return JᵀJ times a step."""
         return Point(
             self.shared @ step.shared + np.tensordot(step.own, self.cross, axes=2),
             np.einsum("nkl,nl->nk", self.own, step.own) + self.cross @ step.shared,
         )
 
     def information_on_shared(self) -> Array:
-        """JᵀJ of the shared unknowns (q, q) where the reeds' own are fitted along.
+        """Return JᵀJ of the common unknowns (q, q) with the reeds' own unknowns eliminated.
 
         The inverse, times the noise's variance, is the covariance of the shared unknowns.
         """
@@ -123,21 +123,21 @@ def _solve_symmetric(matrix: Array, right: Array) -> Array:
 
 
 class ArrowProblem(Protocol):
-    """What `minimise` minimises."""
+    """Problem that `minimise` solves."""
 
     def cost(self, at: Point) -> float:
-        """Sum of squares; infinite where the model has no answer."""
+        """Return the sum of squares; infinite where the model is not defined."""
 
     def normal_equations(self, at: Point) -> NormalEquations:
-        """Second-order picture at a point that satisfies the constraints."""
+        """Return the normal equations at a point that satisfies the constraints."""
 
     def onto_constraints(self, near: Point) -> Point:
-        """Point that satisfies the constraints exactly, to first order where `near` is."""
+        """Return the point near `near` that satisfies the constraints."""
 
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Where a minimisation ended.
+    """Result of a minimisation.
 
     Attributes
     ----------
@@ -145,8 +145,8 @@ class Minimum:
     cost : float
     iterations : int
     converged : bool
-        Whether it ended because nothing more was to be gained, and not because the iterations
-        were used up or the model has no answer beyond.
+        Whether a minimum was reached. False if the iterations were used up, or if the model is not
+        defined beyond the result.
     """
 
     point: Point
@@ -160,17 +160,17 @@ def minimise(
 ) -> Minimum:
     """Minimise by Levenberg-Marquardt steps with Anderson acceleration.
 
-    Gauss-Newton steps creep along the curved valleys of weakly determined directions; combining
-    the last few steps so that they cancel brings them to the end (Anderson, J. ACM 12, 1965). A
-    combination that does not decrease the cost is dropped for the plain step, and a plain step
-    that does not for a shorter one: the cost never increases.
+    Gauss-Newton steps converge slowly along curved valleys of weakly determined directions.
+    Anderson acceleration extrapolates from the last few steps (Anderson, J. ACM 12, 1965). If that
+    does not decrease the cost, the plain step is taken; if that does not either, a more damped one.
+    The cost never increases.
 
     Parameters
     ----------
     problem : ArrowProblem
     start : Point
     tolerance : float
-        Expected decrease of the cost at which the search ends.
+        Expected decrease of the cost at which the minimisation ends.
     most_iterations : int
     """
     at, damping = problem.onto_constraints(start), _FIRST_DAMPING
@@ -188,7 +188,7 @@ def minimise(
         little = promised < max(tolerance, _ROUNDING * here.cost)
         if little and (damping < _UNDAMPED or decrease <= 0):
             best, cost = (target, here.cost - decrease) if decrease > 0 else (at, here.cost)
-            # At the edge of where the model has an answer there is no minimum.
+            # Where the model ends there is no minimum.
             return Minimum(best, cost, iteration, converged=decrease > -np.inf)
         if decrease > 0:
             past = [(at, step), *past][:_MEMORY]
@@ -203,14 +203,14 @@ def minimise(
 def _accelerated(
     here: NormalEquations, at: Point, step: Point, past: Sequence[tuple[Point, Point]]
 ) -> Point:
-    """Point at which, going by the last steps, the next step would be least."""
+    """Return the point at which the next step would be shortest, extrapolated from past steps."""
     moves = [(at.plus(before, -1), step.plus(then, -1)) for before, then in past]
-    # Steps are measured by what they do to the residuals.
+    # The length of a step is that of its effect on the residuals.
     changed = [here.times(change) for _, change in moves]
     products = np.array([[a.dot(change) for _, change in moves] for a in changed])
     with_step = np.array([a.dot(step) for a in changed])
-    shares = np.linalg.lstsq(products, with_step, rcond=1e-10)[0]
+    fractions = np.linalg.lstsq(products, with_step, rcond=1e-10)[0]
     point = at.plus(step)
-    for share, (move, change) in zip(shares, moves, strict=True):
-        point = point.plus(move, -share).plus(change, -share)
+    for fraction, (move, change) in zip(fractions, moves, strict=True):
+        point = point.plus(move, -fraction).plus(change, -fraction)
     return point

@@ -46,7 +46,7 @@ class Determination:
         return int(np.count_nonzero(self.information < 1))
 
     def weakest(self, rank: int = 0, count: int = 4) -> dict[str, float]:
-        """Greatest shares, by name, of the direction that is determined least but `rank`."""
+        """Greatest fractions, by name, of the direction that is determined least but `rank`."""
         direction = self.directions[:, rank]
         greatest = np.argsort(-np.abs(direction))[:count]
         return {self.names[i]: float(direction[i]) for i in greatest}

@@ -43,7 +43,7 @@ class Priors:
         are `held`, in units of `coefficient_sizes`.
     parameter_share : float
         Standard deviation of a reed's parameter about the population's mean, for structures
-        whose components are not orthonormal (H9), as a share of the parameter's size.
+        whose components are not orthonormal (H9), as a fraction of the parameter's size.
     """
 
     noise_cents: float = H4_MISFIT_CENTS
@@ -72,7 +72,7 @@ class Unknowns:
 
 def coefficient_sizes(structure: Structure, coefficients: Array) -> Array:
     """Change (p,) of each coefficient that changes some element of M by a parameter's own size."""
-    relative = np.abs(structure.slopes(coefficients)) / PARAMETER_SIZES[:, None]
+    relative = np.abs(structure.jacobian(coefficients)) / PARAMETER_SIZES[:, None]
     greatest = relative.max(axis=(1, 2, 3), initial=0.0)
     return np.asarray(np.divide(1.0, greatest, out=np.ones_like(greatest), where=greatest > 0))
 
@@ -167,7 +167,7 @@ class Population:
         prediction = self._predict(unknowns)
         seen = ~np.isnan(self.observed_cents)
         residual = np.where(seen, self.observed_cents - prediction.cents, 0).reshape(len(seen), -1)
-        by_own, by_shared = self._slopes(unknowns, prediction, seen)
+        by_own, by_shared = self._jacobian(unknowns, prediction, seen)
         prior = self.prior_weights**2
         own_prior = self.own_weight_cents**2
         return NormalEquations(
@@ -198,7 +198,7 @@ class Population:
         squares += np.sum((self.own_weight_cents * at.own) ** 2)
         return float(squares) if np.isfinite(squares) else np.inf
 
-    def _slopes(
+    def _jacobian(
         self, unknowns: Unknowns, prediction: Prediction, seen: NDArray[np.bool_]
     ) -> tuple[Array, Array]:
         """Derivatives of the computed cents, (n, 2 m, K) and (n, 2 m, p + m r)."""
@@ -211,7 +211,7 @@ class Population:
         by_coefficient = np.einsum(
             "snmx,psx->nsmp",
             by_element.reshape(series, n, modes, -1),
-            _flat(self.structure.slopes(unknowns.coefficients)) * self.sizes[:, None, None],
+            _flat(self.structure.jacobian(unknowns.coefficients)) * self.sizes[:, None, None],
             optimize=True,
         )
         terms = np.where(seen[..., None], prediction.by_adjustment, 0)
@@ -239,6 +239,6 @@ class Population:
         return np.stack(columns, axis=-1) if columns else np.empty((n, K, 0))
 
 
-def _flat(slopes: Array) -> Array:
+def _flat(jacobian: Array) -> Array:
     """(p, 2, 6, K + 1) → (p, 2, 6 (K + 1)), also for p = 0."""
-    return slopes.reshape(*slopes.shape[:2], slopes.shape[2] * slopes.shape[3])
+    return jacobian.reshape(*jacobian.shape[:2], jacobian.shape[2] * jacobian.shape[3])

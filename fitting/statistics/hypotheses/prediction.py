@@ -26,7 +26,7 @@ Array = NDArray[np.floating[Any]]
 _LN_HZ_PER_CENT = np.log(2) / 1200
 # Farther from F6 the formula stands for nothing: the cane has lost its stiffness.
 _FARTHEST_CENTS = 12000.0
-# A parameter so many times its size is the end of a search gone wild; its powers overflow.
+# Limit of parameters, as a multiple of their size: beyond, powers would overflow.
 _GREATEST = 1e6
 # Each pass gains a factor of about 5.
 _SETTLED_CENTS = 1e-9

@@ -1,7 +1,7 @@
-"""Resonances straight from the factors of a principal component analysis: hypotheses H10 and H11.
+"""Regression of resonances on the factors of a principal component analysis: H10 and H11.
 
-No cane and no metamodel: the best that a linear scheme with as many numbers a reed can do (paper,
-appendix on reconstructing by multiple regression).
+Neither cane nor metamodel is used: this is the best that a linear model with the same number of
+components for each reed can do (paper, appendix on reconstructing by multiple regression).
 """
 
 from collections.abc import Mapping
@@ -115,11 +115,11 @@ def regress_with_drying(observed_cents: Array, factors: Array) -> Regression:
         design = drying_design(at, factors, base)[0]
         return np.concatenate([_projected(design, mode)[0] for mode in modes])
 
-    def slopes(at: Array) -> Array:
+    def jacobian(at: Array) -> Array:
         design, by = drying_design(at, factors, base)
-        return np.concatenate([_projected_slopes(design, by, mode) for mode in modes])
+        return np.concatenate([_projected_jacobian(design, by, mode) for mode in modes])
 
-    found = least_squares(residual, start, slopes, xtol=1e-10, ftol=1e-10, gtol=1e-10)
+    found = least_squares(residual, start, jacobian, xtol=1e-10, ftol=1e-10, gtol=1e-10)
     design = drying_design(found.x, factors, base)[0]
     hat = np.stack([_projected(design, mode)[1] for mode in modes])
     rotation = _turn(found.x[4:]) @ base
@@ -150,11 +150,11 @@ def drying_design(at: Array, factors: Array, base: Array) -> tuple[Array, Array]
     -------
     design : (2 n, 4) float
         Rows of reed 0 in series A and B, reed 1, ….
-    slopes : (9, 2 n, 4) float
+    jacobian : (9, 2 n, 4) float
     """
     check, turned = _check_matrices(at[:4]), factors @ (_turn(at[4:]) @ base).T
     with_one = np.concatenate([np.ones((len(factors), 1)), turned], axis=1)
-    by_coefficient = np.einsum("psak,nk->pnsa", _CHECK_SLOPES, with_one)
+    by_coefficient = np.einsum("psak,nk->pnsa", _CHECK_JACOBIAN, with_one)
     exponent = np.tensordot(at[4:], _GENERATORS, axes=1)
     by_turned = np.stack(
         [factors @ (expm_frechet(exponent, g, compute_expm=False) @ base).T for g in _GENERATORS]
@@ -173,16 +173,16 @@ def _generators() -> Array:
     return turns
 
 
-def _check_slopes() -> Array:
+def _check_jacobian() -> Array:
     """Derivatives of M̌ of series A and B with respect to c10, c20, c30, c22, (4, 2, 4, 5)."""
-    slopes = np.zeros((4, 2, _FACTORS, _FACTORS + 1))
+    jacobian = np.zeros((4, 2, _FACTORS, _FACTORS + 1))
     for rank in range(3):
-        slopes[rank, 1, 1 + rank, 0] = 1
-    slopes[3, 1, 2, [2, 4]] = 1
-    return slopes
+        jacobian[rank, 1, 1 + rank, 0] = 1
+    jacobian[3, 1, 2, [2, 4]] = 1
+    return jacobian
 
 
-_GENERATORS, _CHECK_SLOPES = _generators(), _check_slopes()
+_GENERATORS, _CHECK_JACOBIAN = _generators(), _check_jacobian()
 
 
 def _check_matrices(coefficients: Array) -> Array:
@@ -190,7 +190,7 @@ def _check_matrices(coefficients: Array) -> Array:
     own = np.zeros((2, _FACTORS, _FACTORS + 1))
     own[:, range(_FACTORS), range(_FACTORS)] = 1
     own[1, 2, 2] = 0
-    return np.asarray(own + np.tensordot(coefficients, _CHECK_SLOPES, axes=1))
+    return np.asarray(own + np.tensordot(coefficients, _CHECK_JACOBIAN, axes=1))
 
 
 def _turn(angles: Array) -> Array:
@@ -226,13 +226,13 @@ def _projected(design: Array, mode_cents: Array) -> tuple[Array, Array]:
     return np.nan_to_num(mode_cents - design @ weights), weights
 
 
-def _projected_slopes(design: Array, slopes: Array, mode_cents: Array) -> Array:
+def _projected_jacobian(design: Array, jacobian: Array, mode_cents: Array) -> Array:
     """Derivatives (2 n, 9) of `_projected`, the weights' own change left out (Kaufman).
 
     The gradient of the sum of squares is exact.
     """
     seen = ~np.isnan(mode_cents)
-    changed = np.where(seen[:, None], (slopes @ _least_squares(design, mode_cents)).T, 0)
+    changed = np.where(seen[:, None], (jacobian @ _least_squares(design, mode_cents)).T, 0)
     basis = np.linalg.qr(np.where(seen[:, None], design, 0))[0]
     return np.asarray(basis @ (basis.T @ changed) - changed)
 

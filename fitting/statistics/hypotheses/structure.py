@@ -33,15 +33,15 @@ class AffineMatrix:
     Attributes
     ----------
     constant : (..., rows, columns) float
-    slopes : (p, ..., rows, columns) float
+    jacobian : (p, ..., rows, columns) float
     """
 
     constant: Array
-    slopes: Array
+    jacobian: Array
 
     def at(self, coefficients: Array) -> Array:
         """Matrix (..., rows, columns) where the coefficients are (p,)."""
-        return np.asarray(self.constant + np.tensordot(coefficients, self.slopes, axes=1))
+        return np.asarray(self.constant + np.tensordot(coefficients, self.jacobian, axes=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,17 +82,17 @@ class Structure:
 
     @property
     def components(self) -> int:
-        """K, numbers that each reed has of its own."""
+        """Number of components K of each reed."""
         return int(self.check.constant.shape[-1]) - 1
 
     def matrices(self, coefficients: Array) -> Array:
         """M of series A and B, (2, 6, K + 1), where the coefficients are (p,)."""
         return np.asarray(self.hat.at(coefficients) @ self.check.at(coefficients))
 
-    def slopes(self, coefficients: Array) -> Array:
+    def jacobian(self, coefficients: Array) -> Array:
         """Derivatives of `matrices` with respect to the coefficients, (p, 2, 6, K + 1)."""
         hat, check = self.hat.at(coefficients), self.check.at(coefficients)
-        return np.asarray(self.hat.slopes[:, None] @ check + hat @ self.check.slopes)
+        return np.asarray(self.hat.jacobian[:, None] @ check + hat @ self.check.jacobian)
 
     def parameters(self, coefficients: Array, components: Array) -> Array:
         """Zener parameters (n, 2, 6) of reeds with components (n, K)."""
@@ -135,7 +135,9 @@ def written(
             f"{sorted(names)}; give one for each"
         )
     a, b = (_affine(rows, names) for rows in check)
-    both = AffineMatrix(np.stack([a.constant, b.constant]), np.stack([a.slopes, b.slopes], axis=1))
+    both = AffineMatrix(
+        np.stack([a.constant, b.constant]), np.stack([a.jacobian, b.jacobian], axis=1)
+    )
     values = np.array(list(start.values()), dtype=float)
     return Structure(name, names, values, _affine(hat, names), both, **what_else)
 
@@ -165,8 +167,10 @@ def coefficients_within(outer: Structure, inner: Structure, coefficients: Array)
     if (outer.hat.constant.shape, outer.check.constant.shape) == (hat.shape, check.shape):
         parts = ((outer.hat, hat), (outer.check, check))
         wanted = np.concatenate([(at - part.constant).ravel() for part, at in parts])
-        slopes = np.concatenate([part.slopes.reshape(len(part.slopes), -1) for part, _ in parts], 1)
-        found = np.asarray(np.linalg.lstsq(slopes.T, wanted, rcond=None)[0])
+        jacobian = np.concatenate(
+            [part.jacobian.reshape(len(part.jacobian), -1) for part, _ in parts], 1
+        )
+        found = np.asarray(np.linalg.lstsq(jacobian.T, wanted, rcond=None)[0])
         missed = (outer.matrices(found) - matrices) / PARAMETER_SIZES[:, None]
         if np.abs(missed).max() < 1e-9:
             return found
@@ -179,14 +183,14 @@ def coefficients_within(outer: Structure, inner: Structure, coefficients: Array)
 def _affine(rows: Sequence[str], names: tuple[str, ...]) -> AffineMatrix:
     elements = [[_factor_and_name(element) for element in row.split()] for row in rows]
     constant = np.zeros((len(elements), len(elements[0])))
-    slopes = np.zeros((len(names), *constant.shape))
+    jacobian = np.zeros((len(names), *constant.shape))
     for i, row in enumerate(elements):
         for k, (factor, name) in enumerate(row):
             if name:
-                slopes[names.index(name), i, k] = factor
+                jacobian[names.index(name), i, k] = factor
             else:
                 constant[i, k] = factor
-    return AffineMatrix(constant, slopes)
+    return AffineMatrix(constant, jacobian)
 
 
 def _factor_and_name(element: str) -> tuple[float, str]:

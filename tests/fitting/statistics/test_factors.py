@@ -44,8 +44,8 @@ def test_two_variables_have_the_factors_of_their_correlation(r):
         [100 + 7 * independent[:, 0], 40 * independent @ [r, np.sqrt(1 - r**2)]]
     )
     found = principal_factors(values, 2)
-    np.testing.assert_allclose(found.shares, [(1 + abs(r)) / 2, (1 - abs(r)) / 2], atol=1e-12)
-    np.testing.assert_allclose(found.spectrum, found.shares, atol=1e-12)
+    np.testing.assert_allclose(found.fractions, [(1 + abs(r)) / 2, (1 - abs(r)) / 2], atol=1e-12)
+    np.testing.assert_allclose(found.spectrum, found.fractions, atol=1e-12)
     if r:
         expected = np.sqrt((1 + abs(r)) / 2)
         np.testing.assert_allclose(np.sort(found.loadings[:, 0] * [1, np.sign(r)]), expected)
@@ -56,7 +56,7 @@ def test_shares_are_eigenvalues_of_the_matrix(population, matrix, of):
     eigenvalues = np.linalg.eigvalsh(of(population.T))[::-1]
     found = principal_factors(population, 3, matrix=matrix)
     np.testing.assert_allclose(found.spectrum, eigenvalues / eigenvalues.sum())
-    np.testing.assert_allclose(found.shares, found.spectrum[:3])
+    np.testing.assert_allclose(found.fractions, found.spectrum[:3])
 
 
 @pytest.mark.parametrize("matrix", ["correlation", "covariance"])
@@ -79,14 +79,14 @@ def test_the_scale_of_a_variable_matters_to_the_covariance_only(population):
     np.testing.assert_allclose(
         principal_factors(scaled, 2).scores, principal_factors(population, 2).scores
     )
-    shares = principal_factors(scaled, 2, matrix="covariance").shares
-    assert shares[0] > principal_factors(population, 2, matrix="covariance").shares[0] + 0.01
+    fractions = principal_factors(scaled, 2, matrix="covariance").fractions
+    assert fractions[0] > principal_factors(population, 2, matrix="covariance").fractions[0] + 0.01
 
 
 def test_more_variables_than_reeds(population):
     found = principal_factors(population[:4], 3)
     assert found.spectrum.shape == (3,)
-    assert found.shares.sum() == pytest.approx(1)
+    assert found.fractions.sum() == pytest.approx(1)
     with pytest.raises(ValueError, match="4 factors of a population of 3 dimensions"):
         principal_factors(population[:4], 4)
 
@@ -190,8 +190,8 @@ def test_varimax_undoes_the_rotation_of_a_simple_structure():
 def test_rotated_factors_stand_in_order_of_variance_with_positive_peaks(population):
     found = principal_factors(population, 4)
     turned = rotated(found, ortho_group.rvs(4, random_state=1))
-    assert np.all(np.diff(turned.shares) <= 0)
-    assert turned.shares.sum() == pytest.approx(found.shares.sum())
+    assert np.all(np.diff(turned.fractions) <= 0)
+    assert turned.fractions.sum() == pytest.approx(found.fractions.sum())
     assert np.all(turned.loadings[np.abs(turned.loadings).argmax(axis=0), range(4)] > 0)
     np.testing.assert_allclose(np.cov(turned.scores.T), np.eye(4), atol=1e-12)
     np.testing.assert_allclose(turned.loadings, correlations(population, turned.scores), atol=1e-12)
@@ -205,7 +205,7 @@ def test_additional_variables_take_part_in_the_rotation_only(population):
     found = principal_factors(population, 2)
     additional = found.scores @ [[0.6, -0.8], [0.8, 0.6]]
     alone, many = varimax_factors(found), varimax_factors(found, np.tile(additional, 50))
-    assert alone.shares.sum() == pytest.approx(many.shares.sum())
+    assert alone.fractions.sum() == pytest.approx(many.fractions.sum())
     assert np.abs(alone.loadings - many.loadings).max() > 0.01
     pulled = np.abs(correlations(additional, many.scores))
     np.testing.assert_allclose(np.sort(pulled, axis=1), [[0, 1], [0, 1]], atol=0.05)

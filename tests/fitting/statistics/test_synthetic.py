@@ -220,15 +220,15 @@ def test_noise_free_reeds_have_four_factors(rng):
 
 
 def test_noisy_reeds_have_the_papers_shares_after_rotation(rng, tables):
-    """The shares printed for the backward validation are not those of principal components."""
+    """The fractions printed for the backward validation are not those of principal components."""
     printed = tables["pca"]["backward_validation"]
     found = backward_validation(MODEL, rng, noise_cents=26, populations=40)
     assert 100 * found.principal.sum_mean == pytest.approx(printed["sum"], abs=0.7)
     assert 100 * found.principal.sum_sd == pytest.approx(printed["sd"], abs=0.3)
     assert np.all(np.diff(found.principal.mean) < 0)
     rotated, principal = (
-        np.abs(100 * shares.mean - printed["variance_percent"])
-        for shares in (found.rotated, found.principal)
+        np.abs(100 * fractions.mean - printed["variance_percent"])
+        for fractions in (found.rotated, found.principal)
     )
     assert rotated.max() < 5
     assert principal.max() > 8

@@ -101,9 +101,9 @@ def structure(request):
 def off_start():
     """Return a function that gives coefficients a few per cent off a structure's start."""
 
-    def coefficients(structure, share=0.05, seed=5):
+    def coefficients(structure, fraction=0.05, seed=5):
         off = np.random.default_rng(seed).standard_normal(len(structure.start))
-        return structure.start * (1 + share * off)
+        return structure.start * (1 + fraction * off)
 
     return coefficients
 
@@ -136,4 +136,4 @@ def posed(draw, off_start):
 @pytest.fixture
 def rough_h4(off_start):
     """H4 that starts some 15 % off its coefficients."""
-    return replace(H4, start=off_start(H4, share=0.15, seed=3))
+    return replace(H4, start=off_start(H4, fraction=0.15, seed=3))

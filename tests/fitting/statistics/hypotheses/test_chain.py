@@ -86,7 +86,7 @@ def test_moduli_and_adjustments_are_one_to_h1(chain):
     assert found.open_directions == 2
     assert np.abs(found.information[:2]).max() < 1e-9 < 1 < found.information[2]
     assert found.names[:3] == ("d10", "d40", "F1 a0")
-    # What is left is the prior: 100 cents on eleven modes, that share out to two moduli.
+    # What is left is the prior: 100 cents on eleven modes, that fraction out to two moduli.
     errors = dict(zip(found.names, found.standard_errors, strict=True))
     assert 500 < errors["d10"] < 1500
     assert 50 < errors["d40"] < 200
@@ -97,9 +97,9 @@ def test_h4_leaves_open_whether_cane_or_metamodel_is_soft(chain):
     """One direction: all adjustments together against the mean moduli."""
     found = determination(chain["H4"])
     assert found.open_directions == 1
-    shares = found.directions[9:, 0]
-    assert (np.sign(shares) == np.sign(shares[0])).all()
-    assert np.sum(shares**2) > 0.8
+    fractions = found.directions[9:, 0]
+    assert (np.sign(fractions) == np.sign(fractions[0])).all()
+    assert np.sum(fractions**2) > 0.8
     assert all(name.endswith("a0") for name in found.weakest())
     # The standard error along it, 100 cents over the root of the information.
     assert 100 < 100 / np.sqrt(found.information[0]) < 300

@@ -282,9 +282,9 @@ def test_a_prior_holds_coefficients_of_h7_where_data_do_not(noisy, structures):
     h7 = structures["H7"]
     start = continued(h4, h7)
 
-    def moved(share):
+    def moved(fraction):
         fit = fit_hypothesis(
-            noisy.observed_cents, h7, start=start, priors=Priors(coefficient_share=share)
+            noisy.observed_cents, h7, start=start, priors=Priors(coefficient_share=fraction)
         )
         return np.abs((fit.unknowns.coefficients - start.coefficients) / fit.population.sizes)
 

@@ -154,9 +154,9 @@ def test_slopes_of_the_design_are_those_of_differences(factors):
     rng = np.random.default_rng(3)
     base = special_ortho_group.rvs(4, random_state=5)
     at = rng.standard_normal(9)
-    slopes = drying_design(at, factors[:5], base)[1]
+    jacobian = drying_design(at, factors[:5], base)[1]
     numeric = approx_fprime(at, lambda x: drying_design(x, factors[:5], base)[0].ravel(), 1e-7)
-    np.testing.assert_allclose(slopes.reshape(9, -1), numeric.T, atol=1e-5)
+    np.testing.assert_allclose(jacobian.reshape(9, -1), numeric.T, atol=1e-5)
 
 
 def test_what_cannot_be_regressed_is_refused(noisy, factors):

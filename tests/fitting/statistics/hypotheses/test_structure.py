@@ -45,8 +45,8 @@ def test_h9_has_a_component_for_every_parameter(tables, structures):
 def test_both_readings_of_h6_have_44_coefficients(at):
     assert len(paper_structures.h6_constant_dashpots().coefficients) == 44
     structure, coefficients = at("H6 (constant dashpots)")
-    slopes = structure.matrices(coefficients)[:, [2, 5], 1:]
-    assert (slopes == 0).all()
+    jacobian = structure.matrices(coefficients)[:, [2, 5], 1:]
+    assert (jacobian == 0).all()
 
 
 def test_h4_is_the_matrix_of_the_twin(structures):
@@ -126,10 +126,10 @@ def test_what_is_no_special_case_is_refused(at, inner, outer):
 
 
 def test_slopes_are_the_derivatives_of_the_matrices(structure, off_start):
-    coefficients, direction = off_start(structure), off_start(structure, share=1, seed=8)
+    coefficients, direction = off_start(structure), off_start(structure, fraction=1, seed=8)
     # Bilinear in the coefficients: central differences are exact.
     ahead, behind = (structure.matrices(coefficients + s * direction) for s in (1, -1))
-    along = np.tensordot(direction, structure.slopes(coefficients), axes=1)
+    along = np.tensordot(direction, structure.jacobian(coefficients), axes=1)
     np.testing.assert_allclose(along * RELATIVE, (ahead - behind) / 2 * RELATIVE, atol=1e-12)
 
 
@@ -140,8 +140,8 @@ def test_rotatable_components_are_those_that_coefficients_make_up_for(structure,
         return
     coefficients = off_start(structure)
     matrices = structure.matrices(coefficients) * RELATIVE
-    slopes = structure.slopes(coefficients) * RELATIVE
-    spanned = slopes.reshape(len(slopes), -1).T
+    jacobian = structure.jacobian(coefficients) * RELATIVE
+    spanned = jacobian.reshape(len(jacobian), -1).T
     spanned = spanned / np.linalg.norm(spanned, axis=0)
     for i in range(structure.components):
         for k in range(i):

@@ -23,7 +23,6 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.runner.runner import run
 from benchmarks.modal_peer import LIBRARY, peer_modes, peer_version
@@ -34,14 +33,13 @@ from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
 from fitting.modal.acoustic_resonances import ExcitationPeak, common_excitation_peaks
 from fitting.modal.identify import JointFit
+from holography.arrays import Array
 from physics.reed.viscoelastic import Series
 from protocols.bench import BenchFile
 from protocols.plan import make_plan
 from protocols.protocol import Protocol
 from protocols.reed import ReedFile
 from runs.reader import Run
-
-Array = NDArray[np.floating[Any]]
 
 # What the project claims: bias, standard deviation, coverage of 68 % intervals, time of a run.
 CLAIMED = ("F1", "T1", "F2", "T2", "T3", "F3", "X2")

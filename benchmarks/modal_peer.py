@@ -34,12 +34,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import linear_sum_assignment
 
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complexfloating[Any, Any]]
+from holography.arrays import Array, ComplexArray
 
 LIBRARY = "sdypy-EMA"
 _OCTAVES, _OCTAVES_APART = 1.0, 0.25
@@ -92,7 +90,7 @@ def peer_version() -> str | None:
 
 
 def peer_modes(
-    drive_hz: Array, response: Complex, expected_hz: Mapping[str, float]
+    drive_hz: Array, response: ComplexArray, expected_hz: Mapping[str, float]
 ) -> dict[str, PeerMode]:
     """Find the modes of a sweep that are expected.
 
@@ -155,7 +153,7 @@ def _bands(first_hz: float, last_hz: float) -> list[tuple[float, float]]:
 
 def _band(
     ema: Any,
-    response: Callable[[Array], Complex],
+    response: Callable[[Array], ComplexArray],
     lowest_hz: float,
     highest_hz: float,
     step_hz: float,
@@ -202,7 +200,7 @@ def _stable_poles(ema: Any, band: _Band) -> Iterator[_Poles]:
         yield _Poles(hz[number[counts]], loss[number[counts]])
 
 
-def _hysteretic(poles_rad_s: Complex, lower_by_hz: float) -> tuple[Array, Array]:
+def _hysteretic(poles_rad_s: ComplexArray, lower_by_hz: float) -> tuple[Array, Array]:
     """Eigenfrequencies and loss factors of ``1 / (1 + iη − (f/f_m)²)`` with these poles.
 
     A pole of it is at the complex frequency f with ``f² = f_m² (1 + iη)``; NaN where there is none.

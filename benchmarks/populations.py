@@ -33,7 +33,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from fitting.cane.reed_fit import COMPONENTS
@@ -45,6 +44,7 @@ from fitting.forward import (
 from fitting.paper.constants import adjusted_metamodel
 from fitting.populations.flags import count_flags
 from fitting.populations.population import fit_population, fit_stream
+from holography.arrays import Array
 from physics.reed.basis import ReducedReed
 from physics.reed.geometry import ReedGeometry
 from physics.reed.log_polynomial import LogPolynomial, finite_element_polynomial
@@ -59,8 +59,6 @@ from physics.reed.viscoelastic import (
     viscoelastic_cane,
 )
 from protocols.reed import DEFAULT_REED, ReedFile
-
-Array = NDArray[np.floating[Any]]
 
 SMALL_S, REEDS_PER_S, GROWTH = 1.0, 50_000.0, 1.05
 RMS_SD, COVERAGE = 0.12, (0.62, 0.74)

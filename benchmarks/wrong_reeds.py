@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import legval2d
-from numpy.typing import NDArray
 
 from acquire.runner.runner import run
 from drivers.registry import open_bench
@@ -32,6 +31,7 @@ from drivers.simulated.settings import (
     model_settings,
     read_simulation,
 )
+from holography.arrays import Array
 from physics.bench import bench_cane
 from physics.reed.cache import kept
 from physics.reed.fem import Symmetry
@@ -51,8 +51,6 @@ from physics.reed.viscoelastic import Series
 from protocols.bench import BenchFile
 from protocols.plan import make_plan
 from protocols.protocol import Protocol
-
-Array = NDArray[np.floating[Any]]
 
 PROTOCOLS = {Series.A: "seriesA", Series.B: "seriesB"}
 # Length and half width of the vamp, and the points of the thickness map on it.

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import NearestNDInterpolator, RectBivariateSpline
 
 from fitting.paper import constants as paper
+from holography.arrays import Array
 from physics.reed.basis import BasisSettings, ReducedReed
 from physics.reed.cache import reduced_reed
 from physics.reed.metamodel import REFERENCE_HZ
@@ -20,8 +20,6 @@ from physics.reed.viscoelastic import (
     storage_modulus_pa,
 )
 from protocols.reed import ReedFile
-
-Array = NDArray[np.floating[Any]]
 
 # Network on which the finite elements are tabulated, Pa: the range of a reduced basis.
 _E_L_PA = np.geomspace(7e9, 22e9, 21)

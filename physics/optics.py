@@ -4,19 +4,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0, j1, jv
 
+from holography.arrays import Array
 from holography.fresnel import FresnelTransform
 from holography.fringes import phase_amplitude
 from holography.region import Region, region_from_metres
 from physics.reed.geometry import ReedGeometry
 
-Array = NDArray[np.floating[Any]]
-Float = NDArray[np.float32]
 Complex64 = NDArray[np.complex64]
 
 # Sidebands that are always computed. Chosen: the integrals of others over a frame are too small to

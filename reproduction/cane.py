@@ -1,11 +1,10 @@
 """The cane after hypothesis H4: Tables 6, 7 and tabH4, the curves, and formulas of the text."""
 
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from fitting.paper.printed import Printed
@@ -14,6 +13,7 @@ from fitting.statistics.synthetic import (
     physical,
     zener_parameters,
 )
+from holography.arrays import Array
 from physics.reed.conditions import REFERENCE_C, relaxation_time_factor
 from physics.reed.fractional import (
     LORD_DRY,
@@ -39,8 +39,6 @@ from reproduction.rows import (
     from_text,
     not_printed,
 )
-
-Array = NDArray[np.floating[Any]]
 
 _QUOTED_HZ: Final = 4000.0
 # Coefficients are printed with four digits.

@@ -1,10 +1,9 @@
 """Table 4a: the hypotheses H1 to H11 on synthetic populations."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.paper.printed import Printed
 from fitting.statistics.factors import principal_factors, varimax_factors
@@ -25,8 +24,6 @@ from reproduction.rows import (
     from_populations,
     from_text,
 )
-
-Array = NDArray[np.floating[Any]]
 
 _WHERE: Final = "Table 4a"
 # With this noise H4 leaves as much of a synthetic population as of the paper's reeds, 30.4 cents.

@@ -1,10 +1,9 @@
 """Correlations between modes and between the series (TableCorr, appendix on statistics)."""
 
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.paper.printed import Printed
 from fitting.statistics.synthetic import (
@@ -12,6 +11,7 @@ from fitting.statistics.synthetic import (
     mode_correlations,
     series_correlations,
 )
+from holography.arrays import Array
 from physics.reed.mode_classification import PAPER_MODES
 from reproduction.models import (
     NOISE_CENTS,
@@ -24,8 +24,6 @@ from reproduction.rows import (
     from_populations,
     not_reproducible,
 )
-
-Array = NDArray[np.floating[Any]]
 
 _TOLERANCE: Final = 0.05
 _STRENGTH = "the nominal strengths of the reeds are not printed one by one"

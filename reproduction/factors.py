@@ -2,11 +2,10 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from fitting.paper.printed import Printed, Shares
@@ -26,6 +25,7 @@ from fitting.statistics.synthetic import (
     backward_validation,
     variable_names,
 )
+from holography.arrays import Array
 from physics.reed.mode_classification import PAPER_MODES
 from reproduction.models import (
     NOISE_CENTS,
@@ -40,8 +40,6 @@ from reproduction.rows import (
     from_populations,
     from_text,
 )
-
-Array = NDArray[np.floating[Any]]
 
 _FACTORS: Final = 4
 _LOADING: Final = 0.1

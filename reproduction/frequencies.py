@@ -1,10 +1,9 @@
 """Table 1: resonance frequencies of the reeds, after hypothesis H4."""
 
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.forward import cents_of, hz_of
 from fitting.paper.printed import ModeStatistics, Printed
@@ -14,6 +13,7 @@ from fitting.statistics.synthetic import (
     modal_cents,
     mode_statistics,
 )
+from holography.arrays import Array
 from physics.reed.basis import ReducedReed
 from physics.reed.metamodel import Metamodel
 from physics.reed.mode_classification import PAPER_MODES
@@ -34,8 +34,6 @@ from reproduction.rows import (
     not_printed,
     not_reproducible,
 )
-
-Array = NDArray[np.floating[Any]]
 
 _WHERE: Final = "Table 1"
 # One step of the sweep.

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from fitting.paper.printed import Printed
+from holography.arrays import Array
 from physics.reed.cache import STANDARD
 from physics.reed.fem import ReedMatrices, assemble
 from physics.reed.geometry import ReedGeometry
@@ -25,8 +25,6 @@ from reproduction.rows import (
     Row,
     not_printed,
 )
-
-Array = NDArray[np.floating[Any]]
 
 STIFF_MODES: Final = ("T3", "X3", "T4")
 # Longest edges, and those at the tip, m, and whether graded towards the edges of the strip. Those

@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from fitting.forward import cents_of, hz_of
 from fitting.paper.printed import Printed
+from holography.arrays import Array
 from physics.reed.basis import ReducedReed
 from physics.reed.material import Cane
 from physics.reed.metamodel import (
@@ -31,8 +31,6 @@ from reproduction.rows import (
     interval_from_text,
     not_printed,
 )
-
-Array = NDArray[np.floating[Any]]
 
 _WHERE: Final = "Table 9"
 _FIT_CENTS: Final = 5.0

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.paper import constants as paper
 from fitting.statistics import factors, synthetic
+from holography.arrays import Array
 from physics.reed.basis import ReducedReed
 from physics.reed.cache import reduced_reed
 from physics.reed.log_polynomial import finite_element_polynomial
@@ -16,7 +16,6 @@ from physics.reed.metamodel import Equation1, Metamodel
 from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.viscoelastic import storage_modulus
 
-Array = NDArray[np.floating[Any]]
 Announce = Callable[[str], None]
 
 # With this noise four principal components explain as much of a synthetic population as of the

@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from fitting.paper.printed import TABLE_3_CONSTANTS, Printed
+from holography.arrays import Array
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material import Cane
 from physics.reed.mesh import MeshLevel
@@ -28,8 +28,6 @@ from reproduction.rows import (
     Row,
     from_text,
 )
-
-Array = NDArray[np.floating[Any]]
 
 _TOLERANCE: Final = 0.005
 # One layer, not graded towards the strip's edges: 38 solutions of it take ten seconds.

@@ -1,10 +1,8 @@
 """The reed's shape: contour, vamp and heel, clamp (paper, appendix on the shape)."""
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.paper.printed import Printed
 from physics.reed.cache import FAST
@@ -23,8 +21,6 @@ from reproduction.rows import (
     from_text,
     not_printed,
 )
-
-Array = NDArray[np.floating[Any]]
 
 _WHERE = "appendix on the shape"
 # One abscissa on each branch of the contour, mm.

@@ -1,10 +1,9 @@
 """The sweep and the light: grid of frequencies, pictures, fringes, sidebands."""
 
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import jv
 
@@ -12,6 +11,7 @@ from fitting.forward import cents_of, hz_of
 from fitting.paper.constants import H4_MISFIT_CENTS
 from fitting.paper.printed import Printed
 from fitting.statistics.synthetic import GRID_CENTS, modal_cents
+from holography.arrays import Array
 from holography.demodulation import sideband_gain
 from holography.fringes import first_sideband_maxima_m
 from physics.reed.metamodel import Equation1
@@ -26,8 +26,6 @@ from reproduction.rows import (
     interval_from_text,
     not_printed,
 )
-
-Array = NDArray[np.floating[Any]]
 
 _FIG2: Final = "Fig. 2"
 # A few fringes, and sidebands that are still lit then.

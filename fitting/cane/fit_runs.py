@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.cane.reed_fit import (
     QUOTED_HZ,
@@ -38,6 +37,7 @@ from fitting.fringes.pictures import Pictures, read_pictures
 from fitting.modal.acoustic_resonances import ExcitationPeak, find_excitation_peaks
 from fitting.modal.identify import JointFit, fit_jointly
 from fitting.modal.residual_map import residual_map
+from holography.arrays import Array, Float32Array
 from physics.reed.basis import ReducedReed
 from physics.reed.geometry import ReedGeometry
 from physics.reed.mode_classification import PAPER_MODES
@@ -57,8 +57,6 @@ from physics.reed.viscoelastic import (
 from protocols.reed import ReedFile
 from runs.reader import Run
 
-Array = NDArray[np.floating[Any]]
-Float = NDArray[np.float32]
 ModelName = Literal["fem", "paper"]
 MODELS: tuple[ModelName, ...] = ("fem", "paper")
 MethodName = Literal["picture", "joint"]
@@ -257,7 +255,7 @@ def mode_shapes(
     pictures: Pictures,
     middling: Mapping[str, Mode],
     cane: ViscoelasticCane | None = None,
-) -> Float:
+) -> Float32Array:
     """Return deflections (n, m) of modes at a run's points, largest magnitude 1.
 
     Parameters
@@ -277,7 +275,7 @@ def mode_shapes(
                 mode = viscoelastic_mode(reed, cane, name, mode.frequency_hz)
         columns.append(surface[mode.symmetry] @ mode.coordinates.astype(np.float32))
     shapes = np.stack(columns, axis=1)
-    normalised: Float = (shapes / np.abs(shapes).max(axis=0)).astype(np.float32)
+    normalised: Float32Array = (shapes / np.abs(shapes).max(axis=0)).astype(np.float32)
     return normalised
 
 
@@ -364,7 +362,7 @@ def _nothing_shows(run: Run, pictures: Pictures) -> FitError:
 def _pick(
     pictures: Pictures,
     names: Sequence[str],
-    shapes: Float,
+    shapes: Float32Array,
     fringes: Fringes,
     model: ForwardModel,
     series: Series,

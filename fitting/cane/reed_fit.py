@@ -2,10 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from fitting.errors import FitError
@@ -17,6 +16,7 @@ from fitting.forward import (
 )
 from fitting.fringes.fringe_peaks import Resonance
 from fitting.modal.excess_scatter import added_cents, is_misfit
+from holography.arrays import Array
 from physics.reed.viscoelastic import (
     Components,
     Series,
@@ -24,8 +24,6 @@ from physics.reed.viscoelastic import (
     storage_modulus_pa,
     viscoelastic_cane,
 )
-
-Array = NDArray[np.floating[Any]]
 
 COMPONENTS = ("e1", "e2", "e3", "e4")
 # Below this similarity, relative to a pure mode, the mode is mixed with another one.

@@ -7,7 +7,6 @@ which the modes found so far imply, because few components determine all frequen
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +17,13 @@ from fitting.forward import (
     viscoelastic_cents,
 )
 from fitting.paper import constants as paper
+from holography.arrays import Array
 from physics.reed.mode_classification import is_symmetric
 from physics.reed.viscoelastic import (
     Components,
     Series,
     viscoelastic_cane,
 )
-
-Array = NDArray[np.floating[Any]]
 
 # Half width of a search window, in standard deviations of the prediction.
 _WINDOW_SD = 4.0

@@ -8,17 +8,13 @@ phase amplitude of mode m alone: its fringes, in radians.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.holograms.bessel import SidebandTable
 from fitting.levenberg_marquardt import Damping, NormalEquations, minimise_all
-
-Float = NDArray[np.float32]
-Complex = NDArray[np.complex64]
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array, Complex64Array, Float32Array
 
 # Largest value of J₁²: the brightness of the first bright fringe.
 FIRST_FRINGE = 0.3386
@@ -62,25 +58,25 @@ class Fringes:
         Light B of each point.
     """
 
-    amplitude_rad: Complex
+    amplitude_rad: Complex64Array
     phase_rad: Array
     misfit: Array
-    light: Float
+    light: Float32Array
 
 
 @dataclass(frozen=True)
 class _Problem:
     """Pictures (k, n) divided by their light, and the mode shapes (n, m)."""
 
-    relative: Float
-    shapes: Float
+    relative: Float32Array
+    shapes: Float32Array
     bessel: SidebandTable
 
     def only(self, pictures: NDArray[np.intp]) -> "_Problem":
         """Return the problem of some of the pictures."""
         return _Problem(self.relative[pictures], self.shapes, self.bessel)
 
-    def residual_and_jacobian(self, a: Complex) -> tuple[Float, Float]:
+    def residual_and_jacobian(self, a: Complex64Array) -> tuple[Float32Array, Float32Array]:
         """Return residuals (k, n) and derivatives (k, n, 2m) by real, then imaginary parts."""
         sum_ = a @ self.shapes.T
         phi = np.abs(sum_)
@@ -92,17 +88,19 @@ class _Problem:
         return value * value - self.relative, jacobian
 
 
-def mean_square(residual: Float) -> Array:
+def mean_square(residual: Float32Array) -> Array:
     """Return the mean square (k,) of residuals (k, n)."""
     squares: Array = np.einsum("kn,kn->k", residual, residual) / residual.shape[1]
     return squares
 
 
-def _fit_amplitudes(problem: _Problem, start: Complex, iterations: int) -> tuple[Complex, Array]:
+def _fit_amplitudes(
+    problem: _Problem, start: Complex64Array, iterations: int
+) -> tuple[Complex64Array, Array]:
     """Fit the amplitudes (k, m) of all pictures; return them and the misfits (k,)."""
     modes = start.shape[1]
 
-    def complex_of(x: Array) -> Complex:
+    def complex_of(x: Array) -> Complex64Array:
         return (x[:, :modes] + 1j * x[:, modes:]).astype(np.complex64)
 
     def equations(x: Array) -> NormalEquations:
@@ -124,7 +122,7 @@ def _fit_amplitudes(problem: _Problem, start: Complex, iterations: int) -> tuple
     return complex_of(x), misfit
 
 
-def _single_shape_starts(problem: _Problem) -> tuple[NDArray[np.intp], Float]:
+def _single_shape_starts(problem: _Problem) -> tuple[NDArray[np.intp], Float32Array]:
     """For each picture, shapes in order of similarity (k, m) and their best amplitude (k, m)."""
     costs, amplitudes = [], []
     power = mean_square(problem.relative)[:, None]
@@ -139,7 +137,7 @@ def _single_shape_starts(problem: _Problem) -> tuple[NDArray[np.intp], Float]:
     return order, np.stack(amplitudes, axis=1)
 
 
-def _start(problem: _Problem) -> tuple[Complex, Array]:
+def _start(problem: _Problem) -> tuple[Complex64Array, Array]:
     """Fit every picture from its best single shapes, and keep the best result."""
     order, amplitudes = _single_shape_starts(problem)
     pictures, shapes = amplitudes.shape
@@ -155,7 +153,9 @@ def _start(problem: _Problem) -> tuple[Complex, Array]:
     return best, cost
 
 
-def _from_neighbours(problem: _Problem, a: Complex, cost: Array) -> tuple[Complex, Array]:
+def _from_neighbours(
+    problem: _Problem, a: Complex64Array, cost: Array
+) -> tuple[Complex64Array, Array]:
     """Fit pictures from their neighbours' solutions, because resonances are wider than a step.
 
     A picture that improves passes its new solution on, until no picture improves.
@@ -181,15 +181,17 @@ def _from_neighbours(problem: _Problem, a: Complex, cost: Array) -> tuple[Comple
     return a, cost
 
 
-def first_light(brightness: Float) -> Float:
+def first_light(brightness: Float32Array) -> Float32Array:
     """Estimate the light B (n,) from the brightest of pictures (k, n), which show a fringe."""
     count = min(_BRIGHTEST, len(brightness))
     brightest = np.partition(brightness, -count, axis=0)[-count:].mean(axis=0)
-    light: Float = (brightest / FIRST_FRINGE).astype(np.float32)
+    light: Float32Array = (brightest / FIRST_FRINGE).astype(np.float32)
     return np.maximum(light, np.float32(_LEAST_LIGHT) * np.median(light))
 
 
-def count_fringes(brightness: Float, shapes: Float, start: Fringes | None = None) -> Fringes:
+def count_fringes(
+    brightness: Float32Array, shapes: Float32Array, start: Fringes | None = None
+) -> Fringes:
     """Fit the amplitudes of given mode shapes to every picture of a sweep.
 
     Parameters
@@ -225,7 +227,9 @@ def count_fringes(brightness: Float, shapes: Float, start: Fringes | None = None
     return Fringes(a, phase, cost, light)
 
 
-def _light(brightness: Float, a: Complex, cost: Array, problem: _Problem) -> Float:
+def _light(
+    brightness: Float32Array, a: Complex64Array, cost: Array, problem: _Problem
+) -> Float32Array:
     """Light B (n,) by least squares over pictures, the better explained weighing more."""
     value, _ = problem.bessel(np.abs(a @ problem.shapes.T))
     pattern = value * value
@@ -235,12 +239,12 @@ def _light(brightness: Float, a: Complex, cost: Array, problem: _Problem) -> Flo
     numerator = (weight * brightness * pattern).sum(axis=0)
     denominator = (weight * pattern * pattern).sum(axis=0)
     light = numerator / np.maximum(denominator, 1e-12)
-    lifted: Float = np.maximum(light, _DARKEST * np.median(light)).astype(np.float32)
+    lifted: Float32Array = np.maximum(light, _DARKEST * np.median(light)).astype(np.float32)
     return lifted
 
 
 def misfit_without(
-    brightness: Float, shapes: Float, fringes: Fringes, shape: int, picture: int
+    brightness: Float32Array, shapes: Float32Array, fringes: Fringes, shape: int, picture: int
 ) -> float:
     """Return the misfit of one picture if it is fitted without one shape.
 

@@ -2,19 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FitError
+from holography.arrays import Array, Float32Array
 from holography.fringes import block_mean
 from physics.reed.geometry import half_width_m
 from runs.reader import Run
 from runs.records import StepRecord
-
-Array = NDArray[np.floating[Any]]
-Float = NDArray[np.float32]
 
 # Side of the blocks over which speckle is averaged. The finest fringes are twice as wide.
 _BLOCK_M = 0.35e-3
@@ -44,7 +41,7 @@ class Pictures:
         Realised drive frequency of each picture, ascending.
     """
 
-    brightness: Float
+    brightness: Float32Array
     x_m: Array
     y_m: Array
     step_index: NDArray[np.intp]

@@ -1,10 +1,8 @@
 """Alternating minimisation over the object field and the amplitudes of solved holograms."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.holograms.amplitudes import (
     HALF_GAIN_PRECISION,
@@ -19,10 +17,7 @@ from fitting.holograms.object_field import (
     log_field_factor,
 )
 from fitting.holograms.problem import Problem
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complex64]
-Amplitudes = NDArray[np.complexfloating[Any, Any]]
+from holography.arrays import Array, Complex64Array, ComplexArray
 
 # Prior standard deviation of amplitudes, rad: weak, for directions that the data do not determine.
 FINAL_RAD = 10.0
@@ -36,9 +31,9 @@ _LEAST_WEIGHT = 0.5
 class Solution:
     """Amplitudes (k, j), log gains (k,) and object field (n,)."""
 
-    amplitude: Amplitudes
+    amplitude: ComplexArray
     gain: Array
-    object_field: Complex
+    object_field: Complex64Array
 
 
 def alternating_step(

@@ -1,18 +1,11 @@
 """Amplitudes of holograms from a known object field, and the object field from amplitudes."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.holograms.problem import Problem, misfits, normal
 from fitting.holograms.sidebands import brightness, sideband_values
 from fitting.levenberg_marquardt import Damping, NormalEquations, minimise_all
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complex64]
-Amplitudes = NDArray[np.complexfloating[Any, Any]]
-Steps = NDArray[np.intp]
+from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 
 # Prior standard deviation of a hologram's gain, in nepers: laser and modulators drift.
 GAIN = 0.05
@@ -24,12 +17,12 @@ _DAMPING = Damping(first=1e-3, after_gain=0.2, after_loss=6, constant=1e-3, larg
 
 def fit_amplitudes(
     problem: Problem,
-    object_field: Complex,
-    steps: Steps,
-    start: tuple[Amplitudes, Array],
+    object_field: Complex64Array,
+    steps: IndexArray,
+    start: tuple[ComplexArray, Array],
     iterations: int,
     prior: Array,
-) -> tuple[Amplitudes, Array, Array]:
+) -> tuple[ComplexArray, Array, Array]:
     """Fit amplitudes and gains of holograms to block amplitudes by Levenberg-Marquardt steps.
 
     Parameters
@@ -83,12 +76,12 @@ def fit_amplitudes(
 
 def block_object_field(
     problem: Problem,
-    steps: Steps,
-    a: Amplitudes,
+    steps: IndexArray,
+    a: ComplexArray,
     gain: Array,
     weight: Array,
-    before: Complex | None = None,
-) -> Complex:
+    before: Complex64Array | None = None,
+) -> Complex64Array:
     """Fit the object field (n,) of every block to holograms (s,) of given weights.
 
     `before` is the object field so far; it is needed if there are other sidebands.
@@ -109,5 +102,7 @@ def block_object_field(
             seen = side.real[steps] + 1j * side.imaginary[steps]
             power += np.sum(trust * (shown.real**2 + shown.imag**2), axis=0)
             object_field += np.sum(trust * shown.conj() * seen, axis=0)
-    found: Complex = (object_field / np.maximum(power, np.float32(1e-9))).astype(np.complex64)
+    found: Complex64Array = (object_field / np.maximum(power, np.float32(1e-9))).astype(
+        np.complex64
+    )
     return found

@@ -1,14 +1,11 @@
 """Interpolate Bessel functions in tables, which is about ten times faster than evaluating them."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import j1, jv, jvp
 
-Float = NDArray[np.float32]
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Float32Array
 
 # Below this J₂(φ)/φ² is taken from its series, to 10⁻¹⁰.
 _SERIES_RAD = 0.05
@@ -35,12 +32,12 @@ class BesselTable:
         )
         self._ratio, self._bend = (table.astype(np.float32) for table in (ratio, -bend))
 
-    def over_argument(self, phi: Float) -> Float:
+    def over_argument(self, phi: Float32Array) -> Float32Array:
         """Return J₁(φ)/φ for φ ≥ 0 (any shape)."""
         (ratio,) = _between(phi, self._per_rad, self._last, (self._ratio,))
         return ratio
 
-    def tensor(self, phi: Float) -> tuple[Float, Float]:
+    def tensor(self, phi: Float32Array) -> tuple[Float32Array, Float32Array]:
         """Return α = J₁(φ)/φ and β = −J₂(φ)/φ² for φ ≥ 0 (any shape).
 
         For a plane vector u, the function ``F(u) = u J₁(|u|)/|u|`` and its derivative are
@@ -69,15 +66,15 @@ class SidebandTable:
         self._last = np.float32(len(phi) - 2)
         self._tables = tuple(f(order, phi).astype(np.float32) for f in (jv, jvp))
 
-    def __call__(self, phi: Float) -> tuple[Float, Float]:
+    def __call__(self, phi: Float32Array) -> tuple[Float32Array, Float32Array]:
         """Return J_n(φ) and J_n′(φ) for φ ≥ 0 (any shape)."""
         value, slope = _between(phi, self._per_rad, self._last, self._tables)
         return value, slope
 
 
 def _between(
-    phi: Float, per_rad: np.float32, last: np.float32, tables: Sequence[Float]
-) -> list[Float]:
+    phi: Float32Array, per_rad: np.float32, last: np.float32, tables: Sequence[Float32Array]
+) -> list[Float32Array]:
     """Interpolate linearly in tables."""
     position = np.minimum(phi * per_rad, last)
     index = position.astype(np.int32)

@@ -10,7 +10,6 @@ right singular vector is the speckle field of the pixels, which weights their co
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +17,10 @@ from numpy.typing import NDArray
 from fitting.errors import FitError
 from fitting.fringes.pictures import good_steps
 from fitting.parallel.threads import map_threads
+from holography.arrays import Array, Complex64Array
 from physics.reed.geometry import half_width_m
 from runs.reader import Run
 from runs.records import StepRecord
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complex64]
 
 # Side of a block: ten of the finest speckles that a full sensor resolves are enough to average, and
 # the displacement may still change by 1 to 2 rad across the block.
@@ -52,7 +49,7 @@ class SidebandAmplitudes:
     """
 
     order: int
-    value: Complex
+    value: Complex64Array
     present: NDArray[np.bool_]
 
 
@@ -68,7 +65,7 @@ class UnshiftedLight:
         Fraction of it in each hologram, by the hologram's position in the run.
     """
 
-    light: Complex
+    light: Complex64Array
     fraction: Mapping[int, complex]
 
 
@@ -95,17 +92,17 @@ class BlockAmplitudes:
         Unshifted light that was subtracted from `value`.
     """
 
-    value: Complex
+    value: Complex64Array
     x_m: Array
     y_m: Array
     step_index: NDArray[np.intp]
     drive_hz: Array
     volts: Array
     others: tuple[SidebandAmplitudes, ...] = ()
-    subtracted: Complex | None = None
+    subtracted: Complex64Array | None = None
 
     @property
-    def recorded(self) -> Complex:
+    def recorded(self) -> Complex64Array:
         """Block amplitudes (n, k) before unshifted light was subtracted."""
         return self.value if self.subtracted is None else self.value + self.subtracted
 
@@ -157,7 +154,7 @@ def _others(run: Run, steps: Sequence[StepRecord]) -> dict[int, dict[int, StepRe
 
 
 def _split(
-    others: dict[int, dict[int, StepRecord]], value: Complex, count: int
+    others: dict[int, dict[int, StepRecord]], value: Complex64Array, count: int
 ) -> tuple[SidebandAmplitudes, ...]:
     """Assign the columns (n, …) of other sidebands to the k steps that they belong to."""
     split, first = [], 0
@@ -195,7 +192,7 @@ class _Blocks:
     x_m: Array
     y_m: Array
 
-    def of(self, field: Complex) -> Complex:
+    def of(self, field: Complex64Array) -> Complex64Array:
         """Return the pixels (n, p) of a field, sorted into blocks."""
         (rows, columns), high, wide = self.inside.shape, self.high, self.wide
         whole = field[: rows * high, : columns * wide].reshape(rows, high, columns, wide)
@@ -224,7 +221,7 @@ def _blocks(run: Run) -> _Blocks:
 
 def _holograms(
     run: Run, steps: Sequence[StepRecord], blocks: _Blocks, unshifted: UnshiftedLight | None
-) -> Complex:
+) -> Complex64Array:
     """Read the fields (n, k, p) of all blocks in units of the noise, less unshifted light."""
     chosen = np.empty((len(blocks.x_m), len(steps), blocks.high * blocks.wide), np.complex64)
     for k, step in enumerate(steps):
@@ -243,18 +240,18 @@ def _holograms(
 
 
 def _unshifted_amplitudes(
-    unshifted: UnshiftedLight, steps: Sequence[StepRecord], blocks: _Blocks, right: Complex
-) -> Complex:
+    unshifted: UnshiftedLight, steps: Sequence[StepRecord], blocks: _Blocks, right: Complex64Array
+) -> Complex64Array:
     """Return the block amplitudes (n, k) of unshifted light, for right singular vectors (n, p)."""
     fractions = [
         unshifted.fraction.get(step.position, 0.0) / np.sqrt(step.noise_level) for step in steps
     ]
     light = np.sum(blocks.of(unshifted.light) * right, axis=1)
-    off: Complex = np.multiply.outer(light, fractions).astype(np.complex64)
+    off: Complex64Array = np.multiply.outer(light, fractions).astype(np.complex64)
     return off
 
 
-def _leading(holograms: Complex) -> tuple[Complex, Complex]:
+def _leading(holograms: Complex64Array) -> tuple[Complex64Array, Complex64Array]:
     """Return leading left singular vectors (n, k) times singular values, and right ones (n, p)."""
     blocks, count, pixels = holograms.shape
     value, right = np.empty((blocks, count), np.complex64), np.empty((blocks, pixels), np.complex64)

@@ -10,7 +10,6 @@ that are finer than a fringe.
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +22,7 @@ from fitting.holograms.problem import Problem
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.parallel.processes import map_processes
 from fitting.parallel.threads import map_threads
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complex64]
-Amplitudes = NDArray[np.complexfloating[Any, Any]]
-Steps = NDArray[np.intp]
+from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 
 # Largest value of J₁, and holograms whose brightest show it in a block.
 _FIRST_LOBE, _BRIGHTEST = 0.5819, 4
@@ -78,7 +73,7 @@ _MOST_FIELDS = 3
 _MORE_SOLVED = 1.3
 
 
-def _size(a: Amplitudes) -> Array:
+def _size(a: ComplexArray) -> Array:
     """Return the rms displacement (s,) over the reed, at least 0.1 rad."""
     size: Array = np.maximum(np.sqrt(np.sum(np.abs(a) ** 2, axis=1)), 0.1)
     return size
@@ -112,18 +107,18 @@ class Continuation:
             1200 * np.log2(basis.hz),
         )
         count = block_amplitudes.value.shape[1]
-        self.amplitude: Amplitudes = np.zeros((count, basis.functions.shape[1]), complex)
+        self.amplitude: ComplexArray = np.zeros((count, basis.functions.shape[1]), complex)
         self.gain: Array = np.zeros(count)
         self.misfit: Array = np.full(count, np.inf)
-        self.object_field: Complex = np.zeros(len(block_amplitudes.value), np.complex64)
+        self.object_field: Complex64Array = np.zeros(len(block_amplitudes.value), np.complex64)
         self._solved = np.zeros(count, dtype=bool)
         self._enough = enough(block_amplitudes)
 
     @property
-    def _most_object_field(self) -> Complex:
+    def _most_object_field(self) -> Complex64Array:
         return self.object_field[::_CONTINUATION_STRIDE]
 
-    def starts(self) -> Iterator[tuple[Steps, Sequence[_Guess]]]:
+    def starts(self) -> Iterator[tuple[IndexArray, Sequence[_Guess]]]:
         """Yield sets of holograms to begin with, each with guesses.
 
         First the holograms at the low end of the sweep, if their amplitudes are small: there the
@@ -151,7 +146,7 @@ class Continuation:
         """Return the modes in order of their distance in frequency from a hologram."""
         return [int(m) for m in np.argsort(np.abs(self._mode_cents - self._cents[step]))]
 
-    def begin(self, few: Steps, guesses: Iterable[_Guess]) -> None:
+    def begin(self, few: IndexArray, guesses: Iterable[_Guess]) -> None:
         """Solve some holograms from the best of several guesses."""
         self.amplitude[:], self.gain[:], self.misfit[:] = 0, 0, np.inf
         self._solved[:] = False
@@ -195,8 +190,8 @@ class Continuation:
         return self.misfit < _THRESHOLDS[0][0] * usual
 
     def _small_amplitude_start(
-        self, few: Steps, guess: _Guess
-    ) -> tuple[Complex, Amplitudes, Array]:
+        self, few: IndexArray, guess: _Guess
+    ) -> tuple[Complex64Array, ComplexArray, Array]:
         """Fit object field and amplitudes of some holograms in turns; return them and misfits."""
         shape = self._basis.shapes[guess.mode]
         u = self._basis.functions @ shape * np.float32(guess.largest_rad)
@@ -232,7 +227,7 @@ class Continuation:
             object_field, a = object_field * np.float32(scale), a / scale
         return object_field, a, left
 
-    def _prior(self, steps: Steps, size: Array) -> Array:
+    def _prior(self, steps: IndexArray, size: Array) -> Array:
         """Return the prior precision (s, j, j) of amplitudes, for rms displacements (s,) in rad.
 
         An object field that varies smoothly over the reed resembles another mode shape, the more
@@ -347,7 +342,7 @@ class Continuation:
             ((self._few, _GRID_STRIDE, ITERATIONS), (self._most, _CONTINUATION_STRIDE, ITERATIONS)),
         )
 
-    def trend(self, step: int, source: int) -> Amplitudes | None:
+    def trend(self, step: int, source: int) -> ComplexArray | None:
         """Extrapolate amplitudes (j,) to a hologram from its neighbour and the one before that."""
         before = 2 * source - step
         if not (0 <= before < len(self._solved) and self._solved[before]):
@@ -361,9 +356,9 @@ class Continuation:
     def attempt(
         self,
         step: int,
-        a: Amplitudes,
+        a: ComplexArray,
         levels: tuple[tuple[Problem, int, int], ...],
-        near: Amplitudes | None = None,
+        near: ComplexArray | None = None,
     ) -> None:
         """Fit one hologram's amplitudes from several starts, and keep the best if it is better.
 
@@ -398,7 +393,7 @@ class Continuation:
                 a[first], gain[first], found[first]
             )  # fmt: skip
 
-    def _starts(self, step: int, neighbour: Amplitudes) -> list[Amplitudes]:
+    def _starts(self, step: int, neighbour: ComplexArray) -> list[ComplexArray]:
         """Return the likeliest changes of a neighbour's amplitudes: of one shape, or of all."""
         likely = list(zip(*self._on_grid(step, neighbour, _SCALES), strict=True))
         near = np.abs(self._mode_cents - self._cents[step]) < _NEAR_CENTS
@@ -416,8 +411,8 @@ class Continuation:
         return [start for _, start in likely[: _STARTS - 1]]
 
     def _on_grid(
-        self, step: int, part: Amplitudes, grid: Complex, fixed: Amplitudes | None = None
-    ) -> tuple[list[float], list[Amplitudes]]:
+        self, step: int, part: ComplexArray, grid: Complex64Array, fixed: ComplexArray | None = None
+    ) -> tuple[list[float], list[ComplexArray]]:
         """Return the three best ``[fixed +] factor · part`` over factors (g,), and misfits."""
         few = self._few
         if fixed is None:
@@ -448,7 +443,7 @@ class Continuation:
 def solve(whole: Problem, block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> Continuation:
     """Solve the first sideband of a sweep, from one start after another until most is explained."""
 
-    def begun(start: tuple[Steps, Sequence[_Guess]]) -> Continuation:
+    def begun(start: tuple[IndexArray, Sequence[_Guess]]) -> Continuation:
         continuation = Continuation(whole, block_amplitudes, basis)
         continuation.begin(*start)
         continuation.solve_outwards()

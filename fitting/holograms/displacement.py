@@ -10,7 +10,6 @@ amplitudes are fitted by alternating minimisation from the start that
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,11 +37,7 @@ from fitting.holograms.object_field import (
 )
 from fitting.holograms.problem import Problem
 from fitting.holograms.shape_basis import ShapeBasis
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complex64]
-Amplitudes = NDArray[np.complexfloating[Any, Any]]
-Steps = NDArray[np.intp]
+from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 
 _FINAL_TURNS, _QUICK_TURNS = 4, 2
 # If a smaller fraction of the holograms is explained, the continuation is repeated with the
@@ -74,12 +69,12 @@ class Displacements:
         Whether the misfit of a hologram is near that of its noise.
     """
 
-    amplitude_rad: Amplitudes
+    amplitude_rad: ComplexArray
     information: Array
     common_mode: CommonModeError
     misfit: Array
     gain: Array
-    object_field: Complex
+    object_field: Complex64Array
     reached: NDArray[np.bool_]
 
 
@@ -117,7 +112,7 @@ def refit_displacements(
     block_amplitudes: BlockAmplitudes,
     basis: ShapeBasis,
     before: Displacements,
-    expected_rad: Sequence[Amplitudes],
+    expected_rad: Sequence[ComplexArray],
     off: NDArray[np.bool_],
     common_mode_shift: Array,
 ) -> Displacements:
@@ -192,7 +187,7 @@ def _finished(
 
 
 def _displacements_of(
-    holograms: int, solved: Steps, at: Solution, step: FieldStep, seen: Array
+    holograms: int, solved: IndexArray, at: Solution, step: FieldStep, seen: Array
 ) -> Displacements:
     """Collect the displacements of the solved holograms; the others have no information."""
     end, size = step.linear.normal, at.amplitude.shape[1]
@@ -200,7 +195,7 @@ def _displacements_of(
     # Marginalise over the gains of the holograms.
     coupling, known = end.matrix[:, :-1, -1:], end.matrix[:, -1, -1] + HALF_GAIN_PRECISION
     marginal = end.matrix[:, :-1, :-1] - coupling @ coupling.swapaxes(1, 2) / known[:, None, None]
-    amplitude: Amplitudes = np.zeros((holograms, size), complex)
+    amplitude: ComplexArray = np.zeros((holograms, size), complex)
     information = np.zeros((holograms, 2 * size, 2 * size))
     response = np.zeros((holograms, *step.common_mode.response.shape[1:]))
     misfit, gain = np.full(holograms, np.inf), np.zeros(holograms)

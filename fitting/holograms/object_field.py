@@ -10,7 +10,6 @@ common-mode error; the modal fit reduces it, because modes have real shapes.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +21,7 @@ from fitting.holograms.problem import (
     fill_normal,
 )
 from fitting.parallel.threads import map_threads
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complexfloating[Any, Any]]
+from holography.arrays import Array, ComplexArray
 
 # Total degree in x and y of the polynomial that is the factor's logarithm.
 _DEGREE = 6
@@ -84,7 +81,12 @@ def smooth_functions(x_m: Array, y_m: Array) -> Array:
 
 
 def linearise(
-    problem: Problem, smooth: Array, object_field: Complex, a: Complex, gain: Array, weight: Array
+    problem: Problem,
+    smooth: Array,
+    object_field: ComplexArray,
+    a: ComplexArray,
+    gain: Array,
+    weight: Array,
 ) -> Linear:
     """Linearise all block amplitudes in the object field, amplitudes and log gains.
 
@@ -197,10 +199,10 @@ def field_factor(smooth: Array, move: Array) -> NDArray[np.complex64]:
     return factor
 
 
-def log_field_factor(smooth: Array, move: Array) -> Complex:
+def log_field_factor(smooth: Array, move: Array) -> ComplexArray:
     """Return the logarithm (n,) of `field_factor`."""
     count = smooth.shape[1]
-    factor: Complex = smooth @ move[:count] + 1j * (smooth[:, 1:] @ move[count:])
+    factor: ComplexArray = smooth @ move[:count] + 1j * (smooth[:, 1:] @ move[count:])
     return factor
 
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import SidebandAmplitudes
@@ -27,10 +26,7 @@ from fitting.holograms.sidebands import (
     sideband_misfit,
 )
 from fitting.parallel.threads import map_threads
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complexfloating[Any, Any]]
-Steps = NDArray[np.intp]
+from holography.arrays import Array, ComplexArray, IndexArray
 
 # Limit of log gains, in nepers: far beyond any real difference between holograms.
 _MOST_GAIN = 3.0
@@ -63,7 +59,7 @@ class Problem:
     @classmethod
     def of(
         cls,
-        value: Complex,
+        value: ComplexArray,
         functions: Array,
         bessel: BesselTable,
         others: Sequence[SidebandAmplitudes] = (),
@@ -90,7 +86,7 @@ class Problem:
             tuple(each.every(stride) for each in self.others),
         )
 
-    def some(self, steps: Steps) -> "Problem":
+    def some(self, steps: IndexArray) -> "Problem":
         """Return the same problem for some of the holograms."""
         return Problem(
             self.real[steps],
@@ -122,21 +118,23 @@ class Problem:
             seen += self.blocks * each.present
         return seen
 
-    def bessel_vectors(self, a: Complex) -> tuple[Array, Array]:
+    def bessel_vectors(self, a: ComplexArray) -> tuple[Array, Array]:
         """Return real and imaginary parts (s, n) of F(u) for amplitudes (s, j)."""
         u, v = self.displacement(a)
         over, _ = self.tensor(u, v)
         return over * u, over * v
 
-    def turned(self, object_field: Complex, steps: Steps, a: Complex) -> Complex:
+    def turned(
+        self, object_field: ComplexArray, steps: IndexArray, a: ComplexArray
+    ) -> ComplexArray:
         """Multiply amplitudes (s, j) by the phase factors that fit holograms (s,) best."""
         u, v = self.bessel_vectors(a)
         seen = self.real[steps] + 1j * self.imaginary[steps]
         overlap = np.sum((u - 1j * v) * object_field.conj() * seen, axis=1)
-        turned: Complex = a * np.exp(1j * np.angle(overlap))[:, None]
+        turned: ComplexArray = a * np.exp(1j * np.angle(overlap))[:, None]
         return turned
 
-    def displacement(self, a: Complex) -> tuple[Array, Array]:
+    def displacement(self, a: ComplexArray) -> tuple[Array, Array]:
         """Return real and imaginary parts (s, n) of the displacement for amplitudes (s, j)."""
         real, imaginary = (np.asarray(p, self.functions.dtype) for p in (a.real, a.imag))
         return real @ self.functions.T, imaginary @ self.functions.T
@@ -148,7 +146,9 @@ class Problem:
         return over.astype(phi.dtype, copy=False), bend.astype(phi.dtype, copy=False)
 
 
-def local(problem: Problem, object_field: Complex, steps: Steps, a: Complex, gain: Array) -> Local:
+def local(
+    problem: Problem, object_field: ComplexArray, steps: IndexArray, a: ComplexArray, gain: Array
+) -> Local:
     """Linearise the block amplitudes of holograms (s,) at amplitudes (s, j) and log gains (s,)."""
     p, q = problem.displacement(a)
     alpha, beta = problem.tensor(p, q)
@@ -169,7 +169,7 @@ def local(problem: Problem, object_field: Complex, steps: Steps, a: Complex, gai
     )  # fmt: skip
 
 
-def _parts(object_field: Complex, dtype: np.dtype[Any]) -> tuple[Array, Array]:
+def _parts(object_field: ComplexArray, dtype: np.dtype[Any]) -> tuple[Array, Array]:
     """Return real and imaginary parts (n,)."""
     return object_field.real.astype(dtype), object_field.imag.astype(dtype)
 
@@ -177,7 +177,7 @@ def _parts(object_field: Complex, dtype: np.dtype[Any]) -> tuple[Array, Array]:
 def _residuals(
     problem: Problem,
     lit: tuple[Array, Array],
-    steps: Steps,
+    steps: IndexArray,
     shown: tuple[Array, Array],
     gain: Array,
 ) -> tuple[Array, Array, Array, Array]:
@@ -205,7 +205,7 @@ def _residuals(
 
 
 def misfits(
-    problem: Problem, object_field: Complex, steps: Steps, a: Complex, gain: Array
+    problem: Problem, object_field: ComplexArray, steps: IndexArray, a: ComplexArray, gain: Array
 ) -> Array:
     """Return squared residuals (s,) at amplitudes (s, j) and log gains (s,)."""
     lit = _parts(object_field, problem.functions.dtype)
@@ -250,7 +250,7 @@ class Normal:
 
 
 def normal(
-    problem: Problem, object_field: Complex, steps: Steps, a: Complex, gain: Array
+    problem: Problem, object_field: ComplexArray, steps: IndexArray, a: ComplexArray, gain: Array
 ) -> Normal:
     """Return the normal equations of holograms (s,) at amplitudes (s, j) and log gains (s,)."""
     whole = Normal.empty(len(a), problem.functions.shape[1])
@@ -266,9 +266,9 @@ def fill_normal(
     whole: Normal,
     some: slice,
     problem: Problem,
-    object_field: Complex,
-    steps: Steps,
-    a: Complex,
+    object_field: ComplexArray,
+    steps: IndexArray,
+    a: ComplexArray,
     gain: Array,
 ) -> tuple[Local, list[SidebandEquations]]:
     """Write normal equations of all sidebands into a slice of `whole`.

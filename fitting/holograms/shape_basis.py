@@ -2,19 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from holography.arrays import Array, Float32Array
 from physics.reed.basis import ReducedReed, reduced_modes
 from physics.reed.fem import Symmetry
 from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.response import elastic_modes
 from physics.reed.surface import surface_shapes
-
-Array = NDArray[np.floating[Any]]
-Float = NDArray[np.float32]
 
 # Modes above the sweep contribute their static response, and freedom for shapes that differ from
 # those of the finite elements.
@@ -44,7 +40,7 @@ class ShapeBasis:
         Exponent of the growth of a mode's stiffness with frequency near its resonance.
     """
 
-    functions: Float
+    functions: Float32Array
     shapes: Array
     names: tuple[str, ...]
     hz: Array

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.holograms.bessel import SidebandTable
 from fitting.holograms.block_amplitudes import SidebandAmplitudes
@@ -18,10 +17,7 @@ from fitting.holograms.linearisation import (
     fill_matrix,
     gradient,
 )
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complexfloating[Any, Any]]
-Steps = NDArray[np.intp]
+from holography.arrays import Array, ComplexArray, IndexArray
 
 # Below this the direction of a displacement and J_n/φ do not matter: F_n is flat there, or n is 1.
 _STILL_RAD = 1e-6
@@ -69,7 +65,7 @@ class OtherSideband:
         )
         return OtherSideband(self.order, real, imaginary, self.present, self.table)
 
-    def some(self, steps: Steps) -> "OtherSideband":
+    def some(self, steps: IndexArray) -> "OtherSideband":
         """Return the same for some of the holograms."""
         return OtherSideband(
             self.order, self.real[steps], self.imaginary[steps], self.present[steps], self.table
@@ -115,8 +111,8 @@ def sideband_equations(
     side: OtherSideband,
     functions: Array,
     pairs: Array,
-    object_field: Complex,
-    steps: Steps,
+    object_field: ComplexArray,
+    steps: IndexArray,
     displacement: tuple[Array, Array],
 ) -> SidebandEquations:
     """Linearise another sideband at displacements with real and imaginary parts (s, n)."""
@@ -143,43 +139,51 @@ def sideband_equations(
 
 
 def sideband_misfit(
-    side: OtherSideband, object_field: Complex, steps: Steps, displacement: tuple[Array, Array]
+    side: OtherSideband,
+    object_field: ComplexArray,
+    steps: IndexArray,
+    displacement: tuple[Array, Array],
 ) -> Array:
     """Return squared residuals (s,) of another sideband; 0 where it has no hologram."""
     left: Array = _local(side, object_field, steps, displacement).misfit * side.present[steps]
     return left
 
 
-def sideband_values(side: OtherSideband, displacement: tuple[Array, Array]) -> Complex:
+def sideband_values(side: OtherSideband, displacement: tuple[Array, Array]) -> ComplexArray:
     """Return F_n(u) (s, n) for displacements with real and imaginary parts (s, n)."""
     p, q = displacement
     phi = np.sqrt(p * p + q * q)
     value, _ = side.table(phi.astype(np.float32, copy=False))
-    found: Complex = value * _direction(phi, p, q) ** side.order
+    found: ComplexArray = value * _direction(phi, p, q) ** side.order
     return found
 
 
-def brightness(side: OtherSideband, shown: Complex, object_field: Complex, steps: Steps) -> Complex:
+def brightness(
+    side: OtherSideband, shown: ComplexArray, object_field: ComplexArray, steps: IndexArray
+) -> ComplexArray:
     """Fit the factors c (s,) of holograms whose block amplitudes are c A F_n (s, n)."""
     lit = object_field * shown
     overlap = np.sum(lit.real * side.real[steps] + lit.imag * side.imaginary[steps], axis=1)
     turned = np.sum(lit.real * side.imaginary[steps] - lit.imag * side.real[steps], axis=1)
     power = np.sum(lit.real**2 + lit.imag**2, axis=1) + _LEAST_POWER
     c = (overlap + 1j * turned) / power
-    found: Complex = np.clip(np.abs(c), _DARKEST, _BRIGHTEST) * np.exp(1j * np.angle(c))
+    found: ComplexArray = np.clip(np.abs(c), _DARKEST, _BRIGHTEST) * np.exp(1j * np.angle(c))
     return found
 
 
-def _direction(phi: Array, p: Array, q: Array) -> Complex:
+def _direction(phi: Array, p: Array, q: Array) -> ComplexArray:
     """Return displacements divided by their magnitude; 1 where that is 0."""
     moving = phi > _STILL_RAD
     safe = np.where(moving, phi, 1)
-    direction: Complex = np.where(moving, p, 1) / safe + 1j * (np.where(moving, q, 0) / safe)
+    direction: ComplexArray = np.where(moving, p, 1) / safe + 1j * (np.where(moving, q, 0) / safe)
     return direction
 
 
 def _local(
-    side: OtherSideband, object_field: Complex, steps: Steps, displacement: tuple[Array, Array]
+    side: OtherSideband,
+    object_field: ComplexArray,
+    steps: IndexArray,
+    displacement: tuple[Array, Array],
 ) -> Local:
     p, q = displacement
     n, dtype = side.order, p.dtype

@@ -7,14 +7,12 @@ explains it. A peak at the same frequency in several reeds does not.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import find_peaks
 
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 # Width of the median filter that gives the drive without peaks, in steps.
 _AROUND = 31

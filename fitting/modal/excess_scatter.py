@@ -1,13 +1,9 @@
 """Excess scatter of resonances around a model, in addition to their standard errors."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-Array = NDArray[np.floating[Any]]
-Mask = NDArray[np.bool_]
+from holography.arrays import Array, Mask
 
 # Significance level of the χ² test.
 _IMPROBABLE = 0.05

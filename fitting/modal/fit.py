@@ -21,7 +21,6 @@ added to the noise.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,9 +55,7 @@ from fitting.modal.normal_equations import (
     equations,
 )
 from fitting.modal.optimiser import minimise_cost, without_drive
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complexfloating[Any, Any]]
+from holography.arrays import Array, ComplexArray
 
 # Participations are polynomials of log frequency of this degree.
 _DEGREE = 4
@@ -286,7 +283,7 @@ def _begin(model: Model, displacements: Displacements) -> tuple[State, Array]:
     return state, np.maximum(np.abs(p), _LEAST_SCALE)
 
 
-def _constant(model: Model, p: Complex) -> Array:
+def _constant(model: Model, p: ComplexArray) -> Array:
     """Return parameters (v, p): constant participations, expected loss factors, no mixing."""
     count, powers = len(model.active), model.powers.shape[1]
     x = np.zeros((count + len(model.reference), model.slots))

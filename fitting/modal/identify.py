@@ -1,10 +1,8 @@
 """Find resonances by one joint fit of all holograms of a sweep."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from fitting.forward import (
@@ -27,6 +25,7 @@ from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.fit import fit_modes
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.start_frequencies import middling_shapes, start_frequencies
+from holography.arrays import Array, ComplexArray
 from physics.reed.basis import ReducedReed
 from physics.reed.viscoelastic import (
     Components,
@@ -34,9 +33,6 @@ from physics.reed.viscoelastic import (
     viscoelastic_cane,
 )
 from runs.reader import Run
-
-Array = NDArray[np.floating[Any]]
-Amplitudes = NDArray[np.complexfloating[Any, Any]]
 
 METHOD = "joint"
 # A mode is identified if its amplitude exceeds this multiple of its standard error, and its
@@ -157,7 +153,7 @@ def joint_fit_of(
     )
 
 
-def _with_smooth_drive(modal: ModalFit, drive_hz: Array) -> Amplitudes:
+def _with_smooth_drive(modal: ModalFit, drive_hz: Array) -> ComplexArray:
     """Return expected amplitudes (k, j) with the drive of outliers interpolated from the others.
 
     Beyond 1.84 rad the block amplitudes decrease again. Displacements in a wrong fringe may then
@@ -166,7 +162,7 @@ def _with_smooth_drive(modal: ModalFit, drive_hz: Array) -> Amplitudes:
     """
     log_hz, log_drive, good = np.log(drive_hz), np.log(np.abs(modal.drive)), ~modal.off
     smooth = np.interp(log_hz, log_hz[good], log_drive[good])
-    expected: Amplitudes = modal.amplitude_rad * np.exp(smooth - log_drive)[:, None]
+    expected: ComplexArray = modal.amplitude_rad * np.exp(smooth - log_drive)[:, None]
     return expected
 
 

@@ -1,7 +1,6 @@
 """The result of the joint fit of modes."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +8,7 @@ from numpy.typing import NDArray
 from fitting.modal.model import (
     State,
 )
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complexfloating[Any, Any]]
+from holography.arrays import Array, ComplexArray
 
 
 @dataclass(frozen=True)
@@ -68,12 +65,12 @@ class ModalFit:
     mixing: Array
     mixing_error: Array
     mixing_spread: Array
-    participation: Complex
+    participation: ComplexArray
     participation_error: Array
-    participations: Complex
-    drive: Complex
-    amplitude_rad: Complex
-    modal_rad: Complex
+    participations: ComplexArray
+    drive: ComplexArray
+    amplitude_rad: ComplexArray
+    modal_rad: ComplexArray
     misfit: float
     discrepancy: float
     common_mode_shift: Array

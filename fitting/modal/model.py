@@ -9,14 +9,12 @@ with the exponent γ_m by which cane stiffens with frequency, and shapes
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complexfloating[Any, Any]]
+from holography.arrays import Array, ComplexArray
 
 # Modes beyond the sweep show only their tails: their participations have two coefficients.
 TAIL_TERMS = 2
@@ -98,7 +96,7 @@ class State:
     """
 
     x: Array
-    log_drive: Complex
+    log_drive: ComplexArray
     common_mode_shift: Array
     gain: float = _FIRST_GAIN
 
@@ -121,13 +119,13 @@ class Terms:
     amplitude : (k, j) complex
     """
 
-    resonance: Complex
-    participation: Complex
+    resonance: ComplexArray
+    participation: ComplexArray
     shapes: Array
     loss: Array
     ratio: Array
-    modal: Complex
-    amplitude: Complex
+    modal: ComplexArray
+    amplitude: ComplexArray
 
 
 def terms(model: Model, state: State) -> Terms:
@@ -144,13 +142,13 @@ def terms(model: Model, state: State) -> Terms:
     shapes = model.reference.copy()
     shapes[active] += x[count:, :count].T @ model.reference
     ratio = (model.hz[:, None] / hz) ** (2 - model.stiffening)
-    resonance: Complex = 1 / (1 + 1j * loss - ratio)
-    participation: Complex = model.powers.astype(complex) @ p.T
+    resonance: ComplexArray = 1 / (1 + 1j * loss - ratio)
+    participation: ComplexArray = model.powers.astype(complex) @ p.T
     modal = np.exp(state.log_drive)[:, None] * (resonance * participation)
     return Terms(resonance, participation, shapes, loss, ratio, modal, modal @ shapes)
 
 
-def scalars(model: Model, state: State, terms: Terms) -> Complex:
+def scalars(model: Model, state: State, terms: Terms) -> ComplexArray:
     """Return derivatives (k, v, p) by all parameters, without the vectors that they multiply."""
     active, passive, count = model.active, model.passive, len(model.active)
     powers = model.powers.shape[1]

@@ -5,17 +5,13 @@ holograms and equal in all directions. It is estimated from the residuals of a f
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
 from fitting.holograms.displacement import Displacements
 from fitting.modal.normal_equations import Data
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complexfloating[Any, Any]]
+from holography.arrays import Array, ComplexArray
 
 # Limits of the discrepancy's standard deviation, as a fraction of a hologram's vibration.
 _DISCREPANCY = (1e-4, 0.3)
@@ -96,7 +92,7 @@ def balanced(noise: Noise, left: Array, freedoms: float) -> float:
     return float(np.exp(optimize.brentq(excess, least, most, xtol=1e-3)))
 
 
-def correlated_holograms(noise: Noise, whitened_residual: Array, log_drive: Complex) -> float:
+def correlated_holograms(noise: Noise, whitened_residual: Array, log_drive: ComplexArray) -> float:
     """Return the number of neighbouring holograms that count as one independent hologram.
 
     The residuals of neighbouring holograms are correlated, up to the phase of the drive. The number

@@ -8,7 +8,6 @@ the mixing of mode m into a is ``d h_a p_a S_m``.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +24,7 @@ from fitting.modal.model import (
     terms,
 )
 from fitting.parallel.threads import map_threads
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complexfloating[Any, Any]]
-
+from holography.arrays import Array, ComplexArray
 
 # Number of parameters whose products with all columns fit into the processor's cache.
 _ROWS_AT_ONCE = 40
@@ -49,12 +45,12 @@ class Data:
         Inverse covariance of the common-mode error.
     """
 
-    amplitude: Complex
+    amplitude: ComplexArray
     root: Array
     response: Array
     precision: Array
 
-    def whitened_residual(self, amplitude: Complex, common_mode_shift: Array) -> Array:
+    def whitened_residual(self, amplitude: ComplexArray, common_mode_shift: Array) -> Array:
         """Return the whitened residuals (k, 2j) of amplitudes (k, j) that a model predicts."""
         whitened_residual = parts(self.amplitude - amplitude)[..., None]
         return (self.root @ whitened_residual)[..., 0] + self.response @ common_mode_shift
@@ -74,7 +70,7 @@ class Data:
         )
 
 
-def parts(complex_rows: Complex) -> Array:
+def parts(complex_rows: ComplexArray) -> Array:
     """Concatenate real and imaginary parts: (k, j) → (k, 2j)."""
     return np.concatenate([complex_rows.real, complex_rows.imag], axis=1)
 
@@ -264,7 +260,7 @@ def _layout(model: Model, prior: Prior) -> _Layout:
     return _Layout(own_v, own_p, mix_m, mix_a, active, len(free), model.slots)
 
 
-def _matrix(layout: _Layout, seen: _Seen, own: Complex, mixed: Complex) -> Array:
+def _matrix(layout: _Layout, seen: _Seen, own: ComplexArray, mixed: ComplexArray) -> Array:
     """Return the products (q, q) of all columns: own, mixing, common mode."""
     active, vectors = layout.active, layout.vectors
     mix_m, mix_a = layout.mix_m, layout.mix_a
@@ -284,7 +280,7 @@ def _matrix(layout: _Layout, seen: _Seen, own: Complex, mixed: Complex) -> Array
 
 
 def _own_and_mixed(
-    layout: _Layout, pull: Array, own: Complex, mixed: Complex
+    layout: _Layout, pull: Array, own: ComplexArray, mixed: ComplexArray
 ) -> tuple[Array, Array]:
     """Return sums over holograms of columns times the forces (2v, k) on their vectors."""
     active, vectors, own_v = layout.active, layout.vectors, layout.own_v
@@ -295,7 +291,7 @@ def _own_and_mixed(
     )
 
 
-def _coupling(layout: _Layout, own: Complex, mixed: Complex, moved: Array) -> Array:
+def _coupling(layout: _Layout, own: ComplexArray, mixed: ComplexArray, moved: Array) -> Array:
     """Return the products (q, 2, k) of all columns with those of the drive."""
     active, vectors, own_v = layout.active, layout.vectors, layout.own_v
     of_own = [own.real * m[own_v] + own.imag * m[own_v + vectors] for m in moved]
@@ -310,7 +306,7 @@ def _coupling(layout: _Layout, own: Complex, mixed: Complex, moved: Array) -> Ar
 
 
 def _of_own(
-    layout: _Layout, seen: _Seen, own: Complex, mixed: Complex
+    layout: _Layout, seen: _Seen, own: ComplexArray, mixed: ComplexArray
 ) -> tuple[Array, Array, Array]:
     """Return products of own columns with own (p, p), mixing (p, r), common-mode ones (p, q)."""
     active, vectors, own_v = layout.active, layout.vectors, layout.own_v
@@ -335,7 +331,7 @@ def _of_own(
     return with_own, with_mixed, with_last
 
 
-def _with_own(rows: Array, own_v: NDArray[np.intp], own: Complex, vectors: int) -> Array:
+def _with_own(rows: Array, own_v: NDArray[np.intp], own: ComplexArray, vectors: int) -> Array:
     """Return the products (p, p) of rows with own columns."""
     product = np.empty((len(rows), len(own_v)))
     for v in np.unique(own_v):
@@ -344,21 +340,21 @@ def _with_own(rows: Array, own_v: NDArray[np.intp], own: Complex, vectors: int) 
     return product
 
 
-def _with_mixed(rows: Array, mixed: Complex, active: int, vectors: int) -> Array:
+def _with_mixed(rows: Array, mixed: ComplexArray, active: int, vectors: int) -> Array:
     """Return the products (p, m, a) of rows with the columns of all mixing coefficients."""
     real, imaginary = rows[:, active:vectors], rows[:, active + vectors : 2 * vectors]
     product: Array = real @ mixed.real.T + imaginary @ mixed.imag.T
     return product
 
 
-def _by_mixed(seen: Array, mixed: Complex, active: int, vectors: int) -> Array:
+def _by_mixed(seen: Array, mixed: ComplexArray, active: int, vectors: int) -> Array:
     """Return the elements (m, a, k) of mixing coefficients in rows (2v + q, k)."""
     real, imaginary = seen[active:vectors, None], seen[active + vectors : 2 * vectors, None]
     found: Array = real * mixed.real + imaginary * mixed.imag
     return found
 
 
-def _mixed_with_mixed(products: Array, mixed: Complex, active: int, vectors: int) -> Array:
+def _mixed_with_mixed(products: Array, mixed: ComplexArray, active: int, vectors: int) -> Array:
     """Return the products (m, a, m, a) of the columns of all mixing coefficients."""
     halves = slice(active, vectors), slice(active + vectors, 2 * vectors)
     numbers = mixed.real, mixed.imag

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from fitting.modal.model import (
@@ -29,8 +28,7 @@ from fitting.modal.normal_equations import (
     evaluate,
     negative_gradient,
 )
-
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e8
 # Added to the diagonal of a matrix of unit diagonal: more than its rounding in single precision.

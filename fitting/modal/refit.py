@@ -1,7 +1,6 @@
 """Fit another sweep of a reed, or the same holograms less unshifted light, from an earlier fit."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +21,8 @@ from fitting.modal.fit import fit_modes
 from fitting.modal.identify import JointFit, joint_fit_of
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import KNOWN_DRIVE_DOF
+from holography.arrays import ComplexArray
 from runs.reader import Run
-
-Array = NDArray[np.floating[Any]]
-Amplitudes = NDArray[np.complexfloating[Any, Any]]
 
 # Iterations over object field and phases of holograms.
 _FIELD_TURNS = 12
@@ -136,7 +133,7 @@ def _as_before(block_amplitudes: BlockAmplitudes, before: JointFit) -> Displacem
 
 
 def _new_object_field(
-    block_amplitudes: BlockAmplitudes, a: Amplitudes, basis: ShapeBasis
+    block_amplitudes: BlockAmplitudes, a: ComplexArray, basis: ShapeBasis
 ) -> NDArray[np.complex64]:
     """Fit the object field (n,) to holograms of known displacements (k, j).
 

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.holograms.bessel import BesselTable
-from fitting.modal.identify import Array, JointFit
+from fitting.modal.identify import JointFit
+from holography.arrays import Array
 
 # Side of a cell of a residual map.
 _CELL_M = 2e-3

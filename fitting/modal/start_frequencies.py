@@ -1,16 +1,15 @@
 """Start frequencies of the joint fit: where each mode is looked for in a sweep."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.forward import ForwardModel, cents_of, viscoelastic_cents
 from fitting.fringes.fringe_peaks import FringeCurves, likely_components, pick_fringe_peaks
 from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis, shape_basis
+from holography.arrays import Array
 from physics.reed.basis import ReducedReed
 from physics.reed.mode_classification import PAPER_MODES, is_symmetric
 from physics.reed.response import viscoelastic_modes
@@ -21,8 +20,6 @@ from physics.reed.viscoelastic import (
     storage_modulus_pa,
     viscoelastic_cane,
 )
-
-Array = NDArray[np.floating[Any]]
 
 # Moduli in the middle of the sweep, in which shapes are computed.
 SHAPES_HZ = 4000.0

@@ -2,15 +2,13 @@
 
 from dataclasses import dataclass
 from enum import IntFlag, auto
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from holography.arrays import Array, Mask
 from physics.reed.metamodel import Metamodel
-
-Array = NDArray[np.floating[Any]]
-Mask = NDArray[np.bool_]
 
 
 class Flag(IntFlag):

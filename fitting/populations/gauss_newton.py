@@ -11,16 +11,12 @@ Reeds are the last axis of all arrays, so that each operation serves a block of 
 
 from dataclasses import dataclass, fields
 from functools import reduce
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from holography.arrays import Array, Mask
 from physics.reed.metamodel import REFERENCE_HZ, Metamodel
 from physics.reed.viscoelastic import Series, StorageModulus, h4_matrix, storage_modulus
-
-Array = NDArray[np.floating[Any]]
-Mask = NDArray[np.bool_]
 
 # Components that one series, or both, can tell apart (see `fitting.cane.reed_fit`).
 SERIES_COMPONENTS = {1: 3, 2: 4}

@@ -9,7 +9,6 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import fields
 from multiprocessing import get_context
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,10 +32,8 @@ from fitting.populations.gauss_newton import (
     storage_moduli,
     zener_mpa,
 )
+from holography.arrays import Array, Mask
 from physics.reed.metamodel import Metamodel
-
-Array = NDArray[np.floating[Any]]
-Mask = NDArray[np.bool_]
 
 # Reeds in a block: few enough that its arrays stay in the processor's cache.
 _BLOCK = 512

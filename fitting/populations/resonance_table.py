@@ -14,14 +14,12 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
+from holography.arrays import Array
 from physics.reed.viscoelastic import Series
 from protocols.units import invisible_character, shown_value
-
-Array = NDArray[np.floating[Any]]
 
 COLUMNS = ("reed", "series", "mode", "hz")
 ERROR_COLUMN = "error_cents"

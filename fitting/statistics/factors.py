@@ -6,15 +6,14 @@ mode in a series; reeds are rows; a resonance not found is NaN.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import polar, svd
 
 from fitting.errors import FitError
-
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 # Two reeds always correlate perfectly.
 _FEWEST_PAIRS = 3

@@ -18,14 +18,13 @@ from scipy.optimize import fixed_point
 from fitting.forward import cents_of, hz_of
 from fitting.paper import constants as paper
 from fitting.statistics import factors
+from holography.arrays import Array
 from physics.reed.metamodel import Metamodel
 from physics.reed.viscoelastic import (
     Series,
     h4_matrix,
     storage_modulus,
 )
-
-Array = NDArray[np.floating[Any]]
 
 # Table 1: on how many of the 55 reeds each mode was identified, in series A and B.
 REEDS: Final = 55

@@ -9,12 +9,12 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
+from holography.arrays import Array
 from physics.reed.fem import (
     ReedMatrices,
     Symmetry,
@@ -37,8 +37,6 @@ from physics.reed.mesh import (
 )
 from physics.reed.mode_classification import vamp_profiles
 from physics.reed.modes import HIGHEST_HZ
-
-Array = NDArray[np.floating[Any]]
 
 # Modes of a plate are evenly spaced in frequency, and the softest material of the usual box has a
 # third more of them below 20 kHz than the one in the middle: so many more are taken.

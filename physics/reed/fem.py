@@ -8,13 +8,13 @@ material costs no new quadrature.
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
+from holography.arrays import Array
 from physics.reed.material import STIFFNESS_TERMS
 from physics.reed.mesh import (
     HalfReedMesh,
@@ -22,7 +22,6 @@ from physics.reed.mesh import (
     lobatto_points,
 )
 
-Array = NDArray[np.floating[Any]]
 IntArray = NDArray[np.intp]
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
+
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 # How far beyond the frequencies of the data, as a factor, a fit looks for the relaxation.

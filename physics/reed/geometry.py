@@ -7,14 +7,12 @@ the middle of the tip in the flat (bottom) plane. All lengths in m.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, RegularGridInterpolator
 from scipy.optimize import brentq
 
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 # Paper, appendix "Defining the shape of the reed": network of points of the vamp, in mm.
 _VAMP_X_MM = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0)

@@ -8,18 +8,16 @@ shapes; a polynomial goes straight through, up to half their distance away from 
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from holography.arrays import Array
 from physics.reed.basis import ReducedReed
 from physics.reed.metamodel import REFERENCE_HZ
 from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.response import elastic_modes
-
-Array = NDArray[np.floating[Any]]
 
 # Rounding of a modulus at an edge of its range does not put it outside.
 _EDGE = 1e-9

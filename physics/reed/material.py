@@ -1,12 +1,10 @@
 """Linear orthotropic elasticity of cane, grain along x (L), tangential y (T), radial z (R)."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 # Voigt positions (1-based in the literature) of the nine independent stiffnesses.
 STIFFNESS_TERMS = ("11", "22", "33", "12", "13", "23", "44", "55", "66")

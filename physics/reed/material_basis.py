@@ -12,13 +12,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from queue import Empty, SimpleQueue
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
+from holography.arrays import Array, Mask
 from physics.reed.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material_constants import (
@@ -30,9 +30,6 @@ from physics.reed.material_constants import (
     within_box,
 )
 from physics.reed.modes import ModeClass
-
-Array = NDArray[np.floating[Any]]
-Mask = NDArray[np.bool_]
 
 _LARGEST_OFFSET_M = 1.0
 # Modes beyond the named ones among which a name may be found where unnamed modes come lower.

@@ -2,15 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from holography.arrays import Array, Mask
 from physics.reed.material import STIFFNESS_TERMS, Cane
-
-Array = NDArray[np.floating[Any]]
-Mask = NDArray[np.bool_]
 
 # Elastic constants of a cane, in the order of `Cane`: six moduli, three Poisson ratios.
 CONSTANTS = tuple(field.name for field in fields(Cane))[:-1]

@@ -1,15 +1,11 @@
 """Project stiffness and mass of a half reed on given shapes, at the points of quadrature."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from holography.arrays import Array
 from physics.reed.fem import shape_1d
 from physics.reed.material import STIFFNESS_TERMS
 from physics.reed.mesh import HalfReedMesh
-
-Array = NDArray[np.floating[Any]]
 
 # Elements whose strains are worked on together.
 _ELEMENTS = 16

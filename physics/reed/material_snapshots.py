@@ -13,6 +13,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy import sparse
 
+from holography.arrays import Array
 from physics.reed.fem import (
     ReedMatrices,
     Symmetry,
@@ -37,7 +38,6 @@ from physics.reed.mesh import (
 )
 from physics.reed.modes import NamedMode, reed_modes
 
-Array = NDArray[np.floating[Any]]
 Progress = Callable[[float], None]
 
 # Bending, stretching and mass are cubic in the thickness: four thicknesses tell them exactly.

@@ -9,13 +9,13 @@ eigenproblem of few coordinates.
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy import linalg
 
+from holography.arrays import Array
 from physics.reed.cache import STANDARD
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material import Cane, stiffness_terms_pa
@@ -32,8 +32,6 @@ from physics.reed.material_snapshots import (
     large_bases,
 )
 from physics.reed.mesh import MeshLevel
-
-Array = NDArray[np.floating[Any]]
 
 # Modes of a sample that are looked at beyond the named ones.
 _MORE_CANDIDATES = 8

@@ -1,19 +1,15 @@
 """Modes of a reed of viscoelastic cane from a basis over materials."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from holography.arrays import Array
 from physics.reed.fem import Symmetry
 from physics.reed.material import Cane
 from physics.reed.material_basis import SPARE_CANDIDATES, MaterialBasis, ReedModes, all_modes
 from physics.reed.material_constants import CONSTANTS, constants_of, within_box
 from physics.reed.modes import HIGHEST_HZ
 from physics.reed.viscoelastic import ViscoelasticCane, storage_modulus_pa
-
-Array = NDArray[np.floating[Any]]
 
 _SETTLED_CENTS = 1e-4
 _MOST_ITERATIONS = 50

@@ -8,12 +8,13 @@ a whole reed each node has a mirror image.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.polynomial.legendre import Legendre
 from numpy.typing import NDArray
 
+from holography.arrays import Array
 from physics.reed.geometry import (
     Clamp,
     ClampSide,
@@ -27,7 +28,6 @@ from physics.reed.geometry import (
     tip_x_m,
 )
 
-Array = NDArray[np.floating[Any]]
 IntArray = NDArray[np.intp]
 
 # The patch that turns from the tip's arc to the sides reaches this far behind the corner.

@@ -4,12 +4,11 @@ They give their derivatives, and take whole populations at once.
 """
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 # Exponents of Eq. 1, for moduli in MPa.
 EXPONENT_E_L, EXPONENT_G_LT = -0.66643, 0.7627

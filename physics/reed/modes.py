@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from holography.arrays import Array
 from physics.reed.fem import (
     ReedMatrices,
     Symmetry,
@@ -38,8 +38,6 @@ from physics.reed.mode_classification import (
     vamp_profiles,
 )
 from physics.reed.viscoelastic import ViscoelasticCane, storage_modulus_pa
-
-Array = NDArray[np.floating[Any]]
 
 # The sweep of the paper ends here.
 HIGHEST_HZ = 20e3

@@ -5,19 +5,16 @@ with ``w(x)·exp(iωt)`` is, on either side, ``ω²·ρ/2π ∫ w′ exp(−ikR)
 mass, the other one a resistance.
 """
 
-from typing import Any
-
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 from scipy import linalg
 
+from holography.arrays import Array
 from physics.reed.basis import ReducedReed
 from physics.reed.fem import Symmetry
 from physics.reed.structural_modification import AirLoad
 from physics.reed.surface import on_reed, surface_shapes
-
-Array = NDArray[np.floating[Any]]
 
 AIR_DENSITY_KG_M3 = 1.204
 SOUND_M_S = 343.0

@@ -4,11 +4,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from holography.arrays import Array, ComplexArray
 from physics.reed.basis import (
     HalfBasis,
     ReducedReed,
@@ -28,9 +27,6 @@ from physics.reed.whole import (
     WholeReed,
     parts_of,
 )
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complexfloating[Any, Any]]
 
 # A fifth more modes are named than lie below 20 kHz in the middle of the basis's box, for the sake
 # of softer material. Still higher ones are no longer those of the full model (see `BasisSettings`)
@@ -166,8 +162,8 @@ def forced_response(
     cane: ViscoelasticCane,
     loss_factor: float,
     frequencies_hz: Array,
-    pressure: Callable[[float, Array, Array], Complex],
-) -> dict[Symmetry | None, Complex]:
+    pressure: Callable[[float, Array, Array], ComplexArray],
+) -> dict[Symmetry | None, ComplexArray]:
     """Steady vibration under a sinusoidal pressure on the flat side.
 
     Solves ``(K(ω)(1 + iη) − ω²M) q = F`` at every frequency, with the storage moduli of that
@@ -201,11 +197,11 @@ def forced_response(
 
 def _pressure_on(
     symmetry: Symmetry | None,
-    pressure: Callable[[float, Array, Array], Complex],
+    pressure: Callable[[float, Array, Array], ComplexArray],
     hz: float,
     x_m: Array,
     y_m: Array,
-) -> Complex:
+) -> ComplexArray:
     """What of a pressure moves the part of a symmetry; all of it, a part of any shape."""
     if symmetry is None:
         return pressure(hz, x_m, y_m)
@@ -213,10 +209,12 @@ def _pressure_on(
     return 0.5 * (pressure(hz, x_m, y_m) + sign * pressure(hz, x_m, -y_m))
 
 
-def _solve(part: ReedPart, material: Cane, loss_factor: float, hz: float, load: Complex) -> Complex:
+def _solve(
+    part: ReedPart, material: Cane, loss_factor: float, hz: float, load: ComplexArray
+) -> ComplexArray:
     K = np.tensordot(stiffness_terms_pa(material), part.stiffness_terms, axes=1)
     omega2 = (2 * np.pi * hz) ** 2
-    answer: Complex = np.linalg.solve(
+    answer: ComplexArray = np.linalg.solve(
         (1 + 1j * loss_factor) * K - omega2 * material.density_kg_m3 * part.mass, load
     )
     return answer

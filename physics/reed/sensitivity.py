@@ -7,11 +7,11 @@ exactly from the energies of the modes (Rayleigh's quotient is stationary).
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from holography.arrays import Array
 from physics.reed.fem import ReedMatrices, projected_stiffness
 from physics.reed.geometry import ReedGeometry
 from physics.reed.material import (
@@ -21,8 +21,6 @@ from physics.reed.material import (
 )
 from physics.reed.mesh import MeshLevel
 from physics.reed.modes import NamedMode, reed_modes
-
-Array = NDArray[np.floating[Any]]
 
 # In the order of Table 3; the first six are moduli, and their sensitivities add to 1/2.
 CONSTANTS: Final = ("E_L", "G_LT", "E_T", "G_LR", "E_R", "G_TR", "nu_TR", "nu_LT", "nu_LR")

@@ -8,12 +8,12 @@ of the clamped reed; a clamp that yields holds them by springs.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from holography.arrays import Array
 from physics.reed.basis import (
     BasisSettings,
     HalfShapes,
@@ -31,8 +31,6 @@ from physics.reed.fem import (
 from physics.reed.geometry import Clamp, ReedGeometry
 from physics.reed.material import stiffness_terms_pa
 from physics.reed.mesh import HalfReedMesh, MeshLevel
-
-Array = NDArray[np.floating[Any]]
 
 # The strip's reactions fall over this distance behind its front edge.
 _DECAY_M = 3e-3

@@ -7,17 +7,14 @@ Changes are vectors: see `combined`.
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import blas
 
+from holography.arrays import Array
 from physics.reed.fem import Symmetry
 from physics.reed.material import STIFFNESS_TERMS
 from physics.reed.shape_derivatives import ShapeDerivatives
-
-Array = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)

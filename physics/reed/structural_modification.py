@@ -2,21 +2,18 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 from scipy.interpolate import CubicSpline
 
+from holography.arrays import Array
 from physics.reed.material import (
     Cane,
     stiffness_terms_pa,
 )
 from physics.reed.shape_derivatives import ShapeDerivatives
 from physics.reed.structural_changes import Change
-
-Array = NDArray[np.floating[Any]]
 
 # Modes of either symmetry with the moduli of two frequencies, as shares of the highest, and how
 # many: their span holds all modes with moduli of their own frequency, to hundredths of a cent, the

@@ -1,17 +1,14 @@
 """The bark side of the reed as the camera sees it."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CloughTocher2DInterpolator, NearestNDInterpolator
 
+from holography.arrays import Array
 from physics.reed.basis import ReducedReed
 from physics.reed.fem import Symmetry
 from physics.reed.geometry import Outline, half_width_m
 from physics.reed.whole import WholeReed, parts_of
-
-Array = NDArray[np.floating[Any]]
 
 
 def on_reed(outline: Outline, x_m: Array, y_m: Array) -> NDArray[np.bool_]:

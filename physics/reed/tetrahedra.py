@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
-from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -18,6 +17,7 @@ from scipy import sparse
 from scipy.optimize import linear_sum_assignment
 from scipy.special import roots_jacobi
 
+from holography.arrays import Array
 from physics.reed.fem import (
     ReedMatrices,
     ReferenceElement,
@@ -38,7 +38,6 @@ from physics.reed.mesh import (
 )
 from physics.reed.modes import NamedMode
 
-Array = NDArray[np.floating[Any]]
 IntArray = NDArray[np.intp]
 
 # Not graded towards the edges of the strip, and one layer: what a mesh of equal sizes divides.

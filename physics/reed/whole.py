@@ -7,13 +7,14 @@ the cost. `parts_of` lets those who only solve and look treat either kind alike.
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 from scipy import sparse
 
+from holography.arrays import Array
 from physics.reed.basis import (
     BasisSettings,
     ReducedReed,
@@ -39,8 +40,6 @@ from physics.reed.mesh import (
     build_whole_mesh,
 )
 from physics.reed.modes import HIGHEST_HZ
-
-Array = NDArray[np.floating[Any]]
 
 # As for the halves a third more modes than lie below 20 kHz in the middle of the box, but nine in
 # ten of all snapshots: with three quarters, as the halves take, modes are up to 0.2 cent off.

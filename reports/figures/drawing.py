@@ -7,16 +7,14 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from fitting.cane.fit_runs import SweepFit
 from fitting.fringes.fringe_peaks import Resonance
+from holography.arrays import Array
 from holography.fringes import block_mean
 from reports.plain_text import visible
 from runs.reader import Run
 from runs.records import StepRecord
-
-Array = NDArray[np.floating[Any]]
 
 # The paper's Fig. 2 has 26 pictures to a row.
 PER_ROW = 26

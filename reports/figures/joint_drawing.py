@@ -8,13 +8,11 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
-from numpy.typing import NDArray
 
 from fitting.fringes.fringe_peaks import Resonance
 from fitting.modal.identify import JointFit
 from fitting.modal.residual_map import squared_residual
-
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 # Modes side by side, and the panels of each.
 _PER_ROW, _PANELS = 2, ("hologram", "fitted shape", "residual")

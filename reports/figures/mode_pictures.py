@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, zoom
 
 from fitting.errors import FitInputError
+from holography.arrays import Array
 from physics.reed.fem import Symmetry
 from physics.reed.mesh import (
     HalfReedMesh,
@@ -32,8 +33,6 @@ from reports.own_output import (
 )
 from reports.plain_text import visible
 from reports.tables import Column, Table
-
-Array = NDArray[np.floating[Any]]
 
 PER_ROW = 9
 _SHEET = picture_kind("reed modes")

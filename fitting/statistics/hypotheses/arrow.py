@@ -8,13 +8,12 @@ added to the border with Lagrange multipliers.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 _FIRST_DAMPING, _LEAST_DAMPING = 1e-3, 1e-9
 # With more damping than this a step may be short because of the damping, far from the minimum.

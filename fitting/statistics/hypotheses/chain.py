@@ -1,10 +1,8 @@
 """The chain of hypotheses H1 … H11 on one population, as in the paper's table of hypotheses."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.statistics.hypotheses import paper_structures
 from fitting.statistics.hypotheses.joint import (
@@ -16,8 +14,7 @@ from fitting.statistics.hypotheses.population import Priors, Unknowns
 from fitting.statistics.hypotheses.prediction import ResonanceModel
 from fitting.statistics.hypotheses.regression import regress_on_factors, regress_with_drying
 from fitting.statistics.hypotheses.structure import PARAMETER_SIZES
-
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 _DEFAULT_PRIORS = Priors()
 

@@ -4,14 +4,11 @@ Coefficients and adjustments are looked at where the components are fitted along
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.statistics.hypotheses.joint import JointFit
-
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +22,7 @@ from fitting.statistics.hypotheses.prediction import (
     paper_resonances,
 )
 from fitting.statistics.hypotheses.structure import Structure, coefficients_within
-
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 _DEFAULT_PRIORS = Priors()
 # First guesses of components are cut off here, more where a reed's stiffness would be negative.

@@ -12,11 +12,11 @@ from fitting.statistics.hypotheses.structure import (
     PARAMETER_SIZES,
     PARAMETERS,
     AffineMatrix,
-    Array,
     Structure,
     coefficients_within,
     written,
 )
+from holography.arrays import Array
 from physics.reed.viscoelastic import Series, h4_matrix
 
 # Elastic cane of the reference material's kind, MPa.

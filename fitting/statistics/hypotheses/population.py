@@ -7,7 +7,6 @@ constraints.
 
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +21,7 @@ from fitting.statistics.hypotheses.prediction import (
     predict,
 )
 from fitting.statistics.hypotheses.structure import PARAMETER_SIZES, Structure
-
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 
 @dataclass(frozen=True)

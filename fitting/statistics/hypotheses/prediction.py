@@ -5,14 +5,13 @@ adjustments that take away its systematic errors.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.forward import hz_of
 from fitting.paper.constants import MEAN_HZ, TABLE_9
 from fitting.statistics.hypotheses.structure import PARAMETER_SIZES
+from holography.arrays import Array
 from physics.reed.metamodel import (
     Equation1,
     Metamodel,
@@ -20,8 +19,6 @@ from physics.reed.metamodel import (
 )
 from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.viscoelastic import StorageModulus, storage_modulus
-
-Array = NDArray[np.floating[Any]]
 
 _LN_HZ_PER_CENT = np.log(2) / 1200
 # Farther from F6 the formula stands for nothing: the cane has lost its stiffness.

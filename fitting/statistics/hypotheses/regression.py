@@ -7,17 +7,14 @@ components for each reed can do (paper, appendix on reconstructing by multiple r
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm, expm_frechet
 from scipy.optimize import least_squares
 
 from fitting.errors import FitInputError
 from fitting.statistics.factors import reconstruct
-
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 _FACTORS = 4
 

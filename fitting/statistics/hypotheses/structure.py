@@ -14,12 +14,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.errors import FitInputError
+from holography.arrays import Array
 from physics.reed.viscoelastic import Series, h4_matrix
-
-Array = NDArray[np.floating[Any]]
 
 PARAMETERS = ("E1", "E2", "E3", "G1", "G2", "G3")
 # What each parameter is about: the means of hypothesis H4 in series A.

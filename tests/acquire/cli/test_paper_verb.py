@@ -59,7 +59,7 @@ def test_json_is_all_there_is(cli, folder, computed):
     assert answer.json["counts"]["reproduced"] == 1
     assert answer.json["findings"] == ["One finding."]
     (group,) = answer.json["groups"]
-    assert [row["verdict"] for row in group["rows"]] == [
+    assert [row["agreement"] for row in group["rows"]] == [
         "reproduced",
         "differs",
         "not reproducible",

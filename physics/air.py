@@ -2,14 +2,11 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from holography.arrays import Array
 from physics.reed.geometry import ReedGeometry
-
-Array = NDArray[np.floating[Any]]
 
 # Distance between the end of the window and the clamp, and width of the reed's edge that a side
 # wall covers. Chosen: with these, a clarinet reed gets the default dimensions of `Chamber`.

@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from holography.arrays import Array, ComplexArray, Float32Array
 from holography.fresnel import FresnelTransform
 from physics.air import (
     CavityLine,
@@ -42,9 +42,6 @@ from physics.reed.viscoelastic import (
 from physics.reed.whole import WholeReed
 from physics.sensor import Sensor, read_out
 
-Array = NDArray[np.floating[Any]]
-Float = NDArray[np.float32]
-Complex = NDArray[np.complexfloating[Any, Any]]
 Complex64 = NDArray[np.complex64]
 
 # Degrees of the polynomials of a pressure distortion: along the window, across it, and in ln f.
@@ -180,7 +177,7 @@ def _scaled(zener: Zener, factor: float) -> Zener:
 
 def distortion_factor(
     distortion: PressureDistortion, chamber: Chamber, frequency_hz: float, x_m: Array, y_m: Array
-) -> Complex:
+) -> ComplexArray:
     """Return the factor by which a distortion changes the pressure, at points of the flat side.
 
     It is 1 plus a sum of products of Legendre polynomials in x, y and ln f with random complex
@@ -218,7 +215,9 @@ def distortion_factor(
             strict=True,
         )
     )
-    factor: Complex = 1 + np.einsum("lm,...l,...m->...", weights @ in_frequency[0], along, across)
+    factor: ComplexArray = 1 + np.einsum(
+        "lm,...l,...m->...", weights @ in_frequency[0], along, across
+    )
     return factor
 
 
@@ -284,12 +283,12 @@ class BenchModel:
         scattered: Complex64 = (amplitude * np.sqrt(power)).astype(np.complex64)
         return scattered
 
-    def _local_oscillator(self) -> Float:
+    def _local_oscillator(self) -> Float32Array:
         """Return the amplitude of the local oscillator on the sensor (ny, nx), √(electrons/s)."""
         light, sensor = self.settings.illumination, self.settings.sensor
         r2 = np.add.outer(*[(sensor.pixel_m * (np.arange(n) - n // 2)) ** 2 for n in sensor.shape])
         profile = np.exp(-r2 / light.local_oscillator_waist_m**2)
-        amplitude: Float = (np.sqrt(light.local_oscillator_e_s) * profile).astype(np.float32)
+        amplitude: Float32Array = (np.sqrt(light.local_oscillator_e_s) * profile).astype(np.float32)
         return amplitude
 
     @property
@@ -379,7 +378,7 @@ def _unit_response(
     settings: TwinSettings,
     reed: ReducedReed | WholeReed,
     cane: ViscoelasticCane,
-    shapes: Mapping[Symmetry | None, Float],
+    shapes: Mapping[Symmetry | None, Float32Array],
     drive_hz: Fraction,
 ) -> Complex64:
     """Return the complex displacement of the reed's pixels (n,) per volt, in m/V."""

@@ -8,12 +8,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from holography.arrays import Array
 from physics.reed.coarse import coarse_mesh_cents
 from physics.reed.geometry import half_width_m
 from physics.reed.material import Cane
@@ -36,8 +35,6 @@ from physics.reed.viscoelastic import (
     ViscoelasticCane,
     viscoelastic_cane,
 )
-
-Array = NDArray[np.floating[Any]]
 
 # Frequency at which a growth of moduli or losses changes nothing. Chosen: near the middle of the
 # sweep, on a logarithmic scale.

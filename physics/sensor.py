@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Float = NDArray[np.float32]
+from holography.arrays import Float32Array
+
 Counts = NDArray[np.uint16]
 
 
@@ -40,7 +41,7 @@ class Sensor:
     bits: int = 12
 
 
-def read_out(sensor: Sensor, mean_e: Float, rng: np.random.Generator) -> Counts:
+def read_out(sensor: Sensor, mean_e: Float32Array, rng: np.random.Generator) -> Counts:
     """Draw noise and digitise one exposure.
 
     Shot noise is drawn from a normal distribution with the variance of a Poisson distribution. For

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from fitting.cane.fit_runs import ReedFit
-from fitting.modal.acoustic_resonances import Line
+from fitting.modal.acoustic_resonances import ExcitationPeak
 from reports.errors import OutputRefusedError
 from reports.run_page import (
     _peaks_hz,
@@ -200,5 +200,7 @@ def test_a_run_that_is_gone_is_an_error(fitted, tmp_path):
 
 @pytest.mark.parametrize(("joint", "expected"), [(True, [4279.0]), (False, [4308.6])])
 def test_lines_that_a_joint_fit_found_outweigh_those_of_the_bench(joint, expected):
-    sweep = SimpleNamespace(joint=object() if joint else None, lines=[Line(4279.0, 8.0)])
+    sweep = SimpleNamespace(
+        joint=object() if joint else None, excitation_peaks=[ExcitationPeak(4279.0, 8.0)]
+    )
     assert list(_peaks_hz(sweep, SimpleNamespace(acoustic_resonances_hz=(4308.6,)))) == expected

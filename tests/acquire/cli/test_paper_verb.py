@@ -9,7 +9,7 @@ from reproduction.rows import (
     from_text,
     not_reproducible,
 )
-from reproduction.whole import Comparison
+from reproduction.whole import PaperComparison
 
 ROWS = (
     from_text("Table 1", "x", 5, 5.1, 0.2, "Hz"),
@@ -27,7 +27,7 @@ def computed(monkeypatch):
         calls.append(announce)
         announce("solving finite elements")
         group = Group("numbers", "Numbers: some", "How.", ROWS)
-        return Comparison((group,), ("One finding.",))
+        return PaperComparison((group,), ("One finding.",))
 
     monkeypatch.setattr("reproduction.whole.compare_paper", compare)
     return calls

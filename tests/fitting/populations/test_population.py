@@ -510,8 +510,8 @@ def test_flexural_modes_alone_say_something_of_shear(reeds, exact):
 
 
 def test_a_fit_that_does_not_end_says_so(monkeypatch, reeds, exact):
-    monkeypatch.setattr(populations, "_MOST_LOOKS", 2)
-    monkeypatch.setattr(populations, "_FEW_LOOKS", 2)
+    monkeypatch.setattr(populations, "_MOST_EVALUATIONS", 2)
+    monkeypatch.setattr(populations, "_FEW_EVALUATIONS", 2)
     fit = fit_population(exact, 1.0, FORMULA)
     assert (fit.flags & Flag.NOT_CONVERGED).all()
     assert np.isfinite(fit.components).all()

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,6 @@ from physics.effects.effect import Stage
 from physics.mechanics import ReedSolver
 from physics.twin import Twin
 
-Array = NDArray[np.floating[Any]]
 Kind = Literal["none", "effect", "pair", "unknown", "not converged"]
 
 COVERAGE: Final = 0.9

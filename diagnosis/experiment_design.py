@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.inference.candidates import Candidate
 from diagnosis.inference.estimation import posterior_covariance
@@ -18,8 +17,6 @@ from physics.twin import (
     with_alteration,
     with_reed,
 )
-
-Array = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ there, in units of how well it could be predicted, over the 1 that a right model
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,6 @@ from scipy.stats import chi2
 from diagnosis.inference.candidates import Candidate
 from diagnosis.inference.estimation import residual_covariance
 from diagnosis.inference.problem import InferenceProblem
-
-Array = NDArray[np.floating[Any]]
 
 _DRAWS = 2000
 # A gap that chance makes more often than this is not resolvable.

@@ -7,17 +7,14 @@ resolvable, which does not mean that measurement and model agree.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from diagnosis.inference.estimation import absorbed_part
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import Observable, ObservableGroup
-
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 AXES = ("quantity", "mode", "band", "region", "time", "level")
 # A cell is resolvable if chance makes as much in a smaller fraction of campaigns.

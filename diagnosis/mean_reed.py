@@ -3,19 +3,16 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
 from fitting.paper.printed import printed
 from fitting.populations.resonance_table import read_resonances
+from holography.arrays import Array
 from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.viscoelastic import Series
-
-Array = NDArray[np.floating[Any]]
 
 # Mean of what neighbours make pictures with most fringes miss a resonance by, on simulated reeds
 # (`python -m benchmarks.identification`).

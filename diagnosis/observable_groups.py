@@ -8,16 +8,13 @@ to known columns is added to their covariance.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from fitting.errors import FitInputError
+from holography.arrays import Array
 from physics.twin import Twin
-
-Array = NDArray[np.floating[Any]]
 
 
 class Observable(StrEnum):

@@ -8,20 +8,18 @@ size, over which the evidence is averaged: otherwise the least wrong effect woul
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.inference.problem import LocatedEffect
 from diagnosis.inference.screening import locations_of
 from diagnosis.inference.similarity import Detectability, confusable_classes, detectability_of
 from diagnosis.mean_reed import MeanReed
 from diagnosis.resonance_fit import FittedReed, ResonanceFit, ResonanceProblem, fit_linear
+from holography.arrays import Array
 from physics.effects.effect import Effect
 from physics.mechanics import ReedSolver
 
-Array = NDArray[np.floating[Any]]
 # Sets of as many effects that are fitted without straightening anything.
 _SETS = 3
 # Difference of converged elements from their limit, modes of the vamp (decision 0009).

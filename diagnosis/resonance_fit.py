@@ -2,21 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.inference.estimation import MapEstimate, fit, random_starts, residual_covariance
 from diagnosis.inference.problem import LocatedEffect
 from diagnosis.mean_reed import MeanReed
 from fitting.forward import cents_of
+from holography.arrays import Array
 from physics.effects.effect import Effect, Parameter
 from physics.mechanics import Mechanics, ReedSolver
 from physics.reed.viscoelastic import ViscoelasticCane, Zener
 from physics.twin import Twin, with_cane
 
-Array = NDArray[np.floating[Any]]
 _SEED = 20_080_401
 _DRAWS = 2000
 _STARTS = 2
@@ -143,7 +141,7 @@ class ResonanceProblem:
 
 def elastic_twin(reed_solver: ReedSolver) -> Twin:
     """The reed of reference material, whose moduli do not depend on frequency."""
-    cane = reed_solver.anatomy.reed.cane
+    cane = reed_solver.shape_derivatives.reed.cane
     springs = (Zener(1e-6 * modulus, 0.0, 0.0) for modulus in (cane.E_L_pa, cane.G_LT_pa))
     return Twin(reed=Mechanics(cane=ViscoelasticCane(*springs)))
 
@@ -293,7 +291,7 @@ def _rms(problem: ResonanceProblem, left: Array) -> dict[str, float]:
 
 
 def _moduli_pa(problem: ResonanceProblem, z: Array) -> dict[str, tuple[float, float]]:
-    cane = problem.reed_solver.anatomy.reed.cane
+    cane = problem.reed_solver.shape_derivatives.reed.cane
     answer = {}
     for s, reed in enumerate(problem.reeds):
         E, G = np.exp(_MODULI_SPREAD * z[len(_MODULI) * s :][: len(_MODULI)])

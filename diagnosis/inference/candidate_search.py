@@ -4,10 +4,8 @@ import contextlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from diagnosis.inference.candidates import (
@@ -31,9 +29,9 @@ from diagnosis.inference.screening import (
 )
 from diagnosis.inference.similarity import CONFUSABLE, cosine
 from fitting.parallel.processes import map_processes
+from holography.arrays import Array
 from physics.effects.effect import Effect
 
-Array = NDArray[np.floating[Any]]
 SEED = 20_080_402
 # The likeliest candidates, at most this many and within this many nats of the best, are refitted
 # with the nonlinear model.

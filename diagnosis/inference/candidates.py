@@ -9,10 +9,8 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.inference.estimation import LEAST_DECREMENT, MapEstimate, fit, posterior_covariance
 from diagnosis.inference.problem import (
@@ -27,10 +25,10 @@ from diagnosis.inference.problem import (
     noise_inflation_gain,
     with_effects,
 )
+from holography.arrays import Array
 from physics.effects.effect import Parameter
 from physics.twin import Twin
 
-Array = NDArray[np.floating[Any]]
 # Effects have not quite the form that the catalogue gives them: a share of what they do.
 _FORM = 0.12
 # Searches end where a step gains less than this share of the cost: hundredths of a nat.

@@ -8,18 +8,15 @@ Several sizes are tried. Something unknown shifts one group or a few.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import comb
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from diagnosis.inference.candidates import Candidate
 from diagnosis.inference.estimation import posterior_covariance, residual_covariance
 from diagnosis.inference.problem import InferenceProblem, group_noise_gain, noise_inflation_gain
 from diagnosis.observable_groups import ObservableGroup
-
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 # Sizes of a discrepancy that are tried, in standard deviations of the numbers.
 _SIZES = (2.0, 5.0, 15.0, 50.0, 150.0, 500.0)

@@ -8,14 +8,14 @@ corrected for what a bound cuts off the posterior.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 from scipy.special import log_ndtr
 
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
+
 Residuals = Callable[[Array], Array]
 
 # Step of finite differences, in prior standard deviations.

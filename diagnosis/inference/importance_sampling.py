@@ -1,18 +1,14 @@
 """Check Laplace's evidence by importance sampling."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 from scipy.stats import multivariate_t
 
 from diagnosis.inference.candidates import Candidate
 from diagnosis.inference.estimation import posterior_covariance
 from diagnosis.inference.problem import InferenceProblem
-
-Array = NDArray[np.floating[Any]]
 
 # Degrees of freedom of Student's distribution, and its width over the posterior's.
 _FREEDOMS, _WIDER = 4, 1.5

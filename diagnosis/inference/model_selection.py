@@ -6,10 +6,8 @@ The probability of each is its evidence times a prior that is the same for all e
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.inference.candidate_search import (
     SEED,
@@ -39,9 +37,9 @@ from diagnosis.inference.probabilities import (
 )
 from diagnosis.inference.problem import InferenceProblem
 from fitting.parallel.processes import map_processes
+from holography.arrays import Array
 from physics.effects.effect import Effect
 
-Array = NDArray[np.floating[Any]]
 # Candidates whose log evidence is within this many nats are checked by importance sampling.
 _CLOSE = 5.0
 # Most searches from other starts: some end in a worse optimum or do not come to rest.

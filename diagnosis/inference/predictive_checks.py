@@ -6,7 +6,6 @@ effects, and evaluated as the measured one is.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +15,7 @@ from diagnosis.inference.candidates import Candidate
 from diagnosis.inference.discrepancy import group_discrepancies, log_bayes_any_group
 from diagnosis.inference.estimation import absorbed_part, posterior_covariance, residual_covariance
 from diagnosis.inference.problem import InferenceProblem
-
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 _DRAWS = 1000
 # Degrees of freedom of Student's distribution: errors of fits have longer tails than a Gaussian.

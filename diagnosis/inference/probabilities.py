@@ -1,17 +1,14 @@
 """Priors, and the probability of each hypothesis from the evidence of its fit."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from diagnosis.inference.candidates import (
     Candidate,
 )
 
-Array = NDArray[np.floating[Any]]
 # Residuals of an effect of plausible size (in prior standard deviations) may be due to its form,
 # which deviates from the catalogue's by this fraction (standard deviation).
 _PLAUSIBLE, _OWN_FORM = 4.0, 0.15

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from diagnosis.inference.nuisances import Nuisance
 from diagnosis.observable_groups import ObservableGroup
+from holography.arrays import Array
 from physics.effects.effect import Effect, Parameter
 from physics.twin import Twin
 
-Array = NDArray[np.floating[Any]]
 # Log of how much larger the noise of a group may be than its replicates: prior and limit.
 _NOISE_SPREAD, _MOST_NOISE = 0.15, 3.0
 _KEPT, _SLOPES_KEPT = 4096, 4

@@ -5,10 +5,8 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.inference.candidates import Candidate
 from diagnosis.inference.estimation import (
@@ -17,10 +15,9 @@ from diagnosis.inference.estimation import (
     posterior_covariance,
 )
 from diagnosis.inference.problem import InferenceProblem, LocatedEffect
+from holography.arrays import Array
 from physics.effects.effect import Effect
 from physics.twin import Twin
-
-Array = NDArray[np.floating[Any]]
 
 # Sizes at which signatures are taken, in prior standard deviations: the first possible one.
 _PROBES = 1.0, 0.2

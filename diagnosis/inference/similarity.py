@@ -2,14 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from holography.arrays import Array
 from physics.effects.effect import Effect
-
-Array = NDArray[np.floating[Any]]
 
 # Effects whose marginalised signatures have at least this cosine are confusable.
 CONFUSABLE: Final = 0.8

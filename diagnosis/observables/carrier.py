@@ -2,21 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.observable_groups import Coordinates, Observable, ObservableGroup, observable_group
 from diagnosis.observable_source import GroupSource
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.carrier import CarrierReading, carrier_floor
 from diagnosis.readings.sweeps import SweepReading
+from holography.arrays import Array
 from physics.mechanics import ReedSolver
 from physics.twin import Twin
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complexfloating[Any, Any]]
 
 # Log of how much the light that a reed shows next to its clamp differs between reeds and sweeps.
 _REEDS, _SWEEPS = 0.4, 0.15

@@ -3,10 +3,9 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, median_filter
 
 from diagnosis.observable_groups import (
@@ -23,6 +22,7 @@ from diagnosis.observables.light import leaks_of
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.device import Device
 from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, loudest
+from holography.arrays import Array, ComplexArray
 from physics.air import (
     CavityLine,
     Chamber,
@@ -41,9 +41,6 @@ from physics.twin import (
     FitBias,
     Twin,
 )
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complexfloating[Any, Any]]
 
 _KEPT = 8192
 # Frequencies that lie no further apart, in log, are one: a generator may not play quite what it is
@@ -147,7 +144,7 @@ def exchanged(fits: FitBias, mode: str, own_hz: float, loss: float, hz: Array) -
 def _gain(drive: DriveChain, line: CavityLine, hz: Array) -> Array:
     """Return the gain (k,) of acoustic resonances between loudspeaker and reed."""
 
-    def through(hz_0: float, quality: float, strength: float) -> Complex:
+    def through(hz_0: float, quality: float, strength: float) -> ComplexArray:
         ratio = hz / hz_0
         return np.asarray(1 + strength / (1 - ratio**2 + 1j * ratio / quality), dtype=complex)
 

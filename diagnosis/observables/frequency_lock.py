@@ -17,12 +17,10 @@ from diagnosis.observable_groups import (
 from diagnosis.observable_source import GroupSource
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.step_log import StepLog
+from holography.arrays import Array
 from holography.phase import TURN_OF_FRAMES
 from physics.mechanics import ReedSolver
 from physics.twin import Twin
-
-Array = NDArray[np.floating[Any]]
-
 
 # Error that all locks may have in common, Hz.
 _COMMON_HZ = 4e-4

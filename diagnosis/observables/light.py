@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,9 @@ from diagnosis.observables.carrier import Leaks, leaks_in
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.reed_at_rest import RestHolograms
 from diagnosis.readings.sweeps import TEMPLATES, SweepReading, at_highest_level
+from holography.arrays import Array
 from physics.mechanics import ReedSolver
 from physics.twin import OpticsParameters, Twin
-
-Array = NDArray[np.floating[Any]]
 
 # Pieces of a sweep's time.
 _PIECES = 8

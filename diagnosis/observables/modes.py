@@ -1,7 +1,7 @@
 """Frequencies and losses of all modes in all sweeps."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +18,13 @@ from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.light import leaks_of
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, loudest
+from holography.arrays import Array
 from physics.mechanics import ReedSolver
 from physics.twin import (
     Environment,
     Twin,
     with_cane,
 )
-
-Array = NDArray[np.floating[Any]]
 
 CENTS = 1200 / np.log(2)
 # What fits of the same vibration differ by, over their errors, and at least: cents, per cent.

@@ -1,10 +1,9 @@
 """Holograms and field of the reed at rest: phase steps, brightness, speckle."""
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.observable_groups import (
     Coordinates,
@@ -17,12 +16,10 @@ from diagnosis.observable_source import GroupSource
 from diagnosis.observables.frequency_lock import lock_scatter_hz, turn_of_unequal_steps
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.reed_at_rest import RestHolograms
+from holography.arrays import Array
 from holography.phase import TURN_OF_FRAMES
 from physics.mechanics import ReedSolver
 from physics.twin import OpticsParameters, Twin
-
-Array = NDArray[np.floating[Any]]
-
 
 # Factor for the scatter of few numbers, and the weight of the scatter by a phase walk, in numbers.
 _FEW, _BELIEVED = 1.2, 4.0

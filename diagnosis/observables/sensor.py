@@ -1,19 +1,16 @@
 """Frames without fringes: camera, vignetting, local oscillator."""
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.observable_groups import Coordinates, Observable, ObservableGroup, observable_group
 from diagnosis.observable_source import GroupSource
 from diagnosis.readings.camera import DarkFrames, FlatFrames, LocalOscillatorFrames, SensorSheet
 from diagnosis.readings.campaign_readings import Readings
+from holography.arrays import Array
 from physics.mechanics import ReedSolver
 from physics.twin import OpticsParameters, Twin
-
-Array = NDArray[np.floating[Any]]
-
 
 # What data sheets leave open: offset in dn, log of noise and of gain.
 _OFFSET_DN, _NOISE, _GAIN = 1.0, 0.05, 0.03

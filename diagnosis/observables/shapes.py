@@ -2,10 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.observable_groups import (
     Coordinates,
@@ -19,7 +18,8 @@ from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.light import leaks_of
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import SweepReading
-from fitting.modal.identify import SHAPES_HZ
+from fitting.modal.start_frequencies import SHAPES_HZ
+from holography.arrays import Array
 from physics.mechanics import (
     Mechanics,
     ReedMode,
@@ -32,8 +32,6 @@ from physics.reed.viscoelastic import (
     storage_modulus_pa,
 )
 from physics.twin import Twin
-
-Array = NDArray[np.floating[Any]]
 
 # Shapes of higher modes are poorly determined.
 _HIGHEST_HZ = 14e3

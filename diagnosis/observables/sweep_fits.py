@@ -1,19 +1,15 @@
 """Joint fits of the sweeps of a campaign: modes, drive and light, and their residuals."""
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.observable_groups import Coordinates, Observable, ObservableGroup, observable_group
 from diagnosis.observable_source import GroupSource
 from diagnosis.readings.campaign_readings import Readings
+from holography.arrays import Array
 from physics.mechanics import ReedSolver
 from physics.twin import Twin
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complexfloating[Any, Any]]
-
 
 # By how many sweeps fits fail though nothing is wrong.
 _REFUSED = 0.3

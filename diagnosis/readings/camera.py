@@ -2,16 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.campaign import CampaignRun
 from fitting.errors import FitInputError
+from holography.arrays import Array
 from physics.sensor import Sensor
-
-Array = NDArray[np.floating[Any]]
 
 # A pixel is hot if it exceeds the median by this many times the noise.
 _HOT = 8.0

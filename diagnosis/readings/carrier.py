@@ -2,19 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.campaign import CampaignRun
-from fitting.holograms.block_amplitudes import Unshifted
+from fitting.holograms.block_amplitudes import UnshiftedLight
+from holography.arrays import Array, ComplexArray
 from physics.reed.geometry import half_width_m
 from runs.reader import Run
 from runs.records import StepRecord
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complexfloating[Any, Any]]
 
 # Length next to the clamp, m, where a reed hardly moves.
 _STILL_M = 2e-3
@@ -91,7 +88,7 @@ def _near_clamp(run: Run, length_m: float) -> NDArray[np.bool_]:
     return shown
 
 
-def _at_rest(part: CampaignRun) -> tuple[Complex, float]:
+def _at_rest(part: CampaignRun) -> tuple[ComplexArray, float]:
     """Mean light (height, width) of a reed at rest, and the variance of its noise."""
     fields, noises = [], []
     for step in part.good_steps:
@@ -103,7 +100,7 @@ def _at_rest(part: CampaignRun) -> tuple[Complex, float]:
 
 
 def _carrier(
-    part: CampaignRun, calm: NDArray[np.bool_], light: Complex, power: float
+    part: CampaignRun, calm: NDArray[np.bool_], light: ComplexArray, power: float
 ) -> CarrierReading:
     run = part.run
     steps = _steps(part)
@@ -117,7 +114,7 @@ def _carrier(
 
 def unshifted_light(
     sweeps: Sequence[CampaignRun], stills: Sequence[CampaignRun], carriers: Sequence[CarrierReading]
-) -> dict[str, Unshifted]:
+) -> dict[str, UnshiftedLight]:
     """Light that leaks into sweeps, by their names, where it is so much that fits would suffer.
 
     It is as large in all holograms of a sweep, and its phase in each is what the reed shows where
@@ -136,7 +133,7 @@ def unshifted_light(
     share = float(np.sqrt(max(calmest.share**2 - usual**2, 0.0)))
     if share < max(_LEAST_TAKEN_OFF, 2 * usual):
         return {}
-    found: dict[str, Unshifted] = {}
+    found: dict[str, UnshiftedLight] = {}
     for still in [part for part in stills if part.good_steps]:
         shown = [p for p in sweeps if p.name not in found and _show_same(p, still)]
         if shown:
@@ -145,7 +142,7 @@ def unshifted_light(
     return found
 
 
-def _unshifted(part: CampaignRun, at_rest: Complex, share: float) -> Unshifted:
+def _unshifted(part: CampaignRun, at_rest: ComplexArray, share: float) -> UnshiftedLight:
     """Light at rest (height, width) that leaks into each hologram of a sweep by so much."""
     run = part.run
     near = _near_clamp(run, _BENT_M)
@@ -159,7 +156,7 @@ def _unshifted(part: CampaignRun, at_rest: Complex, share: float) -> Unshifted:
     for step in part.good_steps:
         seen = complex(of_light @ run.field(step.position)[near])
         shares[step.position] = share * seen / max(abs(seen), 1e-12)
-    return Unshifted(at_rest.astype(np.complex64), shares)
+    return UnshiftedLight(at_rest.astype(np.complex64), shares)
 
 
 # What reeds move by next to the clamp in holograms of small amplitude, in units of the light, per

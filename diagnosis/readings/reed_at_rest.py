@@ -2,14 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.campaign import CampaignRun
-
-Array = NDArray[np.floating[Any]]
+from holography.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -2,15 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.campaign import CampaignRun
+from holography.arrays import Array
 from runs.verdict import Verdict
-
-Array = NDArray[np.floating[Any]]
 
 # What steps are worth of which frames were missing, twice the same, or in another order.
 _LOST = (Verdict.PARTIAL, Verdict.DROPPED, Verdict.DISORDERED)

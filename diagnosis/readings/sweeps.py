@@ -4,7 +4,6 @@ import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +17,9 @@ from fitting.modal.identify import JointFit, fit_jointly
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.refit import fit_same_reed, fit_without_unshifted
 from fitting.parallel.processes import map_processes
+from holography.arrays import Array, ComplexArray
 from runs.reader import Run
 from runs.records import StepRecord
-
-Array = NDArray[np.floating[Any]]
-Complex = NDArray[np.complexfloating[Any, Any]]
 
 # What may be in a hologram in addition to its sideband, by name.
 TEMPLATES = ("carrier_leak", "sideband_crosstalk", "decorrelation")
@@ -101,7 +98,7 @@ class SweepReading:
     hz: Array
     loss_factor: Array
     covariance: Array
-    force_rad: Complex
+    force_rad: ComplexArray
     force_error: Array
     mixing: Array
     mixing_error: Array
@@ -122,7 +119,7 @@ class SweepReading:
     fringe_dn2: Array
     misfit: Array
     off: NDArray[np.bool_]
-    template: Complex
+    template: ComplexArray
     template_variance: Array
     discrepancy: float
     taken_off: float = 0.0
@@ -284,7 +281,7 @@ def loudness(volts: Array) -> float:
 
 
 def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepReading:
-    modal, phasors, found = fitted.modal, fitted.phasors, fitted.displacements
+    modal, phasors, found = fitted.modal, fitted.block_amplitudes, fitted.displacements
     kept = np.array([m for m, name in enumerate(modal.names) if name in fitted.resonances])
     a = len(modal.names)
     both = np.concatenate([kept, a + kept])
@@ -358,7 +355,7 @@ def _middle_s(step: StepRecord) -> float:
     return float(np.mean(step.timestamps_s))
 
 
-def _templates(fitted: JointFit) -> tuple[Complex, Array]:
+def _templates(fitted: JointFit) -> tuple[ComplexArray, Array]:
     """Amplitudes (3, k) of what else may be in holograms, and their variances.
 
     What the displacements' own freedoms can take up is left to them.
@@ -385,7 +382,7 @@ def _templates(fitted: JointFit) -> tuple[Complex, Array]:
     return amplitude, variance * np.maximum(found.misfit, 1)
 
 
-def _beside(columns: Array, own: int) -> tuple[Complex, Array]:
+def _beside(columns: Array, own: int) -> tuple[ComplexArray, Array]:
     """Amplitudes (t,) of templates, and variances, in addition to a hologram's own parameters.
 
     Parameters
@@ -415,7 +412,7 @@ def _beside(columns: Array, own: int) -> tuple[Complex, Array]:
     return amplitude, variance
 
 
-def _real(columns: Complex) -> Array:
+def _real(columns: ComplexArray) -> Array:
     """Real, then imaginary parts of rows: (n, …) → (2n, …)."""
     return np.concatenate([columns.real, columns.imag], axis=0)
 

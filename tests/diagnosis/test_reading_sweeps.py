@@ -46,8 +46,8 @@ def fitted(monkeypatch):
     monkeypatch.setattr(sweep_readings, "basis_of", lambda _file: None)
     monkeypatch.setattr(sweep_readings, "finite_element_model", lambda _reed: None)
     monkeypatch.setattr(sweep_readings, "fit_jointly", jointly)
-    monkeypatch.setattr(sweep_readings, "fit_again", again)
-    monkeypatch.setattr(sweep_readings, "fit_less", lambda fit: fit)
+    monkeypatch.setattr(sweep_readings, "fit_same_reed", again)
+    monkeypatch.setattr(sweep_readings, "fit_without_unshifted", lambda fit: fit)
     monkeypatch.setattr(sweep_readings, "_doubt", lambda fit: told.doubt.get(fit.name, (0, 0.0)))
     monkeypatch.setattr(sweep_readings, "_reading", lambda part, fit, _off: (part.name, fit.of))
     yield told

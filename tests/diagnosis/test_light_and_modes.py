@@ -132,7 +132,7 @@ def test_fits_of_few_modes_are_doubted_most() -> None:
         return SimpleNamespace(
             resonances=dict.fromkeys(range(modes)),
             modal=SimpleNamespace(drive=drive, off=np.arange(COUNT) < off, discrepancy=discrepancy),
-            phasors=SimpleNamespace(volts=np.ones(COUNT)),
+            block_amplitudes=SimpleNamespace(volts=np.ones(COUNT)),
         )
 
     good, smooth, torn, empty = (

@@ -143,7 +143,8 @@ def opened(opening: Opening) -> Opened:
     """Open a bench whose outputs are on."""
     with left_on(opening.identity) as (box, generator, plan):
         bench_file = plan.bench.replace(opening.changes)
-        message, unconfirmed = "", ()
+        message = ""
+        unconfirmed: tuple[str, ...] = ()
         try:
             open_bench(bench_file, plan.preparation("faults")).close()
         except BenchError as error:

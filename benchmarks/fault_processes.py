@@ -11,16 +11,19 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
 import acquire
+from benchmarks import struck
 from benchmarks.fault_list import CALM, Fault
 from benchmarks.struck import Outcome, measured, outcome_of, planned
 from drivers.context import BenchContext
 from drivers.emulators.instruments import EmulatedSiglent
 from holography.errors import BenchError
 from protocols.bench import Generator
+from protocols.plan import Plan
 from runs.reader import Run
 
 _PATIENCE_S = 0.5
@@ -70,17 +73,16 @@ def _phase_arguments(number: int, phase: str) -> tuple[Fault, acquire.Callbacks]
 def _signalled(number: int, phase: str, path: Path, report: Any) -> None:
     fault, calls = _phase_arguments(number, phase)
     if phase == "opening":
-        opened = planned
 
-        def struck_plan(asked: Fault) -> Any:
-            plan = opened(asked)
+        def struck_plan(asked: Fault) -> Plan:
+            plan = planned(asked)
             driver = f"{StruckSiglent.__module__}:{StruckSiglent.__name__}"
             bench = plan.bench.replace({"instruments.generator.driver": driver})
             return acquire.plan(plan.protocol, bench).plan
 
-        import benchmarks.struck as struck
-
-        struck.planned = struck_plan
+        with patch.object(struck, "planned", struck_plan):
+            report.send(measured(fault, path, callbacks=calls))
+        return
     report.send(measured(fault, path, callbacks=calls))
 
 

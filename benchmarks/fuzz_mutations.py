@@ -402,13 +402,14 @@ _VALUES = (nudge_number, nudge_number, respell, respell, change_number, scale_nu
 _TREE = tuple(map(_tree_mutation, (_drop_key, _retype, _move, _copy_elsewhere, _swap, _rename)))
 
 # Values and trees most often: what a byte changes is mostly no YAML any more.
-_GROUPS = ((_BYTES, 2), (_LINES, 1), (_VALUES, 4), (_TREE, 3))
+_GROUPS: dict[tuple[Mutation, ...], int] = {_BYTES: 2, _LINES: 1, _VALUES: 4, _TREE: 3}
 
 
 def drawn_mutations(rng: random.Random) -> list[tuple[Mutation, int]]:
     """One to three mutations, each with the seed of its randomness."""
-    groups, weights = zip(*_GROUPS, strict=True)
-    chosen = rng.choices(groups, weights, k=rng.choice((1, 1, 1, 1, 2, 2, 3)))
+    chosen = rng.choices(
+        tuple(_GROUPS), tuple(_GROUPS.values()), k=rng.choice((1, 1, 1, 1, 2, 2, 3))
+    )
     return [(rng.choice(group), rng.getrandbits(32)) for group in chosen]
 
 

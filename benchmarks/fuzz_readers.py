@@ -133,6 +133,14 @@ def _quantity(text: str, unit: str) -> Fraction | None:
     return number * known[1] if known is not None and known[0] == unit else None
 
 
+def _composed(text: str) -> yaml.Node:
+    """Return the nodes of a text, with every scalar as text."""
+    root = yaml.compose(text, Loader=yaml.BaseLoader)
+    if root is None:
+        raise Implausible("an empty file was accepted")
+    return root
+
+
 def disagreements(node: yaml.Node, content: Any, path: str = "") -> Iterator[Implausible]:
     """Where plain content is not what stands in the file, node by node.
 
@@ -160,7 +168,7 @@ def disagreements(node: yaml.Node, content: Any, path: str = "") -> Iterator[Imp
             return
         for number, (value, item) in enumerate(zip(node.value, content, strict=True)):
             yield from disagreements(value, item, f"{path}[{number}]")
-    elif not _agrees(node.value, node.style, content):
+    elif isinstance(node, yaml.ScalarNode) and not _agrees(node.value, node.style, content):
         kind = type(content).__name__
         yield Implausible(
             f"a value was read as another {kind}", f"{path}: {node.value!r}: {content!r}"
@@ -202,7 +210,7 @@ def _require(holds: bool, what: str, details: object = "") -> None:
 def require_meant(description: Description, file: Path) -> None:
     """Require that a description says what its file says, and reads back as the same."""
     content = description.content()
-    root = yaml.compose(file.read_bytes().decode("utf-8-sig"), Loader=yaml.BaseLoader)
+    root = _composed(file.read_bytes().decode("utf-8-sig"))
     for disagreement in disagreements(root, content):
         raise disagreement
     json.dumps(content, allow_nan=False)
@@ -364,7 +372,7 @@ def _require_changed(content: dict[str, Any], key: str, value: Any) -> None:
     kept: Any = content
     for name in key.split("."):
         kept = kept.get(name) if isinstance(kept, dict) else None
-    written = yaml.compose(yaml.safe_dump(value, allow_unicode=True), Loader=yaml.BaseLoader)
+    written = _composed(yaml.safe_dump(value, allow_unicode=True))
     if isinstance(kept, dict) and isinstance(value, dict):
         for below, inner in value.items():
             _require_changed(kept, below, inner)

@@ -240,6 +240,10 @@ def _require_seen(details: Mapping[str, Any]) -> None:
         raise Implausible("a control character reaches the terminal", repr(shown.getvalue())[:300])
 
 
+def _shown(mutant: Mutant) -> str:
+    return f"{mutant.path.name} of {mutant.original.path.name}"
+
+
 def _compare(mutant: Mutant) -> None:
     """Read a mutant, and require that it is what it should be."""
     read, first = content_of(mutant.path, mutant.original.plan), mutant.original.content
@@ -257,7 +261,7 @@ def _compare(mutant: Mutant) -> None:
         kinds = sorted({name.rstrip("0123456789 ") for name in (*other, *refused)})
         details = [f"{n}: {first.get(n, '')[:200]} → {read.get(n, '')[:200]}" for n in other[:2]]
         raise Implausible(
-            f"{mutant.what}: other {', '.join(kinds)[:80]} read as if in order", details
+            f"{mutant.what}: other {', '.join(kinds)[:80]} read as if in order", str(details)
         )
     if missing:
         # Of a file that is read but for some of its steps.
@@ -851,9 +855,7 @@ def fuzz_runs(count: int, seed: int, folder: Path, kept: Path | None = None) -> 
         for mutant, (outcome, took_s) in zip(mutants, read_by_children(mutants), strict=True):
             if took_s > tally.slowest_s:
                 tally.slowest_s, tally.slowest = took_s, f"{mutant.path.name} {mutant.what}"
-            tally.add(
-                outcome, lambda mutant=mutant: f"{mutant.path.name} of {mutant.original.path.name}"
-            )
+            tally.add(outcome, partial(_shown, mutant))
             if outcome.kind == "wrong" and kept:
                 shutil.copy(mutant.path, kept)
             mutant.path.unlink()

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import acquire
 from acquire.runner import run_session
@@ -150,7 +151,6 @@ def measured(
 @contextmanager
 def _benches_seen(fault: Fault, benches: list[Bench], labs: list[SimulatedLab]) -> Any:
     """Let a fault strike every bench that a script opens, and remember its laboratory."""
-    opened = run_session.open_bench
 
     def opening(*asked: Any, **more: Any) -> Bench:
         bench = open_bench(*asked, **more)
@@ -161,11 +161,8 @@ def _benches_seen(fault: Fault, benches: list[Bench], labs: list[SimulatedLab]) 
             fault.strike(bench)
         return bench
 
-    run_session.open_bench = opening
-    try:
+    with patch.object(run_session, "open_bench", opening):
         yield
-    finally:
-        run_session.open_bench = opened
 
 
 def struck(fault: Fault, folder: Path) -> Outcome:

@@ -167,7 +167,7 @@ def checksum_ms() -> dict[str, float]:
     """Milliseconds of a step's checksum of pixels."""
     rng, taken = np.random.default_rng(0), {}
     for name, (shape, dtype) in _PIXELS.items():
-        pixels = rng.integers(0, 4096, shape).astype(dtype)
+        pixels: np.ndarray[Any, Any] = rng.integers(0, 4096, shape).astype(dtype)
         times = []
         for _ in range(20):
             start_s = time.perf_counter()

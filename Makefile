@@ -34,8 +34,9 @@ lint: .stamps/test
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# Both print to the end, whatever fails; the exit status is that of the first that failed.
 bench: .stamps/bench
-	$(BIN)/python -m benchmarks
+	$(BIN)/python -m benchmarks; status=$$?; $(BIN)/python -m studies && exit $$status
 
 .stamps/venv:
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11))" \

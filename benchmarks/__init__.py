@@ -1,1 +1,1 @@
-"""Benchmarks: every figure that the project claims, beside a peer or a limit."""
+"""Benchmarks: speed and memory compared with a peer or a limit, and what survives faults."""

@@ -32,7 +32,7 @@ def benchmark(protocol: str) -> dict[str, Any]:
     exposed_s = sum(s.frames for s in plan.steps) / float(plan.protocol.camera.frame_rate_hz)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "run.h5")
-        summary = acquire.run(plan, path, reed="pace")
+        summary = acquire.run(plan, path, reed="pace").summary
         with Run.open(path) as run:
             period_s = float(1 / run.frame_rate_hz)
             starts_s = [step.timestamps_s[0] for step in run if step.timestamps_s]

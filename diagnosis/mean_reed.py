@@ -15,7 +15,7 @@ from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.viscoelastic import Series
 
 # Mean of what neighbours make pictures with most fringes miss a resonance by, on simulated reeds
-# (`python -m benchmarks.identification`).
+# (`python -m studies.identification`).
 READING_CENTS = 7.0
 # What reeds differ in beyond what their cane explains (paper, section IV.B).
 SCATTER_CENTS = 25.0

@@ -54,7 +54,7 @@ _POLL_S: Final = 0.05
 # stopped (Ctrl-Z) keeps its lock; others then compute for themselves.
 _PATIENCE_S: Final = 600.0
 
-# How far each level lies from the limit of ever finer meshes: `python -m benchmarks.convergence`.
+# How far each level lies from the limit of ever finer meshes: `python -m studies.convergence`.
 # Every mode below 20 kHz within 10 cents, those of the heel included.
 FINE = MeshLevel(orders=(4, 4, 4), heel_element_m=4.5e-3, z_breaks=(0.0, 0.94, 1.0))
 # Every mode of the vamp within 10 cents; a basis of it is built within seconds and 2 GiB.

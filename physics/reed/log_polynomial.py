@@ -3,7 +3,7 @@
 With degree 5 over the range of a reduced basis, a mode that keeps its shape is followed to a
 fraction of a cent. Where two modes of one symmetry meet they repel each other and exchange
 shapes; a polynomial goes straight through, up to half their distance away from either
-(`benchmarks.populations` measures both over the population).
+(`studies.populations` measures both over the population).
 """
 
 from dataclasses import dataclass, replace

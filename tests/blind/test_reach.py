@@ -4,8 +4,8 @@ import pytest
 
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
-from benchmarks.reach import as_drawn, together, told
 from diagnosis.inference.similarity import Detectability
+from studies.reach import as_drawn, together, told
 
 
 def reach(size, absorbed=0.5, **alike):

@@ -9,7 +9,6 @@ import pytest
 
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
-from benchmarks.sealed_answers import essence, kept_cases, main
 from blind.cases import (
     drawn_label,
     seal,
@@ -18,6 +17,7 @@ from blind.cases import (
 from blind.classes import CLASSES
 from blind.report import report
 from blind.scoring import Case, Classes
+from studies.sealed_answers import essence, kept_cases, main
 
 
 def _answer(case_number: int, named: tuple[str, ...]) -> dict[str, Any]:

@@ -9,11 +9,11 @@ import pytest
 
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
-from benchmarks.sealed_names import TABLE, SealedNames
-from benchmarks.sealed_sets import FOLDER, SETS, against_targets, published, scores_of
 from blind.cases import Label
 from blind.classes import UNDETECTABLE
 from blind.effects import BY_NAME
+from studies.sealed_names import TABLE, SealedNames
+from studies.sealed_sets import FOLDER, SETS, against_targets, published, scores_of
 
 DOCS = Path(__file__).parents[2] / "docs"
 _SCORES = {name: scores for name in SETS if (scores := scores_of(FOLDER / name)) is not None}

@@ -22,7 +22,7 @@ from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.response import elastic_modes
 
 # Eq. 1 of the paper at E_L = 14 GPa, G_LT = 1.1 GPa, and how far (cents) the limit of ever finer
-# meshes (`python -m benchmarks.convergence`) lies from it: the paper's 2 mm tetrahedra are stiff.
+# meshes (`python -m studies.convergence`) lies from it: the paper's 2 mm tetrahedra are stiff.
 PAPER_HZ_AND_CENTS = {
     "F1": (2208, -30),
     "T1": (3582, 0),

@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks.recovery import CLAIMED
 from drivers.simulated.settings import cane_of
 from fitting.cane.fit_runs import (
     ReedFit,
@@ -27,6 +26,7 @@ from physics.reed.viscoelastic import (
 )
 from runs.errors import RunFileError
 from runs.reader import Run
+from studies.recovery import CLAIMED
 
 REED = "R07"
 # First and last k of pictures in which T1 has most fringes.

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from benchmarks.modal_peer import PeerMode, peer_modes, peer_version
+from studies.modal_peer import PeerMode, peer_modes, peer_version
 
 DRIVE_HZ = 1417.0 * 2 ** (np.arange(184) * 25 / 1200)
 LOSS = 0.03
@@ -167,7 +167,7 @@ def test_says_what_to_install(monkeypatch):
 
 
 def test_no_version_without_the_library(monkeypatch):
-    monkeypatch.setattr("benchmarks.modal_peer.LIBRARY", "no-such-library-as-this")
+    monkeypatch.setattr("studies.modal_peer.LIBRARY", "no-such-library-as-this")
     assert peer_version() is None
 
 

@@ -1,6 +1,6 @@
 """Whether a diagnosis depends on anything but what was measured.
 
-    python -m benchmarks.leaks [CAMPAIGN]
+    python -m studies.leaks [CAMPAIGN]
 
 Diagnoses a folder of run files, of a campaign recorded for it if none is named, and again copies of
 them that have other names and another order, other names of reed, campaign and bench, other
@@ -24,7 +24,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from benchmarks.campaigns import campaigns
+from studies.campaigns import campaigns
 
 _SEED = 260_614
 _TIMES = "entry/start_time", "entry/end_time"

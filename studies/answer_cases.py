@@ -1,6 +1,6 @@
 """Answer sealed cases: `acquire diagnose` on each, in a process that knows nothing of the key.
 
-    python -m benchmarks.blind CASES ANSWERS [--jobs N]
+    python -m studies.answer_cases CASES ANSWERS [--jobs N]
 
 CASES is what `acquire blind make` made, ANSWERS a folder that gets NAME.json for each case; those
 that are there already stay. Prints how long each took; `acquire blind score` scores them.

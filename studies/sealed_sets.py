@@ -1,10 +1,10 @@
 """What sealed cases have shown, and what an answer takes: scores of all sets whose keys are out.
 
-    python -m benchmarks.sealed_sets [--again N]
+    python -m studies.sealed_sets [--again N]
 
-Of each set in `benchmarks/sealed`: whether its keys fit the hashes that were committed before it
+Of each set in `studies/sealed`: whether its keys fit the hashes that were committed before it
 was answered, and its scores beside their targets: made of what is kept of its answers
-(`benchmarks.sealed_answers`), or as they were made if nothing is. Then N cases of the last set are
+(`studies.sealed_answers`), or as they were made if nothing is. Then N cases of the last set are
 recorded anew from its key and diagnosed on two processors. Exit status 1 if a key does not fit.
 """
 
@@ -20,13 +20,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks.sealed_answers import kept_cases
-from benchmarks.sealed_names import SealedNames
 from blind.cases import Label, record_case
 from blind.classes import CLASSES
 from blind.files import BlindError, labels_of
 from blind.report import report
 from blind.scoring import Classes
+from studies.sealed_answers import kept_cases
+from studies.sealed_names import SealedNames
 
 FOLDER = Path(__file__).parent / "sealed"
 SETS = "first", "second", "third", "fourth"

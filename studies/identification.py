@@ -1,11 +1,11 @@
 """Resonances of reeds that are not what the fit knows, beside the paper's way and a public library.
 
-Reeds of `benchmarks.wrong_reeds` are swept in series A and B with all noise; every run is fitted
+Reeds of `studies.wrong_reeds` are swept in series A and B with all noise; every run is fitted
 jointly and by pictures; and sdypy-EMA is given the same amplitudes, if it is installed. Errors are
 those of eigenfrequencies from each reed's own finite elements. At last come runs in which there is
 nothing to be identified.
 
-    python -m benchmarks.identification [--folder DIR] [--reeds N] [--jobs N] [--json]
+    python -m studies.identification [--folder DIR] [--reeds N] [--jobs N] [--json]
 
 Runs that are in the folder already are not made again.
 """
@@ -25,8 +25,6 @@ import h5py
 import numpy as np
 
 from acquire.runner.runner import run
-from benchmarks.modal_peer import LIBRARY, peer_modes, peer_version
-from benchmarks.wrong_reeds import WrongRun, make_run
 from drivers.registry import open_bench
 from fitting.cane.fit_runs import fit_sweep, fit_sweep_jointly
 from fitting.errors import FitError
@@ -40,6 +38,8 @@ from protocols.plan import make_plan
 from protocols.protocol import Protocol
 from protocols.reed import ReedFile
 from runs.reader import Run
+from studies.modal_peer import LIBRARY, peer_modes, peer_version
+from studies.wrong_reeds import WrongRun, make_run
 
 # What the project claims: bias, standard deviation, coverage of 68 % intervals, time of a run.
 CLAIMED = ("F1", "T1", "F2", "T2", "T3", "F3", "X2")

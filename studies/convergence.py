@@ -5,7 +5,7 @@ the edges of the clamping strip, where stress is singular, shrink fivefold from 
 What the singularity still hides is extrapolated from the family (Aitken) and taken off a mesh of
 high order; the shipped levels are judged by their distance from the limit so found.
 
-    python -m benchmarks.convergence [--json]
+    python -m studies.convergence [--json]
 """
 
 import argparse

@@ -1,10 +1,10 @@
 """What scores of sealed cases are made of: a fortieth of answers, small enough to be published.
 
-    python -m benchmarks.sealed_answers DIR ANSWERS KEY
+    python -m studies.sealed_answers DIR ANSWERS KEY
 
 DIR is what `acquire blind make` made, ANSWERS the folder of NAME.json, as `acquire diagnose --json`
-prints them, KEY what fits DIR. What is printed goes into `benchmarks/sealed/SET/answersN.json`, of
-which `benchmarks.sealed_sets` makes the scores of the set.
+prints them, KEY what fits DIR. What is printed goes into `studies/sealed/SET/answersN.json`, of
+which `studies.sealed_sets` makes the scores of the set.
 """
 
 import argparse
@@ -14,10 +14,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.sealed_names import SealedNames
 from blind.cases import Label
 from blind.files import BlindError, answered_cases
 from blind.scoring import UNKNOWN, Case
+from studies.sealed_names import SealedNames
 
 # Effects and pairs that are less likely count for nothing in any score.
 _LEAST = 1e-7

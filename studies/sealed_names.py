@@ -1,6 +1,6 @@
 """Translate labels and answers of published sealed sets to today's names.
 
-Sealed data are never changed: their hashes were published. ``benchmarks/sealed/names.json`` states
+Sealed data are never changed: their hashes were published. ``studies/sealed/names.json`` states
 which identifier of an effect, which size of an effect and which key of an answer has which name
 today; identifiers that are not in the table have kept their names.
 """
@@ -49,7 +49,7 @@ class SealedNames:
         return replace(label, effects=effects, told=told)
 
     def answer(self, answer: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what is kept of an answer (see `benchmarks.sealed_answers`) in today's names."""
+        """Return what is kept of an answer (see `studies.sealed_answers`) in today's names."""
         effects = {self.hypothesis(name): entry for name, entry in answer["effects"].items()}
         answer = {self._keys.get(key, key): value for key, value in answer.items()}
         by = answer["explained_fraction"]["by"]

@@ -4,7 +4,7 @@ Every reed has a vamp of its own, not its own mirror image, and cane of its own;
 pressure that is not the model's, under light that changes from hologram to hologram. `wrong_bench`
 says how all this is drawn. Its eigenfrequencies are computed from its own finite elements.
 
-    python -m benchmarks.wrong_reeds FOLDER [--count N] [--first K] [--series A B] [--jobs N]
+    python -m studies.wrong_reeds FOLDER [--count N] [--first K] [--series A B] [--jobs N]
 """
 
 import argparse

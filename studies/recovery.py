@@ -4,7 +4,7 @@ Every reed is swept on the simulated bench at full size with all noise, its run 
 the result is compared with what the twin was made of: eigenfrequencies from the finite elements
 with the moduli of each mode's own frequency, components as drawn from N(0, 1).
 
-    python -m benchmarks.recovery [--reeds N] [--first K] [--protocol NAME]
+    python -m studies.recovery [--reeds N] [--first K] [--protocol NAME]
                                   [--kind REED] [--loss-factor X] [--json]
 """
 

@@ -3,10 +3,10 @@
 A driver that only ever met a simulated instrument of the same authors may share their mistakes.
 This runs the tests of drivers and peers and sorts them by who wrote which side.
 
-    python -m benchmarks.independence [--json]
+    python -m studies.independence [--json]
 
 What is not installed is skipped and counted as such; `make test-all` makes an environment that has
-everything (``.venv-all/bin/python -m benchmarks.independence``).
+everything (``.venv-all/bin/python -m studies.independence``).
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """The inverse crime on purpose: how a diagnosis scores on data of its own twin.
 
-    python -m benchmarks.inverse_crime [CAMPAIGN] [--count N] [--jobs J]
+    python -m studies.inverse_crime [CAMPAIGN] [--count N] [--jobs J]
 
 CAMPAIGN is a folder of run files of a bench with nothing wrong, such as one of tier 0 of `acquire
 blind make`; one is recorded if none is named. Its numbers are replaced by what the twin itself
@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.campaigns import campaigns, readings_of
 from blind.cases import (
     Label,
     drawn_label,
@@ -39,6 +38,7 @@ from diagnosis.inference.problem import InferenceProblem
 from physics.effects.catalogue import BY_ID
 from physics.twin import Twin
 from reports.diagnosis_json import to_json
+from studies.campaigns import campaigns, readings_of
 
 _SEED = 260_613
 # Of so many cases in ten nothing, one effect, and two are wrong.
@@ -81,7 +81,7 @@ def imagined(problem: InferenceProblem, label: Label, rng: np.random.Generator) 
             for noise in [rng.standard_normal(len(told))]
         ]
         return InferenceProblem(blocks, problem.base, problem.nuisances)
-    raise SystemExit(f"own_data: no reed is possible with {label.effects}")
+    raise SystemExit(f"inverse_crime: no reed is possible with {label.effects}")
 
 
 def answered(folder: Path, number: int) -> tuple[Label, dict[str, Any]]:

@@ -1,6 +1,6 @@
 """What campaigns can tell: least sizes of all effects that would be seen, and effects alike.
 
-    python -m benchmarks.reach [CAMPAIGN …]
+    python -m studies.reach [CAMPAIGN …]
 
 Folders of run files of benches with nothing wrong, such as tier 0 of `acquire blind make`; five are
 recorded if none is named. Prints, of each effect, the median over campaigns of the least size that
@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.campaigns import campaigns, readings_of
 from blind.cases import Label, true_sizes
 from blind.effects import BY_NAME
 from diagnosis.campaign_diagnosis import inference_problem
@@ -33,6 +32,7 @@ from physics.effects.catalogue import BY_ID, CATALOGUE
 from physics.effects.effect import Stage
 from physics.mechanics import ReedSolver
 from physics.twin import Twin
+from studies.campaigns import campaigns, readings_of
 
 EFFECTS = tuple(effect for effect in CATALOGUE if effect.stage is not Stage.NUMERICS)
 

@@ -1,0 +1,1 @@
+"""Numerical experiments: how far what the project computes lies from the truth."""

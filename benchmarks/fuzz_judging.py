@@ -13,7 +13,7 @@ from types import FrameType
 
 import yaml
 
-from benchmarks.fuzz_readers import Implausible, is_seen
+from benchmarks.fuzz_plausibility import Implausible, is_seen
 from drivers.errors import BenchSetupError
 from holography.errors import BenchError
 

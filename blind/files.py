@@ -5,7 +5,7 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from pathlib import Path
@@ -116,21 +116,26 @@ def make_set(
         # A key of nothing would only be in the way of the next try.
         key.unlink()
         raise
-    report = progress or (lambda _share: None)
+    _record(folder, labels, jobs, progress or (lambda _fraction: None))
+    return hashlib.sha256(sealed).hexdigest()
+
+
+def _record(
+    folder: Path, labels: Mapping[str, Label], jobs: int, report: Callable[[float], None]
+) -> None:
+    """Record all cases of a set; cases that are complete stay if one fails."""
     with ProcessPoolExecutor(max_workers=jobs) as pool:
         waiting = [pool.submit(record_case, folder, name, label) for name, label in labels.items()]
         try:
             for number, done in enumerate(as_completed(waiting)):
                 done.result()
-                report((number + 1) / count)
+                report((number + 1) / len(labels))
         except OSError as error:
             raise BlindDiskError(f"{folder}: a case cannot be recorded ({error})") from None
         finally:
-            # Cases that are whole stay.
             pool.shutdown(cancel_futures=True)
             for cut in folder.glob(f"*{CUT}"):
                 shutil.rmtree(cut, ignore_errors=True)
-    return hashlib.sha256(sealed).hexdigest()
 
 
 def _require_places(folder: Path, key: Path) -> None:

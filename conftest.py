@@ -9,3 +9,10 @@ pytest_plugins = ["tests.fixtures.benches", "tests.fixtures.sweeps"]
 def _in_a_folder_of_its_own(request, tmp_path, monkeypatch):
     if isinstance(request.node, pytest.DoctestItem):
         monkeypatch.chdir(tmp_path)
+
+
+def pytest_collection_modifyitems(items):
+    """Mark the example of the README, which measures a whole sweep, as slow."""
+    for item in items:
+        if isinstance(item, pytest.DoctestItem) and item.path.name == "README.md":
+            item.add_marker(pytest.mark.slow)

@@ -158,6 +158,7 @@ def test_modes_are_those_of_all_coordinates_with_moduli_of_their_own_frequency(r
     assert off.max() < 0.3
 
 
+@pytest.mark.slow
 def test_a_layer_is_a_reed_that_was_drawn_thicker(geometry):
     step_m, cane, count = 4e-6, Cane(), 4
     # Strains at the surface need cubic elements: of quadratic ones shifts are 8 % off.

@@ -288,9 +288,11 @@ def full_errors(standard_reed, standard_mesh, standard_matrices, consistent_load
     return errors
 
 
+@pytest.mark.slow
 def test_quasi_static_response_is_that_of_the_full_model(full_errors):
     assert max(full_errors[605.0, symmetry] for symmetry in Symmetry) < 0.01
 
 
+@pytest.mark.slow
 def test_forced_response_is_that_of_the_full_model(full_errors):
     assert max(full_errors.values()) < 0.01

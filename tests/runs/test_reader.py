@@ -899,6 +899,7 @@ def test_a_run_in_work_is_read_as_if_nothing_was_written(processes, retaking, tm
     assert len(seen) > 2, seen
 
 
+@pytest.mark.slow
 def test_after_sigkill_every_finished_step_is_whole(processes, tmp_path):
     kills, seed = 20, random.randrange(10**6)
     _, heard = processes(NURSERY, folder=str(tmp_path), kills=kills, seed=seed)

@@ -1,8 +1,7 @@
 """The command line in this process, small protocols, and two runs of a reed, fitted once."""
 
 import json
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import pytest
@@ -10,21 +9,10 @@ import yaml
 from typer.testing import CliRunner
 
 from acquire.cli.main import app
-from fitting.cane.fit_runs import fit_runs
 from protocols.bench import find_bench
 from protocols.protocol import find_protocol
 
 REED = "R07"
-
-
-@cache
-def _fitted(paths, model, method):
-    return fit_runs(paths, model, method=method)
-
-
-def _fit_once(runs, model="fem", announce=None, method="joint"):
-    """Fit the same runs once for a session, however many verbs ask for it."""
-    return _fitted(tuple(Path(run).resolve() for run in runs), model, method)
 
 
 @dataclass(frozen=True)
@@ -48,8 +36,8 @@ def _invoke(*arguments):
 
 
 @pytest.fixture(autouse=True)
-def _bench_of_the_user(monkeypatch):
-    monkeypatch.setattr("acquire.analysis.fit_runs", _fit_once)
+def _each_run_fitted_once(monkeypatch, fit_once):
+    monkeypatch.setattr("acquire.analysis.fit_runs", fit_once)
 
 
 @pytest.fixture(scope="session")
@@ -115,18 +103,23 @@ class Measured:
 
 
 @pytest.fixture(scope="session")
-def measured(tmp_path_factory):
+def measured(made_once, fit_once):
     """Series A and B from F1 to T2 on a quarter of the sensor, by the command line."""
-    folder = tmp_path_factory.mktemp("bench")
     part = {"camera.width": 640, "camera.height": 512, "sweep.stride": 2}
     part |= {"sweep.first": 15, "sweep.last": 107}
-    said = {}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("acquire.analysis.fit_runs", _fit_once)
+
+    def make(path):
+        said = {}
         for series, more in (("A", ["--json"]), ("B", ["--no-fit"])):
-            protocol = _write_protocol(folder / f"{series}.yaml", f"series{series}", part)
+            protocol = _write_protocol(path.parent / f"{series}.yaml", f"series{series}", part)
             who = ["--reed", REED, "--strength", "3.5", "--note", f"new box {series}"]
-            out = ["--out", folder / "runs" / f"{REED}-{series}.h5"]
+            out = ["--out", path.parent / "runs" / f"{REED}-{series}.h5"]
             said[series] = _invoke("run", protocol, *who, "--operator", "Ann", *out, *more)
             assert said[series].status == 0, said[series].err
-    return Measured(*(folder / "runs" / f"{REED}-{s}.h5" for s in "AB"), said["A"])
+        path.write_text(json.dumps(asdict(said["A"])))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("acquire.analysis.fit_runs", fit_once)
+        said = made_once("measured.json", make)
+    runs = [said.parent / "runs" / f"{REED}-{series}.h5" for series in "AB"]
+    return Measured(*runs, Outcome(**json.loads(said.read_text())))

@@ -1,24 +1,27 @@
 """`acquire diagnose`: from runs to a page, JSON, and a campaign to run next."""
 
-import json
-
 import pytest
 
 from protocols.campaign import CampaignFile, tasks_of
 
 
+@pytest.mark.slow
 def test_one_sweep_becomes_a_page_and_a_next_campaign(cli, measured, folder):
     page, following = folder / "page.html", folder / "next.yaml"
-    told = cli("diagnose", measured.a, "--json", "--out", page, "--next", following)
-    assert told.status == 0, told.err
-    answer = json.loads(told.out)
-    assert answer["verdict"] in ("none", "effect", "pair", "unknown", "not converged")
+    done = cli("diagnose", measured.a, "--json", "--out", page, "--next", following)
+    assert done.status == 0, done.err
+    answer = done.json
+    assert answer["verdict"] in {"none", "effect", "pair", "unknown", "not converged"}
     assert sum(answer["probability"].values()) == pytest.approx(1.0, abs=1e-3)
-    # One sweep says what it cannot say.
+    assert set(answer["where"]["taps"]) <= {f"T{k}" for k in range(9)}
+    assert len(answer["effects"]) >= 20
+    # One sweep says what it cannot say: nothing of the sensor, nor what needs a second sweep.
     assert any("dark frames" in what for what in answer["missing"])
     assert any("second sweep" in what for what in answer["missing"])
+    assert "hot_pixels" not in answer["effects"]
     html = page.read_text(encoding="utf-8")
     assert "What to measure next" in html
+    assert "not resolvable" in html
     assert "<svg" in html or "data:image" in html
     best = next(w for w in answer["next"]["experiments"] if w["id"] != "microphone")
     tasks = tasks_of(CampaignFile.from_file(following))
@@ -40,9 +43,9 @@ def test_one_sweep_becomes_a_page_and_a_next_campaign(cli, measured, folder):
         (["a.csv", "b.csv"], "2 tables of resonances"),
     ],
 )
-def test_mistakes_are_told_in_one_line(cli, folder, arguments, words):
-    told = cli("diagnose", *arguments)
-    assert told.status == 2
-    assert words in told.err
-    assert len(told.err.strip().splitlines()) == 1
+def test_a_mistake_is_reported_in_one_line(cli, folder, arguments, words):
+    done = cli("diagnose", *arguments)
+    assert done.status == 2
+    assert words in done.err
+    assert len(done.err.strip().splitlines()) == 1
     assert not list(folder.iterdir())

@@ -26,6 +26,7 @@ def emulated_file(tmp_path):
     return write
 
 
+@pytest.mark.slow
 def test_a_sweep_over_wires_ends_in_the_same_fit(
     cli, folder, protocol_file, bench_file, emulated_file
 ):

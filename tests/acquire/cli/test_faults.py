@@ -10,7 +10,13 @@ from benchmarks.fault_list import CALM, FAULTS
 from benchmarks.fault_openings import OPENINGS
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
+def marked(fault):
+    """Return a parameter of a test, slow if every reply of an instrument is late."""
+    marks = [pytest.mark.slow] if "every reply" in fault.name else []
+    return pytest.param(fault, id=fault.name, marks=marks)
+
+
+@pytest.mark.parametrize("fault", [marked(fault) for fault in FAULTS])
 def test_a_fault_ends_in_right_data_or_in_a_safe_stop(fault, tmp_path):
     outcome = struck.struck(fault, tmp_path)
     assert outcome.wrong == 0
@@ -44,6 +50,7 @@ def test_a_signal_ends_in_a_safe_stop(number, phase, ending, tmp_path):
     assert outcome.unconfirmed == ()
 
 
+@pytest.mark.slow
 def test_two_signals_during_slow_replies_switch_off_within_three_seconds(tmp_path):
     seconds, off, unconfirmed = fault_processes.impatience(tmp_path)
     assert seconds < 3

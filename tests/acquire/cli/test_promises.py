@@ -203,6 +203,7 @@ def test_a_reed_is_always_the_same_cane(cli, folder, protocol_file, bench_file):
     assert not np.array_equal(brightness("4.h5", "--reed", "R07", "--seed", "5"), first)
 
 
+@pytest.mark.slow
 def test_another_reed_is_measured_and_fitted_with_its_own_modes(
     cli, folder, protocol_file, bench_file, monkeypatch
 ):
@@ -352,20 +353,6 @@ def test_a_report_is_one_page(cli, measured, folder):
 def test_a_report_lies_beside_its_run(cli, measured):
     out = cli("report", measured.a).out
     assert str(measured.a.with_suffix(".html")) in out
-
-
-def test_a_diagnosis_says_where_which_and_what_is_missing(cli, measured, folder):
-    said = cli("diagnose", measured.a, "--json", "--out", folder / "page.html")
-    answer = said.json
-    assert answer["verdict"] in {"none", "effect", "pair", "unknown", "not converged"}
-    assert sum(answer["probability"].values()) == pytest.approx(1, abs=1e-3)
-    assert set(answer["gap"]["observables"]) <= set(Observable)
-    assert len(answer["effects"]) >= 20
-    # One sweep tells nothing of the sensor, and of nothing that needs a second one.
-    assert any("dark" in what for what in answer["missing"])
-    assert any("second sweep" in what for what in answer["missing"])
-    assert "hot_pixels" not in answer["effects"]
-    assert "not resolvable" in (folder / "page.html").read_text(encoding="utf-8")
 
 
 def test_the_catalogue_of_effects_is_listed_for_people_and_programs(cli):

@@ -50,6 +50,7 @@ def wait_for_steps(path, count):
     raise AssertionError("the run does not get on")
 
 
+@pytest.mark.slow
 def test_a_run_is_paused_and_goes_on(cli, begin, folder):
     process, path = begin("--out", "x.h5", "--no-fit", "--json"), folder / "x.h5"
     wait_for_steps(path, 2)
@@ -69,6 +70,7 @@ def test_a_run_is_paused_and_goes_on(cli, begin, folder):
     assert not (folder / "x.process").exists()
 
 
+@pytest.mark.slow
 def test_a_run_in_work_is_shown_listed_and_read_by_anybody(cli, begin, folder):
     process, path = begin("--out", "x.h5", "--no-fit"), folder / "x.h5"
     wait_for_steps(path, 3)
@@ -136,6 +138,7 @@ def test_only_a_run_in_work_obeys(cli, folder, verb):
     assert "is not being measured" in said.err
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_is_gone_on_with(cli, begin, folder, protocol_file, bench_file):
     process, path = begin("--out", "x.h5", "--no-fit", "--reed", "R9"), folder / "x.h5"
     wait_for_steps(path, 3)
@@ -301,6 +304,7 @@ def campaign_of(folder):
     return write
 
 
+@pytest.mark.slow
 def test_a_campaign_that_was_killed_is_gone_on_with(
     cli, folder, protocol_file, bench_file, campaign_of
 ):

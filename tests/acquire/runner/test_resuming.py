@@ -128,6 +128,7 @@ def killed(tiny_plan, fake_bench, lit, tmp_path, monkeypatch):
     return plan, path, found
 
 
+@pytest.mark.slow
 def test_wherever_a_run_is_killed_it_is_gone_on_with(
     killed, fake_bench, lit, tmp_path, documents_of
 ):

@@ -496,6 +496,7 @@ def test_a_second_ctrl_c_while_switching_off_changes_nothing(tiny_plan, fake_ben
     assert left_safe(fake)
 
 
+@pytest.mark.slow
 @given(
     events=st.lists(
         st.tuples(

@@ -69,7 +69,7 @@ def _trip(bench: Bench) -> None:
 
 
 def _turning_knob(command: str, acquisition: int = 4) -> Callable[[Bench], None]:
-    """Let somebody use the generator's front panel just before frames are taken."""
+    """Use the generator's front panel just before frames are taken."""
 
     def strike(bench: Bench) -> None:
         generator: Any = bench.generator
@@ -231,7 +231,7 @@ SYNTHESIZERS = (
         unconfirmed=True,
     ),
 )
-CALM = Fault("nothing", "complete", "")
+NO_FAULT = Fault("nothing", "complete", "")
 GENERATOR = (
     Fault(
         "generator: reply lost", "complete", "", _wire("generator", lose_answer_at=[AMID_GENERATOR])
@@ -293,25 +293,25 @@ GENERATOR = (
         amid=_trip,
     ),
     Fault(
-        "generator: somebody turns its volts up",
+        "generator: volts turned up by hand",
         "complete",
         "settings",
         strike=_turning_knob("C1:BSWV AMP,1"),
     ),
     Fault(
-        "generator: somebody changes its frequency",
+        "generator: frequency changed by hand",
         "complete",
         "settings",
         strike=_turning_knob("C1:BSWV FRQ,1700"),
     ),
     Fault(
-        "generator: somebody switches its output off",
+        "generator: output switched off by hand",
         "stopped",
         "output is off",
         strike=_turning_knob("C1:OUTP OFF"),
     ),
     Fault(
-        "generator: somebody switches its load",
+        "generator: load switched by hand",
         "stopped",
         "front panel",
         strike=_turning_knob("C1:OUTP LOAD,50"),
@@ -369,4 +369,4 @@ LIGHT = (
     Fault("loudspeaker unplugged", "stopped", "cable", {"tweeter_unplugged": True}, GIVE_UP),
     Fault("too much light", "stopped", "saturated", {"local_oscillator_factor": 4}, GIVE_UP),
 )
-FAULTS = (CALM, *SYNTHESIZERS, *GENERATOR, *CAMERA, *LIGHT)
+FAULTS = (NO_FAULT, *SYNTHESIZERS, *GENERATOR, *CAMERA, *LIGHT)

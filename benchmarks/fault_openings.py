@@ -16,7 +16,7 @@ from protocols.bench import BenchFile
 from protocols.plan import Plan
 
 _ABSENT_PORT = "/dev/there-is-no-such-port"
-# A port of this computer that nobody listens at.
+# A port of this computer without a listener.
 _REFUSED = "TCPIP::127.0.0.1::9::SOCKET"
 _UNKNOWN = "TCPIP::no-such-host.invalid::INSTR"
 

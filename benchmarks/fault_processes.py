@@ -17,7 +17,7 @@ import numpy as np
 
 import acquire
 from benchmarks import struck
-from benchmarks.fault_list import CALM, Fault
+from benchmarks.fault_list import NO_FAULT, Fault
 from benchmarks.struck import Outcome, measured, outcome_of, planned
 from drivers.context import BenchContext
 from drivers.emulators.instruments import EmulatedSiglent
@@ -30,9 +30,9 @@ _PATIENCE_S = 0.5
 # Linux' flags of unshare.
 _NEW_MOUNTS, _NEW_USER = 0x00020000, 0x10000000
 _STRUCK = "REEDBENCH_BENCHMARK_SIGNAL"
-FRAMES = replace(CALM, name="frames kept", protocol={"keep": "frames"})
+FRAMES = replace(NO_FAULT, name="frames kept", protocol={"keep": "frames"})
 # One step is spoilt, and taken again after the last.
-RETAKEN = replace(CALM, name="a step again", faults={"drop_frame_at": [3]})
+RETAKEN = replace(NO_FAULT, name="a step again", faults={"drop_frame_at": [3]})
 
 PHASES = ("opening", "sweep", "pause", "retake", "packing")
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
@@ -54,9 +54,9 @@ def _phase_arguments(number: int, phase: str) -> tuple[Fault, acquire.Callbacks]
     """Return the sweep, and what to hand to `measured`, for a signal to strike in a phase."""
     match phase:
         case "sweep":
-            return replace(CALM, amid=lambda _: _strike(number)), acquire.Callbacks()
+            return replace(NO_FAULT, amid=lambda _: _strike(number)), acquire.Callbacks()
         case "pause":
-            paused = replace(CALM, amid=lambda _: _strike(signal.SIGUSR1))
+            paused = replace(NO_FAULT, amid=lambda _: _strike(signal.SIGUSR1))
             return paused, acquire.Callbacks(
                 announce=lambda said: _strike(number) if "paused" in said else None
             )
@@ -67,7 +67,7 @@ def _phase_arguments(number: int, phase: str) -> tuple[Fault, acquire.Callbacks]
         case "packing":
             return FRAMES, acquire.Callbacks(packing=lambda _: _strike(number))
     os.environ[_STRUCK] = str(int(number))
-    return replace(CALM, name="opening"), acquire.Callbacks()
+    return replace(NO_FAULT, name="opening"), acquire.Callbacks()
 
 
 def _signalled(number: int, phase: str, path: Path, report: Any) -> None:
@@ -95,7 +95,7 @@ def signalled(number: int, phase: str, folder: Path) -> Outcome:
         ``off`` is that of the laboratory in that process.
     """
     path = folder / f"{signal.Signals(number).name} {phase}.h5"
-    fault = {"retake": RETAKEN, "packing": FRAMES}.get(phase, CALM)
+    fault = {"retake": RETAKEN, "packing": FRAMES}.get(phase, NO_FAULT)
     return outcome_of(fault, path, _in_a_process(_signalled, number, phase, path))
 
 
@@ -148,7 +148,7 @@ def _impatient(path: Path, report: Any) -> None:
         _strike(signal.SIGINT)
 
     twin = {"pace": "realtime"}
-    fault = replace(CALM, faults=faults, bench=patient, twin=twin, amid=twice)
+    fault = replace(NO_FAULT, faults=faults, bench=patient, twin=twin, amid=twice)
     _, left, truth = measured(fault, path)
     off_s = [
         time_s
@@ -226,13 +226,13 @@ def _set_clock_back(path: Path, report: Any) -> None:
     def back(_: Any) -> None:
         time.time = lambda: right() - 3600.0
 
-    report.send(measured(replace(CALM, amid=back), path))
+    report.send(measured(replace(NO_FAULT, amid=back), path))
 
 
 def clock_set_back(folder: Path) -> Outcome:
     """Set the computer's clock back by an hour during a run; time stamps are for people only."""
     path = folder / "clock.h5"
-    return outcome_of(CALM, path, _in_a_process(_set_clock_back, path))
+    return outcome_of(NO_FAULT, path, _in_a_process(_set_clock_back, path))
 
 
 @dataclass
@@ -287,7 +287,7 @@ def _child(fault: Fault, path: Path, resume: bool, report: Any) -> None:
     """Run a sweep in this process, and send how it ended."""
 
     def tell_and_wait(_: Any) -> None:
-        # The sweep waits for its pictures to be kept: time for somebody to do something to it.
+        # The sweep waits for its pictures to be kept: time to disturb it.
         report.send("amid")
         time.sleep(_PATIENCE_S)
 
@@ -298,11 +298,11 @@ def _child(fault: Fault, path: Path, resume: bool, report: Any) -> None:
 
 def locked(folder: Path) -> tuple[str, Outcome]:
     """Try to go on with a run that another process measures; return what is said of that."""
-    process = Process.begin(CALM, folder / "locked.h5")
+    process = Process.begin(NO_FAULT, folder / "locked.h5")
     process.wait_till_amid()
     said = ""
     try:
-        acquire.resume(planned(CALM), process.path)
+        acquire.resume(planned(NO_FAULT), process.path)
     except BenchError as error:
         said = str(error)
     outcome = process.outcome()
@@ -345,10 +345,10 @@ def killed(kills: int, folder: Path, seed: int = 0) -> Kills:
     rng, finished = np.random.default_rng(seed), []
     damaged = wrong = bad = resumed = left = 0
     started_s = time.monotonic()
-    expected = {fault.name: _undisturbed(fault, folder) for fault in (CALM, FRAMES)}
+    expected = {fault.name: _undisturbed(fault, folder) for fault in (NO_FAULT, FRAMES)}
     longest_s = 0.5 * (time.monotonic() - started_s)
     for number in range(kills):
-        fault = FRAMES if number % 2 else CALM
+        fault = FRAMES if number % 2 else NO_FAULT
         process = Process.begin(fault, folder / f"killed{number}.h5")
         if number < 2:
             process.wait_till_amid()

@@ -27,7 +27,7 @@ from benchmarks.fuzz_mutations import Mutation, mutated
 from benchmarks.fuzz_readers import READERS, Reader
 from benchmarks.fuzz_runs import fuzz_runs
 
-# How many are changed unless told otherwise. Chosen: half an hour a kind on one of our processors;
+# How many are changed by default. Chosen: half an hour a kind on one of our processors;
 # of 250 run files 8 went wrong in a first try.
 TEXT_FILES, RUN_FILES = 20_000, 2_000
 

@@ -202,7 +202,7 @@ def _peak_mib() -> float:
 
 
 def difference(original: bytes, changed: bytes) -> str:
-    """First lines that differ; of trees that were written anew, of the same spelling."""
+    """First lines that differ; of trees that were written again, of the same spelling."""
     lines = _different_lines(original, changed)
     with suppress(yaml.YAMLError, ValueError, RecursionError):
         trees = [yaml.safe_load(data) for data in (original, changed)]

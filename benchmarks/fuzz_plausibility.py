@@ -93,7 +93,7 @@ def composed(text: str) -> yaml.Node:
 
 
 def disagreements(node: yaml.Node, content: Any, path: str = "") -> Iterator[Implausible]:
-    """Where plain content is not what stands in the file, node by node.
+    """Where plain content differs from the file, node by node.
 
     Parameters
     ----------

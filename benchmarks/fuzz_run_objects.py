@@ -114,10 +114,10 @@ def _retyped(file: Any, original: Original, rng: random.Random) -> str:
         return "same"
     _replace(file, name, shape=shape, dtype=_TYPES[kind])
     # Zeros are numbers too, and an empty text is one.
-    alike = (was.kind in "if" and kind in _NUMBERS) or (
+    readable = (was.kind in "if" and kind in _NUMBERS) or (
         h5py.check_string_dtype(was) is not None and kind in _TEXTS
     )
-    if alike or not math.prod(shape):
+    if readable or not math.prod(shape):
         return "any"
     return "refused" if _is_read(name) else "same"
 

@@ -37,7 +37,7 @@ _IN_OPEN, _IN_NONBLOCK = 0x20, 0o4000
 
 
 class _Watch:
-    """Tells whether files were opened, through Linux' inotify."""
+    """Says whether files were opened, through Linux' inotify."""
 
     def __init__(self, files: list[Path]) -> None:
         libc = ctypes.CDLL(None, use_errno=True)
@@ -69,7 +69,7 @@ def _child(mutants: list[Mutant], first: int, said: int) -> None:
 
 
 def read_by_children(mutants: list[Mutant]) -> list[tuple[Outcome, float]]:
-    """Outcome of each mutant, and the seconds that it took; a child that dies tells which one."""
+    """Outcome of each mutant, and the seconds that it took; a child that dies shows which one."""
     outcomes: list[tuple[Outcome, float]] = []
     while len(outcomes) < len(mutants):
         outcomes += _read_by_child(mutants, len(outcomes))

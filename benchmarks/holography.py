@@ -1,6 +1,6 @@
 """Milliseconds from four camera frames to an object image, on one thread.
 
-Ours (complex64, scipy.fft, cached chirps without shifts) beside plain numpy (complex128, its
+Ours (complex64, scipy.fft, cached chirps without shifts) compared with plain numpy (complex128, its
 chirps cached too) and pyDHM's `fresnel`. All run in this process, one after the other in every
 round, so that a slow moment of the machine falls on all of them; ratios are paired by round.
 

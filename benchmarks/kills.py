@@ -2,7 +2,7 @@
 
 Every killed run has the seed of a run that was left alone: whatever a file calls finished must
 equal that run's step, bit for bit. Then another process goes on with the run. What had been
-finished must stay as it was, all other steps must be measured well, and the documents must tell of
+finished must stay as it was, all other steps must be measured well, and the documents must hold
 each step once, between one beginning and one end. Every other run keeps its frames.
 
     python -m benchmarks.kills [--kills N] [--json]
@@ -71,21 +71,21 @@ def is_complete(path: Path) -> bool:
 
 
 def is_whole(path: Path) -> bool:
-    """Whether a run is complete, all its steps are good, and its documents tell of each once."""
+    """Whether a run is complete, all its steps are good, and its documents hold each once."""
     with h5py.File(path, "r") as file:
         good = (file["entry/steps/verdict"][()] == b"ok").all()
         indices = file["entry/steps/index"][()].tolist()
     lines = path.with_suffix(".documents.jsonl").read_text(encoding="utf-8").splitlines()
     documents = [json.loads(line) for line in lines]
     names = [name for name, _ in documents]
-    told = sorted(document["data"]["index"] for name, document in documents if name == "event")
+    written = sorted(document["data"]["index"] for name, document in documents if name == "event")
     once = names.count("start") == names.count("stop") == 1 and names[-1] == "stop"
-    return bool(is_complete(path) and good and once and told == indices)
+    return bool(is_complete(path) and good and once and written == indices)
 
 
 @dataclass(frozen=True)
 class Undisturbed:
-    """A protocol, and what it gives if nobody kills it.
+    """A protocol, and what it gives if it is not killed.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
 """The time that a sweep takes with a camera that runs at its real pace.
 
 The simulated bench renders every frame while it is exposed, so instruments, camera, reconstruction,
-judgement and writing share two cores as they would with real light. Beside it stands the limit:
+judgement and writing share two cores as they would with real light. It is compared with the limit:
 1.3 times the time that the frames themselves take.
 
     python -m benchmarks.pace [--protocol NAME] [--json]
@@ -71,8 +71,10 @@ def main() -> None:
         f"({report['ratio_with_opening_and_closing']:.2f}; up to {LIMIT_RATIO:.2f}: "
         f"{'met' if report['met'] else 'missed'})"
     )
-    told = ", ".join(f"{n} steps of {periods}" for periods, n in report["periods_per_step"].items())
-    print(f"frame periods from step to step: {told}; load {report['load']:.1f}")
+    shown = ", ".join(
+        f"{n} steps of {periods}" for periods, n in report["periods_per_step"].items()
+    )
+    print(f"frame periods from step to step: {shown}; load {report['load']:.1f}")
 
 
 if __name__ == "__main__":

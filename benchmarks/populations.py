@@ -99,7 +99,7 @@ def _cpu_s() -> float:
 
 
 def _repeated(chunks: Sequence[Array], reeds: int) -> Iterator[Array]:
-    """Yield chunks over and over until there are so many reeds."""
+    """Yield chunks over and over until there are enough reeds."""
     for chunk in cycle(chunks):
         yield chunk[:reeds]
         reeds -= len(chunk)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import acquire
-from benchmarks.fault_list import CALM, Fault
+from benchmarks.fault_list import NO_FAULT, Fault
 from benchmarks.struck import planned
 from fitting.cane.fit_runs import fit_runs
 from holography.errors import BenchError
@@ -137,12 +137,12 @@ def series(name: str, work: Callable[[], object], runs: int, warm_up: int = WARM
 def simulated_plan(changes: Mapping[str, Any] | None = None) -> Plan:
     """Plan the small sweep of `benchmarks.struck` on the simulated bench."""
     bench = BenchFile.from_file().replace({"simulation": {"mesh": "coarse"}})
-    return acquire.plan(planned(CALM).protocol.replace(dict(changes or {})), bench).plan
+    return acquire.plan(planned(NO_FAULT).protocol.replace(dict(changes or {})), bench).plan
 
 
 def works(folder: Path) -> dict[str, Callable[[], object]]:
     """What is done many times, by name; files go into a folder and are removed."""
-    simulated, wire, failing = simulated_plan(), planned(CALM), failing_plans(folder)
+    simulated, wire, failing = simulated_plan(), planned(NO_FAULT), failing_plans(folder)
     fitted = folder / "fitted.h5"
 
     def fit() -> None:
@@ -164,13 +164,13 @@ def works(folder: Path) -> dict[str, Callable[[], object]]:
 
 def failing_plans(folder: Path) -> tuple[Plan, ...]:
     """Plans of runs that fail: while the bench is opened, amid the sweep, and at its first step."""
-    calm = planned(CALM)
+    undisturbed = planned(NO_FAULT)
     unknown_port = {
         "instruments.synthesizers.driver": "novatech-409b",
         "instruments.synthesizers.options.port": str(folder / "no-such-port"),
     }
     return (
-        acquire.plan(calm.protocol, calm.bench.replace(unknown_port)).plan,
+        acquire.plan(undisturbed.protocol, undisturbed.bench.replace(unknown_port)).plan,
         planned(Fault("cable", "stopped", "generator", {"generator_wire": {"unplug_at": 100}})),
         planned(Fault("trigger", "stopped", "trigger", {"no_frame_from": 1})),
     )

@@ -1,8 +1,8 @@
 """Sealed cases: laboratories drawn at random, recorded, and what is wrong with them locked away.
 
 Of each case the folder holds the recordings and the hash of its salted label; labels and salts
-stand in a key of their own. Nothing in a recording depends on its label but the physics: names are
-random, times are alike, and so is what cases draw at random, but for effects that are random
+are in a key of their own. Nothing in a recording depends on its label but the physics: names are
+random, times are equal, and so is what cases draw at random, but for effects that are random
 themselves.
 """
 
@@ -32,15 +32,15 @@ Tier = Literal[0, 1, 2, 3, 4, 6]
 TIERS: Final = (0, 1, 2, 3, 4, 6)
 # Added to the name of a case that is not whole.
 CUT: Final = ".cut"
-# Sizes of effects are alike likely on a scale of logarithms between these multiples of the usual.
+# Sizes of effects are equally likely on a scale of logarithms between these multiples of the usual.
 _SIZES: Final = (0.5, 8.0)
-# What a laboratory may know of itself: so many, of such sizes.
+# How many effects a laboratory states, and of which sizes.
 TELLABLE: Final = (
     "carrier_leak", "laser_power_drift", "synthesizer_detuning", "phase_step_error", "vignetting",
     "chamber_leakage", "air_load", "tip_mass", "read_noise", "tweeter_compression",
 )  # fmt: skip
-_TOLD, _TOLD_SIZES = 3, (0.5, 2.0)
-# Pairs that are known to look alike.
+_STATED, _STATED_SIZES = 3, (0.5, 2.0)
+# Pairs that are known to be confusable.
 _ALIKE: Final = (
     ("viscoelastic_stiffening", "air_load"),
     ("viscoelastic_stiffening", "thickness_wedge"),
@@ -67,7 +67,7 @@ class Label:
     seed : int
         Draws the same laboratory again.
     told : tuple of (str, float)
-        Effects that the laboratory knows of and tells, in a bench file.
+        Effects that the laboratory knows of and states in a bench file.
     """
 
     tier: int
@@ -119,8 +119,9 @@ def drawn_label(tier: int, number: int, seed: int, only: Sequence[str] = ()) -> 
     Parameters
     ----------
     tier : int
-        0: nothing; 1: one known effect; 2: one of a pair that looks alike; 3: two known effects;
-        4: one that no catalogue has; 6: each known effect in turn, beside others that are told.
+        0: nothing; 1: one known effect; 2: one of a confusable pair; 3: two known effects;
+        4: one that no catalogue has; 6: each known effect in turn, with others that
+        the bench file states.
     number : int
         Of the case.
     seed : int
@@ -151,9 +152,9 @@ def drawn_label(tier: int, number: int, seed: int, only: Sequence[str] = ()) -> 
     sizes = [size() * (-1 if BY_NAME[name].signed and rng.random() < 0.5 else 1) for name in chosen]
     effects = tuple(zip(chosen, sizes, strict=True))
     laboratory = int(rng.integers(2**31))
-    told = [name for name in TELLABLE if name not in chosen]
-    some = [str(name) for name in rng.choice(told, _TOLD, replace=False)] if tier == 6 else []
-    known_sizes = tuple((name, float(rng.uniform(*_TOLD_SIZES))) for name in some)
+    others = [name for name in TELLABLE if name not in chosen]
+    some = [str(name) for name in rng.choice(others, _STATED, replace=False)] if tier == 6 else []
+    known_sizes = tuple((name, float(rng.uniform(*_STATED_SIZES))) for name in some)
     return Label(tier, effects, tier != 4, laboratory, known_sizes)
 
 
@@ -171,8 +172,8 @@ def true_sizes(label: Label) -> dict[str, dict[str, float]]:
     return _sizes(label, label.effects)
 
 
-def told_sizes(label: Label) -> dict[str, dict[str, float]]:
-    """The same of the effects that a laboratory tells."""
+def stated_sizes(label: Label) -> dict[str, dict[str, float]]:
+    """Return the same of the effects that a laboratory states."""
     return _sizes(label, label.told)
 
 
@@ -182,14 +183,14 @@ def _sizes(label: Label, effects: Sequence[tuple[str, float]]) -> dict[str, dict
     world = well
     for name, size in (*label.told, *label.effects):
         before, world = world, BY_NAME[name].change(world, size, rng)
-        told = BY_NAME[name].told
-        if told is not None and (name, size) in effects:
-            found[name] = dict(told(before, world))
+        sizes_of = BY_NAME[name].sizes
+        if sizes_of is not None and (name, size) in effects:
+            found[name] = dict(sizes_of(before, world))
     return found
 
 
 def commitment(label: Label, salt: str) -> str:
-    """Hash that tells a label from any other, and nothing of it without the salt."""
+    """Return a hash that fits one label only and reveals nothing of it without the salt."""
     text = json.dumps(asdict(label), sort_keys=True) + salt
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -199,23 +200,23 @@ def record_case(folder: Path, name: str, label: Label) -> None:
     laboratory = Laboratory(sick_world(label))
     into = folder / f"{name}{CUT}"
     into.mkdir(parents=True)
-    told = told_sizes(label)
+    stated = stated_sizes(label)
     for recording in laboratory.campaign():
-        write_recording(into / f"{recording.name}.h5", name, laboratory, recording, told)
-    if told:
-        (into / "bench.yaml").write_text(bench_text(name, laboratory, told), encoding="utf-8")
+        write_recording(into / f"{recording.name}.h5", name, laboratory, recording, stated)
+    if stated:
+        (into / "bench.yaml").write_text(bench_text(name, laboratory, stated), encoding="utf-8")
     into.rename(folder / name)
 
 
 def hidden_seed(seed: int, nonce: str) -> int:
-    """Seed that nobody can tell from a set's own without its nonce."""
+    """Return a seed that cannot be derived from a set's own without its nonce."""
     return int.from_bytes(hashlib.sha256(f"{seed} {nonce}".encode()).digest()[:8], "big")
 
 
 def seal(labels: Sequence[Label]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What is told of the cases, and the key.
+    """Return what is published of the cases, and the key.
 
-    Names and salts are nobody's to foretell, and cases are told in the order of their names.
+    Names and salts cannot be predicted, and cases are in the order of their names.
 
     Returns
     -------
@@ -230,6 +231,6 @@ def seal(labels: Sequence[Label]) -> tuple[dict[str, Any], dict[str, Any]]:
             pass
         named[name] = label
     salts = {name: secrets.token_hex(16) for name in sorted(named)}
-    told = {name: commitment(named[name], salt) for name, salt in salts.items()}
+    sealed = {name: commitment(named[name], salt) for name, salt in salts.items()}
     kept = {name: {"label": asdict(named[name]), "salt": salt} for name, salt in salts.items()}
-    return {"cases": told}, {"cases": kept}
+    return {"cases": sealed}, {"cases": kept}

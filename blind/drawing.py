@@ -1,4 +1,4 @@
-"""How sure answers are, beside how often they are right, as a picture."""
+"""How sure answers are, compared with how often they are right, as a picture."""
 
 import io
 from collections.abc import Sequence

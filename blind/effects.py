@@ -15,7 +15,7 @@ from blind.world import World
 # The tip is 42 µm thin at its sides: no more than this may be taken off.
 _THINNEST_M = -25e-6
 Change = Callable[[World, float, np.random.Generator], World]
-Told = Callable[[World, World], Mapping[str, float]]
+Sizes = Callable[[World, World], Mapping[str, float]]
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Kind:
         Whether it may be negative.
     known : bool
         Whether the catalogue of the diagnosis has it.
-    told : callable, optional
-        ``told(well, sick)``: sizes of the effect in the terms of the catalogue, by what a world has
+    sizes : callable, optional
+        ``sizes(well, sick)``: sizes of the effect in the terms of the catalogue, from a world
         without and with it; None where this side's form has no such sizes.
     """
 
@@ -40,7 +40,7 @@ class Kind:
     change: Change
     signed: bool = False
     known: bool = True
-    told: Told | None = None
+    sizes: Sizes | None = None
 
 
 def _in(part: str, **fields: Callable[[float], Any]) -> Change:
@@ -113,52 +113,52 @@ def _lo_shift(world: World, size: float, rng: np.random.Generator) -> World:
     return replace(world, light=light)
 
 
-def _field(size: str, part: str, field: str, factor: float = 1.0) -> Told:
+def _field(size: str, part: str, field: str, factor: float = 1.0) -> Sizes:
     """A size that is what a field of a part of the world has more, times a factor."""
 
-    def told(well: World, sick: World) -> dict[str, float]:
+    def sizes(well: World, sick: World) -> dict[str, float]:
         more = getattr(getattr(sick, part), field) - getattr(getattr(well, part), field)
         return {size: factor * float(more)}
 
-    return told
+    return sizes
 
 
-def _log_wood(*names: str) -> Told:
+def _log_wood(*names: str) -> Sizes:
     """Sizes that are logarithms of what constants of the cane have grown by."""
 
-    def told(well: World, sick: World) -> dict[str, float]:
+    def sizes(well: World, sick: World) -> dict[str, float]:
         return {
             name: float(np.log(getattr(sick.build.wood, name) / getattr(well.build.wood, name)))
             for name in names
         }
 
-    return told
+    return sizes
 
 
-def _told_powers(_well: World, sick: World) -> dict[str, float]:
+def _sizes_of_powers(_well: World, sick: World) -> dict[str, float]:
     return {"E_L": sick.cane.powers[0], "G_LT": sick.cane.powers[1]}
 
 
-def _told_beds(_well: World, sick: World) -> dict[str, float]:
+def _sizes_of_beds(_well: World, sick: World) -> dict[str, float]:
     left, right = sick.build.yielding_m3_n
     return {"compliance": left if left == right else left - right}
 
 
-def _told_lo(_well: World, sick: World) -> dict[str, float]:
+def _sizes_of_lo(_well: World, sick: World) -> dict[str, float]:
     down, right = sick.light.lo_shift_m
     return {"down": down, "right": right}
 
 
-def _told_pattern(well: World, sick: World) -> dict[str, float]:
+def _sizes_of_pattern(well: World, sick: World) -> dict[str, float]:
     more = sick.chip.pattern**2 - well.chip.pattern**2
     return {"rms": float(np.sqrt(max(more, 0.0)))}
 
 
-def _told_noise(_well: World, sick: World) -> dict[str, float]:
+def _sizes_of_noise(_well: World, sick: World) -> dict[str, float]:
     return {"log_factor": float(np.log(sick.chip.read_e / 12.0))}
 
 
-def _told_rolloff(_well: World, sick: World) -> dict[str, float]:
+def _sizes_of_rolloff(_well: World, sick: World) -> dict[str, float]:
     return {"inverse_corner": 1e4 / sick.air.roll_hz}
 
 
@@ -166,171 +166,173 @@ KINDS: Final[tuple[Kind, ...]] = (
     Kind(
         "tweeter_compression",
         _in("air", compression=lambda s: min(0.15 * s, 0.8)),
-        told=_field("fraction", "air", "compression"),
+        sizes=_field("fraction", "air", "compression"),
     ),
     Kind(
-        "amplifier_rolloff", _in("air", roll_hz=lambda s: 60e3 / max(s, 1e-3)), told=_told_rolloff
+        "amplifier_rolloff",
+        _in("air", roll_hz=lambda s: 60e3 / max(s, 1e-3)),
+        sizes=_sizes_of_rolloff,
     ),
     Kind(
         "acoustic_resonance",
         _in("air", line=lambda s: 0.12 * (1 + 0.5 * s)),
         signed=False,
-        told=_field("excess", "air", "line", 1 / 0.12),
+        sizes=_field("excess", "air", "line", 1 / 0.12),
     ),
     Kind(
         "second_acoustic_resonance",
         _second_acoustic_resonance,
-        told=_field("strength", "air", "second"),
+        sizes=_field("strength", "air", "second"),
     ),
     Kind(
         "chamber_leakage",
         _in("air", open_right=lambda s: min(0.15 * s, 1.0)),
-        told=_field("fraction", "air", "open_right"),
+        sizes=_field("fraction", "air", "open_right"),
     ),
-    Kind("air_load", _in("cane", air=lambda s: 0.25 * s), told=_field("fraction", "cane", "air")),
-    Kind("viscoelastic_stiffening", _stiffening, told=_told_powers),
+    Kind("air_load", _in("cane", air=lambda s: 0.25 * s), sizes=_field("fraction", "cane", "air")),
+    Kind("viscoelastic_stiffening", _stiffening, sizes=_sizes_of_powers),
     Kind(
         "frequency_dependent_damping",
         _in("cane", loss_power=lambda s: 0.1 * s),
         signed=True,
-        told=_field("exponent", "cane", "loss_power"),
+        sizes=_field("exponent", "cane", "loss_power"),
     ),
-    Kind("density", _wood("density", 0.03), signed=True, told=_log_wood("density")),
-    Kind("transverse_modulus", _wood("E_T", 0.1), signed=True, told=_log_wood("E_T")),
-    Kind("transverse_shear", _shear, told=_log_wood("G_LR", "G_TR")),
+    Kind("density", _wood("density", 0.03), signed=True, sizes=_log_wood("density")),
+    Kind("transverse_modulus", _wood("E_T", 0.1), signed=True, sizes=_log_wood("E_T")),
+    Kind("transverse_shear", _shear, sizes=_log_wood("G_LR", "G_TR")),
     Kind(
         "thickness_offset",
         _in("build", offset_m=lambda s: max(6e-6 * s, _THINNEST_M)),
         signed=True,
-        told=_field("thickness", "build", "offset_m"),
+        sizes=_field("thickness", "build", "offset_m"),
     ),
     Kind(
         "thickness_wedge",
         _in("build", wedge_m=lambda s: min(6e-6 * s, -_THINNEST_M)),
         signed=True,
-        told=_field("thickness", "build", "wedge_m"),
+        sizes=_field("thickness", "build", "wedge_m"),
     ),
     Kind(
         "thickness_crown",
         _in("build", crown_m=lambda s: max(6e-6 * s, _THINNEST_M)),
         signed=True,
-        told=_field("thickness", "build", "crown_m"),
+        sizes=_field("thickness", "build", "crown_m"),
     ),
     Kind(
         "thickness_tilt",
         _in("build", tilt_m=lambda s: float(np.clip(5e-6 * s, _THINNEST_M, -_THINNEST_M))),
         signed=True,
-        told=_field("thickness", "build", "tilt_m"),
+        sizes=_field("thickness", "build", "tilt_m"),
     ),
     Kind(
-        "tip_mass", _in("cane", tip_kg=lambda s: 0.4e-6 * s), told=_field("mass", "cane", "tip_kg")
+        "tip_mass", _in("cane", tip_kg=lambda s: 0.4e-6 * s), sizes=_field("mass", "cane", "tip_kg")
     ),
     Kind(
         "clamp_compliance",
         _in("build", yielding_m3_n=lambda s: (2e-13 * s, 2e-13 * s)),
-        told=_told_beds,
+        sizes=_sizes_of_beds,
     ),
-    Kind("clamp_asymmetry", _clamp_asymmetry, signed=True, told=_told_beds),
+    Kind("clamp_asymmetry", _clamp_asymmetry, signed=True, sizes=_sizes_of_beds),
     Kind("crack", _crack),
     Kind(
         "hardening_nonlinearity",
         _in("cane", hardening=lambda s: 4e-4 * s),
-        told=_field("fraction", "cane", "hardening"),
+        sizes=_field("fraction", "cane", "hardening"),
     ),
     Kind(
         "temperature_drift",
         _in("cane", warming_c_h=lambda s: 4.0 * s),
         signed=True,
-        told=_field("rate", "cane", "warming_c_h"),
+        sizes=_field("rate", "cane", "warming_c_h"),
     ),
     Kind(
         "drying",
         _in("cane", drying=lambda s: min(0.1 * s, 1.0)),
-        told=_field("fraction", "cane", "drying"),
+        sizes=_field("fraction", "cane", "drying"),
     ),
     Kind(
         "bench_vibration",
         _in("light", jitter_rad=lambda s: 0.05 * s),
-        told=_field("jitter", "light", "jitter_rad"),
+        sizes=_field("jitter", "light", "jitter_rad"),
     ),
     Kind(
         "synthesizer_detuning",
         _in("clockwork", detuning_hz=lambda s: 0.01 * s),
         signed=True,
-        told=_field("offset", "clockwork", "detuning_hz"),
+        sizes=_field("offset", "clockwork", "detuning_hz"),
     ),
     Kind(
         "generator_clock",
         _in("clockwork", scale_ppm=lambda s: 2.0 * s),
         signed=True,
-        told=_field("ratio", "clockwork", "scale_ppm"),
+        sizes=_field("ratio", "clockwork", "scale_ppm"),
     ),
     Kind(
         "synthesizer_drift",
         _in("clockwork", drift_hz_h=lambda s: 0.05 * s),
         signed=True,
-        told=_field("rate", "clockwork", "drift_hz_h"),
+        sizes=_field("rate", "clockwork", "drift_hz_h"),
     ),
     Kind(
         "lost_frames",
         _in("clockwork", repeats=lambda s: min(0.01 * s, 0.3)),
-        told=_field("fraction", "clockwork", "repeats"),
+        sizes=_field("fraction", "clockwork", "repeats"),
     ),
     Kind(
         "laser_power_drift",
         _in("light", fade_per_h=lambda s: 0.15 * s),
         signed=True,
-        told=_field("loss_rate", "light", "fade_per_h"),
+        sizes=_field("loss_rate", "light", "fade_per_h"),
     ),
     Kind(
         "laser_mode_hop",
         _in("light", hop=lambda s: min(0.08 * s, 0.7), hop_at=lambda _s: 0.55),
-        told=_field("contrast_loss", "light", "hop"),
+        sizes=_field("contrast_loss", "light", "hop"),
     ),
     Kind(
         "speckle_decorrelation",
         _in("light", blur=lambda s: 3e-4 * s),
-        told=_field("contrast_loss", "light", "blur"),
+        sizes=_field("contrast_loss", "light", "blur"),
     ),
     Kind(
         "sideband_crosstalk",
         _in("light", mixing=lambda s: 0.03 * s),
-        told=_field("fraction", "light", "mixing"),
+        sizes=_field("fraction", "light", "mixing"),
     ),
     Kind(
         "carrier_leak",
         _in("light", leak=lambda s: 0.01 * s),
-        told=_field("fraction", "light", "leak"),
+        sizes=_field("fraction", "light", "leak"),
     ),
     Kind(
         "phase_step_error",
         _in("light", quarter_error_rad=lambda s: 0.05 * s),
         signed=True,
-        told=_field("error", "light", "quarter_error_rad"),
+        sizes=_field("error", "light", "quarter_error_rad"),
     ),
     Kind(
         "defocus",
         _in("light", defocus_m=lambda s: 0.02 * s),
         signed=True,
-        told=_field("distance", "light", "defocus_m"),
+        sizes=_field("distance", "light", "defocus_m"),
     ),
-    Kind("lo_misalignment", _lo_shift, told=_told_lo),
+    Kind("lo_misalignment", _lo_shift, sizes=_sizes_of_lo),
     Kind(
         "vignetting",
         _in("light", vignette=lambda s: 0.05 * s),
-        told=_field("fraction", "light", "vignette"),
+        sizes=_field("fraction", "light", "vignette"),
     ),
-    Kind("fixed_pattern_noise", _in("chip", pattern=lambda s: 0.01 * s), told=_told_pattern),
+    Kind("fixed_pattern_noise", _in("chip", pattern=lambda s: 0.01 * s), sizes=_sizes_of_pattern),
     Kind(
         "hot_pixels",
         _in("chip", hot=lambda s: min(0.002 * s, 0.1)),
-        told=_field("fraction", "chip", "hot"),
+        sizes=_field("fraction", "chip", "hot"),
     ),
-    Kind("read_noise", _in("chip", read_e=lambda s: 12.0 * (1 + 0.3 * s)), told=_told_noise),
+    Kind("read_noise", _in("chip", read_e=lambda s: 12.0 * (1 + 0.3 * s)), sizes=_sizes_of_noise),
     Kind(
         "sensor_nonlinearity",
         _in("chip", bend=lambda s: min(0.03 * s, 0.5)),
-        told=_field("fraction", "chip", "bend"),
+        sizes=_field("fraction", "chip", "bend"),
     ),
     # --- What no catalogue has -----------------------------------------------------------------
     Kind("side_mass", _in("cane", side_kg=lambda s: 1e-6 * s), known=False),

@@ -76,7 +76,7 @@ def make_set(
     jobs: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> str:
-    """Record a set of sealed cases; tells the SHA-256 of ``sealed.json``.
+    """Record a set of sealed cases; returns the SHA-256 of ``sealed.json``.
 
     Parameters
     ----------
@@ -87,9 +87,9 @@ def make_set(
     tier : int
         See `blind.cases.drawn_label`.
     count, seed, jobs : int
-        Of the seed alone nobody can draw the labels again.
+        The seed alone does not suffice to draw the labels again.
     progress : callable, optional
-        Told the share that is done.
+        Called with the fraction that is done.
 
     Raises
     ------
@@ -105,10 +105,10 @@ def make_set(
     _require_places(folder, key)
     nonce = secrets.token_hex(16)
     mixed = hidden_seed(seed, nonce)
-    told, kept = seal([drawn_label(tier, number, mixed) for number in range(count)])
+    published, kept = seal([drawn_label(tier, number, mixed) for number in range(count)])
     labels = {name: _label(entry["label"]) for name, entry in _plain(kept)["cases"].items()}
     # Committed before anything is recorded, let alone answered.
-    sealed = json.dumps(told, indent=1).encode()
+    sealed = json.dumps(published, indent=1).encode()
     _write_new(key, json.dumps({"nonce": nonce, **kept}, indent=1).encode())
     try:
         _begin(folder, sealed)
@@ -224,14 +224,14 @@ def labels_of(sealed: Path, key: Path) -> dict[str, Label]:
     BlindError
         If it does not.
     """
-    told, kept = (_cases(path) for path in (sealed, key))
-    if set(told) != set(kept):
+    published, kept = (_cases(path) for path in (sealed, key))
+    if set(published) != set(kept):
         raise BlindError(f"{key}: is the key of other cases than {sealed}")
     labels = {}
     for name, entry in kept.items():
         try:
             labels[name] = _label(entry["label"])
-            fits = commitment(labels[name], entry["salt"]) == told[name]
+            fits = commitment(labels[name], entry["salt"]) == published[name]
         except (KeyError, TypeError, ValueError):
             raise BlindError(f"{key}: is no key, as `acquire blind make` writes it") from None
         if not fits:

@@ -29,7 +29,7 @@ REFERENCE_HZ, STEPS, RAMP_END = 1396.9, 184, 73
 FRAME_S = 1 / 12.4
 # From the end of one acquisition to the begin of the next.
 _PAUSE_S, _SETTLE_S = 0.25, 0.04
-# To clamp the reed anew, and to change what lies before the camera.
+# To clamp the reed again, and to change what lies before the camera.
 _CLAMP_S, _HANDS_S = 240.0, 30.0
 _FLAT_E = 6000.0
 _QUIET = 0.25
@@ -55,7 +55,7 @@ class Shot:
     image : (h, w) complex64, optional
         Of what is kept as a hologram.
     noise : float
-        Beside the image.
+        Outside the image.
     signal : float
         Mean square of the image.
     lock_hz, lock_se_hz : float
@@ -88,7 +88,7 @@ class Recording:
     name : str
     kind : Kind
     clamping : int
-        How often the reed had been clamped anew before.
+        How often the reed had been clamped again before.
     shots : tuple of Shot
         In the order of their index.
     """
@@ -192,7 +192,7 @@ class Laboratory:
         modal = self._settled(hz, volts, began_s)
         base_m = self._answerer.base_m(hz, volts)
         frames = self._frames(hz, modal, 1, FRAME_S, began_s, base_m)
-        return self._told(k, hz, volts, 1, began_s, frames, keep=False)
+        return self._recorded(k, hz, volts, 1, began_s, frames, keep=False)
 
     def _settled(self, hz: float, volts: float, began_s: float) -> Complex:
         """Vibration of a reed whose stiffness may depend on how it vibrates."""
@@ -210,7 +210,7 @@ class Laboratory:
             frames = self._frames(0.0, None, 0, exposure_s, began_s)
         else:
             frames = self._plain(kind, exposure_s)
-        return self._told(
+        return self._recorded(
             number + 1, 0.0, 0.0, 0, began_s, frames, keep=True, exposure_s=exposure_s
         )
 
@@ -298,7 +298,7 @@ class Laboratory:
             frames[again] = frames[again - 1]
         return np.stack(frames)
 
-    def _told(
+    def _recorded(
         self,
         index: int,
         hz: float,

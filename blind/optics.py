@@ -30,7 +30,7 @@ SIZE_M = (14e-3, 38e-3)
 _FINER = 2
 # Sidebands of the light that are followed.
 _ORDERS = (-1, 0, 1, 2, 3)
-# Bessel functions at so many rad; between them lines, good to a millionth.
+# Bessel functions on this grid in rad; between its points lines, good to a millionth.
 _AT_RAD = np.arange(0.0, 200.0, 2e-3)
 _TABLE = [jv(order, _AT_RAD) for order in range(4)]
 
@@ -204,7 +204,7 @@ class Camera:
         return read
 
     def reconstructed(self, frames: Frames) -> tuple[NDArray[np.complex64], float]:
-        """Image of the reed (h, w) of four frames, and the noise beside it, dn²."""
+        """Image of the reed (h, w) of four frames, and the noise outside it, dn²."""
         one, two, three, four = frames.astype(np.float64)
         image = self.focused((one - three) + 1j * (two - four))
         n = self.chip.rows

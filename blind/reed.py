@@ -236,15 +236,15 @@ def _placed(s: Array, t: Array) -> tuple[Array, Array]:
     """Coordinates of nodes numbered along the reed (to 1 in the bent part) and across it."""
     last = len(_ACROSS_M) - 1
     away = np.abs(t)
-    beside = np.maximum(away - last, 0.0)
+    outside = np.maximum(away - last, 0.0)
     inner = np.interp(away, np.arange(last + 1), _ACROSS_M)
     # The outermost line begins in the middle of the rounded corner and follows the outline.
     corner_x, corner_y = _CORNER_M
     bent = np.minimum(s, 1.0)
     behind = np.interp(s, 1 + np.arange(len(_ALONG_M) + 1), [_BENT_M, *_ALONG_M])
     side_x = np.where(s <= 1, corner_x + (_BENT_M - corner_x) * bent, behind)
-    y = inner + beside * (half_width_m(side_x) - _ACROSS_M[-1])
-    begin = tip_m(inner + beside * (corner_y - _ACROSS_M[-1]))
+    y = inner + outside * (half_width_m(side_x) - _ACROSS_M[-1])
+    begin = tip_m(inner + outside * (corner_y - _ACROSS_M[-1]))
     x = np.where(s <= 1, begin + (_BENT_M - begin) * bent, behind)
     return x, y * np.sign(t)
 

@@ -121,7 +121,7 @@ def _number(value: float) -> float | None:
 def sentences(scores: Mapping[str, Any]) -> list[str]:
     """Scores in words."""
 
-    def told(share: Mapping[str, Any]) -> str:
+    def shown(share: Mapping[str, Any]) -> str:
         if not share["cases"]:
             return "no case"
         return (
@@ -136,25 +136,26 @@ def sentences(scores: Mapping[str, Any]) -> list[str]:
     unknown, kappa, sizes = scores["unknown_found"], scores["kappa_over_oracle"], scores["sizes"]
     return [
         f"{scores['answered']} of {scores['cases']} cases answered; the others count as wrong.",
-        f"False alarms: {told(scores['false_alarms'])}.",
-        f"Class right: {told(right['all'])}; of effects that stand out by 5 deviations "
-        f"{told(right['resolved'])}, among the first three "
-        f"{told(scores['class_among_three']['resolved'])}, by name "
-        f"{told(scores['name_right']['resolved'])}; of effects that should stand out by their true "
-        f"size {told(right['foreseen'])}; of those that stand out, with labels dealt out anew, "
+        f"False alarms: {shown(scores['false_alarms'])}.",
+        f"Class right: {shown(right['all'])}; of effects that stand out by 5 deviations "
+        f"{shown(right['resolved'])}, among the first three "
+        f"{shown(scores['class_among_three']['resolved'])}, by name "
+        f"{shown(scores['name_right']['resolved'])}; of effects that should stand out by "
+        f"their true size {shown(right['foreseen'])}; of those that stand out, "
+        f"with shuffled labels, "
         f"{number(right['shuffled']['mean'])} [{number(right['shuffled']['low'])}, "
         f"{number(right['shuffled']['high'])}].",
         f"Mean probability given to the truth: {number(truth['all']['mean'])}; of single effects "
         f"{number(truth['single']['mean'])}, of those that stand out "
         f"{number(truth['resolved']['mean'])} [{number(truth['resolved']['low'])}, "
         f"{number(truth['resolved']['high'])}].",
-        f"Two effects, both right: {told(scores['two_effects_exact']['all'])}; where both stand "
-        f"out {told(scores['two_effects_exact']['resolved'])}.",
-        f"Unknown kinds found at 5 % false-open: {told(unknown)}; area {number(unknown['area'])}.",
-        f"Confidently wrong on unknown kinds: {told(scores['confident_wrong'])}.",
+        f"Two effects, both right: {shown(scores['two_effects_exact']['all'])}; where both stand "
+        f"out {shown(scores['two_effects_exact']['resolved'])}.",
+        f"Unknown kinds found at 5 % false-open: {shown(unknown)}; area {number(unknown['area'])}.",
+        f"Confidently wrong on unknown kinds: {shown(scores['confident_wrong'])}.",
         f"Calibration error {number(scores['calibration_error'], '.3f')}, Brier score "
         f"{number(scores['brier'])}, log score {number(scores['log_score'])}.",
-        f"Truth in the set of 90 %: {told(scores['sets'])}; a set has "
+        f"Truth in the set of 90 %: {shown(scores['sets'])}; a set has "
         f"{number(scores['sets']['mean_size'])} classes in the mean.",
         f"Sizes of {sizes['sizes']} parameters: bias {number(sizes['bias'], '+.1%')}, errors "
         f"{number(sizes['error'], '.1%')}, mean square of deviations {number(sizes['chi2'])}.",

@@ -41,7 +41,7 @@ twin: {{light: {{local_oscillator_e_s: 80000.0, object_e_s: 6000.0}}}}
 """
 
 
-# Units of what a laboratory may tell of its effects.
+# Units of what a laboratory may state of its effects.
 _UNITS = {
     "laser_power_drift": "1/h",
     "synthesizer_detuning": "Hz",
@@ -50,13 +50,13 @@ _UNITS = {
 }
 
 
-def bench_text(case: str, laboratory: Laboratory, told: Mapping[str, Mapping[str, float]]) -> str:
-    """Bench file of a laboratory, with what it tells of its effects."""
+def bench_text(case: str, laboratory: Laboratory, stated: Mapping[str, Mapping[str, float]]) -> str:
+    """Return the bench file of a laboratory, with what it states of its effects."""
     text = _BENCH.format(name=case, rows=laboratory.world.chip.rows)
-    if not told:
+    if not stated:
         return text
     lines = ["known:"]
-    for effect, sizes in told.items():
+    for effect, sizes in stated.items():
         unit = _UNITS.get(effect, "")
         values = (
             f"{name}: {f'{value:.6g} {unit}' if unit else repr(float(value))}"
@@ -71,7 +71,7 @@ def write_recording(
     case: str,
     laboratory: Laboratory,
     recording: Recording,
-    told: Mapping[str, Mapping[str, float]],
+    stated: Mapping[str, Mapping[str, float]],
 ) -> None:
     """Write one recording as a run file.
 
@@ -83,7 +83,7 @@ def write_recording(
         Name of the reed and of the campaign.
     laboratory : Laboratory
     recording : Recording
-    told : mapping
+    stated : mapping
         Sizes of effects that the laboratory knows of, by their names.
     """
     with h5py.File(path, "x") as file:
@@ -112,7 +112,7 @@ def write_recording(
         acquisition = _group(entry, "acquisition", "NXcollection")
         _texts(acquisition, kind=recording.kind, campaign=case, part=recording.name)
         acquisition["clamping"] = recording.clamping
-        _provenance(entry, bench_text(case, laboratory, told))
+        _provenance(entry, bench_text(case, laboratory, stated))
         _instrument(entry, laboratory)
         _data(entry, laboratory, shots)
         entry["header_checksum"] = _header_checksum(entry)

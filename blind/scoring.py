@@ -98,8 +98,8 @@ class Case:
         if self.answer is None:
             return float("inf")
         effects = self.answer["effects"]
-        told = [effects.get(name, {}).get("d_prime", 0.0) for name, _ in self.label.effects]
-        return float(min(told, default=0.0))
+        found = [effects.get(name, {}).get("d_prime", 0.0) for name, _ in self.label.effects]
+        return float(min(found, default=0.0))
 
     @property
     def resolved(self) -> bool:
@@ -115,15 +115,17 @@ class Case:
         if self.answer is None:
             return True
         sizes = true_sizes(self.label)
-        told = [_foreseen(self.answer, name, sizes.get(name, {})) for name, _ in self.label.effects]
-        return min(told, default=0.0) >= RESOLVED
+        found = [
+            _foreseen(self.answer, name, sizes.get(name, {})) for name, _ in self.label.effects
+        ]
+        return min(found, default=0.0) >= RESOLVED
 
 
 def _foreseen(answer: Mapping[str, Any], effect: str, sizes: Mapping[str, float]) -> float:
     """By how many deviations an effect of true sizes should stand out."""
     least = answer["effects"].get(effect, {}).get("detectable", {})
-    told = [RESOLVED * value / least[name] for name, value in sizes.items() if least.get(name)]
-    return float(np.linalg.norm(told))
+    found = [RESOLVED * value / least[name] for name, value in sizes.items() if least.get(name)]
+    return float(np.linalg.norm(found))
 
 
 class Classes:
@@ -176,7 +178,7 @@ def named(cases: Sequence[Case], classes: Classes, first: int = 1) -> Share:
 
 
 def shuffled(cases: Sequence[Case], classes: Classes) -> tuple[float, float, float]:
-    """Share of cases named rightly if labels are dealt out anew, and where 95 % of deals lie.
+    """Share of cases named rightly if labels are shuffled, and where 95 % of shuffles lie.
 
     What answers know of their own case, and of no other, is lost by it.
     """
@@ -284,8 +286,8 @@ def sets(cases: Sequence[Case], classes: Classes) -> tuple[Share, float]:
     hits, sizes = [], []
     for case in cases:
         groups = case.answer["likely"] if case.answer is not None and case.answered else []
-        told = {classes.of(name) for group in groups for name in group}
-        hits.append(classes.of(case.truth) in told)
+        named = {classes.of(name) for group in groups for name in group}
+        hits.append(classes.of(case.truth) in named)
         sizes.append(len(groups))
     return share(hits), float(np.mean(sizes)) if sizes else float("nan")
 
@@ -304,11 +306,11 @@ def size_errors(cases: Sequence[Case], classes: Classes) -> dict[str, float | in
         if case.answer is None or best(classes.mass(case.probability)) != classes.of(name):
             continue
         for parameter, true in true_sizes(case.label).get(name, {}).items():
-            told = case.answer["effects"].get(name, {}).get("sizes", {}).get(parameter)
-            if told is not None and true:
-                apart.append((told["value"] - true) / abs(true))
-                errors.append(told["error"] / abs(true))
-                deviations.append((told["value"] - true) / told["error"])
+            size = case.answer["effects"].get(name, {}).get("sizes", {}).get(parameter)
+            if size is not None and true:
+                apart.append((size["value"] - true) / abs(true))
+                errors.append(size["error"] / abs(true))
+                deviations.append((size["value"] - true) / size["error"])
     if not apart:
         return {"sizes": 0, "bias": None, "error": None, "chi2": None}
     return {

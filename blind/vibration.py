@@ -69,7 +69,7 @@ class Answerer:
         level : float
             Phase amplitude that the reed was last seen to have, over 10 rad.
         clampings : int
-            How often it has been clamped anew.
+            How often it has been clamped again.
         """
         cane, reed = self.world.cane, self.reed
         degrees = cane.warming_c_h * after_s / 3600 + cane.step_c * clampings

@@ -16,7 +16,7 @@ from pathlib import Path
 
 
 def answer(case: Path, answers: Path) -> str:
-    """Answer one case; tells how it went."""
+    """Answer one case; return how it went."""
     begun = time.perf_counter()
     command = [sys.executable, "-m", "acquire", "diagnose", str(case), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -20,7 +20,7 @@ SEEDS = 197177817, 587805961, 343088919, 925862771, 1616017002
 
 @contextlib.contextmanager
 def campaigns(named: Sequence[Path], count: int = 1) -> Iterator[list[Path]]:
-    """Folders as named; of so many laboratories that have nothing wrong if none is."""
+    """Folders as named; of `count` laboratories with nothing wrong if none is."""
     if named:
         yield list(named)
         return

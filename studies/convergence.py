@@ -1,6 +1,6 @@
 """How far each mode of the reed lies from what ever finer meshes lead to.
 
-The paper's reed is solved on the shipped levels and on a family of meshes whose elements beside
+The paper's reed is solved on the shipped levels and on a family of meshes whose elements next to
 the edges of the clamping strip, where stress is singular, shrink fivefold from one to the next.
 What the singularity still hides is extrapolated from the family (Aitken) and taken off a mesh of
 high order; the shipped levels are judged by their distance from the limit so found.
@@ -36,7 +36,7 @@ def _both(*distances_m: float) -> tuple[float, ...]:
     return tuple(side * distance for distance in distances_m for side in (1, -1))
 
 
-# Beside an edge an element is 0.25, 0.05 and 0.01 mm wide, and a tenth, a fiftieth and a 250th of
+# Next to an edge an element is 0.25, 0.05 and 0.01 mm wide, and a tenth, a fiftieth and a 250th of
 # the thickness high.
 _EDGES = (_both(0.25e-3), _both(0.25e-3, 0.05e-3), _both(0.25e-3, 0.05e-3, 0.01e-3))
 _LAYERS = ((0.0, 0.9, 1.0), (0.0, 0.9, 0.98, 1.0), (0.0, 0.9, 0.98, 0.996, 1.0))
@@ -85,8 +85,11 @@ def benchmark() -> dict[str, Any]:
     family = {}
     for name, level in FAMILY.items():
         family[name] = solve(level)
-        told = family[name]
-        print(f"{name}: {told.unknowns} unknowns, {told.seconds:.1f} s", file=sys.stderr)
+        level_solved = family[name]
+        print(
+            f"{name}: {level_solved.unknowns} unknowns, {level_solved.seconds:.1f} s",
+            file=sys.stderr,
+        )
     shipped = {"fast": solve(FAST), "standard": solve(STANDARD), "fine": solve(FINE)}
     high = solve(HIGH)
     limits = {
@@ -129,11 +132,11 @@ def print_report(report: dict[str, Any]) -> None:
         print(f"{what:22}{line}")
     for step, name in report["worst"].items():
         print(f"{step}: farthest is {name}, {report['modes'][name][f'{step}_cents']:.1f} cents")
-    told = {
+    claims = {
         f"fine, the default of acquire modes: all within {FINE_CENTS:g} cents": "fine_met",
         f"fast: {report['fast_s']:.2f} s a solve, both symmetries (up to {FAST_S})": "fast_met",
     }
-    for claim, key in told.items():
+    for claim, key in claims.items():
         print(f"{claim}: {'met' if report[key] else 'missed'}")
 
 

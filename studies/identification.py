@@ -1,8 +1,8 @@
-"""Resonances of reeds that are not what the fit knows, beside the paper's way and a public library.
+"""Resonances of reeds that differ from the fit's model: joint fit, pictures, a public library.
 
 Reeds of `studies.wrong_reeds` are swept in series A and B with all noise; every run is fitted
 jointly and by pictures; and sdypy-EMA is given the same amplitudes, if it is installed. Errors are
-those of eigenfrequencies from each reed's own finite elements. At last come runs in which there is
+those of eigenfrequencies from each reed's own finite elements. The last runs have
 nothing to be identified.
 
     python -m studies.identification [--folder DIR] [--reeds N] [--jobs N] [--json]
@@ -58,7 +58,7 @@ class Judged:
     run: str
     series: Series
     error_cents: dict[str, dict[str, float]]
-    told_cents: dict[str, float]
+    stated_cents: dict[str, float]
     true_names: list[str]
     joint_s: float
     picture_s: float
@@ -66,7 +66,7 @@ class Judged:
 
 
 def judge(path: Path) -> Judged:
-    """Fit one run in every way, and set it beside its truth."""
+    """Fit one run in every way, and compare it with its truth."""
     truth = json.loads(path.with_suffix(".truth.json").read_text(encoding="utf-8"))
     true_hz = {
         name: mode["hz"]
@@ -114,10 +114,10 @@ def _by_library(joint: JointFit, expected_hz: Mapping[str, float]) -> dict[str, 
     """
     functions = joint.basis.functions
     points = np.linspace(0, len(functions) - 1, _PEER_POINTS).astype(int)
-    told = joint.displacements.reached
-    response = (joint.displacements.amplitude_rad / joint.modal.drive[:, None])[told]
+    reached = joint.displacements.reached
+    response = (joint.displacements.amplitude_rad / joint.modal.drive[:, None])[reached]
     modes = peer_modes(
-        joint.block_amplitudes.drive_hz[told],
+        joint.block_amplitudes.drive_hz[reached],
         response @ functions[points].T.astype(float),
         expected_hz,
     )
@@ -150,7 +150,7 @@ def _normalised(judged: Sequence[Judged], names: Sequence[str]) -> Array:
     """Errors of the joint fit over its standard errors."""
     return np.array(
         [
-            abs(j.error_cents["joint"][name]) / j.told_cents[name]
+            abs(j.error_cents["joint"][name]) / j.stated_cents[name]
             for j in judged
             for name in names
             if name in j.error_cents["joint"]

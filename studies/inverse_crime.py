@@ -6,7 +6,7 @@ CAMPAIGN is a folder of run files of a bench with nothing wrong, such as one of 
 blind make`; one is recorded if none is named. Its numbers are replaced by what the twin itself
 predicts, with nuisances drawn from their priors, noise from its own covariance, and effects in the
 catalogue's own form and of the sizes that blind cases have. Prints the scores of `acquire blind
-score`: they are what a diagnosis would be worth if nature were its twin, and are to be read beside
+score`: they are what a diagnosis would be worth if nature were its twin, and are to be read next to
 those of sealed cases.
 """
 
@@ -41,7 +41,7 @@ from reports.diagnosis_json import to_json
 from studies.campaigns import campaigns, readings_of
 
 _SEED = 260_613
-# Of so many cases in ten nothing, one effect, and two are wrong.
+# Of ten cases, how many have nothing, one effect, and two effects wrong.
 _TIERS = (0, 0, 0, 1, 1, 1, 1, 1, 3, 3)
 _TRIES = 50
 
@@ -60,7 +60,7 @@ def with_effects(twin: Twin, label: Label, rng: np.random.Generator) -> Twin:
         effect = BY_ID[name]
         values = {p.name: float(rng.choice(p.grid)) for p in effect.gridded}
         for p in effect.sizes:
-            # A size that nobody tells is a share of what is usual.
+            # An unknown size is a fraction of what is usual.
             values[p.name] = sizes.get(name, {}).get(p.name, 0.3 * multiple * p.spread)
         twin = effect.change(twin, values)
     return twin
@@ -103,8 +103,8 @@ def main() -> None:
     # Processes of a pool split off none themselves: each case has one.
     with campaigns(named) as (folder,), Pool(asked.jobs) as pool:
         cases = []
-        told = pool.imap(partial(answered, folder), range(asked.count))
-        for number, answer in enumerate(told):
+        answers = pool.imap(partial(answered, folder), range(asked.count))
+        for number, answer in enumerate(answers):
             cases.append(Case(str(number), *answer))
             print(f"{number + 1} of {asked.count}", end="\r", file=sys.stderr, flush=True)
     for sentence in sentences(report(cases, Classes(CLASSES))):

@@ -32,7 +32,7 @@ _LATER = timedelta(days=4321)
 # When copies seem to have been written, in no order.
 _BEFORE_S = 1e9
 _NAMES = "entry/sample/name", "entry/acquisition/campaign"
-# Of who made a file, and of what: nobody has to say.
+# Who made a file, and of what; optional.
 _STRIPPED = (
     "entry/title", "entry/program_name", "entry/user/name", "entry/sample/note",
     "entry/provenance/git_revision", "entry/provenance/bench_fingerprint",
@@ -82,8 +82,8 @@ def _disguise(run: h5py.File, rng: np.random.Generator) -> None:
 
 
 def _text(run: h5py.File, path: str) -> str:
-    told: str = run[path].asstr()[()]
-    return told
+    text: str = run[path].asstr()[()]
+    return text
 
 
 def _put(run: h5py.File, path: str, text: str) -> None:

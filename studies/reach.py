@@ -1,4 +1,4 @@
-"""What campaigns can tell: least sizes of all effects that would be seen, and effects alike.
+"""What campaigns can detect: minimum detectable sizes of all effects, and confusable effects.
 
     python -m studies.reach [CAMPAIGN …]
 
@@ -45,7 +45,7 @@ def reach_in(readings: Readings, reed_solver: ReedSolver) -> tuple[Detectability
 
 
 def together(reaches: Sequence[Sequence[Detectability]]) -> list[Detectability]:
-    """Medians over campaigns; effects are alike if they are in most campaigns."""
+    """Medians over campaigns; effects are confusable if they are in most campaigns."""
     found = []
     for own in zip(*reaches, strict=True):
         least = {
@@ -57,13 +57,13 @@ def together(reaches: Sequence[Sequence[Detectability]]) -> list[Detectability]:
             for other in sorted({name for reach in own for name in reach.confusable})
         }
         absorbed = float(np.median([reach.absorbed for reach in own]))
-        alike = {name: value for name, value in cosines.items() if value >= CONFUSABLE}
-        found.append(Detectability(own[0].effect, absorbed, least, alike))
+        similar = {name: value for name, value in cosines.items() if value >= CONFUSABLE}
+        found.append(Detectability(own[0].effect, absorbed, least, similar))
     return found
 
 
 def as_drawn(reach: Detectability, largest: float = 8.0) -> float:
-    """Multiple of a blind case's usual size from which on an effect stands out; NaN if untold."""
+    """Multiple of a blind case's usual size from which on an effect stands out; NaN if unknown."""
     multiples = []
     for sign in (1, -1) if BY_NAME[reach.effect].signed else (1,):
         label = Label(1, ((reach.effect, sign * largest),), True, 0)
@@ -75,14 +75,14 @@ def as_drawn(reach: Detectability, largest: float = 8.0) -> float:
     return float(np.min(multiples))
 
 
-def told(reach: Detectability) -> str:
+def row_of(reach: Detectability) -> str:
     """One line of the table."""
     least = [(p, reach.detectable[p.name]) for p in BY_ID[reach.effect].sizes]
     seen = [f"{p.name} {size:.2g} {p.unit}".strip() for p, size in least if np.isfinite(size)]
     sizes = "; ".join(seen) or "no size"
-    alike = ", ".join(f"{name} {value:.2f}" for name, value in reach.confusable.items())
+    similar = ", ".join(f"{name} {value:.2f}" for name, value in reach.confusable.items())
     absorbed = "-" if np.isnan(reach.absorbed) else f"{reach.absorbed:.0%}"
-    return f"{reach.effect:<24}{sizes:<44}{as_drawn(reach):>6.2f}{absorbed:>6}  {alike}"
+    return f"{reach.effect:<24}{sizes:<44}{as_drawn(reach):>6.2f}{absorbed:>6}  {similar}"
 
 
 def main() -> None:
@@ -93,9 +93,9 @@ def main() -> None:
         reaches = [reach_in(*readings_of(folder)) for folder in folders]
     found = together(reaches)
     least = "least size that stands out by 5 deviations"
-    print(f"{'effect':<24}{least:<44}{'drawn':>6}{'taken':>6}  alike")
+    print(f"{'effect':<24}{least:<44}{'drawn':>6}{'taken':>6}  confusable with")
     for reach in found:
-        print(told(reach))
+        print(row_of(reach))
     print("classes:", *("|".join(group) for group in confusable_classes(found) if len(group) > 1))
 
 

@@ -90,7 +90,7 @@ def recover(reed: str, plan: Plan, seed: int, folder: Path) -> Recovery:
 
 
 def compare(reed: str, fit: ReedFit, sweep_s: float, fit_s: float) -> Recovery:
-    """Set a fit beside the truth."""
+    """Compare a fit with the truth."""
     (sweep,) = fit.sweeps
     true_hz = true_frequencies_hz(reed, Series(sweep.series), sweep.reed_file)
     found, cane = sweep.resonances, cane_of(reed)
@@ -181,12 +181,12 @@ def print_report(report: dict[str, Any]) -> None:
     for name, rms in report["normalised_residual_rms"].items():
         print(f"{name}: normalised residual {rms:.2f} rms")
     print(f"all components: normalised residual {report['pooled_residual_rms']:.2f} rms")
-    told = {
+    claims = {
         f"named right in {NAMED_SHARE:.0%}": "named_right_met",
         f"error up to {ERROR_CENTS:g} cents rms": "error_met",
         f"normalised residuals {RESIDUAL_RMS[0]} to {RESIDUAL_RMS[1]} rms": "residual_met",
     }
-    for claim, key in told.items():
+    for claim, key in claims.items():
         print(f"{claim}: {'met' if report[key] else 'missed'}")
     print(f"median sweep {report['median_sweep_s']:.1f} s, fit {report['median_fit_s']:.1f} s")
 

@@ -48,12 +48,12 @@ def essence(case: Case) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def _of_effect(told: Mapping[str, Any]) -> dict[str, Any]:
+def _of_effect(effect: Mapping[str, Any]) -> dict[str, Any]:
     sizes = {
         name: {"value": size["value"], "error": size["error"]}
-        for name, size in told.get("sizes", {}).items()
+        for name, size in effect.get("sizes", {}).items()
     }
-    kept = {key: told[key] for key in ("d_prime", "detectable") if key in told}
+    kept = {key: effect[key] for key in ("d_prime", "detectable") if key in effect}
     return kept | {"sizes": sizes}
 
 

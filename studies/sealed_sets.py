@@ -3,9 +3,9 @@
     python -m studies.sealed_sets [--again N]
 
 Of each set in `studies/sealed`: whether its keys fit the hashes that were committed before it
-was answered, and its scores beside their targets: made of what is kept of its answers
+was answered, and its scores next to their targets: made of what is kept of its answers
 (`studies.sealed_answers`), or as they were made if nothing is. Then N cases of the last set are
-recorded anew from its key and diagnosed on two processors. Exit status 1 if a key does not fit.
+recorded again from its key and diagnosed on two processors. Exit status 1 if a key does not fit.
 """
 
 import argparse
@@ -119,7 +119,7 @@ def timed(case: Path) -> tuple[dict[str, Any], float]:
 
 
 def again(labels: dict[str, Label], count: int) -> Iterator[float]:
-    """Record cases anew, of one tier after the other, and answer them; yield seconds."""
+    """Record cases again, of one tier after the other, and answer them; yield seconds."""
     by_tier = [[n for n, label in labels.items() if label.tier == tier] for tier in _TIERS]
     chosen = [names[k] for k in range(count) for names in by_tier if k < len(names)][:count]
     for name in chosen:

@@ -1,4 +1,4 @@
-"""Runs of reeds that are not those that plan and fit know, with the truth beside each.
+"""Runs of reeds that are not those that plan and fit know, with the truth of each.
 
 Every reed has a vamp of its own, not its own mirror image, and cane of its own; it is driven by a
 pressure that is not the model's, under light that changes from hologram to hologram. `wrong_bench`
@@ -116,7 +116,7 @@ def _thickness_map_um(rng: np.random.Generator, thickness_um: float, asymmetry: 
     """Deviations (x, y) of the vamp from the drawing."""
     x_m, y_m = 1e-3 * np.array(np.meshgrid(MAP_X_MM, MAP_Y_MM, indexing="ij"))
     away_m = np.minimum(np.abs(y_m), half_width_m(Outline(), x_m))
-    # Beside the reed the drawing's polynomial across means nothing: as at its sides.
+    # Outside the reed the drawing's polynomial across means nothing: as at its sides.
     drawn_um = 1e6 * thickness_m(ReedGeometry(), x_m, away_m)
     even, odd = (_polynomial(rng, parity)(x_m, y_m) for parity in (0, 1))
     deviation: Array = thickness_um * even + 0.5 * asymmetry * drawn_um * odd
@@ -169,16 +169,16 @@ def true_modes(bench: BenchFile, reed: str, series: Series) -> dict[str, dict[st
         return viscoelastic_modes(geometry, constants, cane, level)
 
     def to_arrays(modes: list[NamedMode]) -> dict[str, Array]:
-        return {f.name: np.array([getattr(mode, f.name) for mode in modes]) for f in told}
+        return {f.name: np.array([getattr(mode, f.name) for mode in modes]) for f in columns_of}
 
     def from_arrays(arrays: Mapping[str, Array]) -> list[NamedMode]:
-        columns = [arrays[f.name].tolist() for f in told]
+        columns = [arrays[f.name].tolist() for f in columns_of]
         return [
             NamedMode(n, hz, ModeClass(k), Symmetry(s), q, _NO_SHAPE)
             for n, hz, k, s, q in zip(*columns, strict=True)
         ]
 
-    told = [f for f in fields(NamedMode) if f.name != "shape"]
+    columns_of = [f for f in fields(NamedMode) if f.name != "shape"]
     modes = kept("truth", (geometry, constants, cane, level), solve, to_arrays, from_arrays)
     return {
         mode.name: {
@@ -210,7 +210,7 @@ class WrongRun:
 
 
 def make_run(wanted: WrongRun) -> str:
-    """Measure one wrong reed and write the truth beside it, as ``<run>.truth.json``."""
+    """Measure one wrong reed and write its truth, as ``<run>.truth.json``."""
     start_s = time.perf_counter()
     bench_file = wrong_bench(wanted.reed, wanted.number)
     plan = make_plan(Protocol.from_file(PROTOCOLS[wanted.series]), bench_file)

@@ -103,7 +103,7 @@ def _values(name, node):
 
 @pytest.fixture(scope="session")
 def resealed():
-    """Return ``resealed(path)``: a run file, open to be changed, that gets its checksums anew."""
+    """Return ``resealed(path)``: a run file, open for changes, with new checksums."""
 
     @contextlib.contextmanager
     def changing(path):

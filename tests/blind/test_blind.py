@@ -16,7 +16,7 @@ from blind.cases import (
     healthy_world,
     seal,
     sick_world,
-    told_sizes,
+    stated_sizes,
 )
 from blind.effects import KINDS
 from blind.laboratory import FRAME_S, Laboratory
@@ -59,20 +59,20 @@ def test_labels_are_drawn_again_the_same_and_differ_from_number_to_number() -> N
     assert not drawn_label(4, 3, 5).known
 
 
-def test_each_effect_is_withheld_once_beside_others_that_are_told() -> None:
+def test_each_effect_is_withheld_once_while_others_are_known() -> None:
     known = [kind.name for kind in KINDS if kind.known]
     labels = [drawn_label(6, number, 5) for number in range(len(known))]
     assert sorted(label.effects[0][0] for label in labels) == sorted(known)
     for label in labels:
-        assert len(label.told) == 3
+        assert len(label.sealed) == 3
         assert label.effects[0][0] not in {name for name, _ in label.told}
-        assert set(told_sizes(label)) == {name for name, _ in label.told}
+        assert set(stated_sizes(label)) == {name for name, _ in label.told}
 
 
-def test_what_a_laboratory_tells_of_itself_is_what_it_has() -> None:
+def test_what_a_laboratory_states_is_what_it_has() -> None:
     label = drawn_label(6, 3, 5)
     laboratory = SimpleNamespace(world=sick_world(label))
-    bench = BenchFile.from_text(bench_text("case", laboratory, told_sizes(label)))
+    bench = BenchFile.from_text(bench_text("case", laboratory, stated_sizes(label)))
     twin, world = base_twin(bench), laboratory.world
     assert twin.reed.air_share == pytest.approx(world.cane.air)
     assert twin.optics.leak == pytest.approx(world.light.leak)
@@ -80,14 +80,14 @@ def test_what_a_laboratory_tells_of_itself_is_what_it_has() -> None:
     assert twin.sensor.read_factor >= 0
 
 
-def test_sizes_of_known_kinds_are_told_in_the_terms_of_the_catalogue() -> None:
+def test_sizes_of_known_kinds_are_stated_in_the_terms_of_the_catalogue() -> None:
     well = healthy_world(4)
     for kind in KINDS:
-        if kind.told is not None:
+        if kind.sizes is not None:
             sick = kind.change(well, 2.0, np.random.default_rng(0))
-            told = kind.told(well, sick)
-            assert set(told) <= {parameter.name for parameter in BY_ID[kind.name].sizes}
-            assert any(told.values())
+            sizes = kind.sizes(well, sick)
+            assert set(sizes) <= {parameter.name for parameter in BY_ID[kind.name].sizes}
+            assert any(sizes.values())
 
 
 def _plain(value):
@@ -96,17 +96,17 @@ def _plain(value):
 
 def test_commitments_tell_nothing_and_fit_one_label_only() -> None:
     labels = [drawn_label(0, number, 1) for number in range(2)] + [drawn_label(1, 0, 1)]
-    told, key = seal(labels)
+    sealed, key = seal(labels)
     for name, entry in key["cases"].items():
         label = next(one for one in labels if _plain(asdict(one)) == _plain(entry["label"]))
-        assert told["cases"][name] == commitment(label, entry["salt"])
-        assert told["cases"][name] != commitment(label, entry["salt"][::-1])
-        assert label.effects == () or label.effects[0][0] not in json.dumps(told)
+        assert sealed["cases"][name] == commitment(label, entry["salt"])
+        assert sealed["cases"][name] != commitment(label, entry["salt"][::-1])
+        assert label.effects == () or label.effects[0][0] not in json.dumps(sealed)
     again, _ = seal(labels)
-    assert set(again["cases"]).isdisjoint(told["cases"])
-    assert set(again["cases"].values()).isdisjoint(told["cases"].values())
-    assert list(told["cases"]) == sorted(told["cases"])
-    assert list(key["cases"]) == sorted(told["cases"])
+    assert set(again["cases"]).isdisjoint(sealed["cases"])
+    assert set(again["cases"].values()).isdisjoint(sealed["cases"].values())
+    assert list(sealed["cases"]) == sorted(sealed["cases"])
+    assert list(key["cases"]) == sorted(sealed["cases"])
 
 
 def test_every_kind_changes_the_world_and_nothing_else_of_it() -> None:
@@ -157,8 +157,8 @@ def test_a_reed_answers_most_at_its_resonance(plain_reed) -> None:
 def test_light_at_rest_turns_between_acquisitions_as_fast_as_within_them() -> None:
     label = Label(1, (("synthesizer_drift", 8.0),), True, 5)
     world = sick_world(label)
-    calm = replace(world.light, walk_rad_s=0.0, jitter_rad=0.0, gain_scatter=0.0)
-    laboratory = Laboratory(replace(world, light=calm))
+    still = replace(world.light, walk_rad_s=0.0, jitter_rad=0.0, gain_scatter=0.0)
+    laboratory = Laboratory(replace(world, light=still))
     # An hour later: two acquisitions, one after the other. A whole campaign takes half a minute.
     laboratory._now_s = 3600.0  # noqa: SLF001  # nothing else lets an hour pass
     take = laboratory._still  # noqa: SLF001  # a campaign takes all sweeps as well

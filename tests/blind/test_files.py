@@ -47,13 +47,13 @@ def answer(folder, name, said=SAID):
     (folder / "answers" / f"{name}.json").write_text(json.dumps(said))
 
 
-def test_a_set_tells_names_and_hashes_and_nothing_else(made) -> None:
-    told = json.loads((made / "cases" / "sealed.json").read_text())
-    assert set(told) == {"cases"}
-    assert all(len(sealed) == 64 for sealed in told["cases"].values())
+def test_a_set_holds_names_and_hashes_and_nothing_else(made) -> None:
+    sealed = json.loads((made / "cases" / "sealed.json").read_text())
+    assert set(sealed) == {"cases"}
+    assert all(len(commitment) == 64 for commitment in sealed["cases"].values())
     key = json.loads((made / "key.json").read_text())
-    assert set(key["cases"]) == set(told["cases"])
-    assert {p.name for p in (made / "cases").iterdir()} == {"sealed.json", *told["cases"]}
+    assert set(key["cases"]) == set(sealed["cases"])
+    assert {p.name for p in (made / "cases").iterdir()} == {"sealed.json", *sealed["cases"]}
 
 
 def test_answers_find_their_cases_and_those_without_stand_empty(made) -> None:
@@ -74,7 +74,7 @@ def test_a_key_that_was_changed_is_refused(made) -> None:
         answered_cases(made / "cases", made / "answers", made / "key.json")
 
 
-def test_bad_input_is_told(made, tmp_path) -> None:
+def test_bad_input_is_reported(made, tmp_path) -> None:
     with pytest.raises(BlindError, match="answers: there is no folder"):
         answered_cases(made / "cases", made / "answers", made / "key.json")
     (made / "answers").mkdir()
@@ -87,7 +87,7 @@ def test_bad_input_is_told(made, tmp_path) -> None:
 
 
 @pytest.mark.parametrize("content", ["{}", "[]", "no JSON", '{"elastic": 1}'])
-def test_what_is_no_answer_is_told(made, content) -> None:
+def test_what_is_no_answer_is_reported(made, content) -> None:
     names = list(json.loads((made / "key.json").read_text())["cases"])
     answer(made, names[0])
     (made / "answers" / f"{names[1]}.json").write_text(content)
@@ -110,7 +110,7 @@ def test_what_is_no_answer_is_told(made, content) -> None:
         ("explained_fraction", {"by": {"crack": None}}, "explained_fraction.by.crack"),
     ],
 )
-def test_an_answer_of_a_wrong_shape_is_told_by_its_place(made, key, value, place) -> None:
+def test_an_answer_of_a_wrong_shape_is_reported_by_its_place(made, key, value, place) -> None:
     name = next(iter(json.loads((made / "key.json").read_text())["cases"]))
     answer(made, name, SAID | {key: value})
     with pytest.raises(BlindError, match=rf"{name}\.json: is no answer.*\({place}: "):
@@ -121,7 +121,7 @@ def test_an_answer_of_a_wrong_shape_is_told_by_its_place(made, key, value, place
 
 
 @pytest.mark.parametrize("content", ["{}", "[1]", '{"cases": {}}', "\xff"])
-def test_what_is_no_key_is_told(made, content) -> None:
+def test_what_is_no_key_is_reported(made, content) -> None:
     answer(made, next(iter(json.loads((made / "key.json").read_text())["cases"])))
     (made / "key.json").write_bytes(content.encode("latin-1"))
     with pytest.raises(BlindError, match=r"key\.json"):
@@ -148,7 +148,7 @@ def _full(folder, name, label):
     raise OSError(28, "No space left on device")
 
 
-def test_a_disk_that_is_full_is_told(tmp_path, monkeypatch) -> None:
+def test_a_disk_that_is_full_is_reported(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(files, "record_case", _full)
     monkeypatch.setattr(files, "ProcessPoolExecutor", ThreadPoolExecutor)
     with pytest.raises(BlindError, match=r"cases: a case cannot be recorded .*No space left"):

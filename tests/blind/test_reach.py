@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
 from diagnosis.inference.similarity import Detectability
-from studies.reach import as_drawn, together, told
+from studies.reach import as_drawn, row_of, together
 
 
 def reach(size, absorbed=0.5, **alike):
@@ -25,7 +25,7 @@ def test_effects_are_alike_if_they_are_in_more_campaigns_than_not() -> None:
 def test_a_least_size_is_a_multiple_of_what_blind_cases_draw() -> None:
     # Usual is 1 %.
     assert as_drawn(reach(0.004)) == pytest.approx(0.4)
-    line = told(reach(0.004, sideband_crosstalk=0.85))
+    line = row_of(reach(0.004, sideband_crosstalk=0.85))
     assert line.split() == [
         "carrier_leak",
         "fraction",

@@ -1,4 +1,4 @@
-"""Scores beside what can be counted by hand."""
+"""Scores compared with what can be counted by hand."""
 
 import json
 
@@ -54,7 +54,7 @@ def test_intervals_are_wilsons() -> None:
 
 
 def test_a_false_alarm_is_anything_but_nothing_and_silence_too() -> None:
-    calm = case("", {"none": 0.6, "crack": 0.4}, verdict="none")
+    quiet = case("", {"none": 0.6, "crack": 0.4}, verdict="none")
     loud = case("", {"none": 0.3, "unknown": 0.7}, verdict="unknown")
     stuck = case("", {"none": 1.0}, verdict="not converged")
     # Each by itself is less likely than nothing, the class is more.
@@ -62,7 +62,7 @@ def test_a_false_alarm_is_anything_but_nothing_and_silence_too() -> None:
         "", {"none": 0.4, "air_load": 0.3, "viscoelastic_stiffening": 0.3}, verdict="effect"
     )
     one = split.answer | {"verdict": "none"}
-    cases = [calm, loud, stuck, split, Case("c", split.label, one), missing("")]
+    cases = [quiet, loud, stuck, split, Case("c", split.label, one), missing("")]
     found = false_alarms([*cases, case("crack", {"none": 1.0})], CLASSES)
     assert (found.hits, found.cases) == (5, 6)
 
@@ -129,7 +129,7 @@ def test_sets_cover_by_class() -> None:
     assert size == pytest.approx(0.75)
 
 
-def test_an_answer_tells_what_it_could_have_seen() -> None:
+def test_an_answer_lists_what_it_could_have_seen() -> None:
     assert case("crack", {}, d_prime=5.0).resolved
     assert not case("crack", {}, d_prime=4.9).resolved
     assert missing("crack").resolved, "what was not answered counts"
@@ -210,12 +210,12 @@ def test_a_report_has_all_scores_and_says_them() -> None:
 
 
 def test_shuffled_labels_score_at_chance() -> None:
-    told = [f"e{k}" for k in range(8)] * 20
-    cases = [case(name, {name: 0.9, "none": 0.1}) for name in told]
+    truths = [f"e{k}" for k in range(8)] * 20
+    cases = [case(name, {name: 0.9, "none": 0.1}) for name in truths]
     assert named(cases, Classes(())).value == 1.0
     mean, low, high = shuffled(cases, Classes(()))
     assert mean == pytest.approx(1 / 8, abs=0.003)
-    # As many are right as of so many draws with that probability.
+    # As many are right as of equally many draws with that probability.
     scatter = np.sqrt(7 / 64 / len(cases))
     assert [low, high] == pytest.approx([1 / 8 - 2 * scatter, 1 / 8 + 2 * scatter], abs=0.01)
 
@@ -233,12 +233,12 @@ def test_what_is_not_answered_is_sure_and_wrong() -> None:
     assert right.tolist() == [True, False, False, False]
 
 
-def test_a_gap_that_is_not_told_closes_nothing() -> None:
-    told = {"before": 4.0, "after": 1.0}
-    both = answered("crack", "crack", {"crack": told})
+def test_an_unknown_gap_closes_nothing() -> None:
+    gap = {"before": 4.0, "after": 1.0}
+    both = answered("crack", "crack", {"crack": gap})
     assert closures([both])["median"] == 1.0
-    # The truth stands out, and its gap is not told.
-    none = answered("crack", "crack", {"crack": told | {"after": None}})
+    # The truth stands out, and its gap is unknown.
+    none = answered("crack", "crack", {"crack": gap | {"after": None}})
     assert closures([none])["median"] == 0.0
 
 

@@ -1,4 +1,4 @@
-"""Published sets of sealed cases: keys fit what was sealed, and scores are told as they are."""
+"""Published sets of sealed cases: keys fit what was sealed, and scores are printed as they are."""
 
 import json
 import re
@@ -42,7 +42,7 @@ def test_scores_are_made_of_what_is_kept_of_answers(tmp_path: Path) -> None:
     assert scores_of(tmp_path) is None
 
 
-def test_a_key_that_was_changed_is_told(tmp_path: Path) -> None:
+def test_a_key_that_was_changed_is_reported(tmp_path: Path) -> None:
     copy = tmp_path / "first"
     shutil.copytree(FOLDER / "first", copy)
     path = copy / "key0.json"
@@ -55,7 +55,7 @@ def test_a_key_that_was_changed_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", [None, "{}", '{"cases": {"a": {}}}', "[", '{"cases": {}}'])
-def test_what_is_no_key_is_told(tmp_path: Path, text: str | None) -> None:
+def test_what_is_no_key_is_reported(tmp_path: Path, text: str | None) -> None:
     copy = tmp_path / "first"
     shutil.copytree(FOLDER / "first", copy)
     (copy / "key3.json").unlink()
@@ -67,13 +67,13 @@ def test_what_is_no_key_is_told(tmp_path: Path, text: str | None) -> None:
 
 def test_targets_are_met_or_missed_by_what_was_scored() -> None:
     scores = json.loads((FOLDER / "first" / "scores.json").read_text(encoding="utf-8"))
-    told = {line[:34].strip(): line.split()[-1] for line in against_targets(scores)}
-    assert told["false alarms"] == "met"
-    assert told["calibration error"] == "missed"
+    verdicts = {line[:34].strip(): line.split()[-1] for line in against_targets(scores)}
+    assert verdicts["false alarms"] == "met"
+    assert verdicts["calibration error"] == "missed"
     scores["false_alarms"]["share"], scores["calibration_error"] = 0.06, 0.07
-    told = {line[:34].strip(): line.split()[-1] for line in against_targets(scores)}
-    assert told["false alarms"] == "missed"
-    assert told["calibration error"] == "met"
+    verdicts = {line[:34].strip(): line.split()[-1] for line in against_targets(scores)}
+    assert verdicts["false alarms"] == "missed"
+    assert verdicts["calibration error"] == "met"
 
 
 @pytest.mark.parametrize("name", _SCORES)
@@ -88,19 +88,22 @@ def test_the_page_says_met_and_missed_as_scores_do(name: str) -> None:
     assert said.count("met") == found.count("met") - 1
 
 
-def test_the_page_tells_intervals_as_scores_do() -> None:
+def test_the_page_gives_intervals_as_scores_do() -> None:
     page = (DOCS / "blind.md").read_text(encoding="utf-8")
     own = page.split("## Fourth sets")[1].split("## ")[0]
     scores = _SCORES["fourth"]
     given = scores["probability_of_truth"]["resolved"]
     assert "| {mean:.2f} [{low:.2f}, {high:.2f}] |".format(**given) in own
-    for told in (
+    for scores_of_set in (
         scores["false_alarms"],
         scores["class_right"]["resolved"],
         scores["unknown_found"],
         scores["two_effects_exact"]["all"],
     ):
-        assert "| {share:.0%} [{low:.0%}, {high:.0%}] |".format(**told).replace("%", " %") in own
+        assert (
+            "| {share:.0%} [{low:.0%}, {high:.0%}] |".format(**scores_of_set).replace("%", " %")
+            in own
+        )
 
 
 def test_what_was_declared_undetectable_is_on_the_page() -> None:

@@ -53,7 +53,7 @@ def test_a_bounded_clock_is_never_early_and_late_by_no_more_than_it_says(
     assert -1e-9 <= late_s <= clock.error_s + 1e-9
 
 
-def test_the_first_frame_tells_the_time_as_well_as_it_followed_the_start():
+def test_the_first_frame_gives_the_time_as_well_as_it_followed_the_start():
     host = VirtualClock()
     camera = CameraTime(host, 1000.0, 0.0)
     clock = BoundedClock(host.now_s, stamped_at_end=False)

@@ -137,7 +137,7 @@ def test_a_wire_that_was_pulled_can_be_opened_again(context, kind, wire):
     second.close()
 
 
-def test_faults_of_the_instruments_stand_in_the_twin(context):
+def test_faults_of_the_instruments_are_in_the_twin(context):
     bench = context(
         synthesizers_device={"skips_updates_from": 1, "shows_registers": False},
         generator_device={"trips_at": [60]},

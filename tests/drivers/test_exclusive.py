@@ -87,7 +87,7 @@ def test_a_number_found_in_a_file_is_no_holder(path, changes):
 
 
 @pytest.mark.parametrize("text", ["", "1234\n", "[]", "{}", "[" * 4000, "\x00" * 50, '{"pid": 1}'])
-def test_a_file_of_something_else_describes_nobody(path, text):
+def test_a_file_of_something_else_describes_no_one(path, text):
     with exclusive(path, "holds it"):
         path.write_text(text)
         assert holder_of(path) == (True, None)
@@ -121,12 +121,12 @@ def test_a_process_that_ended_and_was_not_waited_for_is_gone(tmp_path):
 def bench(**instruments):
     changes = {}
     for role, options in instruments.items():
-        changes[f"instruments.{role}.driver"] = f"{role}-of-somebody"
+        changes[f"instruments.{role}.driver"] = f"{role}-of-others"
         changes[f"instruments.{role}.options"] = options
     return BenchFile.from_file().replace(changes).instruments
 
 
-ROOM = {
+LABORATORY = {
     "synthesizers": {"port": "/dev/ttyUSB0", "amplitude": 0.5},
     "generator": {"resource": "TCPIP::192.168.0.7::INSTR"},
     "camera": {"serial": "40012345"},
@@ -134,11 +134,11 @@ ROOM = {
 
 
 def test_a_bench_is_its_addresses_whatever_its_settings(tmp_path):
-    assert len(addresses(bench(**ROOM))) == 3
-    louder = {**ROOM, "synthesizers": {"port": "/dev/ttyUSB0", "amplitude": 0.9}}
-    assert addresses(bench(**louder)) == addresses(bench(**ROOM))
-    lower = {**ROOM, "generator": {"resource": "tcpip::192.168.0.7::instr"}}
-    assert addresses(bench(**lower)) == addresses(bench(**ROOM))
+    assert len(addresses(bench(**LABORATORY))) == 3
+    louder = {**LABORATORY, "synthesizers": {"port": "/dev/ttyUSB0", "amplitude": 0.9}}
+    assert addresses(bench(**louder)) == addresses(bench(**LABORATORY))
+    lower = {**LABORATORY, "generator": {"resource": "tcpip::192.168.0.7::instr"}}
+    assert addresses(bench(**lower)) == addresses(bench(**LABORATORY))
     assert addresses(BenchFile.from_file().instruments) == (), "everybody may simulate"
     device, link = tmp_path / "ttyUSB7", tmp_path / "by-id"
     device.touch()
@@ -150,8 +150,8 @@ def test_a_bench_is_its_addresses_whatever_its_settings(tmp_path):
 
 
 def test_one_instrument_in_use_is_enough_to_refuse_a_bench():
-    other = bench(generator=ROOM["generator"])
-    with bench_locked(bench(**ROOM), "measures R07.h5"):
+    other = bench(generator=LABORATORY["generator"])
+    with bench_locked(bench(**LABORATORY), "measures R07.h5"):
         (holder,) = holders(other)
         assert (holder.pid, holder.does) == (os.getpid(), "measures R07.h5")
         wanted = bench_locked(other, "wants it too")

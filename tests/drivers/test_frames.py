@@ -99,7 +99,7 @@ def filled(*numbers):
     return sequence
 
 
-def test_a_gap_is_waited_for_unless_told_otherwise():
+def test_a_gap_is_waited_for_by_default():
     assert [f.id for f in filled(1, 2, 4, 5).take(4, 0.0, incomplete=True)] == [0, 1, 3, 4]
     sequence = filled(1, 2, 4, 5)
     assert sequence.take(4, 0.0, incomplete=False) is None
@@ -116,7 +116,7 @@ def test_a_frame_that_comes_after_later_ones_were_taken_is_left_out():
 
 
 @pytest.mark.parametrize(("first_number", "id"), [(None, 0), (1, 2), (0, 3), (65535, 3)])
-def test_a_camera_that_counts_anew_shows_what_was_lost_at_the_start(first_number, id):
+def test_a_camera_that_restarts_its_count_shows_what_was_lost_at_the_start(first_number, id):
     sequence = FrameSequence(first_number)
     sequence.add(3, 0.0, PIXELS)
     assert [frame.id for frame in sequence.take(1, 0.0, incomplete=False)] == [id]

@@ -44,7 +44,7 @@ OLD = {
 
 
 class FakeFeatures:
-    """A camera's features: each a value, a range, and what it makes of what it is told."""
+    """A camera's features: each a value, a range, and what it does with a value that is set."""
 
     def __init__(self, names=NEW, **changes):
         self.values = {
@@ -601,7 +601,7 @@ def test_pulses_are_played_while_the_camera_runs(context):
     assert source.log[2:] == [("play", RATE_HZ, True), "stop"]
 
 
-def test_pulses_that_nobody_plays_are_missed(context):
+def test_pulses_that_are_not_played_are_missed(context):
     camera, _ = triggered(context)
     with pytest.raises(BenchSetupError, match="no instrument plays them; add camera_trigger"):
         camera.start()

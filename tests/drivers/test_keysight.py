@@ -1,4 +1,4 @@
-"""The 33500: limits of its own, an error queue, and units that somebody else chose."""
+"""The 33500: limits of its own, an error queue, and units that another program chose."""
 
 from fractions import Fraction
 
@@ -62,7 +62,7 @@ def test_short_and_long_forms_are_the_same(head):
         ("VOLT:HIGH 6", '-221,"Settings conflict"'),
     ],
 )
-def test_what_it_does_not_like_stands_in_its_error_queue(line, error):
+def test_what_it_refuses_is_in_its_error_queue(line, error):
     device = KeysightEmulator()
     answer(device, line)
     assert [answer(device, "SYST:ERR?") for _ in range(2)] == [error, '+0,"No error"']
@@ -104,7 +104,7 @@ def test_its_own_limits_hold_at_the_volts_of_the_bench_file(stands):
     assert float(answer(stand.device, "VOLT:LIM:HIGH?")) == MOST_V / GAIN
     assert float(answer(stand.device, "VOLT:LIM:LOW?")) == -MOST_V / GAIN
     generator.set_sine(DRIVE_HZ, MOST_V)
-    # Somebody else asks it for more than the loudspeaker bears.
+    # Another program asks it for more than the loudspeaker bears.
     answer(stand.device, "VOLT 20")
     assert stand.device.socket[1] == MOST_V / GAIN
 
@@ -123,13 +123,13 @@ def test_the_most_that_the_bench_file_allows_is_not_refused(stands, most_v):
 def test_limits_are_armed_before_the_output_can_be_on(stands):
     stand = stands("keysight")
     stand.open()
-    told = [line for line in stand.wire.heard if "?" not in line]
-    assert told[0] == "OUTP1 OFF"
-    assert told.index("OUTP1:LOAD INF") < told.index("SOUR1:VOLT:LIM:STAT ON")
-    assert "OUTP1 ON" not in told
+    commands = [line for line in stand.wire.heard if "?" not in line]
+    assert commands[0] == "OUTP1 OFF"
+    assert commands.index("OUTP1:LOAD INF") < commands.index("SOUR1:VOLT:LIM:STAT ON")
+    assert "OUTP1 ON" not in commands
 
 
-def test_limits_that_somebody_switched_off_are_missed(stands):
+def test_limits_that_were_switched_off_by_hand_are_missed(stands):
     stand = stands("keysight")
     generator = stand.open()
     generator.set_sine(DRIVE_HZ, 1.0)

@@ -274,7 +274,7 @@ def test_it_is_a_pair_that_says_what_it_is(plugged):
     assert driver.identity == f"Novatech 409B at {port}, firmware 2.1, own clock"
 
 
-def test_the_reference_stands_in_the_identity_and_no_clock_command_is_sent(plugged):
+def test_the_reference_is_in_the_identity_and_no_clock_command_is_sent(plugged):
     box, port = plugged
     driver = opened(port, {"external_reference": True})
     driver.close()
@@ -368,7 +368,7 @@ def test_a_frequency_outside_the_window_is_refused_before_anything_is_sent(pair,
     assert box.pair_hz == (CENTRE_HZ, CENTRE_HZ)
 
 
-def test_what_somebody_else_set_is_read_and_then_put_right(pair):
+def test_what_was_set_by_hand_is_read_and_then_put_right(pair):
     driver, box = pair
     driver.rf_on()
     driver.set_pair(*PAIR_HZ)
@@ -378,7 +378,7 @@ def test_what_somebody_else_set_is_read_and_then_put_right(pair):
     assert (box.pair_hz, box.amplitudes) == (PAIR_HZ, (511 / 1023, 511 / 1023))
 
 
-def test_a_box_that_lost_power_is_noticed_and_set_up_anew(pair):
+def test_a_box_that_lost_power_is_noticed_and_set_up_again(pair):
     driver, box = pair
     driver.set_pair(*PAIR_HZ)
     driver.rf_on()

@@ -83,7 +83,7 @@ class Camera(Minimal):
 
 @pytest.fixture
 def others(tmp_path, monkeypatch):
-    """A package of drivers that somebody else wrote."""
+    """A package of drivers from elsewhere."""
     (tmp_path / "others_drivers.py").write_text(OTHERS)
     monkeypatch.syspath_prepend(str(tmp_path))
     yield "others_drivers"
@@ -228,7 +228,7 @@ def test_opening_each_is_given_up_if_it_is_stopped(others):
         ("camera", "basler", False),
     ],
 )
-def test_simulated_drivers_are_told_from_real_ones(role, name, simulated):
+def test_simulated_drivers_are_distinguished_from_real_ones(role, name, simulated):
     assert is_simulated(role, name) is simulated
 
 
@@ -266,7 +266,7 @@ class LoggedSynthesizers(Synthesizers):
 
 @pytest.fixture
 def absent(others, tmp_path):
-    """More drivers of somebody else, some of whose instruments are not there."""
+    """More drivers from elsewhere, some of whose instruments are not there."""
     (tmp_path / "absent_drivers.py").write_text(ABSENT)
     yield "absent_drivers"
     sys.modules.pop("absent_drivers", None)

@@ -78,7 +78,7 @@ WIRES = pytest.mark.parametrize(
 def test_answers_come_back(serve, kind, ask):
     server = serve(kind)
     assert ask(server, b"one\n", b"two\n") == [b"ONE\n", b"TWO\n"]
-    # Somebody else may call after the first has hung up.
+    # Another client may call after the first has hung up.
     assert ask(server, b"three\n") == [b"THREE\n"]
 
 
@@ -96,7 +96,7 @@ def test_each_fault_strikes_where_it_is_asked_for(serve, kind, ask):
 
 
 @WIRES
-def test_a_late_answer_comes_when_nobody_waits(serve, kind, ask):
+def test_a_late_answer_comes_when_no_one_waits(serve, kind, ask):
     server = serve(kind, WireFaults(late_answer_at=(1,), late_s=0.45))
     started_s = time.monotonic()
     assert ask(server, b"a\n", b"") == [b"", b"A\n"]

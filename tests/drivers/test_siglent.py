@@ -60,7 +60,7 @@ def test_the_simulated_generator_answers_as_the_real_one_did():
 
 # Of the same public session, what the excerpt leaves out.
 @pytest.mark.parametrize(
-    ("told", "said"),
+    ("commands", "said"),
     [
         (
             ("C1:BSWV WVTP,PULSE", "C1:BSWV WIDTH,1E-04"),
@@ -89,9 +89,9 @@ def test_the_simulated_generator_answers_as_the_real_one_did():
         ),
     ],
 )
-def test_other_waves_are_said_as_the_real_one_says_them(told, said):
+def test_other_waves_are_said_as_the_real_one_says_them(commands, said):
     device = SiglentEmulator()
-    for line in told:
+    for line in commands:
         assert answer(device, line) == ""
     assert answer(device, "C1:BSWV?") == said
 
@@ -130,7 +130,7 @@ def test_what_is_clamped_without_a_word_is_noticed(stands):
 
 
 @pytest.mark.parametrize("mode", ["MDWV", "SWWV", "BTWV"])
-def test_a_modulation_of_somebody_else_is_ended(stands, mode):
+def test_a_modulation_that_another_program_set_is_ended(stands, mode):
     stand = stands("siglent")
     stand.device.turn_knob(f"C1:{mode} STATE,ON")
     stand.open()
@@ -208,8 +208,10 @@ def test_pulses_are_played_at_the_cameras_rate_and_stopped(stands):
     for rate_hz in (Fraction(62, 5), Fraction(25, 2)):
         del stand.wire.heard[:]
         trigger.play(rate_hz)
-        told = [line for line in stand.wire.heard if "?" not in line]
-        assert (told[0], told[-1]) == ("C2:OUTP OFF", "C2:OUTP ON"), "no pulse while they change"
+        commands = [line for line in stand.wire.heard if "?" not in line]
+        assert (commands[0], commands[-1]) == ("C2:OUTP OFF", "C2:OUTP ON"), (
+            "no pulse while they change"
+        )
         assert stand.device.trigger == (rate_hz, 1.65, True)
         wave = understand_wave("C2", answer(stand.device, "C2:BSWV?"))
         assert (wave["HLEV"], wave["LLEV"], wave["WIDTH"]) == ("3.3", "0", "0.001")
@@ -236,7 +238,7 @@ def test_a_rate_that_cannot_be_played_exactly_is_refused(stands, rate_hz):
     assert stand.wire.heard == []
 
 
-def test_without_an_instrument_that_plays_pulses_a_camera_is_told(stands):
+def test_without_an_instrument_that_plays_pulses_a_camera_is_reported(stands):
     stand = stands("siglent")
     generator = stand.open()
     with pytest.raises(BenchSetupError, match=r"no instrument plays them; add camera_trigger to"):

@@ -47,7 +47,7 @@ def switched_on(bench):
 
 
 def lab_of(bench):
-    """Return the room that the instruments stand in."""
+    """Return the laboratory of the instruments."""
     return bench.camera.lab
 
 
@@ -351,7 +351,7 @@ def test_a_run_of_frames_follows_from_the_seed(small_plan, open_small_bench):
     assert (images[0] != images[2]).mean() > 0.5
 
 
-def test_before_anything_is_set_the_room_is_dark_and_silent(bench):
+def test_before_anything_is_set_the_laboratory_is_dark_and_silent(bench):
     state = BenchState(Fraction(0), Fraction(0), 0.0, rf_on=False)
     assert lab_of(bench).state == state
     with pytest.raises(ValueError, match="prepare_sensor first"):
@@ -437,7 +437,7 @@ def test_gain_and_phase_scatter_apart(light, turns, grows, small_plan, open_smal
 
 
 def test_the_light_is_constant_over_the_frames_of_an_acquisition(small_plan, open_small_bench):
-    """Frames a period of the beat apart are then alike, but for noise."""
+    """Frames a period of the beat apart are then equal, but for noise."""
     light = BRIGHT | {"gain_scatter": 0.3, "phase_scatter": True}
     bench = open_small_bench(small_plan(light=light), seed=4)
     grabbed(bench, 1)

@@ -132,7 +132,7 @@ def test_a_ramp_is_even_and_ends_exactly(start_v, end_v, count):
     np.testing.assert_array_equal(samples[count - 1 :], reference[count - 1 :])
 
 
-def test_progress_tells_when_a_ramp_has_ended():
+def test_progress_says_when_a_ramp_has_ended():
     voice = playing(1000, 2.0)
     filled(voice, 10)
     tone = voice.play(Fraction(1000), 4.0, 500)
@@ -506,7 +506,7 @@ def test_clipping_is_refused(card):
 # --- What goes wrong while it plays ------------------------------------------------------------
 
 
-def test_a_dropout_is_told_once(card, generator):
+def test_a_dropout_is_reported_once(card, generator):
     generator.set_sine(HZ, 8.0)
     card.stream.underflows = 3
     card.wait(0.2)
@@ -524,7 +524,7 @@ def test_a_dropout_since_the_last_step_stops_the_next_one(card, generator):
     assert generator.read() == (HZ, 8.0, True), "nothing has changed"
 
 
-def test_a_dropout_in_a_change_is_told(card, generator):
+def test_a_dropout_in_a_change_is_reported(card, generator):
     generator.set_sine(HZ, 8.0)
     card.stream.underflows = 1
     with pytest.raises(InstrumentError, match=r"dropped samples 1 time\(s\)"):
@@ -608,7 +608,7 @@ def test_a_stream_that_broke_off_starts_again_from_silence(card, generator):
         ({"sticks": True}, "its stream is still active"),
     ],
 )
-def test_an_output_that_stays_on_is_told(card, generator, fault, said):
+def test_an_output_that_stays_on_is_reported(card, generator, fault, said):
     generator.set_sine(HZ, 8.0)
     vars(card.stream).update(fault)
     with pytest.raises(InstrumentError, match=f"{said}; pull the loudspeaker's cable"):
@@ -671,7 +671,7 @@ def test_the_amplifier_has_to_be_described(card):
         open_generator(card, {"instruments.generator.output": None})
 
 
-def test_a_computer_without_a_card_is_told_so(card):
+def test_a_computer_without_a_card_is_reported(card):
     card.devices = []
     with pytest.raises(BenchSetupError, match=r"the default one is not one .* there are none;"):
         open_generator(card, device=None)
@@ -685,7 +685,7 @@ def test_a_computer_without_a_card_is_told_so(card):
         (-9985, InstrumentError, "cannot be opened, .*no other program plays on it"),
     ],
 )
-def test_a_card_that_does_not_open_is_told_apart(card, code, error, said):
+def test_a_card_that_does_not_open_is_distinguished(card, code, error, said):
     card.open_error = PortAudioError("refused", code)
     with pytest.raises(error, match=said) as refused:
         open_generator(card)

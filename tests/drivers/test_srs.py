@@ -227,7 +227,7 @@ def test_a_power_between_two_steps_is_rounded_down():
         driver.close()
 
 
-def test_only_the_generator_that_changes_is_told(pair):
+def test_only_the_generator_that_changes_is_reported(pair):
     driver, boxes = pair
     for box in boxes:
         box.heard.clear()
@@ -279,7 +279,7 @@ def test_a_failure_between_the_two_takes_rf_off():
         assert "'FREQ 79999999.999999' and reads 80000000" in str(caught.value)
         assert "\n" not in str(caught.value)
         assert lit(boxes) == (False, False)
-        # The next pair that is confirmed turns RF on again, with both frequencies told anew.
+        # The next pair that is confirmed turns RF on again, with both frequencies sent again.
         driver.set_pair(*PAIR_HZ)
         assert (playing(boxes), lit(boxes)) == (PAIR_HZ, (True, True))
         driver.close()

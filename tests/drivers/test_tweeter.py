@@ -79,7 +79,7 @@ def test_opening_switches_off_first_and_leaves_the_least_amplitude(stands, maker
 
 
 @MAKERS
-def test_another_instrument_is_told_nothing(stands, maker):
+def test_another_instrument_gets_no_command(stands, maker):
     stand = stands(maker, identity="Rigol Technologies,DP832,DP8A1,00.01.14")
     with pytest.raises(InstrumentError, match=r"says that it is 'Rigol.*correct instruments\.gen"):
         stand.open()
@@ -314,7 +314,7 @@ def test_a_ramp_on_an_output_that_is_off(stands, maker):
 
 
 @MAKERS
-def test_an_output_that_somebody_switched_on_can_be_ramped_and_is_closed(stands, maker):
+def test_an_output_that_was_switched_on_by_hand_can_be_ramped_and_is_closed(stands, maker):
     stand = stands(maker)
     generator = stand.open()
     stand.device.turn_knob(SWITCH_ON[maker])
@@ -335,13 +335,13 @@ def test_a_ramp_needs_a_duration(stands, maker, duration_s):
 
 @given(st.integers(1, 40_000_000_000_000), st.integers(6, 15))
 def test_a_number_agrees_with_what_it_looks_like_and_with_nothing_else(micro, digits):
-    told = Fraction(micro, 1_000_000)
-    said = Fraction(f"{float(told):.{digits}g}")
-    last_digit = Fraction(10) ** (int(f"{float(told):e}".split("e")[1]) - digits + 1)
-    assert agrees(told, said, digits)
-    assert not agrees(told, said + last_digit * 2, digits)
-    assert not agrees(told, said - last_digit * 2, digits)
-    assert Fraction(in_hertz(told)) == told
+    sent = Fraction(micro, 1_000_000)
+    said = Fraction(f"{float(sent):.{digits}g}")
+    last_digit = Fraction(10) ** (int(f"{float(sent):e}".split("e")[1]) - digits + 1)
+    assert agrees(sent, said, digits)
+    assert not agrees(sent, said + last_digit * 2, digits)
+    assert not agrees(sent, said - last_digit * 2, digits)
+    assert Fraction(in_hertz(sent)) == sent
 
 
 # --- At the front panel and behind the socket --------------------------------------------------
@@ -384,7 +384,7 @@ def test_a_ramp_to_0_v_does_not_make_it_forget_that_an_output_tripped(stands, ma
 
 
 @MAKERS
-def test_what_somebody_turned_is_what_is_read(stands, maker):
+def test_what_was_turned_by_hand_is_what_is_read(stands, maker):
     stand = stands(maker)
     generator = stand.open()
     generator.set_sine(DRIVE_HZ, 1.0)
@@ -558,7 +558,7 @@ def test_a_write_of_unknown_outcome_is_looked_at_and_not_repeated(
 
 
 @MAKERS
-def test_switching_off_is_told_again_if_it_was_not_heard(stands, maker):
+def test_switching_off_is_sent_again_if_it_was_not_received(stands, maker):
     stand = stands(maker)
     generator = stand.open()
     generator.set_sine(DRIVE_HZ, 1.0)
@@ -665,7 +665,7 @@ def test_switching_off_happens_though_no_answer_comes(playing, maker, amid):
 
 
 @MAKERS
-def test_switching_off_is_told_twice_though_no_answer_comes(stands, maker):
+def test_switching_off_is_sent_twice_though_no_answer_comes(stands, maker):
     stand = stands(maker, "socket")
     generator = stand.open({"timeout_s": 0.1})
     generator.set_sine(DRIVE_HZ, 1.0)

@@ -45,11 +45,11 @@ def _servers_hang_up_at_once():
 
 
 class Talker:
-    """Knows what it is, remembers what it is told, and says what it is asked to say."""
+    """Knows what it is, remembers what it receives, and says what it is asked to say."""
 
     def __init__(self, identity=IDENTITY, end="\r\n"):
         self.identity, self.end = identity, end
-        self.told = []
+        self.received = []
         self.rest = b""
 
     def receive(self, data):
@@ -61,7 +61,7 @@ class Talker:
             return f"{self.identity}{self.end}".encode("latin-1")
         if line.startswith(b"SAY? "):
             return line.removeprefix(b"SAY? ") + self.end.encode()
-        self.told.append(line)
+        self.received.append(line)
         return b""
 
 
@@ -132,7 +132,7 @@ def test_questions_are_answered_and_commands_arrive(kind):
         assert line.ask("SAY? two") == "two"
         line.drain()
         assert line.ask("SAY? three") == "three"
-    assert device.told == [b"FREQ 80002036.125", b"ENBR 1"]
+    assert device.received == [b"FREQ 80002036.125", b"ENBR 1"]
 
 
 @pytest.mark.parametrize(
@@ -269,14 +269,14 @@ def test_a_process_that_is_stopped_amid_an_answer_hears_all_of_it():
         def answer(self, line):
             if line != b"SAY? whole":
                 return super().answer(line)
-            self.told.append(line)
+            self.received.append(line)
             threading.Thread(target=self.halve).start()
             return b"who"
 
         def halve(self):
             time.sleep(0.1)
             asking.send_signal(signal.SIGSTOP)
-            os.write(server._master, b"le\n")  # noqa: SLF001  # the rest of a line, while nobody runs
+            os.write(server._master, b"le\n")  # noqa: SLF001  # the rest of a line, while no command runs
             time.sleep(0.8)
             asking.send_signal(signal.SIGCONT)
 
@@ -287,7 +287,7 @@ def test_a_process_that_is_stopped_amid_an_answer_hears_all_of_it():
     said, _ = asking.communicate(timeout=20)
     server.close()
     assert said.split() == ["ready", "whole"]
-    assert device.told == [b"SAY? whole"]
+    assert device.received == [b"SAY? whole"]
 
 
 def test_within_a_time_no_answer_is_waited_for_any_longer():
@@ -307,7 +307,7 @@ def test_what_is_late_within_a_time_is_not_taken_for_another_answer():
         assert line.ask("SAY? 2") == "2"
 
 
-def test_a_missing_answer_names_the_timeout_beside_the_cable(kind):
+def test_a_missing_answer_names_the_timeout_and_the_cable(kind):
     faults = WireFaults(lose_answer_at=range(3, 100))
     with (
         talking(kind, faults) as line,
@@ -322,9 +322,9 @@ def test_who_does_not_say_what_it_is_is_made_safe_all_the_same(kind):
         with pytest.raises(InstrumentError, match="did not answer"):
             open_visa(resource, TIMEOUT_S, DEVICE, make_safe=("OUTP OFF", "RF OFF"))
         until_s = time.monotonic() + 2
-        while len(device.told) < 2 and time.monotonic() < until_s:
+        while len(device.received) < 2 and time.monotonic() < until_s:
             time.sleep(0.01)
-    assert device.told == [b"OUTP OFF", b"RF OFF"]
+    assert device.received == [b"OUTP OFF", b"RF OFF"]
 
 
 def test_what_was_said_unasked_is_thrown_away():
@@ -466,7 +466,7 @@ def _unanswered(number):
 
 
 @pytest.mark.parametrize("kind", ["socket", "vxi11"])
-def test_a_port_where_nobody_listens_is_said_to_refuse(kind):
+def test_a_port_without_a_listener_is_said_to_refuse(kind):
     with KINDS[kind](Talker(), WireFaults()) as resource:
         pass
     # pyvisa-py leaves the socket of a failed VXI-11 connection to the garbage collector.

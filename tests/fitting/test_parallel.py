@@ -97,7 +97,7 @@ def test_who_stops_asking_leaves_no_process_behind(tmp_path: Path) -> None:
         os.kill(int((tmp_path / "1").read_text()), 0)
 
 
-def test_what_cannot_be_handed_back_is_told() -> None:
+def test_what_cannot_be_handed_back_is_reported() -> None:
     with pytest.raises(RuntimeError, match="cannot be handed back"):
         list(map_processes(lambda item: lambda: item, [1, 2]))
 
@@ -109,7 +109,7 @@ class PathError(Exception):
         super().__init__(f"{path}: {why}")
 
 
-def test_errors_that_cannot_be_handed_back_are_told_in_words() -> None:
+def test_errors_that_cannot_be_handed_back_are_reported_in_words() -> None:
     def fail(item: int) -> int:
         raise PathError("some file", f"lacks {item}")
 
@@ -145,7 +145,7 @@ def test_a_process_says_things_without_the_display_that_was_at_work(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     class Locked:
-        """Somebody has its locks, and will not give them back."""
+        """Another thread has its locks and does not release them."""
 
         def write(self, _said: str) -> None:
             time.sleep(60)
@@ -196,10 +196,10 @@ def _begun(folder: Path) -> tuple[subprocess.Popen[str], list[int]]:
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         cwd=Path(module.__file__).parents[1],
     )  # fmt: skip
-    while len(told := sorted(folder.glob("*.pid"))) < 2:
+    while len(written := sorted(folder.glob("*.pid"))) < 2:
         assert program.poll() is None, program.communicate()
         time.sleep(0.01)
-    return program, [int(path.read_text()) for path in told]
+    return program, [int(path.read_text()) for path in written]
 
 
 def _gone(process: int) -> bool:

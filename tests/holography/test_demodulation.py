@@ -75,7 +75,7 @@ def test_four_phase_is_four_times_the_beat():
     assert relative_error(four_phase(frames), 4 * beat) < 1e-6
 
 
-def test_four_phase_writes_where_it_is_told():
+def test_four_phase_writes_where_asked():
     frames = np.random.default_rng(2).random((4, 5, 6)).astype(np.float32)
     out = np.full((5, 6), np.nan, dtype=np.complex64)
     assert four_phase(frames, out) is out

@@ -193,7 +193,7 @@ def test_the_time_is_latched_in_the_registers_of_gige_vision(
     write = device.write_register
 
     def write_and_latch(self, address, value):
-        """Do what the camera at the far end does not: keep the time when told to."""
+        """Do what the camera at the far end does not: keep the time when asked to."""
         write(self, address, value)
         if (address, value) == (TIME_CONTROL, 2):
             latched_ns.append(time.time_ns())
@@ -356,7 +356,7 @@ def alone():
     process.stdout.close()
 
 
-def test_a_camera_that_dies_is_told_as_gone(alone):
+def test_a_camera_that_dies_is_reported_as_gone(alone):
     camera = AravisCamera(entry(timeout_s=20.0), CONTEXT)
     camera.configure(RATE_HZ, EXPOSURE_S, SHAPE)
     camera.start()

@@ -1,4 +1,4 @@
-"""Drivers and hosts of others use the simulated generators, over USB, LAN and beside our driver.
+"""Drivers and hosts of others use the simulated generators, over USB and LAN, also with our driver.
 
 Each pair is independent: no code is shared between those who ask and those who answer.
 """
@@ -79,7 +79,7 @@ def test_qcodes_drives_the_33500(stands):
         channel.output("ON")
         played_hz, played_v, on = stand.device.socket
         assert (played_hz, on) == (DRIVE_HZ, True)
-        assert played_v == pytest.approx(2 * 0.5 * 2**0.5), "told for 50 ohm, open"
+        assert played_v == pytest.approx(2 * 0.5 * 2**0.5), "set for 50 ohm, open"
         assert channel.frequency() == 2033.075
         assert channel.amplitude() == pytest.approx(0.5)
         assert channel.output() == "ON"

@@ -37,7 +37,7 @@ from drivers.context import BenchContext
 from drivers.errors import BenchSetupError, InstrumentError
 from protocols.preparation import Preparation
 
-folder, sessions, told = pathlib.Path(sys.argv[1]), [], {}
+folder, sessions, answers = pathlib.Path(sys.argv[1]), [], {}
 
 class Paced(sounddevice.OutputStream):
     def __init__(self, callback, samplerate, **asked):
@@ -79,15 +79,15 @@ def message(error, act):
         return str(raised)
 
 generator = opened()
-told["identity"] = generator.identity
+answers["identity"] = generator.identity
 generator.set_sine(Fraction(20001, 10), 16.0)
-told["read"] = [str(value) for value in generator.read()]
-told["plateaus"] = [plateau()]
+answers["read"] = [str(value) for value in generator.read()]
+answers["plateaus"] = [plateau()]
 generator.set_sine(Fraction(30001, 10), 8.0)
-told["plateaus"].append(plateau())
+answers["plateaus"].append(plateau())
 generator.ramp_to(0.0, 0.06)
 generator.output_off()
-told["off"] = generator.read()[2]
+answers["off"] = generator.read()[2]
 generator.set_sine(Fraction(4000), 4.0)
 generator.close()
 for number, blocks in enumerate(sessions):
@@ -99,22 +99,22 @@ def broken(self, samples):
     raise RuntimeError("broken")
 soundcard.Oscillator.fill = broken
 time.sleep(0.05)
-told["failed"] = message(InstrumentError, generator.read)
+answers["failed"] = message(InstrumentError, generator.read)
 generator.output_off()
-told["off after failure"] = generator.read()[2]
+answers["off after failure"] = generator.read()[2]
 generator.close()
 
-told["device"] = message(BenchSetupError, lambda: opened(device="nowhere"))
-told["several"] = message(BenchSetupError, lambda: opened(device="reedbench"))
-told["channel"] = message(BenchSetupError, lambda: opened(channel=100_000))
-told["rate"] = message(BenchSetupError, lambda: opened(sample_rate_hz=10**9))
-(folder / "told.json").write_text(json.dumps(told))
+answers["device"] = message(BenchSetupError, lambda: opened(device="nowhere"))
+answers["several"] = message(BenchSetupError, lambda: opened(device="reedbench"))
+answers["channel"] = message(BenchSetupError, lambda: opened(channel=100_000))
+answers["rate"] = message(BenchSetupError, lambda: opened(sample_rate_hz=10**9))
+(folder / "answers.json").write_text(json.dumps(answers))
 '''
 
 
 @pytest.fixture(scope="module")
 def played(tmp_path_factory):
-    """The folder with what was handed to PortAudio, what came out, and what was told."""
+    """The folder with what was handed to PortAudio, what came out, and what was answered."""
     if not sys.platform.startswith("linux"):
         pytest.skip("ALSA is part of Linux")
     if find_library("portaudio") is None:
@@ -132,8 +132,8 @@ def played(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def told(played):
-    return json.loads((played / "told.json").read_text())
+def answers(played):
+    return json.loads((played / "answers.json").read_text())
 
 
 def handed_over(played, session):
@@ -159,8 +159,8 @@ def test_every_sample_arrives_bit_for_bit(played):
 @pytest.mark.parametrize(
     ("number", "frequency_hz", "peak_v"), [(0, 2000.1, 16.0), (1, 3000.1, 8.0)]
 )
-def test_what_arrives_is_the_sine_that_was_asked(played, told, number, frequency_hz, peak_v):
-    first, end = (primed_samples(played) + n for n in told["plateaus"][number])
+def test_what_arrives_is_the_sine_that_was_asked(played, answers, number, frequency_hz, peak_v):
+    first, end = (primed_samples(played) + n for n in answers["plateaus"][number])
     volts = captured(played)[first:end, 0].astype(float) * FULL_SCALE_V
     phase = 2 * np.pi * frequency_hz / RATE_HZ * np.arange(volts.size)
     basis = np.stack([np.sin(phase), np.cos(phase)], axis=1)
@@ -181,19 +181,21 @@ def test_nothing_clicks_from_first_to_last_sample(played):
     assert handed_over(played, 0)[-1, 0] == 0.0
 
 
-def test_it_is_told_what_plays(told):
-    assert told["identity"].startswith("sound card 'reedbench_file' on ALSA, 48000 Hz, unlocked; ")
-    assert told["read"] == ["20001/10", "16.0", "True"]
-    assert told["off"] is False
+def test_it_gets_what_plays(answers):
+    assert answers["identity"].startswith(
+        "sound card 'reedbench_file' on ALSA, 48000 Hz, unlocked; "
+    )
+    assert answers["read"] == ["20001/10", "16.0", "True"]
+    assert answers["off"] is False
 
 
-def test_an_error_on_the_audio_thread_surfaces_and_the_card_stops(told):
-    assert "audio thread failed (RuntimeError('broken'))" in told["failed"]
-    assert told["off after failure"] is False
+def test_an_error_on_the_audio_thread_surfaces_and_the_card_stops(answers):
+    assert "audio thread failed (RuntimeError('broken'))" in answers["failed"]
+    assert answers["off after failure"] is False
 
 
-def test_what_portaudio_refuses_names_the_key(told):
-    assert "options.device: 'nowhere' is not one output device; there are" in told["device"]
-    assert "'reedbench_file', " in told["several"]
-    assert "options.channel: 100000 is more than the " in told["channel"]
-    assert "options.sample_rate_hz: 1000000000 is refused by 'reedbench_file'" in told["rate"]
+def test_what_portaudio_refuses_names_the_key(answers):
+    assert "options.device: 'nowhere' is not one output device; there are" in answers["device"]
+    assert "'reedbench_file', " in answers["several"]
+    assert "options.channel: 100000 is more than the " in answers["channel"]
+    assert "options.sample_rate_hz: 1000000000 is refused by 'reedbench_file'" in answers["rate"]

@@ -1,4 +1,4 @@
-"""Holograms that others recorded: the pyDHM samples (MIT) beside the repository in ``../shared``.
+"""Holograms that others recorded: the pyDHM samples (MIT) next to the repository in ``../shared``.
 
 Set ``REEDBENCH_SHARED`` to the folder that holds ``data/holograms`` to read them from elsewhere.
 """

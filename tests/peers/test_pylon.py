@@ -123,7 +123,7 @@ def test_frames_are_those_asked_for_from_now_on(emulated, images):
     require_played(frames, images)
 
 
-def test_frames_that_nobody_asks_for_yet_are_kept(emulated, images):
+def test_frames_that_are_not_asked_for_yet_are_kept(emulated, images):
     camera = emulated()
     camera.start()
     first = camera.grab(1, -np.inf)
@@ -176,7 +176,7 @@ def test_a_trigger_for_a_camera_that_is_not_ready_is_an_error(emulated):
         camera.link.trigger()
 
 
-def test_an_unplugged_camera_is_told_as_such(emulated):
+def test_an_unplugged_camera_is_reported_as_such(emulated):
     camera = emulated()
     camera.start()
     camera.grab(1, -np.inf)
@@ -203,7 +203,7 @@ def test_what_the_sensor_cannot_do_is_refused_and_changes_nothing(
     require_played(camera.grab(2, -np.inf), images)
 
 
-def test_a_feature_that_refuses_is_told_with_its_name(emulated):
+def test_a_feature_that_refuses_is_reported_with_its_name(emulated):
     with pytest.raises(InstrumentError, match="was asked for Width 99999, and refused"):
         emulated().link.features.set_integer("Width", 99_999)
 

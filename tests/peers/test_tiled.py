@@ -1,4 +1,4 @@
-"""The documents beside a run file, read by Tiled, LiveTable and suitcase as they stand.
+"""The documents of a run file, read by Tiled, LiveTable and suitcase as they stand.
 
 Nothing stands between a line of the file and the reader: it is parsed and handed over. Tiled is the
 real server with a catalog in memory, asked through its client.
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.filterwarnings(
     "ignore:Using `httpx` with `starlette.testclient` is deprecated"
 )
 
-# Columns of `/entry/steps` that stand in every event under the same name.
+# Columns of `/entry/steps` that are in every event under the same name.
 SHARED_COLUMNS = (
     "index",
     "signal_to_noise",
@@ -171,7 +171,7 @@ def test_a_run_that_is_gone_on_with_reads_back_as_one(
 
 def test_a_killed_run_reads_back_as_far_as_it_came(small_plan, open_small_bench, folder, tiled):
     plan, path, left = small_plan(), folder / "killed.h5", []
-    # What SIGKILL leaves: every line is with the operating system before the next step is told.
+    # What SIGKILL leaves: every line is with the operating system before the next step is written.
     measure(plan, open_small_bench(plan), path, progress=lambda _: left.append(documents_of(path)))
     documents = left[2]
     assert [name for name, _ in documents].count("event") == 3

@@ -35,10 +35,10 @@ FRAME_RATE_HZ = Fraction(25, 2)
 
 @pytest.fixture(scope="session")
 def tables():
-    """The paper's numbers, where they lie beside the checkout."""
+    """The paper's numbers, from the folder next to the checkout."""
     path = Path(__file__).parents[3] / "shared" / "paper" / "tables.yaml"
     if not path.exists():
-        pytest.skip("the paper's tables.yaml does not lie beside this checkout")
+        pytest.skip("the paper's tables.yaml is not next to this checkout")
     return yaml.safe_load(path.read_text())
 
 

@@ -48,7 +48,7 @@ def test_the_cavity_is_loudest_at_the_papers_line():
 
 
 def test_the_cavity_line_is_a_resonance_of_its_quality():
-    """Its part beside the direct path: ``strength·Q`` and a quarter turn late at the line."""
+    """Relative to the direct path: ``strength·Q`` and a quarter turn late at the line."""
     line = CavityLine(frequency_hz=3e3, quality=40.0, strength=0.2)
     assert cavity_gain(line, 3e3) - 1 == pytest.approx(-1j * 0.2 * 40, rel=1e-9)
     half_power = [3e3 * (1 + side / 80) for side in (-1, 1)]
@@ -115,7 +115,7 @@ GRID_X, GRID_Y = np.meshgrid(np.linspace(0, 38e-3, 77), np.linspace(-6e-3, 6e-3,
 
 
 @pytest.mark.parametrize("hz", [100.0, 4e3, 15e3])
-def test_an_open_chamber_presses_both_sides_alike(hz):
+def test_an_open_chamber_presses_both_sides_equally(hz):
     shape = pressure_shape(Chamber(), hz, GRID_X, GRID_Y)
     np.testing.assert_allclose(shape, shape[:, ::-1], atol=1e-12)
 
@@ -138,7 +138,7 @@ def test_pressure_is_one_at_the_tip_and_nothing_outside_the_window():
     np.testing.assert_allclose(pressure_shape(chamber, 100.0, *beyond), 0, atol=2e-3)
 
 
-def test_a_wave_stands_in_the_chamber_closed_at_the_tip():
+def test_a_standing_wave_is_in_the_chamber_closed_at_the_tip():
     """Nodes at odd quarters of the wavelength; no gradient at the tip."""
     chamber = Chamber(sound_speed_m_s=343.0)
     hz = 8e3

@@ -155,7 +155,7 @@ def test_light_comes_from_the_reed_alone(quiet_bench, quiet_settings, at_rest):
 
 
 def test_displacement_is_that_of_the_driven_reed(quiet_bench, quiet_settings, coarse_reed):
-    """Volts to pressure to forced response to the bark side, put together anew."""
+    """Volts to pressure to forced response to the bark side, put together again."""
     axes = reed_axes_m(quiet_settings.layout, quiet_bench.region, quiet_bench.transform)
     y, x = np.meshgrid(*axes, indexing="ij")
     inside = on_reed(Outline(), x, y)
@@ -364,7 +364,7 @@ def test_the_noise_of_an_empty_image_is_shot_noise_and_read_noise(coarse_reed, t
     sensor = settings.sensor
     mean_dn = frames.mean() - sensor.offset_dn
     variance = mean_dn / sensor.gain_e_dn + (12 / 4) ** 2 + 1 / 12
-    # Beside reed, twin and zero order.
+    # Away from reed, twin and zero order.
     empty = image[100:156, :80]
     assert np.mean(np.abs(empty) ** 2) == pytest.approx(4 * variance, rel=0.06)
 

@@ -77,7 +77,7 @@ def test_what_two_programs_want_at_once_is_made_once(folder):
 
 
 @pytest.mark.usefixtures("folder")
-def test_another_reed_is_built_anew(announced):
+def test_another_reed_is_built_again(announced):
     reed(announced)
     reed(announced, geometry=replace(ReedGeometry(), thickness_offset_m=1e-6))
     reed(announced, settings=replace(FEW, size=5))
@@ -94,7 +94,7 @@ def test_another_reed_is_built_anew(announced):
     ],
     ids=["empty", "foreign", "cut"],
 )
-def test_a_damaged_entry_is_built_anew(damage, folder, announced):
+def test_a_damaged_entry_is_built_again(damage, folder, announced):
     built = reed(announced)
     (entry,) = folder.iterdir()
     entry.write_bytes(entry.read_bytes()[:2000] if damage is None else damage)
@@ -118,7 +118,7 @@ def test_a_changed_bit_is_noticed(folder, announced):
 
 
 @pytest.mark.usefixtures("folder")
-def test_another_version_of_a_library_or_of_the_code_makes_it_anew(monkeypatch, announced):
+def test_another_version_of_a_library_or_of_the_code_makes_it_again(monkeypatch, announced):
     reed(announced)
     monkeypatch.setattr(cache.np, "__version__", "0.0")
     reed(announced)
@@ -163,7 +163,7 @@ def kept(inputs, make):
 
 
 @pytest.mark.usefixtures("folder")
-def test_inputs_are_told_apart_to_the_last_bit():
+def test_inputs_are_distinguished_to_the_last_bit():
     assert kept((0.1,), lambda: 1.0) == 1.0
     assert kept((0.1,), lambda: 2.0) == 1.0
     assert kept((np.nextafter(0.1, 1).item(),), lambda: 3.0) == 3.0
@@ -263,7 +263,7 @@ def _resaved(change):
 
 
 def _resaved_with_the_old_end(entry):
-    """What somebody writes who keeps all that is no array."""
+    """A file that keeps all that is no array."""
     whole, times = bytearray(entry.read_bytes()), np.float64(1.3)
     old, new = np.arange(3.0).tobytes(), (times * np.arange(3.0)).tobytes()
     whole[whole.index(old) : whole.index(old) + len(old)] = new
@@ -327,11 +327,11 @@ def test_what_does_not_verify_is_never_used_and_replaced(damage, entry, count, c
 
 def test_a_link_at_an_entrys_name_leaves_its_target_alone(entry, count):
     target = entry.parent.parent / "target"
-    target.write_text("somebody's")
+    target.write_text("others's")
     entry.unlink()
     entry.symlink_to(target)
     assert count() == 2
-    assert target.read_text() == "somebody's"
+    assert target.read_text() == "others's"
 
 
 def test_an_entry_of_another_key_under_this_name_is_not_used(entry, count, folder):
@@ -451,10 +451,10 @@ def lock_of(folder):
 def test_a_link_at_the_locks_name_is_not_followed(count, folder, tmp_path):
     count()
     target = tmp_path / "target"
-    target.write_text("somebody's")
+    target.write_text("others's")
     lock_of(folder).symlink_to(target)
     assert (count(), count()) == (2, 2)
-    assert target.read_text() == "somebody's"
+    assert target.read_text() == "others's"
 
 
 @pytest.mark.parametrize("make", [os.mkdir, os.mkfifo])

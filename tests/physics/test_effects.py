@@ -138,9 +138,9 @@ def _flat(value: Any, path: str = "") -> dict[str, Any]:
 def test_the_tables_name_every_effect() -> None:
     assert {*MORE, *ALTERED, "laser_mode_hop", "second_acoustic_resonance"} == set(BY_ID)
     for effect in CATALOGUE:
-        told = {*MORE.get(effect.id, ()), *TIMES.get(effect.id, ())}
-        if told:
-            assert told == {parameter.name for parameter in effect.parameters}
+        expected = {*MORE.get(effect.id, ()), *TIMES.get(effect.id, ())}
+        if expected:
+            assert expected == {parameter.name for parameter in effect.parameters}
 
 
 @pytest.mark.parametrize("name", MORE)
@@ -158,7 +158,7 @@ def test_an_effect_adds_its_sizes_to_its_own_fields_and_to_nothing_else(name: st
 
 @pytest.mark.parametrize("name", ALTERED)
 @pytest.mark.parametrize("sign", [1, -1])
-def test_an_altered_reed_is_altered_besides_by_its_own(name: str, sign: int) -> None:
+def test_an_altered_reed_keeps_its_own_alterations(name: str, sign: int) -> None:
     size, one, other = ALTERED[name]
     effect, base = BY_ID[name], _busy()
     amount = 2e-6 * sign
@@ -188,7 +188,7 @@ def test_none_of_an_effect_is_what_a_bench_has_already(effect: Effect) -> None:
 
 
 @each
-def test_a_little_more_is_little_more_where_there_is_room_for_more(effect: Effect) -> None:
+def test_a_little_more_is_little_more_below_the_limit(effect: Effect) -> None:
     base = effect.change(_busy(), values(effect, 1.0))
     before, after = _flat(base), _flat(effect.change(base, values(effect, 1e-9)))
     moved = [

@@ -19,7 +19,7 @@ from physics.reed.material import (
     stiffness_terms_pa,
 )
 
-# Nine different constants: none can stand in for another.
+# Nine different constants: none can replace another.
 ODD_CANE = Cane(
     E_L_pa=13e9,
     E_T_pa=0.7e9,

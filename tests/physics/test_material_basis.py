@@ -139,10 +139,10 @@ class TestAgainstFiniteElements:
             for count, corners in ((6, False), (20, True))
         ]
         assert abs(np.mean([np.nanmedian(part) for part in errors])) < 0.3
-        told = max(half.error_cents for half in basis.halves.values())
-        assert told <= SETTINGS.aim_cents
+        stated = max(half.error_cents for half in basis.halves.values())
+        assert stated <= SETTINGS.aim_cents
         # The larger model errs too, a little.
-        assert max(np.nanmax(np.abs(part)) for part in errors) < told + 0.3
+        assert max(np.nanmax(np.abs(part)) for part in errors) < stated + 0.3
 
     def test_every_input_moves_frequencies_as_in_the_finite_elements(self, basis):
         """Tenth of the range to either side: the change by slopes and by finite elements."""
@@ -231,7 +231,7 @@ class TestNames:
         assert np.all(np.diff(found.hz[0]) > 0)
 
     def test_clear_names_are_those_of_the_rules(self, basis):
-        """Two ways that share nothing but the reference: shapes alike, and what they look like."""
+        """Two ways that share nothing but the reference: equal shapes, and what they look like."""
         canes, _ = reeds(8, seed=31)
         found = modes(basis, constants_of(canes), 520.0)
         compared = 0
@@ -445,7 +445,7 @@ class TestViscoelasticCane:
             assert len(set(nearest.tolist())) == len(nearest)
             assert np.abs(cents[np.arange(len(cents)), nearest]).max() < PROMISED_CENTS
 
-    def test_moduli_beyond_the_box_are_told(self, basis):
+    def test_moduli_beyond_the_box_are_reported(self, basis):
         cane = viscoelastic_cane(Components(e2=4.0), Series.A)
         assert not settled_modes(basis, Cane(), cane).within[0]
         cane = viscoelastic_cane(Components(), Series.A)
@@ -545,12 +545,12 @@ class TestTraining:
             ends = np.isclose(constants, LIMITS[:9, 0]) | np.isclose(constants, LIMITS[:9, 1])
             assert (ends.mean() > 0.7) == edges
 
-    def test_progress_is_told_to_the_end(self):
-        told = []
-        build_material_basis(ReedGeometry(), TINY, FEW, told.append)
-        assert len(told) > FEW.snapshots
-        assert np.all(np.diff(told) >= 0)
-        assert (told[0], told[-1]) == (0, 1)
+    def test_progress_is_reported_to_the_end(self):
+        fractions = []
+        build_material_basis(ReedGeometry(), TINY, FEW, fractions.append)
+        assert len(fractions) > FEW.snapshots
+        assert np.all(np.diff(fractions) >= 0)
+        assert (fractions[0], fractions[-1]) == (0, 1)
 
     def test_meshes_whose_lines_would_change_with_the_thickness_are_refined(self):
         """One element more fits in front of the heel of the thinner reed."""
@@ -626,14 +626,14 @@ class TestCache:
                 )
 
     @pytest.mark.usefixtures("folder")
-    def test_another_input_is_built_anew(self, announced):
+    def test_another_input_is_built_again(self, announced):
         self.basis(announced)
         self.basis(announced, geometry=ReedGeometry(thickness_offset_m=1e-6))
         self.basis(announced, settings=replace(FEW, samples=32))
         assert len(announced) == 3
 
     @pytest.mark.parametrize("damage", [b"", b"not an archive", None], ids=str)
-    def test_a_damaged_entry_is_built_anew(self, damage, folder, announced):
+    def test_a_damaged_entry_is_built_again(self, damage, folder, announced):
         built = self.basis(announced)
         (entry,) = folder.iterdir()
         entry.write_bytes(entry.read_bytes()[:2000] if damage is None else damage)

@@ -152,7 +152,7 @@ def test_what_is_held_is_the_strip(geometry, level):
         assert bark.sum() == flat.sum()
 
 
-def test_graded_faces_lie_beside_the_edges_of_the_strip():
+def test_graded_faces_lie_next_to_the_edges_of_the_strip():
     nodes = columns(build_mesh(ReedGeometry(), FINE))
     for x_mm in (38.1, 38.2, 38.3):
         assert np.isclose(nodes[:, 0, 0, 0], x_mm * 1e-3, atol=1e-9).any()

@@ -372,7 +372,7 @@ def test_viscoelastic_cane_of_an_even_reed_solved_whole():
     np.testing.assert_allclose(cents(frequencies(whole), frequencies(halves)), 0, atol=1e-3)
 
 
-def test_mirror_images_sound_alike():
+def test_mirror_images_have_equal_frequencies():
     deviation_um = 3 * EVEN_UM + 8 * ODD_UM
     here, there = reed_with(deviation_um), reed_with(deviation_um[:, ::-1])
     mesh = build_whole_mesh(here, LEVEL)

@@ -38,7 +38,7 @@ def test_rubbery_half_way_and_glassy_moduli(zener):
 @settings(deadline=None)
 @given(SOLIDS)
 def test_storage_is_the_real_part_of_the_complex_modulus(zener):
-    """A spring beside a Maxwell arm: stiffnesses add, in the arm compliances."""
+    """A spring parallel to a Maxwell arm: stiffnesses add, in the arm compliances."""
     omega = np.geomspace(1, 1e6, 7)
     dashpot = 1j * omega * zener.arm_dashpot_mpa_s
     arm = 1 / (1 / zener.arm_spring_mpa + 1 / dashpot)

@@ -158,7 +158,7 @@ def test_an_even_reed_looks_to_the_camera_as_its_halves_do(even_whole, even_halv
     rng = np.random.default_rng(5)
     x, y = rng.uniform(2e-3, 37e-3, 500), rng.uniform(-5.5e-3, 5.5e-3, 500)
     one, other = (deflection(reed, 3.4e3, askew, x, y) for reed in (even_whole, even_halves))
-    # Both are interpolated between the nodes of so coarse a mesh, but not alike at the axis.
+    # Both are interpolated between the nodes of so coarse a mesh, but not equally at the axis.
     assert np.linalg.norm(one - other) < 0.01 * np.linalg.norm(other)
 
 

@@ -45,7 +45,7 @@ def test_the_shipped_campaign_has_what_a_diagnosis_needs() -> None:
     assert all(not make_plan(task.protocol, BENCH).violations for task in tasks)
 
 
-def test_campaigns_are_told_from_protocols() -> None:
+def test_campaigns_are_distinguished_from_protocols() -> None:
     assert names_campaign("campaign")
     assert not names_campaign("seriesA")
     assert "campaign" not in shipped_protocols()
@@ -157,7 +157,7 @@ def test_a_campaign_leaves_a_run_of_each_part(tmp_path) -> None:
     assert [runs["lo"].exposure_of(step) for step in runs["lo"].steps] == [0.02, 0.04]
     times = [step.timestamps_s[0] for step in runs["down"].steps]
     assert times == sorted(times, reverse=True)
-    # Another speckle after the reed was clamped anew.
+    # Another speckle after the reed was clamped again.
     one, other = (runs[name].field(0).ravel() for name in ("down", "again"))
     assert abs(np.vdot(one, other)) < 0.5 * np.linalg.norm(one) * np.linalg.norm(other)
     for run in runs.values():
@@ -167,7 +167,7 @@ def test_a_campaign_leaves_a_run_of_each_part(tmp_path) -> None:
         assert file["entry/acquisition/part"][()] == b"dark"
 
 
-def test_somebody_is_asked_where_no_program_can_do_it(tmp_path, monkeypatch) -> None:
+def test_a_person_is_asked_where_no_program_can_do_it(tmp_path, monkeypatch) -> None:
     def by_hand(*asked, **more):
         return replace(open_bench(*asked, **more), surroundings=None)
 
@@ -181,7 +181,7 @@ def test_somebody_is_asked_where_no_program_can_do_it(tmp_path, monkeypatch) -> 
 
 
 def test_only_a_simulated_camera_has_simulated_surroundings() -> None:
-    # A real camera beside simulated instruments sees real light: shutters are somebody's.
+    # A real camera with simulated instruments sees real light: a person works the shutters.
     entries = SMALL.instruments
     preparation = make_plan(Protocol.from_file("seriesA"), SMALL).preparation("R07")
     context = BenchContext(SMALL, preparation, np.random.default_rng(0), lambda _: None)

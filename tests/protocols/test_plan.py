@@ -378,7 +378,7 @@ def test_a_preparation_is_that_of_the_protocol_and_its_reed():
     alto = ReedFile.from_file("alto-saxophone")
     assert (preparation.reed, preparation.series) == ("R1", "A")
     assert preparation.geometry == alto.geometry() != ReedGeometry()
-    # What is drawn for each reed anew is not its kind's.
+    # What is drawn again for each reed is not its kind's.
     assert (preparation.constants.E_L_pa, preparation.constants.G_LT_pa) == (14e9, 1.1e9)
     assert preparation.constants.E_T_pa == alto.cane().E_T_pa
 

@@ -63,7 +63,7 @@ def test_series_a_is_the_sweep_of_the_paper():
 
 def test_what_happens_when_a_step_goes_wrong_can_be_said():
     quick = Protocol.from_file("quick")
-    # What stands in series A is what holds where nothing is said.
+    # The values of series A hold where nothing is said.
     assert quick.policy == Protocol.from_file("seriesA").policy == Policies()
     assert (quick.policy.bad_step.retries, quick.policy.bad_step.then) == (1, "skip")
     assert (quick.policy.instrument_error.retries, quick.policy.instrument_error.then) == (
@@ -401,7 +401,11 @@ def test_a_damaged_file_is_read_or_refused(data):
 
 WRONG_BENCHES = {
     "unknown key": ("pixel:", "pixels:", "instruments.camera.pixels: unknown key; did you mean 'p"),
-    "option beside the driver": ("step: 1 uHz", "step: 1 uHz\n    port: x", "generator.port: unkn"),
+    "option next to the driver": (
+        "step: 1 uHz",
+        "step: 1 uHz\n    port: x",
+        "generator.port: unkn",
+    ),
     "wrong dimension": ("650 nm", "650 nHz", "optics.wavelength: '650 nHz' is not a length"),
     "volts of no kind": ("  volts_are: peak\n", "", "limits.volts_are: is missing; add it"),
     "volts of another kind": (
@@ -479,7 +483,7 @@ def test_a_protocol_without_a_reed_is_for_a_clarinet_s():
     assert protocol.reed_file() == ReedFile.from_file("clarinet")
 
 
-def test_a_reed_s_file_is_looked_for_beside_the_protocol_first(tmp_path, monkeypatch):
+def test_a_reed_file_is_looked_for_in_the_folder_of_the_protocol_first(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("mine").mkdir()
     bass = find_description("bass-clarinet", "reed", "reeds").read_text(encoding="utf-8")

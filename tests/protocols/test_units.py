@@ -148,5 +148,5 @@ def test_a_long_value_is_shown_short():
         ("\ud800", "U+D800"),
     ],
 )
-def test_characters_that_nobody_sees_are_found(text, found):
+def test_invisible_characters_are_found(text, found):
     assert invisible_character(text) == found

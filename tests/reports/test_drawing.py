@@ -37,7 +37,7 @@ LINES_HZ = (4308.6,)
 
 
 class DrawnRun:
-    """Stands in for a run file: every picture is bright where `bright(x, y)` says."""
+    """Replaces a run file: every picture is bright where `bright(x, y)` says."""
 
     sideband_order = 1
 
@@ -96,7 +96,7 @@ def half_means(picture):
 # --- Contact sheet -----------------------------------------------------------------------------
 
 
-def test_pictures_stand_in_rows_of_26_numbered_by_the_protocol():
+def test_pictures_are_in_rows_of_26_numbered_by_the_protocol():
     sheet = contact_sheet(DrawnRun(lambda x, y: x > 0), {}, LINES_HZ)
     places = cells(sheet, 60)
     assert [int(text) for *_, text in places] == list(range(1, 61))
@@ -109,14 +109,14 @@ def test_pictures_stand_in_rows_of_26_numbered_by_the_protocol():
     assert tops == sorted(tops)
 
 
-def test_other_sidebands_are_told_apart_and_are_no_resonances():
+def test_other_sidebands_are_distinguished_and_are_no_resonances():
     run = DrawnRun(lambda x, y: x > 0, indices=[7, 7, 8, 8])
     run.steps = tuple(replace(step, order=(1, 0)[n % 2]) for n, step in enumerate(run.steps))
     sheet = contact_sheet(run, {"F1": Resonance("F1", 1838.0, 7.2, 7, 9.0)}, LINES_HZ)
     assert [text for *_, text in cells(sheet, 4)] == ["7 F1", "7/0", "8", "8/0"]
 
 
-def test_a_short_run_stands_in_one_row():
+def test_a_short_run_is_in_one_row():
     sheet = contact_sheet(DrawnRun(lambda x, y: x > 0, indices=range(44, 77, 2)), {}, LINES_HZ)
     places = cells(sheet, 17)
     assert len({top for _, top, _ in places}) == 1

@@ -101,7 +101,7 @@ def test_nothing_to_tell_apart_is_said(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_what_cannot_be_written_is_told_before_anything_is_diagnosed(tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_reported_before_anything_is_diagnosed(tmp_path: Path) -> None:
     run = SimpleNamespace(path=tmp_path / "up.h5", protocol_text=_sweeps())
     file, sweep = tmp_path / "next.yaml", tmp_path / "next-sweep.yaml"
     require_repeatable(run, file)

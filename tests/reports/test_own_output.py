@@ -108,10 +108,10 @@ def test_places_that_cannot_be_written_are_refused(tmp_path, monkeypatch):
         f"{'n' * 256}": "too long",
     }
     for name, reason in refused.items():
-        with pytest.raises(OutputRefusedError, match=f"{reason}.*--next") as told:
+        with pytest.raises(OutputRefusedError, match=f"{reason}.*--next") as refused:
             require_writable([Output(tmp_path / name, PAGE, "--next")])
-        assert "\n" not in str(told.value)
-        assert told.value.exit_status == 2
+        assert "\n" not in str(refused.value)
+        assert refused.value.exit_status == 2
     require_writable([Output(tmp_path / ("n" * 255), PAGE)])
     require_writable([Output(tmp_path / "no" / "page.html", PAGE)], makes_folder=True)
     with pytest.raises(OutputRefusedError, match="too long"):
@@ -227,11 +227,11 @@ def test_a_disk_that_refuses_is_a_failure_and_leaves_the_old(page, monkeypatch, 
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(own_output.os, function, refuse)
-    with pytest.raises(OutputFailedError, match=os.strerror(number)) as told:
+    with pytest.raises(OutputFailedError, match=os.strerror(number)) as failed:
         write_output(Output(page, PAGE), b"new")
     monkeypatch.undo()
-    assert told.value.exit_status == 1
-    assert "\n" not in str(told.value)
+    assert failed.value.exit_status == 1
+    assert "\n" not in str(failed.value)
     assert page.read_bytes() == _content(PAGE, "old")
     assert os.listdir(page.parent) == ["page.html"]
 

@@ -1,4 +1,4 @@
-"""The HTML page: complete in itself, and true to what it is told."""
+"""The HTML page: complete in itself, and true to its input."""
 
 import base64
 from dataclasses import replace
@@ -95,12 +95,12 @@ def test_the_page_needs_nothing_else(written, page):
     assert all(link.startswith("data:image/png;base64,") for link in page.links)
 
 
-def test_the_page_holds_the_very_pictures_that_lie_beside_it(written, page):
+def test_the_page_holds_the_very_pictures_of_its_folder(written, page):
     held = [base64.b64decode(image.split(",")[1], validate=True) for image in page.images]
     assert held == [written["contact sheet"].read_bytes(), written["response"].read_bytes()]
 
 
-def test_the_page_tells_modes_components_and_moduli(fitted, page):
+def test_the_page_gives_modes_components_and_moduli(fitted, page):
     sweep, parameters = fitted.sweeps[0], fitted.parameters
     assert "Reed R07, series A" in page.text
     for name, found in sweep.resonances.items():
@@ -116,7 +116,7 @@ def test_the_page_tells_modes_components_and_moduli(fitted, page):
     assert "outside physics" not in page.text
 
 
-def test_modes_that_were_not_fitted_are_told(fitted, tmp_path):
+def test_modes_that_were_not_fitted_are_reported(fitted, tmp_path):
     residual = dict(fitted.parameters.residual_cents["A"])
     residual.pop("X1")
     parameters = replace(fitted.parameters, residual_cents={"A": residual})
@@ -137,7 +137,7 @@ def test_what_people_wrote_is_text_and_never_markup(fitted, changed, tmp_path):
     assert f"No parameters: because of {SHOWN}" in page.text
 
 
-def test_springs_outside_physics_are_told(fitted, tmp_path):
+def test_springs_outside_physics_are_reported(fitted, tmp_path):
     parameters = replace(fitted.parameters, physical=False)
     files = write_report(replace(fitted, parameters=parameters), tmp_path / "page.html")
     assert "outside physics" in files["report"].read_text(encoding="utf-8")

@@ -181,9 +181,9 @@ def test_places_that_cannot_be_written_are_refused(comparison, tmp_path):
         (tmp_path / "nowhere" / "page.html", "there is no folder"),
         (tmp_path, "it is a folder"),
     ):
-        with pytest.raises(OutputRefusedError, match=words) as told:
+        with pytest.raises(OutputRefusedError, match=words) as refused:
             require_writable([page_output(page)])
-        assert "choose another place with --out" in str(told.value)
+        assert "choose another place with --out" in str(refused.value)
         with pytest.raises(OutputRefusedError, match="choose another place with --out"):
             write_page(comparison, page)
 

@@ -25,7 +25,7 @@ PAPER = Path(__file__).parents[3] / "shared" / "paper"
 def latex():
     files = sorted(PAPER.glob("000_*.txt"))
     if not files:
-        pytest.skip("the paper does not lie beside this checkout")
+        pytest.skip("the paper is not next to this checkout")
     return files[0].read_text()
 
 
@@ -49,7 +49,7 @@ def test_the_copy_is_the_transcript(numbers, tables):
         assert plain(ours[key]) == plain(theirs), key
 
 
-def test_every_further_number_stands_in_the_text(numbers, latex):
+def test_every_further_number_is_in_the_text(numbers, latex):
     """Numbers as the text writes them: without thousands marks, words for a few."""
     written = set(re.findall(r"\d+\.?\d*", latex.replace("{,}", "")))
     known = {float(number) for number in written}

@@ -63,7 +63,7 @@ def test_whatever_is_printed_has_a_unit_or_none_at_all(comparison):
     assert units <= known
 
 
-def test_meshes_are_solved_and_told(monkeypatch):
+def test_meshes_are_solved_and_reported(monkeypatch):
     monkeypatch.setattr(mesh_evidence, "STANDARD", replace(FAST, orders=(3, 2, 2)))
     meshes = ((3e-3, 3e-3, False), (3e-3, 2e-3, False), (3e-3, 3e-3, True))
     monkeypatch.setattr(mesh_evidence, "_MESHES", meshes)

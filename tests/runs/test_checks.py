@@ -18,7 +18,7 @@ STEPS = 4
 
 @pytest.fixture
 def run_file(tiny_plan, fake_bench, tmp_path):
-    """Path of a run file with room for earlier takes, none of whose steps was measured."""
+    """Path of a run file with places for earlier takes, none of whose steps was measured."""
     plan = tiny_plan(STEPS, **{"policy.bad_step.retries": 1})
     path = tmp_path / "run.h5"
     writer = RunWriter.create(
@@ -225,7 +225,7 @@ def test_a_named_type_is_refused(run_file):
 def test_a_column_of_a_later_version_does_no_harm(run_file):
     with h5py.File(run_file, "r+") as file:
         file["entry/steps/checksum"] = np.zeros(STEPS, dtype="u4")
-        file["entry/notes/of/somebody"] = "hello"
+        file["entry/notes/of/others"] = "hello"
     Run.open(run_file).close()
 
 

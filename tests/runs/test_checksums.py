@@ -71,7 +71,7 @@ def measured(tiny_plan, fake_bench, tmp_path):
 
 
 def flip(path, name, place=0):
-    """Flip one bit in an entry of a dataset, where it stands in the file."""
+    """Flip one bit in an entry of a dataset, where it is in the file."""
     with h5py.File(path, "r") as file:
         dataset = file["entry"][name]
         if dataset.chunks:

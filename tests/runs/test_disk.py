@@ -326,5 +326,5 @@ def test_a_file_that_is_being_written_is_locked(tmp_path):
         (ValueError("no number"), RunFileError),
     ],
 )
-def test_a_disk_that_refuses_is_told_from_a_wrong_name(error, kind):
+def test_a_disk_that_refuses_is_reported_from_a_wrong_name(error, kind):
     assert error_class(error) is kind

@@ -1,4 +1,4 @@
-"""The documents beside a run file are those of the event model."""
+"""The documents of a run file are those of the event model."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""What a killed process leaves beside a run: cleared by the next one, and by nothing else."""
+"""What a killed process leaves next to a run: cleared by the next one, and by nothing else."""
 
 import json
 import os
@@ -100,7 +100,7 @@ def test_documents_that_may_be_worth_something_stay_and_block_the_name(
     assert names(path.parent) == [begun.name]
 
 
-def test_documents_beside_their_run_file_stay(path, begun):
+def test_documents_of_a_run_file_stay(path, begun):
     path.write_bytes(b"a run")
     assert clear_leftovers(path) == []
 

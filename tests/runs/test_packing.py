@@ -35,7 +35,7 @@ def plan():
 
 @pytest.fixture(scope="module")
 def unpacked(plan, tmp_path_factory):
-    """A run file that nobody packed, the 12 bits of its frames as a camera gives them."""
+    """A run file that was not packed, the 12 bits of its frames as a camera gives them."""
     path = tmp_path_factory.mktemp("unpacked") / "run.h5"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("acquire.runner.run_session.pack", lambda path, progress: None)
@@ -66,8 +66,8 @@ def contents(path):
 
 
 def test_nothing_is_lost(path, unpacked):
-    told = []
-    packed = pack(path, told.append)
+    fractions = []
+    packed = pack(path, fractions.append)
     assert contents(path) == contents(unpacked)
     assert packed == Packing(unpacked.stat().st_size, path.stat().st_size)
     assert 0.1 < packed.ratio < 0.9
@@ -78,8 +78,8 @@ def test_nothing_is_lost(path, unpacked):
         assert run.steps == before.steps
         for position in range(len(run)):
             np.testing.assert_array_equal(run.field(position), before.field(position))
-    assert told == sorted(told)
-    assert told[-1] == 1.0
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
     assert [file.name for file in path.parent.iterdir()] == ["run.h5"]
 
 
@@ -260,11 +260,11 @@ def test_an_interrupted_packing_leaves_the_run_as_it_was(path, unpacked):
 
 def test_a_run_that_cannot_be_packed_is_complete_all_the_same(plan, tmp_path, monkeypatch):
     disk_refuses(monkeypatch)
-    told = []
-    calls = Callbacks(announce=told.append)
+    announced = []
+    calls = Callbacks(announce=announced.append)
     summary = measure(plan, tmp_path / "run.h5", reed="R07", callbacks=calls).summary
     assert summary.status is RunState.COMPLETE
-    assert "cannot be packed" in told[-1]
+    assert "cannot be packed" in announced[-1]
     with Run.open(tmp_path / "run.h5") as run:
         assert run.status == "complete"
         assert run.good.all()

@@ -262,7 +262,7 @@ def test_a_step_that_was_written_is_with_the_operating_system(plan, create, tmp_
         assert file["entry/steps/verdict"].asstr()[()].tolist() == ["ok"] + ["pending"] * 3
         field = file["entry/data/field"]
         np.testing.assert_array_equal(field[0], measured(plan, 0).field)
-        assert field.id.get_storage_size() == field.nbytes, "room for the steps to come"
+        assert field.id.get_storage_size() == field.nbytes, "places for the steps to come"
     writer.finish("complete")
 
 
@@ -288,9 +288,9 @@ def test_a_file_that_cannot_be_made_is_not_left_behind(create, plan, tmp_path, m
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("runs.contents._write_data", full)
-    with pytest.raises(DiskError, match="No space left on device") as told:
+    with pytest.raises(DiskError, match="No space left on device") as refused:
         create()
-    assert told.value.exit_status == 1
+    assert refused.value.exit_status == 1
     assert list(tmp_path.iterdir()) == []
 
 
@@ -426,7 +426,7 @@ def test_of_a_step_that_was_taken_again_both_takes_are_kept(retaking, create, ke
         run.retaken_field(0)
 
 
-def test_takes_before_the_last_stand_in_the_order_in_which_they_were_taken_again(retaking, create):
+def test_takes_before_the_last_are_in_the_order_in_which_they_were_taken_again(retaking, create):
     plan = retaking(**{"policy.bad_step.retries": 2})
     writer = create(plan=plan)
     for position in (2, 0):
@@ -436,8 +436,8 @@ def test_takes_before_the_last_stand_in_the_order_in_which_they_were_taken_again
         writer.write(position, measured(plan, position, verdict))
     writer.finish("complete")
     with Run.open(writer.path) as run:
-        told = [(take.position, take.verdict) for take in run.retakes]
-        assert told == [(2, Verdict.LOCK), (0, Verdict.LOCK), (2, Verdict.STALE)]
+        retakes = [(take.position, take.verdict) for take in run.retakes]
+        assert retakes == [(2, Verdict.LOCK), (0, Verdict.LOCK), (2, Verdict.STALE)]
 
 
 def test_without_a_spare_place_nothing_is_set_aside(retaking, create):
@@ -666,7 +666,7 @@ def states(retaking, create):
 
 def test_whatever_is_written_last_every_take_in_the_file_is_whole(states):
     _, takes, contents = states
-    firsts, told = dict(TAKES), set()
+    firsts, seen = dict(TAKES), set()
     for content in contents:
         with h5py.File(io.BytesIO(content), "r") as file:
             run = Run("killed.h5", file)
@@ -685,10 +685,10 @@ def test_whatever_is_written_last_every_take_in_the_file_is_whole(states):
                 assert take.verdict is whole.judgement.verdict
                 assert take.changed_s == whole.changed_s
                 assert take.sentence == whole.judgement.sentence
-            told.add(tuple(step.verdict for step in run.steps))
+            seen.add(tuple(step.verdict for step in run.steps))
     # Each bad step was seen bad, to be taken again, and good.
     for position in (0, 2):
-        assert {verdicts[position] for verdicts in told} == {
+        assert {verdicts[position] for verdicts in seen} == {
             firsts[position], Verdict.PENDING, Verdict.OK
         }  # fmt: skip
 
@@ -723,7 +723,7 @@ def said_of(content):
 
 
 def test_whatever_is_written_last_the_run_is_gone_on_with_and_no_take_is_lost(states, tmp_path):
-    """A step that was being set aside is so once, and none is told twice."""
+    """A step that was being set aside is so once, and none is written twice."""
     plan, takes, contents = states
     # The first and the last of those that say the same of all steps and takes.
     groups = [list(group) for _, group in groupby(contents, key=said_of)]
@@ -815,7 +815,7 @@ said.send(len(plan.steps))
 """
 
 
-# Writes a run as fast as it can, every step twice, until it is told to stop.
+# Writes a run as fast as it can, every step twice, until it is asked to stop.
 WRITER = """
 import numpy as np
 from acquire.runner.quality import Judgement, ReadBack, Verdict
@@ -859,8 +859,11 @@ def test_a_run_in_work_is_read_as_if_nothing_was_written(processes, retaking, tm
     child, heard = processes(WRITER, plan=plan, path=path, stop=stop)
     heard.recv()
     openings, seen, refusals = 0, set(), []
-    until_s = time.monotonic() + 3.0
-    while time.monotonic() < until_s and openings < 60:
+    begun_s, limit_s = time.monotonic(), 60.0
+    while openings < 60 and time.monotonic() - begun_s < limit_s:
+        if openings > 3 and len(seen) > 2:
+            # Enough; only on a machine that is busy with other programs it takes longer.
+            limit_s = 3.0
         try:
             run = Run.open(path)
         except RunFileError as error:
@@ -894,7 +897,6 @@ def test_a_run_in_work_is_read_as_if_nothing_was_written(processes, retaking, tm
     assert child.exitcode == 0
     other = [line for line in refusals if not re.search("no such file|measured again", line)]
     assert not other
-    # On a machine with much else to do it gets not far.
     assert openings > 3
     assert len(seen) > 2, seen
 

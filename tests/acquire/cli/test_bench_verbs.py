@@ -31,7 +31,7 @@ ABSENT_PORT = "/dev/no-such-port"
 
 
 @dataclass
-class Room:
+class Laboratory:
     """Two simulated instruments that go on when no program talks to them, and where they are."""
 
     synthesizers: NovatechEmulator
@@ -53,28 +53,31 @@ class Room:
 
 
 @pytest.fixture
-def room():
+def laboratory():
     with ExitStack() as taken_down:
         synthesizers, generator = NovatechEmulator(lambda _: None), SiglentEmulator()
         line, network = PtyServer(synthesizers), SocketServer(generator)
         taken_down.callback(line.close)
         taken_down.callback(network.close)
         resource = f"TCPIP::127.0.0.1::{network.port}::SOCKET"
-        yield Room(synthesizers, generator, line.port, resource)
+        yield Laboratory(synthesizers, generator, line.port, resource)
 
 
 @pytest.fixture
-def real_bench(tmp_path, room):
-    """Return a function that writes a bench of the real drivers in that room."""
+def real_bench(tmp_path, laboratory):
+    """Return a function that writes a bench of the real drivers in that laboratory."""
 
     def write(port=None, changes=None, **twin):
         content = yaml.safe_load(find_bench("emulated").read_text(encoding="utf-8"))
         content["twin"] = {"mesh": "coarse", **twin}
         instruments = content["instruments"]
         instruments["synthesizers"]["driver"] = "novatech-409b"
-        instruments["synthesizers"]["options"] |= {"port": port or room.port, "timeout_s": 0.2}
+        instruments["synthesizers"]["options"] |= {
+            "port": port or laboratory.port,
+            "timeout_s": 0.2,
+        }
         instruments["generator"]["driver"] = "siglent-sdg2042x"
-        instruments["generator"]["options"] = {"resource": room.resource, "timeout_s": 0.5}
+        instruments["generator"]["options"] = {"resource": laboratory.resource, "timeout_s": 0.5}
         instruments["camera"]["driver"] = "simulated"
         for key, value in (changes or {}).items():
             role, option = key.split(".")
@@ -138,12 +141,12 @@ def test_the_table_is_read_by_people_too(cli, folder, emulated_bench):
 
 
 def test_instruments_that_are_there_are_checked_and_left_off_without_the_others(
-    cli, folder, room, real_bench
+    cli, folder, laboratory, real_bench
 ):
-    room.switch_on()
+    laboratory.switch_on()
     said = cli("bench", "check", real_bench(port=ABSENT_PORT), "--json")
     assert said.status == 1
-    assert room.outputs[0] is False
+    assert laboratory.outputs[0] is False
     assert results(said, "opened") == {
         "synthesizers": "fail",
         "generator": "pass",
@@ -159,20 +162,20 @@ def test_instruments_that_are_there_are_checked_and_left_off_without_the_others(
     assert all(f["remedy"] for f in said.json["findings"] if f["result"] == "fail")
 
 
-def test_a_bad_shot_fails_and_says_what_to_try(cli, folder, room, real_bench):
-    """The real drivers play, but the simulated camera sees a room without them: no light."""
-    room.switch_on()
+def test_a_bad_shot_fails_and_says_what_to_try(cli, folder, laboratory, real_bench):
+    """The real drivers play, but the simulated camera sees a laboratory without them: no light."""
+    laboratory.switch_on()
     said = cli("bench", "check", real_bench(), "--json")
     assert said.status == 1
     assert said.json["shot"]["verdict"] == "no_signal"
     assert "--volts" in finding(said, "shot", "bench")["remedy"]
     assert set(results(said, "off at the end").values()) == {"pass"}
-    assert room.outputs == (False, False)
-    assert room.generator.socket[1] < 0.01
+    assert laboratory.outputs == (False, False)
+    assert laboratory.generator.socket[1] < 0.01
 
 
-def test_a_clock_of_its_own_is_a_note(cli, folder, room, real_bench):
-    options = {"port": room.port, "amplitude": 0.6, "amplitude_max": 0.7}
+def test_a_clock_of_its_own_is_a_note(cli, folder, laboratory, real_bench):
+    options = {"port": laboratory.port, "amplitude": 0.6, "amplitude_max": 0.7}
     said = cli("bench", "check", real_bench(changes={"synthesizers.options": options}), "--json")
     clocks = {"synthesizers": "note", "generator": "pass", "camera": "pass"}
     assert results(said, "reference clock") == clocks
@@ -180,14 +183,14 @@ def test_a_clock_of_its_own_is_a_note(cli, folder, room, real_bench):
 
 
 def test_an_unknown_driver_does_not_keep_the_others_from_being_checked(
-    cli, folder, room, real_bench
+    cli, folder, laboratory, real_bench
 ):
-    room.switch_on()
+    laboratory.switch_on()
     said = cli("bench", "check", real_bench(changes={"synthesizers.driver": "novatek"}), "--json")
     assert said.status == 1
     assert "novatech-409b" in finding(said, "opened", "synthesizers")["remedy"]
     assert results(said, "limits")["generator"] == "pass"
-    assert room.outputs[0] is False
+    assert laboratory.outputs[0] is False
 
 
 CARELESS = """
@@ -213,22 +216,22 @@ def test_a_driver_that_does_not_keep_to_the_limits_plays_nothing_more(
     sys.modules.pop("careless_driver")
 
 
-def test_a_bench_that_is_in_use_is_not_disturbed(cli, folder, room, real_bench):
+def test_a_bench_that_is_in_use_is_not_disturbed(cli, folder, laboratory, real_bench):
     path = real_bench()
     bench = open_bench(BenchFile.from_file(path), Preparation("R07", "A", "asymmetric"))
     with bench:
-        room.switch_on()
+        laboratory.switch_on()
         said = cli("bench", "check", path, "--json")
-        assert room.outputs == (True, True)
+        assert laboratory.outputs == (True, True)
     assert said.status == 1
     assert [f["check"] for f in said.json["findings"]] == ["bench file", "bench free"]
     assert "acquire bench off" in finding(said, "bench free", "bench")["remedy"]
 
 
 @pytest.mark.parametrize("orders_given", [1, 2])
-def test_a_check_that_is_stopped_leaves_everything_off(room, real_bench, orders_given):
+def test_a_check_that_is_stopped_leaves_everything_off(laboratory, real_bench, orders_given):
     bench, orders = BenchFile.from_file(real_bench()), Orders()
-    room.switch_on()
+    laboratory.switch_on()
 
     def stop_at_the_shot(words):
         if "shot" in words:
@@ -237,7 +240,7 @@ def test_a_check_that_is_stopped_leaves_everything_off(room, real_bench, orders_
 
     report = check_bench(bench, shot_plan(bench), orders, stop_at_the_shot)
     assert (report.interrupted, report.passed, report.unconfirmed) == (True, False, ())
-    assert room.outputs == (False, False)
+    assert laboratory.outputs == (False, False)
     assert report.shot is None
 
 
@@ -305,11 +308,11 @@ def test_a_shot_beyond_the_limits_is_refused(asked):
 # --- off ---------------------------------------------------------------------------------------
 
 
-def test_what_an_earlier_program_left_on_is_switched_off(cli, folder, room, real_bench):
-    room.switch_on()
+def test_what_an_earlier_program_left_on_is_switched_off(cli, folder, laboratory, real_bench):
+    laboratory.switch_on()
     said = cli("bench", "off", real_bench(), "--json")
     assert said.status == 0, said.out
-    assert room.outputs == (False, False)
+    assert laboratory.outputs == (False, False)
     assert set(said.json) == {"bench", "off", "stopped", "findings"}
     assert (said.json["off"], said.json["stopped"]) == (True, [])
     off = {"generator": "pass", "synthesizers": "pass", "camera": "note"}
@@ -317,8 +320,10 @@ def test_what_an_earlier_program_left_on_is_switched_off(cli, folder, room, real
 
 
 @pytest.mark.parametrize("wrong", ["absent", "unknown driver", "wrong options"])
-def test_what_cannot_be_reached_does_not_keep_the_rest_on(cli, folder, room, real_bench, wrong):
-    room.switch_on()
+def test_what_cannot_be_reached_does_not_keep_the_rest_on(
+    cli, folder, laboratory, real_bench, wrong
+):
+    laboratory.switch_on()
     bench = {
         "absent": lambda: real_bench(port=ABSENT_PORT),
         "unknown driver": lambda: real_bench(changes={"synthesizers.driver": "novatek"}),
@@ -326,7 +331,7 @@ def test_what_cannot_be_reached_does_not_keep_the_rest_on(cli, folder, room, rea
     }[wrong]()
     said = cli("bench", "off", bench, "--json")
     assert said.status == 1
-    assert room.outputs[0] is False
+    assert laboratory.outputs[0] is False
     assert results(said, "off")["generator"] == "pass"
     found = finding(said, "off", "synthesizers")
     assert (found["result"], said.json["off"]) == ("fail", False)
@@ -335,12 +340,12 @@ def test_what_cannot_be_reached_does_not_keep_the_rest_on(cli, folder, room, rea
     assert "NOT everything" in cli("bench", "off", bench).out
 
 
-def test_a_camera_that_is_missing_is_a_remark(cli, folder, room, real_bench):
-    room.switch_on()
+def test_a_camera_that_is_missing_is_a_remark(cli, folder, laboratory, real_bench):
+    laboratory.switch_on()
     said = cli("bench", "off", real_bench(changes={"camera.driver": "no_such:Camera"}), "--json")
     assert said.status == 0
     assert results(said, "off")["camera"] == "note"
-    assert room.outputs == (False, False)
+    assert laboratory.outputs == (False, False)
 
 
 @pytest.mark.parametrize("bench", ["simulated", "emulated"])
@@ -351,7 +356,7 @@ def test_on_a_simulated_bench_there_is_nothing_to_switch_off(cli, folder, bench)
 
 
 def test_a_run_in_work_is_stopped_and_its_bench_switched_off(
-    cli, folder, room, real_bench, protocol_file
+    cli, folder, laboratory, real_bench, protocol_file
 ):
     bench = real_bench(pace="realtime")
     # Without light every step is bad; the run must not give up by itself.
@@ -369,10 +374,10 @@ def test_a_run_in_work_is_stopped_and_its_bench_switched_off(
             assert process.poll() is None, process.communicate()
             assert time.monotonic() < deadline_s
             time.sleep(0.05)
-        assert room.outputs == (True, True)
+        assert laboratory.outputs == (True, True)
         said = cli("bench", "off", bench, "--json")
         assert (said.status, said.json["stopped"]) == (0, [process.pid]), said.out
-        assert room.outputs == (False, False)
+        assert laboratory.outputs == (False, False)
         assert re.search(rf"process {process.pid} .*measures x.h5.*asked to stop", said.err)
         process.communicate(timeout=60)
         assert process.returncode == 130
@@ -412,13 +417,13 @@ def held_by_another(path, orders):
         process.communicate()
 
 
-def test_a_program_that_does_not_stop_is_named_with_the_last_resort(room, real_bench):
+def test_a_program_that_does_not_stop_is_named_with_the_last_resort(laboratory, real_bench):
     path = real_bench()
-    room.switch_on()
+    laboratory.switch_on()
     with held_by_another(path, orders=1000) as process:
         report = switch_off(BenchFile.from_file(path), Orders(), print, patience_s=0.5)
         assert (report.is_off, report.stopped) == (False, (process.pid,))
-        assert room.outputs == (True, True)
+        assert laboratory.outputs == (True, True)
         found = {each.about: each for each in report.findings}
         for role in ("generator", "synthesizers"):
             assert found[role].result == "fail"
@@ -427,21 +432,21 @@ def test_a_program_that_does_not_stop_is_named_with_the_last_resort(room, real_b
         process.send_signal(signal.SIGKILL)
         process.wait()
         assert switch_off(BenchFile.from_file(path), Orders(), print).is_off
-    assert room.outputs == (False, False)
+    assert laboratory.outputs == (False, False)
 
 
-def test_a_program_that_is_slow_to_stop_is_asked_again(room, real_bench, monkeypatch):
+def test_a_program_that_is_slow_to_stop_is_asked_again(laboratory, real_bench, monkeypatch):
     monkeypatch.setattr("acquire.bench.off._ASK_AGAIN_S", 0.3)
     path, said = real_bench(), []
-    room.switch_on()
+    laboratory.switch_on()
     with held_by_another(path, orders=2):
         report = switch_off(BenchFile.from_file(path), Orders(), said.append)
     assert report.is_off
-    assert room.outputs == (False, False)
+    assert laboratory.outputs == (False, False)
     assert "again" in said[1]
 
 
-def test_a_program_of_another_user_is_named(room, real_bench, monkeypatch):
+def test_a_program_of_another_user_is_named(laboratory, real_bench, monkeypatch):
     def refuse(*_):
         raise PermissionError
 
@@ -455,7 +460,7 @@ def test_a_program_of_another_user_is_named(room, real_bench, monkeypatch):
     assert "sudo" in report.findings[0].remedy
 
 
-def test_a_program_does_not_stop_itself(room, real_bench):
+def test_a_program_does_not_stop_itself(laboratory, real_bench):
     bench = BenchFile.from_file(real_bench())
     with open_bench(bench, Preparation("R07", "A", "asymmetric")):
         report = switch_off(bench, Orders(), print, patience_s=0.3)
@@ -463,7 +468,9 @@ def test_a_program_does_not_stop_itself(room, real_bench):
     assert "close the bench" in report.findings[0].remedy
 
 
-def test_stopping_the_switching_off_ends_the_waiting_and_says_what_may_be_on(room, real_bench):
+def test_stopping_the_switching_off_ends_the_waiting_and_says_what_may_be_on(
+    laboratory, real_bench
+):
     bench, orders = BenchFile.from_file(real_bench()), Orders()
     with open_bench(bench, Preparation("R07", "A", "asymmetric")):
         orders.stop()
@@ -472,9 +479,9 @@ def test_stopping_the_switching_off_ends_the_waiting_and_says_what_may_be_on(roo
         assert time.monotonic() - began_s < 5
     assert [each.result for each in report.findings] == ["fail", "fail", "note"]
     # One order to stop does not leave on what can be switched off.
-    room.switch_on()
+    laboratory.switch_on()
     assert switch_off(bench, orders, print).is_off
-    assert room.outputs == (False, False)
+    assert laboratory.outputs == (False, False)
 
 
 # --- list --------------------------------------------------------------------------------------

@@ -116,7 +116,7 @@ def test_every_console_is_made_here():
 
 # --- Streams that are gone ---------------------------------------------------------------------
 
-# Waits until it is told that its streams are gone; then works with a live bar, prints, and notes
+# Waits until it hears that its streams are gone; then works with a live bar, prints, and notes
 # that it came to its end.
 WORK = """
 import sys, threading, time

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from benchmarks import fault_openings, fault_processes, struck
-from benchmarks.fault_list import CALM, FAULTS
+from benchmarks.fault_list import FAULTS, NO_FAULT
 from benchmarks.fault_openings import OPENINGS
 
 
@@ -88,10 +88,10 @@ def test_what_is_left_of_killed_runs_is_right_and_can_be_gone_on_with(tmp_path):
 
 def test_a_step_that_is_not_as_planned_is_seen(tmp_path):
     """The judge of all these tests: a plan of other volts than those that were played."""
-    path = tmp_path / "calm.h5"
-    ended, unconfirmed, truth = struck.measured(CALM, path)
-    calm = struck.outcome_of(CALM, path, (ended, unconfirmed, truth))
-    assert (calm.good, calm.wrong) == (10, 0)
+    path = tmp_path / "undisturbed.h5"
+    ended, unconfirmed, truth = struck.measured(NO_FAULT, path)
+    undisturbed = struck.outcome_of(NO_FAULT, path, (ended, unconfirmed, truth))
+    assert (undisturbed.good, undisturbed.wrong) == (10, 0)
     louder = [
         (
             time_s,
@@ -100,7 +100,7 @@ def test_a_step_that_is_not_as_planned_is_seen(tmp_path):
         for time_s, state in truth.changes
     ]
     other = struck.Truth(louder, truth.exposed_s)
-    assert struck.outcome_of(CALM, path, (ended, unconfirmed, other)).wrong == 10
+    assert struck.outcome_of(NO_FAULT, path, (ended, unconfirmed, other)).wrong == 10
     early = {frame: began_s - 0.2 for frame, began_s in truth.exposed_s.items()}
     other = struck.Truth(truth.changes, early)
-    assert struck.outcome_of(CALM, path, (ended, unconfirmed, other)).wrong == 10
+    assert struck.outcome_of(NO_FAULT, path, (ended, unconfirmed, other)).wrong == 10

@@ -146,7 +146,7 @@ def test_a_measured_thickness_need_not_be_even(cli, folder, clarinet):
         (("--pictures", "modes.pdf"), "pictures are written as PNG"),
     ],
 )
-def test_mistakes_are_told_in_one_line(cli, folder, arguments, words):
+def test_mistakes_are_reported_in_one_line(cli, folder, arguments, words):
     answer = cli("modes", *arguments)
     assert answer.status == 2
     assert answer.out == ""

@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 
 import acquire
-from diagnosis.observable_groups import Observable
 from drivers.simulated.settings import Simulation, cane_of
 from fitting.errors import FitError
 from fitting.fringes.pictures import read_pictures

@@ -41,7 +41,7 @@ def begin(folder, protocol_file, bench_file):
 
 
 def wait_for_steps(path, count):
-    """Wait until a run in work has told of so many steps."""
+    """Wait until a run in work has written `count` steps."""
     documents = path.with_suffix(".documents.jsonl")
     for _ in range(600):
         if documents.exists() and documents.read_text().count('["event"') >= count:
@@ -193,10 +193,10 @@ def test_a_run_file_shows_what_it_holds(cli, folder, protocol_file, bench_file):
     assert (shown["verdicts"], shown["bad"], shown["retakes"]) == ({"ok": 9}, [], [])
     assert set(shown["instruments"]) == {"synthesizers", "generator", "camera"}
     assert 0 < shown["lock_error_hz"]["median"] < 0.2
-    told = cli("show", "x.h5")
-    assert told.status == 0
+    shown = cli("show", "x.h5")
+    assert shown.status == 0
     for words in ("R07 (clarinet), strength 3.5, series A", "9 ok", "new [box]", "Hz median"):
-        assert words in told.out
+        assert words in shown.out
     refused = cli("show", "nothing.h5")
     assert (refused.status, refused.out) == (2, "")
     assert "there is no such file" in refused.err

@@ -1,4 +1,4 @@
-"""Orders to runs in work: they wait until they can be obeyed, and harm nobody."""
+"""Orders to runs in work: they wait until they can be obeyed, and do no harm."""
 
 import os
 import signal
@@ -25,7 +25,7 @@ def path(tmp_path):
 def test_a_pause_that_is_asked_for_while_the_bench_is_opened_is_obeyed(
     path, tiny_plan, fake_bench, lit
 ):
-    """The run pauses before its first step, and goes on when told to."""
+    """The run pauses before its first step, and goes on when asked to."""
     plan, bench = tiny_plan(), fake_bench()
     bench.picture = lit(plan)
     proceed = threading.Timer(0.3, order, (path, "continue"))
@@ -47,7 +47,7 @@ def test_a_pause_that_is_asked_for_while_the_bench_is_opened_is_obeyed(
         ] == [("paused", 0)]
 
 
-def test_an_order_that_comes_too_late_is_lost_and_ends_nobody(path):
+def test_an_order_that_comes_too_late_is_lost_and_ends_no_process(path):
     """Nothing here says what to do about the signal, which by itself would end the process."""
     assert signal.getsignal(signal.SIGUSR1) is signal.SIG_DFL
     with controllable(path):
@@ -56,7 +56,7 @@ def test_an_order_that_comes_too_late_is_lost_and_ends_nobody(path):
     assert not control_path(path).exists()
 
 
-def test_a_run_on_another_thread_is_told_nothing(path):
+def test_a_run_on_another_thread_gets_no_order(path):
     said = []
 
     def measure():
@@ -75,6 +75,6 @@ def test_a_run_on_another_thread_is_told_nothing(path):
     assert all("a thread that gets no signals; " in each for each in said)
 
 
-def test_a_run_that_nobody_measures_gets_no_orders(path):
+def test_a_run_that_is_not_measured_gets_no_orders(path):
     with pytest.raises(RunFileError, match="is not being measured"):
         order(path, "pause")

@@ -122,16 +122,16 @@ def test_a_signal_while_the_bench_is_opened_switches_nothing_on(
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_while_frames_are_packed_leaves_a_complete_run(small_plan, path, number):
-    plan, told = small_plan({"keep": "frames"}), []
+    plan, announced = small_plan({"keep": "frames"}), []
     summary = acquire.run(
         plan,
         path,
         callbacks=acquire.Callbacks(
-            announce=told.append, packing=lambda share: os.kill(os.getpid(), number)
+            announce=announced.append, packing=lambda share: os.kill(os.getpid(), number)
         ),
     ).summary
     assert (summary.status, summary.ended_by) == (RunState.COMPLETE, "person")
-    assert any("acquire pack" in words for words in told)
+    assert any("acquire pack" in words for words in announced)
     with Run.open(path) as measured:
         assert measured.good.all()
 
@@ -164,7 +164,7 @@ def test_systems_without_a_signal_lack_nothing_else(monkeypatch):
         assert orders.stopped
 
 
-def test_other_threads_get_no_signals_and_harm_nobody():
+def test_other_threads_get_no_signals_and_do_no_harm():
     done = []
 
     def measure():

@@ -241,7 +241,7 @@ def test_whole_frames_pass_however_bright(level_dn, noise_dn):
         assert judge_whole(noisy(level_dn, noise_dn, seed=seed), SATURATED) is None
 
 
-def test_what_is_partial_counts_beside_saturated_rows():
+def test_what_is_partial_counts_next_to_saturated_rows():
     frames = noisy()
     for frame in frames:
         frame.image[:4] = SATURATED

@@ -192,7 +192,9 @@ def test_frames_that_were_given_before_are_stale(tiny_plan, fake_bench, lit, pat
         assert f"frame {kept[old].id} is not later than frame" in measured.steps[1].sentence
 
 
-def test_after_the_camera_was_stopped_frames_are_numbered_anew(tiny_plan, fake_bench, lit, path):
+def test_after_the_camera_was_stopped_frames_are_numbered_from_the_start(
+    tiny_plan, fake_bench, lit, path
+):
     """Their numbers were seen before, and their clock went on."""
     plan = tiny_plan(steps=4, **{"policy.instrument_error": {"retries": 1, "then": "stop"}})
     fake = fake_bench(picture=lit(plan), spoilt={})
@@ -322,19 +324,19 @@ def test_measuring_is_a_function_of_the_frames(tiny_plan, lit):
 def test_both_takes_of_a_step_are_kept(tiny_plan, fake_bench, lit, path, documents_of, keep):
     plan, reports = tiny_plan(steps=4, keep=keep, **TWICE), []
     bright = lit(plan)
-    # The acquisition that is spoilt shows another light, so that it can be told.
+    # The acquisition that is spoilt shows another light, so that it can be recognised.
     spoil = pictured(lambda images: ends_in_zeros(images // 2))
     fake = fake_bench(picture=bright, spoilt={2: spoil})
     summary = run(plan, fake.opened(), path, progress=reports.append)
     assert summary.counts == {Verdict.OK: 4}
     assert summary.retaken == 1
-    told = [(report.index, report.take, str(report.verdict), report.done) for report in reports]
-    assert told == [
+    reported = [(report.index, report.take, str(report.verdict), report.done) for report in reports]
+    assert reported == [
         (12, 1, "ok", 1), (14, 1, "partial", 2), (16, 1, "ok", 3), (18, 1, "ok", 4),
         (14, 2, "ok", 4),
     ]  # fmt: skip
     events = [document["data"] for name, document in documents_of(path) if name == "event"]
-    assert [(e["index"], e["take"], e["verdict"]) for e in events] == [t[:3] for t in told]
+    assert [(e["index"], e["take"], e["verdict"]) for e in events] == [t[:3] for t in reported]
     grabbed = [entry for entry in fake.log if entry[0] == "set_pair"]
     assert grabbed[4] == grabbed[1]
     with Run.open(path) as measured:

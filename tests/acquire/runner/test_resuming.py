@@ -63,7 +63,7 @@ def assert_kept(before, path):
 
 
 def assert_one_stream(documents, path):
-    """One beginning, one end, and each take of the run file told once, in the order of takes."""
+    """One beginning, one end, and each take of the run file written once, in the order of takes."""
     events = [document for name, document in documents if name == "event"]
     beginning, end = ["start", "descriptor", "descriptor"], ["stream_resource", "stream_datum"]
     assert [name for name, _ in documents] == [
@@ -83,8 +83,8 @@ def assert_one_stream(documents, path):
             if taken.verdict.measured:
                 takes[taken.index] += 1
                 expected.append((taken.index, takes[taken.index], str(taken.verdict)))
-    told = [event["data"] for event in events]
-    assert sorted((t["index"], t["take"], t["verdict"]) for t in told) == sorted(expected)
+    written = [event["data"] for event in events]
+    assert sorted((t["index"], t["take"], t["verdict"]) for t in written) == sorted(expected)
 
 
 # --- Killed at any moment ----------------------------------------------------------------------
@@ -111,7 +111,7 @@ def killed(tiny_plan, fake_bench, lit, tmp_path, monkeypatch):
         flush(file)
         look()
 
-    def told(log, *what):
+    def logged(log, *what):
         event(log, *what)
         look()
 
@@ -121,7 +121,7 @@ def killed(tiny_plan, fake_bench, lit, tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(h5py.File, "flush", flushed)
-        patch.setattr(DocumentLog, "event", told)
+        patch.setattr(DocumentLog, "event", logged)
         patch.setattr(DocumentLog, "finish", finished)
         fake = fake_bench(picture=lit(plan), spoilt={2: dropped})
         assert run(plan, fake.opened(), path).status is RunState.COMPLETE
@@ -134,7 +134,7 @@ def test_wherever_a_run_is_killed_it_is_gone_on_with(
 ):
     plan, whole, found = killed
     undisturbed = events_of(documents_of(whole))
-    assert [told["take"] for told in undisturbed] == [1, 1, 1, 2]
+    assert [event["take"] for event in undisturbed] == [1, 1, 1, 2]
     seen = set()
     for number, (file, documents) in enumerate(found):
         path = tmp_path / f"killed{number}.h5"
@@ -159,11 +159,11 @@ def test_wherever_a_run_is_killed_it_is_gone_on_with(
             assert (interruption.kind, interruption.reason) == ("resumed", "the process had died")
             assert interruption.began == ""
         assert_one_stream(documents_of(path), path)
-        # Told before the kill or after it, it is the same that is told.
-        firsts = [told for told in events_of(documents_of(path)) if told["take"] == 1]
+        # Written before the kill or after it, the event is the same.
+        firsts = [event for event in events_of(documents_of(path)) if event["take"] == 1]
         known = {step.index for step, _ in before.values()}
-        assert [told for told in firsts if told["index"] in known] == [
-            told for told in undisturbed[:3] if told["index"] in known
+        assert [event for event in firsts if event["index"] in known] == [
+            event for event in undisturbed[:3] if event["index"] in known
         ]
     expected = {("ok", "pending", "pending"), ("ok", "dropped", "ok"), ("ok", "pending", "ok")}
     assert expected <= seen, "before, while and after the bad step was set aside"
@@ -195,7 +195,7 @@ def sweep():
 
 def planned(path):
     """All that a run file holds but what was measured, and when."""
-    told = {}
+    found = {}
     taken = {*READ_BACK_HZ, *(f"{name}_exact" for name in READ_BACK_HZ), *MEASURED}
     taken |= {"timestamp_s", "frame_id", "verdict", "sentence", "field", "began", "ended"}
     taken |= {"pixel_checksum", "row_checksum", "header_checksum"}
@@ -204,11 +204,11 @@ def planned(path):
     def look(name, item):
         if isinstance(item, h5py.Dataset) and Path(name).name not in taken | {"position"}:
             content = repr(np.asarray(item[()]).tolist())
-            told[name] = content, str(item.dtype), repr(sorted(item.attrs.items()))
+            found[name] = content, str(item.dtype), repr(sorted(item.attrs.items()))
 
     with h5py.File(path) as file:
         file.visititems(look)
-    return told
+    return found
 
 
 def test_after_any_number_of_kills_a_run_is_what_it_would_have_been(
@@ -384,13 +384,13 @@ def test_a_run_that_a_bad_step_ended_goes_on_with_that_step_if_it_may_be_taken_a
     assert_one_stream(documents_of(path), path)
 
 
-def test_a_line_of_the_documents_that_was_cut_short_is_left_out_and_told_again(
+def test_a_truncated_line_of_the_documents_is_left_out_and_written_again(
     tiny_plan, fake_bench, lit, path, documents_of
 ):
     plan = tiny_plan()
     run(plan, resumable(fake_bench(picture=lit(plan)), plan), path)
     lines = documents_path(path).read_text().splitlines(keepends=True)
-    told = events_of(documents_of(path))
+    written = events_of(documents_of(path))
     for length in (1, 20, len(lines[4]) - 2):
         shutil.copy(path, copy := path.with_name(f"cut{length}.h5"))
         documents_path(copy).write_text("".join(lines[:4]) + lines[4][:length])
@@ -399,7 +399,7 @@ def test_a_line_of_the_documents_that_was_cut_short_is_left_out_and_told_again(
         fake = fake_bench()
         assert run(plan, resumable(fake, plan), copy, resume=True).status is RunState.COMPLETE
         assert "grab" not in fake.names(), "all was measured"
-        assert events_of(documents_of(copy)) == told
+        assert events_of(documents_of(copy)) == written
         assert_one_stream(documents_of(copy), copy)
 
 

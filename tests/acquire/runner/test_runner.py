@@ -379,7 +379,7 @@ def test_an_output_that_stays_on_is_reported(fake_bench):
     )
 
 
-def test_what_was_not_confirmed_stands_in_the_summary(tiny_plan, fake_bench, path):
+def test_what_was_not_confirmed_is_in_the_summary(tiny_plan, fake_bench, path):
     summary = run(tiny_plan(), fake_bench(failing={"rf_off": 1}).opened(), path)
     assert summary.status is RunState.COMPLETE
     assert summary.unconfirmed == ("RF off: fake: rf_off fails; mend it",)
@@ -682,7 +682,7 @@ def test_a_run_that_is_to_end_does_not_pause_before(tiny_plan, fake_bench, path)
 
 @pytest.mark.parametrize("order", ["output_off", "rf_off", "stop"])
 def test_a_pause_in_which_not_all_is_off_ends_the_run(tiny_plan, fake_bench, path, order):
-    """Nobody walks up to a bench that is thought to be off."""
+    """A bench that is thought to be off stays off."""
     fake = fake_bench(failing={order: 2 if order == "output_off" else 1})
     runner = runner_of(tiny_plan(steps=3), fake, path)
     fake.before = lambda name, count: (name, count) == ("grab", 2) and runner.orders.pause()
@@ -860,7 +860,7 @@ def test_whatever_fails_and_whoever_pauses_the_run_ends_in_a_known_state(
                 continue
             if event == "fail" and name not in SAFE_OFF:
                 raise InstrumentError("fake: fails; mend it")
-            # Nobody here would end a second pause of a run that is paused.
+            # Nothing here would end a second pause of a run that is paused.
             if event == "pause" and runner.state is not RunState.PAUSED:
                 runner.orders.pause()
             if event == "stop":
@@ -886,10 +886,10 @@ def test_whatever_fails_and_whoever_pauses_the_run_ends_in_a_known_state(
         if ended is RunState.COMPLETE:
             assert set(verdicts) <= {Verdict.OK, Verdict.SKIPPED, Verdict.DROPPED}
             assert then == "skip" or Verdict.SKIPPED not in verdicts
-        told = [document["data"] for name, document in documents_of(path) if name == "event"]
+        written = [document["data"] for name, document in documents_of(path) if name == "event"]
         takes = [*measured.steps, *measured.retakes]
         taken = sorted((t.index, str(t.verdict)) for t in takes if t.verdict.measured)
-        assert sorted((event["index"], event["verdict"]) for event in told) == taken
+        assert sorted((event["index"], event["verdict"]) for event in written) == taken
 
 
 # --- Giving up ---------------------------------------------------------------------------------
@@ -1029,7 +1029,7 @@ def test_real_signals_pause_a_real_process_and_go_on_with_it(processes, path):
     os.kill(child.pid, signal.SIGUSR1)
     hear(heard, (False, False))
     while heard.poll(0.3):
-        # What was taken before is still told of; nothing is switched on.
+        # What was taken before is still reported; nothing is switched on.
         assert isinstance(heard.recv(), int)
     os.kill(child.pid, signal.SIGUSR2)
     hear(heard, (True, True))
@@ -1064,7 +1064,7 @@ def test_frequencies_reach_the_instruments_as_exact_fractions(tiny_plan, fake_be
 
 
 def test_a_run_of_several_sidebands_shows_each_of_them(small_plan, open_small_bench, path):
-    """Light that leaves the carrier stands in the others; a dark second one is no fault."""
+    """Light that leaves the carrier is in the other sidebands; a dark second one is no fault."""
     plan = small_plan({"sideband.orders": [0, 1, 2]})
     summary = run(plan, open_small_bench(plan), path)
     assert summary.counts == {Verdict.OK: 15}
@@ -1072,8 +1072,8 @@ def test_a_run_of_several_sidebands_shows_each_of_them(small_plan, open_small_be
         assert measured.sideband_order == 1
         assert [(s.index, s.order) for s in measured] == [(s.index, s.order) for s in plan.steps]
         power = [mean_power(measured.field(p)) / measured.steps[p].noise_level for p in range(15)]
-        calm, first, second = power[:3]
-        assert calm > 10 * first
+        carrier, first, second = power[:3]
+        assert carrier > 10 * first
         assert first > second
         single = {step.drive_hz for step in measured}
         assert len(single) == 5

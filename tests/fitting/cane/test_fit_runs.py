@@ -167,7 +167,7 @@ def test_a_spoilt_picture_is_not_picked_and_widens_the_error(
     assert found.error_cents == pytest.approx(75 / np.sqrt(12), abs=0.05)
 
 
-def test_a_sweep_beside_all_modes_is_an_error_not_an_empty_result(changed, reed, model):
+def test_a_sweep_away_from_all_modes_is_an_error_not_an_empty_result(changed, reed, model):
     path = changed(only=(1, 17))
     with Run.open(path) as run, pytest.raises(FitError, match=r"no mode of a .* shows in 9"):
         fit_sweep(run, reed, model)

@@ -107,7 +107,7 @@ def test_modes_that_the_model_does_not_know_are_of_no_matter():
     assert "X6" not in parameters.residual_cents["A"]
 
 
-def test_a_component_at_the_limits_of_the_search_is_told():
+def test_a_component_at_the_limits_of_the_search_is_reported():
     wild = {(Series.A, name): 900.0 for name in PAPER_MODES}
     parameters = fit_components(resonances(Components(), PAPER, offsets=wild), PAPER)
     assert parameters.at_limit
@@ -182,8 +182,8 @@ def uneven(cane, rng, misfit_cents):
     offsets = {(Series.A, name): sd * rng.standard_normal() for name, sd in whole.items()}
     found = resonances(cane, PAPER, offsets=offsets)[Series.A]
     return [
-        {Series.A: {n: replace(r, error_cents=told[n]) for n, r in found.items()}}
-        for told in (errors, whole)
+        {Series.A: {n: replace(r, error_cents=stated[n]) for n, r in found.items()}}
+        for stated in (errors, whole)
     ]
 
 
@@ -199,21 +199,21 @@ def test_errors_are_honest_of_reeds_that_are_not_the_model_s():
         misfits.append(found[0].misfit_cents)
     assert np.median(misfits) == pytest.approx(15.0, rel=0.1)
     rms = np.sqrt(np.mean(np.square(normalised), axis=0))
-    # Eight freedoms tell a misfit to a quarter of it: Student's tails, beside chance.
+    # Eight freedoms determine a misfit to a quarter of it: Student's tails, in addition to chance.
     assert (np.abs(rms - 1) < 0.3).all(), rms
     # Hardly worse than if the misfit were known: the mode known best rules over no other.
     alone, known = (np.sqrt(np.mean(np.square(rows), axis=0)) for rows in missed)
     assert (alone < 1.1 * known).all(), (alone, known)
 
 
-def test_a_misfit_is_told_in_cents():
+def test_a_misfit_is_reported_in_cents():
     cane = Components(0.3, 0.4, -0.2)
     noise = gaussian(np.random.default_rng(5), 40.0)
     parameters = fit_components(resonances(cane, PAPER, offsets=noise, error_cents=0.5), PAPER)
-    told = np.hypot(0.5, parameters.misfit_cents)
+    stated = np.hypot(0.5, parameters.misfit_cents)
     # As much as is left, by freedom: three of eleven are fitted.
     expected = parameters.rms_cents * np.sqrt(11 / 8)
-    assert told == pytest.approx(expected, rel=1e-3)
+    assert stated == pytest.approx(expected, rel=1e-3)
     assert fit_components(resonances(cane, PAPER), PAPER).misfit_cents == 0
 
 
@@ -302,7 +302,7 @@ def test_too_few_resonances_are_refused_with_their_number(series, names, message
         fit_components(resonances(Components(), PAPER, series, only=names), PAPER)
 
 
-def test_springs_outside_physics_are_told():
+def test_springs_outside_physics_are_reported():
     """1.7 % of the population has G2 < 0: the fit finds it, and says what it is."""
     cane = Components(-2.0, 0.0, 1.6)
     parameters = fit_components(resonances(cane, PAPER), PAPER)

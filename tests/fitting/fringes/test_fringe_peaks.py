@@ -175,7 +175,7 @@ def test_an_acoustic_line_is_never_picked_however_strong():
     assert found == {} or abs(found["F2"].step_index - 78) > 2
 
 
-def test_a_mode_beside_the_line_is_still_found():
+def test_a_mode_near_the_line_is_still_found():
     line = float(cents_of(LINE_HZ))
     curve = peaks((line + 150, 30.0), (line, 50.0))
     found = pick({"F2": curve}, series=Series.B, lines=(LINE_HZ,))

@@ -21,7 +21,7 @@ EXACT_HZ = 22e3
 
 @pytest.fixture(scope="module")
 def points():
-    """Points (x, y) on the reed's bark side, those beside the axis in mirrored pairs."""
+    """Points (x, y) on the reed's bark side, those off the axis in mirrored pairs."""
     x, y = np.meshgrid(np.arange(0.7e-3, 35.5e-3, 0.8e-3), np.arange(0.3e-3, 7e-3, 0.7e-3))
     inside = y < half_width_m(Outline(), x) - 0.25e-3
     x, y = x[inside], y[inside]
@@ -86,7 +86,7 @@ def test_names_and_frequencies_are_those_of_the_reed(basis, reed):
         assert hz[name] == pytest.approx(modes[name].frequency_hz, rel=1e-9)
 
 
-def test_modes_without_a_name_are_told_apart(basis, reed):
+def test_modes_without_a_name_are_distinguished(basis, reed):
     unnamed = [n for n in basis.names if n not in elastic_modes(reed, E_L_PA, G_LT_PA)]
     assert len(unnamed) > 5
     assert all(n.split()[0] in {"symmetric", "antisymmetric"} for n in unnamed)

@@ -88,22 +88,22 @@ def test_a_residual_map_lies_on_the_reed(sweep):
     assert 0.5 < np.median(left.value) < 20
 
 
-def test_the_table_tells_loss_and_what_is_not_identified(sweep):
+def test_the_table_gives_loss_and_what_is_not_identified(sweep):
     table = short_resonances_table(sweep)
     assert tuple(column.key for column in table.columns) == SHORT_JOINT
     for record, found in zip(table.records(), sweep.resonances.values(), strict=True):
         assert (record["hz"], record["mac"]) == (found.frequency_hz, found.similarity)
         assert record["loss_factor"] == (found.loss_factor, found.loss_error)
-    told = " ".join(remarks(sweep))
-    assert all(name in told for name in sweep.not_identified)
+    lines = " ".join(remarks(sweep))
+    assert all(name in lines for name in sweep.not_identified)
 
 
-def test_the_line_of_the_cavity_is_told_and_nothing_else(sweep):
+def test_the_line_of_the_cavity_is_reported_and_nothing_else(sweep):
     """The simulated cavity rings at 4309 Hz; its gain is highest a little below."""
     (line,) = sweep.excitation_peaks
     assert 4200 < line.hz < 4330
     assert 5 < line.height_db < 12
-    assert any(f"{line.hz:.0f} Hz" in told for told in remarks(sweep))
+    assert any(f"{line.hz:.0f} Hz" in text for text in remarks(sweep))
 
 
 def test_every_identified_mode_is_drawn(sweep):
@@ -127,12 +127,12 @@ def test_modes_of_another_kind_of_reed_are_not_believed(sweep):
     assert all("cannot be explained" in reason for reason in doubts.values())
 
 
-def test_a_mode_outweighs_others_where_it_is_liveliest_and_more_than_they_are():
+def test_a_mode_outweighs_others_at_its_peak_response():
     weight = np.array([[1, 0, 2], [3, 1, 2], [1, 2, 1], [1, 4, 5], [0, 1, 6.0]])
     assert _outweighing(weight, ("F1", "T1", "F2")) == {"F1": [1], "T1": [], "F2": []}
 
 
-def test_a_mode_has_room_up_to_the_next_of_its_symmetry():
+def test_a_mode_may_move_up_to_the_next_of_its_symmetry():
     cents = {"F1": 600.0, "F2": 2100.0, "T2": 2400.0, "T1": 1550.0}
     assert _room_cents("F1", cents) == 300
     assert _room_cents("F2", cents) == pytest.approx(120)
@@ -149,12 +149,12 @@ def test_picks_that_speak_for_no_possible_cane_do_no_harm(sweep_a, sweep, true_h
     apart = cents_apart(found_hz(other), true_hz)
     assert all(abs(cents) < 5 for cents in apart.values()), apart
     same = cents_apart(found_hz(other), found_hz(sweep))
-    # Half the steps leave two frequencies of F2, beside a line of the air: see docs/fit.md.
+    # Half the steps leave two frequencies of F2, near an acoustic line: see docs/fit.md.
     del same["F2"]
     assert all(abs(cents) < 1 for cents in same.values()), same
 
 
-def test_shapes_alike_have_a_mac_of_1():
+def test_equal_shapes_have_a_mac_of_1():
     shape = np.array([1.0, -2.0, 3.0])
     assert mac(shape, -3 * shape) == pytest.approx(1)
     assert mac(shape, np.array([2.0, 1.0, 0.0])) == pytest.approx(0)

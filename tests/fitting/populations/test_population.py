@@ -257,12 +257,12 @@ def test_only_what_chance_does_not_explain_is_a_misfit():
 def test_a_misfit_grows_the_errors_by_its_root(exact):
     noisy = exact + 25 * np.random.default_rng(9).standard_normal(exact.shape)
     loud, stated = (fit_population(noisy, error, FORMULA) for error in (5.0, 25.0))
-    calm = stated.reduced_chi2 < 1
-    assert calm.sum() > 50
+    small = stated.reduced_chi2 < 1
+    assert small.sum() > 50
     assert (loud.reduced_chi2 > 5).all()
     grown = loud.errors / stated.errors
-    expected = np.sqrt(stated.reduced_chi2[calm, None]) * np.ones(4)
-    np.testing.assert_allclose(grown[calm], expected, rtol=1e-3)
+    expected = np.sqrt(stated.reduced_chi2[small, None]) * np.ones(4)
+    np.testing.assert_allclose(grown[small], expected, rtol=1e-3)
 
 
 def test_an_added_error_makes_squares_as_many_as_freedoms():
@@ -356,7 +356,7 @@ def test_an_ordinary_fit_bears_no_flag(exact):
     ],
 )
 @pytest.mark.parametrize("series", [A_ONLY, BOTH])
-def test_springs_outside_physics_are_found_as_they_are_and_told(components, flag, series):
+def test_springs_outside_physics_are_found_as_they_are_and_reported(components, flag, series):
     metamodel = straight_lines()
     cents = population_cents([components], metamodel, series)
     assert np.isfinite(cents).all()
@@ -377,7 +377,7 @@ def test_springs_of_series_b_are_looked_at_too():
 
 
 def test_springs_are_not_looked_at_in_a_series_without_resonances():
-    # E1 is 1 GPa in series A; what it would be in series B, -0.2 GPa, nobody has seen.
+    # E1 is 1 GPa in series A; what it would be in series B, -0.2 GPa, was never observed.
     metamodel, components = straight_lines(), (0.0, 1.0, -15.5, 0.0)
     cents = population_cents([components], metamodel)
     cents[:, 1] = np.nan
@@ -386,7 +386,7 @@ def test_springs_are_not_looked_at_in_a_series_without_resonances():
     assert count_flags(fit.flags) == {"UNDETERMINED": 1}
 
 
-def test_a_storage_modulus_below_zero_is_told_of_modes_that_were_not_observed():
+def test_a_storage_modulus_below_zero_is_reported_of_modes_that_were_not_observed():
     # G1 < 0: shear is positive where the dashpot stiffens it, not at a hundred hertz.
     metamodel = straight_lines(F1=(-4500, 350, 20))
     components = (-6.05, 0.0, -4.6, 0.0)
@@ -397,7 +397,7 @@ def test_a_storage_modulus_below_zero_is_told_of_modes_that_were_not_observed():
     assert set(count_flags(fit.flags)) == {"G1_NOT_POSITIVE", "STORAGE_MODULUS_NOT_POSITIVE"}
 
 
-def test_moduli_where_the_metamodel_was_not_fitted_are_told_of_observed_modes():
+def test_moduli_where_the_metamodel_was_not_fitted_are_reported_of_observed_modes():
     narrow = straight_lines(Box((5e9, 16e9), (0.1e9, 9e9)))
     mean = population_cents(np.zeros((1, 4)), narrow)
     beyond = np.stack(
@@ -427,7 +427,7 @@ class Following:
         return (E_L_pa > 12e9) | (np.array(self.modes) != "F2")
 
 
-def test_modes_that_are_not_followed_are_left_out_and_told(exact):
+def test_modes_that_are_not_followed_are_left_out_and_reported(exact):
     # Wherever it is observed F2 is wrong, as that of a reed whose modes exchange shapes.
     noise = 7 * np.random.default_rng(20).standard_normal(exact.shape)
     observed = exact + noise

@@ -187,7 +187,7 @@ def test_varimax_undoes_the_rotation_of_a_simple_structure():
     np.testing.assert_allclose(np.sort(np.abs(found), axis=1), np.sort(simple, axis=1), atol=1e-8)
 
 
-def test_rotated_factors_stand_in_order_of_variance_with_positive_peaks(population):
+def test_rotated_factors_are_in_order_of_variance_with_positive_peaks(population):
     found = principal_factors(population, 4)
     turned = rotated(found, ortho_group.rvs(4, random_state=1))
     assert np.all(np.diff(turned.fractions) <= 0)

@@ -259,7 +259,7 @@ def test_statistics_of_modes_ignore_what_is_missing(rng):
     found = mode_statistics(observed)
     assert found.identified.tolist() == [[30, 18, 30, 30], [30, 30, 1, 0]]
     with warnings.catch_warnings():
-        # numpy warns of the mode that nobody observed, and of the scatter of one reed.
+        # numpy warns of the mode that was not observed, and of the scatter of one reed.
         warnings.simplefilter("ignore")
         np.testing.assert_allclose(found.mean, np.nanmean(observed, axis=0))
         np.testing.assert_allclose(found.sd, np.nanstd(observed, axis=0, ddof=1))

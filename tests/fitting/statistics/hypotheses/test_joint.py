@@ -239,7 +239,7 @@ def test_the_order_of_reeds_does_not_matter(noisy, structures):
 
 
 def test_where_the_rotation_is_free_the_start_decides_it(noisy, structures):
-    """A start that is turned gives the same frequencies, and components turned alike."""
+    """A start that is turned gives the same frequencies, and components turned equally."""
     h4 = fit_hypothesis(noisy.observed_cents, structures["H4"])
     h7 = structures["H7"]
     start = continued(h4, h7)

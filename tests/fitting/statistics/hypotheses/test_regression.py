@@ -131,7 +131,7 @@ def test_h11_takes_few_steps(noisy, monkeypatch):
 
 
 def test_h11_stands_at_a_minimum(noisy):
-    """Coefficients and angles moved one by one, the weights fitted anew each time."""
+    """Coefficients and angles moved one by one, the weights fitted again each time."""
     e, modes = noisy.components, noisy.observed_cents.reshape(110, 11).T
     found = regress_with_drying(noisy.observed_cents, e)
 

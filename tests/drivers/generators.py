@@ -151,3 +151,8 @@ def _without_delay():
 
     with mock.patch.object(TCPIPSocketSession, "_connect", connected):
         yield
+
+
+def answer(device, line):
+    """Return what a device answers to a line."""
+    return device.receive(f"{line}\n".encode("ascii")).decode("ascii").rstrip("\n")

@@ -10,19 +10,9 @@ from drivers.emulators.keysight import KeysightEmulator
 from drivers.emulators.serving import WireFaults
 from drivers.errors import InstrumentError
 from drivers.transport.visa import open_visa
-from tests.drivers.generators import GAIN, MOST_V, Stands
+from tests.drivers.generators import GAIN, MOST_V, answer
 
 DRIVE_HZ = Fraction(2_033_075, 1000)
-
-
-@pytest.fixture
-def stands():
-    with Stands() as stands:
-        yield stands
-
-
-def answer(device, line):
-    return device.receive(f"{line}\n".encode("ascii")).decode("ascii").rstrip("\n")
 
 
 # --- The simulated instrument ------------------------------------------------------------------

@@ -15,7 +15,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from drivers.context import BenchContext
-from drivers.emulators import serving
 from drivers.emulators.faults import SynthesizerFaults
 from drivers.emulators.novatech import NovatechEmulator
 from drivers.emulators.serving import (
@@ -42,13 +41,6 @@ PAIR_HZ = (Fraction("80002036.1"), CENTRE_HZ)
 OTHER_HZ = (Fraction("80002037.3"), Fraction("79999999.9"))
 # So short only where answers fail to come, and where nothing that is tested depends on time.
 SHORT = {"timeout_s": 0.04}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _servers_hang_up_at_once():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(serving, "_POLL_S", 0.005)
-        yield
 
 
 def entry_and_context(options, **keys):

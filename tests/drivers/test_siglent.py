@@ -18,7 +18,7 @@ from drivers.errors import (
     LimitError,
 )
 from drivers.generators.siglent import understand_wave
-from tests.drivers.generators import GAIN, Stands
+from tests.drivers.generators import GAIN, answer
 from tests.drivers.vxi11_server import Vxi11Server
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -30,16 +30,6 @@ SAID = (
     "C1:BSWV WVTP,SINE,FRQ,12345.67891HZ,PERI,8.1e-05S,AMP,2.0005V,AMPVRMS,0.707177Vrms,"
     "OFST,0V,HLEV,1.00025V,LLEV,-1.00025V,PHSE,0"
 )
-
-
-@pytest.fixture
-def stands():
-    with Stands() as stands:
-        yield stands
-
-
-def answer(device, line):
-    return device.receive(f"{line}\n".encode("ascii")).decode("ascii").rstrip("\n")
 
 
 # --- The simulated instrument ------------------------------------------------------------------

@@ -14,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.context import BenchContext
-from drivers.emulators import serving
 from drivers.emulators.serving import (
     PtyServer,
     SocketServer,
@@ -39,13 +38,6 @@ PAIR_HZ = (Fraction("80002036.125"), CENTRE_HZ)
 OTHER_HZ = (Fraction("80002037.000001"), Fraction("79999999.999999"))
 SHORT = {"timeout_s": 0.1}
 STEP = {"step": "1 uHz"}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _servers_hang_up_at_once():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(serving, "_POLL_S", 0.005)
-        yield
 
 
 def opened(resources, options=(), **keys):

@@ -20,7 +20,7 @@ from drivers.errors import (
 from drivers.generators.replies import agrees, in_hertz
 from drivers.roles import SignalGenerator
 from drivers.transport.visa import VisaLine
-from tests.drivers.generators import DEVICES, GAIN, MOST_V, Stands
+from tests.drivers.generators import DEVICES, GAIN, MOST_V
 
 DRIVE_HZ = Fraction(2_033_075, 1000)
 LEAST_V = 0.001 * GAIN
@@ -35,12 +35,6 @@ ANOTHER_LOAD = {"siglent": "C1:OUTP LOAD,50", "keysight": "OUTP1:LOAD 50"}
 ANOTHER_SHAPE = {"siglent": "C1:BSWV WVTP,SQUARE", "keysight": "FUNC SQU"}
 OFFSET = {"siglent": "C1:BSWV OFST,0.5", "keysight": "VOLT:OFFS 0.5"}
 SWITCH_ON = {"siglent": "C1:OUTP ON", "keysight": "OUTP1 ON"}
-
-
-@pytest.fixture
-def stands():
-    with Stands() as stands:
-        yield stands
 
 
 def volts_at_load(stand):

@@ -20,7 +20,6 @@ from hypothesis import strategies as st
 from pyvisa_py.tcpip import TCPIPSocketSession
 from usb.backend import libusb0, libusb1, openusb
 
-from drivers.emulators import serving
 from drivers.emulators.serving import (
     FaultyWire,
     PtyServer,
@@ -35,13 +34,6 @@ from tests.drivers.vxi11_server import Vxi11Server
 DEVICE = "generator (a talker)"
 IDENTITY = "A maker,a talker,s/n 1,1.0"
 TIMEOUT_S = 0.08
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _servers_hang_up_at_once():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(serving, "_POLL_S", 0.005)
-        yield
 
 
 class Talker:

@@ -17,6 +17,7 @@ from holography.demodulation import (
     sideband_gain,
     unequal_steps,
 )
+from tests.numbers import relative_error
 
 SHAPE = (256, 320)
 
@@ -51,10 +52,6 @@ def stepped_frames(background, beat, steps):
             )
         ]
     )
-
-
-def relative_error(computed, expected):
-    return np.linalg.norm(computed - expected) / np.linalg.norm(expected)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])

@@ -7,6 +7,7 @@ import pytest
 
 from holography.demodulation import four_phase
 from holography.fresnel import FresnelTransform
+from tests.numbers import relative_error
 
 BENCH = FresnelTransform((1024, 1280), 6.7e-6, 650e-9, 1.0)
 # Even and odd sizes, as crops are; distances well inside validity.
@@ -21,10 +22,6 @@ SMALL = [
 def random_field(rng, shape):
     field = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
     return field.astype(np.complex64)
-
-
-def relative_error(computed, expected):
-    return np.linalg.norm(computed - expected) / np.linalg.norm(expected)
 
 
 def grid_m(shape, pitch_m):

@@ -2,11 +2,9 @@
 
 from fractions import Fraction
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from scipy.interpolate import BarycentricInterpolator
 
 from holography.demodulation import four_phase
@@ -31,15 +29,6 @@ from physics.reed.mesh import (
 from physics.sensor import Sensor
 
 FRAME_RATE_HZ = Fraction(25, 2)
-
-
-@pytest.fixture(scope="session")
-def tables():
-    """The paper's numbers, from the folder next to the checkout."""
-    path = Path(__file__).parents[3] / "shared" / "paper" / "tables.yaml"
-    if not path.exists():
-        pytest.skip("the paper's tables.yaml is not next to this checkout")
-    return yaml.safe_load(path.read_text())
 
 
 @pytest.fixture(scope="session")

@@ -37,6 +37,7 @@ from physics.reed.viscoelastic import (
     Zener,
     viscoelastic_cane,
 )
+from tests.numbers import cents
 
 EVERYTHING = Mechanics(
     shift=CaneShift(E_L=0.05, E_T=-0.1, G_LR=0.1, density=0.03, growth_E_L=0.01),
@@ -60,10 +61,6 @@ def reed_solver(geometry, coarse_level):
 
 def frequencies(reed_solver, reed):
     return np.array([mode.hz for mode in reed_solver.modes(reed).values()])
-
-
-def cents(found, other):
-    return 1200 * np.log2(np.asarray(found) / np.asarray(other))
 
 
 def unit_change(shape_derivatives, kind):

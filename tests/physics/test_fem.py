@@ -18,19 +18,8 @@ from physics.reed.material import (
     stiffness_matrix_pa,
     stiffness_terms_pa,
 )
+from tests.physics.canes import ODD_CANE
 
-# Nine different constants: none can replace another.
-ODD_CANE = Cane(
-    E_L_pa=13e9,
-    E_T_pa=0.7e9,
-    E_R_pa=0.9e9,
-    G_LT_pa=1.1e9,
-    G_LR_pa=1.3e9,
-    G_TR_pa=0.25e9,
-    nu_LT=0.35,
-    nu_LR=0.25,
-    nu_TR=0.45,
-)
 # Axes of a unit (engineering) strain each, in Voigt order xx, yy, zz, yz, xz, xy.
 STRAINS = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]
 

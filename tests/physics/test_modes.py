@@ -43,14 +43,11 @@ from physics.reed.viscoelastic import (
     viscoelastic_cane,
 )
 from protocols.reed import ReedFile
+from tests.numbers import cents
 
 # What is tested here holds on any mesh.
 LEVEL = MeshLevel(orders=(2, 2, 2), edge_breaks_m=(), z_breaks=(0.0, 1.0))
 CLASSES = {"F": "flexural", "T": "transversal", "X": "generic", "L": "lateral", "H": "heel"}
-
-
-def cents(a_hz, b_hz):
-    return 1200 * np.log2(np.asarray(a_hz) / np.asarray(b_hz))
 
 
 def frequencies(modes):

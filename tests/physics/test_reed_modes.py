@@ -20,6 +20,7 @@ from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.mesh import MeshLevel, build_mesh
 from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.response import elastic_modes
+from tests.numbers import cents
 
 # Eq. 1 of the paper at E_L = 14 GPa, G_LT = 1.1 GPa, and how far (cents) the limit of ever finer
 # meshes (`python -m studies.convergence`) lies from it: the paper's 2 mm tetrahedra are stiff.
@@ -47,10 +48,6 @@ MODULI = {"EL": "E_L_pa", "ET": "E_T_pa", "ER": "E_R_pa"} | {
     "GTR": "G_TR_pa",
 }
 RATIOS = {"nuLT": "nu_LT", "nuLR": "nu_LR", "nuTR": "nu_TR"}
-
-
-def cents(upper_hz, lower_hz):
-    return 1200 * np.log2(upper_hz / lower_hz)
 
 
 @pytest.fixture(scope="module")

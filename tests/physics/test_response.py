@@ -33,6 +33,7 @@ from physics.reed.viscoelastic import (
     storage_modulus_pa,
     viscoelastic_cane,
 )
+from tests.numbers import cents
 
 CANE = viscoelastic_cane(Components(), Series.A)
 LOSS = 0.03
@@ -50,10 +51,6 @@ def elastic(hz, cane=CANE):
         E_L_pa=float(storage_modulus_pa(cane.young_L, hz)),
         G_LT_pa=float(storage_modulus_pa(cane.shear_LT, hz)),
     )
-
-
-def cents(one_hz, other_hz):
-    return 1200 * np.log2(one_hz / other_hz)
 
 
 def test_every_mode_up_to_the_number_named_has_a_name_of_its_own(coarse_reed):

@@ -49,6 +49,7 @@ from physics.reed.viscoelastic import (
     viscoelastic_cane,
 )
 from physics.reed.whole import build_whole_reed, parts_of
+from tests.numbers import cents
 
 COARSE = MeshLevel(
     orders=(2, 2, 2),
@@ -89,10 +90,6 @@ def elastic(hz):
         E_L_pa=float(storage_modulus_pa(CANE.young_L, hz)),
         G_LT_pa=float(storage_modulus_pa(CANE.shear_LT, hz)),
     )
-
-
-def cents(one_hz, other_hz):
-    return 1200 * np.log2(np.asarray(one_hz) / np.asarray(other_hz))
 
 
 def deflection(reed, hz, pressure, x_m, y_m, cane=CANE):

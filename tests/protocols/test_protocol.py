@@ -30,19 +30,10 @@ from protocols.protocol import (
 )
 from protocols.reed import ReedFile
 from protocols.strict_yaml import find_description
+from tests.protocols.refusals import refusal
 
 SERIES_A = find_protocol("seriesA").read_text(encoding="utf-8")
 BENCH = find_bench().read_text(encoding="utf-8")
-
-
-def refusal(call, *arguments):
-    with pytest.raises(ProtocolError) as refused:
-        call(*arguments)
-    message = str(refused.value)
-    assert message.isprintable()
-    assert len(message) < 400
-    assert refused.value.exit_status == 2
-    return message
 
 
 # --- What a file says --------------------------------------------------------------------------

@@ -40,20 +40,11 @@ from protocols.protocol import find_protocol
 from protocols.reed import ReedFile, shipped_reeds
 from protocols.strict_yaml import find_description
 from protocols.units import format_quantity, parse_quantity
+from tests.protocols.refusals import refusal
 
 CLARINET = find_description("clarinet", "reed", "reeds").read_text(encoding="utf-8")
 ALTO = find_description("alto-saxophone", "reed", "reeds").read_text(encoding="utf-8")
 COARSE = MeshLevel(orders=(2, 2, 2), edge_breaks_m=())
-
-
-def refusal(call, *arguments):
-    with pytest.raises(ProtocolError) as refused:
-        call(*arguments)
-    message = str(refused.value)
-    assert message.isprintable()
-    assert len(message) < 400
-    assert refused.value.exit_status == 2
-    return message
 
 
 # --- What a file says --------------------------------------------------------------------------

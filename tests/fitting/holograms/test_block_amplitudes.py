@@ -18,6 +18,7 @@ from fitting.holograms.block_amplitudes import (
 from physics.reed.geometry import Outline, half_width_m
 from protocols.protocol import Protocol
 from runs.reader import Run
+from tests.numbers import complex_normal
 
 # Side of a block and margin inside the contour, as the module promises them.
 BLOCK_M, EDGE_M = 0.38e-3, 0.25e-3
@@ -28,11 +29,6 @@ def leading(holograms):
     """Block amplitudes, and shares of light."""
     value, vectors = _leading(holograms)
     return value, np.abs(vectors) ** 2
-
-
-def complex_normal(rng, *shape):
-    """Noise of variance 1."""
-    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
 
 
 def read(path):

@@ -24,6 +24,7 @@ from fitting.holograms.problem import (
     normal,
 )
 from fitting.holograms.shape_basis import ShapeBasis
+from tests.numbers import complex_normal
 
 # Modes of the plate; the last one is never in resonance, of it only the tail is there.
 NAMES = ("F1", "T1", "F2", "T2", "X1")
@@ -53,11 +54,6 @@ class Sweep:
     @property
     def true_rad(self):
         return self.modal @ self.basis.shapes
-
-
-def complex_normal(rng, *shape):
-    """Noise of variance 1."""
-    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
 
 
 def moved(u):

@@ -12,6 +12,7 @@ from fitting.holograms.object_field import (
     smooth_functions,
 )
 from fitting.holograms.problem import Problem, normal
+from tests.numbers import complex_normal
 
 POINTS, HOLOGRAMS, FUNCTIONS = 300, 14, 3
 
@@ -20,11 +21,6 @@ def moved(u):
     """F(u) = u J₁(|u|)/|u|."""
     phi = np.abs(u)
     return u * np.divide(j1(phi), phi, out=np.full_like(phi, 0.5), where=phi > 0)
-
-
-def complex_normal(rng, *shape):
-    """Numbers of variance 1."""
-    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
 
 
 class Sweep:

@@ -30,6 +30,7 @@ from fitting.modal.normal_equations import (
     negative_gradient,
 )
 from fitting.modal.optimiser import minimise_cost
+from tests.numbers import cents, complex_normal
 
 # Six modes, the last one beyond the sweep.
 NAMES = ("F1", "T1", "F2", "T2", "X1", "symmetric 9")
@@ -70,11 +71,6 @@ class Planted:
     def fit(self, **changed):
         found = replace(self.displacements, **changed)
         return fit_modes(found, self.basis, DRIVE_HZ, self.volts, self.start_hz)
-
-
-def complex_normal(rng, *shape):
-    """Numbers of variance 1."""
-    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
 
 
 def response(hz, loss, participation, shapes, drive):
@@ -139,10 +135,6 @@ def planted(
         np.zeros((10, FUNCTIONS), np.float32), reference, NAMES[:modes], start, np.zeros(modes)
     )
     return Planted(hz, LOSS[:modes], shapes, p, drive, volts, displacements, basis)
-
-
-def cents(one_hz, other_hz):
-    return 1200 * np.log2(np.asarray(one_hz) / other_hz)
 
 
 def mac(one, other):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from studies.modal_peer import PeerMode, peer_modes, peer_version
+from tests.numbers import cents
 
 DRIVE_HZ = 1417.0 * 2 ** (np.arange(184) * 25 / 1200)
 LOSS = 0.03
@@ -57,10 +58,6 @@ def response():
 @pytest.fixture(scope="module")
 def found(library, response):
     return peer_modes(DRIVE_HZ, response, MODES_HZ)
-
-
-def cents(hz, true_hz):
-    return 1200 * np.log2(hz / true_hz)
 
 
 def test_finds_all_modes_of_a_reed_where_they_are(found):

@@ -64,7 +64,7 @@ def test_each_effect_is_withheld_once_while_others_are_known() -> None:
     labels = [drawn_label(6, number, 5) for number in range(len(known))]
     assert sorted(label.effects[0][0] for label in labels) == sorted(known)
     for label in labels:
-        assert len(label.sealed) == 3
+        assert len(label.told) == 3
         assert label.effects[0][0] not in {name for name, _ in label.told}
         assert set(stated_sizes(label)) == {name for name, _ in label.told}
 

@@ -15,7 +15,7 @@ from blind.cases import (
     drawn_label,
     healthy_world,
     record_case,
-    told_sizes,
+    stated_sizes,
 )
 from blind.effects import BY_NAME, KINDS
 from blind.laboratory import FRAME_S, Laboratory
@@ -131,7 +131,7 @@ def test_a_laboratory_tells_what_it_knows_and_not_what_is_withheld(short, tmp_pa
     record_case(tmp_path, "a", label)
     (withheld, _), *_ = label.effects
     known = yaml.safe_load((tmp_path / "a" / "bench.yaml").read_text())["known"]
-    assert set(known) == {name for name, _ in label.told} == set(told_sizes(label))
+    assert set(known) == {name for name, _ in label.told} == set(stated_sizes(label))
     assert withheld not in known
     for path in (tmp_path / "a").iterdir():
         assert withheld.encode() not in path.read_bytes()
@@ -213,9 +213,9 @@ AT_RANDOM = {"transverse_shear": 0.3, "lo_misalignment": 0.8e-3}
 
 def test_sizes_are_told_as_they_are():
     told = {
-        kind.name: kind.told(World(), kind.change(World(), 2.0, np.random.default_rng(0)))
+        kind.name: kind.sizes(World(), kind.change(World(), 2.0, np.random.default_rng(0)))
         for kind in KINDS
-        if kind.told is not None
+        if kind.sizes is not None
     }
     assert set(told) == {*TOLD, *AT_RANDOM, "viscoelastic_stiffening"}
     for name, sizes in TOLD.items():
@@ -226,4 +226,4 @@ def test_sizes_are_told_as_they_are():
     assert powers["E_L"] / 0.08 + powers["G_LT"] / 0.12 == pytest.approx(1.0)
     other = BY_NAME["clamp_asymmetry"]
     sick = other.change(World(), -2.0, np.random.default_rng(0))
-    assert other.told(World(), sick) == pytest.approx({"compliance": -4e-13})
+    assert other.sizes(World(), sick) == pytest.approx({"compliance": -4e-13})

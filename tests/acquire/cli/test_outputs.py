@@ -23,7 +23,7 @@ from physics.reed.viscoelastic import (
     viscoelastic_cane,
 )
 from reproduction.rows import Group, from_text
-from reproduction.whole import InferenceProblem
+from reproduction.whole import PaperComparison
 
 MINE = b"mine, and dear to me"
 HOSTILE = "R7[bold]\x1b]0;x\x1b[31m\x9b2J\u202e <script>alert(1)</script>$\\frac$"
@@ -56,7 +56,7 @@ def paper(monkeypatch):
 
     def compare(announce):
         calls.append(announce)
-        return InferenceProblem(
+        return PaperComparison(
             (Group("numbers", "Numbers: some", "How.", rows),), ("One finding.",)
         )
 

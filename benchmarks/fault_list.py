@@ -140,7 +140,7 @@ SKIP = {"policy.instrument_error": {"retries": 0, "then": "skip"}}
 GIVE_UP = {"policy.give_up_after": 4}
 # Commands and answers are counted from the opening on; these lie amid the sweep, behind the ramp.
 AMID, AMID_GENERATOR = 40, 100
-# Disturbances of an ordinary optical table: issue and docs/reliability.md.
+# Disturbances of an ordinary optical table: issue and docs/explanation/reliability.md.
 TABLE = {"light": {"path_drift_rad": 0.02, "path_jitter_rad": 0.1, "phase_scatter": True}}
 
 SYNTHESIZERS = (

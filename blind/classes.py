@@ -1,7 +1,7 @@
 """What campaigns as these cannot tell: fixed before any sealed case is answered.
 
 By what effects move on five simulated campaigns with nothing wrong, other than the sealed ones
-(`python -m studies.reach`, table in ``docs/reach.md``).
+(`python -m studies.reach`, table in ``docs/explanation/detectability.md``).
 """
 
 from typing import Final

@@ -1,4 +1,4 @@
-"""Recordings as run files, by what ``docs/run-file.md`` says and nothing else."""
+"""Recordings as run files, by what ``docs/reference/run-file.md`` says and nothing else."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""A diagnosis for programs: JSON with stable keys (documented in ``docs/json.md``)."""
+"""A diagnosis for programs: JSON with stable keys (documented in ``docs/reference/json.md``)."""
 
 from collections.abc import Sequence
 from dataclasses import asdict

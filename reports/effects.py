@@ -40,7 +40,7 @@ def _size(parameter: Parameter) -> str:
 
 
 def effects_to_json(effects: Sequence[Effect]) -> list[dict[str, Any]]:
-    """Effects with stable keys (documented in ``docs/json.md``)."""
+    """Effects with stable keys (documented in ``docs/reference/json.md``)."""
     return [
         {
             "id": effect.id,

@@ -1,7 +1,7 @@
 """Write everything that a run file holds before its first step, and prove that the disk has it.
 
-The layout is described in ``docs/run-file.md``. All space is allocated here, so that writing a step
-only overwrites bytes.
+The layout is described in ``docs/reference/run-file.md``. All space is allocated here, so that
+writing a step only overwrites bytes.
 """
 
 import io

@@ -1,4 +1,4 @@
-"""Names and conventions that writer and reader of a run file share, see ``docs/run-file.md``."""
+"""Names and conventions that writer and reader share (``docs/reference/run-file.md``)."""
 
 import contextlib
 import re

@@ -1,4 +1,4 @@
-"""Read run files: one sweep in one self-describing HDF5 file (``docs/run-file.md``)."""
+"""Read run files: one sweep in one self-describing HDF5 file (``docs/reference/run-file.md``)."""
 
 import contextlib
 import json

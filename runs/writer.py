@@ -1,4 +1,4 @@
-"""Write run files: one sweep in one self-describing HDF5 file (``docs/run-file.md``).
+"""Write run files: one sweep in one self-describing HDF5 file (``docs/reference/run-file.md``).
 
 Everything is allocated before the first step and read back, so writing a step only overwrites
 bytes. The verdict of a step is written and flushed after its data: a program that is killed at any

@@ -23,7 +23,7 @@ def test_files_that_a_page_names_exist(page):
 
 
 def test_the_table_of_packages_is_that_of_the_import_contract():
-    text = (ROOT / "docs/architecture.md").read_text("utf-8")
+    text = (ROOT / "docs/explanation/architecture.md").read_text("utf-8")
     table = re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
     layers = settings["tool"]["importlinter"]["contracts"][0]["layers"]

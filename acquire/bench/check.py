@@ -246,7 +246,7 @@ def _clock(stage: _Stage, role: RoleName, instrument: Instrument) -> Finding:
         "check at its front panel that it uses the external 10 MHz reference"
         if clock.source == "unknown"
         else "connect it to the 10 MHz clock that all instruments share, because phase maps are "
-        "wrong without it; docs/hardware.md describes cable and option"
+        "wrong without it; docs/reference/drivers.md describes cable and option"
     )
     return Finding("reference clock", role, "note", clock.words, remedy)
 

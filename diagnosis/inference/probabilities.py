@@ -18,8 +18,8 @@ _ALSO = 0.05
 _UNSEEN = 0.3
 
 NONE, UNKNOWN = "none", "unknown"
-# Prior probabilities, a choice (docs/diagnosis.md): no effect, one effect, two effects, something
-# that is not in the catalogue.
+# Prior probabilities, a choice (docs/explanation/diagnosis.md): no effect, one effect, two effects,
+# something that is not in the catalogue.
 PRIOR = {"none": 0.25, "one": 0.5, "two": 0.1, "unknown": 0.15}
 
 

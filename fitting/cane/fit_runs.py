@@ -152,7 +152,7 @@ class ReedFit:
     reason: str = ""
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fit with stable keys (documented in ``docs/fit.md``)."""
+        """Return the fit with stable keys (documented in ``docs/reference/json.md``)."""
         runs = [
             {
                 "path": str(sweep.path),

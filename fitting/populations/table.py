@@ -70,7 +70,7 @@ class PopulationSummary:
         self._squares += float((fit.rms_cents[used] ** 2 * fit.used[used]).sum())
 
     def to_json(self) -> dict[str, Any]:
-        """Return the summary with stable keys (documented in ``docs/json.md``)."""
+        """Return the summary with stable keys (documented in ``docs/reference/json.md``)."""
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = self._sums[0] / self.fitted
             sd = np.sqrt((self._sums[1] - self.fitted * mean**2) / (self.fitted - 1))
@@ -171,7 +171,7 @@ class Measured:
     excitation_peaks: tuple[ExcitationPeak, ...] | None
 
     def to_json(self) -> list[dict[str, Any]] | None:
-        """Return the lines with stable keys (documented in ``docs/json.md``)."""
+        """Return the lines with stable keys (documented in ``docs/reference/json.md``)."""
         if self.excitation_peaks is None:
             return None
         return [asdict(peak) for peak in self.excitation_peaks]

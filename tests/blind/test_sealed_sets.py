@@ -78,7 +78,7 @@ def test_targets_are_met_or_missed_by_what_was_scored() -> None:
 
 @pytest.mark.parametrize("name", _SCORES)
 def test_the_page_says_met_and_missed_as_scores_do(name: str) -> None:
-    page = (DOCS / "blind.md").read_text(encoding="utf-8")
+    page = (DOCS / "explanation" / "blind.md").read_text(encoding="utf-8")
     section = re.split(r"^## ", page, flags=re.MULTILINE)
     own = next(part for part in section if part.startswith(f"{name.capitalize()} sets"))
     said = re.findall(r"^\|.*\| (met|missed) \|$", own, flags=re.MULTILINE)
@@ -89,7 +89,7 @@ def test_the_page_says_met_and_missed_as_scores_do(name: str) -> None:
 
 
 def test_the_page_gives_intervals_as_scores_do() -> None:
-    page = (DOCS / "blind.md").read_text(encoding="utf-8")
+    page = (DOCS / "explanation" / "blind.md").read_text(encoding="utf-8")
     own = page.split("## Fourth sets")[1].split("## ")[0]
     scores = _SCORES["fourth"]
     given = scores["probability_of_truth"]["resolved"]
@@ -107,7 +107,7 @@ def test_the_page_gives_intervals_as_scores_do() -> None:
 
 
 def test_what_was_declared_undetectable_is_on_the_page() -> None:
-    page = (DOCS / "reach.md").read_text(encoding="utf-8")
+    page = (DOCS / "explanation" / "detectability.md").read_text(encoding="utf-8")
     declared = page.split("**Undetectable**")[1].split("Only at the largest")[0]
     assert all(name in declared for name in UNDETECTABLE)
 

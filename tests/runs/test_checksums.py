@@ -93,7 +93,7 @@ def columns_of(path, group="entry/steps"):
 
 def test_checksums_can_be_worked_out_as_the_documentation_shows(measured):
     _, path = measured()
-    text = (Path(__file__).parents[2] / "docs/run-file.md").read_text("utf-8")
+    text = (Path(__file__).parents[2] / "docs/reference/run-file.md").read_text("utf-8")
     text = text.partition("## Checksums")[2].partition("\n## ")[0]
     named = {}
     for block in text.split("```python\n")[1:]:

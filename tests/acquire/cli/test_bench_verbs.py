@@ -179,7 +179,7 @@ def test_a_clock_of_its_own_is_a_note(cli, folder, laboratory, real_bench):
     said = cli("bench", "check", real_bench(changes={"synthesizers.options": options}), "--json")
     clocks = {"synthesizers": "note", "generator": "pass", "camera": "pass"}
     assert results(said, "reference clock") == clocks
-    assert "docs/hardware.md" in finding(said, "reference clock", "synthesizers")["remedy"]
+    assert "docs/reference/drivers.md" in finding(said, "reference clock", "synthesizers")["remedy"]
 
 
 def test_an_unknown_driver_does_not_keep_the_others_from_being_checked(

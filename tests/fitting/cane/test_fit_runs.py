@@ -128,8 +128,8 @@ def test_json_has_the_documented_keys(fitted, sweep_a):
 
 
 def test_documented_keys_are_all_there_are(fitted, request):
-    text = (request.config.rootpath / "docs" / "fit.md").read_text(encoding="utf-8")
-    table = text.split("## JSON")[1]
+    text = (request.config.rootpath / "docs/reference/json.md").read_text(encoding="utf-8")
+    table = text.split("## `acquire fit`\n")[1].split("\n## ")[0]
     documented = {
         part.split("[")[0].split(".")[0].strip("`")
         for line in table.splitlines()

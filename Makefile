@@ -3,6 +3,7 @@
 # make test-all  runs the slow tests too and prints the coverage; then installs emulators and peers (some
 #                GB; Debian packages, so as root or with sudo) and tests against what others wrote
 # make bench     prints every figure that the project claims
+# make docs      builds the documentation: docs/_build/html/index.html
 
 PYTHON ?= python3
 VENV := .venv
@@ -20,7 +21,7 @@ PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadfile
 # Files with a smaller coverage than this are listed, in per cent of their lines.
 SHOW_BELOW := 80
 
-.PHONY: run test test-all bench lint clean
+.PHONY: run test test-all bench lint docs clean
 
 run: .stamps/run
 	$(BIN)/acquire run $(PROTOCOL)
@@ -47,6 +48,10 @@ lint: .stamps/test
 bench: .stamps/bench
 	$(BIN)/python -m benchmarks; status=$$?; $(BIN)/python -m studies && exit $$status
 
+docs: .stamps/docs
+	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet docs docs/_build/html
+	@echo "open docs/_build/html/index.html"
+
 .stamps/venv:
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11))" \
 	  || { echo "Python 3.11 or later is needed; name one: make run PYTHON=python3.12"; exit 1; }
@@ -61,6 +66,10 @@ bench: .stamps/bench
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
 	@touch $@
 
+.stamps/docs: .stamps/venv pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[docs]"
+	@touch $@
+
 .stamps/bench: .stamps/venv pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[bench]"
 	@touch $@
@@ -73,4 +82,4 @@ bench: .stamps/bench
 	@mkdir -p .stamps && touch $@
 
 clean:
-	rm -rf $(VENV) $(ALL) .stamps build dist *.egg-info
+	rm -rf $(VENV) $(ALL) .stamps build dist docs/_build *.egg-info

@@ -34,7 +34,8 @@ _SMALL = {
     "sweep.first": 14, "sweep.last": 22, "camera.width": 160, "camera.height": 128,
     "policy.bad_step": {"retries": 1, "then": "skip"},
 }  # fmt: skip
-# What no checksum covers, because it changes after it was written (docs/reference/run-file.md, Checksums).
+# No checksum covers these, because they change after they were written
+# (docs/reference/run-file.md, Checksums).
 _NOT_COVERED = re.compile(
     r"entry/(status|end_time|interruptions/.*|(steps|retakes)/(verdict|sentence))"
 )

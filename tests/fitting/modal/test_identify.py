@@ -149,7 +149,8 @@ def test_picks_that_speak_for_no_possible_cane_do_no_harm(sweep_a, sweep, true_h
     apart = cents_apart(found_hz(other), true_hz)
     assert all(abs(cents) < 5 for cents in apart.values()), apart
     same = cents_apart(found_hz(other), found_hz(sweep))
-    # Half the steps leave two frequencies of F2, near an acoustic line: see docs/explanation/fit.md.
+    # Half the steps leave two frequencies of F2, near an acoustic resonance
+    # (docs/explanation/fit.md).
     del same["F2"]
     assert all(abs(cents) < 1 for cents in same.values()), same
 

@@ -196,3 +196,24 @@ def test_a_term_is_defined_once():
     text = (ROOT / "docs/glossary.md").read_text("utf-8")
     terms = re.findall(r"^\| (?!term |--)([^|]+?) \|", text, re.MULTILINE)
     assert len(terms) == len(set(terms)) > 35
+
+
+def test_continuous_integration_runs_targets_that_exist():
+    workflow = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text("utf-8"))
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    targets = set()
+    for job in workflow["jobs"].values():
+        assert job["runs-on"]
+        for step in job["steps"]:
+            assert len({"uses", "run"} & set(step)) == 1
+            targets |= set(re.findall(r"^make ([a-z-]+)", step.get("run", "")))
+    assert targets == {"test", "run", "docs", "test-all"}
+    for target in targets:
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE)
+    matrix = workflow["jobs"]["test"]["strategy"]["matrix"]
+    assert matrix["python"] == ["3.11", "3.12", "3.13", "3.14"]
+    assert [system.partition("-")[0] for system in matrix["system"]] == [
+        "ubuntu",
+        "macos",
+        "windows",
+    ]

@@ -1,9 +1,11 @@
 """What the documentation names exists: files, modules, commands, options, functions, counts."""
 
 import importlib.util
+import json
 import pkgutil
 import re
 import shlex
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -147,6 +149,20 @@ def test_the_number_of_effects_is_that_of_the_catalogue():
     text = (ROOT / "docs/explanation/diagnosis.md").read_text("utf-8")
     (count,) = re.findall(r"\[list\]\(\.\./reference/effects\.md\) has (\d+)", text)
     assert int(count) == len(CATALOGUE)
+
+
+@pytest.mark.slow
+def test_counts_on_the_page_of_the_paper_are_those_of_the_comparison():
+    text = (ROOT / "docs/explanation/paper.md").read_text("utf-8")
+    words = (
+        r"(\d+) are reproduced, (\d+) differ and (\d+) are refuted; (\d+) printed numbers cannot"
+    )
+    (said,) = re.findall(rf"Of (\d+) comparisons {words}", text)
+    asked = [sys.executable, "-m", "acquire", "paper", "--json"]
+    counts = json.loads(subprocess.run(asked, capture_output=True, check=True).stdout)["counts"]
+    verdicts = ("reproduced", "differs", "refuted", "not reproducible")
+    assert [int(number) for number in said[1:]] == [counts[verdict] for verdict in verdicts]
+    assert int(said[0]) == sum(counts[verdict] for verdict in verdicts[:3])
 
 
 def test_effects_of_the_table_of_detectability_are_those_of_the_catalogue():

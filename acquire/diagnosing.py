@@ -16,7 +16,7 @@ from diagnosis.resonance_diagnosis import diagnose_resonances as judge_resonance
 from fitting.errors import FitError, FitInputError
 from physics.effects.catalogue import CATALOGUE
 from physics.mechanics import ReedSolver
-from physics.reed.cache import shape_derivatives
+from physics.reed.reduction.cache import shape_derivatives
 from protocols.bench import BenchFile
 from reports.diagnosis_page import page_output, write_page
 from reports.next_campaign import next_outputs, require_repeatable, write_next

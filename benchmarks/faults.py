@@ -19,10 +19,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.fault_list import FAULTS, NO_FAULT
-from benchmarks.fault_openings import OPENINGS, in_use, opened
-from benchmarks.fault_openings import as_expected as as_opened
-from benchmarks.fault_processes import (
+from benchmarks.striking.fault_list import FAULTS, NO_FAULT
+from benchmarks.striking.fault_openings import OPENINGS, in_use, opened
+from benchmarks.striking.fault_openings import as_expected as as_opened
+from benchmarks.striking.fault_processes import (
     PHASES,
     SIGNALS,
     clock_set_back,
@@ -32,7 +32,7 @@ from benchmarks.fault_processes import (
     locked,
     signalled,
 )
-from benchmarks.struck import Outcome, as_expected, struck
+from benchmarks.striking.struck import Outcome, as_expected, struck
 
 # The target for two SIGINT.
 _OFF_WITHIN_S = 3.0

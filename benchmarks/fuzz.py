@@ -22,10 +22,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.fuzz_judging import Outcome, Tally, difference, judged
-from benchmarks.fuzz_mutations import Mutation, mutated
-from benchmarks.fuzz_readers import READERS, Reader
-from benchmarks.fuzz_runs import fuzz_runs
+from benchmarks.fuzzing.judging import Outcome, Tally, difference, judged
+from benchmarks.fuzzing.mutations import Mutation, mutated
+from benchmarks.fuzzing.readers import READERS, Reader
+from benchmarks.fuzzing.runs import fuzz_runs
 
 # How many are changed by default. Chosen: half an hour a kind on one of our processors;
 # of 250 run files 8 went wrong in a first try.

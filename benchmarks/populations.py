@@ -28,8 +28,8 @@ from scipy.optimize import least_squares
 
 from fitting.populations.flags import count_flags
 from fitting.populations.population import fit_population, fit_stream
-from physics.reed.log_polynomial import LogPolynomial, finite_element_polynomial
-from physics.reed.metamodel import Metamodel
+from physics.reed.reduction.log_polynomial import LogPolynomial, finite_element_polynomial
+from physics.reed.reduction.metamodel import Metamodel
 from protocols.reed import DEFAULT_REED, ReedFile
 from studies.populations import (
     ERROR_CENTS,

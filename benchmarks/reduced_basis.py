@@ -21,10 +21,10 @@ import numpy as np
 import scipy
 
 from fitting.paper.constants import adjusted_metamodel
-from physics.reed.cache import FAST, STANDARD
-from physics.reed.material_basis import MaterialBasis, modes
-from physics.reed.mesh import MeshLevel
+from physics.reed.elements.mesh import MeshLevel
+from physics.reed.material_range.basis import MaterialBasis, modes
 from physics.reed.mode_classification import PAPER_MODES
+from physics.reed.reduction.cache import FAST, STANDARD
 from protocols.reed import DEFAULT_REED, ReedFile
 from studies.reduced_basis import build, random_inputs, solved_modes
 

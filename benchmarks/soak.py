@@ -18,8 +18,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from benchmarks.soak_contention import RIVALRIES, Files, on_an_empty_cache, rivalry
-from benchmarks.soak_leaks import LIMITS, WARM_UP, series, works
+from benchmarks.soaking.contention import RIVALRIES, Files, on_an_empty_cache, rivalry
+from benchmarks.soaking.leaks import LIMITS, WARM_UP, series, works
 
 
 def benchmark(runs: int, rounds: int) -> dict[str, Any]:

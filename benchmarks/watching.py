@@ -37,8 +37,8 @@ import acquire
 from acquire.cli.display import catalogue_entry
 from acquire.runner.recorder import StepReport
 from protocols.bench import BenchFile
-from runs.checksums import pixel_checksum
 from runs.errors import RunFileError
+from runs.integrity.checksums import pixel_checksum
 from runs.reader import Run
 
 # Small frames: what is compared is mostly the run file's own work. 30 steps take some 13 s.

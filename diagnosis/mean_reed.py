@@ -11,8 +11,8 @@ from fitting.forward import cents_of
 from fitting.paper.printed import printed
 from fitting.populations.resonance_table import read_resonances
 from holography.arrays import Array
+from physics.reed.cane.viscoelastic import Series
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.viscoelastic import Series
 
 # Mean of what neighbours make pictures with most fringes miss a resonance by, on simulated reeds
 # (`python -m studies.identification`).

@@ -12,7 +12,7 @@ from fitting.forward import cents_of
 from holography.arrays import Array
 from physics.effects.effect import Effect, Parameter
 from physics.mechanics import Mechanics, ReedSolver
-from physics.reed.viscoelastic import ViscoelasticCane, Zener
+from physics.reed.cane.viscoelastic import ViscoelasticCane, Zener
 from physics.twin import Twin, with_cane
 
 _SEED = 20_080_401

@@ -9,16 +9,16 @@ from scipy.interpolate import NearestNDInterpolator, RectBivariateSpline
 
 from fitting.paper import constants as paper
 from holography.arrays import Array
-from physics.reed.basis import BasisSettings, ReducedReed
-from physics.reed.cache import reduced_reed
-from physics.reed.metamodel import REFERENCE_HZ
-from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.response import Mode, elastic_modes
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Series,
     ViscoelasticCane,
     storage_modulus_pa,
 )
+from physics.reed.mode_classification import PAPER_MODES
+from physics.reed.reduction.basis import BasisSettings, ReducedReed
+from physics.reed.reduction.cache import reduced_reed
+from physics.reed.reduction.metamodel import REFERENCE_HZ
+from physics.reed.reduction.response import Mode, elastic_modes
 from protocols.reed import ReedFile
 
 # Network on which the finite elements are tabulated, Pa: the range of a reduced basis.

@@ -6,27 +6,27 @@ from typing import Any, Final
 
 import numpy as np
 
-from physics.reed.cache import (
-    FAST,
-    FINE,
-    STANDARD,
-)
+from physics.reed.elements.mesh import MeshLevel
 from physics.reed.geometry import (
     is_even,
 )
-from physics.reed.material_basis import MaterialBasis, ReedModes, modes
-from physics.reed.material_cache import material_basis
-from physics.reed.material_constants import constants_of
-from physics.reed.material_snapshots import TrainingSettings, heaviest_kg_m3
-from physics.reed.material_viscoelastic import settled_modes
-from physics.reed.mesh import MeshLevel
-from physics.reed.metamodel import REFERENCE_HZ
+from physics.reed.material_range.basis import MaterialBasis, ReedModes, modes
+from physics.reed.material_range.cache import material_basis
+from physics.reed.material_range.constants import constants_of
+from physics.reed.material_range.snapshots import TrainingSettings, heaviest_kg_m3
+from physics.reed.material_range.viscoelastic import settled_modes
 from physics.reed.modes import (
     HIGHEST_HZ,
     NamedMode,
     reed_modes,
     viscoelastic_modes,
 )
+from physics.reed.reduction.cache import (
+    FAST,
+    FINE,
+    STANDARD,
+)
+from physics.reed.reduction.metamodel import REFERENCE_HZ
 from protocols.errors import ProtocolError
 from protocols.reed import ReedFile
 

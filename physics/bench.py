@@ -27,11 +27,7 @@ from physics.optics import (
     sidebands,
     speckle,
 )
-from physics.reed.basis import ReducedReed
-from physics.reed.fem import Symmetry
-from physics.reed.response import forced_response
-from physics.reed.surface import on_reed, surface_shapes
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     ViscoelasticCane,
@@ -39,7 +35,11 @@ from physics.reed.viscoelastic import (
     require_physical,
     viscoelastic_cane,
 )
-from physics.reed.whole import WholeReed
+from physics.reed.elements.fem import Symmetry
+from physics.reed.elements.whole import WholeReed
+from physics.reed.reduction.basis import ReducedReed
+from physics.reed.reduction.response import forced_response
+from physics.reed.surface import on_reed, surface_shapes
 from physics.sensor import Sensor, read_out
 
 Complex64 = NDArray[np.complex64]

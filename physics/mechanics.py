@@ -13,14 +13,15 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from holography.arrays import Array
-from physics.reed.coarse import coarse_mesh_cents
-from physics.reed.geometry import half_width_m
-from physics.reed.material import Cane
-from physics.reed.mode_classification import ModeDescriptor, names_of
-from physics.reed.modes import at_frequency
-from physics.reed.radiation import air_load
-from physics.reed.shape_derivatives import ShapeDerivatives
-from physics.reed.structural_changes import (
+from physics.reed.cane.material import Cane
+from physics.reed.cane.viscoelastic import (
+    Components,
+    Series,
+    ViscoelasticCane,
+    viscoelastic_cane,
+)
+from physics.reed.changes.shape_derivatives import ShapeDerivatives
+from physics.reed.changes.structural_changes import (
     Change,
     added_mass,
     combined,
@@ -28,13 +29,12 @@ from physics.reed.structural_changes import (
     softening,
     yielding_clamp,
 )
-from physics.reed.structural_modification import AirLoad, CaneTable, Vibrations, vibrations
-from physics.reed.viscoelastic import (
-    Components,
-    Series,
-    ViscoelasticCane,
-    viscoelastic_cane,
-)
+from physics.reed.changes.structural_modification import AirLoad, CaneTable, Vibrations, vibrations
+from physics.reed.elements.coarse import coarse_mesh_cents
+from physics.reed.geometry import half_width_m
+from physics.reed.mode_classification import ModeDescriptor, names_of
+from physics.reed.modes import at_frequency
+from physics.reed.radiation import air_load
 
 # Frequency at which a growth of moduli or losses changes nothing. Chosen: near the middle of the
 # sweep, on a logarithmic scale.
@@ -151,7 +151,7 @@ class Mechanics:
         Density of the air around the reed, as a fraction of normal air; 0 is vacuum.
     coarse_share : float
         Fraction of the additional stiffness of a coarse mesh that is included (see
-        `physics.reed.coarse`).
+        `physics.reed.elements.coarse`).
     """
 
     cane: ViscoelasticCane = viscoelastic_cane(Components(), Series.A)
@@ -174,7 +174,7 @@ class ReedMode:
     hz, loss_factor : float
         Resonance frequency and loss factor.
     coordinates : (s,) float
-        Mode shape, see `physics.reed.structural_modification.Vibrations`.
+        Mode shape, see `physics.reed.changes.structural_modification.Vibrations`.
     """
 
     name: str

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
+    from physics.reed.cane.material import Cane
     from physics.reed.geometry import ReedGeometry
-    from physics.reed.material import Cane
 
 
 @dataclass(frozen=True, slots=True)

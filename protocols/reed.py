@@ -9,10 +9,14 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from physics.reed.cache import (
-    FAST,
+from physics.reed.cane.conditions import at_temperature, cane_at_dryness
+from physics.reed.cane.material import Cane, stiffness_matrix_pa
+from physics.reed.cane.viscoelastic import (
+    Components,
+    ViscoelasticCane,
+    require_physical,
 )
-from physics.reed.conditions import at_temperature, cane_at_dryness
+from physics.reed.elements.mesh import build_least_mesh
 from physics.reed.geometry import (
     Clamp,
     ClampSide,
@@ -20,17 +24,13 @@ from physics.reed.geometry import (
     ReedGeometry,
     ThicknessMap,
 )
-from physics.reed.material import Cane, stiffness_matrix_pa
-from physics.reed.mesh import build_least_mesh
-from physics.reed.metamodel import REFERENCE_HZ
 from physics.reed.modes import (
     at_frequency,
 )
-from physics.reed.viscoelastic import (
-    Components,
-    ViscoelasticCane,
-    require_physical,
+from physics.reed.reduction.cache import (
+    FAST,
 )
+from physics.reed.reduction.metamodel import REFERENCE_HZ
 from protocols.strict_yaml import (
     Description,
     Section,

@@ -9,12 +9,12 @@ import numpy as np
 from fitting.paper import constants as paper
 from fitting.statistics import factors, synthetic
 from holography.arrays import Array
-from physics.reed.basis import ReducedReed
-from physics.reed.cache import reduced_reed
-from physics.reed.log_polynomial import finite_element_polynomial
-from physics.reed.metamodel import Equation1, Metamodel
+from physics.reed.cane.viscoelastic import storage_modulus
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.viscoelastic import storage_modulus
+from physics.reed.reduction.basis import ReducedReed
+from physics.reed.reduction.cache import reduced_reed
+from physics.reed.reduction.log_polynomial import finite_element_polynomial
+from physics.reed.reduction.metamodel import Equation1, Metamodel
 
 Announce = Callable[[str], None]
 

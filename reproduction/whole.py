@@ -5,18 +5,21 @@ from typing import Any
 
 from fitting.paper.printed import printed
 from physics.reed.geometry import ReedGeometry
-from reproduction.cane import compare_cane
-from reproduction.chain import compare_hypotheses
-from reproduction.correlations import compare_correlations
-from reproduction.factors import compare_factors
 from reproduction.findings import findings
-from reproduction.frequencies import compare_frequencies
-from reproduction.mesh_evidence import compare_meshes, gather_evidence
-from reproduction.metamodel import (
+from reproduction.groups.cane import compare_cane
+from reproduction.groups.chain import compare_hypotheses
+from reproduction.groups.correlations import compare_correlations
+from reproduction.groups.factors import compare_factors
+from reproduction.groups.frequencies import compare_frequencies
+from reproduction.groups.mesh_evidence import compare_meshes, gather_evidence
+from reproduction.groups.metamodel import (
     compare_metamodel,
     compute_network,
     reference_hz,
 )
+from reproduction.groups.sensitivities import compare_sensitivities, compute_table_3
+from reproduction.groups.shape import compare_shape
+from reproduction.groups.sweep import compare_sweep
 from reproduction.models import Announce, build_models
 from reproduction.out_of_reach import list_out_of_reach
 from reproduction.rows import (
@@ -24,9 +27,6 @@ from reproduction.rows import (
     Group,
     Row,
 )
-from reproduction.sensitivities import compare_sensitivities, compute_table_3
-from reproduction.shape import compare_shape
-from reproduction.sweep import compare_sweep
 
 
 @dataclass(frozen=True)

@@ -20,13 +20,14 @@ from drivers.roles import Bench
 from holography.reconstruction import Reconstruction
 from physics.optics import reed_axes_m
 from protocols.plan import Plan
-from runs.checksums import (
+from runs.errors import DiskError
+from runs.integrity.checksums import (
     CHECKSUMS,
     HEADER_CHECKSUM,
     header_checksum,
     in_header,
 )
-from runs.errors import DiskError
+from runs.integrity.proof import differing, missing_bytes
 from runs.layout import (
     EXACT_BYTES,
     EXPOSURE,
@@ -44,7 +45,6 @@ from runs.layout import (
     exact_text,
     short_reason,
 )
-from runs.proof import differing, missing_bytes
 from runs.verdict import Verdict
 
 # Chosen: the longest verdict and status ("interrupted") has 11 bytes.
@@ -119,7 +119,7 @@ def prove(path: Path, unborn: Path, new: NewRun) -> None:
     path : Path
         Final path of the run file; used in messages.
     unborn : Path
-        Path of the new file, see `runs.unborn`.
+        Path of the new file, see `runs.integrity.unborn`.
     new : NewRun
 
     Raises

@@ -4,9 +4,9 @@ from pathlib import Path
 
 from runs.disk import error_class
 from runs.documents import documents_path, holds_no_event, rewritten_path
+from runs.integrity.unborn import unborn_path
 from runs.layout import short_reason
 from runs.packing import packed_path
-from runs.unborn import unborn_path
 
 
 def clear_leftovers(run_path: Path) -> list[Path]:

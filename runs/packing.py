@@ -19,11 +19,11 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from runs.checksums import PIXEL_CHECKSUM, pixel_checksum
 from runs.disk import DiskFile, error_class
 from runs.errors import DiskError, RunFileError
+from runs.integrity.checksums import PIXEL_CHECKSUM, pixel_checksum
+from runs.integrity.proof import differing, missing_bytes
 from runs.layout import FREE, short_reason
-from runs.proof import differing, missing_bytes
 from runs.reader import Run
 from runs.verdict import Verdict
 

@@ -18,10 +18,10 @@ from holography.reconstruction import Reconstruction
 from holography.region import Region
 from protocols.errors import ProtocolError
 from protocols.reed import ReedFile
-from runs.checks import require_run
-from runs.checksums import PIXEL_CHECKSUM, ROW_CHECKSUM, pixel_checksum, whole_rows
 from runs.disk import error_class
 from runs.errors import RunFileError
+from runs.integrity.checks import require_run
+from runs.integrity.checksums import PIXEL_CHECKSUM, ROW_CHECKSUM, pixel_checksum, whole_rows
 from runs.labelled_arrays import fields_dataset, steps_frame
 from runs.layout import FREE, UNDER_WAY, RunLabels, short_reason, verdict_of
 from runs.measured_step import MeasuredStep

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from runs.checksums import ROW_CHECKSUM
+from runs.integrity.checksums import ROW_CHECKSUM
 from runs.layout import (
     EXPOSURE,
     INTERRUPTIONS,

@@ -23,16 +23,17 @@ import numpy.typing as npt
 from drivers.roles import Bench, Frame
 from holography.reconstruction import Reconstruction
 from protocols.plan import Plan
-from runs.checksums import (
+from runs.contents import NewRun, fill, planned_columns, prove
+from runs.disk import DiskFile, error_class, give_name
+from runs.errors import DiskError, RunFileError
+from runs.integrity.checksums import (
     PIXEL_CHECKSUM,
     ROW_CHECKSUM,
     pixel_checksum,
     row_checksums,
     whole_rows,
 )
-from runs.contents import NewRun, fill, planned_columns, prove
-from runs.disk import DiskFile, error_class, give_name
-from runs.errors import DiskError, RunFileError
+from runs.integrity.unborn import cannot_make, require_readable, unborn_path
 from runs.layout import (
     FREE,
     INTERRUPTIONS,
@@ -50,7 +51,6 @@ from runs.layout import (
 )
 from runs.measured_step import MeasuredStep
 from runs.provenance import git_revision, package_versions
-from runs.unborn import cannot_make, require_readable, unborn_path
 from runs.verdict import Judgement, Verdict
 
 # h5py raises RuntimeError if the disk refuses bytes that HDF5 had in a cache.

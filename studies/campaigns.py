@@ -11,7 +11,7 @@ from diagnosis.known_bench import bench_of
 from diagnosis.observe import read
 from diagnosis.readings.campaign_readings import Readings
 from physics.mechanics import ReedSolver
-from physics.reed.cache import shape_derivatives
+from physics.reed.reduction.cache import shape_derivatives
 from runs.reader import Run
 
 # Of laboratories with nothing wrong.

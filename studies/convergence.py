@@ -17,15 +17,15 @@ from typing import Any
 
 import numpy as np
 
-from physics.reed.cache import (
+from physics.reed.cane.material import Cane
+from physics.reed.elements.mesh import MeshLevel
+from physics.reed.geometry import ReedGeometry
+from physics.reed.modes import reed_modes
+from physics.reed.reduction.cache import (
     FAST,
     FINE,
     STANDARD,
 )
-from physics.reed.geometry import ReedGeometry
-from physics.reed.material import Cane
-from physics.reed.mesh import MeshLevel
-from physics.reed.modes import reed_modes
 
 HIGHEST_HZ = 20e3
 FINE_CENTS, FAST_S = 10.0, 0.3

@@ -32,7 +32,7 @@ from fitting.forward import basis_of, finite_element_model
 from fitting.modal.acoustic_resonances import ExcitationPeak, common_excitation_peaks
 from fitting.modal.identify import JointFit
 from holography.arrays import Array
-from physics.reed.viscoelastic import Series
+from physics.reed.cane.viscoelastic import Series
 from protocols.bench import BenchFile
 from protocols.plan import make_plan
 from protocols.protocol import Protocol

@@ -30,19 +30,19 @@ from fitting.forward import (
 from fitting.paper.constants import adjusted_metamodel
 from fitting.populations.flags import count_flags
 from fitting.populations.population import fit_population
-from physics.reed.basis import ReducedReed
-from physics.reed.geometry import ReedGeometry
-from physics.reed.log_polynomial import LogPolynomial, finite_element_polynomial
-from physics.reed.metamodel import Metamodel
-from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.response import viscoelastic_mode
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     h4_matrix,
     storage_modulus,
     viscoelastic_cane,
 )
+from physics.reed.geometry import ReedGeometry
+from physics.reed.mode_classification import PAPER_MODES
+from physics.reed.reduction.basis import ReducedReed
+from physics.reed.reduction.log_polynomial import LogPolynomial, finite_element_polynomial
+from physics.reed.reduction.metamodel import Metamodel
+from physics.reed.reduction.response import viscoelastic_mode
 from protocols.reed import DEFAULT_REED, ReedFile
 
 Array = NDArray[np.floating[Any]]

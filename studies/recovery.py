@@ -30,8 +30,8 @@ from fitting.forward import (
     hz_of,
     viscoelastic_cents,
 )
-from physics.reed.response import viscoelastic_mode
-from physics.reed.viscoelastic import Series, viscoelastic_cane
+from physics.reed.cane.viscoelastic import Series, viscoelastic_cane
+from physics.reed.reduction.response import viscoelastic_mode
 from protocols.bench import BenchFile
 from protocols.plan import Plan, make_plan
 from protocols.protocol import Protocol

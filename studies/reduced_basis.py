@@ -19,14 +19,14 @@ import numpy.typing as npt
 import scipy
 from scipy.optimize import linear_sum_assignment
 
-from physics.reed.cache import FAST, STANDARD
-from physics.reed.material import Cane
-from physics.reed.material_basis import MaterialBasis, modes
-from physics.reed.material_constants import CONSTANTS
-from physics.reed.material_snapshots import TrainingSettings
-from physics.reed.material_training import build_material_basis
-from physics.reed.mesh import MeshLevel
+from physics.reed.cane.material import Cane
+from physics.reed.elements.mesh import MeshLevel
+from physics.reed.material_range.basis import MaterialBasis, modes
+from physics.reed.material_range.constants import CONSTANTS
+from physics.reed.material_range.snapshots import TrainingSettings
+from physics.reed.material_range.training import build_material_basis
 from physics.reed.modes import NamedMode, reed_modes
+from physics.reed.reduction.cache import FAST, STANDARD
 from protocols.reed import DEFAULT_REED, ReedFile
 
 Array = npt.NDArray[np.float64]

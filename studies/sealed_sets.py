@@ -4,7 +4,7 @@
 
 Of each set in `studies/sealed`: whether its keys fit the hashes that were committed before it
 was answered, and its scores next to their targets: made of what is kept of its answers
-(`studies.sealed_answers`), or as they were made if nothing is. Then N cases of the last set are
+(`studies.sealed.answers`), or as they were made if nothing is. Then N cases of the last set are
 recorded again from its key and diagnosed on two processors. Exit status 1 if a key does not fit.
 """
 
@@ -25,8 +25,8 @@ from blind.classes import CLASSES
 from blind.files import BlindError, labels_of
 from blind.report import report
 from blind.scoring import Classes
-from studies.sealed_answers import kept_cases
-from studies.sealed_names import SealedNames
+from studies.sealed.answers import kept_cases
+from studies.sealed.names import SealedNames
 
 FOLDER = Path(__file__).parent / "sealed"
 SETS = "first", "second", "third", "fourth"

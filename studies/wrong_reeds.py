@@ -33,8 +33,8 @@ from drivers.simulated.settings import (
 )
 from holography.arrays import Array
 from physics.bench import bench_cane
-from physics.reed.cache import kept
-from physics.reed.fem import Symmetry
+from physics.reed.cane.viscoelastic import Series
+from physics.reed.elements.fem import Symmetry
 from physics.reed.geometry import (
     Outline,
     ReedGeometry,
@@ -46,8 +46,8 @@ from physics.reed.modes import (
     NamedMode,
     viscoelastic_modes,
 )
+from physics.reed.reduction.cache import kept
 from physics.reed.surface import on_reed
-from physics.reed.viscoelastic import Series
 from protocols.bench import BenchFile
 from protocols.plan import make_plan
 from protocols.protocol import Protocol

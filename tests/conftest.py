@@ -13,7 +13,7 @@ from drivers.registry import open_bench
 from protocols.bench import BenchFile
 from protocols.plan import make_plan
 from protocols.protocol import Protocol
-from runs.checksums import (
+from runs.integrity.checksums import (
     header_checksum,
     in_header,
     pixel_checksum,

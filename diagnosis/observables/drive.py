@@ -35,7 +35,7 @@ from physics.mechanics import (
     ReedMode,
     ReedSolver,
 )
-from physics.reed.fem import Symmetry
+from physics.reed.elements.fem import Symmetry
 from physics.twin import (
     DriveChain,
     FitBias,

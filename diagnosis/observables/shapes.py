@@ -25,12 +25,12 @@ from physics.mechanics import (
     ReedMode,
     ReedSolver,
 )
-from physics.reed.fem import Symmetry
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     ViscoelasticCane,
     Zener,
     storage_modulus_pa,
 )
+from physics.reed.elements.fem import Symmetry
 from physics.twin import Twin
 
 # Shapes of higher modes are poorly determined.

@@ -30,10 +30,10 @@ from physics.bench import (
     Scene,
     Segment,
 )
-from physics.reed.basis import ReducedReed
-from physics.reed.cache import reduced_reed, whole_reed
+from physics.reed.elements.whole import WholeReed
 from physics.reed.geometry import is_even
-from physics.reed.whole import WholeReed
+from physics.reed.reduction.basis import ReducedReed
+from physics.reed.reduction.cache import reduced_reed, whole_reed
 from physics.sensor import Sensor
 
 # A lamp that fills half a pixel of the paper's camera in a frame of the paper's length.

@@ -20,17 +20,17 @@ from physics.optics import (
     Layout,
     visible_size_m,
 )
-from physics.reed.basis import BasisSettings
-from physics.reed.cache import STANDARD
-from physics.reed.geometry import ReedGeometry, ThicknessMap
-from physics.reed.material import Cane
-from physics.reed.mesh import MeshLevel
-from physics.reed.viscoelastic import (
+from physics.reed.cane.material import Cane
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     require_physical,
     viscoelastic_cane,
 )
+from physics.reed.elements.mesh import MeshLevel
+from physics.reed.geometry import ReedGeometry, ThicknessMap
+from physics.reed.reduction.basis import BasisSettings
+from physics.reed.reduction.cache import STANDARD
 from physics.sensor import Sensor
 from protocols.bench import BenchFile, CameraSensor
 from protocols.preparation import Preparation

@@ -38,22 +38,22 @@ from fitting.modal.acoustic_resonances import ExcitationPeak, find_excitation_pe
 from fitting.modal.identify import JointFit, fit_jointly
 from fitting.modal.residual_map import residual_map
 from holography.arrays import Array, Float32Array
-from physics.reed.basis import ReducedReed
-from physics.reed.geometry import ReedGeometry
-from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.response import (
-    Mode,
-    elastic_modes,
-    viscoelastic_mode,
-)
-from physics.reed.surface import surface_shapes
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     ViscoelasticCane,
     storage_modulus_pa,
     viscoelastic_cane,
 )
+from physics.reed.geometry import ReedGeometry
+from physics.reed.mode_classification import PAPER_MODES
+from physics.reed.reduction.basis import ReducedReed
+from physics.reed.reduction.response import (
+    Mode,
+    elastic_modes,
+    viscoelastic_mode,
+)
+from physics.reed.surface import surface_shapes
 from protocols.reed import ReedFile
 from runs.reader import Run
 

@@ -17,7 +17,7 @@ from fitting.forward import (
 from fitting.fringes.fringe_peaks import Resonance
 from fitting.modal.excess_scatter import added_cents, is_misfit
 from holography.arrays import Array
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     ViscoelasticCane,

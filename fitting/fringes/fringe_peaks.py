@@ -18,12 +18,12 @@ from fitting.forward import (
 )
 from fitting.paper import constants as paper
 from holography.arrays import Array
-from physics.reed.mode_classification import is_symmetric
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     viscoelastic_cane,
 )
+from physics.reed.mode_classification import is_symmetric
 
 # Half width of a search window, in standard deviations of the prediction.
 _WINDOW_SD = 4.0

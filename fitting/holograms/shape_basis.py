@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from holography.arrays import Array, Float32Array
-from physics.reed.basis import ReducedReed, reduced_modes
-from physics.reed.fem import Symmetry
-from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.response import elastic_modes
+from physics.reed.cane.material import Cane, stiffness_terms_pa
+from physics.reed.elements.fem import Symmetry
+from physics.reed.reduction.basis import ReducedReed, reduced_modes
+from physics.reed.reduction.response import elastic_modes
 from physics.reed.surface import surface_shapes
 
 # Modes above the sweep contribute their static response, and freedom for shapes that differ from

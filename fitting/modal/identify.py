@@ -26,12 +26,12 @@ from fitting.modal.fit import fit_modes
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.start_frequencies import middling_shapes, start_frequencies
 from holography.arrays import Array, ComplexArray
-from physics.reed.basis import ReducedReed
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     viscoelastic_cane,
 )
+from physics.reed.reduction.basis import ReducedReed
 from runs.reader import Run
 
 METHOD = "joint"

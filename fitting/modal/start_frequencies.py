@@ -10,16 +10,16 @@ from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis, shape_basis
 from holography.arrays import Array
-from physics.reed.basis import ReducedReed
-from physics.reed.mode_classification import PAPER_MODES, is_symmetric
-from physics.reed.response import viscoelastic_modes
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     ViscoelasticCane,
     storage_modulus_pa,
     viscoelastic_cane,
 )
+from physics.reed.mode_classification import PAPER_MODES, is_symmetric
+from physics.reed.reduction.basis import ReducedReed
+from physics.reed.reduction.response import viscoelastic_modes
 
 # Moduli in the middle of the sweep, in which shapes are computed.
 SHAPES_HZ = 4000.0

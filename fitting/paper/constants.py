@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from physics.reed.metamodel import Equation1
+from physics.reed.reduction.metamodel import Equation1
 
 # Table 9: coefficients a_{m,0} … a_{m,5} of Eq. 1 in cents above F6, moduli in MPa.
 TABLE_9: dict[str, tuple[float, float, float, float, float, float]] = {

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from holography.arrays import Array, Mask
-from physics.reed.metamodel import Metamodel
+from physics.reed.reduction.metamodel import Metamodel
 
 
 class Flag(IntFlag):

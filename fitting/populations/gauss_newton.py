@@ -15,8 +15,8 @@ from functools import reduce
 import numpy as np
 
 from holography.arrays import Array, Mask
-from physics.reed.metamodel import REFERENCE_HZ, Metamodel
-from physics.reed.viscoelastic import Series, StorageModulus, h4_matrix, storage_modulus
+from physics.reed.cane.viscoelastic import Series, StorageModulus, h4_matrix, storage_modulus
+from physics.reed.reduction.metamodel import REFERENCE_HZ, Metamodel
 
 # Components that one series, or both, can tell apart (see `fitting.cane.reed_fit`).
 SERIES_COMPONENTS = {1: 3, 2: 4}

@@ -33,7 +33,7 @@ from fitting.populations.gauss_newton import (
     zener_mpa,
 )
 from holography.arrays import Array, Mask
-from physics.reed.metamodel import Metamodel
+from physics.reed.reduction.metamodel import Metamodel
 
 # Reeds in a block: few enough that its arrays stay in the processor's cache.
 _BLOCK = 512

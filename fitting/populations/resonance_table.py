@@ -18,7 +18,7 @@ import numpy as np
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
 from holography.arrays import Array
-from physics.reed.viscoelastic import Series
+from physics.reed.cane.viscoelastic import Series
 from protocols.units import invisible_character, shown_value
 
 COLUMNS = ("reed", "series", "mode", "hz")

@@ -22,10 +22,10 @@ from fitting.paper.constants import adjusted_metamodel
 from fitting.populations.flags import Flag, PopulationFit, count_flags
 from fitting.populations.population import fit_population
 from fitting.populations.resonance_table import Resonances, read_resonances
-from physics.reed.log_polynomial import finite_element_polynomial
-from physics.reed.metamodel import Metamodel
+from physics.reed.cane.viscoelastic import Series
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.viscoelastic import Series
+from physics.reed.reduction.log_polynomial import finite_element_polynomial
+from physics.reed.reduction.metamodel import Metamodel
 from protocols.reed import ReedFile
 from runs.errors import RunFileError
 from runs.reader import Run

@@ -19,12 +19,12 @@ from fitting.forward import cents_of, hz_of
 from fitting.paper import constants as paper
 from fitting.statistics import factors
 from holography.arrays import Array
-from physics.reed.metamodel import Metamodel
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Series,
     h4_matrix,
     storage_modulus,
 )
+from physics.reed.reduction.metamodel import Metamodel
 
 # Table 1: on how many of the 55 reeds each mode was identified, in series A and B.
 REEDS: Final = 55

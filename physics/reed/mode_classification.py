@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from holography.arrays import Array
-from physics.reed.fem import Symmetry
+from physics.reed.elements.fem import Symmetry
 
 # Names of the paper's Table 9, in its order.
 PAPER_MODES = ("F1", "T1", "F2", "T2", "X1", "F3", "T3", "X2", "X3", "T4", "F4")

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from holography.arrays import Array
-from physics.reed.fem import (
+from physics.reed.cane.material import Cane, stiffness_terms_pa
+from physics.reed.cane.viscoelastic import ViscoelasticCane, storage_modulus_pa
+from physics.reed.elements.fem import (
     ReedMatrices,
     Symmetry,
     assemble,
@@ -24,20 +26,18 @@ from physics.reed.fem import (
     projected_stiffness,
     stiffness,
 )
-from physics.reed.geometry import ReedGeometry
-from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mesh import (
+from physics.reed.elements.mesh import (
     HalfReedMesh,
     MeshLevel,
     ReedMesh,
     build_least_mesh,
 )
+from physics.reed.geometry import ReedGeometry
 from physics.reed.mode_classification import (
     ModeDescriptor,
     names_of,
     vamp_profiles,
 )
-from physics.reed.viscoelastic import ViscoelasticCane, storage_modulus_pa
 
 # The sweep of the paper ends here.
 HIGHEST_HZ = 20e3

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from holography.arrays import Array
-from physics.reed.basis import ReducedReed
-from physics.reed.fem import Symmetry
-from physics.reed.structural_modification import AirLoad
+from physics.reed.changes.structural_modification import AirLoad
+from physics.reed.elements.fem import Symmetry
+from physics.reed.reduction.basis import ReducedReed
 from physics.reed.surface import on_reed, surface_shapes
 
 AIR_DENSITY_KG_M3 = 1.204

@@ -5,10 +5,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import CloughTocher2DInterpolator, NearestNDInterpolator
 
 from holography.arrays import Array
-from physics.reed.basis import ReducedReed
-from physics.reed.fem import Symmetry
+from physics.reed.elements.fem import Symmetry
+from physics.reed.elements.whole import WholeReed, parts_of
 from physics.reed.geometry import Outline, half_width_m
-from physics.reed.whole import WholeReed, parts_of
+from physics.reed.reduction.basis import ReducedReed
 
 
 def on_reed(outline: Outline, x_m: Array, y_m: Array) -> NDArray[np.bool_]:

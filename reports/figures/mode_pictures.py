@@ -14,15 +14,15 @@ from scipy.ndimage import maximum_filter1d, zoom
 
 from fitting.errors import FitInputError
 from holography.arrays import Array
-from physics.reed.fem import Symmetry
-from physics.reed.mesh import (
+from physics.reed.elements.fem import Symmetry
+from physics.reed.elements.mesh import (
     HalfReedMesh,
     MeshLevel,
     ReedMesh,
     build_least_mesh,
 )
-from physics.reed.metamodel import REFERENCE_HZ
 from physics.reed.modes import HIGHEST_HZ, NamedMode
+from physics.reed.reduction.metamodel import REFERENCE_HZ
 from protocols.reed import ReedFile
 from reports.figures.drawing import png_of
 from reports.own_output import (

@@ -27,13 +27,13 @@ from blind.world import World
 from diagnosis.known_bench import base_twin
 from fitting.forward import basis_of
 from physics.effects.catalogue import BY_ID
-from physics.reed.response import elastic_modes
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     storage_modulus_pa,
     viscoelastic_cane,
 )
+from physics.reed.reduction.response import elastic_modes
 from protocols.bench import BenchFile
 from protocols.reed import ReedFile
 

@@ -17,7 +17,7 @@ from blind.cases import (
 from blind.classes import CLASSES
 from blind.report import report
 from blind.scoring import Case, Classes
-from studies.sealed_answers import essence, kept_cases, main
+from studies.sealed.answers import essence, kept_cases, main
 
 
 def _answer(case_number: int, named: tuple[str, ...]) -> dict[str, Any]:

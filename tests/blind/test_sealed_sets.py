@@ -12,7 +12,7 @@ pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 from blind.cases import Label
 from blind.classes import UNDETECTABLE
 from blind.effects import BY_NAME
-from studies.sealed_names import TABLE, SealedNames
+from studies.sealed.names import TABLE, SealedNames
 from studies.sealed_sets import FOLDER, SETS, against_targets, published, scores_of
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -23,8 +23,8 @@ from physics.effects.effect import (
     Parameter,
     Stage,
 )
+from physics.reed.cane.viscoelastic import Series
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.viscoelastic import Series
 from physics.twin import with_cane
 from reports.resonance_diagnosis import trials_table, words
 from reports.tables import terminal_table

@@ -9,7 +9,7 @@ from diagnosis.observables.carrier import Leaks, carrier_group, leaks_in
 from diagnosis.observables.shapes import shapes_group
 from diagnosis.readings.carrier import CarrierReading, unshifted_light
 from physics.mechanics import ReedMode, TipMass
-from physics.reed.fem import Symmetry
+from physics.reed.elements.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
 from physics.twin import (
     OpticsParameters,

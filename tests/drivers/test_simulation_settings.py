@@ -18,14 +18,14 @@ from drivers.simulated.settings import (
 )
 from physics.air import Filling
 from physics.bench import PressureDistortion
-from physics.reed.geometry import ReedGeometry, ThicknessMap
-from physics.reed.material import Cane
-from physics.reed.viscoelastic import (
+from physics.reed.cane.material import Cane
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     require_physical,
     viscoelastic_cane,
 )
+from physics.reed.geometry import ReedGeometry, ThicknessMap
 from protocols.preparation import Preparation
 from protocols.reed import ReedFile
 

@@ -15,19 +15,19 @@ from fitting.forward import (
     viscoelastic_cents,
 )
 from fitting.paper import constants as paper
-from physics.reed.metamodel import (
-    EXPONENT_E_L,
-    EXPONENT_G_LT,
-    REFERENCE_HZ,
-)
-from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.response import viscoelastic_mode
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     storage_modulus_pa,
     viscoelastic_cane,
 )
+from physics.reed.mode_classification import PAPER_MODES
+from physics.reed.reduction.metamodel import (
+    EXPONENT_E_L,
+    EXPONENT_G_LT,
+    REFERENCE_HZ,
+)
+from physics.reed.reduction.response import viscoelastic_mode
 
 # Eq. 1 at E_L = 14 GPa, G_LT = 1.1 GPa without adjustments, Hz, and hypothesis H4 at e = 0 against
 # the means of Table 1, cents: worked out from the paper's text by another program.

@@ -1,6 +1,6 @@
 """Canes that several tests use."""
 
-from physics.reed.material import Cane
+from physics.reed.cane.material import Cane
 
 # Nine different constants: none can replace another.
 ODD_CANE = Cane(

@@ -16,16 +16,16 @@ from physics.bench import (
     TwinSettings,
 )
 from physics.optics import Illumination
-from physics.reed.basis import BasisSettings, build_reduced_reed
-from physics.reed.cache import STANDARD, reduced_reed
-from physics.reed.fem import assemble
-from physics.reed.geometry import ReedGeometry
-from physics.reed.mesh import (
+from physics.reed.elements.fem import assemble
+from physics.reed.elements.mesh import (
     HalfReedMesh,
     MeshLevel,
     build_mesh,
     lobatto_points,
 )
+from physics.reed.geometry import ReedGeometry
+from physics.reed.reduction.basis import BasisSettings, build_reduced_reed
+from physics.reed.reduction.cache import STANDARD, reduced_reed
 from physics.sensor import Sensor
 
 FRAME_RATE_HZ = Fraction(25, 2)

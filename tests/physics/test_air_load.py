@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from physics.reed.fem import Symmetry
+from physics.reed.elements.fem import Symmetry
 from physics.reed.radiation import AIR_DENSITY_KG_M3, air_load
-from physics.reed.response import elastic_modes
+from physics.reed.reduction.response import elastic_modes
 
 # What another program found with ρ/k per area and side, cents (no sound, another mesh and cane).
 OTHERS_CENTS = {

@@ -20,22 +20,28 @@ from physics.mechanics import (
     YieldingClamp,
     material_of,
 )
-from physics.reed.basis import (
-    BasisSettings,
-    build_reduced_reed,
-    reduced_modes,
-)
-from physics.reed.geometry import half_width_m
-from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mesh import MeshLevel
-from physics.reed.shape_derivatives import build_shape_derivatives
-from physics.reed.structural_changes import added_mass, combined, layer, softening, yielding_clamp
-from physics.reed.viscoelastic import (
+from physics.reed.cane.material import Cane, stiffness_terms_pa
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     ViscoelasticCane,
     Zener,
     viscoelastic_cane,
+)
+from physics.reed.changes.shape_derivatives import build_shape_derivatives
+from physics.reed.changes.structural_changes import (
+    added_mass,
+    combined,
+    layer,
+    softening,
+    yielding_clamp,
+)
+from physics.reed.elements.mesh import MeshLevel
+from physics.reed.geometry import half_width_m
+from physics.reed.reduction.basis import (
+    BasisSettings,
+    build_reduced_reed,
+    reduced_modes,
 )
 from tests.numbers import cents
 

@@ -5,12 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physics.reed.basis import (
-    BasisSettings,
-    build_reduced_reed,
-    reduced_modes,
-)
-from physics.reed.fem import (
+from physics.reed.cane.material import Cane, stiffness_terms_pa
+from physics.reed.elements.fem import (
     Symmetry,
     assemble,
     factor,
@@ -19,15 +15,19 @@ from physics.reed.fem import (
     mass,
     stiffness,
 )
+from physics.reed.elements.mesh import MeshLevel, build_mesh
 from physics.reed.geometry import (
     Outline,
     ReedGeometry,
     half_width_m,
 )
-from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mesh import MeshLevel, build_mesh
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.response import elastic_modes, named_modes
+from physics.reed.reduction.basis import (
+    BasisSettings,
+    build_reduced_reed,
+    reduced_modes,
+)
+from physics.reed.reduction.response import elastic_modes, named_modes
 from protocols.reed import ReedFile
 
 BOTH = list(Symmetry)

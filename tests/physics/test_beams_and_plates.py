@@ -9,7 +9,8 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from physics.reed.fem import (
+from physics.reed.cane.material import Cane, stiffness_terms_pa
+from physics.reed.elements.fem import (
     Symmetry,
     assemble,
     free_dofs,
@@ -17,7 +18,6 @@ from physics.reed.fem import (
     mass,
     stiffness,
 )
-from physics.reed.material import Cane, stiffness_terms_pa
 
 DENSITY = 520.0
 SHEAR_COEFFICIENT = 5 / 6

@@ -29,15 +29,15 @@ from physics.bench import (
 )
 from physics.drive import Tweeter, tweeter_pressure_pa
 from physics.optics import beat_integral, reed_axes_m
-from physics.reed.fem import Symmetry
-from physics.reed.geometry import Outline
-from physics.reed.response import forced_response
-from physics.reed.surface import on_reed, surface_shapes
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     viscoelastic_cane,
 )
+from physics.reed.elements.fem import Symmetry
+from physics.reed.geometry import Outline
+from physics.reed.reduction.response import forced_response
+from physics.reed.surface import on_reed, surface_shapes
 from physics.sensor import Sensor, saturation_dn
 
 FRAME_RATE_HZ = Fraction(25, 2)

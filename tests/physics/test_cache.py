@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physics.reed import cache
-from physics.reed.basis import BasisSettings, HalfBasis
-from physics.reed.fem import Symmetry
+from physics.reed.elements.fem import Symmetry
+from physics.reed.elements.mesh import MeshLevel
 from physics.reed.geometry import ReedGeometry
-from physics.reed.mesh import MeshLevel
+from physics.reed.reduction import cache
+from physics.reed.reduction.basis import BasisSettings, HalfBasis
 
 TINY = MeshLevel(orders=(2, 2, 2), vamp_element_m=14e-3, heel_element_m=23e-3, z_breaks=(0.0, 1.0))
 FEW = BasisSettings(E_L_pa=(14e9, 14e9), G_LT_pa=(1.1e9, 1.1e9), modes=3, size=6)
@@ -131,9 +131,9 @@ EDITED = """
 import sys
 from pathlib import Path
 import numpy as np
-from physics.reed import cache
+from physics.reed.reduction import cache
 
-source = Path(cache.__file__).parent / "mesh.py"
+source = Path(cache.__file__).parents[1] / "elements" / "mesh.py"
 assert source.is_relative_to(Path.cwd())
 if sys.argv[1] == "1":
     source.write_text(source.read_text() + "# edited")
@@ -143,7 +143,7 @@ print(*cache.kept("x", (), lambda: sys.argv[1:], lambda x: {"x": np.array(x)}, l
 
 @pytest.mark.usefixtures("folder")
 def test_what_is_computed_by_code_of_before_an_edit_is_not_taken_for_the_edited_codes(tmp_path):
-    shutil.copytree(Path(cache.__file__).parents[1], tmp_path / "physics")
+    shutil.copytree(Path(cache.__file__).parents[2], tmp_path / "physics")
     # As Emacs does while a file has changes that are not saved.
     (tmp_path / "physics" / "reed" / ".#mesh.py").symlink_to("nothing")
 
@@ -586,7 +586,7 @@ def test_a_process_forked_meanwhile_does_not_keep_the_lock():
 SIX = """
 import os, sys, time
 import numpy as np
-from physics.reed import cache
+from physics.reed.reduction import cache
 
 def make():
     with open(sys.argv[1], "a") as made:

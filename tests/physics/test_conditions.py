@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from physics.reed.conditions import (
+from physics.reed.cane.conditions import (
     at_temperature,
     cane_at_dryness,
     h4_matrix_at,
     relaxation_time_factor,
 )
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     ViscoelasticCane,

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from physics.reed.fem import (
+from physics.reed.cane.material import (
+    Cane,
+    stiffness_matrix_pa,
+    stiffness_terms_pa,
+)
+from physics.reed.elements.fem import (
     Symmetry,
     assemble,
     factor,
@@ -12,11 +17,6 @@ from physics.reed.fem import (
     lowest_modes,
     mass,
     stiffness,
-)
-from physics.reed.material import (
-    Cane,
-    stiffness_matrix_pa,
-    stiffness_terms_pa,
 )
 from tests.physics.canes import ODD_CANE
 

@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from physics.reed.fractional import (
+from physics.reed.cane.fractional import (
     LORD_DRY,
     LORD_DRY_AS_TIME,
     FractionalSolid,
     complex_modulus_pa,
     fit_storage,
 )
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     Zener,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.polynomial import chebyshev
 
-from physics.reed.log_polynomial import (
+from physics.reed.reduction.log_polynomial import (
     REED_BOX,
     Box,
     Cells,
@@ -13,8 +13,8 @@ from physics.reed.log_polynomial import (
     fit_log_polynomial,
     network_pa,
 )
-from physics.reed.metamodel import REFERENCE_HZ, Equation1
-from physics.reed.response import elastic_modes
+from physics.reed.reduction.metamodel import REFERENCE_HZ, Equation1
+from physics.reed.reduction.response import elastic_modes
 
 MODES = ("F1", "T1", "X1")
 BOX = Box((8e9, 16e9), (0.5e9, 2e9))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from physics.reed.material import (
+from physics.reed.cane.material import (
     STIFFNESS_TERMS,
     Cane,
     stiffness_matrix_pa,

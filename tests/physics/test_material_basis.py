@@ -7,7 +7,20 @@ import pytest
 from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
-from physics.reed.fem import (
+from physics.reed.cane.material import (
+    STIFFNESS_TERMS,
+    Cane,
+    stiffness_terms_pa,
+)
+from physics.reed.cane.viscoelastic import (
+    Components,
+    Series,
+    ViscoelasticCane,
+    Zener,
+    storage_modulus_pa,
+    viscoelastic_cane,
+)
+from physics.reed.elements.fem import (
     Symmetry,
     assemble,
     free_dofs,
@@ -15,19 +28,20 @@ from physics.reed.fem import (
     mass,
     stiffness,
 )
+from physics.reed.elements.mesh import MeshLevel, build_mesh
 from physics.reed.geometry import (
     Clamp,
     ClampSide,
     ReedGeometry,
 )
-from physics.reed.material import (
-    STIFFNESS_TERMS,
-    Cane,
-    stiffness_terms_pa,
+from physics.reed.material_range.basis import (
+    HalfMaterialBasis,
+    all_modes,
+    condensed_stiffness,
+    modes,
 )
-from physics.reed.material_basis import HalfMaterialBasis, all_modes, condensed_stiffness, modes
-from physics.reed.material_cache import material_basis
-from physics.reed.material_constants import (
+from physics.reed.material_range.cache import material_basis
+from physics.reed.material_range.constants import (
     CONSTANTS,
     MODULI,
     SLOPES,
@@ -37,24 +51,20 @@ from physics.reed.material_constants import (
     terms_and_slopes,
     within_box,
 )
-from physics.reed.material_integrals import integrals
-from physics.reed.material_snapshots import TrainingSettings, at_place, canes_of_box, large_bases
-from physics.reed.material_training import build_material_basis
-from physics.reed.material_viscoelastic import settled_modes
-from physics.reed.mesh import MeshLevel, build_mesh
+from physics.reed.material_range.integrals import integrals
+from physics.reed.material_range.snapshots import (
+    TrainingSettings,
+    at_place,
+    canes_of_box,
+    large_bases,
+)
+from physics.reed.material_range.training import build_material_basis
+from physics.reed.material_range.viscoelastic import settled_modes
 from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.modes import (
     ModeClass,
     reed_modes,
     viscoelastic_modes,
-)
-from physics.reed.viscoelastic import (
-    Components,
-    Series,
-    ViscoelasticCane,
-    Zener,
-    storage_modulus_pa,
-    viscoelastic_cane,
 )
 
 # Too coarse for the truth about reeds: a basis is compared with its own finite elements.

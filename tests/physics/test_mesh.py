@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 from scipy.special import roots_jacobi
 
-from physics.reed.fem import assemble
+from physics.reed.elements.fem import assemble
+from physics.reed.elements.mesh import (
+    HalfReedMesh,
+    MeshLevel,
+    build_least_mesh,
+    build_mesh,
+    build_whole_mesh,
+    lobatto_points,
+)
 from physics.reed.geometry import (
     Clamp,
     ClampSide,
@@ -18,14 +26,6 @@ from physics.reed.geometry import (
     kink_x_m,
     thickness_m,
     tip_x_m,
-)
-from physics.reed.mesh import (
-    HalfReedMesh,
-    MeshLevel,
-    build_least_mesh,
-    build_mesh,
-    build_whole_mesh,
-    lobatto_points,
 )
 
 LEVELS = [MeshLevel(orders=(2, 2, 2)), MeshLevel(), MeshLevel(orders=(4, 4, 2))]

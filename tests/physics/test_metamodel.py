@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from physics.reed.metamodel import (
+from physics.reed.reduction.metamodel import (
     REFERENCE_HZ,
     Equation1,
     fit_equation_1,

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from fitting.paper.constants import TABLE_9
-from physics.reed.cache import FAST
-from physics.reed.fem import (
+from physics.reed.cane.material import Cane, stiffness_terms_pa
+from physics.reed.cane.viscoelastic import (
+    Components,
+    Series,
+    ViscoelasticCane,
+    Zener,
+    viscoelastic_cane,
+)
+from physics.reed.elements.fem import (
     Symmetry,
     assemble,
     free_dofs,
@@ -15,33 +22,26 @@ from physics.reed.fem import (
     mass,
     stiffness,
 )
+from physics.reed.elements.mesh import (
+    MeshLevel,
+    build_mesh,
+    build_whole_mesh,
+)
 from physics.reed.geometry import (
     Clamp,
     Outline,
     ReedGeometry,
     ThicknessMap,
 )
-from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mesh import (
-    MeshLevel,
-    build_mesh,
-    build_whole_mesh,
-)
-from physics.reed.metamodel import REFERENCE_HZ, Equation1
 from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.modes import (
     at_frequency,
     reed_modes,
     viscoelastic_modes,
 )
-from physics.reed.response import elastic_modes
-from physics.reed.viscoelastic import (
-    Components,
-    Series,
-    ViscoelasticCane,
-    Zener,
-    viscoelastic_cane,
-)
+from physics.reed.reduction.cache import FAST
+from physics.reed.reduction.metamodel import REFERENCE_HZ, Equation1
+from physics.reed.reduction.response import elastic_modes
 from protocols.reed import ReedFile
 from tests.numbers import cents
 

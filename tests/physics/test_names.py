@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from physics.reed.fem import Symmetry
+from physics.reed.cane.viscoelastic import (
+    Components,
+    Series,
+    require_physical,
+    storage_modulus_pa,
+    viscoelastic_cane,
+)
+from physics.reed.elements.fem import Symmetry
 from physics.reed.mode_classification import (
     PAPER_MODES,
     ModeDescriptor,
@@ -19,15 +26,8 @@ from physics.reed.mode_classification import (
     vamp_profiles,
     width_profiles,
 )
-from physics.reed.response import elastic_modes, viscoelastic_mode
+from physics.reed.reduction.response import elastic_modes, viscoelastic_mode
 from physics.reed.surface import surface_shapes
-from physics.reed.viscoelastic import (
-    Components,
-    Series,
-    require_physical,
-    storage_modulus_pa,
-    viscoelastic_cane,
-)
 
 EVEN_MODES = {"F1", "F2", "F3", "F4", "T2", "T4", "X2"}
 

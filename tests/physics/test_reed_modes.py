@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from physics.reed.basis import reduced_modes
-from physics.reed.fem import (
+from physics.reed.cane.material import Cane, stiffness_terms_pa
+from physics.reed.elements.fem import (
     Symmetry,
     assemble,
     free_dofs,
@@ -15,11 +15,11 @@ from physics.reed.fem import (
     mass,
     stiffness,
 )
+from physics.reed.elements.mesh import MeshLevel, build_mesh
 from physics.reed.geometry import ReedGeometry
-from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mesh import MeshLevel, build_mesh
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.response import elastic_modes
+from physics.reed.reduction.basis import reduced_modes
+from physics.reed.reduction.response import elastic_modes
 from tests.numbers import cents
 
 # Eq. 1 of the paper at E_L = 14 GPa, G_LT = 1.1 GPa, and how far (cents) the limit of ever finer

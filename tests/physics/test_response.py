@@ -10,28 +10,28 @@ from physics.air import (
     Filling,
     pressure_shape,
 )
-from physics.reed import response as reed_response
-from physics.reed.basis import reduced_modes
-from physics.reed.fem import (
+from physics.reed.cane.material import Cane, stiffness_terms_pa
+from physics.reed.cane.viscoelastic import (
+    Components,
+    Series,
+    storage_modulus_pa,
+    viscoelastic_cane,
+)
+from physics.reed.elements.fem import (
     Symmetry,
     factor,
     free_dofs,
     mass,
     stiffness,
 )
-from physics.reed.material import Cane, stiffness_terms_pa
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.response import (
+from physics.reed.reduction import response as reed_response
+from physics.reed.reduction.basis import reduced_modes
+from physics.reed.reduction.response import (
     elastic_modes,
     forced_response,
     named_modes,
     viscoelastic_mode,
-)
-from physics.reed.viscoelastic import (
-    Components,
-    Series,
-    storage_modulus_pa,
-    viscoelastic_cane,
 )
 from tests.numbers import cents
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physics.reed.fem import assemble
-from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mesh import MeshLevel, build_mesh
+from physics.reed.cane.material import Cane, stiffness_terms_pa
+from physics.reed.elements.fem import assemble
+from physics.reed.elements.mesh import MeshLevel, build_mesh
 from physics.reed.modes import reed_modes
-from physics.reed.sensitivity import (
+from physics.reed.reduction.sensitivity import (
     CLASSES,
     CONSTANTS,
     MODULI,

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.interpolate import BarycentricInterpolator
 
-from physics.reed.fem import Symmetry
+from physics.reed.elements.fem import Symmetry
+from physics.reed.elements.mesh import lobatto_points
 from physics.reed.geometry import Outline, half_width_m
-from physics.reed.mesh import lobatto_points
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.response import elastic_modes
+from physics.reed.reduction.response import elastic_modes
 from physics.reed.surface import on_reed, surface_shapes
 
 

@@ -7,7 +7,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from physics.reed.fem import (
+from physics.reed.cane.material import Cane, stiffness_terms_pa
+from physics.reed.elements.fem import (
     Symmetry,
     assemble,
     free_dofs,
@@ -15,23 +16,22 @@ from physics.reed.fem import (
     mass,
     stiffness,
 )
-from physics.reed.geometry import (
-    Clamp,
-    ClampSide,
-    half_width_m,
-    thickness_m,
-)
-from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.modes import reed_modes
-from physics.reed.sensitivity import MODULI, rayleigh_sensitivities
-from physics.reed.tetrahedra import (
+from physics.reed.elements.tetrahedra import (
     PLAIN,
     assemble_tetrahedra,
     lattice,
     split,
     tetrahedral_reed,
 )
+from physics.reed.geometry import (
+    Clamp,
+    ClampSide,
+    half_width_m,
+    thickness_m,
+)
+from physics.reed.mode_classification import PAPER_MODES
+from physics.reed.modes import reed_modes
+from physics.reed.reduction.sensitivity import MODULI, rayleigh_sensitivities
 
 LENGTHS_M = (3.0, 2.0, 1.0)
 ISOTROPIC = Cane(1e9, 1e9, 1e9, 0.5e9, 0.5e9, 0.5e9, 0.0, 0.0, 0.0, 1000.0)

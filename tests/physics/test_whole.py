@@ -18,37 +18,38 @@ from physics.bench import (
     distortion_factor,
 )
 from physics.optics import reed_axes_m
-from physics.reed import cache, whole
-from physics.reed.basis import (
-    BasisSettings,
-    build_reduced_reed,
-    reduced_modes,
+from physics.reed.cane.material import Cane, stiffness_terms_pa
+from physics.reed.cane.viscoelastic import (
+    Components,
+    Series,
+    storage_modulus_pa,
+    viscoelastic_cane,
 )
-from physics.reed.fem import (
+from physics.reed.elements import whole
+from physics.reed.elements.fem import (
     Symmetry,
     assemble,
     factor,
     mass,
     stiffness,
 )
+from physics.reed.elements.mesh import MeshLevel, build_whole_mesh
+from physics.reed.elements.whole import build_whole_reed, parts_of
 from physics.reed.geometry import (
     Outline,
     ReedGeometry,
     ThicknessMap,
     half_width_m,
 )
-from physics.reed.material import Cane, stiffness_terms_pa
-from physics.reed.mesh import MeshLevel, build_whole_mesh
 from physics.reed.modes import reed_modes, viscoelastic_modes
-from physics.reed.response import forced_response
-from physics.reed.surface import surface_shapes
-from physics.reed.viscoelastic import (
-    Components,
-    Series,
-    storage_modulus_pa,
-    viscoelastic_cane,
+from physics.reed.reduction import cache
+from physics.reed.reduction.basis import (
+    BasisSettings,
+    build_reduced_reed,
+    reduced_modes,
 )
-from physics.reed.whole import build_whole_reed, parts_of
+from physics.reed.reduction.response import forced_response
+from physics.reed.surface import surface_shapes
 from tests.numbers import cents
 
 COARSE = MeshLevel(

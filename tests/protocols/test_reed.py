@@ -19,22 +19,22 @@ from fitting.reed_modes import (
     modes_of,
     modes_to_json,
 )
-from physics.reed.conditions import at_temperature
+from physics.reed.cane.conditions import at_temperature
+from physics.reed.cane.material import Cane
+from physics.reed.cane.viscoelastic import (
+    Components,
+    Series,
+    storage_modulus_pa,
+    viscoelastic_cane,
+)
+from physics.reed.elements.mesh import MeshLevel
 from physics.reed.geometry import (
     ClampSide,
     ReedGeometry,
     half_width_m,
     thickness_m,
 )
-from physics.reed.material import Cane
-from physics.reed.material_snapshots import TrainingSettings
-from physics.reed.mesh import MeshLevel
-from physics.reed.viscoelastic import (
-    Components,
-    Series,
-    storage_modulus_pa,
-    viscoelastic_cane,
-)
+from physics.reed.material_range.snapshots import TrainingSettings
 from protocols.errors import ProtocolError
 from protocols.protocol import find_protocol
 from protocols.reed import ReedFile, shipped_reeds

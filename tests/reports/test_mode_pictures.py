@@ -10,13 +10,13 @@ from matplotlib.contour import QuadContourSet
 from matplotlib.image import imread
 
 from fitting.errors import FitInputError
-from physics.reed.fem import Symmetry
-from physics.reed.geometry import ReedGeometry
-from physics.reed.mesh import (
+from physics.reed.elements.fem import Symmetry
+from physics.reed.elements.mesh import (
     MeshLevel,
     build_mesh,
     build_whole_mesh,
 )
+from physics.reed.geometry import ReedGeometry
 from physics.reed.modes import ModeClass, NamedMode
 from protocols.reed import ReedFile
 from reports.errors import OutputRefusedError

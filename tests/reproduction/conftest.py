@@ -5,18 +5,18 @@ import pytest
 
 from fitting.paper import constants as paper
 from fitting.paper.printed import TABLE_3_CONSTANTS, printed
-from physics.reed.basis import BasisSettings, build_reduced_reed
+from physics.reed.elements.mesh import MeshLevel
 from physics.reed.geometry import ReedGeometry
-from physics.reed.mesh import MeshLevel
-from physics.reed.metamodel import Equation1, paper_network_pa
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.sensitivity import (
+from physics.reed.reduction.basis import BasisSettings, build_reduced_reed
+from physics.reed.reduction.metamodel import Equation1, paper_network_pa
+from physics.reed.reduction.sensitivity import (
     CLASSES,
     CONSTANTS,
     TABLE_3_MODES,
 )
-from reproduction.mesh_evidence import MeshEvidence, MeshResult
-from reproduction.metamodel import Network, reference_hz
+from reproduction.groups.mesh_evidence import MeshEvidence, MeshResult
+from reproduction.groups.metamodel import Network, reference_hz
 from reproduction.models import Models, draw_populations
 from reproduction.rows import Agreement
 

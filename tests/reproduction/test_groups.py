@@ -16,19 +16,22 @@ from fitting.statistics.synthetic import (
 )
 from physics.reed.geometry import Outline, ReedGeometry
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.sensitivity import CONSTANTS
+from physics.reed.reduction.sensitivity import CONSTANTS
 from reports.figures.drawing import png_of
-from reproduction.cane import compare_cane
-from reproduction.chain import compare_hypotheses
-from reproduction.correlations import compare_correlations
-from reproduction.factors import compare_factors
-from reproduction.frequencies import compare_frequencies
-from reproduction.mesh_evidence import compare_meshes
-from reproduction.metamodel import (
+from reproduction.groups.cane import compare_cane
+from reproduction.groups.chain import compare_hypotheses
+from reproduction.groups.correlations import compare_correlations
+from reproduction.groups.factors import compare_factors
+from reproduction.groups.frequencies import compare_frequencies
+from reproduction.groups.mesh_evidence import compare_meshes
+from reproduction.groups.metamodel import (
     compare_metamodel,
     compute_network,
     reference_hz,
 )
+from reproduction.groups.sensitivities import compare_sensitivities
+from reproduction.groups.shape import compare_shape, printed_contour_mm
+from reproduction.groups.sweep import compare_sweep, relative_signal
 from reproduction.models import (
     as_eq_5d,
     draw_components,
@@ -37,9 +40,6 @@ from reproduction.models import (
 )
 from reproduction.out_of_reach import list_out_of_reach
 from reproduction.rows import Agreement, Basis
-from reproduction.sensitivities import compare_sensitivities
-from reproduction.shape import compare_shape, printed_contour_mm
-from reproduction.sweep import compare_sweep, relative_signal
 
 # --- Sweep and light ---------------------------------------
 
@@ -354,7 +354,7 @@ def test_backward_validation_needs_noise_and_rotation(factors, rows_of):
 @pytest.fixture(scope="module")
 def hypotheses(numbers, models):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("reproduction.chain._POPULATIONS", 2)
+        patch.setattr("reproduction.groups.chain._POPULATIONS", 2)
         heard = []
         group = compare_hypotheses(numbers, models, heard.append)
     assert heard[-1] == "fitting H1 to H11 to population 2 of 2"

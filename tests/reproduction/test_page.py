@@ -11,13 +11,15 @@ from rich.console import Console
 from reports.errors import OutputRefusedError
 from reports.own_output import require_writable
 from reports.tables import terminal_table
-from reproduction.cane import compare_cane
-from reproduction.chain import compare_hypotheses
-from reproduction.factors import compare_factors
 from reproduction.findings import findings
-from reproduction.frequencies import compare_frequencies
-from reproduction.mesh_evidence import compare_meshes
-from reproduction.metamodel import compare_metamodel, reference_hz
+from reproduction.groups.cane import compare_cane
+from reproduction.groups.chain import compare_hypotheses
+from reproduction.groups.factors import compare_factors
+from reproduction.groups.frequencies import compare_frequencies
+from reproduction.groups.mesh_evidence import compare_meshes
+from reproduction.groups.metamodel import compare_metamodel, reference_hz
+from reproduction.groups.sensitivities import compare_sensitivities
+from reproduction.groups.sweep import compare_sweep
 from reproduction.page import (
     counts_table,
     document,
@@ -33,8 +35,6 @@ from reproduction.rows import (
     not_printed,
     not_reproducible,
 )
-from reproduction.sensitivities import compare_sensitivities
-from reproduction.sweep import compare_sweep
 from reproduction.whole import PaperComparison
 
 
@@ -207,7 +207,7 @@ def test_sentences_carry_the_numbers_of_their_rows(
         compare_cane(numbers, models),
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("reproduction.chain._POPULATIONS", 2)
+        patch.setattr("reproduction.groups.chain._POPULATIONS", 2)
         chain = compare_hypotheses(numbers, models, lambda words: None)
     said = findings(row for group in (*groups, chain) for row in group.rows)
     assert len(said) == 8

@@ -8,15 +8,15 @@ import pytest
 from fitting.paper import constants as paper
 from fitting.paper.printed import TABLE_3_CONSTANTS, Printed
 from fitting.statistics import synthetic
-from physics.reed.material import Cane
-from physics.reed.metamodel import (
+from physics.reed.cane.material import Cane
+from physics.reed.cane.viscoelastic import Series, h4_matrix
+from physics.reed.mode_classification import PAPER_MODES
+from physics.reed.reduction.metamodel import (
     EXPONENT_E_L,
     EXPONENT_G_LT,
     REFERENCE_HZ,
 )
-from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.sensitivity import CONSTANTS, field_of
-from physics.reed.viscoelastic import Series, h4_matrix
+from physics.reed.reduction.sensitivity import CONSTANTS, field_of
 
 PAPER = Path(__file__).parents[3] / "shared" / "paper"
 

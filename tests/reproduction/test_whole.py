@@ -6,15 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physics.reed.cache import FAST
+from physics.reed.cane.material import Cane
 from physics.reed.geometry import ReedGeometry
-from physics.reed.material import Cane
-from physics.reed.sensitivity import CONSTANTS, MODULI
-from reproduction import (
-    mesh_evidence,
-    sensitivities,
-    whole,
-)
+from physics.reed.reduction.cache import FAST
+from physics.reed.reduction.sensitivity import CONSTANTS, MODULI
+from reproduction import whole
+from reproduction.groups import mesh_evidence, sensitivities
 from reproduction.rows import Agreement
 
 KEYS = (
@@ -30,7 +27,7 @@ def comparison(models, network, evidence, printed_sensitivities):
         patch.setattr(whole, "gather_evidence", lambda announce: evidence)
         patch.setattr(whole, "compute_table_3", lambda announce: printed_sensitivities)
         patch.setattr(whole, "compute_network", lambda reed: network)
-        patch.setattr("reproduction.chain._POPULATIONS", 2)
+        patch.setattr("reproduction.groups.chain._POPULATIONS", 2)
         return whole.compare_paper(lambda words: None)
 
 

@@ -12,13 +12,13 @@ from acquire.runner.recorder import reconstruction_of
 from acquire.runner.runner import run
 from acquire.runner.summary import RunState
 from drivers.roles import Frame
-from runs.checksums import (
+from runs.errors import RunFileError
+from runs.integrity.checksums import (
     in_header,
     pixel_checksum,
     row_checksums,
     whole_rows,
 )
-from runs.errors import RunFileError
 from runs.layout import Interruption
 from runs.reader import (
     MeasuredStep,

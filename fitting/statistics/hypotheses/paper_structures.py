@@ -17,7 +17,7 @@ from fitting.statistics.hypotheses.structure import (
     written,
 )
 from holography.arrays import Array
-from physics.reed.viscoelastic import Series, h4_matrix
+from physics.reed.cane.viscoelastic import Series, h4_matrix
 
 # Elastic cane of the reference material's kind, MPa.
 _ELASTIC = {"d10": 13500.0, "d12": 1000.0, "d40": 1000.0, "d41": 100.0}

@@ -12,13 +12,13 @@ from fitting.forward import hz_of
 from fitting.paper.constants import MEAN_HZ, TABLE_9
 from fitting.statistics.hypotheses.structure import PARAMETER_SIZES
 from holography.arrays import Array
-from physics.reed.metamodel import (
+from physics.reed.cane.viscoelastic import StorageModulus, storage_modulus
+from physics.reed.mode_classification import PAPER_MODES
+from physics.reed.reduction.metamodel import (
     Equation1,
     Metamodel,
     paper_network_pa,
 )
-from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.viscoelastic import StorageModulus, storage_modulus
 
 _LN_HZ_PER_CENT = np.log(2) / 1200
 # Farther from F6 the formula stands for nothing: the cane has lost its stiffness.

@@ -17,7 +17,7 @@ import numpy as np
 
 from fitting.errors import FitInputError
 from holography.arrays import Array
-from physics.reed.viscoelastic import Series, h4_matrix
+from physics.reed.cane.viscoelastic import Series, h4_matrix
 
 PARAMETERS = ("E1", "E2", "E3", "G1", "G2", "G3")
 # What each parameter is about: the means of hypothesis H4 in series A.

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks import fault_openings, fault_processes, struck
-from benchmarks.fault_list import FAULTS, NO_FAULT
-from benchmarks.fault_openings import OPENINGS
+from benchmarks.striking import fault_openings, fault_processes, struck
+from benchmarks.striking.fault_list import FAULTS, NO_FAULT
+from benchmarks.striking.fault_openings import OPENINGS
 
 
 def marked(fault):

@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.fuzz import fuzz_text
-from benchmarks.fuzz_runs import fuzz_runs
+from benchmarks.fuzzing.runs import fuzz_runs
 
 # As many as take a few seconds.
 COUNTS = {"protocol": 150, "bench": 150, "reed": 60, "campaign": 100, "table": 500}

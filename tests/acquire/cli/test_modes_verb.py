@@ -5,8 +5,8 @@ import functools
 import numpy as np
 import pytest
 
-from physics.reed.material_snapshots import TrainingSettings
-from physics.reed.mesh import MeshLevel
+from physics.reed.elements.mesh import MeshLevel
+from physics.reed.material_range.snapshots import TrainingSettings
 
 FAST = ("--mesh", "fast")
 

@@ -17,7 +17,7 @@ from fitting.forward import (
     hz_of,
     viscoelastic_cents,
 )
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     viscoelastic_cane,

@@ -17,13 +17,13 @@ from fitting.forward import (
 from fitting.modal.acoustic_resonances import ExcitationPeak
 from fitting.populations.table import Measured
 from fitting.statistics.synthetic import modal_cents
-from physics.reed.cache import reduced_reed
-from physics.reed.log_polynomial import finite_element_polynomial
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     viscoelastic_cane,
 )
+from physics.reed.reduction.cache import reduced_reed
+from physics.reed.reduction.log_polynomial import finite_element_polynomial
 from protocols.reed import ReedFile
 
 COARSE = Simulation(mesh="coarse").finite_elements

@@ -20,9 +20,9 @@ import acquire
 from drivers.simulated.settings import Simulation, cane_of
 from fitting.errors import FitError
 from fitting.fringes.pictures import read_pictures
-from physics.reed.cache import reduced_reed
-from physics.reed.response import viscoelastic_mode
-from physics.reed.viscoelastic import Series, viscoelastic_cane
+from physics.reed.cane.viscoelastic import Series, viscoelastic_cane
+from physics.reed.reduction.cache import reduced_reed
+from physics.reed.reduction.response import viscoelastic_mode
 from protocols.reed import ReedFile
 from runs.reader import Run
 

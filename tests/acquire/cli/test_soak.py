@@ -6,7 +6,8 @@ import threading
 import numpy as np
 import pytest
 
-from benchmarks import soak_contention, soak_leaks
+from benchmarks.soaking import contention as soak_contention
+from benchmarks.soaking import leaks as soak_leaks
 
 
 def test_a_slope_is_that_of_the_line_with_its_standard_error():

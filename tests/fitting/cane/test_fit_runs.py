@@ -18,12 +18,12 @@ from fitting.cane.reed_fit import fit_components
 from fitting.errors import FitError
 from fitting.forward import PaperModel
 from fitting.fringes.pictures import read_pictures
-from physics.reed.mode_classification import PAPER_MODES, is_symmetric
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Series,
     storage_modulus_pa,
     viscoelastic_cane,
 )
+from physics.reed.mode_classification import PAPER_MODES, is_symmetric
 from runs.errors import RunFileError
 from runs.reader import Run
 from studies.recovery import CLAIMED

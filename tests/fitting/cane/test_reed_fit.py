@@ -19,12 +19,12 @@ from fitting.forward import (
     viscoelastic_cents,
 )
 from fitting.fringes.fringe_peaks import Resonance
-from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     viscoelastic_cane,
 )
+from physics.reed.mode_classification import PAPER_MODES
 
 GRID_CENTS = 25 / np.sqrt(12)
 PAPER = PaperModel()

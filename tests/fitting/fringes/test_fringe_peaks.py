@@ -16,12 +16,12 @@ from fitting.fringes.fringe_peaks import (
     pick_fringe_peaks,
 )
 from fitting.paper import constants as paper
-from physics.reed.mode_classification import PAPER_MODES, is_symmetric
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     viscoelastic_cane,
 )
+from physics.reed.mode_classification import PAPER_MODES, is_symmetric
 
 MODEL = PaperModel()
 STEPS = np.arange(1, 185)

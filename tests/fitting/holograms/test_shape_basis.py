@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from fitting.holograms.shape_basis import _functions, shape_basis
-from physics.reed.basis import reduced_modes
+from physics.reed.cane.material import stiffness_terms_pa
 from physics.reed.geometry import Outline, half_width_m
-from physics.reed.material import stiffness_terms_pa
 from physics.reed.mode_classification import PAPER_MODES, is_symmetric
-from physics.reed.response import elastic_modes
+from physics.reed.reduction.basis import reduced_modes
+from physics.reed.reduction.response import elastic_modes
 from physics.reed.surface import surface_shapes
 
 # In the middle of the sweep, of the paper's mean cane.

@@ -13,7 +13,7 @@ from fitting.forward import cents_of
 from fitting.modal.identify import _doubts, _with_smooth_drive, mac
 from fitting.modal.residual_map import residual_map
 from fitting.modal.start_frequencies import _outweighing, _room_cents
-from physics.reed.viscoelastic import Components
+from physics.reed.cane.viscoelastic import Components
 from reports.figures.drawing import png_of
 from reports.figures.joint_drawing import mode_sheet
 from reports.fit_tables import SHORT_JOINT, remarks, short_resonances_table

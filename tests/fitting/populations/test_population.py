@@ -17,21 +17,21 @@ from fitting.paper.constants import adjusted_metamodel
 from fitting.populations import population as populations
 from fitting.populations.flags import Flag, PopulationFit, count_flags
 from fitting.populations.population import fit_population, fit_stream
-from physics.reed.log_polynomial import (
-    REED_BOX,
-    Box,
-    fit_log_polynomial,
-    network_pa,
-)
-from physics.reed.metamodel import Equation1
-from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     require_physical,
     storage_modulus_pa,
     viscoelastic_cane,
 )
+from physics.reed.mode_classification import PAPER_MODES
+from physics.reed.reduction.log_polynomial import (
+    REED_BOX,
+    Box,
+    fit_log_polynomial,
+    network_pa,
+)
+from physics.reed.reduction.metamodel import Equation1
 
 GRID_CENTS = 25 / np.sqrt(12)
 FORMULA = adjusted_metamodel(PAPER_MODES)

@@ -35,8 +35,7 @@ from fitting.statistics.synthetic import (
     variable_names,
     zener_parameters,
 )
-from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     Zener,
@@ -44,6 +43,7 @@ from physics.reed.viscoelastic import (
     storage_modulus_pa,
     viscoelastic_cane,
 )
+from physics.reed.mode_classification import PAPER_MODES
 
 MODEL = paper.adjusted_metamodel(PAPER_MODES)
 # G2 < 0 in series A.

@@ -17,8 +17,8 @@ from fitting.statistics.hypotheses.population import (
 )
 from fitting.statistics.hypotheses.prediction import paper_resonances
 from fitting.statistics.hypotheses.structure import PARAMETER_SIZES
-from physics.reed.metamodel import Equation1
 from physics.reed.mode_classification import PAPER_MODES
+from physics.reed.reduction.metamodel import Equation1
 
 NO_PRIORS = Priors(adjustment_cents=np.inf, coefficient_share=np.inf, parameter_share=np.inf)
 ADJUSTMENTS = np.array([H4_ADJUSTMENT_CENTS[name] for name in PAPER_MODES])

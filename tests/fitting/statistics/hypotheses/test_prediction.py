@@ -15,13 +15,13 @@ from fitting.statistics.hypotheses.prediction import (
     predict,
 )
 from fitting.statistics.hypotheses.structure import PARAMETER_SIZES
-from physics.reed.metamodel import Equation1, paper_network_pa
-from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.viscoelastic import (
+from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     viscoelastic_cane,
 )
+from physics.reed.mode_classification import PAPER_MODES
+from physics.reed.reduction.metamodel import Equation1, paper_network_pa
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from fitting.statistics.hypotheses.structure import (
     coefficients_within,
     written,
 )
-from physics.reed.viscoelastic import Series, h4_matrix
+from physics.reed.cane.viscoelastic import Series, h4_matrix
 
 RELATIVE = 1 / PARAMETER_SIZES[:, None]
 CHAIN = ("H4", "H5", "H6", "H7", "H8")

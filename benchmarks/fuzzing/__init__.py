@@ -1,0 +1,1 @@
+"""Mutants of all kinds of files, and how they are judged."""

@@ -1,0 +1,1 @@
+"""Faults that strike a run, and processes that they strike."""

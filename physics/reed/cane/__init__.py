@@ -1,0 +1,1 @@
+"""The material of a reed: elastic constants, viscoelasticity, condition."""

@@ -1,0 +1,1 @@
+"""How a reed answers to changes of its shape and structure."""

@@ -1,0 +1,1 @@
+"""Finite elements of a reed: meshes, matrices, solvers."""

@@ -1,0 +1,1 @@
+"""A reduced basis that holds over a range of materials."""

@@ -1,0 +1,1 @@
+"""Reduced-order models of one reed, and what they predict."""

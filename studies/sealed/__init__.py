@@ -1,0 +1,1 @@
+"""Sealed cases: what was published of them, and their answers."""

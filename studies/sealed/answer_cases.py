@@ -1,0 +1,59 @@
+"""Answer sealed cases: `acquire diagnose` on each, in a process that knows nothing of the key.
+
+    python -m studies.sealed.answer_cases CASES ANSWERS [--jobs N]
+
+CASES is what `acquire blind make` made, ANSWERS a folder that gets NAME.json for each case; those
+that are there already stay. Prints how long each took; `acquire blind score` scores them.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+
+def answer(case: Path, answers: Path) -> str:
+    """Answer one case; return how it went."""
+    begun = time.perf_counter()
+    command = [sys.executable, "-m", "acquire", "diagnose", str(case), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    took_s = time.perf_counter() - begun
+    if done.returncode:
+        last = done.stderr.strip().splitlines()[-1:] or ["nothing said"]
+        return f"{case.name}: not answered after {took_s:.0f} s: {last[0]}"
+    # Whole or not at all: an answer that was begun would stay.
+    begun_file = answers / f"{case.name}.begun"
+    begun_file.write_text(done.stdout, encoding="utf-8")
+    begun_file.rename(answers / f"{case.name}.json")
+    return f"{case.name}: answered after {took_s:.0f} s"
+
+
+def main() -> None:
+    """Answer all cases of a folder that have no answer."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("cases", type=Path)
+    parser.add_argument("answers", type=Path)
+    parser.add_argument("--jobs", type=int, default=1)
+    asked = parser.parse_args()
+    try:
+        sealed = json.loads((asked.cases / "sealed.json").read_text(encoding="utf-8"))["cases"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise SystemExit(f"blind: {asked.cases}: is no folder of sealed cases") from None
+    asked.answers.mkdir(parents=True, exist_ok=True)
+    todo = [
+        asked.cases / name
+        for name in sorted(sealed)
+        if not (asked.answers / f"{name}.json").exists()
+    ]
+    with ThreadPoolExecutor(asked.jobs) as pool:
+        for said in pool.map(lambda case: answer(case, asked.answers), todo):
+            print(said, flush=True)
+    if not all((asked.answers / f"{case.name}.json").exists() for case in todo):
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -296,7 +296,7 @@ def test_a_fit_prints_json_and_nothing_else(cli, measured):
 def test_a_fit_prints_a_table_of_modes_and_parameters(cli, measured):
     fit, out = measured.said.json["fit"], cli("fit", measured.a).out
     for name, mode in fit["modes"].items():
-        assert re.search(rf"{name}\W+{mode['hz']:.1f} Hz", out)
+        assert re.search(rf"{name}\W+{mode['hz']:.1f}\b", out)
     for name, estimate in (fit["components"] or {}).items():
         assert re.search(rf"{name}\W+{re.escape(format(estimate['value'], '+.2f'))}", out)
 

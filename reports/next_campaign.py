@@ -69,65 +69,70 @@ def require_repeatable(run: Run, path: Path) -> None:
 
 
 def write_next(
-    worths: Sequence[RankedExperiment],
+    experiments: Sequence[RankedExperiment],
     between: tuple[str, str],
     protocol_text: str,
     reed: str,
     path: Path,
 ) -> RankedExperiment:
-    """Write the best action that software can run, and next to it the protocol of its sweeps.
+    """Write the best experiment as a campaign file, and next to it the protocol of its sweeps.
 
     Parameters
     ----------
-    worths : sequence of RankedExperiment
-        The best first.
+    experiments : sequence of RankedExperiment
+        Proposed experiments, the best first.
     between : (str, str)
-        What they are to tell apart.
+        The two causes that the experiment separates.
     protocol_text : str
-        Of the sweeps of the campaign.
+        Protocol of the sweeps of the diagnosed campaign.
     reed : str
     path : Path
-        Of the campaign file; the protocol's has '-sweep' added to its name. Older files of an
-        earlier diagnosis there are replaced, and nothing else.
+        Campaign file; the name of the protocol is the same with '-sweep' added. Files of an earlier
+        diagnosis are replaced, and no others.
 
     Returns
     -------
-    worth : RankedExperiment
-        What the file does.
+    RankedExperiment
+        The experiment in the file.
 
     Raises
     ------
     FitInputError
-        If nothing is to be told apart.
+        If there is nothing to separate.
     OutputRefusedError, OutputFailedError
         If a file must not or cannot be written.
     ProtocolError
         If the campaign's protocol cannot be used again.
     """
-    best = next((worth for worth in worths if worth.experiment.campaign_parts), None)
+    best = next((each for each in experiments if each.experiment.campaign_parts), None)
     if best is None:
         raise FitInputError("no two causes have to be separated, so there is nothing to measure")
     campaign, sweep = next_outputs(path)
     require_writable([campaign, sweep])
     Protocol.from_text(_marked(protocol_text), str(sweep.path))
-    action = best.experiment
-    content = {
-        "name": f"Next, {action.id.replace('_', ' ')}",
-        "protocol": sweep.path.name,
-        "parts": [dict(part) for part in action.campaign_parts],
-    }
+    write_output(sweep, _marked(protocol_text))
+    write_output(campaign, _campaign_text(best, between, reed, path))
+    # Read back, as it will be read when it is run.
+    tasks_of(CampaignFile.from_file(path))
+    return best
+
+
+def _campaign_text(best: RankedExperiment, between: tuple[str, str], reed: str, path: Path) -> str:
+    """Return the text of a campaign file, with a comment that says what it is for."""
+    experiment, (one, other) = best.experiment, between
     head = _HEAD.format(
-        words=action.description.capitalize(),
-        minutes=action.minutes,
-        one=between[0],
-        other=between[1],
+        words=experiment.description.capitalize(),
+        minutes=experiment.minutes,
+        one=one,
+        other=other,
         nats=best.expected_nats,
         file=shlex.quote(one_line(path.name)),
         reed=shlex.quote(one_line(reed)),
     )
-    write_output(sweep, _marked(protocol_text))
+    content = {
+        "name": f"Next, {experiment.id.replace('_', ' ')}",
+        "protocol": next_outputs(path)[1].path.name,
+        "parts": [dict(part) for part in experiment.campaign_parts],
+    }
     body = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
-    write_output(campaign, f"{_CAMPAIGN.mark}{head}\n{body}")
-    # As it will be read when it is run.
-    tasks_of(CampaignFile.from_file(path))
-    return best
+    return f"{_CAMPAIGN.mark}{head}\n{body}"

@@ -12,7 +12,7 @@ MODULES = (
     "studies.recovery",
     "studies.identification",
     "studies.reach",
-    "studies.leaks",
+    "studies.sealed.leaks",
     "studies.inverse_crime",
     "studies.sealed_sets",
 )

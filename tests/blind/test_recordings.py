@@ -22,7 +22,7 @@ from blind.laboratory import FRAME_S, Laboratory
 from blind.reed import Build, make_reed
 from blind.world import World
 from runs.reader import Run
-from studies.leaks import disguised
+from studies.sealed.leaks import disguised
 
 # Of the reed's own shape and wood: their modes are other ones.
 _OF_THE_BUILD = {

@@ -1,6 +1,6 @@
 """Whether a diagnosis depends on anything but what was measured.
 
-    python -m studies.leaks [CAMPAIGN]
+    python -m studies.sealed.leaks [CAMPAIGN]
 
 Diagnoses a folder of run files, of a campaign recorded for it if none is named, and again copies of
 them that have other names and another order, other names of reed, campaign and bench, other

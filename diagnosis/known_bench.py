@@ -56,7 +56,7 @@ def base_twin(bench: BenchFile | None) -> Twin:
 
 
 def only_once(bench: BenchFile | None) -> tuple[str, ...]:
-    """Effects that a bench tells of and that a twin cannot have twice: there is no asking for more.
+    """Return the effects that a bench states and that a model cannot have twice.
 
     Parameters
     ----------

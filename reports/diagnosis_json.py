@@ -11,7 +11,7 @@ from diagnosis.explained_fraction import ExplainedFraction
 from diagnosis.inference.candidates import d_prime
 from physics.effects.effect import Parameter
 
-# A parameter beyond so many deviations of its prior is not plausible.
+# Standard deviations of its prior beyond which a parameter is not plausible. Chosen: three sigma.
 _PLAUSIBLE = 3.0
 _LEAST_TOLD = 1e-6
 

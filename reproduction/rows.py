@@ -38,7 +38,7 @@ class Row:
         Where the paper has it.
     quantity : str
     printed, ours : float, optional
-        Not printed in so many words, or not to be had.
+        Not printed literally, or not available.
     difference : float, optional
         Ours less printed, in `difference_unit`.
     unit, difference_unit : str
@@ -219,7 +219,7 @@ def interval_from_populations(
 
 
 def not_printed(table: str, quantity: str, ours: float, unit: str = "", remark: str = "") -> Row:
-    """Row of a number that follows from the text but does not stand in it."""
+    """Return the row of a number that follows from the text but is not printed in it."""
     return Row(table, quantity, None, float(ours), None, unit, unit, 0.0, Basis.TEXT, remark)
 
 

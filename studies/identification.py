@@ -46,7 +46,7 @@ CLAIMED = ("F1", "T1", "F2", "T2", "T3", "F3", "X2")
 BIAS_CENTS, SD_CENTS, COVERAGE, FIT_S = 5.0, 5.0, (0.60, 0.76), 10.0
 # A name that the reed's own finite elements hardly know is no truth.
 _LEAST_SIMILARITY = 0.5
-# The library is given so many points of the reed.
+# Number of points of the reed that the library is given.
 _PEER_POINTS = 60
 _METHODS = ("joint", "picture", LIBRARY)
 

@@ -48,7 +48,7 @@ _TRIES = 50
 
 @lru_cache(maxsize=1)
 def campaign_of(folder: Path) -> tuple[InferenceProblem, str]:
-    """Numbers of a campaign beside the twin, and the condition to leave out."""
+    """Return the inference problem of a campaign, and the condition to leave out."""
     readings, reed_solver = readings_of(folder)
     return inference_problem(readings, reed_solver, Twin()), condition_of(readings)
 

@@ -1,7 +1,7 @@
 """Modes and components of random reeds, measured through light, camera and fit.
 
 Every reed is swept on the simulated bench at full size with all noise, its run file is fitted, and
-the result is compared with what the twin was made of: eigenfrequencies from the finite elements
+the result is compared with the truth of the simulation: eigenfrequencies from the finite elements
 with the moduli of each mode's own frequency, components as drawn from N(0, 1).
 
     python -m studies.recovery [--reeds N] [--first K] [--protocol NAME]

@@ -3,7 +3,7 @@
     python -m studies.sealed_sets [--again N]
 
 Of each set in `studies/sealed`: whether its keys fit the hashes that were committed before it
-was answered, and its scores next to their targets: made of what is kept of its answers
+was answered, and its scores next to their targets: from what is kept of its answers
 (`studies.sealed.answers`), or as they were made if nothing is. Then N cases of the last set are
 recorded again from its key and diagnosed on two processors. Exit status 1 if a key does not fit.
 """

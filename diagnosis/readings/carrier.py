@@ -68,7 +68,7 @@ def read_carriers(
 
 
 def _steps(part: CampaignRun) -> list[StepRecord]:
-    """Good steps of the sideband that pictures are made of."""
+    """Return the good steps of the sideband that pictures show."""
     return [step for step in part.good_steps if step.order == part.run.sideband_order]
 
 

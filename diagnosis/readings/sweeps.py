@@ -215,7 +215,7 @@ class _Fits:
 
 
 def _root(fits: _Fits, parts: Sequence[CampaignRun]) -> CampaignRun | None:
-    """Fit sweeps by themselves until there is no doubt; tells of which there is least, if any."""
+    """Fit sweeps by themselves until one is not in doubt; return the one least in doubt, if any."""
     doubt: dict[str, tuple[int, float]] = {}
     # Most often the first will do.
     with contextlib.closing(map_processes(fits.of, parts[1:])) as others:

@@ -28,7 +28,7 @@ _SMALLEST_ROTATION, _MOST_SWEEPS = 1e-12, 1000
 class Factors:
     """Uncorrelated factors of a population and their part in the variables.
 
-    Factors stand in order of the variance that they explain, and the largest loading of each is
+    Factors are in order of the variance that they explain, and the largest loading of each is
     positive.
 
     Attributes

@@ -1,4 +1,4 @@
-"""Populations of reeds whose truth is known, and the statistics that the paper made of its own.
+"""Populations of reeds whose truth is known, and the statistics that the paper computes.
 
 The paper's 55 reeds are not printed one by one. What it did with them is done here with reeds drawn
 from its hypothesis H4, seen as its sweep saw reeds: in steps of 25 cents, some modes not found.

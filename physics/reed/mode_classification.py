@@ -176,7 +176,7 @@ def _point_weights(eta: Array) -> Array:
 
 
 def names_of(descriptors: Sequence[ModeDescriptor]) -> list[ModeClassification]:
-    """Name motions, no two alike.
+    """Give each motion a name; no two get the same.
 
     Parameters
     ----------
@@ -276,7 +276,7 @@ def assign_names(candidates: Sequence[dict[str, float]]) -> list[tuple[str, floa
     list of (name, similarity)
     """
     names = sorted({name for candidate in candidates for name in candidate})
-    # Enough nameless places that nobody is forced into a name that is taken.
+    # Enough places without a name, so that no motion is forced into a name that is taken.
     names += [f"?{place}" for place in range(1, len(candidates) + 1)]
     # A name that one has no claim to is worth less than none.
     similarity = np.array(

@@ -224,7 +224,7 @@ def _named_modes(
             klass = _CLASSES.get(naming.name[0], ModeClass.GENERIC)
             similarity = naming.similarity
             if klass not in (ModeClass.LATERAL, ModeClass.HEEL):
-                # What moves beside and behind the vamp bears out no name of the vamp.
+                # Motion next to the vamp and behind it does not support a name of the vamp.
                 similarity *= 1 - naming.outside
             shape = shapes[:, :, m]
             found.append(

@@ -28,7 +28,7 @@ _WHITE_PERCENTILE = 99.0
 _DARKEST_WHITE = 12.0
 # How far to either side of its peak the fringes of a mode are drawn.
 _SHOWN_OCTAVES = 0.12
-# Names of peaks: how near they stand, width and height of two short lines, and room beside them.
+# Names of peaks: their least distance, width and height of two short lines, and space next to them.
 _LOWEST_PT, _LABEL_PT, _MARGIN = 8.0, (50.0, 24.0), 1.05
 _CLASS_COLOUR = {"F": "#4cc9f0", "T": "#ffb703", "X": "#80ed99", "L": "#f4a3ff"}
 _DARK_COLOUR = {"F": "#0077b6", "T": "#d97706", "X": "#2b8a3e", "L": "#8e44ad"}

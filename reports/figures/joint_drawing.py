@@ -19,7 +19,7 @@ _PER_ROW, _PANELS = 2, ("hologram", "fitted shape", "residual")
 _PANEL_IN, _HEAD_IN, _FOOT_IN = (2.35, 1.0), 0.42, 1.0
 # What is left is drawn up to this many times the noise.
 _MOST_LEFT = 4.0
-# Brighter than so many per cent of the blocks is white.
+# Percentile of the blocks' brightness that is drawn white.
 _WHITE_PERCENTILE = 99
 # Corners of triangles between blocks are not longer than this, in spacings of blocks.
 _LONGEST = 3.0

@@ -1,1 +1,1 @@
-"""The paper's numbers beside ours, one module for each group of numbers."""
+"""The paper's numbers compared with ours, one module for each group of numbers."""

@@ -279,7 +279,7 @@ def _other_solid_rows(numbers: Printed) -> Iterator[Row]:
         storage_mpa = 1e-6 * float(complex_modulus_pa(solid, _QUOTED_HZ).real)
         yield from_text(
             "Results", f"Lord's dry cane at 4 kHz, {words}", mean, storage_mpa, 3 * sd, "MPa",
-            "other authors lie within the mean ± 3 SD, by the text; beside series B",
+            "other authors lie within the mean ± 3 SD, according to the text; next to series B",
             refuted=misprinted,
         )  # fmt: skip
 

@@ -113,7 +113,7 @@ def _rmsd_rows(numbers: Printed, tables: list[tuple[HypothesisRow, ...]]) -> Ite
 
 
 def _table_1_rows(numbers: Printed) -> Iterator[Row]:
-    """H1, all reeds alike in both series: what Table 1 alone leaves of it."""
+    """Compare H1 (all reeds equal, in both series) with Table 1 alone."""
     squares, count = 0.0, 0
     for mode in PAPER_MODES:
         seen = list(numbers.observed_resonances[mode].values())

@@ -36,8 +36,8 @@ def compare_correlations(numbers: Printed, models: Models) -> Group:
         "correlations",
         "Correlations of modes",
         f"{len(populations.components)} synthetic populations of {populations.components.shape[1]} "
-        "reeds after hypothesis H4: without noise beside the paper's computed modes and between "
-        f"the series, with {NOISE_CENTS:g} cents of noise beside observations within a series. "
+        "reeds after hypothesis H4: without noise next to the paper's computed modes and between "
+        f"the series, with {NOISE_CENTS:g} cents of noise next to observations within a series. "
         f"Tolerated: {_TOLERANCE:g} and two standard deviations from one population to the next.",
         (
             *_flexural_rows(numbers, populations.exact_cents, "H4"),

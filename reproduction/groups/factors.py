@@ -118,7 +118,7 @@ def compare_factors(numbers: Printed, models: Models) -> Group:
         "rotated by VARIMAX together with fitted e1…e4, of "
         f"{len(found.both)} synthetic populations of {REEDS} reeds with {NOISE_CENTS:g} cents of "
         "noise (so chosen that four factors explain 91.2 %). What follows from the printed table "
-        "itself is told from it. Tolerated: "
+        "itself is distinguished from it. Tolerated: "
         f"{_LOADING:g} for loadings, {_PERCENT:g} % point for fractions, two standard deviations "
         "from one population to the next.",
         (

@@ -61,7 +61,7 @@ class Network:
 def compute_network(reed: ReducedReed) -> Network:
     """Compute the modes of all materials of the network.
 
-    T4 and F4, which repel each other and exchange shapes, are told by their order.
+    T4 and F4, which repel each other and exchange shapes, are distinguished by their order.
     """
     E, G = paper_network_pa()
     found = [elastic_modes(reed, float(e), float(g)) for e, g in zip(E, G, strict=True)]
@@ -184,7 +184,7 @@ def _exponent_rows(numbers: Printed, network: Network) -> Iterator[Row]:
     best = minimize(rms_cents, printed, method="Nelder-Mead", options={"xatol": 1e-3}).x
     yield from_text(
         "Eq. 1", "rms of the fit with the printed exponents", rms_cents(best), rms_cents(printed),
-        0.5, "cents", "beside the best exponents for our finite elements: others gain nothing",
+        0.5, "cents", "next to the best exponents for our finite elements: others gain nothing",
     )  # fmt: skip
     for name, value, ours in zip(
         ("E_L", "G_LT"),

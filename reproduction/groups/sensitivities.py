@@ -72,7 +72,7 @@ def compare_sensitivities(
     return Group(
         "sensitivities",
         "Table 3: sensitivity to the elastic constants",
-        "Each constant varied by ±10 % and all modes computed anew by finite elements (one layer "
+        "Each constant varied by ±10 % and all modes computed again by finite elements (one layer "
         "of hexahedra of degree 4); remarks give the exact derivative on the converged mesh. "
         "Classes as in the paper; its L2 is taken for the heel mode, the only one with such "
         "sensitivities. Tolerated: 0.005.",

@@ -34,7 +34,7 @@ def compare_shape(numbers: Printed, geometry: ReedGeometry) -> Group:
     return Group(
         "shape",
         "Shape of the reed",
-        "Our geometry, made of arcs and splines, evaluated where the text gives numbers or "
+        "Our geometry, from arcs and splines, evaluated where the text gives numbers or "
         "formulas. Tolerated: half a unit of the last printed digit.",
         (
             *_contour_rows(numbers, geometry),

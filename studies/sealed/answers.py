@@ -1,4 +1,4 @@
-"""What scores of sealed cases are made of: a fortieth of answers, small enough to be published.
+"""The part of the answers that scores need: a fortieth of them, small enough to publish.
 
     python -m studies.sealed.answers DIR ANSWERS KEY
 

@@ -26,7 +26,7 @@ _SERIES_A = ("1 0 0 0 0", "0 1 0 0 0", "0 0 1 0 0", "0 0 0 1 0")
 
 
 def h1() -> Structure:
-    """All reeds alike, in both series: E_L and G_LT, 2 coefficients."""
+    """All reeds equal, in both series: E_L and G_LT, 2 coefficients."""
     start = {name: _ELASTIC[name] for name in ("d10", "d40")}
     return written("H1", ("d10", "0", "0", "d40", "0", "0"), (("1",), ("1",)), start)
 
@@ -35,7 +35,7 @@ def h2() -> Structure:
     """E_L and G_LT of each reed, "independent of the series": 4 coefficients.
 
     A mean and a standard deviation of each. Read so because four coefficients and two
-    uncorrelated components leave no room for E_L and G_LT to go together.
+    uncorrelated components do not let E_L and G_LT vary together.
     """
     same = ("1 0 0", "0 1 0", "0 0 1")
     return written("H2", _ELASTIC_HAT, (same, same), _ELASTIC)

@@ -21,7 +21,7 @@ _LEAST_ORDER: Final = 0.05
 
 @dataclass(frozen=True)
 class FractionalSolid:
-    """A spring beside an arm of spring and springpot; with order 1 it is Zener's solid.
+    """A spring in parallel with an arm of spring and springpot; with order 1 it is Zener's solid.
 
     The stress of the springpot is ``p·d^α ε/dt^α``, between that of a spring (α = 0) and that of a
     dashpot (α = 1): ``E*(ω) = E0 + E1·p (jω)^α / (E1 + p (jω)^α)``.

@@ -25,9 +25,10 @@ _SETTLED_CENTS = 1e-3
 _MOST_ITERATIONS = 30
 # Frequencies are the same to this share; by how much of what is asked answers may follow it.
 _SAME, _SHARES = 1e-9, (-0.5, 0.5)
-# Cane is tabulated at so many frequencies between these shares of the highest.
+# Number of frequencies at which cane is tabulated, and their range relative to the highest.
 _TABULATED, _LOWEST_SHARE, _HIGHEST_SHARE = 25, 0.01, 2.0
-# Modes are followed from so far above the highest frequency; two this much alike are one.
+# Factor above the highest frequency from which modes are followed; similarity above which two
+# modes are one.
 _MARGIN, _ALIKE = 1.15, 0.3
 # ... and begin with moduli of the nearest of these shares of it.
 _PIVOTS = (0.12, 0.3, 0.55, 0.85)

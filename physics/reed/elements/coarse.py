@@ -1,4 +1,4 @@
-"""By how much a coarse mesh is too stiff: the paper's kind of elements beside converged ones."""
+"""Stiffness error of a coarse mesh: the paper's kind of elements against converged ones."""
 
 from collections.abc import Callable
 

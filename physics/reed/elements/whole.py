@@ -1,7 +1,7 @@
 """Reduced basis of a whole reed, even or not: what half a reed cannot stand for.
 
 Of an even reed it says the same as the two halves of `basis.ReducedReed`, at two to three times
-the cost. `parts_of` lets those who only solve and look treat either kind alike.
+the cost. `parts_of` lets those who only solve and look treat both kinds in the same way.
 """
 
 import math

@@ -57,7 +57,7 @@ class HalfMaterialBasis:
         The matrices B_k.
     loadings : (k, p, 9) float
     named_shapes : (c, m) float
-        Unit shapes of the reference cane's modes, which names are told by.
+        Unit shapes of the reference cane's modes, by which modes are named.
     error_cents : float
         Largest deviation of a named mode from the larger model that this one condenses, over the
         canes that it was condensed on and as many others.
@@ -423,7 +423,7 @@ def _forms(components: Array) -> Iterator[tuple[int, int, Array]]:
 
 
 def _scratch_size(half: _Half) -> int:
-    """Numbers that `_energies` needs room for."""
+    """Return how many numbers `_energies` stores at a time."""
     return max(len(block) for _, _, block in half.forms) * len(half.places) * _CHUNK
 
 

@@ -286,7 +286,7 @@ def _named_modes(
 def _reeds(
     geometry: ReedGeometry, level: MeshLevel, box: MaterialBox
 ) -> tuple[MeshLevel, HalfReedMesh, list[_Reed]]:
-    """Meshes of the drawn reed and of thinner and thicker ones, node for node alike.
+    """Meshes of the drawn reed and of thinner and thicker ones, with corresponding nodes.
 
     The line where vamp meets heel moves with the thickness. Where another number of elements
     would fit before or behind it, slightly shorter ones are taken.

@@ -39,7 +39,7 @@ _MORE_CANDIDATES = 8
 _NAMED_SHARE = 0.2
 # An unnamed mode's error matters where a named mode exchanges shapes with it.
 _UNNAMED_WEIGHT = 0.3
-# Rounds of weighting anew; how fast weights follow errors, and what keeps them from falling to
+# Rounds of new weights; how fast weights follow errors, and what keeps them from falling to
 # nothing where errors are small; the norm that tells the best round.
 _ROUNDS = 12
 _FOLLOWING, _CALM = 0.5, 0.3
@@ -195,7 +195,7 @@ def _condensed(pencil: Pencil, samples: Sequence[_Sample], cane: Cane, size: int
     """Basis (r, size) in which the samples' worst errors are small.
 
     Proper orthogonal decomposition, in the energy of the reference cane, of modes that are
-    weighted anew in every round by how badly they fared in the last.
+    weighted again in every round by their error in the last.
     """
     energy = np.tensordot(stiffness_terms_pa(cane), at_place(pencil.stiffness, 0.0), axes=1)
     root = np.linalg.cholesky(energy)

@@ -39,7 +39,7 @@ from physics.reed.mode_classification import vamp_profiles
 from physics.reed.modes import HIGHEST_HZ
 
 # Modes of a plate are evenly spaced in frequency, and the softest material of the usual box has a
-# third more of them below 20 kHz than the one in the middle: so many more are taken.
+# third more of them below 20 kHz than the one in the middle; this many more are taken.
 _TAKEN_BEYOND = Fraction(1, 3)
 # Modes sought at first, and beyond which a search ends; a clarinet's reed has nine symmetric ones
 # below 20 kHz.
@@ -224,7 +224,7 @@ def half_shapes(geometry: ReedGeometry, level: MeshLevel, settings: BasisSetting
             pool.map(lambda part: _middle(part, middle_cane, loads, settings.modes), parts)
         )
         modes = settings.modes or max(_modes_taken(middle.hz) for middle in middles)
-        # Modes of five materials and static shapes are much alike: three quarters of them do.
+        # Modes of five materials and static shapes are similar: three quarters of them are enough.
         size = settings.size or 14 * modes // 3
 
         def basis(part: _Elements, middle: _Middle) -> Array:

@@ -95,7 +95,7 @@ def paper_network_pa() -> tuple[Array, Array]:
     """E_L and G_LT, (92,) each, of the network that Eq. 1 was fitted on.
 
     The text gives the number and the ranges, 8000 to 17000 and 800 to 1700 MPa. 10 × 10 values
-    less the corners in which one modulus is at an end of its range and the other at or beside an
+    less the corners in which one modulus is at an end of its range and the other at or next to an
     end, two at each corner, make 92.
     """
     E, G = np.meshgrid(np.linspace(8e9, 17e9, 10), np.linspace(0.8e9, 1.7e9, 10), indexing="ij")

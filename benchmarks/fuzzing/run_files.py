@@ -94,7 +94,7 @@ class Mutant:
 def originals(folder: Path) -> list[Original]:
     """Measure two small runs on the simulated bench."""
     bench = BenchFile.from_file().replace(
-        {"simulation": {"mesh": "coarse", "faults": {"drop_frame_at": [3]}}}
+        {"twin": {"mesh": "coarse", "faults": {"drop_frame_at": [3]}}}
     )
     made = []
     for keep in ("holograms", "frames"):

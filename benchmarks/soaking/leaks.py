@@ -136,7 +136,7 @@ def series(name: str, work: Callable[[], object], runs: int, warm_up: int = WARM
 
 def simulated_plan(changes: Mapping[str, Any] | None = None) -> Plan:
     """Plan the small sweep of `benchmarks.striking.struck` on the simulated bench."""
-    bench = BenchFile.from_file().replace({"simulation": {"mesh": "coarse"}})
+    bench = BenchFile.from_file().replace({"twin": {"mesh": "coarse"}})
     return acquire.plan(planned(NO_FAULT).protocol.replace(dict(changes or {})), bench).plan
 
 

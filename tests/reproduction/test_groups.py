@@ -322,9 +322,9 @@ def factors(numbers, models):
 def test_what_table_2_says_of_itself(factors, rows_of):
     rows = rows_of(factors)
     assert rows["farthest that VARIMAX moves a loading"].ours < 5e-4
-    shares = [rows[f"share of factor {n}, from the loadings"].ours for n in range(1, 5)]
+    shares = [rows[f"fraction of factor {n}, from the loadings"].ours for n in range(1, 5)]
     assert shares == pytest.approx([53.5, 21.3, 10.6, 4.8], abs=0.06)
-    assert rows["sum of the shares, from the loadings"].agreement is Agreement.DIFFERS
+    assert rows["sum of the fractions, from the loadings"].agreement is Agreement.DIFFERS
 
 
 def test_factors_of_synthetic_reeds_are_like_the_papers(factors, rows_of):
@@ -335,16 +335,16 @@ def test_factors_of_synthetic_reeds_are_like_the_papers(factors, rows_of):
     assert np.corrcoef(printed, ours)[0, 1] > 0.95
     for n in range(1, 5):
         assert rows[f"loading of e{n} on factor {n}"].ours > 0.9
-    assert rows["both series: sum of 4 shares"].ours == pytest.approx(91.2, abs=2)
+    assert rows["both series: sum of 4 fractions"].ours == pytest.approx(91.2, abs=2)
 
 
 def test_backward_validation_needs_noise_and_rotation(factors, rows_of):
     rows = rows_of(factors)
-    assert rows["sum of four shares, as described"].agreement is Agreement.REFUTED
-    assert rows["sum of four shares, as described"].ours > 99
-    assert rows["sum of four shares, with noise"].agreement is Agreement.REPRODUCED
+    assert rows["sum of four fractions, as described"].agreement is Agreement.REFUTED
+    assert rows["sum of four fractions, as described"].ours > 99
+    assert rows["sum of four fractions, with noise"].agreement is Agreement.REPRODUCED
     for n in range(1, 5):
-        name = f"share of factor {n}, with noise, after rotation"
+        name = f"fraction of factor {n}, with noise, after rotation"
         assert rows[name].agreement is Agreement.REPRODUCED
 
 

@@ -2,6 +2,7 @@
 
 import pytest
 
+from diagnosis.observable_groups import Observable
 from protocols.campaign import CampaignFile, tasks_of
 
 
@@ -13,7 +14,7 @@ def test_one_sweep_becomes_a_page_and_a_next_campaign(cli, measured, folder):
     answer = done.json
     assert answer["verdict"] in {"none", "effect", "pair", "unknown", "not converged"}
     assert sum(answer["probability"].values()) == pytest.approx(1.0, abs=1e-3)
-    assert set(answer["where"]["taps"]) <= {f"T{k}" for k in range(9)}
+    assert set(answer["gap"]["observables"]) <= set(Observable)
     assert len(answer["effects"]) >= 20
     # One sweep says what it cannot say: nothing of the sensor, nor what needs a second sweep.
     assert any("dark frames" in what for what in answer["missing"])

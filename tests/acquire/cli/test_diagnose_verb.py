@@ -22,7 +22,7 @@ def test_one_sweep_becomes_a_page_and_a_next_campaign(cli, measured, folder):
     assert "hot_pixels" not in answer["effects"]
     html = page.read_text(encoding="utf-8")
     assert "What to measure next" in html
-    assert "not resolvable" in html
+    assert "more than chance explains" in html
     assert "<svg" in html or "data:image" in html
     best = next(w for w in answer["next"]["experiments"] if w["id"] != "microphone")
     tasks = tasks_of(CampaignFile.from_file(following))

@@ -69,7 +69,7 @@ class Row:
 def _row(name: str, outcome: Outcome, met: bool) -> Row:
     parts = [f"{outcome.good} good"]
     parts += [f"{outcome.bad} bad"] if outcome.bad else []
-    parts += [f"{outcome.retaken} taken again"] if outcome.retaken else []
+    parts += [f"{outcome.repeated} measured again"] if outcome.repeated else []
     return Row(
         fault=name,
         outcome=f"{outcome.ending}: {', '.join(parts)}",
@@ -107,10 +107,10 @@ def signal_rows(folder: Path) -> Iterator[Row]:
     for number in SIGNALS:
         for phase in PHASES:
             outcome = signalled(number, phase, folder)
-            complete = phase in ("retake", "packing")
+            complete = phase in ("repeat", "packing")
             ended = "complete" if complete else "stopped"
             met = outcome.wrong == 0 and outcome.off and not outcome.unconfirmed
-            met &= outcome.ending == ended or phase == "retake"
+            met &= outcome.ending == ended or phase == "repeat"
             yield _row(f"{number.name} during {phase}", outcome, met)
     seconds, off, left = impatience(folder)
     said = f"off {seconds:.2f} s after the second"

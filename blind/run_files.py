@@ -88,7 +88,7 @@ def write_recording(
     """
     with h5py.File(path, "x") as file:
         file.attrs.update(
-            format="reedbench-run", format_version=4, default="entry", NX_class="NXroot"
+            format="reedbench-run", format_version=5, default="entry", NX_class="NXroot"
         )
         entry = _group(file, "entry", "NXentry", default="data")
         shots = recording.shots

@@ -97,7 +97,7 @@ def fill(file: Any, new: NewRun, *, allocate: bool) -> None:
     _write_entry(file, new)
     _write_instruments(file["entry"], new.plan, new.bench)
     _write_steps(file["entry"], new.plan)
-    _write_retakes(file["entry"], new.plan, allocate=allocate)
+    _write_earlier_attempts(file["entry"], new.plan, allocate=allocate)
     _write_interruptions(file["entry"])
     _write_data(file["entry"], new.plan, new.reconstruction, allocate=allocate)
     written: dict[str, Any] = {}
@@ -127,7 +127,9 @@ def prove(path: Path, unborn: Path, new: NewRun) -> None:
     DiskError
         If anything differs, is missing, or cannot be read.
     """
-    pictures = frozenset(f"/entry/{group}/{_kept(new.plan)[0]}" for group in ("data", "retakes"))
+    pictures = frozenset(
+        f"/entry/{group}/{_kept(new.plan)[0]}" for group in ("data", "earlier_attempts")
+    )
     try:
         short = missing_bytes(unborn)
         wrong = f"its last {short} bytes" if short else ""
@@ -255,14 +257,14 @@ def planned_columns(plan: Plan) -> dict[str, tuple[npt.NDArray[Any], str]]:
     return columns
 
 
-def _write_retakes(entry: Any, plan: Plan, *, allocate: bool) -> None:
-    """Allocate places for earlier takes of steps that are measured again; position -1 is free."""
-    retakes, count = _group(entry, "retakes", "NXcollection"), plan.spare_attempts
-    _allocate(retakes, "position", (count,), np.int64, FREE)
-    _allocate_measured(retakes, count, plan)
+def _write_earlier_attempts(entry: Any, plan: Plan, *, allocate: bool) -> None:
+    """Allocate places for earlier attempts of repeated steps; position -1 is free."""
+    earlier_attempts, count = _group(entry, "earlier_attempts", "NXcollection"), plan.spare_attempts
+    _allocate(earlier_attempts, "position", (count,), np.int64, FREE)
+    _allocate_measured(earlier_attempts, count, plan)
     if count:
         name, dtype, shape = _kept(plan)
-        _allocate_signal(retakes, name, dtype, (count, *shape), allocate=allocate)
+        _allocate_signal(earlier_attempts, name, dtype, (count, *shape), allocate=allocate)
 
 
 def _write_interruptions(entry: Any) -> None:

@@ -38,7 +38,7 @@ _LAST: Final = ("stream_resource", "stream_datum", "stop")
 _SOURCES: Final = {
     "index": "protocol",
     "order": "protocol",
-    "take": "acquire.runner.runner",
+    "attempt": "acquire.runner.runner",
     "asked_hz": "protocol",
     "drive_hz": "generator",
     "difference_hz": "synthesizers",
@@ -53,7 +53,7 @@ _SOURCES: Final = {
     "verdict": "acquire.runner.quality",
     "sentence": "acquire.runner.quality",
 }
-_INTEGERS: Final = ("index", "order", "take")
+_INTEGERS: Final = ("index", "order", "attempt")
 _UNITS: Final = {
     "asked_hz": "Hz",
     "drive_hz": "Hz",
@@ -115,23 +115,23 @@ class _Begun:
         return cls(dict(documents)["start"], streams["primary"], streams["steps"], events)
 
     @property
-    def takes(self) -> dict[tuple[int, int], int]:
-        """Return the number of takes of each step, by index and order."""
+    def attempts(self) -> dict[tuple[int, int], int]:
+        """Return the number of attempts of each step, by index and order."""
         counts: dict[tuple[int, int], int] = {}
         for event in self.events:
             data = event["data"]
             step = data["index"], data["order"]
-            counts[step] = max(counts.get(step, 0), data["take"])
+            counts[step] = max(counts.get(step, 0), data["attempt"])
         return counts
 
 
 class DocumentLog:
     """Documents of one run, open for writing; a context manager.
 
-    Use `create` or `resume` to open them. The stream ``primary`` has one event for every take. The
-    stream ``steps`` is the array in the run file: one row for every planned step, which holds its
-    last take, or zeros. The documents that say where this array is are written last, because a
-    file that is being written cannot be read.
+    Use `create` or `resume` to open them. The stream ``primary`` has one event for every attempt.
+    The stream ``steps`` is the array in the run file: one row for every planned step, which holds
+    its last attempt, or zeros. The documents that say where this array is are written last, because
+    a file that is being written cannot be read.
     """
 
     def __init__(self, run_path: Path, file: io.FileIO, begun: _Begun) -> None:
@@ -184,9 +184,9 @@ class DocumentLog:
             raise
         return log
 
-    def takes_of(self, index: int, order: int) -> int:
-        """Return how many takes of a step the documents held when they were opened."""
-        return self._begun.takes.get((index, order), 0)
+    def attempts_of(self, index: int, order: int) -> int:
+        """Return how many attempts of a step the documents held when they were opened."""
+        return self._begun.attempts.get((index, order), 0)
 
     @classmethod
     def resume(cls, run_path: Path) -> Self:
@@ -346,22 +346,22 @@ def _documents(path: Path) -> list[tuple[str, Any]]:
     return documents
 
 
-def event_data(step: Step, take: int, measured: MeasuredStep) -> dict[str, Any]:
+def event_data(step: Step, attempt: int, measured: MeasuredStep) -> dict[str, Any]:
     """Return the data of the event of a step that was just measured.
 
     Parameters
     ----------
     step : Step
         The step as planned.
-    take : int
-        Number of the take, from 1.
+    attempt : int
+        Number of the attempt, from 1.
     measured : MeasuredStep
     """
     read = measured.read_back
     return {
         "index": step.index,
         "order": step.order,
-        "take": take,
+        "attempt": attempt,
         "asked_hz": float(step.asked_hz),
         "drive_hz": float(read.drive_hz),
         "difference_hz": float(read.aom1_hz - read.aom2_hz),
@@ -378,13 +378,13 @@ def event_data(step: Step, take: int, measured: MeasuredStep) -> dict[str, Any]:
     }
 
 
-def recorded_data(record: StepRecord, take: int) -> dict[str, Any]:
+def recorded_data(record: StepRecord, attempt: int) -> dict[str, Any]:
     """Return the data of the event of a measured step in a run file, see `event_data`."""
     aom1_hz, aom2_hz = record.read_aom1_hz or 0, record.read_aom2_hz or 0
     return {
         "index": record.index,
         "order": record.order,
-        "take": take,
+        "attempt": attempt,
         "asked_hz": float(record.asked_hz),
         "drive_hz": float(record.read_drive_hz or 0),
         "difference_hz": float(aom1_hz - aom2_hz),

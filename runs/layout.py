@@ -11,7 +11,7 @@ from protocols.units import exact_decimal
 from runs.verdict import Verdict
 
 FORMAT: Final = "reedbench-run"
-FORMAT_VERSION: Final = 4
+FORMAT_VERSION: Final = 5
 
 Status = Literal["running", "complete", "interrupted", "failed"]
 
@@ -44,9 +44,9 @@ EXPOSURE: Final = "exposure_s"
 INTERRUPTIONS: Final = ("position", "kind", "began", "ended", "reason")
 # Rows of `/entry/interruptions`. Chosen; interruptions beyond the last row are not recorded.
 INTERRUPTIONS_MAX: Final = 64
-# Values of `/entry/retakes/position`. FREE is a place without a take. While a step is being copied
-# to a place, the place has the value UNDER_WAY - position of the step, so that another process can
-# finish the copy if this one is killed.
+# Values of `/entry/earlier_attempts/position`. FREE is a place without an attempt. While a step is
+# copied to a place, the place has the value UNDER_WAY - position of the step, so that another
+# process can finish the copy if this one is killed.
 FREE: Final = -1
 UNDER_WAY: Final = -2
 # Longest text of an exact number. Chosen: the frequency of a 48-bit tuning word below 1 GHz has up
@@ -55,7 +55,7 @@ EXACT_BYTES: Final = 64
 # Longest sentence of a step, and longest text of an interruption. Chosen; longer texts are cut.
 SENTENCE_BYTES: Final = 240
 # End of the sentence of a pending step that was measured before.
-TO_BE_TAKEN_AGAIN: Final = "to be measured again"
+TO_BE_MEASURED_AGAIN: Final = "to be measured again"
 # Longest reason in an error message, in characters. Chosen; longer reasons are cut.
 _MAX_REASON_LENGTH: Final = 120
 

@@ -16,7 +16,7 @@ DAMAGE = OSError, RuntimeError, ValueError, TypeError, ArithmeticError
 
 
 class DamagedStepError(ValueError):
-    """The numbers of a take do not match their checksum; the message names the take."""
+    """The numbers of an attempt do not match their checksum; the message names the attempt."""
 
 
 def open_file(path: Path) -> Any:

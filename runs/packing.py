@@ -28,7 +28,7 @@ from runs.reader import Run
 from runs.verdict import Verdict
 
 # Groups of the run file that hold frames, and for each the group with their verdicts and checksums.
-_WITH_FRAMES: Final = {"data": "steps", "retakes": "retakes"}
+_WITH_FRAMES: Final = {"data": "steps", "earlier_attempts": "earlier_attempts"}
 _FRAMES: Final = frozenset(f"/entry/{name}/frames" for name in _WITH_FRAMES)
 # Errors that h5py raises when it cannot read or write.
 _UNREADABLE: Final = (OSError, RuntimeError, KeyError, ValueError, TypeError)
@@ -170,15 +170,15 @@ def _copy_all_but_frames(source: Any, part: Any, group: Any) -> None:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Checksums and names of the frames of one group; each place holds the frames of one take.
+    """Checksums and names of the frames of one group; each place holds the frames of one attempt.
 
     Attributes
     ----------
     checksums : (places,) uint64
     holds : (places,) bool
-        Whether a place holds a take.
+        Whether a place holds an attempt.
     labels : list of str
-        Name of the take in messages.
+        Name of the attempt in messages.
     """
 
     checksums: npt.NDArray[np.uint64]
@@ -194,11 +194,11 @@ class _Rows:
         if "position" in rows:
             positions = rows["position"][()]
             holds &= positions > FREE
-            labels = [f"an earlier take of {labels[max(k, 0)]}" for k in positions]
+            labels = [f"an earlier attempt of {labels[max(k, 0)]}" for k in positions]
         return cls(rows[PIXEL_CHECKSUM][()], holds, labels)
 
     def are_undamaged(self, place: int, frames: npt.NDArray[Any]) -> bool:
-        """Return whether the frames match their checksum, or no take is expected here."""
+        """Return whether the frames match their checksum, or no attempt is expected here."""
         return not self.holds[place] or pixel_checksum(frames) == int(self.checksums[place])
 
 

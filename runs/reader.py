@@ -29,13 +29,13 @@ from runs.opening import DAMAGE, DamagedStepError, absent, failure, open_file, s
 from runs.records import (
     Column,
     StepRecord,
+    measured_fields,
     read_acquisition,
     read_columns,
     read_interruptions,
     read_text,
     settled_columns,
     step_records,
-    taken_fields,
 )
 from runs.verdict import Verdict
 from runs.writer import RunWriter
@@ -59,10 +59,10 @@ class Run:
     ----------
     path : Path
     steps : tuple of StepRecord
-        All planned steps, measured or not; the last take of those that were measured again.
-    retakes : tuple of StepRecord
-        Earlier takes, in the order in which their steps were measured again. Their `position` is
-        that of their step. `retaken_field` returns their fields, by index in this tuple.
+        All planned steps, measured or not; the last attempt of those that were measured again.
+    earlier_attempts : tuple of StepRecord
+        Earlier attempts, in the order in which their steps were measured again. Their `position` is
+        that of their step. `earlier_field` returns their fields, by index in this tuple.
     interruptions : tuple of Interruption
         Places where measuring stopped and continued later.
     acquisition : Acquisition
@@ -161,7 +161,7 @@ class Run:
                 if status != "running" or readings == _MAX_READINGS:
                     raise failure(path, error, status) from error
                 # The runner may just have changed a step that is measured again, so that half of
-                # the row belongs to one take and half to the next: wait and read again.
+                # the row belongs to one attempt and half to the next: wait and read again.
                 time.sleep(_READING_PAUSE_S)
             except BaseException:
                 file.close()
@@ -219,19 +219,22 @@ class Run:
         """Return the exposure of a step in s."""
         return self.exposure_s if step.exposure_s is None else step.exposure_s
 
-    def retaken_field(self, number: int) -> npt.NDArray[np.complex64]:
-        """Return the complex field of one of `retakes`, (height, width) complex64, in dn.
+    def earlier_field(self, number: int) -> npt.NDArray[np.complex64]:
+        """Return the complex field of one of `earlier_attempts`, (height, width) complex64, in dn.
 
         Raises
         ------
         RunFileError
-            If the take is damaged, or the file is closed.
+            If the attempt is damaged, or the file is closed.
         """
-        step, name = self.retakes[number], "field" if self.keep == "holograms" else "frames"
+        step, name = (
+            self.earlier_attempts[number],
+            "field" if self.keep == "holograms" else "frames",
+        )
         self._require_open()
-        label = f"an earlier take of step {step.index}"
-        place, checksum = self._retake_places[number], self._retake_checksums[number]
-        pixels = self._pixels(f"retakes/{name}", place, checksum, label)
+        label = f"an earlier attempt of step {step.index}"
+        place, checksum = self._earlier_places[number], self._earlier_checksums[number]
+        pixels = self._pixels(f"earlier_attempts/{name}", place, checksum, label)
         return pixels if name == "field" else self.reconstruction.field(pixels)
 
     def frames(self, position: int) -> npt.NDArray[np.uint16]:
@@ -302,7 +305,7 @@ class Run:
             raise
 
     def _pixels(self, name: str, place: int, checksum: int, label: str) -> Any:
-        """Return the pixels of one take, if they match their checksum."""
+        """Return the pixels of one attempt, if they match their checksum."""
         try:
             pixels = self._file["entry"][name][place]
         except (KeyError, *DAMAGE) as error:
@@ -331,9 +334,9 @@ class Run:
             raise RunFileError(f"{self.path}: is closed; open it again with Run.open")
 
     def _read_steps(self, entry: Any, *, damaged_as_pending: bool) -> None:
-        """Read and check all steps, then their earlier takes.
+        """Read and check all steps, then their earlier attempts.
 
-        This order matters: another process may be moving a step to the earlier takes.
+        This order matters: another process may be moving a step to the earlier attempts.
         """
         columns, found = settled_columns(entry["steps"])
         intact, verdicts = whole_rows(columns), []
@@ -346,26 +349,28 @@ class Run:
         self.steps = tuple(step_records(columns, verdicts))
         self._pixel_checksums: list[int] = columns[PIXEL_CHECKSUM].tolist()
         self._row_checksums: list[int] = columns[ROW_CHECKSUM].tolist()
-        self._read_retakes(entry, columns, damaged_as_pending=damaged_as_pending)
+        self._read_earlier_attempts(entry, columns, damaged_as_pending=damaged_as_pending)
 
-    def _read_retakes(
+    def _read_earlier_attempts(
         self, entry: Any, steps: dict[str, Column], *, damaged_as_pending: bool
     ) -> None:
-        """Read and check earlier takes."""
-        self.retakes: tuple[StepRecord, ...] = ()
-        self._retake_places: list[int] = []
-        self._retake_checksums: list[int] = []
+        """Read and check earlier attempts."""
+        self.earlier_attempts: tuple[StepRecord, ...] = ()
+        self._earlier_places: list[int] = []
+        self._earlier_checksums: list[int] = []
         # Files of other programs may have no such group.
-        positions = entry["retakes/position"][()] if "retakes" in entry else np.array([])
+        positions = (
+            entry["earlier_attempts/position"][()] if "earlier_attempts" in entry else np.array([])
+        )
         if np.all(positions == FREE):
             return
-        columns = read_columns(entry["retakes"])
+        columns = read_columns(entry["earlier_attempts"])
         of_step = np.where(positions <= UNDER_WAY, UNDER_WAY - positions, positions)
         planned = steps.keys() - columns.keys()
         known = np.clip(of_step, 0, len(self.steps) - 1)
         intact = whole_rows(columns | {name: steps[name][known] for name in planned})
         verdicts = [verdict_of(content) for content in columns["verdict"].tolist()]
-        taken = list(taken_fields(columns, [verdict or Verdict.PENDING for verdict in verdicts]))
+        taken = list(measured_fields(columns, [verdict or Verdict.PENDING for verdict in verdicts]))
         found = []
         for place in np.flatnonzero((of_step >= 0) & (of_step < len(self.steps))):
             step = self.steps[of_step[place]]
@@ -373,16 +378,16 @@ class Run:
                 columns[ROW_CHECKSUM][place] == self._row_checksums[step.position]
                 and taken[place]["verdict"] is step.verdict
             )
-            # A take that another process is copying is in both places, and counts once.
+            # An attempt that another process is copying is in both places, and counts once.
             if step.verdict.measured and (same or positions[place] <= UNDER_WAY):
                 continue
             if intact[place] and verdicts[place] is not None:
                 found.append(replace(step, **taken[place]))
-                self._retake_places.append(int(place))
+                self._earlier_places.append(int(place))
             elif not damaged_as_pending:
-                raise DamagedStepError(f"an earlier take of step {step.index}")
-        self.retakes = tuple(found)
-        self._retake_checksums = columns[PIXEL_CHECKSUM][self._retake_places].tolist()
+                raise DamagedStepError(f"an earlier attempt of step {step.index}")
+        self.earlier_attempts = tuple(found)
+        self._earlier_checksums = columns[PIXEL_CHECKSUM][self._earlier_places].tolist()
 
     def _read_sample(self, entry: Any) -> None:
         sample = entry["sample"]

@@ -15,7 +15,7 @@ from runs.layout import (
     MEASURED,
     PLANNED_HZ,
     READ_BACK_HZ,
-    TO_BE_TAKEN_AGAIN,
+    TO_BE_MEASURED_AGAIN,
     Acquisition,
     Interruption,
     Kind,
@@ -148,7 +148,7 @@ def step_records(columns: dict[str, Column], verdicts: Sequence[Verdict]) -> Ite
     exact = {name: _texts(columns[f"{name}_exact"]) for name in PLANNED_HZ}
     numbers = ("index", "order", "volts", "carrier_leak")
     exposures = columns.get(EXPOSURE)
-    for position, taken in enumerate(taken_fields(columns, verdicts)):
+    for position, taken in enumerate(measured_fields(columns, verdicts)):
         # Any, because the fields of a record have several types.
         planned: dict[str, Any] = {key: _fraction(texts[position]) for key, texts in exact.items()}
         planned |= {name: columns[name][position].item() for name in numbers}
@@ -157,7 +157,7 @@ def step_records(columns: dict[str, Column], verdicts: Sequence[Verdict]) -> Ite
         yield StepRecord(position=position, **planned, **taken)
 
 
-def taken_fields(
+def measured_fields(
     columns: dict[str, Column], verdicts: Sequence[Verdict]
 ) -> Iterator[dict[str, Any]]:
     """Yield, for each step, the fields of `StepRecord` that hold what was measured.
@@ -170,7 +170,7 @@ def taken_fields(
     frames = columns["frame_id"].shape[1]
     for row, verdict in enumerate(verdicts):
         measured, sentence = verdict.measured, sentences[row]
-        if verdict is Verdict.PENDING and not sentence.endswith(TO_BE_TAKEN_AGAIN):
+        if verdict is Verdict.PENDING and not sentence.endswith(TO_BE_MEASURED_AGAIN):
             sentence = ""
         times, ids = columns["timestamp_s"][row].tolist(), columns["frame_id"][row].tolist()
         yield {

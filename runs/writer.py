@@ -40,7 +40,7 @@ from runs.layout import (
     MEASURED,
     READ_BACK_HZ,
     SENTENCE_BYTES,
-    TO_BE_TAKEN_AGAIN,
+    TO_BE_MEASURED_AGAIN,
     UNDER_WAY,
     Interruption,
     RunLabels,
@@ -83,9 +83,12 @@ class RunWriter:
         try:
             entry = self._file["entry"]
             # Opened once: opening a dataset takes longer than writing a number to it.
-            self._steps, self._retakes = dict(entry["steps"]), dict(entry["retakes"])
+            self._steps, self._earlier_attempts = (
+                dict(entry["steps"]),
+                dict(entry["earlier_attempts"]),
+            )
             self._signal = entry["data"][self._name]
-            planned = self._steps.keys() - self._retakes.keys()
+            planned = self._steps.keys() - self._earlier_attempts.keys()
             self._planned = {name: self._steps[name][()] for name in planned}
             disk.check()
         except BaseException:
@@ -157,7 +160,7 @@ class RunWriter:
     def resume(cls, path: str | Path, plan: Plan) -> Self:
         """Open the file of a run that is not complete, to continue it.
 
-        Steps that the disk has damaged become pending, see `damaged`. Earlier takes with damaged
+        Steps that the disk has damaged become pending, see `damaged`. Earlier attempts with damaged
         numbers are removed.
 
         Parameters
@@ -186,15 +189,15 @@ class RunWriter:
             undo.callback(writer.close)
             writer._require_planned(plan)
             with writer._disk_errors("its steps cannot be checked"):
-                writer._finish_retakes()
+                writer._finish_earlier_attempts()
                 writer._give_up_damaged()
             undo.pop_all()
         return writer
 
     @property
     def spare(self) -> int:
-        """Return how many more takes can be set aside."""
-        return int(np.count_nonzero(self._retakes["position"][()] == FREE))
+        """Return how many more attempts can be set aside."""
+        return int(np.count_nonzero(self._earlier_attempts["position"][()] == FREE))
 
     def reopen(self, interruption: Interruption) -> None:
         """Record that the run continues, and after which interruption.
@@ -237,7 +240,7 @@ class RunWriter:
         DiskError
             If the disk refuses the copy.
         """
-        free = np.flatnonzero(self._retakes["position"][()] == FREE)
+        free = np.flatnonzero(self._earlier_attempts["position"][()] == FREE)
         if not free.size:
             raise RunFileError(
                 f"{self.path}: has no space to measure step {position + 1} again; measure "
@@ -245,12 +248,12 @@ class RunWriter:
             )
         place = int(free[0])
         with self._disk_errors(f"step {position + 1} cannot be set aside"):
-            for name, column in self._retakes.items():
+            for name, column in self._earlier_attempts.items():
                 if name != "position":
                     source = self._signal if name == self._name else self._steps[name]
                     column[place] = source[position]
             self._flush()
-            self._retakes["position"][place] = UNDER_WAY - position
+            self._earlier_attempts["position"][place] = UNDER_WAY - position
             self._flush()
             self._finish_setting_aside(place)
 
@@ -342,10 +345,10 @@ class RunWriter:
         self._disk.check()
 
     def _finish_setting_aside(self, place: int) -> None:
-        """Make a step pending whose take is completely copied to a place of `/entry/retakes`."""
-        position = UNDER_WAY - int(self._retakes["position"][place])
-        self._make_pending(position, TO_BE_TAKEN_AGAIN)
-        self._retakes["position"][place] = position
+        """Make a step pending whose attempt is copied completely to `/entry/earlier_attempts`."""
+        position = UNDER_WAY - int(self._earlier_attempts["position"][place])
+        self._make_pending(position, TO_BE_MEASURED_AGAIN)
+        self._earlier_attempts["position"][place] = position
         self._flush()
 
     def _make_pending(self, position: int, reason: str) -> None:
@@ -365,16 +368,16 @@ class RunWriter:
                     "is damaged, or was begun by another version of this software; measure again"
                 )
 
-    def _finish_retakes(self) -> None:
-        """Finish copies of takes that a killed process began; remove damaged earlier takes."""
-        positions = self._retakes["position"][()]
+    def _finish_earlier_attempts(self) -> None:
+        """Finish the copies that a killed process began; remove damaged earlier attempts."""
+        positions = self._earlier_attempts["position"][()]
         of_step = np.where(positions <= UNDER_WAY, UNDER_WAY - positions, positions)
         known = (of_step >= 0) & (of_step < len(self._signal))
         planned = {name: column[of_step * known] for name, column in self._planned.items()}
-        intact = known & whole_rows(planned | self._measured(self._retakes))
+        intact = known & whole_rows(planned | self._measured(self._earlier_attempts))
         for place in np.flatnonzero(positions != FREE):
             if not intact[place]:
-                self._retakes["position"][place] = FREE
+                self._earlier_attempts["position"][place] = FREE
                 self._flush()
             elif positions[place] <= UNDER_WAY:
                 self._finish_setting_aside(int(place))
@@ -390,7 +393,7 @@ class RunWriter:
                 continue
             checksum = int(measured[PIXEL_CHECKSUM][position])
             if verdict is None or not (intact[position] and self._has_pixels(position, checksum)):
-                self._make_pending(position, f"was damaged on the disk; {TO_BE_TAKEN_AGAIN}")
+                self._make_pending(position, f"was damaged on the disk; {TO_BE_MEASURED_AGAIN}")
                 damaged.append(position)
         self.damaged = tuple(damaged)
 
@@ -402,8 +405,8 @@ class RunWriter:
         return pixel_checksum(pixels) == checksum
 
     def _measured(self, group: dict[str, Any]) -> dict[str, npt.NDArray[Any]]:
-        """Return the columns that hold what was measured, of steps or of earlier takes."""
-        names = self._retakes.keys() - {"position", self._name}
+        """Return the columns that hold what was measured, of steps or of earlier attempts."""
+        names = self._earlier_attempts.keys() - {"position", self._name}
         columns = {name: group[name][()] for name in names}
         self._disk.check()
         return columns
@@ -447,7 +450,7 @@ class RunWriter:
         for column in MEASURED:
             if column != "read_volts":
                 values[column] = getattr(step, column)
-        # Filled up if frames are missing, so that no values of an earlier take stay.
+        # Filled up if frames are missing, so that no values of an earlier attempt stay.
         kept = step.frames[: self._steps["frame_id"].shape[1]]
         missing = self._steps["frame_id"].shape[1] - len(kept)
         values["timestamp_s"] = [frame.timestamp_s for frame in kept] + [np.nan] * missing

@@ -58,7 +58,7 @@ class _SweepBar:
             self._progress.start()
         minutes, seconds = divmod(round(report.seconds_left), 60)
         colour = "green" if report.verdict is Verdict.OK else "red"
-        again = f" take {report.take}" if report.take > 1 else ""
+        again = f" attempt {report.attempt}" if report.attempt > 1 else ""
         self._progress.update(
             self._task,
             completed=report.done,
@@ -166,8 +166,8 @@ def run_summary(summary: RunSummary, bad_steps: Sequence[str]) -> list[str]:
     if bad:
         listed = ", ".join(f"{n} {v}" for v, n in bad.items())
         lines.append(f"not good: {listed}; for example: {bad_steps[0]}" if bad_steps else listed)
-    if summary.retaken:
-        lines.append(f"measured again: {summary.retaken} steps")
+    if summary.repeated:
+        lines.append(f"measured again: {summary.repeated} steps")
     lines += [f"remark: {remark}" for remark in summary.remarks]
     lines += [f"NOT CONFIRMED OFF, check the instrument: {what}" for what in summary.unconfirmed]
     return lines
@@ -201,7 +201,7 @@ def run_details(run: Run) -> dict[str, object]:
             "median": float(median(errors)) if errors else None,
             "largest": max(errors, default=None),
         },
-        "retakes": [_taken(step) for step in run.retakes],
+        "earlier_attempts": [_taken(step) for step in run.earlier_attempts],
         "bad": [_taken(step) for step in run.steps if step.verdict is not Verdict.OK],
         "interruptions": [asdict(interruption) for interruption in run.interruptions],
     }
@@ -236,7 +236,7 @@ def details_table(details: Mapping[str, Any]) -> Table:
     lock = details["lock_error_hz"]
     if lock["median"] is not None:
         row("lock error", f"{lock['median']:.2g} Hz median, {lock['largest']:.2g} Hz at most")
-    for key, word in (("retakes", "measured again"), ("bad", "not good")):
+    for key, word in (("earlier_attempts", "measured again"), ("bad", "not good")):
         for step in details[key]:
             row(word, f"step {step['index']}: {step['verdict']}: {step['sentence']}")
     for each in details["interruptions"]:

@@ -57,8 +57,8 @@ class StepReport:
         Number of recorded steps, including this one, and of planned steps.
     index : int
         Index k of the step in the protocol's sweep.
-    take : int
-        Number of the take of this step, from 1.
+    attempt : int
+        Number of the attempt of this step, from 1.
     drive_hz, volts : float
         Planned drive frequency and peak volts.
     verdict : Verdict
@@ -71,7 +71,7 @@ class StepReport:
     done: int
     of: int
     index: int
-    take: int
+    attempt: int
     drive_hz: float
     volts: float
     verdict: Verdict
@@ -101,7 +101,7 @@ class Recorder:
         self._reconstruction = reconstruction_of(plan)
         self._rate_hz = float(plan.protocol.camera.frame_rate_hz)
         self._verdicts = [Verdict.PENDING] * len(plan.steps)
-        self._takes = [0] * len(plan.steps)
+        self._attempts = [0] * len(plan.steps)
         self._last: tuple[int, Frame] | None = None
         # A driver that makes no statement about its read-back may only return what was sent to it.
         self._echoes = bool(getattr(bench.synthesizers, "echoes_registers", True))
@@ -165,7 +165,7 @@ class Recorder:
         writer = RunWriter.resume(path, plan)
         try:
             with Run.open(path) as run:
-                steps, retakes = run.steps, run.retakes
+                steps, earlier_attempts = run.steps, run.earlier_attempts
                 ended = "" if run.status == "running" else run.end_time
             documents = DocumentLog.resume(path)
         except BaseException:
@@ -173,7 +173,7 @@ class Recorder:
             raise
         recorder = cls(plan, bench, writer, documents, progress)
         try:
-            recorder._restore(steps, retakes, ended)
+            recorder._restore(steps, earlier_attempts, ended)
         except BaseException:
             documents.close()
             writer.close()
@@ -203,13 +203,13 @@ class Recorder:
         return tuple(self._verdicts)
 
     @property
-    def takes(self) -> Sequence[int]:
-        """Return the number of takes of every planned step; complete after `settle`."""
-        return tuple(self._takes)
+    def attempts(self) -> Sequence[int]:
+        """Return the number of attempts of every planned step; complete after `settle`."""
+        return tuple(self._attempts)
 
     @property
     def spare(self) -> int:
-        """Return how many more takes can be set aside; call it only after `settle`."""
+        """Return how many more attempts can be set aside; call it only after `settle`."""
         return self._writer.spare
 
     def submit(self, acquisition: Acquisition) -> None:
@@ -278,25 +278,25 @@ class Recorder:
             self._writer.finish("failed")
 
     def _restore(
-        self, steps: Sequence[StepRecord], retakes: Sequence[StepRecord], ended: str
+        self, steps: Sequence[StepRecord], earlier_attempts: Sequence[StepRecord], ended: str
     ) -> None:
-        """Restore verdicts and takes from a run file, and write events that are missing.
+        """Restore verdicts and attempts from a run file, and write events that are missing.
 
         An event is missing if the process was killed after it wrote the step.
         """
         self._resumed = True
-        for earlier in retakes:
-            self._takes[earlier.position] += 1
+        for earlier in earlier_attempts:
+            self._attempts[earlier.position] += 1
         for step in steps:
             self._verdicts[step.position] = step.verdict
-            known = self._documents.takes_of(step.index, step.order)
+            known = self._documents.attempts_of(step.index, step.order)
             if step.verdict.measured:
-                self._takes[step.position] += 1
-                take = self._takes[step.position]
-                if take > known:
-                    self._documents.event(recorded_data(step, take), time.time())
-            # The documents know more takes than the run file if the disk has damaged one.
-            self._takes[step.position] = max(self._takes[step.position], known)
+                self._attempts[step.position] += 1
+                attempt = self._attempts[step.position]
+                if attempt > known:
+                    self._documents.event(recorded_data(step, attempt), time.time())
+            # The documents know more attempts than the run file if the disk has damaged one.
+            self._attempts[step.position] = max(self._attempts[step.position], known)
         first = next((s for s, v in enumerate(self._verdicts) if not v.measured), len(steps))
         reason = "the process had died" if not ended else "the run had ended early"
         damaged = [str(steps[position].index) for position in self._writer.damaged]
@@ -309,10 +309,10 @@ class Recorder:
         measured = self._measured(acquisition)
         if self._verdicts[position].measured:
             self._writer.set_aside(position)
-        self._takes[position] += 1
+        self._attempts[position] += 1
         self._writer.write(position, measured)
         self._verdicts[position] = measured.judgement.verdict
-        self._documents.event(event_data(step, self._takes[position], measured), time.time())
+        self._documents.event(event_data(step, self._attempts[position], measured), time.time())
         self._recorded += 1
         done, of = sum(verdict.measured for verdict in self._verdicts), len(self._plan.steps)
         self._progress(
@@ -320,7 +320,7 @@ class Recorder:
                 done=done,
                 of=of,
                 index=step.index,
-                take=self._takes[position],
+                attempt=self._attempts[position],
                 drive_hz=float(step.drive_hz),
                 volts=step.volts,
                 verdict=measured.judgement.verdict,
@@ -378,7 +378,7 @@ class Recorder:
         return (now_s - self._first_done_s) / (self._recorded - 1) * steps
 
     def _mark(self, position: int, verdict: Verdict, reason: str) -> None:
-        # The data of an earlier take stay valid.
+        # The data of an earlier attempt stay valid.
         if not self._verdicts[position].measured:
             self._writer.mark(position, verdict, reason)
             self._verdicts[position] = verdict

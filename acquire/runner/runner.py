@@ -215,7 +215,7 @@ class Runner:
             ended_by="" if not reason else "person" if reason == _ON_REQUEST else "policy",
             counts=recorder.counts,
             steps=len(self._plan.steps),
-            retaken=sum(max(takes - 1, 0) for takes in recorder.takes),
+            repeated=sum(max(takes - 1, 0) for takes in recorder.attempts),
             duration_s=time.monotonic() - started_s,
             unconfirmed=self._unconfirmed,
             remarks=recorder.remarks,
@@ -263,7 +263,7 @@ class Runner:
     def _measure_all(self, recorder: Recorder) -> str:
         """Measure pending steps, then bad steps again; return why the run ends early, or empty."""
         policy = self._plan.protocol.policy.bad_step
-        # If a bad step had stopped the run, measure it again, if there is space for another take.
+        # If a bad step had stopped the run, measure it again if there is space for an attempt.
         again = policy.then == "stop" and recorder.spare > 0
         verdicts = recorder.verdicts
         todo = [
@@ -311,7 +311,7 @@ class Runner:
     def _bad_step(self, recorder: Recorder, position: int) -> str:
         step, verdict = self._plan.steps[position], recorder.verdicts[position]
         return (
-            f"step {step.index} is {verdict} after {recorder.takes[position]} takes, and the "
+            f"step {step.index} is {verdict} after {recorder.attempts[position]} attempts, and the "
             "policy of the protocol (bad_step) is to stop; see the sentence of this step"
         )
 

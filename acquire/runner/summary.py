@@ -40,8 +40,8 @@ class RunSummary:
         Number of measured steps with each verdict.
     steps : int
         Number of planned steps.
-    retaken : int
-        Number of takes beyond one for each step, including takes of an earlier process.
+    repeated : int
+        Number of attempts beyond one for each step, including attempts of an earlier process.
     duration_s : float
         Duration of the run in s.
     unconfirmed : tuple of str
@@ -56,7 +56,7 @@ class RunSummary:
     ended_by: Literal["", "person", "policy"]
     counts: Mapping[Verdict, int]
     steps: int
-    retaken: int
+    repeated: int
     duration_s: float
     unconfirmed: tuple[str, ...]
     remarks: tuple[str, ...] = ()

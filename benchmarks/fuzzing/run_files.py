@@ -37,7 +37,7 @@ _SMALL = {
 # No checksum covers these, because they change after they were written
 # (docs/reference/run-file.md, Checksums).
 _NOT_COVERED = re.compile(
-    r"entry/(status|end_time|interruptions/.*|(steps|retakes)/(verdict|sentence))"
+    r"entry/(status|end_time|interruptions/.*|(steps|earlier_attempts)/(verdict|sentence))"
 )
 _PICTURES = ("field", "frames")
 
@@ -180,9 +180,9 @@ def content_of(path: Path, plan: Plan) -> dict[str, str]:
                 _add_array(read, f"field {step.position}", partial(run.field, step.position))
             if step.verdict.measured and run.keep == "frames":
                 _add_array(read, f"frames {step.position}", partial(run.frames, step.position))
-        for number, take in enumerate(run.retakes):
-            read[f"take {number}"] = repr(take)
-            _add_array(read, f"field of take {number}", partial(run.retaken_field, number))
+        for number, attempt in enumerate(run.earlier_attempts):
+            read[f"attempt {number}"] = repr(attempt)
+            _add_array(read, f"field of attempt {number}", partial(run.earlier_field, number))
     try:
         read["unfinished"] = repr(unfinished(path, plan))
     except RunFileError as error:

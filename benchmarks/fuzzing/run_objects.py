@@ -130,7 +130,7 @@ _UNREAD = (
 
 def _is_read(name: str) -> bool:
     """Whether a change of an object's type or shape can matter."""
-    inexact = name.endswith("_hz") and name.startswith(("entry/steps", "entry/retakes"))
+    inexact = name.endswith("_hz") and name.startswith(("entry/steps", "entry/earlier_attempts"))
     measured = name.endswith(("lock_error_hz", "lock_error_se_hz"))
     return not name.endswith(_UNREAD) and (measured or not inexact)
 
@@ -311,7 +311,7 @@ _ABSURD_ITEMS: dict[str, tuple[Any, ...]] = {
     "entry/steps/index": (2**62,),
     "entry/steps/order": (2**40, -(2**40)),
     "entry/steps/volts": (np.nan, -1.0, np.inf),
-    "entry/retakes/position": (5, 99, 2**62),
+    "entry/earlier_attempts/position": (5, 99, 2**62),
     "entry/interruptions/position": (-5, 2**62),
     "entry/instrument/acoustic_resonances": (np.nan, -1.0, np.inf),
     "entry/data/y_m": (np.nan, np.inf),

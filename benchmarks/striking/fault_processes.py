@@ -31,10 +31,10 @@ _PATIENCE_S = 0.5
 _NEW_MOUNTS, _NEW_USER = 0x00020000, 0x10000000
 _STRUCK = "REEDBENCH_BENCHMARK_SIGNAL"
 FRAMES = replace(NO_FAULT, name="frames kept", protocol={"keep": "frames"})
-# One step is spoilt, and taken again after the last.
-RETAKEN = replace(NO_FAULT, name="a step again", faults={"drop_frame_at": [3]})
+# One step is spoilt, and measured again after the last.
+REPEATED = replace(NO_FAULT, name="a step again", faults={"drop_frame_at": [3]})
 
-PHASES = ("opening", "sweep", "pause", "retake", "packing")
+PHASES = ("opening", "sweep", "pause", "repeat", "packing")
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
@@ -60,9 +60,9 @@ def _phase_arguments(number: int, phase: str) -> tuple[Fault, acquire.Callbacks]
             return paused, acquire.Callbacks(
                 announce=lambda said: _strike(number) if "paused" in said else None
             )
-        case "retake":
-            return RETAKEN, acquire.Callbacks(
-                step=lambda step: _strike(number) if step.take == 2 else None
+        case "repeat":
+            return REPEATED, acquire.Callbacks(
+                step=lambda step: _strike(number) if step.attempt == 2 else None
             )
         case "packing":
             return FRAMES, acquire.Callbacks(packing=lambda _: _strike(number))
@@ -95,7 +95,7 @@ def signalled(number: int, phase: str, folder: Path) -> Outcome:
         ``off`` is that of the laboratory in that process.
     """
     path = folder / f"{signal.Signals(number).name} {phase}.h5"
-    fault = {"retake": RETAKEN, "packing": FRAMES}.get(phase, NO_FAULT)
+    fault = {"repeat": REPEATED, "packing": FRAMES}.get(phase, NO_FAULT)
     return outcome_of(fault, path, _in_a_process(_signalled, number, phase, path))
 
 

@@ -38,12 +38,12 @@ class Outcome:
     ending : str
     reason : str
         Why it stopped; empty if it did not.
-    good, bad, retaken : int
-        Steps by verdict, and takes that were taken again.
+    good, bad, repeated : int
+        Steps by verdict, and attempts that were measured again.
     wrong : int
         Steps marked good whose exposures were not those of the plan. More than 0 is never right.
     sentences : tuple of str
-        Verdicts and sentences of all takes that are not good.
+        Verdicts and sentences of all attempts that are not good.
     off : bool
         Whether nothing is played at the end.
     unconfirmed : tuple of str
@@ -54,7 +54,7 @@ class Outcome:
     reason: str
     good: int
     bad: int
-    retaken: int
+    repeated: int
     wrong: int
     sentences: tuple[str, ...]
     off: bool
@@ -128,7 +128,7 @@ def measured(
     given = callbacks or acquire.Callbacks()
 
     def reported(step: StepReport) -> None:
-        if fault.amid and step.done == _AMID_STEPS and step.take == 1:
+        if fault.amid and step.done == _AMID_STEPS and step.attempt == 1:
             fault.amid(benches[-1])
         given.step(step)
 
@@ -175,10 +175,10 @@ def outcome_of(fault: Fault, path: Path, what: Ended) -> Outcome:
     """Compare what a run file says with the truth."""
     ended, unconfirmed, truth = what
     steps: tuple[StepRecord, ...] = ()
-    retakes: tuple[StepRecord, ...] = ()
+    earlier_attempts: tuple[StepRecord, ...] = ()
     if path.exists():
         with Run.open(path) as opened:
-            steps, retakes = opened.steps, opened.retakes
+            steps, earlier_attempts = opened.steps, opened.earlier_attempts
     good = [step for step in steps if step.verdict is Verdict.OK]
     bad = [step for step in steps if step.verdict not in (Verdict.OK, Verdict.PENDING)]
     exposure_s = float(planned(fault).protocol.exposure_s)
@@ -188,9 +188,9 @@ def outcome_of(fault: Fault, path: Path, what: Ended) -> Outcome:
         reason=ended if isinstance(ended, str) else ended.reason,
         good=len(good),
         bad=len(bad),
-        retaken=len(retakes),
+        repeated=len(earlier_attempts),
         wrong=sum(not as_planned(step, truth, exposure_s) for step in good),
-        sentences=tuple(f"{step.verdict}: {step.sentence}" for step in (*retakes, *bad)),
+        sentences=tuple(f"{step.verdict}: {step.sentence}" for step in (*earlier_attempts, *bad)),
         off=truth.off,
         unconfirmed=unconfirmed,
     )

@@ -141,9 +141,9 @@ def _layout(file: Any, check: Check) -> dict[str, Part]:
         raise altered(check.path, "entry/data", "has no valid attribute 'signal'")
     kind, axes = PICTURES[str(signal)]
     layout[f"entry/data/{signal}"] = Part(kind, ("steps", *axes))
-    retake_positions = "entry/retakes/position"
-    if retake_positions in layout and check.shape(retake_positions) != (0,):
-        layout[f"entry/retakes/{signal}"] = Part(kind, ("retakes", *axes))
+    earlier_positions = "entry/earlier_attempts/position"
+    if earlier_positions in layout and check.shape(earlier_positions) != (0,):
+        layout[f"entry/earlier_attempts/{signal}"] = Part(kind, ("earlier_attempts", *axes))
     for name in layout:
         if name not in check.datasets:
             raise KeyError(f"{name} is missing")
@@ -186,7 +186,7 @@ def _require_shapes(check: Check, layout: Mapping[str, Part]) -> None:
     rows = {
         "entry/steps/verdict": 1,
         "entry/instrument/acoustic_resonances": 1,
-        "entry/retakes/position": 1,
+        "entry/earlier_attempts/position": 1,
         "entry/interruptions/position": 1,
     }
     for name, axes in {**dict.fromkeys(scalars, 0), **rows}.items():
@@ -213,7 +213,7 @@ def _lengths(check: Check, layout: Mapping[str, Part]) -> dict[str, int]:
         "lines": check.shape("entry/instrument/acoustic_resonances")[0],
     }
     check.require(1 <= lengths["steps"] <= MAX_STEPS, "entry/steps", f"has {lengths['steps']} rows")
-    for axis in ("retakes", "interruptions"):
+    for axis in ("earlier_attempts", "interruptions"):
         if f"entry/{axis}/position" in layout:
             lengths[axis] = check.shape(f"entry/{axis}/position")[0]
     sizes = {"rows": "instrument/camera", "columns": "instrument/camera"}

@@ -112,7 +112,7 @@ def require_columns(check: Check) -> None:
     _require_range(check, "entry/steps/volts", 0, 1000)
     _require_range(check, "entry/instrument/acoustic_resonances", 0, _MAX_HZ)
     # -1 is a free place; -2 - position is a place that is being filled (see `layout.UNDER_WAY`).
-    _require_range(check, "entry/retakes/position", -1 - steps, steps - 1)
+    _require_range(check, "entry/earlier_attempts/position", -1 - steps, steps - 1)
     _require_range(check, "entry/interruptions/position", -1, MAX_STEPS)
     strength = check.values("entry/sample/strength")
     check.require(not math.isinf(strength), "entry/sample/strength", "is infinite")

@@ -103,7 +103,8 @@ GROUPS: Final[dict[str, dict[str, Part]]] = {
     "entry/instrument/laser": _scalars(Kind.NUMBER, "wavelength", "distance"),
     "entry/region": _scalars(Kind.INTEGER, "row", "column", "height", "width"),
     "entry/steps": _steps(),
-    "entry/retakes": {"position": Part(Kind.INTEGER, ("retakes",))} | _measured("retakes"),
+    "entry/earlier_attempts": {"position": Part(Kind.INTEGER, ("earlier_attempts",))}
+    | _measured("earlier_attempts"),
     "entry/interruptions": {"position": Part(Kind.INTEGER, ("interruptions",))}
     | {name: Part(Kind.TEXT, ("interruptions",)) for name in INTERRUPTIONS[1:]},
     "entry/data": {
@@ -112,11 +113,13 @@ GROUPS: Final[dict[str, dict[str, Part]]] = {
     },
 }
 
-OPTIONAL_GROUPS: Final = frozenset({"entry/acquisition", "entry/retakes", "entry/interruptions"})
+OPTIONAL_GROUPS: Final = frozenset(
+    {"entry/acquisition", "entry/earlier_attempts", "entry/interruptions"}
+)
 
 # Pairs of datasets: a file has both of them or neither.
 TOGETHER: Final = (
-    ("entry/retakes/position", "entry/interruptions/position"),
+    ("entry/earlier_attempts/position", "entry/interruptions/position"),
     ("entry/provenance/reed", "entry/provenance/reed_sha256"),
     ("entry/steps/lock_error_hz", "entry/steps/lock_error_se_hz"),
 )

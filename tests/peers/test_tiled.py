@@ -129,12 +129,12 @@ def test_every_take_of_a_step_is_an_event_and_the_last_one_is_served(
     table = found["primary"].read()
     with Run.open(path) as run:
         first, second, *others = run.steps
-        [dropped] = run.retakes
+        [dropped] = run.earlier_attempts
         assert (dropped.verdict, second.verdict) == (Verdict.DROPPED, Verdict.OK)
         require_same(table, [first, dropped, *others, second])
-        assert table["take"].values.tolist() == [1, 1, 1, 1, 1, 2]
+        assert table["attempt"].values.tolist() == [1, 1, 1, 1, 1, 2]
         np.testing.assert_array_equal(found["steps"]["field"][1], run.field(1))
-        assert not np.array_equal(run.field(1), run.retaken_field(0))
+        assert not np.array_equal(run.field(1), run.earlier_field(0))
 
 
 def test_a_run_that_is_gone_on_with_reads_back_as_one(

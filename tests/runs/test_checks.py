@@ -18,7 +18,7 @@ STEPS = 4
 
 @pytest.fixture
 def run_file(tiny_plan, fake_bench, tmp_path):
-    """Path of a run file with places for earlier takes, none of whose steps was measured."""
+    """Path of a run file with places for earlier attempts, none of whose steps was measured."""
     plan = tiny_plan(STEPS, **{"policy.bad_step.retries": 1})
     path = tmp_path / "run.h5"
     writer = RunWriter.create(
@@ -200,9 +200,9 @@ def test_pictures_that_the_file_cannot_hold_are_refused(run_file, compression):
         put(
             file, "entry/data/field", shape=shape, dtype="c8", chunks=chunk, compression=compression
         )
-        retakes = (len(file["entry/retakes/position"]), side, side)
+        earlier_attempts = (len(file["entry/earlier_attempts/position"]), side, side)
         made = {"dtype": "c8", "chunks": chunk, "compression": compression}
-        put(file, "entry/retakes/field", shape=retakes, **made)
+        put(file, "entry/earlier_attempts/field", shape=earlier_attempts, **made)
 
     assert "bytes" in refused(run_file, enlarge)
 
@@ -229,7 +229,9 @@ def test_a_column_of_a_later_version_does_no_harm(run_file):
     Run.open(run_file).close()
 
 
-@pytest.mark.parametrize("lost", ["entry/retakes", "entry/interruptions", "entry/provenance/reed"])
+@pytest.mark.parametrize(
+    "lost", ["entry/earlier_attempts", "entry/interruptions", "entry/provenance/reed"]
+)
 def test_what_is_written_together_is_there_together(run_file, lost):
     def delete(file):
         del file[lost]
@@ -279,8 +281,8 @@ def test_hdf5_is_not_left_to_search_a_heap_of_zeros_for_ever(run_file):
         ("entry/steps/volts", np.nan),
         ("entry/steps/order", 2**40),
         ("entry/steps/drive_hz", 1.0),
-        ("entry/retakes/position", STEPS),
-        ("entry/retakes/position", -2 - STEPS),
+        ("entry/earlier_attempts/position", STEPS),
+        ("entry/earlier_attempts/position", -2 - STEPS),
         ("entry/interruptions/position", 2**62),
         ("entry/data/y_m", np.nan),
         ("entry/instrument/acoustic_resonances", -1.0),

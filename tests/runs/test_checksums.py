@@ -36,23 +36,23 @@ from runs.verdict import (
 FREE_TO_CHANGE = {"verdict", "sentence"}
 
 
-def taken(plan, position, verdict=Verdict.OK, take=1):
-    """A step whose every number follows from its position and its take."""
-    rng = np.random.default_rng([position, take])
-    step, number = plan.steps[position], 10 * position + take
+def taken(plan, position, verdict=Verdict.OK, attempt=1):
+    """A step whose every number follows from its position and its attempt."""
+    rng = np.random.default_rng([position, attempt])
+    step, number = plan.steps[position], 10 * position + attempt
     images = rng.integers(0, 4096, (4, *plan.frame_shape), dtype=np.uint16)
     frames = [Frame(4 * number + k, number + 0.1 * k, image) for k, image in enumerate(images)]
     read = ReadBack(step.aom1_hz, step.aom2_hz, step.drive_hz, step.volts)
     field = reconstruction_of(plan).field(images)
     return MeasuredStep(
         read, float(number), frames, field, 10.0, 2.0, 0.01, 900.0, -1e-3, 1e-4, 1e-3,
-        Judgement(verdict, f"take {take}"),
+        Judgement(verdict, f"attempt {attempt}"),
     )  # fmt: skip
 
 
 @pytest.fixture
 def measured(tiny_plan, fake_bench, tmp_path):
-    """Write a run of three good steps, the second at its second take; return plan and path."""
+    """Write a run of three good steps, the second at its second attempt; return plan and path."""
 
     def make(keep="holograms", status="complete"):
         plan = tiny_plan(steps=3, keep=keep, **{"policy.bad_step.retries": 1})
@@ -63,7 +63,7 @@ def measured(tiny_plan, fake_bench, tmp_path):
         for position in range(3):
             writer.write(position, taken(plan, position, Verdict.LOCK if position == 1 else "ok"))
         writer.set_aside(1)
-        writer.write(1, taken(plan, 1, take=2))
+        writer.write(1, taken(plan, 1, attempt=2))
         writer.finish(status)
         return plan, writer.path
 
@@ -138,15 +138,15 @@ def test_a_flipped_byte_in_pixels_is_noticed_whenever_they_are_read(measured, ke
     _, path = measured(keep)
     name = "field" if keep == "holograms" else "frames"
     flip(path, f"data/{name}", 2)
-    flip(path, f"retakes/{name}", 0)
+    flip(path, f"earlier_attempts/{name}", 0)
     with Run.open(path) as run:
         assert run.good.all()
         run.field(0)
         for read in (run.field, run.frames) if keep == "frames" else (run.field,):
             with pytest.raises(RunFileError, match=r"step 16 is damaged .*checksum.*another copy"):
                 read(2)
-        with pytest.raises(RunFileError, match="an earlier take of step 14 is damaged"):
-            run.retaken_field(0)
+        with pytest.raises(RunFileError, match="an earlier attempt of step 14 is damaged"):
+            run.earlier_field(0)
 
 
 def test_a_flipped_byte_in_any_number_of_a_step_is_noticed_when_a_run_is_opened(measured):
@@ -165,10 +165,14 @@ def test_a_flipped_byte_in_any_number_of_a_step_is_noticed_when_a_run_is_opened(
 
 def test_a_flipped_byte_in_any_number_of_an_earlier_take_is_noticed(measured):
     _, path = measured()
-    for name in set(columns_of(path, "entry/retakes")) - {*FREE_TO_CHANGE, "field", "position"}:
+    for name in set(columns_of(path, "entry/earlier_attempts")) - {
+        *FREE_TO_CHANGE,
+        "field",
+        "position",
+    }:
         copy = shutil.copy(path, path.with_name("copy.h5"))
-        flip(copy, f"retakes/{name}", 0)
-        with pytest.raises(RunFileError, match="an earlier take of step 14 are damaged"):
+        flip(copy, f"earlier_attempts/{name}", 0)
+        with pytest.raises(RunFileError, match="an earlier attempt of step 14 are damaged"):
             Run.open(copy)
 
 
@@ -218,39 +222,39 @@ def test_a_damaged_step_is_taken_again_when_its_run_is_gone_on_with(measured, da
         assert [step.verdict for step in run] == ["ok", "ok", "pending"]
         assert "damaged" in run.steps[2].sentence
         assert np.isnan(run.steps[2].noise_level)
-    writer.write(2, taken(plan, 2, take=3))
+    writer.write(2, taken(plan, 2, attempt=3))
     writer.finish("complete")
     with Run.open(path) as run:
         assert run.good.all()
-        for position, take in ((0, 1), (1, 2), (2, 3)):
-            expected = taken(plan, position, take=take).field
+        for position, attempt in ((0, 1), (1, 2), (2, 3)):
+            expected = taken(plan, position, attempt=attempt).field
             np.testing.assert_array_equal(run.field(position), expected)
 
 
 def test_a_damaged_earlier_take_is_given_up_when_its_run_is_gone_on_with(measured):
     plan, path = measured(status="interrupted")
-    flip(path, "retakes/noise_level", 0)
+    flip(path, "earlier_attempts/noise_level", 0)
     writer = RunWriter.resume(path, plan)
     assert (writer.spare, writer.damaged) == (plan.spare_attempts, ())
     writer.finish("complete")
     with Run.open(path) as run:
         assert run.good.all()
-        assert run.retakes == ()
+        assert run.earlier_attempts == ()
 
 
 def test_a_take_that_was_torn_while_it_was_set_aside_stays_where_it_was(measured):
-    """As a power cut leaves it: the place says that a take is in it, but it never came there."""
+    """As a power cut leaves it: the place claims an attempt that never came there."""
     plan, path = measured(status="interrupted")
     with h5py.File(path, "r+") as file:
         file["entry/steps/verdict"][2] = "stale"
-        file["entry/retakes/position"][1] = -2 - 2
+        file["entry/earlier_attempts/position"][1] = -2 - 2
     with Run.open(path, damaged_as_pending=True) as run:
-        assert (run.steps[2].verdict, len(run.retakes)) == (Verdict.STALE, 1)
+        assert (run.steps[2].verdict, len(run.earlier_attempts)) == (Verdict.STALE, 1)
     writer = RunWriter.resume(path, plan)
     assert writer.spare == plan.spare_attempts - 1
     writer.finish("complete")
     with Run.open(path) as run:
-        assert (run.steps[2].verdict, len(run.retakes)) == (Verdict.STALE, 1)
+        assert (run.steps[2].verdict, len(run.earlier_attempts)) == (Verdict.STALE, 1)
         np.testing.assert_array_equal(run.field(2), taken(plan, 2).field)
 
 
@@ -281,5 +285,10 @@ def test_a_run_with_a_torn_step_is_gone_on_with_and_says_so(
         (interruption,) = mended.interruptions
         assert "damaged" in interruption.reason
         assert "step 14" in interruption.reason
-    takes = [d["data"] for name, d in documents_of(path) if name == "event"]
-    assert [(take["index"], take["take"]) for take in takes] == [(12, 1), (14, 1), (16, 1), (14, 2)]
+    attempts = [d["data"] for name, d in documents_of(path) if name == "event"]
+    assert [(attempt["index"], attempt["attempt"]) for attempt in attempts] == [
+        (12, 1),
+        (14, 1),
+        (16, 1),
+        (14, 2),
+    ]

@@ -118,7 +118,7 @@ def change_a_unit(path):
 
 def forget_a_column(path):
     with h5py.File(path, "r+", locking=False) as file:
-        del file["entry/retakes/noise_level"]
+        del file["entry/earlier_attempts/noise_level"]
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ def test_nothing_is_lost(path, unpacked):
     assert 0.1 < packed.ratio < 0.9
     with h5py.File(path, "r") as file:
         assert file["entry/data/frames"].compression == "lzf"
-        assert file["entry/retakes/frames"].compression == "lzf"
+        assert file["entry/earlier_attempts/frames"].compression == "lzf"
     with Run.open(path) as run, Run.open(unpacked) as before:
         assert run.steps == before.steps
         for position in range(len(run)):

@@ -25,7 +25,7 @@ from runs.disk import DiskFile
 from runs.errors import DiskError, RunFileError
 from runs.layout import (
     INTERRUPTIONS_MAX,
-    TO_BE_TAKEN_AGAIN,
+    TO_BE_MEASURED_AGAIN,
     Interruption,
     exact_text,
 )
@@ -69,9 +69,9 @@ def geometry(plan):
     return Reconstruction(transform, plan.region)
 
 
-def measured(plan, position, verdict=Verdict.OK, take=1):
-    """A step whose every number follows from its position, its pictures also from the take."""
-    rng = np.random.default_rng([position, take])
+def measured(plan, position, verdict=Verdict.OK, attempt=1):
+    """A step whose every number follows from its position, its pictures also from the attempt."""
+    rng = np.random.default_rng([position, attempt])
     step = plan.steps[position]
     images = rng.integers(0, 4096, (4, *plan.frame_shape), dtype=np.uint16)
     return MeasuredStep(
@@ -395,8 +395,8 @@ def retaking(tiny_plan):
 @pytest.mark.parametrize("keep", ["holograms", "frames"])
 def test_of_a_step_that_was_taken_again_both_takes_are_kept(retaking, create, keep):
     plan = retaking(keep=keep)
-    first = replace(measured(plan, 1, Verdict.DROPPED, take=1), changed_s=11.0)
-    second = replace(measured(plan, 1, Verdict.OK, take=2), changed_s=22.0)
+    first = replace(measured(plan, 1, Verdict.DROPPED, attempt=1), changed_s=11.0)
+    second = replace(measured(plan, 1, Verdict.OK, attempt=2), changed_s=22.0)
     writer = create(plan=plan)
     writer.write(0, measured(plan, 0))
     writer.write(1, first)
@@ -404,26 +404,26 @@ def test_of_a_step_that_was_taken_again_both_takes_are_kept(retaking, create, ke
     writer.set_aside(1)
     assert writer.spare == 7
     with Run.open(writer.path) as run:
-        # Nothing of the first take is where the second one is to come.
+        # Nothing of the first attempt is where the second one is to come.
         assert run.steps[1].verdict is Verdict.PENDING
-        assert [take.verdict for take in run.retakes] == [Verdict.DROPPED]
+        assert [attempt.verdict for attempt in run.earlier_attempts] == [Verdict.DROPPED]
     writer.write(1, second)
     writer.finish("complete")
     with Run.open(writer.path) as run:
-        (earlier,), latest = run.retakes, run.steps[1]
+        (earlier,), latest = run.earlier_attempts, run.steps[1]
         assert (earlier.position, latest.position) == (1, 1)
         assert (earlier.verdict, latest.verdict) == (Verdict.DROPPED, Verdict.OK)
         assert (earlier.changed_s, latest.changed_s) == (11.0, 22.0)
-        np.testing.assert_array_equal(run.retaken_field(0), first.field)
+        np.testing.assert_array_equal(run.earlier_field(0), first.field)
         np.testing.assert_array_equal(run.field(1), second.field)
         np.testing.assert_array_equal(run.field(0), measured(plan, 0).field)
         # All but what was said of it is the same.
         same = {"verdict": Verdict.OK, "changed_s": 22.0}
         assert replace(earlier, **same) == latest
         with pytest.raises(IndexError):
-            run.retaken_field(1)
+            run.earlier_field(1)
     with pytest.raises(RunFileError, match="is closed; open it again"):
-        run.retaken_field(0)
+        run.earlier_field(0)
 
 
 def test_takes_before_the_last_are_in_the_order_in_which_they_were_taken_again(retaking, create):
@@ -436,8 +436,8 @@ def test_takes_before_the_last_are_in_the_order_in_which_they_were_taken_again(r
         writer.write(position, measured(plan, position, verdict))
     writer.finish("complete")
     with Run.open(writer.path) as run:
-        retakes = [(take.position, take.verdict) for take in run.retakes]
-        assert retakes == [(2, Verdict.LOCK), (0, Verdict.LOCK), (2, Verdict.STALE)]
+        earlier_attempts = [(attempt.position, attempt.verdict) for attempt in run.earlier_attempts]
+        assert earlier_attempts == [(2, Verdict.LOCK), (0, Verdict.LOCK), (2, Verdict.STALE)]
 
 
 def test_without_a_spare_place_nothing_is_set_aside(retaking, create):
@@ -446,14 +446,14 @@ def test_without_a_spare_place_nothing_is_set_aside(retaking, create):
     for _ in range(plan.spare_attempts):
         writer.write(0, measured(plan, 0, Verdict.DROPPED))
         writer.set_aside(0)
-    writer.write(0, measured(plan, 0, Verdict.DROPPED, take=7))
+    writer.write(0, measured(plan, 0, Verdict.DROPPED, attempt=7))
     assert writer.spare == 0
     with pytest.raises(RunFileError, match="no space to measure step 1 again"):
         writer.set_aside(0)
     writer.finish("complete")
     with Run.open(writer.path) as run:
         assert run.steps[0].verdict is Verdict.DROPPED
-        expected = measured(plan, 0, take=7).field
+        expected = measured(plan, 0, attempt=7).field
         np.testing.assert_array_equal(run.field(0), expected)
 
 
@@ -463,14 +463,14 @@ def test_a_shorter_take_has_nothing_of_the_longer_one_before(retaking, create, k
     writer = create(plan=plan)
     writer.write(1, measured(plan, 1, Verdict.STALE))
     writer.set_aside(1)
-    short = measured(plan, 1, Verdict.DROPPED, take=2)
+    short = measured(plan, 1, Verdict.DROPPED, attempt=2)
     short = replace(short, frames=short.frames[:2], field=0 * short.field)
     writer.write(1, short)
     writer.finish("complete")
     with Run.open(writer.path) as run:
         assert run.steps[1].frame_ids == (10, 11, -1, -1)
         np.testing.assert_equal(run.steps[1].timestamps_s, (1.0, 1.1, np.nan, np.nan))
-        assert run.retakes[0].frame_ids == (10, 11, 12, 13)
+        assert run.earlier_attempts[0].frame_ids == (10, 11, 12, 13)
         if keep == "frames":
             np.testing.assert_array_equal(run.frames(1)[1], short.frames[1].image)
             assert not run.frames(1)[2:].any()
@@ -550,7 +550,7 @@ def test_a_file_is_gone_on_with_where_it_stopped(retaking, create):
     with Run.open(writer.path) as run:
         assert run.status == "complete"
         assert run.good.all()
-        assert [take.verdict for take in run.retakes] == [Verdict.LOCK]
+        assert [attempt.verdict for attempt in run.earlier_attempts] == [Verdict.LOCK]
         for position in range(4):
             np.testing.assert_array_equal(run.field(position), measured(plan, position).field)
 
@@ -576,7 +576,7 @@ def test_a_file_of_today_says_its_version(create):
     writer = create()
     writer.finish("complete")
     with Run.open(writer.path) as run:
-        assert run.format_version == 4
+        assert run.format_version == 5
 
 
 @pytest.mark.parametrize("lost", ["version", "checksums"])
@@ -585,7 +585,7 @@ def test_a_file_without_checksums_is_of_an_older_format(create, lost):
     writer.finish("complete")
     with h5py.File(writer.path, "r+") as file:
         if lost == "version":
-            file.attrs["format_version"] = 3
+            file.attrs["format_version"] = 4
         else:
             del file["entry/steps/row_checksum"], file["entry/steps/pixel_checksum"]
     missing = r"(format version|pixel_checksum is missing).*measure again"
@@ -636,57 +636,57 @@ class Logged(DiskFile):
             yield bytes(content)
 
 
-TAKES = [(0, Verdict.DROPPED), (1, Verdict.OK), (2, Verdict.STALE)]
+ATTEMPTS = [(0, Verdict.DROPPED), (1, Verdict.OK), (2, Verdict.STALE)]
 
 
 @pytest.fixture
 def states(retaking, create):
-    """Plan and takes of a run with two bad steps, and what its file holds wherever it is killed."""
-    plan, takes = retaking(steps=len(TAKES)), {}
-    for position, verdict in TAKES:
+    """Plan and attempts of a run with two bad steps, and its file wherever it is killed."""
+    plan, attempts = retaking(steps=len(ATTEMPTS)), {}
+    for position, verdict in ATTEMPTS:
         for number, said in ((1, verdict), (2, Verdict.OK)):
             step = measured(plan, position, said, number)
-            # The time tells which take it is.
-            takes[position, number] = replace(step, changed_s=10.0 * position + number)
+            # The time tells which attempt it is.
+            attempts[position, number] = replace(step, changed_s=10.0 * position + number)
     writer = create(plan=plan)
     writer.close()
     before, log = writer.path.read_bytes(), Logged(writer.path)
     writer = RunWriter(writer.path, log, plan.protocol.keep)
-    for position, _ in TAKES:
-        writer.write(position, takes[position, 1])
-    for position, verdict in TAKES:
+    for position, _ in ATTEMPTS:
+        writer.write(position, attempts[position, 1])
+    for position, verdict in ATTEMPTS:
         if verdict is not Verdict.OK:
             writer.set_aside(position)
-            writer.write(position, takes[position, 2])
+            writer.write(position, attempts[position, 2])
     writer.finish("complete")
     log.close()
     assert len(log.changes) > 100
-    return plan, takes, list(log.states(before))
+    return plan, attempts, list(log.states(before))
 
 
 def test_whatever_is_written_last_every_take_in_the_file_is_whole(states):
-    _, takes, contents = states
-    firsts, seen = dict(TAKES), set()
+    _, attempts, contents = states
+    firsts, seen = dict(ATTEMPTS), set()
     for content in contents:
         with h5py.File(io.BytesIO(content), "r") as file:
             run = Run("killed.h5", file)
             for step in run.steps:
                 if step.verdict.measured:
                     number = round(step.changed_s - 10 * step.position)
-                    whole = takes[step.position, number]
+                    whole = attempts[step.position, number]
                     np.testing.assert_array_equal(run.field(step.position), whole.field)
                     assert step.verdict is whole.judgement.verdict
                     assert step.sentence == whole.judgement.sentence
                     assert step.noise_level == whole.noise_level
                     assert step.frame_ids == tuple(frame.id for frame in whole.frames)
-            for number, take in enumerate(run.retakes):
-                whole = takes[take.position, 1]
-                np.testing.assert_array_equal(run.retaken_field(number), whole.field)
-                assert take.verdict is whole.judgement.verdict
-                assert take.changed_s == whole.changed_s
-                assert take.sentence == whole.judgement.sentence
+            for number, attempt in enumerate(run.earlier_attempts):
+                whole = attempts[attempt.position, 1]
+                np.testing.assert_array_equal(run.earlier_field(number), whole.field)
+                assert attempt.verdict is whole.judgement.verdict
+                assert attempt.changed_s == whole.changed_s
+                assert attempt.sentence == whole.judgement.sentence
             seen.add(tuple(step.verdict for step in run.steps))
-    # Each bad step was seen bad, to be taken again, and good.
+    # Each bad step was seen bad, to be measured again, and good.
     for position in (0, 2):
         assert {verdicts[position] for verdicts in seen} == {
             firsts[position], Verdict.PENDING, Verdict.OK
@@ -694,21 +694,23 @@ def test_whatever_is_written_last_every_take_in_the_file_is_whole(states):
 
 
 def test_whatever_is_written_last_no_take_is_lost_or_seen_twice(states):
-    """As a reader sees a run in work: takes come one by one, and steps without a verdict empty."""
+    """As a reader sees a running run: attempts come one by one, steps without a verdict empty."""
     _, _, contents = states
-    seen = dict.fromkeys(range(len(TAKES)), 0)
+    seen = dict.fromkeys(range(len(ATTEMPTS)), 0)
     for content in (*contents[::4], contents[-1]):
         with h5py.File(io.BytesIO(content), "r") as file:
             run = Run("in work.h5", file)
             for step in run.steps:
-                retakes = [take for take in run.retakes if take.position == step.position]
-                count = len(retakes) + step.verdict.measured
+                earlier_attempts = [
+                    attempt for attempt in run.earlier_attempts if attempt.position == step.position
+                ]
+                count = len(earlier_attempts) + step.verdict.measured
                 assert count - seen[step.position] in (0, 1)
                 seen[step.position] = count
                 if not step.verdict.measured:
                     assert np.isnan([step.noise_level, step.changed_s, *step.timestamps_s]).all()
                     assert (step.read_drive_hz, set(step.frame_ids)) == (None, {-1})
-                    assert step.sentence in ("", TO_BE_TAKEN_AGAIN)
+                    assert step.sentence in ("", TO_BE_MEASURED_AGAIN)
     assert seen == {0: 2, 1: 1, 2: 2}
 
 
@@ -718,21 +720,21 @@ def _bad(verdict):
 
 def said_of(content):
     with h5py.File(io.BytesIO(content), "r") as file:
-        names = ("steps/verdict", "retakes/position")
+        names = ("steps/verdict", "earlier_attempts/position")
         return [file["entry"][name][()].tolist() for name in names]
 
 
 def test_whatever_is_written_last_the_run_is_gone_on_with_and_no_take_is_lost(states, tmp_path):
     """A step that was being set aside is so once, and none is written twice."""
-    plan, takes, contents = states
-    # The first and the last of those that say the same of all steps and takes.
+    plan, attempts, contents = states
+    # The first and the last of those that say the same of all steps and attempts.
     groups = [list(group) for _, group in groupby(contents, key=said_of)]
     for number, content in enumerate(state for group in groups for state in (group[0], group[-1])):
         path = tmp_path / f"killed{number}.h5"
         path.write_bytes(content)
         with Run.open(path) as run:
             bad = {step.position for step in run.steps if _bad(step.verdict)}
-            bad |= {take.position for take in run.retakes}
+            bad |= {attempt.position for attempt in run.earlier_attempts}
         writer = RunWriter.resume(path, plan)
         with Run.open(path) as run:
             todo = [step.position for step in run.steps if not step.verdict.measured]
@@ -740,16 +742,18 @@ def test_whatever_is_written_last_the_run_is_gone_on_with_and_no_take_is_lost(st
         for position in again:
             writer.set_aside(position)
         for position in (*todo, *again):
-            writer.write(position, takes[position, 2])
+            writer.write(position, attempts[position, 2])
         writer.finish("complete")
         with Run.open(path) as run:
             assert run.good.all()
-            assert bad <= {take.position for take in run.retakes}
-            assert len({take.position for take in run.retakes}) == len(run.retakes)
-            for place, take in enumerate(run.retakes):
-                assert take.changed_s == takes[take.position, 1].changed_s
-                whole = takes[take.position, 1].field
-                np.testing.assert_array_equal(run.retaken_field(place), whole)
+            assert bad <= {attempt.position for attempt in run.earlier_attempts}
+            assert len({attempt.position for attempt in run.earlier_attempts}) == len(
+                run.earlier_attempts
+            )
+            for place, attempt in enumerate(run.earlier_attempts):
+                assert attempt.changed_s == attempts[attempt.position, 1].changed_s
+                whole = attempts[attempt.position, 1].field
+                np.testing.assert_array_equal(run.earlier_field(place), whole)
 
 
 # Forks writers, kills each after a random time, and says so at the end of the pipe.
@@ -800,7 +804,7 @@ def begin(number):
     os.read(heard, 2)
     return child
 
-# The first is left alone, to see how long a whole run takes.
+# The first is left alone, to see how long a whole run attempts.
 random.seed(seed)
 child = begin("none")
 start_s = time.monotonic()
@@ -836,25 +840,25 @@ while not stop.exists():
     path.unlink(missing_ok=True)
     writer = RunWriter.create(path, plan, bench, RunLabels(), reconstruction_of(plan), "u")
     said.send(number)
-    for take, verdict in enumerate((Verdict.LOCK, Verdict.OK)):
+    for attempt, verdict in enumerate((Verdict.LOCK, Verdict.OK)):
         for position, step in enumerate(plan.steps):
-            value = number + 0.25 * take + 1j * position
+            value = number + 0.25 * attempt + 1j * position
             image = np.full(plan.frame_shape, position, np.uint16)
             frames = [Frame(position, float(number), image) for _ in range(4)]
-            read = ReadBack(step.aom1_hz, step.aom2_hz, step.drive_hz, float(take))
-            judgement = Judgement(verdict, f"take {take}")
-            if take and writer.spare:
+            read = ReadBack(step.aom1_hz, step.aom2_hz, step.drive_hz, float(attempt))
+            judgement = Judgement(verdict, f"attempt {attempt}")
+            if attempt and writer.spare:
                 writer.set_aside(position)
-            elif take:
+            elif attempt:
                 break
             writer.write(position, MeasuredStep(read, 1.0 * number, frames,
-                         np.full(shape, value, np.complex64), *[1.0 * take] * 7, judgement))
+                         np.full(shape, value, np.complex64), *[1.0 * attempt] * 7, judgement))
     writer.finish("complete")
 """
 
 
 def test_a_run_in_work_is_read_as_if_nothing_was_written(processes, retaking, tmp_path):
-    """Whatever is seen as measured is one whole take; nothing is called damaged."""
+    """Whatever is seen as measured is one whole attempt; nothing is called damaged."""
     plan, path, stop = retaking(steps=12), tmp_path / "run.h5", tmp_path / "stop"
     child, heard = processes(WRITER, plan=plan, path=path, stop=stop)
     heard.recv()
@@ -862,7 +866,7 @@ def test_a_run_in_work_is_read_as_if_nothing_was_written(processes, retaking, tm
     begun_s, limit_s = time.monotonic(), 60.0
     while openings < 60 and time.monotonic() - begun_s < limit_s:
         if openings > 3 and len(seen) > 2:
-            # Enough; only on a machine that is busy with other programs it takes longer.
+            # Enough; only on a machine that is busy with other programs it attempts longer.
             limit_s = 3.0
         try:
             run = Run.open(path)
@@ -875,20 +879,20 @@ def test_a_run_in_work_is_read_as_if_nothing_was_written(processes, retaking, tm
             for step in run.steps:
                 if not step.verdict.measured:
                     continue
-                take = 1 if step.verdict is Verdict.OK else 0
-                assert (step.noise_level, step.read_volts) == (take, take)
-                assert step.sentence == f"take {take}"
+                attempt = 1 if step.verdict is Verdict.OK else 0
+                assert (step.noise_level, step.read_volts) == (attempt, attempt)
+                assert step.sentence == f"attempt {attempt}"
                 try:
                     field = run.field(step.position)
                 except RunFileError as error:
                     refusals.append(str(error))
                     continue
                 assert (field == field[0, 0]).all()
-                assert field[0, 0] == step.changed_s + 0.25 * take + 1j * step.position
-            for number, retake in enumerate(run.retakes):
-                assert (retake.verdict, retake.sentence) == (Verdict.LOCK, "take 0")
-                assert run.retaken_field(number)[0, 0].imag == retake.position
-            seen.add((int(run.good.sum()), len(run.retakes)))
+                assert field[0, 0] == step.changed_s + 0.25 * attempt + 1j * step.position
+            for number, earlier in enumerate(run.earlier_attempts):
+                assert (earlier.verdict, earlier.sentence) == (Verdict.LOCK, "attempt 0")
+                assert run.earlier_field(number)[0, 0].imag == earlier.position
+            seen.add((int(run.good.sum()), len(run.earlier_attempts)))
     stop.touch()
     with contextlib.suppress(EOFError):
         while True:
@@ -925,10 +929,10 @@ def test_after_sigkill_every_finished_step_is_whole(processes, tmp_path):
         with Run.open(tmp_path / f"killed{number}.h5") as run:
             assert run.good.sum() >= len(finished) - 1
             assert run.status in ("running", "complete")
-            for place, take in enumerate(run.retakes):
-                assert (take.verdict, take.read_volts) == (Verdict.LOCK, take.position)
-                field = take.position * np.complex64(1 + 1j)
-                assert (run.retaken_field(place) == field).all(), f"seed {seed}"
+            for place, attempt in enumerate(run.earlier_attempts):
+                assert (attempt.verdict, attempt.read_volts) == (Verdict.LOCK, attempt.position)
+                field = attempt.position * np.complex64(1 + 1j)
+                assert (run.earlier_field(place) == field).all(), f"seed {seed}"
     # The kills fell into the run, not before or after it.
     assert len({count for count in finished_steps if 0 < count < steps}) > 5, finished_steps
 

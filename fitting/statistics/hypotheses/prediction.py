@@ -41,7 +41,7 @@ class ResonanceModel:
     start_hz : (2, m) float
         Frequencies of series A and B at which the storage moduli are taken first.
     converged : bool
-        Whether the moduli are taken again at the frequencies just found until these stay. The
+        Whether the moduli are measured again at the frequencies just found until these stay. The
         paper takes them once.
     """
 

@@ -190,7 +190,7 @@ def test_a_run_file_shows_what_it_holds(cli, folder, protocol_file, bench_file):
     assert cli("run", protocol_file(), "--bench", bench_file(), *who, "--no-fit").status == 0
     shown = cli("show", "x.h5", "--json").json
     assert (shown["reed"], shown["kind"], shown["strength"]) == ("R07", "clarinet", 3.5)
-    assert (shown["verdicts"], shown["bad"], shown["retakes"]) == ({"ok": 9}, [], [])
+    assert (shown["verdicts"], shown["bad"], shown["earlier_attempts"]) == ({"ok": 9}, [], [])
     assert set(shown["instruments"]) == {"synthesizers", "generator", "camera"}
     assert 0 < shown["lock_error_hz"]["median"] < 0.2
     shown = cli("show", "x.h5")
@@ -202,13 +202,13 @@ def test_a_run_file_shows_what_it_holds(cli, folder, protocol_file, bench_file):
     assert "there is no such file" in refused.err
 
 
-def test_bad_steps_and_retakes_are_shown(cli, folder, protocol_file, bench_file):
+def test_bad_steps_and_earlier_attempts_are_shown(cli, folder, protocol_file, bench_file):
     bench = bench_file(faults={"drop_frame_at": [3]})
     assert cli("run", protocol_file(), "--bench", bench, "--out", "x.h5", "--no-fit").status == 0
     shown = cli("show", "x.h5", "--json").json
     assert (shown["verdicts"], shown["bad"]) == ({"ok": 9}, [])
-    (retake,) = shown["retakes"]
-    assert (retake["index"], retake["verdict"]) == (18, "dropped")
+    (earlier,) = shown["earlier_attempts"]
+    assert (earlier["index"], earlier["verdict"]) == (18, "dropped")
     assert "measured again" in cli("show", "x.h5").out
 
 

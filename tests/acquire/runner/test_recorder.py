@@ -1,4 +1,4 @@
-"""What becomes of frames: each fault has its verdict, bad steps are taken again, both are kept."""
+"""What becomes of frames: each fault has its verdict; bad steps are repeated, and both kept."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -137,9 +137,9 @@ def test_every_fault_of_frames_has_its_verdict_and_is_mended(
         fake = fake_bench(picture=lit(plan), spoilt={2: spoil})
         summary = run(plan, fake.opened(), path)
         assert summary.status is RunState.COMPLETE
-        assert summary.retaken == retry
+        assert summary.repeated == retry
         with Run.open(path) as measured:
-            (bad,) = measured.retakes if retry else measured.steps[1:2]
+            (bad,) = measured.earlier_attempts if retry else measured.steps[1:2]
             assert (bad.position, str(bad.verdict)) == (1, verdict)
             assert said in bad.sentence
             good = [str(step.verdict) for step in measured]
@@ -329,18 +329,20 @@ def test_both_takes_of_a_step_are_kept(tiny_plan, fake_bench, lit, path, documen
     fake = fake_bench(picture=bright, spoilt={2: spoil})
     summary = run(plan, fake.opened(), path, progress=reports.append)
     assert summary.counts == {Verdict.OK: 4}
-    assert summary.retaken == 1
-    reported = [(report.index, report.take, str(report.verdict), report.done) for report in reports]
+    assert summary.repeated == 1
+    reported = [
+        (report.index, report.attempt, str(report.verdict), report.done) for report in reports
+    ]
     assert reported == [
         (12, 1, "ok", 1), (14, 1, "partial", 2), (16, 1, "ok", 3), (18, 1, "ok", 4),
         (14, 2, "ok", 4),
     ]  # fmt: skip
     events = [document["data"] for name, document in documents_of(path) if name == "event"]
-    assert [(e["index"], e["take"], e["verdict"]) for e in events] == [t[:3] for t in reported]
+    assert [(e["index"], e["attempt"], e["verdict"]) for e in events] == [t[:3] for t in reported]
     grabbed = [entry for entry in fake.log if entry[0] == "set_pair"]
     assert grabbed[4] == grabbed[1]
     with Run.open(path) as measured:
-        (first,), second = measured.retakes, measured.steps[1]
+        (first,), second = measured.earlier_attempts, measured.steps[1]
         assert (first.verdict, second.verdict) == (Verdict.PARTIAL, Verdict.OK)
         assert (first.index, second.index) == (14, 14)
         assert "12 of 32 rows" in first.sentence
@@ -349,7 +351,7 @@ def test_both_takes_of_a_step_are_kept(tiny_plan, fake_bench, lit, path, documen
         for taken, field, images in (
             (
                 first,
-                measured.retaken_field(0),
+                measured.earlier_field(0),
                 [bright(k, plan.frame_shape) for k in first.frame_ids],
             ),
             (second, measured.field(1), [bright(k, plan.frame_shape) for k in second.frame_ids]),
@@ -372,12 +374,12 @@ def test_a_single_fault_of_the_simulated_bench_is_mended(
     summary = run(plan, open_small_bench(plan), path)
     assert summary.counts == {Verdict.OK: 5}
     with Run.open(path) as measured:
-        (first,) = measured.retakes
+        (first,) = measured.earlier_attempts
         position = next(iter(faults.values()))[0] - 1
         assert (first.position, str(first.verdict)) == (position, verdict)
         latest = measured.steps[position]
         assert latest.changed_s > measured.steps[-1].changed_s > first.changed_s
-        assert (measured.retaken_field(0) != measured.field(position)).any()
+        assert (measured.earlier_field(0) != measured.field(position)).any()
 
 
 def test_a_step_that_stays_bad_keeps_all_its_takes(tiny_plan, fake_bench, lit, path):
@@ -388,9 +390,12 @@ def test_a_step_that_stays_bad_keeps_all_its_takes(tiny_plan, fake_bench, lit, p
     }  # fmt: skip
     summary = run(plan, fake_bench(picture=lit(plan), spoilt=spoilt).opened(), path)
     assert summary.counts == {Verdict.OK: 2, Verdict.SATURATED: 1}
-    assert (summary.status, summary.retaken) == (RunState.COMPLETE, 2)
+    assert (summary.status, summary.repeated) == (RunState.COMPLETE, 2)
     with Run.open(path) as measured:
-        assert [str(take.verdict) for take in measured.retakes] == ["dropped", "no_signal"]
+        assert [str(attempt.verdict) for attempt in measured.earlier_attempts] == [
+            "dropped",
+            "no_signal",
+        ]
     assert verdicts_of(path) == ["ok", "saturated", "ok"]
 
 
@@ -398,12 +403,12 @@ def test_a_step_that_stays_bad_keeps_all_its_takes(tiny_plan, fake_bench, lit, p
 def test_if_too_many_steps_are_bad_the_trouble_is_not_theirs(
     tiny_plan, fake_bench, lit, path, bad, again
 ):
-    """Of six steps four may be taken again."""
+    """Of six steps four may be measured again."""
     plan = tiny_plan(steps=6, **TWICE)
     spoilt = dict.fromkeys(range(1, bad + 1), FAULTS["no light"][0])
     fake = fake_bench(picture=lit(plan), spoilt=spoilt)
     summary = run(plan, fake.opened(), path)
-    assert (summary.status, summary.retaken) == (RunState.COMPLETE, again)
+    assert (summary.status, summary.repeated) == (RunState.COMPLETE, again)
     assert fake.names().count("grab") == 6 + again
     expected = {"no_signal": bad - again, "ok": 6 - bad + again}
     assert {str(v): n for v, n in summary.counts.items()} == {
@@ -442,7 +447,7 @@ def test_an_instrument_that_fails_at_a_second_take_leaves_the_first(
     run(plan, fake.opened(), path)
     assert verdicts_of(path) == ["ok", "saturated", "ok"]
     with Run.open(path) as measured:
-        assert measured.retakes == ()
+        assert measured.earlier_attempts == ()
         assert measured.field(1).any()
 
 
@@ -464,7 +469,7 @@ def test_a_run_that_is_to_stop_at_bad_step_takes_them_again_at_once(
     one, two, three = (step.aom1_hz for step in plan.steps)
     assert pairs == [one, two, two, three]
     with Run.open(path) as measured:
-        assert [str(take.verdict) for take in measured.retakes] == ["disordered"]
+        assert [str(attempt.verdict) for attempt in measured.earlier_attempts] == ["disordered"]
 
 
 @pytest.mark.parametrize("retry", [0, 1])
@@ -475,7 +480,7 @@ def test_a_run_that_is_to_stop_at_bad_step_ends_at_that_step(
     spoilt = dict.fromkeys((2, 3), FAULTS["no light"][0])
     fake = fake_bench(picture=lit(plan), spoilt=spoilt)
     summary = run(plan, fake.opened(), path)
-    assert (summary.status, summary.retaken) == (RunState.INTERRUPTED, retry)
+    assert (summary.status, summary.repeated) == (RunState.INTERRUPTED, retry)
     assert fake.names().count("grab") == 2 + retry
     assert (fake.output_on, fake.rf, fake.running) == (False, False, False)
     assert verdicts_of(path) == ["ok", "no_signal", "pending", "pending"]

@@ -63,7 +63,7 @@ def assert_kept(before, path):
 
 
 def assert_one_stream(documents, path):
-    """One beginning, one end, and each take of the run file written once, in the order of takes."""
+    """One beginning, one end, and each attempt of the run file written once, in order."""
     events = [document for name, document in documents if name == "event"]
     beginning, end = ["start", "descriptor", "descriptor"], ["stream_resource", "stream_datum"]
     assert [name for name, _ in documents] == [
@@ -78,13 +78,13 @@ def assert_one_stream(documents, path):
     assert len({event["uid"] for event in events}) == len(events)
     with Run.open(path) as measured:
         assert measured.uid == start["uid"]
-        expected, takes = [], Counter()
-        for taken in (*measured.retakes, *measured.steps):
+        expected, attempts = [], Counter()
+        for taken in (*measured.earlier_attempts, *measured.steps):
             if taken.verdict.measured:
-                takes[taken.index] += 1
-                expected.append((taken.index, takes[taken.index], str(taken.verdict)))
+                attempts[taken.index] += 1
+                expected.append((taken.index, attempts[taken.index], str(taken.verdict)))
     written = [event["data"] for event in events]
-    assert sorted((t["index"], t["take"], t["verdict"]) for t in written) == sorted(expected)
+    assert sorted((t["index"], t["attempt"], t["verdict"]) for t in written) == sorted(expected)
 
 
 # --- Killed at any moment ----------------------------------------------------------------------
@@ -134,7 +134,7 @@ def test_wherever_a_run_is_killed_it_is_gone_on_with(
 ):
     plan, whole, found = killed
     undisturbed = events_of(documents_of(whole))
-    assert [event["take"] for event in undisturbed] == [1, 1, 1, 2]
+    assert [event["attempt"] for event in undisturbed] == [1, 1, 1, 2]
     seen = set()
     for number, (file, documents) in enumerate(found):
         path = tmp_path / f"killed{number}.h5"
@@ -144,23 +144,25 @@ def test_wherever_a_run_is_killed_it_is_gone_on_with(
             if measured.status == "complete":
                 continue
             seen.add(tuple(str(step.verdict) for step in measured))
-            bad = Verdict.DROPPED in [t.verdict for t in (*measured.steps, *measured.retakes)]
+            bad = Verdict.DROPPED in [
+                t.verdict for t in (*measured.steps, *measured.earlier_attempts)
+            ]
         before = measured_steps(path)
         summary = run(plan, fake_bench(picture=lit(plan)).opened(), path, resume=True)
         assert (summary.status, summary.counts) == (RunState.COMPLETE, {Verdict.OK: 3})
         assert_kept(before, path)
         with Run.open(path) as measured:
             assert measured.status == "complete"
-            # A bad take that was whole is neither lost nor kept twice.
-            kept = [(take.position, take.verdict) for take in measured.retakes]
+            # A bad attempt that was whole is neither lost nor kept twice.
+            kept = [(attempt.position, attempt.verdict) for attempt in measured.earlier_attempts]
             assert kept == [(1, Verdict.DROPPED)] * len(kept)
-            assert bad <= len(kept) == summary.retaken <= 1
+            assert bad <= len(kept) == summary.repeated <= 1
             (interruption,) = measured.interruptions
             assert (interruption.kind, interruption.reason) == ("resumed", "the process had died")
             assert interruption.began == ""
         assert_one_stream(documents_of(path), path)
         # Written before the kill or after it, the event is the same.
-        firsts = [event for event in events_of(documents_of(path)) if event["take"] == 1]
+        firsts = [event for event in events_of(documents_of(path)) if event["attempt"] == 1]
         known = {step.index for step, _ in before.values()}
         assert [event for event in firsts if event["index"] in known] == [
             event for event in undisturbed[:3] if event["index"] in known
@@ -254,7 +256,7 @@ def test_after_any_number_of_kills_a_run_is_what_it_would_have_been(
         with Run.open(path) as measured:
             assert measured.status == "complete"
             assert measured.good.all()
-            assert measured.retakes == ()
+            assert measured.earlier_attempts == ()
             assert (measured.reed, measured.seed, measured.labels) == ("R07", 5, LABELS)
             assert {interruption.kind for interruption in measured.interruptions} <= {"resumed"}
         assert_one_stream(documents_of(path), path)
@@ -358,11 +360,13 @@ def test_bad_steps_of_a_run_that_was_ended_are_taken_again(
         run(plan, resumable(fake, plan), path)
     fake = fake_bench(picture=lit(plan))
     summary = run(plan, resumable(fake, plan), path, resume=True)
-    assert (summary.counts, summary.retaken) == ({Verdict.OK: 4}, 1)
+    assert (summary.counts, summary.repeated) == ({Verdict.OK: 4}, 1)
     pairs = [entry[1] for entry in fake.log if entry[0] == "set_pair"]
     assert pairs == [plan.steps[position].aom1_hz for position in (2, 3, 1)]
     with Run.open(path) as measured:
-        assert [(take.position, str(take.verdict)) for take in measured.retakes] == [(1, "dropped")]
+        assert [
+            (attempt.position, str(attempt.verdict)) for attempt in measured.earlier_attempts
+        ] == [(1, "dropped")]
     assert_one_stream(documents_of(path), path)
 
 
@@ -375,7 +379,7 @@ def test_a_run_that_a_bad_step_ended_goes_on_with_that_step_if_it_may_be_taken_a
     assert run(plan, resumable(fake, plan), path).status is RunState.INTERRUPTED
     fake = fake_bench(picture=lit(plan))
     summary = run(plan, resumable(fake, plan), path, resume=True)
-    assert (summary.status, summary.retaken) == (RunState.COMPLETE, 2 * retry)
+    assert (summary.status, summary.repeated) == (RunState.COMPLETE, 2 * retry)
     pairs = [entry[1] for entry in fake.log if entry[0] == "set_pair"]
     assert pairs == [step.aom1_hz for step in plan.steps[2 - retry :]]
     with Run.open(path) as measured:

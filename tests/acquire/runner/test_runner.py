@@ -734,7 +734,7 @@ def test_after_a_failure_all_is_switched_off_and_on_and_the_step_taken_again(
     fail_at(fake, order, {count})
     summary = run(plan, fake.opened(), path)
     assert (summary.status, summary.counts) == (RunState.COMPLETE, {Verdict.OK: 5})
-    assert summary.retaken == 0, "a step that was not measured is not a take"
+    assert summary.repeated == 0, "a step that was not measured is not a attempt"
     names = fake.names()
     failed = [k for k, name in enumerate(names) if name == order][count - 1]
     assert names[failed + 1 : failed + 10] == [*SAFE_OFF, *OPENING]
@@ -745,7 +745,7 @@ def test_after_a_failure_all_is_switched_off_and_on_and_the_step_taken_again(
     assert left_safe(fake)
     with Run.open(path) as measured:
         assert measured.status == "complete"
-        assert measured.retakes == ()
+        assert measured.earlier_attempts == ()
         (interruption,) = measured.interruptions
         assert (interruption.position, interruption.kind) == (2, "recovered")
         assert interruption.reason == f"fake: {order} fails; mend it"
@@ -887,8 +887,8 @@ def test_whatever_fails_and_whoever_pauses_the_run_ends_in_a_known_state(
             assert set(verdicts) <= {Verdict.OK, Verdict.SKIPPED, Verdict.DROPPED}
             assert then == "skip" or Verdict.SKIPPED not in verdicts
         written = [document["data"] for name, document in documents_of(path) if name == "event"]
-        takes = [*measured.steps, *measured.retakes]
-        taken = sorted((t.index, str(t.verdict)) for t in takes if t.verdict.measured)
+        attempts = [*measured.steps, *measured.earlier_attempts]
+        taken = sorted((t.index, str(t.verdict)) for t in attempts if t.verdict.measured)
         assert sorted((event["index"], event["verdict"]) for event in written) == taken
 
 
@@ -915,7 +915,7 @@ def test_a_cable_that_is_off_does_not_cost_a_whole_sweep(tiny_plan, fake_bench, 
     assert left_safe(fake)
     # The recorder judges at most three steps behind the camera.
     assert 4 + limit <= fake.names().count("grab") <= 4 + limit + 3
-    # Mended, the run is gone on with, and the steps that were lost are taken again.
+    # Mended, the run is gone on with, and the steps that were lost are measured again.
     mended = fake_bench(picture=lit(plan))
     summary = run(plan, mended.opened(), path, resume=True)
     assert (summary.status, summary.counts) == (RunState.COMPLETE, {Verdict.OK: 20})

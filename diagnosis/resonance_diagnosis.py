@@ -163,10 +163,10 @@ def _reach(
     elastic: FittedReed,
     effects: Sequence[Effect],
     columns: Mapping[str, Array],
-    misfit_cents: float,
+    excess_scatter_cents: float,
 ) -> tuple[Detectability, ...]:
     """Return how well such data detect effects, given a misfit that none explains."""
-    deviation = np.hypot(base.floor_cents, misfit_cents)
+    deviation = np.hypot(base.floor_cents, excess_scatter_cents)
     moduli, _ = np.linalg.qr(elastic.jacobian_cents / deviation[:, None])
     whole = {name: column / deviation[:, None] for name, column in columns.items()}
     left = {name: column - moduli @ (moduli.T @ column) for name, column in whole.items()}

@@ -180,13 +180,13 @@ class FittedReed:
         left = -estimate.residuals * deviation
         return cls(problem, estimate, left, estimate.jacobian * deviation[:, None])
 
-    def linear(self, misfit_cents: float) -> MapEstimate:
+    def linear(self, excess_scatter_cents: float) -> MapEstimate:
         """Refit the linearised model with another misfit."""
         return fit_linear(
             self.residual_cents,
             self.jacobian_cents,
             self.estimate.z,
-            np.hypot(self.problem.floor_cents, misfit_cents),
+            np.hypot(self.problem.floor_cents, excess_scatter_cents),
             self.problem.positive,
         )
 
@@ -200,10 +200,10 @@ class FittedReed:
         average = highest + float(np.log(np.mean(np.exp(np.array(logs) - highest))))
         return average, float(_MISFITS_CENTS[int(np.argmax(logs))])
 
-    def held_out(self, misfit_cents: float) -> Array:
+    def held_out(self, excess_scatter_cents: float) -> Array:
         """What is left (n,) of each mode, in cents, if it is left out of all series."""
-        deviation = np.hypot(self.problem.floor_cents, misfit_cents)
-        estimate = self.linear(misfit_cents)
+        deviation = np.hypot(self.problem.floor_cents, excess_scatter_cents)
+        estimate = self.linear(excess_scatter_cents)
         bound = np.asarray(self.problem.positive) & (estimate.z <= 0)
         J = estimate.jacobian[:, ~bound]
         names = [name for reed in self.problem.reeds for name in reed.modes]
@@ -300,7 +300,7 @@ def _moduli_pa(problem: ResonanceProblem, z: Array) -> dict[str, tuple[float, fl
 
 
 def _transferred(
-    trial: FittedReed, elastic: FittedReed, misfit_cents: float, reference_cents: float
+    trial: FittedReed, elastic: FittedReed, excess_scatter_cents: float, reference_cents: float
 ) -> dict[str, float]:
     """Return the fraction explained in each series with the sizes of the other series."""
     problem = trial.problem
@@ -316,7 +316,7 @@ def _transferred(
             trial.residual_cents[there],
             trial.jacobian_cents[there],
             trial.estimate.z,
-            np.hypot(problem.floor_cents[there], misfit_cents),
+            np.hypot(problem.floor_cents[there], excess_scatter_cents),
             problem.positive,
         )
         effects = np.arange(count * len(problem.reeds), len(learnt.z))
@@ -326,7 +326,7 @@ def _transferred(
         gaps = []
         for fitted, left, misfit in (
             (elastic, elastic.residual_cents[here], reference_cents),
-            (trial, trial.residual_cents[here] - carried, misfit_cents),
+            (trial, trial.residual_cents[here] - carried, excess_scatter_cents),
         ):
             deviation = np.hypot(problem.floor_cents[here], misfit)
             start_z = fitted.estimate.z[moduli]

@@ -123,7 +123,7 @@ def parameters_table(fit: ReedFit) -> Table | None:
         for name, one in moduli.items()
     ]
     # A standard deviation, like the errors that it was added to.
-    scatter = parameters.misfit_cents
+    scatter = parameters.excess_scatter_cents
     added = f", with {scatter:.1f} cents added to every error" if scatter else ""
     note = (
         f"Residual rms {parameters.rms_cents:.1f} cents, χ² per degree of freedom "

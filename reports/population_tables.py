@@ -36,7 +36,7 @@ _COMPONENT_COLUMNS: Final = (
     ),
     Column("rms_cents", "residual", "cents", _NUMBER),
     Column("reduced_chi2", "χ² per degree of freedom", "", _NUMBER),
-    Column("misfit_cents", "excess scatter", "cents", _NUMBER),
+    Column("excess_scatter_cents", "excess scatter", "cents", _NUMBER),
     Column("resonances", "resonances", "", "d"),
     Column("flags", "flags"),
 )
@@ -120,7 +120,7 @@ def _component_rows(reeds: Sequence[str], fit: PopulationFit) -> Iterator[Sequen
     pairs = np.stack([fit.components, fit.errors], axis=2).reshape(len(reeds), -1)
     for n, reed in enumerate(reeds):
         flags = " ".join(str(flag.name) for flag in Flag(int(fit.flags[n])))
-        quality = fit.rms_cents[n], fit.reduced_chi2[n], fit.misfit_cents[n]
+        quality = fit.rms_cents[n], fit.reduced_chi2[n], fit.excess_scatter_cents[n]
         yield reed, *pairs[n], *quality, int(fit.used[n]), flags
 
 

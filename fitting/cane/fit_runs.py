@@ -172,7 +172,7 @@ class ReedFit:
             "moduli",
             "rms_cents",
             "reduced_chi2",
-            "misfit_cents",
+            "excess_scatter_cents",
             "residual_cents",
             "left_out",
             "at_limit",

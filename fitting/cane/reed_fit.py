@@ -69,7 +69,7 @@ class ReedParameters:
         neighbour.
     reduced_chi2 : float
         Weighted squares per degree of freedom of the best fit with the stated errors.
-    misfit_cents : float
+    excess_scatter_cents : float
         Excess scatter: standard deviation of the frequencies around the model, in addition to the
         stated errors. It is 0 if `reduced_chi2` passes a χ² test at 5 %.
     at_limit : list of str
@@ -86,7 +86,7 @@ class ReedParameters:
     residual_cents: dict[str, dict[str, float]]
     left_out: dict[str, list[str]]
     reduced_chi2: float
-    misfit_cents: float
+    excess_scatter_cents: float
     at_limit: list[str]
     physical: bool
     model: str
@@ -159,7 +159,7 @@ def _parameters(
         },
         left_out=left_out,
         reduced_chi2=chi2,
-        misfit_cents=misfit,
+        excess_scatter_cents=misfit,
         at_limit=[
             name
             for name, value in zip(free, values, strict=True)

@@ -115,8 +115,8 @@ class _Posterior:
     are far from linear in the components.
     """
 
-    def __init__(self, model: ForwardModel, series: Series, misfit_cents: float) -> None:
-        self._model, self._series, self._misfit_cents = model, series, misfit_cents
+    def __init__(self, model: ForwardModel, series: Series, excess_scatter_cents: float) -> None:
+        self._model, self._series, self._misfit_cents = model, series, excess_scatter_cents
         self._found: dict[int, float] = {}
         self._mean: Array = np.zeros(4)
         self._covariance: Array = np.eye(4)
@@ -162,14 +162,14 @@ def likely_components(
     resonances: Mapping[str, Resonance],
     model: ForwardModel,
     series: Series,
-    misfit_cents: float = paper.H4_MISFIT_CENTS,
+    excess_scatter_cents: float = paper.H4_MISFIT_CENTS,
 ) -> Components:
     """Estimate the components of a reed from its resonances and the population, to first order.
 
     This is less exact than a fit but always has a result: components that the resonances do not
     determine are those of the population.
     """
-    posterior = _Posterior(model, series, misfit_cents)
+    posterior = _Posterior(model, series, excess_scatter_cents)
     for name, found in resonances.items():
         if name in model.modes:
             posterior.learn(model.modes.index(name), float(cents_of(found.frequency_hz)))
@@ -182,7 +182,7 @@ def pick_fringe_peaks(
     series: Series,
     needed: Callable[[int, int], bool],
     acoustic_resonances_hz: Sequence[float] = (),
-    misfit_cents: float = paper.H4_MISFIT_CENTS,
+    excess_scatter_cents: float = paper.H4_MISFIT_CENTS,
 ) -> dict[str, Resonance]:
     """Pick for every mode the picture in which it has most fringes.
 
@@ -197,7 +197,7 @@ def pick_fringe_peaks(
         other maxima are ignored.
     acoustic_resonances_hz : sequence of float
         Resonances of the excitation device; pictures next to them are not picked.
-    misfit_cents : float
+    excess_scatter_cents : float
         Standard deviation of a reed's resonances around the model.
 
     Returns
@@ -210,7 +210,7 @@ def pick_fringe_peaks(
     clear = np.ones(len(cents), dtype=bool)
     for line in acoustic_resonances_hz:
         clear &= np.abs(cents - cents_of(line)) > _LINE_CENTS
-    posterior = _Posterior(model, series, misfit_cents)
+    posterior = _Posterior(model, series, excess_scatter_cents)
     found: dict[str, Resonance] = {}
     for name in _SEARCH_ORDER:
         if name not in names or name not in model.modes:

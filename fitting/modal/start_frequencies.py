@@ -78,7 +78,7 @@ def start_frequencies(
         model,
         series,
         lambda _shape, _picture: True,
-        misfit_cents=_MISFIT_CENTS,
+        excess_scatter_cents=_MISFIT_CENTS,
     )
     components = likely_components(picked, model, series, _MISFIT_CENTS)
     try:

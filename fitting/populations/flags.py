@@ -71,7 +71,7 @@ class PopulationFit:
         Standard errors, from the stated errors of the resonances and the excess scatter.
     reduced_chi2 : (n,) float
         Weighted squares per degree of freedom of the best fit with the stated errors.
-    misfit_cents : (n,) float
+    excess_scatter_cents : (n,) float
         Excess scatter: standard deviation of the resonances around the model, in addition to the
         stated errors. It is 0 where `reduced_chi2` passes a χ² test at 5 %.
     residual_cents : (n, s, m) float
@@ -89,7 +89,7 @@ class PopulationFit:
     components: Array
     errors: Array
     reduced_chi2: Array
-    misfit_cents: Array
+    excess_scatter_cents: Array
     residual_cents: Array
     rms_cents: Array
     used: NDArray[np.int64]

@@ -233,7 +233,7 @@ def _conclude(problem: Problem, best: Best, observed: Array, weights: Array) -> 
         components=np.where(known, components, np.nan).T,
         errors=np.where(known, np.sqrt(variance), np.inf).T,
         reduced_chi2=reduced_chi2,
-        misfit_cents=np.zeros(len(number)),
+        excess_scatter_cents=np.zeros(len(number)),
         residual_cents=np.where(used, residual, np.nan).T,
         rms_cents=np.sqrt(np.einsum("msn->n", residual**2) / number),
         used=number,
@@ -276,7 +276,7 @@ def _add_misfits(problem: Problem, fit: PopulationFit, observed: Array, errors: 
         if not reeds.size:
             break
         residual = fit.residual_cents[reeds]
-        before = fit.misfit_cents[reeds]
+        before = fit.excess_scatter_cents[reeds]
         misfit = added_cents(
             residual.reshape(len(reeds), -1), errors[reeds].reshape(len(reeds), -1), freedom[reeds]
         )
@@ -284,7 +284,7 @@ def _add_misfits(problem: Problem, fit: PopulationFit, observed: Array, errors: 
         again = _fit_all(problem, np.where(np.isnan(residual), np.nan, observed[reeds]), whole)
         left_out = fit.left_out[reeds]
         again.flags[...] |= np.where(left_out.any(axis=(1, 2)), Flag.MODES_LEFT_OUT, 0)
-        again.left_out[...], again.misfit_cents[...] = left_out, misfit
+        again.left_out[...], again.excess_scatter_cents[...] = left_out, misfit
         again.reduced_chi2[...] = reduced_chi2[reeds]
         _put(again, fit, reeds)
         reeds = reeds[np.abs(misfit - before) > _MISFIT_SETTLED * misfit]
@@ -297,7 +297,7 @@ def _unknown(observed: Array, count: int) -> PopulationFit:
         components=np.full((n, count), np.nan),
         errors=np.full((n, count), np.inf),
         reduced_chi2=np.full(n, np.nan),
-        misfit_cents=np.full(n, np.nan),
+        excess_scatter_cents=np.full(n, np.nan),
         residual_cents=np.full(observed.shape, np.nan),
         rms_cents=np.full(n, np.nan),
         used=np.count_nonzero(~np.isnan(observed), axis=(1, 2)),

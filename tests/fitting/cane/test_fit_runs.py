@@ -106,7 +106,7 @@ def test_the_paper_s_model_fits_the_same_resonances(sweep):
 # --- JSON --------------------------------------------------------------------------------------
 
 KEYS = ["modes", "components", "moduli", "rms_cents", "reduced_chi2", "residual_cents"]
-KEYS += ["misfit_cents"]
+KEYS += ["excess_scatter_cents"]
 KEYS += ["left_out", "at_limit", "physical", "model", "reason", "runs"]
 
 

@@ -172,13 +172,13 @@ def test_a_misfit_beyond_the_errors_is_charged_to_them():
         assert grown == pytest.approx(np.sqrt(loud.reduced_chi2), rel=0.15)
 
 
-def uneven(cane, rng, misfit_cents):
+def uneven(cane, rng, excess_scatter_cents):
     """Resonances known to 0.3 to 10 cents, of a reed whose modes are off the model.
 
     Twice the same: with the errors of the frequencies, and with those of the reed too.
     """
     errors = dict(zip(PAPER_MODES, rng.permutation(np.geomspace(0.3, 10, 11)), strict=True))
-    whole = {name: float(np.hypot(error, misfit_cents)) for name, error in errors.items()}
+    whole = {name: float(np.hypot(error, excess_scatter_cents)) for name, error in errors.items()}
     offsets = {(Series.A, name): sd * rng.standard_normal() for name, sd in whole.items()}
     found = resonances(cane, PAPER, offsets=offsets)[Series.A]
     return [
@@ -196,7 +196,7 @@ def test_errors_are_honest_of_reeds_that_are_not_the_model_s():
             rows.append(list(misses(parameters, cane).values()))
         errors = [e.error for e in found[0].components.values()]
         normalised.append(np.divide(missed[0][-1], errors))
-        misfits.append(found[0].misfit_cents)
+        misfits.append(found[0].excess_scatter_cents)
     assert np.median(misfits) == pytest.approx(15.0, rel=0.1)
     rms = np.sqrt(np.mean(np.square(normalised), axis=0))
     # Eight freedoms determine a misfit to a quarter of it: Student's tails, in addition to chance.
@@ -210,11 +210,11 @@ def test_a_misfit_is_reported_in_cents():
     cane = Components(0.3, 0.4, -0.2)
     noise = gaussian(np.random.default_rng(5), 40.0)
     parameters = fit_components(resonances(cane, PAPER, offsets=noise, error_cents=0.5), PAPER)
-    stated = np.hypot(0.5, parameters.misfit_cents)
+    stated = np.hypot(0.5, parameters.excess_scatter_cents)
     # As much as is left, by freedom: three of eleven are fitted.
     expected = parameters.rms_cents * np.sqrt(11 / 8)
     assert stated == pytest.approx(expected, rel=1e-3)
-    assert fit_components(resonances(cane, PAPER), PAPER).misfit_cents == 0
+    assert fit_components(resonances(cane, PAPER), PAPER).excess_scatter_cents == 0
 
 
 def test_a_misfit_that_chance_explains_is_not_charged():

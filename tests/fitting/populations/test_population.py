@@ -294,7 +294,7 @@ def test_the_mode_known_best_does_not_rule_over_all_others(exact, reeds):
     assert (missed < 1.1 * least).all(), (missed, least)
     normalised = np.sqrt(np.mean(((fit.components - reeds) / fit.errors) ** 2, axis=0))
     assert (np.abs(normalised - 1) < 0.25).all(), normalised
-    assert np.median(fit.misfit_cents) == pytest.approx(15, rel=0.1)
+    assert np.median(fit.excess_scatter_cents) == pytest.approx(15, rel=0.1)
 
 
 def test_a_misfit_is_that_of_single_reeds(exact):
@@ -309,7 +309,7 @@ def test_a_misfit_is_that_of_single_reeds(exact):
             for s, series in enumerate(Series)
         }
         alone = fit_components(found, PaperModel(iterations=30))
-        assert fit.misfit_cents[reed] == pytest.approx(alone.misfit_cents, rel=0.02)
+        assert fit.excess_scatter_cents[reed] == pytest.approx(alone.excess_scatter_cents, rel=0.02)
         for k, name in enumerate(COMPONENTS):
             assert fit.components[reed, k] == pytest.approx(alone.components[name].value, abs=0.02)
             assert fit.errors[reed, k] == pytest.approx(alone.components[name].error, rel=0.05)

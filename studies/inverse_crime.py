@@ -76,9 +76,9 @@ def imagined(problem: InferenceProblem, label: Label, rng: np.random.Generator) 
         except ValueError:
             continue
         blocks = [
-            replace(block, values=told + np.linalg.cholesky(block.covariance) @ noise)
-            for block, told in zip(problem.groups, predicted, strict=True)
-            for noise in [rng.standard_normal(len(told))]
+            replace(block, values=numbers + np.linalg.cholesky(block.covariance) @ noise)
+            for block, numbers in zip(problem.groups, predicted, strict=True)
+            for noise in [rng.standard_normal(len(numbers))]
         ]
         return InferenceProblem(blocks, problem.base, problem.nuisances)
     raise SystemExit(f"inverse_crime: no reed is possible with {label.effects}")

@@ -8,11 +8,11 @@ from diagnosis.inference.similarity import Detectability
 from studies.reach import as_drawn, row_of, together
 
 
-def reach(size, absorbed=0.5, **alike):
-    return Detectability("carrier_leak", absorbed, {"fraction": size}, alike)
+def reach(size, absorbed=0.5, **confusable):
+    return Detectability("carrier_leak", absorbed, {"fraction": size}, confusable)
 
 
-def test_effects_are_alike_if_they_are_in_more_campaigns_than_not() -> None:
+def test_effects_are_confusable_if_they_are_in_more_campaigns_than_not() -> None:
     half = [[reach(0.002, sideband_crosstalk=0.85)], [reach(0.004)]]
     assert together(half)[0].confusable == {}
     most = [*half, [reach(0.003, absorbed=0.1, sideband_crosstalk=0.95)]]

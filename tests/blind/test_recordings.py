@@ -80,8 +80,8 @@ def test_what_is_sealed_is_in_what_is_recorded(name, short, well):
     # Rare things are made frequent.
     size = 30.0 if name == "lost_frames" else 1.0
     sick = BY_NAME[name].change(world, size, np.random.default_rng(0))
-    alike = (np.array_equal(a, b) for a, b in zip(pictures, _taken(sick), strict=True))
-    assert not all(alike)
+    equal = (np.array_equal(a, b) for a, b in zip(pictures, _taken(sick), strict=True))
+    assert not all(equal)
 
 
 def test_what_is_not_sealed_is_recorded_again_the_same(short, well):
@@ -106,7 +106,7 @@ def _settings(folder):
     return found
 
 
-def test_nothing_but_pictures_and_what_is_read_off_them_tells_of_an_effect(short, tmp_path):
+def test_only_pictures_and_what_is_read_from_them_reveal_an_effect(short, tmp_path):
     for folder, effects in (
         ("well", ()),
         ("sick", (("carrier_leak", 4.0), ("fixed_pattern_noise", 4.0))),
@@ -126,7 +126,7 @@ def test_checksums_are_those_that_the_other_side_expects(short, tmp_path):
                 assert np.isfinite(run.field(step.position)).all()
 
 
-def test_a_laboratory_tells_what_it_knows_and_not_what_is_withheld(short, tmp_path):
+def test_a_laboratory_states_what_it_knows_and_not_what_is_withheld(short, tmp_path):
     label = drawn_label(6, 3, 5)
     record_case(tmp_path, "a", label)
     (withheld, _), *_ = label.effects
@@ -169,7 +169,7 @@ def test_a_disguise_leaves_nothing_but_what_was_measured(short, tmp_path):
 
 
 # Sizes of twice the usual in the terms of the catalogue, worked out by hand.
-TOLD = {
+STATED = {
     "tweeter_compression": {"fraction": 0.3},
     "amplifier_rolloff": {"inverse_corner": 1 / 3},
     "acoustic_resonance": {"excess": 1.0},
@@ -207,22 +207,22 @@ TOLD = {
     "read_noise": {"log_factor": np.log(1.6)},
     "sensor_nonlinearity": {"fraction": 0.06},
 }
-# Of these what is drawn at random is told: only a sum of squares is known beforehand.
+# Of these what is drawn at random is stated: only a sum of squares is known beforehand.
 AT_RANDOM = {"transverse_shear": 0.3, "lo_misalignment": 0.8e-3}
 
 
-def test_sizes_are_told_as_they_are():
-    told = {
+def test_sizes_are_reported_as_they_are():
+    stated = {
         kind.name: kind.sizes(World(), kind.change(World(), 2.0, np.random.default_rng(0)))
         for kind in KINDS
         if kind.sizes is not None
     }
-    assert set(told) == {*TOLD, *AT_RANDOM, "viscoelastic_stiffening"}
-    for name, sizes in TOLD.items():
-        assert told[name] == pytest.approx(sizes, rel=1e-9), name
+    assert set(stated) == {*STATED, *AT_RANDOM, "viscoelastic_stiffening"}
+    for name, sizes in STATED.items():
+        assert stated[name] == pytest.approx(sizes, rel=1e-9), name
     for name, size in AT_RANDOM.items():
-        assert np.hypot(*told[name].values()) == pytest.approx(size, rel=1e-9)
-    powers = told["viscoelastic_stiffening"]
+        assert np.hypot(*stated[name].values()) == pytest.approx(size, rel=1e-9)
+    powers = stated["viscoelastic_stiffening"]
     assert powers["E_L"] / 0.08 + powers["G_LT"] / 0.12 == pytest.approx(1.0)
     other = BY_NAME["clamp_asymmetry"]
     sick = other.change(World(), -2.0, np.random.default_rng(0))

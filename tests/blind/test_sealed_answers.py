@@ -29,16 +29,16 @@ def _answer(case_number: int, named: tuple[str, ...]) -> dict[str, Any]:
     weights = np.full(len(keys), 0.1)
     weights[keys.index("+".join(named) or "none")] += 9.0 * (case_number % 2)
     shares = rng.dirichlet(weights)
-    told = dict.fromkeys(keys, 0.0)
+    probability = dict.fromkeys(keys, 0.0)
     for key, value in zip(keys, shares.tolist(), strict=True):
-        told[key] += value
-    likeliest = max(told, key=lambda key: told[key])
+        probability[key] += value
+    likeliest = max(probability, key=lambda key: probability[key])
     gap = {"before": 9.0 + float(rng.random()), "after": 1.0 + float(rng.random()), "cents": [1, 2]}
     return {
         "verdict": "not converged" if rng.random() < 0.2 else "effect",
         "effects_named": [] if likeliest in ("none", "unknown") else likeliest.split("+"),
         "likely": [[likeliest], ["none"]],
-        "probability": told,
+        "probability": probability,
         "effects": {
             name: {
                 "d_prime": float(rng.uniform(0, 12)),
@@ -49,7 +49,7 @@ def _answer(case_number: int, named: tuple[str, ...]) -> dict[str, Any]:
             for name in names
         },
         "explained_fraction": {
-            "by": {key: dict(gap, after=gap["after"] + n) for n, key in enumerate(told)}
+            "by": {key: dict(gap, after=gap["after"] + n) for n, key in enumerate(probability)}
         },
         "gap": list(range(1000)),
     }
@@ -64,9 +64,9 @@ def cases() -> list[Case]:
             named = tuple(name for name, _ in label.effects) if label.known else ()
             answer = _answer(100 * tier + number, named)
             for name, sizes in true_sizes(label).items():
-                told = answer["effects"][name]
-                told["sizes"] = {p: {"value": 1.1 * v, "error": 0.2} for p, v in sizes.items()}
-                told["detectable"] = {p: abs(v) / 2 for p, v in sizes.items()}
+                effect = answer["effects"][name]
+                effect["sizes"] = {p: {"value": 1.1 * v, "error": 0.2} for p, v in sizes.items()}
+                effect["detectable"] = {p: abs(v) / 2 for p, v in sizes.items()}
             found.append(Case(f"{tier}-{number}", label, None if number == 3 else answer))
     return found
 
@@ -94,9 +94,9 @@ def test_what_is_printed_is_read_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     labels = [drawn_label(1, number, 7) for number in range(3)]
-    told, key = seal(labels)
+    sealed, key = seal(labels)
     (tmp_path / "cases").mkdir()
-    (tmp_path / "cases" / "sealed.json").write_text(json.dumps(told), encoding="utf-8")
+    (tmp_path / "cases" / "sealed.json").write_text(json.dumps(sealed), encoding="utf-8")
     (tmp_path / "key.json").write_text(json.dumps(key), encoding="utf-8")
     (tmp_path / "answers").mkdir()
     first, *_, last = sorted(key["cases"])
@@ -106,7 +106,7 @@ def test_what_is_printed_is_read_again(
     monkeypatch.setattr("sys.argv", ["sealed_answers", *asked])
     main()
     printed = capsys.readouterr()
-    # Whoever has not waited for all answers is told.
+    # Missing answers are reported.
     assert last in printed.err
     assert first not in printed.err
     (tmp_path / "kept.json").write_text(printed.out, encoding="utf-8")

@@ -117,8 +117,8 @@ def test_published_names_are_translated_to_names_of_today() -> None:
     label = names.label(Label(3, (("order_mixing", 2.0), ("crack", 1.0)), True, 5))
     assert label.effects == (("sideband_crosstalk", 2.0), ("crack", 1.0))
     for name in SETS:
-        told = {n for one in published(FOLDER / name).values() for n, _ in one.effects + one.told}
-        assert told <= set(BY_NAME)
+        named = {n for one in published(FOLDER / name).values() for n, _ in one.effects + one.told}
+        assert named <= set(BY_NAME)
     table = json.loads(TABLE.read_text(encoding="utf-8"))
     assert set(table["effects"].values()) | set(table["sizes"]) <= set(BY_NAME)
     assert not set(table["effects"]) & set(BY_NAME)

@@ -1,4 +1,4 @@
-"""Runs of a campaign: put in order, and what is missing told."""
+"""Runs of a campaign: put in order, and what is missing is reported."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +18,7 @@ def run(kind=Kind.SWEEP, second=0, part="", clamping=0, volts=16.0, clock_s=100.
         lock_error_se_hz=1e-3,
     )  # fmt: skip
     transform = SimpleNamespace(wavelength_m=532e-9, distance_m=0.8)
-    told = {
+    fields = {
         "uid": "",
         "reed": "R07",
         "series": "A",
@@ -30,10 +30,10 @@ def run(kind=Kind.SWEEP, second=0, part="", clamping=0, volts=16.0, clock_s=100.
         "path": Path(f"{part or 'run'}.h5"),
         "reconstruction": SimpleNamespace(transform=transform),
     }
-    return SimpleNamespace(**told | changed)
+    return SimpleNamespace(**fields | changed)
 
 
-def test_runs_stand_in_the_order_of_time_on_one_clock() -> None:
+def test_runs_are_in_the_order_of_time_on_one_clock() -> None:
     campaign = Campaign.of(
         [run(second=40, part="down"), run(Kind.DARK, 5, "dark"), run(second=9, part="up")]
     )
@@ -44,7 +44,7 @@ def test_runs_stand_in_the_order_of_time_on_one_clock() -> None:
     assert [part.name for part in campaign.sweeps] == ["up", "down"]
 
 
-def test_what_is_missing_is_told() -> None:
+def test_what_is_missing_is_reported() -> None:
     alone = Campaign.of([run()]).missing
     assert len(alone) == 7
     kinds = [run(kind, k) for k, kind in enumerate(Kind) if kind is not Kind.SWEEP]
@@ -55,7 +55,7 @@ def test_what_is_missing_is_told() -> None:
     ]
 
 
-def test_runs_of_one_name_are_told_apart() -> None:
+def test_runs_of_one_name_are_distinguished() -> None:
     sweeps = [run(second=second, path=Path(f"{second}/up.h5")) for second in (9, 40)]
     assert [part.name for part in Campaign.of([*sweeps, run(second=20)]).sweeps] == [
         "up", "run", "up-2",
@@ -82,7 +82,7 @@ def test_runs_that_do_not_belong_together_are_refused(changed, said) -> None:
         Campaign.of([run(part="up"), run(second=9, part="up", **changed)])
 
 
-def test_runs_that_tell_nothing_of_reed_and_campaign_may_stand_beside_others() -> None:
+def test_runs_without_reed_and_campaign_may_be_among_others() -> None:
     alone = run(second=9, reed_sha256="", acquisition=Acquisition())
     assert len(Campaign.of([run(part="up"), alone]).sweeps) == 2
 

@@ -41,11 +41,11 @@ from reports.errors import OutputFailedError, OutputRefusedError
 from reports.figures.gap_map import draw_map
 from tests.diagnosis.toy import AT, COUNT, EFFECTS, bench, measured
 
-TOLD = CampaignSummary("t3", ("a second sweep",), ("x.h5: too few good steps",))
+SUMMARY = CampaignSummary("t3", ("a second sweep",), ("x.h5: too few good steps",))
 
 
 def diagnosed(extra: float = 0.0, **changes: float) -> Diagnosis:
-    return diagnose_problem(measured(3, bench(**changes), extra=extra), TOLD)
+    return diagnose_problem(measured(3, bench(**changes), extra=extra), SUMMARY)
 
 
 @pytest.fixture(scope="module")
@@ -91,23 +91,23 @@ def test_probabilities_add_up_and_likely_classes_have_90_percent_and_no_more(
         assert given == sorted(given, reverse=True)
 
 
-def test_something_unknown_is_seen_beside_what_is_known_of(strange, strange_beside) -> None:
+def test_something_unknown_is_seen_together_with_a_known_effect(strange, strange_beside) -> None:
     assert (strange.unknown_with, strange.unknown_in) == ("none", "lines")
-    told = strange_beside
-    assert told.kind == "unknown"
-    # Beside nothing it would be in the lines, which the next sideband moves.
+    found = strange_beside
+    assert found.kind == "unknown"
+    # Alone it would be in the lines, which the next sideband moves.
     worst = max(
-        told.selection.group_log_bayes, key=lambda name: told.selection.group_log_bayes[name]
+        found.selection.group_log_bayes, key=lambda name: found.selection.group_log_bayes[name]
     )
-    assert (worst, told.unknown_with, told.unknown_in) == (
+    assert (worst, found.unknown_with, found.unknown_in) == (
         "lines",
         "sideband_crosstalk",
         "clocks",
     )
-    p = told.probability["unknown"]
+    p = found.probability["unknown"]
     for part in (f"({p:.0%})", BY_ID["sideband_crosstalk"].title, "clocks"):
-        assert part in words(told)[0]
-    answer = to_json(told)["unknown"]
+        assert part in words(found)[0]
+    answer = to_json(found)["unknown"]
     assert (answer["with"], answer["group"]) == ("sideband_crosstalk", "clocks")
 
 
@@ -130,7 +130,7 @@ def test_what_is_likeliest_but_not_likely_is_called_so(mixed) -> None:
     cause = f"{BY_ID[name].title} (31%)"
     assert cause in words(alone)[0]
     assert "not certain" in words(alone)[0]
-    # With what is alike it is likelier than not; but not with 0.46.
+    # With what is confusable it is likelier than not; but not with 0.46.
     together = (name, "carrier_leak")
     assert "not certain" in words(replace(alone, likely=(together, ("none",))))[0]
     shares = shares | {"carrier_leak": 0.25, "unknown": 0.14}
@@ -150,9 +150,9 @@ def test_json_has_sizes_in_their_units(mixed) -> None:
     answer = to_json(mixed)
     assert json.loads(json.dumps(answer, allow_nan=False)) == answer
     assert answer["effects_named"] == ["sideband_crosstalk"]
-    told = answer["effects"]["sideband_crosstalk"]
-    size = told["sizes"]["fraction"]
-    # Beside a level that is not known, of numbers with errors of 0.05.
+    effect_found = answer["effects"]["sideband_crosstalk"]
+    size = effect_found["sizes"]["fraction"]
+    # With a level that is not known, of numbers with errors of 0.05.
     bump = np.exp(-((AT / 0.2) ** 2)) / 0.05
     level = np.full(COUNT, 2.0) / 0.05
     alone = bump @ bump - (bump @ level) ** 2 / (1 + level @ level)
@@ -160,8 +160,8 @@ def test_json_has_sizes_in_their_units(mixed) -> None:
     assert size["error"] == pytest.approx(1 / math.sqrt(alone), rel=0.2)
     assert size["z"] == pytest.approx(size["value"] / 0.08)
     # The size that would stand out by five deviations, and how far the fitted one does.
-    assert told["detectable"]["fraction"] == pytest.approx(5 / math.sqrt(alone), rel=0.01)
-    assert told["d_prime"] == pytest.approx(size["value"] * math.sqrt(alone), rel=0.1)
+    assert effect_found["detectable"]["fraction"] == pytest.approx(5 / math.sqrt(alone), rel=0.01)
+    assert effect_found["d_prime"] == pytest.approx(size["value"] * math.sqrt(alone), rel=0.1)
     assert answer["probability"] == dict(
         sorted(answer["probability"].items(), key=lambda item: -item[1])
     )
@@ -246,8 +246,8 @@ def test_sizes_of_two_effects_say_whose_they_are(both) -> None:
     html = document(both, "A reed")
     for effect in both.effects:
         size = to_json(both)["pairs"]["+".join(both.effects)]["sizes"][effect]["fraction"]
-        told = f"{BY_ID[effect].title}: fraction {size['value']:.2g} ± {size['error']:.1g}"
-        assert told in html
+        line = f"{BY_ID[effect].title}: fraction {size['value']:.2g} ± {size['error']:.1g}"
+        assert line in html
         assert notes_of(BY_ID[effect]).check in html
 
 
@@ -255,18 +255,18 @@ def test_a_gap_of_nothing_has_no_shares(nothing) -> None:
     assert "the gap is not divided among stages" in document(nothing, "A reed")
 
 
-def test_the_map_stands_in_the_order_of_taps(mixed) -> None:
+def test_the_map_is_in_the_order_of_taps(mixed) -> None:
     axes = draw_map(mixed.gap).axes
     rows = [label.get_text() for label in axes[0].get_yticklabels()]
     assert rows == ["clocks  hologram", "lines  maps"]
 
 
-def test_the_sweep_that_is_left_out_is_of_another_clamping_or_the_calmest() -> None:
-    def sweeps(*told):
+def test_the_sweep_that_is_left_out_is_of_another_clamping_or_the_weakest() -> None:
+    def sweeps(*named_sweeps):
         return SimpleNamespace(
             sweeps=[
                 SimpleNamespace(name=name, clamping=clamping, loudness=loudness)
-                for name, clamping, loudness in told
+                for name, clamping, loudness in named_sweeps
             ]
         )
 
@@ -278,7 +278,7 @@ def test_the_sweep_that_is_left_out_is_of_another_clamping_or_the_calmest() -> N
     )
 
 
-def test_what_an_effect_touches_is_beside_what_nuisances_do() -> None:
+def test_what_an_effect_touches_is_what_nuisances_do_not() -> None:
     # The level, far from where it usually is, is of no effect.
     problem = measured(3, bench(fade_per_h=9.0, crosstalk=0.5))
     null = fit_model(problem, (), [np.zeros(1)])
@@ -290,14 +290,14 @@ def test_what_an_effect_touches_is_beside_what_nuisances_do() -> None:
     assert 10 < np.count_nonzero(touched) < 40
 
 
-def test_gaps_are_told_in_units_that_people_know() -> None:
+def test_gaps_are_reported_in_units_that_people_know() -> None:
     """Two nepers, three cents, and shares of shapes, of which an effect takes half."""
     places = [
         Coordinates("force"),
         Coordinates("frequency, cents"),
         Coordinates("share of F2"),
         Coordinates("share of T1"),
-        Coordinates("nobody's"),
+        Coordinates("no one's"),
     ]
     half = np.array([1.0, 1.5, 0.1, 0.2, 1.0])
     none = Nuisance("none", "", 1.0, lambda twin, _: twin, "nothing")
@@ -315,16 +315,16 @@ def test_gaps_are_told_in_units_that_people_know() -> None:
     candidate = replace(
         null, estimate=replace(null.estimate, residuals=null.estimate.residuals / 2)
     )
-    told = {gap.quantity: gap for gap in gaps_in_units(problem, null, candidate)}
-    assert set(told) == {"response, dB", "resonances, cents", "shapes, 1 - MAC"}
-    decibels = told["response, dB"]
+    by_quantity = {gap.quantity: gap for gap in gaps_in_units(problem, null, candidate)}
+    assert set(by_quantity) == {"response, dB", "resonances, cents", "shapes, 1 - MAC"}
+    decibels = by_quantity["response, dB"]
     # A neper is 8.686 dB.
     assert (decibels.before, decibels.after) == pytest.approx((2 * 8.6859, 8.6859), rel=1e-4)
     assert decibels.error == pytest.approx(0.086859, rel=1e-4)
-    cents = told["resonances, cents"]
+    cents = by_quantity["resonances, cents"]
     assert (cents.before, cents.after, cents.error) == pytest.approx((3.0, 1.5, 0.01))
     # What a shape has of others adds up.
-    shapes = told["shapes, 1 - MAC"]
+    shapes = by_quantity["shapes, 1 - MAC"]
     assert shapes.before == pytest.approx(0.2**2 + 0.4**2)
     assert shapes.after == pytest.approx(0.1**2 + 0.2**2)
 
@@ -337,29 +337,29 @@ def test_actions_are_ranked_by_what_they_tell_in_a_minute() -> None:
     def same(twin: Twin) -> Twin:
         return twin
 
-    told, long, sharp, other = (
-        Experiment("told", "", 10.0, ("lines",), same),
+    known, long, sharp, other = (
+        Experiment("known", "", 10.0, ("lines",), same),
         Experiment("long", "", 20.0, ("lines",), same),
         Experiment("sharp", "", 10.0, ("lines",), same, sd_factor=0.5),
         Experiment("other", "", 10.0, ("no such block",), same),
     )
-    worths = rank_experiments(problem, slope, bump, (long, other, told, sharp))
-    assert [worth.experiment.id for worth in worths] == ["sharp", "told", "long"]
+    worths = rank_experiments(problem, slope, bump, (long, other, known, sharp))
+    assert [worth.experiment.id for worth in worths] == ["sharp", "known", "long"]
     by_id = {worth.experiment.id: worth for worth in worths}
-    assert by_id["told"].expected_nats == pytest.approx(by_id["long"].expected_nats)
-    assert by_id["told"].nats_per_minute == pytest.approx(by_id["told"].expected_nats / 10)
-    # As many nats as half the square of the distance between predictions of so many numbers, less
+    assert by_id["known"].expected_nats == pytest.approx(by_id["long"].expected_nats)
+    assert by_id["known"].nats_per_minute == pytest.approx(by_id["known"].expected_nats / 10)
+    # As many nats as half the square of the distance between predictions of all numbers, less
     # for what is uncertain of them.
     lines = problem.groups[0]
     apart = lines.predict(slope.twin(problem)) - lines.predict(bump.twin(problem))
     most = 0.5 * float(np.sum((apart / 0.05) ** 2))
-    assert 0.2 * most < by_id["told"].expected_nats < most
+    assert 0.2 * most < by_id["known"].expected_nats < most
 
 
-def test_a_class_has_only_what_is_alike_to_all_of_it_and_reach_is_five_deviations() -> None:
+def test_a_class_holds_similar_effects_and_the_detectable_size_is_five_deviations() -> None:
     east = np.array([[1.0], [0.0], [0.0]])
     near = np.array([[0.9], [math.sqrt(1 - 0.81)], [0.0]])
-    # Alike to the second alone: cosines of 0.9, 0.9 and 0.62.
+    # Similar to the second alone: cosines of 0.9, 0.9 and 0.62.
     far = np.array([[0.62], [math.sqrt(1 - 0.62**2)], [0.0]])
     signatures = {
         name: (table, table)

@@ -34,8 +34,8 @@ def signs(problem, *effects, condition=None):
 
 
 def test_something_unknown_is_likelier_only_where_numbers_are_off() -> None:
-    calm, off = measured(1, bench()), measured(1, bench(), extra=0.4)
-    assert log_bayes_any_unknown(calm, fitted(calm)) < 0
+    plain, off = measured(1, bench()), measured(1, bench(), extra=0.4)
+    assert log_bayes_any_unknown(plain, fitted(plain)) < 0
     found = group_discrepancies(off, fitted(off))
     assert float(found["lines"][0]) > 20
     assert float(found["clocks"][0]) < 0
@@ -83,7 +83,7 @@ def test_what_moves_two_blocks_counts_once_for_each() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_chance_fires_no_sign_beside_the_truth(seed: int) -> None:
+def test_chance_fires_no_sign_next_to_the_truth(seed: int) -> None:
     found = signs(measured(seed, bench(crosstalk=0.5)), BUMP)
     assert set(found) == {"discrepancy", "largest", "implausible"}
     assert not any(sign.significant for sign in found.values())

@@ -1,4 +1,4 @@
-"""Fits and evidence beside integrals that can be done by hand."""
+"""Fits and evidence compared with integrals that can be done by hand."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A mode at another frequency with the drive bent to match moves a reed alike."""
+"""A mode at another frequency with the drive bent to match gives equal motion."""
 
 import numpy as np
 import pytest

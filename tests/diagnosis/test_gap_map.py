@@ -47,7 +47,7 @@ def test_cells_tell_the_band() -> None:
     assert not any(cell.resolvable for cell in found.cells)
     clear = gap_map(measured(2, bench(crosstalk=0.8)))
     by_time = {c.label: c for c in clear.cells if c.axis == "time"}
-    # The bump stands in the middle, whose numbers are of time 0.
+    # The bump is in the middle, whose numbers are of time 0.
     assert by_time["t0"].resolvable
     assert not by_time["t3"].resolvable
     assert sum(c.count for c in clear.cells if c.axis == "time") == COUNT
@@ -109,16 +109,16 @@ def test_where_nothing_is_wrong_no_stage_has_a_share() -> None:
     assert gap_map(measured(1, bench())).ladder == ()
 
 
-def test_an_earlier_stage_that_tells_the_level_takes_the_later_ones_share() -> None:
-    # Both taps are off alike by what an unknown level makes of the later one alone.
+def test_an_earlier_stage_that_fixes_the_level_takes_the_later_ones_share() -> None:
+    # Both taps are off equally by what an unknown level makes of the later one alone.
     both = gap_map(measured(5, bench(leak=1.0)))
     share = {rung.observable: (rung.forward, rung.backward) for rung in both.ladder}
     assert share[Observable.MAPS][0] > 0.5
     assert share[Observable.HOLOGRAM][1] > 0.0
 
 
-def test_what_one_stage_tells_of_another_is_its_own_share() -> None:
-    # Two stages off alike, by what an unlikely level makes of both: whichever is measured first
+def test_what_one_stage_says_of_another_is_its_own_fraction() -> None:
+    # Two stages off equally, by what an unlikely level makes of both: whichever is measured first
     # has it all, and the other one follows.
     level = Nuisance("level", "", 0.05, lambda t, v: more(t, "optics", fade_per_h=v), "")
     both = [

@@ -1,4 +1,4 @@
-"""What a bench file tells of its camera and of effects that the bench is known to have."""
+"""What a bench file says of its camera and of effects that the bench is known to have."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -65,20 +65,20 @@ def test_what_is_wrong_is_named_with_its_remedy(known: str, said: str) -> None:
 
 def test_a_camera_is_as_its_data_sheet_says() -> None:
     sheet = "{offset_dn: 20, gain_e_dn: 2.0, read_noise_e: 5.0, full_well_e: 30000}"
-    told = BenchFile.from_text(
+    described = BenchFile.from_text(
         TEXT.replace("max_frame_rate: 12.5 Hz", f"max_frame_rate: 12.5 Hz\n    data_sheet: {sheet}")
     )
-    sensor = sensor_of(told, RUN)
+    sensor = sensor_of(described, RUN)
     assert (sensor.shape, sensor.pixel_m, sensor.read_noise_e) == ((64, 96), 5e-6, 5.0)
     assert sensor_of(None, RUN).read_noise_e == Sensor().read_noise_e
 
 
-def test_a_run_without_a_readable_bench_tells_nothing_of_it() -> None:
+def test_a_run_without_a_readable_bench_says_nothing_of_it() -> None:
     assert bench_of(RUN) == BenchFile.from_text(TEXT)
     assert bench_of(SimpleNamespace(bench_text="")) is None
 
 
 def test_what_a_twin_cannot_have_twice_is_not_asked_for_again() -> None:
-    told = bench("{second_acoustic_resonance: {strength: 0.1}, drying: {fraction: 0.2}}")
-    assert only_once(told) == ("second_acoustic_resonance",)
+    described = bench("{second_acoustic_resonance: {strength: 0.1}, drying: {fraction: 0.2}}")
+    assert only_once(described) == ("second_acoustic_resonance",)
     assert only_once(None) == only_once(BenchFile.from_text(TEXT)) == ()

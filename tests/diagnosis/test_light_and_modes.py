@@ -1,4 +1,4 @@
-"""Noise beside the image, light at rest, and levels of sweeps, beside what can be said by hand."""
+"""Noise outside the image, light at rest, and levels of sweeps, compared with sums by hand."""
 
 from types import SimpleNamespace
 
@@ -31,12 +31,15 @@ def test_pixels_that_differ_spread_fringes_by_the_square_of_what_they_differ_by(
     p, noise, fringes = 0.05, 1600.0, 2e5
     block = noise_group([sweep("dim", noise, 0.0), sweep("up", noise + p**2 * fringes, fringes)])
     half = len(block.values) // 2
-    told = block.predict(Twin(sensor=SensorParameters(pattern=p)))
-    assert np.mean(told[half:]) - np.mean(told[:half]) == pytest.approx(
+    predicted = block.predict(Twin(sensor=SensorParameters(pattern=p)))
+    assert np.mean(predicted[half:]) - np.mean(predicted[:half]) == pytest.approx(
         np.log1p(p**2 * fringes / noise), abs=3e-3
     )
     assert (
-        np.abs(block.values[half:] - told[half:] - block.values[:half] + told[:half]).max() < 1e-2
+        np.abs(
+            block.values[half:] - predicted[half:] - block.values[:half] + predicted[:half]
+        ).max()
+        < 1e-2
     )
     assert np.ptp(block.predict(Twin())) == pytest.approx(0.0, abs=1e-12)
 
@@ -53,7 +56,7 @@ def test_runs_at_rest_are_averaged_by_themselves_however_long_they_are() -> None
     assert rest == pytest.approx([0.0, -0.2])
 
 
-def test_acquisitions_that_are_alike_by_chance_are_no_surer_than_light_is() -> None:
+def test_acquisitions_that_are_equal_by_chance_are_no_surer_than_light_is() -> None:
     # Four at rest differ by nothing; light of the sweeps scatters by 3 %.
     rng = np.random.default_rng(4)
     sweeps = [sweep(name, 1.0, 0.0) for name in ("up", "down", "shuffled")]
@@ -71,7 +74,7 @@ def test_acquisitions_that_are_alike_by_chance_are_no_surer_than_light_is() -> N
     assert np.sqrt(apart) > 0.03 * np.sqrt(2 / 4) * 0.7
 
 
-def test_light_that_was_taken_off_makes_calm_modes_uncertain() -> None:
+def test_light_that_was_taken_off_makes_small_modes_uncertain() -> None:
     drive_hz = 1000.0 * 2 ** (np.arange(COUNT) / 48)
     sweep = SimpleNamespace(
         name="up", taken_off=0.02, drive_hz=drive_hz, hz=np.array([1500.0, 3000.0, 6000.0]),
@@ -90,7 +93,7 @@ def test_light_that_was_taken_off_makes_calm_modes_uncertain() -> None:
     assert ratio[[0, 3]].min() > 3
     assert ratio[[1, 2, 4, 5]] == pytest.approx(1.0)
     sweep.taken_off = 0.0
-    # Nothing was taken off: all modes alike, and next to nothing.
+    # Nothing was taken off: all modes equal, and next to nothing.
     assert errors(0)[:3] == pytest.approx(np.full(3, errors(0)[0]))
     assert errors(0)[0] < found[0]
 

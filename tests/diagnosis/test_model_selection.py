@@ -56,11 +56,11 @@ def test_what_no_effect_makes_is_unknown() -> None:
 
 def test_what_a_great_effect_leaves_is_its_own_form_if_it_is_plausible() -> None:
     found = select_model(measured(6, bench(leak=1.5), extra=0.25), EFFECTS)
-    # Something is left beside the slope, but little of what it explains.
+    # Something is left in addition to the slope, but little of what it explains.
     gained = found.single["slope"].log_evidence - found.null.log_evidence
     assert 3 < found.unknown_log_bayes_with["slope"] < 0.05 * gained
     assert found.probability["slope"] > 0.8
-    # What need not show beside it is as likely as beside any other.
+    # What need not show next to it is as likely as next to any other.
     odds = found.log_probability["slope+nothing"] - found.log_probability["slope"]
     assert odds == pytest.approx(np.log(PRIOR["two"] / 6 / (PRIOR["one"] / 4)))
     # Of a slope that is not plausible it is asked what else there is.
@@ -80,10 +80,10 @@ def test_effects_that_move_nothing_do_not_compete() -> None:
     assert set(found.signatures) == {"slope", "bump", "offset"}
 
 
-def test_what_need_not_show_is_likely_beside_what_does() -> None:
+def test_what_need_not_show_is_likely_next_to_what_does() -> None:
     problem = measured(6, bench(leak=0.6))
     found = select_model(problem, EFFECTS)
-    # "nothing" moves nothing: beside the slope it is as likely as two effects are.
+    # "nothing" moves nothing: next to the slope it is as likely as two effects are.
     assert found.undetectable["slope+nothing"] == ("slope", 0.0)
     odds = found.log_probability["slope+nothing"] - found.log_probability["slope"]
     assert odds == pytest.approx(np.log(PRIOR["two"] / 6 / (PRIOR["one"] / 4)))
@@ -92,17 +92,17 @@ def test_what_need_not_show_is_likely_beside_what_does() -> None:
     assert sum(found.probability.values()) == pytest.approx(1.0)
 
 
-def test_effects_that_are_alike_are_no_pair() -> None:
+def test_confusable_effects_are_no_pair() -> None:
     # What a slope of not quite its form leaves is not another slope.
-    alike = effect("incline", "optics", "leak")
-    found = select_model(measured(6, bench(leak=1.5), extra=0.05), (*EFFECTS, alike))
+    similar = effect("incline", "optics", "leak")
+    found = select_model(measured(6, bench(leak=1.5), extra=0.05), (*EFFECTS, similar))
     assert {"slope", "incline"} <= set(found.single)
     both = {"slope+incline", "incline+slope"}
     assert not both & set(found.log_probability)
     assert found.probability["slope"] == pytest.approx(found.probability["incline"], rel=0.01)
 
 
-def test_beside_nothing_only_what_moves_nothing_is_unseen() -> None:
+def test_without_nuisances_only_what_moves_nothing_is_unseen() -> None:
     found = select_model(measured(6, bench()), EFFECTS)
     assert set(found.undetectable) == {"nothing"}
     odds = found.log_probability["nothing"] - found.log_probability[NONE]
@@ -158,7 +158,7 @@ def test_sizes_come_back_within_their_errors() -> None:
     assert found.names == ("slope",)
 
 
-def test_a_louder_noise_than_told_is_no_effect() -> None:
+def test_a_louder_noise_than_stated_is_no_effect() -> None:
     # Replicates that were a third too quiet: everything is off by a little more than it should be.
     problem = measured(8, Twin(), noise=0.05)
     louder = measured(8, Twin(), noise=0.065)
@@ -217,7 +217,7 @@ def test_counting_a_straight_fit_exactly_changes_nothing_where_all_is_straight()
     assert exact.log_evidence == pytest.approx(straight.log_evidence)
 
 
-def test_what_nobody_can_see_may_still_be_unknown() -> None:
+def test_what_cannot_be_seen_may_still_be_unknown() -> None:
     # Nothing is off: what is unknown is as likely as before, but for what would have been seen.
     found = select_model(measured(12, bench()), EFFECTS).log_probability
     assert 0.3 * PRIOR["unknown"] / PRIOR["none"] < np.exp(found[UNKNOWN] - found[NONE]) < 0.25

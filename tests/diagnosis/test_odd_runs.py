@@ -46,7 +46,7 @@ class FewModes:
 def sweep(name="up", drive_hz=STEPS_HZ, volts=8.0, names=tuple(MODES), **changed):
     """Say what a fit says of a sweep in which nothing is off."""
     count, a = len(drive_hz), len(names)
-    told = {
+    fields = {
         "name": name,
         "clamping": 0,
         "loudness": float(np.log(volts)),
@@ -70,7 +70,7 @@ def sweep(name="up", drive_hz=STEPS_HZ, volts=8.0, names=tuple(MODES), **changed
         "template_variance": np.full((len(TEMPLATES), count), 1e-6),
         "taken_off": 0.0,
     }
-    return SimpleNamespace(**told | changed)
+    return SimpleNamespace(**fields | changed)
 
 
 def test_numbers_that_are_none_are_refused_by_name() -> None:
@@ -155,7 +155,7 @@ def test_programs_that_tell_one_noise_for_all_are_believed_but_for_little() -> N
     assert np.linalg.eigvalsh(noise.covariance).min() > 0
 
 
-def test_where_no_hologram_is_told_fringes_tell_nothing() -> None:
+def test_where_no_hologram_is_known_fringes_say_nothing() -> None:
     blind = sweep(off=np.ones(184, bool))
     assert fringe_group([blind]) is None
     assert mixing_in([blind]) == 0.0
@@ -221,7 +221,7 @@ def test_steps_far_apart_tell_how_far_a_mode_moves_by_the_nearest() -> None:
 
 
 def dark_clamp(signal):
-    """A run of a reed whose clamp shows so much light beside noise."""
+    """A run of a reed whose clamp shows a given ratio of light to noise."""
     x_m, y_m = np.linspace(0, 38e-3, 90), np.linspace(-5e-3, 5e-3, 31)
     rng = np.random.default_rng(1)
 
@@ -243,7 +243,7 @@ def dark_clamp(signal):
     return SimpleNamespace(name="up", run=run, clamping=0, good_steps=steps)
 
 
-def test_a_clamp_that_shows_no_light_tells_of_no_carrier() -> None:
+def test_a_clamp_without_light_gives_no_carrier() -> None:
     assert not read_carriers([dark_clamp(0.0)], [dark_clamp(0.0)])
     assert len(read_carriers([dark_clamp(10.0)], [dark_clamp(10.0)])) == 1
 

@@ -126,7 +126,7 @@ def test_light_fades_by_its_share_an_hour_and_fringes_by_its_root_of_either_beam
     rest = next(k for k, time in enumerate(when) if time.startswith("at rest"))
     up, down = ([k for k, t in enumerate(when) if t.startswith(name)] for name in ("up", "down"))
     assert faded[rest] == pytest.approx(-0.3)
-    # Sweeps are beside their mean.
+    # Sweeps are compared with their mean.
     assert faded[up] == pytest.approx(0.15)
     assert faded[down] == pytest.approx(-0.15)
     hopped = moved(light, optics={"hop": 0.2})
@@ -152,19 +152,19 @@ def test_fringes_show_what_leaks_in_by_its_amplitude_and_lost_contrast_as_it_is(
         "decorrelation",
     ]
     for field in ("crosstalk", "leak"):
-        told = moved(fringes, optics={field: 0.03})
-        assert told == pytest.approx([np.hypot(0.03, 5e-3) - 5e-3, 0.0])
+        change = moved(fringes, optics={field: 0.03})
+        assert change == pytest.approx([np.hypot(0.03, 5e-3) - 5e-3, 0.0])
     assert moved(fringes, optics={"decorrelation_per_rad2": 1e-3}) == pytest.approx([0.0, 1e-3])
 
 
 def test_a_coil_loses_by_the_square_of_its_volts_where_it_moves() -> None:
     level = level_group([sweep(volts=16.0), sweep("quiet", volts=4.0)], Leaks({}, 0.0))
-    told = moved(level, drive={"compression": 0.5})
+    change = moved(level, drive={"compression": 0.5})
     # At the least frequency 0.5 / (1 + (1/5)²) of what it would be at 16 V; a sixteenth at 4 V.
     most = 0.5 / (1 + (1.12 / 5) ** 2)
-    assert told[0] == pytest.approx(np.log((1 - most) / (1 - most / 16)), abs=0.02)
-    assert (np.diff(told) > 0).all()
-    assert len(told) > 3
+    assert change[0] == pytest.approx(np.log((1 - most) / (1 - most / 16)), abs=0.02)
+    assert (np.diff(change) > 0).all()
+    assert len(change) > 3
 
 
 def test_a_line_stands_out_of_the_drive_where_it_is() -> None:
@@ -173,16 +173,16 @@ def test_a_line_stands_out_of_the_drive_where_it_is() -> None:
     line = CavityLine(frequency_hz=float(hz[90]))
     block = excitation_group([sweep(), sweep("down")], line, Leaks({}, 0.0))
     at_line, at_second = 90, 130
-    told = moved(block, drive={"second_strength": 0.1, "second_hz": float(hz[at_second]) - 7e3,
+    change = moved(block, drive={"second_strength": 0.1, "second_hz": float(hz[at_second]) - 7e3,
                                "second_quality": -10.0})  # fmt: skip
     # Of a quality of 20: at its middle 1 − 2i of the pressure, and hardly anything far below.
-    assert told[at_second] == pytest.approx(np.log(abs(1 - 2j)))
-    assert abs(told[30]) < 0.15
+    assert change[at_second] == pytest.approx(np.log(abs(1 - 2j)))
+    assert abs(change[30]) < 0.15
     # Of the known line 1.5 times as much.
     strength = line.strength * line.quality
-    told = moved(block, drive={"resonance_excess": 0.5})
+    change = moved(block, drive={"resonance_excess": 0.5})
     expected = np.log(abs(1 - 1.5j * strength) / abs(1 - 1j * strength))
-    assert told[at_line] == pytest.approx(expected)
+    assert change[at_line] == pytest.approx(expected)
 
 
 def test_forces_fall_beyond_an_amplifier_s_corner_and_rise_by_what_clay_lets_through(

@@ -29,17 +29,17 @@ PARTS = [part(name) for name in VOLTS]
 
 @pytest.fixture
 def fitted(monkeypatch):
-    """Fits that say what they come from; doubts, and which sweeps cannot be fitted, as told."""
-    told = SimpleNamespace(doubt={}, refused=set(), lost=set(), again=[])
+    """Fits that say their origin; a test sets doubts and the sweeps that cannot be fitted."""
+    faked = SimpleNamespace(doubt={}, refused=set(), lost=set(), again=[])
 
     def jointly(run, _reed, _model, _light):
-        if run.name in told.refused:
+        if run.name in faked.refused:
             raise FitError(f"{run.name} cannot be fitted")
         return SimpleNamespace(name=run.name, resonances={"F1": 1}, of=run.name)
 
     def again(run, before, *, moved, unshifted):
-        told.again.append((before.name, run.name, moved))
-        if run.name in told.lost:
+        faked.again.append((before.name, run.name, moved))
+        if run.name in faked.lost:
             raise FitError(f"{run.name} shows another reed")
         return SimpleNamespace(name=run.name, resonances=before.resonances, of=before.of)
 
@@ -48,9 +48,9 @@ def fitted(monkeypatch):
     monkeypatch.setattr(sweep_readings, "fit_jointly", jointly)
     monkeypatch.setattr(sweep_readings, "fit_same_reed", again)
     monkeypatch.setattr(sweep_readings, "fit_without_unshifted", lambda fit: fit)
-    monkeypatch.setattr(sweep_readings, "_doubt", lambda fit: told.doubt.get(fit.name, (0, 0.0)))
+    monkeypatch.setattr(sweep_readings, "_doubt", lambda fit: faked.doubt.get(fit.name, (0, 0.0)))
     monkeypatch.setattr(sweep_readings, "_reading", lambda part, fit, _off: (part.name, fit.of))
-    yield told
+    yield faked
     assert not multiprocessing.active_children()
 
 
@@ -85,14 +85,14 @@ def test_what_cannot_be_fitted_by_itself_can_from_another(fitted) -> None:
     assert not refused
 
 
-def test_what_cannot_be_fitted_at_all_is_told_by_its_reason(fitted) -> None:
+def test_what_cannot_be_fitted_at_all_is_reported_with_its_reason(fitted) -> None:
     fitted.lost = {"down"}
     read, refused = sweep_readings.read_sweeps(PARTS)
     assert [name for name, _ in read] == ["up", "quiet", "again"]
     assert refused == ["down shows another reed"]
 
 
-def test_a_campaign_of_which_nothing_can_be_fitted_is_told(fitted) -> None:
+def test_a_campaign_of_which_nothing_can_be_fitted_is_reported(fitted) -> None:
     fitted.refused = set(VOLTS)
     read, refused = sweep_readings.read_sweeps(PARTS)
     assert not read

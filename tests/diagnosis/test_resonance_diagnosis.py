@@ -64,7 +64,7 @@ def effect(name, *moduli, spread=0.3):
     )  # fmt: skip
 
 
-ACROSS_GRAIN, TWIN_OF_IT = effect("across", "E_T"), effect("alike", "E_T", spread=0.2)
+ACROSS_GRAIN, TWIN_OF_IT = effect("across", "E_T"), effect("similar", "E_T", spread=0.2)
 HEAVIER, NOTHING = effect("heavier", "density"), effect("nothing")
 SHEAR = effect("shear", "G_LR")
 
@@ -115,13 +115,13 @@ def test_where_the_elastic_reed_is_right_nothing_is_likelier() -> None:
 
 def test_effects_that_do_the_same_are_one_class() -> None:
     found = diagnosed(reeds(across=0.4), effects=(ACROSS_GRAIN, TWIN_OF_IT, HEAVIER))
-    assert ("across", "alike") in [tuple(sorted(group)) for group in found.classes]
+    assert ("across", "similar") in [tuple(sorted(group)) for group in found.classes]
     by_name = {entry.effect: entry for entry in found.detectability}
     assert by_name["heavier"].absorbed > 0.99
     assert by_name["across"].absorbed < 0.9
 
 
-def test_words_say_whose_sizes_are_and_what_is_hardly_told_from_what() -> None:
+def test_words_say_whose_sizes_are_and_what_is_hardly_distinguished() -> None:
     effects = (ACROSS_GRAIN, TWIN_OF_IT, HEAVIER, SHEAR)
     found = diagnosed(reeds(across=0.4), effects=effects)
     said = words(found, {effect.id: effect for effect in effects})
@@ -130,7 +130,7 @@ def test_words_say_whose_sizes_are_and_what_is_hardly_told_from_what() -> None:
     assert f"across: size {size.value:.3g} ± {size.error:.1g} ({size.z:+.1f} SD" in "\n".join(said)
     hardly = next(line for line in said if line.startswith("across is confusable"))
     # Both move the same.
-    assert "alike (1.00)" in hardly
+    assert "similar (1.00)" in hardly
     assert hardly.endswith(notes_of(ACROSS_GRAIN).check)
     both = next(trial for trial in found.together if trial.converged and trial.log_bayes > 1)
     line = next(line for line in said if line.startswith(" + ".join(both.effects)))
@@ -138,7 +138,7 @@ def test_words_say_whose_sizes_are_and_what_is_hardly_told_from_what() -> None:
     assert "does not prove its cause" in said[-1]
 
 
-def test_the_table_of_trials_tells_shares_as_they_are() -> None:
+def test_the_table_of_trials_gives_fractions_as_they_are() -> None:
     found = diagnosed(reeds(across=0.4), effects=(ACROSS_GRAIN, HEAVIER))
     console = Console(width=200, file=io.StringIO())
     console.print(terminal_table(trials_table(found)))
@@ -150,7 +150,7 @@ def test_the_table_of_trials_tells_shares_as_they_are() -> None:
     assert f"{best.log_bayes:+.1f}" in row
 
 
-def test_rows_of_other_modes_are_told(tmp_path) -> None:
+def test_rows_of_other_modes_are_reported(tmp_path) -> None:
     said = []
     odd = ["1,A,f2,3400.0", "1,A,X7,9900.0"]
     (reed,) = tabled_reeds(table(tmp_path, *rows("1", -30), *odd, *rows("2", 10)), said.append)

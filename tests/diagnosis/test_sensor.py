@@ -68,11 +68,11 @@ def left(block, twin=None):
 
 
 def test_a_camera_as_its_data_sheet_says_leaves_nothing() -> None:
-    calm = dark()
-    assert calm.offset_dn == pytest.approx(50, abs=0.1)
-    assert calm.noise_dn == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.01)
-    assert calm.hot == 0
-    for block in (dark_group(calm, SHEET), flat_group(flat(), calm, SHEET)):
+    plain = dark()
+    assert plain.offset_dn == pytest.approx(50, abs=0.1)
+    assert plain.noise_dn == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.01)
+    assert plain.hot == 0
+    for block in (dark_group(plain, SHEET), flat_group(flat(), plain, SHEET)):
         assert np.abs(block.whitened_residual(Twin())).max() < 4
 
 

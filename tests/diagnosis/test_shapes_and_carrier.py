@@ -74,7 +74,7 @@ def test_shares_are_in_units_of_largest_deflections_with_the_signs_of_the_basis(
     assert found["F1", "share of T1"] == pytest.approx(twist_sign * OF_OTHERS[1] * 5 / 2)
 
 
-def test_shares_are_told_once_and_where_fits_disagree_hardly() -> None:
+def test_fractions_are_reported_once_and_hardly_where_fits_disagree() -> None:
     small, large = np.zeros((3, 3)), np.zeros((3, 3))
     large[1, 0] = 0.01
     block = shapes_group([sweep(small), sweep(large), sweep(small)], WORKSHOP, NO_LEAKS)
@@ -108,7 +108,7 @@ def carriers(leak=0.0):
     ]
 
 
-def test_a_carrier_is_told_where_the_reed_hardly_moves() -> None:
+def test_a_carrier_is_measured_where_the_reed_hardly_moves() -> None:
     leak = Twin(optics=OpticsParameters(leak=0.015))
     block = carrier_group(carriers(0.015))
     assert np.sum(block.whitened_residual(leak) ** 2) == pytest.approx(0.0, abs=1e-9)
@@ -171,7 +171,7 @@ def part(name, run, clamping=0):
     return SimpleNamespace(name=name, run=run, clamping=clamping, good_steps=run.steps)
 
 
-def test_what_leaks_in_is_told_hologram_by_hologram_though_the_reed_moves() -> None:
+def test_what_leaks_in_is_measured_hologram_by_hologram_though_the_reed_moves() -> None:
     quiet, still = Held(0.02, 1, volts=2.0), Held(0.0, 2)
     carriers = [CarrierReading("quiet", 0.02, 1e-5, 2.0)]
     found = unshifted_light([part("quiet", quiet)], [part("rest", still)], carriers)["quiet"]

@@ -196,7 +196,7 @@ def test_moduli_beyond_the_table_are_taken_at_its_edge(model):
     assert np.isfinite(model.elastic_cents(-one, 0 * one)).all()
 
 
-def test_likeness_tells_pure_modes_from_those_that_cross(model):
+def test_similarity_distinguishes_pure_modes_from_those_that_cross(model):
     pure = dict(zip(PAPER_MODES, model.similarity(*MIDDLING_PA), strict=True))
     assert min(pure[name] for name in ("F1", "T1", "F2", "X1", "T3")) > 0.9
     # T4 meets F4 where the cane is soft along the grain and stiff in shear.

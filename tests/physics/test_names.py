@@ -71,7 +71,7 @@ def test_every_pattern_has_a_name_of_its_own():
     assert len(set(names)) == len(names)
 
 
-def test_a_name_tells_its_symmetry():
+def test_a_name_gives_the_symmetry():
     assert {name for name in PAPER_MODES if is_symmetric(name)} == EVEN_MODES
     for order in range(5):
         for lines in range(4):
@@ -178,7 +178,7 @@ def test_of_two_claims_to_one_name_the_better_wins():
     assert [name for name, _ in assign_names(crossing)] == ["T4", "F4"]
 
 
-def test_nobody_bears_a_name_without_a_claim_to_it():
+def test_no_mode_has_a_name_without_a_claim_to_it():
     named = assign_names([{"F2": 0.03, "X2": 0.96}, {"F1": 0.09}, {"F1": 0.64, "T2": 0.2}])
     assert [name for name, _ in named] == ["X2", "?1", "F1"]
 
@@ -221,7 +221,7 @@ def test_one_clear_likeness_is_worth_more_than_two_faint_ones():
 
 
 def test_faint_claims_give_no_name():
-    """Of two T2, one is for 9 % an F1, which nobody else is."""
+    """Of two T2, one is for 9 % an F1, which no other mode is."""
     faint = {2: (0, np.sqrt(0.91)), 0: (0, 0.3)}
     assert named(descriptor(EVEN, [{2: (0, 1.0)}, faint])) == ["T2", "?1s"]
     less_faint = {2: (0, np.sqrt(0.85)), 0: (0, np.sqrt(0.15))}
@@ -266,8 +266,8 @@ def test_each_kind_is_counted_by_itself_from_the_lowest():
         "H2a",
         "T1",
     ]
-    alike = [{1: (0, amplitude)} for amplitude in (0.8, 1.0, 0.9)]
-    assert named(descriptor(ODD, alike)) == ["?1a", "T1", "?2a"]
+    equal = [{1: (0, amplitude)} for amplitude in (0.8, 1.0, 0.9)]
+    assert named(descriptor(ODD, equal)) == ["?1a", "T1", "?2a"]
 
 
 def test_a_motion_of_both_symmetries_has_that_of_its_larger_part():

@@ -103,7 +103,7 @@ def test_settled_by_number_modes_are_those_settled_by_name(coarse_reed, monkeypa
         other = viscoelastic_mode(coarse_reed, CANE, mode.name, 8e3)
         assert (other.name, other.symmetry) == (mode.name, mode.symmetry)
         assert cents(other.frequency_hz, mode.frequency_hz) == pytest.approx(0, abs=0.01)
-        # Names are told among other shapes, each with moduli of its own.
+        # Names are found among other shapes, each with moduli of its own.
         assert other.similarity == pytest.approx(mode.similarity, abs=1e-3)
 
 

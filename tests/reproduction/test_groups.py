@@ -1,4 +1,4 @@
-"""Each group of numbers: what must agree agrees, and what is changed is told."""
+"""Each group of numbers: what must agree agrees, and what is changed is reported."""
 
 import re
 from dataclasses import replace
@@ -65,7 +65,7 @@ def test_all_extremes_of_table_1_are_pictures(sweep, numbers):
     assert max(abs(row.difference) for row in extremes) < 0.4
 
 
-def test_a_wrong_extreme_is_told(numbers, models, differing):
+def test_a_wrong_extreme_is_reported(numbers, models, differing):
     wrong = numbers.model_copy(deep=True)
     seen = wrong.observed_resonances["T1"]["A"]
     wrong.observed_resonances["T1"]["A"] = seen.model_copy(update={"min_hz": 3080})
@@ -95,8 +95,8 @@ def test_the_shape_is_the_papers(numbers, differing):
 
 def test_another_shape_is_not(numbers, differing):
     other = replace(ReedGeometry(), outline=replace(Outline(), side_half_width_m=6.57e-3))
-    told = differing(compare_shape(numbers, other))
-    assert told == {"contour, beginning of the side", "contour at x = 30 mm"}
+    found = differing(compare_shape(numbers, other))
+    assert found == {"contour, beginning of the side", "contour at x = 30 mm"}
     thicker = replace(ReedGeometry(), thickness_offset_m=2e-6)
     assert differing(compare_shape(numbers, thicker)) == {"vamp, farthest from its 24 points"}
 
@@ -117,7 +117,7 @@ def test_printed_sensitivities_agree_with_themselves(
     assert len(group.rows) == 45 + 5 + 1
 
 
-def test_other_sensitivities_are_told_and_refuted_if_meshes_span_them(
+def test_other_sensitivities_are_reported_and_refuted_if_meshes_span_them(
     numbers, printed_sensitivities, evidence, rows_of
 ):
     column = CONSTANTS.index("G_LT")
@@ -156,11 +156,11 @@ def test_a_network_that_follows_table_9_is_table_9(
         assert rows[f"{name}: δ+"].ours == pytest.approx(0, abs=1e-6)
     slope = rows["F1: ∂ ln f / ∂ ln E_L, reference material"].printed
     assert slope == pytest.approx(0.443, abs=1e-3)
-    told = differing(group)
+    found = differing(group)
     # What was made up: converged elements 1 % softer in T3.
-    assert "T3: reference material" in told
+    assert "T3: reference material" in found
     assert rows["T3: reference material"].agreement is Agreement.REFUTED
-    assert "F1: reference material" not in told
+    assert "F1: reference material" not in found
     assert rows["rms of the adjustments of a_m0, as printed"].ours == pytest.approx(54.5, abs=0.1)
 
 
@@ -187,7 +187,7 @@ def test_noise_in_the_network_widens_the_extremes(numbers, models, network, evid
     assert rows["T1: δ−"].agreement is Agreement.REPRODUCED
 
 
-def test_t4_and_f4_are_told_by_their_order(models):
+def test_t4_and_f4_are_distinguished_by_their_order(models):
     found = compute_network(models.reed)
     assert found.cents.shape == (92, len(PAPER_MODES))
     assert np.isfinite(found.cents).all()
@@ -213,7 +213,7 @@ def test_meshes_are_listed_and_drawn(numbers, evidence, table_9, rows_of):
     shift = rows["T3, tetrahedra of 2 mm"].ours / evidence.converged.hz["T3"]
     assert shift == pytest.approx(1.02 / 0.99)
     assert "-17 cents from Table 9 (9532 Hz)" in rows["T3, converged hexahedra"].remark
-    # All modes alike: nothing but a common shift.
+    # All modes equal: nothing but a common shift.
     assert rows["rms distance from Table 9, tetrahedra of 2 mm"].ours == pytest.approx(0)
     assert "+34 cents" in rows["rms distance from Table 9, tetrahedra of 2 mm"].remark
 
@@ -267,7 +267,7 @@ def test_the_papers_chain_meets_its_means(frequencies, rows_of):
 
 def test_finite_elements_are_adjusted_to_the_mean_of_both_series(frequencies, rows_of):
     rows = rows_of(frequencies)
-    # Table 9 stands in for them: its own adjustments, nearly.
+    # Table 9 replaces them: its own adjustments, nearly.
     for name in PAPER_MODES:
         found = rows[f"{name}: adjustment that finite elements need"].ours
         assert found == pytest.approx(paper.H4_ADJUSTMENT_CENTS[name], abs=40)
@@ -424,7 +424,7 @@ def test_properties_of_the_storage_modulus_hold(cane):
     assert {row.agreement for row in properties} == {Agreement.REPRODUCED}
 
 
-def test_coefficients_that_are_changed_are_told(numbers, models, differing):
+def test_coefficients_that_are_changed_are_reported(numbers, models, differing):
     wrong = numbers.model_copy(deep=True)
     wrong.young_modulus_mean_sd["H4_A"]["E1_MPa"] = (10400.0, 906.0)
     assert "E1 (E), H4, series A: mean" in differing(compare_cane(wrong, models))

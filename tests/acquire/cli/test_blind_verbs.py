@@ -16,15 +16,15 @@ def sets(folder):
 
 
 def _made(folder, tier, count, answered):
-    told, kept = seal([drawn_label(tier, number, 11) for number in range(count)])
+    sealed, kept = seal([drawn_label(tier, number, 11) for number in range(count)])
     made, answers, key = (folder / f"{what}{tier}" for what in ("cases", "answers", "key.json"))
     made.mkdir()
     answers.mkdir()
-    (made / "sealed.json").write_text(json.dumps(told))
+    (made / "sealed.json").write_text(json.dumps(sealed))
     key.write_text(json.dumps(kept))
     said = {"verdict": "none", "probability": {"none": 0.9, "unknown": 0.1}, "likely": [["none"]],
             "effects": {}, "effects_named": [], "explained_fraction": {"by": {}}}  # fmt: skip
-    for name in list(told["cases"])[:answered]:
+    for name in list(sealed["cases"])[:answered]:
         (answers / f"{name}.json").write_text(json.dumps(said))
     return made, answers, key
 
@@ -37,9 +37,9 @@ def _options(*made):
 
 def test_one_set_is_scored_in_words_and_json(cli, folder, sets):
     picture = folder / "plot.png"
-    told = cli("blind", "score", *_options(sets[0]), "--json", "--picture", picture)
-    assert told.status == 0, told.err
-    alarms = told.json["false_alarms"]
+    done = cli("blind", "score", *_options(sets[0]), "--json", "--picture", picture)
+    assert done.status == 0, done.err
+    alarms = done.json["false_alarms"]
     # What was not answered is an alarm.
     assert (alarms["hits"], alarms["cases"]) == (1, 2)
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -47,39 +47,39 @@ def test_one_set_is_scored_in_words_and_json(cli, folder, sets):
 
 
 def test_sets_are_scored_as_one(cli, sets):
-    told = cli("blind", "score", *_options(*sets), "--json").json
-    assert (told["cases"], told["answered"]) == (5, 4)
-    assert told["false_alarms"]["cases"] == 2
-    assert told["class_right"]["all"] == pytest.approx(
+    answer = cli("blind", "score", *_options(*sets), "--json").json
+    assert (answer["cases"], answer["answered"]) == (5, 4)
+    assert answer["false_alarms"]["cases"] == 2
+    assert answer["class_right"]["all"] == pytest.approx(
         {"hits": 0, "cases": 3, "low": 0.0, "high": 0.5615, "share": 0.0}, abs=1e-4
     )
     # Sure by 0.9 in four, by 1 in the fifth, and right once.
-    assert told["calibration_error"] == pytest.approx((0.1 + 3 * 0.9 + 1) / 5)
+    assert answer["calibration_error"] == pytest.approx((0.1 + 3 * 0.9 + 1) / 5)
 
 
 def test_a_key_of_another_set_and_too_few_keys_are_bad_input(cli, sets):
     (made, answers, _), (_, _, key) = sets
-    told = cli("blind", "score", made, "--answers", answers, "--key", key)
-    assert (told.status, told.out) == (2, "")
-    assert "is the key of other cases" in told.err
-    told = cli("blind", "score", made, made, "--answers", answers, "--key", key)
-    assert told.status == 2
-    assert "2 sets of cases, 1 --answers and 1 --key" in told.err
+    done = cli("blind", "score", made, "--answers", answers, "--key", key)
+    assert (done.status, done.out) == (2, "")
+    assert "is the key of other cases" in done.err
+    done = cli("blind", "score", made, made, "--answers", answers, "--key", key)
+    assert done.status == 2
+    assert "2 sets of cases, 1 --answers and 1 --key" in done.err
 
 
 @pytest.mark.parametrize(
     ("picture", "words"),
     [(".", "ends in .png"), ("a.txt", "ends in .png"), ("none/a.png", "there is no folder none")],
 )
-def test_a_picture_that_cannot_be_drawn_is_told_before_anything_is_scored(
+def test_a_picture_that_cannot_be_drawn_is_reported_before_anything_is_scored(
     cli, sets, picture, words
 ):
-    told = cli("blind", "score", *_options(sets[0]), "--picture", picture)
-    assert (told.status, told.out) == (2, "")
-    assert words in told.err
+    done = cli("blind", "score", *_options(sets[0]), "--picture", picture)
+    assert (done.status, done.out) == (2, "")
+    assert words in done.err
 
 
 def test_no_case_counts_twice(cli, sets):
-    told = cli("blind", "score", *_options(sets[0], sets[0]))
-    assert (told.status, told.out) == (2, "")
-    assert "is in two sets; give each set once" in told.err
+    done = cli("blind", "score", *_options(sets[0], sets[0]))
+    assert (done.status, done.out) == (2, "")
+    assert "is in two sets; give each set once" in done.err

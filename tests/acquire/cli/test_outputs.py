@@ -67,14 +67,14 @@ def paper(monkeypatch):
 @pytest.fixture
 def sealed(folder):
     """Options of `blind score` for a sealed case and its answer."""
-    told, kept = seal([drawn_label(0, 0, 11)])
+    published, kept = seal([drawn_label(0, 0, 11)])
     for name in ("cases", "answers"):
         Path(name).mkdir()
-    Path("cases/sealed.json").write_text(json.dumps(told))
+    Path("cases/sealed.json").write_text(json.dumps(published))
     Path("key.json").write_text(json.dumps(kept))
     said = {"verdict": "none", "probability": {"none": 0.9, "unknown": 0.1}, "likely": [["none"]],
             "effects": {}, "effects_named": [], "explained_fraction": {"by": {}}}  # fmt: skip
-    (name,) = told["cases"]
+    (name,) = published["cases"]
     Path(f"answers/{name}.json").write_text(json.dumps(said))
     return ["cases", "--answers", "answers", "--key", "key.json"]
 
@@ -231,7 +231,7 @@ def test_a_full_disk_is_one_line_and_leaves_what_was_there(
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
-def test_a_run_is_told_even_if_its_report_does_not_fit(
+def test_a_run_is_reported_even_if_its_report_does_not_fit(
     cli, folder, protocol_file, bench_file, monkeypatch
 ):
     def refuse(output):

@@ -74,14 +74,14 @@ def test_a_folder_of_runs_is_fitted(cli, measured, folder):
     said = cli("population", measured.a.parent, "--json", "--out", "components.csv")
     assert said.status == 0
     assert said.json["reeds"] == 1
-    # One reed tells of no common line.
+    # One reed shows no common line.
     assert said.json["excitation_peaks"] == []
     table = Path(said.json["files"]["resonances"])
     assert table == measured.a.parent / "resonances.csv"
     table.unlink()
 
 
-def test_lines_of_the_air_are_told_of_a_folder(cli, folder, monkeypatch, measured):
+def test_acoustic_lines_of_a_folder_are_reported(cli, folder, monkeypatch, measured):
     asked = []
 
     def write(source, table, announce, method):
@@ -95,8 +95,8 @@ def test_lines_of_the_air_are_told_of_a_folder(cli, folder, monkeypatch, measure
     Path("runs").mkdir()
     said = cli("population", "runs", "--model", "paper", "--method", "picture")
     assert "4285 Hz (+8.5 dB): 4 of 5 reeds" in said.out
-    told = cli("population", "runs", "--model", "paper", "--json").json
-    assert told["excitation_peaks"] == [{"hz": 4285.0, "height_db": 8.5, "reeds": 4}]
+    answer = cli("population", "runs", "--model", "paper", "--json").json
+    assert answer["excitation_peaks"] == [{"hz": 4285.0, "height_db": 8.5, "reeds": 4}]
     assert asked == ["picture", "joint"]
 
 
@@ -170,7 +170,7 @@ def test_runs_of_several_kinds_are_no_population(cli, measured, folder, resealed
         ),
     ],
 )
-def test_mistakes_are_told_in_one_line_and_leave_nothing(cli, table, folder, arguments, words):
+def test_mistakes_are_reported_in_one_line_and_leave_nothing(cli, table, folder, arguments, words):
     before = sorted(folder.rglob("*"))
     said = cli("population", *arguments)
     assert (said.status, said.out) == (2, "")

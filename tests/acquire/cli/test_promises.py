@@ -152,7 +152,9 @@ def test_the_list_is_read_by_people_too(cli, measured):
         assert word in out
 
 
-def test_files_that_are_no_runs_are_told_and_passed_over(cli, folder, protocol_file, bench_file):
+def test_files_that_are_no_runs_are_reported_and_passed_over(
+    cli, folder, protocol_file, bench_file
+):
     cli("run", protocol_file(), "--bench", bench_file(), "--out", "good.h5", "--no-fit")
     Path("bad.h5").write_text("no HDF5")
     said = cli("list", ".", "--json")
@@ -349,16 +351,16 @@ def test_a_report_is_one_page(cli, measured, folder):
     assert said.json["fit"] == measured.said.json["fit"]
 
 
-def test_a_report_lies_beside_its_run(cli, measured):
+def test_a_report_is_in_the_folder_of_its_run(cli, measured):
     out = cli("report", measured.a).out
     assert str(measured.a.with_suffix(".html")) in out
 
 
 def test_the_catalogue_of_effects_is_listed_for_people_and_programs(cli):
-    told = cli("effects", "--json").json
-    assert len(told) >= 30
-    assert {"id", "stage", "parameters", "unaffected", "similar", "check"} <= set(told[0])
-    assert all(effect["id"] in cli("effects").out for effect in told[:3])
+    answer = cli("effects", "--json").json
+    assert len(answer) >= 30
+    assert {"id", "stage", "parameters", "unaffected", "similar", "check"} <= set(answer[0])
+    assert all(effect["id"] in cli("effects").out for effect in answer[:3])
 
 
 @pytest.mark.parametrize("verb", ["make", "score"])
@@ -596,7 +598,7 @@ class Synthesizers(SimulatedSynthesizers):
 
 @pytest.fixture
 def traced(folder, bench_file):
-    """Bench file whose drivers write down what they are told, and the environment to find them."""
+    """Bench file whose drivers write down what they are asked, and the environment to find them."""
     (folder / "tracing.py").write_text(TRACING)
     drivers = {"generator": "tracing:Generator", "synthesizers": "tracing:Synthesizers"}
     bench = bench_file(drivers=drivers, pace="realtime")

@@ -247,7 +247,7 @@ def test_places_are_those_of_the_pixels_with_light(changed, axes, write_fields):
 
 
 def test_phasors_of_a_planted_run_are_the_planted_ones_in_units_of_noise(changed, write_fields):
-    """Rank one, with a block amplitude of the hologram alone, as if the whole reed moved alike."""
+    """Rank one, with an amplitude of the hologram alone, as if all blocks moved equally."""
     rng = np.random.default_rng(5)
     path = changed()
     with Run.open(path) as run:
@@ -284,7 +284,7 @@ def test_noise_is_one_where_the_run_shows_nothing_but_noise(changed, resealed, b
 
 
 def test_noise_of_the_simulated_camera_is_one(block_amplitudes):
-    """Near the clamp calm holograms are light times next to no motion: the rest is noise."""
+    """Near the clamp holograms of small amplitude are light times almost no motion, and noise."""
     clamped = (block_amplitudes.x_m > 33e-3) & (np.abs(block_amplitudes.y_m) < 4e-3)
     value = block_amplitudes.value[np.ix_(clamped, block_amplitudes.volts < 1.0)]
     blocks, holograms = value.shape
@@ -316,7 +316,7 @@ def test_a_run_that_kept_frames_gives_the_same_phasors(tmp_path):
 
 @pytest.fixture(scope="module")
 def three_sidebands(tmp_path_factory):
-    """Run file of sidebands 0, 1 and 2 of sixteen vibrations, calm to many fringes."""
+    """Run file of sidebands 0, 1 and 2 of sixteen vibrations, from small ones to many fringes."""
     small = {"camera.width": 320, "camera.height": 256, "sweep.first": 14, "sweep.last": 44}
     small["drive.from"] = "0.1 V"
     content = {**acquire.load("quick").replace(small).content(), "sideband": {"orders": [0, 1, 2]}}
@@ -338,7 +338,7 @@ def with_verdicts(path, to, verdicts):
     return to
 
 
-def test_other_sidebands_stand_beside_the_first(three_sidebands):
+def test_other_sidebands_are_next_to_the_first(three_sidebands):
     found = read(three_sidebands)
     assert found.step_index.tolist() == list(range(14, 45, 2))
     assert sorted(other.order for other in found.others) == [0, 2]
@@ -360,14 +360,14 @@ def test_sidebands_of_one_vibration_are_bessel_functions_of_it(three_sidebands):
     u = np.interp(np.abs(first) / np.abs(carrier), j1(phi) / j0(phi), phi)
     lit = np.abs(carrier) > np.median(np.abs(carrier))
     largest = np.array([np.percentile(u[lit[:, k], k], 98) for k in range(16)])
-    calm = (largest > 0.4) & (largest < 1.4)
-    assert calm.sum() >= 10
+    small = (largest > 0.4) & (largest < 1.4)
+    assert small.sum() >= 10
     # The light cancels, and so do turns by the direction of u: A F₀ A F₂ and (A F₁)².
     seen = np.sum(np.where(lit, carrier * second * first.conj() ** 2, 0), axis=0)
     expected = np.sum(
         np.where(lit, np.abs(carrier) ** 2 * jv(2, u) / j0(u) * np.abs(first) ** 2, 0), axis=0
     )
-    assert np.abs(seen)[calm] / expected[calm] == pytest.approx(1, abs=0.1)
+    assert np.abs(seen)[small] / expected[small] == pytest.approx(1, abs=0.1)
 
 
 def test_bad_holograms_of_other_sidebands_are_absent(three_sidebands, tmp_path):

@@ -32,7 +32,7 @@ MODE_HZ = np.array([1500.0, 2400.0, 3500.0, 4300.0, 9000.0])
 PARTICIPATION = np.array([1, 0.8j, 0.5 - 0.3j, 0.6, 0.4])
 LOSS = 0.03
 DRIVE_HZ = 1200 * 2 ** (np.arange(84) * 25 / 1200)
-# The drive grows by an octave every so many steps, until the resonances are as high as they may be.
+# The drive grows by an octave every few steps, until the resonances are as high as they may be.
 CALM_RAD, OCTAVE = 0.35, 5
 # Holograms are brighter and darker by chance, as the module has it: standard deviation in nepers.
 GAIN = 0.05
@@ -117,7 +117,7 @@ def solve(sweep) -> Displacements:
 
 
 def solve_and_settle(sweep) -> Displacements:
-    """The same with so many last turns between light and amplitudes that little changes then."""
+    """The same with enough last turns between light and amplitudes that little changes then."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fitting.holograms.displacement._FINAL_TURNS", 40)
         return solve(sweep)
@@ -154,7 +154,7 @@ def jacobian(object_field, functions, a):
 def fisher(object_field, functions, a):
     """Information (2j, 2j) in block amplitudes with complex noise of variance 1.
 
-    Of amplitudes, where nobody knows the gain but that it is small.
+    Of amplitudes, where the gain is unknown but small.
     """
     J = jacobian(object_field, functions.astype(float), a)
     whole = 2 * (J.conj().T @ J).real
@@ -193,7 +193,7 @@ def settled(sweep):
 # --- A sweep of many fringes -------------------------------------------------------------------
 
 
-def test_the_sweep_is_calm_first_and_has_many_fringes_then(sweep):
+def test_the_sweep_has_small_amplitudes_first_and_many_fringes_then(sweep):
     """What the others rely on."""
     largest = largest_rad(sweep)
     assert largest[0] < 0.7
@@ -212,7 +212,7 @@ def test_every_hologram_is_explained_down_to_its_noise(settled):
 def test_amplitudes_are_found_up_to_one_phase_for_each_hologram(sweep, settled):
     share = share_of_error(sweep, settled)
     assert np.median(share) < 0.01
-    # A calm hologram may be a brighter one as well.
+    # A small-amplitude hologram may be a brighter one as well.
     fringes = largest_rad(sweep) > 3
     assert share[fringes].max() < 0.04
     assert share[~fringes].max() < 3 * GAIN
@@ -233,8 +233,8 @@ def test_errors_are_those_of_the_noise(sweep, settled):
 
 def test_light_is_found_where_blocks_move(sweep, settled):
     u = sweep.true_rad @ sweep.basis.functions.T
-    told = np.sum(np.abs(moved(u)) ** 2, axis=0)
-    moving = told > 1
+    stated = np.sum(np.abs(moved(u)) ** 2, axis=0)
+    moving = stated > 1
     assert np.count_nonzero(moving) > 0.7 * POINTS
     # All gains together and the light have one common factor.
     error = settled.object_field / common_factor(sweep, settled) - sweep.object_field
@@ -252,16 +252,16 @@ def test_the_last_turns_settle(sweep, solved, settled):
     assert np.median(share) < 2 * np.median(best)
 
 
-def test_errors_are_those_that_information_tells(sweep, solved):
+def test_errors_are_those_of_the_information(sweep, solved):
     square = normalised_square(error_rad(sweep, solved), solved.information)
     assert 0.7 < square.mean() < 1.5
 
 
 def assert_information(sweep, found, k, gain):
-    told = found.information[k] * max(found.misfit[k], 1)
+    stated = found.information[k] * max(found.misfit[k], 1)
     object_field = np.exp(gain) * found.object_field
     expected = fisher(object_field, sweep.basis.functions, found.amplitude_rad[k])
-    assert told == pytest.approx(expected, abs=0.03 * np.abs(expected).max())
+    assert stated == pytest.approx(expected, abs=0.03 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("k", [20, 45, 60, 83])
@@ -270,7 +270,7 @@ def test_information_is_that_of_the_formula(sweep, settled, k):
 
 
 @pytest.mark.parametrize("k", [0, 1])
-def test_information_of_calm_holograms_is_that_of_the_formula(sweep, settled, k):
+def test_information_of_small_amplitudes_is_that_of_the_formula(sweep, settled, k):
     """In them amplitude and gain are the same, so that the gain found is 0."""
     assert_information(sweep, settled, k, 0.0)
 
@@ -333,7 +333,7 @@ def spoilt(sweep):
     return solve_and_settle(with_value(sweep, value))
 
 
-def test_a_hologram_of_something_else_is_told(spoilt):
+def test_a_hologram_of_something_else_is_reported(spoilt):
     assert spoilt.misfit[30] > 50
     assert not spoilt.reached[30]
 
@@ -375,7 +375,7 @@ def test_sweeps_are_begun_side_by_side_as_if_one_after_the_other(monkeypatch):
 
 
 class Attempt:
-    """Stands in for a search; what it explains depends on where it begins."""
+    """Replaces a search; what it explains depends on where it begins."""
 
     begun: ClassVar[list[int]] = []
     explains: ClassVar[dict[int, tuple[float, float]]] = {}
@@ -449,14 +449,14 @@ def test_holograms_in_a_wrong_fringe_are_found_where_they_are_expected(sweep, se
 
 
 def test_what_is_expected_counts_only_if_it_explains_a_hologram(sweep, settled):
-    liveliest = int(largest_rad(sweep).argmax())
-    off = np.arange(84) == liveliest
+    largest = int(largest_rad(sweep).argmax())
+    off = np.arange(84) == largest
     together = np.zeros(len(settled.common_mode.precision))
     expected = 0.6 * sweep.true_rad
     found = refit_displacements(
         sweep.block_amplitudes, sweep.basis, settled, [expected], off, together
     )
-    assert found.misfit[liveliest] == pytest.approx(settled.misfit[liveliest], rel=0.02)
+    assert found.misfit[largest] == pytest.approx(settled.misfit[largest], rel=0.02)
 
 
 def test_a_sweep_of_something_else_is_refused(sweep, settled):
@@ -505,7 +505,7 @@ def plateau():
 
 
 @pytest.mark.parametrize("last", [1.0, 0.4])
-def test_of_expectations_that_are_alike_the_last_counts(plateau, last):
+def test_of_equal_expectations_the_last_counts(plateau, last):
     """Of two branches of the first fringe, which both explain what is seen."""
     size = plateau.basis.functions.shape[1]
     smooth = smooth_functions(plateau.block_amplitudes.x_m, plateau.block_amplitudes.y_m)
@@ -539,7 +539,7 @@ def lit(plateau):
     return continuation
 
 
-def test_of_two_that_are_alike_the_expected_is_taken(plateau, lit):
+def test_of_two_equal_ones_the_expected_is_taken(plateau, lit):
     """Block amplitudes of 2.6 rad and of 1.2 rad are equal; a shape may pass between the two."""
     for step in range(20, 50, 2):
         true = plateau.true_rad[step]
@@ -600,7 +600,7 @@ def test_the_phase_of_a_block_is_that_of_its_light(sweep, solved):
 
 # --- Derivatives -------------------------------------------------------------------------------
 
-LEVELS_RAD = {"still": 0.0, "next to still": 1e-4, "calm": 0.3, "fringes": 8.0, "large": 20.0}
+LEVELS_RAD = {"still": 0.0, "next to still": 1e-4, "small": 0.3, "fringes": 8.0, "large": 20.0}
 
 
 @dataclass(frozen=True)
@@ -614,7 +614,7 @@ class Point:
     normal: Normal
 
     def misfit(self, move):
-        """Sum of squares beside the point; moves are of amplitudes and log gain."""
+        """Sum of squares near the point; moves are of amplitudes and log gain."""
         expected = np.exp(move[-1].real) * self.lit * moved(self.functions @ (self.a + move[:-1]))
         return np.sum(np.abs(self.value - expected) ** 2)
 

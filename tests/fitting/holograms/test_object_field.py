@@ -1,4 +1,4 @@
-"""Light and displacements together: derivatives, flat directions, and what is told of them."""
+"""Light and displacements together: derivatives, flat directions, and how they are reported."""
 
 import numpy as np
 import pytest
@@ -157,7 +157,7 @@ def test_a_step_takes_a_wrong_factor_back(monkeypatch):
     assert sweep.linear(after, y).normal.misfit.sum() < 0.01 * linear.normal.misfit.sum()
 
 
-def test_the_phase_of_smooth_light_is_never_told_and_its_magnitude_only_by_fringes():
+def test_the_phase_of_smooth_light_is_never_determined_and_its_magnitude_only_by_fringes():
     """Of a factor that turns one shape into another: the third is not far from the first."""
     known = []
     for largest_rad in (0.3, 9.0):
@@ -165,7 +165,7 @@ def test_the_phase_of_smooth_light_is_never_told_and_its_magnitude_only_by_fring
         x = np.concatenate([sweep.a.real, sweep.a.imag, sweep.gain[:, None]], axis=1)
         shared = field_step(sweep.linear(), prior(gain=1e4), x, np.ones(HOLOGRAMS)).common_mode
         assert shared.response.shape == (HOLOGRAMS, 2 * FUNCTIONS, 55)
-        # A constant factor of the magnitude: the displacements take it up whole while calm.
+        # A constant factor of the magnitude: the displacements absorb it completely while small.
         known.append(shared.precision[0, 0])
         if largest_rad < 1:
             amplitudes = np.concatenate([sweep.a.real, sweep.a.imag], axis=1)
@@ -173,7 +173,7 @@ def test_the_phase_of_smooth_light_is_never_told_and_its_magnitude_only_by_fring
     assert known[1] > 100 * known[0]
 
 
-def test_precision_tells_how_far_light_may_be_off(monkeypatch):
+def test_precision_gives_how_far_light_may_be_off(monkeypatch):
     """Many noises: what steps from the truth go, in units of what they may."""
     monkeypatch.setattr("fitting.holograms.object_field._STEP", 10.0)
     squares = []

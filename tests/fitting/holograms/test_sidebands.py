@@ -1,4 +1,4 @@
-"""Other sidebands of the same vibrations: their derivatives, and what they tell of the light."""
+"""Other sidebands of the same vibrations: their derivatives, and what they show of the light."""
 
 from dataclasses import dataclass, replace
 
@@ -122,7 +122,7 @@ def test_brightness_and_phase_are_found(order):
     ("order", "largest_rad"), [*((n, 9.0) for n in ORDERS), (0, 0.5), (1, 0.5), (2, 0.5)]
 )
 def test_gradients_are_minus_half_the_slope_of_what_is_left(order, largest_rad):
-    """Brightness and phase are found anew at every place."""
+    """Brightness and phase are fitted again at every place."""
     # Tables are single precision: no smaller step.
     sweep, step = Sweep((order,), largest_rad), 3e-3
     slopes = [
@@ -158,7 +158,7 @@ def test_matrices_leave_brightness_and_phase_free(order):
     assert found == pytest.approx(expected, abs=2e-4 * np.abs(expected).max())
 
 
-def test_a_sideband_that_was_not_recorded_tells_nothing():
+def test_a_sideband_that_was_not_recorded_gives_nothing():
     found = Sweep((0,)).sideband_equations()
     assert found.misfit[2] == 0
     assert not found.gradient[2].any()
@@ -185,7 +185,7 @@ def test_misfits_without_slopes_are_those_with_them(orders):
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_a_descent_tells_the_misfits_of_where_it_ends(count):
+def test_a_descent_returns_the_misfits_of_its_end(count):
     sweep, steps = Sweep((0, 2)), np.arange(HOLOGRAMS)
     start, prior = (0.9 * sweep.a, np.zeros(HOLOGRAMS)), np.eye(FUNCTIONS)
     a, gain, left = fit_amplitudes(sweep.problem, sweep.object_field, steps, start, count, prior)
@@ -294,7 +294,7 @@ def with_orders():
     return replace(sweep, block_amplitudes=replace(sweep.block_amplitudes, others=tuple(others)))
 
 
-def test_the_carrier_tells_light_from_displacement(with_orders):
+def test_the_carrier_separates_light_from_displacement(with_orders):
     """The phase of smooth light, which the first sideband leaves open."""
     alone = fit_displacements(replace(with_orders.block_amplitudes, others=()), with_orders.basis)
     found = fit_displacements(with_orders.block_amplitudes, with_orders.basis)

@@ -66,7 +66,7 @@ def test_what_stays_from_reed_to_reed_is_common():
 
 @pytest.mark.parametrize("reeds", [2, 4])
 def test_two_reeds_tell_of_no_common_line(reeds):
-    """Neither alone nor beside others that do not show it."""
+    """Neither alone nor among others that do not show it."""
     assert common_excitation_peaks([*sweeps(2), *([[]] * (reeds - 2))]) == []
 
 

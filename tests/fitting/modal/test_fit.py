@@ -258,7 +258,7 @@ def test_less_noise_makes_errors_smaller():
 # --- Modes that are hard to see ----------------------------------------------------------------
 
 
-def test_two_modes_sixty_cents_apart_are_told_apart():
+def test_two_modes_sixty_cents_apart_are_distinguished():
     close_hz = MODE_HZ.copy()
     close_hz[3] = close_hz[2] * 2 ** (60 / 1200)
     sweep = planted(5, mode_hz=close_hz, off_cents=6.0)
@@ -312,9 +312,9 @@ def test_a_line_of_the_air_between_modes_moves_none(factor):
 
 
 @pytest.mark.parametrize("factor", [1.5, 3.0])
-def test_a_line_of_the_air_beside_a_resonance_moves_it_by_no_more_than_is_told(factor):
-    beside = int(np.abs(np.log(DRIVE_HZ / MODE_HZ[2])).argmin()) + 1
-    sweep = planted(6, noise=0.02, drive_dof=[(beside, factor), (beside + 1, np.sqrt(factor))])
+def test_an_acoustic_line_near_a_resonance_moves_it_by_no_more_than_the_stated_error(factor):
+    near = int(np.abs(np.log(DRIVE_HZ / MODE_HZ[2])).argmin()) + 1
+    sweep = planted(6, noise=0.02, drive_dof=[(near, factor), (near + 1, np.sqrt(factor))])
     fit = sweep.fit()
     assert (np.abs(cents(fit.hz, sweep.hz[:5])) < 4 * fit.error_cents).all()
 
@@ -344,7 +344,7 @@ def test_a_hologram_of_something_else_is_off_and_moves_no_mode(sweep, found):
     assert (np.abs(cents(fit.hz, sweep.hz[:5])) < 3 * fit.error_cents).all()
 
 
-def test_a_hologram_that_tells_nothing_is_off(sweep):
+def test_a_hologram_without_information_is_off(sweep):
     amplitude = sweep.displacements.amplitude_rad.copy()
     information = sweep.displacements.information.copy()
     amplitude[20], information[20] = 0, 0
@@ -353,8 +353,8 @@ def test_a_hologram_that_tells_nothing_is_off(sweep):
     assert (np.abs(cents(fit.hz, sweep.hz[:5])) < 3 * fit.error_cents).all()
 
 
-def test_what_neighbours_are_off_alike_counts_less(sweep, found):
-    """The same discrepancy in runs of eight holograms, beside one that is new in each."""
+def test_equal_errors_of_neighbours_count_less(sweep, found):
+    """The same discrepancy in runs of eight holograms, and one that is new in each."""
     errors = []
     for together in (1, 8):
         rng = np.random.default_rng(8)
@@ -570,7 +570,7 @@ def test_matrices_are_those_of_the_derivatives(point):
 
 
 def settled(point, monkeypatch, iterations, following):
-    """Cost and gradient after some of Newton's steps, each with so many that follow it."""
+    """Cost and gradient after some of Newton's steps, each with the number that follow it."""
     monkeypatch.setattr("fitting.modal.optimiser._FOLLOWING", following)
     state = minimise_cost(point.model, point.data, point.prior, point.state, iterations)
     return evaluate(point.model, point.data, point.prior, state)

@@ -175,16 +175,16 @@ def test_components_are_those_of_the_fit(population):
 def test_the_summary_is_that_of_the_components(population):
     path, _, _ = population
     summary, rows = fitted(path)
-    told = summary.to_json()
-    assert told["reeds"] == 7
-    assert told["resonances"] == sum(int(row["resonances"]) for row in rows)
-    for name, row in told["components"].items():
+    answer = summary.to_json()
+    assert answer["reeds"] == 7
+    assert answer["resonances"] == sum(int(row["resonances"]) for row in rows)
+    for name, row in answer["components"].items():
         values = np.array([float(r[name]) for r in rows if r[name]])
         assert row["reeds"] == len(values)
         assert row["mean"] == pytest.approx(values.mean(), abs=1e-4)
         assert row["sd"] == pytest.approx(values.std(ddof=1), abs=1e-4)
     squares = sum(float(r["rms_cents"]) ** 2 * int(r["resonances"]) for r in rows)
-    assert told["rms_cents"] == pytest.approx(np.sqrt(squares / told["resonances"]), rel=1e-4)
+    assert answer["rms_cents"] == pytest.approx(np.sqrt(squares / answer["resonances"]), rel=1e-4)
 
 
 def test_true_components_come_back_within_their_errors(population):
@@ -221,7 +221,7 @@ def test_a_table_appears_whole_or_not_at_all(tmp_path):
 def test_a_folder_of_runs_becomes_a_table(sweep_a, fitted_a, tmp_path):
     said = []
     measured = write_resonances(sweep_a.parent, tmp_path / "table.csv", said.append, "picture")
-    # Pictures tell of no lines.
+    # Pictures show no lines.
     assert (measured.kind, measured.reeds) == (ReedFile.from_file(), 1)
     assert measured.excitation_peaks is None
     assert [path.name for _, path in measured.sweeps] == [sweep_a.name]
@@ -243,7 +243,7 @@ def test_a_folder_of_runs_becomes_a_table(sweep_a, fitted_a, tmp_path):
 
 
 class SweepWithLines:
-    """Stands in for a fit: one mode, and lines of the drive in Hz."""
+    """Replaces a fit: one mode, and lines of the drive in Hz."""
 
     resonances: ClassVar = {"F1": Resonance("F1", 1800.0, 0.5, 7, 3.0)}
 
@@ -252,7 +252,7 @@ class SweepWithLines:
         self.excitation_peaks = [ExcitationPeak(hz, 8.0) for hz in lines_hz]
 
 
-def test_lines_that_stay_from_reed_to_reed_are_told(changed, monkeypatch, tmp_path):
+def test_lines_that_stay_from_reed_to_reed_are_reported(changed, monkeypatch, tmp_path):
     """What one reed shows in both series counts once; what the reeds show apart is not common."""
     for k, (reed, series) in enumerate(product(("R1", "R2", "R3"), "AB")):
         changed(f"{k}.h5", name=reed, series=series)
@@ -272,7 +272,7 @@ def test_lines_that_stay_from_reed_to_reed_are_told(changed, monkeypatch, tmp_pa
     assert len((tmp_path / "table.csv").read_text().splitlines()) == 7
 
 
-def test_damaged_runs_are_told_and_passed_over(changed, monkeypatch, tmp_path):
+def test_damaged_runs_are_reported_and_passed_over(changed, monkeypatch, tmp_path):
     for reed in ("R1", "R2", "R3"):
         changed(f"{reed}.h5", name=reed)
 

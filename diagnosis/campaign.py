@@ -8,17 +8,17 @@ from datetime import UTC, datetime
 import numpy as np
 
 from fitting.errors import FitInputError
-from runs.layout import Kind
+from runs.layout import RunKind
 from runs.reader import Run
 from runs.records import StepRecord
 from runs.verdict import Verdict
 
 # What only this kind of run shows.
 _SHOWS = {
-    Kind.DARK: "dark frames (offset, read noise, hot pixels)",
-    Kind.FLAT: "flat frames (linearity, pattern, vignetting)",
-    Kind.LO_ONLY: "frames of the local oscillator alone (its profile)",
-    Kind.ORDER0: "order 0 of the reed at rest (phase steps, speckle, stability)",
+    RunKind.DARK: "dark frames (offset, read noise, hot pixels)",
+    RunKind.FLAT: "flat frames (linearity, pattern, vignetting)",
+    RunKind.LO_ONLY: "frames of the local oscillator alone (its profile)",
+    RunKind.ORDER0: "order 0 of the reed at rest (phase steps, speckle, stability)",
 }
 
 
@@ -73,7 +73,7 @@ class Campaign:
             If none is a sweep, one is named twice, they are not of one reed on one bench, or the
             start of one is unknown.
         """
-        sweeps = [run for run in runs if run.acquisition.kind is Kind.SWEEP]
+        sweeps = [run for run in runs if run.acquisition.kind is RunKind.SWEEP]
         if not sweeps:
             names = ", ".join(sorted(run.path.name for run in runs))
             raise FitInputError(f"{names}: no run is a sweep of a driven reed; name at least one")
@@ -93,19 +93,19 @@ class Campaign:
         ]
         return cls(_each_once(parts))
 
-    def of_kind(self, kind: Kind) -> tuple[CampaignRun, ...]:
+    def of_kind(self, kind: RunKind) -> tuple[CampaignRun, ...]:
         """All runs of a kind; of those of the reed at rest or of no reed, with anything in them."""
         return tuple(
             part
             for part in self.parts
             if part.run.acquisition.kind is kind
-            and (kind is Kind.SWEEP or any(step.verdict.measured for step in part.run.steps))
+            and (kind is RunKind.SWEEP or any(step.verdict.measured for step in part.run.steps))
         )
 
     @property
     def sweeps(self) -> tuple[CampaignRun, ...]:
         """Sweeps of the driven reed."""
-        return self.of_kind(Kind.SWEEP)
+        return self.of_kind(RunKind.SWEEP)
 
     @property
     def missing(self) -> list[str]:

@@ -29,7 +29,7 @@ _MODULI_SPREAD = 0.3
 
 
 @dataclass(frozen=True)
-class Size:
+class FittedSize:
     """A parameter of an effect, as fitted.
 
     Attributes
@@ -56,7 +56,7 @@ class ResonanceFit:
     ----------
     effects : tuple of str
         None of them is the elastic reed.
-    sizes : tuple of Size
+    sizes : tuple of FittedSize
     rms_cents : dict of float
         What is left, per series.
     explained, explained_low, explained_high : float
@@ -72,7 +72,7 @@ class ResonanceFit:
     """
 
     effects: tuple[str, ...]
-    sizes: tuple[Size, ...]
+    sizes: tuple[FittedSize, ...]
     rms_cents: dict[str, float]
     explained: float
     explained_low: float
@@ -217,7 +217,7 @@ class FittedReed:
         at = self.linear(misfit)
         errors = np.sqrt(np.diag(at.covariance))
         sizes = tuple(
-            Size(effect.id, p.name, p.unit, p.spread * z, p.spread * error, z)
+            FittedSize(effect.id, p.name, p.unit, p.spread * z, p.spread * error, z)
             for (effect, p), z, error in zip(
                 problem.sizes, at.z[count:].tolist(), errors[count:].tolist(), strict=True
             )

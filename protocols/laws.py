@@ -70,12 +70,12 @@ class BaseFrequencyLaw(Section):
         """Return the key and what to write there, so that step `index` is the last."""
 
 
-class Geometric(BaseFrequencyLaw):
+class GeometricLaw(BaseFrequencyLaw):
     """Equal intervals in cents: f_k = reference · 2^(interval·k / 1200 cents), k = first … last.
 
     The paper's sweep is of this kind. Twelve semitones from A4, every sixth of them:
 
-    >>> sweep = Geometric.model_validate({
+    >>> sweep = GeometricLaw.model_validate({
     ...     "law": "geometric", "reference": "440 Hz", "interval": "100 cents",
     ...     "first": 0, "last": 12, "stride": 6,
     ... })
@@ -136,12 +136,12 @@ class Geometric(BaseFrequencyLaw):
         return "last", f"write {index}"
 
 
-class Linear(BaseFrequencyLaw):
+class LinearLaw(BaseFrequencyLaw):
     """Equal steps in hertz: f_k = from + step·(k − 1), k = 1, 2, … as long as f_k ≤ to.
 
     A close look at one resonance:
 
-    >>> sweep = Linear.model_validate({
+    >>> sweep = LinearLaw.model_validate({
     ...     "law": "linear", "from": "1990 Hz", "to": "2010 Hz", "step": "7.5 Hz",
     ... })
     >>> [float(sweep.frequency_hz(k)) for k in sweep.indices]
@@ -197,12 +197,12 @@ class Linear(BaseFrequencyLaw):
         return "to", f"write '{format_quantity(self.frequency_hz(index), 'Hz')}'"
 
 
-class FrequencyList(BaseFrequencyLaw):
+class ListLaw(BaseFrequencyLaw):
     """The frequencies themselves, ascending; k counts them from 1.
 
     Three resonances, without what lies between them:
 
-    >>> sweep = FrequencyList.model_validate({
+    >>> sweep = ListLaw.model_validate({
     ...     "law": "list", "frequencies": ["1.9 kHz", "3.4 kHz", "5 kHz"], "direction": "down",
     ... })
     >>> [float(sweep.frequency_hz(k)) for k in sweep.indices]
@@ -254,12 +254,12 @@ class BaseAmplitudeLaw(Section):
         """Yield the keys that hold the lowest and the highest peak volts, with these."""
 
 
-class Ramp(BaseAmplitudeLaw):
+class RampLaw(BaseAmplitudeLaw):
     """Exponential ramp: v_k = from · (to/from)^x with x = (k − first)/(last − first).
 
     The volts are constant before `first` and after `last`. The paper's ramp ends at step 73:
 
-    >>> ramp = Ramp.model_validate(
+    >>> ramp = RampLaw.model_validate(
     ...     {"law": "ramp", "from": "0.5 V", "to": "16 V", "first": 1, "last": 73}
     ... )
     >>> [ramp.volts(k, Fraction(1000)) for k in (1, 37, 73, 184)]
@@ -299,10 +299,10 @@ class Ramp(BaseAmplitudeLaw):
         yield "to", self.to_v
 
 
-class Constant(BaseAmplitudeLaw):
+class ConstantLaw(BaseAmplitudeLaw):
     """The same volts at all steps.
 
-    >>> drive = Constant.model_validate({"law": "constant", "volts": "250 mV"})
+    >>> drive = ConstantLaw.model_validate({"law": "constant", "volts": "250 mV"})
     >>> drive.volts(1, Fraction(1000)), drive.volts(99, Fraction(9000))
     (0.25, 0.25)
     """
@@ -322,12 +322,12 @@ class Constant(BaseAmplitudeLaw):
         yield "volts", self.volts_v
 
 
-class Table(BaseAmplitudeLaw):
+class TableLaw(BaseAmplitudeLaw):
     """Volts by frequency, with straight lines between the points and constant volts outside.
 
     A loudspeaker that is weak below 2 kHz gets more there:
 
-    >>> drive = Table.model_validate({
+    >>> drive = TableLaw.model_validate({
     ...     "law": "table", "frequencies": ["1 kHz", "2 kHz"], "volts": ["8 V", "2 V"],
     ... })
     >>> [drive.volts(k, Fraction(hz)) for k, hz in enumerate((500, 1000, 1500, 2000, 9000), 1)]
@@ -397,5 +397,5 @@ def _rounded_volts(value: Decimal) -> float:
     return float(_EXACT.quantize(value, _MICRO))
 
 
-FrequencyLaw = Annotated[Geometric | Linear | FrequencyList, Field(discriminator="law")]
-AmplitudeLaw = Annotated[Ramp | Constant | Table, Field(discriminator="law")]
+FrequencyLaw = Annotated[GeometricLaw | LinearLaw | ListLaw, Field(discriminator="law")]
+AmplitudeLaw = Annotated[RampLaw | ConstantLaw | TableLaw, Field(discriminator="law")]

@@ -7,7 +7,7 @@ from typing import Any
 from diagnosis.effect_notes import notes_of
 from diagnosis.inference.similarity import DETECTION_SIGMA, Detectability
 from diagnosis.resonance_diagnosis import ResonanceDiagnosis
-from diagnosis.resonance_fit import ResonanceFit, Size
+from diagnosis.resonance_fit import FittedSize, ResonanceFit
 from physics.effects.effect import Effect
 from reports.tables import Column, Table
 
@@ -204,7 +204,7 @@ def _number(value: float) -> float | None:
     return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
-def _size(size: Size, *, owned: bool) -> str:
+def _size(size: FittedSize, *, owned: bool) -> str:
     """Return a size with its error, and of which effect it is if there are several."""
     name = f"{size.effect}'s {size.name}" if owned else size.name
     unit = f" {size.unit}" if size.unit else ""

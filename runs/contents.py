@@ -40,7 +40,7 @@ from runs.layout import (
     PLANNED_HZ,
     READ_BACK_HZ,
     SENTENCE_BYTES,
-    Kind,
+    RunKind,
     RunLabels,
     exact_text,
     short_reason,
@@ -197,9 +197,9 @@ def _write_entry(file: Any, new: NewRun) -> None:
     _put(origin, "seed", bench.seed)
 
 
-def _kind_of(plan: Plan) -> Kind:
+def _kind_of(plan: Plan) -> RunKind:
     calibration = plan.protocol.calibration
-    return Kind.SWEEP if calibration is None else Kind(calibration.kind)
+    return RunKind.SWEEP if calibration is None else RunKind(calibration.kind)
 
 
 def _write_instruments(entry: Any, plan: Plan, bench: Bench) -> None:

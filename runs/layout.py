@@ -86,7 +86,7 @@ class Interruption:
     reason: str
 
 
-class Kind(StrEnum):
+class RunKind(StrEnum):
     """What a run measures: a sweep, or one of the calibrations."""
 
     SWEEP = "sweep"
@@ -98,12 +98,12 @@ class Kind(StrEnum):
 
 
 @dataclass(frozen=True)
-class Acquisition:
+class RunPurpose:
     """What a run measures, and which part of a campaign it is.
 
     Attributes
     ----------
-    kind : Kind
+    kind : RunKind
     campaign : str
         Name of the campaign, the same in all its runs; empty if the run belongs to no campaign.
     part : str
@@ -112,7 +112,7 @@ class Acquisition:
         How often the reed was removed and clamped again since the campaign began.
     """
 
-    kind: Kind = Kind.SWEEP
+    kind: RunKind = RunKind.SWEEP
     campaign: str = ""
     part: str = ""
     clamping: int = 0
@@ -129,9 +129,9 @@ class RunLabels:
     note, operator : str
         Free text, and the name of the operator.
     campaign, part : str
-        Name of the campaign and of the run in it, see `Acquisition`.
+        Name of the campaign and of the run in it, see `RunPurpose`.
     clamping : int
-        See `Acquisition`.
+        See `RunPurpose`.
     """
 
     strength: float | None = None

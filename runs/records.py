@@ -16,9 +16,9 @@ from runs.layout import (
     PLANNED_HZ,
     READ_BACK_HZ,
     TO_BE_MEASURED_AGAIN,
-    Acquisition,
     Interruption,
-    Kind,
+    RunKind,
+    RunPurpose,
     verdict_of,
 )
 from runs.verdict import Verdict
@@ -95,10 +95,10 @@ class StepRecord:
     sentence: str
 
 
-def read_acquisition(group: Any) -> Acquisition:
+def read_acquisition(group: Any) -> RunPurpose:
     """Return what a run measures and its part in a campaign."""
-    return Acquisition(
-        Kind(read_text(group, "kind")),
+    return RunPurpose(
+        RunKind(read_text(group, "kind")),
         read_text(group, "campaign"),
         read_text(group, "part"),
         int(group["clamping"][()]),

@@ -39,7 +39,7 @@ from runs.verdict import Judgement, ReadBack
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Acquisition:
+class StepAcquisition:
     """Frames of one step, and settings that the instruments reported.
 
     Attributes
@@ -79,7 +79,7 @@ def noted(first: BaseException) -> Iterator[None]:
 
 
 def measure(
-    acquisition: Acquisition,
+    acquisition: StepAcquisition,
     plan: Plan,
     reconstruction: Reconstruction,
     saturation_dn: int,
@@ -92,7 +92,7 @@ def measure(
 
     Parameters
     ----------
-    acquisition : Acquisition
+    acquisition : StepAcquisition
     plan : Plan
         Plan of the run, with the requested settings.
     reconstruction : Reconstruction
@@ -171,7 +171,9 @@ class _Hologram:
         return self.turn.standard_error_rad * (self.frame_rate_hz / (2 * np.pi))
 
 
-def _demodulated(acquisition: Acquisition, plan: Plan, reconstruction: Reconstruction) -> _Hologram:
+def _demodulated(
+    acquisition: StepAcquisition, plan: Plan, reconstruction: Reconstruction
+) -> _Hologram:
     """Demodulate the frames of a step that is measured with a sideband and has all its frames."""
     frames, region = acquisition.frames, reconstruction.region
     rate_hz = float(plan.protocol.camera.frame_rate_hz)
@@ -234,7 +236,7 @@ def _judge_signal(
 
 
 def _judge_frames(
-    acquisition: Acquisition, plan: Plan, saturation_dn: int, previous: Frame | None
+    acquisition: StepAcquisition, plan: Plan, saturation_dn: int, previous: Frame | None
 ) -> list[Judgement | None]:
     """Judge frame numbers, times and settings."""
     step, frames, condition = (

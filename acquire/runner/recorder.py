@@ -17,7 +17,7 @@ from typing import Final, Self
 import numpy as np
 
 from acquire.runner.history import History
-from acquire.runner.measuring import Acquisition, lock_condition, measure, noted
+from acquire.runner.measuring import StepAcquisition, lock_condition, measure, noted
 from acquire.runner.quality import common_turn
 from acquire.runner.run_folder import require_writable
 from drivers.roles import Bench, Frame
@@ -212,7 +212,7 @@ class Recorder:
         """Return how many more attempts can be set aside; call it only after `settle`."""
         return self._writer.spare
 
-    def submit(self, acquisition: Acquisition) -> None:
+    def submit(self, acquisition: StepAcquisition) -> None:
         """Queue a step for recording; wait while `_MAX_WAITING_STEPS` earlier steps are unfinished.
 
         Raises
@@ -304,7 +304,7 @@ class Recorder:
             reason += f"; damaged on the disk and measured again: step {', '.join(damaged)}"
         self._writer.reopen(Interruption(first, "resumed", ended, now(), reason))
 
-    def _record(self, acquisition: Acquisition) -> None:
+    def _record(self, acquisition: StepAcquisition) -> None:
         step, position = acquisition.step, acquisition.position
         measured = self._measured(acquisition)
         if self._verdicts[position].measured:
@@ -329,7 +329,7 @@ class Recorder:
             )
         )
 
-    def _measured(self, acquisition: Acquisition) -> MeasuredStep:
+    def _measured(self, acquisition: StepAcquisition) -> MeasuredStep:
         """Demodulate and judge a step; its frames must follow those of the step before."""
         previous = None
         if self._last is not None and self._last[0] == acquisition.camera_start:

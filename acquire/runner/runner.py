@@ -9,7 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Final
 
-from acquire.runner.measuring import Acquisition
+from acquire.runner.measuring import StepAcquisition
 from acquire.runner.orders import Orders, signals_obeyed
 from acquire.runner.received_frames import received
 from acquire.runner.recorder import Recorder, StepReport
@@ -398,7 +398,7 @@ class Runner:
                 f"{'; '.join(unconfirmed)}; check them before you continue"
             )
 
-    def _acquire(self, position: int) -> Acquisition:
+    def _acquire(self, position: int) -> StepAcquisition:
         """Set one step, wait until it has settled, and take its frames."""
         bench, step = self._bench, self._plan.steps[position]
         settle_s = float(step.settle_s)
@@ -417,7 +417,9 @@ class Runner:
         grabbed = bench.camera.grab(step.frames, changed_s + settle_s)
         after = self._read_back(step)
         frames = received(grabbed, changed_s, self._plan.frame_shape)
-        return Acquisition(position, step, before, after, changed_s, frames, self._camera_starts)
+        return StepAcquisition(
+            position, step, before, after, changed_s, frames, self._camera_starts
+        )
 
     def _drive(self, step: Step) -> None:
         """Set the generator, with a ramp if the volts change by more than `_MAX_JUMP`."""

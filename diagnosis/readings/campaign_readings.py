@@ -27,7 +27,7 @@ from physics.air import (
     chamber_of,
 )
 from protocols.bench import BenchFile
-from runs.layout import Kind
+from runs.layout import RunKind
 
 # Share of the time that fitting sweeps takes.
 _SWEEPS = 0.95
@@ -98,8 +98,8 @@ def read_runs(
 
 def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float], None]) -> Readings:
     first = campaign.sweeps[0].run
-    dark_parts, flat_parts = campaign.of_kind(Kind.DARK), campaign.of_kind(Kind.FLAT)
-    lo_parts, still_parts = campaign.of_kind(Kind.LO_ONLY), campaign.of_kind(Kind.ORDER0)
+    dark_parts, flat_parts = campaign.of_kind(RunKind.DARK), campaign.of_kind(RunKind.FLAT)
+    lo_parts, still_parts = campaign.of_kind(RunKind.LO_ONLY), campaign.of_kind(RunKind.ORDER0)
     sensor = sensor_of(bench, first)
     sheet = SensorSheet(sensor)
     dark = read_dark(dark_parts) if dark_parts else None

@@ -87,7 +87,7 @@ class Features(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class CameraSettings:
+class GenicamSettings:
     """Settings of a running camera.
 
     Attributes
@@ -110,13 +110,13 @@ class CameraSettings:
     trigger: Trigger
 
 
-def apply_settings(features: Features, asked: CameraSettings, camera: str) -> None:
+def apply_settings(features: Features, asked: GenicamSettings, camera: str) -> None:
     """Set a stopped camera up, and read back that it took everything as asked.
 
     Parameters
     ----------
     features : Features
-    asked : CameraSettings
+    asked : GenicamSettings
     camera : str
         What to call it in messages.
 
@@ -184,7 +184,7 @@ def _sensor(features: Features, side: str) -> int:
     return features.integer(name) if name else features.integer_range(side)[1]
 
 
-def _require_known(features: Features, asked: CameraSettings, camera: str) -> None:
+def _require_known(features: Features, asked: GenicamSettings, camera: str) -> None:
     for side, pixels in (("Height", asked.shape[0]), ("Width", asked.shape[1])):
         (least, _, step), most = features.integer_range(side), _sensor(features, side)
         if not least <= pixels <= most or (pixels - least) % step:
@@ -234,7 +234,7 @@ def _set_region(features: Features, shape: tuple[int, int]) -> None:
             features.set_integer(offset, least + (rest // 2 - least) // step * step)
 
 
-def _set_times(features: Features, asked: CameraSettings, camera: str) -> None:
+def _set_times(features: Features, asked: GenicamSettings, camera: str) -> None:
     """Set exposure and rate; each may bound the other, so the old rate is switched off first."""
     switch = _first(features, _RATE_SWITCH)
     if switch:
@@ -267,7 +267,7 @@ def _set_trigger(features: Features, trigger: Trigger) -> None:
     features.set_text("TriggerMode", "On")
 
 
-def _differing(features: Features, asked: CameraSettings, camera: str) -> list[str]:
+def _differing(features: Features, asked: GenicamSettings, camera: str) -> list[str]:
     """Return the settings that read back differently, each in a few words."""
     texts = {"PixelFormat": asked.pixel_format, "AcquisitionMode": "Continuous"}
     if features.has("TriggerMode"):
@@ -295,7 +295,7 @@ def _differing(features: Features, asked: CameraSettings, camera: str) -> list[s
     ]
 
 
-def _require_rate(features: Features, asked: CameraSettings, camera: str) -> None:
+def _require_rate(features: Features, asked: GenicamSettings, camera: str) -> None:
     """Refuse if the camera says that it cannot keep up with these settings."""
     name = _first(features, _POSSIBLE_RATE)
     if name is None:

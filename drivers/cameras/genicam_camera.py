@@ -17,7 +17,7 @@ from drivers.cameras.clock import (
 )
 from drivers.cameras.frames import FrameSequence
 from drivers.cameras.genicam import (
-    CameraSettings,
+    GenicamSettings,
     PixelFormat,
     apply_settings,
 )
@@ -82,7 +82,7 @@ class GenicamCamera:
         self.link, self._entry, self._options = link, entry, options
         self._pulses = pulses
         self._host: Clock = host or WallClock()
-        self._settings: CameraSettings | None = None
+        self._settings: GenicamSettings | None = None
         self._clock: CameraClock = self._make_clock(0.0)
         self._running = False
         self._sequence = FrameSequence()
@@ -116,7 +116,7 @@ class GenicamCamera:
                 f"camera ({camera}): is running, but was asked for other settings; stop it first"
             )
         _require_within(self._entry, frame_rate_hz, exposure_s, shape, camera)
-        asked = CameraSettings(
+        asked = GenicamSettings(
             frame_rate_hz, exposure_s, shape, options.pixel_format, options.trigger
         )
         before, self._settings = self._settings, None
@@ -226,7 +226,7 @@ class GenicamCamera:
         useless_most = self._buffers(settings) + math.ceil((ahead_s + quiet_s) / period_s)
         return _Wait(self._host, quiet_s, period_s, useless_most)
 
-    def _buffers(self, settings: CameraSettings) -> int:
+    def _buffers(self, settings: GenicamSettings) -> int:
         return math.ceil(self._options.buffer_s * settings.frame_rate_hz) + _SPARE_BUFFERS
 
     def _take_in(self, timeout_s: float) -> float | None:
@@ -281,7 +281,7 @@ class GenicamCamera:
             )
         return image.astype(np.uint16, copy=False)
 
-    def _require_running(self) -> CameraSettings:
+    def _require_running(self) -> GenicamSettings:
         if not self._running or self._settings is None:
             raise InstrumentError(
                 f"camera ({self.link.camera}): is stopped, but was asked for frames or the time; "

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Generic, TypeVar
 
 from drivers.context import BenchContext
-from drivers.emulators.novatech import NovatechEmulator, Output
+from drivers.emulators.novatech import NovatechEmulator, OutputState
 from drivers.emulators.serving import PtyServer, SocketServer
 from drivers.emulators.siglent import SiglentEmulator
 from drivers.generators.siglent import SiglentGenerator
@@ -70,7 +70,7 @@ def serve_siglent(context: BenchContext) -> Served[SiglentEmulator, SocketServer
 
 # Functions of the laboratory, not methods: an instrument that its own server holds would stay in
 # memory, and its laboratory with it, until Python looks for circles.
-def _follow_pair(lab: SimulatedLab, outputs: tuple[Output, ...]) -> None:
+def _follow_pair(lab: SimulatedLab, outputs: tuple[OutputState, ...]) -> None:
     aom1, aom2 = outputs[:2]
     lab.change(
         difference_hz=aom1.frequency_hz - aom2.frequency_hz,

@@ -29,7 +29,7 @@ class _RefusedError(Exception):
 
 
 @dataclass(frozen=True)
-class Output:
+class OutputState:
     """Output of one socket of the box.
 
     Attributes
@@ -86,7 +86,7 @@ class NovatechEmulator:
 
     Attributes
     ----------
-    outputs : tuple of Output
+    outputs : tuple of OutputState
         What the four sockets give now.
     saves : int
         How often its settings were saved as those of the next power-up.
@@ -94,7 +94,7 @@ class NovatechEmulator:
 
     def __init__(
         self,
-        on_change: Callable[[tuple[Output, ...]], None],
+        on_change: Callable[[tuple[OutputState, ...]], None],
         faults: SynthesizerFaults | None = None,
     ) -> None:
         self._on_change = on_change
@@ -213,9 +213,9 @@ class NovatechEmulator:
         if self.outputs != before:
             self._on_change(self.outputs)
 
-    def _sockets(self) -> tuple[Output, ...]:
+    def _sockets(self) -> tuple[OutputState, ...]:
         return tuple(
-            Output(
+            OutputState(
                 channel.tenths_hz * self._clock_hz() / 2**32,
                 Fraction(channel.phase, 16384),
                 channel.scale / 1023 if channel.scaled else 1.0,

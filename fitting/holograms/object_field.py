@@ -50,7 +50,7 @@ class CommonModeError:
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearisedSweep:
     """Block amplitudes linearised in displacements, gains and the object field's smooth factor.
 
     Attributes
@@ -87,7 +87,7 @@ def linearise(
     a: ComplexArray,
     gain: Array,
     weight: Array,
-) -> Linear:
+) -> LinearisedSweep:
     """Linearise all block amplitudes in the object field, amplitudes and log gains.
 
     Parameters
@@ -138,7 +138,7 @@ def linearise(
     shown, louder, turned, free = (np.sum(each, axis=0) for each in zip(*parts, strict=True))
     field_matrix = np.kron(np.eye(2), smooth.T @ (shown[:, None] * smooth) - free)
     field_gradient = np.concatenate([louder @ smooth, turned @ smooth])
-    return Linear(normal, coupling, field_matrix, field_gradient)
+    return LinearisedSweep(normal, coupling, field_matrix, field_gradient)
 
 
 @dataclass(frozen=True)
@@ -218,22 +218,22 @@ class FieldStep:
         Changes of amplitudes and log gains.
     common_mode : CommonModeError
         Uncertainty of the factor and its effect on the displacements.
-    linear : Linear
+    linear : LinearisedSweep
         The equations that were solved.
     """
 
     move: Array
     holograms: Array
     common_mode: CommonModeError
-    linear: Linear
+    linear: LinearisedSweep
 
 
-def field_step(linear: Linear, held: Array, x: Array, weight: Array) -> FieldStep:
+def field_step(linear: LinearisedSweep, held: Array, x: Array, weight: Array) -> FieldStep:
     """Solve for the change of the object field's factor and of all holograms.
 
     Parameters
     ----------
-    linear : Linear
+    linear : LinearisedSweep
     held : (2j + 1, 2j + 1) float
         Half the prior precision of amplitudes and log gains around 0.
     x : (k, 2j + 1) float

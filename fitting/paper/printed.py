@@ -26,7 +26,7 @@ class _Numbers(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class ModeStatistics(_Numbers):
+class PrintedModeStatistics(_Numbers):
     """A mode in a series (Table 1)."""
 
     identified: int
@@ -180,7 +180,7 @@ class ReedSample(_Numbers):
 class Printed(_Numbers):
     """All of it; see the comments of the file for where in the paper each part stands."""
 
-    observed_resonances: dict[str, dict[str, ModeStatistics]]
+    observed_resonances: dict[str, dict[str, PrintedModeStatistics]]
     rotated_loadings: dict[str, tuple[float, float, float, float]]
     sensitivity_oat_10_percent: dict[str, dict[str, float]]
     vamp_thickness_mm: VampNetwork

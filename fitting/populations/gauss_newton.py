@@ -40,7 +40,7 @@ _CENT = np.log(2) / 1200
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class PopulationEvaluation:
     """Frequencies of n reeds at given components, with derivatives.
 
     Attributes
@@ -58,7 +58,7 @@ class Evaluation:
 
 
 @dataclass(frozen=True)
-class Problem:
+class PopulationProblem:
     """Quantities that all reeds have in common.
 
     Attributes
@@ -66,13 +66,13 @@ class Problem:
     metamodel : Metamodel
     matrices : (6, s, 1 + K) float
         From (1, e1 … eK) to (E1, E2, E3, G1, G2, G3), see `h4_matrix`.
-    start : Evaluation
+    start : PopulationEvaluation
         Evaluation at the mean reed (n = 1).
     """
 
     metamodel: Metamodel
     matrices: Array
-    start: Evaluation
+    start: PopulationEvaluation
 
     @property
     def count(self) -> int:
@@ -80,7 +80,7 @@ class Problem:
         return len(self.start.jacobian)
 
 
-def problem_of(metamodel: Metamodel, series: int) -> Problem:
+def problem_of(metamodel: Metamodel, series: int) -> PopulationProblem:
     """Set up the problem for series A (`series` = 1), or A and B (2)."""
     count = SERIES_COMPONENTS[series]
     matrices = np.stack([h4_matrix(s)[:, : 1 + count] for s in list(Series)[:series]], axis=1)
@@ -88,7 +88,7 @@ def problem_of(metamodel: Metamodel, series: int) -> Problem:
     for _ in range(_START_EVALUATIONS):
         evaluation = _evaluate_reeds(metamodel, matrices, np.zeros((count, 1)), cents)
         cents = evaluation.cents
-    return Problem(metamodel, matrices, evaluation)
+    return PopulationProblem(metamodel, matrices, evaluation)
 
 
 def zener_mpa(matrices: Array, components: Array) -> Array:
@@ -109,7 +109,7 @@ def storage_moduli(zener: Array, cents: Array) -> tuple[StorageModulus, StorageM
 
 def _evaluate_reeds(
     metamodel: Metamodel, matrices: Array, components: Array, cents: Array
-) -> Evaluation:
+) -> PopulationEvaluation:
     """Evaluate reeds with components (K, n), from approximate frequencies `cents` (m, s, n)."""
     E, G = storage_moduli(zener_mpa(matrices, components), cents)
     E_pa, G_pa = 1e6 * E.value_mpa, 1e6 * G.value_mpa
@@ -130,7 +130,7 @@ def _evaluate_reeds(
         corrected[~possible] = f[~possible]
         for derivative in by_parameters:
             derivative[~possible] = 0.0
-    return Evaluation(corrected, _by_components(matrices, by_parameters), possible)
+    return PopulationEvaluation(corrected, _by_components(matrices, by_parameters), possible)
 
 
 def _evaluate(metamodel: Metamodel, E_pa: Array, G_pa: Array) -> tuple[Array, ...]:
@@ -174,7 +174,9 @@ class Best:
     settled: Mask
 
 
-def gauss_newton(problem: Problem, observed: Array, weights: Array, evaluations: int) -> Best:
+def gauss_newton(
+    problem: PopulationProblem, observed: Array, weights: Array, evaluations: int
+) -> Best:
     """Damped Gauss-Newton steps for a block of reeds, (m, s, n) each.
 
     A step is cut short until the fit improves and every observed mode has possible moduli.
@@ -200,16 +202,18 @@ def gauss_newton(problem: Problem, observed: Array, weights: Array, evaluations:
     return best
 
 
-def _spread(evaluation: Evaluation, size: int) -> Evaluation:
+def _spread(evaluation: PopulationEvaluation, size: int) -> PopulationEvaluation:
     """Repeat the evaluation of one reed for many."""
-    return Evaluation(
+    return PopulationEvaluation(
         np.repeat(evaluation.cents, size, axis=-1),
         tuple(np.repeat(column, size, axis=-1) for column in evaluation.jacobian),
         np.repeat(evaluation.possible, size, axis=-1),
     )
 
 
-def _step_from(components: Array, evaluation: Evaluation, observed: Array, weights: Array) -> Best:
+def _step_from(
+    components: Array, evaluation: PopulationEvaluation, observed: Array, weights: Array
+) -> Best:
     """Compute χ², normal equations and their solution at given components."""
     residual = weights * (observed - evaluation.cents)
     weighted = [weights * column for column in evaluation.jacobian]

@@ -25,7 +25,7 @@ from fitting.populations.flags import (
 from fitting.populations.gauss_newton import (
     SERIES_COMPONENTS,
     Best,
-    Problem,
+    PopulationProblem,
     gauss_newton,
     problem_of,
     regularised,
@@ -171,7 +171,7 @@ def _in_blocks(reeds: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
         yield reeds[start : start + _BLOCK]
 
 
-def _fit_all(problem: Problem, observed: Array, errors: Array) -> PopulationFit:
+def _fit_all(problem: PopulationProblem, observed: Array, errors: Array) -> PopulationFit:
     """Fit all reeds in few evaluations, then those that have not converged in more."""
     fit = _unknown(observed, problem.count)
     enough = np.flatnonzero(fit.used > problem.count)
@@ -191,7 +191,7 @@ def _put(some: PopulationFit, all_of_them: PopulationFit, reeds: NDArray[np.int6
 
 
 def _fit_reeds(
-    problem: Problem,
+    problem: PopulationProblem,
     observed: Array,
     errors: Array,
     reeds: NDArray[np.int64],
@@ -211,7 +211,9 @@ def _fit_reeds(
     return best.settled[: len(reeds)]
 
 
-def _conclude(problem: Problem, best: Best, observed: Array, weights: Array) -> PopulationFit:
+def _conclude(
+    problem: PopulationProblem, best: Best, observed: Array, weights: Array
+) -> PopulationFit:
     """Compute components, errors and flags of a block of reeds."""
     used = weights > 0
     # The last step of converged reeds is taken without another evaluation.
@@ -267,7 +269,9 @@ def _moduli_flags(
     return flags
 
 
-def _add_misfits(problem: Problem, fit: PopulationFit, observed: Array, errors: Array) -> None:
+def _add_misfits(
+    problem: PopulationProblem, fit: PopulationFit, observed: Array, errors: Array
+) -> None:
     """Fit reeds whose χ² is too large again, with an excess scatter added to their errors."""
     freedom = fit.used - np.count_nonzero(np.isfinite(fit.components), axis=1)
     reduced_chi2 = fit.reduced_chi2.copy()

@@ -322,7 +322,7 @@ def _fraction_statistics(fractions: Sequence[Array]) -> FractionStatistics:
 
 
 @dataclass(frozen=True)
-class ModeStatistics:
+class SyntheticModeStatistics:
     """Statistics of each mode in each series (paper, Table 1); arrays (2, m), NaN if not found.
 
     Attributes
@@ -339,13 +339,13 @@ class ModeStatistics:
     maximum: Array
 
 
-def mode_statistics(observed: Array) -> ModeStatistics:
+def mode_statistics(observed: Array) -> SyntheticModeStatistics:
     """Statistics of observations (n, 2, m) of any unit; Table 1 has them in Hz."""
     known = np.ma.masked_invalid(observed)
     identified = np.isfinite(observed).sum(axis=0)
     deviations = (known - known.mean(axis=0)) ** 2
     spread = np.ma.sqrt(deviations.sum(axis=0) / np.ma.masked_less(identified - 1, 1))
-    return ModeStatistics(
+    return SyntheticModeStatistics(
         identified=identified,
         mean=_filled(known.mean(axis=0)),
         sd=_filled(spread),

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from fitting.forward import cents_of, hz_of
-from fitting.paper.printed import ModeStatistics, Printed
+from fitting.paper.printed import Printed, PrintedModeStatistics
 from fitting.statistics.synthetic import (
     GRID_CENTS,
     REEDS,
@@ -66,7 +66,7 @@ def compare_frequencies(numbers: Printed, models: Models) -> Group:
     )
 
 
-def _statistics(numbers: Printed) -> Iterator[tuple[int, int, str, ModeStatistics]]:
+def _statistics(numbers: Printed) -> Iterator[tuple[int, int, str, PrintedModeStatistics]]:
     """Series and mode by place, name of the variable, and what is printed of it."""
     for s, series in enumerate(Series):
         for m, mode in enumerate(PAPER_MODES):

@@ -26,7 +26,7 @@ from runs.integrity.content_checks import (
     require_texts,
     require_words,
 )
-from runs.integrity.expected import GROUPS, OPTIONAL_GROUPS, PICTURES, TOGETHER, Kind, Part
+from runs.integrity.expected import GROUPS, OPTIONAL_GROUPS, PICTURES, TOGETHER, Part, ValueKind
 from runs.integrity.stored import Check, altered, datasets, places_of_data, require_heaps
 from runs.layout import (
     FORMAT,
@@ -153,14 +153,14 @@ def _layout(file: Any, check: Check) -> dict[str, Part]:
 def _require_type(check: Check, name: str, part: Part) -> None:
     """Raise an error if a dataset has not exactly a type that the layout allows."""
     found = check.datasets[name].id.get_type()
-    if part.kind is Kind.TEXT:
+    if part.kind is ValueKind.TEXT:
         fits = found.get_class() == h5py.h5t.STRING and found.get_size() <= MAX_TEXT_BYTES
     else:
         fits = any(found.equal(allowed) for allowed in _types(part.kind))
     check.require(fits, name, f"is not of the type {part.kind.name.lower()}")
 
 
-def _types(kind: Kind) -> Sequence[Any]:
+def _types(kind: ValueKind) -> Sequence[Any]:
     """Return the HDF5 types that a dataset of one kind may have."""
     h5t = h5py.h5t
     integers = [
@@ -170,11 +170,11 @@ def _types(kind: Kind) -> Sequence[Any]:
         for order in ("LE", "BE")
     ]
     match kind:
-        case Kind.INTEGER:
+        case ValueKind.INTEGER:
             return integers
-        case Kind.FIELD:
+        case ValueKind.FIELD:
             return [h5t.py_create(np.dtype(np.complex64), logical=True)]
-        case Kind.FRAMES:
+        case ValueKind.FRAMES:
             return [h5t.STD_U16LE, h5t.STD_U16BE]
         case _:
             return [*integers, h5t.IEEE_F32LE, h5t.IEEE_F64LE, h5t.IEEE_F32BE, h5t.IEEE_F64BE]
@@ -254,7 +254,7 @@ def _require_chunks(check: Check, layout: Mapping[str, Part]) -> None:
         made, shape = dataset.made, dataset.shape
         if made.get_layout() != h5py.h5d.CHUNKED:
             continue
-        pictures = part.kind in (Kind.FIELD, Kind.FRAMES)
+        pictures = part.kind in (ValueKind.FIELD, ValueKind.FRAMES)
         chunk = made.get_chunk()
         expected = (1, *shape[1:])
         check.require(pictures and chunk == expected, name, f"is stored in chunks of shape {chunk}")

@@ -18,7 +18,7 @@ from runs.integrity.checksums import (
     header_checksum,
     in_header,
 )
-from runs.integrity.expected import Kind, Part
+from runs.integrity.expected import Part, ValueKind
 from runs.integrity.stored import Check, altered
 from runs.layout import (
     PLANNED_HZ,
@@ -58,7 +58,7 @@ def require_texts(check: Check, layout: Mapping[str, Part]) -> None:
     Texts may hold control characters: `acquire.cli.console` and the HTML pages escape them.
     """
     for name, part in layout.items():
-        if part.kind is not Kind.TEXT:
+        if part.kind is not ValueKind.TEXT:
             continue
         texts = np.atleast_1d(np.asarray(check.values(name), dtype=object)).tolist()
         check.require(max(map(len, texts), default=0) <= MAX_TEXT_BYTES, name, "is too long")

@@ -17,7 +17,7 @@ from runs.layout import (
 _FRAMES: Final = 4
 
 
-class Kind(Enum):
+class ValueKind(Enum):
     """Kind of data that a dataset holds."""
 
     TEXT = auto()
@@ -33,7 +33,7 @@ class Part:
 
     Attributes
     ----------
-    kind : Kind
+    kind : ValueKind
     shape : tuple of str or int
         Lengths of its axes, or names of axes whose lengths `runs.integrity.checks` reads from the
         file.
@@ -41,75 +41,75 @@ class Part:
         Whether a file without it is valid.
     """
 
-    kind: Kind
+    kind: ValueKind
     shape: tuple[str | int, ...] = ()
     optional: bool = False
 
 
 def _measured(rows: str) -> dict[str, Part]:
     """Return the columns that hold what was measured; `rows` is the name of their first axis."""
-    columns = {f"{name}_exact": Part(Kind.TEXT, (rows,)) for name in READ_BACK_HZ}
-    columns |= {name: Part(Kind.NUMBER, (rows,), optional=True) for name in READ_BACK_HZ}
-    columns |= {name: Part(Kind.NUMBER, (rows,)) for name in MEASURED}
-    columns |= {name: Part(Kind.INTEGER, (rows,)) for name in CHECKSUMS}
-    columns |= {name: Part(Kind.TEXT, (rows,)) for name in ("verdict", "sentence")}
+    columns = {f"{name}_exact": Part(ValueKind.TEXT, (rows,)) for name in READ_BACK_HZ}
+    columns |= {name: Part(ValueKind.NUMBER, (rows,), optional=True) for name in READ_BACK_HZ}
+    columns |= {name: Part(ValueKind.NUMBER, (rows,)) for name in MEASURED}
+    columns |= {name: Part(ValueKind.INTEGER, (rows,)) for name in CHECKSUMS}
+    columns |= {name: Part(ValueKind.TEXT, (rows,)) for name in ("verdict", "sentence")}
     return columns | {
-        "timestamp_s": Part(Kind.NUMBER, (rows, _FRAMES)),
-        "frame_id": Part(Kind.INTEGER, (rows, _FRAMES)),
-        EXPOSURE: Part(Kind.NUMBER, (rows,), optional=True),
+        "timestamp_s": Part(ValueKind.NUMBER, (rows, _FRAMES)),
+        "frame_id": Part(ValueKind.INTEGER, (rows, _FRAMES)),
+        EXPOSURE: Part(ValueKind.NUMBER, (rows,), optional=True),
     }
 
 
 def _steps() -> dict[str, Part]:
     """Return the columns of ``/entry/steps``: what was planned and what was measured."""
-    columns = {f"{name}_exact": Part(Kind.TEXT, ("steps",)) for name in PLANNED_HZ}
-    columns |= {name: Part(Kind.NUMBER, ("steps",), optional=True) for name in PLANNED_HZ}
-    columns |= {name: Part(Kind.NUMBER, ("steps",)) for name in ("volts", "carrier_leak")}
-    columns["index"] = Part(Kind.INTEGER, ("steps",))
-    columns["order"] = Part(Kind.INTEGER, ("steps",), optional=True)
+    columns = {f"{name}_exact": Part(ValueKind.TEXT, ("steps",)) for name in PLANNED_HZ}
+    columns |= {name: Part(ValueKind.NUMBER, ("steps",), optional=True) for name in PLANNED_HZ}
+    columns |= {name: Part(ValueKind.NUMBER, ("steps",)) for name in ("volts", "carrier_leak")}
+    columns["index"] = Part(ValueKind.INTEGER, ("steps",))
+    columns["order"] = Part(ValueKind.INTEGER, ("steps",), optional=True)
     return columns | _measured("steps")
 
 
-def _scalars(kind: Kind, *names: str, optional: bool = False) -> dict[str, Part]:
+def _scalars(kind: ValueKind, *names: str, optional: bool = False) -> dict[str, Part]:
     return {name: Part(kind, (), optional) for name in names}
 
 
 # Datasets of each group, by name. A file has all required datasets of a group or lacks the group.
 GROUPS: Final[dict[str, dict[str, Part]]] = {
     "entry": _scalars(
-        Kind.TEXT, "title", "entry_identifier_uuid", "start_time", "end_time", "status"
+        ValueKind.TEXT, "title", "entry_identifier_uuid", "start_time", "end_time", "status"
     )
-    | _scalars(Kind.INTEGER, "header_checksum"),
-    "entry/user": _scalars(Kind.TEXT, "name"),
-    "entry/sample": _scalars(Kind.TEXT, "name", "series", "chamber", "note")
-    | _scalars(Kind.NUMBER, "strength"),
-    "entry/acquisition": _scalars(Kind.TEXT, "kind", "campaign", "part")
-    | _scalars(Kind.INTEGER, "clamping"),
+    | _scalars(ValueKind.INTEGER, "header_checksum"),
+    "entry/user": _scalars(ValueKind.TEXT, "name"),
+    "entry/sample": _scalars(ValueKind.TEXT, "name", "series", "chamber", "note")
+    | _scalars(ValueKind.NUMBER, "strength"),
+    "entry/acquisition": _scalars(ValueKind.TEXT, "kind", "campaign", "part")
+    | _scalars(ValueKind.INTEGER, "clamping"),
     "entry/provenance": _scalars(
-        Kind.TEXT,
+        ValueKind.TEXT,
         *("protocol", "protocol_sha256", "bench", "bench_fingerprint", "git_revision"),
         "package_versions",
     )
-    | _scalars(Kind.TEXT, "reed", "reed_sha256", optional=True)
-    | _scalars(Kind.INTEGER, "seed"),
-    "entry/instrument": _scalars(Kind.TEXT, "name")
-    | {"acoustic_resonances": Part(Kind.NUMBER, ("lines",))},
-    "entry/instrument/camera": _scalars(Kind.TEXT, "identity", "frame_rate_exact")
-    | _scalars(Kind.NUMBER, "count_time", "pixel_size")
-    | _scalars(Kind.INTEGER, "saturation_value", "rows", "columns"),
-    "entry/instrument/synthesizers": _scalars(Kind.TEXT, "identity")
-    | _scalars(Kind.INTEGER, "sideband_order"),
-    "entry/instrument/generator": _scalars(Kind.TEXT, "identity"),
-    "entry/instrument/laser": _scalars(Kind.NUMBER, "wavelength", "distance"),
-    "entry/region": _scalars(Kind.INTEGER, "row", "column", "height", "width"),
+    | _scalars(ValueKind.TEXT, "reed", "reed_sha256", optional=True)
+    | _scalars(ValueKind.INTEGER, "seed"),
+    "entry/instrument": _scalars(ValueKind.TEXT, "name")
+    | {"acoustic_resonances": Part(ValueKind.NUMBER, ("lines",))},
+    "entry/instrument/camera": _scalars(ValueKind.TEXT, "identity", "frame_rate_exact")
+    | _scalars(ValueKind.NUMBER, "count_time", "pixel_size")
+    | _scalars(ValueKind.INTEGER, "saturation_value", "rows", "columns"),
+    "entry/instrument/synthesizers": _scalars(ValueKind.TEXT, "identity")
+    | _scalars(ValueKind.INTEGER, "sideband_order"),
+    "entry/instrument/generator": _scalars(ValueKind.TEXT, "identity"),
+    "entry/instrument/laser": _scalars(ValueKind.NUMBER, "wavelength", "distance"),
+    "entry/region": _scalars(ValueKind.INTEGER, "row", "column", "height", "width"),
     "entry/steps": _steps(),
-    "entry/earlier_attempts": {"position": Part(Kind.INTEGER, ("earlier_attempts",))}
+    "entry/earlier_attempts": {"position": Part(ValueKind.INTEGER, ("earlier_attempts",))}
     | _measured("earlier_attempts"),
-    "entry/interruptions": {"position": Part(Kind.INTEGER, ("interruptions",))}
-    | {name: Part(Kind.TEXT, ("interruptions",)) for name in INTERRUPTIONS[1:]},
+    "entry/interruptions": {"position": Part(ValueKind.INTEGER, ("interruptions",))}
+    | {name: Part(ValueKind.TEXT, ("interruptions",)) for name in INTERRUPTIONS[1:]},
     "entry/data": {
-        "y_m": Part(Kind.NUMBER, ("height",)),
-        "x_m": Part(Kind.NUMBER, ("width",)),
+        "y_m": Part(ValueKind.NUMBER, ("height",)),
+        "x_m": Part(ValueKind.NUMBER, ("width",)),
     },
 }
 
@@ -126,6 +126,6 @@ TOGETHER: Final = (
 
 # Images that a run keeps, by the name of their dataset: kind and axes of the images of one step.
 PICTURES: Final = {
-    "field": (Kind.FIELD, ("height", "width")),
-    "frames": (Kind.FRAMES, (_FRAMES, "rows", "columns")),
+    "field": (ValueKind.FIELD, ("height", "width")),
+    "frames": (ValueKind.FRAMES, (_FRAMES, "rows", "columns")),
 }

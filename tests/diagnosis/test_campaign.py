@@ -7,11 +7,11 @@ import pytest
 
 from diagnosis.campaign import Campaign
 from fitting.errors import FitInputError
-from runs.layout import Acquisition, Kind
+from runs.layout import RunKind, RunPurpose
 from runs.verdict import Verdict
 
 
-def run(kind=Kind.SWEEP, second=0, part="", clamping=0, volts=16.0, clock_s=100.0, **changed):
+def run(kind=RunKind.SWEEP, second=0, part="", clamping=0, volts=16.0, clock_s=100.0, **changed):
     """Say what a run file says, without one."""
     step = SimpleNamespace(
         volts=volts, timestamps_s=(clock_s + second, clock_s + second + 0.1), verdict=Verdict.OK,
@@ -25,7 +25,7 @@ def run(kind=Kind.SWEEP, second=0, part="", clamping=0, volts=16.0, clock_s=100.
         "reed_sha256": "ab" * 32,
         "chamber": "asymmetric",
         "start_time": f"2026-01-01T10:00:{second:02d}+00:00",
-        "acquisition": Acquisition(kind, "campaign" if part else "", part, clamping),
+        "acquisition": RunPurpose(kind, "campaign" if part else "", part, clamping),
         "steps": (step,),
         "path": Path(f"{part or 'run'}.h5"),
         "reconstruction": SimpleNamespace(transform=transform),
@@ -35,7 +35,7 @@ def run(kind=Kind.SWEEP, second=0, part="", clamping=0, volts=16.0, clock_s=100.
 
 def test_runs_are_in_the_order_of_time_on_one_clock() -> None:
     campaign = Campaign.of(
-        [run(second=40, part="down"), run(Kind.DARK, 5, "dark"), run(second=9, part="up")]
+        [run(second=40, part="down"), run(RunKind.DARK, 5, "dark"), run(second=9, part="up")]
     )
     assert [part.name for part in campaign.parts] == ["dark", "up", "down"]
     assert [part.began_s for part in campaign.parts] == [0, 4, 35]
@@ -47,7 +47,7 @@ def test_runs_are_in_the_order_of_time_on_one_clock() -> None:
 def test_what_is_missing_is_reported() -> None:
     alone = Campaign.of([run()]).missing
     assert len(alone) == 7
-    kinds = [run(kind, k) for k, kind in enumerate(Kind) if kind is not Kind.SWEEP]
+    kinds = [run(kind, k) for k, kind in enumerate(RunKind) if kind is not RunKind.SWEEP]
     sweeps = [run(second=20), run(second=30, volts=4.0), run(second=40, clamping=1)]
     assert Campaign.of([*kinds, *sweeps]).missing == []
     assert Campaign.of([*kinds, *sweeps[:2]]).missing == [
@@ -83,13 +83,13 @@ def test_runs_that_do_not_belong_together_are_refused(changed, said) -> None:
 
 
 def test_runs_without_reed_and_campaign_may_be_among_others() -> None:
-    alone = run(second=9, reed_sha256="", acquisition=Acquisition())
+    alone = run(second=9, reed_sha256="", acquisition=RunPurpose())
     assert len(Campaign.of([run(part="up"), alone]).sweeps) == 2
 
 
 def test_another_campaign_has_clampings_of_its_own() -> None:
     first = [run(second=9, part="up"), run(second=20, part="again", clamping=1)]
-    acquisitions = [Acquisition(Kind.SWEEP, "next", part, k) for k, part in enumerate("ab")]
+    acquisitions = [RunPurpose(RunKind.SWEEP, "next", part, k) for k, part in enumerate("ab")]
     later = [run(second=40 + k, acquisition=a) for k, a in enumerate(acquisitions)]
     campaign = Campaign.of([*later, *first])
     assert [part.clamping for part in campaign.parts] == [0, 1, 2, 3]
@@ -115,10 +115,10 @@ def test_steps_that_were_not_taken_have_no_time() -> None:
 
 
 def test_calibrations_in_which_nothing_was_measured_are_missing() -> None:
-    dark = run(Kind.DARK, 5, "dark")
+    dark = run(RunKind.DARK, 5, "dark")
     dark.steps[0].verdict = Verdict.SKIPPED
     campaign = Campaign.of([dark, run(second=9, part="up")])
-    assert not campaign.of_kind(Kind.DARK)
+    assert not campaign.of_kind(RunKind.DARK)
     assert any("dark frames" in lack for lack in campaign.missing)
 
 
@@ -130,4 +130,4 @@ def test_locks_that_were_not_measured_are_missing() -> None:
 
 def test_a_campaign_needs_a_sweep() -> None:
     with pytest.raises(FitInputError, match=r"run\.h5: no run is a sweep"):
-        Campaign.of([run(Kind.DARK)])
+        Campaign.of([run(RunKind.DARK)])

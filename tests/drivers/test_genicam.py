@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from drivers.cameras.frames import Delivery
 from drivers.cameras.genicam import (
-    CameraSettings,
+    GenicamSettings,
     apply_settings,
     timestamp_latch,
 )
@@ -128,7 +128,7 @@ def asked(**changes):
         "pixel_format": "Mono12",
         "trigger": "free",
     }
-    return CameraSettings(**(settings | changes))
+    return GenicamSettings(**(settings | changes))
 
 
 # --- Settings ----------------------------------------------------------------------------------

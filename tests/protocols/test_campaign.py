@@ -21,7 +21,7 @@ from protocols.campaign import (
 from protocols.errors import ProtocolError
 from protocols.plan import make_plan
 from protocols.protocol import Protocol, shipped_protocols
-from runs.layout import Kind
+from runs.layout import RunKind
 from runs.reader import Run
 
 BENCH = BenchFile.from_file()
@@ -37,7 +37,7 @@ def described(parts: str) -> CampaignFile:
 def test_the_shipped_campaign_has_what_a_diagnosis_needs() -> None:
     tasks = tasks_of(CampaignFile.from_file("campaign"))
     kinds = [t.protocol.calibration.kind for t in tasks if t.protocol.calibration]
-    assert set(kinds) == set(Kind) - {Kind.SWEEP}
+    assert set(kinds) == set(RunKind) - {RunKind.SWEEP}
     sweeps = [task.protocol for task in tasks if task.protocol.calibration is None]
     assert {sweep.sweep.direction for sweep in sweeps} == {"up", "down", "shuffled"}
     assert len({sweep.drive.to_v for sweep in sweeps}) == 2
@@ -146,8 +146,8 @@ def test_a_campaign_leaves_a_run_of_each_part(tmp_path) -> None:
     assert asked == [], "the simulated bench arranges itself"
     runs = {path.stem: Run.open(path) for path in (tmp_path / "R07").glob("*.h5")}
     assert {name: run.acquisition.kind for name, run in runs.items()} == {
-        "dark": Kind.DARK, "lo": Kind.LO_ONLY, "rest": Kind.ORDER0, "down": Kind.SWEEP,
-        "again": Kind.SWEEP,
+        "dark": RunKind.DARK, "lo": RunKind.LO_ONLY, "rest": RunKind.ORDER0, "down": RunKind.SWEEP,
+        "again": RunKind.SWEEP,
     }  # fmt: skip
     assert {run.acquisition.campaign for run in runs.values()} == {"R07"}
     assert [runs[name].acquisition.clamping for name in ("rest", "down", "again")] == [0, 0, 1]

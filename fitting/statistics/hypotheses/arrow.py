@@ -2,7 +2,7 @@
 
 The normal matrix has the form of an arrow: a small block for each reed, and a border for the common
 unknowns. The blocks are eliminated one by one, so that the time of a step is proportional to the
-number of reeds. Linear equality constraints on the steps (see `NormalEquations.constraints`) are
+number of reeds. Linear equality constraints on the steps (see `ArrowEquations.constraints`) are
 added to the border with Lagrange multipliers.
 """
 
@@ -28,7 +28,7 @@ _MEMORY = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class ArrowPoint:
     """Values of all unknowns, or a step of all.
 
     Attributes
@@ -41,17 +41,17 @@ class Point:
     shared: Array
     own: Array
 
-    def plus(self, other: "Point", factor: float = 1.0) -> "Point":
+    def plus(self, other: "ArrowPoint", factor: float = 1.0) -> "ArrowPoint":
         """Add a multiple of another point or step."""
-        return Point(self.shared + factor * other.shared, self.own + factor * other.own)
+        return ArrowPoint(self.shared + factor * other.shared, self.own + factor * other.own)
 
-    def dot(self, other: "Point") -> float:
+    def dot(self, other: "ArrowPoint") -> float:
         """Return the scalar product."""
         return float(np.vdot(self.shared, other.shared) + np.vdot(self.own, other.own))
 
 
 @dataclass(frozen=True, eq=False)
-class NormalEquations:
+class ArrowEquations:
     """Sum of squares to be minimised, to second order in a step.
 
     Attributes
@@ -74,7 +74,7 @@ class NormalEquations:
     shared_descent: Array
     constraints: Array
 
-    def step(self, damping: float) -> Point:
+    def step(self, damping: float) -> ArrowPoint:
         """Return the damped step (Marquardt's scaling) within the constraints."""
         _, K, q = self.cross.shape
         shared = self.shared * (1 + damping * np.eye(q))
@@ -87,15 +87,15 @@ class NormalEquations:
         right = np.zeros(len(matrix))
         right[:q] = self.shared_descent
         outer = _solve_symmetric(matrix, right - eliminated[:, -1])
-        return Point(outer[:q], solved[..., -1] - solved[..., :-1] @ outer)
+        return ArrowPoint(outer[:q], solved[..., -1] - solved[..., :-1] @ outer)
 
-    def expected_decrease(self, step: Point) -> float:
+    def expected_decrease(self, step: ArrowPoint) -> float:
         """Return the decrease of the cost that the gradient predicts for a damped step."""
-        return Point(self.shared_descent, self.own_descent).dot(step)
+        return ArrowPoint(self.shared_descent, self.own_descent).dot(step)
 
-    def times(self, step: Point) -> Point:
+    def times(self, step: ArrowPoint) -> ArrowPoint:
         """Return JᵀJ times a step."""
-        return Point(
+        return ArrowPoint(
             self.shared @ step.shared + np.tensordot(step.own, self.cross, axes=2),
             np.einsum("nkl,nl->nk", self.own, step.own) + self.cross @ step.shared,
         )
@@ -124,13 +124,13 @@ def _solve_symmetric(matrix: Array, right: Array) -> Array:
 class ArrowProblem(Protocol):
     """Problem that `minimise` solves."""
 
-    def cost(self, at: Point) -> float:
+    def cost(self, at: ArrowPoint) -> float:
         """Return the sum of squares; infinite where the model is not defined."""
 
-    def normal_equations(self, at: Point) -> NormalEquations:
+    def normal_equations(self, at: ArrowPoint) -> ArrowEquations:
         """Return the normal equations at a point that satisfies the constraints."""
 
-    def onto_constraints(self, near: Point) -> Point:
+    def onto_constraints(self, near: ArrowPoint) -> ArrowPoint:
         """Return the point near `near` that satisfies the constraints."""
 
 
@@ -140,7 +140,7 @@ class Minimum:
 
     Attributes
     ----------
-    point : Point
+    point : ArrowPoint
     cost : float
     iterations : int
     converged : bool
@@ -148,14 +148,14 @@ class Minimum:
         defined beyond the result.
     """
 
-    point: Point
+    point: ArrowPoint
     cost: float
     iterations: int
     converged: bool
 
 
 def minimise(
-    problem: ArrowProblem, start: Point, *, tolerance: float, most_iterations: int
+    problem: ArrowProblem, start: ArrowPoint, *, tolerance: float, most_iterations: int
 ) -> Minimum:
     """Minimise by Levenberg-Marquardt steps with Anderson acceleration.
 
@@ -167,14 +167,14 @@ def minimise(
     Parameters
     ----------
     problem : ArrowProblem
-    start : Point
+    start : ArrowPoint
     tolerance : float
         Expected decrease of the cost at which the minimisation ends.
     most_iterations : int
     """
     at, damping = problem.onto_constraints(start), _FIRST_DAMPING
     here = problem.normal_equations(at)
-    past: list[tuple[Point, Point]] = []
+    past: list[tuple[ArrowPoint, ArrowPoint]] = []
     for iteration in range(1, most_iterations + 1):
         step = here.step(damping)
         promised = here.expected_decrease(step)
@@ -200,8 +200,11 @@ def minimise(
 
 
 def _accelerated(
-    here: NormalEquations, at: Point, step: Point, past: Sequence[tuple[Point, Point]]
-) -> Point:
+    here: ArrowEquations,
+    at: ArrowPoint,
+    step: ArrowPoint,
+    past: Sequence[tuple[ArrowPoint, ArrowPoint]],
+) -> ArrowPoint:
     """Return the point at which the next step would be shortest, extrapolated from past steps."""
     moves = [(at.plus(before, -1), step.plus(then, -1)) for before, then in past]
     # The length of a step is that of its effect on the residuals.

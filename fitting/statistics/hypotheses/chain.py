@@ -6,7 +6,7 @@ import numpy as np
 
 from fitting.statistics.hypotheses import paper_structures
 from fitting.statistics.hypotheses.joint import (
-    JointFit,
+    HypothesisFit,
     continued,
     fit_hypothesis,
 )
@@ -24,7 +24,7 @@ def fit_chain(
     *,
     model: ResonanceModel | None = None,
     priors: Priors = _DEFAULT_PRIORS,
-) -> dict[str, JointFit]:
+) -> dict[str, HypothesisFit]:
     """Fit H1 to H9, by name.
 
     H1 to H4 start by themselves, H5 to H9 where the one before ended. From H4 to H8 each contains
@@ -55,8 +55,8 @@ def fit_chain(
 
 
 def _h9(
-    observed_cents: Array, h8: JointFit, model: ResonanceModel | None, priors: Priors
-) -> JointFit:
+    observed_cents: Array, h8: HypothesisFit, model: ResonanceModel | None, priors: Priors
+) -> HypothesisFit:
     mean = h8.parameters.mean(axis=0)
     own = ((h8.parameters - mean) / PARAMETER_SIZES).reshape(len(h8.parameters), -1)
     start = Unknowns(np.empty(0), h8.unknowns.adjustments_cents, own)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fitting.statistics.hypotheses.joint import JointFit
+from fitting.statistics.hypotheses.joint import HypothesisFit
 from holography.arrays import Array
 
 
@@ -49,14 +49,14 @@ class Determination:
         return {self.names[i]: float(direction[i]) for i in greatest}
 
 
-def determination(fit: JointFit, *, yardstick_cents: float = 100.0) -> Determination:
+def determination(fit: HypothesisFit, *, yardstick_cents: float = 100.0) -> Determination:
     """Linear error analysis at the end of a fit.
 
     The noise is that of the residuals over the degrees of freedom.
 
     Parameters
     ----------
-    fit : JointFit
+    fit : HypothesisFit
     yardstick_cents : float
         Yardstick of the adjustments; that of a coefficient is its size.
     """
@@ -81,7 +81,7 @@ def determination(fit: JointFit, *, yardstick_cents: float = 100.0) -> Determina
     )
 
 
-def _names(fit: JointFit) -> tuple[str, ...]:
+def _names(fit: HypothesisFit) -> tuple[str, ...]:
     modes = fit.population.model.metamodel.modes
     each = fit.unknowns.adjustments_cents.shape[1]
     return (

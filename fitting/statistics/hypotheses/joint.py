@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FitInputError
-from fitting.statistics.hypotheses.arrow import Minimum, Point, minimise
+from fitting.statistics.hypotheses.arrow import ArrowPoint, Minimum, minimise
 from fitting.statistics.hypotheses.population import (
     Population,
     Priors,
@@ -32,7 +32,7 @@ _SINGULAR = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
-class JointFit:
+class HypothesisFit:
     """A population fitted to one hypothesis.
 
     Attributes
@@ -113,7 +113,7 @@ def fit_hypothesis(
     priors: Priors = _DEFAULT_PRIORS,
     tolerance: float = 1e-4,
     most_iterations: int = 200,
-) -> JointFit:
+) -> HypothesisFit:
     """Fit a population to a hypothesis by one least squares.
 
     Where the hypothesis leaves the rotation of components free, no step rotates them: they keep
@@ -163,9 +163,9 @@ def fit_hypothesis(
     return _joint_fit(population, found)
 
 
-def _joint_fit(population: Population, found: Minimum) -> JointFit:
+def _joint_fit(population: Population, found: Minimum) -> HypothesisFit:
     unknowns = population.unknowns(found.point)
-    return JointFit(
+    return HypothesisFit(
         population=population,
         unknowns=unknowns,
         parameters=population.structure.parameters(unknowns.coefficients, unknowns.components),
@@ -176,7 +176,7 @@ def _joint_fit(population: Population, found: Minimum) -> JointFit:
     )
 
 
-def continued(fit: JointFit, wider: Structure) -> Unknowns:
+def continued(fit: HypothesisFit, wider: Structure) -> Unknowns:
     """Start for a wider hypothesis: what it says where it says the same as a fitted one.
 
     Raises
@@ -250,7 +250,7 @@ def _require_shapes(start: Unknowns, structure: Structure, observed: Array) -> N
         )
 
 
-def _startable(population: Population, point: Point) -> Point:
+def _startable(population: Population, point: ArrowPoint) -> ArrowPoint:
     """The point, on the constraints.
 
     Raises

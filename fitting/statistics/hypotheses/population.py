@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fitting.paper.constants import H4_MISFIT_CENTS
 from fitting.statistics.factors import orthonormal
-from fitting.statistics.hypotheses.arrow import NormalEquations, Point
+from fitting.statistics.hypotheses.arrow import ArrowEquations, ArrowPoint
 from fitting.statistics.hypotheses.prediction import (
     Adjustment,
     Prediction,
@@ -139,27 +139,27 @@ class Population:
             priors.noise_cents,
         )
 
-    def point(self, unknowns: Unknowns) -> Point:
+    def point(self, unknowns: Unknowns) -> ArrowPoint:
         """Unknowns in the order and units of the problem."""
         coefficients = unknowns.coefficients / self.sizes
         adjustments = unknowns.adjustments_cents.ravel()
-        return Point(np.concatenate([coefficients, adjustments]), unknowns.components)
+        return ArrowPoint(np.concatenate([coefficients, adjustments]), unknowns.components)
 
-    def unknowns(self, at: Point) -> Unknowns:
+    def unknowns(self, at: ArrowPoint) -> Unknowns:
         """Inverse of `point`."""
         coefficients, adjustments = np.split(at.shared, [len(self.sizes)])
         modes = self.observed_cents.shape[-1]
         return Unknowns(self.sizes * coefficients, adjustments.reshape(modes, -1), at.own)
 
-    def residual_cents(self, at: Point) -> Array:
+    def residual_cents(self, at: ArrowPoint) -> Array:
         """Observed less computed (n, 2, m); NaN where nothing was observed."""
         return np.asarray(self.observed_cents - self._predict(self.unknowns(at)).cents)
 
-    def cost(self, at: Point) -> float:
+    def cost(self, at: ArrowPoint) -> float:
         """Sum of squares, priors included; infinite where a storage modulus is not positive."""
         return self._cost(at, self._predict(self.unknowns(at)))
 
-    def normal_equations(self, at: Point) -> NormalEquations:
+    def normal_equations(self, at: ArrowPoint) -> ArrowEquations:
         """See `ArrowProblem.normal_equations`."""
         unknowns = self.unknowns(at)
         prediction = self._predict(unknowns)
@@ -168,7 +168,7 @@ class Population:
         by_own, by_shared = self._jacobian(unknowns, prediction, seen)
         prior = self.prior_weights**2
         own_prior = self.own_weight_cents**2
-        return NormalEquations(
+        return ArrowEquations(
             cost=self._cost(at, prediction),
             own=np.swapaxes(by_own, 1, 2) @ by_own + own_prior * np.eye(by_own.shape[-1]),
             cross=np.swapaxes(by_own, 1, 2) @ by_shared,
@@ -179,17 +179,17 @@ class Population:
             constraints=self.constraints(at.own),
         )
 
-    def onto_constraints(self, near: Point) -> Point:
+    def onto_constraints(self, near: ArrowPoint) -> ArrowPoint:
         """The same coefficients and adjustments, with components made orthonormal."""
         if not self.structure.orthonormal or not self.structure.components:
             return near
-        return Point(near.shared, orthonormal(near.own))
+        return ArrowPoint(near.shared, orthonormal(near.own))
 
     def _predict(self, unknowns: Unknowns) -> Prediction:
         parameters = self.structure.parameters(unknowns.coefficients, unknowns.components)
         return predict(self.model, self.adjustment, unknowns.adjustments_cents, parameters)
 
-    def _cost(self, at: Point, prediction: Prediction) -> float:
+    def _cost(self, at: ArrowPoint, prediction: Prediction) -> float:
         seen = ~np.isnan(self.observed_cents)
         squares = np.sum((self.observed_cents - prediction.cents)[seen] ** 2)
         squares += np.sum((self.prior_weights * (at.shared - self.prior_centre)) ** 2)

@@ -6,7 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from acquire.runner.measuring import Acquisition, measure
+from acquire.runner.measuring import StepAcquisition, measure
 from acquire.runner.recorder import reconstruction_of
 from acquire.runner.runner import run
 from acquire.runner.summary import RunState
@@ -305,7 +305,7 @@ def test_measuring_is_a_function_of_the_frames(tiny_plan, lit):
     step, picture = plan.steps[0], lit(plan, Fraction(1, 4) + Fraction(1, 20))
     frames = tuple(Frame(k, 1.0 + k / RATE_HZ, picture(k, plan.frame_shape)) for k in range(4))
     read = ReadBack(step.aom1_hz, step.aom2_hz, step.drive_hz, step.volts)
-    acquisition = Acquisition(0, step, read, read, 0.5, frames, 1)
+    acquisition = StepAcquisition(0, step, read, read, 0.5, frames, 1)
     found = measure(acquisition, plan, reconstruction_of(plan), 4095)
     assert found.lock_error_hz == pytest.approx(RATE_HZ / 20, abs=0.02)
     assert 0 < found.lock_error_se_hz < 0.02

@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import null_space
 
 from fitting.statistics.hypotheses.arrow import (
-    NormalEquations,
-    Point,
+    ArrowEquations,
+    ArrowPoint,
     minimise,
 )
 
@@ -26,7 +26,7 @@ def blocks():
 
 
 def equations(by_own, by_shared, residual, constraints):
-    return NormalEquations(
+    return ArrowEquations(
         cost=float(np.sum(residual**2)),
         own=np.swapaxes(by_own, 1, 2) @ by_own,
         cross=np.swapaxes(by_own, 1, 2) @ by_shared,
@@ -73,7 +73,9 @@ def test_inner_product_and_expected_decrease_are_those_of_the_dense_jacobian(blo
     by_own, by_shared, residual, constraints = blocks
     jacobian, _ = dense(by_own, by_shared, constraints)
     rng = np.random.default_rng(5)
-    a, b = (Point(rng.standard_normal(SHARED), rng.standard_normal((REEDS, OWN))) for _ in "ab")
+    a, b = (
+        ArrowPoint(rng.standard_normal(SHARED), rng.standard_normal((REEDS, OWN))) for _ in "ab"
+    )
     flat_a, flat_b = (np.append(p.shared, p.own) for p in (a, b))
     here = equations(*blocks)
     assert here.times(a).dot(b) == pytest.approx(flat_a @ jacobian.T @ jacobian @ flat_b)
@@ -109,7 +111,7 @@ class Curved:
 
 
 def test_the_end_of_a_curved_valley_is_found():
-    start = Point(np.array([-1.2]), np.array([[1.0]]))
+    start = ArrowPoint(np.array([-1.2]), np.array([[1.0]]))
     found = minimise(Curved(), start, tolerance=1e-20, most_iterations=100)
     assert found.converged
     assert found.cost == pytest.approx(Curved().cost(found.point), abs=1e-30)
@@ -118,14 +120,14 @@ def test_the_end_of_a_curved_valley_is_found():
 
 
 def test_a_search_never_enters_where_there_is_no_answer():
-    start = Point(np.array([-1.2]), np.array([[1.0]]))
+    start = ArrowPoint(np.array([-1.2]), np.array([[1.0]]))
     found = minimise(Curved(wall=-1.3), start, tolerance=1e-20, most_iterations=100)
     assert found.converged
     assert found.point.shared[0] == pytest.approx(1)
 
 
 def test_a_search_that_ends_at_the_edge_of_the_model_says_so():
-    start = Point(np.array([3.0]), np.array([[9.0]]))
+    start = ArrowPoint(np.array([3.0]), np.array([[9.0]]))
     found = minimise(Curved(wall=2.0), start, tolerance=1e-10, most_iterations=300)
     assert found.point.shared[0] == pytest.approx(2, abs=0.1)
     assert not found.converged
@@ -133,7 +135,7 @@ def test_a_search_that_ends_at_the_edge_of_the_model_says_so():
 
 def test_large_residuals_do_not_slow_the_search():
     """On this floor Gauss-Newton steps overshoot threefold: 77 iterations unaccelerated."""
-    start = Point(np.array([1.2]), np.array([[1.44]]))
+    start = ArrowPoint(np.array([1.2]), np.array([[1.44]]))
     found = minimise(Curved(floor=1), start, tolerance=1e-13, most_iterations=100)
     assert found.converged
     assert found.iterations < 30
@@ -142,7 +144,7 @@ def test_large_residuals_do_not_slow_the_search():
 
 def test_the_last_step_is_taken_and_counted():
     problem = Curved(steepness=1.0, floor=0.5)
-    start = Point(np.array([1.2]), np.array([[1.44]]))
+    start = ArrowPoint(np.array([1.2]), np.array([[1.44]]))
     found = minimise(problem, start, tolerance=1e-3, most_iterations=100)
     assert found.converged
     assert found.cost == pytest.approx(problem.cost(found.point), rel=1e-14)
@@ -150,7 +152,7 @@ def test_the_last_step_is_taken_and_counted():
 
 
 def test_a_search_that_ran_out_of_iterations_says_so():
-    start = Point(np.array([-1.2]), np.array([[1.0]]))
+    start = ArrowPoint(np.array([-1.2]), np.array([[1.0]]))
     found = minimise(Curved(), start, tolerance=1e-20, most_iterations=2)
     assert not found.converged
     assert found.iterations == 2
@@ -158,7 +160,7 @@ def test_a_search_that_ran_out_of_iterations_says_so():
 
 
 def test_the_cost_never_increases():
-    start = Point(np.array([-1.2]), np.array([[1.0]]))
+    start = ArrowPoint(np.array([-1.2]), np.array([[1.0]]))
     costs = [
         minimise(Curved(), start, tolerance=1e-20, most_iterations=n).cost for n in range(1, 41, 3)
     ]

@@ -8,7 +8,7 @@ import pytest
 from fitting.errors import FitInputError
 from fitting.paper.constants import H4_ADJUSTMENT_CENTS, TABLE_9
 from fitting.statistics.factors import orthonormal
-from fitting.statistics.hypotheses.arrow import Point
+from fitting.statistics.hypotheses.arrow import ArrowPoint
 from fitting.statistics.hypotheses.joint import continued, fit_hypothesis
 from fitting.statistics.hypotheses.population import (
     Priors,
@@ -27,7 +27,7 @@ ADJUSTMENTS = np.array([H4_ADJUSTMENT_CENTS[name] for name in PAPER_MODES])
 def randomly(point, seed, size=1e-4):
     """A small step in all unknowns."""
     rng = np.random.default_rng(seed)
-    return Point(
+    return ArrowPoint(
         size * rng.standard_normal(point.shared.shape), size * rng.standard_normal(point.own.shape)
     )
 

@@ -12,9 +12,9 @@ from acquire.errors import UsageError
 from acquire.results.base import Result, new_axes
 from fitting.cane.fit_runs import ReedFit, SweepFit
 from fitting.cane.reed_fit import ReedParameters
-from fitting.fringes.fringe_peaks import Resonance
 from fitting.populations.table import Measured, PopulationSummary
 from fitting.reed_modes import BASIS, mesh_level, modes_to_json
+from fitting.resonance import Resonance
 from physics.reed.modes import NamedMode
 from protocols.reed import ReedFile
 

@@ -22,12 +22,7 @@ from fitting.forward import (
     cents_of,
     finite_element_model,
 )
-from fitting.fringes.fringe_peaks import (
-    FringeCurves,
-    Resonance,
-    likely_components,
-    pick_fringe_peaks,
-)
+from fitting.fringes.fringe_peaks import FringeCurves, likely_components, pick_fringe_peaks
 from fitting.fringes.fringes import (
     Fringes,
     count_fringes,
@@ -37,6 +32,7 @@ from fitting.fringes.pictures import Pictures, read_pictures
 from fitting.modal.acoustic_resonances import ExcitationPeak, find_excitation_peaks
 from fitting.modal.identify import JointFit, fit_jointly
 from fitting.modal.residual_map import residual_map
+from fitting.resonance import Resonance
 from holography.arrays import Array, Float32Array
 from physics.reed.cane.viscoelastic import (
     Components,

@@ -14,8 +14,8 @@ from fitting.forward import (
     name_similarity,
     viscoelastic_cents,
 )
-from fitting.fringes.fringe_peaks import Resonance
 from fitting.modal.excess_scatter import added_cents, is_misfit
+from fitting.resonance import Resonance
 from holography.arrays import Array
 from physics.reed.cane.viscoelastic import (
     Components,

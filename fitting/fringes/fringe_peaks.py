@@ -17,6 +17,7 @@ from fitting.forward import (
     viscoelastic_cents,
 )
 from fitting.paper import constants as paper
+from fitting.resonance import Resonance
 from holography.arrays import Array
 from physics.reed.cane.viscoelastic import (
     Components,
@@ -45,47 +46,6 @@ _EXCHANGE_CENTS = 150.0
 _REPULSION_CENTS = 50.0
 # Order of search: the strongest and best separated modes narrow the windows of the others.
 _SEARCH_ORDER = ("F1", "T1", "F2", "T3", "T2", "X1", "F3", "X2", "X3", "F4", "T4")
-
-
-@dataclass(frozen=True)
-class Resonance:
-    """A mode found in a sweep.
-
-    Attributes
-    ----------
-    name : str
-    frequency_hz : float
-        Drive frequency of the picture.
-    error_cents : float
-        Standard error: the picture may be off by half its distance to its neighbours.
-    step_index : int
-        Index of the picture in the protocol.
-    amplitude_rad : float
-        Phase amplitude of the mode in that picture.
-    method : str
-        ``picture``, or ``joint`` (see `fitting.modal.identify`), which alone knows what follows.
-    response_hz : float, optional
-        Drive frequency of the mode's peak response. It differs from the eigenfrequency where the
-        drive changes steeply.
-    loss_factor, loss_error : float, optional
-        The error is relative.
-    participation : float, optional
-        How strongly the drive excites the mode, relative to the mode that it excites most.
-    similarity : float, optional
-        Modal assurance criterion of its shape and the finite-element shape of its name.
-    """
-
-    name: str
-    frequency_hz: float
-    error_cents: float
-    step_index: int
-    amplitude_rad: float
-    method: str = "picture"
-    response_hz: float | None = None
-    loss_factor: float | None = None
-    loss_error: float | None = None
-    participation: float | None = None
-    similarity: float | None = None
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,6 @@ from threadpoolctl import threadpool_limits
 from fitting.forward import (
     ForwardModel,
 )
-from fitting.fringes.fringe_peaks import (
-    Resonance,
-)
 from fitting.holograms.block_amplitudes import (
     BlockAmplitudes,
     UnshiftedLight,
@@ -25,6 +22,7 @@ from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.fit import fit_modes
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.start_frequencies import middling_shapes, start_frequencies
+from fitting.resonance import Resonance
 from holography.arrays import Array, ComplexArray
 from physics.reed.cane.viscoelastic import (
     Components,

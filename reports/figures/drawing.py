@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from fitting.cane.fit_runs import SweepFit
-from fitting.fringes.fringe_peaks import Resonance
+from fitting.resonance import Resonance
 from holography.arrays import Array
 from holography.fringes import block_mean
 from reports.plain_text import visible

@@ -9,9 +9,9 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
-from fitting.fringes.fringe_peaks import Resonance
 from fitting.modal.identify import JointFit
 from fitting.modal.residual_map import squared_residual
+from fitting.resonance import Resonance
 from holography.arrays import Array
 
 # Modes side by side, and the panels of each.

@@ -121,3 +121,15 @@ def test_the_front_door_opens_at_once():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
     )
     assert said.stdout.strip() == "[]"
+
+
+def test_analysis_imports_no_library_of_instruments():
+    """A computer without instruments fits and diagnoses all the same."""
+    code = (
+        "import sys, acquire.analysis, acquire.diagnosing; "
+        "print(sorted({'pyvisa', 'usb', 'serial', 'sounddevice'} & set(sys.modules)))"
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert said.stdout.strip() == "[]"

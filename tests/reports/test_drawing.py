@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from fitting.fringes.fringe_peaks import Resonance
+from fitting.resonance import Resonance
 from reports.figures.drawing import (
     PER_ROW,
     contact_sheet,

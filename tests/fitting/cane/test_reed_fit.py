@@ -18,7 +18,7 @@ from fitting.forward import (
     name_similarity,
     viscoelastic_cents,
 )
-from fitting.fringes.fringe_peaks import Resonance
+from fitting.resonance import Resonance
 from physics.reed.cane.viscoelastic import (
     Components,
     Series,

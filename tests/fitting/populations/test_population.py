@@ -11,12 +11,12 @@ from scipy.stats import chi2
 from fitting.cane.reed_fit import COMPONENTS, fit_components
 from fitting.errors import FitInputError
 from fitting.forward import PaperModel, hz_of
-from fitting.fringes.fringe_peaks import Resonance
 from fitting.modal.excess_scatter import added_cents, is_misfit
 from fitting.paper.constants import adjusted_metamodel
 from fitting.populations import population as populations
 from fitting.populations.flags import Flag, PopulationFit, count_flags
 from fitting.populations.population import fit_population, fit_stream
+from fitting.resonance import Resonance
 from physics.reed.cane.viscoelastic import (
     Components,
     Series,

@@ -12,12 +12,12 @@ import pytest
 from fitting.cane.fit_runs import FIT_SWEEP
 from fitting.errors import FitInputError
 from fitting.forward import cents_of, hz_of
-from fitting.fringes.fringe_peaks import Resonance
 from fitting.modal.acoustic_resonances import ExcitationPeak
 from fitting.paper.constants import adjusted_metamodel
 from fitting.populations.population import fit_population
 from fitting.populations.resonance_table import GRID_ERROR_CENTS, read_resonances
 from fitting.populations.table import PopulationSummary, fit_table, metamodel_of
+from fitting.resonance import Resonance
 from fitting.statistics.synthetic import draw_components, observe
 from physics.reed.mode_classification import PAPER_MODES
 from protocols.reed import ReedFile

@@ -1,0 +1,44 @@
+"""A resonance of a reed, however it was found."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Resonance:
+    """A mode found in a sweep.
+
+    Attributes
+    ----------
+    name : str
+    frequency_hz : float
+        Drive frequency of the picture.
+    error_cents : float
+        Standard error: the picture may be off by half its distance to its neighbours.
+    step_index : int
+        Index of the picture in the protocol.
+    amplitude_rad : float
+        Phase amplitude of the mode in that picture.
+    method : str
+        ``picture``, or ``joint`` (see `fitting.modal.identify`), which alone knows what follows.
+    response_hz : float, optional
+        Drive frequency of the mode's peak response. It differs from the eigenfrequency where the
+        drive changes steeply.
+    loss_factor, loss_error : float, optional
+        The error is relative.
+    participation : float, optional
+        How strongly the drive excites the mode, relative to the mode that it excites most.
+    similarity : float, optional
+        Modal assurance criterion of its shape and the finite-element shape of its name.
+    """
+
+    name: str
+    frequency_hz: float
+    error_cents: float
+    step_index: int
+    amplitude_rad: float
+    method: str = "picture"
+    response_hz: float | None = None
+    loss_factor: float | None = None
+    loss_error: float | None = None
+    participation: float | None = None
+    similarity: float | None = None

@@ -8,6 +8,7 @@ import signal
 import h5py
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from drivers.registry import open_bench
 from protocols.bench import BenchFile
@@ -19,6 +20,10 @@ from runs.integrity.checksums import (
     pixel_checksum,
     row_checksums,
 )
+
+# No test is a timing: a busy machine, or the measurement of coverage, makes any of them slow.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 
 def pytest_configure():

@@ -99,8 +99,10 @@ def test_each_fault_strikes_where_it_is_asked_for(serve, kind, ask):
 def test_a_late_answer_comes_when_no_one_waits(serve, kind, ask):
     server = serve(kind, WireFaults(late_answer_at=(1,), late_s=0.45))
     started_s = time.monotonic()
-    assert ask(server, b"a\n", b"") == [b"", b"A\n"]
-    assert 0.44 < time.monotonic() - started_s < 2
+    # On a busy machine it comes later still, but never while the first question waits.
+    first, *later = ask(server, b"a\n", b"", b"", b"")
+    assert (first, b"".join(later)) == (b"", b"A\n")
+    assert time.monotonic() - started_s > 0.44
 
 
 @WIRES

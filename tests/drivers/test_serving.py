@@ -102,7 +102,7 @@ def test_a_late_answer_comes_when_no_one_waits(serve, kind, ask):
     # On a busy machine it comes later still, but never while the first question waits.
     first, *later = ask(server, b"a\n", b"", b"", b"")
     assert (first, b"".join(later)) == (b"", b"A\n")
-    assert time.monotonic() - started_s > 0.44
+    assert 0.44 < time.monotonic() - started_s < 2
 
 
 @WIRES

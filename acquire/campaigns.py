@@ -24,6 +24,7 @@ from acquire.runner.run_session import (
     measure_new,
     measure_rest,
     opened_bench,
+    pack_complete,
     prepare_new,
 )
 from acquire.runner.summary import RunState, RunSummary
@@ -179,6 +180,9 @@ def _measured_part(
     with locked(part.path, orders):
         if state is PartState.BEGUN:
             clear_dead(part.path, callbacks)
-            return measure_rest(part.plan, bench, part.path, callbacks, orders)
-        prepare_new(part.plan, part.path, callbacks)
-        return measure_new(part.plan, bench, part.path, labels, callbacks, orders)
+            summary = measure_rest(part.plan, bench, part.path, callbacks, orders)
+        else:
+            prepare_new(part.plan, part.path, callbacks)
+            summary = measure_new(part.plan, bench, part.path, labels, callbacks, orders)
+        # With the bench open: the reed stays as it is between the parts of a campaign.
+        return pack_complete(summary, part.plan, callbacks, orders)

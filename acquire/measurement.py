@@ -1,7 +1,7 @@
 """Measure from Python: load a protocol, change it, plan it, run it."""
 
 import math
-from dataclasses import fields
+from dataclasses import asdict
 from pathlib import Path
 
 from acquire.errors import UsageError
@@ -16,6 +16,7 @@ from acquire.runner.run_session import (
     measure_new,
     measure_rest,
     opened_bench,
+    pack_complete,
     prepare_new,
 )
 from protocols.bench import DEFAULT_BENCH, BenchFile
@@ -142,7 +143,8 @@ def run(
     with locked(path) as orders:
         prepare_new(planned, path, calls)
         with opened_bench(planned, sample, path, calls, orders) as bench:
-            return RunResult(measure_new(planned, bench, path, sample.labels, calls, orders))
+            summary = measure_new(planned, bench, path, sample.labels, calls, orders)
+        return RunResult(pack_complete(summary, planned, calls, orders))
 
 
 def resume(
@@ -182,7 +184,8 @@ def resume(
         clear_dead(path, calls)
         sample = Sample(found.reed, RunLabels(), found.seed)
         with opened_bench(planned, sample, path, calls, orders) as bench:
-            return RunResult(measure_rest(planned, bench, path, calls, orders))
+            summary = measure_rest(planned, bench, path, calls, orders)
+        return RunResult(pack_complete(summary, planned, calls, orders))
 
 
 def open_run(path: str | Path) -> Run:
@@ -247,10 +250,9 @@ def require_storable(sample: Sample) -> None:
         raise UsageError(f"strength: {labels.strength} is not a strength; write one such as 3.5")
     if not sample.reed.strip():
         raise UsageError("reed: is blank; write the name of this reed")
-    texts = {"reed": sample.reed} | {
-        field.name: getattr(labels, field.name) for field in fields(labels) if field.type is str
-    }
-    for name, text in texts.items():
+    for name, text in {"reed": sample.reed, **asdict(labels)}.items():
+        if not isinstance(text, str):
+            continue
         try:
             text.encode("utf-8")
         except UnicodeEncodeError:

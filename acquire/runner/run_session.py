@@ -109,24 +109,23 @@ def prepare_new(plan: Plan, path: Path, callbacks: Callbacks) -> None:
 def measure_new(
     plan: Plan, bench: Bench, path: Path, labels: RunLabels, callbacks: Callbacks, orders: Orders
 ) -> RunSummary:
-    """Measure a new run on an open bench, and pack its frames.
+    """Measure a new run on an open bench.
 
     The caller holds the lock of the run file, and has checked it by `prepare_new`.
     """
-    summary = measure(
+    return measure(
         plan, bench, path, labels, callbacks.step, announce=callbacks.announce, orders=orders
     )
-    return _packed(summary, plan, callbacks, orders)
 
 
 def measure_rest(
     plan: Plan, bench: Bench, path: Path, callbacks: Callbacks, orders: Orders
 ) -> RunSummary:
-    """Measure the missing steps of a run on an open bench, and pack its frames.
+    """Measure the missing steps of a run on an open bench.
 
     The caller holds the lock of the run file, and has called `clear_dead`.
     """
-    summary = measure(
+    return measure(
         plan,
         bench,
         path,
@@ -135,7 +134,6 @@ def measure_rest(
         resume=True,
         orders=orders,
     )
-    return _packed(summary, plan, callbacks, orders)
 
 
 def clear_dead(path: Path, callbacks: Callbacks) -> None:
@@ -144,8 +142,14 @@ def clear_dead(path: Path, callbacks: Callbacks) -> None:
         callbacks.announce(f"{removed}: was left by a process that has ended; removed")
 
 
-def _packed(summary: RunSummary, plan: Plan, callbacks: Callbacks, orders: Orders) -> RunSummary:
-    """Pack the frames of a complete run. A full disk or a stop leaves the run as it was."""
+def pack_complete(
+    summary: RunSummary, plan: Plan, callbacks: Callbacks, orders: Orders
+) -> RunSummary:
+    """Pack the frames of a complete run. A full disk or a stop leaves the run as it was.
+
+    The caller holds the lock of the run file. The bench need not be open: to pack a large run takes
+    a minute, in which another run can use it.
+    """
     if summary.status is not RunState.COMPLETE or plan.protocol.keep != "frames":
         return summary
     try:

@@ -3,6 +3,7 @@
 import os
 import signal
 import threading
+from dataclasses import replace
 
 import pytest
 
@@ -212,3 +213,29 @@ def test_an_order_before_the_bench_is_used_switches_nothing_on(tiny_plan, fake_b
     )  # fmt: skip
     assert runner.execute().status is RunState.INTERRUPTED
     assert not {"rf_on", "set_sine"} & set(fake.names())
+
+
+@pytest.mark.parametrize("begun", [False, True], ids=["new", "resumed"])
+def test_the_bench_is_free_while_frames_are_packed(small_plan, path, monkeypatch, begun):
+    """Compression takes a minute for a large run; others may measure meanwhile."""
+    plan, events = small_plan({"keep": "frames"}), []
+    opened = run_session.open_bench
+
+    def watched(*asked, **more):
+        bench = opened(*asked, **more)
+
+        def release():
+            bench.release()
+            events.append("released")
+
+        return replace(bench, release=release)
+
+    if begun:
+        stop = acquire.Callbacks(step=lambda _: os.kill(os.getpid(), signal.SIGTERM))
+        assert acquire.run(plan, path, callbacks=stop).status is RunState.INTERRUPTED
+    monkeypatch.setattr("acquire.runner.run_session.open_bench", watched)
+    calls = acquire.Callbacks(packing=lambda _: events.append("packing"))
+    measured = (acquire.resume if begun else acquire.run)(plan, path, callbacks=calls)
+    assert measured.status is RunState.COMPLETE
+    assert events[0] == "released"
+    assert "packing" in events[1:]

@@ -8,10 +8,9 @@ from typing import Annotated, Any
 import typer
 
 from acquire.cli.console import show_message
+from acquire.errors import FAILED, INTERRUPTED
 from holography.errors import BenchError
 from reports.plain_text import one_line
-
-INTERRUPTED = 130
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the Python traceback of an error.")]
@@ -50,18 +49,18 @@ def guarded_verb(function: Callable[..., None]) -> Callable[..., None]:
                 raise
             for line in (str(error), *getattr(error, "__notes__", ())):
                 show_message(one_line(f"acquire: {line}"))
-            raise typer.Exit(1 if error.unconfirmed else error.exit_status) from None
+            raise typer.Exit(FAILED if error.unconfirmed else error.exit_status) from None
         except OSError as error:
             if debug:
                 raise
             for line in (_disk_message(error), *getattr(error, "__notes__", ())):
                 show_message(one_line(f"acquire: {line}"))
-            raise typer.Exit(1) from None
+            raise typer.Exit(FAILED) from None
         except KeyboardInterrupt as stop:
             unconfirmed = getattr(stop, "__notes__", ())
             for line in ("interrupted", *unconfirmed):
                 show_message(one_line(f"acquire: {line}"))
-            raise typer.Exit(1 if unconfirmed else INTERRUPTED) from None
+            raise typer.Exit(FAILED if unconfirmed else INTERRUPTED) from None
 
     return guarded
 

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from acquire.cli.app import AsJson, Debug
 from acquire.cli.console import (
     results,
     show_json,
     show_message,
 )
+from acquire.errors import FAILED, INTERRUPTED
 from reports.plain_text import plain
 
 if TYPE_CHECKING:
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
     from acquire.bench.off import OffReport
     from drivers.discovery import Found, Search
 
-_INTERRUPTED: Final = 130
 _STYLES: Final = {"pass": "green", "fail": "bold red", "note": "yellow", "skipped": "dim"}
 _KINDS: Final = {
     "serial": "serial ports",
@@ -35,8 +36,6 @@ _KINDS: Final = {
 BenchArgument = Annotated[
     str, typer.Argument(metavar="BENCH", help="Bench file, or a shipped bench's name.")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON with stable keys instead.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
 
 
 def list_found(
@@ -131,9 +130,9 @@ def check(
         results().print(_table(f"check: {report.bench}", report.findings))
         _show(_closing_words(report))
     if report.interrupted:
-        raise typer.Exit(1 if report.unconfirmed else _INTERRUPTED)
+        raise typer.Exit(FAILED if report.unconfirmed else INTERRUPTED)
     if not report.passed:
-        raise typer.Exit(1)
+        raise typer.Exit(FAILED)
 
 
 def off(bench: BenchArgument, as_json: AsJson = False, debug: Debug = False) -> None:
@@ -155,7 +154,7 @@ def off(bench: BenchArgument, as_json: AsJson = False, debug: Debug = False) -> 
         results().print(_table(f"outputs: {report.bench}", report.findings))
         _show(_words_on_outputs(report))
     if not report.is_off:
-        raise typer.Exit(1)
+        raise typer.Exit(FAILED)
 
 
 def _closing_words(report: "CheckReport") -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from acquire.errors import FAILED, INTERRUPTED
 from acquire.results.base import Result, new_axes
 from acquire.runner.summary import RunState, RunSummary
 from protocols.campaign import Task
@@ -16,9 +17,6 @@ from runs.verdict import Verdict
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-# Exit statuses of the command line, and of a run that ended without an exception.
-_COMPLETE, _FAILED, _INTERRUPTED = 0, 1, 130
 
 
 @dataclass(frozen=True, repr=False)
@@ -185,8 +183,8 @@ class RunResult(Result):
     def exit_status(self) -> int:
         """Exit status of ``acquire run`` for this run: 0, 1 or 130."""
         if self.summary.unconfirmed or self.summary.ended_by == "policy":
-            return _FAILED
-        return _INTERRUPTED if self.summary.ended_by == "person" else _COMPLETE
+            return FAILED
+        return INTERRUPTED if self.summary.ended_by == "person" else 0
 
     @property
     def title(self) -> str:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from acquire.cli.app import AsJson, Debug, ModelOption
-from acquire.cli.console import messages, results, show_json, show_message
+from acquire.cli.console import messages, results, show_json
 from acquire.cli.option_group import takes_options
 from acquire.errors import UsageError
 
@@ -137,9 +137,10 @@ def modes(
             raise UsageError("--pictures: a basis has no shapes to draw; use --mesh fine")
         mesh_level(mesh)
         require_png(pictures)
-    with stage_progress(messages()) as progress:
+    words = messages()
+    with stage_progress(words) as progress:
         found = acquire.modes(
-            reed, changes.by_key(), mesh=mesh, announce=show_message, progress=progress
+            reed, changes.by_key(), mesh=mesh, announce=words.print, progress=progress
         )
     if pictures:
         found.write_pictures(pictures)
@@ -193,14 +194,16 @@ def population(
     from reports.population_tables import remarks, summary_table
     from reports.tables import terminal_table
 
-    with messages().status("fitting") as status:
+    # One console for both: a second one would write into the line of the progress.
+    words = messages()
+    with words.status("fitting") as status:
         fitted = acquire.population(
             source,
             out,
             kind=kind,
             model=model,
             method=method,
-            announce=show_message,
+            announce=words.print,
             fitted=lambda reeds: status.update(f"{reeds} reeds fitted"),
         )
     if as_json:

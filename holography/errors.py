@@ -17,3 +17,9 @@ class BenchError(Exception):
 
     exit_status: int = 1
     unconfirmed: tuple[str, ...] = ()
+
+
+class MissingLibraryError(BenchError):
+    """An optional library that is not installed; names the command that installs it."""
+
+    exit_status = 2

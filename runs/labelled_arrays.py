@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from holography.errors import MissingLibraryError
 from runs.errors import RunFileError
 from runs.verdict import Verdict
 
@@ -23,19 +25,30 @@ _NUMBERS = (
 )  # fmt: skip
 
 
-def steps_frame(run: Run) -> pd.DataFrame:
-    """Return one row for each planned step: index, frequencies in Hz, volts, verdict.
+def data_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """Return rows as a pandas data frame.
 
     Raises
     ------
-    RunFileError
+    MissingLibraryError
         If pandas is not installed.
     """
     try:
         import pandas as pd
     except ImportError:
-        raise RunFileError("pandas is not installed; pip install pandas") from None
-    return pd.DataFrame([_row(step) for step in run.steps]).set_index("position")
+        raise _missing("pandas") from None
+    return pd.DataFrame(rows)
+
+
+def steps_frame(run: Run) -> pd.DataFrame:
+    """Return one row for each planned step: index, frequencies in Hz, volts, verdict.
+
+    Raises
+    ------
+    MissingLibraryError
+        If pandas is not installed.
+    """
+    return data_frame([_row(step) for step in run.steps]).set_index("position")
 
 
 def fields_dataset(run: Run) -> xr.Dataset:
@@ -49,13 +62,15 @@ def fields_dataset(run: Run) -> xr.Dataset:
 
     Raises
     ------
+    MissingLibraryError
+        If xarray is not installed.
     RunFileError
-        If xarray is not installed, or no step was measured.
+        If no step was measured.
     """
     try:
         import xarray as xr
     except ImportError:
-        raise RunFileError("xarray is not installed; pip install xarray") from None
+        raise _missing("xarray") from None
     measured = [step for step in run.steps if step.verdict.measured]
     if not measured:
         raise RunFileError(f"{run.path}: no step was measured, so there are no fields")
@@ -65,6 +80,12 @@ def fields_dataset(run: Run) -> xr.Dataset:
         {"field": (("step", "y", "x"), np.stack([run.field(step.position) for step in measured]))},
         coords={"y": ("y", run.y_m, {"units": "m"}), "x": ("x", run.x_m, {"units": "m"})} | columns,
         attrs={"reed": run.reed, "series": run.series, "title": run.title, "uid": run.uid},
+    )
+
+
+def _missing(library: str) -> MissingLibraryError:
+    return MissingLibraryError(
+        f"{library} is not installed; pip install 'reedbench[notebook]' installs it"
     )
 
 

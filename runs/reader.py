@@ -262,7 +262,7 @@ class Run:
 
     def __repr__(self) -> str:
         good = int(self.good.sum())
-        return f"<Run {self.path}: {self.reed}, {self.status}, {good} of {len(self)} steps good>"
+        return f"<Run {str(self.path)!r}: {self.reed!r}, {self.status}, {good} of {len(self)} good>"
 
     def close(self) -> None:
         """Close the file. May be called twice."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from acquire.errors import UsageError
-from acquire.results.base import Result, new_axes
+from acquire.results.base import Result, label_axes, new_axes
 from fitting.cane.fit_runs import ReedFit, SweepFit
 from fitting.cane.reed_fit import ReedParameters
 from fitting.populations.table import Measured, PopulationSummary
@@ -77,20 +77,11 @@ class FitResult(Result):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the response of each mode against frequency, with its resonance named."""
-        axes, sweep = new_axes(ax), self.sweeps[0]
-        response = sweep.response
-        axes.plot(response.drive_hz, response.phase_rad, color="0.25", label="whole reed (rms)")
-        for number, name in enumerate(response.names):
-            if name in sweep.resonances:
-                axes.plot(response.drive_hz, response.amplitude_rad[:, number], label=name)
-        axes.set(
-            xscale="log",
-            yscale="log",
-            xlabel="drive frequency (Hz)",
-            ylabel="phase amplitude (rad)",
-            title=self.title,
-        )
-        axes.legend(fontsize="small")
+        from reports.figures.drawing import draw_response
+
+        axes = new_axes(ax)
+        sweep = self.sweeps[0]
+        draw_response(axes, sweep, [p.hz for p in sweep.excitation_peaks] if sweep.joint else [])
         return axes
 
 
@@ -142,7 +133,8 @@ class ModesResult(Result):
             for mode in own:
                 place = (mode.frequency_hz, klass)
                 axes.annotate(mode.name, place, (0, 12), textcoords="offset points", ha="center")
-        axes.set(xscale="log", xlabel="frequency (Hz)", ylabel="class", title=self.title)
+        label_axes(axes, self.title, "frequency (Hz)", "class")
+        axes.set_xscale("log")
         return axes
 
     def write_pictures(self, path: str | Path) -> None:
@@ -216,7 +208,7 @@ class PopulationResult(Result):
             yerr=[row["e2_error"] for row in known],
             fmt="o",
         )
-        axes.set(xlabel="e1 (population SD)", ylabel="e2 (population SD)", title=self.title)
+        label_axes(axes, self.title, "e1 (population SD)", "e2 (population SD)")
         return axes
 
 

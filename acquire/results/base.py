@@ -5,9 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any
 
-from acquire.errors import UsageError
-from reports.pages import table_html
-from reports.tables import records_table
+from reports.plain_text import visible
+from runs.labelled_arrays import data_frame
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -52,20 +51,27 @@ class Result(ABC):
 
         Raises
         ------
-        UsageError
+        MissingLibraryError
             If pandas is not installed.
         """
-        try:
-            import pandas as pd
-        except ImportError:
-            raise UsageError("to_dataframe: pandas is not installed; pip install pandas") from None
-        return pd.DataFrame(self.rows())
+        return data_frame(self.rows())
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {self.title}>"
+        # A terminal must not obey characters in the name of a reed.
+        return f"<{type(self).__name__}: {visible(self.title)}>"
 
     def _repr_html_(self) -> str:
+        # Imported here, so that a plan on the command line does not wait for the page templates.
+        from reports.pages import table_html
+        from reports.tables import records_table
+
         return table_html(records_table(self.title, self.rows()))
+
+
+def label_axes(axes: Axes, title: str, x: str, y: str = "") -> None:
+    """Write title and labels. A name may hold what matplotlib takes for mathematics."""
+    axes.set_title(visible(title), parse_math=False)
+    axes.set(xlabel=x, ylabel=y)
 
 
 def new_axes(ax: Axes | None) -> Axes:

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from acquire.results.base import Result, new_axes
+from acquire.results.base import Result, label_axes, new_axes
 from diagnosis.campaign_diagnosis import Diagnosis
 from diagnosis.resonance_diagnosis import ResonanceDiagnosis
 from reports.diagnosis_json import to_json as verdict_to_json
+from reports.plain_text import visible
 from reports.resonance_diagnosis import to_json as resonances_to_json
 
 if TYPE_CHECKING:
@@ -45,7 +46,8 @@ class DiagnosisResult(Result):
 
     def __repr__(self) -> str:
         name, likeliest = next(iter(self.probability.items()))
-        return f"<DiagnosisResult: {self.title}: {self.verdict.kind}; {name} {likeliest:.0%}>"
+        said = f"{self.title}: {self.verdict.kind}; {name} {likeliest:.0%}"
+        return f"<DiagnosisResult: {visible(said)}>"
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the probability of every cause."""
@@ -60,7 +62,8 @@ class DiagnosisResult(Result):
         axes, shown = new_axes(ax), list(self.probability.items())[:8]
         axes.barh([name for name, _ in shown], [p for _, p in shown])
         axes.invert_yaxis()
-        axes.set(xlim=(0, 1), xlabel="probability", title=self.title)
+        label_axes(axes, self.title, "probability")
+        axes.set_xlim(0, 1)
         return axes
 
 
@@ -102,5 +105,5 @@ class ResonanceDiagnosisResult(Result):
         axes, rows = new_axes(ax), self.rows()
         axes.barh([row["cause"] for row in rows], [row["log_odds_nats"] for row in rows])
         axes.invert_yaxis()
-        axes.set(xlabel="log odds (nats)", title=self.title)
+        label_axes(axes, self.title, "log odds (nats)")
         return axes

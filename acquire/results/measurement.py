@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from acquire.errors import FAILED, INTERRUPTED
-from acquire.results.base import Result, new_axes
+from acquire.results.base import Result, label_axes, new_axes
 from acquire.runner.summary import RunState, RunSummary
 from protocols.campaign import Task
 from protocols.plan import Plan
@@ -85,7 +85,7 @@ class SweepPlan(Result):
             [step.volts for step in self.steps],
             marker=".",
         )
-        axes.set(xlabel="drive frequency (Hz)", ylabel="tweeter (V peak)", title=self.title)
+        label_axes(axes, self.title, "drive frequency (Hz)", "tweeter (V peak)")
         return axes
 
 
@@ -144,7 +144,7 @@ class CampaignPlan(Result):
             axes.barh(task.part.name, plan.duration_s, left=begin_s)
             begin_s += plan.duration_s
         axes.invert_yaxis()
-        axes.set(xlabel="time (s)", title=self.title)
+        label_axes(axes, self.title, "time (s)")
         return axes
 
 
@@ -211,7 +211,7 @@ class RunResult(Result):
         """Draw the number of steps by verdict."""
         axes = new_axes(ax)
         axes.barh([str(verdict) for verdict in self.counts], list(self.counts.values()))
-        axes.set(xlabel="steps", title=self.title)
+        label_axes(axes, self.title, "steps")
         return axes
 
 
@@ -271,5 +271,5 @@ class CampaignResult(Result):
         axes, rows = new_axes(ax), self.rows()
         axes.barh([row["part"] for row in rows], [row["good"] for row in rows])
         axes.invert_yaxis()
-        axes.set(xlabel="good steps", title=self.title)
+        label_axes(axes, self.title, "good steps")
         return axes

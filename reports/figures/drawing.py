@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -159,12 +160,18 @@ def response_plot(sweep: SweepFit, lines_hz: Sequence[float]) -> Figure:
         Excitation peaks that the fit found, or acoustic resonances that the bench file lists.
     """
     figure = Figure(figsize=(13, 6), layout="constrained")
-    axes = figure.add_subplot()
+    draw_response(figure.add_subplot(), sweep, lines_hz)
+    return figure
+
+
+def draw_response(axes: Axes, sweep: SweepFit, lines_hz: Sequence[float]) -> None:
+    """Draw fringes of every found mode against frequency, with named peaks; see `response_plot`."""
     hz, amplitude = sweep.response.drive_hz, sweep.response.amplitude_rad
     axes.plot(hz, sweep.response.phase_rad, color="0.25", linewidth=1.2, label="whole reed, rms")
     _dress(axes, hz, amplitude)
     peaks = [(found.frequency_hz, found.amplitude_rad) for found in sweep.resonances.values()]
-    heights = label_heights(axes.transData.transform(peaks) * 72 / figure.dpi) if peaks else []
+    dots = axes.transData.transform(peaks) if peaks else np.empty((0, 2))
+    heights = label_heights(axes.figure.dpi_scale_trans.inverted().transform(dots) * 72)
     for (name, found), height in zip(sweep.resonances.items(), heights, strict=True):
         near = np.abs(np.log2(hz / found.frequency_hz)) < _SHOWN_OCTAVES
         colour = _DARK_COLOUR.get(name[0], _OTHER_COLOUR)
@@ -196,7 +203,6 @@ def response_plot(sweep: SweepFit, lines_hz: Sequence[float]) -> Figure:
     title = f"Reed {visible(sweep.reed)}, series {visible(sweep.series)}: {how}"
     # A name may hold what matplotlib takes for mathematics.
     axes.set_title(title, parse_math=False)
-    return figure
 
 
 def label_heights(peaks_pt: Array) -> list[float]:

@@ -10,8 +10,10 @@ from matplotlib.figure import Figure
 import acquire
 from acquire.errors import UsageError
 from acquire.results.base import Result
+from holography.errors import MissingLibraryError
 from protocols.errors import ProtocolError
 from protocols.protocol import Protocol
+from reports.figures.drawing import png_of
 from runs.errors import RunFileError
 from runs.reader import Run
 
@@ -58,8 +60,20 @@ def test_rows_become_a_data_frame(results):
 
 def test_without_pandas_the_remedy_is_named(results, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(UsageError, match="pip install pandas"):
+    with pytest.raises(MissingLibraryError, match="pandas"):
         results["plan"].to_dataframe()
+
+
+@pytest.mark.parametrize("name", ["run", "fit", "modes"])
+def test_a_hostile_name_is_shown_as_text(results, name, monkeypatch):
+    result = results[name]
+    monkeypatch.setattr(type(result), "title", "R07 $\\frac$ \x1b[31m")
+    assert "\x1b" not in repr(result)
+    figure = Figure()
+    axes = result.plot(figure.add_subplot())
+    # Drawing fails on words between dollar signs that are no mathematics.
+    assert png_of(figure).startswith(b"\x89PNG")
+    assert "\x1b" not in axes.get_title()
 
 
 def test_a_run_keeps_what_it_was_given(results):

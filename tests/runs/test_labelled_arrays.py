@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from runs.errors import RunFileError
+from holography.errors import MissingLibraryError
 from runs.reader import Run
 
 
@@ -39,5 +39,5 @@ def test_fields_have_coordinates(changed):
 )
 def test_without_the_library_the_remedy_is_named(sweep_a, monkeypatch, library, method):
     monkeypatch.setitem(sys.modules, library, None)
-    with Run.open(sweep_a) as run, pytest.raises(RunFileError, match=f"pip install {library}"):
+    with Run.open(sweep_a) as run, pytest.raises(MissingLibraryError, match=library):
         getattr(run, method)()

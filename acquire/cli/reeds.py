@@ -194,7 +194,6 @@ def population(
     from reports.population_tables import remarks, summary_table
     from reports.tables import terminal_table
 
-    # One console for both: a second one would write into the line of the progress.
     words = messages()
     with words.status("fitting") as status:
         fitted = acquire.population(

@@ -37,6 +37,9 @@ from physics.reed.reduction.response import elastic_modes
 from protocols.bench import BenchFile
 from protocols.reed import ReedFile
 
+# A laboratory of its own elements is built for them.
+pytestmark = pytest.mark.slow
+
 
 def test_known_kinds_are_those_of_the_catalogue_and_others_are_not() -> None:
     known = {kind.name for kind in KINDS if kind.known}

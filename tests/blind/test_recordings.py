@@ -74,6 +74,7 @@ def well(plain_reed):
         return world, list(_taken(world))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [k.name for k in KINDS if k.name not in _OF_THE_BUILD])
 def test_what_is_sealed_is_in_what_is_recorded(name, short, well):
     world, pictures = well

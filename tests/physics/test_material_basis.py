@@ -132,6 +132,7 @@ def errors_cents(basis, canes, offsets_m, geometry=None, highest_hz=20e3):
     return errors
 
 
+@pytest.mark.slow
 class TestAgainstFiniteElements:
     @pytest.mark.parametrize("corners", [False, True], ids=["inside", "corners"])
     def test_frequencies_are_those_of_the_finite_elements(self, basis, corners):

@@ -31,6 +31,7 @@ def comparison(models, network, evidence, printed_sensitivities):
         return whole.compare_paper(lambda words: None)
 
 
+@pytest.mark.slow
 def test_all_groups_are_there_and_no_row_twice(comparison):
     assert [group.key for group in comparison.groups] == KEYS.split()
     names = [(row.table, row.quantity) for row in comparison.rows]

@@ -70,6 +70,7 @@ def test_people_are_shown_the_same(cli, table):
     assert Path("mine.csv").exists()
 
 
+@pytest.mark.slow
 def test_a_folder_of_runs_is_fitted(cli, measured, folder):
     said = cli("population", measured.a.parent, "--json", "--out", "components.csv")
     assert said.status == 0

@@ -303,6 +303,7 @@ def test_a_fit_prints_a_table_of_modes_and_parameters(cli, measured):
         assert re.search(rf"{name}\W+{re.escape(format(estimate['value'], '+.2f'))}", out)
 
 
+@pytest.mark.slow
 def test_both_series_together_fix_four_components(cli, measured):
     said = cli("fit", measured.a, measured.b, "--method", "picture", "--json")
     assert said.status == 0
@@ -622,6 +623,7 @@ def wait_for_events(path, count, process):
     raise AssertionError("the run does not get on")
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_at_a_step_with_everything_off_and_a_readable_file(
     folder, traced, protocol_file
 ):

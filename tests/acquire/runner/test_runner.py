@@ -830,6 +830,7 @@ def test_what_was_asked_beyond_a_limit_is_not_asked_again(tiny_plan, fake_bench,
     assert left_safe(fake)
 
 
+@pytest.mark.slow
 @given(
     events=st.lists(
         st.tuples(
@@ -1002,6 +1003,7 @@ ENDINGS = {
 }
 
 
+@pytest.mark.slow
 def test_a_real_signal_ends_a_real_process_safely(processes, tmp_path):
     # At the same time, because most of it is waiting for frames.
     children = {

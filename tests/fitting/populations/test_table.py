@@ -218,6 +218,7 @@ def test_a_table_appears_whole_or_not_at_all(tmp_path):
         pass
 
 
+@pytest.mark.slow
 def test_a_folder_of_runs_becomes_a_table(sweep_a, fitted_a, tmp_path):
     said = []
     measured = write_resonances(sweep_a.parent, tmp_path / "table.csv", said.append, "picture")

@@ -9,7 +9,7 @@ from acquire.runner.callbacks import Announce, Progress, ignore
 from diagnosis.campaign import Campaign
 from diagnosis.campaign_diagnosis import Diagnosis
 from diagnosis.campaign_diagnosis import diagnose as judge
-from diagnosis.known_bench import base_twin, bench_of, only_once
+from diagnosis.known_bench import bench_of, only_once, with_known_effects
 from diagnosis.mean_reed import printed_reeds, tabled_reeds
 from diagnosis.observe import read
 from diagnosis.resonance_diagnosis import diagnose_resonances as judge_resonances
@@ -90,7 +90,6 @@ def _verdict(
     """Fit the sweeps of a campaign, then the causes."""
     first = campaign.sweeps[0].run
     described = bench or bench_of(first)
-    base = base_twin(described)
     solver = ReedSolver(
         shape_derivatives(first.reed_file().geometry(), announce=announce), announce
     )
@@ -99,7 +98,7 @@ def _verdict(
         return judge(
             readings,
             solver,
-            base,
+            with_known_effects(readings.nominal, described),
             lambda done: progress("fitting causes", done),
             only_once(described),
         )

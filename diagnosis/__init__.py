@@ -1,4 +1,4 @@
-"""Measured run against twin: where the gap lies, which effect explains it, how far it shrinks.
+"""Measurement against model: where the gap lies, which effect explains it, how far it shrinks.
 
 Nothing here knows an instrument.
 """

@@ -36,7 +36,7 @@ from diagnosis.readings.sweeps import common_modes
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.effect import Stage
 from physics.mechanics import ReedSolver
-from physics.twin import Twin
+from physics.parameters.tree import BenchParameters
 
 Kind = Literal["none", "effect", "pair", "unknown", "not converged"]
 
@@ -118,7 +118,7 @@ class Diagnosis:
 def diagnose(
     readings: Readings,
     reed_solver: ReedSolver,
-    base: Twin | None = None,
+    base: BenchParameters | None = None,
     progress: Callable[[float], None] | None = None,
     without: Sequence[str] = (),
 ) -> Diagnosis:
@@ -129,14 +129,14 @@ def diagnose(
     readings : Readings
     reed_solver : ReedSolver
         Of the kind of reed.
-    base : Twin, optional
+    base : BenchParameters, optional
         Model with what is known of the bench; by default the nominal one.
     progress : callable, optional
         Called with the fraction that is done.
     without : sequence of str
         Identifiers of effects that are not tried.
     """
-    problem = inference_problem(readings, reed_solver, base or Twin())
+    problem = inference_problem(readings, reed_solver, base or BenchParameters())
     summary = CampaignSummary(condition_of(readings), readings.missing, readings.refused)
     return diagnose_problem(problem, summary, progress, without)
 
@@ -232,7 +232,9 @@ def _likeliest_group(problem: InferenceProblem, candidate: Candidate) -> str:
     return max(factors, key=lambda name: float(factors[name][0]))
 
 
-def inference_problem(readings: Readings, reed_solver: ReedSolver, base: Twin) -> InferenceProblem:
+def inference_problem(
+    readings: Readings, reed_solver: ReedSolver, base: BenchParameters
+) -> InferenceProblem:
     """Return the inference problem of a campaign, with all nuisances."""
     exchanged = of_fits(common_modes(readings.sweeps)) if readings.sweeps else ()
     return InferenceProblem(
@@ -328,7 +330,7 @@ def _likely(
 def _touched(problem: InferenceProblem, null: Candidate, candidate: Candidate) -> NDArray[np.bool_]:
     """Return which numbers differ without effects, or are moved by the effects of a candidate."""
     z = candidate.estimate.z[: len(problem.nuisances)]
-    moved = candidate.whitened_residual - problem.residuals(problem.twin(z))
+    moved = candidate.whitened_residual - problem.residuals(problem.parameters(z))
     off = np.abs(null.whitened_residual) > _OFF
     touched: NDArray[np.bool_] = off | (np.abs(moved) > _MOVED)
     return touched

@@ -12,7 +12,7 @@ from typing import Final
 
 from diagnosis.observable_groups import Observable
 from physics.effects.effect import Effect
-from physics.twin import Twin
+from physics.parameters.tree import BenchParameters
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,13 @@ class EffectNotes:
 
 
 # Which observables the laws of each part of the model leave alone, and a measurement that looks at
-# the part directly. Parts are the fields of `physics.twin.Twin`.
+# the part directly. Parts are the fields of `physics.parameters.tree.BenchParameters`.
 _LOG, _SENSOR = Observable.LOG, Observable.SENSOR
 _FIELD, _MODES = Observable.FIELD, Observable.MODES
 _UNAFFECTED: Final = MappingProxyType(
     {
         "drive": frozenset({_LOG, _SENSOR, _FIELD, _MODES}),
+        "chamber": frozenset({_LOG, _SENSOR, _FIELD, _MODES}),
         "clocks": frozenset({_SENSOR, _MODES}),
         "optics": frozenset({_LOG, _SENSOR, _MODES}),
         "sensor": frozenset({_LOG, _MODES}),
@@ -51,6 +52,7 @@ _UNAFFECTED: Final = MappingProxyType(
 _CHECK: Final = MappingProxyType(
     {
         "drive": "measure the sound pressure at the reed with a microphone",
+        "chamber": "look into the chamber, and measure without clay",
         "clocks": "compare the frequencies and clocks of all instruments",
         "optics": "record holograms of the reed at rest",
         "sensor": "record dark frames and frames of even light",
@@ -165,7 +167,7 @@ NOTES: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = MappingProxyType(
 def _parts_changed(effect: Effect) -> tuple[str, ...]:
     """Parts of the model that an effect changes, at the usual sizes."""
     values = {p.name: p.grid[0] if p.grid else p.spread for p in effect.parameters}
-    nominal, changed = Twin(), effect.change(Twin(), values)
+    nominal, changed = BenchParameters(), effect.change(BenchParameters(), values)
     names = list(_UNAFFECTED)
     return tuple(name for name in names if getattr(changed, name) != getattr(nominal, name))
 

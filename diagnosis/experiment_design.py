@@ -1,7 +1,7 @@
 """Experiments that separate two candidates, ranked by expected information per minute."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -11,12 +11,7 @@ from diagnosis.inference.estimation import posterior_covariance
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import ObservableGroup
 from physics.mechanics import TipMass
-from physics.twin import (
-    Twin,
-    more,
-    with_alteration,
-    with_reed,
-)
+from physics.parameters.tree import BenchParameters, more, with_alteration, with_part
 
 
 @dataclass(frozen=True)
@@ -31,7 +26,7 @@ class Experiment:
     groups : tuple of str
         Names of the groups of observables that it measures again.
     change : callable
-        ``change(twin)`` returns the model of the bench during the experiment.
+        ``change(parameters)`` returns the model of the bench during the experiment.
     sd_factor : float
         Factor on the standard deviations of these observables.
     campaign_parts : tuple of mapping
@@ -42,7 +37,7 @@ class Experiment:
     description: str
     minutes: float
     groups: tuple[str, ...]
-    change: Callable[[Twin], Twin]
+    change: Callable[[BenchParameters], BenchParameters]
     sd_factor: float = 1.0
     campaign_parts: tuple[Mapping[str, Any], ...] = ()
 
@@ -64,24 +59,24 @@ class RankedExperiment:
     nats_per_minute: float
 
 
-def _same(twin: Twin) -> Twin:
-    return twin
+def _same(parameters: BenchParameters) -> BenchParameters:
+    return parameters
 
 
-def _in_vacuum(twin: Twin) -> Twin:
-    return with_reed(twin, air_share=0.0)
+def _in_vacuum(parameters: BenchParameters) -> BenchParameters:
+    return with_part(parameters, "reed", air_share=0.0)
 
 
-def _with_wax(twin: Twin) -> Twin:
-    return with_alteration(twin, TipMass(), 1e-6)
+def _with_wax(parameters: BenchParameters) -> BenchParameters:
+    return with_alteration(parameters, TipMass(), 1e-6)
 
 
-def _after_an_hour(twin: Twin) -> Twin:
-    return more(twin, "environment", begun_h=1.0)
+def _after_an_hour(parameters: BenchParameters) -> BenchParameters:
+    return more(parameters, "environment", begun_h=1.0)
 
 
-def _without_clay(twin: Twin) -> Twin:
-    return replace(twin, drive=replace(twin.drive, open_right=1.0))
+def _without_clay(parameters: BenchParameters) -> BenchParameters:
+    return with_part(parameters, "chamber", leak=1.0)
 
 
 _SWEEP: Final = ("modes", "lines of the drive", "forces", "level", "brightness", "noise", "fringes")
@@ -215,7 +210,7 @@ def rank_experiments(
     problem : InferenceProblem
     one, other : Candidate
     """
-    twins = one.twin(problem), other.twin(problem)
+    models = one.parameters(problem), other.parameters(problem)
     by_name = {block.name: block for block in problem.groups}
     worths = []
     for action in experiments:
@@ -223,7 +218,7 @@ def rank_experiments(
         if not chosen:
             continue
         try:
-            nats = sum(_expected_nats(problem, block, one, twins, action) for block in chosen)
+            nats = sum(_expected_nats(problem, block, one, models, action) for block in chosen)
         except ValueError:
             continue
         worths.append(RankedExperiment(action, nats, nats / action.minutes))
@@ -234,11 +229,11 @@ def _expected_nats(
     problem: InferenceProblem,
     block: ObservableGroup,
     candidate: Candidate,
-    twins: tuple[Twin, Twin],
+    models: tuple[BenchParameters, BenchParameters],
     action: Experiment,
 ) -> float:
     """Return the expected log odds: half the squared distance of two predictions, whitened."""
-    apart = block.predict(action.change(twins[0])) - block.predict(action.change(twins[1]))
+    apart = block.predict(action.change(models[0])) - block.predict(action.change(models[1]))
     piece = problem.slices[block.name]
     J = candidate.free_jacobian
     slope = np.linalg.inv(block.whitening) @ (candidate.deviation[piece][:, None] * J[piece])

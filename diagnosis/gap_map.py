@@ -101,7 +101,7 @@ class GapMap:
 def gap_map(problem: InferenceProblem) -> GapMap:
     """Compare every number with the nominal model."""
     nothing = np.zeros(len(problem.nuisances))
-    left = problem.residuals(problem.twin(nothing))
+    left = problem.residuals(problem.parameters(nothing))
     # Here, not where other fits have been.
     slope = problem.jacobian(nothing, 0.0)
     cells: list[GapCell] = []

@@ -14,7 +14,7 @@ from scipy import linalg
 
 from fitting.errors import FitInputError
 from holography.arrays import Array
-from physics.twin import Twin
+from physics.parameters.tree import BenchParameters
 
 
 class Observable(StrEnum):
@@ -69,7 +69,7 @@ class ObservableGroup:
     parts : tuple of str
         Parts of the model that the prediction depends on.
     predict : callable
-        ``predict(twin)`` gives (n,) float.
+        ``predict(parameters)`` gives (n,) float.
     whitening : (n, n) float
         ``root @ (values - predicted)`` has unit covariance.
     """
@@ -80,12 +80,12 @@ class ObservableGroup:
     covariance: Array
     coordinates: tuple[Coordinates, ...]
     parts: tuple[str, ...]
-    predict: Callable[[Twin], Array]
+    predict: Callable[[BenchParameters], Array]
     whitening: Array
 
-    def whitened_residual(self, twin: Twin) -> Array:
+    def whitened_residual(self, parameters: BenchParameters) -> Array:
         """Return the whitened residual (n,) of a model."""
-        left: Array = self.whitening @ (self.values - self.predict(twin))
+        left: Array = self.whitening @ (self.values - self.predict(parameters))
         return left
 
 
@@ -96,7 +96,7 @@ def observable_group(
     covariance: Array,
     places: Sequence[Coordinates],
     parts: Sequence[str],
-    predict: Callable[[Twin], Array],
+    predict: Callable[[BenchParameters], Array],
 ) -> ObservableGroup:
     """Return a group of observables.
 

@@ -12,8 +12,8 @@ from fitting.forward import cents_of
 from holography.arrays import Array
 from physics.effects.effect import Effect, Parameter
 from physics.mechanics import Mechanics, ReedSolver
+from physics.parameters.tree import BenchParameters, with_cane
 from physics.reed.cane.viscoelastic import ViscoelasticCane, Zener
-from physics.twin import Twin, with_cane
 
 _SEED = 20_080_401
 _DRAWS = 2000
@@ -120,30 +120,30 @@ class ResonanceProblem:
         """Cents (n,) above F6."""
         parts = []
         for s, reed in enumerate(self.reeds):
-            modes = self.reed_solver.modes(self.twin(z, s).reed)
+            modes = self.reed_solver.modes(self.parameters(z, s).reed)
             missing = [name for name in reed.modes if name not in modes]
             if missing:
                 raise ValueError(f"a reed of this kind has no mode {missing[0]}")
             parts.append(cents_of(np.array([modes[name].hz for name in reed.modes])))
         return np.concatenate(parts)
 
-    def twin(self, z: Array, series: int) -> Twin:
+    def parameters(self, z: Array, series: int) -> BenchParameters:
         """Elastic reed of a series with all effects."""
-        twin = elastic_twin(self.reed_solver)
+        parameters = elastic_parameters(self.reed_solver)
         moduli = _MODULI_SPREAD * z[len(_MODULI) * series :][: len(_MODULI)]
-        twin = with_cane(twin, **dict(zip(_MODULI, moduli.tolist(), strict=True)))
+        parameters = with_cane(parameters, **dict(zip(_MODULI, moduli.tolist(), strict=True)))
         rest = z[len(_MODULI) * len(self.reeds) :]
         for located in self.effects:
             own, rest = rest[: len(located.sizes)], rest[len(located.sizes) :]
-            twin = located.change(twin, own)
-        return twin
+            parameters = located.change(parameters, own)
+        return parameters
 
 
-def elastic_twin(reed_solver: ReedSolver) -> Twin:
+def elastic_parameters(reed_solver: ReedSolver) -> BenchParameters:
     """The reed of reference material, whose moduli do not depend on frequency."""
     cane = reed_solver.shape_derivatives.reed.cane
     springs = (Zener(1e-6 * modulus, 0.0, 0.0) for modulus in (cane.E_L_pa, cane.G_LT_pa))
-    return Twin(reed=Mechanics(cane=ViscoelasticCane(*springs)))
+    return BenchParameters(reed=Mechanics(cane=ViscoelasticCane(*springs)))
 
 
 @dataclass(frozen=True)

@@ -1,94 +1,15 @@
 """The air that drives the reed: the chamber of the mouthpiece, between tweeter and reed."""
 
-from dataclasses import dataclass
-from enum import StrEnum
-
 import numpy as np
 
-from holography.arrays import Array
-from physics.reed.geometry import ReedGeometry
+from holography.arrays import Array, ComplexArray
+from physics.parameters.chamber import Chamber, Filling, PressureDistortion
 
-# Distance between the end of the window and the clamp, and width of the reed's edge that a side
-# wall covers. Chosen: with these, a clarinet reed gets the default dimensions of `Chamber`.
-_BEFORE_CLAMP_M = 5.2e-3
-_COVERED_EDGE_M = 1.275e-3
-
-
-class Filling(StrEnum):
-    """Preparation of the mouthpiece's chamber.
-
-    Attributes
-    ----------
-    SYMMETRIC : the chamber is open.
-    ASYMMETRIC : modelling clay fills the right half, so only the left half of the reed is driven.
-    """
-
-    SYMMETRIC = "symmetric"
-    ASYMMETRIC = "asymmetric"
-
-
-@dataclass(frozen=True)
-class Chamber:
-    """Chamber of the mouthpiece, closed by the reed.
-
-    Attributes
-    ----------
-    filling : Filling
-    length_m : float
-        Length of the window under the reed, from the tip.
-    half_width_m : float
-        Half width of the window; the side walls cover the reed's edges beyond it.
-    edge_m : float
-        Distance over which the pressure falls to zero at a wall.
-    sound_speed_m_s : float
-        Speed of sound; the default is that of air at about 20 °C.
-    """
-
-    filling: Filling = Filling.SYMMETRIC
-    length_m: float = 33e-3
-    half_width_m: float = 5.3e-3
-    edge_m: float = 0.6e-3
-    sound_speed_m_s: float = 343.0
-
-
-def chamber_of(geometry: ReedGeometry, filling: Filling) -> Chamber:
-    """Return the chamber of a mouthpiece for a given reed.
-
-    Distance from window to clamp and covered width of the edges are those of a clarinet reed on the
-    paper's mouthpiece.
-    """
-    half_width_m = geometry.outline.side_half_width_m - _COVERED_EDGE_M
-    return Chamber(
-        filling,
-        # Rounded to 1 µm, so that equal reeds have chambers that are equal to the last bit.
-        length_m=round(geometry.clamp.x_m[0] - _BEFORE_CLAMP_M, 6),
-        half_width_m=round(half_width_m, 6),
-    )
-
-
-@dataclass(frozen=True)
-class CavityLine:
-    """An acoustic resonance of the excitation device, the same for every reed.
-
-    Attributes
-    ----------
-    frequency_hz : float
-        Resonance frequency; 4308.6 Hz on the paper's bench (picture 78 of both series).
-    quality : float
-        Quality factor.
-    strength : float
-        Pressure through the resonant path at low frequency, relative to the direct path.
-    """
-
-    frequency_hz: float = 4308.6
-    quality: float = 25.0
-    strength: float = 0.12
-
-
-def cavity_gain(line: CavityLine, frequency_hz: float) -> complex:
-    """Return the ratio of the pressures at the reed's tip and at the tweeter."""
-    ratio = frequency_hz / line.frequency_hz
-    return 1 + line.strength / (1 - ratio**2 + 1j * ratio / line.quality)
+# Degrees of the polynomials of a pressure distortion: along the window, across it, and in ln f.
+# Chosen: smooth over the window and over the band.
+_DISTORTION_DEGREES = (2, 2, 3)
+# Frequency band of a pressure distortion: about that of the paper's sweeps.
+_BAND_HZ = (1e3, 20e3)
 
 
 def pressure_shape(chamber: Chamber, frequency_hz: float, x_m: Array, y_m: Array) -> Array:
@@ -96,7 +17,7 @@ def pressure_shape(chamber: Chamber, frequency_hz: float, x_m: Array, y_m: Array
 
     Along the reed it is a standing wave that is closed at the tip. Across the reed it is constant
     over the open part of the window. Positive y is the left side, which stays open if the right
-    half is filled.
+    half is filled; a fraction `Chamber.leak` reaches the filled half.
 
     Parameters
     ----------
@@ -118,5 +39,58 @@ def pressure_shape(chamber: Chamber, frequency_hz: float, x_m: Array, y_m: Array
     shape: Array = np.cos(wavenumber * x_m) * step(chamber.length_m - x_m)
     shape = shape * step(chamber.half_width_m - np.abs(y_m))
     if chamber.filling is Filling.ASYMMETRIC:
-        shape = shape * step(y_m)
+        shape = shape * (chamber.leak + (1 - chamber.leak) * step(y_m))
     return shape
+
+
+def distortion_factor(
+    distortion: PressureDistortion, chamber: Chamber, frequency_hz: float, x_m: Array, y_m: Array
+) -> ComplexArray:
+    """Return the factor by which a distortion changes the pressure, at points of the flat side.
+
+    It is 1 plus a sum of products of Legendre polynomials in x, y and ln f with random complex
+    weights. Products that are constant over the window are left out, because they would be a gain.
+    Outside the window and the band, the values at their edges are used.
+
+    Parameters
+    ----------
+    distortion : PressureDistortion
+    chamber : Chamber
+    frequency_hz : float
+    x_m, y_m : float arrays of one shape
+        Points in coordinates of the reed, in m.
+
+    Returns
+    -------
+    complex array of the same shape
+    """
+    rng = np.random.default_rng(distortion.seed)
+    shape = [degree + 1 for degree in _DISTORTION_DEGREES]
+    real, imaginary = rng.standard_normal((2, *shape))
+    weights = real + 1j * imaginary
+    weights[0, 0] = 0.0
+    weights *= distortion.rms / np.linalg.norm(weights)
+    low, high = np.log(_BAND_HZ)
+    along, across, in_frequency = (
+        _legendre(coordinate, degree)
+        for coordinate, degree in zip(
+            (
+                2 * x_m / chamber.length_m - 1,
+                y_m / chamber.half_width_m,
+                np.array([2 * (np.log(frequency_hz) - low) / (high - low) - 1]),
+            ),
+            _DISTORTION_DEGREES,
+            strict=True,
+        )
+    )
+    factor: ComplexArray = 1 + np.einsum(
+        "lm,...l,...m->...", weights @ in_frequency[0], along, across
+    )
+    return factor
+
+
+def _legendre(coordinate: Array, degree: int) -> Array:
+    """Return Legendre polynomials (…, degree + 1) of mean square 1 over −1 … 1, constant beyond."""
+    table = np.polynomial.legendre.legvander(np.clip(coordinate, -1, 1), degree)
+    normalised: Array = table * np.sqrt(2 * np.arange(degree + 1) + 1)
+    return normalised

@@ -1,7 +1,7 @@
 """The simulated bench: from the settings of the instruments to the frames of the camera."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache, partial
 
@@ -10,99 +10,35 @@ from numpy.typing import NDArray
 
 from holography.arrays import Array, ComplexArray, Float32Array
 from holography.fresnel import FresnelTransform
-from physics.air import (
-    CavityLine,
-    Chamber,
-    cavity_gain,
-    pressure_shape,
-)
-from physics.drive import Tweeter, tweeter_pressure_pa
+from holography.fringes import phase_amplitude
+from physics.air import distortion_factor, pressure_shape
+from physics.conditions import Condition, change_of_cane, condition_at, hardened
+from physics.drive import pressure_at_tip_pa
+from physics.motion import ReedMotion
 from physics.optics import (
-    Illumination,
-    Layout,
     beat_integral,
+    decorrelated,
     kept_orders,
+    local_oscillator_profile,
     reed_axes_m,
     reed_region,
     sidebands,
     speckle,
+    vignette_profile,
 )
-from physics.reed.cane.viscoelastic import (
-    Components,
-    Series,
-    ViscoelasticCane,
-    Zener,
-    require_physical,
-    viscoelastic_cane,
-)
+from physics.parameters.optics import Interference
+from physics.parameters.tree import BenchParameters
 from physics.reed.elements.fem import Symmetry
-from physics.reed.elements.whole import WholeReed
-from physics.reed.reduction.basis import ReducedReed
-from physics.reed.reduction.response import forced_response
 from physics.reed.surface import on_reed, surface_shapes
-from physics.sensor import Sensor, read_out
+from physics.sensor import pixel_maps, read_out
 
 Complex64 = NDArray[np.complex64]
 
-# Degrees of the polynomials of a pressure distortion: along the window, across it, and in ln f.
-# Chosen: smooth over the window and over the band.
-_DISTORTION_DEGREES = (2, 2, 3)
-# Frequency band of a pressure distortion: about that of the paper's sweeps.
-_BAND_HZ = (1e3, 20e3)
-
-
-@dataclass(frozen=True)
-class PressureDistortion:
-    """A smooth random error of the pressure on the reed: the factor 1 + a complex random field.
-
-    Attributes
-    ----------
-    rms : float
-        Root mean square of the complex field, over the chamber's window and over 1 to 20 kHz with
-        equal weight per octave; 0 for no error.
-    seed : int
-        Seed of the random field.
-    """
-
-    rms: float = 0.0
-    seed: int = 0
-
-
-@dataclass(frozen=True)
-class TwinSettings:
-    """All parameters of one simulated bench with one reed.
-
-    Attributes
-    ----------
-    components : Components
-        Components e1 … e4 of the reed's cane.
-    series : Series
-        Moisture of the reed: A as bought, B dried.
-    E_L_factor, G_LT_factor : float
-        Factors on the moduli E_L and G_LT that follow from the components.
-    loss_factor : float
-        Loss factor of the cane, the same for all modes (decision 0004).
-    chamber : Chamber
-    distortion : PressureDistortion
-    line : CavityLine
-    tweeter : Tweeter
-    illumination : Illumination
-    layout : Layout
-    sensor : Sensor
-    """
-
-    components: Components = Components()
-    series: Series = Series.A
-    E_L_factor: float = 1.0
-    G_LT_factor: float = 1.0
-    loss_factor: float = 0.03
-    chamber: Chamber = Chamber()
-    distortion: PressureDistortion = PressureDistortion()
-    line: CavityLine = CavityLine()
-    tweeter: Tweeter = Tweeter()
-    illumination: Illumination = Illumination()
-    layout: Layout = Layout()
-    sensor: Sensor = field(default_factory=Sensor)
+# Seed of the maps of a sensor's pixels: the same camera in every run of a campaign.
+_SENSOR_SEED = 20120608
+# A reed that stiffens with amplitude: most iterations, their damping, and the relative change of
+# the largest amplitude at which they end.
+_MOST_TURNS, _DAMPING, _SETTLED = 60, 0.5, 1e-4
 
 
 @dataclass(frozen=True)
@@ -153,81 +89,6 @@ class Segment:
     state: BenchState
 
 
-def bench_cane(settings: TwinSettings) -> ViscoelasticCane:
-    """Return the Zener moduli of the cane on a bench.
-
-    Raises
-    ------
-    ValueError
-        If the moduli are physically impossible (see `require_physical`).
-    """
-    cane = viscoelastic_cane(settings.components, settings.series)
-    require_physical(cane)
-    return ViscoelasticCane(
-        _scaled(cane.young_L, settings.E_L_factor), _scaled(cane.shear_LT, settings.G_LT_factor)
-    )
-
-
-def _scaled(zener: Zener, factor: float) -> Zener:
-    # The same factor for all three multiplies the storage modulus at every frequency by it.
-    return Zener(
-        factor * zener.spring_mpa, factor * zener.arm_spring_mpa, factor * zener.arm_dashpot_mpa_s
-    )
-
-
-def distortion_factor(
-    distortion: PressureDistortion, chamber: Chamber, frequency_hz: float, x_m: Array, y_m: Array
-) -> ComplexArray:
-    """Return the factor by which a distortion changes the pressure, at points of the flat side.
-
-    It is 1 plus a sum of products of Legendre polynomials in x, y and ln f with random complex
-    weights. Products that are constant over the window are left out, because they would be a gain.
-    Outside the window and the band, the values at their edges are used.
-
-    Parameters
-    ----------
-    distortion : PressureDistortion
-    chamber : Chamber
-    frequency_hz : float
-    x_m, y_m : float arrays of one shape
-        Points in coordinates of the reed, in m.
-
-    Returns
-    -------
-    complex array of the same shape
-    """
-    rng = np.random.default_rng(distortion.seed)
-    shape = [degree + 1 for degree in _DISTORTION_DEGREES]
-    real, imaginary = rng.standard_normal((2, *shape))
-    weights = real + 1j * imaginary
-    weights[0, 0] = 0.0
-    weights *= distortion.rms / np.linalg.norm(weights)
-    low, high = np.log(_BAND_HZ)
-    along, across, in_frequency = (
-        _legendre(coordinate, degree)
-        for coordinate, degree in zip(
-            (
-                2 * x_m / chamber.length_m - 1,
-                y_m / chamber.half_width_m,
-                np.array([2 * (np.log(frequency_hz) - low) / (high - low) - 1]),
-            ),
-            _DISTORTION_DEGREES,
-            strict=True,
-        )
-    )
-    factor: ComplexArray = 1 + np.einsum(
-        "lm,...l,...m->...", weights @ in_frequency[0], along, across
-    )
-    return factor
-
-
-def _legendre(coordinate: Array, degree: int) -> Array:
-    """Return Legendre polynomials (…, degree + 1) of mean square 1 over −1 … 1, constant beyond."""
-    table = np.polynomial.legendre.legvander(np.clip(coordinate, -1, 1), degree)
-    normalised: Array = table * np.sqrt(2 * np.arange(degree + 1) + 1)
-    return normalised
-
-
 class BenchModel:
     """Render the frames of a simulated bench.
 
@@ -240,71 +101,70 @@ class BenchModel:
 
     Parameters
     ----------
-    settings : TwinSettings
-    reed : ReducedReed or WholeReed
+    parameters : BenchParameters
+    motion : ReedMotion
+        The reed, as it can be moved; its cane is that of the parameters.
     rng : numpy.random.Generator
         Source of the speckle.
     """
 
     def __init__(
-        self, settings: TwinSettings, reed: ReducedReed | WholeReed, rng: np.random.Generator
+        self, parameters: BenchParameters, motion: ReedMotion, rng: np.random.Generator
     ) -> None:
-        self.settings = settings
-        sensor, layout = settings.sensor, settings.layout
+        self.parameters = parameters
+        sensor, layout = parameters.sensor, parameters.optics.layout
         self.transform = FresnelTransform(
-            sensor.shape, sensor.pixel_m, layout.wavelength_m, layout.distance_m
+            sensor.shape,
+            sensor.pixel_m,
+            layout.wavelength_m,
+            layout.distance_m - layout.defocus_m,
         )
         self.region = reed_region(layout, self.transform)
         y, x = np.meshgrid(*reed_axes_m(layout, self.region, self.transform), indexing="ij")
-        self._lit = on_reed(reed.geometry.outline, x, y)
-        self._shapes = surface_shapes(reed, x[self._lit], y[self._lit])
-        self._cane = bench_cane(settings)
+        self._lit = on_reed(motion.reed.geometry.outline, x, y)
+        shapes = surface_shapes(motion.reed, x[self._lit], y[self._lit])
         self._object = self._scattered_light(x, y, rng)
-        self._lo = self._local_oscillator()
+        light = parameters.optics.illumination
+        self._lo = local_oscillator_profile(light, sensor)
+        self._vignette = vignette_profile(light, sensor)
+        self._maps = pixel_maps(sensor, np.random.default_rng(_SENSOR_SEED))
         self._at_rest = np.abs(self.transform.to_sensor(self._pasted(self._object))) ** 2
         # Cached, because the four frames of a step differ in their beat integrals only. Functions
         # instead of methods, because a cache that refers to this object would keep its memory until
         # the next garbage collection.
-        self._response = lru_cache(maxsize=4)(
-            partial(_unit_response, settings, reed, self._cane, self._shapes)
+        self._displacement = lru_cache(maxsize=4)(
+            partial(_displacement, parameters, motion, shapes)
         )
         self._light = lru_cache(maxsize=2)(
-            partial(_light_of_sidebands, self._object, self._response, layout.wavelength_m)
+            partial(_light_of_sidebands, self._object, self._displacement, parameters)
         )
 
     def _scattered_light(self, x: Array, y: Array, rng: np.random.Generator) -> Complex64:
         """Return the light amplitude of each pixel on the reed (n,), in √(electrons/s)."""
-        light, height_width = self.settings.illumination, x.shape
+        optics, height_width = self.parameters.optics, x.shape
+        light = optics.illumination
         rough = speckle(height_width, rng)[self._lit]
-        middle = 0.5 * self.settings.layout.reed_size_m[1]
+        middle = 0.5 * optics.layout.reed_size_m[1]
         r2 = (x[self._lit] - middle) ** 2 + y[self._lit] ** 2
         amplitude = rough * np.exp(-r2 / light.object_waist_m**2)
         power = light.object_e_s * self._pixels / np.sum(np.abs(amplitude) ** 2)
         scattered: Complex64 = (amplitude * np.sqrt(power)).astype(np.complex64)
         return scattered
 
-    def _local_oscillator(self) -> Float32Array:
-        """Return the amplitude of the local oscillator on the sensor (ny, nx), √(electrons/s)."""
-        light, sensor = self.settings.illumination, self.settings.sensor
-        r2 = np.add.outer(*[(sensor.pixel_m * (np.arange(n) - n // 2)) ** 2 for n in sensor.shape])
-        profile = np.exp(-r2 / light.local_oscillator_waist_m**2)
-        amplitude: Float32Array = (np.sqrt(light.local_oscillator_e_s) * profile).astype(np.float32)
-        return amplitude
-
     @property
     def _pixels(self) -> int:
-        return int(np.prod(self.settings.sensor.shape))
+        return int(np.prod(self.parameters.sensor.shape))
 
     def _pasted(self, lit: Complex64) -> Complex64:
         """Return the object plane (ny, nx) with values on the reed's pixels and 0 elsewhere."""
         patch = np.zeros(self._lit.shape, dtype=np.complex64)
         patch[self._lit] = lit
-        return self.region.paste(patch, self.settings.sensor.shape)
+        return self.region.paste(patch, self.parameters.sensor.shape)
 
-    def displacement_m(self, drive_hz: Fraction, drive_v: float) -> Complex64:
+    def displacement_m(self, drive_hz: Fraction, drive_v: float, time_s: float = 0.0) -> Complex64:
         """Return the complex displacement (height, width) of the reed along z, in m; 0 outside."""
         patch = np.zeros(self._lit.shape, dtype=np.complex64)
-        patch[self._lit] = drive_v * self._response(drive_hz)
+        patch[self._lit] = self._displacement(drive_hz, drive_v, self._moment_s(time_s))
         return patch
 
     def frame(
@@ -323,7 +183,7 @@ class BenchModel:
         rng : numpy.random.Generator
             Source of shot noise and read noise.
         object_gain : complex, optional
-            Amplitude of the light on the object relative to its nominal value: changes of laser,
+            Amplitude of the light on the object relative to its nominal value: changes of
             modulator and optical path.
         scene : Scene, optional
             Light that reaches the sensor. Default: both beams, and no lamp.
@@ -334,68 +194,126 @@ class BenchModel:
             Frame in dn.
         """
         lit = [s for s in segments if s.state.rf_on]
-        duration = np.float32(sum(s.end_s - s.start_s for s in lit))
+        duration = float(sum(s.end_s - s.start_s for s in lit))
+        power = self._power(segments)
         if scene != Scene():
             exposure_s = sum(s.end_s - s.start_s for s in segments)
-            return self._plain_frame(scene, float(duration), exposure_s, rng)
+            mean_e = self._plain_light(scene, power * duration, exposure_s)
+        else:
+            mean_e = self._interfering_light(lit, power, duration, object_gain)
+        if self._vignette is not None:
+            mean_e *= self._vignette
+        return read_out(self.parameters.sensor, mean_e, rng, self._maps)
+
+    def _power(self, segments: Sequence[Segment]) -> float:
+        """Return the power of the laser relative to that at the start of the campaign."""
+        faded_h = segments[0].start_s / 3600 if segments else 0.0
+        return max(1 - self.parameters.optics.interference.fade_per_h * faded_h, 0.0)
+
+    def _interfering_light(
+        self, lit: Sequence[Segment], power: float, duration_s: float, object_gain: complex
+    ) -> Float32Array:
+        """Return the expected electrons (ny, nx) of an exposure to both beams."""
         field = np.zeros(len(self._object), dtype=np.complex64)
         for segment in lit:
             field += self._integrated_field(segment)
         mean_e = self._lo * self._lo
         mean_e += np.float32(abs(object_gain) ** 2) * self._at_rest
-        mean_e *= duration
-        field *= np.complex64(object_gain)
+        mean_e *= np.float32(power * duration_s)
+        field *= np.complex64(power * object_gain)
         on_sensor = self.transform.to_sensor(self._pasted(field)).real
         on_sensor *= 2 * self._lo
         mean_e += on_sensor
-        return read_out(self.settings.sensor, mean_e, rng)
+        return mean_e
 
-    def _plain_frame(
-        self, scene: Scene, duration_s: float, exposure_s: float, rng: np.random.Generator
-    ) -> NDArray[np.uint16]:
-        """Read out one exposure without interference.
+    def _plain_light(self, scene: Scene, duration_s: float, exposure_s: float) -> Float32Array:
+        """Return the expected electrons (ny, nx) of an exposure without interference.
 
-        The beams are on for `duration_s`, a lamp for the whole exposure.
+        The beams are on for `duration_s` at full power, a lamp for the whole exposure.
         """
-        mean_e = np.full(self.settings.sensor.shape, scene.lamp_e_s * exposure_s, dtype=np.float32)
+        mean_e = np.full(
+            self.parameters.sensor.shape, scene.lamp_e_s * exposure_s, dtype=np.float32
+        )
         if scene.local_oscillator:
             mean_e += np.float32(duration_s) * self._lo * self._lo
         if scene.object_beam:
             mean_e += np.float32(duration_s) * self._at_rest.astype(np.float32)
-        return read_out(self.settings.sensor, mean_e, rng)
+        return mean_e
 
     def _integrated_field(self, segment: Segment) -> Complex64:
         """Return ∫ E(t)·exp(−2πi·difference·t) dt over a segment, on the reed's pixels (n,)."""
-        state = segment.state
+        state, clocks = segment.state, self.parameters.clocks
         total = np.zeros(len(self._object), dtype=np.complex64)
-        for order, light in self._light(state.difference_hz, state.drive_hz, state.drive_v):
-            offset_hz = order * state.drive_hz - state.difference_hz
+        moment_s = self._moment_s(segment.start_s)
+        detuning_hz = clocks.detuning_hz + clocks.detuning_hz_h * segment.start_s / 3600
+        ahead_hz = 1e-6 * clocks.generator_ppm * float(state.drive_hz)
+        lights = self._light(state.difference_hz, state.drive_hz, state.drive_v, moment_s)
+        for order, light in lights:
+            # Exact as far as it can be: differences of settings are small, settings are not.
+            offset_hz = float(order * state.drive_hz - state.difference_hz)
+            offset_hz += order * ahead_hz - detuning_hz
             total += light * np.complex64(beat_integral(offset_hz, segment.start_s, segment.end_s))
+        if segment.start_s > 3600 * self.parameters.optics.interference.hop_after_h:
+            total *= np.float32(1 - self.parameters.optics.interference.hop)
         return total
 
+    def _moment_s(self, time_s: float) -> float:
+        """Return the time at which the reed's condition is taken; 0 if it never changes."""
+        environment = self.parameters.environment
+        return time_s if environment.drying or environment.warming_c_h else 0.0
 
-def _unit_response(
-    settings: TwinSettings,
-    reed: ReducedReed | WholeReed,
-    cane: ViscoelasticCane,
+
+def _displacement(
+    parameters: BenchParameters,
+    motion: ReedMotion,
     shapes: Mapping[Symmetry | None, Float32Array],
     drive_hz: Fraction,
+    drive_v: float,
+    time_s: float,
 ) -> Complex64:
-    """Return the complex displacement of the reed's pixels (n,) per volt, in m/V."""
+    """Return the complex displacement of the reed's pixels (n,), in m."""
+    environment, wavelength_m = parameters.environment, parameters.optics.layout.wavelength_m
+    condition, hz = condition_at(environment, time_s), float(drive_hz)
+    moved_m = _moved(parameters, motion, shapes, hz, drive_v, condition, 0.0)
+    if not environment.hardening:
+        return moved_m
+    largest_rad = 0.0
+    for _ in range(_MOST_TURNS):
+        found_rad = float(phase_amplitude(np.abs(moved_m), wavelength_m).max(initial=0.0))
+        if abs(found_rad - largest_rad) <= _SETTLED * found_rad:
+            break
+        largest_rad += _DAMPING * (found_rad - largest_rad)
+        stiffer = float(hardened(environment, largest_rad))
+        moved_m = _moved(parameters, motion, shapes, hz, drive_v, condition, stiffer)
+    return moved_m
 
-    def pressure(hz: float, x: Array, y: Array) -> NDArray[np.complex128]:
-        at_tip = tweeter_pressure_pa(settings.tweeter, hz, 1.0)
-        at_tip *= cavity_gain(settings.line, hz)
-        shape = pressure_shape(settings.chamber, hz, x, y).astype(complex)
-        if settings.distortion.rms:
-            shape *= distortion_factor(settings.distortion, settings.chamber, hz, x, y)
+
+def _moved(
+    parameters: BenchParameters,
+    motion: ReedMotion,
+    shapes: Mapping[Symmetry | None, Float32Array],
+    hz: float,
+    drive_v: float,
+    condition: Condition,
+    stiffer: float,
+) -> Complex64:
+    """Return the displacement (n,) in m of a reed whose stiffness is larger by a log factor."""
+    chamber, environment = parameters.chamber, parameters.environment
+    # A generator that runs ahead drives the reed at another frequency than it says.
+    hz *= 1 + 1e-6 * parameters.clocks.generator_ppm
+
+    def pressure(at_hz: float, x: Array, y: Array) -> ComplexArray:
+        at_tip = pressure_at_tip_pa(parameters.drive, at_hz, drive_v)
+        shape = pressure_shape(chamber, at_hz, x, y).astype(complex)
+        if chamber.distortion.rms:
+            shape *= distortion_factor(chamber.distortion, chamber, at_hz, x, y)
         return at_tip * shape
 
-    frequency_hz = np.array([float(drive_hz)])
-    response = forced_response(reed, cane, settings.loss_factor, frequency_hz, pressure)
+    change = change_of_cane(parameters.reed.cane, environment, condition, hz)
+    coordinates = motion.coordinates(parameters.reed, change, hz, stiffer, pressure)
     moved = [
-        shapes[symmetry] @ np.stack([q[0].real, q[0].imag], axis=1).astype(np.float32)
-        for symmetry, q in response.items()
+        shapes[part] @ np.stack([q.real, q.imag], axis=1).astype(np.float32)
+        for part, q in coordinates.items()
     ]
     total = sum(moved[1:], start=moved[0])
     displacement: Complex64 = total[:, 0] + 1j * total[:, 1]
@@ -404,15 +322,33 @@ def _unit_response(
 
 def _light_of_sidebands(
     scattered: Complex64,
-    response: Callable[[Fraction], Complex64],
-    wavelength_m: float,
+    displacement: Callable[[Fraction, float, float], Complex64],
+    parameters: BenchParameters,
     difference_hz: Fraction,
     drive_hz: Fraction,
     drive_v: float,
+    time_s: float,
 ) -> list[tuple[int, Complex64]]:
     """Return the sideband orders and their light on the reed's pixels (n,), √(electrons/s)."""
     if drive_v == 0 or drive_hz == 0:
         return [(0, scattered)]
+    layout, interference = parameters.optics.layout, parameters.optics.interference
     orders = kept_orders(difference_hz, drive_hz)
-    parts = sidebands(orders, drive_v * response(drive_hz), wavelength_m)
-    return [(order, scattered * part) for order, part in zip(orders, parts, strict=True)]
+    moved_m = displacement(drive_hz, drive_v, time_s)
+    parts = dict(zip(orders, sidebands(orders, moved_m, layout.wavelength_m), strict=True))
+    phi = phase_amplitude(np.abs(moved_m), layout.wavelength_m)
+    kept = decorrelated(interference, phi)
+    selected = round(difference_hz / drive_hz)
+    mixed = _mixed(interference, parts, selected)
+    return [(order, scattered * part * kept) for order, part in mixed.items()]
+
+
+def _mixed(
+    interference: Interference, parts: Mapping[int, Complex64], selected: int
+) -> dict[int, Complex64]:
+    """Return sidebands with the light that leaks into the image of the selected one."""
+    mixed = dict(parts)
+    for amplitude, source in ((interference.leak, 0), (interference.crosstalk, selected + 1)):
+        if amplitude and source != selected:
+            mixed[selected] = mixed[selected] + np.float32(amplitude) * parts[source]
+    return mixed

@@ -12,7 +12,8 @@ from types import MappingProxyType
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from holography.arrays import Array
+from holography.arrays import Array, ComplexArray
+from physics.parameters.quantity import quantity
 from physics.reed.cane.material import Cane
 from physics.reed.cane.viscoelastic import (
     Components,
@@ -29,12 +30,20 @@ from physics.reed.changes.structural_changes import (
     softening,
     yielding_clamp,
 )
-from physics.reed.changes.structural_modification import AirLoad, CaneTable, Vibrations, vibrations
+from physics.reed.changes.structural_modification import (
+    AirLoad,
+    CaneTable,
+    Vibrations,
+    response_of_changed,
+    vibrations,
+)
 from physics.reed.elements.coarse import coarse_mesh_cents
+from physics.reed.elements.fem import Symmetry
 from physics.reed.geometry import half_width_m
 from physics.reed.mode_classification import ModeDescriptor, names_of
 from physics.reed.modes import at_frequency
 from physics.reed.radiation import air_load
+from physics.reed.reduction.response import pressure_forces
 
 # Frequency at which a growth of moduli or losses changes nothing. Chosen: near the middle of the
 # sweep, on a logarithmic scale.
@@ -42,6 +51,9 @@ PIVOT_HZ = 4000.0
 # Highest mode that is computed. Chosen: above the sweep, because modes just above its end still
 # contribute to the response there.
 HIGHEST_HZ = 24e3
+_POPULATION = "population of reeds of one brand (paper, Table 5)"
+_HANDBOOK = "spread of small clear specimens of one wood (Wood Handbook, chapter 5)"
+_GROWTH = "population of reeds of one brand (paper, hypothesis H4)"
 # Results to keep in each cache. Chosen: bounds the memory of a long diagnosis.
 _KEPT = 512
 
@@ -58,15 +70,15 @@ class CaneShift:
         Additional growth of these moduli with frequency: exponent of (f / 4 kHz).
     """
 
-    E_L: float = 0.0
-    E_T: float = 0.0
-    E_R: float = 0.0
-    G_LT: float = 0.0
-    G_LR: float = 0.0
-    G_TR: float = 0.0
-    density: float = 0.0
-    growth_E_L: float = 0.0
-    growth_G_LT: float = 0.0
+    E_L: float = quantity(0.0, "", -0.7, 0.7, _POPULATION)
+    E_T: float = quantity(0.0, "", -0.7, 0.7, _HANDBOOK)
+    E_R: float = quantity(0.0, "", -0.7, 0.7, _HANDBOOK)
+    G_LT: float = quantity(0.0, "", -0.7, 0.7, _POPULATION)
+    G_LR: float = quantity(0.0, "", -0.7, 0.7, _HANDBOOK)
+    G_TR: float = quantity(0.0, "", -0.7, 0.7, _HANDBOOK)
+    density: float = quantity(0.0, "", -0.4, 0.4, _HANDBOOK)
+    growth_E_L: float = quantity(0.0, "", -0.4, 0.4, _GROWTH)
+    growth_G_LT: float = quantity(0.0, "", -0.6, 0.6, _GROWTH)
 
 
 @dataclass(frozen=True)
@@ -156,11 +168,11 @@ class Mechanics:
 
     cane: ViscoelasticCane = viscoelastic_cane(Components(), Series.A)
     shift: CaneShift = CaneShift()
-    loss_factor: float = 0.03
-    loss_growth: float = 0.0
+    loss_factor: float = quantity(0.03, "", 5e-3, 0.15, "decision 0004: cane, 0.02 to 0.05")
+    loss_growth: float = quantity(0.0, "", -0.5, 0.5, "decision 0004: nearly constant")
     alterations: tuple[tuple[Alteration, float], ...] = ()
-    air_share: float = 0.0
-    coarse_share: float = 0.0
+    air_share: float = quantity(0.0, "", 0.0, 3.0, "a mouthpiece is no baffle: about 1")
+    coarse_share: float = quantity(0.0, "", -2.0, 3.0, "decision 0009")
 
 
 @dataclass(frozen=True)
@@ -213,7 +225,7 @@ class ReedSolver:
         )
         self._canes = lru_cache(maxsize=_KEPT)(
             lambda cane, shift: CaneTable.of(
-                material_of(shape_derivatives, cane, shift), HIGHEST_HZ
+                material_of(shape_derivatives.reed.cane, cane, shift), HIGHEST_HZ
             )
         )
         self._named = lru_cache(maxsize=None)(self._named_shapes)
@@ -246,12 +258,81 @@ class ReedSolver:
             modes[name] = ReedMode(name, hz, float(loss[m]), found.coordinates[:, m])
         return MappingProxyType(modes)
 
-    def _vibrations(self, reed: Mechanics) -> Vibrations:
+    def response(
+        self,
+        reed: Mechanics,
+        material: Cane,
+        loss_factor: float,
+        hz: float,
+        pressure: Callable[[float, Array, Array], ComplexArray],
+    ) -> dict[Symmetry | None, ComplexArray]:
+        """Return the motion of a reed under a pressure.
+
+        Parameters
+        ----------
+        reed : Mechanics
+            Its alterations, its air and its mesh; cane and loss are those of the next arguments.
+        material : Cane
+            All constants, at this frequency.
+        loss_factor : float
+            That of the cane at this frequency.
+        hz : float
+        pressure : callable
+            See `physics.reed.reduction.response.forced_response`.
+
+        Returns
+        -------
+        dict of (r,) complex
+            Reduced coordinates in m for each symmetry.
+        """
+        derivatives = self.shape_derivatives
+        forces = pressure_forces(derivatives.reed, hz, pressure)
+        force = np.concatenate([forces[symmetry] for symmetry in derivatives.reed.halves])
+        added = self._stiffness_of_coarse_mesh(reed) if reed.coarse_share else None
+        moved = response_of_changed(
+            derivatives,
+            self._change(reed),
+            material,
+            loss_factor,
+            hz,
+            force,
+            air=self._air_around(reed),
+            added_n_m=added,
+        )
+        sizes = [half.mass.shape[0] for half in derivatives.reed.halves.values()]
+        parts = np.split(moved, np.cumsum(sizes)[:-1])
+        return dict(zip(derivatives.reed.halves, parts, strict=True))
+
+    def _stiffness_of_coarse_mesh(self, reed: Mechanics) -> Array:
+        """Return the stiffness (s, s) in N/m that a coarse mesh adds, mode by mode."""
+        fine = replace(reed, coarse_share=0.0)
+        modes, total = self.modes(fine), np.zeros_like(self.mass_kg)
+        change = self._change(fine)
+        density = material_of(self.shape_derivatives.reed.cane, reed.cane, reed.shift)(
+            PIVOT_HZ
+        ).density_kg_m3
+        mass = density * (self.shape_derivatives.mass + change.mass) + change.mass_kg
+        for name, mode in modes.items():
+            cents = reed.coarse_share * self._coarse().get(name, 0.0)
+            moved = mass @ mode.coordinates
+            stiffer = (2 * np.pi * mode.hz) ** 2 * (2 ** (2 * cents / 1200) - 1)
+            total += stiffer * np.multiply.outer(moved, moved)
+        return total
+
+    def _change(self, reed: Mechanics) -> Change:
         parts = [(amount, self._unit(kind)) for kind, amount in reed.alterations if amount]
-        change = combined(self.shape_derivatives, parts)
-        air = _thinned(self._air(), reed.air_share) if reed.air_share else None
+        return combined(self.shape_derivatives, parts)
+
+    def _air_around(self, reed: Mechanics) -> AirLoad | None:
+        return _thinned(self._air(), reed.air_share) if reed.air_share else None
+
+    def _vibrations(self, reed: Mechanics) -> Vibrations:
         return vibrations(
-            self.shape_derivatives, change, self._canes(reed.cane, reed.shift), HIGHEST_HZ, air
+            self.shape_derivatives,
+            self._change(reed),
+            self._canes(reed.cane, reed.shift),
+            HIGHEST_HZ,
+            self._air_around(reed),
         )
 
     @cached_property
@@ -284,11 +365,18 @@ class ReedSolver:
         return [naming.name for naming in names_of(descriptors)], found.coordinates
 
 
-def material_of(
-    shape_derivatives: ShapeDerivatives, kind: ViscoelasticCane, shift: CaneShift
-) -> Callable[[float], Cane]:
-    """Return a function that gives the cane of a reed at a frequency in Hz."""
-    nominal = shape_derivatives.reed.cane
+def material_of(nominal: Cane, kind: ViscoelasticCane, shift: CaneShift) -> Callable[[float], Cane]:
+    """Return a function that gives the cane of a reed at a frequency in Hz.
+
+    Parameters
+    ----------
+    nominal : Cane
+        Supplies all constants but E_L and G_LT.
+    kind : ViscoelasticCane
+        Supplies these two.
+    shift : CaneShift
+        Difference of all constants from them.
+    """
 
     def cane(hz: float) -> Cane:
         unshifted = at_frequency(nominal, kind, hz)

@@ -1,84 +1,24 @@
 """Light from a vibrating reed with speckle, and its sidebands in one exposure."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0, j1, jv
 
-from holography.arrays import Array
+from holography.arrays import Array, Float32Array
 from holography.fresnel import FresnelTransform
 from holography.fringes import phase_amplitude
 from holography.region import Region, region_from_metres
-from physics.reed.geometry import ReedGeometry
+from physics.parameters.optics import Illumination, Interference, Layout
+from physics.parameters.sensor import Sensor
 
 Complex64 = NDArray[np.complex64]
 
 # Sidebands that are always computed. Chosen: the integrals of others over a frame are too small to
 # change a pixel.
 _KEPT_ORDERS = (-1, 0, 1, 2)
-# Margins of the image around the vamp of a reed: across the reed in total, and behind the vamp.
-# Chosen: a clarinet reed gets the default `Layout.reed_size_m`.
-_SIDE_MARGIN_MM, _HEEL_MARGIN_MM = 0.5, 2.5
-
-
-@dataclass(frozen=True)
-class Illumination:
-    """Light on the reed and on the sensor, in electrons per pixel and second.
-
-    Attributes
-    ----------
-    local_oscillator_e_s : float
-        Local oscillator at the middle of the sensor.
-    local_oscillator_waist_m : float
-        1/e² radius of the expanded local oscillator on the sensor.
-    object_e_s : float
-        Light that the reed scatters, as a mean over the sensor.
-    object_waist_m : float
-        1/e² radius of the illumination on the reed.
-    """
-
-    local_oscillator_e_s: float = 80e3
-    local_oscillator_waist_m: float = 15e-3
-    object_e_s: float = 250.0
-    object_waist_m: float = 35e-3
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Position of the reed in front of the sensor.
-
-    Attributes
-    ----------
-    wavelength_m : float
-        Wavelength of the laser.
-    distance_m : float
-        Distance from reed to sensor.
-    reed_centre_m : (float, float)
-        Centre (y, x) of the visible reed relative to the optical axis. It is off axis, so that the
-        image order is separated from the zero order and from the twin image.
-    reed_size_m : (float, float)
-        Height and width (y, x) of the rectangle around the visible reed; the tip touches its left
-        side.
-    """
-
-    wavelength_m: float = 650e-9
-    distance_m: float = 1.0
-    reed_centre_m: tuple[float, float] = (22e-3, 0.0)
-    reed_size_m: tuple[float, float] = (14e-3, 38e-3)
-
-
-def visible_size_m(geometry: ReedGeometry) -> tuple[float, float]:
-    """Return height and width (y, x) of the vamp with a margin, in m, for `Layout.reed_size_m`.
-
-    Both are rounded up to whole millimetres.
-    """
-    y_mm = 1e3 * 2 * geometry.outline.side_half_width_m + _SIDE_MARGIN_MM
-    x_mm = 1e3 * geometry.vamp_x_m[-1] + _HEEL_MARGIN_MM
-    return 1e-3 * math.ceil(y_mm), 1e-3 * math.ceil(x_mm)
 
 
 def reed_region(layout: Layout, transform: FresnelTransform) -> Region:
@@ -158,13 +98,39 @@ def _bessel(orders: set[int], phi: Array) -> dict[int, Array]:
     return values | {order: jv(order, phi) for order in orders - values.keys()}
 
 
-def beat_integral(offset_hz: Fraction, start_s: float, end_s: float) -> complex:
+def local_oscillator_profile(light: Illumination, sensor: Sensor) -> Float32Array:
+    """Return the amplitude of the local oscillator on the sensor (ny, nx), √(electrons/s)."""
+    squares = [
+        (sensor.pixel_m * (np.arange(n) - n // 2) - shift_m) ** 2
+        for n, shift_m in zip(sensor.shape, light.local_oscillator_shift_m, strict=True)
+    ]
+    profile = np.exp(-np.add.outer(*squares) / light.local_oscillator_waist_m**2)
+    amplitude: Float32Array = (np.sqrt(light.local_oscillator_e_s) * profile).astype(np.float32)
+    return amplitude
+
+
+def vignette_profile(light: Illumination, sensor: Sensor) -> Float32Array | None:
+    """Return the part of the light that reaches each pixel (ny, nx); None if all of it does.
+
+    It falls with the square of the distance from the middle, to 1 - `vignette` in the corners.
+    """
+    if not light.vignette:
+        return None
+    y, x = (np.linspace(-1, 1, n) for n in sensor.shape)
+    lost = 0.5 * light.vignette * np.add.outer(y**2, x**2)
+    return np.asarray(1 - lost, dtype=np.float32)
+
+
+def decorrelated(interference: Interference, phi_rad: Array) -> Float32Array:
+    """Return the contrast that is left where the phase amplitude is φ."""
+    kept = 1 - interference.decorrelation_per_rad2 * np.square(phi_rad)
+    return np.maximum(kept, 0.0).astype(np.float32)
+
+
+def beat_integral(offset_hz: float, start_s: float, end_s: float) -> complex:
     """Return ``∫ exp(2πi·offset·t) dt`` over a part of an exposure, in s."""
-    offset = float(offset_hz)
-    if offset == 0.0:
-        return complex(end_s - start_s)
     middle, length = 0.5 * (start_s + end_s), end_s - start_s
-    return complex(length * np.sinc(offset * length) * np.exp(2j * np.pi * offset * middle))
+    return complex(length * np.sinc(offset_hz * length) * np.exp(2j * np.pi * offset_hz * middle))
 
 
 def kept_orders(difference_hz: Fraction, drive_hz: Fraction) -> tuple[int, ...]:

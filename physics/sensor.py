@@ -6,42 +6,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from holography.arrays import Float32Array
+from physics.parameters.sensor import Sensor
 
 Counts = NDArray[np.uint16]
 
+# Dark signal of hot pixels in a frame, as a fraction of the full well: least and most, evenly
+# spread in the logarithm. Chosen: from what stands out of the read noise to half a full pixel.
+_HOT_FRACTION = (0.02, 0.5)
 
-@dataclass(frozen=True)
-class Sensor:
-    """A CCD with shot noise, read noise, a full well and an ADC.
+
+@dataclass(frozen=True, eq=False)
+class PixelMaps:
+    """What the pixels of one sensor always have.
 
     Attributes
     ----------
-    shape : (int, int)
-        Rows and columns.
-    pixel_m : float
-        Pixel pitch.
-    full_well_e : float
-        Electrons at which a pixel stops filling.
-    gain_e_dn : float
-        Electrons per digital number.
-    read_noise_e : float
-        Standard deviation of the read noise per pixel and frame, in electrons.
-    offset_dn : float
-        Digital number of a dark pixel.
-    bits : int
-        Resolution of the ADC.
+    sensitivity : (ny, nx) float32 or None
+        Relative; None if all pixels are equal.
+    dark_e : (ny, nx) float32 or None
+        Electrons that hot pixels add to every frame; None if there are none.
     """
 
-    shape: tuple[int, int] = (1024, 1280)
-    pixel_m: float = 6.7e-6
-    full_well_e: float = 16000.0
-    gain_e_dn: float = 4.0
-    read_noise_e: float = 12.0
-    offset_dn: float = 50.0
-    bits: int = 12
+    sensitivity: Float32Array | None = None
+    dark_e: Float32Array | None = None
 
 
-def read_out(sensor: Sensor, mean_e: Float32Array, rng: np.random.Generator) -> Counts:
+def pixel_maps(sensor: Sensor, rng: np.random.Generator) -> PixelMaps:
+    """Draw the maps of one sensor; a sensor without a pattern or hot pixels draws nothing."""
+    sensitivity = dark_e = None
+    if sensor.pattern:
+        sensitivity = rng.standard_normal(sensor.shape, dtype=np.float32)
+        sensitivity = np.float32(1) + np.float32(sensor.pattern) * sensitivity
+    if sensor.hot:
+        low, high = np.log(_HOT_FRACTION)
+        strength = sensor.full_well_e * np.exp(rng.uniform(low, high, sensor.shape))
+        hot = rng.random(sensor.shape) < sensor.hot
+        dark_e = np.where(hot, strength, 0.0).astype(np.float32)
+    return PixelMaps(sensitivity, dark_e)
+
+
+def read_out(
+    sensor: Sensor,
+    mean_e: Float32Array,
+    rng: np.random.Generator,
+    maps: PixelMaps = PixelMaps(),
+) -> Counts:
     """Draw noise and digitise one exposure.
 
     Shot noise is drawn from a normal distribution with the variance of a Poisson distribution. For
@@ -51,8 +60,10 @@ def read_out(sensor: Sensor, mean_e: Float32Array, rng: np.random.Generator) -> 
     ----------
     sensor : Sensor
     mean_e : (ny, nx) float32
-        Expected number of electrons; overwritten.
+        Expected number of electrons in a pixel of the mean sensitivity; overwritten.
     rng : numpy.random.Generator
+    maps : PixelMaps, optional
+        Of this sensor.
 
     Returns
     -------
@@ -60,10 +71,16 @@ def read_out(sensor: Sensor, mean_e: Float32Array, rng: np.random.Generator) -> 
         Frame in dn.
     """
     noise = rng.standard_normal(mean_e.shape, dtype=np.float32)
+    if maps.sensitivity is not None:
+        mean_e *= maps.sensitivity
+    if maps.dark_e is not None:
+        mean_e += maps.dark_e
     np.maximum(mean_e, 0.0, out=mean_e)
     noise *= np.sqrt(mean_e + np.float32(sensor.read_noise_e**2))
     mean_e += noise
     np.minimum(mean_e, np.float32(sensor.full_well_e), out=mean_e)
+    if sensor.nonlinearity:
+        mean_e *= 1 - np.float32(sensor.nonlinearity / sensor.full_well_e) * mean_e
     mean_e *= np.float32(1 / sensor.gain_e_dn)
     # The additional 0.5 dn turns the truncation of astype into rounding.
     mean_e += np.float32(sensor.offset_dn + 0.5)

@@ -9,10 +9,8 @@ from typing import Any, Final
 
 from holography.demodulation import carrier_leak
 from holography.region import Region
-from physics.optics import (
-    Layout,
-    reed_region,
-)
+from physics.optics import reed_region
+from physics.parameters.optics import Layout
 from protocols.bench import BenchFile
 from protocols.frequency_lock import (
     difference_hz,

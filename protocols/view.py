@@ -1,10 +1,7 @@
 """Geometry of the image: frame shape, object plane and the position of the reed in it."""
 
 from holography.fresnel import FresnelTransform
-from physics.optics import (
-    Layout,
-    visible_size_m,
-)
+from physics.parameters.optics import Layout, visible_size_m
 from protocols.bench import BenchFile
 from protocols.protocol import (
     Protocol,

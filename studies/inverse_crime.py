@@ -1,13 +1,13 @@
-"""The inverse crime on purpose: how a diagnosis scores on data of its own twin.
+"""The inverse crime on purpose: how a diagnosis scores on data of its own parameters.
 
     python -m studies.inverse_crime [CAMPAIGN] [--count N] [--jobs J]
 
 CAMPAIGN is a folder of run files of a bench with nothing wrong, such as one of tier 0 of `acquire
-blind make`; one is recorded if none is named. Its numbers are replaced by what the twin itself
+blind make`; one is recorded if none is named. Its numbers are replaced by what the model itself
 predicts, with nuisances drawn from their priors, noise from its own covariance, and effects in the
 catalogue's own form and of the sizes that blind cases have. Prints the scores of `acquire blind
-score`: they are what a diagnosis would be worth if nature were its twin, and are to be read next to
-those of sealed cases.
+score`: they are what a diagnosis would be worth if nature were its model, and are to be read next
+to those of sealed cases.
 """
 
 import argparse
@@ -36,7 +36,7 @@ from diagnosis.campaign_diagnosis import (
 )
 from diagnosis.inference.problem import InferenceProblem
 from physics.effects.catalogue import BY_ID
-from physics.twin import Twin
+from physics.parameters.tree import BenchParameters
 from reports.diagnosis_json import to_json
 from studies.campaigns import campaigns, readings_of
 
@@ -50,11 +50,13 @@ _TRIES = 50
 def campaign_of(folder: Path) -> tuple[InferenceProblem, str]:
     """Return the inference problem of a campaign, and the condition to leave out."""
     readings, reed_solver = readings_of(folder)
-    return inference_problem(readings, reed_solver, Twin()), condition_of(readings)
+    return inference_problem(readings, reed_solver, BenchParameters()), condition_of(readings)
 
 
-def with_effects(twin: Twin, label: Label, rng: np.random.Generator) -> Twin:
-    """The twin with effects as the catalogue has them, of a label's sizes."""
+def with_effects(
+    parameters: BenchParameters, label: Label, rng: np.random.Generator
+) -> BenchParameters:
+    """The model with effects as the catalogue has them, of a label's sizes."""
     sizes = true_sizes(label)
     for name, multiple in label.effects:
         effect = BY_ID[name]
@@ -62,17 +64,17 @@ def with_effects(twin: Twin, label: Label, rng: np.random.Generator) -> Twin:
         for p in effect.sizes:
             # An unknown size is a fraction of what is usual.
             values[p.name] = sizes.get(name, {}).get(p.name, 0.3 * multiple * p.spread)
-        twin = effect.change(twin, values)
-    return twin
+        parameters = effect.change(parameters, values)
+    return parameters
 
 
 def imagined(problem: InferenceProblem, label: Label, rng: np.random.Generator) -> InferenceProblem:
-    """The same numbers as the twin would have them."""
+    """The same numbers as the parameters would have them."""
     for _ in range(_TRIES):
         z = rng.standard_normal(len(problem.nuisances))
         try:
-            twin = with_effects(problem.twin(z), label, rng)
-            predicted = [block.predict(twin) for block in problem.groups]
+            parameters = with_effects(problem.parameters(z), label, rng)
+            predicted = [block.predict(parameters) for block in problem.groups]
         except ValueError:
             continue
         blocks = [

@@ -31,7 +31,7 @@ from diagnosis.readings.campaign_readings import Readings
 from physics.effects.catalogue import BY_ID, CATALOGUE
 from physics.effects.effect import Stage
 from physics.mechanics import ReedSolver
-from physics.twin import Twin
+from physics.parameters.tree import BenchParameters
 from studies.campaigns import campaigns, readings_of
 
 EFFECTS = tuple(effect for effect in CATALOGUE if effect.stage is not Stage.NUMERICS)
@@ -39,7 +39,7 @@ EFFECTS = tuple(effect for effect in CATALOGUE if effect.stage is not Stage.NUME
 
 def reach_in(readings: Readings, reed_solver: ReedSolver) -> tuple[Detectability, ...]:
     """Reach of one campaign."""
-    problem = inference_problem(readings, reed_solver, Twin())
+    problem = inference_problem(readings, reed_solver, BenchParameters())
     null = fit_model(problem, (), [np.zeros(len(problem.nuisances))], exact=True)
     return detectability_of(EFFECTS, signatures_of(problem, null, EFFECTS))
 

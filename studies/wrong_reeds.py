@@ -27,12 +27,11 @@ from drivers.simulated.settings import (
     CaneFactors,
     bench_constants,
     bench_geometry,
+    bench_parameters,
     cane_of,
-    model_settings,
     read_simulation,
 )
 from holography.arrays import Array
-from physics.bench import bench_cane
 from physics.reed.cane.viscoelastic import Series
 from physics.reed.elements.fem import Symmetry
 from physics.reed.geometry import (
@@ -162,7 +161,7 @@ def true_modes(bench: BenchFile, reed: str, series: Series) -> dict[str, dict[st
     preparation, simulation = plan.preparation(reed), read_simulation(bench.twin, bench.name)
     geometry = bench_geometry(simulation, preparation) or ReedGeometry()
     constants = bench_constants(simulation, preparation)
-    cane = bench_cane(model_settings(simulation, bench, preparation))
+    cane = bench_parameters(simulation, bench, preparation).reed.cane
     level, _ = simulation.finite_elements
 
     def solve() -> list[NamedMode]:

@@ -22,7 +22,7 @@ from benchmarks.fuzzing.plausibility import (
     require_meant,
     require_plausible,
 )
-from diagnosis.known_bench import base_twin, only_once
+from diagnosis.known_bench import only_once
 from diagnosis.mean_reed import tabled_reeds
 from drivers.errors import BenchSetupError
 from drivers.options import read_options
@@ -30,7 +30,7 @@ from drivers.registry import find_driver
 from drivers.simulated.settings import (
     bench_constants,
     bench_geometry,
-    model_settings,
+    bench_parameters,
     read_simulation,
 )
 from fitting.populations.resonance_table import (
@@ -38,7 +38,7 @@ from fitting.populations.resonance_table import (
     ERROR_COLUMN,
     read_resonances,
 )
-from physics.optics import visible_size_m
+from physics.parameters.optics import visible_size_m
 from physics.reed.mode_classification import PAPER_MODES
 from protocols.bench import BenchFile
 from protocols.campaign import CampaignFile, tasks_of
@@ -100,14 +100,13 @@ def _read_bench(file: Path) -> None:
             options = {**entry.options, **_ADDED.get(entry.driver, {})}
             read_options(model, options, bench.name, f"instruments.{role}.options")
     twin, preparation = read_simulation(bench.twin, bench.name), plan.preparation("R07")
-    model_settings(twin, bench, preparation)
+    bench_parameters(twin, bench, preparation)
     try:
         bench_geometry(twin, preparation)
     except ValueError as error:
         # The simulated laboratory says so, with the bench's name.
         raise BenchSetupError(f"bench {bench.name!r}: {error}") from error
     bench_constants(twin, preparation)
-    base_twin(bench)
     only_once(bench)
 
 

@@ -27,7 +27,7 @@ from diagnosis.inference.problem import (
 )
 from holography.arrays import Array
 from physics.effects.effect import Parameter
-from physics.twin import Twin
+from physics.parameters.tree import BenchParameters
 
 # Effects have not quite the form that the catalogue gives them: a share of what they do.
 _FORM = 0.12
@@ -103,14 +103,14 @@ class Candidate:
         free: Array = self.estimate.jacobian[:, ~held]
         return free
 
-    def twin(self, problem: InferenceProblem) -> Twin:
+    def parameters(self, problem: InferenceProblem) -> BenchParameters:
         """Return the fitted model."""
         count = len(problem.nuisances)
-        return self.changed(problem.twin(self.estimate.z[:count]), self.sizes)
+        return self.changed(problem.parameters(self.estimate.z[:count]), self.sizes)
 
-    def changed(self, twin: Twin, sizes: Array) -> Twin:
+    def changed(self, parameters: BenchParameters, sizes: Array) -> BenchParameters:
         """Return a model with the candidate's effects at other sizes (s,)."""
-        return with_effects(twin, self.effects, sizes)
+        return with_effects(parameters, self.effects, sizes)
 
 
 def d_prime(null: Candidate, candidate: Candidate) -> float:
@@ -150,13 +150,13 @@ def fit_model(
     p, positive = len(problem.nuisances), _positive(problem, effects)
 
     def residuals(z: Array) -> Array:
-        return problem.residuals(with_effects(problem.twin(z[:p]), effects, z[p:]))
+        return problem.residuals(with_effects(problem.parameters(z[:p]), effects, z[p:]))
 
     def jacobian(z: Array) -> Array:
         return np.column_stack([problem.jacobian(z[:p]), *_by_size(residuals, z, p, positive)])
 
     def by_effects(z: Array) -> Array:
-        moved: Array = residuals(z) - problem.residuals(problem.twin(z[:p]))
+        moved: Array = residuals(z) - problem.residuals(problem.parameters(z[:p]))
         return moved
 
     if not exact:
@@ -248,7 +248,7 @@ def fit_linearised(
         If the start is no possible reed.
     """
     p, positive = len(problem.nuisances), _positive(problem, effects)
-    slope, base = problem.jacobian(about, NEAR), problem.twin(about)
+    slope, base = problem.jacobian(about, NEAR), problem.parameters(about)
 
     def residuals(z: Array) -> Array:
         bent = problem.residuals(with_effects(base, effects, z[p:]))
@@ -282,7 +282,7 @@ def linearised_cost(
     """
     slope = problem.jacobian(about, NEAR)
     try:
-        left = problem.residuals(with_effects(problem.twin(about), effects, sizes))
+        left = problem.residuals(with_effects(problem.parameters(about), effects, sizes))
     except ValueError:
         return float("inf")
     move = -posterior_covariance(slope) @ (slope.T @ left + about)
@@ -301,7 +301,7 @@ def with_nonlinear_cost(problem: InferenceProblem, candidate: Candidate) -> Cand
         If its parameters are of no possible reed.
     """
     estimate = candidate.estimate
-    residuals = problem.residuals(candidate.twin(problem)) / candidate.deviation
+    residuals = problem.residuals(candidate.parameters(problem)) / candidate.deviation
     more = float(residuals @ residuals - estimate.residuals @ estimate.residuals)
     noise = noise_inflation_gain(problem, residuals) - noise_inflation_gain(
         problem, estimate.residuals

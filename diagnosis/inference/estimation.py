@@ -184,7 +184,7 @@ def _differences(residuals: Residuals, z: Array, bound: NDArray[np.bool_]) -> Ar
     here = residuals(z)
     columns = np.empty((len(here), len(z)))
     for k, bounded in enumerate(bound):
-        # Twins answer smoothly: one side will do, and costs half.
+        # Models answer smoothly: one side will do, and costs half.
         step = _STEP if bounded or z[k] <= 0 else -_STEP
         moved = z.copy()
         moved[k] += step

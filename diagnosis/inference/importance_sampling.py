@@ -62,7 +62,10 @@ def sampled(
         if np.any(bound & (size < 0)):
             continue
         try:
-            r = problem.residuals(candidate.changed(problem.twin(z), size)) / candidate.deviation
+            r = (
+                problem.residuals(candidate.changed(problem.parameters(z), size))
+                / candidate.deviation
+            )
         except ValueError:
             continue
         g = J.T @ r + z

@@ -1,17 +1,19 @@
 """Nuisance parameters: what differs between benches and reeds although the model is right."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+from physics.effects.changes import changed
 from physics.mechanics import Layer
-from physics.twin import (
+from physics.parameters.tree import (
+    BenchParameters,
     FitBias,
-    Twin,
     more,
     with_alteration,
     with_cane,
-    with_reed,
+    with_part,
 )
 
 
@@ -25,7 +27,7 @@ class Nuisance:
     spread : float
         Standard deviation of its prior.
     change : callable
-        ``change(twin, value)``: the twin with it.
+        ``change(parameters, value)``: the parameters with it.
     source : str
     of_fits : bool
         Whether it is a fit bias.
@@ -34,13 +36,15 @@ class Nuisance:
     name: str
     unit: str
     spread: float
-    change: Callable[[Twin, float], Twin]
+    change: Callable[[BenchParameters, float], BenchParameters]
     source: str
     of_fits: bool = False
 
 
 def _cane(name: str, spread: float, source: str) -> Nuisance:
-    return Nuisance(name, "", spread, lambda twin, value: with_cane(twin, **{name: value}), source)
+    return Nuisance(
+        name, "", spread, lambda parameters, value: with_cane(parameters, **{name: value}), source
+    )
 
 
 def _layer(along: int, across: int) -> Nuisance:
@@ -50,32 +54,34 @@ def _layer(along: int, across: int) -> Nuisance:
         f"layer {along}{across}",
         "m",
         spread,
-        lambda twin, value: with_alteration(twin, kind, value),
+        lambda parameters, value: with_alteration(parameters, kind, value),
         "profiles of reeds of one brand, by micrometer: some micrometres",
     )
 
 
-def _drive(name: str, spread: float, source: str) -> Nuisance:
+def _resonance(name: str, field: str, spread: float, source: str) -> Nuisance:
+    """Return the logarithm of the factor on a property of the known acoustic resonance."""
+    change = changed("drive.acoustic_resonance", scale={field: name})
     return Nuisance(
-        name, "", spread, lambda twin, value: more(twin, "drive", **{name: value}), source
+        name, "", spread, lambda parameters, value: change(parameters, {name: value}), source
     )
 
 
-def _bypass(part: int) -> Nuisance:
-    def change(twin: Twin, value: float) -> Twin:
-        bypass = list(twin.drive.bypass)
-        bypass[part] += value
-        drive = replace(twin.drive, bypass=(bypass[0], bypass[1]))
-        return replace(twin, drive=drive)
-
-    name = ("bypass, real", "bypass, imaginary")[part]
-    return Nuisance(name, "", 0.04, change, "sound that goes around: some per cent")
+def _bypass(name: str, field: str) -> Nuisance:
+    return Nuisance(
+        name,
+        "",
+        0.04,
+        lambda parameters, value: more(parameters, "drive", **{field: value}),
+        "sound that goes around: some per cent",
+    )
 
 
 _PROFILE_M: Final = 5e-6
 _POPULATION = "population of reeds of one brand (paper, Table 5)"
 # Of the exponents with which moduli grow from 2 to 16 kHz, over canes with components from N(0, 1).
 _VISCOELASTIC = "population of reeds of one brand (paper, Table 5, hypothesis H4)"
+_TAKEN_APART = "the same device, taken apart and put together"
 _HANDBOOK = "spread of small clear specimens of one wood"
 NUISANCES: Final[tuple[Nuisance, ...]] = (
     _cane("E_L", 0.12, _POPULATION),
@@ -91,28 +97,30 @@ NUISANCES: Final[tuple[Nuisance, ...]] = (
         "loss",
         "",
         0.2,
-        lambda twin, value: with_reed(twin, loss_factor=twin.reed.loss_factor * 2.718281828**value),
+        lambda parameters, value: with_part(
+            parameters, "reed", loss_factor=parameters.reed.loss_factor * math.exp(value)
+        ),
         "loss factors of cane, 0.02 to 0.05",
     ),
     Nuisance(
         "loss growth",
         "",
         0.05,
-        lambda twin, value: with_reed(twin, loss_growth=twin.reed.loss_growth + value),
+        lambda parameters, value: more(parameters, "reed", loss_growth=value),
         "decision 0004",
     ),
     Nuisance(
         "mesh",
         "",
         0.3,
-        lambda twin, value: with_reed(twin, coarse_share=twin.reed.coarse_share + value),
+        lambda parameters, value: more(parameters, "reed", coarse_share=value),
         "decision 0009: what finer elements change",
     ),
-    _drive("resonance_excess", 0.07, "the same device, taken apart and put together"),
-    _drive("resonance_quality", 0.07, "the same device, taken apart and put together"),
-    _drive("resonance_shift", 0.004, "speed of sound within 2 degrees"),
-    _bypass(0),
-    _bypass(1),
+    _resonance("resonance strength", "strength", 0.07, _TAKEN_APART),
+    _resonance("resonance quality", "quality", 0.07, _TAKEN_APART),
+    _resonance("resonance frequency", "frequency_hz", 0.004, "speed of sound within 2 degrees"),
+    _bypass("bypass, real", "bypass_real"),
+    _bypass("bypass, imaginary", "bypass_imaginary"),
     *(_layer(along, across) for along in range(4) for across in range(4) if along + across < 5),
 )
 
@@ -134,9 +142,11 @@ def of_fits(modes: Sequence[str]) -> tuple[Nuisance, ...]:
     )
 
 
-def _exchange(mode: str, share: tuple[float, float]) -> Callable[[Twin, float], Twin]:
-    def change(twin: Twin, value: float) -> Twin:
+def _exchange(
+    mode: str, share: tuple[float, float]
+) -> Callable[[BenchParameters, float], BenchParameters]:
+    def change(parameters: BenchParameters, value: float) -> BenchParameters:
         more = (mode, share[0] * value, share[1] * value)
-        return replace(twin, fit_bias=FitBias((*twin.fit_bias.exchanged, more)))
+        return replace(parameters, fit_bias=FitBias((*parameters.fit_bias.exchanged, more)))
 
     return change

@@ -12,7 +12,7 @@ from diagnosis.inference.nuisances import Nuisance
 from diagnosis.observable_groups import ObservableGroup
 from holography.arrays import Array
 from physics.effects.effect import Effect, Parameter
-from physics.twin import Twin
+from physics.parameters.tree import BenchParameters
 
 # Log of how much larger the noise of a group may be than its replicates: prior and limit.
 _NOISE_SPREAD, _MOST_NOISE = 0.15, 3.0
@@ -31,13 +31,16 @@ class InferenceProblem:
     Parameters
     ----------
     groups : sequence of ObservableGroup
-    base : Twin
+    base : BenchParameters
         What is known of the bench.
     nuisances : sequence of Nuisance
     """
 
     def __init__(
-        self, blocks: Sequence[ObservableGroup], base: Twin, nuisances: Sequence[Nuisance]
+        self,
+        blocks: Sequence[ObservableGroup],
+        base: BenchParameters,
+        nuisances: Sequence[Nuisance],
     ) -> None:
         self.groups, self.base, self.nuisances = tuple(blocks), base, tuple(nuisances)
         self._left = lru_cache(maxsize=_KEPT)(self._left_of)
@@ -53,52 +56,54 @@ class InferenceProblem:
         """Which nuisances (p,) are fit biases."""
         return np.array([nuisance.of_fits for nuisance in self.nuisances], dtype=bool)
 
-    def twin(self, z: Array) -> Twin:
+    def parameters(self, z: Array) -> BenchParameters:
         """Return the model with nuisances z (p,), in units of their priors."""
-        twin = self.base
+        parameters = self.base
         for nuisance, size in zip(self.nuisances, z.tolist(), strict=True):
             if size:
-                twin = nuisance.change(twin, nuisance.spread * size)
-        return twin
+                parameters = nuisance.change(parameters, nuisance.spread * size)
+        return parameters
 
-    def residuals(self, twin: Twin) -> Array:
+    def residuals(self, parameters: BenchParameters) -> Array:
         """Return the whitened residuals (n,): model less measurement."""
         return -np.concatenate(
             [
-                self._left(number, tuple(getattr(twin, part) for part in block.parts))
+                self._left(number, tuple(getattr(parameters, part) for part in block.parts))
                 for number, block in enumerate(self.groups)
             ]
         )
 
     def _left_of(self, number: int, parts: tuple[Any, ...]) -> Array:
         block = self.groups[number]
-        return block.whitened_residual(Twin(**dict(zip(block.parts, parts, strict=True))))
+        return block.whitened_residual(
+            BenchParameters(**dict(zip(block.parts, parts, strict=True)))
+        )
 
     def jacobian(self, z: Array, far: float = _FAR) -> Array:
         """Return the Jacobian (n, p) along the nuisances, taken within `far` deviations of z."""
         for at, slope in self._slopes:
             if np.abs(z - at).max() <= far:
                 return slope
-        slope = self.jacobian_of_changed(z, lambda twin: twin)
+        slope = self.jacobian_of_changed(z, lambda parameters: parameters)
         self._slopes = [(z.copy(), slope), *self._slopes[: _SLOPES_KEPT - 1]]
         return slope
 
     def jacobian_of_changed(
-        self, z: Array, change: Callable[[Twin], Twin], *, fine: bool = False
+        self, z: Array, change: Callable[[BenchParameters], BenchParameters], *, fine: bool = False
     ) -> Array:
         """Return the Jacobian (n, p) along the nuisances at z, of a changed model.
 
         Fine central differences are accurate where modes nearly meet, and cost twice as much.
         """
-        here, columns = self.residuals(change(self.twin(z))), []
+        here, columns = self.residuals(change(self.parameters(z))), []
         for k in range(len(z)):
             step = -STEP if z[k] > 0 else STEP
             step *= FINE if fine else 1
             moved, back = z.copy(), z.copy()
             moved[k] += step
             back[k] -= step
-            other = self.residuals(change(self.twin(back))) if fine else here
-            more = self.residuals(change(self.twin(moved))) - other
+            other = self.residuals(change(self.parameters(back))) if fine else here
+            more = self.residuals(change(self.parameters(moved))) - other
             columns.append(more / (2 * step if fine else step))
         return np.stack(columns, axis=1)
 
@@ -122,19 +127,21 @@ class LocatedEffect:
         """Sizes that are fitted."""
         return self.effect.sizes
 
-    def change(self, twin: Twin, z: Array) -> Twin:
+    def change(self, parameters: BenchParameters, z: Array) -> BenchParameters:
         """Return the model with the effect at sizes z, in units of their priors."""
         values = {p.name: p.spread * float(v) for p, v in zip(self.sizes, z, strict=True)}
-        return self.effect.change(twin, {**values, **self.location})
+        return self.effect.change(parameters, {**values, **self.location})
 
 
-def with_effects(twin: Twin, effects: Sequence[LocatedEffect], sizes: Array) -> Twin:
+def with_effects(
+    parameters: BenchParameters, effects: Sequence[LocatedEffect], sizes: Array
+) -> BenchParameters:
     """Return the model with effects of given sizes (s,), in units of their priors."""
     for located in effects:
         count = len(located.sizes)
-        twin = located.change(twin, sizes[:count])
+        parameters = located.change(parameters, sizes[:count])
         sizes = sizes[count:]
-    return twin
+    return parameters
 
 
 def noise_inflation_gain(problem: InferenceProblem, residuals: Array) -> float:

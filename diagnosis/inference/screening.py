@@ -17,7 +17,7 @@ from diagnosis.inference.estimation import (
 from diagnosis.inference.problem import InferenceProblem, LocatedEffect
 from holography.arrays import Array
 from physics.effects.effect import Effect
-from physics.twin import Twin
+from physics.parameters.tree import BenchParameters
 
 # Sizes at which signatures are taken, in prior standard deviations: the first possible one.
 _PROBES = 1.0, 0.2
@@ -45,7 +45,7 @@ class Baseline:
 
     Attributes
     ----------
-    twin : Twin
+    parameters : BenchParameters
     residuals : (n,) float
     jacobian : (n, q) float
         Of all that is free.
@@ -55,7 +55,7 @@ class Baseline:
         What residuals and slopes are in units of, whitened.
     """
 
-    twin: Twin
+    parameters: BenchParameters
     residuals: Array
     jacobian: Array
     pull: Array
@@ -66,14 +66,14 @@ class Baseline:
         """Return the baseline of a fitted candidate."""
         slopes, left = candidate.free_jacobian, candidate.estimate.residuals
         fitted = np.zeros(slopes.shape[1])
-        return cls(candidate.twin(problem), left, slopes, fitted, candidate.deviation)
+        return cls(candidate.parameters(problem), left, slopes, fitted, candidate.deviation)
 
     @classmethod
     def at(cls, problem: InferenceProblem, z: Array) -> "Baseline":
         """Return the baseline with nuisances z (p,)."""
-        twin, slopes = problem.twin(z), problem.jacobian(z)
-        residuals = problem.residuals(twin)
-        return cls(twin, residuals, slopes, slopes.T @ residuals + z, np.ones(len(residuals)))
+        parameters, slopes = problem.parameters(z), problem.jacobian(z)
+        residuals = problem.residuals(parameters)
+        return cls(parameters, residuals, slopes, slopes.T @ residuals + z, np.ones(len(residuals)))
 
 
 @dataclass(frozen=True)
@@ -167,8 +167,8 @@ def _probed(
         size[0] = sign * probe
         if k:
             first[0], size[k] = sign * probe, probe
-        moved = problem.residuals(located.change(base.twin, size))
-        start = problem.residuals(located.change(base.twin, first))
+        moved = problem.residuals(located.change(base.parameters, size))
+        start = problem.residuals(located.change(base.parameters, first))
         columns.append((moved - start) / (probe if k else sign * probe))
     table: Array = np.stack(columns, axis=1) / base.deviation[:, None]
     return table

@@ -13,7 +13,7 @@ from diagnosis.readings.carrier import CarrierReading, carrier_floor
 from diagnosis.readings.sweeps import SweepReading
 from holography.arrays import Array
 from physics.mechanics import ReedSolver
-from physics.twin import Twin
+from physics.parameters.tree import BenchParameters
 
 # Log of how much the light that a reed shows next to its clamp differs between reeds and sweeps.
 _REEDS, _SWEEPS = 0.4, 0.15
@@ -70,8 +70,8 @@ def carrier_group(carriers: Sequence[CarrierReading]) -> ObservableGroup:
     floor = carrier_floor(carriers)
     noise = np.array([c.error for c in carriers]) * 0.3
 
-    def predict(twin: Twin) -> Array:
-        amplitude: Array = np.hypot(twin.optics.leak, floor)
+    def predict(parameters: BenchParameters) -> Array:
+        amplitude: Array = np.hypot(parameters.optics.interference.leak, floor)
         return amplitude
 
     covariance = np.diag(noise**2 + (_SWEEPS * floor) ** 2)

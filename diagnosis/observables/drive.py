@@ -1,7 +1,7 @@
 """Drive and response: excitation peaks, amplitude against drive level, forces on modes."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
@@ -20,33 +20,20 @@ from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.light import leaks_of
 from diagnosis.readings.campaign_readings import Readings
-from diagnosis.readings.device import Device
 from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, loudest
-from holography.arrays import Array, ComplexArray
-from physics.air import (
-    CavityLine,
-    Chamber,
-    Filling,
-    pressure_shape,
-)
-from physics.drive import tweeter_pressure_pa
-from physics.mechanics import (
-    Mechanics,
-    ReedMode,
-    ReedSolver,
-)
+from holography.arrays import Array
+from physics.air import pressure_shape
+from physics.drive import acoustic_gain, amplifier_gain, kept_by_tweeter, tweeter_pressure_pa
+from physics.mechanics import Mechanics, ReedMode, ReedSolver
+from physics.parameters.chamber import Chamber
+from physics.parameters.drive import Drive
+from physics.parameters.tree import BenchParameters, FitBias
 from physics.reed.elements.fem import Symmetry
-from physics.twin import (
-    DriveChain,
-    FitBias,
-    Twin,
-)
 
 _KEPT = 8192
 # Frequencies that lie no further apart, in log, are one: a generator may not play quite what it is
 # asked to.
 _SAME_HZ = 1e-3
-_FULL_V = 16.0
 # Log of the drive: polynomials of this degree are anyone's, and what waves over more than so much
 # of log frequency; noise of one hologram at least, and of a weaker one more.
 _DEGREE, _SMOOTH = 5, 1.0
@@ -54,6 +41,8 @@ _WAVES, _LENGTH = 0.12, 0.15
 # Log frequency over which leaked light at a small-amplitude hologram spreads.
 _NEAR = 0.05
 _LEAST, _WEAK = 0.01, 0.02
+# Acoustic paths cancel to this gain at most.
+_LEAST_GAIN = 1e-3
 # Holograms over which sweeps may differ smoothly; at the ends little tells what is smooth.
 _AROUND, _END_SHARE, _END = 15, 0.06, 0.1
 # Beyond this frequency modes are too dense to separate them from the drive.
@@ -74,7 +63,7 @@ _BESIDE, _BENT, _JUMP = 2, 0.4, 0.5
 
 
 def excitation_group(
-    sweeps: Sequence[SweepReading], line: CavityLine, leaks: Leaks
+    sweeps: Sequence[SweepReading], nominal: BenchParameters, leaks: Leaks
 ) -> ObservableGroup | None:
     """Compare peaks above the smooth drive, by hologram, mean of all sweeps.
 
@@ -83,7 +72,7 @@ def excitation_group(
     Parameters
     ----------
     sweeps : sequence of SweepReading
-    line : CavityLine
+    nominal : BenchParameters
     leaks : Leaks
     """
     hz, log, error = _mean_drive(sweeps)
@@ -98,15 +87,15 @@ def excitation_group(
     spoilt = _of_leaks(loud, leaks, hz, near)
     waves = _WAVES**2 * np.exp(-0.5 * (apart / _LENGTH) ** 2)
     waves += np.multiply.outer(spoilt, spoilt) * near
-    error = np.hypot(error, _WEAK / _gain(DriveChain(), line, hz))
+    error = np.hypot(error, _WEAK / _gain(nominal.drive, hz))
 
     first = sweeps[0]
     modes = list(zip(first.names, first.hz.tolist(), first.loss_factor.tolist(), strict=True))
 
-    def predict(twin: Twin) -> Array:
-        bent = np.log(_gain(twin.drive, line, hz) * _kept(twin.drive, volts, hz))
+    def predict(parameters: BenchParameters) -> Array:
+        bent = np.log(_gain(parameters.drive, hz) * kept_by_tweeter(parameters.drive, volts, hz))
         for name, own_hz, loss in modes:
-            bent = bent + exchanged(twin.fit_bias, name, own_hz, loss, hz)
+            bent = bent + exchanged(parameters.fit_bias, name, own_hz, loss, hz)
         return bent
 
     covariance = np.diag(error**2) + waves + _SMOOTH**2 * powers @ powers.T
@@ -141,28 +130,10 @@ def exchanged(fits: FitBias, mode: str, own_hz: float, loss: float, hz: Array) -
     return bent
 
 
-def _gain(drive: DriveChain, line: CavityLine, hz: Array) -> Array:
+def _gain(drive: Drive, hz: Array) -> Array:
     """Return the gain (k,) of acoustic resonances between loudspeaker and reed."""
-
-    def through(hz_0: float, quality: float, strength: float) -> ComplexArray:
-        ratio = hz / hz_0
-        return np.asarray(1 + strength / (1 - ratio**2 + 1j * ratio / quality), dtype=complex)
-
-    own = through(
-        line.frequency_hz * np.exp(drive.resonance_shift),
-        line.quality * np.exp(drive.resonance_quality),
-        line.strength * (1 + drive.resonance_excess),
-    )
-    second = through(drive.second_hz, drive.second_quality, drive.second_strength)
-    gain: Array = np.maximum(np.abs(own * second + complex(*drive.bypass)), 1e-3)
+    gain: Array = np.maximum(np.abs(acoustic_gain(drive, hz)), _LEAST_GAIN)
     return gain
-
-
-def _kept(drive: DriveChain, volts: Array, hz: Array) -> Array:
-    """Return the fraction (k,) of the pressure that a compressing tweeter keeps."""
-    moves = 1 / (1 + (hz / drive.compression_hz) ** 2)
-    kept: Array = np.maximum(1 - drive.compression * moves * (volts / _FULL_V) ** 2, 0.02)
-    return kept
 
 
 def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array]:
@@ -234,10 +205,12 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
     if not values:
         return None
 
-    def predict(twin: Twin) -> Array:
+    def predict(parameters: BenchParameters) -> Array:
         one, two = np.array(volts).T
         at = np.array(hz)
-        return np.log(_kept(twin.drive, one, at) / _kept(twin.drive, two, at))
+        return np.log(
+            kept_by_tweeter(parameters.drive, one, at) / kept_by_tweeter(parameters.drive, two, at)
+        )
 
     covariance = np.diag(np.square(errors)) + _RATIO**2
     return observable_group(
@@ -246,7 +219,7 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
 
 
 def force_group(
-    sweeps: Sequence[SweepReading], reed_solver: ReedSolver, device: Device
+    sweeps: Sequence[SweepReading], reed_solver: ReedSolver, nominal: BenchParameters
 ) -> ObservableGroup | None:
     """Compare the force on each mode with that of loudspeaker, chamber and reed of the model.
 
@@ -257,10 +230,10 @@ def force_group(
     sweeps : sequence of SweepReading
     reed_solver : ReedSolver
         Of the kind of reed.
-    device : Device
+    nominal : BenchParameters
     """
     loud = loudest(sweeps)
-    known = reed_solver.modes(Twin().reed)
+    known = reed_solver.modes(nominal.reed)
     names = [
         name
         for name in common_modes(sweeps)
@@ -276,27 +249,28 @@ def force_group(
     pitch = np.log(hz / 4e3) / np.log(5)
     powers = np.polynomial.legendre.legvander(np.clip(pitch, -1, 1), _RIPPLE_DEGREE)
     ripple = _RIPPLE * powers[:, 1:] / np.sqrt(np.arange(1, _RIPPLE_DEGREE + 1))
-    doubt = np.array([_doubt(reed_solver, device.chamber, known[name]) for name in names])
+    doubt = np.array([_doubt(reed_solver, nominal.chamber, known[name]) for name in names])
     torn = np.max([_torn(sweep, hz) for sweep in loud], axis=0)
     covariance = np.diag(error**2 + doubt**2 + torn**2) + _GAIN**2 + ripple @ ripple.T
-    predicted = forces_rad(reed_solver, device)
+    predicted = forces_rad(reed_solver, nominal.optics.layout.wavelength_m)
 
     losses = loud[0].loss_factor[at[0]]
 
-    def predict(twin: Twin) -> Array:
-        resounding = _gain(twin.drive, device.line, hz) * _kept(twin.drive, volts, hz)
+    def predict(parameters: BenchParameters) -> Array:
+        drive = parameters.drive
+        resounding = _gain(drive, hz) * kept_by_tweeter(drive, volts, hz)
         bent = [
-            float(exchanged(twin.fit_bias, name, own, loss, np.array([own]))[0])
+            float(exchanged(parameters.fit_bias, name, own, loss, np.array([own]))[0])
             for name, own, loss in zip(names, hz.tolist(), losses.tolist(), strict=True)
         ]
-        force = np.log(predicted(twin.drive, twin.reed, names) * resounding)
+        force = np.log(predicted(parameters, names) * resounding)
         total: Array = force + np.array(bent)
         return total
 
     places = [
         Coordinates("force", mode=n, band=band_of(float(f))) for n, f in zip(names, hz, strict=True)
     ]
-    parts = ("reed", "drive", "fit_bias")
+    parts = ("reed", "drive", "chamber", "fit_bias")
     return observable_group(
         "forces", Observable.RESPONSE, forces.mean(axis=0), covariance, places, parts, predict
     )
@@ -312,28 +286,36 @@ def _torn(sweep: SweepReading, hz: Array) -> Array:
 
 
 def forces_rad(
-    reed_solver: ReedSolver, device: Device
-) -> Callable[[DriveChain, Mechanics, Sequence[str]], Array]:
-    """Phase amplitudes per volt that forces have modes move by, at rest, where they move most."""
+    reed_solver: ReedSolver, wavelength_m: float
+) -> Callable[[BenchParameters, Sequence[str]], Array]:
+    """Return a function for phase amplitudes per volt that forces alone would give modes.
+
+    They are those of a mode that is pushed slowly, where it moves most. The function takes the
+    parameters of a bench and names of modes.
+    """
 
     @lru_cache(maxsize=_KEPT)
-    def pushes(reed: Mechanics, name: str) -> tuple[float, float, float, float]:
-        return _pushes(reed_solver, device.chamber, reed_solver.modes(reed)[name])
+    def pushes(reed: Mechanics, chamber: Chamber, name: str) -> _Pushes:
+        return _pushes(reed_solver, chamber, reed_solver.modes(reed)[name])
 
-    def forces(drive: DriveChain, reed: Mechanics, names: Sequence[str]) -> Array:
+    def forces(parameters: BenchParameters, names: Sequence[str]) -> Array:
+        reed, drive, leak = parameters.reed, parameters.drive, parameters.chamber.leak
+        closed = replace(parameters.chamber, leak=0.0)
         modes = reed_solver.modes(reed)
         missing = [name for name in names if name not in modes]
         if missing:
             raise ValueError(f"a reed of this kind has no mode {missing[0]}")
         hz = np.array([modes[name].hz for name in names])
-        left, right, without_signs, deepest = np.array([pushes(reed, name) for name in names]).T
-        share = drive.open_right if device.chamber.filling is Filling.ASYMMETRIC else 1.0
-        at_tip = np.array([abs(tweeter_pressure_pa(device.tweeter, float(f), 1.0)) for f in hz])
-        at_tip /= np.sqrt(1 + (drive.roll_off * hz / 1e4) ** 4)
+        each = [pushes(reed, closed, name) for name in names]
+        at_tip = np.array([abs(tweeter_pressure_pa(drive.tweeter, float(f), 1.0)) for f in hz])
+        at_tip *= np.abs(amplifier_gain(drive, hz))
         # Where pressures cancel, what is not the model's in them pushes all the same.
-        pushed = np.hypot(left + share * right, _FIELD * without_signs)
+        pushed = np.hypot(
+            [one.closed + leak * one.by_leak for one in each],
+            [_FIELD * one.without_signs for one in each],
+        )
         moved = at_tip * pushed / (2 * np.pi * hz) ** 2
-        force: Array = 4 * np.pi / device.wavelength_m * moved * deepest
+        force: Array = 4 * np.pi / wavelength_m * moved * np.array([one.deepest for one in each])
         return force
 
     return forces
@@ -341,24 +323,37 @@ def forces_rad(
 
 def _doubt(reed_solver: ReedSolver, chamber: Chamber, mode: ReedMode) -> float:
     """Log of a force by pressure that is not the model's: more where the model's cancels."""
-    left, _, without_signs, _ = _pushes(reed_solver, chamber, mode)
-    share = (_FIELD * without_signs) ** 2
-    return float(np.hypot(_FIELD, share / (share + left**2)))
+    pushes = _pushes(reed_solver, replace(chamber, leak=0.0), mode)
+    share = (_FIELD * pushes.without_signs) ** 2
+    return float(np.hypot(_FIELD, share / (share + pushes.closed**2)))
 
 
-def _pushes(
-    reed_solver: ReedSolver, chamber: Chamber, mode: ReedMode
-) -> tuple[float, float, float, float]:
-    """Modal forces of unit pressure, and the largest deflection.
+@dataclass(frozen=True)
+class _Pushes:
+    """Modal forces of unit pressure at the tip.
 
-    Forces are those on either half of the window, and that on the left if the pressure there pushed
-    in phase with the mode everywhere.
+    Attributes
+    ----------
+    closed, by_leak : float
+        Force with a chamber as it is filled, and what it grows by if it leaks all.
+    without_signs : float
+        Force if the pressure pushed in phase with the mode everywhere.
+    deepest : float
+        Largest deflection of the mode.
     """
+
+    closed: float
+    by_leak: float
+    without_signs: float
+    deepest: float
+
+
+def _pushes(reed_solver: ReedSolver, chamber: Chamber, mode: ReedMode) -> _Pushes:
     reed = reed_solver.shape_derivatives.reed
     x, y = reed.load_points_m.T
-    whole = replace(chamber, filling=Filling.SYMMETRIC)
-    left = pressure_shape(chamber, mode.hz, x, y)
-    right = pressure_shape(whole, mode.hz, x, -y)
+    left, right = (pressure_shape(chamber, mode.hz, x, side * y) for side in (1, -1))
+    whole = replace(chamber, leak=1.0)
+    more = [pressure_shape(whole, mode.hz, x, side * y) for side in (1, -1)]
     start, pushed, moved = 0, np.zeros(2), np.zeros((2, len(reed.plan_m)))
     everywhere = np.zeros(len(left))
     for symmetry, half in reed.halves.items():
@@ -366,17 +361,19 @@ def _pushes(
         start += half.mass.shape[0]
         sign = 1 if symmetry is Symmetry.SYMMETRIC else -1
         deflection = half.load_z @ own
-        pushed += 0.5 * np.array([left @ deflection, sign * (right @ deflection)])
+        acting = np.array([left + sign * right, more[0] + sign * more[1]])
+        pushed += 0.5 * acting @ deflection
         everywhere += deflection
         moved += np.multiply.outer([1, sign], half.surface_z @ own)
     without_signs = 0.5 * float(np.abs(left) @ np.abs(everywhere))
-    return float(pushed[0]), float(pushed[1]), without_signs, float(np.abs(moved).max())
+    closed, leaking = (float(force) for force in pushed)
+    return _Pushes(closed, leaking - closed, without_signs, float(np.abs(moved).max()))
 
 
 def _lines(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
     if not readings.sweeps:
         return None
-    return excitation_group(readings.sweeps, readings.device.line, leaks_of(readings))
+    return excitation_group(readings.sweeps, readings.nominal, leaks_of(readings))
 
 
 def _level(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
@@ -385,7 +382,7 @@ def _level(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | No
 
 def _forces(readings: Readings, reed_solver: ReedSolver) -> ObservableGroup | None:
     sweeps = readings.sweeps
-    return force_group(sweeps, reed_solver, readings.device) if sweeps else None
+    return force_group(sweeps, reed_solver, readings.nominal) if sweeps else None
 
 
 SOURCES: Final = (GroupSource(13, _lines), GroupSource(14, _level), GroupSource(15, _forces))

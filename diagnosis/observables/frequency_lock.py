@@ -20,7 +20,7 @@ from diagnosis.readings.step_log import StepLog
 from holography.arrays import Array
 from holography.phase import TURN_OF_FRAMES
 from physics.mechanics import ReedSolver
-from physics.twin import Twin
+from physics.parameters.tree import BenchParameters
 
 # Error that all locks may have in common, Hz.
 _COMMON_HZ = 4e-4
@@ -31,8 +31,8 @@ _LEAST = 4
 def lost_frames_group(beat: StepLog) -> ObservableGroup:
     """Frames lost."""
 
-    def predict(twin: Twin) -> Array:
-        return np.array([2 * np.sqrt(beat.steps * twin.clocks.lost_fraction + 3 / 8)])
+    def predict(parameters: BenchParameters) -> Array:
+        return np.array([2 * np.sqrt(beat.steps * parameters.clocks.lost_fraction + 3 / 8)])
 
     values, errors = [2 * np.sqrt(beat.lost + 3 / 8)], np.array([1.0])
     return observable_group(
@@ -61,9 +61,11 @@ def _smooth(beat: StepLog) -> Array:
     return found
 
 
-def turn_of_unequal_steps(twin: Twin) -> float:
+def turn_of_unequal_steps(parameters: BenchParameters) -> float:
     """What unequal phase steps, every other one, add to the turn that fits four frames best."""
-    return float(np.dot(TURN_OF_FRAMES, (0, 1, 0, 1)) * twin.optics.quarter_error_rad)
+    return float(
+        np.dot(TURN_OF_FRAMES, (0, 1, 0, 1)) * parameters.optics.interference.quarter_error_rad
+    )
 
 
 def _scatter_of_bands(beat: StepLog, bands: NDArray[Any]) -> dict[Any, float]:
@@ -111,11 +113,11 @@ def lock_group(beat: StepLog, rate_hz: float) -> ObservableGroup | None:
         if chosen.any()
     ]
 
-    def predict(twin: Twin) -> Array:
-        clocks = twin.clocks
+    def predict(parameters: BenchParameters) -> Array:
+        clocks = parameters.clocks
         lock = clocks.detuning_hz + clocks.detuning_hz_h * np.array(hours)
         lock = lock - 1e-6 * clocks.generator_ppm * np.array(hz)
-        return lock - turn_of_unequal_steps(twin) * rate_hz / (2 * np.pi)
+        return lock - turn_of_unequal_steps(parameters) * rate_hz / (2 * np.pi)
 
     covariance = np.diag(np.square(errors)) + unknown_directions(
         (np.ones(len(values)), _COMMON_HZ), *repeated

@@ -22,7 +22,8 @@ from diagnosis.readings.reed_at_rest import RestHolograms
 from diagnosis.readings.sweeps import TEMPLATES, SweepReading, at_highest_level
 from holography.arrays import Array
 from physics.mechanics import ReedSolver
-from physics.twin import OpticsParameters, Twin
+from physics.parameters.optics import Interference
+from physics.parameters.tree import BenchParameters
 
 # Pieces of a sweep's time.
 _PIECES = 8
@@ -85,17 +86,16 @@ def brightness_group(
             still_s.append(float(at))
             places.append(Coordinates("order 0", time=f"at rest {still.clamping + 1}.{number + 1}"))
             columns.append({f"speckle {still.clamping}": _SPECKLE, "order": _ORDER})
-    end_s = max([*still_s, *(float(sweep.time_s.max()) for sweep in sweeps)])
 
-    def light(time_s: Array, beams: OpticsParameters) -> Array:
-        after = time_s > beams.hop_time_fraction * end_s
+    def light(time_s: Array, beams: Interference) -> Array:
+        after = time_s > 3600 * beams.hop_after_h
         lost: Array = -beams.fade_per_h * time_s / 3600 + np.log1p(-min(beams.hop, 0.95)) * after
         return lost
 
-    def predict(twin: Twin) -> Array:
-        relative = table.of_light(lambda time_s: light(time_s, twin.optics))
+    def predict(parameters: BenchParameters) -> Array:
+        relative = table.of_light(lambda time_s: light(time_s, parameters.optics.interference))
         of_sweeps = [float(np.median(relative[row][at])) for row, at in pieces]
-        return np.array([*of_sweeps, *light(np.array(still_s), twin.optics)])
+        return np.array([*of_sweeps, *light(np.array(still_s), parameters.optics.interference)])
 
     covariance = np.diag(variance) + _shared(columns)
     return observable_group(
@@ -189,9 +189,9 @@ def noise_group(sweeps: Sequence[SweepReading]) -> ObservableGroup:
     usual, hours = float(np.mean(values)), np.array(times) / 3600
     beside = np.array(fringes) / np.exp(min(values))
 
-    def predict(twin: Twin) -> Array:
-        shot = usual - _SHOT * twin.optics.fade_per_h * hours
-        noise: Array = shot + np.log1p(twin.sensor.pattern**2 * beside)
+    def predict(parameters: BenchParameters) -> Array:
+        shot = usual - _SHOT * parameters.optics.interference.fade_per_h * hours
+        noise: Array = shot + np.log1p(parameters.sensor.pattern**2 * beside)
         return noise
 
     covariance = np.diag(variance) + _shared(columns)
@@ -218,8 +218,8 @@ def fringe_group(sweeps: Sequence[SweepReading]) -> ObservableGroup | None:
     # A carrier goes as J0, the next sideband as J2: apart from a constant they are similar.
     alike = _LEFT_OF_CARRIER if off else 1.0
 
-    def predict(twin: Twin) -> Array:
-        beams: OpticsParameters = twin.optics
+    def predict(parameters: BenchParameters) -> Array:
+        beams = parameters.optics.interference
         mixed = np.sqrt(beams.crosstalk**2 + (alike * beams.leak) ** 2 + floors[0, 0] ** 2)
         return np.array([mixed, beams.decorrelation_per_rad2 + floors[1, 0]])
 

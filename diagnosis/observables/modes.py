@@ -19,12 +19,9 @@ from diagnosis.observables.light import leaks_of
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, loudest
 from holography.arrays import Array
+from physics.conditions import change_of_cane, condition_at, hardened
 from physics.mechanics import ReedSolver
-from physics.twin import (
-    Environment,
-    Twin,
-    with_cane,
-)
+from physics.parameters.tree import BenchParameters, with_cane
 
 CENTS = 1200 / np.log(2)
 # What fits of the same vibration differ by, over their errors, and at least: cents, per cent.
@@ -50,11 +47,6 @@ _LEVEL_CENTS, _LEVEL_LOSS = 0.6, 1.1
 # Usual difference of fits of equal sweeps: cents, per cent.
 _USUAL_CENTS, _USUAL_LOSS = 0.25, 0.4
 _QUANTITIES = "frequency, cents", "loss, %"
-# Degrees and moisture: relative changes of moduli, mass and loss, per degree and when all dry.
-_MODULI_PER_C = -1.0e-3
-_DRY_E, _DRY_G, _DRY_MASS, _DRY_LOSS = 0.08, 0.12, -0.035, -0.25
-# What of a stiffening at the deepest counts for a resonance, on the whole.
-_DEEP = 0.7
 # So near in log frequency the reed moves as much as at its resonance.
 _AT_RESONANCE = 0.03
 _STEP = 0.01
@@ -73,7 +65,7 @@ def modes_group(
     reed_solver : ReedSolver
     leaks : Leaks
     """
-    known = reed_solver.modes(Twin().reed)
+    known = reed_solver.modes(BenchParameters().reed)
     common = [name for name in common_modes(sweeps) if name in known]
     if not common:
         return None
@@ -230,50 +222,47 @@ def _prediction(
     common: Sequence[str],
     sweeps: Sequence[SweepReading],
     reed_solver: ReedSolver,
-) -> Callable[[Twin], Array]:
+) -> Callable[[BenchParameters], Array]:
     names = np.array([common.index(name) for _, name, _ in rows])
     loss = np.array([what.startswith("loss") for _, _, what in rows])
     found = [dict(zip(s.names, s.hz.tolist(), strict=True)) for s in sweeps]
-    hours, deep = np.empty(len(rows)), np.empty(len(rows))
+    times_s, deepest_rad = np.empty(len(rows)), np.empty(len(rows))
     for r, (s, name, _) in enumerate(rows):
         sweep, log_hz = sweeps[s], np.log(found[s][name])
-        hours[r] = float(np.interp(log_hz, np.log(sweep.drive_hz), sweep.time_s)) / 3600
+        times_s[r] = float(np.interp(log_hz, np.log(sweep.drive_hz), sweep.time_s))
         near = _near(np.log(sweep.drive_hz) - log_hz, _AT_RESONANCE)
-        deep[r] = float(np.max(sweep.deepest_rad[near])) / 10
-    nominal = Twin()
+        deepest_rad[r] = float(np.max(sweep.deepest_rad[near]))
+    nominal = BenchParameters()
     by_E, by_G = (_slope(reed_solver, nominal, modulus, common) for modulus in ("E_L", "G_LT"))
 
-    def predict(twin: Twin) -> Array:
-        modes = reed_solver.modes(twin.reed)
+    def predict(parameters: BenchParameters) -> Array:
+        modes = reed_solver.modes(parameters.reed)
         missing = [name for name in common if name not in modes]
         if missing:
             raise ValueError(f"a reed of this kind has no mode {missing[0]}")
-        hz = np.array([modes[name].hz for name in common])
-        eta = np.array([modes[name].loss_factor for name in common])
-        around: Environment = twin.environment
-        gone = hours + around.begun_h
-        degrees = around.warming_c_h * gone
-        dry = around.drying * -np.expm1(-3600 * gone / around.drying_s)
-        E = _MODULI_PER_C * degrees + _DRY_E * dry
-        G = _MODULI_PER_C * degrees + _DRY_G * dry
-        shift = by_E[names] * E + by_G[names] * G - 0.5 * _DRY_MASS * dry
-        shift = shift + 0.5 * _DEEP * around.hardening * deep**2
-        lossier = around.loss_per_c * degrees + _DRY_LOSS * dry
-        cents, log = np.array([twin.fit_bias.of(name) for name in common]).T
+        hz = np.array([modes[name].hz for name in common])[names]
+        eta = np.array([modes[name].loss_factor for name in common])[names]
+        around = parameters.environment
+        change = change_of_cane(parameters.reed.cane, around, condition_at(around, times_s), hz)
+        shift = by_E[names] * change.E_L + by_G[names] * change.G_LT
+        shift = shift + 0.5 * hardened(around, deepest_rad)
+        cents, log = np.array([parameters.fit_bias.of(name) for name in common]).T
         answer: Array = np.where(
             loss,
-            100 * (np.log(eta[names]) + lossier + log[names]),
-            CENTS * (np.log(hz[names]) + shift) + cents[names],
+            100 * (np.log(eta) + change.loss + log[names]),
+            CENTS * (np.log(hz) + shift) + cents[names],
         )
         return answer
 
     return predict
 
 
-def _slope(reed_solver: ReedSolver, twin: Twin, modulus: str, names: Sequence[str]) -> Array:
+def _slope(
+    reed_solver: ReedSolver, parameters: BenchParameters, modulus: str, names: Sequence[str]
+) -> Array:
     """Derivatives of log frequencies by the log of a modulus."""
     ahead, behind = (
-        reed_solver.modes(with_cane(twin, **{modulus: sign * _STEP}).reed) for sign in (1, -1)
+        reed_solver.modes(with_cane(parameters, **{modulus: sign * _STEP}).reed) for sign in (1, -1)
     )
     return np.array([np.log(ahead[n].hz / behind[n].hz) / (2 * _STEP) for n in names])
 

@@ -19,7 +19,8 @@ from diagnosis.readings.reed_at_rest import RestHolograms
 from holography.arrays import Array
 from holography.phase import TURN_OF_FRAMES
 from physics.mechanics import ReedSolver
-from physics.twin import OpticsParameters, Twin
+from physics.parameters.optics import Interference
+from physics.parameters.tree import BenchParameters
 
 # Factor for the scatter of few numbers, and the weight of the scatter by a phase walk, in numbers.
 _FEW, _BELIEVED = 1.2, 4.0
@@ -29,7 +30,7 @@ _WALK, _SCATTER = 0.4, 0.1
 _FLICKER, _CHANGED = 2e-4, 1e-4
 
 
-def usual_scatter_hz(beams: OpticsParameters, rate_hz: float) -> float:
+def usual_scatter_hz(beams: Interference, rate_hz: float) -> float:
     """Scatter of the lock of acquisitions, by a phase that walks and jitters.
 
     The steady turn that fits four frames best is a third of what the phase turns by between the
@@ -73,10 +74,10 @@ def phase_turn_group(
         inside.append(0.0)
         hours.append(hours[-1])
 
-    def predict(twin: Twin) -> Array:
-        clocks, within = twin.clocks, np.array(inside)
+    def predict(parameters: BenchParameters) -> Array:
+        clocks, within = parameters.clocks, np.array(inside)
         lock = clocks.detuning_hz + clocks.detuning_hz_h * np.array(hours)
-        return lock - within * turn_of_unequal_steps(twin) * rate_hz / (2 * np.pi)
+        return lock - within * turn_of_unequal_steps(parameters) * rate_hz / (2 * np.pi)
 
     parts = ("clocks", "optics")
     return observable_group(
@@ -114,7 +115,7 @@ def stability_group(stills: Sequence[RestHolograms]) -> ObservableGroup:
                 errors.append(_CHANGED)
                 places.append(Coordinates("speckle that has changed", time=when))
 
-    def predict(_twin: Twin) -> Array:
+    def predict(_twin: BenchParameters) -> Array:
         return np.zeros(len(values))
 
     return observable_group(
@@ -140,13 +141,13 @@ def phase_scatter_group(
     between = float(np.sqrt(np.sum(left**2) / freedoms))
     walk = np.array([1.0, 1.0])
 
-    def predict(twin: Twin) -> Array:
-        beams = twin.optics
+    def predict(parameters: BenchParameters) -> Array:
+        beams = parameters.optics.interference
         apart = np.sqrt(beams.walk_rad_s**2 * gaps.mean() + 0.5 * beams.jitter_rad**2)
         return np.log([usual_scatter_hz(beams, rate_hz), apart])
 
     # A bench quieter than usual is not a gap.
-    usual = predict(Twin())
+    usual = predict(BenchParameters())
     values = np.maximum(np.log([max(lock_scatter_hz, 1e-9), max(between, 1e-9)]), usual - _WALK)
     errors = np.diag([_SCATTER**2, _SCATTER**2 + 0.5 / freedoms])
     covariance = errors + unknown_directions((walk, _WALK))
@@ -159,7 +160,7 @@ def phase_scatter_group(
 def _turns(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
     if not readings.stills:
         return None
-    usual_hz = usual_scatter_hz(Twin().optics, readings.rate_hz)
+    usual_hz = usual_scatter_hz(readings.nominal.optics.interference, readings.rate_hz)
     scatter_hz = lock_scatter_hz(readings.beat) or usual_hz
     return phase_turn_group(readings.stills, scatter_hz, readings.rate_hz)
 

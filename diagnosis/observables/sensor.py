@@ -6,11 +6,13 @@ import numpy as np
 
 from diagnosis.observable_groups import Coordinates, Observable, ObservableGroup, observable_group
 from diagnosis.observable_source import GroupSource
-from diagnosis.readings.camera import DarkFrames, FlatFrames, LocalOscillatorFrames, SensorSheet
+from diagnosis.readings.camera import DarkFrames, FlatFrames, LocalOscillatorFrames, half_m
 from diagnosis.readings.campaign_readings import Readings
 from holography.arrays import Array
 from physics.mechanics import ReedSolver
-from physics.twin import OpticsParameters, Twin
+from physics.parameters.optics import Illumination
+from physics.parameters.sensor import Sensor
+from physics.parameters.tree import BenchParameters
 
 # What data sheets leave open: offset in dn, log of noise and of gain.
 _OFFSET_DN, _NOISE, _GAIN = 1.0, 0.05, 0.03
@@ -26,14 +28,15 @@ _PATTERN, _PATTERN_SPREAD = 3e-3, 0.3
 _LO_TILT, _LO_WAIST = 1e-3, 0.2
 
 
-def dark_group(dark: DarkFrames, sheet: SensorSheet) -> ObservableGroup:
+def dark_group(dark: DarkFrames, sensor: Sensor) -> ObservableGroup:
     """Compare dark frames with the data sheet."""
-    sensor = sheet.sensor
 
-    def predict(twin: Twin) -> Array:
-        read_dn = sensor.read_noise_e * np.exp(twin.sensor.read_factor) / sensor.gain_e_dn
-        hot = 2 * np.sqrt(twin.sensor.hot * dark.pixels + 3 / 8)
-        return np.array([sensor.offset_dn, 0.5 * np.log(read_dn**2 + 1 / 12), hot, 0.0, 0.0])
+    def predict(parameters: BenchParameters) -> Array:
+        read_dn = parameters.sensor.read_noise_e / parameters.sensor.gain_e_dn
+        hot = 2 * np.sqrt(parameters.sensor.hot * dark.pixels + 3 / 8)
+        return np.array(
+            [parameters.sensor.offset_dn, 0.5 * np.log(read_dn**2 + 1 / 12), hot, 0.0, 0.0]
+        )
 
     names = "offset", "read noise", "hot pixels", "noise of rows", "noise of columns"
     values = [
@@ -50,23 +53,30 @@ def dark_group(dark: DarkFrames, sheet: SensorSheet) -> ObservableGroup:
     )
 
 
-def flat_group(flat: FlatFrames, dark: DarkFrames | None, sheet: SensorSheet) -> ObservableGroup:
+def flat_group(flat: FlatFrames, dark: DarkFrames | None, sensor: Sensor) -> ObservableGroup:
     """Compare frames of even light with a linear camera."""
-    sensor, order = sheet.sensor, np.argsort(flat.exposure_s)
+    order = np.argsort(flat.exposure_s)
     signal = flat.signal_dn[order]
     rate = np.log(signal / flat.exposure_s[order])
     full_dn = sensor.full_well_e / sensor.gain_e_dn
     noise_dn = dark.noise_dn if dark else sensor.read_noise_e / sensor.gain_e_dn
     gain = float(np.log(np.mean(signal / (flat.variance_dn[order] - noise_dn**2))))
 
-    def predict(twin: Twin) -> Array:
+    def predict(parameters: BenchParameters) -> Array:
         filled = signal / full_dn
-        bent = np.log(np.maximum(1 - twin.sensor.nonlinearity * filled, 0.05))
-        steeper = 2 * np.log(np.maximum(1 - 2 * twin.sensor.nonlinearity * filled, 0.05))
-        pattern = 0.5 * np.log(_PATTERN**2 + twin.sensor.pattern**2)
-        conversion = np.log(sensor.gain_e_dn) + float(np.mean(bent - steeper))
+        bent = np.log(np.maximum(1 - parameters.sensor.nonlinearity * filled, 0.05))
+        steeper = 2 * np.log(np.maximum(1 - 2 * parameters.sensor.nonlinearity * filled, 0.05))
+        pattern = 0.5 * np.log(_PATTERN**2 + parameters.sensor.pattern**2)
+        conversion = np.log(parameters.sensor.gain_e_dn) + float(np.mean(bent - steeper))
         return np.array(
-            [*(bent[1:] - bent[0]), pattern, conversion, -twin.optics.vignette, 0.0, 0.0]
+            [
+                *(bent[1:] - bent[0]),
+                pattern,
+                conversion,
+                -parameters.optics.illumination.vignette,
+                0.0,
+                0.0,
+            ]
         )
 
     several = len(signal) - 1
@@ -93,17 +103,18 @@ def flat_group(flat: FlatFrames, dark: DarkFrames | None, sheet: SensorSheet) ->
     )
 
 
-def local_oscillator_group(beam: LocalOscillatorFrames, sheet: SensorSheet) -> ObservableGroup:
+def local_oscillator_group(beam: LocalOscillatorFrames, sensor: Sensor) -> ObservableGroup:
     """Compare the local oscillator with a Gaussian beam centred on the sensor."""
-    usual, halves = OpticsParameters().waist_m, sheet.half_m
+    halves, usual = half_m(sensor), Illumination().local_oscillator_waist_m
 
-    def predict(twin: Twin) -> Array:
-        beams = twin.optics
+    def predict(parameters: BenchParameters) -> Array:
+        light = parameters.optics.illumination
+        waist_m = light.local_oscillator_waist_m
         tilt = [
-            4 * shift * half / beams.waist_m**2
-            for shift, half in zip(beams.shift_m, halves, strict=True)
+            4 * shift * half / waist_m**2
+            for shift, half in zip(light.local_oscillator_shift_m, halves, strict=True)
         ]
-        corner = -2 * sum(half**2 for half in halves) / beams.waist_m**2 - beams.vignette
+        corner = -2 * sum(half**2 for half in halves) / waist_m**2 - light.vignette
         return np.array([*tilt, corner])
 
     values = [*beam.tilt, beam.bend]
@@ -120,16 +131,16 @@ def local_oscillator_group(beam: LocalOscillatorFrames, sheet: SensorSheet) -> O
 
 
 def _dark(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
-    return dark_group(readings.dark, readings.sheet) if readings.dark else None
+    return dark_group(readings.dark, readings.nominal.sensor) if readings.dark else None
 
 
 def _flat(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
     flat = readings.flat
-    return flat_group(flat, readings.dark, readings.sheet) if flat else None
+    return flat_group(flat, readings.dark, readings.nominal.sensor) if flat else None
 
 
 def _lo(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
-    return local_oscillator_group(readings.lo, readings.sheet) if readings.lo else None
+    return local_oscillator_group(readings.lo, readings.nominal.sensor) if readings.lo else None
 
 
 SOURCES: Final = (GroupSource(1, _dark), GroupSource(2, _flat), GroupSource(3, _lo))

@@ -25,13 +25,13 @@ from physics.mechanics import (
     ReedMode,
     ReedSolver,
 )
+from physics.parameters.tree import BenchParameters
 from physics.reed.cane.viscoelastic import (
     ViscoelasticCane,
     Zener,
     storage_modulus_pa,
 )
 from physics.reed.elements.fem import Symmetry
-from physics.twin import Twin
 
 # Shapes of higher modes are poorly determined.
 _HIGHEST_HZ = 14e3
@@ -62,15 +62,15 @@ def shapes_group(
     sweeps: Sequence[SweepReading], reed_solver: ReedSolver, leaks: Leaks
 ) -> ObservableGroup | None:
     """Compare mode shapes with the model's; None if none is well determined."""
-    known = reed_solver.modes(Twin().reed)
+    known = reed_solver.modes(BenchParameters().reed)
     names = [n for n in sweeps[0].names if n in known and known[n].hz < _HIGHEST_HZ]
     shares = _seen_shares(sweeps, names)
     if not shares:
         return None
     elastic = _Elastic.of(reed_solver, sweeps[0])
 
-    def predict(twin: Twin) -> Array:
-        modes = reed_solver.modes(twin.reed)
+    def predict(parameters: BenchParameters) -> Array:
+        modes = reed_solver.modes(parameters.reed)
         missing = [share.of for share in shares if share.of not in modes]
         if missing:
             raise ValueError(f"a reed of this kind has no mode {missing[0]}")

@@ -9,16 +9,16 @@ from diagnosis.observable_source import GroupSource
 from diagnosis.readings.campaign_readings import Readings
 from holography.arrays import Array
 from physics.mechanics import ReedSolver
-from physics.twin import Twin
+from physics.parameters.tree import BenchParameters
 
 # By how many sweeps fits fail though nothing is wrong.
 _REFUSED = 0.3
 
 
 def understood_sweeps_group(understood: int, refused: int) -> ObservableGroup:
-    """How many sweeps are no vibrations of this reed: no twin expects any."""
+    """How many sweeps are no vibrations of this reed: no parameters expects any."""
 
-    def predict(_twin: Twin) -> Array:
+    def predict(_twin: BenchParameters) -> Array:
         return np.zeros(1)
 
     places = [Coordinates(f"sweeps not understood, of {understood + refused}")]

@@ -8,7 +8,7 @@ import numpy as np
 from diagnosis.campaign import CampaignRun
 from fitting.errors import FitInputError
 from holography.arrays import Array
-from physics.sensor import Sensor
+from physics.parameters.sensor import Sensor
 
 # A pixel is hot if it exceeds the median by this many times the noise.
 _HOT = 8.0
@@ -186,19 +186,7 @@ def _median_of_chi2(frames: int) -> float:
     return float((1 - 2 / (9 * freedoms)) ** 3)
 
 
-@dataclass(frozen=True)
-class SensorSheet:
-    """What is known of camera and local oscillator beforehand.
-
-    Attributes
-    ----------
-    sensor : Sensor
-    """
-
-    sensor: Sensor
-
-    @property
-    def half_m(self) -> tuple[float, float]:
-        """Half the sensor, along rows' numbers and columns'."""
-        rows, columns = self.sensor.shape
-        return 0.5 * rows * self.sensor.pixel_m, 0.5 * columns * self.sensor.pixel_m
+def half_m(sensor: Sensor) -> tuple[float, float]:
+    """Return half the size of a sensor, along rows and columns."""
+    rows, columns = sensor.shape
+    return 0.5 * rows * sensor.pixel_m, 0.5 * columns * sensor.pixel_m

@@ -6,26 +6,20 @@ from dataclasses import dataclass, field
 from threadpoolctl import threadpool_limits
 
 from diagnosis.campaign import Campaign
-from diagnosis.known_bench import sensor_of
+from diagnosis.known_bench import parameters_of
 from diagnosis.readings.camera import (
     DarkFrames,
     FlatFrames,
     LocalOscillatorFrames,
-    SensorSheet,
     read_dark,
     read_flat,
     read_local_oscillator,
 )
 from diagnosis.readings.carrier import CarrierReading, read_carriers, unshifted_light
-from diagnosis.readings.device import Device
 from diagnosis.readings.reed_at_rest import RestHolograms, read_rest_holograms
 from diagnosis.readings.step_log import StepLog, read_step_log
 from diagnosis.readings.sweeps import SweepReading, common_modes, read_sweeps
-from physics.air import (
-    CavityLine,
-    Filling,
-    chamber_of,
-)
+from physics.parameters.tree import BenchParameters
 from protocols.bench import BenchFile
 from runs.layout import RunKind
 
@@ -50,8 +44,8 @@ class Readings:
         Runs and properties that would improve the diagnosis.
     rate_hz : float
         Frames per second.
-    sheet : SensorSheet
-    device : Device
+    nominal : BenchParameters
+        Of this bench and this kind of reed, without effects.
     extra : mapping
         What modules of `diagnosis.observables` read by themselves, by the names of their sources.
     """
@@ -66,8 +60,7 @@ class Readings:
     refused: tuple[str, ...]
     missing: tuple[str, ...]
     rate_hz: float
-    sheet: SensorSheet
-    device: Device
+    nominal: BenchParameters
     extra: Mapping[str, object] = field(default_factory=dict)
 
 
@@ -100,15 +93,13 @@ def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float],
     first = campaign.sweeps[0].run
     dark_parts, flat_parts = campaign.of_kind(RunKind.DARK), campaign.of_kind(RunKind.FLAT)
     lo_parts, still_parts = campaign.of_kind(RunKind.LO_ONLY), campaign.of_kind(RunKind.ORDER0)
-    sensor = sensor_of(bench, first)
-    sheet = SensorSheet(sensor)
+    nominal = parameters_of(first, bench)
     dark = read_dark(dark_parts) if dark_parts else None
-    offset_dn = dark.offset_dn if dark else sensor.offset_dn
+    offset_dn = dark.offset_dn if dark else nominal.sensor.offset_dn
     carriers = read_carriers(campaign.sweeps, still_parts)
     leaking = unshifted_light(campaign.sweeps, still_parts, carriers)
     sweeps, refused = read_sweeps(campaign.sweeps, lambda share: report(_SWEEPS * share), leaking)
     flat = read_flat(flat_parts, offset_dn) if flat_parts else None
-    lines = [CavityLine(frequency_hz=hz) for hz in first.acoustic_resonances_hz[:1]]
     report(1.0)
     return Readings(
         dark=dark,
@@ -121,12 +112,7 @@ def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float],
         refused=tuple(refused),
         missing=tuple(_missing(campaign, sweeps, saturated=bool(flat_parts) and flat is None)),
         rate_hz=float(first.frame_rate_hz),
-        sheet=sheet,
-        device=Device(
-            chamber=chamber_of(first.reed_file().geometry(), Filling(first.chamber)),
-            line=lines[0] if lines else CavityLine(),
-            wavelength_m=first.reconstruction.transform.wavelength_m,
-        ),
+        nominal=nominal,
     )
 
 

@@ -258,7 +258,7 @@ class SimulatedCamera:
             earliest_s = not_before_s - 2 / float(self._rate_hz)
         first = self._first_id_from(earliest_s)
         ids = list(range(first, first + count))
-        if self._acquisitions in faults.drop_frame_at:
+        if self._acquisitions in faults.drop_frame_at or self.lab.loses_frame():
             ids = [id if id < first + 2 else id + 1 for id in ids]
         starts_s = [self._start_of(id) for id in ids]
         exposure_s = float(self._exposure_s)

@@ -21,7 +21,7 @@ from drivers.simulated.settings import (
     Simulation,
     bench_constants,
     bench_geometry,
-    model_settings,
+    bench_parameters,
     read_simulation,
 )
 from physics.bench import (
@@ -30,11 +30,11 @@ from physics.bench import (
     Scene,
     Segment,
 )
-from physics.reed.elements.whole import WholeReed
+from physics.mechanics import Mechanics, ReedSolver
+from physics.motion import AlteredMotion, PlainMotion, ReedMotion
+from physics.parameters.sensor import Sensor
 from physics.reed.geometry import is_even
-from physics.reed.reduction.basis import ReducedReed
-from physics.reed.reduction.cache import reduced_reed, whole_reed
-from physics.sensor import Sensor
+from physics.reed.reduction.cache import reduced_reed, shape_derivatives, whole_reed
 
 # A lamp that fills half a pixel of the paper's camera in a frame of the paper's length.
 _LAMP_E_S: Final = 1e5
@@ -85,11 +85,12 @@ class SimulatedLab:
         self.clock: Clock = WallClock() if simulation.pace == "realtime" else VirtualClock()
         context.clock = self.clock
         self._scene = Scene()
-        self._settings = model_settings(simulation, bench_file, context.preparation)
-        self._reed = _reed_on(context, simulation)
+        self._parameters = bench_parameters(simulation, bench_file, context.preparation)
+        self._motion = _motion_of(context, simulation, self._parameters.reed)
         self._light: Light = simulation.light
         self._rng = context.rng
         self._clampings = 0
+        self._walk_rad, self._walked_until_s = 0.0, 0.0
         self._model: BenchModel | None = None
         # When each frame that was delivered really began, by its number and time stamp: what a
         # camera says of its time may be wrong.
@@ -101,7 +102,7 @@ class SimulatedLab:
     @property
     def sensor(self) -> Sensor:
         """The sensor, of the part that was last prepared."""
-        return self._settings.sensor
+        return self._parameters.sensor
 
     @property
     def state(self) -> BenchState:
@@ -137,10 +138,10 @@ class SimulatedLab:
 
     def prepare_sensor(self, shape: tuple[int, int]) -> None:
         """Build the light on the middle part of the sensor, unless that is there already."""
-        if self._model is None or shape != self._settings.sensor.shape:
-            sensor = replace(self._settings.sensor, shape=shape)
-            self._settings = replace(self._settings, sensor=sensor)
-            self._model = BenchModel(self._settings, self._reed, self._speckle_rng())
+        if self._model is None or shape != self._parameters.sensor.shape:
+            sensor = replace(self._parameters.sensor, shape=shape)
+            self._parameters = replace(self._parameters, sensor=sensor)
+            self._model = BenchModel(self._parameters, self._motion, self._speckle_rng())
 
     def expose(
         self,
@@ -174,18 +175,33 @@ class SimulatedLab:
             if sagging_from is not None and number >= sagging_from:
                 segments = [_with_half_the_volts(segment) for segment in segments]
             scene = _SCENES[Arrangement.DARK] if number == dark else self._scene
-            turned = gain * self._path(number)
+            turned = gain * self._path(number, times_s[0])
             images.append(self._model.frame(segments, self._rng, turned, scene))
         return images
 
-    def _path(self, number: int) -> complex:
+    def _path(self, number: int, time_s: float) -> complex:
         """Turn of the object light in a frame of an acquisition."""
-        light = self._light
+        light, interference = self._light, self._parameters.optics.interference
         # What does not jitter draws nothing: the noise is then that of a bench without jitter.
-        turn_rad = light.path_drift_rad * number
-        if light.path_jitter_rad:
-            turn_rad += light.path_jitter_rad * self._rng.standard_normal()
+        turn_rad = light.path_drift_rad * number + self._walked(time_s)
+        turn_rad += interference.quarter_error_rad * (number % 2)
+        if interference.jitter_rad:
+            turn_rad += interference.jitter_rad * self._rng.standard_normal()
         return cmath.rect(1.0, turn_rad)
+
+    def _walked(self, time_s: float) -> float:
+        """Phase in rad to which the optical path has walked at a time, later than all before."""
+        speed = self._parameters.optics.interference.walk_rad_s
+        if speed:
+            passed_s = max(time_s - self._walked_until_s, 0.0)
+            self._walk_rad += speed * math.sqrt(passed_s) * self._rng.standard_normal()
+        self._walked_until_s = max(time_s, self._walked_until_s)
+        return self._walk_rad
+
+    def loses_frame(self) -> bool:
+        """Whether a frame of the next acquisition is lost on its way to the computer."""
+        fraction = self._parameters.clocks.lost_fraction
+        return bool(fraction and self._rng.random() < fraction)
 
     def arrange(self, arrangement: Arrangement) -> None:
         """Open and close shutters, and light the lamp; see `Surroundings`."""
@@ -222,23 +238,33 @@ def _with_half_the_volts(segment: Segment) -> Segment:
     return replace(segment, state=replace(segment.state, drive_v=0.5 * segment.state.drive_v))
 
 
-def _reed_on(context: BenchContext, simulation: Simulation) -> ReducedReed | WholeReed:
+def _motion_of(context: BenchContext, simulation: Simulation, mechanics: Mechanics) -> ReedMotion:
     """Return the reed on the bench; one that is not its own mirror image is solved whole.
 
     Raises
     ------
     BenchSetupError
-        If the simulation's changes of shape or cane leave nothing that could be a reed.
+        If the simulation's changes of shape or cane leave nothing that could be a reed, or the
+        bench cannot play an effect on a reed of this shape.
     """
     level, basis = simulation.finite_elements
     settings = replace(basis, cane=bench_constants(simulation, context.preparation))
+    name = context.description.name
     try:
         geometry = bench_geometry(simulation, context.preparation)
+        if PlainMotion.plays(mechanics):
+            if geometry is None or is_even(geometry):
+                return PlainMotion(reduced_reed(geometry, level, settings, context.announce))
+            return PlainMotion(whole_reed(geometry, level, settings, context.announce))
         if geometry is None or is_even(geometry):
-            return reduced_reed(geometry, level, settings, context.announce)
-        return whole_reed(geometry, level, settings, context.announce)
+            derivatives = shape_derivatives(geometry, level, settings, context.announce)
+            return AlteredMotion(ReedSolver(derivatives, context.announce))
     except ValueError as error:
         raise BenchSetupError(
-            f"bench {context.description.name!r}: twin.shape and twin.cane_factors "
+            f"bench {name!r}: twin.shape and twin.cane_factors "
             f"make no reed: {error}; correct them, or leave them out for the reed of the protocol"
         ) from None
+    raise BenchSetupError(
+        f"bench {name!r}: twin.shape makes a reed that is not its own mirror image, and the bench "
+        "cannot change such a reed by the effects under twin.effects and known; leave out either"
+    )

@@ -12,18 +12,15 @@ from drivers.emulators.faults import GeneratorFaults, SynthesizerFaults
 from drivers.emulators.serving import WireFaults
 from drivers.errors import BenchSetupError
 from drivers.options import Options, read_options
-from physics.air import Filling, chamber_of
-from physics.bench import PressureDistortion, TwinSettings
-from physics.drive import Tweeter
-from physics.optics import (
-    Illumination,
-    Layout,
-    visible_size_m,
-)
+from physics.parameters.chamber import PressureDistortion
+from physics.parameters.drive import Tweeter
+from physics.parameters.optics import Layout, visible_size_m
+from physics.parameters.tree import BenchParameters
 from physics.reed.cane.material import Cane
 from physics.reed.cane.viscoelastic import (
     Components,
     Series,
+    ViscoelasticCane,
     require_physical,
     viscoelastic_cane,
 )
@@ -31,11 +28,16 @@ from physics.reed.elements.mesh import MeshLevel
 from physics.reed.geometry import ReedGeometry, ThicknessMap
 from physics.reed.reduction.basis import BasisSettings
 from physics.reed.reduction.cache import STANDARD
-from physics.sensor import Sensor
-from protocols.bench import BenchFile, CameraSensor
+from protocols.bench import BenchFile
+from protocols.bench_parameters import (
+    known_effects,
+    nominal_parameters,
+    sensor_of_camera,
+    with_effects,
+)
 from protocols.preparation import Preparation
 
-_NOMINAL: Final = TwinSettings()
+_NOMINAL: Final = BenchParameters()
 
 # Frequencies some tens of cents off, in a fraction of a second: for tours and tests.
 _COARSE: Final = (
@@ -144,9 +146,11 @@ class Pressure(Options):
 class Light(Options):
     """Both beams, see `physics.optics.Illumination`."""
 
-    local_oscillator_e_s: Annotated[float, Field(gt=0)] = _NOMINAL.illumination.local_oscillator_e_s
+    local_oscillator_e_s: Annotated[float, Field(gt=0)] = (
+        _NOMINAL.optics.illumination.local_oscillator_e_s
+    )
     """Local oscillator, in electrons per pixel and second."""
-    object_e_s: Annotated[float, Field(gt=0)] = _NOMINAL.illumination.object_e_s
+    object_e_s: Annotated[float, Field(gt=0)] = _NOMINAL.optics.illumination.object_e_s
     """Object beam, in electrons per pixel and second."""
     gain_scatter: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Standard deviation of the logarithm of the object light's amplitude from one acquisition to
@@ -155,6 +159,8 @@ class Light(Options):
     """Whether the phase of the object light is random in every acquisition, as when paths drift."""
     path_drift_rad: Annotated[float, Field(ge=-3, le=3)] = 0.0
     """Phase in rad by which the optical path turns the object light from each frame to the next."""
+    path_walk_rad_s: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Random walk of the optical path's phase, in rad per square root of a second."""
     path_jitter_rad: Annotated[float, Field(ge=0, le=3)] = 0.0
     """Standard deviation in rad of a further random phase of each frame."""
 
@@ -220,7 +226,7 @@ class Simulation(Options):
     """Differences of the cane that plan and fit do not know."""
     pressure: Pressure = Pressure()
     """Differences of the pressure that plan and fit do not know."""
-    loss_factor: Annotated[float, Field(gt=0, lt=1)] = _NOMINAL.loss_factor
+    loss_factor: Annotated[float, Field(gt=0, lt=1)] = _NOMINAL.reed.loss_factor
     """Loss factor of the cane."""
     light: Light = Light()
     """Local oscillator and object beam."""
@@ -230,6 +236,9 @@ class Simulation(Options):
     """Whether simulated time passes as fast as frames can be computed, or in real time."""
     faults: Faults = Faults()
     """Faults, for tests and for training."""
+    effects: dict[str, dict[str, float | str]] = Field(default_factory=dict)
+    """Effects that the bench has and that plan and fit do not know, by name, each with its sizes:
+    `{clamp_compliance: {compliance: 2e-13 m/Pa}}`. `acquire effects` lists them."""
 
     @property
     def finite_elements(self) -> tuple[MeshLevel, BasisSettings]:
@@ -308,10 +317,12 @@ def bench_constants(simulation: Simulation, preparation: Preparation) -> Cane:
     return replace(known, **changed)
 
 
-def model_settings(
+def bench_parameters(
     simulation: Simulation, bench_file: BenchFile, preparation: Preparation
-) -> TwinSettings:
-    """Return the settings of `physics` for a bench, with the whole sensor.
+) -> BenchParameters:
+    """Return the parameters of a simulated bench, with the whole sensor.
+
+    Effects that the bench file lists under ``known:`` are played, and then those of ``twin:``.
 
     Parameters
     ----------
@@ -325,55 +336,74 @@ def model_settings(
     ------
     BenchSetupError
         If the components given for the reed lie outside physics.
+    ProtocolError
+        If there is no such effect or size, or a size has another unit.
     """
-    camera, optics = bench_file.instruments.camera, bench_file.optics
-    geometry, size = preparation.geometry or ReedGeometry(), optics.reed_size
-    series = Series.B if preparation.series == "B" else Series.A
-    cane = (
-        Components(**simulation.reed.model_dump()) if simulation.reed else cane_of(preparation.reed)
-    )
-    try:
-        require_physical(viscoelastic_cane(cane, series))
-    except ValueError as error:
-        raise BenchSetupError(
-            f"bench {bench_file.name!r}: twin.reed: {error} ({cane}, series {series}); "
-            "choose components nearer to 0"
-        ) from None
-    factor = simulation.faults.local_oscillator_factor
-    return TwinSettings(
-        components=cane,
-        series=series,
-        E_L_factor=simulation.cane_factors.E_L,
-        G_LT_factor=simulation.cane_factors.G_LT,
-        loss_factor=simulation.loss_factor,
-        chamber=chamber_of(geometry, Filling(preparation.chamber)),
-        distortion=PressureDistortion(simulation.pressure.distortion, simulation.pressure.seed),
-        tweeter=Tweeter(connected=not simulation.faults.tweeter_unplugged),
-        illumination=Illumination(
-            local_oscillator_e_s=simulation.light.local_oscillator_e_s * factor,
-            object_e_s=simulation.light.object_e_s,
-        ),
-        layout=Layout(
+    optics, size = bench_file.optics, bench_file.optics.reed_size
+    geometry = preparation.geometry or ReedGeometry()
+    nominal = nominal_parameters(
+        Layout(
             wavelength_m=float(optics.wavelength_m),
             distance_m=float(optics.distance_m),
             reed_centre_m=(float(optics.reed_centre.y_m), float(optics.reed_centre.x_m)),
             reed_size_m=(float(size.y_m), float(size.x_m)) if size else visible_size_m(geometry),
         ),
-        sensor=_sensor(camera),
+        sensor_of_camera(bench_file.instruments.camera),
+        geometry=geometry,
+        chamber=preparation.chamber,
+        series=preparation.series,
+        resonances_hz=tuple(float(hz) for hz in bench_file.acoustic_resonances_hz),
+    )
+    drawn = _as_drawn(nominal, simulation, _cane(simulation, bench_file, preparation))
+    known = with_effects(drawn, known_effects(bench_file), f"{bench_file.source}: known")
+    return with_effects(known, simulation.effects, f"{bench_file.source}: twin.effects")
+
+
+def _as_drawn(
+    nominal: BenchParameters, simulation: Simulation, cane: ViscoelasticCane
+) -> BenchParameters:
+    """Return parameters with everything that the simulation's section says but effects."""
+    light, optics = simulation.light, nominal.optics
+    distortion = PressureDistortion(simulation.pressure.distortion, simulation.pressure.seed)
+    tweeter = Tweeter(connected=not simulation.faults.tweeter_unplugged)
+    return replace(
+        nominal,
+        drive=replace(nominal.drive, tweeter=tweeter),
+        chamber=replace(nominal.chamber, distortion=distortion),
+        reed=replace(nominal.reed, cane=cane, loss_factor=simulation.loss_factor),
+        optics=replace(
+            optics,
+            illumination=replace(
+                optics.illumination,
+                local_oscillator_e_s=(
+                    light.local_oscillator_e_s * simulation.faults.local_oscillator_factor
+                ),
+                object_e_s=light.object_e_s,
+            ),
+            interference=replace(
+                optics.interference,
+                walk_rad_s=light.path_walk_rad_s,
+                jitter_rad=light.path_jitter_rad,
+            ),
+        ),
     )
 
 
-def _sensor(camera: CameraSensor) -> Sensor:
-    """The sensor of a camera, nominal in what its data sheet does not say."""
-    shape, pixel_m, sheet = (camera.height, camera.width), float(camera.pixel_m), camera.data_sheet
-    if sheet is None:
-        return Sensor(shape=shape, pixel_m=pixel_m, bits=camera.bits)
-    return Sensor(
-        shape=shape,
-        pixel_m=pixel_m,
-        bits=camera.bits,
-        offset_dn=sheet.offset_dn,
-        gain_e_dn=sheet.gain_e_dn,
-        read_noise_e=sheet.read_noise_e,
-        full_well_e=sheet.full_well_e,
+def _cane(
+    simulation: Simulation, bench_file: BenchFile, preparation: Preparation
+) -> ViscoelasticCane:
+    """Return the moduli E_L and G_LT of the cane on the bench."""
+    series = Series.B if preparation.series == "B" else Series.A
+    components = (
+        Components(**simulation.reed.model_dump()) if simulation.reed else cane_of(preparation.reed)
     )
+    cane = viscoelastic_cane(components, series)
+    try:
+        require_physical(cane)
+    except ValueError as error:
+        raise BenchSetupError(
+            f"bench {bench_file.name!r}: twin.reed: {error} ({components}, series {series}); "
+            "choose components nearer to 0"
+        ) from None
+    factors = simulation.cane_factors
+    return ViscoelasticCane(cane.young_L.scaled(factors.E_L), cane.shear_LT.scaled(factors.G_LT))

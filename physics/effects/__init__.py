@@ -1,1 +1,1 @@
-"""Effects that the nominal twin leaves out, one file each."""
+"""Effects that the nominal parameters leaves out, one file each."""

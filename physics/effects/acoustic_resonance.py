@@ -1,6 +1,6 @@
 """The known acoustic resonance of the excitation device, stronger than measured before."""
 
-from physics.effects.changes import additive
+from physics.effects.changes import changed
 from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
@@ -17,6 +17,6 @@ EFFECT = Effect(
             positive=True,
         ),
     ),
-    change=additive("drive", resonance_excess="excess"),
+    change=changed("drive.acoustic_resonance", grow={"strength": "excess"}),
     reference="paper, section III: picture 78 of both series",
 )

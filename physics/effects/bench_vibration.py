@@ -13,6 +13,6 @@ EFFECT = Effect(
             "jitter", "rad", 0.15, "a tenth of a wavelength of path is 0.6 rad", positive=True
         ),
     ),
-    change=additive("optics", jitter_rad="jitter"),
+    change=additive("optics.interference", jitter_rad="jitter"),
     reference="interferometry without an isolated table",
 )

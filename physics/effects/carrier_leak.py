@@ -17,6 +17,6 @@ EFFECT = Effect(
             positive=True,
         ),
     ),
-    change=additive("optics", leak="fraction"),
+    change=additive("optics.interference", leak="fraction"),
     reference="data sheets of direct digital synthesizers",
 )

@@ -9,6 +9,6 @@ EFFECT = Effect(
     stage=Stage.ACOUSTICS,
     position=3,
     parameters=(Parameter("fraction", "", 0.3, "clay that is pressed in by hand", positive=True),),
-    change=additive("drive", open_right="fraction"),
+    change=additive("chamber", leak="fraction"),
     reference="paper, section II: asymmetric excitation",
 )

@@ -1,16 +1,16 @@
-"""Changes of the model's parameters, in which most effects are declared."""
+"""Changes of the parameter tree, in which most effects are declared."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from physics.mechanics import Alteration
-from physics.twin import Twin, with_alteration
+from physics.parameters.tree import BenchParameters, part_at, with_alteration, with_part
 
-Change = Callable[[Twin, Mapping[str, float]], Twin]
-"""``change(twin, values)`` returns the parameters with an effect whose sizes are `values`."""
+Change = Callable[[BenchParameters, Mapping[str, float]], BenchParameters]
+"""``change(parameters, values)`` returns the parameters with an effect of sizes `values`."""
 
 Names = tuple[tuple[str, str | tuple[str, ...]], ...]
 
@@ -22,28 +22,34 @@ class FieldChange:
     Attributes
     ----------
     part : str
-        Name of the part, such as ``optics``, or a dotted path, such as ``reed.shift``.
-    added, scaled, put : tuple of (field, name)
-        Fields and the names of the sizes that are added to them, whose exponential they are
-        multiplied by, and that they are set to.
+        Path of the part, such as ``optics.layout``.
+    added, grown, scaled, put : tuple of (field, name)
+        Fields and the names of the sizes that are added to them, by which they grow in relation to
+        themselves, whose exponential they are multiplied by, and that they are set to.
     """
 
     part: str
     added: Names = ()
+    grown: Names = ()
     scaled: Names = ()
     put: Names = ()
 
-    def __call__(self, twin: Twin, values: Mapping[str, float]) -> Twin:
-        """Return the changed parameters; `twin` itself if the effect has no strength."""
-        strengths = [name for _, names in self.added for name in _as_tuple(names)]
-        if not any(values[name] for name in strengths or _as_tuple(self.put[0][1])):
-            return twin
-        whole: Twin = _with_part(
-            twin, self.part.split("."), lambda part: self._changed(part, values)
-        )
-        return whole
+    def __call__(self, parameters: BenchParameters, values: Mapping[str, float]) -> BenchParameters:
+        """Return the changed parameters; `parameters` itself if the effect has no strength."""
+        if not any(values[name] for name in self._strengths):
+            return parameters
+        part = part_at(parameters, self.part)
+        return with_part(parameters, self.part, **self._changed(part, values))
 
-    def _changed(self, part: Any, values: Mapping[str, float]) -> Any:
+    @property
+    def _strengths(self) -> tuple[str, ...]:
+        """Sizes without which nothing changes: those that scale other fields do not count."""
+        for fields in ((*self.added, *self.grown), self.put[:1], self.scaled):
+            if fields:
+                return tuple(name for _, names in fields for name in _as_tuple(names))
+        return ()
+
+    def _changed(self, part: Any, values: Mapping[str, float]) -> dict[str, Any]:
         fields: dict[str, Any] = {}
         for field, names in self.added:
             before = getattr(part, field)
@@ -52,11 +58,13 @@ class FieldChange:
                 if isinstance(names, str)
                 else tuple(old + values[name] for old, name in zip(before, names, strict=True))
             )
+        for field, name in self.grown:
+            fields[field] = getattr(part, field) * (1 + values[str(name)])
         for field, name in self.scaled:
             fields[field] = getattr(part, field) * float(np.exp(values[str(name)]))
         for field, name in self.put:
             fields[field] = values[str(name)]
-        return replace(part, **fields)
+        return fields
 
 
 @dataclass(frozen=True)
@@ -73,9 +81,9 @@ class AlterationChange:
     kind: Alteration
     size: str
 
-    def __call__(self, twin: Twin, values: Mapping[str, float]) -> Twin:
+    def __call__(self, parameters: BenchParameters, values: Mapping[str, float]) -> BenchParameters:
         """Return the parameters of the altered reed."""
-        return with_alteration(twin, self.kind, values[self.size])
+        return with_alteration(parameters, self.kind, values[self.size])
 
 
 def additive(part: str, **fields: str | tuple[str, ...]) -> FieldChange:
@@ -90,8 +98,8 @@ def additive(part: str, **fields: str | tuple[str, ...]) -> FieldChange:
 
     Examples
     --------
-    >>> from physics.twin import Twin
-    >>> additive("optics", defocus_m="distance")(Twin(), {"distance": 0.05}).optics.defocus_m
+    >>> defocus = additive("optics.layout", defocus_m="distance")
+    >>> defocus(BenchParameters(), {"distance": 0.05}).optics.layout.defocus_m
     0.05
     """
     return FieldChange(part, added=tuple(fields.items()))
@@ -101,28 +109,30 @@ def changed(
     part: str,
     *,
     add: Mapping[str, str] | None = None,
+    grow: Mapping[str, str] | None = None,
     scale: Mapping[str, str] | None = None,
     put: Mapping[str, str] | None = None,
 ) -> FieldChange:
     """Return the change that adds to, multiplies or sets the fields of a part.
 
-    Nothing changes if all sizes in `add` are 0 or, without `add`, if the first size in `put` is 0.
+    Nothing changes if all sizes in `add` and `grow` are 0; without these, if the first size in
+    `put` is 0.
 
     Parameters
     ----------
     part : str
         See `FieldChange`.
-    add, scale, put : mapping of str to str, optional
-        For each field the name of the size: added, its exponential multiplied, or set.
+    add, grow, scale, put : mapping of str to str, optional
+        For each field the name of the size: added, grown by in relation to itself, its exponential
+        multiplied, or set.
 
     Examples
     --------
-    >>> from physics.twin import Twin
-    >>> warmer = changed("environment", add={"warming_c_h": "rate"}, scale={"loss_per_c": "log"})
-    >>> warmer(Twin(), {"rate": 2.0, "log": 0.0}).environment.warming_c_h
+    >>> warmer = changed("environment", add={"warming_c_h": "rate"}, scale={"warm_loss": "log"})
+    >>> warmer(BenchParameters(), {"rate": 2.0, "log": 0.0}).environment.warming_c_h
     2.0
     """
-    each = [tuple((names or {}).items()) for names in (add, scale, put)]
+    each = [tuple((names or {}).items()) for names in (add, grow, scale, put)]
     return FieldChange(part, *each)
 
 
@@ -133,10 +143,3 @@ def altered(kind: Alteration, size: str) -> AlterationChange:
 
 def _as_tuple(names: str | tuple[str, ...]) -> tuple[str, ...]:
     return (names,) if isinstance(names, str) else names
-
-
-def _with_part(whole: Any, path: list[str], change: Callable[[Any], Any]) -> Any:
-    """Return a tree of dataclasses with the part at a path changed."""
-    first, *rest = path
-    part = getattr(whole, first)
-    return replace(whole, **{first: _with_part(part, rest, change) if rest else change(part)})

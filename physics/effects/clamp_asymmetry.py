@@ -4,12 +4,12 @@ from collections.abc import Mapping
 
 from physics.effects.effect import Effect, Parameter, Stage
 from physics.mechanics import YieldingClamp
-from physics.twin import Twin, with_alteration
+from physics.parameters.tree import BenchParameters, with_alteration
 
 
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
+def _change(parameters: BenchParameters, values: Mapping[str, float]) -> BenchParameters:
     compliance = values["compliance"]
-    return with_alteration(twin, YieldingClamp(1 if compliance > 0 else -1), abs(compliance))
+    return with_alteration(parameters, YieldingClamp(1 if compliance > 0 else -1), abs(compliance))
 
 
 EFFECT = Effect(

@@ -4,11 +4,11 @@ from collections.abc import Mapping
 
 from physics.effects.effect import Effect, Parameter, Stage
 from physics.mechanics import SoftSpot
-from physics.twin import Twin, with_alteration
+from physics.parameters.tree import BenchParameters, with_alteration
 
 
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
-    return with_alteration(twin, SoftSpot(values["x"], values["y"]), values["depth"])
+def _change(parameters: BenchParameters, values: Mapping[str, float]) -> BenchParameters:
+    return with_alteration(parameters, SoftSpot(values["x"], values["y"]), values["depth"])
 
 
 EFFECT = Effect(

@@ -16,6 +16,6 @@ EFFECT = Effect(
             "distances are measured with a ruler, and reeds are put back by hand",
         ),
     ),
-    change=additive("optics", defocus_m="distance"),
+    change=additive("optics.layout", defocus_m="distance"),
     reference="holography by Fresnel transform",
 )

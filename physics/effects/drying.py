@@ -22,7 +22,14 @@ EFFECT = Effect(
             0.5,
             "diffusion through half a millimetre of cane takes a quarter of an hour to an hour",
         ),
+        Parameter("E_L", "", 0.1, "decision 0023: half of what the paper and wood differ by"),
+        Parameter("G_LT", "", 0.05, "decision 0023: the paper and wood nearly agree"),
+        Parameter("loss", "", 0.2, "decision 0023: wood loses less when dry, cane may lose more"),
     ),
-    change=changed("environment", add={"drying": "fraction"}, scale={"drying_s": "log_time"}),
+    change=changed(
+        "environment",
+        add={"drying": "fraction", "dry_E_L": "E_L", "dry_G_LT": "G_LT", "dry_loss": "loss"},
+        scale={"drying_s": "log_time"},
+    ),
     reference="paper, series A and B; Obataya and Norimoto, Mokuzai Gakkaishi 41, 289 (1995)",
 )

@@ -59,7 +59,7 @@ class Effect:
     stage : Stage
     parameters : tuple of Parameter
     change : callable
-        ``change(twin, values)`` returns the parameters with the effect; with every size 0 it
+        ``change(parameters, values)`` returns the parameters with the effect; with every size 0 it
         returns equal parameters.
     reference : str
     position : int

@@ -1,7 +1,12 @@
 """A laser that hops to another mode: fringe contrast drops at once, brightness does not."""
 
+import numpy as np
+
 from physics.effects.changes import changed
 from physics.effects.effect import Effect, Parameter, Stage
+
+# Half a minute to eight hours; a step of a quarter is shorter than most sweeps of a campaign.
+_AFTER_H = tuple(float(h) for h in np.geomspace(0.5 / 60, 8.0, 32))
 
 EFFECT = Effect(
     id="laser_mode_hop",
@@ -11,14 +16,14 @@ EFFECT = Effect(
     parameters=(
         Parameter("contrast_loss", "", 0.2, "from a little to most of the contrast", positive=True),
         Parameter(
-            "time_fraction",
-            "",
+            "after",
+            "h",
             0.0,
-            "at any time of the campaign",
-            grid=tuple(0.05 * k for k in range(1, 20)),
+            "at any time, from a sweep of a minute to a day's work",
+            grid=_AFTER_H,
         ),
     ),
-    change=changed("optics", put={"hop": "contrast_loss", "hop_time_fraction": "time_fraction"}),
+    change=changed("optics.interference", put={"hop": "contrast_loss", "hop_after_h": "after"}),
     reference="multimode diode lasers",
     unique=True,
 )

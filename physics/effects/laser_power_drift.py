@@ -9,6 +9,6 @@ EFFECT = Effect(
     stage=Stage.OPTICS,
     position=0,
     parameters=(Parameter("loss_rate", "1/h", 0.4, "diode lasers that warm up"),),
-    change=additive("optics", fade_per_h="loss_rate"),
+    change=additive("optics.interference", fade_per_h="loss_rate"),
     reference="data sheets of diode lasers",
 )

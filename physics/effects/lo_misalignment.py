@@ -12,6 +12,6 @@ EFFECT = Effect(
         Parameter("down", "m", 0.0008, "one turn of a mirror mount"),
         Parameter("right", "m", 0.0008, "one turn of a mirror mount"),
     ),
-    change=additive("optics", shift_m=("down", "right")),
+    change=additive("optics.illumination", local_oscillator_shift_m=("down", "right")),
     reference="Gaussian beams",
 )

@@ -9,6 +9,6 @@ EFFECT = Effect(
     stage=Stage.OPTICS,
     position=5,
     parameters=(Parameter("error", "rad", 0.15, "a tenth of a quarter turn"),),
-    change=additive("optics", quarter_error_rad="error"),
+    change=additive("optics.interference", quarter_error_rad="error"),
     reference="phase-shifting holography",
 )

@@ -1,6 +1,6 @@
 """A camera with more read noise than its data sheet states."""
 
-from physics.effects.changes import additive
+from physics.effects.changes import changed
 from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
@@ -9,6 +9,6 @@ EFFECT = Effect(
     stage=Stage.CAMERA,
     position=3,
     parameters=(Parameter("log_factor", "", 0.5, "pick-up, warm electronics", positive=True),),
-    change=additive("sensor", read_factor="log_factor"),
+    change=changed("sensor", scale={"read_noise_e": "log_factor"}),
     reference="photon transfer",
 )

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from physics.effects.effect import Effect, Parameter, Stage
-from physics.twin import Twin
+from physics.parameters.drive import AcousticResonance
+from physics.parameters.tree import BenchParameters
 
 # Resonances of Q 30 are resolved if they are at least half their width apart. Between two grid
 # frequencies, and between two qualities, the continuous parameters move the resonance.
@@ -16,16 +17,15 @@ _GRID_HZ = tuple(float(hz) for hz in 2000.0 * (1 + _RELATIVE_STEP) ** np.arange(
 _GRID_QUALITY, _LOG_QUALITY_SD = (18.0, 42.0), 0.35
 
 
-def _change(twin: Twin, values: Mapping[str, float]) -> Twin:
+def _change(parameters: BenchParameters, values: Mapping[str, float]) -> BenchParameters:
     if not values["strength"]:
-        return twin
-    drive = replace(
-        twin.drive,
-        second_strength=values["strength"],
-        second_hz=values["hz"] * float(np.exp(values["log_hz"])),
-        second_quality=values["quality"] * float(np.exp(values["log_quality"])),
+        return parameters
+    resonance = AcousticResonance(
+        frequency_hz=values["hz"] * float(np.exp(values["log_hz"])),
+        quality=values["quality"] * float(np.exp(values["log_quality"])),
+        strength=values["strength"],
     )
-    return replace(twin, drive=drive)
+    return replace(parameters, drive=replace(parameters.drive, second_resonance=resonance))
 
 
 EFFECT = Effect(

@@ -17,6 +17,6 @@ EFFECT = Effect(
             positive=True,
         ),
     ),
-    change=additive("optics", crosstalk="fraction"),
+    change=additive("optics.interference", crosstalk="fraction"),
     reference="paper, section II.A",
 )

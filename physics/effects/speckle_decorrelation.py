@@ -17,6 +17,6 @@ EFFECT = Effect(
             positive=True,
         ),
     ),
-    change=additive("optics", decorrelation_per_rad2="contrast_loss"),
+    change=additive("optics.interference", decorrelation_per_rad2="contrast_loss"),
     reference="Yamaguchi, Optica Acta 28 (1981): decorrelation by tilt",
 )

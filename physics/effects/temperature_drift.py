@@ -16,7 +16,13 @@ EFFECT = Effect(
             0.5,
             "the loss of wood depends on temperature differently from piece to piece",
         ),
+        Parameter("E_L", "1/degC", 1e-3, "decision 0023: Arrhenius law and wood differ by this"),
+        Parameter("G_LT", "1/degC", 2e-3, "decision 0023: no measurement of dry cane is known"),
     ),
-    change=changed("environment", add={"warming_c_h": "rate"}, scale={"loss_per_c": "log_loss"}),
+    change=changed(
+        "environment",
+        add={"warming_c_h": "rate", "warm_E_L": "E_L", "warm_G_LT": "G_LT"},
+        scale={"warm_loss": "log_loss"},
+    ),
     reference="Weidenfeller et al., Mater. Res. 21, e20170795 (2018)",
 )

@@ -17,6 +17,6 @@ EFFECT = Effect(
             positive=True,
         ),
     ),
-    change=additive("optics", vignette="fraction"),
+    change=additive("optics.illumination", vignette="fraction"),
     reference="frames of even light",
 )

@@ -24,9 +24,10 @@ from blind.reed import Build, make_reed
 from blind.run_files import bench_text
 from blind.vibration import answerer
 from blind.world import World
-from diagnosis.known_bench import base_twin
+from diagnosis.known_bench import with_known_effects
 from fitting.forward import basis_of
 from physics.effects.catalogue import BY_ID
+from physics.parameters.tree import BenchParameters
 from physics.reed.cane.viscoelastic import (
     Components,
     Series,
@@ -76,11 +77,12 @@ def test_what_a_laboratory_states_is_what_it_has() -> None:
     label = drawn_label(6, 3, 5)
     laboratory = SimpleNamespace(world=sick_world(label))
     bench = BenchFile.from_text(bench_text("case", laboratory, stated_sizes(label)))
-    twin, world = base_twin(bench), laboratory.world
-    assert twin.reed.air_share == pytest.approx(world.cane.air)
-    assert twin.optics.leak == pytest.approx(world.light.leak)
-    assert twin.clocks.detuning_hz == pytest.approx(world.clockwork.detuning_hz, rel=1e-4)
-    assert twin.sensor.read_factor >= 0
+    stated = with_known_effects(BenchParameters(), bench)
+    world = laboratory.world
+    assert stated.reed.air_share == pytest.approx(world.cane.air)
+    assert stated.optics.interference.leak == pytest.approx(world.light.leak)
+    assert stated.clocks.detuning_hz == pytest.approx(world.clockwork.detuning_hz, rel=1e-4)
+    assert stated.sensor.read_noise_e >= BenchParameters().sensor.read_noise_e
 
 
 def test_sizes_of_known_kinds_are_stated_in_the_terms_of_the_catalogue() -> None:

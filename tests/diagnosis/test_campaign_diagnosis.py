@@ -29,7 +29,7 @@ from diagnosis.inference.problem import InferenceProblem, LocatedEffect
 from diagnosis.inference.similarity import DETECTION_SIGMA, confusable_classes, detectability_of
 from diagnosis.observable_groups import Coordinates, Observable, observable_group
 from physics.effects.catalogue import BY_ID
-from physics.twin import Twin
+from physics.parameters.tree import BenchParameters
 from reports.diagnosis_json import to_json
 from reports.diagnosis_page import (
     GROUP_WORDS,
@@ -300,7 +300,7 @@ def test_gaps_are_reported_in_units_that_people_know() -> None:
         Coordinates("no one's"),
     ]
     half = np.array([1.0, 1.5, 0.1, 0.2, 1.0])
-    none = Nuisance("none", "", 1.0, lambda twin, _: twin, "nothing")
+    none = Nuisance("none", "", 1.0, lambda parameters, _: parameters, "nothing")
     numbers = observable_group(
         "all",
         Observable.MODES,
@@ -308,9 +308,9 @@ def test_gaps_are_reported_in_units_that_people_know() -> None:
         np.full(5, 0.01),
         places,
         ("optics",),
-        lambda twin: twin.optics.leak * half,
+        lambda parameters: parameters.optics.interference.leak * half,
     )
-    problem = InferenceProblem([numbers], Twin(), (none,))
+    problem = InferenceProblem([numbers], BenchParameters(), (none,))
     null = fit_model(problem, (), [np.zeros(1)])
     candidate = replace(
         null, estimate=replace(null.estimate, residuals=null.estimate.residuals / 2)
@@ -334,8 +334,8 @@ def test_actions_are_ranked_by_what_they_tell_in_a_minute() -> None:
     start = np.array([0.0, 0.1])
     slope, bump = (fit_model(problem, (LocatedEffect(EFFECTS[k], {}),), [start]) for k in (0, 1))
 
-    def same(twin: Twin) -> Twin:
-        return twin
+    def same(parameters: BenchParameters) -> BenchParameters:
+        return parameters
 
     known, long, sharp, other = (
         Experiment("known", "", 10.0, ("lines",), same),
@@ -351,7 +351,7 @@ def test_actions_are_ranked_by_what_they_tell_in_a_minute() -> None:
     # As many nats as half the square of the distance between predictions of all numbers, less
     # for what is uncertain of them.
     lines = problem.groups[0]
-    apart = lines.predict(slope.twin(problem)) - lines.predict(bump.twin(problem))
+    apart = lines.predict(slope.parameters(problem)) - lines.predict(bump.parameters(problem))
     most = 0.5 * float(np.sum((apart / 0.05) ** 2))
     assert 0.2 * most < by_id["known"].expected_nats < most
 

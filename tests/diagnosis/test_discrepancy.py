@@ -16,7 +16,7 @@ from diagnosis.inference.importance_sampling import sampled
 from diagnosis.inference.predictive_checks import predictive_checks
 from diagnosis.inference.problem import InferenceProblem, LocatedEffect
 from diagnosis.observable_groups import Coordinates
-from physics.twin import Twin
+from physics.parameters.tree import BenchParameters
 from tests.diagnosis.toy import EFFECTS, LEVEL, bench, measured
 
 SLOPE, BUMP, OFFSET = (LocatedEffect(effect, {}) for effect in EFFECTS[:3])
@@ -52,7 +52,7 @@ def test_one_time_may_be_moved_alone(monkeypatch) -> None:
     lines, clocks = problem.groups
     then = np.array([place.time == "t2" for place in lines.coordinates])
     moved = replace(lines, values=lines.values + 0.07 * then)
-    problem = InferenceProblem((moved, clocks), Twin(), (LEVEL,))
+    problem = InferenceProblem((moved, clocks), BenchParameters(), (LEVEL,))
     candidate = fitted(problem)
     alone = float(group_discrepancies(problem, candidate)["lines"][0])
     monkeypatch.setattr("diagnosis.inference.discrepancy._ONE_ALONE", ())
@@ -128,7 +128,7 @@ def test_a_drift_that_no_effect_makes_is_looked_for_along_time() -> None:
 
     def found(values: np.ndarray) -> float:
         block = replace(still, values=values)
-        moved = InferenceProblem([block, clocks], Twin(), (LEVEL,))
+        moved = InferenceProblem([block, clocks], BenchParameters(), (LEVEL,))
         return float(group_discrepancies(moved, fitted(moved))["lines"][0])
 
     assert found(still.values) < 0

@@ -28,7 +28,7 @@ def test_an_effect_without_notes_has_those_of_the_part_that_it_changes() -> None
         title="new",
         stage=Stage.OPTICS,
         parameters=(Parameter("distance", "m", 0.05, "toy"),),
-        change=additive("optics", defocus_m="distance"),
+        change=additive("optics.layout", defocus_m="distance"),
         reference="toy",
     )
     notes = notes_of(new)

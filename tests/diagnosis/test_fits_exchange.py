@@ -5,7 +5,7 @@ import pytest
 
 from diagnosis.inference.nuisances import of_fits
 from diagnosis.observables.drive import exchanged
-from physics.twin import FitBias, Twin
+from physics.parameters.tree import BenchParameters, FitBias
 
 HZ = np.geomspace(2.5e3, 4.5e3, 40)
 
@@ -25,9 +25,9 @@ def test_drive_and_mode_together_are_what_was_measured(cents: float, log: float)
 
 
 def test_exchanges_add_up_and_belong_to_their_mode() -> None:
-    twin = Twin()
+    parameters = BenchParameters()
     for nuisance in of_fits(["T1", "F2"]):
         assert nuisance.of_fits
-        twin = nuisance.change(twin, 2.0 if nuisance.unit else 0.5)
-    assert twin.fit_bias.of("T1") == twin.fit_bias.of("F2") == (2.0, 0.5)
-    assert twin.fit_bias.of("X1") == (0.0, 0.0)
+        parameters = nuisance.change(parameters, 2.0 if nuisance.unit else 0.5)
+    assert parameters.fit_bias.of("T1") == parameters.fit_bias.of("F2") == (2.0, 0.5)
+    assert parameters.fit_bias.of("X1") == (0.0, 0.0)

@@ -12,7 +12,7 @@ from diagnosis.inference.candidates import fit_model
 from diagnosis.inference.nuisances import Nuisance
 from diagnosis.inference.problem import InferenceProblem, LocatedEffect
 from diagnosis.observable_groups import Coordinates, Observable, observable_group
-from physics.twin import Twin, more
+from physics.parameters.tree import BenchParameters, more
 from tests.diagnosis.toy import COUNT, EFFECTS, bench, measured
 
 
@@ -54,9 +54,11 @@ def test_cells_tell_the_band() -> None:
 
 
 def test_the_map_does_not_depend_on_what_was_fitted_before() -> None:
-    curved = Nuisance("level", "", 1.0, lambda t, v: more(t, "optics", fade_per_h=v + v**3), "")
+    curved = Nuisance(
+        "level", "", 1.0, lambda t, v: more(t, "optics.interference", fade_per_h=v + v**3), ""
+    )
     blocks = measured(2, bench(crosstalk=0.8)).groups
-    fresh, used = (InferenceProblem(blocks, Twin(), (curved,)) for _ in range(2))
+    fresh, used = (InferenceProblem(blocks, BenchParameters(), (curved,)) for _ in range(2))
     used.jacobian(np.array([1.0]))
     assert gap_map(used) == gap_map(fresh)
 
@@ -120,7 +122,9 @@ def test_an_earlier_stage_that_fixes_the_level_takes_the_later_ones_share() -> N
 def test_what_one_stage_says_of_another_is_its_own_fraction() -> None:
     # Two stages off equally, by what an unlikely level makes of both: whichever is measured first
     # has it all, and the other one follows.
-    level = Nuisance("level", "", 0.05, lambda t, v: more(t, "optics", fade_per_h=v), "")
+    level = Nuisance(
+        "level", "", 0.05, lambda t, v: more(t, "optics.interference", fade_per_h=v), ""
+    )
     both = [
         observable_group(
             tap,
@@ -129,11 +133,11 @@ def test_what_one_stage_says_of_another_is_its_own_fraction() -> None:
             np.full(20, 0.05),
             [Coordinates("level")] * 20,
             ("optics",),
-            lambda twin: np.full(20, twin.optics.fade_per_h),
+            lambda parameters: np.full(20, parameters.optics.interference.fade_per_h),
         )
         for tap in (Observable.HOLOGRAM, Observable.MAPS)
     ]
-    first, second = gap_map(InferenceProblem(both, Twin(), (level,))).ladder
+    first, second = gap_map(InferenceProblem(both, BenchParameters(), (level,))).ladder
     # Of one stage alone the square of the gap is 2000·400/8400, of both 4000·400/16400.
     assert first.forward > 0.95
     assert second.forward < 0.05
@@ -163,7 +167,9 @@ def test_what_is_left_out_counts_by_what_it_could_be_predicted_to() -> None:
     n, away = 5, 3.0
     values = np.zeros(n)
     values[0] = away
-    level = Nuisance("level", "", 1e3, lambda t, v: more(t, "optics", fade_per_h=v), "")
+    level = Nuisance(
+        "level", "", 1e3, lambda t, v: more(t, "optics.interference", fade_per_h=v), ""
+    )
     numbers = observable_group(
         "all",
         Observable.MAPS,
@@ -171,9 +177,9 @@ def test_what_is_left_out_counts_by_what_it_could_be_predicted_to() -> None:
         np.ones(n),
         [Coordinates("level")] * n,
         ("optics",),
-        lambda twin: np.full(n, twin.optics.fade_per_h),
+        lambda parameters: np.full(n, parameters.optics.interference.fade_per_h),
     )
-    null = fit_model(InferenceProblem([numbers], Twin(), (level,)), (), [np.zeros(1)])
+    null = fit_model(InferenceProblem([numbers], BenchParameters(), (level,)), (), [np.zeros(1)])
     square, _, count = _left_out((null, null), np.arange(n) == 0)
     assert square == pytest.approx(away**2 / (1 + 1 / (n - 1)), rel=1e-3)
     assert count == 1

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import pytest
 
 from diagnosis.known_bench import (
-    base_twin,
     bench_of,
     only_once,
     sensor_of,
+    with_known_effects,
 )
-from physics.sensor import Sensor
-from physics.twin import Twin
+from physics.parameters.sensor import Sensor
+from physics.parameters.tree import BenchParameters
 from protocols.bench import BenchFile
 from protocols.errors import ProtocolError
 
@@ -29,17 +29,22 @@ def bench(known: str) -> BenchFile:
 
 
 def test_effects_are_put_on_the_twin_in_their_units() -> None:
-    twin = base_twin(
-        bench("{synthesizer_detuning: {offset: 20 mHz}, air_load: {fraction: 0.9}, "
-              "laser_power_drift: {loss_rate: 0.3 1/h}}")
-    )  # fmt: skip
-    assert twin.clocks.detuning_hz == pytest.approx(0.02)
-    assert twin.reed.air_share == pytest.approx(0.9)
-    assert twin.optics.fade_per_h == pytest.approx(0.3)
+    parameters = with_known_effects(
+        BenchParameters(),
+        bench(
+            "{synthesizer_detuning: {offset: 20 mHz}, air_load: {fraction: 0.9}, "
+            "laser_power_drift: {loss_rate: 0.3 1/h}}"
+        ),
+    )
+    assert parameters.clocks.detuning_hz == pytest.approx(0.02)
+    assert parameters.reed.air_share == pytest.approx(0.9)
+    assert parameters.optics.interference.fade_per_h == pytest.approx(0.3)
 
 
 def test_a_bench_of_which_nothing_is_known_is_the_nominal_twin() -> None:
-    assert base_twin(None) == base_twin(BenchFile.from_text(TEXT)) == Twin()
+    nominal = BenchParameters()
+    for described in (None, BenchFile.from_text(TEXT)):
+        assert with_known_effects(nominal, described) == nominal
 
 
 @pytest.mark.parametrize(
@@ -58,7 +63,7 @@ def test_a_bench_of_which_nothing_is_known_is_the_nominal_twin() -> None:
 )  # fmt: skip
 def test_what_is_wrong_is_named_with_its_remedy(known: str, said: str) -> None:
     with pytest.raises(ProtocolError) as error:
-        base_twin(bench(known))
+        with_known_effects(BenchParameters(), bench(known))
     assert said in str(error.value)
     assert str(error.value).startswith("lab.yaml:")
 

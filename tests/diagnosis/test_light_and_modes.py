@@ -10,7 +10,8 @@ from diagnosis.observables.drive import _torn
 from diagnosis.observables.light import brightness_group, noise_group
 from diagnosis.observables.modes import _levels, _of_leaks
 from diagnosis.readings.sweeps import _doubt, at_highest_level, loudest
-from physics.twin import SensorParameters, Twin
+from physics.parameters.sensor import Sensor
+from physics.parameters.tree import BenchParameters
 
 COUNT = 184
 
@@ -31,7 +32,7 @@ def test_pixels_that_differ_spread_fringes_by_the_square_of_what_they_differ_by(
     p, noise, fringes = 0.05, 1600.0, 2e5
     block = noise_group([sweep("dim", noise, 0.0), sweep("up", noise + p**2 * fringes, fringes)])
     half = len(block.values) // 2
-    predicted = block.predict(Twin(sensor=SensorParameters(pattern=p)))
+    predicted = block.predict(BenchParameters(sensor=Sensor(pattern=p)))
     assert np.mean(predicted[half:]) - np.mean(predicted[:half]) == pytest.approx(
         np.log1p(p**2 * fringes / noise), abs=3e-3
     )
@@ -41,7 +42,7 @@ def test_pixels_that_differ_spread_fringes_by_the_square_of_what_they_differ_by(
         ).max()
         < 1e-2
     )
-    assert np.ptp(block.predict(Twin())) == pytest.approx(0.0, abs=1e-12)
+    assert np.ptp(block.predict(BenchParameters())) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_runs_at_rest_are_averaged_by_themselves_however_long_they_are() -> None:

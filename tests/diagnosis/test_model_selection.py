@@ -13,7 +13,7 @@ from diagnosis.inference.model_selection import refit_candidate, refit_from_else
 from diagnosis.inference.probabilities import NONE, PRIOR, UNKNOWN
 from diagnosis.inference.problem import LocatedEffect
 from physics.effects.effect import Effect
-from physics.twin import Twin, more
+from physics.parameters.tree import BenchParameters, more
 from tests.diagnosis.toy import EFFECTS, bench, effect, measured
 
 
@@ -94,7 +94,7 @@ def test_what_need_not_show_is_likely_next_to_what_does() -> None:
 
 def test_confusable_effects_are_no_pair() -> None:
     # What a slope of not quite its form leaves is not another slope.
-    similar = effect("incline", "optics", "leak")
+    similar = effect("incline", "optics.interference", "leak")
     found = select_model(measured(6, bench(leak=1.5), extra=0.05), (*EFFECTS, similar))
     assert {"slope", "incline"} <= set(found.single)
     both = {"slope+incline", "incline+slope"}
@@ -111,22 +111,24 @@ def test_without_nuisances_only_what_moves_nothing_is_unseen() -> None:
 
 def test_slopes_are_fine_where_they_have_to_be() -> None:
     problem = measured(6, bench())
-    kink = replace(problem.nuisances[0], change=lambda t, v: more(t, "optics", fade_per_h=v**3))
-    bent = type(problem)(problem.groups, Twin(), (kink,))
+    kink = replace(
+        problem.nuisances[0], change=lambda t, v: more(t, "optics.interference", fade_per_h=v**3)
+    )
+    bent = type(problem)(problem.groups, BenchParameters(), (kink,))
     at, noise, spread = np.array([0.4]), 0.05, kink.spread
     true = 3 * (0.4 * spread) ** 2 * spread / noise
     coarse, fine = (
-        bent.jacobian_of_changed(at, lambda twin: twin, fine=fine)[:60, 0].mean()
+        bent.jacobian_of_changed(at, lambda parameters: parameters, fine=fine)[:60, 0].mean()
         for fine in (False, True)
     )
     assert fine == pytest.approx(true, rel=1e-4)
     assert coarse != pytest.approx(true, rel=0.03)
 
 
-def _harming(twin: Twin, values: Mapping[str, float]) -> Twin:
+def _harming(parameters: BenchParameters, values: Mapping[str, float]) -> BenchParameters:
     """Do harm if there is little of it; from three deviations on it is what there is."""
     size = values["size"]
-    return more(twin, "optics", leak=-0.2 * size + 0.02 * size**3)
+    return more(parameters, "optics.interference", leak=-0.2 * size + 0.02 * size**3)
 
 
 def test_an_effect_that_shows_only_when_large_is_found() -> None:
@@ -160,20 +162,22 @@ def test_sizes_come_back_within_their_errors() -> None:
 
 def test_a_louder_noise_than_stated_is_no_effect() -> None:
     # Replicates that were a third too quiet: everything is off by a little more than it should be.
-    problem = measured(8, Twin(), noise=0.05)
-    louder = measured(8, Twin(), noise=0.065)
+    problem = measured(8, BenchParameters(), noise=0.05)
+    louder = measured(8, BenchParameters(), noise=0.065)
     blocks = [
         type(b)(**{**vars(b), "covariance": a.covariance, "whitening": a.whitening})
         for a, b in zip(problem.groups, louder.groups, strict=True)
     ]
-    found = probabilities(type(problem)(blocks, Twin(), problem.nuisances))
+    found = probabilities(type(problem)(blocks, BenchParameters(), problem.nuisances))
     assert max(found, key=found.get) == NONE
 
 
-def _breaking(limit: float, twin: Twin, values: Mapping[str, float]) -> Twin:
+def _breaking(
+    limit: float, parameters: BenchParameters, values: Mapping[str, float]
+) -> BenchParameters:
     if abs(values["size"]) > limit:
         raise ValueError("it breaks")
-    return EFFECTS[0].change(twin, values)
+    return EFFECTS[0].change(parameters, values)
 
 
 def _brittle(limit: float) -> Effect:

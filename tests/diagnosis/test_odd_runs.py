@@ -21,14 +21,13 @@ from diagnosis.observables.reed_at_rest import phase_turn_group, usual_scatter_h
 from diagnosis.readings.camera import read_dark, read_flat
 from diagnosis.readings.campaign_readings import _missing
 from diagnosis.readings.carrier import read_carriers
-from diagnosis.readings.device import Device
 from diagnosis.readings.step_log import read_step_log
 from diagnosis.readings.sweeps import TEMPLATES
 from fitting.errors import FitError, FitInputError
 from fitting.holograms.block_amplitudes import _holograms
-from physics.air import CavityLine, Chamber
+from physics.parameters.optics import Interference
+from physics.parameters.tree import BenchParameters
 from physics.reed.geometry import ReedGeometry
-from physics.twin import OpticsParameters, Twin
 from runs.verdict import Verdict
 
 NO_LEAKS = Leaks({}, 0.0)
@@ -105,7 +104,7 @@ def test_sweeps_without_a_measured_lock_have_no_lock() -> None:
         clamping=0, time_s=np.arange(4.0), turn_rad=np.zeros(3), gap_s=np.ones(3),
         advance_rad=np.zeros(4), advance_error=np.full(4, 1e-3),
     )  # fmt: skip
-    usual_hz = usual_scatter_hz(OpticsParameters(), 12.5)
+    usual_hz = usual_scatter_hz(Interference(), 12.5)
     light = phase_turn_group([still], usual_hz, 12.5)
     assert np.sqrt(light.covariance[0, 0]) == pytest.approx(usual_hz / 2)
 
@@ -167,9 +166,8 @@ def test_frequencies_that_differ_by_what_a_generator_misses_are_one() -> None:
     missed = STEPS_HZ * (1 + 2e-6 * np.sin(np.arange(184)))
     up, down = sweep("up", volts=16.0), sweep("down", missed, volts=16.0)
     quiet = sweep("quiet", missed[::-1][::-1], volts=4.0)
-    line = CavityLine()
-    same = excitation_group([up, sweep("down", volts=16.0)], line, NO_LEAKS)
-    assert excitation_group([up, down], line, NO_LEAKS).values == pytest.approx(
+    same = excitation_group([up, sweep("down", volts=16.0)], BenchParameters(), NO_LEAKS)
+    assert excitation_group([up, down], BenchParameters(), NO_LEAKS).values == pytest.approx(
         same.values, abs=1e-6
     )
     level = level_group([up, down, quiet], NO_LEAKS)
@@ -180,15 +178,15 @@ def test_frequencies_that_differ_by_what_a_generator_misses_are_one() -> None:
 def test_sweeps_at_other_frequencies_tell_no_lines_and_no_levels() -> None:
     between = STEPS_HZ * 2 ** (1 / 96)
     up, quiet = sweep(volts=16.0), sweep("quiet", between, volts=4.0)
-    assert excitation_group([up, quiet], CavityLine(), NO_LEAKS) is None
+    assert excitation_group([up, quiet], BenchParameters(), NO_LEAKS) is None
     assert level_group([up, quiet], NO_LEAKS) is None
 
 
 def test_lines_of_the_drive_go_by_the_volts_of_the_loudest_sweep() -> None:
     quiet, loud = sweep("quiet", STEPS_HZ[1:], volts=2.0), sweep("loud", volts=16.0)
-    found = excitation_group([quiet, loud], CavityLine(), NO_LEAKS)
+    found = excitation_group([quiet, loud], BenchParameters(), NO_LEAKS)
     assert found.values == pytest.approx(
-        excitation_group([loud, quiet], CavityLine(), NO_LEAKS).values, abs=1e-9
+        excitation_group([loud, quiet], BenchParameters(), NO_LEAKS).values, abs=1e-9
     )
 
 
@@ -196,8 +194,7 @@ def test_sweeps_without_common_modes_tell_none() -> None:
     high = sweep("high", names=("X9",))
     assert modes_group([sweep(), high, sweep("down")], FewModes(), NO_LEAKS).values.size == 16
     assert modes_group([sweep(names=("X9",))], FewModes(), NO_LEAKS) is None
-    device = Device(Chamber(), CavityLine(), 532e-9)
-    assert force_group([sweep(), high], FewModes(), device) is None
+    assert force_group([sweep(), high], FewModes(), BenchParameters()) is None
 
 
 def test_what_runs_do_not_tell_though_they_are_there_is_missing() -> None:
@@ -214,9 +211,9 @@ def test_steps_far_apart_tell_how_far_a_mode_moves_by_the_nearest() -> None:
     coarse = 1000.0 * 2 ** (np.arange(24) / 6)
     deep = np.where(np.abs(coarse - 1800) == np.abs(coarse - 1800).min(), 20.0, 0.0)
     modes = modes_group([sweep(drive_hz=coarse, deepest_rad=deep)], FewModes(), NO_LEAKS)
-    twin = Twin()
-    hard = Twin(environment=type(twin.environment)(hardening=1e-3))
-    moved = modes.predict(hard) - modes.predict(twin)
+    parameters = BenchParameters()
+    hard = BenchParameters(environment=type(parameters.environment)(hardening=1e-3))
+    moved = modes.predict(hard) - modes.predict(parameters)
     assert [place.mode for place, by in zip(modes.coordinates, moved, strict=True) if by] == ["F1"]
 
 

@@ -16,32 +16,30 @@ from diagnosis.observables.light import (
 )
 from diagnosis.observables.modes import _prediction
 from diagnosis.observables.reed_at_rest import phase_scatter_group, phase_turn_group
-from diagnosis.readings.device import Device
 from diagnosis.readings.step_log import StepLog
 from diagnosis.readings.sweeps import TEMPLATES
-from physics.air import (
-    CavityLine,
-    Chamber,
-    Filling,
-)
-from physics.twin import (
-    FitBias,
-    Twin,
-    more,
-    with_cane,
-    with_reed,
-)
+from physics.parameters.chamber import Chamber, Filling
+from physics.parameters.drive import AcousticResonance
+from physics.parameters.tree import BenchParameters, FitBias, more, with_cane, with_part
 
 RATE_HZ = 12.4
 HOUR = 3600.0
 
 
+_PATHS = {"interference": "optics.interference"}
+
+
 def moved(block, **parts):
     """What some fields of parts move a block's numbers by, by its places' names."""
-    twin = Twin()
+    parameters = BenchParameters()
     for part, fields in parts.items():
-        twin = more(twin, part, **fields)
-    return block.predict(twin) - block.predict(Twin())
+        parameters = more(parameters, _PATHS.get(part, part), **fields)
+    return changed(block, BenchParameters(), parameters)
+
+
+def changed(block, before, after):
+    """What a block's numbers are moved by from some parameters to others."""
+    return block.predict(after) - block.predict(before)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +60,9 @@ def test_locks_miss_by_what_modulators_are_ahead_and_generators_behind(beat) -> 
     # A generator that runs ahead drives the reed faster: 5 ppm of 2 kHz and 10 kHz.
     assert moved(lock, clocks={"generator_ppm": 5.0}) == pytest.approx([-0.01, -0.05])
     # A tenth of a radian of every other step, of 12.4 a second; a third of it looks like a turn.
-    assert moved(lock, optics={"quarter_error_rad": 0.1}) == pytest.approx([-0.0658] * 2, rel=1e-3)
+    assert moved(lock, interference={"quarter_error_rad": 0.1}) == pytest.approx(
+        [-0.0658] * 2, rel=1e-3
+    )
 
 
 def test_frames_lost_are_counted_on_a_scale_of_even_scatter(beat) -> None:
@@ -90,7 +90,9 @@ def test_light_at_rest_turns_by_the_modulators_and_by_unequal_steps_only_within(
     assert (within, between) == ("within acquisitions", "between acquisitions")
     assert moved(turn, clocks={"detuning_hz": 0.01}) == pytest.approx([0.01, 0.01])
     assert moved(turn, clocks={"detuning_hz_h": 0.2}) == pytest.approx([0.2, 0.2], rel=1e-6)
-    assert moved(turn, optics={"quarter_error_rad": 0.1}) == pytest.approx([-0.0658, 0.0], rel=1e-3)
+    assert moved(turn, interference={"quarter_error_rad": 0.1}) == pytest.approx(
+        [-0.0658, 0.0], rel=1e-3
+    )
 
 
 def test_phases_scatter_by_what_walks_and_jitters() -> None:
@@ -100,7 +102,7 @@ def test_phases_scatter_by_what_walks_and_jitters() -> None:
     within = 3 * 0.05**2 / RATE_HZ / 9, 2 * 0.15**2 / 9
     between = 0.05**2, 0.5 * 0.15**2
     expected = [0.5 * np.log(1 + new / old) for old, new in (within, between)]
-    assert moved(scatter, optics={"jitter_rad": 0.15}) == pytest.approx(expected)
+    assert moved(scatter, interference={"jitter_rad": 0.15}) == pytest.approx(expected)
 
 
 def sweep(name="up", begun_s=0.0, length_s=0.0, volts=4.0, clamping=0, **own):
@@ -121,7 +123,7 @@ def sweep(name="up", begun_s=0.0, length_s=0.0, volts=4.0, clamping=0, **own):
 def test_light_fades_by_its_share_an_hour_and_fringes_by_its_root_of_either_beam() -> None:
     # One sweep at the begin, one an hour later; the light at rest as well.
     light = brightness_group([sweep(), sweep("down", HOUR)], [still()])
-    faded = moved(light, optics={"fade_per_h": 0.3})
+    faded = moved(light, interference={"fade_per_h": 0.3})
     when = [place.time for place in light.coordinates]
     rest = next(k for k, time in enumerate(when) if time.startswith("at rest"))
     up, down = ([k for k, t in enumerate(when) if t.startswith(name)] for name in ("up", "down"))
@@ -129,7 +131,7 @@ def test_light_fades_by_its_share_an_hour_and_fringes_by_its_root_of_either_beam
     # Sweeps are compared with their mean.
     assert faded[up] == pytest.approx(0.15)
     assert faded[down] == pytest.approx(-0.15)
-    hopped = moved(light, optics={"hop": 0.2})
+    hopped = moved(light, interference={"hop": 0.2})
     # Contrast of 0.8 from the half of the campaign on.
     assert hopped[rest] == pytest.approx(np.log(0.8))
     assert hopped[down] - hopped[up] == pytest.approx(np.log(0.8))
@@ -137,7 +139,7 @@ def test_light_fades_by_its_share_an_hour_and_fringes_by_its_root_of_either_beam
 
 def test_noise_is_that_of_the_light_but_for_a_little() -> None:
     noise = noise_group([sweep(), sweep("down", HOUR)])
-    faded = moved(noise, optics={"fade_per_h": 0.3})
+    faded = moved(noise, interference={"fade_per_h": 0.3})
     down = [k for k, place in enumerate(noise.coordinates) if place.time.startswith("down")]
     assert faded[down] == pytest.approx(-0.96 * 0.3)
     assert np.delete(faded, down) == pytest.approx(0.0)
@@ -152,9 +154,11 @@ def test_fringes_show_what_leaks_in_by_its_amplitude_and_lost_contrast_as_it_is(
         "decorrelation",
     ]
     for field in ("crosstalk", "leak"):
-        change = moved(fringes, optics={field: 0.03})
+        change = moved(fringes, interference={field: 0.03})
         assert change == pytest.approx([np.hypot(0.03, 5e-3) - 5e-3, 0.0])
-    assert moved(fringes, optics={"decorrelation_per_rad2": 1e-3}) == pytest.approx([0.0, 1e-3])
+    assert moved(fringes, interference={"decorrelation_per_rad2": 1e-3}) == pytest.approx(
+        [0.0, 1e-3]
+    )
 
 
 def test_a_coil_loses_by_the_square_of_its_volts_where_it_moves() -> None:
@@ -170,17 +174,19 @@ def test_a_coil_loses_by_the_square_of_its_volts_where_it_moves() -> None:
 def test_a_line_stands_out_of_the_drive_where_it_is() -> None:
     # Both right at a hologram's frequency.
     hz = np.geomspace(1e3, 1e4, 160)
-    line = CavityLine(frequency_hz=float(hz[90]))
-    block = excitation_group([sweep(), sweep("down")], line, Leaks({}, 0.0))
+    line = AcousticResonance(frequency_hz=float(hz[90]))
+    nominal = with_part(BenchParameters(), "drive", acoustic_resonance=line)
+    block = excitation_group([sweep(), sweep("down")], nominal, Leaks({}, 0.0))
     at_line, at_second = 90, 130
-    change = moved(block, drive={"second_strength": 0.1, "second_hz": float(hz[at_second]) - 7e3,
-                               "second_quality": -10.0})  # fmt: skip
+    second = AcousticResonance(float(hz[at_second]), 20.0, 0.1)
+    change = changed(block, nominal, with_part(nominal, "drive", second_resonance=second))
     # Of a quality of 20: at its middle 1 − 2i of the pressure, and hardly anything far below.
     assert change[at_second] == pytest.approx(np.log(abs(1 - 2j)))
     assert abs(change[30]) < 0.15
     # Of the known line 1.5 times as much.
     strength = line.strength * line.quality
-    change = moved(block, drive={"resonance_excess": 0.5})
+    stronger = with_part(nominal, "drive.acoustic_resonance", strength=1.5 * line.strength)
+    change = changed(block, nominal, stronger)
     expected = np.log(abs(1 - 1.5j * strength) / abs(1 - 1j * strength))
     assert change[at_line] == pytest.approx(expected)
 
@@ -190,25 +196,20 @@ def test_forces_fall_beyond_an_amplifier_s_corner_and_rise_by_what_clay_lets_thr
 ) -> None:
     # Modes at 1 and 10 kHz that the left half pushes by 1, the right one by 0.5.
     modes = {"F1": SimpleNamespace(hz=1e3), "F2": SimpleNamespace(hz=1e4)}
-    monkeypatch.setattr(drive, "_pushes", lambda *_: (1.0, 0.5, 0.0, 1.0))
+    pushes = SimpleNamespace(closed=1.0, by_leak=0.5, without_signs=0.0, deepest=1.0)
+    monkeypatch.setattr(drive, "_pushes", lambda *_: pushes)
     reed_solver = SimpleNamespace(modes=lambda _reed: modes)
-    device = Device(Chamber(filling=Filling.ASYMMETRIC), CavityLine(), 650e-9)
-    force = forces_rad(reed_solver, device)
-    usual = force(Twin().drive, Twin().reed, tuple(modes))
+    nominal = BenchParameters(chamber=Chamber(filling=Filling.ASYMMETRIC))
+    force = forces_rad(reed_solver, 650e-9)
+    usual = force(nominal, tuple(modes))
     # With the corner at 10 kHz, of a low-pass of second order: 1/√2 there, 1/√(1 + 10⁻⁴) at 1 kHz.
-    cut = force(more(Twin(), "drive", roll_off=1.0).drive, Twin().reed, tuple(modes))
+    cut = force(more(nominal, "drive", roll_off=1.0), tuple(modes))
     assert cut / usual == pytest.approx([1 / np.sqrt(1 + 1e-4), 1 / np.sqrt(2)])
-    opened = force(more(Twin(), "drive", open_right=0.6).drive, Twin().reed, tuple(modes))
+    opened = force(more(nominal, "chamber", leak=0.6), tuple(modes))
     assert opened / usual == pytest.approx([1.3, 1.3])
-    whole = forces_rad(
-        reed_solver, Device(Chamber(filling=Filling.SYMMETRIC), CavityLine(), 650e-9)
-    )
-    assert whole(Twin().drive, Twin().reed, ("F1",)) == pytest.approx(1.5 * usual[:1])
     # As far as light tells: 4π over the wavelength.
-    half = forces_rad(
-        reed_solver, Device(Chamber(filling=Filling.ASYMMETRIC), CavityLine(), 325e-9)
-    )
-    assert half(Twin().drive, Twin().reed, tuple(modes)) == pytest.approx(2 * usual)
+    half = forces_rad(reed_solver, 325e-9)
+    assert half(nominal, tuple(modes)) == pytest.approx(2 * usual)
 
 
 NAMES, BENDING = ("F1", "T1"), np.array([0.9, 0.2])
@@ -228,39 +229,66 @@ def modes():
                 deepest_rad=np.full(160, 10.0))  # fmt: skip
     rows = [(0, name, what) for what in ("frequency, cents", "loss, %") for name in NAMES]
     predict = _prediction(rows, NAMES, [one], SimpleNamespace(modes=of_moduli))
-    return lambda twin: predict(twin) - predict(Twin())
+    return lambda parameters: predict(parameters) - predict(BenchParameters())
 
 
 def test_frequencies_are_in_cents_and_losses_in_per_cent(modes) -> None:
     # An octave is 1200 cents; a hundredth lower 17.4.
-    air = modes(with_reed(Twin(), air_share=1.0))
+    air = modes(with_part(BenchParameters(), "reed", air_share=1.0))
     assert air == pytest.approx([1200 * np.log2(0.99)] * 2 + [0.0, 0.0])
-    stiffer = modes(with_cane(Twin(), E_L=0.02))
+    stiffer = modes(with_cane(BenchParameters(), E_L=0.02))
     assert stiffer == pytest.approx([1200 * np.log2(np.exp(0.01 * b)) for b in BENDING] + [0, 0])
-    exchanged = Twin(fit_bias=FitBias((("F1", 3.0, 0.02), ("T1", -1.0, 0.0))))
+    exchanged = BenchParameters(fit_bias=FitBias((("F1", 3.0, 0.02), ("T1", -1.0, 0.0))))
     assert modes(exchanged) == pytest.approx([3.0, -1.0, 2.0, 0.0])
 
 
-def test_warmth_softens_by_a_thousandth_a_degree_and_takes_its_share_of_the_loss(modes) -> None:
-    # Three degrees an hour for 100 minutes: five.
-    warm = modes(more(Twin(), "environment", warming_c_h=3.0))
-    assert warm[:2] == pytest.approx([1200 * np.log2(np.exp(-0.0025))] * 2, rel=1e-3)
+def storage(spring, arm, dashpot):
+    """Storage moduli of a Zener solid at the two modes' frequencies (paper, Eq. 4)."""
+    moved = (2 * np.pi * np.array([2e3, 5e3]) * dashpot) ** 2
+    return spring + arm * moved / (arm**2 + moved)
+
+
+# Springs and dashpots of the mean reed in series A, and changes of the springs to series B, by the
+# coefficients of hypothesis H4 (paper, section IV.B).
+E_A, G_A = (10300.0, 7309.0, 0.2822), (115.7 * 6, 115.7 * 6, 0.02038)
+E_DRY = (640.5 * (-2.197 + 0.8294), 640.5 * (2 * -2.197 - 0.8294))
+G_DRY = (115.7 * 1.011, 2 * 115.7 * (1.011 - 0.8294))
+
+
+def test_warmth_shifts_the_relaxation_and_takes_its_share_of_the_loss(modes) -> None:
+    # Three degrees an hour for 100 minutes: five. With 13 kJ/mol, from 293.15 K.
+    shift = np.exp(13e3 / 8.314462618 * (1 / 298.15 - 1 / 293.15))
+    E, G = (
+        np.log(storage(spring, arm, shift * dashpot) / storage(spring, arm, dashpot))
+        for spring, arm, dashpot in (E_A, G_A)
+    )
+    warm = modes(more(BenchParameters(), "environment", warming_c_h=3.0))
+    log = 0.5 * (BENDING * E + (1 - BENDING) * G)
+    assert warm[:2] == pytest.approx(1200 * log / np.log(2), rel=1e-6)
     assert warm[2:] == pytest.approx([5.0, 5.0])
-    later = modes(more(Twin(), "environment", warming_c_h=3.0, begun_h=5 / 3))
-    assert later == pytest.approx(2 * warm)
+    softer = {"warm_E_L": -2e-3, "warm_G_LT": 1e-3}
+    more_of_it = modes(more(BenchParameters(), "environment", warming_c_h=3.0, **softer))
+    log = 0.5 * (BENDING * -2e-3 + (1 - BENDING) * 1e-3) * 5
+    assert (more_of_it - warm)[:2] == pytest.approx(1200 * log / np.log(2), rel=1e-6)
 
 
-def test_drying_stiffens_and_lightens_by_the_share_that_is_gone(modes) -> None:
-    dry = modes(more(Twin(), "environment", drying=0.5))
-    # Four times 1500 s have gone: all but e⁻⁴ of it. All dry 8 % of E_L, 12 % of G_LT, −3.5 % of
-    # the mass and a quarter of the loss.
+def test_drying_moves_the_cane_towards_series_b_by_the_share_that_is_gone(modes) -> None:
+    dry = modes(more(BenchParameters(), "environment", drying=0.5))
+    # Four times 1500 s have gone: all but e⁻⁴ of it.
     share = 0.5 * (1 - np.exp(-4))
-    log = 0.5 * (BENDING * 0.08 + (1 - BENDING) * 0.12 + 0.035) * share
-    assert dry[:2] == pytest.approx(1200 * log / np.log(2), rel=1e-3)
-    assert dry[2:] == pytest.approx(-25 * share)
+    E, G = (
+        np.log(
+            storage(spring + share * more_spring, arm + share * more_arm, dashpot)
+            / storage(spring, arm, dashpot)
+        )
+        for (spring, arm, dashpot), (more_spring, more_arm) in ((E_A, E_DRY), (G_A, G_DRY))
+    )
+    log = 0.5 * (BENDING * E + (1 - BENDING) * G)
+    assert dry[:2] == pytest.approx(1200 * log / np.log(2), rel=1e-6)
+    assert dry[2:] == pytest.approx(-15 * share)
 
 
 def test_hardening_counts_by_the_square_of_the_depth(modes) -> None:
     # 0.7 of what it is at the deepest, of stiffness: half of that of frequency.
-    hard = modes(more(Twin(), "environment", hardening=0.01))
+    hard = modes(more(BenchParameters(), "environment", hardening=0.01))
     assert hard == pytest.approx([1200 * 0.5 * 0.7 * 0.01 / np.log(2)] * 2 + [0.0, 0.0])

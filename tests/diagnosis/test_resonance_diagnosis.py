@@ -23,9 +23,9 @@ from physics.effects.effect import (
     Parameter,
     Stage,
 )
+from physics.parameters.tree import with_cane
 from physics.reed.cane.viscoelastic import Series
 from physics.reed.mode_classification import PAPER_MODES
-from physics.twin import with_cane
 from reports.resonance_diagnosis import trials_table, words
 from reports.tables import terminal_table
 
@@ -54,8 +54,8 @@ class Formula:
 def effect(name, *moduli, spread=0.3):
     """An effect that shifts moduli."""
 
-    def change(twin, values):
-        return with_cane(twin, **dict.fromkeys(moduli, values["size"]))
+    def change(parameters, values):
+        return with_cane(parameters, **dict.fromkeys(moduli, values["size"]))
 
     return Effect(
         id=name, title=name, stage=Stage.MECHANICS,

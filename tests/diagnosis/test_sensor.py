@@ -7,16 +7,12 @@ import numpy as np
 import pytest
 
 from diagnosis.observables.sensor import dark_group, flat_group, local_oscillator_group
-from diagnosis.readings.camera import SensorSheet, read_dark, read_flat, read_local_oscillator
-from physics.sensor import Sensor
-from physics.twin import (
-    OpticsParameters,
-    SensorParameters,
-    Twin,
-)
+from diagnosis.readings.camera import half_m, read_dark, read_flat, read_local_oscillator
+from physics.parameters.sensor import Sensor
+from physics.parameters.tree import BenchParameters, with_part
 
 N = 96
-SHEET = SensorSheet(replace(Sensor(), shape=(N, N)))
+SENSOR = Sensor(shape=(N, N))
 
 
 def part(stacks, exposures):
@@ -57,11 +53,11 @@ def flat(shape=1.0, bend=0.0):
     )
 
 
-def left(block, twin=None):
+def left(block, parameters=None):
     return dict(
         zip(
             [p.quantity + p.region for p in block.coordinates],
-            block.whitened_residual(twin or Twin()),
+            block.whitened_residual(parameters or BenchParameters()),
             strict=True,
         )
     )
@@ -72,14 +68,14 @@ def test_a_camera_as_its_data_sheet_says_leaves_nothing() -> None:
     assert plain.offset_dn == pytest.approx(50, abs=0.1)
     assert plain.noise_dn == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.01)
     assert plain.hot == 0
-    for block in (dark_group(plain, SHEET), flat_group(flat(), plain, SHEET)):
-        assert np.abs(block.whitened_residual(Twin())).max() < 4
+    for block in (dark_group(plain, SENSOR), flat_group(flat(), plain, SENSOR)):
+        assert np.abs(block.whitened_residual(BenchParameters())).max() < 4
 
 
 def test_read_noise_is_found_by_its_factor() -> None:
-    block = dark_group(dark(read_e=18.0), SHEET)
+    block = dark_group(dark(read_e=18.0), SENSOR)
     assert left(block)["read noise"] > 5
-    louder = replace(Twin(), sensor=SensorParameters(read_factor=float(np.log(1.5))))
+    louder = with_part(BenchParameters(), "sensor", read_noise_e=1.5 * SENSOR.read_noise_e)
     assert abs(left(block, louder)["read noise"]) < 1
 
 
@@ -89,9 +85,9 @@ def test_hot_pixels_are_counted_and_no_noise() -> None:
     found = read_dark([part([drawn(240.0 * hot, seed) for seed in range(4)], [0.08] * 4)])
     assert found.hot == pytest.approx(hot.mean(), rel=0.02)
     assert found.noise_dn == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.01)
-    named = replace(Twin(), sensor=SensorParameters(hot=float(hot.mean())))
-    assert left(dark_group(found, SHEET))["hot pixels"] > 3
-    assert abs(left(dark_group(found, SHEET), named)["hot pixels"]) < 1
+    named = replace(BenchParameters(), sensor=Sensor(hot=float(hot.mean())))
+    assert left(dark_group(found, SENSOR))["hot pixels"] > 3
+    assert abs(left(dark_group(found, SENSOR), named)["hot pixels"]) < 1
 
 
 def test_noise_that_rows_have_in_common_shows_in_rows_alone() -> None:
@@ -101,34 +97,40 @@ def test_noise_that_rows_have_in_common_shows_in_rows_alone() -> None:
 
 
 def test_a_camera_that_bends_is_found_by_its_bend() -> None:
-    block = flat_group(flat(bend=0.06), dark(), SHEET)
+    block = flat_group(flat(bend=0.06), dark(), SENSOR)
     assert max(abs(v) for k, v in left(block).items() if k.startswith("linearity")) > 5
-    bent = replace(Twin(), sensor=SensorParameters(nonlinearity=0.06))
+    bent = replace(BenchParameters(), sensor=Sensor(nonlinearity=0.06))
     assert np.abs(block.whitened_residual(bent)).max() < 4
 
 
 def test_dark_corners_and_a_shifted_beam_are_found() -> None:
     at = np.linspace(-1, 1, N)
     corner = 1 - 0.2 * 0.5 * (at[:, None] ** 2 + at**2)
-    block = flat_group(flat(corner), dark(), SHEET)
+    block = flat_group(flat(corner), dark(), SENSOR)
     assert abs(left(block)["cornerscorners"]) > 10
     assert (
-        abs(left(block, replace(Twin(), optics=OpticsParameters(vignette=0.2)))["cornerscorners"])
+        abs(
+            left(block, with_part(BenchParameters(), "optics.illumination", vignette=0.2))[
+                "cornerscorners"
+            ]
+        )
         < 2
     )
-    (half_m, _) = SHEET.half_m
-    y, x = half_m * at[:, None], half_m * at
+    (half, _) = half_m(SENSOR)
+    y, x = half * at[:, None], half * at
     beam = np.exp(-2 * ((y - 1e-3) ** 2 + (x + 2e-3) ** 2) / 15e-3**2)
     lo = read_local_oscillator([part([drawn(6000 * beam, k) for k in range(8)], [0.08] * 8)], 50.0)
-    block = local_oscillator_group(lo, SHEET)
+    block = local_oscillator_group(lo, SENSOR)
     assert abs(left(block)["middlerows"]) > 3
-    shifted = replace(Twin(), optics=OpticsParameters(shift_m=(1e-3, -2e-3)))
+    shifted = with_part(
+        BenchParameters(), "optics.illumination", local_oscillator_shift_m=(1e-3, -2e-3)
+    )
     assert np.abs(block.whitened_residual(shifted)).max() < 3
 
 
 def test_rows_and_columns_of_a_sensor_that_is_not_square_are_as_far_as_they_are() -> None:
-    sheet = SensorSheet(replace(Sensor(), shape=(N, 2 * N)))
-    half_y, half_x = sheet.half_m
+    sheet = Sensor(shape=(N, 2 * N))
+    half_y, half_x = half_m(sheet)
     assert half_x == 2 * half_y
     y, x = half_y * np.linspace(-1, 1, N)[:, None], half_x * np.linspace(-1, 1, 2 * N)
     shift_m = 1e-3, -2e-3
@@ -136,7 +138,7 @@ def test_rows_and_columns_of_a_sensor_that_is_not_square_are_as_far_as_they_are(
     block = local_oscillator_group(
         read_local_oscillator([part([np.stack([frames] * 4)], [0.08])], 50.0), sheet
     )
-    shifted = replace(Twin(), optics=OpticsParameters(shift_m=shift_m))
+    shifted = with_part(BenchParameters(), "optics.illumination", local_oscillator_shift_m=shift_m)
     assert np.abs(block.whitened_residual(shifted)).max() < 1.5
     # A shift along columns tilts twice as much there as one along rows does here.
     tilt = block.predict(shifted)[:2]

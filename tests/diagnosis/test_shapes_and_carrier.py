@@ -9,13 +9,9 @@ from diagnosis.observables.carrier import Leaks, carrier_group, leaks_in
 from diagnosis.observables.shapes import shapes_group
 from diagnosis.readings.carrier import CarrierReading, unshifted_light
 from physics.mechanics import ReedMode, TipMass
+from physics.parameters.tree import BenchParameters, with_alteration, with_part
 from physics.reed.elements.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
-from physics.twin import (
-    OpticsParameters,
-    Twin,
-    with_alteration,
-)
 
 # A reed of three shapes at four places: two symmetric ones, one antisymmetric.
 PLAN = np.array([[1e-3, 1e-3], [1e-3, 4e-3], [10e-3, 0.0], [20e-3, 2e-3]])
@@ -26,7 +22,7 @@ HALVES = {
     Symmetry.ANTISYMMETRIC: SimpleNamespace(mass=np.eye(1), surface_z=TWISTS),
 }
 NAMES, HZ = ("F1", "F2", "T1"), (2e3, 5e3, 3e3)
-ALTERED = with_alteration(Twin(), TipMass(), 1e-6)
+ALTERED = with_alteration(BenchParameters(), TipMass(), 1e-6)
 # In coordinates: what the altered reed's first bending mode has of the others.
 OF_OTHERS = 0.1, -0.05
 
@@ -57,9 +53,13 @@ def sweep(mixing, error=1e-3, twist_sign=1.0):
     )
 
 
-def predicted(block, twin):
+def predicted(block, parameters):
     return dict(
-        zip([(p.mode, p.quantity) for p in block.coordinates], block.predict(twin), strict=True)
+        zip(
+            [(p.mode, p.quantity) for p in block.coordinates],
+            block.predict(parameters),
+            strict=True,
+        )
     )
 
 
@@ -67,7 +67,7 @@ def predicted(block, twin):
 def test_shares_are_in_units_of_largest_deflections_with_the_signs_of_the_basis(twist_sign) -> None:
     block = shapes_group([sweep(np.zeros((3, 3)), twist_sign=twist_sign)], WORKSHOP, NO_LEAKS)
     assert block is not None
-    np.testing.assert_array_equal(block.predict(Twin()), 0.0)
+    np.testing.assert_array_equal(block.predict(BenchParameters()), 0.0)
     found = predicted(block, ALTERED)
     # Largest deflections: F1 2, F2 -3 where it counts as negative, T1 5.
     assert found["F1", "share of F2"] == pytest.approx(OF_OTHERS[0] * 3 / 2)
@@ -109,13 +109,13 @@ def carriers(leak=0.0):
 
 
 def test_a_carrier_is_measured_where_the_reed_hardly_moves() -> None:
-    leak = Twin(optics=OpticsParameters(leak=0.015))
+    leak = with_part(BenchParameters(), "optics.interference", leak=0.015)
     block = carrier_group(carriers(0.015))
     assert np.sum(block.whitened_residual(leak) ** 2) == pytest.approx(0.0, abs=1e-9)
-    assert np.sum(block.whitened_residual(Twin()) ** 2) > 100
-    assert np.sum(carrier_group(carriers()).whitened_residual(Twin()) ** 2) == pytest.approx(
-        0.0, abs=1e-9
-    )
+    assert np.sum(block.whitened_residual(BenchParameters()) ** 2) > 100
+    assert np.sum(
+        carrier_group(carriers()).whitened_residual(BenchParameters()) ** 2
+    ) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_leaks_count_by_what_moves_in_a_sweep() -> None:

@@ -39,7 +39,7 @@ def test_effects_are_tried_on_one_thread(monkeypatch):
 
 
 def test_campaigns_are_read_on_one_thread(monkeypatch):
-    monkeypatch.setattr(campaign_readings, "sensor_of", count_threads)
+    monkeypatch.setattr(campaign_readings, "parameters_of", count_threads)
     campaign = SimpleNamespace(sweeps=[SimpleNamespace(run=None)], of_kind=lambda _kind: [])
     with pytest.raises(ReachedError) as reached:
         observe.read(campaign)

@@ -14,38 +14,38 @@ from physics.effects.effect import (
     Parameter,
     Stage,
 )
-from physics.twin import (
-    Clocks,
-    OpticsParameters,
-    Twin,
-    more,
-)
+from physics.parameters.clocks import Clocks
+from physics.parameters.tree import BenchParameters, more, with_part
 
 COUNT = 60
 AT = np.linspace(-1, 1, COUNT)
 
 
-def lines(twin: Twin) -> np.ndarray:
+def lines(parameters: BenchParameters) -> np.ndarray:
     """Numbers of the first tap: a level, a slope, a bump."""
-    beams: OpticsParameters = twin.optics
+    beams = parameters.optics.interference
     return beams.fade_per_h + beams.leak * AT + beams.crosstalk * np.exp(-((AT / 0.2) ** 2))
 
 
-def clocks(twin: Twin) -> np.ndarray:
+def clocks(parameters: BenchParameters) -> np.ndarray:
     """Numbers of the second tap."""
-    clocks: Clocks = twin.clocks
-    return clocks.detuning_hz + 0.3 * twin.optics.leak * AT[:20]
+    clocks: Clocks = parameters.clocks
+    return clocks.detuning_hz + 0.3 * parameters.optics.interference.leak * AT[:20]
 
 
-LEVEL = Nuisance("level", "", 2.0, lambda t, v: more(t, "optics", fade_per_h=v), "anything")
+LEVEL = Nuisance(
+    "level", "", 2.0, lambda t, v: more(t, "optics.interference", fade_per_h=v), "anything"
+)
 
 
-def _changed(part: str, field: str, twin: Twin, values: Mapping[str, float]) -> Twin:
-    return more(twin, part, **{field: values["size"]})
+def _changed(
+    part: str, field: str, parameters: BenchParameters, values: Mapping[str, float]
+) -> BenchParameters:
+    return more(parameters, part, **{field: values["size"]})
 
 
 def effect(name: str, part: str, field: str, positive: bool = False) -> Effect:
-    """Make an effect that is one field of the twin."""
+    """Make an effect that is one field of the parameters."""
     return Effect(
         id=name,
         title=name,
@@ -57,14 +57,16 @@ def effect(name: str, part: str, field: str, positive: bool = False) -> Effect:
 
 
 EFFECTS = (
-    effect("slope", "optics", "leak"),
-    effect("bump", "optics", "crosstalk", positive=True),
+    effect("slope", "optics.interference", "leak"),
+    effect("bump", "optics.interference", "crosstalk", positive=True),
     effect("offset", "clocks", "detuning_hz"),
     effect("nothing", "sensor", "nonlinearity", positive=True),
 )
 
 
-def measured(seed: int, truth: Twin, noise: float = 0.05, extra: float = 0.0) -> InferenceProblem:
+def measured(
+    seed: int, truth: BenchParameters, noise: float = 0.05, extra: float = 0.0
+) -> InferenceProblem:
     """Measure a bench; `extra` is something that no effect can make."""
     rng = np.random.default_rng(seed)
     y = lines(truth) + noise * rng.standard_normal(COUNT) + extra * np.sign(np.sin(40 * AT))
@@ -86,12 +88,12 @@ def measured(seed: int, truth: Twin, noise: float = 0.05, extra: float = 0.0) ->
             clocks,
         ),
     ]
-    return InferenceProblem(both, Twin(), (LEVEL,))
+    return InferenceProblem(both, BenchParameters(), (LEVEL,))
 
 
-def bench(**changes: float) -> Twin:
+def bench(**changes: float) -> BenchParameters:
     """Make a bench with some fields of its beams, or `detuning_hz`, changed."""
-    twin = Twin()
+    parameters = BenchParameters()
     detuning = changes.pop("detuning_hz", 0.0)
-    twin = replace(twin, clocks=replace(twin.clocks, detuning_hz=detuning))
-    return replace(twin, optics=replace(twin.optics, **changes))
+    parameters = replace(parameters, clocks=replace(parameters.clocks, detuning_hz=detuning))
+    return with_part(parameters, "optics.interference", **changes)

@@ -12,12 +12,11 @@ from drivers.simulated.settings import (
     Simulation,
     bench_constants,
     bench_geometry,
+    bench_parameters,
     cane_of,
-    model_settings,
     read_simulation,
 )
-from physics.air import Filling
-from physics.bench import PressureDistortion
+from physics.parameters.chamber import Filling, PressureDistortion
 from physics.reed.cane.material import Cane
 from physics.reed.cane.viscoelastic import (
     Components,
@@ -32,7 +31,7 @@ from protocols.reed import ReedFile
 
 def settings_of(bench_file, series="A", chamber="asymmetric", reed="R07"):
     simulation = read_simulation(bench_file.twin, bench_file.name)
-    return model_settings(simulation, bench_file, Preparation(reed, series, chamber))
+    return bench_parameters(simulation, bench_file, Preparation(reed, series, chamber))
 
 
 def test_a_name_is_always_the_same_cane():
@@ -57,9 +56,9 @@ def test_canes_are_a_standard_normal_population_inside_physics():
 def test_the_preparation_decides_moisture_and_chamber(small_bench_file):
     bench_file = small_bench_file()
     a, b = settings_of(bench_file), settings_of(bench_file, "B", "symmetric")
-    assert (a.series, b.series) == (Series.A, Series.B)
+    moist, dry = (viscoelastic_cane(cane_of("R07"), series) for series in (Series.A, Series.B))
+    assert (a.reed.cane, b.reed.cane) == (moist, dry)
     assert (a.chamber.filling, b.chamber.filling) == (Filling.ASYMMETRIC, Filling.SYMMETRIC)
-    assert a.components == b.components == cane_of("R07")
 
 
 def test_the_bench_file_decides_optics_sensor_and_reed(small_bench_file):
@@ -67,25 +66,25 @@ def test_the_bench_file_decides_optics_sensor_and_reed(small_bench_file):
         reed={"e1": 0.5, "e3": -1}, loss_factor=0.05, light={"object_e_s": 100.0}
     )
     settings = settings_of(bench_file)
-    assert settings.components == Components(e1=0.5, e3=-1.0)
-    assert settings.loss_factor == 0.05
-    assert settings.illumination.object_e_s == 100.0
+    assert settings.reed.cane == viscoelastic_cane(Components(e1=0.5, e3=-1.0), Series.A)
+    assert settings.reed.loss_factor == 0.05
+    assert settings.optics.illumination.object_e_s == 100.0
     assert settings.sensor.shape == (1024, 1280)
     assert settings.sensor.pixel_m == 6.7e-6
-    assert settings.layout.reed_centre_m == (0.022, 0.0)
-    assert settings.layout.wavelength_m == 650e-9
+    assert settings.optics.layout.reed_centre_m == (0.022, 0.0)
+    assert settings.optics.layout.wavelength_m == 650e-9
 
 
 def test_another_reed_has_a_mouthpiece_of_its_own(small_bench_file):
     bench_file, bass = small_bench_file(), ReedFile.from_file("bass-clarinet").geometry()
     preparation = Preparation("R07", "A", "asymmetric", bass)
-    settings = model_settings(read_simulation({}, "bench"), bench_file, preparation)
+    settings = bench_parameters(read_simulation({}, "bench"), bench_file, preparation)
     clarinet = settings_of(bench_file)
     # The paper's mouthpiece, and one with the same walls for a reed that is clamped at 45 mm.
     assert (clarinet.chamber.length_m, clarinet.chamber.half_width_m) == (33e-3, 5.3e-3)
     assert settings.chamber.length_m == pytest.approx(39.8e-3)
     assert settings.chamber.half_width_m == pytest.approx(6.925e-3)
-    assert settings.layout.reed_size_m > clarinet.layout.reed_size_m == (0.014, 0.038)
+    assert settings.optics.layout.reed_size_m > clarinet.optics.layout.reed_size_m == (0.014, 0.038)
 
 
 def test_the_laboratory_builds_the_reed_of_the_preparation(small_bench_file, monkeypatch):
@@ -150,8 +149,10 @@ def test_moduli_and_pressure_of_the_bench_reach_physics(small_bench_file):
             cane_factors={"E_L": 1.1, "G_LT": 0.9}, pressure={"distortion": 0.2, "seed": 5}
         )
     )
-    assert (settings.E_L_factor, settings.G_LT_factor) == (1.1, 0.9)
-    assert settings.distortion == PressureDistortion(0.2, 5)
+    usual = viscoelastic_cane(cane_of("R07"), Series.A)
+    assert settings.reed.cane.young_L == usual.young_L.scaled(1.1)
+    assert settings.reed.cane.shear_LT == usual.shear_LT.scaled(0.9)
+    assert settings.chamber.distortion == PressureDistortion(0.2, 5)
 
 
 def test_plan_and_chamber_are_those_of_the_reed_that_the_protocol_knows(small_bench_file):
@@ -204,9 +205,12 @@ def test_faults_reach_physics(small_bench_file):
     settings, nominal = (
         settings_of(small_bench_file(**simulation)) for simulation in ({"faults": faults}, {})
     )
-    assert not settings.tweeter.connected
-    assert nominal.tweeter.connected
-    ratio = settings.illumination.local_oscillator_e_s / nominal.illumination.local_oscillator_e_s
+    assert not settings.drive.tweeter.connected
+    assert nominal.drive.tweeter.connected
+    ratio = (
+        settings.optics.illumination.local_oscillator_e_s
+        / nominal.optics.illumination.local_oscillator_e_s
+    )
     assert ratio == 4
 
 

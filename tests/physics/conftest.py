@@ -8,14 +8,16 @@ import pytest
 from scipy.interpolate import BarycentricInterpolator
 
 from holography.demodulation import four_phase
-from physics.air import Chamber, Filling
 from physics.bench import (
     BenchModel,
     BenchState,
     Segment,
-    TwinSettings,
 )
-from physics.optics import Illumination
+from physics.motion import PlainMotion
+from physics.parameters.chamber import Chamber, Filling
+from physics.parameters.optics import Illumination, Optics
+from physics.parameters.sensor import Sensor
+from physics.parameters.tree import BenchParameters
 from physics.reed.elements.fem import assemble
 from physics.reed.elements.mesh import (
     HalfReedMesh,
@@ -26,7 +28,6 @@ from physics.reed.elements.mesh import (
 from physics.reed.geometry import ReedGeometry
 from physics.reed.reduction.basis import BasisSettings, build_reduced_reed
 from physics.reed.reduction.cache import STANDARD, reduced_reed
-from physics.sensor import Sensor
 
 FRAME_RATE_HZ = Fraction(25, 2)
 
@@ -136,12 +137,14 @@ def quiet_settings():
     """
     nominal, light_e_s = Illumination(), 80e12
     share = nominal.object_e_s / nominal.local_oscillator_e_s
-    return TwinSettings(
+    return BenchParameters(
         chamber=Chamber(Filling.ASYMMETRIC),
-        illumination=Illumination(
-            local_oscillator_e_s=light_e_s,
-            local_oscillator_waist_m=1e3,
-            object_e_s=share * light_e_s,
+        optics=Optics(
+            illumination=Illumination(
+                local_oscillator_e_s=light_e_s,
+                local_oscillator_waist_m=1e3,
+                object_e_s=share * light_e_s,
+            )
         ),
         sensor=Sensor(
             shape=(256, 320),
@@ -156,7 +159,7 @@ def quiet_settings():
 
 @pytest.fixture(scope="session")
 def quiet_bench(quiet_settings, coarse_reed):
-    return BenchModel(quiet_settings, coarse_reed, np.random.default_rng(1))
+    return BenchModel(quiet_settings, PlainMotion(coarse_reed), np.random.default_rng(1))
 
 
 @pytest.fixture(scope="session")

@@ -6,14 +6,10 @@ import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from physics.air import (
-    CavityLine,
-    Chamber,
-    Filling,
-    cavity_gain,
-    pressure_shape,
-)
-from physics.drive import Tweeter, tweeter_pressure_pa
+from physics.air import pressure_shape
+from physics.drive import resonance_gain, tweeter_pressure_pa
+from physics.parameters.chamber import Chamber, Filling
+from physics.parameters.drive import AcousticResonance, Tweeter
 
 FREQUENCIES = st.floats(1.0, 1e5)
 
@@ -23,7 +19,7 @@ def gains(system, frequencies_hz):
 
 
 def cavity(hz):
-    return cavity_gain(CavityLine(), hz)
+    return complex(resonance_gain(AcousticResonance(), hz))
 
 
 def tweeter(hz):
@@ -49,15 +45,15 @@ def test_the_cavity_is_loudest_at_the_papers_line():
 
 def test_the_cavity_line_is_a_resonance_of_its_quality():
     """Relative to the direct path: ``strength·Q`` and a quarter turn late at the line."""
-    line = CavityLine(frequency_hz=3e3, quality=40.0, strength=0.2)
-    assert cavity_gain(line, 3e3) - 1 == pytest.approx(-1j * 0.2 * 40, rel=1e-9)
+    line = AcousticResonance(frequency_hz=3e3, quality=40.0, strength=0.2)
+    assert resonance_gain(line, 3e3) - 1 == pytest.approx(-1j * 0.2 * 40, rel=1e-9)
     half_power = [3e3 * (1 + side / 80) for side in (-1, 1)]
     for hz in half_power:
-        assert abs(cavity_gain(line, hz) - 1) == pytest.approx(8 / np.sqrt(2), rel=0.02)
+        assert abs(resonance_gain(line, hz) - 1) == pytest.approx(8 / np.sqrt(2), rel=0.02)
 
 
 def test_far_from_the_line_pressure_passes():
-    assert cavity(1.0) == pytest.approx(1 + CavityLine().strength, rel=1e-3)
+    assert cavity(1.0) == pytest.approx(1 + AcousticResonance().strength, rel=1e-3)
     assert cavity(1e6) == pytest.approx(1, abs=1e-4)
 
 
@@ -77,8 +73,8 @@ def test_nothing_sounds_before_it_is_driven(system):
 
 
 def test_the_cavity_rings_down_with_its_quality():
-    line = CavityLine()
-    response = impulse_response(lambda hz: cavity_gain(line, hz) - 1)
+    line = AcousticResonance()
+    response = impulse_response(lambda hz: resonance_gain(line, hz) - 1)
     envelope_s = line.quality / (np.pi * line.frequency_hz)
     time_s = np.arange(len(response)) / 400e3
     windows = [np.sqrt(np.mean(response[np.abs(time_s - t) < 0.5e-3] ** 2)) for t in (2e-3, 6e-3)]

@@ -1,4 +1,4 @@
-"""All effects are in one form, and none of any is the nominal twin, bit for bit."""
+"""All effects are in one form, and none of any is the nominal parameters, bit for bit."""
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
@@ -18,7 +18,7 @@ from physics.mechanics import (
     TipMass,
     YieldingClamp,
 )
-from physics.twin import Twin
+from physics.parameters.tree import BenchParameters, part_at, with_part
 
 FOLDER = Path(physics.effects.__file__).parent
 NOT_EFFECTS = {"__init__", "effect", "changes", "catalogue"}
@@ -28,27 +28,37 @@ each = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.id
 MORE: Mapping[str, Mapping[str, str]] = {
     "tweeter_compression": {"fraction": "drive.compression"},
     "amplifier_rolloff": {"inverse_corner": "drive.roll_off"},
-    "acoustic_resonance": {"excess": "drive.resonance_excess"},
-    "chamber_leakage": {"fraction": "drive.open_right"},
+    "chamber_leakage": {"fraction": "chamber.leak"},
     "synthesizer_detuning": {"offset": "clocks.detuning_hz"},
     "synthesizer_drift": {"rate": "clocks.detuning_hz_h"},
     "generator_clock": {"ratio": "clocks.generator_ppm"},
     "lost_frames": {"fraction": "clocks.lost_fraction"},
-    "bench_vibration": {"jitter": "optics.jitter_rad"},
-    "phase_step_error": {"error": "optics.quarter_error_rad"},
-    "laser_power_drift": {"loss_rate": "optics.fade_per_h"},
-    "speckle_decorrelation": {"contrast_loss": "optics.decorrelation_per_rad2"},
-    "carrier_leak": {"fraction": "optics.leak"},
-    "sideband_crosstalk": {"fraction": "optics.crosstalk"},
-    "lo_misalignment": {"down": "optics.shift_m.0", "right": "optics.shift_m.1"},
-    "vignetting": {"fraction": "optics.vignette"},
-    "defocus": {"distance": "optics.defocus_m"},
-    "read_noise": {"log_factor": "sensor.read_factor"},
+    "bench_vibration": {"jitter": "optics.interference.jitter_rad"},
+    "phase_step_error": {"error": "optics.interference.quarter_error_rad"},
+    "laser_power_drift": {"loss_rate": "optics.interference.fade_per_h"},
+    "speckle_decorrelation": {"contrast_loss": "optics.interference.decorrelation_per_rad2"},
+    "carrier_leak": {"fraction": "optics.interference.leak"},
+    "sideband_crosstalk": {"fraction": "optics.interference.crosstalk"},
+    "lo_misalignment": {
+        "down": "optics.illumination.local_oscillator_shift_m.0",
+        "right": "optics.illumination.local_oscillator_shift_m.1",
+    },
+    "vignetting": {"fraction": "optics.illumination.vignette"},
+    "defocus": {"distance": "optics.layout.defocus_m"},
     "fixed_pattern_noise": {"rms": "sensor.pattern"},
     "hot_pixels": {"fraction": "sensor.hot"},
     "sensor_nonlinearity": {"fraction": "sensor.nonlinearity"},
-    "temperature_drift": {"rate": "environment.warming_c_h"},
-    "drying": {"fraction": "environment.drying"},
+    "temperature_drift": {
+        "rate": "environment.warming_c_h",
+        "E_L": "environment.warm_E_L",
+        "G_LT": "environment.warm_G_LT",
+    },
+    "drying": {
+        "fraction": "environment.drying",
+        "E_L": "environment.dry_E_L",
+        "G_LT": "environment.dry_G_LT",
+        "loss": "environment.dry_loss",
+    },
     "hardening_nonlinearity": {"fraction": "environment.hardening"},
     "viscoelastic_stiffening": {"E_L": "reed.shift.growth_E_L", "G_LT": "reed.shift.growth_G_LT"},
     "transverse_modulus": {"E_T": "reed.shift.E_T"},
@@ -61,8 +71,13 @@ MORE: Mapping[str, Mapping[str, str]] = {
 # Sizes that are logarithms of what a field is multiplied by.
 TIMES: Mapping[str, Mapping[str, str]] = {
     "tweeter_compression": {"log_corner": "drive.compression_hz"},
-    "temperature_drift": {"log_loss": "environment.loss_per_c"},
+    "temperature_drift": {"log_loss": "environment.warm_loss"},
     "drying": {"log_time": "environment.drying_s"},
+    "read_noise": {"log_factor": "sensor.read_noise_e"},
+}
+# Sizes by which a field grows in relation to itself.
+GROWN: Mapping[str, Mapping[str, str]] = {
+    "acoustic_resonance": {"excess": "drive.acoustic_resonance.strength"},
 }
 # What reeds are altered by, with a size and the other way round.
 ALTERED: Mapping[str, tuple[str, Alteration, Alteration]] = {
@@ -92,37 +107,42 @@ def test_every_file_is_in_the_catalogue_in_the_order_of_the_chain() -> None:
 
 
 @each
-def test_none_of_an_effect_is_the_nominal_twin(effect: Effect) -> None:
-    assert effect.change(Twin(), values(effect, 0.0)) == Twin()
+def test_none_of_an_effect_is_the_nominal_bench(effect: Effect) -> None:
+    assert effect.change(BenchParameters(), values(effect, 0.0)) == BenchParameters()
 
 
 @each
-def test_an_effect_changes_the_twin(effect: Effect) -> None:
-    changed = effect.change(Twin(), values(effect, 1.0))
-    assert changed != Twin()
+def test_an_effect_changes_the_bench(effect: Effect) -> None:
+    changed = effect.change(BenchParameters(), values(effect, 1.0))
+    assert changed != BenchParameters()
     assert hash(changed) is not None
 
 
-def _busy() -> Twin:
-    """A twin that has something of everything already."""
-    reed = replace(Twin().reed, air_share=0.2, coarse_share=0.1, loss_growth=0.05,
+_PARTS = (
+    "drive", "drive.acoustic_resonance", "chamber", "clocks", "optics.layout",
+    "optics.illumination", "optics.interference", "sensor", "environment",
+)  # fmt: skip
+
+
+def _busy() -> BenchParameters:
+    """Parameters of a bench that has something of everything already."""
+    reed = replace(BenchParameters().reed, air_share=0.2, coarse_share=0.1, loss_growth=0.05,
                    alterations=((TipMass(), 1e-7),))  # fmt: skip
     shifts = {field.name: 0.01 * (k + 1) for k, field in enumerate(fields(reed.shift))}
-    twin = Twin(reed=replace(reed, shift=replace(reed.shift, **shifts)))
-    for part in ("drive", "clocks", "optics", "sensor", "environment"):
-        there = getattr(twin, part)
+    parameters = BenchParameters(reed=replace(reed, shift=replace(reed.shift, **shifts)))
+    for path in _PARTS:
+        there = part_at(parameters, path)
         more: dict[str, Any] = {
             field.name: 1.1 * value + 0.01 * (k + 1)
             for k, field in enumerate(fields(there))
             if isinstance(value := getattr(there, field.name), float)
         }
-        changed: dict[str, Any] = {part: replace(there, **more)}
-        twin = replace(twin, **changed)
-    return replace(twin, optics=replace(twin.optics, shift_m=(1e-4, 2e-4)))
+        parameters = with_part(parameters, path, **more)
+    return with_part(parameters, "optics.illumination", local_oscillator_shift_m=(1e-4, 2e-4))
 
 
 def _flat(value: Any, path: str = "") -> dict[str, Any]:
-    """All fields of a twin by their paths; alterations as they are."""
+    """All fields of parameters by their paths; alterations as they are."""
     if is_dataclass(value) and not path.endswith("alterations"):
         inside = {field.name: getattr(value, field.name) for field in fields(value)}
     elif isinstance(value, tuple) and value and all(isinstance(v, float) for v in value):
@@ -136,24 +156,28 @@ def _flat(value: Any, path: str = "") -> dict[str, Any]:
 
 
 def test_the_tables_name_every_effect() -> None:
-    assert {*MORE, *ALTERED, "laser_mode_hop", "second_acoustic_resonance"} == set(BY_ID)
+    assert {*MORE, *TIMES, *GROWN, *ALTERED, "laser_mode_hop", "second_acoustic_resonance"} == set(
+        BY_ID
+    )
     for effect in CATALOGUE:
-        expected = {*MORE.get(effect.id, ()), *TIMES.get(effect.id, ())}
+        expected = {*MORE.get(effect.id, ()), *TIMES.get(effect.id, ()), *GROWN.get(effect.id, ())}
         if expected:
             assert expected == {parameter.name for parameter in effect.parameters}
 
 
-@pytest.mark.parametrize("name", MORE)
-def test_an_effect_adds_its_sizes_to_its_own_fields_and_to_nothing_else(name: str) -> None:
-    base, more, times = _busy(), MORE[name], TIMES.get(name, {})
-    sizes = {size: 0.03 * (k + 1) for k, size in enumerate((*more, *times))}
+@pytest.mark.parametrize("name", sorted({*MORE, *TIMES, *GROWN}))
+def test_an_effect_changes_its_own_fields_by_its_sizes_and_nothing_else(name: str) -> None:
+    base, more, times, grown = (
+        _busy(), MORE.get(name, {}), TIMES.get(name, {}), GROWN.get(name, {})
+    )  # fmt: skip
+    sizes = {size: 0.03 * (k + 1) for k, size in enumerate((*more, *times, *grown))}
     before, after = _flat(base), _flat(BY_ID[name].change(base, sizes))
-    expected = before | {path: before[path] + sizes[size] for size, path in more.items()}
-    expected |= {path: before[path] * np.exp(sizes[size]) for size, path in times.items()}
-    assert set(after) == set(expected)
-    assert {p for p in after if after[p] != before[p]} == {*more.values(), *times.values()}
-    for path in (*more.values(), *times.values()):
-        assert after[path] == pytest.approx(expected[path], rel=1e-12)
+    own = {path: before[path] + sizes[size] for size, path in more.items()}
+    own |= {path: before[path] * np.exp(sizes[size]) for size, path in times.items()}
+    own |= {path: before[path] * (1 + sizes[size]) for size, path in grown.items()}
+    assert set(after) == set(before)
+    assert {p for p in after if after[p] != before[p]} == set(own)
+    assert {path: after[path] for path in own} == pytest.approx(own, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", ALTERED)
@@ -170,15 +194,18 @@ def test_an_altered_reed_keeps_its_own_alterations(name: str, sign: int) -> None
     assert replace(changed, reed=replace(changed.reed, alterations=base.reed.alterations)) == base
 
 
-def test_a_hop_and_a_line_are_where_they_are_said_to_be() -> None:
-    hopped = BY_ID["laser_mode_hop"].change(Twin(), {"contrast_loss": 0.3, "time_fraction": 0.6})
-    assert hopped == replace(Twin(), optics=replace(Twin().optics, hop=0.3, hop_time_fraction=0.6))
+def test_a_hop_and_a_resonance_are_where_they_are_said_to_be() -> None:
+    nominal = BenchParameters()
+    hopped = BY_ID["laser_mode_hop"].change(nominal, {"contrast_loss": 0.3, "after": 0.6})
+    assert hopped == with_part(nominal, "optics.interference", hop=0.3, hop_after_h=0.6)
     sizes = {"strength": 0.2, "log_hz": 0.01, "log_quality": -0.2, "hz": 5e3, "quality": 18.0}
-    drive = BY_ID["second_acoustic_resonance"].change(Twin(), sizes).drive
-    assert drive.second_strength == 0.2
-    assert drive.second_hz == pytest.approx(5e3 * np.exp(0.01))
-    assert drive.second_quality == pytest.approx(18 * np.exp(-0.2))
-    assert replace(drive, second_strength=0.0, second_hz=7e3, second_quality=30.0) == Twin().drive
+    changed = BY_ID["second_acoustic_resonance"].change(nominal, sizes)
+    resonance = changed.drive.second_resonance
+    assert resonance.strength == 0.2
+    assert resonance.frequency_hz == pytest.approx(5e3 * np.exp(0.01))
+    assert resonance.quality == pytest.approx(18 * np.exp(-0.2))
+    usual = nominal.drive.second_resonance
+    assert with_part(changed, "drive", second_resonance=usual) == nominal
 
 
 @each

@@ -10,15 +10,8 @@ from scipy.integrate import quad
 from scipy.special import jv
 
 from holography.fresnel import FresnelTransform
-from physics.optics import (
-    Layout,
-    beat_integral,
-    kept_orders,
-    reed_axes_m,
-    reed_region,
-    sidebands,
-    speckle,
-)
+from physics.optics import beat_integral, kept_orders, reed_axes_m, reed_region, sidebands, speckle
+from physics.parameters.optics import Layout
 
 WAVELENGTH_M = 650e-9
 PHASES = np.concatenate([np.geomspace(1e-9, 1, 60), np.linspace(1, 200, 400)])

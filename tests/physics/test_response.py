@@ -5,11 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physics.air import (
-    Chamber,
-    Filling,
-    pressure_shape,
-)
+from physics.air import pressure_shape
+from physics.parameters.chamber import Chamber, Filling
 from physics.reed.cane.material import Cane, stiffness_terms_pa
 from physics.reed.cane.viscoelastic import (
     Components,

@@ -5,11 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physics.sensor import (
-    Sensor,
-    read_out,
-    saturation_dn,
-)
+from physics.parameters.sensor import Sensor
+from physics.sensor import read_out, saturation_dn
 
 SIDE = 256
 SENSOR = Sensor(shape=(SIDE, SIDE))

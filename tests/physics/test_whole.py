@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 
 from holography.demodulation import four_phase
-from physics.air import Chamber, pressure_shape
+from physics.air import distortion_factor, pressure_shape
 from physics.bench import (
     BenchModel,
     BenchState,
-    PressureDistortion,
     Segment,
-    TwinSettings,
-    bench_cane,
-    distortion_factor,
 )
+from physics.motion import PlainMotion
 from physics.optics import reed_axes_m
+from physics.parameters.chamber import Chamber, PressureDistortion
+from physics.parameters.tree import with_part
 from physics.reed.cane.material import Cane, stiffness_terms_pa
 from physics.reed.cane.viscoelastic import (
     Components,
@@ -293,7 +292,7 @@ def test_a_whole_reed_is_kept(skew_whole, tmp_path, monkeypatch):
 
 def test_the_bench_moves_a_whole_reed(quiet_settings, even_whole, even_halves, skew_whole):
     bench, halves_bench, skew_bench = (
-        BenchModel(quiet_settings, reed, np.random.default_rng(1))
+        BenchModel(quiet_settings, PlainMotion(reed), np.random.default_rng(1))
         for reed in (even_whole, even_halves, skew_whole)
     )
     moved, expected, skew = (
@@ -304,17 +303,12 @@ def test_the_bench_moves_a_whole_reed(quiet_settings, even_whole, even_halves, s
 
 
 def test_factors_of_the_moduli_hold_at_every_frequency():
-    settings = TwinSettings(components=Components(0.5, -1.0, 0.3), series=Series.B)
-    nominal = bench_cane(settings)
-    assert nominal == viscoelastic_cane(settings.components, Series.B)
-    cane = bench_cane(replace(settings, E_L_factor=1.1, G_LT_factor=0.9))
-    hz = np.geomspace(10, 1e5, 9)
-    for factor_, one, other in (
-        (1.1, cane.young_L, nominal.young_L),
-        (0.9, cane.shear_LT, nominal.shear_LT),
-    ):
+    hz, cane = np.geomspace(10, 1e5, 9), viscoelastic_cane(Components(0.5, -1.0, 0.3), Series.B)
+    for zener in (cane.young_L, cane.shear_LT):
         np.testing.assert_allclose(
-            storage_modulus_pa(one, hz), factor_ * storage_modulus_pa(other, hz), rtol=1e-12
+            storage_modulus_pa(zener.scaled(1.1), hz),
+            1.1 * storage_modulus_pa(zener, hz),
+            rtol=1e-12,
         )
 
 
@@ -353,20 +347,23 @@ def test_a_distortion_follows_from_its_seed_and_goes_on_as_at_the_edges():
 
 
 def test_the_bench_pushes_with_the_distorted_pressure(quiet_settings, skew_whole):
-    settings = replace(quiet_settings, distortion=PressureDistortion(0.3, 2))
+    settings = with_part(quiet_settings, "chamber", distortion=PressureDistortion(0.3, 2))
 
     def pressure(hz, x, y):
         return pressure_shape(settings.chamber, hz, x, y).astype(complex)
 
     def distorted_pressure(hz, x, y):
         return pressure(hz, x, y) * distortion_factor(
-            settings.distortion, settings.chamber, hz, x, y
+            settings.chamber.distortion, settings.chamber, hz, x, y
         )
 
     nominal, bench = (
-        BenchModel(one, skew_whole, np.random.default_rng(1)) for one in (quiet_settings, settings)
+        BenchModel(one, PlainMotion(skew_whole), np.random.default_rng(1))
+        for one in (quiet_settings, settings)
     )
-    y, x = np.meshgrid(*reed_axes_m(settings.layout, bench.region, bench.transform), indexing="ij")
+    y, x = np.meshgrid(
+        *reed_axes_m(settings.optics.layout, bench.region, bench.transform), indexing="ij"
+    )
     plain = nominal.displacement_m(DRIVE_HZ, 1.0)
     # Where it moves much: ratios are then no noise of complex64.
     seen = np.abs(plain) > 0.3 * np.abs(plain).max()

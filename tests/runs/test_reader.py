@@ -19,7 +19,8 @@ from hypothesis import strategies as st
 from drivers.roles import Frame
 from holography.fresnel import FresnelTransform
 from holography.reconstruction import Reconstruction
-from physics.optics import Layout, reed_axes_m
+from physics.optics import reed_axes_m
+from physics.parameters.optics import Layout
 from protocols.reed import ReedFile
 from runs.disk import DiskFile
 from runs.errors import DiskError, RunFileError

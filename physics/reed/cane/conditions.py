@@ -17,6 +17,7 @@ from physics.reed.cane.viscoelastic import (
     ViscoelasticCane,
     Zener,
     h4_matrix,
+    viscoelastic_cane,
 )
 
 # The paper's example of an activation energy, and its laboratory.
@@ -117,6 +118,33 @@ def h4_matrix_at(dryness: float) -> NDArray[np.float64]:
         )
     ambient, dried = h4_matrix(Series.A), h4_matrix(Series.B)
     return np.asarray((1 - dryness) * ambient + dryness * dried, dtype=float)
+
+
+def dried(cane: ViscoelasticCane, dryness: float) -> ViscoelasticCane:
+    """Return a cane that is drier: its springs change by what those of the mean reed do.
+
+    For the cane of a reed in series A this is `cane_at_dryness` of a reed with e4 = e2: hypothesis
+    H4 lets reeds differ in how they answer to drying by (e4 - e2)/2, with a mean of 0.
+
+    Parameters
+    ----------
+    cane : ViscoelasticCane
+    dryness : float
+        1 changes it as much as series B differs from series A.
+    """
+    mean = [viscoelastic_cane(Components(), series) for series in (Series.A, Series.B)]
+
+    def changed(zener: Zener, ambient: Zener, dry: Zener) -> Zener:
+        return Zener(
+            zener.spring_mpa + dryness * (dry.spring_mpa - ambient.spring_mpa),
+            zener.arm_spring_mpa + dryness * (dry.arm_spring_mpa - ambient.arm_spring_mpa),
+            zener.arm_dashpot_mpa_s,
+        )
+
+    return ViscoelasticCane(
+        changed(cane.young_L, *(each.young_L for each in mean)),
+        changed(cane.shear_LT, *(each.shear_LT for each in mean)),
+    )
 
 
 def cane_at_dryness(components: Components, dryness: float) -> ViscoelasticCane:

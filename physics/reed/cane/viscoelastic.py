@@ -6,6 +6,9 @@ from enum import StrEnum
 import numpy as np
 
 from holography.arrays import Array
+from physics.parameters.quantity import bounded
+
+_TABLES = "paper, Tables 6 and 7: means of both series and six standard deviations"
 
 
 class Series(StrEnum):
@@ -42,9 +45,14 @@ class Zener:
         Dashpot of the Maxwell arm, E3 or G3.
     """
 
-    spring_mpa: float
-    arm_spring_mpa: float
-    arm_dashpot_mpa_s: float
+    spring_mpa: float = bounded("MPa", 100.0, 40e3, _TABLES)
+    arm_spring_mpa: float = bounded("MPa", 0.0, 40e3, _TABLES)
+    arm_dashpot_mpa_s: float = bounded("MPa s", 0.0, 10.0, _TABLES)
+
+    def scaled(self, factor: float) -> "Zener":
+        """Return a solid whose storage modulus is larger by a factor at every frequency."""
+        parts = (self.spring_mpa, self.arm_spring_mpa, self.arm_dashpot_mpa_s)
+        return Zener(*(factor * part for part in parts))
 
 
 @dataclass(frozen=True)
@@ -150,7 +158,7 @@ def require_physical(cane: ViscoelasticCane) -> None:
     Raises
     ------
     ValueError
-        ModeClassification the first such spring.
+        Names the first such spring.
     """
     for letter, zener in (("E", cane.young_L), ("G", cane.shear_LT)):
         for rank, value in ((1, zener.spring_mpa), (2, zener.arm_spring_mpa)):

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import linalg
 from scipy.interpolate import CubicSpline
 
-from holography.arrays import Array
+from holography.arrays import Array, ComplexArray
 from physics.reed.cane.material import (
     Cane,
     stiffness_terms_pa,
@@ -199,6 +199,54 @@ def _spans(
                 _at_frequencies(air.hz, air.resistance_kg_s, shapes) if air else _none_of(shapes)
             ),
         )
+
+
+def response_of_changed(
+    shape_derivatives: ShapeDerivatives,
+    change: Change,
+    material: Cane,
+    loss_factor: float,
+    hz: float,
+    force_n: ComplexArray,
+    *,
+    air: AirLoad | None = None,
+    added_n_m: Array | None = None,
+) -> ComplexArray:
+    """Return the motion (s,) of a changed reed under forces (s,) at one frequency.
+
+    Solves ``((1 + iη) K - ω²M + iωR) q = F``, in which only the cane has a loss factor.
+
+    Parameters
+    ----------
+    shape_derivatives : ShapeDerivatives
+    change : Change
+    material : Cane
+        All constants, at this frequency.
+    loss_factor : float
+        η.
+    hz : float
+    force_n : (s,) complex
+    air : AirLoad, optional
+        Vacuum if not given.
+    added_n_m : (s, s) float, optional
+        More stiffness, with the cane's loss factor.
+    """
+    omega = 2 * np.pi * hz
+    terms = shape_derivatives.stiffness_terms + change.stiffness_terms
+    cane = np.tensordot(stiffness_terms_pa(material), terms, axes=1)
+    if added_n_m is not None:
+        cane = cane + added_n_m
+    mass = material.density_kg_m3 * (shape_derivatives.mass + change.mass) + change.mass_kg
+    dynamic = (1 + 1j * loss_factor) * cane - omega**2 * mass
+    if air is not None:
+        splines = [CubicSpline(np.log(air.hz), part) for part in (air.mass_kg, air.resistance_kg_s)]
+        carried, resistance = (spline(np.log(hz)) for spline in splines)
+        dynamic = dynamic - omega**2 * carried + 1j * omega * resistance
+    moved = np.zeros(len(force_n), dtype=complex)
+    for into, springs, _ in _coordinates(shape_derivatives, change):
+        own = into.T @ dynamic @ into + springs
+        moved += into @ np.linalg.solve(own, into.T @ force_n)
+    return moved
 
 
 def _lowest(stiffness: Array, mass: Array, count: int) -> Array:

@@ -184,15 +184,49 @@ def forced_response(
         Reduced coordinates in m, per part of the reed (see `whole.parts_of`), time factor
         exp(+iωt).
     """
+    each = [
+        response_at(reed, at_frequency(reed.cane, cane, hz), loss_factor, hz, pressure)
+        for hz in frequencies_hz.tolist()
+    ]
+    return {part: np.stack([response[part] for response in each]) for part in parts_of(reed)}
+
+
+def response_at(
+    reed: ReducedReed | WholeReed,
+    material: Cane,
+    loss_factor: float,
+    hz: float,
+    pressure: Callable[[float, Array, Array], ComplexArray],
+) -> dict[Symmetry | None, ComplexArray]:
+    """Steady vibration at one frequency; see `forced_response`.
+
+    Parameters
+    ----------
+    material : Cane
+        All constants, at this frequency.
+
+    Returns
+    -------
+    dict of (r,) complex
+    """
+    forces = pressure_forces(reed, hz, pressure)
+    return {
+        symmetry: _solve(part, material, loss_factor, hz, forces[symmetry])
+        for symmetry, part in parts_of(reed).items()
+    }
+
+
+def pressure_forces(
+    reed: ReducedReed | WholeReed,
+    hz: float,
+    pressure: Callable[[float, Array, Array], ComplexArray],
+) -> dict[Symmetry | None, ComplexArray]:
+    """Return the forces (r,) of a pressure in the reduced coordinates of each part of a reed."""
     x, y = reed.load_points_m.T
-    answer = {}
-    for symmetry, part in parts_of(reed).items():
-        response = np.empty((len(frequencies_hz), part.mass.shape[0]), dtype=complex)
-        for k, hz in enumerate(frequencies_hz):
-            load = _pressure_on(symmetry, pressure, hz, x, y) @ part.load_z
-            response[k] = _solve(part, at_frequency(reed.cane, cane, hz), loss_factor, hz, load)
-        answer[symmetry] = response
-    return answer
+    return {
+        symmetry: _pressure_on(symmetry, pressure, hz, x, y) @ part.load_z
+        for symmetry, part in parts_of(reed).items()
+    }
 
 
 def _pressure_on(

@@ -1,0 +1,135 @@
+"""Motion of a reed under a sinusoidal pressure, whatever its mechanical parameters are."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from holography.arrays import Array, ComplexArray
+from physics.conditions import ConditionChange
+from physics.mechanics import PIVOT_HZ, Mechanics, ReedSolver, material_of
+from physics.reed.cane.material import Cane
+from physics.reed.elements.fem import Symmetry
+from physics.reed.elements.whole import WholeReed
+from physics.reed.reduction.basis import ReducedReed
+from physics.reed.reduction.response import response_at
+
+Pressure = Callable[[float, Array, Array], ComplexArray]
+"""``pressure(hz, x_m, y_m)``: complex pressures in Pa at points of the flat side."""
+
+Coordinates = Mapping[Symmetry | None, ComplexArray]
+"""Reduced coordinates (r,) in m for each part of a reed."""
+
+
+class ReedMotion(Protocol):
+    """A reed that can be moved."""
+
+    @property
+    def reed(self) -> ReducedReed | WholeReed:
+        """Its reduced coordinates."""
+        ...
+
+    def coordinates(
+        self,
+        mechanics: Mechanics,
+        change: ConditionChange,
+        hz: float,
+        stiffer: float,
+        pressure: Pressure,
+    ) -> Coordinates:
+        """Return its motion at a frequency.
+
+        Parameters
+        ----------
+        mechanics : Mechanics
+            Of the reed as it was clamped.
+        change : ConditionChange
+            What its condition has changed since.
+        hz : float
+        stiffer : float
+            Logarithm of a factor on all stiffnesses, by which a large amplitude stiffens it.
+        pressure : callable
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class PlainMotion:
+    """Motion of a reed that is as drawn: no alteration, no air.
+
+    Attributes
+    ----------
+    reed : ReducedReed or WholeReed
+    """
+
+    reed: ReducedReed | WholeReed
+
+    def coordinates(
+        self,
+        mechanics: Mechanics,
+        change: ConditionChange,
+        hz: float,
+        stiffer: float,
+        pressure: Pressure,
+    ) -> Coordinates:
+        """Return the motion at a frequency; see `ReedMotion`."""
+        material = _material(self.reed.cane, mechanics, change, hz, stiffer)
+        return response_at(self.reed, material, _loss(mechanics, change, hz), hz, pressure)
+
+    @staticmethod
+    def plays(mechanics: Mechanics) -> bool:
+        """Whether such a reed needs no more than this."""
+        return not (mechanics.alterations or mechanics.air_share or mechanics.coarse_share)
+
+
+@dataclass(frozen=True)
+class AlteredMotion:
+    """Motion of any reed that is its own mirror image but for its alterations.
+
+    Attributes
+    ----------
+    solver : ReedSolver
+    """
+
+    solver: ReedSolver
+
+    @property
+    def reed(self) -> ReducedReed:
+        """Its reduced coordinates."""
+        return self.solver.shape_derivatives.reed
+
+    def coordinates(
+        self,
+        mechanics: Mechanics,
+        change: ConditionChange,
+        hz: float,
+        stiffer: float,
+        pressure: Pressure,
+    ) -> Coordinates:
+        """Return the motion at a frequency; see `ReedMotion`."""
+        material = _material(self.reed.cane, mechanics, change, hz, stiffer)
+        loss = _loss(mechanics, change, hz)
+        return self.solver.response(mechanics, material, loss, hz, pressure)
+
+
+def _material(
+    constants: Cane, mechanics: Mechanics, change: ConditionChange, hz: float, stiffer: float
+) -> Cane:
+    """Return the cane at a frequency, in its present condition."""
+    before = material_of(constants, mechanics.cane, mechanics.shift)(hz)
+    now = replace(
+        before,
+        E_L_pa=before.E_L_pa * float(np.exp(change.E_L)),
+        G_LT_pa=before.G_LT_pa * float(np.exp(change.G_LT)),
+    )
+    if not stiffer:
+        return now
+    moduli = ("E_L_pa", "E_T_pa", "E_R_pa", "G_LT_pa", "G_LR_pa", "G_TR_pa")
+    factor = float(np.exp(stiffer))
+    return replace(now, **{name: factor * getattr(now, name) for name in moduli})
+
+
+def _loss(mechanics: Mechanics, change: ConditionChange, hz: float) -> float:
+    growth = (hz / PIVOT_HZ) ** mechanics.loss_growth
+    return float(mechanics.loss_factor * growth * np.exp(change.loss))

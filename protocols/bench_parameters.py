@@ -1,0 +1,138 @@
+"""The parameter tree of a described bench: what its files say, and the effects that it has."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+from physics.effects.catalogue import BY_ID
+from physics.effects.effect import Effect, Parameter
+from physics.mechanics import Mechanics
+from physics.parameters.chamber import Filling, chamber_of
+from physics.parameters.drive import AcousticResonance, Drive
+from physics.parameters.optics import Layout, Optics
+from physics.parameters.sensor import Sensor
+from physics.parameters.tree import BenchParameters
+from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
+from physics.reed.geometry import ReedGeometry
+from protocols.bench import BenchFile, CameraSensor
+from protocols.errors import ProtocolError
+from protocols.units import parse_quantity
+
+Sizes = Mapping[str, float | str]
+"""Values of an effect's parameters by name, numbers or texts with their units."""
+
+# Units that may be written with prefixes, such as "5 um".
+_PREFIXED = ("Hz", "m", "rad")
+
+
+def nominal_parameters(
+    layout: Layout,
+    sensor: Sensor,
+    *,
+    geometry: ReedGeometry,
+    chamber: str,
+    series: str,
+    resonances_hz: tuple[float, ...] = (),
+) -> BenchParameters:
+    """Return the parameters of a bench of which nothing is known but what its files say.
+
+    Parameters
+    ----------
+    layout : Layout
+    sensor : Sensor
+    geometry : ReedGeometry
+        Of the kind of reed.
+    chamber : {'asymmetric', 'symmetric'}
+    series : str
+        Reeds of series B are dried; the cane is the mean of the population of that series.
+    resonances_hz : tuple of float
+        Acoustic resonances that the bench file lists; the first one is modelled.
+    """
+    kind = Series.B if series == Series.B else Series.A
+    line = AcousticResonance(frequency_hz=resonances_hz[0]) if resonances_hz else None
+    return BenchParameters(
+        drive=Drive(acoustic_resonance=line) if line else Drive(),
+        chamber=chamber_of(geometry, Filling(chamber)),
+        reed=Mechanics(cane=viscoelastic_cane(Components(), kind)),
+        optics=Optics(layout=layout),
+        sensor=sensor,
+    )
+
+
+def sensor_of_camera(camera: CameraSensor) -> Sensor:
+    """Return the sensor of a camera, nominal in what its data sheet does not say."""
+    shape, pixel_m, sheet = (camera.height, camera.width), float(camera.pixel_m), camera.data_sheet
+    nominal = Sensor(shape=shape, pixel_m=pixel_m, bits=camera.bits)
+    return replace(nominal, **sheet.model_dump()) if sheet else nominal
+
+
+def known_effects(bench: BenchFile | None) -> Mapping[str, Sizes]:
+    """Return the effects that a bench file lists under ``known:``."""
+    return (bench.known if bench else None) or {}
+
+
+def with_effects(
+    parameters: BenchParameters, effects: Mapping[str, Sizes], source: str
+) -> BenchParameters:
+    """Return parameters with effects, each of given sizes.
+
+    Parameters
+    ----------
+    parameters : BenchParameters
+    effects : mapping
+        Sizes by the identifier of each effect.
+    source : str
+        File and key that they are from, such as ``lab.yaml: known``.
+
+    Raises
+    ------
+    ProtocolError
+        If there is no such effect or size, or a size has another unit.
+    """
+    for name, sizes in effects.items():
+        effect = BY_ID.get(name)
+        if effect is None:
+            raise ProtocolError(
+                f"{source}.{name} is not a known effect; `acquire effects` lists them"
+            )
+        parameters = effect.change(parameters, _values(effect, sizes, f"{source}.{name}"))
+    return parameters
+
+
+def _values(effect: Effect, sizes: Sizes, source: str) -> dict[str, float]:
+    """Return all parameters of an effect; those not given are 0, or in the middle of their grid."""
+    values = {p.name: p.grid[len(p.grid) // 2] if p.grid else 0.0 for p in effect.parameters}
+    by_name = {parameter.name: parameter for parameter in effect.parameters}
+    for name, text in sizes.items():
+        if name not in by_name:
+            raise ProtocolError(f"{source}.{name} is no size of it; it has {', '.join(by_name)}")
+        try:
+            values[name] = _value(by_name[name], text)
+        except ValueError as error:
+            raise ProtocolError(f"{source}.{name}: {error}") from None
+    return values
+
+
+def _value(parameter: Parameter, text: float | str) -> float:
+    """Size of a parameter, as it may be."""
+    value = _number(parameter, text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text!r} is no size")
+    if parameter.positive and value < 0:
+        raise ValueError(f"{text!r} is negative, which this size cannot be")
+    if parameter.grid and not min(parameter.grid) <= value <= max(parameter.grid):
+        limits = f"{min(parameter.grid):g} to {max(parameter.grid):g} {parameter.unit}".strip()
+        raise ValueError(f"{text!r} is outside its range; choose a value from {limits}")
+    return value
+
+
+def _number(parameter: Parameter, text: float | str) -> float:
+    if not parameter.unit and isinstance(text, float):
+        return text
+    if parameter.unit in _PREFIXED:
+        return float(parse_quantity(text, parameter.unit))
+    number, _, unit = str(text).partition(" ")
+    if unit.strip() != parameter.unit:
+        remedy = f"write a number and {parameter.unit}" if parameter.unit else "write a number"
+        raise ValueError(f"{text!r} is not in its unit; {remedy}")
+    return float(number)

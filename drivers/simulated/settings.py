@@ -159,7 +159,7 @@ class Light(Options):
     """Whether the phase of the object light is random in every acquisition, as when paths drift."""
     path_drift_rad: Annotated[float, Field(ge=-3, le=3)] = 0.0
     """Phase in rad by which the optical path turns the object light from each frame to the next."""
-    path_walk_rad_s: Annotated[float, Field(ge=0, le=10)] = 0.0
+    path_walk_rad_s: Annotated[float, Field(ge=0, le=10)] = _NOMINAL.optics.interference.walk_rad_s
     """Random walk of the optical path's phase, in rad per square root of a second."""
     path_jitter_rad: Annotated[float, Field(ge=0, le=3)] = 0.0
     """Standard deviation in rad of a further random phase of each frame."""

@@ -392,7 +392,7 @@ def gains(holograms):
 
 
 # As much light as the sensor bears, so that noise hides neither gain nor phase.
-BRIGHT = {"local_oscillator_e_s": 40e3, "object_e_s": 8e3}
+BRIGHT = {"local_oscillator_e_s": 40e3, "object_e_s": 8e3, "path_walk_rad_s": 0.0}
 
 
 def test_light_without_scatter_is_that_of_a_bench_that_does_not_mention_it(

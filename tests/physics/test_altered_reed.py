@@ -108,7 +108,7 @@ def whole(reed_solver, reed):
     each = [half.stiffness_terms for half in halves]
     terms = np.stack([linalg.block_diag(*t) for t in zip(*each, strict=True)])
     terms += change.stiffness_terms
-    cane = material_of(shape_derivatives, reed.cane, reed.shift)
+    cane = material_of(shape_derivatives.reed.cane, reed.cane, reed.shift)
     mass = linalg.block_diag(*[half.mass for half in halves]) + change.mass
     mass = cane(1.0).density_kg_m3 * mass + change.mass_kg
     held = list(shape_derivatives.clamped.values())

@@ -228,6 +228,8 @@ def detuned(plan, error_hz):
 
 # On so few pixels the noise outweighs what leaks of other sidebands: 5 mHz, as a rule.
 AROUND_F1 = {"sweep.first": 16, "sweep.last": 26}
+# Standard errors of the lock are those of the image: what a path walks by is added to them.
+STILL_PATHS = {"path_walk_rad_s": 0.0}
 
 
 def lock_errors(path):
@@ -247,7 +249,7 @@ def assert_measured(errors_hz, standard_errors_hz, true_hz):
 def test_a_wrong_difference_of_the_synthesizers_is_measured_from_the_light(
     small_plan, open_small_bench, path, error_hz
 ):
-    plan = small_plan({**AROUND_F1, "policy.bad_step.retries": 0})
+    plan = small_plan({**AROUND_F1, "policy.bad_step.retries": 0}, light=STILL_PATHS)
     wrong = detuned(plan, Fraction(error_hz))
     run(wrong, open_small_bench(wrong), path)
     assert_measured(*lock_errors(path), float(error_hz))
@@ -260,7 +262,7 @@ def test_another_rate_of_the_camera_is_measured_from_the_light(
 ):
     """The light turns by a quarter in a period that is shorter or longer than it should be."""
     changes = {**AROUND_F1, "policy.bad_step.retries": 0}
-    plan = small_plan(changes, faults={"frame_rate_error_ppm": error_ppm})
+    plan = small_plan(changes, faults={"frame_rate_error_ppm": error_ppm}, light=STILL_PATHS)
     run(plan, open_small_bench(plan), path)
     ratio = 1 + 1e-6 * error_ppm
     assert_measured(*lock_errors(path), RATE_HZ / 4 * (1 / ratio - 1))
@@ -271,7 +273,7 @@ def test_another_rate_of_the_camera_is_measured_from_the_light(
 def test_what_the_light_shows_counts_whatever_the_instruments_say(
     small_plan, open_small_bench, path, error_hz
 ):
-    plan = small_plan({**AROUND_F1, "policy.bad_step.retries": 0})
+    plan = small_plan({**AROUND_F1, "policy.bad_step.retries": 0}, light=STILL_PATHS)
     bench = open_small_bench(plan)
     played, asked = bench.synthesizers.set_pair, {}
 

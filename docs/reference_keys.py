@@ -19,11 +19,11 @@ from drivers.registry import find_driver, known_drivers
 from drivers.simulated.settings import Simulation
 from protocols.bench import BenchFile
 from protocols.campaign import CampaignFile
-from protocols.key_paths import KIND_KEY
 from protocols.protocol import Protocol
 from protocols.reed import ReedFile
-from protocols.strict_yaml import Description
 from protocols.units import format_quantity
+from protocols.yaml_files.key_paths import KIND_KEY
+from protocols.yaml_files.strict_yaml import Description
 
 _FILES: tuple[type[Description], ...] = (Protocol, BenchFile, ReedFile, CampaignFile)
 # Sections that a description leaves to a driver, and the model that checks them.

@@ -9,17 +9,17 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from protocols.strict_yaml import (
-    Description,
-    Section,
-    find_description,
-    shipped_files,
-)
 from protocols.units import (
     Frequency,
     Length,
     Resistance,
     Voltage,
+)
+from protocols.yaml_files.strict_yaml import (
+    Description,
+    Section,
+    find_description,
+    shipped_files,
 )
 
 DEFAULT_BENCH = "simulated"

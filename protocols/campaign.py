@@ -8,7 +8,7 @@ from pydantic import Field, field_validator
 
 from protocols.errors import ProtocolError
 from protocols.protocol import Protocol, is_campaign
-from protocols.strict_yaml import (
+from protocols.yaml_files.strict_yaml import (
     Description,
     Section,
     find_description,

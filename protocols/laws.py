@@ -16,8 +16,8 @@ from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from protocols.strict_yaml import Section
 from protocols.units import Frequency, Interval, Voltage, format_quantity
+from protocols.yaml_files.strict_yaml import Section
 
 # Chosen: twice the number of steps of the longest run (`protocols.protocol.MAX_STEPS`).
 _MOST_INDEX: Final = 100_000

@@ -9,17 +9,17 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from protocols.errors import ProtocolError
 from protocols.laws import AmplitudeLaw, FrequencyLaw
-from protocols.strict_yaml import (
+from protocols.units import (
+    Angle,
+    Frequency,
+    Time,
+)
+from protocols.yaml_files.strict_yaml import (
     Description,
     Section,
     find_description,
     named_beside,
     shipped_files,
-)
-from protocols.units import (
-    Angle,
-    Frequency,
-    Time,
 )
 
 if TYPE_CHECKING:

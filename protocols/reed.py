@@ -31,16 +31,16 @@ from physics.reed.reduction.cache import (
     FAST,
 )
 from physics.reed.reduction.metamodel import REFERENCE_HZ
-from protocols.strict_yaml import (
-    Description,
-    Section,
-    shipped_files,
-)
 from protocols.units import (
     Density,
     Length,
     Modulus,
     Temperature,
+)
+from protocols.yaml_files.strict_yaml import (
+    Description,
+    Section,
+    shipped_files,
 )
 
 DEFAULT_REED = "clarinet"

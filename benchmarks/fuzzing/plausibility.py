@@ -14,7 +14,7 @@ import yaml
 
 from acquire.cli.display import plan_summary
 from protocols.plan import Plan
-from protocols.strict_yaml import Description
+from protocols.yaml_files.strict_yaml import Description
 from reports.run_tables import plan_table
 from reports.tables import terminal_table
 

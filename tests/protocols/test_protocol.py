@@ -29,7 +29,7 @@ from protocols.protocol import (
     shipped_protocols,
 )
 from protocols.reed import ReedFile
-from protocols.strict_yaml import find_description
+from protocols.yaml_files.strict_yaml import find_description
 from tests.protocols.refusals import refusal
 
 SERIES_A = find_protocol("seriesA").read_text(encoding="utf-8")

@@ -38,8 +38,8 @@ from physics.reed.material_range.snapshots import TrainingSettings
 from protocols.errors import ProtocolError
 from protocols.protocol import find_protocol
 from protocols.reed import ReedFile, shipped_reeds
-from protocols.strict_yaml import find_description
 from protocols.units import format_quantity, parse_quantity
+from protocols.yaml_files.strict_yaml import find_description
 from tests.protocols.refusals import refusal
 
 CLARINET = find_description("clarinet", "reed", "reeds").read_text(encoding="utf-8")

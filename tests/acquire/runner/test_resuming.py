@@ -20,7 +20,7 @@ from acquire.runner.runner import RunLabels, run
 from acquire.runner.summary import RunState
 from drivers.errors import InstrumentError
 from protocols.bench import BenchFile
-from protocols.strict_yaml import find_description
+from protocols.yaml_files.strict_yaml import find_description
 from runs.documents import DocumentLog, documents_path
 from runs.errors import RunFileError
 from runs.layout import MEASURED, READ_BACK_HZ

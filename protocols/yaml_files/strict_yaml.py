@@ -21,8 +21,8 @@ from pydantic import BaseModel, ConfigDict, PrivateAttr, ValidationError
 from pydantic_core import ErrorDetails
 
 from protocols.errors import ProtocolError
-from protocols.key_paths import KIND_KEY, KeyPath, keys_of, kinds, resolved
 from protocols.units import invisible_character, shown_value
+from protocols.yaml_files.key_paths import KIND_KEY, KeyPath, keys_of, kinds, resolved
 
 # A description is two screens long, and 50 kB with a map of 5000 measured thicknesses. These stop a
 # file that is something else before it costs time; PyYAML reads some 40 kB in a second.

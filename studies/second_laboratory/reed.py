@@ -1,0 +1,252 @@
+"""Modes and forced response of one reed: finite elements, reduced to a small basis, with air."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+from scipy.interpolate import CloughTocher2DInterpolator, CubicSpline
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+from studies.second_laboratory.air import air_mass, panels_of
+from studies.second_laboratory.cane import Cane
+from studies.second_laboratory.elements import Prisms, Solid
+from studies.second_laboratory.naming import mode_names
+from studies.second_laboratory.parameters import Clamp, Thickness
+from studies.second_laboratory.shape import (
+    LENGTH,
+    Fineness,
+    Thicknesses,
+    contour,
+    plan_mesh,
+)
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# The basis holds the modes with the moduli of these two frequencies, whose stiffness brackets that
+# of all others; a third state changed no mode below 20 kHz by 0.05 cents.
+_STATES_HZ = (2500.0, 15000.0)
+_MODES = 30
+HIGHEST_HZ = 20_500.0
+# Frequencies at which the air is computed; its matrix is smooth between them.
+_AIR_HZ = np.array(
+    [500.0, 2500.0, 5000.0, 7500.0, 10_000.0, 12_500.0, 15_000.0, 17_500.0, 21_000.0]
+)
+_AIR_PANELS_ACROSS = 20
+# Behind the front of the strips the plate goes on for about a half width, as a baffle that rests.
+_AIR_LENGTH = 44.0
+_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2), (3, 3), (4, 4), (5, 5))
+
+
+@dataclass(frozen=True)
+class Pole:
+    """A resonance as it exists on the bench.
+
+    Attributes
+    ----------
+    name : str
+    frequency_hz, loss_factor : float
+        With the stiffness at the resonance's own real frequency: λ = (2πf)²(1 + iη) solves
+        K(2πf) v = λ (M + A(2πf)) v.
+    pole_hz, pole_loss : float
+        Re s/2π and 2 Im s/Re s of the frequency s with det(K(s) − s²(M + A)) = 0, where storage
+        moduli are continued to complex frequency.
+    vector : (m,) complex128
+        In the reduced basis, with unit mass.
+    """
+
+    name: str
+    frequency_hz: float
+    loss_factor: float
+    pole_hz: float
+    pole_loss: float
+    vector: ComplexArray
+
+
+class Reed:
+    """One reed on its mouthpiece, as a reduced model of order about 60.
+
+    Parameters
+    ----------
+    cane : Cane
+    thickness : Thickness
+    clamp : Clamp
+    fineness : Fineness
+    air : float
+        Density of the air over that of dry air at 20 °C; 0 is a vacuum.
+    """
+
+    def __init__(
+        self,
+        cane: Cane,
+        thickness: Thickness,
+        clamp: Clamp,
+        fineness: Fineness | None = None,
+        air: float = 1.0,
+    ) -> None:
+        self.cane, self._air_share = cane, air
+        fine, thick = fineness or Fineness(), Thicknesses(thickness)
+        solid = Solid(plan_mesh(thick, clamp, fine), thick, fine, clamp.bed_n_per_mm3 == 0.0)
+        mass = solid.mass(cane.density * 1e-12)
+        vectors = []
+        for hz in _STATES_HZ:
+            elastic = cane.elasticity(2 * np.pi * hz, lossy=False).real
+            stiffness = solid.stiffness(elastic, clamp.bed_n_per_mm3)
+            vectors.append(lowest_modes(stiffness, mass, _MODES)[1])
+        self._reduce(solid, np.concatenate(vectors, 1), mass, clamp.bed_n_per_mm3)
+
+    def _reduce(self, solid: Solid, vectors: Array, mass: sparse.csc_array, bed: float) -> None:
+        gram = vectors.T @ (mass @ vectors)
+        values, rotation = np.linalg.eigh(gram)
+        # Directions that both states share to 1e-8 of their mass add nothing but rounding.
+        kept = values > 1e-8 * values[-1]
+        basis = vectors @ (rotation[:, kept] / np.sqrt(values[kept]))
+        field = (solid.ties @ basis).reshape(solid.size, 3, -1)
+        self.parts = np.zeros((len(_ENTRIES), basis.shape[1], basis.shape[1]))
+        for prisms in solid.prisms:
+            strains = [prisms.strain(field, k) for k in range(6)]
+            weights = prisms.weights.reshape(-1, 1)
+            for part, (i, j) in zip(self.parts, _ENTRIES, strict=True):
+                product = strains[i].T @ (weights * strains[j])
+                part += product if i == j else product + product.T
+        lateral = np.sum([_gram(prisms, field[:, 1]) for prisms in solid.prisms], 0)
+        self._lateral = self.cane.density * 1e-12 * lateral
+        self._bed = solid.bed_gram(field, bed)
+        depth = field.reshape(*solid.plan_shape, len(solid.heights), 3, -1)[..., 2, :]
+        bark, below = (depth[:, :, k].reshape(-1, basis.shape[1]) for k in (-1, 0))
+        self._positions = solid.plan_positions()
+        self._bark, self._flat = bark, below
+        points = solid.plan_points
+        self.load_x, self.load_y = points.x, points.y
+        self._loads = np.einsum(
+            "pn,pnm->pm", points.basis * points.area[:, None], below[points.nodes]
+        )
+
+    def deflection(self, x: Array, y: Array, bark: bool = True) -> Array:
+        """Return the basis's displacement along z at points in mm, shape (n, m)."""
+        # Points on the outline may lie outside the chords between its nodes.
+        inside = np.minimum(np.abs(y), contour(x) - 1e-3)
+        at = np.column_stack([np.maximum(x, 1e-3), np.sign(y) * np.maximum(inside, 0)])
+        return np.asarray(np.nan_to_num((self._on_bark if bark else self._in_middle)(at)))
+
+    @cached_property
+    def _on_bark(self) -> CloughTocher2DInterpolator:
+        return CloughTocher2DInterpolator(self._positions, self._bark)
+
+    @cached_property
+    def _in_middle(self) -> CloughTocher2DInterpolator:
+        return CloughTocher2DInterpolator(self._positions, 0.5 * (self._bark + self._flat))
+
+    @cached_property
+    def _air(self) -> CubicSpline:
+        panels = panels_of(contour, float(contour(3.0)), _AIR_LENGTH, _AIR_PANELS_ACROSS)
+        shapes = self.deflection(panels.x, panels.y, bark=False)
+        return CubicSpline(
+            _AIR_HZ, [self._air_share * air_mass(panels, shapes, 2 * np.pi * hz) for hz in _AIR_HZ]
+        )
+
+    def stiffness(self, omega: complex, lossy: bool = True) -> ComplexArray:
+        """Return the stiffness at ω, in N/mm."""
+        elastic = self.cane.elasticity(omega, lossy)
+        weights = np.array([elastic[entry] for entry in _ENTRIES])
+        return np.asarray(np.einsum("k,kij->ij", weights, self.parts) + self._bed)
+
+    def inertia(self, hz: float) -> ComplexArray:
+        """Return the mass with that of the air at a frequency, in t."""
+        mass = np.eye(self.parts.shape[1], dtype=complex)
+        return np.asarray(mass + self._air(hz)) if self._air_share else mass
+
+    def response(self, hz: float, pressure_mpa: ComplexArray) -> ComplexArray:
+        """Return coordinates of the basis in mm under a pressure at `load_x`, `load_y`."""
+        omega = 2 * np.pi * hz
+        dynamic = self.stiffness(omega) - omega**2 * self.inertia(hz)
+        return np.asarray(np.linalg.solve(dynamic, self._loads.T @ pressure_mpa))
+
+    @cached_property
+    def poles(self) -> list[Pole]:
+        """All modes below `HIGHEST_HZ`, by frequency."""
+        start_hz = 6000.0
+        values, vectors = linalg.eigh(
+            self.stiffness(2 * np.pi * start_hz, lossy=False).real, self.inertia(start_hz).real
+        )
+        found = []
+        for value, vector in zip(values, vectors.T, strict=True):
+            if value < (1.15 * 2 * np.pi * HIGHEST_HZ) ** 2:
+                found.append(self._pole(np.sqrt(value), vector))
+        found = sorted(
+            (p for p in found if p.frequency_hz < HIGHEST_HZ), key=lambda p: p.frequency_hz
+        )
+        return self._named(found)
+
+    def _pole(self, omega: float, vector: Array) -> Pole:
+        """Follow one mode to its own frequency, then into the complex plane."""
+        now = vector.astype(complex)
+        value = complex(omega**2)
+        for _ in range(12):
+            inertia = self.inertia(omega / (2 * np.pi))
+            value, now = _nearest(self.stiffness(omega), inertia, now)
+            omega = float(np.sqrt(value.real))
+        s, shape = complex(np.sqrt(value)), now
+        for _ in range(12):
+            squared, shape = _nearest(self.stiffness(s), self.inertia(s.real / (2 * np.pi)), shape)
+            s = complex(np.sqrt(squared))
+        return Pole(
+            "",
+            omega / (2 * np.pi),
+            value.imag / value.real,
+            s.real / (2 * np.pi),
+            2 * s.imag / s.real,
+            now,
+        )
+
+    def _named(self, poles: list[Pole]) -> list[Pole]:
+        x, t = np.meshgrid(
+            np.linspace(0.5, LENGTH, 150), np.linspace(-0.98, 0.98, 25), indexing="ij"
+        )
+        y = t * contour(x)
+        shapes = self.deflection(x.ravel(), y.ravel()).reshape(*x.shape, -1)
+        vectors = np.array([p.vector for p in poles]).T
+        # The phase of a mode is nearly one: turn it to the real axis.
+        vectors = vectors * np.exp(-0.5j * np.angle(np.sum(vectors**2, 0)))
+        lateral = np.einsum("im,ij,jm->m", vectors.conj(), self._lateral, vectors).real
+        names = mode_names((shapes @ vectors).real, x[:, 0], t[0], lateral)
+        return [
+            Pole(name, p.frequency_hz, p.loss_factor, p.pole_hz, p.pole_loss, vector)
+            for name, p, vector in zip(names, poles, vectors.T, strict=True)
+        ]
+
+
+def lowest_modes(
+    stiffness: sparse.csc_array, mass: sparse.csc_array, count: int
+) -> tuple[Array, Array]:
+    """Return frequencies in Hz and shapes of the lowest modes of a solid in a vacuum."""
+    factors = splu(
+        stiffness,
+        permc_spec="NATURAL",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    inverse = LinearOperator(stiffness.shape, factors.solve, dtype=float)
+    start = np.random.default_rng(0).standard_normal(stiffness.shape[0])
+    values, vectors = eigsh(stiffness, count, mass, sigma=0, OPinv=inverse, v0=start)
+    return np.sqrt(values) / (2 * np.pi), vectors
+
+
+def _gram(prisms: Prisms, values: Array) -> Array:
+    """Return the integrals of products of nodal values (nodes, m) over prisms."""
+    at_points = np.einsum("epn,enm->epm", prisms.basis, values[prisms.nodes], optimize=True)
+    flat = at_points.reshape(-1, values.shape[1])
+    return np.asarray(flat.T @ (prisms.weights.reshape(-1, 1) * flat))
+
+
+def _nearest(
+    stiffness: ComplexArray, inertia: ComplexArray, vector: ComplexArray
+) -> tuple[complex, ComplexArray]:
+    """Return the eigenvalue whose vector is most similar to one, with its vector of unit mass."""
+    values, vectors = linalg.eig(stiffness, inertia)
+    masses = np.einsum("im,ij,jm->m", vectors, inertia, vectors)
+    similar = np.abs(vectors.T @ inertia @ vector) ** 2 / np.abs(masses)
+    best = int(np.argmax(similar))
+    return complex(values[best]), vectors[:, best] / np.sqrt(masses[best])

@@ -23,7 +23,7 @@ def main(words: Sequence[str] | None = None) -> int:
     """Run the program; return its exit status."""
     asked = _parser().parse_args(words)
     asked.folder.mkdir(parents=True, exist_ok=True)
-    found, refused, possible = [], {}, dict[str, int]()
+    found, refused, possible, sweeps = [], {}, dict[str, int](), 0
     for series in asked.series:
         for seed in range(asked.seed, asked.seed + asked.reeds):
             path = asked.folder / f"{series}-{asked.sensor}-{seed}.h5"
@@ -32,6 +32,7 @@ def main(words: Sequence[str] | None = None) -> int:
             elif not path.exists():
                 continue
             truth = json.loads(path.with_suffix(".truth.json").read_text("utf-8"))
+            sweeps += 1
             fit = _fit(path, again=asked.fit_only)
             for name, mode in truth["modes"].items():
                 possible[name] = possible.get(name, 0) + (mode["hz"] < HIGHEST_HZ)
@@ -40,7 +41,7 @@ def main(words: Sequence[str] | None = None) -> int:
             else:
                 found += comparisons(path.stem, series, fit, truth)
             print(f"{path.stem}: {_summary(fit)}", file=sys.stderr, flush=True)
-    table = scores(found, possible)
+    table = scores(found, possible, sweeps)
     if asked.json:
         rows = [score.to_json() for score in table]
         print(json.dumps({"scores": rows, "refused": refused}, indent=1))

@@ -93,7 +93,7 @@ def comparisons(
     return found
 
 
-def scores(found: Sequence[Comparison], possible: Mapping[str, int]) -> list[Score]:
+def scores(found: Sequence[Comparison], possible: Mapping[str, int], sweeps: int) -> list[Score]:
     """Summarise comparisons by quantity.
 
     Parameters
@@ -101,6 +101,8 @@ def scores(found: Sequence[Comparison], possible: Mapping[str, int]) -> list[Sco
     found : sequence of Comparison
     possible : mapping
         For each mode, in how many sweeps it lies in the range that is scored.
+    sweeps : int
+        Number of sweeps, those included whose fit was refused.
     """
     table = []
     for quantity in _in_order(c.quantity for c in found):
@@ -110,7 +112,6 @@ def scores(found: Sequence[Comparison], possible: Mapping[str, int]) -> list[Sco
         worst = own[int(np.argmax(np.abs(differences)))]
         pulls = differences / errors
         mode = quantity.removeprefix("loss ")
-        sweeps = len({c.sweep for c in found})
         table.append(
             Score(
                 quantity=quantity,

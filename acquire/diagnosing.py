@@ -15,6 +15,7 @@ from diagnosis.observe import read
 from diagnosis.resonance_diagnosis import diagnose_resonances as judge_resonances
 from fitting.errors import FitError, FitInputError
 from physics.effects.catalogue import CATALOGUE
+from physics.errors import ImpossibleReedError
 from physics.mechanics import ReedSolver
 from physics.reed.reduction.cache import shape_derivatives
 from protocols.bench import BenchFile
@@ -102,7 +103,7 @@ def _verdict(
             lambda done: progress("fitting causes", done),
             only_once(described),
         )
-    except ValueError as error:
+    except ImpossibleReedError as error:
         raise FitError(
             f"{first.path}: no reed of its kind is near what its campaign shows ({error}); check "
             "the reed, the series and the bench file"
@@ -137,7 +138,7 @@ def diagnose_resonances(
                 reeds, solver, CATALOGUE, lambda done: progress("fitting causes", done)
             )
         )
-    except ValueError as error:
+    except ImpossibleReedError as error:
         raise FitInputError(
             f"{table or 'Table 1'}: no clarinet reed has resonances near these ({error}); check "
             "frequencies and names of modes"

@@ -10,6 +10,7 @@ from diagnosis.inference.candidates import Candidate
 from diagnosis.inference.estimation import posterior_covariance
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import ObservableGroup
+from physics.errors import ImpossibleReedError
 from physics.mechanics import TipMass
 from physics.parameters.tree import BenchParameters, more, with_alteration, with_part
 
@@ -219,7 +220,7 @@ def rank_experiments(
             continue
         try:
             nats = sum(_expected_nats(problem, block, one, models, action) for block in chosen)
-        except ValueError:
+        except ImpossibleReedError:
             continue
         worths.append(RankedExperiment(action, nats, nats / action.minutes))
     return sorted(worths, key=lambda worth: -worth.nats_per_minute)

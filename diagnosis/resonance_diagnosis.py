@@ -80,7 +80,7 @@ def diagnose_resonances(
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If no reed that can be computed is near the data.
     """
     report = progress or (lambda _share: None)

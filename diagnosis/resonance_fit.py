@@ -11,6 +11,7 @@ from diagnosis.mean_reed import MeanReed
 from fitting.forward import cents_of
 from holography.arrays import Array
 from physics.effects.effect import Effect, Parameter
+from physics.errors import ImpossibleReedError
 from physics.mechanics import Mechanics, ReedSolver
 from physics.parameters.tree import BenchParameters, with_cane
 from physics.reed.cane.viscoelastic import ViscoelasticCane, Zener
@@ -123,7 +124,7 @@ class ResonanceProblem:
             modes = self.reed_solver.modes(self.parameters(z, s).reed)
             missing = [name for name in reed.modes if name not in modes]
             if missing:
-                raise ValueError(f"a reed of this kind has no mode {missing[0]}")
+                raise ImpossibleReedError(f"a reed of this kind has no mode {missing[0]}")
             parts.append(cents_of(np.array([modes[name].hz for name in reed.modes])))
         return np.concatenate(parts)
 

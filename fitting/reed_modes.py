@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from physics.errors import ImpossibleReedError
 from physics.reed.elements.mesh import MeshLevel
 from physics.reed.geometry import (
     is_even,
@@ -89,7 +90,7 @@ def modes_of(reed: ReedFile, level: MeshLevel) -> list[NamedMode]:
         if viscoelastic is None:
             return reed_modes(geometry, reed.cane(), level)
         return viscoelastic_modes(geometry, reed.cane(), viscoelastic, level)
-    except ValueError as error:
+    except ImpossibleReedError as error:
         raise ProtocolError(f"{reed.source}: {error}") from None
 
 
@@ -135,7 +136,7 @@ def modes_by_basis(
         drawn = replace(geometry, thickness_offset_m=0.0)
         basis = material_basis(drawn, STANDARD, settings, announce, progress)
         found = _modes_off(basis, reed)
-    except ValueError as error:
+    except ImpossibleReedError as error:
         raise ProtocolError(f"{reed.source}: {error}") from None
     answer = _named_modes(basis, found)
     if reed.viscoelastic() is not None:

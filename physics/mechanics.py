@@ -209,7 +209,7 @@ class ReedSolver:
     ----------
     modes : callable
         Cached function from `Mechanics` to a mapping of `ReedMode` by name, sorted by frequency.
-        It raises ValueError if such a reed is physically impossible.
+        It raises ImpossibleReedError if such a reed is physically impossible.
     """
 
     def __init__(
@@ -240,7 +240,7 @@ class ReedSolver:
 
         Raises
         ------
-        ValueError
+        ImpossibleReedError
             If such a reed is physically impossible.
         """
         found = self._vibrations(reed)

@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.conditions import at_temperature, cane_at_dryness
 from physics.reed.cane.material import Cane, stiffness_matrix_pa
 from physics.reed.cane.viscoelastic import (
@@ -275,7 +276,7 @@ class ReedFile(Description):
         geometry = self.geometry()
         try:
             build_least_mesh(geometry, FAST)
-        except ValueError as error:
+        except ImpossibleReedError as error:
             raise self.error(_key_at_fault(geometry), str(error)) from None
         return self
 
@@ -326,7 +327,7 @@ def _require_cane(reed: ReedFile) -> None:
     cane = reed.cane()
     try:
         stiffness_matrix_pa(cane)
-    except ValueError:
+    except ImpossibleReedError:
         raise reed.error(
             "cane",
             f"with nu_LT {cane.nu_LT:g}, nu_LR {cane.nu_LR:g} and nu_TR {cane.nu_TR:g} the "
@@ -359,7 +360,7 @@ def _require_following_moduli(reed: ReedFile) -> None:
     try:
         if viscoelastic is not None:
             require_physical(viscoelastic)
-    except ValueError as error:
+    except ImpossibleReedError as error:
         raise reed.error("cane.viscoelastic", f"{error}; bring e1 … e4 nearer to 0") from None
 
 
@@ -375,7 +376,7 @@ def _key_at_fault(geometry: ReedGeometry) -> str:
         "clamp": replace(geometry, clamp=narrow),
     }
     for key, rest in without.items():
-        with suppress(ValueError):
+        with suppress(ImpossibleReedError):
             build_least_mesh(rest, FAST)
             return f"geometry.{key}"
     return "geometry"

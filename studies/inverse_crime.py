@@ -36,6 +36,7 @@ from diagnosis.campaign_diagnosis import (
 )
 from diagnosis.inference.problem import InferenceProblem
 from physics.effects.catalogue import BY_ID
+from physics.errors import ImpossibleReedError
 from physics.parameters.tree import BenchParameters
 from reports.diagnosis_json import to_json
 from studies.campaigns import campaigns, readings_of
@@ -75,7 +76,7 @@ def imagined(problem: InferenceProblem, label: Label, rng: np.random.Generator) 
         try:
             parameters = with_effects(problem.parameters(z), label, rng)
             predicted = [block.predict(parameters) for block in problem.groups]
-        except ValueError:
+        except ImpossibleReedError:
             continue
         blocks = [
             replace(block, values=numbers + np.linalg.cholesky(block.covariance) @ noise)

@@ -30,6 +30,7 @@ from fitting.forward import (
 from fitting.paper.constants import adjusted_metamodel
 from fitting.populations.flags import count_flags
 from fitting.populations.population import fit_population
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.viscoelastic import (
     Components,
     Series,
@@ -144,7 +145,7 @@ def basis_cents(reed: ReducedReed, canes: Array, starts: Array) -> Array:
         start_hz = float(hz_of(starts[n, column, m]))
         try:
             mode = viscoelastic_mode(reed, cane, PAPER_MODES[m], start_hz)
-        except ValueError:
+        except ImpossibleReedError:
             continue
         cents[n, column, m] = cents_of(mode.frequency_hz)
     return cents

@@ -30,6 +30,7 @@ from fitting.forward import (
     hz_of,
     viscoelastic_cents,
 )
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.viscoelastic import Series, viscoelastic_cane
 from physics.reed.reduction.response import viscoelastic_mode
 from protocols.bench import BenchFile
@@ -70,7 +71,7 @@ def true_frequencies_hz(
     for name, start_hz in zip(model.modes, starts, strict=True):
         try:
             answer[name] = viscoelastic_mode(basis, cane, name, float(start_hz)).frequency_hz
-        except ValueError:
+        except ImpossibleReedError:
             continue
     return answer
 

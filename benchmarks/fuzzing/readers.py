@@ -38,6 +38,7 @@ from fitting.populations.resonance_table import (
     ERROR_COLUMN,
     read_resonances,
 )
+from physics.errors import ImpossibleReedError
 from physics.parameters.optics import visible_size_m
 from physics.reed.mode_classification import PAPER_MODES
 from protocols.bench import BenchFile
@@ -103,7 +104,7 @@ def _read_bench(file: Path) -> None:
     bench_parameters(twin, bench, preparation)
     try:
         bench_geometry(twin, preparation)
-    except ValueError as error:
+    except ImpossibleReedError as error:
         # The simulated laboratory says so, with the bench's name.
         raise BenchSetupError(f"bench {bench.name!r}: {error}") from error
     bench_constants(twin, preparation)

@@ -31,6 +31,7 @@ from diagnosis.inference.similarity import CONFUSABLE, cosine
 from fitting.parallel.processes import map_processes
 from holography.arrays import Array
 from physics.effects.effect import Effect
+from physics.errors import ImpossibleReedError
 
 SEED = 20_080_402
 # The likeliest candidates, at most this many and within this many nats of the best, are refitted
@@ -95,7 +96,7 @@ def refine_best(
 
 def _refit(problem: InferenceProblem, candidate: Candidate) -> Candidate:
     """Refit a candidate with the nonlinear model; return it unchanged if that fails."""
-    with contextlib.suppress(ValueError):
+    with contextlib.suppress(ImpossibleReedError):
         found = fit_model(problem, candidate.effects, [candidate.estimate.z])
         return replace(found, other_locations=candidate.other_locations)
     return candidate
@@ -127,7 +128,7 @@ def refit_without_effects(
 
 def _without(problem: InferenceProblem, start: Array) -> Candidate | None:
     """Fit the model without effects from one start; None if no such bench is possible."""
-    with contextlib.suppress(ValueError):
+    with contextlib.suppress(ImpossibleReedError):
         return fit_model(problem, (), [start], exact=True)
     return None
 
@@ -170,7 +171,7 @@ def _alone(
 def _with_nonlinear_cost(problem: InferenceProblem, candidate: Candidate) -> Candidate | None:
     try:
         return with_nonlinear_cost(problem, candidate)
-    except ValueError:
+    except ImpossibleReedError:
         return None
 
 
@@ -322,5 +323,5 @@ def fit_linearised_or_none(
     """Fit the linearised model; None if no such reed is possible."""
     try:
         return fit_linearised(problem, effects, about, sizes)
-    except ValueError:
+    except ImpossibleReedError:
         return None

@@ -27,6 +27,7 @@ from diagnosis.inference.problem import (
 )
 from holography.arrays import Array
 from physics.effects.effect import Parameter
+from physics.errors import ImpossibleReedError
 from physics.parameters.tree import BenchParameters
 
 # Effects have not quite the form that the catalogue gives them: a share of what they do.
@@ -144,7 +145,7 @@ def fit_model(
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If no start is a possible reed.
     """
     p, positive = len(problem.nuisances), _positive(problem, effects)
@@ -223,7 +224,7 @@ def _ends(
     """Return where searches from each start end, except those of no possible reed."""
     ends = []
     for start in starts:
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(ImpossibleReedError):
             ends.append(fit(residuals, positive, [start], jacobian, _LEAST_GAIN).z)
     return ends
 
@@ -244,7 +245,7 @@ def fit_linearised(
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If the start is no possible reed.
     """
     p, positive = len(problem.nuisances), _positive(problem, effects)
@@ -283,7 +284,7 @@ def linearised_cost(
     slope = problem.jacobian(about, NEAR)
     try:
         left = problem.residuals(with_effects(problem.parameters(about), effects, sizes))
-    except ValueError:
+    except ImpossibleReedError:
         return float("inf")
     move = -posterior_covariance(slope) @ (slope.T @ left + about)
     left, nuisances = left + slope @ move, about + move
@@ -297,7 +298,7 @@ def with_nonlinear_cost(problem: InferenceProblem, candidate: Candidate) -> Cand
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If its parameters are of no possible reed.
     """
     estimate = candidate.estimate

@@ -15,6 +15,7 @@ from scipy import linalg
 from scipy.special import log_ndtr
 
 from holography.arrays import Array
+from physics.errors import ImpossibleReedError
 
 Residuals = Callable[[Array], Array]
 
@@ -88,7 +89,7 @@ def fit(
     Parameters
     ----------
     residuals : callable
-        Whitened residuals (n,) at z (p,). May raise ValueError where nothing is possible.
+        Whitened residuals (n,) at z (p,). May raise ImpossibleReedError where nothing is possible.
     positive : sequence of bool
         Which of the p parameters cannot be negative.
     starts : sequence of (p,) float
@@ -100,19 +101,19 @@ def fit(
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If no start is possible.
     """
     bound = np.asarray(positive, dtype=bool)
     slope = jacobian or (lambda z: _differences(residuals, z, bound))
     found: list[tuple[float, Array]] = []
-    trouble: ValueError | None = None
+    trouble: ImpossibleReedError | None = None
     for start in starts:
         try:
             found.append(
                 _descend(residuals, slope, bound, np.array(start, dtype=float), least_gain)
             )
-        except ValueError as error:
+        except ImpossibleReedError as error:
             trouble = error
     if not found:
         raise trouble or ValueError("a fit needs a start")
@@ -219,7 +220,7 @@ def _descend(
             try:
                 r_tried = residuals(tried)
                 reached = cost_of(r_tried, tried)
-            except ValueError:
+            except ImpossibleReedError:
                 reached = np.inf
             if reached < cost:
                 gain, cost, z, r = cost - reached, reached, tried, r_tried

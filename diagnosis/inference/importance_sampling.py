@@ -9,6 +9,7 @@ from scipy.stats import multivariate_t
 from diagnosis.inference.candidates import Candidate
 from diagnosis.inference.estimation import posterior_covariance
 from diagnosis.inference.problem import InferenceProblem
+from physics.errors import ImpossibleReedError
 
 # Degrees of freedom of Student's distribution, and its width over the posterior's.
 _FREEDOMS, _WIDER = 4, 1.5
@@ -66,7 +67,7 @@ def sampled(
                 problem.residuals(candidate.changed(problem.parameters(z), size))
                 / candidate.deviation
             )
-        except ValueError:
+        except ImpossibleReedError:
             continue
         g = J.T @ r + z
         cost = float(r @ r + z @ z - g @ uncertain @ g + size @ size)

@@ -39,6 +39,7 @@ from diagnosis.inference.problem import InferenceProblem
 from fitting.parallel.processes import map_processes
 from holography.arrays import Array
 from physics.effects.effect import Effect
+from physics.errors import ImpossibleReedError
 
 # Candidates whose log evidence is within this many nats are checked by importance sampling.
 _CLOSE = 5.0
@@ -222,7 +223,7 @@ def refit_from_elsewhere(
         elsewhere[p:] = 0.8 * z[p:]
         try:
             again = fit_model(problem, candidate.effects, [z, elsewhere], exact=True)
-        except ValueError:
+        except ImpossibleReedError:
             return replace(
                 candidate, estimate=replace(candidate.estimate, consistent_starts=0, starts=2)
             )

@@ -17,6 +17,7 @@ from diagnosis.inference.estimation import (
 from diagnosis.inference.problem import InferenceProblem, LocatedEffect
 from holography.arrays import Array
 from physics.effects.effect import Effect
+from physics.errors import ImpossibleReedError
 from physics.parameters.tree import BenchParameters
 
 # Sizes at which signatures are taken, in prior standard deviations: the first possible one.
@@ -150,7 +151,7 @@ def signature(
 ) -> Array | None:
     """Return the whitened signature (n, s) of an effect; None if 0, or of no possible reed."""
     for probe in _PROBES:
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(ImpossibleReedError):
             table = _probed(problem, base, located, sign, probe)
             return table if np.any(np.abs(table) > _LEAST_MOVED) else None
     return None

@@ -24,6 +24,7 @@ from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, lo
 from holography.arrays import Array
 from physics.air import pressure_shape
 from physics.drive import acoustic_gain, amplifier_gain, kept_by_tweeter, tweeter_pressure_pa
+from physics.errors import ImpossibleReedError
 from physics.mechanics import Mechanics, ReedMode, ReedSolver
 from physics.parameters.chamber import Chamber
 from physics.parameters.drive import Drive
@@ -304,7 +305,7 @@ def forces_rad(
         modes = reed_solver.modes(reed)
         missing = [name for name in names if name not in modes]
         if missing:
-            raise ValueError(f"a reed of this kind has no mode {missing[0]}")
+            raise ImpossibleReedError(f"a reed of this kind has no mode {missing[0]}")
         hz = np.array([modes[name].hz for name in names])
         each = [pushes(reed, closed, name) for name in names]
         at_tip = np.array([abs(tweeter_pressure_pa(drive.tweeter, float(f), 1.0)) for f in hz])

@@ -20,6 +20,7 @@ from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, loudest
 from holography.arrays import Array
 from physics.conditions import change_of_cane, condition_at, hardened
+from physics.errors import ImpossibleReedError
 from physics.mechanics import ReedSolver
 from physics.parameters.tree import BenchParameters, with_cane
 
@@ -239,7 +240,7 @@ def _prediction(
         modes = reed_solver.modes(parameters.reed)
         missing = [name for name in common if name not in modes]
         if missing:
-            raise ValueError(f"a reed of this kind has no mode {missing[0]}")
+            raise ImpossibleReedError(f"a reed of this kind has no mode {missing[0]}")
         hz = np.array([modes[name].hz for name in common])[names]
         eta = np.array([modes[name].loss_factor for name in common])[names]
         around = parameters.environment

@@ -20,6 +20,7 @@ from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import SweepReading
 from fitting.modal.start_frequencies import SHAPES_HZ
 from holography.arrays import Array
+from physics.errors import ImpossibleReedError
 from physics.mechanics import (
     Mechanics,
     ReedMode,
@@ -73,7 +74,7 @@ def shapes_group(
         modes = reed_solver.modes(parameters.reed)
         missing = [share.of for share in shares if share.of not in modes]
         if missing:
-            raise ValueError(f"a reed of this kind has no mode {missing[0]}")
+            raise ImpossibleReedError(f"a reed of this kind has no mode {missing[0]}")
         return np.array([elastic.share(modes[share.of], share.has) for share in shares])
 
     values = np.array([share.amplitude for share in shares])

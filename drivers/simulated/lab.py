@@ -30,6 +30,7 @@ from physics.bench import (
     Scene,
     Segment,
 )
+from physics.errors import ImpossibleReedError
 from physics.mechanics import Mechanics, ReedSolver
 from physics.motion import AlteredMotion, PlainMotion, ReedMotion
 from physics.parameters.sensor import Sensor
@@ -259,7 +260,7 @@ def _motion_of(context: BenchContext, simulation: Simulation, mechanics: Mechani
         if geometry is None or is_even(geometry):
             derivatives = shape_derivatives(geometry, level, settings, context.announce)
             return AlteredMotion(ReedSolver(derivatives, context.announce))
-    except ValueError as error:
+    except ImpossibleReedError as error:
         raise BenchSetupError(
             f"bench {name!r}: twin.shape and twin.cane_factors "
             f"make no reed: {error}; correct them, or leave them out for the reed of the protocol"

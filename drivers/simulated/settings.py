@@ -12,6 +12,7 @@ from drivers.emulators.faults import GeneratorFaults, SynthesizerFaults
 from drivers.emulators.serving import WireFaults
 from drivers.errors import BenchSetupError
 from drivers.options import Options, read_options
+from physics.errors import ImpossibleReedError
 from physics.parameters.chamber import PressureDistortion
 from physics.parameters.drive import Tweeter
 from physics.parameters.optics import Layout, visible_size_m
@@ -78,14 +79,14 @@ class ThicknessDeviations(Options):
 
         Raises
         ------
-        ValueError
+        ImpossibleReedError
             If it says nothing of one side, or has rows of another length.
         """
         if not min(self.y_mm, default=0.0) < 0 < max(self.y_mm, default=0.0):
-            raise ValueError("y_mm of the thickness map lies on one side of the axis only")
+            raise ImpossibleReedError("y_mm of the thickness map lies on one side of the axis only")
         for number, row in enumerate(self.deviation_um, 1):
             if len(row) != len(self.y_mm):
-                raise ValueError(
+                raise ImpossibleReedError(
                     f"row {number} of deviation_um has {len(row)} values for {len(self.y_mm)} "
                     "ordinates y_mm"
                 )
@@ -278,7 +279,7 @@ def _physical(cane: Components) -> bool:
     try:
         for series in Series:
             require_physical(viscoelastic_cane(cane, series))
-    except ValueError:
+    except ImpossibleReedError:
         return False
     return True
 
@@ -290,7 +291,7 @@ def bench_geometry(simulation: Simulation, preparation: Preparation) -> ReedGeom
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If the thickness map is none; whether it makes a reed is for the mesh to say.
     """
     shape = simulation.shape
@@ -400,7 +401,7 @@ def _cane(
     cane = viscoelastic_cane(components, series)
     try:
         require_physical(cane)
-    except ValueError as error:
+    except ImpossibleReedError as error:
         raise BenchSetupError(
             f"bench {bench_file.name!r}: twin.reed: {error} ({components}, series {series}); "
             "choose components nearer to 0"

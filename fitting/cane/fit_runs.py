@@ -34,6 +34,7 @@ from fitting.modal.identify import JointFit, fit_jointly
 from fitting.modal.residual_map import residual_map
 from fitting.resonance import Resonance
 from holography.arrays import Array, Float32Array
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.viscoelastic import (
     Components,
     Series,
@@ -236,7 +237,7 @@ def middling_modes(reed: ReducedReed) -> dict[str, Mode]:
     for name, mode in elastic_modes(reed, E, G).items():
         if name[0] not in _VAMP_CLASSES:
             continue
-        with suppress(ValueError):
+        with suppress(ImpossibleReedError):
             settled[name] = viscoelastic_mode(reed, _MIDDLING, name, mode.frequency_hz)
     others = sorted(
         (name for name in settled if name not in PAPER_MODES),
@@ -267,7 +268,7 @@ def mode_shapes(
     columns = []
     for name, mode in middling.items():
         if cane is not None:
-            with suppress(ValueError):
+            with suppress(ImpossibleReedError):
                 mode = viscoelastic_mode(reed, cane, name, mode.frequency_hz)
         columns.append(surface[mode.symmetry] @ mode.coordinates.astype(np.float32))
     shapes = np.stack(columns, axis=1)

@@ -10,6 +10,7 @@ from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis, shape_basis
 from holography.arrays import Array
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.viscoelastic import (
     Components,
     Series,
@@ -83,7 +84,7 @@ def start_frequencies(
     components = likely_components(picked, model, series, _MISFIT_CENTS)
     try:
         expected = _expected_hz(basis, reed, viscoelastic_cane(components, series))
-    except ValueError:
+    except ImpossibleReedError:
         # The picked peaks belong to no possible cane: use the mean cane of the population.
         components = Components()
         expected = _expected_hz(basis, reed, viscoelastic_cane(components, series))

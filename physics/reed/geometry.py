@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline, RegularGridInterpolator
 from scipy.optimize import brentq
 
 from holography.arrays import Array
+from physics.errors import ImpossibleReedError
 
 # Paper, appendix "Defining the shape of the reed": network of points of the vamp, in mm.
 _VAMP_X_MM = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0)
@@ -229,7 +230,7 @@ def kink_x_m(geometry: ReedGeometry, y_m: Array) -> Array:
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If they do not meet near the end of the vamp's network of points.
     """
     vamp = _vamp(geometry)
@@ -240,7 +241,7 @@ def kink_x_m(geometry: ReedGeometry, y_m: Array) -> Array:
     low, high = (share * geometry.vamp_x_m[-1] for share in _KINK_RANGE)
     for y in np.ravel(y_m):
         if difference(low, float(y)) >= 0 or difference(high, float(y)) <= 0:
-            raise ValueError(
+            raise ImpossibleReedError(
                 f"vamp and heel do not meet between x = {1e3 * low:.1f} and {1e3 * high:.1f} mm; "
                 "thickness offset, vamp and heel must belong to one reed"
             )
@@ -266,8 +267,8 @@ def require_possible(geometry: ReedGeometry) -> None:
 
     Raises
     ------
-    ValueError
-        ModeClassification the first thing wrong, its value and what it must be.
+    ImpossibleReedError
+        Names the first thing wrong, its value and what it must be.
     """
     outline, clamp = geometry.outline, geometry.clamp
     _require_outline(outline)
@@ -275,10 +276,12 @@ def require_possible(geometry: ReedGeometry) -> None:
     _require_ascending("the distances of the vamp's network from the axis", geometry.vamp_y_m)
     shape = (len(geometry.vamp_y_m), len(geometry.vamp_x_m))
     if np.shape(geometry.vamp_z_m) != shape:
-        raise ValueError(f"the vamp's network has {shape[0]} rows of {shape[1]} thicknesses")
+        raise ImpossibleReedError(
+            f"the vamp's network has {shape[0]} rows of {shape[1]} thicknesses"
+        )
     widest = float(half_width_m(outline, np.linspace(0, outline.length_m, 201)).max())
     if geometry.heel_radius_m <= widest:
-        raise ValueError(
+        raise ImpossibleReedError(
             f"the heel's radius, {1e3 * geometry.heel_radius_m:g} mm, must exceed the reed's half "
             f"width of {1e3 * widest:.2f} mm"
         )
@@ -286,12 +289,12 @@ def require_possible(geometry: ReedGeometry) -> None:
     _require_ascending("the edges of the clamp across the reed", clamp.y_m)
     narrowest = float(half_width_m(outline, np.asarray(clamp.x_m)).min())
     if clamp.x_m[0] <= 0 or clamp.x_m[1] > outline.length_m:
-        raise ValueError(
+        raise ImpossibleReedError(
             f"the clamp, from {1e3 * clamp.x_m[0]:g} to {1e3 * clamp.x_m[1]:g} mm, lies outside "
             f"the reed, which is {1e3 * outline.length_m:g} mm long"
         )
     if clamp.y_m[0] < 0 or clamp.y_m[1] > narrowest:
-        raise ValueError(
+        raise ImpossibleReedError(
             f"the clamp, {1e3 * clamp.y_m[0]:g} to {1e3 * clamp.y_m[1]:g} mm from the axis, lies "
             f"outside the reed, whose half width there is {1e3 * narrowest:.2f} mm"
         )
@@ -302,14 +305,16 @@ def require_possible(geometry: ReedGeometry) -> None:
 def _require_outline(outline: Outline) -> None:
     tip, corner, x = outline.tip_radius_m, outline.corner_radius_m, outline.corner_x_m
     if min(tip, corner, x, outline.side_half_width_m, outline.length_m) <= 0:
-        raise ValueError(f"all lengths of a reed's outline must be positive, got {outline}")
+        raise ImpossibleReedError(
+            f"all lengths of a reed's outline must be positive, got {outline}"
+        )
     if not corner < x < tip:
-        raise ValueError(
+        raise ImpossibleReedError(
             f"a corner of radius {1e3 * corner:g} mm centred {1e3 * x:g} mm from the tip does not "
             f"touch a tip of radius {1e3 * tip:g} mm from within; its centre must lie between"
         )
     if not np.isfinite(outline.side_start_m):
-        raise ValueError(
+        raise ImpossibleReedError(
             f"the side, {1e3 * outline.side_half_width_m:g} mm from the axis at the tip, does not "
             f"meet the corner, which reaches {1e3 * (outline.corner_centre_m[1] + corner):.3f} mm"
         )
@@ -318,7 +323,7 @@ def _require_outline(outline: Outline) -> None:
 def _require_ascending(what: str, values: tuple[float, ...]) -> None:
     if not np.all(np.isfinite(values)) or not np.all(np.diff(values) > 0):
         shown = ", ".join(f"{1e3 * value:g}" for value in values)
-        raise ValueError(f"{what} must be finite and ascend, but are {shown} mm")
+        raise ImpossibleReedError(f"{what} must be finite and ascend, but are {shown} mm")
 
 
 def _require_map(measured: ThicknessMap) -> None:
@@ -326,7 +331,7 @@ def _require_map(measured: ThicknessMap) -> None:
     _require_ascending("the ordinates of the thickness map", measured.y_m)
     shape = len(measured.x_m), len(measured.y_m)
     if np.shape(measured.deviation_m) != shape or min(shape) < 2:
-        raise ValueError(
+        raise ImpossibleReedError(
             f"a thickness map has a row of deviations for each of its {shape[0]} abscissae, one "
             f"for each of its {shape[1]} ordinates, and at least two of either"
         )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from holography.arrays import Array
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.material import Cane, stiffness_terms_pa
 from physics.reed.cane.viscoelastic import ViscoelasticCane, storage_modulus_pa
 from physics.reed.elements.fem import (
@@ -144,7 +145,7 @@ def reed_modes(
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         For an impossible geometry or material (see `build_whole_mesh`, `stiffness_terms_pa`).
     """
 
@@ -185,7 +186,7 @@ def viscoelastic_modes(
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         As `reed_modes`, and if the iteration does not settle.
     """
 
@@ -272,7 +273,7 @@ def _modes_up_to(system: _System, cane: Cane, highest_hz: float) -> tuple[Array,
             order = np.argsort(frequencies)[: np.count_nonzero(frequencies <= highest_hz)]
             return frequencies[order], shapes[:, order]
         if count >= most:
-            raise ValueError(
+            raise ImpossibleReedError(
                 f"the reed has over {most} modes below {highest_hz:.0f} Hz, more than cane can "
                 "have; check moduli, density and thickness"
             )
@@ -329,7 +330,7 @@ def settled_mode(
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If the iteration does not settle.
     """
     hz = start_hz
@@ -338,7 +339,9 @@ def settled_mode(
         previous, hz = hz, float(frequencies[number])
         if abs(1200 * np.log2(hz / previous)) < _SETTLED_CENTS:
             return hz, vectors[:, number]
-    raise ValueError(f"a mode does not settle near {hz:.0f} Hz; check the cane's Zener parameters")
+    raise ImpossibleReedError(
+        f"a mode does not settle near {hz:.0f} Hz; check the cane's Zener parameters"
+    )
 
 
 def _span(mass_ff: sparse.csc_array, shapes: list[Array]) -> Array:

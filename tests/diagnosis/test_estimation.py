@@ -13,6 +13,7 @@ from diagnosis.inference.estimation import (
     random_starts,
     residual_covariance,
 )
+from physics.errors import ImpossibleReedError
 
 
 def linear(seed: int, n: int = 12, p: int = 3):
@@ -53,12 +54,12 @@ def test_a_fit_is_certified_only_where_two_searches_agree() -> None:
 def test_impossible_starts_are_left_out_and_none_is_an_error() -> None:
     def residuals(z):
         if z[0] < 0:
-            raise ValueError("no such reed")
+            raise ImpossibleReedError("no such reed")
         return z - 1.0
 
     found = fit(residuals, [False], [np.array([-1.0]), np.array([0.5])])
     assert found.z[0] == pytest.approx(0.5)
-    with pytest.raises(ValueError, match="no such reed"):
+    with pytest.raises(ImpossibleReedError, match="no such reed"):
         fit(residuals, [False], [np.array([-1.0])])
 
 
@@ -114,3 +115,11 @@ def test_fine_slopes_along_sizes_are_those_of_what_bends_within_a_step() -> None
     assert fine[2, 1] == pytest.approx(40.0, rel=0.07)
     assert abs(coarse[0, 0] / true[0, 0] - 1) > 0.2
     assert abs(coarse[2, 1] / 40.0 - 1) > 0.2
+
+
+def test_a_defect_of_the_model_is_not_taken_for_an_impossible_reed() -> None:
+    def residuals(z):
+        return np.ones(3) + np.ones(2) if z[0] > 0.2 else z - 1.0
+
+    with pytest.raises(ValueError, match="broadcast"):
+        fit(residuals, [False], [np.array([0.0])])

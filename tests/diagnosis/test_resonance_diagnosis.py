@@ -23,6 +23,7 @@ from physics.effects.effect import (
     Parameter,
     Stage,
 )
+from physics.errors import ImpossibleReedError
 from physics.parameters.tree import with_cane
 from physics.reed.cane.viscoelastic import Series
 from physics.reed.mode_classification import PAPER_MODES
@@ -164,7 +165,7 @@ def test_rows_of_other_modes_are_reported(tmp_path) -> None:
 
 def test_a_mode_that_no_such_reed_has_is_named() -> None:
     alien = [MeanReed(Series.A, ("X9",), np.zeros(1), np.ones(1), 1)]
-    with pytest.raises(ValueError, match="no mode X9"):
+    with pytest.raises(ImpossibleReedError, match="no mode X9"):
         diagnosed(alien, effects=(HEAVIER,))
 
 

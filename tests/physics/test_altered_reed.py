@@ -9,6 +9,7 @@ from scipy import linalg
 from scipy.optimize import brentq
 from scipy.special import eval_legendre
 
+from physics.errors import ImpossibleReedError
 from physics.mechanics import (
     HIGHEST_HZ,
     CaneShift,
@@ -269,7 +270,7 @@ def test_air_moves_along_and_takes_sound_away(reed_solver):
     ids=["no cane left", "nothing carries"],
 )
 def test_what_leaves_no_reed_is_refused(reed_solver, change):
-    with pytest.raises(ValueError, match=r"no reed|positive definite|leading minor"):
+    with pytest.raises(ImpossibleReedError, match=r"no reed|positive definite|leading minor"):
         reed_solver.modes(Mechanics(alterations=(change,)))
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from physics.errors import ImpossibleReedError
 from physics.reed.elements.fem import Symmetry
 from physics.reed.elements.mesh import MeshLevel
 from physics.reed.geometry import ReedGeometry
@@ -198,7 +199,7 @@ def test_the_folder_is_the_users_unless_said_otherwise(tmp_path, monkeypatch):
 
 
 def test_an_impossible_reed_is_not_kept(folder):
-    with pytest.raises(ValueError, match="thickness"):
+    with pytest.raises(ImpossibleReedError, match="thickness"):
         reed(geometry=replace(ReedGeometry(), thickness_offset_m=-90e-6))
     assert not list(folder.iterdir())
 

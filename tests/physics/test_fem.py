@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.material import (
     Cane,
     stiffness_matrix_pa,
@@ -181,5 +182,5 @@ def test_factor_solves(coarse_mesh, coarse_matrices):
 def test_an_element_turned_inside_out_is_refused(box_mesh):
     mesh = box_mesh((1e-3, 1e-3, 1e-3), (1, 1, 1), (2, 2, 2))
     mesh.nodes_m[:, 2] *= -1
-    with pytest.raises(ValueError, match="inside out"):
+    with pytest.raises(ImpossibleReedError, match="inside out"):
         assemble(mesh)

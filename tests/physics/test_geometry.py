@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from physics.errors import ImpossibleReedError
 from physics.reed.geometry import (
     Clamp,
     Outline,
@@ -161,7 +162,7 @@ def test_a_reed_is_even_if_its_thickness_map_is():
     ],
 )
 def test_what_no_reed_can_be_is_refused(wrong, words):
-    with pytest.raises(ValueError, match=words):
+    with pytest.raises(ImpossibleReedError, match=words):
         require_possible(replace(ReedGeometry(), **wrong))
 
 

@@ -7,6 +7,7 @@ import pytest
 from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.material import (
     STIFFNESS_TERMS,
     Cane,
@@ -493,7 +494,7 @@ class TestElasticity:
         def possible(row):
             try:
                 stiffness_terms_pa(Cane(*row.tolist()))
-            except ValueError:
+            except ImpossibleReedError:
                 return False
             return True
 
@@ -606,7 +607,7 @@ class TestTraining:
 
     def test_an_impossible_thickness_is_refused(self):
         box = replace(BOX, thickness_offset_m=(-90e-6, 0.0))
-        with pytest.raises(ValueError, match="thick"):
+        with pytest.raises(ImpossibleReedError, match="thick"):
             build_material_basis(ReedGeometry(), TINY, replace(FEW, box=box))
 
 

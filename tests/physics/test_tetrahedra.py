@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.material import Cane, stiffness_terms_pa
 from physics.reed.elements.fem import (
     Symmetry,
@@ -124,7 +125,7 @@ def test_linear_fields_on_curved_elements_are_those_of_hexahedra(bent_box):
 
 def test_elements_turned_inside_out_are_refused(box):
     elements = split(box.elements)[:, [0, 2, 1, 3, 5, 4, 6, 7, 8, 9]]
-    with pytest.raises(ValueError, match="inside out"):
+    with pytest.raises(ImpossibleReedError, match="inside out"):
         assemble_tetrahedra(box.nodes_m, elements)
 
 

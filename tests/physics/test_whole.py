@@ -13,6 +13,7 @@ from physics.bench import (
     BenchState,
     Segment,
 )
+from physics.errors import ImpossibleReedError
 from physics.motion import PlainMotion
 from physics.optics import reed_axes_m
 from physics.parameters.chamber import Chamber, PressureDistortion
@@ -259,7 +260,7 @@ def test_cane_with_modes_without_number_is_refused(monkeypatch):
         E_L_pa=(1e8, 2e8),
         G_LT_pa=(1e7, 2e7),
     )
-    with pytest.raises(ValueError, match=r"over 15 modes below 20000 Hz.*check moduli"):
+    with pytest.raises(ImpossibleReedError, match=r"over 15 modes below 20000 Hz.*check moduli"):
         build_whole_reed(ReedGeometry(), COARSE, cork)
 
 

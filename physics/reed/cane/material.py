@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from holography.arrays import Array
+from physics.errors import ImpossibleReedError
 
 # Voigt positions (1-based in the literature) of the nine independent stiffnesses.
 STIFFNESS_TERMS = ("11", "22", "33", "12", "13", "23", "44", "55", "66")
@@ -40,19 +41,23 @@ def stiffness_matrix_pa(cane: Cane) -> Array:
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If the constants do not make a positive definite material.
     """
     E, nu = (cane.E_L_pa, cane.E_T_pa, cane.E_R_pa), (cane.nu_LT, cane.nu_LR, cane.nu_TR)
     compliance = np.zeros((6, 6))
     moduli = (*E, cane.G_TR_pa, cane.G_LR_pa, cane.G_LT_pa)
     if not all(0 < value < np.inf for value in (*moduli, cane.density_kg_m3)):
-        raise ValueError(f"moduli and density of cane must be positive and finite, got {cane}")
+        raise ImpossibleReedError(
+            f"moduli and density of cane must be positive and finite, got {cane}"
+        )
     np.fill_diagonal(compliance, 1 / np.asarray(moduli))
     for (i, j), ratio in zip(((0, 1), (0, 2), (1, 2)), nu, strict=True):
         compliance[i, j] = compliance[j, i] = -ratio / E[i]
     if np.linalg.eigvalsh(compliance[:3, :3])[0] <= 0:
-        raise ValueError(f"the Poisson ratios of {cane} make a material that yields energy")
+        raise ImpossibleReedError(
+            f"the Poisson ratios of {cane} make a material that yields energy"
+        )
     return np.linalg.inv(compliance)
 
 

@@ -6,6 +6,7 @@ from enum import StrEnum
 import numpy as np
 
 from holography.arrays import Array
+from physics.errors import ImpossibleReedError
 from physics.parameters.quantity import bounded
 
 _TABLES = "paper, Tables 6 and 7: means of both series and six standard deviations"
@@ -157,10 +158,12 @@ def require_physical(cane: ViscoelasticCane) -> None:
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         Names the first such spring.
     """
     for letter, zener in (("E", cane.young_L), ("G", cane.shear_LT)):
         for rank, value in ((1, zener.spring_mpa), (2, zener.arm_spring_mpa)):
             if value <= 0:
-                raise ValueError(f"{letter}{rank} = {value:.0f} MPa: no material is like that")
+                raise ImpossibleReedError(
+                    f"{letter}{rank} = {value:.0f} MPa: no material is like that"
+                )

@@ -93,7 +93,7 @@ def build_shape_derivatives(
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         As `basis.half_shapes`.
     """
     held = half_shapes(geometry, level, settings)

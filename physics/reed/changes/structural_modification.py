@@ -8,6 +8,7 @@ from scipy import linalg
 from scipy.interpolate import CubicSpline
 
 from holography.arrays import Array, ComplexArray
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.material import (
     Cane,
     stiffness_terms_pa,
@@ -126,7 +127,7 @@ def vibrations(
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If moduli grow too fast with frequency for modes to settle, or a change leaves no reed.
     """
     found = [
@@ -255,7 +256,10 @@ def _lowest(stiffness: Array, mass: Array, count: int) -> Array:
     # less.
     size = len(mass)
     subset = size - min(count, size), size - 1
-    vectors: Array = linalg.eigh(mass, stiffness, subset_by_index=subset)[1]
+    try:
+        vectors: Array = linalg.eigh(mass, stiffness, subset_by_index=subset)[1]
+    except np.linalg.LinAlgError:
+        raise ImpossibleReedError(_NO_STIFFNESS) from None
     return vectors
 
 
@@ -344,7 +348,7 @@ def _followed(
     all_hz, vectors = _solved(span, table, pivots_hz)
     near = np.flatnonzero(all_hz[0] < _MARGIN * highest_hz)
     if np.any(all_hz[0, near] <= 0):
-        raise ValueError(_NO_STIFFNESS)
+        raise ImpossibleReedError(_NO_STIFFNESS)
     # Of each mode the shape that it has with the moduli of a frequency near its own.
     pivot = np.abs(np.log(all_hz[0, near, None] / pivots_hz)).argmin(axis=1)
     hz, v = all_hz[pivot, near], vectors[pivot, :, near]
@@ -382,13 +386,13 @@ def _numbered(span: _Span, table: CaneTable, highest_hz: float) -> tuple[Array, 
         all_hz, vectors = _solved(span, table, hz)
         found = all_hz[number, number]
         if np.any(found <= 0):
-            raise ValueError("no such reed is possible: something about it has no stiffness left")
+            raise ImpossibleReedError(_NO_STIFFNESS)
         if not number.size or np.abs(1200 * np.log2(found / hz)).max() < _SETTLED_CENTS:
             hz = found
             break
         asked, answered, hz = hz, found, _between(asked, answered, hz, found)
     else:
-        raise ValueError(
+        raise ImpossibleReedError(
             "modes do not settle: the moduli of this cane grow too fast with frequency"
         )
     return hz, vectors[number, :, number]
@@ -404,7 +408,10 @@ def _between(asked: Array, answered: Array, hz: Array, found: Array) -> Array:
 def _solved(span: _Span, table: CaneTable, hz: Array) -> tuple[Array, Array]:
     """Eigenfrequencies (m, n) and mass-normalised vectors (m, n, n) with what holds at (m,)."""
     K, M = _matrices(span, table, hz)
-    root = np.linalg.cholesky(M)
+    try:
+        root = np.linalg.cholesky(M)
+    except np.linalg.LinAlgError:
+        raise ImpossibleReedError(_NO_STIFFNESS) from None
     half = np.linalg.solve(root, K)
     values, vectors = np.linalg.eigh(np.linalg.solve(root, half.transpose(0, 2, 1)))
     own = np.linalg.solve(root.transpose(0, 2, 1), vectors)
@@ -414,7 +421,7 @@ def _solved(span: _Span, table: CaneTable, hz: Array) -> tuple[Array, Array]:
 def _matrices(span: _Span, table: CaneTable, hz: Array) -> tuple[Array, Array]:
     """Stiffness and mass (m, n, n) with what holds at (m,)."""
     if np.any(hz <= 0):
-        raise ValueError(_NO_STIFFNESS)
+        raise ImpossibleReedError(_NO_STIFFNESS)
     log_hz = np.log(hz)
     density = table.density_kg_m3(log_hz)[:, None, None]
     K = np.tensordot(table.moduli_pa(log_hz), span.stiffness_terms, axes=1) + span.springs_n_m

@@ -34,7 +34,7 @@ def coarse_mesh_cents(
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         As `tetrahedra.tetrahedral_reed`.
     """
 

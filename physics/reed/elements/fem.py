@@ -15,6 +15,7 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from holography.arrays import Array
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.material import STIFFNESS_TERMS
 from physics.reed.elements.mesh import (
     HalfReedMesh,
@@ -103,7 +104,7 @@ def assemble(mesh: ReedMesh) -> ReedMatrices:
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If an element is turned inside out.
     """
     return integrate(mesh.nodes_m, mesh.elements, hexahedron(mesh.orders))
@@ -121,14 +122,14 @@ def integrate(nodes_m: Array, elements: IntArray, reference: ReferenceElement) -
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If an element is turned inside out.
     """
     jacobian = np.einsum("iqm,emj->eqij", reference.gradients, nodes_m[elements], optimize=True)
     volume = np.linalg.det(jacobian)
     if volume.min() <= 0:
         number = int(volume.min(axis=1).argmin())
-        raise ValueError(
+        raise ImpossibleReedError(
             f"element {number} of the mesh is turned inside out; change the breaks of its level, "
             "or divide the reed more finely"
         )

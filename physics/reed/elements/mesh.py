@@ -15,6 +15,7 @@ from numpy.polynomial.legendre import Legendre
 from numpy.typing import NDArray
 
 from holography.arrays import Array
+from physics.errors import ImpossibleReedError
 from physics.reed.geometry import (
     Clamp,
     ClampSide,
@@ -168,8 +169,9 @@ def _plan(geometry: ReedGeometry, level: MeshLevel, side: Literal[1, -1]) -> tup
 
     Raises
     ------
-    ValueError
-        If the strip begins in the tip patch, or too close to the line where vamp meets heel.
+    ImpossibleReedError
+        If the strip begins in the tip patch, or too close to the line where vamp meets heel, or if
+        they meet outside the reed.
     """
     px, py, _ = level.orders
     outline, clamp = geometry.outline, geometry.clamp
@@ -197,12 +199,18 @@ def _lengthwise(
     (front, back), end = geometry.clamp.x_m, geometry.outline.length_m
     kink = float(kink_x_m(geometry, np.zeros(1))[0])
     if front < patch_end_m + _LEAST_FACE_M:
-        raise ValueError(
+        raise ImpossibleReedError(
             f"the clamp begins {1e3 * front:g} mm from the tip; it must leave the rounded tip, "
             f"{1e3 * (patch_end_m + _LEAST_FACE_M):.1f} mm, free"
         )
+    if not patch_end_m + _LEAST_FACE_M < kink < end - _LEAST_FACE_M:
+        raise ImpossibleReedError(
+            f"vamp and heel meet {1e3 * kink:.2f} mm from the tip; they must meet between the "
+            f"rounded tip, {1e3 * (patch_end_m + _LEAST_FACE_M):.1f} mm, and the butt, "
+            f"{1e3 * end:g} mm"
+        )
     if min(abs(front - kink), abs(back - kink)) < _LEAST_FACE_M:
-        raise ValueError(
+        raise ImpossibleReedError(
             f"the clamp, {1e3 * front:g} to {1e3 * back:g} mm from the tip, begins or ends where "
             f"vamp meets heel, at {1e3 * kink:.2f} mm; move it by {1e3 * _LEAST_FACE_M:g} mm"
         )
@@ -221,13 +229,13 @@ def build_mesh(geometry: ReedGeometry, level: MeshLevel) -> HalfReedMesh:
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         For an impossible geometry (see `geometry.require_possible`), a thickness that is not
         positive everywhere inside the contour, or a reed that is not its own mirror image.
     """
     require_possible(geometry)
     if not is_even(geometry):
-        raise ValueError(
+        raise ImpossibleReedError(
             "the thickness map is not even in y, and half a reed stands for both sides only if it "
             "is; mesh the whole reed, or give either side the mean of both"
         )
@@ -244,7 +252,7 @@ def build_whole_mesh(geometry: ReedGeometry, level: MeshLevel) -> ReedMesh:
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         As `build_mesh`, but for any thickness map.
     """
     require_possible(geometry)
@@ -259,7 +267,7 @@ def build_least_mesh(geometry: ReedGeometry, level: MeshLevel) -> ReedMesh:
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         As `build_whole_mesh`.
     """
     return build_mesh(geometry, level) if is_even(geometry) else build_whole_mesh(geometry, level)
@@ -270,13 +278,13 @@ def _over(geometry: ReedGeometry, level: MeshLevel, x: Array, y: Array) -> ReedM
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If the reed has no thickness somewhere.
     """
     thickness = thickness_m(geometry, x, y)
     if not thickness.min() > 0:
         at = np.unravel_index(thickness.argmin(), thickness.shape)
-        raise ValueError(
+        raise ImpossibleReedError(
             f"the reed is {1e6 * thickness.min():.1f} µm thick at x = {1e3 * x[at]:.2f} mm, "
             f"y = {1e3 * y[at]:.2f} mm; thickness must be positive"
         )

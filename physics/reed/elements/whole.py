@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from holography.arrays import Array
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.material import Cane, stiffness_terms_pa
 from physics.reed.elements.fem import (
     ReedMatrices,
@@ -153,7 +154,7 @@ def build_whole_reed(
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         For an impossible geometry or material (see `build_whole_mesh`, `stiffness_terms_pa`), and
         one that has over 200 modes below 20 kHz.
     """
@@ -203,7 +204,7 @@ def _modes_taken(
         if below < count:
             return math.ceil(_TAKEN_BEYOND * max(below, 1))
         count *= 2
-    raise ValueError(
+    raise ImpossibleReedError(
         f"the reed has over {_MOST_MODES // 2} modes below {HIGHEST_HZ:.0f} Hz, more than cane can "
         "have; check moduli, density and thickness"
     )

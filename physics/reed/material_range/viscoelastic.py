@@ -4,6 +4,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from holography.arrays import Array
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.material import Cane
 from physics.reed.cane.viscoelastic import ViscoelasticCane, storage_modulus_pa
 from physics.reed.elements.fem import Symmetry
@@ -43,7 +44,7 @@ def settled_modes(
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If the reed cannot be, or the iteration does not settle.
     """
     hz, similarity = np.empty((2, 1, len(basis.names)))
@@ -81,7 +82,7 @@ def _settled(
         previous, hz = hz, found[numbers, numbers]
         if np.abs(1200 * np.log2(hz / previous)).max() < _SETTLED_CENTS:
             return hz, shapes[numbers, :, numbers].T
-    raise ValueError("the modes do not settle; check the cane's Zener parameters")
+    raise ImpossibleReedError("the modes do not settle; check the cane's Zener parameters")
 
 
 def _constants_at(constants: Cane, cane: ViscoelasticCane, hz: Array) -> Array:

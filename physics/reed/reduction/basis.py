@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from holography.arrays import Array
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.material import Cane, stiffness_terms_pa
 from physics.reed.elements.fem import (
     ReedMatrices,
@@ -197,7 +198,7 @@ def build_reduced_reed(
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         As `half_shapes`.
     """
     return reduced(geometry, settings, half_shapes(geometry, level, settings))
@@ -208,7 +209,7 @@ def half_shapes(geometry: ReedGeometry, level: MeshLevel, settings: BasisSetting
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         For an impossible geometry or material (see `build_mesh`, `stiffness_terms_pa`), and one
         that has over 100 modes of a symmetry below 20 kHz.
     """
@@ -290,7 +291,7 @@ def _middle(part: _Elements, cane: Cane, loads: Array, modes: int | None) -> _Mi
         if modes or _modes_taken(hz) <= count:
             return _Middle(K, hz, shapes, solve(loads[part.free]))
         if count > _MOST_MODES:
-            raise ValueError(
+            raise ImpossibleReedError(
                 f"the reed has over {_MOST_MODES} modes below {HIGHEST_HZ:.0f} Hz, more than cane "
                 "can have; check moduli, density and thickness"
             )

@@ -8,6 +8,7 @@ from fractions import Fraction
 import numpy as np
 
 from holography.arrays import Array, ComplexArray
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.material import Cane, stiffness_terms_pa
 from physics.reed.cane.viscoelastic import ViscoelasticCane
 from physics.reed.elements.fem import Symmetry
@@ -116,7 +117,7 @@ def viscoelastic_mode(
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If the reed has no such mode, or moduli that grow too fast with frequency for modes to
         settle.
     """
@@ -131,7 +132,7 @@ def viscoelastic_mode(
             return modes[name]
     modes = viscoelastic_modes(reed, cane)
     if name not in modes:
-        raise ValueError(f"this reed has no mode {name} near {hz:.0f} Hz")
+        raise ImpossibleReedError(f"this reed has no mode {name} near {hz:.0f} Hz")
     return modes[name]
 
 
@@ -140,7 +141,7 @@ def viscoelastic_modes(reed: ReducedReed, cane: ViscoelasticCane) -> dict[str, M
 
     Raises
     ------
-    ValueError
+    ImpossibleReedError
         If moduli grow too fast with frequency for modes to settle.
     """
     count, density_kg_m3 = named_modes(reed), reed.cane.density_kg_m3

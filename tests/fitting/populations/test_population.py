@@ -17,6 +17,7 @@ from fitting.populations import population as populations
 from fitting.populations.flags import Flag, PopulationFit, count_flags
 from fitting.populations.population import fit_population, fit_stream
 from fitting.resonance import Resonance
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.viscoelastic import (
     Components,
     Series,
@@ -75,7 +76,7 @@ def physical(components):
     try:
         for series in Series:
             require_physical(viscoelastic_cane(Components(*components), series))
-    except ValueError:
+    except ImpossibleReedError:
         return False
     return True
 

@@ -35,6 +35,7 @@ from fitting.statistics.synthetic import (
     variable_names,
     zener_parameters,
 )
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.viscoelastic import (
     Components,
     Series,
@@ -101,7 +102,7 @@ def test_physical_is_what_both_series_allow(rng):
         try:
             for series in Series:
                 require_physical(viscoelastic_cane(Components(*e), series))
-        except ValueError:
+        except ImpossibleReedError:
             return False
         return True
 

@@ -17,7 +17,8 @@ from fitting.errors import FitError, FitInputError
 from physics.effects.catalogue import CATALOGUE
 from physics.errors import ImpossibleReedError
 from physics.mechanics import ReedSolver
-from physics.reed.reduction.cache import shape_derivatives
+from physics.reed.geometry import is_even
+from physics.reed.reduced.stored import reduced_reed
 from protocols.bench import BenchFile
 from reports.diagnosis_page import page_output, write_page
 from reports.next_campaign import next_outputs, require_repeatable, write_next
@@ -91,9 +92,13 @@ def _verdict(
     """Fit the sweeps of a campaign, then the causes."""
     first = campaign.sweeps[0].run
     described = bench or bench_of(first)
-    solver = ReedSolver(
-        shape_derivatives(first.reed_file().geometry(), announce=announce), announce
-    )
+    geometry = first.reed_file().geometry()
+    if not is_even(geometry):
+        raise FitError(
+            f"{first.path}: the thickness map of its reed is not even in y, which a diagnosis "
+            "assumes; give either side of the map the mean of both"
+        )
+    solver = ReedSolver(reduced_reed(geometry, announce=announce), announce)
     readings = read(campaign, described, lambda done: progress("fitting sweeps", done))
     try:
         return judge(
@@ -131,7 +136,7 @@ def diagnose_resonances(
         If the table cannot be used, or no clarinet reed has resonances near its values.
     """
     reeds = tabled_reeds(Path(table), announce) if table else printed_reeds()
-    solver = ReedSolver(shape_derivatives(announce=announce), announce)
+    solver = ReedSolver(reduced_reed(announce=announce), announce)
     try:
         return ResonanceDiagnosisResult(
             judge_resonances(

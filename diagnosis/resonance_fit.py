@@ -142,7 +142,7 @@ class ResonanceProblem:
 
 def elastic_parameters(reed_solver: ReedSolver) -> BenchParameters:
     """The reed of reference material, whose moduli do not depend on frequency."""
-    cane = reed_solver.shape_derivatives.reed.cane
+    cane = reed_solver.reed.cane
     springs = (Zener(1e-6 * modulus, 0.0, 0.0) for modulus in (cane.E_L_pa, cane.G_LT_pa))
     return BenchParameters(reed=Mechanics(cane=ViscoelasticCane(*springs)))
 
@@ -292,7 +292,7 @@ def _rms(problem: ResonanceProblem, left: Array) -> dict[str, float]:
 
 
 def _moduli_pa(problem: ResonanceProblem, z: Array) -> dict[str, tuple[float, float]]:
-    cane = problem.reed_solver.shape_derivatives.reed.cane
+    cane = problem.reed_solver.reed.cane
     answer = {}
     for s, reed in enumerate(problem.reeds):
         E, G = np.exp(_MODULI_SPREAD * z[len(_MODULI) * s :][: len(_MODULI)])

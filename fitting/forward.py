@@ -15,10 +15,10 @@ from physics.reed.cane.viscoelastic import (
     storage_modulus_pa,
 )
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.reduction.basis import BasisSettings, ReducedReed
-from physics.reed.reduction.cache import reduced_reed
+from physics.reed.reduced.elastic import Mode, elastic_modes
+from physics.reed.reduced.reed import BasisSettings, ReducedReed, ReedBox
+from physics.reed.reduced.stored import reduced_reed
 from physics.reed.reduction.metamodel import REFERENCE_HZ
-from physics.reed.reduction.response import Mode, elastic_modes
 from protocols.reed import ReedFile
 
 # Network on which the finite elements are tabulated, Pa: the range of a reduced basis.
@@ -123,7 +123,7 @@ def _at(splines: tuple[RectBivariateSpline, ...], E_L_pa: Array, G_LT_pa: Array)
 
 def basis_of(reed: ReedFile, announce: Callable[[str], None] | None = None) -> ReducedReed:
     """Reduced basis of a kind of reed, from the cache or built and kept (`reduced_reed`)."""
-    settings = BasisSettings(cane=reed.constants())
+    settings = BasisSettings(ReedBox(cane=reed.constants()))
     return reduced_reed(reed.geometry(), settings=settings, announce=announce)
 
 

@@ -7,26 +7,19 @@ from typing import Any, Final
 import numpy as np
 
 from physics.errors import ImpossibleReedError
-from physics.reed.elements.mesh import MeshLevel
-from physics.reed.geometry import (
-    is_even,
-)
-from physics.reed.material_range.basis import MaterialBasis, ReedModes, modes
-from physics.reed.material_range.cache import material_basis
-from physics.reed.material_range.constants import constants_of
-from physics.reed.material_range.snapshots import TrainingSettings, heaviest_kg_m3
-from physics.reed.material_range.viscoelastic import settled_modes
+from physics.reed.elements.mesh import FAST, FINE, STANDARD, MeshLevel
 from physics.reed.modes import (
     HIGHEST_HZ,
     NamedMode,
     reed_modes,
     viscoelastic_modes,
 )
-from physics.reed.reduction.cache import (
-    FAST,
-    FINE,
-    STANDARD,
-)
+from physics.reed.reduced.changes import LARGEST_OFFSET_M, Change, layer
+from physics.reed.reduced.dynamics import CaneLaw, State
+from physics.reed.reduced.elastic import named_vibrations
+from physics.reed.reduced.reed import BasisSettings, ReedBox
+from physics.reed.reduced.stored import reduced_reed
+from physics.reed.reduced.vibrations import vibrations
 from physics.reed.reduction.metamodel import REFERENCE_HZ
 from protocols.errors import ProtocolError
 from protocols.reed import ReedFile
@@ -34,8 +27,12 @@ from protocols.reed import ReedFile
 # How finely a reed is computed, by the name of the level.
 MESHES: Final = {"fine": FINE, "standard": STANDARD, "fast": FAST}
 
-# In place of a level: not computed but read off a basis over materials, built once for a reed.
+# In place of a level: the reduced reed, built once for a reed.
 BASIS: Final = "basis"
+
+# Modes just above 20 kHz are named too: a pair that exchanges shapes across that limit then shares
+# its names as it would elsewhere.
+_NAMED_UP_TO_HZ: Final = 1.1 * HIGHEST_HZ
 
 # A name that bears out less than this fraction of a motion is in doubt.
 _CLEAR: Final = 0.5
@@ -100,88 +97,79 @@ def modes_by_basis(
     announce: Callable[[str], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> list[NamedMode]:
-    """Modes below 20 kHz off a basis over materials at the level "standard", ascending.
-
-    They are those that the reference's cane has below 20 kHz: of softer or heavier cane the
-    highest are missing. Names are followed by shape from there.
+    """Modes below 20 kHz of the reduced reed that fits and simulations use, ascending.
 
     Parameters
     ----------
     reed : ReedFile
     reference : ReedFile
-        The reed before its settings were changed. The basis is of its cane, and of the shape
-        without thickness offset, so that one serves whatever cane and offset are asked for.
+        The reed before its settings were changed. The reduced reed is computed for the middle of
+        its ranges of cane, and for its shape, so that one serves whatever cane is asked for, and
+        a little more or less thickness.
     announce, progress : callable, optional
-        As for `material_basis`.
+        As for `reduced_reed`.
 
     Returns
     -------
     list of NamedMode
-        `shape` has no nodes; `similarity` is that to the reference's mode of the name.
+        `shape` has no nodes.
 
     Raises
     ------
     ProtocolError
-        If the basis does not answer for the reed or the reference.
+        If the reduced reed does not answer for the reed.
     """
-    settings = TrainingSettings(cane=reference.cane())
-    for described in (reference, reed):
-        _require_in_box(described, settings)
-    geometry = reed.geometry()
-    if not is_even(geometry):
-        raise reed.error(
-            "geometry.thickness_map", "is not even in y, and a basis is; use --mesh fine"
-        )
+    box = ReedBox(cane=reference.constants())
+    _require_in_box(reed, box)
+    geometry, drawn = reed.geometry(), reference.geometry()
+    offset_m = geometry.thickness_offset_m - drawn.thickness_offset_m
+    if replace(geometry, thickness_offset_m=drawn.thickness_offset_m) != drawn:
+        drawn, offset_m = geometry, 0.0
+    _require_thin(reed, offset_m)
     try:
-        drawn = replace(geometry, thickness_offset_m=0.0)
-        basis = material_basis(drawn, STANDARD, settings, announce, progress)
-        found = _modes_off(basis, reed)
+        reduced = reduced_reed(drawn, STANDARD, BasisSettings(box), announce, progress)
+        change = layer(reduced, lambda x, _y: np.full(x.shape, offset_m)) if offset_m else Change()
+        state = State(CaneLaw(reed.cane(), reed.viscoelastic()), change)
+        found = named_vibrations(vibrations(reduced, state, _NAMED_UP_TO_HZ))
     except ImpossibleReedError as error:
         raise ProtocolError(f"{reed.source}: {error}") from None
-    answer = _named_modes(basis, found)
+    answer = [mode for mode in found if mode.frequency_hz <= HIGHEST_HZ]
     if reed.viscoelastic() is not None:
         for mode in answer:
-            _require_in_box(reed, settings, mode.frequency_hz)
+            _require_in_box(reed, box, mode.frequency_hz)
     return answer
 
 
-def _modes_off(basis: MaterialBasis, reed: ReedFile) -> ReedModes:
-    cane, viscoelastic = reed.cane(), reed.viscoelastic()
-    offset_m = float(reed.shape.thickness_offset_m)
-    if viscoelastic is not None:
-        return settled_modes(basis, cane, viscoelastic, offset_m)
-    return modes(basis, constants_of([cane]), cane.density_kg_m3, offset_m, slopes=False)
-
-
-def _named_modes(basis: MaterialBasis, found: ReedModes) -> list[NamedMode]:
-    symmetries = {name: symmetry for symmetry, half in basis.halves.items() for name in half.names}
-    named = [
-        NamedMode(name, hz, klass, symmetries[name], similarity, np.empty((0, 3)))
-        for name, klass, hz, similarity in zip(
-            basis.names,
-            basis.classes,
-            found.hz[0].tolist(),
-            found.similarity[0].tolist(),
-            strict=True,
-        )
-        if hz <= HIGHEST_HZ
-    ]
-    return sorted(named, key=lambda mode: mode.frequency_hz)
-
-
-def _require_in_box(reed: ReedFile, settings: TrainingSettings, hz: float = REFERENCE_HZ) -> None:
-    """Refuse what a basis does not answer for; viscoelastic cane has the moduli of a frequency.
+def _require_thin(reed: ReedFile, offset_m: float) -> None:
+    """Refuse a layer in which first order no longer holds.
 
     Raises
     ------
     ProtocolError
     """
-    inputs = asdict(reed.cane(hz)) | {"thickness_offset_m": float(reed.shape.thickness_offset_m)}
-    ranges = asdict(settings.box) | {"density_kg_m3": (0.0, heaviest_kg_m3(settings))}
-    for name, (low, high) in ranges.items():
-        value, slack = inputs[name], 1e-9 * (high - low)
-        if low - slack <= value <= high + slack:
-            continue
+    if abs(offset_m) > LARGEST_OFFSET_M:
+        limit_um = 1e6 * LARGEST_OFFSET_M
+        raise reed.error(
+            "geometry.thickness_offset",
+            f"{1e6 * offset_m:+.3g} µm from the reed's file lie outside the basis, which answers "
+            f"for -{limit_um:g} to {limit_um:g} µm; use --mesh fine",
+        )
+
+
+def _require_in_box(reed: ReedFile, box: ReedBox, hz: float = REFERENCE_HZ) -> None:
+    """Refuse what a reduced reed does not answer for; viscoelastic cane has moduli of a frequency.
+
+    Raises
+    ------
+    ProtocolError
+    """
+    cane = reed.cane(hz)
+    ranges = box.ranges | {"density_kg_m3": (0.0, box.heaviest_kg_m3)}
+    outside = list(box.outside(cane))
+    if cane.density_kg_m3 > box.heaviest_kg_m3:
+        outside.append("density_kg_m3")
+    for name in outside:
+        value, (low, high) = getattr(cane, name), ranges[name]
         key, factor, unit = _key_and_unit(name)
         shown = f"{factor * value:g}{unit}"
         if reed.viscoelastic() is not None and key in ("cane.E_L", "cane.G_LT"):
@@ -195,9 +183,7 @@ def _require_in_box(reed: ReedFile, settings: TrainingSettings, hz: float = REFE
 
 
 def _key_and_unit(name: str) -> tuple[str, float, str]:
-    """Key of an input of a basis in a reed's file, and the unit that people read it in."""
-    if name == "thickness_offset_m":
-        return "geometry.thickness_offset", 1e6, " µm"
+    """Key of a constant in a reed's file, and the unit that people read it in."""
     if name == "density_kg_m3":
         return "cane.density", 1.0, " kg/m^3"
     if name.endswith("_pa"):

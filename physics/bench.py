@@ -29,6 +29,7 @@ from physics.optics import (
 from physics.parameters.optics import Interference
 from physics.parameters.tree import BenchParameters
 from physics.reed.elements.fem import Symmetry
+from physics.reed.reduced.response import PressureForce, pressure_force
 from physics.reed.surface import on_reed, surface_shapes
 from physics.sensor import pixel_maps, read_out
 
@@ -122,7 +123,7 @@ class BenchModel:
         self.region = reed_region(layout, self.transform)
         y, x = np.meshgrid(*reed_axes_m(layout, self.region, self.transform), indexing="ij")
         self._lit = on_reed(motion.reed.geometry.outline, x, y)
-        shapes = surface_shapes(motion.reed, x[self._lit], y[self._lit])
+        shapes = surface_shapes(motion.reed, x[self._lit], y[self._lit], loose=motion.loose)
         self._object = self._scattered_light(x, y, rng)
         light = parameters.optics.illumination
         self._lo = local_oscillator_profile(light, sensor)
@@ -133,7 +134,7 @@ class BenchModel:
         # instead of methods, because a cache that refers to this object would keep its memory until
         # the next garbage collection.
         self._displacement = lru_cache(maxsize=4)(
-            partial(_displacement, parameters, motion, shapes)
+            partial(_displacement, parameters, motion, _force_of(parameters, motion), shapes)
         )
         self._light = lru_cache(maxsize=2)(
             partial(_light_of_sidebands, self._object, self._displacement, parameters)
@@ -266,6 +267,7 @@ class BenchModel:
 def _displacement(
     parameters: BenchParameters,
     motion: ReedMotion,
+    force: PressureForce,
     shapes: Mapping[Symmetry | None, Float32Array],
     drive_hz: Fraction,
     drive_v: float,
@@ -274,7 +276,7 @@ def _displacement(
     """Return the complex displacement of the reed's pixels (n,), in m."""
     environment, wavelength_m = parameters.environment, parameters.optics.layout.wavelength_m
     condition, hz = condition_at(environment, time_s), float(drive_hz)
-    moved_m = _moved(parameters, motion, shapes, hz, drive_v, condition, 0.0)
+    moved_m = _moved(parameters, motion, force, shapes, hz, drive_v, condition, 0.0)
     if not environment.hardening:
         return moved_m
     largest_rad = 0.0
@@ -284,13 +286,14 @@ def _displacement(
             break
         largest_rad += _DAMPING * (found_rad - largest_rad)
         stiffer = float(hardened(environment, largest_rad))
-        moved_m = _moved(parameters, motion, shapes, hz, drive_v, condition, stiffer)
+        moved_m = _moved(parameters, motion, force, shapes, hz, drive_v, condition, stiffer)
     return moved_m
 
 
 def _moved(
     parameters: BenchParameters,
     motion: ReedMotion,
+    force: PressureForce,
     shapes: Mapping[Symmetry | None, Float32Array],
     hz: float,
     drive_v: float,
@@ -298,26 +301,33 @@ def _moved(
     stiffer: float,
 ) -> Complex64:
     """Return the displacement (n,) in m of a reed whose stiffness is larger by a log factor."""
-    chamber, environment = parameters.chamber, parameters.environment
+    environment = parameters.environment
     # A generator that runs ahead drives the reed at another frequency than it says.
     hz *= 1 + 1e-6 * parameters.clocks.generator_ppm
 
-    def pressure(at_hz: float, x: Array, y: Array) -> ComplexArray:
-        at_tip = pressure_at_tip_pa(parameters.drive, at_hz, drive_v)
-        shape = pressure_shape(chamber, at_hz, x, y).astype(complex)
-        if chamber.distortion.rms:
-            shape *= distortion_factor(chamber.distortion, chamber, at_hz, x, y)
-        return at_tip * shape
-
     change = change_of_cane(parameters.reed.cane, environment, condition, hz)
-    coordinates = motion.coordinates(parameters.reed, change, hz, stiffer, pressure)
+    coordinates = motion.coordinates(parameters.reed, change, hz, stiffer, force)
     moved = [
         shapes[part] @ np.stack([q.real, q.imag], axis=1).astype(np.float32)
         for part, q in coordinates.items()
     ]
     total = sum(moved[1:], start=moved[0])
-    displacement: Complex64 = total[:, 0] + 1j * total[:, 1]
+    at_tip = np.complex64(pressure_at_tip_pa(parameters.drive, hz, drive_v))
+    displacement: Complex64 = at_tip * (total[:, 0] + 1j * total[:, 1])
     return displacement
+
+
+def _force_of(parameters: BenchParameters, motion: ReedMotion) -> PressureForce:
+    """Return the forces of the pressure on the reed, relative to the pressure at its tip."""
+    chamber = parameters.chamber
+
+    def pressure(hz: float, x: Array, y: Array) -> ComplexArray:
+        shape = pressure_shape(chamber, hz, x, y).astype(complex)
+        if chamber.distortion.rms:
+            shape *= distortion_factor(chamber.distortion, chamber, hz, x, y)
+        return shape
+
+    return pressure_force(motion.reed, pressure)
 
 
 def _light_of_sidebands(

@@ -21,41 +21,41 @@ from physics.reed.cane.viscoelastic import (
     ViscoelasticCane,
     viscoelastic_cane,
 )
-from physics.reed.changes.shape_derivatives import ShapeDerivatives
-from physics.reed.changes.structural_changes import (
+from physics.reed.elements.coarse import coarse_mesh_cents
+from physics.reed.elements.fem import Symmetry
+from physics.reed.geometry import half_width_m
+from physics.reed.mode_classification import names_of
+from physics.reed.radiation import air_load
+from physics.reed.reduced.changes import (
     Change,
     added_mass,
+    as_matrix,
     combined,
     layer,
     softening,
     yielding_clamp,
 )
-from physics.reed.changes.structural_modification import (
-    AirLoad,
-    CaneTable,
-    Vibrations,
+from physics.reed.reduced.dynamics import PIVOT_HZ, CaneLaw, State
+from physics.reed.reduced.elastic import all_descriptors
+from physics.reed.reduced.losses import radiated
+from physics.reed.reduced.reed import ReducedReed
+from physics.reed.reduced.response import (
+    Pressure,
+    PressureForce,
+    pressure_forces,
     response_of_changed,
-    vibrations,
 )
-from physics.reed.elements.coarse import coarse_mesh_cents
-from physics.reed.elements.fem import Symmetry
-from physics.reed.geometry import half_width_m
-from physics.reed.mode_classification import ModeDescriptor, names_of
-from physics.reed.modes import at_frequency
-from physics.reed.radiation import air_load
-from physics.reed.reduction.response import pressure_forces
+from physics.reed.reduced.vibrations import vibrations
 
-# Frequency at which a growth of moduli or losses changes nothing. Chosen: near the middle of the
-# sweep, on a logarithmic scale.
-PIVOT_HZ = 4000.0
 # Highest mode that is computed. Chosen: above the sweep, because modes just above its end still
 # contribute to the response there.
 HIGHEST_HZ = 24e3
 _POPULATION = "population of reeds of one brand (paper, Table 5)"
 _HANDBOOK = "spread of small clear specimens of one wood (Wood Handbook, chapter 5)"
 _GROWTH = "population of reeds of one brand (paper, hypothesis H4)"
-# Results to keep in each cache. Chosen: bounds the memory of a long diagnosis.
-_KEPT = 512
+# Results to keep in each cache. Chosen: bounds the memory of a long diagnosis; a change is some
+# megabytes.
+_KEPT, _KEPT_CHANGES = 512, 16
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ class ReedMode:
     hz, loss_factor : float
         Resonance frequency and loss factor.
     coordinates : (s,) float
-        Mode shape, see `physics.reed.changes.structural_modification.Vibrations`.
+        Mode shape, see `physics.reed.reduced.vibrations.Vibrations`.
     """
 
     name: str
@@ -200,7 +200,7 @@ class ReedSolver:
 
     Parameters
     ----------
-    shape_derivatives : ShapeDerivatives
+    reed : ReducedReed
         Finite-element model of the kind of reed.
     announce : callable, optional
         Called with a text before a computation that takes long.
@@ -212,26 +212,33 @@ class ReedSolver:
         It raises ImpossibleReedError if such a reed is physically impossible.
     """
 
-    def __init__(
-        self, shape_derivatives: ShapeDerivatives, announce: Callable[[str], None] | None = None
-    ) -> None:
-        self.shape_derivatives = shape_derivatives
-        self._unit = lru_cache(maxsize=None)(lambda kind: _unit_change(shape_derivatives, kind))
-        self._air = lru_cache(maxsize=1)(lambda: air_load(shape_derivatives.reed))
+    def __init__(self, reed: ReducedReed, announce: Callable[[str], None] | None = None) -> None:
+        self.reed = reed
+        self._unit = lru_cache(maxsize=None)(lambda kind: _unit_change(reed, kind))
+        self._air = lru_cache(maxsize=1)(lambda: air_load(reed))
         self._coarse = lru_cache(maxsize=1)(
-            lambda: coarse_mesh_cents(
-                shape_derivatives.reed.geometry, shape_derivatives.reed.cane, announce
-            )
+            lambda: coarse_mesh_cents(reed.geometry, reed.cane, announce)
         )
-        self._canes = lru_cache(maxsize=_KEPT)(
-            lambda cane, shift: CaneTable.of(
-                material_of(shape_derivatives.reed.cane, cane, shift), HIGHEST_HZ
-            )
-        )
+        self._laws = lru_cache(maxsize=_KEPT)(lambda cane, shift: cane_law(reed.cane, cane, shift))
+        self._change = lru_cache(maxsize=_KEPT_CHANGES)(self._combined)
         self._named = lru_cache(maxsize=None)(self._named_shapes)
         # Cached, because a finite difference in one parameter leaves most reeds of a campaign
         # unchanged.
         self.modes = lru_cache(maxsize=_KEPT)(self._modes)
+
+    @cached_property
+    def mass_kg(self) -> Array:
+        """Mass matrix (s, s) of the nominal reed in kg, in the coordinates of its modes."""
+        return self.reed.cane.density_kg_m3 * self.reed.mass
+
+    def state(self, reed: Mechanics) -> State:
+        """Return what decides the vibrations of a reed."""
+        return State(
+            law=self._laws(reed.cane, reed.shift),
+            change=self._change(reed.alterations),
+            air=self._air() if reed.air_share else None,
+            air_fraction=reed.air_share,
+        )
 
     def _modes(self, reed: Mechanics) -> Mapping[str, ReedMode]:
         """Return the modes of a reed up to 24 kHz by name, sorted by frequency.
@@ -243,13 +250,11 @@ class ReedSolver:
         ImpossibleReedError
             If such a reed is physically impossible.
         """
-        found = self._vibrations(reed)
-        growth = (found.hz / PIVOT_HZ) ** reed.loss_growth
-        loss = reed.loss_factor * growth + found.radiated
-        names, shapes = self._named(reed.cane)
+        found = vibrations(self.reed, self.state(reed), HIGHEST_HZ)
+        loss = reed.loss_factor * (found.hz / PIVOT_HZ) ** reed.loss_growth + radiated(found)
+        names, momenta = self._named(reed.cane)
         modes = {}
-        similarity = np.abs(shapes.T @ self.mass_kg @ found.coordinates)
-        rows, columns = linear_sum_assignment(similarity, maximize=True)
+        rows, columns = linear_sum_assignment(np.abs(momenta @ found.coordinates), maximize=True)
         named = dict(zip(columns.tolist(), (names[row] for row in rows), strict=True))
         for m in sorted(named):
             name, hz = named[m], float(found.hz[m])
@@ -264,7 +269,7 @@ class ReedSolver:
         material: Cane,
         loss_factor: float,
         hz: float,
-        pressure: Callable[[float, Array, Array], ComplexArray],
+        pressure: Pressure | PressureForce,
     ) -> dict[Symmetry | None, ComplexArray]:
         """Return the motion of a reed under a pressure.
 
@@ -277,41 +282,36 @@ class ReedSolver:
         loss_factor : float
             That of the cane at this frequency.
         hz : float
-        pressure : callable
-            See `physics.reed.reduction.response.forced_response`.
+        pressure : callable or PressureForce
+            See `physics.reed.reduced.response.forced_response`.
 
         Returns
         -------
-        dict of (r,) complex
-            Reduced coordinates in m for each symmetry.
+        dict of (s,) complex
+            Reduced coordinates in m for each part, its strips free to move.
         """
-        derivatives = self.shape_derivatives
-        forces = pressure_forces(derivatives.reed, hz, pressure)
-        force = np.concatenate([forces[symmetry] for symmetry in derivatives.reed.halves])
-        added = self._stiffness_of_coarse_mesh(reed) if reed.coarse_share else None
+        forces = pressure_forces(self.reed, hz, pressure, loose=True)
         moved = response_of_changed(
-            derivatives,
-            self._change(reed),
+            self.reed,
+            self._change(reed.alterations),
             material,
             loss_factor,
             hz,
-            force,
-            air=self._air_around(reed),
-            added_n_m=added,
+            np.concatenate(list(forces.values())),
+            air=self._air() if reed.air_share else None,
+            air_fraction=reed.air_share,
+            added_n_m=self._stiffness_of_coarse_mesh(reed) if reed.coarse_share else None,
         )
-        sizes = [half.mass.shape[0] for half in derivatives.reed.halves.values()]
-        parts = np.split(moved, np.cumsum(sizes)[:-1])
-        return dict(zip(derivatives.reed.halves, parts, strict=True))
+        return dict(zip(forces, np.split(moved, self.reed.starts[1:]), strict=True))
 
     def _stiffness_of_coarse_mesh(self, reed: Mechanics) -> Array:
         """Return the stiffness (s, s) in N/m that a coarse mesh adds, mode by mode."""
         fine = replace(reed, coarse_share=0.0)
         modes, total = self.modes(fine), np.zeros_like(self.mass_kg)
-        change = self._change(fine)
-        density = material_of(self.shape_derivatives.reed.cane, reed.cane, reed.shift)(
-            PIVOT_HZ
-        ).density_kg_m3
-        mass = density * (self.shape_derivatives.mass + change.mass) + change.mass_kg
+        change = self._change(fine.alterations)
+        density = self._laws(reed.cane, reed.shift).constants.density_kg_m3
+        mass = density * (self.reed.mass + as_matrix(self.reed, change.mass))
+        mass = mass + as_matrix(self.reed, change.mass_kg)
         for name, mode in modes.items():
             cents = reed.coarse_share * self._coarse().get(name, 0.0)
             moved = mass @ mode.coordinates
@@ -319,54 +319,18 @@ class ReedSolver:
             total += stiffer * np.multiply.outer(moved, moved)
         return total
 
-    def _change(self, reed: Mechanics) -> Change:
-        parts = [(amount, self._unit(kind)) for kind, amount in reed.alterations if amount]
-        return combined(self.shape_derivatives, parts)
-
-    def _air_around(self, reed: Mechanics) -> AirLoad | None:
-        return _thinned(self._air(), reed.air_share) if reed.air_share else None
-
-    def _vibrations(self, reed: Mechanics) -> Vibrations:
-        return vibrations(
-            self.shape_derivatives,
-            self._change(reed),
-            self._canes(reed.cane, reed.shift),
-            HIGHEST_HZ,
-            self._air_around(reed),
-        )
-
-    @cached_property
-    def mass_kg(self) -> Array:
-        """Return the mass matrix (s, s) of the nominal reed in kg, in coordinates of its modes."""
-        return self.shape_derivatives.reed.cane.density_kg_m3 * self.shape_derivatives.mass
+    def _combined(self, alterations: tuple[tuple[Alteration, float], ...]) -> Change:
+        return combined((amount, self._unit(kind)) for kind, amount in alterations if amount)
 
     def _named_shapes(self, cane: ViscoelasticCane) -> tuple[list[str], Array]:
-        """Return names and shapes (s, m) of the modes of the nominal reed."""
-        found = self._vibrations(Mechanics(cane=cane))
-        descriptors, start = [], 0
-        density = self.shape_derivatives.reed.cane.density_kg_m3
-        for symmetry, half in self.shape_derivatives.reed.halves.items():
-            own = found.coordinates[start : start + half.mass.shape[0]]
-            start += half.mass.shape[0]
-
-            def squared(part: Array, own: Array = own) -> Array:
-                return density * np.asarray(np.einsum("rm,rm->m", own, part @ own))
-
-            descriptors.append(
-                ModeDescriptor(
-                    symmetry=symmetry,
-                    share=squared(half.mass),
-                    sideways=squared(half.lateral_mass),
-                    behind=squared(half.heel_mass),
-                    profiles=half.profiles @ own,
-                    square=squared(half.vamp_square) / density,
-                )
-            )
-        return [naming.name for naming in names_of(descriptors)], found.coordinates
+        """Return names of the modes of the nominal reed, and shapes times mass (m, s)."""
+        found = vibrations(self.reed, self.state(Mechanics(cane=cane)), HIGHEST_HZ)
+        names = [naming.name for naming in names_of(all_descriptors(self.reed, found.coordinates))]
+        return names, found.coordinates.T @ self.mass_kg
 
 
-def material_of(nominal: Cane, kind: ViscoelasticCane, shift: CaneShift) -> Callable[[float], Cane]:
-    """Return a function that gives the cane of a reed at a frequency in Hz.
+def cane_law(nominal: Cane, kind: ViscoelasticCane, shift: CaneShift) -> CaneLaw:
+    """Return the cane of a reed at every frequency.
 
     Parameters
     ----------
@@ -377,45 +341,33 @@ def material_of(nominal: Cane, kind: ViscoelasticCane, shift: CaneShift) -> Call
     shift : CaneShift
         Difference of all constants from them.
     """
-
-    def cane(hz: float) -> Cane:
-        unshifted = at_frequency(nominal, kind, hz)
-        log_ratio = np.log(hz / PIVOT_HZ)
-        log_factors = {
-            "E_L_pa": shift.E_L + shift.growth_E_L * log_ratio,
-            "E_T_pa": shift.E_T,
-            "E_R_pa": shift.E_R,
-            "G_LT_pa": shift.G_LT + shift.growth_G_LT * log_ratio,
-            "G_LR_pa": shift.G_LR,
-            "G_TR_pa": shift.G_TR,
-            "density_kg_m3": shift.density,
-        }
-        changed = {
-            name: getattr(unshifted, name) * float(np.exp(log))
-            for name, log in log_factors.items()
-            if log
-        }
-        return replace(unshifted, **changed) if changed else unshifted
-
-    return cane
-
-
-def _thinned(air: AirLoad, fraction: float) -> AirLoad:
-    return AirLoad(air.hz, fraction * air.mass_kg, fraction * air.resistance_kg_s)
-
-
-def _unit_change(shape_derivatives: ShapeDerivatives, kind: Alteration) -> Change:
-    """Return the change of stiffness and mass by an alteration of amount 1."""
-    outline, end_m = (
-        shape_derivatives.reed.geometry.outline,
-        shape_derivatives.reed.geometry.vamp_x_m[-1],
+    logs = {
+        "E_T_pa": shift.E_T,
+        "E_R_pa": shift.E_R,
+        "G_LR_pa": shift.G_LR,
+        "G_TR_pa": shift.G_TR,
+        "density_kg_m3": shift.density,
+    }
+    changed = {name: getattr(nominal, name) * float(np.exp(log)) for name, log in logs.items()}
+    return CaneLaw(
+        constants=replace(nominal, **changed),
+        viscoelastic=kind,
+        log_E_L=shift.E_L,
+        log_G_LT=shift.G_LT,
+        growth_E_L=shift.growth_E_L,
+        growth_G_LT=shift.growth_G_LT,
     )
+
+
+def _unit_change(reed: ReducedReed, kind: Alteration) -> Change:
+    """Return the change of stiffness and mass by an alteration of amount 1."""
+    outline, end_m = reed.geometry.outline, reed.geometry.vamp_x_m[-1]
     if isinstance(kind, YieldingClamp):
-        return yielding_clamp(shape_derivatives, float(kind.side >= 0), float(kind.side <= 0))
+        return yielding_clamp(reed, float(kind.side >= 0), float(kind.side <= 0))
     if isinstance(kind, TipMass):
-        zone = shape_derivatives.area_m2 * (shape_derivatives.bark_m[:, 0] < kind.length_m)
-        area_m2 = 2 * float(zone.sum())
-        return added_mass(shape_derivatives, lambda x, y: (x < kind.length_m) / area_m2)
+        zone = reed.area_m2 * (reed.bark_m[:, 0] < kind.length_m)
+        area_m2 = (1 if None in reed.loose else 2) * float(zone.sum())
+        return added_mass(reed, lambda x, y: (x < kind.length_m) / area_m2)
     if isinstance(kind, SoftSpot):
 
         def depth(x: Array, y: Array) -> Array:
@@ -423,7 +375,7 @@ def _unit_change(shape_derivatives: ShapeDerivatives, kind: Alteration) -> Chang
             bell: Array = np.exp(-r2 / (2 * kind.radius_m**2))
             return bell
 
-        return softening(shape_derivatives, depth)
+        return softening(reed, depth)
     along = np.polynomial.legendre.Legendre.basis(kind.along)
     across = np.polynomial.legendre.Legendre.basis(kind.across)
 
@@ -432,4 +384,4 @@ def _unit_change(shape_derivatives: ShapeDerivatives, kind: Alteration) -> Chang
         grown: Array = along(2 * x / end_m - 1) * across(eta)
         return grown
 
-    return layer(shape_derivatives, thickness)
+    return layer(reed, thickness)

@@ -1,22 +1,19 @@
 """Motion of a reed under a sinusoidal pressure, whatever its mechanical parameters are."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
-from holography.arrays import Array, ComplexArray
+from holography.arrays import ComplexArray
 from physics.conditions import ConditionChange
-from physics.mechanics import PIVOT_HZ, Mechanics, ReedSolver, material_of
+from physics.mechanics import Mechanics, ReedSolver, cane_law
 from physics.reed.cane.material import Cane
 from physics.reed.elements.fem import Symmetry
-from physics.reed.elements.whole import WholeReed
-from physics.reed.reduction.basis import ReducedReed
-from physics.reed.reduction.response import response_at
-
-Pressure = Callable[[float, Array, Array], ComplexArray]
-"""``pressure(hz, x_m, y_m)``: complex pressures in Pa at points of the flat side."""
+from physics.reed.reduced.dynamics import PIVOT_HZ
+from physics.reed.reduced.reed import ReducedReed
+from physics.reed.reduced.response import Pressure, PressureForce, response_at
 
 Coordinates = Mapping[Symmetry | None, ComplexArray]
 """Reduced coordinates (r,) in m for each part of a reed."""
@@ -26,8 +23,13 @@ class ReedMotion(Protocol):
     """A reed that can be moved."""
 
     @property
-    def reed(self) -> ReducedReed | WholeReed:
+    def reed(self) -> ReducedReed:
         """Its reduced coordinates."""
+        ...
+
+    @property
+    def loose(self) -> bool:
+        """Whether its coordinates are those in which the strips of the clamp may move."""
         ...
 
     def coordinates(
@@ -36,7 +38,7 @@ class ReedMotion(Protocol):
         change: ConditionChange,
         hz: float,
         stiffer: float,
-        pressure: Pressure,
+        pressure: Pressure | PressureForce,
     ) -> Coordinates:
         """Return its motion at a frequency.
 
@@ -49,7 +51,7 @@ class ReedMotion(Protocol):
         hz : float
         stiffer : float
             Logarithm of a factor on all stiffnesses, by which a large amplitude stiffens it.
-        pressure : callable
+        pressure : callable or PressureForce
         """
         ...
 
@@ -60,10 +62,12 @@ class PlainMotion:
 
     Attributes
     ----------
-    reed : ReducedReed or WholeReed
+    reed : ReducedReed
+    loose : bool
     """
 
-    reed: ReducedReed | WholeReed
+    reed: ReducedReed
+    loose: bool = False
 
     def coordinates(
         self,
@@ -71,7 +75,7 @@ class PlainMotion:
         change: ConditionChange,
         hz: float,
         stiffer: float,
-        pressure: Pressure,
+        pressure: Pressure | PressureForce,
     ) -> Coordinates:
         """Return the motion at a frequency; see `ReedMotion`."""
         material = _material(self.reed.cane, mechanics, change, hz, stiffer)
@@ -90,14 +94,16 @@ class AlteredMotion:
     Attributes
     ----------
     solver : ReedSolver
+    loose : bool
     """
 
     solver: ReedSolver
+    loose: bool = True
 
     @property
     def reed(self) -> ReducedReed:
         """Its reduced coordinates."""
-        return self.solver.shape_derivatives.reed
+        return self.solver.reed
 
     def coordinates(
         self,
@@ -105,7 +111,7 @@ class AlteredMotion:
         change: ConditionChange,
         hz: float,
         stiffer: float,
-        pressure: Pressure,
+        pressure: Pressure | PressureForce,
     ) -> Coordinates:
         """Return the motion at a frequency; see `ReedMotion`."""
         material = _material(self.reed.cane, mechanics, change, hz, stiffer)
@@ -117,7 +123,7 @@ def _material(
     constants: Cane, mechanics: Mechanics, change: ConditionChange, hz: float, stiffer: float
 ) -> Cane:
     """Return the cane at a frequency, in its present condition."""
-    before = material_of(constants, mechanics.cane, mechanics.shift)(hz)
+    before = cane_law(constants, mechanics.cane, mechanics.shift).at(hz)
     now = replace(
         before,
         E_L_pa=before.E_L_pa * float(np.exp(change.E_L)),

@@ -17,7 +17,7 @@ from physics.reed.cane.viscoelastic import (
     ViscoelasticCane,
     require_physical,
 )
-from physics.reed.elements.mesh import build_least_mesh
+from physics.reed.elements.mesh import FAST, build_least_mesh
 from physics.reed.geometry import (
     Clamp,
     ClampSide,
@@ -27,9 +27,6 @@ from physics.reed.geometry import (
 )
 from physics.reed.modes import (
     at_frequency,
-)
-from physics.reed.reduction.cache import (
-    FAST,
 )
 from physics.reed.reduction.metamodel import REFERENCE_HZ
 from protocols.units import (

@@ -11,8 +11,8 @@ from fitting.statistics import factors, synthetic
 from holography.arrays import Array
 from physics.reed.cane.viscoelastic import storage_modulus
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.reduction.basis import ReducedReed
-from physics.reed.reduction.cache import reduced_reed
+from physics.reed.reduced.reed import ReducedReed
+from physics.reed.reduced.stored import reduced_reed
 from physics.reed.reduction.log_polynomial import finite_element_polynomial
 from physics.reed.reduction.metamodel import Equation1, Metamodel
 

@@ -11,7 +11,7 @@ from diagnosis.known_bench import bench_of
 from diagnosis.observe import read
 from diagnosis.readings.campaign_readings import Readings
 from physics.mechanics import ReedSolver
-from physics.reed.reduction.cache import shape_derivatives
+from physics.reed.reduced.stored import reduced_reed
 from runs.reader import Run
 
 # Of laboratories with nothing wrong.
@@ -36,5 +36,5 @@ def readings_of(folder: Path) -> tuple[Readings, ReedSolver]:
         files = sorted(folder.glob("*.h5"))
         campaign = Campaign.of([opened.enter_context(Run.open(file)) for file in files])
         first = campaign.sweeps[0].run
-        reed_solver = ReedSolver(shape_derivatives(first.reed_file().geometry()))
+        reed_solver = ReedSolver(reduced_reed(first.reed_file().geometry()))
         return read(campaign, bench_of(first)), reed_solver

@@ -18,14 +18,9 @@ from typing import Any
 import numpy as np
 
 from physics.reed.cane.material import Cane
-from physics.reed.elements.mesh import MeshLevel
+from physics.reed.elements.mesh import FAST, FINE, STANDARD, MeshLevel
 from physics.reed.geometry import ReedGeometry
 from physics.reed.modes import reed_modes
-from physics.reed.reduction.cache import (
-    FAST,
-    FINE,
-    STANDARD,
-)
 
 HIGHEST_HZ = 20e3
 FINE_CENTS, FAST_S = 10.0, 0.3

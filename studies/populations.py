@@ -40,10 +40,10 @@ from physics.reed.cane.viscoelastic import (
 )
 from physics.reed.geometry import ReedGeometry
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.reduction.basis import ReducedReed
+from physics.reed.reduced.elastic import viscoelastic_mode
+from physics.reed.reduced.reed import ReducedReed
 from physics.reed.reduction.log_polynomial import LogPolynomial, finite_element_polynomial
 from physics.reed.reduction.metamodel import Metamodel
-from physics.reed.reduction.response import viscoelastic_mode
 from protocols.reed import DEFAULT_REED, ReedFile
 
 Array = NDArray[np.floating[Any]]

@@ -32,7 +32,7 @@ from fitting.forward import (
 )
 from physics.errors import ImpossibleReedError
 from physics.reed.cane.viscoelastic import Series, viscoelastic_cane
-from physics.reed.reduction.response import viscoelastic_mode
+from physics.reed.reduced.elastic import viscoelastic_mode
 from protocols.bench import BenchFile
 from protocols.plan import Plan, make_plan
 from protocols.protocol import Protocol

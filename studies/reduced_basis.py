@@ -1,180 +1,155 @@
-"""How far the basis over materials lies from the finite elements that it was built from.
+"""How far the reduced reed lies from the finite elements that it was built from.
 
-The basis is asked for reeds that it has never seen: half of them anywhere in its box, half at
-corners of it, thickness offsets anywhere. Each of them is also solved by finite elements, on the
-same mesh, and its modes are named by their shapes. `benchmarks.reduced_basis` measures time.
+It is asked for canes that it has never seen, half of them at corners of its box, the others
+anywhere in it; each is also solved by finite elements on the same mesh. Then the reed is made
+thicker and its clamp is moved, once to first order and once by a new mesh.
+`benchmarks.reduced_basis` measures time.
 
-    python -m studies.reduced_basis [--reed NAME] [--reeds N] [--fast] [--json]
+    OMP_NUM_THREADS=1 python -m studies.reduced_basis [--reed NAME] [--canes N] [--fast] [--json]
 """
 
 import argparse
 import json
+import os
 import platform
 import sys
-from dataclasses import astuple, dataclass, replace
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import astuple, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
-from scipy.optimize import linear_sum_assignment
 
-from physics.reed.cane.material import Cane
-from physics.reed.elements.mesh import MeshLevel
-from physics.reed.material_range.basis import MaterialBasis, modes
-from physics.reed.material_range.constants import CONSTANTS
-from physics.reed.material_range.snapshots import TrainingSettings
-from physics.reed.material_range.training import build_material_basis
-from physics.reed.modes import NamedMode, reed_modes
-from physics.reed.reduction.cache import FAST, STANDARD
+from holography.arrays import Array
+from physics.reed.cane.material import Cane, stiffness_terms_pa
+from physics.reed.elements.mesh import FAST, STANDARD, MeshLevel
+from physics.reed.geometry import ReedGeometry
+from physics.reed.modes import reed_modes
+from physics.reed.reduced.build import build_reduced_reed
+from physics.reed.reduced.changes import Change, layer, moved_clamp
+from physics.reed.reduced.dynamics import CaneLaw, State
+from physics.reed.reduced.elastic import reduced_modes
+from physics.reed.reduced.reed import CONSTANTS, BasisSettings, ReducedReed, ReedBox
+from physics.reed.reduced.vibrations import vibrations
 from protocols.reed import DEFAULT_REED, ReedFile
 
-Array = npt.NDArray[np.float64]
-
-ERROR_CENTS = 3.0
+ERROR_CENTS, BUILD_S = 3.0, 60.0
 HIGHEST_HZ = 20e3
-# Named beyond the limit: what the basis puts just below it may lie just above it.
-SOLVED_HZ = 1.02 * HIGHEST_HZ
-DENSITY_KG_M3 = (420.0, 620.0)
-# A name that is borne out by less than this is shared with another mode.
-CLEAR = 0.75
-FEWEST_REEDS = 30
+FEWEST_CANES, SEED = 12, 2
+OFFSETS_UM = (-12.0, -7.0, -4.0, 4.0, 7.0, 12.0)
+EDGES_MM = (-0.3, -0.1, 0.1, 0.3)
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """One reed by basis and by finite elements.
-
-    Attributes
-    ----------
-    cents : dict
-        Deviation per name, of modes below 20 kHz.
-    clear : dict
-        Whether the name is borne out by the shape.
-    same_name : dict
-        Whether the rules give the same name.
-    """
-
-    cents: dict[str, float]
-    clear: dict[str, bool]
-    same_name: dict[str, bool]
+def random_canes(box: ReedBox, count: int) -> list[Cane]:
+    """Canes of a box; every other one at a corner."""
+    places = np.random.default_rng(SEED).random((count, len(CONSTANTS)))
+    places[::2] = np.round(places[::2])
+    return box.at(places)
 
 
-def random_inputs(basis: MaterialBasis, count: int, seed: int) -> tuple[Array, Array, Array]:
-    """Constants (n, 9), densities and thickness offsets (n,); every other reed at a corner."""
-    rng = np.random.default_rng(seed)
-    fractions = rng.random((count, 10))
-    fractions[1::2, :9] = np.round(fractions[1::2, :9])
-    # Thickness ends the box in half of the corners; elsewhere it lies between the snapshots'.
-    fractions[1::4, 9] = np.round(fractions[1::4, 9])
-    low, high = np.asarray(astuple(basis.box)).T
-    inputs = low + (high - low) * fractions
-    return inputs[:, :9], rng.uniform(*DENSITY_KG_M3, count), inputs[:, 9]
+def off_cents(reed: ReducedReed, level: MeshLevel, cane: Cane) -> Array:
+    """Cents by which modes below 20 kHz lie above those of the finite elements, by number."""
+    solved = reed_modes(reed.geometry, cane, level, 1.02 * HIGHEST_HZ)
+    terms, found = stiffness_terms_pa(cane), []
+    for key, part in reed.parts.items():
+        true = [mode.frequency_hz for mode in solved if key in (None, mode.symmetry)]
+        hz = reduced_modes(part, terms, cane.density_kg_m3)[0]
+        below = np.array(true)[np.array(true) < HIGHEST_HZ]
+        found.append(1200 * np.log2(hz[: len(below)] / below))
+    return np.concatenate(found)
 
 
-def solved_modes(
-    basis: MaterialBasis, level: MeshLevel, constants: Array, density: float, offset_m: float
-) -> list[NamedMode]:
-    """Solve one reed by finite elements."""
-    whole_offset_m = basis.geometry.thickness_offset_m + offset_m
-    reed = replace(basis.geometry, thickness_offset_m=float(whole_offset_m))
-    elastic = dict(zip(CONSTANTS, constants.tolist(), strict=True))
-    cane = replace(Cane(density_kg_m3=float(density)), **elastic)
-    return reed_modes(reed, cane, level, SOLVED_HZ)
+def accuracy(reed: ReducedReed, level: MeshLevel, count: int) -> dict[str, float]:
+    """Errors over the box."""
+    errors = []
+    for number, cane in enumerate(random_canes(reed.box, count), 1):
+        errors.append(off_cents(reed, level, cane))
+        print(f"\rsolving {number}/{count}", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    together = np.concatenate(errors)
+    return {
+        "canes": count,
+        "modes": len(together),
+        "largest_cents": float(together.max()),
+        "least_cents": float(together.min()),
+        "p95_cents": float(np.percentile(together, 95)),
+        "rms_cents": float(np.sqrt(np.mean(together**2))),
+    }
 
 
-def compare(
-    basis: MaterialBasis, level: MeshLevel, constants: Array, density: float, offset_m: float
-) -> Comparison:
-    """Solve one reed both ways."""
-    solved = solved_modes(basis, level, constants, density, offset_m)
-    found = modes(basis, constants[None], density, offset_m, slopes=False)
-    cents, clear, same = {}, {}, {}
-    for symmetry, half in basis.halves.items():
-        asked = [
-            basis.names.index(name)
-            for name in half.names
-            if found.hz[0, basis.names.index(name)] < HIGHEST_HZ
-        ]
-        mine = [mode for mode in solved if mode.symmetry is symmetry]
-        for m, mode, deviation in paired(found.hz[0], asked, mine):
-            name = basis.names[m]
-            cents[name], same[name] = deviation, mode.name == name
-            clear[name] = bool(found.similarity[0, m] > CLEAR)
-    return Comparison(cents, clear, same)
+def first_order(reed: ReducedReed, level: MeshLevel) -> Iterator[dict[str, Any]]:
+    """Compare changes to first order with new meshes, on the reference cane."""
+
+    def thicker(um: float) -> tuple[ReedGeometry, Change]:
+        drawn = replace(
+            reed.geometry, thickness_offset_m=reed.geometry.thickness_offset_m + 1e-6 * um
+        )
+        return drawn, layer(reed, lambda x, _y: np.full(x.shape, 1e-6 * um))
+
+    def clamped(mm: float) -> tuple[ReedGeometry, Change]:
+        front, back = reed.geometry.clamp.x_m
+        moved = replace(reed.geometry.clamp, x_m=(front + 1e-3 * mm, back))
+        return replace(reed.geometry, clamp=moved), moved_clamp(reed, 1e-3 * mm)
+
+    both: tuple[tuple[str, tuple[float, ...], Callable[[float], tuple[ReedGeometry, Change]]], ...]
+    both = (("thickness_um", OFFSETS_UM, thicker), ("clamp_mm", EDGES_MM, clamped))
+    start, _ = _solved_both_ways(reed, level, reed.geometry, Change())
+    for kind, amounts, change_of in both:
+        for amount in amounts:
+            true, found = _solved_both_ways(reed, level, *change_of(amount))
+            count = min(len(true), len(start))
+            yield {
+                "change": kind,
+                "amount": amount,
+                "largest_shift_cents": _largest_cents(true[:count], start[:count]),
+                "largest_error_cents": _largest_cents(found[:count], true[:count]),
+            }
 
 
-def paired(
-    hz: Array, asked: list[int], solved: list[NamedMode]
-) -> list[tuple[int, NamedMode, float]]:
-    """Each mode asked for, the one of the finite elements that it stands for, and the cents."""
-    true_hz = np.array([mode.frequency_hz for mode in solved])
-    cents = 1200 * np.log2(hz[asked][:, None] / true_hz)
-    # One to one, and nothing gained by a mode that is far off anyway.
-    rows, columns = linear_sum_assignment(np.minimum(np.abs(cents), 200.0))
-    return [
-        (asked[row], solved[column], float(cents[row, column]))
-        for row, column in zip(rows, columns, strict=True)
-    ]
+def _solved_both_ways(
+    reed: ReducedReed, level: MeshLevel, drawn: ReedGeometry, change: Change
+) -> tuple[Array, Array]:
+    true = [mode.frequency_hz for mode in reed_modes(drawn, reed.cane, level, HIGHEST_HZ)]
+    state = State(CaneLaw(reed.cane), change)
+    return np.array(true), vibrations(reed, state, 1.1 * HIGHEST_HZ).hz
 
 
-def by_mode(names: tuple[str, ...], comparisons: list[Comparison]) -> dict[str, dict[str, float]]:
-    """Errors in cents, and how often the rules give the same name."""
-    table = {}
-    for name in names:
-        having = [c for c in comparisons if name in c.cents]
-        errors = np.abs([c.cents[name] for c in having])
-        clear = [c for c in having if c.clear[name]]
-        table[name] = {
-            "reeds": len(having),
-            "max_cents": float(errors.max()),
-            "p95_cents": float(np.percentile(errors, 95)),
-            "rms_cents": float(np.sqrt(np.mean(errors**2))),
-            "clear": len(clear) / len(having),
-            "same_name": float(np.mean([c.same_name[name] for c in having])),
-            "same_name_where_clear": float(np.mean([c.same_name[name] for c in clear])),
-        }
-    return table
+def _largest_cents(one: Array, other: Array) -> float:
+    return float(np.abs(1200 * np.log2(one / other)).max())
 
 
-def build(reed: ReedFile, level: MeshLevel) -> MaterialBasis:
-    """Build a basis and show progress."""
+def timed_build(reed: ReedFile, level: MeshLevel) -> tuple[ReducedReed, dict[str, float]]:
+    """Build a reduced reed, show progress and measure the time."""
 
     def show(fraction: float) -> None:
         print(f"\rbuilding {fraction:4.0%}", end="", file=sys.stderr, flush=True)
 
-    settings = TrainingSettings(cane=reed.cane())
-    basis = build_material_basis(reed.geometry(), level, settings, show)
+    load, wall_s, cpu_s = os.getloadavg()[0], time.perf_counter(), time.process_time()
+    settings = BasisSettings(ReedBox(reed.constants()))
+    built = build_reduced_reed(reed.geometry(), level, settings, show)
     print(file=sys.stderr)
-    return basis
+    return built, {
+        "wall_s": time.perf_counter() - wall_s,
+        "cpu_s": time.process_time() - cpu_s,
+        "load_before": load,
+    }
 
 
-def study(reed: ReedFile, level: MeshLevel, reeds: int) -> dict[str, Any]:
+def study(reed: ReedFile, level: MeshLevel, canes: int) -> dict[str, Any]:
     """Build and compare; the result is what ``--json`` prints."""
-    basis = build(reed, level)
-    comparisons = []
-    for number, row in enumerate(zip(*random_inputs(basis, reeds, seed=2), strict=True), 1):
-        comparisons.append(compare(basis, level, *row))
-        print(f"\rsolving {number}/{reeds}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
-    table = by_mode(basis.names, comparisons)
-    worst = max(row["max_cents"] for row in table.values())
+    built, taken = timed_build(reed, level)
+    errors = accuracy(built, level, canes)
     return {
         "reed": reed.name,
         "level": astuple(level),
-        "halves": {
-            str(symmetry): {
-                "coordinates": half.components.shape[1],
-                "with_mass": len(half.named_shapes),
-                "components": len(half.components),
-                "error_cents": half.error_cents,
-            }
-            for symmetry, half in basis.halves.items()
-        },
-        "reeds": reeds,
-        "modes": table,
-        "worst_cents": worst,
-        "error_met": worst <= ERROR_CENTS,
+        "coordinates": {str(key): part.held for key, part in built.parts.items()},
+        "build": taken,
+        "build_met": taken["wall_s"] <= BUILD_S,
+        "box": built.box.ranges,
+        "accuracy": errors,
+        "error_met": errors["largest_cents"] <= ERROR_CENTS,
+        "first_order": list(first_order(built, level)),
         "versions": {
             "python": platform.python_version(),
             "numpy": np.__version__,
@@ -185,38 +160,39 @@ def study(reed: ReedFile, level: MeshLevel, reeds: int) -> dict[str, Any]:
 
 def print_report(report: dict[str, Any]) -> None:
     """Print a study for people."""
-    print(report["reed"])
-    for symmetry, row in report["halves"].items():
-        print(
-            f"{symmetry}: {row['coordinates']} coordinates, {row['with_mass']} with mass, "
-            f"{row['components']} components, {row['error_cents']:.2f} cents in training"
-        )
-    print(f"{report['reeds']} reeds by finite elements, modes below {HIGHEST_HZ / 1e3:g} kHz")
+    built, errors = report["build"], report["accuracy"]
+    print(f"{report['reed']}: coordinates {report['coordinates']}")
+    met = "met" if report["build_met"] else "missed"
     print(
-        f"{'mode':5} {'reeds':>5} {'max cents':>10} {'p95':>5} {'rms':>5} "
-        f"{'clear':>6} {'same name':>12} {'where clear':>12}"
+        f"built in {BUILD_S:g} s: {met} ({built['wall_s']:.1f} s, {built['cpu_s']:.1f} s of "
+        f"processor, load average before {built['load_before']:.1f})"
     )
-    for name, row in report["modes"].items():
-        print(
-            f"{name:5} {row['reeds']:5} {row['max_cents']:10.2f} {row['p95_cents']:5.2f} "
-            f"{row['rms_cents']:5.2f} {row['clear']:6.0%} {row['same_name']:12.0%} "
-            f"{row['same_name_where_clear']:12.0%}"
-        )
     met = "met" if report["error_met"] else "missed"
-    print(f"within {ERROR_CENTS:g} cents: {met} ({report['worst_cents']:.2f} cents)")
+    print(
+        f"within {ERROR_CENTS:g} cents: {met} (largest {errors['largest_cents']:.2f}, least "
+        f"{errors['least_cents']:.4f}, p95 {errors['p95_cents']:.2f}, rms "
+        f"{errors['rms_cents']:.2f} cents; {errors['canes']} canes, {errors['modes']} modes below "
+        f"{HIGHEST_HZ / 1e3:g} kHz)"
+    )
+    print(f"{'change':>14} {'amount':>7} {'largest shift':>14} {'largest error':>14}")
+    for row in report["first_order"]:
+        print(
+            f"{row['change']:>14} {row['amount']:7g} {row['largest_shift_cents']:14.1f} "
+            f"{row['largest_error_cents']:14.2f}"
+        )
 
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description="A basis over materials against its own FEM.")
+    parser = argparse.ArgumentParser(description="The reduced reed against its own FEM.")
     parser.add_argument("--reed", default=DEFAULT_REED, help="reed file, or a shipped reed's name")
-    parser.add_argument("--reeds", type=int, default=40, help="solved both ways, at least 30")
+    parser.add_argument("--canes", type=int, default=32, help="solved both ways, at least 12")
     parser.add_argument("--fast", action="store_true", help="on the fast mesh")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead")
     arguments = parser.parse_args()
     level = FAST if arguments.fast else STANDARD
     reed = ReedFile.from_file(arguments.reed)
-    report = study(reed, level, max(arguments.reeds, FEWEST_REEDS))
+    report = study(reed, level, max(arguments.canes, FEWEST_CANES))
     if arguments.json:
         print(json.dumps(report, indent=2))
     else:

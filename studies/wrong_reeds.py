@@ -32,6 +32,7 @@ from drivers.simulated.settings import (
     read_simulation,
 )
 from holography.arrays import Array
+from physics.reed.cache import kept
 from physics.reed.cane.viscoelastic import Series
 from physics.reed.elements.fem import Symmetry
 from physics.reed.geometry import (
@@ -45,7 +46,6 @@ from physics.reed.modes import (
     NamedMode,
     viscoelastic_modes,
 )
-from physics.reed.reduction.cache import kept
 from physics.reed.surface import on_reed
 from protocols.bench import BenchFile
 from protocols.plan import make_plan

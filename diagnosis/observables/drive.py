@@ -350,14 +350,14 @@ class _Pushes:
 
 
 def _pushes(reed_solver: ReedSolver, chamber: Chamber, mode: ReedMode) -> _Pushes:
-    reed = reed_solver.shape_derivatives.reed
+    reed = reed_solver.reed
     x, y = reed.load_points_m.T
     left, right = (pressure_shape(chamber, mode.hz, x, side * y) for side in (1, -1))
     whole = replace(chamber, leak=1.0)
     more = [pressure_shape(whole, mode.hz, x, side * y) for side in (1, -1)]
     start, pushed, moved = 0, np.zeros(2), np.zeros((2, len(reed.plan_m)))
     everywhere = np.zeros(len(left))
-    for symmetry, half in reed.halves.items():
+    for symmetry, half in reed.loose.items():
         own = mode.coordinates[start : start + half.mass.shape[0]]
         start += half.mass.shape[0]
         sign = 1 if symmetry is Symmetry.SYMMETRIC else -1

@@ -171,12 +171,12 @@ class _Elastic:
 
 def _deflection(reed_solver: ReedSolver, mode: ReedMode, at_m: Array) -> tuple[float, Symmetry]:
     """Deflection at a place (2,), and the symmetry of the mode."""
-    reed = reed_solver.shape_derivatives.reed
+    reed = reed_solver.reed
     node = int(np.argmin(np.hypot(reed.plan_m[:, 0] - at_m[0], reed.plan_m[:, 1] - abs(at_m[1]))))
-    start, parts = 0, []
-    for symmetry, half in reed.halves.items():
-        own = mode.coordinates[start : start + half.mass.shape[0]]
-        start += half.mass.shape[0]
+    parts = []
+    for start, half in zip(reed.starts, reed.loose.values(), strict=True):
+        own = mode.coordinates[start : start + half.size]
+        (symmetry,) = half.measures
         sign = -1.0 if symmetry is Symmetry.ANTISYMMETRIC and at_m[1] < 0 else 1.0
         parts.append(
             (float(own @ half.mass @ own), sign * float(half.surface_z[node] @ own), symmetry)

@@ -35,7 +35,7 @@ from physics.mechanics import Mechanics, ReedSolver
 from physics.motion import AlteredMotion, PlainMotion, ReedMotion
 from physics.parameters.sensor import Sensor
 from physics.reed.geometry import is_even
-from physics.reed.reduction.cache import reduced_reed, shape_derivatives, whole_reed
+from physics.reed.reduced.stored import reduced_reed
 
 # A lamp that fills half a pixel of the paper's camera in a frame of the paper's length.
 _LAMP_E_S: Final = 1e5
@@ -249,17 +249,15 @@ def _motion_of(context: BenchContext, simulation: Simulation, mechanics: Mechani
         bench cannot play an effect on a reed of this shape.
     """
     level, basis = simulation.finite_elements
-    settings = replace(basis, cane=bench_constants(simulation, context.preparation))
+    box = replace(basis.box, cane=bench_constants(simulation, context.preparation))
+    settings = replace(basis, box=box)
     name = context.description.name
     try:
         geometry = bench_geometry(simulation, context.preparation)
-        if PlainMotion.plays(mechanics):
-            if geometry is None or is_even(geometry):
-                return PlainMotion(reduced_reed(geometry, level, settings, context.announce))
-            return PlainMotion(whole_reed(geometry, level, settings, context.announce))
-        if geometry is None or is_even(geometry):
-            derivatives = shape_derivatives(geometry, level, settings, context.announce)
-            return AlteredMotion(ReedSolver(derivatives, context.announce))
+        plain = PlainMotion.plays(mechanics)
+        if plain or geometry is None or is_even(geometry):
+            reed = reduced_reed(geometry, level, settings, context.announce)
+            return PlainMotion(reed) if plain else AlteredMotion(ReedSolver(reed, context.announce))
     except ImpossibleReedError as error:
         raise BenchSetupError(
             f"bench {name!r}: twin.shape and twin.cane_factors "

@@ -44,12 +44,8 @@ from physics.reed.cane.viscoelastic import (
 )
 from physics.reed.geometry import ReedGeometry
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.reduction.basis import ReducedReed
-from physics.reed.reduction.response import (
-    Mode,
-    elastic_modes,
-    viscoelastic_mode,
-)
+from physics.reed.reduced.elastic import Mode, elastic_modes, viscoelastic_mode
+from physics.reed.reduced.reed import ReducedReed
 from physics.reed.surface import surface_shapes
 from protocols.reed import ReedFile
 from runs.reader import Run
@@ -270,7 +266,7 @@ def mode_shapes(
         if cane is not None:
             with suppress(ImpossibleReedError):
                 mode = viscoelastic_mode(reed, cane, name, mode.frequency_hz)
-        columns.append(surface[mode.symmetry] @ mode.coordinates.astype(np.float32))
+        columns.append(surface[mode.part] @ mode.coordinates.astype(np.float32))
     shapes = np.stack(columns, axis=1)
     normalised: Float32Array = (shapes / np.abs(shapes).max(axis=0)).astype(np.float32)
     return normalised

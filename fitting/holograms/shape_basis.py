@@ -6,15 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from holography.arrays import Array, Float32Array
-from physics.reed.cane.material import Cane, stiffness_terms_pa
+from physics.reed.cane.material import constants_of, terms_and_slopes
 from physics.reed.elements.fem import Symmetry
-from physics.reed.reduction.basis import ReducedReed, reduced_modes
-from physics.reed.reduction.response import elastic_modes
+from physics.reed.reduced.elastic import elastic_modes, reduced_modes
+from physics.reed.reduced.reed import CONSTANTS, ReducedReed
 from physics.reed.surface import surface_shapes
 
 # Modes above the sweep contribute their static response, and freedom for shapes that differ from
-# those of the finite elements.
-_HIGHEST_HZ = 40e3
+# those of the finite elements. Those of the reduced reed above this lie 0.5 to 2 semitones from the
+# finite elements, so their shapes are of no real mode.
+_HIGHEST_HZ = 36e3
 # Shapes up to here are represented exactly; the weight of higher ones decreases with frequency.
 _EXACT_HZ = 22e3
 # Functions with a singular value below this fraction of the first are noise of the interpolation.
@@ -68,30 +69,26 @@ def shape_basis(
         Returns the exponents with which E_L and G_LT grow with frequency, at a frequency in Hz.
     """
     cane = replace(reed.cane, E_L_pa=E_L_pa, G_LT_pa=G_LT_pa)
-    terms = stiffness_terms_pa(cane)
-    by_E, by_G = (_jacobian_pa(cane, modulus) for modulus in ("E_L_pa", "G_LT_pa"))
+    (terms,), (slopes,) = terms_and_slopes(constants_of([cane]))
+    by_moduli = slopes[:, [CONSTANTS.index("E_L_pa"), CONSTANTS.index("G_LT_pa")]]
     surface = surface_shapes(reed, x_m, y_m)
     named = {
-        (mode.symmetry, round(mode.frequency_hz, 3)): name
+        (mode.part, round(mode.frequency_hz, 3)): name
         for name, mode in elastic_modes(reed, E_L_pa, G_LT_pa).items()
     }
     found: list[tuple[float, str, Array, float]] = []
-    for symmetry, half in reed.halves.items():
+    for symmetry, half in reed.parts.items():
         hz, vectors = reduced_modes(half, terms, reed.cane.density_kg_m3)
         below = int(np.count_nonzero(hz < _HIGHEST_HZ))
         deflections = surface[symmetry] @ vectors[:, :below]
-        energy, by_E_L, by_G_LT = (
-            np.einsum(
-                "im,tij,jm,t->m", vectors, half.stiffness_terms, vectors, weight, optimize=True
-            )
-            for weight in (terms, by_E, by_G)
-        )
+        energies = np.einsum("im,tij,jm->mt", vectors, half.stiffness_terms, vectors, optimize=True)
+        felt = energies @ by_moduli / (energies @ terms)[:, None]
         for number in range(below):
             exponents = growth(float(hz[number])) if growth else (0.0, 0.0)
-            felt = np.dot(exponents, (by_E_L[number], by_G_LT[number])) / energy[number]
+            stiffens = float(felt[number] @ exponents)
             key, other = (symmetry, round(float(hz[number]), 3)), _unnamed(symmetry, number)
             name = named.get(key, other)
-            found.append((float(hz[number]), name, deflections[:, number], float(felt)))
+            found.append((float(hz[number]), name, deflections[:, number], stiffens))
     found.sort(key=lambda mode: mode[0])
     frequencies, names, columns, stiffening = zip(*found, strict=True)
     deflection = np.stack(columns, axis=1)
@@ -107,19 +104,8 @@ def shape_basis(
     )
 
 
-def _jacobian_pa(cane: Cane, modulus: str) -> Array:
-    """Return the derivatives of the stiffness terms with respect to the log of a modulus."""
-    step = 1e-4
-    ahead, behind = (
-        stiffness_terms_pa(replace(cane, **{modulus: getattr(cane, modulus) * (1 + sign * step)}))
-        for sign in (1, -1)
-    )
-    jacobian: Array = (ahead - behind) / (2 * step)
-    return jacobian
-
-
-def _unnamed(symmetry: Symmetry, number: int) -> str:
-    return f"{symmetry} {number + 1}"
+def _unnamed(symmetry: Symmetry | None, number: int) -> str:
+    return f"{symmetry or 'mode'} {number + 1}"
 
 
 def _functions(deflection: Array, hz: Array) -> Array:

@@ -29,7 +29,7 @@ from physics.reed.cane.viscoelastic import (
     Series,
     viscoelastic_cane,
 )
-from physics.reed.reduction.basis import ReducedReed
+from physics.reed.reduced.reed import ReducedReed
 from runs.reader import Run
 
 METHOD = "joint"

@@ -19,8 +19,8 @@ from physics.reed.cane.viscoelastic import (
     viscoelastic_cane,
 )
 from physics.reed.mode_classification import PAPER_MODES, is_symmetric
-from physics.reed.reduction.basis import ReducedReed
-from physics.reed.reduction.response import viscoelastic_modes
+from physics.reed.reduced.elastic import viscoelastic_modes
+from physics.reed.reduced.reed import ReducedReed
 
 # Moduli in the middle of the sweep, in which shapes are computed.
 SHAPES_HZ = 4000.0

@@ -35,6 +35,7 @@ from physics.reed.elements.mesh import (
 )
 from physics.reed.geometry import ReedGeometry
 from physics.reed.mode_classification import (
+    ModeClassification,
     ModeDescriptor,
     names_of,
     vamp_profiles,
@@ -76,6 +77,11 @@ _CLASSES = {
 }
 
 
+def class_of(name: str) -> ModeClass:
+    """Class of a mode of a name."""
+    return _CLASSES.get(name[0], ModeClass.GENERIC)
+
+
 @dataclass(frozen=True)
 class NamedMode:
     """One vibration of the undamped reed.
@@ -101,6 +107,15 @@ class NamedMode:
     symmetry: Symmetry
     similarity: float
     shape: Array
+
+
+def named_mode(naming: ModeClassification, hz: float, shape: Array) -> NamedMode:
+    """Mode of a classification, of a frequency and a shape (n, 3)."""
+    klass, similarity = class_of(naming.name), naming.similarity
+    if klass not in (ModeClass.LATERAL, ModeClass.HEEL):
+        # Motion next to the vamp and behind it does not support a name of the vamp.
+        similarity *= 1 - naming.outside
+    return NamedMode(naming.name, hz, klass, naming.symmetry, similarity, shape)
 
 
 @dataclass(frozen=True)
@@ -221,16 +236,10 @@ def _named_modes(
     for system, (frequencies, reduced) in zip(systems, solved, strict=True):
         shapes = _at_nodes(system, reduced)
         namings = names_of(_descriptors(geometry, system, shapes))
-        for m, (naming, hz) in enumerate(zip(namings, frequencies, strict=True)):
-            klass = _CLASSES.get(naming.name[0], ModeClass.GENERIC)
-            similarity = naming.similarity
-            if klass not in (ModeClass.LATERAL, ModeClass.HEEL):
-                # Motion next to the vamp and behind it does not support a name of the vamp.
-                similarity *= 1 - naming.outside
-            shape = shapes[:, :, m]
-            found.append(
-                NamedMode(naming.name, float(hz), klass, naming.symmetry, similarity, shape)
-            )
+        found += [
+            named_mode(naming, float(hz), shapes[:, :, m])
+            for m, (naming, hz) in enumerate(zip(namings, frequencies, strict=True))
+        ]
     wanted = [mode for mode in found if mode.frequency_hz <= highest_hz]
     return sorted(wanted, key=lambda mode: mode.frequency_hz)
 

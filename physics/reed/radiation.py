@@ -8,12 +8,10 @@ mass, the other one a resistance.
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from scipy import linalg
 
-from holography.arrays import Array
-from physics.reed.changes.structural_modification import AirLoad
-from physics.reed.elements.fem import Symmetry
-from physics.reed.reduction.basis import ReducedReed
+from holography.arrays import Array, Float32Array
+from physics.reed.reduced.dynamics import AirMatrices
+from physics.reed.reduced.reed import ReducedReed
 from physics.reed.surface import on_reed, surface_shapes
 
 AIR_DENSITY_KG_M3 = 1.204
@@ -23,36 +21,24 @@ _GRID_M = 0.5e-3
 _HZ = tuple(np.geomspace(1e3, 25e3, 13).tolist())
 
 
-def air_load(reed: ReducedReed) -> AirLoad:
-    """Free air on both sides of a reed.
-
-    Parameters
-    ----------
-    reed : ReducedReed
-
-    Returns
-    -------
-    AirLoad
-        In the coordinates of symmetric motion, then those of antisymmetric.
-    """
+def air_load(reed: ReducedReed) -> AirMatrices:
+    """Free air on both sides of a reed, in the coordinates in which its strips may move."""
     outline = reed.geometry.outline
     width_m = 2 * outline.side_half_width_m + _GRID_M
     shape = round(width_m / _GRID_M), round(outline.length_m / _GRID_M)
     y, x = np.meshgrid(*[(np.arange(n) + 0.5) * _GRID_M for n in shape], indexing="ij")
     y -= 0.5 * shape[0] * _GRID_M
     inside = on_reed(outline, x, y)
-    surface = surface_shapes(reed, x[inside], y[inside])
-    parts = [_loads(surface[symmetry], inside) for symmetry in Symmetry]
-    mass, resistance = (
-        np.stack(
-            [linalg.block_diag(*blocks) for blocks in zip(*[p[k] for p in parts], strict=True)]
-        )
-        for k in (0, 1)
+    surface = surface_shapes(reed, x[inside], y[inside], loose=True)
+    # Of both sides; over half the reed, as all modal masses, if it is its own mirror image.
+    fraction = 2.0 if None in surface else 1.0
+    masses, resistances = zip(
+        *[_loads(shapes, inside, fraction) for shapes in surface.values()], strict=True
     )
-    return AirLoad(np.array(_HZ), mass, resistance)
+    return AirMatrices.of(np.array(_HZ), list(masses), list(resistances))
 
 
-def _loads(shapes: Array, inside: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _loads(shapes: Float32Array, inside: NDArray[np.bool_], fraction: float) -> tuple[Array, Array]:
     """Mass and resistance (f, r, r) of deflections (n, r) at the cells inside (ny, nx)."""
     padded = [2 * n for n in inside.shape]
     away = [np.minimum(np.arange(n), n - np.arange(n)) * _GRID_M for n in padded]
@@ -68,8 +54,7 @@ def _loads(shapes: Array, inside: NDArray[np.bool_]) -> tuple[Array, Array]:
             ][:, inside]
             for kernel in _kernels(distance_m, 2 * np.pi * hz / SOUND_M_S)
         ]
-        # Of both sides, over half the reed as all modal masses: twice and half.
-        scale = AIR_DENSITY_KG_M3 / (2 * np.pi) * _GRID_M**4
+        scale = fraction * AIR_DENSITY_KG_M3 / (2 * np.pi) * _GRID_M**4
         in_phase, behind = (scale * (part @ shapes) for part in pushed)
         masses.append(0.5 * (in_phase + in_phase.T))
         resistances.append(np.pi * hz * (behind + behind.T))

@@ -4,11 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CloughTocher2DInterpolator, NearestNDInterpolator
 
-from holography.arrays import Array
+from holography.arrays import Array, Float32Array
 from physics.reed.elements.fem import Symmetry
-from physics.reed.elements.whole import WholeReed, parts_of
 from physics.reed.geometry import Outline, half_width_m
-from physics.reed.reduction.basis import ReducedReed
+from physics.reed.reduced.reed import ReducedReed
 
 
 def on_reed(outline: Outline, x_m: Array, y_m: Array) -> NDArray[np.bool_]:
@@ -17,23 +16,25 @@ def on_reed(outline: Outline, x_m: Array, y_m: Array) -> NDArray[np.bool_]:
 
 
 def surface_shapes(
-    reed: ReducedReed | WholeReed, x_m: Array, y_m: Array
-) -> dict[Symmetry | None, Array]:
+    reed: ReducedReed, x_m: Array, y_m: Array, *, loose: bool = False
+) -> dict[Symmetry | None, Float32Array]:
     """Deflection along z of the bark side, per reduced coordinate.
 
     Parameters
     ----------
-    reed : ReducedReed or WholeReed
+    reed : ReducedReed
     x_m, y_m : (n,) float
         Points inside the contour, on either side of the axis.
+    loose : bool
+        Whether coordinates in which the strips of the clamp move are wanted, too.
 
     Returns
     -------
     dict of (n, r) float32
-        Per part of the reed (see `whole.parts_of`).
+        Per part of the reed.
     """
     answer = {}
-    for symmetry, part in parts_of(reed).items():
+    for symmetry, part in (reed.loose if loose else reed.parts).items():
         points = np.stack([x_m, y_m if symmetry is None else np.abs(y_m)], axis=-1)
         shapes = CloughTocher2DInterpolator(reed.plan_m, part.surface_z)(points)
         # Points between the outermost chord of the mesh and the true contour.

@@ -21,9 +21,9 @@ from physics.reed.cane.viscoelastic import (
     viscoelastic_cane,
 )
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.reduction.basis import ReducedReed
+from physics.reed.reduced.elastic import elastic_modes, viscoelastic_mode
+from physics.reed.reduced.reed import ReducedReed
 from physics.reed.reduction.metamodel import Metamodel
-from physics.reed.reduction.response import elastic_modes, viscoelastic_mode
 from reproduction.models import NOISE_CENTS, Models
 from reproduction.rows import (
     Group,

@@ -11,12 +11,11 @@ from fitting.paper.printed import Printed
 from holography.arrays import Array
 from physics.reed.cane.material import Cane
 from physics.reed.elements.fem import ReedMatrices, assemble
-from physics.reed.elements.mesh import build_mesh
+from physics.reed.elements.mesh import STANDARD, build_mesh
 from physics.reed.elements.tetrahedra import PLAIN, tetrahedral_reed
 from physics.reed.geometry import ReedGeometry
 from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.modes import NamedMode, reed_modes
-from physics.reed.reduction.cache import STANDARD
 from physics.reed.reduction.sensitivity import CONSTANTS, rayleigh_sensitivities
 from reproduction.models import Announce
 from reproduction.rows import (

@@ -12,7 +12,8 @@ from fitting.paper.printed import Printed
 from holography.arrays import Array
 from physics.reed.cane.material import Cane
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.reduction.basis import ReducedReed
+from physics.reed.reduced.elastic import elastic_modes
+from physics.reed.reduced.reed import ReducedReed
 from physics.reed.reduction.metamodel import (
     EXPONENT_E_L,
     EXPONENT_G_LT,
@@ -20,7 +21,6 @@ from physics.reed.reduction.metamodel import (
     fit_equation_1,
     paper_network_pa,
 )
-from physics.reed.reduction.response import elastic_modes
 from physics.reed.reduction.sensitivity import CONSTANTS
 from reproduction.groups.mesh_evidence import MeshEvidence, MeshResult
 from reproduction.models import Models

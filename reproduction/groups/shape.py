@@ -6,7 +6,7 @@ import numpy as np
 
 from fitting.paper.printed import Printed
 from physics.reed.elements.fem import assemble
-from physics.reed.elements.mesh import build_mesh
+from physics.reed.elements.mesh import FAST, build_mesh
 from physics.reed.geometry import (
     ReedGeometry,
     half_width_m,
@@ -14,7 +14,6 @@ from physics.reed.geometry import (
     kink_x_m,
     vamp_m,
 )
-from physics.reed.reduction.cache import FAST
 from reproduction.rows import (
     Group,
     Row,

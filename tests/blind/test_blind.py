@@ -34,7 +34,7 @@ from physics.reed.cane.viscoelastic import (
     storage_modulus_pa,
     viscoelastic_cane,
 )
-from physics.reed.reduction.response import elastic_modes
+from physics.reed.reduced.elastic import elastic_modes
 from protocols.bench import BenchFile
 from protocols.reed import ReedFile
 

@@ -13,6 +13,7 @@ from diagnosis.inference.model_selection import refit_candidate, refit_from_else
 from diagnosis.inference.probabilities import NONE, PRIOR, UNKNOWN
 from diagnosis.inference.problem import LocatedEffect
 from physics.effects.effect import Effect
+from physics.errors import ImpossibleReedError
 from physics.parameters.tree import BenchParameters, more
 from tests.diagnosis.toy import EFFECTS, bench, effect, measured
 
@@ -176,7 +177,7 @@ def _breaking(
     limit: float, parameters: BenchParameters, values: Mapping[str, float]
 ) -> BenchParameters:
     if abs(values["size"]) > limit:
-        raise ValueError("it breaks")
+        raise ImpossibleReedError("it breaks")
     return EFFECTS[0].change(parameters, values)
 
 
@@ -279,7 +280,7 @@ def test_the_twin_without_effects_is_fitted_from_several_rivals(monkeypatch) -> 
                 return replace(good, estimate=replace(good.estimate, starts=2, consistent_starts=2))
             cost = costs.get(int(starts[0][0]), 0.0)
             if np.isnan(cost):
-                raise ValueError("no such bench")
+                raise ImpossibleReedError("no such bench")
             estimate = replace(good.estimate, cost=good.estimate.cost + cost, starts=1)
             return replace(good, estimate=estimate)
 

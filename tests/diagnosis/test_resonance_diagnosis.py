@@ -43,7 +43,7 @@ class Formula:
 
     def __init__(self):
         cane = SimpleNamespace(E_L_pa=14e9, G_LT_pa=1.1e9)
-        self.shape_derivatives = SimpleNamespace(reed=SimpleNamespace(cane=cane))
+        self.reed = SimpleNamespace(cane=cane)
 
     def modes(self, reed):
         shift = reed.shift

@@ -18,8 +18,12 @@ PLAN = np.array([[1e-3, 1e-3], [1e-3, 4e-3], [10e-3, 0.0], [20e-3, 2e-3]])
 BENDS = np.array([[2.0, -1.0], [2.0, -3.0], [1.0, 2.0], [0.2, 1.0]])
 TWISTS = np.array([[1.0], [5.0], [0.0], [0.5]])
 HALVES = {
-    Symmetry.SYMMETRIC: SimpleNamespace(mass=np.eye(2), surface_z=BENDS),
-    Symmetry.ANTISYMMETRIC: SimpleNamespace(mass=np.eye(1), surface_z=TWISTS),
+    Symmetry.SYMMETRIC: SimpleNamespace(
+        size=2, mass=np.eye(2), surface_z=BENDS, measures={Symmetry.SYMMETRIC: None}
+    ),
+    Symmetry.ANTISYMMETRIC: SimpleNamespace(
+        size=1, mass=np.eye(1), surface_z=TWISTS, measures={Symmetry.ANTISYMMETRIC: None}
+    ),
 }
 NAMES, HZ = ("F1", "F2", "T1"), (2e3, 5e3, 3e3)
 ALTERED = with_alteration(BenchParameters(), TipMass(), 1e-6)
@@ -34,8 +38,8 @@ def modes(reed):
     return {n: ReedMode(n, hz, 0.03, shapes[n]) for n, hz in zip(NAMES, HZ, strict=True)}
 
 
-ANATOMY = SimpleNamespace(reed=SimpleNamespace(plan_m=PLAN, halves=HALVES))
-WORKSHOP = SimpleNamespace(modes=modes, mass_kg=np.eye(3), shape_derivatives=ANATOMY)
+MODEL = SimpleNamespace(plan_m=PLAN, loose=HALVES, starts=(0, 2))
+WORKSHOP = SimpleNamespace(modes=modes, mass_kg=np.eye(3), reed=MODEL)
 NO_LEAKS = Leaks({"up": 0.0}, 0.0)
 
 

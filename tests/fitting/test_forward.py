@@ -22,12 +22,12 @@ from physics.reed.cane.viscoelastic import (
     viscoelastic_cane,
 )
 from physics.reed.mode_classification import PAPER_MODES
+from physics.reed.reduced.elastic import viscoelastic_mode
 from physics.reed.reduction.metamodel import (
     EXPONENT_E_L,
     EXPONENT_G_LT,
     REFERENCE_HZ,
 )
-from physics.reed.reduction.response import viscoelastic_mode
 
 # Eq. 1 at E_L = 14 GPa, G_LT = 1.1 GPa without adjustments, Hz, and hypothesis H4 at e = 0 against
 # the means of Table 1, cents: worked out from the paper's text by another program.

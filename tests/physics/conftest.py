@@ -20,14 +20,16 @@ from physics.parameters.sensor import Sensor
 from physics.parameters.tree import BenchParameters
 from physics.reed.elements.fem import assemble
 from physics.reed.elements.mesh import (
+    STANDARD,
     HalfReedMesh,
     MeshLevel,
     build_mesh,
     lobatto_points,
 )
 from physics.reed.geometry import ReedGeometry
-from physics.reed.reduction.basis import BasisSettings, build_reduced_reed
-from physics.reed.reduction.cache import STANDARD, reduced_reed
+from physics.reed.reduced.build import build_reduced_reed
+from physics.reed.reduced.reed import BasisSettings
+from physics.reed.reduced.stored import reduced_reed
 
 FRAME_RATE_HZ = Fraction(25, 2)
 

@@ -19,7 +19,7 @@ from physics.mechanics import (
     SoftSpot,
     TipMass,
     YieldingClamp,
-    material_of,
+    cane_law,
 )
 from physics.reed.cane.material import Cane, stiffness_terms_pa
 from physics.reed.cane.viscoelastic import (
@@ -29,21 +29,19 @@ from physics.reed.cane.viscoelastic import (
     Zener,
     viscoelastic_cane,
 )
-from physics.reed.changes.shape_derivatives import build_shape_derivatives
-from physics.reed.changes.structural_changes import (
+from physics.reed.elements.mesh import MeshLevel
+from physics.reed.geometry import half_width_m
+from physics.reed.reduced.build import build_reduced_reed
+from physics.reed.reduced.changes import (
     added_mass,
+    as_matrix,
     combined,
     layer,
     softening,
     yielding_clamp,
 )
-from physics.reed.elements.mesh import MeshLevel
-from physics.reed.geometry import half_width_m
-from physics.reed.reduction.basis import (
-    BasisSettings,
-    build_reduced_reed,
-    reduced_modes,
-)
+from physics.reed.reduced.elastic import reduced_modes
+from physics.reed.reduced.reed import BasisSettings
 from tests.numbers import cents
 
 EVERYTHING = Mechanics(
@@ -63,34 +61,30 @@ ELASTIC = ViscoelasticCane(Zener(14000.0, 0.0, 0.0), Zener(1100.0, 0.0, 0.0))
 
 @pytest.fixture(scope="module")
 def reed_solver(geometry, coarse_level):
-    return ReedSolver(build_shape_derivatives(geometry, coarse_level, BasisSettings()))
+    return ReedSolver(build_reduced_reed(geometry, coarse_level, BasisSettings()))
 
 
 def frequencies(reed_solver, reed):
     return np.array([mode.hz for mode in reed_solver.modes(reed).values()])
 
 
-def unit_change(shape_derivatives, kind):
+def unit_change(model, kind):
     """What one unit of an alteration adds, as its docstring says."""
     if isinstance(kind, YieldingClamp):
-        return yielding_clamp(shape_derivatives, float(kind.side >= 0), float(kind.side <= 0))
+        return yielding_clamp(model, float(kind.side >= 0), float(kind.side <= 0))
     if isinstance(kind, TipMass):
-        inside = shape_derivatives.bark_m[:, 0] < kind.length_m
-        area_m2 = 2 * shape_derivatives.area_m2[inside].sum()
-        return added_mass(shape_derivatives, lambda x, _y: (x < kind.length_m) / area_m2)
+        area_m2 = 2 * model.area_m2[model.bark_m[:, 0] < kind.length_m].sum()
+        return added_mass(model, lambda x, _y: (x < kind.length_m) / area_m2)
     if isinstance(kind, SoftSpot):
         return softening(
-            shape_derivatives,
+            model,
             lambda x, y: np.exp(
                 -((x - kind.x_m) ** 2 + (y - kind.y_m) ** 2) / (2 * kind.radius_m**2)
             ),
         )
-    outline, end_m = (
-        shape_derivatives.reed.geometry.outline,
-        shape_derivatives.reed.geometry.vamp_x_m[-1],
-    )
+    outline, end_m = model.geometry.outline, model.geometry.vamp_x_m[-1]
     return layer(
-        shape_derivatives,
+        model,
         lambda x, y: (
             eval_legendre(kind.along, 2 * x / end_m - 1)
             * eval_legendre(kind.across, y / half_width_m(outline, x))
@@ -100,33 +94,22 @@ def unit_change(shape_derivatives, kind):
 
 def whole(reed_solver, reed):
     """Stiffness at a frequency and mass of a reed, in all coordinates that it has."""
-    shape_derivatives = reed_solver.shape_derivatives
-    change = combined(
-        shape_derivatives,
-        [(amount, unit_change(shape_derivatives, kind)) for kind, amount in reed.alterations],
-    )
-    halves = list(shape_derivatives.reed.halves.values())
-    each = [half.stiffness_terms for half in halves]
-    terms = np.stack([linalg.block_diag(*t) for t in zip(*each, strict=True)])
-    terms += change.stiffness_terms
-    cane = material_of(shape_derivatives.reed.cane, reed.cane, reed.shift)
-    mass = linalg.block_diag(*[half.mass for half in halves]) + change.mass
-    mass = cane(1.0).density_kg_m3 * mass + change.mass_kg
-    held = list(shape_derivatives.clamped.values())
-    starts = [0, halves[0].mass.shape[0]]
+    model = reed_solver.reed
+    change = combined((amount, unit_change(model, kind)) for kind, amount in reed.alterations)
+    terms = model.stiffness_terms + as_matrix(model, change.stiffness_terms)
+    law = cane_law(model.cane, reed.cane, reed.shift)
+    mass = law.constants.density_kg_m3 * (model.mass + as_matrix(model, change.mass))
+    mass = mass + as_matrix(model, change.mass_kg)
     moving = np.ones(len(mass), dtype=bool)
-    for start, clamped, half in zip(starts, held, halves, strict=True):
-        moving[start + clamped : start + half.mass.shape[0]] = False
-    if change.compliance_m_n.any():
-        springs = np.zeros_like(mass)
+    moving[model.strip] = False
+    springs = np.zeros_like(mass)
+    if change.compliance_m_n is not None:
         springs[np.ix_(~moving, ~moving)] = np.linalg.inv(change.compliance_m_n)
         moving[:] = True
-    else:
-        springs = np.zeros_like(mass)
     keep = np.ix_(moving, moving)
 
     def stiffness(hz):
-        return (np.tensordot(stiffness_terms_pa(cane(hz)), terms, axes=1) + springs)[keep]
+        return (np.tensordot(stiffness_terms_pa(law.at(hz)), terms, axes=1) + springs)[keep]
 
     return stiffness, mass[keep]
 
@@ -167,13 +150,13 @@ def test_a_layer_is_a_reed_that_was_drawn_thicker(geometry):
     step_m, cane, count = 4e-6, Cane(), 4
     # Strains at the surface need cubic elements: of quadratic ones shifts are 8 % off.
     level = MeshLevel(orders=(3, 3, 2))
-    reed_solver = ReedSolver(build_shape_derivatives(geometry, level, BasisSettings()))
+    reed_solver = ReedSolver(build_reduced_reed(geometry, level, BasisSettings()))
 
     def drawn(offset_m):
         thicker = replace(geometry, thickness_offset_m=offset_m)
         reed = build_reduced_reed(thicker, level, BasisSettings())
         terms = stiffness_terms_pa(cane)
-        each = [reduced_modes(half, terms, cane.density_kg_m3)[0] for half in reed.halves.values()]
+        each = [reduced_modes(half, terms, cane.density_kg_m3)[0] for half in reed.parts.values()]
         return np.array([own[:count] for own in each])
 
     def grown(offset_m):
@@ -192,17 +175,15 @@ def test_a_layer_is_a_reed_that_was_drawn_thicker(geometry):
 
 def test_a_little_mass_lowers_modes_by_what_it_moves(reed_solver):
     nominal, mass_kg = Mechanics(cane=ELASTIC), 1e-10
-    shape_derivatives = reed_solver.shape_derivatives
-    zone = shape_derivatives.bark_m[:, 0] < 2e-3
-    weight = np.where(zone, shape_derivatives.area_m2, 0.0) / (
-        2 * shape_derivatives.area_m2[zone].sum()
-    )
+    model = reed_solver.reed
+    zone = model.bark_m[:, 0] < 2e-3
+    weight = np.where(zone, model.area_m2, 0.0) / (2 * model.area_m2[zone].sum())
     found = reed_solver.modes(replace(nominal, alterations=((TipMass(2e-3), mass_kg),)))
     for name, mode in reed_solver.modes(nominal).items():
         start, moved = 0, {}
-        for symmetry, motion in shape_derivatives.motion.items():
-            count = motion.shape[2]
-            moved[symmetry] = motion @ mode.coordinates[start : start + count]
+        for symmetry, part in model.loose.items():
+            count = part.size
+            moved[symmetry] = part.motion @ mode.coordinates[start : start + count]
             start += count
         # Half a reed, whose modes have mass 1, carries half of it: that is what weights add up to.
         energy = sum(np.sum(weight * np.square(part)) for part in moved.values())
@@ -275,19 +256,32 @@ def test_what_leaves_no_reed_is_refused(reed_solver, change):
 
 
 def test_changes_combine_and_stay_as_they_are(reed_solver):
-    shape_derivatives = reed_solver.shape_derivatives
+    model = reed_solver.reed
     parts = [
-        (2.0, layer(shape_derivatives, lambda x, y: 1e-6 * (1 + x + y))),
-        (-3.0, added_mass(shape_derivatives, lambda x, _y: 1e-3 * x)),
-        (0.5, yielding_clamp(shape_derivatives, 1e-13, 2e-13)),
+        (2.0, layer(model, lambda x, y: 1e-6 * (1 + x + y))),
+        (-3.0, added_mass(model, lambda x, _y: 1e-3 * x)),
+        (0.5, yielding_clamp(model, 1e-13, 2e-13)),
     ]
-    for field in ("stiffness_terms", "mass", "mass_kg", "compliance_m_n"):
-        before = [getattr(part, field).copy() for _, part in parts]
-        total = getattr(combined(shape_derivatives, parts), field)
+    s, c = len(model.mass), len(model.strip)
+    for field, shape in (
+        ("stiffness_terms", (9, s, s)),
+        ("mass", (s, s)),
+        ("mass_kg", (s, s)),
+        ("compliance_m_n", (c, c)),
+    ):
+
+        def matrix(change, field=field, shape=shape):
+            own = getattr(change, field)
+            if isinstance(own, dict):
+                own = as_matrix(model, own)
+            return np.zeros(shape) + (0 if own is None else own)
+
+        before = [matrix(part) for _, part in parts]
+        total = matrix(combined(parts))
         expected = sum(amount * own for (amount, _), own in zip(parts, before, strict=True))
         np.testing.assert_allclose(total, expected, rtol=1e-12, atol=1e-30)
         for (_, part), own in zip(parts, before, strict=True):
-            assert np.array_equal(getattr(part, field), own)
+            assert np.array_equal(matrix(part), own)
 
 
 def test_losses_change_no_frequency(reed_solver):

@@ -23,12 +23,9 @@ from physics.reed.geometry import (
     half_width_m,
 )
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.reduction.basis import (
-    BasisSettings,
-    build_reduced_reed,
-    reduced_modes,
-)
-from physics.reed.reduction.response import elastic_modes, named_modes
+from physics.reed.reduced.build import build_reduced_reed
+from physics.reed.reduced.elastic import elastic_modes, named_modes, reduced_modes
+from physics.reed.reduced.reed import BasisSettings, ReedBox
 from protocols.reed import ReedFile
 
 BOTH = list(Symmetry)
@@ -58,7 +55,7 @@ def full_hz(matrices, mesh, cane, symmetry, count):
 
 def reduced_hz(reed, cane, symmetry, count):
     terms = stiffness_terms_pa(cane)
-    return reduced_modes(reed.halves[symmetry], terms, cane.density_kg_m3)[0][:count]
+    return reduced_modes(reed.parts[symmetry], terms, cane.density_kg_m3)[0][:count]
 
 
 @pytest.mark.parametrize("symmetry", BOTH)
@@ -90,7 +87,7 @@ def test_every_stiffness_is_projected(symmetry, coarse_reed, coarse_mesh, coarse
 
 @pytest.mark.parametrize("symmetry", BOTH)
 def test_projections_are_symmetric_and_positive(symmetry, coarse_reed):
-    half = coarse_reed.halves[symmetry]
+    half = coarse_reed.parts[symmetry]
     K = np.tensordot(stiffness_terms_pa(Cane()), half.stiffness_terms, axes=1)
     for matrix in (K, half.mass):
         np.testing.assert_allclose(matrix, matrix.T, atol=1e-9 * np.abs(matrix).max())
@@ -105,7 +102,8 @@ def test_partial_masses_are_shares_of_the_kinetic_energy(standard_reed):
     """Of a mode of unit mass: none of the vamp's is lateral, L1 bends sideways, H1 in the heel."""
     shares = {}
     for name, mode in elastic_modes(standard_reed, 14e9, 1.1e9).items():
-        half, v = standard_reed.halves[mode.symmetry], mode.coordinates
+        half = standard_reed.parts[mode.symmetry].measures[mode.symmetry]
+        v = mode.coordinates
         shares[name] = [520.0 * v @ part @ v for part in (half.lateral_mass, half.heel_mass)]
     every = np.array(list(shares.values()))
     assert every.min() >= 0
@@ -122,7 +120,7 @@ def test_partial_masses_are_shares_of_the_kinetic_energy(standard_reed):
 
 def test_modes_are_orthogonal(coarse_reed):
     terms = stiffness_terms_pa(Cane())
-    for half in coarse_reed.halves.values():
+    for half in coarse_reed.parts.values():
         frequencies, shapes = reduced_modes(half, terms, 520.0)
         K = np.tensordot(terms, half.stiffness_terms, axes=1)
         identity = np.eye(len(frequencies))
@@ -157,7 +155,7 @@ def test_static_deflection_under_a_pressure_is_that_of_the_full_model(
     full = np.zeros_like(load)
     full[free] = factor(K)(load[free])
     expected = full[2::3].reshape(standard_mesh.block)[:, :, -1].ravel()
-    half = standard_reed.halves[symmetry]
+    half = standard_reed.parts[symmetry]
     K = np.tensordot(stiffness_terms_pa(cane), half.stiffness_terms, axes=1)
     coordinates = np.linalg.solve(K, pressure(*standard_reed.load_points_m.T) @ half.load_z)
     error = np.abs(half.surface_z @ coordinates - expected).max()
@@ -176,7 +174,9 @@ def test_a_larger_basis_is_never_worse(geometry, coarse_level, coarse_reed):
     poor = build_reduced_reed(
         geometry,
         coarse_level,
-        BasisSettings(E_L_pa=(14e9, 14e9), G_LT_pa=(1.1e9, 1.1e9), modes=10, size=14),
+        BasisSettings(
+            ReedBox(E_L_pa=(14e9, 14e9), G_LT_pa=(1.1e9, 1.1e9)), modes=10, size=14, snapshots=0
+        ),
     )
     cane = Cane(E_L_pa=9e9, G_LT_pa=1.6e9)
     for symmetry in Symmetry:
@@ -186,10 +186,10 @@ def test_a_larger_basis_is_never_worse(geometry, coarse_level, coarse_reed):
         assert np.any(poor_hz > rich_hz * 1.001)
 
 
-def test_a_clarinets_reed_has_56_coordinates_and_11_modes_with_names(coarse_reed):
-    for half in coarse_reed.halves.values():
-        assert half.mass.shape == (56, 56)
-    assert [np.count_nonzero(half.middle_hz < 20e3) for half in coarse_reed.halves.values()] == [
+def test_a_clarinets_reed_has_84_coordinates_and_11_modes_with_names(coarse_reed):
+    for half in coarse_reed.parts.values():
+        assert half.mass.shape == (84, 84)
+    assert [np.count_nonzero(half.middle_hz < 20e3) for half in coarse_reed.parts.values()] == [
         9,
         8,
     ]
@@ -197,10 +197,11 @@ def test_a_clarinets_reed_has_56_coordinates_and_11_modes_with_names(coarse_reed
 
 
 def test_the_middle_of_the_box_has_the_geometric_means_of_the_moduli(coarse_reed):
-    cane = Cane(E_L_pa=np.sqrt(7e9 * 21e9), G_LT_pa=np.sqrt(0.45e9 * 2e9))
-    for half in coarse_reed.halves.values():
+    cane = Cane(E_L_pa=np.sqrt(7e9 * 22e9), G_LT_pa=np.sqrt(0.4e9 * 2.1e9))
+    for half in coarse_reed.parts.values():
         expected, _ = reduced_modes(half, stiffness_terms_pa(cane), cane.density_kg_m3)
-        np.testing.assert_allclose(half.middle_hz, expected, rtol=1e-12)
+        # Rounding in a span whose shapes differ by many powers of ten in stiffness.
+        np.testing.assert_allclose(half.middle_hz, expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["alto-saxophone", "bass-clarinet"])
@@ -223,13 +224,13 @@ def test_larger_reeds_have_all_their_modes_below_20_khz(name, coarse_level):
 def test_numbers_that_are_given_are_kept(geometry):
     def sizes(**settings):
         reed = build_reduced_reed(geometry, TINY, BasisSettings(**settings))
-        return [half.mass.shape[0] for half in reed.halves.values()]
+        return [half.mass.shape[0] for half in reed.parts.values()]
 
     assert sizes(modes=5, size=12) == [12, 12]
-    assert sizes(modes=6) == [28, 28]
-    (default, same), most = sizes(), 5 * 12 + 16
+    assert sizes(modes=6) == [42, 42]
+    default, same = sizes()
     assert default == same
-    assert 28 < default < most
+    assert default > 42
     assert sizes(size=20) == [20, 20]
 
 
@@ -237,14 +238,16 @@ def test_an_impossible_reed_is_refused(coarse_level):
     with pytest.raises(ImpossibleReedError, match="thickness"):
         build_reduced_reed(ReedGeometry(thickness_offset_m=-90e-6), coarse_level, BasisSettings())
     with pytest.raises(ImpossibleReedError, match="Poisson"):
-        build_reduced_reed(ReedGeometry(), coarse_level, BasisSettings(cane=Cane(nu_TR=1.2)))
-    jelly = BasisSettings(cane=Cane(density_kg_m3=520e4))
+        build_reduced_reed(
+            ReedGeometry(), coarse_level, BasisSettings(ReedBox(cane=Cane(nu_TR=1.2)))
+        )
+    jelly = BasisSettings(ReedBox(cane=Cane(density_kg_m3=520e4)))
     with pytest.raises(ImpossibleReedError, match="over 100 modes below 20000 Hz"):
         build_reduced_reed(ReedGeometry(), TINY, jelly)
 
 
 def test_a_reed_without_modes_below_20_khz_has_a_basis_all_the_same(geometry):
-    light = BasisSettings(cane=Cane(density_kg_m3=1.0))
+    light = BasisSettings(ReedBox(cane=Cane(density_kg_m3=1.0)))
     reed = build_reduced_reed(geometry, TINY, light)
-    assert min(half.middle_hz[0] for half in reed.halves.values()) > 20e3
+    assert min(half.middle_hz[0] for half in reed.parts.values()) > 20e3
     assert {"F1", "T1"} <= set(elastic_modes(reed, 14e9, 1.1e9))

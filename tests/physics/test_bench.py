@@ -34,7 +34,7 @@ from physics.reed.cane.viscoelastic import (
 )
 from physics.reed.elements.fem import Symmetry
 from physics.reed.geometry import Outline
-from physics.reed.reduction.response import forced_response
+from physics.reed.reduced.response import forced_response
 from physics.reed.surface import on_reed, surface_shapes
 from physics.sensor import saturation_dn
 

@@ -18,14 +18,16 @@ import numpy as np
 import pytest
 
 from physics.errors import ImpossibleReedError
+from physics.reed import cache
+from physics.reed.cane.material import Cane
 from physics.reed.elements.fem import Symmetry
 from physics.reed.elements.mesh import MeshLevel
 from physics.reed.geometry import ReedGeometry
-from physics.reed.reduction import cache
-from physics.reed.reduction.basis import BasisSettings, HalfBasis
+from physics.reed.reduced.reed import BasisSettings, ReedBox
+from physics.reed.reduced.stored import reduced_reed
 
 TINY = MeshLevel(orders=(2, 2, 2), vamp_element_m=14e-3, heel_element_m=23e-3, z_breaks=(0.0, 1.0))
-FEW = BasisSettings(E_L_pa=(14e9, 14e9), G_LT_pa=(1.1e9, 1.1e9), modes=3, size=6)
+FEW = BasisSettings(ReedBox(), modes=3, size=6, snapshots=0)
 
 
 @pytest.fixture
@@ -41,7 +43,7 @@ def announced():
 
 def reed(announced=None, geometry=None, settings=FEW):
     announce = None if announced is None else announced.append
-    return cache.reduced_reed(geometry, TINY, settings, announce)
+    return reduced_reed(geometry, TINY, settings, announce)
 
 
 def test_a_kept_reed_is_the_one_built(folder, announced):
@@ -51,12 +53,20 @@ def test_a_kept_reed_is_the_one_built(folder, announced):
     np.testing.assert_array_equal(kept.plan_m, built.plan_m)
     np.testing.assert_array_equal(kept.load_points_m, built.load_points_m)
     assert (kept.geometry, kept.cane) == (built.geometry, built.cane)
-    for symmetry in Symmetry:
-        for field in fields(HalfBasis):
-            np.testing.assert_array_equal(
-                getattr(kept.halves[symmetry], field.name),
-                getattr(built.halves[symmetry], field.name),
-            )
+    assert list(kept.loose) == list(Symmetry)
+    for symmetry, part in built.loose.items():
+        other = kept.loose[symmetry]
+        assert other.held == part.held == 6
+        for field in fields(part):
+            if field.name not in ("held", "measures"):
+                one, same = getattr(part, field.name), getattr(other, field.name)
+                np.testing.assert_array_equal(one, same)
+        (own,), (others,) = part.measures.values(), other.measures.values()
+        for field in fields(own):
+            np.testing.assert_array_equal(getattr(own, field.name), getattr(others, field.name))
+    for field in fields(built.edge):
+        one, same = getattr(built.edge, field.name), getattr(kept.edge, field.name)
+        np.testing.assert_array_equal(one, same)
 
 
 def test_what_two_programs_want_at_once_is_made_once(folder):
@@ -82,7 +92,7 @@ def test_another_reed_is_built_again(announced):
     reed(announced)
     reed(announced, geometry=replace(ReedGeometry(), thickness_offset_m=1e-6))
     reed(announced, settings=replace(FEW, size=5))
-    reed(announced, settings=replace(FEW, cane=replace(FEW.cane, E_T_pa=500e6)))
+    reed(announced, settings=replace(FEW, box=ReedBox(Cane(E_T_pa=500e6))))
     assert len(announced) == 4
 
 
@@ -115,7 +125,7 @@ def test_a_changed_bit_is_noticed(folder, announced):
     again = reed(announced)
     assert len(announced) == 2
     half = Symmetry.SYMMETRIC
-    np.testing.assert_array_equal(again.halves[half].load_z, built.halves[half].load_z)
+    np.testing.assert_array_equal(again.parts[half].load_z, built.parts[half].load_z)
 
 
 @pytest.mark.usefixtures("folder")
@@ -132,9 +142,9 @@ EDITED = """
 import sys
 from pathlib import Path
 import numpy as np
-from physics.reed.reduction import cache
+from physics.reed import cache
 
-source = Path(cache.__file__).parents[1] / "elements" / "mesh.py"
+source = Path(cache.__file__).parent / "elements" / "mesh.py"
 assert source.is_relative_to(Path.cwd())
 if sys.argv[1] == "1":
     source.write_text(source.read_text() + "# edited")
@@ -144,7 +154,7 @@ print(*cache.kept("x", (), lambda: sys.argv[1:], lambda x: {"x": np.array(x)}, l
 
 @pytest.mark.usefixtures("folder")
 def test_what_is_computed_by_code_of_before_an_edit_is_not_taken_for_the_edited_codes(tmp_path):
-    shutil.copytree(Path(cache.__file__).parents[2], tmp_path / "physics")
+    shutil.copytree(Path(cache.__file__).parents[1], tmp_path / "physics")
     # As Emacs does while a file has changes that are not saved.
     (tmp_path / "physics" / "reed" / ".#mesh.py").symlink_to("nothing")
 
@@ -185,7 +195,7 @@ def test_what_cannot_be_kept_whole_leaves_nothing_behind(folder, monkeypatch):
 def test_a_folder_that_cannot_be_made_costs_only_time(tmp_path, monkeypatch, announced):
     (tmp_path / "file").touch()
     monkeypatch.setenv("REEDBENCH_CACHE", str(tmp_path / "file" / "below"))
-    assert reed(announced).halves[Symmetry.SYMMETRIC].mass.shape == (6, 6)
+    assert reed(announced).parts[Symmetry.SYMMETRIC].mass.shape == (6, 6)
     reed(announced)
     assert len(announced) == 2
 
@@ -587,7 +597,7 @@ def test_a_process_forked_meanwhile_does_not_keep_the_lock():
 SIX = """
 import os, sys, time
 import numpy as np
-from physics.reed.reduction import cache
+from physics.reed import cache
 
 def make():
     with open(sys.argv[1], "a") as made:

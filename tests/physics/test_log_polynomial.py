@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.polynomial import chebyshev
 
+from physics.reed.reduced.elastic import elastic_modes
 from physics.reed.reduction.log_polynomial import (
     REED_BOX,
     Box,
@@ -14,7 +15,6 @@ from physics.reed.reduction.log_polynomial import (
     network_pa,
 )
 from physics.reed.reduction.metamodel import REFERENCE_HZ, Equation1
-from physics.reed.reduction.response import elastic_modes
 
 MODES = ("F1", "T1", "X1")
 BOX = Box((8e9, 16e9), (0.5e9, 2e9))

@@ -24,6 +24,7 @@ from physics.reed.elements.fem import (
     stiffness,
 )
 from physics.reed.elements.mesh import (
+    FAST,
     MeshLevel,
     build_mesh,
     build_whole_mesh,
@@ -40,9 +41,8 @@ from physics.reed.modes import (
     reed_modes,
     viscoelastic_modes,
 )
-from physics.reed.reduction.cache import FAST
+from physics.reed.reduced.elastic import elastic_modes
 from physics.reed.reduction.metamodel import REFERENCE_HZ, Equation1
-from physics.reed.reduction.response import elastic_modes
 from protocols.reed import ReedFile
 from tests.numbers import cents
 
@@ -217,7 +217,8 @@ def test_likenesses_are_those_of_the_reduced_reed(
         other = reduced.get(mode.name)
         if other is None or abs(cents(mode.frequency_hz, other.frequency_hz)) > 3:
             continue
-        half, v = coarse_reed.halves[other.symmetry], other.coordinates
+        half = coarse_reed.parts[other.symmetry].measures[other.symmetry]
+        v = other.coordinates
         outside = 520.0 * v @ (half.lateral_mass + half.heel_mass) @ v
         left = 1.0 if mode.name[0] in "LH" else 1 - outside
         assert mode.similarity == pytest.approx(left * other.similarity, abs=3e-3), mode.name

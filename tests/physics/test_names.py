@@ -27,7 +27,7 @@ from physics.reed.mode_classification import (
     vamp_profiles,
     width_profiles,
 )
-from physics.reed.reduction.response import elastic_modes, viscoelastic_mode
+from physics.reed.reduced.elastic import elastic_modes, viscoelastic_mode
 from physics.reed.surface import surface_shapes
 
 EVEN_MODES = {"F1", "F2", "F3", "F4", "T2", "T4", "X2"}

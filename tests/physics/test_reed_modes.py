@@ -18,8 +18,8 @@ from physics.reed.elements.fem import (
 from physics.reed.elements.mesh import MeshLevel, build_mesh
 from physics.reed.geometry import ReedGeometry
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.reduction.basis import reduced_modes
-from physics.reed.reduction.response import elastic_modes
+from physics.reed.reduced.elastic import elastic_modes, reduced_modes
+from physics.reed.reduced.reed import ReedBox
 from tests.numbers import cents
 
 # Eq. 1 of the paper at E_L = 14 GPa, G_LT = 1.1 GPa, and how far (cents) the limit of ever finer
@@ -67,7 +67,7 @@ def sensitivities(standard_reed, reference_modes):
         )
         slope = (above - below) / 0.002
         for name, mode in reference_modes.items():
-            parts = standard_reed.halves[mode.symmetry].stiffness_terms
+            parts = standard_reed.parts[mode.symmetry].stiffness_terms
             energy = mode.coordinates @ np.tensordot(slope, parts, axes=1) @ mode.coordinates
             answer[constant, name] = 0.5 * energy / (2 * np.pi * mode.frequency_hz) ** 2
     return answer
@@ -137,7 +137,7 @@ def test_frequencies_fall_with_the_root_of_density(coarse_mesh, coarse_matrices,
         lowest_modes(K, mass(coarse_matrices, rho)[free][:, free], 4)[0] for rho in (400.0, 600.0)
     )
     np.testing.assert_allclose(light / heavy, np.sqrt(1.5), rtol=1e-9)
-    heavy_reed = replace(standard_reed, cane=Cane(density_kg_m3=2 * 520.0))
+    heavy_reed = replace(standard_reed, box=ReedBox(Cane(density_kg_m3=2 * 520.0)))
     before, after = (elastic_modes(reed, 14e9, 1.1e9) for reed in (standard_reed, heavy_reed))
     for name in PAPER_MODES:
         ratio = before[name].frequency_hz / after[name].frequency_hz
@@ -173,7 +173,7 @@ def test_reduced_frequencies_are_those_of_the_mode_table(coarse_reed):
     """`elastic_modes` names what `reduced_modes` finds, and loses nothing."""
     terms = stiffness_terms_pa(replace(coarse_reed.cane, E_L_pa=12e9, G_LT_pa=1e9))
     modes = elastic_modes(coarse_reed, 12e9, 1e9)
-    for symmetry, half in coarse_reed.halves.items():
+    for symmetry, half in coarse_reed.parts.items():
         found, _ = reduced_modes(half, terms, coarse_reed.cane.density_kg_m3)
         named = sorted(mode.frequency_hz for mode in modes.values() if mode.symmetry is symmetry)
         np.testing.assert_allclose(named, found[: len(named)])

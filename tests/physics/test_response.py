@@ -22,14 +22,14 @@ from physics.reed.elements.fem import (
     stiffness,
 )
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.reduction import response as reed_response
-from physics.reed.reduction.basis import reduced_modes
-from physics.reed.reduction.response import (
+from physics.reed.reduced import elastic as reed_response
+from physics.reed.reduced.elastic import (
     elastic_modes,
-    forced_response,
     named_modes,
+    reduced_modes,
     viscoelastic_mode,
 )
+from physics.reed.reduced.response import forced_response
 from tests.numbers import cents
 
 CANE = viscoelastic_cane(Components(), Series.A)
@@ -60,11 +60,12 @@ def test_every_mode_up_to_the_number_named_has_a_name_of_its_own(coarse_reed):
 
 
 def test_motion_that_profiles_do_not_resolve_bears_out_no_name(coarse_reed):
-    halves = {
-        symmetry: replace(half, vamp_square=2 * half.vamp_square)
-        for symmetry, half in coarse_reed.halves.items()
-    }
-    half_resolved = elastic_modes(replace(coarse_reed, halves=halves), 12e9, 0.9e9)
+    loose = {}
+    for symmetry, part in coarse_reed.loose.items():
+        own = part.measures[symmetry]
+        coarser = replace(own, vamp_square=2 * own.vamp_square)
+        loose[symmetry] = replace(part, measures={symmetry: coarser})
+    half_resolved = elastic_modes(replace(coarse_reed, loose=loose), 12e9, 0.9e9)
     modes = elastic_modes(coarse_reed, 12e9, 0.9e9)
     # Those with fine waves are integrated too roughly on so coarse a mesh.
     for name in ("F1", "T1", "F2", "X1"):
@@ -79,7 +80,7 @@ EXCHANGING = viscoelastic_cane(Components(-3.06, -0.51, -0.91, 0.8), Series.A)
 def test_modes_that_exchange_shapes_settle(coarse_reed):
     found = [viscoelastic_mode(coarse_reed, EXCHANGING, "T2", hz) for hz in (2e3, 5.2e3, 9e3)]
     found.append(viscoelastic_mode(coarse_reed, EXCHANGING, "F2", 9e3))
-    half, numbers = coarse_reed.halves[EVEN], []
+    half, numbers = coarse_reed.parts[EVEN], []
     for mode in found:
         constants = elastic(mode.frequency_hz, EXCHANGING)
         hz, shapes = reduced_modes(half, stiffness_terms_pa(constants), constants.density_kg_m3)
@@ -107,14 +108,14 @@ def test_settled_by_number_modes_are_those_settled_by_name(coarse_reed, monkeypa
 def stored(reed, symmetry, hz):
     """Reduced storage stiffness (r, r) at a frequency."""
     terms = stiffness_terms_pa(elastic(hz))
-    return np.tensordot(terms, reed.halves[symmetry].stiffness_terms, axes=1)
+    return np.tensordot(terms, reed.parts[symmetry].stiffness_terms, axes=1)
 
 
 def pushed(reed, symmetry, pressure, hz):
     """Reduced force (r,) of the part of a pressure that has a symmetry."""
     x, y = reed.load_points_m.T
     mirrored = pressure(hz, x, -y) if symmetry is EVEN else -pressure(hz, x, -y)
-    return 0.5 * (pressure(hz, x, y) + mirrored) @ reed.halves[symmetry].load_z
+    return 0.5 * (pressure(hz, x, y) + mirrored) @ reed.parts[symmetry].load_z
 
 
 @pytest.mark.parametrize("hz", [700.0, 5.2e3, 13e3])
@@ -134,7 +135,7 @@ def test_a_force_at_one_point_moves_another_as_much_as_the_reverse(hz, coarse_re
 
     def motion_at(index, side, response):
         """Swept volume at a point of the flat side."""
-        even, odd = (coarse_reed.halves[s].load_z[index] @ response[s][0] for s in (EVEN, ODD))
+        even, odd = (coarse_reed.parts[s].load_z[index] @ response[s][0] for s in (EVEN, ODD))
         return even + side * odd
 
     there = motion_at(other, -1, push_at(one, 1))
@@ -169,7 +170,7 @@ def test_a_static_push_on_the_flat_side_bends_the_tip_towards_the_bark(coarse_re
     response = forced_response(
         coarse_reed, CANE, LOSS, np.array([10.0]), lambda _hz, x, _y: np.ones_like(x)
     )
-    half = coarse_reed.halves[EVEN]
+    half = coarse_reed.parts[EVEN]
     deflection = (half.surface_z @ response[EVEN][0]).real
     tip = np.argmin(np.hypot(*coarse_reed.plan_m.T))
     assert deflection[tip] > 0.9 * np.abs(deflection).max()
@@ -183,11 +184,11 @@ def test_at_resonance_the_amplitude_goes_with_the_inverse_of_the_loss(name, coar
     amplitude = {}
     for loss in (0.002, 0.004):
         q = forced_response(coarse_reed, CANE, loss, hz, uneven)[mode.symmetry][0]
-        amplitude[loss] = coarse_reed.halves[mode.symmetry].surface_z[tip] @ q
+        amplitude[loss] = coarse_reed.parts[mode.symmetry].surface_z[tip] @ q
         # One mode alone: its force over iηω² (its mass is one).
         force = mode.coordinates @ pushed(coarse_reed, mode.symmetry, uneven, hz[0])
         alone = mode.coordinates * force / (1j * loss * (2 * np.pi * hz[0]) ** 2)
-        expected = coarse_reed.halves[mode.symmetry].surface_z[tip] @ alone
+        expected = coarse_reed.parts[mode.symmetry].surface_z[tip] @ alone
         assert abs(amplitude[loss] / expected - 1) < 0.05
     assert abs(amplitude[0.002] / amplitude[0.004]) == pytest.approx(2, rel=0.01)
 
@@ -205,7 +206,7 @@ def test_motion_lags_the_push_by_a_quarter_turn_at_resonance(coarse_reed):
             np.array([ratio * mode.frequency_hz]),
             lambda _hz, x, _y: (x < 10e-3).astype(complex),
         )
-        phases.append(np.angle(coarse_reed.halves[EVEN].surface_z[tip] @ q[EVEN][0]))
+        phases.append(np.angle(coarse_reed.parts[EVEN].surface_z[tip] @ q[EVEN][0]))
     assert -0.2 < phases[0] < 0
     assert phases[1] == pytest.approx(-np.pi / 2, abs=0.1)
     assert -np.pi < phases[2] < -2.8
@@ -277,7 +278,7 @@ def full_errors(standard_reed, standard_mesh, standard_matrices, consistent_load
             full = np.zeros_like(load)
             full[free] = factor(dynamic.tocsc())(load[free])
             expected = full[2::3].reshape(standard_mesh.block)[:, :, -1].ravel()
-            found = standard_reed.halves[symmetry].surface_z @ reduced[symmetry][0]
+            found = standard_reed.parts[symmetry].surface_z @ reduced[symmetry][0]
             errors[hz, symmetry] = np.linalg.norm(found - expected) / np.linalg.norm(expected)
     return errors
 

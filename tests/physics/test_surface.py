@@ -8,7 +8,7 @@ from physics.reed.elements.fem import Symmetry
 from physics.reed.elements.mesh import lobatto_points
 from physics.reed.geometry import Outline, half_width_m
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.reduction.response import elastic_modes
+from physics.reed.reduced.elastic import elastic_modes
 from physics.reed.surface import on_reed, surface_shapes
 
 
@@ -23,7 +23,7 @@ def test_contour_bounds_the_reed():
 def test_shapes_at_the_nodes_are_those_of_the_basis(coarse_reed):
     x, y = coarse_reed.plan_m.T
     for symmetry, shapes in surface_shapes(coarse_reed, x, y).items():
-        expected = coarse_reed.halves[symmetry].surface_z
+        expected = coarse_reed.parts[symmetry].surface_z
         off_axis = y > 0
         np.testing.assert_allclose(
             shapes[off_axis], expected[off_axis], atol=1e-6 * np.abs(expected).max()
@@ -59,7 +59,7 @@ def test_modes_between_the_nodes_are_those_of_the_elements(name, standard_reed, 
         for order in (px, py)
     )
     mode = elastic_modes(standard_reed, 14e9, 1.1e9)[name]
-    at_nodes = standard_reed.halves[mode.symmetry].surface_z @ mode.coordinates
+    at_nodes = standard_reed.parts[mode.symmetry].surface_z @ mode.coordinates
     plan = np.column_stack([standard_reed.plan_m, at_nodes]).reshape(*mesh.block[:2], 3)
     patches = [
         np.einsum("pa,qb,abc->pqc", to_x, to_y, plan[i : i + px + 1, j : j + py + 1])

@@ -25,7 +25,6 @@ from physics.reed.cane.viscoelastic import (
     storage_modulus_pa,
     viscoelastic_cane,
 )
-from physics.reed.elements import whole
 from physics.reed.elements.fem import (
     Symmetry,
     assemble,
@@ -34,7 +33,6 @@ from physics.reed.elements.fem import (
     stiffness,
 )
 from physics.reed.elements.mesh import MeshLevel, build_whole_mesh
-from physics.reed.elements.whole import build_whole_reed, parts_of
 from physics.reed.geometry import (
     Outline,
     ReedGeometry,
@@ -42,13 +40,11 @@ from physics.reed.geometry import (
     half_width_m,
 )
 from physics.reed.modes import reed_modes, viscoelastic_modes
-from physics.reed.reduction import cache
-from physics.reed.reduction.basis import (
-    BasisSettings,
-    build_reduced_reed,
-    reduced_modes,
-)
-from physics.reed.reduction.response import forced_response
+from physics.reed.reduced import snapshots, stored
+from physics.reed.reduced.build import build_reduced_reed
+from physics.reed.reduced.elastic import reduced_modes
+from physics.reed.reduced.reed import BasisSettings, ReedBox
+from physics.reed.reduced.response import forced_response
 from physics.reed.surface import surface_shapes
 from tests.numbers import cents
 
@@ -103,17 +99,23 @@ def deflection(reed, hz, pressure, x_m, y_m, cane=CANE):
 # More coordinates than usual: what is left of differences is not that of either basis.
 @pytest.fixture(scope="module")
 def even_whole():
-    return build_whole_reed(ReedGeometry(), COARSE, BasisSettings(modes=30, size=170))
+    monkeypatch = pytest.MonkeyPatch()
+    with monkeypatch.context() as patch:
+        patch.setattr(snapshots, "build_least_mesh", build_whole_mesh)
+        settings = BasisSettings(ReedBox(), modes=30, size=170, snapshots=0)
+        return build_reduced_reed(ReedGeometry(), COARSE, settings)
 
 
 @pytest.fixture(scope="module")
 def even_halves():
-    return build_reduced_reed(ReedGeometry(), COARSE, BasisSettings(modes=16, size=84))
+    return build_reduced_reed(
+        ReedGeometry(), COARSE, BasisSettings(ReedBox(), modes=16, size=84, snapshots=0)
+    )
 
 
 @pytest.fixture(scope="module")
 def skew_whole():
-    return build_whole_reed(uneven(0.03), COARSE, BasisSettings())
+    return build_reduced_reed(uneven(0.03), COARSE, BasisSettings())
 
 
 # --- Against the halves of an even reed --------------------------------------------------------
@@ -125,12 +127,12 @@ def test_an_even_reed_has_the_frequencies_of_its_halves(E_L_pa, G_LT_pa, even_wh
     terms = stiffness_terms_pa(cane)
     halves_hz = np.sort(
         np.concatenate(
-            [reduced_modes(half, terms, 520.0)[0][:12] for half in even_halves.halves.values()]
+            [reduced_modes(half, terms, 520.0)[0][:12] for half in even_halves.parts.values()]
         )
     )
     below = np.count_nonzero(halves_hz < 20e3)
     assert below >= 14
-    whole_hz = reduced_modes(even_whole, terms, 520.0)[0]
+    whole_hz = reduced_modes(even_whole.parts[None], terms, 520.0)[0]
     np.testing.assert_allclose(cents(whole_hz[:below], halves_hz[:below]), 0, atol=0.1)
 
 
@@ -141,10 +143,10 @@ def test_an_even_reed_moves_as_its_halves_do(hz, even_whole, even_halves):
         for reed in (even_whole, even_halves)
     )
     even, odd = (
-        even_halves.halves[symmetry].surface_z @ halves_answer[symmetry][0]
+        even_halves.parts[symmetry].surface_z @ halves_answer[symmetry][0]
         for symmetry in (EVEN, ODD)
     )
-    moved = even_whole.surface_z @ whole_answer[None][0]
+    moved = even_whole.parts[None].surface_z @ whole_answer[None][0]
     places = {tuple(place): number for number, place in enumerate(even_whole.plan_m.tolist())}
     for side, expected in ((1, even + odd), (-1, even - odd)):
         nodes = [places[x, side * y] for x, y in even_halves.plan_m.tolist()]
@@ -168,7 +170,7 @@ def test_an_uneven_reed_has_the_frequencies_of_its_elements(E_L_pa, G_LT_pa, ske
     cane = Cane(E_L_pa=E_L_pa, G_LT_pa=G_LT_pa)
     full_hz = [mode.frequency_hz for mode in reed_modes(skew_whole.geometry, cane, COARSE)]
     assert len(full_hz) >= 14
-    hz = reduced_modes(skew_whole, stiffness_terms_pa(cane), 520.0)[0][: len(full_hz)]
+    hz = reduced_modes(skew_whole.parts[None], stiffness_terms_pa(cane), 520.0)[0][: len(full_hz)]
     errors = cents(hz, full_hz)
     assert errors.min() > -1e-3, "never below: Rayleigh's quotient"
     assert errors.max() < 0.2
@@ -188,7 +190,7 @@ def test_an_uneven_reed_moves_as_its_elements_do(hz, share, skew_whole, consiste
     full[free] = factor(dynamic[free][:, free].tocsc())(load[free])
     expected = full[2::3].reshape(mesh.block)[:, :, -1].ravel()
     found = (
-        skew_whole.surface_z
+        skew_whole.parts[None].surface_z
         @ forced_response(skew_whole, CANE, LOSS, np.array([hz]), askew)[None][0]
     )
     assert np.linalg.norm(found - expected) < share * np.linalg.norm(expected)
@@ -205,7 +207,7 @@ def test_a_force_at_one_point_moves_another_as_much_as_the_reverse(skew_whole):
             return ((x_m == points[pushed, 0]) & (y_m == points[pushed, 1])).astype(complex)
 
         answer = forced_response(skew_whole, CANE, LOSS, np.array([5.2e3]), pressure)
-        return skew_whole.load_z[watched] @ answer[None][0]
+        return skew_whole.parts[None].load_z[watched] @ answer[None][0]
 
     assert moved(one, other) == pytest.approx(moved(other, one), rel=1e-9)
     assert abs(moved(one, other)) > 0
@@ -216,7 +218,7 @@ def test_a_force_at_one_point_moves_another_as_much_as_the_reverse(skew_whole):
 
 def test_a_straight_pressure_twists_an_uneven_reed_only(even_whole, skew_whole):
     """At its own T1, and a mirrored reed is twisted the other way."""
-    mirrored = build_whole_reed(uneven(-0.03), COARSE, BasisSettings())
+    mirrored = build_reduced_reed(uneven(-0.03), COARSE, BasisSettings())
     x, y = np.array([2e-3, 2e-3]), np.array([4e-3, -4e-3])
     twists = {}
     for name, reed in (("even", even_whole), ("skew", skew_whole), ("mirrored", mirrored)):
@@ -230,8 +232,8 @@ def test_a_straight_pressure_twists_an_uneven_reed_only(even_whole, skew_whole):
 
 
 def test_parts_tell_halves_from_a_whole(even_whole, even_halves):
-    assert parts_of(even_whole) == {None: even_whole}
-    assert parts_of(even_halves) == even_halves.halves
+    assert list(even_whole.parts) == [None]
+    assert list(even_halves.parts) == list(Symmetry)
 
 
 def test_every_point_inside_the_contour_has_a_shape(skew_whole):
@@ -239,29 +241,31 @@ def test_every_point_inside_the_contour_has_a_shape(skew_whole):
     for side in (1, -1):
         y = side * half_width_m(Outline(), x) * (1 - 1e-9)
         (shapes,) = surface_shapes(skew_whole, x, y).values()
-        assert shapes.shape == (60, skew_whole.mass.shape[0])
+        assert shapes.shape == (60, skew_whole.parts[None].mass.shape[0])
         assert np.isfinite(shapes).all()
 
 
 def test_a_reed_with_many_modes_has_as_many_coordinates_as_it_needs():
     cane = Cane(density_kg_m3=1500.0)
-    reed = build_whole_reed(uneven(0.03), COARSE, BasisSettings(cane))
+    reed = build_reduced_reed(uneven(0.03), COARSE, BasisSettings(ReedBox(cane)))
     constants = replace(cane, E_L_pa=12e9, G_LT_pa=1.3e9)
     full_hz = [mode.frequency_hz for mode in reed_modes(reed.geometry, constants, COARSE)]
     assert len(full_hz) > 24
-    hz = reduced_modes(reed, stiffness_terms_pa(constants), 1500.0)[0][: len(full_hz)]
+    hz = reduced_modes(reed.parts[None], stiffness_terms_pa(constants), 1500.0)[0][: len(full_hz)]
     assert np.abs(cents(hz, full_hz)).max() < 0.2
 
 
 def test_cane_with_modes_without_number_is_refused(monkeypatch):
-    monkeypatch.setattr(whole, "_MOST_MODES", 30)
+    monkeypatch.setattr(snapshots, "_MOST_MODES", 7)
     cork = BasisSettings(
-        Cane(E_T_pa=5e6, E_R_pa=5e6, G_LR_pa=1e7, G_TR_pa=1e7),
-        E_L_pa=(1e8, 2e8),
-        G_LT_pa=(1e7, 2e7),
+        ReedBox(
+            Cane(E_T_pa=5e6, E_R_pa=5e6, G_LR_pa=1e7, G_TR_pa=1e7),
+            E_L_pa=(1e8, 2e8),
+            G_LT_pa=(1e7, 2e7),
+        )
     )
-    with pytest.raises(ImpossibleReedError, match=r"over 15 modes below 20000 Hz.*check moduli"):
-        build_whole_reed(ReedGeometry(), COARSE, cork)
+    with pytest.raises(ImpossibleReedError, match=r"over 14 modes below 20000 Hz.*check moduli"):
+        build_reduced_reed(uneven(0.03), COARSE, cork)
 
 
 def test_a_whole_reed_is_kept(skew_whole, tmp_path, monkeypatch):
@@ -269,22 +273,27 @@ def test_a_whole_reed_is_kept(skew_whole, tmp_path, monkeypatch):
     built = []
 
     def build(*inputs):
-        built.append(inputs)
+        built.append(inputs[:3])
         return skew_whole
 
-    monkeypatch.setattr(cache, "build_whole_reed", build)
+    monkeypatch.setattr(stored, "build_reduced_reed", build)
     said = []
     for _ in range(2):
-        kept = cache.whole_reed(skew_whole.geometry, COARSE, announce=said.append)
-        assert (kept.geometry, kept.cane) == (skew_whole.geometry, skew_whole.cane)
-        for field in fields(kept)[2:]:
-            np.testing.assert_array_equal(
-                getattr(kept, field.name), getattr(skew_whole, field.name)
-            )
-    cache.whole_reed(ReedGeometry(), COARSE)
-    assert built == [
-        (geometry, COARSE, BasisSettings()) for geometry in (skew_whole.geometry, ReedGeometry())
-    ]
+        kept = stored.reduced_reed(skew_whole.geometry, COARSE, announce=said.append)
+        assert (kept.geometry, kept.box) == (skew_whole.geometry, skew_whole.box)
+        assert list(kept.loose) == [None]
+        for one, other in (
+            (kept, skew_whole),
+            (kept.edge, skew_whole.edge),
+            (kept.loose[None], skew_whole.loose[None]),
+            *((kept.loose[None].measures[s], skew_whole.loose[None].measures[s]) for s in Symmetry),
+        ):
+            for field in fields(one):
+                if isinstance(getattr(one, field.name), np.ndarray):
+                    np.testing.assert_array_equal(
+                        getattr(one, field.name), getattr(other, field.name)
+                    )
+    assert built == [(skew_whole.geometry, COARSE, BasisSettings())]
     assert len(said) == 1
 
 

@@ -34,7 +34,7 @@ from physics.reed.geometry import (
     half_width_m,
     thickness_m,
 )
-from physics.reed.material_range.snapshots import TrainingSettings
+from physics.reed.reduced.reed import BasisSettings
 from protocols.errors import ProtocolError
 from protocols.protocol import find_protocol
 from protocols.reed import ReedFile, shipped_reeds
@@ -415,11 +415,11 @@ def test_cane_too_soft_to_count_its_modes_is_refused():
 def basis_modes(tmp_path_factory):
     """`modes_by_basis` on a coarse mesh, with a cache of its own, and what it has announced."""
     announced = []
-    few = functools.partial(TrainingSettings, snapshots=12, samples=64)
+    few = functools.partial(BasisSettings, snapshots=8)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("REEDBENCH_CACHE", str(tmp_path_factory.mktemp("kept")))
         patch.setattr("fitting.reed_modes.STANDARD", COARSE)
-        patch.setattr("fitting.reed_modes.TrainingSettings", few)
+        patch.setattr("fitting.reed_modes.BasisSettings", few)
         yield functools.partial(modes_by_basis, announce=announced.append), announced
 
 
@@ -438,7 +438,8 @@ def cents_from_elements(modes, reed, count):
     [
         {},
         {"cane.E_L": "12 GPa", "cane.G_LT": "1 GPa", "cane.nu_LT": 0.25},
-        {"cane.density": "600 kg/m^3", "geometry.thickness_offset": "-20 um"},
+        # Of these quadratic elements strains at the surface are rough.
+        {"cane.density": "600 kg/m^3", "geometry.thickness_offset": "-5 um"},
         {"cane.density": "400 kg/m^3"},
     ],
     ids=["as it is", "other cane", "heavier and thinner", "lighter"],
@@ -460,7 +461,7 @@ def test_a_basis_answers_for_viscoelastic_cane(basis_modes):
     answer, announced = basis_modes
     original = ReedFile.from_file("alto-saxophone")
     before = len(announced)
-    for changes in ({}, {"conditions.dryness": 0.5, "geometry.thickness_offset": "10 um"}):
+    for changes in ({}, {"conditions.dryness": 0.5, "geometry.thickness_offset": "5 um"}):
         reed = changed(original, changes)
         modes = answer(reed, original)
         assert np.abs(cents_from_elements(modes, reed, count=10)).max() < 3
@@ -473,20 +474,20 @@ def test_another_cane_in_the_file_is_another_reference(basis_modes):
     before = len(announced)
     modes = answer(original, original)
     assert len(announced) == before + 1
-    assert min(mode.similarity for mode in modes) > 0.999
+    assert np.abs(cents_from_elements(modes, original, count=10)).max() < 3
 
 
 OUTSIDE = {
     # name: (changes, message expected)
     "stiff": (
         {"cane.E_L": "25 GPa"},
-        "cane.E_L: 25000 MPa lies outside the basis, which answers for 7000 to 21000 MPa; use "
+        "cane.E_L: 25000 MPa lies outside the basis, which answers for 7000 to 22000 MPa; use "
         "--mesh fine",
     ),
     "soft": ({"cane.G_LR": "0.5 GPa"}, "cane.G_LR: 500 MPa lies outside the basis"),
     "ratio": (
         {"cane.nu_TR": 0.35},
-        "cane.nu_TR: 0.35 lies outside the basis, which answers for 0.15 to 0.3; use --mesh fine",
+        "cane.nu_TR: 0.35 lies outside the basis, which answers for 0.14 to 0.3; use --mesh fine",
     ),
     "heavy": (
         {"cane.density": "800 kg/m^3"},
@@ -494,13 +495,8 @@ OUTSIDE = {
     ),
     "thick": (
         {"geometry.thickness_offset": "30 um"},
-        "geometry.thickness_offset: 30 µm lies outside the basis, which answers for -20 to 20 µm;"
-        " use --mesh fine",
-    ),
-    "uneven": (
-        {"geometry.thickness_map": {"x": ["0 mm", "9 mm"], "y": ["-9 mm", "9 mm"],
-                                    "deviation": [["1 um", "0 m"], ["0 m", "0 m"]]}},
-        "geometry.thickness_map: is not even in y, and a basis is; use --mesh fine",
+        "geometry.thickness_offset: +30 µm from the reed's file lie outside the basis, which "
+        "answers for -7 to 7 µm; use --mesh fine",
     ),
 }  # fmt: skip
 
@@ -516,21 +512,14 @@ def test_a_reed_outside_the_basis_is_refused_before_anything_is_computed(case, b
     assert len(announced) == before
 
 
-def test_a_file_whose_own_cane_lies_outside_is_no_reference(basis_modes):
-    answer, _ = basis_modes
-    original = ReedFile.from_file().replace({"cane.E_L": "25 GPa"})
-    message = refusal(answer, changed(original, {"cane.E_L": "14 GPa"}), original)
-    assert "cane.E_L: 25000 MPa lies outside" in message
-
-
 def test_viscoelastic_cane_that_leaves_the_box_with_frequency_is_refused(basis_modes):
     answer, _ = basis_modes
     original = ReedFile.from_file("alto-saxophone")
     reed = changed(original, {"cane.viscoelastic.e1": 4.5, "cane.viscoelastic.e3": -4.0})
-    assert reed.cane().G_LT_pa < 2e9
+    assert reed.cane().G_LT_pa < 2.1e9
     message = refusal(answer, reed, original)
     assert "cane.viscoelastic: G_LT of 2" in message
-    assert " Hz lies outside the basis, which answers for 450 to 2000 MPa; use --m" in message
+    assert " Hz lies outside the basis, which answers for 400 to 2100 MPa; use --m" in message
 
 
 def test_names_in_doubt_are_marked(fast_modes):

@@ -8,7 +8,8 @@ from fitting.paper.printed import TABLE_3_CONSTANTS, printed
 from physics.reed.elements.mesh import MeshLevel
 from physics.reed.geometry import ReedGeometry
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.reduction.basis import BasisSettings, build_reduced_reed
+from physics.reed.reduced.build import build_reduced_reed
+from physics.reed.reduced.reed import BasisSettings
 from physics.reed.reduction.metamodel import Equation1, paper_network_pa
 from physics.reed.reduction.sensitivity import (
     CLASSES,

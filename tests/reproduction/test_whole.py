@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from physics.reed.cane.material import Cane
+from physics.reed.elements.mesh import FAST
 from physics.reed.geometry import ReedGeometry
-from physics.reed.reduction.cache import FAST
 from physics.reed.reduction.sensitivity import CONSTANTS, MODULI
 from reproduction import whole
 from reproduction.groups import mesh_evidence, sensitivities

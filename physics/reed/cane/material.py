@@ -1,6 +1,7 @@
 """Linear orthotropic elasticity of cane, grain along x (L), tangential y (T), radial z (R)."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -9,6 +10,12 @@ from physics.errors import ImpossibleReedError
 
 # Voigt positions (1-based in the literature) of the nine independent stiffnesses.
 STIFFNESS_TERMS = ("11", "22", "33", "12", "13", "23", "44", "55", "66")
+# Positions in the stiffness matrix of those that couple normal strains.
+_NORMAL = tuple((int(term[0]) - 1, int(term[1]) - 1) for term in STIFFNESS_TERMS[:6])
+# The others are the shear moduli TR, LR and LT: their positions among the constants of a `Cane`.
+_SHEAR = (5, 4, 3)
+# Axes of each Poisson ratio.
+_POISSON = ((0, 1), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True)
@@ -65,3 +72,35 @@ def stiffness_terms_pa(cane: Cane) -> Array:
     """Nine independent stiffnesses (9,), in the order of `STIFFNESS_TERMS`."""
     matrix = stiffness_matrix_pa(cane)
     return np.array([matrix[int(term[0]) - 1, int(term[1]) - 1] for term in STIFFNESS_TERMS])
+
+
+def constants_of(canes: Sequence[Cane]) -> Array:
+    """Elastic constants (n, 9) of canes, in the order of `Cane`."""
+    return np.array([astuple(cane)[:9] for cane in canes], dtype=float).reshape(-1, 9)
+
+
+def terms_and_slopes(constants: Array) -> tuple[Array, Array]:
+    """Nine stiffnesses (n, 9), and their derivatives (n, 9, 9) by ln moduli and Poisson ratios."""
+    count = len(constants)
+    E, nu = constants[:, :3], constants[:, 6:]
+    compliance = np.zeros((count, 3, 3))
+    by_constants = np.zeros((count, 6, 3, 3))
+    for i in range(3):
+        compliance[:, i, i] = 1 / E[:, i]
+        by_constants[:, i, i, i] = -1 / E[:, i]
+    for k, (i, j) in enumerate(_POISSON):
+        for a, b in ((i, j), (j, i)):
+            compliance[:, a, b] = -nu[:, k] / E[:, i]
+            by_constants[:, i, a, b] = nu[:, k] / E[:, i]
+            by_constants[:, 3 + k, a, b] = -1 / E[:, i]
+    stiffness = np.linalg.inv(compliance)
+    changes = -stiffness[:, None] @ by_constants @ stiffness[:, None]
+    shear = constants[:, _SHEAR]
+    rows, columns = np.transpose(_NORMAL)
+    terms = np.concatenate([stiffness[:, rows, columns], shear], axis=1)
+    slopes = np.zeros((count, 9, 9))
+    normal = changes[:, :, rows, columns].transpose(0, 2, 1)
+    slopes[:, :6, :3], slopes[:, :6, 6:] = normal[..., :3], normal[..., 3:]
+    for row, column in enumerate(_SHEAR):
+        slopes[:, 6 + row, column] = shear[:, row]
+    return terms, slopes

@@ -4,15 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from physics.reed.cache import Arrays, kept
 from physics.reed.cane.material import Cane
+from physics.reed.elements.mesh import STANDARD
 from physics.reed.elements.tetrahedra import PLAIN, tetrahedral_reed
 from physics.reed.geometry import ReedGeometry
 from physics.reed.modes import reed_modes
-from physics.reed.reduction.cache import (
-    STANDARD,
-    Arrays,
-    kept,
-)
 
 # The paper's size, and half of it at the tip: on tetrahedra of 2 mm everywhere modes beyond T3 lose
 # their names.

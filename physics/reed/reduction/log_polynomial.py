@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from holography.arrays import Array
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.reduction.basis import ReducedReed
+from physics.reed.reduced.elastic import elastic_modes
+from physics.reed.reduced.reed import ReducedReed
 from physics.reed.reduction.metamodel import REFERENCE_HZ
-from physics.reed.reduction.response import elastic_modes
 
 # Rounding of a modulus at an edge of its range does not put it outside.
 _EDGE = 1e-9

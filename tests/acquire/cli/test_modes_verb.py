@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from physics.reed.elements.mesh import MeshLevel
-from physics.reed.material_range.snapshots import TrainingSettings
+from physics.reed.reduced.reed import BasisSettings
 
 FAST = ("--mesh", "fast")
 
@@ -141,6 +141,10 @@ def test_a_measured_thickness_need_not_be_even(cli, folder, clarinet):
         (("alto-saxophone", "--e-l", "13 GPa"), "cane.E_L: is fixed, but cane.viscoelastic makes"),
         (("--mesh", "finest"), "there is no mesh 'finest'; known are fine, standard, fast, basis"),
         (("--mesh", "basis", "--e-l", "25 GPa"), "cane.E_L: 25000 MPa lies outside the basis, wh"),
+        (
+            ("--mesh", "basis", "--thickness-offset", "9 um"),
+            "geometry.thickness_offset: +9 µm",
+        ),
         (("--mesh", "basis", "--pictures", "modes.png"), "a basis has no shapes to draw; use --m"),
         (("--pictures", "nowhere/modes.png"), "there is no folder nowhere"),
         (("--pictures", "modes.pdf"), "pictures are written as PNG"),
@@ -160,19 +164,19 @@ def coarse_basis(monkeypatch, tmp_path):
     """A basis that is built within seconds."""
     monkeypatch.setenv("REEDBENCH_CACHE", str(tmp_path / "kept"))
     monkeypatch.setattr("fitting.reed_modes.STANDARD", MeshLevel((2, 2, 2), edge_breaks_m=()))
-    few = functools.partial(TrainingSettings, snapshots=12, samples=64)
-    monkeypatch.setattr("fitting.reed_modes.TrainingSettings", few)
+    few = functools.partial(BasisSettings, snapshots=4)
+    monkeypatch.setattr("fitting.reed_modes.BasisSettings", few)
 
 
 @pytest.mark.usefixtures("coarse_basis")
 def test_a_basis_answers_at_once_when_it_has_been_built(cli):
     first = cli("modes", "--mesh", "basis", "--json")
     assert first.status == 0, first.err
-    assert "computing the reed's basis over materials by finite elements (kept)" in first.err
+    assert "computing the reed's modes by finite elements (kept" in first.err
     assert "building" in first.err
     assert "100%" in first.err
     # Whatever cane and offset are asked for.
-    options = ("--e-l", "12 GPa", "--density", "480 kg/m^3", "--thickness-offset", "10 um")
+    options = ("--e-l", "12 GPa", "--density", "480 kg/m^3", "--thickness-offset", "5 um")
     second = cli("modes", "--mesh", "basis", "--json", *options)
     assert second.err == ""
     assert [list(mode) for mode in second.json["modes"]] == [

@@ -22,7 +22,7 @@ from physics.reed.cane.viscoelastic import (
     Series,
     viscoelastic_cane,
 )
-from physics.reed.reduction.cache import reduced_reed
+from physics.reed.reduced.stored import reduced_reed
 from physics.reed.reduction.log_polynomial import finite_element_polynomial
 from protocols.reed import ReedFile
 

@@ -21,8 +21,8 @@ from drivers.simulated.settings import Simulation, cane_of
 from fitting.errors import FitError
 from fitting.fringes.pictures import read_pictures
 from physics.reed.cane.viscoelastic import Series, viscoelastic_cane
-from physics.reed.reduction.cache import reduced_reed
-from physics.reed.reduction.response import viscoelastic_mode
+from physics.reed.reduced.elastic import viscoelastic_mode
+from physics.reed.reduced.stored import reduced_reed
 from protocols.reed import ReedFile
 from runs.reader import Run
 

@@ -9,8 +9,7 @@ from fitting.holograms.shape_basis import _functions, shape_basis
 from physics.reed.cane.material import stiffness_terms_pa
 from physics.reed.geometry import Outline, half_width_m
 from physics.reed.mode_classification import PAPER_MODES, is_symmetric
-from physics.reed.reduction.basis import reduced_modes
-from physics.reed.reduction.response import elastic_modes
+from physics.reed.reduced.elastic import elastic_modes, reduced_modes
 from physics.reed.surface import surface_shapes
 
 # In the middle of the sweep, of the paper's mean cane.
@@ -44,7 +43,7 @@ def exact(reed, points):
     """Shapes (n, m), straight from the reduced reed, in order of frequency."""
     terms = stiffness_terms_pa(replace(reed.cane, E_L_pa=E_L_PA, G_LT_pa=G_LT_PA))
     surface, found = surface_shapes(reed, *points), []
-    for symmetry, half in reed.halves.items():
+    for symmetry, half in reed.parts.items():
         hz, vectors = reduced_modes(half, terms, reed.cane.density_kg_m3)
         shapes = surface[symmetry] @ vectors
         found += zip(hz, (shapes / np.abs(shapes).max(axis=0)).T, strict=True)

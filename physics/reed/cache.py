@@ -17,7 +17,6 @@ import stat
 import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -25,20 +24,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from physics.reed.changes.shape_derivatives import ShapeDerivatives, build_shape_derivatives
-from physics.reed.elements.fem import Symmetry
-from physics.reed.elements.mesh import MeshLevel
-from physics.reed.elements.whole import WholeReed, build_whole_reed
-from physics.reed.geometry import ReedGeometry
-from physics.reed.reduction.basis import (
-    BasisSettings,
-    HalfBasis,
-    ReducedReed,
-    build_reduced_reed,
-)
-
 Made = TypeVar("Made")
-_SHAPE_DERIVATIVES = ("bark_m", "area_m2", "strip_m2")
 Arrays = Mapping[str, NDArray[Any]]
 
 # Raised by an entry that is absent, damaged, or holds other arrays than it should.
@@ -50,17 +36,9 @@ _SEAL_BYTES: Final = len(_SEAL_MARK) + hashlib.sha256().digest_size
 _OPEN_FLAGS: Final = os.O_NOFOLLOW | os.O_NONBLOCK
 # Chosen: a program that waits loses at most this, and asks the disk this often.
 _POLL_S: Final = 0.05
-# Chosen: about ten times the longest build (the basis over materials, 1 min). A program that was
+# Chosen: about ten times the longest build (a reduced reed, 1 min). A program that was
 # stopped (Ctrl-Z) keeps its lock; others then compute for themselves.
 _PATIENCE_S: Final = 600.0
-
-# How far each level lies from the limit of ever finer meshes: `python -m studies.convergence`.
-# Every mode below 20 kHz within 10 cents, those of the heel included.
-FINE = MeshLevel(orders=(4, 4, 4), heel_element_m=4.5e-3, z_breaks=(0.0, 0.94, 1.0))
-# Every mode of the vamp within 10 cents; a basis of it is built within seconds and 2 GiB.
-STANDARD = MeshLevel(orders=(4, 4, 3), heel_element_m=8e-3, z_breaks=(0.0, 0.9, 1.0))
-# Every mode of the vamp within 45 cents, in a fraction of a second.
-FAST = MeshLevel(orders=(3, 3, 2), edge_breaks_m=())
 
 
 def cache_directory() -> Path:
@@ -183,7 +161,7 @@ def _release(lock: Path, descriptor: int) -> None:
 def _code_digest() -> bytes:
     """Digest of the source of `physics.reed` as it is on the disk now."""
     digest = hashlib.sha256()
-    for source in sorted(Path(__file__).parents[1].rglob("*.py")):
+    for source in sorted(Path(__file__).parent.rglob("*.py")):
         # Editors leave links to nothing next to a file that is being edited.
         with contextlib.suppress(OSError):
             digest.update(source.read_bytes())
@@ -277,129 +255,3 @@ def _sealed(name: str, arrays: Arrays) -> bytes:
 
 def _open_file(path: str | Path, flags: int) -> int:
     return os.open(path, flags | _OPEN_FLAGS, 0o666)
-
-
-def reduced_reed(
-    geometry: ReedGeometry | None = None,
-    level: MeshLevel = STANDARD,
-    settings: BasisSettings | None = None,
-    announce: Callable[[str], None] | None = None,
-) -> ReducedReed:
-    """Reduced reed from the cache, or built and kept.
-
-    Parameters
-    ----------
-    geometry : ReedGeometry, optional
-        The paper's reed if not given.
-    level : MeshLevel
-    settings : BasisSettings, optional
-    announce : callable, optional
-        Called with one sentence on what is being waited for, if anything.
-
-    Raises
-    ------
-    ValueError
-        For an impossible geometry or material (see `build_reduced_reed`).
-    """
-    geometry, settings = geometry or ReedGeometry(), settings or BasisSettings()
-
-    def build() -> ReducedReed:
-        if announce:
-            announce("computing the reed's modes by finite elements (kept for the next time)")
-        return build_reduced_reed(geometry, level, settings)
-
-    def restored(arrays: Arrays) -> ReducedReed:
-        return _reed_of(geometry, settings, arrays)
-
-    return kept("reed", (geometry, level, settings), build, _arrays, restored, announce)
-
-
-def _reed_of(geometry: ReedGeometry, settings: BasisSettings, arrays: Arrays) -> ReducedReed:
-    halves = {
-        symmetry: HalfBasis(**{f.name: arrays[f"{symmetry}_{f.name}"] for f in fields(HalfBasis)})
-        for symmetry in Symmetry
-    }
-    return ReducedReed(geometry, settings.cane, arrays["plan_m"], arrays["load_points_m"], halves)
-
-
-def _arrays(reed: ReducedReed) -> Arrays:
-    arrays = {"plan_m": reed.plan_m, "load_points_m": reed.load_points_m}
-    for symmetry, half in reed.halves.items():
-        arrays |= {f"{symmetry}_{f.name}": getattr(half, f.name) for f in fields(HalfBasis)}
-    return arrays
-
-
-def whole_reed(
-    geometry: ReedGeometry,
-    level: MeshLevel = STANDARD,
-    settings: BasisSettings | None = None,
-    announce: Callable[[str], None] | None = None,
-) -> WholeReed:
-    """Whole reed from the cache, or built and kept; see `reduced_reed`.
-
-    Raises
-    ------
-    ValueError
-        For an impossible geometry or material (see `build_whole_reed`).
-    """
-    settings = settings or BasisSettings()
-
-    def build() -> WholeReed:
-        if announce:
-            announce("computing the whole reed's modes by finite elements (kept for the next time)")
-        return build_whole_reed(geometry, level, settings)
-
-    def to_arrays(reed: WholeReed) -> Arrays:
-        return {name: getattr(reed, name) for name in names}
-
-    def restored(arrays: Arrays) -> WholeReed:
-        return WholeReed(geometry, settings.cane, **{name: arrays[name] for name in names})
-
-    names = [f.name for f in fields(WholeReed) if f.name not in ("geometry", "cane")]
-    return kept("whole", (geometry, level, settings), build, to_arrays, restored, announce)
-
-
-def shape_derivatives(
-    geometry: ReedGeometry | None = None,
-    level: MeshLevel = STANDARD,
-    settings: BasisSettings | None = None,
-    announce: Callable[[str], None] | None = None,
-) -> ShapeDerivatives:
-    """ShapeDerivatives of a reed from the cache, or built and kept; see `reduced_reed`.
-
-    Raises
-    ------
-    ValueError
-        For an impossible geometry or material (see `build_shape_derivatives`).
-    """
-    geometry, settings = geometry or ReedGeometry(), settings or BasisSettings()
-
-    def build() -> ShapeDerivatives:
-        if announce:
-            announce("laying the reed open by finite elements (kept for the next time)")
-        return build_shape_derivatives(geometry, level, settings)
-
-    def to_arrays(made: ShapeDerivatives) -> Arrays:
-        arrays = {f"reed_{name}": array for name, array in _arrays(made.reed).items()}
-        arrays |= {name: getattr(made, name) for name in _SHAPE_DERIVATIVES}
-        for symmetry in Symmetry:
-            arrays[f"{symmetry}_clamped"] = np.array(made.clamped[symmetry])
-            arrays[f"{symmetry}_strain"] = made.strain[symmetry]
-            arrays[f"{symmetry}_motion"] = made.motion[symmetry]
-        return arrays
-
-    def restored(arrays: Arrays) -> ShapeDerivatives:
-        reed = _reed_of(
-            geometry, settings, {name[5:]: arrays[name] for name in arrays if name[:5] == "reed_"}
-        )
-        return ShapeDerivatives(
-            reed=reed,
-            clamped={symmetry: int(arrays[f"{symmetry}_clamped"]) for symmetry in Symmetry},
-            strain={symmetry: arrays[f"{symmetry}_strain"] for symmetry in Symmetry},
-            motion={symmetry: arrays[f"{symmetry}_motion"] for symmetry in Symmetry},
-            **{name: arrays[name] for name in _SHAPE_DERIVATIVES},
-        )
-
-    return kept(
-        "shape_derivatives", (geometry, level, settings), build, to_arrays, restored, announce
-    )

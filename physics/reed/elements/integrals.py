@@ -1,23 +1,24 @@
-"""Project stiffness and mass of a half reed on given shapes, at the points of quadrature."""
+"""Project stiffness and mass of a reed on given shapes, at the points of quadrature."""
 
 import numpy as np
 
 from holography.arrays import Array
 from physics.reed.cane.material import STIFFNESS_TERMS
-from physics.reed.elements.fem import shape_1d
-from physics.reed.elements.mesh import HalfReedMesh
+from physics.reed.elements.fem import hexahedron
+from physics.reed.elements.mesh import ReedMesh
 
 # Elements whose strains are worked on together.
 _ELEMENTS = 16
 
 
-def integrals(mesh: HalfReedMesh, shapes: Array) -> tuple[Array, Array]:
+def integrals(mesh: ReedMesh, shapes: Array) -> tuple[Array, Array]:
     """Stiffness (9, r, r) per unit stiffness of the cane and mass (r, r) of shapes (n, 3, r).
 
     The quadrature is that of `fem.assemble`, so this is a projection of its matrices; done at the
     points of quadrature, it takes a tenth of the time.
     """
-    weights, values, local = _reference_element(mesh.orders)
+    reference = hexahedron(mesh.orders)
+    weights, values, local = reference.weights, reference.shape, reference.gradients
     size = shapes.shape[2]
     stiffnesses, masses = np.zeros((9, size, size)), np.zeros((size, size))
     for start in range(0, len(mesh.elements), _ELEMENTS):
@@ -36,25 +37,6 @@ def integrals(mesh: HalfReedMesh, shapes: Array) -> tuple[Array, Array]:
             product = left.T @ right
             stiffnesses[term] += product if left is right else product + product.T
     return stiffnesses, masses
-
-
-def _reference_element(orders: tuple[int, int, int]) -> tuple[Array, Array, Array]:
-    """Quadrature weights (q,), shape functions (q, m) and their gradients (3, q, m)."""
-    tables, weights = [], []
-    for order in orders:
-        points, weight = np.polynomial.legendre.leggauss(order + 1)
-        tables.append(shape_1d(order, 0.5 * (1 + points)))
-        weights.append(0.5 * weight)
-
-    def product(derived: int | None) -> Array:
-        x, y, z = (table[int(axis == derived)] for axis, table in enumerate(tables))
-        return np.kron(x, np.kron(y, z))
-
-    return (
-        np.kron(weights[0], np.kron(weights[1], weights[2])),
-        product(None),
-        np.stack([product(axis) for axis in range(3)]),
-    )
 
 
 def _gram(rows: Array) -> Array:

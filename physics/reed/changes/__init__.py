@@ -1,1 +1,0 @@
-"""How a reed answers to changes of its shape and structure."""

@@ -1,1 +1,0 @@
-"""A reduced basis that holds over a range of materials."""

@@ -1,0 +1,1 @@
+"""One reduced-order reed: for the bench, the fit, the populations and the diagnosis."""

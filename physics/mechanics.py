@@ -298,8 +298,7 @@ class ReedSolver:
             loss_factor,
             hz,
             np.concatenate(list(forces.values())),
-            air=self._air() if reed.air_share else None,
-            air_fraction=reed.air_share,
+            air=(self._air(), reed.air_share) if reed.air_share else None,
             added_n_m=self._stiffness_of_coarse_mesh(reed) if reed.coarse_share else None,
         )
         return dict(zip(forces, np.split(moved, self.reed.starts[1:]), strict=True))

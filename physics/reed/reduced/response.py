@@ -196,8 +196,7 @@ def response_of_changed(
     hz: float,
     force_n: ComplexArray,
     *,
-    air: AirMatrices | None = None,
-    air_fraction: float = 1.0,
+    air: tuple[AirMatrices, float] | None = None,
     added_n_m: Array | None = None,
 ) -> ComplexArray:
     """Steady vibration (s,) of a changed reed under forces (s,), in the coordinates of all parts.
@@ -213,9 +212,8 @@ def response_of_changed(
     loss : float or LossFactors
     hz : float
     force_n : (s,) complex
-    air : AirMatrices, optional
-        Vacuum if not given.
-    air_fraction : float
+    air : (AirMatrices, float), optional
+        Normal air, and its density as a fraction of it. Vacuum if not given.
     added_n_m : (s, s) float, optional
         More stiffness, with the loss factor of normal strains.
     """
@@ -232,9 +230,10 @@ def response_of_changed(
     if added_n_m is not None:
         dynamic = dynamic + (1 + 1j * losses.normal) * added_n_m
     if air is not None:
-        carried, resisting = zip(*air.at(hz), strict=True)
+        matrices, fraction = air
+        carried, resisting = zip(*matrices.at(hz), strict=True)
         moved_along = linalg.block_diag(*carried), linalg.block_diag(*resisting)
-        dynamic = dynamic + air_fraction * (1j * omega * moved_along[1] - omega**2 * moved_along[0])
+        dynamic = dynamic + fraction * (1j * omega * moved_along[1] - omega**2 * moved_along[0])
     moved = np.zeros(len(force_n), dtype=complex)
     for own in coordinates_of(reed, change, 0.0):
         rows, held = own.everywhere, own.held

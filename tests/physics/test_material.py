@@ -1,6 +1,6 @@
 """Orthotropic elasticity from the meaning of the engineering constants."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -11,9 +11,12 @@ from physics.errors import ImpossibleReedError
 from physics.reed.cane.material import (
     STIFFNESS_TERMS,
     Cane,
+    constants_of,
     stiffness_matrix_pa,
     stiffness_terms_pa,
+    terms_and_slopes,
 )
+from physics.reed.reduced.reed import CONSTANTS
 from tests.physics.canes import ODD_CANE
 
 
@@ -96,6 +99,43 @@ def test_density_that_is_not_positive_is_refused(value):
 def test_poisson_ratios_that_yield_energy_are_refused(ratios):
     with pytest.raises(ImpossibleReedError, match="Poisson"):
         stiffness_terms_pa(replace(Cane(), **ratios))
+
+
+def test_stiffnesses_of_many_canes_are_those_of_each_with_their_derivatives():
+    rng, step, canes = np.random.default_rng(1), 1e-5, []
+    for _ in range(5):
+        moduli = np.array(astuple(Cane())[:6]) * rng.uniform(0.7, 1.4, 6)
+        canes.append(Cane(*moduli, *rng.uniform(0.1, 0.3, 3)))
+    terms, slopes = terms_and_slopes(constants_of(canes))
+    np.testing.assert_allclose(terms, [stiffness_terms_pa(cane) for cane in canes], rtol=1e-12)
+    for number, name in enumerate(CONSTANTS):
+        for cane, own in zip(canes, slopes[..., number], strict=True):
+            value = getattr(cane, name)
+            ahead, behind = (
+                replace(cane, **{name: value * np.exp(h) if number < 6 else value + h})
+                for h in (step, -step)
+            )
+            expected = (stiffness_terms_pa(ahead) - stiffness_terms_pa(behind)) / (2 * step)
+            np.testing.assert_allclose(own, expected, atol=1e-7 * np.abs(expected).max())
+
+
+def refuses(stiffnesses, canes):
+    try:
+        stiffnesses(canes)
+    except ImpossibleReedError:
+        return True
+    return False
+
+
+def test_the_same_canes_are_refused_alone_and_among_many():
+    rng = np.random.default_rng(2)
+    alone, among = [], []
+    for _ in range(300):
+        cane = Cane(*np.exp(rng.normal(size=6)), *rng.uniform(-1.5, 1.5, 3))
+        alone.append(refuses(stiffness_terms_pa, cane))
+        among.append(refuses(terms_and_slopes, constants_of([Cane(), cane])))
+    assert among == alone
+    assert 30 < sum(alone) < 270
 
 
 @settings(deadline=None)

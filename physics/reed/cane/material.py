@@ -79,8 +79,35 @@ def constants_of(canes: Sequence[Cane]) -> Array:
     return np.array([astuple(cane)[:9] for cane in canes], dtype=float).reshape(-1, 9)
 
 
+def _require_possible(constants: Array) -> None:
+    """Refuse constants (n, 9) of no material.
+
+    Raises
+    ------
+    ImpossibleReedError
+    """
+    moduli = constants[:, :6]
+    if not np.all((moduli > 0) & (moduli < np.inf)):
+        raise ImpossibleReedError("moduli of cane must be positive and finite at every frequency")
+    E, nu = constants[:, :3], constants[:, 6:]
+    # Ratios of axes i < j are -S_ij E_i, so these are the squares of the correlations of strains.
+    lt, lr, tr = (nu[:, k] ** 2 * E[:, j] / E[:, i] for k, (i, j) in enumerate(_POISSON))
+    mixed = 2 * nu.prod(axis=1) * E[:, 2] / E[:, 0]
+    if not np.all((lt < 1) & (1 - lt - lr - tr - mixed > 0)):
+        raise ImpossibleReedError(
+            f"the Poisson ratios {constants[0, 6:].tolist()} make a material that yields energy"
+        )
+
+
 def terms_and_slopes(constants: Array) -> tuple[Array, Array]:
-    """Nine stiffnesses (n, 9), and their derivatives (n, 9, 9) by ln moduli and Poisson ratios."""
+    """Nine stiffnesses (n, 9), and their derivatives (n, 9, 9) by ln moduli and Poisson ratios.
+
+    Raises
+    ------
+    ImpossibleReedError
+        If constants (n, 9) do not make a positive definite material.
+    """
+    _require_possible(constants)
     count = len(constants)
     E, nu = constants[:, :3], constants[:, 6:]
     compliance = np.zeros((count, 3, 3))

@@ -3,8 +3,8 @@
 The coordinates are condensed at two frequencies: the lowest modes of the middle cane are kept, the
 others follow them. In what is left every mode is followed from the moduli of one frequency to those
 of its own, by Newton's method for its frequency, Davidson's correction of its shape and inverse
-iteration. Modes that are too close for that are counted instead: with the moduli of a frequency,
-the n-th mode has a frequency; sought is where both are the same.
+iteration. Some modes are too close for that, or two end as one: those that are missing are found by
+their number n instead, as the frequency at which the n-th mode with its moduli is.
 """
 
 from dataclasses import dataclass
@@ -25,24 +25,37 @@ from physics.reed.reduced.dynamics import (
 from physics.reed.reduced.reed import ReducedReed
 
 # Modes of the middle cane up to this multiple of the highest frequency keep their inertia. Chosen:
-# of 1.5, 2 and 2.5, the first that gives all coordinates' modes to 0.05 cent.
+# with 1.5, 2, 2.5 and 3 modes of 25 canes of the box are 0.7, 0.17, 0.16 and 0.12 cents off before
+# they are refined, and 4e-3, 2e-4, 7e-5 and 2e-5 cents afterwards.
 _INERT = 2.5
-# Of so many of them, in each part, the others also follow as with the moduli of low frequencies.
+# This many of them, the lowest of each part, are also kept as they are with moduli of low
+# frequencies. Chosen: with 3, 6, 12 and 18 modes are 2.3, 2.1, 0.16 and 0.08 cents off before they
+# are refined.
 _SOFTER = 12
-# Frequencies of the moduli with which they follow, over the highest; modes begin with those of the
-# first. Up to which frequency modes are followed then: stiffer as they get on the way up.
-_PIVOTS, _MARGIN = (0.6, 0.12), 1.02
+# Frequencies of the moduli at which the coordinates are condensed, over the highest: the modes that
+# are followed begin with those of the first.
+_PIVOTS = (0.6, 0.12)
+# Modes are sought up to this multiple of the highest frequency: in all coordinates they are lower,
+# by less than a cent.
+_MARGIN = 1.02
+# Newton's method stops below this change, and inverse iteration, which needs a start as near as
+# that, below the second. Neither takes more steps than this; usual are four and one.
 _NEAR_CENTS, _SETTLED_CENTS = 0.1, 1e-4
 _MOST_STEPS, _MOST_INVERSE, _MOST_COUNTS = 12, 4, 40
 # Corrections of shapes in all coordinates, but not along modes closer than this in ω². Chosen: with
 # 2 and 0.1 derivatives are those of differences to a thousandth.
 _REFINEMENTS, _CLOSE = 2, 0.1
-# A correction that is more of a shape than this comes from modes too close to be told apart by it.
+# A correction that is a larger fraction of a shape than this comes from modes too close for it.
+# Chosen: first-order corrections beyond a half do not converge.
 _MOST_CORRECTION = 0.5
-# Two found shapes are one mode if they are as similar as this.
+# Two found shapes are one mode if they are as similar as this. Different modes, with the moduli of
+# different frequencies, are similar to 0.01 at most.
 _SAME_SHAPE = 0.3
-# Answers follow what is asked for by a share within these limits.
+# A mode's answer follows the frequency whose moduli it has by a share within these limits (half of
+# the exponent of growth), and two frequencies are the same if they differ by less than this.
 _SHARES, _SAME = (-0.5, 0.5), 1e-9
+# Modes are counted up to this share below a frequency: more than the error of a settled one.
+_DISTINCT = 1e-6
 _NO_STIFFNESS = "a mode has no stiffness left: thickness, moduli or clamp are of no reed"
 
 
@@ -132,13 +145,11 @@ def _solved(coordinates: Coordinates, full: Dynamics, highest_hz: float) -> Grou
         eigenvalues, vectors = linalg.eigh(K[0], M[0])
     except np.linalg.LinAlgError:
         raise ImpossibleReedError(_NO_STIFFNESS) from None
-    count = int(np.searchsorted(eigenvalues, (2 * np.pi * _MARGIN * highest_hz) ** 2))
-    if not count:
-        none = np.zeros((full.matrices.shape[-1], 0))
-        return Group(coordinates, full, condensed.shapes, np.zeros(0), none)
-    if np.any(eigenvalues[:count] <= 0):
+    if np.any(eigenvalues[:1] <= 0):
         raise ImpossibleReedError(_NO_STIFFNESS)
-    hz, own = _modes(condensed.small, eigenvalues, vectors, count)
+    hz, own = _modes(condensed.small, eigenvalues, vectors, _MARGIN * highest_hz)
+    if not len(hz):
+        return Group(coordinates, full, condensed.shapes, hz, condensed.shapes @ own)
     hz, modes = _refined(condensed, full, vectors, hz, own)
     kept = np.flatnonzero(hz < highest_hz)
     kept = kept[np.argsort(hz[kept])]
@@ -236,23 +247,61 @@ def _stiffness_and_mass(dynamics: Dynamics, hz: Array) -> tuple[Array, Array]:
 
 
 def _modes(
-    dynamics: Dynamics, eigenvalues: Array, vectors: Array, count: int
+    dynamics: Dynamics, eigenvalues: Array, vectors: Array, below_hz: float
 ) -> tuple[Array, Array]:
-    """Frequencies (m,) and vectors (n, m) of the lowest modes with moduli of their own frequency.
+    """Frequencies (m,) and vectors (n, m) of modes with moduli of their own frequency.
+
+    Two modes that exchange their order, or their shapes, between the moduli of one frequency and
+    their own may end as one. What is found is therefore counted, and what is missing is sought by
+    its number.
 
     Parameters
     ----------
     dynamics : Dynamics
     eigenvalues, vectors : (n,) and (n, n) float
         With the moduli of one frequency.
-    count : int
+    below_hz : float
+        Modes up to here are sought, and all of them are found.
     """
+    # Shapes of unit energy: what hardly yields has tiny numbers that rounding would bury.
+    unit = vectors / np.sqrt(eigenvalues)
+    (count,) = _numbers(dynamics, unit, np.array([below_hz])).tolist()
+    if not count:
+        return np.zeros(0), vectors[:, :0]
     hz, w, near = _followed(dynamics, eigenvalues, vectors, count)
     hz, w, settled = _settled(dynamics, hz, w)
-    settled &= near & ~_alike(dynamics, hz, w)
-    for number in np.flatnonzero(~settled):
-        hz[number], w[:, number] = _counted(dynamics, int(number), float(hz[number]))
+    good = settled & near & (hz < below_hz) & ~_alike(dynamics, hz, w)
+    if not good.all():
+        hz, w = hz[good], w[:, good]
+        missing = set(range(count)) - set(_ranks(dynamics, unit, hz))
+        for number in sorted(missing):
+            start_hz = float(np.sqrt(eigenvalues[number])) / (2 * np.pi)
+            found_hz, vector = _counted(dynamics, number, start_hz)
+            hz, w = np.append(hz, found_hz), np.column_stack([w, vector])
     return hz, w / np.sqrt(_mass_forms(dynamics, hz, w))
+
+
+def _numbers(dynamics: Dynamics, shapes: Array, hz: Array) -> NDArray[np.int_]:
+    """How many modes lie below frequencies (m,): Z(ω) has as many negative eigenvalues.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+    shapes : (n, n) float
+        In which Z is taken.
+    hz : (m,) float
+    """
+    Z = np.tensordot(dynamics.amounts(hz)[0], dynamics.matrices, axes=1)
+    return np.asarray(np.count_nonzero(np.linalg.eigvalsh(shapes.T @ Z @ shapes) < 0, axis=1))
+
+
+def _ranks(dynamics: Dynamics, shapes: Array, hz: Array) -> list[int]:
+    """Numbers of modes at frequencies (m,), which need not be all modes, in ascending order."""
+    ranks: list[int] = []
+    for below in _numbers(dynamics, shapes, np.sort(hz) * (1 - _DISTINCT)).tolist():
+        # Of two modes that are closer than that, the second is the next.
+        ranks.append(max(below, ranks[-1] + 1) if ranks else below)
+    return ranks
 
 
 def _followed(
@@ -313,8 +362,6 @@ def _diagonal(matrices: Array) -> Array:
 
 def _alike(dynamics: Dynamics, hz: Array, w: Array) -> NDArray[np.bool_]:
     """Which shapes (n, m) are also those of another mode."""
-    if not len(hz):
-        return np.zeros(0, dtype=bool)
     similarity = np.abs(w.T @ _stiffness_and_mass(dynamics, hz[:1])[1][0] @ w)
     size = np.sqrt(np.diag(similarity))
     similarity /= np.multiply.outer(size, size)

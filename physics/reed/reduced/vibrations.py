@@ -68,8 +68,6 @@ class Group:
     coordinates : Coordinates
     dynamics : Dynamics
         In c coordinates, the strips held by unit springs.
-    shapes : (c, n) float
-        Few shapes that nearly span the modes.
     hz : (m,) float
     vectors : (c, m) float
         Modes of unit mass.
@@ -77,7 +75,6 @@ class Group:
 
     coordinates: Coordinates
     dynamics: Dynamics
-    shapes: Array
     hz: Array
     vectors: Array
 
@@ -149,11 +146,11 @@ def _solved(coordinates: Coordinates, full: Dynamics, highest_hz: float) -> Grou
         raise ImpossibleReedError(_NO_STIFFNESS)
     hz, own = _modes(condensed.small, eigenvalues, vectors, _MARGIN * highest_hz)
     if not len(hz):
-        return Group(coordinates, full, condensed.shapes, hz, condensed.shapes @ own)
+        return Group(coordinates, full, hz, condensed.shapes @ own)
     hz, modes = _refined(condensed, full, vectors, hz, own)
     kept = np.flatnonzero(hz < highest_hz)
     kept = kept[np.argsort(hz[kept])]
-    return Group(coordinates, full, condensed.shapes, hz[kept], modes[:, kept])
+    return Group(coordinates, full, hz[kept], modes[:, kept])
 
 
 @dataclass(frozen=True)

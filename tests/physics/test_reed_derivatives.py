@@ -344,3 +344,17 @@ def test_a_sharp_pressure_is_projected_at_every_frequency(coarse_reed):
     for hz in (4300.0, 4308.6, 4310.0):
         for key, own in force.at(hz).items():
             np.testing.assert_array_equal(own, pressure_forces(coarse_reed, hz, shape)[key])
+
+
+def test_derivatives_of_a_sharp_pressure_are_those_of_its_resonance(coarse_reed):
+    def shape(hz, x, _y):
+        return np.exp(-x / 0.01) * gain(hz)
+
+    def gain(hz):
+        return 1 / (1 - (hz / 4308.6) ** 2 + 1j * hz / 4308.6 / 2500)
+
+    force, hz = pressure_force(coarse_reed, shape), 4308.0
+    ratio = hz / 4308.6
+    expected = (2 * ratio**2 - 1j * ratio / 2500) * gain(hz)
+    for key, own in force.by_ln_hz(hz).items():
+        np.testing.assert_allclose(own, expected * force.at(hz)[key], rtol=1e-3)

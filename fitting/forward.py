@@ -22,8 +22,7 @@ from physics.reed.reduction.metamodel import REFERENCE_HZ
 from protocols.reed import ReedFile
 
 # Network on which the finite elements are tabulated, Pa: the range of a reduced basis.
-_E_L_PA = np.geomspace(7e9, 22e9, 21)
-_G_LT_PA = np.geomspace(0.4e9, 2.1e9, 21)
+_E_L_PA, _G_LT_PA = (np.geomspace(*ends, 21) for ends in (ReedBox().E_L_pa, ReedBox().G_LT_pa))
 # Each iteration gains a factor of about 5; the paper does one.
 _ITERATIONS = 7
 

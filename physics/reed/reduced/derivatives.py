@@ -3,8 +3,8 @@
 The dynamic stiffness Z(ω) is singular at a mode x, so ``x·∂Z/∂p·x + x·∂Z/∂ln f·x · ∂ln f/∂p = 0``:
 the formula of Hellmann and Feynman, with cane and air that depend on frequency. Two modes that are
 close exchange shapes before a parameter has moved them far. They move as the eigenvalues of a 2×2
-matrix, with their own derivatives on its diagonal and their coupling beside it, and their shapes
-mix as its eigenvectors do: see `predicted_hz`.
+matrix, with their own derivatives on its diagonal and their coupling off it, and their shapes mix
+as its eigenvectors do: see `predicted_hz`.
 """
 
 from collections.abc import Sequence
@@ -30,6 +30,7 @@ PARAMETERS = (
     "air_fraction",
 )
 DENSITY, AIR_FRACTION = PARAMETERS.index("ln density_kg_m3"), PARAMETERS.index("air_fraction")
+GROWTH_E_L, GROWTH_G_LT = PARAMETERS.index("growth_E_L"), PARAMETERS.index("growth_G_LT")
 
 
 @dataclass(frozen=True)
@@ -87,14 +88,14 @@ def derivatives(found: Vibrations, changes: Sequence[Change] = ()) -> Derivative
     for number, change in enumerate(changes, len(PARAMETERS)):
         if change.compliance_m_n is not None:
             forms[..., number] -= reactions.T @ change.compliance_m_n @ reactions
-    scale = np.sqrt(-by_ln_hz(found))
+    scale = np.sqrt(-_by_ln_hz(found))
     couplings = forms / scale[:, None, None] / scale[None, :, None]
     couplings = 0.5 * (couplings + couplings.transpose(1, 0, 2))
     own = np.arange(len(scale))
     return Derivatives(couplings[own, own], couplings, loads, masses, reactions)
 
 
-def by_ln_hz(found: Vibrations) -> Array:
+def _by_ln_hz(found: Vibrations) -> Array:
     """``x·∂Z/∂ln f·x`` (m,) of every mode, -2ω² if nothing but inertia depends on frequency."""
     answer = np.zeros(len(found.hz))
     for group, rank in zip(found.groups, found.order, strict=True):
@@ -164,12 +165,12 @@ def _air_products(found: Vibrations) -> Array:
 def _by_constants(found: Vibrations, products: Array, slopes: Array, loads: Array) -> None:
     """Fill the loads of `PARAMETERS`; slopes (m, 9, 9) are of stiffnesses by constants."""
     squares = (2 * np.pi * found.hz) ** 2
-    loads[..., :9] = np.einsum("tsm,mtc->smc", products, slopes, optimize=True)
+    loads[..., : len(CONSTANTS)] = np.einsum("tsm,mtc->smc", products, slopes, optimize=True)
     density = found.state.law.constants.density_kg_m3
     loads[..., DENSITY] = -squares * density * _mass_products(found)
     log_ratio = np.log(found.hz / PIVOT_HZ)
-    loads[..., 10] = log_ratio * loads[..., E_L]
-    loads[..., 11] = log_ratio * loads[..., G_LT]
+    loads[..., GROWTH_E_L] = log_ratio * loads[..., E_L]
+    loads[..., GROWTH_G_LT] = log_ratio * loads[..., G_LT]
     loads[..., AIR_FRACTION] = -squares * _air_products(found)
 
 

@@ -111,9 +111,8 @@ class StiffnessTable:
     def amounts(self, hz: Array) -> tuple[Array, Array]:
         """Amounts of all directions at frequencies (m,), and derivatives by ln f: two (m, d)."""
         low, high = _LOG_RANGE
-        angle = np.arccos(
-            np.clip((2 * np.log(hz) - low - high) / (high - low), -1 + 1e-12, 1 - 1e-12)
-        )
+        places = (2 * np.log(hz) - low - high) / (high - low)
+        angle = np.arccos(np.clip(places, -_WITHIN, _WITHIN))
         turned = np.multiply.outer(angle, np.arange(_NODES))
         by_place = np.arange(_NODES) * np.sin(turned) / np.sin(angle)[:, None]
         return np.cos(turned) @ self.coefficients, 2 / (high - low) * by_place @ self.coefficients

@@ -62,8 +62,8 @@ def reduced_modes(part: ReedPart, terms_pa: Array, density_kg_m3: float) -> tupl
 def named_modes(reed: ReducedReed) -> int:
     """How many modes of each part are named."""
     middles = [part.middle_hz for part in reed.loose.values()]
-    below = max(1, *(int(np.count_nonzero(hz < HIGHEST_HZ)) for hz in middles), 1)
-    return min(below + math.ceil(_NAMED_BEYOND * below), *map(len, middles), len(middles[0]))
+    below = max(1, max(int(np.count_nonzero(hz < HIGHEST_HZ)) for hz in middles))
+    return min(below + math.ceil(_NAMED_BEYOND * below), min(map(len, middles)))
 
 
 def elastic_modes(reed: ReducedReed, E_L_pa: float, G_LT_pa: float) -> dict[str, Mode]:

@@ -17,6 +17,8 @@ from physics.reed.cane.material import terms_and_slopes
 from physics.reed.reduced.changes import Change
 from physics.reed.reduced.derivatives import (
     AIR_FRACTION,
+    GROWTH_E_L,
+    GROWTH_G_LT,
     PARAMETERS,
     Derivatives,
     cane_products,
@@ -33,6 +35,7 @@ from physics.reed.reduced.dynamics import (
     loose_dynamics_of,
 )
 from physics.reed.reduced.losses import loss_factors, spring_energies
+from physics.reed.reduced.reed import CONSTANTS
 from physics.reed.reduced.response import Forces, PressureForce
 from physics.reed.reduced.vibrations import Vibrations
 
@@ -164,9 +167,9 @@ def loss_derivatives(found: Vibrations, losses: LossFactors, slopes: ShapeDeriva
     stored += (by_ln_hz @ directions * energies)[..., None] * ln_hz[:, None, :]
     by_law = energies[..., None] * by_constants
     log_ratio = np.log(found.hz / PIVOT_HZ)[:, None]
-    stored[..., :9] += by_law
-    stored[..., 10] += log_ratio * by_law[..., E_L]
-    stored[..., 11] += log_ratio * by_law[..., G_LT]
+    stored[..., : len(CONSTANTS)] += by_law
+    stored[..., GROWTH_E_L] += log_ratio * by_law[..., E_L]
+    stored[..., GROWTH_G_LT] += log_ratio * by_law[..., G_LT]
     springs = 2 * np.einsum(
         "cm,cmp->mp", slopes.frequencies.reactions, slopes.shapes[found.reed.strip]
     )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from holography.arrays import Array
 from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.reduced.elastic import elastic_modes
-from physics.reed.reduced.reed import ReducedReed
+from physics.reed.reduced.reed import ReducedReed, ReedBox
 from physics.reed.reduction.metamodel import REFERENCE_HZ
 
 # Rounding of a modulus at an edge of its range does not put it outside.
@@ -61,8 +61,7 @@ class Box:
         return np.asarray(inside)
 
 
-# The range of a reduced basis; of the paper's population, one reed in a thousand leaves it.
-REED_BOX = Box((7e9, 22e9), (0.4e9, 2.1e9))
+REED_BOX = Box(ReedBox().E_L_pa, ReedBox().G_LT_pa)
 
 
 def _inside(modulus_pa: Array, ends_pa: tuple[float, float]) -> NDArray[np.bool_]:

@@ -28,8 +28,8 @@ PIVOT_HZ = 4000.0
 # Range in which stiffnesses are Chebyshev polynomials of log f, and their number: of Zener solids
 # that relax within it, exact to 1e-8.
 _RANGE_HZ, _NODES = (200.0, 60e3), 36
-# Directions of the nine stiffnesses, and matrices of the air, below this share are left out.
-_LEAST_DIRECTION, _LEAST_AIR = 1e-9, 1e-7
+# Directions of the nine stiffnesses below this share are left out.
+_LEAST_DIRECTION = 1e-9
 # The clamp yields in a direction if its compliance there is more than this share of the greatest.
 _LEAST_COMPLIANCE = 1e-12
 
@@ -152,19 +152,8 @@ class AirMatrices:
 
     @classmethod
     def of(cls, hz: Array, mass_kg: list[Array], resistance_kg_s: list[Array]) -> "AirMatrices":
-        """Matrices (f, s, s) per part at frequencies (f,) as sums of few."""
-        flat = [
-            np.hstack([matrices.reshape(len(hz), -1) for matrices in each])
-            for each in (mass_kg, resistance_kg_s)
-        ]
-        joint = np.hstack([part / np.abs(part).max() for part in flat])
-        values, vectors = np.linalg.eigh(joint @ joint.T)
-        kept = vectors[:, values > _LEAST_AIR**2 * values[-1]]
-        return cls(
-            CubicSpline(np.log(hz), kept),
-            [np.tensordot(kept.T, own, axes=1) for own in mass_kg],
-            [np.tensordot(kept.T, own, axes=1) for own in resistance_kg_s],
-        )
+        """Interpolate matrices (f, s, s) per part between frequencies (f,)."""
+        return cls(CubicSpline(np.log(hz), np.eye(len(hz))), mass_kg, resistance_kg_s)
 
 
 @dataclass(frozen=True)

@@ -206,9 +206,9 @@ def _front_edge(geometry: ReedGeometry, mesh: ReedMesh, shapes: list[Array]) -> 
             (one - other) / (2 * _EDGE_STEP_M) for one, other in zip(ahead, behind, strict=True)
         )
         if len(shapes) > 1:
-            # An odd change couples motions of unlike symmetry only, an even one those of one.
-            apart = coupled if tilted else ~coupled
-            terms, unit_mass = terms * apart, unit_mass * apart
+            # An odd change couples only motions of different symmetry, an even one only equal ones.
+            kept = coupled if tilted else ~coupled
+            terms, unit_mass = terms * kept, unit_mass * kept
         stiffness_terms.append(terms)
         masses.append(unit_mass)
     return FrontEdge(np.stack(stiffness_terms), np.stack(masses))

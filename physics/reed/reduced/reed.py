@@ -28,7 +28,7 @@ _SLACK = 1e-9
 class ReedBox:
     """Canes that a reduced reed answers for.
 
-    Density is exact, but of much heavier cane more modes come below 20 kHz than were trained.
+    Density is exact, but heavier cane has modes below 20 kHz that the basis was not computed for.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class BasisSettings:
         Modes taken from each cane, per part of the reed. A third more than the reed has below
         20 kHz in the middle of the box, if not given.
     size : int, optional
-        Coordinates per part; 6.4 for each of these modes if not given.
+        Coordinates per part that leave the clamp at rest; 7 for each of these modes if not given.
     snapshots : int
         Canes whose modes are computed, in addition to those at the four corners of E_L and G_LT
         and in the middle.
@@ -154,7 +154,7 @@ class ReedPart:
     Attributes
     ----------
     held : int
-        So many coordinates leave the strips of the clamp at rest; in the others they move.
+        Number of coordinates that leave the strips of the clamp at rest; in the others they move.
     middle_hz : (held,) float
         Eigenfrequencies of the material in the middle of the box, ascending. The first coordinates
         are its modes.

@@ -1,4 +1,4 @@
-"""Reduced reeds from the cache, or built and kept: they take most of a minute."""
+"""Reduced reeds from the cache, or built and kept: building one takes a minute or two."""
 
 from collections.abc import Callable
 from dataclasses import fields

@@ -384,8 +384,8 @@ def _counted(dynamics: Dynamics, number: int, start_hz: float) -> tuple[float, A
         found, vector = _by_number(dynamics, number, hz)
         if abs(1200 * np.log2(found / hz)) < _SETTLED_CENTS:
             return found, vector
-        apart = hz - asked if abs(hz - asked) > _SAME * hz else np.inf
-        share = float(np.clip((found - answered) / apart, *_SHARES))
+        step = hz - asked if abs(hz - asked) > _SAME * hz else np.inf
+        share = float(np.clip((found - answered) / step, *_SHARES))
         asked, answered, hz = hz, found, hz + (found - hz) / (1 - share)
     raise ImpossibleReedError(
         "modes do not settle: the moduli of this cane grow too fast with frequency"

@@ -11,7 +11,7 @@ from physics.conditions import ConditionChange
 from physics.mechanics import Mechanics, ReedSolver, cane_law
 from physics.reed.cane.material import Cane
 from physics.reed.elements.fem import Symmetry
-from physics.reed.reduced.dynamics import PIVOT_HZ
+from physics.reed.reduced.dynamics import PIVOT_HZ, LossFactors
 from physics.reed.reduced.reed import ReducedReed
 from physics.reed.reduced.response import Pressure, PressureForce, response_at
 
@@ -136,6 +136,7 @@ def _material(
     return replace(now, **{name: factor * getattr(now, name) for name in moduli})
 
 
-def _loss(mechanics: Mechanics, change: ConditionChange, hz: float) -> float:
+def _loss(mechanics: Mechanics, change: ConditionChange, hz: float) -> LossFactors:
     growth = (hz / PIVOT_HZ) ** mechanics.loss_growth
-    return float(mechanics.loss_factor * growth * np.exp(change.loss))
+    normal = float(mechanics.loss_factor * growth * np.exp(change.loss))
+    return LossFactors(normal, normal * float(np.exp(mechanics.shear_loss_log)))

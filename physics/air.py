@@ -12,12 +12,38 @@ _DISTORTION_DEGREES = (2, 2, 3)
 _BAND_HZ = (1e3, 20e3)
 
 
+def pressure_on_reed(chamber: Chamber, frequency_hz: float, x_m: Array, y_m: Array) -> ComplexArray:
+    """Return the complex pressure on the reed's flat side, relative to the pressure at its tip.
+
+    It is the standing wave of `pressure_shape` and a wave that travels away from the tip, which
+    lags behind it: ``cos(kx) − i·travelling·sin(kx)``. A distortion multiplies both.
+
+    Parameters
+    ----------
+    chamber, frequency_hz, x_m, y_m
+        See `pressure_shape`.
+
+    Returns
+    -------
+    complex array of the same shape
+    """
+    pressure: ComplexArray = pressure_shape(chamber, frequency_hz, x_m, y_m).astype(complex)
+    if chamber.travelling:
+        wavenumber = 2 * np.pi * frequency_hz / chamber.sound_speed_m_s
+        behind = _in_window(chamber, x_m, y_m, np.sin(wavenumber * x_m))
+        pressure -= 1j * chamber.travelling * behind
+    if chamber.distortion.rms:
+        pressure *= distortion_factor(chamber.distortion, chamber, frequency_hz, x_m, y_m)
+    return pressure
+
+
 def pressure_shape(chamber: Chamber, frequency_hz: float, x_m: Array, y_m: Array) -> Array:
-    """Return the pressure on the reed's flat side, relative to the pressure at its tip.
+    """Return the standing wave on the reed's flat side, relative to the pressure at its tip.
 
     Along the reed it is a standing wave that is closed at the tip. Across the reed it is constant
     over the open part of the window. Positive y is the left side, which stays open if the right
-    half is filled; a fraction `Chamber.leak` reaches the filled half.
+    half is filled; a fraction `Chamber.leak` reaches the filled half, and a fraction
+    `Chamber.rail_leak` the edges of the reed beyond the window.
 
     Parameters
     ----------
@@ -31,13 +57,21 @@ def pressure_shape(chamber: Chamber, frequency_hz: float, x_m: Array, y_m: Array
     float array of the same shape
     """
     wavenumber = 2 * np.pi * frequency_hz / chamber.sound_speed_m_s
+    return _in_window(chamber, x_m, y_m, np.cos(wavenumber * x_m))
+
+
+def _in_window(chamber: Chamber, x_m: Array, y_m: Array, wave: Array) -> Array:
+    """Return what is left of a wave at points that walls or clay may cover."""
 
     def step(distance_m: Array) -> Array:
         rise: Array = 0.5 * (1 + np.tanh(distance_m / chamber.edge_m))
         return rise
 
-    shape: Array = np.cos(wavenumber * x_m) * step(chamber.length_m - x_m)
-    shape = shape * step(chamber.half_width_m - np.abs(y_m))
+    across = step(chamber.half_width_m - np.abs(y_m))
+    if chamber.rail_leak:
+        across = across + chamber.rail_leak * (1 - across)
+    shape: Array = wave * step(chamber.length_m - x_m)
+    shape = shape * across
     if chamber.filling is Filling.ASYMMETRIC:
         shape = shape * (chamber.leak + (1 - chamber.leak) * step(y_m))
     return shape

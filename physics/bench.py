@@ -8,10 +8,10 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from holography.arrays import Array, ComplexArray, Float32Array
+from holography.arrays import Array, Float32Array
 from holography.fresnel import FresnelTransform
 from holography.fringes import phase_amplitude
-from physics.air import distortion_factor, pressure_shape
+from physics.air import pressure_on_reed
 from physics.conditions import Condition, change_of_cane, condition_at, hardened
 from physics.drive import pressure_at_tip_pa
 from physics.motion import ReedMotion
@@ -319,15 +319,7 @@ def _moved(
 
 def _force_of(parameters: BenchParameters, motion: ReedMotion) -> PressureForce:
     """Return the forces of the pressure on the reed, relative to the pressure at its tip."""
-    chamber = parameters.chamber
-
-    def pressure(hz: float, x: Array, y: Array) -> ComplexArray:
-        shape = pressure_shape(chamber, hz, x, y).astype(complex)
-        if chamber.distortion.rms:
-            shape *= distortion_factor(chamber.distortion, chamber, hz, x, y)
-        return shape
-
-    return pressure_force(motion.reed, pressure)
+    return pressure_force(motion.reed, partial(pressure_on_reed, parameters.chamber))
 
 
 def _light_of_sidebands(

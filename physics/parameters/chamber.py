@@ -62,6 +62,12 @@ class Chamber:
         Speed of sound.
     leak : float
         Fraction of the pressure that reaches the half that clay should fill.
+    travelling : float
+        Amplitude of the wave that travels away from the tip, relative to the standing wave: 0 if
+        the far end reflects all sound, 1 if it absorbs all.
+    rail_leak : float
+        Fraction of the pressure that passes between the reed and the rails of the window, and acts
+        on the edges that they cover.
     distortion : PressureDistortion
     """
 
@@ -71,6 +77,12 @@ class Chamber:
     edge_m: float = quantity(0.6e-3, "m", 0.1e-3, 2e-3, "gap between reed and walls")
     sound_speed_m_s: float = quantity(343.0, "m/s", 331.0, 355.0, "dry air from 0 to 40 degC")
     leak: float = quantity(0.0, "", 0.0, 1.0, "clay that does not close tightly")
+    travelling: float = quantity(
+        0.0, "", -1.0, 1.0, "a wave in a duct: all standing to all travelling"
+    )
+    rail_leak: float = quantity(
+        0.0, "", 0.0, 1.0, "a reed that lies flat on the rails closes them; a warped one does not"
+    )
     distortion: PressureDistortion = PressureDistortion()
 
 

@@ -6,7 +6,7 @@ import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from physics.air import pressure_shape
+from physics.air import pressure_on_reed, pressure_shape
 from physics.drive import resonance_gain, tweeter_pressure_pa
 from physics.parameters.chamber import Chamber, Filling
 from physics.parameters.drive import AcousticResonance, Tweeter
@@ -145,3 +145,28 @@ def test_a_standing_wave_is_in_the_chamber_closed_at_the_tip():
     assert antinode == pytest.approx(-1, abs=1e-6)
     at_tip = pressure_shape(chamber, hz, np.array([0.0, 1e-6]), np.zeros(2))
     assert at_tip[1] - at_tip[0] == pytest.approx(0, abs=1e-7)
+
+
+def test_a_wave_that_travels_lags_behind_along_the_reed():
+    """All travelling: constant size, and a phase that falls by kx."""
+    x, hz = np.linspace(0, 30e-3, 7), 5e3
+    wavenumber = 2 * np.pi * hz / 343.0
+    centre = np.zeros(7)
+    gone = pressure_on_reed(Chamber(travelling=1.0), hz, x, centre)
+    np.testing.assert_allclose(gone[:6], np.exp(-1j * wavenumber * x[:6]), atol=1e-3)
+    some = pressure_on_reed(Chamber(travelling=0.2), hz, x, centre)
+    expected = np.cos(wavenumber * x) - 0.2j * np.sin(wavenumber * x)
+    np.testing.assert_allclose(some[:6], expected[:6], atol=1e-3)
+    still = pressure_on_reed(Chamber(), hz, GRID_X, GRID_Y)
+    np.testing.assert_array_equal(still, pressure_shape(Chamber(), hz, GRID_X, GRID_Y))
+
+
+def test_pressure_past_the_rails_acts_on_the_covered_edges_only():
+    hz, closed = 2e3, Chamber()
+    leaking = Chamber(rail_leak=0.1)
+    tight, leaky = (pressure_shape(each, hz, GRID_X, GRID_Y) for each in (closed, leaking))
+    middle = np.abs(GRID_Y) < closed.half_width_m - 2e-3
+    np.testing.assert_allclose(leaky[middle], tight[middle], atol=1e-3)
+    x, y = np.full(2, 5e-3), np.array([closed.half_width_m + 3e-3, -closed.half_width_m - 3e-3])
+    inside = pressure_shape(closed, hz, x, np.zeros(2))
+    np.testing.assert_allclose(pressure_shape(leaking, hz, x, y), 0.1 * inside, rtol=1e-2)

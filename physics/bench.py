@@ -15,10 +15,12 @@ from physics.air import pressure_on_reed
 from physics.conditions import Condition, change_of_cane, condition_at, hardened
 from physics.drive import pressure_at_tip_pa
 from physics.motion import ReedMotion
+from physics.object_light import renewed, smooth_shapes, smoothly_changed
 from physics.optics import (
     beat_integral,
     decorrelated,
     kept_orders,
+    lamp_profile,
     local_oscillator_profile,
     reed_axes_m,
     reed_region,
@@ -93,8 +95,9 @@ class Segment:
 class BenchModel:
     """Render the frames of a simulated bench.
 
-    The object holds what is fixed during a run: the reed, its speckle and the transform. A frame
-    is a pure function of the segments of its exposure and of the random generator.
+    The object holds what is fixed during a run: the reed, the transform, and, unless the
+    parameters let it change, the light on the reed. A frame is a function of these, of the segments
+    of its exposure and of the random generator; of the frame before it, too, if the sensor lags.
 
     Two approximations: the reed follows a change of the drive at once (its ring-down, Q/πf, takes
     a few ms), and the intensity of the object light, ``|E|²``, is that of the reed at rest (it is
@@ -124,33 +127,64 @@ class BenchModel:
         y, x = np.meshgrid(*reed_axes_m(layout, self.region, self.transform), indexing="ij")
         self._lit = on_reed(motion.reed.geometry.outline, x, y)
         shapes = surface_shapes(motion.reed, x[self._lit], y[self._lit], loose=motion.loose)
-        self._object = self._scattered_light(x, y, rng)
-        light = parameters.optics.illumination
+        light, changes = parameters.optics.illumination, parameters.optics.interference
+        scattered, self._envelope = self._scattered_light(x, y, rng)
+        # Their cost is spared where nothing changes smoothly.
+        self._smooth = smooth_shapes(x[self._lit], y[self._lit]) if changes.field_change else None
         self._lo = local_oscillator_profile(light, sensor)
         self._vignette = vignette_profile(light, sensor)
+        self._lamp = lamp_profile(light, sensor)
         self._maps = pixel_maps(sensor, np.random.default_rng(_SENSOR_SEED))
-        self._at_rest = np.abs(self.transform.to_sensor(self._pasted(self._object))) ** 2
+        self._left_behind: Float32Array | None = None
         # Cached, because the four frames of a step differ in their beat integrals only. Functions
         # instead of methods, because a cache that refers to this object would keep its memory until
         # the next garbage collection.
         self._displacement = lru_cache(maxsize=4)(
             partial(_displacement, parameters, motion, _force_of(parameters, motion), shapes)
         )
+        self._illuminate(scattered)
+
+    def _illuminate(self, scattered: Complex64) -> None:
+        """Take the light amplitude of each pixel on the reed (n,), in √(electrons/s)."""
+        self._object = scattered
+        self._at_rest = np.abs(self.transform.to_sensor(self._pasted(scattered))) ** 2
         self._light = lru_cache(maxsize=2)(
-            partial(_light_of_sidebands, self._object, self._displacement, parameters)
+            partial(_light_of_sidebands, scattered, self._displacement, self.parameters)
         )
 
-    def _scattered_light(self, x: Array, y: Array, rng: np.random.Generator) -> Complex64:
-        """Return the light amplitude of each pixel on the reed (n,), in √(electrons/s)."""
+    def next_acquisition(self, rng: np.random.Generator) -> None:
+        """Change the light on the reed as it changes from one acquisition to the next.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Nothing is drawn from it if the parameters let nothing change.
+        """
+        changes, light = self.parameters.optics.interference, self._object
+        if changes.speckle_renewal:
+            light = renewed(light, self._envelope, changes.speckle_renewal, rng)
+        if self._smooth is not None:
+            light = smoothly_changed(light, self._smooth, changes.field_change, rng)
+        if light is not self._object:
+            self._illuminate(light)
+
+    def _scattered_light(
+        self, x: Array, y: Array, rng: np.random.Generator
+    ) -> tuple[Complex64, Float32Array]:
+        """Return the light amplitude of each pixel on the reed (n,), in √(electrons/s).
+
+        The second is its root mean square over all speckle.
+        """
         optics, height_width = self.parameters.optics, x.shape
         light = optics.illumination
         rough = speckle(height_width, rng)[self._lit]
         middle = 0.5 * optics.layout.reed_size_m[1]
         r2 = (x[self._lit] - middle) ** 2 + y[self._lit] ** 2
-        amplitude = rough * np.exp(-r2 / light.object_waist_m**2)
+        profile = np.exp(-r2 / light.object_waist_m**2)
+        amplitude = rough * profile
         power = light.object_e_s * self._pixels / np.sum(np.abs(amplitude) ** 2)
         scattered: Complex64 = (amplitude * np.sqrt(power)).astype(np.complex64)
-        return scattered
+        return scattered, (profile * np.sqrt(power)).astype(np.float32)
 
     @property
     def _pixels(self) -> int:
@@ -194,22 +228,64 @@ class BenchModel:
         (ny, nx) uint16
             Frame in dn.
         """
-        lit = [s for s in segments if s.state.rf_on]
-        duration = float(sum(s.end_s - s.start_s for s in lit))
-        power = self._power(segments)
-        if scene != Scene():
-            exposure_s = sum(s.end_s - s.start_s for s in segments)
-            mean_e = self._plain_light(scene, power * duration, exposure_s)
-        else:
-            mean_e = self._interfering_light(lit, power, duration, object_gain)
-        if self._vignette is not None:
-            mean_e *= self._vignette
+        mean_e = self._expected_e(segments, rng, object_gain, scene)
+        lag = np.float32(self.parameters.sensor.lag)
+        if lag:
+            before, self._left_behind = self._left_behind, mean_e
+            mean_e = (1 - lag) * mean_e
+            if before is not None:
+                mean_e += lag * before
         return read_out(self.parameters.sensor, mean_e, rng, self._maps)
 
-    def _power(self, segments: Sequence[Segment]) -> float:
+    def expose_unread(
+        self,
+        segments: Sequence[Segment],
+        rng: np.random.Generator,
+        object_gain: complex = 1.0,
+        scene: Scene = Scene(),
+    ) -> None:
+        """Expose a frame that nobody reads, so that the next one has its lag.
+
+        Parameters
+        ----------
+        segments, rng, object_gain, scene
+            See `frame`.
+        """
+        if self.parameters.sensor.lag:
+            self._left_behind = self._expected_e(segments, rng, object_gain, scene)
+
+    def _expected_e(
+        self,
+        segments: Sequence[Segment],
+        rng: np.random.Generator,
+        object_gain: complex,
+        scene: Scene,
+    ) -> Float32Array:
+        """Return the expected electrons (ny, nx) of an exposure."""
+        lit = [s for s in segments if s.state.rf_on]
+        duration = float(sum(s.end_s - s.start_s for s in lit))
+        power = self._power(segments, rng)
+        leak = self.parameters.optics.illumination.reference_leak
+        if scene == Scene():
+            mean_e = self._interfering_light(lit, power, duration, object_gain)
+        elif leak and scene == Scene(object_beam=False):
+            mean_e = self._interfering_light(lit, power, duration, object_gain * leak**0.5)
+        else:
+            exposure_s = sum(s.end_s - s.start_s for s in segments)
+            mean_e = self._plain_light(scene, power * duration, exposure_s)
+        if self._vignette is not None:
+            mean_e *= self._vignette
+        return mean_e
+
+    def _power(self, segments: Sequence[Segment], rng: np.random.Generator) -> float:
         """Return the power of the laser relative to that at the start of the campaign."""
-        faded_h = segments[0].start_s / 3600 if segments else 0.0
-        return max(1 - self.parameters.optics.interference.fade_per_h * faded_h, 0.0)
+        changes, faded_h = self.parameters.optics.interference, 0.0
+        if segments:
+            faded_h = segments[0].start_s / 3600
+        power = max(1 - changes.fade_per_h * faded_h, 0.0)
+        if changes.power_noise:
+            power *= max(1 + changes.power_noise * rng.standard_normal(), 0.0)
+        return power
 
     def _interfering_light(
         self, lit: Sequence[Segment], power: float, duration_s: float, object_gain: complex
@@ -235,6 +311,8 @@ class BenchModel:
         mean_e = np.full(
             self.parameters.sensor.shape, scene.lamp_e_s * exposure_s, dtype=np.float32
         )
+        if self._lamp is not None:
+            mean_e *= self._lamp
         if scene.local_oscillator:
             mean_e += np.float32(duration_s) * self._lo * self._lo
         if scene.object_beam:

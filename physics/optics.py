@@ -121,6 +121,22 @@ def vignette_profile(light: Illumination, sensor: Sensor) -> Float32Array | None
     return np.asarray(1 - lost, dtype=np.float32)
 
 
+def lamp_profile(light: Illumination, sensor: Sensor) -> Float32Array | None:
+    """Return a lamp's light on each pixel (ny, nx) relative to its mean; None if it is even.
+
+    The lamp stands beside the axis: its light falls from one corner and towards all sides. Four
+    terms of equal mean square make the rms `Illumination.lamp_unevenness`.
+    """
+    if not light.lamp_unevenness:
+        return None
+    terms = []
+    for n in sensor.shape:
+        place = np.linspace(-1, 1, n)
+        bowl = place**2 - np.mean(place**2)
+        terms.append(0.5 * (place / np.std(place) - bowl / np.std(bowl)))
+    return np.asarray(1 + light.lamp_unevenness * np.add.outer(*terms), dtype=np.float32)
+
+
 def decorrelated(interference: Interference, phi_rad: Array) -> Float32Array:
     """Return the contrast that is left where the phase amplitude is φ."""
     kept = 1 - interference.decorrelation_per_rad2 * np.square(phi_rad)

@@ -78,6 +78,9 @@ def read_out(
     np.maximum(mean_e, 0.0, out=mean_e)
     noise *= np.sqrt(mean_e + np.float32(sensor.read_noise_e**2))
     mean_e += noise
+    if sensor.row_noise_e:
+        rows = rng.standard_normal((len(mean_e), 1), dtype=np.float32)
+        mean_e += np.float32(sensor.row_noise_e) * rows
     np.minimum(mean_e, np.float32(sensor.full_well_e), out=mean_e)
     if sensor.nonlinearity:
         mean_e *= 1 - np.float32(sensor.nonlinearity / sensor.full_well_e) * mean_e

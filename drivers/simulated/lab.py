@@ -169,9 +169,10 @@ class SimulatedLab:
         """
         if self._model is None:
             raise ValueError("the simulated laboratory has no sensor; call prepare_sensor first")
-        gain = self._object_gain()
+        gain = self._next_acquisition(self._model, exposures_s)
         images = []
-        for number, times_s in enumerate(exposures_s):
+        for number, nominal_s in enumerate(exposures_s):
+            times_s = self._jittered(nominal_s)
             segments = self.segments(*times_s)
             if sagging_from is not None and number >= sagging_from:
                 segments = [_with_half_the_volts(segment) for segment in segments]
@@ -179,6 +180,32 @@ class SimulatedLab:
             turned = gain * self._path(number, times_s[0])
             images.append(self._model.frame(segments, self._rng, turned, scene))
         return images
+
+    def _next_acquisition(
+        self, model: BenchModel, exposures_s: Sequence[tuple[float, float]]
+    ) -> complex:
+        """Change what is different in each acquisition; return the object light's gain."""
+        changes = self._parameters.optics.interference
+        gain = self._object_gain()
+        # What does not walk draws nothing: the noise is then that of a bench without walk.
+        if changes.step_walk_rad:
+            self._walk_rad += changes.step_walk_rad * self._rng.standard_normal()
+        model.next_acquisition(self._rng)
+        if self.sensor.lag:
+            # The camera runs freely: a frame of the same length ended when the first one begins.
+            start_s, end_s = exposures_s[0]
+            before = self.segments(2 * start_s - end_s, start_s)
+            turned = gain * cmath.rect(1.0, self._walk_rad)
+            model.expose_unread(before, self._rng, turned, self._scene)
+        return gain
+
+    def _jittered(self, times_s: tuple[float, float]) -> tuple[float, float]:
+        """Return when an exposure really begins and ends."""
+        spread_s = self._parameters.clocks.frame_jitter_s
+        if not spread_s:
+            return times_s
+        late_s = spread_s * float(self._rng.standard_normal())
+        return times_s[0] + late_s, times_s[1] + late_s
 
     def _path(self, number: int, time_s: float) -> complex:
         """Turn of the object light in a frame of an acquisition."""
@@ -226,11 +253,12 @@ class SimulatedLab:
 
     def _object_gain(self) -> complex:
         """Amplitude of the object's light over the nominal, another for each acquisition."""
-        light, size, phase = self._light, 1.0, 0.0
+        size, phase = 1.0, 0.0
+        scatter = self._parameters.optics.interference.gain_scatter
         # What does not scatter draws nothing: the noise is then that of a bench without scatter.
-        if light.gain_scatter:
-            size = math.exp(light.gain_scatter * self._rng.standard_normal())
-        if light.phase_scatter:
+        if scatter:
+            size = math.exp(scatter * self._rng.standard_normal())
+        if self._light.phase_scatter:
             phase = self._rng.uniform(0.0, 2 * math.pi)
         return cmath.rect(size, phase)
 

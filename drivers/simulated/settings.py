@@ -388,6 +388,7 @@ def _as_drawn(
                 optics.interference,
                 walk_rad_s=light.path_walk_rad_s,
                 jitter_rad=light.path_jitter_rad,
+                gain_scatter=light.gain_scatter,
             ),
         ),
     )

@@ -30,6 +30,11 @@ class Illumination:
         1/e² radius of the illumination on the reed.
     vignette : float
         Fraction of the light that is lost in the corners of the sensor.
+    lamp_unevenness : float
+        Relative rms over the sensor by which a lamp's light differs from its mean.
+    reference_leak : float
+        Power of the object light, relative to the whole, that is left on the sensor when its
+        shutter is closed.
     """
 
     local_oscillator_e_s: float = quantity(80e3, "electrons/s", 1e2, 1e15, _HALF_FULL)
@@ -40,6 +45,12 @@ class Illumination:
     object_e_s: float = quantity(250.0, "electrons/s", 0.1, 1e13, _HALF_FULL)
     object_waist_m: float = quantity(35e-3, "m", 5e-3, 1.0, "a beam expanded to cover the reed")
     vignette: float = quantity(0.0, "", 0.0, 0.5, "lenses and apertures near the sensor")
+    lamp_unevenness: float = quantity(
+        0.0, "", 0.0, 0.5, "a lamp without an integrating sphere: EMVA 1288 asks for 3 % or less"
+    )
+    reference_leak: float = quantity(
+        0.0, "", 0.0, 1.0, "light scattered around a shutter: 1e-4 to 1 %"
+    )
 
 
 @dataclass(frozen=True)
@@ -87,6 +98,19 @@ class Interference:
     ----------
     walk_rad_s : float
         Random walk of the phase between the beams, in rad per square root of a second.
+    step_walk_rad : float
+        Standard deviation of an additional step of this walk from one acquisition to the next.
+    gain_scatter : float
+        Standard deviation of the logarithm of the object light's amplitude from one acquisition to
+        the next.
+    power_noise : float
+        Standard deviation of the laser's relative power from frame to frame.
+    speckle_renewal : float
+        Relative rms of the object light that is new in each acquisition: the correlation with the
+        one before is √(1 − speckle_renewal²).
+    field_change : float
+        Relative rms of a smooth change of the object light, in size and phase, from one acquisition
+        to the next.
     jitter_rad : float
         Standard deviation of additional random changes of this phase from frame to frame.
     quarter_error_rad : float
@@ -105,6 +129,19 @@ class Interference:
     walk_rad_s: float = quantity(
         0.05, "rad/s^0.5", 0.0, 3.0, "an interferometer on a table: 0.1 to 1 rad in a minute"
     )
+    step_walk_rad: float = quantity(
+        0.0, "rad", 0.0, 3.2, "air that moves and modulators that change frequency, in a step"
+    )
+    gain_scatter: float = quantity(
+        0.0, "", 0.0, 0.3, "efficiency of two modulators at another frequency: up to some per cent"
+    )
+    power_noise: float = quantity(
+        0.0, "", 0.0, 0.05, "laser diodes with regulated power: 0.1 to 1 % rms"
+    )
+    speckle_renewal: float = quantity(
+        0.0, "", 0.0, 0.5, "Yamaguchi 1981: speckle that changes as the surface moves"
+    )
+    field_change: float = quantity(0.0, "", 0.0, 0.5, "beams that wander, air in layers")
     jitter_rad: float = quantity(0.0, "rad", 0.0, 1.0, "a tenth of a wavelength of path is 0.6 rad")
     quarter_error_rad: float = quantity(
         0.0, "rad", -0.5, 0.5, "a trigger that is late by some per cent of a period"

@@ -31,6 +31,11 @@ class Sensor:
         Standard deviation of the pixels' relative sensitivity, always the same for one sensor.
     hot : float
         Fraction of hot pixels.
+    row_noise_e : float
+        Standard deviation of an offset that all pixels of a row share in one frame, in electrons.
+    lag : float
+        Fraction of the light of the frame before that is read out with a frame; this frame keeps as
+        much for the next one.
     nonlinearity : float
         Relative error of a full pixel, which reads too low; the error is proportional to the
         signal.
@@ -45,4 +50,8 @@ class Sensor:
     bits: int = 12
     pattern: float = quantity(0.0, "", 0.0, 0.05, "EMVA 1288 sheets: PRNU of 0.2 to 2 %")
     hot: float = quantity(0.0, "", 0.0, 0.01, "uncooled sensors of some years: up to 0.1 %")
+    row_noise_e: float = quantity(
+        0.0, "electrons", 0.0, 50.0, "EMVA 1288 sheets with row spectra: below the read noise"
+    )
+    lag: float = quantity(0.0, "", 0.0, 0.1, "charge that a CCD leaves behind: 0.1 to 1 %")
     nonlinearity: float = quantity(0.0, "", -0.05, 0.2, "EMVA 1288 sheets: 0.1 to 2 %")

@@ -48,6 +48,8 @@ class BenchContext:
         The bench's clock. A driver that brings a time of its own puts it here.
     surroundings : Surroundings or None
         A driver that can change them puts them here.
+    simulated_disorder : str
+        A driver that simulates a bench with disorder puts here what it is, as JSON.
     """
 
     description: BenchFile
@@ -56,6 +58,7 @@ class BenchContext:
     announce: Callable[[str], None]
     clock: Clock = field(default_factory=WallClock)
     surroundings: Surroundings | None = None
+    simulated_disorder: str = ""
     _shared: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
     def share(self, make: Callable[["BenchContext"], T]) -> T:

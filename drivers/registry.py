@@ -254,6 +254,7 @@ class _Opening:
             camera=cast(Camera, self.instruments["camera"]),
             clock=context.clock,
             surroundings=context.surroundings,
+            simulated_disorder=context.simulated_disorder,
             reopen=self.open_one,
         )
         self.instruments.clear()

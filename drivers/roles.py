@@ -264,6 +264,8 @@ class Bench:
         From which everything random on this bench is drawn.
     surroundings : Surroundings or None
         None where a person has to change them.
+    simulated_disorder : str
+        What a simulated bench is really like, as JSON, for the run file; empty without disorder.
     reopen : callable or None
         Given a role, opens its instrument once more; None where that is not possible.
     release : callable or None
@@ -279,6 +281,7 @@ class Bench:
     camera: Camera
     clock: Clock
     surroundings: Surroundings | None = None
+    simulated_disorder: str = ""
     reopen: Callable[[RoleName], Instrument] | None = None
     release: Callable[[], None] | None = None
 

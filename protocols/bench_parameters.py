@@ -16,13 +16,13 @@ from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
 from physics.reed.geometry import ReedGeometry
 from protocols.bench import BenchFile, CameraSensor
 from protocols.errors import ProtocolError
-from protocols.units import parse_quantity
+from protocols.units import parse_quantity, shown_value
 
 Sizes = Mapping[str, float | str]
 """Values of an effect's parameters by name, numbers or texts with their units."""
 
 # Units that may be written with prefixes, such as "5 um".
-_PREFIXED = ("Hz", "m", "rad")
+_PREFIXED = ("Hz", "m", "rad", "s")
 
 
 def nominal_parameters(
@@ -115,7 +115,7 @@ def _values(effect: Effect, sizes: Sizes, source: str) -> dict[str, float]:
 
 def _value(parameter: Parameter, text: float | str) -> float:
     """Size of a parameter, as it may be."""
-    value = _number(parameter, text)
+    value = number_in(parameter.unit, text)
     if not math.isfinite(value):
         raise ValueError(f"{text!r} is no size")
     if parameter.positive and value < 0:
@@ -126,13 +126,30 @@ def _value(parameter: Parameter, text: float | str) -> float:
     return value
 
 
-def _number(parameter: Parameter, text: float | str) -> float:
-    if not parameter.unit and isinstance(text, float):
-        return text
-    if parameter.unit in _PREFIXED:
-        return float(parse_quantity(text, parameter.unit))
-    number, _, unit = str(text).partition(" ")
-    if unit.strip() != parameter.unit:
-        remedy = f"write a number and {parameter.unit}" if parameter.unit else "write a number"
-        raise ValueError(f"{text!r} is not in its unit; {remedy}")
-    return float(number)
+def number_in(unit: str, text: object) -> float:
+    """Return a number that a file gives with its unit.
+
+    Parameters
+    ----------
+    unit : str
+        Empty for a plain number.
+    text : object
+        A plain number, or a text such as ``5 um``.
+
+    Raises
+    ------
+    ValueError
+        If it has another unit or is no number; the message says what to write.
+    """
+    if not unit and isinstance(text, float | int) and not isinstance(text, bool):
+        return float(text)
+    if unit in _PREFIXED:
+        return float(parse_quantity(text, unit))
+    remedy = f"write a number and {unit}" if unit else "write a number"
+    number, _, written = str(text).partition(" ")
+    if written.strip() != unit:
+        raise ValueError(f"{shown_value(text)} is not in its unit; {remedy}")
+    try:
+        return float(number)
+    except ValueError:
+        raise ValueError(f"{shown_value(text)} is no number; {remedy}") from None

@@ -195,6 +195,8 @@ def _write_entry(file: Any, new: NewRun) -> None:
     _put(origin, "git_revision", new.origin["git_revision"])
     _put(origin, "package_versions", json.dumps(new.origin["package_versions"]))
     _put(origin, "seed", bench.seed)
+    if bench.simulated_disorder:
+        _put(origin, "simulated_disorder", bench.simulated_disorder)
 
 
 def _kind_of(plan: Plan) -> RunKind:

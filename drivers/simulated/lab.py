@@ -20,6 +20,7 @@ from drivers.simulated.settings import (
     Light,
     Simulation,
     bench_constants,
+    bench_disorder,
     bench_geometry,
     bench_parameters,
     read_simulation,
@@ -87,6 +88,8 @@ class SimulatedLab:
         context.clock = self.clock
         self._scene = Scene()
         self._parameters = bench_parameters(simulation, bench_file, context.preparation)
+        disorder = bench_disorder(simulation, bench_file.name, context.preparation)
+        context.simulated_disorder = disorder.record
         self._motion = _motion_of(context, simulation, self._parameters.reed)
         self._light: Light = simulation.light
         self._rng = context.rng
@@ -293,5 +296,5 @@ def _motion_of(context: BenchContext, simulation: Simulation, mechanics: Mechani
         ) from None
     raise BenchSetupError(
         f"bench {name!r}: twin.shape makes a reed that is not its own mirror image, and the bench "
-        "cannot change such a reed by the effects under twin.effects and known; leave out either"
+        "cannot change such a reed by twin.disorder, twin.effects or known; leave out either"
     )

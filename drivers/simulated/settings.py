@@ -6,12 +6,13 @@ from dataclasses import fields, replace
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from drivers.emulators.faults import GeneratorFaults, SynthesizerFaults
 from drivers.emulators.serving import WireFaults
 from drivers.errors import BenchSetupError
 from drivers.options import Options, read_options
+from drivers.simulated.disorder import RealisedDisorder, as_section, realised
 from physics.errors import ImpossibleReedError
 from physics.parameters.chamber import PressureDistortion
 from physics.parameters.drive import Tweeter
@@ -243,6 +244,11 @@ class Simulation(Options):
     effects: dict[str, dict[str, float | str]] = Field(default_factory=dict)
     """Effects that the bench has and that plan and fit do not know, by name, each with its sizes:
     `{clamp_compliance: {compliance: 2e-13 m/Pa}}`. `acquire effects` lists them."""
+    disorder: Annotated[dict[str, Any], BeforeValidator(as_section)] = Field(default_factory=dict)
+    """Differences that ordinary benches and reeds have, and that plan and fit do not know, by name:
+    `{speckle_renewal: 0.02, thickness_map: 5 um}`. The word `ordinary`, or `{ordinary: true,
+    seed: 3}`, draws all that are not named from their ordinary ranges. They replace the values that
+    `light` sets."""
 
     @property
     def finite_elements(self) -> tuple[MeshLevel, BasisSettings]:
@@ -326,7 +332,8 @@ def bench_parameters(
 ) -> BenchParameters:
     """Return the parameters of a simulated bench, with the whole sensor.
 
-    Effects that the bench file lists under ``known:`` are played, and then those of ``twin:``.
+    The bench gets the disorder of ``twin:``, then the effects that the bench file lists under
+    ``known:``, and then those of ``twin:``.
 
     Parameters
     ----------
@@ -339,7 +346,7 @@ def bench_parameters(
     Raises
     ------
     BenchSetupError
-        If the components given for the reed lie outside physics.
+        If the components given for the reed lie outside physics, or the disorder is wrong.
     ProtocolError
         If there is no such effect or size, or a size has another unit.
     """
@@ -359,8 +366,23 @@ def bench_parameters(
         resonances_hz=tuple(float(hz) for hz in bench_file.acoustic_resonances_hz),
     )
     drawn = _as_drawn(nominal, simulation, _cane(simulation, bench_file, preparation))
+    drawn = bench_disorder(simulation, bench_file.name, preparation).applied(drawn)
     known = with_effects(drawn, known_effects(bench_file), f"{bench_file.source}: known")
     return with_effects(known, simulation.effects, f"{bench_file.source}: twin.effects")
+
+
+def bench_disorder(
+    simulation: Simulation, bench_name: str, preparation: Preparation
+) -> RealisedDisorder:
+    """Return the disorder of a simulated bench with the reed of a preparation.
+
+    Raises
+    ------
+    BenchSetupError
+        If the section is wrong.
+    """
+    source = f"bench {bench_name!r}: twin.disorder"
+    return realised(simulation.disorder, preparation.reed, source)
 
 
 def _as_drawn(

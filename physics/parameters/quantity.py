@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import Field, dataclass, field, fields, is_dataclass
 from typing import Any
 
 _KEY = "quantity"
@@ -68,6 +68,22 @@ def bounded(unit: str, low: float, high: float, source: str) -> Any:
         See `Quantity`.
     """
     return field(metadata={_KEY: Quantity(unit, low, high, source)})
+
+
+def quantity_of(declared: "Field[Any]") -> Quantity:
+    """Return what a field of a dataclass declares of its number.
+
+    Parameters
+    ----------
+    declared : dataclasses.Field
+
+    Raises
+    ------
+    KeyError
+        If it declares nothing.
+    """
+    known: Quantity = declared.metadata[_KEY]
+    return known
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ GROUPS: Final[dict[str, dict[str, Part]]] = {
         *("protocol", "protocol_sha256", "bench", "bench_fingerprint", "git_revision"),
         "package_versions",
     )
-    | _scalars(ValueKind.TEXT, "reed", "reed_sha256", optional=True)
+    | _scalars(ValueKind.TEXT, "reed", "reed_sha256", "simulated_disorder", optional=True)
     | _scalars(ValueKind.INTEGER, "seed"),
     "entry/instrument": _scalars(ValueKind.TEXT, "name")
     | {"acoustic_resonances": Part(ValueKind.NUMBER, ("lines",))},

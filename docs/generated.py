@@ -15,9 +15,16 @@ from reference_keys import Key, Table, tables
 
 from acquire.cli.main import app
 from physics.effects.catalogue import CATALOGUE
+from physics.parameters.disorder import CATALOGUE as DISORDER
 from reports.effects import effects_table
 
 ROOT = Path(__file__).parents[1]
+_TABLE_CLASSES = (
+    ("key", "keys"),
+    ("option", "options"),
+    ("effect", "effects"),
+    ("disorder", "effects"),
+)
 _MARKER = re.compile(r"<!-- generated: ([a-z-]+) -->")
 
 
@@ -28,7 +35,7 @@ def fill_in(page: str) -> str:
 
 def _with_classes(markdown: str) -> str:
     """Give tables of keys, options and effects the class by which `site.css` lays them out."""
-    for first, name in (("key", "keys"), ("option", "options"), ("effect", "effects")):
+    for first, name in _TABLE_CLASSES:
         markdown = re.sub(rf"^\| {first} \|", f"{{.{name}}}\n\\g<0>", markdown, flags=re.MULTILINE)
     return markdown
 
@@ -81,6 +88,26 @@ def effects() -> str:
     return "\n".join(f"| {' | '.join(cell.replace('|', ' ') for cell in row)} |" for row in rows)
 
 
+def disorder() -> str:
+    """Return a table of all kinds of disorder."""
+    rows = [
+        "| disorder | unit | ordinary | limits | meaning | source |",
+        "|---|---|---|---|---|---|",
+    ]
+    for kind in DISORDER:
+        ordinary, (low, high) = kind.ordinary, kind.limits
+        cells = (
+            f"`{kind.name}`",
+            f"`{ordinary.unit}`" if ordinary.unit else "",
+            f"{ordinary.low:g} to {ordinary.high:g}",
+            f"{low:g} to {high:g}",
+            kind.meaning,
+            ordinary.source,
+        )
+        rows.append(f"| {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
 def decisions() -> str:
     """Return a table of all decision records with status and date."""
     rows = ["| record | status | date |", "|---|---|---|"]
@@ -130,6 +157,7 @@ def _key_row(key: Key) -> str:
 PARTS: dict[str, Callable[[], str]] = {
     "verbs": command_line,
     "effects": effects,
+    "disorder": disorder,
     "decisions": decisions,
     "driver-keys": driver_keys,
     **{

@@ -1,10 +1,13 @@
 """Disorder of the simulated bench: what a bench file says, and what it does to frames."""
 
 import json
+import re
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from drivers.errors import BenchSetupError
 from drivers.roles import Arrangement
@@ -287,3 +290,25 @@ def test_parameters_without_disorder_are_those_without_the_key(small_bench_file)
         for bench in (small_bench_file(), small_bench_file(disorder={}))
     )
     assert plain == empty
+
+
+# --- Documentation -------------------------------------------------------------------------------
+
+HOW_TO = Path(__file__).parents[2] / "docs/how-to/practise-on-a-simulated-bench.md"
+SECTIONS = re.findall(
+    r"^ *```yaml\n(.*?)^ *```$", HOW_TO.read_text("utf-8"), re.DOTALL | re.MULTILINE
+)
+
+
+@pytest.mark.parametrize("text", SECTIONS)
+def test_every_bench_of_the_how_to_can_be_played(text, small_bench_file):
+    twin = yaml.safe_load(text)["twin"]
+    bench_file = small_bench_file(**twin)
+    preparation = Preparation("R07", "A", "asymmetric")
+    played = bench_parameters(read_simulation(bench_file.twin, "mine"), bench_file, preparation)
+    nominal = bench_parameters(read_simulation({}, "mine"), bench_file, preparation)
+    assert played != nominal
+
+
+def test_the_how_to_shows_benches():
+    assert len(SECTIONS) >= 5

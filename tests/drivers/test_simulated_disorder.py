@@ -248,6 +248,15 @@ def test_frames_begin_early_and_late_by_their_jitter(running, seen):
     assert abs(np.corrcoef(late_s[1:], late_s[:-1])[0, 1]) < 0.2
 
 
+def test_the_first_frame_of_an_acquisition_has_the_lag_of_the_one_that_nobody_read(running):
+    """Otherwise it would be darker than the others by a tenth."""
+    bench = running({"lag": 0.1})
+    bench.clock.wait(1.0)
+    offset_dn = bench.camera.lab.sensor.offset_dn
+    light = frames_of(bench, scene=Arrangement.LO_ONLY).mean(axis=(2, 3)) - offset_dn
+    assert light == pytest.approx(np.full(light.shape, light.mean()), rel=2e-3)
+
+
 def test_speckle_loses_its_correlation_with_the_number_of_acquisitions(running):
     """After n acquisitions (1 - renewal²)^(n/2) of the light is what it was."""
     light = {"local_oscillator_e_s": 40e3, "object_e_s": 8e3}

@@ -8,19 +8,16 @@ that are finer than a fringe.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.errors import FitError
 from fitting.holograms.alternating_minimisation import Solution
 from fitting.holograms.amplitudes import block_object_field, fit_amplitudes
 from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.problem import Problem
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.parallel.processes import map_processes
 from fitting.parallel.threads import map_threads
 from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 
@@ -36,9 +33,6 @@ _STILL_LINEAR = 0.5
 _LINEAR_RAD = 1.0
 # Trial values of the largest deflection of the lowest holograms, and how many of those are used.
 _FRINGES_RAD, _FRINGED = np.geomspace(1.5, 20.0, 8), 6
-# No other start is tried if this fraction of a sweep is explained; less is enough if all holograms
-# are solved.
-_MOST_EXPLAINED, _ALL_SOLVED = 0.8, 0.7
 # Less than that may be explained by chance.
 _LEAST_SOLVED = 0.2
 _LEAST_SIGNAL = 1.5
@@ -440,32 +434,33 @@ class Continuation:
         return [float(misfit[g]) for g in best], found
 
 
-def solve(whole: Problem, block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> Continuation:
-    """Solve the first sideband of a sweep, from one start after another until most is explained."""
+Start = tuple[IndexArray, Sequence[_Guess]]
+"""Holograms to begin with, and guesses of what they show; the best of these is taken."""
 
-    def begun(start: tuple[IndexArray, Sequence[_Guess]]) -> Continuation:
-        continuation = Continuation(whole, block_amplitudes, basis)
-        continuation.begin(*start)
-        continuation.solve_outwards()
-        return continuation
 
-    best: Continuation | None = None
-    with closing(
-        map_processes(begun, list(Continuation(whole, block_amplitudes, basis).starts()))
-    ) as searches:
-        for continuation in searches:
-            if best is None or continuation.explained.sum() > best.explained.sum():
-                best = continuation
-            if best.explained.mean() > (_ALL_SOLVED if best.solved.all() else _MOST_EXPLAINED):
-                break
-    if best is None or best.solved.mean() < _LEAST_SOLVED:
-        solved = int(best.solved.sum()) if best else 0
-        raise FitError(
-            f"only {solved} of {len(block_amplitudes.drive_hz)} holograms can be explained as "
-            "vibrations of this reed: none shows any light, or there are too many fringes; begin "
-            "with less volts"
-        )
-    return best
+def starts_of(
+    whole: Problem, block_amplitudes: BlockAmplitudes, basis: ShapeBasis
+) -> Iterator[Start]:
+    """Yield starts of a continuation, the likelier ones first.
+
+    What a few holograms show does not always decide between guesses. After the sets of guesses,
+    each guess is therefore a start of its own.
+    """
+    sets = list(Continuation(whole, block_amplitudes, basis).starts())
+    yield from sets
+    for few, guesses in sets:
+        for guess in guesses if len(guesses) > 1 else ():
+            yield few, [guess]
+
+
+def continued(
+    whole: Problem, block_amplitudes: BlockAmplitudes, basis: ShapeBasis, start: Start
+) -> Continuation | None:
+    """Solve the first sideband of a sweep from a start; None if hardly a hologram is solved."""
+    continuation = Continuation(whole, block_amplitudes, basis)
+    continuation.begin(*start)
+    continuation.solve_outwards()
+    return continuation if continuation.solved.mean() >= _LEAST_SOLVED else None
 
 
 def enough(block_amplitudes: BlockAmplitudes) -> Array:

@@ -29,6 +29,7 @@ from scipy import linalg
 from fitting.errors import FitError
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis
+from fitting.modal.drive_prior import drive_covariance
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import (
     KNOWN_DRIVE_DOF,
@@ -208,6 +209,7 @@ def _model(
         drive_hz,
         np.log(volts),
         drive_dof,
+        drive_covariance(drive_hz),
         powers,
         basis.shapes,
         reference_hz,

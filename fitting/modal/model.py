@@ -12,22 +12,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
+from fitting.modal.drive_prior import FIRST_GAIN, DrivePrior, drive_prior, gain_of
 from holography.arrays import Array, ComplexArray
 
 # Modes beyond the sweep show only their tails: their participations have two coefficients.
 TAIL_TERMS = 2
 # Loss factor of dry cane.
 LOSS = 0.03
-# Smooth part of the drive's log magnitude: scale of its second difference from step to step, in
-# nepers, and iterations of the reweighted smoothing.
-_BEND, _BEND_TURNS = 0.01, 8
 # Degrees of freedom of the drive's Student distributions, which admit excitation peaks: for an
 # unknown drive, and for a drive that is known from another sweep.
 UNKNOWN_DRIVE_DOF, KNOWN_DRIVE_DOF = 4.0, 100.0
-# Scatter of single holograms around the smooth drive, in nepers: start and lower limit.
-_FIRST_GAIN, _LEAST_GAIN = 0.1, 3e-3
 
 
 @dataclass(frozen=True)
@@ -48,6 +43,8 @@ class Model:
         Log of the expected magnitude of the drive, up to a smooth factor.
     drive_dof : float
         `UNKNOWN_DRIVE_DOF` or `KNOWN_DRIVE_DOF`.
+    drive_covariance : (k, k) float
+        See `fitting.modal.drive_prior.drive_covariance`.
     powers : (k, n) float
         Chebyshev polynomials of log frequency.
     reference : (m, j) float
@@ -63,6 +60,7 @@ class Model:
     hz: Array
     log_volts: Array
     drive_dof: float
+    drive_covariance: Array
     powers: Array
     reference: Array
     reference_hz: Array
@@ -98,7 +96,7 @@ class State:
     x: Array
     log_drive: ComplexArray
     common_mode_shift: Array
-    gain: float = _FIRST_GAIN
+    gain: float = FIRST_GAIN
 
 
 @dataclass(frozen=True)
@@ -186,72 +184,13 @@ class Prior:
         return float(np.sum(self.precision[free] * (x - self.centre)[free] ** 2))
 
 
-@dataclass(frozen=True)
-class DrivePrior:
-    """Prior of the drive's log magnitude, at a state.
-
-    Attributes
-    ----------
-    cost : float
-        Twice the negative log density.
-    gradient : (k,) float
-        Negative gradient of half the cost.
-    known : (k,) float
-        Information of each hologram on the smooth part.
-    whole : (3, k) float
-        Information of all holograms and of the smoothness prior: bands of a matrix, diagonal last.
-    """
-
-    cost: float
-    gradient: Array
-    known: Array
-    whole: Array
-
-    @property
-    def curvature(self) -> Array:
-        """Half the Hessian (k, k) of the cost, with the smooth part eliminated."""
-        follows = linalg.solveh_banded(self.whole, np.diag(self.known), check_finite=False)
-        curvature = np.diag(self.known) - self.known[:, None] * follows
-        return 0.5 * (curvature + curvature.T)
-
-
 def drive_prior_at(model: Model, state: State) -> DrivePrior:
-    """Split the drive's log magnitude into a smooth part and the scatter of single holograms.
-
-    The second differences of the smooth part, and the scatter, have Student distributions, so that
-    an acoustic resonance may be a bend of the one or a few large values of the other.
-    """
+    """Return the prior of the drive's log magnitude at a state."""
     magnitude = state.log_drive.real - model.log_volts
-    smooth, freedoms = magnitude, model.drive_dof
-    for _ in range(_BEND_TURNS):
-        bent = (freedoms + 1) / (freedoms + (np.diff(smooth, 2) / _BEND) ** 2)
-        known = (freedoms + 1) / (freedoms * state.gain**2 + (magnitude - smooth) ** 2)
-        whole = _stiff(bent)
-        whole[2] += known
-        smooth = linalg.solveh_banded(whole, known * magnitude, check_finite=False)
-    gain = magnitude - smooth
-    cost = np.sum(np.log1p((np.diff(smooth, 2) / _BEND) ** 2 / freedoms))
-    cost += np.sum(np.log1p((gain / state.gain) ** 2 / freedoms))
-    gradient = -(freedoms + 1) * gain / (freedoms * state.gain**2 + gain**2)
-    return DrivePrior(float((freedoms + 1) * cost), gradient, known, whole)
-
-
-def _stiff(bent: Array) -> Array:
-    """Return the bands (3, k), diagonal last, of squared second differences of weights (k − 2,)."""
-    bands = np.zeros((3, len(bent) + 2))
-    for offset, weight in enumerate((1, 4, 1)):
-        bands[2, offset : offset + len(bent)] += weight * bent
-    bands[1, 1:-1] -= 2 * bent
-    bands[1, 2:] -= 2 * bent
-    bands[0, 2:] = bent
-    bands /= _BEND**2
-    return bands
+    return drive_prior(magnitude, model.drive_covariance, state.gain, model.drive_dof)
 
 
 def with_gain(model: Model, state: State) -> State:
     """Estimate the scatter of single holograms around a smooth drive."""
     magnitude = state.log_drive.real - model.log_volts
-    spread = float(np.median(np.abs(np.diff(magnitude, 2)))) / 0.6745
-    # Second differences of independent numbers have six times their variance.
-    square = (spread**2 - _BEND**2) / 6
-    return replace(state, gain=max(float(np.sqrt(max(square, 0))), _LEAST_GAIN))
+    return replace(state, gain=gain_of(magnitude - drive_prior_at(model, state).smooth))

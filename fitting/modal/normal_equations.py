@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from fitting.modal.drive_prior import DrivePrior
 from fitting.modal.model import (
-    DrivePrior,
     Model,
     Prior,
     State,

@@ -1,17 +1,17 @@
 """Displacement fitted to block amplitudes that the formula makes, of a plate that is no reed."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 import pytest
 from scipy.special import j1
 
 from fitting.errors import FitError
+from fitting.holograms.alternating_minimisation import Solution
+from fitting.holograms.amplitudes import fit_amplitudes
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import BlockAmplitudes
-from fitting.holograms.continuation import Continuation
-from fitting.holograms.continuation import solve as search_all
+from fitting.holograms.continuation import Continuation, continued, starts_of
 from fitting.holograms.displacement import (
     Displacements,
     fit_displacements,
@@ -23,6 +23,7 @@ from fitting.holograms.problem import (
     Problem,
     normal,
 )
+from fitting.holograms.retries import relative_misfit, tried_again, unexplained
 from fitting.holograms.shape_basis import ShapeBasis
 from tests.numbers import complex_normal
 
@@ -119,7 +120,8 @@ def solve(sweep) -> Displacements:
 def solve_and_settle(sweep) -> Displacements:
     """The same with enough last turns between light and amplitudes that little changes then."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fitting.holograms.displacement._FINAL_TURNS", 40)
+        patch.setattr("fitting.holograms.displacement._SETTLED", 0.05)
+        patch.setattr("fitting.holograms.displacement._MOST_TURNS", 60)
         return solve(sweep)
 
 
@@ -358,60 +360,80 @@ def test_a_sweep_may_begin_with_fringes(seed):
     assert_followed(sweep, found)
 
 
-def test_sweeps_are_begun_side_by_side_as_if_one_after_the_other(monkeypatch):
-    sweep = planted(2)
+def test_every_guess_of_a_set_becomes_a_start_of_its_own(sweep):
     whole = Problem.of(sweep.block_amplitudes.value, sweep.basis.functions, BesselTable())
-    # Never enough: all are begun.
-    monkeypatch.setattr("fitting.holograms.continuation._MOST_EXPLAINED", 1.0)
-    monkeypatch.setattr("fitting.holograms.continuation._ALL_SOLVED", 1.0)
-    assert len(list(Continuation(whole, sweep.block_amplitudes, sweep.basis).starts())) == 3
-    found = []
-    for splits in (True, False):
-        monkeypatch.setattr("fitting.parallel.processes._SPLITS", splits)
-        found.append(search_all(whole, sweep.block_amplitudes, sweep.basis).solution)
-    one, other = found
-    assert one.amplitude == pytest.approx(other.amplitude, abs=1e-6)
-    assert one.object_field == pytest.approx(other.object_field, rel=1e-6)
+    sets = list(Continuation(whole, sweep.block_amplitudes, sweep.basis).starts())
+    starts = list(starts_of(whole, sweep.block_amplitudes, sweep.basis))
+    single = [guess for _, guesses in sets if len(guesses) > 1 for guess in guesses]
+    assert [guesses for _, guesses in starts[: len(sets)]] == [guesses for _, guesses in sets]
+    assert [guesses for _, guesses in starts[len(sets) :]] == [[guess] for guess in single]
 
 
-class Attempt:
-    """Replaces a search; what it explains depends on where it begins."""
+def counted_starts(monkeypatch):
+    """Note from how many starts a sweep is solved."""
+    begun = []
 
-    begun: ClassVar[list[int]] = []
-    explains: ClassVar[dict[int, tuple[float, float]]] = {}
+    def noted(*arguments):
+        begun.append(arguments[-1])
+        return continued(*arguments)
 
-    def __init__(self, *_):
-        self.explained, self.solved = np.zeros(10), np.zeros(10, bool)
-
-    def starts(self):
-        return iter([(number, []) for number in self.explains])
-
-    def begin(self, number, _guesses):
-        self.begun.append(number)
-        explained, solved = self.explains[number]
-        self.explained[:] = explained
-        self.solved[: round(10 * solved)] = True
-
-    def solve_outwards(self):
-        pass
+    monkeypatch.setattr("fitting.holograms.displacement.continued", noted)
+    return begun
 
 
-@pytest.mark.parametrize(
-    ("explains", "begun", "best"),
-    [
-        ([(0.75, 1.0), (0.9, 1.0)], [0], 0.75),
-        ([(0.75, 0.9), (0.72, 1.0), (0.9, 1.0)], [0, 1, 2], 0.9),
-        ([(0.85, 0.5), (0.9, 1.0)], [0], 0.85),
-        ([(0.3, 1.0), (0.2, 1.0)], [0, 1], 0.3),
-    ],
-)
-def test_a_sweep_is_begun_until_enough_is_explained(monkeypatch, explains, begun, best):
-    monkeypatch.setattr("fitting.parallel.processes._SPLITS", False)
-    monkeypatch.setattr("fitting.holograms.continuation.Continuation", Attempt)
-    monkeypatch.setattr(Attempt, "begun", [])
-    monkeypatch.setattr(Attempt, "explains", dict(enumerate(explains)))
-    assert search_all(None, None, None).explained.mean() == pytest.approx(best)
-    assert Attempt.begun == begun
+def test_no_other_start_is_tried_once_all_holograms_are_explained(sweep, monkeypatch):
+    begun = counted_starts(monkeypatch)
+    solve(sweep)
+    assert len(begun) == 1
+
+
+def test_few_starts_are_tried_where_hardly_anything_is_explained(sweep, monkeypatch):
+    begun = counted_starts(monkeypatch)
+    monkeypatch.setattr("fitting.holograms.displacement._EXPLAINED", 0.0)
+    monkeypatch.setattr(
+        "fitting.holograms.displacement.unexplained", lambda misfit, _seen: np.arange(len(misfit))
+    )
+    solve(sweep)
+    assert len(begun) == 3
+
+
+def test_holograms_in_a_wrong_fringe_are_solved_from_their_neighbours(sweep, settled):
+    whole = Problem.of(sweep.block_amplitudes.value, sweep.basis.functions, BesselTable())
+    lost = np.array([40, 61])
+    amplitude = settled.amplitude_rad.copy()
+    amplitude[lost] *= 0.4
+    misfit = settled.misfit.copy()
+    misfit[lost] = 50.0
+    bad = unexplained(misfit, whole.seen)
+    assert set(lost.tolist()) <= set(bad.tolist())
+    at = Solution(amplitude, settled.gain, settled.object_field)
+    found, better = tried_again(whole, at, misfit, bad)
+    assert better == len(lost)
+    for number in lost:
+        true = settled.amplitude_rad[number]
+        turned = found.amplitude[number] * np.exp(
+            1j * np.angle(np.vdot(found.amplitude[number], true))
+        )
+        assert np.linalg.norm(turned - true) < 0.05 * np.linalg.norm(true)
+
+
+def test_what_noise_does_not_explain_is_found_and_nothing_else():
+    rng = np.random.default_rng(3)
+    seen = np.full(200, 3000.0)
+    misfit = 1 + rng.standard_normal(200) / np.sqrt(3000)
+    assert unexplained(misfit, seen).size == 0
+    misfit[[17, 90]] = 1.2, np.inf
+    assert unexplained(misfit, seen).tolist() == [17, 90]
+    assert unexplained(np.full(4, np.inf), seen[:4]).tolist() == [0, 1, 2, 3]
+
+
+def test_speckle_that_changes_counts_in_proportion_to_the_signal():
+    signal = np.geomspace(1.0, 1e4, 101)
+    misfit = 1 + 2e-3 * signal
+    assert relative_misfit(misfit, signal) == pytest.approx(np.ones(101), rel=1e-6)
+    assert relative_misfit(np.ones(101), signal) == pytest.approx(np.ones(101))
+    misfit[50] *= 5
+    assert np.argmax(relative_misfit(misfit, signal)) == 50
 
 
 def test_a_sweep_of_hundreds_of_fringes_is_refused():

@@ -1,14 +1,17 @@
 """Alternating minimisation over the object field and the amplitudes of solved holograms."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting.holograms.amplitudes import (
     HALF_GAIN_PRECISION,
     block_object_field,
     fit_amplitudes,
 )
+from fitting.holograms.blurring import blurring
+from fitting.holograms.changing_field import FieldChange, field_estimate, mean_power
 from fitting.holograms.object_field import (
     FieldStep,
     field_factor,
@@ -17,6 +20,7 @@ from fitting.holograms.object_field import (
     log_field_factor,
 )
 from fitting.holograms.problem import Problem
+from fitting.holograms.sidebands import sideband_values
 from holography.arrays import Array, Complex64Array, ComplexArray
 
 # Prior standard deviation of amplitudes, rad: weak, for directions that the data do not determine.
@@ -29,15 +33,27 @@ _LEAST_WEIGHT = 0.5
 
 @dataclass(frozen=True)
 class Solution:
-    """Amplitudes (k, j), log gains (k,) and object field (n,)."""
+    """Amplitudes and object field of all holograms.
+
+    Attributes
+    ----------
+    amplitude : (k, j) complex
+    gain : (k,) float
+        Log gains.
+    object_field : (n,) or (k, n) complex64
+        One row if the object field is the same in all holograms.
+    field_variance : (k, n) float32, optional
+        Variance of the object field, if it changes from hologram to hologram.
+    """
 
     amplitude: ComplexArray
     gain: Array
     object_field: Complex64Array
+    field_variance: NDArray[np.float32] | None = None
 
 
 def alternating_step(
-    problem: Problem, exact: Problem, smooth: Array, at: Solution
+    problem: Problem, exact: Problem, smooth: Array, at: Solution, change: FieldChange | None = None
 ) -> tuple[Solution, FieldStep]:
     """Minimise once over the amplitudes, the object field of each block, and its smooth factor.
 
@@ -51,17 +67,24 @@ def alternating_step(
         See `fitting.holograms.object_field.smooth_functions`.
     at : Solution
         Start.
+    change : FieldChange, optional
+        How much the object field changes from hologram to hologram; it is one for all otherwise.
     """
     steps = np.arange(len(at.gain))
     size = at.amplitude.shape[1]
     weak = FINAL_RAD**-2 * np.eye(size)
     a, gain, misfit = fit_amplitudes(
-        problem, at.object_field, steps, (at.amplitude, at.gain - np.mean(at.gain)), 2, weak
+        weighed(problem, at),
+        at.object_field,
+        steps,
+        (at.amplitude, at.gain - np.mean(at.gain)),
+        2,
+        weak,
     )
     weight = 1 / np.maximum(misfit / problem.seen, 1)
-    object_field = block_object_field(problem, steps, a, gain, weight, at.object_field)
+    now = with_field(problem, replace(at, amplitude=a, gain=gain), weight, change)
     held = 0.5 * np.diag([FINAL_RAD**-2] * 2 * size + [2 * HALF_GAIN_PRECISION])
-    linear = linearise(exact, smooth, object_field, a, gain, weight)
+    linear = linearise(weighed(exact, now), smooth, now.object_field, a, gain, weight)
     x = np.concatenate([a.real, a.imag, gain[:, None]], axis=1)
     step = field_step(linear, held, x, weight)
     # Holograms in a wrong fringe can make the step too long for the linearisation: it is cut.
@@ -71,4 +94,35 @@ def alternating_step(
     follow = weight > _LEAST_WEIGHT
     y = np.where(follow[:, None], x + fraction * step.holograms, x)
     factor = field_factor(smooth, fraction * step.move)
-    return Solution(y[:, :size] + 1j * y[:, size:-1], y[:, -1], object_field * factor), step
+    found = Solution(
+        y[:, :size] + 1j * y[:, size:-1], y[:, -1], now.object_field * factor, now.field_variance
+    )
+    return found, step
+
+
+def with_field(
+    problem: Problem, at: Solution, weight: Array, change: FieldChange | None
+) -> Solution:
+    """Return a solution with the object field that its amplitudes and weights (k,) give."""
+    if change is None:
+        steps = np.arange(len(at.gain))
+        field = block_object_field(problem, steps, at.amplitude, at.gain, weight, at.object_field)
+        return replace(at, object_field=field, field_variance=None)
+    found = field_estimate(problem, at.amplitude, at.gain, at.object_field, change, weight)
+    return replace(at, object_field=found.mean, field_variance=found.variance)
+
+
+def weighed(problem: Problem, at: Solution) -> Problem:
+    """Return a problem whose noise has the variance that field and slopes add to it."""
+    power = mean_power(at.object_field)
+    blurred = {n: power * part for n, part in blurring(problem, at.amplitude).items()}
+    field = 0.0 if at.field_variance is None else at.field_variance
+    u, v = problem.bessel_vectors(at.amplitude)
+    more = np.exp(2 * at.gain)[:, None] * (blurred[1] + (u * u + v * v) * field)
+    displacement, others = problem.displacement(at.amplitude), []
+    for side in problem.others:
+        shown = np.abs(sideband_values(side, displacement)) ** 2
+        weight = 1 / (1 + blurred[side.order] + shown * field)
+        others.append(replace(side, weight=weight.astype(side.real.dtype)))
+    weight = (1 / (1 + more)).astype(problem.functions.dtype)
+    return replace(problem, weight=weight, others=tuple(others))

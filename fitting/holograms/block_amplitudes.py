@@ -80,8 +80,12 @@ class BlockAmplitudes:
         for each block.
     x_m, y_m : (n,) float
         Coordinates of the blocks on the reed.
+    size_m : tuple of float
+        Sides of a block along x and y.
     step_index : (k,) int
         Index of each hologram in the protocol.
+    recording_rank : (k,) int
+        Rank of each hologram in the order of recording.
     drive_hz : (k,) float
         Realised drive frequencies, ascending.
     volts : (k,) float
@@ -95,7 +99,9 @@ class BlockAmplitudes:
     value: Complex64Array
     x_m: Array
     y_m: Array
+    size_m: tuple[float, float]
     step_index: NDArray[np.intp]
+    recording_rank: NDArray[np.intp]
     drive_hz: Array
     volts: Array
     others: tuple[SidebandAmplitudes, ...] = ()
@@ -133,7 +139,9 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
         value=np.ascontiguousarray(value[:, : len(steps)]),
         x_m=np.sum(light * blocks.x_m, axis=1),
         y_m=np.sum(light * blocks.y_m, axis=1),
+        size_m=(blocks.wide * _pixel_m(run.x_m), blocks.high * _pixel_m(run.y_m)),
         step_index=np.array([step.index for step in steps]),
+        recording_rank=np.argsort(np.argsort([step.position for step in steps])),
         drive_hz=np.array([float(step.read_drive_hz or step.drive_hz) for step in steps]),
         volts=np.array([step.volts for step in steps]),
         others=_split(others, value[:, len(steps) :], len(steps)),
@@ -165,6 +173,10 @@ def _split(
         split.append(SidebandAmplitudes(order, assigned, np.isin(np.arange(count), places)))
         first += len(found)
     return tuple(split)
+
+
+def _pixel_m(axis_m: Array) -> float:
+    return float(abs(axis_m[1] - axis_m[0]))
 
 
 def _in_blocks(axis_m: Array, factor: int) -> Array:
@@ -202,7 +214,7 @@ class _Blocks:
 
 def _blocks(run: Run) -> _Blocks:
     """Find the blocks of a run's image that lie on the vamp."""
-    high, wide = (max(1, round(_BLOCK_M / abs(a[1] - a[0]))) for a in (run.y_m, run.x_m))
+    high, wide = (max(1, round(_BLOCK_M / _pixel_m(axis_m))) for axis_m in (run.y_m, run.x_m))
     y_m, x_m = _in_blocks(run.y_m, high), _in_blocks(run.x_m, wide)
     Y, X = np.meshgrid(y_m.mean(axis=1), x_m.mean(axis=1), indexing="ij")
     reed = run.reed_file().geometry()

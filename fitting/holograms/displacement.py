@@ -19,10 +19,17 @@ from fitting.holograms.alternating_minimisation import (
     FINAL_RAD,
     Solution,
     alternating_step,
+    weighed,
 )
 from fitting.holograms.amplitudes import HALF_GAIN_PRECISION, fit_amplitudes
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import BlockAmplitudes
+from fitting.holograms.blurring import spread_slopes
+from fitting.holograms.changing_field import (
+    FieldChange,
+    field_estimate,
+    found_change,
+)
 from fitting.holograms.continuation import (
     ITERATIONS,
     SAME_FRINGE_RATIO,
@@ -56,6 +63,8 @@ _MOST_EXPLAINED, _EXPLAINED = 0.8, 2.0
 # If a smaller fraction of the holograms is explained, the continuation is repeated with the
 # converged object field.
 _ENOUGH = 0.95
+# How often the change of the object field is found again, with the displacements that it gives.
+_MOST_CHANGES = 3
 # A hologram with a larger misfit is far from its noise.
 _FLOOR = 30.0
 
@@ -76,8 +85,12 @@ class Displacements:
         Mean square residual of the block amplitudes, in units of the noise.
     gain : (k,) float
         Log of the brightness of holograms.
-    object_field : (n,) complex64
-        Object field of each block, in units of the noise.
+    object_field : (n,) or (k, n) complex64
+        Object field of each block in every hologram, in units of the noise.
+    field_variance : (k, n) float32, optional
+        Its variance; None if the object field is taken to be the same in all holograms.
+    change : FieldChange, optional
+        How much the object field changes; None if that is not known.
     reached : (k,) bool
         Whether the misfit of a hologram is near that of its noise.
     """
@@ -88,6 +101,8 @@ class Displacements:
     misfit: Array
     gain: Array
     object_field: Complex64Array
+    field_variance: NDArray[np.float32] | None
+    change: FieldChange | None
     reached: NDArray[np.bool_]
 
 
@@ -105,9 +120,7 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
     FitError
         If hardly any hologram can be explained.
     """
-    whole = Problem.of(
-        block_amplitudes.value, basis.functions, BesselTable(), block_amplitudes.others
-    )
+    whole = _problem_of(block_amplitudes, basis)
     first = replace(whole, others=())
     signal = np.mean(np.abs(block_amplitudes.value) ** 2, axis=0)
     best: Displacements | None = None
@@ -130,6 +143,14 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
             "with less volts"
         )
     return best
+
+
+def _problem_of(blocks: BlockAmplitudes, basis: ShapeBasis) -> Problem:
+    problem = Problem.of(
+        blocks.value, basis.functions, BesselTable(), blocks.others, blocks.recording_rank
+    )
+    slopes = spread_slopes(blocks.x_m, blocks.y_m, blocks.size_m, basis.functions)
+    return replace(problem, slopes=slopes)
 
 
 def _from_search(
@@ -187,7 +208,7 @@ def refit_displacements(
         If no hologram can be explained.
     """
     blocks = block_amplitudes
-    whole = Problem.of(blocks.value, basis.functions, BesselTable(), blocks.others)
+    whole = _problem_of(blocks, basis)
     smooth = smooth_functions(blocks.x_m, blocks.y_m)
     object_field = before.object_field * field_factor(smooth, common_mode_shift)
     changes = before.common_mode.response @ common_mode_shift
@@ -198,9 +219,15 @@ def refit_displacements(
     accepted = np.maximum(_FLOOR, enough(blocks)[steps])
     good = np.minimum(SAME_FRINGE_RATIO * misfit[steps], accepted)
     for expected in expected_rad:
+        there = Solution(expected, gain, object_field, before.field_variance)
         start = whole.turned(object_field, steps, expected[steps])
         tried, louder, left = fit_amplitudes(
-            whole, object_field, steps, (start, np.zeros(len(steps))), ITERATIONS, weak
+            weighed(whole, there),
+            object_field,
+            steps,
+            (start, np.zeros(len(steps))),
+            ITERATIONS,
+            weak,
         )
         found = left / whole.seen[steps]
         better = found < good
@@ -208,13 +235,13 @@ def refit_displacements(
         a[chosen], gain[chosen], misfit[chosen] = tried[better], louder[better], found[better]
         equally_good = np.minimum(good, SAME_FRINGE_RATIO * np.maximum(found, 1))
         good = np.where(better, equally_good, good)
-    at, solved = Solution(a, gain, object_field), np.isfinite(misfit)
+    at, solved = Solution(a, gain, object_field, before.field_variance), np.isfinite(misfit)
     if not solved.any():
         raise FitError(
             f"none of {len(solved)} holograms agrees with the other run; measure it again, or fit "
             "it alone"
         )
-    return _finished(whole, blocks, at, solved, _MOST_TURNS)
+    return _finished(whole, blocks, at, solved, _MOST_TURNS, before.change)
 
 
 def _finished(
@@ -223,33 +250,72 @@ def _finished(
     at: Solution,
     solved: NDArray[np.bool_],
     most_turns: int,
+    change: FieldChange | None = None,
 ) -> Displacements:
-    """Minimise over object field and amplitudes of the solved holograms in turns."""
+    """Minimise over object field and amplitudes of the solved holograms in turns.
+
+    Without `change`, the object field is first taken to be the same in all of them.
+    """
     steps = np.flatnonzero(solved)
     smooth = smooth_functions(block_amplitudes.x_m, block_amplitudes.y_m)
     problem = whole.some(steps)
-    exact, signal = problem.exact(), np.mean(np.abs(block_amplitudes.value) ** 2, axis=0)[steps]
-    at = Solution(at.amplitude[steps], at.gain[steps], at.object_field)
-    at, step = _settled(problem, exact, smooth, at, most_turns)
+    at = Solution(at.amplitude[steps], at.gain[steps], *_rows_of(at, steps))
+    sweep = _Sweep(problem, problem.exact(), smooth, change)
+    at, step = _settled(sweep, at, most_turns)
+    for _ in range(_MOST_CHANGES):
+        before, now = sweep.change, _change_of(problem, at, step)
+        sweep = replace(sweep, change=now)
+        at, step = _settled(sweep, at, most_turns)
+        if before is not None and _same(before, now):
+            break
     for _ in range(_MOST_RETRIES if most_turns > _QUICK_TURNS else 0):
         misfit = step.linear.normal.misfit / problem.seen
-        bad = unexplained(relative_misfit(misfit, signal), problem.seen)
-        tried, better = tried_again(problem, at, misfit, bad)
+        tried, better = tried_again(
+            weighed(problem, at), at, misfit, unexplained(misfit, problem.seen)
+        )
         if not better:
             break
-        at, step = _settled(problem, exact, smooth, tried, most_turns)
-    return _displacements_of(len(block_amplitudes.drive_hz), steps, at, step, problem.seen)
+        at, step = _settled(sweep, tried, most_turns)
+    return _displacements_of(whole, steps, at, step, now)
 
 
-def _settled(
-    problem: Problem, exact: Problem, smooth: Array, at: Solution, most_turns: int
-) -> tuple[Solution, FieldStep]:
+@dataclass(frozen=True)
+class _Sweep:
+    """Solved holograms in single and double precision, and how their object field changes."""
+
+    problem: Problem
+    exact: Problem
+    smooth: Array
+    change: FieldChange | None
+
+
+def _rows_of(at: Solution, steps: IndexArray) -> tuple[ComplexArray, Array | None]:
+    field = at.object_field if at.object_field.ndim == 1 else at.object_field[steps]
+    return field, None if at.field_variance is None else at.field_variance[steps]
+
+
+def _change_of(problem: Problem, at: Solution, step: FieldStep) -> FieldChange:
+    """Find how much the object field changes, from the explained holograms."""
+    misfit = step.linear.normal.misfit / problem.seen
+    signal = np.mean(np.square(problem.real) + np.square(problem.imaginary), axis=1)
+    explained = np.ones(len(misfit), bool)
+    explained[unexplained(relative_misfit(misfit, signal), problem.seen)] = False
+    return found_change(problem, at.amplitude, at.gain, at.object_field, explained)
+
+
+def _same(one: FieldChange, other: FieldChange) -> bool:
+    """Whether two changes of the object field differ by less than a tenth, as does their noise."""
+    pairs = (one.walk, other.walk), (one.scatter, other.scatter)
+    return all(abs(a - b) <= 0.1 * max(a, b) for a, b in pairs)
+
+
+def _settled(sweep: _Sweep, at: Solution, most_turns: int) -> tuple[Solution, FieldStep]:
     """Repeat alternating steps until they lower the misfit no more."""
-    before = np.inf
+    before, seen = np.inf, sweep.problem.seen
     for _ in range(most_turns):
-        at, step = alternating_step(problem, exact, smooth, at)
+        at, step = alternating_step(sweep.problem, sweep.exact, sweep.smooth, at, sweep.change)
         # Where the model itself is off, so is the measure of what is small.
-        now = _whole_misfit(step.linear.normal.misfit / problem.seen, problem.seen)
+        now = _whole_misfit(step.linear.normal.misfit / seen, seen)
         if before - now < _SETTLED:
             break
         before = now
@@ -257,11 +323,11 @@ def _settled(
 
 
 def _displacements_of(
-    holograms: int, solved: IndexArray, at: Solution, step: FieldStep, seen: Array
+    whole: Problem, solved: IndexArray, at: Solution, step: FieldStep, change: FieldChange
 ) -> Displacements:
     """Collect the displacements of the solved holograms; the others have no information."""
-    end, size = step.linear.normal, at.amplitude.shape[1]
-    of_these = end.misfit / seen
+    end, size, holograms = step.linear.normal, at.amplitude.shape[1], len(whole.real)
+    of_these = end.misfit / whole.seen[solved]
     # Marginalise over the gains of the holograms.
     coupling, known = end.matrix[:, :-1, -1:], end.matrix[:, -1, -1] + HALF_GAIN_PRECISION
     marginal = end.matrix[:, :-1, :-1] - coupling @ coupling.swapaxes(1, 2) / known[:, None, None]
@@ -273,12 +339,19 @@ def _displacements_of(
     # Noise of variance 1 has half of it in either part.
     information[solved] = 2 * marginal / np.maximum(of_these, 1)[:, None, None]
     response[solved] = step.common_mode.response
+    weight = np.zeros(holograms)
+    weight[solved] = 1 / np.maximum(of_these, 1)
+    nearest = np.abs(np.arange(holograms)[:, None] - solved).argmin(axis=1)
+    field = at.object_field[nearest]
+    everywhere = field_estimate(whole, amplitude, gain, field, change, weight)
     return Displacements(
         amplitude_rad=amplitude,
         information=information,
         common_mode=CommonModeError(response, step.common_mode.precision),
         misfit=misfit,
         gain=gain,
-        object_field=at.object_field,
+        object_field=everywhere.mean,
+        field_variance=everywhere.variance,
+        change=change,
         reached=misfit < _FLOOR,
     )

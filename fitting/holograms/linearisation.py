@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from holography.arrays import Array
+from holography.arrays import Array, ComplexArray, IndexArray
 
 
 @dataclass(frozen=True)
@@ -21,12 +21,13 @@ class Local:
         Derivatives of the real and imaginary part of F (first letter) with respect to the real and
         imaginary part of the displacement (second letter).
     residual_u, residual_v : (s, n) float
-        Residuals of the block amplitudes, times the complex conjugate of the object field.
-    power : (n,) float
-        Squared magnitude of the object field.
+        Residuals of the block amplitudes, times the complex conjugate of the object field, over
+        the variance of the noise.
+    power : (s, n) float
+        Squared magnitude of the object field over the variance of the noise.
     gain : (s, 1) float
     misfit : (s,) float
-        Sum of squared residuals.
+        Sum of squared residuals over the variance of the noise.
     """
 
     u: Array
@@ -40,6 +41,11 @@ class Local:
     power: Array
     gain: Array
     misfit: Array
+
+
+def rows(object_field: ComplexArray, steps: IndexArray) -> ComplexArray:
+    """Return the object field of holograms: (s, n), or (1, n) where all have the same."""
+    return object_field[None] if object_field.ndim == 1 else object_field[steps]
 
 
 def gradient(here: Local, functions: Array) -> Array:
@@ -61,7 +67,7 @@ def fill_matrix(matrix: Array, here: Local, functions: Array, pairs: Array) -> N
                here.uu * here.uv + here.vu * here.vv,
                here.uv * here.uv + here.vv * here.vv)  # fmt: skip
     # One product: for few holograms its time is that of reading the pairs.
-    packed = np.split((power * np.concatenate(weights)) @ pairs, 3)
+    packed = np.split(np.concatenate([power * each for each in weights]) @ pairs, 3)
     for row, column, products in zip((0, 0, 1), (0, 1, 1), packed, strict=True):
         block = matrix[:, row * size :, column * size :][:, :size, :size]
         write_symmetric(block, square * products)
@@ -72,7 +78,7 @@ def fill_matrix(matrix: Array, here: Local, functions: Array, pairs: Array) -> N
         [(power * part) @ functions for part in sideband_equations], axis=1
     )
     matrix[:, -1, :-1] = matrix[:, :-1, -1] = coupling
-    matrix[:, -1, -1] = square[:, 0] * ((here.u * here.u + here.v * here.v) @ here.power)
+    matrix[:, -1, -1] = square[:, 0] * np.sum((here.u * here.u + here.v * here.v) * power, axis=1)
 
 
 @cache

@@ -97,7 +97,7 @@ def linearise(
         cancel to one part in a million.
     smooth : (n, c) float
         See `smooth_functions`.
-    object_field : (n,) complex
+    object_field : (n,) or (k, n) complex
     a : (k, j) complex
         Amplitudes.
     gain : (k,) float
@@ -107,8 +107,7 @@ def linearise(
     """
     functions, count = problem.functions, smooth.shape[1]
     size = functions.shape[1]
-    power = (object_field.real**2 + object_field.imag**2).astype(float)[:, None]
-    products = ((power * functions)[:, :, None] * smooth[:, None, :]).reshape(len(functions), -1)
+    products = (functions[:, :, None] * smooth[:, None, :]).reshape(len(functions), -1)
     normal = Normal.empty(len(a), size)
     coupling = np.zeros((len(a), 2 * size + 1, 2 * count))
 
@@ -164,15 +163,14 @@ class _FieldTerms:
 def _field_terms(here: Local, products: Array, count: int, weight: Array) -> _FieldTerms:
     """Compute the contribution of a sideband.
 
-    `products` (n, j c) are the functions times the c smooth functions times the power of the
-    object field.
+    `products` (n, j c) are the functions times the c smooth functions.
     """
     square = (here.gain**2).astype(float)
     rows = (
         (here.uu * here.u + here.vu * here.v, here.vu * here.u - here.uu * here.v),
         (here.uv * here.u + here.vv * here.v, here.vv * here.u - here.uv * here.v),
     )
-    blocks = np.array([[square * (by @ products) for by in row] for row in rows])
+    blocks = np.array([[square * ((here.power * by) @ products) for by in row] for row in rows])
     # From (2, 2, s, j c) to amplitudes, then coefficients of magnitude and phase.
     blocks = blocks.reshape(2, 2, len(square), -1, count).transpose(2, 0, 3, 1, 4)
     pulled = weight[:, None] * here.gain

@@ -1,12 +1,13 @@
 """The least-squares problem of a sweep: block amplitudes as functions of the displacement.
 
-The amplitude of block n in hologram k is ``A_n e^{γ_k} F(u_kn)`` with object field A, log gain γ
-and ``u = Σ_j a_j Φ_j``. In the plane of real and imaginary parts ``F = α u`` and
-``dF/du = α 1 + β u uᵀ`` (see `fitting.holograms.bessel`).
+The amplitude of block n in hologram k is ``A_kn e^{γ_k} F(u_kn)`` with object field A, log gain γ
+and ``u = Σ_j a_j Φ_j``. Where the object field is the same in all holograms, it has one row only.
+In the plane of real and imaginary parts ``F = α u`` and ``dF/du = α 1 + β u uᵀ`` (see
+`fitting.holograms.bessel`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from fitting.holograms.linearisation import (
     Local,
     fill_matrix,
     gradient,
+    rows,
     triangle,
 )
 from fitting.holograms.sidebands import (
@@ -47,6 +49,12 @@ class Problem:
     bessel : BesselTable
     others : tuple of OtherSideband
         Other sidebands of the same vibrations.
+    recording_rank : (k,) int
+        Rank of each hologram in the order of recording.
+    weight : (k, n) float, optional
+        Inverse variance of the block amplitudes; 1 if it is not given.
+    slopes : (2, n, j) float, optional
+        See `fitting.holograms.blurring.spread_slopes`.
     """
 
     real: Array
@@ -54,7 +62,10 @@ class Problem:
     functions: Array
     pairs: Array
     bessel: BesselTable
-    others: tuple[OtherSideband, ...] = ()
+    others: tuple[OtherSideband, ...]
+    recording_rank: IndexArray
+    weight: Array | None = None
+    slopes: Array | None = None
 
     @classmethod
     def of(
@@ -63,8 +74,12 @@ class Problem:
         functions: Array,
         bessel: BesselTable,
         others: Sequence[SidebandAmplitudes] = (),
+        recording_rank: IndexArray | None = None,
     ) -> "Problem":
-        """Set up a problem from block amplitudes (n, k), in the precision of the functions."""
+        """Set up a problem from block amplitudes (n, k), in the precision of the functions.
+
+        Without `recording_rank`, holograms were recorded in the order of their frequencies.
+        """
         one, other = triangle(functions.shape[1])
         real, imaginary = (
             np.ascontiguousarray(part.T.astype(functions.dtype))
@@ -72,29 +87,32 @@ class Problem:
         )
         pairs = functions[:, one] * functions[:, other]
         sidebands = tuple(OtherSideband.of(each, functions.dtype) for each in others)
-        return cls(real, imaginary, functions, pairs, bessel, sidebands)
+        ranks = np.arange(len(real)) if recording_rank is None else recording_rank
+        return cls(real, imaginary, functions, pairs, bessel, sidebands, ranks)
 
     def every(self, stride: int) -> "Problem":
         """Return the same problem for every `stride`-th block."""
         # Contiguous copies: products with strided arrays take several times as long.
-        return Problem(
-            np.ascontiguousarray(self.real[:, ::stride]),
-            np.ascontiguousarray(self.imaginary[:, ::stride]),
-            np.ascontiguousarray(self.functions[::stride]),
-            np.ascontiguousarray(self.pairs[::stride]),
-            self.bessel,
-            tuple(each.every(stride) for each in self.others),
+        return replace(
+            self,
+            real=np.ascontiguousarray(self.real[:, ::stride]),
+            imaginary=np.ascontiguousarray(self.imaginary[:, ::stride]),
+            functions=np.ascontiguousarray(self.functions[::stride]),
+            pairs=np.ascontiguousarray(self.pairs[::stride]),
+            others=tuple(each.every(stride) for each in self.others),
+            weight=None if self.weight is None else np.ascontiguousarray(self.weight[:, ::stride]),
+            slopes=None if self.slopes is None else np.ascontiguousarray(self.slopes[:, ::stride]),
         )
 
     def some(self, steps: IndexArray) -> "Problem":
         """Return the same problem for some of the holograms."""
-        return Problem(
-            self.real[steps],
-            self.imaginary[steps],
-            self.functions,
-            self.pairs,
-            self.bessel,
-            tuple(each.some(steps) for each in self.others),
+        return replace(
+            self,
+            real=self.real[steps],
+            imaginary=self.imaginary[steps],
+            others=tuple(each.some(steps) for each in self.others),
+            recording_rank=self.recording_rank[steps],
+            weight=None if self.weight is None else self.weight[steps],
         )
 
     def exact(self) -> "Problem":
@@ -103,7 +121,19 @@ class Problem:
             a.astype(float) for a in (self.real, self.imaginary, self.functions, self.pairs)
         )
         others = tuple(each.exact() for each in self.others)
-        return Problem(real, imaginary, functions, pairs, self.bessel, others)
+        return replace(
+            self,
+            real=real,
+            imaginary=imaginary,
+            functions=functions,
+            pairs=pairs,
+            others=others,
+            weight=None if self.weight is None else self.weight.astype(float),
+        )
+
+    def weighed(self, steps: IndexArray, values: Array) -> Array:
+        """Multiply values (s, n) of holograms (s,) by their inverse variance."""
+        return values if self.weight is None else values * self.weight[steps]
 
     @property
     def blocks(self) -> int:
@@ -130,7 +160,7 @@ class Problem:
         """Multiply amplitudes (s, j) by the phase factors that fit holograms (s,) best."""
         u, v = self.bessel_vectors(a)
         seen = self.real[steps] + 1j * self.imaginary[steps]
-        overlap = np.sum((u - 1j * v) * object_field.conj() * seen, axis=1)
+        overlap = np.sum((u - 1j * v) * rows(object_field, steps).conj() * seen, axis=1)
         turned: ComplexArray = a * np.exp(1j * np.angle(overlap))[:, None]
         return turned
 
@@ -157,20 +187,20 @@ def local(
     uv = beta_p * q
     uu = alpha + beta_p * p
     vv = alpha + beta * q * q
-    lit_u, lit_v = lit = _parts(object_field, problem.functions.dtype)
+    lit_u, lit_v = lit = _parts(rows(object_field, steps), problem.functions.dtype)
     factor, residual_u, residual_v, misfit = _residuals(problem, lit, steps, (u, v), gain)
     return Local(
         u, v, uu, uv, uv, vv,
-        lit_u * residual_u + lit_v * residual_v,
-        lit_u * residual_v - lit_v * residual_u,
-        lit_u * lit_u + lit_v * lit_v,
+        problem.weighed(steps, lit_u * residual_u + lit_v * residual_v),
+        problem.weighed(steps, lit_u * residual_v - lit_v * residual_u),
+        problem.weighed(steps, lit_u * lit_u + lit_v * lit_v),
         factor,
         misfit,
     )  # fmt: skip
 
 
 def _parts(object_field: ComplexArray, dtype: np.dtype[Any]) -> tuple[Array, Array]:
-    """Return real and imaginary parts (n,)."""
+    """Return real and imaginary parts."""
     return object_field.real.astype(dtype), object_field.imag.astype(dtype)
 
 
@@ -190,7 +220,7 @@ def _residuals(
     residual_u, residual_v : (s, n) float
         Real and imaginary parts.
     misfit : (s,) float
-        Sum of their squares.
+        Sum of their squares over the variance of the noise.
     """
     u, v = shown
     lit_u, lit_v = lit
@@ -198,8 +228,8 @@ def _residuals(
     factor = np.exp(np.clip(gain, -_MOST_GAIN, _MOST_GAIN)).astype(lit_u.dtype)[:, None]
     residual_u = problem.real[steps] - factor * (lit_u * u - lit_v * v)
     residual_v = problem.imaginary[steps] - factor * (lit_u * v + lit_v * u)
-    misfit = np.einsum("sn,sn->s", residual_u, residual_u) + np.einsum(
-        "sn,sn->s", residual_v, residual_v
+    misfit = np.einsum("sn,sn->s", problem.weighed(steps, residual_u), residual_u) + np.einsum(
+        "sn,sn->s", problem.weighed(steps, residual_v), residual_v
     )
     return factor, residual_u, residual_v, misfit.astype(float)
 
@@ -208,9 +238,9 @@ def misfits(
     problem: Problem, object_field: ComplexArray, steps: IndexArray, a: ComplexArray, gain: Array
 ) -> Array:
     """Return squared residuals (s,) at amplitudes (s, j) and log gains (s,)."""
-    lit = _parts(object_field, problem.functions.dtype)
 
     def of(some: slice) -> Array:
+        lit = _parts(rows(object_field, steps[some]), problem.functions.dtype)
         displacement = problem.displacement(a[some])
         over, _ = problem.tensor(*displacement)
         shown = over * displacement[0], over * displacement[1]

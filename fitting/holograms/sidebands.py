@@ -16,6 +16,7 @@ from fitting.holograms.linearisation import (
     Local,
     fill_matrix,
     gradient,
+    rows,
 )
 from holography.arrays import Array, ComplexArray, IndexArray
 
@@ -38,6 +39,8 @@ class OtherSideband:
     present : (k,) float
         1 where there is a hologram, else 0.
     table : SidebandTable
+    weight : (k, n) float, optional
+        See `fitting.holograms.problem.Problem`.
     """
 
     order: int
@@ -45,6 +48,7 @@ class OtherSideband:
     imaginary: Array
     present: Array
     table: SidebandTable
+    weight: Array | None = None
 
     @classmethod
     def of(cls, block_amplitudes: SidebandAmplitudes, dtype: Any) -> "OtherSideband":
@@ -63,18 +67,29 @@ class OtherSideband:
         real, imaginary = (
             np.ascontiguousarray(part[:, ::stride]) for part in (self.real, self.imaginary)
         )
-        return OtherSideband(self.order, real, imaginary, self.present, self.table)
+        weight = None if self.weight is None else np.ascontiguousarray(self.weight[:, ::stride])
+        return OtherSideband(self.order, real, imaginary, self.present, self.table, weight)
 
     def some(self, steps: IndexArray) -> "OtherSideband":
         """Return the same for some of the holograms."""
         return OtherSideband(
-            self.order, self.real[steps], self.imaginary[steps], self.present[steps], self.table
+            self.order,
+            self.real[steps],
+            self.imaginary[steps],
+            self.present[steps],
+            self.table,
+            None if self.weight is None else self.weight[steps],
         )
 
     def exact(self) -> "OtherSideband":
         """Return the same in double precision."""
         real, imaginary = self.real.astype(float), self.imaginary.astype(float)
-        return OtherSideband(self.order, real, imaginary, self.present, self.table)
+        weight = None if self.weight is None else self.weight.astype(float)
+        return OtherSideband(self.order, real, imaginary, self.present, self.table, weight)
+
+    def weighed(self, steps: IndexArray, values: Array) -> Array:
+        """Multiply values (s, n) of holograms (s,) by their inverse variance."""
+        return values if self.weight is None else values * self.weight[steps]
 
 
 @dataclass(frozen=True)
@@ -162,10 +177,11 @@ def brightness(
     side: OtherSideband, shown: ComplexArray, object_field: ComplexArray, steps: IndexArray
 ) -> ComplexArray:
     """Fit the factors c (s,) of holograms whose block amplitudes are c A F_n (s, n)."""
-    lit = object_field * shown
-    overlap = np.sum(lit.real * side.real[steps] + lit.imag * side.imaginary[steps], axis=1)
-    turned = np.sum(lit.real * side.imaginary[steps] - lit.imag * side.real[steps], axis=1)
-    power = np.sum(lit.real**2 + lit.imag**2, axis=1) + _LEAST_POWER
+    lit = rows(object_field, steps) * shown
+    along = lit.real * side.real[steps] + lit.imag * side.imaginary[steps]
+    across = lit.real * side.imaginary[steps] - lit.imag * side.real[steps]
+    overlap, turned = (np.sum(side.weighed(steps, part), axis=1) for part in (along, across))
+    power = np.sum(side.weighed(steps, lit.real**2 + lit.imag**2), axis=1) + _LEAST_POWER
     c = (overlap + 1j * turned) / power
     found: ComplexArray = np.clip(np.abs(c), _DARKEST, _BRIGHTEST) * np.exp(1j * np.angle(c))
     return found
@@ -202,15 +218,15 @@ def _local(
     c = brightness(side, shown, object_field, steps)
     factor = np.abs(c).astype(dtype)[:, None]
     seen = (side.real[steps] + 1j * side.imaginary[steps]) * np.exp(-1j * np.angle(c))[:, None]
-    lit = object_field.astype(shown.dtype)
+    lit = rows(object_field, steps).astype(shown.dtype)
     left = seen.astype(shown.dtype) - factor * (lit * shown)
-    misfit = np.sum(left.real**2 + left.imag**2, axis=1)
+    misfit = np.sum(side.weighed(steps, left.real**2 + left.imag**2), axis=1)
     left = lit.conj() * left
     return Local(
         shown.real, shown.imag,
         by_p.real, by_p.imag, by_q.real, by_q.imag,
-        left.real, left.imag,
-        lit.real**2 + lit.imag**2,
+        side.weighed(steps, left.real), side.weighed(steps, left.imag),
+        side.weighed(steps, lit.real**2 + lit.imag**2),
         factor,
         misfit.astype(float),
     )  # fmt: skip

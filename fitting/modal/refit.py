@@ -116,7 +116,8 @@ def _as_before(block_amplitudes: BlockAmplitudes, before: JointFit) -> Displacem
     old, count = before.displacements, len(block_amplitudes.drive_hz)
     # The modal fit has determined the common-mode error of displacements and object field.
     smooth = smooth_functions(before.block_amplitudes.x_m, before.block_amplitudes.y_m)
-    object_field = old.object_field * field_factor(smooth, before.modal.common_mode_shift)
+    field = old.object_field if old.object_field.ndim == 1 else old.object_field.mean(axis=0)
+    object_field = field * field_factor(smooth, before.modal.common_mode_shift)
     size = known.amplitude_rad.shape[1]
     return Displacements(
         amplitude_rad=known.amplitude_rad,
@@ -128,6 +129,8 @@ def _as_before(block_amplitudes: BlockAmplitudes, before: JointFit) -> Displacem
         misfit=np.full(count, np.inf),
         gain=np.zeros(count),
         object_field=object_field,
+        field_variance=None,
+        change=None,
         reached=np.zeros(count, dtype=bool),
     )
 

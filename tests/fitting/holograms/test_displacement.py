@@ -8,7 +8,6 @@ from scipy.special import j1
 
 from fitting.errors import FitError
 from fitting.holograms.alternating_minimisation import Solution
-from fitting.holograms.amplitudes import fit_amplitudes
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.continuation import Continuation, continued, starts_of
@@ -103,7 +102,7 @@ def planted(
     seen = np.exp(gain)[:, None] * a * moved(u)
     value = (seen + complex_normal(rng, *u.shape)).T.astype(np.complex64)
     steps = np.arange(len(DRIVE_HZ))
-    block_amplitudes = BlockAmplitudes(value, x, y, steps, DRIVE_HZ, np.ones(len(steps)))
+    block_amplitudes = BlockAmplitudes(value, x, y, (1e-9, 1e-9), steps, steps, DRIVE_HZ, np.ones(len(steps)))
     return Sweep(modal, gain, a, block_amplitudes, basis)
 
 

@@ -1,0 +1,122 @@
+"""The object field that changes, against dense Gaussian algebra and planted changes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import j0
+
+from fitting.holograms.bessel import BesselTable
+from fitting.holograms.block_amplitudes import SidebandAmplitudes
+from fitting.holograms.changing_field import FieldChange, field_estimate, found_change
+from fitting.holograms.problem import Problem
+from tests.numbers import complex_normal
+
+HOLOGRAMS, BLOCKS, LIGHT = 40, 600, 30.0
+
+
+def sweep_of(change, blocks=BLOCKS, order=None, seed=1):
+    """A plate that moves like a piston of known amplitude, its field, and what is recorded."""
+    rng = np.random.default_rng(seed)
+    power = LIGHT**2 * rng.gamma(8, 1 / 8, blocks)
+    steps = complex_normal(rng, HOLOGRAMS, blocks) * np.sqrt(change.walk * power)
+    steps[0] = np.sqrt(power) * np.exp(2j * np.pi * rng.uniform(size=blocks))
+    order = np.arange(HOLOGRAMS) if order is None else order
+    field = np.cumsum(steps, axis=0)[order]
+    own = complex_normal(rng, HOLOGRAMS, blocks) * np.sqrt(change.scatter * power)
+    a = (0.5 + rng.uniform(size=(HOLOGRAMS, 1))) * np.exp(1j * rng.uniform(size=(HOLOGRAMS, 1)))
+    functions = np.ones((blocks, 1))
+    still = Problem.of(np.zeros((blocks, HOLOGRAMS), complex), functions, BesselTable())
+    u, v = still.bessel_vectors(a)
+    seen = (u + 1j * v) * (field + own) + complex_normal(rng, HOLOGRAMS, blocks)
+    problem = Problem.of(seen.T, functions, BesselTable(), (), order)
+    return problem, a, field, u + 1j * v
+
+
+def test_field_of_a_hologram_is_the_conditional_mean_given_the_others():
+    change = FieldChange(walk=0.01, scatter=0.003)
+    order = np.random.default_rng(3).permutation(HOLOGRAMS)
+    problem, a, field, shown = sweep_of(change, 5, order)
+    found = field_estimate(problem, a, np.zeros(HOLOGRAMS), field, change, np.ones(HOLOGRAMS))
+    power = np.mean(np.abs(field) ** 2, axis=0)
+    seen = problem.real + 1j * problem.imaginary
+    for n in range(5):
+        prior = power[n] * (1 + change.walk * np.minimum.outer(order, order))
+        for k in (0, 7, HOLOGRAMS - 1):
+            rest = np.delete(np.arange(HOLOGRAMS), k)
+            h = np.diag(shown[rest, n])
+            own = change.scatter * power[n] * h @ h.conj().T
+            covariance = h @ prior[np.ix_(rest, rest)] @ h.conj().T + own + np.eye(len(rest))
+            gain = prior[k, rest] @ h.conj().T @ np.linalg.inv(covariance)
+            assert found.mean[k, n] == pytest.approx(gain @ seen[rest, n], rel=1e-5)
+            left = prior[k, k] - (gain @ h @ prior[rest, k]).real
+            expected = left + change.scatter * power[n]
+            assert found.variance[k, n] == pytest.approx(expected, rel=1e-5)
+
+
+def test_hologram_says_nothing_of_its_own_field():
+    change = FieldChange(walk=1e-3, scatter=1e-4)
+    problem, a, field, _ = sweep_of(change)
+    other = replace(problem, real=problem.real.copy())
+    other.real[9] += 100.0
+    zero, one = np.zeros(HOLOGRAMS), np.ones(HOLOGRAMS)
+    before = field_estimate(problem, a, zero, field, change, one)
+    after = field_estimate(other, a, zero, field, change, one)
+    assert np.array_equal(before.mean[9], after.mean[9])
+    assert np.abs(before.mean[10] - after.mean[10]).max() > 1
+
+
+def test_hologram_without_weight_counts_for_nothing():
+    change = FieldChange(walk=1e-3, scatter=1e-4)
+    problem, a, field, _ = sweep_of(change)
+    weight = np.where(np.arange(HOLOGRAMS) == 9, 0.0, 1.0)
+    other = replace(problem, real=problem.real.copy())
+    other.real[9] += 100.0
+    zero = np.zeros(HOLOGRAMS)
+    before = field_estimate(problem, a, zero, field, change, weight)
+    after = field_estimate(other, a, zero, field, change, weight)
+    assert np.array_equal(before.mean, after.mean)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [FieldChange(3e-4, 1e-7), FieldChange(1e-7, 3e-4), FieldChange(1e-4, 4e-4)],
+)
+def test_changes_are_found(change):
+    problem, a, field, _ = sweep_of(change, 2400)
+    every = np.ones(HOLOGRAMS, bool)
+    found = found_change(problem, a, np.zeros(HOLOGRAMS), field, every)
+    # 600 blocks of 40 holograms determine a variance to some per cent; a change of less than a
+    # twentieth of the noise does not matter.
+    for one, other in ((found.walk, change.walk), (found.scatter, change.scatter)):
+        assert one == pytest.approx(other, rel=0.2, abs=0.05 * LIGHT**-2)
+
+
+def test_field_that_does_not_change_is_found_not_to():
+    problem, a, field, _ = sweep_of(FieldChange(0, 0))
+    found = found_change(problem, a, np.zeros(HOLOGRAMS), field, np.ones(HOLOGRAMS, bool))
+    # The noise of a block is 1/30 of its light: what is found is far below its square.
+    assert found.walk < 0.01 * LIGHT**-2
+    assert found.scatter < 0.03 * LIGHT**-2
+
+
+def test_other_sidebands_say_of_the_field_what_they_show():
+    change = FieldChange(walk=1e-3, scatter=1e-6)
+    problem, a, field, _ = sweep_of(change)
+    rng = np.random.default_rng(5)
+    still = SidebandAmplitudes(
+        0, np.zeros((BLOCKS, HOLOGRAMS), np.complex64), np.ones(HOLOGRAMS, bool)
+    )
+    two = Problem.of(
+        (problem.real + 1j * problem.imaginary).T, problem.functions, problem.bessel, (still,)
+    )
+
+    seen = j0(np.abs(a)) * field + complex_normal(rng, HOLOGRAMS, BLOCKS)
+    side = replace(two.others[0], real=seen.real, imaginary=seen.imag)
+    zero, one = np.zeros(HOLOGRAMS), np.ones(HOLOGRAMS)
+    alone = field_estimate(problem, a, zero, field, change, one)
+    both = field_estimate(replace(two, others=(side,)), a, zero, field, change, one)
+    errors = [np.mean(np.abs(found.mean - field) ** 2) for found in (alone, both)]
+    assert errors[1] < errors[0]
+    assert np.mean(both.variance) == pytest.approx(errors[1], rel=0.2)
+    assert np.mean(alone.variance) == pytest.approx(errors[0], rel=0.2)

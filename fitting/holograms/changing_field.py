@@ -177,7 +177,8 @@ def _shown(problem: Problem, a: ComplexArray, gain: Array, field: ComplexArray) 
     power, blurred = mean_power(field), blurring(problem, a)
     weight: Array = 1 / (1 + factor**2 * power * blurred[1])
     information: Array = weight * factor**2 * (u * u + v * v)
-    pull = np.asarray(weight * factor * (u - 1j * v) * (problem.real + 1j * problem.imaginary))
+    seen = problem.real + 1j * problem.imaginary
+    pull: ComplexArray = weight * factor * (u - 1j * v) * seen
     steps = np.arange(len(a))
     for side in problem.others:
         values = sideband_values(side, problem.displacement(a))

@@ -5,11 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.holograms.amplitudes import (
-    HALF_GAIN_PRECISION,
-    block_object_field,
-    fit_amplitudes,
-)
+from fitting.holograms.amplitudes import block_object_field, fit_amplitudes
 from fitting.holograms.blurring import blurring
 from fitting.holograms.changing_field import FieldChange, field_estimate, mean_power
 from fitting.holograms.object_field import (
@@ -19,8 +15,9 @@ from fitting.holograms.object_field import (
     linearise,
     log_field_factor,
 )
-from fitting.holograms.problem import Problem
+from fitting.holograms.problem import Problem, misfits
 from fitting.holograms.sidebands import sideband_values
+from fitting.holograms.speckle_slopes import SpecklePositions, from_middle, speckle_positions
 from holography.arrays import Array, Complex64Array, ComplexArray
 
 # Prior standard deviation of amplitudes, rad: weak, for directions that the data do not determine.
@@ -44,12 +41,15 @@ class Solution:
         One row if the object field is the same in all holograms.
     field_variance : (k, n) float32, optional
         Variance of the object field, if it changes from hologram to hologram.
+    positions : SpecklePositions, optional
+        Mean positions of the light within each block.
     """
 
     amplitude: ComplexArray
     gain: Array
     object_field: Complex64Array
     field_variance: NDArray[np.float32] | None = None
+    positions: SpecklePositions | None = None
 
 
 def alternating_step(
@@ -74,7 +74,7 @@ def alternating_step(
     size = at.amplitude.shape[1]
     weak = FINAL_RAD**-2 * np.eye(size)
     a, gain, misfit = fit_amplitudes(
-        weighed(problem, at),
+        weighed(middle(problem, at), at),
         at.object_field,
         steps,
         (at.amplitude, at.gain - np.mean(at.gain)),
@@ -82,9 +82,14 @@ def alternating_step(
         weak,
     )
     weight = 1 / np.maximum(misfit / problem.seen, 1)
-    now = with_field(problem, replace(at, amplitude=a, gain=gain), weight, change)
-    held = 0.5 * np.diag([FINAL_RAD**-2] * 2 * size + [2 * HALF_GAIN_PRECISION])
-    linear = linearise(weighed(exact, now), smooth, now.object_field, a, gain, weight)
+    now = replace(at, amplitude=a, gain=gain)
+    now = with_field(middle(problem, now), now, weight, change)
+    now = replace(
+        now,
+        positions=speckle_positions(weighed(problem, now), a, gain, now.object_field, weight),
+    )
+    held = 0.5 * np.diag([FINAL_RAD**-2] * 2 * size + [2 * problem.half_gain_precision])
+    linear = linearise(weighed(middle(exact, now), now), smooth, now.object_field, a, gain, weight)
     x = np.concatenate([a.real, a.imag, gain[:, None]], axis=1)
     step = field_step(linear, held, x, weight)
     # Holograms in a wrong fringe can make the step too long for the linearisation: it is cut.
@@ -95,7 +100,11 @@ def alternating_step(
     y = np.where(follow[:, None], x + fraction * step.holograms, x)
     factor = field_factor(smooth, fraction * step.move)
     found = Solution(
-        y[:, :size] + 1j * y[:, size:-1], y[:, -1], now.object_field * factor, now.field_variance
+        y[:, :size] + 1j * y[:, size:-1],
+        y[:, -1],
+        now.object_field * factor,
+        now.field_variance,
+        now.positions,
     )
     return found, step
 
@@ -112,6 +121,11 @@ def with_field(
     return replace(at, object_field=found.mean, field_variance=found.variance)
 
 
+def middle(problem: Problem, at: Solution) -> Problem:
+    """Return a problem with block amplitudes as if light came from the middle of each block."""
+    return from_middle(problem, at.amplitude, at.gain, at.object_field, at.positions)
+
+
 def weighed(problem: Problem, at: Solution) -> Problem:
     """Return a problem whose noise has the variance that field and slopes add to it."""
     power = mean_power(at.object_field)
@@ -126,3 +140,17 @@ def weighed(problem: Problem, at: Solution) -> Problem:
         others.append(replace(side, weight=weight.astype(side.real.dtype)))
     weight = (1 / (1 + more)).astype(problem.functions.dtype)
     return replace(problem, weight=weight, others=tuple(others))
+
+
+def cost(problem: Problem, at: Solution) -> Array:
+    """Return the negative log likelihood (k,) of holograms and their gains, but for a constant."""
+    own = weighed(middle(problem, at), at)
+    steps = np.arange(len(at.gain))
+    left = misfits(own, at.object_field, steps, at.amplitude, at.gain)
+    left = left + problem.half_gain_precision * at.gain**2
+    if own.weight is not None:
+        left = left - np.sum(np.log(own.weight), axis=1)
+    for side in own.others:
+        if side.weight is not None:
+            left = left - side.present * np.sum(np.log(side.weight), axis=1)
+    return left

@@ -7,10 +7,6 @@ from fitting.holograms.sidebands import brightness, sideband_values
 from fitting.levenberg_marquardt import Damping, NormalEquations, minimise_all
 from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 
-# Prior standard deviation of a hologram's gain, in nepers: laser and modulators drift.
-GAIN = 0.05
-# Half of its precision: the misfit, of noise of variance 1, is half of χ².
-HALF_GAIN_PRECISION = 0.5 * GAIN**-2
 # Chosen by hand; no study of other values is kept.
 _DAMPING = Damping(first=1e-3, after_gain=0.2, after_loss=6, constant=1e-3, largest=1e6)
 
@@ -51,7 +47,7 @@ def fit_amplitudes(
     precision = np.zeros((len(a), 2 * size + 1, 2 * size + 1))
     # Half of it: the misfit, of noise of variance 1, is half of χ².
     precision[:, :size, :size] = precision[:, size:-1, size:-1] = 0.5 * prior
-    precision[:, -1, -1] = HALF_GAIN_PRECISION
+    precision[:, -1, -1] = problem.half_gain_precision
 
     def with_prior_cost(misfit: Array, x: Array) -> Array:
         return np.stack([misfit, np.sum(x * (precision @ x[..., None])[..., 0], axis=1)])

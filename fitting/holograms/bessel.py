@@ -7,12 +7,12 @@ from scipy.special import j1, jv, jvp
 
 from holography.arrays import Float32Array
 
-# Below this J₂(φ)/φ² is taken from its series, to 10⁻¹⁰.
+# Below this J₂(φ)/φ² and J₃(φ)/φ³ are taken from their series, to 10⁻¹⁰ and 10⁻⁷.
 _SERIES_RAD = 0.05
 
 
 class BesselTable:
-    """J₁(φ)/φ and J₂(φ)/φ² for 0 ≤ φ ≤ `largest`, within 3·10⁻⁶; constant beyond.
+    """J₁(φ)/φ, J₂(φ)/φ² and J₃(φ)/φ³ for 0 ≤ φ ≤ `largest`, within 3·10⁻⁶; constant beyond.
 
     Parameters
     ----------
@@ -30,7 +30,12 @@ class BesselTable:
         bend = np.divide(
             jv(2, phi), phi**2, out=1 / 8 - phi**2 / 96 + phi**4 / 3072, where=phi > _SERIES_RAD
         )
-        self._ratio, self._bend = (table.astype(np.float32) for table in (ratio, -bend))
+        curve = np.divide(
+            jv(3, phi), phi**3, out=1 / 48 - phi**2 / 768, where=phi > _SERIES_RAD
+        )
+        self._ratio, self._bend, self._curve = (
+            table.astype(np.float32) for table in (ratio, -bend, curve)
+        )
 
     def over_argument(self, phi: Float32Array) -> Float32Array:
         """Return J₁(φ)/φ for φ ≥ 0 (any shape)."""
@@ -45,6 +50,11 @@ class BesselTable:
         """
         ratio, bend = _between(phi, self._per_rad, self._last, (self._ratio, self._bend))
         return ratio, bend
+
+    def curvature(self, phi: Float32Array) -> Float32Array:
+        """Return J₃(φ)/φ³ for φ ≥ 0 (any shape): of β, the gradient is this times u."""
+        (curve,) = _between(phi, self._per_rad, self._last, (self._curve,))
+        return curve
 
 
 class SidebandTable:

@@ -177,12 +177,12 @@ def _shown(problem: Problem, a: ComplexArray, gain: Array, field: ComplexArray) 
     power, blurred = mean_power(field), blurring(problem, a)
     weight: Array = 1 / (1 + factor**2 * power * blurred[1])
     information: Array = weight * factor**2 * (u * u + v * v)
-    seen = problem.real + 1j * problem.imaginary
+    seen: ComplexArray = problem.real + 1j * problem.imaginary
     pull: ComplexArray = weight * factor * (u - 1j * v) * seen
     steps = np.arange(len(a))
     for side in problem.others:
-        values = sideband_values(side, problem.displacement(a))
-        values = brightness(side, values, field, steps)[:, None] * values
+        dim = sideband_values(side, problem.displacement(a))
+        values = brightness(side, dim, field, steps)[:, None] * dim
         weight = side.present[:, None] / (1 + power * blurred[side.order])
         information = information + weight * np.abs(values) ** 2
         pull = pull + weight * values.conj() * (side.real + 1j * side.imaginary)

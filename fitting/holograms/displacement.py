@@ -21,7 +21,7 @@ from fitting.holograms.alternating_minimisation import (
     alternating_step,
     weighed,
 )
-from fitting.holograms.amplitudes import HALF_GAIN_PRECISION, fit_amplitudes
+from fitting.holograms.amplitudes import fit_amplitudes
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.blurring import spread_slopes
@@ -44,8 +44,8 @@ from fitting.holograms.object_field import (
     field_factor,
     smooth_functions,
 )
-from fitting.holograms.problem import Problem
-from fitting.holograms.retries import relative_misfit, tried_again, unexplained
+from fitting.holograms.problem import GAIN_NEPERS, Problem
+from fitting.holograms.retries import NORMAL_PER_MAD, relative_misfit, tried_again, unexplained
 from fitting.holograms.shape_basis import ShapeBasis
 from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 
@@ -67,6 +67,10 @@ _ENOUGH = 0.95
 _MOST_CHANGES = 3
 # A hologram with a larger misfit is far from its noise.
 _FLOOR = 30.0
+# Scatter of gains: power of a stabilised laser (data sheets: 0.2 %), and how many holograms show it.
+_LEAST_GAIN_NEPERS, _FEWEST_GAINS = 0.002, 8
+# A gain that is farther off is tried again.
+_MOST_DEVIATIONS = 4.0
 
 
 @dataclass(frozen=True)
@@ -124,13 +128,14 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
     first = replace(whole, others=())
     signal = np.mean(np.abs(block_amplitudes.value) ** 2, axis=0)
     best: Displacements | None = None
-    least = np.inf
+    least, relative = np.inf, np.full(len(signal), np.inf)
     for number, start in enumerate(starts_of(first, block_amplitudes, basis), 1):
         search = continued(first, block_amplitudes, basis, start)
-        found = None if search is None else _from_search(whole, block_amplitudes, search)
-        if found is not None and _whole_misfit(found.misfit, whole.seen) < least:
-            best, least = found, _whole_misfit(found.misfit, whole.seen)
-        relative = relative_misfit(best.misfit, signal) if best else np.full(len(signal), np.inf)
+        rough = None if search is None else _from_search(whole, block_amplitudes, search)
+        if rough is not None and _whole_misfit(rough.misfit, whole.seen) < least - _SETTLED:
+            least = _whole_misfit(rough.misfit, whole.seen)
+            best = _refined(whole, block_amplitudes, rough)
+            relative = relative_misfit(best.misfit, signal)
         if not unexplained(relative, whole.seen).size:
             break
         mostly = np.mean(relative < _EXPLAINED) > _MOST_EXPLAINED
@@ -156,9 +161,9 @@ def _problem_of(blocks: BlockAmplitudes, basis: ShapeBasis) -> Problem:
 def _from_search(
     whole: Problem, block_amplitudes: BlockAmplitudes, search: Continuation
 ) -> Displacements:
-    """Refine what a continuation has found."""
+    """Refine a little what a continuation has found: enough to compare it with others."""
     if search.explained.mean() > _ENOUGH:
-        return _finished(whole, block_amplitudes, search.solution, search.solved, _MOST_TURNS)
+        return _finished(whole, block_amplitudes, search.solution, search.solved, _QUICK_TURNS)
     # With the converged object field, more holograms can be solved.
     better = _finished(
         whole, block_amplitudes, search.solution, search.best_explained, _QUICK_TURNS
@@ -166,7 +171,15 @@ def _from_search(
     search.continue_from(
         Solution(better.amplitude_rad, better.gain, better.object_field), better.misfit
     )
-    return _finished(whole, block_amplitudes, search.solution, search.solved, _MOST_TURNS)
+    return _finished(whole, block_amplitudes, search.solution, search.solved, _QUICK_TURNS)
+
+
+def _refined(
+    whole: Problem, block_amplitudes: BlockAmplitudes, rough: Displacements
+) -> Displacements:
+    at = Solution(rough.amplitude_rad, rough.gain, rough.object_field, rough.field_variance)
+    solved = np.isfinite(rough.misfit)
+    return _finished(whole, block_amplitudes, at, solved, _MOST_TURNS, rough.change)
 
 
 def _whole_misfit(misfit: Array, seen: Array) -> float:
@@ -259,23 +272,26 @@ def _finished(
     steps = np.flatnonzero(solved)
     smooth = smooth_functions(block_amplitudes.x_m, block_amplitudes.y_m)
     problem = whole.some(steps)
-    at = Solution(at.amplitude[steps], at.gain[steps], *_rows_of(at, steps))
+    at = Solution(at.amplitude[steps], at.gain[steps], *_rows_of(at, steps), at.positions)
     sweep = _Sweep(problem, problem.exact(), smooth, change)
     at, step = _settled(sweep, at, most_turns)
     for _ in range(_MOST_CHANGES):
         before, now = sweep.change, _change_of(problem, at, step)
-        sweep = replace(sweep, change=now)
+        sweep = sweep.with_gains(_gain_scatter(sweep, at, step), now)
         at, step = _settled(sweep, at, most_turns)
         if before is not None and _same(before, now):
             break
     for _ in range(_MOST_RETRIES if most_turns > _QUICK_TURNS else 0):
         misfit = step.linear.normal.misfit / problem.seen
-        tried, better = tried_again(
-            weighed(problem, at), at, misfit, unexplained(misfit, problem.seen)
+        off = np.union1d(
+            unexplained(misfit, problem.seen),
+            np.flatnonzero(np.abs(at.gain) > _MOST_DEVIATIONS * sweep.problem.gain_nepers),
         )
+        tried, better = tried_again(sweep.problem, at, off)
         if not better:
             break
         at, step = _settled(sweep, tried, most_turns)
+    whole = replace(whole, gain_nepers=sweep.problem.gain_nepers)
     return _displacements_of(whole, steps, at, step, now)
 
 
@@ -287,6 +303,31 @@ class _Sweep:
     exact: Problem
     smooth: Array
     change: FieldChange | None
+
+    def with_gains(self, gain_nepers: float, change: FieldChange) -> "_Sweep":
+        """Return the same holograms with another scatter of gains and change of the field."""
+        problem, exact = (
+            replace(each, gain_nepers=gain_nepers) for each in (self.problem, self.exact)
+        )
+        return replace(self, problem=problem, exact=exact, change=change)
+
+
+def _gain_scatter(sweep: _Sweep, at: Solution, step: FieldStep) -> float:
+    """Find the standard deviation of log gains from the holograms that determine their own."""
+    matrix, size = step.linear.normal.matrix, 2 * at.amplitude.shape[1]
+    weak = 0.5 * FINAL_RAD**-2 * np.eye(size)
+    coupling = matrix[:, :size, size:]
+    along = np.linalg.solve(matrix[:, :size, :size] + weak, coupling)
+    known = matrix[:, -1, -1] - np.sum(coupling * along, axis=(1, 2))
+    sure = known > 0.5 / GAIN_NEPERS**2
+    if np.count_nonzero(sure) < _FEWEST_GAINS:
+        return GAIN_NEPERS
+    known = known[sure]
+    # Without what the prior does to them.
+    free = at.gain[sure] * (1 + sweep.problem.half_gain_precision / known)
+    scatter = NORMAL_PER_MAD * float(np.median(np.abs(free - np.median(free))))
+    own = float(np.median(0.5 / known))
+    return float(np.clip(np.sqrt(max(scatter**2 - own, 0.0)), _LEAST_GAIN_NEPERS, GAIN_NEPERS))
 
 
 def _rows_of(at: Solution, steps: IndexArray) -> tuple[ComplexArray, Array | None]:
@@ -329,7 +370,7 @@ def _displacements_of(
     end, size, holograms = step.linear.normal, at.amplitude.shape[1], len(whole.real)
     of_these = end.misfit / whole.seen[solved]
     # Marginalise over the gains of the holograms.
-    coupling, known = end.matrix[:, :-1, -1:], end.matrix[:, -1, -1] + HALF_GAIN_PRECISION
+    coupling, known = end.matrix[:, :-1, -1:], end.matrix[:, -1, -1] + whole.half_gain_precision
     marginal = end.matrix[:, :-1, :-1] - coupling @ coupling.swapaxes(1, 2) / known[:, None, None]
     amplitude: ComplexArray = np.zeros((holograms, size), complex)
     information = np.zeros((holograms, 2 * size, 2 * size))

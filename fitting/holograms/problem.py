@@ -32,6 +32,8 @@ from holography.arrays import Array, ComplexArray, IndexArray
 
 # Limit of log gains, in nepers: far beyond any real difference between holograms.
 _MOST_GAIN = 3.0
+# Prior standard deviation of a hologram's gain, in nepers, until the sweep shows its own.
+GAIN_NEPERS = 0.05
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,8 @@ class Problem:
         Inverse variance of the block amplitudes; 1 if it is not given.
     slopes : (2, n, j) float, optional
         See `fitting.holograms.blurring.spread_slopes`.
+    gain_nepers : float
+        Prior standard deviation of log gains.
     """
 
     real: Array
@@ -66,6 +70,7 @@ class Problem:
     recording_rank: IndexArray
     weight: Array | None = None
     slopes: Array | None = None
+    gain_nepers: float = GAIN_NEPERS
 
     @classmethod
     def of(
@@ -131,9 +136,25 @@ class Problem:
             weight=None if self.weight is None else self.weight.astype(float),
         )
 
+    def less(self, amplitudes: ComplexArray) -> "Problem":
+        """Return the same problem with (k, n) subtracted from the block amplitudes."""
+        dtype = self.real.dtype
+        return replace(
+            self,
+            real=self.real - amplitudes.real.astype(dtype),
+            imaginary=self.imaginary - amplitudes.imag.astype(dtype),
+        )
+
     def weighed(self, steps: IndexArray, values: Array) -> Array:
         """Multiply values (s, n) of holograms (s,) by their inverse variance."""
         return values if self.weight is None else values * self.weight[steps]
+
+    @property
+    def half_gain_precision(self) -> float:
+        """Half of the prior precision of log gains: the misfit, of noise of variance 1, is half
+        of χ².
+        """
+        return 0.5 / self.gain_nepers**2
 
     @property
     def blocks(self) -> int:

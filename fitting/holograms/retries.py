@@ -5,10 +5,13 @@ field and amplitudes have converged. By then its neighbours are solved, and the 
 them changes little: it is tried again from each of them and from their mean, in several sizes.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
-from fitting.holograms.alternating_minimisation import FINAL_RAD, Solution
+from fitting.holograms.alternating_minimisation import FINAL_RAD, Solution, cost, middle, weighed
 from fitting.holograms.amplitudes import fit_amplitudes
+from fitting.holograms.linearisation import rows
 from fitting.holograms.problem import Problem
 from holography.arrays import Array, ComplexArray, IndexArray
 
@@ -20,7 +23,9 @@ _DEVIATIONS = 6.0
 _SIZES = (1.0, 1.3, 0.77, 1.7, 0.6)
 # Levenberg-Marquardt steps of each trial.
 _ITERATIONS = 12
-_NORMAL_PER_MAD = 1.4826
+# How often noise and the change within blocks are found for a trial.
+_ROUNDS = 3
+NORMAL_PER_MAD = 1.4826
 
 
 def relative_misfit(misfit: Array, signal: Array) -> Array:
@@ -59,12 +64,12 @@ def unexplained(misfit: Array, seen: Array) -> IndexArray:
         return np.arange(len(misfit))
     middle = float(np.median(misfit[known]))
     own = middle / np.sqrt(seen)
-    scatter = _NORMAL_PER_MAD * float(np.median(np.abs(misfit[known] - middle)))
+    scatter = NORMAL_PER_MAD * float(np.median(np.abs(misfit[known] - middle)))
     return np.flatnonzero(~(misfit - middle < _DEVIATIONS * np.maximum(own, scatter)))
 
 
 def tried_again(
-    problem: Problem, at: Solution, misfit: Array, bad: IndexArray
+    problem: Problem, at: Solution, bad: IndexArray
 ) -> tuple[Solution, int]:
     """Solve the unexplained holograms from their neighbours; return how many are explained better.
 
@@ -73,29 +78,43 @@ def tried_again(
     problem : Problem
         Of the holograms of the solution, in order of frequency.
     at : Solution
-    misfit : (k,) float
-        Mean square residual of each hologram.
     bad : (b,) int
         Numbers of the unexplained holograms.
     """
     amplitude, gain, better = at.amplitude.copy(), at.gain.copy(), 0
-    good = np.setdiff1d(np.arange(len(misfit)), bad)
+    so_far = cost(problem, at)
+    good = np.setdiff1d(np.arange(len(gain)), bad)
     if not good.size:
         return at, 0
     for number in bad.tolist():
         starts = _starts(amplitude, number, good)
         steps = np.full(len(starts), number)
-        turned = problem.turned(at.object_field, steps, starts)
-        weak = FINAL_RAD**-2 * np.eye(starts.shape[1])
-        found, louder, left = fit_amplitudes(
-            problem, at.object_field, steps, (turned, np.zeros(len(starts))), _ITERATIONS, weak
-        )
+        found, louder, left = _solved(problem.some(steps), at, steps, starts)
         best = int(np.argmin(left))
-        gained = misfit[number] * problem.seen[number] - left[best]
+        gained = so_far[number] - left[best]
         # More than the noise of one amplitude would give by chance.
         if gained > np.sqrt(problem.seen[number]):
             amplitude[number], gain[number], better = found[best], louder[best], better + 1
-    return Solution(amplitude, gain, at.object_field), better
+    return replace(at, amplitude=amplitude, gain=gain), better
+
+
+def _solved(
+    few: Problem, at: Solution, steps: IndexArray, starts: ComplexArray
+) -> tuple[ComplexArray, Array, Array]:
+    """Solve holograms from starts (s, j); return amplitudes, log gains and costs (s,)."""
+    variance = None if at.field_variance is None else at.field_variance[steps]
+    field, each = rows(at.object_field, steps), np.arange(len(steps))
+    field = np.broadcast_to(field, (len(steps), field.shape[1]))
+    a, gain = few.turned(field, each, starts), np.zeros(len(steps), float)
+    weak = FINAL_RAD**-2 * np.eye(starts.shape[1])
+    positions = None
+    for _ in range(_ROUNDS):
+        there = Solution(a, gain, field, variance, positions)
+        trial = weighed(middle(few, there), there)
+        a, gain, _ = fit_amplitudes(trial, field, each, (a, gain), _ITERATIONS, weak)
+        # Far from a solution, the change within a block means nothing.
+        positions = at.positions
+    return a, gain, cost(few, Solution(a, gain, field, variance, positions))
 
 
 def _starts(amplitude: ComplexArray, number: int, good: IndexArray) -> ComplexArray:

@@ -1,0 +1,133 @@
+"""Fit where within a block, weighted by speckle, its light comes from.
+
+A resolution cell of the hologram contains many scatterers, with random phases. Where the
+displacement changes across the cell, the block amplitude is ``A (F(u) + Σ_i s_i dF[∂u/∂x_i])``: s_i
+is the mean position of the scatterers, weighted by their complex fields, and so a complex number
+that speckle decides. It is the same in all holograms of a sweep, and found from them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fitting.holograms.linearisation import rows
+from fitting.holograms.problem import Problem
+from holography.arrays import Array, ComplexArray
+
+# Start of the variance of positions, in units of that of light that fills the block evenly, and how
+# often it is found again.
+_START, _TURNS = 0.1, 4
+
+
+@dataclass(frozen=True)
+class SpecklePositions:
+    """Mean positions of the light of each block.
+
+    Attributes
+    ----------
+    position : (n, 2) complex
+        Along x and y, in units of the standard deviation of light that fills the block evenly.
+    variance : float
+        Of all positions: mean square of a component.
+    """
+
+    position: ComplexArray
+    variance: float
+
+
+def slope_terms(problem: Problem, a: ComplexArray) -> ComplexArray | None:
+    """Return the changes dF[∂u/∂x_i] (2, k, n) of F(u) over the spread of a block's light.
+
+    None if the problem has no slopes.
+    """
+    if problem.slopes is None:
+        return None
+    u, v = problem.displacement(a)
+    alpha, beta = problem.tensor(u, v)
+    terms = []
+    for along in problem.slopes:
+        p, q = (np.asarray(part, along.dtype) @ along.T for part in (a.real, a.imag))
+        bend = beta * (u * p + v * q)
+        terms.append(alpha * (p + 1j * q) + bend * (u + 1j * v))
+    return np.stack(terms)
+
+
+def mean_bend(problem: Problem, a: ComplexArray) -> ComplexArray:
+    """Return the change (k, n) that even light gives the mean of F(u) over a block.
+
+    It is ``½ Σ_i d²F[∂u/∂x_i, ∂u/∂x_i]``, with the slopes over the spread of the light. From
+    ``dF = α 1 + β u uᵀ`` and ``∂β/∂u = γ u`` follows ``d²F[w, w] = 2 β (u·w) w + β |w|² u + γ
+    (u·w)² u``. Of a wave with phase k x, a Gaussian spread s leaves exp(−k² s²/2); here
+    1/(1 + k² s²/2) is taken, which no large slope turns negative.
+    """
+    u, v = problem.displacement(a)
+    bend: ComplexArray = np.zeros(u.shape, np.complex64)
+    if problem.slopes is None:
+        return bend
+    _, beta = problem.tensor(u, v)
+    gamma = problem.bessel.curvature(np.sqrt(u * u + v * v).astype(np.float32))
+    change = np.ones_like(u)
+    for along in problem.slopes:
+        p, q = (np.asarray(part, along.dtype) @ along.T for part in (a.real, a.imag))
+        change += 0.5 * (p * p + q * q)
+        onto = u * p + v * q
+        radial = beta * (p * p + q * q) + gamma * onto * onto
+        bend += (0.5 * radial * u + beta * onto * p) + 1j * (0.5 * radial * v + beta * onto * q)
+    return bend / change
+
+
+def speckle_positions(
+    problem: Problem, a: ComplexArray, gain: Array, field: ComplexArray, weight: Array
+) -> SpecklePositions | None:
+    """Find the positions from residuals of the first sideband; None without slopes.
+
+    Parameters
+    ----------
+    problem : Problem
+        Weighted by the variances of its block amplitudes.
+    a : (k, j) complex
+        Amplitudes.
+    gain : (k,) float
+        Log gains.
+    field : (n,) or (k, n) complex
+        Object field.
+    weight : (k,) float
+        Holograms of a smaller weight count for less.
+    """
+    terms = slope_terms(problem, a)
+    if terms is None:
+        return None
+    steps = np.arange(len(a))
+    u, v = problem.bessel_vectors(a)
+    shown = np.exp(gain)[:, None] * rows(field, steps)
+    left = problem.real + 1j * problem.imaginary - shown * (u + 1j * v + mean_bend(problem, a))
+    trust = weight[:, None] * problem.weighed(steps, np.ones_like(u))
+    columns = shown * terms
+    matrix = np.einsum("ikn,jkn,kn->nij", columns.conj(), columns, trust, optimize=True)
+    force = np.einsum("ikn,kn,kn->ni", columns.conj(), left, trust, optimize=True)
+    variance = _START
+    for _ in range(_TURNS):
+        covariance = np.linalg.inv(matrix + np.eye(2) / variance)
+        position = np.einsum("nij,nj->ni", covariance, force)
+        # Expectation and maximisation: the mean square of what the positions may be.
+        unknown = np.trace(covariance, axis1=1, axis2=2).real / 2
+        variance = float(np.mean(np.mean(np.abs(position) ** 2, axis=1) + unknown))
+    return SpecklePositions(position, variance)
+
+
+def from_middle(
+    problem: Problem,
+    a: ComplexArray,
+    gain: Array,
+    field: ComplexArray,
+    positions: SpecklePositions | None,
+) -> Problem:
+    """Return a problem with block amplitudes as they were if light came from the blocks' middle."""
+    terms = slope_terms(problem, a)
+    if terms is None:
+        return problem
+    moved = mean_bend(problem, a)
+    if positions is not None:
+        moved = moved + np.einsum("ikn,ni->kn", terms, positions.position)
+    shown = np.exp(gain)[:, None] * rows(field, np.arange(len(a)))
+    return problem.less(shown * moved)

@@ -298,7 +298,7 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
     template, variance = _templates(fitted)
     # As modes have it: what all displacements are off together is taken off.
     u = modal.amplitude_rad @ fitted.basis.functions.T
-    brightness = found.gain + 0.5 * np.log(noise * np.mean(seen))
+    brightness = found.gain + 0.5 * np.log(noise * np.mean(seen, axis=-1))
     # Block by block: light and vibration may be taken for each other smoothly over the reed.
     moved = np.abs(found.object_field) * np.abs(found.amplitude_rad @ fitted.basis.functions.T)
     signal = found.gain + 0.5 * np.log(noise * np.maximum(np.mean(moved**2, axis=1), 1e-12))

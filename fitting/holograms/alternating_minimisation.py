@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.holograms.amplitudes import block_object_field, fit_amplitudes
-from fitting.holograms.blurring import blurring
 from fitting.holograms.changing_field import FieldChange, field_estimate, mean_power
 from fitting.holograms.object_field import (
     FieldStep,
@@ -17,7 +16,12 @@ from fitting.holograms.object_field import (
 )
 from fitting.holograms.problem import Problem, misfits
 from fitting.holograms.sidebands import sideband_values
-from fitting.holograms.speckle_slopes import SpecklePositions, from_middle, speckle_positions
+from fitting.holograms.within_blocks import (
+    SpecklePositions,
+    blurring,
+    from_middle,
+    speckle_positions,
+)
 from holography.arrays import Array, Complex64Array, ComplexArray
 
 # Prior standard deviation of amplitudes, rad: weak, for directions that the data do not determine.

@@ -1,12 +1,24 @@
 """Amplitudes of holograms from a known object field, and the object field from amplitudes."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from fitting.holograms.problem import Problem, misfits, normal
+from fitting.holograms.problem import GAIN_NEPERS, Problem, misfits, normal
 from fitting.holograms.sidebands import brightness, sideband_values
 from fitting.levenberg_marquardt import Damping, NormalEquations, minimise_all
 from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 
+# Holograms over which gains are averaged, in the order of recording: standard deviation of a
+# Gaussian window.
+_SLOW = 3.0
+# Least scatter of gains: power of a stabilised laser (data sheets: 0.2 %), and how many holograms
+# must show their own gain.
+_LEAST_GAIN_NEPERS, _FEWEST_GAINS = 0.002, 8
+# Prior standard deviation of amplitudes, rad: weak, for directions that are not determined.
+_WEAK_RAD = 10.0
+# Ratio of a normal distribution's standard deviation to its median absolute deviation.
+NORMAL_PER_MAD = 1.4826
 # Chosen by hand; no study of other values is kept.
 _DAMPING = Damping(first=1e-3, after_gain=0.2, after_loss=6, constant=1e-3, largest=1e6)
 
@@ -102,3 +114,53 @@ def block_object_field(
         np.complex64
     )
     return found
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Slow changes of log gains, and what is left.
+
+    Attributes
+    ----------
+    slow : (k,) float
+        Mean log gain of the holograms recorded before and after each.
+    scatter_nepers : float
+        Standard deviation of log gains around it.
+    """
+
+    slow: Array
+    scatter_nepers: float
+
+
+def split_gains(problem: Problem, gain: Array, matrix: Array) -> Gains:
+    """Split log gains (k,) into slow changes and scatter.
+
+    Parameters
+    ----------
+    problem : Problem
+    gain : (k,) float
+    matrix : (k, 2j + 1, 2j + 1) float
+        Normal matrices of amplitudes and log gains. At small amplitudes a hologram does not
+        determine its gain.
+    """
+    size = matrix.shape[1] - 1
+    coupling = matrix[:, :size, size:]
+    weak = 0.5 * _WEAK_RAD**-2 * np.eye(size)
+    along = np.linalg.solve(matrix[:, :size, :size] + weak, coupling)
+    known = matrix[:, -1, -1] - np.sum(coupling * along, axis=(1, 2))
+    # Half of the precision, as the misfit is half of χ².
+    sure = known > 0.5 / GAIN_NEPERS**2
+    if np.count_nonzero(sure) < _FEWEST_GAINS:
+        return Gains(np.zeros(len(gain)), GAIN_NEPERS)
+    known = np.where(sure, known, 0)
+    # Without what the prior does to them.
+    free = np.where(sure, gain * (1 + problem.half_gain_precision / np.maximum(known, 1e-9)), 0)
+    weight = np.minimum(known, 0.5 / _LEAST_GAIN_NEPERS**2)
+    apart = np.subtract.outer(problem.recording_rank, problem.recording_rank) / _SLOW
+    window = np.exp(-0.5 * apart**2) * (1 - np.eye(len(gain))) * weight
+    slow: Array = window @ free / (window.sum(axis=1) + 0.5 / GAIN_NEPERS**2)
+    left = (free - slow)[sure]
+    scatter = NORMAL_PER_MAD * float(np.median(np.abs(left - np.median(left))))
+    own = float(np.median(0.5 / known[sure]))
+    found = np.sqrt(max(scatter**2 - own, 0.0))
+    return Gains(slow, float(np.clip(found, _LEAST_GAIN_NEPERS, GAIN_NEPERS)))

@@ -30,9 +30,7 @@ class BesselTable:
         bend = np.divide(
             jv(2, phi), phi**2, out=1 / 8 - phi**2 / 96 + phi**4 / 3072, where=phi > _SERIES_RAD
         )
-        curve = np.divide(
-            jv(3, phi), phi**3, out=1 / 48 - phi**2 / 768, where=phi > _SERIES_RAD
-        )
+        curve = np.divide(jv(3, phi), phi**3, out=1 / 48 - phi**2 / 768, where=phi > _SERIES_RAD)
         self._ratio, self._bend, self._curve = (
             table.astype(np.float32) for table in (ratio, -bend, curve)
         )

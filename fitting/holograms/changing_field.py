@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from fitting.holograms.blurring import blurring
 from fitting.holograms.problem import Problem
 from fitting.holograms.sidebands import brightness, sideband_values
+from fitting.holograms.within_blocks import blurring
 from holography.arrays import Array, Complex64Array, ComplexArray
 
 # Limits of both variances over the mean power of the field: 0.01 % rms from hologram to hologram is

@@ -21,10 +21,9 @@ from fitting.holograms.alternating_minimisation import (
     alternating_step,
     weighed,
 )
-from fitting.holograms.amplitudes import fit_amplitudes
+from fitting.holograms.amplitudes import fit_amplitudes, split_gains
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import BlockAmplitudes
-from fitting.holograms.blurring import spread_slopes
 from fitting.holograms.changing_field import (
     FieldChange,
     field_estimate,
@@ -44,9 +43,10 @@ from fitting.holograms.object_field import (
     field_factor,
     smooth_functions,
 )
-from fitting.holograms.problem import GAIN_NEPERS, Problem
-from fitting.holograms.retries import NORMAL_PER_MAD, relative_misfit, tried_again, unexplained
+from fitting.holograms.problem import Problem
+from fitting.holograms.retries import relative_misfit, tried_again, unexplained
 from fitting.holograms.shape_basis import ShapeBasis
+from fitting.holograms.within_blocks import spread_slopes
 from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 
 # Most turns of the alternating minimisation, and of one whose result is refined later.
@@ -67,8 +67,6 @@ _ENOUGH = 0.95
 _MOST_CHANGES = 3
 # A hologram with a larger misfit is far from its noise.
 _FLOOR = 30.0
-# Scatter of gains: power of a stabilised laser (data sheets: 0.2 %), and how many holograms show it.
-_LEAST_GAIN_NEPERS, _FEWEST_GAINS = 0.002, 8
 # A gain that is farther off is tried again.
 _MOST_DEVIATIONS = 4.0
 
@@ -85,6 +83,8 @@ class Displacements:
         Inverse covariance of their real, then imaginary parts, from noise and misfit.
     common_mode : CommonModeError
         Error that all of them have in common, in addition to their noise.
+    recording_rank : (k,) int
+        Rank of each hologram in the order of recording.
     misfit : (k,) float
         Mean square residual of the block amplitudes, in units of the noise.
     gain : (k,) float
@@ -102,6 +102,7 @@ class Displacements:
     amplitude_rad: ComplexArray
     information: Array
     common_mode: CommonModeError
+    recording_rank: IndexArray
     misfit: Array
     gain: Array
     object_field: Complex64Array
@@ -211,8 +212,8 @@ def refit_displacements(
         equally well the last is used.
     off : (k,) bool
         Holograms that are solved from there, because they are not explained so far.
-    common_mode_shift : (q,) float
-        Common-mode error of all displacements, as the modal fit found it (see
+    common_mode_shift : (k, q) float
+        Common-mode error of the displacements, as the modal fit found it (see
         `fitting.holograms.object_field.CommonModeError`).
 
     Raises
@@ -224,7 +225,7 @@ def refit_displacements(
     whole = _problem_of(blocks, basis)
     smooth = smooth_functions(blocks.x_m, blocks.y_m)
     object_field = before.object_field * field_factor(smooth, common_mode_shift)
-    changes = before.common_mode.response @ common_mode_shift
+    changes = (before.common_mode.response @ common_mode_shift[..., None])[..., 0]
     size = before.amplitude_rad.shape[1]
     a = before.amplitude_rad + changes[:, :size] + 1j * changes[:, size:]
     steps, gain, misfit = np.flatnonzero(off), before.gain.copy(), before.misfit.copy()
@@ -277,7 +278,10 @@ def _finished(
     at, step = _settled(sweep, at, most_turns)
     for _ in range(_MOST_CHANGES):
         before, now = sweep.change, _change_of(problem, at, step)
-        sweep = sweep.with_gains(_gain_scatter(sweep, at, step), now)
+        gains = split_gains(sweep.problem, at.gain, step.linear.normal.matrix)
+        # Whether slow changes belong to the gains or to the object field is a choice.
+        at = replace(at, gain=at.gain - gains.slow)
+        sweep = sweep.with_gains(gains.scatter_nepers, now)
         at, step = _settled(sweep, at, most_turns)
         if before is not None and _same(before, now):
             break
@@ -310,24 +314,6 @@ class _Sweep:
             replace(each, gain_nepers=gain_nepers) for each in (self.problem, self.exact)
         )
         return replace(self, problem=problem, exact=exact, change=change)
-
-
-def _gain_scatter(sweep: _Sweep, at: Solution, step: FieldStep) -> float:
-    """Find the standard deviation of log gains from the holograms that determine their own."""
-    matrix, size = step.linear.normal.matrix, 2 * at.amplitude.shape[1]
-    weak = 0.5 * FINAL_RAD**-2 * np.eye(size)
-    coupling = matrix[:, :size, size:]
-    along = np.linalg.solve(matrix[:, :size, :size] + weak, coupling)
-    known = matrix[:, -1, -1] - np.sum(coupling * along, axis=(1, 2))
-    sure = known > 0.5 / GAIN_NEPERS**2
-    if np.count_nonzero(sure) < _FEWEST_GAINS:
-        return GAIN_NEPERS
-    known = known[sure]
-    # Without what the prior does to them.
-    free = at.gain[sure] * (1 + sweep.problem.half_gain_precision / known)
-    scatter = NORMAL_PER_MAD * float(np.median(np.abs(free - np.median(free))))
-    own = float(np.median(0.5 / known))
-    return float(np.clip(np.sqrt(max(scatter**2 - own, 0.0)), _LEAST_GAIN_NEPERS, GAIN_NEPERS))
 
 
 def _rows_of(at: Solution, steps: IndexArray) -> tuple[ComplexArray, Array | None]:
@@ -375,11 +361,13 @@ def _displacements_of(
     amplitude: ComplexArray = np.zeros((holograms, size), complex)
     information = np.zeros((holograms, 2 * size, 2 * size))
     response = np.zeros((holograms, *step.common_mode.response.shape[1:]))
+    precision = np.zeros((holograms, *step.common_mode.precision.shape[1:]))
     misfit, gain = np.full(holograms, np.inf), np.zeros(holograms)
     amplitude[solved], gain[solved], misfit[solved] = at.amplitude, at.gain, of_these
     # Noise of variance 1 has half of it in either part.
     information[solved] = 2 * marginal / np.maximum(of_these, 1)[:, None, None]
     response[solved] = step.common_mode.response
+    precision[solved] = step.common_mode.precision
     weight = np.zeros(holograms)
     weight[solved] = 1 / np.maximum(of_these, 1)
     nearest = np.abs(np.arange(holograms)[:, None] - solved).argmin(axis=1)
@@ -388,7 +376,8 @@ def _displacements_of(
     return Displacements(
         amplitude_rad=amplitude,
         information=information,
-        common_mode=CommonModeError(response, step.common_mode.precision),
+        common_mode=CommonModeError(response, precision),
+        recording_rank=whole.recording_rank,
         misfit=misfit,
         gain=gain,
         object_field=everywhere.mean,

@@ -21,7 +21,7 @@ from fitting.holograms.problem import (
     fill_normal,
 )
 from fitting.parallel.threads import map_threads
-from holography.arrays import Array, ComplexArray
+from holography.arrays import Array, ComplexArray, IndexArray
 
 # Total degree in x and y of the polynomial that is the factor's logarithm.
 _DEGREE = 6
@@ -41,12 +41,19 @@ class CommonModeError:
     response : (k, 2j, q) float
         Derivatives of the amplitudes (real, then imaginary parts) of every hologram with respect
         to the q parameters of the error.
-    precision : (q, q) float
-        Inverse covariance of the parameters.
+    precision : (k, q, q) float
+        What each hologram adds to the inverse covariance of the parameters.
     """
 
     response: Array
     precision: Array
+
+    @property
+    def whole(self) -> Array:
+        """Inverse covariance (q, q) of parameters that are the same in all holograms."""
+        weak = _LOOSE**-2 * np.eye(self.precision.shape[1])
+        whole: Array = weak + self.precision.sum(axis=0)
+        return whole
 
 
 @dataclass(frozen=True)
@@ -60,8 +67,10 @@ class LinearisedSweep:
     coupling : (k, 2j + 1, 2c) float
         Elements of the normal matrix between the unknowns of a hologram and the coefficients of
         the log factor: of its magnitude, then of its phase.
-    field_matrix, field_gradient : (2c, 2c), (2c,) float
-        Normal equations of the coefficients, summed over weighted holograms.
+    field_matrix : (k, c, c) float
+        Normal matrix of the coefficients, of weighted holograms: of the magnitude as of the phase.
+    field_gradient : (2c,) float
+        Negative gradient, summed over weighted holograms.
     """
 
     normal: Normal
@@ -74,10 +83,19 @@ def smooth_functions(x_m: Array, y_m: Array) -> Array:
     """Return Legendre polynomials (n, c) at points (n,) of the reed; the first is constant."""
     x, y = (2 * (at - at.min()) / max(float(np.ptp(at)), 1e-12) - 1 for at in (x_m, y_m))
     along, across = (np.polynomial.legendre.legvander(at, _DEGREE) for at in (x, y))
-    return np.stack(
-        [along[:, i] * across[:, j] for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)],
-        axis=1,
-    )
+    return np.stack([along[:, i] * across[:, j] for i, j in _degrees()], axis=1)
+
+
+def _degrees() -> list[tuple[int, int]]:
+    """Return the degrees in x and y of the smooth functions."""
+    return [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
+
+
+def of_low_degree(degree: int) -> IndexArray:
+    """Return which parameters of the common-mode error have a total degree up to `degree`."""
+    low = np.array([c for c, (i, j) in enumerate(_degrees()) if i + j <= degree])
+    # The constant of the phase is no parameter.
+    return np.concatenate([low, len(_degrees()) - 1 + low[1:]])
 
 
 def linearise(
@@ -108,17 +126,20 @@ def linearise(
     functions, count = problem.functions, smooth.shape[1]
     size = functions.shape[1]
     products = (functions[:, :, None] * smooth[:, None, :]).reshape(len(functions), -1)
+    pairs = (smooth[:, :, None] * smooth[:, None, :]).reshape(len(smooth), -1)
     normal = Normal.empty(len(a), size)
     coupling = np.zeros((len(a), 2 * size + 1, 2 * count))
+    field_matrix = np.zeros((len(a), count, count))
 
-    def fill(some: slice) -> tuple[Array, Array, Array, Array]:
+    def fill(some: slice) -> tuple[Array, Array]:
         steps = np.arange(len(a))[some]
         here, others = fill_normal(normal, some, problem, object_field, steps, a[some], gain[some])
         first = _field_terms(here, products, count, weight[some])
         coupling[some, :-1] = first.coupling
         coupling[some, -1, :count] = first.shown @ smooth
-        power, louder, turned = weight[some] @ first.shown, first.louder, first.turned
-        free = np.zeros((count, count))
+        power = weight[some, None] * first.shown
+        louder, turned = first.louder, first.turned
+        free = np.zeros((len(steps), count, count))
         for other in others:
             trust = weight[some] * other.present
             seen = _field_terms(other.here, products, count, trust)
@@ -128,14 +149,14 @@ def linearise(
             coupling[some, :-1] += other.present[:, None, None] * seen.coupling
             coupling[some, :-1, :count] -= other.of_gain[:, :, None] * eliminated[:, None]
             coupling[some, :-1, count:] -= other.of_phase[:, :, None] * eliminated[:, None]
-            free += (weight[some, None] * common).T @ eliminated
-            power, louder = power + trust @ seen.shown, louder + seen.louder
+            free += (weight[some, None] * common)[:, :, None] * eliminated[:, None]
+            power, louder = power + trust[:, None] * seen.shown, louder + seen.louder
             turned = turned + seen.turned
-        return power, louder, turned, free
+        field_matrix[some] = (power @ pairs).reshape(free.shape) - free
+        return louder, turned
 
     parts = map_threads(fill, len(a))
-    shown, louder, turned, free = (np.sum(each, axis=0) for each in zip(*parts, strict=True))
-    field_matrix = np.kron(np.eye(2), smooth.T @ (shown[:, None] * smooth) - free)
+    louder, turned = (np.sum(each, axis=0) for each in zip(*parts, strict=True))
     field_gradient = np.concatenate([louder @ smooth, turned @ smooth])
     return LinearisedSweep(normal, coupling, field_matrix, field_gradient)
 
@@ -183,13 +204,13 @@ def _field_terms(here: Local, products: Array, count: int, weight: Array) -> _Fi
 
 
 def field_factor(smooth: Array, move: Array) -> NDArray[np.complex64]:
-    """Return the smooth factor (n,) of the object field.
+    """Return the smooth factor (..., n) of the object field.
 
     Parameters
     ----------
     smooth : (n, c) float
         See `smooth_functions`.
-    move : (2c - 1,) float
+    move : (..., 2c - 1) float
         Coefficients of its logarithm: of the magnitude, then of the phase without the constant,
         which belongs to the holograms and is arbitrary.
     """
@@ -198,9 +219,9 @@ def field_factor(smooth: Array, move: Array) -> NDArray[np.complex64]:
 
 
 def log_field_factor(smooth: Array, move: Array) -> ComplexArray:
-    """Return the logarithm (n,) of `field_factor`."""
+    """Return the logarithm (..., n) of `field_factor`."""
     count = smooth.shape[1]
-    factor: ComplexArray = smooth @ move[:count] + 1j * (smooth[:, 1:] @ move[count:])
+    factor: ComplexArray = move[..., :count] @ smooth.T + 1j * (move[..., count:] @ smooth[:, 1:].T)
     return factor
 
 
@@ -242,19 +263,22 @@ def field_step(linear: LinearisedSweep, held: Array, x: Array, weight: Array) ->
     count = len(linear.field_gradient) // 2
     kept = np.delete(np.arange(2 * count), count)
     coupling = linear.coupling[:, :, kept]
+    field_matrix = np.zeros((len(coupling), 2 * count, 2 * count))
+    for half in (slice(count), slice(count, None)):
+        field_matrix[:, half, half] = linear.field_matrix
     pull = linear.normal.gradient - x @ held
     reply = np.linalg.solve(
         linear.normal.matrix + held, np.concatenate([coupling, pull[..., None]], axis=2)
     )
     response, alone = reply[:, :, :-1], reply[:, :, -1]
-    schur = linear.field_matrix[np.ix_(kept, kept)] - np.einsum(
-        "kxc,kxd,k->cd", coupling, response, weight, optimize=True
+    schur = field_matrix[:, kept][:, :, kept] - weight[:, None, None] * (
+        coupling.swapaxes(1, 2) @ response
     )
     force = linear.field_gradient[kept] - np.einsum(
         "kxc,kx,k->c", coupling, alone, weight, optimize=True
     )
     # Half the precision: the misfit, of noise of variance 1, is half of χ².
-    schur = 0.5 * (schur + schur.T) + 0.5 * _LOOSE**-2 * np.eye(len(kept))
-    move = np.linalg.solve(schur + 0.5 * _STEP**-2 * np.eye(len(kept)), force)
-    common_mode = CommonModeError(-response[:, :-1], 2 * schur)
+    common_mode = CommonModeError(-response[:, :-1], schur + schur.swapaxes(1, 2))
+    held_back = 0.5 * common_mode.whole + 0.5 * _STEP**-2 * np.eye(len(kept))
+    move = np.linalg.solve(held_back, force)
     return FieldStep(move, alone - response @ move, common_mode, linear)

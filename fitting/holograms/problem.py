@@ -56,7 +56,7 @@ class Problem:
     weight : (k, n) float, optional
         Inverse variance of the block amplitudes; 1 if it is not given.
     slopes : (2, n, j) float, optional
-        See `fitting.holograms.blurring.spread_slopes`.
+        See `fitting.holograms.within_blocks.spread_slopes`.
     gain_nepers : float
         Prior standard deviation of log gains.
     """
@@ -151,9 +151,8 @@ class Problem:
 
     @property
     def half_gain_precision(self) -> float:
-        """Half of the prior precision of log gains: the misfit, of noise of variance 1, is half
-        of χ².
-        """
+        """Half of the prior precision of log gains."""
+        # The misfit, of noise of variance 1, is half of χ².
         return 0.5 / self.gain_nepers**2
 
     @property

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from fitting.holograms.alternating_minimisation import FINAL_RAD, Solution, cost, middle, weighed
-from fitting.holograms.amplitudes import fit_amplitudes
+from fitting.holograms.amplitudes import NORMAL_PER_MAD, fit_amplitudes
 from fitting.holograms.linearisation import rows
 from fitting.holograms.problem import Problem
 from holography.arrays import Array, ComplexArray, IndexArray
@@ -25,7 +25,6 @@ _SIZES = (1.0, 1.3, 0.77, 1.7, 0.6)
 _ITERATIONS = 12
 # How often noise and the change within blocks are found for a trial.
 _ROUNDS = 3
-NORMAL_PER_MAD = 1.4826
 
 
 def relative_misfit(misfit: Array, signal: Array) -> Array:
@@ -68,9 +67,7 @@ def unexplained(misfit: Array, seen: Array) -> IndexArray:
     return np.flatnonzero(~(misfit - middle < _DEVIATIONS * np.maximum(own, scatter)))
 
 
-def tried_again(
-    problem: Problem, at: Solution, bad: IndexArray
-) -> tuple[Solution, int]:
+def tried_again(problem: Problem, at: Solution, bad: IndexArray) -> tuple[Solution, int]:
     """Solve the unexplained holograms from their neighbours; return how many are explained better.
 
     Parameters

@@ -2,9 +2,9 @@
 
 The log magnitude per volt is a smooth function of log frequency plus the scatter of the light from
 one hologram to the next. The smooth function is a Gaussian process: level and slope of any size,
-and ripple as loudspeakers have. The scatter has a Student distribution, which admits a few
-holograms that are far off. Without the bounds of the process a drive could follow the resonance of
-a mode that dominates its neighbourhood, and the mode could be put elsewhere.
+and ripple as loudspeakers and chambers have. The scatter has a Student distribution, which admits a
+few holograms that are far off. Without the bounds of the process a drive could follow the resonance
+of a mode that dominates its neighbourhood, and the mode could be put elsewhere.
 """
 
 from dataclasses import dataclass
@@ -17,9 +17,10 @@ from holography.arrays import Array
 # Level: any sensitivity. Slope per unit of log frequency: 24 dB per octave, a filter of fourth
 # order, is 4 nepers.
 _LEVEL, _SLOPE = 10.0, 4.0
-# Ripple in nepers, and the log frequency over which it is correlated: data sheets of dome tweeters
-# show 3 dB over a third of an octave, and 1 dB of finer structure.
-_RIPPLES = ((0.35, 0.2), (0.1, 0.06))
+# Ripple in nepers, and the log frequency over which it is correlated. Data sheets of dome tweeters
+# show 3 dB over a third of an octave. A leaky chamber adds resonances and notches of quality 20 and
+# several dB: 2 dB within 100 cents.
+_RIPPLES = ((0.35, 0.2), (0.25, 0.06))
 # Iterations of the reweighting by which a Student distribution is fitted.
 _TURNS = 8
 # Scatter of single holograms around the smooth drive, in nepers: start and lower limit. Lasers and

@@ -30,15 +30,24 @@ from fitting.errors import FitError
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.drive_prior import drive_covariance
+from fitting.modal.field_drift import (
+    FIRST_WALK,
+    FieldDrift,
+    SharedError,
+    field_drift,
+    found_walk,
+    shared_error,
+)
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import (
-    KNOWN_DRIVE_DOF,
     LOSS,
     TAIL_TERMS,
     UNKNOWN_DRIVE_DOF,
     Model,
     Prior,
+    Stage,
     State,
+    stage_prior,
     terms,
     with_gain,
 )
@@ -60,12 +69,7 @@ from holography.arrays import Array, ComplexArray
 
 # Participations are polynomials of log frequency of this degree.
 _DEGREE = 4
-# Prior of a loss factor: within a factor of 1.5.
-_LOSS_SPREAD = 0.4
-# Shapes mix as if stiffness and mass were wrong by this fraction; largest and least coefficient.
-_PERTURBATION, _MOST_MIXING, _LEAST_MIXING = 0.08, 0.5, 5e-3
-# Prior of participations: within 3 times the value of the stage before.
-_SCALE = 3.0
+# Least scale of a participation.
 _LEAST_SCALE = 3e-3
 # Added to the diagonal of a matrix of unit diagonal: more than its rounding.
 _ROUNDING = 1e-11
@@ -75,70 +79,12 @@ _ROUNDS = 3
 _AGAIN = 2
 
 
-@dataclass(frozen=True)
-class _Stage:
-    """Priors of one stage of the fit; they widen from stage to stage.
-
-    Attributes
-    ----------
-    discrepancy : float
-        Standard deviation of the discrepancy of the real or imaginary part of an amplitude, as a
-        fraction of the hologram's rms amplitude.
-    decay : float
-        Ratio of the prior standard deviations of successive polynomial degrees of a participation.
-    detuning : float
-        Prior standard deviation of log frequencies.
-    mixing : float
-        Factor on the prior of the mixing of shapes.
-    iterations : int
-    """
-
-    discrepancy: float
-    decay: float
-    detuning: float
-    mixing: float
-    iterations: int
-
-
 _STAGES = (
-    _Stage(0.3, 0.05, 0.01, 0.05, 1),
-    _Stage(0.1, 0.3, 0.01, 0.3, 1),
-    _Stage(0.03, 0.5, 0.01, 1.0, 1),
+    Stage(0.3, 0.05, 0.01, 0.05, 1),
+    Stage(0.1, 0.3, 0.01, 0.3, 1),
+    Stage(0.03, 0.5, 0.01, 1.0, 1),
 )
-_LAST = _Stage(0.015, 0.7, 0.02, 1.0, 4)
-
-
-def _prior(model: Model, stage: _Stage, centre_hz: Array, scale: Array) -> Prior:
-    """Return the prior of a stage; `scale` (m,) is the expected size of participations."""
-    count, powers = len(model.active), model.powers.shape[1]
-    centre = np.zeros((count + len(model.reference), model.slots))
-    spread = np.zeros_like(centre)
-    degrees = stage.decay ** np.arange(powers)
-    degrees[0] = _SCALE
-    for part in (0, powers):
-        spread[:count, part : part + powers] = scale[model.active, None] * degrees
-    centre[:count, 2 * powers] = np.log(centre_hz)
-    spread[:count, 2 * powers] = stage.detuning
-    centre[:count, 2 * powers + 1], spread[:count, 2 * powers + 1] = np.log(LOSS), _LOSS_SPREAD
-    mixing = stage.mixing * _mixing(model, centre_hz)
-    spread[count:, :count] = np.where(_LEAST_MIXING * stage.mixing < mixing.T, mixing.T, 0)
-    for part in (count, count + TAIL_TERMS):
-        tail = scale[model.passive, None] * degrees[:TAIL_TERMS]
-        spread[count + model.passive, part : part + TAIL_TERMS] = tail
-    with np.errstate(divide="ignore"):
-        return Prior(centre, spread**-2.0)
-
-
-def _mixing(model: Model, centre_hz: Array) -> Array:
-    """Return the prior standard deviation (a, m) of the mixing of each shape into a mode."""
-    hz = model.reference_hz.copy()
-    hz[model.active] = centre_hz
-    squares = hz**2
-    whitened_residual = np.abs(squares[model.active, None] - squares)
-    near = np.sqrt(squares[model.active, None] * squares) / np.maximum(whitened_residual, 1e-9)
-    mixing: Array = np.minimum(_PERTURBATION * near, _MOST_MIXING)
-    mixing[np.arange(len(model.active)), model.active] = 0
-    return mixing
+_LAST = Stage(0.015, 0.7, 0.02, 1.0, 4)
 
 
 def fit_modes(
@@ -176,19 +122,18 @@ def fit_modes(
     """
     model, centre_hz = _model(basis, drive_hz, volts, start_hz, drive_dof)
     noise = noise_of(displacements)
+    drift = field_drift(displacements.common_mode, displacements.recording_rank)
+    shared = shared_error(displacements.common_mode, drift, FIRST_WALK)
     if known is None:
-        state = _staged(model, displacements, noise, centre_hz)
-        rounds, discrepancy = _ROUNDS, _LAST.discrepancy
+        state = _staged(model, displacements, noise, shared, centre_hz)
+        rounds, scatter = _ROUNDS, _Scatter(_LAST.discrepancy, FIRST_WALK)
     else:
-        state = _again(known.state, known, displacements)
-        rounds, discrepancy = _AGAIN, known.discrepancy
-    prior, correlated = _prior(model, _LAST, centre_hz, _scale(model, state)), 1.0
+        state = _again(known, displacements, len(shared.precision))
+        rounds, scatter = _AGAIN, _Scatter(known.discrepancy, known.field_walk)
+    prior = stage_prior(model, _LAST, centre_hz, _scale(model, state))
     for _ in range(rounds):
-        end = _round(model, displacements, noise, prior, state, (discrepancy, correlated))
-        state, noise, discrepancy = end.state, end.noise, end.next_discrepancy
-        if drive_dof == KNOWN_DRIVE_DOF:
-            # Correlated holograms must not outweigh the known drive.
-            correlated = correlated_holograms(noise, end.whitened_residual, state.log_drive)
+        end = _round(model, displacements, drift, noise, prior, state, scatter)
+        state, noise, scatter = end.state, end.noise, end.next_scatter
         if most_off is not None and np.count_nonzero(_off(displacements, noise)) > most_off:
             break
     return _finish(model, displacements, basis.names, end)
@@ -219,24 +164,47 @@ def _model(
     return model, centre_hz
 
 
-def _staged(model: Model, displacements: Displacements, noise: Noise, centre_hz: Array) -> State:
+@dataclass(frozen=True)
+class _Scatter:
+    """How far displacements scatter around the model.
+
+    Attributes
+    ----------
+    discrepancy : float
+        See `fitting.modal.model.Stage`.
+    walk : float
+        See `fitting.modal.field_drift.shared_error`.
+    correlated : float
+        Number of holograms that count as one independent hologram.
+    """
+
+    discrepancy: float
+    walk: float
+    correlated: float = 1.0
+
+
+def _staged(
+    model: Model, displacements: Displacements, noise: Noise, shared: SharedError, centre_hz: Array
+) -> State:
     """Fit with priors that widen from stage to stage."""
-    state, scale = _begin(model, displacements)
+    state, scale = _begin(model, displacements, len(shared.precision))
     for stage in _STAGES:
-        prior = _prior(model, stage, centre_hz, scale)
-        data = data_of(displacements, noise, stage.discrepancy)
+        prior = stage_prior(model, stage, centre_hz, scale)
+        data = data_of(displacements.amplitude_rad, shared, noise, stage.discrepancy)
         state = minimise_cost(model, data, prior, _fixed(prior, state), stage.iterations)
         scale = _scale(model, state)
     return state
 
 
-def _again(state: State, known: ModalFit, displacements: Displacements) -> State:
+def _again(known: ModalFit, displacements: Displacements, shared: int) -> State:
     """Start from known modes: only the drive of every hologram is fitted to the displacements."""
     unit = known.amplitude_rad / known.drive[:, None]
     drive = np.sum(unit.conj() * displacements.amplitude_rad, axis=1)
     drive = np.where(np.abs(drive) > 0, drive / np.sum(np.abs(unit) ** 2, axis=1), known.drive)
     return replace(
-        state, log_drive=np.log(drive), common_mode_shift=np.zeros_like(state.common_mode_shift)
+        known.state,
+        log_drive=np.log(drive),
+        common_mode_shift=np.zeros(shared),
     )
 
 
@@ -252,7 +220,7 @@ def _scale(model: Model, state: State) -> Array:
     return scale
 
 
-def _begin(model: Model, displacements: Displacements) -> tuple[State, Array]:
+def _begin(model: Model, displacements: Displacements, shared: int) -> tuple[State, Array]:
     """Find the constant participations for which holograms are most nearly multiples of a model."""
     known = np.any(displacements.amplitude_rad, axis=1)
     amplitude, information = displacements.amplitude_rad[known], displacements.information[known]
@@ -280,8 +248,7 @@ def _begin(model: Model, displacements: Displacements) -> tuple[State, Array]:
     # Holograms without information get the drive of their neighbours.
     log_drive = np.interp(np.log(model.hz), np.log(model.hz[known]), np.log(np.abs(drive))) + 0j
     log_drive[known] = np.log(drive)
-    common_mode_shift = np.zeros(len(displacements.common_mode.precision))
-    state = State(_constant(model, p), log_drive, common_mode_shift)
+    state = State(_constant(model, p), log_drive, np.zeros(shared))
     return state, np.maximum(np.abs(p), _LEAST_SCALE)
 
 
@@ -313,8 +280,10 @@ class _Round:
         Residuals along the noise's directions, in standard deviations.
     misfit : float
         Sum of their squares, divided by the degrees of freedom.
-    discrepancy, next_discrepancy : float
-        Discrepancy that was used, and the one that the residuals give.
+    scatter, next_scatter : _Scatter
+        Scatter that was used, and the one that the residuals give.
+    common_mode_shift : (k, q) float
+        Common-mode error of every hologram.
     noise : Noise
         Noise with the variance of outliers increased.
     """
@@ -325,29 +294,27 @@ class _Round:
     covariance: Array
     whitened_residual: Array
     misfit: float
-    discrepancy: float
-    next_discrepancy: float
+    scatter: _Scatter
+    next_scatter: _Scatter
+    common_mode_shift: Array
     noise: Noise
 
 
 def _round(
     model: Model,
     displacements: Displacements,
+    drift: FieldDrift,
     noise: Noise,
     prior: Prior,
     state: State,
-    off: tuple[float, float],
+    scatter: _Scatter,
 ) -> _Round:
-    """Minimise the cost, and estimate the discrepancy for which χ² is as expected.
-
-    `off` is the discrepancy, and the number of holograms that count as one independent hologram.
-    """
-    discrepancy, correlated = off
-    data = data_of(displacements, noise, discrepancy)
-    start = _fixed(prior, state)
-    state = minimise_cost(model, data.weighing(1 / correlated), prior, start, _LAST.iterations)
-    state = with_gain(model, state)
-    here = equations(model, data, prior, state)
+    """Minimise the cost, and estimate the scatter for which residuals are as expected."""
+    shared = shared_error(displacements.common_mode, drift, scatter.walk)
+    data = data_of(displacements.amplitude_rad, shared, noise, scatter.discrepancy)
+    state, weighed = _fixed(prior, state), data.weighing(1 / scatter.correlated)
+    state = with_gain(model, minimise_cost(model, weighed, prior, state, _LAST.iterations))
+    here = equations(model, weighed, prior, state)
     covariance = _inverse(without_drive(here, 0.0, np.float64)[0])
     freedoms = (
         2 * data.amplitude.size - 2 * len(model.hz) - _effective_parameters(prior, data, covariance)
@@ -355,7 +322,9 @@ def _round(
     whitened_residual = data.whitened_residual(
         terms(model, state).amplitude, state.common_mode_shift
     )
-    left = whitened_residual * noise.deviation(discrepancy)
+    left = whitened_residual * noise.deviation(scatter.discrepancy)
+    first = len(covariance) - len(shared.precision)
+    walk = found_walk(drift, state.common_mode_shift, covariance[first:, first:], scatter.walk)
     return _Round(
         prior=prior,
         state=state,
@@ -363,8 +332,15 @@ def _round(
         covariance=covariance,
         whitened_residual=whitened_residual,
         misfit=float(np.sum(whitened_residual**2)) / freedoms,
-        discrepancy=discrepancy,
-        next_discrepancy=balanced(inflated(noise, whitened_residual), left, freedoms),
+        scatter=scatter,
+        next_scatter=replace(
+            scatter,
+            discrepancy=balanced(inflated(noise, whitened_residual), left, freedoms),
+            walk=walk,
+            # Correlated holograms must not outweigh what is known of the drive.
+            correlated=correlated_holograms(noise, whitened_residual, state.log_drive),
+        ),
+        common_mode_shift=drift.shift(state.common_mode_shift),
         noise=inflated(noise, whitened_residual),
     )
 
@@ -375,7 +351,7 @@ def _finish(
     """Return modes and standard errors."""
     prior, state, now = end.prior, end.state, terms(model, end.state)
     # χ² of the last round is not exactly as expected, and neighbouring residuals are correlated.
-    factor = end.misfit * correlated_holograms(end.noise, end.whitened_residual, state.log_drive)
+    factor = end.misfit * end.next_scatter.correlated / end.scatter.correlated
     # Drive and participations have an undetermined common factor: the errors of participations are
     # those for a given drive.
     given_drive = factor * _inverse(end.here.matrix)
@@ -407,8 +383,9 @@ def _finish(
         amplitude_rad=now.amplitude,
         modal_rad=now.modal[:, model.active],
         misfit=end.misfit,
-        discrepancy=end.discrepancy,
-        common_mode_shift=state.common_mode_shift,
+        discrepancy=end.scatter.discrepancy,
+        common_mode_shift=end.common_mode_shift,
+        field_walk=end.scatter.walk,
         off=_off(displacements, end.noise),
         state=state,
     )
@@ -452,8 +429,10 @@ def _inverse(matrix: Array) -> Array:
 
 def _effective_parameters(prior: Prior, data: Data, covariance: Array) -> float:
     """Return the effective number of parameters: those that the prior determines count in part."""
-    known = np.concatenate([prior.precision[prior.free], np.diag(data.precision)])
-    return float(len(known) - np.sum(known * np.diag(covariance)))
+    own = prior.precision[prior.free]
+    known = np.sum(own * np.diag(covariance)[: len(own)])
+    shared = np.sum(data.precision * covariance[len(own) :, len(own) :])
+    return float(len(covariance) - known - shared)
 
 
 def _participation_error(

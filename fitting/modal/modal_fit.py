@@ -47,9 +47,12 @@ class ModalFit:
         Mean square residual, in units of noise and discrepancy.
     discrepancy : float
         Estimated discrepancy of the model, as a fraction of a hologram's rms amplitude.
-    common_mode_shift : (q,) float
-        Fitted common-mode error of the displacements (see
+    common_mode_shift : (k, q) float
+        Fitted common-mode error of every hologram's displacements (see
         `fitting.holograms.object_field.CommonModeError`).
+    field_walk : float
+        Standard deviation of the change of its coefficients from one hologram to the next, in
+        nepers and rad (see `fitting.modal.field_drift`).
     off : (k,) bool
         Holograms that are outliers, or that have no information.
     state : State
@@ -74,5 +77,6 @@ class ModalFit:
     misfit: float
     discrepancy: float
     common_mode_shift: Array
+    field_walk: float
     off: NDArray[np.bool_]
     state: State

@@ -23,6 +23,12 @@ LOSS = 0.03
 # Degrees of freedom of the drive's Student distributions, which admit excitation peaks: for an
 # unknown drive, and for a drive that is known from another sweep.
 UNKNOWN_DRIVE_DOF, KNOWN_DRIVE_DOF = 4.0, 100.0
+# Prior of a loss factor: within a factor of 1.5.
+_LOSS_SPREAD = 0.4
+# Shapes mix as if stiffness and mass were wrong by this fraction; largest and least coefficient.
+_PERTURBATION, _MOST_MIXING, _LEAST_MIXING = 0.08, 0.5, 5e-3
+# Prior of participations: within 3 times the value of the stage before.
+_SCALE = 3.0
 
 
 @dataclass(frozen=True)
@@ -87,8 +93,8 @@ class State:
     x : (v, p) float
         Parameters, one row for each vector (see `Model`).
     log_drive : (k,) complex
-    common_mode_shift : (q,) float
-        Common-mode error of the displacements.
+    common_mode_shift : (p,) float
+        Parameters of the error that displacements share.
     gain : float
         Standard deviation of the scatter of single holograms around a smooth drive, in nepers.
     """
@@ -182,6 +188,64 @@ class Prior:
         """Return twice the negative log of the prior density."""
         free = self.free
         return float(np.sum(self.precision[free] * (x - self.centre)[free] ** 2))
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Widths of the priors of one stage of a fit.
+
+    Attributes
+    ----------
+    discrepancy : float
+        Standard deviation of the discrepancy of the real or imaginary part of an amplitude, as a
+        fraction of the hologram's rms amplitude.
+    decay : float
+        Ratio of the prior standard deviations of successive polynomial degrees of a participation.
+    detuning : float
+        Prior standard deviation of log frequencies.
+    mixing : float
+        Factor on the prior of the mixing of shapes.
+    iterations : int
+    """
+
+    discrepancy: float
+    decay: float
+    detuning: float
+    mixing: float
+    iterations: int
+
+
+def stage_prior(model: Model, stage: Stage, centre_hz: Array, scale: Array) -> Prior:
+    """Return the prior of a stage; `scale` (m,) is the expected size of participations."""
+    count, powers = len(model.active), model.powers.shape[1]
+    centre = np.zeros((count + len(model.reference), model.slots))
+    spread = np.zeros_like(centre)
+    degrees = stage.decay ** np.arange(powers)
+    degrees[0] = _SCALE
+    for part in (0, powers):
+        spread[:count, part : part + powers] = scale[model.active, None] * degrees
+    centre[:count, 2 * powers] = np.log(centre_hz)
+    spread[:count, 2 * powers] = stage.detuning
+    centre[:count, 2 * powers + 1], spread[:count, 2 * powers + 1] = np.log(LOSS), _LOSS_SPREAD
+    mixing = stage.mixing * _mixing(model, centre_hz)
+    spread[count:, :count] = np.where(_LEAST_MIXING * stage.mixing < mixing.T, mixing.T, 0)
+    for part in (count, count + TAIL_TERMS):
+        tail = scale[model.passive, None] * degrees[:TAIL_TERMS]
+        spread[count + model.passive, part : part + TAIL_TERMS] = tail
+    with np.errstate(divide="ignore"):
+        return Prior(centre, spread**-2.0)
+
+
+def _mixing(model: Model, centre_hz: Array) -> Array:
+    """Return the prior standard deviation (a, m) of the mixing of each shape into a mode."""
+    hz = model.reference_hz.copy()
+    hz[model.active] = centre_hz
+    squares = hz**2
+    whitened_residual = np.abs(squares[model.active, None] - squares)
+    near = np.sqrt(squares[model.active, None] * squares) / np.maximum(whitened_residual, 1e-9)
+    mixing: Array = np.minimum(_PERTURBATION * near, _MOST_MIXING)
+    mixing[np.arange(len(model.active)), model.active] = 0
+    return mixing
 
 
 def drive_prior_at(model: Model, state: State) -> DrivePrior:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import optimize
 
 from fitting.holograms.displacement import Displacements
+from fitting.modal.field_drift import SharedError
 from fitting.modal.normal_equations import Data
 from holography.arrays import Array, ComplexArray
 
@@ -69,13 +70,10 @@ def inflated(noise: Noise, whitened_residual: Array) -> Noise:
     return replace(noise, inflation=np.where(square > _OFF * usual, square / usual, 1.0))
 
 
-def data_of(displacements: Displacements, noise: Noise, discrepancy: float) -> Data:
-    """Whiten the displacements by noise and a given discrepancy of the model."""
-    common_mode = displacements.common_mode
+def data_of(amplitude: ComplexArray, shared: SharedError, noise: Noise, discrepancy: float) -> Data:
+    """Whiten amplitudes (k, j) by noise and a given discrepancy of the model."""
     root = noise.directions / noise.deviation(discrepancy)[..., None]
-    return Data(
-        displacements.amplitude_rad, root, root @ common_mode.response, common_mode.precision
-    )
+    return Data(amplitude, root, root @ shared.response, shared.precision)
 
 
 def balanced(noise: Noise, left: Array, freedoms: float) -> float:

@@ -33,9 +33,9 @@ from holography.arrays import Array
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e8
 # Added to the diagonal of a matrix of unit diagonal: more than its rounding in single precision.
 _ROUGH = 3e-6
-# Least relative decrease of the cost in a Levenberg-Marquardt step with all that follow it, and in
-# one of those.
-_LEAST_PROGRESS, _LEAST_GAIN = 1e-3, 3e-5
+# Least decrease of the cost in a Levenberg-Marquardt step with all that follow it, and in one of
+# those: a parameter that is off by its standard error costs 1.
+_LEAST_PROGRESS, _LEAST_GAIN = 0.3, 0.03
 # Steps that follow a Levenberg-Marquardt step, and how many of them L-BFGS remembers.
 _FOLLOWING, _REMEMBERED = 12, 12
 # Line search: least fraction of the decrease that the gradient predicts, factor that cuts the
@@ -143,7 +143,7 @@ def minimise_cost(model: Model, data: Data, prior: Prior, state: State, iteratio
                 return at.state
         damping = max(damping / 5, _LEAST_DAMPING)
         at, force = _followed(model, data, prior, newton, tried)
-        if before - at.cost < _LEAST_PROGRESS * at.cost:
+        if before - at.cost < _LEAST_PROGRESS:
             break
     return at.state
 
@@ -168,7 +168,7 @@ def _followed(
         step = _Step(length * move, before - force)
         if step.product > 0:
             steps.append(step)
-        if gain < _LEAST_GAIN * at.cost:
+        if gain < _LEAST_GAIN:
             break
     return at, force
 

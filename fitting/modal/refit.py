@@ -91,7 +91,7 @@ def _from_before(block_amplitudes: BlockAmplitudes, before: JointFit, *, moved: 
             object_field=_new_object_field(block_amplitudes, start.amplitude_rad, before.basis),
         )
     everything = np.ones(len(block_amplitudes.drive_hz), dtype=bool)
-    none = np.zeros(len(start.common_mode.precision))
+    none = np.zeros(start.common_mode.precision.shape[:2])
     displacements = refit_displacements(
         block_amplitudes, before.basis, start, (start.amplitude_rad,), everything, none
     )
@@ -116,16 +116,17 @@ def _as_before(block_amplitudes: BlockAmplitudes, before: JointFit) -> Displacem
     old, count = before.displacements, len(block_amplitudes.drive_hz)
     # The modal fit has determined the common-mode error of displacements and object field.
     smooth = smooth_functions(before.block_amplitudes.x_m, before.block_amplitudes.y_m)
-    field = old.object_field if old.object_field.ndim == 1 else old.object_field.mean(axis=0)
-    object_field = field * field_factor(smooth, before.modal.common_mode_shift)
+    shifted = old.object_field * field_factor(smooth, before.modal.common_mode_shift)
+    object_field = shifted.mean(axis=0)
     size = known.amplitude_rad.shape[1]
     return Displacements(
         amplitude_rad=known.amplitude_rad,
         information=np.zeros((count, 2 * size, 2 * size)),
         common_mode=CommonModeError(
             np.zeros((count, 2 * size, old.common_mode.response.shape[2])),
-            old.common_mode.precision,
+            np.zeros((count, *old.common_mode.precision.shape[1:])),
         ),
+        recording_rank=block_amplitudes.recording_rank,
         misfit=np.full(count, np.inf),
         gain=np.zeros(count),
         object_field=object_field,

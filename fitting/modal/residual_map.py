@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.holograms.bessel import BesselTable
+from fitting.holograms.linearisation import rows
 from fitting.modal.identify import JointFit
 from holography.arrays import Array
 
@@ -43,7 +44,9 @@ def squared_residual(fit: JointFit, holograms: NDArray[np.intp]) -> Array:
     found = fit.displacements
     u = found.amplitude_rad[holograms].astype(np.complex64) @ fit.basis.functions.T
     over, _ = BesselTable().tensor(np.abs(u))
-    lit = np.exp(found.gain[holograms]).astype(np.float32)[:, None] * found.object_field
+    lit = np.exp(found.gain[holograms]).astype(np.float32)[:, None] * rows(
+        found.object_field, holograms
+    )
     left = fit.block_amplitudes.value[:, holograms].T - lit * (u * over)
     square: Array = left.real**2 + left.imag**2
     return square

@@ -1,22 +1,81 @@
-"""Fit where within a block, weighted by speckle, its light comes from.
+"""What the displacement does within a block, where it is not that of the block's middle.
 
-A resolution cell of the hologram contains many scatterers, with random phases. Where the
-displacement changes across the cell, the block amplitude is ``A (F(u) + Σ_i s_i dF[∂u/∂x_i])``: s_i
-is the mean position of the scatterers, weighted by their complex fields, and so a complex number
-that speckle decides. It is the same in all holograms of a sweep, and found from them.
+A block amplitude is the mean of F(u) over the light of a block, and a resolution cell of the
+hologram contains many scatterers with random phases. The amplitude is therefore ``A (F(u) + Σ_i s_i
+dF[∂u/∂x_i] + ½ Σ_i d²F[∂u/∂x_i, ∂u/∂x_i])``. The slopes ∂u/∂x_i are over the spread of light that
+fills the block evenly. s_i is the mean position of the scatterers, weighted by their complex
+fields: a complex number that speckle decides, the same in all holograms of a sweep, and found from
+them. Of the third term, speckle leaves a random part of the same size, which is added to the noise:
+blocks across which fringes pass say little.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from fitting.holograms.linearisation import rows
 from fitting.holograms.problem import Problem
 from holography.arrays import Array, ComplexArray
 
+# A plane through a block and its eight neighbours gives the slope.
+_NEIGHBOURS = 9
 # Start of the variance of positions, in units of that of light that fills the block evenly, and how
 # often it is found again.
 _START, _TURNS = 0.1, 4
+
+
+def spread_slopes(x_m: Array, y_m: Array, size_m: tuple[float, float], functions: Array) -> Array:
+    """Return the slopes (2, n, j) of functions (n, j), times the spread of the light in a block.
+
+    Parameters
+    ----------
+    x_m, y_m : (n,) float
+        Coordinates of the blocks.
+    size_m : tuple of float
+        Sides of a block along x and y; light fills it evenly.
+    functions : (n, j) float
+    """
+    points = np.stack([x_m, y_m], axis=1)
+    count = min(_NEIGHBOURS, len(points))
+    _, near = cKDTree(points).query(points, k=count)
+    # In units of a side: slopes are then per side.
+    apart = (points[near] - points[:, None]) / np.array(size_m)
+    planes = np.linalg.pinv(np.concatenate([np.ones((*apart.shape[:2], 1)), apart], axis=2))
+    slopes = np.einsum("nip,npj->inj", planes[:, 1:], functions[near], optimize=True)
+    # The variance of an even distribution over a side of 1 is 1/12.
+    spread: Array = (slopes / np.sqrt(12)).astype(functions.dtype)
+    return spread
+
+
+def blurring(problem: Problem, a: ComplexArray) -> dict[int, Array]:
+    """Return the variances (k, n) that slopes add, over the light's power, of every sideband.
+
+    Parameters
+    ----------
+    problem : Problem
+        Without slopes in it, nothing is added.
+    a : (k, j) complex
+        Amplitudes.
+
+    Notes
+    -----
+    F₁'' is −3u/8 near 0, and of F₀ and F₂ it is 1/2 and 1/4 at most there. Far from 0 all oscillate
+    with a variance of 1/(π|u|), and so do their second derivatives (Abramowitz & Stegun 9.2.1).
+    Where more than that is left, the mean of F over a block has nothing to do with its middle.
+    """
+    orders = [1, *(side.order for side in problem.others)]
+    if problem.slopes is None:
+        return {order: np.zeros(problem.real.shape) for order in orders}
+    real, imaginary = (np.asarray(part, problem.functions.dtype) for part in (a.real, a.imag))
+    change = np.zeros(problem.real.shape, problem.functions.dtype)
+    for along in problem.slopes:
+        change += np.square(real @ along.T) + np.square(imaginary @ along.T)
+    left = np.square(np.minimum(0.5 * change, 1.0))
+    u, v = problem.displacement(a)
+    squared = np.maximum(u * u + v * v, 1e-12)
+    far = 1 / (np.pi * np.sqrt(squared))
+    return {n: left * np.minimum(9 / 64 * squared if n == 1 else 0.25, far) for n in orders}
 
 
 @dataclass(frozen=True)

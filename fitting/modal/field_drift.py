@@ -1,0 +1,126 @@
+"""Let the smooth factor of the object field drift from hologram to hologram.
+
+Temperature, humidity and the air in the beam change the object field smoothly over the reed. At
+small amplitudes such a change cannot be told from a change of the vibration (see
+`fitting.holograms.object_field`). The common-mode error of the displacements is therefore not the
+same in all holograms: its parts of low degree are a random walk in the order of recording, given at
+nodes and linear in between. The step of the walk is found from the sweep itself.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fitting.holograms.object_field import CommonModeError, of_low_degree
+from holography.arrays import Array, IndexArray
+
+# Tilt, curvature and their next order: what air and temperature do to a beam.
+_DEGREE = 3
+# Holograms between two nodes, at least, and most nodes: the walk within is part of the noise.
+_SPACING, _MOST_NODES = 12, 17
+# Step of the walk of each coefficient from hologram to hologram, in nepers and rad: start, and
+# limits. Below the least, 10,000 holograms are needed for a change of 1 %; above the most, two
+# successive sweeps have nothing in common.
+FIRST_WALK = 2e-3
+_LEAST, _MOST = 1e-4, 0.05
+
+
+@dataclass(frozen=True)
+class FieldDrift:
+    """How the common-mode error of every hologram follows from parameters.
+
+    The parameters are the q values that all holograms have in common, then r values at each of b
+    nodes.
+
+    Attributes
+    ----------
+    share : (k, b) float
+        Weights of the nodes in every hologram.
+    drifting : (r,) int
+        Which of the q values drift.
+    constant : int
+        Number q.
+    spacing : float
+        Holograms between two nodes.
+    """
+
+    share: Array
+    drifting: IndexArray
+    constant: int
+    spacing: float
+
+    def shift(self, parameters: Array) -> Array:
+        """Return the common-mode error (k, q) of every hologram."""
+        shift = np.tile(parameters[: self.constant], (len(self.share), 1))
+        nodes = parameters[self.constant :].reshape(-1, len(self.drifting))
+        shift[:, self.drifting] += self.share @ nodes
+        return shift
+
+
+@dataclass(frozen=True)
+class SharedError:
+    """Error that displacements share, as linear parameters of a fit.
+
+    Attributes
+    ----------
+    response : (k, 2j, p) float
+        Derivatives of the amplitudes (real, then imaginary parts) by the parameters.
+    precision : (p, p) float
+        Inverse covariance of the parameters.
+    """
+
+    response: Array
+    precision: Array
+
+
+def field_drift(common_mode: CommonModeError, recording_rank: IndexArray) -> FieldDrift:
+    """Set up nodes for holograms that were recorded in a given order (k,)."""
+    constant = common_mode.response.shape[2]
+    holograms = int(recording_rank.max()) + 1
+    intervals = int(np.clip((holograms - 1) // _SPACING, 1, _MOST_NODES - 1))
+    spacing = max((holograms - 1) / intervals, 1.0)
+    apart = np.abs(recording_rank[:, None] / spacing - np.arange(intervals + 1))
+    drifting = of_low_degree(_DEGREE) if constant else np.zeros(0, np.intp)
+    return FieldDrift(np.maximum(0, 1 - apart), drifting, constant, spacing)
+
+
+def shared_error(common_mode: CommonModeError, drift: FieldDrift, walk: float) -> SharedError:
+    """Return the error that displacements share if the object field drifts.
+
+    `walk` is the standard deviation of a coefficient's change from one hologram to the next.
+    """
+    which, share, own = drift.drifting, drift.share, common_mode.precision
+    nodes = share.shape[1]
+    moving = np.einsum("kxr,kb->kxbr", common_mode.response[:, :, which], share)
+    response = np.concatenate([common_mode.response, moving.reshape(*moving.shape[:2], -1)], axis=2)
+    beside = np.einsum("kqr,kb->qbr", own[:, :, which], share).reshape(drift.constant, -1)
+    among = np.einsum(
+        "krs,kb,kc->brcs", own[:, which][:, :, which], share, share, optimize=True
+    ).reshape(beside.shape[1], -1)
+    steps = np.diff(np.eye(nodes), axis=0)
+    # The mean of the walk belongs to the constant.
+    middle = np.full((nodes, nodes), 1 / nodes**2)
+    held = (steps.T @ steps / drift.spacing + middle) / walk**2
+    precision = np.block(
+        [[common_mode.whole, beside], [beside.T, among + np.kron(held, np.eye(len(which)))]]
+    )
+    return SharedError(response, precision)
+
+
+def found_walk(drift: FieldDrift, parameters: Array, covariance: Array, walk: float) -> float:
+    """Find the step of the walk from fitted parameters (p,) and their covariance (p, p).
+
+    It is the value for which the squares of the changes are as expected for those that the data
+    determine (D. J. C. MacKay 1992, Neural Computation 4:415, equation 4.9).
+    """
+    count = len(drift.drifting)
+    if not count:
+        return walk
+    nodes = parameters[drift.constant :].reshape(-1, count)
+    own = covariance[drift.constant :, drift.constant :].reshape(len(nodes), count, -1, count)
+    same = np.einsum("brcr->bc", own)
+    steps = np.diff(np.eye(len(nodes)), axis=0)
+    unknown = np.trace(steps @ same @ steps.T) / drift.spacing / walk**2
+    squares = float(np.sum(np.diff(nodes, axis=0) ** 2)) / drift.spacing
+    determined = max(count * len(steps) - float(unknown), 1.0)
+    return float(np.clip(np.sqrt(squares / determined), _LEAST, _MOST))

@@ -163,4 +163,8 @@ def split_gains(problem: Problem, gain: Array, matrix: Array) -> Gains:
     scatter = NORMAL_PER_MAD * float(np.median(np.abs(left - np.median(left))))
     own = float(np.median(0.5 / known[sure]))
     found = np.sqrt(max(scatter**2 - own, 0.0))
+    # What scatter alone gives the mean of the neighbours is no slow change.
+    chance = scatter**2 * np.sum(window**2, axis=1) / np.maximum(window.sum(axis=1), 1e-9) ** 2
+    changing = max(float(np.mean(slow**2 - chance)), 0.0)
+    slow = slow * changing / (changing + chance)
     return Gains(slow, float(np.clip(found, _LEAST_GAIN_NEPERS, GAIN_NEPERS)))

@@ -89,6 +89,8 @@ class Displacements:
         Mean square residual of the block amplitudes, in units of the noise.
     gain : (k,) float
         Log of the brightness of holograms.
+    gain_nepers : float
+        Standard deviation of its changes from hologram to hologram.
     object_field : (n,) or (k, n) complex64
         Object field of each block in every hologram, in units of the noise.
     field_variance : (k, n) float32, optional
@@ -105,6 +107,7 @@ class Displacements:
     recording_rank: IndexArray
     misfit: Array
     gain: Array
+    gain_nepers: float
     object_field: Complex64Array
     field_variance: NDArray[np.float32] | None
     change: FieldChange | None
@@ -327,6 +330,8 @@ def _change_of(problem: Problem, at: Solution, step: FieldStep) -> FieldChange:
     signal = np.mean(np.square(problem.real) + np.square(problem.imaginary), axis=1)
     explained = np.ones(len(misfit), bool)
     explained[unexplained(relative_misfit(misfit, signal), problem.seen)] = False
+    if not explained.any():
+        explained[:] = True
     return found_change(problem, at.amplitude, at.gain, at.object_field, explained)
 
 
@@ -380,6 +385,7 @@ def _displacements_of(
         recording_rank=whole.recording_rank,
         misfit=misfit,
         gain=gain,
+        gain_nepers=whole.gain_nepers,
         object_field=everywhere.mean,
         field_variance=everywhere.variance,
         change=change,

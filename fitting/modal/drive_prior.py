@@ -7,6 +7,7 @@ few holograms that are far off. Without the bounds of the process a drive could 
 of a mode that dominates its neighbourhood, and the mode could be put elsewhere.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,9 +19,10 @@ from holography.arrays import Array
 # order, is 4 nepers.
 _LEVEL, _SLOPE = 10.0, 4.0
 # Ripple in nepers, and the log frequency over which it is correlated. Data sheets of dome tweeters
-# show 3 dB over a third of an octave. A leaky chamber adds resonances and notches of quality 20 and
-# several dB: 2 dB within 100 cents.
-_RIPPLES = ((0.35, 0.2), (0.25, 0.06))
+# show 3 dB over a third of an octave, and 1 dB of finer structure: a quiet drive. A leaky chamber
+# adds resonances and notches of quality 20 and several dB, 2 dB rms within 100 cents: a lively one.
+QUIET = ((0.35, 0.2), (0.1, 0.06))
+LIVELY = ((0.35, 0.2), (0.25, 0.06))
 # Iterations of the reweighting by which a Student distribution is fitted.
 _TURNS = 8
 # Scatter of single holograms around the smooth drive, in nepers: start and lower limit. Lasers and
@@ -30,12 +32,15 @@ FIRST_GAIN, LEAST_GAIN = 0.1, 3e-3
 _NORMAL_PER_MAD = 1.4826
 
 
-def drive_covariance(hz: Array) -> Array:
-    """Return the prior covariance (k, k) of the smooth log magnitude at frequencies (k,)."""
+def drive_covariance(hz: Array, ripples: Sequence[tuple[float, float]]) -> Array:
+    """Return the prior covariance (k, k) of the smooth log magnitude at frequencies (k,).
+
+    `ripples` are standard deviations in nepers, and log frequencies of correlation.
+    """
     log_hz = np.log(hz)
     centred = log_hz - log_hz.mean()
     covariance = _LEVEL**2 + _SLOPE**2 * np.multiply.outer(centred, centred)
-    for size, length in _RIPPLES:
+    for size, length in ripples:
         apart = np.sqrt(5) * np.abs(np.subtract.outer(log_hz, log_hz)) / length
         # Matérn covariance of order 5/2: two derivatives exist.
         covariance += size**2 * (1 + apart + apart**2 / 3) * np.exp(-apart)
@@ -91,6 +96,18 @@ def drive_prior(magnitude: Array, covariance: Array, gain: float, dof: float) ->
     return DrivePrior(float(cost), gradient, 0.5 * (curvature + curvature.T), smooth)
 
 
-def gain_of(scatter: Array) -> float:
-    """Return the scale of the scatter (k,) of single holograms, in nepers."""
-    return max(_NORMAL_PER_MAD * float(np.median(np.abs(scatter))), LEAST_GAIN)
+def found_gain(magnitude: Array, covariance: Array, gain: float, dof: float) -> float:
+    """Find the scale of the scatter of single holograms, in nepers.
+
+    It is the one for which each magnitude lies as far from what all others predict as it should:
+    the smooth function alone could follow most of the scatter. Parameters are as in `drive_prior`;
+    `gain` is the start.
+    """
+    for _ in range(_TURNS):
+        prior = drive_prior(magnitude, covariance, gain, dof)
+        weighted = prior.curvature @ magnitude
+        standard = np.abs(weighted) / np.sqrt(np.diag(prior.curvature))
+        gain *= _NORMAL_PER_MAD * float(np.median(standard))
+        if gain < LEAST_GAIN:
+            return LEAST_GAIN
+    return gain

@@ -52,7 +52,7 @@ class FieldDrift:
     def shift(self, parameters: Array) -> Array:
         """Return the common-mode error (k, q) of every hologram."""
         shift = np.tile(parameters[: self.constant], (len(self.share), 1))
-        nodes = parameters[self.constant :].reshape(-1, len(self.drifting))
+        nodes = parameters[self.constant :].reshape(self.share.shape[1], len(self.drifting))
         shift[:, self.drifting] += self.share @ nodes
         return shift
 
@@ -91,12 +91,14 @@ def shared_error(common_mode: CommonModeError, drift: FieldDrift, walk: float) -
     """
     which, share, own = drift.drifting, drift.share, common_mode.precision
     nodes = share.shape[1]
+    size = nodes * len(which)
     moving = np.einsum("kxr,kb->kxbr", common_mode.response[:, :, which], share)
-    response = np.concatenate([common_mode.response, moving.reshape(*moving.shape[:2], -1)], axis=2)
-    beside = np.einsum("kqr,kb->qbr", own[:, :, which], share).reshape(drift.constant, -1)
+    moving = moving.reshape(*moving.shape[:2], size)
+    response = np.concatenate([common_mode.response, moving], axis=2)
+    beside = np.einsum("kqr,kb->qbr", own[:, :, which], share).reshape(drift.constant, size)
     among = np.einsum(
         "krs,kb,kc->brcs", own[:, which][:, :, which], share, share, optimize=True
-    ).reshape(beside.shape[1], -1)
+    ).reshape(size, size)
     steps = np.diff(np.eye(nodes), axis=0)
     # The mean of the walk belongs to the constant.
     middle = np.full((nodes, nodes), 1 / nodes**2)

@@ -29,7 +29,7 @@ from scipy import linalg
 from fitting.errors import FitError
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.modal.drive_prior import drive_covariance
+from fitting.modal.drive_prior import LIVELY, QUIET, drive_covariance
 from fitting.modal.field_drift import (
     FIRST_WALK,
     FieldDrift,
@@ -40,6 +40,7 @@ from fitting.modal.field_drift import (
 )
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import (
+    KNOWN_DRIVE_DOF,
     LOSS,
     TAIL_TERMS,
     UNKNOWN_DRIVE_DOF,
@@ -135,8 +136,12 @@ def fit_modes(
         end = _round(model, displacements, drift, noise, prior, state, scatter)
         state, noise, scatter = end.state, end.noise, end.next_scatter
         if most_off is not None and np.count_nonzero(_off(displacements, noise)) > most_off:
-            break
-    return _finish(model, displacements, basis.names, end)
+            return _finish(model, displacements, basis.names, (end, end))
+    if drive_dof == KNOWN_DRIVE_DOF:
+        return _finish(model, displacements, basis.names, (end, end))
+    livelier = replace(model, drive_covariance=drive_covariance(drive_hz, LIVELY))
+    other = _round(livelier, displacements, drift, noise, prior, state, scatter)
+    return _finish(livelier, displacements, basis.names, (end, other))
 
 
 def _model(
@@ -154,7 +159,7 @@ def _model(
         drive_hz,
         np.log(volts),
         drive_dof,
-        drive_covariance(drive_hz),
+        drive_covariance(drive_hz, QUIET),
         powers,
         basis.shapes,
         reference_hz,
@@ -346,9 +351,14 @@ def _round(
 
 
 def _finish(
-    model: Model, displacements: Displacements, names: Sequence[str], end: _Round
+    model: Model, displacements: Displacements, names: Sequence[str], ends: tuple[_Round, _Round]
 ) -> ModalFit:
-    """Return modes and standard errors."""
+    """Return modes and standard errors.
+
+    `ends` are the results with a quiet and with a lively drive. Which of them the bench has is not
+    known: frequencies and losses are between both, and their errors cover both.
+    """
+    quiet, end = ends
     prior, state, now = end.prior, end.state, terms(model, end.state)
     # χ² of the last round is not exactly as expected, and neighbouring residuals are correlated.
     factor = end.misfit * end.next_scatter.correlated / end.scatter.correlated
@@ -359,19 +369,22 @@ def _finish(
     spread = np.zeros_like(state.x)
     deviations = np.sqrt(factor * np.diag(end.covariance))
     spread[prior.free] = deviations[: np.count_nonzero(prior.free)]
-    own_hz = np.exp(state.x[:count, 2 * powers])
+    logs = slice(2 * powers, 2 * powers + 2)
+    half = 0.5 * (state.x[:count, logs] - quiet.state.x[:count, logs]).T.ravel()
+    own_hz, own_loss = np.exp(state.x[:count, logs].T - half.reshape(2, -1))
     number = np.full(prior.centre.shape, -1)
     number[prior.free] = np.arange(np.count_nonzero(prior.free))
     own = np.concatenate([number[:count, 2 * powers], number[:count, 2 * powers + 1]])
+    covariance = factor * end.covariance[np.ix_(own, own)] + np.outer(half, half)
     mixes = prior.free[count:, :count]
     nearest = np.abs(np.log(model.hz[:, None] / own_hz)).argmin(axis=0)
     return ModalFit(
         names=tuple(names[m] for m in model.active),
         hz=own_hz,
-        error_cents=spread[:count, 2 * powers] * 1200 / np.log(2),
-        loss_factor=now.loss[model.active],
-        loss_error=spread[:count, 2 * powers + 1],
-        covariance=factor * end.covariance[np.ix_(own, own)],
+        error_cents=np.sqrt(np.diag(covariance)[:count]) * 1200 / np.log(2),
+        loss_factor=own_loss,
+        loss_error=np.sqrt(np.diag(covariance)[count:]),
+        covariance=covariance,
         shapes=now.shapes[model.active],
         mixing=np.where(mixes, state.x[count:, :count], 0.0),
         mixing_error=np.where(mixes, spread[count:, :count], 0.0),

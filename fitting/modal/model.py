@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.modal.drive_prior import FIRST_GAIN, DrivePrior, drive_prior, gain_of
+from fitting.modal.drive_prior import FIRST_GAIN, DrivePrior, drive_prior, found_gain
 from holography.arrays import Array, ComplexArray
 
 # Modes beyond the sweep show only their tails: their participations have two coefficients.
@@ -257,4 +257,5 @@ def drive_prior_at(model: Model, state: State) -> DrivePrior:
 def with_gain(model: Model, state: State) -> State:
     """Estimate the scatter of single holograms around a smooth drive."""
     magnitude = state.log_drive.real - model.log_volts
-    return replace(state, gain=gain_of(magnitude - drive_prior_at(model, state).smooth))
+    gain = found_gain(magnitude, model.drive_covariance, state.gain, model.drive_dof)
+    return replace(state, gain=gain)

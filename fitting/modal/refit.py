@@ -129,6 +129,7 @@ def _as_before(block_amplitudes: BlockAmplitudes, before: JointFit) -> Displacem
         recording_rank=block_amplitudes.recording_rank,
         misfit=np.full(count, np.inf),
         gain=np.zeros(count),
+        gain_nepers=old.gain_nepers,
         object_field=object_field,
         field_variance=None,
         change=None,

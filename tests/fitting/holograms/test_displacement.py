@@ -8,6 +8,7 @@ from scipy.special import j1
 
 from fitting.errors import FitError
 from fitting.holograms.alternating_minimisation import Solution
+from fitting.holograms.amplitudes import block_object_field
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.continuation import Continuation, continued, starts_of
@@ -102,7 +103,9 @@ def planted(
     seen = np.exp(gain)[:, None] * a * moved(u)
     value = (seen + complex_normal(rng, *u.shape)).T.astype(np.complex64)
     steps = np.arange(len(DRIVE_HZ))
-    block_amplitudes = BlockAmplitudes(value, x, y, (1e-9, 1e-9), steps, steps, DRIVE_HZ, np.ones(len(steps)))
+    block_amplitudes = BlockAmplitudes(
+        value, x, y, (1e-9, 1e-9), steps, steps, DRIVE_HZ, np.ones(len(steps))
+    )
     return Sweep(modal, gain, a, block_amplitudes, basis)
 
 
@@ -152,22 +155,30 @@ def jacobian(object_field, functions, a):
     return object_field[:, None] * np.stack([*columns, moved(functions @ a)], axis=1)
 
 
-def fisher(object_field, functions, a):
+def fisher(object_field, functions, a, variance=0.0, gain_nepers=GAIN):
     """Information (2j, 2j) in block amplitudes with complex noise of variance 1.
 
-    Of amplitudes, where the gain is unknown but small.
+    Of amplitudes, where the gain is unknown but small, and the light has a variance.
     """
     J = jacobian(object_field, functions.astype(float), a)
-    whole = 2 * (J.conj().T @ J).real
-    whole[-1, -1] += GAIN**-2
+    noise = 1 + variance * np.abs(moved(functions.astype(float) @ a)) ** 2
+    whole = 2 * ((J.conj().T / noise) @ J).real
+    whole[-1, -1] += gain_nepers**-2
     return whole[:-1, :-1] - np.outer(whole[:-1, -1], whole[-1, :-1]) / whole[-1, -1]
 
 
 def common_factor(sweep, found):
     """Complex factor of all light found to that planted."""
-    return np.sum(sweep.object_field.conj() * found.object_field) / np.sum(
+    return np.sum(sweep.object_field.conj() * mean_field(sweep, found)) / np.sum(
         np.abs(sweep.object_field) ** 2
     )
+
+
+def mean_field(sweep, found):
+    """Object field (n,) from all holograms together; each row of the found ones lacks its own."""
+    whole = Problem.of(sweep.block_amplitudes.value, sweep.basis.functions, BesselTable())
+    steps, weight = np.arange(len(found.gain)), 1 / np.maximum(found.misfit, 1)
+    return block_object_field(whole, steps, found.amplitude_rad, found.gain, weight)
 
 
 def normalised_square(error, information):
@@ -238,7 +249,7 @@ def test_light_is_found_where_blocks_move(sweep, settled):
     moving = stated > 1
     assert np.count_nonzero(moving) > 0.7 * POINTS
     # All gains together and the light have one common factor.
-    error = settled.object_field / common_factor(sweep, settled) - sweep.object_field
+    error = mean_field(sweep, settled) / common_factor(sweep, settled) - sweep.object_field
     assert np.sqrt(np.mean(np.abs(error[moving] / sweep.object_field[moving]) ** 2)) < 0.03
     assert settled.object_field.dtype == np.complex64
 
@@ -260,8 +271,14 @@ def test_errors_are_those_of_the_information(sweep, solved):
 
 def assert_information(sweep, found, k, gain):
     stated = found.information[k] * max(found.misfit[k], 1)
-    object_field = np.exp(gain) * found.object_field
-    expected = fisher(object_field, sweep.basis.functions, found.amplitude_rad[k])
+    object_field = np.exp(gain) * found.object_field[k]
+    expected = fisher(
+        object_field,
+        sweep.basis.functions,
+        found.amplitude_rad[k],
+        np.exp(2 * gain) * found.field_variance[k],
+        found.gain_nepers,
+    )
     assert stated == pytest.approx(expected, abs=0.03 * np.abs(expected).max())
 
 
@@ -405,8 +422,8 @@ def test_holograms_in_a_wrong_fringe_are_solved_from_their_neighbours(sweep, set
     misfit[lost] = 50.0
     bad = unexplained(misfit, whole.seen)
     assert set(lost.tolist()) <= set(bad.tolist())
-    at = Solution(amplitude, settled.gain, settled.object_field)
-    found, better = tried_again(whole, at, misfit, bad)
+    at = Solution(amplitude, settled.gain, settled.object_field, settled.field_variance)
+    found, better = tried_again(whole, at, bad)
     assert better == len(lost)
     for number in lost:
         true = settled.amplitude_rad[number]
@@ -460,7 +477,7 @@ def test_holograms_in_a_wrong_fringe_are_found_where_they_are_expected(sweep, se
     misfit[lost] = 1e4
     before = replace(settled, amplitude_rad=amplitude, misfit=misfit)
     expected = 1.01 * sweep.true_rad * np.exp(2j * np.arange(84))[:, None]
-    together = np.zeros(len(settled.common_mode.precision))
+    together = np.zeros(settled.common_mode.precision.shape[:2])
     # Of several expectations the one that explains a hologram counts.
     several = 0.6 * expected, expected, 1.3 * expected
     found = refit_displacements(sweep.block_amplitudes, sweep.basis, before, several, off, together)
@@ -472,7 +489,7 @@ def test_holograms_in_a_wrong_fringe_are_found_where_they_are_expected(sweep, se
 def test_what_is_expected_counts_only_if_it_explains_a_hologram(sweep, settled):
     largest = int(largest_rad(sweep).argmax())
     off = np.arange(84) == largest
-    together = np.zeros(len(settled.common_mode.precision))
+    together = np.zeros(settled.common_mode.precision.shape[:2])
     expected = 0.6 * sweep.true_rad
     found = refit_displacements(
         sweep.block_amplitudes, sweep.basis, settled, [expected], off, together
@@ -485,7 +502,7 @@ def test_a_sweep_of_something_else_is_refused(sweep, settled):
     value = sweep.block_amplitudes.value.T
     noise = with_value(sweep, (30 * complex_normal(rng, *value.shape)).T)
     before = replace(settled, misfit=np.full(84, np.inf))
-    together = np.zeros(len(settled.common_mode.precision))
+    together = np.zeros(settled.common_mode.precision.shape[:2])
     everything, expected = np.ones(84, dtype=bool), [settled.amplitude_rad]
     with pytest.raises(FitError, match="none of 84 holograms"):
         refit_displacements(
@@ -530,15 +547,20 @@ def test_of_equal_expectations_the_last_counts(plateau, last):
     """Of two branches of the first fringe, which both explain what is seen."""
     size = plateau.basis.functions.shape[1]
     smooth = smooth_functions(plateau.block_amplitudes.x_m, plateau.block_amplitudes.y_m)
-    nothing = np.zeros(2 * smooth.shape[1] - 1)
-    shared = CommonModeError(np.zeros((84, 2 * size, len(nothing))), np.eye(len(nothing)))
+    nothing = np.zeros((84, 2 * smooth.shape[1] - 1))
+    known = np.zeros((84, nothing.shape[1], nothing.shape[1]))
+    shared = CommonModeError(np.zeros((84, 2 * size, nothing.shape[1])), known)
     before = Displacements(
         amplitude_rad=plateau.true_rad.copy(),
         information=np.zeros((84, 2 * size, 2 * size)),
         common_mode=shared,
         misfit=np.ones(84),
         gain=np.zeros(84),
+        gain_nepers=0.05,
         object_field=plateau.object_field.astype(np.complex64),
+        field_variance=None,
+        change=None,
+        recording_rank=np.arange(84),
         reached=np.ones(84, dtype=bool),
     )
     off = np.isin(np.arange(84), np.arange(26, 50, 4))

@@ -43,7 +43,7 @@ def leaky(sweep_a, clean, tmp_path_factory, resealed):
         steps, blocks = good_steps(run), _blocks(run)
         _, right = _leading(_holograms(run, steps, blocks, None))
         # What all pixels have in common with the fit's light, in units of the noise.
-        light = clean.displacements.object_field[:, None] * right.conj()
+        light = clean.displacements.object_field.mean(axis=0)[:, None] * right.conj()
         moved = np.abs(clean.modal.amplitude_rad @ clean.basis.functions.T)
         noise = np.sqrt([step.noise_level for step in steps])
         share = LEAK * np.exp(2j * np.pi * rng.random(len(steps))) * noise

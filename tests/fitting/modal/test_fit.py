@@ -9,19 +9,15 @@ from fitting.errors import FitError
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.modal.drive_prior import drive_covariance
-from fitting.modal.fit import (
-    _LAST,
-    _inverse,
-    _prior,
-    fit_modes,
-)
+from fitting.modal.drive_prior import QUIET, drive_covariance
+from fitting.modal.fit import _LAST, _inverse, fit_modes
 from fitting.modal.model import (
     UNKNOWN_DRIVE_DOF,
     Model,
     State,
     drive_prior_at,
     scalars,
+    stage_prior,
     terms,
 )
 from fitting.modal.normal_equations import (
@@ -122,14 +118,18 @@ def planted(
     error = np.einsum("kij,kj->ki", root, rng.standard_normal((len(a), size)))
     information = np.linalg.inv(root @ root.swapaxes(1, 2))
     a = a + error[:, :FUNCTIONS] + 1j * error[:, FUNCTIONS:]
-    common_mode = CommonModeError(np.zeros((len(a), size, 0)), np.zeros((0, 0)))
+    common_mode = CommonModeError(np.zeros((len(a), size, 0)), np.zeros((len(a), 0, 0)))
     displacements = Displacements(
         amplitude_rad=a,
         information=information,
         common_mode=common_mode,
         misfit=np.ones(len(a)),
         gain=np.zeros(len(a)),
+        gain_nepers=0.05,
         object_field=np.ones(10, np.complex64),
+        field_variance=None,
+        change=None,
+        recording_rank=np.arange(len(a)),
         reached=np.ones(len(a), dtype=bool),
     )
     basis = ShapeBasis(
@@ -171,7 +171,8 @@ def test_modes_within_the_sweep_are_fitted_in_order(sweep, found):
 def test_frequencies_are_found_within_three_standard_errors(sweep, found):
     error = np.abs(cents(found.hz, sweep.hz[:5]))
     assert (error < 3 * found.error_cents).all()
-    assert (found.error_cents < 2).all()
+    # What is not known of the drive is part of them.
+    assert (found.error_cents < 2.5).all()
 
 
 def test_losses_are_found_within_three_standard_errors(sweep, found):
@@ -361,7 +362,7 @@ def test_equal_errors_of_neighbours_count_less(sweep, found):
         rng = np.random.default_rng(8)
         drawn = np.repeat(complex_normal(rng, 104 // together, FUNCTIONS), together, axis=0)
         size = np.sqrt(np.mean(np.abs(sweep.displacements.amplitude_rad) ** 2, axis=1))
-        amplitude = sweep.displacements.amplitude_rad + 0.1 * sweep.drive[:, None] / np.abs(
+        amplitude = sweep.displacements.amplitude_rad + 0.2 * sweep.drive[:, None] / np.abs(
             sweep.drive
         )[:, None] * (size[:, None] * drawn)
         errors.append(sweep.fit(amplitude_rad=amplitude).error_cents)
@@ -446,7 +447,7 @@ class Point:
     def prior(self):
         active = self.model.active
         scale = np.full(len(self.model.reference), 0.5)
-        return _prior(self.model, _LAST, self.model.reference_hz[active] * 1.003, scale)
+        return stage_prior(self.model, _LAST, self.model.reference_hz[active] * 1.003, scale)
 
     def amplitude(self, x):
         return terms(self.model, replace(self.state, x=x)).amplitude
@@ -472,7 +473,7 @@ def point():
         hz,
         np.log(np.full(len(k), 3.0)),
         UNKNOWN_DRIVE_DOF,
-        drive_covariance(hz),
+        drive_covariance(hz, QUIET),
         powers,
         reference,
         MODE_HZ[:5],

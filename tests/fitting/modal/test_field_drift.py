@@ -1,0 +1,77 @@
+"""Tests of an object field that drifts smoothly from hologram to hologram."""
+
+import numpy as np
+import pytest
+
+from fitting.holograms.object_field import CommonModeError, of_low_degree
+from fitting.modal.field_drift import field_drift, found_walk, shared_error
+
+HOLOGRAMS, AMPLITUDES, ERRORS = 61, 4, 55
+
+
+@pytest.fixture
+def common_mode():
+    rng = np.random.default_rng(2)
+    root = rng.standard_normal((HOLOGRAMS, ERRORS, 3))
+    return CommonModeError(
+        rng.standard_normal((HOLOGRAMS, 2 * AMPLITUDES, ERRORS)), root @ root.swapaxes(1, 2)
+    )
+
+
+@pytest.fixture
+def drift(common_mode):
+    return field_drift(common_mode, np.random.default_rng(3).permutation(HOLOGRAMS))
+
+
+def test_errors_of_a_hologram_are_its_response_to_the_shift_there(common_mode, drift):
+    parameters = np.random.default_rng(4).standard_normal(drift.constant + 6 * len(drift.drifting))
+    shared = shared_error(common_mode, drift, 1e-3)
+    expected = np.einsum("kxq,kq->kx", common_mode.response, drift.shift(parameters))
+    assert shared.response @ parameters == pytest.approx(expected)
+
+
+def test_the_precision_is_that_of_holograms_and_of_the_walk(common_mode, drift):
+    """Squares of the shift as each hologram counts them, and of the changes between nodes."""
+    walk = 3e-3
+    parameters = np.random.default_rng(5).standard_normal(drift.constant + 6 * len(drift.drifting))
+    shift, nodes = drift.shift(parameters), parameters[drift.constant :].reshape(6, -1)
+    by_holograms = np.einsum("kq,kqr,kr->", shift, common_mode.precision, shift)
+    constant = np.sum(parameters[: drift.constant] ** 2)
+    by_walk = np.sum(np.diff(nodes, axis=0) ** 2) / drift.spacing / walk**2
+    by_mean = np.sum(nodes.mean(axis=0) ** 2) / walk**2
+    found = parameters @ shared_error(common_mode, drift, walk).precision @ parameters
+    assert found == pytest.approx(by_holograms + constant + by_walk + by_mean)
+
+
+def test_holograms_recorded_one_after_the_other_have_nearly_the_same_shift(drift):
+    ranks = np.argsort(np.argmax(drift.share, axis=1), kind="stable")
+    assert drift.share.sum(axis=1) == pytest.approx(np.ones(HOLOGRAMS))
+    assert np.abs(np.diff(np.argmax(drift.share[ranks], axis=1))).max() <= 1
+
+
+def test_tilt_and_curvature_drift_but_no_phase_that_all_blocks_share():
+    low = of_low_degree(3)
+    assert len(low) == 10 + 9
+    assert low.max() < ERRORS
+    assert 28 not in np.setdiff1d(np.arange(ERRORS), low)[:1]
+
+
+def test_the_walk_is_found_from_what_is_known_of_it(drift):
+    rng = np.random.default_rng(6)
+    count, walk = len(drift.drifting), 4e-3
+    parameters = np.zeros(drift.constant + 6 * count)
+    changes = walk * np.sqrt(drift.spacing) * rng.standard_normal((5, count))
+    parameters[drift.constant :] = np.concatenate(
+        [np.zeros((1, count)), np.cumsum(changes, axis=0)]
+    ).ravel()
+    known = np.zeros((len(parameters), len(parameters)))
+    for start in (1e-3, 1e-2):
+        assert found_walk(drift, parameters, known, start) == pytest.approx(walk, rel=0.15)
+
+
+def test_nothing_drifts_where_nothing_is_shared():
+    nothing = CommonModeError(np.zeros((9, 8, 0)), np.zeros((9, 0, 0)))
+    drift = field_drift(nothing, np.arange(9))
+    assert drift.shift(np.zeros(0)).shape == (9, 0)
+    assert shared_error(nothing, drift, 1e-3).precision.shape == (0, 0)
+    assert found_walk(drift, np.zeros(0), np.zeros((0, 0)), 2e-3) == 2e-3

@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
+from scipy.special import expit
 
 from fitting.errors import FitError
 from fitting.holograms.displacement import Displacements
@@ -63,7 +64,9 @@ from fitting.modal.noise import (
 from fitting.modal.normal_equations import (
     Data,
     Equations,
+    Evaluation,
     equations,
+    evaluate,
 )
 from fitting.modal.optimiser import minimise_cost, without_drive
 from holography.arrays import Array, ComplexArray
@@ -133,14 +136,15 @@ def fit_modes(
         rounds, scatter = _AGAIN, _Scatter(known.discrepancy, known.field_walk)
     prior = stage_prior(model, _LAST, centre_hz, _scale(model, state))
     for _ in range(rounds):
-        end = _round(model, displacements, drift, noise, prior, state, scatter)
+        same = displacements, drift, noise, prior
+        end = _round(model, *same, state, scatter)
         state, noise, scatter = end.state, end.noise, end.next_scatter
         if most_off is not None and np.count_nonzero(_off(displacements, noise)) > most_off:
             return _finish(model, displacements, basis.names, (end, end))
     if drive_dof == KNOWN_DRIVE_DOF:
         return _finish(model, displacements, basis.names, (end, end))
     livelier = replace(model, drive_covariance=drive_covariance(drive_hz, LIVELY))
-    other = _round(livelier, displacements, drift, noise, prior, state, scatter)
+    other = _round(livelier, *same, state, end.scatter)
     return _finish(livelier, displacements, basis.names, (end, other))
 
 
@@ -281,6 +285,8 @@ class _Round:
     here : Equations
     covariance : (q, q) float
         Covariance of all parameters except the drive.
+    log_evidence : float
+        Log of the evidence, but for a constant that rounds with the same data and priors share.
     whitened_residual : (k, 2j) float
         Residuals along the noise's directions, in standard deviations.
     misfit : float
@@ -297,6 +303,7 @@ class _Round:
     state: State
     here: Equations
     covariance: Array
+    log_evidence: float
     whitened_residual: Array
     misfit: float
     scatter: _Scatter
@@ -320,7 +327,8 @@ def _round(
     state, weighed = _fixed(prior, state), data.weighing(1 / scatter.correlated)
     state = with_gain(model, minimise_cost(model, weighed, prior, state, _LAST.iterations))
     here = equations(model, weighed, prior, state)
-    covariance = _inverse(without_drive(here, 0.0, np.float64)[0])
+    alone, root, _ = without_drive(here, 0.0, np.float64)
+    covariance = _inverse(alone)
     freedoms = (
         2 * data.amplitude.size - 2 * len(model.hz) - _effective_parameters(prior, data, covariance)
     )
@@ -335,6 +343,7 @@ def _round(
         state=state,
         here=here,
         covariance=covariance,
+        log_evidence=_log_evidence(model, evaluate(model, weighed, prior, state), alone, root),
         whitened_residual=whitened_residual,
         misfit=float(np.sum(whitened_residual**2)) / freedoms,
         scatter=scatter,
@@ -350,15 +359,23 @@ def _round(
     )
 
 
+def _log_evidence(model: Model, at: Evaluation, matrix: Array, drive_root: Array) -> float:
+    """Return the log evidence by Laplace's method, for the equations of `without_drive`."""
+    drive = float(np.linalg.slogdet(at.drive_prior.curvature)[1])
+    known = float(np.linalg.slogdet(matrix)[1]) + 2 * float(np.sum(np.log(np.diag(drive_root))))
+    return 0.5 * (drive - known - at.cost)
+
+
 def _finish(
     model: Model, displacements: Displacements, names: Sequence[str], ends: tuple[_Round, _Round]
 ) -> ModalFit:
     """Return modes and standard errors.
 
-    `ends` are the results with a quiet and with a lively drive. Which of them the bench has is not
-    known: frequencies and losses are between both, and their errors cover both.
+    `ends` are the results with a quiet and with a lively drive. Frequencies, losses and their
+    errors are averages over both, by their evidence.
     """
-    quiet, end = ends
+    less, end = sorted(ends, key=lambda each: each.log_evidence)
+    weight = float(expit(less.log_evidence - end.log_evidence))
     prior, state, now = end.prior, end.state, terms(model, end.state)
     # χ² of the last round is not exactly as expected, and neighbouring residuals are correlated.
     factor = end.misfit * end.next_scatter.correlated / end.scatter.correlated
@@ -370,12 +387,14 @@ def _finish(
     deviations = np.sqrt(factor * np.diag(end.covariance))
     spread[prior.free] = deviations[: np.count_nonzero(prior.free)]
     logs = slice(2 * powers, 2 * powers + 2)
-    half = 0.5 * (state.x[:count, logs] - quiet.state.x[:count, logs]).T.ravel()
-    own_hz, own_loss = np.exp(state.x[:count, logs].T - half.reshape(2, -1))
+    apart = (less.state.x[:count, logs] - state.x[:count, logs]).T.ravel()
+    own_hz, own_loss = np.exp(state.x[:count, logs].T + weight * apart.reshape(2, -1))
     number = np.full(prior.centre.shape, -1)
     number[prior.free] = np.arange(np.count_nonzero(prior.free))
     own = np.concatenate([number[:count, 2 * powers], number[:count, 2 * powers + 1]])
-    covariance = factor * end.covariance[np.ix_(own, own)] + np.outer(half, half)
+    both = (1 - weight) * end.covariance + weight * less.covariance
+    covariance = factor * both[np.ix_(own, own)]
+    covariance += weight * (1 - weight) * np.outer(apart, apart)
     mixes = prior.free[count:, :count]
     nearest = np.abs(np.log(model.hz[:, None] / own_hz)).argmin(axis=0)
     return ModalFit(

@@ -60,7 +60,18 @@ def fit_same_reed(
                 f"{run.path}: the reed covers {len(block_amplitudes.x_m)} blocks, and "
                 f"{len(before.block_amplitudes.x_m)} in the other run of it; fit this run alone"
             )
-        return _from_before(block_amplitudes, before, moved=moved)
+        displacements, start_hz, known = _from_before(block_amplitudes, before, moved=moved)
+        # The lines of the drive stay, so that no mode can be absorbed by a new line.
+        modal = fit_modes(
+            displacements,
+            before.basis,
+            block_amplitudes.drive_hz,
+            np.abs(known.drive),
+            start_hz,
+            known,
+            drive_dof=KNOWN_DRIVE_DOF,
+        )
+        return joint_fit_of(modal, block_amplitudes, before.basis, displacements)
 
 
 def fit_without_unshifted(before: JointFit) -> JointFit:
@@ -80,10 +91,16 @@ def fit_without_unshifted(before: JointFit) -> JointFit:
     off = (block_amplitudes.subtracted * j0(moved_rad)).astype(np.complex64)
     with threadpool_limits(limits=1, user_api="blas"):
         less = replace(block_amplitudes, value=block_amplitudes.recorded - off, subtracted=off)
-        return _from_before(less, before, moved=False)
+        displacements, start_hz, _ = _from_before(less, before, moved=False)
+        # The drive that was fitted to the same holograms is no other look at it.
+        modal = fit_modes(displacements, before.basis, less.drive_hz, less.volts, start_hz)
+        return joint_fit_of(modal, less, before.basis, displacements)
 
 
-def _from_before(block_amplitudes: BlockAmplitudes, before: JointFit, *, moved: bool) -> JointFit:
+def _from_before(
+    block_amplitudes: BlockAmplitudes, before: JointFit, *, moved: bool
+) -> tuple[Displacements, dict[str, float], ModalFit]:
+    """Fit displacements from an earlier fit; also return its modes, and the fit at these steps."""
     start = _as_before(block_amplitudes, before)
     if moved:
         start = replace(
@@ -97,17 +114,7 @@ def _from_before(block_amplitudes: BlockAmplitudes, before: JointFit, *, moved: 
     )
     start_hz = dict(zip(before.modal.names, before.modal.hz.tolist(), strict=True))
     known = _moved(before.modal, before.block_amplitudes, block_amplitudes)
-    # The excitation peaks of the drive stay, so that no mode can be absorbed by a new peak.
-    modal = fit_modes(
-        displacements,
-        before.basis,
-        block_amplitudes.drive_hz,
-        np.abs(known.drive),
-        start_hz,
-        known,
-        drive_dof=KNOWN_DRIVE_DOF,
-    )
-    return joint_fit_of(modal, block_amplitudes, before.basis, displacements)
+    return displacements, start_hz, known
 
 
 def _as_before(block_amplitudes: BlockAmplitudes, before: JointFit) -> Displacements:

@@ -354,7 +354,7 @@ def test_a_hologram_without_information_is_off(sweep):
     assert (np.abs(cents(fit.hz, sweep.hz[:5])) < 3 * fit.error_cents).all()
 
 
-def test_equal_errors_of_neighbours_count_less(sweep, found):
+def test_equal_errors_of_neighbours_count_less(sweep):
     """The same discrepancy in runs of eight holograms, and one that is new in each."""
     errors = []
     for together in (1, 8):
@@ -364,8 +364,11 @@ def test_equal_errors_of_neighbours_count_less(sweep, found):
         amplitude = sweep.displacements.amplitude_rad + 0.1 * sweep.drive[:, None] / np.abs(
             sweep.drive
         )[:, None] * (size[:, None] * drawn)
-        errors.append(sweep.fit(amplitude_rad=amplitude).error_cents)
-    assert np.median(errors[1] / errors[0]) > 1.4
+        fit = sweep.fit(amplitude_rad=amplitude)
+        assert (np.abs(cents(fit.hz, sweep.hz[:5])) < 3 * fit.error_cents).all()
+        errors.append(fit.error_cents)
+    # What is not known of the drive does not grow with them.
+    assert np.median(errors[1] / errors[0]) > 1.25
 
 
 # --- Invariance --------------------------------------------------------------------------------

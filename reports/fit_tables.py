@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Final
 
-from fitting.cane.fit_runs import ReedFit, SweepFit
+from fitting.cane.sweep_fit import ReedFit, SweepFit
 from reports.tables import Column, Table
 
 # Columns of the terminal, where 80 characters must suffice.

@@ -8,7 +8,8 @@ from typing import Any, Final, TextIO
 
 import numpy as np
 
-from fitting.cane.fit_runs import MethodName, SweepFit
+from fitting.cane.fit_runs import MethodName
+from fitting.cane.sweep_fit import SweepFit
 from fitting.populations.flags import Flag, PopulationFit
 from fitting.populations.resonance_table import COLUMNS, ERROR_COLUMN, RUN_COLUMN
 from fitting.populations.table import COMPONENTS, Measured, PopulationSummary, measure_resonances

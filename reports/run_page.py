@@ -7,7 +7,7 @@ from typing import Final
 
 from matplotlib.figure import Figure
 
-from fitting.cane.fit_runs import ReedFit, SweepFit
+from fitting.cane.sweep_fit import ReedFit, SweepFit
 from reports.figures.drawing import contact_sheet, png_of, response_plot
 from reports.figures.joint_drawing import mode_sheet
 from reports.fit_tables import parameters_table, remarks, resonances_table

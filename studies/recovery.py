@@ -23,7 +23,8 @@ import numpy as np
 from acquire.runner.runner import run
 from drivers.registry import open_bench
 from drivers.simulated.settings import cane_of
-from fitting.cane.fit_runs import ReedFit, fit_runs
+from fitting.cane.fit_runs import fit_runs
+from fitting.cane.sweep_fit import ReedFit
 from fitting.forward import (
     basis_of,
     finite_element_model,

@@ -11,7 +11,7 @@ from acquire.cli.console import results, show_json, show_message
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from fitting.cane.fit_runs import ReedFit
+    from fitting.cane.sweep_fit import ReedFit
 
 
 def fit(

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from acquire.errors import UsageError
 from acquire.results.base import Result, label_axes, new_axes
-from fitting.cane.fit_runs import ReedFit, SweepFit
 from fitting.cane.reed_fit import ReedParameters
+from fitting.cane.sweep_fit import ReedFit, SweepFit
 from fitting.populations.table import Measured, PopulationSummary
 from fitting.reed_modes import BASIS, mesh_level, modes_to_json
 from fitting.resonance import Resonance

@@ -3,17 +3,13 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from fitting.cane.reed_fit import (
-    QUOTED_HZ,
-    ReedParameters,
-    fit_components,
-)
+from fitting.cane.reed_fit import QUOTED_HZ, fit_components
+from fitting.cane.sweep_fit import ReedFit, Response, SweepFit
 from fitting.errors import FitError, FitInputError
 from fitting.forward import (
     ForwardModel,
@@ -29,11 +25,9 @@ from fitting.fringes.fringes import (
     misfit_without,
 )
 from fitting.fringes.pictures import Pictures, read_pictures
-from fitting.modal.acoustic_resonances import ExcitationPeak, find_excitation_peaks
-from fitting.modal.identify import JointFit, fit_jointly
-from fitting.modal.residual_map import residual_map
+from fitting.modal.identify import fit_jointly
 from fitting.resonance import Resonance
-from holography.arrays import Array, Float32Array
+from holography.arrays import Float32Array
 from physics.errors import ImpossibleReedError
 from physics.reed.cane.viscoelastic import (
     Components,
@@ -69,128 +63,6 @@ _BESIDE_CENTS = 40.0
 _LEAST_MODES = 4
 # Mean cane of the population.
 _MIDDLING = viscoelastic_cane(Components(), Series.A)
-
-
-@dataclass(frozen=True)
-class Response:
-    """Amplitudes of a reed and of each of its modes in every hologram.
-
-    Attributes
-    ----------
-    drive_hz : (k,) float
-    names : tuple of str
-    amplitude_rad : (k, m) float
-        Largest phase amplitude of each mode over the reed.
-    phase_rad : (k,) float
-        Rms phase amplitude over the reed.
-    """
-
-    drive_hz: Array
-    names: tuple[str, ...]
-    amplitude_rad: Array
-    phase_rad: Array
-
-
-@dataclass(frozen=True)
-class SweepFit:
-    """Resonances of one run.
-
-    Attributes
-    ----------
-    path : Path
-    reed, series : str
-    reed_file : ReedFile
-        Kind of reed.
-    resonances : dict
-        Found modes by name, in order of frequency.
-    response : Response
-    not_identified : dict
-        Reasons why other modes within the sweep were not found, by name.
-    joint : JointFit, optional
-        The joint fit, if the holograms were fitted jointly.
-    """
-
-    path: Path
-    reed: str
-    series: str
-    reed_file: ReedFile
-    resonances: dict[str, Resonance]
-    response: Response
-    not_identified: Mapping[str, str]
-    joint: JointFit | None = None
-
-    @property
-    def excitation_peaks(self) -> list[ExcitationPeak]:
-        """Peaks of the fitted drive: acoustic resonances, or vibration that no mode explains."""
-        if self.joint is None:
-            return []
-        blocks, drive = self.joint.block_amplitudes, self.joint.modal.drive
-        return find_excitation_peaks(blocks.drive_hz, np.log(np.abs(drive) / blocks.volts))
-
-
-@dataclass(frozen=True)
-class ReedFit:
-    """Fit of one or two runs of a reed.
-
-    Attributes
-    ----------
-    sweeps : tuple of SweepFit
-    parameters : ReedParameters or None
-    reason : str
-        Reason if there are no parameters.
-    """
-
-    sweeps: tuple[SweepFit, ...]
-    parameters: ReedParameters | None
-    reason: str = ""
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the fit with stable keys (documented in ``docs/reference/json.md``)."""
-        runs = [
-            {
-                "path": str(sweep.path),
-                "reed": sweep.reed,
-                "series": sweep.series,
-                "modes": {name: _to_json(sweep, name) for name in sweep.resonances},
-                "not_identified": dict(sweep.not_identified),
-                "excitation_peaks": [
-                    {"hz": peak.hz, "height_db": peak.height_db} for peak in sweep.excitation_peaks
-                ],
-            }
-            for sweep in self.sweeps
-        ]
-        fitted = asdict(self.parameters) if self.parameters else {}
-        keys = (
-            "components",
-            "moduli",
-            "rms_cents",
-            "reduced_chi2",
-            "excess_scatter_cents",
-            "residual_cents",
-            "left_out",
-            "at_limit",
-            "physical",
-            "model",
-        )
-        parameters = {key: fitted.get(key) for key in keys}
-        return {"modes": runs[0]["modes"], **parameters, "reason": self.reason, "runs": runs}
-
-
-def _to_json(sweep: SweepFit, name: str) -> dict[str, Any]:
-    """Return one found mode with stable keys; some exist only after a joint fit."""
-    found = sweep.resonances[name]
-    entry: dict[str, Any] = {
-        "hz": found.frequency_hz,
-        "error_cents": found.error_cents,
-        "step_index": found.step_index,
-        "method": found.method,
-        "identified": True,
-    }
-    if sweep.joint is not None:
-        keys = ("response_hz", "loss_factor", "loss_error", "participation", "similarity")
-        entry |= {key: getattr(found, key) for key in keys}
-        entry["residual"] = residual_map(sweep.joint, name).to_json()
-    return entry
 
 
 def method_name(name: str) -> MethodName:

@@ -12,9 +12,9 @@ from fitting.cane.fit_runs import (
     FIT_SWEEP,
     MethodName,
     ModelName,
-    SweepFit,
     require_model,
 )
+from fitting.cane.sweep_fit import SweepFit
 from fitting.errors import FitError, FitInputError
 from fitting.forward import basis_of, finite_element_model
 from fitting.modal.acoustic_resonances import ExcitationPeak, common_excitation_peaks

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from fitting.cane.fit_runs import SweepFit
+from fitting.cane.sweep_fit import SweepFit
 from fitting.resonance import Resonance
 from holography.arrays import Array
 from holography.fringes import block_mean

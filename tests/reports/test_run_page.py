@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from fitting.cane.fit_runs import ReedFit
+from fitting.cane.sweep_fit import ReedFit
 from fitting.modal.acoustic_resonances import ExcitationPeak
 from reports.errors import OutputRefusedError
 from reports.run_page import (

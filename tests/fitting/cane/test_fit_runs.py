@@ -7,7 +7,6 @@ import pytest
 
 from drivers.simulated.settings import cane_of
 from fitting.cane.fit_runs import (
-    ReedFit,
     fit_runs,
     fit_sweep,
     middling_modes,
@@ -15,6 +14,7 @@ from fitting.cane.fit_runs import (
     model_name,
 )
 from fitting.cane.reed_fit import fit_components
+from fitting.cane.sweep_fit import ReedFit
 from fitting.errors import FitError
 from fitting.forward import PaperModel
 from fitting.fringes.pictures import read_pictures

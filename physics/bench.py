@@ -14,7 +14,7 @@ from holography.fringes import phase_amplitude
 from physics.air import pressure_on_reed
 from physics.conditions import Condition, change_of_cane, condition_at, hardened
 from physics.drive import pressure_at_tip_pa
-from physics.motion import ReedMotion
+from physics.motion import Coordinates, ReedMotion
 from physics.object_light import renewed, smooth_shapes, smoothly_changed
 from physics.optics import (
     beat_integral,
@@ -126,6 +126,7 @@ class BenchModel:
         self.region = reed_region(layout, self.transform)
         y, x = np.meshgrid(*reed_axes_m(layout, self.region, self.transform), indexing="ij")
         self._lit = on_reed(motion.reed.geometry.outline, x, y)
+        self._motion, self._force = motion, _force_of(parameters, motion)
         shapes = surface_shapes(motion.reed, x[self._lit], y[self._lit], loose=motion.loose)
         light, changes = parameters.optics.illumination, parameters.optics.interference
         scattered, self._envelope = self._scattered_light(x, y, rng)
@@ -140,7 +141,7 @@ class BenchModel:
         # instead of methods, because a cache that refers to this object would keep its memory until
         # the next garbage collection.
         self._displacement = lru_cache(maxsize=4)(
-            partial(_displacement, parameters, motion, _force_of(parameters, motion), shapes)
+            partial(_displacement, parameters, motion, self._force, shapes)
         )
         self._illuminate(scattered)
 
@@ -201,6 +202,45 @@ class BenchModel:
         patch = np.zeros(self._lit.shape, dtype=np.complex64)
         patch[self._lit] = self._displacement(drive_hz, drive_v, self._moment_s(time_s))
         return patch
+
+    def displacement_at_m(
+        self, x_m: Array, y_m: Array, drives: Sequence[tuple[Fraction, float]]
+    ) -> Complex64:
+        """Return what frames are rendered from, at any points of the bark side.
+
+        Parameters
+        ----------
+        x_m, y_m : (n,) float
+            Points on the reed: distances from the tip and from the axis.
+        drives : sequence of (Fraction, float)
+            Frequency in Hz and peak volts of k drives.
+
+        Returns
+        -------
+        (k, n) complex64
+            Complex displacement along z in m.
+        """
+        shapes = surface_shapes(self._motion.reed, x_m, y_m, loose=self._motion.loose)
+        moved = [
+            _displacement(self.parameters, self._motion, self._force, shapes, hz, volts, 0.0)
+            for hz, volts in drives
+        ]
+        return np.array(moved)
+
+    def coordinates_m(self, drive_hz: float, drive_v: float) -> Coordinates:
+        """Return the reed's motion in its reduced coordinates at the start, without hardening.
+
+        Parameters
+        ----------
+        drive_hz, drive_v : float
+            Drive frequency, and peak volts at the tweeter.
+        """
+        parameters = self.parameters
+        environment, cane = parameters.environment, parameters.reed.cane
+        change = change_of_cane(cane, environment, condition_at(environment, 0.0), drive_hz)
+        moved = self._motion.coordinates(parameters.reed, change, drive_hz, 0.0, self._force)
+        at_tip_pa = pressure_at_tip_pa(parameters.drive, drive_hz, drive_v)
+        return {part: at_tip_pa * q for part, q in moved.items()}
 
     def frame(
         self,

@@ -109,6 +109,19 @@ class SimulatedLab:
         return self._parameters.sensor
 
     @property
+    def model(self) -> BenchModel:
+        """The model that renders frames: studies compare its vibration with what a fit states.
+
+        Raises
+        ------
+        ValueError
+            If no sensor was prepared.
+        """
+        if self._model is None:
+            raise ValueError("the simulated laboratory has no sensor; call prepare_sensor first")
+        return self._model
+
+    @property
     def state(self) -> BenchState:
         """The settings at present."""
         return self._states[-1]
@@ -170,9 +183,8 @@ class SimulatedLab:
         ValueError
             If no sensor was prepared.
         """
-        if self._model is None:
-            raise ValueError("the simulated laboratory has no sensor; call prepare_sensor first")
-        gain = self._next_acquisition(self._model, exposures_s)
+        model = self.model
+        gain = self._next_acquisition(model, exposures_s)
         images = []
         for number, nominal_s in enumerate(exposures_s):
             times_s = self._jittered(nominal_s)
@@ -181,7 +193,7 @@ class SimulatedLab:
                 segments = [_with_half_the_volts(segment) for segment in segments]
             scene = _SCENES[Arrangement.DARK] if number == dark else self._scene
             turned = gain * self._path(number, times_s[0])
-            images.append(self._model.frame(segments, self._rng, turned, scene))
+            images.append(model.frame(segments, self._rng, turned, scene))
         return images
 
     def _next_acquisition(

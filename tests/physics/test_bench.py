@@ -341,6 +341,25 @@ def test_the_carrier_leaks_as_demodulation_says(quarters, quiet_bench, at_rest, 
         assert at_small_motion < 0.01
 
 
+def test_displacements_at_points_are_those_that_frames_are_rendered_from(quiet_bench, coarse_reed):
+    y, x = np.meshgrid(
+        *reed_axes_m(
+            quiet_bench.parameters.optics.layout, quiet_bench.region, quiet_bench.transform
+        ),
+        indexing="ij",
+    )
+    inside = on_reed(coarse_reed.geometry.outline, x, y)
+    drives = [(DRIVE_HZ, 2.0), (Fraction(5000), 1.0)]
+    found = quiet_bench.displacement_at_m(x[inside], y[inside], drives)
+    for row, (drive_hz, volts) in zip(found, drives, strict=True):
+        rendered = quiet_bench.displacement_m(drive_hz, volts)[inside]
+        assert row == pytest.approx(rendered, rel=1e-5, abs=1e-13)
+        coordinates = quiet_bench.coordinates_m(float(drive_hz), volts)
+        surface = surface_shapes(coarse_reed, x[inside], y[inside])
+        moved = sum(surface[part] @ q for part, q in coordinates.items())
+        assert moved == pytest.approx(rendered, rel=1e-4, abs=1e-12)
+
+
 def test_sidebands_left_out_would_not_change_a_pixel(quiet_bench, at_rest, take_frames):
     """All orders to ±80, at 30 rad and where they leak most; numbers as on the nominal bench."""
     drive_hz, drive_v = 147 * FRAME_RATE_HZ, 16.0

@@ -56,6 +56,19 @@ class FieldDrift:
         shift[:, self.drifting] += self.share @ nodes
         return shift
 
+    def covariance(self, parameters: Array) -> Array:
+        """Return the covariance (k, q, q) of `shift` from that of the parameters (p, p)."""
+        constant, which, nodes = self.constant, self.drifting, self.share.shape[1]
+        found = np.tile(parameters[:constant, :constant], (len(self.share), 1, 1))
+        beside = parameters[:constant, constant:].reshape(constant, nodes, len(which))
+        own = parameters[constant:, constant:].reshape(nodes, len(which), nodes, len(which))
+        across = np.einsum("qbr,kb->kqr", beside, self.share)
+        found[:, :, which] += across
+        found[:, which] += across.swapaxes(1, 2)
+        among = np.einsum("brcs,kb,kc->krs", own, self.share, self.share, optimize=True)
+        found[np.ix_(np.arange(len(found)), which, which)] += among
+        return found
+
 
 @dataclass(frozen=True)
 class SharedError:

@@ -69,6 +69,7 @@ from fitting.modal.normal_equations import (
     evaluate,
 )
 from fitting.modal.optimiser import minimise_cost, without_drive
+from fitting.modal.posterior import Posterior, resonant_displacements
 from holography.arrays import Array, ComplexArray
 
 # Participations are polynomials of log frequency of this degree.
@@ -295,6 +296,8 @@ class _Round:
         Scatter that was used, and the one that the residuals give.
     common_mode_shift : (k, q) float
         Common-mode error of every hologram.
+    drift : FieldDrift
+        How it follows from parameters.
     noise : Noise
         Noise with the variance of outliers increased.
     """
@@ -309,6 +312,7 @@ class _Round:
     scatter: _Scatter
     next_scatter: _Scatter
     common_mode_shift: Array
+    drift: FieldDrift
     noise: Noise
 
 
@@ -355,6 +359,7 @@ def _round(
             correlated=correlated_holograms(noise, whitened_residual, state.log_drive),
         ),
         common_mode_shift=drift.shift(state.common_mode_shift),
+        drift=drift,
         noise=inflated(noise, whitened_residual),
     )
 
@@ -382,6 +387,8 @@ def _finish(
     # Drive and participations have an undetermined common factor: the errors of participations are
     # those for a given drive.
     given_drive = factor * _inverse(end.here.matrix)
+    posterior = Posterior.of(end.here, end.covariance, factor)
+    shared = len(state.common_mode_shift)
     count, powers = len(model.active), model.powers.shape[1]
     spread = np.zeros_like(state.x)
     deviations = np.sqrt(factor * np.diag(end.covariance))
@@ -418,6 +425,9 @@ def _finish(
         discrepancy=end.scatter.discrepancy,
         common_mode_shift=end.common_mode_shift,
         field_walk=end.scatter.walk,
+        common_mode_covariance=end.drift.covariance(posterior.common_mode(shared)),
+        resonant=resonant_displacements(model, prior, state, now, posterior),
+        log_drive_covariance=posterior.log_magnitude,
         off=_off(displacements, end.noise),
         state=state,
     )

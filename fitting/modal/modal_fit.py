@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from fitting.modal.model import (
     State,
 )
+from fitting.modal.posterior import ResonantDisplacements
 from holography.arrays import Array, ComplexArray
 
 
@@ -53,6 +54,13 @@ class ModalFit:
     field_walk : float
         Standard deviation of the change of its coefficients from one hologram to the next, in
         nepers and rad (see `fitting.modal.field_drift`).
+    common_mode_covariance : (k, q, q) float
+        Its covariance.
+    resonant : ResonantDisplacements
+        Displacement of every mode at its own resonance.
+    log_drive_covariance : (k, k) float
+        Covariance of the log magnitude of the drive. A factor that is common to all holograms, and
+        varies smoothly, can move between drive and participations: it is in this covariance.
     off : (k,) bool
         Holograms that are outliers, or that have no information.
     state : State
@@ -78,5 +86,8 @@ class ModalFit:
     discrepancy: float
     common_mode_shift: Array
     field_walk: float
+    common_mode_covariance: Array
+    resonant: ResonantDisplacements
+    log_drive_covariance: Array
     off: NDArray[np.bool_]
     state: State

@@ -17,7 +17,7 @@ class Resonance:
     step_index : int
         Index of the picture in the protocol.
     amplitude_rad : float
-        Phase amplitude of the mode in that picture.
+        Phase amplitude of the mode in that picture, at the points that the fit uses.
     method : str
         ``picture``, or ``joint`` (see `fitting.modal.identify`), which alone knows what follows.
     response_hz : float, optional
@@ -29,6 +29,15 @@ class Resonance:
         How strongly the drive excites the mode, relative to the mode that it excites most.
     similarity : float, optional
         Modal assurance criterion of its shape and the finite-element shape of its name.
+    amplitude_nm : float, optional
+        Displacement where the mode moves most, from rest to the largest deflection, out of the
+        plane of the reed: of a joint fit at the eigenfrequency, else in that picture.
+    amplitude_error_nm : float, optional
+        Its standard error (joint fit).
+    nm_per_v : float, optional
+        `amplitude_nm` per peak volt of the drive.
+    largest_m : (float, float), optional
+        Where that is: distances from the tip and from the axis (joint fit).
     """
 
     name: str
@@ -42,3 +51,7 @@ class Resonance:
     loss_error: float | None = None
     participation: float | None = None
     similarity: float | None = None
+    amplitude_nm: float | None = None
+    amplitude_error_nm: float | None = None
+    nm_per_v: float | None = None
+    largest_m: tuple[float, float] | None = None

@@ -25,6 +25,25 @@ def phase_amplitude(displacement_m: npt.ArrayLike, wavelength_m: float) -> npt.N
     return 4 * np.pi / wavelength_m * np.asarray(displacement_m, dtype=np.float64)
 
 
+def displacement_m(phase_rad: npt.ArrayLike, wavelength_m: float) -> npt.NDArray[np.float64]:
+    """Return the displacement of a phase amplitude, ``z = φλ/4π``; see `phase_amplitude`.
+
+    Parameters
+    ----------
+    phase_rad : array_like
+        Phase amplitude φ in rad.
+    wavelength_m : float
+        Wavelength of the light.
+
+    Returns
+    -------
+    ndarray of float64
+        Peak displacement in m (from rest to the largest deflection, half of peak to peak), of the
+        shape of `phase_rad`.
+    """
+    return wavelength_m / (4 * np.pi) * np.asarray(phase_rad, dtype=np.float64)
+
+
 def first_sideband_maxima_m(count: int, wavelength_m: float) -> npt.NDArray[np.float64]:
     """Return the peak displacements at which the image of sideband 1 is brightest.
 

@@ -11,6 +11,7 @@ MODULES = (
     "studies.independence",
     "studies.recovery",
     "studies.identification",
+    "studies.amplitudes",
     "studies.reach",
     "studies.sealed.leaks",
     "studies.inverse_crime",

@@ -3,13 +3,17 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from fitting.amplitudes.peaks import PeakAmplitudes
+from fitting.amplitudes.response import Response, joint_response
+from fitting.amplitudes.vamp import vamp_points
 from fitting.cane.reed_fit import QUOTED_HZ, fit_components
-from fitting.cane.sweep_fit import ReedFit, Response, SweepFit
+from fitting.cane.sweep_fit import ReedFit, SweepFit
 from fitting.errors import FitError, FitInputError
 from fitting.forward import (
     ForwardModel,
@@ -28,6 +32,7 @@ from fitting.fringes.pictures import Pictures, read_pictures
 from fitting.modal.identify import fit_jointly
 from fitting.resonance import Resonance
 from holography.arrays import Float32Array
+from holography.fringes import displacement_m
 from physics.errors import ImpossibleReedError
 from physics.reed.cane.viscoelastic import (
     Components,
@@ -167,8 +172,40 @@ def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
         found = _pick(pictures, names, shapes, fringes, model, series, run.acoustic_resonances_hz)
     if not found:
         raise _nothing_shows(run, pictures)
-    response = Response(pictures.drive_hz, names, np.abs(fringes.amplitude_rad), fringes.phase_rad)
+    response = _fringe_response(run, pictures, names, shapes, fringes)
+    found = {
+        name: _with_fringe_amplitude(resonance, response, run) for name, resonance in found.items()
+    }
     return SweepFit(run.path, run.reed, run.series, run.reed_file(), found, response, {})
+
+
+def _fringe_response(
+    run: Run, pictures: Pictures, names: tuple[str, ...], shapes: Float32Array, fringes: Fringes
+) -> Response:
+    """Return the displacements of all pictures; the method of the paper states no errors."""
+    volts = {step.index: step.volts for step in run if step.order == run.sideband_order}
+    moved = np.abs(fringes.amplitude_rad @ shapes.T)
+    top = moved.argmax(axis=1)
+    wavelength_m = run.reconstruction.transform.wavelength_m
+    nm = 1e9 * displacement_m(moved.max(axis=1), wavelength_m)
+    unknown = np.full(len(nm), np.nan)
+    return Response(
+        drive_hz=pictures.drive_hz,
+        step_index=pictures.step_index,
+        volts=np.array([volts[int(index)] for index in pictures.step_index]),
+        names=names,
+        amplitude_nm=1e9 * displacement_m(np.abs(fringes.amplitude_rad), wavelength_m),
+        peak=PeakAmplitudes(nm, unknown, pictures.x_m[top], pictures.y_m[top]),
+        off=np.zeros(len(nm), dtype=bool),
+        wavelength_m=wavelength_m,
+    )
+
+
+def _with_fringe_amplitude(found: Resonance, response: Response, run: Run) -> Resonance:
+    k = int(np.flatnonzero(response.step_index == found.step_index)[0])
+    wavelength_m = run.reconstruction.transform.wavelength_m
+    nm = 1e9 * float(displacement_m(found.amplitude_rad, wavelength_m))
+    return replace(found, amplitude_nm=nm, nm_per_v=nm / float(response.volts[k]))
 
 
 def fit_sweep_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
@@ -188,18 +225,17 @@ def fit_sweep_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> Sweep
             f"{run.path}: nothing is identified{reason}; look at the contact sheet that acquire "
             "report writes"
         )
-    response = Response(
-        joint.block_amplitudes.drive_hz,
-        joint.modal.names,
-        np.abs(joint.modal.modal_rad),
-        np.sqrt(np.sum(np.abs(joint.displacements.amplitude_rad) ** 2, axis=1)),
-    )
+    cane = viscoelastic_cane(Components(), Series.B if run.series == "B" else Series.A)
+    blocks = joint.block_amplitudes
+    points = vamp_points(reed, cane, joint.basis, blocks.x_m, blocks.y_m)
+    wavelength_m = run.reconstruction.transform.wavelength_m
+    response, resonances = joint_response(joint, points, wavelength_m)
     return SweepFit(
         run.path,
         run.reed,
         run.series,
         run.reed_file(),
-        joint.resonances,
+        resonances,
         response,
         joint.not_identified,
         joint,

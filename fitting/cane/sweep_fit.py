@@ -7,33 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from fitting.amplitudes.response import Response
 from fitting.cane.reed_fit import ReedParameters
 from fitting.modal.acoustic_resonances import ExcitationPeak, find_excitation_peaks
 from fitting.modal.identify import JointFit
 from fitting.modal.residual_map import residual_map
 from fitting.resonance import Resonance
-from holography.arrays import Array
 from protocols.reed import ReedFile
-
-
-@dataclass(frozen=True)
-class Response:
-    """Amplitudes of a reed and of each of its modes in every hologram.
-
-    Attributes
-    ----------
-    drive_hz : (k,) float
-    names : tuple of str
-    amplitude_rad : (k, m) float
-        Largest phase amplitude of each mode over the reed.
-    phase_rad : (k,) float
-        Rms phase amplitude over the reed.
-    """
-
-    drive_hz: Array
-    names: tuple[str, ...]
-    amplitude_rad: Array
-    phase_rad: Array
 
 
 @dataclass(frozen=True)
@@ -98,6 +78,8 @@ class ReedFit:
                 "series": sweep.series,
                 "modes": {name: _to_json(sweep, name) for name in sweep.resonances},
                 "not_identified": dict(sweep.not_identified),
+                "peak": asdict(largest) if (largest := sweep.response.largest) else None,
+                "response": sweep.response.to_json(),
                 "excitation_peaks": [
                     {"hz": peak.hz, "height_db": peak.height_db} for peak in sweep.excitation_peaks
                 ],
@@ -130,9 +112,14 @@ def _to_json(sweep: SweepFit, name: str) -> dict[str, Any]:
         "step_index": found.step_index,
         "method": found.method,
         "identified": True,
+        "amplitude_nm": found.amplitude_nm,
+        "amplitude_error_nm": found.amplitude_error_nm,
+        "nm_per_v": found.nm_per_v,
     }
     if sweep.joint is not None:
         keys = ("response_hz", "loss_factor", "loss_error", "participation", "similarity")
         entry |= {key: getattr(found, key) for key in keys}
+        if found.largest_m is not None:
+            entry |= {"x_mm": 1e3 * found.largest_m[0], "y_mm": 1e3 * found.largest_m[1]}
         entry["residual"] = residual_map(sweep.joint, name).to_json()
     return entry

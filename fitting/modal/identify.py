@@ -105,7 +105,8 @@ def _fitted(
 ) -> JointFit:
     series = Series.B if run.series == "B" else Series.A
     block_amplitudes = read_block_amplitudes(run, unshifted)
-    basis = middling_shapes(reed, viscoelastic_cane(Components(), series), block_amplitudes)
+    cane = viscoelastic_cane(Components(), series)
+    basis = middling_shapes(reed, cane, block_amplitudes.x_m, block_amplitudes.y_m)
     displacements = fit_displacements(block_amplitudes, basis)
     start_hz = start_frequencies(block_amplitudes, basis, displacements, reed, model, series)
     modal = fit_modes(

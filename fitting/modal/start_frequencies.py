@@ -38,9 +38,9 @@ _ROOM, _AGREE_CENTS = 0.4, (80.0, 300.0)
 
 
 def middling_shapes(
-    reed: ReducedReed, cane: ViscoelasticCane, block_amplitudes: BlockAmplitudes
+    reed: ReducedReed, cane: ViscoelasticCane, x_m: Array, y_m: Array
 ) -> ShapeBasis:
-    """Compute the shapes of a reed of average cane."""
+    """Compute the shapes of a reed of average cane at points (n,) of its bark side."""
 
     def moduli_pa(hz: float) -> Array:
         return np.array([storage_modulus_pa(z, hz) for z in (cane.young_L, cane.shear_LT)])
@@ -50,9 +50,7 @@ def middling_shapes(
         return float(E), float(G)
 
     E_pa, G_pa = moduli_pa(SHAPES_HZ)
-    return shape_basis(
-        reed, float(E_pa), float(G_pa), block_amplitudes.x_m, block_amplitudes.y_m, growth
-    )
+    return shape_basis(reed, float(E_pa), float(G_pa), x_m, y_m, growth)
 
 
 def start_frequencies(

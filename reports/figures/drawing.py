@@ -9,10 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from fitting.amplitudes.response import Response
 from fitting.cane.sweep_fit import SweepFit
 from fitting.resonance import Resonance
 from holography.arrays import Array
-from holography.fringes import block_mean
+from holography.fringes import block_mean, first_sideband_maxima_m
 from reports.plain_text import visible
 from runs.reader import Run
 from runs.records import StepRecord
@@ -29,13 +30,17 @@ _WHITE_PERCENTILE = 99.0
 _DARKEST_WHITE = 12.0
 # How far to either side of its peak the fringes of a mode are drawn.
 _SHOWN_OCTAVES = 0.12
-# Names of peaks: their least distance, width and height of two short lines, and space next to them.
-_LOWEST_PT, _LABEL_PT, _MARGIN = 8.0, (50.0, 24.0), 1.05
+# Names of peaks: their least distance, width and height of three lines, and space next to them.
+_LOWEST_PT, _LABEL_PT, _MARGIN = 8.0, (50.0, 34.0), 1.05
 _CLASS_COLOUR = {"F": "#4cc9f0", "T": "#ffb703", "X": "#80ed99", "L": "#f4a3ff"}
 _DARK_COLOUR = {"F": "#0077b6", "T": "#d97706", "X": "#2b8a3e", "L": "#8e44ad"}
 # Modes of the heel, and such as have no name.
 _OTHER_COLOUR = "#9d9d9d"
 _LINE_COLOUR = "#ff5d5d"
+# Lower end of the response plot: a displacement of 2.5 nm is about its own error.
+_LOWEST_NM = 2.5
+# Bright fringes of the first sideband that are marked: those that the paper quotes.
+_FRINGES = (1, 5, 10)
 
 
 def png_of(figure: Figure, dpi: int = 100, software: str = "reedbench") -> bytes:
@@ -120,6 +125,13 @@ def _label(
     text, colour = number, "#9a9a9a"
     if names:
         text, colour = f"{number} {'/'.join(names)}", _CLASS_COLOUR.get(names[0][0], "#e0e0e0")
+        known_nm = [nm for name in names if (nm := resonances[name].amplitude_nm) is not None]
+        if known_nm:
+            above = "/".join(f"{nm:.0f}" for nm in known_nm)
+            axes.text(
+                left + width / 2, top + 2, f"{above} nm", color=colour, ha="center", va="top",
+                fontsize=7, bbox={"facecolor": "black", "edgecolor": "none", "pad": 0.5},
+            )  # fmt: skip
     elif step.index in lines:
         text, colour = f"{number} peak", _LINE_COLOUR
     elif step.verdict != "ok":
@@ -166,22 +178,26 @@ def response_plot(sweep: SweepFit, lines_hz: Sequence[float]) -> Figure:
 
 def draw_response(axes: Axes, sweep: SweepFit, lines_hz: Sequence[float]) -> None:
     """Draw fringes of every found mode against frequency, with named peaks; see `response_plot`."""
-    hz, amplitude = sweep.response.drive_hz, sweep.response.amplitude_rad
-    axes.plot(hz, sweep.response.phase_rad, color="0.25", linewidth=1.2, label="whole reed, rms")
-    _dress(axes, hz, amplitude)
-    peaks = [(found.frequency_hz, found.amplitude_rad) for found in sweep.resonances.values()]
+    response = sweep.response
+    hz, amplitude = response.drive_hz, response.amplitude_nm
+    axes.plot(hz, response.peak.nm, color="0.25", linewidth=1.2, label="whole reed, largest")
+    _dress(axes, response)
+    resonances = {
+        name: (found.frequency_hz, found.amplitude_nm, found.amplitude_error_nm)
+        for name, found in sweep.resonances.items()
+        if found.amplitude_nm is not None
+    }
+    peaks = [(found_hz, nm) for found_hz, nm, _ in resonances.values()]
     dots = axes.transData.transform(peaks) if peaks else np.empty((0, 2))
     heights = label_heights(axes.figure.dpi_scale_trans.inverted().transform(dots) * 72)
-    for (name, found), height in zip(sweep.resonances.items(), heights, strict=True):
-        near = np.abs(np.log2(hz / found.frequency_hz)) < _SHOWN_OCTAVES
+    for (name, (found_hz, nm, error_nm)), height in zip(resonances.items(), heights, strict=True):
+        near = np.abs(np.log2(hz / found_hz)) < _SHOWN_OCTAVES
         colour = _DARK_COLOUR.get(name[0], _OTHER_COLOUR)
-        axes.plot(
-            hz[near], amplitude[near, sweep.response.names.index(name)], color=colour, linewidth=1
-        )
-        axes.plot(found.frequency_hz, found.amplitude_rad, "o", color=colour, markersize=5)
+        axes.plot(hz[near], amplitude[near, response.names.index(name)], color=colour, linewidth=1)
+        axes.errorbar(found_hz, nm, error_nm, fmt="o", color=colour, markersize=5)
         axes.annotate(
-            f"{name}\n{found.frequency_hz:.0f} Hz",
-            (found.frequency_hz, found.amplitude_rad),
+            f"{name}\n{found_hz:.0f} Hz\n{nm:.0f} nm",
+            (found_hz, nm),
             xytext=(0, height), textcoords="offset points", ha="center",
             fontsize=8, color=colour, arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.5},
         )  # fmt: skip
@@ -221,20 +237,27 @@ def label_heights(peaks_pt: Array) -> list[float]:
     return heights
 
 
-def _dress(axes: Any, hz: Array, amplitude: Array) -> None:
+def _dress(axes: Any, response: Response) -> None:
     """Axes of the response plot: logarithmic, with plain numbers."""
+    hz = response.drive_hz
+    largest_nm = float(np.nanmax(np.append(response.peak.nm, response.amplitude_nm)))
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlim(hz.min() / _MARGIN, hz.max() * _MARGIN)
-    axes.set_ylim(0.05, 4 * max(float(amplitude.max()), 1.0))
+    axes.set_ylim(_LOWEST_NM, 4 * max(largest_nm, 20 * _LOWEST_NM))
+    heights = [10**n for n in range(1, 6) if _LOWEST_NM < 10**n < axes.get_ylim()[1]]
+    axes.set_yticks(heights, [f"{height:g}" for height in heights])
     ticks = [1500, 2000, 3000, 4000, 5000, 7000, 10000, 14000, 20000]
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_xticks([], minor=True)
     axes.set_xlabel("drive frequency (Hz)")
-    axes.set_ylabel("phase amplitude of the mode, 4πz/λ (rad)")
-    axes.axhline(1.841, color="0.6", linewidth=0.8, linestyle=":")
-    axes.annotate(
-        "first bright fringe", (0.005, 1.841), xycoords=("axes fraction", "data"),
-        fontsize=8, color="0.4", va="bottom",
-    )  # fmt: skip
+    axes.set_ylabel("displacement, rest to largest deflection (nm)")
+    maxima_nm = 1e9 * first_sideband_maxima_m(max(_FRINGES), response.wavelength_m)
+    for fringe in _FRINGES:
+        nm = float(maxima_nm[fringe - 1])
+        axes.axhline(nm, color="0.6", linewidth=0.8, linestyle=":")
+        axes.annotate(
+            f"bright fringe {fringe}: {nm:.0f} nm", (0.005, nm),
+            xycoords=("axes fraction", "data"), fontsize=8, color="0.4", va="bottom",
+        )  # fmt: skip
     axes.grid(True, which="major", alpha=0.2)

@@ -6,9 +6,16 @@ from scipy.special import jv
 
 from holography.fringes import (
     block_mean,
+    displacement_m,
     first_sideband_maxima_m,
     phase_amplitude,
 )
+
+
+def test_a_displacement_has_the_phase_that_it_came_from():
+    assert displacement_m(phase_amplitude([0.0, 95.2e-9], 650e-9), 650e-9) == pytest.approx(
+        [0.0, 95.2e-9]
+    )
 
 
 def test_bright_fringes_are_where_the_paper_has_them():

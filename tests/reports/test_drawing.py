@@ -116,6 +116,13 @@ def test_other_sidebands_are_distinguished_and_are_no_resonances():
     assert [text for *_, text in cells(sheet, 4)] == ["7 F1", "7/0", "8", "8/0"]
 
 
+def test_the_displacement_of_a_mode_stands_in_its_picture():
+    run = DrawnRun(lambda x, y: x > 0, indices=[7, 8])
+    found = {"F1": replace(resonance("F1", 7), amplitude_nm=973.6), "T1": resonance("T1", 8)}
+    words = [t.get_text() for t in contact_sheet(run, found, ()).axes[0].texts]
+    assert words == ["974 nm", "7 F1", "8 T1"]
+
+
 def test_a_short_run_is_in_one_row():
     sheet = contact_sheet(DrawnRun(lambda x, y: x > 0, indices=range(44, 77, 2)), {}, LINES_HZ)
     places = cells(sheet, 17)
@@ -231,14 +238,16 @@ def test_peaks_of_the_response_are_named_where_they_are(fitted, sweep_a):
     labels = {t.get_text().split("\n")[0]: t.xy for t in axes.texts if "\n" in t.get_text()}
     assert set(labels) == set(sweep.resonances)
     for name, found in sweep.resonances.items():
-        assert labels[name] == (found.frequency_hz, found.amplitude_rad)
+        assert labels[name] == (found.frequency_hz, found.amplitude_nm)
     assert "Hz" in axes.get_xlabel()
-    assert "rad" in axes.get_ylabel()
+    assert "nm" in axes.get_ylabel()
+    fringes = [t.xy[1] for t in axes.texts if "bright fringe" in t.get_text()]
+    assert fringes == pytest.approx([95.2, 768.8, 1583], abs=0.5)
     assert any("acoustic resonance 4309 Hz" in t.get_text() for t in axes.texts)
     assert any(list(line.get_xdata()) == [4308.6, 4308.6] for line in axes.lines)
     for found in sweep.resonances.values():
         low, high = axes.get_ylim()
-        assert low < found.amplitude_rad < high
+        assert low < found.amplitude_nm < high
 
 
 def test_a_line_outside_the_sweep_is_not_drawn(fitted):

@@ -114,13 +114,23 @@ def test_json_has_the_documented_keys(fitted, sweep_a):
     answer = json.loads(json.dumps(fitted.to_json(), allow_nan=False))
     assert sorted(answer) == sorted(KEYS)
     for mode in answer["modes"].values():
-        assert sorted(mode) == ["error_cents", "hz", "identified", "method", "step_index"]
+        assert sorted(mode) == [
+            "amplitude_error_nm", "amplitude_nm", "error_cents", "hz", "identified", "method",
+            "nm_per_v", "step_index",
+        ]  # fmt: skip
+        # The method of the paper knows no errors.
+        assert mode["amplitude_error_nm"] is None
+        assert mode["amplitude_nm"] > 5
     assert all(sorted(e) == ["error", "value"] for e in answer["components"].values())
     assert all(list(answer[key]) == ["A"] for key in ("moduli", "residual_cents", "left_out"))
     names = ["E1_mpa", "E2_mpa", "E_4kHz_mpa", "G1_mpa", "G2_mpa", "G_4kHz_mpa"]
     assert sorted(answer["moduli"]["A"]) == names
     assert set(answer["residual_cents"]["A"]) | set(answer["left_out"]["A"]) == set(answer["modes"])
     (run,) = answer["runs"]
+    peak, response = run.pop("peak"), run.pop("response")
+    assert peak["nm"] == max(response["peak_nm"])
+    assert peak["nm"] > max(mode["amplitude_nm"] for mode in answer["modes"].values()) / 2
+    assert {len(values) for values in response.values()} == {87}
     assert run == {
         "path": str(sweep_a), "reed": REED, "series": "A", "modes": answer["modes"],
         "not_identified": {}, "excitation_peaks": [],

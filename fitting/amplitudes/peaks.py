@@ -1,0 +1,145 @@
+"""Largest displacement of the reed in every hologram, and of each mode at its resonance.
+
+All displacements are amplitudes (from rest to the largest deflection, half of peak to peak) out of
+the plane of the reed. Light falls on the reed and is observed along its normal, so that the phase
+amplitude is ``4πw/λ`` (T. Kreis, Handbook of Holographic Interferometry, 2005, section 4.1: the
+sensitivity vector is then 4π/λ long and normal to the surface).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fitting.amplitudes.vamp import VampPoints
+from fitting.modal.identify import JointFit
+from holography.arrays import Array
+from holography.fringes import displacement_m
+
+# Relative error of a displacement that few functions continue from the blocks to the contour: 68 %
+# of those of random canes are smaller (`python -m studies.amplitudes --continuation`).
+_CONTINUATION = 1e-3
+# Precision of amplitudes that a hologram does not determine, rad⁻²: 100 rad is 5 µm.
+_LOOSE = 100.0**-2
+
+
+@dataclass(frozen=True)
+class PeakAmplitudes:
+    """Largest displacement over the vamp in each of k holograms.
+
+    Attributes
+    ----------
+    nm, error_nm : (k,) float
+        Amplitude and its standard error; NaN where a hologram is not explained, and errors where
+        the method does not know them.
+    x_m, y_m : (k,) float
+        Point of the largest displacement.
+    """
+
+    nm: Array
+    error_nm: Array
+    x_m: Array
+    y_m: Array
+
+
+@dataclass(frozen=True)
+class ModeAmplitude:
+    """Displacement of one mode, driven at its own eigenfrequency, where it moves most.
+
+    Attributes
+    ----------
+    nm, error_nm : float
+        Amplitude and its standard error.
+    x_m, y_m : float
+        Point of the largest displacement.
+    volts : float
+        Peak volts of the drive at that frequency.
+    """
+
+    nm: float
+    error_nm: float
+    x_m: float
+    y_m: float
+    volts: float
+
+
+def peak_amplitudes(fit: JointFit, points: VampPoints, wavelength_m: float) -> PeakAmplitudes:
+    """Return the largest displacement of the reed in every hologram.
+
+    These are the displacements of the holograms themselves, before modes are fitted to them. Their
+    errors come from the noise of the hologram, from the common-mode error, and from the
+    continuation to the contour.
+
+    Parameters
+    ----------
+    fit : JointFit
+    points : VampPoints
+    wavelength_m : float
+        Wavelength of the light.
+    """
+    found, functions = fit.displacements, points.functions
+    u = found.amplitude_rad @ functions.T
+    holograms, top = np.arange(len(u)), np.abs(u).argmax(axis=1)
+    size = np.abs(u)[holograms, top]
+    direction = u[holograms, top] / np.maximum(size, 1e-12)
+    by = _along(direction, functions[top])
+    information = found.information + _LOOSE * np.eye(by.shape[1])
+    variance = np.einsum("ka,ka->k", by, np.linalg.solve(information, by[..., None])[..., 0])
+    common = np.einsum("ka,kaq->kq", by, found.common_mode.response)
+    shared = np.linalg.solve(found.common_mode.precision, common.T)
+    variance += np.einsum("kq,qk->k", common, shared) + (_CONTINUATION * size) ** 2
+    known = found.reached & np.any(found.information, axis=(1, 2))
+    nm = 1e9 * displacement_m(np.stack([size, np.sqrt(variance)]), wavelength_m)
+    value, error = np.where(known, nm, np.nan)
+    return PeakAmplitudes(value, error, points.x_m[top], points.y_m[top])
+
+
+def mode_amplitudes(
+    fit: JointFit, points: VampPoints, wavelength_m: float
+) -> dict[str, ModeAmplitude]:
+    """Return the displacement of each mode at its resonance, by name.
+
+    The modal fit moves all displacements within their common-mode error, to make up for shapes
+    that are not exactly those of the finite elements. It adds this move to the displacements, so
+    that a turn of their phase by 0.1 rad increases them by 0.5 %. The holograms alone determine
+    their size better: the mode is scaled by what the move has done at its largest point, in the
+    hologram nearest to its resonance. The error comes from the covariance of the modal fit, from
+    the common-mode error of the holograms, and from the continuation to the contour.
+
+    Parameters
+    ----------
+    fit : JointFit
+    points : VampPoints
+    wavelength_m : float
+        Wavelength of the light.
+    """
+    found, modal, functions = fit.displacements, fit.modal, points.functions
+    log_hz, answer = np.log(fit.block_amplitudes.drive_hz), {}
+    for a, name in enumerate(modal.names):
+        moved = functions @ modal.resonant.amplitude_rad[a]
+        top = int(np.abs(moved).argmax())
+        nearest = int(np.abs(log_hz - np.log(modal.hz[a])).argmin())
+        here = functions[top] @ found.amplitude_rad[nearest]
+        response = found.common_mode.response[nearest]
+        real, imaginary = np.split(response @ modal.common_mode_shift, 2)
+        there = here + functions[top] @ (real + 1j * imaginary)
+        rad = abs(moved[top]) * abs(here) / max(abs(there), 1e-12)
+        by = _along(np.array([here]), functions[top : top + 1])[0]
+        common = by @ response / max(abs(here) ** 2, 1e-12)
+        own = functions[top] @ modal.resonant.covariance[a] @ functions[top]
+        shared = common @ np.linalg.solve(found.common_mode.precision, common) + _CONTINUATION**2
+        nm, error_nm = 1e9 * displacement_m([rad, np.sqrt(own + rad**2 * shared)], wavelength_m)
+        log_volts = np.interp(np.log(modal.hz[a]), log_hz, np.log(fit.block_amplitudes.volts))
+        answer[name] = ModeAmplitude(
+            nm=float(nm),
+            error_nm=float(error_nm),
+            x_m=float(points.x_m[top]),
+            y_m=float(points.y_m[top]),
+            volts=float(np.exp(log_volts)),
+        )
+    return answer
+
+
+def _along(direction: Array, functions: Array) -> Array:
+    """Return derivatives (k, 2j) of displacements along unit vectors (k,) by amplitudes."""
+    turned = direction[:, None] * functions
+    return np.concatenate([turned.real, turned.imag], axis=1)

@@ -1,0 +1,203 @@
+"""Displacements in nm, of planted amplitudes and of the simulated bench."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fitting.amplitudes.peaks import PeakAmplitudes, mode_amplitudes, peak_amplitudes
+from fitting.amplitudes.response import Response
+from fitting.amplitudes.vamp import VampPoints, vamp_points
+from fitting.cane.fit_runs import fit_runs
+from fitting.modal.start_frequencies import middling_shapes
+from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
+from physics.reed.geometry import half_width_m
+from physics.reed.reduced.elastic import elastic_modes
+from physics.reed.surface import surface_shapes
+from protocols.bench import BenchFile
+from protocols.plan import make_plan
+from protocols.protocol import Protocol
+from studies.amplitudes.comparison import compare_modes, compare_peaks, model_of, summary
+
+WAVELENGTH_M = 650e-9
+NM_PER_RAD = 650 / (4 * np.pi)
+
+
+# --- Planted amplitudes ------------------------------------------------------------------------
+
+
+def planted(amplitude_rad, spread_rad=0.01, shared=0.0):
+    """A fit of two functions at three points, of which the second one moves most."""
+    count = len(amplitude_rad)
+    response = np.zeros((count, 4, 1))
+    # The common-mode error scales all displacements.
+    response[:, :, 0] = np.concatenate([amplitude_rad.real, amplitude_rad.imag], axis=1)
+    return SimpleNamespace(
+        displacements=SimpleNamespace(
+            amplitude_rad=amplitude_rad,
+            information=np.tile(np.eye(4) / spread_rad**2, (count, 1, 1)),
+            common_mode=SimpleNamespace(
+                response=response, precision=np.array([[1 / max(shared, 1e-9) ** 2]])
+            ),
+            reached=np.ones(count, dtype=bool),
+        )
+    )
+
+
+POINTS = VampPoints(
+    np.array([1e-3, 0.0, 2e-3]),
+    np.array([0.0, 5e-3, 0.0]),
+    np.array([[1.0, 0.2], [2.0, 0.5], [0.3, 1.0]]),
+)
+
+
+def test_a_displacement_is_the_phase_times_the_wavelength_over_4_pi():
+    peaks = peak_amplitudes(planted(np.array([[3.0, 0.0], [0.0, 4j]])), POINTS, WAVELENGTH_M)
+    assert peaks.nm == pytest.approx([6 * NM_PER_RAD, 4 * NM_PER_RAD])
+    assert list(peaks.x_m) == [0.0, 2e-3]
+    assert list(peaks.y_m) == [5e-3, 0.0]
+
+
+def test_the_error_is_that_of_the_noise_at_the_largest_point():
+    rng, spread = np.random.default_rng(3), 0.05
+    true = np.tile([3.0 + 1j, 0.5], (4000, 1))
+    noise = spread * (rng.standard_normal(true.shape) + 1j * rng.standard_normal(true.shape))
+    peaks = peak_amplitudes(planted(true + noise, spread), POINTS, WAVELENGTH_M)
+    assert np.std(peaks.nm) == pytest.approx(np.median(peaks.error_nm), rel=0.05)
+
+
+def test_the_common_mode_error_adds_to_the_error():
+    """All displacements are 2 % too large or too small; and 0.1 % from the continuation."""
+    peaks = peak_amplitudes(planted(np.array([[30.0, 0.0]]), 1e-6, 0.02), POINTS, WAVELENGTH_M)
+    assert peaks.error_nm == pytest.approx(np.hypot(0.02, 1e-3) * peaks.nm, rel=1e-6)
+
+
+def test_holograms_without_a_solution_have_no_displacement():
+    fit = planted(np.array([[3.0, 0.0], [5.0, 0.0]]))
+    fit.displacements.reached[1] = False
+    peaks = peak_amplitudes(fit, POINTS, WAVELENGTH_M)
+    assert np.isfinite(peaks.nm[0])
+    assert np.isnan([peaks.nm[1], peaks.error_nm[1]]).all()
+
+
+def response_of(nm, off=()):
+    count = len(nm)
+    nm = np.array(nm, float)
+    return Response(
+        drive_hz=1500.0 + 100 * np.arange(count),
+        step_index=10 + np.arange(count),
+        volts=np.full(count, 2.0),
+        names=(),
+        amplitude_nm=np.zeros((count, 0)),
+        peak=PeakAmplitudes(nm, 0.01 * nm, np.full(count, 1e-3), np.full(count, -2e-3)),
+        off=np.isin(np.arange(count), off),
+        wavelength_m=WAVELENGTH_M,
+    )
+
+
+def test_the_largest_displacement_is_that_of_a_hologram_that_the_modes_explain():
+    largest = response_of([10, np.nan, 70, 900], off=[3]).largest
+    assert (largest.nm, largest.hz, largest.step_index) == (70, 1700, 12)
+    assert (largest.error_nm, largest.x_mm, largest.y_mm) == pytest.approx((0.7, 1.0, -2.0))
+    assert response_of([np.nan, 5], off=[1]).largest is None
+
+
+def test_unknown_displacements_are_null_in_json():
+    answer = json.loads(json.dumps(response_of([10, np.nan]).to_json(), allow_nan=False))
+    assert answer["peak_nm"] == [10, None]
+    assert answer["peak_error_nm"] == [0.1, None]
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.3])
+def test_a_turn_that_the_modal_fit_adds_to_all_displacements_changes_no_size(turn_rad):
+    """It adds the turn as ``1 + iθ``, which is longer than 1."""
+    fit = planted(np.array([[3.0, 0.0]]))
+    fit.displacements.common_mode.response[0, :, 0] = [0.0, 0.0, 3.0, 0.0]
+    stretched = 3.0 * abs(1 + 1j * turn_rad)
+    fit.block_amplitudes = SimpleNamespace(drive_hz=np.array([2000.0]), volts=np.array([2.0]))
+    fit.modal = SimpleNamespace(
+        names=("F1",),
+        hz=np.array([2000.0]),
+        common_mode_shift=np.array([turn_rad]),
+        resonant=SimpleNamespace(
+            amplitude_rad=np.array([[stretched, 0.0]]), covariance=1e-4 * np.eye(2)[None]
+        ),
+    )
+    found = mode_amplitudes(fit, POINTS, WAVELENGTH_M)["F1"]
+    assert found.nm == pytest.approx(6 * NM_PER_RAD)
+    assert (found.x_m, found.y_m, found.volts) == (0.0, 5e-3, 2.0)
+    expected_rad = np.hypot(0.01 * np.hypot(2.0, 0.5), 1e-3 * 6.0)
+    assert found.error_nm == pytest.approx(expected_rad * NM_PER_RAD)
+
+
+# --- The whole vamp ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def blocks(reed):
+    """Places of blocks, which end before the contour."""
+    along, across = np.arange(0.7e-3, 35e-3, 0.6e-3), np.arange(-6.2e-3, 6.2e-3, 0.6e-3)
+    x_m, y_m = (axis.ravel() for axis in np.meshgrid(along, across))
+    inside = half_width_m(reed.geometry.outline, x_m) - np.abs(y_m) > 0.25e-3
+    return x_m[inside], y_m[inside]
+
+
+def test_shapes_are_continued_to_the_tip_and_the_sides(reed, blocks):
+    cane = viscoelastic_cane(Components(), Series.A)
+    basis = middling_shapes(reed, cane, *blocks)
+    points = vamp_points(reed, cane, basis, *blocks)
+    assert points.x_m.min() == 0
+    on_contour = np.arange(len(points.x_m)) >= len(blocks[0])
+    half = half_width_m(reed.geometry.outline, points.x_m[on_contour])
+    assert np.abs(points.y_m[on_contour]) == pytest.approx(half)
+    modes = elastic_modes(reed, 1.36e10, 8.9e8)
+    surface = surface_shapes(reed, points.x_m, points.y_m)
+    for name, at_least in (("F1", 1.005), ("T1", 1.03), ("T2", 1.06)):
+        true = surface[modes[name].part] @ modes[name].coordinates
+        count = len(blocks[0])
+        found = points.functions @ (points.functions[:count].T @ true[:count] / count)
+        assert np.abs(found - true).max() < 0.003 * np.abs(true).max()
+        # It moves more there than at any block.
+        assert np.abs(true).max() > at_least * np.abs(true[:count]).max()
+
+
+# --- The simulated bench -----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def measured(sweep_a):
+    return fit_runs([sweep_a]).sweeps[0]
+
+
+@pytest.fixture(scope="module")
+def bench_plan():
+    small = {"camera.width": 640, "camera.height": 512, "sweep.stride": 2, "sweep.last": 173}
+    return make_plan(Protocol.from_file("seriesA").replace(small), BenchFile.from_file())
+
+
+@pytest.mark.slow
+def test_displacements_are_those_from_which_frames_were_rendered(measured, bench_plan):
+    """A quarter of the sensor, half of the steps, from 25 nm to 2.8 µm."""
+    model = model_of(bench_plan, "R07")
+    peaks = compare_peaks(measured, bench_plan, model)
+    found = summary(peaks)
+    assert found["count"] > 80
+    assert abs(found["mean_relative"]) < 0.01
+    assert 0.5 < found["coverage_68"] < 0.85
+    below_2_um = [row for row in peaks if row.true_nm < 2000]
+    assert max(abs(row.nm - row.true_nm) for row in below_2_um) < 15
+    modes = compare_modes(measured, model)
+    assert {row.name for row in modes} >= {"F1", "T1", "F2", "T2", "X1", "T3", "F3", "X2", "X3"}
+    assert np.sqrt(np.mean([row.pull**2 for row in modes])) < 2
+
+
+@pytest.mark.slow
+def test_twice_the_wavelength_would_be_seen(measured, bench_plan):
+    """The comparison can fail."""
+    response = measured.response
+    twice = replace(response.peak, nm=2 * response.peak.nm)
+    wrong = replace(measured, response=replace(response, peak=twice))
+    found = summary(compare_peaks(wrong, bench_plan, model_of(bench_plan, "R07")))
+    assert found["rms_pull"] > 10

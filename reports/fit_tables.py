@@ -3,12 +3,13 @@
 from collections.abc import Mapping
 from typing import Final
 
+from fitting.amplitudes.response import Peak
 from fitting.cane.sweep_fit import ReedFit, SweepFit
 from reports.tables import Column, Table
 
 # Columns of the terminal, where 80 characters must suffice.
-SHORT_JOINT: Final = ("mode", "hz", "error_cents", "loss_factor", "response_hz", "mac", "step")
-SHORT_PICTURE: Final = ("mode", "hz", "error_cents", "amplitude_rad", "step")
+SHORT_JOINT: Final = ("mode", "hz", "error_cents", "loss_factor", "amplitude_nm", "mac", "step")
+SHORT_PICTURE: Final = ("mode", "hz", "error_cents", "amplitude_nm", "step")
 _NEEDS_JOINT_FIT: Final = ("loss_factor", "response_hz", "participation", "mac")
 
 
@@ -18,6 +19,15 @@ def _with_error(value: tuple[float, float | None]) -> str:
     if relative_error is None:
         return f"{loss:.4f}"
     return f"{loss:.4f} ± {loss * relative_error:.4f}"
+
+
+def nm_text(nm: float, error_nm: float | None) -> str:
+    """Return an amplitude with its standard error, if that is known, to 0.1 nm."""
+    return f"{nm:.1f}" if error_nm is None else f"{nm:.1f} ± {error_nm:.1f}"
+
+
+def _amplitude(value: tuple[float, float | None]) -> str:
+    return nm_text(*value)
 
 
 _RESONANCE_COLUMNS: Final = (
@@ -35,8 +45,11 @@ _RESONANCE_COLUMNS: Final = (
     Column("mac", "MAC", "", ".2f",
            "squared correlation of measured and calculated shape; 1 if they are equal"),
     Column("step", "step", "", "d", "step of the sweep that is nearest to the resonance"),
-    Column("amplitude_rad", "phase amplitude", "rad", ".2f",
-           "amplitude of the optical phase 4πz/λ in that step, where the mode moves most"),
+    Column("amplitude_nm", "amplitude", "nm", _amplitude,
+           "displacement at resonance where the mode moves most, from rest to the largest "
+           "deflection (half of peak to peak), ± standard error"),
+    Column("nm_per_v", "per volt", "nm/V", ".1f",
+           "that displacement, divided by the peak volts of the drive"),
     Column("residual_cents", "residual", "cents",
            lambda value: value if isinstance(value, str) else f"{value:+.1f}",
            "measured less fitted frequency"),
@@ -63,7 +76,8 @@ def resonances_table(sweep: SweepFit, residual_cents: Mapping[str, float] | None
             found.participation,
             found.similarity,
             found.step_index,
-            found.amplitude_rad,
+            None if found.amplitude_nm is None else (found.amplitude_nm, found.amplitude_error_nm),
+            found.nm_per_v,
             residuals.get(name, "not fitted"),
         )
         for name, found in sweep.resonances.items()
@@ -83,19 +97,28 @@ def short_resonances_table(sweep: SweepFit) -> Table:
 
 
 def remarks(sweep: SweepFit) -> list[str]:
-    """Return why modes within the sweep are not identified, and the excitation peaks, a line each.
+    """Return the largest displacement, modes that are not identified, and excitation peaks.
 
-    Modes that are missing for the same reason share a line.
+    Each has a line. Modes that are missing for the same reason share a line.
     """
     by_reason: dict[str, list[str]] = {}
     for name, reason in sweep.not_identified.items():
         by_reason.setdefault(reason, []).append(name)
-    lines = [f"{', '.join(names)} not identified: {reason}" for reason, names in by_reason.items()]
+    lines = [] if (peak := sweep.response.largest) is None else [_largest(peak)]
+    lines += [f"{', '.join(names)} not identified: {reason}" for reason, names in by_reason.items()]
     return lines + [
         f"excitation peak at {peak.hz:.0f} Hz ({peak.height_db:+.0f} dB). If other reeds show it "
         "too, it belongs to the air or the loudspeaker, not to the reed."
         for peak in sweep.excitation_peaks
     ]
+
+
+def _largest(peak: Peak) -> str:
+    return (
+        f"largest displacement of the reed: {nm_text(peak.nm, peak.error_nm)} nm "
+        f"({2 * peak.nm:.0f} nm peak to peak) at {peak.hz:.1f} Hz and {peak.volts:.3g} V "
+        f"(step {peak.step_index}), {peak.x_mm:.1f} mm from the tip, y = {peak.y_mm:+.1f} mm"
+    )
 
 
 _PARAMETER_COLUMNS: Final = (

@@ -232,16 +232,19 @@ _SHOWS: Final = {
     "contact sheet": (
         "Image of the vibrating reed at every step of the sweep",
         "Brightness is the amplitude of the light that the vibration shifted. Each image has the "
-        "number of its step; modes and excitation peaks have coloured frames. Tip down.",
+        "number of its step; modes and excitation peaks have coloured frames. In the "
+        "picture of a mode stands its displacement at resonance in nm. Tip down.",
     ),
     "response": (
         "Amplitude of every mode against drive frequency",
-        "Phase amplitude of each mode where it moves most. Points mark the resonances.",
+        "Displacement of the reed, and of each mode, where it moves most: from rest to the largest "
+        "deflection, half of peak to peak. Points mark the resonances; dotted lines the "
+        "displacements at which the image of the first sideband is brightest.",
     ),
     "modes": (
         "Hologram, fitted shape and residual of every mode",
         "For each mode: the hologram nearest to its resonance, the shape that was fitted to all "
-        "holograms, and the residual of the fit.",
+        "holograms with its displacement in nm, and the residual of the fit.",
     ),
 }
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from acquire.errors import UsageError
 from acquire.results.base import Result, label_axes, new_axes
+from fitting.amplitudes.response import Peak
 from fitting.cane.reed_fit import ReedParameters
 from fitting.cane.sweep_fit import ReedFit, SweepFit
 from fitting.populations.table import Measured, PopulationSummary
@@ -45,6 +46,24 @@ class FitResult(Result):
         return self.fit.sweeps[0].resonances
 
     @property
+    def amplitude_nm(self) -> dict[str, float | None]:
+        """Displacement of each mode of the first run at resonance, where it moves most, in nm.
+
+        It is measured from rest to the largest deflection, half of peak to peak.
+        """
+        return {name: found.amplitude_nm for name, found in self.resonances.items()}
+
+    @property
+    def amplitude_error_nm(self) -> dict[str, float | None]:
+        """Standard errors of `amplitude_nm`; None with the method of the paper."""
+        return {name: found.amplitude_error_nm for name, found in self.resonances.items()}
+
+    @property
+    def peak(self) -> Peak | None:
+        """Largest displacement of the reed in the first run, and where it is."""
+        return self.fit.sweeps[0].response.largest
+
+    @property
     def parameters(self) -> ReedParameters | None:
         """Material parameters with errors; None if the resonances do not determine them."""
         return self.fit.parameters
@@ -57,7 +76,7 @@ class FitResult(Result):
         return f"reed {self.sweeps[0].reed}: resonances {found}; {state}"
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return frequency, error and loss factor of every resonance of every run."""
+        """Return frequency, loss factor and amplitude of every resonance of every run."""
         return [
             {
                 "series": sweep.series,
@@ -65,6 +84,8 @@ class FitResult(Result):
                 "frequency_hz": found.frequency_hz,
                 "error_cents": found.error_cents,
                 "loss_factor": found.loss_factor,
+                "amplitude_nm": found.amplitude_nm,
+                "amplitude_error_nm": found.amplitude_error_nm,
                 "step_index": found.step_index,
             }
             for sweep in self.sweeps

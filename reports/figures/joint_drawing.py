@@ -16,7 +16,7 @@ from holography.arrays import Array
 
 # Modes side by side, and the panels of each.
 _PER_ROW, _PANELS = 2, ("hologram", "fitted shape", "residual")
-_PANEL_IN, _HEAD_IN, _FOOT_IN = (2.35, 1.0), 0.42, 1.0
+_PANEL_IN, _HEAD_IN, _FOOT_IN = (2.35, 1.0), 0.72, 1.0
 # What is left is drawn up to this many times the noise.
 _MOST_LEFT = 4.0
 # Percentile of the blocks' brightness that is drawn white.
@@ -66,6 +66,9 @@ def mode_sheet(fit: JointFit, resonances: dict[str, Resonance]) -> Figure:
                 _PANEL_IN[1] / height,
             )
             _draw(figure.add_axes(box), place, panel, values)
+            if panel == 1:
+                scale = (box[0] + 0.2 * box[2], box[1] - 0.09 / height, 0.6 * box[2], 0.06 / height)
+                _shape_scale(figure, scale, found.amplitude_nm)
             if panel == 0:
                 figure.text(
                     box[0], box[1] + box[3] + 0.1 / height, _words(name, found), fontsize=9
@@ -76,6 +79,9 @@ def mode_sheet(fit: JointFit, resonances: dict[str, Resonance]) -> Figure:
 
 def _words(name: str, found: Resonance) -> str:
     words = f"{name}   {found.frequency_hz:.1f} Hz ± {found.error_cents:.1f} cents"
+    if found.amplitude_nm is not None:
+        error = "" if found.amplitude_error_nm is None else f" ± {found.amplitude_error_nm:.1f}"
+        words += f"   {found.amplitude_nm:.1f}{error} nm"
     if found.loss_factor is not None:
         words += f"   loss factor {found.loss_factor:.4f}"
     if found.similarity is not None:
@@ -114,11 +120,23 @@ def _draw(axes: Any, place: _Place, panel: int, values: Array) -> None:
     axes.axis("off")
 
 
+def _shape_scale(
+    figure: Figure, box: tuple[float, float, float, float], amplitude_nm: float | None
+) -> None:
+    """Colour bar of a fitted shape, in nm: each mode has its own."""
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(-1, 1), "RdBu_r"), cax=figure.add_axes(box),
+        orientation="horizontal",
+    )  # fmt: skip
+    top = "1" if amplitude_nm is None else f"{amplitude_nm:.0f} nm"
+    bar.set_ticks([-1, 0, 1], labels=[f"−{top}", "0", f"+{top}"])
+    bar.ax.tick_params(labelsize=7, length=2, pad=1)
+
+
 def _scales(figure: Figure, width: float, height: float) -> None:
-    """Colour bars below, one for each kind of panel."""
+    """Colour bars below, for the panels that have the same scale for all modes."""
     kinds = (
         ("gray", Normalize(0, 1), "hologram: amplitude of the light, relative"),
-        ("RdBu_r", Normalize(-1, 1), "fitted shape: deflection, relative; line: at rest"),
         (
             "viridis",
             Normalize(0, _MOST_LEFT),
@@ -126,9 +144,13 @@ def _scales(figure: Figure, width: float, height: float) -> None:
         ),
     )
     for number, (colours, scale, words) in enumerate(kinds):
-        box = ((0.04 + 0.32 * number), 0.5 / height, 0.26, 0.12 / height)
+        box = ((0.04 + 0.64 * number), 0.5 / height, 0.26, 0.12 / height)
         bar = figure.colorbar(
             ScalarMappable(scale, colours), cax=figure.add_axes(box), orientation="horizontal"
         )
         bar.set_label(words, fontsize=9)
         bar.ax.tick_params(labelsize=8)
+    figure.text(
+        0.5, 0.45 / height, "fitted shape: displacement at resonance;\nline: at rest",
+        fontsize=9, ha="center",
+    )  # fmt: skip

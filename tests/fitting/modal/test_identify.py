@@ -72,6 +72,9 @@ def test_what_is_said_of_a_mode_is_of_that_mode(jointly, sweep):
         assert abs(cents_of(mode["response_hz"]) - cents_of(mode["hz"])) < 150
         assert 0 < mode["participation"] <= 1
         assert 0.5 <= mode["similarity"] <= 1
+        assert mode["amplitude_nm"] == found.amplitude_nm
+        assert 0 < mode["amplitude_error_nm"] < mode["amplitude_nm"]
+        assert (1e-3 * mode["x_mm"], 1e-3 * mode["y_mm"]) == pytest.approx(found.largest_m)
         assert {len(values) for values in mode["residual"].values()} == {
             len(residual_map(sweep.joint, name).value)
         }
@@ -94,6 +97,7 @@ def test_the_table_gives_loss_and_what_is_not_identified(sweep):
     for record, found in zip(table.records(), sweep.resonances.values(), strict=True):
         assert (record["hz"], record["mac"]) == (found.frequency_hz, found.similarity)
         assert record["loss_factor"] == (found.loss_factor, found.loss_error)
+        assert record["amplitude_nm"] == (found.amplitude_nm, found.amplitude_error_nm)
     lines = " ".join(remarks(sweep))
     assert all(name in lines for name in sweep.not_identified)
 
@@ -112,8 +116,12 @@ def test_every_identified_mode_is_drawn(sweep):
     for name, found in sweep.resonances.items():
         assert f"{name}   {found.frequency_hz:.1f} Hz" in words
         assert f"MAC {found.similarity:.2f}" in words
-    # Hologram, shape and residual of each, and a scale for each of these.
-    assert len(figure.axes) == 3 * len(sweep.resonances) + 3
+        assert f"{found.amplitude_nm:.1f} ± {found.amplitude_error_nm:.1f} nm" in words
+    # Hologram, shape, its scale in nm and residual of each; scales of holograms and residuals.
+    assert len(figure.axes) == 4 * len(sweep.resonances) + 2
+    scales = [[t.get_text() for t in axes.get_xticklabels()] for axes in figure.axes]
+    for found in sweep.resonances.values():
+        assert [f"−{found.amplitude_nm:.0f} nm", "0", f"+{found.amplitude_nm:.0f} nm"] in scales
     assert png_of(figure).startswith(b"\x89PNG")
 
 

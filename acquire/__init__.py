@@ -5,7 +5,8 @@
     >>> plan
     <SweepPlan: Quick look on simulated bench: 87 steps, 35 s, 13 MB, can be measured>
 
-`load`, `plan`, `run` and `open_run` measure. `fit`, `modes`, `population` and `diagnose` analyse.
+`load`, `plan`, `run` and `open_run` measure. `fit`, `acoustics`, `modes`, `population` and
+`diagnose` analyse.
 The command line calls the same functions.
 """
 
@@ -13,7 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from acquire.analysis import fit, modes, population
+    from acquire.analysis import acoustics, fit, modes, population
     from acquire.campaigns import (
         load_campaign,
         plan_campaign,
@@ -39,6 +40,7 @@ _HOMES = {
     "run_campaign": "acquire.campaigns",
     "resume_campaign": "acquire.campaigns",
     "fit": "acquire.analysis",
+    "acoustics": "acquire.analysis",
     "modes": "acquire.analysis",
     "population": "acquire.analysis",
     "diagnose": "acquire.diagnosing",
@@ -50,6 +52,7 @@ _HOMES = {
 __all__ = [
     "Callbacks",
     "RunLabels",
+    "acoustics",
     "diagnose",
     "diagnose_resonances",
     "fit",

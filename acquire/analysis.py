@@ -4,9 +4,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from acquire.errors import UsageError
-from acquire.results.analysis import FitResult, ModesResult, PopulationResult
+from acquire.results.analysis import (
+    AcousticsResult,
+    FitResult,
+    ModesResult,
+    PopulationResult,
+)
 from acquire.runner.callbacks import Announce, Progress, ignore
 from fitting.cane.fit_runs import fit_runs, method_name, model_name
+from fitting.populations.acoustic_lines import measure_acoustic_lines
 from fitting.populations.table import fit_table, metamodel_of
 from fitting.reed_modes import BASIS, changed, mesh_level, modes_by_basis, modes_of
 from protocols.reed import DEFAULT_REED, ReedFile
@@ -50,6 +56,36 @@ def fit(
         If a file cannot be read.
     """
     return FitResult(fit_runs(list(runs), model_name(model), announce, method_name(method)))
+
+
+def acoustics(*runs: str | Path, announce: Announce = ignore) -> AcousticsResult:
+    """Find the acoustic resonances of a bench from the runs of several reeds.
+
+    Parameters
+    ----------
+    *runs : str or path
+        Run files of one bench: three reeds or more decide what belongs to the bench.
+    announce : callable, optional
+        Called with one line about each run.
+
+    Returns
+    -------
+    AcousticsResult
+
+    Raises
+    ------
+    UsageError
+        If no run is given.
+    FitInputError
+        If a run is named twice, or the runs are of different benches.
+    FitError
+        If no run can be fitted.
+    RunFileError
+        If a file cannot be read.
+    """
+    if not runs:
+        raise UsageError("acoustics: no run is given; give the run files of several reeds")
+    return AcousticsResult(measure_acoustic_lines([Path(run) for run in runs], announce))
 
 
 def modes(

@@ -3,8 +3,10 @@
 from collections.abc import Mapping
 from typing import Final
 
+from fitting.acoustics.lines import LEAST_REEDS, SeenPeak
 from fitting.amplitudes.response import Peak
 from fitting.cane.sweep_fit import ReedFit, SweepFit
+from fitting.populations.acoustic_lines import MeasuredLines
 from reports.tables import Column, Table
 
 # Columns of the terminal, where 80 characters must suffice.
@@ -106,11 +108,24 @@ def remarks(sweep: SweepFit) -> list[str]:
         by_reason.setdefault(reason, []).append(name)
     lines = [] if (peak := sweep.response.largest) is None else [_largest(peak)]
     lines += [f"{', '.join(names)} not identified: {reason}" for reason, names in by_reason.items()]
-    return lines + [
-        f"excitation peak at {peak.hz:.0f} Hz ({peak.height_db:+.0f} dB). If other reeds show it "
-        "too, it belongs to the air or the loudspeaker, not to the reed."
-        for peak in sweep.excitation_peaks
-    ]
+    return lines + [_excitation(seen) for seen in sweep.excitation_peaks]
+
+
+def _excitation(seen: SeenPeak) -> str:
+    peak = seen.peak
+    said = (
+        f"excitation peak: resonance at {peak.hz:.1f} ± {peak.error_hz:.1f} Hz, quality factor "
+        f"{peak.quality:.0f} ± {peak.quality_error:.0f}, {peak.height_db:+.0f} dB. "
+    )
+    if seen.suspect and seen.mode is not None:
+        return said + (
+            f"Suspect: it is next to {seen.mode.name} and too high for the air or the "
+            f"loudspeaker; do not trust the numbers of {seen.mode.name}."
+        )
+    return said + (
+        "If other reeds show it too (`acquire acoustics`), it belongs to the air or the "
+        "loudspeaker, not to the reed."
+    )
 
 
 def _largest(peak: Peak) -> str:
@@ -119,6 +134,42 @@ def _largest(peak: Peak) -> str:
         f"({2 * peak.nm:.0f} nm peak to peak) at {peak.hz:.1f} Hz and {peak.volts:.3g} V "
         f"(step {peak.step_index}), {peak.x_mm:.1f} mm from the tip, y = {peak.y_mm:+.1f} mm"
     )
+
+
+_LINE_COLUMNS: Final = (
+    Column("hz", "resonance", "Hz", ".1f", "frequency of the pole"),
+    Column("error_hz", "±", "Hz", ".1f", "standard error of that frequency"),
+    Column("quality", "Q", "", ".0f", "quality factor"),
+    Column("quality_error", "±", "", ".0f", "standard error of the quality factor"),
+    Column("height_db", "height", "dB", "+.1f", "largest gain by the resonance"),
+    Column("reeds", "reeds", meaning="reeds that show the line, of those whose sweeps cover it",
+           wraps=False),
+    Column("verdict", "belongs to", meaning="bench: loudspeaker, chamber or air"),
+)  # fmt: skip
+
+
+def acoustics_table(measured: MeasuredLines) -> Table:
+    """Return the acoustic lines of several runs, narrow enough for a terminal."""
+    rows = tuple(
+        (
+            line.hz,
+            line.error_hz,
+            line.quality,
+            line.quality_error,
+            line.height_db,
+            f"{line.reeds} of {line.of}",
+            str(line.verdict) + (f": {line.reason}" if line.reason else ""),
+        )
+        for line in measured.lines
+    )
+    note = (
+        f"{measured.reeds} reeds. Fewer than {LEAST_REEDS} decide nothing: measure more reeds."
+        if measured.reeds < LEAST_REEDS
+        else f"{measured.reeds} reeds."
+    )
+    if measured.passed_over:
+        note += f" {len(measured.passed_over)} runs could not be fitted."
+    return Table(_LINE_COLUMNS, rows, "Resonances of the drive" if rows else "No resonance", note)
 
 
 _PARAMETER_COLUMNS: Final = (

@@ -154,12 +154,11 @@ def remarks(summary: PopulationSummary, measured: Measured | None = None) -> lis
     measured : Measured, optional
         What the runs of a folder gave, if they were measured.
     """
-    peaks = (measured.excitation_peaks if measured else None) or ()
-    reeds = measured.reeds if measured else 0
+    lines = (measured.acoustic_lines if measured else None) or ()
     said = [
-        f"acoustic resonance at {peak.hz:.0f} Hz ({peak.height_db:+.1f} dB): {peak.reeds} of "
-        f"{reeds} reeds show it, so it belongs to the air or the loudspeaker"
-        for peak in peaks
+        f"acoustic resonance at {line.hz:.1f} ± {line.error_hz:.1f} Hz ({line.height_db:+.1f} dB): "
+        f"{line.reeds} of {line.of} reeds show it, so it belongs to the air or the loudspeaker"
+        for line in lines
     ]
     if summary.passed_over:
         said.append(f"{summary.passed_over} resonances not used: the model does not know the mode")

@@ -134,7 +134,9 @@ def _figures(sweep: SweepFit, run: Run) -> dict[str, Figure]:
 def _peaks_hz(sweep: SweepFit, run: Run) -> Sequence[float]:
     """Excitation peaks that a joint fit found, else those that the bench file lists."""
     return (
-        [peak.hz for peak in sweep.excitation_peaks] if sweep.joint else run.acoustic_resonances_hz
+        [seen.peak.hz for seen in sweep.excitation_peaks]
+        if sweep.joint
+        else run.acoustic_resonances_hz
     )
 
 

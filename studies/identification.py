@@ -17,7 +17,7 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +26,10 @@ import numpy as np
 
 from acquire.runner.runner import run
 from drivers.registry import open_bench
+from fitting.acoustics.lines import SweepPeaks, Verdict, acoustic_lines
 from fitting.cane.fit_runs import fit_sweep, fit_sweep_jointly
 from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
-from fitting.modal.acoustic_resonances import ExcitationPeak, common_excitation_peaks
 from fitting.modal.identify import JointFit
 from holography.arrays import Array
 from physics.reed.cane.viscoelastic import Series
@@ -62,7 +62,7 @@ class Judged:
     true_names: list[str]
     joint_s: float
     picture_s: float
-    excitation_peaks: list[ExcitationPeak]
+    drive_peaks: SweepPeaks
 
 
 def judge(path: Path) -> Judged:
@@ -101,7 +101,7 @@ def judge(path: Path) -> Judged:
         list(true_hz),
         middle_s - start_s,
         end_s - middle_s,
-        sweep.excitation_peaks,
+        sweep.drive_peaks,
     )
 
 
@@ -158,14 +158,6 @@ def _normalised(judged: Sequence[Judged], names: Sequence[str]) -> Array:
     )
 
 
-def _by_reed(judged: Sequence[Judged]) -> list[list[ExcitationPeak]]:
-    """Lines of each reed, in whatever series."""
-    lines: dict[str, list[ExcitationPeak]] = {}
-    for each in judged:
-        lines.setdefault(each.run.rpartition("-")[0], []).extend(each.excitation_peaks)
-    return list(lines.values())
-
-
 def summary(judged: Sequence[Judged]) -> dict[str, Any]:
     """All that is claimed, and whether it holds."""
     tables = {str(series): table(judged, series) for series in Series}
@@ -183,12 +175,14 @@ def summary(judged: Sequence[Judged]) -> dict[str, Any]:
     seconds = [j.joint_s for j in judged]
     return {
         "runs": len(judged),
-        "reeds": len(_by_reed(judged)),
+        "reeds": len({each.drive_peaks.reed for each in judged}),
         "library": peer_version(),
         "modes": tables,
         "coverage": coverage,
-        "common_excitation_peaks": [
-            asdict(line) for line in common_excitation_peaks(_by_reed(judged))
+        "acoustic_lines": [
+            line.to_json()
+            for line in acoustic_lines([each.drive_peaks for each in judged])
+            if line.verdict is Verdict.BENCH
         ],
         "fit_s": {
             "median": float(np.median(seconds)),
@@ -295,10 +289,10 @@ def _print_claims(result: dict[str, Any]) -> None:
         f"a run is fitted in {seconds['median']:.1f} s, {seconds['most']:.1f} s at most, "
         f"{seconds['longer']} of {result['runs']} longer than {FIT_S:g} s: {met('time_met')}"
     )
-    for line in result["common_excitation_peaks"]:
+    for line in result["acoustic_lines"]:
         print(
-            f"line of the drive at {line['hz']:.0f} Hz, {line['height_db']:+.1f} dB, in "
-            f"{line['reeds']} of {result['reeds']} reeds"
+            f"acoustic line at {line['hz']:.1f} ± {line['error_hz']:.1f} Hz, "
+            f"{line['height_db']:+.1f} dB, in {line['reeds']} of {line['of']} reeds"
         )
     for case, said in result["nothing"].items():
         found = ", ".join(said["identified"]) or "nothing identified"

@@ -31,6 +31,32 @@ def fit(
     finish(fitted.to_json(), as_json, [], fitted.fit)
 
 
+def acoustics(
+    runs: Annotated[
+        list[Path], typer.Argument(metavar="RUN...", help="Run files of several reeds, one bench.")
+    ],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Find the acoustic resonances of the bench: lines that the runs of several reeds share.
+
+    A line that most of three or more reeds show at the same frequency belongs to the loudspeaker,
+    the chamber or the air. Each run is fitted first, in some seconds.
+    """
+    import acquire
+    from acquire.cli.console import messages
+    from reports.fit_tables import acoustics_table
+    from reports.tables import terminal_table
+
+    words = messages()
+    with words.status("fitting"):
+        found = acquire.acoustics(*runs, announce=words.print)
+    if as_json:
+        show_json(found.to_json())
+        return
+    results().print(terminal_table(acoustics_table(found.measured)))
+
+
 def report(
     runs: RunFiles,
     out: Annotated[

@@ -25,6 +25,7 @@ _VERBS: Final[dict[str, Callable[..., None]]] = {
     "pack": run_files.pack_runs,
     "fit": fit.fit,
     "report": fit.report,
+    "acoustics": fit.acoustics,
     "population": reeds.population,
     "modes": reeds.modes,
     "diagnose": diagnose.diagnose,

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from acquire.errors import UsageError
 from acquire.results.base import Result, label_axes, new_axes
+from fitting.acoustics.lines import AcousticLine, Verdict
 from fitting.amplitudes.response import Peak
 from fitting.cane.reed_fit import ReedParameters
 from fitting.cane.sweep_fit import ReedFit, SweepFit
+from fitting.populations.acoustic_lines import MeasuredLines
 from fitting.populations.table import Measured, PopulationSummary
 from fitting.reed_modes import BASIS, mesh_level, modes_to_json
 from fitting.resonance import Resonance
@@ -102,7 +104,57 @@ class FitResult(Result):
 
         axes = new_axes(ax)
         sweep = self.sweeps[0]
-        draw_response(axes, sweep, [p.hz for p in sweep.excitation_peaks] if sweep.joint else [])
+        draw_response(axes, sweep, [seen.peak.hz for seen in sweep.excitation_peaks])
+        return axes
+
+
+@dataclass(frozen=True, repr=False)
+class AcousticsResult(Result):
+    """Acoustic resonances of a bench, from the runs of several reeds.
+
+    Attributes
+    ----------
+    measured : MeasuredLines
+    """
+
+    measured: MeasuredLines
+
+    @property
+    def lines(self) -> tuple[AcousticLine, ...]:
+        """All lines, in order of frequency, with what they belong to."""
+        return self.measured.lines
+
+    @property
+    def title(self) -> str:
+        """One line that says what this is."""
+        of_bench = sum(line.verdict is Verdict.BENCH for line in self.lines)
+        return (
+            f"{self.measured.reeds} reeds, {len(self.lines)} lines, {of_bench} of them of the bench"
+        )
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return frequency, quality factor, height and verdict of every line."""
+        return [
+            {key: value for key, value in line.to_json().items() if key != "seen"}
+            for line in self.lines
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``acquire acoustics --json`` prints."""
+        return self.measured.to_json()
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the height of every line against its frequency."""
+        axes = new_axes(ax)
+        for verdict in Verdict:
+            own = [line for line in self.lines if line.verdict is verdict]
+            if own:
+                hz, errors = ([getattr(line, key) for line in own] for key in ("hz", "error_hz"))
+                heights = [line.height_db for line in own]
+                axes.errorbar(hz, heights, xerr=errors, fmt="o", label=str(verdict))
+        label_axes(axes, self.title, "frequency (Hz)", "height (dB)")
+        if self.lines:
+            axes.legend()
         return axes
 
 
@@ -216,7 +268,7 @@ class PopulationResult(Result):
     def to_json(self) -> dict[str, Any]:
         """Return what ``acquire population --json`` prints."""
         answer = self.summary.to_json() | {"files": {k: str(p) for k, p in self.files.items()}}
-        return answer | ({"excitation_peaks": self.measured.to_json()} if self.measured else {})
+        return answer | ({"acoustic_lines": self.measured.to_json()} if self.measured else {})
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the first two components of every reed, with their errors."""

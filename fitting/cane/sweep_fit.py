@@ -2,14 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fitting.acoustics.lines import SeenPeak, SweepPeaks, nearest_mode
+from fitting.acoustics.poles import find_excitation_peaks
 from fitting.amplitudes.response import Response
 from fitting.cane.reed_fit import ReedParameters
-from fitting.modal.acoustic_resonances import ExcitationPeak, find_excitation_peaks
 from fitting.modal.identify import JointFit
 from fitting.modal.residual_map import residual_map
 from fitting.resonance import Resonance
@@ -44,13 +46,30 @@ class SweepFit:
     not_identified: Mapping[str, str]
     joint: JointFit | None = None
 
-    @property
-    def excitation_peaks(self) -> list[ExcitationPeak]:
+    @cached_property
+    def excitation_peaks(self) -> tuple[SeenPeak, ...]:
         """Peaks of the fitted drive: acoustic resonances, or vibration that no mode explains."""
         if self.joint is None:
-            return []
-        blocks, drive = self.joint.block_amplitudes, self.joint.modal.drive
-        return find_excitation_peaks(blocks.drive_hz, np.log(np.abs(drive) / blocks.volts))
+            return ()
+        blocks, modal = self.joint.block_amplitudes, self.joint.modal
+        found = find_excitation_peaks(
+            blocks.drive_hz,
+            np.log(np.abs(modal.drive) / blocks.volts),
+            modal.log_drive_covariance,
+            modal.state.gain,
+            modal.off,
+        )
+        mode_hz = {name: mode.frequency_hz for name, mode in self.resonances.items()}
+        return tuple(
+            SeenPeak(self.reed, self.path.name, peak, nearest_mode(peak.hz, mode_hz))
+            for peak in found
+        )
+
+    @property
+    def drive_peaks(self) -> SweepPeaks:
+        """The same with the range of the sweep, to be compared with those of other reeds."""
+        hz = self.response.drive_hz
+        return SweepPeaks(self.reed, float(hz[0]), float(hz[-1]), self.excitation_peaks)
 
 
 @dataclass(frozen=True)
@@ -80,9 +99,7 @@ class ReedFit:
                 "not_identified": dict(sweep.not_identified),
                 "peak": asdict(largest) if (largest := sweep.response.largest) else None,
                 "response": sweep.response.to_json(),
-                "excitation_peaks": [
-                    {"hz": peak.hz, "height_db": peak.height_db} for peak in sweep.excitation_peaks
-                ],
+                "excitation_peaks": [seen.to_json() for seen in sweep.excitation_peaks],
             }
             for sweep in self.sweeps
         ]

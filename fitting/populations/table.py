@@ -2,12 +2,13 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fitting.acoustics.lines import AcousticLine, SweepPeaks, Verdict, acoustic_lines
 from fitting.cane.fit_runs import (
     FIT_SWEEP,
     MethodName,
@@ -17,7 +18,6 @@ from fitting.cane.fit_runs import (
 from fitting.cane.sweep_fit import SweepFit
 from fitting.errors import FitError, FitInputError
 from fitting.forward import basis_of, finite_element_model
-from fitting.modal.acoustic_resonances import ExcitationPeak, common_excitation_peaks
 from fitting.paper.constants import adjusted_metamodel
 from fitting.populations.flags import Flag, PopulationFit, count_flags
 from fitting.populations.population import fit_population
@@ -160,21 +160,21 @@ class Measured:
         Fits that show modes, and the runs that they are of, relative to the folder.
     reeds : int
         How many show modes.
-    excitation_peaks : tuple of ExcitationPeak, optional
-        What stays at the same frequency from reed to reed, and how many reeds show it: the air's.
-        None if the method does not look for it.
+    acoustic_lines : tuple of AcousticLine, optional
+        Excitation peaks that stay at the same frequency from reed to reed. None if the method does
+        not look for them.
     """
 
     kind: ReedFile
     sweeps: tuple[tuple[SweepFit, Path], ...]
     reeds: int
-    excitation_peaks: tuple[ExcitationPeak, ...] | None
+    acoustic_lines: tuple[AcousticLine, ...] | None
 
     def to_json(self) -> list[dict[str, Any]] | None:
         """Return the lines with stable keys (documented in ``docs/reference/json.md``)."""
-        if self.excitation_peaks is None:
+        if self.acoustic_lines is None:
             return None
-        return [asdict(peak) for peak in self.excitation_peaks]
+        return [line.to_json() for line in self.acoustic_lines]
 
 
 def measure_resonances(
@@ -205,8 +205,7 @@ def measure_resonances(
     reed = basis_of(kind, say)
     model = finite_element_model(reed)
     sweeps: list[tuple[SweepFit, Path]] = []
-    # Those of both series of a reed are one reed's.
-    excitation_peaks: dict[str, list[ExcitationPeak]] = {}
+    peaks: list[SweepPeaks] = []
     for number, path in enumerate(latest, 1):
         say(f"run {number} of {len(latest)}: {path}")
         try:
@@ -217,15 +216,15 @@ def measure_resonances(
             continue
         if sweep.resonances:
             sweeps.append((sweep, path.relative_to(folder)))
-        excitation_peaks.setdefault(sweep.reed, []).extend(sweep.excitation_peaks)
+        peaks.append(sweep.drive_peaks)
     if not sweeps:
         raise FitInputError(f"{folder}: no run of series A or B in it shows resonances")
     common = (
-        tuple(common_excitation_peaks(list(excitation_peaks.values())))
+        tuple(line for line in acoustic_lines(peaks) if line.verdict is Verdict.BENCH)
         if method == "joint"
         else None
     )
-    return Measured(kind, tuple(sweeps), len(excitation_peaks), common)
+    return Measured(kind, tuple(sweeps), len({each.reed for each in peaks}), common)
 
 
 def _kind_of(folder: Path, runs: Sequence[Path]) -> ReedFile:

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from fitting.acoustics.lines import SeenPeak
+from fitting.acoustics.poles import ExcitationPeak
 from fitting.cane.sweep_fit import ReedFit
-from fitting.modal.acoustic_resonances import ExcitationPeak
 from reports.errors import OutputRefusedError
 from reports.run_page import (
     _peaks_hz,
@@ -200,7 +201,9 @@ def test_a_run_that_is_gone_is_an_error(fitted, tmp_path):
 
 @pytest.mark.parametrize(("joint", "expected"), [(True, [4279.0]), (False, [4308.6])])
 def test_lines_that_a_joint_fit_found_outweigh_those_of_the_bench(joint, expected):
+    peak = ExcitationPeak(4279.0, 3.0, 25.0, 1.0, 8.0, 0.3)
     sweep = SimpleNamespace(
-        joint=object() if joint else None, excitation_peaks=[ExcitationPeak(4279.0, 8.0)]
+        joint=object() if joint else None,
+        excitation_peaks=(SeenPeak("R07", "run.h5", peak, None),),
     )
     assert list(_peaks_hz(sweep, SimpleNamespace(acoustic_resonances_hz=(4308.6,)))) == expected

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from drivers.simulated.settings import Simulation
+from fitting.acoustics.lines import SeenPeak, SweepPeaks, acoustic_lines
+from fitting.acoustics.poles import ExcitationPeak
 from fitting.forward import (
     PaperModel,
     hz_of,
     viscoelastic_cents,
 )
-from fitting.modal.acoustic_resonances import ExcitationPeak
 from fitting.populations.table import Measured
 from fitting.statistics.synthetic import modal_cents
 from physics.reed.cane.viscoelastic import (
@@ -76,7 +77,7 @@ def test_a_folder_of_runs_is_fitted(cli, measured, folder):
     assert said.status == 0
     assert said.json["reeds"] == 1
     # One reed shows no common line.
-    assert said.json["excitation_peaks"] == []
+    assert said.json["acoustic_lines"] == []
     table = Path(said.json["files"]["resonances"])
     assert table == measured.a.parent / "resonances.csv"
     table.unlink()
@@ -84,20 +85,28 @@ def test_a_folder_of_runs_is_fitted(cli, measured, folder):
 
 def test_acoustic_lines_of_a_folder_are_reported(cli, folder, monkeypatch, measured):
     asked = []
+    peak = ExcitationPeak(4285.0, 3.0, 25.0, 1.0, 8.5, 0.3)
+    sweeps = [
+        SweepPeaks(f"R{k}", 1e3, 2e4, (SeenPeak(f"R{k}", "run.h5", peak, None),) * (k < 4))
+        for k in range(5)
+    ]
+    lines = tuple(acoustic_lines(sweeps))
 
     def write(source, table, announce, method):
         asked.append(method)
         shutil.copy("reeds.csv", table)
-        return Measured(ReedFile.from_file(), (), 5, (ExcitationPeak(4285.0, 8.5, 4),))
+        return Measured(ReedFile.from_file(), (), 5, lines)
 
     monkeypatch.setattr("acquire.analysis.write_resonances", write)
     columns = "reed,series,mode,hz,error_cents,run"
     Path("reeds.csv").write_text(f"{columns}\nR1,A,F1,1850,3,R1.h5\n")
     Path("runs").mkdir()
     said = cli("population", "runs", "--model", "paper", "--method", "picture")
-    assert "4285 Hz (+8.5 dB): 4 of 5 reeds" in said.out
+    assert "4285.0 ± 1.5 Hz (+8.5 dB): 4 of 5 reeds" in said.out
     answer = cli("population", "runs", "--model", "paper", "--json").json
-    assert answer["excitation_peaks"] == [{"hz": 4285.0, "height_db": 8.5, "reeds": 4}]
+    (line,) = answer["acoustic_lines"]
+    assert (line["hz"], line["reeds"], line["of"]) == (pytest.approx(4285.0), 4, 5)
+    assert line["verdict"] == "bench"
     assert asked == ["picture", "joint"]
 
 

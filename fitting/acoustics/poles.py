@@ -60,6 +60,9 @@ class ExcitationPeak:
         Frequency of the pole, and its standard error.
     quality, quality_error : float
         Quality factor.
+    ripple_hz, ripple_quality : float
+        Part of these two errors that comes from the ripple of the loudspeaker, which is the same
+        with every reed.
     height_db, height_error_db : float
         Largest gain by the direct path and this resonance, relative to the direct path alone.
     """
@@ -68,6 +71,8 @@ class ExcitationPeak:
     error_hz: float
     quality: float
     quality_error: float
+    ripple_hz: float
+    ripple_quality: float
     height_db: float
     height_error_db: float
 
@@ -102,11 +107,11 @@ def find_excitation_peaks(
     variance = np.full(len(drive_hz), gain**2)
     if off is not None:
         variance[off] += _OFF
-    whole = covariance + drive_covariance(drive_hz) + np.diag(variance)
-    root = linalg.cholesky(whole, lower=True)
+    ripple = drive_covariance(drive_hz)
+    root = linalg.cholesky(covariance + ripple + np.diag(variance), lower=True)
     fit = _Fit(drive_hz, log_magnitude, root)
     found, tops = _lines(fit)
-    peaks = _peaks(found, fit.covariance(found, tops))
+    peaks = _peaks(found, *fit.covariances(found, tops, ripple)) if tops else []
     high = [peak for peak in peaks if peak.height_db > _LEAST_DB]
     return sorted(high, key=lambda peak: peak.hz)
 
@@ -205,21 +210,34 @@ class _Fit:
                 best, least = solution.x.reshape(-1, _PARAMETERS), solution.cost
         return best
 
-    def covariance(self, found: Array, tops: Sequence[float]) -> Array:
-        """Return the covariance (4n, 4n) of all parameters."""
-        if not found.size:
-            return np.zeros((0, 0))
+    def covariances(
+        self, found: Array, tops: Sequence[float], ripple: Array
+    ) -> tuple[Array, Array]:
+        """Return the covariance (4n, 4n) of all parameters, and its part that ripple causes.
+
+        Parameters
+        ----------
+        found : (n, 4) float
+        tops : sequence of float
+        ripple : (k, k) float
+            Covariance of the smooth drive.
+        """
         solution = least_squares(self._residual, found.ravel(), args=(tops,), max_nfev=1)
         jacobian = np.asarray(solution.jac, dtype=float)
-        return np.asarray(np.linalg.inv(jacobian.T @ jacobian))
+        covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian))
+        # Parameters as linear functions of the log magnitude.
+        half = linalg.solve_triangular(self.root.T, jacobian[: len(self.hz)], lower=False)
+        by_drive = covariance @ np.asarray(half).T
+        return covariance, by_drive @ ripple @ by_drive.T
 
 
-def _peaks(found: Array, covariance: Array) -> list[ExcitationPeak]:
+def _peaks(found: Array, covariance: Array, by_ripple: Array) -> list[ExcitationPeak]:
     """Return frequency, quality factor and height of each line, with standard errors."""
     peaks = []
     for number, line in enumerate(found):
         own = slice(_PARAMETERS * number, _PARAMETERS * (number + 1))
         errors = np.sqrt(np.diag(covariance[own, own]))
+        ripple = np.sqrt(np.diag(by_ripple[own, own]))
         step = 1e-3 * errors
         slope = np.array(
             [
@@ -235,6 +253,8 @@ def _peaks(found: Array, covariance: Array) -> list[ExcitationPeak]:
                 error_hz=float(hz * errors[0]),
                 quality=float(quality),
                 quality_error=float(quality * errors[1]),
+                ripple_hz=float(hz * ripple[0]),
+                ripple_quality=float(quality * ripple[1]),
                 height_db=float(_DB_PER_NEPER * _height(line)),
                 height_error_db=float(_DB_PER_NEPER * height_error),
             )

@@ -201,7 +201,7 @@ def test_a_run_that_is_gone_is_an_error(fitted, tmp_path):
 
 @pytest.mark.parametrize(("joint", "expected"), [(True, [4279.0]), (False, [4308.6])])
 def test_lines_that_a_joint_fit_found_outweigh_those_of_the_bench(joint, expected):
-    peak = ExcitationPeak(4279.0, 3.0, 25.0, 1.0, 8.0, 0.3)
+    peak = ExcitationPeak(4279.0, 3.0, 25.0, 1.0, 0.0, 0.0, 8.0, 0.3)
     sweep = SimpleNamespace(
         joint=object() if joint else None,
         excitation_peaks=(SeenPeak("R07", "run.h5", peak, None),),

@@ -17,10 +17,10 @@ def measured_lines(reeds, passed_over=()):
     runs = []
     for k in range(reeds):
         name = f"R{k}"
-        peak = ExcitationPeak(4308.6 + 0.5 * (-1) ** k, 3.0, 25.0, 1.0, 10.4, 0.3)
+        peak = ExcitationPeak(4308.6 + 0.5 * (-1) ** k, 3.0, 25.0, 1.0, 0.0, 0.0, 10.4, 0.3)
         seen = [SeenPeak(name, f"{name}.h5", peak, NearMode("F2", -400.0))]
         if k == 0:
-            high = ExcitationPeak(3221.0, 5.0, 33.0, 2.0, 21.0, 0.4)
+            high = ExcitationPeak(3221.0, 5.0, 33.0, 2.0, 0.0, 0.0, 21.0, 0.4)
             seen.append(SeenPeak(name, f"{name}.h5", high, NearMode("T1", 4.0)))
         runs.append(RunPeaks(Path(f"{name}.h5"), "A", SweepPeaks(name, 1.4e3, 2e4, tuple(seen))))
     lines = acoustic_lines([run.peaks for run in runs])
@@ -101,7 +101,7 @@ def test_runs_that_cannot_be_fitted_are_passed_over(cli, changed, monkeypatch):
 @pytest.mark.slow
 def test_one_reed_of_the_simulated_bench_decides_nothing(cli, sweep_a):
     answer = cli("acoustics", sweep_a, "--json").json
-    (line,) = answer["lines"]
-    assert line["verdict"] == "undecided"
+    line = min(answer["lines"], key=lambda each: abs(each["hz"] - 4308.6))
+    assert {each["verdict"] for each in answer["lines"]} <= {"undecided", "suspect"}
     assert abs(line["hz"] - 4308.6) < 3.5 * line["error_hz"]
     assert np.isfinite(line["quality"])

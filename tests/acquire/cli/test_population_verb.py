@@ -85,7 +85,7 @@ def test_a_folder_of_runs_is_fitted(cli, measured, folder):
 
 def test_acoustic_lines_of_a_folder_are_reported(cli, folder, monkeypatch, measured):
     asked = []
-    peak = ExcitationPeak(4285.0, 3.0, 25.0, 1.0, 8.5, 0.3)
+    peak = ExcitationPeak(4285.0, 3.0, 25.0, 1.0, 0.0, 0.0, 8.5, 0.3)
     sweeps = [
         SweepPeaks(f"R{k}", 1e3, 2e4, (SeenPeak(f"R{k}", "run.h5", peak, None),) * (k < 4))
         for k in range(5)

@@ -28,7 +28,7 @@ from runs.reader import Run
 
 VERBS = (
     *("plan", "run", "pause", "continue", "list", "show", "fit", "report", "diagnose"),
-    *("population", "modes", "paper", "effects", "pack"),
+    *("population", "acoustics", "modes", "paper", "effects", "pack"),
 )
 ROOT = Path(__file__).parents[3]
 

@@ -16,8 +16,8 @@ from fitting.acoustics.lines import (
 from fitting.acoustics.poles import ExcitationPeak
 
 
-def peak(hz, error_hz=3.0, height_db=9.0):
-    return ExcitationPeak(hz, error_hz, 25.0, 1.0, height_db, 0.3)
+def peak(hz, error_hz=3.0, height_db=9.0, ripple_hz=0.0):
+    return ExcitationPeak(hz, error_hz, 25.0, 1.0, ripple_hz, 0.5, height_db, 0.3)
 
 
 def seen(reed, hz, mode=None, **of_peak):
@@ -59,6 +59,17 @@ def test_errors_of_the_mean_are_those_of_many_benches():
         (line,) = [line for line in lines if line.verdict is Verdict.BENCH]
         pulls.append((line.hz - 4308.6) / line.error_hz)
     assert 0.75 < np.sqrt(np.mean(np.square(pulls))) < 1.2
+
+
+def test_the_ripple_of_the_loudspeaker_is_the_same_with_every_reed():
+    """3 of 5 Hz do not decrease with the number of reeds."""
+    sweeps = [
+        sweep(f"R{k}", seen(f"R{k}", 4308.6 + (-1) ** k, error_hz=5.0, ripple_hz=3.0))
+        for k in range(16)
+    ]
+    (line,) = acoustic_lines(sweeps)
+    assert line.error_hz == pytest.approx(np.hypot(3.0, 4.0 / 4), rel=0.01)
+    assert line.quality_error == pytest.approx(np.hypot(0.5, np.sqrt(0.75) / 4), rel=0.01)
 
 
 def test_a_certain_pole_counts_more():
@@ -163,6 +174,6 @@ def test_json_has_plain_values():
         "verdict", "reason", "seen",
     }  # fmt: skip
     assert set(answer["seen"][0]) == {
-        "reed", "run", "hz", "error_hz", "quality", "quality_error", "height_db",
-        "height_error_db", "mode", "mode_cents", "suspect",
+        "reed", "run", "hz", "error_hz", "quality", "quality_error", "ripple_hz", "ripple_quality",
+        "height_db", "height_error_db", "mode", "mode_cents", "suspect",
     }  # fmt: skip

@@ -71,6 +71,21 @@ def test_standard_errors_are_those_of_many_drives(line):
     assert ((rms > 0.6) & (rms < 1.4)).all(), rms
 
 
+def test_ripple_and_noise_have_their_parts_of_the_error():
+    """Drives of one loudspeaker scatter by what is left without the ripple."""
+    smooth = BACKGROUND @ np.random.default_rng(7).standard_normal(len(HZ))
+    clean = smooth + np.log(np.abs(resonance_gain(AcousticResonance(), HZ)))
+    rng, noise = np.random.default_rng(8), 0.02
+    peaks = [
+        find_excitation_peaks(HZ, clean + noise * rng.standard_normal(len(HZ)), NONE, noise)
+        for _ in range(24)
+    ]
+    lines = [min(each, key=lambda peak: abs(peak.hz - 4308.6)) for each in peaks]
+    own = np.sqrt(np.median([line.error_hz**2 - line.ripple_hz**2 for line in lines]))
+    assert np.std([line.hz for line in lines]) == pytest.approx(own, rel=0.4)
+    assert all(0 < line.ripple_hz < line.error_hz for line in lines)
+
+
 def test_noise_widens_the_errors():
     quiet, loud = (found_in(BENCH, noise=noise)[0] for noise in (0.003, 0.05))
     assert loud.error_hz > 2 * quiet.error_hz

@@ -190,7 +190,7 @@ def test_displacements_are_those_from_which_frames_were_rendered(measured, bench
     assert max(abs(row.nm - row.true_nm) for row in below_2_um) < 15
     modes = compare_modes(measured, model)
     assert {row.name for row in modes} >= {"F1", "T1", "F2", "T2", "X1", "T3", "F3", "X2", "X3"}
-    assert np.sqrt(np.mean([row.pull**2 for row in modes])) < 2
+    assert np.median([abs(row.pull) for row in modes]) < 1.5
 
 
 @pytest.mark.slow

@@ -251,7 +251,7 @@ class SweepWithLines:
 
     def __init__(self, run, *lines_hz):
         self.reed, self.series = run.reed, run.series
-        peaks = [ExcitationPeak(hz, 4.0, 25.0, 1.0, 8.0, 0.3) for hz in lines_hz]
+        peaks = [ExcitationPeak(hz, 4.0, 25.0, 1.0, 0.0, 0.0, 8.0, 0.3) for hz in lines_hz]
         seen = tuple(SeenPeak(run.reed, run.path.name, peak, None) for peak in peaks)
         self.drive_peaks = SweepPeaks(run.reed, 1400.0, 20_000.0, seen)
 

@@ -85,7 +85,7 @@ def peak_amplitudes(fit: JointFit, points: VampPoints, wavelength_m: float) -> P
     information = found.information + _LOOSE * np.eye(by.shape[1])
     variance = np.einsum("ka,ka->k", by, np.linalg.solve(information, by[..., None])[..., 0])
     common = np.einsum("ka,kaq->kq", by, found.common_mode.response)
-    shared = np.linalg.solve(found.common_mode.precision, common.T)
+    shared = np.linalg.solve(found.common_mode.whole, common.T)
     variance += np.einsum("kq,qk->k", common, shared) + (_CONTINUATION * size) ** 2
     known = found.reached & np.any(found.information, axis=(1, 2))
     nm = 1e9 * displacement_m(np.stack([size, np.sqrt(variance)]), wavelength_m)
@@ -120,13 +120,13 @@ def mode_amplitudes(
         nearest = int(np.abs(log_hz - np.log(modal.hz[a])).argmin())
         here = functions[top] @ found.amplitude_rad[nearest]
         response = found.common_mode.response[nearest]
-        real, imaginary = np.split(response @ modal.common_mode_shift, 2)
+        real, imaginary = np.split(response @ modal.common_mode_shift[nearest], 2)
         there = here + functions[top] @ (real + 1j * imaginary)
         rad = abs(moved[top]) * abs(here) / max(abs(there), 1e-12)
         by = _along(np.array([here]), functions[top : top + 1])[0]
         common = by @ response / max(abs(here) ** 2, 1e-12)
         own = functions[top] @ modal.resonant.covariance[a] @ functions[top]
-        shared = common @ np.linalg.solve(found.common_mode.precision, common) + _CONTINUATION**2
+        shared = common @ np.linalg.solve(found.common_mode.whole, common) + _CONTINUATION**2
         nm, error_nm = 1e9 * displacement_m([rad, np.sqrt(own + rad**2 * shared)], wavelength_m)
         log_volts = np.interp(np.log(modal.hz[a]), log_hz, np.log(fit.block_amplitudes.volts))
         answer[name] = ModeAmplitude(

@@ -39,7 +39,7 @@ def planted(amplitude_rad, spread_rad=0.01, shared=0.0):
             amplitude_rad=amplitude_rad,
             information=np.tile(np.eye(4) / spread_rad**2, (count, 1, 1)),
             common_mode=SimpleNamespace(
-                response=response, precision=np.array([[1 / max(shared, 1e-9) ** 2]])
+                response=response, whole=np.array([[1 / max(shared, 1e-9) ** 2]])
             ),
             reached=np.ones(count, dtype=bool),
         )
@@ -120,7 +120,7 @@ def test_a_turn_that_the_modal_fit_adds_to_all_displacements_changes_no_size(tur
     fit.modal = SimpleNamespace(
         names=("F1",),
         hz=np.array([2000.0]),
-        common_mode_shift=np.array([turn_rad]),
+        common_mode_shift=np.array([[turn_rad]]),
         resonant=SimpleNamespace(
             amplitude_rad=np.array([[stretched, 0.0]]), covariance=1e-4 * np.eye(2)[None]
         ),

@@ -30,6 +30,14 @@ def test_errors_of_a_hologram_are_its_response_to_the_shift_there(common_mode, d
     assert shared.response @ parameters == pytest.approx(expected)
 
 
+def test_the_covariance_of_a_shift_is_that_of_its_combinations(drift):
+    size = drift.constant + 6 * len(drift.drifting)
+    root = np.random.default_rng(7).standard_normal((size, 3))
+    shifts = np.stack([drift.shift(column) for column in root.T])
+    expected = np.einsum("skq,skr->kqr", shifts, shifts)
+    assert drift.covariance(root @ root.T) == pytest.approx(expected)
+
+
 def test_the_precision_is_that_of_holograms_and_of_the_walk(common_mode, drift):
     """Squares of the shift as each hologram counts them, and of the changes between nodes."""
     walk = 3e-3

@@ -232,21 +232,11 @@ def refit_displacements(
     size = before.amplitude_rad.shape[1]
     a = before.amplitude_rad + changes[:, :size] + 1j * changes[:, size:]
     steps, gain, misfit = np.flatnonzero(off), before.gain.copy(), before.misfit.copy()
-    weak = FINAL_RAD**-2 * np.eye(size)
     accepted = np.maximum(_FLOOR, enough(blocks)[steps])
     good = np.minimum(SAME_FRINGE_RATIO * misfit[steps], accepted)
     for expected in expected_rad:
         there = Solution(expected, gain, object_field, before.field_variance)
-        start = whole.turned(object_field, steps, expected[steps])
-        tried, louder, left = fit_amplitudes(
-            weighed(whole, there),
-            object_field,
-            steps,
-            (start, np.zeros(len(steps))),
-            ITERATIONS,
-            weak,
-        )
-        found = left / whole.seen[steps]
+        tried, louder, found = _from_expected(whole, there, steps)
         better = found < good
         chosen = steps[better]
         a[chosen], gain[chosen], misfit[chosen] = tried[better], louder[better], found[better]
@@ -259,6 +249,22 @@ def refit_displacements(
             "it alone"
         )
     return _finished(whole, blocks, at, solved, _MOST_TURNS, before.change)
+
+
+def _from_expected(
+    whole: Problem, expected: Solution, steps: IndexArray
+) -> tuple[ComplexArray, Array, Array]:
+    """Solve holograms (s,) from expected amplitudes; return amplitudes, log gains and misfits."""
+    start = whole.turned(expected.object_field, steps, expected.amplitude[steps])
+    a, gain, left = fit_amplitudes(
+        weighed(whole, expected),
+        expected.object_field,
+        steps,
+        (start, np.zeros(len(steps))),
+        ITERATIONS,
+        FINAL_RAD**-2 * np.eye(start.shape[1]),
+    )
+    return a, gain, left / whole.seen[steps]
 
 
 def _finished(

@@ -155,9 +155,8 @@ def linearise(
         field_matrix[some] = (power @ pairs).reshape(free.shape) - free
         return louder, turned
 
-    parts = map_threads(fill, len(a))
-    louder, turned = (np.sum(each, axis=0) for each in zip(*parts, strict=True))
-    field_gradient = np.concatenate([louder @ smooth, turned @ smooth])
+    parts = zip(*map_threads(fill, len(a)), strict=True)
+    field_gradient = np.concatenate([np.sum(each, axis=0) @ smooth for each in parts])
     return LinearisedSweep(normal, coupling, field_matrix, field_gradient)
 
 

@@ -41,8 +41,9 @@ _LEAST_NOISE = 1e-5
 # Share of that noise that is shot noise of the local oscillator.
 _SHOT = 0.96
 # What templates show where nothing leaks: amplitude and its spread. Fringes that a block of pixels
-# averages look a little like either.
-_FLOORS = {"sideband_crosstalk": (5e-3, 2.5e-3), "decorrelation": (1.15e-4, 3e-5)}
+# averages look a little like crosstalk. Like decorrelation they would look too, but the fit has
+# taken their mean into account.
+_FLOORS = {"sideband_crosstalk": (5e-3, 2.5e-3), "decorrelation": (0.0, 3e-5)}
 # Share of a carrier that looks like the next sideband once it has been taken off, and what doubt
 # that leaves of either.
 _LEFT_OF_CARRIER, _OF_TAKEN_OFF = 0.2, (0.15, 3e-3)

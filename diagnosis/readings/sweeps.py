@@ -13,6 +13,7 @@ from diagnosis.campaign import CampaignRun
 from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
 from fitting.holograms.block_amplitudes import UnshiftedLight
+from fitting.holograms.displacement import explained_amplitudes
 from fitting.modal.identify import JointFit, fit_jointly
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.refit import fit_same_reed, fit_without_unshifted
@@ -368,7 +369,8 @@ def _templates(fitted: JointFit) -> tuple[ComplexArray, Array]:
     F, zero, two = unit * j1(size), j0(size), unit**2 * jv(2, size)
     slope_along = 0.5 * (zero - jv(2, size))
     slope_across = np.where(size > 1e-6, j1(size) / np.maximum(size, 1e-12), 0.5)
-    left = fitted.block_amplitudes.recorded.T - lit * F
+    explained = explained_amplitudes(fitted.block_amplitudes, fitted.basis, found)
+    left = fitted.block_amplitudes.recorded.T - explained
     waves = np.stack([zero, two, -(size**2) * F]) * lit
     amplitude = np.zeros((len(TEMPLATES), len(u)), complex)
     variance = np.full((len(TEMPLATES), len(u)), np.inf)

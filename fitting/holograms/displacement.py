@@ -46,7 +46,7 @@ from fitting.holograms.object_field import (
 from fitting.holograms.problem import Problem
 from fitting.holograms.retries import relative_misfit, tried_again, unexplained
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.holograms.within_blocks import spread_slopes
+from fitting.holograms.within_blocks import mean_bend, spread_slopes
 from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 
 # Most turns of the alternating minimisation, and of one whose result is refined later.
@@ -184,6 +184,17 @@ def _refined(
     at = Solution(rough.amplitude_rad, rough.gain, rough.object_field, rough.field_variance)
     solved = np.isfinite(rough.misfit)
     return _finished(whole, block_amplitudes, at, solved, _MOST_TURNS, rough.change)
+
+
+def explained_amplitudes(
+    block_amplitudes: BlockAmplitudes, basis: ShapeBasis, found: Displacements
+) -> ComplexArray:
+    """Return the block amplitudes (k, n) that displacements explain, for light in even blocks."""
+    problem = _problem_of(block_amplitudes, basis)
+    u, v = problem.bessel_vectors(found.amplitude_rad)
+    lit = np.exp(found.gain)[:, None] * found.object_field
+    explained: ComplexArray = lit * (u + 1j * v + mean_bend(problem, found.amplitude_rad))
+    return explained
 
 
 def _whole_misfit(misfit: Array, seen: Array) -> float:

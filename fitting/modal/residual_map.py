@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.holograms.bessel import BesselTable
-from fitting.holograms.linearisation import rows
+from fitting.holograms.displacement import explained_amplitudes
 from fitting.modal.identify import JointFit
 from holography.arrays import Array
 
@@ -41,13 +40,8 @@ class ResidualMap:
 
 def squared_residual(fit: JointFit, holograms: NDArray[np.intp]) -> Array:
     """Return the squared residuals (s, n) of holograms (s,), in units of the noise."""
-    found = fit.displacements
-    u = found.amplitude_rad[holograms].astype(np.complex64) @ fit.basis.functions.T
-    over, _ = BesselTable().tensor(np.abs(u))
-    lit = np.exp(found.gain[holograms]).astype(np.float32)[:, None] * rows(
-        found.object_field, holograms
-    )
-    left = fit.block_amplitudes.value[:, holograms].T - lit * (u * over)
+    explained = explained_amplitudes(fit.block_amplitudes, fit.basis, fit.displacements)
+    left = (fit.block_amplitudes.value.T - explained)[holograms]
     square: Array = left.real**2 + left.imag**2
     return square
 

@@ -166,5 +166,5 @@ def split_gains(problem: Problem, gain: Array, matrix: Array) -> Gains:
     # What scatter alone gives the mean of the neighbours is no slow change.
     chance = scatter**2 * np.sum(window**2, axis=1) / np.maximum(window.sum(axis=1), 1e-9) ** 2
     changing = max(float(np.mean(slow**2 - chance)), 0.0)
-    slow = slow * changing / (changing + chance)
+    slow = slow * changing / np.maximum(changing + chance, np.finfo(float).tiny)
     return Gains(slow, float(np.clip(found, _LEAST_GAIN_NEPERS, GAIN_NEPERS)))

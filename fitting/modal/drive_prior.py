@@ -59,14 +59,23 @@ class DrivePrior:
         Negative gradient of half the cost.
     curvature : (k, k) float
         Half the Hessian of the cost, for the weights that the scatter has at this state.
-    smooth : (k,) float
-        The smooth part.
+    scatter_volume : float
+        Log of the variances of the scatter over the square of its scale, summed over holograms.
     """
 
     cost: float
     gradient: Array
     curvature: Array
-    smooth: Array
+    scatter_volume: float
+
+    @property
+    def log_volume(self) -> float:
+        """Twice the log of the density's factors and of the volume of the scatter.
+
+        With the cost, it gives the log density of a magnitude whose scatter is unknown, by
+        Laplace's method and up to a constant.
+        """
+        return float(np.linalg.slogdet(self.curvature)[1]) + self.scatter_volume
 
 
 def drive_prior(magnitude: Array, covariance: Array, gain: float, dof: float) -> DrivePrior:
@@ -93,7 +102,8 @@ def drive_prior(magnitude: Array, covariance: Array, gain: float, dof: float) ->
     cost = (dof + 1) * np.sum(np.log1p((scatter / gain) ** 2 / dof)) + smooth @ weighted
     gradient = -(dof + 1) * scatter / (dof * gain**2 + scatter**2)
     curvature = linalg.inv(covariance + np.diag(variance))
-    return DrivePrior(float(cost), gradient, 0.5 * (curvature + curvature.T), smooth)
+    volume = float(np.sum(np.log(variance / gain**2)))
+    return DrivePrior(float(cost), gradient, 0.5 * (curvature + curvature.T), volume)
 
 
 def found_gain(magnitude: Array, covariance: Array, gain: float, dof: float) -> float:

@@ -347,7 +347,7 @@ def _round(
         state=state,
         here=here,
         covariance=covariance,
-        log_evidence=_log_evidence(model, evaluate(model, weighed, prior, state), alone, root),
+        log_evidence=_log_evidence(evaluate(model, weighed, prior, state), alone, root),
         whitened_residual=whitened_residual,
         misfit=float(np.sum(whitened_residual**2)) / freedoms,
         scatter=scatter,
@@ -364,11 +364,10 @@ def _round(
     )
 
 
-def _log_evidence(model: Model, at: Evaluation, matrix: Array, drive_root: Array) -> float:
+def _log_evidence(at: Evaluation, matrix: Array, drive_root: Array) -> float:
     """Return the log evidence by Laplace's method, for the equations of `without_drive`."""
-    drive = float(np.linalg.slogdet(at.drive_prior.curvature)[1])
     known = float(np.linalg.slogdet(matrix)[1]) + 2 * float(np.sum(np.log(np.diag(drive_root))))
-    return 0.5 * (drive - known - at.cost)
+    return 0.5 * (at.drive_prior.log_volume - known - at.cost)
 
 
 def _finish(

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.holograms.amplitudes import block_object_field, fit_amplitudes
+from fitting.holograms.amplitudes import FINAL_RAD, block_object_field, fit_amplitudes
 from fitting.holograms.changing_field import FieldChange, field_estimate, mean_power
 from fitting.holograms.object_field import (
     FieldStep,
@@ -17,15 +17,12 @@ from fitting.holograms.object_field import (
 from fitting.holograms.problem import Problem, misfits
 from fitting.holograms.sidebands import sideband_values
 from fitting.holograms.within_blocks import (
-    SpecklePositions,
     blurring,
     from_middle,
     speckle_positions,
 )
 from holography.arrays import Array, Complex64Array, ComplexArray
 
-# Prior standard deviation of amplitudes, rad: weak, for directions that the data do not determine.
-FINAL_RAD = 10.0
 # Largest change of the log of the object field in one step.
 _LARGEST_STEP = 0.3
 # Holograms of a smaller weight (inverse misfit) are not explained.
@@ -45,15 +42,16 @@ class Solution:
         One row if the object field is the same in all holograms.
     field_variance : (k, n) float32, optional
         Variance of the object field, if it changes from hologram to hologram.
-    positions : SpecklePositions, optional
-        Mean positions of the light within each block.
+    positions : (n, 2) complex, optional
+        Mean positions of the light within each block, see
+        `fitting.holograms.within_blocks.speckle_positions`.
     """
 
     amplitude: ComplexArray
     gain: Array
     object_field: Complex64Array
     field_variance: NDArray[np.float32] | None = None
-    positions: SpecklePositions | None = None
+    positions: ComplexArray | None = None
 
 
 def alternating_step(

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from fitting.holograms.problem import GAIN_NEPERS, Problem, misfits, normal
 from fitting.holograms.sidebands import brightness, sideband_values
@@ -10,15 +11,14 @@ from fitting.levenberg_marquardt import Damping, NormalEquations, minimise_all
 from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 
 # Holograms over which gains are averaged, in the order of recording: standard deviation of a
-# Gaussian window.
+# Gaussian window. Chosen: at least eight holograms count, in seconds during which a laser drifts
+# little.
 _SLOW = 3.0
 # Least scatter of gains: power of a stabilised laser (data sheets: 0.2 %), and how many holograms
 # must show their own gain.
 _LEAST_GAIN_NEPERS, _FEWEST_GAINS = 0.002, 8
-# Prior standard deviation of amplitudes, rad: weak, for directions that are not determined.
-_WEAK_RAD = 10.0
-# Ratio of a normal distribution's standard deviation to its median absolute deviation.
-NORMAL_PER_MAD = 1.4826
+# Prior standard deviation of amplitudes, rad: weak, for directions that the data do not determine.
+FINAL_RAD = 10.0
 # Chosen by hand; no study of other values is kept.
 _DAMPING = Damping(first=1e-3, after_gain=0.2, after_loss=6, constant=1e-3, largest=1e6)
 
@@ -145,7 +145,7 @@ def split_gains(problem: Problem, gain: Array, matrix: Array) -> Gains:
     """
     size = matrix.shape[1] - 1
     coupling = matrix[:, :size, size:]
-    weak = 0.5 * _WEAK_RAD**-2 * np.eye(size)
+    weak = 0.5 * FINAL_RAD**-2 * np.eye(size)
     along = np.linalg.solve(matrix[:, :size, :size] + weak, coupling)
     known = matrix[:, -1, -1] - np.sum(coupling * along, axis=(1, 2))
     # Half of the precision, as the misfit is half of χ².
@@ -160,7 +160,7 @@ def split_gains(problem: Problem, gain: Array, matrix: Array) -> Gains:
     window = np.exp(-0.5 * apart**2) * (1 - np.eye(len(gain))) * weight
     slow: Array = window @ free / (window.sum(axis=1) + 0.5 / GAIN_NEPERS**2)
     left = (free - slow)[sure]
-    scatter = NORMAL_PER_MAD * float(np.median(np.abs(left - np.median(left))))
+    scatter = float(median_abs_deviation(left, scale="normal"))
     own = float(np.median(0.5 / known[sure]))
     found = np.sqrt(max(scatter**2 - own, 0.0))
     # What scatter alone gives the mean of the neighbours is no slow change.

@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 
 from fitting.errors import FitError
 from fitting.holograms.alternating_minimisation import (
-    FINAL_RAD,
     Solution,
     alternating_step,
     weighed,
 )
-from fitting.holograms.amplitudes import fit_amplitudes, split_gains
+from fitting.holograms.amplitudes import FINAL_RAD, fit_amplitudes, split_gains
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.changing_field import (
@@ -67,7 +66,7 @@ _ENOUGH = 0.95
 _MOST_CHANGES = 3
 # A hologram with a larger misfit is far from its noise.
 _FLOOR = 30.0
-# A gain that is farther off is tried again.
+# A gain that is farther off is tried again: chance makes one in 16,000 so.
 _MOST_DEVIATIONS = 4.0
 
 

@@ -8,9 +8,10 @@ them changes little: it is tried again from each of them and from their mean, in
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
-from fitting.holograms.alternating_minimisation import FINAL_RAD, Solution, cost, middle, weighed
-from fitting.holograms.amplitudes import NORMAL_PER_MAD, fit_amplitudes
+from fitting.holograms.alternating_minimisation import Solution, cost, middle, weighed
+from fitting.holograms.amplitudes import FINAL_RAD, fit_amplitudes
 from fitting.holograms.linearisation import rows
 from fitting.holograms.problem import Problem
 from holography.arrays import Array, ComplexArray, IndexArray
@@ -63,7 +64,7 @@ def unexplained(misfit: Array, seen: Array) -> IndexArray:
         return np.arange(len(misfit))
     middle = float(np.median(misfit[known]))
     own = middle / np.sqrt(seen)
-    scatter = NORMAL_PER_MAD * float(np.median(np.abs(misfit[known] - middle)))
+    scatter = float(median_abs_deviation(misfit[known], scale="normal"))
     return np.flatnonzero(~(misfit - middle < _DEVIATIONS * np.maximum(own, scatter)))
 
 

@@ -9,8 +9,6 @@ them. Of the third term, speckle leaves a random part of the same size, which is
 blocks across which fringes pass say little.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -78,22 +76,6 @@ def blurring(problem: Problem, a: ComplexArray) -> dict[int, Array]:
     return {n: left * np.minimum(9 / 64 * squared if n == 1 else 0.25, far) for n in orders}
 
 
-@dataclass(frozen=True)
-class SpecklePositions:
-    """Mean positions of the light of each block.
-
-    Attributes
-    ----------
-    position : (n, 2) complex
-        Along x and y, in units of the standard deviation of light that fills the block evenly.
-    variance : float
-        Of all positions: mean square of a component.
-    """
-
-    position: ComplexArray
-    variance: float
-
-
 def slope_terms(problem: Problem, a: ComplexArray) -> ComplexArray | None:
     """Return the changes dF[∂u/∂x_i] (2, k, n) of F(u) over the spread of a block's light.
 
@@ -137,8 +119,11 @@ def mean_bend(problem: Problem, a: ComplexArray) -> ComplexArray:
 
 def speckle_positions(
     problem: Problem, a: ComplexArray, gain: Array, field: ComplexArray, weight: Array
-) -> SpecklePositions | None:
-    """Find the positions from residuals of the first sideband; None without slopes.
+) -> ComplexArray | None:
+    """Find the mean positions (n, 2) of light from residuals of the first sideband.
+
+    They are in units of the standard deviation of light that fills a block evenly. None if the
+    problem has no slopes.
 
     Parameters
     ----------
@@ -167,11 +152,11 @@ def speckle_positions(
     variance = _START
     for _ in range(_TURNS):
         covariance = np.linalg.inv(matrix + np.eye(2) / variance)
-        position = np.einsum("nij,nj->ni", covariance, force)
+        position: ComplexArray = np.einsum("nij,nj->ni", covariance, force)
         # Expectation and maximisation: the mean square of what the positions may be.
         unknown = np.trace(covariance, axis1=1, axis2=2).real / 2
         variance = float(np.mean(np.mean(np.abs(position) ** 2, axis=1) + unknown))
-    return SpecklePositions(position, variance)
+    return position
 
 
 def from_middle(
@@ -179,7 +164,7 @@ def from_middle(
     a: ComplexArray,
     gain: Array,
     field: ComplexArray,
-    positions: SpecklePositions | None,
+    positions: ComplexArray | None,
 ) -> Problem:
     """Return a problem with block amplitudes as they were if light came from the blocks' middle."""
     terms = slope_terms(problem, a)
@@ -187,6 +172,6 @@ def from_middle(
         return problem
     moved = mean_bend(problem, a)
     if positions is not None:
-        moved = moved + np.einsum("ikn,ni->kn", terms, positions.position)
+        moved = moved + np.einsum("ikn,ni->kn", terms, positions)
     shown = np.exp(gain)[:, None] * rows(field, np.arange(len(a)))
     return problem.less(shown * moved)

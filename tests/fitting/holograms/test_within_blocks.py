@@ -78,9 +78,8 @@ def test_positions_are_found_and_taken_off(problem, amplitude):
     seen = replace(problem, real=value.real, imaginary=value.imag)
     still, weight = np.zeros(HOLOGRAMS), np.ones(HOLOGRAMS)
     found = speckle_positions(seen, amplitude, still, field, weight)
-    assert np.sqrt(found.variance) == pytest.approx(0.4, rel=0.15)
     bright = np.abs(field) > 100
-    left = np.sqrt(np.mean(np.abs(found.position - positions)[bright] ** 2))
+    left = np.sqrt(np.mean(np.abs(found - positions)[bright] ** 2))
     assert left < 0.3 * 0.4
     middle = from_middle(seen, amplitude, still, field, found)
     residual = middle.real + 1j * middle.imaginary - field * moved(amplitude @ problem.functions.T)

@@ -19,8 +19,9 @@ from holography.arrays import Array
 # order, is 4 nepers.
 _LEVEL, _SLOPE = 10.0, 4.0
 # Ripple in nepers, and the log frequency over which it is correlated. Data sheets of dome tweeters
-# show 3 dB over a third of an octave, and 1 dB of finer structure: a quiet drive. A leaky chamber
-# adds resonances and notches of quality 20 and several dB, 2 dB rms within 100 cents: a lively one.
+# show 3 dB over a third of an octave, and 1 dB of finer structure: a quiet drive. A lively one is
+# for chambers with strong resonances and notches; its 2 dB of finer structure are chosen (decision
+# 0025). The evidence of a sweep decides between the two.
 QUIET = ((0.35, 0.2), (0.1, 0.06))
 LIVELY = ((0.35, 0.2), (0.25, 0.06))
 # Iterations of the reweighting by which a Student distribution is fitted.

@@ -15,8 +15,8 @@ All parameters are found by one damped least-squares fit to the amplitudes of
 `fitting.holograms.displacement` and their information. Shapes may differ from those of the finite
 elements as by a perturbation: the more, the closer two modes are in frequency. All displacements
 may have a common-mode error, because object field and vibration are partly confounded (see
-`fitting.holograms.object_field`). The discrepancy of the model is estimated from the residuals and
-added to the noise.
+`fitting.holograms.object_field`); it drifts slowly. The discrepancy of the model is estimated from
+the residuals and added to the noise. Two priors of the drive are averaged by their evidence.
 """
 
 from collections.abc import Sequence

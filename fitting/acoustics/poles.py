@@ -23,7 +23,7 @@ from scipy import linalg
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from fitting.modal.drive_prior import LEAST_GAIN, QUIET, drive_covariance
+from fitting.modal.drive_prior import LEAST_GAIN, quiet_ripple
 from holography.arrays import Array, Mask
 
 # Least height of a line in dB: ripple of loudspeakers reaches 3 dB. Most lines of a drive.
@@ -107,7 +107,7 @@ def find_excitation_peaks(
     variance = np.full(len(drive_hz), gain**2)
     if off is not None:
         variance[off] += _OFF
-    ripple = drive_covariance(drive_hz, QUIET)
+    ripple = quiet_ripple(drive_hz).covariance
     root = linalg.cholesky(covariance + ripple + np.diag(variance), lower=True)
     fit = _Fit(drive_hz, log_magnitude, root)
     found, tops = _lines(fit)

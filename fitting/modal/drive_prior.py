@@ -2,28 +2,35 @@
 
 The log magnitude per volt is a smooth function of log frequency plus the scatter of the light from
 one hologram to the next. The smooth function is a Gaussian process: level and slope of any size,
-and ripple as loudspeakers and chambers have. The scatter has a Student distribution, which admits a
-few holograms that are far off. Without the bounds of the process a drive could follow the resonance
-of a mode that dominates its neighbourhood, and the mode could be put elsewhere.
+and ripple as loudspeakers and chambers have. How much of the finer ripple there is differs along
+the sweep, near poles and notches of the chamber, and is found from the sweep. The scatter has a
+Student distribution, which admits a few holograms that are far off. Without the bounds of the
+process a drive could follow the resonance of a mode that dominates its neighbourhood, and the mode
+could be put elsewhere.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, optimize
 
 from holography.arrays import Array
 
 # Level: any sensitivity. Slope per unit of log frequency: 24 dB per octave, a filter of fourth
 # order, is 4 nepers.
 _LEVEL, _SLOPE = 10.0, 4.0
-# Ripple in nepers, and the log frequency over which it is correlated. Data sheets of dome tweeters
-# show 3 dB over a third of an octave, and 1 dB of finer structure: a quiet drive. A lively one is
-# for chambers with strong resonances and notches; its 2 dB of finer structure are chosen (decision
-# 0025). The evidence of a sweep decides between the two.
-QUIET = ((0.35, 0.2), (0.1, 0.06))
-LIVELY = ((0.35, 0.2), (0.25, 0.06))
+# Ripple in nepers, and the log frequency over which it is correlated: data sheets of dome tweeters
+# show 3 dB over a third of an octave, and 1 dB of finer structure.
+_COARSE, _FINE = (0.35, 0.2), (0.1, 0.06)
+# A chamber with poles and notches has more of the finer structure near them. How much is found at
+# nodes that are this far apart in log frequency: twice the length over which it is correlated.
+_NODE = 0.12
+# Limits of its size: 0.1 dB, and 20 dB.
+_FINE_LIMITS = (0.012, 2.3)
+# Ripple of a start that can follow poles and notches anywhere: 6 dB.
+_LIVELY = 0.7
+# How often sizes and outliers are found in turn, and the step of differences of log sizes.
+_RIPPLE_TURNS, _DIFFERENCE = 4, 1e-3
 # Iterations of the reweighting by which a Student distribution is fitted.
 _TURNS = 8
 # Scatter of single holograms around the smooth drive, in nepers: start and lower limit. Lasers and
@@ -33,19 +40,61 @@ FIRST_GAIN, LEAST_GAIN = 0.1, 3e-3
 _NORMAL_PER_MAD = 1.4826
 
 
-def drive_covariance(hz: Array, ripples: Sequence[tuple[float, float]]) -> Array:
-    """Return the prior covariance (k, k) of the smooth log magnitude at frequencies (k,).
+def _matern(log_hz: Array, length: float) -> Array:
+    """Return the Matérn correlation of order 5/2, which has two derivatives."""
+    apart = np.sqrt(5) * np.abs(np.subtract.outer(log_hz, log_hz)) / length
+    return np.asarray((1 + apart + apart**2 / 3) * np.exp(-apart))
 
-    `ripples` are standard deviations in nepers, and log frequencies of correlation.
+
+@dataclass(frozen=True)
+class Ripple:
+    """Prior of the smooth log magnitude, with finer structure that differs along the sweep.
+
+    Attributes
+    ----------
+    coarse : (k, k) float
+        Covariance of level, slope and coarse structure.
+    fine : (k, k) float
+        Correlation of the finer structure.
+    share : (k, n) float
+        Weights of the nodes in every hologram.
+    log_size : (n,) float
+        Log of the finer structure's standard deviation, in nepers, at the nodes.
     """
+
+    coarse: Array
+    fine: Array
+    share: Array
+    log_size: Array
+
+    @property
+    def finer(self) -> Array:
+        """Covariance (k, k) of the finer structure."""
+        size = np.exp(self.share @ self.log_size)
+        return np.asarray(size[:, None] * self.fine * size)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (k, k) of the smooth log magnitude."""
+        return np.asarray(self.coarse + self.finer)
+
+
+def quiet_ripple(hz: Array) -> Ripple:
+    """Return the ripple of data sheets at drive frequencies (k,)."""
     log_hz = np.log(hz)
     centred = log_hz - log_hz.mean()
-    covariance = _LEVEL**2 + _SLOPE**2 * np.multiply.outer(centred, centred)
-    for size, length in ripples:
-        apart = np.sqrt(5) * np.abs(np.subtract.outer(log_hz, log_hz)) / length
-        # Matérn covariance of order 5/2: two derivatives exist.
-        covariance += size**2 * (1 + apart + apart**2 / 3) * np.exp(-apart)
-    return np.asarray(covariance)
+    coarse = _LEVEL**2 + _SLOPE**2 * np.multiply.outer(centred, centred)
+    coarse += _COARSE[0] ** 2 * _matern(log_hz, _COARSE[1])
+    intervals = max(int(np.ptp(log_hz) / _NODE), 1)
+    at = (log_hz - log_hz.min()) / max(np.ptp(log_hz), 1e-9) * intervals
+    share = np.maximum(0, 1 - np.abs(at[:, None] - np.arange(intervals + 1)))
+    log_size = np.full(intervals + 1, np.log(_FINE[0]))
+    return Ripple(coarse, _matern(log_hz, _FINE[1]), share, log_size)
+
+
+def lively_ripple(ripple: Ripple) -> Ripple:
+    """Return a ripple that can follow poles and notches everywhere."""
+    return replace(ripple, log_size=np.full_like(ripple.log_size, np.log(_LIVELY)))
 
 
 @dataclass(frozen=True)
@@ -60,23 +109,14 @@ class DrivePrior:
         Negative gradient of half the cost.
     curvature : (k, k) float
         Half the Hessian of the cost, for the weights that the scatter has at this state.
-    scatter_volume : float
-        Log of the variances of the scatter over the square of its scale, summed over holograms.
+    variance : (k,) float
+        Variance of the scatter of every hologram at this state.
     """
 
     cost: float
     gradient: Array
     curvature: Array
-    scatter_volume: float
-
-    @property
-    def log_volume(self) -> float:
-        """Twice the log of the density's factors and of the volume of the scatter.
-
-        With the cost, it gives the log density of a magnitude whose scatter is unknown, by
-        Laplace's method and up to a constant.
-        """
-        return float(np.linalg.slogdet(self.curvature)[1]) + self.scatter_volume
+    variance: Array
 
 
 def drive_prior(magnitude: Array, covariance: Array, gain: float, dof: float) -> DrivePrior:
@@ -103,8 +143,7 @@ def drive_prior(magnitude: Array, covariance: Array, gain: float, dof: float) ->
     cost = (dof + 1) * np.sum(np.log1p((scatter / gain) ** 2 / dof)) + smooth @ weighted
     gradient = -(dof + 1) * scatter / (dof * gain**2 + scatter**2)
     curvature = linalg.inv(covariance + np.diag(variance))
-    volume = float(np.sum(np.log(variance / gain**2)))
-    return DrivePrior(float(cost), gradient, 0.5 * (curvature + curvature.T), volume)
+    return DrivePrior(float(cost), gradient, 0.5 * (curvature + curvature.T), variance)
 
 
 def found_gain(magnitude: Array, covariance: Array, gain: float, dof: float) -> float:
@@ -122,3 +161,101 @@ def found_gain(magnitude: Array, covariance: Array, gain: float, dof: float) -> 
         if gain < LEAST_GAIN:
             return LEAST_GAIN
     return gain
+
+
+@dataclass(frozen=True)
+class FoundRipple:
+    """Ripple that a sweep shows.
+
+    Attributes
+    ----------
+    ripple : Ripple
+    covariance : (n, n) float
+        Covariance of its log sizes.
+    """
+
+    ripple: Ripple
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class KnownMagnitude:
+    """What the holograms alone say of the log magnitude less that of the volts.
+
+    Attributes
+    ----------
+    precision : (k, k) float
+        Inverse covariance of a normal distribution; it may be singular.
+    pull : (k,) float
+        Precision times mean.
+    """
+
+    precision: Array
+    pull: Array
+
+    @classmethod
+    def of(cls, magnitude: Array, covariance: Array, prior: DrivePrior) -> "KnownMagnitude":
+        """Take the prior out of the result of a fit: magnitude (k,) and covariance (k, k)."""
+        whole = linalg.inv(covariance)
+        return cls(whole - prior.curvature, whole @ magnitude)
+
+
+def found_ripple(
+    start: Ripple, known: KnownMagnitude, variance: Array, gain: float, dof: float
+) -> FoundRipple:
+    """Find the size of the finer structure at every node by its evidence.
+
+    The sizes have a half-Cauchy prior around those of data sheets, which admits poles and notches
+    (A. Gelman 2006, Bayesian Analysis 1:515).
+
+    Parameters
+    ----------
+    start : Ripple
+    known : KnownMagnitude
+    variance : (k,) float
+        Variance of the scatter of every hologram, see `DrivePrior`.
+    gain, dof : float
+        See `drive_prior`.
+    """
+    ripple, bounds = start, [tuple(np.log(_FINE_LIMITS))] * len(start.log_size)
+    for _ in range(_RIPPLE_TURNS):
+
+        def cost(log_size: Array, variance: Array = variance) -> tuple[float, Array]:
+            return _ripple_cost(replace(start, log_size=log_size), known, variance)
+
+        found = optimize.minimize(cost, ripple.log_size, jac=True, bounds=bounds)
+        ripple = replace(start, log_size=found.x)
+        prior = linalg.inv(ripple.covariance + np.diag(variance))
+        middle = linalg.solve(prior + known.precision, known.pull, assume_a="sym")
+        variance = drive_prior(middle, ripple.covariance, gain, dof).variance
+    return FoundRipple(ripple, _size_covariance(ripple, known, variance))
+
+
+def _ripple_cost(ripple: Ripple, known: KnownMagnitude, variance: Array) -> tuple[float, Array]:
+    """Return twice the negative log posterior of sizes, up to a constant, and its gradient (n,)."""
+    finer = ripple.finer
+    whole = ripple.coarse + finer + np.diag(variance)
+    prior = linalg.inv(whole)
+    both = prior + known.precision
+    covariance = linalg.inv(both)
+    mean = covariance @ known.pull
+    off = ripple.log_size - np.log(_FINE[0])
+    cost = np.linalg.slogdet(whole)[1] + np.linalg.slogdet(both)[1] - known.pull @ mean
+    slope = prior - prior @ (covariance + np.outer(mean, mean)) @ prior
+    gradient = 2 * ripple.share.T @ np.sum(slope * finer, axis=1)
+    # The density of the logarithm of a half-Cauchy distributed size is 1/cosh.
+    return float(cost + 2 * np.sum(np.logaddexp(off, -off))), gradient + 2 * np.tanh(off)
+
+
+def _size_covariance(ripple: Ripple, known: KnownMagnitude, variance: Array) -> Array:
+    """Return the covariance (n, n) of log sizes from the curvature of their cost."""
+
+    def gradient(log_size: Array) -> Array:
+        return _ripple_cost(replace(ripple, log_size=log_size), known, variance)[1]
+
+    moves = _DIFFERENCE * np.eye(len(ripple.log_size))
+    rows = [gradient(ripple.log_size + m) - gradient(ripple.log_size - m) for m in moves]
+    hessian = 0.25 * np.array(rows) / _DIFFERENCE
+    curvature, axes = linalg.eigh(0.5 * (hessian + hessian.T))
+    # No holograms make a size less certain than its prior, which has the variance π²/4.
+    return np.asarray(axes / np.maximum(curvature, 4 / np.pi**2) @ axes.T)

@@ -16,7 +16,7 @@ All parameters are found by one damped least-squares fit to the amplitudes of
 elements as by a perturbation: the more, the closer two modes are in frequency. All displacements
 may have a common-mode error, because object field and vibration are partly confounded (see
 `fitting.holograms.object_field`); it drifts slowly. The discrepancy of the model is estimated from
-the residuals and added to the noise. Two priors of the drive are averaged by their evidence.
+the residuals and added to the noise, and the ripple of the drive from the drive that was found.
 """
 
 from collections.abc import Sequence
@@ -25,12 +25,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
-from scipy.special import expit
 
 from fitting.errors import FitError
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.modal.drive_prior import LIVELY, QUIET, drive_covariance
+from fitting.modal.drive_prior import (
+    FoundRipple,
+    KnownMagnitude,
+    found_ripple,
+    lively_ripple,
+    quiet_ripple,
+)
 from fitting.modal.field_drift import (
     FIRST_WALK,
     FieldDrift,
@@ -49,6 +54,7 @@ from fitting.modal.model import (
     Prior,
     Stage,
     State,
+    drive_prior_at,
     stage_prior,
     terms,
     with_gain,
@@ -64,12 +70,10 @@ from fitting.modal.noise import (
 from fitting.modal.normal_equations import (
     Data,
     Equations,
-    Evaluation,
     equations,
-    evaluate,
 )
 from fitting.modal.optimiser import minimise_cost, without_drive
-from fitting.modal.posterior import Posterior, resonant_displacements
+from fitting.modal.posterior import Posterior, participation_error, resonant_displacements
 from holography.arrays import Array, ComplexArray
 
 # Participations are polynomials of log frequency of this degree.
@@ -141,12 +145,23 @@ def fit_modes(
         end = _round(model, *same, state, scatter)
         state, noise, scatter = end.state, end.noise, end.next_scatter
         if most_off is not None and np.count_nonzero(_off(displacements, noise)) > most_off:
-            return _finish(model, displacements, basis.names, (end, end))
+            return _finish(model, displacements, basis.names, end)
     if drive_dof == KNOWN_DRIVE_DOF:
-        return _finish(model, displacements, basis.names, (end, end))
-    livelier = replace(model, drive_covariance=drive_covariance(drive_hz, LIVELY))
-    other = _round(livelier, *same, state, end.scatter)
-    return _finish(livelier, displacements, basis.names, (end, other))
+        return _finish(model, displacements, basis.names, end)
+    livelier = replace(model, ripple=lively_ripple(model.ripple))
+    end = _round(livelier, *same, state, scatter)
+    found = _found_ripple(livelier, end)
+    model = replace(model, ripple=found.ripple)
+    end = _round(model, *same, end.state, end.next_scatter)
+    return _finish(model, displacements, basis.names, end, found)
+
+
+def _found_ripple(model: Model, end: "_Round") -> FoundRipple:
+    """Find the ripple of the drive after a round."""
+    magnitude, prior = end.state.log_drive.real - model.log_volts, drive_prior_at(model, end.state)
+    covariance = Posterior.of(end.here, end.covariance, 1.0).log_magnitude
+    known = KnownMagnitude.of(magnitude, covariance, prior)
+    return found_ripple(model.ripple, known, prior.variance, end.state.gain, model.drive_dof)
 
 
 def _model(
@@ -164,7 +179,7 @@ def _model(
         drive_hz,
         np.log(volts),
         drive_dof,
-        drive_covariance(drive_hz, QUIET),
+        quiet_ripple(drive_hz),
         powers,
         basis.shapes,
         reference_hz,
@@ -286,8 +301,6 @@ class _Round:
     here : Equations
     covariance : (q, q) float
         Covariance of all parameters except the drive.
-    log_evidence : float
-        Log of the evidence, but for a constant that rounds with the same data and priors share.
     whitened_residual : (k, 2j) float
         Residuals along the noise's directions, in standard deviations.
     misfit : float
@@ -306,7 +319,6 @@ class _Round:
     state: State
     here: Equations
     covariance: Array
-    log_evidence: float
     whitened_residual: Array
     misfit: float
     scatter: _Scatter
@@ -331,8 +343,7 @@ def _round(
     state, weighed = _fixed(prior, state), data.weighing(1 / scatter.correlated)
     state = with_gain(model, minimise_cost(model, weighed, prior, state, _LAST.iterations))
     here = equations(model, weighed, prior, state)
-    alone, root, _ = without_drive(here, 0.0, np.float64)
-    covariance = _inverse(alone)
+    covariance = _inverse(without_drive(here, 0.0, np.float64)[0])
     freedoms = (
         2 * data.amplitude.size - 2 * len(model.hz) - _effective_parameters(prior, data, covariance)
     )
@@ -347,7 +358,6 @@ def _round(
         state=state,
         here=here,
         covariance=covariance,
-        log_evidence=_log_evidence(evaluate(model, weighed, prior, state), alone, root),
         whitened_residual=whitened_residual,
         misfit=float(np.sum(whitened_residual**2)) / freedoms,
         scatter=scatter,
@@ -364,22 +374,14 @@ def _round(
     )
 
 
-def _log_evidence(at: Evaluation, matrix: Array, drive_root: Array) -> float:
-    """Return the log evidence by Laplace's method, for the equations of `without_drive`."""
-    known = float(np.linalg.slogdet(matrix)[1]) + 2 * float(np.sum(np.log(np.diag(drive_root))))
-    return 0.5 * (at.drive_prior.log_volume - known - at.cost)
-
-
 def _finish(
-    model: Model, displacements: Displacements, names: Sequence[str], ends: tuple[_Round, _Round]
+    model: Model,
+    displacements: Displacements,
+    names: Sequence[str],
+    end: _Round,
+    found: FoundRipple | None = None,
 ) -> ModalFit:
-    """Return modes and standard errors.
-
-    `ends` are the results with a quiet and with a lively drive. Frequencies, losses and their
-    errors are averages over both, by their evidence.
-    """
-    less, end = sorted(ends, key=lambda each: each.log_evidence)
-    weight = float(expit(less.log_evidence - end.log_evidence))
+    """Return modes and standard errors."""
     prior, state, now = end.prior, end.state, terms(model, end.state)
     # χ² of the last round is not exactly as expected, and neighbouring residuals are correlated.
     factor = end.misfit * end.next_scatter.correlated / end.scatter.correlated
@@ -393,14 +395,14 @@ def _finish(
     deviations = np.sqrt(factor * np.diag(end.covariance))
     spread[prior.free] = deviations[: np.count_nonzero(prior.free)]
     logs = slice(2 * powers, 2 * powers + 2)
-    apart = (less.state.x[:count, logs] - state.x[:count, logs]).T.ravel()
-    own_hz, own_loss = np.exp(state.x[:count, logs].T + weight * apart.reshape(2, -1))
+    own_hz, own_loss = np.exp(state.x[:count, logs].T)
     number = np.full(prior.centre.shape, -1)
     number[prior.free] = np.arange(np.count_nonzero(prior.free))
     own = np.concatenate([number[:count, 2 * powers], number[:count, 2 * powers + 1]])
-    both = (1 - weight) * end.covariance + weight * less.covariance
-    covariance = factor * both[np.ix_(own, own)]
-    covariance += weight * (1 - weight) * np.outer(apart, apart)
+    covariance = factor * end.covariance[np.ix_(own, own)]
+    if found is not None:
+        moved = _by_ripple(model, end)[own]
+        covariance += moved @ found.covariance @ moved.T
     mixes = prior.free[count:, :count]
     nearest = np.abs(np.log(model.hz[:, None] / own_hz)).argmin(axis=0)
     return ModalFit(
@@ -415,7 +417,7 @@ def _finish(
         mixing_error=np.where(mixes, spread[count:, :count], 0.0),
         mixing_spread=np.where(mixes, _spread(prior)[count:, :count], 0.0),
         participation=now.participation[nearest, model.active],
-        participation_error=_participation_error(model, prior, given_drive, nearest),
+        participation_error=participation_error(model, prior, given_drive, nearest),
         participations=now.participation[:, model.active],
         drive=np.exp(state.log_drive),
         amplitude_rad=now.amplitude,
@@ -430,6 +432,17 @@ def _finish(
         off=_off(displacements, end.noise),
         state=state,
     )
+
+
+def _by_ripple(model: Model, end: _Round) -> Array:
+    """Return derivatives (q, n) of the parameters by the log sizes of the drive's ripple."""
+    curvature = drive_prior_at(model, end.state).curvature
+    pulled = curvature @ (end.state.log_drive.real - model.log_volts)
+    ripple, posterior = model.ripple, Posterior.of(end.here, end.covariance, 1.0)
+    by_size = ripple.share * (ripple.finer @ pulled)[:, None]
+    by_size += ripple.finer @ (ripple.share * pulled[:, None])
+    moved: Array = posterior.with_log_magnitude @ curvature @ by_size
+    return moved
 
 
 def _spread(prior: Prior) -> Array:
@@ -474,20 +487,3 @@ def _effective_parameters(prior: Prior, data: Data, covariance: Array) -> float:
     known = np.sum(own * np.diag(covariance)[: len(own)])
     shared = np.sum(data.precision * covariance[len(own) :, len(own) :])
     return float(len(covariance) - known - shared)
-
-
-def _participation_error(
-    model: Model, prior: Prior, covariance: Array, nearest: NDArray[np.intp]
-) -> Array:
-    """Return standard errors (a,) of participations at the holograms nearest to the modes."""
-    number = np.full(prior.centre.shape, -1)
-    number[prior.free] = np.arange(np.count_nonzero(prior.free))
-    powers, errors = model.powers.shape[1], []
-    for a, k in enumerate(nearest):
-        variance = 0.0
-        for part in (0, powers):
-            which = number[a, part : part + powers]
-            at = model.powers[k]
-            variance += float(at @ covariance[np.ix_(which, which)] @ at)
-        errors.append(np.sqrt(variance))
-    return np.array(errors)

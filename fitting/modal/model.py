@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.modal.drive_prior import FIRST_GAIN, DrivePrior, drive_prior, found_gain
+from fitting.modal.drive_prior import FIRST_GAIN, DrivePrior, Ripple, drive_prior, found_gain
 from holography.arrays import Array, ComplexArray
 
 # Modes beyond the sweep show only their tails: their participations have two coefficients.
@@ -49,8 +49,8 @@ class Model:
         Log of the expected magnitude of the drive, up to a smooth factor.
     drive_dof : float
         `UNKNOWN_DRIVE_DOF` or `KNOWN_DRIVE_DOF`.
-    drive_covariance : (k, k) float
-        See `fitting.modal.drive_prior.drive_covariance`.
+    ripple : Ripple
+        Prior of the drive's smooth log magnitude.
     powers : (k, n) float
         Chebyshev polynomials of log frequency.
     reference : (m, j) float
@@ -66,7 +66,7 @@ class Model:
     hz: Array
     log_volts: Array
     drive_dof: float
-    drive_covariance: Array
+    ripple: Ripple
     powers: Array
     reference: Array
     reference_hz: Array
@@ -251,11 +251,11 @@ def _mixing(model: Model, centre_hz: Array) -> Array:
 def drive_prior_at(model: Model, state: State) -> DrivePrior:
     """Return the prior of the drive's log magnitude at a state."""
     magnitude = state.log_drive.real - model.log_volts
-    return drive_prior(magnitude, model.drive_covariance, state.gain, model.drive_dof)
+    return drive_prior(magnitude, model.ripple.covariance, state.gain, model.drive_dof)
 
 
 def with_gain(model: Model, state: State) -> State:
     """Estimate the scatter of single holograms around a smooth drive."""
     magnitude = state.log_drive.real - model.log_volts
-    gain = found_gain(magnitude, model.drive_covariance, state.gain, model.drive_dof)
+    gain = found_gain(magnitude, model.ripple.covariance, state.gain, model.drive_dof)
     return replace(state, gain=gain)

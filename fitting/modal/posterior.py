@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from fitting.modal.model import Model, Prior, State, Terms
@@ -54,6 +55,12 @@ class Posterior:
         """
         alone = by_parameters - by_drive @ self.response.T
         found: Array = alone @ self.covariance @ alone.T + by_drive @ self.given @ by_drive.T
+        return found
+
+    @property
+    def with_log_magnitude(self) -> Array:
+        """Covariance (q, k) of the parameters with the log magnitude of the drive."""
+        found: Array = -self.covariance @ self.response[:, : len(self.given) // 2]
         return found
 
     @property
@@ -123,3 +130,20 @@ def resonant_displacements(
         amplitude[a] = own
         covariance[a] = posterior.of_combinations(by_parameters, np.multiply.outer(own, by_drive))
     return ResonantDisplacements(amplitude, covariance)
+
+
+def participation_error(
+    model: Model, prior: Prior, covariance: Array, nearest: NDArray[np.intp]
+) -> Array:
+    """Return standard errors (a,) of participations at the holograms nearest to the modes."""
+    number = np.full(prior.centre.shape, -1)
+    number[prior.free] = np.arange(np.count_nonzero(prior.free))
+    powers, errors = model.powers.shape[1], []
+    for a, k in enumerate(nearest):
+        variance = 0.0
+        for part in (0, powers):
+            which = number[a, part : part + powers]
+            at = model.powers[k]
+            variance += float(at @ covariance[np.ix_(which, which)] @ at)
+        errors.append(np.sqrt(variance))
+    return np.array(errors)

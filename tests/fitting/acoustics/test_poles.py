@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fitting.acoustics.poles import find_excitation_peaks
-from fitting.modal.drive_prior import QUIET, drive_covariance
+from fitting.modal.drive_prior import quiet_ripple
 from physics.drive import resonance_gain
 from physics.parameters.drive import AcousticResonance
 from tests.fitting.modal.test_fit import DRIVE_HZ as PLANTED_HZ
@@ -16,7 +16,7 @@ HZ = 1400 * 2 ** (np.arange(1, 185) * 25 / 1200)
 NONE = np.zeros((184, 184))
 # Frequency, quality factor, strength. The first is that of the simulated bench.
 BENCH = (4308.6, 25.0, 0.12)
-BACKGROUND = np.linalg.cholesky(drive_covariance(HZ, QUIET))
+BACKGROUND = np.linalg.cholesky(quiet_ripple(HZ).covariance)
 
 
 def log_drive(*lines, seed=0, noise=0.005):

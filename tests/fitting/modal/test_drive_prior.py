@@ -1,44 +1,111 @@
 """Tests of what is known of a drive before a fit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scipy import integrate, stats
+from scipy import optimize, stats
 
-from fitting.modal.drive_prior import LEAST_GAIN, QUIET, drive_covariance, drive_prior, found_gain
+from fitting.modal.drive_prior import (
+    LEAST_GAIN,
+    DrivePrior,
+    KnownMagnitude,
+    found_gain,
+    found_ripple,
+    lively_ripple,
+    quiet_ripple,
+)
 
 DOF = 4.0
 HZ = np.geomspace(1400, 20000, 184)
 
 
-def log_density(magnitude, variance, gain):
-    """Log density of one magnitude, by integration over its scatter."""
-
-    def both(scatter):
-        smooth = stats.norm.pdf(magnitude - scatter, 0, np.sqrt(variance))
-        return smooth * stats.t.pdf(scatter / gain, DOF) / gain
-
-    edges = [0, magnitude]
-    return np.log(integrate.quad(both, -4, 4, points=edges, limit=2000)[0])
-
-
-def test_cost_and_volume_are_the_density_whatever_covariance_gain_and_magnitude():
-    off = []
-    for magnitude, variance, gain in [
-        (0.0, 0.01, 0.003), (0.05, 0.01, 0.003), (0.5, 0.01, 0.003), (0.5, 0.0625, 0.003),
-        (0.5, 0.01, 0.1), (0.0, 0.01, 0.1),
-    ]:  # fmt: skip
-        prior = drive_prior(np.array([magnitude]), np.array([[variance]]), gain, DOF)
-        found = 0.5 * (prior.log_volume - prior.cost)
-        off.append(found - log_density(magnitude, variance, gain))
-    # A constant is left out. Laplace's method is off by less than a quarter of a neper.
-    assert np.ptp(off) < 0.25
-
-
 def test_the_scatter_of_holograms_is_found_around_a_smooth_drive():
     rng = np.random.default_rng(1)
-    covariance = drive_covariance(HZ, QUIET)
+    covariance = quiet_ripple(HZ).covariance
     smooth = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(HZ))) @ rng.standard_normal(len(HZ))
     for gain in (0.005, 0.02):
         magnitude = smooth + gain * rng.standard_normal(len(HZ))
         assert found_gain(magnitude, covariance, 0.1, DOF) == pytest.approx(gain, rel=0.3)
     assert found_gain(smooth, covariance, 0.1, DOF) == LEAST_GAIN
+
+
+NOISE = 0.01
+# A pole with a notch, of quality 20 and 6 dB.
+POLE_HZ, QUALITY = 5000.0, 20.0
+POLE = np.log(np.abs(1 + 0.05 / (1 - (HZ / POLE_HZ) ** 2 + 1j * HZ / POLE_HZ / QUALITY)))
+
+
+def known(magnitude, noise=NOISE):
+    return KnownMagnitude(np.eye(len(HZ)) / noise**2, magnitude / noise**2)
+
+
+def ripple_of(magnitude):
+    start = lively_ripple(quiet_ripple(HZ))
+    return found_ripple(start, known(magnitude), np.full(len(HZ), LEAST_GAIN**2), LEAST_GAIN, DOF)
+
+
+def far_from_pole(ripple):
+    nodes = np.linspace(np.log(HZ[0]), np.log(HZ[-1]), len(ripple.log_size))
+    return np.abs(nodes - np.log(POLE_HZ)) > 0.3
+
+
+def test_ripple_is_found_where_the_pole_of_a_chamber_is_and_nowhere_else():
+    rng = np.random.default_rng(2)
+    found = ripple_of(POLE + NOISE * rng.standard_normal(len(HZ))).ripple
+    size, far = np.exp(found.log_size), far_from_pole(found)
+    # The pole is 0.69 nepers high, and data sheets have 0.1.
+    assert size[~far].max() > 0.3
+    assert size[far].max() < 0.1
+
+
+def test_the_found_size_is_that_of_the_drive():
+    rng = np.random.default_rng(3)
+    ripple = quiet_ripple(HZ)
+    for size in (0.05, 0.2, 0.8):
+        drawn = replace(ripple, log_size=np.full_like(ripple.log_size, np.log(size)))
+        root = np.linalg.cholesky(drawn.finer + 1e-9 * np.eye(len(HZ)))
+        found = ripple_of(
+            root @ rng.standard_normal(len(HZ)) + NOISE * rng.standard_normal(len(HZ))
+        )
+        off = found.ripple.log_size - np.log(size)
+        pulls = off / np.sqrt(np.diag(found.covariance))
+        # 23 nodes: a χ² of 23 with its 0.1 % limits.
+        assert 7 < np.sum(pulls**2) < 50
+
+
+def test_the_sizes_maximise_the_density_of_magnitudes():
+    """Compared with the normal density itself, integrated by no formula of the fit."""
+    rng = np.random.default_rng(4)
+    magnitude = POLE + NOISE * rng.standard_normal(len(HZ))
+    scatter = np.full(len(HZ), LEAST_GAIN**2)
+    start = lively_ripple(quiet_ripple(HZ))
+    # A Student distribution of many degrees of freedom is normal, and its variance known.
+    found = found_ripple(start, known(magnitude), scatter, LEAST_GAIN, 1e9).ripple
+
+    def density(node, log_size):
+        sizes = found.log_size.copy()
+        sizes[node] = log_size
+        covariance = replace(found, log_size=sizes).covariance
+        covariance += np.diag(scatter + NOISE**2)
+        off = log_size - np.log(0.1)
+        return stats.multivariate_normal(cov=covariance).logpdf(magnitude) - np.logaddexp(off, -off)
+
+    for node in (3, 9, 10, 15):
+        best = optimize.minimize_scalar(
+            lambda log_size, node=node: -density(node, log_size), bounds=np.log((0.012, 2.3))
+        )
+        assert best.x == pytest.approx(found.log_size[node], abs=0.05)
+
+
+def test_a_prior_that_a_fit_had_is_taken_out():
+    rng = np.random.default_rng(5)
+    ripple = lively_ripple(quiet_ripple(HZ))
+    magnitude = POLE + NOISE * rng.standard_normal(len(HZ))
+    scatter = np.full(len(HZ), LEAST_GAIN**2)
+    curvature = np.linalg.inv(ripple.covariance + np.diag(scatter))
+    covariance = np.linalg.inv(curvature + np.eye(len(HZ)) / NOISE**2)
+    prior = DrivePrior(0.0, -curvature @ magnitude, curvature, scatter)
+    alone = KnownMagnitude.of(covariance @ magnitude / NOISE**2, covariance, prior)
+    np.testing.assert_allclose(alone.precision, np.eye(len(HZ)) / NOISE**2, atol=1e-3 / NOISE**2)
+    np.testing.assert_allclose(alone.pull, magnitude / NOISE**2, atol=1e-5 / NOISE**2)

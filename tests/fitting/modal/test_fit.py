@@ -9,7 +9,7 @@ from fitting.errors import FitError
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.modal.drive_prior import QUIET, drive_covariance
+from fitting.modal.drive_prior import quiet_ripple
 from fitting.modal.fit import _LAST, _inverse, fit_modes
 from fitting.modal.model import (
     KNOWN_DRIVE_DOF,
@@ -486,7 +486,7 @@ def point():
         hz,
         np.log(np.full(len(k), 3.0)),
         UNKNOWN_DRIVE_DOF,
-        drive_covariance(hz, QUIET),
+        quiet_ripple(hz),
         powers,
         reference,
         MODE_HZ[:5],

@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
+from fitting.holograms.alternating_minimisation import Solution, cost
 from fitting.holograms.bessel import BesselTable
+from fitting.holograms.block_amplitudes import BlockAmplitudes
+from fitting.holograms.displacement import Displacements, explained_amplitudes
+from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.problem import Problem
+from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.within_blocks import (
     from_middle,
     mean_bend,
@@ -94,3 +99,68 @@ def test_without_slopes_nothing_is_taken_off(problem, amplitude):
     field, still = np.ones(len(flat.functions), np.complex64), np.zeros(HOLOGRAMS)
     assert speckle_positions(flat, amplitude, still, field, np.ones(HOLOGRAMS)) is None
     assert from_middle(flat, amplitude, still, field, None) is flat
+
+
+def test_explained_amplitudes_are_those_of_even_light_in_each_block(plate, amplitude):
+    x, y, functions, within = plate
+    steps = np.arange(HOLOGRAMS)
+    size = functions.shape[1]
+    blocks = BlockAmplitudes(
+        np.zeros((len(x), HOLOGRAMS), np.complex64), x, y, (SIDE, SIDE), steps, steps,
+        1000.0 + steps, np.ones(HOLOGRAMS),
+    )  # fmt: skip
+    names = tuple(f"F{i + 1}" for i in range(size))
+    basis = ShapeBasis(
+        functions.astype(np.float32), np.eye(size), names, 1e3 * np.arange(1, size + 1),
+        np.zeros(size),
+    )  # fmt: skip
+    rng = np.random.default_rng(9)
+    light, gain = complex_normal(rng, len(x)), 0.1 * rng.standard_normal(HOLOGRAMS)
+    found = Displacements(
+        amplitude_rad=amplitude,
+        information=np.zeros((HOLOGRAMS, 2 * size, 2 * size)),
+        common_mode=CommonModeError(
+            np.zeros((HOLOGRAMS, 2 * size, 0)), np.zeros((HOLOGRAMS, 0, 0))
+        ),
+        recording_rank=steps,
+        misfit=np.ones(HOLOGRAMS),
+        gain=gain,
+        gain_nepers=0.1,
+        object_field=light.astype(np.complex64),
+        field_variance=None,
+        change=None,
+        reached=np.ones(HOLOGRAMS, bool),
+    )
+    lit = np.exp(gain)[:, None] * light
+    expected = lit * np.mean([moved(amplitude @ f.T) for f in within], axis=0)
+    without = lit * moved(amplitude @ functions.T)
+    off = explained_amplitudes(blocks, basis, found) - expected
+    assert np.linalg.norm(off) < 0.25 * np.linalg.norm(without - expected)
+
+
+def test_fringes_too_narrow_for_blocks_do_not_explain_a_calm_hologram(problem, plate):
+    """They would explain any residual by their variance, which makes it less likely."""
+    rng = np.random.default_rng(10)
+    calm = 0.5 * complex_normal(rng, HOLOGRAMS, 4)
+    light = 30 * complex_normal(rng, len(plate[0]))
+    seen = light * moved(calm @ plate[2].T) + complex_normal(rng, HOLOGRAMS, len(light))
+    seen = replace(Problem.of(seen.T, plate[2], BesselTable()), slopes=problem.slopes)
+    gain, field = np.zeros(HOLOGRAMS), light.astype(np.complex64)
+    costs = [cost(seen, Solution(a, gain, field)) for a in (calm, 300 * calm)]
+    assert (costs[0] < costs[1]).all()
+
+
+def test_the_cost_of_a_hologram_is_minus_the_log_of_its_density(problem, plate, amplitude):
+    """A complex normal density of the variance that narrow fringes and the field add to noise."""
+    rng = np.random.default_rng(11)
+    light = 5 * complex_normal(rng, len(plate[0]))
+    value = complex_normal(rng, len(plate[0]), HOLOGRAMS)
+    variance = rng.uniform(0, 3, (HOLOGRAMS, len(light))).astype(np.float32)
+    # Without slopes, only the field adds to the noise.
+    own = replace(Problem.of(value, plate[2], BesselTable()), slopes=None)
+    gain = np.zeros(HOLOGRAMS)
+    found = cost(own, Solution(amplitude, gain, light.astype(np.complex64), variance))
+    fringe = moved(amplitude @ plate[2].T)
+    whole = 1 + np.abs(fringe) ** 2 * variance
+    expected = np.sum(np.log(whole) + np.abs(value.T - light * fringe) ** 2 / whole, axis=1)
+    assert found == pytest.approx(expected, rel=1e-3)

@@ -355,6 +355,38 @@ def test_a_hologram_without_information_is_off(sweep):
     assert (np.abs(cents(fit.hz, sweep.hz[:5])) < 3 * fit.error_cents).all()
 
 
+def test_an_error_that_all_displacements_share_is_found(sweep):
+    rng = np.random.default_rng(12)
+    holograms, size = len(DRIVE_HZ), 2 * FUNCTIONS
+    power = np.sqrt(np.mean(np.abs(sweep.displacements.amplitude_rad) ** 2, axis=1))
+    # 55 is the number of parameters of an object field's smooth factor.
+    response = power[:, None, None] * rng.standard_normal((holograms, size, 55))
+    planted_error = 0.03 * rng.standard_normal(55)
+    moved = np.einsum("kxq,q->kx", response, planted_error)
+    amplitude = sweep.displacements.amplitude_rad - moved[:, :FUNCTIONS]
+    amplitude = amplitude - 1j * moved[:, FUNCTIONS:]
+    error = CommonModeError(response, np.zeros((holograms, 55, 55)))
+    fit = sweep.fit(amplitude_rad=amplitude, common_mode=error)
+    assert fit.common_mode_shift.shape == (holograms, 55)
+    off = fit.common_mode_shift - planted_error
+    assert np.sqrt(np.mean(off**2)) < 0.2 * np.sqrt(np.mean(planted_error**2))
+    assert (np.abs(cents(fit.hz, sweep.hz[:5])) < 3.5 * fit.error_cents).all()
+
+
+def test_a_pole_of_the_chamber_adds_to_the_errors_of_modes_next_to_it_only():
+    pole_hz = 1.05 * MODE_HZ[3]
+    pole = np.abs(1 + 0.3 / (1 - (DRIVE_HZ / pole_hz) ** 2 + 1j * DRIVE_HZ / pole_hz / 20))
+    plain, lively = planted(6), planted(6, drive_dof=list(enumerate(pole)))
+    fits = [each.fit() for each in (plain, lively)]
+    for each, fit in zip((plain, lively), fits, strict=True):
+        assert (np.abs(cents(fit.hz, each.hz[:5])) < 3 * fit.error_cents).all()
+    more = fits[1].error_cents / fits[0].error_cents
+    far = np.abs(np.log(MODE_HZ[:5] / pole_hz)) > 0.25
+    assert far.any()
+    assert (more[far] < 1.2).all()
+    assert more[3] > 1.3
+
+
 def test_equal_errors_of_neighbours_count_less(sweep):
     """The same discrepancy in runs of eight holograms, and one that is new in each.
 

@@ -401,7 +401,7 @@ def _finish(
     own = np.concatenate([number[:count, 2 * powers], number[:count, 2 * powers + 1]])
     covariance = factor * end.covariance[np.ix_(own, own)]
     if found is not None:
-        moved = _by_ripple(model, end)[own]
+        moved = posterior.with_ripple(model, state)[own] / factor
         covariance += moved @ found.covariance @ moved.T
     mixes = prior.free[count:, :count]
     nearest = np.abs(np.log(model.hz[:, None] / own_hz)).argmin(axis=0)
@@ -432,17 +432,6 @@ def _finish(
         off=_off(displacements, end.noise),
         state=state,
     )
-
-
-def _by_ripple(model: Model, end: _Round) -> Array:
-    """Return derivatives (q, n) of the parameters by the log sizes of the drive's ripple."""
-    curvature = drive_prior_at(model, end.state).curvature
-    pulled = curvature @ (end.state.log_drive.real - model.log_volts)
-    ripple, posterior = model.ripple, Posterior.of(end.here, end.covariance, 1.0)
-    by_size = ripple.share * (ripple.finer @ pulled)[:, None]
-    by_size += ripple.finer @ (ripple.share * pulled[:, None])
-    moved: Array = posterior.with_log_magnitude @ curvature @ by_size
-    return moved
 
 
 def _spread(prior: Prior) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from fitting.modal.model import Model, Prior, State, Terms
+from fitting.modal.model import Model, Prior, State, Terms, drive_prior_at
 from fitting.modal.normal_equations import Equations
 from holography.arrays import Array
 
@@ -69,6 +69,15 @@ class Posterior:
         count = len(self.given) // 2
         moved = self.response[:, :count]
         found: Array = moved.T @ self.covariance @ moved + self.given[:count, :count]
+        return found
+
+    def with_ripple(self, model: Model, state: State) -> Array:
+        """Return derivatives (q, n) of the fitted parameters by the log sizes of the ripple."""
+        ripple, curvature = model.ripple, drive_prior_at(model, state).curvature
+        pulled = curvature @ (state.log_drive.real - model.log_volts)
+        by_size = ripple.share * (ripple.finer @ pulled)[:, None]
+        by_size += ripple.finer @ (ripple.share * pulled[:, None])
+        found: Array = self.with_log_magnitude @ curvature @ by_size
         return found
 
     def common_mode(self, count: int) -> Array:

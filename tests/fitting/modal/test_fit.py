@@ -27,7 +27,8 @@ from fitting.modal.normal_equations import (
     evaluate,
     negative_gradient,
 )
-from fitting.modal.optimiser import minimise_cost
+from fitting.modal.optimiser import minimise_cost, without_drive
+from fitting.modal.posterior import Posterior
 from tests.numbers import cents, complex_normal
 
 # Six modes, the last one beyond the sweep.
@@ -622,6 +623,36 @@ def settled(point, monkeypatch, iterations, following):
     monkeypatch.setattr("fitting.modal.optimiser._FOLLOWING", following)
     state = minimise_cost(point.model, point.data, point.prior, point.state, iterations)
     return evaluate(point.model, point.data, point.prior, state)
+
+
+def test_parameters_follow_the_ripple_as_their_derivatives_say(point, monkeypatch):
+    for name in ("_LEAST_PROGRESS", "_LEAST_GAIN"):
+        monkeypatch.setattr(f"fitting.modal.optimiser.{name}", 1e-12)
+    # The scatter is normal: its variance does not change with the ripple.
+    model = replace(point.model, drive_dof=1e9)
+    ripple = model.ripple
+    # With small residuals, second derivatives of the amplitudes matter less.
+    data = replace(point.data, amplitude=terms(model, point.state).amplitude)
+
+    def at(log_size, state):
+        livelier = replace(model, ripple=replace(ripple, log_size=log_size))
+        for _ in range(6):
+            state = minimise_cost(livelier, data, point.prior, state, 20)
+        return state
+
+    state = at(ripple.log_size, point.state)
+    here = equations(model, data, point.prior, state)
+    covariance = np.linalg.inv(without_drive(here, 0.0, np.float64)[0])
+    found = Posterior.of(here, covariance, 1.0).with_ripple(model, state)
+    free, errors = point.prior.free, np.sqrt(np.diag(covariance))
+    expected = np.zeros((np.count_nonzero(free), len(ripple.log_size)))
+    for node, move in enumerate(0.05 * np.eye(len(ripple.log_size))):
+        ends = [at(ripple.log_size + sign * move, state).x[free] for sign in (1, -1)]
+        expected[:, node] = (ends[0] - ends[1]) / 0.1
+    off, whole = (
+        part / errors[: len(part), None] for part in (found[: len(expected)] - expected, expected)
+    )
+    assert np.linalg.norm(off) < 0.5 * np.linalg.norm(whole)
 
 
 def test_steps_that_follow_newtons_get_farther_on_the_same_equations(point, monkeypatch):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fitting.acoustics.poles import ExcitationPeak
-from fitting.modal.excess_scatter import added_cents
+from fitting.cane.excess_scatter import added_cents
 from holography.arrays import Array
 
 # Peaks of several reeds are one line if they are this close, or within so many standard errors of

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import least_squares
 
+from fitting.cane.excess_scatter import added_cents, is_misfit
 from fitting.errors import FitError
 from fitting.forward import (
     ForwardModel,
@@ -14,7 +15,6 @@ from fitting.forward import (
     name_similarity,
     viscoelastic_cents,
 )
-from fitting.modal.excess_scatter import added_cents, is_misfit
 from fitting.resonance import Resonance
 from holography.arrays import Array
 from physics.reed.cane.viscoelastic import (
@@ -198,7 +198,7 @@ def _least_squares(
     """Return components (count,), covariance, χ² per degree of freedom, and excess scatter.
 
     A reed differs from its model by more than the errors of its frequencies, also at the modes that
-    are known best. The residuals show by how much (see `fitting.modal.excess_scatter`).
+    are known best. The residuals show by how much (see `fitting.cane.excess_scatter`).
     """
     errors, freedom = _errors_cents(observed), len(observed) - count
     values, jacobian = _weighted(observed, errors, model, np.zeros(count))

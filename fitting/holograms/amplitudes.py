@@ -1,7 +1,5 @@
 """Amplitudes of holograms from a known object field, and the object field from amplitudes."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.stats import median_abs_deviation
 
@@ -116,24 +114,10 @@ def block_object_field(
     return found
 
 
-@dataclass(frozen=True)
-class Gains:
-    """Slow changes of log gains, and what is left.
+def gain_scatter(problem: Problem, gain: Array, matrix: Array) -> float:
+    """Return the standard deviation of log gains (k,) around what changes slowly, in nepers.
 
-    Attributes
-    ----------
-    slow : (k,) float
-        Mean log gain of the holograms recorded before and after each.
-    scatter_nepers : float
-        Standard deviation of log gains around it.
-    """
-
-    slow: Array
-    scatter_nepers: float
-
-
-def split_gains(problem: Problem, gain: Array, matrix: Array) -> Gains:
-    """Split log gains (k,) into slow changes and scatter.
+    Slow changes of brightness belong to the object field.
 
     Parameters
     ----------
@@ -151,7 +135,7 @@ def split_gains(problem: Problem, gain: Array, matrix: Array) -> Gains:
     # Half of the precision, as the misfit is half of χ².
     sure = known > 0.5 / GAIN_NEPERS**2
     if np.count_nonzero(sure) < _FEWEST_GAINS:
-        return Gains(np.zeros(len(gain)), GAIN_NEPERS)
+        return GAIN_NEPERS
     known = np.where(sure, known, 0)
     # Without what the prior does to them.
     free = np.where(sure, gain * (1 + problem.half_gain_precision / np.maximum(known, 1e-9)), 0)
@@ -159,12 +143,7 @@ def split_gains(problem: Problem, gain: Array, matrix: Array) -> Gains:
     apart = np.subtract.outer(problem.recording_rank, problem.recording_rank) / _SLOW
     window = np.exp(-0.5 * apart**2) * (1 - np.eye(len(gain))) * weight
     slow: Array = window @ free / (window.sum(axis=1) + 0.5 / GAIN_NEPERS**2)
-    left = (free - slow)[sure]
-    scatter = float(median_abs_deviation(left, scale="normal"))
+    scatter = float(median_abs_deviation((free - slow)[sure], scale="normal"))
     own = float(np.median(0.5 / known[sure]))
     found = np.sqrt(max(scatter**2 - own, 0.0))
-    # What scatter alone gives the mean of the neighbours is no slow change.
-    chance = scatter**2 * np.sum(window**2, axis=1) / np.maximum(window.sum(axis=1), 1e-9) ** 2
-    changing = max(float(np.mean(slow**2 - chance)), 0.0)
-    slow = slow * changing / np.maximum(changing + chance, np.finfo(float).tiny)
-    return Gains(slow, float(np.clip(found, _LEAST_GAIN_NEPERS, GAIN_NEPERS)))
+    return float(np.clip(found, _LEAST_GAIN_NEPERS, GAIN_NEPERS))

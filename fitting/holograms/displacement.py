@@ -20,7 +20,7 @@ from fitting.holograms.alternating_minimisation import (
     alternating_step,
     weighed,
 )
-from fitting.holograms.amplitudes import FINAL_RAD, fit_amplitudes, split_gains
+from fitting.holograms.amplitudes import FINAL_RAD, fit_amplitudes, gain_scatter
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.changing_field import (
@@ -59,6 +59,9 @@ _MOST_RETRIES = 3
 # leaves single holograms unexplained: all displacements may then be too small by a factor.
 _FEW_STARTS, _MOST_STARTS = 3, 10
 _MOST_EXPLAINED, _EXPLAINED = 0.8, 2.0
+# Two starts have led to the same displacements if they are the same within a twentieth in nine of
+# ten holograms: neighbouring fringes are farther apart at all displacements up to 60 rad.
+_SAME, _MOST_SAME = 0.95, 0.9
 # If a smaller fraction of the holograms is explained, the continuation is repeated with the
 # converged object field.
 _ENOUGH = 0.95
@@ -132,9 +135,14 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
     signal = np.mean(np.abs(block_amplitudes.value) ** 2, axis=0)
     best: Displacements | None = None
     least, relative = np.inf, np.full(len(signal), np.inf)
+    before: list[ComplexArray] = []
     for number, start in enumerate(starts_of(first, block_amplitudes, basis), 1):
         search = continued(first, block_amplitudes, basis, start)
-        rough = None if search is None else _from_search(whole, block_amplitudes, search)
+        if search is None or any(_same_displacements(search.amplitude, each) for each in before):
+            rough = None
+        else:
+            before.append(search.amplitude.copy())
+            rough = _from_search(whole, block_amplitudes, search)
         if rough is not None and _whole_misfit(rough.misfit, whole.seen) < least - _SETTLED:
             least = _whole_misfit(rough.misfit, whole.seen)
             best = _refined(whole, block_amplitudes, rough)
@@ -151,6 +159,14 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
             "with less volts"
         )
     return best
+
+
+def _same_displacements(one: ComplexArray, other: ComplexArray) -> bool:
+    """Whether most holograms have the same amplitudes (k, j), up to their phases."""
+    power = np.maximum(np.sum(np.abs(one) ** 2, axis=1), np.sum(np.abs(other) ** 2, axis=1))
+    known = power > 0
+    alike = np.abs(np.sum(one.conj() * other, axis=1))[known] > _SAME * power[known]
+    return bool(alike.mean() > _MOST_SAME) if known.any() else True
 
 
 def _problem_of(blocks: BlockAmplitudes, basis: ShapeBasis) -> Problem:
@@ -295,12 +311,10 @@ def _finished(
     at = Solution(at.amplitude[steps], at.gain[steps], *_rows_of(at, steps), at.positions)
     sweep = _Sweep(problem, problem.exact(), smooth, change)
     at, step = _settled(sweep, at, most_turns)
-    for _ in range(_MOST_CHANGES):
+    for _ in range(1 if most_turns == _QUICK_TURNS else _MOST_CHANGES):
         before, now = sweep.change, _change_of(problem, at, step)
-        gains = split_gains(sweep.problem, at.gain, step.linear.normal.matrix)
-        # Whether slow changes belong to the gains or to the object field is a choice.
-        at = replace(at, gain=at.gain - gains.slow)
-        sweep = sweep.with_gains(gains.scatter_nepers, now)
+        scatter_nepers = gain_scatter(sweep.problem, at.gain, step.linear.normal.matrix)
+        sweep = sweep.with_gains(scatter_nepers, now)
         at, step = _settled(sweep, at, most_turns)
         if before is not None and _same(before, now):
             break

@@ -109,14 +109,23 @@ class DrivePrior:
         Negative gradient of half the cost.
     curvature : (k, k) float
         Half the Hessian of the cost, for the weights that the scatter has at this state.
-    variance : (k,) float
-        Variance of the scatter of every hologram at this state.
+    scatter_volume : float
+        Log of the variances of the scatter over the square of its scale, summed over holograms.
     """
 
     cost: float
     gradient: Array
     curvature: Array
-    variance: Array
+    scatter_volume: float
+
+    @property
+    def log_volume(self) -> float:
+        """Twice the log of the density's factors and of the volume of the scatter.
+
+        With the cost, it gives the log density of a magnitude whose scatter is unknown, by
+        Laplace's method and up to a constant.
+        """
+        return float(np.linalg.slogdet(self.curvature)[1]) + self.scatter_volume
 
 
 def drive_prior(magnitude: Array, covariance: Array, gain: float, dof: float) -> DrivePrior:
@@ -133,17 +142,35 @@ def drive_prior(magnitude: Array, covariance: Array, gain: float, dof: float) ->
     dof : float
         Degrees of freedom of its Student distribution.
     """
+    variance, scatter, weighted = _split(magnitude, covariance, gain, dof)
+    smooth = magnitude - scatter
+    cost = (dof + 1) * np.sum(np.log1p((scatter / gain) ** 2 / dof)) + smooth @ weighted
+    gradient = -(dof + 1) * scatter / (dof * gain**2 + scatter**2)
+    curvature = linalg.inv(covariance + np.diag(variance))
+    volume = float(np.sum(np.log(variance / gain**2)))
+    return DrivePrior(float(cost), gradient, 0.5 * (curvature + curvature.T), volume)
+
+
+def _split(
+    magnitude: Array, covariance: Array, gain: float, dof: float
+) -> tuple[Array, Array, Array]:
+    """Split a magnitude (k,) into a smooth part and scatter.
+
+    Returns
+    -------
+    variance : (k,) float
+        Of the scatter.
+    scatter : (k,) float
+    weighted : (k,) float
+        Magnitude, multiplied by the inverse of its covariance.
+    """
     variance = np.full(len(magnitude), gain**2)
     for _ in range(_TURNS):
         factor = linalg.cho_factor(covariance + np.diag(variance), lower=True, check_finite=False)
         weighted = linalg.cho_solve(factor, magnitude, check_finite=False)
         scatter = variance * weighted
         variance = (dof * gain**2 + scatter**2) / (dof + 1)
-    smooth = magnitude - scatter
-    cost = (dof + 1) * np.sum(np.log1p((scatter / gain) ** 2 / dof)) + smooth @ weighted
-    gradient = -(dof + 1) * scatter / (dof * gain**2 + scatter**2)
-    curvature = linalg.inv(covariance + np.diag(variance))
-    return DrivePrior(float(cost), gradient, 0.5 * (curvature + curvature.T), variance)
+    return variance, scatter, weighted
 
 
 def found_gain(magnitude: Array, covariance: Array, gain: float, dof: float) -> float:
@@ -177,6 +204,12 @@ class FoundRipple:
     ripple: Ripple
     covariance: Array
 
+    @property
+    def log_weight(self) -> float:
+        """Log of the prior density of its sizes times their volume, up to a constant."""
+        log_prior = -np.sum(np.log(np.cosh(self.ripple.log_size - np.log(_FINE[0]))))
+        return float(log_prior + 0.5 * np.linalg.slogdet(self.covariance)[1])
+
 
 @dataclass(frozen=True)
 class KnownMagnitude:
@@ -200,9 +233,7 @@ class KnownMagnitude:
         return cls(whole - prior.curvature, whole @ magnitude)
 
 
-def found_ripple(
-    start: Ripple, known: KnownMagnitude, variance: Array, gain: float, dof: float
-) -> FoundRipple:
+def found_ripple(start: Ripple, known: KnownMagnitude, gain: float, dof: float) -> FoundRipple:
     """Find the size of the finer structure at every node by its evidence.
 
     The sizes have a half-Cauchy prior around those of data sheets, which admits poles and notches
@@ -212,11 +243,10 @@ def found_ripple(
     ----------
     start : Ripple
     known : KnownMagnitude
-    variance : (k,) float
-        Variance of the scatter of every hologram, see `DrivePrior`.
     gain, dof : float
         See `drive_prior`.
     """
+    variance = np.full(len(known.pull), gain**2)
     ripple, bounds = start, [tuple(np.log(_FINE_LIMITS))] * len(start.log_size)
     for _ in range(_RIPPLE_TURNS):
 
@@ -227,7 +257,7 @@ def found_ripple(
         ripple = replace(start, log_size=found.x)
         prior = linalg.inv(ripple.covariance + np.diag(variance))
         middle = linalg.solve(prior + known.precision, known.pull, assume_a="sym")
-        variance = drive_prior(middle, ripple.covariance, gain, dof).variance
+        variance = _split(middle, ripple.covariance, gain, dof)[0]
     return FoundRipple(ripple, _size_covariance(ripple, known, variance))
 
 

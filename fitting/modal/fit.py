@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
+from scipy.special import softmax
 
 from fitting.errors import FitError
 from fitting.holograms.displacement import Displacements
@@ -44,11 +45,10 @@ from fitting.modal.field_drift import (
     found_walk,
     shared_error,
 )
+from fitting.modal.first_state import first_state, participation_scale
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import (
     KNOWN_DRIVE_DOF,
-    LOSS,
-    TAIL_TERMS,
     UNKNOWN_DRIVE_DOF,
     Model,
     Prior,
@@ -70,16 +70,16 @@ from fitting.modal.noise import (
 from fitting.modal.normal_equations import (
     Data,
     Equations,
+    Evaluation,
     equations,
+    evaluate,
 )
 from fitting.modal.optimiser import minimise_cost, without_drive
 from fitting.modal.posterior import Posterior, participation_error, resonant_displacements
-from holography.arrays import Array, ComplexArray
+from holography.arrays import Array
 
 # Participations are polynomials of log frequency of this degree.
 _DEGREE = 4
-# Least scale of a participation.
-_LEAST_SCALE = 3e-3
 # Added to the diagonal of a matrix of unit diagonal: more than its rounding.
 _ROUNDING = 1e-11
 # How often the discrepancy is estimated.
@@ -139,21 +139,24 @@ def fit_modes(
     else:
         state = _again(known, displacements, len(shared.precision))
         rounds, scatter = _AGAIN, _Scatter(known.discrepancy, known.field_walk)
-    prior = stage_prior(model, _LAST, centre_hz, _scale(model, state))
+    prior = stage_prior(model, _LAST, centre_hz, participation_scale(model, state))
     for _ in range(rounds):
         same = displacements, drift, noise, prior
         end = _round(model, *same, state, scatter)
         state, noise, scatter = end.state, end.noise, end.next_scatter
         if most_off is not None and np.count_nonzero(_off(displacements, noise)) > most_off:
-            return _finish(model, displacements, basis.names, end)
+            return _finish(displacements, basis.names, [_Optimum.of(model, end)])
     if drive_dof == KNOWN_DRIVE_DOF:
-        return _finish(model, displacements, basis.names, end)
+        return _finish(displacements, basis.names, [_Optimum.of(model, end)])
     livelier = replace(model, ripple=lively_ripple(model.ripple))
-    end = _round(livelier, *same, state, scatter)
-    found = _found_ripple(livelier, end)
-    model = replace(model, ripple=found.ripple)
-    end = _round(model, *same, end.state, end.next_scatter)
-    return _finish(model, displacements, basis.names, end, found)
+    lively = _round(livelier, *same, state, scatter)
+    optima = []
+    for before, at in ((model, end), (livelier, lively)):
+        found = _found_ripple(before, at)
+        here = replace(model, ripple=found.ripple)
+        # The same scatter for both: only then can their evidence be compared.
+        optima.append(_Optimum.of(here, _round(here, *same, at.state, scatter), found))
+    return _finish(displacements, basis.names, optima)
 
 
 def _found_ripple(model: Model, end: "_Round") -> FoundRipple:
@@ -161,7 +164,7 @@ def _found_ripple(model: Model, end: "_Round") -> FoundRipple:
     magnitude, prior = end.state.log_drive.real - model.log_volts, drive_prior_at(model, end.state)
     covariance = Posterior.of(end.here, end.covariance, 1.0).log_magnitude
     known = KnownMagnitude.of(magnitude, covariance, prior)
-    return found_ripple(model.ripple, known, prior.variance, end.state.gain, model.drive_dof)
+    return found_ripple(model.ripple, known, end.state.gain, model.drive_dof)
 
 
 def _model(
@@ -212,12 +215,12 @@ def _staged(
     model: Model, displacements: Displacements, noise: Noise, shared: SharedError, centre_hz: Array
 ) -> State:
     """Fit with priors that widen from stage to stage."""
-    state, scale = _begin(model, displacements, len(shared.precision))
+    state, scale = first_state(model, displacements, len(shared.precision))
     for stage in _STAGES:
         prior = stage_prior(model, stage, centre_hz, scale)
         data = data_of(displacements.amplitude_rad, shared, noise, stage.discrepancy)
         state = minimise_cost(model, data, prior, _fixed(prior, state), stage.iterations)
-        scale = _scale(model, state)
+        scale = participation_scale(model, state)
     return state
 
 
@@ -238,58 +241,6 @@ def _fixed(prior: Prior, state: State) -> State:
     return replace(state, x=np.where(prior.free, state.x, prior.centre))
 
 
-def _scale(model: Model, state: State) -> Array:
-    """Return the rms participation (m,) of each mode."""
-    p = terms(model, state).participation
-    scale: Array = np.maximum(np.sqrt(np.mean(np.abs(p) ** 2, axis=0)), _LEAST_SCALE)
-    return scale
-
-
-def _begin(model: Model, displacements: Displacements, shared: int) -> tuple[State, Array]:
-    """Find the constant participations for which holograms are most nearly multiples of a model."""
-    known = np.any(displacements.amplitude_rad, axis=1)
-    amplitude, information = displacements.amplitude_rad[known], displacements.information[known]
-    size, modes = amplitude.shape[1], len(model.reference)
-    real, cross, imaginary = (
-        information[:, :size, :size],
-        information[:, size:, :size] - information[:, :size, size:],
-        information[:, size:, size:],
-    )
-    hermitian = 0.5 * (real + imaginary) + 0.5j * cross
-    ratio = (model.hz[known, None] / model.reference_hz) ** (2 - model.stiffening)
-    columns = (1 / (1 + 1j * LOSS - ratio))[:, None, :] * model.reference.T
-    seen = hermitian @ columns
-    force = np.einsum("kij,kj->ki", hermitian, amplitude)
-    power = np.einsum("ki,ki->k", amplitude.conj(), force).real
-    along = np.einsum("kim,ki->km", columns.conj(), force)
-    whole = np.einsum("kim,kin,k->mn", columns.conj(), seen, 1 / power, optimize=True)
-    explained = np.einsum("km,kn,k->mn", along, along.conj(), 1 / power**2, optimize=True)
-    weak = 1e-5 * np.trace(whole).real / modes * np.eye(modes)
-    p = linalg.eigh(whole - explained, whole + weak)[1][:, 0]
-    p = p / np.abs(p).max()
-    expected = columns @ p
-    drive = np.einsum("ki,ki->k", expected.conj(), amplitude)
-    drive = drive / np.sum(np.abs(expected) ** 2, axis=1)
-    # Holograms without information get the drive of their neighbours.
-    log_drive = np.interp(np.log(model.hz), np.log(model.hz[known]), np.log(np.abs(drive))) + 0j
-    log_drive[known] = np.log(drive)
-    state = State(_constant(model, p), log_drive, np.zeros(shared))
-    return state, np.maximum(np.abs(p), _LEAST_SCALE)
-
-
-def _constant(model: Model, p: ComplexArray) -> Array:
-    """Return parameters (v, p): constant participations, expected loss factors, no mixing."""
-    count, powers = len(model.active), model.powers.shape[1]
-    x = np.zeros((count + len(model.reference), model.slots))
-    x[:count, 0], x[:count, powers] = p[model.active].real, p[model.active].imag
-    x[:count, 2 * powers] = np.log(model.reference_hz[model.active])
-    x[:count, 2 * powers + 1] = np.log(LOSS)
-    rest = p[model.passive]
-    x[count + model.passive, count] = rest.real
-    x[count + model.passive, count + TAIL_TERMS] = rest.imag
-    return x
-
-
 @dataclass(frozen=True)
 class _Round:
     """Result of one round of the fit.
@@ -301,6 +252,8 @@ class _Round:
     here : Equations
     covariance : (q, q) float
         Covariance of all parameters except the drive.
+    log_evidence : float
+        Log of the evidence, but for a constant that rounds with the same data and priors share.
     whitened_residual : (k, 2j) float
         Residuals along the noise's directions, in standard deviations.
     misfit : float
@@ -319,6 +272,7 @@ class _Round:
     state: State
     here: Equations
     covariance: Array
+    log_evidence: float
     whitened_residual: Array
     misfit: float
     scatter: _Scatter
@@ -343,7 +297,8 @@ def _round(
     state, weighed = _fixed(prior, state), data.weighing(1 / scatter.correlated)
     state = with_gain(model, minimise_cost(model, weighed, prior, state, _LAST.iterations))
     here = equations(model, weighed, prior, state)
-    covariance = _inverse(without_drive(here, 0.0, np.float64)[0])
+    alone, root, _ = without_drive(here, 0.0, np.float64)
+    covariance = _inverse(alone)
     freedoms = (
         2 * data.amplitude.size - 2 * len(model.hz) - _effective_parameters(prior, data, covariance)
     )
@@ -358,6 +313,7 @@ def _round(
         state=state,
         here=here,
         covariance=covariance,
+        log_evidence=_log_evidence(evaluate(model, weighed, prior, state), alone, root),
         whitened_residual=whitened_residual,
         misfit=float(np.sum(whitened_residual**2)) / freedoms,
         scatter=scatter,
@@ -374,35 +330,85 @@ def _round(
     )
 
 
+def _log_evidence(at: Evaluation, matrix: Array, drive_root: Array) -> float:
+    """Return the log evidence by Laplace's method, for the equations of `without_drive`."""
+    known = float(np.linalg.slogdet(matrix)[1]) + 2 * float(np.sum(np.log(np.diag(drive_root))))
+    return 0.5 * (at.drive_prior.log_volume - known - at.cost)
+
+
+@dataclass(frozen=True)
+class _Optimum:
+    """One optimum of the fit.
+
+    Attributes
+    ----------
+    model : Model
+    end : _Round
+    log_evidence : float
+    logs : (2a,) float
+        Log frequencies and log loss factors of the active modes.
+    covariance : (2a, 2a) float
+        Their covariance, with that of the drive's ripple.
+    factor : float
+        Factor on all variances.
+    """
+
+    model: Model
+    end: _Round
+    log_evidence: float
+    logs: Array
+    covariance: Array
+    factor: float
+
+    @classmethod
+    def of(cls, model: Model, end: _Round, found: FoundRipple | None = None) -> "_Optimum":
+        """Collect an optimum from the last round, and the ripple that it had."""
+        # χ² of a round is not exactly as expected, and neighbouring residuals are correlated.
+        factor = end.misfit * end.next_scatter.correlated / end.scatter.correlated
+        count, powers, free = len(model.active), model.powers.shape[1], end.prior.free
+        number = np.full(free.shape, -1)
+        number[free] = np.arange(np.count_nonzero(free))
+        own = number[:count, 2 * powers : 2 * powers + 2].T.ravel()
+        covariance, log_evidence = factor * end.covariance[np.ix_(own, own)], end.log_evidence
+        if found is not None:
+            posterior = Posterior.of(end.here, end.covariance, 1.0)
+            moved = posterior.with_ripple(model, end.state)[own]
+            covariance = covariance + moved @ found.covariance @ moved.T
+            log_evidence += found.log_weight
+        logs = end.state.x[:count, 2 * powers : 2 * powers + 2].T.ravel()
+        return cls(model, end, log_evidence, logs, covariance, factor)
+
+
 def _finish(
-    model: Model,
-    displacements: Displacements,
-    names: Sequence[str],
-    end: _Round,
-    found: FoundRipple | None = None,
+    displacements: Displacements, names: Sequence[str], optima: Sequence[_Optimum]
 ) -> ModalFit:
-    """Return modes and standard errors."""
+    """Return modes and standard errors.
+
+    Frequencies, losses and their errors are averages over all optima, by their evidence; all else
+    is that of the best.
+    """
+    best = max(optima, key=lambda each: each.log_evidence)
+    weights = softmax([each.log_evidence for each in optima])
+    logs = np.sum([w * each.logs for w, each in zip(weights, optima, strict=True)], axis=0)
+    covariance = np.sum(
+        [
+            w * (each.covariance + np.outer(each.logs - logs, each.logs - logs))
+            for w, each in zip(weights, optima, strict=True)
+        ],
+        axis=0,
+    )
+    model, end, factor = best.model, best.end, best.factor
     prior, state, now = end.prior, end.state, terms(model, end.state)
-    # χ² of the last round is not exactly as expected, and neighbouring residuals are correlated.
-    factor = end.misfit * end.next_scatter.correlated / end.scatter.correlated
     # Drive and participations have an undetermined common factor: the errors of participations are
     # those for a given drive.
     given_drive = factor * _inverse(end.here.matrix)
     posterior = Posterior.of(end.here, end.covariance, factor)
     shared = len(state.common_mode_shift)
-    count, powers = len(model.active), model.powers.shape[1]
+    count = len(model.active)
     spread = np.zeros_like(state.x)
     deviations = np.sqrt(factor * np.diag(end.covariance))
     spread[prior.free] = deviations[: np.count_nonzero(prior.free)]
-    logs = slice(2 * powers, 2 * powers + 2)
-    own_hz, own_loss = np.exp(state.x[:count, logs].T)
-    number = np.full(prior.centre.shape, -1)
-    number[prior.free] = np.arange(np.count_nonzero(prior.free))
-    own = np.concatenate([number[:count, 2 * powers], number[:count, 2 * powers + 1]])
-    covariance = factor * end.covariance[np.ix_(own, own)]
-    if found is not None:
-        moved = posterior.with_ripple(model, state)[own] / factor
-        covariance += moved @ found.covariance @ moved.T
+    own_hz, own_loss = np.exp(logs.reshape(2, -1))
     mixes = prior.free[count:, :count]
     nearest = np.abs(np.log(model.hz[:, None] / own_hz)).argmin(axis=0)
     return ModalFit(

@@ -13,8 +13,8 @@ from multiprocessing import get_context
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.cane.excess_scatter import added_cents, is_misfit
 from fitting.errors import FitInputError
-from fitting.modal.excess_scatter import added_cents, is_misfit
 from fitting.populations.flags import (
     SPRING_FLAGS,
     BoundedMetamodel,
@@ -53,7 +53,7 @@ def fit_population(
     A reed's result does not depend on the other reeds, to the last bit. Modes that the metamodel
     does not follow at the fitted moduli (see `FollowingMetamodel`) are left out, and the reed is
     fitted again. A reed whose χ² is too large is fitted again with an excess scatter added to the
-    error of every resonance (see `fitting.modal.excess_scatter.added_cents`).
+    error of every resonance (see `fitting.cane.excess_scatter.added_cents`).
 
     Parameters
     ----------

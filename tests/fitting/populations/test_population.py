@@ -8,10 +8,10 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
+from fitting.cane.excess_scatter import added_cents, is_misfit
 from fitting.cane.reed_fit import COMPONENTS, fit_components
 from fitting.errors import FitInputError
 from fitting.forward import PaperModel, hz_of
-from fitting.modal.excess_scatter import added_cents, is_misfit
 from fitting.paper.constants import adjusted_metamodel
 from fitting.populations import population as populations
 from fitting.populations.flags import Flag, PopulationFit, count_flags

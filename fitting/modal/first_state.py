@@ -1,0 +1,63 @@
+"""The state from which the joint fit of a sweep begins."""
+
+import numpy as np
+from scipy import linalg
+
+from fitting.holograms.displacement import Displacements
+from fitting.modal.model import LOSS, TAIL_TERMS, Model, State, terms
+from holography.arrays import Array, ComplexArray
+
+# Least scale of a participation.
+_LEAST_SCALE = 3e-3
+
+
+def participation_scale(model: Model, state: State) -> Array:
+    """Return the rms participation (m,) of each mode."""
+    p = terms(model, state).participation
+    scale: Array = np.maximum(np.sqrt(np.mean(np.abs(p) ** 2, axis=0)), _LEAST_SCALE)
+    return scale
+
+
+def first_state(model: Model, displacements: Displacements, shared: int) -> tuple[State, Array]:
+    """Find the constant participations for which holograms are most nearly multiples of a model."""
+    known = np.any(displacements.amplitude_rad, axis=1)
+    amplitude, information = displacements.amplitude_rad[known], displacements.information[known]
+    size, modes = amplitude.shape[1], len(model.reference)
+    real, cross, imaginary = (
+        information[:, :size, :size],
+        information[:, size:, :size] - information[:, :size, size:],
+        information[:, size:, size:],
+    )
+    hermitian = 0.5 * (real + imaginary) + 0.5j * cross
+    ratio = (model.hz[known, None] / model.reference_hz) ** (2 - model.stiffening)
+    columns = (1 / (1 + 1j * LOSS - ratio))[:, None, :] * model.reference.T
+    seen = hermitian @ columns
+    force = np.einsum("kij,kj->ki", hermitian, amplitude)
+    power = np.einsum("ki,ki->k", amplitude.conj(), force).real
+    along = np.einsum("kim,ki->km", columns.conj(), force)
+    whole = np.einsum("kim,kin,k->mn", columns.conj(), seen, 1 / power, optimize=True)
+    explained = np.einsum("km,kn,k->mn", along, along.conj(), 1 / power**2, optimize=True)
+    weak = 1e-5 * np.trace(whole).real / modes * np.eye(modes)
+    p = linalg.eigh(whole - explained, whole + weak)[1][:, 0]
+    p = p / np.abs(p).max()
+    expected = columns @ p
+    drive = np.einsum("ki,ki->k", expected.conj(), amplitude)
+    drive = drive / np.sum(np.abs(expected) ** 2, axis=1)
+    # Holograms without information get the drive of their neighbours.
+    log_drive = np.interp(np.log(model.hz), np.log(model.hz[known]), np.log(np.abs(drive))) + 0j
+    log_drive[known] = np.log(drive)
+    state = State(_constant(model, p), log_drive, np.zeros(shared))
+    return state, np.maximum(np.abs(p), _LEAST_SCALE)
+
+
+def _constant(model: Model, p: ComplexArray) -> Array:
+    """Return parameters (v, p): constant participations, expected loss factors, no mixing."""
+    count, powers = len(model.active), model.powers.shape[1]
+    x = np.zeros((count + len(model.reference), model.slots))
+    x[:count, 0], x[:count, powers] = p[model.active].real, p[model.active].imag
+    x[:count, 2 * powers] = np.log(model.reference_hz[model.active])
+    x[:count, 2 * powers + 1] = np.log(LOSS)
+    rest = p[model.passive]
+    x[count + model.passive, count] = rest.real
+    x[count + model.passive, count + TAIL_TERMS] = rest.imag
+    return x

@@ -1,0 +1,1 @@
+"""Reeds that are plausible before anything is measured."""

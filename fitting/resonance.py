@@ -10,6 +10,7 @@ class Resonance:
     Attributes
     ----------
     name : str
+        With a question mark if it is not sure.
     frequency_hz : float
         Drive frequency of the picture.
     error_cents : float
@@ -38,6 +39,10 @@ class Resonance:
         `amplitude_nm` per peak volt of the drive.
     largest_m : (float, float), optional
         Where that is: distances from the tip and from the axis (joint fit).
+    name_probability : float, optional
+        Probability of its name (joint fit). It is not sure below 0.95.
+    candidates : tuple of (str, float)
+        Names that it may have, with their probabilities, the most probable first (joint fit).
     """
 
     name: str
@@ -55,3 +60,5 @@ class Resonance:
     amplitude_error_nm: float | None = None
     nm_per_v: float | None = None
     largest_m: tuple[float, float] | None = None
+    name_probability: float | None = None
+    candidates: tuple[tuple[str, float], ...] = ()

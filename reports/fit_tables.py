@@ -1,6 +1,6 @@
 """Tables of what a fit found: resonances, and parameters of the cane."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from fitting.acoustics.lines import LEAST_REEDS, SeenPeak
@@ -12,7 +12,11 @@ from reports.tables import Column, Table
 # Columns of the terminal, where 80 characters must suffice.
 SHORT_JOINT: Final = ("mode", "hz", "error_cents", "loss_factor", "amplitude_nm", "mac", "step")
 SHORT_PICTURE: Final = ("mode", "hz", "error_cents", "amplitude_nm", "step")
-_NEEDS_JOINT_FIT: Final = ("loss_factor", "response_hz", "participation", "mac")
+_NEEDS_JOINT_FIT: Final = ("loss_factor", "response_hz", "participation", "mac", "name")
+# Column that only a table with a name that is not sure has.
+_NAME: Final = "name"
+# Names less probable than this are not printed: JSON lists them.
+_LEAST_PROBABILITY: Final = 0.05
 
 
 def _with_error(value: tuple[float, float | None]) -> str:
@@ -28,6 +32,12 @@ def nm_text(nm: float, error_nm: float | None) -> str:
     return f"{nm:.1f}" if error_nm is None else f"{nm:.1f} ± {error_nm:.1f}"
 
 
+def candidates_text(candidates: Sequence[tuple[str, float]]) -> str:
+    """Return the names that a mode may have, with their probabilities in per cent."""
+    likely = [(name, p) for name, p in candidates if p >= _LEAST_PROBABILITY]
+    return ", ".join(f"{name} {p:.0%}" for name, p in likely or candidates[:1])
+
+
 def _amplitude(value: tuple[float, float | None]) -> str:
     return nm_text(*value)
 
@@ -35,6 +45,8 @@ def _amplitude(value: tuple[float, float | None]) -> str:
 _RESONANCE_COLUMNS: Final = (
     Column("mode", "mode", meaning="F flexural, T transverse, X generic, L lateral, H heel; "
            "numbered by frequency", wraps=False),
+    Column("name", "name", meaning="where it is not sure: probabilities of the names that the mode "
+           "may have"),
     Column("hz", "frequency", "Hz", ".1f", "resonance frequency"),
     Column("error_cents", "±", "cents", ".1f",
            "standard error of the frequency; 100 cents are a semitone"),
@@ -71,6 +83,7 @@ def resonances_table(sweep: SweepFit, residual_cents: Mapping[str, float] | None
     rows = tuple(
         (
             name,
+            candidates_text(found.candidates) if name in sweep.not_sure else "",
             found.frequency_hz,
             found.error_cents,
             None if found.loss_factor is None else (found.loss_factor, found.loss_error),
@@ -82,20 +95,21 @@ def resonances_table(sweep: SweepFit, residual_cents: Mapping[str, float] | None
             found.nm_per_v,
             residuals.get(name, "not fitted"),
         )
-        for name, found in sweep.resonances.items()
+        for name, found in sweep.measured.items()
     )
     title = f"Reed {sweep.reed}, series {sweep.series}: resonances"
     table = Table(_RESONANCE_COLUMNS, rows, title)
-    if sweep.joint is not None:
-        return table
-    keys = [column.key for column in table.columns if column.key not in _NEEDS_JOINT_FIT]
-    return table.select(*keys)
+    without = {_NAME} if not sweep.not_sure else set()
+    if sweep.joint is None:
+        without |= set(_NEEDS_JOINT_FIT)
+    return table.select(*[column.key for column in table.columns if column.key not in without])
 
 
 def short_resonances_table(sweep: SweepFit) -> Table:
     """Return the resonances of one run, narrow enough for a terminal."""
     keys = SHORT_PICTURE if sweep.joint is None else SHORT_JOINT
-    return resonances_table(sweep).select(*keys)
+    named = (keys[0], _NAME, *keys[1:]) if sweep.not_sure else keys
+    return resonances_table(sweep).select(*named)
 
 
 def remarks(sweep: SweepFit) -> list[str]:

@@ -123,11 +123,11 @@ def write_report(fit: ReedFit, page: Path) -> dict[str, Path]:
 def _figures(sweep: SweepFit, run: Run) -> dict[str, Figure]:
     peaks_hz = _peaks_hz(sweep, run)
     figures = {
-        "contact sheet": contact_sheet(run, sweep.resonances, peaks_hz),
+        "contact sheet": contact_sheet(run, sweep.measured, peaks_hz),
         "response": response_plot(sweep, peaks_hz),
     }
     if sweep.joint:
-        figures["modes"] = mode_sheet(sweep.joint, sweep.resonances)
+        figures["modes"] = mode_sheet(sweep.joint, sweep.measured)
     return figures
 
 

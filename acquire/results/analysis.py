@@ -78,7 +78,10 @@ class FitResult(Result):
         return f"reed {self.sweeps[0].reed}: resonances {found}; {state}"
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return frequency, loss factor and amplitude of every resonance of every run."""
+        """Return frequency, loss factor and amplitude of every resonance of every run.
+
+        A mode whose name is not sure has a question mark after its name.
+        """
         return [
             {
                 "series": sweep.series,
@@ -91,7 +94,7 @@ class FitResult(Result):
                 "step_index": found.step_index,
             }
             for sweep in self.sweeps
-            for name, found in sweep.resonances.items()
+            for name, found in sweep.measured.items()
         ]
 
     def to_json(self) -> dict[str, Any]:

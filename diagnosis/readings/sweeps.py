@@ -283,7 +283,15 @@ def loudness(volts: Array) -> float:
 
 def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepReading:
     modal, phasors, found = fitted.modal, fitted.block_amplitudes, fitted.displacements
-    kept = np.array([m for m, name in enumerate(modal.names) if name in fitted.resonances])
+    # A mode with a new name is left out: its mixing is that into the shape of its first name.
+    kept = np.array(
+        [
+            m
+            for m, (label, name) in enumerate(zip(modal.names, fitted.names, strict=True))
+            if name in fitted.resonances and name == label
+        ],
+        dtype=np.intp,
+    )
     a = len(modal.names)
     both = np.concatenate([kept, a + kept])
     by_index = {

@@ -114,7 +114,7 @@ def mode_amplitudes(
     """
     found, modal, functions = fit.displacements, fit.modal, points.functions
     log_hz, answer = np.log(fit.block_amplitudes.drive_hz), {}
-    for a, name in enumerate(modal.names):
+    for a, name in enumerate(fit.names):
         moved = functions @ modal.resonant.amplitude_rad[a]
         top = int(np.abs(moved).argmax())
         nearest = int(np.abs(log_hz - np.log(modal.hz[a])).argmin())

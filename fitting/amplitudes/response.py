@@ -110,8 +110,10 @@ class Response:
 
 def joint_response(
     fit: JointFit, points: VampPoints, wavelength_m: float
-) -> tuple[Response, dict[str, Resonance]]:
-    """Return the displacements of a jointly fitted sweep, and its resonances with theirs.
+) -> tuple[Response, dict[str, Resonance], dict[str, Resonance]]:
+    """Return the displacements of a jointly fitted sweep, and those of its modes.
+
+    The modes are those with a sure name, and then the others (see `JointFit`).
 
     Parameters
     ----------
@@ -122,7 +124,7 @@ def joint_response(
     """
     blocks, modal = fit.block_amplitudes, fit.modal
     found = mode_amplitudes(fit, points, wavelength_m)
-    nm = np.array([found[name].nm for name in modal.names])
+    nm = np.array([found[name].nm for name in fit.names])
     # Deflections at a mode's largest point, per unit of those of its finite-element shape.
     resonant = np.linalg.norm(modal.resonant.amplitude_rad, axis=1)
     nm_per_rad = nm * np.linalg.norm(modal.shapes, axis=1) / resonant
@@ -130,13 +132,14 @@ def joint_response(
         drive_hz=blocks.drive_hz,
         step_index=blocks.step_index,
         volts=blocks.volts,
-        names=modal.names,
+        names=fit.names,
         amplitude_nm=np.abs(modal.modal_rad) * nm_per_rad,
         peak=peak_amplitudes(fit, points, wavelength_m),
         off=modal.off,
         wavelength_m=wavelength_m,
     )
-    return response, _with_amplitudes(fit.resonances, found)
+    modes = [_with_amplitudes(each, found) for each in (fit.resonances, fit.not_sure)]
+    return response, modes[0], modes[1]
 
 
 def _with_amplitudes(

@@ -218,7 +218,7 @@ def fit_sweep_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> Sweep
         identified.
     """
     joint = fit_jointly(run, reed, model)
-    if not joint.resonances:
+    if not joint.resonances and not joint.not_sure:
         reasons = Counter(joint.not_identified.values()).most_common(1)
         reason = f" ({reasons[0][0]})" if reasons else ""
         raise FitError(
@@ -229,7 +229,7 @@ def fit_sweep_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> Sweep
     blocks = joint.block_amplitudes
     points = vamp_points(reed, cane, joint.basis, blocks.x_m, blocks.y_m)
     wavelength_m = run.reconstruction.transform.wavelength_m
-    response, resonances = joint_response(joint, points, wavelength_m)
+    response, resonances, not_sure = joint_response(joint, points, wavelength_m)
     return SweepFit(
         run.path,
         run.reed,
@@ -239,6 +239,7 @@ def fit_sweep_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> Sweep
         response,
         joint.not_identified,
         joint,
+        not_sure,
     )
 
 

@@ -1,7 +1,7 @@
 """What the fit of one or two runs of a reed found."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,9 @@ class SweepFit:
         Kind of reed.
     resonances : dict
         Found modes by name, in order of frequency.
+    not_sure : dict
+        Measured modes whose name is not sure, by the most probable name with a question mark. They
+        are results of the measurement, but nothing that depends on a name may use them.
     response : Response
     not_identified : dict
         Reasons why other modes within the sweep were not found, by name.
@@ -45,6 +48,13 @@ class SweepFit:
     response: Response
     not_identified: Mapping[str, str]
     joint: JointFit | None = None
+    not_sure: Mapping[str, Resonance] = field(default_factory=dict)
+
+    @property
+    def measured(self) -> dict[str, Resonance]:
+        """All measured modes, in order of frequency: also those whose name is not sure."""
+        both = {**self.resonances, **self.not_sure}
+        return dict(sorted(both.items(), key=lambda item: item[1].frequency_hz))
 
     @cached_property
     def excitation_peaks(self) -> tuple[SeenPeak, ...]:
@@ -59,7 +69,7 @@ class SweepFit:
             modal.state.gain,
             modal.off,
         )
-        mode_hz = {name: mode.frequency_hz for name, mode in self.resonances.items()}
+        mode_hz = {name: mode.frequency_hz for name, mode in self.measured.items()}
         return tuple(
             SeenPeak(self.reed, self.path.name, peak, nearest_mode(peak.hz, mode_hz))
             for peak in found
@@ -96,6 +106,7 @@ class ReedFit:
                 "reed": sweep.reed,
                 "series": sweep.series,
                 "modes": {name: _to_json(sweep, name) for name in sweep.resonances},
+                "not_sure": {name: _to_json(sweep, name) for name in sweep.not_sure},
                 "not_identified": dict(sweep.not_identified),
                 "peak": asdict(largest) if (largest := sweep.response.largest) else None,
                 "response": sweep.response.to_json(),
@@ -122,20 +133,22 @@ class ReedFit:
 
 def _to_json(sweep: SweepFit, name: str) -> dict[str, Any]:
     """Return one found mode with stable keys; some exist only after a joint fit."""
-    found = sweep.resonances[name]
+    found = sweep.measured[name]
     entry: dict[str, Any] = {
         "hz": found.frequency_hz,
         "error_cents": found.error_cents,
         "step_index": found.step_index,
         "method": found.method,
-        "identified": True,
+        "identified": name in sweep.resonances,
         "amplitude_nm": found.amplitude_nm,
         "amplitude_error_nm": found.amplitude_error_nm,
         "nm_per_v": found.nm_per_v,
     }
     if sweep.joint is not None:
         keys = ("response_hz", "loss_factor", "loss_error", "participation", "similarity")
-        entry |= {key: getattr(found, key) for key in keys}
+        entry |= {key: getattr(found, key) for key in (*keys, "name_probability")}
+        if name in sweep.not_sure:
+            entry["candidates"] = dict(found.candidates)
         if found.largest_m is not None:
             entry |= {"x_mm": 1e3 * found.largest_m[0], "y_mm": 1e3 * found.largest_m[1]}
         entry["residual"] = residual_map(sweep.joint, name).to_json()

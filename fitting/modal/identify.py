@@ -1,5 +1,7 @@
 """Find resonances by one joint fit of all holograms of a sweep."""
 
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +24,11 @@ from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.fit import fit_modes
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.start_frequencies import middling_shapes, start_frequencies
+from fitting.names.naming import SURE, ModeNaming, name_modes
 from fitting.resonance import Resonance
 from holography.arrays import Array, ComplexArray
+from physics.errors import ImpossibleReedError
+from physics.plausible.reeds import PlausibleReeds
 from physics.reed.cane.viscoelastic import (
     Components,
     Series,
@@ -33,11 +38,12 @@ from physics.reed.reduced.reed import ReducedReed
 from runs.reader import Run
 
 METHOD = "joint"
+_CENT = float(np.log(2) / 1200)
 # A mode is identified if its amplitude exceeds this multiple of its standard error, and its
 # frequency is known within a step of the sweep.
 _DEVIATIONS, _WIDEST_CENTS = 5.0, 25.0
-# ... and if its shape is still that of its name.
-_LEAST_MAC = 0.5
+# ... if it is more likely a mode of the reed than not, and if its name is sure.
+_MOST_SPURIOUS = 0.5
 # The peak response of a mode is looked for this near to its resonance.
 _PEAK_CENTS = 150.0
 # Holograms that may be outliers, for example at an acoustic resonance, before the fit is repeated.
@@ -59,8 +65,16 @@ class JointFit:
     basis : ShapeBasis
     displacements : Displacements
     modal : ModalFit
+    naming : mapping
+        What is known of the name of each measured mode, by its name in `modal`: the name of the
+        shape that the fit started from.
+    names : tuple of str
+        Names of the modes of `modal`, in its order. No two are the same; one that is not sure ends
+        in a question mark.
     resonances : dict
         Identified modes by name, in order of frequency.
+    not_sure : dict
+        Measured modes whose name is not sure, by the most probable name with a question mark.
     not_identified : dict
         Reason for each of the other modes within the sweep, by name.
     """
@@ -69,7 +83,10 @@ class JointFit:
     basis: ShapeBasis
     displacements: Displacements
     modal: ModalFit
+    naming: Mapping[str, ModeNaming]
+    names: tuple[str, ...]
     resonances: dict[str, Resonance]
+    not_sure: dict[str, Resonance]
     not_identified: dict[str, str]
 
 
@@ -126,7 +143,20 @@ def _fitted(
         modal = fit_modes(
             displacements, basis, block_amplitudes.drive_hz, block_amplitudes.volts, start_hz, modal
         )
-    return joint_fit_of(modal, block_amplitudes, basis, displacements)
+    naming: Mapping[str, ModeNaming] = {}
+    if not _general_doubt(modal, displacements):
+        index = [m for m in range(len(modal.names)) if not _doubt(modal, m, block_amplitudes)]
+        # A reed that is not possible has no names: then all modes are refused.
+        with suppress(ImpossibleReedError):
+            naming = name_modes(
+                modal,
+                basis,
+                (block_amplitudes.x_m, block_amplitudes.y_m),
+                block_amplitudes.drive_hz,
+                np.array(index, dtype=np.intp),
+                PlausibleReeds.of(reed, series),
+            )
+    return joint_fit_of(modal, block_amplitudes, basis, displacements, naming)
 
 
 def joint_fit_of(
@@ -134,21 +164,76 @@ def joint_fit_of(
     block_amplitudes: BlockAmplitudes,
     basis: ShapeBasis,
     displacements: Displacements,
+    naming: Mapping[str, ModeNaming],
 ) -> JointFit:
-    """Decide which modes are identified, and collect the results."""
-    doubts = _doubts(modal, basis, displacements)
-    found = {
-        name: _resonance(modal, m, block_amplitudes, basis)
-        for m, name in enumerate(modal.names)
-        if not doubts[name]
-    }
+    """Decide which modes are identified, and collect the results.
+
+    Parameters
+    ----------
+    modal : ModalFit
+    block_amplitudes : BlockAmplitudes
+    basis : ShapeBasis
+    displacements : Displacements
+    naming : mapping
+        See `JointFit`.
+    """
+    doubts = _doubts(modal, block_amplitudes, displacements, naming)
+    names = final_names(modal.names, naming, {label for label, doubt in doubts.items() if doubt})
+    found = [
+        _resonance(modal, m, names[m], block_amplitudes, basis, naming[label])
+        for m, label in enumerate(modal.names)
+        if not doubts[label]
+    ]
+    found.sort(key=lambda each: each.frequency_hz)
     return JointFit(
         block_amplitudes=block_amplitudes,
         basis=basis,
         displacements=displacements,
         modal=modal,
-        resonances=dict(sorted(found.items(), key=lambda item: item[1].frequency_hz)),
-        not_identified={name: reason for name, reason in doubts.items() if reason},
+        naming=naming,
+        names=names,
+        resonances={each.name: each for each in found if not each.name.endswith("?")},
+        not_sure={each.name: each for each in found if each.name.endswith("?")},
+        not_identified={
+            name: doubts[label]
+            for name, label in zip(names, modal.names, strict=True)
+            if doubts[label]
+        },
+    )
+
+
+def final_names(
+    labels: Sequence[str], naming: Mapping[str, ModeNaming], doubtful: Collection[str]
+) -> tuple[str, ...]:
+    """Return the name of each mode of a fit; no two are the same.
+
+    Modes that are measured have the names that they were given, with a question mark if these are
+    not sure. A mode that is not identified keeps the name that it had, if no other mode has it now;
+    else it takes one that is left.
+
+    Parameters
+    ----------
+    labels : sequence of str
+        Names of the shapes that the fit started from.
+    naming : mapping
+        See `JointFit`.
+    doubtful : collection of str
+        Labels of the modes that are not identified.
+    """
+    given = {
+        label: naming[label].name for label in labels if label in naming and label not in doubtful
+    }
+    taken = set(given.values())
+    rest = [label for label in labels if label not in given]
+    kept = {label: label for label in rest if label not in taken}
+    left = [label for label in labels if label not in taken | set(kept)]
+    others = [label for label in rest if label not in kept]
+    spare = dict(zip(others, left, strict=False))
+    return tuple(
+        given[label] + ("" if naming[label].probability >= SURE else "?")
+        if label in given
+        else kept.get(label) or spare.get(label) or f"{label} again"
+        for label in labels
     )
 
 
@@ -165,33 +250,69 @@ def _with_smooth_drive(modal: ModalFit, drive_hz: Array) -> ComplexArray:
     return expected
 
 
-def _doubts(modal: ModalFit, basis: ShapeBasis, displacements: Displacements) -> dict[str, str]:
-    """Return the reason why each mode is not identified, by name; empty if it is."""
+def _general_doubt(modal: ModalFit, displacements: Displacements) -> str:
+    """Return the reason why no mode of the sweep is identified; empty if there is none."""
     unreached = float(np.mean(~displacements.reached))
     if unreached > _MOST_UNREACHED:
-        reason = f"{unreached:.0%} of the holograms cannot be explained as vibrations of this reed"
-        return dict.fromkeys(modal.names, reason)
+        return f"{unreached:.0%} of the holograms cannot be explained as vibrations of this reed"
     if modal.discrepancy > _MOST_DISCREPANCY:
-        reason = (
+        return (
             f"{modal.discrepancy:.0%} of the vibration is not explained by modes of this kind of "
             "reed; check that reed, clamp and chamber are those of the protocol"
         )
-        return dict.fromkeys(modal.names, reason)
+    return ""
+
+
+def _doubts(
+    modal: ModalFit,
+    block_amplitudes: BlockAmplitudes,
+    displacements: Displacements,
+    naming: Mapping[str, ModeNaming],
+) -> dict[str, str]:
+    """Return the reason why each mode is not identified, by its label; empty if it is."""
+    if general := _general_doubt(modal, displacements):
+        return dict.fromkeys(modal.names, general)
     return {
-        name: _doubt(modal, m, basis.shapes[basis.names.index(name)])
-        for m, name in enumerate(modal.names)
+        label: _doubt(modal, m, block_amplitudes) or _doubt_of_name(naming, label)
+        for m, label in enumerate(modal.names)
     }
 
 
-def _doubt(modal: ModalFit, m: int, shape: Array) -> str:
+def _doubt(modal: ModalFit, m: int, block_amplitudes: BlockAmplitudes) -> str:
+    """Return the reason why a mode is not measured, whatever its name is."""
     if modal.participation_error[m] * _DEVIATIONS > abs(modal.participation[m]):
         return f"its amplitude is below {_DEVIATIONS:g} times its standard error"
     if modal.error_cents[m] > _WIDEST_CENTS:
         return f"the standard error of its frequency is {modal.error_cents[m]:.0f} cents"
-    similarity = mac(modal.shapes[m], shape)
-    if similarity < _LEAST_MAC:
-        return f"its shape differs from that of its name (MAC {similarity:.2f})"
+    # A resonance shows by the response on both sides of it.
+    width = 0.5 * float(modal.loss_factor[m]) + _CENT * float(modal.error_cents[m])
+    first, last = float(block_amplitudes.drive_hz[0]), float(block_amplitudes.drive_hz[-1])
+    if not first * np.exp(width) < modal.hz[m] < last * np.exp(-width):
+        return (
+            f"its resonance ({modal.hz[m]:.0f} Hz) is not inside the sweep ({first:.0f} to "
+            f"{last:.0f} Hz) by more than half its width"
+        )
     return ""
+
+
+def _doubt_of_name(naming: Mapping[str, ModeNaming], label: str) -> str:
+    """Return the reason why a measured mode is no mode of the reed; empty if it may be one."""
+    if not naming:
+        return "no possible reed has modes like those of this sweep"
+    if label not in naming:
+        return "its name is not known: it was not measured in the first fit of this reed"
+    own = naming[label]
+    if own.spurious <= _MOST_SPURIOUS:
+        return ""
+    if own.outside > _MOST_SPURIOUS:
+        return (
+            "by the other modes, its resonance is outside the sweep (probability "
+            f"{own.outside:.0%}): the fit has mistaken something else for it"
+        )
+    return (
+        "a reed with the other modes has none of this frequency and shape (probability "
+        f"{own.spurious:.0%}): the fit has mistaken something else for a mode"
+    )
 
 
 def mac(one: Array, other: Array) -> float:
@@ -200,9 +321,15 @@ def mac(one: Array, other: Array) -> float:
 
 
 def _resonance(
-    modal: ModalFit, m: int, block_amplitudes: BlockAmplitudes, basis: ShapeBasis
+    modal: ModalFit,
+    m: int,
+    name: str,
+    block_amplitudes: BlockAmplitudes,
+    basis: ShapeBasis,
+    naming: ModeNaming,
 ) -> Resonance:
-    hz, name = float(modal.hz[m]), modal.names[m]
+    hz = float(modal.hz[m])
+    likely = naming.name if naming.name in basis.names else modal.names[m]
     nearest = int(np.abs(np.log(block_amplitudes.drive_hz / hz)).argmin())
     participation = np.abs(modal.participation)
     return Resonance(
@@ -216,7 +343,9 @@ def _resonance(
         loss_factor=float(modal.loss_factor[m]),
         loss_error=float(modal.loss_error[m]),
         participation=float(participation[m] / participation.max()),
-        similarity=mac(modal.shapes[m], basis.shapes[basis.names.index(name)]),
+        similarity=mac(modal.shapes[m], basis.shapes[basis.names.index(likely)]),
+        name_probability=naming.probability,
+        candidates=naming.candidates,
     )
 
 

@@ -71,7 +71,7 @@ def fit_same_reed(
             known,
             drive_dof=KNOWN_DRIVE_DOF,
         )
-        return joint_fit_of(modal, block_amplitudes, before.basis, displacements)
+        return joint_fit_of(modal, block_amplitudes, before.basis, displacements, before.naming)
 
 
 def fit_without_unshifted(before: JointFit) -> JointFit:
@@ -94,7 +94,7 @@ def fit_without_unshifted(before: JointFit) -> JointFit:
         displacements, start_hz, _ = _from_before(less, before, moved=False)
         # The drive that was fitted to the same holograms is no other look at it.
         modal = fit_modes(displacements, before.basis, less.drive_hz, less.volts, start_hz)
-        return joint_fit_of(modal, less, before.basis, displacements)
+        return joint_fit_of(modal, less, before.basis, displacements, before.naming)
 
 
 def _from_before(

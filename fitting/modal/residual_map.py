@@ -56,7 +56,7 @@ def residual_map(fit: JointFit, name: str) -> ResidualMap:
         Name of one of its modes.
     """
     block_amplitudes = fit.block_amplitudes
-    hz = fit.modal.hz[fit.modal.names.index(name)]
+    hz = fit.modal.hz[fit.names.index(name)]
     nearest = np.argsort(np.abs(np.log(block_amplitudes.drive_hz / hz)))[:3]
     square = squared_residual(fit, nearest).mean(axis=0)
     cells = np.stack(

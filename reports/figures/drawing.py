@@ -184,7 +184,7 @@ def draw_response(axes: Axes, sweep: SweepFit, lines_hz: Sequence[float]) -> Non
     _dress(axes, response)
     resonances = {
         name: (found.frequency_hz, found.amplitude_nm, found.amplitude_error_nm)
-        for name, found in sweep.resonances.items()
+        for name, found in sweep.measured.items()
         if found.amplitude_nm is not None
     }
     peaks = [(found_hz, nm) for found_hz, nm, _ in resonances.values()]
@@ -212,7 +212,7 @@ def draw_response(axes: Axes, sweep: SweepFit, lines_hz: Sequence[float]) -> Non
     for letter, word in (
         ("F", "flexural"), ("T", "transverse"), ("X", "generic"), ("L", "lateral"),
     ):  # fmt: skip
-        if letter in {name[0] for name in sweep.resonances}:
+        if letter in {name[0] for name in sweep.measured}:
             axes.plot([], [], color=_DARK_COLOUR[letter], label=f"{letter}: {word} modes")
     axes.legend(loc="upper right", frameon=False)
     how = "peak amplitude of every mode" if sweep.joint else "fringes counted for each mode shape"

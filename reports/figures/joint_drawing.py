@@ -91,7 +91,7 @@ def _words(name: str, found: Resonance) -> str:
 
 def _values(fit: JointFit, name: str) -> tuple[Array, Array, Array]:
     """Amplitude of the hologram nearest to a resonance, shape, and residual of the hologram."""
-    m = fit.modal.names.index(name)
+    m = fit.names.index(name)
     nearest = int(np.abs(np.log(fit.block_amplitudes.drive_hz / fit.modal.hz[m])).argmin())
     amplitude = np.abs(fit.block_amplitudes.value[:, nearest]).astype(float)
     white = np.percentile(amplitude, _WHITE_PERCENTILE)

@@ -117,8 +117,8 @@ def test_a_turn_that_the_modal_fit_adds_to_all_displacements_changes_no_size(tur
     fit.displacements.common_mode.response[0, :, 0] = [0.0, 0.0, 3.0, 0.0]
     stretched = 3.0 * abs(1 + 1j * turn_rad)
     fit.block_amplitudes = SimpleNamespace(drive_hz=np.array([2000.0]), volts=np.array([2.0]))
+    fit.names = ("F1",)
     fit.modal = SimpleNamespace(
-        names=("F1",),
         hz=np.array([2000.0]),
         common_mode_shift=np.array([[turn_rad]]),
         resonant=SimpleNamespace(

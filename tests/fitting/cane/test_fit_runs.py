@@ -133,7 +133,7 @@ def test_json_has_the_documented_keys(fitted, sweep_a):
     assert {len(values) for values in response.values()} == {87}
     assert run == {
         "path": str(sweep_a), "reed": REED, "series": "A", "modes": answer["modes"],
-        "not_identified": {}, "excitation_peaks": [],
+        "not_sure": {}, "not_identified": {}, "excitation_peaks": [],
     }  # fmt: skip
 
 

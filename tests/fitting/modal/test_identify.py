@@ -10,10 +10,12 @@ import pytest
 from fitting.cane.fit_runs import fit_runs, method_name
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
-from fitting.modal.identify import _doubts, _with_smooth_drive, mac
+from fitting.modal.identify import _with_smooth_drive, joint_fit_of, mac
 from fitting.modal.residual_map import residual_map
 from fitting.modal.start_frequencies import _outweighing, _room_cents
-from physics.reed.cane.viscoelastic import Components
+from fitting.names.naming import SURE, ModeNaming, name_modes
+from physics.plausible.reeds import PlausibleReeds
+from physics.reed.cane.viscoelastic import Components, Series
 from reports.figures.drawing import png_of
 from reports.figures.joint_drawing import mode_sheet
 from reports.fit_tables import SHORT_JOINT, remarks, short_resonances_table
@@ -62,12 +64,14 @@ def test_loss_factors_are_those_of_the_bench(sweep):
 
 def test_what_is_said_of_a_mode_is_of_that_mode(jointly, sweep):
     run = json.loads(json.dumps(jointly.to_json(), allow_nan=False))["runs"][0]
-    assert set(run["modes"]) | set(run["not_identified"]) == set(sweep.joint.modal.names)
-    assert not set(run["modes"]) & set(run["not_identified"])
+    parts = [set(run[key]) for key in ("modes", "not_sure", "not_identified")]
+    assert set.union(*parts) == set(sweep.joint.names)
+    assert sum(map(len, parts)) == len(sweep.joint.names)
     for name, mode in run["modes"].items():
         found = sweep.resonances[name]
         assert mode["method"] == "joint"
         assert mode["identified"] is True
+        assert SURE <= mode["name_probability"] <= 1
         assert mode["hz"] == found.frequency_hz
         assert abs(cents_of(mode["response_hz"]) - cents_of(mode["hz"])) < 150
         assert 0 < mode["participation"] <= 1
@@ -132,12 +136,80 @@ def test_every_identified_mode_is_drawn(sweep):
 
 def test_modes_of_another_kind_of_reed_are_not_believed(sweep):
     joint = sweep.joint
-    doubts = _doubts(replace(joint.modal, discrepancy=0.3), joint.basis, joint.displacements)
-    assert set(doubts) == set(joint.modal.names)
-    assert all("check that reed" in reason for reason in doubts.values())
     few = replace(joint.displacements, reached=np.arange(len(joint.displacements.reached)) % 3 > 0)
-    doubts = _doubts(joint.modal, joint.basis, few)
-    assert all("cannot be explained" in reason for reason in doubts.values())
+    for modal, displacements, reason in (
+        (replace(joint.modal, discrepancy=0.3), joint.displacements, "check that reed"),
+        (joint.modal, few, "cannot be explained"),
+    ):
+        found = refit_of(joint, modal=modal, displacements=displacements)
+        assert not found.resonances
+        assert not found.not_sure
+        assert set(found.not_identified) == set(joint.modal.names)
+        assert all(reason in each for each in found.not_identified.values())
+
+
+def refit_of(joint, **changes):
+    """The results of a fit with some of its parts changed."""
+    parts = ("modal", "block_amplitudes", "basis", "displacements", "naming")
+    return joint_fit_of(**{name: changes.get(name, getattr(joint, name)) for name in parts})
+
+
+def test_a_resonance_at_the_first_step_is_not_identified(sweep):
+    """A resonance shows by both of its sides."""
+    joint, found = sweep.joint, sweep.resonances["F1"]
+    for inside in (-0.5, 2.0):
+        first_hz = found.frequency_hz * (1 - inside * found.loss_factor)
+        drive_hz = np.maximum(joint.block_amplitudes.drive_hz, first_hz)
+        cut = refit_of(joint, block_amplitudes=replace(joint.block_amplitudes, drive_hz=drive_hz))
+        assert ("F1" in cut.resonances) == (inside > 0)
+        assert ("F1" in cut.not_identified) == (inside < 0)
+        assert "T1" in cut.resonances
+
+
+def test_a_mode_above_the_last_step_is_not_identified(sweep):
+    """F4 of this reed is 60 cents above it; the fit finds something at 17.1 kHz."""
+    last_hz = sweep.joint.block_amplitudes.drive_hz[-1]
+    beyond = [name for name, hz in found_of_fit(sweep) if hz > last_hz]
+    assert beyond
+    assert set(beyond) <= set(sweep.not_identified)
+
+
+def found_of_fit(sweep):
+    return zip(sweep.joint.names, sweep.joint.modal.hz.tolist(), strict=True)
+
+
+def test_labels_that_are_exchanged_are_put_right(sweep, reed):
+    """Names come from frequencies and shapes, not from the shapes that the fit started from."""
+    joint, exchanged = sweep.joint, {"X1": "L1", "L1": "X1", "T3": "F3", "F3": "T3"}
+    labels = tuple(exchanged.get(name, name) for name in joint.modal.names)
+    blocks, modal = joint.block_amplitudes, replace(joint.modal, names=labels)
+    index = [m for m, name in enumerate(joint.names) if name in sweep.resonances]
+    places_m = blocks.x_m, blocks.y_m
+    reeds = PlausibleReeds.of(reed, Series.A)
+    naming = name_modes(modal, joint.basis, places_m, blocks.drive_hz, np.array(index), reeds)
+    found = refit_of(joint, modal=modal, naming=naming)
+    assert {name: each.frequency_hz for name, each in found.resonances.items()} == found_hz(sweep)
+
+
+def test_a_mode_whose_name_is_not_sure_is_shown_but_used_by_no_name(jointly, sweep):
+    label = sweep.joint.modal.names[sweep.joint.names.index("X1")]
+    unsure = ModeNaming("X1", 0.6, (("X1", 0.6), ("L1", 0.4)), 0.0, 0.0)
+    joint = refit_of(sweep.joint, naming={**sweep.joint.naming, label: unsure})
+    assert set(sweep.resonances) - set(joint.resonances) == {"X1"}
+    assert list(joint.not_sure) == ["X1?"]
+    found = replace(sweep, resonances=joint.resonances, not_sure=joint.not_sure, joint=joint)
+    assert list(found.measured).index("X1?") == list(sweep.resonances).index("X1")
+    run = replace(jointly, sweeps=(found,)).to_json()["runs"][0]
+    assert "X1" not in run["modes"]
+    entry = json.loads(json.dumps(run["not_sure"]["X1?"]))
+    assert entry["candidates"] == {"X1": 0.6, "L1": 0.4}
+    assert (entry["identified"], entry["name_probability"]) == (False, 0.6)
+    assert entry["hz"] == sweep.resonances["X1"].frequency_hz
+    rows = {row["mode"]: row for row in short_resonances_table(found).records()}
+    assert rows["X1?"]["name"] == "X1 60%, L1 40%"
+    assert rows["F1"]["name"] == ""
+    assert "name" not in short_resonances_table(sweep).records()[0]
+    assert len(mode_sheet(joint, found.measured).axes) == 4 * len(sweep.resonances) + 2
 
 
 def test_a_mode_outweighs_others_at_its_peak_response():

@@ -1,0 +1,1 @@
+"""Names of fitted modes, with their probabilities."""

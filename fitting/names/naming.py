@@ -1,0 +1,258 @@
+"""Names of fitted modes, with their probabilities.
+
+The reed that has the measured modes (`fitting.names.reed_posterior`) is drawn many times from its
+posterior. Each draw has names by the nomenclature of `physics.reed.mode_classification`, from nodal
+lines of its shapes; a measured mode has the name of the draw's mode that it is. At an avoided
+crossing a mode has the characters of two names. Each name then has the share of the motion that
+bears it out as its weight, and a name belongs to one mode only.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.special import softmax
+
+from fitting.holograms.shape_basis import ShapeBasis
+from fitting.modal.modal_fit import ModalFit
+from fitting.names.measured import measured_modes
+from fitting.names.reed_posterior import ReedPosterior, reed_posterior
+from holography.arrays import Array
+from physics.plausible.reeds import PlausibleReeds
+from physics.reed.elements.fem import Symmetry
+from physics.reed.mode_classification import ModeDescriptor, names_of, similarities
+from physics.reed.reduced.reed import ReducedReed
+from physics.reed.surface import surface_shapes
+
+# A name is sure from this probability on.
+SURE = 0.95
+# Draws of the reed. Chosen: a probability of 0.95 is then known to 0.015.
+_DRAWS, _SEED = 200, 0
+# Names that are less probable are not listed.
+_LISTED = 0.01
+# A motion without a name bears out this much of one: as in `mode_classification`.
+_LEAST_CLAIM = 0.1
+# Probabilities of names below this are left out.
+_NEGLIGIBLE = 1e-3
+# Lateral modes and modes of the heel.
+_NUMBERED = "LH"
+# Scale of differences between a measured mode and one of a draw: of 1 - MAC, and in cents. Chosen:
+# draws follow measured frequencies to their errors, but for modes that cross.
+_UNLIKE, _AWAY_CENTS = 0.02, 20.0
+# Weight of a name that a mode cannot have, in the choice of the most probable names of all.
+_IMPOSSIBLE = 1e-9
+
+
+@dataclass(frozen=True)
+class ModeNaming:
+    """Name of a fitted mode.
+
+    Attributes
+    ----------
+    name : str
+        In the most probable assignment of names to all modes: no two modes have the same.
+    probability : float
+        That the mode is a mode of the reed, and has this name.
+    candidates : tuple of (str, float)
+        All names with a probability of at least 0.01, the most probable first.
+    spurious : float
+        Probability that no mode of a plausible reed is there.
+    outside : float
+        Probability that its resonance is outside the sweep, by all other modes.
+    """
+
+    name: str
+    probability: float
+    candidates: tuple[tuple[str, float], ...]
+    spurious: float
+    outside: float
+
+
+def name_modes(
+    modal: ModalFit,
+    basis: ShapeBasis,
+    places_m: tuple[Array, Array],
+    drive_hz: Array,
+    index: NDArray[np.intp],
+    reeds: PlausibleReeds,
+) -> dict[str, ModeNaming]:
+    """Name the modes of a fit.
+
+    Parameters
+    ----------
+    modal : ModalFit
+    basis : ShapeBasis
+    places_m : ((n,) float, (n,) float)
+        Points x and y of the functions of the basis.
+    drive_hz : (k,) float
+        Drive frequencies of the sweep.
+    index : (a,) int
+        Modes that are measured well enough.
+    reeds : PlausibleReeds
+
+    Returns
+    -------
+    dict of ModeNaming
+        By the name that the mode has in `modal`.
+
+    Raises
+    ------
+    ImpossibleReedError
+        If no possible reed has such modes.
+    """
+    if not len(index):
+        return {}
+    measured = measured_modes(modal, index)
+    visible = visible_coordinates(reeds.reed, basis, *places_m)
+    ends_hz = float(drive_hz[0]), float(drive_hz[-1])
+    found = reed_posterior(reeds, visible, measured, ends_hz)
+    weights = softmax([each.log_evidence for each in found])
+    probabilities: list[dict[str, float]] = [{} for _ in index]
+    for weight, each in zip(weights.tolist(), found, strict=True):
+        for total, own in zip(probabilities, name_probabilities(each, weight), strict=True):
+            for name, probability in own.items():
+                total[name] = total.get(name, 0.0) + weight * probability
+    labels = [modal.names[m] for m in index]
+    return {
+        label: replace(naming, spurious=float(spurious), outside=float(outside))
+        for (label, naming), spurious, outside in zip(
+            named(dict(zip(labels, probabilities, strict=True))).items(),
+            weights @ [each.spurious for each in found],
+            weights @ [each.outside for each in found],
+            strict=True,
+        )
+    }
+
+
+def visible_coordinates(reed: ReducedReed, basis: ShapeBasis, x_m: Array, y_m: Array) -> Array:
+    """Return the coordinates (j, s) in a basis of what is seen of each coordinate of a reed."""
+    surface = surface_shapes(reed, x_m, y_m)
+    size = sum(part.size for part in reed.loose.values())
+    answer = np.zeros((basis.functions.shape[1], size))
+    for start, (key, part) in zip(reed.starts, reed.loose.items(), strict=True):
+        answer[:, start : start + part.held] = basis.functions.T @ surface[key] / len(x_m)
+    return answer
+
+
+def name_probabilities(posterior: ReedPosterior, fraction: float = 1.0) -> list[dict[str, float]]:
+    """Return the probability of each name of each measured mode.
+
+    Parameters
+    ----------
+    posterior : ReedPosterior
+    fraction : float
+        Fraction of the draws that this posterior is worth.
+
+    Returns
+    -------
+    list of dict
+        For each measured mode, name → probability. What is missing to 1 is the probability that it
+        is no mode of the reed.
+    """
+    draws = max(1, round(fraction * _DRAWS))
+    rng = np.random.default_rng(_SEED)
+    root = np.linalg.cholesky(posterior.covariance)
+    steps = rng.standard_normal((draws, len(root))) @ root.T
+    drawn_hz, mixings = posterior.nearby.modes(posterior.mean + steps)
+    answer: list[dict[str, float]] = [{} for _ in posterior.mode]
+    for hz, mixing in zip(drawn_hz, mixings, strict=True):
+        own = exchanged_names(posterior.nearby.descriptors(mixing))
+        for a, m in _same_modes(posterior, hz, mixing):
+            for name, probability in own[m].items():
+                real = probability * (1 - float(posterior.spurious[a])) / draws
+                answer[a][name] = answer[a].get(name, 0.0) + real
+    return answer
+
+
+def _same_modes(posterior: ReedPosterior, hz: Array, mixing: Array) -> list[tuple[int, int]]:
+    """Return which mode of a draw each measured mode is.
+
+    Modes that hardly influence each other cross from draw to draw: then their shapes say which is
+    which, and not their order.
+    """
+    found, measured = np.flatnonzero(posterior.mode >= 0), posterior.measured
+    shape = posterior.seen @ mixing
+    shape = shape / np.maximum(np.linalg.norm(shape, axis=0), 1e-30)
+    unlike = 1 - (measured.shape[found] @ shape) ** 2
+    away = (measured.ln_hz[found, None] - np.log(hz)) / (_AWAY_CENTS * np.log(2) / 1200)
+    rows, columns = linear_sum_assignment(unlike / _UNLIKE + away**2)
+    return list(zip(found[rows].tolist(), columns.tolist(), strict=True))
+
+
+def exchanged_names(descriptors: Sequence[ModeDescriptor]) -> list[dict[str, float]]:
+    """Return the probability of each name of each of m motions of one reed.
+
+    Every motion has its own name, or that of another motion which then has its. The odds are those
+    of the fractions of both motions that bear these names out.
+
+    Parameters
+    ----------
+    descriptors : sequence of ModeDescriptor
+        As for `physics.reed.mode_classification.names_of`.
+    """
+    names = [naming.name for naming in names_of(descriptors)]
+    # Squared, as in the choice of these names.
+    weight = _claims(descriptors, names) ** 2
+    own = np.maximum(np.diag(weight), _LEAST_CLAIM**2)
+    odds = weight * weight.T / np.multiply.outer(own, own)
+    # Lateral modes and those of the heel are numbered by frequency: no other order is possible.
+    kind = np.array([name[0] if name[0] in _NUMBERED else name for name in names])
+    odds[kind[:, None] == kind] = 0.0
+    np.fill_diagonal(odds, 1.0)
+    probability = odds / odds.sum(axis=1, keepdims=True)
+    return [
+        {name: p for name, p in zip(names, row, strict=True) if p > _NEGLIGIBLE}
+        for row in probability.tolist()
+    ]
+
+
+def _claims(descriptors: Sequence[ModeDescriptor], names: Sequence[str]) -> Array:
+    """Return the fraction (m, n) of each motion that bears out each of n names."""
+    outside = np.sum([each.sideways + each.behind for each in descriptors], axis=0)
+    claims = np.zeros((len(outside), len(names)))
+    for each in descriptors:
+        symmetric = each.symmetry is Symmetry.SYMMETRIC
+        own = similarities(each.profiles, each.square, symmetric=symmetric)
+        foreign = {"L": "s" * symmetric, "H": "a" * (not symmetric)}
+        for column, name in enumerate(names):
+            if name[0] not in _NUMBERED:
+                vamp = each.share * (1 - outside)
+                claims[:, column] += vamp * [claim.get(name, 0.0) for claim in own]
+            elif name.lstrip("LH0123456789") == foreign[name[0]]:
+                claims[:, column] += each.sideways if name[0] == "L" else each.behind
+    return claims
+
+
+def named(probabilities: Mapping[str, Mapping[str, float]]) -> dict[str, ModeNaming]:
+    """Choose the most probable names of all modes together.
+
+    Parameters
+    ----------
+    probabilities : mapping
+        For each mode, by the name that it had, name → probability.
+
+    Returns
+    -------
+    dict of ModeNaming
+    """
+    names = sorted({name for own in probabilities.values() for name in own})
+    # A mode that no name is left for keeps none.
+    names += [f"?{number + 1}" for number in range(len(probabilities))]
+    table = np.array([[own.get(name, 0.0) for name in names] for own in probabilities.values()])
+    table = table.reshape(len(probabilities), len(names))
+    # Every mode has a column of its own at least, so that each row is assigned, in order.
+    _, columns = linear_sum_assignment(np.log(np.maximum(table, _IMPOSSIBLE)), maximize=True)
+    answer = {}
+    for row, (label, own) in enumerate(probabilities.items()):
+        column = int(columns[row])
+        listed = sorted(own.items(), key=lambda item: -item[1])
+        answer[label] = ModeNaming(
+            name=names[column],
+            probability=float(table[row, column]),
+            candidates=tuple((name, p) for name, p in listed if p >= _LISTED),
+            spurious=0.0,
+            outside=0.0,
+        )
+    return answer

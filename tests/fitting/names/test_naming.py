@@ -1,0 +1,210 @@
+"""Names of measured modes: probabilities that are right, and no name twice."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fitting.modal.identify import final_names
+from fitting.names.measured import measured_modes
+from fitting.names.naming import (
+    SURE,
+    ModeNaming,
+    exchanged_names,
+    name_probabilities,
+    named,
+)
+from fitting.names.reed_posterior import reed_posterior
+from physics.reed.elements.fem import Symmetry
+from physics.reed.mode_classification import ModeDescriptor
+
+CENT = np.log(2) / 1200
+MEASURED = ("F1", "T1", "F2", "T2", "X1", "L1", "T3", "F3", "X2", "X3", "T4")
+ENDS_HZ = (1417.2, 19_911.9)
+# Numbers of X1 and L1 among all modes of a reed, in order of frequency.
+CLOSE_PAIR = (4, 5)
+NAMES = [f"{letter}{number}" for letter in "FTXLH" for number in range(1, 5)]
+
+
+def probabilities_of(reeds, visible, measured, ends_hz=ENDS_HZ):
+    """Probability of each name of each measured mode, of the most probable reed."""
+    found = reed_posterior(reeds, visible, measured, ends_hz)
+    best = max(found, key=lambda each: each.log_evidence)
+    return best, name_probabilities(best)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_modes_of_a_plausible_reed_have_their_names(reeds, visible, planted, seed):
+    """Whatever their order: names are not those that modes came with."""
+    order = list(np.random.default_rng(seed).permutation(MEASURED))
+    sweep = planted(order, seed)
+    best, found = probabilities_of(reeds, visible, sweep.measured)
+    assert [max(own, key=own.get) for own in found] == order
+    assert min(own[name] for own, name in zip(found, order, strict=True)) > SURE
+    assert best.spurious.max() < 0.01
+    assert best.outside.max() < 1e-6
+
+
+def test_at_an_avoided_crossing_the_name_is_not_sure(reeds, visible, planted):
+    """Half of X1 and half of L1: their characters are shifted until they share both modes."""
+    modes = [0, 1, 2, 3, *CLOSE_PAIR, "T3", "F3", "X2", "X3", "T4"]
+    sweep = planted(modes, shift_5=110.0, shift_6=-110.0)
+    _, found = probabilities_of(reeds, visible, sweep.measured)
+    for own in found[4:6]:
+        assert {"X1", "L1"} <= set(own)
+        assert max(own.values()) < SURE
+        assert own["X1"] + own["L1"] > 0.9
+    assert all(max(own.values()) > SURE for own in found[:4])
+
+
+@pytest.mark.parametrize(("shift", "lower"), [(0.0, "X1"), (180.0, "L1")])
+def test_on_either_side_of_the_crossing_names_are_exchanged(reeds, visible, planted, shift, lower):
+    """The same two frequencies within some cents, and nearly the same visible shapes."""
+    modes = [0, 1, 2, 3, *CLOSE_PAIR, "T3", "F3", "X2", "X3", "T4"]
+    sweep = planted(modes, shift_5=shift, shift_6=-shift)
+    assert sweep.names[4] == lower
+    _, found = probabilities_of(reeds, visible, sweep.measured)
+    upper = {"X1": "L1", "L1": "X1"}[lower]
+    assert found[4].get(lower, 0.0) > 0.9
+    assert found[5].get(upper, 0.0) > 0.9
+
+
+def test_a_mode_beyond_the_sweep_is_not_believed_at_another_frequency(reeds, visible, planted):
+    """A sweep that begins 150 cents above F1, and an F1 that is fitted 230 cents too high."""
+    sweep = planted(MEASURED)
+    measured = sweep.measured
+    first_hz = sweep.hz[0] * 2 ** (150 / 1200)
+    wrong = measured.ln_hz + np.where(np.arange(len(MEASURED)) == 0, 230 * CENT, 0.0)
+    best, found = probabilities_of(
+        reeds, visible, replace(measured, ln_hz=wrong), (first_hz, ENDS_HZ[1])
+    )
+    assert best.spurious[0] > 0.95
+    assert found[0].get("F1", 0.0) < 0.05
+    assert best.spurious[1:].max() < 0.05
+    # The same reed in a sweep that contains F1.
+    best, found = probabilities_of(reeds, visible, measured)
+    assert best.spurious[0] < 0.01
+
+
+def test_a_mode_where_the_reed_has_none_is_spurious(reeds, visible, planted):
+    sweep = planted(MEASURED)
+    measured, k = sweep.measured, MEASURED.index("T3")
+    wrong = measured.ln_hz.copy()
+    wrong[k] += 300 * CENT
+    best, _ = probabilities_of(reeds, visible, replace(measured, ln_hz=wrong))
+    assert best.spurious[k] > 0.5
+    assert np.delete(best.spurious, k).max() < 0.05
+
+
+def test_of_two_fits_of_one_mode_one_is_not_of_the_reed(reeds, visible, planted):
+    sweep = planted((*MEASURED, "F3"))
+    measured = sweep.measured
+    shape = measured.shape.copy()
+    shape[-1] = shape[MEASURED.index("F3")]
+    best, found = probabilities_of(reeds, visible, replace(measured, shape=shape))
+    both = [found[MEASURED.index("F3")], found[-1]]
+    assert sum(own.get("F3", 0.0) > 0.5 for own in both) <= 1
+    modes = best.mode[best.mode >= 0]
+    assert len(set(modes.tolist())) == len(modes)
+
+
+def motions(fraction):
+    """X1 and L1 of half a reed, of which each has a fraction of the other's motion."""
+    lateral = np.array([fraction, 1 - fraction])
+    nodes = np.sign(np.linspace(-1, 1, 20))
+    profiles = np.zeros((20, 7, 2))
+    profiles[:, 1] = nodes[:, None] * np.sqrt(1 - lateral) / np.sqrt(20)
+    return [
+        ModeDescriptor(
+            Symmetry.ANTISYMMETRIC, np.ones(2), lateral, np.zeros(2), profiles, 1 - lateral
+        )
+    ]
+
+
+@pytest.mark.parametrize(
+    ("fraction", "low", "high"), [(0.02, 0.99, 1), (0.35, 0.85, 0.97), (0.49, 0.5, 0.6)]
+)
+def test_a_name_is_as_probable_as_its_mode_is_pure(fraction, low, high):
+    first, second = exchanged_names(motions(fraction))
+    assert low < first["X1"] <= high
+    assert low < second["L1"] <= high
+    assert sum(first.values()) == pytest.approx(1, abs=2e-3)
+    assert first.get("L1", 0.0) == pytest.approx(second.get("X1", 0.0), abs=1e-9)
+
+
+@given(
+    st.dictionaries(
+        st.sampled_from(NAMES),
+        st.dictionaries(st.sampled_from(NAMES), st.floats(0, 1), max_size=6),
+        min_size=1,
+        max_size=12,
+    )
+)
+def test_no_name_is_given_twice(probabilities):
+    found = named(probabilities)
+    assert set(found) == set(probabilities)
+    names = [naming.name for naming in found.values()]
+    assert len(set(names)) == len(names)
+    for label, naming in found.items():
+        assert naming.probability == probabilities[label].get(naming.name, 0.0)
+        assert all(p >= 0.01 for _, p in naming.candidates)
+
+
+@given(st.data())
+def test_final_names_are_all_different(data):
+    """Also those of modes that are not identified, whose names another mode may have now."""
+    labels = data.draw(st.lists(st.sampled_from(NAMES), min_size=1, max_size=10, unique=True))
+    measured = data.draw(st.lists(st.sampled_from(labels), unique=True))
+    given_names = data.draw(
+        st.lists(
+            st.sampled_from(NAMES), min_size=len(measured), max_size=len(measured), unique=True
+        )
+    )
+    naming = {
+        label: ModeNaming(name, data.draw(st.floats(0, 1)), (), 0.0, 0.0)
+        for label, name in zip(measured, given_names, strict=True)
+    }
+    doubtful = {label for label in labels if label not in measured}
+    found = final_names(labels, naming, doubtful)
+    plain = [name.removesuffix("?") for name in found]
+    assert len(set(plain)) == len(plain) == len(labels)
+    for label, name in zip(labels, found, strict=True):
+        if label in measured:
+            sure = naming[label].probability >= SURE
+            assert name == naming[label].name + ("" if sure else "?")
+
+
+def test_an_exchange_of_two_labels_is_put_right():
+    naming = {
+        "X1": ModeNaming("L1", 0.99, (), 0.0, 0.0),
+        "L1": ModeNaming("X1", 0.7, (), 0.0, 0.0),
+        "T3": ModeNaming("F3", 0.99, (), 0.0, 0.0),
+    }
+    labels = ("F1", "X1", "L1", "T3", "F3")
+    assert final_names(labels, naming, {"F1", "F3"}) == ("F1", "L1", "X1?", "F3", "T3")
+
+
+def test_sizes_of_shapes_are_of_no_weight():
+    """What is measured is a direction; errors of the size are projected out."""
+    amplitude = np.array([[3.0, 4.0]])
+    modal = SimpleNamespace(
+        names=("F1",),
+        hz=np.array([2000.0]),
+        covariance=np.diag([1e-6, 1e-4]),
+        shapes=amplitude / 5,
+        participation=np.array([2.0j]),
+        participation_error=np.array([0.1]),
+        resonant=SimpleNamespace(
+            amplitude_rad=amplitude,
+            covariance=(np.outer(amplitude[0], amplitude[0]) + 0.25 * np.eye(2))[None],
+        ),
+    )
+    found = measured_modes(modal, np.array([0]))
+    assert found.shape[0] == pytest.approx([0.6, 0.8])
+    assert found.variance[0] == pytest.approx([0.0, 0.01], abs=1e-12)
+    assert found.error[0] == pytest.approx(1e-3)
+    assert np.exp(found.ln_strength[0]) == pytest.approx(2 * 2000.0**2)
+    assert found.strength_error[0] == pytest.approx(0.05)

@@ -10,7 +10,7 @@ import pytest
 from fitting.cane.fit_runs import fit_runs, method_name
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
-from fitting.modal.identify import _with_smooth_drive, joint_fit_of, mac
+from fitting.modal.identify import _with_smooth_drive, fit_jointly, joint_fit_of, mac
 from fitting.modal.residual_map import residual_map
 from fitting.modal.start_frequencies import _outweighing, _room_cents
 from fitting.names.naming import SURE, ModeNaming, name_modes
@@ -19,6 +19,7 @@ from physics.reed.cane.viscoelastic import Components, Series
 from reports.figures.drawing import png_of
 from reports.figures.joint_drawing import mode_sheet
 from reports.fit_tables import SHORT_JOINT, remarks, short_resonances_table
+from runs.reader import Run
 
 
 @pytest.fixture(scope="module")
@@ -176,6 +177,18 @@ def test_a_mode_above_the_last_step_is_not_identified(sweep):
 
 def found_of_fit(sweep):
     return zip(sweep.joint.names, sweep.joint.modal.hz.tolist(), strict=True)
+
+
+@pytest.mark.slow
+def test_a_sweep_that_begins_above_f1_states_no_wrong_mode(changed, reed, model, true_hz):
+    """Its displacements have no hologram of small amplitude to start from."""
+    first = int(np.ceil(cents_of(true_hz["F1"]) + 350) // 25) + 1
+    with Run.open(changed(only=(first, 173))) as run:
+        found = fit_jointly(run, reed, model)
+    assert "F1" not in found.resonances
+    for name, mode in found.resonances.items():
+        away = abs(float(cents_of(mode.frequency_hz) - cents_of(true_hz[name])))
+        assert away < max(5 * mode.error_cents, 8), name
 
 
 def test_labels_that_are_exchanged_are_put_right(sweep, reed):

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -24,6 +25,10 @@ class WallClock:
     def now_s(self) -> float:
         """Return the seconds since this clock was made."""
         return time.monotonic() - self._start_s
+
+    def date(self) -> datetime:
+        """Return date and time in UTC."""
+        return datetime.now(UTC)
 
     def wait(self, seconds: float) -> None:
         """Sleep; a signal that is handled does not shorten the sleep."""

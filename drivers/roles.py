@@ -8,6 +8,7 @@ may raise in addition, and what it promises, is in its docstring.
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
+from datetime import datetime
 from enum import StrEnum
 from fractions import Fraction
 from types import TracebackType
@@ -219,6 +220,13 @@ class Clock(Protocol):
 
     def now_s(self) -> float:
         """Return the time since some moment before the bench was opened."""
+        ...
+
+    def date(self) -> datetime:
+        """Return date and time in UTC, by which runs of one bench are put in order.
+
+        They pass as `now_s` does, so that drifts from run to run have their true rates.
+        """
         ...
 
     def wait(self, seconds: float) -> None:

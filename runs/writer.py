@@ -10,9 +10,10 @@ import contextlib
 import os
 import shutil
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -74,8 +75,14 @@ class RunWriter:
         Positions of steps that `resume` found damaged; they must be measured again.
     """
 
-    def __init__(self, path: Path, disk: DiskFile, keep: str) -> None:
-        self.path = path
+    def __init__(
+        self,
+        path: Path,
+        disk: DiskFile,
+        keep: str,
+        date: Callable[[], datetime] | None = None,
+    ) -> None:
+        self.path, self._date = path, date or partial(datetime.now, UTC)
         self.damaged: tuple[int, ...] = ()
         self._disk = disk
         self._keep, self._name = keep, "field" if keep == "holograms" else "frames"
@@ -135,7 +142,8 @@ class RunWriter:
                 f"{path}: exists already and is never overwritten; choose another name or move it"
             )
         origin = {"git_revision": git_revision() or "", "package_versions": package_versions()}
-        new = NewRun(plan, bench, labels, reconstruction, uid, now(), origin)
+        began = stamp(bench.clock.date())
+        new = NewRun(plan, bench, labels, reconstruction, uid, began, origin)
         # The file gets its name only when it is finished, so a killed process leaves no bad run.
         unborn = unborn_path(path)
         with contextlib.ExitStack() as undo:
@@ -148,7 +156,7 @@ class RunWriter:
                 disk.sync()
                 prove(path, unborn, new)
                 require_readable(path, unborn)
-                writer = cls(path, disk, plan.protocol.keep)
+                writer = cls(path, disk, plan.protocol.keep, bench.clock.date)
                 undo.callback(writer.close)
                 give_name(unborn, path)
             except _DISK_ERRORS as error:
@@ -432,7 +440,7 @@ class RunWriter:
         return stack
 
     def _set_status(self, status: Status) -> None:
-        self._file["entry/end_time"][()] = "" if status == "running" else now()
+        self._file["entry/end_time"][()] = "" if status == "running" else stamp(self._date())
         self._flush()
         self._file["entry/status"][()] = status
         self._flush()
@@ -488,6 +496,6 @@ def _cut(text: str) -> str:
     return text.encode()[:SENTENCE_BYTES].decode(errors="ignore")
 
 
-def now() -> str:
-    """Return the present time in UTC, ISO 8601, to the second."""
-    return datetime.now(UTC).isoformat(timespec="seconds")
+def stamp(date: datetime) -> str:
+    """Return a time as ISO 8601, to the second."""
+    return date.isoformat(timespec="seconds")

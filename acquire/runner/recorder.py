@@ -10,6 +10,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -31,7 +32,7 @@ from runs.measured_step import MeasuredStep
 from runs.reader import Run
 from runs.records import StepRecord
 from runs.verdict import Verdict
-from runs.writer import RunWriter, now
+from runs.writer import RunWriter, stamp
 
 # Largest number of unfinished steps. Chosen: one waits while one is processed.
 _MAX_WAITING_STEPS: Final = 2
@@ -302,7 +303,8 @@ class Recorder:
         damaged = [str(steps[position].index) for position in self._writer.damaged]
         if damaged:
             reason += f"; damaged on the disk and measured again: step {', '.join(damaged)}"
-        self._writer.reopen(Interruption(first, "resumed", ended, now(), reason))
+        now = stamp(datetime.now(UTC))
+        self._writer.reopen(Interruption(first, "resumed", ended, now, reason))
 
     def _record(self, acquisition: StepAcquisition) -> None:
         step, position = acquisition.step, acquisition.position

@@ -21,7 +21,7 @@ from protocols.plan import Plan
 from protocols.step import Step
 from runs.layout import Interruption, RunLabels
 from runs.verdict import ReadBack, Verdict
-from runs.writer import now
+from runs.writer import stamp
 
 __all__ = [
     "RAMP_S",
@@ -355,7 +355,7 @@ class Runner:
         """If a pause is ordered, switch all outputs off, wait, and open the instruments again."""
         if not self.orders.paused:
             return
-        began = now()
+        began = self._now()
         self._enter(RunState.PAUSED)
         self._require_off("to pause")
         self._announce(f"paused, all outputs are off; continue with: acquire continue {self._path}")
@@ -365,7 +365,7 @@ class Runner:
         self._open_instruments()
         self._enter(RunState.STEPPING)
         recorder.add_interruption(
-            Interruption(position, "paused", began, now(), "a pause was requested")
+            Interruption(position, "paused", began, self._now(), "a pause was requested")
         )
         self._announce("continuing")
 
@@ -377,7 +377,7 @@ class Runner:
         InstrumentError
             The first error, if the bench cannot be switched off or on.
         """
-        began = now()
+        began = self._now()
         try:
             self._require_off("after an instrument failed")
             self._open_instruments()
@@ -385,8 +385,14 @@ class Runner:
             recorder.mark(position, Verdict.INTERRUPTED, str(error))
             error.add_note(str(second))
             raise error from second
-        recorder.add_interruption(Interruption(position, "recovered", began, now(), str(error)))
+        recorder.add_interruption(
+            Interruption(position, "recovered", began, self._now(), str(error))
+        )
         self._announce(f"all outputs were switched off and on again, because of: {error}")
+
+    def _now(self) -> str:
+        """Return the bench's date and time."""
+        return stamp(self._bench.clock.date())
 
     def _require_off(self, when: str) -> None:
         """Switch all outputs off; raise an error if one of them is not confirmed off."""

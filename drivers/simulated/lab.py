@@ -6,6 +6,7 @@ import threading
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from typing import Any, Final
 
@@ -53,13 +54,17 @@ class VirtualClock:
     """A time that passes only during waits."""
 
     def __init__(self) -> None:
-        self._now_s = 0.0
+        self._now_s, self._begun = 0.0, datetime.now(UTC)
         # Devices at the far end of a wire wait on threads of their own.
         self._waiting = threading.Lock()
 
     def now_s(self) -> float:
         """Return the seconds waited for so far."""
         return self._now_s
+
+    def date(self) -> datetime:
+        """Return when this clock was made, later by the time that has passed since on it."""
+        return self._begun + timedelta(seconds=self._now_s)
 
     def wait(self, seconds: float) -> None:
         """Let time pass."""

@@ -1,5 +1,6 @@
 """Drivers of the second laboratory, as a bench file names them: ``package.module:Class``."""
 
+from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from typing import Literal
 
@@ -32,11 +33,15 @@ class VirtualClock:
     """Time that passes when somebody waits for it."""
 
     def __init__(self) -> None:
-        self._now_s = 0.0
+        self._now_s, self._begun = 0.0, datetime.now(UTC)
 
     def now_s(self) -> float:
         """Return the time since the laboratory was opened."""
         return self._now_s
+
+    def date(self) -> datetime:
+        """Return when the laboratory was opened, later by the time that has passed since."""
+        return self._begun + timedelta(seconds=self._now_s)
 
     def wait(self, seconds: float) -> None:
         """Let time pass; nothing if `seconds` is not positive."""

@@ -496,3 +496,12 @@ def test_a_tweeter_that_is_unplugged_moves_nothing(small_plan, open_small_bench)
         images[name] = bench.camera.grab(1, bench.camera.now_s())[0].image
     assert (images["pulled"] != images["off"]).mean() < 1e-3, "but for rounding"
     assert (images["on"] != images["off"]).mean() > 0.05
+
+
+def test_dates_pass_as_the_time_of_the_bench_does(small_plan, open_small_bench):
+    """Runs of a campaign are put in order of time by them: drifts have their true rates."""
+    clock = open_small_bench(small_plan()).clock
+    began, began_s = clock.date(), clock.now_s()
+    clock.wait(250.0)
+    assert clock.now_s() - began_s == pytest.approx(250.0)
+    assert (clock.date() - began).total_seconds() == pytest.approx(250.0)

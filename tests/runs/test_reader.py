@@ -767,6 +767,7 @@ from protocols.protocol import Protocol
 from acquire.runner.quality import Judgement, ReadBack, Verdict
 from acquire.runner.recorder import reconstruction_of
 from runs.reader import MeasuredStep, RunLabels, RunWriter
+from drivers.context import WallClock
 from drivers.registry import Bench
 from drivers.roles import Frame, Preparation
 
@@ -775,7 +776,7 @@ class Fake:
 
 protocol = Protocol.from_file("quick").replace({"sweep.stride": 4})
 plan = make_plan(protocol, BenchFile.from_file())
-bench = Bench("b", "f", Preparation("R", "A", "asymmetric"), 0, Fake(), Fake(), Fake(), Fake())
+bench = Bench("b", "f", Preparation("R", "A", "asymmetric"), 0, Fake(), Fake(), Fake(), WallClock())
 
 def write(path):
     writer = RunWriter.create(path, plan, bench, RunLabels(), reconstruction_of(plan), "u")
@@ -826,13 +827,14 @@ import numpy as np
 from acquire.runner.quality import Judgement, ReadBack, Verdict
 from acquire.runner.recorder import reconstruction_of
 from runs.reader import MeasuredStep, RunLabels, RunWriter
+from drivers.context import WallClock
 from drivers.registry import Bench
 from drivers.roles import Frame, Preparation
 
 class Fake:
     identity, saturation_dn = "fake", 4095
 
-bench = Bench("b", "f", Preparation("R", "A", "asymmetric"), 0, Fake(), Fake(), Fake(), Fake())
+bench = Bench("b", "f", Preparation("R", "A", "asymmetric"), 0, Fake(), Fake(), Fake(), WallClock())
 region = plan.region
 shape = region.height, region.width
 number = 0

@@ -201,8 +201,10 @@ class _Fits:
         try:
             if known is None:
                 return fit_jointly(part.run, self._reed, self._model, light)
-            before, moved = self.found[known.name], part.clamping != known.clamping
-            return fit_same_reed(part.run, before, moved=moved, unshifted=light)
+            # Phases of block amplitudes, leading singular vectors, are arbitrary in each run: the
+            # object field of another run is of no use, even in the same clamping.
+            before = self.found[known.name]
+            return fit_same_reed(part.run, before, moved=True, unshifted=light)
         except FitError as error:
             return error
 

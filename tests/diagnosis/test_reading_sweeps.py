@@ -59,9 +59,9 @@ def test_the_loudest_is_fitted_by_itself_and_handed_on(fitted) -> None:
     assert read == [(name, "up") for name in VOLTS]
     assert not refused
     assert fitted.again == [
-        ("up", "quiet", False),
-        ("quiet", "up", False),
-        ("up", "down", False),
+        ("up", "quiet", True),
+        ("quiet", "up", True),
+        ("up", "down", True),
         ("down", "again", True),
         ("again", "up", True),
     ]

@@ -1,7 +1,7 @@
 """What all runs of a campaign say; less with fewer runs."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from threadpoolctl import threadpool_limits
 
@@ -89,30 +89,59 @@ def read_runs(
         return _read(campaign, bench, progress or (lambda _share: None))
 
 
-def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float], None]) -> Readings:
+def read_unfitted(campaign: Campaign, bench: BenchFile | None = None) -> Readings:
+    """Read what needs no fit of a sweep: calibrations, light at rest, logs of steps, the carrier.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    bench : BenchFile, optional
+        What is known of the bench.
+
+    Returns
+    -------
+    Readings
+        Without sweeps.
+
+    Raises
+    ------
+    RunFileError
+        If a run cannot be read.
+    """
     first = campaign.sweeps[0].run
     dark_parts, flat_parts = campaign.of_kind(RunKind.DARK), campaign.of_kind(RunKind.FLAT)
     lo_parts, still_parts = campaign.of_kind(RunKind.LO_ONLY), campaign.of_kind(RunKind.ORDER0)
     nominal = parameters_of(first, bench)
     dark = read_dark(dark_parts) if dark_parts else None
     offset_dn = dark.offset_dn if dark else nominal.sensor.offset_dn
-    carriers = read_carriers(campaign.sweeps, still_parts)
-    leaking = unshifted_light(campaign.sweeps, still_parts, carriers)
-    sweeps, refused = read_sweeps(campaign.sweeps, lambda share: report(_SWEEPS * share), leaking)
     flat = read_flat(flat_parts, offset_dn) if flat_parts else None
-    report(1.0)
     return Readings(
         dark=dark,
         flat=flat,
         lo=read_local_oscillator(lo_parts, offset_dn) if lo_parts else None,
         stills=tuple(read_rest_holograms(still_parts)),
-        carriers=tuple(carriers),
+        carriers=tuple(read_carriers(campaign.sweeps, still_parts)),
         beat=read_step_log(campaign.sweeps),
-        sweeps=tuple(sweeps),
-        refused=tuple(refused),
-        missing=tuple(_missing(campaign, sweeps, saturated=bool(flat_parts) and flat is None)),
+        sweeps=(),
+        refused=(),
+        missing=tuple(_missing(campaign, (), saturated=bool(flat_parts) and flat is None)),
         rate_hz=float(first.frame_rate_hz),
         nominal=nominal,
+    )
+
+
+def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float], None]) -> Readings:
+    readings = read_unfitted(campaign, bench)
+    still_parts = campaign.of_kind(RunKind.ORDER0)
+    leaking = unshifted_light(campaign.sweeps, still_parts, readings.carriers)
+    sweeps, refused = read_sweeps(campaign.sweeps, lambda share: report(_SWEEPS * share), leaking)
+    report(1.0)
+    saturated = bool(campaign.of_kind(RunKind.FLAT)) and readings.flat is None
+    return replace(
+        readings,
+        sweeps=tuple(sweeps),
+        refused=tuple(refused),
+        missing=tuple(_missing(campaign, sweeps, saturated=saturated)),
     )
 
 

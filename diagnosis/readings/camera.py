@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diagnosis.campaign import CampaignRun
 from fitting.errors import FitInputError
@@ -31,6 +32,8 @@ class DarkFrames:
     row_excess, column_excess : float
         Log of the variance of means of rows, and of columns, in time, over what single pixels make
         of it.
+    hot_pixels : (ny, nx) bool
+        Which pixels these are.
     """
 
     offset_dn: float
@@ -40,6 +43,7 @@ class DarkFrames:
     frames: int
     row_excess: float
     column_excess: float
+    hot_pixels: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -118,16 +122,28 @@ def read_dark(parts: Sequence[CampaignRun]) -> DarkFrames:
             "out, or measure them again"
         )
     moving = np.where(hot, 0.0, frames - level)
-    excess = [
+    rows, columns = (
         float(np.log(np.mean(moving.mean(axis=axis) ** 2) * moving.shape[axis] / noise**2)
               + np.log(len(frames) / (len(frames) - 1)) - np.log(1 - hot.mean()))
         for axis in (2, 1)
-    ]  # fmt: skip
-    return DarkFrames(offset, noise, float(hot.mean()), hot.size, len(frames), *excess)
+    )  # fmt: skip
+    return DarkFrames(offset, noise, float(hot.mean()), hot.size, len(frames), rows, columns, hot)
 
 
-def read_flat(parts: Sequence[CampaignRun], offset_dn: float) -> FlatFrames | None:
-    """Read flat frames; None if all are saturated."""
+def read_flat(
+    parts: Sequence[CampaignRun], offset_dn: float, hot_pixels: NDArray[np.bool_] | None = None
+) -> FlatFrames | None:
+    """Read flat frames; None if all are saturated.
+
+    Parameters
+    ----------
+    parts : sequence of CampaignRun
+    offset_dn : float
+        Digital number of a dark pixel.
+    hot_pixels : (ny, nx) bool, optional
+        Pixels that do not count for the mean signal and its variance: their dark signal is the
+        larger part of a short exposure, and looks like a camera that is not linear.
+    """
     frames, exposure_s = stacked(parts)
     full_dn = min(part.run.saturation_dn for part in parts)
     below = np.median(frames, axis=(1, 2, 3)) < _SATURATED * full_dn
@@ -135,8 +151,11 @@ def read_flat(parts: Sequence[CampaignRun], offset_dn: float) -> FlatFrames | No
         return None
     frames, exposure_s = frames[below], exposure_s[below]
     mean = frames.mean(axis=1) - np.float32(offset_dn)
-    signal = mean.mean(axis=(1, 2))
-    variance = frames.var(axis=1, ddof=1).mean(axis=(1, 2))
+    counts = np.ones(mean.shape[1:], dtype=bool)
+    if hot_pixels is not None and hot_pixels.shape == counts.shape:
+        counts = ~hot_pixels
+    signal = mean[:, counts].mean(axis=1)
+    variance = frames.var(axis=1, ddof=1)[:, counts].mean(axis=1)
     whole = np.einsum("eyx,e->yx", mean, exposure_s) / np.sum(exposure_s**2)
     surface, coefficients = _paraboloid(whole)
     rough = whole / surface

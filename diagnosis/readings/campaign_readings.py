@@ -114,7 +114,9 @@ def read_unfitted(campaign: Campaign, bench: BenchFile | None = None) -> Reading
     nominal = parameters_of(first, bench)
     dark = read_dark(dark_parts) if dark_parts else None
     offset_dn = dark.offset_dn if dark else nominal.sensor.offset_dn
-    flat = read_flat(flat_parts, offset_dn) if flat_parts else None
+    flat = (
+        read_flat(flat_parts, offset_dn, dark.hot_pixels if dark else None) if flat_parts else None
+    )
     return Readings(
         dark=dark,
         flat=flat,

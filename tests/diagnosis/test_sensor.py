@@ -143,3 +143,17 @@ def test_rows_and_columns_of_a_sensor_that_is_not_square_are_as_far_as_they_are(
     # A shift along columns tilts twice as much there as one along rows does here.
     tilt = block.predict(shifted)[:2]
     assert tilt[1] / tilt[0] == pytest.approx(2 * shift_m[1] / shift_m[0])
+
+
+def test_hot_pixels_are_no_nonlinearity() -> None:
+    exposures = [0.02, 0.04, 0.06, 0.08]
+    hot = np.random.default_rng(9).random((N, N)) < 0.01
+    found = read_dark([part([drawn(2400.0 * hot, seed) for seed in range(4)], [0.08] * 4)])
+    lit = [drawn(75e3 * t + 2400.0 * hot, k) for k, t in enumerate(exposures)]
+    known = read_flat([part(lit, exposures)], 50.0, found.hot_pixels)
+    linearity = [v for k, v in left(flat_group(known, found, SENSOR)).items() if "linearity" in k]
+    assert np.abs(linearity).max() < 2
+    # The test has something to find: without the map of hot pixels the camera seems to bend.
+    blind = read_flat([part(lit, exposures)], 50.0)
+    linearity = [v for k, v in left(flat_group(blind, found, SENSOR)).items() if "linearity" in k]
+    assert np.abs(linearity).max() > 4

@@ -364,7 +364,8 @@ class BenchModel:
         state, clocks = segment.state, self.parameters.clocks
         total = np.zeros(len(self._object), dtype=np.complex64)
         moment_s = self._moment_s(segment.start_s)
-        detuning_hz = clocks.detuning_hz + clocks.detuning_hz_h * segment.start_s / 3600
+        middle_h = 0.5 * (segment.start_s + segment.end_s) / 3600
+        detuning_hz = clocks.detuning_hz + clocks.detuning_hz_h * middle_h
         ahead_hz = 1e-6 * clocks.generator_ppm * float(state.drive_hz)
         lights = self._light(state.difference_hz, state.drive_hz, state.drive_v, moment_s)
         for order, light in lights:
@@ -374,7 +375,10 @@ class BenchModel:
             total += light * np.complex64(beat_integral(offset_hz, segment.start_s, segment.end_s))
         if segment.start_s > 3600 * self.parameters.optics.interference.hop_after_h:
             total *= np.float32(1 - self.parameters.optics.interference.hop)
-        return total
+        # A phase is the integral of the frequency: half of what a drift has at the middle, times
+        # the time until then.
+        drifted = 0.5 * clocks.detuning_hz_h * middle_h * 3600 * middle_h
+        return total * np.complex64(np.exp(2j * np.pi * drifted)) if drifted else total
 
     def _moment_s(self, time_s: float) -> float:
         """Return the time at which the reed's condition is taken; 0 if it never changes."""

@@ -4,6 +4,7 @@ import gc
 import weakref
 from dataclasses import replace
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from holography.demodulation import (
     four_phase,
     sideband_gain,
 )
+from holography.reconstruction import Reconstruction
 from physics.air import pressure_shape
 from physics.bench import (
     BenchModel,
@@ -431,3 +433,19 @@ def test_a_bench_leaves_memory_when_it_is_let_go(quiet_settings, coarse_reed):
         assert left() is None
     finally:
         gc.enable()
+
+
+@pytest.mark.parametrize("hours", [0.1, 1.0])
+def test_a_drift_detunes_by_its_rate_times_the_time(quiet_settings, coarse_reed, hours):
+    """Not by twice as much, as the phase ``2π·rate·t·t`` would: a phase is the frequency's sum."""
+    rate_hz_h = 0.6
+    drifting = with_part(quiet_settings, "clocks", detuning_hz_h=rate_hz_h)
+    bench = BenchModel(drifting, PlainMotion(coarse_reed), np.random.default_rng(1))
+    state = BenchState(FRAME_RATE_HZ / 4, Fraction(0), 0.0)
+    edges_s = [3600 * hours + float(m / FRAME_RATE_HZ) for m in range(5)]
+    rng = np.random.default_rng(2)
+    frames = np.stack([bench.frame([Segment(*edges, state)], rng) for edges in pairwise(edges_s)])
+    reconstruction = Reconstruction(bench.transform, bench.region)
+    found = reconstruction.steady_turn(frames, reconstruction.quadratures(frames))
+    detuning_hz = found.error_rad * float(FRAME_RATE_HZ) / (2 * np.pi)
+    assert detuning_hz == pytest.approx(rate_hz_h * hours, rel=2e-3)

@@ -59,9 +59,13 @@ def test_locks_miss_by_what_modulators_are_ahead_and_generators_behind(beat) -> 
     assert moved(lock, clocks={"detuning_hz_h": 0.2}) == pytest.approx([0.0, 0.2])
     # A generator that runs ahead drives the reed faster: 5 ppm of 2 kHz and 10 kHz.
     assert moved(lock, clocks={"generator_ppm": 5.0}) == pytest.approx([-0.01, -0.05])
-    # A tenth of a radian of every other step, of 12.4 a second; a third of it looks like a turn.
+    # Of every other step, of 12.4 a second: a third of it looks like a turn. The square of a larger
+    # error counts, too: 0.0345 rad of a tenth of a radian.
+    assert moved(lock, interference={"quarter_error_rad": 0.001}) == pytest.approx(
+        [-6.58e-4] * 2, rel=1e-3
+    )
     assert moved(lock, interference={"quarter_error_rad": 0.1}) == pytest.approx(
-        [-0.0658] * 2, rel=1e-3
+        [-0.0681] * 2, rel=1e-3
     )
 
 
@@ -91,7 +95,7 @@ def test_light_at_rest_turns_by_the_modulators_and_by_unequal_steps_only_within(
     assert moved(turn, clocks={"detuning_hz": 0.01}) == pytest.approx([0.01, 0.01])
     assert moved(turn, clocks={"detuning_hz_h": 0.2}) == pytest.approx([0.2, 0.2], rel=1e-6)
     assert moved(turn, interference={"quarter_error_rad": 0.1}) == pytest.approx(
-        [-0.0658, 0.0], rel=1e-3
+        [-0.0681, 0.0], rel=1e-3
     )
 
 

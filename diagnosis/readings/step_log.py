@@ -21,7 +21,8 @@ class StepLog:
     Attributes
     ----------
     steps, lost : int
-        Acquisitions, and those of them in which a frame was missing or twice the same.
+        Acquisitions, and those of them in which a frame was missing or twice the same. Those that
+        were measured again count, too: most steps that lose a frame are good at the second attempt.
     lock_hz, error_hz : (k,) float
         By which the lock was missed, and standard errors; of steps with light enough.
     drive_hz, time_s : (k,) float
@@ -44,11 +45,13 @@ def read_step_log(parts: Sequence[CampaignRun]) -> StepLog:
     """Read the steps of sweeps."""
     rows, lost, count = [], 0, 0
     for number, part in enumerate(parts):
+        for attempt in (*part.run.steps, *part.run.earlier_attempts):
+            if attempt.verdict.measured and attempt.order == part.run.sideband_order:
+                count += 1
+                lost += attempt.verdict in _LOST
         for step in part.run.steps:
-            if not step.verdict.measured or step.order != part.run.sideband_order:
+            if step.order != part.run.sideband_order:
                 continue
-            count += 1
-            lost += step.verdict in _LOST
             if step.verdict is Verdict.OK and np.isfinite(step.lock_error_se_hz):
                 hz = float(step.read_drive_hz or step.drive_hz)
                 time_s = float(np.mean(step.timestamps_s)) - part.clock_s

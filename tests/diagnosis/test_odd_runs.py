@@ -95,7 +95,7 @@ def test_sweeps_without_a_measured_lock_have_no_lock() -> None:
         verdict=Verdict.OK, order=1, lock_error_hz=np.nan, lock_error_se_hz=np.nan,
         read_drive_hz=None, drive_hz=2000, timestamps_s=(5.0,),
     )  # fmt: skip
-    run = SimpleNamespace(steps=[step] * 20, sideband_order=1)
+    run = SimpleNamespace(steps=[step] * 20, earlier_attempts=(), sideband_order=1)
     beat = read_step_log([SimpleNamespace(run=run, name="up", clock_s=0.0)])
     assert beat.steps == 20
     assert lock_scatter_hz(beat) is None
@@ -107,6 +107,19 @@ def test_sweeps_without_a_measured_lock_have_no_lock() -> None:
     usual_hz = usual_scatter_hz(Interference(), 12.5)
     light = phase_turn_group([still], usual_hz, 12.5)
     assert np.sqrt(light.covariance[0, 0]) == pytest.approx(usual_hz / 2)
+
+
+def test_frames_lost_in_attempts_that_were_repeated_count() -> None:
+    fields = {
+        "order": 1, "lock_error_hz": 0.01, "lock_error_se_hz": 1e-3, "read_drive_hz": None,
+        "drive_hz": 2000, "timestamps_s": (5.0,),
+    }  # fmt: skip
+    good, dropped = (SimpleNamespace(verdict=v, **fields) for v in (Verdict.OK, Verdict.DROPPED))
+    run = SimpleNamespace(steps=[good] * 18 + [dropped], earlier_attempts=(dropped,) * 3,
+                          sideband_order=1)  # fmt: skip
+    beat = read_step_log([SimpleNamespace(run=run, name="up", clock_s=0.0)])
+    assert (beat.steps, beat.lost) == (22, 4)
+    assert len(beat.lock_hz) == 18
 
 
 def camera(levels_dn, noise_dn=3.0):

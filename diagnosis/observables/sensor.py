@@ -63,9 +63,10 @@ def flat_group(flat: FlatFrames, dark: DarkFrames | None, sensor: Sensor) -> Obs
     gain = float(np.log(np.mean(signal / (flat.variance_dn[order] - noise_dn**2))))
 
     def predict(parameters: BenchParameters) -> Array:
-        filled = signal / full_dn
-        bent = np.log(np.maximum(1 - parameters.sensor.nonlinearity * filled, 0.05))
-        steeper = 2 * np.log(np.maximum(1 - 2 * parameters.sensor.nonlinearity * filled, 0.05))
+        bends = parameters.sensor.nonlinearity
+        filled = _filled(signal / full_dn, bends)
+        bent = np.log(np.maximum(1 - bends * filled, 0.05))
+        steeper = 2 * np.log(np.maximum(1 - 2 * bends * filled, 0.05))
         pattern = 0.5 * np.log(_PATTERN**2 + parameters.sensor.pattern**2)
         conversion = np.log(parameters.sensor.gain_e_dn) + float(np.mean(bent - steeper))
         return np.array(
@@ -101,6 +102,16 @@ def flat_group(flat: FlatFrames, dark: DarkFrames | None, sensor: Sensor) -> Obs
     return observable_group(
         "even light", Observable.SENSOR, values, errors, places, ("sensor", "optics"), predict
     )
+
+
+def _filled(shown: Array, bends: float) -> Array:
+    """Return how full pixels are (e,), as fractions, that show some fraction of a full one.
+
+    The root of ``shown = filled (1 - bends filled)``, see `Sensor.nonlinearity`.
+    """
+    root = np.sqrt(np.maximum(1 - 4 * bends * shown, 0.0))
+    filled: Array = 2 * shown / (1 + root)
+    return filled
 
 
 def local_oscillator_group(beam: LocalOscillatorFrames, sensor: Sensor) -> ObservableGroup:

@@ -103,6 +103,14 @@ def test_a_camera_that_bends_is_found_by_its_bend() -> None:
     assert np.abs(block.whitened_residual(bent)).max() < 4
 
 
+def test_a_camera_that_bends_much_is_as_full_as_it_was_and_not_as_it_shows() -> None:
+    block = flat_group(flat(bend=0.2), dark(), SENSOR)
+    bent = replace(BenchParameters(), sensor=Sensor(nonlinearity=0.2))
+    off = {k: v for k, v in left(block, bent).items() if k.startswith("linearity")}
+    # To first order in what the camera shows, the fullest frames would be off by more than 5.
+    assert np.abs(list(off.values())).max() < 2
+
+
 def test_dark_corners_and_a_shifted_beam_are_found() -> None:
     at = np.linspace(-1, 1, N)
     corner = 1 - 0.2 * 0.5 * (at[:, None] ** 2 + at**2)

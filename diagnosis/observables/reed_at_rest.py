@@ -24,6 +24,9 @@ from physics.parameters.tree import BenchParameters
 
 # Factor for the scatter of few numbers, and the weight of the scatter by a phase walk, in numbers.
 _FEW, _BELIEVED = 1.2, 4.0
+# Efficiency of the median of absolute deviations as a measure of scatter, for normal deviates
+# (Rousseeuw and Croux, J. Am. Stat. Assoc. 88, 1273 (1993)).
+_OF_MEDIAN = 0.37
 # Log of how fast phases walk, and of the further scatter of phases.
 _WALK, _SCATTER = 0.4, 0.1
 # Brightness of every other frame; speckle that has changed.
@@ -124,11 +127,21 @@ def stability_group(stills: Sequence[RestHolograms]) -> ObservableGroup:
 
 
 def phase_scatter_group(
-    stills: Sequence[RestHolograms], lock_scatter_hz: float, rate_hz: float
+    stills: Sequence[RestHolograms], lock_scatter_hz: float, locks: int, rate_hz: float
 ) -> ObservableGroup | None:
     """Scatter of phases, within acquisitions of all sweeps and between those of light at rest.
 
     None if too few of the latter are good.
+
+    Parameters
+    ----------
+    stills : sequence of RestHolograms
+    lock_scatter_hz : float
+        By `lock_scatter_hz`.
+    locks : int
+        Number of locks that it is from.
+    rate_hz : float
+        Frames per second.
     """
     gaps = np.concatenate([still.gap_s[np.isfinite(still.gap_s)] for still in stills])
     each = [still.turn_rad[np.isfinite(still.turn_rad)] for still in stills]
@@ -149,7 +162,8 @@ def phase_scatter_group(
     # A bench quieter than usual is not a gap.
     usual = predict(BenchParameters())
     values = np.maximum(np.log([max(lock_scatter_hz, 1e-9), max(between, 1e-9)]), usual - _WALK)
-    errors = np.diag([_SCATTER**2, _SCATTER**2 + 0.5 / freedoms])
+    of_locks = 0.5 / (_OF_MEDIAN * locks)
+    errors = np.diag([_SCATTER**2 + of_locks, _SCATTER**2 + 0.5 / freedoms])
     covariance = errors + unknown_directions((walk, _WALK))
     places = [Coordinates("phase within acquisitions"), Coordinates("phase between acquisitions")]
     return observable_group(
@@ -173,7 +187,8 @@ def _scatter(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | 
     scatter_hz = lock_scatter_hz(readings.beat)
     if not readings.stills or scatter_hz is None:
         return None
-    return phase_scatter_group(readings.stills, scatter_hz, readings.rate_hz)
+    locks = len(readings.beat.lock_hz)
+    return phase_scatter_group(readings.stills, scatter_hz, locks, readings.rate_hz)
 
 
 SOURCES: Final = (GroupSource(5, _turns), GroupSource(6, _stability), GroupSource(7, _scatter))

@@ -100,13 +100,22 @@ def test_light_at_rest_turns_by_the_modulators_and_by_unequal_steps_only_within(
 
 
 def test_phases_scatter_by_what_walks_and_jitters() -> None:
-    scatter = phase_scatter_group([still()], 0.05, RATE_HZ)
+    scatter = phase_scatter_group([still()], 0.05, 40, RATE_HZ)
     # Within: a third of the turn from the first frame to the last, three periods of 1/12.4 s apart,
     # of a walk of 0.05 rad per root second and of jitter in both; between: over a second.
     within = 3 * 0.05**2 / RATE_HZ / 9, 2 * 0.15**2 / 9
     between = 0.05**2, 0.5 * 0.15**2
     expected = [0.5 * np.log(1 + new / old) for old, new in (within, between)]
     assert moved(scatter, interference={"jitter_rad": 0.15}) == pytest.approx(expected)
+
+
+def test_scatter_of_few_locks_is_uncertain() -> None:
+    # By the median of n numbers, the logarithm of a standard deviation has variance 1 / 2 (0.37 n).
+    few, many = (
+        phase_scatter_group([still()], 0.05, count, RATE_HZ).covariance[0, 0]
+        for count in (20, 20_000)
+    )
+    assert few - many == pytest.approx(0.5 / (0.37 * 20), rel=2e-3)
 
 
 def sweep(name="up", begun_s=0.0, length_s=0.0, volts=4.0, clamping=0, **own):

@@ -14,6 +14,7 @@ MODULES = (
     "studies.amplitudes",
     "studies.reach",
     "studies.sealed.leaks",
+    "studies.closure",
     "studies.inverse_crime",
     "studies.sealed_sets",
 )

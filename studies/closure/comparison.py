@@ -6,13 +6,17 @@ one seed and errors of the method, cancels in the difference. The errors are tho
 diagnosis states for a number of the campaign with the effect.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
 
+from diagnosis.inference.nuisances import of_fits
 from diagnosis.observable_groups import Coordinates, ObservableGroup
 from diagnosis.observe import observable_groups
+from diagnosis.readings.sweeps import common_modes
 from holography.arrays import Array
 from physics.mechanics import ReedSolver
 from studies.closure.measuring import Measured
@@ -39,8 +43,8 @@ class Number:
     pull : float
         Rendered less predicted, in standard errors.
     pull_given_others : float
-        The same in units of the error that is left when all other numbers of the group are known,
-        and less what these make it expect: errors that numbers have in common do not count.
+        The same in units of the error that is left when all other numbers are known, and less what
+        these make it expect: errors that numbers have in common do not count.
     """
 
     coordinates: Coordinates
@@ -66,10 +70,10 @@ class GroupClosure:
     observable : str
     numbers : tuple of Number
     significance : float
-        Predicted change in standard errors, of all numbers together.
+        Predicted change in standard errors, of all numbers of the group together.
     scale, scale_error : float
-        Rendered change along the predicted one, 1 if both are equal, and its standard error; NaN
-        and infinite if no change is predicted.
+        Rendered change along the predicted one, 1 if both are equal, and its standard error, given
+        all other groups; NaN and infinite if no change is predicted.
     rms_pull : float
         Root mean square of the whitened differences.
     """
@@ -128,7 +132,7 @@ class EffectClosure:
 
     @property
     def rms_pull(self) -> float:
-        """Root mean square of the pulls of all numbers, given the others of their group."""
+        """Root mean square of the pulls of all numbers, given the others."""
         pulls = [n.pull_given_others for group in self.groups for n in group.numbers]
         return float(np.sqrt(np.mean(np.square(pulls))))
 
@@ -165,17 +169,17 @@ def compare(
     """
     after = {group.name: group for group in observable_groups(with_it.readings, solver)}
     before = {group.name: group for group in observable_groups(without.readings, solver)}
-    closures, lost = [], sorted(after.keys() ^ before.keys())
-    for name in after.keys() & before.keys():
-        pairs = _pairs(after[name].coordinates, before[name].coordinates)
-        missing = len(after[name].values) + len(before[name].values) - 2 * len(pairs)
+    lost, changes = sorted(after.keys() ^ before.keys()), []
+    for name, group in after.items():
+        if name not in before:
+            continue
+        pairs = _pairs(group.coordinates, before[name].coordinates)
+        missing = len(group.values) + len(before[name].values) - 2 * len(pairs)
         if missing:
             lost.append(f"{missing} numbers of {name}")
         if pairs:
-            closures.append(_closure(after[name], before[name], pairs, with_it, without))
-    order = {name: number for number, name in enumerate(after)}
-    closures.sort(key=lambda group: order[group.name])
-    return EffectClosure(effect, sizes, tuple(closures), tuple(lost))
+            changes.append(_change(group, before[name], pairs, with_it, without))
+    return EffectClosure(effect, sizes, tuple(_closures(changes)), tuple(lost))
 
 
 def _pairs(one: Sequence[Coordinates], two: Sequence[Coordinates]) -> list[tuple[int, int]]:
@@ -198,40 +202,99 @@ def _pairs(one: Sequence[Coordinates], two: Sequence[Coordinates]) -> list[tuple
     return pairs
 
 
-def _closure(
+@dataclass(frozen=True)
+class _Change:
+    """What an effect changes in a group.
+
+    Attributes
+    ----------
+    group : ObservableGroup
+        Of the campaign with the effect.
+    numbers : (n,) int
+        Those of its numbers that both campaigns have.
+    predicted, rendered : (n,) float
+    fit_bias : (n, p) float
+        By what biases of the fit, each of one standard deviation, would change the numbers.
+    """
+
+    group: ObservableGroup
+    numbers: NDArray[np.intp]
+    predicted: Array
+    rendered: Array
+    fit_bias: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (n, n) that the group states."""
+        chosen: Array = self.group.covariance[np.ix_(self.numbers, self.numbers)]
+        return chosen
+
+
+def _change(
     after: ObservableGroup,
     before: ObservableGroup,
     pairs: Sequence[tuple[int, int]],
     with_it: Measured,
     without: Measured,
-) -> GroupClosure:
+) -> _Change:
     one, two = np.array(pairs).T
-    predicted = after.predict(with_it.parameters)[one] - before.predict(without.parameters)[two]
-    rendered = after.values[one] - before.values[two]
-    covariance = after.covariance[np.ix_(one, one)]
-    root = np.linalg.cholesky(covariance)
-    white, signature = (np.linalg.solve(root, each) for each in (rendered - predicted, predicted))
-    numbers = _numbers([after.coordinates[k] for k in one], predicted, rendered, covariance)
-    square = float(signature @ signature)
-    return GroupClosure(
-        name=after.name,
-        observable=str(after.tap),
-        numbers=numbers,
-        significance=float(np.sqrt(square)),
-        scale=1 + float(signature @ white) / square if square else np.nan,
-        scale_error=1 / float(np.sqrt(square)) if square else np.inf,
-        rms_pull=float(np.sqrt(np.mean(white**2))),
+    expected, sweeps = after.predict(with_it.parameters), with_it.readings.sweeps
+    columns = [
+        after.predict(bias.change(with_it.parameters, bias.spread)) - expected
+        for bias in (of_fits(common_modes(sweeps)) if sweeps else ())
+        if "fit_bias" in after.parts
+    ]
+    return _Change(
+        after,
+        one,
+        expected[one] - before.predict(without.parameters)[two],
+        after.values[one] - before.values[two],
+        np.stack(columns, axis=1)[one] if columns else np.zeros((len(one), 0)),
     )
+
+
+def _closures(changes: Sequence[_Change]) -> Iterator[GroupClosure]:
+    """Yield the closure of each group, given all others.
+
+    A fit may exchange a part of a mode for a part of the drive: groups have this bias in common,
+    and those of the drive show how large it is.
+    """
+    biases = max((change.fit_bias.shape[1] for change in changes), default=0)
+    bias = np.concatenate(
+        [np.pad(c.fit_bias, ((0, 0), (0, biases - c.fit_bias.shape[1]))) for c in changes]
+    )
+    covariance = linalg.block_diag(*(change.covariance for change in changes)) + bias @ bias.T
+    precision = np.linalg.inv(covariance)
+    off = np.concatenate([change.rendered - change.predicted for change in changes])
+    start = 0
+    for change in changes:
+        here = slice(start, start + len(change.numbers))
+        start = here.stop
+        signature = change.predicted
+        square = float(signature @ precision[here, here] @ signature)
+        along = float(signature @ (precision @ off)[here])
+        white = np.linalg.solve(np.linalg.cholesky(covariance[here, here]), off[here])
+        yield GroupClosure(
+            name=change.group.name,
+            observable=str(change.group.tap),
+            numbers=tuple(_numbers(change, covariance[here, here], (precision @ off)[here],
+                                   precision[here, here])),
+            significance=float(np.sqrt(square)),
+            scale=1 + along / square if square else np.nan,
+            scale_error=1 / float(np.sqrt(square)) if square else np.inf,
+            rms_pull=float(np.sqrt(np.mean(white**2))),
+        )  # fmt: skip
 
 
 def _numbers(
-    places: Sequence[Coordinates], predicted: Array, rendered: Array, covariance: Array
-) -> tuple[Number, ...]:
+    change: _Change, covariance: Array, weighted: Array, precision: Array
+) -> Iterator[Number]:
+    """Yield the numbers of a group; `weighted` are all differences times the precision, here."""
     error = np.sqrt(np.diag(covariance))
-    precision = np.linalg.inv(covariance)
-    off = rendered - predicted
-    given = precision @ off / np.sqrt(np.diag(precision))
-    return tuple(
-        Number(place, *(float(each) for each in row))
-        for place, *row in zip(places, predicted, rendered, error, off / error, given, strict=True)
-    )
+    given = weighted / np.sqrt(np.diag(precision))
+    off = change.rendered - change.predicted
+    places = [change.group.coordinates[k] for k in change.numbers.tolist()]
+    for place, *row in zip(
+        places, change.predicted, change.rendered, error, off / error, given, strict=True
+    ):
+        yield Number(place, *(float(each) for each in row))

@@ -39,7 +39,7 @@ from physics.reed.reduced.changes import (
 )
 from physics.reed.reduced.dynamics import PIVOT_HZ, CaneLaw, LossFactors, State
 from physics.reed.reduced.elastic import all_descriptors
-from physics.reed.reduced.losses import loss_factors, radiated
+from physics.reed.reduced.losses import loss_factors, radiated, spring_energies
 from physics.reed.reduced.reed import ReducedReed
 from physics.reed.reduced.response import (
     Pressure,
@@ -165,7 +165,7 @@ class SoftSpot:
 
 @dataclass(frozen=True)
 class YieldingClamp:
-    """Compliance of the clamp; an amount of 1 is 1 m per Pa.
+    """Compliance of the clamp; an amount of 1 is 1 m per Pa. Its springs lose no energy.
 
     Attributes
     ----------
@@ -306,7 +306,9 @@ class ReedSolver:
         loss = reed.loss_factor * (found.hz / PIVOT_HZ) ** reed.loss_growth
         if reed.shear_loss_log:
             loss = loss * _share_of_loss(found, reed.shear_loss_log)
-        loss = loss + radiated(found)
+        # What the springs of a compliant clamp store is not lost in the cane.
+        in_springs = spring_energies(found) / np.square(2 * np.pi * found.hz)
+        loss = loss * (1 - in_springs) + radiated(found)
         names, momenta = self._named(reed.cane)
         modes = {}
         rows, columns = linear_sum_assignment(np.abs(momenta @ found.coordinates), maximize=True)

@@ -19,6 +19,7 @@ from diagnosis.observable_groups import (
 from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.light import leaks_of
+from diagnosis.observables.shapes import elastic_reed
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, loudest
 from holography.arrays import Array
@@ -291,8 +292,9 @@ def forces_rad(
 ) -> Callable[[BenchParameters, Sequence[str]], Array]:
     """Return a function for phase amplitudes per volt that forces alone would give modes.
 
-    They are those of a mode that is pushed slowly, where it moves most. The function takes the
-    parameters of a bench and names of modes.
+    They are those of a mode that is pushed slowly: what it has of the elastic mode of its name,
+    where that moves most, as a fit has them. The function takes the parameters of a bench and names
+    of modes.
     """
 
     @lru_cache(maxsize=_KEPT)
@@ -340,7 +342,7 @@ class _Pushes:
     without_signs : float
         Force if the pressure pushed in phase with the mode everywhere.
     deepest : float
-        Largest deflection of the mode.
+        What the mode has of the elastic mode of its name, where that moves most.
     """
 
     closed: float
@@ -355,7 +357,7 @@ def _pushes(reed_solver: ReedSolver, chamber: Chamber, mode: ReedMode) -> _Pushe
     left, right = (pressure_shape(chamber, mode.hz, x, side * y) for side in (1, -1))
     whole = replace(chamber, leak=1.0)
     more = [pressure_shape(whole, mode.hz, x, side * y) for side in (1, -1)]
-    start, pushed, moved = 0, np.zeros(2), np.zeros((2, len(reed.plan_m)))
+    start, pushed = 0, np.zeros(2)
     everywhere = np.zeros(len(left))
     for symmetry, half in reed.loose.items():
         own = mode.coordinates[start : start + half.mass.shape[0]]
@@ -365,10 +367,27 @@ def _pushes(reed_solver: ReedSolver, chamber: Chamber, mode: ReedMode) -> _Pushe
         acting = np.array([left + sign * right, more[0] + sign * more[1]])
         pushed += 0.5 * acting @ deflection
         everywhere += deflection
-        moved += np.multiply.outer([1, sign], half.surface_z @ own)
     without_signs = 0.5 * float(np.abs(left) @ np.abs(everywhere))
     closed, leaking = (float(force) for force in pushed)
-    return _Pushes(closed, leaking - closed, without_signs, float(np.abs(moved).max()))
+    return _Pushes(closed, leaking - closed, without_signs, _deepest(reed_solver, mode))
+
+
+def _deepest(reed_solver: ReedSolver, mode: ReedMode) -> float:
+    """Return what a mode has of the elastic mode of its name, where that moves most.
+
+    A fit states a mode in units of that shape. If the mode is changed, it has other shapes, too:
+    their largest deflection is not what its force was measured by.
+    """
+    reed, start = reed_solver.reed, 0
+    shape = reed_solver.modes(elastic_reed()).get(mode.name, mode).coordinates
+    moved = np.zeros((2, len(reed.plan_m)))
+    for symmetry, half in reed.loose.items():
+        own = shape[start : start + half.mass.shape[0]]
+        start += half.mass.shape[0]
+        sign = 1 if symmetry is Symmetry.SYMMETRIC else -1
+        moved += np.multiply.outer([1, sign], half.surface_z @ own)
+    along = shape @ reed_solver.mass_kg
+    return float(abs(along @ mode.coordinates) / (along @ shape) * np.abs(moved).max())
 
 
 def _lines(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:

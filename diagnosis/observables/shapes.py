@@ -119,6 +119,16 @@ def _amplitude(sweep: SweepReading, of: str, has: str) -> tuple[float, float] | 
     return float(sweep.mixing[at]), float(sweep.mixing_error[at])
 
 
+def elastic_reed() -> Mechanics:
+    """Return the elastic reed whose modes are the shapes that sweeps are fitted with."""
+    cane = Mechanics().cane
+    springs = (
+        Zener(1e-6 * float(storage_modulus_pa(zener, SHAPES_HZ)), 0.0, 0.0)
+        for zener in (cane.young_L, cane.shear_LT)
+    )
+    return Mechanics(cane=ViscoelasticCane(*springs))
+
+
 @dataclass(frozen=True)
 class _Elastic:
     """Modes of the elastic reed, which shares are shares of.
@@ -141,12 +151,7 @@ class _Elastic:
     @classmethod
     def of(cls, reed_solver: ReedSolver, sweep: SweepReading) -> "_Elastic":
         """Settle the elastic reed, with signs as a sweep's fit has them."""
-        cane = Mechanics().cane
-        springs = (
-            Zener(1e-6 * float(storage_modulus_pa(zener, SHAPES_HZ)), 0.0, 0.0)
-            for zener in (cane.young_L, cane.shear_LT)
-        )
-        modes = reed_solver.modes(Mechanics(cane=ViscoelasticCane(*springs)))
+        modes = reed_solver.modes(elastic_reed())
         deflection, symmetry = {}, {}
         for name, at_m, value in zip(
             sweep.shape_names, sweep.shape_peak_m, sweep.shape_peak, strict=True

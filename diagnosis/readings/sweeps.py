@@ -381,7 +381,10 @@ def _templates(fitted: JointFit) -> tuple[ComplexArray, Array]:
     slope_across = np.where(size > 1e-6, j1(size) / np.maximum(size, 1e-12), 0.5)
     explained = explained_amplitudes(fitted.block_amplitudes, fitted.basis, found)
     left = fitted.block_amplitudes.recorded.T - explained
-    waves = np.stack([zero, two, -(size**2) * F]) * lit
+    bright = np.where(found.reached[:, None], np.abs(lit * F) ** 2, 0.0)
+    # Of contrast that is lost, the object field of each block takes up the mean of all holograms.
+    usual = np.sum(bright * size**2, axis=0) / np.maximum(np.sum(bright, axis=0), 1e-12)
+    waves = np.stack([zero, two, -(size**2 - usual) * F]) * lit
     amplitude = np.zeros((len(TEMPLATES), len(u)), complex)
     variance = np.full((len(TEMPLATES), len(u)), np.inf)
     for k in np.flatnonzero(found.reached & np.any(found.amplitude_rad, axis=1)):

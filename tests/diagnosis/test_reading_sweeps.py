@@ -4,9 +4,12 @@ import multiprocessing
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from scipy.special import j1
 
 from diagnosis.readings import sweeps as sweep_readings
+from diagnosis.readings.sweeps import TEMPLATES, _templates
 from fitting.errors import FitError
 
 VOLTS = {"up": 8.0, "down": 8.0, "quiet": 2.0, "again": 8.0}
@@ -97,3 +100,32 @@ def test_a_campaign_of_which_nothing_can_be_fitted_is_reported(fitted) -> None:
     read, refused = sweep_readings.read_sweeps(PARTS)
     assert not read
     assert refused == [f"{name} cannot be fitted" for name in VOLTS]
+
+
+def test_contrast_that_the_object_field_takes_up_is_not_missed(monkeypatch) -> None:
+    """A fit leaves of lost contrast what differs from the mean of each block's holograms."""
+    rng = np.random.default_rng(5)
+    holograms, blocks, loss = 60, 80, 1e-3
+    functions = rng.standard_normal((blocks, 2))
+    amplitude = 4 * rng.uniform(0.2, 1, (holograms, 1)) * (1 + 0.3j * rng.standard_normal(2))
+    field = np.exp(2j * np.pi * rng.random(blocks)) * rng.uniform(0.5, 2, blocks)
+    u = amplitude @ functions.T
+    fringes = u / np.abs(u) * j1(np.abs(u)) * field
+    lost = -loss * np.abs(u) ** 2 * fringes
+    taken_up = np.sum(fringes.conj() * lost, axis=0) / np.sum(np.abs(fringes) ** 2, axis=0)
+    left = lost - taken_up * fringes
+    fitted = SimpleNamespace(
+        displacements=SimpleNamespace(
+            amplitude_rad=amplitude, gain=np.zeros(holograms),
+            object_field=np.broadcast_to(field, u.shape), misfit=np.ones(holograms),
+            reached=np.ones(holograms, dtype=bool),
+        ),
+        basis=SimpleNamespace(functions=functions),
+        block_amplitudes=SimpleNamespace(recorded=(fringes + left).T),
+    )  # fmt: skip
+    monkeypatch.setattr(sweep_readings, "explained_amplitudes", lambda *_: fringes)
+    template, variance = _templates(fitted)
+    weight = 1 / variance[TEMPLATES.index("decorrelation")]
+    found = np.sum(weight * template[TEMPLATES.index("decorrelation")].real) / np.sum(weight)
+    # What displacements and gains take up is not of the same size in every hologram.
+    assert found == pytest.approx(loss, rel=0.05)

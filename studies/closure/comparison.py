@@ -19,6 +19,7 @@ from diagnosis.observe import observable_groups
 from diagnosis.readings.sweeps import common_modes
 from holography.arrays import Array
 from physics.mechanics import ReedSolver
+from physics.parameters.tree import BenchParameters
 from studies.closure.measuring import Measured
 
 # A pull beyond this many standard errors does not close. Chosen: one of 400 numbers without a
@@ -27,6 +28,8 @@ LIMIT = 3.0
 # An effect whose predicted change of a group is below this many standard errors is not tested by
 # it. Chosen: then the group could not tell the effect from its absence with three to one.
 TESTED = 2.0
+# Predictions of one number by the same parameters are equal but for rounding.
+_SAME = 1e-9
 
 
 @dataclass(frozen=True)
@@ -173,7 +176,7 @@ def compare(
     for name, group in after.items():
         if name not in before:
             continue
-        pairs = _pairs(group.coordinates, before[name].coordinates)
+        pairs = _pairs(group, before[name], without.parameters)
         missing = len(group.values) + len(before[name].values) - 2 * len(pairs)
         if missing:
             lost.append(f"{missing} numbers of {name}")
@@ -182,24 +185,31 @@ def compare(
     return EffectClosure(effect, sizes, tuple(_closures(changes)), tuple(lost))
 
 
-def _pairs(one: Sequence[Coordinates], two: Sequence[Coordinates]) -> list[tuple[int, int]]:
-    """Return the positions of numbers that both have; those of equal coordinates in their order.
+def _pairs(
+    after: ObservableGroup, before: ObservableGroup, parameters: BenchParameters
+) -> list[tuple[int, int]]:
+    """Return the positions of numbers that both groups have.
 
     Some quantities are named by a measured level, such as the linearity of a sensor: where all else
-    is equal, numbers correspond by their position.
+    is equal, numbers correspond by their position. Others, such as the steps of a band, have equal
+    coordinates: if one campaign lacks some of them, those correspond of which the same is expected.
     """
+    one, two = after.coordinates, before.coordinates
     if [replace(place, quantity="") for place in one] == [
         replace(place, quantity="") for place in two
     ]:
         return [(k, k) for k in range(len(one))]
-    left = dict(enumerate(two))
+    expected = after.predict(parameters), before.predict(parameters)
     pairs = []
-    for first, place in enumerate(one):
-        second = next((k for k, other in left.items() if other == place), None)
-        if second is not None:
-            del left[second]
-            pairs.append((first, second))
-    return pairs
+    for place in dict.fromkeys(one):
+        here, there = ([k for k, p in enumerate(each) if p == place] for each in (one, two))
+        if len(here) == len(there):
+            pairs += list(zip(here, there, strict=True))
+            continue
+        same = np.abs(expected[0][here][:, None] - expected[1][there]) < _SAME
+        alone = same & (same.sum(axis=0) == 1) & (same.sum(axis=1) == 1)[:, None]
+        pairs += [(here[h], there[t]) for h, t in np.argwhere(alone).tolist()]
+    return sorted(pairs)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from diagnosis.observable_groups import (
 )
 from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks
-from diagnosis.observables.light import leaks_of
+from diagnosis.observables.light import leaks_of, log_light
 from diagnosis.observables.shapes import elastic_reed
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, loudest
@@ -182,6 +182,7 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
     if not others:
         return None
     values, errors, places, volts, hz = [], [], [], [], []
+    times_s: list[tuple[Array, Array]] = []
     for other in others:
         apart = np.abs(np.log(loud[0].drive_hz[:, None] / other.drive_hz))
         one = np.flatnonzero(apart.min(axis=1) < _SAME_HZ)
@@ -200,6 +201,7 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
             errors.append(np.hypot(1.25 * own / np.sqrt(len(piece)), least))
             volts.append((loud[0].volts[one[piece]].mean(), other.volts[two[piece]].mean()))
             hz.append(float(np.mean(loud[0].drive_hz[one[piece]])))
+            times_s.append((loud[0].time_s[one[piece]], other.time_s[two[piece]]))
             places.append(
                 Coordinates("amplitude over volts", band=band_of(hz[-1]), level=other.name)
             )
@@ -210,13 +212,20 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
     def predict(parameters: BenchParameters) -> Array:
         one, two = np.array(volts).T
         at = np.array(hz)
-        return np.log(
+        kept = np.log(
             kept_by_tweeter(parameters.drive, one, at) / kept_by_tweeter(parameters.drive, two, at)
         )
+        # What is compared is vibration times light, which may have changed between the sweeps.
+        beams = parameters.optics.interference
+        light = [
+            float(np.median(log_light(loud_s, beams) - log_light(other_s, beams)))
+            for loud_s, other_s in times_s
+        ]
+        return np.asarray(kept + np.array(light))
 
     covariance = np.diag(np.square(errors)) + _RATIO**2
     return observable_group(
-        "level", Observable.DRIVE, values, covariance, places, ("drive",), predict
+        "level", Observable.DRIVE, values, covariance, places, ("drive", "optics"), predict
     )
 
 

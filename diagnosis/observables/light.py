@@ -49,6 +49,13 @@ _FLOORS = {"sideband_crosstalk": (5e-3, 2.5e-3), "decorrelation": (0.0, 3e-5)}
 _LEFT_OF_CARRIER, _OF_TAKEN_OFF = 0.2, (0.15, 3e-3)
 
 
+def log_light(time_s: Array, beams: Interference) -> Array:
+    """Return the log of the fringes' amplitude at times (any shape) since the campaign began."""
+    after = time_s > 3600 * beams.hop_after_h
+    lost: Array = -beams.fade_per_h * time_s / 3600 + np.log1p(-min(beams.hop, 0.95)) * after
+    return lost
+
+
 def brightness_group(
     sweeps: Sequence[SweepReading], stills: Sequence[RestHolograms]
 ) -> ObservableGroup:
@@ -88,15 +95,11 @@ def brightness_group(
             places.append(Coordinates("order 0", time=f"at rest {still.clamping + 1}.{number + 1}"))
             columns.append({f"speckle {still.clamping}": _SPECKLE, "order": _ORDER})
 
-    def light(time_s: Array, beams: Interference) -> Array:
-        after = time_s > 3600 * beams.hop_after_h
-        lost: Array = -beams.fade_per_h * time_s / 3600 + np.log1p(-min(beams.hop, 0.95)) * after
-        return lost
-
     def predict(parameters: BenchParameters) -> Array:
-        relative = table.of_light(lambda time_s: light(time_s, parameters.optics.interference))
+        relative = table.of_light(lambda time_s: log_light(time_s, parameters.optics.interference))
         of_sweeps = [float(np.median(relative[row][at])) for row, at in pieces]
-        return np.array([*of_sweeps, *light(np.array(still_s), parameters.optics.interference)])
+        at_rest = log_light(np.array(still_s), parameters.optics.interference)
+        return np.array([*of_sweeps, *at_rest])
 
     covariance = np.diag(variance) + _shared(columns)
     return observable_group(

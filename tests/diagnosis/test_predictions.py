@@ -1,5 +1,6 @@
 """What may be wrong moves each tap's numbers by what can be worked out by hand."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,6 +21,7 @@ from diagnosis.readings.step_log import StepLog
 from diagnosis.readings.sweeps import TEMPLATES
 from physics.parameters.chamber import Chamber, Filling
 from physics.parameters.drive import AcousticResonance
+from physics.parameters.optics import Interference, Optics
 from physics.parameters.tree import BenchParameters, FitBias, more, with_cane, with_part
 
 RATE_HZ = 12.4
@@ -182,6 +184,18 @@ def test_a_coil_loses_by_the_square_of_its_volts_where_it_moves() -> None:
     assert change[0] == pytest.approx(np.log((1 - most) / (1 - most / 16)), abs=0.02)
     assert (np.diff(change) > 0).all()
     assert len(change) > 3
+
+
+def test_light_that_changes_between_sweeps_is_no_change_of_level() -> None:
+    quiet = sweep("quiet", volts=4.0, begun_s=HOUR)
+    level = level_group([sweep(volts=16.0), quiet], Leaks({}, 0.0))
+    # What moves is seen by the light of its own time: an hour later a tenth, or a fifth, is lost.
+    faded = moved(level, interference={"fade_per_h": 0.1})
+    assert faded == pytest.approx(np.full(len(faded), 0.1))
+    beams = replace(Interference(), hop=0.2, hop_after_h=0.5)
+    after = replace(BenchParameters(), optics=replace(Optics(), interference=beams))
+    change = changed(level, BenchParameters(), after)
+    assert change == pytest.approx(np.full(len(change), -np.log(0.8)))
 
 
 def test_a_line_stands_out_of_the_drive_where_it_is() -> None:

@@ -76,11 +76,7 @@ class RunWriter:
     """
 
     def __init__(
-        self,
-        path: Path,
-        disk: DiskFile,
-        keep: str,
-        date: Callable[[], datetime] | None = None,
+        self, path: Path, disk: DiskFile, keep: str, date: Callable[[], datetime] | None = None
     ) -> None:
         self.path, self._date = path, date or partial(datetime.now, UTC)
         self.damaged: tuple[int, ...] = ()

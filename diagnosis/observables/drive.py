@@ -29,6 +29,7 @@ from physics.errors import ImpossibleReedError
 from physics.mechanics import Mechanics, ReedMode, ReedSolver
 from physics.parameters.chamber import Chamber
 from physics.parameters.drive import Drive
+from physics.parameters.optics import Interference
 from physics.parameters.tree import BenchParameters, FitBias
 from physics.reed.elements.fem import Symmetry
 
@@ -216,16 +217,19 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
             kept_by_tweeter(parameters.drive, one, at) / kept_by_tweeter(parameters.drive, two, at)
         )
         # What is compared is vibration times light, which may have changed between the sweeps.
-        beams = parameters.optics.interference
-        light = [
-            float(np.median(log_light(loud_s, beams) - log_light(other_s, beams)))
-            for loud_s, other_s in times_s
-        ]
-        return np.asarray(kept + np.array(light))
+        changed: Array = kept + _light_between(times_s, parameters.optics.interference)
+        return changed
 
     covariance = np.diag(np.square(errors)) + _RATIO**2
     return observable_group(
         "level", Observable.DRIVE, values, covariance, places, ("drive", "optics"), predict
+    )
+
+
+def _light_between(times_s: Sequence[tuple[Array, Array]], beams: Interference) -> Array:
+    """Return the log light (n,) at the first times of each pair over that at the second ones."""
+    return np.array(
+        [np.median(log_light(one, beams) - log_light(two, beams)) for one, two in times_s]
     )
 
 

@@ -165,6 +165,7 @@ OPEN = {
     "air_load": "fits of a reed in air find F2 15 cents below its pole, which is as predicted",
     "defocus": "no observable expects that the image moves by 1.2 mm",
     "laser_mode_hop": "fits give a sixteenth of a step of the light to the vibration",
+    "speckle_decorrelation": "fits take up a fifth of the lost contrast",
     "sideband_crosstalk": "fits know no next sideband: the loss of F1 doubles in a quiet sweep",
 }
 

@@ -158,6 +158,10 @@ def _sizes_of_noise(_well: World, sick: World) -> dict[str, float]:
     return {"log_factor": float(np.log(sick.chip.read_e / 12.0))}
 
 
+def _sizes_of_air(well: World, sick: World) -> dict[str, float]:
+    return {"fraction": sick.cane.air - well.cane.air}
+
+
 def _sizes_of_rolloff(_well: World, sick: World) -> dict[str, float]:
     return {"inverse_corner": 1e4 / sick.air.roll_hz}
 
@@ -189,7 +193,7 @@ KINDS: Final[tuple[Kind, ...]] = (
         _in("air", open_right=lambda s: min(0.15 * s, 1.0)),
         sizes=_field("fraction", "air", "open_right"),
     ),
-    Kind("air_load", _in("cane", air=lambda s: 0.25 * s), sizes=_field("fraction", "cane", "air")),
+    Kind("air_load", _in("cane", air=lambda s: 1 + 0.25 * s), sizes=_sizes_of_air),
     Kind("viscoelastic_stiffening", _stiffening, sizes=_sizes_of_powers),
     Kind(
         "frequency_dependent_damping",

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from blind.air import air_masses
 from blind.reed import ModalReed, built_thickness_m
 from blind.world import Air, World
 
@@ -13,7 +14,7 @@ Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 _PIVOT_HZ = 4000.0
-_SOUND_M_S, _AIR_KG_M3 = 343.4, 1.2
+_SOUND_M_S = 343.4
 _AIR_HZ = np.geomspace(1.2e3, 21e3, 7)
 # Window of the mouthpiece: length, half width, and over what the pressure falls at its walls.
 _WINDOW_M, _HALF_M, _WALL_M = 33e-3, 5.3e-3, 0.7e-3
@@ -37,7 +38,7 @@ class Answerer:
     stiffness : (m, m) float
         Of what is broken or touches.
     air : (f, m, m) float
-        Mass of the air at `_AIR_HZ`.
+        Mass of normal air at `_AIR_HZ`.
     loss : (m,) float
         Factors on the loss of each mode.
     carried : (m,) float
@@ -119,7 +120,7 @@ def answerer(world: World, reed: ModalReed) -> Answerer:
     stiffness = stiffness + cane.stop_n_m * np.multiply.outer(touched, touched)
     rng = np.random.default_rng([world.seed, 71])
     loss = np.exp(cane.loss_scatter * rng.standard_normal(len(reed.square)))
-    air = _air_mass(reed) if cane.air else np.zeros((len(_AIR_HZ), 1, 1))
+    air = air_masses(reed, _AIR_HZ) if cane.air else np.zeros((len(_AIR_HZ), 1, 1))
     kg_m2 = reed.wood.density * built_thickness_m(world.build, x, y)
     carried = (reed.top_area_m2 * kg_m2) @ reed.top
     return Answerer(world, reed, mass, stiffness, air, loss, carried)
@@ -190,25 +191,3 @@ def _interpolated(table: Array, hz: float) -> Array:
     share = place - low
     between: Array = (1 - share) * table[low] + share * table[low + 1]
     return between
-
-
-def _air_mass(reed: ModalReed) -> Array:
-    """Mass (f, m, m) of air on both sides, from pairs of places: monopoles in a baffle."""
-    x, y = reed.top_m.T
-    # Cells of 0.8 mm: as many pairs as memory likes.
-    cells = np.stack([np.round(x / 0.8e-3), np.round(y / 0.8e-3)], axis=1)
-    _, which = np.unique(cells, axis=0, return_inverse=True)
-    which = which.ravel()
-    area = np.bincount(which, reed.top_area_m2)
-    at = [np.bincount(which, reed.top_area_m2 * v) / area for v in (x, y)]
-    moved = np.stack([np.bincount(which, reed.top_area_m2 * m) for m in reed.top.T], axis=1)
-    distance = np.hypot(np.subtract.outer(at[0], at[0]), np.subtract.outer(at[1], at[1]))
-    # A disc of the cell's area: mean of 1/R from its middle.
-    own = np.diag(2 * np.sqrt(np.pi / area))
-    np.fill_diagonal(distance, 1.0)
-    masses = []
-    for hz in _AIR_HZ:
-        kernel = np.cos(2 * np.pi * hz / _SOUND_M_S * distance) / distance
-        np.fill_diagonal(kernel, 0.0)
-        masses.append(2 * _AIR_KG_M3 / (2 * np.pi) * (moved.T @ ((kernel + own) @ moved)))
-    return np.stack(masses)

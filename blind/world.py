@@ -20,7 +20,7 @@ class Cane:
     tip_kg, side_kg : float
         Spread over the last 2 mm of the tip; stuck to the left side 10 mm from the tip.
     air : float
-        Share of free air.
+        Air that moves along, relative to that around a free plate.
     crack_depth_m, crack_m : float, (float, float)
     warming_c_h, drying, drying_s : float
         Temperature's slope; how dry the reed gets, and how fast.
@@ -42,7 +42,7 @@ class Cane:
     loss_power: float = 0.0
     tip_kg: float = 0.0
     side_kg: float = 0.0
-    air: float = 0.0
+    air: float = 1.0
     crack_depth_m: float = 0.0
     crack_m: tuple[float, float] = (15e-3, 3e-3)
     warming_c_h: float = 0.0

@@ -127,13 +127,21 @@ def basis_of(reed: ReedFile, announce: Callable[[str], None] | None = None) -> R
 
 
 def finite_element_model(
-    reed: ReducedReed, modes: tuple[str, ...] = PAPER_MODES
+    reed: ReducedReed, modes: tuple[str, ...] = PAPER_MODES, air_fraction: float = 1.0
 ) -> FiniteElementModel:
-    """Tabulate a reed's modes."""
+    """Tabulate a reed's modes.
+
+    Parameters
+    ----------
+    reed : ReducedReed
+    modes : tuple of str
+    air_fraction : float
+        Density of the air as a fraction of normal air; 0 is a vacuum, as in the paper's model.
+    """
     table = np.empty((2, len(modes), len(_E_L_PA), len(_G_LT_PA)))
     for i, E in enumerate(_E_L_PA):
         for j, G in enumerate(_G_LT_PA):
-            found = elastic_modes(reed, float(E), float(G))
+            found = elastic_modes(reed, float(E), float(G), air_fraction)
             for m, name in enumerate(modes):
                 table[:, m, i, j] = _entry(found.get(name))
     for cents in table[0]:

@@ -1,7 +1,7 @@
 """Mechanical model of a reed: its cane, its alterations, and its modes by name.
 
-If all shifts, growths, alterations and fractions are zero, the model is the nominal reed: the
-geometry of the reed file and the cane of the paper, rigidly clamped, in vacuum.
+If all shifts, growths and alterations are zero, the model is the nominal reed: the
+geometry of the reed file and the cane of the paper, rigidly clamped, in free air.
 """
 
 from collections.abc import Callable, Mapping
@@ -25,7 +25,6 @@ from physics.reed.elements.coarse import coarse_mesh_cents
 from physics.reed.elements.fem import Symmetry
 from physics.reed.geometry import half_width_m
 from physics.reed.mode_classification import names_of
-from physics.reed.radiation import air_load
 from physics.reed.random_surface import random_surface
 from physics.reed.reduced.changes import (
     Change,
@@ -211,7 +210,8 @@ class Mechanics:
     alterations : tuple of (Alteration, float)
         Alterations of the reed or its clamp, each with its amount.
     air_share : float
-        Density of the air around the reed, as a fraction of normal air; 0 is vacuum.
+        Air that moves along with the reed, relative to normal air around a free plate (see
+        `physics.reed.radiation`); 0 is a vacuum.
     coarse_share : float
         Fraction of the additional stiffness of a coarse mesh that is included (see
         `physics.reed.elements.coarse`).
@@ -223,7 +223,9 @@ class Mechanics:
     loss_growth: float = quantity(0.0, "", -0.5, 0.5, "decision 0004: nearly constant")
     shear_loss_log: float = quantity(0.0, "", -0.5, 1.2, _SHEAR_LOSS)
     alterations: tuple[tuple[Alteration, float], ...] = ()
-    air_share: float = quantity(0.0, "", 0.0, 3.0, "a mouthpiece is no baffle: about 1")
+    air_share: float = quantity(
+        1.0, "", 0.0, 4.0, "decision 0026: a free plate; in a wide wall it is up to twice as much"
+    )
     coarse_share: float = quantity(0.0, "", -2.0, 3.0, "decision 0009")
 
 
@@ -267,7 +269,6 @@ class ReedSolver:
     def __init__(self, reed: ReducedReed, announce: Callable[[str], None] | None = None) -> None:
         self.reed = reed
         self._unit = lru_cache(maxsize=None)(lambda kind: _unit_change(reed, kind))
-        self._air = lru_cache(maxsize=1)(lambda: air_load(reed))
         self._coarse = lru_cache(maxsize=1)(
             lambda: coarse_mesh_cents(reed.geometry, reed.cane, announce)
         )
@@ -288,7 +289,7 @@ class ReedSolver:
         return State(
             law=self._laws(reed.cane, reed.shift),
             change=self._change(reed.alterations),
-            air=self._air() if reed.air_share else None,
+            air=self.reed.air if reed.air_share else None,
             air_fraction=reed.air_share,
         )
 
@@ -355,7 +356,7 @@ class ReedSolver:
             loss_factor,
             hz,
             np.concatenate(list(forces.values())),
-            air=(self._air(), reed.air_share) if reed.air_share else None,
+            air_fraction=reed.air_share,
             added_n_m=self._stiffness_of_coarse_mesh(reed) if reed.coarse_share else None,
         )
         return dict(zip(forces, np.split(moved, self.reed.starts[1:]), strict=True))
@@ -371,6 +372,8 @@ class ReedSolver:
         for name, mode in modes.items():
             cents = reed.coarse_share * self._coarse().get(name, 0.0)
             moved = mass @ mode.coordinates
+            if self.reed.air is not None and reed.air_share:
+                moved += reed.air_share * self.reed.air.products(mode.hz, mode.coordinates)
             stiffer = (2 * np.pi * mode.hz) ** 2 * (2 ** (2 * cents / 1200) - 1)
             total += stiffer * np.multiply.outer(moved, moved)
         return total

@@ -58,7 +58,7 @@ class ReedMotion(Protocol):
 
 @dataclass(frozen=True)
 class PlainMotion:
-    """Motion of a reed that is as drawn: no alteration, no air.
+    """Motion of a reed of any shape, without alterations.
 
     Attributes
     ----------
@@ -79,12 +79,13 @@ class PlainMotion:
     ) -> Coordinates:
         """Return the motion at a frequency; see `ReedMotion`."""
         material = _material(self.reed.cane, mechanics, change, hz, stiffer)
-        return response_at(self.reed, material, _loss(mechanics, change, hz), hz, pressure)
+        loss = _loss(mechanics, change, hz)
+        return response_at(self.reed, material, loss, hz, pressure, mechanics.air_share)
 
     @staticmethod
     def plays(mechanics: Mechanics) -> bool:
         """Whether such a reed needs no more than this."""
-        return not (mechanics.alterations or mechanics.air_share or mechanics.coarse_share)
+        return not (mechanics.alterations or mechanics.coarse_share)
 
 
 @dataclass(frozen=True)

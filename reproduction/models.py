@@ -85,7 +85,7 @@ def build_models(announce: Announce) -> Models:
         reed=reed,
         table_9=Equation1(PAPER_MODES, np.array([paper.TABLE_9[name] for name in PAPER_MODES])),
         adjusted=adjusted,
-        finite_elements=finite_element_polynomial(reed),
+        finite_elements=finite_element_polynomial(reed, air_fraction=0.0),
         populations=draw_populations(adjusted),
     )
 

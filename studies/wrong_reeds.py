@@ -12,9 +12,9 @@ import hashlib
 import json
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,20 +32,18 @@ from drivers.simulated.settings import (
     read_simulation,
 )
 from holography.arrays import Array
-from physics.reed.cache import kept
 from physics.reed.cane.viscoelastic import Series
-from physics.reed.elements.fem import Symmetry
 from physics.reed.geometry import (
     Outline,
     ReedGeometry,
     half_width_m,
     thickness_m,
 )
-from physics.reed.modes import (
-    ModeClass,
-    NamedMode,
-    viscoelastic_modes,
-)
+from physics.reed.modes import HIGHEST_HZ
+from physics.reed.reduced.dynamics import CaneLaw, State
+from physics.reed.reduced.elastic import named_vibrations
+from physics.reed.reduced.stored import reduced_reed
+from physics.reed.reduced.vibrations import vibrations
 from physics.reed.surface import on_reed
 from protocols.bench import BenchFile
 from protocols.plan import make_plan
@@ -59,7 +57,6 @@ MAP_X_MM, MAP_Y_MM = np.linspace(0.0, 35.0, 36), np.linspace(-6.5, 6.5, 27)
 DEGREES = (4, 4)
 # No constant is farther off than this many standard deviations.
 MOST_DEVIATIONS = 2.0
-_NO_SHAPE = np.empty((0, 3))
 
 
 def wrong_bench(
@@ -148,8 +145,8 @@ def _factor(rng: np.random.Generator, deviation: float) -> float:
 def true_modes(bench: BenchFile, reed: str, series: Series) -> dict[str, dict[str, Any]]:
     """Eigenfrequencies below 20 kHz of the reed that stands on a bench, by name.
 
-    By finite elements of the simulation's own mesh, each mode with the moduli of its own frequency,
-    and without loss. Kept in the cache.
+    Of the reduced reed that the bench plays, each mode with the moduli and the air of its own
+    frequency, and without loss.
 
     Returns
     -------
@@ -162,23 +159,11 @@ def true_modes(bench: BenchFile, reed: str, series: Series) -> dict[str, dict[st
     geometry = bench_geometry(simulation, preparation) or ReedGeometry()
     constants = bench_constants(simulation, preparation)
     cane = bench_parameters(simulation, bench, preparation).reed.cane
-    level, _ = simulation.finite_elements
-
-    def solve() -> list[NamedMode]:
-        return viscoelastic_modes(geometry, constants, cane, level)
-
-    def to_arrays(modes: list[NamedMode]) -> dict[str, Array]:
-        return {f.name: np.array([getattr(mode, f.name) for mode in modes]) for f in columns_of}
-
-    def from_arrays(arrays: Mapping[str, Array]) -> list[NamedMode]:
-        columns = [arrays[f.name].tolist() for f in columns_of]
-        return [
-            NamedMode(n, hz, ModeClass(k), Symmetry(s), q, _NO_SHAPE)
-            for n, hz, k, s, q in zip(*columns, strict=True)
-        ]
-
-    columns_of = [f for f in fields(NamedMode) if f.name != "shape"]
-    modes = kept("truth", (geometry, constants, cane, level), solve, to_arrays, from_arrays)
+    level, basis = simulation.finite_elements
+    settings = replace(basis, box=replace(basis.box, cane=constants))
+    played = reduced_reed(geometry, level, settings)
+    found = vibrations(played, State(CaneLaw(constants, cane), air=played.air), HIGHEST_HZ)
+    modes = named_vibrations(found)
     return {
         mode.name: {
             "hz": mode.frequency_hz,

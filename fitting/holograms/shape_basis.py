@@ -74,7 +74,7 @@ def shape_basis(
     surface = surface_shapes(reed, x_m, y_m)
     named = {
         (mode.part, round(mode.frequency_hz, 3)): name
-        for name, mode in elastic_modes(reed, E_L_pa, G_LT_pa).items()
+        for name, mode in elastic_modes(reed, E_L_pa, G_LT_pa, air_fraction=0.0).items()
     }
     found: list[tuple[float, str, Array, float]] = []
     for symmetry, half in reed.parts.items():

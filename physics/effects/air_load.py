@@ -1,19 +1,19 @@
-"""Air that moves with the reed and adds mass, and sound that the reed radiates."""
+"""More air that moves along with the reed than with a free plate, as its mouthpiece guides it."""
 
 from physics.effects.changes import additive
 from physics.effects.effect import Effect, Parameter, Stage
 
 EFFECT = Effect(
     id="air_load",
-    title="air adds mass and radiation loss",
+    title="more air moves along than with a free plate",
     stage=Stage.ACOUSTICS,
     position=0,
     parameters=(
         Parameter(
             "fraction",
             "",
-            0.7,
-            "1 is free air on both sides in a baffle; a mouthpiece is neither",
+            0.5,
+            "a plate in a wide wall moves twice the air of a free plate; a mouthpiece is between",
             positive=True,
         ),
     ),

@@ -180,13 +180,17 @@ def _other_mode_rows(numbers: Printed, models: Models) -> Iterator[Row]:
 
 
 def _computed(reed: ReducedReed, mode: str, series: Series, printed_hz: float) -> tuple[float, str]:
-    """Frequency in Hz of a mode of the mean reed; of two that share shapes, the nearer one."""
+    """Frequency in Hz of a mode of the mean reed; of two that share shapes, the nearer one.
+
+    In a vacuum, as the paper's finite elements.
+    """
     cane = viscoelastic_cane(Components(), series)
-    moduli = (storage_modulus_pa(z, printed_hz) for z in (cane.young_L, cane.shear_LT))
-    nearby = elastic_modes(reed, *map(float, moduli))
+    E_L_pa = float(storage_modulus_pa(cane.young_L, printed_hz))
+    G_LT_pa = float(storage_modulus_pa(cane.shear_LT, printed_hz))
+    nearby = elastic_modes(reed, E_L_pa, G_LT_pa, air_fraction=0.0)
     names = (mode, _MIXED[mode]) if mode in _MIXED else (mode,)
     # Begun at our own mode: where two share shapes a name settles near the start.
-    found = [viscoelastic_mode(reed, cane, n, nearby[n].frequency_hz) for n in names]
+    found = [viscoelastic_mode(reed, cane, n, nearby[n].frequency_hz, 0.0) for n in names]
     best = min(found, key=lambda m: abs(np.log2(m.frequency_hz / printed_hz)))
     if len(found) == 1:
         return best.frequency_hz, "no adjustments"

@@ -61,10 +61,13 @@ class Network:
 def compute_network(reed: ReducedReed) -> Network:
     """Compute the modes of all materials of the network.
 
-    T4 and F4, which repel each other and exchange shapes, are distinguished by their order.
+    In a vacuum, as the paper's finite elements. T4 and F4, which repel each other and exchange
+    shapes, are distinguished by their order.
     """
     E, G = paper_network_pa()
-    found = [elastic_modes(reed, float(e), float(g)) for e, g in zip(E, G, strict=True)]
+    found = [
+        elastic_modes(reed, float(e), float(g), air_fraction=0.0) for e, g in zip(E, G, strict=True)
+    ]
     hz = np.array([[modes[name].frequency_hz for name in PAPER_MODES] for modes in found])
     pair = [PAPER_MODES.index(name) for name in _REPELLING]
     hz[:, pair] = np.sort(hz[:, pair], axis=1)

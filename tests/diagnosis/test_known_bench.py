@@ -37,7 +37,7 @@ def test_effects_are_put_on_the_twin_in_their_units() -> None:
         ),
     )
     assert parameters.clocks.detuning_hz == pytest.approx(0.02)
-    assert parameters.reed.air_share == pytest.approx(0.9)
+    assert parameters.reed.air_share == pytest.approx(1.9)
     assert parameters.optics.interference.fade_per_h == pytest.approx(0.3)
 
 

@@ -245,7 +245,7 @@ NAMES, BENDING = ("F1", "T1"), np.array([0.9, 0.2])
 def of_moduli(reed):
     """Modes whose squared frequencies go with E_L and G_LT by their shares of bending."""
     log = BENDING * reed.shift.E_L + (1 - BENDING) * reed.shift.G_LT
-    hz = np.array([2e3, 5e3]) * np.exp(0.5 * log) * (1 - 0.01 * reed.air_share)
+    hz = np.array([2e3, 5e3]) * np.exp(0.5 * log) * (1 - 0.01 * (reed.air_share - 1))
     return {n: SimpleNamespace(hz=f, loss_factor=0.03) for n, f in zip(NAMES, hz, strict=True)}
 
 
@@ -261,7 +261,7 @@ def modes():
 
 def test_frequencies_are_in_cents_and_losses_in_per_cent(modes) -> None:
     # An octave is 1200 cents; a hundredth lower 17.4.
-    air = modes(with_part(BenchParameters(), "reed", air_share=1.0))
+    air = modes(with_part(BenchParameters(), "reed", air_share=2.0))
     assert air == pytest.approx([1200 * np.log2(0.99)] * 2 + [0.0, 0.0])
     stiffer = modes(with_cane(BenchParameters(), E_L=0.02))
     assert stiffer == pytest.approx([1200 * np.log2(np.exp(0.01 * b)) for b in BENDING] + [0, 0])

@@ -20,7 +20,12 @@ from physics.reed.reduced.changes import (
     softening,
     yielding_clamp,
 )
-from physics.reed.reduced.derivatives import PARAMETERS, derivatives, predicted_hz
+from physics.reed.reduced.derivatives import (
+    PARAMETERS,
+    derivatives,
+    local_shifts,
+    predicted_hz,
+)
 from physics.reed.reduced.dynamics import CaneLaw, LossFactors, State
 from physics.reed.reduced.losses import loss_factors
 from physics.reed.reduced.reed import MODULI
@@ -358,3 +363,15 @@ def test_derivatives_of_a_sharp_pressure_are_those_of_its_resonance(coarse_reed)
     expected = (2 * ratio**2 - 1j * ratio / 2500) * gain(hz)
     for key, own in force.by_ln_hz(hz).items():
         np.testing.assert_allclose(own, expected * force.at(hz)[key], rtol=1e-3)
+
+
+def test_local_shifts_add_up_to_those_of_a_layer(coarse_reed):
+    found = vibrations(coarse_reed, State(CaneLaw(coarse_reed.cane)), 20e3)
+
+    def thickness(x, y):
+        return 1 + 30 * x + 50 * np.abs(y)
+
+    on_vamp = coarse_reed.bark_m[:, 0] < coarse_reed.geometry.vamp_x_m[-1]
+    weights = coarse_reed.area_m2 * on_vamp * thickness(*coarse_reed.bark_m.T)
+    whole = derivatives(found, [layer(coarse_reed, thickness)]).ln_hz[:, -1]
+    np.testing.assert_allclose(weights @ local_shifts(found), whole, rtol=1e-9)

@@ -156,17 +156,19 @@ def test_shear_that_loses_more_damps_torsion_more_than_bending(reed_solver):
 @pytest.mark.parametrize("mode", ["F1", "T1", "X1"])
 def test_peaks_are_as_low_as_modes_say_that_shear_makes_them(mode, reed_solver):
     """Far from others, the peak is inversely proportional to the loss factor of the mode."""
-    hz = reed_solver.modes(REED)[mode].hz
+    vacuum = replace(REED, air_share=0.0)
+    hz = reed_solver.modes(vacuum)[mode].hz
 
     def peak(log):
-        reed = replace(REED, loss_factor=1e-3, shear_loss_log=log)
+        reed = replace(vacuum, loss_factor=1e-3, shear_loss_log=log)
         moved = PlainMotion(reed_solver.reed).coordinates(
             reed, UNCHANGED, hz, 0.0, lambda _hz, _x, y: (1 + 100 * y).astype(complex)
         )
         return max(np.abs(own).max() for own in moved.values())
 
     even, uneven = (
-        reed_solver.modes(replace(REED, shear_loss_log=log))[mode].loss_factor for log in (0.0, 0.6)
+        reed_solver.modes(replace(vacuum, shear_loss_log=log))[mode].loss_factor
+        for log in (0.0, 0.6)
     )
     assert peak(0.0) / peak(0.6) == pytest.approx(uneven / even, rel=0.03)
 

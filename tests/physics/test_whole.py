@@ -191,7 +191,7 @@ def test_an_uneven_reed_moves_as_its_elements_do(hz, share, skew_whole, consiste
     expected = full[2::3].reshape(mesh.block)[:, :, -1].ravel()
     found = (
         skew_whole.parts[None].surface_z
-        @ forced_response(skew_whole, CANE, LOSS, np.array([hz]), askew)[None][0]
+        @ forced_response(skew_whole, CANE, LOSS, np.array([hz]), askew, 0.0)[None][0]
     )
     assert np.linalg.norm(found - expected) < share * np.linalg.norm(expected)
 

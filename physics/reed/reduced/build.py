@@ -12,6 +12,7 @@ from physics.reed.elements.integrals import integrals
 from physics.reed.elements.mesh import MeshLevel, ReedMesh
 from physics.reed.geometry import ReedGeometry
 from physics.reed.mode_classification import vamp_profiles
+from physics.reed.radiation import air_load
 from physics.reed.reduced.boundary import (
     bark_fields,
     bark_side,
@@ -92,6 +93,7 @@ def build_reduced_reed(
         },
         edge=_front_edge(geometry, elements.mesh, shapes),
     )
+    reed = replace(reed, air=air_load(reed))
     progress(1.0)
     return reed
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from holography.arrays import Array
-from physics.reed.cane.material import terms_and_slopes
+from physics.reed.cane.material import STIFFNESS_TERMS, terms_and_slopes
 from physics.reed.reduced.changes import Blocks, Change
 from physics.reed.reduced.dynamics import E_L, G_LT, PIVOT_HZ
 from physics.reed.reduced.reed import CONSTANTS, MODULI
@@ -93,6 +93,28 @@ def derivatives(found: Vibrations, changes: Sequence[Change] = ()) -> Derivative
     couplings = 0.5 * (couplings + couplings.transpose(1, 0, 2))
     own = np.arange(len(scale))
     return Derivatives(couplings[own, own], couplings, loads, masses, reactions)
+
+
+def local_shifts(found: Vibrations) -> Array:
+    """Derivatives (b, m) of ln f of all modes by cane that grows on the bark side.
+
+    Per metre of thickness and square metre of the plan, at the points of the bark side; of half a
+    reed, on both halves.
+    """
+    reed, x = found.reed, found.coordinates
+    stiffnesses = terms_and_slopes(found.state.law.constants_at(found.hz))[0]
+    density = found.state.law.constants.density_kg_m3
+    squares = density * (2 * np.pi * found.hz) ** 2
+    grown = np.zeros((len(reed.bark_m), len(found.hz)))
+    for start, part in zip(reed.starts, reed.loose.values(), strict=True):
+        own = x[start : start + part.size]
+        strains, moved = part.strain @ own, part.motion @ own
+        for number, term in enumerate(STIFFNESS_TERMS):
+            i, j = int(term[0]) - 1, int(term[1]) - 1
+            twice = 1.0 if i == j else 2.0
+            grown += twice * strains[i] * strains[j] * stiffnesses[:, number]
+        grown -= squares * np.sum(moved**2, axis=0)
+    return np.asarray(-grown / _by_ln_hz(found))
 
 
 def _by_ln_hz(found: Vibrations) -> Array:

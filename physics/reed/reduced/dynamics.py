@@ -18,6 +18,7 @@ from scipy.interpolate import CubicSpline
 from holography.arrays import Array, ComplexArray
 from physics.reed.cane.material import STIFFNESS_TERMS, Cane, terms_and_slopes
 from physics.reed.cane.viscoelastic import ViscoelasticCane, Zener, storage_modulus
+from physics.reed.reduced.air_matrices import AirMatrices
 from physics.reed.reduced.changes import Blocks, Change
 from physics.reed.reduced.reed import CONSTANTS, ReducedReed
 
@@ -124,36 +125,6 @@ _LOG_RANGE = tuple(np.log(_RANGE_HZ).tolist())
 _PLACES = chebyshev.chebpts1(_NODES)
 _HZ_OF_NODES = np.exp(0.5 * (sum(_LOG_RANGE) + (_LOG_RANGE[1] - _LOG_RANGE[0]) * _PLACES))
 _TO_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(_PLACES, _NODES - 1))
-
-
-@dataclass(frozen=True)
-class AirMatrices:
-    """What the air around a reed adds, per part of the reed.
-
-    Attributes
-    ----------
-    amounts : callable
-        At log frequencies (m,): (m, k).
-    mass_kg, resistance_kg_s : list of (k, s, s) float
-        Moved along, and of sound that is radiated: multiplied by the amounts.
-    """
-
-    amounts: CubicSpline
-    mass_kg: list[Array]
-    resistance_kg_s: list[Array]
-
-    def at(self, hz: float) -> list[tuple[Array, Array]]:
-        """Mass and resistance (s, s) of each part at a frequency."""
-        amounts = self.amounts(np.log(hz))
-        return [
-            (np.tensordot(amounts, mass, axes=1), np.tensordot(amounts, resistance, axes=1))
-            for mass, resistance in zip(self.mass_kg, self.resistance_kg_s, strict=True)
-        ]
-
-    @classmethod
-    def of(cls, hz: Array, mass_kg: list[Array], resistance_kg_s: list[Array]) -> "AirMatrices":
-        """Interpolate matrices (f, s, s) per part between frequencies (f,)."""
-        return cls(CubicSpline(np.log(hz), np.eye(len(hz))), mass_kg, resistance_kg_s)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Named modes of the clamped reed without air: of fixed moduli, or of a viscoelastic cane."""
+"""Named modes of the clamped reed: of fixed moduli, or of a viscoelastic cane."""
 
 import math
 from dataclasses import dataclass, replace
@@ -14,6 +14,7 @@ from physics.reed.cane.viscoelastic import ViscoelasticCane
 from physics.reed.elements.fem import Symmetry
 from physics.reed.mode_classification import ModeDescriptor, names_of
 from physics.reed.modes import HIGHEST_HZ, NamedMode, at_frequency, named_mode, settled_mode
+from physics.reed.reduced.dynamics import PIVOT_HZ
 from physics.reed.reduced.reed import ReducedReed, ReedPart
 from physics.reed.reduced.vibrations import Vibrations
 
@@ -52,11 +53,43 @@ class Mode:
     similarity: float
 
 
-def reduced_modes(part: ReedPart, terms_pa: Array, density_kg_m3: float) -> tuple[Array, Array]:
-    """Eigenfrequencies (r,) in Hz, ascending, and mass-normalised reduced shapes (r, r)."""
+def reduced_modes(
+    part: ReedPart, terms_pa: Array, density_kg_m3: float, air_kg: Array | None = None
+) -> tuple[Array, Array]:
+    """Eigenfrequencies (r,) in Hz, ascending, and mass-normalised reduced shapes (r, r).
+
+    Parameters
+    ----------
+    part : ReedPart
+    terms_pa : (9,) float
+        Independent stiffnesses of the cane.
+    density_kg_m3 : float
+    air_kg : (r, r) float, optional
+        Mass of the air that moves along. A vacuum if not given.
+    """
     K = np.tensordot(terms_pa, part.stiffness_terms, axes=1)
-    eigenvalues, shapes = linalg.eigh(K, density_kg_m3 * part.mass)
+    mass = density_kg_m3 * part.mass
+    eigenvalues, shapes = linalg.eigh(K, mass if air_kg is None else mass + air_kg)
     return np.sqrt(np.clip(eigenvalues, 0.0, None)) / (2 * np.pi), shapes
+
+
+def air_masses_kg(reed: ReducedReed, hz: float, air_fraction: float) -> list[Array | None]:
+    """Mass (r, r) of the air that moves along with each part, at a frequency.
+
+    Parameters
+    ----------
+    reed : ReducedReed
+    hz : float
+    air_fraction : float
+        Density of the air as a fraction of normal air; 0 is a vacuum.
+    """
+    if reed.air is None or not air_fraction:
+        return [None] * len(reed.loose)
+    held = [part.held for part in reed.loose.values()]
+    return [
+        air_fraction * mass[:own, :own]
+        for own, (mass, _) in zip(held, reed.air.at(hz), strict=True)
+    ]
 
 
 def named_modes(reed: ReducedReed) -> int:
@@ -66,14 +99,39 @@ def named_modes(reed: ReducedReed) -> int:
     return min(below + math.ceil(_NAMED_BEYOND * below), min(map(len, middles)))
 
 
-def elastic_modes(reed: ReducedReed, E_L_pa: float, G_LT_pa: float) -> dict[str, Mode]:
-    """Modes of the reed with fixed moduli, by name."""
+def elastic_modes(
+    reed: ReducedReed,
+    E_L_pa: float,
+    G_LT_pa: float,
+    air_fraction: float = 1.0,
+    air_hz: float = PIVOT_HZ,
+) -> dict[str, Mode]:
+    """Modes of the reed with fixed moduli, by name.
+
+    Parameters
+    ----------
+    reed : ReducedReed
+    E_L_pa, G_LT_pa : float
+    air_fraction : float
+        Density of the air as a fraction of normal air; 0 is a vacuum.
+    air_hz : float
+        Frequency of the air in which shapes are computed. Frequencies have the air of their own, to
+        first order in the difference: 0.02 cents.
+    """
     cane = replace(reed.cane, E_L_pa=E_L_pa, G_LT_pa=G_LT_pa)
     terms, count = stiffness_terms_pa(cane), named_modes(reed)
     modes: dict[str, Mode] = {}
-    for key, part in reed.parts.items():
-        hz, shapes = reduced_modes(part, terms, cane.density_kg_m3)
-        modes |= _named(part, key, hz[:count], shapes[:, :count], cane.density_kg_m3)
+    each = air_masses_kg(reed, air_hz, air_fraction)
+    for number, ((key, part), air_kg) in enumerate(zip(reed.parts.items(), each, strict=True)):
+        hz, shapes = reduced_modes(part, terms, cane.density_kg_m3, air_kg)
+        hz, shapes = hz[:count], shapes[:, :count]
+        if air_kg is not None and reed.air is not None:
+            grown = reed.air.forms(number, hz, shapes) - reed.air.forms(
+                number, np.full(len(hz), air_hz), shapes
+            )
+            heavier = 1 + air_fraction * grown
+            hz, shapes = hz / np.sqrt(heavier), shapes / np.sqrt(heavier)
+        modes |= _named(part, key, hz, shapes, cane.density_kg_m3)
     return modes
 
 
@@ -128,7 +186,11 @@ def _named(
 
 
 def viscoelastic_mode(
-    reed: ReducedReed, cane: ViscoelasticCane, name: str, start_hz: float
+    reed: ReducedReed,
+    cane: ViscoelasticCane,
+    name: str,
+    start_hz: float,
+    air_fraction: float = 1.0,
 ) -> Mode:
     """Mode of a given name, with the storage moduli taken at its own frequency.
 
@@ -143,6 +205,8 @@ def viscoelastic_mode(
     start_hz : float
         Where the search begins. Of two modes that each bear the name with the moduli of their own
         frequency, the one nearer to it is likely to be found.
+    air_fraction : float
+        See `elastic_modes`.
 
     Raises
     ------
@@ -153,20 +217,29 @@ def viscoelastic_mode(
     hz = start_hz
     for _ in range(_MOST_ITERATIONS):
         constants = at_frequency(reed.cane, cane, hz)
-        modes = elastic_modes(reed, constants.E_L_pa, constants.G_LT_pa)
+        modes = elastic_modes(reed, constants.E_L_pa, constants.G_LT_pa, air_fraction, hz)
         if name not in modes:
             break
         previous, hz = hz, modes[name].frequency_hz
         if abs(1200 * np.log2(hz / previous)) < _SETTLED_CENTS:
             return modes[name]
-    modes = viscoelastic_modes(reed, cane)
+    modes = viscoelastic_modes(reed, cane, air_fraction)
     if name not in modes:
         raise ImpossibleReedError(f"this reed has no mode {name} near {hz:.0f} Hz")
     return modes[name]
 
 
-def viscoelastic_modes(reed: ReducedReed, cane: ViscoelasticCane) -> dict[str, Mode]:
+def viscoelastic_modes(
+    reed: ReducedReed, cane: ViscoelasticCane, air_fraction: float = 1.0
+) -> dict[str, Mode]:
     """All modes with names, each settled by its number (see `modes.viscoelastic_modes`).
+
+    Parameters
+    ----------
+    reed : ReducedReed
+    cane : ViscoelasticCane
+    air_fraction : float
+        See `elastic_modes`.
 
     Raises
     ------
@@ -175,11 +248,12 @@ def viscoelastic_modes(reed: ReducedReed, cane: ViscoelasticCane) -> dict[str, M
     """
     count, density_kg_m3 = named_modes(reed), reed.cane.density_kg_m3
     modes: dict[str, Mode] = {}
-    for key, part in reed.parts.items():
+    for place, (key, part) in enumerate(reed.parts.items()):
 
-        def eigenpairs(hz: float, part: ReedPart = part) -> tuple[Array, Array]:
+        def eigenpairs(hz: float, part: ReedPart = part, place: int = place) -> tuple[Array, Array]:
             terms = stiffness_terms_pa(at_frequency(reed.cane, cane, hz))
-            return reduced_modes(part, terms, density_kg_m3)
+            air_kg = air_masses_kg(reed, hz, air_fraction)[place]
+            return reduced_modes(part, terms, density_kg_m3, air_kg)
 
         found = [settled_mode(eigenpairs, number, HIGHEST_HZ) for number in range(count)]
         hz, shapes = (np.stack(parts, axis=-1) for parts in zip(*found, strict=True))

@@ -16,6 +16,7 @@ from holography.arrays import Array
 from physics.reed.cane.material import Cane
 from physics.reed.elements.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
+from physics.reed.reduced.air_matrices import AirMatrices
 
 # Elastic constants in the order of `Cane`: six moduli, three Poisson ratios.
 CONSTANTS = tuple(field.name for field in fields(Cane))[:-1]
@@ -251,6 +252,8 @@ class ReducedReed:
         A `ReedPart` per symmetry of a reed that is its own mirror image, with y ≥ 0; for any other
         reed one part, of the whole plan, with the key None.
     edge : FrontEdge
+    air : AirMatrices, optional
+        Normal air around the reed; without it the reed can only be in a vacuum.
     """
 
     geometry: ReedGeometry
@@ -262,6 +265,7 @@ class ReducedReed:
     strip_m2: Array
     loose: Mapping[Symmetry | None, ReedPart]
     edge: FrontEdge
+    air: AirMatrices | None = None
 
     @property
     def cane(self) -> Cane:

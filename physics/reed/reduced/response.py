@@ -13,7 +13,7 @@ from physics.reed.cane.viscoelastic import ViscoelasticCane
 from physics.reed.elements.fem import Symmetry
 from physics.reed.modes import at_frequency
 from physics.reed.reduced.changes import Change, as_matrix
-from physics.reed.reduced.dynamics import AirMatrices, LossFactors, coordinates_of
+from physics.reed.reduced.dynamics import LossFactors, coordinates_of
 from physics.reed.reduced.reed import ReducedReed, ReedPart
 
 Pressure = Callable[[float, Array, Array], ComplexArray]
@@ -147,11 +147,12 @@ def forced_response(
     loss: float | LossFactors,
     frequencies_hz: Array,
     pressure: Pressure | PressureForce,
+    air_fraction: float = 1.0,
 ) -> dict[Symmetry | None, ComplexArray]:
     """Steady vibration under a sinusoidal pressure on the flat side.
 
-    Solves ``(K(ω)(1 + iη) − ω²M) q = F`` at every frequency, with the storage moduli of that
-    frequency and a loss factor η of its own (see decision 0004).
+    Solves ``(K(ω)(1 + iη) − ω²M + iωR) q = F`` at every frequency, with the storage moduli and air
+    of that frequency and a loss factor η of its own (see decisions 0004 and 0026).
 
     Parameters
     ----------
@@ -163,6 +164,8 @@ def forced_response(
     pressure : callable or PressureForce
         ``pressure(frequency_hz, x_m, y_m)`` gives complex pressures in Pa at points of the flat
         side, y of either sign; positive pushes towards the bark side (+z).
+    air_fraction : float
+        Density of the air as a fraction of normal air; 0 is a vacuum.
 
     Returns
     -------
@@ -170,7 +173,7 @@ def forced_response(
         Reduced coordinates in m, per part of the reed, time factor exp(+iωt).
     """
     each = [
-        response_at(reed, at_frequency(reed.cane, cane, hz), loss, hz, pressure)
+        response_at(reed, at_frequency(reed.cane, cane, hz), loss, hz, pressure, air_fraction)
         for hz in frequencies_hz.tolist()
     ]
     return {key: np.stack([response[key] for response in each]) for key in reed.parts}
@@ -182,6 +185,7 @@ def response_at(
     loss: float | LossFactors,
     hz: float,
     pressure: Pressure | PressureForce,
+    air_fraction: float = 1.0,
 ) -> Forces:
     """Steady vibration (r,) at one frequency, per part; see `forced_response`.
 
@@ -190,13 +194,14 @@ def response_at(
     reed : ReducedReed
     material : Cane
         All constants, at this frequency.
-    loss, hz, pressure
+    loss, hz, pressure, air_fraction
         See `forced_response`.
     """
     forces = pressure_forces(reed, hz, pressure)
+    in_air = _air_of(reed, hz, air_fraction)
     return {
-        key: _solve(part, material, _losses(loss), hz, forces[key])
-        for key, part in reed.parts.items()
+        key: _solve(part, material, _losses(loss), hz, forces[key], added)
+        for (key, part), added in zip(reed.parts.items(), in_air, strict=True)
     }
 
 
@@ -208,7 +213,7 @@ def response_of_changed(
     hz: float,
     force_n: ComplexArray,
     *,
-    air: tuple[AirMatrices, float] | None = None,
+    air_fraction: float = 1.0,
     added_n_m: Array | None = None,
 ) -> ComplexArray:
     """Steady vibration (s,) of a changed reed under forces (s,), in the coordinates of all parts.
@@ -224,8 +229,8 @@ def response_of_changed(
     loss : float or LossFactors
     hz : float
     force_n : (s,) complex
-    air : (AirMatrices, float), optional
-        Normal air, and its density as a fraction of it. Vacuum if not given.
+    air_fraction : float
+        See `forced_response`.
     added_n_m : (s, s) float, optional
         More stiffness, with the loss factor of normal strains.
     """
@@ -241,11 +246,8 @@ def response_of_changed(
     dynamic = np.tensordot(terms, stiffness_terms, axes=1) - omega**2 * mass
     if added_n_m is not None:
         dynamic = dynamic + (1 + 1j * losses.normal) * added_n_m
-    if air is not None:
-        matrices, fraction = air
-        carried, resisting = zip(*matrices.at(hz), strict=True)
-        moved_along = linalg.block_diag(*carried), linalg.block_diag(*resisting)
-        dynamic = dynamic + fraction * (1j * omega * moved_along[1] - omega**2 * moved_along[0])
+    if reed.air is not None and air_fraction:
+        dynamic = dynamic + linalg.block_diag(*_air_of(reed, hz, air_fraction))
     moved = np.zeros(len(force_n), dtype=complex)
     for own in coordinates_of(reed, change, 0.0):
         rows, held = own.everywhere, own.held
@@ -255,6 +257,17 @@ def response_of_changed(
         force = np.concatenate([force_n[rows[:held]], own.strip.T @ force_n[rows[held:]]])
         moved += own.everywhere_of(np.linalg.solve(matrix, force)[:, None], len(moved))[:, 0]
     return moved
+
+
+def _air_of(reed: ReducedReed, hz: float, air_fraction: float) -> list[ComplexArray]:
+    """Dynamic stiffness (s, s) of the air, per part."""
+    if reed.air is None or not air_fraction:
+        return [np.zeros((part.size,) * 2, dtype=complex) for part in reed.loose.values()]
+    omega = 2 * np.pi * hz
+    return [
+        air_fraction * (1j * omega * resistance - omega**2 * mass)
+        for mass, resistance in reed.air.at(hz)
+    ]
 
 
 def _losses(loss: float | LossFactors) -> LossFactors:
@@ -272,11 +285,17 @@ def _pressure_on(
 
 
 def _solve(
-    part: ReedPart, material: Cane, losses: LossFactors, hz: float, load: ComplexArray
+    part: ReedPart,
+    material: Cane,
+    losses: LossFactors,
+    hz: float,
+    load: ComplexArray,
+    air: ComplexArray,
 ) -> ComplexArray:
     terms = stiffness_terms_pa(material) * losses.of_terms
     omega2 = (2 * np.pi * hz) ** 2
     dynamic = np.tensordot(terms, part.stiffness_terms, axes=1).astype(complex)
     dynamic -= omega2 * material.density_kg_m3 * part.mass
+    dynamic += air[: part.held, : part.held]
     answer: ComplexArray = np.linalg.solve(dynamic, load)
     return answer

@@ -9,6 +9,7 @@ from physics.reed.cache import Arrays, kept
 from physics.reed.elements.fem import Symmetry
 from physics.reed.elements.mesh import STANDARD, MeshLevel
 from physics.reed.geometry import ReedGeometry
+from physics.reed.reduced.air_matrices import AirMatrices
 from physics.reed.reduced.build import build_reduced_reed
 from physics.reed.reduced.reed import (
     BasisSettings,
@@ -22,6 +23,7 @@ _OF_REED = ("plan_m", "load_points_m", "bark_m", "area_m2", "strip_m2")
 _OF_PART = tuple(f.name for f in fields(ReedPart) if f.name not in ("held", "measures"))
 _OF_MEASURES = tuple(f.name for f in fields(ShapeMeasures))
 _OF_EDGE = tuple(f.name for f in fields(FrontEdge))
+_OF_AIR = ("mass_kg", "resistance_kg_s", "wall_kg")
 _WHOLE = "whole"
 
 
@@ -66,6 +68,11 @@ def reduced_reed(
 def _arrays(reed: ReducedReed) -> Arrays:
     arrays = {name: getattr(reed, name) for name in _OF_REED}
     arrays |= {f"edge_{name}": getattr(reed.edge, name) for name in _OF_EDGE}
+    if reed.air is not None:
+        arrays["air_hz"] = reed.air.hz
+        for name in _OF_AIR:
+            each = zip(reed.loose, getattr(reed.air, name), strict=True)
+            arrays |= {f"{key or _WHOLE}_air_{name}": own for key, own in each}
     for key, part in reed.loose.items():
         prefix = key or _WHOLE
         arrays[f"{prefix}_held"] = np.array(part.held)
@@ -90,10 +97,12 @@ def _restored(geometry: ReedGeometry, settings: BasisSettings, arrays: Arrays) -
             },
             **{name: arrays[f"{prefix}_{name}"] for name in _OF_PART},
         )
+    air = {name: [arrays[f"{key or _WHOLE}_air_{name}"] for key in loose] for name in _OF_AIR}
     return ReducedReed(
         geometry=geometry,
         box=settings.box,
         loose=loose,
+        air=AirMatrices(arrays["air_hz"], **air),
         edge=FrontEdge(**{name: arrays[f"edge_{name}"] for name in _OF_EDGE}),
         **{name: arrays[name] for name in _OF_REED},
     )

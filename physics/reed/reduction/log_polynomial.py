@@ -286,6 +286,7 @@ def finite_element_polynomial(
     box: Box = REED_BOX,
     count: int = 24,
     least_similarity: float = 0.95,
+    air_fraction: float = 1.0,
 ) -> LogPolynomial:
     """Follow the modes of a reed by name, straight through their crossings with others.
 
@@ -296,6 +297,8 @@ def finite_element_polynomial(
     least_similarity : float
         Materials that give a mode less of its similarity, relative to the mode at its purest, are
         left out: the bend of a crossing would be spread over the whole box.
+    air_fraction : float
+        Density of the air as a fraction of normal air; 0 is a vacuum.
 
     Raises
     ------
@@ -303,7 +306,7 @@ def finite_element_polynomial(
         See `fit_log_polynomial`.
     """
     E, G = network_pa(box, count)
-    table, similarity = _tabulate(reed, modes, E, G)
+    table, similarity = _tabulate(reed, modes, E, G, air_fraction)
     purest = np.percentile(similarity, 90, axis=0)
     cents = np.where(similarity < least_similarity * purest, np.nan, table)
     while True:
@@ -325,13 +328,17 @@ def _cells(followed: NDArray[np.bool_], count: int) -> Cells:
 
 
 def _tabulate(
-    reed: ReducedReed, modes: tuple[str, ...], E_L_pa: Array, G_LT_pa: Array
+    reed: ReducedReed,
+    modes: tuple[str, ...],
+    E_L_pa: Array,
+    G_LT_pa: Array,
+    air_fraction: float,
 ) -> tuple[Array, Array]:
     """Cents above F6, NaN where a mode is missing, and similarity, (n, m) each."""
     cents = np.full((len(E_L_pa), len(modes)), np.nan)
     similarity = np.zeros_like(cents)
     for n, (E, G) in enumerate(zip(E_L_pa, G_LT_pa, strict=True)):
-        found = elastic_modes(reed, float(E), float(G))
+        found = elastic_modes(reed, float(E), float(G), air_fraction)
         for m, name in enumerate(modes):
             if name in found:
                 cents[n, m] = 1200 * np.log2(found[name].frequency_hz / REFERENCE_HZ)

@@ -80,7 +80,8 @@ def test_names_are_the_papers_and_each_is_given_once(basis):
 
 def test_names_and_frequencies_are_those_of_the_reed(basis, reed):
     hz = dict(zip(basis.names, basis.hz, strict=True))
-    modes = elastic_modes(reed, E_L_PA, G_LT_PA)
+    # Shapes are those in a vacuum: air changes them by a thousandth.
+    modes = elastic_modes(reed, E_L_PA, G_LT_PA, air_fraction=0.0)
     for name in PAPER_MODES:
         assert hz[name] == pytest.approx(modes[name].frequency_hz, rel=1e-9)
 

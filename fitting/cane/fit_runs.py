@@ -12,6 +12,7 @@ import numpy as np
 from fitting.amplitudes.peaks import PeakAmplitudes
 from fitting.amplitudes.response import Response, joint_response
 from fitting.amplitudes.vamp import vamp_points
+from fitting.cane.model_errors import ModelErrors, model_errors
 from fitting.cane.reed_fit import QUOTED_HZ, fit_components
 from fitting.cane.sweep_fit import ReedFit, SweepFit
 from fitting.errors import FitError, FitInputError
@@ -34,6 +35,8 @@ from fitting.resonance import Resonance
 from holography.arrays import Float32Array
 from holography.fringes import displacement_m
 from physics.errors import ImpossibleReedError
+from physics.mechanics import ReedSolver
+from physics.parameters.tree import BenchParameters
 from physics.reed.cane.viscoelastic import (
     Components,
     Series,
@@ -41,7 +44,7 @@ from physics.reed.cane.viscoelastic import (
     storage_modulus_pa,
     viscoelastic_cane,
 )
-from physics.reed.geometry import ReedGeometry
+from physics.reed.geometry import ReedGeometry, is_even
 from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.reduced.elastic import Mode, elastic_modes, viscoelastic_mode
 from physics.reed.reduced.reed import ReducedReed
@@ -334,10 +337,18 @@ def fit_runs(
         reason = f"series {unknown[0].series!r} is neither A nor B, whose cane is known (H4)"
         return ReedFit(tuple(sweeps), None, reason)
     try:
-        parameters = fit_components({Series(s.series): s.resonances for s in sweeps}, forward)
+        resonances = {Series(s.series): s.resonances for s in sweeps}
+        parameters = fit_components(resonances, forward, _unknown(model, reed))
     except FitError as error:
         return ReedFit(tuple(sweeps), None, str(error))
     return ReedFit(tuple(sweeps), parameters)
+
+
+def _unknown(model: ModelName, reed: ReducedReed) -> ModelErrors | None:
+    """Return what the finite elements do not know of a reed; the paper's model is as printed."""
+    if model == "paper" or not is_even(reed.geometry):
+        return None
+    return model_errors(ReedSolver(reed), BenchParameters(), PAPER_MODES)
 
 
 # How the resonances of a run are found, by method.

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from fitting.cane.excess_scatter import added_cents, is_misfit
+from fitting.cane.model_errors import ModelErrors
 from fitting.errors import FitError
 from fitting.forward import (
     ForwardModel,
@@ -93,15 +94,20 @@ class ReedParameters:
 
 
 def fit_components(
-    resonances: Mapping[Series, Mapping[str, Resonance]], model: ForwardModel
+    resonances: Mapping[Series, Mapping[str, Resonance]],
+    model: ForwardModel,
+    unknown: ModelErrors | None = None,
 ) -> ReedParameters:
-    """Fit e1…e3 to series A, or e1…e4 to series A and B, by weighted least squares.
+    """Fit e1…e3 to series A, or e1…e4 to series A and B, by generalised least squares.
 
     Parameters
     ----------
     resonances : mapping
         Found resonances by name, per series.
     model : ForwardModel
+    unknown : ModelErrors, optional
+        What the model does not know of the reed. Its causes are fitted, too, each with a prior of
+        one standard deviation; the covariance of the components contains them.
 
     Raises
     ------
@@ -116,7 +122,7 @@ def fit_components(
         )
     free = COMPONENTS if Series.B in resonances else COMPONENTS[:3]
     observed = [
-        _Observation(series, name, model.modes.index(name), found)
+        _Observation(series, name, model.modes.index(name), found, _own_error(unknown, name))
         for series, named in resonances.items()
         for name, found in named.items()
         if name in model.modes
@@ -124,26 +130,29 @@ def fit_components(
     # Which modes exchange shapes is known only for a known cane: first a robust fit to all modes.
     _require_enough(observed, len(free))
     errors = np.maximum(_errors_cents(observed), _EVEN_CENTS)
-    values, _ = _weighted(observed, errors, model, np.zeros(len(free)), "soft_l1")
+    problem = _Problem(observed, model, len(free), _patterns(observed, unknown))
+    values = problem.fitted(errors, problem.start, "soft_l1")[0][: len(free)]
     distinct = [o for o in observed if _similarity(o, values, model) >= _LEAST_SIMILARITY]
     _require_enough(distinct, len(free))
     left_out = {
         str(s): [o.name for o in observed if o.series is s and o not in distinct]
         for s in resonances
     }
-    return _parameters(distinct, free, list(resonances), left_out, model)
+    problem = _Problem(distinct, model, len(free), _patterns(distinct, unknown))
+    return _parameters(problem, free, list(resonances), left_out)
 
 
 def _parameters(
-    distinct: "Sequence[_Observation]",
+    problem: "_Problem",
     free: Sequence[str],
     series: Sequence[Series],
     left_out: dict[str, list[str]],
-    model: ForwardModel,
 ) -> ReedParameters:
     """Fit the free components to observations and collect the results."""
-    values, covariance, chi2, misfit = _least_squares(distinct, model, len(free))
-    residual = _residual_cents(distinct, values, model)
+    distinct, model = problem.observed, problem.model
+    everything, whole_covariance, chi2, misfit = _least_squares(problem)
+    residual = problem.residual_cents(everything)
+    values, covariance = everything[: len(free)], whole_covariance[: len(free), : len(free)]
     return ReedParameters(
         components={
             name: ValueWithError(float(value), float(np.sqrt(variance)))
@@ -178,6 +187,60 @@ class _Observation:
     name: str
     mode: int
     found: Resonance
+    own_cents: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Resonances, and the patterns (n, q) by which unknown causes move them."""
+
+    observed: Sequence[_Observation]
+    model: ForwardModel
+    count: int
+    patterns: Array
+
+    @property
+    def start(self) -> Array:
+        """Zeros for components and causes."""
+        return np.zeros(self.count + self.patterns.shape[1])
+
+    def residual_cents(self, values: Array) -> Array:
+        """Return observed minus computed frequencies in cents, for components and causes."""
+        components, causes = values[: self.count], values[self.count :]
+        return _residual_cents(self.observed, components, self.model) - self.patterns @ causes
+
+    def fitted(
+        self, errors: Array, start: Array, loss: Literal["linear", "soft_l1"] = "linear"
+    ) -> tuple[Array, Array]:
+        """Return the best components and causes, and the jacobian of weighted residuals."""
+
+        def weighted(values: Array) -> Array:
+            own = self.residual_cents(values) / errors
+            return np.concatenate([own, values[self.count :]])
+
+        farthest = np.full(len(start), np.inf)
+        farthest[: self.count] = _FARTHEST_SD
+        limits = (-farthest, farthest)
+        solution = least_squares(weighted, start, bounds=limits, loss=loss, f_scale=_OUTLIER)
+        return solution.x, np.asarray(solution.jac, dtype=float)
+
+
+def _own_error(unknown: ModelErrors | None, name: str) -> float:
+    return float(unknown.own_cents[unknown.modes.index(name)]) if unknown else 0.0
+
+
+def _patterns(observed: Sequence[_Observation], unknown: ModelErrors | None) -> Array:
+    """Patterns (n, q) of the causes in n resonances: what belongs to a clamping, in each series."""
+    if unknown is None:
+        return np.zeros((len(observed), 0))
+    rows = [unknown.modes.index(o.name) for o in observed]
+    each = unknown.cents[:, rows].T
+    shared, clamped = each[:, ~unknown.of_clamping], each[:, unknown.of_clamping]
+    own = [
+        clamped * np.array([[o.series is series] for o in observed])
+        for series in sorted({o.series for o in observed})
+    ]
+    return np.hstack([shared, *own])
 
 
 def _require_enough(observed: Sequence[_Observation], count: int) -> None:
@@ -189,47 +252,33 @@ def _require_enough(observed: Sequence[_Observation], count: int) -> None:
 
 
 def _errors_cents(observed: Sequence[_Observation]) -> Array:
-    return np.array([o.found.error_cents for o in observed])
+    return np.array([np.hypot(o.found.error_cents, o.own_cents) for o in observed])
 
 
-def _least_squares(
-    observed: Sequence[_Observation], model: ForwardModel, count: int
-) -> tuple[Array, Array, float, float]:
-    """Return components (count,), covariance, χ² per degree of freedom, and excess scatter.
+def _least_squares(problem: _Problem) -> tuple[Array, Array, float, float]:
+    """Return components and causes, covariance, χ² per degree of freedom, and excess scatter.
 
-    A reed differs from its model by more than the errors of its frequencies, also at the modes that
-    are known best. The residuals show by how much (see `fitting.cane.excess_scatter`).
+    A reed may differ from its model by more than the errors of its frequencies and the known
+    causes. The residuals show by how much (see `fitting.cane.excess_scatter`).
     """
-    errors, freedom = _errors_cents(observed), len(observed) - count
-    values, jacobian = _weighted(observed, errors, model, np.zeros(count))
-    residual = _residual_cents(observed, values, model)
-    chi2, misfit = float(np.sum((residual / errors) ** 2)) / freedom, 0.0
+    errors, freedom = _errors_cents(problem.observed), len(problem.observed) - problem.count
+    values, jacobian = problem.fitted(errors, problem.start)
+
+    def squares(values: Array) -> tuple[Array, float]:
+        """Residuals, and what the causes take of the squares that are expected."""
+        return problem.residual_cents(values), float(np.sum(values[problem.count :] ** 2))
+
+    residual, taken = squares(values)
+    chi2, misfit = (float(np.sum((residual / errors) ** 2)) + taken) / freedom, 0.0
     if is_misfit(chi2, freedom):
         for _ in range(_MISFIT_TURNS):
-            before = misfit
-            misfit = float(added_cents(residual[None], errors, np.array([freedom]))[0])
-            values, jacobian = _weighted(observed, np.hypot(errors, misfit), model, values)
-            residual = _residual_cents(observed, values, model)
+            before, left = misfit, max(freedom - taken, 0.1 * freedom)
+            misfit = float(added_cents(residual[None], errors, np.array([left]))[0])
+            values, jacobian = problem.fitted(np.hypot(errors, misfit), values)
+            residual, taken = squares(values)
             if abs(misfit - before) < _MISFIT_SETTLED * misfit:
                 break
     return values, np.linalg.inv(jacobian.T @ jacobian), chi2, misfit
-
-
-def _weighted(
-    observed: Sequence[_Observation],
-    errors: Array,
-    model: ForwardModel,
-    start: Array,
-    loss: Literal["linear", "soft_l1"] = "linear",
-) -> tuple[Array, Array]:
-    """Return the best components, and the jacobian of residuals in units of their errors."""
-
-    def weighted(values: Array) -> Array:
-        return np.asarray(_residual_cents(observed, values, model) / errors)
-
-    limits = (-_FARTHEST_SD, _FARTHEST_SD)
-    solution = least_squares(weighted, start, bounds=limits, loss=loss, f_scale=_OUTLIER)
-    return solution.x, np.asarray(solution.jac, dtype=float)
 
 
 def _residual_cents(observed: Sequence[_Observation], values: Array, model: ForwardModel) -> Array:

@@ -1,0 +1,218 @@
+"""What a forward model does not know of a reed, as errors that its modes share.
+
+A reed differs from its drawing in thickness, its clamp yields and is put on by hand, the moduli
+that are not fitted have handbook values, and the air is that of a free plate. Each such cause moves
+all modes together, by a pattern that the reduced reed computes. Their ranges are those from which
+disorder is drawn (`physics.parameters.disorder`), and the priors of the diagnosis
+(`physics.effects`).
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from holography.arrays import Array, Mask
+from physics.effects.catalogue import BY_ID
+from physics.effects.effect import Effect
+from physics.mechanics import HIGHEST_HZ, Mechanics, RandomLayer, ReedSolver
+from physics.parameters.disorder import BY_NAME, Disorder
+from physics.parameters.quantity import Quantity
+from physics.parameters.tree import BenchParameters, with_part
+from physics.reed.reduced.derivatives import local_shifts
+from physics.reed.reduced.vibrations import vibrations
+
+_MAP = "thickness_map"
+# Waves along and across of which random maps consist. Chosen: exact for maps of the vamp of a
+# clarinet reed to a thousandth.
+_WAVES = (32, 16)
+# Shifts below this are none. Chosen: far below any standard error.
+_LEAST_CENTS = 0.1
+# Relative standard deviations of the air: of its density, from 960 to 1030 hPa and 15 to 30 °C
+# (equal distributions), and of that of the cane, to which all frequencies are relative.
+_AIR_DENSITY = 0.026
+# Standard deviation of the flow's shape, from a free plate (0) to a reed in a wide wall (1).
+# Chosen: a mouthpiece guides the air more than a free plate does and less than a wall.
+_WALL = 0.5
+# Ordinary disorder of each reed, and of each time that it is clamped.
+_OF_REED = ("thickness_slope", "E_T", "E_R", "G_LR", "G_TR", "nu_LT", "nu_LR", "nu_TR")
+_OF_CLAMPING = ("clamp_shift", "clamp_tilt")
+
+
+@dataclass(frozen=True)
+class ModelErrors:
+    """Shifts of m modes by q causes, each by one standard deviation.
+
+    Attributes
+    ----------
+    modes : tuple of str
+    causes : tuple of str
+        Several of one name are patterns of one cause.
+    cents : (q, m) float
+    of_clamping : (q,) bool
+        Whether a cause is another one each time that the reed is clamped.
+    own_cents : (m,) float
+        Error of each mode by itself: what its shifts are not proportional to their causes.
+    """
+
+    modes: tuple[str, ...]
+    causes: tuple[str, ...]
+    cents: Array
+    of_clamping: Mask
+    own_cents: Array
+
+
+@dataclass(frozen=True)
+class _Cause:
+    """A change of the bench by a number of standard deviations, which may be positive only."""
+
+    name: str
+    change: Callable[[float], BenchParameters]
+    positive: bool = False
+    of_clamping: bool = False
+
+
+def model_errors(solver: ReedSolver, nominal: BenchParameters, modes: Sequence[str]) -> ModelErrors:
+    """Compute how modes depend on what is not known of a reed.
+
+    Parameters
+    ----------
+    solver : ReedSolver
+        Of the kind of reed.
+    nominal : BenchParameters
+        With the cane of the population.
+    modes : sequence of str
+
+    Raises
+    ------
+    ImpossibleReedError
+        If a change by one standard deviation leaves no reed.
+    """
+    at_rest = _cents(solver, nominal.reed, modes)
+    causes = list(_causes(nominal))
+    shifts, squares = [], np.zeros(len(modes))
+    for cause in causes:
+        linear, bend = _shift(solver, cause, at_rest, modes)
+        shifts.append(linear)
+        # What goes along with the shift is a matter of its size, which is fitted.
+        bend = bend - linear * (bend @ linear) / max(float(linear @ linear), _LEAST_CENTS**2)
+        squares += bend**2
+    shifts.append(_WALL * _by_wall(solver, nominal.reed, modes))
+    maps = _by_maps(solver, nominal.reed, modes)
+    return ModelErrors(
+        modes=tuple(modes),
+        causes=(*(cause.name for cause in causes), "wall", *[_MAP] * len(maps)),
+        cents=np.concatenate([np.stack(shifts), maps]),
+        of_clamping=np.array([cause.of_clamping for cause in causes] + [False] * (1 + len(maps))),
+        own_cents=np.sqrt(squares),
+    )
+
+
+def _causes(nominal: BenchParameters) -> Iterator[_Cause]:
+    """Yield everything but the shape of the flow and maps of thickness."""
+    for name in ("thickness_offset", "clamp_compliance"):
+        effect = BY_ID[name]
+        played = partial(_with_effect, nominal, effect)
+        clamped = name == "clamp_compliance"
+        yield _Cause(name, played, positive=effect.parameters[0].positive, of_clamping=clamped)
+    for name in (*_OF_REED, *_OF_CLAMPING):
+        kind = BY_NAME[name]
+        drawn = partial(_with_disorder, nominal, kind, _deviation(kind.ordinary), 0)
+        yield _Cause(name, drawn, of_clamping=name in _OF_CLAMPING)
+    air = float(np.hypot(_AIR_DENSITY, _deviation(BY_NAME["density"].ordinary)))
+    yield _Cause("air", partial(_with_air, nominal, air))
+
+
+def _with_effect(nominal: BenchParameters, effect: Effect, deviations: float) -> BenchParameters:
+    (size,) = effect.parameters
+    return effect.change(nominal, {size.name: deviations * size.spread})
+
+
+def _with_disorder(
+    nominal: BenchParameters, kind: Disorder, sd: float, seed: int, deviations: float
+) -> BenchParameters:
+    return kind.change(nominal, deviations * sd, seed)
+
+
+def _with_air(nominal: BenchParameters, sd: float, deviations: float) -> BenchParameters:
+    share = nominal.reed.air_share * (1 + deviations * sd)
+    return with_part(nominal, "reed", air_share=share)
+
+
+def _deviation(ordinary: Quantity) -> float:
+    """Standard deviation of an equal distribution."""
+    return (ordinary.high - ordinary.low) / 12**0.5
+
+
+def _cents(solver: ReedSolver, reed: Mechanics, modes: Sequence[str]) -> Array:
+    found = solver.modes(reed)
+    return np.array([1200 * np.log2(found[name].hz) for name in modes])
+
+
+def _shift(
+    solver: ReedSolver, cause: _Cause, at_rest: Array, modes: Sequence[str]
+) -> tuple[Array, Array]:
+    """Shift (m,) by one standard deviation, and by how much it is not proportional (m,)."""
+    ahead = _cents(solver, cause.change(1.0).reed, modes) - at_rest
+    if cause.positive:
+        halfway = _cents(solver, cause.change(0.5).reed, modes) - at_rest
+        return ahead, 2 * halfway - ahead
+    behind = _cents(solver, cause.change(-1.0).reed, modes) - at_rest
+    return 0.5 * (ahead - behind), 0.5 * (ahead + behind)
+
+
+def _by_maps(solver: ReedSolver, reed: Mechanics, modes: Sequence[str]) -> Array:
+    """Shifts (m, m) that have the covariance of those by random maps of thickness, to first order.
+
+    A mode follows the thickness at a place by Hadamard's formula: by the energy of its strains
+    there less that of its motion.
+    """
+    named, found = solver.modes(reed), vibrations(solver.reed, solver.state(reed), HIGHEST_HZ)
+    rows = [int(np.abs(found.hz - named[name].hz).argmin()) for name in modes]
+    local = local_shifts(found)[:, rows]
+    x, y = solver.reed.bark_m.T
+    local = local * (solver.reed.area_m2 * (x < solver.reed.geometry.vamp_x_m[-1]))[:, None]
+    ordinary = BY_NAME[_MAP].ordinary
+    rms_m = ((ordinary.low**2 + ordinary.low * ordinary.high + ordinary.high**2) / 3) ** 0.5
+    along, across = (
+        _waves(at, length_m, count)
+        for at, length_m, count in zip(
+            (x, y), (RandomLayer.correlation_x_m, RandomLayer.correlation_y_m), _WAVES, strict=True
+        )
+    )
+    # Of half a reed, whose cosines across are even: the sines move nothing.
+    sides = across[:1] if None not in solver.reed.loose else across
+    waves = [
+        np.einsum("bk,bl,bm->klm", one, other, local, optimize=True).reshape(-1, len(modes))
+        for one in along
+        for other in sides
+    ]
+    # As many patterns as modes have the same covariance.
+    square = np.concatenate(waves).T @ np.concatenate(waves)
+    values, vectors = np.linalg.eigh(square)
+    cents = 1200 / np.log(2) * rms_m * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray((vectors * cents).T)
+
+
+def _waves(at_m: Array, length_m: float, count: int) -> tuple[Array, Array]:
+    """Cosines and sines (b, k) whose products sum up to ``exp(-(Δ/length)²)``: its spectrum."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(count)
+    angle = np.multiply.outer(at_m, nodes * np.sqrt(2) / length_m)
+    root = np.sqrt(weights / weights.sum())
+    return root * np.cos(angle), root * np.sin(angle)
+
+
+def _by_wall(solver: ReedSolver, reed: Mechanics, modes: Sequence[str]) -> Array:
+    """Shift (m,) if the reed lay in a wide wall: that by all air, by their masses."""
+    air, found = solver.reed.air, solver.modes(reed)
+    if air is None:
+        return np.zeros(len(modes))
+    by_air = _cents(solver, reed, modes) - _cents(solver, replace(reed, air_share=0.0), modes)
+    ratios = []
+    for name in modes:
+        x = found[name].coordinates
+        each = zip(np.split(x, solver.reed.starts[1:]), air.wall_kg, strict=True)
+        walled = sum(float(own @ mass @ own) for own, mass in each)
+        ratios.append(walled / float(x @ air.products(found[name].hz, x)))
+    return np.asarray(by_air * ratios)

@@ -1,0 +1,128 @@
+"""What a model does not know of a reed: its patterns, and what a fit makes of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fitting.cane.model_errors import model_errors
+from fitting.cane.reed_fit import fit_components
+from fitting.forward import hz_of, viscoelastic_cents
+from fitting.resonance import Resonance
+from physics.mechanics import HIGHEST_HZ, Mechanics, RandomLayer, ReedSolver, YieldingClamp
+from physics.parameters.tree import BenchParameters
+from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
+from physics.reed.mode_classification import PAPER_MODES
+from physics.reed.random_surface import random_surface
+from physics.reed.reduced.changes import layer
+from physics.reed.reduced.derivatives import derivatives
+from physics.reed.reduced.vibrations import vibrations
+from tests.numbers import cents
+
+CANE = Components(0.5, -0.4, 0.3)
+
+
+@pytest.fixture(scope="module")
+def solver(reed):
+    return ReedSolver(reed)
+
+
+@pytest.fixture(scope="module")
+def unknown(solver):
+    return model_errors(solver, BenchParameters(), PAPER_MODES)
+
+
+def pattern(unknown, cause):
+    return unknown.cents[unknown.causes.index(cause)]
+
+
+def swept(model, shift_cents, noise_cents=1.0, series=Series.A):
+    """Resonances of a reed of known cane, moved by a shift for each mode."""
+    at = viscoelastic_cents(model, viscoelastic_cane(CANE, series), series)
+    return {
+        name: Resonance(name, float(hz_of(c + by)), noise_cents, 0, 5.0)
+        for name, c, by in zip(model.modes, at, shift_cents, strict=True)
+    }
+
+
+def test_patterns_are_shifts_by_one_standard_deviation(solver, unknown):
+    plain = solver.modes(Mechanics())
+    yielding = solver.modes(Mechanics(alterations=((YieldingClamp(), 2e-13),)))
+    for number, name in enumerate(PAPER_MODES):
+        shift = cents(yielding[name].hz, plain[name].hz)
+        assert pattern(unknown, "clamp_compliance")[number] == pytest.approx(shift, abs=1e-6)
+
+
+def test_a_yielding_clamp_lowers_f_and_x_and_spares_t(unknown):
+    shift = dict(zip(PAPER_MODES, pattern(unknown, "clamp_compliance"), strict=True))
+    assert shift["F1"] < -10
+    assert shift["X1"] < -10
+    assert abs(shift["T2"]) < 1
+
+
+def test_a_wall_moves_f1_as_much_as_all_air_of_a_free_plate(solver, unknown):
+    free, vacuum = solver.modes(Mechanics()), solver.modes(Mechanics(air_share=0.0))
+    shift = cents(free["F1"].hz, vacuum["F1"].hz)
+    # Of two standard deviations: a wall about doubles the air of F1.
+    assert 2 * pattern(unknown, "wall")[0] == pytest.approx(shift, rel=0.15)
+
+
+@pytest.mark.slow
+def test_maps_have_the_covariance_of_random_surfaces(solver, unknown):
+    """Against surfaces of the simulated bench, drawn one by one."""
+    found = vibrations(solver.reed, solver.state(Mechanics()), HIGHEST_HZ)
+    named = solver.modes(Mechanics())
+    rows = [int(np.abs(found.hz - named[name].hz).argmin()) for name in PAPER_MODES]
+    lengths_m = RandomLayer.correlation_x_m, RandomLayer.correlation_y_m
+    drawn = [layer(solver.reed, random_surface(seed, *lengths_m)) for seed in range(60)]
+    shifts = 1200 / np.log(2) * derivatives(found, drawn).ln_hz[rows, -60:]
+    rms_m = np.sqrt((3e-6**2 + 3e-6 * 8e-6 + 8e-6**2) / 3)
+    maps = unknown.cents[[cause == "thickness_map" for cause in unknown.causes]]
+    ratio = np.sqrt(np.sum(maps**2, axis=0)) / (rms_m * np.sqrt(np.mean(shifts**2, axis=1)))
+    # Sixty draws know a standard deviation to a tenth.
+    np.testing.assert_allclose(ratio, 1.0, atol=0.35)
+    assert np.mean(ratio) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_yielding_clamp_is_not_taken_for_soft_cane(model, unknown):
+    found = swept(model, pattern(unknown, "clamp_compliance"))
+    blind = fit_components({Series.A: found}, model)
+    aware = fit_components({Series.A: found}, model, unknown)
+    truth = fit_components({Series.A: swept(model, np.zeros(11))}, model).moduli["A"]["E_4kHz_mpa"]
+    assert blind.moduli["A"]["E_4kHz_mpa"].value < 0.98 * truth.value
+    off = aware.moduli["A"]["E_4kHz_mpa"].value / truth.value - 1
+    assert abs(off) < 0.01
+
+
+@pytest.mark.slow
+def test_components_and_moduli_of_reeds_drawn_from_these_errors_are_covered(model, unknown):
+    rng, pulls = np.random.default_rng(5), []
+    exact = fit_components({Series.A: swept(model, np.zeros(11))}, model)
+    for _ in range(40):
+        shift = rng.standard_normal(len(unknown.causes)) @ unknown.cents
+        own = np.hypot(1.0, unknown.own_cents) * rng.standard_normal(11)
+        found = fit_components({Series.A: swept(model, shift + own)}, model, unknown)
+        pulls.append(
+            [
+                *(
+                    (found.components[n].value - exact.components[n].value)
+                    / found.components[n].error
+                    for n in exact.components
+                ),
+                (found.moduli["A"]["E_4kHz_mpa"].value - exact.moduli["A"]["E_4kHz_mpa"].value)
+                / found.moduli["A"]["E_4kHz_mpa"].error,
+            ]
+        )
+    assert np.sqrt(np.mean(np.square(pulls))) == pytest.approx(1.0, abs=0.25)
+
+
+def test_each_clamping_has_a_clamp_of_its_own(model, unknown):
+    """Shifted in series B only, which a clamp common to both series could not explain."""
+    shift = 1.5 * pattern(unknown, "clamp_shift")
+    found = {
+        Series.A: swept(model, np.zeros(11), 0.5),
+        Series.B: swept(model, shift, 0.5, Series.B),
+    }
+    common = replace(unknown, of_clamping=np.zeros(len(unknown.causes), dtype=bool))
+    own, shared = (fit_components(found, model, errors) for errors in (unknown, common))
+    assert own.reduced_chi2 < shared.reduced_chi2

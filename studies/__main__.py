@@ -12,6 +12,7 @@ MODULES = (
     "studies.recovery",
     "studies.identification",
     "studies.amplitudes",
+    "studies.large_amplitudes",
     "studies.reach",
     "studies.sealed.leaks",
     "studies.closure",

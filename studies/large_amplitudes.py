@@ -101,6 +101,8 @@ def _plan(factor: float, orders: tuple[int, ...]) -> Plan:
             "drive.from": f"{0.5 * factor:.6g} V",
             "drive.to": f"{16 * factor:.6g} V",
             "sideband.orders": list(orders),
+            # The shipped policy stops at eight bad steps in a row, and faint holograms are bad.
+            "policy.give_up_after": 184 * len(orders),
         }
     )
     bench = BenchFile.from_file().replace({"limits.volts_max": f"{max(16, 16 * factor):.6g} V"})

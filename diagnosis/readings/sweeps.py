@@ -201,10 +201,7 @@ class _Fits:
         try:
             if known is None:
                 return fit_jointly(part.run, self._reed, self._model, light)
-            # Phases of block amplitudes, leading singular vectors, are arbitrary in each run: the
-            # object field of another run is of no use, even in the same clamping.
-            before = self.found[known.name]
-            return fit_same_reed(part.run, before, moved=True, unshifted=light)
+            return fit_same_reed(part.run, self.found[known.name], light)
         except FitError as error:
             return error
 

@@ -28,21 +28,18 @@ from runs.reader import Run
 _FIELD_TURNS = 12
 
 
-def fit_same_reed(
-    run: Run, before: JointFit, *, moved: bool = False, unshifted: UnshiftedLight | None = None
-) -> JointFit:
+def fit_same_reed(run: Run, before: JointFit, unshifted: UnshiftedLight | None = None) -> JointFit:
     """Fit a sweep of a reed, starting from the fit of another sweep of the same reed.
 
-    This takes a third of the time of `fit_jointly`: vibration and object field start from those of
-    the other sweep, scaled by the volts.
+    This takes a third of the time of `fit_jointly`: the vibration starts from that of the other
+    sweep, scaled by the volts. Phases of block amplitudes, leading singular vectors, are arbitrary
+    in each run, so that the object field is new also in the same clamping.
 
     Parameters
     ----------
     run : Run
     before : JointFit
         Fit of another run, in which the reed has the same position in the image.
-    moved : bool
-        Whether the reed was taken out of its clamp in between: its speckle field is then new.
     unshifted : UnshiftedLight, optional
         Leaked light that is subtracted.
 
@@ -60,7 +57,7 @@ def fit_same_reed(
                 f"{run.path}: the reed covers {len(block_amplitudes.x_m)} blocks, and "
                 f"{len(before.block_amplitudes.x_m)} in the other run of it; fit this run alone"
             )
-        displacements, start_hz, known = _from_before(block_amplitudes, before, moved=moved)
+        displacements, start_hz, known = _from_before(block_amplitudes, before, same_run=False)
         # The lines of the drive stay, so that no mode can be absorbed by a new line.
         modal = fit_modes(
             displacements,
@@ -91,18 +88,18 @@ def fit_without_unshifted(before: JointFit) -> JointFit:
     off = (block_amplitudes.subtracted * j0(moved_rad)).astype(np.complex64)
     with threadpool_limits(limits=1, user_api="blas"):
         less = replace(block_amplitudes, value=block_amplitudes.recorded - off, subtracted=off)
-        displacements, start_hz, _ = _from_before(less, before, moved=False)
+        displacements, start_hz, _ = _from_before(less, before, same_run=True)
         # The drive that was fitted to the same holograms is no other look at it.
         modal = fit_modes(displacements, before.basis, less.drive_hz, less.volts, start_hz)
         return joint_fit_of(modal, less, before.basis, displacements, before.naming)
 
 
 def _from_before(
-    block_amplitudes: BlockAmplitudes, before: JointFit, *, moved: bool
+    block_amplitudes: BlockAmplitudes, before: JointFit, *, same_run: bool
 ) -> tuple[Displacements, dict[str, float], ModalFit]:
     """Fit displacements from an earlier fit; also return its modes, and the fit at these steps."""
     start = _as_before(block_amplitudes, before)
-    if moved:
+    if not same_run:
         start = replace(
             start,
             object_field=_new_object_field(block_amplitudes, start.amplitude_rad, before.basis),

@@ -12,7 +12,7 @@ MODULES = (
     "studies.recovery",
     "studies.identification",
     "studies.amplitudes",
-    "studies.large_amplitudes",
+    "studies.amplitudes.large",
     "studies.reach",
     "studies.sealed.leaks",
     "studies.closure",

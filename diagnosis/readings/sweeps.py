@@ -282,16 +282,7 @@ def loudness(volts: Array) -> float:
 
 def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepReading:
     modal, phasors, found = fitted.modal, fitted.block_amplitudes, fitted.displacements
-    # A mode with a new name is left out: its mixing is that into the shape of its first name.
-    kept = np.array(
-        [
-            m
-            for m, (label, name) in enumerate(zip(modal.names, fitted.names, strict=True))
-            if name in fitted.resonances and name == label
-        ],
-        dtype=np.intp,
-    )
-    a = len(modal.names)
+    kept, a = _kept(fitted), len(modal.names)
     both = np.concatenate([kept, a + kept])
     by_index = {
         step.index: step for step in part.run.steps if step.order == part.run.sideband_order
@@ -306,10 +297,6 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
     template, variance = _templates(fitted)
     # As modes have it: what all displacements are off together is taken off.
     u = modal.amplitude_rad @ fitted.basis.functions.T
-    brightness = found.gain + 0.5 * np.log(noise * np.mean(seen, axis=-1))
-    # Block by block: light and vibration may be taken for each other smoothly over the reed.
-    moved = np.abs(found.object_field) * np.abs(found.amplitude_rad @ fitted.basis.functions.T)
-    signal = found.gain + 0.5 * np.log(noise * np.maximum(np.mean(moved**2, axis=1), 1e-12))
     pixels = part.run.frame_shape[0] * part.run.frame_shape[1]
     fringes = np.sum(np.abs(phasors.recorded) ** 2 - 1, axis=0) / pixels
     shapes = fitted.basis.functions @ fitted.basis.shapes.T
@@ -336,8 +323,8 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
         log_drive=np.log(np.abs(drive)) + _common(modal, kept, log_hz),
         amplitude_rad=np.sqrt(np.mean(np.abs(u) ** 2, axis=1)),
         deepest_rad=np.abs(u).max(axis=1),
-        brightness=brightness,
-        signal=signal,
+        brightness=found.gain + 0.5 * np.log(noise * np.mean(seen, axis=-1)),
+        signal=_signal(fitted, noise),
         noise_dn2=noise,
         fringe_dn2=noise * np.maximum(fringes, 0.0),
         misfit=found.misfit,
@@ -347,6 +334,27 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
         discrepancy=modal.discrepancy,
         taken_off=taken_off,
     )
+
+
+def _signal(fitted: JointFit, noise: Array) -> Array:
+    """Return the log rms (k,) of light times vibration.
+
+    Block by block: light and vibration may be taken for each other smoothly over the reed.
+    """
+    found = fitted.displacements
+    moved = np.abs(found.object_field) * np.abs(found.amplitude_rad @ fitted.basis.functions.T)
+    signal: Array = found.gain + 0.5 * np.log(noise * np.maximum(np.mean(moved**2, axis=1), 1e-12))
+    return signal
+
+
+def _kept(fitted: JointFit) -> NDArray[np.intp]:
+    """Return the numbers of the identified modes.
+
+    A mode with a new name is left out: its mixing is that into the shape of its first name.
+    """
+    labels = zip(fitted.modal.names, fitted.names, strict=True)
+    kept = [m for m, (one, now) in enumerate(labels) if now in fitted.resonances and now == one]
+    return np.array(kept, dtype=np.intp)
 
 
 def _common(modal: ModalFit, kept: NDArray[np.intp], log_hz: Array) -> Array:

@@ -150,13 +150,12 @@ def fit_modes(
         return _finish(displacements, basis.names, [_Optimum.of(model, end)])
     livelier = replace(model, ripple=lively_ripple(model.ripple))
     lively = _round(livelier, *same, state, scatter)
-    optima = []
-    for before, at in ((model, end), (livelier, lively)):
-        found = _found_ripple(before, at)
-        here = replace(model, ripple=found.ripple)
-        # The same scatter for both: only then can their evidence be compared.
-        optima.append(_Optimum.of(here, _round(here, *same, at.state, scatter), found))
-    return _finish(displacements, basis.names, optima)
+    # The same scatter for both: only then can their evidence be compared.
+    found = [_found_ripple(model, end), _found_ripple(livelier, lively)]
+    models = [replace(model, ripple=each.ripple) for each in found]
+    states = end.state, lively.state
+    ends = [_round(m, *same, s, scatter) for m, s in zip(models, states, strict=True)]
+    return _finish(displacements, basis.names, list(map(_Optimum.of, models, ends, found)))
 
 
 def _found_ripple(model: Model, end: "_Round") -> FoundRipple:

@@ -5,7 +5,7 @@ displacement is as asked, and with one or several sidebands at every step. The t
 bench's own reed. A mode may be right, with its stated error, or refused; what is stated wrongly is
 counted.
 
-    python -m studies.large_amplitudes [--rad R ...] [--orders 1 0,1,2 ...] [--json]
+    python -m studies.amplitudes.large [--rad R ...] [--orders 1 0,1,2 ...] [--json]
 """
 
 import argparse
@@ -80,7 +80,7 @@ def measure(rad: float, orders: tuple[int, ...], folder: Path) -> Row:
     """Sweep and fit a reed whose largest displacement is `rad`."""
     plan = _plan(1.0, orders)
     plan = _plan(rad / largest_rad(plan), orders)
-    path = folder / "sweep.h5"
+    path = folder / f"{rad:g}-{len(orders)}.h5"
     with open_bench(plan.bench, plan.preparation(_REED), _SEED) as bench:
         if run(plan, bench, path).status != "complete":
             raise SystemExit("interrupted")

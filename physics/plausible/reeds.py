@@ -24,7 +24,6 @@ from physics.reed.cane.material import STIFFNESS_TERMS, terms_and_slopes
 from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
 from physics.reed.geometry import half_width_m
 from physics.reed.mode_classification import ModeDescriptor
-from physics.reed.radiation import air_load
 from physics.reed.reduced.derivatives import DENSITY, PARAMETERS, derivatives
 from physics.reed.reduced.dynamics import CaneLaw, State
 from physics.reed.reduced.elastic import all_descriptors
@@ -33,9 +32,9 @@ from physics.reed.reduced.vibrations import Vibrations, vibrations
 
 # Modes up to here are computed: those above still mix into the highest of a sweep (20 kHz).
 _HIGHEST_HZ = 26e3
-# Density of the air as a fraction of that around a plate in a plane baffle: vacuum to twice. A
-# mouthpiece is no baffle, but about 1 (`physics.mechanics.Mechanics.air_share`).
-_AIR = (0.0, 2.0)
+# Mass of the air as a multiple of that around a free plate: a reed in a wide wall has about twice
+# that, and a mouthpiece is between the two (decision 0026: F1 is 42 and 81 cents lower).
+_AIR = (1.0, 2.0)
 # Step of numerical derivatives of moduli by components of the cane, which are linear in them.
 _STEP = 1e-3
 _CONSTANTS = ("E_T", "E_R", "G_LR", "G_TR", "density", "nu_LT", "nu_LR", "nu_TR")
@@ -81,7 +80,7 @@ class PlausibleReeds:
     mass : (d, m, m) float
         What it adds to their mass, per unit density.
     air_mass : (m, m) float
-        Mass of normal air between these modes.
+        Mass of free air between these modes.
     characters : (m, m) float
         Motions of one character each, as sums of the modes of the reference: shifts are theirs.
         Near an avoided crossing a mode has two characters (see `_characters`).
@@ -462,18 +461,16 @@ def _moved_clamp(reference: Vibrations) -> tuple[Array, Array]:
 
 
 def _air_mass(reference: Vibrations) -> Array:
-    """Return the mass (m, m) of normal air between modes, at the mean of their log frequencies."""
+    """Return the mass (m, m) of free air between modes, at the mean of their log frequencies."""
     reed, x = reference.reed, reference.coordinates
-    owners = _parts(reference)
-    loose, own = {}, {}
-    for number, (key, part) in enumerate(reed.loose.items()):
-        own[key] = np.flatnonzero(owners == number)
-        start = reed.starts[number]
-        surface = part.surface_z @ x[start : start + part.size, own[key]]
-        loose[key] = replace(part, surface_z=surface)
-    air = air_load(replace(reed, loose=loose))
-    log_hz, mass = np.log(reference.hz), np.zeros((x.shape[1], x.shape[1]))
-    for key, masses in zip(loose, air.mass_kg, strict=True):
-        at = air.amounts(0.5 * np.add.outer(log_hz[own[key]], log_hz[own[key]]))
-        mass[np.ix_(own[key], own[key])] = np.einsum("mnk,kmn->mn", at, masses)
+    mass = np.zeros((x.shape[1], x.shape[1]))
+    if reed.air is None:
+        return mass
+    owners, log_hz = _parts(reference), np.log(reference.hz)
+    for number, (part, moved) in enumerate(zip(reed.loose.values(), reed.air.mass_kg, strict=True)):
+        own, start = np.flatnonzero(owners == number), reed.starts[number]
+        shapes = x[start : start + part.size, own]
+        at = reed.air.amounts(0.5 * np.add.outer(log_hz[own], log_hz[own]))
+        each = np.einsum("rm,krq,qn->kmn", shapes, moved, shapes, optimize=True)
+        mass[np.ix_(own, own)] = np.einsum("mnk,kmn->mn", at, each)
     return mass

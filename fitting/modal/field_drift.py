@@ -57,6 +57,34 @@ class FieldDrift:
         shift[:, self.drifting] += self.share @ nodes
         return shift
 
+    @property
+    def parameters(self) -> int:
+        """Number p of parameters."""
+        return self.constant + int(self.share.shape[1]) * len(self.drifting)
+
+    def columns(self, values: Array) -> Array:
+        """Return for each parameter (p, c, k) what it multiplies, of values (q, c, k)."""
+        nodes = self.share.T[:, None, None] * values[self.drifting]
+        return np.concatenate([values, nodes.reshape(-1, *values.shape[1:])])
+
+    def gathered(self, values: Array) -> Array:
+        """Sum values (..., q, k) over holograms for each parameter (..., p): adjoint of `shift`."""
+        share = self.share.astype(values.dtype)
+        nodes = np.swapaxes(values[..., self.drifting, :] @ share, -1, -2)
+        return np.concatenate([values.sum(axis=-1), _flat(nodes)], axis=-1)
+
+    def products(self, values: Array) -> Array:
+        """Sum products (q, q, k) over holograms for each pair of parameters (p, p)."""
+        which, share = self.drifting, self.share.astype(values.dtype)
+        both = self.gathered(values)
+        pairs = (share[:, :, None] * share[:, None]).reshape(len(share), -1)
+        among = values[which][:, which] @ pairs
+        among = among.reshape(len(which), len(which), share.shape[1], share.shape[1])
+        size = self.parameters - self.constant
+        among = among.transpose(2, 0, 3, 1).reshape(size, size)
+        beside = both[:, self.constant :]
+        return np.block([[both[:, : self.constant], beside], [beside.T, among]])
+
     def covariance(self, parameters: Array) -> Array:
         """Return the covariance (k, q, q) of `shift` from that of the parameters (p, p)."""
         constant, which, nodes = self.constant, self.drifting, self.share.shape[1]
@@ -77,13 +105,16 @@ class SharedError:
 
     Attributes
     ----------
-    response : (k, 2j, p) float
-        Derivatives of the amplitudes (real, then imaginary parts) by the parameters.
+    response : (k, 2j, q) float
+        Derivatives of the amplitudes (real, then imaginary parts) by the error of each hologram.
+    drift : FieldDrift
+        How the errors of holograms follow from the parameters.
     precision : (p, p) float
         Inverse covariance of the parameters.
     """
 
     response: Array
+    drift: FieldDrift
     precision: Array
 
 
@@ -106,9 +137,6 @@ def shared_error(common_mode: CommonModeError, drift: FieldDrift, walk: float) -
     which, share, own = drift.drifting, drift.share, common_mode.precision
     nodes = share.shape[1]
     size = nodes * len(which)
-    moving = np.einsum("kxr,kb->kxbr", common_mode.response[:, :, which], share)
-    moving = moving.reshape(*moving.shape[:2], size)
-    response = np.concatenate([common_mode.response, moving], axis=2)
     beside = np.einsum("kqr,kb->qbr", own[:, :, which], share).reshape(drift.constant, size)
     among = np.einsum(
         "krs,kb,kc->brcs", own[:, which][:, :, which], share, share, optimize=True
@@ -120,7 +148,12 @@ def shared_error(common_mode: CommonModeError, drift: FieldDrift, walk: float) -
     precision = np.block(
         [[common_mode.whole, beside], [beside.T, among + np.kron(held, np.eye(len(which)))]]
     )
-    return SharedError(response, precision)
+    return SharedError(common_mode.response, drift, precision)
+
+
+def _flat(nodes: Array) -> Array:
+    """Join the last two axes."""
+    return nodes.reshape(*nodes.shape[:-2], nodes.shape[-2] * nodes.shape[-1])
 
 
 def found_walk(drift: FieldDrift, parameters: Array, covariance: Array, walk: float) -> float:

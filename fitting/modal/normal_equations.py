@@ -7,13 +7,14 @@ numbers. Most parameters are mixing coefficients, and many have the same numbers
 the mixing of mode m into a is ``d h_a p_a S_m``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
 from fitting.modal.drive_prior import DrivePrior
+from fitting.modal.field_drift import FieldDrift
 from fitting.modal.model import (
     Model,
     Prior,
@@ -40,33 +41,37 @@ class Data:
     root : (k, 2j, 2j) float
         Root of the information on the real, then imaginary parts of the amplitudes.
     response : (k, 2j, q) float
-        Derivatives of the amplitudes by the common-mode error, times that root.
-    precision : (q, q) float
-        Inverse covariance of the common-mode error.
+        Derivatives of the amplitudes by the common-mode error of each hologram, times that root.
+    drift : FieldDrift
+        How this follows from its parameters.
+    precision : (p, p) float
+        Inverse covariance of these parameters.
     """
 
     amplitude: ComplexArray
     root: Array
     response: Array
+    drift: FieldDrift
     precision: Array
 
     def whitened_residual(self, amplitude: ComplexArray, common_mode_shift: Array) -> Array:
         """Return the whitened residuals (k, 2j) of amplitudes (k, j) that a model predicts."""
-        whitened_residual = parts(self.amplitude - amplitude)[..., None]
-        return (self.root @ whitened_residual)[..., 0] + self.response @ common_mode_shift
+        whitened_residual = self.root @ parts(self.amplitude - amplitude)[..., None]
+        shift = self.drift.shift(common_mode_shift)
+        found: Array = (whitened_residual + self.response @ shift[..., None])[..., 0]
+        return found
 
     def weighing(self, fraction: float) -> "Data":
         """Return the same data with every hologram weighted by a factor."""
         root = np.sqrt(fraction)
-        return Data(self.amplitude, root * self.root, root * self.response, self.precision)
+        return replace(self, root=root * self.root, response=root * self.response)
 
     def single(self) -> "Data":
         """Return the same data in single precision: twice as fast, and exact enough for a step."""
-        return Data(
-            self.amplitude,
-            self.root.astype(np.float32),
-            self.response.astype(np.float32),
-            self.precision,
+        return replace(
+            self,
+            root=self.root.astype(np.float32),
+            response=self.response.astype(np.float32),
         )
 
 
@@ -144,8 +149,8 @@ def equations(model: Model, data: Data, prior: Prior, state: State) -> Equations
     drive = _drive(model, now, layout.vectors).astype(data.root.dtype)
     moved = seen.along(drive)
     order = layout.order(len(data.precision))
-    matrix = _matrix(layout, seen, own, mixed)[np.ix_(order, order)]
-    coupling = _coupling(layout, own, mixed, moved)[order]
+    matrix = _matrix(layout, seen, own, mixed, data.drift)[np.ix_(order, order)]
+    coupling = _coupling(layout, own, mixed, moved, data.drift)[order]
     held = linalg.block_diag(np.diag(prior.precision[prior.free]), data.precision)
     return Equations(
         matrix + held,
@@ -205,7 +210,7 @@ def negative_gradient(model: Model, data: Data, prior: Prior, at: Evaluation) ->
     by_parameters = np.concatenate(
         [
             *_own_and_mixed(layout, pull, own, mixed),
-            -np.einsum("kcq,kc->q", data.response, residual, optimize=True),
+            -data.drift.gathered((residual[:, None] @ data.response)[:, 0].T),
         ]
     )[layout.order(len(data.precision))]
     offset = prior.precision[prior.free] * (state.x - prior.centre)[prior.free]
@@ -260,13 +265,15 @@ def _layout(model: Model, prior: Prior) -> _Layout:
     return _Layout(own_v, own_p, mix_m, mix_a, active, len(free), model.slots)
 
 
-def _matrix(layout: _Layout, seen: _Seen, own: ComplexArray, mixed: ComplexArray) -> Array:
+def _matrix(
+    layout: _Layout, seen: _Seen, own: ComplexArray, mixed: ComplexArray, drift: FieldDrift
+) -> Array:
     """Return the products (q, q) of all columns: own, mixing, common mode."""
     active, vectors = layout.active, layout.vectors
     mix_m, mix_a = layout.mix_m, layout.mix_a
     last = seen.products[2 * vectors :]
-    own_own, own_mixed, own_last = _of_own(layout, seen, own, mixed)
-    last_mixed = _with_mixed(last, mixed, active, vectors)[:, mix_m, mix_a]
+    own_own, own_mixed, own_last = _of_own(layout, seen, own, mixed, drift)
+    last_mixed = _last_with_mixed(last, mixed, layout, drift)[:, mix_m, mix_a]
     mixed_mixed = _mixed_with_mixed(seen.products, mixed, active, vectors)[
         mix_m[:, None], mix_a[:, None], mix_m, mix_a
     ]
@@ -274,7 +281,7 @@ def _matrix(layout: _Layout, seen: _Seen, own: ComplexArray, mixed: ComplexArray
         [
             [own_own, own_mixed, own_last],
             [own_mixed.T, mixed_mixed, last_mixed.T],
-            [own_last.T, last_mixed, last[:, 2 * vectors :].sum(axis=2)],
+            [own_last.T, last_mixed, drift.products(last[:, 2 * vectors :])],
         ]
     )
 
@@ -291,7 +298,20 @@ def _own_and_mixed(
     )
 
 
-def _coupling(layout: _Layout, own: ComplexArray, mixed: ComplexArray, moved: Array) -> Array:
+def _last_with_mixed(last: Array, mixed: ComplexArray, layout: _Layout, drift: FieldDrift) -> Array:
+    """Return the products (p, m, a) of common-mode columns with those of mixing coefficients."""
+    active, vectors = layout.active, layout.vectors
+    share, modes = drift.share.T, vectors - active
+    by_node = (share[:, None] * mixed).reshape(-1, mixed.shape[1]).astype(mixed.dtype)
+    nodes = _with_mixed(last[drift.drifting], by_node, active, vectors)
+    nodes = nodes.reshape(len(drift.drifting), modes, len(share), len(mixed)).transpose(2, 0, 1, 3)
+    constant = _with_mixed(last, mixed, active, vectors)
+    return np.concatenate([constant, nodes.reshape(-1, modes, len(mixed))])
+
+
+def _coupling(
+    layout: _Layout, own: ComplexArray, mixed: ComplexArray, moved: Array, drift: FieldDrift
+) -> Array:
     """Return the products (q, 2, k) of all columns with those of the drive."""
     active, vectors, own_v = layout.active, layout.vectors, layout.own_v
     of_own = [own.real * m[own_v] + own.imag * m[own_v + vectors] for m in moved]
@@ -300,20 +320,20 @@ def _coupling(layout: _Layout, own: ComplexArray, mixed: ComplexArray, moved: Ar
         [
             np.stack(of_own, axis=1),
             np.stack(of_mixed, axis=1),
-            moved[:, 2 * vectors :].swapaxes(0, 1),
+            drift.columns(moved[:, 2 * vectors :].swapaxes(0, 1)),
         ]
     )
 
 
 def _of_own(
-    layout: _Layout, seen: _Seen, own: ComplexArray, mixed: ComplexArray
+    layout: _Layout, seen: _Seen, own: ComplexArray, mixed: ComplexArray, drift: FieldDrift
 ) -> tuple[Array, Array, Array]:
     """Return products of own columns with own (p, p), mixing (p, r), common-mode ones (p, q)."""
     active, vectors, own_v = layout.active, layout.vectors, layout.own_v
     count = len(own_v)
     with_own = np.empty((count, count))
     with_mixed = np.empty((count, len(layout.mix_m)))
-    with_last = np.empty((count, len(seen.products) - 2 * vectors))
+    with_last = np.empty((count, drift.parameters))
 
     def fill(some: slice) -> None:
         # Few rows at a time: each has a number for every vector and hologram.
@@ -325,7 +345,7 @@ def _of_own(
         with_own[some] = _with_own(rows, own_v, own, vectors)
         by_mode = _with_mixed(rows, mixed, active, vectors)
         with_mixed[some] = by_mode[:, layout.mix_m, layout.mix_a]
-        with_last[some] = rows[:, 2 * vectors :].sum(axis=2)
+        with_last[some] = drift.gathered(rows[:, 2 * vectors :])
 
     map_threads(fill, count, _ROWS_AT_ONCE)
     return with_own, with_mixed, with_last

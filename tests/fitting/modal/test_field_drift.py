@@ -32,7 +32,19 @@ def test_errors_of_a_hologram_are_its_response_to_the_shift_there(common_mode, d
     parameters = np.random.default_rng(4).standard_normal(drift.constant + 6 * len(drift.drifting))
     shared = shared_error(common_mode, drift, 1e-3)
     expected = np.einsum("kxq,kq->kx", common_mode.response, drift.shift(parameters))
-    assert shared.response @ parameters == pytest.approx(expected)
+    columns = drift.columns(shared.response.transpose(2, 1, 0))
+    assert np.einsum("pxk,p->kx", columns, parameters) == pytest.approx(expected)
+
+
+def test_sums_over_holograms_are_those_of_the_columns(common_mode, drift):
+    values = common_mode.response.transpose(2, 1, 0)
+    columns = drift.columns(values)
+    assert len(columns) == drift.parameters
+    gathered = drift.gathered(values.swapaxes(0, 1))
+    assert gathered == pytest.approx(columns.sum(axis=-1).T)
+    products = np.einsum("qxk,rxk->qrk", values, values)
+    expected = np.einsum("pxk,sxk->ps", columns, columns)
+    assert drift.products(products) == pytest.approx(expected)
 
 
 def test_the_covariance_of_a_shift_is_that_of_its_combinations(drift):

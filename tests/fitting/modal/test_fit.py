@@ -10,6 +10,7 @@ from fitting.holograms.displacement import Displacements
 from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.drive_prior import quiet_ripple
+from fitting.modal.field_drift import FieldDrift
 from fitting.modal.fit import _LAST, _inverse, fit_modes
 from fitting.modal.model import (
     KNOWN_DRIVE_DOF,
@@ -532,12 +533,12 @@ def point():
     drive = 1 + 0.2 * rng.standard_normal(len(k)) + 2j * np.pi * rng.uniform(size=len(k))
     root = rng.standard_normal((len(k), 2 * j, 2 * j))
     response = rng.standard_normal((len(k), 2 * j, 3))
-    half = rng.standard_normal((3, 3))
+    drift = FieldDrift(rng.uniform(0, 1, (len(k), 2)), np.array([0, 2]), 3, 6.0)
+    half = rng.standard_normal((7, 7))
     amplitude = 5 * (rng.standard_normal((len(k), j)) + 1j * rng.standard_normal((len(k), j)))
-    together = rng.standard_normal(3)
-    point = Point(
-        model, State(x, drive, together), Data(amplitude, root, response, half @ half.T + np.eye(3))
-    )
+    together = rng.standard_normal(7)
+    data = Data(amplitude, root, response, drift, half @ half.T + np.eye(7))
+    point = Point(model, State(x, drive, together), data)
     x = np.where(point.prior.free, x, point.prior.centre)
     return replace(point, state=State(x, drive, together))
 
@@ -601,7 +602,8 @@ def test_matrices_are_those_of_the_derivatives(point):
         return np.einsum("kxy,aky->akx", data.root, parts)
 
     # What all are off together moves the amplitudes as if the model moved the other way.
-    own = np.concatenate([seen(by_x), -data.response.transpose(2, 0, 1)])
+    shared = data.drift.columns(data.response.transpose(2, 1, 0)).swapaxes(1, 2)
+    own = np.concatenate([seen(by_x), -shared])
     drive = seen(by_drive)
     held = np.zeros((len(own), len(own)))
     held[: len(by_x), : len(by_x)] = np.diag(point.prior.precision[point.prior.free])

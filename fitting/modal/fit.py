@@ -86,6 +86,8 @@ _ROUNDING = 1e-11
 _ROUNDS = 3
 # ... and how often if the modes are known from another fit.
 _AGAIN = 2
+# How often the ripple of the drive is found.
+_RIPPLES = 2
 
 
 _STAGES = (
@@ -150,12 +152,28 @@ def fit_modes(
         return _finish(displacements, basis.names, [_Optimum.of(model, end)])
     livelier = replace(model, ripple=lively_ripple(model.ripple))
     lively = _round(livelier, *same, state, scatter)
-    # The same scatter for both: only then can their evidence be compared.
-    found = [_found_ripple(model, end), _found_ripple(livelier, lively)]
-    models = [replace(model, ripple=each.ripple) for each in found]
-    states = end.state, lively.state
-    ends = [_round(m, *same, s, scatter) for m, s in zip(models, states, strict=True)]
-    return _finish(displacements, basis.names, list(map(_Optimum.of, models, ends, found)))
+    optima = [_with_ripple(m, *same, e, scatter) for m, e in ((model, end), (livelier, lively))]
+    return _finish(displacements, basis.names, optima)
+
+
+def _with_ripple(
+    model: Model,
+    displacements: Displacements,
+    drift: FieldDrift,
+    noise: Noise,
+    prior: Prior,
+    end: "_Round",
+    scatter: "_Scatter",
+) -> "_Optimum":
+    """Find the ripple of the drive after a round, and fit with it, in turns.
+
+    Every optimum has the same scatter: only then can their evidence be compared.
+    """
+    for _ in range(_RIPPLES):
+        found = _found_ripple(model, end)
+        model = replace(model, ripple=found.ripple)
+        end = _round(model, displacements, drift, noise, prior, end.state, scatter)
+    return _Optimum.of(model, end, found)
 
 
 def _found_ripple(model: Model, end: "_Round") -> FoundRipple:

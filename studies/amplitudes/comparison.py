@@ -14,7 +14,7 @@ from fitting.forward import basis_of
 from physics.bench import BenchModel
 from physics.errors import ImpossibleReedError
 from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
-from physics.reed.reduced.elastic import viscoelastic_mode
+from physics.reed.reduced.elastic import air_masses_kg, viscoelastic_mode
 from physics.reed.surface import surface_shapes
 from protocols.plan import Plan
 
@@ -92,8 +92,12 @@ def compare_modes(sweep: SweepFit, model: BenchModel) -> list[Comparison]:
             continue
         volts = float(np.interp(mode.frequency_hz, sweep.response.drive_hz, sweep.response.volts))
         moved = model.coordinates_m(mode.frequency_hz, volts)[mode.part]
+        number = list(reed.parts).index(mode.part)
         mass = reed.cane.density_kg_m3 * reed.parts[mode.part].mass
-        # The shape has unit mass.
+        air_kg = air_masses_kg(reed, mode.frequency_hz, 1.0)[number]
+        if air_kg is not None:
+            mass = mass + air_kg
+        # The shape has unit mass, with that of the air.
         along = abs(complex(mode.coordinates @ mass @ moved))
         true_nm = 1e9 * along * float(np.abs(surface[mode.part] @ mode.coordinates).max())
         numbers = mode.frequency_hz, true_nm, stated.amplitude_nm, stated.amplitude_error_nm

@@ -25,8 +25,9 @@ _COARSE, _FINE = (0.35, 0.2), (0.1, 0.06)
 # A chamber with poles and notches has more of the finer structure near them. How much is found at
 # nodes that are this far apart in log frequency: twice the length over which it is correlated.
 _NODE = 0.12
-# Limits of its size: 0.1 dB, and 15 dB, which is much for a resonance of air.
-_FINE_LIMITS = (0.012, 1.73)
+# Limits of its size: 0.1 dB, and one of which two standard deviations are 15 dB: a line of the drive
+# above that is suspect beside a mode.
+_FINE_LIMITS = (0.012, 0.86)
 # Ripple of a start that can follow poles and notches anywhere: 6 dB.
 _LIVELY = 0.7
 # How often sizes and outliers are found in turn, and the step of differences of log sizes.

@@ -141,7 +141,7 @@ def _fitted(
             block_amplitudes, basis, displacements, expected_rad, modal.off, modal.common_mode_shift
         )
         modal = fit_modes(
-            displacements, basis, block_amplitudes.drive_hz, block_amplitudes.volts, start_hz, modal
+            displacements, basis, block_amplitudes.drive_hz, block_amplitudes.volts, start_hz
         )
     naming: Mapping[str, ModeNaming] = {}
     if not _general_doubt(modal, displacements):

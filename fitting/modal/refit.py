@@ -88,9 +88,10 @@ def fit_without_unshifted(before: JointFit) -> JointFit:
     off = (block_amplitudes.subtracted * j0(moved_rad)).astype(np.complex64)
     with threadpool_limits(limits=1, user_api="blas"):
         less = replace(block_amplitudes, value=block_amplitudes.recorded - off, subtracted=off)
-        displacements, start_hz, _ = _from_before(less, before, same_run=True)
-        # The drive that was fitted to the same holograms is no other look at it.
-        modal = fit_modes(displacements, before.basis, less.drive_hz, less.volts, start_hz)
+        displacements, start_hz, known = _from_before(less, before, same_run=True)
+        # The drive that was fitted to the same holograms is no other look at it: only the modes are
+        # a start.
+        modal = fit_modes(displacements, before.basis, less.drive_hz, less.volts, start_hz, known)
         return joint_fit_of(modal, less, before.basis, displacements, before.naming)
 
 

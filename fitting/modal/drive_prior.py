@@ -25,8 +25,8 @@ _COARSE, _FINE = (0.35, 0.2), (0.1, 0.06)
 # A chamber with poles and notches has more of the finer structure near them. How much is found at
 # nodes that are this far apart in log frequency: twice the length over which it is correlated.
 _NODE = 0.12
-# Limits of its size: 0.1 dB, and one of which two standard deviations are 15 dB: a line of the drive
-# above that is suspect beside a mode.
+# Limits of its size: 0.1 dB, and one of which two standard deviations are 15 dB: a higher line of
+# the drive is suspect beside a mode.
 _FINE_LIMITS = (0.012, 0.86)
 # Ripple of a start that can follow poles and notches anywhere: 6 dB.
 _LIVELY = 0.7

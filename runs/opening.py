@@ -68,9 +68,17 @@ def absent(path: Path) -> RunFileError:
 
 
 def status_of(file: Any) -> str:
-    """Return the status of a run that may be damaged; empty if the status cannot be read."""
+    """Return the status of a run that may be damaged; empty if the status cannot be read.
+
+    A status in another file is not read: no file that somebody wrote may have another one opened.
+    """
     with contextlib.suppress(KeyError, *DAMAGE):
-        return read_text(file["entry"], "status")
+        for name in ("entry", "entry/status"):
+            if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+                return ""
+        made = file["entry/status"].id.get_create_plist()
+        if not made.get_external_count() and made.get_layout() != h5py.h5d.VIRTUAL:
+            return read_text(file["entry"], "status")
     return ""
 
 

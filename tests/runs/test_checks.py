@@ -65,7 +65,15 @@ def decoy(run_file):
 
 
 @pytest.mark.parametrize(
-    "name", ["entry/title", "entry/steps", "entry/steps/volts", "entry/data/field"]
+    "name",
+    [
+        "entry",
+        "entry/status",
+        "entry/title",
+        "entry/steps",
+        "entry/steps/volts",
+        "entry/data/field",
+    ],
 )
 def test_another_file_is_never_opened_by_a_link(run_file, decoy, name):
     def link(file):

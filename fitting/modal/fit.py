@@ -82,10 +82,8 @@ from holography.arrays import Array
 _DEGREE = 4
 # Added to the diagonal of a matrix of unit diagonal: more than its rounding.
 _ROUNDING = 1e-11
-# How often the discrepancy is estimated.
-_ROUNDS = 3
-# ... and how often if the modes are known from another fit.
-_AGAIN = 2
+# How often the discrepancy is estimated, and how often if the modes are known from another fit.
+_ROUNDS, _AGAIN = 3, 2
 # How often the ripple of the drive is found.
 _RIPPLES = 2
 

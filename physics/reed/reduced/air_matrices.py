@@ -39,9 +39,8 @@ class AirMatrices:
     def forms(self, number: int, hz: Array, shapes: Array) -> Array:
         """Mass (m,) of air on the shapes (r, m) of a part of a number, each at its frequency."""
         held = slice(len(shapes))
-        moved = np.einsum(
-            "rm,krq,qm->mk", shapes, self.mass_kg[number][:, held, held], shapes, optimize=True
-        )
+        along = self.mass_kg[number][:, held, held] @ shapes
+        moved = np.sum(along * shapes, axis=1).T
         return np.asarray(np.sum(self.amounts(np.log(hz)) * moved, axis=1))
 
     def products(self, hz: float, coordinates: Array) -> Array:

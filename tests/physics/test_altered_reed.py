@@ -164,7 +164,8 @@ def test_a_layer_is_a_reed_that_was_drawn_thicker(geometry):
         return np.array([own[:count] for own in each])
 
     def grown(offset_m):
-        layers = Mechanics(cane=ELASTIC, alterations=((Layer(0, 0), offset_m),))
+        alterations = ((Layer(0, 0), offset_m),)
+        layers = Mechanics(cane=ELASTIC, alterations=alterations, air_share=0.0)
         modes = list(reed_solver.modes(layers).values())
         first = len(modes[0].coordinates) // 2
         even = [mode.hz for mode in modes if np.any(mode.coordinates[:first])]

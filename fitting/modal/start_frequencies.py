@@ -26,8 +26,11 @@ from physics.reed.reduced.reed import ReducedReed
 SHAPES_HZ = 4000.0
 # Frequency ratio of the central differences that give the growth of moduli.
 _STEP = 1.01
-# Modes whose resonance lies beyond the sweep by no more than this still bend its end.
-_BEYOND = 1.03
+# Resonances beyond the sweep that are fitted, by their ratio to its first and last frequency. An
+# octave below the first, a frequency that is off by 5 % changes the response by what a line in log
+# frequency describes to 1 %; nearer, it bends it. Above the last there are other modes on both
+# sides, and only those that are next to it bend its end.
+_BELOW, _ABOVE = 2.0, 1.03
 # Shapes up to here are used to find the modes with large amplitudes in each hologram.
 _LOOK_HZ = 24e3
 # Scatter of resonances of reeds whose shape differs from the finite elements by about 10 µm.
@@ -105,7 +108,7 @@ def start_frequencies(
         if apart and min(apart) < _room_cents(name, paper_cents):
             starts[name] = float(seen_hz[int(np.argmin(apart))])
     first, last = block_amplitudes.drive_hz[0], block_amplitudes.drive_hz[-1]
-    return {n: hz for n, hz in starts.items() if first / _BEYOND < hz < last * _BEYOND}
+    return {n: hz for n, hz in starts.items() if first / _BELOW < hz < last * _ABOVE}
 
 
 def _outweighing(weight: Array, names: Sequence[str]) -> dict[str, list[int]]:

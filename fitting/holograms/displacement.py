@@ -59,9 +59,6 @@ _MOST_RETRIES = 3
 # leaves single holograms unexplained: all displacements may then be too small by a factor.
 _FEW_STARTS, _MOST_STARTS = 3, 10
 _MOST_EXPLAINED, _EXPLAINED = 0.8, 2.0
-# Two starts have led to the same displacements if they are the same within a twentieth in nine of
-# ten holograms: neighbouring fringes are farther apart at all displacements up to 60 rad.
-_SAME, _MOST_SAME = 0.95, 0.9
 # If a smaller fraction of the holograms is explained, the continuation is repeated with the
 # converged object field.
 _ENOUGH = 0.95
@@ -135,14 +132,9 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
     signal = np.mean(np.abs(block_amplitudes.value) ** 2, axis=0)
     best: Displacements | None = None
     least, relative = np.inf, np.full(len(signal), np.inf)
-    before: list[ComplexArray] = []
     for number, start in enumerate(starts_of(first, block_amplitudes, basis), 1):
         search = continued(first, block_amplitudes, basis, start)
-        if search is None or any(_same_displacements(search.amplitude, each) for each in before):
-            rough = None
-        else:
-            before.append(search.amplitude.copy())
-            rough = _from_search(whole, block_amplitudes, search)
+        rough = None if search is None else _from_search(whole, block_amplitudes, search)
         if rough is not None and _whole_misfit(rough.misfit, whole.seen) < least - _SETTLED:
             least = _whole_misfit(rough.misfit, whole.seen)
             best = _refined(whole, block_amplitudes, rough)
@@ -159,14 +151,6 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
             "with less volts"
         )
     return best
-
-
-def _same_displacements(one: ComplexArray, other: ComplexArray) -> bool:
-    """Whether most holograms have the same amplitudes (k, j), up to their phases."""
-    power = np.maximum(np.sum(np.abs(one) ** 2, axis=1), np.sum(np.abs(other) ** 2, axis=1))
-    known = power > 0
-    alike = np.abs(np.sum(one.conj() * other, axis=1))[known] > _SAME * power[known]
-    return bool(alike.mean() > _MOST_SAME) if known.any() else True
 
 
 def _problem_of(blocks: BlockAmplitudes, basis: ShapeBasis) -> Problem:

@@ -36,6 +36,7 @@ from physics.reed.reduced.changes import (
     softening,
     yielding_clamp,
 )
+from physics.reed.reduced.derivatives import form_by_ln_hz
 from physics.reed.reduced.dynamics import PIVOT_HZ, CaneLaw, LossFactors, State
 from physics.reed.reduced.elastic import all_descriptors
 from physics.reed.reduced.losses import loss_factors, radiated, spring_energies
@@ -311,13 +312,16 @@ class ReedSolver:
         in_springs = spring_energies(found) / np.square(2 * np.pi * found.hz)
         loss = loss * (1 - in_springs) + radiated(found)
         names, momenta = self._named(reed.cane)
+        # Moduli grow with frequency: a mode that is stiffer rises by more than the root says.
+        follow = 2 * np.square(2 * np.pi * found.hz) / -form_by_ln_hz(found)
         modes = {}
         rows, columns = linear_sum_assignment(np.abs(momenta @ found.coordinates), maximize=True)
         named = dict(zip(columns.tolist(), (names[row] for row in rows), strict=True))
         for m in sorted(named):
             name, hz = named[m], float(found.hz[m])
             if reed.coarse_share:
-                hz *= 2 ** (reed.coarse_share * self._coarse().get(name, 0.0) / 1200)
+                octaves = self._coarse().get(name, 0.0) / 1200
+                hz *= 2 ** (reed.coarse_share * follow[m] * octaves)
             modes[name] = ReedMode(name, hz, float(loss[m]), found.coordinates[:, m])
         return MappingProxyType(modes)
 
@@ -357,11 +361,11 @@ class ReedSolver:
             hz,
             np.concatenate(list(forces.values())),
             air_fraction=reed.air_share,
-            added_n_m=self._stiffness_of_coarse_mesh(reed) if reed.coarse_share else None,
+            added_n_m=self.stiffness_of_coarse_mesh(reed) if reed.coarse_share else None,
         )
         return dict(zip(forces, np.split(moved, self.reed.starts[1:]), strict=True))
 
-    def _stiffness_of_coarse_mesh(self, reed: Mechanics) -> Array:
+    def stiffness_of_coarse_mesh(self, reed: Mechanics) -> Array:
         """Return the stiffness (s, s) in N/m that a coarse mesh adds, mode by mode."""
         fine = replace(reed, coarse_share=0.0)
         modes, total = self.modes(fine), np.zeros_like(self.mass_kg)

@@ -131,6 +131,36 @@ def by_brute_force(reed_solver, reed, count):
     ]
 
 
+def test_modes_of_a_coarse_mesh_are_where_its_stiffness_puts_them(
+    geometry, coarse_level, monkeypatch
+):
+    """By the moduli that each frequency asks for, as the simulated bench plays it."""
+    solver = ReedSolver(build_reduced_reed(geometry, coarse_level, BasisSettings()))
+    names = list(solver.modes(Mechanics()))[:4]
+    cents = np.array([3.0, 1.0, 4.0, 2.0])
+    monkeypatch.setattr(solver, "_coarse", lambda: dict(zip(names, cents, strict=True)))
+    reed = replace(Mechanics(), coarse_share=1.0)
+    stiffness, mass = whole(solver, reed)
+    added = solver.stiffness_of_coarse_mesh(reed)
+    moving = np.ones(len(added), dtype=bool)
+    moving[solver.reed.strip] = False
+    added = added[np.ix_(moving, moving)]
+
+    def answered(hz, number):
+        squares = linalg.eigvalsh(stiffness(hz) + added, mass(hz))
+        return np.sqrt(squares[number]) / (2 * np.pi)
+
+    expected = [
+        brentq(lambda hz, k=k: answered(hz, k) - hz, 100.0, 2 * HIGHEST_HZ, xtol=1e-6)
+        for k in range(4)
+    ]
+    found, plain = (frequencies(solver, each)[:4] for each in (reed, Mechanics()))
+    # Shifts of 1 to 4 cents are as moduli that grow make them, to a hundredth.
+    shifts, wanted = np.log(found / plain), np.log(np.array(expected) / plain)
+    np.testing.assert_allclose(shifts, wanted, rtol=0.01)
+    assert np.all(wanted > 1.04 * np.log(2) / 1200 * cents)
+
+
 @pytest.mark.parametrize(
     "reed",
     [

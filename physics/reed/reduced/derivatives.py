@@ -88,7 +88,7 @@ def derivatives(found: Vibrations, changes: Sequence[Change] = ()) -> Derivative
     for number, change in enumerate(changes, len(PARAMETERS)):
         if change.compliance_m_n is not None:
             forms[..., number] -= reactions.T @ change.compliance_m_n @ reactions
-    scale = np.sqrt(-_by_ln_hz(found))
+    scale = np.sqrt(-form_by_ln_hz(found))
     couplings = forms / scale[:, None, None] / scale[None, :, None]
     couplings = 0.5 * (couplings + couplings.transpose(1, 0, 2))
     own = np.arange(len(scale))
@@ -114,10 +114,10 @@ def local_shifts(found: Vibrations) -> Array:
             twice = 1.0 if i == j else 2.0
             grown += twice * strains[i] * strains[j] * stiffnesses[:, number]
         grown -= squares * np.sum(moved**2, axis=0)
-    return np.asarray(-grown / _by_ln_hz(found))
+    return np.asarray(-grown / form_by_ln_hz(found))
 
 
-def _by_ln_hz(found: Vibrations) -> Array:
+def form_by_ln_hz(found: Vibrations) -> Array:
     """``x·∂Z/∂ln f·x`` (m,) of every mode, -2ω² if nothing but inertia depends on frequency."""
     answer = np.zeros(len(found.hz))
     for group, rank in zip(found.groups, found.order, strict=True):

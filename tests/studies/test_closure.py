@@ -162,7 +162,6 @@ def test_steps_that_one_campaign_lacks_are_left_out_and_shift_no_others() -> Non
 # What does not close, and why; `python -m studies.closure NAME` prints the numbers.
 OPEN = {
     "hardening_nonlinearity": "fits give part of a shift by amplitude to the drive: T1 at 51 rad",
-    "air_load": "fits of a reed in air find F2 15 cents below its pole, which is as predicted",
     "defocus": "no observable expects that the image moves by 1.2 mm",
     "laser_mode_hop": "fits give a sixteenth of a step of the light to the vibration",
     "speckle_decorrelation": "fits take up a fifth of the lost contrast",

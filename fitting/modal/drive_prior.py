@@ -16,9 +16,9 @@ from scipy import linalg, optimize
 
 from holography.arrays import Array
 
-# Level: any sensitivity. Slope per unit of log frequency: 24 dB per octave, a filter of fourth
-# order, is 4 nepers.
-_LEVEL, _SLOPE = 10.0, 4.0
+# Level: a factor that all holograms share belongs to participations. Slope per unit of log
+# frequency: 24 dB per octave, a filter of fourth order, is 4 nepers.
+_LEVEL, _SLOPE = 0.01, 4.0
 # Ripple in nepers, and the log frequency over which it is correlated: data sheets of dome tweeters
 # show 3 dB over a third of an octave, and 1 dB of finer structure.
 _COARSE, _FINE = (0.35, 0.2), (0.1, 0.06)
@@ -29,7 +29,7 @@ _NODE = 0.12
 # the drive is suspect beside a mode.
 _FINE_LIMITS = (0.012, 0.86)
 # Ripple of a start that can follow poles and notches anywhere: 6 dB.
-_LIVELY = 0.7
+_STRONG = 0.7
 # How often sizes and outliers are found in turn, and the step of differences of log sizes.
 _RIPPLE_TURNS, _DIFFERENCE = 4, 1e-3
 # Iterations of the reweighting by which a Student distribution is fitted.
@@ -93,9 +93,22 @@ def quiet_ripple(hz: Array) -> Ripple:
     return Ripple(coarse, _matern(log_hz, _FINE[1]), share, log_size)
 
 
-def lively_ripple(ripple: Ripple) -> Ripple:
+def ripple_around(ripple: Ripple, covariance: Array) -> Ripple:
+    """Return a ripple around a drive that is known from another sweep, with its covariance (k, k).
+
+    Where that sweep could have exchanged a part of a mode for a part of its drive, another one can.
+    """
+    return replace(ripple, coarse=ripple.coarse + covariance)
+
+
+def smooth_ripple(ripple: Ripple) -> Ripple:
+    """Return a ripple that can follow no pole and no notch: its finer structure is the least."""
+    return replace(ripple, log_size=np.full_like(ripple.log_size, np.log(_FINE_LIMITS[0])))
+
+
+def strong_ripple(ripple: Ripple) -> Ripple:
     """Return a ripple that can follow poles and notches everywhere."""
-    return replace(ripple, log_size=np.full_like(ripple.log_size, np.log(_LIVELY)))
+    return replace(ripple, log_size=np.full_like(ripple.log_size, np.log(_STRONG)))
 
 
 @dataclass(frozen=True)

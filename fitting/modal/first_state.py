@@ -1,5 +1,7 @@
 """The state from which the joint fit of a sweep begins."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import linalg
 
@@ -61,3 +63,9 @@ def _constant(model: Model, p: ComplexArray) -> Array:
     x[count + model.passive, count] = rest.real
     x[count + model.passive, count + TAIL_TERMS] = rest.imag
     return x
+
+
+def at_level(model: Model, state: State) -> Model:
+    """Expect the drive's mean magnitude where it is: what all holograms share is participation."""
+    level = float(np.mean(state.log_drive.real - model.log_volts))
+    return replace(model, log_volts=model.log_volts + level)

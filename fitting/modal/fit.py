@@ -24,18 +24,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 from scipy.special import softmax
 
-from fitting.errors import FitError
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.drive_prior import (
     FoundRipple,
     KnownMagnitude,
     found_ripple,
-    lively_ripple,
     quiet_ripple,
+    ripple_around,
+    smooth_ripple,
+    strong_ripple,
 )
 from fitting.modal.field_drift import (
     FIRST_WALK,
@@ -45,7 +45,7 @@ from fitting.modal.field_drift import (
     found_walk,
     shared_error,
 )
-from fitting.modal.first_state import first_state, participation_scale
+from fitting.modal.first_state import at_level, first_state, participation_scale
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import (
     KNOWN_DRIVE_DOF,
@@ -74,19 +74,19 @@ from fitting.modal.normal_equations import (
     equations,
     evaluate,
 )
-from fitting.modal.optimiser import minimise_cost, without_drive
+from fitting.modal.optimiser import inverse, minimise_cost, without_drive
 from fitting.modal.posterior import Posterior, participation_error, resonant_displacements
 from holography.arrays import Array
 
 # Participations are polynomials of log frequency of this degree.
 _DEGREE = 4
-# Added to the diagonal of a matrix of unit diagonal: more than its rounding.
-_ROUNDING = 1e-11
+# Outliers that a fit may have, for example holograms at an acoustic resonance.
+FEW_OFF = 2
 # How often the discrepancy is estimated, and how often if the modes are known from another fit.
 _ROUNDS, _AGAIN = 3, 2
-# How often the ripple of the drive is found.
-_RIPPLES = 2
-
+# Most turns in which the ripple of the drive is found; they end when no frequency and no loss moves
+# by more than this fraction of its standard error.
+_MOST_RIPPLES, _SETTLED = 8, 0.2
 
 _STAGES = (
     Stage(0.3, 0.05, 0.01, 0.05, 1),
@@ -103,7 +103,7 @@ def fit_modes(
     volts: Array,
     start_hz: dict[str, float],
     known: ModalFit | None = None,
-    most_off: int | None = None,
+    rough: bool = False,
     drive_dof: float = UNKNOWN_DRIVE_DOF,
 ) -> ModalFit:
     """Fit the joint model of a sweep.
@@ -120,8 +120,9 @@ def fit_modes(
         the sweep.
     known : ModalFit, optional
         Start of the fit.
-    most_off : int, optional
-        If more holograms are outliers, the fit ends early: it is good enough to predict them.
+    rough : bool, optional
+        End when the fit predicts displacements well enough for a better fit of these: before the
+        ripple of the drive is found, and earlier if several holograms are outliers.
     drive_dof : float, optional
         Degrees of freedom of the drive's prior, see `fitting.modal.model.Model`.
 
@@ -134,23 +135,29 @@ def fit_modes(
     drift = field_drift(displacements.common_mode, displacements.recording_rank)
     shared = shared_error(displacements.common_mode, drift, FIRST_WALK)
     if known is None:
-        state = _staged(model, displacements, noise, shared, centre_hz)
+        model, state = _staged(model, displacements, noise, shared, centre_hz)
         rounds, scatter = _ROUNDS, _Scatter(_LAST.discrepancy, FIRST_WALK)
     else:
+        if drive_dof == KNOWN_DRIVE_DOF:
+            around = ripple_around(model.ripple, known.log_drive_covariance)
+            model = replace(model, ripple=around)
         state = _again(known, displacements, len(shared.precision))
+        model = at_level(model, state)
         rounds, scatter = _AGAIN, _Scatter(known.discrepancy, known.field_walk)
     prior = stage_prior(model, _LAST, centre_hz, participation_scale(model, state))
     for _ in range(rounds):
         same = displacements, drift, noise, prior
         end = _round(model, *same, state, scatter)
         state, noise, scatter = end.state, end.noise, end.next_scatter
-        if most_off is not None and np.count_nonzero(_off(displacements, noise)) > most_off:
-            return _finish(displacements, basis.names, [_Optimum.of(model, end)])
-    if drive_dof == KNOWN_DRIVE_DOF:
+        if rough and np.count_nonzero(_off(displacements, noise)) > FEW_OFF:
+            break
+    if rough or drive_dof == KNOWN_DRIVE_DOF:
         return _finish(displacements, basis.names, [_Optimum.of(model, end)])
-    livelier = replace(model, ripple=lively_ripple(model.ripple))
-    lively = _round(livelier, *same, state, scatter)
-    optima = [_with_ripple(m, *same, e, scatter) for m, e in ((model, end), (livelier, lively))]
+    starts = [
+        replace(model, ripple=start)
+        for start in (smooth_ripple(model.ripple), strong_ripple(model.ripple))
+    ]
+    optima = [_with_ripple(start, *same, state, scatter) for start in starts]
     return _finish(displacements, basis.names, optima)
 
 
@@ -160,18 +167,25 @@ def _with_ripple(
     drift: FieldDrift,
     noise: Noise,
     prior: Prior,
-    end: "_Round",
+    state: State,
     scatter: "_Scatter",
 ) -> "_Optimum":
-    """Find the ripple of the drive after a round, and fit with it, in turns.
+    """Find the ripple of the drive and fit with it, in turns, from the ripple of a model.
 
     Every optimum has the same scatter: only then can their evidence be compared.
     """
-    for _ in range(_RIPPLES):
-        found = _found_ripple(model, end)
+    same = displacements, drift, noise, prior
+    end = _round(model, *same, state, scatter)
+    here = _Optimum.of(model, end)
+    for _ in range(_MOST_RIPPLES):
+        found, before = _found_ripple(model, end), here
         model = replace(model, ripple=found.ripple)
-        end = _round(model, displacements, drift, noise, prior, end.state, scatter)
-    return _Optimum.of(model, end, found)
+        end = _round(model, *same, end.state, scatter)
+        here = _Optimum.of(model, end, found)
+        moved = np.abs(here.logs - before.logs) / np.sqrt(np.diag(here.covariance))
+        if np.all(moved < _SETTLED):
+            break
+    return here
 
 
 def _found_ripple(model: Model, end: "_Round") -> FoundRipple:
@@ -228,15 +242,16 @@ class _Scatter:
 
 def _staged(
     model: Model, displacements: Displacements, noise: Noise, shared: SharedError, centre_hz: Array
-) -> State:
+) -> tuple[Model, State]:
     """Fit with priors that widen from stage to stage."""
     state, scale = first_state(model, displacements, len(shared.precision))
+    model = at_level(model, state)
     for stage in _STAGES:
         prior = stage_prior(model, stage, centre_hz, scale)
         data = data_of(displacements.amplitude_rad, shared, noise, stage.discrepancy)
         state = minimise_cost(model, data, prior, _fixed(prior, state), stage.iterations)
         scale = participation_scale(model, state)
-    return state
+    return model, state
 
 
 def _again(known: ModalFit, displacements: Displacements, shared: int) -> State:
@@ -313,7 +328,7 @@ def _round(
     state = with_gain(model, minimise_cost(model, weighed, prior, state, _LAST.iterations))
     here = equations(model, weighed, prior, state)
     alone, root, _ = without_drive(here, 0.0, np.float64)
-    covariance = _inverse(alone)
+    covariance = inverse(alone)
     freedoms = (
         2 * data.amplitude.size - 2 * len(model.hz) - _effective_parameters(prior, data, covariance)
     )
@@ -364,6 +379,8 @@ class _Optimum:
         Log frequencies and log loss factors of the active modes.
     covariance : (2a, 2a) float
         Their covariance, with that of the drive's ripple.
+    magnitude_covariance : (k, k) float
+        Covariance of the drive's log magnitude, with that of its ripple.
     factor : float
         Factor on all variances.
     """
@@ -373,6 +390,7 @@ class _Optimum:
     log_evidence: float
     logs: Array
     covariance: Array
+    magnitude_covariance: Array
     factor: float
 
     @classmethod
@@ -385,13 +403,15 @@ class _Optimum:
         number[free] = np.arange(np.count_nonzero(free))
         own = number[:count, 2 * powers : 2 * powers + 2].T.ravel()
         covariance, log_evidence = factor * end.covariance[np.ix_(own, own)], end.log_evidence
+        posterior = Posterior.of(end.here, end.covariance, 1.0)
+        magnitude_covariance = factor * posterior.log_magnitude
         if found is not None:
-            posterior = Posterior.of(end.here, end.covariance, 1.0)
-            moved = posterior.with_ripple(model, end.state)[own]
-            covariance = covariance + moved @ found.covariance @ moved.T
+            moved, louder = posterior.with_ripple(model, end.state)
+            covariance = covariance + moved[own] @ found.covariance @ moved[own].T
+            magnitude_covariance += louder @ found.covariance @ louder.T
             log_evidence += found.log_weight
         logs = end.state.x[:count, 2 * powers : 2 * powers + 2].T.ravel()
-        return cls(model, end, log_evidence, logs, covariance, factor)
+        return cls(model, end, log_evidence, logs, covariance, magnitude_covariance, factor)
 
 
 def _finish(
@@ -404,19 +424,13 @@ def _finish(
     """
     best = max(optima, key=lambda each: each.log_evidence)
     weights = softmax([each.log_evidence for each in optima])
-    logs = np.sum([w * each.logs for w, each in zip(weights, optima, strict=True)], axis=0)
-    covariance = np.sum(
-        [
-            w * (each.covariance + np.outer(each.logs - logs, each.logs - logs))
-            for w, each in zip(weights, optima, strict=True)
-        ],
-        axis=0,
-    )
+    logs, covariance = _mixture(weights, [(each.logs, each.covariance) for each in optima])
+    magnitudes = [(each.end.state.log_drive.real, each.magnitude_covariance) for each in optima]
     model, end, factor = best.model, best.end, best.factor
     prior, state, now = end.prior, end.state, terms(model, end.state)
     # Drive and participations have an undetermined common factor: the errors of participations are
     # those for a given drive.
-    given_drive = factor * _inverse(end.here.matrix)
+    given_drive = factor * inverse(end.here.matrix)
     posterior = Posterior.of(end.here, end.covariance, factor)
     shared = len(state.common_mode_shift)
     count = len(model.active)
@@ -449,10 +463,17 @@ def _finish(
         field_walk=end.scatter.walk,
         common_mode_covariance=end.drift.covariance(posterior.common_mode(shared)),
         resonant=resonant_displacements(model, prior, state, now, posterior),
-        log_drive_covariance=posterior.log_magnitude,
+        log_drive_covariance=_mixture(weights, magnitudes)[1],
         off=_off(displacements, end.noise),
         state=state,
     )
+
+
+def _mixture(weights: Array, parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Return mean (n,) and covariance (n, n) of a mixture of distributions with both."""
+    mean: Array = np.sum([w * each for w, (each, _) in zip(weights, parts, strict=True)], axis=0)
+    spreads = [own + np.outer(each - mean, each - mean) for each, own in parts]
+    return mean, np.asarray(np.tensordot(weights, spreads, axes=1))
 
 
 def _spread(prior: Prior) -> Array:
@@ -466,29 +487,6 @@ def _off(displacements: Displacements, noise: Noise) -> NDArray[np.bool_]:
     """Mask (k,) of holograms that are outliers or have no information."""
     off: NDArray[np.bool_] = (noise.inflation > 1) | ~np.any(displacements.information, axis=(1, 2))
     return off
-
-
-def _inverse(matrix: Array) -> Array:
-    """Invert a positive definite matrix of parameters of very different sizes.
-
-    Raises
-    ------
-    FitError
-        If the matrix is not positive definite because of rounding.
-    """
-    unit = 1 / np.sqrt(np.diag(matrix))
-    scaled = unit[:, None] * matrix * unit + _ROUNDING * np.eye(len(unit))
-    try:
-        root = linalg.cholesky(scaled, lower=True)
-    except (np.linalg.LinAlgError, ValueError):
-        raise FitError(
-            "the holograms cannot separate the modes of this reed; look at the contact sheet "
-            "that acquire report writes, or count fringes: --method picture"
-        ) from None
-    (solve,) = linalg.get_blas_funcs(("trsm",), (root,))
-    half = solve(1.0, root, np.diag(unit), lower=1)
-    inverse: Array = half.T @ half
-    return inverse
 
 
 def _effective_parameters(prior: Prior, data: Data, covariance: Array) -> float:

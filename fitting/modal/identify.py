@@ -21,7 +21,7 @@ from fitting.holograms.displacement import (
     refit_displacements,
 )
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.modal.fit import fit_modes
+from fitting.modal.fit import FEW_OFF, fit_modes
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.start_frequencies import middling_shapes, start_frequencies
 from fitting.names.naming import SURE, ModeNaming, name_modes
@@ -46,8 +46,8 @@ _DEVIATIONS, _WIDEST_CENTS = 5.0, 25.0
 _MOST_SPURIOUS = 0.5
 # The peak response of a mode is looked for this near to its resonance.
 _PEAK_CENTS = 150.0
-# Holograms that may be outliers, for example at an acoustic resonance, before the fit is repeated.
-_FEW_OFF = 2
+# How often displacements are fitted again with the common-mode error that the modes show.
+_TURNS = 2
 # Fraction of unexplained holograms above which no mode of a sweep is identified.
 _MOST_UNREACHED = 0.2
 # ... and discrepancy of the model: it is 0.02 for reeds with shape errors of 10 µm, and 0.2 for
@@ -126,23 +126,21 @@ def _fitted(
     basis = middling_shapes(reed, cane, block_amplitudes.x_m, block_amplitudes.y_m)
     displacements = fit_displacements(block_amplitudes, basis)
     start_hz = start_frequencies(block_amplitudes, basis, displacements, reed, model, series)
-    modal = fit_modes(
-        displacements,
-        basis,
-        block_amplitudes.drive_hz,
-        block_amplitudes.volts,
-        start_hz,
-        most_off=_FEW_OFF,
-    )
-    if np.count_nonzero(modal.off) > _FEW_OFF:
-        # The modes predict these holograms, and so the fringe in which their displacement lies.
+    sweep = basis, block_amplitudes.drive_hz, block_amplitudes.volts, start_hz
+    modal = fit_modes(displacements, *sweep, rough=True)
+    known: ModalFit | None = None
+    for _ in range(_TURNS):
+        # The modes predict the fringe in which outliers lie, and show the common-mode error, in
+        # which displacements are not linear.
         expected_rad = modal.amplitude_rad, _with_smooth_drive(modal, block_amplitudes.drive_hz)
+        few_off = np.count_nonzero(modal.off) <= FEW_OFF
+        off = modal.off & (not few_off)
         displacements = refit_displacements(
-            block_amplitudes, basis, displacements, expected_rad, modal.off, modal.common_mode_shift
+            block_amplitudes, basis, displacements, expected_rad, off, modal.common_mode_shift
         )
-        modal = fit_modes(
-            displacements, basis, block_amplitudes.drive_hz, block_amplitudes.volts, start_hz
-        )
+        known = modal if few_off else None
+        modal = fit_modes(displacements, *sweep, known, rough=True)
+    modal = fit_modes(displacements, *sweep, modal)
     naming: Mapping[str, ModeNaming] = {}
     if not _general_doubt(modal, displacements):
         index = [m for m in range(len(modal.names)) if not _doubt(modal, m, block_amplitudes)]

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
+from fitting.errors import FitError
 from fitting.modal.model import (
     Model,
     Prior,
@@ -31,8 +32,9 @@ from fitting.modal.normal_equations import (
 from holography.arrays import Array
 
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e8
-# Added to the diagonal of a matrix of unit diagonal: more than its rounding in single precision.
-_ROUGH = 3e-6
+# Added to the diagonal of a matrix of unit diagonal: more than its rounding in double and in single
+# precision.
+_ROUNDING, _ROUGH = 1e-11, 3e-6
 # Least decrease of the cost in a Levenberg-Marquardt step with all that follow it, and in one of
 # those: a parameter that is off by its standard error costs 1.
 _LEAST_PROGRESS, _LEAST_GAIN = 0.3, 0.03
@@ -201,3 +203,26 @@ def _moved(model: Model, prior: Prior, state: State, move: Array) -> State:
         log_drive=state.log_drive + drive[0] + 1j * drive[1],
         common_mode_shift=state.common_mode_shift + move[among : -2 * count],
     )
+
+
+def inverse(matrix: Array) -> Array:
+    """Invert a positive definite matrix of parameters of very different sizes.
+
+    Raises
+    ------
+    FitError
+        If the matrix is not positive definite because of rounding.
+    """
+    unit = 1 / np.sqrt(np.diag(matrix))
+    scaled = unit[:, None] * matrix * unit + _ROUNDING * np.eye(len(unit))
+    try:
+        root = linalg.cholesky(scaled, lower=True)
+    except (np.linalg.LinAlgError, ValueError):
+        raise FitError(
+            "the holograms cannot separate the modes of this reed; look at the contact sheet "
+            "that acquire report writes, or count fringes: --method picture"
+        ) from None
+    (solve,) = linalg.get_blas_funcs(("trsm",), (root,))
+    half = solve(1.0, root, np.diag(unit), lower=1)
+    inverse: Array = half.T @ half
+    return inverse

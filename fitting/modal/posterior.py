@@ -71,14 +71,20 @@ class Posterior:
         found: Array = moved.T @ self.covariance @ moved + self.given[:count, :count]
         return found
 
-    def with_ripple(self, model: Model, state: State) -> Array:
-        """Return derivatives (q, n) of the fitted parameters by the log sizes of the ripple."""
+    def with_ripple(self, model: Model, state: State) -> tuple[Array, Array]:
+        """Return derivatives by the n log sizes of the ripple.
+
+        Returns
+        -------
+        parameters : (q, n) float
+        log_magnitude : (k, n) float
+        """
         ripple, curvature = model.ripple, drive_prior_at(model, state).curvature
         pulled = curvature @ (state.log_drive.real - model.log_volts)
         by_size = ripple.share * (ripple.finer @ pulled)[:, None]
         by_size += ripple.finer @ (ripple.share * pulled[:, None])
-        found: Array = self.with_log_magnitude @ curvature @ by_size
-        return found
+        by_size = curvature @ by_size
+        return self.with_log_magnitude @ by_size, self.log_magnitude @ by_size
 
     def common_mode(self, count: int) -> Array:
         """Return the covariance (q, q) of the `count` parameters of the common-mode error."""

@@ -68,6 +68,9 @@ def fit_same_reed(run: Run, before: JointFit, unshifted: UnshiftedLight | None =
             known,
             drive_dof=KNOWN_DRIVE_DOF,
         )
+        # What this sweep adds on the drive came from that of the other: it must not count again
+        # when the other is fitted from this one.
+        modal = replace(modal, log_drive_covariance=known.log_drive_covariance)
         return joint_fit_of(modal, block_amplitudes, before.basis, displacements, before.naming)
 
 
@@ -175,6 +178,7 @@ def _moved(modal: ModalFit, before: BlockAmplitudes, now: BlockAmplitudes) -> Mo
         drive=modal.drive[at] * louder,
         amplitude_rad=modal.amplitude_rad[at] * louder[:, None],
         modal_rad=modal.modal_rad[at] * louder[:, None],
+        log_drive_covariance=modal.log_drive_covariance[np.ix_(at, at)],
         participations=modal.participations[at],
         off=np.zeros(len(at), dtype=bool),
         state=replace(modal.state, log_drive=modal.state.log_drive[at] + np.log(louder)),

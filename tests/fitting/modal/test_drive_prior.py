@@ -13,8 +13,8 @@ from fitting.modal.drive_prior import (
     drive_prior,
     found_gain,
     found_ripple,
-    lively_ripple,
     quiet_ripple,
+    strong_ripple,
 )
 
 DOF = 4.0
@@ -66,7 +66,7 @@ def known(magnitude, noise=NOISE):
 
 
 def ripple_of(magnitude):
-    start = lively_ripple(quiet_ripple(HZ))
+    start = strong_ripple(quiet_ripple(HZ))
     return found_ripple(start, known(magnitude), LEAST_GAIN, DOF)
 
 
@@ -104,7 +104,7 @@ def test_the_sizes_maximise_the_density_of_magnitudes():
     rng = np.random.default_rng(4)
     magnitude = POLE + NOISE * rng.standard_normal(len(HZ))
     scatter = np.full(len(HZ), LEAST_GAIN**2)
-    start = lively_ripple(quiet_ripple(HZ))
+    start = strong_ripple(quiet_ripple(HZ))
     # A Student distribution of many degrees of freedom is normal, and its variance known.
     found = found_ripple(start, known(magnitude), LEAST_GAIN, 1e9).ripple
 
@@ -125,7 +125,7 @@ def test_the_sizes_maximise_the_density_of_magnitudes():
 
 def test_a_prior_that_a_fit_had_is_taken_out():
     rng = np.random.default_rng(5)
-    ripple = lively_ripple(quiet_ripple(HZ))
+    ripple = strong_ripple(quiet_ripple(HZ))
     magnitude = POLE + NOISE * rng.standard_normal(len(HZ))
     scatter = np.full(len(HZ), LEAST_GAIN**2)
     curvature = np.linalg.inv(ripple.covariance + np.diag(scatter))

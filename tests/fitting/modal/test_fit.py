@@ -11,7 +11,7 @@ from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.drive_prior import quiet_ripple
 from fitting.modal.field_drift import FieldDrift
-from fitting.modal.fit import _LAST, _inverse, fit_modes
+from fitting.modal.fit import _LAST, _mixture, fit_modes
 from fitting.modal.model import (
     KNOWN_DRIVE_DOF,
     UNKNOWN_DRIVE_DOF,
@@ -28,7 +28,7 @@ from fitting.modal.normal_equations import (
     evaluate,
     negative_gradient,
 )
-from fitting.modal.optimiser import minimise_cost, without_drive
+from fitting.modal.optimiser import inverse, minimise_cost, without_drive
 from fitting.modal.posterior import Posterior
 from tests.numbers import cents, complex_normal
 
@@ -39,7 +39,7 @@ LOSS = np.array([0.028, 0.034, 0.031, 0.025, 0.036, 0.03])
 PARTICIPATION = np.array([1.0, 0.5j, 0.7 - 0.2j, 0.4, 0.5 + 0.3j, 0.6])
 DRIVE_HZ = 1500 * 2 ** (np.arange(104) * 25 / 1200)
 FUNCTIONS = 7
-# Holograms are livelier and calmer by chance: standard deviation in nepers.
+# Holograms are other and calmer by chance: standard deviation in nepers.
 GAIN = 0.01
 # What amplitudes are off, as a share of the root mean square of a hologram.
 NOISE = 0.04
@@ -245,7 +245,7 @@ def test_errors_of_losses_are_honest(many):
     )
 
 
-def test_errors_are_honest_where_holograms_are_livelier_by_chance():
+def test_errors_are_honest_where_holograms_are_other_by_chance():
     sweeps = [planted(seed, gain_nepers=0.05) for seed in range(4)]
     errors = []
     for sweep in sweeps:
@@ -378,9 +378,9 @@ def test_an_error_that_all_displacements_share_is_found(sweep):
 def test_a_pole_of_the_chamber_adds_to_the_errors_of_modes_next_to_it_only():
     pole_hz = 1.05 * MODE_HZ[3]
     pole = np.abs(1 + 0.3 / (1 - (DRIVE_HZ / pole_hz) ** 2 + 1j * DRIVE_HZ / pole_hz / 20))
-    plain, lively = planted(6), planted(6, drive_dof=list(enumerate(pole)))
-    fits = [each.fit() for each in (plain, lively)]
-    for each, fit in zip((plain, lively), fits, strict=True):
+    plain, strong = planted(6), planted(6, drive_dof=list(enumerate(pole)))
+    fits = [each.fit() for each in (plain, strong)]
+    for each, fit in zip((plain, strong), fits, strict=True):
         assert (np.abs(cents(fit.hz, each.hz[:5])) < 3 * fit.error_cents).all()
     more = fits[1].error_cents / fits[0].error_cents
     far = np.abs(np.log(MODE_HZ[:5] / pole_hz)) > 0.25
@@ -416,7 +416,48 @@ def test_equal_errors_of_neighbours_count_less(sweep):
     assert np.median(errors[1] / errors[0]) > 1.4
 
 
+def test_what_is_not_known_of_a_drive_adds_to_the_errors_of_modes():
+    """Of a sweep whose drive is that of another one, with a pole of the chamber next to a mode."""
+    pole_hz = 1.05 * MODE_HZ[3]
+    pole = np.abs(1 + 0.3 / (1 - (DRIVE_HZ / pole_hz) ** 2 + 1j * DRIVE_HZ / pole_hz / 20))
+    sweep = planted(6, drive_dof=list(enumerate(pole)))
+    known = sweep.fit()
+    exactly = replace(known, log_drive_covariance=np.zeros_like(known.log_drive_covariance))
+    fits = [
+        fit_modes(
+            sweep.displacements, sweep.basis, DRIVE_HZ, np.abs(known.drive), sweep.start_hz,
+            before, drive_dof=KNOWN_DRIVE_DOF,
+        )
+        for before in (exactly, known)
+    ]  # fmt: skip
+    more = fits[1].error_cents / fits[0].error_cents
+    assert (more > 0.95).all()
+    assert more[3] > 1.1
+    assert (np.abs(cents(fits[1].hz, sweep.hz[:5])) < 3 * fits[1].error_cents).all()
+
+
+def test_a_mixture_has_the_moments_of_what_is_drawn_from_it():
+    rng = np.random.default_rng(3)
+    parts = [(np.array([1.0, -2.0]), np.diag([1.0, 4.0])), (np.array([3.0, 0.0]), np.eye(2))]
+    mean, covariance = _mixture(np.array([0.25, 0.75]), parts)
+    which = rng.uniform(size=400_000) < 0.25
+    drawn = [rng.multivariate_normal(*part, size=len(which)) for part in parts]
+    drawn = np.where(which[:, None], *drawn)
+    np.testing.assert_allclose(mean, drawn.mean(axis=0), atol=0.02)
+    np.testing.assert_allclose(covariance, np.cov(drawn.T), atol=0.03)
+
+
 # --- Invariance --------------------------------------------------------------------------------
+
+
+def test_the_sensitivity_of_the_drive_changes_nothing(sweep):
+    plain, louder = (
+        fit_modes(sweep.displacements, sweep.basis, DRIVE_HZ, factor * sweep.volts, sweep.start_hz)
+        for factor in (1.0, 1e4)
+    )
+    np.testing.assert_allclose(louder.hz, plain.hz, rtol=1e-9)
+    np.testing.assert_allclose(louder.error_cents, plain.error_cents, rtol=1e-6)
+    np.testing.assert_allclose(louder.participation, plain.participation, rtol=1e-4)
 
 
 def turned(sweep, turn):
@@ -637,24 +678,28 @@ def test_parameters_follow_the_ripple_as_their_derivatives_say(point, monkeypatc
     data = replace(point.data, amplitude=terms(model, point.state).amplitude)
 
     def at(log_size, state):
-        livelier = replace(model, ripple=replace(ripple, log_size=log_size))
+        other = replace(model, ripple=replace(ripple, log_size=log_size))
         for _ in range(6):
-            state = minimise_cost(livelier, data, point.prior, state, 20)
+            state = minimise_cost(other, data, point.prior, state, 20)
         return state
 
     state = at(ripple.log_size, point.state)
     here = equations(model, data, point.prior, state)
     covariance = np.linalg.inv(without_drive(here, 0.0, np.float64)[0])
-    found = Posterior.of(here, covariance, 1.0).with_ripple(model, state)
-    free, errors = point.prior.free, np.sqrt(np.diag(covariance))
-    expected = np.zeros((np.count_nonzero(free), len(ripple.log_size)))
-    for node, move in enumerate(0.05 * np.eye(len(ripple.log_size))):
-        ends = [at(ripple.log_size + sign * move, state).x[free] for sign in (1, -1)]
-        expected[:, node] = (ends[0] - ends[1]) / 0.1
-    off, whole = (
-        part / errors[: len(part), None] for part in (found[: len(expected)] - expected, expected)
-    )
-    assert np.linalg.norm(off) < 0.5 * np.linalg.norm(whole)
+    posterior = Posterior.of(here, covariance, 1.0)
+    by_ripple = posterior.with_ripple(model, state)
+    free = point.prior.free
+    moves = 0.05 * np.eye(len(ripple.log_size))
+    ends = [[at(ripple.log_size + sign * m, state) for sign in (1, -1)] for m in moves]
+    errors = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(posterior.log_magnitude))
+    values = [[(end.x[free], end.log_drive.real) for end in pair] for pair in ends]
+    for number, (found, error) in enumerate(zip(by_ripple, errors, strict=True)):
+        expected = np.array([(one[number] - other[number]) / 0.1 for one, other in values]).T
+        off, whole = (
+            part / error[: len(expected), None]
+            for part in (found[: len(expected)] - expected, expected)
+        )
+        assert np.linalg.norm(off) < 0.5 * np.linalg.norm(whole)
 
 
 def test_steps_that_follow_newtons_get_farther_on_the_same_equations(point, monkeypatch):
@@ -685,7 +730,7 @@ def test_a_step_that_overflows_is_cut(point):
 def test_what_has_no_inverse_is_said_with_the_remedy():
     matrix = np.diag([1.0, 2.0, 3.0])
     matrix[0, 1] = matrix[1, 0] = 0.3
-    assert _inverse(matrix) == pytest.approx(np.linalg.inv(matrix))
+    assert inverse(matrix) == pytest.approx(np.linalg.inv(matrix))
     matrix[0, 1] = matrix[1, 0] = 2.0
     with pytest.raises(FitError, match="--method picture"):
-        _inverse(matrix)
+        inverse(matrix)

@@ -18,20 +18,18 @@ from physics.effects.catalogue import BY_ID
 from physics.effects.effect import Effect
 from physics.mechanics import HIGHEST_HZ, Mechanics, RandomLayer, ReedSolver
 from physics.parameters.disorder import BY_NAME, Disorder
-from physics.parameters.quantity import Quantity
 from physics.parameters.tree import BenchParameters, with_part
+from physics.plausible.surfaces import ThicknessFunctions
 from physics.reed.reduced.derivatives import local_shifts
 from physics.reed.reduced.vibrations import vibrations
 
 _MAP = "thickness_map"
-# Waves along and across of which random maps consist. Chosen: exact for maps of the vamp of a
-# clarinet reed to a thousandth.
-_WAVES = (32, 16)
 # Shifts below this are none. Chosen: far below any standard error.
 _LEAST_CENTS = 0.1
-# Relative standard deviations of the air: of its density, from 960 to 1030 hPa and 15 to 30 °C
-# (equal distributions), and of that of the cane, to which all frequencies are relative.
-_AIR_DENSITY = 0.026
+# Relative standard deviation of the density of the air, from 960 to 1030 hPa (2.0 %) and from 15 to
+# 30 °C (1.5 %), both equally distributed. To it comes that of the cane's density, to which all
+# frequencies are relative.
+_AIR_DENSITY = 0.025
 # Standard deviation of the flow's shape, from a free plate (0) to a reed in a wide wall (1).
 # Chosen: a mouthpiece guides the air more than a free plate does and less than a wall.
 _WALL = 0.5
@@ -118,9 +116,9 @@ def _causes(nominal: BenchParameters) -> Iterator[_Cause]:
         yield _Cause(name, played, positive=effect.parameters[0].positive, of_clamping=clamped)
     for name in (*_OF_REED, *_OF_CLAMPING):
         kind = BY_NAME[name]
-        drawn = partial(_with_disorder, nominal, kind, _deviation(kind.ordinary), 0)
+        drawn = partial(_with_disorder, nominal, kind, kind.ordinary.deviation, 0)
         yield _Cause(name, drawn, of_clamping=name in _OF_CLAMPING)
-    air = float(np.hypot(_AIR_DENSITY, _deviation(BY_NAME["density"].ordinary)))
+    air = float(np.hypot(_AIR_DENSITY, BY_NAME["density"].ordinary.deviation))
     yield _Cause("air", partial(_with_air, nominal, air))
 
 
@@ -138,11 +136,6 @@ def _with_disorder(
 def _with_air(nominal: BenchParameters, sd: float, deviations: float) -> BenchParameters:
     share = nominal.reed.air_share * (1 + deviations * sd)
     return with_part(nominal, "reed", air_share=share)
-
-
-def _deviation(ordinary: Quantity) -> float:
-    """Standard deviation of an equal distribution."""
-    return (ordinary.high - ordinary.low) / 12**0.5
 
 
 def _cents(solver: ReedSolver, reed: Mechanics, modes: Sequence[str]) -> Array:
@@ -173,34 +166,19 @@ def _by_maps(solver: ReedSolver, reed: Mechanics, modes: Sequence[str]) -> Array
     local = local_shifts(found)[:, rows]
     x, y = solver.reed.bark_m.T
     local = local * (solver.reed.area_m2 * (x < solver.reed.geometry.vamp_x_m[-1]))[:, None]
-    ordinary = BY_NAME[_MAP].ordinary
-    rms_m = ((ordinary.low**2 + ordinary.low * ordinary.high + ordinary.high**2) / 3) ** 0.5
-    along, across = (
-        _waves(at, length_m, count)
-        for at, length_m, count in zip(
-            (x, y), (RandomLayer.correlation_x_m, RandomLayer.correlation_y_m), _WAVES, strict=True
-        )
+    functions = ThicknessFunctions.of(
+        solver.reed.geometry, RandomLayer.correlation_x_m, RandomLayer.correlation_y_m
     )
-    # Of half a reed, whose cosines across are even: the sines move nothing.
-    sides = across[:1] if None not in solver.reed.loose else across
-    waves = [
-        np.einsum("bk,bl,bm->klm", one, other, local, optimize=True).reshape(-1, len(modes))
-        for one in along
-        for other in sides
-    ]
+    thickness = functions.at(x, y)
+    if None not in solver.reed.loose:
+        # Half a reed: what is odd across it moves no mode.
+        thickness = 0.5 * (thickness + functions.at(x, -y))
+    by_function = thickness @ local
     # As many patterns as modes have the same covariance.
-    square = np.concatenate(waves).T @ np.concatenate(waves)
-    values, vectors = np.linalg.eigh(square)
+    values, vectors = np.linalg.eigh(by_function.T @ by_function)
+    rms_m = BY_NAME[_MAP].ordinary.root_mean_square
     cents = 1200 / np.log(2) * rms_m * np.sqrt(np.maximum(values, 0.0))
     return np.asarray((vectors * cents).T)
-
-
-def _waves(at_m: Array, length_m: float, count: int) -> tuple[Array, Array]:
-    """Cosines and sines (b, k) whose products sum up to ``exp(-(Δ/length)²)``: its spectrum."""
-    nodes, weights = np.polynomial.hermite_e.hermegauss(count)
-    angle = np.multiply.outer(at_m, nodes * np.sqrt(2) / length_m)
-    root = np.sqrt(weights / weights.sum())
-    return root * np.cos(angle), root * np.sin(angle)
 
 
 def _by_wall(solver: ReedSolver, reed: Mechanics, modes: Sequence[str]) -> Array:

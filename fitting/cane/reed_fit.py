@@ -37,6 +37,9 @@ _AT_LIMIT_SD = 1e-3
 _OUTLIER = 2.0
 # ... in which all errors are at least that of a step of 25 cents (25 / √12).
 _EVEN_CENTS = 7.2
+# Causes leave at least this fraction of the squares that residuals should have. Chosen: the excess
+# scatter is then at most three times what it is without causes.
+_LEAST_LEFT = 0.1
 # Most iterations of the excess scatter, and relative change at which they end.
 _MISFIT_TURNS, _MISFIT_SETTLED = 10, 1e-3
 # The paper quotes storage moduli at this frequency (Tables 6 and 7).
@@ -272,7 +275,7 @@ def _least_squares(problem: _Problem) -> tuple[Array, Array, float, float]:
     chi2, misfit = (float(np.sum((residual / errors) ** 2)) + taken) / freedom, 0.0
     if is_misfit(chi2, freedom):
         for _ in range(_MISFIT_TURNS):
-            before, left = misfit, max(freedom - taken, 0.1 * freedom)
+            before, left = misfit, max(freedom - taken, _LEAST_LEFT * freedom)
             misfit = float(added_cents(residual[None], errors, np.array([left]))[0])
             values, jacobian = problem.fitted(np.hypot(errors, misfit), values)
             residual, taken = squares(values)

@@ -27,6 +27,16 @@ class Quantity:
     high: float
     source: str
 
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of a number that is equally distributed in the range."""
+        return (self.high - self.low) / math.sqrt(12)
+
+    @property
+    def root_mean_square(self) -> float:
+        """Root of the mean square of a number that is equally distributed in the range."""
+        return math.sqrt((self.low**2 + self.low * self.high + self.high**2) / 3)
+
 
 def quantity(nominal: float, unit: str, low: float, high: float, source: str) -> Any:
     """Return the field of a frozen dataclass that holds a number.

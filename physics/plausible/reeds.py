@@ -48,14 +48,8 @@ _CENT = float(np.log(2) / 1200)
 _CLOSE_CENTS = 350.0
 
 
-def _deviation(low: float, high: float) -> float:
-    """Standard deviation of an equal distribution."""
-    return float((high - low) / np.sqrt(12))
-
-
 def _ordinary(name: str) -> float:
-    known = BY_NAME[name].ordinary
-    return _deviation(known.low, known.high)
+    return BY_NAME[name].ordinary.deviation
 
 
 @dataclass(frozen=True)
@@ -390,9 +384,7 @@ def _thickness(reed: ReducedReed) -> Array:
 
     One standard deviation of each of f independent functions.
     """
-    kind, known = RandomLayer(0), BY_NAME["thickness_map"].ordinary
-    # Root of the mean square of an rms that is equally distributed.
-    rms_m = np.sqrt((known.low**2 + known.low * known.high + known.high**2) / 3)
+    kind, rms_m = RandomLayer(0), BY_NAME["thickness_map"].ordinary.root_mean_square
     functions = ThicknessFunctions.of(reed.geometry, kind.correlation_x_m, kind.correlation_y_m)
     x_m, y_m = reed.bark_m.T
     half_m = np.maximum(half_width_m(reed.geometry.outline, x_m), 1e-6)

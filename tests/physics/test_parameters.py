@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import pytest
 
 from physics.effects.catalogue import CATALOGUE
 from physics.mechanics import TipMass
-from physics.parameters.quantity import leaves, quantity
+from physics.parameters.quantity import Quantity, leaves, quantity
 from physics.parameters.tree import BenchParameters, more, part_at, with_alteration, with_part
 
 UNITS = {
@@ -35,6 +36,13 @@ def test_a_number_outside_its_own_range_cannot_be_declared() -> None:
         quantity(2.0, "m", 0.0, 1.0, "a source")
     with pytest.raises(ValueError, match="source"):
         quantity(0.5, "m", 0.0, 1.0, "")
+
+
+def test_moments_of_a_range_are_those_of_numbers_spread_evenly_over_it() -> None:
+    known = Quantity("m", -1.0, 4.0, "a source")
+    even = np.linspace(-1.0, 4.0, 100_001)
+    assert known.deviation == pytest.approx(even.std(), rel=1e-4)
+    assert known.root_mean_square == pytest.approx(np.sqrt(np.mean(even**2)), rel=1e-4)
 
 
 def test_a_leaf_knows_whether_it_is_plausible() -> None:

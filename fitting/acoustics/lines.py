@@ -85,7 +85,7 @@ class SeenPeak:
     def suspect(self) -> bool:
         """Whether it is next to a mode, and higher than acoustic resonances are.
 
-        The drive has then probably taken up vibration of the mode.
+        The drive has then probably absorbed vibration of the mode.
         """
         return self.next_to_mode and self.peak.height_db > _MOST_DB
 

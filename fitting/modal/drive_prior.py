@@ -26,7 +26,7 @@ _COARSE, _FINE = (0.35, 0.2), (0.1, 0.06)
 # nodes that are this far apart in log frequency: twice the length over which it is correlated.
 _NODE = 0.12
 # Limits of its size: 0.1 dB, and one of which two standard deviations are 15 dB: a higher line of
-# the drive is suspect beside a mode.
+# the drive is suspect next to a mode.
 _FINE_LIMITS = (0.012, 0.86)
 # Ripple of a start that can follow poles and notches anywhere: 6 dB.
 _STRONG = 0.7
@@ -57,7 +57,7 @@ class Ripple:
         Covariance of level, slope and coarse structure.
     fine : (k, k) float
         Correlation of the finer structure.
-    share : (k, n) float
+    weights : (k, n) float
         Weights of the nodes in every hologram.
     log_size : (n,) float
         Log of the finer structure's standard deviation, in nepers, at the nodes.
@@ -65,13 +65,13 @@ class Ripple:
 
     coarse: Array
     fine: Array
-    share: Array
+    weights: Array
     log_size: Array
 
     @property
     def finer(self) -> Array:
         """Covariance (k, k) of the finer structure."""
-        size = np.exp(self.share @ self.log_size)
+        size = np.exp(self.weights @ self.log_size)
         return np.asarray(size[:, None] * self.fine * size)
 
     @property
@@ -88,9 +88,9 @@ def quiet_ripple(hz: Array) -> Ripple:
     coarse += _COARSE[0] ** 2 * _matern(log_hz, _COARSE[1])
     intervals = max(int(np.ptp(log_hz) / _NODE), 1)
     at = (log_hz - log_hz.min()) / max(np.ptp(log_hz), 1e-9) * intervals
-    share = np.maximum(0, 1 - np.abs(at[:, None] - np.arange(intervals + 1)))
+    weights = np.maximum(0, 1 - np.abs(at[:, None] - np.arange(intervals + 1)))
     log_size = np.full(intervals + 1, np.log(_FINE[0]))
-    return Ripple(coarse, _matern(log_hz, _FINE[1]), share, log_size)
+    return Ripple(coarse, _matern(log_hz, _FINE[1]), weights, log_size)
 
 
 def ripple_around(ripple: Ripple, covariance: Array) -> Ripple:
@@ -286,7 +286,7 @@ def _ripple_cost(ripple: Ripple, known: KnownMagnitude, variance: Array) -> tupl
     off = ripple.log_size - np.log(_FINE[0])
     cost = np.linalg.slogdet(whole)[1] + np.linalg.slogdet(both)[1] - known.pull @ mean
     slope = prior - prior @ (covariance + np.outer(mean, mean)) @ prior
-    gradient = 2 * ripple.share.T @ np.sum(slope * finer, axis=1)
+    gradient = 2 * ripple.weights.T @ np.sum(slope * finer, axis=1)
     # The density of the logarithm of a half-Cauchy distributed size is 1/cosh.
     return float(cost + 2 * np.sum(np.logaddexp(off, -off))), gradient + 2 * np.tanh(off)
 

@@ -82,16 +82,16 @@ class FieldDrift:
         among = among.reshape(len(which), len(which), share.shape[1], share.shape[1])
         size = self.parameters - self.constant
         among = among.transpose(2, 0, 3, 1).reshape(size, size)
-        beside = both[:, self.constant :]
-        return np.block([[both[:, : self.constant], beside], [beside.T, among]])
+        cross = both[:, self.constant :]
+        return np.block([[both[:, : self.constant], cross], [cross.T, among]])
 
     def covariance(self, parameters: Array) -> Array:
         """Return the covariance (k, q, q) of `shift` from that of the parameters (p, p)."""
         constant, which, nodes = self.constant, self.drifting, self.share.shape[1]
         found = np.tile(parameters[:constant, :constant], (len(self.share), 1, 1))
-        beside = parameters[:constant, constant:].reshape(constant, nodes, len(which))
+        cross = parameters[:constant, constant:].reshape(constant, nodes, len(which))
         own = parameters[constant:, constant:].reshape(nodes, len(which), nodes, len(which))
-        across = np.einsum("qbr,kb->kqr", beside, self.share)
+        across = np.einsum("qbr,kb->kqr", cross, self.share)
         found[:, :, which] += across
         found[:, which] += across.swapaxes(1, 2)
         among = np.einsum("brcs,kb,kc->krs", own, self.share, self.share, optimize=True)
@@ -137,7 +137,7 @@ def shared_error(common_mode: CommonModeError, drift: FieldDrift, walk: float) -
     which, share, own = drift.drifting, drift.share, common_mode.precision
     nodes = share.shape[1]
     size = nodes * len(which)
-    beside = np.einsum("kqr,kb->qbr", own[:, :, which], share).reshape(drift.constant, size)
+    cross = np.einsum("kqr,kb->qbr", own[:, :, which], share).reshape(drift.constant, size)
     among = np.einsum(
         "krs,kb,kc->brcs", own[:, which][:, :, which], share, share, optimize=True
     ).reshape(size, size)
@@ -146,7 +146,7 @@ def shared_error(common_mode: CommonModeError, drift: FieldDrift, walk: float) -
     middle = np.full((nodes, nodes), 1 / nodes**2)
     held = (steps.T @ steps / drift.spacing + middle) / walk**2
     precision = np.block(
-        [[common_mode.whole, beside], [beside.T, among + np.kron(held, np.eye(len(which)))]]
+        [[common_mode.whole, cross], [cross.T, among + np.kron(held, np.eye(len(which)))]]
     )
     return SharedError(common_mode.response, drift, precision)
 

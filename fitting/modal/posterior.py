@@ -81,8 +81,8 @@ class Posterior:
         """
         ripple, curvature = model.ripple, drive_prior_at(model, state).curvature
         pulled = curvature @ (state.log_drive.real - model.log_volts)
-        by_size = ripple.share * (ripple.finer @ pulled)[:, None]
-        by_size += ripple.finer @ (ripple.share * pulled[:, None])
+        by_size = ripple.weights * (ripple.finer @ pulled)[:, None]
+        by_size += ripple.finer @ (ripple.weights * pulled[:, None])
         by_size = curvature @ by_size
         return self.with_log_magnitude @ by_size, self.log_magnitude @ by_size
 

@@ -14,16 +14,16 @@ from physics.plausible.reeds import PlausibleReeds
 # Scatter of the coordinates of shapes of unit length that are tried: from the functions of a
 # `ShapeBasis`, which do not span shapes better, to a shape that is another one (MAC 0.5).
 _SHAPE_SCATTER = np.geomspace(3e-3, 0.12, 12)
-# Two modes look alike, and may be mistaken for each other, from this MAC on.
-ALIKE = 0.5
+# Two modes have similar shapes, and may be confused, from this MAC on.
+SIMILAR = 0.5
 
 
 @dataclass(frozen=True)
 class Ratio:
-    """How much more one of two modes that look alike is seen than the other.
+    """How much more one of two modes of similar shape is seen than the other.
 
-    The drive pushes both alike, so that the ratio of their participations shows how they share the
-    character that is seen.
+    The drive pushes both equally, so that the ratio of their participations shows how they share
+    the character that is seen.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ def shape_weights(here: Prediction, data: NameData) -> Array:
 
 
 def strength_ratios(reeds: PlausibleReeds, here: Prediction, data: NameData) -> tuple[Ratio, ...]:
-    """Return the ratios of strengths of close modes that look alike.
+    """Return the ratios of strengths of close modes of similar shape.
 
     The force of the drive on one is that on the other, but for the part of its shape that differs:
     there the force may be as large as it is on other modes of that symmetry.
@@ -188,13 +188,13 @@ def strength_ratios(reeds: PlausibleReeds, here: Prediction, data: NameData) -> 
     force[found] = measured.ln_strength[found] - 2 * here.ln_size[data.mode[found]]
     parts = reeds.parts[own[np.maximum(data.mode, 0)]]
     for one, other in combinations(found.tolist(), 2):
-        alike = float(measured.shape[one] @ measured.shape[other]) ** 2
-        if not are_close(reeds, own[data.mode[one]], own[data.mode[other]]) or alike < ALIKE:
+        mac = float(measured.shape[one] @ measured.shape[other]) ** 2
+        if not are_close(reeds, own[data.mode[one]], own[data.mode[other]]) or mac < SIMILAR:
             continue
         same = found[parts[found] == parts[one]]
         usual = 0.5 * float(np.log(np.mean(np.exp(2 * force[same]))))
         larger = float(np.exp(2 * max(usual - min(force[one], force[other]), 0.0)))
-        variance = float(np.sum(measured.strength_error[[one, other]] ** 2)) + (1 - alike) * larger
+        variance = float(np.sum(measured.strength_error[[one, other]] ** 2)) + (1 - mac) * larger
         ratio = float(measured.ln_strength[one] - measured.ln_strength[other])
         answer.append(Ratio(one, other, ratio, float(np.sqrt(variance))))
     return tuple(answer)

@@ -66,8 +66,8 @@ class ModeNaming:
     name: str
     probability: float
     candidates: tuple[tuple[str, float], ...]
-    spurious: float
-    outside: float
+    spurious: float = 0.0
+    outside: float = 0.0
 
 
 def name_modes(
@@ -252,7 +252,5 @@ def named(probabilities: Mapping[str, Mapping[str, float]]) -> dict[str, ModeNam
             name=names[column],
             probability=float(table[row, column]),
             candidates=tuple((name, p) for name, p in listed if p >= _LISTED),
-            spurious=0.0,
-            outside=0.0,
         )
     return answer

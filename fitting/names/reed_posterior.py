@@ -18,7 +18,7 @@ from scipy.special import expit
 
 from fitting.modal.model import UNKNOWN_DRIVE_DOF
 from fitting.names.likelihood import (
-    ALIKE,
+    SIMILAR,
     NameData,
     are_close,
     log_likelihood,
@@ -370,7 +370,7 @@ def _assigned(question: _Question, fit: _Fit, scatter: float) -> NDArray[np.intp
 
 
 def _exchanged(question: _Question, fit: _Fit) -> list[_Fit]:
-    """Fit reeds in which two close modes that look alike have exchanged their characters.
+    """Fit reeds in which two close modes of similar shape have exchanged their characters.
 
     The frequencies and shapes of such a pair say little of which of them is which.
     """
@@ -378,8 +378,8 @@ def _exchanged(question: _Question, fit: _Fit) -> list[_Fit]:
     own, level = own_shifts(reeds, here), here.ln_levels
     for lower, upper in combinations(np.sort(fit.data.mode[fit.data.counts]).tolist(), 2):
         one, other = int(own[lower]), int(own[upper])
-        alike = float(here.shape[lower] @ here.shape[upper]) ** 2
-        if not are_close(reeds, one, other) or alike < ALIKE:
+        mac = float(here.shape[lower] @ here.shape[upper]) ** 2
+        if not are_close(reeds, one, other) or mac < SIMILAR:
             continue
         apart = _BEYOND * float(level[other] - level[one]) / _CENT
         parameters = here.parameters.copy()

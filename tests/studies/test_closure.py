@@ -154,7 +154,7 @@ def test_steps_that_one_campaign_lacks_are_left_out_and_shift_no_others() -> Non
 
     one, two = group([1e3, 2e3, 4e3]), group([1e3, 1.5e3, 2e3, 4e3])
     assert _pairs(one, two, BenchParameters()) == [(0, 0), (1, 2), (2, 3)]
-    # Numbers of which all the same is expected cannot be told apart.
+    # Numbers of which all the same is expected cannot be distinguished.
     flat = [replace(each, predict=lambda _, values=each.values: 0 * values) for each in (one, two)]
     assert _pairs(*flat, BenchParameters()) == []
 
@@ -164,7 +164,7 @@ OPEN = {
     "hardening_nonlinearity": "fits give part of a shift by amplitude to the drive: T1 at 51 rad",
     "defocus": "no observable expects that the image moves by 1.2 mm",
     "laser_mode_hop": "fits give a sixteenth of a step of the light to the vibration",
-    "speckle_decorrelation": "fits take up a fifth of the lost contrast",
+    "speckle_decorrelation": "fits absorb a fifth of the lost contrast",
     "sideband_crosstalk": "fits know no next sideband: the loss of F1 doubles in a quiet sweep",
 }
 

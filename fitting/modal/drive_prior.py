@@ -16,9 +16,9 @@ from scipy import linalg, optimize
 
 from holography.arrays import Array
 
-# Level: a factor that all holograms share belongs to participations. Slope per unit of log
-# frequency: 24 dB per octave, a filter of fourth order, is 4 nepers.
-_LEVEL, _SLOPE = 0.01, 4.0
+# Level: any sensitivity; if what all holograms share belongs to participations, it is held. Slope
+# per unit of log frequency: 24 dB per octave, a filter of fourth order, is 4 nepers.
+ANY_LEVEL, HELD_LEVEL, _SLOPE = 10.0, 0.01, 4.0
 # Ripple in nepers, and the log frequency over which it is correlated: data sheets of dome tweeters
 # show 3 dB over a third of an octave, and 1 dB of finer structure.
 _COARSE, _FINE = (0.35, 0.2), (0.1, 0.06)
@@ -80,11 +80,11 @@ class Ripple:
         return np.asarray(self.coarse + self.finer)
 
 
-def quiet_ripple(hz: Array) -> Ripple:
-    """Return the ripple of data sheets at drive frequencies (k,)."""
+def quiet_ripple(hz: Array, level: float = ANY_LEVEL) -> Ripple:
+    """Return the ripple of data sheets at drive frequencies (k,); the level is in nepers."""
     log_hz = np.log(hz)
     centred = log_hz - log_hz.mean()
-    coarse = _LEVEL**2 + _SLOPE**2 * np.multiply.outer(centred, centred)
+    coarse = level**2 + _SLOPE**2 * np.multiply.outer(centred, centred)
     coarse += _COARSE[0] ** 2 * _matern(log_hz, _COARSE[1])
     intervals = max(int(np.ptp(log_hz) / _NODE), 1)
     at = (log_hz - log_hz.min()) / max(np.ptp(log_hz), 1e-9) * intervals

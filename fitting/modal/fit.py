@@ -29,6 +29,7 @@ from scipy.special import softmax
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.drive_prior import (
+    HELD_LEVEL,
     FoundRipple,
     KnownMagnitude,
     found_ripple,
@@ -80,8 +81,6 @@ from holography.arrays import Array
 
 # Participations are polynomials of log frequency of this degree.
 _DEGREE = 4
-# Outliers that a fit may have, for example holograms at an acoustic resonance.
-FEW_OFF = 2
 # How often the discrepancy is estimated, and how often if the modes are known from another fit.
 _ROUNDS, _AGAIN = 3, 2
 # Most turns in which the ripple of the drive is found; they end when no frequency and no loss moves
@@ -121,8 +120,8 @@ def fit_modes(
     known : ModalFit, optional
         Start of the fit.
     rough : bool, optional
-        End when the fit predicts displacements well enough for a better fit of these: before the
-        ripple of the drive is found, and earlier if several holograms are outliers.
+        End before the ripple of the drive is found: the fit predicts displacements well enough for
+        a better fit of these.
     drive_dof : float, optional
         Degrees of freedom of the drive's prior, see `fitting.modal.model.Model`.
 
@@ -138,26 +137,19 @@ def fit_modes(
         model, state = _staged(model, displacements, noise, shared, centre_hz)
         rounds, scatter = _ROUNDS, _Scatter(_LAST.discrepancy, FIRST_WALK)
     else:
-        if drive_dof == KNOWN_DRIVE_DOF:
-            around = ripple_around(model.ripple, known.log_drive_covariance)
-            model = replace(model, ripple=around)
-        state = _again(known, displacements, len(shared.precision))
-        model = at_level(model, state)
+        model, state = _again(model, known, displacements, len(shared.precision))
         rounds, scatter = _AGAIN, _Scatter(known.discrepancy, known.field_walk)
     prior = stage_prior(model, _LAST, centre_hz, participation_scale(model, state))
     for _ in range(rounds):
         same = displacements, drift, noise, prior
         end = _round(model, *same, state, scatter)
         state, noise, scatter = end.state, end.noise, end.next_scatter
-        if rough and np.count_nonzero(_off(displacements, noise)) > FEW_OFF:
-            break
     if rough or drive_dof == KNOWN_DRIVE_DOF:
         return _finish(displacements, basis.names, [_Optimum.of(model, end)])
-    starts = [
-        replace(model, ripple=start)
-        for start in (smooth_ripple(model.ripple), strong_ripple(model.ripple))
+    optima = [
+        _with_ripple(replace(model, ripple=ripple), *same, state, scatter)
+        for ripple in (smooth_ripple(model.ripple), strong_ripple(model.ripple))
     ]
-    optima = [_with_ripple(start, *same, state, scatter) for start in starts]
     return _finish(displacements, basis.names, optima)
 
 
@@ -211,7 +203,7 @@ def _model(
         drive_hz,
         np.log(volts),
         drive_dof,
-        quiet_ripple(drive_hz),
+        quiet_ripple(drive_hz, HELD_LEVEL),
         powers,
         basis.shapes,
         reference_hz,
@@ -254,16 +246,17 @@ def _staged(
     return model, state
 
 
-def _again(known: ModalFit, displacements: Displacements, shared: int) -> State:
+def _again(
+    model: Model, known: ModalFit, displacements: Displacements, shared: int
+) -> tuple[Model, State]:
     """Start from known modes: only the drive of every hologram is fitted to the displacements."""
+    if model.drive_dof == KNOWN_DRIVE_DOF:
+        model = replace(model, ripple=ripple_around(model.ripple, known.log_drive_covariance))
     unit = known.amplitude_rad / known.drive[:, None]
     drive = np.sum(unit.conj() * displacements.amplitude_rad, axis=1)
     drive = np.where(np.abs(drive) > 0, drive / np.sum(np.abs(unit) ** 2, axis=1), known.drive)
-    return replace(
-        known.state,
-        log_drive=np.log(drive),
-        common_mode_shift=np.zeros(shared),
-    )
+    state = replace(known.state, log_drive=np.log(drive), common_mode_shift=np.zeros(shared))
+    return at_level(model, state), state
 
 
 def _fixed(prior: Prior, state: State) -> State:

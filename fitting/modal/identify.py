@@ -21,7 +21,7 @@ from fitting.holograms.displacement import (
     refit_displacements,
 )
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.modal.fit import FEW_OFF, fit_modes
+from fitting.modal.fit import fit_modes
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.start_frequencies import middling_shapes, start_frequencies
 from fitting.names.naming import SURE, ModeNaming, name_modes
@@ -46,6 +46,8 @@ _DEVIATIONS, _WIDEST_CENTS = 5.0, 25.0
 _MOST_SPURIOUS = 0.5
 # The peak response of a mode is looked for this near to its resonance.
 _PEAK_CENTS = 150.0
+# Outliers that a fit may have, for example holograms at an acoustic resonance.
+_FEW_OFF = 2
 # How often displacements are fitted again with the common-mode error that the modes show.
 _TURNS = 2
 # Fraction of unexplained holograms above which no mode of a sweep is identified.
@@ -133,7 +135,7 @@ def _fitted(
         # The modes predict the fringe in which outliers lie, and show the common-mode error, in
         # which displacements are not linear.
         expected_rad = modal.amplitude_rad, _with_smooth_drive(modal, block_amplitudes.drive_hz)
-        few_off = np.count_nonzero(modal.off) <= FEW_OFF
+        few_off = np.count_nonzero(modal.off) <= _FEW_OFF
         off = modal.off & (not few_off)
         displacements = refit_displacements(
             block_amplitudes, basis, displacements, expected_rad, off, modal.common_mode_shift

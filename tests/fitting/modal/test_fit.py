@@ -9,8 +9,9 @@ from fitting.errors import FitError
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.modal.drive_prior import quiet_ripple
+from fitting.modal.drive_prior import HELD_LEVEL, quiet_ripple
 from fitting.modal.field_drift import FieldDrift
+from fitting.modal.first_state import at_level
 from fitting.modal.fit import _LAST, _mixture, fit_modes
 from fitting.modal.model import (
     KNOWN_DRIVE_DOF,
@@ -672,8 +673,9 @@ def test_parameters_follow_the_ripple_as_their_derivatives_say(point, monkeypatc
     for name in ("_LEAST_PROGRESS", "_LEAST_GAIN"):
         monkeypatch.setattr(f"fitting.modal.optimiser.{name}", 1e-12)
     # The scatter is normal: its variance does not change with the ripple.
-    model = replace(point.model, drive_dof=1e9)
-    ripple = model.ripple
+    model = at_level(replace(point.model, drive_dof=1e9), point.state)
+    ripple = quiet_ripple(model.hz, HELD_LEVEL)
+    model = replace(model, ripple=ripple)
     # With small residuals, second derivatives of the amplitudes matter less.
     data = replace(point.data, amplitude=terms(model, point.state).amplitude)
 

@@ -48,8 +48,10 @@ _MOST_SPURIOUS = 0.5
 _PEAK_CENTS = 150.0
 # Outliers that a fit may have, for example holograms at an acoustic resonance.
 _FEW_OFF = 2
-# How often displacements are fitted again with the common-mode error that the modes show.
-_TURNS = 2
+# How often displacements are fitted again with the common-mode error that the modes show, and the
+# part of the displacements that it may be: displacements are then linear in it to half its square,
+# 0.05 %, less than shapes leave.
+_TURNS, _LINEAR = 2, 0.03
 # Fraction of unexplained holograms above which no mode of a sweep is identified.
 _MOST_UNREACHED = 0.2
 # ... and discrepancy of the model: it is 0.02 for reeds with shape errors of 10 µm, and 0.2 for
@@ -130,18 +132,17 @@ def _fitted(
     start_hz = start_frequencies(block_amplitudes, basis, displacements, reed, model, series)
     sweep = basis, block_amplitudes.drive_hz, block_amplitudes.volts, start_hz
     modal = fit_modes(displacements, *sweep, rough=True)
-    known: ModalFit | None = None
     for _ in range(_TURNS):
-        # The modes predict the fringe in which outliers lie, and show the common-mode error, in
-        # which displacements are not linear.
-        expected_rad = modal.amplitude_rad, _with_smooth_drive(modal, block_amplitudes.drive_hz)
         few_off = np.count_nonzero(modal.off) <= _FEW_OFF
+        if few_off and _common_mode_part(displacements, modal) < _LINEAR:
+            break
+        # The modes predict the fringe in which outliers lie.
+        expected_rad = modal.amplitude_rad, _with_smooth_drive(modal, block_amplitudes.drive_hz)
         off = modal.off & (not few_off)
         displacements = refit_displacements(
             block_amplitudes, basis, displacements, expected_rad, off, modal.common_mode_shift
         )
-        known = modal if few_off else None
-        modal = fit_modes(displacements, *sweep, known, rough=True)
+        modal = fit_modes(displacements, *sweep, modal if few_off else None, rough=True)
     modal = fit_modes(displacements, *sweep, modal)
     naming: Mapping[str, ModeNaming] = {}
     if not _general_doubt(modal, displacements):
@@ -235,6 +236,14 @@ def final_names(
         else kept.get(label) or spare.get(label) or f"{label} again"
         for label in labels
     )
+
+
+def _common_mode_part(displacements: Displacements, modal: ModalFit) -> float:
+    """Return the common-mode error of a typical hologram as a part of its displacements."""
+    error = displacements.common_mode.response @ modal.common_mode_shift[..., None]
+    size = np.linalg.norm(displacements.amplitude_rad, axis=1)
+    seen = size > 0
+    return float(np.median(np.linalg.norm(error[seen, :, 0], axis=1) / size[seen]))
 
 
 def _with_smooth_drive(modal: ModalFit, drive_hz: Array) -> ComplexArray:

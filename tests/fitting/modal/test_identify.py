@@ -11,6 +11,7 @@ from fitting.cane.fit_runs import fit_runs, method_name
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
 from fitting.modal.identify import _with_smooth_drive, fit_jointly, joint_fit_of, mac
+from fitting.modal.refit import fit_same_reed
 from fitting.modal.residual_map import residual_map
 from fitting.modal.start_frequencies import _outweighing, _room_cents
 from fitting.names.naming import SURE, ModeNaming, name_modes
@@ -262,6 +263,17 @@ def test_picks_that_speak_for_no_possible_cane_do_no_harm(sweep_a, sweep, true_h
     # (docs/explanation/fit.md).
     del same["F2"]
     assert all(abs(cents) < 1 for cents in same.values()), same
+
+
+def test_another_sweep_adds_nothing_to_what_is_known_of_the_drive(sweep_a, sweep, true_hz):
+    """Fits go back and forth between sweeps: what one knows of the drive must not count twice."""
+    with Run.open(sweep_a) as run:
+        again = fit_same_reed(run, sweep.joint)
+    known = sweep.joint.modal.log_drive_covariance
+    np.testing.assert_array_equal(again.modal.log_drive_covariance, known)
+    found = {name: mode.frequency_hz for name, mode in again.resonances.items()}
+    apart = cents_apart(found, true_hz)
+    assert all(abs(cents) < 5 for cents in apart.values()), apart
 
 
 def test_equal_shapes_have_a_mac_of_1():

@@ -14,7 +14,7 @@ from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
 from fitting.holograms.block_amplitudes import UnshiftedLight
 from fitting.holograms.displacement import explained_amplitudes
-from fitting.modal.identify import JointFit, fit_jointly
+from fitting.modal.identify import JointFit, fit_jointly, series_of
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.refit import fit_same_reed, fit_without_unshifted
 from fitting.parallel.processes import map_processes
@@ -171,7 +171,7 @@ def read_sweeps(
         report(_SEARCH + (1 - _SEARCH) * (number + 1) / len(turns))
     fitted = [part for part in parts if part.name in fits.found]
     readings = map_processes(
-        lambda part: _read(part, fits.found[part.name], _taken_off(lights.get(part.name))), fitted
+        lambda part: _read(part, fits.settled(part), _taken_off(lights.get(part.name))), fitted
     )
     read = {part.name: reading for part, reading in zip(fitted, readings, strict=True) if reading}
     empty = {part.name: f"{part.run.path}: nothing is identified" for part in parts}
@@ -213,6 +213,14 @@ class _Fits:
         self.found[part.name] = fit
         return True
 
+    def settled(self, part: CampaignRun) -> JointFit:
+        """Return the fit of a sweep with unshifted light subtracted as the vibration changes it."""
+        fit = self.found[part.name]
+        if fit.resonances:
+            with contextlib.suppress(FitError):
+                return fit_without_unshifted(fit, self._reed, series_of(part.run))
+        return fit
+
 
 def _root(fits: _Fits, parts: Sequence[CampaignRun]) -> CampaignRun | None:
     """Fit sweeps by themselves until one is not in doubt; return the one least in doubt, if any."""
@@ -230,9 +238,6 @@ def _root(fits: _Fits, parts: Sequence[CampaignRun]) -> CampaignRun | None:
 
 def _read(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepReading | None:
     """What a sweep's fit says; None if nothing is identified."""
-    if fitted.resonances:
-        with contextlib.suppress(FitError):
-            fitted = fit_without_unshifted(fitted)
     return _reading(part, fitted, taken_off) if fitted.resonances else None
 
 

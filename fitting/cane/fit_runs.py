@@ -31,7 +31,7 @@ from fitting.fringes.fringes import (
     misfit_without,
 )
 from fitting.fringes.pictures import Pictures, read_pictures
-from fitting.modal.identify import fit_jointly
+from fitting.modal.identify import fit_jointly, series_of
 from fitting.resonance import Resonance
 from holography.arrays import Float32Array
 from holography.fringes import displacement_m
@@ -164,7 +164,7 @@ def fit_sweep(run: Run, reed: ReducedReed, model: ForwardModel) -> SweepFit:
     FitError
         If too few pictures are good, or no mode is found in them.
     """
-    pictures, series = read_pictures(run), Series.B if run.series == "B" else Series.A
+    pictures, series = read_pictures(run), series_of(run)
     middling = middling_modes(reed)
     names = tuple(middling)
     shapes = mode_shapes(reed, pictures, middling)
@@ -229,7 +229,7 @@ def fit_sweep_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> Sweep
             f"{run.path}: nothing is identified{reason}; look at the contact sheet that acquire "
             "report writes"
         )
-    series = Series.B if run.series == "B" else Series.A
+    series = series_of(run)
     cane = viscoelastic_cane(Components(), series)
     blocks = joint.block_amplitudes
     points = vamp_points(reed, cane, joint.basis, blocks.x_m, blocks.y_m)

@@ -69,6 +69,8 @@ class JointFit:
     basis : ShapeBasis
     displacements : Displacements
     modal : ModalFit
+    start_hz : mapping
+        Frequency from which the fit of each mode started, by its name in `modal`.
     naming : mapping
         What is known of the name of each measured mode, by its name in `modal`: the name of the
         shape that the fit started from.
@@ -87,6 +89,7 @@ class JointFit:
     basis: ShapeBasis
     displacements: Displacements
     modal: ModalFit
+    start_hz: Mapping[str, float]
     naming: Mapping[str, ModeNaming]
     names: tuple[str, ...]
     resonances: dict[str, Resonance]
@@ -121,16 +124,78 @@ def fit_jointly(
         return _fitted(run, reed, model, unshifted)
 
 
+def series_of(run: Run) -> Series:
+    """Return the series, and so the dryness, of a run."""
+    return Series.B if run.series == "B" else Series.A
+
+
 def _fitted(
     run: Run, reed: ReducedReed, model: ForwardModel, unshifted: UnshiftedLight | None
 ) -> JointFit:
-    series = Series.B if run.series == "B" else Series.A
+    series = series_of(run)
     block_amplitudes = read_block_amplitudes(run, unshifted)
     cane = viscoelastic_cane(Components(), series)
     basis = middling_shapes(reed, cane, block_amplitudes.x_m, block_amplitudes.y_m)
     displacements = fit_displacements(block_amplitudes, basis)
     start_hz = start_frequencies(block_amplitudes, basis, displacements, reed, model, series)
-    sweep = basis, block_amplitudes.drive_hz, block_amplitudes.volts, start_hz
+    displacements, modal = modes_in_turns(block_amplitudes, basis, displacements, start_hz)
+    naming = naming_of(modal, block_amplitudes, basis, displacements, reed, series)
+    return joint_fit_of(modal, block_amplitudes, basis, displacements, start_hz, naming)
+
+
+def naming_of(
+    modal: ModalFit,
+    block_amplitudes: BlockAmplitudes,
+    basis: ShapeBasis,
+    displacements: Displacements,
+    reed: ReducedReed,
+    series: Series,
+) -> Mapping[str, ModeNaming]:
+    """Name the modes that are measured; there are no names if the sweep or the reed is in doubt.
+
+    Parameters
+    ----------
+    modal : ModalFit
+    block_amplitudes : BlockAmplitudes
+    basis : ShapeBasis
+    displacements : Displacements
+    reed : ReducedReed
+    series : Series
+    """
+    if _general_doubt(modal, displacements):
+        return {}
+    index = [m for m in range(len(modal.names)) if not _doubt(modal, m, block_amplitudes)]
+    # A reed that is not possible has no names: then all modes are refused.
+    with suppress(ImpossibleReedError):
+        return name_modes(
+            modal,
+            basis,
+            (block_amplitudes.x_m, block_amplitudes.y_m),
+            block_amplitudes.drive_hz,
+            np.array(index, dtype=np.intp),
+            PlausibleReeds.of(reed, series),
+        )
+    return {}
+
+
+def modes_in_turns(
+    block_amplitudes: BlockAmplitudes,
+    basis: ShapeBasis,
+    displacements: Displacements,
+    start_hz: Mapping[str, float],
+) -> tuple[Displacements, ModalFit]:
+    """Fit modes, and displacements again with the common-mode error that they show.
+
+    Parameters
+    ----------
+    block_amplitudes : BlockAmplitudes
+    basis : ShapeBasis
+    displacements : Displacements
+        Displacements that were fitted without modes.
+    start_hz : mapping
+        Start frequency of each mode, by name.
+    """
+    sweep = basis, block_amplitudes.drive_hz, block_amplitudes.volts, dict(start_hz)
     modal = fit_modes(displacements, *sweep, rough=True)
     for _ in range(_TURNS):
         few_off = np.count_nonzero(modal.off) <= _FEW_OFF
@@ -143,21 +208,7 @@ def _fitted(
             block_amplitudes, basis, displacements, expected_rad, off, modal.common_mode_shift
         )
         modal = fit_modes(displacements, *sweep, modal if few_off else None, rough=True)
-    modal = fit_modes(displacements, *sweep, modal)
-    naming: Mapping[str, ModeNaming] = {}
-    if not _general_doubt(modal, displacements):
-        index = [m for m in range(len(modal.names)) if not _doubt(modal, m, block_amplitudes)]
-        # A reed that is not possible has no names: then all modes are refused.
-        with suppress(ImpossibleReedError):
-            naming = name_modes(
-                modal,
-                basis,
-                (block_amplitudes.x_m, block_amplitudes.y_m),
-                block_amplitudes.drive_hz,
-                np.array(index, dtype=np.intp),
-                PlausibleReeds.of(reed, series),
-            )
-    return joint_fit_of(modal, block_amplitudes, basis, displacements, naming)
+    return displacements, fit_modes(displacements, *sweep, modal)
 
 
 def joint_fit_of(
@@ -165,6 +216,7 @@ def joint_fit_of(
     block_amplitudes: BlockAmplitudes,
     basis: ShapeBasis,
     displacements: Displacements,
+    start_hz: Mapping[str, float],
     naming: Mapping[str, ModeNaming],
 ) -> JointFit:
     """Decide which modes are identified, and collect the results.
@@ -175,7 +227,7 @@ def joint_fit_of(
     block_amplitudes : BlockAmplitudes
     basis : ShapeBasis
     displacements : Displacements
-    naming : mapping
+    start_hz, naming : mapping
         See `JointFit`.
     """
     doubts = _doubts(modal, block_amplitudes, displacements, naming)
@@ -191,6 +243,7 @@ def joint_fit_of(
         basis=basis,
         displacements=displacements,
         modal=modal,
+        start_hz=start_hz,
         naming=naming,
         names=names,
         resonances={each.name: each for each in found if not each.name.endswith("?")},

@@ -18,10 +18,12 @@ from fitting.holograms.displacement import Displacements, refit_displacements
 from fitting.holograms.object_field import CommonModeError, field_factor, smooth_functions
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.fit import fit_modes
-from fitting.modal.identify import JointFit, joint_fit_of
+from fitting.modal.identify import JointFit, joint_fit_of, modes_in_turns, naming_of
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import KNOWN_DRIVE_DOF
 from holography.arrays import ComplexArray
+from physics.reed.cane.viscoelastic import Series
+from physics.reed.reduced.reed import ReducedReed
 from runs.reader import Run
 
 # Iterations over object field and phases of holograms.
@@ -57,7 +59,7 @@ def fit_same_reed(run: Run, before: JointFit, unshifted: UnshiftedLight | None =
                 f"{run.path}: the reed covers {len(block_amplitudes.x_m)} blocks, and "
                 f"{len(before.block_amplitudes.x_m)} in the other run of it; fit this run alone"
             )
-        displacements, start_hz, known = _from_before(block_amplitudes, before, same_run=False)
+        displacements, start_hz, known = _from_before(block_amplitudes, before)
         # The lines of the drive stay, so that no mode can be absorbed by a new line.
         modal = fit_modes(
             displacements,
@@ -71,13 +73,23 @@ def fit_same_reed(run: Run, before: JointFit, unshifted: UnshiftedLight | None =
         # What this sweep adds on the drive came from that of the other: it must not count again
         # when the other is fitted from this one.
         modal = replace(modal, log_drive_covariance=known.log_drive_covariance)
-        return joint_fit_of(modal, block_amplitudes, before.basis, displacements, before.naming)
+        return joint_fit_of(
+            modal, block_amplitudes, before.basis, displacements, start_hz, before.naming
+        )
 
 
-def fit_without_unshifted(before: JointFit) -> JointFit:
+def fit_without_unshifted(before: JointFit, reed: ReducedReed, series: Series) -> JointFit:
     """Fit a sweep again with unshifted light subtracted as the vibration changes it.
 
     Unshifted light is proportional to J₀ of the vibration, which is known only after a fit.
+
+    Parameters
+    ----------
+    before : JointFit
+        Fit with unshifted light subtracted as if nothing vibrated.
+    reed : ReducedReed
+        Reduced model of the run's kind of reed.
+    series : Series
 
     Raises
     ------
@@ -88,26 +100,27 @@ def fit_without_unshifted(before: JointFit) -> JointFit:
     if block_amplitudes.subtracted is None:
         return before
     moved_rad = np.abs(before.modal.amplitude_rad @ before.basis.functions.T).T
-    off = (block_amplitudes.subtracted * j0(moved_rad)).astype(np.complex64)
+    light = (block_amplitudes.subtracted * j0(moved_rad)).astype(np.complex64)
     with threadpool_limits(limits=1, user_api="blas"):
-        less = replace(block_amplitudes, value=block_amplitudes.recorded - off, subtracted=off)
-        displacements, start_hz, known = _from_before(less, before, same_run=True)
-        # The drive that was fitted to the same holograms is no other look at it: only the modes are
-        # a start.
-        modal = fit_modes(displacements, before.basis, less.drive_hz, less.volts, start_hz, known)
-        return joint_fit_of(modal, less, before.basis, displacements, before.naming)
+        less = replace(block_amplitudes, value=block_amplitudes.recorded - light, subtracted=light)
+        # Unshifted light may have misled the modes, but hardly the displacements: only these are a
+        # start. The modes predict the fringe in which outliers lie.
+        none = np.zeros_like(before.modal.common_mode_shift)
+        start, off = before.displacements, before.modal.off
+        expected_rad = (before.modal.amplitude_rad,)
+        found = refit_displacements(less, before.basis, start, expected_rad, off, none)
+        displacements, modal = modes_in_turns(less, before.basis, found, before.start_hz)
+        naming = naming_of(modal, less, before.basis, displacements, reed, series)
+        return joint_fit_of(modal, less, before.basis, displacements, before.start_hz, naming)
 
 
 def _from_before(
-    block_amplitudes: BlockAmplitudes, before: JointFit, *, same_run: bool
+    block_amplitudes: BlockAmplitudes, before: JointFit
 ) -> tuple[Displacements, dict[str, float], ModalFit]:
     """Fit displacements from an earlier fit; also return its modes, and the fit at these steps."""
     start = _as_before(block_amplitudes, before)
-    if not same_run:
-        start = replace(
-            start,
-            object_field=_new_object_field(block_amplitudes, start.amplitude_rad, before.basis),
-        )
+    object_field = _new_object_field(block_amplitudes, start.amplitude_rad, before.basis)
+    start = replace(start, object_field=object_field)
     everything = np.ones(len(block_amplitudes.drive_hz), dtype=bool)
     none = np.zeros(start.common_mode.precision.shape[:2])
     displacements = refit_displacements(

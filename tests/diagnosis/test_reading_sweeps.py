@@ -23,7 +23,8 @@ class CampaignRun(SimpleNamespace):
 
 def part(name: str) -> CampaignRun:
     steps = [SimpleNamespace(volts=VOLTS[name])] * 3
-    run = SimpleNamespace(name=name, path=Path(f"{name}.h5"), steps=steps, reed_file=lambda: None)
+    path = Path(f"{name}.h5")
+    run = SimpleNamespace(name=name, path=path, series="A", steps=steps, reed_file=lambda: None)
     return CampaignRun(name=name, clamping=int(name == "again"), run=run)
 
 
@@ -50,7 +51,7 @@ def fitted(monkeypatch):
     monkeypatch.setattr(sweep_readings, "finite_element_model", lambda _reed: None)
     monkeypatch.setattr(sweep_readings, "fit_jointly", jointly)
     monkeypatch.setattr(sweep_readings, "fit_same_reed", again)
-    monkeypatch.setattr(sweep_readings, "fit_without_unshifted", lambda fit: fit)
+    monkeypatch.setattr(sweep_readings, "fit_without_unshifted", lambda fit, *_: fit)
     monkeypatch.setattr(sweep_readings, "_doubt", lambda fit: faked.doubt.get(fit.name, (0, 0.0)))
     monkeypatch.setattr(sweep_readings, "_reading", lambda part, fit, _off: (part.name, fit.of))
     yield faked

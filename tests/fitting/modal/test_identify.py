@@ -163,7 +163,7 @@ def test_modes_of_another_kind_of_reed_are_not_believed(sweep):
 
 def refit_of(joint, **changes):
     """The results of a fit with some of its parts changed."""
-    parts = ("modal", "block_amplitudes", "basis", "displacements", "naming")
+    parts = ("modal", "block_amplitudes", "basis", "displacements", "start_hz", "naming")
     return joint_fit_of(**{name: changes.get(name, getattr(joint, name)) for name in parts})
 
 

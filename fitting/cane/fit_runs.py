@@ -12,7 +12,6 @@ import numpy as np
 from fitting.amplitudes.peaks import PeakAmplitudes
 from fitting.amplitudes.response import Response, joint_response
 from fitting.amplitudes.vamp import vamp_points
-from fitting.cane.loss_errors import with_stiffening_errors
 from fitting.cane.model_errors import ModelErrors, model_errors
 from fitting.cane.reed_fit import QUOTED_HZ, fit_components
 from fitting.cane.sweep_fit import ReedFit, SweepFit
@@ -235,9 +234,6 @@ def fit_sweep_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> Sweep
     points = vamp_points(reed, cane, joint.basis, blocks.x_m, blocks.y_m)
     wavelength_m = run.reconstruction.transform.wavelength_m
     response, resonances, not_sure = joint_response(joint, points, wavelength_m)
-    resonances, not_sure = (
-        with_stiffening_errors(each, reed, series) for each in (resonances, not_sure)
-    )
     return SweepFit(
         run.path,
         run.reed,

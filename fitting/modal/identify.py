@@ -392,6 +392,11 @@ def _resonance(
 ) -> Resonance:
     hz = float(modal.hz[m])
     likely = naming.name if naming.name in basis.names else modal.names[m]
+    loss_factor, loss_error = float(modal.loss_factor[m]), float(modal.loss_error[m])
+    if naming.stiffening is not None:
+        assumed = float(basis.stiffening[basis.names.index(modal.names[m])])
+        loss_factor *= naming.stiffening.loss_ratio(assumed)
+        loss_error = float(np.hypot(loss_error, naming.stiffening.loss_error))
     nearest = int(np.abs(np.log(block_amplitudes.drive_hz / hz)).argmin())
     participation = np.abs(modal.participation)
     return Resonance(
@@ -402,8 +407,8 @@ def _resonance(
         amplitude_rad=float(np.abs(modal.modal_rad[nearest, m])),
         method=METHOD,
         response_hz=_peak_response_hz(block_amplitudes.drive_hz, np.abs(modal.modal_rad[:, m]), hz),
-        loss_factor=float(modal.loss_factor[m]),
-        loss_error=float(modal.loss_error[m]),
+        loss_factor=loss_factor,
+        loss_error=loss_error,
         participation=float(participation[m] / participation.max()),
         similarity=mac(modal.shapes[m], basis.shapes[basis.names.index(likely)]),
         name_probability=naming.probability,

@@ -21,7 +21,7 @@ class ModalFit:
     names : tuple of str
         Names of the a modes whose resonance lies in the sweep.
     hz, loss_factor : (a,) float
-        Eigenfrequencies and loss factors.
+        Eigenfrequencies and loss factors, these with the stiffening of mean cane.
     error_cents, loss_error : (a,) float
         Standard errors; that of the loss factor is relative.
     covariance : (2a, 2a) float

@@ -19,6 +19,7 @@ from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.modal_fit import ModalFit
 from fitting.names.measured import measured_modes
 from fitting.names.reed_posterior import ReedPosterior, reed_posterior
+from fitting.names.stiffening import Stiffening, averaged, stiffening_of
 from holography.arrays import Array
 from physics.plausible.reeds import PlausibleReeds
 from physics.reed.elements.fem import Symmetry
@@ -61,6 +62,8 @@ class ModeNaming:
         Probability that no mode of a plausible reed is there.
     outside : float
         Probability that its resonance is outside the sweep, by all other modes.
+    stiffening : Stiffening, optional
+        How fast its stiffness grows with frequency, if it is a mode of the reed.
     """
 
     name: str
@@ -68,6 +71,7 @@ class ModeNaming:
     candidates: tuple[tuple[str, float], ...]
     spurious: float = 0.0
     outside: float = 0.0
+    stiffening: Stiffening | None = None
 
 
 def name_modes(
@@ -115,12 +119,19 @@ def name_modes(
             for name, probability in own.items():
                 total[name] = total.get(name, 0.0) + weight * probability
     labels = [modal.names[m] for m in index]
+    stiffenings = zip(*(stiffening_of(reeds, each) for each in found), strict=True)
     return {
-        label: replace(naming, spurious=float(spurious), outside=float(outside))
-        for (label, naming), spurious, outside in zip(
+        label: replace(
+            naming,
+            spurious=float(spurious),
+            outside=float(outside),
+            stiffening=averaged(weights, stiffening),
+        )
+        for (label, naming), spurious, outside, stiffening in zip(
             named(dict(zip(labels, probabilities, strict=True))).items(),
             weights @ [each.spurious for each in found],
             weights @ [each.outside for each in found],
+            stiffenings,
             strict=True,
         )
     }

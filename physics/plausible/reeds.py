@@ -136,7 +136,7 @@ class PlausibleReeds:
             If no material has its moduli.
         """
         cane = dict(zip(self.names, parameters.tolist(), strict=True))
-        found = vibrations(self.reed, State(_law(self.reed, self.series, cane)), _HIGHEST_HZ)
+        found = vibrations(self.reed, State(self.law(parameters)), _HIGHEST_HZ)
         stiffness, mass = self._by_others(found)
         by_cane = self._by_cane(found, cane)
         start = parameters.copy()
@@ -149,6 +149,15 @@ class PlausibleReeds:
             np.concatenate([by_cane, stiffness]),
             np.concatenate([np.zeros_like(by_cane), mass]),
         )
+
+    def law(self, parameters: Array) -> CaneLaw:
+        """Return the cane of the reed with parameters (p,)."""
+        return _law(self.reed, self.series, dict(zip(self.names, parameters.tolist(), strict=True)))
+
+    @property
+    def components(self) -> slice:
+        """Which parameters are components of the cane."""
+        return slice(0, self.names.index(_CONSTANTS[0]))
 
     @property
     def shifts(self) -> slice:

@@ -119,20 +119,17 @@ def name_modes(
             for name, probability in own.items():
                 total[name] = total.get(name, 0.0) + weight * probability
     labels = [modal.names[m] for m in index]
+    choices = named(dict(zip(labels, probabilities, strict=True)))
     stiffenings = zip(*(stiffening_of(reeds, each) for each in found), strict=True)
     return {
         label: replace(
             naming,
-            spurious=float(spurious),
-            outside=float(outside),
+            spurious=float(weights @ [each.spurious[a] for each in found]),
+            outside=float(weights @ [each.outside[a] for each in found]),
             stiffening=averaged(weights, stiffening),
         )
-        for (label, naming), spurious, outside, stiffening in zip(
-            named(dict(zip(labels, probabilities, strict=True))).items(),
-            weights @ [each.spurious for each in found],
-            weights @ [each.outside for each in found],
-            stiffenings,
-            strict=True,
+        for a, ((label, naming), stiffening) in enumerate(
+            zip(choices.items(), stiffenings, strict=True)
         )
     }
 

@@ -64,6 +64,10 @@ _MOST_EXPLAINED, _EXPLAINED = 0.8, 2.0
 _ENOUGH = 0.95
 # How often the change of the object field is found again, with the displacements that it gives.
 _MOST_CHANGES = 3
+# Displacements of two starts are in the same fringes if they differ by less than this fraction: the
+# factor that field and displacements share is a tenth (decision 0028), and the next fringe is π rad
+# away, a third of the largest displacements with which a sweep is begun (10 rad).
+_SAME_FRINGES = 0.2
 # A hologram with a larger misfit is far from its noise.
 _FLOOR = 30.0
 # A gain that is farther off is tried again: chance makes one in 16,000 so.
@@ -131,18 +135,20 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
     first = replace(whole, others=())
     signal = np.mean(np.abs(block_amplitudes.value) ** 2, axis=0)
     best: Displacements | None = None
-    least, relative = np.inf, np.full(len(signal), np.inf)
+    least, off = np.inf, np.arange(len(signal))
     for number, start in enumerate(starts_of(first, block_amplitudes, basis), 1):
         search = continued(first, block_amplitudes, basis, start)
         rough = None if search is None else _from_search(whole, block_amplitudes, search)
-        if rough is not None and _whole_misfit(rough.misfit, whole.seen) < least - _SETTLED:
-            least = _whole_misfit(rough.misfit, whole.seen)
-            best = _refined(whole, block_amplitudes, rough)
-            relative = relative_misfit(best.misfit, signal)
-        if not unexplained(relative, whole.seen).size:
+        misfit = np.inf if rough is None else _whole_misfit(rough.misfit, whole.seen)
+        # A guess that was the best of its set is the same start again.
+        if best is not None and rough is not None and misfit != least and _agree(best, rough, off):
             break
+        if rough is not None and misfit < least - _SETTLED:
+            best, least = _refined(whole, block_amplitudes, rough), misfit
+        relative = relative_misfit(best.misfit, signal) if best else np.full(len(signal), np.inf)
+        off = unexplained(relative, whole.seen)
         mostly = np.mean(relative < _EXPLAINED) > _MOST_EXPLAINED
-        if number >= (_MOST_STARTS if mostly else _FEW_STARTS):
+        if not off.size or number >= (_MOST_STARTS if mostly else _FEW_STARTS):
             break
     if best is None:
         raise FitError(
@@ -151,6 +157,17 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
             "with less volts"
         )
     return best
+
+
+def _agree(one: Displacements, other: Displacements, steps: IndexArray) -> bool:
+    """Whether two starts end in the same fringes at some holograms (s,).
+
+    What is not explained there is then no wrong fringe, but something that no start finds.
+    """
+    a, b = one.amplitude_rad[steps], other.amplitude_rad[steps]
+    overlap = np.abs(np.sum(a.conj() * b, axis=1))
+    apart = np.sum(np.abs(a) ** 2 + np.abs(b) ** 2, axis=1) - 2 * overlap
+    return bool(np.all(apart < _SAME_FRINGES**2 * np.sum(np.abs(a) ** 2, axis=1)))
 
 
 def _problem_of(blocks: BlockAmplitudes, basis: ShapeBasis) -> Problem:

@@ -14,6 +14,7 @@ from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.continuation import Continuation, continued, starts_of
 from fitting.holograms.displacement import (
     Displacements,
+    _agree,
     fit_displacements,
     refit_displacements,
 )
@@ -403,14 +404,55 @@ def test_no_other_start_is_tried_once_all_holograms_are_explained(sweep, monkeyp
     assert len(begun) == 1
 
 
-def test_few_starts_are_tried_where_hardly_anything_is_explained(sweep, monkeypatch):
-    begun = counted_starts(monkeypatch)
+@pytest.fixture
+def nothing_explained(monkeypatch):
+    """No hologram is explained, whatever a start finds."""
     monkeypatch.setattr("fitting.holograms.displacement._EXPLAINED", 0.0)
     monkeypatch.setattr(
         "fitting.holograms.displacement.unexplained", lambda misfit, _seen: np.arange(len(misfit))
     )
+
+
+@pytest.mark.usefixtures("nothing_explained")
+def test_few_starts_are_tried_where_hardly_anything_is_explained(sweep, monkeypatch):
+    begun = counted_starts(monkeypatch)
+    monkeypatch.setattr("fitting.holograms.displacement._agree", lambda *_: False)
     solve(sweep)
     assert len(begun) == 3
+
+
+@pytest.mark.usefixtures("nothing_explained")
+def test_what_two_starts_agree_about_is_not_looked_for_again(sweep, monkeypatch):
+    begun = counted_starts(monkeypatch)
+    solve(sweep)
+    assert len(begun) == 2
+
+
+@pytest.mark.usefixtures("nothing_explained")
+def test_the_same_start_again_is_no_agreement(sweep, monkeypatch):
+    begun = counted_starts(monkeypatch)
+    whole = Problem.of(sweep.block_amplitudes.value, sweep.basis.functions, BesselTable())
+    start = next(starts_of(whole, sweep.block_amplitudes, sweep.basis))
+    monkeypatch.setattr("fitting.holograms.displacement.starts_of", lambda *_: [start] * 4)
+    solve(sweep)
+    assert len(begun) == 3
+
+
+def test_starts_agree_if_all_displacements_are_in_the_same_fringes(settled):
+    steps = np.array([3, 40])
+
+    def moved(factor, number):
+        amplitude = settled.amplitude_rad.copy()
+        amplitude[number] *= factor
+        return replace(settled, amplitude_rad=amplitude)
+
+    turned = moved(1.1 * np.exp(2j), slice(None))
+    assert _agree(settled, turned, steps)
+    # At 10 rad the next fringe is farther than this.
+    assert not _agree(settled, moved(1 + np.pi / 10, 40), steps)
+    assert _agree(settled, moved(1 + np.pi / 10, 41), steps)
+    assert not _agree(settled, moved(0, 3), steps)
+    assert not _agree(moved(0, 3), moved(0, 3), steps)
 
 
 def test_holograms_in_a_wrong_fringe_are_solved_from_their_neighbours(sweep, settled):

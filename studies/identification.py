@@ -2,7 +2,8 @@
 
 Reeds of `studies.wrong_reeds` are swept in series A and B with all noise; every run is fitted
 jointly and by pictures; and sdypy-EMA is given the same amplitudes, if it is installed. Errors are
-those of eigenfrequencies from each reed's own finite elements. The last runs have
+those of eigenfrequencies from each reed's own finite elements. All that the joint fit states with a
+standard error, losses and cane too, is scored as in `studies.second_laboratory`. The last runs have
 nothing to be identified.
 
     python -m studies.identification [--folder DIR] [--reeds N] [--jobs N] [--json]
@@ -15,6 +16,7 @@ import json
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
@@ -27,7 +29,7 @@ import numpy as np
 from acquire.runner.runner import run
 from drivers.registry import open_bench
 from fitting.acoustics.lines import SweepPeaks, Verdict, acoustic_lines
-from fitting.cane.fit_runs import fit_sweep, fit_sweep_jointly
+from fitting.cane.fit_runs import fit_runs, fit_sweep, fit_sweep_jointly
 from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
 from fitting.modal.identify import JointFit
@@ -39,6 +41,13 @@ from protocols.protocol import Protocol
 from protocols.reed import ReedFile
 from runs.reader import Run
 from studies.modal_peer import LIBRARY, peer_modes, peer_version
+from studies.second_laboratory.scoring import (
+    Comparison,
+    Score,
+    comparisons,
+    scores,
+    table_lines,
+)
 from studies.wrong_reeds import WrongRun, make_run
 
 # What the project claims: bias, standard deviation, coverage of 68 % intervals, time of a run.
@@ -53,12 +62,13 @@ _METHODS = ("joint", "picture", LIBRARY)
 
 @dataclass(frozen=True)
 class Judged:
-    """One run: errors in cents by method and mode, standard errors of the joint fit, seconds."""
+    """One run: errors in cents by method and mode, what the joint fit states, seconds."""
 
     run: str
     series: Series
     error_cents: dict[str, dict[str, float]]
     stated_cents: dict[str, float]
+    stated: list[Comparison]
     true_names: list[str]
     joint_s: float
     picture_s: float
@@ -73,14 +83,14 @@ def judge(path: Path) -> Judged:
         for name, mode in truth["modes"].items()
         if mode["similarity"] > _LEAST_SIMILARITY
     }
+    start_s = time.perf_counter()
+    fit = fit_runs([path])
+    middle_s = time.perf_counter()
     with Run.open(path) as opened:
         reed = basis_of(opened.reed_file())
-        model = finite_element_model(reed)
-        start_s = time.perf_counter()
-        sweep = fit_sweep_jointly(opened, reed, model)
-        middle_s = time.perf_counter()
-        pictures = fit_sweep(opened, reed, model)
-        end_s = time.perf_counter()
+        pictures = fit_sweep(opened, reed, finite_element_model(reed))
+    end_s = time.perf_counter()
+    sweep = fit.sweeps[0]
     found = {name: mode.frequency_hz for name, mode in sweep.resonances.items()}
     joint = sweep.joint
     by_method = {
@@ -98,6 +108,7 @@ def judge(path: Path) -> Judged:
             for method, modes in by_method.items()
         },
         {name: mode.error_cents for name, mode in sweep.resonances.items()},
+        comparisons(path.stem, truth["series"], fit.to_json(), truth),
         list(true_hz),
         middle_s - start_s,
         end_s - middle_s,
@@ -158,6 +169,12 @@ def _normalised(judged: Sequence[Judged], names: Sequence[str]) -> Array:
     )
 
 
+def _scores(judged: Sequence[Judged]) -> list[Score]:
+    """Score all that is stated with a standard error."""
+    names = Counter(name for each in judged for name in each.true_names)
+    return scores([one for each in judged for one in each.stated], names, len(judged))
+
+
 def summary(judged: Sequence[Judged]) -> dict[str, Any]:
     """All that is claimed, and whether it holds."""
     tables = {str(series): table(judged, series) for series in Series}
@@ -178,6 +195,12 @@ def summary(judged: Sequence[Judged]) -> dict[str, Any]:
         "reeds": len({each.drive_peaks.reed for each in judged}),
         "library": peer_version(),
         "modes": tables,
+        "stated": {
+            str(series): [
+                score.to_json() for score in _scores([j for j in judged if j.series is series])
+            ]
+            for series in Series
+        },
         "coverage": coverage,
         "acoustic_lines": [
             line.to_json()
@@ -262,6 +285,14 @@ def _print_tables(result: dict[str, Any]) -> None:
             cells = "".join(f"{_cell(row[method]):>32}" for method in _METHODS)
             covered = "" if row["coverage"] is None else f"{row['coverage']:11.0%}"
             print(f"{name:7}{row['reeds']:6d}{cells}{covered}")
+    for series, stated in result["stated"].items():
+        print(f"series {series}, all that is stated with a standard error, below 16 kHz")
+        print(*table_lines([Score(**_numbers(row)) for row in stated]), sep="\n")
+
+
+def _numbers(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Replace what is unknown by not-a-number."""
+    return {key: float("nan") if value is None else value for key, value in row.items()}
 
 
 def _cell(errors: Mapping[str, Any]) -> str:

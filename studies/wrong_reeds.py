@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import legval2d
+from scipy.optimize import least_squares
 
 from acquire.runner.runner import run
 from drivers.registry import open_bench
@@ -31,8 +32,16 @@ from drivers.simulated.settings import (
     cane_of,
     read_simulation,
 )
+from fitting.cane.reed_fit import QUOTED_HZ
 from holography.arrays import Array
-from physics.reed.cane.viscoelastic import Series
+from physics.reed.cane.material import Cane
+from physics.reed.cane.viscoelastic import (
+    Components,
+    Series,
+    ViscoelasticCane,
+    storage_modulus_pa,
+    viscoelastic_cane,
+)
 from physics.reed.geometry import (
     Outline,
     ReedGeometry,
@@ -40,8 +49,9 @@ from physics.reed.geometry import (
     thickness_m,
 )
 from physics.reed.modes import HIGHEST_HZ
-from physics.reed.reduced.dynamics import CaneLaw, State
+from physics.reed.reduced.dynamics import CaneLaw, LossFactors, State
 from physics.reed.reduced.elastic import named_vibrations
+from physics.reed.reduced.losses import loss_factors
 from physics.reed.reduced.stored import reduced_reed
 from physics.reed.reduced.vibrations import vibrations
 from physics.reed.surface import on_reed
@@ -55,6 +65,8 @@ VAMP_M = (35e-3, 6.5e-3)
 MAP_X_MM, MAP_Y_MM = np.linspace(0.0, 35.0, 36), np.linspace(-6.5, 6.5, 27)
 # Degrees along the vamp and across it of the random polynomials.
 DEGREES = (4, 4)
+# Frequencies from F1 to F4, from which moduli are heard.
+HEARD_HZ = (1900.0, 16_800.0)
 # No constant is farther off than this many standard deviations.
 MOST_DEVIATIONS = 2.0
 
@@ -142,36 +154,76 @@ def _factor(rng: np.random.Generator, deviation: float) -> float:
             return 1 + deviation * deviate
 
 
-def true_modes(bench: BenchFile, reed: str, series: Series) -> dict[str, dict[str, Any]]:
-    """Eigenfrequencies below 20 kHz of the reed that stands on a bench, by name.
+def truth_of(bench: BenchFile, reed: str, series: Series) -> dict[str, Any]:
+    """Modes and cane of the reed that stands on a bench.
 
-    Of the reduced reed that the bench plays, each mode with the moduli and the air of its own
-    frequency, and without loss.
+    Modes are those below 20 kHz of the reduced reed that the bench plays, each with the moduli and
+    the air of its own frequency. Frequencies are without loss, losses to first order.
 
     Returns
     -------
     dict
-        Name → ``hz``, ``symmetry`` (of the part with more energy) and ``similarity`` (low where
-        modes exchange shapes, so that the name says little), ascending in frequency.
+        ``modes``: name → ``hz``, ``loss_factor``, ``symmetry`` (of the part with more energy) and
+        ``similarity`` (low where modes exchange shapes, so that the name says little), ascending in
+        frequency. ``moduli`` in MPa, ``density_kg_m3`` and ``components_over_rho``
+        (`likest_components`).
     """
     plan = make_plan(Protocol.from_file(PROTOCOLS[series]), bench)
     preparation, simulation = plan.preparation(reed), read_simulation(bench.twin, bench.name)
     geometry = bench_geometry(simulation, preparation) or ReedGeometry()
     constants = bench_constants(simulation, preparation)
-    cane = bench_parameters(simulation, bench, preparation).reed.cane
+    parameters = bench_parameters(simulation, bench, preparation)
+    cane = parameters.reed.cane
     level, basis = simulation.finite_elements
     settings = replace(basis, box=replace(basis.box, cane=constants))
     played = reduced_reed(geometry, level, settings)
     found = vibrations(played, State(CaneLaw(constants, cane), air=played.air), HIGHEST_HZ)
-    modes = named_vibrations(found)
-    return {
+    loss = parameters.reed.loss_factor
+    losses = loss_factors(found, LossFactors(loss, loss))
+    modes = {
         mode.name: {
             "hz": mode.frequency_hz,
+            "loss_factor": float(own),
             "symmetry": str(mode.symmetry),
             "similarity": mode.similarity,
         }
-        for mode in modes
+        for mode, own in zip(named_vibrations(found), losses, strict=True)
     }
+    moduli = {"E1_mpa": cane.young_L.spring_mpa, "E2_mpa": cane.young_L.arm_spring_mpa}
+    moduli |= {"G1_mpa": cane.shear_LT.spring_mpa, "G2_mpa": cane.shear_LT.arm_spring_mpa}
+    for key, zener in (("E_4kHz_mpa", cane.young_L), ("G_4kHz_mpa", cane.shear_LT)):
+        moduli[key] = 1e-6 * float(storage_modulus_pa(zener, QUOTED_HZ))
+    return {
+        "modes": modes,
+        "moduli": moduli,
+        "density_kg_m3": constants.density_kg_m3,
+        "components_over_rho": likest_components(
+            cane, constants.density_kg_m3, cane_of(reed), series
+        ),
+    }
+
+
+def likest_components(
+    cane: ViscoelasticCane, density_kg_m3: float, given: Components, series: Series
+) -> dict[str, float]:
+    """Return e1 … e3 of cane of the drawing's density that sounds most like another one.
+
+    Frequencies show moduli over density only; e4 keeps its value. The fit that assumes the density
+    of the drawing should find these.
+    """
+    hz = np.geomspace(*HEARD_HZ, 30)
+
+    def logs(one: ViscoelasticCane) -> Array:
+        return np.log([storage_modulus_pa(zener, hz) for zener in (one.young_L, one.shear_LT)])
+
+    target = logs(cane) + np.log(Cane().density_kg_m3 / density_kg_m3)
+
+    def misfit(e: Array) -> Array:
+        tried = replace(given, e1=float(e[0]), e2=float(e[1]), e3=float(e[2]))
+        return np.asarray((logs(viscoelastic_cane(tried, series)) - target).ravel())
+
+    best = least_squares(misfit, (given.e1, given.e2, given.e3)).x
+    return {f"e{number + 1}": float(value) for number, value in enumerate(best)}
 
 
 @dataclass(frozen=True)
@@ -203,7 +255,7 @@ def make_run(wanted: WrongRun) -> str:
         "series": str(wanted.series),
         "components": asdict(cane_of(wanted.reed)),
         "twin": bench_file.twin,
-        "modes": true_modes(bench_file, wanted.reed, wanted.series),
+        **truth_of(bench_file, wanted.reed, wanted.series),
     }
     with open_bench(bench_file, plan.preparation(wanted.reed), wanted.number) as bench:
         summary = run(plan, bench, wanted.path)

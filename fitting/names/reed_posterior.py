@@ -33,6 +33,7 @@ from fitting.names.likelihood import (
 from fitting.names.measured import MeasuredModes
 from fitting.names.prediction import Prediction, predict
 from holography.arrays import Array
+from physics.errors import ImpossibleReedError
 from physics.plausible.reeds import NearbyReeds, PlausibleReeds
 
 _CENT = float(np.log(2) / 1200)
@@ -50,7 +51,10 @@ _DOF = UNKNOWN_DRIVE_DOF
 # MAC of a shape with that of a reed of middling cane is then mostly above 0.9.
 _ASSIGNING = (0.3, 0.1)
 # Least number and change of steps and turns; changes are in standard deviations of the prior.
-_MOST_STEPS, _TURNS, _SETTLED = 12, 30, 0.05
+_MOST_STEPS, _TURNS, _SETTLED = 40, 30, 0.05
+# A step takes no parameter farther than this. Chosen: while modes are assigned wrongly, the best
+# reed may be an impossible one; after the first step a reed is known to a part of this.
+_REACH = 2.0
 # Precision and number of evaluations of one fit, which the next linearisation follows.
 _PRECISE, _MOST_FITTED = 1e-4, 40
 # Start of the search for a reed in which two modes have exchanged their characters, as a fraction
@@ -198,11 +202,16 @@ def reed_posterior(
 
 
 def _first(question: _Question, measured: MeasuredModes) -> _Fit:
-    """Start with the reed in the middle."""
+    """Start with the reed that the frequencies alone suggest, to first order from the middle.
+
+    Modes of that reed may have another order than in the middle. Where two of them cross on the
+    way, frequencies and shapes together would hold it back.
+    """
     reeds, count = question.reeds, len(measured.index)
-    shifts = _Shifts.first(reeds)
-    return _Fit(
-        here=predict(reeds, question.visible, np.zeros(len(reeds.names))),
+    shifts, middle = _Shifts.first(reeds), np.zeros(len(reeds.names))
+    prior = shifts.prior(reeds)
+    fit = _Fit(
+        here=predict(reeds, question.visible, middle),
         data=NameData(
             measured,
             mode=np.full(count, -1),
@@ -211,10 +220,16 @@ def _first(question: _Question, measured: MeasuredModes) -> _Fit:
             weight=np.ones(count),
         ),
         shifts=shifts,
-        covariance=np.diag(shifts.prior(reeds)),
+        covariance=np.diag(prior),
         odds=np.full(count, np.inf),
         moved=np.inf,
     )
+    data = replace(fit.data, mode=_assigned(question, fit, _ASSIGNING[0]))
+    frequencies = slice(np.count_nonzero(data.counts))
+    residual, jacobian = whitened(fit.here, data)
+    best, covariance = _updated(fit.here, residual[frequencies], jacobian[frequencies], prior)
+    best[reeds.shifts] = 0.0
+    return replace(fit, here=_towards(question, middle, best), covariance=covariance)
 
 
 def _result(question: _Question, fit: _Fit) -> ReedPosterior:
@@ -240,10 +255,13 @@ def _refitted(question: _Question, fit: _Fit) -> _Fit:
     data = replace(fit.data, ratios=strength_ratios(reeds, fit.here, fit.data))
     shifts = _scaled(reeds, fit.here, data)
     prior = shifts.prior(reeds)
-    parameters = _fitted(fit.here, data, prior)
+    best = _fitted(fit.here, data, prior)
+    here = _towards(question, fit.here.parameters, best)
+    parameters = here.parameters
     moved = float(np.abs(parameters - fit.here.parameters)[: reeds.shifts.start].max())
-    here = predict(reeds, question.visible, parameters)
     _, covariance = _updated(here, *whitened(here, data), prior)
+    # How far the best reed is from there is not known either.
+    covariance += np.outer(best - parameters, best - parameters)
     odds = np.where(data.real, _spurious_odds(question, here, data, shifts.cents), fit.odds)
     return _Fit(here, data, shifts, covariance, odds, moved)
 
@@ -277,6 +295,27 @@ def _fitted(here: Prediction, data: NameData, prior: Array) -> Array:
         max_nfev=_MOST_FITTED,
     )
     return np.asarray(found.x * unit)
+
+
+def _towards(question: _Question, before: Array, best: Array) -> Prediction:
+    """Predict the modes of a possible reed on the way from parameters (p,) to better ones.
+
+    Raises
+    ------
+    ImpossibleReedError
+        If there is none.
+    """
+    reeds = question.reeds
+    farthest = float(np.abs(best - before)[: reeds.shifts.start].max())
+    reach = min(_REACH, farthest)
+    while True:
+        step = (best - before) * (reach / farthest if farthest else 1.0)
+        try:
+            return predict(reeds, question.visible, before + step)
+        except ImpossibleReedError:
+            if reach < _SETTLED:
+                raise
+            reach /= 2
 
 
 def _updated(

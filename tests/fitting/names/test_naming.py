@@ -17,7 +17,8 @@ from fitting.names.naming import (
     name_probabilities,
     named,
 )
-from fitting.names.reed_posterior import reed_posterior
+from fitting.names.reed_posterior import _Question, _towards, reed_posterior
+from physics.errors import ImpossibleReedError
 from physics.reed.elements.fem import Symmetry
 from physics.reed.mode_classification import ModeDescriptor
 
@@ -46,6 +47,39 @@ def test_modes_of_a_plausible_reed_have_their_names(reeds, visible, planted, see
     assert min(own[name] for own, name in zip(found, order, strict=True)) > SURE
     assert best.spurious.max() < 0.01
     assert best.outside.max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("seed", "e1", "e2", "e3"), [(0, -2.3, 0.6, 1.6), (5, -0.1, 2.5, 4.0), (23, -2.0, -0.7, 2.6)]
+)
+def test_modes_of_an_unusual_reed_have_their_names(reeds, visible, planted, seed, e1, e2, e3):
+    """Some modes have another order there than in the middle of the population."""
+    sweep = planted(MEASURED, seed, e1=e1, e2=e2, e3=e3)
+    middle = planted(MEASURED, seed, e1=0.0, e2=0.0, e3=0.0)
+    orders = [[name for name in each.names if name in MEASURED] for each in (sweep, middle)]
+    assert orders[0] != orders[1]
+    best, found = probabilities_of(reeds, visible, sweep.measured)
+    likeliest = {
+        name: max(own, key=own.get)
+        for name, own in zip(MEASURED, found, strict=True)
+        if max(own.values(), default=0.0) > SURE
+    }
+    assert len(likeliest) >= 9
+    assert all(name == own for name, own in likeliest.items())
+    assert best.mean[:3] == pytest.approx([e1, e2, e3], abs=1.5)
+
+
+def test_a_step_towards_an_impossible_reed_ends_at_a_possible_one(reeds, visible):
+    question = _Question(reeds, visible, (7.2, 9.9))
+    middle, best = np.zeros((2, len(reeds.names)))
+    best[reeds.names.index("nu_LT")] = 100.0
+    possible = _towards(question, middle, 1e-2 * best).parameters
+    assert possible == pytest.approx(1e-2 * best)
+    farthest = float(_towards(question, middle, best).parameters.max())
+    assert 0.05 < farthest <= 2.0
+    beyond = best + 40 * (best > 0)
+    with pytest.raises(ImpossibleReedError):
+        _towards(question, beyond, 2 * beyond)
 
 
 def test_at_an_avoided_crossing_the_name_is_not_sure(reeds, visible, planted):

@@ -74,10 +74,13 @@ class _Shown:
     pull : (k, n) complex
         Block amplitudes times the complex conjugate of F over the variance of the noise, summed
         over the sidebands.
+    log_noise : (k, n) float
+        Logarithm of the variance of the noise, summed over the sidebands.
     """
 
     information: Array
     pull: ComplexArray
+    log_noise: Array
 
 
 def field_estimate(
@@ -141,34 +144,110 @@ def found_change(
 ) -> FieldChange:
     """Find how much the object field changes, from holograms that are explained (k,)."""
     steps = np.flatnonzero(explained)
-    few = problem.some(steps).every(_STRIDE)
-    field = before[::_STRIDE] if before.ndim == 1 else before[steps, ::_STRIDE]
-    power, shown = mean_power(field), _shown(few, a[steps], gain[steps], field)
-    order, gaps = np.argsort(few.recording_rank), _gaps(few)
-    information, pull = shown.information[order], shown.pull[order]
-    seen = np.maximum(information, np.finfo(float).tiny)
+    shown = _in_turn(problem.some(steps), a[steps], gain[steps], _rows(before, steps))
 
-    def unlikelihood(logs: Array) -> float:
-        walk, scatter = np.exp(logs)
-        noise = 1 + scatter * power * information
-        cost, states = (
-            0.0,
-            _filtered(information / noise, pull / noise, gaps[:, None] * (walk * power), 1 / power),
-        )
-        for k, (precision, force) in enumerate(states):
-            # Only the part of the block amplitudes along F says anything of the field.
-            innovation = pull[k] - information[k] * force / precision
-            variance = noise[k] + information[k] / precision
-            left = (np.square(innovation.real) + np.square(innovation.imag)) / seen[k]
-            cost += float(np.sum(np.log(variance) + left / variance))
-        return cost
+    def cost(logs: Array) -> float:
+        walk, scatter = np.exp(logs).tolist()
+        return sum(_costs(shown, FieldChange(walk, scatter)))
 
     bounds = [(np.log(_LEAST), np.log(_MOST))] * 2
     start = np.log([_START, _START])
-    best = minimize(unlikelihood, start, method="Nelder-Mead", bounds=bounds,
+    best = minimize(cost, start, method="Nelder-Mead", bounds=bounds,
                     options={"xatol": 0.05, "fatol": 1.0})  # fmt: skip
     walk, scatter = (float(each) for each in np.exp(best.x))
     return FieldChange(walk, scatter)
+
+
+def unlikelihood(
+    problem: Problem,
+    a: ComplexArray,
+    gain: Array,
+    before: ComplexArray,
+    change: FieldChange,
+    misfit: Array,
+) -> float:
+    """Return twice the negative log likelihood of all holograms, of every fourth block.
+
+    Residuals alone do not tell which of several solutions is right: one whose field changes more
+    has smaller ones. What a hologram costs at most is the cost of light of any size, which explains
+    nothing, and so do those without a solution.
+
+    Parameters
+    ----------
+    problem, a, gain, before, change
+        See `field_estimate`.
+    misfit : (k,) float
+        Mean square residual in units of the noise: what is off says less of the field. Infinite
+        without a solution.
+    """
+    steps = np.flatnonzero(np.isfinite(misfit))
+    shown = _in_turn(problem.some(steps), a[steps], gain[steps], _rows(before, steps))
+    few = problem.every(_STRIDE)
+    power = np.square(few.real) + np.square(few.imaginary)
+    unexplained = np.sum(np.log(np.maximum(power, 1)) + np.minimum(power, 1), axis=1)
+    trust = 1 / np.maximum(misfit[steps][shown.order], 1)
+    costs = np.minimum(_costs(shown, change, trust), unexplained[steps][shown.order])
+    return float(np.sum(costs) + np.sum(unexplained[~np.isfinite(misfit)]))
+
+
+@dataclass(frozen=True)
+class _InTurn:
+    """What every fourth block of holograms says, in the order of recording.
+
+    Attributes
+    ----------
+    order : (k,) int
+        Numbers of the holograms.
+    information, pull, log_noise : (k, n)
+        See `_Shown`.
+    gaps : (k,) float
+    power : (n,) float
+    """
+
+    order: NDArray[np.intp]
+    information: Array
+    pull: ComplexArray
+    log_noise: Array
+    gaps: Array
+    power: Array
+
+
+def _rows(field: ComplexArray, steps: NDArray[np.intp]) -> ComplexArray:
+    return field if field.ndim == 1 else field[steps]
+
+
+def _in_turn(problem: Problem, a: ComplexArray, gain: Array, before: ComplexArray) -> _InTurn:
+    few, field = problem.every(_STRIDE), before[..., ::_STRIDE]
+    shown, order = _shown(few, a, gain, field), np.argsort(few.recording_rank)
+    return _InTurn(
+        order,
+        shown.information[order],
+        shown.pull[order],
+        shown.log_noise[order],
+        _gaps(few),
+        mean_power(field),
+    )
+
+
+def _costs(shown: _InTurn, change: FieldChange, trust: Array | None = None) -> list[float]:
+    """Return twice the negative log likelihood of each hologram, given those before it.
+
+    What each says of the field of later ones is multiplied by `trust` (k,).
+    """
+    information, pull, power = shown.information, shown.pull, shown.power
+    seen = np.maximum(information, np.finfo(float).tiny)
+    noise = 1 + change.scatter * power * information
+    walks = shown.gaps[:, None] * (change.walk * power)
+    known = 1 / noise if trust is None else trust[:, None] / noise
+    states = _filtered(known * information, known * pull, walks, 1 / power)
+    costs = []
+    for k, (precision, force) in enumerate(states):
+        # Only the part of the block amplitudes along F says anything of the field.
+        innovation = pull[k] - information[k] * force / precision
+        variance = noise[k] + information[k] / precision
+        left = (np.square(innovation.real) + np.square(innovation.imag)) / seen[k]
+        costs.append(float(np.sum(np.log(variance) + shown.log_noise[k] + left / variance)))
+    return costs
 
 
 def _shown(problem: Problem, a: ComplexArray, gain: Array, field: ComplexArray) -> _Shown:
@@ -176,6 +255,7 @@ def _shown(problem: Problem, a: ComplexArray, gain: Array, field: ComplexArray) 
     factor = np.exp(gain)[:, None]
     power, blurred = mean_power(field), blurring(problem, a)
     weight: Array = 1 / (1 + factor**2 * power * blurred[1])
+    log_noise: Array = -np.log(weight)
     information: Array = weight * factor**2 * (u * u + v * v)
     seen: ComplexArray = problem.real + 1j * problem.imaginary
     pull: ComplexArray = weight * factor * (u - 1j * v) * seen
@@ -183,10 +263,12 @@ def _shown(problem: Problem, a: ComplexArray, gain: Array, field: ComplexArray) 
     for side in problem.others:
         dim = sideband_values(side, problem.displacement(a))
         values = brightness(side, dim, field, steps)[:, None] * dim
-        weight = side.present[:, None] / (1 + power * blurred[side.order])
+        noise = 1 + power * blurred[side.order]
+        weight = side.present[:, None] / noise
+        log_noise = log_noise + side.present[:, None] * np.log(noise)
         information = information + weight * np.abs(values) ** 2
         pull = pull + weight * values.conj() * (side.real + 1j * side.imaginary)
-    return _Shown(information, pull)
+    return _Shown(information, pull, log_noise)
 
 
 def _gaps(problem: Problem) -> Array:

@@ -27,6 +27,7 @@ from fitting.holograms.changing_field import (
     FieldChange,
     field_estimate,
     found_change,
+    unlikelihood,
 )
 from fitting.holograms.continuation import (
     ITERATIONS,
@@ -139,12 +140,12 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
     for number, start in enumerate(starts_of(first, block_amplitudes, basis), 1):
         search = continued(first, block_amplitudes, basis, start)
         rough = None if search is None else _from_search(whole, block_amplitudes, search)
-        misfit = np.inf if rough is None else _whole_misfit(rough.misfit, whole.seen)
+        cost = np.inf if rough is None else _unlikelihood(whole, rough)
         # A guess that was the best of its set is the same start again.
-        if best is not None and rough is not None and misfit != least and _agree(best, rough, off):
+        if best is not None and rough is not None and cost != least and _agree(best, rough, off):
             break
-        if rough is not None and misfit < least - _SETTLED:
-            best, least = _refined(whole, block_amplitudes, rough), misfit
+        if rough is not None and cost < least:
+            best, least = _refined(whole, block_amplitudes, rough), cost
         relative = relative_misfit(best.misfit, signal) if best else np.full(len(signal), np.inf)
         off = unexplained(relative, whole.seen)
         mostly = np.mean(relative < _EXPLAINED) > _MOST_EXPLAINED
@@ -159,15 +160,21 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
     return best
 
 
+def _unlikelihood(whole: Problem, found: Displacements) -> float:
+    change, field = found.change or FieldChange(0.0, 0.0), found.object_field
+    return unlikelihood(whole, found.amplitude_rad, found.gain, field, change, found.misfit)
+
+
 def _agree(one: Displacements, other: Displacements, steps: IndexArray) -> bool:
-    """Whether two starts end in the same fringes at some holograms (s,).
+    """Whether two starts end in the same fringes: at some holograms (s,), and at most of all.
 
     What is not explained there is then no wrong fringe, but something that no start finds.
     """
-    a, b = one.amplitude_rad[steps], other.amplitude_rad[steps]
+    a, b = one.amplitude_rad, other.amplitude_rad
     overlap = np.abs(np.sum(a.conj() * b, axis=1))
     apart = np.sum(np.abs(a) ** 2 + np.abs(b) ** 2, axis=1) - 2 * overlap
-    return bool(np.all(apart < _SAME_FRINGES**2 * np.sum(np.abs(a) ** 2, axis=1)))
+    same = apart < _SAME_FRINGES**2 * np.sum(np.abs(a) ** 2, axis=1)
+    return bool(np.all(same[steps]) and np.mean(same) > _MOST_EXPLAINED)
 
 
 def _problem_of(blocks: BlockAmplitudes, basis: ShapeBasis) -> Problem:

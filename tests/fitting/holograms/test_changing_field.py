@@ -8,7 +8,12 @@ from scipy.special import j0
 
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import SidebandAmplitudes
-from fitting.holograms.changing_field import FieldChange, field_estimate, found_change
+from fitting.holograms.changing_field import (
+    FieldChange,
+    field_estimate,
+    found_change,
+    unlikelihood,
+)
 from fitting.holograms.problem import Problem
 from tests.numbers import complex_normal
 
@@ -120,3 +125,48 @@ def test_other_sidebands_say_of_the_field_what_they_show():
     assert errors[1] < errors[0]
     assert np.mean(both.variance) == pytest.approx(errors[1], rel=0.2)
     assert np.mean(alone.variance) == pytest.approx(errors[0], rel=0.2)
+
+
+def test_likelihood_is_that_of_all_holograms_together():
+    change = FieldChange(walk=1e-3, scatter=3e-4)
+    order = np.random.default_rng(3).permutation(HOLOGRAMS)
+    problem, a, field, shown = sweep_of(change, 41, order)
+    zero, one = np.zeros(HOLOGRAMS), np.ones(HOLOGRAMS)
+    power, expected, first, light = np.mean(np.abs(field) ** 2, axis=0), 0.0, 0.0, 0.0
+    seen = problem.real + 1j * problem.imaginary
+    start = int(np.argmin(order))
+    for n in range(0, 41, 4):
+        h = np.diag(shown[:, n])
+        prior = power[n] * (1 + change.walk * np.minimum.outer(order, order))
+        own = change.scatter * power[n] * np.eye(HOLOGRAMS)
+        covariance = h @ (prior + own) @ h.conj().T + np.eye(HOLOGRAMS)
+        expected += np.linalg.slogdet(covariance)[1]
+        expected += (seen[:, n].conj() @ np.linalg.solve(covariance, seen[:, n])).real
+        alone, bright = covariance[start, start].real, abs(seen[start, n]) ** 2
+        first += np.log(alone) + bright / alone
+        light += np.log(bright) + 1
+    # Nothing predicts the first: light of any size explains it as well.
+    expected += min(light - first, 0.0)
+    assert unlikelihood(problem, a, zero, field, change, one) == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_right_displacements_are_likelier_than_half_of_them_and_a_field_that_changes_more():
+    change = FieldChange(walk=1e-4, scatter=1e-6)
+    problem, a, field, _ = sweep_of(change)
+    zero, one = np.zeros(HOLOGRAMS), np.ones(HOLOGRAMS)
+    right = unlikelihood(problem, a, zero, field, change, one)
+    for more in (1, 10, 100):
+        other = FieldChange(more * change.walk, change.scatter)
+        assert unlikelihood(problem, 0.5 * a, zero, 2 * field, other, one) > right + 100
+
+
+def test_a_hologram_that_is_not_explained_costs_what_light_of_any_size_costs():
+    change = FieldChange(walk=1e-4, scatter=1e-6)
+    problem, a, field, _ = sweep_of(change)
+    zero, ninth = np.zeros(HOLOGRAMS), np.arange(HOLOGRAMS) == 9
+    right = unlikelihood(problem, a, zero, field, change, np.ones(HOLOGRAMS))
+    without = unlikelihood(problem, a, zero, field, change, np.where(ninth, np.inf, 1.0))
+    wrong = np.where(ninth[:, None], 5 * a, a)
+    lost = unlikelihood(problem, wrong, zero, field, change, np.where(ninth, 1e4, 1.0))
+    assert right < without - 100
+    assert lost == pytest.approx(without, abs=0.01 * (without - right))

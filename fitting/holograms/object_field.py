@@ -92,10 +92,10 @@ def _degrees() -> list[tuple[int, int]]:
 
 
 def of_low_degree(degree: int) -> IndexArray:
-    """Return which parameters of the common-mode error have a total degree up to `degree`."""
-    low = np.array([c for c, (i, j) in enumerate(_degrees()) if i + j <= degree])
+    """Return which parameters of the common-mode error have a total degree of 1 up to `degree`."""
+    low = np.array([c for c, (i, j) in enumerate(_degrees()) if 0 < i + j <= degree])
     # The constant of the phase is no parameter.
-    return np.concatenate([low, len(_degrees()) - 1 + low[1:]])
+    return np.concatenate([low, len(_degrees()) - 1 + low])
 
 
 def linearise(

@@ -14,7 +14,8 @@ import numpy as np
 from fitting.holograms.object_field import CommonModeError, of_low_degree
 from holography.arrays import Array, IndexArray
 
-# Tilt, curvature and their next order: what air and temperature do to a beam.
+# Tilt, curvature and their next order: what air and temperature do to a beam. A uniform change of
+# the magnitude is left out (decision 0031): laser power is a gain of the hologram.
 _DEGREE = 3
 # Holograms between two nodes, at least, and most nodes. Chosen: three times the width of a
 # resonance in steps of 25 cents, so that the drift cannot follow one; the walk within is noise.

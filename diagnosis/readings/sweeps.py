@@ -171,7 +171,7 @@ def read_sweeps(
         report(_SEARCH + (1 - _SEARCH) * (number + 1) / len(turns))
     fitted = [part for part in parts if part.name in fits.found]
     readings = map_processes(
-        lambda part: _read(part, fits.settled(part), _taken_off(lights.get(part.name))), fitted
+        lambda part: _reading(part, fits.settled(part), _taken_off(lights.get(part.name))), fitted
     )
     read = {part.name: reading for part, reading in zip(fitted, readings, strict=True) if reading}
     empty = {part.name: f"{part.run.path}: nothing is identified" for part in parts}
@@ -236,11 +236,6 @@ def _root(fits: _Fits, parts: Sequence[CampaignRun]) -> CampaignRun | None:
     return min(told, key=lambda part: doubt[part.name], default=None)
 
 
-def _read(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepReading | None:
-    """What a sweep's fit says; None if nothing is identified."""
-    return _reading(part, fitted, taken_off) if fitted.resonances else None
-
-
 def _taken_off(light: UnshiftedLight | None) -> float:
     return float(np.median(np.abs(list(light.fraction.values())))) if light else 0.0
 
@@ -285,7 +280,10 @@ def loudness(volts: Array) -> float:
     return float(np.mean(np.log(told))) if told.size else -np.inf
 
 
-def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepReading:
+def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepReading | None:
+    """Return what a sweep's fit says; None if nothing is identified."""
+    if not fitted.resonances:
+        return None
     modal, phasors, found = fitted.modal, fitted.block_amplitudes, fitted.displacements
     kept, a = _kept(fitted), len(modal.names)
     both = np.concatenate([kept, a + kept])

@@ -60,8 +60,8 @@ _MOST_DISCREPANCY = 0.08
 
 
 @dataclass(frozen=True)
-class JointFit:
-    """Result of the joint fit of a sweep, with all intermediate results.
+class MeasuredSweep:
+    """A sweep with its displacements and modes, whatever their names are.
 
     Attributes
     ----------
@@ -71,6 +71,21 @@ class JointFit:
     modal : ModalFit
     start_hz : mapping
         Frequency from which the fit of each mode started, by its name in `modal`.
+    """
+
+    block_amplitudes: BlockAmplitudes
+    basis: ShapeBasis
+    displacements: Displacements
+    modal: ModalFit
+    start_hz: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class JointFit(MeasuredSweep):
+    """Result of the joint fit of a sweep, with all intermediate results.
+
+    Attributes
+    ----------
     naming : mapping
         What is known of the name of each measured mode, by its name in `modal`: the name of the
         shape that the fit started from.
@@ -85,11 +100,6 @@ class JointFit:
         Reason for each of the other modes within the sweep, by name.
     """
 
-    block_amplitudes: BlockAmplitudes
-    basis: ShapeBasis
-    displacements: Displacements
-    modal: ModalFit
-    start_hz: Mapping[str, float]
     naming: Mapping[str, ModeNaming]
     names: tuple[str, ...]
     resonances: dict[str, Resonance]
@@ -138,38 +148,21 @@ def _fitted(
     basis = middling_shapes(reed, cane, block_amplitudes.x_m, block_amplitudes.y_m)
     displacements = fit_displacements(block_amplitudes, basis)
     start_hz = start_frequencies(block_amplitudes, basis, displacements, reed, model, series)
-    displacements, modal = modes_in_turns(block_amplitudes, basis, displacements, start_hz)
-    naming = naming_of(modal, block_amplitudes, basis, displacements, reed, series)
-    return joint_fit_of(modal, block_amplitudes, basis, displacements, start_hz, naming)
+    sweep = modes_in_turns(block_amplitudes, basis, displacements, start_hz)
+    return joint_fit_of(sweep, naming_of(sweep, reed, series))
 
 
-def naming_of(
-    modal: ModalFit,
-    block_amplitudes: BlockAmplitudes,
-    basis: ShapeBasis,
-    displacements: Displacements,
-    reed: ReducedReed,
-    series: Series,
-) -> Mapping[str, ModeNaming]:
-    """Name the modes that are measured; there are no names if the sweep or the reed is in doubt.
-
-    Parameters
-    ----------
-    modal : ModalFit
-    block_amplitudes : BlockAmplitudes
-    basis : ShapeBasis
-    displacements : Displacements
-    reed : ReducedReed
-    series : Series
-    """
-    if _general_doubt(modal, displacements):
+def naming_of(sweep: MeasuredSweep, reed: ReducedReed, series: Series) -> Mapping[str, ModeNaming]:
+    """Name the modes that are measured; there are no names if the sweep or the reed is in doubt."""
+    modal, block_amplitudes = sweep.modal, sweep.block_amplitudes
+    if _general_doubt(sweep):
         return {}
     index = [m for m in range(len(modal.names)) if not _doubt(modal, m, block_amplitudes)]
     # A reed that is not possible has no names: then all modes are refused.
     with suppress(ImpossibleReedError):
         return name_modes(
             modal,
-            basis,
+            sweep.basis,
             (block_amplitudes.x_m, block_amplitudes.y_m),
             block_amplitudes.drive_hz,
             np.array(index, dtype=np.intp),
@@ -183,7 +176,7 @@ def modes_in_turns(
     basis: ShapeBasis,
     displacements: Displacements,
     start_hz: Mapping[str, float],
-) -> tuple[Displacements, ModalFit]:
+) -> MeasuredSweep:
     """Fit modes, and displacements again with the common-mode error that they show.
 
     Parameters
@@ -195,8 +188,8 @@ def modes_in_turns(
     start_hz : mapping
         Start frequency of each mode, by name.
     """
-    sweep = basis, block_amplitudes.drive_hz, block_amplitudes.volts, dict(start_hz)
-    modal = fit_modes(displacements, *sweep, rough=True)
+    same = basis, block_amplitudes.drive_hz, block_amplitudes.volts, dict(start_hz)
+    modal = fit_modes(displacements, *same, rough=True)
     for _ in range(_TURNS):
         few_off = np.count_nonzero(modal.off) <= _FEW_OFF
         if few_off and _common_mode_part(displacements, modal) < _LINEAR:
@@ -207,43 +200,27 @@ def modes_in_turns(
         displacements = refit_displacements(
             block_amplitudes, basis, displacements, expected_rad, off, modal.common_mode_shift
         )
-        modal = fit_modes(displacements, *sweep, modal if few_off else None, rough=True)
-    return displacements, fit_modes(displacements, *sweep, modal)
+        modal = fit_modes(displacements, *same, modal if few_off else None, rough=True)
+    modal = fit_modes(displacements, *same, modal)
+    return MeasuredSweep(block_amplitudes, basis, displacements, modal, start_hz)
 
 
-def joint_fit_of(
-    modal: ModalFit,
-    block_amplitudes: BlockAmplitudes,
-    basis: ShapeBasis,
-    displacements: Displacements,
-    start_hz: Mapping[str, float],
-    naming: Mapping[str, ModeNaming],
-) -> JointFit:
-    """Decide which modes are identified, and collect the results.
-
-    Parameters
-    ----------
-    modal : ModalFit
-    block_amplitudes : BlockAmplitudes
-    basis : ShapeBasis
-    displacements : Displacements
-    start_hz, naming : mapping
-        See `JointFit`.
-    """
-    doubts = _doubts(modal, block_amplitudes, displacements, naming)
+def joint_fit_of(sweep: MeasuredSweep, naming: Mapping[str, ModeNaming]) -> JointFit:
+    """Decide which modes are identified, and collect the results; for `naming` see `JointFit`."""
+    modal, doubts = sweep.modal, _doubts(sweep, naming)
     names = final_names(modal.names, naming, {label for label, doubt in doubts.items() if doubt})
     found = [
-        _resonance(modal, m, names[m], block_amplitudes, basis, naming[label])
+        _resonance(sweep, m, names[m], naming[label])
         for m, label in enumerate(modal.names)
         if not doubts[label]
     ]
     found.sort(key=lambda each: each.frequency_hz)
     return JointFit(
-        block_amplitudes=block_amplitudes,
-        basis=basis,
-        displacements=displacements,
+        block_amplitudes=sweep.block_amplitudes,
+        basis=sweep.basis,
+        displacements=sweep.displacements,
         modal=modal,
-        start_hz=start_hz,
+        start_hz=sweep.start_hz,
         naming=naming,
         names=names,
         resonances={each.name: each for each in found if not each.name.endswith("?")},
@@ -312,31 +289,27 @@ def _with_smooth_drive(modal: ModalFit, drive_hz: Array) -> ComplexArray:
     return expected
 
 
-def _general_doubt(modal: ModalFit, displacements: Displacements) -> str:
+def _general_doubt(sweep: MeasuredSweep) -> str:
     """Return the reason why no mode of the sweep is identified; empty if there is none."""
-    unreached = float(np.mean(~displacements.reached))
+    unreached = float(np.mean(~sweep.displacements.reached))
     if unreached > _MOST_UNREACHED:
         return f"{unreached:.0%} of the holograms cannot be explained as vibrations of this reed"
-    if modal.discrepancy > _MOST_DISCREPANCY:
+    if sweep.modal.discrepancy > _MOST_DISCREPANCY:
         return (
-            f"{modal.discrepancy:.0%} of the vibration is not explained by modes of this kind of "
-            "reed; check that reed, clamp and chamber are those of the protocol"
+            f"{sweep.modal.discrepancy:.0%} of the vibration is not explained by modes of this "
+            "kind of reed; check that reed, clamp and chamber are those of the protocol"
         )
     return ""
 
 
-def _doubts(
-    modal: ModalFit,
-    block_amplitudes: BlockAmplitudes,
-    displacements: Displacements,
-    naming: Mapping[str, ModeNaming],
-) -> dict[str, str]:
+def _doubts(sweep: MeasuredSweep, naming: Mapping[str, ModeNaming]) -> dict[str, str]:
     """Return the reason why each mode is not identified, by its label; empty if it is."""
-    if general := _general_doubt(modal, displacements):
-        return dict.fromkeys(modal.names, general)
+    names = sweep.modal.names
+    if general := _general_doubt(sweep):
+        return dict.fromkeys(names, general)
     return {
-        label: _doubt(modal, m, block_amplitudes) or _doubt_of_name(naming, label)
-        for m, label in enumerate(modal.names)
+        label: _doubt(sweep.modal, m, sweep.block_amplitudes) or _doubt_of_name(naming, label)
+        for m, label in enumerate(names)
     }
 
 
@@ -382,14 +355,8 @@ def mac(one: Array, other: Array) -> float:
     return float((one @ other) ** 2 / ((one @ one) * (other @ other)))
 
 
-def _resonance(
-    modal: ModalFit,
-    m: int,
-    name: str,
-    block_amplitudes: BlockAmplitudes,
-    basis: ShapeBasis,
-    naming: ModeNaming,
-) -> Resonance:
+def _resonance(sweep: MeasuredSweep, m: int, name: str, naming: ModeNaming) -> Resonance:
+    modal, block_amplitudes, basis = sweep.modal, sweep.block_amplitudes, sweep.basis
     hz = float(modal.hz[m])
     likely = naming.name if naming.name in basis.names else modal.names[m]
     loss_factor, loss_error = float(modal.loss_factor[m]), float(modal.loss_error[m])

@@ -18,7 +18,13 @@ from fitting.holograms.displacement import Displacements, refit_displacements
 from fitting.holograms.object_field import CommonModeError, field_factor, smooth_functions
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.fit import fit_modes
-from fitting.modal.identify import JointFit, joint_fit_of, modes_in_turns, naming_of
+from fitting.modal.identify import (
+    JointFit,
+    MeasuredSweep,
+    joint_fit_of,
+    modes_in_turns,
+    naming_of,
+)
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import KNOWN_DRIVE_DOF
 from holography.arrays import ComplexArray
@@ -73,9 +79,8 @@ def fit_same_reed(run: Run, before: JointFit, unshifted: UnshiftedLight | None =
         # What this sweep adds on the drive came from that of the other: it must not count again
         # when the other is fitted from this one.
         modal = replace(modal, log_drive_covariance=known.log_drive_covariance)
-        return joint_fit_of(
-            modal, block_amplitudes, before.basis, displacements, start_hz, before.naming
-        )
+        sweep = MeasuredSweep(block_amplitudes, before.basis, displacements, modal, start_hz)
+        return joint_fit_of(sweep, before.naming)
 
 
 def fit_without_unshifted(before: JointFit, reed: ReducedReed, series: Series) -> JointFit:
@@ -109,9 +114,8 @@ def fit_without_unshifted(before: JointFit, reed: ReducedReed, series: Series) -
         start, off = before.displacements, before.modal.off
         expected_rad = (before.modal.amplitude_rad,)
         found = refit_displacements(less, before.basis, start, expected_rad, off, none)
-        displacements, modal = modes_in_turns(less, before.basis, found, before.start_hz)
-        naming = naming_of(modal, less, before.basis, displacements, reed, series)
-        return joint_fit_of(modal, less, before.basis, displacements, before.start_hz, naming)
+        sweep = modes_in_turns(less, before.basis, found, before.start_hz)
+        return joint_fit_of(sweep, naming_of(sweep, reed, series))
 
 
 def _from_before(

@@ -163,8 +163,8 @@ def test_modes_of_another_kind_of_reed_are_not_believed(sweep):
 
 def refit_of(joint, **changes):
     """The results of a fit with some of its parts changed."""
-    parts = ("modal", "block_amplitudes", "basis", "displacements", "start_hz", "naming")
-    return joint_fit_of(**{name: changes.get(name, getattr(joint, name)) for name in parts})
+    changed = replace(joint, **changes)
+    return joint_fit_of(changed, changed.naming)
 
 
 def test_a_resonance_at_the_first_step_is_not_identified(sweep):

@@ -10,6 +10,7 @@ could be put elsewhere.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg, optimize
@@ -121,16 +122,22 @@ class DrivePrior:
         Twice the negative log density.
     gradient : (k,) float
         Negative gradient of half the cost.
-    curvature : (k, k) float
-        Half the Hessian of the cost, for the weights that the scatter has at this state.
+    covariance : (k, k) float
+        Of the log magnitude, for the variances that the scatter has at this state.
     scatter_volume : float
         Log of the variances of the scatter over the square of its scale, summed over holograms.
     """
 
     cost: float
     gradient: Array
-    curvature: Array
+    covariance: Array
     scatter_volume: float
+
+    @cached_property
+    def curvature(self) -> Array:
+        """Half the Hessian (k, k) of the cost."""
+        curvature = linalg.inv(self.covariance)
+        return np.asarray(0.5 * (curvature + curvature.T))
 
     @property
     def log_volume(self) -> float:
@@ -160,9 +167,8 @@ def drive_prior(magnitude: Array, covariance: Array, gain: float, dof: float) ->
     smooth = magnitude - scatter
     cost = (dof + 1) * np.sum(np.log1p((scatter / gain) ** 2 / dof)) + smooth @ weighted
     gradient = -(dof + 1) * scatter / (dof * gain**2 + scatter**2)
-    curvature = linalg.inv(covariance + np.diag(variance))
     volume = float(np.sum(np.log(variance / gain**2)))
-    return DrivePrior(float(cost), gradient, 0.5 * (curvature + curvature.T), volume)
+    return DrivePrior(float(cost), gradient, covariance + np.diag(variance), volume)
 
 
 def _split(

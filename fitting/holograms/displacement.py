@@ -55,7 +55,7 @@ _MOST_TURNS, _QUICK_TURNS = 30, 2
 # one of its coordinates costs one half.
 _SETTLED = 5.0
 # How often holograms in a wrong fringe are solved again.
-_MOST_RETRIES = 3
+_MOST_RETRIES = 8
 # Most starts of the continuation while the best explains less than most of the sweep, and while it
 # leaves single holograms unexplained: all displacements may then be too small by a factor.
 _FEW_STARTS, _MOST_STARTS = 3, 10
@@ -69,6 +69,7 @@ _MOST_CHANGES = 3
 # factor that field and displacements share is a tenth (decision 0028), and the next fringe is π rad
 # away, a third of the largest displacements with which a sweep is begun (10 rad).
 _SAME_FRINGES = 0.2
+_FIRST_MAXIMUM_RAD = 1.84
 # A hologram with a larger misfit is far from its noise.
 _FLOOR = 30.0
 # A gain that is farther off is tried again: chance makes one in 16,000 so.
@@ -136,20 +137,27 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
     first = replace(whole, others=())
     signal = np.mean(np.abs(block_amplitudes.value) ** 2, axis=0)
     best: Displacements | None = None
-    least, off = np.inf, np.arange(len(signal))
+    costs: list[float] = []
     for number, start in enumerate(starts_of(first, block_amplitudes, basis), 1):
         search = continued(first, block_amplitudes, basis, start)
         rough = None if search is None else _from_search(whole, block_amplitudes, search)
         cost = np.inf if rough is None else _unlikelihood(whole, rough)
         # A guess that was the best of its set is the same start again.
-        if best is not None and rough is not None and cost != least and _agree(best, rough, off):
-            break
-        if rough is not None and cost < least:
-            best, least = _refined(whole, block_amplitudes, rough), cost
+        if rough is not None and cost not in costs:
+            if best is None:
+                best = _refined(whole, block_amplitudes, rough)
+            elif _agree(whole, best, rough):
+                if _in_other_fringes(whole, best.amplitude_rad, rough.amplitude_rad).size:
+                    best = _refined(whole, block_amplitudes, best, rough)
+                break
+            elif cost < min(costs):
+                other = _refined(whole, block_amplitudes, rough, best)
+                best = min(best, other, key=lambda each: _unlikelihood(whole, each))
+        costs.append(cost)
         relative = relative_misfit(best.misfit, signal) if best else np.full(len(signal), np.inf)
-        off = unexplained(relative, whole.seen)
         mostly = np.mean(relative < _EXPLAINED) > _MOST_EXPLAINED
-        if not off.size or number >= (_MOST_STARTS if mostly else _FEW_STARTS):
+        explained = not unexplained(relative, whole.seen).size
+        if explained or number >= (_MOST_STARTS if mostly else _FEW_STARTS):
             break
     if best is None:
         raise FitError(
@@ -165,16 +173,32 @@ def _unlikelihood(whole: Problem, found: Displacements) -> float:
     return unlikelihood(whole, found.amplitude_rad, found.gain, field, change, found.misfit)
 
 
-def _agree(one: Displacements, other: Displacements, steps: IndexArray) -> bool:
-    """Whether two starts end in the same fringes: at some holograms (s,), and at most of all.
+def _in_other_fringes(problem: Problem, one: ComplexArray, other: ComplexArray) -> IndexArray:
+    """Return the holograms with fringes of which amplitudes (k, j) differ by more than the light.
 
-    What is not explained there is then no wrong fringe, but something that no start finds.
+    Below the first maximum of J₁, two solutions differ by the brightness of the object field alone.
     """
-    a, b = one.amplitude_rad, other.amplitude_rad
-    overlap = np.abs(np.sum(a.conj() * b, axis=1))
-    apart = np.sum(np.abs(a) ** 2 + np.abs(b) ** 2, axis=1) - 2 * overlap
-    same = apart < _SAME_FRINGES**2 * np.sum(np.abs(a) ** 2, axis=1)
-    return bool(np.all(same[steps]) and np.mean(same) > _MOST_EXPLAINED)
+    overlap = np.abs(np.sum(one.conj() * other, axis=1))
+    apart = np.sum(np.abs(one) ** 2 + np.abs(other) ** 2, axis=1) - 2 * overlap
+    same = apart < _SAME_FRINGES**2 * np.sum(np.abs(one) ** 2, axis=1)
+    return np.flatnonzero(_with_fringes(problem, one, other) & ~same)
+
+
+def _with_fringes(problem: Problem, *solutions: ComplexArray) -> NDArray[np.bool_]:
+    """Mask (k,) of the holograms with displacements beyond the first maximum of J₁."""
+    largest = [np.hypot(*problem.displacement(a)).max(axis=1) for a in solutions]
+    beyond: NDArray[np.bool_] = np.max(largest, axis=0) > _FIRST_MAXIMUM_RAD
+    return beyond
+
+
+def _agree(problem: Problem, one: Displacements, other: Displacements) -> bool:
+    """Whether two starts end in the same fringes at most holograms that have any.
+
+    Where they differ, one of them has lost its way.
+    """
+    both = one.amplitude_rad, other.amplitude_rad
+    fringes = np.count_nonzero(_with_fringes(problem, *both))
+    return bool(_in_other_fringes(problem, *both).size <= (1 - _MOST_EXPLAINED) * fringes)
 
 
 def _problem_of(blocks: BlockAmplitudes, basis: ShapeBasis) -> Problem:
@@ -202,11 +226,16 @@ def _from_search(
 
 
 def _refined(
-    whole: Problem, block_amplitudes: BlockAmplitudes, rough: Displacements
+    whole: Problem,
+    block_amplitudes: BlockAmplitudes,
+    rough: Displacements,
+    other: Displacements | None = None,
 ) -> Displacements:
+    """Minimise from a solution; where another one differs, the better of both is taken."""
     at = Solution(rough.amplitude_rad, rough.gain, rough.object_field, rough.field_variance)
     solved = np.isfinite(rough.misfit)
-    return _finished(whole, block_amplitudes, at, solved, _MOST_TURNS, rough.change)
+    theirs = None if other is None else other.amplitude_rad
+    return _finished(whole, block_amplitudes, at, solved, _MOST_TURNS, rough.change, theirs)
 
 
 def explained_amplitudes(
@@ -308,10 +337,12 @@ def _finished(
     solved: NDArray[np.bool_],
     most_turns: int,
     change: FieldChange | None = None,
+    other: ComplexArray | None = None,
 ) -> Displacements:
     """Minimise over object field and amplitudes of the solved holograms in turns.
 
-    Without `change`, the object field is first taken to be the same in all of them.
+    Without `change`, the object field is first taken to be the same in all of them. `other` (k, j)
+    are amplitudes of another solution: where they are in other fringes, both are tried.
     """
     steps = np.flatnonzero(solved)
     smooth = smooth_functions(block_amplitudes.x_m, block_amplitudes.y_m)
@@ -326,18 +357,33 @@ def _finished(
         at, step = _settled(sweep, at, most_turns)
         if before is not None and _same(before, now):
             break
-    for _ in range(_MOST_RETRIES if most_turns > _QUICK_TURNS else 0):
+    if most_turns > _QUICK_TURNS:
+        theirs = None if other is None else other[steps]
+        at, step = _in_right_fringes(sweep, at, step, theirs)
+    whole = replace(whole, gain_nepers=sweep.problem.gain_nepers)
+    return _displacements_of(whole, steps, at, step, now)
+
+
+def _in_right_fringes(
+    sweep: "_Sweep", at: Solution, step: FieldStep, other: ComplexArray | None
+) -> tuple[Solution, FieldStep]:
+    """Solve holograms in wrong fringes again until nothing is explained better."""
+    problem, hopeless = sweep.problem, np.zeros(0, np.intp)
+    for _ in range(_MOST_RETRIES):
         misfit = step.linear.normal.misfit / problem.seen
         off = np.union1d(
             unexplained(misfit, problem.seen),
-            np.flatnonzero(np.abs(at.gain) > _MOST_DEVIATIONS * sweep.problem.gain_nepers),
+            np.flatnonzero(np.abs(at.gain) > _MOST_DEVIATIONS * problem.gain_nepers),
         )
-        tried, better = tried_again(sweep.problem, at, off)
-        if not better:
+        if other is not None:
+            off = np.union1d(off, _in_other_fringes(problem, at.amplitude, other))
+        off = np.setdiff1d(off, hopeless)
+        at, better = tried_again(problem, at, off, other)
+        if not better.size:
             break
-        at, step = _settled(sweep, tried, most_turns)
-    whole = replace(whole, gain_nepers=sweep.problem.gain_nepers)
-    return _displacements_of(whole, steps, at, step, now)
+        hopeless = np.union1d(hopeless, np.setdiff1d(off, better))
+        at, step = _settled(sweep, at, _MOST_TURNS)
+    return at, step
 
 
 @dataclass(frozen=True)

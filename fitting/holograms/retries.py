@@ -5,6 +5,7 @@ field and amplitudes have converged. By then its neighbours are solved, and the 
 them changes little: it is tried again from each of them and from their mean, in several sizes.
 """
 
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,8 @@ _DEVIATIONS = 6.0
 # Sizes relative to the start: between two holograms 25 cents apart, at a resonance of quality 50,
 # the response may differ by two thirds.
 _SIZES = (1.0, 1.3, 0.77, 1.7, 0.6)
+# Least gain in log likelihood of another solution: odds of 150 to 1.
+_LEAST_GAIN = 5.0
 # Levenberg-Marquardt steps of each trial.
 _ITERATIONS = 12
 # How often noise and the change within blocks are found for a trial.
@@ -68,8 +71,12 @@ def unexplained(misfit: Array, seen: Array) -> IndexArray:
     return np.flatnonzero(~(misfit - middle < _DEVIATIONS * np.maximum(own, scatter)))
 
 
-def tried_again(problem: Problem, at: Solution, bad: IndexArray) -> tuple[Solution, int]:
-    """Solve the unexplained holograms from their neighbours; return how many are explained better.
+def tried_again(
+    problem: Problem, at: Solution, bad: IndexArray, other: ComplexArray | None = None
+) -> tuple[Solution, IndexArray]:
+    """Solve the unexplained holograms from their neighbours; return which are explained better.
+
+    What was in a wrong fringe may have led its neighbours there: they are tried, too.
 
     Parameters
     ----------
@@ -78,22 +85,31 @@ def tried_again(problem: Problem, at: Solution, bad: IndexArray) -> tuple[Soluti
     at : Solution
     bad : (b,) int
         Numbers of the unexplained holograms.
+    other : (k, j) complex, optional
+        Amplitudes of another solution, from which they are tried as well.
     """
-    amplitude, gain, better = at.amplitude.copy(), at.gain.copy(), 0
+    amplitude, gain, better = at.amplitude.copy(), at.gain.copy(), list[int]()
     so_far = cost(problem, at)
-    good = np.setdiff1d(np.arange(len(gain)), bad)
-    if not good.size:
-        return at, 0
-    for number in bad.tolist():
-        starts = _starts(amplitude, number, good)
+    good = np.ones(len(gain), bool)
+    good[bad] = False
+    queue, tried = deque(bad.tolist()), set[int]()
+    while queue and good.any():
+        number = queue.popleft()
+        tried.add(number)
+        others = good.copy()
+        others[number] = False
+        starts = _starts(amplitude, number, np.flatnonzero(others))
+        if other is not None:
+            starts = np.concatenate([starts, other[[number]]])
         steps = np.full(len(starts), number)
         found, louder, left = _solved(problem.some(steps), at, steps, starts)
         best = int(np.argmin(left))
-        gained = so_far[number] - left[best]
-        # More than the noise of one amplitude would give by chance.
-        if gained > np.sqrt(problem.seen[number]):
-            amplitude[number], gain[number], better = found[best], louder[best], better + 1
-    return replace(at, amplitude=amplitude, gain=gain), better
+        if so_far[number] - left[best] > _LEAST_GAIN:
+            amplitude[number], gain[number], good[number] = found[best], louder[best], True
+            better.append(number)
+            beside = {number - 1, number + 1} & set(range(len(gain)))
+            queue.extend(sorted(beside - tried - set(queue)))
+    return replace(at, amplitude=amplitude, gain=gain), np.array(better, np.intp)
 
 
 def _solved(

@@ -12,8 +12,8 @@ from fitting.acoustics.lines import SeenPeak, SweepPeaks, nearest_mode
 from fitting.acoustics.poles import find_excitation_peaks
 from fitting.amplitudes.response import Response
 from fitting.cane.reed_fit import ReedParameters
+from fitting.cane.residual_map import residual_map
 from fitting.modal.identify import JointFit
-from fitting.modal.residual_map import residual_map
 from fitting.resonance import Resonance
 from protocols.reed import ReedFile
 

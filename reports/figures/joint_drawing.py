@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from fitting.modal.identify import JointFit
-from fitting.modal.residual_map import squared_residual
+from fitting.cane.residual_map import squared_residual
 from fitting.resonance import Resonance
 from holography.arrays import Array
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from fitting.cane.fit_runs import fit_runs, method_name
+from fitting.cane.residual_map import residual_map
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
 from fitting.modal.identify import _with_smooth_drive, fit_jointly, joint_fit_of, mac
 from fitting.modal.refit import fit_same_reed
-from fitting.modal.residual_map import residual_map
 from fitting.modal.start_frequencies import _outweighing, _room_cents
 from fitting.names.naming import SURE, ModeNaming, name_modes
 from physics.plausible.reeds import PlausibleReeds

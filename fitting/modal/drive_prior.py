@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg, optimize
 
 from holography.arrays import Array
@@ -105,6 +106,18 @@ def ripple_around(ripple: Ripple, covariance: Array) -> Ripple:
 def smooth_ripple(ripple: Ripple) -> Ripple:
     """Return a ripple that can follow no pole and no notch: its finer structure is the least."""
     return replace(ripple, log_size=np.full_like(ripple.log_size, np.log(_FINE_LIMITS[0])))
+
+
+def quiet_at(ripple: Ripple, nodes: NDArray[np.bool_]) -> Ripple:
+    """Return a ripple that can follow no pole and no notch at some nodes (n,)."""
+    least = np.log(_FINE_LIMITS[0])
+    return replace(ripple, log_size=np.where(nodes, least, ripple.log_size))
+
+
+def louder_than_usual(ripple: Ripple) -> NDArray[np.bool_]:
+    """Mask (n,) of nodes with more of the finer structure than data sheets show."""
+    louder: NDArray[np.bool_] = ripple.log_size > np.log(_FINE[0])
+    return louder
 
 
 def strong_ripple(ripple: Ripple) -> Ripple:

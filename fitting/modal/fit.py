@@ -20,7 +20,7 @@ the residuals and added to the noise, and the ripple of the drive from the drive
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,22 +30,13 @@ from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.drive_prior import (
     HELD_LEVEL,
-    FoundRipple,
-    KnownMagnitude,
-    found_ripple,
+    quiet_at,
     quiet_ripple,
     ripple_around,
     smooth_ripple,
     strong_ripple,
 )
-from fitting.modal.field_drift import (
-    FIRST_WALK,
-    FieldDrift,
-    SharedError,
-    field_drift,
-    found_walk,
-    shared_error,
-)
+from fitting.modal.field_drift import FIRST_WALK, SharedError, field_drift, shared_error
 from fitting.modal.first_state import at_level, first_state, participation_scale
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import (
@@ -55,44 +46,35 @@ from fitting.modal.model import (
     Prior,
     Stage,
     State,
-    drive_prior_at,
     stage_prior,
     terms,
-    with_gain,
 )
-from fitting.modal.noise import (
-    Noise,
-    balanced,
-    correlated_holograms,
-    data_of,
-    inflated,
-    noise_of,
-)
-from fitting.modal.normal_equations import (
-    Data,
-    Equations,
-    Evaluation,
-    equations,
-    evaluate,
-)
-from fitting.modal.optimiser import inverse, minimise_cost, without_drive
+from fitting.modal.noise import Noise, data_of, noise_of
+from fitting.modal.optimiser import inverse, minimise_cost
 from fitting.modal.posterior import Posterior, participation_error, resonant_displacements
+from fitting.modal.rounds import (
+    LAST,
+    Given,
+    Optimum,
+    Scatter,
+    fixed,
+    likeliest,
+    one_round,
+    suspect_lines,
+    with_ripple,
+)
 from holography.arrays import Array
 
 # Participations are polynomials of log frequency of this degree.
 _DEGREE = 4
 # How often the discrepancy is estimated, and how often if the modes are known from another fit.
 _ROUNDS, _AGAIN = 3, 2
-# Most turns in which the ripple of the drive is found; they end when no frequency and no loss moves
-# by more than this fraction of its standard error.
-_MOST_RIPPLES, _SETTLED = 8, 0.2
 
 _STAGES = (
     Stage(0.3, 0.05, 0.01, 0.05, 1),
     Stage(0.1, 0.3, 0.01, 0.3, 1),
     Stage(0.03, 0.5, 0.01, 1.0, 1),
 )
-_LAST = Stage(0.015, 0.7, 0.02, 1.0, 12)
 
 
 def fit_modes(
@@ -135,57 +117,49 @@ def fit_modes(
     shared = shared_error(displacements.common_mode, drift, FIRST_WALK)
     if known is None:
         model, state = _staged(model, displacements, noise, shared, centre_hz)
-        rounds, scatter = _ROUNDS, _Scatter(_LAST.discrepancy, FIRST_WALK)
+        rounds, scatter = _ROUNDS, Scatter(LAST.discrepancy, FIRST_WALK)
     else:
         model, state = _again(model, known, displacements, len(shared.precision))
-        rounds, scatter = _AGAIN, _Scatter(known.discrepancy, known.field_walk)
-    prior = stage_prior(model, _LAST, centre_hz, participation_scale(model, state))
+        rounds, scatter = _AGAIN, Scatter(known.discrepancy, known.field_walk)
+    prior = stage_prior(model, LAST, centre_hz, participation_scale(model, state))
+    given = Given(displacements, drift, noise, prior)
     for _ in range(rounds):
-        same = displacements, drift, noise, prior
-        end = _round(model, *same, state, scatter)
-        state, noise, scatter = end.state, end.noise, end.next_scatter
+        end = one_round(model, given, state, scatter)
+        state, given, scatter = end.state, replace(given, noise=end.noise), end.next_scatter
     if rough or drive_dof == KNOWN_DRIVE_DOF:
-        return _finish(displacements, basis.names, [_Optimum.of(model, end)])
+        return _finish(displacements, basis.names, [Optimum.of(model, end)])
     optima = [
-        _with_ripple(replace(model, ripple=ripple), *same, state, scatter)
+        with_ripple(replace(model, ripple=ripple), given, state, scatter)
         for ripple in (smooth_ripple(model.ripple), strong_ripple(model.ripple))
     ]
+    for line in suspect_lines(likeliest(optima)):
+        optima = _without_line(optima, line, given, centre_hz)
     return _finish(displacements, basis.names, optima)
 
 
-def _with_ripple(
-    model: Model,
-    displacements: Displacements,
-    drift: FieldDrift,
-    noise: Noise,
-    prior: Prior,
-    state: State,
-    scatter: "_Scatter",
-) -> "_Optimum":
-    """Find the ripple of the drive and fit with it, in turns, from the ripple of a model.
+def _without_line(
+    optima: list[Optimum], line: NDArray[np.bool_], given: Given, centre_hz: Array
+) -> list[Optimum]:
+    """Try to explain a sweep without a line of the drive, at nodes (n,), that may be a mode.
 
-    Every optimum has the same scatter: only then can their evidence be compared.
+    The resonance of a mode that moves the reed almost alone looks like a line of the drive. With
+    that line the fit leaves less scatter, so that the line seems sure. Modes and scatter are
+    therefore found again without the line. Both explanations are compared with that scatter, and
+    the likelier one is taken.
     """
-    same = displacements, drift, noise, prior
-    end = _round(model, *same, state, scatter)
-    here = _Optimum.of(model, end)
-    for _ in range(_MOST_RIPPLES):
-        found, before = _found_ripple(model, end), here
-        model = replace(model, ripple=found.ripple)
-        end = _round(model, *same, end.state, scatter)
-        here = _Optimum.of(model, end, found)
-        moved = np.abs(here.logs - before.logs) / np.sqrt(np.diag(here.covariance))
-        if np.all(moved < _SETTLED):
-            break
-    return here
-
-
-def _found_ripple(model: Model, end: "_Round") -> FoundRipple:
-    """Find the ripple of the drive after a round."""
-    magnitude, prior = end.state.log_drive.real - model.log_volts, drive_prior_at(model, end.state)
-    covariance = Posterior.of(end.here, end.covariance, 1.0).log_magnitude
-    known = KnownMagnitude.of(magnitude, covariance, prior)
-    return found_ripple(model.ripple, known, end.state.gain, model.drive_dof)
+    best, displacements = likeliest(optima), given.displacements
+    stiff = replace(best.model, ripple=quiet_at(best.model.ripple, line))
+    noise = noise_of(displacements)
+    shared = shared_error(displacements.common_mode, given.drift, FIRST_WALK)
+    stiff, state = _staged(stiff, displacements, noise, shared, centre_hz)
+    prior = stage_prior(stiff, LAST, centre_hz, participation_scale(stiff, state))
+    there, scatter = replace(given, noise=noise, prior=prior), Scatter(LAST.discrepancy, FIRST_WALK)
+    for _ in range(_ROUNDS):
+        end = one_round(stiff, there, state, scatter)
+        state, there, scatter = end.state, replace(there, noise=end.noise), end.next_scatter
+    alone = with_ripple(stiff, there, state, scatter)
+    again = with_ripple(best.model, there, best.end.state, scatter)
+    return [alone, again] if alone.log_evidence > again.log_evidence else optima
 
 
 def _model(
@@ -213,25 +187,6 @@ def _model(
     return model, centre_hz
 
 
-@dataclass(frozen=True)
-class _Scatter:
-    """How far displacements scatter around the model.
-
-    Attributes
-    ----------
-    discrepancy : float
-        See `fitting.modal.model.Stage`.
-    walk : float
-        See `fitting.modal.field_drift.shared_error`.
-    correlated : float
-        Number of holograms that count as one independent hologram.
-    """
-
-    discrepancy: float
-    walk: float
-    correlated: float = 1.0
-
-
 def _staged(
     model: Model, displacements: Displacements, noise: Noise, shared: SharedError, centre_hz: Array
 ) -> tuple[Model, State]:
@@ -241,7 +196,7 @@ def _staged(
     for stage in _STAGES:
         prior = stage_prior(model, stage, centre_hz, scale)
         data = data_of(displacements.amplitude_rad, shared, noise, stage.discrepancy)
-        state = minimise_cost(model, data, prior, _fixed(prior, state), stage.iterations)
+        state = minimise_cost(model, data, prior, fixed(prior, state), stage.iterations)
         scale = participation_scale(model, state)
     return model, state
 
@@ -259,163 +214,15 @@ def _again(
     return at_level(model, state), state
 
 
-def _fixed(prior: Prior, state: State) -> State:
-    """Set fixed parameters to their prior values."""
-    return replace(state, x=np.where(prior.free, state.x, prior.centre))
-
-
-@dataclass(frozen=True)
-class _Round:
-    """Result of one round of the fit.
-
-    Attributes
-    ----------
-    prior : Prior
-    state : State
-    here : Equations
-    covariance : (q, q) float
-        Covariance of all parameters except the drive.
-    log_evidence : float
-        Log of the evidence, but for a constant that rounds with the same data and priors share.
-    whitened_residual : (k, 2j) float
-        Residuals along the noise's directions, in standard deviations.
-    misfit : float
-        Sum of their squares, divided by the degrees of freedom.
-    scatter, next_scatter : _Scatter
-        Scatter that was used, and the one that the residuals give.
-    common_mode_shift : (k, q) float
-        Common-mode error of every hologram.
-    drift : FieldDrift
-        How it follows from parameters.
-    noise : Noise
-        Noise with the variance of outliers increased.
-    """
-
-    prior: Prior
-    state: State
-    here: Equations
-    covariance: Array
-    log_evidence: float
-    whitened_residual: Array
-    misfit: float
-    scatter: _Scatter
-    next_scatter: _Scatter
-    common_mode_shift: Array
-    drift: FieldDrift
-    noise: Noise
-
-
-def _round(
-    model: Model,
-    displacements: Displacements,
-    drift: FieldDrift,
-    noise: Noise,
-    prior: Prior,
-    state: State,
-    scatter: _Scatter,
-) -> _Round:
-    """Minimise the cost, and estimate the scatter for which residuals are as expected."""
-    shared = shared_error(displacements.common_mode, drift, scatter.walk)
-    data = data_of(displacements.amplitude_rad, shared, noise, scatter.discrepancy)
-    state, weighed = _fixed(prior, state), data.weighing(1 / scatter.correlated)
-    state = with_gain(model, minimise_cost(model, weighed, prior, state, _LAST.iterations))
-    here = equations(model, weighed, prior, state)
-    alone, root, _ = without_drive(here, 0.0, np.float64)
-    covariance = inverse(alone)
-    freedoms = (
-        2 * data.amplitude.size - 2 * len(model.hz) - _effective_parameters(prior, data, covariance)
-    )
-    whitened_residual = data.whitened_residual(
-        terms(model, state).amplitude, state.common_mode_shift
-    )
-    left = whitened_residual * noise.deviation(scatter.discrepancy)
-    first = len(covariance) - len(shared.precision)
-    walk = found_walk(drift, state.common_mode_shift, covariance[first:, first:], scatter.walk)
-    return _Round(
-        prior=prior,
-        state=state,
-        here=here,
-        covariance=covariance,
-        log_evidence=_log_evidence(evaluate(model, weighed, prior, state), alone, root),
-        whitened_residual=whitened_residual,
-        misfit=float(np.sum(whitened_residual**2)) / freedoms,
-        scatter=scatter,
-        next_scatter=replace(
-            scatter,
-            discrepancy=balanced(inflated(noise, whitened_residual), left, freedoms),
-            walk=walk,
-            # Correlated holograms must not outweigh what is known of the drive.
-            correlated=correlated_holograms(noise, whitened_residual, state.log_drive),
-        ),
-        common_mode_shift=drift.shift(state.common_mode_shift),
-        drift=drift,
-        noise=inflated(noise, whitened_residual),
-    )
-
-
-def _log_evidence(at: Evaluation, matrix: Array, drive_root: Array) -> float:
-    """Return the log evidence by Laplace's method, for the equations of `without_drive`."""
-    known = float(np.linalg.slogdet(matrix)[1]) + 2 * float(np.sum(np.log(np.diag(drive_root))))
-    return 0.5 * (at.drive_prior.log_volume - known - at.cost)
-
-
-@dataclass(frozen=True)
-class _Optimum:
-    """One optimum of the fit.
-
-    Attributes
-    ----------
-    model : Model
-    end : _Round
-    log_evidence : float
-    logs : (2a,) float
-        Log frequencies and log loss factors of the active modes.
-    covariance : (2a, 2a) float
-        Their covariance, with that of the drive's ripple.
-    magnitude_covariance : (k, k) float
-        Covariance of the drive's log magnitude, with that of its ripple.
-    factor : float
-        Factor on all variances.
-    """
-
-    model: Model
-    end: _Round
-    log_evidence: float
-    logs: Array
-    covariance: Array
-    magnitude_covariance: Array
-    factor: float
-
-    @classmethod
-    def of(cls, model: Model, end: _Round, found: FoundRipple | None = None) -> "_Optimum":
-        """Collect an optimum from the last round, and the ripple that it had."""
-        # χ² of a round is not exactly as expected, and neighbouring residuals are correlated.
-        factor = end.misfit * end.next_scatter.correlated / end.scatter.correlated
-        count, powers, free = len(model.active), model.powers.shape[1], end.prior.free
-        number = np.full(free.shape, -1)
-        number[free] = np.arange(np.count_nonzero(free))
-        own = number[:count, 2 * powers : 2 * powers + 2].T.ravel()
-        covariance, log_evidence = factor * end.covariance[np.ix_(own, own)], end.log_evidence
-        posterior = Posterior.of(end.here, end.covariance, 1.0)
-        magnitude_covariance = factor * posterior.log_magnitude
-        if found is not None:
-            moved, louder = posterior.with_ripple(model, end.state)
-            covariance = covariance + moved[own] @ found.covariance @ moved[own].T
-            magnitude_covariance += louder @ found.covariance @ louder.T
-            log_evidence += found.log_weight
-        logs = end.state.x[:count, 2 * powers : 2 * powers + 2].T.ravel()
-        return cls(model, end, log_evidence, logs, covariance, magnitude_covariance, factor)
-
-
 def _finish(
-    displacements: Displacements, names: Sequence[str], optima: Sequence[_Optimum]
+    displacements: Displacements, names: Sequence[str], optima: Sequence[Optimum]
 ) -> ModalFit:
     """Return modes and standard errors.
 
     Frequencies, losses and their errors are averages over all optima, by their evidence; all else
     is that of the best.
     """
-    best = max(optima, key=lambda each: each.log_evidence)
+    best = likeliest(optima)
     weights = softmax([each.log_evidence for each in optima])
     logs, covariance = _mixture(weights, [(each.logs, each.covariance) for each in optima])
     magnitudes = [(each.end.state.log_drive.real, each.magnitude_covariance) for each in optima]
@@ -480,11 +287,3 @@ def _off(displacements: Displacements, noise: Noise) -> NDArray[np.bool_]:
     """Mask (k,) of holograms that are outliers or have no information."""
     off: NDArray[np.bool_] = (noise.inflation > 1) | ~np.any(displacements.information, axis=(1, 2))
     return off
-
-
-def _effective_parameters(prior: Prior, data: Data, covariance: Array) -> float:
-    """Return the effective number of parameters: those that the prior determines count in part."""
-    own = prior.precision[prior.free]
-    known = np.sum(own * np.diag(covariance)[: len(own)])
-    shared = np.sum(data.precision * covariance[len(own) :, len(own) :])
-    return float(len(covariance) - known - shared)

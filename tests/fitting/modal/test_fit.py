@@ -12,7 +12,7 @@ from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.drive_prior import HELD_LEVEL, quiet_ripple
 from fitting.modal.field_drift import FieldDrift
 from fitting.modal.first_state import at_level
-from fitting.modal.fit import _LAST, _mixture, fit_modes
+from fitting.modal.fit import _mixture, fit_modes
 from fitting.modal.model import (
     KNOWN_DRIVE_DOF,
     UNKNOWN_DRIVE_DOF,
@@ -31,6 +31,7 @@ from fitting.modal.normal_equations import (
 )
 from fitting.modal.optimiser import inverse, minimise_cost, without_drive
 from fitting.modal.posterior import Posterior
+from fitting.modal.rounds import LAST
 from tests.numbers import cents, complex_normal
 
 # Six modes, the last one beyond the sweep.
@@ -536,7 +537,7 @@ class Point:
     def prior(self):
         active = self.model.active
         scale = np.full(len(self.model.reference), 0.5)
-        return stage_prior(self.model, _LAST, self.model.reference_hz[active] * 1.003, scale)
+        return stage_prior(self.model, LAST, self.model.reference_hz[active] * 1.003, scale)
 
     def amplitude(self, x):
         return terms(self.model, replace(self.state, x=x)).amplitude

@@ -1,0 +1,279 @@
+"""Rounds of the modal fit, and the optima at which they end.
+
+A round minimises the cost with a given scatter of the displacements, and estimates the scatter for
+which the residuals are as expected. The ripple of the drive is found between rounds.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.holograms.displacement import Displacements
+from fitting.modal.drive_prior import (
+    FoundRipple,
+    KnownMagnitude,
+    found_ripple,
+    louder_than_usual,
+)
+from fitting.modal.field_drift import FieldDrift, found_walk, shared_error
+from fitting.modal.model import (
+    Model,
+    Prior,
+    Stage,
+    State,
+    drive_prior_at,
+    terms,
+    with_gain,
+)
+from fitting.modal.noise import Noise, balanced, correlated_holograms, data_of, inflated
+from fitting.modal.normal_equations import Data, Equations, Evaluation, equations, evaluate
+from fitting.modal.optimiser import inverse, minimise_cost, without_drive
+from fitting.modal.posterior import Posterior
+from holography.arrays import Array
+
+# Stage of the last rounds.
+LAST = Stage(0.015, 0.7, 0.02, 1.0, 12)
+# Most turns in which the ripple of the drive is found; they end when no frequency and no loss moves
+# by more than this fraction of its standard error.
+_MOST_RIPPLES, _SETTLED = 8, 0.2
+# A line of the drive beside a mode is suspect above this, in nepers: 15 dB. Loudspeakers and
+# chambers have few sharper poles and notches, and a mode that moves the reed almost alone may be
+# taken for one.
+_SUSPECT = 15 / 8.686
+
+
+@dataclass(frozen=True)
+class Given:
+    """What the rounds of a fit have in common.
+
+    Attributes
+    ----------
+    displacements : Displacements
+    drift : FieldDrift
+    noise : Noise
+    prior : Prior
+    """
+
+    displacements: Displacements
+    drift: FieldDrift
+    noise: Noise
+    prior: Prior
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """How far displacements scatter around the model.
+
+    Attributes
+    ----------
+    discrepancy : float
+        See `fitting.modal.model.Stage`.
+    walk : float
+        See `fitting.modal.field_drift.shared_error`.
+    correlated : float
+        Number of holograms that count as one independent hologram.
+    """
+
+    discrepancy: float
+    walk: float
+    correlated: float = 1.0
+
+
+@dataclass(frozen=True)
+class Round:
+    """Result of one round of the fit.
+
+    Attributes
+    ----------
+    prior : Prior
+    state : State
+    here : Equations
+    covariance : (q, q) float
+        Covariance of all parameters except the drive.
+    log_evidence : float
+        Log of the evidence, but for a constant that rounds with the same data and priors share.
+    whitened_residual : (k, 2j) float
+        Residuals along the noise's directions, in standard deviations.
+    misfit : float
+        Sum of their squares, divided by the degrees of freedom.
+    scatter, next_scatter : Scatter
+        Scatter that was used, and the one that the residuals give.
+    common_mode_shift : (k, q) float
+        Common-mode error of every hologram.
+    drift : FieldDrift
+        How it follows from parameters.
+    noise : Noise
+        Noise with the variance of outliers increased.
+    """
+
+    prior: Prior
+    state: State
+    here: Equations
+    covariance: Array
+    log_evidence: float
+    whitened_residual: Array
+    misfit: float
+    scatter: Scatter
+    next_scatter: Scatter
+    common_mode_shift: Array
+    drift: FieldDrift
+    noise: Noise
+
+
+def one_round(model: Model, given: Given, state: State, scatter: Scatter) -> Round:
+    """Minimise the cost, and estimate the scatter for which residuals are as expected."""
+    displacements, drift, noise = given.displacements, given.drift, given.noise
+    prior, shared = given.prior, shared_error(displacements.common_mode, drift, scatter.walk)
+    data = data_of(displacements.amplitude_rad, shared, noise, scatter.discrepancy)
+    state, weighed = fixed(prior, state), data.weighing(1 / scatter.correlated)
+    state = with_gain(model, minimise_cost(model, weighed, prior, state, LAST.iterations))
+    here = equations(model, weighed, prior, state)
+    alone, root, _ = without_drive(here, 0.0, np.float64)
+    covariance = inverse(alone)
+    freedoms = (
+        2 * data.amplitude.size - 2 * len(model.hz) - _effective_parameters(prior, data, covariance)
+    )
+    whitened_residual = data.whitened_residual(
+        terms(model, state).amplitude, state.common_mode_shift
+    )
+    left = whitened_residual * noise.deviation(scatter.discrepancy)
+    first = len(covariance) - len(shared.precision)
+    walk = found_walk(drift, state.common_mode_shift, covariance[first:, first:], scatter.walk)
+    return Round(
+        prior=prior,
+        state=state,
+        here=here,
+        covariance=covariance,
+        log_evidence=_log_evidence(evaluate(model, weighed, prior, state), alone, root),
+        whitened_residual=whitened_residual,
+        misfit=float(np.sum(whitened_residual**2)) / freedoms,
+        scatter=scatter,
+        next_scatter=replace(
+            scatter,
+            discrepancy=balanced(inflated(noise, whitened_residual), left, freedoms),
+            walk=walk,
+            # Correlated holograms must not outweigh what is known of the drive.
+            correlated=correlated_holograms(noise, whitened_residual, state.log_drive),
+        ),
+        common_mode_shift=drift.shift(state.common_mode_shift),
+        drift=drift,
+        noise=inflated(noise, whitened_residual),
+    )
+
+
+def _log_evidence(at: Evaluation, matrix: Array, drive_root: Array) -> float:
+    """Return the log evidence by Laplace's method, for the equations of `without_drive`."""
+    known = float(np.linalg.slogdet(matrix)[1]) + 2 * float(np.sum(np.log(np.diag(drive_root))))
+    return 0.5 * (at.drive_prior.log_volume - known - at.cost)
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """One optimum of the fit.
+
+    Attributes
+    ----------
+    model : Model
+    end : Round
+    log_evidence : float
+    logs : (2a,) float
+        Log frequencies and log loss factors of the active modes.
+    covariance : (2a, 2a) float
+        Their covariance, with that of the drive's ripple.
+    magnitude_covariance : (k, k) float
+        Covariance of the drive's log magnitude, with that of its ripple.
+    factor : float
+        Factor on all variances.
+    """
+
+    model: Model
+    end: Round
+    log_evidence: float
+    logs: Array
+    covariance: Array
+    magnitude_covariance: Array
+    factor: float
+
+    @classmethod
+    def of(cls, model: Model, end: Round, found: FoundRipple | None = None) -> "Optimum":
+        """Collect an optimum from the last round, and the ripple that it had."""
+        # χ² of a round is not exactly as expected, and neighbouring residuals are correlated.
+        factor = end.misfit * end.next_scatter.correlated / end.scatter.correlated
+        count, powers, free = len(model.active), model.powers.shape[1], end.prior.free
+        number = np.full(free.shape, -1)
+        number[free] = np.arange(np.count_nonzero(free))
+        own = number[:count, 2 * powers : 2 * powers + 2].T.ravel()
+        covariance, log_evidence = factor * end.covariance[np.ix_(own, own)], end.log_evidence
+        posterior = Posterior.of(end.here, end.covariance, 1.0)
+        magnitude_covariance = factor * posterior.log_magnitude
+        if found is not None:
+            moved, louder = posterior.with_ripple(model, end.state)
+            covariance = covariance + moved[own] @ found.covariance @ moved[own].T
+            magnitude_covariance += louder @ found.covariance @ louder.T
+            log_evidence += found.log_weight
+        logs = end.state.x[:count, 2 * powers : 2 * powers + 2].T.ravel()
+        return cls(model, end, log_evidence, logs, covariance, magnitude_covariance, factor)
+
+
+def with_ripple(model: Model, given: Given, state: State, scatter: Scatter) -> Optimum:
+    """Find the ripple of the drive and fit with it, in turns, from the ripple of a model.
+
+    Every optimum has the same scatter: only then can their evidence be compared.
+    """
+    end = one_round(model, given, state, scatter)
+    here = Optimum.of(model, end)
+    for _ in range(_MOST_RIPPLES):
+        found, before = _found_ripple(model, end), here
+        model = replace(model, ripple=found.ripple)
+        end = one_round(model, given, end.state, scatter)
+        here = Optimum.of(model, end, found)
+        moved = np.abs(here.logs - before.logs) / np.sqrt(np.diag(here.covariance))
+        if np.all(moved < _SETTLED):
+            break
+    return here
+
+
+def likeliest(optima: Sequence[Optimum]) -> Optimum:
+    """Return the optimum with the highest evidence."""
+    return max(optima, key=lambda each: each.log_evidence)
+
+
+def suspect_lines(at: Optimum) -> list[NDArray[np.bool_]]:
+    """Return masks (n,) of successive nodes where the drive has a high line, with a mode in it."""
+    ripple, log_hz = at.model.ripple, np.log(at.model.hz)
+    magnitude = at.end.state.log_drive.real - at.model.log_volts
+    loud, lines = louder_than_usual(ripple), list[NDArray[np.bool_]]()
+    for nodes in np.split(np.arange(len(loud)), np.flatnonzero(np.diff(loud)) + 1):
+        if not loud[nodes[0]]:
+            continue
+        inside = np.flatnonzero(ripple.weights[:, nodes].sum(axis=1) > 0)
+        ends = inside[[0, -1]]
+        chord = np.interp(log_hz[inside], log_hz[ends], magnitude[ends])
+        modes = at.logs[: len(at.model.active)]
+        among = (modes > log_hz[ends[0]]) & (modes < log_hz[ends[1]])
+        if among.any() and np.abs(magnitude[inside] - chord).max() > _SUSPECT:
+            lines.append(np.isin(np.arange(len(loud)), nodes))
+    return lines
+
+
+def _found_ripple(model: Model, end: "Round") -> FoundRipple:
+    """Find the ripple of the drive after a round."""
+    magnitude, prior = end.state.log_drive.real - model.log_volts, drive_prior_at(model, end.state)
+    covariance = Posterior.of(end.here, end.covariance, 1.0).log_magnitude
+    known = KnownMagnitude.of(magnitude, covariance, prior)
+    return found_ripple(model.ripple, known, end.state.gain, model.drive_dof)
+
+
+def fixed(prior: Prior, state: State) -> State:
+    """Set fixed parameters to their prior values."""
+    return replace(state, x=np.where(prior.free, state.x, prior.centre))
+
+
+def _effective_parameters(prior: Prior, data: Data, covariance: Array) -> float:
+    """Return the effective number of parameters: those that the prior determines count in part."""
+    own = prior.precision[prior.free]
+    known = np.sum(own * np.diag(covariance)[: len(own)])
+    shared = np.sum(data.precision * covariance[len(own) :, len(own) :])
+    return float(len(covariance) - known - shared)

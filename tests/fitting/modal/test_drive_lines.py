@@ -1,0 +1,77 @@
+"""Lines of the drive beside a mode, which may be the mode."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fitting.modal import fit as modal_fit
+from fitting.modal.drive_prior import louder_than_usual, quiet_at, quiet_ripple
+from fitting.modal.rounds import suspect_lines, with_ripple
+from tests.fitting.modal.test_fit import planted
+
+HZ = 1500 * 2 ** (np.arange(120) * 25 / 1200)
+LINE_HZ, QUALITY = 3000.0, 30.0
+
+
+def optimum(height_db, modes_hz):
+    """A drive with a peak whose finer structure is louder there."""
+    ripple = quiet_ripple(HZ)
+    nodes_hz = HZ[0] * (HZ[-1] / HZ[0]) ** np.linspace(0, 1, len(ripple.log_size))
+    near = np.abs(np.log(nodes_hz / LINE_HZ)) < 0.2
+    ripple = replace(ripple, log_size=np.where(near, np.log(0.5), np.log(0.05)))
+    line = 1 / (1 + (QUALITY * (HZ / LINE_HZ - LINE_HZ / HZ)) ** 2)
+    magnitude = height_db / 8.686 * line + 0.4 * np.log(HZ / HZ[0])
+    model = SimpleNamespace(
+        ripple=ripple, hz=HZ, log_volts=np.ones(len(HZ)), active=np.arange(len(modes_hz))
+    )
+    end = SimpleNamespace(state=SimpleNamespace(log_drive=magnitude + model.log_volts + 0.3j))
+    logs = np.concatenate([np.log(modes_hz), np.log(0.03) * np.ones(len(modes_hz))])
+    return SimpleNamespace(model=model, end=end, logs=logs), near
+
+
+@pytest.mark.parametrize("height_db", [20.0, -20.0])
+def test_a_high_line_with_a_mode_in_it_is_suspect(height_db):
+    at, near = optimum(height_db, [1700.0, 3020.0])
+    (line,) = suspect_lines(at)
+    assert line.tolist() == near.tolist()
+
+
+def test_a_low_line_is_not():
+    assert suspect_lines(optimum(12.0, [1700.0, 3020.0])[0]) == []
+
+
+def test_a_line_between_modes_is_not():
+    assert suspect_lines(optimum(20.0, [1700.0, 5500.0])[0]) == []
+
+
+def test_without_a_line_the_finer_structure_is_the_least_there_only():
+    ripple = optimum(20.0, [3000.0])[0].model.ripple
+    loud = louder_than_usual(ripple)
+    quiet = quiet_at(ripple, loud)
+    assert np.exp(quiet.log_size[loud]) == pytest.approx(0.012)
+    assert (quiet.log_size[~loud] == ripple.log_size[~loud]).all()
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_the_likelier_explanation_is_taken_at_one_scatter(monkeypatch, better):
+    sweep, seen = planted(), []
+    evidence, shift = [0.0, 0.0, 20.0 if better else -20.0, 0.0], [0.02, 0.02, 0.05, 0.03]
+
+    def told(model, given, state, scatter):
+        number = len(seen)
+        found = with_ripple(model, given, state, scatter)
+        seen.append((model, scatter))
+        return replace(found, log_evidence=evidence[number], logs=found.logs + shift[number])
+
+    line = np.arange(len(quiet_ripple(sweep.volts * 0 + HZ[: len(sweep.volts)]).log_size)) == 2
+    monkeypatch.setattr(modal_fit, "with_ripple", told)
+    monkeypatch.setattr(modal_fit, "suspect_lines", lambda _: [line])
+    found = sweep.fit()
+    assert len(seen) == 4
+    assert np.exp(seen[2][0].ripple.log_size[line]) == pytest.approx(0.012)
+    assert seen[2][1] is seen[3][1]
+    # Frequencies are within a few cents of those planted, but for the shift.
+    moved = np.log(found.hz / sweep.hz[:5])
+    assert moved == pytest.approx(0.05 if better else 0.02, abs=2e-3)

@@ -183,9 +183,17 @@ def reed_posterior(
     """
     question = _Question(reeds, visible, (float(np.log(ends_hz[0])), float(np.log(ends_hz[1]))))
     fit = _first(question, measured)
+    assigned, held = {fit.data.mode.tobytes()}, False
     for step in range(_MOST_STEPS):
-        before, assigning = fit.data.mode, _ASSIGNING[min(step, 1)]
-        data = replace(fit.data, mode=_assigned(question, fit, assigning))
+        before = mode = fit.data.mode
+        if not held:
+            mode = _assigned(question, fit, _ASSIGNING[min(step, 1)])
+            # Turns that go round: a mode belongs to the reed that is fitted without it, and not to
+            # the one that is fitted with it. Kept, its odds tell.
+            held = not np.array_equal(mode, before) and mode.tobytes() in assigned
+            mode = max(mode, before, key=_count) if held else mode
+            assigned.add(mode.tobytes())
+        data = replace(fit.data, mode=mode)
         if step:
             data = replace(data, scatter=shape_scatter(fit.here, data))
             data = replace(data, weight=shape_weights(fit.here, data))
@@ -346,10 +354,15 @@ def _spurious_odds(question: _Question, here: Prediction, data: NameData, cents:
     """Return the log odds (a,) that each mode is spurious: how improbable its shift is.
 
     A spurious mode may be anywhere in the sweep. A shape that no mode of the reed has is of none.
+    The shift includes what the reed leaves of the frequency: past a mode of another symmetry, where
+    modes change their order, a fit does not come.
     """
     reeds, found = question.reeds, data.mode >= 0
     mode = data.mode
-    shift = here.parameters[reeds.shifts][own_shifts(reeds, here)[mode[found]]]
+    own = own_shifts(reeds, here)[mode[found]]
+    left = data.measured.ln_hz[found] - here.ln_hz[mode[found]]
+    shift = here.parameters[reeds.shifts][own]
+    shift = shift + left / here.by_ln_hz[mode[found], reeds.shifts.start + own]
     density = stats.t.logpdf(shift, _DOF, scale=cents) - np.log(_CENT)
     answer = np.full(len(mode), np.inf)
     answer[found] = np.log(_SPURIOUS / question.range_ln_hz) - np.log1p(-_SPURIOUS) - density
@@ -406,6 +419,11 @@ def _assigned(question: _Question, fit: _Fit, scatter: float) -> NDArray[np.intp
     answer = np.full(count, -1)
     answer[rows] = np.where(columns < modes, columns, -1)
     return answer
+
+
+def _count(mode: NDArray[np.intp]) -> int:
+    """Return how many measured modes are modes of the reed."""
+    return int(np.count_nonzero(mode >= 0))
 
 
 def _exchanged(question: _Question, fit: _Fit) -> list[_Fit]:

@@ -131,6 +131,11 @@ def test_a_mode_where_the_reed_has_none_is_spurious(reeds, visible, planted):
     best, _ = probabilities_of(reeds, visible, replace(measured, ln_hz=wrong))
     assert best.spurious[k] > 0.5
     assert np.delete(best.spurious, k).max() < 0.05
+    # Nor does it move the reed.
+    right, _ = probabilities_of(reeds, visible, measured)
+    own = slice(reeds.shifts.start)
+    deviation = np.sqrt(np.diag(right.covariance)[own])
+    assert np.all(np.abs(best.mean[own] - right.mean[own]) < deviation)
 
 
 def test_of_two_fits_of_one_mode_one_is_not_of_the_reed(reeds, visible, planted):

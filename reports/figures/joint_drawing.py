@@ -9,8 +9,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
-from fitting.modal.identify import JointFit
 from fitting.cane.residual_map import squared_residual
+from fitting.modal.identify import JointFit
 from fitting.resonance import Resonance
 from holography.arrays import Array
 

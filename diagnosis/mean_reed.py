@@ -80,7 +80,7 @@ def tabled_reeds(path: Path, tell: Callable[[str], None] | None = None) -> list[
     path : Path
         See `fitting.populations.resonance_table`.
     tell : callable, optional
-        Told of rows that are of no mode that is compared.
+        Called with rows that are of no mode that is compared.
 
     Raises
     ------

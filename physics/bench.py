@@ -284,7 +284,7 @@ class BenchModel:
         object_gain: complex = 1.0,
         scene: Scene = Scene(),
     ) -> None:
-        """Expose a frame that nobody reads, so that the next one has its lag.
+        """Expose a frame that is not read, so that the next one has its lag.
 
         Parameters
         ----------

@@ -124,7 +124,7 @@ def vignette_profile(light: Illumination, sensor: Sensor) -> Float32Array | None
 def lamp_profile(light: Illumination, sensor: Sensor) -> Float32Array | None:
     """Return a lamp's light on each pixel (ny, nx) relative to its mean; None if it is even.
 
-    The lamp stands beside the axis: its light falls from one corner and towards all sides. Four
+    The lamp is off the axis: its light falls from one corner and towards all sides. Four
     terms of equal mean square make the rms `Illumination.lamp_unevenness`.
     """
     if not light.lamp_unevenness:

@@ -76,7 +76,7 @@ def build_models(announce: Announce) -> Models:
     Parameters
     ----------
     announce : callable
-        Told what is being waited for.
+        Called with what is being waited for.
     """
     reed = reduced_reed(announce=announce)
     announce("following the modes over E_L and G_LT")

@@ -67,7 +67,7 @@ def compare_paper(announce: Announce) -> PaperComparison:
     Parameters
     ----------
     announce : callable
-        Told what is being waited for.
+        Called with what is being waited for.
     """
     numbers = printed()
     models = build_models(announce)

@@ -70,7 +70,7 @@ def absent(path: Path) -> RunFileError:
 def status_of(file: Any) -> str:
     """Return the status of a run that may be damaged; empty if the status cannot be read.
 
-    A status in another file is not read: no file that somebody wrote may have another one opened.
+    A status in another file is not read: no run file may have another one opened.
     """
     with contextlib.suppress(KeyError, *DAMAGE):
         for name in ("entry", "entry/status"):

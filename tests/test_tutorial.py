@@ -55,7 +55,7 @@ def change(path, diff):
 @pytest.mark.slow
 def test_the_tutorial_works_as_it_is_written(tmp_path):
     page = (ROOT / "docs/tutorial.md").read_text("utf-8")
-    # Its folder stands in the checkout, from which it copies shipped files.
+    # Its folder is in the checkout, from which it copies shipped files.
     shell = Shell(tmp_path / "my-lab")
     shell.folder.mkdir()
     (tmp_path / "protocols").symlink_to(ROOT / "protocols")

@@ -40,7 +40,7 @@ class RestHolograms:
         Which of them an acquisition is of.
     run_time_s : (r,) float
     noise_dn2 : (s,) float
-        Beside the image.
+        Next to the image.
     """
 
     clamping: int

@@ -77,7 +77,7 @@ class SweepReading:
     signal : (k,) float
         Log of vibration times light: at small amplitude fringes determine no more than that.
     noise_dn2 : (k,) float
-        Beside the image.
+        Next to the image.
     fringe_dn2 : (k,) float
         Of the fringes, mean over all pixels of the sensor.
     misfit : (k,) float
@@ -142,7 +142,7 @@ def read_sweeps(
     ----------
     parts : sequence of CampaignRun
     progress : callable, optional
-        Told the share that is done.
+        Called with the fraction that is done.
     unshifted : dict of UnshiftedLight, optional
         Light that is known to leak into sweeps, by their names.
 

@@ -11,7 +11,7 @@ from fitting.acoustics.poles import ExcitationPeak
 from fitting.cane.excess_scatter import added_cents
 from holography.arrays import Array
 
-# Peaks of several reeds are one line if they are this close, or within so many standard errors of
+# Peaks of several reeds are one line if they are this close, or within this many standard errors of
 # each other. Chosen: the speed of sound, and with it a cavity, changes by 3 cents per °C, and reeds
 # sit in their chamber differently.
 _SAME_CENTS, _DEVIATIONS = 40.0, 3.0

@@ -336,7 +336,7 @@ def fill_normal(
 
     Returns
     -------
-    tuple of Local and list of Beside
+    tuple of Local and list of SidebandEquations
         Linearisations of the first sideband and of the others.
     """
     functions, pairs = problem.functions, problem.pairs

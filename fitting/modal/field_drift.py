@@ -1,7 +1,7 @@
 """Let the smooth factor of the object field drift from hologram to hologram.
 
 Temperature, humidity and the air in the beam change the object field smoothly over the reed. At
-small amplitudes such a change cannot be told from a change of the vibration (see
+small amplitudes such a change cannot be distinguished from a change of the vibration (see
 `fitting.holograms.object_field`). The common-mode error of the displacements is therefore not the
 same in all holograms: its parts of low degree are a random walk in the order of recording, given at
 nodes and linear in between. The step of the walk is found from the sweep itself.

@@ -38,7 +38,7 @@ LAST = Stage(0.015, 0.7, 0.02, 1.0, 12)
 # Most turns in which the ripple of the drive is found; they end when no frequency and no loss moves
 # by more than this fraction of its standard error.
 _MOST_RIPPLES, _SETTLED = 8, 0.2
-# A line of the drive beside a mode is suspect above this, in nepers: 15 dB. Loudspeakers and
+# A line of the drive next to a mode is suspect above this, in nepers: 15 dB. Loudspeakers and
 # chambers have few sharper poles and notches, and a mode that moves the reed almost alone may be
 # taken for one.
 _SUSPECT = 15 / 8.686

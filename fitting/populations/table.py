@@ -129,7 +129,7 @@ def fit_table(
     record : callable
         Receives the names of n reeds and their fits, piece by piece.
     progress : callable, optional
-        Told the number of reeds fitted so far.
+        Called with the number of reeds fitted so far.
 
     Raises
     ------

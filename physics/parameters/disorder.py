@@ -1,7 +1,7 @@
 """Disorder of ordinary benches and reeds: which parameters it changes, and by how much.
 
 Disorder is what differs from the nominal bench although nothing is wrong. Each kind of it is a
-change of a parameter that stands in the part of the tree where it belongs, next to those that
+change of a parameter in the part of the tree where it belongs, next to those that
 effects change: a part of its own would hold many of them twice. This module lists the kinds with
 their ordinary ranges, from which a bench can be drawn.
 """

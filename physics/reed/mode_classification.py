@@ -31,7 +31,7 @@ _LEAST_DEFLECTION = 0.02
 _FOREIGN_SHARE = 0.5
 # A name that bears out less than this share of a motion says nothing of it.
 _LEAST_CLAIM = 0.1
-# Told apart from their like of the other symmetry: the paper's lateral modes bend in the plane,
+# Distinguished from their like of the other symmetry: the paper's lateral modes bend in the plane,
 # modes of the heel are symmetric first, and a place without a name belongs to neither.
 _SUFFIXES = {
     ("L", Symmetry.SYMMETRIC): "s",

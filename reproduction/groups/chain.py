@@ -45,7 +45,7 @@ def compute_chains(metamodel: Metamodel, announce: Announce) -> list[tuple[Hypot
     metamodel : Metamodel
         The paper's, adjusted.
     announce : callable
-        Told of every population.
+        Called with every population.
     """
     rng = np.random.default_rng(_SEED)
     complete = np.array([IDENTIFIED[name] for name in PAPER_MODES]).T == REEDS

@@ -99,7 +99,7 @@ def gather_evidence(announce: Announce) -> MeshEvidence:
     Parameters
     ----------
     announce : callable
-        Told what is being waited for.
+        Called with what is being waited for.
     """
     geometry, cane = ReedGeometry(), Cane()
     announce("solving converged finite elements")

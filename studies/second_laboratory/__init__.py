@@ -14,7 +14,7 @@ literature, without reading the project's models, fits or diagnosis; import-lint
 It is played through the driver interfaces: `bench.bench_file` returns a bench whose three
 instruments are those of `instruments`, and `acquire.run` makes an ordinary run file with it.
 
-What it is made of
+Its parts
     ========================  ====================================================================
     elements, shape           triangular prisms, cubic in plan, graded to the edges of the strips;
                               both halves of the reed

@@ -30,7 +30,7 @@ class LaboratoryOptions(Options):
 
 
 class VirtualClock:
-    """Time that passes when somebody waits for it."""
+    """Time that passes only in waits."""
 
     def __init__(self) -> None:
         self._now_s, self._begun = 0.0, datetime.now(UTC)

@@ -36,7 +36,7 @@ STEPS_HZ = 1000.0 * 2 ** (np.arange(184) / 48)
 
 
 class FewModes:
-    """A reed_solver whose reeds have four modes, whatever they are made of."""
+    """A reed_solver whose reeds have four modes, whatever their cane is."""
 
     def modes(self, _reed):
         return {name: SimpleNamespace(hz=hz, loss_factor=0.02) for name, hz in MODES.items()}

@@ -380,7 +380,7 @@ def test_a_box_that_lost_power_is_noticed_and_set_up_again(pair):
     box.changes.clear()
     driver.set_pair(*OTHER_HZ)
     assert (box.pair_hz, box.amplitudes) == (OTHER_HZ, (0, 0))
-    assert len(box.changes) == 1, "it updates when told to again, not at once"
+    assert len(box.changes) == 1, "it updates at the next command, not at once"
     box.device.receive(b"R\r\n")
     driver.rf_off()
     assert box.amplitudes == (0, 0), "though its echo is on again"

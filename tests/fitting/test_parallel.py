@@ -103,7 +103,7 @@ def test_what_cannot_be_handed_back_is_reported() -> None:
 
 
 class PathError(Exception):
-    """Cannot be read back: what it is made of is not what it says."""
+    """Cannot be read back: its arguments are not what it says."""
 
     def __init__(self, path: str, why: str) -> None:
         super().__init__(f"{path}: {why}")

@@ -58,7 +58,7 @@ COARSE = MeshLevel(
 CANE = viscoelastic_cane(Components(), Series.A)
 LOSS = 0.03
 EVEN, ODD = Symmetry.SYMMETRIC, Symmetry.ANTISYMMETRIC
-# None of them is one that the basis is made of.
+# None of them is a snapshot of the basis.
 MODULI_PA = [(12e9, 1.3e9), (8e9, 1.8e9), (20e9, 0.5e9)]
 DRIVE_HZ = Fraction(35000, 10)
 

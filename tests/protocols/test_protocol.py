@@ -478,11 +478,11 @@ def test_a_reed_file_is_looked_for_in_the_folder_of_the_protocol_first(tmp_path,
     monkeypatch.chdir(tmp_path)
     Path("mine").mkdir()
     bass = find_description("bass-clarinet", "reed", "reeds").read_text(encoding="utf-8")
-    Path("mine/reed.yaml").write_text(bass.replace("name: bass clarinet", "name: beside"))
+    Path("mine/reed.yaml").write_text(bass.replace("name: bass clarinet", "name: next"))
     Path("reed.yaml").write_text(bass.replace("name: bass clarinet", "name: here"))
     asked = SERIES_A.replace("reed: clarinet", "reed: reed.yaml")
     Path("mine/sweep.yaml").write_text(asked, encoding="utf-8")
-    assert Protocol.from_file("mine/sweep.yaml").reed_file().name == "beside"
+    assert Protocol.from_file("mine/sweep.yaml").reed_file().name == "next"
     assert Protocol.from_text(asked, "elsewhere/sweep.yaml").reed_file().name == "here"
 
 

@@ -27,7 +27,7 @@ def coarse_mesh_cents(
     geometry : ReedGeometry
     cane : Cane
     announce : callable, optional
-        Told what is being waited for, if anything.
+        Called with what is being waited for, if anything.
 
     Raises
     ------

@@ -114,7 +114,7 @@ def one_at_a_time(
     names : sequence of str
         Modes wanted; those of Table 3.
     done : callable, optional
-        Told the name of each constant when it is done.
+        Called with the name of each constant when it is done.
 
     Raises
     ------

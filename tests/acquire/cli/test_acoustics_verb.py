@@ -13,7 +13,7 @@ from fitting.populations.acoustic_lines import MeasuredLines, RunPeaks
 
 
 def measured_lines(reeds, passed_over=()):
-    """Lines of the bench at 4308.6 Hz, and one of the first reed that is beside a mode."""
+    """Lines of the bench at 4308.6 Hz, and one of the first reed that is next to a mode."""
     runs = []
     for k in range(reeds):
         name = f"R{k}"

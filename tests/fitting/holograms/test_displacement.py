@@ -770,7 +770,7 @@ LEVELS_RAD = {"still": 0.0, "next to still": 1e-4, "small": 0.3, "fringes": 8.0,
 
 @dataclass(frozen=True)
 class Point:
-    """Amplitudes and gain at which few blocks are linearised, and what was made of it."""
+    """Amplitudes and gain at which few blocks are linearised, and what came of it."""
 
     value: np.ndarray
     lit: np.ndarray

@@ -1,4 +1,4 @@
-"""Shapes of a reed's modes, and the few functions that they are made of."""
+"""Shapes of a reed's modes, and the few functions that span them."""
 
 from dataclasses import replace
 

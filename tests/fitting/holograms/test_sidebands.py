@@ -259,7 +259,7 @@ def test_light_is_coupled_to_displacement_with_brightness_and_phase_free(order):
         matrix += sweep.weight[k] * (of_light.conj().T @ of_light).real
     # A hologram that is not there couples nothing.
     assert with_it.coupling[2] == pytest.approx(without.coupling[2])
-    # Of magnitude and phase alike, and nothing between the two.
+    # The same for magnitude and phase, and nothing between the two.
     found = np.kron(np.eye(2), np.sum(with_it.field_matrix - without.field_matrix, axis=0))
     assert found == pytest.approx(matrix, abs=1e-3 * np.abs(matrix).max())
 

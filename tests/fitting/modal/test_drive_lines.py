@@ -1,4 +1,4 @@
-"""Lines of the drive beside a mode, which may be the mode."""
+"""Lines of the drive next to a mode, which may be the mode."""
 
 from dataclasses import replace
 from types import SimpleNamespace

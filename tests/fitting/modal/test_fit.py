@@ -49,7 +49,7 @@ NOISE = 0.04
 
 @dataclass(frozen=True)
 class Planted:
-    """What a sweep was made of."""
+    """The truth of a sweep."""
 
     hz: np.ndarray
     loss: np.ndarray

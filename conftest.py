@@ -2,6 +2,8 @@
 
 import pytest
 
+_WHOLE_SWEEPS = {"README.md", "script-in-python.md"}
+
 pytest_plugins = ["tests.fixtures.benches", "tests.fixtures.sweeps"]
 
 
@@ -12,7 +14,7 @@ def _in_a_folder_of_its_own(request, tmp_path, monkeypatch):
 
 
 def pytest_collection_modifyitems(items):
-    """Mark the example of the README, which measures a whole sweep, as slow."""
+    """Mark the examples that measure and fit a whole sweep as slow."""
     for item in items:
-        if isinstance(item, pytest.DoctestItem) and item.path.name == "README.md":
+        if isinstance(item, pytest.DoctestItem) and item.path.name in _WHOLE_SWEEPS:
             item.add_marker(pytest.mark.slow)

@@ -85,6 +85,7 @@ def test_what_is_sealed_is_in_what_is_recorded(name, short, well):
     assert not all(equal)
 
 
+@pytest.mark.slow
 def test_what_is_not_sealed_is_recorded_again_the_same(short, well):
     world, pictures = well
     assert all(np.array_equal(a, b) for a, b in zip(pictures, _taken(world), strict=True))

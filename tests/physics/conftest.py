@@ -27,8 +27,6 @@ from physics.reed.elements.mesh import (
     lobatto_points,
 )
 from physics.reed.geometry import ReedGeometry
-from physics.reed.reduced.build import build_reduced_reed
-from physics.reed.reduced.reed import BasisSettings
 from physics.reed.reduced.stored import reduced_reed
 
 FRAME_RATE_HZ = Fraction(25, 2)
@@ -56,7 +54,7 @@ def coarse_matrices(coarse_mesh):
 
 @pytest.fixture(scope="session")
 def coarse_reed(geometry, coarse_level):
-    return build_reduced_reed(geometry, coarse_level, BasisSettings())
+    return reduced_reed(geometry, coarse_level)
 
 
 @pytest.fixture(scope="session")

@@ -42,6 +42,7 @@ from physics.reed.reduced.changes import (
 )
 from physics.reed.reduced.elastic import reduced_modes
 from physics.reed.reduced.reed import BasisSettings
+from physics.reed.reduced.stored import reduced_reed
 from tests.numbers import cents
 
 EVERYTHING = Mechanics(
@@ -61,7 +62,7 @@ ELASTIC = ViscoelasticCane(Zener(14000.0, 0.0, 0.0), Zener(1100.0, 0.0, 0.0))
 
 @pytest.fixture(scope="module")
 def reed_solver(geometry, coarse_level):
-    return ReedSolver(build_reduced_reed(geometry, coarse_level, BasisSettings()))
+    return ReedSolver(reduced_reed(geometry, coarse_level))
 
 
 def frequencies(reed_solver, reed):
@@ -131,6 +132,7 @@ def by_brute_force(reed_solver, reed, count):
     ]
 
 
+@pytest.mark.slow
 def test_modes_of_a_coarse_mesh_are_where_its_stiffness_puts_them(
     geometry, coarse_level, monkeypatch
 ):

@@ -204,6 +204,7 @@ def test_the_middle_of_the_box_has_the_geometric_means_of_the_moduli(coarse_reed
         np.testing.assert_allclose(half.middle_hz, expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["alto-saxophone", "bass-clarinet"])
 def test_larger_reeds_have_all_their_modes_below_20_khz(name, coarse_level):
     """Named, even in the softest cane, and as exactly as a clarinet's."""
@@ -221,6 +222,7 @@ def test_larger_reeds_have_all_their_modes_below_20_khz(name, coarse_level):
     assert named_modes(reed) > 11
 
 
+@pytest.mark.slow
 def test_numbers_that_are_given_are_kept(geometry):
     def sizes(**settings):
         reed = build_reduced_reed(geometry, TINY, BasisSettings(**settings))

@@ -245,6 +245,7 @@ def test_every_point_inside_the_contour_has_a_shape(skew_whole):
         assert np.isfinite(shapes).all()
 
 
+@pytest.mark.slow
 def test_a_reed_with_many_modes_has_as_many_coordinates_as_it_needs():
     cane = Cane(density_kg_m3=1500.0)
     reed = build_reduced_reed(uneven(0.03), COARSE, BasisSettings(ReedBox(cane)))

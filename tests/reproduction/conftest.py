@@ -6,10 +6,8 @@ import pytest
 from fitting.paper import constants as paper
 from fitting.paper.printed import TABLE_3_CONSTANTS, printed
 from physics.reed.elements.mesh import MeshLevel
-from physics.reed.geometry import ReedGeometry
 from physics.reed.mode_classification import PAPER_MODES
-from physics.reed.reduced.build import build_reduced_reed
-from physics.reed.reduced.reed import BasisSettings
+from physics.reed.reduced.stored import reduced_reed
 from physics.reed.reduction.metamodel import Equation1, paper_network_pa
 from physics.reed.reduction.sensitivity import (
     CLASSES,
@@ -36,7 +34,7 @@ def table_9():
 def models(table_9):
     """Converged finite elements are stood in for by Table 9."""
     adjusted = paper.adjusted_metamodel(PAPER_MODES)
-    reed = build_reduced_reed(ReedGeometry(), MeshLevel(orders=(3, 3, 2)), BasisSettings())
+    reed = reduced_reed(level=MeshLevel(orders=(3, 3, 2)))
     return Models(reed, table_9, adjusted, table_9, draw_populations(adjusted, count=4))
 
 

@@ -79,6 +79,7 @@ def test_every_effect_that_needs_no_fit_is_tested_here() -> None:
     assert set(SHOWN) == set(WITHOUT_FITS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHOWN)
 def test_bench_and_prediction_agree_and_either_alone_does_not(name, nothing, solver) -> None:
     small, groups, multiple = SHOWN[name]

@@ -80,6 +80,7 @@ def test_a_run_in_work_is_left_alone(tmp_path):
     assert (outcome.ending, outcome.good, outcome.wrong) == ("complete", 10, 0)
 
 
+@pytest.mark.slow
 def test_what_is_left_of_killed_runs_is_right_and_can_be_gone_on_with(tmp_path):
     kills = fault_processes.killed(4, tmp_path, seed=3)
     assert kills.resumed >= 2

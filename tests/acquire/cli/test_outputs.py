@@ -231,6 +231,7 @@ def test_a_full_disk_is_one_line_and_leaves_what_was_there(
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
+@pytest.mark.slow
 def test_a_run_is_reported_even_if_its_report_does_not_fit(
     cli, folder, protocol_file, bench_file, monkeypatch
 ):

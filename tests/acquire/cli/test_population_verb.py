@@ -116,6 +116,7 @@ def test_a_table_is_not_fitted_in_any_way(cli, table):
     assert "method: a table already holds resonances; leave it out" in said.err
 
 
+@pytest.mark.slow
 def test_a_population_of_another_reed_is_fitted_with_its_modes(cli, folder, monkeypatch):
     asked = []
 

@@ -97,6 +97,7 @@ def test_a_run_in_work_is_shown_listed_and_read_by_anybody(cli, begin, folder):
     assert (shown["status"], shown["in_work"], shown["process"]) == ("complete", False, None)
 
 
+@pytest.mark.slow
 def test_a_run_whose_process_is_gone_is_said_to_be_stopped(cli, begin, folder):
     process, path = begin("--out", "x.h5", "--no-fit"), folder / "x.h5"
     wait_for_steps(path, 1)

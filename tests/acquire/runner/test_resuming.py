@@ -213,6 +213,7 @@ def planned(path):
     return found
 
 
+@pytest.mark.slow
 def test_after_any_number_of_kills_a_run_is_what_it_would_have_been(
     processes, sweep, tmp_path, documents_of
 ):

@@ -50,6 +50,7 @@ def test_the_pole_is_found_and_not_the_largest_drive():
     assert peak.height_db == pytest.approx(20 * np.log10(np.exp(clean.max())), abs=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "line",
     [BENCH, (2500.0, 50.0, -0.06), (3000.0, 60.0, 0.05j), (9000.0, 15.0, 0.2 - 0.1j)],
@@ -71,6 +72,7 @@ def test_standard_errors_are_those_of_many_drives(line):
     assert ((rms > 0.6) & (rms < 1.4)).all(), rms
 
 
+@pytest.mark.slow
 def test_ripple_and_noise_have_their_parts_of_the_error():
     """Drives of one loudspeaker scatter by what is left without the ripple."""
     smooth = BACKGROUND @ np.random.default_rng(7).standard_normal(len(HZ))

@@ -24,6 +24,9 @@ from fitting.modal.identify import fit_jointly, series_of
 from fitting.modal.refit import fit_without_unshifted
 from runs.reader import Run
 
+# A whole sweep is fitted, and again with unshifted light in it.
+pytestmark = pytest.mark.slow
+
 # Amplitude of what leaks in, in units of the light at rest.
 LEAK = 0.03
 

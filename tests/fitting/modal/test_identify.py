@@ -22,6 +22,9 @@ from reports.figures.joint_drawing import mode_sheet
 from reports.fit_tables import SHORT_JOINT, remarks, short_resonances_table
 from runs.reader import Run
 
+# A whole sweep is fitted.
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def jointly(sweep_a):
@@ -191,7 +194,6 @@ def found_of_fit(sweep):
     return zip(sweep.joint.names, sweep.joint.modal.hz.tolist(), strict=True)
 
 
-@pytest.mark.slow
 def test_a_sweep_that_begins_above_f1_states_no_wrong_mode(changed, reed, model, true_hz):
     """Its displacements have no hologram of small amplitude to start from."""
     first = int(np.ceil(cents_of(true_hz["F1"]) + 350) // 25) + 1

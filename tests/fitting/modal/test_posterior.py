@@ -33,6 +33,7 @@ def true_displacements(sweep):
     return np.array(rows)
 
 
+@pytest.mark.slow
 def test_displacements_at_resonance_are_found_within_their_errors():
     """Noise, and holograms whose drive scatters by 1 %, which the drive follows."""
     pulls = []

@@ -1,7 +1,7 @@
 # make run       sets everything up, then measures and fits a reed on the simulated bench
 # make test      sets everything up, then runs lint and all tests but the slow ones (5 minutes on two cores)
-# make test-all  runs the slow tests too and prints the coverage; then installs emulators and peers (some
-#                GB; Debian packages, so as root or with sudo) and tests against what others wrote
+# make test-all  runs make test, then the slow tests, and prints the coverage; installs emulators and peers
+#                (some GB; Debian packages, so as root or with sudo) and tests against what others wrote
 # make bench     prints every figure that the project claims
 # make docs      builds the documentation: docs/_build/html/index.html
 
@@ -27,12 +27,13 @@ run: .stamps/run
 	$(BIN)/acquire run $(PROTOCOL)
 
 test: .stamps/test lint
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -m "not slow" $(COVERAGE)
 
-# Coverage is measured here and not in `make test`: it takes a third more time on Python 3.11. Code
-# that a test runs in another process is not counted.
-test-all: .stamps/test .stamps/all lint
-	$(PYTEST) --cov --cov-report=
+# Coverage is not measured by `make test` alone: it takes a third more time on Python 3.11. Code that
+# a test runs in another process is not counted.
+test-all: COVERAGE := --cov --cov-report=
+test-all: test .stamps/all
+	$(PYTEST) -m slow $(COVERAGE) --cov-append
 	@$(BIN)/coverage report | awk '/%/ && ($$1 == "TOTAL" || $$NF + 0 < $(SHOW_BELOW)) {print "coverage", $$NF, $$1}'
 	$(ALL)/bin/python -m pytest -q -n 4 --dist loadfile \
 	  tests/peers tests/fitting/modal/test_modal_peer.py tests/drivers tests/acquire/cli/test_emulated.py \

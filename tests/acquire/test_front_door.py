@@ -21,15 +21,18 @@ SMALL = {"camera.width": 160, "camera.height": 128, "sweep.first": 20, "sweep.la
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory, sweep_a):
+def results(tmp_path_factory, sweep_a, fit_once):
     """One result of every kind that is quick to make, by name."""
     path = tmp_path_factory.mktemp("front") / "R07.h5"
     plan = acquire.plan(acquire.load("quick").replace(SMALL))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("acquire.analysis.fit_runs", fit_once)
+        fit = acquire.fit(sweep_a, method="picture")
     return {
         "plan": plan,
         "campaign": acquire.plan_campaign(acquire.load_campaign("campaign")),
         "run": acquire.run(plan, path, reed="R07", labels=acquire.RunLabels(3.5, "new box")),
-        "fit": acquire.fit(sweep_a, method="picture"),
+        "fit": fit,
         "modes": acquire.modes("clarinet", {"cane.E_L": "13 GPa"}, mesh="fast"),
     }
 

@@ -24,6 +24,9 @@ from blind.world import World
 from runs.reader import Run
 from studies.sealed.leaks import disguised
 
+# A laboratory records whole runs.
+pytestmark = pytest.mark.slow
+
 # Of the reed's own shape and wood: their modes are other ones.
 _OF_THE_BUILD = {
     kind.name
@@ -74,7 +77,6 @@ def well(plain_reed):
         return world, list(_taken(world))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", [k.name for k in KINDS if k.name not in _OF_THE_BUILD])
 def test_what_is_sealed_is_in_what_is_recorded(name, short, well):
     world, pictures = well
@@ -85,7 +87,6 @@ def test_what_is_sealed_is_in_what_is_recorded(name, short, well):
     assert not all(equal)
 
 
-@pytest.mark.slow
 def test_what_is_not_sealed_is_recorded_again_the_same(short, well):
     world, pictures = well
     assert all(np.array_equal(a, b) for a, b in zip(pictures, _taken(world), strict=True))

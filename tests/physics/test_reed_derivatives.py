@@ -120,7 +120,7 @@ def differences(reed, state, name, directions, look):
     return (found[0] - found[1]) / (2 * step)
 
 
-@pytest.fixture(scope="module", params=["held", "everything"])
+@pytest.fixture(scope="module", params=["held", pytest.param("everything", marks=pytest.mark.slow)])
 def case(request, coarse_reed, air, directions):
     state = states(coarse_reed, air, directions)[request.param]
     found = vibrations(coarse_reed, state, HIGHEST_HZ)

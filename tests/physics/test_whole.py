@@ -48,6 +48,9 @@ from physics.reed.reduced.response import forced_response
 from physics.reed.surface import surface_shapes
 from tests.numbers import cents
 
+# Whole reeds are built.
+pytestmark = pytest.mark.slow
+
 COARSE = MeshLevel(
     orders=(2, 2, 2),
     vamp_element_m=9e-3,
@@ -245,7 +248,6 @@ def test_every_point_inside_the_contour_has_a_shape(skew_whole):
         assert np.isfinite(shapes).all()
 
 
-@pytest.mark.slow
 def test_a_reed_with_many_modes_has_as_many_coordinates_as_it_needs():
     cane = Cane(density_kg_m3=1500.0)
     reed = build_reduced_reed(uneven(0.03), COARSE, BasisSettings(ReedBox(cane)))

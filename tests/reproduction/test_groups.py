@@ -41,6 +41,9 @@ from reproduction.models import (
 from reproduction.out_of_reach import list_out_of_reach
 from reproduction.rows import Agreement, Basis
 
+# A reed is built, and populations are drawn.
+pytestmark = pytest.mark.slow
+
 # --- Sweep and light ---------------------------------------
 
 

@@ -37,6 +37,9 @@ from reproduction.rows import (
 )
 from reproduction.whole import PaperComparison
 
+# A reed is built, and populations are drawn.
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def comparison():

@@ -14,6 +14,9 @@ from reproduction import whole
 from reproduction.groups import mesh_evidence, sensitivities
 from reproduction.rows import Agreement
 
+# A reed is built, and populations are drawn.
+pytestmark = pytest.mark.slow
+
 KEYS = (
     "sweep shape sensitivities metamodel meshes frequencies factors hypotheses cane correlations "
     "out_of_reach"
@@ -31,7 +34,6 @@ def comparison(models, network, evidence, printed_sensitivities):
         return whole.compare_paper(lambda words: None)
 
 
-@pytest.mark.slow
 def test_all_groups_are_there_and_no_row_twice(comparison):
     assert [group.key for group in comparison.groups] == KEYS.split()
     names = [(row.table, row.quantity) for row in comparison.rows]

@@ -665,6 +665,7 @@ def states(retaking, create):
     return plan, attempts, list(log.states(before))
 
 
+@pytest.mark.slow
 def test_whatever_is_written_last_every_take_in_the_file_is_whole(states):
     _, attempts, contents = states
     firsts, seen = dict(ATTEMPTS), set()
@@ -725,6 +726,7 @@ def said_of(content):
         return [file["entry"][name][()].tolist() for name in names]
 
 
+@pytest.mark.slow
 def test_whatever_is_written_last_the_run_is_gone_on_with_and_no_take_is_lost(states, tmp_path):
     """A step that was being set aside is so once, and none is written twice."""
     plan, attempts, contents = states

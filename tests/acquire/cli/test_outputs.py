@@ -273,6 +273,7 @@ def test_a_disk_that_fails_while_it_is_read_is_one_line(cli, folder, monkeypatch
 # --- Names and notes ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_people_wrote_is_text_everywhere(cli, folder, protocol_file, bench_file, monkeypatch):
     monkeypatch.setenv("COLUMNS", "400")
     protocol, run = protocol_file(), f"{HOSTILE[:20]}.h5"

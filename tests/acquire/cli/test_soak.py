@@ -75,6 +75,7 @@ def test_of_two_that_want_the_same_one_wins_and_nothing_is_harmed(name, files):
     assert result.met, result
 
 
+@pytest.mark.slow
 def test_processes_on_an_empty_cache_compute_the_reed_once(files):
     result = soak_contention.on_an_empty_cache(2, files)
     assert result.met, result

@@ -166,6 +166,7 @@ def around_t1():
     return 41, 99
 
 
+@pytest.mark.slow
 def test_a_spoilt_picture_is_not_picked_and_widens_the_error(
     changed, reed, model, around_t1, sweep
 ):

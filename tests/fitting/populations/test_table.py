@@ -256,6 +256,7 @@ class SweepWithLines:
         self.drive_peaks = SweepPeaks(run.reed, 1400.0, 20_000.0, seen)
 
 
+@pytest.mark.slow
 def test_lines_that_stay_from_reed_to_reed_are_reported(changed, monkeypatch, tmp_path):
     """What one reed shows in both series counts once; what the reeds show apart is not common."""
     for k, (reed, series) in enumerate(product(("R1", "R2", "R3"), "AB")):

@@ -17,7 +17,7 @@ SYSTEM_PYTHON ?= /usr/bin/python3
 ALL := .venv-all
 
 # Four workers, also on two cores: for a third of the time tests wait for instruments.
-PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadfile
+PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadgroup
 # Files with a smaller coverage than this are listed, in per cent of their lines.
 SHOW_BELOW := 80
 
@@ -35,7 +35,7 @@ test-all: COVERAGE := --cov --cov-report=
 test-all: test .stamps/all
 	$(PYTEST) -m slow $(COVERAGE) --cov-append
 	@$(BIN)/coverage report | awk '/%/ && ($$1 == "TOTAL" || $$NF + 0 < $(SHOW_BELOW)) {print "coverage", $$NF, $$1}'
-	$(ALL)/bin/python -m pytest -q -n 4 --dist loadfile \
+	$(ALL)/bin/python -m pytest -q -n 4 --dist loadgroup \
 	  tests/peers tests/fitting/modal/test_modal_peer.py tests/drivers tests/acquire/cli/test_emulated.py \
 	  tests/acquire/cli/test_faults.py
 

@@ -176,10 +176,13 @@ OPEN = {
     [
         pytest.param(
             effect.id,
-            marks=pytest.mark.xfail(reason=OPEN[effect.id]) if effect.id in OPEN else (),
+            marks=[
+                # Each takes a minute: two workers share them.
+                pytest.mark.xdist_group(f"closure {number % 2}"),
+                *([pytest.mark.xfail(reason=OPEN[effect.id])] if effect.id in OPEN else []),
+            ],
         )
-        for effect in CATALOGUE
-        if effect.id not in WITHOUT_FITS
+        for number, effect in enumerate(e for e in CATALOGUE if e.id not in WITHOUT_FITS)
     ],
 )
 def test_effects_that_need_fits_of_sweeps_close(name, tmp_path_factory) -> None:

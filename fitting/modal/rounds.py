@@ -122,13 +122,19 @@ class Round:
     noise: Noise
 
 
-def one_round(model: Model, given: Given, state: State, scatter: Scatter) -> Round:
+def one_round(
+    model: Model,
+    given: Given,
+    state: State,
+    scatter: Scatter,
+    iterations: int = LAST.iterations,
+) -> Round:
     """Minimise the cost, and estimate the scatter for which residuals are as expected."""
     displacements, drift, noise = given.displacements, given.drift, given.noise
     prior, shared = given.prior, shared_error(displacements.common_mode, drift, scatter.walk)
     data = data_of(displacements.amplitude_rad, shared, noise, scatter.discrepancy)
     state, weighed = fixed(prior, state), data.weighing(1 / scatter.correlated)
-    state = with_gain(model, minimise_cost(model, weighed, prior, state, LAST.iterations))
+    state = with_gain(model, minimise_cost(model, weighed, prior, state, iterations))
     here = equations(model, weighed, prior, state)
     alone, root, _ = without_drive(here, 0.0, np.float64)
     covariance = inverse(alone)

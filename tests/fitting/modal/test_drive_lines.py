@@ -59,14 +59,16 @@ def test_the_likelier_explanation_is_taken_at_one_scatter(monkeypatch, better):
     sweep, seen = planted(), []
     evidence, shift = [0.0, 0.0, 20.0 if better else -20.0, 0.0], [0.02, 0.02, 0.05, 0.03]
 
-    def told(model, given, state, scatter):
+    def counted(model, given, state, scatter):
         number = len(seen)
         found = with_ripple(model, given, state, scatter)
         seen.append((model, scatter))
         return replace(found, log_evidence=evidence[number], logs=found.logs + shift[number])
 
     line = np.arange(len(quiet_ripple(sweep.volts * 0 + HZ[: len(sweep.volts)]).log_size)) == 2
-    monkeypatch.setattr(modal_fit, "with_ripple", told)
+    monkeypatch.setattr(modal_fit, "with_ripple", counted)
+    # Calls are counted in this process.
+    monkeypatch.setattr(modal_fit, "map_processes", map)
     monkeypatch.setattr(modal_fit, "suspect_lines", lambda _: [line])
     found = sweep.fit()
     assert len(seen) == 4

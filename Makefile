@@ -1,6 +1,6 @@
 # make run       sets everything up, then measures and fits a reed on the simulated bench
 # make test      sets everything up, then runs lint and all tests but the slow ones (5 minutes on two cores)
-# make test-all  runs make test, then the slow tests, and prints the coverage; installs emulators and peers
+# make test-all  runs make test with its coverage, then the slow tests; installs emulators and peers
 #                (some GB; Debian packages, so as root or with sudo) and tests against what others wrote
 # make bench     prints every figure that the project claims
 # make docs      builds the documentation: docs/_build/html/index.html
@@ -29,11 +29,11 @@ run: .stamps/run
 test: .stamps/test lint
 	$(PYTEST) -m "not slow" $(COVERAGE)
 
-# Coverage is not measured by `make test` alone: it takes a third more time on Python 3.11. Code that
-# a test runs in another process is not counted.
+# Coverage is that of the tests of `make test`; alone these run without it, because it takes a third
+# more time on Python 3.11. Code that a test runs in another process is not counted.
 test-all: COVERAGE := --cov --cov-report=
 test-all: test .stamps/all
-	$(PYTEST) -m slow $(COVERAGE) --cov-append
+	$(PYTEST) -m slow
 	@$(BIN)/coverage report | awk '/%/ && ($$1 == "TOTAL" || $$NF + 0 < $(SHOW_BELOW)) {print "coverage", $$NF, $$1}'
 	$(ALL)/bin/python -m pytest -q -n 4 --dist loadgroup \
 	  tests/peers tests/fitting/modal/test_modal_peer.py tests/drivers tests/acquire/cli/test_emulated.py \

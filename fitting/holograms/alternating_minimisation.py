@@ -17,9 +17,11 @@ from fitting.holograms.object_field import (
 from fitting.holograms.problem import Problem, misfits
 from fitting.holograms.sidebands import sideband_values
 from fitting.holograms.within_blocks import (
+    WithinBlocks,
     blurring,
     from_middle,
     speckle_positions,
+    within_blocks,
 )
 from holography.arrays import Array, Complex64Array, ComplexArray
 
@@ -85,13 +87,14 @@ def alternating_step(
     )
     weight = 1 / np.maximum(misfit / problem.seen, 1)
     now = replace(at, amplitude=a, gain=gain)
-    now = with_field(middle(problem, now), now, weight, change)
-    now = replace(
-        now,
-        positions=speckle_positions(weighed(problem, now), a, gain, now.object_field, weight),
-    )
+    within = within_blocks(problem, a)
+    now = with_field(middle(problem, now, within), now, weight, change)
+    own = weighed(problem, now)
+    positions = speckle_positions(own, within, a, gain, now.object_field, weight)
+    now = replace(now, positions=positions)
     held = 0.5 * np.diag([FINAL_RAD**-2] * 2 * size + [2 * problem.half_gain_precision])
-    linear = linearise(weighed(middle(exact, now), now), smooth, now.object_field, a, gain, weight)
+    precise = weighed(middle(exact, now, within), now)
+    linear = linearise(precise, smooth, now.object_field, a, gain, weight)
     x = np.concatenate([a.real, a.imag, gain[:, None]], axis=1)
     step = field_step(linear, held, x, weight)
     # Holograms in a wrong fringe can make the step too long for the linearisation: it is cut.
@@ -123,9 +126,13 @@ def with_field(
     return replace(at, object_field=found.mean, field_variance=found.variance)
 
 
-def middle(problem: Problem, at: Solution) -> Problem:
-    """Return a problem with block amplitudes as if light came from the middle of each block."""
-    return from_middle(problem, at.amplitude, at.gain, at.object_field, at.positions)
+def middle(problem: Problem, at: Solution, within: WithinBlocks | None = None) -> Problem:
+    """Return a problem with block amplitudes as if light came from the middle of each block.
+
+    `within` saves time if it is known for the same amplitudes.
+    """
+    known = within or within_blocks(problem, at.amplitude)
+    return from_middle(problem, known, at.gain, at.object_field, at.positions)
 
 
 def weighed(problem: Problem, at: Solution) -> Problem:

@@ -9,6 +9,8 @@ them. Of the third term, speckle leaves a random part of the same size, which is
 blocks across which fringes pass say little.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -93,6 +95,28 @@ def slope_terms(problem: Problem, a: ComplexArray) -> ComplexArray | None:
     return np.stack(terms)
 
 
+@dataclass(frozen=True)
+class WithinBlocks:
+    """What displacements do to F(u) over the light of each block.
+
+    Attributes
+    ----------
+    slopes : (2, k, n) complex
+        See `slope_terms`.
+    bend : (k, n) complex
+        See `mean_bend`.
+    """
+
+    slopes: ComplexArray
+    bend: ComplexArray
+
+
+def within_blocks(problem: Problem, a: ComplexArray) -> WithinBlocks | None:
+    """Return what amplitudes (k, j) do within blocks; None if the problem has no slopes."""
+    slopes = slope_terms(problem, a)
+    return None if slopes is None else WithinBlocks(slopes, mean_bend(problem, a))
+
+
 def mean_bend(problem: Problem, a: ComplexArray) -> ComplexArray:
     """Return the change (k, n) that even light gives the mean of F(u) over a block.
 
@@ -118,7 +142,12 @@ def mean_bend(problem: Problem, a: ComplexArray) -> ComplexArray:
 
 
 def speckle_positions(
-    problem: Problem, a: ComplexArray, gain: Array, field: ComplexArray, weight: Array
+    problem: Problem,
+    within: WithinBlocks | None,
+    a: ComplexArray,
+    gain: Array,
+    field: ComplexArray,
+    weight: Array,
 ) -> ComplexArray | None:
     """Find the mean positions (n, 2) of light from residuals of the first sideband.
 
@@ -129,6 +158,8 @@ def speckle_positions(
     ----------
     problem : Problem
         Weighted by the variances of its block amplitudes.
+    within : WithinBlocks or None
+        For the same amplitudes.
     a : (k, j) complex
         Amplitudes.
     gain : (k,) float
@@ -138,15 +169,14 @@ def speckle_positions(
     weight : (k,) float
         Holograms of a smaller weight count for less.
     """
-    terms = slope_terms(problem, a)
-    if terms is None:
+    if within is None:
         return None
     steps = np.arange(len(a))
     u, v = problem.bessel_vectors(a)
     shown = np.exp(gain)[:, None] * rows(field, steps)
-    left = problem.real + 1j * problem.imaginary - shown * (u + 1j * v + mean_bend(problem, a))
+    left = problem.real + 1j * problem.imaginary - shown * (u + 1j * v + within.bend)
     trust = weight[:, None] * problem.weighed(steps, np.ones_like(u))
-    columns = shown * terms
+    columns = shown * within.slopes
     matrix = np.einsum("ikn,jkn,kn->nij", columns.conj(), columns, trust, optimize=True)
     force = np.einsum("ikn,kn,kn->ni", columns.conj(), left, trust, optimize=True)
     variance = _START
@@ -161,17 +191,16 @@ def speckle_positions(
 
 def from_middle(
     problem: Problem,
-    a: ComplexArray,
+    within: WithinBlocks | None,
     gain: Array,
     field: ComplexArray,
     positions: ComplexArray | None,
 ) -> Problem:
     """Return a problem with block amplitudes as they were if light came from the blocks' middle."""
-    terms = slope_terms(problem, a)
-    if terms is None:
+    if within is None:
         return problem
-    moved = mean_bend(problem, a)
+    moved = within.bend
     if positions is not None:
-        moved = moved + np.einsum("ikn,ni->kn", terms, positions)
-    shown = np.exp(gain)[:, None] * rows(field, np.arange(len(a)))
+        moved = moved + np.einsum("ikn,ni->kn", within.slopes, positions)
+    shown = np.exp(gain)[:, None] * rows(field, np.arange(len(gain)))
     return problem.less(shown * moved)

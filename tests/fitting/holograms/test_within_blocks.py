@@ -19,6 +19,7 @@ from fitting.holograms.within_blocks import (
     slope_terms,
     speckle_positions,
     spread_slopes,
+    within_blocks,
 )
 from tests.numbers import complex_normal
 
@@ -82,11 +83,12 @@ def test_positions_are_found_and_taken_off(problem, amplitude):
     value = value + complex_normal(rng, *value.shape)
     seen = replace(problem, real=value.real, imaginary=value.imag)
     still, weight = np.zeros(HOLOGRAMS), np.ones(HOLOGRAMS)
-    found = speckle_positions(seen, amplitude, still, field, weight)
+    inside = within_blocks(seen, amplitude)
+    found = speckle_positions(seen, inside, amplitude, still, field, weight)
     bright = np.abs(field) > 100
     left = np.sqrt(np.mean(np.abs(found - positions)[bright] ** 2))
     assert left < 0.3 * 0.4
-    middle = from_middle(seen, amplitude, still, field, found)
+    middle = from_middle(seen, inside, still, field, found)
     residual = middle.real + 1j * middle.imaginary - field * moved(amplitude @ problem.functions.T)
     before = value - field * moved(amplitude @ problem.functions.T)
     assert np.mean(np.abs(residual) ** 2) < 1.3
@@ -96,9 +98,10 @@ def test_positions_are_found_and_taken_off(problem, amplitude):
 def test_without_slopes_nothing_is_taken_off(problem, amplitude):
     flat = replace(problem, slopes=None)
     assert slope_terms(flat, amplitude) is None
+    assert within_blocks(flat, amplitude) is None
     field, still = np.ones(len(flat.functions), np.complex64), np.zeros(HOLOGRAMS)
-    assert speckle_positions(flat, amplitude, still, field, np.ones(HOLOGRAMS)) is None
-    assert from_middle(flat, amplitude, still, field, None) is flat
+    assert speckle_positions(flat, None, amplitude, still, field, np.ones(HOLOGRAMS)) is None
+    assert from_middle(flat, None, still, field, None) is flat
 
 
 def test_explained_amplitudes_are_those_of_even_light_in_each_block(plate, amplitude):

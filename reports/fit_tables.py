@@ -193,7 +193,8 @@ def acoustics_table(measured: MeasuredLines) -> Table:
 _PARAMETER_COLUMNS: Final = (
     Column("parameter", "parameter", meaning="e1 … e4 are the components in which the cane of "
            "reeds varies; E1, E2, G1, G2 are the springs of the viscoelastic model (E along the "
-           "grain, G shear), E′ and G′ its storage moduli"),
+           "grain, G shear), E′ and G′ its storage moduli; loss factors are those of the cane at "
+           "4 kHz"),
     Column("value", "value", "", str),
     Column("error", "± s.e.", "", str, "standard error"),
     Column("unit", "unit", meaning="population SD is a standard deviation of the paper's reeds"),
@@ -213,6 +214,11 @@ def parameters_table(fit: ReedFit) -> Table | None:
         (f"{_quantity(name)}, series {series}", f"{one.value:.0f}", f"{one.error:.0f}", "MPa")
         for series, moduli in parameters.moduli.items()
         for name, one in moduli.items()
+    ]
+    rows += [
+        (f"loss factor, {of}, series {series}", f"{one.value:.4f}", f"{one.error:.4f}", "")
+        for series, losses in fit.losses.items()
+        for of, one in (("normal strains", losses.normal), ("shear", losses.shear))
     ]
     # A standard deviation, like the errors that it was added to.
     scatter = parameters.excess_scatter_cents

@@ -12,8 +12,9 @@ import numpy as np
 from fitting.amplitudes.peaks import PeakAmplitudes
 from fitting.amplitudes.response import Response, joint_response
 from fitting.amplitudes.vamp import vamp_points
+from fitting.cane.cane_losses import CaneLosses, fit_losses
 from fitting.cane.model_errors import ModelErrors, model_errors
-from fitting.cane.reed_fit import QUOTED_HZ, fit_components
+from fitting.cane.reed_fit import QUOTED_HZ, ReedParameters, fit_components
 from fitting.cane.sweep_fit import ReedFit, SweepFit
 from fitting.errors import FitError, FitInputError
 from fitting.forward import (
@@ -342,7 +343,23 @@ def fit_runs(
         parameters = fit_components(resonances, forward, _unknown(model, reed))
     except FitError as error:
         return ReedFit(tuple(sweeps), None, str(error))
-    return ReedFit(tuple(sweeps), parameters)
+    return ReedFit(tuple(sweeps), parameters, losses=_losses(sweeps, parameters, reed))
+
+
+def _losses(
+    sweeps: Sequence[SweepFit], parameters: ReedParameters, reed: ReducedReed
+) -> dict[str, CaneLosses]:
+    """Fit the loss factors of the cane in each series that determines them."""
+    components = Components(*(each.value for each in parameters.components.values()))
+    solver, found = ReedSolver(reed), dict[str, CaneLosses]()
+    for sweep in sweeps:
+        # Modes that exchange shapes have an unknown fraction of their energy in shear.
+        mixed = parameters.left_out.get(sweep.series, [])
+        clear = {name: mode for name, mode in sweep.resonances.items() if name not in mixed}
+        cane = viscoelastic_cane(components, Series(sweep.series))
+        with suppress(FitError, ImpossibleReedError):
+            found[sweep.series] = fit_losses(clear, cane, solver)
+    return found
 
 
 def _unknown(model: ModelName, reed: ReducedReed) -> ModelErrors | None:

@@ -11,6 +11,7 @@ import numpy as np
 from fitting.acoustics.lines import SeenPeak, SweepPeaks, nearest_mode
 from fitting.acoustics.poles import find_excitation_peaks
 from fitting.amplitudes.response import Response
+from fitting.cane.cane_losses import CaneLosses
 from fitting.cane.reed_fit import ReedParameters
 from fitting.cane.residual_map import residual_map
 from fitting.modal.identify import JointFit
@@ -92,11 +93,14 @@ class ReedFit:
     parameters : ReedParameters or None
     reason : str
         Reason if there are no parameters.
+    losses : mapping
+        Loss factors of the cane by series, where a joint fit has enough modes.
     """
 
     sweeps: tuple[SweepFit, ...]
     parameters: ReedParameters | None
     reason: str = ""
+    losses: Mapping[str, CaneLosses] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """Return the fit with stable keys (documented in ``docs/reference/json.md``)."""
@@ -128,7 +132,14 @@ class ReedFit:
             "model",
         )
         parameters = {key: fitted.get(key) for key in keys}
-        return {"modes": runs[0]["modes"], **parameters, "reason": self.reason, "runs": runs}
+        losses = {series: asdict(found) for series, found in self.losses.items()}
+        return {
+            "modes": runs[0]["modes"],
+            **parameters,
+            "losses": losses,
+            "reason": self.reason,
+            "runs": runs,
+        }
 
 
 def _to_json(sweep: SweepFit, name: str) -> dict[str, Any]:

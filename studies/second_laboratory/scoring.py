@@ -82,6 +82,12 @@ def comparisons(
         true_value = truth["components_over_rho"][name]
         if stated is not None:
             found.append(Comparison(name, sweep, stated["value"] - true_value, stated["error"]))
+    losses = fit["losses"].get(series, {})
+    for name, key in (("normal", "loss_E"), ("shear", "loss_G")):
+        if name in losses and key in truth:
+            percent = 100 * math.log(losses[name]["value"] / truth[key])
+            error = 100 * losses[name]["error"] / losses[name]["value"]
+            found.append(Comparison(f"loss {name}", sweep, percent, error))
     moduli = (fit["moduli"] or {}).get(series, {})
     for name, stated in moduli.items():
         true_value = truth["moduli"][name]

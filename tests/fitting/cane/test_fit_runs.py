@@ -107,7 +107,7 @@ def test_the_paper_s_model_fits_the_same_resonances(sweep):
 
 KEYS = ["modes", "components", "moduli", "rms_cents", "reduced_chi2", "residual_cents"]
 KEYS += ["excess_scatter_cents"]
-KEYS += ["left_out", "at_limit", "physical", "model", "reason", "runs"]
+KEYS += ["left_out", "at_limit", "physical", "model", "losses", "reason", "runs"]
 
 
 def test_json_has_the_documented_keys(fitted, sweep_a):
@@ -123,6 +123,8 @@ def test_json_has_the_documented_keys(fitted, sweep_a):
         assert mode["amplitude_nm"] > 5
     assert all(sorted(e) == ["error", "value"] for e in answer["components"].values())
     assert all(list(answer[key]) == ["A"] for key in ("moduli", "residual_cents", "left_out"))
+    # The method of the paper has no loss factors.
+    assert answer["losses"] == {}
     names = ["E1_mpa", "E2_mpa", "E_4kHz_mpa", "G1_mpa", "G2_mpa", "G_4kHz_mpa"]
     assert sorted(answer["moduli"]["A"]) == names
     assert set(answer["residual_cents"]["A"]) | set(answer["left_out"]["A"]) == set(answer["modes"])

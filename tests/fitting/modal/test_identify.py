@@ -19,7 +19,7 @@ from physics.plausible.reeds import PlausibleReeds
 from physics.reed.cane.viscoelastic import Components, Series
 from reports.figures.drawing import png_of
 from reports.figures.joint_drawing import mode_sheet
-from reports.fit_tables import SHORT_JOINT, remarks, short_resonances_table
+from reports.fit_tables import SHORT_JOINT, parameters_table, remarks, short_resonances_table
 from runs.reader import Run
 
 # A whole sweep is fitted.
@@ -76,6 +76,19 @@ def test_loss_factors_are_those_of_the_bench(sweep):
     """0.03, and more where the storage modulus grows with frequency: ω moves the spring as well."""
     for name in ("F2", "T2", "T3", "X2", "X3"):
         assert 0.028 < sweep.resonances[name].loss_factor < 0.04
+
+
+def test_both_loss_factors_of_the_cane_are_those_of_the_bench(jointly):
+    losses = jointly.losses["A"]
+    for one in (losses.normal, losses.shear):
+        assert abs(one.value - 0.03) < 3 * one.error
+        assert one.error < 2e-3
+    answer = json.loads(json.dumps(jointly.to_json()["losses"]["A"], allow_nan=False))
+    assert answer["shear"] == {"value": losses.shear.value, "error": losses.shear.error}
+    rows = parameters_table(jointly).rows
+    assert [row[0] for row in rows[-2:]] == [
+        "loss factor, normal strains, series A", "loss factor, shear, series A"
+    ]  # fmt: skip
 
 
 def test_what_is_said_of_a_mode_is_of_that_mode(jointly, sweep):

@@ -1,0 +1,63 @@
+"""What a fit states, compared with the truth of the second laboratory."""
+
+import math
+
+import pytest
+
+from studies.second_laboratory.scoring import HIGHEST_HZ, comparisons, scores
+
+TRUTH = {
+    "modes": {
+        "F1": {"hz": 2000.0, "loss_factor": 0.02},
+        "X6": {"hz": 15_000.0, "loss_factor": 0.02},
+        "T4": {"hz": HIGHEST_HZ + 1, "loss_factor": 0.02},
+    },
+    "components_over_rho": {"e1": 0.5},
+    "moduli": {"E1_mpa": 10_000.0},
+    "density_kg_m3": 520.0,
+    "loss_E": 0.02,
+    "loss_G": 0.03,
+}
+
+
+def value(value, error):
+    return {"value": value, "error": error}
+
+
+def mode(hz):
+    return {"hz": hz, "error_cents": 1.0, "loss_factor": 0.022, "loss_error": 0.05}
+
+
+FIT = {
+    "modes": {"F1": mode(2000 * 2 ** (3 / 1200)), "X6": mode(14_000.0), "T4": mode(15_000.0)},
+    "components": {"e1": value(0.7, 0.1)},
+    "moduli": {"A": {"E1_mpa": value(10_100.0, 50.0)}},
+    "losses": {"A": {"normal": value(0.021, 0.001), "shear": value(0.03, 0.002)}},
+}
+
+
+@pytest.fixture
+def by_quantity():
+    return {each.quantity: each for each in comparisons("one", "A", FIT, TRUTH)}
+
+
+def test_differences_and_errors_have_one_unit(by_quantity):
+    assert by_quantity["F1"].difference == pytest.approx(3.0)
+    assert by_quantity["loss F1"].difference == pytest.approx(100 * math.log(1.1))
+    assert by_quantity["loss F1"].error == pytest.approx(5.0)
+    assert by_quantity["e1"].difference == pytest.approx(0.2)
+    assert by_quantity["E1/rho"].difference == pytest.approx(1.0)
+    assert by_quantity["loss normal"].difference == pytest.approx(100 * math.log(1.05))
+    assert by_quantity["loss normal"].error == pytest.approx(100 / 21)
+    assert by_quantity["loss shear"].difference == pytest.approx(0.0)
+
+
+def test_modes_without_a_settled_name_or_truth_are_not_compared(by_quantity):
+    assert not {"X6", "T4", "loss X6"} & set(by_quantity)
+
+
+def test_coverage_counts_sweeps_and_refusals():
+    found = comparisons("one", "A", FIT, TRUTH) + comparisons("two", "A", FIT, TRUTH)
+    (f1,) = [row for row in scores(found, {"F1": 3}, 3) if row.quantity == "F1"]
+    assert (f1.stated, f1.of, f1.coverage) == (2, 3, 0.0)
+    assert f1.rms_pull == pytest.approx(3.0)

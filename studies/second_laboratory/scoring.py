@@ -11,9 +11,6 @@ from studies.second_laboratory.cane import DENSITY as DRAWING_DENSITY
 
 # Above this the mesh is not shown to be converged to 5 cents, and names are not settled.
 HIGHEST_HZ = 16_000.0
-# Names that the paper's text does not settle (see `studies.second_laboratory.naming`): in reed 102
-# the mode at 15.9 kHz is X6 by its nodal lines there, and T5 by those of plausible reeds.
-UNSETTLED = ("X4", "X5", "X6", "T5")
 
 
 @dataclass(frozen=True)
@@ -74,7 +71,7 @@ def comparisons(
     found = []
     for name, mode in fit["modes"].items():
         true = truth["modes"].get(name)
-        if true is None or true["hz"] > HIGHEST_HZ or name in UNSETTLED:
+        if true is None or true["hz"] > HIGHEST_HZ:
             continue
         cents = 1200 * math.log2(mode["hz"] / true["hz"])
         found.append(Comparison(name, sweep, cents, mode["error_cents"]))

@@ -52,8 +52,9 @@ def test_differences_and_errors_have_one_unit(by_quantity):
     assert by_quantity["loss shear"].difference == pytest.approx(0.0)
 
 
-def test_modes_without_a_settled_name_or_truth_are_not_compared(by_quantity):
-    assert not {"X6", "T4", "loss X6"} & set(by_quantity)
+def test_modes_above_the_range_are_not_compared_and_a_wrong_name_is_an_error(by_quantity):
+    assert not {"T4", "loss T4"} & set(by_quantity)
+    assert by_quantity["X6"].difference == pytest.approx(1200 * math.log2(14 / 15))
 
 
 def test_coverage_counts_sweeps_and_refusals():

@@ -947,7 +947,7 @@ def test_an_instrument_that_fails_at_every_step_is_given_up(tiny_plan, fake_benc
 
 # --- Signals to real processes -----------------------------------------------------------------
 
-# Reports every step, and of every change of what is switched on.
+# Reports every step and every change of what is switched on.
 CHILD = """
 import threading, time
 from protocols.bench import BenchFile

@@ -17,7 +17,8 @@ SYSTEM_PYTHON ?= /usr/bin/python3
 ALL := .venv-all
 
 # Four workers, also on two cores: for a third of the time tests wait for instruments.
-PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadgroup
+# The tests of a file share fixtures: one worker runs them all.
+PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadfile
 # Files with a smaller coverage than this are listed, in per cent of their lines.
 SHOW_BELOW := 80
 
@@ -35,7 +36,7 @@ test-all: COVERAGE := --cov --cov-report=
 test-all: test .stamps/all
 	$(PYTEST) -m slow
 	@$(BIN)/coverage report | awk '/%/ && ($$1 == "TOTAL" || $$NF + 0 < $(SHOW_BELOW)) {print "coverage", $$NF, $$1}'
-	$(ALL)/bin/python -m pytest -q -n 4 --dist loadgroup \
+	$(ALL)/bin/python -m pytest -q -n 4 --dist loadfile \
 	  tests/peers tests/fitting/modal/test_modal_peer.py tests/drivers tests/acquire/cli/test_emulated.py \
 	  tests/acquire/cli/test_faults.py
 

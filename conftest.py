@@ -13,14 +13,8 @@ def _in_a_folder_of_its_own(request, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark the examples that measure a whole sweep as slow, and keep the tests of a file together.
-
-    Tests of a file share fixtures: one worker runs them all, unless they name groups of their own.
-    """
+    """Mark the examples that measure a whole sweep as slow."""
     for item in items:
         if isinstance(item, pytest.DoctestItem) and item.path.name in _WHOLE_SWEEPS:
             item.add_marker(pytest.mark.slow)
-        if item.get_closest_marker("xdist_group") is None:
-            item.add_marker(pytest.mark.xdist_group(str(item.path)))

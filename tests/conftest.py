@@ -34,10 +34,14 @@ def pytest_configure():
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _reed_cache(request):
-    """Keep reeds together for all workers and the next time, away from the user's."""
+def _folders_of_the_tests(request, tmp_path_factory):
+    """Keep reeds together for all workers and the next time, away from the user's.
+
+    Each worker has bench locks of its own: tests name instruments that do not exist.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("REEDBENCH_CACHE", str(request.config.cache.mkdir("reeds")))
+        patch.setenv("REEDBENCH_LOCKS", str(tmp_path_factory.mktemp("locks")))
         yield
 
 

@@ -20,7 +20,7 @@ from physics.reed.elements.mesh import MeshLevel
 from physics.reed.reduced.stored import reduced_reed
 from studies.closure import __main__ as command
 from studies.closure import measuring
-from studies.closure.__main__ import WITHOUT_FITS, campaign_of, jobs
+from studies.closure.__main__ import WITHOUT_FITS, jobs
 from studies.closure.comparison import _pairs, compare
 from studies.closure.measuring import (
     UNFITTED,
@@ -158,34 +158,3 @@ def test_steps_that_one_campaign_lacks_are_left_out_and_shift_no_others() -> Non
     # Numbers of which all the same is expected cannot be distinguished.
     flat = [replace(each, predict=lambda _, values=each.values: 0 * values) for each in (one, two)]
     assert _pairs(*flat, BenchParameters()) == []
-
-
-# What does not close, and why; `python -m studies.closure NAME` prints the numbers.
-OPEN = {
-    "hardening_nonlinearity": "fits give part of a shift by amplitude to the drive: T1 at 51 rad",
-    "defocus": "no observable expects that the image moves by 1.2 mm",
-    "laser_mode_hop": "fits give a sixteenth of a step of the light to the vibration",
-    "speckle_decorrelation": "fits absorb a fifth of the lost contrast",
-    "sideband_crosstalk": "fits know no next sideband: the loss of F1 doubles in a quiet sweep",
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(
-            effect.id,
-            marks=[
-                # Each takes a minute: two workers share them.
-                pytest.mark.xdist_group(f"closure {number % 2}"),
-                *([pytest.mark.xfail(reason=OPEN[effect.id])] if effect.id in OPEN else []),
-            ],
-        )
-        for number, effect in enumerate(e for e in CATALOGUE if e.id not in WITHOUT_FITS)
-    ],
-)
-def test_effects_that_need_fits_of_sweeps_close(name, tmp_path_factory) -> None:
-    folder = tmp_path_factory.getbasetemp() / "closure"
-    (closure,) = command.closures([(campaign_of(name), name)], 1.0, folder, lambda _: None)
-    assert {group.name: group.worst for group in closure.groups if not group.closes} == {}

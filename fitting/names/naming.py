@@ -2,9 +2,12 @@
 
 The reed that has the measured modes (`fitting.names.reed_posterior`) is drawn many times from its
 posterior. Each draw has names by the nomenclature of `physics.reed.mode_classification`, from nodal
-lines of its shapes; a measured mode has the name of the draw's mode that it is. At an avoided
-crossing a mode has the characters of two names. Each name then has the share of the motion that
-bears it out as its weight, and a name belongs to one mode only.
+lines of its shapes; a measured mode has the name of the draw's mode that it is. What is seen of
+that mode is what was measured, within its errors: a reed with its own thickness everywhere has
+shapes that no draw has. At an avoided crossing a mode has the characters of two names. Each name
+then has the share of the motion that bears it out as its weight, and a name belongs to one mode
+only. Half of the draws' weight is that of lines across which follow the tip, half that of straight
+ones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,6 +23,7 @@ from fitting.modal.modal_fit import ModalFit
 from fitting.names.measured import measured_modes
 from fitting.names.reed_posterior import ReedPosterior, reed_posterior
 from fitting.names.stiffening import Stiffening, averaged, stiffening_of
+from fitting.names.straight_lines import with_straight_lines
 from holography.arrays import Array
 from physics.plausible.reeds import PlausibleReeds
 from physics.reed.elements.fem import Symmetry
@@ -42,6 +46,9 @@ _NUMBERED = "LH"
 # Scale of differences between a measured mode and one of a draw: of 1 - MAC, and in cents. Chosen:
 # draws follow measured frequencies to their errors, but for modes that cross.
 _UNLIKE, _AWAY_CENTS = 0.02, 20.0
+# Functions of which the reed shows less than this, for the same mass, are left as they are. Chosen:
+# the basis has no function below 3e-3 of the first, whose square this is about.
+_LEAST_SEEN = 1e-5
 # Weight of a name that a mode cannot have, in the choice of the most probable names of all.
 _IMPOSSIBLE = 1e-9
 
@@ -113,9 +120,12 @@ def name_modes(
     ends_hz = float(drive_hz[0]), float(drive_hz[-1])
     found = reed_posterior(reeds, visible, measured, ends_hz)
     weights = softmax([each.log_evidence for each in found])
+    drawings = reeds.reed, with_straight_lines(reeds.reed)
     probabilities: list[dict[str, float]] = [{} for _ in index]
     for weight, each in zip(weights.tolist(), found, strict=True):
-        for total, own in zip(probabilities, name_probabilities(each, weight), strict=True):
+        for total, own in zip(
+            probabilities, name_probabilities(each, drawings, weight), strict=True
+        ):
             for name, probability in own.items():
                 total[name] = total.get(name, 0.0) + weight * probability
     labels = [modal.names[m] for m in index]
@@ -144,12 +154,17 @@ def visible_coordinates(reed: ReducedReed, basis: ShapeBasis, x_m: Array, y_m: A
     return answer
 
 
-def name_probabilities(posterior: ReedPosterior, fraction: float = 1.0) -> list[dict[str, float]]:
+def name_probabilities(
+    posterior: ReedPosterior, drawings: Sequence[ReducedReed], fraction: float = 1.0
+) -> list[dict[str, float]]:
     """Return the probability of each name of each measured mode.
 
     Parameters
     ----------
     posterior : ReedPosterior
+    drawings : sequence of ReducedReed
+        The reed, with the lines across along which modes have their order drawn in one way or
+        another. Each has the same weight.
     fraction : float
         Fraction of the draws that this posterior is worth.
 
@@ -164,13 +179,19 @@ def name_probabilities(posterior: ReedPosterior, fraction: float = 1.0) -> list[
     root = np.linalg.cholesky(posterior.covariance)
     steps = rng.standard_normal((draws, len(root))) @ root.T
     drawn_hz, mixings = posterior.nearby.modes(posterior.mean + steps)
+    extension = _extension(posterior)
+    nearby = posterior.nearby
+    drawn = [replace(nearby, found=replace(nearby.found, reed=reed)) for reed in drawings]
     answer: list[dict[str, float]] = [{} for _ in posterior.mode]
     for hz, mixing in zip(drawn_hz, mixings, strict=True):
-        own = exchanged_names(posterior.nearby.descriptors(mixing))
-        for a, m in _same_modes(posterior, hz, mixing):
-            for name, probability in own[m].items():
-                real = probability * (1 - float(posterior.spurious[a])) / draws
-                answer[a][name] = answer[a].get(name, 0.0) + real
+        same = _same_modes(posterior, hz, mixing)
+        besides = extension @ _unseen_by_reeds(posterior, mixing, same, rng)
+        for reeds in drawn:
+            own = exchanged_names(reeds.descriptors(mixing, besides))
+            for a, m in same:
+                real = (1 - float(posterior.spurious[a])) / (draws * len(drawn))
+                for name, probability in own[m].items():
+                    answer[a][name] = answer[a].get(name, 0.0) + probability * real
     return answer
 
 
@@ -189,11 +210,35 @@ def _same_modes(posterior: ReedPosterior, hz: Array, mixing: Array) -> list[tupl
     return list(zip(found[rows].tolist(), columns.tolist(), strict=True))
 
 
+def _extension(posterior: ReedPosterior) -> Array:
+    """Return the motion (s, j) of the whole reed with the least mass for each function seen."""
+    visible = posterior.visible
+    light = np.linalg.solve(posterior.nearby.found.reed.mass, visible.T)
+    return np.asarray(light @ np.linalg.pinv(visible @ light, rcond=_LEAST_SEEN, hermitian=True))
+
+
+def _unseen_by_reeds(
+    posterior: ReedPosterior,
+    mixing: Array,
+    same: Sequence[tuple[int, int]],
+    rng: np.random.Generator,
+) -> Array:
+    """Return what measured shapes, drawn from their errors, have besides those of a reed (j, m)."""
+    measured = posterior.measured
+    answer = np.zeros((len(posterior.seen), mixing.shape[1]))
+    for a, m in same:
+        noise = rng.standard_normal(measured.variance.shape[1]) * np.sqrt(measured.variance[a])
+        shape = measured.shape[a] + noise @ measured.directions[a]
+        expected = posterior.seen @ mixing[:, m]
+        answer[:, m] = shape * (shape @ expected) / (shape @ shape) - expected
+    return answer
+
+
 def exchanged_names(descriptors: Sequence[ModeDescriptor]) -> list[dict[str, float]]:
     """Return the probability of each name of each of m motions of one reed.
 
-    Every motion has its own name, or that of another motion which then has its. The odds are those
-    of the fractions of both motions that bear these names out.
+    Every motion has its own name, or one that no motion has, or that of another motion which then
+    has its. The odds are those of the fractions of these motions that bear the names out.
 
     Parameters
     ----------
@@ -201,33 +246,49 @@ def exchanged_names(descriptors: Sequence[ModeDescriptor]) -> list[dict[str, flo
         As for `physics.reed.mode_classification.names_of`.
     """
     names = [naming.name for naming in names_of(descriptors)]
+    vamp = _vamp_claims(descriptors)
+    free = sorted({name for part in vamp for own in part for name in own} - set(names))
     # Squared, as in the choice of these names.
-    weight = _claims(descriptors, names) ** 2
+    weight = _claims(descriptors, vamp, names + free) ** 2
     own = np.maximum(np.diag(weight), _LEAST_CLAIM**2)
-    odds = weight * weight.T / np.multiply.outer(own, own)
+    taken = weight[:, : len(names)]
+    odds = np.hstack(
+        [taken * taken.T / np.multiply.outer(own, own), weight[:, len(names) :] / own[:, None]]
+    )
     # Lateral modes and those of the heel are numbered by frequency: no other order is possible.
     kind = np.array([name[0] if name[0] in _NUMBERED else name for name in names])
-    odds[kind[:, None] == kind] = 0.0
+    odds[:, : len(names)][kind[:, None] == kind] = 0.0
     np.fill_diagonal(odds, 1.0)
     probability = odds / odds.sum(axis=1, keepdims=True)
     return [
-        {name: p for name, p in zip(names, row, strict=True) if p > _NEGLIGIBLE}
+        {name: p for name, p in zip(names + free, row, strict=True) if p > _NEGLIGIBLE}
         for row in probability.tolist()
     ]
 
 
-def _claims(descriptors: Sequence[ModeDescriptor], names: Sequence[str]) -> Array:
+def _vamp_claims(descriptors: Sequence[ModeDescriptor]) -> list[list[dict[str, float]]]:
+    """Return, per part and motion, the names on the vamp and the fraction of the part of each."""
+    return [
+        similarities(each.profiles, each.square, symmetric=each.symmetry is Symmetry.SYMMETRIC)
+        for each in descriptors
+    ]
+
+
+def _claims(
+    descriptors: Sequence[ModeDescriptor],
+    vamp: Sequence[Sequence[Mapping[str, float]]],
+    names: Sequence[str],
+) -> Array:
     """Return the fraction (m, n) of each motion that bears out each of n names."""
     outside = np.sum([each.sideways + each.behind for each in descriptors], axis=0)
     claims = np.zeros((len(outside), len(names)))
-    for each in descriptors:
+    for each, own in zip(descriptors, vamp, strict=True):
         symmetric = each.symmetry is Symmetry.SYMMETRIC
-        own = similarities(each.profiles, each.square, symmetric=symmetric)
         foreign = {"L": "s" * symmetric, "H": "a" * (not symmetric)}
+        seen = each.share * (1 - outside)
         for column, name in enumerate(names):
             if name[0] not in _NUMBERED:
-                vamp = each.share * (1 - outside)
-                claims[:, column] += vamp * [claim.get(name, 0.0) for claim in own]
+                claims[:, column] += seen * [claim.get(name, 0.0) for claim in own]
             elif name.lstrip("LH0123456789") == foreign[name[0]]:
                 claims[:, column] += each.sideways if name[0] == "L" else each.behind
     return claims

@@ -73,8 +73,10 @@ class ReedPosterior:
         The a modes of the sweep.
     nearby : NearbyReeds
         Linearised at the mean.
+    visible : (j, s) float
+        Coordinates in the `ShapeBasis` of what is seen of each coordinate of the reed.
     seen : (j, m) float
-        Coordinates in the `ShapeBasis` of the modes of `nearby`.
+        Those of the modes of `nearby`.
     mean, covariance : (p,) and (p, p) float
     log_evidence : float
         Up to a constant that all have in common.
@@ -90,6 +92,7 @@ class ReedPosterior:
 
     measured: MeasuredModes
     nearby: NearbyReeds
+    visible: Array
     seen: Array
     mean: Array
     covariance: Array
@@ -245,6 +248,7 @@ def _result(question: _Question, fit: _Fit) -> ReedPosterior:
     return ReedPosterior(
         measured=fit.data.measured,
         nearby=here.nearby,
+        visible=question.visible,
         seen=here.seen,
         mean=here.parameters,
         covariance=fit.covariance,

@@ -329,10 +329,20 @@ class NearbyReeds:
         turned = mixing @ (within * gap / (gap**2 + close))
         return ln_hz.T, np.moveaxis(turned, 0, -1)
 
-    def descriptors(self, mixing: Array) -> list[ModeDescriptor]:
-        """Return what the modes (m, m) of one reed are named by."""
+    def descriptors(self, mixing: Array, besides: Array | None = None) -> list[ModeDescriptor]:
+        """Return what the modes of one reed are named by.
+
+        Parameters
+        ----------
+        mixing : (m, m) float
+            As from `modes`.
+        besides : (s, m) float, optional
+            What each mode has besides these modes, in the coordinates of the reed.
+        """
         found, density = self.found, self.found.state.law.constants.density_kg_m3
         shapes = found.coordinates @ mixing
+        if besides is not None:
+            shapes = shapes + besides
         # Of the cane's mass: that of the air belongs to no part of the reed.
         mass = density * np.einsum("sm,sm->m", shapes, found.reed.mass @ shapes)
         cane = replace(found.reed.cane, density_kg_m3=density)

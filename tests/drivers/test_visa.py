@@ -335,9 +335,7 @@ def test_what_was_said_unasked_is_thrown_away():
 def test_two_lost_answers_are_an_error_and_the_line_recovers(kind):
     faults = WireFaults(lose_answer_at=(3, 5))
     with talking(kind, faults) as line:
-        with pytest.raises(
-            InstrumentError, match=r"did not answer 'SAY\? 0' within 0\.2 s; check"
-        ):
+        with pytest.raises(InstrumentError, match=r"did not answer 'SAY\? 0' within 0\.2 s; check"):
             line.ask("SAY? 0")
         assert line.ask("SAY? 1") == "1"
 

@@ -18,9 +18,11 @@ from fitting.names.naming import (
     named,
 )
 from fitting.names.reed_posterior import _Question, _towards, reed_posterior
+from fitting.names.straight_lines import with_straight_lines
 from physics.errors import ImpossibleReedError
 from physics.reed.elements.fem import Symmetry
-from physics.reed.mode_classification import ModeDescriptor
+from physics.reed.mode_classification import ModeDescriptor, names_of
+from physics.reed.reduced.elastic import all_descriptors
 
 CENT = np.log(2) / 1200
 MEASURED = ("F1", "T1", "F2", "T2", "X1", "L1", "T3", "F3", "X2", "X3", "T4")
@@ -34,7 +36,7 @@ def probabilities_of(reeds, visible, measured, ends_hz=ENDS_HZ):
     """Probability of each name of each measured mode, of the most probable reed."""
     found = reed_posterior(reeds, visible, measured, ends_hz)
     best = max(found, key=lambda each: each.log_evidence)
-    return best, name_probabilities(best)
+    return best, name_probabilities(best, [reeds.reed, with_straight_lines(reeds.reed)])
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -172,6 +174,50 @@ def test_a_name_is_as_probable_as_its_mode_is_pure(fraction, low, high):
     assert low < second["L1"] <= high
     assert sum(first.values()) == pytest.approx(1, abs=2e-3)
     assert first.get("L1", 0.0) == pytest.approx(second.get("X1", 0.0), abs=1e-9)
+
+
+def test_a_name_that_no_motion_has_counts_too():
+    """Three fifths of T5 and two fifths of X6, which is (3,1)."""
+    profiles = np.zeros((20, 7, 1))
+    profiles[:, 5, 0] = np.sqrt(0.6 / 20)
+    profiles[:, 3, 0] = np.sign(np.linspace(-1, 1, 20)) * np.sqrt(0.4 / 20)
+    one, none = np.ones(1), np.zeros(1)
+    motion = ModeDescriptor(Symmetry.ANTISYMMETRIC, one, none, none, profiles, one)
+    (found,) = exchanged_names([motion])
+    odds = 0.4**2 / 0.6**2
+    assert found == pytest.approx({"T5": 1 / (1 + odds), "X6": odds / (1 + odds)})
+
+
+def test_the_shape_that_is_measured_has_the_name(reeds, visible, planted):
+    """A reed with its own thickness everywhere has shapes that no plausible reed has."""
+    modes = (*MEASURED, "T5", "X6")
+    sweep = planted(modes)
+    measured, (one, other) = sweep.measured, (modes.index("T5"), modes.index("X6"))
+    pure = {}
+    for turn in (-0.6, 0.6):
+        shape = measured.shape.copy()
+        shape[one] += np.tan(turn) * measured.shape[other]
+        shape[other] -= np.tan(turn) * measured.shape[one]
+        shape /= np.linalg.norm(shape, axis=1, keepdims=True)
+        _, found = probabilities_of(reeds, visible, replace(measured, shape=shape))
+        pure[turn] = found[one].get("T5", 0.0)
+        assert all(max(own.values()) > SURE for own in found[: len(MEASURED)])
+    assert max(pure.values()) > SURE
+    assert min(pure.values()) < 0.5
+
+
+def test_both_ways_to_draw_lines_across_agree_below_15_khz(reeds):
+    """Where they do not, a name is not sure."""
+    found = reeds.near(np.zeros(len(reeds.names))).found
+    curved = names_of(all_descriptors(reeds.reed, found.coordinates))
+    straight = names_of(all_descriptors(with_straight_lines(reeds.reed), found.coordinates))
+    low = found.hz < 15e3
+    names = [[naming.name for naming, own in zip(each, low, strict=True) if own]
+             for each in (curved, straight)]  # fmt: skip
+    assert names[0] == names[1]
+    assert {"F1", "T1", "F2", "T2", "X1", "T3", "F3", "X2", "X3", "T4"} <= set(names[0])
+    differ = [abs(a.similarity - b.similarity) for a, b in zip(curved, straight, strict=True)]
+    assert max(np.array(differ)[low]) < 0.15
 
 
 @given(

@@ -44,7 +44,12 @@ from fitting.holograms.object_field import (
     smooth_functions,
 )
 from fitting.holograms.problem import Problem
-from fitting.holograms.retries import relative_misfit, tried_again, unexplained
+from fitting.holograms.retries import (
+    field_of_others,
+    relative_misfit,
+    tried_again,
+    unexplained,
+)
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.within_blocks import mean_bend, spread_slopes
 from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
@@ -268,14 +273,17 @@ def refit_displacements(
 ) -> Displacements:
     """Fit a sweep again from expected amplitudes.
 
+    Holograms that are not explained are tried in the light that all others show, in the expected
+    shape and any size, and from their neighbours.
+
     Parameters
     ----------
     block_amplitudes : BlockAmplitudes
     basis : ShapeBasis
     before : Displacements
     expected_rad : sequence of (k, j) complex
-        Expected amplitudes, up to a phase of each hologram. Of those that explain a hologram
-        equally well the last is used.
+        Expected amplitudes, up to a phase of each hologram. If all holograms are solved anew, the
+        last of those that explain a hologram equally well is used.
     off : (k,) bool
         Holograms that are solved from there, because they are not explained so far.
     common_mode_shift : (k, q) float
@@ -288,30 +296,47 @@ def refit_displacements(
         If no hologram can be explained.
     """
     blocks = block_amplitudes
-    whole = _problem_of(blocks, basis)
+    whole = replace(_problem_of(blocks, basis), gain_nepers=before.gain_nepers)
     smooth = smooth_functions(blocks.x_m, blocks.y_m)
     object_field = before.object_field * field_factor(smooth, common_mode_shift)
     changes = (before.common_mode.response @ common_mode_shift[..., None])[..., 0]
     size = before.amplitude_rad.shape[1]
     a = before.amplitude_rad + changes[:, :size] + 1j * changes[:, size:]
-    steps, gain, misfit = np.flatnonzero(off), before.gain.copy(), before.misfit.copy()
-    accepted = np.maximum(_FLOOR, enough(blocks)[steps])
-    good = np.minimum(SAME_FRINGE_RATIO * misfit[steps], accepted)
-    for expected in expected_rad:
-        there = Solution(expected, gain, object_field, before.field_variance)
-        tried, louder, found = _from_expected(whole, there, steps)
-        better = found < good
-        chosen = steps[better]
-        a[chosen], gain[chosen], misfit[chosen] = tried[better], louder[better], found[better]
-        equally_good = np.minimum(good, SAME_FRINGE_RATIO * np.maximum(found, 1))
-        good = np.where(better, equally_good, good)
-    at, solved = Solution(a, gain, object_field, before.field_variance), np.isfinite(misfit)
+    at = Solution(a, before.gain, object_field, before.field_variance)
+    solved = np.isfinite(before.misfit)
+    bad = np.flatnonzero(off | ~solved)
+    if len(bad) < len(solved):
+        alone = field_of_others(whole, at, bad, before.misfit, before.change)
+        at, better = tried_again(whole, alone, bad, expected_rad)
+        solved[better] = True
+    else:
+        at, solved = _all_from_expected(whole, at, expected_rad, enough(blocks))
     if not solved.any():
         raise FitError(
             f"none of {len(solved)} holograms agrees with the other run; measure it again, or fit "
             "it alone"
         )
     return _finished(whole, blocks, at, solved, _MOST_TURNS, before.change)
+
+
+def _all_from_expected(
+    whole: Problem, at: Solution, expected_rad: Sequence[ComplexArray], accepted: Array
+) -> tuple[Solution, NDArray[np.bool_]]:
+    """Solve all holograms from what is expected; return which have a solution, too.
+
+    Of those that explain a hologram equally well the last is used.
+    """
+    amplitude, gain = at.amplitude.copy(), at.gain.copy()
+    good = np.maximum(_FLOOR, accepted)
+    solved = np.zeros(len(good), bool)
+    for expected in expected_rad:
+        there = replace(at, amplitude=expected)
+        tried, louder, found = _from_expected(whole, there, np.arange(len(good)))
+        better = found < good
+        amplitude[better], gain[better], solved[better] = tried[better], louder[better], True
+        equally_good = np.minimum(good, SAME_FRINGE_RATIO * np.maximum(found, 1))
+        good = np.where(better, equally_good, good)
+    return replace(at, amplitude=amplitude, gain=gain), solved
 
 
 def _from_expected(
@@ -378,7 +403,7 @@ def _in_right_fringes(
         if other is not None:
             off = np.union1d(off, _in_other_fringes(problem, at.amplitude, other))
         off = np.setdiff1d(off, hopeless)
-        at, better = tried_again(problem, at, off, other)
+        at, better = tried_again(problem, at, off, () if other is None else (other,))
         if not better.size:
             break
         hopeless = np.union1d(hopeless, np.setdiff1d(off, better))

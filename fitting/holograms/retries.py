@@ -3,19 +3,32 @@
 A hologram that fell into a wrong fringe keeps a misfit above that of the noise, also after object
 field and amplitudes have converged. By then its neighbours are solved, and the vibration between
 them changes little: it is tried again from each of them and from their mean, in several sizes.
+
+A group of neighbours in wrong fringes may have bent the object field between them until they leave
+no more misfit than noise. Only modes show then that they are wrong, and only a field without them
+shows what is right (decision 0035).
 """
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import median_abs_deviation
 
-from fitting.holograms.alternating_minimisation import Solution, cost, middle, weighed
+from fitting.holograms.alternating_minimisation import (
+    Solution,
+    cost,
+    middle,
+    weighed,
+    with_field,
+)
 from fitting.holograms.amplitudes import FINAL_RAD, fit_amplitudes
+from fitting.holograms.changing_field import FieldChange
 from fitting.holograms.linearisation import rows
 from fitting.holograms.problem import Problem
-from holography.arrays import Array, ComplexArray, IndexArray
+from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 
 # A hologram is tried again if its misfit exceeds the median by this many standard deviations of the
 # scatter of all: in a sweep of 184 holograms, noise alone exceeds it once in 5 million sweeps.
@@ -23,6 +36,13 @@ _DEVIATIONS = 6.0
 # Sizes relative to the start: between two holograms 25 cents apart, at a resonance of quality 50,
 # the response may differ by two thirds.
 _SIZES = (1.0, 1.3, 0.77, 1.7, 0.6)
+# Sizes relative to what is expected by modes, whose frequency and loss may be off by half their
+# width: five times less to more. Of a displacement of 20 rad, the steps are half a fringe. The
+# best of those that are better than their neighbours are starts.
+_SCANNED, _STARTS = np.geomspace(0.2, 5.0, 41), 3
+# Displacements that differ by less than this part are in the same fringe: the factor that light and
+# displacements share is a tenth (decision 0028).
+_SAME_FRINGE = 0.2
 # Least gain in log likelihood of another solution: odds of 150 to 1.
 _LEAST_GAIN = 5.0
 # Levenberg-Marquardt steps of each trial.
@@ -71,8 +91,29 @@ def unexplained(misfit: Array, seen: Array) -> IndexArray:
     return np.flatnonzero(~(misfit - middle < _DEVIATIONS * np.maximum(own, scatter)))
 
 
+def field_of_others(
+    problem: Problem, at: Solution, off: IndexArray, misfit: Array, change: FieldChange | None
+) -> Solution:
+    """Return a solution with the object field that all holograms but some give.
+
+    Parameters
+    ----------
+    problem : Problem
+    at : Solution
+    off : (b,) int
+        Numbers of the holograms that say nothing of the field.
+    misfit : (k,) float
+        Mean square residual of the block amplitudes, in units of the noise.
+    change : FieldChange, optional
+        How much the object field changes from hologram to hologram; it is one for all otherwise.
+    """
+    weight = 1 / np.maximum(misfit, 1)
+    weight[off] = 0
+    return with_field(middle(problem, at), at, weight, change) if weight.any() else at
+
+
 def tried_again(
-    problem: Problem, at: Solution, bad: IndexArray, other: ComplexArray | None = None
+    problem: Problem, at: Solution, bad: IndexArray, others: Sequence[ComplexArray] = ()
 ) -> tuple[Solution, IndexArray]:
     """Solve the unexplained holograms from their neighbours; return which are explained better.
 
@@ -85,8 +126,8 @@ def tried_again(
     at : Solution
     bad : (b,) int
         Numbers of the unexplained holograms.
-    other : (k, j) complex, optional
-        Amplitudes of another solution, from which they are tried as well.
+    others : sequence of (k, j) complex
+        Amplitudes of other solutions, from which they are tried as well, in any size.
     """
     amplitude, gain, better = at.amplitude.copy(), at.gain.copy(), list[int]()
     so_far = cost(problem, at)
@@ -96,29 +137,59 @@ def tried_again(
     while queue and good.any():
         number = queue.popleft()
         tried.add(number)
-        others = good.copy()
-        others[number] = False
-        starts = _starts(amplitude, number, np.flatnonzero(others))
-        if other is not None:
-            starts = np.concatenate([starts, other[[number]]])
+        near = good.copy()
+        near[number] = False
+        starts = np.concatenate(
+            [
+                _starts(amplitude, number, np.flatnonzero(near)),
+                *(_likely_sizes(problem, at, number, other[number]) for other in others),
+            ]
+        )
         steps = np.full(len(starts), number)
         found, louder, left = _solved(problem.some(steps), at, steps, starts)
         best = int(np.argmin(left))
         if so_far[number] - left[best] > _LEAST_GAIN:
+            misled = not _same_fringe(amplitude[number], found[best])
             amplitude[number], gain[number], good[number] = found[best], louder[best], True
             better.append(number)
             beside = {number - 1, number + 1} & set(range(len(gain)))
-            queue.extend(sorted(beside - tried - set(queue)))
+            queue.extend(sorted(beside - tried - set(queue)) if misled else ())
     return replace(at, amplitude=amplitude, gain=gain), np.array(better, np.intp)
+
+
+def _same_fringe(one: ComplexArray, other: ComplexArray) -> bool:
+    """Whether amplitudes (j,) differ by the brightness of the light, but for a phase."""
+    both = float(np.linalg.norm(one)), float(np.linalg.norm(other))
+    apart = both[0] ** 2 + both[1] ** 2 - 2 * float(np.abs(np.vdot(one, other)))
+    return apart < (_SAME_FRINGE * both[0]) ** 2
+
+
+def _likely_sizes(
+    problem: Problem, at: Solution, number: int, expected: ComplexArray
+) -> ComplexArray:
+    """Return amplitudes (s, j) along an expected one (j,), and itself, of the likeliest sizes."""
+    steps = np.full(len(_SCANNED), number)
+    few, field, variance = problem.some(steps), *_field_at(at, steps)
+    a = few.turned(field, np.arange(len(steps)), _SCANNED[:, None] * expected)
+    left = cost(few, Solution(a, np.zeros(len(steps)), field, variance))
+    beside = np.pad(left, 1, constant_values=np.inf)
+    dips = np.flatnonzero((left <= beside[:-2]) & (left <= beside[2:]))
+    best = dips[np.argsort(left[dips])[:_STARTS]]
+    return np.concatenate([expected[None], a[best]])
+
+
+def _field_at(at: Solution, steps: IndexArray) -> tuple[Complex64Array, NDArray[np.float32] | None]:
+    """Return the object field (s, n) of holograms, and its variance."""
+    field = np.broadcast_to(rows(at.object_field, steps), (len(steps), at.object_field.shape[-1]))
+    return field, None if at.field_variance is None else at.field_variance[steps]
 
 
 def _solved(
     few: Problem, at: Solution, steps: IndexArray, starts: ComplexArray
 ) -> tuple[ComplexArray, Array, Array]:
     """Solve holograms from starts (s, j); return amplitudes, log gains and costs (s,)."""
-    variance = None if at.field_variance is None else at.field_variance[steps]
-    field, each = rows(at.object_field, steps), np.arange(len(steps))
-    field = np.broadcast_to(field, (len(steps), field.shape[1]))
+    field, variance = _field_at(at, steps)
+    each = np.arange(len(steps))
     a, gain = few.turned(field, each, starts), np.zeros(len(steps), float)
     weak = FINAL_RAD**-2 * np.eye(starts.shape[1])
     positions = None

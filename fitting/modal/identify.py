@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from fitting.forward import (
@@ -52,6 +53,10 @@ _FEW_OFF = 2
 # part of the displacements that it may be: displacements are then linear in it to half its square,
 # 0.05 %, less than shapes leave.
 _TURNS, _LINEAR = 2, 0.03
+# ... and how often at most while outliers get into other fringes: a group of them is corrected from
+# its edges and its peak, some at a time. Displacements that changed by this part are in another
+# fringe (decision 0035).
+_MOST_TURNS, _OTHER_FRINGE = 8, 0.2
 # Fraction of unexplained holograms above which no mode of a sweep is identified.
 _MOST_UNREACHED = 0.2
 # ... and discrepancy of the model: it is 0.02 for reeds with shape errors of 10 µm, and 0.2 for
@@ -190,16 +195,20 @@ def modes_in_turns(
     """
     same = basis, block_amplitudes.drive_hz, block_amplitudes.volts, dict(start_hz)
     modal = fit_modes(displacements, *same, rough=True)
-    for _ in range(_TURNS):
+    tried, moved = np.zeros_like(modal.off), False
+    for turn in range(_MOST_TURNS):
         few_off = np.count_nonzero(modal.off) <= _FEW_OFF
-        if few_off and _common_mode_part(displacements, modal) < _LINEAR:
+        promising = moved or np.any(modal.off & ~tried)
+        shifted = turn < _TURNS and _common_mode_part(displacements, modal) > _LINEAR
+        if not (promising or shifted):
             break
+        before, tried = displacements, modal.off
         # The modes predict the fringe in which outliers lie.
         expected_rad = modal.amplitude_rad, _with_smooth_drive(modal, block_amplitudes.drive_hz)
-        off = modal.off & (not few_off)
         displacements = refit_displacements(
-            block_amplitudes, basis, displacements, expected_rad, off, modal.common_mode_shift
+            block_amplitudes, basis, before, expected_rad, tried, modal.common_mode_shift
         )
+        moved = _in_other_fringes(before, displacements, tried)
         modal = fit_modes(displacements, *same, modal if few_off else None, rough=True)
     modal = fit_modes(displacements, *same, modal)
     return MeasuredSweep(block_amplitudes, basis, displacements, modal, start_hz)
@@ -266,6 +275,12 @@ def final_names(
         else kept.get(label) or spare.get(label) or f"{label} again"
         for label in labels
     )
+
+
+def _in_other_fringes(before: Displacements, now: Displacements, tried: NDArray[np.bool_]) -> bool:
+    """Whether any of the holograms that were tried again (k,) has another displacement."""
+    sizes = np.linalg.norm([before.amplitude_rad[tried], now.amplitude_rad[tried]], axis=2)
+    return bool(np.any(np.abs(sizes[1] - sizes[0]) > _OTHER_FRINGE * sizes[0]))
 
 
 def _common_mode_part(displacements: Displacements, modal: ModalFit) -> float:

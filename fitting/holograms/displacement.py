@@ -47,6 +47,7 @@ from fitting.holograms.problem import Problem
 from fitting.holograms.retries import (
     field_of_others,
     relative_misfit,
+    same_fringe,
     tried_again,
     unexplained,
 )
@@ -70,10 +71,6 @@ _MOST_EXPLAINED, _EXPLAINED = 0.8, 2.0
 _ENOUGH = 0.95
 # How often the change of the object field is found again, with the displacements that it gives.
 _MOST_CHANGES = 3
-# Displacements of two starts are in the same fringes if they differ by less than this fraction: the
-# factor that field and displacements share is a tenth (decision 0028), and the next fringe is π rad
-# away, a third of the largest displacements with which a sweep is begun (10 rad).
-_SAME_FRINGES = 0.2
 _FIRST_MAXIMUM_RAD = 1.84
 # A hologram with a larger misfit is far from its noise.
 _FLOOR = 30.0
@@ -183,10 +180,7 @@ def _in_other_fringes(problem: Problem, one: ComplexArray, other: ComplexArray) 
 
     Below the first maximum of J₁, two solutions differ by the brightness of the object field alone.
     """
-    overlap = np.abs(np.sum(one.conj() * other, axis=1))
-    apart = np.sum(np.abs(one) ** 2 + np.abs(other) ** 2, axis=1) - 2 * overlap
-    same = apart < _SAME_FRINGES**2 * np.sum(np.abs(one) ** 2, axis=1)
-    return np.flatnonzero(_with_fringes(problem, one, other) & ~same)
+    return np.flatnonzero(_with_fringes(problem, one, other) & ~same_fringe(one, other))
 
 
 def _with_fringes(problem: Problem, *solutions: ComplexArray) -> NDArray[np.bool_]:

@@ -41,7 +41,8 @@ _SIZES = (1.0, 1.3, 0.77, 1.7, 0.6)
 # best of those that are better than their neighbours are starts.
 _SCANNED, _STARTS = np.geomspace(0.2, 5.0, 41), 3
 # Displacements that differ by less than this part are in the same fringe: the factor that light and
-# displacements share is a tenth (decision 0028).
+# displacements share is a tenth (decision 0028), and the next fringe is π rad away, a third of the
+# largest displacements with which a sweep is begun (10 rad).
 _SAME_FRINGE = 0.2
 # Least gain in log likelihood of another solution: odds of 150 to 1.
 _LEAST_GAIN = 5.0
@@ -112,6 +113,13 @@ def field_of_others(
     return with_field(middle(problem, at), at, weight, change) if weight.any() else at
 
 
+def same_fringe(one: ComplexArray, other: ComplexArray) -> NDArray[np.bool_]:
+    """Whether amplitudes (..., j) differ at most by a phase and the brightness of light."""
+    square, other_square = (np.sum(np.abs(each) ** 2, axis=-1) for each in (one, other))
+    apart = square + other_square - 2 * np.abs(np.sum(one.conj() * other, axis=-1))
+    return np.asarray(apart <= _SAME_FRINGE**2 * square)
+
+
 def tried_again(
     problem: Problem, at: Solution, bad: IndexArray, others: Sequence[ComplexArray] = ()
 ) -> tuple[Solution, IndexArray]:
@@ -149,19 +157,12 @@ def tried_again(
         found, louder, left = _solved(problem.some(steps), at, steps, starts)
         best = int(np.argmin(left))
         if so_far[number] - left[best] > _LEAST_GAIN:
-            misled = not _same_fringe(amplitude[number], found[best])
+            misled = not same_fringe(amplitude[number], found[best])
             amplitude[number], gain[number], good[number] = found[best], louder[best], True
             better.append(number)
             beside = {number - 1, number + 1} & set(range(len(gain)))
             queue.extend(sorted(beside - tried - set(queue)) if misled else ())
     return replace(at, amplitude=amplitude, gain=gain), np.array(better, np.intp)
-
-
-def _same_fringe(one: ComplexArray, other: ComplexArray) -> bool:
-    """Whether amplitudes (j,) differ by the brightness of the light, but for a phase."""
-    both = float(np.linalg.norm(one)), float(np.linalg.norm(other))
-    apart = both[0] ** 2 + both[1] ** 2 - 2 * float(np.abs(np.vdot(one, other)))
-    return apart < (_SAME_FRINGE * both[0]) ** 2
 
 
 def _likely_sizes(

@@ -5,7 +5,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from fitting.forward import (
@@ -21,6 +20,7 @@ from fitting.holograms.displacement import (
     fit_displacements,
     refit_displacements,
 )
+from fitting.holograms.retries import same_fringe
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.fit import fit_modes
 from fitting.modal.modal_fit import ModalFit
@@ -54,9 +54,8 @@ _FEW_OFF = 2
 # 0.05 %, less than shapes leave.
 _TURNS, _LINEAR = 2, 0.03
 # ... and how often at most while outliers get into other fringes: a group of them is corrected from
-# its edges and its peak, some at a time. Displacements that changed by this part are in another
-# fringe (decision 0035).
-_MOST_TURNS, _OTHER_FRINGE = 8, 0.2
+# its edges and its peak, some at a time (decision 0035).
+_MOST_TURNS = 8
 # Fraction of unexplained holograms above which no mode of a sweep is identified.
 _MOST_UNREACHED = 0.2
 # ... and discrepancy of the model: it is 0.02 for reeds with shape errors of 10 µm, and 0.2 for
@@ -208,7 +207,9 @@ def modes_in_turns(
         displacements = refit_displacements(
             block_amplitudes, basis, before, expected_rad, tried, modal.common_mode_shift
         )
-        moved = _in_other_fringes(before, displacements, tried)
+        moved = not np.all(
+            same_fringe(before.amplitude_rad[tried], displacements.amplitude_rad[tried])
+        )
         modal = fit_modes(displacements, *same, modal if few_off else None, rough=True)
     modal = fit_modes(displacements, *same, modal)
     return MeasuredSweep(block_amplitudes, basis, displacements, modal, start_hz)
@@ -275,12 +276,6 @@ def final_names(
         else kept.get(label) or spare.get(label) or f"{label} again"
         for label in labels
     )
-
-
-def _in_other_fringes(before: Displacements, now: Displacements, tried: NDArray[np.bool_]) -> bool:
-    """Whether any of the holograms that were tried again (k,) has another displacement."""
-    sizes = np.linalg.norm([before.amplitude_rad[tried], now.amplitude_rad[tried]], axis=2)
-    return bool(np.any(np.abs(sizes[1] - sizes[0]) > _OTHER_FRINGE * sizes[0]))
 
 
 def _common_mode_part(displacements: Displacements, modal: ModalFit) -> float:

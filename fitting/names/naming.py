@@ -115,10 +115,9 @@ def name_modes(
     """
     if not len(index):
         return {}
-    measured = measured_modes(modal, index)
     visible = visible_coordinates(reeds.reed, basis, *places_m)
     ends_hz = float(drive_hz[0]), float(drive_hz[-1])
-    found = reed_posterior(reeds, visible, measured, ends_hz)
+    found = reed_posterior(reeds, visible, measured_modes(modal, index), ends_hz)
     weights = softmax([each.log_evidence for each in found])
     drawings = reeds.reed, with_straight_lines(reeds.reed)
     probabilities: list[dict[str, float]] = [{} for _ in index]

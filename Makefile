@@ -1,7 +1,8 @@
 # make run       sets everything up, then measures and fits a reed on the simulated bench
 # make test      sets everything up, then runs lint and all tests but the slow ones (5 minutes on two cores)
-# make test-all  runs make test with its coverage, then the slow tests; installs emulators and peers
-#                (some GB; Debian packages, so as root or with sudo) and tests against what others wrote
+# make peers     installs emulators and peers (some GB; Debian packages, so as root or with sudo) and
+#                tests against what others wrote
+# make test-all  runs make test with its coverage, then the slow tests, then make peers
 # make bench     prints every figure that the project claims
 # make docs      builds the documentation: docs/_build/html/index.html
 
@@ -22,7 +23,7 @@ PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadfile
 # Files with a smaller coverage than this are listed, in per cent of their lines.
 SHOW_BELOW := 80
 
-.PHONY: run test test-all bench lint docs clean
+.PHONY: run test peers test-all bench lint docs clean
 
 run: .stamps/run
 	$(BIN)/acquire run $(PROTOCOL)
@@ -33,9 +34,12 @@ test: .stamps/test lint
 # Coverage is that of the tests of `make test`; alone these run without it, because it takes a third
 # more time on Python 3.11. Code that a test runs in another process is not counted.
 test-all: COVERAGE := --cov --cov-report=
-test-all: test .stamps/all
+test-all: test
 	$(PYTEST) -m slow
 	@$(BIN)/coverage report | awk '/%/ && ($$1 == "TOTAL" || $$NF + 0 < $(SHOW_BELOW)) {print "coverage", $$NF, $$1}'
+	$(MAKE) peers
+
+peers: .stamps/all
 	$(ALL)/bin/python -m pytest -q -n 4 --dist loadfile \
 	  tests/peers tests/fitting/modal/test_modal_peer.py tests/drivers tests/acquire/cli/test_emulated.py \
 	  tests/acquire/cli/test_faults.py

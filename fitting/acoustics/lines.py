@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fitting.acoustics.poles import ExcitationPeak
+from fitting.acoustics.poles import MOST_DB, NEXT_TO_CENTS, ExcitationPeak
 from fitting.cane.excess_scatter import added_cents
 from holography.arrays import Array
 
@@ -20,11 +20,6 @@ _MOST, LEAST_REEDS = 0.6, 3
 # Least part of an error that is of the sweep itself, and how often mean and scatter are computed in
 # turns: the second time changes the mean by less than its error.
 _LEAST_OWN, _TURNS = 0.05, 2
-# A peak is next to a mode that is this near: two half widths of a mode with a loss factor of 0.03.
-_NEXT_TO_CENTS = 100.0
-# A resonance in parallel to a direct path seldom amplifies more: cavities next to the beam of a
-# tweeter show 3 to 12 dB. Chosen: the line of the paper's bench has some 10 dB.
-_MOST_DB = 15.0
 
 
 class Verdict(StrEnum):
@@ -79,7 +74,7 @@ class SeenPeak:
     @property
     def next_to_mode(self) -> bool:
         """Whether a mode could account for the peak."""
-        return self.mode is not None and abs(self.mode.cents) < _NEXT_TO_CENTS
+        return self.mode is not None and abs(self.mode.cents) < NEXT_TO_CENTS
 
     @property
     def suspect(self) -> bool:
@@ -87,7 +82,7 @@ class SeenPeak:
 
         The drive has then probably absorbed vibration of the mode.
         """
-        return self.next_to_mode and self.peak.height_db > _MOST_DB
+        return self.next_to_mode and self.peak.height_db > MOST_DB
 
 
 @dataclass(frozen=True)
@@ -263,7 +258,7 @@ def _judged(window: Sequence[SeenPeak], reeds: int, of: int) -> tuple[Verdict, s
         return Verdict.BENCH, ""
     high = [seen for seen in window if seen.suspect]
     if len(high) > len(window) / 2 and high[0].mode is not None:
-        return Verdict.SUSPECT, f"it is next to {high[0].mode.name} and above {_MOST_DB:g} dB"
+        return Verdict.SUSPECT, f"it is next to {high[0].mode.name} and above {MOST_DB:g} dB"
     if of < LEAST_REEDS:
         return Verdict.UNDECIDED, f"fewer than {LEAST_REEDS} reeds cover it"
     return Verdict.SUSPECT, "most reeds do not show it"

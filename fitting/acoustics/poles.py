@@ -44,6 +44,11 @@ _QUALITIES, _PHASES = (10.0, 40.0), (0.0, 1.2, -1.2, np.pi)
 _BY_CHANCE = 1e-3
 # Log variance of the drive of holograms that are outliers, nepers².
 _OFF = 1.0
+# A peak is next to a mode that is this near: two half widths of a mode with a loss factor of 0.03.
+NEXT_TO_CENTS = 100.0
+# A resonance in parallel to a direct path seldom amplifies more: cavities next to the beam of a
+# tweeter show 3 to 12 dB. Chosen: the line of the paper's bench has some 10 dB.
+MOST_DB = 15.0
 # Frequencies around a pole at which its height is looked for, in half widths.
 _NEAR = np.linspace(-3, 3, 241)
 _DB_PER_NEPER = 20 / np.log(10)
@@ -104,16 +109,35 @@ def find_excitation_peaks(
     list of ExcitationPeak
         In order of frequency.
     """
+    fit = _fit_of(drive_hz, log_magnitude, covariance, gain, off)
+    found, tops = _lines(fit)
+    ripple = quiet_ripple(drive_hz).covariance
+    peaks = _peaks(found, *fit.covariances(found, tops, ripple)) if tops else []
+    high = [peak for peak in peaks if peak.height_db > _LEAST_DB]
+    return sorted(high, key=lambda peak: peak.hz)
+
+
+def lines_of_drive(
+    drive_hz: Array,
+    log_magnitude: Array,
+    covariance: Array,
+    gain: float = LEAST_GAIN,
+    off: Mask | None = None,
+) -> Array:
+    """Return the lines (n, 4) of a drive, for `log_gain`; see `find_excitation_peaks`."""
+    found, _ = _lines(_fit_of(drive_hz, log_magnitude, covariance, gain, off))
+    return found
+
+
+def _fit_of(
+    drive_hz: Array, log_magnitude: Array, covariance: Array, gain: float, off: Mask | None
+) -> "_Fit":
     variance = np.full(len(drive_hz), gain**2)
     if off is not None:
         variance[off] += _OFF
     ripple = quiet_ripple(drive_hz).covariance
     root = linalg.cholesky(covariance + ripple + np.diag(variance), lower=True)
-    fit = _Fit(drive_hz, log_magnitude, root)
-    found, tops = _lines(fit)
-    peaks = _peaks(found, *fit.covariances(found, tops, ripple)) if tops else []
-    high = [peak for peak in peaks if peak.height_db > _LEAST_DB]
-    return sorted(high, key=lambda peak: peak.hz)
+    return _Fit(drive_hz, log_magnitude, root)
 
 
 def _lines(fit: "_Fit") -> tuple[Array, list[float]]:
@@ -151,6 +175,29 @@ def log_gain(parameters: Array, hz: Array) -> Array:
     resonance = 1 / (1 - ratio**2 + 1j * ratio * np.exp(-log_quality))
     gain: Array = np.log(np.abs(1 + np.sum((real + 1j * imaginary) * resonance, axis=1)))
     return gain
+
+
+def line_covariance(parameters: Array, hz: Array) -> Array:
+    """Return the covariance (k, k) of `log_gain` that the prior of lines (n, 4) has around them."""
+    log_hz, log_quality, real, imaginary = parameters.T
+    ratio = hz[:, None] / np.exp(log_hz)
+    loss = 1j * ratio * np.exp(-log_quality)
+    resonance = 1 / (1 - ratio**2 + loss)
+    strength = real + 1j * imaginary
+    steep = strength * resonance**2
+    slopes = [steep * (loss - 2 * ratio**2), steep * loss, resonance, 1j * resonance]
+    whole = 1 + np.sum(strength * resonance, axis=1)
+    spread = (_LOG_HZ_SD, _LOG_QUALITY_SD, _STRENGTH_SD, _STRENGTH_SD)
+    moved = np.concatenate(
+        [sd * (slope / whole[:, None]).real for sd, slope in zip(spread, slopes, strict=True)],
+        axis=1,
+    )
+    return np.asarray(moved @ moved.T)
+
+
+def height_db(line: Array) -> float:
+    """Return the largest gain near the pole of a line (4,), relative to the direct path."""
+    return float(_DB_PER_NEPER * _height(line))
 
 
 @dataclass(frozen=True)
@@ -255,7 +302,7 @@ def _peaks(found: Array, covariance: Array, by_ripple: Array) -> list[Excitation
                 quality_error=float(quality * errors[1]),
                 ripple_hz=float(hz * ripple[0]),
                 ripple_quality=float(quality * ripple[1]),
-                height_db=float(_DB_PER_NEPER * _height(line)),
+                height_db=height_db(line),
                 height_error_db=float(_DB_PER_NEPER * height_error),
             )
         )

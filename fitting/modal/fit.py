@@ -16,7 +16,8 @@ All parameters are found by one damped least-squares fit to the amplitudes of
 elements as by a perturbation: the more, the closer two modes are in frequency. All displacements
 may have a common-mode error, because object field and vibration are partly confounded (see
 `fitting.holograms.object_field`); it drifts slowly. The discrepancy of the model is estimated from
-the residuals and added to the noise, and the ripple of the drive from the drive that was found.
+the residuals and added to the noise, and the ripple of the drive and its lines from the drive that
+was found.
 """
 
 from collections.abc import Sequence
@@ -28,6 +29,7 @@ from scipy.special import softmax
 
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis
+from fitting.modal.drive_lines import with_lines
 from fitting.modal.drive_prior import (
     HELD_LEVEL,
     Ripple,
@@ -136,6 +138,8 @@ def fit_modes(
     if rough or drive_dof == KNOWN_DRIVE_DOF:
         return _finish(displacements, basis.names, [Optimum.of(model, end)])
     optima = _optima(model, given, state, scatter)
+    if explained := with_lines(likeliest(optima), given):
+        optima = [*optima, explained]
     for line in suspect_lines(likeliest(optima)):
         optima = _without_line(optima, line, given, centre_hz)
     return _finish(displacements, basis.names, optima)

@@ -5,7 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.acoustics.poles import find_excitation_peaks
+from fitting.acoustics.poles import (
+    find_excitation_peaks,
+    height_db,
+    line_covariance,
+    lines_of_drive,
+    log_gain,
+)
 from fitting.modal.drive_prior import quiet_ripple
 from physics.drive import resonance_gain
 from physics.parameters.drive import AcousticResonance
@@ -31,6 +37,25 @@ def log_drive(*lines, seed=0, noise=0.005):
 
 def found_in(*lines, seed=0, noise=0.005):
     return find_excitation_peaks(HZ, log_drive(*lines, seed=seed, noise=noise), NONE, noise)
+
+
+def test_the_covariance_of_lines_is_that_of_their_numbers_to_first_order():
+    lines = np.array([[np.log(4300.0), np.log(20.0), 0.3, 0.1], [np.log(9000.0), 3.5, -0.1, 0.0]])
+    spread, step = np.tile([0.05, 0.9, 1.0, 1.0], 2), 1e-5
+    slopes = [
+        (log_gain(lines + move, HZ) - log_gain(lines - move, HZ)) / (2 * step)
+        for move in step * np.eye(8).reshape(8, 2, 4)
+    ]
+    expected = (np.array(slopes).T * spread**2) @ np.array(slopes)
+    assert line_covariance(lines, HZ) == pytest.approx(expected, rel=1e-5, abs=1e-8)
+
+
+def test_lines_of_a_drive_are_those_of_its_peaks():
+    drive = log_drive(BENCH, (9000.0, 30.0, 0.2))
+    lines = lines_of_drive(HZ, drive, NONE, 0.005)
+    peaks = find_excitation_peaks(HZ, drive, NONE, 0.005)
+    assert sorted(np.exp(lines[:, 0])) == pytest.approx([peak.hz for peak in peaks])
+    assert sorted(map(height_db, lines)) == pytest.approx(sorted(p.height_db for p in peaks))
 
 
 def test_a_drive_without_lines_has_none():

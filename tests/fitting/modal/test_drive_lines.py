@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from fitting.modal import fit as modal_fit
+from fitting.modal.drive_lines import _may_be_a_mode, with_lines
 from fitting.modal.drive_prior import louder_than_usual, quiet_at, quiet_ripple
 from fitting.modal.rounds import suspect_lines, with_ripple
-from tests.fitting.modal.test_fit import planted
+from tests.fitting.modal.test_fit import DRIVE_HZ, MODE_HZ, cents, planted
 
 HZ = 1500 * 2 ** (np.arange(120) * 25 / 1200)
 LINE_HZ, QUALITY = 3000.0, 30.0
@@ -77,3 +78,47 @@ def test_the_likelier_explanation_is_taken_at_one_scatter(monkeypatch, better):
     # Frequencies are within a few cents of those planted, but for the shift.
     moved = np.log(found.hz / sweep.hz[:5])
     assert moved == pytest.approx(0.05 if better else 0.02, abs=2e-3)
+
+
+def chamber(pole_hz, strength=0.35, quality=20.0):
+    """Gain of a path through a cavity in parallel to the direct one."""
+    ratio = DRIVE_HZ / pole_hz
+    return np.abs(1 + strength / (1 - ratio**2 + 1j * ratio / quality))
+
+
+def in_a_notch(seed):
+    """A sweep with a mode where both paths cancel."""
+    pole_hz = MODE_HZ[2] / np.sqrt(1.35)
+    return planted(seed, noise=0.02, drive_dof=list(enumerate(chamber(pole_hz)))), pole_hz
+
+
+def test_a_mode_in_the_notch_of_a_chamber_is_where_it_is(monkeypatch):
+    """The finer structure alone is too smooth there: drive and mode share the notch."""
+    notch = np.abs(np.log(DRIVE_HZ / MODE_HZ[2])) < 0.05
+    expected, wrong = [], {True: [], False: []}
+
+    def seen(at, given):
+        expected.append(with_lines(at, given))
+        return expected[-1]
+
+    for seed in (6, 7, 8):
+        sweep, pole_hz = in_a_notch(seed)
+        for lines in (True, False):
+            monkeypatch.setattr(modal_fit, "with_lines", seen if lines else lambda *_: None)
+            found = sweep.fit()
+            off = np.log(np.abs(found.drive / sweep.drive))[notch]
+            wrong[lines].append(np.std(off))
+            if lines:
+                assert (np.abs(cents(found.hz, sweep.hz[:5])) < 3 * found.error_cents).all()
+        there = np.abs(np.log(DRIVE_HZ / pole_hz)) < 0.2
+        left = (expected[-1].model.log_volts - np.log(sweep.volts * chamber(pole_hz)))[there]
+        assert np.abs(left - left.mean()).max() < 0.25
+    assert np.mean(wrong[True]) < np.mean(wrong[False])
+
+
+@pytest.mark.parametrize(("mode_hz", "strength", "may_be"), [
+    (4310.0, 0.6, True), (4310.0, 0.05, False), (4700.0, 0.6, False),
+])  # fmt: skip
+def test_a_high_line_next_to_a_mode_is_not_expected_of_the_drive(mode_hz, strength, may_be):
+    line = np.array([np.log(4300.0), np.log(20.0), strength, 0.0])
+    assert _may_be_a_mode(line, np.log([2000.0, mode_hz])) is may_be

@@ -276,7 +276,7 @@ def refit_displacements(
     basis : ShapeBasis
     before : Displacements
     expected_rad : sequence of (k, j) complex
-        Expected amplitudes, up to a phase of each hologram. If all holograms are solved anew, the
+        Expected amplitudes, up to a phase of each hologram. If all holograms are solved again, the
         last of those that explain a hologram equally well is used.
     off : (k,) bool
         Holograms that are solved from there, because they are not explained so far.

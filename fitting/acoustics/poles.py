@@ -44,7 +44,8 @@ _QUALITIES, _PHASES = (10.0, 40.0), (0.0, 1.2, -1.2, np.pi)
 _BY_CHANCE = 1e-3
 # Log variance of the drive of holograms that are outliers, nepers².
 _OFF = 1.0
-# A peak is next to a mode that is this near: two half widths of a mode with a loss factor of 0.03.
+# A peak is next to a mode that is this near: two widths at half power of a mode with a loss factor
+# of 0.03, 52 cents each.
 NEXT_TO_CENTS = 100.0
 # A resonance in parallel to a direct path seldom amplifies more: cavities next to the beam of a
 # tweeter show 3 to 12 dB. Chosen: the line of the paper's bench has some 10 dB.

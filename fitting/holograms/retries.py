@@ -160,8 +160,9 @@ def tried_again(
             misled = not same_fringe(amplitude[number], found[best])
             amplitude[number], gain[number], good[number] = found[best], louder[best], True
             better.append(number)
-            beside = {number - 1, number + 1} & set(range(len(gain)))
-            queue.extend(sorted(beside - tried - set(queue)) if misled else ())
+            if misled:
+                neighbours = {number - 1, number + 1} & set(range(len(gain)))
+                queue.extend(sorted(neighbours - tried - set(queue)))
     return replace(at, amplitude=amplitude, gain=gain), np.array(better, np.intp)
 
 
@@ -173,8 +174,8 @@ def _likely_sizes(
     few, field, variance = problem.some(steps), *_field_at(at, steps)
     a = few.turned(field, np.arange(len(steps)), _SCANNED[:, None] * expected)
     left = cost(few, Solution(a, np.zeros(len(steps)), field, variance))
-    beside = np.pad(left, 1, constant_values=np.inf)
-    dips = np.flatnonzero((left <= beside[:-2]) & (left <= beside[2:]))
+    padded = np.pad(left, 1, constant_values=np.inf)
+    dips = np.flatnonzero((left <= padded[:-2]) & (left <= padded[2:]))
     best = dips[np.argsort(left[dips])[:_STARTS]]
     return np.concatenate([expected[None], a[best]])
 

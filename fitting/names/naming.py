@@ -6,7 +6,7 @@ lines of its shapes; a measured mode has the name of the draw's mode that it is.
 that mode is what was measured, within its errors: a reed with its own thickness everywhere has
 shapes that no draw has. At an avoided crossing a mode has the characters of two names. Each name
 then has the share of the motion that bears it out as its weight, and a name belongs to one mode
-only. Half of the draws' weight is that of lines across which follow the tip, half that of straight
+only. Half of the weight belongs to lines across the reed that follow its tip, half to straight
 ones.
 """
 

@@ -30,6 +30,7 @@ from fitting.holograms.retries import (
     _likely_sizes,
     field_of_others,
     relative_misfit,
+    same_fringe,
     tried_again,
     unexplained,
 )
@@ -632,6 +633,15 @@ def test_holograms_in_wrong_fringes_say_nothing_of_the_light(sweep, settled):
     for change in (settled.change, None):
         assert error(lost, change) < 0.02
         assert error(lost[:0], change) > 0.1
+
+
+def test_fringes_are_the_same_but_for_a_phase_and_the_brightness_of_light(settled):
+    one = settled.amplitude_rad[[40, 61]]
+    assert same_fringe(one, 1.1 * np.exp(2j) * one).all()
+    assert not same_fringe(one, 1.3 * one).any()
+    # A hologram that has no solution before and after has not moved.
+    assert same_fringe(0 * one, 0 * one).all()
+    assert not same_fringe(0 * one, one).any()
 
 
 @pytest.mark.parametrize("expected", [0.3, 1.0, 3.5])

@@ -88,6 +88,14 @@ def effects() -> str:
     return "\n".join(f"| {' | '.join(cell.replace('|', ' ') for cell in row)} |" for row in rows)
 
 
+def effects_without_size() -> str:
+    """Return a sentence about the effects that the table of detectability does not have."""
+    page = (ROOT / "docs/explanation/detectability.md").read_text("utf-8")
+    measured = set(re.findall(r"^\| (\w+) \|", page, re.MULTILINE))
+    missing = ", ".join(f"`{effect.id}`" for effect in CATALOGUE if effect.id not in measured)
+    return f"Not in this table, because the study did not try it: {missing or 'none'}."
+
+
 def disorder() -> str:
     """Return a table of all kinds of disorder."""
     rows = [
@@ -157,6 +165,7 @@ def _key_row(key: Key) -> str:
 PARTS: dict[str, Callable[[], str]] = {
     "verbs": command_line,
     "effects": effects,
+    "effects-without-size": effects_without_size,
     "disorder": disorder,
     "decisions": decisions,
     "driver-keys": driver_keys,

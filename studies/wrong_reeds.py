@@ -32,7 +32,7 @@ from drivers.simulated.settings import (
     cane_of,
     read_simulation,
 )
-from fitting.cane.reed_fit import QUOTED_HZ
+from fitting.cane.over_density import QUOTED_HZ
 from holography.arrays import Array
 from physics.reed.cane.material import Cane
 from physics.reed.cane.viscoelastic import (

@@ -14,7 +14,8 @@ from fitting.amplitudes.response import Response, joint_response
 from fitting.amplitudes.vamp import vamp_points
 from fitting.cane.cane_losses import CaneLosses, fit_losses
 from fitting.cane.model_errors import ModelErrors, model_errors
-from fitting.cane.reed_fit import QUOTED_HZ, ReedParameters, fit_components
+from fitting.cane.over_density import QUOTED_HZ
+from fitting.cane.reed_fit import ReedParameters, fit_components
 from fitting.cane.sweep_fit import ReedFit, SweepFit
 from fitting.errors import FitError, FitInputError
 from fitting.forward import (

@@ -27,14 +27,14 @@ _MAP = "thickness_map"
 # Shifts below this are none. Chosen: far below any standard error.
 _LEAST_CENTS = 0.1
 # Relative standard deviation of the density of the air, from 960 to 1030 hPa (2.0 %) and from 15 to
-# 30 °C (1.5 %), both equally distributed. To it comes that of the cane's density, to which all
-# frequencies are relative.
+# 30 °C (1.5 %), both equally distributed.
 _AIR_DENSITY = 0.025
 # Standard deviation of the flow's shape, from a free plate (0) to a reed in a wide wall (1).
 # Chosen: a mouthpiece guides the air more than a free plate does and less than a wall.
 _WALL = 0.5
 # Ordinary disorder of each reed, and of each time that it is clamped.
-_OF_REED = ("thickness_slope", "E_T", "E_R", "G_LR", "G_TR", "nu_LT", "nu_LR", "nu_TR")
+_DENSITY = "density"
+_OF_REED = (_DENSITY, "thickness_slope", "E_T", "E_R", "G_LR", "G_TR", "nu_LT", "nu_LR", "nu_TR")
 _OF_CLAMPING = ("clamp_shift", "clamp_tilt")
 
 
@@ -52,6 +52,8 @@ class ModelErrors:
         Whether a cause is another one each time that the reed is clamped.
     own_cents : (m,) float
         Error of each mode by itself: what its shifts are not proportional to their causes.
+    log_density : (q,) float
+        Logarithm of the density of the cane, over that of the drawing, by each cause.
     """
 
     modes: tuple[str, ...]
@@ -59,6 +61,7 @@ class ModelErrors:
     cents: Array
     of_clamping: Mask
     own_cents: Array
+    log_density: Array
 
 
 @dataclass(frozen=True)
@@ -98,12 +101,15 @@ def model_errors(solver: ReedSolver, nominal: BenchParameters, modes: Sequence[s
         squares += bend**2
     shifts.append(_WALL * _by_wall(solver, nominal.reed, modes))
     maps = _by_maps(solver, nominal.reed, modes)
+    names = (*(cause.name for cause in causes), "wall", *[_MAP] * len(maps))
+    density = BY_NAME[_DENSITY].ordinary.deviation
     return ModelErrors(
         modes=tuple(modes),
-        causes=(*(cause.name for cause in causes), "wall", *[_MAP] * len(maps)),
+        causes=names,
         cents=np.concatenate([np.stack(shifts), maps]),
         of_clamping=np.array([cause.of_clamping for cause in causes] + [False] * (1 + len(maps))),
         own_cents=np.sqrt(squares),
+        log_density=np.where(np.array(names) == _DENSITY, density, 0.0),
     )
 
 
@@ -118,8 +124,7 @@ def _causes(nominal: BenchParameters) -> Iterator[_Cause]:
         kind = BY_NAME[name]
         drawn = partial(_with_disorder, nominal, kind, kind.ordinary.deviation, 0)
         yield _Cause(name, drawn, of_clamping=name in _OF_CLAMPING)
-    air = float(np.hypot(_AIR_DENSITY, BY_NAME["density"].ordinary.deviation))
-    yield _Cause("air", partial(_with_air, nominal, air))
+    yield _Cause("air", partial(_with_air, nominal, _AIR_DENSITY))
 
 
 def _with_effect(nominal: BenchParameters, effect: Effect, deviations: float) -> BenchParameters:

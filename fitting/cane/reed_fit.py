@@ -9,6 +9,12 @@ from scipy.optimize import least_squares
 
 from fitting.cane.excess_scatter import added_cents, is_misfit
 from fitting.cane.model_errors import ModelErrors
+from fitting.cane.over_density import (
+    MODULI,
+    cane_of,
+    components_over_density,
+    moduli_mpa,
+)
 from fitting.errors import FitError
 from fitting.forward import (
     ForwardModel,
@@ -18,13 +24,7 @@ from fitting.forward import (
 )
 from fitting.resonance import Resonance
 from holography.arrays import Array
-from physics.reed.cane.viscoelastic import (
-    Components,
-    Series,
-    ViscoelasticCane,
-    storage_modulus_pa,
-    viscoelastic_cane,
-)
+from physics.reed.cane.viscoelastic import Series, ViscoelasticCane
 
 COMPONENTS = ("e1", "e2", "e3", "e4")
 # Below this similarity, relative to a pure mode, the mode is mixed with another one.
@@ -42,8 +42,6 @@ _EVEN_CENTS = 7.2
 _LEAST_LEFT = 0.1
 # Most iterations of the excess scatter, and relative change at which they end.
 _MISFIT_TURNS, _MISFIT_SETTLED = 10, 1e-3
-# The paper quotes storage moduli at this frequency (Tables 6 and 7).
-QUOTED_HZ = 4000.0
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,8 @@ class ReedParameters:
     components : dict
         e1, e2, e3 from series A; e4 too from A and B together.
     moduli : dict
-        Per series ("A", "B"): E1, E2, G1, G2 and the storage moduli at 4 kHz, in MPa.
+        Per series ("A", "B"): E1, E2, G1, G2 and the storage moduli at 4 kHz, in MPa. They and the
+        components are those of cane of the drawing's density (`fitting.cane.over_density`).
     rms_cents : float
         Root mean square of observed less fitted frequencies.
     residual_cents : dict
@@ -133,7 +132,7 @@ def fit_components(
     # Which modes exchange shapes is known only for a known cane: first a robust fit to all modes.
     _require_enough(observed, len(free))
     errors = np.maximum(_errors_cents(observed), _EVEN_CENTS)
-    problem = _Problem(observed, model, len(free), _patterns(observed, unknown))
+    problem = _problem(observed, model, len(free), unknown)
     values = problem.fitted(errors, problem.start, "soft_l1")[0][: len(free)]
     distinct = [o for o in observed if _similarity(o, values, model) >= _LEAST_SIMILARITY]
     _require_enough(distinct, len(free))
@@ -141,7 +140,7 @@ def fit_components(
         str(s): [o.name for o in observed if o.series is s and o not in distinct]
         for s in resonances
     }
-    problem = _Problem(distinct, model, len(free), _patterns(distinct, unknown))
+    problem = _problem(distinct, model, len(free), unknown)
     return _parameters(problem, free, list(resonances), left_out)
 
 
@@ -154,14 +153,11 @@ def _parameters(
     """Fit the free components to observations and collect the results."""
     distinct, model = problem.observed, problem.model
     everything, whole_covariance, chi2, misfit = _least_squares(problem)
-    residual = problem.residual_cents(everything)
-    values, covariance = everything[: len(free)], whole_covariance[: len(free), : len(free)]
+    residual, values = problem.residual_cents(everything), everything[: len(free)]
+    components, moduli = _over_density(problem, everything, whole_covariance)
     return ReedParameters(
-        components={
-            name: ValueWithError(float(value), float(np.sqrt(variance)))
-            for name, value, variance in zip(free, values, np.diag(covariance), strict=True)
-        },
-        moduli={str(s): _moduli(values, covariance, s) for s in series},
+        components=dict(zip(free, components, strict=True)),
+        moduli={str(s): dict(zip(MODULI, moduli[s], strict=True)) for s in series},
         rms_cents=float(np.sqrt(np.mean(residual**2))),
         residual_cents={
             str(s): {
@@ -177,7 +173,7 @@ def _parameters(
             for name, value in zip(free, values, strict=True)
             if abs(value) > _FARTHEST_SD - _AT_LIMIT_SD
         ],
-        physical=all(_springs_positive(_cane(values, s)) for s in series),
+        physical=all(_springs_positive(cane_of(values, s)) for s in series),
         model=model.name,
     )
 
@@ -195,12 +191,13 @@ class _Observation:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Resonances, and the patterns (n, q) by which unknown causes move them."""
+    """Resonances, the patterns (n, q) by which unknown causes move them, and their density (q,)."""
 
     observed: Sequence[_Observation]
     model: ForwardModel
     count: int
     patterns: Array
+    log_density: Array
 
     @property
     def start(self) -> Array:
@@ -232,10 +229,12 @@ def _own_error(unknown: ModelErrors | None, name: str) -> float:
     return float(unknown.own_cents[unknown.modes.index(name)]) if unknown else 0.0
 
 
-def _patterns(observed: Sequence[_Observation], unknown: ModelErrors | None) -> Array:
-    """Patterns (n, q) of the causes in n resonances: what belongs to a clamping, in each series."""
+def _problem(
+    observed: Sequence[_Observation], model: ForwardModel, count: int, unknown: ModelErrors | None
+) -> _Problem:
+    """Put resonances and causes together: a cause that belongs to a clamping, in each series."""
     if unknown is None:
-        return np.zeros((len(observed), 0))
+        return _Problem(observed, model, count, np.zeros((len(observed), 0)), np.zeros(0))
     rows = [unknown.modes.index(o.name) for o in observed]
     each = unknown.cents[:, rows].T
     shared, clamped = each[:, ~unknown.of_clamping], each[:, unknown.of_clamping]
@@ -243,7 +242,10 @@ def _patterns(observed: Sequence[_Observation], unknown: ModelErrors | None) -> 
         clamped * np.array([[o.series is series] for o in observed])
         for series in sorted({o.series for o in observed})
     ]
-    return np.hstack([shared, *own])
+    patterns = np.hstack([shared, *own])
+    log_density = np.zeros(patterns.shape[1])
+    log_density[: shared.shape[1]] = unknown.log_density[~unknown.of_clamping]
+    return _Problem(observed, model, count, patterns, log_density)
 
 
 def _require_enough(observed: Sequence[_Observation], count: int) -> None:
@@ -287,7 +289,7 @@ def _least_squares(problem: _Problem) -> tuple[Array, Array, float, float]:
 def _residual_cents(observed: Sequence[_Observation], values: Array, model: ForwardModel) -> Array:
     """Return observed minus computed frequencies in cents."""
     computed = {
-        s: viscoelastic_cents(model, _cane(values, s), s) for s in {o.series for o in observed}
+        s: viscoelastic_cents(model, cane_of(values, s), s) for s in {o.series for o in observed}
     }
     return np.array(
         [float(cents_of(o.found.frequency_hz)) - computed[o.series][o.mode] for o in observed]
@@ -295,33 +297,44 @@ def _residual_cents(observed: Sequence[_Observation], values: Array, model: Forw
 
 
 def _similarity(observation: _Observation, values: Array, model: ForwardModel) -> float:
-    cane = _cane(values, observation.series)
+    cane = cane_of(values, observation.series)
     cents = viscoelastic_cents(model, cane, observation.series)
     return float(name_similarity(model, cane, cents)[observation.mode])
-
-
-def _cane(values: Array, series: Series) -> ViscoelasticCane:
-    return viscoelastic_cane(Components(*map(float, values)), series)
 
 
 def _springs_positive(cane: ViscoelasticCane) -> bool:
     return all(min(z.spring_mpa, z.arm_spring_mpa) > 0 for z in (cane.young_L, cane.shear_LT))
 
 
-def _moduli(values: Array, covariance: Array, series: Series) -> dict[str, ValueWithError]:
-    """Return moduli in MPa with errors, propagated to first order."""
+def _over_density(
+    problem: _Problem, values: Array, covariance: Array
+) -> tuple[list[ValueWithError], dict[Series, list[ValueWithError]]]:
+    """Return components, and moduli per series, with errors, propagated to first order.
 
-    def moduli(e: Array) -> Array:
-        cane = _cane(e, series)
-        E, G = cane.young_L, cane.shear_LT
-        storage = [1e-6 * float(storage_modulus_pa(z, QUOTED_HZ)) for z in (E, G)]
-        return np.array([E.spring_mpa, E.arm_spring_mpa, G.spring_mpa, G.arm_spring_mpa, *storage])
-
-    names = ("E1_mpa", "E2_mpa", "G1_mpa", "G2_mpa", "E_4kHz_mpa", "G_4kHz_mpa")
-    step = 1e-4 * np.eye(len(values))
-    jacobian = np.stack([(moduli(values + d) - moduli(values - d)) / 2e-4 for d in step], axis=1)
-    errors = np.sqrt(np.einsum("ni,ij,nj->n", jacobian, covariance, jacobian))
-    return {
-        name: ValueWithError(float(value), float(error))
-        for name, value, error in zip(names, moduli(values), errors, strict=True)
+    Parameters
+    ----------
+    problem : _Problem
+    values : (c + q,) float
+        Components and causes.
+    covariance : (c + q, c + q) float
+    """
+    each = sorted({o.series for o in problem.observed})
+    hz = {
+        s: np.array([o.found.frequency_hz for o in problem.observed if o.series is s]) for s in each
     }
+    count = problem.count
+
+    def reported(values: Array) -> Array:
+        e, density = values[:count], float(problem.log_density @ values[count:])
+        moduli = [moduli_mpa(e, density, s) for s in each]
+        return np.concatenate([components_over_density(e, density, hz), *moduli])
+
+    step = 1e-4 * np.eye(len(values))
+    jacobian = np.stack([(reported(values + d) - reported(values - d)) / 2e-4 for d in step], 1)
+    errors = np.sqrt(np.einsum("ni,ij,nj->n", jacobian, covariance, jacobian))
+    found = [
+        ValueWithError(float(value), float(error))
+        for value, error in zip(reported(values), errors, strict=True)
+    ]
+    moduli = (found[count + k * len(MODULI) :][: len(MODULI)] for k in range(len(each)))
+    return found[:count], dict(zip(each, moduli, strict=True))

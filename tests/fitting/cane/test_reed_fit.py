@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from drivers.simulated.settings import cane_of
+from fitting.cane.over_density import QUOTED_HZ
 from fitting.cane.reed_fit import (
     COMPONENTS,
-    QUOTED_HZ,
     fit_components,
 )
 from fitting.errors import FitError

@@ -3,6 +3,7 @@
 import doctest
 import json
 from fractions import Fraction
+from typing import get_args
 
 import pytest
 from hypothesis import given
@@ -21,6 +22,10 @@ BENCH = BenchFile.from_file()
 LINEAR = {"law": "linear", "from": "1 kHz", "to": "1.5 kHz", "step": "100 Hz"}
 LIST = {"law": "list", "frequencies": ["1.9 kHz", "3.4 kHz", "5 kHz"]}
 CONSTANT = {"law": "constant", "volts": "2 V"}
+# All laws of volts, in the order in which they are tried.
+KINDS = ", ".join(
+    get_args(kind.model_fields["law"].annotation)[0] for kind in get_args(get_args(AmplitudeLaw)[0])
+)
 TABLE = {"law": "table", "frequencies": ["1 kHz", "2 kHz"], "volts": ["8 V", "2 V"]}
 
 
@@ -130,7 +135,7 @@ WRONG = {
     ),
     "direction": ("sweep", LIST | {"direction": "left"}, "sweep.direction", "'left' should be"),
     "0 V": ("drive", {"law": "constant", "volts": "0 V"}, "drive.volts", "greater than 0"),
-    "unknown drive law": ("drive", {"law": "linear"}, "drive.law", "one of ramp, constant, table"),
+    "unknown drive law": ("drive", {"law": "linear"}, "drive.law", f"one of {KINDS}"),
     "uneven table": ("drive", TABLE | {"volts": ["1 V"]}, "drive.volts", "has 1 values for 2"),
     "one point": (
         "drive", {"law": "table", "frequencies": ["1 kHz"], "volts": ["1 V"]},

@@ -3,7 +3,7 @@
 All numbers are those of the cane of the drawing's density that sounds the same: its moduli are the
 reed's, times the density of the drawing over that of the reed. They leave hypothesis H4 by a
 little, because H4 varies moduli with three components and cannot scale all four springs; the
-components are those of the cane of H4 whose moduli are most alike.
+components are those of the cane of H4 whose moduli are most similar.
 """
 
 from collections.abc import Mapping
@@ -54,9 +54,9 @@ def moduli_mpa(values: Array, log_density: float, series: Series) -> Array:
 def components_over_density(
     values: Array, log_density: float, frequencies_hz: Mapping[Series, Array]
 ) -> Array:
-    """Return components (c,) of cane of the drawing's density whose moduli are most alike.
+    """Return components (c,) of cane of the drawing's density whose moduli are most similar.
 
-    Alike are the logarithms of both storage moduli, at given frequencies in each series.
+    The logarithms of both storage moduli are compared, at given frequencies in each series.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ def test_components_at_the_drawings_density_are_their_own():
 
 
 @pytest.mark.parametrize("series", [[Series.A], list(Series)])
-def test_no_other_components_are_more_alike(series):
+def test_no_other_components_are_more_similar(series):
     hz = dict.fromkeys(series, HZ[Series.A])
     values = np.append(VALUES, 0.2) if len(series) == 2 else VALUES
     best = components_over_density(values, 0.1, hz)

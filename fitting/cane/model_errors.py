@@ -32,8 +32,8 @@ _AIR_DENSITY = 0.025
 # Standard deviation of the flow's shape, from a free plate (0) to a reed in a wide wall (1).
 # Chosen: a mouthpiece guides the air more than a free plate does and less than a wall.
 _WALL = 0.5
-# Ordinary disorder of each reed, and of each time that it is clamped.
 _DENSITY = "density"
+# Ordinary disorder of each reed, and of each time that it is clamped.
 _OF_REED = (_DENSITY, "thickness_slope", "E_T", "E_R", "G_LR", "G_TR", "nu_LT", "nu_LR", "nu_TR")
 _OF_CLAMPING = ("clamp_shift", "clamp_tilt")
 

@@ -22,8 +22,8 @@ from physics.reed.cane.viscoelastic import (
 # The paper quotes storage moduli at this frequency (Tables 6 and 7).
 QUOTED_HZ = 4000.0
 MODULI = ("E1_mpa", "E2_mpa", "G1_mpa", "G2_mpa", "E_4kHz_mpa", "G_4kHz_mpa")
-# Newton's steps for components; the moduli are almost linear in them, and each step gains three
-# digits.
+# Newton's steps for components. For cane that is denser by two standard deviations (0.23), a fifth
+# step moves no component by more than 1e-4.
 _STEPS = 4
 _DIFFERENCE = 1e-4
 

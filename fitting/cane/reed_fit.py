@@ -117,12 +117,6 @@ def fit_components(
         Without series A (e2 and e4 have the same effect on series B), or with fewer resonances than
         components.
     """
-    if Series.A not in resonances:
-        raise FitError(
-            "components need a run of series A: in series B alone e2 and e4 have the same effect; "
-            "give the reed's series A run too"
-        )
-    free = COMPONENTS if Series.B in resonances else COMPONENTS[:3]
     observed = [
         _Observation(series, name, model.modes.index(name), found, _own_error(unknown, name))
         for series, named in resonances.items()
@@ -130,31 +124,33 @@ def fit_components(
         if name in model.modes
     ]
     # Which modes exchange shapes is known only for a known cane: first a robust fit to all modes.
+    free = _free(observed)
     _require_enough(observed, len(free))
     errors = np.maximum(_errors_cents(observed), _EVEN_CENTS)
     problem = _problem(observed, model, len(free), unknown)
     values = problem.fitted(errors, problem.start, "soft_l1")[0][: len(free)]
     distinct = [o for o in observed if _similarity(o, values, model) >= _LEAST_SIMILARITY]
+    free = _free(distinct)
     _require_enough(distinct, len(free))
     left_out = {
         str(s): [o.name for o in observed if o.series is s and o not in distinct]
         for s in resonances
     }
     problem = _problem(distinct, model, len(free), unknown)
-    return _parameters(problem, free, list(resonances), left_out)
+    return _parameters(problem, free, left_out)
 
 
 def _parameters(
     problem: "_Problem",
     free: Sequence[str],
-    series: Sequence[Series],
     left_out: dict[str, list[str]],
 ) -> ReedParameters:
     """Fit the free components to observations and collect the results."""
     distinct, model = problem.observed, problem.model
+    series = sorted({o.series for o in distinct})
     everything, whole_covariance, chi2, misfit = _least_squares(problem)
     residual, values = problem.residual_cents(everything), everything[: len(free)]
-    components, moduli = _over_density(problem, everything, whole_covariance)
+    components, moduli = _over_density(problem, series, everything, whole_covariance)
     return ReedParameters(
         components=dict(zip(free, components, strict=True)),
         moduli={str(s): dict(zip(MODULI, moduli[s], strict=True)) for s in series},
@@ -248,6 +244,17 @@ def _problem(
     return _Problem(observed, model, count, patterns, log_density)
 
 
+def _free(observed: Sequence[_Observation]) -> Sequence[str]:
+    """Return the components that resonances determine: e4 only with some of series B."""
+    series = {o.series for o in observed}
+    if series and Series.A not in series:
+        raise FitError(
+            "components need resonances of series A: in series B alone e2 and e4 have the same "
+            "effect; give the reed's series A run too, or look at its report for what hides modes"
+        )
+    return COMPONENTS if Series.B in series else COMPONENTS[:3]
+
+
 def _require_enough(observed: Sequence[_Observation], count: int) -> None:
     if len(observed) <= count:
         raise FitError(
@@ -307,26 +314,28 @@ def _springs_positive(cane: ViscoelasticCane) -> bool:
 
 
 def _over_density(
-    problem: _Problem, values: Array, covariance: Array
+    problem: _Problem, series: Sequence[Series], values: Array, covariance: Array
 ) -> tuple[list[ValueWithError], dict[Series, list[ValueWithError]]]:
     """Return components, and moduli per series, with errors, propagated to first order.
 
     Parameters
     ----------
     problem : _Problem
+    series : sequence of Series
+        Series of the resonances.
     values : (c + q,) float
         Components and causes.
     covariance : (c + q, c + q) float
     """
-    each = sorted({o.series for o in problem.observed})
     hz = {
-        s: np.array([o.found.frequency_hz for o in problem.observed if o.series is s]) for s in each
+        s: np.array([o.found.frequency_hz for o in problem.observed if o.series is s])
+        for s in series
     }
     count = problem.count
 
     def reported(values: Array) -> Array:
         e, density = values[:count], float(problem.log_density @ values[count:])
-        moduli = [moduli_mpa(e, density, s) for s in each]
+        moduli = [moduli_mpa(e, density, s) for s in series]
         return np.concatenate([components_over_density(e, density, hz), *moduli])
 
     step = 1e-4 * np.eye(len(values))
@@ -336,5 +345,5 @@ def _over_density(
         ValueWithError(float(value), float(error))
         for value, error in zip(reported(values), errors, strict=True)
     ]
-    moduli = (found[count + k * len(MODULI) :][: len(MODULI)] for k in range(len(each)))
-    return found[:count], dict(zip(each, moduli, strict=True))
+    moduli = (found[count + k * len(MODULI) :][: len(MODULI)] for k in range(len(series)))
+    return found[:count], dict(zip(series, moduli, strict=True))

@@ -92,6 +92,18 @@ def test_four_components_come_back_from_both_series(any_model, number):
     assert set(parameters.moduli) == {"A", "B"}
 
 
+@pytest.mark.parametrize("names", [(), ("L1",)])
+def test_a_series_without_resonances_of_the_model_leaves_e4_open(model, names):
+    found = resonances(cane_of("reedfit-0"), model)
+    found[Series.B] = {name: Resonance(name, 7000.0, GRID_CENTS, 1, 5.0) for name in names}
+    alone = fit_components({Series.A: found[Series.A]}, model)
+    parameters = fit_components(found, model)
+    assert list(parameters.components) == list(COMPONENTS[:3])
+    assert parameters.moduli == alone.moduli
+    with pytest.raises(FitError, match="series A"):
+        fit_components({Series.A: {}, Series.B: found[Series.A]}, model)
+
+
 def test_few_modes_are_enough_when_they_are_exact(model):
     cane = replace(cane_of("reedfit-few"), e4=0.0)
     found = resonances(cane, model, only=("F1", "T1", "F2", "X1"))

@@ -54,7 +54,7 @@ def test_every_result_prints_tabulates_and_plots(results, name):
 
 
 def test_rows_become_a_data_frame(results):
-    pytest.importorskip("pandas")
+    pytest.importorskip("pandas", reason="the extra 'notebook' is not installed")
     plan = results["plan"]
     frame = plan.to_dataframe()
     assert len(frame) == len(plan.steps)

@@ -205,11 +205,11 @@ def usb_sessions():
 
     key = (InterfaceType.usb, "INSTR")
     before = Session._session_classes[key]  # noqa: SLF001  # it has no other way
-    Session._session_classes[key] = importlib.import_module("pyvisa_py.usb").USBInstrSession  # noqa: SLF001
+    Session._session_classes[key] = importlib.import_module("pyvisa_py.usb").USBInstrSession  # noqa: SLF001  # it has no other way
     try:
         yield
     finally:
-        Session._session_classes[key] = before  # noqa: SLF001
+        Session._session_classes[key] = before  # noqa: SLF001  # it has no other way
 
 
 def test_one_bus_that_fails_does_not_hide_the_others(no_network, monkeypatch):

@@ -10,7 +10,7 @@ from runs.reader import Run
 
 
 def test_every_planned_step_is_a_row(sweep_a):
-    pytest.importorskip("pandas")
+    pytest.importorskip("pandas", reason="the extra 'notebook' is not installed")
     with Run.open(sweep_a) as run:
         frame = run.to_dataframe()
         assert frame.index.tolist() == [step.position for step in run.steps]
@@ -20,7 +20,7 @@ def test_every_planned_step_is_a_row(sweep_a):
 
 
 def test_fields_have_coordinates(changed):
-    xarray = pytest.importorskip("xarray")
+    xarray = pytest.importorskip("xarray", reason="the extra 'notebook' is not installed")
     with Run.open(changed(only=(60, 64))) as run:
         data = run.to_xarray()
         assert isinstance(data, xarray.Dataset)

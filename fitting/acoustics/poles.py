@@ -118,16 +118,57 @@ def find_excitation_peaks(
     return sorted(high, key=lambda peak: peak.hz)
 
 
+@dataclass(frozen=True)
+class DriveLines:
+    """Lines of a drive.
+
+    Attributes
+    ----------
+    parameters : (n, 4) float
+        See `log_gain`.
+    covariance : (4n, 4n) float
+    """
+
+    parameters: Array
+    covariance: Array
+
+    def only(self, which: Mask) -> "DriveLines":
+        """Return some of the lines, by a mask (n,); the others may be what they are."""
+        own = np.repeat(which, _PARAMETERS)
+        return DriveLines(self.parameters[which], self.covariance[np.ix_(own, own)])
+
+    def gain_covariance(self, hz: Array, factor: float) -> Array:
+        """Return the covariance (k, k) of `log_gain` for errors `factor` times as large."""
+        slopes = _slopes(self.parameters, hz)
+        return np.asarray(factor**2 * slopes @ self.covariance @ slopes.T)
+
+    def log_weight(self, hz: Array, factor: float) -> float:
+        """Return the log of the prior density times the volume of errors, for `gain_covariance`.
+
+        It makes a fit whose lines are known within errors comparable to one without lines: those
+        could have been anywhere in the sweep.
+        """
+        off = self.parameters[:, 1:] - np.array([_LOG_QUALITY, 0.0, 0.0])
+        spread = np.array([_LOG_QUALITY_SD, _STRENGTH_SD, _STRENGTH_SD])
+        density = -0.5 * np.sum((off / spread) ** 2) - len(off) * float(
+            np.sum(np.log(spread)) + 1.5 * np.log(2 * np.pi) + np.log(np.log(hz[-1] / hz[0]))
+        )
+        _, volume = np.linalg.slogdet(2 * np.pi * factor**2 * self.covariance)
+        return float(density + 0.5 * volume)
+
+
 def lines_of_drive(
     drive_hz: Array,
     log_magnitude: Array,
     covariance: Array,
     gain: float = LEAST_GAIN,
     off: Mask | None = None,
-) -> Array:
-    """Return the lines (n, 4) of a drive, for `log_gain`; see `find_excitation_peaks`."""
-    found, _ = _lines(_fit_of(drive_hz, log_magnitude, covariance, gain, off))
-    return found
+) -> DriveLines:
+    """Return the lines of a drive; see `find_excitation_peaks`."""
+    fit = _fit_of(drive_hz, log_magnitude, covariance, gain, off)
+    found, tops = _lines(fit)
+    errors = fit.covariances(found, tops, quiet_ripple(drive_hz).covariance)[0] if tops else found
+    return DriveLines(found, np.asarray(errors).reshape(found.size, found.size))
 
 
 def _fit_of(
@@ -178,8 +219,8 @@ def log_gain(parameters: Array, hz: Array) -> Array:
     return gain
 
 
-def line_covariance(parameters: Array, hz: Array) -> Array:
-    """Return the covariance (k, k) of `log_gain` that the prior of lines (n, 4) has around them."""
+def _slopes(parameters: Array, hz: Array) -> Array:
+    """Return the derivatives (k, 4n) of `log_gain` by the numbers of lines (n, 4)."""
     log_hz, log_quality, real, imaginary = parameters.T
     ratio = hz[:, None] / np.exp(log_hz)
     loss = 1j * ratio * np.exp(-log_quality)
@@ -188,12 +229,8 @@ def line_covariance(parameters: Array, hz: Array) -> Array:
     steep = strength * resonance**2
     slopes = [steep * (loss - 2 * ratio**2), steep * loss, resonance, 1j * resonance]
     whole = 1 + np.sum(strength * resonance, axis=1)
-    spread = (_LOG_HZ_SD, _LOG_QUALITY_SD, _STRENGTH_SD, _STRENGTH_SD)
-    moved = np.concatenate(
-        [sd * (slope / whole[:, None]).real for sd, slope in zip(spread, slopes, strict=True)],
-        axis=1,
-    )
-    return np.asarray(moved @ moved.T)
+    moved = np.stack([(slope / whole[:, None]).real for slope in slopes], axis=2)
+    return np.asarray(moved.reshape(len(hz), -1))
 
 
 def height_db(line: Array) -> float:

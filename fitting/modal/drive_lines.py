@@ -3,8 +3,8 @@
 The finer structure of `fitting.modal.drive_prior` may follow a pole, but it is as rough on both
 sides, and a notch is sharper than it is. Where a mode lies in a notch, it then takes a part of it.
 A resonant path in parallel to the direct one has pole and notch at once: its log gain is added to
-what is expected of the drive, with the covariance that the prior of its numbers has there
-(decision 0036).
+what is expected of the drive, with the covariance that the errors of its numbers have there
+(decisions 0036 and 0038).
 """
 
 from dataclasses import replace
@@ -15,44 +15,52 @@ from fitting.acoustics.poles import (
     MOST_DB,
     NEXT_TO_CENTS,
     height_db,
-    line_covariance,
     lines_of_drive,
     log_gain,
 )
 from fitting.modal.drive_prior import smooth_ripple
+from fitting.modal.model import Model
 from fitting.modal.rounds import Given, Optimum, with_ripple
 from holography.arrays import Array
 
+# Room of the numbers of lines, in standard errors: first order holds there, and it is more than the
+# errors, so that the drive of a sweep counts little more than once.
+_ROOM = 2.0
 _CENT = float(np.log(2) / 1200)
 
 
-def with_lines(at: Optimum, given: Given) -> Optimum | None:
+def with_lines(at: Optimum, given: Given, bare: Model) -> Optimum | None:
     """Explain the drive of an optimum by its lines, and fit again; None if it has none.
 
     Parameters
     ----------
     at : Optimum
     given : Given
+    bare : Model
+        Without any line.
 
     Returns
     -------
     Optimum or None
         With the scatter of `at`, so that their evidence can be compared.
     """
-    model, end = at.model, at.end
-    magnitude = end.state.log_drive.real - model.log_volts
+    end, hz = at.end, bare.hz
+    magnitude = end.state.log_drive.real - bare.log_volts
     lines = lines_of_drive(
-        model.hz, magnitude, at.magnitude_covariance, end.state.gain, end.noise.inflation > 1
+        hz, magnitude, at.magnitude_covariance, end.state.gain, end.noise.inflation > 1
     )
-    modes = at.logs[: len(model.active)]
-    lines = np.array([line for line in lines if not _may_be_a_mode(line, modes)])
-    if not lines.size:
+    modes = at.logs[: len(bare.active)]
+    chambers = [not _may_be_a_mode(line, modes) for line in lines.parameters]
+    lines = lines.only(np.array(chambers, dtype=bool))
+    if not lines.parameters.size:
         return None
-    ripple = smooth_ripple(model.ripple)
+    ripple = smooth_ripple(at.model.ripple)
+    coarse = bare.ripple.coarse + lines.gain_covariance(hz, _ROOM)
     expected = replace(
-        model,
-        log_volts=model.log_volts + log_gain(lines, model.hz),
-        ripple=replace(ripple, coarse=ripple.coarse + line_covariance(lines, model.hz)),
+        bare,
+        log_volts=bare.log_volts + log_gain(lines.parameters, hz),
+        ripple=replace(ripple, coarse=coarse),
+        line_weight=lines.log_weight(hz, _ROOM),
     )
     return with_ripple(expected, given, end.state, end.scatter)
 

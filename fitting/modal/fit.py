@@ -21,7 +21,7 @@ was found.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,12 +137,34 @@ def fit_modes(
         state, given, scatter = end.state, replace(given, noise=end.noise), end.next_scatter
     if rough or drive_dof == KNOWN_DRIVE_DOF:
         return _finish(displacements, basis.names, [Optimum.of(model, end)])
-    optima = _optima(model, given, state, scatter)
-    if explained := with_lines(likeliest(optima), given):
-        optima = [*optima, explained]
-    for line in suspect_lines(likeliest(optima)):
-        optima = _without_line(optima, line, given, centre_hz)
-    return _finish(displacements, basis.names, optima)
+    found = _with_lines(Search(model, given, _optima(model, given, state, scatter)))
+    for line in suspect_lines(likeliest(found.optima)):
+        found = _without_line(found, line, centre_hz)
+    return _finish(displacements, basis.names, found.optima)
+
+
+@dataclass(frozen=True)
+class Search:
+    """Optima whose evidence can be compared.
+
+    Attributes
+    ----------
+    bare : Model
+        Model that expects no line of the drive, at the drive's level in these optima.
+    given : Given
+    optima : list of Optimum
+        All with the same scatter.
+    """
+
+    bare: Model
+    given: Given
+    optima: list[Optimum]
+
+
+def _with_lines(search: Search) -> Search:
+    """Try to explain the drive by its lines, too."""
+    explained = with_lines(likeliest(search.optima), search.given, search.bare)
+    return replace(search, optima=[*search.optima, explained]) if explained else search
 
 
 def _optima(model: Model, given: Given, state: State, scatter: Scatter) -> list[Optimum]:
@@ -154,9 +176,7 @@ def _optima(model: Model, given: Given, state: State, scatter: Scatter) -> list[
     return list(map_processes(optimum, (smooth_ripple(model.ripple), strong_ripple(model.ripple))))
 
 
-def _without_line(
-    optima: list[Optimum], line: NDArray[np.bool_], given: Given, centre_hz: Array
-) -> list[Optimum]:
+def _without_line(search: Search, line: NDArray[np.bool_], centre_hz: Array) -> Search:
     """Try to explain a sweep without a line of the drive, at nodes (n,), that may be a mode.
 
     The resonance of a mode that moves the reed almost alone looks like a line of the drive. With
@@ -164,19 +184,24 @@ def _without_line(
     therefore found again without the line. Both explanations are compared with that scatter, and
     the likelier one is taken.
     """
-    best, displacements = likeliest(optima), given.displacements
+    best, given = likeliest(search.optima), search.given
+    displacements, noise = given.displacements, noise_of(given.displacements)
     stiff = replace(best.model, ripple=quiet_at(best.model.ripple, line))
-    noise = noise_of(displacements)
     shared = shared_error(displacements.common_mode, given.drift, FIRST_WALK)
     stiff, state = _staged(stiff, displacements, noise, shared, centre_hz)
+    level = (stiff.log_volts - best.model.log_volts)[0]
     prior = stage_prior(stiff, LAST, centre_hz, participation_scale(stiff, state))
     there, scatter = replace(given, noise=noise, prior=prior), Scatter(LAST.discrepancy, FIRST_WALK)
     for _ in range(_ROUNDS):
         end = one_round(stiff, there, state, scatter)
         state, there, scatter = end.state, replace(there, noise=end.noise), end.next_scatter
     alone = with_ripple(stiff, there, state, scatter)
-    again = with_ripple(best.model, there, best.end.state, scatter)
-    return [alone, again] if alone.log_evidence > again.log_evidence else optima
+    again = with_ripple(best.model, given, best.end.state, scatter)
+    bare = replace(search.bare, log_volts=search.bare.log_volts + level)
+    without = _with_lines(Search(bare, there, [alone]))
+    if likeliest(without.optima).log_evidence < again.log_evidence:
+        return search
+    return replace(without, optima=[*without.optima, again])
 
 
 def _model(

@@ -61,6 +61,9 @@ class Model:
         See `fitting.holograms.shape_basis.ShapeBasis`.
     active : (a,) int
         Modes whose resonance lies in the sweep.
+    line_weight : float
+        Log weight of the lines that are expected of the drive, see
+        `fitting.acoustics.poles.DriveLines`.
     """
 
     hz: Array
@@ -72,6 +75,7 @@ class Model:
     reference_hz: Array
     stiffening: Array
     active: NDArray[np.intp]
+    line_weight: float = 0.0
 
     @property
     def slots(self) -> int:
@@ -184,8 +188,13 @@ class Prior:
         """Mask (v, p) of the parameters that are not fixed."""
         return np.isfinite(self.precision)
 
+    @property
+    def log_volume(self) -> float:
+        """Twice the log of the density's factor, but for a constant."""
+        return float(np.sum(np.log(self.precision[self.free])))
+
     def cost(self, x: Array) -> float:
-        """Return twice the negative log of the prior density."""
+        """Return twice the negative log of the prior density, but for its factor."""
         free = self.free
         return float(np.sum(self.precision[free] * (x - self.centre)[free] ** 2))
 

@@ -93,7 +93,8 @@ class Round:
     covariance : (q, q) float
         Covariance of all parameters except the drive.
     log_evidence : float
-        Log of the evidence, but for a constant that rounds with the same data and priors share.
+        Log of the evidence, but for a constant that rounds with the same displacements and the same
+        scatter share.
     whitened_residual : (k, 2j) float
         Residuals along the noise's directions, in standard deviations.
     misfit : float
@@ -144,7 +145,8 @@ def one_round(
     whitened_residual = data.whitened_residual(
         terms(model, state).amplitude, state.common_mode_shift
     )
-    left = whitened_residual * noise.deviation(scatter.discrepancy)
+    deviation = noise.deviation(scatter.discrepancy)
+    left = whitened_residual * deviation
     first = len(covariance) - len(shared.precision)
     walk = found_walk(drift, state.common_mode_shift, covariance[first:, first:], scatter.walk)
     return Round(
@@ -152,7 +154,13 @@ def one_round(
         state=state,
         here=here,
         covariance=covariance,
-        log_evidence=_log_evidence(evaluate(model, weighed, prior, state), alone, root),
+        log_evidence=_log_evidence(
+            evaluate(model, weighed, prior, state),
+            prior,
+            float(np.sum(np.log(deviation))) / scatter.correlated,
+            alone,
+            root,
+        ),
         whitened_residual=whitened_residual,
         misfit=float(np.sum(whitened_residual**2)) / freedoms,
         scatter=scatter,
@@ -169,10 +177,16 @@ def one_round(
     )
 
 
-def _log_evidence(at: Evaluation, matrix: Array, drive_root: Array) -> float:
-    """Return the log evidence by Laplace's method, for the equations of `without_drive`."""
+def _log_evidence(
+    at: Evaluation, prior: Prior, log_deviation: float, matrix: Array, drive_root: Array
+) -> float:
+    """Return the log evidence by Laplace's method, for the equations of `without_drive`.
+
+    `log_deviation` is that of all data, summed as they are weighed.
+    """
     known = float(np.linalg.slogdet(matrix)[1]) + 2 * float(np.sum(np.log(np.diag(drive_root))))
-    return 0.5 * (at.drive_prior.log_volume - known - at.cost)
+    volumes = at.drive_prior.log_volume + prior.log_volume - known
+    return 0.5 * (volumes - at.cost) - log_deviation
 
 
 @dataclass(frozen=True)
@@ -211,7 +225,8 @@ class Optimum:
         number = np.full(free.shape, -1)
         number[free] = np.arange(np.count_nonzero(free))
         own = number[:count, 2 * powers : 2 * powers + 2].T.ravel()
-        covariance, log_evidence = factor * end.covariance[np.ix_(own, own)], end.log_evidence
+        covariance = factor * end.covariance[np.ix_(own, own)]
+        log_evidence = end.log_evidence + model.line_weight
         posterior = Posterior.of(end.here, end.covariance, 1.0)
         magnitude_covariance = factor * posterior.log_magnitude
         if found is not None:

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from fitting.acoustics.poles import (
+    DriveLines,
     find_excitation_peaks,
     height_db,
-    line_covariance,
     lines_of_drive,
     log_gain,
 )
@@ -39,23 +40,67 @@ def found_in(*lines, seed=0, noise=0.005):
     return find_excitation_peaks(HZ, log_drive(*lines, seed=seed, noise=noise), NONE, noise)
 
 
-def test_the_covariance_of_lines_is_that_of_their_numbers_to_first_order():
-    lines = np.array([[np.log(4300.0), np.log(20.0), 0.3, 0.1], [np.log(9000.0), 3.5, -0.1, 0.0]])
-    spread, step = np.tile([0.05, 0.9, 1.0, 1.0], 2), 1e-5
+LINES = np.array([[np.log(4300.0), np.log(20.0), 0.3, 0.1], [np.log(9000.0), 3.5, -0.1, 0.0]])
+
+
+def lines_with_errors():
+    root = 0.02 * np.random.default_rng(1).standard_normal((8, 12))
+    return DriveLines(LINES, root @ root.T)
+
+
+def test_the_covariance_of_a_gain_is_that_of_its_lines_to_first_order():
+    lines, step = lines_with_errors(), 1e-5
     slopes = [
-        (log_gain(lines + move, HZ) - log_gain(lines - move, HZ)) / (2 * step)
+        (log_gain(LINES + move, HZ) - log_gain(LINES - move, HZ)) / (2 * step)
         for move in step * np.eye(8).reshape(8, 2, 4)
     ]
-    expected = (np.array(slopes).T * spread**2) @ np.array(slopes)
-    assert line_covariance(lines, HZ) == pytest.approx(expected, rel=1e-5, abs=1e-8)
+    expected = 9 * np.array(slopes).T @ lines.covariance @ np.array(slopes)
+    accurate = 1e-6 * expected.max()
+    assert lines.gain_covariance(HZ, 3.0) == pytest.approx(expected, rel=1e-5, abs=accurate)
+
+
+def test_a_line_counts_as_one_that_could_have_been_anywhere():
+    """A density as wide as the errors, times the weight, is the prior's density there."""
+    lines, factor = lines_with_errors(), 2.0
+    narrow = stats.multivariate_normal(LINES.ravel(), factor**2 * lines.covariance)
+    anywhere = -np.log(np.log(HZ[-1] / HZ[0]))
+    prior = sum(
+        anywhere
+        + stats.norm(np.log(17.0), 0.9).logpdf(log_quality)
+        + stats.norm.logpdf(real)
+        + stats.norm.logpdf(imaginary)
+        for _, log_quality, real, imaginary in LINES
+    )
+    weighed = narrow.logpdf(LINES.ravel()) + lines.log_weight(HZ, factor)
+    assert weighed == pytest.approx(prior, rel=1e-9)
+
+
+def test_some_lines_have_the_errors_that_they_have_among_all():
+    lines = lines_with_errors()
+    second = lines.only(np.array([False, True]))
+    assert second.parameters.tolist() == LINES[1:].tolist()
+    assert second.covariance == pytest.approx(lines.covariance[4:, 4:])
 
 
 def test_lines_of_a_drive_are_those_of_its_peaks():
     drive = log_drive(BENCH, (9000.0, 30.0, 0.2))
     lines = lines_of_drive(HZ, drive, NONE, 0.005)
     peaks = find_excitation_peaks(HZ, drive, NONE, 0.005)
-    assert sorted(np.exp(lines[:, 0])) == pytest.approx([peak.hz for peak in peaks])
-    assert sorted(map(height_db, lines)) == pytest.approx(sorted(p.height_db for p in peaks))
+    found = np.argsort(lines.parameters[:, 0])
+    assert np.exp(lines.parameters[found, 0]) == pytest.approx([peak.hz for peak in peaks])
+    assert [height_db(lines.parameters[n]) for n in found] == pytest.approx(
+        [peak.height_db for peak in peaks]
+    )
+    errors = np.sqrt(np.diag(lines.covariance)).reshape(-1, 4)[found]
+    hz_errors = [peak.error_hz / peak.hz for peak in peaks]
+    assert errors[:, 0] == pytest.approx(hz_errors)
+    assert errors[:, 1] == pytest.approx([peak.quality_error / peak.quality for peak in peaks])
+
+
+def test_a_quiet_drive_has_no_lines_and_no_errors():
+    lines = lines_of_drive(HZ, log_drive(), NONE, 0.005)
+    assert lines.parameters.shape == (0, 4)
+    assert lines.covariance.shape == (0, 0)
 
 
 def test_a_drive_without_lines_has_none():

@@ -97,8 +97,8 @@ def test_a_mode_in_the_notch_of_a_chamber_is_where_it_is(monkeypatch):
     notch = np.abs(np.log(DRIVE_HZ / MODE_HZ[2])) < 0.05
     expected, wrong = [], {True: [], False: []}
 
-    def seen(at, given):
-        expected.append(with_lines(at, given))
+    def seen(at, given, bare):
+        expected.append(with_lines(at, given, bare))
         return expected[-1]
 
     for seed in (6, 7, 8):

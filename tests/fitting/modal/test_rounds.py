@@ -1,0 +1,68 @@
+"""Evidence of rounds of the modal fit: it compares explanations of the same displacements."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from fitting.modal.field_drift import FIRST_WALK, field_drift
+from fitting.modal.first_state import at_level, first_state
+from fitting.modal.fit import _model
+from fitting.modal.model import TAIL_TERMS, UNKNOWN_DRIVE_DOF, Prior, stage_prior
+from fitting.modal.noise import noise_of
+from fitting.modal.rounds import LAST, Given, Scatter, one_round
+from tests.fitting.modal.test_fit import DRIVE_HZ, planted
+
+# Discrepancies below the noise, so that noise alone is the scatter.
+NOISE_ALONE = Scatter(1e-4, FIRST_WALK)
+
+
+def a_round(sweep, factor=1.0, inflation=1.0, iterations=40):
+    """Fit with participations that are `factor` times as large, and a drive that is smaller."""
+    displacements = sweep.displacements
+    model, centre_hz = _model(sweep.basis, DRIVE_HZ, sweep.volts, sweep.start_hz, UNKNOWN_DRIVE_DOF)
+    state, scale = first_state(model, displacements, 0)
+    x, active, powers = state.x.copy(), len(model.active), model.powers.shape[1]
+    x[:active, : 2 * powers] *= factor
+    x[active + model.passive, active : active + 2 * TAIL_TERMS] *= factor
+    state = replace(state, x=x, log_drive=state.log_drive - np.log(factor))
+    model = at_level(model, state)
+    drift = field_drift(displacements.common_mode, displacements.recording_rank)
+    noise = noise_of(displacements)
+    noise = replace(noise, inflation=np.full(len(DRIVE_HZ), inflation))
+    prior = stage_prior(model, LAST, centre_hz, factor * scale)
+    given = Given(displacements, drift, noise, prior)
+    for scatter in (Scatter(0.1, FIRST_WALK), NOISE_ALONE):
+        end = one_round(model, given, state, scatter, iterations)
+        state = end.state
+    return end
+
+
+@pytest.fixture(scope="module")
+def sweep():
+    return planted(3)
+
+
+def test_what_is_drive_and_what_participation_does_not_change_the_evidence(sweep):
+    plain = a_round(sweep)
+    for factor in (0.2, 7.0):
+        assert a_round(sweep, factor).log_evidence == pytest.approx(plain.log_evidence, abs=0.3)
+
+
+def test_noise_that_is_too_large_or_too_small_has_less_evidence(sweep):
+    small, right, large = (a_round(sweep, inflation=i).log_evidence for i in (0.6, 1.0, 1.6))
+    assert small < right - 5
+    assert large < right - 5
+
+
+def test_cost_and_volume_of_a_prior_are_its_density():
+    rng = np.random.default_rng(1)
+    centre, precision = rng.standard_normal((3, 4)), rng.uniform(0.5, 4, (3, 4))
+    precision[1, 2] = np.inf
+    prior, x = Prior(centre, precision), rng.standard_normal((3, 4))
+    x[1, 2] = centre[1, 2]
+    free = prior.free
+    density = stats.norm(centre[free], precision[free] ** -0.5).logpdf(x[free]).sum()
+    constant = -0.5 * np.count_nonzero(free) * np.log(2 * np.pi)
+    assert 0.5 * (prior.log_volume - prior.cost(x)) + constant == pytest.approx(density)

@@ -29,6 +29,15 @@ from holography.arrays import Array, Complex64Array, ComplexArray
 _LARGEST_STEP = 0.3
 # Holograms of a smaller weight (inverse misfit) are not explained.
 _LEAST_WEIGHT = 0.5
+# Steps end when one lowers half of χ² by less: a displacement that is off by its standard error in
+# one of its coordinates costs one half.
+_SETTLED = 5.0
+# ... or when all displacements move by less than this, in standard errors, but for a common-mode
+# error: that one converges slowly, and the modal fit finds it. Chosen: twenty more such steps would
+# be one standard error.
+_STILL = 0.05
+# A hologram with a larger misfit is far from its noise.
+FAR = 30.0
 
 
 @dataclass(frozen=True)
@@ -163,3 +172,62 @@ def cost(problem: Problem, at: Solution) -> Array:
         if side.weight is not None:
             left = left - side.present * np.sum(np.log(side.weight), axis=1)
     return left
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Solved holograms in single and double precision, and how their object field changes."""
+
+    problem: Problem
+    exact: Problem
+    smooth: Array
+    change: FieldChange | None
+
+    def with_gains(self, gain_nepers: float, change: FieldChange) -> "Sweep":
+        """Return the same holograms with another scatter of gains and change of the field."""
+        problem, exact = (
+            replace(each, gain_nepers=gain_nepers) for each in (self.problem, self.exact)
+        )
+        return replace(self, problem=problem, exact=exact, change=change)
+
+
+def settled(sweep: Sweep, at: Solution, most_turns: int) -> tuple[Solution, FieldStep]:
+    """Repeat alternating steps until they lower the misfit, or move displacements, no more."""
+    before, seen = np.inf, sweep.problem.seen
+    for _ in range(most_turns):
+        here = at.amplitude
+        at, step = alternating_step(sweep.problem, sweep.exact, sweep.smooth, at, sweep.change)
+        # Where the model itself is off, so is the measure of what is small.
+        now = whole_misfit(step.linear.normal.misfit / seen, seen)
+        if before - now < _SETTLED or moved_alone(here, at.amplitude, step, seen) < _STILL:
+            break
+        before = now
+    return at, step
+
+
+def moved_alone(before: ComplexArray, now: ComplexArray, step: FieldStep, seen: Array) -> float:
+    """Return by how many standard errors displacements (k, j) have moved, root mean square.
+
+    A common-mode error of all displacements, and the phase of a hologram, do not count.
+    """
+    size, normal = before.shape[1], step.linear.normal
+    # Noise of variance 1 has half of it in either part.
+    information = 2 * np.einsum("kii->ki", normal.matrix)[:, : 2 * size]
+    errors = np.sqrt(information / np.maximum(normal.misfit / seen, 1)[:, None])
+    move = np.concatenate([(now - before).real, (now - before).imag], axis=1)[..., None]
+    both = errors[..., None] * np.concatenate([move, step.common_mode.response], axis=2)
+    turned = errors * np.concatenate([-now.imag, now.real], axis=1)
+    turned /= np.maximum(np.linalg.norm(turned, axis=1), 1e-12)[:, None]
+    both -= turned[..., None] * (turned[:, None] @ both)
+    moved, common = both[..., 0].ravel(), both[..., 1:].reshape(move.size, -1)
+    left = moved - common @ np.linalg.lstsq(common, moved, rcond=None)[0]
+    return float(np.sqrt(np.mean(left**2)))
+
+
+def whole_misfit(misfit: Array, seen: Array) -> float:
+    """Return the misfit of all holograms in units of what is usual, of which none counts much.
+
+    Holograms without a solution have an infinite misfit.
+    """
+    usual = max(float(np.median(misfit)), 1.0)
+    return float(np.sum(np.minimum(misfit, FAR) * seen)) / usual

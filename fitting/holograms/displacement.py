@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from fitting.errors import FitError
 from fitting.holograms.alternating_minimisation import (
+    FAR,
     Solution,
-    alternating_step,
+    Sweep,
+    settled,
     weighed,
 )
 from fitting.holograms.amplitudes import FINAL_RAD, fit_amplitudes, gain_scatter
@@ -57,9 +59,6 @@ from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 
 # Most turns of the alternating minimisation, and of one whose result is refined later.
 _MOST_TURNS, _QUICK_TURNS = 30, 2
-# It ends when a turn lowers half of χ² by less: a displacement that is off by its standard error in
-# one of its coordinates costs one half.
-_SETTLED = 5.0
 # How often holograms in a wrong fringe are solved again.
 _MOST_RETRIES = 8
 # Most starts of the continuation while the best explains less than most of the sweep, and while it
@@ -72,8 +71,6 @@ _ENOUGH = 0.95
 # How often the change of the object field is found again, with the displacements that it gives.
 _MOST_CHANGES = 3
 _FIRST_MAXIMUM_RAD = 1.84
-# A hologram with a larger misfit is far from its noise.
-_FLOOR = 30.0
 # A gain that is farther off is tried again: chance makes one in 16,000 so.
 _MOST_DEVIATIONS = 4.0
 
@@ -248,15 +245,6 @@ def explained_amplitudes(
     return explained
 
 
-def _whole_misfit(misfit: Array, seen: Array) -> float:
-    """Return the misfit of all holograms in units of what is usual, of which none counts much.
-
-    Holograms without a solution have an infinite misfit.
-    """
-    usual = max(float(np.median(misfit)), 1.0)
-    return float(np.sum(np.minimum(misfit, _FLOOR) * seen)) / usual
-
-
 def refit_displacements(
     block_amplitudes: BlockAmplitudes,
     basis: ShapeBasis,
@@ -321,7 +309,7 @@ def _all_from_expected(
     Of those that explain a hologram equally well the last is used.
     """
     amplitude, gain = at.amplitude.copy(), at.gain.copy()
-    good = np.maximum(_FLOOR, accepted)
+    good = np.maximum(FAR, accepted)
     solved = np.zeros(len(good), bool)
     for expected in expected_rad:
         there = replace(at, amplitude=expected)
@@ -367,13 +355,13 @@ def _finished(
     smooth = smooth_functions(block_amplitudes.x_m, block_amplitudes.y_m)
     problem = whole.some(steps)
     at = Solution(at.amplitude[steps], at.gain[steps], *_rows_of(at, steps), at.positions)
-    sweep = _Sweep(problem, problem.exact(), smooth, change)
-    at, step = _settled(sweep, at, most_turns)
+    sweep = Sweep(problem, problem.exact(), smooth, change)
+    at, step = settled(sweep, at, most_turns)
     for _ in range(1 if most_turns == _QUICK_TURNS else _MOST_CHANGES):
         before, now = sweep.change, _change_of(problem, at, step)
         scatter_nepers = gain_scatter(sweep.problem, at.gain, step.linear.normal.matrix)
         sweep = sweep.with_gains(scatter_nepers, now)
-        at, step = _settled(sweep, at, most_turns)
+        at, step = settled(sweep, at, most_turns)
         if before is not None and _same(before, now):
             break
     if most_turns > _QUICK_TURNS:
@@ -384,7 +372,7 @@ def _finished(
 
 
 def _in_right_fringes(
-    sweep: "_Sweep", at: Solution, step: FieldStep, other: ComplexArray | None
+    sweep: Sweep, at: Solution, step: FieldStep, other: ComplexArray | None
 ) -> tuple[Solution, FieldStep]:
     """Solve holograms in wrong fringes again until nothing is explained better."""
     problem, hopeless = sweep.problem, np.zeros(0, np.intp)
@@ -401,25 +389,8 @@ def _in_right_fringes(
         if not better.size:
             break
         hopeless = np.union1d(hopeless, np.setdiff1d(off, better))
-        at, step = _settled(sweep, at, _MOST_TURNS)
+        at, step = settled(sweep, at, _MOST_TURNS)
     return at, step
-
-
-@dataclass(frozen=True)
-class _Sweep:
-    """Solved holograms in single and double precision, and how their object field changes."""
-
-    problem: Problem
-    exact: Problem
-    smooth: Array
-    change: FieldChange | None
-
-    def with_gains(self, gain_nepers: float, change: FieldChange) -> "_Sweep":
-        """Return the same holograms with another scatter of gains and change of the field."""
-        problem, exact = (
-            replace(each, gain_nepers=gain_nepers) for each in (self.problem, self.exact)
-        )
-        return replace(self, problem=problem, exact=exact, change=change)
 
 
 def _rows_of(at: Solution, steps: IndexArray) -> tuple[ComplexArray, Array | None]:
@@ -442,19 +413,6 @@ def _same(one: FieldChange, other: FieldChange) -> bool:
     """Whether two changes of the object field differ by less than a tenth, as does their noise."""
     pairs = (one.walk, other.walk), (one.scatter, other.scatter)
     return all(abs(a - b) <= 0.1 * max(a, b) for a, b in pairs)
-
-
-def _settled(sweep: _Sweep, at: Solution, most_turns: int) -> tuple[Solution, FieldStep]:
-    """Repeat alternating steps until they lower the misfit no more."""
-    before, seen = np.inf, sweep.problem.seen
-    for _ in range(most_turns):
-        at, step = alternating_step(sweep.problem, sweep.exact, sweep.smooth, at, sweep.change)
-        # Where the model itself is off, so is the measure of what is small.
-        now = _whole_misfit(step.linear.normal.misfit / seen, seen)
-        if before - now < _SETTLED:
-            break
-        before = now
-    return at, step
 
 
 def _displacements_of(
@@ -492,5 +450,5 @@ def _displacements_of(
         object_field=everywhere.mean,
         field_variance=everywhere.variance,
         change=change,
-        reached=misfit < _FLOOR,
+        reached=misfit < FAR,
     )

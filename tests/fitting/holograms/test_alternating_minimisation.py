@@ -1,10 +1,17 @@
 """Turns of light and displacement: where they go, and what holds them if a step is a long one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fitting.holograms import alternating_minimisation as settling
-from fitting.holograms.alternating_minimisation import Solution, alternating_step
+from fitting.holograms.alternating_minimisation import (
+    Solution,
+    alternating_step,
+    moved_alone,
+    settled,
+)
 from fitting.holograms.object_field import CommonModeError, FieldStep
 from tests.fitting.holograms.test_displacement import complex_normal
 from tests.fitting.holograms.test_object_field import FUNCTIONS, HOLOGRAMS, Sweep
@@ -91,3 +98,73 @@ def test_holograms_that_nothing_explains_are_not_thrown_with_the_light(thrown):
     change = np.abs(moved.amplitude - still.amplitude).max(axis=1)
     assert change[strange] == 0
     assert np.delete(change, strange) == pytest.approx(np.full(HOLOGRAMS - 1, 0.1 * 2**0.5))
+
+
+# --- When nothing moves any more ---------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def stepped():
+    """Displacements and the last step at an optimum of a noisy sweep."""
+    sweep = Sweep(6.0)
+    at = truth(sweep)
+    for _ in range(3):
+        at, step = turn(sweep, at)
+    return at.amplitude, step, sweep.problem.seen
+
+
+def halves(a):
+    return np.concatenate([a.real, a.imag], axis=1)
+
+
+def whole(parts):
+    return parts[:, :FUNCTIONS] + 1j * parts[:, FUNCTIONS:]
+
+
+def test_a_common_mode_error_and_phases_of_holograms_do_not_count_as_moves(stepped):
+    a, step, seen = stepped
+    rng = np.random.default_rng(3)
+    common = whole(step.common_mode.response @ (1e-3 * rng.standard_normal(55)))
+    turned = 1j * a * (1e-3 * rng.standard_normal(len(a)))[:, None]
+    own = whole(1e-3 * rng.standard_normal((len(a), 2 * FUNCTIONS)))
+    assert moved_alone(a, a, step, seen) == pytest.approx(0, abs=1e-9)
+    alone = moved_alone(a, a + own, step, seen)
+    assert moved_alone(a, a + common + turned, step, seen) < 0.02 * alone
+    assert moved_alone(a, a + own + common, step, seen) == pytest.approx(alone, rel=0.1)
+
+
+def test_moves_are_counted_in_standard_errors(stepped):
+    a, step, seen = stepped
+    normal, rng = step.linear.normal, np.random.default_rng(4)
+    information = 2 * np.einsum("kii->ki", normal.matrix)[:, : 2 * FUNCTIONS]
+    information /= np.maximum(normal.misfit / seen, 1)[:, None]
+    drawn = rng.standard_normal((60, *information.shape)) / np.sqrt(information)
+    moved = np.array([moved_alone(a, a + whole(each), step, seen) for each in drawn])
+    # What all holograms share takes 55 degrees of freedom, and phases one of each hologram.
+    left = 1 - (55 + len(a)) / information.size
+    assert np.mean(moved**2) == pytest.approx(left, rel=0.15)
+    tenth = moved_alone(a, a + 0.1 * whole(drawn[0]), step, seen)
+    assert tenth == pytest.approx(0.1 * moved[0], rel=0.1)
+
+
+def test_turns_end_with_displacements_that_more_turns_do_not_change(monkeypatch):
+    sweep, taken = Sweep(6.0), []
+    counted = alternating_step
+
+    def step(*args):
+        taken.append(args)
+        return counted(*args)
+
+    monkeypatch.setattr(settling, "alternating_step", step)
+    all_of_it = settling.Sweep(sweep.problem, sweep.problem.exact(), sweep.smooth, None)
+    rng = np.random.default_rng(5)
+    off = 1 + 0.05 * complex_normal(rng, HOLOGRAMS, FUNCTIONS)
+    start = replace(truth(sweep), amplitude=sweep.a * off)
+    early, last = settled(all_of_it, start, 60)
+    turns = len(taken)
+    assert 1 < turns < 30
+    monkeypatch.setattr(settling, "_STILL", 0.0)
+    monkeypatch.setattr(settling, "_SETTLED", -np.inf)
+    late, _ = settled(all_of_it, start, 60)
+    assert len(taken) == turns + 60
+    assert moved_alone(early.amplitude, late.amplitude, last, sweep.problem.seen) < 0.2

@@ -132,7 +132,7 @@ def solve(sweep) -> Displacements:
 def solve_and_settle(sweep) -> Displacements:
     """The same with enough last turns between light and amplitudes that little changes then."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fitting.holograms.displacement._SETTLED", 0.05)
+        patch.setattr("fitting.holograms.alternating_minimisation._SETTLED", 0.05)
         patch.setattr("fitting.holograms.displacement._MOST_TURNS", 60)
         return solve(sweep)
 

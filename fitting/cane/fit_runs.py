@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from fitting.amplitudes.peaks import PeakAmplitudes
 from fitting.amplitudes.response import Response, joint_response
@@ -333,18 +334,20 @@ def fit_runs(
         kind = runs[0].reed_file()
         require_model(model, kind)
         reed = basis_of(kind, announce)
+        # The matrices are small: threads of linear algebra would mostly wait for each other.
+        opened.enter_context(threadpool_limits(limits=1, user_api="blas"))
         forward: ForwardModel = PaperModel() if model == "paper" else finite_element_model(reed)
         sweeps = [FIT_SWEEP[method](run, reed, forward) for run in runs]
-    unknown = [s for s in sweeps if s.series not in set(Series)]
-    if unknown:
-        reason = f"series {unknown[0].series!r} is neither A nor B, whose cane is known (H4)"
-        return ReedFit(tuple(sweeps), None, reason)
-    try:
-        resonances = {Series(s.series): s.resonances for s in sweeps}
-        parameters = fit_components(resonances, forward, _unknown(model, reed))
-    except FitError as error:
-        return ReedFit(tuple(sweeps), None, str(error))
-    return ReedFit(tuple(sweeps), parameters, losses=_losses(sweeps, parameters, reed))
+        unknown = [s for s in sweeps if s.series not in set(Series)]
+        if unknown:
+            reason = f"series {unknown[0].series!r} is neither A nor B, whose cane is known (H4)"
+            return ReedFit(tuple(sweeps), None, reason)
+        try:
+            resonances = {Series(s.series): s.resonances for s in sweeps}
+            parameters = fit_components(resonances, forward, _unknown(model, reed))
+        except FitError as error:
+            return ReedFit(tuple(sweeps), None, str(error))
+        return ReedFit(tuple(sweeps), parameters, losses=_losses(sweeps, parameters, reed))
 
 
 def _losses(

@@ -3,31 +3,16 @@
 from types import SimpleNamespace
 
 import pytest
-from threadpoolctl import threadpool_info, threadpool_limits
 
 from diagnosis import campaign_diagnosis, observe
 from diagnosis.readings import campaign_readings
-
-
-class ReachedError(Exception):
-    """Where threads were counted."""
-
-
-def count_threads(*_args, **_kwargs):
-    raise ReachedError(count_of_threads())
+from tests.threads import ReachedError, count_of_threads, count_threads, two_threads
 
 
 @pytest.fixture(autouse=True)
-def two_threads():
-    """Whatever the machine and its environment say."""
-    with threadpool_limits(limits=2, user_api="blas"):
-        if count_of_threads() < 2:
-            pytest.skip("linear algebra has but one thread on this machine")
+def threads():
+    with two_threads():
         yield
-
-
-def count_of_threads():
-    return max(p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas")
 
 
 def test_effects_are_tried_on_one_thread(monkeypatch):

@@ -27,6 +27,7 @@ from physics.reed.mode_classification import PAPER_MODES, is_symmetric
 from runs.errors import RunFileError
 from runs.reader import Run
 from studies.recovery import CLAIMED
+from tests.threads import ReachedError, count_of_threads, count_threads, two_threads
 
 REED = "R07"
 # First and last k of pictures in which T1 has most fringes.
@@ -42,6 +43,16 @@ def sweep(fitted):
 def quick_model(model, reed, monkeypatch):
     """Tabulate the finite elements once for all fits of this module."""
     monkeypatch.setattr("fitting.cane.fit_runs.finite_element_model", lambda _: model)
+
+
+def test_fits_are_computed_on_one_thread(sweep_a, monkeypatch):
+    """Threads of small matrices wait for each other: tables of modes took twice as long."""
+    monkeypatch.setattr("fitting.cane.fit_runs.finite_element_model", count_threads)
+    with two_threads():
+        with pytest.raises(ReachedError) as reached:
+            fit_runs([sweep_a])
+        assert reached.value.args == (1,)
+        assert count_of_threads() == 2
 
 
 # --- The whole way -----------------------------------------------------------------------------

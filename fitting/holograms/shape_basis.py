@@ -4,12 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 
 from holography.arrays import Array, Float32Array
 from physics.reed.cane.material import constants_of, terms_and_slopes
 from physics.reed.elements.fem import Symmetry
 from physics.reed.reduced.elastic import elastic_modes, reduced_modes
-from physics.reed.reduced.reed import CONSTANTS, ReducedReed
+from physics.reed.reduced.reed import CONSTANTS, ReducedReed, ReedPart
 from physics.reed.surface import surface_shapes
 
 # Modes above the sweep contribute their static response, and freedom for shapes that differ from
@@ -21,6 +22,10 @@ _EXACT_HZ = 22e3
 # Functions with a singular value below this fraction of the first are noise of the interpolation.
 _LEAST_FRACTION = 3e-3
 _MOST_FUNCTIONS = 32
+# Stiffnesses of shear among the nine of `physics.reed.cane.material`.
+_SHEAR = slice(6, 9)
+# Width of a resonance at half power, as a part of its frequency's square: loss factor of dry cane.
+_WIDTH = 0.03
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,8 @@ class ShapeBasis:
         Eigenfrequencies in this cane, ascending.
     stiffening : (m,) float
         Exponent of the growth of a mode's stiffness with frequency near its resonance.
+    loss_mixing : (m, m) float
+        C of `fitting.modal.loss_difference`, for these shapes.
     """
 
     functions: Float32Array
@@ -46,6 +53,7 @@ class ShapeBasis:
     names: tuple[str, ...]
     hz: Array
     stiffening: Array
+    loss_mixing: Array
 
 
 def shape_basis(
@@ -77,22 +85,26 @@ def shape_basis(
         for name, mode in elastic_modes(reed, E_L_pa, G_LT_pa, air_fraction=0.0).items()
     }
     found: list[tuple[float, str, Array, float]] = []
+    mixing = []
     for symmetry, half in reed.parts.items():
         hz, vectors = reduced_modes(half, terms, reed.cane.density_kg_m3)
         below = int(np.count_nonzero(hz < _HIGHEST_HZ))
         deflections = surface[symmetry] @ vectors[:, :below]
         energies = np.einsum("im,tij,jm->mt", vectors, half.stiffness_terms, vectors, optimize=True)
         felt = energies @ by_moduli / (energies @ terms)[:, None]
+        mixing.append(_loss_mixing(hz[:below], _shear(half, terms, vectors[:, :below])))
         for number in range(below):
             exponents = growth(float(hz[number])) if growth else (0.0, 0.0)
             stiffens = float(felt[number] @ exponents)
             key, other = (symmetry, round(float(hz[number]), 3)), _unnamed(symmetry, number)
             name = named.get(key, other)
             found.append((float(hz[number]), name, deflections[:, number], stiffens))
-    found.sort(key=lambda mode: mode[0])
-    frequencies, names, columns, stiffening = zip(*found, strict=True)
+    order = np.argsort([mode[0] for mode in found])
+    frequencies, names, columns, stiffening = zip(*(found[m] for m in order), strict=True)
     deflection = np.stack(columns, axis=1)
-    deflection = deflection / np.abs(deflection).max(axis=0)
+    largest = np.abs(deflection).max(axis=0)
+    deflection = deflection / largest
+    mixed = linalg.block_diag(*mixing)[np.ix_(order, order)] * largest / largest[:, None]
     functions = _functions(deflection, np.array(frequencies))
     coordinates = functions.T @ deflection / len(functions)
     return ShapeBasis(
@@ -101,7 +113,27 @@ def shape_basis(
         names,
         np.array(frequencies),
         np.array(stiffening),
+        mixed,
     )
+
+
+def _shear(half: ReedPart, terms: Array, vectors: Array) -> Array:
+    """Return the part (m, m) of the stiffness of mass-normalised shapes that belongs to shear."""
+    shear = np.tensordot(terms[_SHEAR], half.stiffness_terms[_SHEAR], axes=1)
+    found: Array = vectors.T @ shear @ vectors
+    return found
+
+
+def _loss_mixing(hz: Array, shear: Array) -> Array:
+    """Return how modes (m,) of one symmetry mix if shear loses more, per unit of loss factor.
+
+    Modes that are closer than their widths do not mix as to first order; they are kept apart.
+    """
+    squares = (2 * np.pi * hz) ** 2
+    apart = np.subtract.outer(squares, squares)
+    width = _WIDTH * np.sqrt(np.outer(squares, squares))
+    found: Array = shear * apart / (apart**2 + width**2)
+    return found
 
 
 def _unnamed(symmetry: Symmetry | None, number: int) -> str:

@@ -15,9 +15,9 @@ All parameters are found by one damped least-squares fit to the amplitudes of
 `fitting.holograms.displacement` and their information. Shapes may differ from those of the finite
 elements as by a perturbation: the more, the closer two modes are in frequency. All displacements
 may have a common-mode error, because object field and vibration are partly confounded (see
-`fitting.holograms.object_field`); it drifts slowly. The discrepancy of the model is estimated from
-the residuals and added to the noise, and the ripple of the drive and its lines from the drive that
-was found.
+`fitting.holograms.object_field`); it drifts slowly. Modes are a little out of phase (see
+`fitting.modal.loss_difference`). The discrepancy of the model is estimated from the residuals and
+added to the noise, and the ripple of the drive and its lines from the drive that was found.
 """
 
 from collections.abc import Sequence
@@ -39,8 +39,9 @@ from fitting.modal.drive_prior import (
     smooth_ripple,
     strong_ripple,
 )
-from fitting.modal.field_drift import FIRST_WALK, SharedError, field_drift, shared_error
+from fitting.modal.field_drift import FIRST_WALK, FieldDrift, SharedError, shared_error
 from fitting.modal.first_state import at_level, first_state, participation_scale
+from fitting.modal.loss_difference import drift_with_losses, with_losses
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import (
     KNOWN_DRIVE_DOF,
@@ -121,8 +122,8 @@ def fit_modes(
     """
     model, centre_hz = _model(basis, drive_hz, volts, start_hz, drive_dof)
     noise = noise_of(displacements)
-    drift = field_drift(displacements.common_mode, displacements.recording_rank)
-    shared = shared_error(displacements.common_mode, drift, FIRST_WALK)
+    drift = drift_with_losses(displacements)
+    shared = _first_shared(displacements, drift)
     if known is None:
         model, state = _staged(model, displacements, noise, shared, centre_hz)
         rounds, scatter = _ROUNDS, Scatter(LAST.discrepancy, FIRST_WALK)
@@ -187,7 +188,7 @@ def _without_line(search: Search, line: NDArray[np.bool_], centre_hz: Array) -> 
     best, given = likeliest(search.optima), search.given
     displacements, noise = given.displacements, noise_of(given.displacements)
     stiff = replace(best.model, ripple=quiet_at(best.model.ripple, line))
-    shared = shared_error(displacements.common_mode, given.drift, FIRST_WALK)
+    shared = _first_shared(displacements, given.drift)
     stiff, state = _staged(stiff, displacements, noise, shared, centre_hz)
     level = (stiff.log_volts - best.model.log_volts)[0]
     prior = stage_prior(stiff, LAST, centre_hz, participation_scale(stiff, state))
@@ -202,6 +203,12 @@ def _without_line(search: Search, line: NDArray[np.bool_], centre_hz: Array) -> 
     if likeliest(without.optima).log_evidence < again.log_evidence:
         return search
     return replace(without, optima=[*without.optima, again])
+
+
+def _first_shared(displacements: Displacements, drift: FieldDrift) -> SharedError:
+    """Return the error that displacements share, with modes in phase."""
+    real = with_losses(displacements.common_mode, np.zeros(displacements.information.shape[:2]))
+    return shared_error(real, drift, FIRST_WALK)
 
 
 def _model(
@@ -225,6 +232,7 @@ def _model(
         reference_hz,
         basis.stiffening,
         active,
+        basis.loss_mixing,
     )
     return model, centre_hz
 
@@ -274,7 +282,9 @@ def _finish(
     # those for a given drive.
     given_drive = factor * inverse(end.here.matrix)
     posterior = Posterior.of(end.here, end.covariance, factor)
-    shared = len(state.common_mode_shift)
+    # The last value is no error of the light.
+    light = displacements.common_mode.response.shape[2]
+    of_light = end.drift.covariance(posterior.common_mode(len(state.common_mode_shift)))
     count = len(model.active)
     spread = np.zeros_like(state.x)
     deviations = np.sqrt(factor * np.diag(end.covariance))
@@ -301,9 +311,9 @@ def _finish(
         modal_rad=now.modal[:, model.active],
         misfit=end.misfit,
         discrepancy=end.scatter.discrepancy,
-        common_mode_shift=end.common_mode_shift,
+        common_mode_shift=end.common_mode_shift[:, :light],
         field_walk=end.scatter.walk,
-        common_mode_covariance=end.drift.covariance(posterior.common_mode(shared)),
+        common_mode_covariance=of_light[:, :light, :light],
         resonant=resonant_displacements(model, prior, state, now, posterior),
         log_drive_covariance=_mixture(weights, magnitudes)[1],
         off=_off(displacements, end.noise),

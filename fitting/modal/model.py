@@ -61,6 +61,8 @@ class Model:
         See `fitting.holograms.shape_basis.ShapeBasis`.
     active : (a,) int
         Modes whose resonance lies in the sweep.
+    loss_mixing : (m, m) float
+        See `fitting.modal.loss_difference`.
     line_weight : float
         Log weight of the lines that are expected of the drive, see
         `fitting.acoustics.poles.DriveLines`.
@@ -75,6 +77,7 @@ class Model:
     reference_hz: Array
     stiffening: Array
     active: NDArray[np.intp]
+    loss_mixing: Array
     line_weight: float = 0.0
 
     @property

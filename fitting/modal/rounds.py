@@ -18,6 +18,7 @@ from fitting.modal.drive_prior import (
     louder_than_usual,
 )
 from fitting.modal.field_drift import FieldDrift, found_walk, shared_error
+from fitting.modal.loss_difference import loss_response, with_losses
 from fitting.modal.model import (
     Model,
     Prior,
@@ -132,7 +133,8 @@ def one_round(
 ) -> Round:
     """Minimise the cost, and estimate the scatter for which residuals are as expected."""
     displacements, drift, noise = given.displacements, given.drift, given.noise
-    prior, shared = given.prior, shared_error(displacements.common_mode, drift, scatter.walk)
+    common_mode = with_losses(displacements.common_mode, loss_response(model, state))
+    prior, shared = given.prior, shared_error(common_mode, drift, scatter.walk)
     data = data_of(displacements.amplitude_rad, shared, noise, scatter.discrepancy)
     state, weighed = fixed(prior, state), data.weighing(1 / scatter.correlated)
     state = with_gain(model, minimise_cost(model, weighed, prior, state, iterations))

@@ -138,7 +138,12 @@ def planted(
         reached=np.ones(len(a), dtype=bool),
     )
     basis = ShapeBasis(
-        np.zeros((10, FUNCTIONS), np.float32), reference, NAMES[:modes], start, np.zeros(modes)
+        np.zeros((10, FUNCTIONS), np.float32),
+        reference,
+        NAMES[:modes],
+        start,
+        np.zeros(modes),
+        np.zeros((modes, modes)),
     )
     return Planted(hz, LOSS[:modes], shapes, p, drive, volts, displacements, basis)
 
@@ -569,6 +574,7 @@ def point():
         MODE_HZ[:5],
         stiffening,
         active,
+        np.zeros((5, 5)),
     )
     x = 0.1 * rng.standard_normal((3 + 5, model.slots))
     x[:3, 10] = np.log(MODE_HZ[active]) + 0.004 * rng.standard_normal(3)

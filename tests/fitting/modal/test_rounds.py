@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fitting.modal.field_drift import FIRST_WALK, field_drift
+from fitting.modal.field_drift import FIRST_WALK
 from fitting.modal.first_state import at_level, first_state
 from fitting.modal.fit import _model
+from fitting.modal.loss_difference import drift_with_losses
 from fitting.modal.model import TAIL_TERMS, UNKNOWN_DRIVE_DOF, Prior, stage_prior
 from fitting.modal.noise import noise_of
 from fitting.modal.rounds import LAST, Given, Scatter, one_round
@@ -22,13 +23,13 @@ def a_round(sweep, factor=1.0, inflation=1.0, iterations=40):
     """Fit with participations that are `factor` times as large, and a drive that is smaller."""
     displacements = sweep.displacements
     model, centre_hz = _model(sweep.basis, DRIVE_HZ, sweep.volts, sweep.start_hz, UNKNOWN_DRIVE_DOF)
-    state, scale = first_state(model, displacements, 0)
+    drift = drift_with_losses(displacements)
+    state, scale = first_state(model, displacements, drift.parameters)
     x, active, powers = state.x.copy(), len(model.active), model.powers.shape[1]
     x[:active, : 2 * powers] *= factor
     x[active + model.passive, active : active + 2 * TAIL_TERMS] *= factor
     state = replace(state, x=x, log_drive=state.log_drive - np.log(factor))
     model = at_level(model, state)
-    drift = field_drift(displacements.common_mode, displacements.recording_rank)
     noise = noise_of(displacements)
     noise = replace(noise, inflation=np.full(len(DRIVE_HZ), inflation))
     prior = stage_prior(model, LAST, centre_hz, factor * scale)

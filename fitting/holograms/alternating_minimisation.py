@@ -192,7 +192,16 @@ class Sweep:
 
 
 def settled(sweep: Sweep, at: Solution, most_turns: int) -> tuple[Solution, FieldStep]:
-    """Repeat alternating steps until they lower the misfit, or move displacements, no more."""
+    """Repeat alternating steps until they lower the misfit, or move displacements, no more.
+
+    Parameters
+    ----------
+    sweep : Sweep
+    at : Solution
+        Start.
+    most_turns : int
+        Largest number of steps.
+    """
     before, seen = np.inf, sweep.problem.seen
     for _ in range(most_turns):
         here = at.amplitude
@@ -206,9 +215,18 @@ def settled(sweep: Sweep, at: Solution, most_turns: int) -> tuple[Solution, Fiel
 
 
 def moved_alone(before: ComplexArray, now: ComplexArray, step: FieldStep, seen: Array) -> float:
-    """Return by how many standard errors displacements (k, j) have moved, root mean square.
+    """Return by how many standard errors displacements have moved, root mean square.
 
     A common-mode error of all displacements, and the phase of a hologram, do not count.
+
+    Parameters
+    ----------
+    before, now : (k, j) complex
+        Displacements before and after a step.
+    step : FieldStep
+        Its equations, which give standard errors and common-mode error.
+    seen : (k,) float
+        Number of values that each hologram shows, see `fitting.holograms.problem.Problem`.
     """
     size, normal = before.shape[1], step.linear.normal
     # Noise of variance 1 has half of it in either part.

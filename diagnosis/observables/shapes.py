@@ -18,7 +18,7 @@ from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.light import leaks_of
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import SweepReading
-from fitting.modal.start_frequencies import SHAPES_HZ
+from fitting.fringes.start_frequencies import SHAPES_HZ
 from holography.arrays import Array
 from physics.errors import ImpossibleReedError
 from physics.mechanics import (

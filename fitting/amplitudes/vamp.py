@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fitting.fringes.start_frequencies import middling_shapes
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.modal.start_frequencies import middling_shapes
 from holography.arrays import Array
 from physics.reed.cane.viscoelastic import ViscoelasticCane
 from physics.reed.geometry import half_width_m

@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 from fitting.forward import (
     ForwardModel,
 )
+from fitting.fringes.start_frequencies import middling_shapes, start_frequencies
 from fitting.holograms.block_amplitudes import (
     BlockAmplitudes,
     UnshiftedLight,
@@ -24,7 +25,6 @@ from fitting.holograms.retries import same_fringe
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.fit import fit_modes
 from fitting.modal.modal_fit import ModalFit
-from fitting.modal.start_frequencies import middling_shapes, start_frequencies
 from fitting.names.naming import SURE, ModeNaming, name_modes
 from fitting.resonance import Resonance
 from holography.arrays import Array, ComplexArray

@@ -41,7 +41,7 @@ _CENT = float(np.log(2) / 1200)
 # were true would have fewer, and one whose modes are often wrong would be of no use.
 _SPURIOUS = 0.01
 # Scale of the shifts of modes in cents: what the reduced reed is off at least (decision 0024), and
-# the scatter of reeds around a model without disorder (`fitting.modal.start_frequencies`).
+# the scatter of reeds around a model without disorder (`fitting.fringes.start_frequencies`).
 _SHIFT_CENTS = (3.0, 60.0)
 # A shape is that of a mode of the reed from this MAC on.
 _LEAST_MAC = 0.5

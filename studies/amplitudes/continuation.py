@@ -4,7 +4,7 @@ import numpy as np
 
 from fitting.amplitudes.vamp import vamp_points
 from fitting.forward import basis_of
-from fitting.modal.start_frequencies import middling_shapes
+from fitting.fringes.start_frequencies import middling_shapes
 from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
 from physics.reed.geometry import half_width_m
 from protocols.bench import BenchFile

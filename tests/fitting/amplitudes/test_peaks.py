@@ -11,7 +11,7 @@ from fitting.amplitudes.peaks import PeakAmplitudes, mode_amplitudes, peak_ampli
 from fitting.amplitudes.response import Response
 from fitting.amplitudes.vamp import VampPoints, vamp_points
 from fitting.cane.fit_runs import fit_runs
-from fitting.modal.start_frequencies import middling_shapes
+from fitting.fringes.start_frequencies import middling_shapes
 from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
 from physics.reed.geometry import half_width_m
 from physics.reed.reduced.elastic import elastic_modes

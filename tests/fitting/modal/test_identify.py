@@ -11,9 +11,9 @@ from fitting.cane.fit_runs import fit_runs, method_name
 from fitting.cane.residual_map import residual_map
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
+from fitting.fringes.start_frequencies import _outweighing, _room_cents
 from fitting.modal.identify import _with_smooth_drive, fit_jointly, joint_fit_of, mac
 from fitting.modal.refit import fit_same_reed
-from fitting.modal.start_frequencies import _outweighing, _room_cents
 from fitting.names.naming import SURE, ModeNaming, name_modes
 from physics.plausible.reeds import PlausibleReeds
 from physics.reed.cane.viscoelastic import Components, Series
@@ -268,7 +268,7 @@ def test_a_mode_may_move_up_to_the_next_of_its_symmetry():
 def test_picks_that_speak_for_no_possible_cane_do_no_harm(sweep_a, sweep, true_hz, monkeypatch):
     """Of a shear modulus below zero: modes are sought where the mean cane has them."""
     monkeypatch.setattr(
-        "fitting.modal.start_frequencies.likely_components", lambda *_: Components(e1=-8.0)
+        "fitting.fringes.start_frequencies.likely_components", lambda *_: Components(e1=-8.0)
     )
     other = fit_runs([sweep_a], method="joint").sweeps[0]
     apart = cents_apart(found_hz(other), true_hz)

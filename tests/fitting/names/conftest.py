@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from fitting.modal.start_frequencies import middling_shapes
+from fitting.fringes.start_frequencies import middling_shapes
 from fitting.names.measured import MeasuredModes
 from fitting.names.naming import visible_coordinates
 from fitting.names.prediction import predict

@@ -133,7 +133,7 @@ class DriveLines:
     covariance: Array
 
     def only(self, which: Mask) -> "DriveLines":
-        """Return some of the lines, by a mask (n,); the others may be what they are."""
+        """Return the lines of a mask (n,), whatever values the other lines have."""
         own = np.repeat(which, _PARAMETERS)
         return DriveLines(self.parameters[which], self.covariance[np.ix_(own, own)])
 
@@ -145,8 +145,8 @@ class DriveLines:
     def log_weight(self, hz: Array, factor: float) -> float:
         """Return the log of the prior density times the volume of errors, for `gain_covariance`.
 
-        It makes a fit whose lines are known within errors comparable to one without lines: those
-        could have been anywhere in the sweep.
+        With this weight, a fit whose lines have narrow priors can be compared with a fit without
+        lines: the lines could have been anywhere in the sweep.
         """
         off = self.parameters[:, 1:] - np.array([_LOG_QUALITY, 0.0, 0.0])
         spread = np.array([_LOG_QUALITY_SD, _STRENGTH_SD, _STRENGTH_SD])

@@ -24,7 +24,7 @@ _LEAST_FRACTION = 3e-3
 _MOST_FUNCTIONS = 32
 # Stiffnesses of shear among the nine of `physics.reed.cane.material`.
 _SHEAR = slice(6, 9)
-# Width of a resonance at half power, as a part of its frequency's square: loss factor of dry cane.
+# Relative width of a resonance in squared frequency at half power: the loss factor of dry cane.
 _WIDTH = 0.03
 
 
@@ -127,7 +127,7 @@ def _shear(half: ReedPart, terms: Array, vectors: Array) -> Array:
 def _loss_mixing(hz: Array, shear: Array) -> Array:
     """Return how modes (m,) of one symmetry mix if shear loses more, per unit of loss factor.
 
-    Modes that are closer than their widths do not mix as to first order; they are kept apart.
+    First order does not hold for modes that are closer than their widths: they mix less.
     """
     squares = (2 * np.pi * hz) ** 2
     apart = np.subtract.outer(squares, squares)

@@ -23,9 +23,9 @@ from fitting.modal.model import Model
 from fitting.modal.rounds import Given, Optimum, with_ripple
 from holography.arrays import Array
 
-# Room of the numbers of lines, in standard errors: first order holds there, and it is more than the
-# errors, so that the drive of a sweep counts little more than once.
-_ROOM = 2.0
+# Prior of the numbers of lines, in standard errors of the drive in which they were found. First
+# order still holds there. The errors of lines become 11 % too small, as their data are used twice.
+_PRIOR_ERRORS = 2.0
 _CENT = float(np.log(2) / 1200)
 
 
@@ -55,12 +55,12 @@ def with_lines(at: Optimum, given: Given, bare: Model) -> Optimum | None:
     if not lines.parameters.size:
         return None
     ripple = smooth_ripple(at.model.ripple)
-    coarse = bare.ripple.coarse + lines.gain_covariance(hz, _ROOM)
+    coarse = bare.ripple.coarse + lines.gain_covariance(hz, _PRIOR_ERRORS)
     expected = replace(
         bare,
         log_volts=bare.log_volts + log_gain(lines.parameters, hz),
         ripple=replace(ripple, coarse=coarse),
-        line_weight=lines.log_weight(hz, _ROOM),
+        line_weight=lines.log_weight(hz, _PRIOR_ERRORS),
     )
     return with_ripple(expected, given, end.state, end.scatter)
 

@@ -6,9 +6,9 @@ difference Δη of both loss factors, mode m is
 
     T_m + iΔη Σ_n C_mn T_n,    C_mn = G_mn / (λ_m − λ_n)
 
-with the part G_mn of the stiffness that belongs to shear, between both modes, and λ = (2πf)². A fit
-with real shapes puts this into the widths of resonances: by 2 % for T2 and 5 % for F2 if
-Δη = 0.025. Δη is one more error that all displacements have in common.
+where G_mn is the part of the stiffness between both modes that belongs to shear, and λ = (2πf)². A
+fit with real shapes compensates this by wrong loss factors: 2 % for T2 and 7 % for F2 of a reed
+with Δη = 0.025 (decision 0039). Δη is fitted as one more parameter of the common-mode error.
 """
 
 from dataclasses import replace
@@ -37,7 +37,7 @@ def with_losses(common_mode: CommonModeError, column: Array) -> CommonModeError:
     response = np.concatenate([common_mode.response, column[..., None]], axis=2)
     precision = np.zeros((len(response), response.shape[2], response.shape[2]))
     precision[:, :-1, :-1] = common_mode.precision
-    # What all holograms know of it is the prior, shared among them.
+    # The sum over holograms is the prior.
     precision[:, -1, -1] = _SPREAD**-2 / len(response)
     return CommonModeError(response, precision)
 

@@ -393,8 +393,13 @@ def test_the_laboratorys_light_goes_on_between_two_frames(bench):
 
 
 def test_a_sweep_runs_over_the_network(small_plan, tmp_path):
-    # Aravis' camera stamps its frames to a millisecond or so, which real ones do far better.
-    small = {"camera.exposure": "40 ms", "tolerance.lock_phase": "0.5 rad"}
+    # Aravis' camera stamps its frames to a millisecond or so, which real ones do far better. Steps
+    # whose frames come late because this computer is busy are measured again.
+    small = {
+        "camera.exposure": "40 ms",
+        "tolerance.lock_phase": "0.5 rad",
+        "policy.bad_step": {"retries": 3, "then": "skip"},
+    }
     plan = small_plan(small, pace="realtime")
     bench_file = plan.bench.replace({"instruments.camera.driver": LOOPBACK_CAMERA})
     plan = make_plan(plan.protocol, bench_file)

@@ -187,19 +187,18 @@ def _without_line(search: Search, line: NDArray[np.bool_], centre_hz: Array) -> 
     """
     best, given = likeliest(search.optima), search.given
     displacements, noise = given.displacements, noise_of(given.displacements)
-    stiff = replace(best.model, ripple=quiet_at(best.model.ripple, line))
+    # Elsewhere the ripple of the best fit may be wrong, too.
+    quiet = replace(search.bare.ripple, most=best.model.ripple.most)
+    bare = replace(search.bare, ripple=quiet_at(quiet, line))
     shared = _first_shared(displacements, given.drift)
-    stiff, state = _staged(stiff, displacements, noise, shared, centre_hz)
-    level = (stiff.log_volts - best.model.log_volts)[0]
-    prior = stage_prior(stiff, LAST, centre_hz, participation_scale(stiff, state))
+    bare, state = _staged(bare, displacements, noise, shared, centre_hz)
+    prior = stage_prior(bare, LAST, centre_hz, participation_scale(bare, state))
     there, scatter = replace(given, noise=noise, prior=prior), Scatter(LAST.discrepancy, FIRST_WALK)
     for _ in range(_ROUNDS):
-        end = one_round(stiff, there, state, scatter)
+        end = one_round(bare, there, state, scatter)
         state, there, scatter = end.state, replace(there, noise=end.noise), end.next_scatter
-    alone = with_ripple(stiff, there, state, scatter)
+    without = _with_lines(Search(bare, there, _optima(bare, there, state, scatter)))
     again = with_ripple(best.model, given, best.end.state, scatter)
-    bare = replace(search.bare, log_volts=search.bare.log_volts + level)
-    without = _with_lines(Search(bare, there, [alone]))
     if likeliest(without.optima).log_evidence < again.log_evidence:
         return search
     return replace(without, optima=[*without.optima, again])

@@ -8,7 +8,12 @@ import pytest
 
 from fitting.modal import fit as modal_fit
 from fitting.modal.drive_lines import _may_be_a_mode, with_lines
-from fitting.modal.drive_prior import louder_than_usual, quiet_at, quiet_ripple
+from fitting.modal.drive_prior import (
+    louder_than_usual,
+    quiet_at,
+    quiet_ripple,
+    strong_ripple,
+)
 from fitting.modal.rounds import suspect_lines, with_ripple
 from tests.fitting.modal.test_fit import DRIVE_HZ, MODE_HZ, cents, planted
 
@@ -58,13 +63,17 @@ def test_without_a_line_the_finer_structure_is_the_least_there_only():
 @pytest.mark.parametrize("better", [True, False])
 def test_the_likelier_explanation_is_taken_at_one_scatter(monkeypatch, better):
     sweep, seen = planted(), []
-    evidence, shift = [0.0, 0.0, 20.0 if better else -20.0, 0.0], [0.02, 0.02, 0.05, 0.03]
+    evidence = [0.0, 0.0, 20.0 if better else -20.0, -90.0, 0.0]
+    shift = [0.02, 0.02, 0.05, 0.1, 0.03]
 
     def counted(model, given, state, scatter):
         number = len(seen)
         found = with_ripple(model, given, state, scatter)
         seen.append((model, scatter))
-        return replace(found, log_evidence=evidence[number], logs=found.logs + shift[number])
+        # Every optimum seems to need a loud drive everywhere.
+        loud = replace(found.model, ripple=strong_ripple(found.model.ripple))
+        logs = found.logs + shift[number]
+        return replace(found, model=loud, log_evidence=evidence[number], logs=logs)
 
     line = np.arange(len(quiet_ripple(sweep.volts * 0 + HZ[: len(sweep.volts)]).log_size)) == 2
     monkeypatch.setattr(modal_fit, "with_ripple", counted)
@@ -72,9 +81,12 @@ def test_the_likelier_explanation_is_taken_at_one_scatter(monkeypatch, better):
     monkeypatch.setattr(modal_fit, "map_processes", map)
     monkeypatch.setattr(modal_fit, "suspect_lines", lambda _: [line])
     found = sweep.fit()
-    assert len(seen) == 4
-    assert np.exp(seen[2][0].ripple.log_size[line]) == pytest.approx(0.012)
-    assert seen[2][1] is seen[3][1]
+    assert len(seen) == 5
+    smooth, strong = seen[2][0].ripple, seen[3][0].ripple
+    assert np.exp(smooth.log_size) == pytest.approx(0.012)
+    assert np.exp(strong.log_size) == pytest.approx(np.where(line, 0.1, 0.7))
+    assert np.exp(strong.most) == pytest.approx(np.where(line, 0.1, 0.86))
+    assert seen[2][1] is seen[3][1] is seen[4][1]
     # Frequencies are within a few cents of those planted, but for the shift.
     moved = np.log(found.hz / sweep.hz[:5])
     assert moved == pytest.approx(0.05 if better else 0.02, abs=2e-3)

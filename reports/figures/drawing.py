@@ -1,7 +1,7 @@
 """Pictures that people look at: the contact sheet and the response of the reed."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -182,25 +182,16 @@ def draw_response(axes: Axes, sweep: SweepFit, lines_hz: Sequence[float]) -> Non
     hz, amplitude = response.drive_hz, response.amplitude_nm
     axes.plot(hz, response.peak.nm, color="0.25", linewidth=1.2, label="whole reed, largest")
     _dress(axes, response)
-    resonances = {
-        name: (found.frequency_hz, found.amplitude_nm, found.amplitude_error_nm)
+    peaks = [
+        (name, found.frequency_hz, found.amplitude_nm, found.amplitude_error_nm)
         for name, found in sweep.measured.items()
         if found.amplitude_nm is not None
-    }
-    peaks = [(found_hz, nm) for found_hz, nm, _ in resonances.values()]
-    dots = axes.transData.transform(peaks) if peaks else np.empty((0, 2))
-    heights = label_heights(axes.figure.dpi_scale_trans.inverted().transform(dots) * 72)
-    for (name, (found_hz, nm, error_nm)), height in zip(resonances.items(), heights, strict=True):
-        near = np.abs(np.log2(hz / found_hz)) < _SHOWN_OCTAVES
-        colour = _DARK_COLOUR.get(name[0], _OTHER_COLOUR)
+    ]
+    for name, peak_hz, nm, error_nm in peaks:
+        near = np.abs(np.log2(hz / peak_hz)) < _SHOWN_OCTAVES
+        colour = _colour(name)
         axes.plot(hz[near], amplitude[near, response.names.index(name)], color=colour, linewidth=1)
-        axes.errorbar(found_hz, nm, error_nm, fmt="o", color=colour, markersize=5)
-        axes.annotate(
-            f"{name}\n{found_hz:.0f} Hz\n{nm:.0f} nm",
-            (found_hz, nm),
-            xytext=(0, height), textcoords="offset points", ha="center",
-            fontsize=8, color=colour, arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.5},
-        )  # fmt: skip
+        axes.errorbar(peak_hz, nm, error_nm, fmt="o", color=colour, markersize=5)
     what = "excitation peak" if sweep.joint else "acoustic resonance"
     for line in lines_hz:
         if hz.min() <= line <= hz.max():
@@ -219,6 +210,28 @@ def draw_response(axes: Axes, sweep: SweepFit, lines_hz: Sequence[float]) -> Non
     title = f"Reed {visible(sweep.reed)}, series {visible(sweep.series)}: {how}"
     # A name may hold what matplotlib takes for mathematics.
     axes.set_title(title, parse_math=False)
+    _name_peaks(axes, {name: (peak_hz, nm) for name, peak_hz, nm, _ in peaks})
+
+
+def _colour(name: str) -> str:
+    return _DARK_COLOUR.get(name[0], _OTHER_COLOUR)
+
+
+def _name_peaks(axes: Axes, peaks: Mapping[str, tuple[float, float]]) -> None:
+    """Write names above peaks (Hz, nm), with both numbers. Axes have their final size then."""
+    figure = axes.get_figure(root=True)
+    layout = figure.get_layout_engine() if figure else None
+    if figure and layout:
+        layout.execute(figure)
+    dots = axes.transData.transform(list(peaks.values())) if peaks else np.empty((0, 2))
+    heights = label_heights(axes.figure.dpi_scale_trans.inverted().transform(dots) * 72)
+    for (name, (peak_hz, nm)), height in zip(peaks.items(), heights, strict=True):
+        colour = _colour(name)
+        axes.annotate(
+            f"{name}\n{peak_hz:.0f} Hz\n{nm:.0f} nm", (peak_hz, nm),
+            xytext=(0, height), textcoords="offset points", ha="center", fontsize=8, color=colour,
+            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.5},
+        )  # fmt: skip
 
 
 def label_heights(peaks_pt: Array) -> list[float]:

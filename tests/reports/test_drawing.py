@@ -3,10 +3,12 @@
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from io import BytesIO
+from itertools import combinations
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from matplotlib.text import Text
 
 from fitting.resonance import Resonance
 from reports.figures.drawing import (
@@ -248,6 +250,24 @@ def test_peaks_of_the_response_are_named_where_they_are(fitted, sweep_a):
     for found in sweep.resonances.values():
         low, high = axes.get_ylim()
         assert low < found.amplitude_nm < high
+
+
+def test_names_of_close_modes_can_be_read(fitted):
+    sweep = fitted.sweeps[0]
+    hz = sweep.response.drive_hz
+    middle, nm = np.sqrt(hz[0] * hz[-1]), (300.0, 6.0, 40.0, 10.0, 80.0, 5.0)
+    # Six modes within a third of an octave: the upper names stand above the lower ones.
+    close = {
+        name: replace(found, frequency_hz=middle * 2 ** (n / 18), amplitude_nm=nm[n])
+        for n, (name, found) in enumerate(list(sweep.resonances.items())[:6])
+    }
+    assert len(close) >= 4
+    figure = response_plot(replace(sweep, resonances=close), ())
+    figure.draw_without_rendering()
+    # Without their lines to the peaks.
+    boxes = [Text.get_window_extent(t) for t in figure.axes[0].texts if "\n" in t.get_text()]
+    assert len(boxes) == len(close)
+    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
 
 
 def test_a_line_outside_the_sweep_is_not_drawn(fitted):

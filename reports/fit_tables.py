@@ -134,7 +134,7 @@ def _excitation(seen: SeenPeak) -> str:
     if seen.suspect and seen.mode is not None:
         return said + (
             f"Suspect: it is next to {seen.mode.name} and too high for the air or the "
-            f"loudspeaker; do not trust the numbers of {seen.mode.name}."
+            f"loudspeaker; it is probably vibration of {seen.mode.name}."
         )
     if seen.next_to_mode and seen.mode is not None:
         said += (

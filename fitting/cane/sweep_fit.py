@@ -6,10 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fitting.acoustics.lines import SeenPeak, SweepPeaks, nearest_mode
-from fitting.acoustics.poles import find_excitation_peaks
 from fitting.amplitudes.response import Response
 from fitting.cane.cane_losses import CaneLosses
 from fitting.cane.reed_fit import ReedParameters
@@ -62,18 +59,10 @@ class SweepFit:
         """Peaks of the fitted drive: acoustic resonances, or vibration that no mode explains."""
         if self.joint is None:
             return ()
-        blocks, modal = self.joint.block_amplitudes, self.joint.modal
-        found = find_excitation_peaks(
-            blocks.drive_hz,
-            np.log(np.abs(modal.drive) / blocks.volts),
-            modal.log_drive_covariance,
-            modal.state.gain,
-            modal.off,
-        )
-        mode_hz = {name: mode.frequency_hz for name, mode in self.measured.items()}
+        mode_hz = self.joint.visible_hz
         return tuple(
             SeenPeak(self.reed, self.path.name, peak, nearest_mode(peak.hz, mode_hz))
-            for peak in found
+            for peak in self.joint.drive_peaks
         )
 
     @property

@@ -3,10 +3,17 @@
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from fitting.acoustics.poles import (
+    MOST_DB,
+    NEXT_TO_CENTS,
+    ExcitationPeak,
+    find_excitation_peaks,
+)
 from fitting.forward import (
     ForwardModel,
 )
@@ -84,6 +91,19 @@ class MeasuredSweep:
     modal: ModalFit
     start_hz: Mapping[str, float]
 
+    @cached_property
+    def drive_peaks(self) -> tuple[ExcitationPeak, ...]:
+        """Peaks of the drive: acoustic resonances, or vibration that no mode explains."""
+        modal, volts = self.modal, self.block_amplitudes.volts
+        found = find_excitation_peaks(
+            self.block_amplitudes.drive_hz,
+            np.log(np.abs(modal.drive) / volts),
+            modal.log_drive_covariance,
+            modal.state.gain,
+            modal.off,
+        )
+        return tuple(found)
+
 
 @dataclass(frozen=True)
 class JointFit(MeasuredSweep):
@@ -110,6 +130,14 @@ class JointFit(MeasuredSweep):
     resonances: dict[str, Resonance]
     not_sure: dict[str, Resonance]
     not_identified: dict[str, str]
+
+    @property
+    def visible_hz(self) -> dict[str, float]:
+        """Frequencies (Hz) of modes that are measured, or absorbed by the drive, by name."""
+        own = {**self.resonances, **self.not_sure}
+        measured = {name: mode.frequency_hz for name, mode in own.items()}
+        absorbed = _absorbed(self, _with_resonance(self))
+        return measured | {self.names[m]: float(self.modal.hz[m]) for m in absorbed}
 
 
 def fit_jointly(
@@ -162,7 +190,7 @@ def naming_of(sweep: MeasuredSweep, reed: ReducedReed, series: Series) -> Mappin
     modal, block_amplitudes = sweep.modal, sweep.block_amplitudes
     if _general_doubt(sweep):
         return {}
-    index = [m for m in range(len(modal.names)) if not _doubt(modal, m, block_amplitudes)]
+    index = [m for m, doubt in enumerate(_measurement_doubts(sweep)) if not doubt]
     # A reed that is not possible has no names: then all modes are refused.
     with suppress(ImpossibleReedError):
         return name_modes(
@@ -318,10 +346,40 @@ def _doubts(sweep: MeasuredSweep, naming: Mapping[str, ModeNaming]) -> dict[str,
     names = sweep.modal.names
     if general := _general_doubt(sweep):
         return dict.fromkeys(names, general)
-    return {
-        label: _doubt(sweep.modal, m, sweep.block_amplitudes) or _doubt_of_name(naming, label)
-        for m, label in enumerate(names)
-    }
+    doubts = zip(names, _measurement_doubts(sweep), strict=True)
+    return {label: doubt or _doubt_of_name(naming, label) for label, doubt in doubts}
+
+
+def _measurement_doubts(sweep: MeasuredSweep) -> list[str]:
+    """Return the reason why each mode is not measured, whatever its name is; empty if it is."""
+    modal = sweep.modal
+    doubts = [_doubt(modal, m, sweep.block_amplitudes) for m in range(len(modal.names))]
+    for m, peak in _absorbed(sweep, _with_resonance(sweep)).items():
+        doubts[m] = (
+            f"the drive has a peak of {peak.height_db:.0f} dB at {peak.hz:.0f} Hz, which is "
+            "probably vibration of this mode"
+        )
+    return doubts
+
+
+def _with_resonance(sweep: MeasuredSweep) -> list[int]:
+    """Return the modes that are measured if the drive has not absorbed them."""
+    count = len(sweep.modal.names)
+    return [m for m in range(count) if not _doubt(sweep.modal, m, sweep.block_amplitudes)]
+
+
+def _absorbed(sweep: MeasuredSweep, modes: Sequence[int]) -> dict[int, ExcitationPeak]:
+    """Return those of some modes that the drive has probably absorbed, with the peak of the drive.
+
+    Acoustic resonances are not as high. The fit then divides one resonance between drive and mode,
+    and its standard errors hold for this division only.
+    """
+    found = {}
+    for peak in sweep.drive_peaks:
+        off = np.abs(np.log(sweep.modal.hz[modes] / peak.hz)) / _CENT
+        if peak.height_db > MOST_DB and len(modes) and off.min() < NEXT_TO_CENTS:
+            found[modes[int(off.argmin())]] = peak
+    return found
 
 
 def _doubt(modal: ModalFit, m: int, block_amplitudes: BlockAmplitudes) -> str:

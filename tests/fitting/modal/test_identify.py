@@ -195,6 +195,23 @@ def test_a_resonance_at_the_first_step_is_not_identified(sweep):
         assert "T1" in cut.resonances
 
 
+def test_a_mode_that_the_drive_has_absorbed_is_not_identified(sweep):
+    """No bench has a peak of 21 dB at a mode; one of 12 dB may be an acoustic resonance."""
+    joint, found = sweep.joint, sweep.resonances["T2"]
+    ratio = joint.block_amplitudes.drive_hz / found.frequency_hz
+    for strength, refused in ((0.5, True), (0.15, False)):
+        line = 1 + strength / (1 - ratio**2 + 1j * ratio / 20)
+        modal = replace(joint.modal, drive=joint.modal.drive * line)
+        changed = refit_of(joint, modal=modal)
+        assert ("T2" in changed.resonances) == (not refused)
+        assert ("T2" in changed.not_identified) == refused
+        assert {*changed.resonances, "T2"} == set(sweep.resonances)
+        shown = replace(sweep, resonances=changed.resonances, joint=changed)
+        (seen,) = (each for each in shown.excitation_peaks if each.mode.name == "T2")
+        assert seen.suspect == refused
+        assert seen.peak.hz == pytest.approx(found.frequency_hz, rel=5e-3)
+
+
 def test_a_mode_above_the_last_step_is_not_identified(sweep):
     """F4 of this reed is 60 cents above it; the fit finds something at 17.1 kHz."""
     last_hz = sweep.joint.block_amplitudes.drive_hz[-1]

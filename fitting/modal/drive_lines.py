@@ -14,6 +14,7 @@ import numpy as np
 from fitting.acoustics.poles import (
     MOST_DB,
     NEXT_TO_CENTS,
+    DriveLines,
     height_db,
     lines_of_drive,
     log_gain,
@@ -44,25 +45,46 @@ def with_lines(at: Optimum, given: Given, bare: Model) -> Optimum | None:
     Optimum or None
         With the scatter of `at`, so that their evidence can be compared.
     """
-    end, hz = at.end, bare.hz
-    magnitude = end.state.log_drive.real - bare.log_volts
-    lines = lines_of_drive(
-        hz, magnitude, at.magnitude_covariance, end.state.gain, end.noise.inflation > 1
-    )
     modes = at.logs[: len(bare.active)]
-    chambers = [not _may_be_a_mode(line, modes) for line in lines.parameters]
-    lines = lines.only(np.array(chambers, dtype=bool))
+    lines = drive_lines(at, bare)
+    lines = lines.only(
+        np.array([not _may_be_a_mode(line, modes) for line in lines.parameters], bool)
+    )
     if not lines.parameters.size:
         return None
-    ripple = smooth_ripple(at.model.ripple)
-    coarse = bare.ripple.coarse + lines.gain_covariance(hz, _PRIOR_ERRORS)
-    expected = replace(
-        bare,
-        log_volts=bare.log_volts + log_gain(lines.parameters, hz),
-        ripple=replace(ripple, coarse=coarse),
-        line_weight=lines.log_weight(hz, _PRIOR_ERRORS),
+    start = replace(bare, ripple=smooth_ripple(at.model.ripple))
+    return with_ripple(expecting(start, lines), given, at.end.state, at.end.scatter)
+
+
+def drive_lines(at: Optimum, bare: Model) -> DriveLines:
+    """Find the lines in the drive of an optimum; for `bare` see `with_lines`."""
+    magnitude = at.end.state.log_drive.real - bare.log_volts
+    return lines_of_drive(
+        bare.hz,
+        magnitude,
+        at.magnitude_covariance,
+        at.end.state.gain,
+        at.end.noise.inflation > 1,
     )
-    return with_ripple(expected, given, end.state, end.scatter)
+
+
+def expecting(model: Model, lines: DriveLines) -> Model:
+    """Return a model that expects lines of the drive, within twice their standard errors."""
+    if not lines.parameters.size:
+        return model
+    errors = lines.gain_covariance(model.hz, _PRIOR_ERRORS)
+    return replace(
+        model,
+        log_volts=model.log_volts + log_gain(lines.parameters, model.hz),
+        ripple=replace(model.ripple, coarse=model.ripple.coarse + errors),
+        line_weight=lines.log_weight(model.hz, _PRIOR_ERRORS),
+    )
+
+
+def away_from(lines: DriveLines, log_hz: Array) -> DriveLines:
+    """Return the lines that are next to none of some modes, at log frequencies (a,)."""
+    apart = np.abs(np.subtract.outer(lines.parameters[:, 0], log_hz))
+    return lines.only(np.all(apart > NEXT_TO_CENTS * _CENT, axis=1))
 
 
 def _may_be_a_mode(line: Array, log_hz: Array) -> bool:

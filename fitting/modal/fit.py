@@ -29,7 +29,7 @@ from scipy.special import softmax
 
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.modal.drive_lines import with_lines
+from fitting.modal.drive_lines import away_from, drive_lines, expecting, with_lines
 from fitting.modal.drive_prior import (
     HELD_LEVEL,
     Ripple,
@@ -187,21 +187,26 @@ def _without_line(search: Search, line: NDArray[np.bool_], centre_hz: Array) -> 
     """
     best, given = likeliest(search.optima), search.given
     displacements, noise = given.displacements, noise_of(given.displacements)
-    # Elsewhere the ripple of the best fit may be wrong, too.
-    quiet = replace(search.bare.ripple, most=best.model.ripple.most)
-    bare = replace(search.bare, ripple=quiet_at(quiet, line))
+    # Elsewhere the ripple of the best fit may be wrong, too, and so may lines at other modes. But
+    # without the notches of distant lines, modes are found in their place.
+    quiet = quiet_at(replace(search.bare.ripple, most=best.model.ripple.most), line)
+    modes = np.concatenate([np.log(centre_hz), best.logs[: len(centre_hz)]])
+    bare = replace(search.bare, ripple=quiet)
+    expected = expecting(bare, away_from(drive_lines(best, bare), modes))
     shared = _first_shared(displacements, given.drift)
-    bare, state = _staged(bare, displacements, noise, shared, centre_hz)
-    prior = stage_prior(bare, LAST, centre_hz, participation_scale(bare, state))
+    model, state = _staged(expected, displacements, noise, shared, centre_hz)
+    prior = stage_prior(model, LAST, centre_hz, participation_scale(model, state))
     there, scatter = replace(given, noise=noise, prior=prior), Scatter(LAST.discrepancy, FIRST_WALK)
     for _ in range(_ROUNDS):
-        end = one_round(bare, there, state, scatter)
+        end = one_round(model, there, state, scatter)
         state, there, scatter = end.state, replace(there, noise=end.noise), end.next_scatter
+    bare = replace(bare, log_volts=bare.log_volts + (model.log_volts - expected.log_volts)[0])
     without = _with_lines(Search(bare, there, _optima(bare, there, state, scatter)))
     again = with_ripple(best.model, given, best.end.state, scatter)
-    if likeliest(without.optima).log_evidence < again.log_evidence:
+    before = _with_lines(Search(search.bare, given, [again]))
+    if likeliest(without.optima).log_evidence < likeliest(before.optima).log_evidence:
         return search
-    return replace(without, optima=[*without.optima, again])
+    return replace(without, optima=[*without.optima, *before.optima])
 
 
 def _first_shared(displacements: Displacements, drift: FieldDrift) -> SharedError:

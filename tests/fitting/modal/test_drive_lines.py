@@ -6,14 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fitting.acoustics.poles import DriveLines
 from fitting.modal import fit as modal_fit
-from fitting.modal.drive_lines import _may_be_a_mode, with_lines
+from fitting.modal.drive_lines import _may_be_a_mode, away_from, expecting, with_lines
 from fitting.modal.drive_prior import (
     louder_than_usual,
     quiet_at,
     quiet_ripple,
     strong_ripple,
 )
+from fitting.modal.model import Model
 from fitting.modal.rounds import suspect_lines, with_ripple
 from tests.fitting.modal.test_fit import DRIVE_HZ, MODE_HZ, cents, planted
 
@@ -134,3 +136,38 @@ def test_a_mode_in_the_notch_of_a_chamber_is_where_it_is(monkeypatch):
 def test_a_high_line_next_to_a_mode_is_not_expected_of_the_drive(mode_hz, strength, may_be):
     line = np.array([np.log(4300.0), np.log(20.0), strength, 0.0])
     assert _may_be_a_mode(line, np.log([2000.0, mode_hz])) is may_be
+
+
+def test_lines_next_to_a_mode_are_left_out_and_the_others_are_expected():
+    lines = DriveLines(
+        np.array(
+            [[np.log(3000.0), np.log(30.0), 0.5, 0.0], [np.log(4300.0), np.log(20.0), 0.3, 0.1]]
+        ),
+        np.diag([1e-3, 0.1, 0.02, 0.03, 2e-3, 0.2, 0.04, 0.05]) ** 2,
+    )
+    # 50 cents from the first line, and 150 from the second.
+    modes = np.log([2000.0, 3000.0 * 2 ** (50 / 1200), 4300.0 * 2 ** (150 / 1200)])
+    distant = away_from(lines, modes)
+    assert distant.parameters.tolist() == lines.parameters[1:].tolist()
+    assert distant.covariance.tolist() == lines.covariance[4:, 4:].tolist()
+    ripple = quiet_ripple(HZ)
+    modes_5, functions = np.ones(5), np.eye(5)
+    model = Model(
+        HZ, np.zeros(len(HZ)), 4.0, ripple, np.ones((len(HZ), 1)), functions, 3e3 * modes_5,
+        0 * modes_5, np.arange(5), 0 * functions,
+    )  # fmt: skip
+    assert expecting(model, away_from(lines, lines.parameters[:, 0])) is model
+    expected = expecting(model, distant)
+    assert expected.log_volts == pytest.approx(log_of_line(4300.0), abs=1e-12)
+    # Twice the errors, of which the frequency has one.
+    moved = (log_of_line(4300.43) - log_of_line(4299.57)) / 2e-4
+    still = np.diag([0, 1, 1, 1]) * distant.covariance
+    others = expecting(model, DriveLines(distant.parameters, still))
+    own = np.diag(expected.ripple.coarse - others.ripple.coarse)
+    assert own == pytest.approx((2 * 2e-3 * moved) ** 2, rel=1e-4, abs=1e-9)
+    assert expected.line_weight < 0
+
+
+def log_of_line(hz):
+    ratio = HZ / hz
+    return np.log(np.abs(1 + (0.3 + 0.1j) / (1 - ratio**2 + 1j * ratio / 20)))

@@ -136,8 +136,7 @@ class JointFit(MeasuredSweep):
         """Frequencies (Hz) of modes that are measured, or absorbed by the drive, by name."""
         own = {**self.resonances, **self.not_sure}
         measured = {name: mode.frequency_hz for name, mode in own.items()}
-        absorbed = _absorbed(self, _with_resonance(self))
-        return measured | {self.names[m]: float(self.modal.hz[m]) for m in absorbed}
+        return measured | {self.names[m]: float(self.modal.hz[m]) for m in _absorbed(self)}
 
 
 def fit_jointly(
@@ -352,9 +351,8 @@ def _doubts(sweep: MeasuredSweep, naming: Mapping[str, ModeNaming]) -> dict[str,
 
 def _measurement_doubts(sweep: MeasuredSweep) -> list[str]:
     """Return the reason why each mode is not measured, whatever its name is; empty if it is."""
-    modal = sweep.modal
-    doubts = [_doubt(modal, m, sweep.block_amplitudes) for m in range(len(modal.names))]
-    for m, peak in _absorbed(sweep, _with_resonance(sweep)).items():
+    doubts = _own_doubts(sweep)
+    for m, peak in _absorbed(sweep).items():
         doubts[m] = (
             f"the drive has a peak of {peak.height_db:.0f} dB at {peak.hz:.0f} Hz, which is "
             "probably vibration of this mode"
@@ -362,19 +360,14 @@ def _measurement_doubts(sweep: MeasuredSweep) -> list[str]:
     return doubts
 
 
-def _with_resonance(sweep: MeasuredSweep) -> list[int]:
-    """Return the modes that are measured if the drive has not absorbed them."""
-    count = len(sweep.modal.names)
-    return [m for m in range(count) if not _doubt(sweep.modal, m, sweep.block_amplitudes)]
-
-
-def _absorbed(sweep: MeasuredSweep, modes: Sequence[int]) -> dict[int, ExcitationPeak]:
-    """Return those of some modes that the drive has probably absorbed, with the peak of the drive.
+def _absorbed(sweep: MeasuredSweep) -> dict[int, ExcitationPeak]:
+    """Return the modes that the drive has probably absorbed, with the peak of the drive.
 
     Acoustic resonances are not as high. The fit then divides one resonance between drive and mode,
     and its standard errors hold for this division only.
     """
-    found = {}
+    found = dict[int, ExcitationPeak]()
+    modes = [m for m, doubt in enumerate(_own_doubts(sweep)) if not doubt]
     for peak in sweep.drive_peaks:
         off = np.abs(np.log(sweep.modal.hz[modes] / peak.hz)) / _CENT
         if peak.height_db > MOST_DB and len(modes) and off.min() < NEXT_TO_CENTS:
@@ -382,8 +375,14 @@ def _absorbed(sweep: MeasuredSweep, modes: Sequence[int]) -> dict[int, Excitatio
     return found
 
 
+def _own_doubts(sweep: MeasuredSweep) -> list[str]:
+    """Return the reason why each mode is not measured, by its own numbers; empty if it is."""
+    count = len(sweep.modal.names)
+    return [_doubt(sweep.modal, m, sweep.block_amplitudes) for m in range(count)]
+
+
 def _doubt(modal: ModalFit, m: int, block_amplitudes: BlockAmplitudes) -> str:
-    """Return the reason why a mode is not measured, whatever its name is."""
+    """Return the reason why a mode is not measured, by its own numbers; empty if it is."""
     if modal.participation_error[m] * _DEVIATIONS > abs(modal.participation[m]):
         return f"its amplitude is below {_DEVIATIONS:g} times its standard error"
     if modal.error_cents[m] > _WIDEST_CENTS:

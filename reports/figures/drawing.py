@@ -218,7 +218,7 @@ def _colour(name: str) -> str:
 
 
 def _name_peaks(axes: Axes, peaks: Mapping[str, tuple[float, float]]) -> None:
-    """Write names above peaks (Hz, nm), with both numbers. Axes have their final size then."""
+    """Write a name above each peak (Hz, nm), after the layout has given axes their final size."""
     figure = axes.get_figure(root=True)
     layout = figure.get_layout_engine() if figure else None
     if figure and layout:

@@ -15,6 +15,7 @@ from fitting.modal.drive_prior import (
     quiet_ripple,
     strong_ripple,
 )
+from fitting.modal.fit import _staged
 from fitting.modal.model import Model
 from fitting.modal.rounds import suspect_lines, with_ripple
 from tests.fitting.modal.test_fit import DRIVE_HZ, MODE_HZ, cents, planted
@@ -138,6 +139,36 @@ def test_a_high_line_next_to_a_mode_is_not_expected_of_the_drive(mode_hz, streng
     assert _may_be_a_mode(line, np.log([2000.0, mode_hz])) is may_be
 
 
+def test_a_search_without_a_line_begins_from_distant_lines_and_then_has_none(monkeypatch):
+    sweep, staged, searched = planted(), [], []
+    first_hz = sweep.hz[0]
+    # One line is next to a mode, the other lies between the second and the third.
+    distant_hz = np.sqrt(sweep.hz[1] * sweep.hz[2])
+    numbers = [[np.log(hz), np.log(20.0), 0.3, 0.1] for hz in (first_hz, distant_hz)]
+    lines = DriveLines(np.array(numbers), 1e-4 * np.eye(8))
+
+    def seen_staged(model, *others):
+        staged.append(model.log_volts)
+        return _staged(model, *others)
+
+    def seen_search(model, given, state, scatter):
+        searched.append(model.log_volts)
+        return with_ripple(model, given, state, scatter)
+
+    nodes = np.zeros(len(quiet_ripple(DRIVE_HZ).log_size), bool)
+    monkeypatch.setattr(modal_fit, "_staged", seen_staged)
+    monkeypatch.setattr(modal_fit, "with_ripple", seen_search)
+    monkeypatch.setattr(modal_fit, "with_lines", lambda *_: None)
+    monkeypatch.setattr(modal_fit, "drive_lines", lambda *_: lines)
+    monkeypatch.setattr(modal_fit, "map_processes", map)
+    monkeypatch.setattr(modal_fit, "suspect_lines", lambda _: [nodes])
+    sweep.fit()
+    expected = np.diff(log_of_line(distant_hz, DRIVE_HZ))
+    assert np.diff(staged[1] - staged[0]) == pytest.approx(expected, abs=1e-12)
+    assert len(searched) == 5
+    assert np.ptp(np.array(searched) - staged[0], axis=1) == pytest.approx(0, abs=1e-12)
+
+
 def test_lines_next_to_a_mode_are_left_out_and_the_others_are_expected():
     lines = DriveLines(
         np.array(
@@ -168,6 +199,6 @@ def test_lines_next_to_a_mode_are_left_out_and_the_others_are_expected():
     assert expected.line_weight < 0
 
 
-def log_of_line(hz):
-    ratio = HZ / hz
+def log_of_line(hz, at_hz=HZ):
+    ratio = at_hz / hz
     return np.log(np.abs(1 + (0.3 + 0.1j) / (1 - ratio**2 + 1j * ratio / 20)))

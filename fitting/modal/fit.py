@@ -25,7 +25,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import softmax
 
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis
@@ -57,6 +56,7 @@ from fitting.modal.noise import Noise, data_of, noise_of
 from fitting.modal.optimiser import inverse, minimise_cost
 from fitting.modal.posterior import Posterior, participation_error, resonant_displacements
 from fitting.modal.rounds import (
+    FIRST_CORRELATED,
     LAST,
     Given,
     Optimum,
@@ -64,6 +64,7 @@ from fitting.modal.rounds import (
     fixed,
     likeliest,
     one_round,
+    probabilities,
     suspect_lines,
     with_ripple,
 )
@@ -74,6 +75,10 @@ from holography.arrays import Array
 _DEGREE = 4
 # How often the discrepancy is estimated, and how often if the modes are known from another fit.
 _ROUNDS, _AGAIN = 3, 2
+# Scatter before the first residuals are known.
+_FIRST_SCATTER = Scatter(LAST.discrepancy, FIRST_WALK, FIRST_CORRELATED)
+# An explanation of a sweep that is less probable is given up.
+_IMPROBABLE = 1e-3
 # Levenberg-Marquardt steps in a round of a rough fit. With 4 in place of 12, what the last fit of a
 # sweep of series A gave changed by less than a tenth of its standard errors (X4: by a third), and
 # rough fits took half the time.
@@ -126,10 +131,11 @@ def fit_modes(
     shared = _first_shared(displacements, drift)
     if known is None:
         model, state = _staged(model, displacements, noise, shared, centre_hz)
-        rounds, scatter = _ROUNDS, Scatter(LAST.discrepancy, FIRST_WALK)
+        rounds, scatter = _ROUNDS, _FIRST_SCATTER
     else:
         model, state = _again(model, known, displacements, len(shared.precision))
-        rounds, scatter = _AGAIN, Scatter(known.discrepancy, known.field_walk)
+        rounds = _AGAIN
+        scatter = replace(_FIRST_SCATTER, discrepancy=known.discrepancy, walk=known.field_walk)
     prior = stage_prior(model, LAST, centre_hz, participation_scale(model, state))
     given = Given(displacements, drift, noise, prior)
     steps = _ROUGH_STEPS if rough else LAST.iterations
@@ -196,7 +202,7 @@ def _without_line(search: Search, line: NDArray[np.bool_], centre_hz: Array) -> 
     shared = _first_shared(displacements, given.drift)
     model, state = _staged(expected, displacements, noise, shared, centre_hz)
     prior = stage_prior(model, LAST, centre_hz, participation_scale(model, state))
-    there, scatter = replace(given, noise=noise, prior=prior), Scatter(LAST.discrepancy, FIRST_WALK)
+    there, scatter = replace(given, noise=noise, prior=prior), _FIRST_SCATTER
     for _ in range(_ROUNDS):
         end = one_round(model, there, state, scatter)
         state, there, scatter = end.state, replace(there, noise=end.noise), end.next_scatter
@@ -204,9 +210,10 @@ def _without_line(search: Search, line: NDArray[np.bool_], centre_hz: Array) -> 
     without = _with_lines(Search(bare, there, _optima(bare, there, state, scatter)))
     again = with_ripple(best.model, given, best.end.state, scatter)
     before = _with_lines(Search(search.bare, given, [again]))
-    if likeliest(without.optima).log_evidence < likeliest(before.optima).log_evidence:
+    both = [*without.optima, *before.optima]
+    if np.sum(probabilities(both)[: len(without.optima)]) < _IMPROBABLE:
         return search
-    return replace(without, optima=[*without.optima, *before.optima])
+    return replace(without, optima=both)
 
 
 def _first_shared(displacements: Displacements, drift: FieldDrift) -> SharedError:
@@ -273,11 +280,11 @@ def _finish(
 ) -> ModalFit:
     """Return modes and standard errors.
 
-    Frequencies, losses and their errors are averages over all optima, by their evidence; all else
-    is that of the best.
+    Frequencies, losses and their errors are averages over all optima, by their probability; all
+    else is that of the best.
     """
     best = likeliest(optima)
-    weights = softmax([each.log_evidence for each in optima])
+    weights = probabilities(optima)
     logs, covariance = _mixture(weights, [(each.logs, each.covariance) for each in optima])
     magnitudes = [(each.end.state.log_drive.real, each.magnitude_covariance) for each in optima]
     model, end, factor = best.model, best.end, best.factor

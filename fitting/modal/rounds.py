@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import softmax
 
 from fitting.holograms.displacement import Displacements
 from fitting.modal.drive_prior import (
@@ -36,9 +37,15 @@ from holography.arrays import Array
 
 # Stage of the last rounds.
 LAST = Stage(0.015, 0.7, 0.02, 1.0, 12)
+# Holograms that count as one before the first residuals are known: wrong shapes leave residuals as
+# far as a mode is seen, two widths at half power of a loss factor of 0.03, in steps of 25 cents.
+FIRST_CORRELATED = 4.0
 # Most turns in which the ripple of the drive is found; they end when no frequency and no loss moves
 # by more than this fraction of its standard error.
 _MOST_RIPPLES, _SETTLED = 8, 0.2
+# The normal distribution function of z is the logistic function of this times z, within 0.01
+# (G. Camilli 1994, Journal of Educational Statistics 19:293).
+_PROBIT = 1.702
 # A line of the drive next to a mode is suspect above this, in nepers: 15 dB. Loudspeakers and
 # chambers have few sharper poles and notches, and a mode that moves the reed almost alone may be
 # taken for one.
@@ -96,6 +103,8 @@ class Round:
     log_evidence : float
         Log of the evidence, but for a constant that rounds with the same displacements and the same
         scatter share.
+    log_likelihood : (k,) float
+        What each hologram adds to it.
     whitened_residual : (k, 2j) float
         Residuals along the noise's directions, in standard deviations.
     misfit : float
@@ -115,6 +124,7 @@ class Round:
     here: Equations
     covariance: Array
     log_evidence: float
+    log_likelihood: Array
     whitened_residual: Array
     misfit: float
     scatter: Scatter
@@ -148,6 +158,7 @@ def one_round(
         terms(model, state).amplitude, state.common_mode_shift
     )
     deviation = noise.deviation(scatter.discrepancy)
+    each = np.sum(0.5 * whitened_residual**2 + np.log(deviation), axis=1) / scatter.correlated
     left = whitened_residual * deviation
     first = len(covariance) - len(shared.precision)
     walk = found_walk(drift, state.common_mode_shift, covariance[first:, first:], scatter.walk)
@@ -163,6 +174,7 @@ def one_round(
             alone,
             root,
         ),
+        log_likelihood=-each,
         whitened_residual=whitened_residual,
         misfit=float(np.sum(whitened_residual**2)) / freedoms,
         scatter=scatter,
@@ -261,6 +273,32 @@ def with_ripple(model: Model, given: Given, state: State, scatter: Scatter) -> O
 def likeliest(optima: Sequence[Optimum]) -> Optimum:
     """Return the optimum with the highest evidence."""
     return max(optima, key=lambda each: each.log_evidence)
+
+
+def probabilities(optima: Sequence[Optimum]) -> Array:
+    """Return the probability of each optimum (n,), all with the same scatter.
+
+    The difference of two evidences is a sum over holograms whose errors are not quite as the model
+    says, and has a standard error of its own (Q. H. Vuong 1989, Econometrica 57:307), here with the
+    correlation of neighbours (W. K. Newey & K. D. West 1987, Econometrica 55:703). Where that is
+    large, an optimum with more evidence is only somewhat more probable than another one.
+    """
+    best = likeliest(optima)
+    logits = []
+    for each in optima:
+        gain = each.end.log_likelihood - best.end.log_likelihood
+        error = _error_of_sum(gain, round(best.end.scatter.correlated))
+        less = each.log_evidence - best.log_evidence
+        logits.append(less * min(1.0, _PROBIT / max(error, _PROBIT)))
+    return np.asarray(softmax(logits))
+
+
+def _error_of_sum(values: Array, lags: int) -> float:
+    """Return the standard error of the sum of values (k,) that are correlated up to some lags."""
+    off = values - np.mean(values)
+    products = [float(off[lag:] @ off[: len(off) - lag]) for lag in range(lags + 1)]
+    more = sum((1 - lag / (lags + 1)) * products[lag] for lag in range(1, lags + 1))
+    return float(np.sqrt(max(products[0] + 2 * more, 0.0)))
 
 
 def suspect_lines(at: Optimum) -> list[NDArray[np.bool_]]:

@@ -1,6 +1,7 @@
 """Evidence of rounds of the modal fit: it compares explanations of the same displacements."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from fitting.modal.fit import _model
 from fitting.modal.loss_difference import drift_with_losses
 from fitting.modal.model import TAIL_TERMS, UNKNOWN_DRIVE_DOF, Prior, stage_prior
 from fitting.modal.noise import noise_of
-from fitting.modal.rounds import LAST, Given, Scatter, one_round
+from fitting.modal.rounds import LAST, Given, Scatter, one_round, probabilities
 from tests.fitting.modal.test_fit import DRIVE_HZ, planted
 
 # Discrepancies below the noise, so that noise alone is the scatter.
@@ -67,3 +68,45 @@ def test_cost_and_volume_of_a_prior_are_its_density():
     density = stats.norm(centre[free], precision[free] ** -0.5).logpdf(x[free]).sum()
     constant = -0.5 * np.count_nonzero(free) * np.log(2 * np.pi)
     assert 0.5 * (prior.log_volume - prior.cost(x)) + constant == pytest.approx(density)
+
+
+# --- How sure a difference of two evidences is ---------------------------------------------------
+
+
+def explanations(*log_likelihoods, correlated=1.0):
+    """Explanations whose evidence is what their holograms (k,) add up to."""
+    scatter = SimpleNamespace(correlated=correlated)
+    return [
+        SimpleNamespace(
+            log_evidence=float(np.sum(each)),
+            end=SimpleNamespace(log_likelihood=each, scatter=scatter),
+        )
+        for each in log_likelihoods
+    ]
+
+
+def test_a_difference_that_every_hologram_shows_alike_is_sure():
+    worse = np.zeros(100)
+    found = probabilities(explanations(worse, worse + 0.05))
+    assert found[1] / found[0] == pytest.approx(np.exp(5))
+    assert found.sum() == pytest.approx(1)
+
+
+@pytest.mark.parametrize("less", [0.0, 10.0, 30.0, 60.0])
+def test_a_difference_that_holograms_dispute_is_as_sure_as_its_standard_error(less):
+    """Normal distribution of a sum of 400 independent differences of 1.5: ± 30."""
+    disputed = 1.5 * np.random.default_rng(3).permutation(np.repeat([-1.0, 1.0], 200))
+    found = probabilities(explanations(np.zeros(400), disputed - less / 400))
+    assert found[0] == pytest.approx(stats.norm.cdf(less / 30), abs=0.012)
+
+
+def test_what_neighbours_dispute_together_counts_once():
+    """Three successive holograms with the same difference: a sum of 200 independent triples."""
+    triples = np.repeat(np.random.default_rng(4).permutation(np.repeat([-1.0, 1.0], 100)), 3)
+    alone, together = (
+        probabilities(explanations(np.zeros(600), triples - 60 / 600, correlated=correlated))[0]
+        for correlated in (1.0, 6.0)
+    )
+    true = stats.norm.cdf(60 / (3 * np.sqrt(200)))
+    assert together == pytest.approx(true, abs=0.03)
+    assert alone > true + 0.03

@@ -32,6 +32,9 @@ _NODE = 0.12
 _FINE_LIMITS = (0.012, 0.86)
 # Ripple of a start that can follow poles and notches anywhere: 6 dB.
 _STRONG = 0.7
+# When the search for sizes ends. With the limits of the library, what is only rounding moved
+# frequencies in the ninth digit, and errors in the sixth.
+_VALUE_SETTLED, _SLOPE_SETTLED = 1e-12, 1e-8
 # How often sizes and outliers are found in turn, and the step of differences of log sizes.
 _RIPPLE_TURNS, _DIFFERENCE = 4, 1e-3
 # Iterations of the reweighting by which a Student distribution is fitted.
@@ -295,7 +298,13 @@ def found_ripple(start: Ripple, known: KnownMagnitude, gain: float, dof: float) 
         def cost(log_size: Array, variance: Array = variance) -> tuple[float, Array]:
             return _ripple_cost(replace(start, log_size=log_size), known, variance)
 
-        found = optimize.minimize(cost, ripple.log_size, jac=True, bounds=bounds)
+        found = optimize.minimize(
+            cost,
+            ripple.log_size,
+            jac=True,
+            bounds=bounds,
+            options={"ftol": _VALUE_SETTLED, "gtol": _SLOPE_SETTLED},
+        )
         ripple = replace(start, log_size=found.x)
         prior = linalg.inv(ripple.covariance + np.diag(variance))
         middle = linalg.solve(prior + known.precision, known.pull, assume_a="sym")

@@ -77,8 +77,9 @@ _DEGREE = 4
 _ROUNDS, _AGAIN = 3, 2
 # Scatter before the first residuals are known.
 _FIRST_SCATTER = Scatter(LAST.discrepancy, FIRST_WALK, FIRST_CORRELATED)
-# An explanation of a sweep that is less probable is given up.
-_IMPROBABLE = 1e-3
+# Explanations of a sweep are given up below this probability. Chosen: that of a normal distribution
+# beyond three standard errors.
+_IMPROBABLE = 1.3e-3
 # Levenberg-Marquardt steps in a round of a rough fit. With 4 in place of 12, what the last fit of a
 # sweep of series A gave changed by less than a tenth of its standard errors (X4: by a third), and
 # rough fits took half the time.
@@ -213,7 +214,9 @@ def _without_line(search: Search, line: NDArray[np.bool_], centre_hz: Array) -> 
     both = [*without.optima, *before.optima]
     if np.sum(probabilities(both)[: len(without.optima)]) < _IMPROBABLE:
         return search
-    return replace(without, optima=both)
+    # Later comparisons need the prior and the noise of the likeliest.
+    likelier = max(without, before, key=lambda each: likeliest(each.optima).log_evidence)
+    return replace(likelier, optima=both)
 
 
 def _first_shared(displacements: Displacements, drift: FieldDrift) -> SharedError:

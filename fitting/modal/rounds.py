@@ -44,7 +44,7 @@ FIRST_CORRELATED = 4.0
 # by more than this fraction of its standard error.
 _MOST_RIPPLES, _SETTLED = 8, 0.2
 # The normal distribution function of z is the logistic function of this times z, within 0.01
-# (G. Camilli 1994, Journal of Educational Statistics 19:293).
+# (G. Camilli 1994, Journal of Educational and Behavioral Statistics 19:293).
 _PROBIT = 1.702
 # A line of the drive next to a mode is suspect above this, in nepers: 15 dB. Loudspeakers and
 # chambers have few sharper poles and notches, and a mode that moves the reed almost alone may be
@@ -104,7 +104,7 @@ class Round:
         Log of the evidence, but for a constant that rounds with the same displacements and the same
         scatter share.
     log_likelihood : (k,) float
-        What each hologram adds to it.
+        What the residuals of each hologram add to it.
     whitened_residual : (k, 2j) float
         Residuals along the noise's directions, in standard deviations.
     misfit : float
@@ -158,7 +158,7 @@ def one_round(
         terms(model, state).amplitude, state.common_mode_shift
     )
     deviation = noise.deviation(scatter.discrepancy)
-    each = np.sum(0.5 * whitened_residual**2 + np.log(deviation), axis=1) / scatter.correlated
+    log_likelihood = -np.sum(0.5 * whitened_residual**2 + np.log(deviation), axis=1)
     left = whitened_residual * deviation
     first = len(covariance) - len(shared.precision)
     walk = found_walk(drift, state.common_mode_shift, covariance[first:, first:], scatter.walk)
@@ -174,7 +174,7 @@ def one_round(
             alone,
             root,
         ),
-        log_likelihood=-each,
+        log_likelihood=log_likelihood / scatter.correlated,
         whitened_residual=whitened_residual,
         misfit=float(np.sum(whitened_residual**2)) / freedoms,
         scatter=scatter,
@@ -295,7 +295,7 @@ def probabilities(optima: Sequence[Optimum]) -> Array:
 
 def _error_of_sum(values: Array, lags: int) -> float:
     """Return the standard error of the sum of values (k,) that are correlated up to some lags."""
-    off = values - np.mean(values)
+    off, lags = values - np.mean(values), min(lags, len(values) - 1)
     products = [float(off[lag:] @ off[: len(off) - lag]) for lag in range(lags + 1)]
     more = sum((1 - lag / (lags + 1)) * products[lag] for lag in range(1, lags + 1))
     return float(np.sqrt(max(products[0] + 2 * more, 0.0)))

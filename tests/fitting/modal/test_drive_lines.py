@@ -95,6 +95,27 @@ def test_the_likelier_explanation_is_taken_at_one_scatter(monkeypatch, better):
     assert moved == pytest.approx(0.05 if better else 0.02, abs=2e-3)
 
 
+@pytest.mark.parametrize("better", [True, False])
+def test_the_next_line_is_judged_by_the_prior_of_the_likelier_explanation(monkeypatch, better):
+    sweep, seen = planted(), []
+    # Without a line, and with it: the first comparison leaves both probable.
+    evidence = [0.0, 0.0, 1.0 if better else -1.0, -90.0, 0.0, -90.0, -90.0, 0.0]
+
+    def counted(model, given, state, scatter):
+        found = replace(with_ripple(model, given, state, scatter), log_evidence=evidence[len(seen)])
+        seen.append(given)
+        return found
+
+    nodes = np.arange(len(quiet_ripple(HZ[: len(sweep.volts)]).log_size))
+    monkeypatch.setattr(modal_fit, "with_ripple", counted)
+    # Calls are counted in this process.
+    monkeypatch.setattr(modal_fit, "map_processes", map)
+    monkeypatch.setattr(modal_fit, "suspect_lines", lambda _: [nodes == 2, nodes == 3])
+    sweep.fit()
+    _, _, without, _, before, _, _, again = seen
+    assert again is (without if better else before)
+
+
 def chamber(pole_hz, strength=0.35, quality=20.0):
     """Gain of a path through a cavity in parallel to the direct one."""
     ratio = DRIVE_HZ / pole_hz

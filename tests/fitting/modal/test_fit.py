@@ -31,7 +31,7 @@ from fitting.modal.normal_equations import (
 )
 from fitting.modal.optimiser import inverse, minimise_cost, without_drive
 from fitting.modal.posterior import Posterior
-from fitting.modal.rounds import LAST
+from fitting.modal.rounds import LAST, one_round
 from tests.numbers import cents, complex_normal
 
 # Six modes, the last one beyond the sweep.
@@ -452,6 +452,24 @@ def test_a_mixture_has_the_moments_of_what_is_drawn_from_it():
     drawn = np.where(which[:, None], *drawn)
     np.testing.assert_allclose(mean, drawn.mean(axis=0), atol=0.02)
     np.testing.assert_allclose(covariance, np.cov(drawn.T), atol=0.03)
+
+
+def test_first_rounds_count_as_one_what_shows_one_mode(sweep, monkeypatch):
+    """A wrong shape shows in all holograms within two widths of a mode, 25 cents apart."""
+    scatters = []
+
+    def watched(model, given, state, scatter, *steps):
+        scatters.append(scatter)
+        return one_round(model, given, state, scatter, *steps)
+
+    monkeypatch.setattr("fitting.modal.fit.one_round", watched)
+    given = sweep.displacements, sweep.basis, DRIVE_HZ, sweep.volts, sweep.start_hz
+    known = fit_modes(*given, rough=True)
+    again = len(scatters)
+    fit_modes(*given, known, rough=True)
+    holograms = 2 * 1200 * np.log2(1 + 0.03) / 25
+    for first in (scatters[0], scatters[again]):
+        assert first.correlated == pytest.approx(holograms, abs=0.2)
 
 
 # --- Invariance --------------------------------------------------------------------------------

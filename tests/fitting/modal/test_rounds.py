@@ -110,3 +110,9 @@ def test_what_neighbours_dispute_together_counts_once():
     true = stats.norm.cdf(60 / (3 * np.sqrt(200)))
     assert together == pytest.approx(true, abs=0.03)
     assert alone > true + 0.03
+
+
+def test_fewer_holograms_than_are_correlated_still_have_a_standard_error():
+    found = probabilities(explanations(np.zeros(3), np.array([2.0, -3.0, 0.5]), correlated=9.0))
+    assert found.sum() == pytest.approx(1)
+    assert found[0] > found[1] > 0.2

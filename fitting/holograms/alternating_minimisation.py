@@ -65,47 +65,62 @@ class Solution:
     positions: ComplexArray | None = None
 
 
-def alternating_step(
-    problem: Problem, exact: Problem, smooth: Array, at: Solution, change: FieldChange | None = None
-) -> tuple[Solution, FieldStep]:
-    """Minimise once over the amplitudes, the object field of each block, and its smooth factor.
+@dataclass(frozen=True)
+class Sweep:
+    """Solved holograms, and what else is fitted to them.
 
-    The smooth factor is fitted together with the amplitudes.
-
-    Parameters
+    Attributes
     ----------
     problem, exact : Problem
-        The problem of the solved holograms, in single and in double precision.
+        The same in single and in double precision.
     smooth : (n, c) float
         See `fitting.holograms.object_field.smooth_functions`.
-    at : Solution
-        Start.
     change : FieldChange, optional
         How much the object field changes from hologram to hologram; it is one for all otherwise.
+    common : bool
+        Whether the smooth factor of the object field is fitted; if not, it stays as it is.
     """
+
+    problem: Problem
+    exact: Problem
+    smooth: Array
+    change: FieldChange | None
+    common: bool = True
+
+    def with_gains(self, gain_nepers: float, change: FieldChange) -> "Sweep":
+        """Return the same holograms with another scatter of gains and change of the field."""
+        problem, exact = (
+            replace(each, gain_nepers=gain_nepers) for each in (self.problem, self.exact)
+        )
+        return replace(self, problem=problem, exact=exact, change=change)
+
+
+def alternating_step(sweep: Sweep, at: Solution) -> tuple[Solution, FieldStep]:
+    """Minimise once over the amplitudes, the object field of each block, and its smooth factor.
+
+    The smooth factor is fitted together with the amplitudes. What is small, corrections within
+    blocks and the variance of the noise, follows one step later.
+    """
+    problem, smooth = sweep.problem, sweep.smooth
     steps = np.arange(len(at.gain))
     size = at.amplitude.shape[1]
     weak = FINAL_RAD**-2 * np.eye(size)
+    within = within_blocks(problem, at.amplitude)
+    own = weighed(middle(problem, at, within), at)
     a, gain, misfit = fit_amplitudes(
-        weighed(middle(problem, at), at),
-        at.object_field,
-        steps,
-        (at.amplitude, at.gain - np.mean(at.gain)),
-        2,
-        weak,
+        own, at.object_field, steps, (at.amplitude, at.gain - np.mean(at.gain)), 2, weak
     )
     weight = 1 / np.maximum(misfit / problem.seen, 1)
-    now = replace(at, amplitude=a, gain=gain)
-    within = within_blocks(problem, a)
-    now = with_field(middle(problem, now, within), now, weight, change)
-    own = weighed(problem, now)
-    positions = speckle_positions(own, within, a, gain, now.object_field, weight)
+    now = with_field(own, replace(at, amplitude=a, gain=gain), weight, sweep.change)
+    positions = speckle_positions(
+        with_weights_of(problem, own), within, a, gain, now.object_field, weight
+    )
     now = replace(now, positions=positions)
     held = 0.5 * np.diag([FINAL_RAD**-2] * 2 * size + [2 * problem.half_gain_precision])
-    precise = weighed(middle(exact, now, within), now)
+    precise = with_weights_of(middle(sweep.exact, now, within), own)
     linear = linearise(precise, smooth, now.object_field, a, gain, weight)
     x = np.concatenate([a.real, a.imag, gain[:, None]], axis=1)
-    step = field_step(linear, held, x, weight)
+    step = field_step(linear, held, x, weight, common=sweep.common)
     # Holograms in a wrong fringe can make the step too long for the linearisation: it is cut.
     largest = float(np.abs(log_field_factor(smooth, step.move)).max())
     fraction = min(1.0, _LARGEST_STEP / max(largest, 1e-12))
@@ -160,6 +175,17 @@ def weighed(problem: Problem, at: Solution) -> Problem:
     return replace(problem, weight=weight, others=tuple(others))
 
 
+def with_weights_of(problem: Problem, other: Problem) -> Problem:
+    """Return a problem whose noise has the variance that it has in another one."""
+    dtype = problem.functions.dtype
+    others = [
+        replace(side, weight=None if seen.weight is None else seen.weight.astype(dtype))
+        for side, seen in zip(problem.others, other.others, strict=True)
+    ]
+    weight = None if other.weight is None else other.weight.astype(dtype)
+    return replace(problem, weight=weight, others=tuple(others))
+
+
 def cost(problem: Problem, at: Solution) -> Array:
     """Return the negative log likelihood (k,) of holograms and their gains, but for a constant."""
     own = weighed(middle(problem, at), at)
@@ -172,23 +198,6 @@ def cost(problem: Problem, at: Solution) -> Array:
         if side.weight is not None:
             left = left - side.present * np.sum(np.log(side.weight), axis=1)
     return left
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """Solved holograms in single and double precision, and how their object field changes."""
-
-    problem: Problem
-    exact: Problem
-    smooth: Array
-    change: FieldChange | None
-
-    def with_gains(self, gain_nepers: float, change: FieldChange) -> "Sweep":
-        """Return the same holograms with another scatter of gains and change of the field."""
-        problem, exact = (
-            replace(each, gain_nepers=gain_nepers) for each in (self.problem, self.exact)
-        )
-        return replace(self, problem=problem, exact=exact, change=change)
 
 
 def settled(sweep: Sweep, at: Solution, most_turns: int) -> tuple[Solution, FieldStep]:
@@ -205,7 +214,7 @@ def settled(sweep: Sweep, at: Solution, most_turns: int) -> tuple[Solution, Fiel
     before, seen = np.inf, sweep.problem.seen
     for _ in range(most_turns):
         here = at.amplitude
-        at, step = alternating_step(sweep.problem, sweep.exact, sweep.smooth, at, sweep.change)
+        at, step = alternating_step(sweep, at)
         # Where the model itself is off, so is the measure of what is small.
         now = whole_misfit(step.linear.normal.misfit / seen, seen)
         if before - now < _SETTLED or moved_alone(here, at.amplitude, step, seen) < _STILL:

@@ -256,7 +256,8 @@ def refit_displacements(
     """Fit a sweep again from expected amplitudes.
 
     Holograms that are not explained are tried in the light that all others show, in the expected
-    shape and any size, and from their neighbours.
+    shape and any size, and from their neighbours. The smooth factor of the object field stays
+    where the common-mode error has put it.
 
     Parameters
     ----------
@@ -298,7 +299,7 @@ def refit_displacements(
             f"none of {len(solved)} holograms agrees with the other run; measure it again, or fit "
             "it alone"
         )
-    return _finished(whole, blocks, at, solved, _MOST_TURNS, before.change)
+    return _finished(whole, blocks, at, solved, _MOST_TURNS, before.change, common=False)
 
 
 def _all_from_expected(
@@ -345,6 +346,8 @@ def _finished(
     most_turns: int,
     change: FieldChange | None = None,
     other: ComplexArray | None = None,
+    *,
+    common: bool = True,
 ) -> Displacements:
     """Minimise over object field and amplitudes of the solved holograms in turns.
 
@@ -355,7 +358,7 @@ def _finished(
     smooth = smooth_functions(block_amplitudes.x_m, block_amplitudes.y_m)
     problem = whole.some(steps)
     at = Solution(at.amplitude[steps], at.gain[steps], *_rows_of(at, steps), at.positions)
-    sweep = Sweep(problem, problem.exact(), smooth, change)
+    sweep = Sweep(problem, problem.exact(), smooth, change, common)
     at, step = settled(sweep, at, most_turns)
     for _ in range(1 if most_turns == _QUICK_TURNS else _MOST_CHANGES):
         before, now = sweep.change, _change_of(problem, at, step)
@@ -385,10 +388,13 @@ def _in_right_fringes(
         if other is not None:
             off = np.union1d(off, _in_other_fringes(problem, at.amplitude, other))
         off = np.setdiff1d(off, hopeless)
+        before = at.amplitude
         at, better = tried_again(problem, at, off, () if other is None else (other,))
         if not better.size:
             break
-        hopeless = np.union1d(hopeless, np.setdiff1d(off, better))
+        # What is better in the same fringe comes to rest with the light.
+        elsewhere = better[~same_fringe(before[better], at.amplitude[better])]
+        hopeless = np.union1d(hopeless, np.setdiff1d(off, elsewhere))
         at, step = settled(sweep, at, _MOST_TURNS)
     return at, step
 
@@ -428,12 +434,14 @@ def _displacements_of(
     information = np.zeros((holograms, 2 * size, 2 * size))
     response = np.zeros((holograms, *step.common_mode.response.shape[1:]))
     precision = np.zeros((holograms, *step.common_mode.precision.shape[1:]))
+    pull = np.zeros((holograms, *step.common_mode.pull.shape[1:]))
     misfit, gain = np.full(holograms, np.inf), np.zeros(holograms)
     amplitude[solved], gain[solved], misfit[solved] = at.amplitude, at.gain, of_these
     # Noise of variance 1 has half of it in either part.
     information[solved] = 2 * marginal / np.maximum(of_these, 1)[:, None, None]
     response[solved] = step.common_mode.response
     precision[solved] = step.common_mode.precision
+    pull[solved] = step.common_mode.pull
     weight = np.zeros(holograms)
     weight[solved] = 1 / np.maximum(of_these, 1)
     nearest = np.abs(np.arange(holograms)[:, None] - solved).argmin(axis=1)
@@ -442,7 +450,7 @@ def _displacements_of(
     return Displacements(
         amplitude_rad=amplitude,
         information=information,
-        common_mode=CommonModeError(response, precision),
+        common_mode=CommonModeError(response, precision, pull),
         recording_rank=whole.recording_rank,
         misfit=misfit,
         gain=gain,

@@ -43,10 +43,13 @@ class CommonModeError:
         to the q parameters of the error.
     precision : (k, q, q) float
         What each hologram adds to the inverse covariance of the parameters.
+    pull : (k, q) float
+        What it adds to the negative gradient of half of χ² by the parameters, where they are 0.
     """
 
     response: Array
     precision: Array
+    pull: Array
 
     @property
     def whole(self) -> Array:
@@ -69,8 +72,8 @@ class LinearisedSweep:
         the log factor: of its magnitude, then of its phase.
     field_matrix : (k, c, c) float
         Normal matrix of the coefficients, of weighted holograms: of the magnitude as of the phase.
-    field_gradient : (2c,) float
-        Negative gradient, summed over weighted holograms.
+    field_gradient : (k, 2c) float
+        Negative gradient, of weighted holograms.
     """
 
     normal: Normal
@@ -156,7 +159,7 @@ def linearise(
         return louder, turned
 
     parts = zip(*map_threads(fill, len(a)), strict=True)
-    field_gradient = np.concatenate([np.sum(each, axis=0) @ smooth for each in parts])
+    field_gradient = np.concatenate([np.concatenate(each) @ smooth for each in parts], axis=1)
     return LinearisedSweep(normal, coupling, field_matrix, field_gradient)
 
 
@@ -170,8 +173,8 @@ class _FieldTerms:
         Elements of the normal matrix between amplitudes and coefficients of the log factor.
     shown : (s, n) float
         Power of the block amplitudes.
-    louder, turned : (n,) float
-        Negative gradients of log magnitude and phase, summed over weighted holograms.
+    louder, turned : (s, n) float
+        Negative gradients of log magnitude and phase, of weighted holograms.
     """
 
     coupling: Array
@@ -186,19 +189,21 @@ def _field_terms(here: Local, products: Array, count: int, weight: Array) -> _Fi
     `products` (n, j c) are the functions times the c smooth functions.
     """
     square = (here.gain**2).astype(float)
+    power = square * here.power
     rows = (
-        (here.uu * here.u + here.vu * here.v, here.vu * here.u - here.uu * here.v),
-        (here.uv * here.u + here.vv * here.v, here.vv * here.u - here.uv * here.v),
-    )
-    blocks = np.array([[square * ((here.power * by) @ products) for by in row] for row in rows])
+        here.uu * here.u + here.vu * here.v, here.vu * here.u - here.uu * here.v,
+        here.uv * here.u + here.vv * here.v, here.vv * here.u - here.uv * here.v,
+    )  # fmt: skip
+    # One product: its time is that of reading the products of functions.
+    blocks = np.concatenate([power * by for by in rows]) @ products
     # From (2, 2, s, j c) to amplitudes, then coefficients of magnitude and phase.
     blocks = blocks.reshape(2, 2, len(square), -1, count).transpose(2, 0, 3, 1, 4)
     pulled = weight[:, None] * here.gain
     return _FieldTerms(
         coupling=blocks.reshape(len(square), -1, 2 * count),
         shown=square * (here.u * here.u + here.v * here.v) * here.power,
-        louder=np.sum(pulled * (here.u * here.residual_u + here.v * here.residual_v), axis=0),
-        turned=np.sum(pulled * (here.u * here.residual_v - here.v * here.residual_u), axis=0),
+        louder=pulled * (here.u * here.residual_u + here.v * here.residual_v),
+        turned=pulled * (here.u * here.residual_v - here.v * here.residual_u),
     )
 
 
@@ -246,7 +251,9 @@ class FieldStep:
     linear: LinearisedSweep
 
 
-def field_step(linear: LinearisedSweep, held: Array, x: Array, weight: Array) -> FieldStep:
+def field_step(
+    linear: LinearisedSweep, held: Array, x: Array, weight: Array, *, common: bool = True
+) -> FieldStep:
     """Solve for the change of the object field's factor and of all holograms.
 
     Parameters
@@ -258,8 +265,10 @@ def field_step(linear: LinearisedSweep, held: Array, x: Array, weight: Array) ->
         Amplitudes (real, then imaginary parts) and log gains.
     weight : (k,) float
         As in `linearise`.
+    common : bool
+        Whether the factor changes; if not, holograms alone do.
     """
-    count = len(linear.field_gradient) // 2
+    count = linear.field_gradient.shape[1] // 2
     kept = np.delete(np.arange(2 * count), count)
     coupling = linear.coupling[:, :, kept]
     field_matrix = np.zeros((len(coupling), 2 * count, 2 * count))
@@ -273,11 +282,9 @@ def field_step(linear: LinearisedSweep, held: Array, x: Array, weight: Array) ->
     schur = field_matrix[:, kept][:, :, kept] - weight[:, None, None] * (
         coupling.swapaxes(1, 2) @ response
     )
-    force = linear.field_gradient[kept] - np.einsum(
-        "kxc,kx,k->c", coupling, alone, weight, optimize=True
-    )
+    force = linear.field_gradient[:, kept] - np.einsum("kxc,kx,k->kc", coupling, alone, weight)
     # Half the precision: the misfit, of noise of variance 1, is half of χ².
-    common_mode = CommonModeError(-response[:, :-1], schur + schur.swapaxes(1, 2))
+    common_mode = CommonModeError(-response[:, :-1], schur + schur.swapaxes(1, 2), 2 * force)
     held_back = 0.5 * common_mode.whole + 0.5 * _STEP**-2 * np.eye(len(kept))
-    move = np.linalg.solve(held_back, force)
+    move = np.linalg.solve(held_back, common * force.sum(axis=0))
     return FieldStep(move, alone - response @ move, common_mode, linear)

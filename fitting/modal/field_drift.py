@@ -112,11 +112,14 @@ class SharedError:
         How the errors of holograms follow from the parameters.
     precision : (p, p) float
         Inverse covariance of the parameters.
+    pull : (p,) float
+        This times their expectation, before modes are known.
     """
 
     response: Array
     drift: FieldDrift
     precision: Array
+    pull: Array
 
 
 def field_drift(common_mode: CommonModeError, recording_rank: IndexArray) -> FieldDrift:
@@ -149,7 +152,7 @@ def shared_error(common_mode: CommonModeError, drift: FieldDrift, walk: float) -
     precision = np.block(
         [[common_mode.whole, cross], [cross.T, among + np.kron(held, np.eye(len(which)))]]
     )
-    return SharedError(common_mode.response, drift, precision)
+    return SharedError(common_mode.response, drift, precision, drift.gathered(common_mode.pull.T))
 
 
 def _flat(nodes: Array) -> Array:

@@ -39,7 +39,8 @@ def with_losses(common_mode: CommonModeError, column: Array) -> CommonModeError:
     precision[:, :-1, :-1] = common_mode.precision
     # The sum over holograms is the prior.
     precision[:, -1, -1] = _SPREAD**-2 / len(response)
-    return CommonModeError(response, precision)
+    pull = np.pad(common_mode.pull, ((0, 0), (0, 1)))
+    return CommonModeError(response, precision, pull)
 
 
 def loss_response(model: Model, state: State) -> Array:

@@ -73,7 +73,8 @@ def inflated(noise: Noise, whitened_residual: Array) -> Noise:
 def data_of(amplitude: ComplexArray, shared: SharedError, noise: Noise, discrepancy: float) -> Data:
     """Whiten amplitudes (k, j) by noise and a given discrepancy of the model."""
     root = noise.directions / noise.deviation(discrepancy)[..., None]
-    return Data(amplitude, root, root @ shared.response, shared.drift, shared.precision)
+    response = root @ shared.response
+    return Data(amplitude, root, response, shared.drift, shared.precision, shared.pull)
 
 
 def balanced(noise: Noise, left: Array, freedoms: float) -> float:

@@ -46,6 +46,8 @@ class Data:
         How this follows from its parameters.
     precision : (p, p) float
         Inverse covariance of these parameters.
+    pull : (p,) float
+        This times their expectation.
     """
 
     amplitude: ComplexArray
@@ -53,6 +55,7 @@ class Data:
     response: Array
     drift: FieldDrift
     precision: Array
+    pull: Array
 
     def whitened_residual(self, amplitude: ComplexArray, common_mode_shift: Array) -> Array:
         """Return the whitened residuals (k, 2j) of amplitudes (k, j) that a model predicts."""
@@ -189,7 +192,8 @@ def evaluate(model: Model, data: Data, prior: Prior, state: State) -> Evaluation
         state.common_mode_shift,
     )
     residual = data.whitened_residual(now.amplitude, common_mode_shift)
-    known = float(common_mode_shift @ data.precision @ common_mode_shift) + prior.cost(state.x)
+    off = data.precision @ common_mode_shift - 2 * data.pull
+    known = float(common_mode_shift @ off) + prior.cost(state.x)
     return Evaluation(
         state, now, residual, drive_prior, float(np.sum(residual**2)) + known + drive_prior.cost
     )
@@ -214,12 +218,13 @@ def negative_gradient(model: Model, data: Data, prior: Prior, at: Evaluation) ->
         ]
     )[layout.order(len(data.precision))]
     offset = prior.precision[prior.free] * (state.x - prior.centre)[prior.free]
+    drawn = data.precision @ state.common_mode_shift - data.pull
     drive = _drive(model, now, layout.vectors)
     by_drive = np.einsum("lck,ck->lk", drive, pull)
     by_drive[0] += at.drive_prior.gradient
     return np.concatenate(
         [
-            by_parameters - np.concatenate([offset, data.precision @ state.common_mode_shift]),
+            by_parameters - np.concatenate([offset, drawn]),
             by_drive.ravel(),
         ]
     )

@@ -150,6 +150,7 @@ def _as_before(block_amplitudes: BlockAmplitudes, before: JointFit) -> Displacem
         common_mode=CommonModeError(
             np.zeros((count, 2 * size, old.common_mode.response.shape[2])),
             np.zeros((count, *old.common_mode.precision.shape[1:])),
+            np.zeros((count, old.common_mode.pull.shape[1])),
         ),
         recording_rank=block_amplitudes.recording_rank,
         misfit=np.full(count, np.inf),

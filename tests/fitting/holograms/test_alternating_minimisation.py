@@ -20,8 +20,12 @@ from tests.fitting.holograms.test_object_field import FUNCTIONS, HOLOGRAMS, Swee
 LARGEST = 0.3
 
 
+def whole_sweep(sweep):
+    return settling.Sweep(sweep.problem, sweep.problem.exact(), sweep.smooth, None)
+
+
 def turn(sweep, at):
-    return alternating_step(sweep.problem, sweep.problem.exact(), sweep.smooth, at)
+    return alternating_step(whole_sweep(sweep), at)
 
 
 def truth(sweep):
@@ -37,9 +41,10 @@ def thrown(monkeypatch):
         move = np.zeros(2 * sweep.smooth.shape[1] - 1)
         move[1] = log_factor / np.abs(sweep.smooth[:, 1]).max()
         holograms = np.full((HOLOGRAMS, 2 * FUNCTIONS + 1), change)
-        shared = CommonModeError(np.zeros((HOLOGRAMS, 2 * FUNCTIONS, 1)), np.eye(1))
+        nothing = np.zeros((HOLOGRAMS, 2 * FUNCTIONS, 1))
+        shared = CommonModeError(nothing, np.eye(1), np.zeros((HOLOGRAMS, 1)))
 
-        def step(linear, held, x, weight):
+        def step(linear, held, x, weight, *, common):
             return FieldStep(move, holograms, shared, linear)
 
         monkeypatch.setattr(settling, "field_step", step)
@@ -156,7 +161,7 @@ def test_turns_end_with_displacements_that_more_turns_do_not_change(monkeypatch)
         return counted(*args)
 
     monkeypatch.setattr(settling, "alternating_step", step)
-    all_of_it = settling.Sweep(sweep.problem, sweep.problem.exact(), sweep.smooth, None)
+    all_of_it = whole_sweep(sweep)
     rng = np.random.default_rng(5)
     off = 1 + 0.05 * complex_normal(rng, HOLOGRAMS, FUNCTIONS)
     start = replace(truth(sweep), amplitude=sweep.a * off)

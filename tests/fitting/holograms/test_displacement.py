@@ -722,7 +722,7 @@ def test_the_light_of_the_others_tells_two_branches_of_a_fringe_apart(plateau, l
     smooth = smooth_functions(plateau.block_amplitudes.x_m, plateau.block_amplitudes.y_m)
     nothing = np.zeros((84, 2 * smooth.shape[1] - 1))
     known = np.zeros((84, nothing.shape[1], nothing.shape[1]))
-    shared = CommonModeError(np.zeros((84, 2 * size, nothing.shape[1])), known)
+    shared = CommonModeError(np.zeros((84, 2 * size, nothing.shape[1])), known, nothing)
     before = Displacements(
         amplitude_rad=plateau.true_rad.copy(),
         information=np.zeros((84, 2 * size, 2 * size)),

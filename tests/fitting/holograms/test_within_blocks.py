@@ -123,7 +123,9 @@ def test_explained_amplitudes_are_those_of_even_light_in_each_block(plate, ampli
         amplitude_rad=amplitude,
         information=np.zeros((HOLOGRAMS, 2 * size, 2 * size)),
         common_mode=CommonModeError(
-            np.zeros((HOLOGRAMS, 2 * size, 0)), np.zeros((HOLOGRAMS, 0, 0))
+            np.zeros((HOLOGRAMS, 2 * size, 0)),
+            np.zeros((HOLOGRAMS, 0, 0)),
+            np.zeros((HOLOGRAMS, 0)),
         ),
         recording_rank=steps,
         misfit=np.ones(HOLOGRAMS),

@@ -19,7 +19,9 @@ def common_mode():
     rng = np.random.default_rng(2)
     root = rng.standard_normal((HOLOGRAMS, ERRORS, 3))
     return CommonModeError(
-        rng.standard_normal((HOLOGRAMS, 2 * AMPLITUDES, ERRORS)), root @ root.swapaxes(1, 2)
+        rng.standard_normal((HOLOGRAMS, 2 * AMPLITUDES, ERRORS)),
+        root @ root.swapaxes(1, 2),
+        rng.standard_normal((HOLOGRAMS, ERRORS)),
     )
 
 
@@ -68,6 +70,12 @@ def test_the_precision_is_that_of_holograms_and_of_the_walk(common_mode, drift):
     assert found == pytest.approx(by_holograms + constant + by_walk + by_mean)
 
 
+def test_the_pull_of_holograms_is_gathered_along_the_drift(common_mode, drift):
+    parameters = np.random.default_rng(9).standard_normal(drift.constant + 6 * len(drift.drifting))
+    expected = np.sum(common_mode.pull * drift.shift(parameters))
+    assert parameters @ shared_error(common_mode, drift, 1e-3).pull == pytest.approx(expected)
+
+
 def test_holograms_recorded_one_after_the_other_have_nearly_the_same_shift(common_mode):
     ranks = np.random.default_rng(8).permutation(HOLOGRAMS)
     drift = field_drift(common_mode, ranks)
@@ -105,7 +113,7 @@ def test_the_walk_is_found_from_what_is_known_of_it(drift):
 
 
 def test_nothing_drifts_where_nothing_is_shared():
-    nothing = CommonModeError(np.zeros((9, 8, 0)), np.zeros((9, 0, 0)))
+    nothing = CommonModeError(np.zeros((9, 8, 0)), np.zeros((9, 0, 0)), np.zeros((9, 0)))
     drift = field_drift(nothing, np.arange(9))
     assert drift.shift(np.zeros(0)).shape == (9, 0)
     assert shared_error(nothing, drift, 1e-3).precision.shape == (0, 0)

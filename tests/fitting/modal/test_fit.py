@@ -123,7 +123,9 @@ def planted(
     error = np.einsum("kij,kj->ki", root, rng.standard_normal((len(a), size)))
     information = np.linalg.inv(root @ root.swapaxes(1, 2))
     a = a + error[:, :FUNCTIONS] + 1j * error[:, FUNCTIONS:]
-    common_mode = CommonModeError(np.zeros((len(a), size, 0)), np.zeros((len(a), 0, 0)))
+    common_mode = CommonModeError(
+        np.zeros((len(a), size, 0)), np.zeros((len(a), 0, 0)), np.zeros((len(a), 0))
+    )
     displacements = Displacements(
         amplitude_rad=a,
         information=information,
@@ -374,12 +376,35 @@ def test_an_error_that_all_displacements_share_is_found(sweep):
     moved = np.einsum("kxq,q->kx", response, planted_error)
     amplitude = sweep.displacements.amplitude_rad - moved[:, :FUNCTIONS]
     amplitude = amplitude - 1j * moved[:, FUNCTIONS:]
-    error = CommonModeError(response, np.zeros((holograms, 55, 55)))
+    nothing = np.zeros((holograms, 55))
+    error = CommonModeError(response, np.zeros((holograms, 55, 55)), nothing)
     fit = sweep.fit(amplitude_rad=amplitude, common_mode=error)
     assert fit.common_mode_shift.shape == (holograms, 55)
     off = fit.common_mode_shift - planted_error
     assert np.sqrt(np.mean(off**2)) < 0.2 * np.sqrt(np.mean(planted_error**2))
     assert (np.abs(cents(fit.hz, sweep.hz[:5])) < 3.5 * fit.error_cents).all()
+
+
+def test_what_light_says_of_that_error_counts_wherever_displacements_were_linearised(sweep):
+    """Light expects the error to be there, or displacements have it already and light expects 0."""
+    rng = np.random.default_rng(13)
+    holograms, size = len(DRIVE_HZ), 2 * FUNCTIONS
+    power = np.sqrt(np.mean(np.abs(sweep.displacements.amplitude_rad) ** 2, axis=1))
+    response = power[:, None, None] * rng.standard_normal((holograms, size, 55))
+    expected, own = 0.02 * rng.standard_normal(55), 40.0 * np.eye(55)
+    moved = np.einsum("kxq,q->kx", response, expected)
+    precision, before = np.tile(own, (holograms, 1, 1)), sweep.displacements.amplitude_rad
+    pull = np.tile(own @ expected, (holograms, 1))
+    ahead = sweep.fit(
+        amplitude_rad=before - moved[:, :FUNCTIONS] - 1j * moved[:, FUNCTIONS:],
+        common_mode=CommonModeError(response, precision, pull),
+    )
+    there = sweep.fit(common_mode=CommonModeError(response, precision, 0 * pull))
+    assert cents(ahead.hz, there.hz) == pytest.approx(
+        np.zeros(5), abs=0.1 * ahead.error_cents.min()
+    )
+    off = ahead.common_mode_shift - there.common_mode_shift
+    assert off == pytest.approx(np.tile(expected, (holograms, 1)), abs=2e-3)
 
 
 def test_a_pole_of_the_chamber_adds_to_the_errors_of_modes_next_to_it_only():
@@ -570,7 +595,8 @@ class Point:
             terms(self.model, state).amplitude, state.common_mode_shift
         )
         misfit = float(np.sum(apart**2))
-        known = state.common_mode_shift @ self.data.precision @ state.common_mode_shift
+        shift = state.common_mode_shift
+        known = shift @ self.data.precision @ shift - 2 * shift @ self.data.pull
         return misfit + known + self.prior.cost(state.x) + drive_prior_at(self.model, state).cost
 
 
@@ -604,7 +630,8 @@ def point():
     half = rng.standard_normal((7, 7))
     amplitude = 5 * (rng.standard_normal((len(k), j)) + 1j * rng.standard_normal((len(k), j)))
     together = rng.standard_normal(7)
-    data = Data(amplitude, root, response, drift, half @ half.T + np.eye(7))
+    pull = rng.standard_normal(7)
+    data = Data(amplitude, root, response, drift, half @ half.T + np.eye(7), pull)
     point = Point(model, State(x, drive, together), data)
     x = np.where(point.prior.free, x, point.prior.centre)
     return replace(point, state=State(x, drive, together))

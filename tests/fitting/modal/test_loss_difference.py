@@ -38,11 +38,14 @@ def test_modes_of_one_frequency_do_not_mix():
 
 
 def test_the_difference_is_known_as_well_as_literature_knows_it():
-    common_mode = CommonModeError(np.ones((7, 4, 2)), np.tile(np.eye(2), (7, 1, 1)))
+    common_mode = CommonModeError(
+        np.ones((7, 4, 2)), np.tile(np.eye(2), (7, 1, 1)), np.full((7, 2), 5.0)
+    )
     both = with_losses(common_mode, np.full((7, 4), 3.0))
     assert both.response[..., :2].tolist() == common_mode.response.tolist()
     assert both.response[..., 2].tolist() == np.full((7, 4), 3.0).tolist()
     assert both.precision.sum(axis=0)[2] == pytest.approx([0, 0, 0.03**-2])
+    assert both.pull.tolist() == [[5.0, 5.0, 0.0]] * 7
 
 
 def test_it_is_one_more_value_that_no_hologram_changes():

@@ -38,7 +38,7 @@ _LEAST_SOLVED = 0.2
 _LEAST_SIGNAL = 1.5
 # Every third block is used in the continuation, every ninth on the grids. With fewer, displacements
 # fold into wrong fringes.
-_CONTINUATION_STRIDE, _GRID_STRIDE = 3, 9
+CONTINUATION_STRIDE, _GRID_STRIDE = 3, 9
 # Grid of one shape's amplitude: step in radius, angles, and how far beyond the neighbour's.
 _RADIUS_STEP_RAD, _ANGLES, _BEYOND, _ROOM_RAD = 0.35, 12, 2.0, 5.0
 _SCALES = np.geomspace(0.3, 3.2, 36).astype(np.complex64)
@@ -89,7 +89,7 @@ class Continuation:
         self, whole: Problem, block_amplitudes: BlockAmplitudes, basis: ShapeBasis
     ) -> None:
         self.whole, self._most, self._few = (
-            whole, whole.every(_CONTINUATION_STRIDE), whole.every(_GRID_STRIDE)
+            whole, whole.every(CONTINUATION_STRIDE), whole.every(_GRID_STRIDE)
         )  # fmt: skip
         self._basis = basis
         self._value, self._magnitude = block_amplitudes.value, np.abs(block_amplitudes.value)
@@ -110,7 +110,7 @@ class Continuation:
 
     @property
     def _most_object_field(self) -> Complex64Array:
-        return self.object_field[::_CONTINUATION_STRIDE]
+        return self.object_field[::CONTINUATION_STRIDE]
 
     def starts(self) -> Iterator[tuple[IndexArray, Sequence[_Guess]]]:
         """Yield sets of holograms to begin with, each with guesses.
@@ -207,7 +207,7 @@ class Continuation:
         for turn_number in range(_START_TURNS):
             a, _, left = fit_amplitudes(
                 self._most,
-                object_field[::_CONTINUATION_STRIDE],
+                object_field[::CONTINUATION_STRIDE],
                 few,
                 (a, gain),
                 1 if turn_number else 2,
@@ -274,7 +274,7 @@ class Continuation:
         start = np.zeros((1, self.amplitude.shape[1]), complex)
         small = np.flatnonzero(~self._solved & (self._shown < _STILL_LINEAR))
         for step in small:
-            self.attempt(int(step), start, ((self._most, _CONTINUATION_STRIDE, ITERATIONS),))
+            self.attempt(int(step), start, ((self._most, CONTINUATION_STRIDE, ITERATIONS),))
         return bool((self.misfit[small] < _THRESHOLDS[0][0]).any())
 
     def _revise(self) -> None:
@@ -326,14 +326,14 @@ class Continuation:
         scaled = self._on_grid(step, neighbour, _SCALES)[1][0]
         trend = self.trend(step, source)
         quick = np.array([scaled] if trend is None else [trend, scaled])
-        self.attempt(step, quick, ((self._most, _CONTINUATION_STRIDE, _QUICK),), trend)
+        self.attempt(step, quick, ((self._most, CONTINUATION_STRIDE, _QUICK),), trend)
         if self.misfit[step] < SAME_FRINGE_RATIO * max(float(self.misfit[source]), 1):
             return
         starts = np.array([neighbour, *self._starts(step, neighbour)])
         self.attempt(
             step,
             starts,
-            ((self._few, _GRID_STRIDE, ITERATIONS), (self._most, _CONTINUATION_STRIDE, ITERATIONS)),
+            ((self._few, _GRID_STRIDE, ITERATIONS), (self._most, CONTINUATION_STRIDE, ITERATIONS)),
         )
 
     def trend(self, step: int, source: int) -> ComplexArray | None:

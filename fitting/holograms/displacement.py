@@ -20,9 +20,12 @@ from fitting.holograms.alternating_minimisation import (
     Solution,
     Sweep,
     settled,
-    weighed,
+    with_field,
 )
-from fitting.holograms.amplitudes import FINAL_RAD, fit_amplitudes, gain_scatter
+from fitting.holograms.amplitudes import (
+    block_object_field,
+    gain_scatter,
+)
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.changing_field import (
@@ -32,8 +35,7 @@ from fitting.holograms.changing_field import (
     unlikelihood,
 )
 from fitting.holograms.continuation import (
-    ITERATIONS,
-    SAME_FRINGE_RATIO,
+    CONTINUATION_STRIDE,
     Continuation,
     continued,
     enough,
@@ -47,11 +49,14 @@ from fitting.holograms.object_field import (
 )
 from fitting.holograms.problem import Problem
 from fitting.holograms.retries import (
+    all_from_expected,
     field_of_others,
+    in_other_fringes,
     relative_misfit,
     same_fringe,
     tried_again,
     unexplained,
+    with_fringes,
 )
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.within_blocks import mean_bend, spread_slopes
@@ -70,7 +75,9 @@ _MOST_EXPLAINED, _EXPLAINED = 0.8, 2.0
 _ENOUGH = 0.95
 # How often the change of the object field is found again, with the displacements that it gives.
 _MOST_CHANGES = 3
-_FIRST_MAXIMUM_RAD = 1.84
+# Fringes are found with every third block, as by the continuation, and displacements with all of
+# them. Chosen: with at least so many blocks for each function, a fit takes 6 % of what they show.
+_BLOCKS_OF_FUNCTION = 16
 # A gain that is farther off is tried again: chance makes one in 16,000 so.
 _MOST_DEVIATIONS = 4.0
 
@@ -132,25 +139,70 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
     FitError
         If hardly any hologram can be explained.
     """
-    whole = _problem_of(block_amplitudes, basis)
-    first = replace(whole, others=())
+    level = _Level.of(block_amplitudes, basis)
+    best = _best_start(level, block_amplitudes, basis)
+    if best is None:
+        raise FitError(
+            f"hardly any of {len(block_amplitudes.drive_hz)} holograms can be explained as "
+            "vibrations of this reed: none shows any light, or there are too many fringes; begin "
+            "with less volts"
+        )
+    return _of_all_blocks(level, best)
+
+
+@dataclass(frozen=True)
+class _Level:
+    """The problem of a sweep with all blocks, or with some of them.
+
+    Attributes
+    ----------
+    problem : Problem
+    smooth : (n, c) float
+        See `fitting.holograms.object_field.smooth_functions`.
+    """
+
+    problem: Problem
+    smooth: Array
+
+    @property
+    def stride(self) -> int:
+        """Blocks from one to the next of those that are enough to find fringes."""
+        functions = int(self.problem.functions.shape[1])
+        most = self.problem.blocks // (_BLOCKS_OF_FUNCTION * functions)
+        return min(max(most, 1), CONTINUATION_STRIDE)
+
+    @classmethod
+    def of(cls, blocks: BlockAmplitudes, basis: ShapeBasis) -> "_Level":
+        return cls(_problem_of(blocks, basis), smooth_functions(blocks.x_m, blocks.y_m))
+
+    def every(self, stride: int) -> "_Level":
+        """Return the same for every `stride`-th block."""
+        return _Level(self.problem.every(stride), np.ascontiguousarray(self.smooth[::stride]))
+
+
+def _best_start(
+    level: _Level, block_amplitudes: BlockAmplitudes, basis: ShapeBasis
+) -> Displacements | None:
+    """Return what some of the blocks show, from the best of several starts; None if nothing."""
+    few, first = level.every(level.stride), replace(level.problem, others=())
+    whole = few.problem
     signal = np.mean(np.abs(block_amplitudes.value) ** 2, axis=0)
     best: Displacements | None = None
     costs: list[float] = []
     for number, start in enumerate(starts_of(first, block_amplitudes, basis), 1):
         search = continued(first, block_amplitudes, basis, start)
-        rough = None if search is None else _from_search(whole, block_amplitudes, search)
+        rough = None if search is None else _from_search(few, level, search)
         cost = np.inf if rough is None else _unlikelihood(whole, rough)
         # A guess that was the best of its set is the same start again.
         if rough is not None and cost not in costs:
             if best is None:
-                best = _refined(whole, block_amplitudes, rough)
+                best = _refined(few, rough)
             elif _agree(whole, best, rough):
-                if _in_other_fringes(whole, best.amplitude_rad, rough.amplitude_rad).size:
-                    best = _refined(whole, block_amplitudes, best, rough)
+                if in_other_fringes(whole, best.amplitude_rad, rough.amplitude_rad).size:
+                    best = _refined(few, best, rough)
                 break
             elif cost < min(costs):
-                other = _refined(whole, block_amplitudes, rough, best)
+                other = _refined(few, rough, best)
                 best = min(best, other, key=lambda each: _unlikelihood(whole, each))
         costs.append(cost)
         relative = relative_misfit(best.misfit, signal) if best else np.full(len(signal), np.inf)
@@ -158,33 +210,32 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
         explained = not unexplained(relative, whole.seen).size
         if explained or number >= (_MOST_STARTS if mostly else _FEW_STARTS):
             break
-    if best is None:
-        raise FitError(
-            f"hardly any of {len(block_amplitudes.drive_hz)} holograms can be explained as "
-            "vibrations of this reed: none shows any light, or there are too many fringes; begin "
-            "with less volts"
-        )
     return best
+
+
+def _of_all_blocks(level: _Level, found: Displacements) -> Displacements:
+    """Go on with all blocks from displacements that some of them show."""
+    solved = np.flatnonzero(np.isfinite(found.misfit))
+    whole = replace(level.problem, gain_nepers=found.gain_nepers)
+    problem, weight = whole.some(solved), 1 / np.maximum(found.misfit[solved], 1)
+    a, gain = found.amplitude_rad[solved], found.gain[solved]
+    field = _field_of(problem, a, gain, weight)
+    change = found.change or FieldChange(0.0, 0.0)
+    at = with_field(problem, Solution(a, gain, field), weight, change)
+    sweep = Sweep(problem, problem.exact(), level.smooth, change, common=False)
+    at, step = settled(sweep, at, _MOST_TURNS)
+    return _displacements_of(whole, solved, at, step, change)
+
+
+def _field_of(problem: Problem, a: ComplexArray, gain: Array, weight: Array) -> Complex64Array:
+    """Return the object field (n,) that amplitudes, gains and weights of all holograms give."""
+    first = replace(problem, others=())
+    return block_object_field(first, np.arange(len(gain)), a, gain, weight)
 
 
 def _unlikelihood(whole: Problem, found: Displacements) -> float:
     change, field = found.change or FieldChange(0.0, 0.0), found.object_field
     return unlikelihood(whole, found.amplitude_rad, found.gain, field, change, found.misfit)
-
-
-def _in_other_fringes(problem: Problem, one: ComplexArray, other: ComplexArray) -> IndexArray:
-    """Return the holograms with fringes of which amplitudes (k, j) differ by more than the light.
-
-    Below the first maximum of J₁, two solutions differ by the brightness of the object field alone.
-    """
-    return np.flatnonzero(_with_fringes(problem, one, other) & ~same_fringe(one, other))
-
-
-def _with_fringes(problem: Problem, *solutions: ComplexArray) -> NDArray[np.bool_]:
-    """Mask (k,) of the holograms with displacements beyond the first maximum of J₁."""
-    largest = [np.hypot(*problem.displacement(a)).max(axis=1) for a in solutions]
-    beyond: NDArray[np.bool_] = np.max(largest, axis=0) > _FIRST_MAXIMUM_RAD
-    return beyond
 
 
 def _agree(problem: Problem, one: Displacements, other: Displacements) -> bool:
@@ -193,8 +244,8 @@ def _agree(problem: Problem, one: Displacements, other: Displacements) -> bool:
     Where they differ, one of them has lost its way.
     """
     both = one.amplitude_rad, other.amplitude_rad
-    fringes = np.count_nonzero(_with_fringes(problem, *both))
-    return bool(_in_other_fringes(problem, *both).size <= (1 - _MOST_EXPLAINED) * fringes)
+    fringes = np.count_nonzero(with_fringes(problem, *both))
+    return bool(in_other_fringes(problem, *both).size <= (1 - _MOST_EXPLAINED) * fringes)
 
 
 def _problem_of(blocks: BlockAmplitudes, basis: ShapeBasis) -> Problem:
@@ -205,33 +256,32 @@ def _problem_of(blocks: BlockAmplitudes, basis: ShapeBasis) -> Problem:
     return replace(problem, slopes=slopes)
 
 
-def _from_search(
-    whole: Problem, block_amplitudes: BlockAmplitudes, search: Continuation
-) -> Displacements:
+def _from_search(few: _Level, level: _Level, search: Continuation) -> Displacements:
     """Refine a little what a continuation has found: enough to compare it with others."""
+    at = _every(search.solution, level.stride)
     if search.explained.mean() > _ENOUGH:
-        return _finished(whole, block_amplitudes, search.solution, search.solved, _QUICK_TURNS)
+        return _finished(few, at, search.solved, _QUICK_TURNS)
     # With the converged object field, more holograms can be solved.
-    better = _finished(
-        whole, block_amplitudes, search.solution, search.best_explained, _QUICK_TURNS
-    )
-    search.continue_from(
-        Solution(better.amplitude_rad, better.gain, better.object_field), better.misfit
-    )
-    return _finished(whole, block_amplitudes, search.solution, search.solved, _QUICK_TURNS)
+    better = _finished(few, at, search.best_explained, _QUICK_TURNS)
+    a, gain, weight = better.amplitude_rad, better.gain, 1 / np.maximum(better.misfit, 1)
+    field = _field_of(level.problem, a, gain, weight)
+    search.continue_from(Solution(a, gain, field), better.misfit)
+    at = _every(search.solution, level.stride)
+    return _finished(few, at, search.solved, _QUICK_TURNS)
+
+
+def _every(at: Solution, stride: int) -> Solution:
+    return replace(at, object_field=at.object_field[::stride])
 
 
 def _refined(
-    whole: Problem,
-    block_amplitudes: BlockAmplitudes,
-    rough: Displacements,
-    other: Displacements | None = None,
+    few: _Level, rough: Displacements, other: Displacements | None = None
 ) -> Displacements:
     """Minimise from a solution; where another one differs, the better of both is taken."""
     at = Solution(rough.amplitude_rad, rough.gain, rough.object_field, rough.field_variance)
     solved = np.isfinite(rough.misfit)
     theirs = None if other is None else other.amplitude_rad
-    return _finished(whole, block_amplitudes, at, solved, _MOST_TURNS, rough.change, theirs)
+    return _finished(few, at, solved, _MOST_TURNS, rough.change, theirs)
 
 
 def explained_amplitudes(
@@ -278,10 +328,9 @@ def refit_displacements(
     FitError
         If no hologram can be explained.
     """
-    blocks = block_amplitudes
-    whole = replace(_problem_of(blocks, basis), gain_nepers=before.gain_nepers)
-    smooth = smooth_functions(blocks.x_m, blocks.y_m)
-    object_field = before.object_field * field_factor(smooth, common_mode_shift)
+    level = _Level.of(block_amplitudes, basis)
+    whole = replace(level.problem, gain_nepers=before.gain_nepers)
+    object_field = before.object_field * field_factor(level.smooth, common_mode_shift)
     changes = (before.common_mode.response @ common_mode_shift[..., None])[..., 0]
     size = before.amplitude_rad.shape[1]
     a = before.amplitude_rad + changes[:, :size] + 1j * changes[:, size:]
@@ -293,54 +342,18 @@ def refit_displacements(
         at, better = tried_again(whole, alone, bad, expected_rad)
         solved[better] = True
     else:
-        at, solved = _all_from_expected(whole, at, expected_rad, enough(blocks))
+        at, solved = all_from_expected(whole, at, expected_rad, enough(block_amplitudes))
     if not solved.any():
         raise FitError(
             f"none of {len(solved)} holograms agrees with the other run; measure it again, or fit "
             "it alone"
         )
-    return _finished(whole, blocks, at, solved, _MOST_TURNS, before.change, common=False)
-
-
-def _all_from_expected(
-    whole: Problem, at: Solution, expected_rad: Sequence[ComplexArray], accepted: Array
-) -> tuple[Solution, NDArray[np.bool_]]:
-    """Solve all holograms from what is expected; return which have a solution, too.
-
-    Of those that explain a hologram equally well the last is used.
-    """
-    amplitude, gain = at.amplitude.copy(), at.gain.copy()
-    good = np.maximum(FAR, accepted)
-    solved = np.zeros(len(good), bool)
-    for expected in expected_rad:
-        there = replace(at, amplitude=expected)
-        tried, louder, found = _from_expected(whole, there, np.arange(len(good)))
-        better = found < good
-        amplitude[better], gain[better], solved[better] = tried[better], louder[better], True
-        equally_good = np.minimum(good, SAME_FRINGE_RATIO * np.maximum(found, 1))
-        good = np.where(better, equally_good, good)
-    return replace(at, amplitude=amplitude, gain=gain), solved
-
-
-def _from_expected(
-    whole: Problem, expected: Solution, steps: IndexArray
-) -> tuple[ComplexArray, Array, Array]:
-    """Solve holograms (s,) from expected amplitudes; return amplitudes, log gains and misfits."""
-    start = whole.turned(expected.object_field, steps, expected.amplitude[steps])
-    a, gain, left = fit_amplitudes(
-        weighed(whole, expected),
-        expected.object_field,
-        steps,
-        (start, np.zeros(len(steps))),
-        ITERATIONS,
-        FINAL_RAD**-2 * np.eye(start.shape[1]),
-    )
-    return a, gain, left / whole.seen[steps]
+    level = replace(level, problem=whole)
+    return _finished(level, at, solved, _MOST_TURNS, before.change, common=False)
 
 
 def _finished(
-    whole: Problem,
-    block_amplitudes: BlockAmplitudes,
+    level: _Level,
     at: Solution,
     solved: NDArray[np.bool_],
     most_turns: int,
@@ -354,11 +367,10 @@ def _finished(
     Without `change`, the object field is first taken to be the same in all of them. `other` (k, j)
     are amplitudes of another solution: where they are in other fringes, both are tried.
     """
-    steps = np.flatnonzero(solved)
-    smooth = smooth_functions(block_amplitudes.x_m, block_amplitudes.y_m)
+    whole, steps = level.problem, np.flatnonzero(solved)
     problem = whole.some(steps)
     at = Solution(at.amplitude[steps], at.gain[steps], *_rows_of(at, steps), at.positions)
-    sweep = Sweep(problem, problem.exact(), smooth, change, common)
+    sweep = Sweep(problem, problem.exact(), level.smooth, change, common)
     at, step = settled(sweep, at, most_turns)
     for _ in range(1 if most_turns == _QUICK_TURNS else _MOST_CHANGES):
         before, now = sweep.change, _change_of(problem, at, step)
@@ -386,7 +398,7 @@ def _in_right_fringes(
             np.flatnonzero(np.abs(at.gain) > _MOST_DEVIATIONS * problem.gain_nepers),
         )
         if other is not None:
-            off = np.union1d(off, _in_other_fringes(problem, at.amplitude, other))
+            off = np.union1d(off, in_other_fringes(problem, at.amplitude, other))
         off = np.setdiff1d(off, hopeless)
         before = at.amplitude
         at, better = tried_again(problem, at, off, () if other is None else (other,))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.stats import median_abs_deviation
 
 from fitting.holograms.alternating_minimisation import (
+    FAR,
     Solution,
     cost,
     middle,
@@ -26,6 +27,7 @@ from fitting.holograms.alternating_minimisation import (
 )
 from fitting.holograms.amplitudes import FINAL_RAD, fit_amplitudes
 from fitting.holograms.changing_field import FieldChange
+from fitting.holograms.continuation import ITERATIONS, SAME_FRINGE_RATIO
 from fitting.holograms.linearisation import rows
 from fitting.holograms.problem import Problem
 from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
@@ -50,6 +52,8 @@ _LEAST_GAIN = 5.0
 _ITERATIONS = 12
 # How often noise and the change within blocks are found for a trial.
 _ROUNDS = 3
+# Of the first maximum of J₁.
+_FIRST_MAXIMUM_RAD = 1.84
 
 
 def relative_misfit(misfit: Array, signal: Array) -> Array:
@@ -118,6 +122,21 @@ def same_fringe(one: ComplexArray, other: ComplexArray) -> NDArray[np.bool_]:
     square, other_square = (np.sum(np.abs(each) ** 2, axis=-1) for each in (one, other))
     apart = square + other_square - 2 * np.abs(np.sum(one.conj() * other, axis=-1))
     return np.asarray(apart <= _SAME_FRINGE**2 * square)
+
+
+def in_other_fringes(problem: Problem, one: ComplexArray, other: ComplexArray) -> IndexArray:
+    """Return the holograms with fringes of which amplitudes (k, j) differ by more than the light.
+
+    Below the first maximum of J₁, two solutions differ by the brightness of the object field alone.
+    """
+    return np.flatnonzero(with_fringes(problem, one, other) & ~same_fringe(one, other))
+
+
+def with_fringes(problem: Problem, *solutions: ComplexArray) -> NDArray[np.bool_]:
+    """Mask (k,) of the holograms with displacements beyond the first maximum of J₁."""
+    largest = [np.hypot(*problem.displacement(a)).max(axis=1) for a in solutions]
+    beyond: NDArray[np.bool_] = np.max(largest, axis=0) > _FIRST_MAXIMUM_RAD
+    return beyond
 
 
 def tried_again(
@@ -214,3 +233,39 @@ def _starts(amplitude: ComplexArray, number: int, good: IndexArray) -> ComplexAr
         sources.append(0.5 * (sources[0] + turn * sources[1]))
     sources.append(amplitude[number])
     return np.concatenate([size * np.array(sources) for size in _SIZES])
+
+
+def all_from_expected(
+    whole: Problem, at: Solution, expected_rad: Sequence[ComplexArray], accepted: Array
+) -> tuple[Solution, NDArray[np.bool_]]:
+    """Solve all holograms from what is expected; return which have a solution, too.
+
+    Of those that explain a hologram equally well the last is used.
+    """
+    amplitude, gain = at.amplitude.copy(), at.gain.copy()
+    good = np.maximum(FAR, accepted)
+    solved = np.zeros(len(good), bool)
+    for expected in expected_rad:
+        there = replace(at, amplitude=expected)
+        tried, louder, found = _from_expected(whole, there, np.arange(len(good)))
+        better = found < good
+        amplitude[better], gain[better], solved[better] = tried[better], louder[better], True
+        equally_good = np.minimum(good, SAME_FRINGE_RATIO * np.maximum(found, 1))
+        good = np.where(better, equally_good, good)
+    return replace(at, amplitude=amplitude, gain=gain), solved
+
+
+def _from_expected(
+    whole: Problem, expected: Solution, steps: IndexArray
+) -> tuple[ComplexArray, Array, Array]:
+    """Solve holograms (s,) from expected amplitudes; return amplitudes, log gains and misfits."""
+    start = whole.turned(expected.object_field, steps, expected.amplitude[steps])
+    a, gain, left = fit_amplitudes(
+        weighed(whole, expected),
+        expected.object_field,
+        steps,
+        (start, np.zeros(len(steps))),
+        ITERATIONS,
+        FINAL_RAD**-2 * np.eye(start.shape[1]),
+    )
+    return a, gain, left / whole.seen[steps]

@@ -16,7 +16,6 @@ from fitting.holograms.continuation import Continuation, continued, starts_of
 from fitting.holograms.displacement import (
     Displacements,
     _agree,
-    _in_other_fringes,
     fit_displacements,
     refit_displacements,
 )
@@ -29,6 +28,7 @@ from fitting.holograms.problem import (
 from fitting.holograms.retries import (
     _likely_sizes,
     field_of_others,
+    in_other_fringes,
     relative_misfit,
     same_fringe,
     tried_again,
@@ -449,7 +449,8 @@ def test_a_start_that_looks_better_is_compared_after_both_were_refined(sweep, mo
 
     monkeypatch.setattr(f"{module}.continued", lambda *_: True)
     monkeypatch.setattr(f"{module}._from_search", lambda *_: solution(next(rough)))
-    monkeypatch.setattr(f"{module}._refined", lambda *a: solution(a[2].tag.upper()))
+    monkeypatch.setattr(f"{module}._refined", lambda *a: solution(a[1].tag.upper()))
+    monkeypatch.setattr(f"{module}._of_all_blocks", lambda _, found: found)
     monkeypatch.setattr(f"{module}._unlikelihood", lambda _, found: costs[found.tag])
     monkeypatch.setattr(f"{module}._agree", lambda *_: False)
     assert solve(sweep).tag == "A"
@@ -483,12 +484,12 @@ def test_starts_agree_if_most_displacements_with_fringes_are_in_the_same(sweep, 
     # At 10 rad the next fringe is farther than this.
     other_fringe = moved(1 + np.pi / 10, few)
     assert _agree(problem, settled, other_fringe)
-    apart = _in_other_fringes(problem, settled.amplitude_rad, other_fringe.amplitude_rad)
+    apart = in_other_fringes(problem, settled.amplitude_rad, other_fringe.amplitude_rad)
     assert apart.tolist() == few.tolist()
     assert not _agree(problem, settled, moved(1 + np.pi / 10, most))
     # Without fringes, a brighter object field looks like a smaller displacement.
     dimmer = moved(0.5, np.flatnonzero(largest < 1.0))
-    assert _in_other_fringes(problem, settled.amplitude_rad, dimmer.amplitude_rad).size == 0
+    assert in_other_fringes(problem, settled.amplitude_rad, dimmer.amplitude_rad).size == 0
 
 
 def test_what_led_a_hologram_astray_is_looked_for_beside_it(sweep, settled):

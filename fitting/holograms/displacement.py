@@ -76,7 +76,7 @@ _ENOUGH = 0.95
 # How often the change of the object field is found again, with the displacements that it gives.
 _MOST_CHANGES = 3
 # Fringes are found with every third block, as by the continuation, and displacements with all of
-# them. Chosen: with at least so many blocks for each function, a fit takes 6 % of what they show.
+# them. Chosen: with at least this number of blocks for each function, a fit takes 6 % of the noise.
 _BLOCKS_OF_FUNCTION = 16
 # A gain that is farther off is tried again: chance makes one in 16,000 so.
 _MOST_DEVIATIONS = 4.0

@@ -286,5 +286,6 @@ def field_step(
     # Half the precision: the misfit, of noise of variance 1, is half of χ².
     common_mode = CommonModeError(-response[:, :-1], schur + schur.swapaxes(1, 2), 2 * force)
     held_back = 0.5 * common_mode.whole + 0.5 * _STEP**-2 * np.eye(len(kept))
-    move = np.linalg.solve(held_back, common * force.sum(axis=0))
+    found = np.linalg.solve(held_back, force.sum(axis=0))
+    move = found if common else np.zeros_like(found)
     return FieldStep(move, alone - response @ move, common_mode, linear)

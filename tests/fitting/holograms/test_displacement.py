@@ -8,6 +8,7 @@ import pytest
 from scipy.special import j1
 
 from fitting.errors import FitError
+from fitting.holograms import alternating_minimisation as settling
 from fitting.holograms.alternating_minimisation import Solution
 from fitting.holograms.amplitudes import block_object_field
 from fitting.holograms.bessel import BesselTable
@@ -466,6 +467,29 @@ def test_the_same_start_again_is_no_agreement(sweep, monkeypatch):
     monkeypatch.setattr("fitting.holograms.displacement.starts_of", lambda *_: [start] * 4)
     solve(sweep)
     assert len(begun) == 3
+
+
+def test_light_that_modes_have_determined_is_held(sweep, settled, monkeypatch):
+    """Without modes some blocks come first, with the factor free, and all of them with it held."""
+    seen = []
+
+    def noted(sweep_of_blocks, at, turns):
+        seen.append((sweep_of_blocks.common, sweep_of_blocks.problem.blocks))
+        return settling.settled(sweep_of_blocks, at, turns)
+
+    monkeypatch.setattr("fitting.holograms.displacement.settled", noted)
+    monkeypatch.setattr("fitting.holograms.displacement._BLOCKS_OF_FUNCTION", 1)
+    solve(sweep)
+    assert {blocks for common, blocks in seen if common} == {134}
+    assert [blocks for common, blocks in seen if not common] == [POINTS]
+    assert seen[-1] == (False, POINTS)
+    seen.clear()
+    q = settled.common_mode.precision.shape[1]
+    nothing, off = np.zeros((84, q)), np.zeros(84, bool)
+    refit_displacements(
+        sweep.block_amplitudes, sweep.basis, settled, [settled.amplitude_rad], off, nothing
+    )
+    assert set(seen) == {(False, POINTS)}
 
 
 def test_starts_agree_if_most_displacements_with_fringes_are_in_the_same(sweep, settled):

@@ -671,6 +671,8 @@ def test_gradients_are_minus_half_the_slope_of_the_cost(point):
     slopes = np.concatenate([by_x, by_all])
     count = 2 * len(state.log_drive)
     assert down[:-count] == pytest.approx(-0.5 * slopes, abs=1e-5 * np.abs(slopes).max())
+    own = down[len(by_x) : -count]
+    assert own == pytest.approx(-0.5 * by_all, abs=1e-6 * np.abs(by_all).max())
     log = state.log_drive
 
     def at(parts):

@@ -36,9 +36,13 @@ _LOG_QUALITY, _LOG_QUALITY_SD = np.log(17.0), 0.9
 # Prior standard deviations of the log frequency around where a line is looked for, and of both
 # parts of the strength c: weak, for peaks that do not determine them.
 _LOG_HZ_SD, _STRENGTH_SD = 0.05, 1.0
+_SPREAD = np.array([_LOG_HZ_SD, _LOG_QUALITY_SD, _STRENGTH_SD, _STRENGTH_SD])
 # Starts of the search. Chosen: a search from any one of them ends in another minimum for some of
 # the lines of the tests.
 _QUALITIES, _PHASES = (10.0, 40.0), (0.0, 1.2, -1.2, np.pi)
+# When a search ends. With the limits of the library, what is only rounding moved errors of modes in
+# the sixth digit.
+_CONVERGED = 1e-12
 # Probability with which χ² of a drive without a line may decrease as much by its four parameters,
 # at any of its frequencies.
 _BY_CHANCE = 1e-3
@@ -149,7 +153,7 @@ class DriveLines:
         lines: the lines could have been anywhere in the sweep.
         """
         off = self.parameters[:, 1:] - np.array([_LOG_QUALITY, 0.0, 0.0])
-        spread = np.array([_LOG_QUALITY_SD, _STRENGTH_SD, _STRENGTH_SD])
+        spread = _SPREAD[1:]
         density = -0.5 * np.sum((off / spread) ** 2) - len(off) * float(
             np.sum(np.log(spread)) + 1.5 * np.log(2 * np.pi) + np.log(np.log(hz[-1] / hz[0]))
         )
@@ -179,7 +183,8 @@ def _fit_of(
         variance[off] += _OFF
     ripple = quiet_ripple(drive_hz).covariance
     root = linalg.cholesky(covariance + ripple + np.diag(variance), lower=True)
-    return _Fit(drive_hz, log_magnitude, root)
+    whitening = linalg.solve_triangular(root, np.eye(len(root)), lower=True)
+    return _Fit(drive_hz, log_magnitude, whitening)
 
 
 def _lines(fit: "_Fit") -> tuple[Array, list[float]]:
@@ -240,19 +245,18 @@ def height_db(line: Array) -> float:
 
 @dataclass(frozen=True)
 class _Fit:
-    """The drive that is fitted, and the root of its covariance."""
+    """The drive that is fitted, and the inverse of the root of its covariance."""
 
     hz: Array
     log_magnitude: Array
-    root: Array
+    whitening: Array
 
     def chi2(self, parameters: Array) -> float:
         """Return the whitened squares of a drive less some lines."""
         return float(np.sum(self._whitened(parameters) ** 2))
 
     def _whitened(self, parameters: Array) -> Array:
-        left = self.log_magnitude - log_gain(parameters, self.hz)
-        return np.asarray(linalg.solve_triangular(self.root, left, lower=True))
+        return np.asarray(self.whitening @ (self.log_magnitude - log_gain(parameters, self.hz)))
 
     def likeliest_hz(self, found: Array) -> float:
         """Return the frequency at which another weak line explains most of what is left.
@@ -266,8 +270,7 @@ class _Fit:
         for quality in _LOOKED_FOR:
             resonance = 1 / (1 - ratio**2 + 1j * ratio / quality)
             parts = np.stack([resonance.real, -resonance.imag], axis=2).reshape(len(self.hz), -1)
-            whitened = linalg.solve_triangular(self.root, parts, lower=True)
-            seen = whitened.reshape(len(self.hz), count, 2)
+            seen = (self.whitening @ parts).reshape(len(self.hz), count, 2)
             matrix = np.einsum("kfp,kfq->fpq", seen, seen)
             along = np.einsum("kfp,k->fp", seen, left)
             gained = np.sum(along * np.linalg.solve(matrix, along[..., None])[..., 0], axis=1)
@@ -279,9 +282,13 @@ class _Fit:
         """Return whitened residuals of the drive, and of the prior of all lines."""
         parameters = flat.reshape(-1, _PARAMETERS)
         centre = np.array([[np.log(top), _LOG_QUALITY, 0.0, 0.0] for top in tops])
-        spread = np.array([_LOG_HZ_SD, _LOG_QUALITY_SD, _STRENGTH_SD, _STRENGTH_SD])
-        prior = (parameters - centre) / spread
+        prior = (parameters - centre) / _SPREAD
         return np.concatenate([self._whitened(parameters), prior.ravel()])
+
+    def _jacobian(self, flat: Array, tops: Sequence[float]) -> Array:
+        """Return the derivatives of `_residual`."""
+        slopes = _slopes(flat.reshape(-1, _PARAMETERS), self.hz)
+        return np.concatenate([-self.whitening @ slopes, np.diag(1 / np.tile(_SPREAD, len(tops)))])
 
     def with_another(self, found: Array, tops: Sequence[float]) -> Array:
         """Fit the lines found so far and one more, which is looked for at the last of `tops`."""
@@ -290,7 +297,17 @@ class _Fit:
             strength = 2 / quality * np.exp(1j * phase)
             line = [np.log(tops[-1]), np.log(quality), strength.real, strength.imag]
             start = np.concatenate([found.ravel(), line])
-            solution = least_squares(self._residual, start, args=(tops,), x_scale="jac")
+            solution = least_squares(
+                self._residual,
+                start,
+                self._jacobian,
+                args=(tops,),
+                method="lm",
+                x_scale="jac",
+                ftol=_CONVERGED,
+                xtol=_CONVERGED,
+                gtol=_CONVERGED,
+            )
             if solution.cost < least:
                 best, least = solution.x.reshape(-1, _PARAMETERS), solution.cost
         return best
@@ -307,12 +324,10 @@ class _Fit:
         ripple : (k, k) float
             Covariance of the smooth drive.
         """
-        solution = least_squares(self._residual, found.ravel(), args=(tops,), max_nfev=1)
-        jacobian = np.asarray(solution.jac, dtype=float)
+        jacobian = self._jacobian(found.ravel(), tops)
         covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian))
         # Parameters as linear functions of the log magnitude.
-        half = linalg.solve_triangular(self.root.T, jacobian[: len(self.hz)], lower=False)
-        by_drive = covariance @ np.asarray(half).T
+        by_drive = covariance @ jacobian[: len(self.hz)].T @ self.whitening
         return covariance, by_drive @ ripple @ by_drive.T
 
 

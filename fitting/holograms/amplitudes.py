@@ -14,7 +14,7 @@ from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 _SLOW = 3.0
 # Least scatter of gains: power of a stabilised laser (data sheets: 0.2 %), and how many holograms
 # must show their own gain.
-_LEAST_GAIN_NEPERS, _FEWEST_GAINS = 0.002, 8
+LEAST_GAIN_NEPERS, _FEWEST_GAINS = 0.002, 8
 # Prior standard deviation of amplitudes, rad: weak, for directions that the data do not determine.
 FINAL_RAD = 10.0
 # Chosen by hand; no study of other values is kept.
@@ -139,11 +139,11 @@ def gain_scatter(problem: Problem, gain: Array, matrix: Array) -> float:
     known = np.where(sure, known, 0)
     # Without what the prior does to them.
     free = np.where(sure, gain * (1 + problem.half_gain_precision / np.maximum(known, 1e-9)), 0)
-    weight = np.minimum(known, 0.5 / _LEAST_GAIN_NEPERS**2)
+    weight = np.minimum(known, 0.5 / LEAST_GAIN_NEPERS**2)
     apart = np.subtract.outer(problem.recording_rank, problem.recording_rank) / _SLOW
     window = np.exp(-0.5 * apart**2) * (1 - np.eye(len(gain))) * weight
     slow: Array = window @ free / (window.sum(axis=1) + 0.5 / GAIN_NEPERS**2)
     scatter = float(median_abs_deviation((free - slow)[sure], scale="normal"))
     own = float(np.median(0.5 / known[sure]))
     found = np.sqrt(max(scatter**2 - own, 0.0))
-    return float(np.clip(found, _LEAST_GAIN_NEPERS, GAIN_NEPERS))
+    return float(np.clip(found, LEAST_GAIN_NEPERS, GAIN_NEPERS))

@@ -19,10 +19,12 @@ from fitting.holograms.alternating_minimisation import (
     FAR,
     Solution,
     Sweep,
+    cost,
     settled,
     with_field,
 )
 from fitting.holograms.amplitudes import (
+    LEAST_GAIN_NEPERS,
     block_object_field,
     gain_scatter,
 )
@@ -52,11 +54,12 @@ from fitting.holograms.retries import (
     all_from_expected,
     field_of_others,
     in_other_fringes,
+    in_right_fringes,
     relative_misfit,
-    same_fringe,
     tried_again,
     unexplained,
     with_fringes,
+    with_wrong_gain,
 )
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.within_blocks import mean_bend, spread_slopes
@@ -64,8 +67,6 @@ from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 
 # Most turns of the alternating minimisation, and of one whose result is refined later.
 _MOST_TURNS, _QUICK_TURNS = 30, 2
-# How often holograms in a wrong fringe are solved again.
-_MOST_RETRIES = 8
 # Most starts of the continuation while the best explains less than most of the sweep, and while it
 # leaves single holograms unexplained: all displacements may then be too small by a factor.
 _FEW_STARTS, _MOST_STARTS = 3, 10
@@ -78,8 +79,6 @@ _MOST_CHANGES = 3
 # Fringes are found with every third block, as by the continuation, and displacements with all of
 # them. Chosen: with at least this number of blocks for each function, a fit takes 6 % of the noise.
 _BLOCKS_OF_FUNCTION = 16
-# A gain that is farther off is tried again: chance makes one in 16,000 so.
-_MOST_DEVIATIONS = 4.0
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,8 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
         If hardly any hologram can be explained.
     """
     level = _Level.of(block_amplitudes, basis)
-    best = _best_start(level, block_amplitudes, basis)
+    few = level.every(level.stride)
+    best = _best_start(few, level, block_amplitudes, basis)
     if best is None:
         raise FitError(
             f"hardly any of {len(block_amplitudes.drive_hz)} holograms can be explained as "
@@ -181,12 +181,20 @@ class _Level:
 
 
 def _best_start(
-    level: _Level, block_amplitudes: BlockAmplitudes, basis: ShapeBasis
+    few: _Level, level: _Level, block_amplitudes: BlockAmplitudes, basis: ShapeBasis
 ) -> Displacements | None:
     """Return what some of the blocks show, from the best of several starts; None if nothing."""
-    few, first = level.every(level.stride), replace(level.problem, others=())
-    whole = few.problem
+    whole, first = few.problem, replace(level.problem, others=())
     signal = np.mean(np.abs(block_amplitudes.value) ** 2, axis=0)
+
+    def mostly_explained(found: Displacements) -> bool:
+        relative = relative_misfit(found.misfit, signal)
+        return bool(np.mean(relative < _EXPLAINED) > _MOST_EXPLAINED)
+
+    def refined(rough: Displacements, other: Displacements | None = None) -> Displacements:
+        found = _refined(few, rough, other)
+        return _with_steady_light(few, found) if mostly_explained(found) else found
+
     best: Displacements | None = None
     costs: list[float] = []
     for number, start in enumerate(starts_of(first, block_amplitudes, basis), 1):
@@ -196,21 +204,26 @@ def _best_start(
         # A guess that was the best of its set is the same start again.
         if rough is not None and cost not in costs:
             if best is None:
-                best = _refined(few, rough)
+                best = refined(rough)
             elif _agree(whole, best, rough):
                 if in_other_fringes(whole, best.amplitude_rad, rough.amplitude_rad).size:
-                    best = _refined(few, best, rough)
+                    best = refined(best, rough)
                 break
             elif cost < min(costs):
-                other = _refined(few, rough, best)
-                best = min(best, other, key=lambda each: _unlikelihood(whole, each))
+                best = min(best, refined(rough, best), key=lambda each: _unlikelihood(whole, each))
         costs.append(cost)
-        relative = relative_misfit(best.misfit, signal) if best else np.full(len(signal), np.inf)
-        mostly = np.mean(relative < _EXPLAINED) > _MOST_EXPLAINED
-        explained = not unexplained(relative, whole.seen).size
-        if explained or number >= (_MOST_STARTS if mostly else _FEW_STARTS):
+        mostly = best is not None and mostly_explained(best)
+        if (best and mostly and _in_order(best)) or number >= (
+            _MOST_STARTS if mostly else _FEW_STARTS
+        ):
             break
     return best
+
+
+def _in_order(found: Displacements) -> bool:
+    """Whether no hologram is far from its noise, or of another brightness than it should be."""
+    wrong = with_wrong_gain(found.gain, found.gain_nepers).size
+    return bool(np.all(found.reached)) and not wrong
 
 
 def _of_all_blocks(level: _Level, found: Displacements) -> Displacements:
@@ -381,34 +394,39 @@ def _finished(
             break
     if most_turns > _QUICK_TURNS:
         theirs = None if other is None else other[steps]
-        at, step = _in_right_fringes(sweep, at, step, theirs)
+        at, step = in_right_fringes(sweep, at, step, _MOST_TURNS, theirs)
     whole = replace(whole, gain_nepers=sweep.problem.gain_nepers)
     return _displacements_of(whole, steps, at, step, now)
 
 
-def _in_right_fringes(
-    sweep: Sweep, at: Solution, step: FieldStep, other: ComplexArray | None
-) -> tuple[Solution, FieldStep]:
-    """Solve holograms in wrong fringes again until nothing is explained better."""
-    problem, hopeless = sweep.problem, np.zeros(0, np.intp)
-    for _ in range(_MOST_RETRIES):
-        misfit = step.linear.normal.misfit / problem.seen
-        off = np.union1d(
-            unexplained(misfit, problem.seen),
-            np.flatnonzero(np.abs(at.gain) > _MOST_DEVIATIONS * problem.gain_nepers),
-        )
-        if other is not None:
-            off = np.union1d(off, in_other_fringes(problem, at.amplitude, other))
-        off = np.setdiff1d(off, hopeless)
-        before = at.amplitude
-        at, better = tried_again(problem, at, off, () if other is None else (other,))
-        if not better.size:
-            break
-        # What is better in the same fringe comes to rest with the light.
-        elsewhere = better[~same_fringe(before[better], at.amplitude[better])]
-        hopeless = np.union1d(hopeless, np.setdiff1d(off, elsewhere))
-        at, step = settled(sweep, at, _MOST_TURNS)
-    return at, step
+def _with_steady_light(few: _Level, found: Displacements) -> Displacements:
+    """Try light as steady as that of a stabilised laser first; return the likelier of both.
+
+    In a wrong fringe near the first maximum of J₁, a hologram needs another brightness. Holograms
+    of which some are in wrong fringes seem to scatter in brightness, and with this scatter they
+    stay there.
+    """
+    solved = np.flatnonzero(np.isfinite(found.misfit))
+    problem = replace(few.problem, gain_nepers=found.gain_nepers).some(solved)
+    at = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)
+    at = Solution(at.amplitude[solved], at.gain[solved], *_rows_of(at, solved))
+    change = found.change or FieldChange(0.0, 0.0)
+    sweep = Sweep(problem, problem.exact(), few.smooth, change)
+    steady = sweep.with_gains(LEAST_GAIN_NEPERS, change)
+    tried, step = in_right_fringes(steady, *settled(steady, at, _MOST_TURNS), _MOST_TURNS)
+    scatter_nepers = gain_scatter(steady.problem, tried.gain, step.linear.normal.matrix)
+    change = _change_of(steady.problem, tried, step)
+    there = steady.with_gains(scatter_nepers, change)
+    tried, step = in_right_fringes(there, *settled(there, tried, _MOST_TURNS), _MOST_TURNS)
+    if _whole_cost(sweep.problem, at) <= _whole_cost(there.problem, tried):
+        return found
+    whole = replace(few.problem, gain_nepers=scatter_nepers)
+    return _displacements_of(whole, solved, tried, step, change)
+
+
+def _whole_cost(problem: Problem, at: Solution) -> float:
+    """Return the negative log likelihood of all holograms with the prior of their gains."""
+    return float(np.sum(cost(problem, at)) + len(at.gain) * np.log(problem.gain_nepers))
 
 
 def _rows_of(at: Solution, steps: IndexArray) -> tuple[ComplexArray, Array | None]:

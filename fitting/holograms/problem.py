@@ -31,7 +31,7 @@ from fitting.parallel.threads import map_threads
 from holography.arrays import Array, ComplexArray, IndexArray
 
 # Limit of log gains, in nepers: far beyond any real difference between holograms.
-_MOST_GAIN = 3.0
+MOST_GAIN = 3.0
 # Prior standard deviation of a hologram's gain, in nepers, until the sweep shows its own.
 GAIN_NEPERS = 0.05
 
@@ -245,7 +245,7 @@ def _residuals(
     u, v = shown
     lit_u, lit_v = lit
     # A long step must not overflow.
-    factor = np.exp(np.clip(gain, -_MOST_GAIN, _MOST_GAIN)).astype(lit_u.dtype)[:, None]
+    factor = np.exp(np.clip(gain, -MOST_GAIN, MOST_GAIN)).astype(lit_u.dtype)[:, None]
     residual_u = problem.real[steps] - factor * (lit_u * u - lit_v * v)
     residual_v = problem.imaginary[steps] - factor * (lit_u * v + lit_v * u)
     misfit = np.einsum("sn,sn->s", problem.weighed(steps, residual_u), residual_u) + np.einsum(

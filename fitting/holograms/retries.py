@@ -20,8 +20,10 @@ from scipy.stats import median_abs_deviation
 from fitting.holograms.alternating_minimisation import (
     FAR,
     Solution,
+    Sweep,
     cost,
     middle,
+    settled,
     weighed,
     with_field,
 )
@@ -29,7 +31,8 @@ from fitting.holograms.amplitudes import FINAL_RAD, fit_amplitudes
 from fitting.holograms.changing_field import FieldChange
 from fitting.holograms.continuation import ITERATIONS, SAME_FRINGE_RATIO
 from fitting.holograms.linearisation import rows
-from fitting.holograms.problem import Problem
+from fitting.holograms.object_field import FieldStep
+from fitting.holograms.problem import MOST_GAIN, Problem
 from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 
 # A hologram is tried again if its misfit exceeds the median by this many standard deviations of the
@@ -54,6 +57,15 @@ _ITERATIONS = 12
 _ROUNDS = 3
 # Of the first maximum of J₁.
 _FIRST_MAXIMUM_RAD = 1.84
+# How often holograms in a wrong fringe are solved again.
+_MOST_RETRIES = 8
+# A gain that is farther off is tried again: chance makes one in 16,000 so.
+_MOST_DEVIATIONS = 4.0
+# Alternating steps after which a group in other fringes must be explained better. Chosen: groups
+# that were better showed it after the first.
+_GROUP_TURNS = 4
+# Largest factor of a displacement from one hologram to the next: that of `_SIZES`.
+_STEEPEST = 1.7
 
 
 def relative_misfit(misfit: Array, signal: Array) -> Array:
@@ -218,6 +230,7 @@ def _solved(
         there = Solution(a, gain, field, variance, positions)
         trial = weighed(middle(few, there), there)
         a, gain, _ = fit_amplitudes(trial, field, each, (a, gain), _ITERATIONS, weak)
+        gain = np.clip(gain, -MOST_GAIN, MOST_GAIN)
         # Far from a solution, the change within a block means nothing.
         positions = at.positions
     return a, gain, cost(few, Solution(a, gain, field, variance, positions))
@@ -269,3 +282,127 @@ def _from_expected(
         FINAL_RAD**-2 * np.eye(start.shape[1]),
     )
     return a, gain, left / whole.seen[steps]
+
+
+def in_right_fringes(
+    sweep: Sweep, at: Solution, step: FieldStep, most_turns: int, other: ComplexArray | None = None
+) -> tuple[Solution, FieldStep]:
+    """Solve holograms in wrong fringes again until nothing is explained better.
+
+    Parameters
+    ----------
+    sweep : Sweep
+    at : Solution
+    step : FieldStep
+        Its equations.
+    most_turns : int
+        Largest number of alternating steps after each change.
+    other : (k, j) complex, optional
+        Amplitudes of another solution: where they are in other fringes, both are tried.
+    """
+    hopeless, gain_nepers = np.zeros(0, np.intp), sweep.problem.gain_nepers
+    for _ in range(_MOST_RETRIES):
+        off = np.union1d(_misfitting(sweep, step), with_wrong_gain(at.gain, gain_nepers))
+        if other is not None:
+            off = np.union1d(off, in_other_fringes(sweep.problem, at.amplitude, other))
+        off = np.setdiff1d(off, hopeless)
+        before = at.amplitude
+        at, better = tried_again(sweep.problem, at, off, () if other is None else (other,))
+        if better.size:
+            # What is better in the same fringe comes to rest with the light.
+            elsewhere = better[~same_fringe(before[better], at.amplitude[better])]
+            hopeless = np.union1d(hopeless, np.setdiff1d(off, elsewhere))
+            at, step = settled(sweep, at, most_turns)
+            continue
+        together = _group_in_other_fringes(sweep, at, step, most_turns)
+        if together is None:
+            break
+        at, step = together
+    return at, step
+
+
+def _misfitting(sweep: Sweep, step: FieldStep) -> IndexArray:
+    seen = sweep.problem.seen
+    return unexplained(step.linear.normal.misfit / seen, seen)
+
+
+def with_wrong_gain(gain: Array, gain_nepers: float) -> IndexArray:
+    """Return the holograms whose log gains (k,) are too large for their scatter, in nepers."""
+    return np.flatnonzero(np.abs(gain) > _MOST_DEVIATIONS * gain_nepers)
+
+
+def _group_in_other_fringes(
+    sweep: Sweep, at: Solution, step: FieldStep, most_turns: int
+) -> tuple[Solution, FieldStep] | None:
+    """Move a group of holograms into other fringes together; None if none is explained better.
+
+    In light that a whole group has bent, each of its holograms alone is explained best in its wrong
+    fringe. Only their gains show it, and only with all of them in the right fringes is the light
+    right, too.
+    """
+    problem = sweep.problem
+    wrong = with_wrong_gain(at.gain, problem.gain_nepers)
+    weight = 1 / np.maximum(step.linear.normal.misfit / problem.seen, 1)
+    costs = float(np.sum(cost(problem, at)))
+    # Neighbours, but for one between them at most, belong together.
+    for group in np.split(wrong, np.flatnonzero(np.diff(wrong) > 2) + 1):
+        for along in (-1, 1):
+            there = followed(problem, at, group, along) if group.size else None
+            if there is not None:
+                there = with_field(middle(problem, there), there, weight, sweep.change)
+                there, theirs = settled(sweep, there, min(most_turns, _GROUP_TURNS))
+                if costs - float(np.sum(cost(problem, there))) > _LEAST_GAIN:
+                    return there, theirs
+    return None
+
+
+def followed(problem: Problem, at: Solution, group: IndexArray, along: int) -> Solution | None:
+    """Follow displacements from outside a group through it; None if they stay in their fringes.
+
+    Near a resonance the reciprocal of a displacement is a linear function of frequency: two
+    holograms predict the next one. The solution nearest to the prediction is taken, whether or not
+    another one explains the hologram better. It ends behind the group, where it meets the solution
+    that is there.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of the holograms of the solution, in order of frequency.
+    at : Solution
+    group : (g,) int
+        Numbers of the holograms, ascending.
+    along : int
+        1 to follow upwards in frequency, -1 downwards.
+    """
+    found = replace(at, amplitude=at.amplitude.copy(), gain=at.gain.copy())
+    last, count = group[-1] if along > 0 else group[0], len(at.gain)
+    number, moved = (group[0] if along > 0 else group[-1]), False
+    while 0 <= number - 2 * along < count and 0 <= number < count:
+        near = _nearest(problem, found, number, along)
+        if near is None:
+            break
+        same = bool(same_fringe(at.amplitude[number], near[0]))
+        if same and (number - last) * along > 0:
+            break
+        if not same:
+            found.amplitude[number], found.gain[number] = near
+            moved = True
+        number += along
+    return found if moved else None
+
+
+def _nearest(
+    problem: Problem, at: Solution, number: int, along: int
+) -> tuple[ComplexArray, float] | None:
+    """Return amplitudes (j,) and log gain of a hologram near what two before it predict."""
+    before, former = (at.amplitude[number - back * along] for back in (1, 2))
+    size, earlier = (max(float(np.linalg.norm(each)), 1e-6) for each in (before, former))
+    expected = 1 / np.clip(2 / size - 1 / earlier, 1 / (_STEEPEST * size), _STEEPEST / size)
+    sizes = np.concatenate([np.array(_SIZES) * expected / size, [1.0]])
+    starts = np.concatenate([sizes[:, None] * before, at.amplitude[number][None]])
+    steps = np.full(len(starts), number)
+    found, louder, left = _solved(problem.some(steps), at, steps, starts)
+    apart = np.abs(np.log(np.maximum(np.linalg.norm(found, axis=1), 1e-6) / expected))
+    apart[~(left <= FAR * problem.seen[number])] = np.inf
+    best = int(np.argmin(apart))
+    return (found[best], float(louder[best])) if np.isfinite(apart[best]) else None

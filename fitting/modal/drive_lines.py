@@ -7,7 +7,7 @@ what is expected of the drive, with the covariance that the errors of its number
 (decisions 0036 and 0038).
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,8 +45,7 @@ def with_lines(at: Optimum, given: Given, bare: Model) -> Optimum | None:
     Optimum or None
         With the scatter of `at`, so that their evidence can be compared.
     """
-    modes = at.logs[: len(bare.active)]
-    lines = drive_lines(at, bare)
+    modes, lines = at.logs[: len(bare.active)], drive_lines(at, bare)
     lines = lines.only(
         np.array([not _may_be_a_mode(line, modes) for line in lines.parameters], bool)
     )
@@ -87,7 +86,46 @@ def away_from(lines: DriveLines, log_hz: Array) -> DriveLines:
     return lines.only(np.all(apart > NEXT_TO_CENTS * _CENT, axis=1))
 
 
+@dataclass(frozen=True)
+class TakenMode:
+    """A mode whose resonance a line of the drive may have taken.
+
+    Attributes
+    ----------
+    mode : int
+        Among the active modes.
+    log_hz, log_loss : float
+        Of the line, as if it was the mode.
+    """
+
+    mode: int
+    log_hz: float
+    log_loss: float
+
+
+def taken_modes(at: Optimum, lines: DriveLines) -> list[TakenMode]:
+    """Return the modes whose resonance a line may have taken, the highest lines first.
+
+    A line that is higher than those of loudspeakers and chambers may be a mode next to it. Next to
+    a line that has taken all of its resonance, a mode may be found anywhere: lines of any height
+    may be modes that were expected next to them, and were found farther away.
+    """
+    model, found = at.model, dict[int, TakenMode]()
+    modes = at.logs[: len(model.active)]
+    expected = np.log(model.reference_hz[model.active])
+    for line in sorted(lines.parameters, key=height_db, reverse=True):
+        beside, before = np.abs(modes - line[0]), np.abs(expected - line[0])
+        near = int(beside.argmin())
+        if not _may_be_a_mode(line, modes):
+            near = int(before.argmin())
+            escaped = np.abs(modes[near] - expected[near]) > before[near]
+            if before[near] > NEXT_TO_CENTS * _CENT or not escaped:
+                continue
+        found.setdefault(near, TakenMode(near, float(line[0]), -float(line[1])))
+    return list(found.values())
+
+
 def _may_be_a_mode(line: Array, log_hz: Array) -> bool:
-    """Whether a line (4,) is next to a mode, at log frequencies (a,), and suspiciously high."""
+    """Whether a line (4,) is next to a mode, at log frequencies (n,), and suspiciously high."""
     near = np.abs(log_hz - line[0]).min() < NEXT_TO_CENTS * _CENT
     return bool(near and height_db(line) > MOST_DB)

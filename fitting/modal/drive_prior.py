@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, optimize
 
 from holography.arrays import Array
@@ -112,24 +111,6 @@ def ripple_around(ripple: Ripple, covariance: Array) -> Ripple:
 def smooth_ripple(ripple: Ripple) -> Ripple:
     """Return a ripple that can follow no pole and no notch: its finer structure is the least."""
     return replace(ripple, log_size=np.full_like(ripple.log_size, np.log(_FINE_LIMITS[0])))
-
-
-def quiet_at(ripple: Ripple, nodes: NDArray[np.bool_]) -> Ripple:
-    """Return a ripple that has, at some nodes (n,), no pole and no notch, and never gets one.
-
-    Its finer structure is the least there, and at most that of data sheets.
-    """
-    return replace(
-        ripple,
-        log_size=np.where(nodes, np.log(_FINE_LIMITS[0]), ripple.log_size),
-        most=np.where(nodes, np.log(_FINE[0]), ripple.most),
-    )
-
-
-def louder_than_usual(ripple: Ripple) -> NDArray[np.bool_]:
-    """Mask (n,) of nodes with more of the finer structure than data sheets show."""
-    louder: NDArray[np.bool_] = ripple.log_size > np.log(_FINE[0])
-    return louder
 
 
 def strong_ripple(ripple: Ripple) -> Ripple:

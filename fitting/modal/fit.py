@@ -28,11 +28,17 @@ from numpy.typing import NDArray
 
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.modal.drive_lines import away_from, drive_lines, expecting, with_lines
+from fitting.modal.drive_lines import (
+    TakenMode,
+    away_from,
+    drive_lines,
+    expecting,
+    taken_modes,
+    with_lines,
+)
 from fitting.modal.drive_prior import (
     HELD_LEVEL,
     Ripple,
-    quiet_at,
     quiet_ripple,
     ripple_around,
     smooth_ripple,
@@ -65,7 +71,6 @@ from fitting.modal.rounds import (
     likeliest,
     one_round,
     probabilities,
-    suspect_lines,
     with_ripple,
 )
 from fitting.parallel.processes import map_processes
@@ -84,6 +89,9 @@ _IMPROBABLE = 1.3e-3
 # sweep of series A gave changed by less than a tenth of its standard errors (X4: by a third), and
 # rough fits took half the time.
 _ROUGH_STEPS = 4
+
+# Prior standard deviation of a log frequency that is held: a small part of the width of a mode.
+_HELD = 1e-3
 
 _STAGES = (
     Stage(0.3, 0.05, 0.01, 0.05, 1),
@@ -146,9 +154,7 @@ def fit_modes(
     if rough or drive_dof == KNOWN_DRIVE_DOF:
         return _finish(displacements, basis.names, [Optimum.of(model, end)])
     found = _with_lines(Search(model, given, _optima(model, given, state, scatter)))
-    for line in suspect_lines(likeliest(found.optima)):
-        found = _without_line(found, line, centre_hz)
-    return _finish(displacements, basis.names, found.optima)
+    return _finish(displacements, basis.names, _challenged(found, centre_hz).optima)
 
 
 @dataclass(frozen=True)
@@ -184,39 +190,65 @@ def _optima(model: Model, given: Given, state: State, scatter: Scatter) -> list[
     return list(map_processes(optimum, (smooth_ripple(model.ripple), strong_ripple(model.ripple))))
 
 
-def _without_line(search: Search, line: NDArray[np.bool_], centre_hz: Array) -> Search:
-    """Try to explain a sweep without a line of the drive, at nodes (n,), that may be a mode.
+def _challenged(search: Search, centre_hz: Array) -> Search:
+    """Try, for each line of the drive that may have taken a mode, the mode in its place."""
+    tried = set[int]()
+    while True:
+        best = likeliest(search.optima)
+        taken = [
+            each
+            for each in taken_modes(best, drive_lines(best, search.bare))
+            if each.mode not in tried
+        ]
+        if not taken:
+            return search
+        tried.add(taken[0].mode)
+        search = _with_mode_for_line(search, taken[0], centre_hz)
+
+
+def _with_mode_for_line(search: Search, taken: TakenMode, centre_hz: Array) -> Search:
+    """Try to explain a sweep by a mode where the drive has a line.
 
     The resonance of a mode that moves the reed almost alone looks like a line of the drive. With
     that line the fit leaves less scatter, so that the line seems sure. Modes and scatter are
-    therefore found again without the line. Both explanations are compared with that scatter, and
-    the likelier one is taken.
+    therefore found again, first with the mode held in its place. Both explanations are compared
+    with that scatter, and the likelier one is taken.
     """
-    best, given = likeliest(search.optima), search.given
+    best, given, bare = likeliest(search.optima), search.given, search.bare
     displacements, noise = given.displacements, noise_of(given.displacements)
-    # Elsewhere the ripple of the best fit may be wrong, too, and so may lines at other modes. But
-    # without the notches of distant lines, modes are found in their place.
-    quiet = quiet_at(replace(search.bare.ripple, most=best.model.ripple.most), line)
+    # Without the notches of distant lines, modes are found in their place.
     modes = np.concatenate([np.log(centre_hz), best.logs[: len(centre_hz)]])
-    bare = replace(search.bare, ripple=quiet)
     expected = expecting(bare, away_from(drive_lines(best, bare), modes))
     shared = _first_shared(displacements, given.drift)
     model, state = _staged(expected, displacements, noise, shared, centre_hz)
     prior = stage_prior(model, LAST, centre_hz, participation_scale(model, state))
-    there, scatter = replace(given, noise=noise, prior=prior), _FIRST_SCATTER
+    held, state = _held_at(model, prior, state, taken)
+    there, scatter = Given(displacements, given.drift, noise, held), _FIRST_SCATTER
     for _ in range(_ROUNDS):
         end = one_round(model, there, state, scatter)
         state, there, scatter = end.state, replace(there, noise=end.noise), end.next_scatter
     bare = replace(bare, log_volts=bare.log_volts + (model.log_volts - expected.log_volts)[0])
-    without = _with_lines(Search(bare, there, _optima(bare, there, state, scatter)))
+    best_held = likeliest(_optima(bare, there, state, scatter))
+    there = replace(there, prior=prior)
+    released = with_ripple(best_held.model, there, best_held.end.state, scatter)
+    other = _with_lines(Search(bare, there, [released]))
     again = with_ripple(best.model, given, best.end.state, scatter)
     before = _with_lines(Search(search.bare, given, [again]))
-    both = [*without.optima, *before.optima]
-    if np.sum(probabilities(both)[: len(without.optima)]) < _IMPROBABLE:
+    both = [*other.optima, *before.optima]
+    if np.sum(probabilities(both)[: len(other.optima)]) < _IMPROBABLE:
         return search
     # Later comparisons need the prior and the noise of the likeliest.
-    likelier = max(without, before, key=lambda each: likeliest(each.optima).log_evidence)
+    likelier = max(other, before, key=lambda each: likeliest(each.optima).log_evidence)
     return replace(likelier, optima=both)
+
+
+def _held_at(model: Model, prior: Prior, state: State, taken: TakenMode) -> tuple[Prior, State]:
+    """Put a mode where a line is, and hold its frequency there."""
+    x, precision, centre = state.x.copy(), prior.precision.copy(), prior.centre.copy()
+    at = taken.mode, 2 * model.powers.shape[1]
+    x[at], x[at[0], at[1] + 1] = taken.log_hz, taken.log_loss
+    centre[at], precision[at] = taken.log_hz, _HELD**-2
+    return Prior(centre, precision), replace(state, x=x)
 
 
 def _first_shared(displacements: Displacements, drift: FieldDrift) -> SharedError:

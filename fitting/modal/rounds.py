@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import softmax
 
 from fitting.holograms.displacement import Displacements
@@ -16,7 +15,6 @@ from fitting.modal.drive_prior import (
     FoundRipple,
     KnownMagnitude,
     found_ripple,
-    louder_than_usual,
 )
 from fitting.modal.field_drift import FieldDrift, found_walk, shared_error
 from fitting.modal.loss_difference import loss_response, with_losses
@@ -46,10 +44,6 @@ _MOST_RIPPLES, _SETTLED = 8, 0.2
 # The normal distribution function of z is the logistic function of this times z, within 0.01
 # (G. Camilli 1994, Journal of Educational and Behavioral Statistics 19:293).
 _PROBIT = 1.702
-# A line of the drive next to a mode is suspect above this, in nepers: 15 dB. Loudspeakers and
-# chambers have few sharper poles and notches, and a mode that moves the reed almost alone may be
-# taken for one.
-_SUSPECT = 15 / 8.686
 
 
 @dataclass(frozen=True)
@@ -299,24 +293,6 @@ def _error_of_sum(values: Array, lags: int) -> float:
     products = [float(off[lag:] @ off[: len(off) - lag]) for lag in range(lags + 1)]
     more = sum((1 - lag / (lags + 1)) * products[lag] for lag in range(1, lags + 1))
     return float(np.sqrt(max(products[0] + 2 * more, 0.0)))
-
-
-def suspect_lines(at: Optimum) -> list[NDArray[np.bool_]]:
-    """Return masks (n,) of successive nodes where the drive has a high line, with a mode in it."""
-    ripple, log_hz = at.model.ripple, np.log(at.model.hz)
-    magnitude = at.end.state.log_drive.real - at.model.log_volts
-    loud, lines = louder_than_usual(ripple), list[NDArray[np.bool_]]()
-    for nodes in np.split(np.arange(len(loud)), np.flatnonzero(np.diff(loud)) + 1):
-        if not loud[nodes[0]]:
-            continue
-        inside = np.flatnonzero(ripple.weights[:, nodes].sum(axis=1) > 0)
-        ends = inside[[0, -1]]
-        chord = np.interp(log_hz[inside], log_hz[ends], magnitude[ends])
-        modes = at.logs[: len(at.model.active)]
-        among = (modes > log_hz[ends[0]]) & (modes < log_hz[ends[1]])
-        if among.any() and np.abs(magnitude[inside] - chord).max() > _SUSPECT:
-            lines.append(np.isin(np.arange(len(loud)), nodes))
-    return lines
 
 
 def _found_ripple(model: Model, end: "Round") -> FoundRipple:

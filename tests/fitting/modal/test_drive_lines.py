@@ -8,88 +8,92 @@ import pytest
 
 from fitting.acoustics.poles import DriveLines
 from fitting.modal import fit as modal_fit
-from fitting.modal.drive_lines import _may_be_a_mode, away_from, expecting, with_lines
-from fitting.modal.drive_prior import (
-    louder_than_usual,
-    quiet_at,
-    quiet_ripple,
-    strong_ripple,
+from fitting.modal.drive_lines import (
+    TakenMode,
+    _may_be_a_mode,
+    away_from,
+    expecting,
+    taken_modes,
+    with_lines,
 )
+from fitting.modal.drive_prior import quiet_ripple
 from fitting.modal.fit import _staged
 from fitting.modal.model import Model
-from fitting.modal.rounds import suspect_lines, with_ripple
+from fitting.modal.rounds import with_ripple
 from tests.fitting.modal.test_fit import DRIVE_HZ, MODE_HZ, cents, planted
 
 HZ = 1500 * 2 ** (np.arange(120) * 25 / 1200)
 LINE_HZ, QUALITY = 3000.0, 30.0
 
 
-def optimum(height_db, modes_hz):
-    """A drive with a peak whose finer structure is louder there."""
-    ripple = quiet_ripple(HZ)
-    nodes_hz = HZ[0] * (HZ[-1] / HZ[0]) ** np.linspace(0, 1, len(ripple.log_size))
-    near = np.abs(np.log(nodes_hz / LINE_HZ)) < 0.2
-    ripple = replace(ripple, log_size=np.where(near, np.log(0.5), np.log(0.05)))
-    line = 1 / (1 + (QUALITY * (HZ / LINE_HZ - LINE_HZ / HZ)) ** 2)
-    magnitude = height_db / 8.686 * line + 0.4 * np.log(HZ / HZ[0])
-    model = SimpleNamespace(
-        ripple=ripple, hz=HZ, log_volts=np.ones(len(HZ)), active=np.arange(len(modes_hz))
-    )
-    end = SimpleNamespace(state=SimpleNamespace(log_drive=magnitude + model.log_volts + 0.3j))
-    logs = np.concatenate([np.log(modes_hz), np.log(0.03) * np.ones(len(modes_hz))])
-    return SimpleNamespace(model=model, end=end, logs=logs), near
+def line(hz, height_db):
+    """A line of the drive, in phase with the direct path at its pole."""
+    return [np.log(hz), np.log(QUALITY), 0.0, (10 ** (height_db / 20) - 1) / QUALITY]
 
 
-@pytest.mark.parametrize("height_db", [20.0, -20.0])
-def test_a_high_line_with_a_mode_in_it_is_suspect(height_db):
-    at, near = optimum(height_db, [1700.0, 3020.0])
-    (line,) = suspect_lines(at)
-    assert line.tolist() == near.tolist()
+def optimum(found_hz, expected_hz):
+    count = len(found_hz)
+    model = SimpleNamespace(active=np.arange(count), reference_hz=np.array(expected_hz))
+    logs = np.concatenate([np.log(found_hz), np.log(0.03) * np.ones(count)])
+    return SimpleNamespace(model=model, logs=logs)
 
 
-def test_a_low_line_is_not():
-    assert suspect_lines(optimum(12.0, [1700.0, 3020.0])[0]) == []
+def taken(found_hz, expected_hz, *lines):
+    given = DriveLines(np.array(lines), np.eye(4 * len(lines)))
+    return taken_modes(optimum(found_hz, expected_hz), given)
 
 
-def test_a_line_between_modes_is_not():
-    assert suspect_lines(optimum(20.0, [1700.0, 5500.0])[0]) == []
+def test_a_high_line_next_to_a_mode_may_be_the_mode():
+    (mode,) = taken([1700.0, 3020.0], [1700.0, 3020.0], line(LINE_HZ, 20.0))
+    assert (mode.mode, mode.log_hz, mode.log_loss) == (1, np.log(LINE_HZ), -np.log(QUALITY))
 
 
-def test_without_a_line_the_finer_structure_is_the_least_there_only():
-    ripple = optimum(20.0, [3000.0])[0].model.ripple
-    loud = louder_than_usual(ripple)
-    quiet = quiet_at(ripple, loud)
-    assert np.exp(quiet.log_size[loud]) == pytest.approx(0.012)
-    assert (quiet.log_size[~loud] == ripple.log_size[~loud]).all()
+def test_a_low_line_next_to_a_mode_is_one_of_the_drive():
+    assert taken([1700.0, 3020.0], [1700.0, 3020.0], line(LINE_HZ, 12.0)) == []
+
+
+def test_a_line_between_modes_is_one_of_the_drive():
+    assert taken([1700.0, 5500.0], [1700.0, 5500.0], line(LINE_HZ, 20.0)) == []
+
+
+def test_a_line_of_any_height_may_be_a_mode_that_has_gone_from_there():
+    """Next to a line that has taken all of its resonance, a mode may be found anywhere."""
+    (mode,) = taken([1700.0, 2600.0], [1700.0, 2980.0], line(LINE_HZ, 8.0))
+    assert mode.mode == 1
+    assert taken([1700.0, 2985.0], [1700.0, 2980.0], line(LINE_HZ, 8.0)) == []
+
+
+def test_each_mode_is_looked_for_in_its_highest_line():
+    (mode,) = taken([2600.0], [3000.0], line(2950.0, 8.0), line(3050.0, 12.0))
+    assert mode.log_hz == pytest.approx(np.log(3050.0))
 
 
 @pytest.mark.parametrize("better", [True, False])
 def test_the_likelier_explanation_is_taken_at_one_scatter(monkeypatch, better):
-    sweep, seen = planted(), []
-    evidence = [0.0, 0.0, 20.0 if better else -20.0, -90.0, 0.0]
-    shift = [0.02, 0.02, 0.05, 0.1, 0.03]
+    sweep, seen, held = planted(), [], []
+    # Two starts, two with the mode held, released, and the first again.
+    evidence = [0.0, 0.0, 0.0, 0.0, 20.0 if better else -20.0, 0.0]
+    shift = [0.02, 0.02, 0.05, 0.05, 0.05, 0.02]
+    there = TakenMode(1, float(np.log(sweep.hz[1])) + 0.01, float(np.log(0.02)))
 
     def counted(model, given, state, scatter):
         number = len(seen)
         found = with_ripple(model, given, state, scatter)
-        seen.append((model, scatter))
-        # Every optimum seems to need a loud drive everywhere.
-        loud = replace(found.model, ripple=strong_ripple(found.model.ripple))
-        logs = found.logs + shift[number]
-        return replace(found, model=loud, log_evidence=evidence[number], logs=logs)
+        seen.append(scatter)
+        own = 2 * model.powers.shape[1]
+        held.append((given.prior.centre[1, own], given.prior.precision[1, own]))
+        return replace(found, log_evidence=evidence[number], logs=found.logs + shift[number])
 
-    line = np.arange(len(quiet_ripple(sweep.volts * 0 + HZ[: len(sweep.volts)]).log_size)) == 2
+    once = iter([[there], []])
     monkeypatch.setattr(modal_fit, "with_ripple", counted)
     # Calls are counted in this process.
     monkeypatch.setattr(modal_fit, "map_processes", map)
-    monkeypatch.setattr(modal_fit, "suspect_lines", lambda _: [line])
+    monkeypatch.setattr(modal_fit, "taken_modes", lambda *_: next(once))
     found = sweep.fit()
-    assert len(seen) == 5
-    smooth, strong = seen[2][0].ripple, seen[3][0].ripple
-    assert np.exp(smooth.log_size) == pytest.approx(0.012)
-    assert np.exp(strong.log_size) == pytest.approx(np.where(line, 0.1, 0.7))
-    assert np.exp(strong.most) == pytest.approx(np.where(line, 0.1, 0.86))
-    assert seen[2][1] is seen[3][1] is seen[4][1]
+    assert len(seen) == 6
+    assert seen[2] is seen[3] is seen[4] is seen[5]
+    assert held[2] == held[3] == (there.log_hz, pytest.approx(1e6))
+    assert held[4][1] == held[0][1] < 1e4
     # Frequencies are within a few cents of those planted, but for the shift.
     moved = np.log(found.hz / sweep.hz[:5])
     assert moved == pytest.approx(0.05 if better else 0.02, abs=2e-3)
@@ -98,22 +102,23 @@ def test_the_likelier_explanation_is_taken_at_one_scatter(monkeypatch, better):
 @pytest.mark.parametrize("better", [True, False])
 def test_the_next_line_is_judged_by_the_prior_of_the_likelier_explanation(monkeypatch, better):
     sweep, seen = planted(), []
-    # Without a line, and with it: the first comparison leaves both probable.
-    evidence = [0.0, 0.0, 1.0 if better else -1.0, -90.0, 0.0, -90.0, -90.0, 0.0]
+    # The first comparison leaves both explanations probable.
+    other = 1.0 if better else -1.0
+    evidence = [0.0, 0.0, 0.0, 0.0, other, 0.0, -90.0, -90.0, -90.0, 0.0]
 
     def counted(model, given, state, scatter):
         found = replace(with_ripple(model, given, state, scatter), log_evidence=evidence[len(seen)])
         seen.append(given)
         return found
 
-    nodes = np.arange(len(quiet_ripple(HZ[: len(sweep.volts)]).log_size))
+    modes = iter([[TakenMode(m, float(np.log(sweep.hz[m])), -3.5)] for m in (1, 2)])
     monkeypatch.setattr(modal_fit, "with_ripple", counted)
     # Calls are counted in this process.
     monkeypatch.setattr(modal_fit, "map_processes", map)
-    monkeypatch.setattr(modal_fit, "suspect_lines", lambda _: [nodes == 2, nodes == 3])
+    monkeypatch.setattr(modal_fit, "taken_modes", lambda *_: next(modes, []))
     sweep.fit()
-    _, _, without, _, before, _, _, again = seen
-    assert again is (without if better else before)
+    assert len(seen) == 10
+    assert seen[9] is (seen[4] if better else seen[5])
 
 
 def chamber(pole_hz, strength=0.35, quality=20.0):
@@ -160,7 +165,7 @@ def test_a_high_line_next_to_a_mode_is_not_expected_of_the_drive(mode_hz, streng
     assert _may_be_a_mode(line, np.log([2000.0, mode_hz])) is may_be
 
 
-def test_a_search_without_a_line_begins_from_distant_lines_and_then_has_none(monkeypatch):
+def test_a_search_for_a_mode_begins_from_distant_lines_and_then_has_none(monkeypatch):
     sweep, staged, searched = planted(), [], []
     first_hz = sweep.hz[0]
     # One line is next to a mode, the other lies between the second and the third.
@@ -176,17 +181,17 @@ def test_a_search_without_a_line_begins_from_distant_lines_and_then_has_none(mon
         searched.append(model.log_volts)
         return with_ripple(model, given, state, scatter)
 
-    nodes = np.zeros(len(quiet_ripple(DRIVE_HZ).log_size), bool)
+    once = iter([[TakenMode(0, float(np.log(first_hz)), -3.5)], []])
     monkeypatch.setattr(modal_fit, "_staged", seen_staged)
     monkeypatch.setattr(modal_fit, "with_ripple", seen_search)
     monkeypatch.setattr(modal_fit, "with_lines", lambda *_: None)
     monkeypatch.setattr(modal_fit, "drive_lines", lambda *_: lines)
     monkeypatch.setattr(modal_fit, "map_processes", map)
-    monkeypatch.setattr(modal_fit, "suspect_lines", lambda _: [nodes])
+    monkeypatch.setattr(modal_fit, "taken_modes", lambda *_: next(once))
     sweep.fit()
     expected = np.diff(log_of_line(distant_hz, DRIVE_HZ))
     assert np.diff(staged[1] - staged[0]) == pytest.approx(expected, abs=1e-12)
-    assert len(searched) == 5
+    assert len(searched) == 6
     assert np.ptp(np.array(searched) - staged[0], axis=1) == pytest.approx(0, abs=1e-12)
 
 

@@ -45,10 +45,9 @@ def with_lines(at: Optimum, given: Given, bare: Model) -> Optimum | None:
     Optimum or None
         With the scatter of `at`, so that their evidence can be compared.
     """
-    modes, lines = at.logs[: len(bare.active)], drive_lines(at, bare)
-    lines = lines.only(
-        np.array([not _may_be_a_mode(line, modes) for line in lines.parameters], bool)
-    )
+    lines, (modes, losses) = drive_lines(at, bare), at.logs.reshape(2, -1)
+    own = [_may_be_a_mode(line, modes, np.exp(losses)) for line in lines.parameters]
+    lines = lines.only(~np.array(own, bool))
     if not lines.parameters.size:
         return None
     start = replace(bare, ripple=smooth_ripple(at.model.ripple))
@@ -116,7 +115,7 @@ def taken_modes(at: Optimum, lines: DriveLines) -> list[TakenMode]:
     for line in sorted(lines.parameters, key=height_db, reverse=True):
         beside, before = np.abs(modes - line[0]), np.abs(expected - line[0])
         near = int(beside.argmin())
-        if not _may_be_a_mode(line, modes):
+        if not _may_be_a_mode(line, modes, NEXT_TO_CENTS * _CENT):
             near = int(before.argmin())
             escaped = np.abs(modes[near] - expected[near]) > before[near]
             if before[near] > NEXT_TO_CENTS * _CENT or not escaped:
@@ -125,7 +124,10 @@ def taken_modes(at: Optimum, lines: DriveLines) -> list[TakenMode]:
     return list(found.values())
 
 
-def _may_be_a_mode(line: Array, log_hz: Array) -> bool:
-    """Whether a line (4,) is next to a mode, at log frequencies (n,), and suspiciously high."""
-    near = np.abs(log_hz - line[0]).min() < NEXT_TO_CENTS * _CENT
+def _may_be_a_mode(line: Array, log_hz: Array, width: Array | float) -> bool:
+    """Whether a line (4,) is suspiciously high, and next to a mode, at log frequencies (n,).
+
+    `width` (n,), in log frequency, is how far a line may be from a mode.
+    """
+    near = np.any(np.abs(log_hz - line[0]) < width)
     return bool(near and height_db(line) > MOST_DB)

@@ -52,7 +52,7 @@ class Model:
     ripple : Ripple
         Prior of the drive's smooth log magnitude.
     powers : (k, n) float
-        Chebyshev polynomials of log frequency.
+        Chebyshev polynomials of frequency.
     reference : (m, j) float
         Shapes S.
     reference_hz : (m,) float

@@ -162,7 +162,7 @@ def test_a_mode_in_the_notch_of_a_chamber_is_where_it_is(monkeypatch):
 ])  # fmt: skip
 def test_a_high_line_next_to_a_mode_is_not_expected_of_the_drive(mode_hz, strength, may_be):
     line = np.array([np.log(4300.0), np.log(20.0), strength, 0.0])
-    assert _may_be_a_mode(line, np.log([2000.0, mode_hz])) is may_be
+    assert _may_be_a_mode(line, np.log([2000.0, mode_hz]), 0.03) is may_be
 
 
 def test_a_search_for_a_mode_begins_from_distant_lines_and_then_has_none(monkeypatch):

@@ -101,10 +101,55 @@ def alternating_step(sweep: Sweep, at: Solution) -> tuple[Solution, FieldStep]:
     The smooth factor is fitted together with the amplitudes. What is small, corrections within
     blocks and the variance of the noise, follows one step later.
     """
-    problem, smooth = sweep.problem, sweep.smooth
-    steps = np.arange(len(at.gain))
-    size = at.amplitude.shape[1]
-    weak = FINAL_RAD**-2 * np.eye(size)
+    half = _half_step(sweep, at)
+    now, weight = half.solution, half.weight
+    size = now.amplitude.shape[1]
+    held = 0.5 * np.diag([FINAL_RAD**-2] * 2 * size + [2 * sweep.problem.half_gain_precision])
+    precise = with_weights_of(middle(sweep.exact, now, half.within), half.weighed)
+    linear = linearise(precise, sweep.smooth, now.object_field, now.amplitude, now.gain, weight)
+    x = np.concatenate([now.amplitude.real, now.amplitude.imag, now.gain[:, None]], axis=1)
+    step = field_step(linear, held, x, weight, common=sweep.common)
+    # Holograms in a wrong fringe can make the step too long for the linearisation: it is cut.
+    largest = float(np.abs(log_field_factor(sweep.smooth, step.move)).max())
+    fraction = min(1.0, _LARGEST_STEP / max(largest, 1e-12))
+    # Holograms that are not explained do not follow: their equations mean little.
+    follow = weight > _LEAST_WEIGHT
+    y = np.where(follow[:, None], x + fraction * step.holograms, x)
+    factor = field_factor(sweep.smooth, fraction * step.move)
+    found = replace(
+        now,
+        amplitude=y[:, :size] + 1j * y[:, size:-1],
+        gain=y[:, -1],
+        object_field=now.object_field * factor,
+    )
+    return found, step
+
+
+@dataclass(frozen=True)
+class _HalfStep:
+    """Amplitudes of all holograms for a given object field, then this field for them.
+
+    Attributes
+    ----------
+    solution : Solution
+    misfit, weight : (k,) float
+        Squared residuals before the object field is fitted, and the weights that follow from them.
+    weighed : Problem
+        With the noise that was used.
+    within : WithinBlocks
+        See `fitting.holograms.within_blocks`; None without slopes.
+    """
+
+    solution: Solution
+    misfit: Array
+    weight: Array
+    weighed: Problem
+    within: WithinBlocks | None
+
+
+def _half_step(sweep: Sweep, at: Solution) -> _HalfStep:
+    problem, steps = sweep.problem, np.arange(len(at.gain))
+    weak = FINAL_RAD**-2 * np.eye(at.amplitude.shape[1])
     within = within_blocks(problem, at.amplitude)
     own = weighed(middle(problem, at, within), at)
     a, gain, misfit = fit_amplitudes(
@@ -115,27 +160,7 @@ def alternating_step(sweep: Sweep, at: Solution) -> tuple[Solution, FieldStep]:
     positions = speckle_positions(
         with_weights_of(problem, own), within, a, gain, now.object_field, weight
     )
-    now = replace(now, positions=positions)
-    held = 0.5 * np.diag([FINAL_RAD**-2] * 2 * size + [2 * problem.half_gain_precision])
-    precise = with_weights_of(middle(sweep.exact, now, within), own)
-    linear = linearise(precise, smooth, now.object_field, a, gain, weight)
-    x = np.concatenate([a.real, a.imag, gain[:, None]], axis=1)
-    step = field_step(linear, held, x, weight, common=sweep.common)
-    # Holograms in a wrong fringe can make the step too long for the linearisation: it is cut.
-    largest = float(np.abs(log_field_factor(smooth, step.move)).max())
-    fraction = min(1.0, _LARGEST_STEP / max(largest, 1e-12))
-    # Holograms that are not explained do not follow: their equations mean little.
-    follow = weight > _LEAST_WEIGHT
-    y = np.where(follow[:, None], x + fraction * step.holograms, x)
-    factor = field_factor(smooth, fraction * step.move)
-    found = Solution(
-        y[:, :size] + 1j * y[:, size:-1],
-        y[:, -1],
-        now.object_field * factor,
-        now.field_variance,
-        now.positions,
-    )
-    return found, step
+    return _HalfStep(replace(now, positions=positions), misfit, weight, own, within)
 
 
 def with_field(
@@ -203,6 +228,9 @@ def cost(problem: Problem, at: Solution) -> Array:
 def settled(sweep: Sweep, at: Solution, most_turns: int) -> tuple[Solution, FieldStep]:
     """Repeat alternating steps until they lower the misfit, or move displacements, no more.
 
+    If the smooth factor stays as it is, the equations that would find it are needed for the first
+    and the last step only.
+
     Parameters
     ----------
     sweep : Sweep
@@ -211,16 +239,28 @@ def settled(sweep: Sweep, at: Solution, most_turns: int) -> tuple[Solution, Fiel
     most_turns : int
         Largest number of steps.
     """
-    before, seen = np.inf, sweep.problem.seen
-    for _ in range(most_turns):
+    seen, here = sweep.problem.seen, at.amplitude
+    at, step = alternating_step(sweep, at)
+    before, stale = _whole(step, seen), False
+    for _ in range(most_turns - 1):
+        if moved_alone(here, at.amplitude, step, seen) < _STILL:
+            break
         here = at.amplitude
-        at, step = alternating_step(sweep, at)
-        # Where the model itself is off, so is the measure of what is small.
-        now = whole_misfit(step.linear.normal.misfit / seen, seen)
-        if before - now < _SETTLED or moved_alone(here, at.amplitude, step, seen) < _STILL:
+        if sweep.common:
+            at, step = alternating_step(sweep, at)
+            now = _whole(step, seen)
+        else:
+            half = _half_step(sweep, at)
+            at, now, stale = half.solution, whole_misfit(half.misfit / seen, seen), True
+        if before - now < _SETTLED:
             break
         before = now
-    return at, step
+    return alternating_step(sweep, at) if stale else (at, step)
+
+
+def _whole(step: FieldStep, seen: Array) -> float:
+    # Where the model itself is off, so is the measure of what is small.
+    return whole_misfit(step.linear.normal.misfit / seen, seen)
 
 
 def moved_alone(before: ComplexArray, now: ComplexArray, step: FieldStep, seen: Array) -> float:

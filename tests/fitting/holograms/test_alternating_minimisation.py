@@ -173,3 +173,29 @@ def test_turns_end_with_displacements_that_more_turns_do_not_change(monkeypatch)
     late, _ = settled(all_of_it, start, 60)
     assert len(taken) == turns + 60
     assert moved_alone(early.amplitude, late.amplitude, last, sweep.problem.seen) < 0.2
+
+
+def test_with_the_factor_held_its_equations_are_needed_at_both_ends_only(monkeypatch):
+    sweep, linearised = Sweep(6.0), []
+    plain = settling.linearise
+
+    def counted(*args):
+        linearised.append(args)
+        return plain(*args)
+
+    held = replace(whole_sweep(sweep), common=False)
+    off = 1 + 0.05 * complex_normal(np.random.default_rng(5), HOLOGRAMS, FUNCTIONS)
+    start = replace(truth(sweep), amplitude=sweep.a * off)
+    at = start
+    for _ in range(40):
+        at, step = alternating_step(held, at)
+    monkeypatch.setattr(settling, "linearise", counted)
+    quick, last = settled(held, start, 40)
+    assert len(linearised) == 2
+    assert moved_alone(quick.amplitude, at.amplitude, step, sweep.problem.seen) < 0.1
+    # The equations that are returned are those of the end.
+    ends = last.linear.normal.misfit, step.linear.normal.misfit
+    np.testing.assert_allclose(*ends, rtol=1e-2)
+    linearised.clear()
+    settled(held, start, 1)
+    assert len(linearised) == 1

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fitting.acoustics.poles import MOST_DB, NEXT_TO_CENTS, ExcitationPeak
+from fitting.acoustics.poles import MOST_DB, NEXT_TO_CENTS, WITHIN_CENTS, ExcitationPeak
 from fitting.cane.excess_scatter import added_cents
 from holography.arrays import Array
 
@@ -78,11 +78,12 @@ class SeenPeak:
 
     @property
     def suspect(self) -> bool:
-        """Whether it is next to a mode, and higher than acoustic resonances are.
+        """Whether it is within a mode's width, and higher than acoustic resonances are.
 
         The drive has then probably absorbed vibration of the mode.
         """
-        return self.next_to_mode and self.peak.height_db > MOST_DB
+        within = self.mode is not None and abs(self.mode.cents) < WITHIN_CENTS
+        return within and self.peak.height_db > MOST_DB
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,8 @@ _OFF = 1.0
 # A peak is next to a mode that is this near: two widths at half power of a mode with a loss factor
 # of 0.03, 52 cents each.
 NEXT_TO_CENTS = 100.0
+# ... and within one: there, the fit divides one resonance between both.
+WITHIN_CENTS = 52.0
 # A resonance in parallel to a direct path seldom amplifies more: cavities next to the beam of a
 # tweeter show 3 to 12 dB. Chosen: the line of the paper's bench has some 10 dB.
 MOST_DB = 15.0

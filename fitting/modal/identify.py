@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from fitting.acoustics.poles import (
     MOST_DB,
+    WITHIN_CENTS,
     ExcitationPeak,
     find_excitation_peaks,
 )
@@ -362,19 +363,19 @@ def _measurement_doubts(sweep: MeasuredSweep) -> list[str]:
 def _absorbed(sweep: MeasuredSweep) -> dict[int, ExcitationPeak]:
     """Return the modes that the drive has probably absorbed, with the peak of the drive.
 
-    Acoustic resonances are not as high. Within the width of the mode at half power, the fit divides
-    one resonance between drive and mode, and its standard errors hold for this division only. Next
-    to a line that has taken all of its resonance a mode may be found anywhere: lines where it was
-    expected count, too.
+    Acoustic resonances are not as high. Within the width of a mode the fit divides one resonance
+    between drive and mode, and its standard errors hold for this division only. Next to a line that
+    has taken all of its resonance a mode may be found anywhere: lines where it was expected count,
+    too.
     """
     found = dict[int, ExcitationPeak]()
     modes = [m for m, doubt in enumerate(_own_doubts(sweep)) if not doubt]
-    own_hz, width = sweep.modal.hz[modes], sweep.modal.loss_factor[modes]
     expected_hz = np.array([sweep.start_hz[sweep.modal.names[m]] for m in modes])
     for peak in sweep.drive_peaks:
-        off = np.min(np.abs(np.log(np.stack([own_hz, expected_hz]) / peak.hz)), axis=0)
-        if peak.height_db > MOST_DB and len(modes) and np.min(off - width) < 0:
-            found[modes[int(np.argmin(off - width))]] = peak
+        both_hz = np.stack([sweep.modal.hz[modes], expected_hz])
+        off = np.min(np.abs(np.log(both_hz / peak.hz)), axis=0) / _CENT
+        if peak.height_db > MOST_DB and len(modes) and off.min() < WITHIN_CENTS:
+            found[modes[int(off.argmin())]] = peak
     return found
 
 

@@ -65,15 +65,12 @@ class Ripple:
         Weights of the nodes in every hologram.
     log_size : (n,) float
         Log of the finer structure's standard deviation, in nepers, at the nodes.
-    most : (n,) float
-        The largest values that it can have.
     """
 
     coarse: Array
     fine: Array
     weights: Array
     log_size: Array
-    most: Array
 
     @property
     def finer(self) -> Array:
@@ -96,8 +93,8 @@ def quiet_ripple(hz: Array, level: float = ANY_LEVEL) -> Ripple:
     intervals = max(int(np.ptp(log_hz) / _NODE), 1)
     at = (log_hz - log_hz.min()) / max(np.ptp(log_hz), 1e-9) * intervals
     weights = np.maximum(0, 1 - np.abs(at[:, None] - np.arange(intervals + 1)))
-    log_size, most = (np.full(intervals + 1, np.log(size)) for size in (_FINE[0], _FINE_LIMITS[1]))
-    return Ripple(coarse, _matern(log_hz, _FINE[1]), weights, log_size, most)
+    log_size = np.full(intervals + 1, np.log(_FINE[0]))
+    return Ripple(coarse, _matern(log_hz, _FINE[1]), weights, log_size)
 
 
 def ripple_around(ripple: Ripple, covariance: Array) -> Ripple:
@@ -115,7 +112,7 @@ def smooth_ripple(ripple: Ripple) -> Ripple:
 
 def strong_ripple(ripple: Ripple) -> Ripple:
     """Return a ripple that can follow poles and notches everywhere."""
-    return replace(ripple, log_size=np.minimum(np.log(_STRONG), ripple.most))
+    return replace(ripple, log_size=np.full_like(ripple.log_size, np.log(_STRONG)))
 
 
 @dataclass(frozen=True)
@@ -273,7 +270,8 @@ def found_ripple(start: Ripple, known: KnownMagnitude, gain: float, dof: float) 
         See `drive_prior`.
     """
     variance = np.full(len(known.pull), gain**2)
-    ripple, bounds = start, [(np.log(_FINE_LIMITS[0]), most) for most in start.most]
+    least, most = np.log(_FINE_LIMITS)
+    ripple, bounds = start, [(least, most)] * len(start.log_size)
     for _ in range(_RIPPLE_TURNS):
 
         def cost(log_size: Array, variance: Array = variance) -> tuple[float, Array]:

@@ -136,7 +136,7 @@ class _HalfStep:
         Squared residuals before the object field is fitted, and the weights that follow from them.
     weighed : Problem
         With the noise that was used.
-    within : WithinBlocks
+    within : WithinBlocks, optional
         See `fitting.holograms.within_blocks`; None without slopes.
     """
 
@@ -237,7 +237,7 @@ def settled(sweep: Sweep, at: Solution, most_turns: int) -> tuple[Solution, Fiel
     at : Solution
         Start.
     most_turns : int
-        Largest number of steps.
+        Largest number of steps; one more with the equations if the factor stays as it is.
     """
     seen, here = sweep.problem.seen, at.amplitude
     at, step = alternating_step(sweep, at)

@@ -61,8 +61,8 @@ _FIRST_MAXIMUM_RAD = 1.84
 _MOST_RETRIES = 8
 # A gain that is farther off is tried again: chance makes one in 16,000 so.
 _MOST_DEVIATIONS = 4.0
-# Alternating steps after which a group in other fringes must be explained better. Chosen: groups
-# that were better showed it after the first.
+# Alternating steps after which a group in other fringes must be explained better. Chosen: a bound
+# of the time; a group that needs more of them stays where it is.
 _GROUP_TURNS = 4
 # Largest factor of a displacement from one hologram to the next: that of `_SIZES`.
 _STEEPEST = 1.7

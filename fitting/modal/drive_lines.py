@@ -113,8 +113,8 @@ def taken_modes(at: Optimum, lines: DriveLines) -> list[TakenMode]:
     modes = at.logs[: len(model.active)]
     expected = np.log(model.reference_hz[model.active])
     for line in sorted(lines.parameters, key=height_db, reverse=True):
-        beside, before = np.abs(modes - line[0]), np.abs(expected - line[0])
-        near = int(beside.argmin())
+        before = np.abs(expected - line[0])
+        near = int(np.abs(modes - line[0]).argmin())
         if not _may_be_a_mode(line, modes, NEXT_TO_CENTS * _CENT):
             near = int(before.argmin())
             escaped = np.abs(modes[near] - expected[near]) > before[near]

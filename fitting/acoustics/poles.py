@@ -280,15 +280,15 @@ class _Fit:
                 best, least = grid[gained.argmax()], gained.max()
         return float(best)
 
-    def _residual(self, flat: Array, tops: Sequence[float]) -> Array:
+    def residual(self, flat: Array, tops: Sequence[float]) -> Array:
         """Return whitened residuals of the drive, and of the prior of all lines."""
         parameters = flat.reshape(-1, _PARAMETERS)
         centre = np.array([[np.log(top), _LOG_QUALITY, 0.0, 0.0] for top in tops])
         prior = (parameters - centre) / _SPREAD
         return np.concatenate([self._whitened(parameters), prior.ravel()])
 
-    def _jacobian(self, flat: Array, tops: Sequence[float]) -> Array:
-        """Return the derivatives of `_residual`."""
+    def jacobian(self, flat: Array, tops: Sequence[float]) -> Array:
+        """Return the derivatives of `residual`."""
         slopes = _slopes(flat.reshape(-1, _PARAMETERS), self.hz)
         return np.concatenate([-self.whitening @ slopes, np.diag(1 / np.tile(_SPREAD, len(tops)))])
 
@@ -300,9 +300,9 @@ class _Fit:
             line = [np.log(tops[-1]), np.log(quality), strength.real, strength.imag]
             start = np.concatenate([found.ravel(), line])
             solution = least_squares(
-                self._residual,
+                self.residual,
                 start,
-                self._jacobian,
+                self.jacobian,
                 args=(tops,),
                 method="lm",
                 x_scale="jac",
@@ -326,7 +326,7 @@ class _Fit:
         ripple : (k, k) float
             Covariance of the smooth drive.
         """
-        jacobian = self._jacobian(found.ravel(), tops)
+        jacobian = self.jacobian(found.ravel(), tops)
         covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian))
         # Parameters as linear functions of the log magnitude.
         by_drive = covariance @ jacobian[: len(self.hz)].T @ self.whitening

@@ -8,6 +8,7 @@ from scipy import stats
 
 from fitting.acoustics.poles import (
     DriveLines,
+    _fit_of,
     find_excitation_peaks,
     height_db,
     lines_of_drive,
@@ -235,3 +236,17 @@ def test_a_line_of_a_fitted_drive_is_where_it_was_put(line_hz):
         pulls.append((peak.hz - line_hz) / peak.error_hz)
         assert peak.error_hz < 60
     assert np.abs(pulls).max() < 4
+
+
+def test_derivatives_of_the_fit_of_lines_are_exact():
+    hz = 2000 * 2 ** (np.arange(100) * 25 / 1200)
+    rng = np.random.default_rng(4)
+    fit = _fit_of(hz, rng.standard_normal(100), 1e-3 * np.eye(100), 0.01, None)
+    lines = np.array([[np.log(2900.0), 3.0, 0.2, 0.1], [np.log(5100.0), 2.5, -0.1, 0.2]])
+    tops, step = [2950.0, 5000.0], 1e-6
+    moved = [
+        (fit.residual(lines.ravel() + m, tops) - fit.residual(lines.ravel() - m, tops))
+        for m in step * np.eye(8)
+    ]
+    exact = fit.jacobian(lines.ravel(), tops)
+    np.testing.assert_allclose(exact, np.array(moved).T / (2 * step), rtol=1e-5, atol=1e-5)

@@ -12,7 +12,7 @@ from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.drive_prior import HELD_LEVEL, quiet_ripple
 from fitting.modal.field_drift import FieldDrift
 from fitting.modal.first_state import at_level
-from fitting.modal.fit import _mixture, fit_modes
+from fitting.modal.fit import _mixture, _model, fit_modes
 from fitting.modal.model import (
     KNOWN_DRIVE_DOF,
     UNKNOWN_DRIVE_DOF,
@@ -466,6 +466,15 @@ def test_what_is_not_known_of_a_drive_adds_to_the_errors_of_modes():
     assert (more > 0.95).all()
     assert more[3] > 1.1
     assert (np.abs(cents(fits[1].hz, sweep.hz[:5])) < 3 * fits[1].error_cents).all()
+
+
+def test_participations_are_polynomials_of_frequency(sweep):
+    """Over the same octave, they may change less at low frequencies than at high ones."""
+    model, _ = _model(sweep.basis, DRIVE_HZ, sweep.volts, sweep.start_hz, UNKNOWN_DRIVE_DOF)
+    first = np.polynomial.Polynomial.fit(DRIVE_HZ, model.powers[:, 1], 1)
+    np.testing.assert_allclose(first(DRIVE_HZ), model.powers[:, 1], atol=1e-12)
+    assert model.powers[[0, -1], 1] == pytest.approx([-1, 1])
+    assert model.powers.shape[1] == 5
 
 
 def test_a_mixture_has_the_moments_of_what_is_drawn_from_it():

@@ -12,7 +12,7 @@ from fitting.cane.residual_map import residual_map
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
 from fitting.fringes.start_frequencies import _outweighing, _room_cents
-from fitting.modal.identify import _with_smooth_drive, fit_jointly, joint_fit_of, mac
+from fitting.modal.identify import _absorbed, _with_smooth_drive, fit_jointly, joint_fit_of, mac
 from fitting.modal.refit import fit_same_reed
 from fitting.names.naming import SURE, ModeNaming, name_modes
 from physics.plausible.reeds import PlausibleReeds
@@ -210,6 +210,19 @@ def test_a_mode_that_the_drive_has_absorbed_is_not_identified(sweep):
         (seen,) = (each for each in shown.excitation_peaks if each.mode.name == "T2")
         assert seen.suspect == refused
         assert seen.peak.hz == pytest.approx(found.frequency_hz, rel=5e-3)
+
+
+def test_a_mode_that_has_left_its_place_to_a_line_is_not_identified(sweep):
+    """Next to a line that has taken all of its resonance, a mode may be found anywhere."""
+    joint, found = sweep.joint, sweep.resonances["T2"]
+    ratio = joint.block_amplitudes.drive_hz / found.frequency_hz
+    line = 1 + 0.5 / (1 - ratio**2 + 1j * ratio / 20)
+    own = joint.names.index("T2")
+    hz = joint.modal.hz.copy()
+    hz[own] *= 2 ** (150 / 1200)
+    modal = replace(joint.modal, hz=hz, drive=joint.modal.drive * line)
+    assert _absorbed(refit_of(joint, modal=modal)).keys() == {own}
+    assert _absorbed(refit_of(joint, modal=replace(modal, drive=joint.modal.drive))) == {}
 
 
 def test_a_mode_above_the_last_step_is_not_identified(sweep):

@@ -7,9 +7,11 @@ import pytest
 from scipy import integrate, optimize, stats
 
 from fitting.modal.drive_prior import (
+    HELD_LEVEL,
     LEAST_GAIN,
     DrivePrior,
     KnownMagnitude,
+    _size_equations,
     drive_prior,
     found_gain,
     found_ripple,
@@ -121,6 +123,33 @@ def test_the_sizes_maximise_the_density_of_magnitudes():
             lambda log_size, node=node: -density(node, log_size), bounds=np.log((0.012, 2.3))
         )
         assert best.x == pytest.approx(found.log_size[node], abs=0.05)
+
+
+def test_the_evidence_of_sizes_is_the_normal_density_and_its_derivatives_are_those_of_the_cost():
+    rng = np.random.default_rng(6)
+    magnitude = POLE + NOISE * rng.standard_normal(len(HZ))
+    variance = LEAST_GAIN**2 * rng.uniform(1, 5, len(HZ))
+    ripple = quiet_ripple(HZ, HELD_LEVEL)
+    sizes = ripple.log_size + 0.5 * rng.standard_normal(len(ripple.log_size))
+
+    def at(log_size):
+        return _size_equations(replace(ripple, log_size=log_size), known(magnitude), variance)
+
+    def density(log_size):
+        covariance = replace(ripple, log_size=log_size).covariance + np.diag(variance + NOISE**2)
+        prior = np.sum(np.log(np.cosh(log_size - np.log(0.1))))
+        return stats.multivariate_normal(cov=covariance).logpdf(magnitude) - prior
+
+    here, moved = at(sizes), sizes + 0.3
+    assert at(moved).cost - here.cost == pytest.approx(
+        -2 * (density(moved) - density(sizes)), rel=1e-5
+    )
+    for step in 1e-4 * np.eye(len(sizes)):
+        ahead, behind = at(sizes + step), at(sizes - step)
+        slope = (ahead.cost - behind.cost) / 2e-4
+        assert slope == pytest.approx(step @ here.gradient / 1e-4, rel=1e-4, abs=1e-3)
+        bend = (ahead.gradient - behind.gradient) / 2e-4
+        np.testing.assert_allclose(bend, here.hessian @ step / 1e-4, rtol=1e-4, atol=1e-3)
 
 
 def test_a_prior_that_a_fit_had_is_taken_out():

@@ -115,13 +115,14 @@ class BasisSettings:
         Coordinates per part that leave the clamp at rest; 7 for each of these modes if not given.
     snapshots : int
         Canes whose modes are computed, in addition to those at the four corners of E_L and G_LT
-        and in the middle.
+        and in the middle. With 12, 16, 20 and 28 the farthest mode below 20 kHz of 24 other canes
+        is 3.1, 2.1, 1.7 and 1.5 cents off; each costs 3 s of one processor.
     """
 
     box: ReedBox = ReedBox()
     modes: int | None = None
     size: int | None = None
-    snapshots: int = 28
+    snapshots: int = 20
 
 
 @dataclass(frozen=True)

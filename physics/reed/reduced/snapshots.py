@@ -33,8 +33,8 @@ from physics.reed.reduced.reed import CONSTANTS, BasisSettings
 # Modes of a plate are evenly spaced in frequency, and the softest cane of the usual box has a third
 # more of them below 20 kHz than the one in the middle; this many more are taken.
 _TAKEN_BEYOND = Fraction(1, 3)
-# Coordinates per mode taken. Chosen: with 6.4, 7, 7.6 and 8.3 the farthest mode below 20 kHz is
-# 2.4, 2.2, 1.5 and 1.3 cents off at 16 corners and edges of the box; 3 are allowed
+# Coordinates per mode taken. Chosen: with 7 and 8 the farthest mode below 20 kHz is 1.7 and 1.2
+# cents off for 24 canes, half of them at corners of the box; 3 are allowed
 # (`studies.reduced_basis`).
 _SIZE_PER_MODE = 7.0
 # Modes of one part sought at first, and beyond which a search ends; a clarinet's reed has nine
@@ -106,6 +106,23 @@ class Elements:
 
 
 @dataclass(frozen=True)
+class _Factored:
+    """Motions of a part of a reed of the cane in the middle of the box.
+
+    Attributes
+    ----------
+    motions : Motions
+    stiffness : (f, f) sparse
+    solve : callable
+        Takes forces (f, ...) to displacements at rest.
+    """
+
+    motions: Motions
+    stiffness: sparse.csc_array
+    solve: Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
 class _Middle:
     """The cane in the middle of the box.
 
@@ -171,15 +188,8 @@ def spanning_shapes(
     """
     box, (*corners, middle_cane) = settings.box, network(settings)
     loads = _trial_loads(geometry, elements)
-    stiff = elements.stiffness(middle_cane)
     with ThreadPoolExecutor(_THREADS) as pool:
-        modes = settings.modes
-        if modes is None:
-            counts = pool.map(lambda part: _modes_below(part, stiff, middle_cane), elements.motions)
-            modes = max(count + math.ceil(_TAKEN_BEYOND * count) for count in counts)
-        middles = list(
-            pool.map(lambda part: _middle(part, stiff, loads, _START * modes), elements.motions)
-        )
+        modes, middles = _middles(elements, middle_cane, loads, settings.modes, pool)
 
         def shapes(cane: Cane) -> list[Array]:
             own = elements.stiffness(cane)
@@ -223,7 +233,24 @@ def _stretched(places: Array) -> Array:
     return np.asarray(np.clip(_STRETCH * (places - 0.5) + 0.5, 0, 1))
 
 
-def _modes_below(part: Motions, stiff: sparse.csc_array, cane: Cane) -> int:
+def _middles(
+    elements: Elements, cane: Cane, loads: Array, modes: int | None, pool: ThreadPoolExecutor
+) -> tuple[int, list[_Middle]]:
+    """Return how many modes are taken of each part, if that is not given, and the middle cane's."""
+    stiff = elements.stiffness(cane)
+    parts = list(pool.map(lambda part: _factored(part, stiff), elements.motions))
+    if modes is None:
+        counts = pool.map(lambda part: _modes_below(part, cane), parts)
+        modes = max(count + math.ceil(_TAKEN_BEYOND * count) for count in counts)
+    return modes, list(pool.map(lambda part: _middle(part, loads, _START * modes), parts))
+
+
+def _factored(motions: Motions, stiff: sparse.csc_array) -> _Factored:
+    K = stiff[motions.free][:, motions.free]
+    return _Factored(motions, K, factor(K))
+
+
+def _modes_below(part: _Factored, cane: Cane) -> int:
     """How many modes a part has below 20 kHz; at least one.
 
     Raises
@@ -231,15 +258,14 @@ def _modes_below(part: Motions, stiff: sparse.csc_array, cane: Cane) -> int:
     ImpossibleReedError
         If it has over 100.
     """
-    K = stiff[part.free][:, part.free]
-    solve, count = factor(K), _FIRST_COUNT * len(part.symmetries)
-    most = _MOST_MODES * len(part.symmetries)
+    motions = part.motions
+    count, most = (n * len(motions.symmetries) for n in (_FIRST_COUNT, _MOST_MODES))
     while True:
         # The sparse solver finds a part of all modes only.
-        count = min(count, len(part.free) // 2)
-        unit_hz = lowest_modes(K, part.mass, count, solve)[0]
+        count = min(count, len(motions.free) // 2)
+        unit_hz = lowest_modes(part.stiffness, motions.mass, count, part.solve)[0]
         below = int(np.count_nonzero(unit_hz < HIGHEST_HZ * math.sqrt(cane.density_kg_m3)))
-        if below < count or count == len(part.free) // 2:
+        if below < count or count == len(motions.free) // 2:
             return max(below, 1)
         if count > most:
             raise ImpossibleReedError(
@@ -249,11 +275,10 @@ def _modes_below(part: Motions, stiff: sparse.csc_array, cane: Cane) -> int:
         count *= 2
 
 
-def _middle(part: Motions, stiff: sparse.csc_array, loads: Array, count: int) -> _Middle:
-    K = stiff[part.free][:, part.free]
-    solve = factor(K)
-    hz, shapes = lowest_modes(K, part.mass, min(count, len(part.free) // 2), solve)
-    return _Middle(K, shapes[:, np.argsort(hz)], solve(loads[part.free]))
+def _middle(part: _Factored, loads: Array, count: int) -> _Middle:
+    free, count = part.motions.free, min(count, len(part.motions.free) // 2)
+    hz, shapes = lowest_modes(part.stiffness, part.motions.mass, count, part.solve)
+    return _Middle(part.stiffness, shapes[:, np.argsort(hz)], part.solve(loads[free]))
 
 
 def _weighted_modes(

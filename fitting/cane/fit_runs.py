@@ -14,7 +14,7 @@ from fitting.amplitudes.peaks import PeakAmplitudes
 from fitting.amplitudes.response import Response, joint_response
 from fitting.amplitudes.vamp import vamp_points
 from fitting.cane.cane_losses import CaneLosses, fit_losses
-from fitting.cane.model_errors import ModelErrors, model_errors
+from fitting.cane.model_errors import model_errors
 from fitting.cane.over_density import QUOTED_HZ
 from fitting.cane.reed_fit import ReedParameters, fit_components
 from fitting.cane.sweep_fit import ReedFit, SweepFit
@@ -344,7 +344,7 @@ def fit_runs(
             return ReedFit(tuple(sweeps), None, reason)
         try:
             resonances = {Series(s.series): s.resonances for s in sweeps}
-            parameters = fit_components(resonances, forward, _unknown(model, reed))
+            parameters = _parameters(resonances, forward, reed)
         except FitError as error:
             return ReedFit(tuple(sweeps), None, str(error))
         return ReedFit(tuple(sweeps), parameters, losses=_losses(sweeps, parameters, reed))
@@ -366,11 +366,25 @@ def _losses(
     return found
 
 
-def _unknown(model: ModelName, reed: ReducedReed) -> ModelErrors | None:
-    """Return what the finite elements do not know of a reed; the paper's model is as printed."""
-    if model == "paper" or not is_even(reed.geometry):
-        return None
-    return model_errors(ReedSolver(reed), BenchParameters(), PAPER_MODES)
+def _parameters(
+    resonances: Mapping[Series, Mapping[str, Resonance]], model: ForwardModel, reed: ReducedReed
+) -> ReedParameters:
+    """Fit the components, with what the finite elements do not know of a reed.
+
+    How that moves modes depends on the cane: it is computed for the cane of the population, and
+    once more for the cane that is found. The paper's model is as printed.
+    """
+    if isinstance(model, PaperModel) or not is_even(reed.geometry):
+        return fit_components(resonances, model)
+    solver, nominal = ReedSolver(reed), BenchParameters()
+    found = fit_components(resonances, model, model_errors(solver, nominal, PAPER_MODES))
+    components = Components(**{name: each.value for name, each in found.components.items()})
+    # Of a reed of impossible cane nothing can be computed; and other modes may exchange shapes.
+    with suppress(ImpossibleReedError, FitError):
+        cane = viscoelastic_cane(components, Series.A)
+        own = replace(nominal, reed=replace(nominal.reed, cane=cane))
+        return fit_components(resonances, model, model_errors(solver, own, PAPER_MODES))
+    return found
 
 
 # How the resonances of a run are found, by method.

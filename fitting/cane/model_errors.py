@@ -82,7 +82,7 @@ def model_errors(solver: ReedSolver, nominal: BenchParameters, modes: Sequence[s
     solver : ReedSolver
         Of the kind of reed.
     nominal : BenchParameters
-        With the cane of the population.
+        The reed as far as it is known.
     modes : sequence of str
 
     Raises

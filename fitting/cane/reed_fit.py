@@ -33,6 +33,9 @@ _LEAST_SIMILARITY = 0.85
 _FARTHEST_SD = 6.0
 # A component this close to a limit is at the limit.
 _AT_LIMIT_SD = 1e-3
+# Step of numeric derivatives, small next to how components bend frequencies and large next to the
+# rounding of the iteration over frequencies.
+_DIFFERENCE_SD = 1e-3
 # Residuals beyond this many standard errors have less weight in the first, robust fit.
 _OUTLIER = 2.0
 # ... in which all errors are at least that of a step of 25 cents (25 / √12).
@@ -214,10 +217,21 @@ class _Problem:
             own = self.residual_cents(values) / errors
             return np.concatenate([own, values[self.count :]])
 
+        def slopes(values: Array) -> Array:
+            """Causes move modes in proportion: only components need differences."""
+            step = _DIFFERENCE_SD * np.eye(len(start))[: self.count]
+            moved = [
+                self.residual_cents(values + d) - self.residual_cents(values - d) for d in step
+            ]
+            own = np.hstack([np.stack(moved, axis=1) / (2 * _DIFFERENCE_SD), -self.patterns])
+            return np.vstack([own / errors[:, None], np.eye(len(start))[self.count :]])
+
         farthest = np.full(len(start), np.inf)
         farthest[: self.count] = _FARTHEST_SD
         limits = (-farthest, farthest)
-        solution = least_squares(weighted, start, bounds=limits, loss=loss, f_scale=_OUTLIER)
+        solution = least_squares(
+            weighted, start, slopes, bounds=limits, loss=loss, f_scale=_OUTLIER
+        )
         return solution.x, np.asarray(solution.jac, dtype=float)
 
 

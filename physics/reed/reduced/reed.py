@@ -122,7 +122,7 @@ class BasisSettings:
     box: ReedBox = ReedBox()
     modes: int | None = None
     size: int | None = None
-    snapshots: int = 20
+    snapshots: int = 28
 
 
 @dataclass(frozen=True)

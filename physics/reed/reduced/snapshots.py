@@ -33,7 +33,7 @@ from physics.reed.reduced.reed import CONSTANTS, BasisSettings
 # Modes of a plate are evenly spaced in frequency, and the softest cane of the usual box has a third
 # more of them below 20 kHz than the one in the middle; this many more are taken.
 _TAKEN_BEYOND = Fraction(1, 3)
-# Coordinates per mode taken. Chosen: with 7 and 8 the farthest mode below 20 kHz is 1.7 and 1.2
+# Coordinates per mode taken. Chosen: with 7 and 8 the farthest mode below 20 kHz is 1.5 and 1.1
 # cents off for 24 canes, half of them at corners of the box; 3 are allowed
 # (`studies.reduced_basis`).
 _SIZE_PER_MODE = 7.0

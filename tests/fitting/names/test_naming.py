@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fitting.cane.over_density import QUOTED_HZ
 from fitting.modal.identify import final_names
 from fitting.names.measured import measured_modes
 from fitting.names.naming import (
@@ -21,12 +20,6 @@ from fitting.names.naming import (
 from fitting.names.reed_posterior import _Question, _towards, reed_posterior
 from fitting.names.straight_lines import with_straight_lines
 from physics.errors import ImpossibleReedError
-from physics.reed.cane.viscoelastic import (
-    Components,
-    Series,
-    storage_modulus_pa,
-    viscoelastic_cane,
-)
 from physics.reed.elements.fem import Symmetry
 from physics.reed.mode_classification import ModeDescriptor, names_of
 from physics.reed.reduced.elastic import all_descriptors
@@ -75,17 +68,7 @@ def test_modes_of_an_unusual_reed_have_their_names(reeds, visible, planted, seed
     }
     assert len(likeliest) >= 9
     assert all(name == own for name, own in likeliest.items())
-    # Two components have nearly the same effect; the moduli that they make are known. 15 % moves a
-    # mode by half the usual distance to the next one.
-    true, middle = log_moduli(e1, e2, e3), log_moduli(0.0, 0.0, 0.0)
-    off = np.abs(log_moduli(*best.mean[:3]) - true)
-    assert np.all(off < np.maximum(0.15, np.abs(middle - true) / 5))
-
-
-def log_moduli(e1, e2, e3):
-    """Log of the storage moduli E_L and G_LT at 4 kHz."""
-    cane = viscoelastic_cane(Components(e1, e2, e3), Series.A)
-    return np.log([storage_modulus_pa(one, QUOTED_HZ) for one in (cane.young_L, cane.shear_LT)])
+    assert best.mean[:3] == pytest.approx([e1, e2, e3], abs=1.5)
 
 
 def test_a_step_towards_an_impossible_reed_ends_at_a_possible_one(reeds, visible):

@@ -23,8 +23,9 @@ from fitting.holograms.problem import (
 from fitting.parallel.threads import map_threads
 from holography.arrays import Array, ComplexArray, IndexArray
 
-# Total degree in x and y of the polynomial that is the factor's logarithm.
-_DEGREE = 6
+# Total degree in x and y of the polynomial that is the factor's logarithm: enough to turn the shape
+# of F1 into that of any mode below 20 kHz (decision 0047).
+_DEGREE = 10
 # Prior standard deviation of each coefficient, in nepers or rad: weak, for the directions that the
 # data do not determine.
 _LOOSE = 1.0

@@ -211,7 +211,7 @@ def test_a_descent_takes_no_turn_that_makes_it_worse():
 
 @pytest.mark.parametrize("orders", [(0,), (2,), (0, 2)])
 def test_gradients_of_the_light_follow_all_sidebands(orders):
-    sweep, count = Sweep(orders), 28
+    sweep, count = Sweep(orders), 66
 
     def misfit(move):
         factor = np.exp(sweep.smooth @ (move[:count] + 1j * move[count:]))
@@ -236,7 +236,7 @@ def test_light_is_coupled_to_displacement_with_brightness_and_phase_free(order):
         np.zeros(HOLOGRAMS),
         sweep.weight,
     )
-    matrix = np.zeros((56, 56))
+    matrix = np.zeros((132, 132))
     for k in np.flatnonzero(np.arange(HOLOGRAMS) != 2):
         lit = sweep.c[order][k] * sweep.object_field
         at = lit * sideband(order, sweep.a[k] @ sweep.functions.T)

@@ -11,7 +11,7 @@ from fitting.holograms.object_field import (
 )
 from fitting.modal.field_drift import field_drift, found_walk, shared_error
 
-HOLOGRAMS, AMPLITUDES, ERRORS = 61, 4, 55
+HOLOGRAMS, AMPLITUDES, ERRORS = 61, 4, 131
 
 
 @pytest.fixture

@@ -370,16 +370,16 @@ def test_an_error_that_all_displacements_share_is_found(sweep):
     rng = np.random.default_rng(12)
     holograms, size = len(DRIVE_HZ), 2 * FUNCTIONS
     power = np.sqrt(np.mean(np.abs(sweep.displacements.amplitude_rad) ** 2, axis=1))
-    # 55 is the number of parameters of an object field's smooth factor.
-    response = power[:, None, None] * rng.standard_normal((holograms, size, 55))
-    planted_error = 0.03 * rng.standard_normal(55)
+    # 131 is the number of parameters of an object field's smooth factor.
+    response = power[:, None, None] * rng.standard_normal((holograms, size, 131))
+    planted_error = 0.03 * rng.standard_normal(131)
     moved = np.einsum("kxq,q->kx", response, planted_error)
     amplitude = sweep.displacements.amplitude_rad - moved[:, :FUNCTIONS]
     amplitude = amplitude - 1j * moved[:, FUNCTIONS:]
-    nothing = np.zeros((holograms, 55))
-    error = CommonModeError(response, np.zeros((holograms, 55, 55)), nothing)
+    nothing = np.zeros((holograms, 131))
+    error = CommonModeError(response, np.zeros((holograms, 131, 131)), nothing)
     fit = sweep.fit(amplitude_rad=amplitude, common_mode=error)
-    assert fit.common_mode_shift.shape == (holograms, 55)
+    assert fit.common_mode_shift.shape == (holograms, 131)
     off = fit.common_mode_shift - planted_error
     assert np.sqrt(np.mean(off**2)) < 0.2 * np.sqrt(np.mean(planted_error**2))
     assert (np.abs(cents(fit.hz, sweep.hz[:5])) < 3.5 * fit.error_cents).all()
@@ -390,8 +390,8 @@ def test_what_light_says_of_that_error_counts_wherever_displacements_were_linear
     rng = np.random.default_rng(13)
     holograms, size = len(DRIVE_HZ), 2 * FUNCTIONS
     power = np.sqrt(np.mean(np.abs(sweep.displacements.amplitude_rad) ** 2, axis=1))
-    response = power[:, None, None] * rng.standard_normal((holograms, size, 55))
-    expected, own = 0.02 * rng.standard_normal(55), 40.0 * np.eye(55)
+    response = power[:, None, None] * rng.standard_normal((holograms, size, 131))
+    expected, own = 0.02 * rng.standard_normal(131), 40.0 * np.eye(131)
     moved = np.einsum("kxq,q->kx", response, expected)
     precision, before = np.tile(own, (holograms, 1, 1)), sweep.displacements.amplitude_rad
     pull = np.tile(own @ expected, (holograms, 1))

@@ -64,6 +64,9 @@ _TURNS, _LINEAR = 2, 0.03
 # its edges and its peak, some at a time (decision 0035). Chosen: a bound of the time; the largest
 # group so far, 15 outliers, changed no more after four.
 _MOST_TURNS = 8
+# Fraction of outliers within the width of a mode on both sides above which it is not identified:
+# most of what it should be seen by was left out.
+_MOST_OFF = 0.5
 # Fraction of unexplained holograms above which no mode of a sweep is identified.
 _MOST_UNREACHED = 0.2
 # ... and discrepancy of the model: it is 0.02 for reeds with shape errors of 10 µm, and 0.2 for
@@ -391,6 +394,9 @@ def _doubt(modal: ModalFit, m: int, block_amplitudes: BlockAmplitudes) -> str:
         return f"its amplitude is below {_DEVIATIONS:g} times its standard error"
     if modal.error_cents[m] > _WIDEST_CENTS:
         return f"the standard error of its frequency is {modal.error_cents[m]:.0f} cents"
+    near = np.abs(np.log(block_amplitudes.drive_hz / modal.hz[m])) < modal.loss_factor[m]
+    if np.any(near) and np.mean(modal.off[near]) > _MOST_OFF:
+        return "most holograms at its resonance are in another fringe, or are not explained"
     # A resonance shows by the response on both sides of it.
     width = 0.5 * float(modal.loss_factor[m]) + _CENT * float(modal.error_cents[m])
     first, last = float(block_amplitudes.drive_hz[0]), float(block_amplitudes.drive_hz[-1])

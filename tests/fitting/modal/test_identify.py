@@ -231,6 +231,18 @@ def test_a_mode_that_has_left_its_place_to_a_line_is_not_identified(sweep):
     assert _absorbed(refit_of(joint, modal=replace(modal, drive=joint.modal.drive))) == {}
 
 
+def test_a_mode_whose_own_holograms_are_left_out_is_not_identified(sweep):
+    """Its neighbours do not tell where it is; one outlier does no harm."""
+    joint, found = sweep.joint, sweep.resonances["T2"]
+    near = np.abs(np.log(joint.block_amplitudes.drive_hz / found.frequency_hz)) < found.loss_factor
+    one = np.zeros_like(near)
+    one[np.flatnonzero(near)[0]] = True
+    for off, refused in ((near, True), (one, False)):
+        changed = refit_of(joint, modal=replace(joint.modal, off=joint.modal.off | off))
+        assert ("T2" in changed.not_identified) == refused
+        assert {*changed.resonances, "T2"} == set(sweep.resonances)
+
+
 def test_a_mode_above_the_last_step_is_not_identified(sweep):
     """F4 of this reed is 60 cents above it; the fit finds something at 17.1 kHz."""
     last_hz = sweep.joint.block_amplitudes.drive_hz[-1]

@@ -14,9 +14,10 @@ import numpy as np
 from fitting.holograms.object_field import CommonModeError, of_low_degree
 from holography.arrays import Array, IndexArray
 
-# Tilt, curvature and their next order: what air and temperature do to a beam. A uniform change of
-# the magnitude is left out (decision 0031): laser power is a gain of the hologram.
-_DEGREE = 3
+# Air and temperature tilt and bend a beam. Speckle that is renewed changes all degrees alike: the
+# higher ones are left to the noise, for time (decision 0047). A uniform change of the magnitude is
+# left out (decision 0031): laser power is a gain of the hologram.
+_DEGREE = 5
 # Holograms between two nodes, at least, and most nodes. Chosen: three times the width of a
 # resonance in steps of 25 cents, so that the drift cannot follow one; the walk within is noise.
 _SPACING, _MOST_NODES = 12, 17

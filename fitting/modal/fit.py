@@ -76,8 +76,9 @@ from fitting.modal.rounds import (
 from fitting.parallel.processes import map_processes
 from holography.arrays import Array
 
-# Participations are polynomials of the root of frequency of this degree (decision 0048).
-_DEGREE = 5
+# Participations are polynomials of frequency of this degree: the shape of the pressure on the reed
+# changes with the length of chamber and reed in wavelengths (decision 0045).
+_DEGREE = 4
 # How often the discrepancy is estimated, and how often if the modes are known from another fit.
 _ROUNDS, _AGAIN = 3, 2
 # Scatter before the first residuals are known.
@@ -263,8 +264,8 @@ def _model(
     """Set up the model; also return the start frequencies (a,) of the active modes."""
     active = np.array([m for m, name in enumerate(basis.names) if name in start_hz])
     centre_hz = np.array([start_hz[basis.names[m]] for m in active])
-    root = np.sqrt(drive_hz)
-    spread = (2 * root - root[0] - root[-1]) / (root[-1] - root[0])
+    middle_hz = 0.5 * (drive_hz[0] + drive_hz[-1])
+    spread = (drive_hz - middle_hz) / (drive_hz[-1] - middle_hz)
     powers = np.polynomial.chebyshev.chebvander(spread, _DEGREE)
     shifts = np.log(centre_hz / basis.hz[active])
     reference_hz = basis.hz * np.exp(np.median(shifts))

@@ -14,9 +14,9 @@ import numpy as np
 from fitting.holograms.object_field import CommonModeError, of_low_degree
 from holography.arrays import Array, IndexArray
 
-# Air and temperature tilt and bend a beam. Speckle that is renewed changes all degrees alike: the
-# higher ones are left to the noise, for time (decision 0047). A uniform change of the magnitude is
-# left out (decision 0031): laser power is a gain of the hologram.
+# Air and temperature tilt and bend a beam. Speckle that is renewed changes all degrees equally:
+# the higher ones are left to the noise, for time (decision 0047). A uniform change of the magnitude
+# is left out (decision 0031): laser power is a gain of the hologram.
 _DEGREE = 5
 # Holograms between two nodes, at least, and most nodes. Chosen: three times the width of a
 # resonance in steps of 25 cents, so that the drift cannot follow one; the walk within is noise.

@@ -28,22 +28,22 @@ def moved(u):
 class Sweep:
     """Block amplitudes by the formula, of holograms with a largest phase of `largest_rad`."""
 
-    def __init__(self, largest_rad, noise=1.0, seed=0):
+    def __init__(self, largest_rad, noise=1.0, seed=0, holograms=HOLOGRAMS):
         rng = np.random.default_rng(seed)
         self.x, self.y = rng.uniform(0, 30e-3, POINTS), rng.uniform(-6e-3, 6e-3, POINTS)
         u = 1 - self.x / 35e-3
         shapes = np.stack([u**2, u**2 * self.y / 6e-3, u**3 * np.cos(150 * self.x)], axis=1)
         self.functions = np.linalg.svd(shapes, full_matrices=False)[0] * np.sqrt(POINTS)
-        a = complex_normal(rng, HOLOGRAMS, FUNCTIONS)
+        a = complex_normal(rng, holograms, FUNCTIONS)
         a *= largest_rad / np.abs(a @ self.functions.T).max(axis=1)[:, None]
-        self.a = a * rng.uniform(0.3, 1, HOLOGRAMS)[:, None]
-        self.gain = 0.02 * rng.standard_normal(HOLOGRAMS)
+        self.a = a * rng.uniform(0.3, 1, holograms)[:, None]
+        self.gain = 0.02 * rng.standard_normal(holograms)
         self.object_field = 30 * complex_normal(rng, POINTS)
         seen = np.exp(self.gain)[:, None] * self.object_field * moved(self.a @ self.functions.T)
-        value = (seen + noise * complex_normal(rng, HOLOGRAMS, POINTS)).T
+        value = (seen + noise * complex_normal(rng, holograms, POINTS)).T
         self.problem = Problem.of(value, self.functions, BesselTable())
         self.smooth = smooth_functions(self.x, self.y)
-        self.weight = rng.uniform(0.5, 1, HOLOGRAMS)
+        self.weight = rng.uniform(0.5, 1, holograms)
 
     def linear(self, object_field=None, a=None):
         object_field = self.object_field if object_field is None else object_field

@@ -17,7 +17,8 @@ from fitting.names.naming import (
     name_probabilities,
     named,
 )
-from fitting.names.reed_posterior import _Question, _towards, reed_posterior
+from fitting.names.reed_fit import Question, towards
+from fitting.names.reed_posterior import reed_posterior
 from fitting.names.straight_lines import with_straight_lines
 from physics.errors import ImpossibleReedError
 from physics.reed.elements.fem import Symmetry
@@ -71,17 +72,17 @@ def test_modes_of_an_unusual_reed_have_their_names(reeds, visible, planted, seed
     assert best.mean[:3] == pytest.approx([e1, e2, e3], abs=1.5)
 
 
-def test_a_step_towards_an_impossible_reed_ends_at_a_possible_one(reeds, visible):
-    question = _Question(reeds, visible, (7.2, 9.9))
+def test_a_steptowards_an_impossible_reed_ends_at_a_possible_one(reeds, visible):
+    question = Question(reeds, visible, (7.2, 9.9))
     middle, best = np.zeros((2, len(reeds.names)))
     best[reeds.names.index("nu_LT")] = 100.0
-    possible = _towards(question, middle, 1e-2 * best).parameters
+    possible = towards(question, middle, 1e-2 * best).parameters
     assert possible == pytest.approx(1e-2 * best)
-    farthest = float(_towards(question, middle, best).parameters.max())
+    farthest = float(towards(question, middle, best).parameters.max())
     assert 0.05 < farthest <= 2.0
     beyond = best + 40 * (best > 0)
     with pytest.raises(ImpossibleReedError):
-        _towards(question, beyond, 2 * beyond)
+        towards(question, beyond, 2 * beyond)
 
 
 def test_at_an_avoided_crossing_the_name_is_not_sure(reeds, visible, planted):

@@ -129,7 +129,9 @@ def name_modes(
                 total[name] = total.get(name, 0.0) + weight * probability
     labels = [modal.names[m] for m in index]
     choices = named(dict(zip(labels, probabilities, strict=True)))
-    stiffenings = zip(*(stiffening_of(reeds, each) for each in found), strict=True)
+    free = reeds.with_free_growth()
+    grown = [each.free_growth for each in found if each.free_growth]
+    stiffenings = zip(*(stiffening_of(free, each) for each in grown), strict=True)
     return {
         label: replace(
             naming,

@@ -1,7 +1,7 @@
 """Least-squares fit of a plausible reed to modes of a sweep, which are assigned to its own.
 
-Parameters are normal with unit variance, but for shifts and couplings of modes. These are Student's,
-and their scale is estimated, and with it the odds that a measured mode is none of the reed's.
+Parameters are normal with unit variance, but for shifts and couplings of modes: these are
+Student's, of a scale that is estimated. It gives the odds that a mode is none of the reed's.
 """
 
 from dataclasses import dataclass, replace

@@ -79,6 +79,8 @@ class ReedPosterior:
         Probability that a measured mode is none of the reed's.
     shift_cents : float
         Scale of the shifts of modes.
+    free_growth : ReedPosterior, optional
+        The same with parameters of reeds whose moduli may grow otherwise than by hypothesis H4.
     """
 
     measured: MeasuredModes
@@ -92,6 +94,7 @@ class ReedPosterior:
     outside: Array
     spurious: Array
     shift_cents: float
+    free_growth: "ReedPosterior | None" = None
 
 
 def reed_posterior(
@@ -143,7 +146,11 @@ def reed_posterior(
         real = fit.data.real & (np.arange(len(before)) != worst)
         fit = replace(fit, data=replace(fit.data, real=real))
     fits = _comparable(question, [fit, *_exchanged(question, fit)])
-    return tuple(_result(question, each) for each in fits)
+    free = replace(question, reeds=reeds.with_free_growth())
+    return tuple(
+        replace(_result(question, each), free_growth=_result(free, _freed(free, reeds, each)))
+        for each in fits
+    )
 
 
 def _first(question: Question, measured: MeasuredModes) -> Fit:
@@ -289,6 +296,18 @@ def _comparable(question: Question, fits: list[Fit]) -> list[Fit]:
     best = np.argmin([fit.data.scatter for fit in fits], axis=0)
     common = weights[best, np.arange(weights.shape[1])]
     return [refitted(question, replace(fit, data=replace(fit.data, weight=common))) for fit in fits]
+
+
+def _freed(free: Question, reeds: PlausibleReeds, fit: Fit) -> Fit:
+    """Fit again with a free growth of moduli, the same modes and the same scatter of shapes."""
+    parameters = np.zeros(len(free.reeds.names))
+    parameters[np.isin(free.reeds.names, reeds.names)] = fit.here.parameters
+    fit = replace(fit, here=predict(free.reeds, free.visible, parameters))
+    for _ in range(_MOST_STEPS):
+        fit = refitted(free, fit)
+        if fit.moved < SETTLED:
+            break
+    return fit
 
 
 def _log_evidence(reeds: PlausibleReeds, fit: Fit) -> float:

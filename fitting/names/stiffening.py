@@ -65,14 +65,14 @@ def stiffening_of(reeds: PlausibleReeds, posterior: ReedPosterior) -> list[Stiff
     def exponents(parameters: Array) -> Array:
         return np.asarray(np.sum(parts[mode] * growth(reeds, parameters, hz), axis=1))
 
-    own = reeds.components
+    own = reeds.moduli
     moves = _STEP * np.eye(len(posterior.mean))[own]
-    by_component = [
+    by_parameter = [
         (exponents(posterior.mean + move) - exponents(posterior.mean - move)) / (2 * _STEP)
         for move in moves
     ]
-    slopes = np.stack(by_component, axis=1)
-    variance = np.einsum("ai,ij,aj->a", slopes, posterior.covariance[own, own], slopes)
+    slopes = np.stack(by_parameter, axis=1)
+    variance = np.einsum("ai,ij,aj->a", slopes, posterior.covariance[np.ix_(own, own)], slopes)
     return [
         Stiffening(float(value), float(np.sqrt(square))) if number >= 0 else None
         for value, square, number in zip(exponents(posterior.mean), variance, mode, strict=True)

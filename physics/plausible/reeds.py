@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from holography.arrays import Array
+from physics.effects.catalogue import BY_ID
 from physics.mechanics import CaneShift, RandomLayer, cane_law
 from physics.parameters.disorder import BY_NAME
 from physics.plausible.surfaces import ThicknessFunctions
@@ -38,6 +39,11 @@ _AIR = (1.0, 2.0)
 # Step of numerical derivatives of moduli by components of the cane, which are linear in them.
 _STEP = 1e-3
 _CONSTANTS = ("E_T", "E_R", "G_LR", "G_TR", "density", "nu_LT", "nu_LR", "nu_TR")
+# One standard deviation of the growth of E_L and G_LT with frequency, beyond that of their law.
+_GROWTHS = {
+    f"growth_{each.name}": each.spread for each in BY_ID["viscoelastic_stiffening"].parameters
+}
+_FIRST_LAYER = "thickness 1"
 _SHAPE = ("thickness_slope", "clamp_shift", "clamp_tilt")
 # Two modes that are closer than this fraction of a squared frequency are pushed apart in
 # derivatives of shapes (not in shapes): chosen, 2 cents, below the scatter of any model.
@@ -64,8 +70,9 @@ class PlausibleReeds:
     reed : ReducedReed
     series : Series
     names : tuple of str
-        Parameters: components and constants of the cane, then thickness, clamp and air, then the
-        shift of each mode of the reference, and the coupling of those that are close, in cents.
+        Parameters: components and constants of the cane, with the growth of E_L and G_LT where it
+        is free (see `with_free_growth`), then thickness, clamp and air, then the shift of each mode
+        of the reference, and the coupling of those that are close, in cents.
     reference : Vibrations
         Of the reed whose parameters are all 0, in vacuum.
     stiffness : (d, 9, m, m) float
@@ -150,14 +157,24 @@ class PlausibleReeds:
             np.concatenate([np.zeros_like(by_cane), mass]),
         )
 
+    def with_free_growth(self) -> "PlausibleReeds":
+        """Return the same reeds, of cane whose moduli may grow otherwise than by hypothesis H4.
+
+        The law of the paper is that of one brand. It is good for telling modes apart; how fast
+        moduli grow near a mode is known less well than by it.
+        """
+        count = self._cane_parameters
+        return replace(self, names=(*self.names[:count], *_GROWTHS, *self.names[count:]))
+
     def law(self, parameters: Array) -> CaneLaw:
         """Return the cane of the reed with parameters (p,)."""
         return _law(self.reed, self.series, dict(zip(self.names, parameters.tolist(), strict=True)))
 
     @property
-    def components(self) -> slice:
-        """Which parameters are components of the cane."""
-        return slice(0, self.names.index(_CONSTANTS[0]))
+    def moduli(self) -> NDArray[np.intp]:
+        """Numbers of the parameters that E_L and G_LT follow: components, and free growth."""
+        free = enumerate(self.names[: self._cane_parameters])
+        return np.array([number for number, name in free if name not in _CONSTANTS])
 
     @property
     def shifts(self) -> slice:
@@ -172,7 +189,7 @@ class PlausibleReeds:
 
     @property
     def _cane_parameters(self) -> int:
-        return self.names.index(_CONSTANTS[-1]) + 1
+        return self.names.index(_FIRST_LAYER)
 
     def _shifted(self, turned: Array) -> Array:
         """Return what shifts and couplings add (c, m, m), for modes as sums of characters (r, m).
@@ -196,7 +213,9 @@ class PlausibleReeds:
         answer: list[Array] = []
         at = {name: slopes[..., number] for number, name in enumerate(PARAMETERS)}
         for name in self.names[: self._cane_parameters]:
-            if name not in _CONSTANTS:
+            if name in _GROWTHS:
+                answer.append(_GROWTHS[name] * at[name])
+            elif name not in _CONSTANTS:
                 moved = _law(self.reed, self.series, {**cane, name: cane[name] + _STEP})
                 grown = np.log(moved.constants_at(found.hz) / law.constants_at(found.hz)) / _STEP
                 # A coupling takes the mean of both modes: moduli change little between close ones.
@@ -353,7 +372,9 @@ class NearbyReeds:
 def _law(reed: ReducedReed, series: Series, cane: Mapping[str, float]) -> CaneLaw:
     """Return the cane of a reed whose parameters are given in standard deviations."""
     components = Components(**{f.name: cane.get(f.name, 0.0) for f in fields(Components)})
-    shift = CaneShift(**{name: _ordinary(name) * cane[name] for name in _CONSTANTS})
+    constants = {name: _ordinary(name) * cane[name] for name in _CONSTANTS}
+    growths = {name: spread * cane.get(name, 0.0) for name, spread in _GROWTHS.items()}
+    shift = CaneShift(**constants, **growths)
     return cane_law(reed.cane, viscoelastic_cane(components, series), shift)
 
 

@@ -59,12 +59,18 @@ def visible(reed, basis):
 @pytest.fixture(scope="session")
 def planted(reeds, visible):
     """Return ``planted(modes, seed, **parameters)``: parameters by name, in standard deviations."""
+    return planting(reeds, visible)
+
+
+def planting(reeds, visible):
+    """Return the same for any kind of reeds."""
 
     def make(modes, seed=0, **parameters):
         rng, values = np.random.default_rng(seed), np.zeros(len(reeds.names))
         values[: reeds.shifts.start] = 0.5 * rng.standard_normal(reeds.shifts.start)
         for name, value in parameters.items():
-            values[reeds.names.index(name.replace("_", " "))] = value
+            spaced = name.replace("_", " ")
+            values[reeds.names.index(spaced if spaced in reeds.names else name)] = value
         here = predict(reeds, visible, values)
         _, mixing = here.nearby.modes(values)
         names = tuple(n.name for n in names_of(here.nearby.descriptors(mixing)))

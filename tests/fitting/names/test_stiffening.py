@@ -13,8 +13,10 @@ from physics.reed.cane.viscoelastic import (
     storage_modulus_pa,
     viscoelastic_cane,
 )
+from physics.reed.mode_classification import names_of
 from physics.reed.reduced.dynamics import State
 from physics.reed.reduced.vibrations import vibrations
+from tests.fitting.names.conftest import planting
 
 MEASURED = ("F1", "T1", "F2", "T2", "X1", "T3", "F3", "X2", "X3")
 ENDS_HZ = (1417.2, 19_911.9)
@@ -92,6 +94,31 @@ def test_stiffening_is_that_of_the_reed_and_not_of_mean_cane(reeds, viscous):
         assert abs(own.exponent - true) < 4 * own.error + 0.01, name
         assert own.error < 0.05
     assert names["T2"][1].exponent - names["T2"][0].exponent > 0.08
+
+
+@pytest.mark.parametrize("sign", [-2.0, 2.0])
+def test_cane_that_does_not_follow_the_law_of_the_paper_has_its_own_growth(reeds, visible, sign):
+    """Two standard deviations more or less: moduli hardly grow, or twice as fast."""
+    free = reeds.with_free_growth()
+    other = {"e1": 0.0, "e2": 0.0, "e3": 0.0, "growth_E_L": sign, "growth_G_LT": sign}
+    sweep = planting(free, visible)(MEASURED, **other)
+    found = max(
+        reed_posterior(reeds, visible, sweep.measured, ENDS_HZ), key=lambda each: each.log_evidence
+    )
+    truth = np.zeros(len(free.names))
+    for name, value in other.items():
+        truth[free.names.index(name)] = value
+    nearby, pulls, held = free.near(truth), [], []
+    near = nearby.found
+    names = [each.name for each in names_of(nearby.descriptors(np.eye(len(near.hz))))]
+    own = stiffening_of(free, found.free_growth), stiffening_of(reeds, found)
+    for name, freely, by_law in zip(MEASURED, *own, strict=True):
+        number = names.index(name)
+        true = float(shares(near)[number] @ growth(free, truth, near.hz[[number]])[0])
+        pulls.append((freely.exponent - true) / freely.error)
+        held.append((by_law.exponent - true) / by_law.error)
+    assert np.sqrt(np.mean(np.square(pulls))) < 2
+    assert np.sqrt(np.mean(np.square(held))) > 4
 
 
 def test_the_error_is_that_of_the_components(reeds, viscous):

@@ -32,6 +32,7 @@ from fitting.holograms.retries import same_fringe
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.fit import fit_modes
 from fitting.modal.modal_fit import ModalFit
+from fitting.modal.model import LOSS
 from fitting.names.naming import SURE, ModeNaming, name_modes
 from fitting.resonance import Resonance
 from holography.arrays import Array, ComplexArray
@@ -385,7 +386,30 @@ def _absorbed(sweep: MeasuredSweep) -> dict[int, ExcitationPeak]:
 def _own_doubts(sweep: MeasuredSweep) -> list[str]:
     """Return the reason why each mode is not measured, by its own numbers; empty if it is."""
     count = len(sweep.modal.names)
-    return [_doubt(sweep.modal, m, sweep.block_amplitudes) for m in range(count)]
+    doubts = [_doubt(sweep.modal, m, sweep.block_amplitudes) for m in range(count)]
+    for m, (low_hz, high_hz) in _hidden(sweep).items():
+        doubts[m] = doubts[m] or (
+            f"all holograms from {low_hz:.0f} to {high_hz:.0f} Hz are in another fringe, or are "
+            "not explained: its resonance may be there"
+        )
+    return doubts
+
+
+def _hidden(sweep: MeasuredSweep) -> dict[int, tuple[float, float]]:
+    """Return the modes nearest to where neighbours are outliers, with the ends of that.
+
+    Single holograms fail by chance. As many neighbours as a resonance is wide hide one, and the fit
+    has then put a mode where there is none.
+    """
+    hz, found = sweep.block_amplitudes.drive_hz, dict[int, tuple[float, float]]()
+    outlier = sweep.modal.off & np.any(sweep.displacements.information, axis=(1, 2))
+    steps = np.flatnonzero(outlier)
+    for run in np.split(hz[steps], np.flatnonzero(np.diff(steps) > 1) + 1):
+        if len(run) and run[-1] > run[0] * (1 + LOSS):
+            middle_hz = np.sqrt(run[0] * run[-1])
+            nearest = int(np.abs(np.log(sweep.modal.hz / middle_hz)).argmin())
+            found[nearest] = float(run[0]), float(run[-1])
+    return found
 
 
 def _doubt(modal: ModalFit, m: int, block_amplitudes: BlockAmplitudes) -> str:

@@ -243,6 +243,20 @@ def test_a_mode_whose_own_holograms_are_left_out_is_not_identified(sweep):
         assert {*changed.resonances, "T2"} == set(sweep.resonances)
 
 
+def test_a_mode_beside_a_run_of_outliers_is_not_identified(sweep):
+    """Its resonance may be hidden there; holograms that were never measured hide nothing."""
+    joint, mode_hz = sweep.joint, sweep.resonances["T2"].frequency_hz
+    cents = 1200 * np.log2(mode_hz / joint.block_amplitudes.drive_hz)
+    for first_cents, lost, refused in ((50, False, True), (100, False, False), (50, True, False)):
+        run = (cents > first_cents) & (cents < 165)
+        information = joint.displacements.information * np.where(run & lost, 0, 1)[:, None, None]
+        displacements = replace(joint.displacements, information=information)
+        modal = replace(joint.modal, off=joint.modal.off | run)
+        changed = refit_of(joint, modal=modal, displacements=displacements)
+        assert ("T2" in changed.not_identified) == refused
+        assert {*changed.resonances, "T2"} == set(sweep.resonances)
+
+
 def test_a_mode_above_the_last_step_is_not_identified(sweep):
     """F4 of this reed is 60 cents above it; the fit finds something at 17.1 kHz."""
     last_hz = sweep.joint.block_amplitudes.drive_hz[-1]

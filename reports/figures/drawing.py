@@ -231,6 +231,7 @@ def _name_peaks(axes: Axes, peaks: Mapping[str, tuple[float, float]]) -> None:
             f"{name}\n{peak_hz:.0f} Hz\n{nm:.0f} nm", (peak_hz, nm),
             xytext=(0, height), textcoords="offset points", ha="center", fontsize=8, color=colour,
             arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.5},
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.3},
         )  # fmt: skip
 
 

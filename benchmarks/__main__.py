@@ -4,7 +4,7 @@ import sys
 
 from studies.run_all import run_all
 
-MODULES = (
+COMMANDS = (
     "benchmarks.holography",
     "benchmarks.reduced_basis",
     "benchmarks.populations",
@@ -16,6 +16,7 @@ MODULES = (
     "benchmarks.pace",
     "benchmarks.watching",
 )
+DESCRIPTION = "Print every figure of speed, memory and robustness that is claimed."
 
 if __name__ == "__main__":
-    sys.exit(run_all(MODULES))
+    sys.exit(run_all(COMMANDS, "python -m benchmarks", DESCRIPTION))

@@ -4,13 +4,14 @@ import sys
 
 from studies.run_all import run_all
 
-MODULES = (
+COMMANDS = (
     "studies.convergence",
     "studies.reduced_basis",
     "studies.populations",
     "studies.independence",
     "studies.recovery",
     "studies.identification",
+    "studies.second_laboratory --reeds 24 --sensor quarter --seed 204 --series A B",
     "studies.amplitudes",
     "studies.amplitudes.large",
     "studies.reach",
@@ -19,6 +20,7 @@ MODULES = (
     "studies.inverse_crime",
     "studies.sealed_sets",
 )
+DESCRIPTION = "Print every figure of accuracy that the project claims."
 
 if __name__ == "__main__":
-    sys.exit(run_all(MODULES))
+    sys.exit(run_all(COMMANDS, "python -m studies", DESCRIPTION))

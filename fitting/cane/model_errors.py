@@ -48,6 +48,8 @@ class ModelErrors:
     causes : tuple of str
         Several of one name are patterns of one cause.
     cents : (q, m) float
+    positive : (q,) bool
+        Whether a cause is never negative: its prior is half of a normal distribution.
     of_clamping : (q,) bool
         Whether a cause is another one each time that the reed is clamped.
     own_cents : (m,) float
@@ -59,6 +61,7 @@ class ModelErrors:
     modes: tuple[str, ...]
     causes: tuple[str, ...]
     cents: Array
+    positive: Mask
     of_clamping: Mask
     own_cents: Array
     log_density: Array
@@ -102,12 +105,13 @@ def model_errors(solver: ReedSolver, nominal: BenchParameters, modes: Sequence[s
     shifts.append(_WALL * _by_wall(solver, nominal.reed, modes))
     maps = _by_maps(solver, nominal.reed, modes)
     names = (*(cause.name for cause in causes), "wall", *[_MAP] * len(maps))
-    density = BY_NAME[_DENSITY].ordinary.deviation
+    density, none = BY_NAME[_DENSITY].ordinary.deviation, [False] * (1 + len(maps))
     return ModelErrors(
         modes=tuple(modes),
         causes=names,
         cents=np.concatenate([np.stack(shifts), maps]),
-        of_clamping=np.array([cause.of_clamping for cause in causes] + [False] * (1 + len(maps))),
+        positive=np.array([cause.positive for cause in causes] + none),
+        of_clamping=np.array([cause.of_clamping for cause in causes] + none),
         own_cents=np.sqrt(squares),
         log_density=np.where(np.array(names) == _DENSITY, density, 0.0),
     )

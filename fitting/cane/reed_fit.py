@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.stats import norm
 
 from fitting.cane.excess_scatter import added_cents, is_misfit
 from fitting.cane.model_errors import ModelErrors
@@ -23,7 +24,7 @@ from fitting.forward import (
     viscoelastic_cents,
 )
 from fitting.resonance import Resonance
-from holography.arrays import Array
+from holography.arrays import Array, IndexArray, Mask
 from physics.reed.cane.viscoelastic import Series, ViscoelasticCane
 
 COMPONENTS = ("e1", "e2", "e3", "e4")
@@ -190,12 +191,27 @@ class _Observation:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Resonances, the patterns (n, q) by which unknown causes move them, and their density (q,)."""
+    """Resonances, and unknown causes.
+
+    Attributes
+    ----------
+    observed : sequence of _Observation
+        The n resonances.
+    model : ForwardModel
+    count : int
+        Number of components.
+    patterns : (n, q) float
+        By which causes move resonances, in cents.
+    positive : (q,) bool
+    log_density : (q,) float
+        See `ModelErrors`.
+    """
 
     observed: Sequence[_Observation]
     model: ForwardModel
     count: int
     patterns: Array
+    positive: Mask
     log_density: Array
 
     @property
@@ -244,18 +260,17 @@ def _problem(
 ) -> _Problem:
     """Put resonances and causes together: a cause that belongs to a clamping, in each series."""
     if unknown is None:
-        return _Problem(observed, model, count, np.zeros((len(observed), 0)), np.zeros(0))
+        none = np.zeros(0)
+        return _Problem(observed, model, count, np.zeros((len(observed), 0)), none > 0, none)
     rows = [unknown.modes.index(o.name) for o in observed]
-    each = unknown.cents[:, rows].T
-    shared, clamped = each[:, ~unknown.of_clamping], each[:, unknown.of_clamping]
-    own = [
-        clamped * np.array([[o.series is series] for o in observed])
-        for series in sorted({o.series for o in observed})
-    ]
-    patterns = np.hstack([shared, *own])
-    log_density = np.zeros(patterns.shape[1])
-    log_density[: shared.shape[1]] = unknown.log_density[~unknown.of_clamping]
-    return _Problem(observed, model, count, patterns, log_density)
+    each, series = unknown.cents[:, rows].T, sorted({o.series for o in observed})
+    shared, clamped = np.flatnonzero(~unknown.of_clamping), np.flatnonzero(unknown.of_clamping)
+    own = [each[:, clamped] * np.array([[o.series is one] for o in observed]) for one in series]
+    causes = np.concatenate([shared, *[clamped] * len(series)])
+    patterns = np.hstack([each[:, shared], *own])
+    return _Problem(
+        observed, model, count, patterns, unknown.positive[causes], unknown.log_density[causes]
+    )
 
 
 def _free(observed: Sequence[_Observation]) -> Sequence[str]:
@@ -304,7 +319,24 @@ def _least_squares(problem: _Problem) -> tuple[Array, Array, float, float]:
             residual, taken = squares(values)
             if abs(misfit - before) < _MISFIT_SETTLED * misfit:
                 break
-    return values, np.linalg.inv(jacobian.T @ jacobian), chi2, misfit
+    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    positive = problem.count + np.flatnonzero(problem.positive)
+    return *_never_negative(values, covariance, positive), chi2, misfit
+
+
+def _never_negative(values: Array, covariance: Array, positive: IndexArray) -> tuple[Array, Array]:
+    """Return mean (n,) and covariance (n, n) of normal values of which some are never negative.
+
+    For one of them this is exact; several are cut one after the other.
+    """
+    for k in positive.tolist():
+        along, sd = covariance[:, k], float(np.sqrt(covariance[k, k]))
+        # Mean and variance of a normal distribution that is cut at zero.
+        where = float(values[k]) / sd
+        ratio = float(np.exp(norm.logpdf(where) - norm.logcdf(where)))
+        values = values + along * (ratio / sd)
+        covariance = covariance - np.outer(along, along) * (ratio * (ratio + where) / sd**2)
+    return values, covariance
 
 
 def _residual_cents(observed: Sequence[_Observation], values: Array, model: ForwardModel) -> Array:

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import halfnorm
 
 from fitting.cane import fit_runs
 from fitting.cane.fit_runs import _parameters
 from fitting.cane.model_errors import model_errors
 from fitting.cane.over_density import MODULI, components_over_density, moduli_mpa
-from fitting.cane.reed_fit import fit_components
+from fitting.cane.reed_fit import _never_negative, fit_components
 from fitting.forward import hz_of, viscoelastic_cents
 from fitting.resonance import Resonance
 from physics.mechanics import HIGHEST_HZ, Mechanics, RandomLayer, ReedSolver, YieldingClamp
@@ -97,6 +98,40 @@ def test_a_yielding_clamp_is_not_taken_for_soft_cane(model, unknown):
     assert abs(off) < 0.01
 
 
+def test_clamps_that_all_yield_leave_no_bias(model, unknown):
+    """A clamp yields or not; to expect as much of the opposite makes all cane look soft.
+
+    With few modes, whose frequencies alone do not show what the clamp does.
+    """
+    few = ("F1", "T1", "F2", "T2")
+    sizes = halfnorm.ppf((np.arange(12) + 0.5) / 12)
+    yielding = pattern(unknown, "clamp_compliance")
+    both_ways = replace(unknown, positive=np.zeros(len(unknown.causes), dtype=bool))
+    truth = moduli_mpa(np.array([0.5, -0.4, 0.3]), 0.0, Series.A)[MODULI.index("E_4kHz_mpa")]
+    bias = []
+    for errors in (unknown, both_ways):
+        E = [
+            fit_components({Series.A: {name: found[name] for name in few}}, model, errors)
+            .moduli["A"]["E_4kHz_mpa"]
+            .value
+            for found in (swept(model, size * yielding) for size in sizes)
+        ]
+        bias.append(float(np.mean(E)) / truth - 1)
+    assert abs(bias[0]) < 0.004
+    assert bias[1] < -0.02
+
+
+def test_normal_values_are_cut_at_zero():
+    """Against draws; what is surely positive stays as it is."""
+    rng = np.random.default_rng(3)
+    mean, root = np.array([0.4, -0.3, 8.0]), np.array([[1.0, 0, 0], [0.7, 0.6, 0], [0.1, 0.2, 0.5]])
+    drawn = mean + rng.standard_normal((400_000, 3)) @ root.T
+    drawn = drawn[drawn[:, 0] >= 0]
+    found, covariance = _never_negative(mean, root @ root.T, np.array([0, 2]))
+    assert found == pytest.approx(drawn.mean(axis=0), abs=5e-3)
+    assert covariance == pytest.approx(np.cov(drawn.T), abs=8e-3)
+
+
 def test_dense_cane_is_not_taken_for_soft_cane(model, unknown):
     """Frequencies of a dense reed fall together, and those of cane of H4 cannot."""
     log_density = float(unknown.log_density.sum())
@@ -107,13 +142,17 @@ def test_dense_cane_is_not_taken_for_soft_cane(model, unknown):
         cents=np.where(known[:, None], 0.0, unknown.cents),
         log_density=np.zeros(len(known)),
     )
-    truth = moduli_mpa(np.array([0.5, -0.4, 0.3]), log_density, Series.A)
-    off = [
-        fit_components(found, model, errors).moduli["A"]["E_4kHz_mpa"].value
-        / truth[MODULI.index("E_4kHz_mpa")]
-        - 1
-        for errors in (without, unknown)
-    ]
+    plain = {Series.A: swept(model, np.zeros(11))}
+    values, E = np.array([0.5, -0.4, 0.3]), MODULI.index("E_4kHz_mpa")
+    # What the clamp may do is the same in both reeds.
+    truth = moduli_mpa(values, log_density, Series.A)[E] / moduli_mpa(values, 0.0, Series.A)[E]
+    off = []
+    for errors in (without, unknown):
+        dense, other = (
+            fit_components(each, model, errors).moduli["A"]["E_4kHz_mpa"].value
+            for each in (found, plain)
+        )
+        off.append(dense / other / truth - 1)
     assert abs(off[0]) > 0.02
     assert abs(off[1]) < 0.01
 

@@ -119,14 +119,7 @@ def name_modes(
     ends_hz = float(drive_hz[0]), float(drive_hz[-1])
     found = reed_posterior(reeds, visible, measured_modes(modal, index), ends_hz)
     weights = softmax([each.log_evidence for each in found])
-    drawings = reeds.reed, with_straight_lines(reeds.reed)
-    probabilities: list[dict[str, float]] = [{} for _ in index]
-    for weight, each in zip(weights.tolist(), found, strict=True):
-        for total, own in zip(
-            probabilities, name_probabilities(each, drawings, weight), strict=True
-        ):
-            for name, probability in own.items():
-                total[name] = total.get(name, 0.0) + weight * probability
+    probabilities = _averaged_names(reeds, found, weights)
     labels = [modal.names[m] for m in index]
     choices = named(dict(zip(labels, probabilities, strict=True)))
     free = reeds.with_free_growth()
@@ -143,6 +136,20 @@ def name_modes(
             zip(choices.items(), stiffenings, strict=True)
         )
     }
+
+
+def _averaged_names(
+    reeds: PlausibleReeds, found: Sequence[ReedPosterior], weights: Array
+) -> list[dict[str, float]]:
+    """Return the probability of each name of each measured mode, over all reeds found (n,)."""
+    drawings = reeds.reed, with_straight_lines(reeds.reed)
+    answer: list[dict[str, float]] = [{} for _ in found[0].mode]
+    for weight, each in zip(weights.tolist(), found, strict=True):
+        names = name_probabilities(each, drawings, weight)
+        for total, own in zip(answer, names, strict=True):
+            for name, probability in own.items():
+                total[name] = total.get(name, 0.0) + weight * probability
+    return answer
 
 
 def visible_coordinates(reed: ReducedReed, basis: ShapeBasis, x_m: Array, y_m: Array) -> Array:

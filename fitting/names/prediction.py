@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from holography.arrays import Array
-from physics.plausible.reeds import NearbyReeds, PlausibleReeds
+from physics.plausible.nearby import NearbyReeds
+from physics.plausible.reeds import PlausibleReeds
 
 
 @dataclass(frozen=True)

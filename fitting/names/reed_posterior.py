@@ -41,7 +41,8 @@ from fitting.names.reed_fit import (
     updated,
 )
 from holography.arrays import Array
-from physics.plausible.reeds import NearbyReeds, PlausibleReeds
+from physics.plausible.nearby import NearbyReeds
+from physics.plausible.reeds import PlausibleReeds
 
 _CENT = float(np.log(2) / 1200)
 # Scatter of shapes in the assignment of modes, first while the reed is hardly known. Chosen: the

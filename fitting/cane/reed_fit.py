@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import norm
+from scipy.stats import truncnorm
 
 from fitting.cane.excess_scatter import added_cents, is_misfit
 from fitting.cane.model_errors import ModelErrors
@@ -260,8 +260,8 @@ def _problem(
 ) -> _Problem:
     """Put resonances and causes together: a cause that belongs to a clamping, in each series."""
     if unknown is None:
-        none = np.zeros(0)
-        return _Problem(observed, model, count, np.zeros((len(observed), 0)), none > 0, none)
+        none, nothing = np.zeros(0, dtype=bool), np.zeros(0)
+        return _Problem(observed, model, count, np.zeros((len(observed), 0)), none, nothing)
     rows = [unknown.modes.index(o.name) for o in observed]
     each, series = unknown.cents[:, rows].T, sorted({o.series for o in observed})
     shared, clamped = np.flatnonzero(~unknown.of_clamping), np.flatnonzero(unknown.of_clamping)
@@ -331,11 +331,10 @@ def _never_negative(values: Array, covariance: Array, positive: IndexArray) -> t
     """
     for k in positive.tolist():
         along, sd = covariance[:, k], float(np.sqrt(covariance[k, k]))
-        # Mean and variance of a normal distribution that is cut at zero.
-        where = float(values[k]) / sd
-        ratio = float(np.exp(norm.logpdf(where) - norm.logcdf(where)))
-        values = values + along * (ratio / sd)
-        covariance = covariance - np.outer(along, along) * (ratio * (ratio + where) / sd**2)
+        # In standard deviations from the value before.
+        mean, variance = map(float, truncnorm.stats(-values[k] / sd, np.inf))
+        values = values + along * (mean / sd)
+        covariance = covariance - np.outer(along, along) * ((1 - variance) / sd**2)
     return values, covariance
 
 

@@ -38,6 +38,7 @@ _CONSTANTS = ("E_T", "E_R", "G_LR", "G_TR", "density", "nu_LT", "nu_LR", "nu_TR"
 _GROWTHS = {
     f"growth_{each.name}": each.spread for each in BY_ID["viscoelastic_stiffening"].parameters
 }
+# Name of the first parameter that is not of the cane.
 _FIRST_LAYER = "thickness 1"
 _SHAPE = ("thickness_slope", "clamp_shift", "clamp_tilt")
 _CENT = float(np.log(2) / 1200)

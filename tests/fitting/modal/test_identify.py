@@ -243,7 +243,7 @@ def test_a_mode_whose_own_holograms_are_left_out_is_not_identified(sweep):
         assert {*changed.resonances, "T2"} == set(sweep.resonances)
 
 
-def test_a_mode_beside_a_run_of_outliers_is_not_identified(sweep):
+def test_a_mode_next_to_a_run_of_outliers_is_not_identified(sweep):
     """Its resonance may be hidden there; holograms that were never measured hide nothing."""
     joint, mode_hz = sweep.joint, sweep.resonances["T2"].frequency_hz
     cents = 1200 * np.log2(mode_hz / joint.block_amplitudes.drive_hz)

@@ -72,7 +72,7 @@ def test_modes_of_an_unusual_reed_have_their_names(reeds, visible, planted, seed
     assert best.mean[:3] == pytest.approx([e1, e2, e3], abs=1.5)
 
 
-def test_a_steptowards_an_impossible_reed_ends_at_a_possible_one(reeds, visible):
+def test_a_step_towards_an_impossible_reed_ends_at_a_possible_one(reeds, visible):
     question = Question(reeds, visible, (7.2, 9.9))
     middle, best = np.zeros((2, len(reeds.names)))
     best[reeds.names.index("nu_LT")] = 100.0

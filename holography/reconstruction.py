@@ -14,6 +14,9 @@ from holography.fresnel import FresnelTransform
 from holography.phase import SteadyTurn, steady_turn
 from holography.region import Region
 
+# Mean square of a Hann window: what it leaves of white noise.
+_HANN_POWER = 3 / 8
+
 
 @dataclass(frozen=True)
 class Reconstruction:
@@ -34,6 +37,29 @@ class Reconstruction:
     def empty(self) -> Region:
         """Return the part of the object image that holds only noise, see `empty_region`."""
         return empty_region(self.transform.shape, self.region)
+
+    def only_noise(self, image: npt.NDArray[np.complex64]) -> npt.NDArray[np.complex64]:
+        """Return the empty region of an image, without the side lobes of the reed's light.
+
+        A rectangular sensor spreads some 10⁻⁴ of the reed's light over the empty region, as much as
+        a tenth of the noise where that is small. The region lies beyond the reed along one axis; a
+        Hann window along it removes that light. Noise keeps its power per pixel.
+
+        Parameters
+        ----------
+        image : (..., ny, nx) complex64
+            In the object plane.
+
+        Returns
+        -------
+        (..., rows, columns) complex64
+        """
+        empty, shape = self.empty, self.transform.shape
+        axis = 0 if empty.width == shape[1] else 1
+        start, count = ((empty.row, empty.height), (empty.column, empty.width))[axis]
+        windowed = self.transform.of_windowed(image, np.arange(start, start + count), axis)
+        scaled: npt.NDArray[np.complex64] = windowed * np.float32(_HANN_POWER**-0.5)
+        return scaled
 
     def field(self, frames: npt.ArrayLike) -> npt.NDArray[np.complex64]:
         """Return the field around the reed from four frames.
@@ -68,7 +94,7 @@ class Reconstruction:
         hologram = four_phase(frames)
         images = [self.transform.to_object(part) for part in (hologram.real, hologram.imag)]
         even, odd = (self.region.crop(image).copy() for image in images)
-        empty = np.stack([self.empty.crop(image) for image in images])
+        empty = np.stack([self.only_noise(image) for image in images])
         return Quadratures(even, odd, empty)
 
     def steady_turn(self, frames: npt.ArrayLike, halves: "Quadratures") -> SteadyTurn:
@@ -94,7 +120,7 @@ class Quadratures:
     even, odd : (height, width) complex64
         Images of I0 − I2 and I1 − I3 around the reed.
     empty : (2, rows, columns) complex64
-        Both images in the region that holds only noise.
+        Both images in the region that holds only noise, see `Reconstruction.only_noise`.
     """
 
     even: npt.NDArray[np.complex64]

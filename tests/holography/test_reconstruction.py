@@ -24,6 +24,14 @@ def complex_noise(rng, shape):
     return (parts[0] + 1j * parts[1]).astype(np.complex64)
 
 
+def hann_window():
+    """Window of the sensor along the axis on which the empty region lies beyond the reed."""
+    empty, (rows, columns) = RECONSTRUCTION.empty, TRANSFORM.shape
+    if empty.width == columns:
+        return np.sin(np.pi * np.arange(rows) / rows)[:, None] ** 2
+    return np.sin(np.pi * np.arange(columns) / columns) ** 2
+
+
 @pytest.fixture
 def frames():
     return np.random.default_rng(1).integers(0, 4096, (4, 64, 80), dtype=np.uint16)
@@ -49,7 +57,8 @@ def test_the_halves_are_the_images_of_both_differences(frames):
     for number, (half, difference) in enumerate(pairs):
         image = TRANSFORM.to_object(difference)
         np.testing.assert_allclose(half, RECONSTRUCTION.region.crop(image), atol=1e-5 * scale)
-        empty = RECONSTRUCTION.empty.crop(image)
+        windowed = TRANSFORM.to_object(difference * hann_window())
+        empty = RECONSTRUCTION.empty.crop(windowed) / np.sqrt(3 / 8)
         np.testing.assert_allclose(halves.empty[number], empty, atol=1e-5 * scale)
     np.testing.assert_array_equal(halves.field, halves.even + np.complex64(1j) * halves.odd)
 
@@ -99,6 +108,26 @@ def test_noise_of_the_camera_is_that_of_the_empty_region_and_of_the_reed_s():
     # Four frames of variance 400 and 1/12 of rounding.
     assert halves.noise == pytest.approx(4 * (400 + 1 / 12), rel=0.02)
     assert mean_power(halves.field) == pytest.approx(halves.noise, rel=0.04)
+
+
+def test_side_lobes_of_the_reed_s_light_are_no_noise():
+    """Scatterers between pixels of the image, whose light ends at the edges of the sensor."""
+    rng = np.random.default_rng(6)
+    transform = FresnelTransform((256, 320), 6.7e-6, 650e-9, 1.0)
+    reconstruction = Reconstruction(transform, Region(160, 80, 60, 160))
+    at = [(np.arange(n) - n // 2) * 6.7e-6 for n in (256, 320)]
+    pitch_m = transform.object_pitch_m
+    light = np.zeros((256, 320), complex)
+    for y, x in rng.uniform((165, 85), (215, 235), (200, 2)):
+        place_m = (y - 128) * pitch_m[0], (x - 160) * pitch_m[1]
+        chirps = [
+            np.exp(-1j * np.pi * (u - p) ** 2 / 650e-9) for u, p in zip(at, place_m, strict=True)
+        ]
+        light += np.exp(2j * np.pi * rng.random()) * np.multiply.outer(*chirps)
+    image = transform.to_object(light)
+    lit = mean_power(reconstruction.region.crop(image))
+    assert mean_power(reconstruction.empty.crop(image)) > 1e-5 * lit
+    assert mean_power(reconstruction.only_noise(image)) < 1e-8 * lit
 
 
 @pytest.mark.parametrize("error_rad", [0.0, 0.2, -0.2])

@@ -14,6 +14,12 @@ DENSITY = 520.0
 """Density of the paper's reference material, kg/m³, which fits of the paper's kind assume."""
 # The paper's temperature in series A ("about 20 °C").
 _ROOM_C = 20.0
+PIVOT_HZ = 4000.0
+"""Where the paper compares moduli of reeds, and where exponents of frequency change nothing."""
+# Relative change per 1 % of water, of E_L, of the other moduli and of loss factors: from 12 % to
+# 6 % of water E along the grain grows by 9 %, E across it and G by 20 % (Gerhards 1982, Wood Fiber
+# 14:4); tan δ of wood grows by some 5 % (Obataya et al. 1998, J. Wood Sci. 44).
+_PER_CENT_OF_WATER = (0.015, 0.033, 0.05)
 
 
 @dataclass(frozen=True)
@@ -48,6 +54,12 @@ class Cane:
         Loss factors of the three Young's moduli, and of the three shear moduli.
     temperature_c, per_kelvin : float
         Temperature of the sweep, and relative change of all moduli per kelvin.
+    growth_E, growth_G : float
+        Exponents of frequency by which E_L and G_LT grow beyond H4, from `PIVOT_HZ`.
+    growth_loss : float
+        Exponent of frequency by which all loss factors grow, from `PIVOT_HZ`.
+    moisture : float
+        Water above that of the air's humidity, in per cent of the mass.
     """
 
     components: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -65,6 +77,10 @@ class Cane:
     loss_G: float = 0.03
     temperature_c: float = _ROOM_C
     per_kelvin: float = 0.0
+    growth_E: float = 0.0
+    growth_G: float = 0.0
+    growth_loss: float = 0.0
+    moisture: float = 0.0
     fixed: tuple[float, float] | None = None
     """E_L and G_LT in MPa that do not follow frequency, for comparisons with the paper's FEM."""
 
@@ -82,20 +98,42 @@ class Cane:
             Zener(_D41 * (6 + e1), 2 * _D41 * (3 + e1 - e3), _D60),
         )
 
+    def storage(self, omega: Any) -> tuple[Any, Any]:
+        """Return E_L and G_LT in MPa at ω in rad/s, at the cane's temperature and moisture."""
+        young, shear = self.zener()
+        warm, (along, across, _) = self.warmth(), self._wet()
+        high = omega / (2 * np.pi * PIVOT_HZ)
+        return (
+            young(omega) * high**self.growth_E * (warm * along),
+            shear(omega) * high**self.growth_G * (warm * across),
+        )
+
     def elasticity(self, omega: complex, lossy: bool = True) -> NDArray[np.complex128]:
         """Return the complex matrix of elasticity (6, 6) in MPa at ω in rad/s."""
-        E_L, G_LT = (complex(modulus(omega)) for modulus in self.zener())
-        warm = self.warmth()
-        stretch = warm * (1 + 1j * self.loss_E * lossy)
-        compliance = np.diag([1 / E_L, 1 / self.E_T, 1 / self.E_R]).astype(complex)
+        E_L, G_LT = (complex(modulus) for modulus in self.storage(omega))
+        _, across, loss = self._wet()
+        others = self.warmth() * across
+        lost = lossy * loss * (omega / (2 * np.pi * PIVOT_HZ)) ** self.growth_loss
+        stretch, twist = 1 + 1j * self.loss_E * lost, 1 + 1j * self.loss_G * lost
+        compliance = np.diag([1 / E_L, 1 / (others * self.E_T), 1 / (others * self.E_R)])
+        compliance = compliance.astype(complex)
         compliance[0, 1] = compliance[1, 0] = -self.nu_LT / E_L
         compliance[0, 2] = compliance[2, 0] = -self.nu_LR / E_L
-        compliance[1, 2] = compliance[2, 1] = -self.nu_TR / self.E_T
+        compliance[1, 2] = compliance[2, 1] = -self.nu_TR / (others * self.E_T)
         matrix = np.zeros((6, 6), complex)
         matrix[:3, :3] = np.linalg.inv(compliance) * stretch
-        shear = warm * (1 + 1j * self.loss_G * lossy) * np.array([self.G_TR, self.G_LR, G_LT])
-        matrix[range(3, 6), range(3, 6)] = shear
+        shear = np.array([others * self.G_TR, others * self.G_LR, G_LT])
+        matrix[range(3, 6), range(3, 6)] = shear * twist
         return matrix
+
+    def _wet(self) -> tuple[float, float, float]:
+        """Return by what factors moisture changes E_L, all other moduli, and loss factors."""
+        along, across, loss = _PER_CENT_OF_WATER
+        return 1 - along * self.moisture, 1 - across * self.moisture, 1 + loss * self.moisture
+
+    def mass(self) -> float:
+        """Return by what factor moisture changes the mass."""
+        return 1 + 0.01 * self.moisture
 
     def warmth(self) -> float:
         """Return by what factor temperature changes all moduli."""

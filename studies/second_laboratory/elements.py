@@ -8,7 +8,7 @@ layers interpolate, so that neighbours stay continuous. Points are mapped exactl
 Units: mm, MPa, tonnes; so frequencies come out in Hz.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from studies.second_laboratory.parameters import Patch
 from studies.second_laboratory.shape import Fineness, PlanMesh, Thicknesses
 
 Array = NDArray[np.float64]
@@ -26,6 +27,13 @@ _MORE_POINTS = 0
 # Stiffness of a bed along x, y and z: an elastic layer has its shear modulus along the surface, and
 # G/E = 1/(2(1 + nu)) for nu = 0.35 of a hard plastic.
 _BED_DIRECTIONS = (0.37, 0.37, 1.0)
+# Directions and powers along x and y of forces from whose displacements modes are found: all shapes
+# that bend and twist, and some that move sideways.
+_LOADS = (
+    *((2, i, j) for i in range(6) for j in range(4)),
+    *((1, i, 0) for i in range(3)),
+    (0, 1, 1),
+)
 # Components of strain (xx, yy, zz, yz, xz, xy) as pairs of displacement and direction.
 _STRAIN = (((0, 0),), ((1, 1),), ((2, 2),), ((1, 2), (2, 1)), ((0, 2), (2, 0)), ((0, 1), (1, 0)))
 
@@ -94,13 +102,13 @@ class Prisms:
     basis: Array
     slopes: Array
     weights: Array
+    x: Array
+    y: Array
 
     def strain(self, field: Array, component: int) -> Array:
         """Return a strain of displacements (n, 3, m) at all points, shape (points, m)."""
         parts = [
-            np.einsum(
-                "epn,enm->epm", self.slopes[direction], field[self.nodes, axis], optimize=True
-            )
+            np.matmul(self.slopes[direction], field[self.nodes, axis])
             for axis, direction in _STRAIN[component]
         ]
         return np.asarray(sum(parts)).reshape(-1, field.shape[-1])
@@ -114,12 +122,21 @@ class Solid:
     mesh : PlanMesh
     thickness : Thicknesses
     fineness : Fineness
+    clamped : bool
+        Whether nothing moves under the strips.
+    sides : (float, float)
+        Stiffness of the bed under the left strip, y > 0, and the right one, in units of the bed's.
     """
 
     def __init__(
-        self, mesh: PlanMesh, thickness: Thicknesses, fineness: Fineness, clamped: bool = True
+        self,
+        mesh: PlanMesh,
+        thickness: Thicknesses,
+        fineness: Fineness,
+        clamped: bool = True,
+        sides: tuple[float, float] = (1.0, 1.0),
     ) -> None:
-        self.clamped = clamped
+        self.clamped, self._sides = clamped, sides
         self._mesh, self._thickness, self._fine = mesh, thickness, fineness
         order, quads = fineness.order, mesh.rising.shape
         self.plan_shape = (order * quads[0] + 1, order * quads[1] + 1)
@@ -163,7 +180,7 @@ class Solid:
         gauss, weight = np.polynomial.legendre.leggauss(fine.layer_order + 1)
         everywhere = np.ones(self._mesh.rising.shape, bool)
         for rising, triangle in self._kinds:
-            plan, _, _, t, t_x, t_y, slopes, area = self._plan(rising, triangle, everywhere)
+            plan, x, y, t, t_x, t_y, slopes, area = self._plan(rising, triangle, everywhere)
             for number, (low, high) in enumerate(pairwise(fine.layers)):
                 zeta = low + (high - low) * (gauss + 1) / 2
                 first = number * fine.layer_order
@@ -192,6 +209,7 @@ class Solid:
                         product(ones, value),
                         np.stack([*gradient, by_depth]),
                         volume.reshape(len(plan), -1),
+                        *(np.repeat(each, len(zeta), 1) for each in (x, y)),
                     )
                 )
         return found
@@ -216,18 +234,52 @@ class Solid:
 
         def element(prisms: Prisms) -> Array:
             weighted = prisms.basis * (density * prisms.weights)[:, :, None]
-            gram = np.matmul(prisms.basis.transpose(0, 2, 1), weighted)
-            return np.asarray(np.einsum("eab,ij->eaibj", gram, np.eye(3)))
+            return np.asarray(np.matmul(prisms.basis.transpose(0, 2, 1), weighted))
 
-        return sparse.csc_array(self.ties.T @ self._assembled(element) @ self.ties)
+        one = self._assembled(element, 1)
+        return sparse.csc_array(self.ties.T @ sparse.kron(one, sparse.eye_array(3)) @ self.ties)
 
-    def _assembled(self, element: Callable[[Prisms], Array]) -> sparse.csc_array:
-        size = 3 * self.size
-        total = sparse.csc_array((size, size))
+    def _assembled(
+        self, element: Callable[[Prisms], Array], directions: int = 3
+    ) -> sparse.csc_array:
+        """Return the matrix of all nodes, of elements' matrices in some directions at each node."""
+        rows, columns, values = [], [], []
         for prisms in self.prisms:
-            dofs = (3 * prisms.nodes[:, :, None] + np.arange(3)).reshape(len(prisms.nodes), -1)
-            total = total + _scattered(dofs, element(prisms).reshape(len(dofs), -1), size)
-        return total
+            dofs = directions * prisms.nodes[:, :, None] + np.arange(directions)
+            dofs = dofs.reshape(len(prisms.nodes), -1).astype(np.int32)
+            count = dofs.shape[1]
+            rows.append(np.repeat(dofs, count, 1).ravel())
+            columns.append(np.tile(dofs, count).ravel())
+            values.append(element(prisms).ravel())
+        # One conversion, not a sum of sparse matrices, which takes three times as long.
+        where = np.concatenate(rows), np.concatenate(columns)
+        size = directions * self.size
+        return sparse.coo_array((np.concatenate(values), where), shape=(size, size)).tocsc()
+
+    def forces(self, field: Array, elastic: Callable[[Prisms], Array]) -> Array:
+        """Return the forces of displacements (nodes, 3, m) on the free ones, shape (free, m).
+
+        `elastic` gives the matrix of elasticity of prisms, (6, 6) or at each point (e, p, 6, 6).
+        """
+        count = field.shape[-1]
+        total = np.zeros((self.size, 3 * count))
+        for prisms in self.prisms:
+            strains = [
+                prisms.strain(field, k).reshape(*prisms.weights.shape, count) for k in range(6)
+            ]
+            weighted = np.stack(strains, 2) * prisms.weights[:, :, None, None]
+            stress = np.matmul(elastic(prisms), weighted)
+            forces = np.zeros((*prisms.nodes.shape, 3, count))
+            for k, pairs in enumerate(_STRAIN):
+                for axis, direction in pairs:
+                    slopes = prisms.slopes[direction].transpose(0, 2, 1)
+                    forces[:, :, axis] += np.matmul(slopes, stress[:, :, k])
+            flat = prisms.nodes.ravel()
+            gathered = sparse.csr_array(
+                (np.ones(len(flat)), (flat, np.arange(len(flat)))), shape=(self.size, len(flat))
+            )
+            total += gathered @ forces.reshape(len(flat), -1)
+        return np.asarray(self.ties.T @ total.reshape(3 * self.size, count))
 
     def bed_gram(self, field: Array, stiffness_n_per_mm3: float) -> Array:
         """Return the stiffness of the bed between displacements (nodes, 3, m)."""
@@ -239,8 +291,9 @@ class Solid:
         size = 3 * self.size
         total = sparse.csc_array((size, size))
         for rising, triangle in self._kinds:
-            plan, *_, area = self._plan(rising, triangle, self._mesh.on_strip)
+            plan, _, y, *_, area = self._plan(rising, triangle, self._mesh.on_strip)
             if len(plan):
+                area = area * np.where(y > 0, *self._sides)
                 gram = np.einsum("pa,ep,pb->eab", triangle.basis, area, triangle.basis)
                 springs = stiffness_n_per_mm3 * np.diag(_BED_DIRECTIONS)
                 dofs = 3 * ((plan + 1) * len(self.heights) - 1)[:, :, None] + np.arange(3)
@@ -286,6 +339,26 @@ class Solid:
             found[nodes] = np.einsum("pg,egk->epk", _monomials(local, 2)[0] @ inverse, at)
         return found
 
+    def polynomial_loads(self) -> Array:
+        """Return forces on the free displacements, polynomials of x and y, shape (free, m)."""
+        at = np.repeat(self.plan_positions(), len(self.heights), 0)
+        x, y = at[:, 0] / np.max(at[:, 0]), at[:, 1] / np.max(at[:, 1])
+        loads = np.zeros((self.size, 3, len(_LOADS)))
+        for k, (axis, i, j) in enumerate(_LOADS):
+            loads[:, axis, k] = np.polynomial.legendre.Legendre.basis(i)(2 * x - 1) * y**j
+        return np.asarray(self.ties.T @ loads.reshape(3 * self.size, -1))
+
+    def patch_loads(self, patches: Sequence[Patch]) -> Array:
+        """Return forces along z on the flat side, one for each patch, shape (free, m)."""
+        points = self.plan_points
+        loads = np.zeros((self.plan_shape[0] * self.plan_shape[1], len(patches)))
+        for k, patch in enumerate(patches):
+            share = patch_profile(patch, points.x, points.y) * points.area
+            np.add.at(loads[:, k], points.nodes, points.basis * share[:, None])
+        whole = np.zeros((len(loads), len(self.heights), 3, len(patches)))
+        whole[:, 0, 2] = loads
+        return np.asarray(self.ties.T @ whole.reshape(3 * self.size, -1))
+
     @cached_property
     def plan_points(self) -> "PlanPoints":
         """Points of quadrature in plan, for loads and for what the camera sees."""
@@ -319,6 +392,12 @@ class PlanPoints:
     x: Array
     y: Array
     area: Array
+
+
+def patch_profile(patch: Patch, x: Array, y: Array) -> Array:
+    """Return the Gaussian profile of a patch at points."""
+    square = (x - patch.x_mm) ** 2 + (y - patch.y_mm) ** 2
+    return np.asarray(np.exp(-0.5 * square / patch.radius_mm**2))
 
 
 def _scattered(dofs: NDArray[np.int64], values: Array, size: int) -> sparse.csc_array:

@@ -1,7 +1,8 @@
 """Parameters of one reed and one bench, and the ranges of disorder that they are drawn from."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,30 @@ class Range:
         return float(rng.uniform(self.low, self.high))
 
 
+class Ranges:
+    """A table of ranges, each a field of a frozen dataclass."""
+
+    def scaled(self, amounts: Mapping[str, float]) -> Self:
+        """Return ranges multiplied by amounts; ``{"all": 0}`` switches off what is not named.
+
+        Raises
+        ------
+        KeyError
+            If a name is not that of a field.
+        """
+        table = {name: value for name, value in vars(self).items() if isinstance(value, Range)}
+        for name in amounts:
+            if name not in (*table, "all"):
+                raise KeyError(f"no disorder {name!r}; known are all, {', '.join(table)}")
+        changed = {}
+        for name, old in table.items():
+            amount = amounts.get(name, amounts.get("all", 1.0))
+            changed[name] = replace(old, low=old.low * amount, high=old.high * amount)
+        return type(self)(**changed)
+
+
 @dataclass(frozen=True)
-class Disorder:
+class Disorder(Ranges):
     """Ranges of everything in which reeds and benches differ from the drawing.
 
     Scaling a field by 0 switches it off: `Disorder.scaled`.
@@ -95,24 +118,6 @@ class Disorder:
     lag: Range = Range(0.0005, 0.002, "of the frame before", "CCD and CMOS sensors, < 0.2 %")
     bend: Range = Range(0.002, 0.002, "of full well", "issue: non-linearity of 0.2 %")
 
-    def scaled(self, amounts: Mapping[str, float]) -> "Disorder":
-        """Return ranges multiplied by amounts; ``{"all": 0}`` switches off what is not named.
-
-        Raises
-        ------
-        KeyError
-            If a name is not that of a field.
-        """
-        names = [each.name for each in fields(self)]
-        for name in amounts:
-            if name not in (*names, "all"):
-                raise KeyError(f"no disorder {name!r}; known are all, {', '.join(names)}")
-        changed = {}
-        for name in names:
-            old, amount = getattr(self, name), amounts.get(name, amounts.get("all", 1.0))
-            changed[name] = replace(old, low=old.low * amount, high=old.high * amount)
-        return Disorder(**changed)
-
 
 @dataclass(frozen=True)
 class Clamp:
@@ -124,11 +129,14 @@ class Clamp:
         Shift of the front edge to the butt, and its slope across the reed.
     bed_n_per_mm3 : float
         Stiffness of the bed under the strips per area; 0 for strips on which nothing moves.
+    sides : (float, float)
+        Stiffness of the bed under the left strip, y > 0, and the right one, over `bed_n_per_mm3`.
     """
 
     front_mm: float = 0.0
     tilt_mm_per_mm: float = 0.0
     bed_n_per_mm3: float = 0.0
+    sides: tuple[float, float] = (1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -149,6 +157,72 @@ class Thickness:
 
 
 @dataclass(frozen=True)
+class Patch:
+    """A small spot of the vamp that carries a mass or touches something.
+
+    Attributes
+    ----------
+    x_mm, y_mm, radius_mm : float
+        The spot has a Gaussian profile of this standard deviation.
+    mass_t : float
+        Mass that moves along, in tonnes.
+    spring_n_per_mm, loss : float
+        Stiffness and loss factor of what it leans on.
+    """
+
+    x_mm: float
+    y_mm: float
+    radius_mm: float
+    mass_t: float = 0.0
+    spring_n_per_mm: float = 0.0
+    loss: float = 0.0
+
+
+@dataclass(frozen=True)
+class Crack:
+    """A crack along the grain, as a narrow band that carries less stress across the grain.
+
+    Attributes
+    ----------
+    x_mm, y_mm : float
+        Its end on the side of the tip.
+    length_mm, width_mm : float
+        Of the band; across the grain it has a Gaussian profile.
+    lost : float
+        Part of the stiffness across the grain that is lost in the middle of the band.
+    """
+
+    x_mm: float
+    y_mm: float
+    length_mm: float
+    width_mm: float
+    lost: float
+
+    def keeps(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the square root of the stiffness across the grain that is left at points."""
+        across = np.exp(-0.5 * ((y - self.y_mm) / (0.5 * self.width_mm)) ** 2)
+        along = (x > self.x_mm) & (x < self.x_mm + self.length_mm)
+        return np.asarray(np.sqrt(1 - self.lost * across * along))
+
+
+@dataclass(frozen=True)
+class Flaws:
+    """What a reed may have that its drawing does not show.
+
+    Attributes
+    ----------
+    crack : Crack or None
+    patches : tuple of Patch
+    air_inertia : float
+        Air that moves along with the reed, over that of a plate in free air.
+    """
+
+    crack: Crack | None = None
+    patches: tuple[Patch, ...] = ()
+    air_inertia: float = 1.0
+
+
+@dataclass(frozen=True)
 class ReedParameters:
     """One reed in its clamp, in one sweep."""
 
@@ -157,6 +231,7 @@ class ReedParameters:
     clamp: Clamp = Clamp()
     air: float = 1.0
     """Density of the air over that at 20 °C and 1013 hPa."""
+    flaws: Flaws = Flaws()
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """Modes and forced response of one reed: finite elements, reduced to a small basis, with air."""
 
+from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -7,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 from scipy.interpolate import CloughTocher2DInterpolator, CubicSpline
-from scipy.sparse.linalg import LinearOperator, eigsh, splu
+from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
 
 from studies.second_laboratory.air import air_mass, panels_of
 from studies.second_laboratory.cane import Cane
-from studies.second_laboratory.elements import Prisms, Solid
+from studies.second_laboratory.elements import Prisms, Solid, patch_profile
 from studies.second_laboratory.naming import mode_names
-from studies.second_laboratory.parameters import Clamp, Thickness
+from studies.second_laboratory.parameters import Clamp, Crack, Flaws, Patch, Thickness
 from studies.second_laboratory.shape import (
     LENGTH,
     Fineness,
@@ -25,10 +27,13 @@ from studies.second_laboratory.shape import (
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# The basis holds the modes with the moduli of these two frequencies, whose stiffness brackets that
-# of all others; a third state changed no mode below 20 kHz by 0.05 cents.
-_STATES_HZ = (2500.0, 15000.0)
-_MODES = 30
+# The basis holds the modes with the moduli at a middle frequency, and how the lowest of them change
+# with each of the moduli that follow frequency. A basis of all modes at 2.5 and 15 kHz has the same
+# frequencies below 18 kHz to 0.01 cents.
+_MIDDLE_HZ = 6000.0
+_MODES, _CHANGED = 30, 18
+# Krylov steps from polynomials, after which the modes below 20 kHz are right to 0.1 cents.
+_STEPS = 4
 HIGHEST_HZ = 20_500.0
 # Frequencies at which the air is computed; its matrix is smooth between them.
 _AIR_HZ = np.array(
@@ -38,6 +43,10 @@ _AIR_PANELS_ACROSS = 20
 # Behind the front of the strips the plate goes on for about a half width, as a baffle that rests.
 _AIR_LENGTH = 44.0
 _ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2), (3, 3), (4, 4), (5, 5))
+# Strains that open or shear a crack along the grain: yy, yz and xy.
+_ACROSS = [1, 3, 5]
+# Two steps of forces that a crack no longer carries.
+_CRACK_STEPS = 2
 
 
 @dataclass(frozen=True)
@@ -76,6 +85,7 @@ class Reed:
     fineness : Fineness
     air : float
         Density of the air over that of dry air at 20 °C; 0 is a vacuum.
+    flaws : Flaws
     """
 
     def __init__(
@@ -85,28 +95,54 @@ class Reed:
         clamp: Clamp,
         fineness: Fineness | None = None,
         air: float = 1.0,
+        flaws: Flaws | None = None,
     ) -> None:
-        self.cane, self._air_share = cane, air
+        self.cane, self._air_share, self._flaws = cane, air, flaws or Flaws()
         fine, thick = fineness or Fineness(), Thicknesses(thickness)
-        solid = Solid(plan_mesh(thick, clamp, fine), thick, fine, clamp.bed_n_per_mm3 == 0.0)
+        bed = clamp.bed_n_per_mm3
+        solid = Solid(plan_mesh(thick, clamp, fine), thick, fine, bed == 0.0, clamp.sides)
         mass = solid.mass(cane.density * 1e-12)
-        vectors = []
-        for hz in _STATES_HZ:
-            elastic = cane.elasticity(2 * np.pi * hz, lossy=False).real
-            stiffness = solid.stiffness(elastic, clamp.bed_n_per_mm3)
-            vectors.append(lowest_modes(stiffness, mass, _MODES)[1])
-        self._reduce(solid, np.concatenate(vectors, 1), mass, clamp.bed_n_per_mm3)
+        self._reduce(solid, self._shapes(solid, mass, bed), mass, bed)
+
+    def _shapes(self, solid: Solid, mass: sparse.csc_array, bed: float) -> Array:
+        """Return displacements (free, m) whose combinations move as the reed does."""
+        middle = self.cane.elasticity(2 * np.pi * _MIDDLE_HZ, lossy=False).real
+        compliance = Compliance(solid.stiffness(middle, bed))
+        modes = compliance.lowest_modes(mass, solid.polynomial_loads(), _MODES)
+        field = (solid.ties @ modes[:, :_CHANGED]).reshape(solid.size, 3, -1)
+        found = [modes]
+        # E_L and G_LT, each a tenth stiffer: what follows frequency.
+        for entries in ((0, 0), (5, 5)):
+            change = np.zeros((6, 6))
+            change[entries] = 0.1 * middle[entries]
+            found.append(compliance(solid.forces(field, _everywhere(change))))
+        crack = self._flaws.crack
+        if crack is not None:
+            for _ in range(_CRACK_STEPS):
+                found.append(compliance(solid.forces(field, _lost_to(crack, middle))))
+                field = (solid.ties @ found[-1]).reshape(solid.size, 3, -1)
+        if self._flaws.patches:
+            found.append(compliance(solid.patch_loads(self._flaws.patches)))
+        return np.concatenate(found, 1)
 
     def _reduce(self, solid: Solid, vectors: Array, mass: sparse.csc_array, bed: float) -> None:
+        modes = vectors[:, :_MODES]
+        vectors[:, _MODES:] -= modes @ (modes.T @ (mass @ vectors[:, _MODES:]))
+        moving = mass @ vectors
+        vectors = vectors / np.sqrt(np.sum(vectors * moving, 0))
         gram = vectors.T @ (mass @ vectors)
         values, rotation = np.linalg.eigh(gram)
-        # Directions that both states share to 1e-8 of their mass add nothing but rounding.
+        # Directions that others share to 1e-8 of their mass add nothing but rounding.
         kept = values > 1e-8 * values[-1]
         basis = vectors @ (rotation[:, kept] / np.sqrt(values[kept]))
         field = (solid.ties @ basis).reshape(solid.size, 3, -1)
         self.parts = np.zeros((len(_ENTRIES), basis.shape[1], basis.shape[1]))
+        crack = self._flaws.crack
         for prisms in solid.prisms:
             strains = [prisms.strain(field, k) for k in range(6)]
+            if crack is not None:
+                keeps = crack.keeps(prisms.x, prisms.y).reshape(-1, 1)
+                strains = [e * keeps if k in _ACROSS else e for k, e in enumerate(strains)]
             weights = prisms.weights.reshape(-1, 1)
             for part, (i, j) in zip(self.parts, _ENTRIES, strict=True):
                 product = strains[i].T @ (weights * strains[j])
@@ -123,6 +159,28 @@ class Reed:
         self._loads = np.einsum(
             "pn,pnm->pm", points.basis * points.area[:, None], below[points.nodes]
         )
+        self.load_area = points.area
+        count = basis.shape[1]
+        self._added, self._sprung = np.zeros((count, count)), np.zeros((count, count), complex)
+        for patch in self._flaws.patches:
+            at = self.on_patch(patch)
+            self._added += patch.mass_t * np.outer(at, at)
+            self._sprung += patch.spring_n_per_mm * (1 + 1j * patch.loss) * np.outer(at, at)
+
+    def on_patch(self, patch: Patch) -> Array:
+        """Return the basis's displacement along z of the flat side, averaged over a patch."""
+        share = patch_profile(patch, self.load_x, self.load_y)
+        return np.asarray(share @ self._loads / (share @ self.load_area))
+
+    def surface_gram(self, weight: Array) -> Array:
+        """Return integrals of products of the basis over the flat side, weighted at `load_x`."""
+        return np.asarray(self._loads.T @ ((weight / self.load_area)[:, None] * self._loads))
+
+    def with_cane(self, cane: Cane) -> "Reed":
+        """Return this reed with other moduli, losses, temperature or moisture."""
+        changed = copy(self)
+        changed.cane = cane
+        return changed
 
     def deflection(self, x: Array, y: Array, bark: bool = True) -> Array:
         """Return the basis's displacement along z at points in mm, shape (n, m)."""
@@ -151,18 +209,28 @@ class Reed:
         """Return the stiffness at ω, in N/mm."""
         elastic = self.cane.elasticity(omega, lossy)
         weights = np.array([elastic[entry] for entry in _ENTRIES])
-        return np.asarray(np.einsum("k,kij->ij", weights, self.parts) + self._bed)
+        sprung = self._sprung if lossy else self._sprung.real
+        return np.asarray(np.tensordot(weights, self.parts, 1) + self._bed + sprung)
 
     def inertia(self, hz: float) -> ComplexArray:
         """Return the mass with that of the air at a frequency, in t."""
-        mass = np.eye(self.parts.shape[1], dtype=complex)
-        return np.asarray(mass + self._air(hz)) if self._air_share else mass
+        mass = self.cane.mass() * np.eye(self.parts.shape[1]) + self._added
+        if not self._air_share:
+            return mass.astype(complex)
+        air = self._air(hz)
+        return np.asarray(mass + self._flaws.air_inertia * air.real + 1j * air.imag)
 
     def response(self, hz: float, pressure_mpa: ComplexArray) -> ComplexArray:
         """Return coordinates of the basis in mm under a pressure at `load_x`, `load_y`."""
         omega = 2 * np.pi * hz
         dynamic = self.stiffness(omega) - omega**2 * self.inertia(hz)
-        return np.asarray(np.linalg.solve(dynamic, self._loads.T @ pressure_mpa))
+        return np.asarray(np.linalg.solve(dynamic, self.load(pressure_mpa)))
+
+    def load(self, pressure_mpa: ComplexArray) -> ComplexArray:
+        """Return the forces on the basis of a pressure at `load_x`, `load_y`, in N."""
+        # Real products: numpy would copy the large matrix to complex numbers.
+        parts = self._loads.T @ np.column_stack([pressure_mpa.real, pressure_mpa.imag])
+        return np.asarray(parts[:, 0] + 1j * parts[:, 1])
 
     @cached_property
     def poles(self) -> list[Pole]:
@@ -218,16 +286,67 @@ class Reed:
         ]
 
 
-def lowest_modes(
-    stiffness: sparse.csc_array, mass: sparse.csc_array, count: int
-) -> tuple[Array, Array]:
-    """Return frequencies in Hz and shapes of the lowest modes of a solid in a vacuum."""
-    factors = splu(
+class Compliance:
+    """Displacements under forces, to about 0.1 %, by factors of the stiffness in single precision.
+
+    That is enough to span a basis, whose frequencies are then found in double precision, and takes
+    half the time of factors in double precision.
+    """
+
+    def __init__(self, stiffness: sparse.csc_array) -> None:
+        self._stiffness = stiffness
+        self._scale = 1 / np.sqrt(stiffness.diagonal())
+        diagonal = sparse.diags_array(self._scale)
+        scaled = sparse.csc_array(diagonal @ stiffness @ diagonal).astype(np.float32)
+        self._factors = _factorised(scaled)
+
+    def __call__(self, forces: Array) -> Array:
+        """Return the displacements (n, m) of forces (n, m)."""
+        scaled = self._scale[:, None] * forces
+        size = np.abs(scaled).max(0)
+        found = self._factors.solve((scaled / size).astype(np.float32))
+        return np.asarray(self._scale[:, None] * (found * size))
+
+    def lowest_modes(self, mass: sparse.csc_array, loads: Array, count: int) -> Array:
+        """Return the shapes (n, count) of the lowest modes, of unit mass, by block Krylov steps."""
+        found = [np.linalg.qr(self(loads))[0]]
+        for _ in range(_STEPS - 1):
+            found.append(np.linalg.qr(self(mass @ found[-1]))[0])
+        span = np.linalg.qr(np.concatenate(found, 1))[0]
+        matrices = span.T @ (self._stiffness @ span), span.T @ (mass @ span)
+        _, vectors = linalg.eigh(*matrices, subset_by_index=(0, count - 1))
+        return np.asarray(span @ vectors)
+
+
+def _factorised(stiffness: sparse.csc_array) -> SuperLU:
+    return splu(
         stiffness,
         permc_spec="NATURAL",
         diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
     )
+
+
+def _everywhere(elastic: Array) -> Callable[[Prisms], Array]:
+    return lambda _: elastic
+
+
+def _lost_to(crack: Crack, elastic: Array) -> Callable[[Prisms], Array]:
+    """Return the elasticity that a crack takes away, at all points of prisms."""
+
+    def lost(prisms: Prisms) -> Array:
+        keeps = np.ones((*prisms.x.shape, 6))
+        keeps[..., _ACROSS] = crack.keeps(prisms.x, prisms.y)[..., None]
+        return np.asarray(elastic * (keeps[..., :, None] * keeps[..., None, :] - 1))
+
+    return lost
+
+
+def lowest_modes(
+    stiffness: sparse.csc_array, mass: sparse.csc_array, count: int
+) -> tuple[Array, Array]:
+    """Return frequencies in Hz and shapes of the lowest modes of a solid in a vacuum."""
+    factors = _factorised(stiffness)
     inverse = LinearOperator(stiffness.shape, factors.solve, dtype=float)
     start = np.random.default_rng(0).standard_normal(stiffness.shape[0])
     values, vectors = eigsh(stiffness, count, mass, sigma=0, OPinv=inverse, v0=start)

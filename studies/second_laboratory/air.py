@@ -48,9 +48,34 @@ def panels_of(
 
 def air_mass(panels: Panels, deflections: Array, omega: float) -> NDArray[np.complex128]:
     """Return the matrix A(ω) in tonnes for deflections (panels, m) of the plate."""
-    jump = np.linalg.solve(_kernel(panels, omega / SOUND), deflections.astype(complex))
+    kernel = _kernel(panels, omega / SOUND)
+    # The plate has a mirror: even and odd jumps are apart, which takes a quarter of the time.
+    left = np.flatnonzero(panels.y > 0.25 * panels.dy)
+    right = _mirrored(panels)[left]
+    middle = np.flatnonzero(np.abs(panels.y) < 0.25 * panels.dy)
+    jump = np.zeros(deflections.shape, complex)
+    for sign in (1.0, -1.0):
+        rows = np.concatenate([left, middle]) if sign > 0 else left
+        folded = kernel[np.ix_(rows, rows)].copy()
+        folded[:, : len(left)] += sign * kernel[np.ix_(rows, right)]
+        part = 0.5 * (deflections[left] + sign * deflections[right])
+        wanted = np.concatenate([part, deflections[middle]]) if sign > 0 else part
+        solved = np.linalg.solve(folded, wanted.astype(complex))
+        jump[left] += solved[: len(left)]
+        jump[right] += sign * solved[: len(left)]
+        if sign > 0:
+            jump[middle] = solved[len(left) :]
     area = panels.dx * panels.dy
     return np.asarray(-DENSITY * area * deflections.T @ jump)
+
+
+def _mirrored(panels: Panels) -> NDArray[np.int64]:
+    """Return for each panel the number of its mirror image."""
+    order = np.lexsort((panels.y, panels.x.round(6)))
+    mirror = np.lexsort((-panels.y, panels.x.round(6)))
+    found = np.empty(len(order), np.int64)
+    found[order] = mirror
+    return found
 
 
 def _kernel(panels: Panels, k: float) -> NDArray[np.complex128]:

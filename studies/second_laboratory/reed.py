@@ -149,7 +149,7 @@ class Reed:
                 part += product if i == j else product + product.T
         lateral = np.sum([_gram(prisms, field[:, 1]) for prisms in solid.prisms], 0)
         self._lateral = self.cane.density * 1e-12 * lateral
-        self._bed = solid.bed_gram(field, bed)
+        self.bed = solid.bed_gram(field, bed)
         depth = field.reshape(*solid.plan_shape, len(solid.heights), 3, -1)[..., 2, :]
         bark, below = (depth[:, :, k].reshape(-1, basis.shape[1]) for k in (-1, 0))
         self._positions = solid.plan_positions()
@@ -198,6 +198,12 @@ class Reed:
         return CloughTocher2DInterpolator(self._positions, 0.5 * (self._bark + self._flat))
 
     @cached_property
+    def vamp(self) -> Array:
+        """Displacement of the basis along z on a grid of the bark side, (n, m)."""
+        grid = np.meshgrid(np.linspace(0.2, 38, 40), np.linspace(-6.4, 6.4, 15))
+        return self.deflection(grid[0].ravel(), grid[1].ravel())
+
+    @cached_property
     def _air(self) -> CubicSpline:
         panels = panels_of(contour, float(contour(3.0)), _AIR_LENGTH, _AIR_PANELS_ACROSS)
         shapes = self.deflection(panels.x, panels.y, bark=False)
@@ -210,15 +216,15 @@ class Reed:
         elastic = self.cane.elasticity(omega, lossy)
         weights = np.array([elastic[entry] for entry in _ENTRIES])
         sprung = self._sprung if lossy else self._sprung.real
-        return np.asarray(np.tensordot(weights, self.parts, 1) + self._bed + sprung)
+        return np.asarray(np.tensordot(weights, self.parts, 1) + self.bed + sprung)
 
-    def inertia(self, hz: float) -> ComplexArray:
-        """Return the mass with that of the air at a frequency, in t."""
+    def inertia(self, hz: float, air: float = 1.0) -> ComplexArray:
+        """Return the mass with that of the air at a frequency, in t; `air` is a factor of it."""
         mass = self.cane.mass() * np.eye(self.parts.shape[1]) + self._added
         if not self._air_share:
             return mass.astype(complex)
-        air = self._air(hz)
-        return np.asarray(mass + self._flaws.air_inertia * air.real + 1j * air.imag)
+        moved = air * self._air(hz)
+        return np.asarray(mass + self._flaws.air_inertia * moved.real + 1j * moved.imag)
 
     def response(self, hz: float, pressure_mpa: ComplexArray) -> ComplexArray:
         """Return coordinates of the basis in mm under a pressure at `load_x`, `load_y`."""
@@ -270,20 +276,23 @@ class Reed:
         )
 
     def _named(self, poles: list[Pole]) -> list[Pole]:
+        vectors = np.array([p.vector for p in poles]).T
+        # The phase of a mode is nearly one: turn it to the real axis.
+        vectors = vectors * np.exp(-0.5j * np.angle(np.sum(vectors**2, 0)))
+        return [
+            Pole(name, p.frequency_hz, p.loss_factor, p.pole_hz, p.pole_loss, vector)
+            for name, p, vector in zip(self.names(vectors), poles, vectors.T, strict=True)
+        ]
+
+    def names(self, vectors: ComplexArray | Array) -> list[str]:
+        """Return the names of modes (m, k) in the reduced basis, by increasing frequency."""
         x, t = np.meshgrid(
             np.linspace(0.5, LENGTH, 150), np.linspace(-0.98, 0.98, 25), indexing="ij"
         )
         y = t * contour(x)
         shapes = self.deflection(x.ravel(), y.ravel()).reshape(*x.shape, -1)
-        vectors = np.array([p.vector for p in poles]).T
-        # The phase of a mode is nearly one: turn it to the real axis.
-        vectors = vectors * np.exp(-0.5j * np.angle(np.sum(vectors**2, 0)))
         lateral = np.einsum("im,ij,jm->m", vectors.conj(), self._lateral, vectors).real
-        names = mode_names((shapes @ vectors).real, x[:, 0], t[0], lateral)
-        return [
-            Pole(name, p.frequency_hz, p.loss_factor, p.pole_hz, p.pole_loss, vector)
-            for name, p, vector in zip(names, poles, vectors.T, strict=True)
-        ]
+        return mode_names((shapes @ vectors).real, x[:, 0], t[0], lateral)
 
 
 class Compliance:
@@ -312,10 +321,15 @@ class Compliance:
         found = [np.linalg.qr(self(loads))[0]]
         for _ in range(_STEPS - 1):
             found.append(np.linalg.qr(self(mass @ found[-1]))[0])
-        span = np.linalg.qr(np.concatenate(found, 1))[0]
-        matrices = span.T @ (self._stiffness @ span), span.T @ (mass @ span)
-        _, vectors = linalg.eigh(*matrices, subset_by_index=(0, count - 1))
-        return np.asarray(span @ vectors)
+        span = np.concatenate(found, 1)
+        # Steps share directions; those that are independent span the same.
+        weights, axes = np.linalg.eigh(span.T @ span)
+        axes = axes[:, weights > 1e-12] / np.sqrt(weights[weights > 1e-12])
+        stiff, heavy = span.T @ (self._stiffness @ span), span.T @ (mass @ span)
+        _, vectors = linalg.eigh(
+            axes.T @ stiff @ axes, axes.T @ heavy @ axes, subset_by_index=(0, count - 1)
+        )
+        return np.asarray(span @ (axes @ vectors))
 
 
 def _factorised(stiffness: sparse.csc_array) -> SuperLU:

@@ -18,7 +18,7 @@ PIVOT_HZ = 4000.0
 """Where the paper compares moduli of reeds, and where exponents of frequency change nothing."""
 # Relative change per 1 % of water, of E_L, of the other moduli and of loss factors: from 12 % to
 # 6 % of water E along the grain grows by 9 %, E across it and G by 20 % (Gerhards 1982, Wood Fiber
-# 14:4); tan δ of wood grows by some 5 % (Obataya et al. 1998, J. Wood Sci. 44).
+# 14:4); tan δ of wood grows by some 5 % (Obataya et al. 1998, Polymer 39).
 _PER_CENT_OF_WATER = (0.015, 0.033, 0.05)
 
 

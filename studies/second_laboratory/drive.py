@@ -47,19 +47,32 @@ class Drive:
         self, hz: float, x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]
     ) -> NDArray[np.complex128]:
         """Return the pressure on the flat side less that on the bark side, in MPa per volt."""
+        return np.asarray(1e-6 * self.loudspeaker(hz) * self.pattern(hz, x_mm, y_mm))
+
+    def pattern(
+        self,
+        hz: float,
+        x_mm: NDArray[np.float64],
+        y_mm: NDArray[np.float64],
+        across_mm: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.complex128]:
+        """Return the pressure over that of `loudspeaker`.
+
+        `across_mm` is which y of the chamber lies behind each point; the same y if None.
+        """
         p = self.parameters
         k = 2 * np.pi * hz / SOUND
         # Closed at the tip: a standing wave with its antinode there, and one that travels to it.
         wave = (1 - p.travelling) * np.cos(k * x_mm) + p.travelling * np.exp(1j * k * x_mm)
         along = _rise((x_mm - _WINDOW[0]) / _RISE[0]) * _rise((_WINDOW[1] - x_mm) / _RISE[1])
-        y = y_mm + p.lateral_mm
+        y = (y_mm if across_mm is None else across_mm) + p.lateral_mm
         open_part = along * _rise((p.chamber_half_mm - np.abs(y)) / _SIDE_RISE)
         share = p.on_rails + (1 - p.on_rails) * open_part
         if self.clay:
             share = share * (p.through_clay + (1 - p.through_clay) * _rise(y / _CLAY_RISE))
         # Behind the table the flat side rests on the wedge, and no pressure gets there.
         vamp = _rise((36.0 - x_mm) / _RISE[1])
-        return np.asarray(1e-6 * self.loudspeaker(hz) * vamp * (share * wave - p.leakage))
+        return np.asarray(vamp * (share * wave - p.leakage))
 
 
 def _rise(distance: NDArray[np.float64]) -> NDArray[np.float64]:

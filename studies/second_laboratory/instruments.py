@@ -35,6 +35,10 @@ class VirtualClock:
     def __init__(self) -> None:
         self._now_s, self._begun = 0.0, datetime.now(UTC)
 
+    def begin(self, date: datetime) -> None:
+        """Take another date for the moment at which the laboratory was opened."""
+        self._begun = date
+
     def now_s(self) -> float:
         """Return the time since the laboratory was opened."""
         return self._now_s

@@ -1,0 +1,78 @@
+"""All effects by identifier: those of the list that this laboratory was asked for, and others."""
+
+from studies.second_laboratory.campaigns.effects import (
+    camera,
+    cane,
+    clocks,
+    light,
+    mount,
+    shape,
+    sound,
+    unknown_light,
+    unknown_sound,
+)
+from studies.second_laboratory.campaigns.effects.base import Effect
+
+_LISTED: tuple[type[Effect], ...] = (
+    sound.TweeterCompression,
+    sound.AmplifierRolloff,
+    camera.LostFrames,
+    clocks.SynthesizerDetuning,
+    clocks.GeneratorClock,
+    clocks.SynthesizerDrift,
+    cane.ViscoelasticStiffening,
+    cane.FrequencyDependentDamping,
+    cane.Density,
+    cane.TransverseModulus,
+    cane.TransverseShear,
+    shape.ThicknessOffset,
+    shape.ThicknessWedge,
+    shape.ThicknessCrown,
+    shape.ThicknessTilt,
+    shape.TipMass,
+    mount.ClampCompliance,
+    mount.ClampAsymmetry,
+    mount.ShortCrack,
+    mount.HardeningNonlinearity,
+    mount.AirLoad,
+    sound.AcousticResonance,
+    sound.SecondAcousticResonance,
+    sound.ChamberLeakage,
+    light.LaserPowerDrift,
+    light.LaserModeHop,
+    light.SpeckleDecorrelation,
+    light.SidebandCrosstalk,
+    light.CarrierLeak,
+    light.PhaseStepError,
+    light.Defocus,
+    light.LoMisalignment,
+    light.Vignetting,
+    camera.FixedPatternNoise,
+    camera.HotPixels,
+    camera.ReadNoise,
+    camera.SensorNonlinearity,
+    cane.TemperatureDrift,
+    cane.Drying,
+    light.BenchVibration,
+)
+_UNLISTED: tuple[type[Effect], ...] = (
+    unknown_sound.GeneratorHarmonics,
+    unknown_sound.TweeterWarming,
+    unknown_sound.AmplifierKnob,
+    unknown_sound.ReedAskew,
+    unknown_sound.ReedContact,
+    unknown_sound.LigatureRattle,
+    unknown_sound.WaterFilm,
+    unknown_sound.ClampCreep,
+    unknown_light.DirtyWindow,
+    unknown_light.GhostReflection,
+    unknown_light.WrongWavelength,
+    unknown_light.TwoLaserModes,
+    unknown_light.InterlacedRows,
+    unknown_light.MissingCodes,
+    unknown_light.PhaseSlips,
+)
+
+LISTED = {effect.id: effect for effect in _LISTED}
+UNLISTED = {effect.id: effect for effect in _UNLISTED}
+BY_ID: dict[str, type[Effect]] = {**LISTED, **UNLISTED}

@@ -29,6 +29,7 @@ Its parts
     light                     scatterers anywhere, uneven-to-even transform; all orders of the
                               vibration, and the object's own speckle, in each frame
     laboratory, instruments   sensor, ageing of field and path, clock, drivers
+    campaigns                 all runs of one reed in a quarter of an hour, and what may be wrong
     ========================  ====================================================================
 
 Disorder, each with its range and source, is the table of fields in `parameters.Disorder`; an amount

@@ -35,7 +35,8 @@ def short_campaign(series):
 
 
 def recorded(case, folder, repeat=0):
-    record(case, folder, repeat, campaign=short_campaign(case.series), fineness=COARSE)
+    made = record(case, folder, repeat, campaign=short_campaign(case.series), fineness=COARSE)
+    assert [path.stem for path in made] == [part["name"] for part in PARTS]
     return folder
 
 

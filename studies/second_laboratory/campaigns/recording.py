@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from acquire.campaigns import load_campaign, run_campaign
-from acquire.results.measurement import CampaignResult
 from protocols.bench import BenchFile
 from protocols.campaign import CampaignFile
 from studies.second_laboratory.bench import SENSORS
@@ -75,7 +74,7 @@ def record(
     sensor: str = "small",
     campaign: CampaignFile | None = None,
     fineness: Fineness | None = None,
-) -> CampaignResult:
+) -> tuple[Path, ...]:
     """Measure a campaign of a case into a folder, which must be new or empty.
 
     Run files hold nothing of the case but its frames: they are made in another folder, whose name
@@ -95,8 +94,13 @@ def record(
 
     Returns
     -------
-    CampaignResult
-        Its paths are those of the other folder.
+    tuple of Path
+        Run files of all parts, in the order of measurement.
+
+    Raises
+    ------
+    RuntimeError
+        If the campaign ended early; what was measured is in the folder.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -108,7 +112,9 @@ def record(
         result = run_campaign(measured, made, bench_file(), reed=_REED, seed=_SEED)
         for path in sorted(made.iterdir()):
             shutil.move(path, folder / path.name)
-    return result
+    if len(result.parts) < len(measured.parts) or result.exit_status:
+        raise RuntimeError(f"{folder}: the campaign ended early: {result.title}")
+    return tuple(folder / part.path.name for part in result.parts)
 
 
 @contextmanager

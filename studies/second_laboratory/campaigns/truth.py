@@ -9,6 +9,7 @@ from scipy import linalg
 
 from studies.second_laboratory.campaigns.case import Case, Setup, setup_of
 from studies.second_laboratory.campaigns.climate import Climate
+from studies.second_laboratory.campaigns.disorder import LEVELS
 from studies.second_laboratory.campaigns.effects.base import (
     Array,
     Body,
@@ -46,7 +47,8 @@ def truth_of(
     Returns
     -------
     dict
-        ``kind``, ``amount``, ``series``, ``seed``, ``number``, ``repeat``;
+        ``kind``, ``amount``, ``level`` (its name, or null), ``series``, ``seed``, ``number``,
+        ``repeat``;
         ``effects``: identifier and `Effect.sizes` of each;
         ``disorder``: parameters of bench, reed, day and first clamping, without the effects;
         ``modes``: frequency in Hz and loss factor of each mode below 20 kHz by name, in the first
@@ -57,6 +59,7 @@ def truth_of(
     return {
         "kind": case.kind,
         "amount": case.amount,
+        "level": next((name for name, each in LEVELS.items() if each == case.amount), None),
         "series": case.series,
         "seed": case.seed,
         "number": case.number,

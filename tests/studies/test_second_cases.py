@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import acquire
+from acquire.campaigns import plan_campaign
 from studies.second_laboratory.campaigns.case import Case, case_from_json, draw_case, setup_of
 from studies.second_laboratory.campaigns.effects.catalogue import LISTED, UNLISTED
 from studies.second_laboratory.campaigns.effects.light import LaserModeHop
@@ -92,6 +93,13 @@ def test_a_case_survives_its_key():
         case = draw_case(kind, "rough", 9, 4)
         assert case_from_json(json.loads(json.dumps(case.to_json()))) == case
         assert case.amount == 2.0
+
+
+@pytest.mark.parametrize("sensor", ["small", "full"])
+def test_campaigns_can_be_planned(sensor):
+    planned = plan_campaign(campaign_file("B", sensor), bench_file())
+    assert [len(plan.steps) for plan in planned.plans].count(184) == 5
+    assert not any(plan.violations for plan in planned.plans)
 
 
 def test_the_bench_file_says_nothing_of_the_case(campaign):

@@ -12,10 +12,10 @@ class SynthesizerDetuning(Effect):
     id = "synthesizer_detuning"
     hz: float = size(
         0.005,
-        0.4,
+        0.3,
         "Hz",
         "error of f1 − f2",
-        "two ovens at 80 MHz that differ by 6e-11 to 5e-9 (OCXO data sheets)",
+        "two ovens at 80 MHz that differ by 6e-11 to 4e-9 (OCXO data sheets); more is seen at once",
         signed=True,
     )
 
@@ -31,10 +31,10 @@ class SynthesizerDrift(Effect):
     id = "synthesizer_drift"
     hz_per_hour: float = size(
         0.03,
-        3.0,
+        1.5,
         "Hz/h",
         "growth of the error of f1 − f2",
-        "warming ovens drift by 4e-10 to 4e-8 an hour at 80 MHz (OCXO data sheets)",
+        "warming ovens drift by 4e-10 to 2e-8 an hour at 80 MHz (OCXO data sheets)",
         signed=True,
     )
 
@@ -50,7 +50,7 @@ class GeneratorClock(Effect):
     id = "generator_clock"
     ppm: float = size(
         0.2,
-        20.0,
+        15.0,
         "ppm",
         "difference to the synthesizers' clock",
         "compensated quartz 1–2 ppm, plain quartz 20–50 ppm (data sheets of generators)",

@@ -108,7 +108,7 @@ class PhaseStepError(Effect):
     id = "phase_step_error"
     rad: float = size(
         0.01,
-        0.5,
+        0.3,
         "rad",
         "phase of every other frame",
         "piezos 5–10 % (Schwider et al. 1983, Appl. Opt. 22); an uneven trigger (chosen)",
@@ -180,8 +180,8 @@ class BenchVibration(Effect):
 
     id = "bench_vibration"
     rad: float = size(
-        0.03,
-        0.6,
+        0.02,
+        0.3,
         "rad sd",
         "jitter of each frame's phase",
         "floors of 1–30 µm/s at 5–30 Hz (Gordon 1991, Proc. SPIE 1619), and what an isolated table "

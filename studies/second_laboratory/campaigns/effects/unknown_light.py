@@ -112,7 +112,7 @@ class InterlacedRows(Effect):
 
     id = "interlaced_rows"
     ms: float = size(
-        0.3, 40.0, "ms", "delay of odd rows", "up to half a frame period of interlaced video"
+        0.3, 15.0, "ms", "delay of odd rows", "a part of the 40 ms of interlaced video (chosen)"
     )
 
     def row_delay_s(self, delay_s: float) -> float:

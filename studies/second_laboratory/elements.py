@@ -310,13 +310,13 @@ class Solid:
         )
         through = np.linspace(0.0, 1.0, self._fine.vamp_order + 1)
         vamp = _interpolation(through, heights)[0]
-        held = np.eye(len(heights))[:, :-1]
+        free = np.eye(len(heights))
+        # Three kinds of normals: on the vamp, in layers, and in layers under a strip that holds.
+        blocks = [sparse.coo_array(np.kron(one, np.eye(3))) for one in (vamp, free, free[:, :-1])]
+        kinds = np.where(layered, 1 + (strip & self.clamped), 0)
         rows, columns, values, first = [], [], [], 0
         for i, j in _dissected(*self.plan_shape, order):
-            one = vamp
-            if layered[i, j]:
-                one = held if self.clamped and strip[i, j] else np.eye(len(heights))
-            block = sparse.coo_array(np.kron(one, np.eye(3)))
+            block = blocks[kinds[i, j]]
             rows.append(3 * len(heights) * (i * self.plan_shape[1] + j) + block.coords[0])
             columns.append(first + block.coords[1])
             values.append(block.data)

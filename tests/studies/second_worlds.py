@@ -23,8 +23,8 @@ REED = ReedParameters(clamp=Clamp(bed_n_per_mm3=8000.0))
 
 
 def case_of(*effects, series="A", amount=1.0):
-    kinds = {0: "clean", 1: "single", 2: "pair"}
-    return Case(kinds[len(effects)], effects, amount, series, 7, 0)
+    kinds = {0: "clean", 1: "single"}
+    return Case(kinds.get(len(effects), "pair"), effects, amount, series, 7, 0)
 
 
 def world_of(*effects, still=True, bench=None, series="A", repeat=0, air=0.0):

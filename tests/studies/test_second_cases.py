@@ -128,6 +128,7 @@ def test_an_effect_shows_and_only_in_what_it_touches(clean, campaign, tmp_path):
     assert parts == {"rest1", "up", "again"}
 
 
+@pytest.mark.slow
 def test_another_clamping_and_another_day_differ(clean, campaign, tmp_path):
     with (
         acquire.open_run(campaign / "up.h5") as up,

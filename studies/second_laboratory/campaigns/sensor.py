@@ -10,7 +10,7 @@ from studies.second_laboratory.campaigns.drawing import SensorParameters
 Floats = NDArray[np.floating[Any]]
 # Dark currents of hot pixels, e/s: log-uniform, so that none of them saturates in 80 ms.
 _HOT_E_S = (300.0, 20_000.0)
-# Dark current doubles every so many kelvin (EMVA 1288, release 4, section 7).
+# Kelvin by which dark current doubles (EMVA 1288, release 4, section 7).
 _DOUBLES_K = 7.0
 # Standard deviation of the logarithm of other pixels' dark current. Chosen.
 _DARK_SPREAD = 0.3

@@ -75,7 +75,7 @@ class TweeterWarming(Effect):
 
 @dataclass(frozen=True)
 class AmplifierKnob(Effect):
-    """Somebody turns the knob of the amplifier during the campaign."""
+    """A person turns the knob of the amplifier during the campaign."""
 
     id = "amplifier_knob"
     ln: float = size(

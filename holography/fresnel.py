@@ -161,7 +161,7 @@ class FresnelTransform:
         return power
 
     def of_windowed(
-        self, image: Complex64Array, places: npt.NDArray[np.intp], axis: int
+        self, image: Complex64Array, start: int, count: int, axis: int
     ) -> Complex64Array:
         """Return what `to_object` would give for a hologram under a Hann window along one axis.
 
@@ -173,25 +173,23 @@ class FresnelTransform:
         ----------
         image : ndarray of complex64, shape (..., ny, nx)
             Result of `to_object`.
-        places : (m,) int
-            Rows (axis 0) or columns (axis 1) of the image that are wanted.
+        start, count : int
+            The rows (axis 0) or columns (axis 1) of the image that are wanted.
         axis : int
             Axis of the window, 0 or 1.
 
         Returns
         -------
-        ndarray of complex64, shape (..., m, nx) or (..., ny, m)
+        ndarray of complex64, shape (..., count, nx) or (..., ny, count)
         """
-        chirp, along = self._backward_chirps[1], axis - 2
-        count = self.shape[axis]
-
-        def spectrum(shift: int) -> Complex64Array:
-            at = (places + shift) % count
-            part: Complex64Array = np.take(image, at, along) * np.take(chirp, at, along).conj()
-            return part
-
-        windowed = 0.5 * spectrum(0) - 0.25 * (spectrum(-1) + spectrum(1))
-        field: Complex64Array = (windowed * np.take(chirp, places, along)).astype(np.complex64)
+        # Neighbours of the first row of an image are its second and its last.
+        at, along = np.arange(start - 1, start + count + 1) % self.shape[axis], axis - 2
+        chirp = np.take(self._backward_chirps[1], at, along)
+        spectrum = np.moveaxis(np.take(image, at, along) * chirp.conj(), along, 0)
+        windowed = np.float32(0.5) * spectrum[1:-1]
+        windowed -= np.float32(0.25) * (spectrum[:-2] + spectrum[2:])
+        inner = np.take(chirp, np.arange(1, count + 1), along)
+        field: Complex64Array = np.moveaxis(windowed, 0, along) * inner
         return field
 
     def _transform(

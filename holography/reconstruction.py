@@ -14,8 +14,10 @@ from holography.fresnel import FresnelTransform
 from holography.phase import SteadyTurn, steady_turn
 from holography.region import Region
 
-# Mean square of a Hann window: what it leaves of white noise.
-_HANN_POWER = 3 / 8
+# Mean square of a Hann window, which is what it leaves of white noise; and the correlation of noise
+# at neighbouring pixels, and at the next ones, of an image under it: the window is the sum
+# (−¼, ½, −¼) over neighbours.
+_HANN_POWER, _HANN_CORRELATION = 3 / 8, (-2 / 3, 1 / 6)
 
 
 @dataclass(frozen=True)
@@ -54,12 +56,30 @@ class Reconstruction:
         -------
         (..., rows, columns) complex64
         """
-        empty, shape = self.empty, self.transform.shape
-        axis = 0 if empty.width == shape[1] else 1
+        empty, axis = self.empty, self._window_axis
         start, count = ((empty.row, empty.height), (empty.column, empty.width))[axis]
-        windowed = self.transform.of_windowed(image, np.arange(start, start + count), axis)
+        windowed = self.transform.of_windowed(image, start, count, axis)
         scaled: npt.NDArray[np.complex64] = windowed * np.float32(_HANN_POWER**-0.5)
         return scaled
+
+    @property
+    def _window_axis(self) -> int:
+        """Axis along which the empty region lies beyond the reed: it spans the other one."""
+        return 0 if self.empty.width == self.transform.shape[1] else 1
+
+    @property
+    def independent_noise(self) -> float:
+        """Return how many independent pixels know as much of the noise as the empty region does.
+
+        Mean ``|H|²`` of circular Gaussian noise over n pixels in a row has the relative variance
+        ``(1 + 2 Σ (1 − k/n) ρ_k²) / n`` with the correlation ρ_k of pixels k apart.
+        """
+        empty = self.empty
+        along = (empty.height, empty.width)[self._window_axis]
+        shared = sum(
+            2 * max(1 - k / along, 0.0) * rho**2 for k, rho in enumerate(_HANN_CORRELATION, 1)
+        )
+        return empty.height * empty.width / (1 + shared)
 
     def field(self, frames: npt.ArrayLike) -> npt.NDArray[np.complex64]:
         """Return the field around the reed from four frames.

@@ -231,8 +231,8 @@ def _judge_signal(
     # Sidebands above the first may be dark without a fault; the lower orders show faults.
     if step.order > 1 and len(plan.protocol.sideband.selected) > 1:
         return None
-    region, empty = reconstruction.region, reconstruction.empty
-    return judge_signal(ratio, region.height * region.width, empty.height * empty.width)
+    region = reconstruction.region
+    return judge_signal(ratio, region.height * region.width, reconstruction.independent_noise)
 
 
 def _judge_frames(

@@ -449,15 +449,17 @@ def judge_shown(turn: SteadyTurn, carrier_leak: float) -> Judgement | None:
     )
 
 
-def judge_signal(signal_to_noise: float, reed_pixels: int, empty_pixels: int) -> Judgement | None:
+def judge_signal(
+    signal_to_noise: float, reed_pixels: float, empty_pixels: float
+) -> Judgement | None:
     """Return `NO_SIGNAL` if the light in the reed's region could be noise.
 
     Parameters
     ----------
     signal_to_noise : float
         Mean ``|H|²`` in the reed's region over that of the empty region.
-    reed_pixels, empty_pixels : int
-        Number of pixels of the two regions, see `signal_threshold`.
+    reed_pixels, empty_pixels : float
+        Number of independent pixels of the two regions, see `signal_threshold`.
     """
     threshold = signal_threshold(reed_pixels, empty_pixels)
     if signal_to_noise > threshold:
@@ -469,11 +471,11 @@ def judge_signal(signal_to_noise: float, reed_pixels: int, empty_pixels: int) ->
     )
 
 
-def signal_threshold(reed_pixels: int, empty_pixels: int) -> float:
+def signal_threshold(reed_pixels: float, empty_pixels: float) -> float:
     """Return the ratio of two noise means that noise exceeds once in three million times.
 
     Noise is circular Gaussian, so its ``|H|²`` has an exponential distribution, whose standard
-    deviation equals its mean. The ratio of the means over N and M pixels is therefore 1 with the
-    standard deviation ``√(1/N + 1/M)``; five of these are allowed.
+    deviation equals its mean. The ratio of the means over N and M independent pixels is therefore 1
+    with the standard deviation ``√(1/N + 1/M)``; five of these are allowed.
     """
     return 1 + _SIGNAL_DEVIATIONS * math.sqrt(1 / reed_pixels + 1 / empty_pixels)

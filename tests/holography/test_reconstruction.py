@@ -99,26 +99,46 @@ def test_mean_power_is_that_of_every_pixel():
     assert mean_power(field) == pytest.approx(np.mean(np.abs(field.astype(complex)) ** 2))
 
 
-def test_noise_of_the_camera_is_that_of_the_empty_region_and_of_the_reed_s():
+# The empty region lies beside the first, and above the second, which spans nearly all columns.
+REEDS = pytest.mark.parametrize("region", [Region(160, 80, 60, 160), Region(108, 10, 40, 300)])
+
+
+@REEDS
+def test_noise_of_the_camera_is_that_of_the_empty_region_and_of_the_reed_s(region):
     """White noise stays white: its power per pixel is that on the sensor, wherever one looks."""
     rng = np.random.default_rng(4)
     white = np.rint(rng.normal(1000, 20, (4, 256, 320))).astype(np.uint16)
     transform = FresnelTransform((256, 320), 6.7e-6, 650e-9, 1.0)
-    halves = Reconstruction(transform, Region(160, 80, 60, 160)).quadratures(white)
+    halves = Reconstruction(transform, region).quadratures(white)
     # Four frames of variance 400 and 1/12 of rounding.
     assert halves.noise == pytest.approx(4 * (400 + 1 / 12), rel=0.02)
     assert mean_power(halves.field) == pytest.approx(halves.noise, rel=0.04)
 
 
-def test_side_lobes_of_the_reed_s_light_are_no_noise():
+@pytest.mark.parametrize("region", [Region(42, 20, 12, 40), Region(24, 4, 16, 72)])
+def test_noise_scatters_as_that_of_independent_pixels(region):
+    """Of 2000 frames of white noise, along either axis: of a Hann window 35 of 18 pixels."""
+    rng, reconstruction = np.random.default_rng(7), Reconstruction(TRANSFORM, region)
+    empty = reconstruction.empty
+    assert 1.6 < empty.height * empty.width / reconstruction.independent_noise < 35 / 18
+    images = complex_noise(rng, (2000, *TRANSFORM.shape))
+    powers = [mean_power(reconstruction.only_noise(image)) for image in images]
+    scatter = np.std(powers) / np.mean(powers)
+    assert scatter == pytest.approx(reconstruction.independent_noise**-0.5, rel=0.06)
+
+
+@REEDS
+def test_side_lobes_of_the_reed_s_light_are_no_noise(region):
     """Scatterers between pixels of the image, whose light ends at the edges of the sensor."""
     rng = np.random.default_rng(6)
     transform = FresnelTransform((256, 320), 6.7e-6, 650e-9, 1.0)
-    reconstruction = Reconstruction(transform, Region(160, 80, 60, 160))
+    reconstruction = Reconstruction(transform, region)
     at = [(np.arange(n) - n // 2) * 6.7e-6 for n in (256, 320)]
     pitch_m = transform.object_pitch_m
     light = np.zeros((256, 320), complex)
-    for y, x in rng.uniform((165, 85), (215, 235), (200, 2)):
+    first = region.row + 5, region.column + 5
+    last = region.row + region.height - 5, region.column + region.width - 5
+    for y, x in rng.uniform(first, last, (200, 2)):
         place_m = (y - 128) * pitch_m[0], (x - 160) * pitch_m[1]
         chirps = [
             np.exp(-1j * np.pi * (u - p) ** 2 / 650e-9) for u, p in zip(at, place_m, strict=True)

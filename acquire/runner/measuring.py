@@ -231,8 +231,7 @@ def _judge_signal(
     # Sidebands above the first may be dark without a fault; the lower orders show faults.
     if step.order > 1 and len(plan.protocol.sideband.selected) > 1:
         return None
-    region = reconstruction.region
-    return judge_signal(ratio, region.height * region.width, reconstruction.independent_noise)
+    return judge_signal(ratio, reconstruction)
 
 
 def _judge_frames(

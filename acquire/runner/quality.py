@@ -19,6 +19,7 @@ import numpy as np
 from acquire.runner.frame_quality import frame_rate_hz
 from drivers.roles import Frame
 from holography.phase import SteadyTurn
+from holography.reconstruction import Reconstruction
 from protocols.frequency_lock import lock_residual_hz, phase_error_rad
 from runs.verdict import Judgement, ReadBack, Verdict
 
@@ -449,19 +450,17 @@ def judge_shown(turn: SteadyTurn, carrier_leak: float) -> Judgement | None:
     )
 
 
-def judge_signal(
-    signal_to_noise: float, reed_pixels: float, empty_pixels: float
-) -> Judgement | None:
+def judge_signal(signal_to_noise: float, reconstruction: Reconstruction) -> Judgement | None:
     """Return `NO_SIGNAL` if the light in the reed's region could be noise.
 
     Parameters
     ----------
     signal_to_noise : float
         Mean ``|H|²`` in the reed's region over that of the empty region.
-    reed_pixels, empty_pixels : float
-        Number of independent pixels of the two regions, see `signal_threshold`.
+    reconstruction : Reconstruction
+        Holds the two regions, see `signal_threshold`.
     """
-    threshold = signal_threshold(reed_pixels, empty_pixels)
+    threshold = signal_threshold(reconstruction)
     if signal_to_noise > threshold:
         return None
     return Judgement(
@@ -471,11 +470,14 @@ def judge_signal(
     )
 
 
-def signal_threshold(reed_pixels: float, empty_pixels: float) -> float:
+def signal_threshold(reconstruction: Reconstruction) -> float:
     """Return the ratio of two noise means that noise exceeds once in three million times.
 
     Noise is circular Gaussian, so its ``|H|²`` has an exponential distribution, whose standard
-    deviation equals its mean. The ratio of the means over N and M independent pixels is therefore 1
-    with the standard deviation ``√(1/N + 1/M)``; five of these are allowed.
+    deviation equals its mean. The ratio of the means over N independent pixels of the reed's region
+    and M of the empty one is therefore 1 with the standard deviation ``√(1/N + 1/M)``; five of
+    these are allowed.
     """
-    return 1 + _SIGNAL_DEVIATIONS * math.sqrt(1 / reed_pixels + 1 / empty_pixels)
+    region = reconstruction.region
+    inverse = 1 / (region.height * region.width) + 1 / reconstruction.independent_noise
+    return 1 + _SIGNAL_DEVIATIONS * math.sqrt(inverse)

@@ -36,12 +36,13 @@ from acquire.runner.quality import (
     signal_threshold,
 )
 from drivers.roles import Frame
+from holography.fresnel import FresnelTransform
 from holography.phase import (
     NO_TURN,
     SteadyTurn,
     steady_turn,
 )
-from holography.reconstruction import mean_power
+from holography.reconstruction import Reconstruction, mean_power
 from holography.region import Region
 from runs.verdict import (
     Judgement,
@@ -553,30 +554,39 @@ def test_a_few_hot_pixels_do_not_saturate():
     assert judge_saturation(1.01 * SATURATED_SHARE_MAX).verdict is Verdict.SATURATED
 
 
+# A sensor of 80 × 100 pixels, whose empty region is smaller than the reed's, so it decides.
+SMALL = Reconstruction(FresnelTransform((80, 100), 6.7e-6, 650e-9, 0.1), Region(30, 4, 40, 92))
+
+
 def test_noise_alone_has_the_statistics_of_the_threshold():
     """Of a thousand empty pictures, the ratios have the mean and deviation that it presumes."""
     rng = np.random.default_rng(0)
-    parts = rng.standard_normal((1000, 2, 40, 50), dtype=np.float32)
-    images = (parts[:, 0] + 1j * parts[:, 1]).astype(np.complex64)
-    reed, empty = Region(2, 3, 20, 15), Region(0, 30, 40, 20)
-    ratios = np.array([mean_power(reed.crop(im)) / mean_power(empty.crop(im)) for im in images])
-    presumed = (signal_threshold(300, 800) - 1) / 5
+    ratios = np.empty(1000)
+    for number in range(len(ratios)):
+        parts = rng.standard_normal((2, 80, 100), dtype=np.float32)
+        image = (parts[0] + 1j * parts[1]).astype(np.complex64)
+        noise = mean_power(SMALL.only_noise(image))
+        ratios[number] = mean_power(SMALL.region.crop(image)) / noise
+    presumed = (signal_threshold(SMALL) - 1) / 5
     assert ratios.mean() == pytest.approx(1, abs=0.01)
     assert ratios.std() == pytest.approx(presumed, rel=0.1)
-    assert all(judge_signal(ratio, 300, 800) for ratio in ratios)
+    assert all(judge_signal(ratio, SMALL) for ratio in ratios)
 
 
 def test_a_dead_camera_gives_no_signal():
     # Its pictures have no noise either, so there is no ratio.
-    assert judge_signal(np.nan, 6, 20).verdict is Verdict.NO_SIGNAL
-    assert judge_signal(0.0, 6, 20).verdict is Verdict.NO_SIGNAL
+    assert judge_signal(np.nan, SMALL).verdict is Verdict.NO_SIGNAL
+    assert judge_signal(0.0, SMALL).verdict is Verdict.NO_SIGNAL
 
 
 def test_a_little_more_than_noise_is_a_signal():
-    threshold = signal_threshold(70_000, 200_000)
+    camera = Reconstruction(
+        FresnelTransform((1024, 1280), 6.7e-6, 650e-9, 1.0), Region(400, 300, 170, 400)
+    )
+    threshold = signal_threshold(camera)
     assert 1.01 < threshold < 1.03
-    assert judge_signal(threshold, 70_000, 200_000).verdict is Verdict.NO_SIGNAL
-    assert judge_signal(threshold * 1.001, 70_000, 200_000) is None
+    assert judge_signal(threshold, camera).verdict is Verdict.NO_SIGNAL
+    assert judge_signal(threshold * 1.001, camera) is None
 
 
 # --- Severity ----------------------------------------------------------------------------------

@@ -100,6 +100,21 @@ def test_added_mass_of_a_long_strip():
     assert mass.imag < 0
 
 
+def test_air_of_each_panel_is_a_doublet_far_away():
+    """Deflect each panel alone, neither evenly nor oddly: A⁻¹ is −N(r)/ρ, N as in the module."""
+    panels = panels_of(lambda x: 2.0 + 0.1 * x, 3.0, 10.0, 7)
+    k = 0.2
+    mass = air_mass(panels, np.eye(len(panels.x)), k * SOUND)
+    assert mass == pytest.approx(mass.T)
+    found = -DENSITY * np.linalg.inv(mass)
+    x, y = (at[:, None] - at for at in (panels.x, panels.y))
+    r = np.hypot(x, y)
+    far = r > 5 * panels.dx
+    doublet = (1 + 1j * k * r[far]) * np.exp(-1j * k * r[far]) / (4 * np.pi * r[far] ** 3)
+    assert np.count_nonzero(far) > 100
+    assert found[far] == pytest.approx(doublet, rel=0.02)
+
+
 def test_density_alone_changes_components_over_density():
     heavy = replace(Cane(), density=550.0).components_over_density()
     assert Cane().components_over_density() == pytest.approx({"e1": 0, "e2": 0, "e3": 0}, abs=1e-4)

@@ -1,10 +1,12 @@
 """Drivers of the second laboratory, as a bench file names them: ``package.module:Class``."""
 
+from abc import ABC, abstractmethod
 from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.context import BenchContext
 from drivers.errors import InstrumentError, LimitError
@@ -151,25 +153,92 @@ class SecondGenerator:
         self._settings.sounding = False
 
 
-class SecondCamera:
-    """A camera that runs freely on the laboratory's clock."""
+class FreeRunningCamera(ABC):
+    """A camera that runs freely on the laboratory's clock, whatever it sees.
+
+    Parameters
+    ----------
+    entry : CameraSensor
+    clock : VirtualClock
+        Shared with the other instruments.
+    """
 
     identity = "second laboratory, camera of 12 bits"
 
+    def __init__(self, entry: CameraSensor, clock: VirtualClock) -> None:
+        self._entry, self._clock = entry, clock
+        self._period_s, self._exposure_s = Fraction(1), Fraction(1)
+        self._configured = False
+        self._started_s: float | None = None
+        self._next = 0
+
+    @abstractmethod
+    def _prepare(self, shape: tuple[int, int]) -> None:
+        """Make ready to expose this part of the sensor."""
+
+    @abstractmethod
+    def _expose(self, starts_s: list[float], exposure_s: float) -> list[NDArray[np.uint16]]:
+        """Return the frames of consecutive exposures."""
+
+    def configure(
+        self, frame_rate_hz: Fraction, exposure_s: Fraction, shape: tuple[int, int]
+    ) -> None:
+        """Set up the camera."""
+        if self._started_s is not None:
+            raise InstrumentError("the camera is running; stop it first")
+        large = shape[0] > self._entry.height or shape[1] > self._entry.width
+        if exposure_s * frame_rate_hz > 1 or large:
+            raise LimitError("the camera has no such exposure or sensor")
+        self._period_s, self._exposure_s = 1 / frame_rate_hz, exposure_s
+        self._prepare(shape)
+        self._configured = True
+
+    def start(self) -> None:
+        """Begin to take frames."""
+        if not self._configured:
+            raise InstrumentError("the camera is not configured; configure it first")
+        self._started_s, self._next = self._clock.now_s(), 0
+
+    def stop(self) -> None:
+        """Take no more frames."""
+        self._started_s = None
+
+    def grab(self, count: int, not_before_s: float) -> list[Frame]:
+        """Return the next frames whose exposures begin at a time or later."""
+        if self._started_s is None:
+            raise InstrumentError("the camera is stopped; start it first")
+        period_s, exposure_s = float(self._period_s), float(self._exposure_s)
+        # Rounding of times does not cost a frame.
+        earliest = int(np.ceil((not_before_s - self._started_s) / period_s - 1e-9))
+        first = max(self._next, earliest)
+        starts = [self._started_s + k * period_s for k in range(first, first + count)]
+        images = self._expose(starts, exposure_s)
+        self._next = first + count
+        self._clock.wait(starts[-1] + exposure_s - self._clock.now_s())
+        return [Frame(first + k, starts[k], image) for k, image in enumerate(images)]
+
+    def now_s(self) -> float:
+        """Return the time of the laboratory."""
+        return self._clock.now_s()
+
+    def close(self) -> None:
+        """Stop."""
+        self._started_s = None
+
+
+class SecondCamera(FreeRunningCamera):
+    """The camera of sweeps, which builds the laboratory that it sees."""
+
     def __init__(self, entry: CameraSensor, context: BenchContext) -> None:
-        self._entry, self._context = entry, context
+        shared = context.share(Shared)
+        super().__init__(entry, shared.clock)
+        self._context, self._settings = context, shared.settings
         self._options = read_options(
             LaboratoryOptions, entry.options, context.description.name, "instruments.camera.options"
         )
-        shared = context.share(Shared)
-        self._clock, self._settings = shared.clock, shared.settings
         disorder = Disorder().scaled(self._options.disorder)
         self._reed = draw_reed(disorder, self._options.series, self._options.reed_seed)
         self._bench = draw_bench(disorder, self._options.bench_seed)
-        self._laboratory: Laboratory | None = None
-        self._period_s, self._exposure_s = Fraction(1), Fraction(1)
-        self._started_s: float | None = None
-        self._next = 0
 
     @property
     def saturation_dn(self) -> int:
@@ -177,15 +246,7 @@ class SecondCamera:
         p = self._bench.camera
         return min(4095, round(p.offset_dn + p.full_well_e / p.electrons_per_dn))
 
-    def configure(
-        self, frame_rate_hz: Fraction, exposure_s: Fraction, shape: tuple[int, int]
-    ) -> None:
-        """Set up the camera, and build the laboratory for this part of the sensor."""
-        if self._started_s is not None:
-            raise InstrumentError("the camera is running; stop it first")
-        if exposure_s * frame_rate_hz > 1 or shape > (self._entry.height, self._entry.width):
-            raise LimitError("the camera has no such exposure or sensor")
-        self._period_s, self._exposure_s = 1 / frame_rate_hz, exposure_s
+    def _prepare(self, shape: tuple[int, int]) -> None:
         optics = self._context.description.optics
         geometry = Geometry(
             shape,
@@ -204,34 +265,5 @@ class SecondCamera:
             self._context.rng,
         )
 
-    def start(self) -> None:
-        """Begin to take frames."""
-        if self._laboratory is None:
-            raise InstrumentError("the camera is not configured; configure it first")
-        self._started_s, self._next = self._clock.now_s(), 0
-
-    def stop(self) -> None:
-        """Take no more frames."""
-        self._started_s = None
-
-    def grab(self, count: int, not_before_s: float) -> list[Frame]:
-        """Return the next frames whose exposures begin at a time or later."""
-        if self._started_s is None or self._laboratory is None:
-            raise InstrumentError("the camera is stopped; start it first")
-        period_s = float(self._period_s)
-        # Rounding of times does not cost a frame.
-        earliest = int(np.ceil((not_before_s - self._started_s) / period_s - 1e-9))
-        first = max(self._next, earliest)
-        starts = [self._started_s + k * period_s for k in range(first, first + count)]
-        images = self._laboratory.expose(starts, float(self._exposure_s))
-        self._next = first + count
-        self._clock.wait(starts[-1] + float(self._exposure_s) - self._clock.now_s())
-        return [Frame(first + k, starts[k], image) for k, image in enumerate(images)]
-
-    def now_s(self) -> float:
-        """Return the time of the laboratory."""
-        return self._clock.now_s()
-
-    def close(self) -> None:
-        """Stop."""
-        self._started_s = None
+    def _expose(self, starts_s: list[float], exposure_s: float) -> list[NDArray[np.uint16]]:
+        return self._laboratory.expose(starts_s, exposure_s)

@@ -8,9 +8,11 @@ import pytest
 from scipy.special import jv
 
 import acquire
+from drivers.errors import InstrumentError, LimitError
 from studies.second_laboratory.bench import bench_file, protocol
 from studies.second_laboratory.cane import Cane
 from studies.second_laboratory.drive import Drive
+from studies.second_laboratory.instruments import FreeRunningCamera, VirtualClock
 from studies.second_laboratory.laboratory import Laboratory, Sensor, Settings
 from studies.second_laboratory.light import (
     Geometry,
@@ -112,6 +114,45 @@ def test_series_of_one_reed_have_one_cane():
     assert a.thickness == b.thickness
     assert (a.cane.dryness, b.cane.dryness) == (0.0, 1.0)
     assert a.clamp != b.clamp
+
+
+class BlindCamera(FreeRunningCamera):
+    saturation_dn = 4095
+
+    def _prepare(self, shape):
+        self.shape = shape
+
+    def _expose(self, starts_s, exposure_s):
+        return [np.zeros(self.shape, np.uint16) for _ in starts_s]
+
+
+@pytest.fixture
+def blind_camera() -> BlindCamera:
+    camera = bench_file("B", 1, 1, {}).instruments.camera
+    return BlindCamera(camera.model_copy(update={"height": 64, "width": 80}), VirtualClock())
+
+
+@pytest.mark.parametrize("shape", [(65, 80), (64, 81), (32, 81)])
+def test_a_camera_refuses_more_than_its_sensor(blind_camera, shape):
+    with pytest.raises(LimitError):
+        blind_camera.configure(RATE_HZ, 1 / RATE_HZ, shape)
+    with pytest.raises(LimitError):
+        blind_camera.configure(RATE_HZ, 2 / RATE_HZ, (64, 80))
+
+
+def test_a_camera_runs_while_nobody_looks(blind_camera):
+    with pytest.raises(InstrumentError):
+        blind_camera.start()
+    blind_camera.configure(RATE_HZ, 1 / RATE_HZ, (64, 80))
+    with pytest.raises(InstrumentError):
+        blind_camera.grab(4, 0.0)
+    blind_camera.start()
+    first, late = blind_camera.grab(4, 0.0), blind_camera.grab(4, 1.0)
+    assert [frame.id for frame in first + late] == [0, 1, 2, 3, 13, 14, 15, 16]
+    assert late[0].timestamp_s == pytest.approx(13 / 12.4)
+    assert blind_camera.now_s() == pytest.approx(17 / 12.4)
+    with pytest.raises(InstrumentError):
+        blind_camera.configure(RATE_HZ, 1 / RATE_HZ, (64, 80))
 
 
 def test_bench_and_protocol_can_be_planned():

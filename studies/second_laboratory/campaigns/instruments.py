@@ -8,20 +8,20 @@ in a key, a file that the environment variable `KEY_VARIABLE` names while the be
 import json
 import os
 from datetime import UTC, datetime, timedelta
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.context import BenchContext
-from drivers.errors import BenchSetupError, InstrumentError, LimitError
+from drivers.errors import BenchSetupError
 from drivers.options import Options, read_options
-from drivers.roles import Arrangement, Frame
+from drivers.roles import Arrangement
 from protocols.bench import CameraSensor
 from studies.second_laboratory.campaigns.case import case_from_json, setup_of
 from studies.second_laboratory.campaigns.drawing import SHEET
 from studies.second_laboratory.campaigns.world import World
-from studies.second_laboratory.instruments import Shared
+from studies.second_laboratory.instruments import FreeRunningCamera, Shared
 from studies.second_laboratory.light import Geometry
 from studies.second_laboratory.shape import Fineness
 
@@ -75,69 +75,25 @@ class CampaignSurroundings:
         self._hall.clock.wait(self._hall.world.clamp_again(self._hall.clock.now_s()))
 
 
-class CampaignCamera:
-    """A camera that runs freely on the laboratory's clock."""
-
-    identity = "second laboratory, camera of 12 bits"
+class CampaignCamera(FreeRunningCamera):
+    """The camera of campaigns, which sees the world of its hall."""
 
     def __init__(self, entry: CameraSensor, context: BenchContext) -> None:
-        self._entry = entry
         read_options(
             CampaignOptions, entry.options, context.description.name, "instruments.camera.options"
         )
-        self._hall = context.share(Hall)
-        context.surroundings = CampaignSurroundings(self._hall)
-        self._period_s, self._exposure_s = Fraction(1), Fraction(1)
-        self._configured = False
-        self._started_s: float | None = None
-        self._next = 0
+        hall = context.share(Hall)
+        super().__init__(entry, hall.clock)
+        self._world = hall.world
+        context.surroundings = CampaignSurroundings(hall)
 
     @property
     def saturation_dn(self) -> int:
         """Number at which a pixel stops growing with light, by the data sheet."""
         return min(4095, round(SHEET.offset_dn + SHEET.full_well_e / SHEET.electrons_per_dn))
 
-    def configure(
-        self, frame_rate_hz: Fraction, exposure_s: Fraction, shape: tuple[int, int]
-    ) -> None:
-        """Set up the camera."""
-        if self._started_s is not None:
-            raise InstrumentError("the camera is running; stop it first")
-        large = shape[0] > self._entry.height or shape[1] > self._entry.width
-        if exposure_s * frame_rate_hz > 1 or large:
-            raise LimitError("the camera has no such exposure or sensor")
-        self._period_s, self._exposure_s = 1 / frame_rate_hz, exposure_s
-        self._hall.world.read(shape)
-        self._configured = True
+    def _prepare(self, shape: tuple[int, int]) -> None:
+        self._world.read(shape)
 
-    def start(self) -> None:
-        """Begin to take frames."""
-        if not self._configured:
-            raise InstrumentError("the camera is not configured; configure it first")
-        self._started_s, self._next = self._hall.clock.now_s(), 0
-
-    def stop(self) -> None:
-        """Take no more frames."""
-        self._started_s = None
-
-    def grab(self, count: int, not_before_s: float) -> list[Frame]:
-        """Return the next frames whose exposures begin at a time or later."""
-        if self._started_s is None:
-            raise InstrumentError("the camera is stopped; start it first")
-        period_s, clock = float(self._period_s), self._hall.clock
-        # Rounding of times does not cost a frame.
-        earliest = int(np.ceil((not_before_s - self._started_s) / period_s - 1e-9))
-        first = max(self._next, earliest)
-        starts = [self._started_s + k * period_s for k in range(first, first + count)]
-        images = self._hall.world.expose(starts, float(self._exposure_s))
-        self._next = first + count
-        clock.wait(starts[-1] + float(self._exposure_s) - clock.now_s())
-        return [Frame(first + k, starts[k], image) for k, image in enumerate(images)]
-
-    def now_s(self) -> float:
-        """Return the time of the laboratory."""
-        return self._hall.clock.now_s()
-
-    def close(self) -> None:
-        """Stop."""
-        self._started_s = None
+    def _expose(self, starts_s: list[float], exposure_s: float) -> list[NDArray[np.uint16]]:
+        return self._world.expose(starts_s, exposure_s)

@@ -1,6 +1,5 @@
 """The laboratory behind the three instruments: what the camera sees of the vibrating reed."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -11,21 +10,20 @@ from numpy.typing import NDArray
 
 from studies.second_laboratory.drive import Drive
 from studies.second_laboratory.light import (
+    MIDDLE_MM,
     Geometry,
     Propagation,
+    circular,
+    drift_shapes,
     exposure_weights,
+    place_scatterers,
     vibration_samples,
 )
 from studies.second_laboratory.parameters import BenchParameters, CameraParameters, ReedParameters
 from studies.second_laboratory.reed import Reed
-from studies.second_laboratory.shape import STRIP_FRONT, contour
 
-# The camera looks at the middle of the vamp; only the vamp is lit.
-_MIDDLE_MM = 19.0
 # Fields that are propagated at a time, to bound the memory.
 _AT_ONCE = 16
-# Degree of the polynomials in x and y by which the field drifts.
-_DRIFT_DEGREE = 3
 
 
 @lru_cache(maxsize=2)
@@ -83,28 +81,18 @@ class Laboratory:
 
     def _place_scatterers(self, centre_m: tuple[float, float]) -> None:
         light, geometry, rng = self._bench.light, self._geometry, self._rng
-        rate = geometry.wavelength_m * geometry.distance_m / geometry.pixel_m
-        cell_mm2 = 1e6 * rate**2 / (geometry.shape[0] * geometry.shape[1])
-        widest = float(contour(3.0))
-        count = round(light.scatterers_per_cell * STRIP_FRONT * 2 * widest / cell_mm2)
-        x = rng.uniform(0, STRIP_FRONT, count)
-        y = rng.uniform(-widest, widest, count)
-        inside = np.abs(y) < contour(x)
-        x, y = x[inside], y[inside]
+        x, y = place_scatterers(light.scatterers_per_cell, geometry, rng)
         self._deflection = self._reed.deflection(x, y)
         self._propagation = Propagation(
-            geometry, 1e-3 * (x - _MIDDLE_MM) + centre_m[1], 1e-3 * y + centre_m[0]
+            geometry, 1e-3 * (x - MIDDLE_MM) + centre_m[1], 1e-3 * y + centre_m[0]
         )
-        from_beam = (x - _MIDDLE_MM - light.illumination_mm[0]) ** 2
+        from_beam = (x - MIDDLE_MM - light.illumination_mm[0]) ** 2
         from_beam = from_beam + (y - light.illumination_mm[1]) ** 2
         self._lit = np.exp(-from_beam / light.illumination_radius_mm**2)
         power = light.object_share * light.reference_e / np.sum(self._lit**2)
         self._lit = self._lit * np.sqrt(power)
-        self._speckle = _circular(rng, len(x))
-        u, v = x / _MIDDLE_MM - 1, y / widest
-        self._smooth = np.stack(
-            [u**i * v**j for i in range(_DRIFT_DEGREE + 1) for j in range(_DRIFT_DEGREE + 1 - i)], 1
-        )
+        self._speckle = circular(rng, len(x))
+        self._smooth = drift_shapes(x, y)
 
     def vibration_mm(self) -> NDArray[np.complex128]:
         """Return the complex amplitude of each scatterer along the line of sight."""
@@ -139,9 +127,9 @@ class Laboratory:
     def _age(self) -> None:
         """Replace a part of the speckle, and let the field drift."""
         light, rng = self._bench.light, self._rng
-        new = _circular(rng, len(self._speckle))
+        new = circular(rng, len(self._speckle))
         self._speckle = np.sqrt(1 - light.renewal**2) * self._speckle + light.renewal * new
-        self._drift = self._drift + light.drift_sd * _circular(rng, len(self._drift))
+        self._drift = self._drift + light.drift_sd * circular(rng, len(self._drift))
 
     def _light(
         self, starts_s: NDArray[np.float64], exposure_s: float
@@ -163,11 +151,6 @@ class Laboratory:
             beating += np.tensordot(weights[:, part].astype(np.complex64), waves, 1)
             own += np.sum(np.abs(waves) ** 2, 0) / count
         return beating, own
-
-
-def _circular(rng: np.random.Generator, count: int) -> NDArray[np.complex128]:
-    real, imaginary = rng.standard_normal((2, count))
-    return np.asarray((real + 1j * imaginary) / math.sqrt(2))
 
 
 def _reference_beam(bench: BenchParameters, geometry: Geometry) -> NDArray[np.complex128]:

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, sparse
 
+from studies.second_laboratory.shape import STRIP_FRONT, contour
+
 ComplexArray = NDArray[np.complex64]
 Array = NDArray[np.float64]
 # Width w and shape β/w of the kernel, at σ = 1.25 times the points along each axis:
@@ -20,6 +22,11 @@ Array = NDArray[np.float64]
 # 1e-5, and 1e-4 at the sensor's edge, as that of a direct sum shows; for w = 7 it is 5e-4.
 _KERNEL_WIDTH, _FINER = 10, 1.25
 _KERNEL_SHAPE = 0.97 * np.pi * (1 - 1 / (2 * _FINER))
+
+# Middle of the vamp, at which the camera looks, and half of the vamp's greatest width.
+MIDDLE_MM, _WIDEST_MM = 19.0, float(contour(3.0))
+# Degree of the polynomials in x and y by which the field drifts.
+_DRIFT_DEGREE = 3
 
 
 @dataclass(frozen=True)
@@ -119,6 +126,35 @@ def _spread(position: Array, n: int, width: int) -> tuple[NDArray[np.int64], Arr
     first = np.ceil(at - width / 2).astype(int)
     points = first[:, None] + np.arange(width)
     return points % n, _kernel(points - at[:, None], width)
+
+
+def place_scatterers(
+    per_cell: float, geometry: Geometry, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Return places on the vamp in mm, `per_cell` of them per cell of the image.
+
+    Only the vamp is lit; `MIDDLE_MM` is where the camera looks.
+    """
+    rate = geometry.wavelength_m * geometry.distance_m / geometry.pixel_m
+    cell_mm2 = 1e6 * rate**2 / (geometry.shape[0] * geometry.shape[1])
+    count = round(per_cell * STRIP_FRONT * 2 * _WIDEST_MM / cell_mm2)
+    x = rng.uniform(0, STRIP_FRONT, count)
+    y = rng.uniform(-_WIDEST_MM, _WIDEST_MM, count)
+    inside = np.abs(y) < contour(x)
+    return x[inside], y[inside]
+
+
+def drift_shapes(x: Array, y: Array) -> Array:
+    """Return the polynomials (n, m) by which the field drifts, at places on the vamp in mm."""
+    u, v = x / MIDDLE_MM - 1, y / _WIDEST_MM
+    degrees = [(i, j) for i in range(_DRIFT_DEGREE + 1) for j in range(_DRIFT_DEGREE + 1 - i)]
+    return np.stack([u**i * v**j for i, j in degrees], 1)
+
+
+def circular(rng: np.random.Generator, count: int) -> NDArray[np.complex128]:
+    """Return circular Gaussian numbers of mean power 1."""
+    real, imaginary = rng.standard_normal((2, count))
+    return np.asarray((real + 1j * imaginary) / math.sqrt(2))
 
 
 def vibration_samples(largest_rad: float) -> int:

@@ -16,14 +16,17 @@ from studies.second_laboratory.campaigns.effects.base import (
     Places,
     Waves,
 )
-from studies.second_laboratory.light import Geometry, Propagation, vibration_samples
+from studies.second_laboratory.light import (
+    MIDDLE_MM,
+    Geometry,
+    Propagation,
+    circular,
+    drift_shapes,
+    place_scatterers,
+    vibration_samples,
+)
 from studies.second_laboratory.reed import Reed
-from studies.second_laboratory.shape import STRIP_FRONT, contour
 
-# The camera looks at the middle of the vamp; only the vamp is lit.
-_MIDDLE_MM = 19.0
-# Degree of the polynomials in x and y by which the field drifts.
-_DRIFT_DEGREE = 3
 # A narrower kernel than that of sweeps: its error, 5e-4 of the field, is an eighth of shot noise.
 _KERNEL_WIDTH = 7
 # Phases of a vibration over which the object's own light is averaged. It is 1 % of all light, and
@@ -101,17 +104,15 @@ class ReedImage:
     ) -> None:
         self._beams, self._cast, self._rng = beams, cast, rng
         self.geometry = cast.through("geometry", stated)
-        x, y = _scatterers(beams, stated, rng)
+        x, y = place_scatterers(beams.scatterers_per_cell, stated, rng)
         self._deflection = reed.deflection(x, y).astype(np.float32)
         self.places = cast.through("places", _seen(x, y, beams, centre_m, clamping))
         self._propagation = Propagation(
             self.geometry, self.places.u_m, self.places.v_m, _KERNEL_WIDTH
         )
-        self._speckle = _circular(rng, len(x))
-        u, v = x / _MIDDLE_MM - 1, y / np.abs(y).max()
-        degrees = [(i, j) for i in range(_DRIFT_DEGREE + 1) for j in range(_DRIFT_DEGREE + 1 - i)]
-        self._smooth = np.stack([u**i * v**j for i, j in degrees], 1)
-        self._drift = np.zeros(len(degrees), complex)
+        self._speckle = circular(rng, len(x))
+        self._smooth = drift_shapes(x, y)
+        self._drift = np.zeros(self._smooth.shape[1], complex)
         self._aged_s: float | None = None
 
     def age(self, time_s: float, driven: bool) -> None:
@@ -123,10 +124,10 @@ class ReedImage:
         renewal = self._cast.through("renewal", self._beams.renewal, time_s)
         # Of independent renewals the squares add up.
         new = min(math.sqrt(1 - (1 - min(renewal, 0.9) ** 2) ** steps), 1.0)
-        fresh = _circular(self._rng, len(self._speckle))
+        fresh = circular(self._rng, len(self._speckle))
         self._speckle = math.sqrt(1 - new**2) * self._speckle + new * fresh
         walk = self._beams.drift_sd * math.sqrt(steps)
-        self._drift = self._drift + walk * _circular(self._rng, len(self._drift))
+        self._drift = self._drift + walk * circular(self._rng, len(self._drift))
 
     def light(
         self, motion: dict[int, ComplexArray], beat: Beat, now: Moment
@@ -171,26 +172,13 @@ class ReedImage:
         return np.asarray(moving[:, 0] + 1j * moving[:, 1])
 
 
-def _scatterers(
-    beams: BeamParameters, geometry: Geometry, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Return places on the vamp in mm, as many per cell of the image as `beams` says."""
-    rate = geometry.wavelength_m * geometry.distance_m / geometry.pixel_m
-    cell_mm2 = 1e6 * rate**2 / (geometry.shape[0] * geometry.shape[1])
-    widest = float(contour(3.0))
-    count = round(beams.scatterers_per_cell * STRIP_FRONT * 2 * widest / cell_mm2)
-    x, y = rng.uniform(0, STRIP_FRONT, count), rng.uniform(-widest, widest, count)
-    inside = np.abs(y) < contour(x)
-    return x[inside], y[inside]
-
-
 def _seen(
     x: Array, y: Array, beams: BeamParameters, centre_m: tuple[float, float], clamping: Clamping
 ) -> Places:
     """Return where scatterers are seen in a clamping, and how the beam lights them."""
     turn, (dx, dy) = clamping.turn_rad, clamping.place_mm
-    along = (x - _MIDDLE_MM) * math.cos(turn) - y * math.sin(turn) + dx
-    across = (x - _MIDDLE_MM) * math.sin(turn) + y * math.cos(turn) + dy
+    along = (x - MIDDLE_MM) * math.cos(turn) - y * math.sin(turn) + dx
+    across = (x - MIDDLE_MM) * math.sin(turn) + y * math.cos(turn) + dy
     square = (along - beams.illumination_mm[0]) ** 2 + (across - beams.illumination_mm[1]) ** 2
     lit = np.exp(-square / beams.illumination_radius_mm**2)
     lit = lit * np.sqrt(beams.object_share * beams.reference_e / np.sum(lit**2))
@@ -210,8 +198,3 @@ def reference_beam(
     wave_number = 2 * np.pi / geometry.wavelength_m
     tilt = beams.reference_tilt_rad[0] * v[:, None] + beams.reference_tilt_rad[1] * u
     return np.asarray(np.sqrt(np.maximum(power, 0)) * np.exp(1j * wave_number * tilt))
-
-
-def _circular(rng: np.random.Generator, count: int) -> ComplexArray:
-    real, imaginary = rng.standard_normal((2, count))
-    return np.asarray((real + 1j * imaginary) / math.sqrt(2))

@@ -140,14 +140,14 @@ def draw_campaign_bench(amount: float, seed: int) -> CampaignBench:
         quality * float(np.exp(further.cavity.draw(rng))),
         height * float(np.exp(further.cavity.draw(rng))),
     )
-    beams, lamp = _draw_beams(base.light, further, rng), _draw_lamp(further, rng)
-    hands, sensor = _draw_hands(further, rng), _draw_sensor(base.camera, further, rng)
+    beams, hands = _draw_beams(base.light, further, rng), _draw_hands(further, rng)
+    sensor = _draw_sensor(base.camera, further, rng)
     return CampaignBench(
         replace(base.drive, cavity=cavity),
         further.gain_wander.draw(rng),
         beams,
         sensor,
-        replace(lamp, rate_e_s=lamp.rate_e_s * sensor.full_well_e),
+        _draw_lamp(further, sensor.full_well_e, rng),
         hands,
         AirParameters(
             disorder.temperature.draw(rng),
@@ -178,11 +178,12 @@ def _draw_beams(
     )
 
 
-def _draw_lamp(further: CampaignDisorder, rng: np.random.Generator) -> LampParameters:
-    """Draw the lamp, its rate in full wells per second."""
+def _draw_lamp(
+    further: CampaignDisorder, full_well_e: float, rng: np.random.Generator
+) -> LampParameters:
     angle, slope = rng.uniform(0, 2 * np.pi), further.lamp_slope.draw(rng)
     return LampParameters(
-        further.lamp.draw(rng) / 0.08,
+        further.lamp.draw(rng) * full_well_e / 0.08,
         (slope * float(np.cos(angle)), slope * float(np.sin(angle))),
         further.lamp_flicker.draw(rng),
     )

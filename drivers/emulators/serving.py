@@ -273,8 +273,12 @@ class PtyServer(_Server):
                 self._talk(self._master, lambda answer: os.write(self._master, answer))
             finally:
                 os.close(self._master)
-                os.close(self._slave)
-            if not (self._pulled and self._is_plugged_in_again()):
+            is_plugged_in_again = self._pulled and self._is_plugged_in_again()
+            if not is_plugged_in_again:
+                # The system gives the name of a port to the next program once both ends are closed.
+                self._closing.wait()
+            os.close(self._slave)
+            if not is_plugged_in_again:
                 return
             self._plug_in()
 

@@ -1,5 +1,7 @@
 """Bytes go to a simulated device and back over real serial lines and sockets, spoilt as asked."""
 
+import itertools
+import os
 import socket
 import time
 from contextlib import suppress
@@ -189,6 +191,26 @@ def test_a_wire_that_is_never_plugged_in_again_stays_dead(serve, kind, ask):
     time.sleep(0.1)
     with pytest.raises(OSError, match=r"."):
         ask(server, b"c\n")
+
+
+def test_the_name_of_a_pulled_port_is_given_to_nobody_else(serve):
+    server = serve(PtyServer, WireFaults(unplug_at=1))
+    with suppress(OSError):
+        ask_serial(server, b"a\n")
+    wait_until(lambda: not os.path.exists(server.port))
+    pairs = [os.openpty() for _ in range(3)]
+    names = [os.ttyname(slave) for _, slave in pairs]
+    for end in itertools.chain(*pairs):
+        os.close(end)
+    assert server.port not in names
+
+
+def wait_until(is_true):
+    for _ in range(100):
+        if is_true():
+            return
+        time.sleep(0.02)
+    raise AssertionError(is_true)
 
 
 @given(st.binary(min_size=1, max_size=40))

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from holography.arrays import Array
@@ -98,12 +99,37 @@ def quiet_ripple(hz: Array, level: float = ANY_LEVEL) -> Ripple:
     return Ripple(coarse, _matern(log_hz, _FINE[1]), weights, log_size)
 
 
-def ripple_around(ripple: Ripple, covariance: Array) -> Ripple:
-    """Return a ripple around a drive that is known from another sweep, with its covariance (k, k).
+@dataclass(frozen=True)
+class DriveForm:
+    """How the drive of a sweep depends on frequency, as a fit explains it.
 
-    Where that sweep could have exchanged a part of a mode for a part of its drive, another one can.
+    Attributes
+    ----------
+    log_magnitude : (k,) float
+        What is expected by volts and lines, up to a constant.
+    ripple : Ripple
+        Prior of what is left of the smooth log magnitude.
+    log_probability : float
+        Of this explanation, among all of the sweep.
     """
-    return replace(ripple, coarse=ripple.coarse + covariance)
+
+    log_magnitude: Array
+    ripple: Ripple
+    log_probability: float
+
+    def at(self, steps: NDArray[np.intp], louder: Array) -> "DriveForm":
+        """Return the form at some of its steps (n,), at so many times the volts."""
+        square, ripple = np.ix_(steps, steps), self.ripple
+        return DriveForm(
+            self.log_magnitude[steps] + np.log(louder),
+            Ripple(
+                ripple.coarse[square],
+                ripple.fine[square],
+                ripple.weights[steps],
+                ripple.log_size,
+            ),
+            self.log_probability,
+        )
 
 
 def smooth_ripple(ripple: Ripple) -> Ripple:

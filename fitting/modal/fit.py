@@ -38,9 +38,9 @@ from fitting.modal.drive_lines import (
 )
 from fitting.modal.drive_prior import (
     HELD_LEVEL,
+    DriveForm,
     Ripple,
     quiet_ripple,
-    ripple_around,
     smooth_ripple,
     strong_ripple,
 )
@@ -49,8 +49,7 @@ from fitting.modal.first_state import at_level, first_state, participation_scale
 from fitting.modal.loss_difference import drift_with_losses, with_losses
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import (
-    KNOWN_DRIVE_DOF,
-    UNKNOWN_DRIVE_DOF,
+    DRIVE_DOF,
     Model,
     Prior,
     Stage,
@@ -109,7 +108,6 @@ def fit_modes(
     start_hz: dict[str, float],
     known: ModalFit | None = None,
     rough: bool = False,
-    drive_dof: float = UNKNOWN_DRIVE_DOF,
 ) -> ModalFit:
     """Fit the joint model of a sweep.
 
@@ -128,14 +126,12 @@ def fit_modes(
     rough : bool, optional
         End before the ripple of the drive is found: the fit predicts displacements well enough for
         a better fit of these.
-    drive_dof : float, optional
-        Degrees of freedom of the drive's prior, see `fitting.modal.model.Model`.
 
     Returns
     -------
     ModalFit
     """
-    model, centre_hz = _model(basis, drive_hz, volts, start_hz, drive_dof)
+    model, centre_hz = _model(basis, drive_hz, volts, start_hz)
     noise = noise_of(displacements)
     drift = drift_with_losses(displacements)
     shared = _first_shared(displacements, drift)
@@ -144,18 +140,62 @@ def fit_modes(
         rounds, scatter = _ROUNDS, _FIRST_SCATTER
     else:
         model, state = _again(model, known, displacements, len(shared.precision))
-        rounds = _AGAIN
-        scatter = replace(_FIRST_SCATTER, discrepancy=known.discrepancy, walk=known.field_walk)
+        rounds, scatter = _AGAIN, _scatter_of(known)
     prior = stage_prior(model, LAST, centre_hz, participation_scale(model, state))
     given = Given(displacements, drift, noise, prior)
     steps = _ROUGH_STEPS if rough else LAST.iterations
     for _ in range(rounds):
         end = one_round(model, given, state, scatter, steps)
         state, given, scatter = end.state, replace(given, noise=end.noise), end.next_scatter
-    if rough or drive_dof == KNOWN_DRIVE_DOF:
+    if rough:
         return _finish(displacements, basis.names, [Optimum.of(model, end)])
     found = _with_lines(Search(model, given, _optima(model, given, state, scatter)))
     return _finish(displacements, basis.names, _challenged(found, centre_hz).optima)
+
+
+def fit_modes_with_known_drive(
+    displacements: Displacements,
+    basis: ShapeBasis,
+    drive_hz: Array,
+    start_hz: dict[str, float],
+    known: ModalFit,
+) -> ModalFit:
+    """Fit the joint model of a sweep whose drive has a form that another fit has found.
+
+    The form is where a drive ripples, and how much, and its lines; the drive itself is found anew
+    (decision 0051).
+
+    Parameters
+    ----------
+    displacements : Displacements
+        Displacements of the k holograms.
+    basis : ShapeBasis
+    drive_hz : (k,) float
+        Drive frequencies.
+    start_hz : dict
+        See `fit_modes`.
+    known : ModalFit
+        Start of the fit. Its drive, and the forms of this, are those expected of this sweep.
+
+    Returns
+    -------
+    ModalFit
+    """
+    models = []
+    for form in known.drive_forms:
+        bare, centre_hz = _model(basis, drive_hz, np.exp(form.log_magnitude), start_hz)
+        models.append(replace(bare, ripple=form.ripple, line_weight=form.log_probability))
+    noise, drift = noise_of(displacements), drift_with_losses(displacements)
+    size = len(_first_shared(displacements, drift).precision)
+    model, state = _again(models[0], known, displacements, size)
+    prior = stage_prior(model, LAST, centre_hz, participation_scale(model, state))
+    given, scatter = Given(displacements, drift, noise, prior), _scatter_of(known)
+    for _ in range(_AGAIN - 1):
+        end = one_round(model, given, state, scatter)
+        state, given, scatter = end.state, replace(given, noise=end.noise), end.next_scatter
+    levelled = [at_level(each, state) for each in models]
+    optima = [Optimum.of(each, one_round(each, given, state, scatter)) for each in levelled]
+    return _finish(displacements, basis.names, optima)
 
 
 @dataclass(frozen=True)
@@ -259,7 +299,7 @@ def _first_shared(displacements: Displacements, drift: FieldDrift) -> SharedErro
 
 
 def _model(
-    basis: ShapeBasis, drive_hz: Array, volts: Array, start_hz: dict[str, float], drive_dof: float
+    basis: ShapeBasis, drive_hz: Array, volts: Array, start_hz: dict[str, float]
 ) -> tuple[Model, Array]:
     """Set up the model; also return the start frequencies (a,) of the active modes."""
     active = np.array([m for m, name in enumerate(basis.names) if name in start_hz])
@@ -273,7 +313,7 @@ def _model(
     model = Model(
         drive_hz,
         np.log(volts),
-        drive_dof,
+        DRIVE_DOF,
         quiet_ripple(drive_hz, HELD_LEVEL),
         powers,
         basis.shapes,
@@ -303,13 +343,16 @@ def _again(
     model: Model, known: ModalFit, displacements: Displacements, shared: int
 ) -> tuple[Model, State]:
     """Start from known modes: only the drive of every hologram is fitted to the displacements."""
-    if model.drive_dof == KNOWN_DRIVE_DOF:
-        model = replace(model, ripple=ripple_around(model.ripple, known.log_drive_covariance))
     unit = known.amplitude_rad / known.drive[:, None]
     drive = np.sum(unit.conj() * displacements.amplitude_rad, axis=1)
     drive = np.where(np.abs(drive) > 0, drive / np.sum(np.abs(unit) ** 2, axis=1), known.drive)
     state = replace(known.state, log_drive=np.log(drive), common_mode_shift=np.zeros(shared))
     return at_level(model, state), state
+
+
+def _scatter_of(known: ModalFit) -> Scatter:
+    """Return the scatter to start from, if modes are known."""
+    return replace(_FIRST_SCATTER, discrepancy=known.discrepancy, walk=known.field_walk)
 
 
 def _finish(
@@ -364,6 +407,7 @@ def _finish(
         common_mode_covariance=of_light[:, :light, :light],
         resonant=resonant_displacements(model, prior, state, now, posterior),
         log_drive_covariance=_mixture(weights, magnitudes)[1],
+        drive_forms=_drive_forms(optima, weights),
         off=_off(displacements, end.noise),
         state=state,
     )
@@ -374,6 +418,17 @@ def _mixture(weights: Array, parts: Sequence[tuple[Array, Array]]) -> tuple[Arra
     mean: Array = np.sum([w * each for w, (each, _) in zip(weights, parts, strict=True)], axis=0)
     spreads = [own + np.outer(each - mean, each - mean) for each, own in parts]
     return mean, np.asarray(np.tensordot(weights, spreads, axes=1))
+
+
+def _drive_forms(optima: Sequence[Optimum], weights: Array) -> tuple[DriveForm, ...]:
+    """Return the explanations of the drive that are not improbable, the best first."""
+    best = likeliest(optima)
+    order = sorted(zip(optima, weights, strict=True), key=lambda each: each[0] is not best)
+    return tuple(
+        DriveForm(each.model.log_volts, each.model.ripple, float(np.log(weight)))
+        for each, weight in order
+        if each is best or weight >= _IMPROBABLE
+    )
 
 
 def _spread(prior: Prior) -> Array:

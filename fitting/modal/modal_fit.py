@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.modal.model import (
-    State,
-)
+from fitting.modal.drive_prior import DriveForm
+from fitting.modal.model import State
 from fitting.modal.posterior import ResonantDisplacements
 from holography.arrays import Array, ComplexArray
 
@@ -61,6 +60,8 @@ class ModalFit:
     log_drive_covariance : (k, k) float
         Covariance of the log magnitude of the drive. A factor that is common to all holograms, and
         varies smoothly, can move between drive and participations: it is in this covariance.
+    drive_forms : tuple of DriveForm
+        Explanations of the drive that are not improbable, the best first.
     off : (k,) bool
         Holograms that are outliers, or that have no information.
     state : State
@@ -89,5 +90,6 @@ class ModalFit:
     common_mode_covariance: Array
     resonant: ResonantDisplacements
     log_drive_covariance: Array
+    drive_forms: tuple[DriveForm, ...]
     off: NDArray[np.bool_]
     state: State

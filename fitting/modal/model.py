@@ -20,9 +20,8 @@ from holography.arrays import Array, ComplexArray
 TAIL_TERMS = 2
 # Loss factor of dry cane.
 LOSS = 0.03
-# Degrees of freedom of the drive's Student distributions, which admit excitation peaks: for an
-# unknown drive, and for a drive that is known from another sweep.
-UNKNOWN_DRIVE_DOF, KNOWN_DRIVE_DOF = 4.0, 100.0
+# Degrees of freedom of the drive's Student distributions, which admit excitation peaks.
+DRIVE_DOF = 4.0
 # Prior of a loss factor: within a factor of 1.5.
 _LOSS_SPREAD = 0.4
 # Shapes mix as if stiffness and mass were wrong by this fraction; largest and least coefficient.
@@ -48,7 +47,7 @@ class Model:
     log_volts : (k,) float
         Log of the expected magnitude of the drive, up to a smooth factor.
     drive_dof : float
-        `UNKNOWN_DRIVE_DOF` or `KNOWN_DRIVE_DOF`.
+        Of the scatter of single holograms around a smooth drive, `DRIVE_DOF`.
     ripple : Ripple
         Prior of the drive's smooth log magnitude.
     powers : (k, n) float

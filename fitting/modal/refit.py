@@ -17,7 +17,7 @@ from fitting.holograms.block_amplitudes import (
 from fitting.holograms.displacement import Displacements, refit_displacements
 from fitting.holograms.object_field import CommonModeError, field_factor, smooth_functions
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.modal.fit import fit_modes
+from fitting.modal.fit import fit_modes_with_known_drive
 from fitting.modal.identify import (
     JointFit,
     MeasuredSweep,
@@ -26,7 +26,6 @@ from fitting.modal.identify import (
     naming_of,
 )
 from fitting.modal.modal_fit import ModalFit
-from fitting.modal.model import KNOWN_DRIVE_DOF
 from holography.arrays import ComplexArray
 from physics.reed.cane.viscoelastic import Series
 from physics.reed.reduced.reed import ReducedReed
@@ -67,18 +66,12 @@ def fit_same_reed(run: Run, before: JointFit, unshifted: UnshiftedLight | None =
             )
         displacements, start_hz, known = _from_before(block_amplitudes, before)
         # The lines of the drive stay, so that no mode can be absorbed by a new line.
-        modal = fit_modes(
-            displacements,
-            before.basis,
-            block_amplitudes.drive_hz,
-            np.abs(known.drive),
-            start_hz,
-            known,
-            drive_dof=KNOWN_DRIVE_DOF,
+        modal = fit_modes_with_known_drive(
+            displacements, before.basis, block_amplitudes.drive_hz, start_hz, known
         )
-        # What this sweep adds on the drive came from that of the other: it must not count again
-        # when the other is fitted from this one.
-        modal = replace(modal, log_drive_covariance=known.log_drive_covariance)
+        # What this sweep says of the forms of the drive must not count again when the other is
+        # fitted from this one.
+        modal = replace(modal, drive_forms=known.drive_forms)
         sweep = MeasuredSweep(block_amplitudes, before.basis, displacements, modal, start_hz)
         return joint_fit_of(sweep, before.naming)
 
@@ -197,6 +190,7 @@ def _moved(modal: ModalFit, before: BlockAmplitudes, now: BlockAmplitudes) -> Mo
         amplitude_rad=modal.amplitude_rad[at] * louder[:, None],
         modal_rad=modal.modal_rad[at] * louder[:, None],
         log_drive_covariance=modal.log_drive_covariance[np.ix_(at, at)],
+        drive_forms=tuple(form.at(at, louder) for form in modal.drive_forms),
         participations=modal.participations[at],
         off=np.zeros(len(at), dtype=bool),
         state=replace(modal.state, log_drive=modal.state.log_drive[at] + np.log(louder)),

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import optimize, stats
 
-from fitting.modal.model import UNKNOWN_DRIVE_DOF
+from fitting.modal.model import DRIVE_DOF
 from fitting.names.likelihood import (
     NameData,
     own_shifts,
@@ -29,7 +29,7 @@ were true would have fewer, and one whose modes are often wrong would be of no u
 SHIFT_CENTS = (3.0, 60.0)
 """Scale of the shifts of modes in cents: what the reduced reed is off at least (decision 0024), and
 the scatter of reeds around a model without disorder (`fitting.fringes.start_frequencies`)."""
-DOF = UNKNOWN_DRIVE_DOF
+DOF = DRIVE_DOF
 """Degrees of freedom of shifts: as of the drive, normal but for a few."""
 SETTLED = 0.05
 """Least change of a step, in standard deviations of the prior."""

@@ -9,13 +9,12 @@ from fitting.errors import FitError
 from fitting.holograms.displacement import Displacements
 from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.modal.drive_prior import HELD_LEVEL, quiet_ripple
+from fitting.modal.drive_prior import HELD_LEVEL, DriveForm, quiet_ripple, smooth_ripple
 from fitting.modal.field_drift import FieldDrift
 from fitting.modal.first_state import at_level
-from fitting.modal.fit import _mixture, _model, fit_modes
+from fitting.modal.fit import _mixture, _model, fit_modes, fit_modes_with_known_drive
 from fitting.modal.model import (
-    KNOWN_DRIVE_DOF,
-    UNKNOWN_DRIVE_DOF,
+    DRIVE_DOF,
     Model,
     State,
     drive_prior_at,
@@ -426,26 +425,28 @@ def test_equal_errors_of_neighbours_count_less(sweep):
 
     The drive is known: what is not known of it would add to the errors of both.
     """
-    errors, driven = [], np.abs(sweep.drive)
+    errors, known = [], exactly_driven(sweep.fit(), np.abs(sweep.drive))
     for together in (1, 8):
         rng = np.random.default_rng(8)
         drawn = np.repeat(complex_normal(rng, 104 // together, FUNCTIONS), together, axis=0)
         size = np.sqrt(np.mean(np.abs(sweep.displacements.amplitude_rad) ** 2, axis=1))
-        moved = (0.2 * sweep.drive / driven * size)[:, None] * drawn
+        moved = (0.2 * sweep.drive / np.abs(sweep.drive) * size)[:, None] * drawn
         displacements = replace(
             sweep.displacements, amplitude_rad=sweep.displacements.amplitude_rad + moved
         )
-        fit = fit_modes(
-            displacements,
-            sweep.basis,
-            DRIVE_HZ,
-            driven,
-            sweep.start_hz,
-            drive_dof=KNOWN_DRIVE_DOF,
+        fit = fit_modes_with_known_drive(
+            displacements, sweep.basis, DRIVE_HZ, sweep.start_hz, known
         )
         assert (np.abs(cents(fit.hz, sweep.hz[:5])) < 3 * fit.error_cents).all()
         errors.append(fit.error_cents)
     assert np.median(errors[1] / errors[0]) > 1.4
+
+
+def exactly_driven(fit, drive):
+    """Return a fit that expects this drive (k,), with a ripple of almost nothing."""
+    ripple = smooth_ripple(quiet_ripple(DRIVE_HZ, HELD_LEVEL))
+    nothing = replace(ripple, coarse=1e-8 * np.eye(len(DRIVE_HZ)))
+    return replace(fit, drive_forms=(DriveForm(np.log(drive), nothing, 0.0),))
 
 
 def test_what_is_not_known_of_a_drive_adds_to_the_errors_of_modes():
@@ -454,23 +455,48 @@ def test_what_is_not_known_of_a_drive_adds_to_the_errors_of_modes():
     pole = np.abs(1 + 0.3 / (1 - (DRIVE_HZ / pole_hz) ** 2 + 1j * DRIVE_HZ / pole_hz / 20))
     sweep = planted(6, drive_dof=list(enumerate(pole)))
     known = sweep.fit()
-    exactly = replace(known, log_drive_covariance=np.zeros_like(known.log_drive_covariance))
     fits = [
-        fit_modes(
-            sweep.displacements, sweep.basis, DRIVE_HZ, np.abs(known.drive), sweep.start_hz,
-            before, drive_dof=KNOWN_DRIVE_DOF,
+        fit_modes_with_known_drive(
+            sweep.displacements, sweep.basis, DRIVE_HZ, sweep.start_hz, before
         )
-        for before in (exactly, known)
-    ]  # fmt: skip
+        for before in (exactly_driven(known, np.abs(sweep.drive)), known)
+    ]
     more = fits[1].error_cents / fits[0].error_cents
     assert (more > 0.95).all()
     assert more[3] > 1.1
-    assert (np.abs(cents(fits[1].hz, sweep.hz[:5])) < 3 * fits[1].error_cents).all()
+    for fit in fits:
+        assert (np.abs(cents(fit.hz, sweep.hz[:5])) < 3 * fit.error_cents).all()
+
+
+def test_a_sweep_tells_as_much_if_the_form_of_its_drive_is_known_as_if_it_is_found():
+    """A pole of the chamber lies next to a mode."""
+    pole_hz = 1.02 * MODE_HZ[3]
+    pole = np.abs(1 + 0.3 / (1 - (DRIVE_HZ / pole_hz) ** 2 + 1j * DRIVE_HZ / pole_hz / 20))
+    sweep = planted(6, drive_dof=list(enumerate(pole)))
+    found = sweep.fit()
+    for form in found.drive_forms:
+        assert form.log_probability <= 0
+    again = fit_modes_with_known_drive(
+        sweep.displacements, sweep.basis, DRIVE_HZ, sweep.start_hz, found
+    )
+    assert (np.abs(cents(again.hz, found.hz)) < 0.5 * found.error_cents).all()
+    assert again.error_cents == pytest.approx(found.error_cents, rel=0.35)
+
+
+def test_a_form_of_the_drive_is_taken_at_other_steps_and_volts():
+    ripple = quiet_ripple(DRIVE_HZ)
+    form = DriveForm(np.log(np.arange(1.0, 105)), ripple, -0.5)
+    steps, louder = np.arange(0, 104, 3), np.full(35, 2.0)
+    other = form.at(steps, louder)
+    assert np.exp(other.log_magnitude) == pytest.approx(2 * (1 + steps))
+    np.testing.assert_allclose(
+        other.ripple.covariance, ripple.covariance[np.ix_(steps, steps)], rtol=1e-12
+    )
 
 
 def test_participations_are_polynomials_of_frequency(sweep):
     """Over the same octave, they may change less at low frequencies than at high ones."""
-    model, _ = _model(sweep.basis, DRIVE_HZ, sweep.volts, sweep.start_hz, UNKNOWN_DRIVE_DOF)
+    model, _ = _model(sweep.basis, DRIVE_HZ, sweep.volts, sweep.start_hz)
     first = np.polynomial.Polynomial.fit(DRIVE_HZ, model.powers[:, 1], 1)
     np.testing.assert_allclose(first(DRIVE_HZ), model.powers[:, 1], atol=1e-12)
     assert model.powers[[0, -1], 1] == pytest.approx([-1, 1])
@@ -620,7 +646,7 @@ def point():
     model = Model(
         hz,
         np.log(np.full(len(k), 3.0)),
-        UNKNOWN_DRIVE_DOF,
+        DRIVE_DOF,
         quiet_ripple(hz),
         powers,
         reference,

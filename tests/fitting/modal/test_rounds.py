@@ -11,7 +11,7 @@ from fitting.modal.field_drift import FIRST_WALK
 from fitting.modal.first_state import at_level, first_state
 from fitting.modal.fit import _model
 from fitting.modal.loss_difference import drift_with_losses
-from fitting.modal.model import TAIL_TERMS, UNKNOWN_DRIVE_DOF, Prior, stage_prior
+from fitting.modal.model import TAIL_TERMS, Prior, stage_prior
 from fitting.modal.noise import noise_of
 from fitting.modal.rounds import LAST, Given, Scatter, one_round, probabilities
 from tests.fitting.modal.test_fit import DRIVE_HZ, planted
@@ -23,7 +23,7 @@ NOISE_ALONE = Scatter(1e-4, FIRST_WALK)
 def a_round(sweep, factor=1.0, inflation=1.0, iterations=40):
     """Fit with participations that are `factor` times as large, and a drive that is smaller."""
     displacements = sweep.displacements
-    model, centre_hz = _model(sweep.basis, DRIVE_HZ, sweep.volts, sweep.start_hz, UNKNOWN_DRIVE_DOF)
+    model, centre_hz = _model(sweep.basis, DRIVE_HZ, sweep.volts, sweep.start_hz)
     drift = drift_with_losses(displacements)
     state, scale = first_state(model, displacements, drift.parameters)
     x, active, powers = state.x.copy(), len(model.active), model.powers.shape[1]

@@ -1,13 +1,14 @@
 """Groups of observables: numbers with errors, coordinates, and the law that predicts them.
 
-What a campaign leaves open although the model is right, such as the level of the drive or details
-of a reed's profile, is part of the errors. All errors are Gaussian; what is unknown in proportion
-to known columns is added to their covariance.
+What a campaign leaves open although the model is right, such as the level of the drive, is part of
+the errors: as noise, or as unknown amounts of known columns (`GroupNuisances`). All errors are
+Gaussian; how large noise and amounts are is itself known within a factor only.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Final
 
 import numpy as np
 from scipy import linalg
@@ -55,6 +56,49 @@ class Coordinates:
     level: str = ""
 
 
+# Standard deviation of the log of a factor on noise that is measured by replicates in the campaign:
+# a standard deviation from some twenty numbers is known within 15 % (1/√(2·20)). Chosen.
+MEASURED: Final = 0.15
+
+
+@dataclass(frozen=True)
+class GroupNuisances:
+    """Unknown amounts of known columns, all on one scale that is known within a factor only.
+
+    Attributes
+    ----------
+    name : str
+    columns : (n, k) float
+        What one standard deviation of each amount adds to the numbers of a group.
+    freedom : float
+        Standard deviation of the log of the factor on these standard deviations.
+    source : str
+    """
+
+    name: str
+    columns: Array
+    freedom: float
+    source: str
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What numbers of a group may be off by although the model is right.
+
+    Attributes
+    ----------
+    noise : (n,) or (n, n) float
+        Standard deviations, or a covariance.
+    nuisances : tuple of GroupNuisances
+    noise_freedom : float
+        Standard deviation of the log of a factor, of at least 1, on the noise.
+    """
+
+    noise: Array
+    nuisances: tuple[GroupNuisances, ...] = ()
+    noise_freedom: float = MEASURED
+
+
 @dataclass(frozen=True)
 class ObservableGroup:
     """n numbers of one observable, compared with one prediction.
@@ -65,6 +109,7 @@ class ObservableGroup:
     tap : Observable
     values : (n,) float
     covariance : (n, n) float
+        Of noise and nuisances of usual size.
     coordinates : tuple of Coordinates
     parts : tuple of str
         Parts of the model that the prediction depends on.
@@ -72,6 +117,9 @@ class ObservableGroup:
         ``predict(parameters)`` gives (n,) float.
     whitening : (n, n) float
         ``root @ (values - predicted)`` has unit covariance.
+    noise_whitening : (n, n) float
+        The same for the noise alone.
+    errors : Errors
     """
 
     name: str
@@ -82,6 +130,8 @@ class ObservableGroup:
     parts: tuple[str, ...]
     predict: Callable[[BenchParameters], Array]
     whitening: Array
+    noise_whitening: Array
+    errors: Errors
 
     def whitened_residual(self, parameters: BenchParameters) -> Array:
         """Return the whitened residual (n,) of a model."""
@@ -93,7 +143,7 @@ def observable_group(
     name: str,
     tap: Observable,
     values: Sequence[float] | Array,
-    covariance: Array,
+    errors: Array | Errors,
     places: Sequence[Coordinates],
     parts: Sequence[str],
     predict: Callable[[BenchParameters], Array],
@@ -102,8 +152,8 @@ def observable_group(
 
     Parameters
     ----------
-    covariance : (n, n) or (n,) float
-        Or standard deviations.
+    errors : (n,) or (n, n) float, or Errors
+        Standard deviations, or a covariance, of noise alone; or all errors.
 
     Raises
     ------
@@ -111,9 +161,10 @@ def observable_group(
         If a number or its error is not finite.
     """
     numbers = np.asarray(values, dtype=float)
-    if covariance.ndim == 1:
-        covariance = np.diag(covariance**2)
-    valid = np.isfinite(numbers) & np.isfinite(covariance).all(axis=0) & (np.diag(covariance) > 0)
+    errors = errors if isinstance(errors, Errors) else Errors(errors)
+    noise = np.diag(errors.noise**2) if errors.noise.ndim == 1 else errors.noise
+    covariance = noise + sum((each.columns @ each.columns.T for each in errors.nuisances), 0.0)
+    valid = np.isfinite(numbers) & np.isfinite(covariance).all(axis=0) & (np.diag(noise) > 0)
     if not valid.all():
         place = places[int(np.argmin(valid))]
         words = " ".join(filter(None, (place.quantity, place.mode, place.time, place.level)))
@@ -121,11 +172,16 @@ def observable_group(
             f"{name}: {words} has no finite value and error; check the runs that it is "
             "from, or leave them out"
         )
-    lower = linalg.cholesky(covariance, lower=True)
-    root = linalg.solve_triangular(lower, np.eye(len(numbers)), lower=True)
     return ObservableGroup(
-        name, tap, numbers, covariance, tuple(places), tuple(parts), predict, root
-    )
+        name, tap, numbers, covariance, tuple(places), tuple(parts), predict,
+        _whitening(covariance), _whitening(noise), errors,
+    )  # fmt: skip
+
+
+def _whitening(covariance: Array) -> Array:
+    lower = linalg.cholesky(covariance, lower=True)
+    root: Array = linalg.solve_triangular(lower, np.eye(len(lower)), lower=True)
+    return root
 
 
 def band_of(hz: float) -> str:

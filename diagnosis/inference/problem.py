@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.inference.nuisances import Nuisance
+from diagnosis.inference.linear_model import KNOWN, LinearModel
+from diagnosis.inference.nuisances import FAMILY_FREEDOM, Nuisance
 from diagnosis.observable_groups import ObservableGroup
 from holography.arrays import Array
 from physics.effects.effect import Effect, Parameter
@@ -50,6 +51,10 @@ class InferenceProblem:
             for block, a, b in zip(blocks, starts, starts[1:], strict=False)
         }
         self._slopes: list[tuple[Array, Array]] = []
+        # From units of all errors to units of the noise.
+        self._to_noise = [
+            block.noise_whitening @ np.linalg.inv(block.whitening) for block in blocks
+        ]
 
     @property
     def is_fit_bias(self) -> NDArray[np.bool_]:
@@ -77,6 +82,53 @@ class InferenceProblem:
         block = self.groups[number]
         return block.whitened_residual(
             BenchParameters(**dict(zip(block.parts, parts, strict=True)))
+        )
+
+    def to_noise(self, whitened: Array) -> Array:
+        """Return numbers (n, ...) that are in units of all errors, in units of the noise."""
+        return np.concatenate(
+            [
+                root @ whitened[piece]
+                for root, piece in zip(self._to_noise, self.slices.values(), strict=True)
+            ]
+        )
+
+    def linear_model(self, residuals: Array, slopes: Array, z: Array) -> LinearModel:
+        """Return the model that is linear around nuisances z (p,), in units of its noise.
+
+        Parameters
+        ----------
+        residuals : (n,) float
+            Whitened residuals at z.
+        slopes : (n, p) float
+            Their Jacobian.
+        z : (p,) float
+        """
+        at_none = residuals - slopes @ z
+        left, columns = [], []
+        of_groups = [
+            (g, each) for g, group in enumerate(self.groups) for each in group.errors.nuisances
+        ]
+        names = sorted({nuisance.family for nuisance in self.nuisances} - {""})
+        for piece, root in zip(
+            self.slices.values(), self._to_noise, strict=True
+        ):
+            left.append(root @ at_none[piece])
+            columns.append(root @ slopes[piece])
+        family = [names.index(n.family) if n.family else KNOWN for n in self.nuisances]
+        own = [np.zeros((len(at_none), each.columns.shape[1])) for _, each in of_groups]
+        for number, ((g, each), table) in enumerate(zip(of_groups, own, strict=True)):
+            table[list(self.slices.values())[g]] = self.groups[g].noise_whitening @ each.columns
+            family += [len(names) + number] * each.columns.shape[1]
+        return LinearModel(
+            left=np.concatenate(left),
+            slopes=np.hstack([np.concatenate(columns), *own]),
+            group=np.repeat(np.arange(len(self.groups)), [len(g.values) for g in self.groups]),
+            family=np.array(family, dtype=np.intp),
+            noise_freedom=np.array([group.errors.noise_freedom for group in self.groups]),
+            family_freedom=np.array(
+                [FAMILY_FREEDOM] * len(names) + [each.freedom for _, each in of_groups]
+            ),
         )
 
     def jacobian(self, z: Array, far: float = _FAR) -> Array:
@@ -129,7 +181,7 @@ class LocatedEffect:
 
     def change(self, parameters: BenchParameters, z: Array) -> BenchParameters:
         """Return the model with the effect at sizes z, in units of their priors."""
-        values = {p.name: p.spread * float(v) for p, v in zip(self.sizes, z, strict=True)}
+        values = {p.name: p.scale * float(v) for p, v in zip(self.sizes, z, strict=True)}
         return self.effect.change(parameters, {**values, **self.location})
 
 

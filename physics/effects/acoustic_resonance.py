@@ -13,8 +13,11 @@ EFFECT = Effect(
             "excess",
             "",
             1.0,
-            "chambers are filled by hand: from no resonance to several times the usual strength",
+            "chambers are filled by hand: from no resonance to several times the "
+            "usual strength; at most: an empty chamber rings with a quality of "
+            "some 100",
             positive=True,
+            most=5.0,
         ),
     ),
     change=changed("drive.acoustic_resonance", grow={"strength": "excess"}),

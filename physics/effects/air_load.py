@@ -13,8 +13,11 @@ EFFECT = Effect(
             "fraction",
             "",
             0.5,
-            "a plate in a wide wall moves twice the air of a free plate; a mouthpiece is between",
+            "a plate in a wide wall moves twice the air of a free plate; a "
+            "mouthpiece is between; at most: a narrow gap between reed and wall "
+            "moves three times as much",
             positive=True,
+            most=2.0,
         ),
     ),
     change=additive("reed", air_share="fraction"),

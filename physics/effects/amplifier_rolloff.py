@@ -13,8 +13,10 @@ EFFECT = Effect(
             "inverse_corner",
             "",
             0.7,
-            "10 kHz divided by the corner frequency; audio amplifiers reach 20 to 100 kHz",
+            "10 kHz divided by the corner frequency; audio amplifiers reach 20 to "
+            "100 kHz; at most: amplifiers for speech end at 5 kHz",
             positive=True,
+            most=2.0,
         ),
     ),
     change=additive("drive", roll_off="inverse_corner"),

@@ -10,7 +10,13 @@ EFFECT = Effect(
     position=2,
     parameters=(
         Parameter(
-            "jitter", "rad", 0.15, "a tenth of a wavelength of path is 0.6 rad", positive=True
+            "jitter",
+            "rad",
+            0.15,
+            "a tenth of a wavelength of path is 0.6 rad; at most: from 1 rad on, "
+            "four frames show no fringes",
+            positive=True,
+            most=1.0,
         ),
     ),
     change=additive("optics.interference", jitter_rad="jitter"),

@@ -13,8 +13,11 @@ EFFECT = Effect(
             "fraction",
             "",
             0.03,
-            "spurs of synthesizers are 40 to 60 dB below the carrier; unshifted light adds to them",
+            "spurs of synthesizers are 40 to 60 dB below the carrier; unshifted "
+            "light adds to them; at most: a shutter left open; from a third on, "
+            "pictures show it at once",
             positive=True,
+            most=0.3,
         ),
     ),
     change=additive("optics.interference", leak="fraction"),

@@ -8,7 +8,16 @@ EFFECT = Effect(
     title="sound leaks into the covered half of the chamber",
     stage=Stage.ACOUSTICS,
     position=3,
-    parameters=(Parameter("fraction", "", 0.3, "clay that is pressed in by hand", positive=True),),
+    parameters=(
+        Parameter(
+            "fraction",
+            "",
+            0.3,
+            "clay that is pressed in by hand; at most: no clay",
+            positive=True,
+            most=1.0,
+        ),
+    ),
     change=additive("chamber", leak="fraction"),
     reference="paper, section II: asymmetric excitation",
 )

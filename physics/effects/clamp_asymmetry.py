@@ -18,7 +18,13 @@ EFFECT = Effect(
     stage=Stage.MECHANICS,
     position=11,
     parameters=(
-        Parameter("compliance", "m/Pa", 2e-13, "0.5 mm of hard plastic, 2.5 GPa, under one strip"),
+        Parameter(
+            "compliance",
+            "m/Pa",
+            2e-13,
+            "0.5 mm of hard plastic, 2.5 GPa, under one strip; at most: 0.2 mm of rubber, 50 MPa",
+            most=4e-12,
+        ),
     ),
     change=_change,
     reference="paper, section III",

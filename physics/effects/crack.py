@@ -18,7 +18,13 @@ EFFECT = Effect(
     position=12,
     parameters=(
         Parameter(
-            "depth", "m", 6e-05, "a tenth of the thickness in the middle of the vamp", positive=True
+            "depth",
+            "m",
+            6e-05,
+            "a tenth of the thickness in the middle of the vamp; at most: two "
+            "thirds of the thickness there",
+            positive=True,
+            most=0.0004,
         ),
         Parameter(
             "x", "m", 0.0, "anywhere on the vamp", grid=(8e-3, 12e-3, 16e-3, 20e-3, 24e-3, 28e-3)

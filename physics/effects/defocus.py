@@ -13,7 +13,9 @@ EFFECT = Effect(
             "distance",
             "m",
             0.05,
-            "distances are measured with a ruler, and reeds are put back by hand",
+            "distances are measured with a ruler, and reeds are put back by hand; "
+            "at most: further off, the reed cannot be recognised",
+            most=0.2,
         ),
     ),
     change=additive("optics.layout", defocus_m="distance"),

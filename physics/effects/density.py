@@ -8,7 +8,15 @@ EFFECT = Effect(
     title="density of the cane differs",
     stage=Stage.MECHANICS,
     position=2,
-    parameters=(Parameter("density", "", 0.1, "density of cane, 450 to 600 kg/m³"),),
+    parameters=(
+        Parameter(
+            "density",
+            "",
+            0.1,
+            "density of cane, 450 to 600 kg/m³; at most: cane of 350 to 850 kg/m³",
+            most=0.4,
+        ),
+    ),
     change=additive("reed.shift", density="density"),
     reference="paper, section III: density taken as constant",
 )

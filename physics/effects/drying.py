@@ -13,8 +13,9 @@ EFFECT = Effect(
             "fraction",
             "",
             0.25,
-            "a moistened reed loses most of its water in an hour",
+            "a moistened reed loses most of its water in an hour; at most: from wet to dry",
             positive=True,
+            most=1.0,
         ),
         Parameter(
             "log_time",

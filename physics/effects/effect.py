@@ -21,7 +21,9 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True)
 class Parameter:
-    """Parameter of an effect: a size, of which 0 is no effect, or a value from a grid.
+    """Parameter of an effect: a strength, a second size, or a value from a grid.
+
+    Without strength there is no effect. Second sizes say how an effect acts, such as how fast.
 
     Attributes
     ----------
@@ -29,7 +31,7 @@ class Parameter:
     unit : str
         Empty for a plain number.
     spread : float
-        Standard deviation of the prior of a size, in this unit.
+        Usual size; of a second size the standard deviation of its prior. In this unit.
     source : str
         Source of the prior; never the data under test.
     positive : bool
@@ -37,6 +39,9 @@ class Parameter:
     grid : tuple of float
         For a parameter without a size, such as a position or a time: its possible values, equally
         likely. Empty for a size.
+    most : float
+        Largest strength that a bench can have. Before a campaign, strengths from a hundredth of
+        that on are equally likely on a scale of logarithms. 0 for a second size.
     """
 
     name: str
@@ -45,6 +50,12 @@ class Parameter:
     source: str
     positive: bool = False
     grid: tuple[float, ...] = ()
+    most: float = 0.0
+
+    @property
+    def scale(self) -> float:
+        """Unit in which fits count: half of the largest strength, or the spread."""
+        return self.most / 2 or self.spread
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,16 @@ EFFECT = Effect(
     title="pixel sensitivity varies",
     stage=Stage.CAMERA,
     position=1,
-    parameters=(Parameter("rms", "", 0.03, "old sensors, dust", positive=True),),
+    parameters=(
+        Parameter(
+            "rms",
+            "",
+            0.03,
+            "old sensors, dust; at most: dirt that the eye sees on every frame",
+            positive=True,
+            most=0.2,
+        ),
+    ),
     change=additive("sensor", pattern="rms"),
     reference="photon transfer",
 )

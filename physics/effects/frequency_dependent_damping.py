@@ -8,7 +8,16 @@ EFFECT = Effect(
     title="loss factor grows with frequency",
     stage=Stage.MECHANICS,
     position=1,
-    parameters=(Parameter("exponent", "", 0.3, "loss tangents of wood from 1 to 20 kHz"),),
+    parameters=(
+        Parameter(
+            "exponent",
+            "",
+            0.3,
+            "loss tangents of wood from 1 to 20 kHz; at most: a dashpot: loss in "
+            "proportion to frequency",
+            most=1.0,
+        ),
+    ),
     change=additive("reed", loss_growth="exponent"),
     reference="Ono and Norimoto, loss of spruce against frequency",
 )

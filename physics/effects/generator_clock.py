@@ -9,7 +9,14 @@ EFFECT = Effect(
     stage=Stage.TIMING,
     position=2,
     parameters=(
-        Parameter("ratio", "ppm", 5.0, "crystal oscillators agree within a few parts per million"),
+        Parameter(
+            "ratio",
+            "ppm",
+            5.0,
+            "crystal oscillators agree within a few parts per million; at most: "
+            "the cheapest crystals",
+            most=100.0,
+        ),
     ),
     change=additive("clocks", generator_ppm="ratio"),
     reference="data sheets of quartz oscillators",

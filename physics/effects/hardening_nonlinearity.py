@@ -13,8 +13,10 @@ EFFECT = Effect(
             "fraction",
             "",
             0.002,
-            "relative stiffening at a phase amplitude of 10 rad, half a micrometre",
+            "relative stiffening at a phase amplitude of 10 rad, half a "
+            "micrometre; at most: a tip that beats against the rails",
             positive=True,
+            most=0.05,
         ),
     ),
     change=additive("environment", hardening="fraction"),

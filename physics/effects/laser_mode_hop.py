@@ -14,7 +14,14 @@ EFFECT = Effect(
     stage=Stage.OPTICS,
     position=1,
     parameters=(
-        Parameter("contrast_loss", "", 0.2, "from a little to most of the contrast", positive=True),
+        Parameter(
+            "contrast_loss",
+            "",
+            0.2,
+            "from a little to most of the contrast; at most: more leaves no fringes",
+            positive=True,
+            most=0.9,
+        ),
         Parameter(
             "after",
             "h",

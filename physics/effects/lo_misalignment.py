@@ -9,8 +9,20 @@ EFFECT = Effect(
     stage=Stage.OPTICS,
     position=7,
     parameters=(
-        Parameter("down", "m", 0.0008, "one turn of a mirror mount"),
-        Parameter("right", "m", 0.0008, "one turn of a mirror mount"),
+        Parameter(
+            "down",
+            "m",
+            0.0008,
+            "one turn of a mirror mount; at most: half of the sensor",
+            most=0.004,
+        ),
+        Parameter(
+            "right",
+            "m",
+            0.0008,
+            "one turn of a mirror mount; at most: half of the sensor",
+            most=0.004,
+        ),
     ),
     change=additive("optics.illumination", local_oscillator_shift_m=("down", "right")),
     reference="Gaussian beams",

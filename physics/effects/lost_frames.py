@@ -13,8 +13,10 @@ EFFECT = Effect(
             "fraction",
             "",
             0.03,
-            "fraction of the acquisitions, on a bus shared with other devices",
+            "fraction of the acquisitions, on a bus shared with other devices; at "
+            "most: more is no working camera",
             positive=True,
+            most=0.5,
         ),
     ),
     change=additive("clocks", lost_fraction="fraction"),

@@ -8,7 +8,15 @@ EFFECT = Effect(
     title="phase steps are unequal",
     stage=Stage.OPTICS,
     position=5,
-    parameters=(Parameter("error", "rad", 0.15, "a tenth of a quarter turn"),),
+    parameters=(
+        Parameter(
+            "error",
+            "rad",
+            0.15,
+            "a tenth of a quarter turn; at most: a third of a quarter turn",
+            most=0.6,
+        ),
+    ),
     change=additive("optics.interference", quarter_error_rad="error"),
     reference="phase-shifting holography",
 )

@@ -34,7 +34,14 @@ EFFECT = Effect(
     stage=Stage.ACOUSTICS,
     position=2,
     parameters=(
-        Parameter("strength", "", 0.2, "like the known resonance of the device", positive=True),
+        Parameter(
+            "strength",
+            "",
+            0.2,
+            "like the known resonance of the device; at most: ten times the known resonance",
+            positive=True,
+            most=2.0,
+        ),
         Parameter("log_hz", "", _RELATIVE_STEP / math.sqrt(12), "uniform between grid frequencies"),
         Parameter("log_quality", "", _LOG_QUALITY_SD, "small cavities with openings"),
         Parameter("hz", "Hz", 0.0, "anywhere in the sweep", grid=_GRID_HZ),

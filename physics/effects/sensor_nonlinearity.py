@@ -9,7 +9,15 @@ EFFECT = Effect(
     stage=Stage.CAMERA,
     position=4,
     parameters=(
-        Parameter("fraction", "", 0.1, "anti-blooming; a well that is nearly full", positive=True),
+        Parameter(
+            "fraction",
+            "",
+            0.1,
+            "anti-blooming; a well that is nearly full; at most: anti-blooming "
+            "that begins at half of the well",
+            positive=True,
+            most=0.4,
+        ),
     ),
     change=additive("sensor", nonlinearity="fraction"),
     reference="photon transfer",

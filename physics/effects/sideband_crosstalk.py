@@ -13,8 +13,10 @@ EFFECT = Effect(
             "fraction",
             "",
             0.08,
-            "an exposure averages distant sidebands out, but not spurs of the synthesizers",
+            "an exposure averages distant sidebands out, but not spurs of the "
+            "synthesizers; at most: more is a wrong frequency",
             positive=True,
+            most=0.5,
         ),
     ),
     change=additive("optics.interference", crosstalk="fraction"),

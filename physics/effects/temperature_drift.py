@@ -9,7 +9,13 @@ EFFECT = Effect(
     stage=Stage.ENVIRONMENT,
     position=0,
     parameters=(
-        Parameter("rate", "degC/h", 6.0, "laboratories, and reeds next to lamps and lasers"),
+        Parameter(
+            "rate",
+            "degC/h",
+            6.0,
+            "laboratories, and reeds next to lamps and lasers; at most: a lamp next to the reed",
+            most=30.0,
+        ),
         Parameter(
             "log_loss",
             "",

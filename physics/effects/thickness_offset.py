@@ -10,7 +10,14 @@ EFFECT = Effect(
     stage=Stage.MECHANICS,
     position=5,
     parameters=(
-        Parameter("thickness", "m", 10e-6, "thickness is known to 10 µm: paper, section III.A"),
+        Parameter(
+            "thickness",
+            "m",
+            10e-6,
+            "thickness is known to 10 µm: paper, section III.A; at most: a reed "
+            "maker's whole correction",
+            most=0.0001,
+        ),
     ),
     change=altered(Layer(0, 0), "thickness"),
     reference="paper, section III.A",

@@ -10,7 +10,14 @@ EFFECT = Effect(
     stage=Stage.MECHANICS,
     position=9,
     parameters=(
-        Parameter("mass", "kg", 0.5e-6, "a drop of 1 mm diameter weighs 0.5 mg", positive=True),
+        Parameter(
+            "mass",
+            "kg",
+            0.5e-6,
+            "a drop of 1 mm diameter weighs 0.5 mg; at most: a drop of 2 mm",
+            positive=True,
+            most=5e-06,
+        ),
     ),
     change=altered(TipMass(), "mass"),
     reference="Rayleigh, Theory of Sound, section 91",

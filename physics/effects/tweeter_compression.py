@@ -13,8 +13,10 @@ EFFECT = Effect(
             "fraction",
             "",
             0.3,
-            "a dome tweeter near its rated power loses 1 to 3 dB",
+            "a dome tweeter near its rated power loses 1 to 3 dB; at most: 10 dB, "
+            "far beyond the rated power",
             positive=True,
+            most=0.7,
         ),
         Parameter(
             "log_corner",

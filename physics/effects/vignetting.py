@@ -13,8 +13,10 @@ EFFECT = Effect(
             "fraction",
             "",
             0.15,
-            "windows, mounts and beam splitters at the edge of the field",
+            "windows, mounts and beam splitters at the edge of the field; at "
+            "most: corners of a third of the light",
             positive=True,
+            most=0.7,
         ),
     ),
     change=additive("optics.illumination", vignette="fraction"),

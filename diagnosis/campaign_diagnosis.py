@@ -25,18 +25,17 @@ from diagnosis.inference.model_selection import (
     refit_candidate,
     select_model,
 )
-from diagnosis.inference.nuisances import NUISANCES, of_fits
+from diagnosis.inference.nuisances import NUISANCES, USUAL_COMPLIANCE_M_PA
 from diagnosis.inference.predictive_checks import PredictiveCheck, predictive_checks
 from diagnosis.inference.probabilities import NONE, UNKNOWN
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.inference.similarity import Detectability, confusable_classes, detectability_of
 from diagnosis.observe import observable_groups
 from diagnosis.readings.campaign_readings import Readings
-from diagnosis.readings.sweeps import common_modes
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.effect import Stage
-from physics.mechanics import ReedSolver
-from physics.parameters.tree import BenchParameters
+from physics.mechanics import ReedSolver, YieldingClamp
+from physics.parameters.tree import BenchParameters, with_alteration
 
 Kind = Literal["none", "effect", "pair", "unknown", "not converged"]
 
@@ -235,11 +234,12 @@ def _likeliest_group(problem: InferenceProblem, candidate: Candidate) -> str:
 def inference_problem(
     readings: Readings, reed_solver: ReedSolver, base: BenchParameters
 ) -> InferenceProblem:
-    """Return the inference problem of a campaign, with all nuisances."""
-    exchanged = of_fits(common_modes(readings.sweeps)) if readings.sweeps else ()
-    return InferenceProblem(
-        observable_groups(readings, reed_solver), base, (*NUISANCES, *exchanged)
-    )
+    """Return the inference problem of a campaign, with all nuisances.
+
+    No clamp is rigid: the nominal one yields as an ordinary clamp does.
+    """
+    clamped = with_alteration(base, YieldingClamp(), USUAL_COMPLIANCE_M_PA)
+    return InferenceProblem(observable_groups(readings, reed_solver), clamped, NUISANCES)
 
 
 def _likeliest(probability: Mapping[str, float], classes: Sequence[tuple[str, ...]]) -> str:

@@ -11,8 +11,8 @@ from itertools import combinations
 
 import numpy as np
 
+from diagnosis.inference.effect_scan import locations_of
 from diagnosis.inference.problem import LocatedEffect
-from diagnosis.inference.screening import locations_of
 from diagnosis.inference.similarity import Detectability, confusable_classes, detectability_of
 from diagnosis.mean_reed import MeanReed
 from diagnosis.resonance_fit import FittedReed, ResonanceFit, ResonanceProblem, fit_linear

@@ -12,7 +12,6 @@ from diagnosis.inference.candidates import d_prime
 from physics.effects.effect import Parameter
 
 # Standard deviations of its prior beyond which a parameter is not plausible. Chosen: three sigma.
-_PLAUSIBLE = 3.0
 _LEAST_TOLD = 1e-6
 
 
@@ -57,7 +56,6 @@ def to_json(verdict: Diagnosis) -> dict[str, Any]:
             "group": verdict.unknown_in,
             "checks": [asdict(t) | {"significant": t.significant} for t in verdict.checks],
         },
-        "importance_sampling": {name: asdict(s) for name, s in verdict.selection.sampled.items()},
         "missing": list(verdict.missing),
         "refused": list(verdict.refused),
     }
@@ -121,11 +119,9 @@ def _effects(verdict: Diagnosis) -> dict[str, Any]:
 def _sizes(told: Sequence[tuple[Parameter, float, float]]) -> dict[str, Any]:
     return {
         p.name: {
-            "value": p.spread * z,
-            "error": p.spread * error,
+            "value": p.scale * z,
+            "error": p.scale * error,
             "unit": p.unit,
-            "z": z,
-            "plausible": abs(z) < _PLAUSIBLE,
         }
         for p, z, error in told
     }

@@ -92,23 +92,8 @@ def _where(where: GapMap) -> str:
 
 
 def _likely_words(verdict: Diagnosis) -> str:
-    """Return the classes of candidates, pairs with an undetectable second effect last."""
-    unseen = [g for g in verdict.likely if all(_is_unseen(name, verdict) for name in g)]
-    said = [_class_words(group, verdict) for group in verdict.likely if group not in unseen]
-    if unseen:
-        names = [name for group in unseen for name in group]
-        first = verdict.selection.undetectable[names[0]][0]
-        others = ", ".join(_title(name.removeprefix(f"{first}+")) for name in names)
-        p = sum(verdict.probability.get(name, 0.0) for name in names)
-        said.append(
-            f"{_title(first)} together with an effect that these data cannot show ({p:.0%}): "
-            f"{others}"
-        )
-    return "; ".join(said)
-
-
-def _is_unseen(name: str, verdict: Diagnosis) -> bool:
-    return "+" in name and name in verdict.selection.undetectable
+    """Return the likeliest classes of candidates."""
+    return "; ".join(_class_words(group, verdict) for group in verdict.likely)
 
 
 def _class_words(group: tuple[str, ...], verdict: Diagnosis) -> str:
@@ -259,7 +244,7 @@ def _size_words(verdict: Diagnosis, name: str) -> str:
     told = []
     for effect, sizes in (rival.size_estimates if rival else {}).items():
         own = "; ".join(
-            f"{p.name} {p.spread * z:.2g} ± {p.spread * error:.1g} {p.unit}".strip()
+            f"{p.name} {p.scale * z:.2g} ± {p.scale * error:.1g} {p.unit}".strip()
             for p, z, error in sizes
         )
         told.append(own if effect == name else f"{_title(effect)}: {own}")

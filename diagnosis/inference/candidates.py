@@ -1,20 +1,28 @@
 """Candidates: the model with no effect, one or two, fitted with all nuisances, and their evidence.
 
-Residuals of all groups are whitened and put in one vector. The Jacobian along the nuisances is
-taken at the fit without effects, and again where a fit moves far; along an effect's own sizes it
-is taken at every step.
+Residuals of all groups are whitened and put in one vector. A fit in full follows nuisances and
+sizes until a further step would gain nothing; a fit along a line takes the sizes from a scan, and
+nuisances as linear.
 """
 
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from diagnosis.inference.estimation import LEAST_DECREMENT, MapEstimate, fit, posterior_covariance
+from diagnosis.inference.effect_scan import Scan, Start, scan_again
+from diagnosis.inference.estimation import (
+    LEAST_DECREMENT,
+    MapEstimate,
+    absorbed_part,
+    fit,
+    posterior_covariance,
+)
+from diagnosis.inference.linear_model import LinearModel, Weighed, weigh
 from diagnosis.inference.problem import (
     FINE,
+    FORM,
     HERE,
     MOST_FINE,
     MOST_NEAR,
@@ -22,7 +30,6 @@ from diagnosis.inference.problem import (
     STEP,
     InferenceProblem,
     LocatedEffect,
-    noise_inflation_gain,
     with_effects,
 )
 from holography.arrays import Array
@@ -30,8 +37,6 @@ from physics.effects.effect import Parameter
 from physics.errors import ImpossibleReedError
 from physics.parameters.tree import BenchParameters
 
-# Effects have not quite the form that the catalogue gives them: a share of what they do.
-_FORM = 0.12
 # Searches end where a step gains less than this share of the cost: hundredths of a nat.
 _LEAST_GAIN = 1e-4
 
@@ -44,29 +49,34 @@ class Candidate:
     ----------
     effects : tuple of LocatedEffect
     estimate : MapEstimate
-        Of nuisances, then of the effects' sizes; residuals and Jacobian in units of `deviation`.
-    fit_log_evidence : float
-        Log evidence of the fit.
+        Of nuisances, then of the effects' sizes, with noise and nuisances of usual size; residuals
+        and Jacobian in units of `deviation`.
+    log_evidence : float
+        With the likeliest scales of noise and nuisances, all strengths and locations together.
     chi2 : dict of float
-        Of each block.
+        Of each group.
     deviation : (n,) float
         Standard deviation of the whitened residuals: 1, and more where the effects do much, which
         have not quite the form that the catalogue gives them.
-    other_locations : float
-        What other locations of the effects add to the log evidence.
+    model : LinearModel
+        Around the fit.
+    weighed : Weighed
+        The same with the likeliest scales.
+    elsewhere : float
+        What other locations and directions of the last effect add to the log evidence.
+    of_others : float
+        What the strengths of the other effects add to it.
     """
 
     effects: tuple[LocatedEffect, ...]
     estimate: MapEstimate
-    fit_log_evidence: float
+    log_evidence: float
     chi2: dict[str, float]
     deviation: Array
-    other_locations: float = 0.0
-
-    @property
-    def log_evidence(self) -> float:
-        """Log evidence of the fit and of other locations."""
-        return self.fit_log_evidence + self.other_locations
+    model: LinearModel
+    weighed: Weighed
+    elsewhere: float = 0.0
+    of_others: float = 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -75,13 +85,18 @@ class Candidate:
 
     @property
     def sizes(self) -> Array:
-        """Sizes (s,) of all effects, in units of their priors."""
+        """Sizes (s,) of all effects, in units of their scales."""
         count = sum(len(located.sizes) for located in self.effects)
         return self.estimate.z[len(self.estimate.z) - count :]
 
     @property
+    def nuisances(self) -> Array:
+        """Nuisances (p,), in units of their priors."""
+        return self.estimate.z[: len(self.estimate.z) - len(self.sizes)]
+
+    @property
     def size_estimates(self) -> dict[str, list[tuple[Parameter, float, float]]]:
-        """For each effect, its sizes with value and error in units of the prior."""
+        """For each effect, its sizes with value and error in units of their scales."""
         errors = np.sqrt(np.diag(self.estimate.covariance))[-len(self.sizes) :]
         found = iter(zip(self.sizes.tolist(), errors.tolist(), strict=True))
         return {
@@ -106,12 +121,7 @@ class Candidate:
 
     def parameters(self, problem: InferenceProblem) -> BenchParameters:
         """Return the fitted model."""
-        count = len(problem.nuisances)
-        return self.changed(problem.parameters(self.estimate.z[:count]), self.sizes)
-
-    def changed(self, parameters: BenchParameters, sizes: Array) -> BenchParameters:
-        """Return a model with the candidate's effects at other sizes (s,)."""
-        return with_effects(parameters, self.effects, sizes)
+        return with_effects(problem.parameters(self.nuisances), self.effects, self.sizes)
 
 
 def d_prime(null: Candidate, candidate: Candidate) -> float:
@@ -124,14 +134,131 @@ def d_prime(null: Candidate, candidate: Candidate) -> float:
     return float(np.sqrt(max(gain, 0.0)))
 
 
-def fit_model(
+def without_effects(problem: InferenceProblem, starts: Sequence[Array]) -> Candidate:
+    """Fit the model without effects in full.
+
+    Parameters
+    ----------
+    problem : InferenceProblem
+    starts : sequence of (p,) float
+        Nuisances.
+
+    Raises
+    ------
+    ImpossibleReedError
+        If no start is a possible reed.
+    """
+    found = fit_fully(problem, (), starts)
+    start = Start.without(problem, found.z)
+    return _candidate(problem, (), found, start.weighed.log_evidence, start.model, start.weighed)
+
+
+def along_line(problem: InferenceProblem, start: Start, scan: Scan, before: Candidate) -> Candidate:
+    """Return the candidate that a scan has found, with nuisances as linear.
+
+    Parameters
+    ----------
+    problem : InferenceProblem
+    start : Start
+        Of the scan.
+    scan : Scan
+    before : Candidate
+        To which the scanned effect was added: the model without effects, or with another one.
+    """
+    J = np.hstack([before.estimate.jacobian * before.deviation[:, None], scan.columns])
+    z = np.concatenate([before.estimate.z, scan.sizes])
+    residuals, p = start.residuals + scan.shift, len(before.estimate.z)
+    own = J[:, :p]
+    move = -posterior_covariance(own) @ (own.T @ residuals + z[:p])
+    z[:p] += move
+    residuals = residuals + own @ move
+    # The strengths of the others had the standard deviations of their scales.
+    of_others = before.log_evidence - start.weighed.log_evidence if before.effects else 0.0
+    found = MapEstimate(
+        z=z,
+        covariance=posterior_covariance(J),
+        residuals=residuals,
+        jacobian=J,
+        cost=float(residuals @ residuals + z @ z),
+        log_evidence=scan.log_evidence,
+        decrement=0.0,
+        consistent_starts=1,
+        starts=1,
+    )
+    return _with_scan(problem, (*before.effects, scan.located), found, scan, of_others)
+
+
+def refitted(problem: InferenceProblem, candidate: Candidate, starts: Sequence[Array]) -> Candidate:
+    """Fit a candidate in full, and scan its last effect again there.
+
+    Parameters
+    ----------
+    problem : InferenceProblem
+    candidate : Candidate
+        With effects.
+    starts : sequence of (p + s,) float
+
+    Raises
+    ------
+    ImpossibleReedError
+        If no start is a possible reed.
+    """
+    found = fit_fully(problem, candidate.effects, starts)
+    start = _beyond(problem, candidate, found)
+    last = candidate.effects[-1]
+    scan = scan_again(problem, start, last, candidate.elsewhere) if start else None
+    if scan is None:
+        return replace(candidate, estimate=found)
+    return _with_scan(problem, candidate.effects, found, scan, candidate.of_others)
+
+
+def _with_scan(
     problem: InferenceProblem,
-    effects: Sequence[LocatedEffect],
-    starts: Sequence[Array],
-    *,
-    exact: bool = False,
+    effects: tuple[LocatedEffect, ...],
+    found: MapEstimate,
+    scan: Scan,
+    of_others: float,
 ) -> Candidate:
-    """Fit the model with effects.
+    log_evidence = scan.log_evidence + of_others
+    candidate = _candidate(problem, effects, found, log_evidence, scan.model, scan.weighed)
+    return replace(candidate, elsewhere=scan.elsewhere, of_others=of_others)
+
+
+def _candidate(
+    problem: InferenceProblem,
+    effects: tuple[LocatedEffect, ...],
+    found: MapEstimate,
+    log_evidence: float,
+    model: LinearModel,
+    weighed: Weighed,
+) -> Candidate:
+    """Return a candidate whose effects may deviate from their catalogue form."""
+    deviation = np.ones(len(found.residuals))
+    if effects:
+        count = sum(len(located.sizes) for located in effects)
+        p = len(found.z) - count
+        moved = found.jacobian[:, p:] @ found.z[p:]
+        seen = moved - absorbed_part(found.jacobian[:, :p], moved)
+        deviation = np.hypot(1.0, FORM * seen)
+        left, slopes = found.residuals / deviation, found.jacobian / deviation[:, None]
+        found = replace(
+            found,
+            residuals=left,
+            jacobian=slopes,
+            covariance=posterior_covariance(slopes),
+            cost=float(left @ left + found.z @ found.z),
+        )
+    chi2 = {
+        name: float(np.sum((found.residuals * deviation)[piece] ** 2))
+        for name, piece in problem.slices.items()
+    }
+    return Candidate(effects, found, log_evidence, chi2, deviation, model, weighed)
+
+
+def fit_fully(
+    problem: InferenceProblem, effects: Sequence[LocatedEffect], starts: Sequence[Array]
+) -> MapEstimate:
+    """Fit nuisances and sizes until a further step would gain nothing.
 
     Parameters
     ----------
@@ -140,8 +267,6 @@ def fit_model(
         Empty for the model without effects.
     starts : sequence of (p + s,) float
         Nuisances, then sizes of all effects.
-    exact : bool
-        Whether the Jacobian along the nuisances is taken where the fit ends.
 
     Raises
     ------
@@ -153,18 +278,11 @@ def fit_model(
     def residuals(z: Array) -> Array:
         return problem.residuals(with_effects(problem.parameters(z[:p]), effects, z[p:]))
 
-    def jacobian(z: Array) -> Array:
-        return np.column_stack([problem.jacobian(z[:p]), *_by_size(residuals, z, p, positive)])
-
-    def by_effects(z: Array) -> Array:
-        moved: Array = residuals(z) - problem.residuals(problem.parameters(z[:p]))
-        return moved
-
-    if not exact:
-        found = fit(residuals, positive, starts, jacobian, _LEAST_GAIN)
-        return _loosened(problem, effects, by_effects(found.z), found)
     near = _Slopes(problem, effects, NEAR, MOST_NEAR * len(starts))
     here = _Slopes(problem, effects, HERE, MOST_FINE, fine=True)
+
+    def rough(z: Array) -> Array:
+        return np.column_stack([problem.jacobian(z[:p]), *_by_size(residuals, z, p, positive)])
 
     def close(z: Array) -> Array:
         return np.column_stack([near.at(z), *_by_size(residuals, z, p, positive)])
@@ -172,15 +290,58 @@ def fit_model(
     def closer(z: Array) -> Array:
         return np.column_stack([here.at(z), *_by_size(residuals, z, p, positive, fine=True)])
 
-    ends = _ends(residuals, positive, starts, jacobian)
+    ends = _ends(residuals, positive, starts, rough)
     found = fit(residuals, positive, ends, close, _LEAST_GAIN)
     agreeing = found.consistent_starts
     if found.decrement > LEAST_DECREMENT:
         # A Jacobian taken a little way off can show a step that is not there.
         found = fit(residuals, positive, [found.z], closer, _LEAST_GAIN)
     # Searches that end at no possible reed agree with none of the others.
-    found = replace(found, consistent_starts=agreeing, starts=len(starts))
-    return _loosened(problem, effects, by_effects(found.z), found)
+    return replace(found, consistent_starts=agreeing, starts=len(starts))
+
+
+def beside(problem: InferenceProblem, candidate: Candidate) -> Start:
+    """Return the start at which effects are added to those of a candidate.
+
+    Its own sizes are linear, with the standard deviations of their scales.
+    """
+    p = len(candidate.nuisances)
+    parameters = candidate.parameters(problem)
+    residuals = problem.residuals(parameters)
+    slopes = candidate.estimate.jacobian * candidate.deviation[:, None]
+    model = problem.linear_model(residuals, slopes[:, :p], candidate.nuisances)
+    seen = _seen(problem, slopes, candidate.sizes)
+    model = model.with_columns(
+        np.hstack([problem.to_noise(slopes[:, p:]), problem.form_columns(seen)])
+    )
+    weighed = weigh(model, candidate.weighed.scales, (FORM * seen) ** 2)
+    return Start(parameters, residuals, model, weighed, np.zeros(0))
+
+
+def _beyond(problem: InferenceProblem, candidate: Candidate, found: MapEstimate) -> Start | None:
+    """Return the start at which the last effect of a full fit is scanned again; None if it is 0."""
+    p, last = len(problem.nuisances), len(candidate.effects[-1].sizes)
+    z, sizes = found.z[:p], found.z[p:]
+    others, strong = len(sizes) - last, [bool(s.most) for s in candidate.effects[-1].sizes]
+    if not np.any(sizes[others:][strong]):
+        return None
+    before = with_effects(problem.parameters(z), candidate.effects[:-1], sizes[:others])
+    model = problem.linear_model(found.residuals, found.jacobian[:, :p], z)
+    model = model.with_columns(problem.to_noise(found.jacobian[:, p : p + others]))
+    seen = _seen(problem, found.jacobian, sizes)
+    weighed = weigh(
+        model.with_columns(problem.form_columns(seen)),
+        candidate.weighed.scales,
+        (FORM * seen) ** 2,
+    )
+    return Start(before, found.residuals, model, weighed, sizes[others:])
+
+
+def _seen(problem: InferenceProblem, slopes: Array, sizes: Array) -> Array:
+    """Return what effects of such sizes do (n,) beyond nuisances, in units of the noise."""
+    p = slopes.shape[1] - len(sizes)
+    moved = slopes[:, p:] @ sizes
+    return problem.to_noise(moved - absorbed_part(slopes[:, :p], moved))
 
 
 class _Slopes:
@@ -199,7 +360,7 @@ class _Slopes:
         *,
         fine: bool = False,
     ) -> None:
-        self._comparison, self._effects, self._fine = problem, effects, fine
+        self._problem, self._effects, self._fine = problem, effects, fine
         self._far, self._most = far, most
         self._kept: list[tuple[Array, Array]] = []
 
@@ -208,9 +369,12 @@ class _Slopes:
         apart = [float(np.abs(z - at).max()) for at, _ in self._kept]
         if apart and (min(apart) <= self._far or len(apart) == self._most):
             return self._kept[int(np.argmin(apart))][1]
-        p = len(self._comparison.nuisances)
-        changed = partial(with_effects, effects=self._effects, sizes=z[p:])
-        slope = self._comparison.jacobian_of_changed(z[:p], changed, fine=self._fine)
+        p = len(self._problem.nuisances)
+
+        def change(parameters: BenchParameters) -> BenchParameters:
+            return with_effects(parameters, self._effects, z[p:])
+
+        slope = self._problem.jacobian_of_changed(z[:p], change, fine=self._fine)
         self._kept.append((z.copy(), slope))
         return slope
 
@@ -227,131 +391,6 @@ def _ends(
         with contextlib.suppress(ImpossibleReedError):
             ends.append(fit(residuals, positive, [start], jacobian, _LEAST_GAIN).z)
     return ends
-
-
-def fit_linearised(
-    problem: InferenceProblem, effects: Sequence[LocatedEffect], about: Array, sizes: Array
-) -> Candidate:
-    """Fit the model with effects, linearised in the nuisances.
-
-    Parameters
-    ----------
-    problem : InferenceProblem
-    effects : sequence of LocatedEffect
-    about : (p,) float
-        Nuisances at which the model is linearised.
-    sizes : (s,) float
-        To begin with.
-
-    Raises
-    ------
-    ImpossibleReedError
-        If the start is no possible reed.
-    """
-    p, positive = len(problem.nuisances), _positive(problem, effects)
-    slope, base = problem.jacobian(about, NEAR), problem.parameters(about)
-
-    def residuals(z: Array) -> Array:
-        bent = problem.residuals(with_effects(base, effects, z[p:]))
-        straight: Array = bent + slope @ (z[:p] - about)
-        return straight
-
-    def jacobian(z: Array) -> Array:
-        return np.column_stack([slope, *_by_size(residuals, z, p, positive)])
-
-    def by_effects(z: Array) -> Array:
-        moved: Array = residuals(z) - nothing - slope @ (z[:p] - about)
-        return moved
-
-    nothing = problem.residuals(base)
-    start = np.concatenate([about, sizes])
-    found = fit(residuals, positive, [start], jacobian, _LEAST_GAIN)
-    return _loosened(problem, effects, by_effects(found.z), found)
-
-
-def prepare_jacobian(problem: InferenceProblem, about: Array) -> None:
-    """Compute the Jacobian at nuisances (p,) that linearised fits there share."""
-    problem.jacobian(about, NEAR)
-
-
-def linearised_cost(
-    problem: InferenceProblem, effects: Sequence[LocatedEffect], about: Array, sizes: Array
-) -> float:
-    """Return the least cost of effects of given sizes (s,) in the linearised model.
-
-    Infinite if no such reed is possible. Parameters as those of `fit_linearised`.
-    """
-    slope = problem.jacobian(about, NEAR)
-    try:
-        left = problem.residuals(with_effects(problem.parameters(about), effects, sizes))
-    except ImpossibleReedError:
-        return float("inf")
-    move = -posterior_covariance(slope) @ (slope.T @ left + about)
-    left, nuisances = left + slope @ move, about + move
-    return float(left @ left + nuisances @ nuisances + sizes @ sizes)
-
-
-def with_nonlinear_cost(problem: InferenceProblem, candidate: Candidate) -> Candidate:
-    """Return a candidate with the cost of the nonlinear model at its parameters.
-
-    Its residuals stay those of the linearised model, whose optimum it is.
-
-    Raises
-    ------
-    ImpossibleReedError
-        If its parameters are of no possible reed.
-    """
-    estimate = candidate.estimate
-    residuals = problem.residuals(candidate.parameters(problem)) / candidate.deviation
-    more = float(residuals @ residuals - estimate.residuals @ estimate.residuals)
-    noise = noise_inflation_gain(problem, residuals) - noise_inflation_gain(
-        problem, estimate.residuals
-    )
-    return replace(
-        candidate,
-        estimate=replace(estimate, cost=estimate.cost + more),
-        fit_log_evidence=candidate.fit_log_evidence - 0.5 * more + noise,
-    )
-
-
-def _loosened(
-    problem: InferenceProblem,
-    effects: Sequence[LocatedEffect],
-    by_effects: Array,
-    found: MapEstimate,
-) -> Candidate:
-    """Return a candidate whose effects may deviate from their catalogue form.
-
-    `by_effects` (n,) is how much its effects move the residuals.
-    """
-    deviation = np.ones(len(found.residuals))
-    if effects:
-        # Little moves: along the slopes that are known anyway.
-        deviation = np.hypot(1.0, _FORM * by_effects)
-        narrow, z = found.jacobian / deviation[:, None], found.z.copy()
-        left = found.residuals / deviation
-        again = fit(
-            lambda at: left + narrow @ (at - z),
-            _positive(problem, effects),
-            [z],
-            lambda _at: narrow,
-            _LEAST_GAIN,
-        )
-        found = replace(
-            again,
-            consistent_starts=found.consistent_starts,
-            starts=found.starts,
-            decrement=found.decrement,
-        )
-    chi2 = _chi2(problem, found.residuals * deviation)
-    fitted = found.log_evidence - float(np.sum(np.log(deviation)))
-    fitted += noise_inflation_gain(problem, found.residuals)
-    return Candidate(tuple(effects), found, fitted, chi2, deviation)
-
-
-def _chi2(problem: InferenceProblem, left: Array) -> dict[str, float]:
-    """Of each block, of what is left (n,)."""
-    return {name: float(np.sum(left[piece] ** 2)) for name, piece in problem.slices.items()}
 
 
 def _positive(problem: InferenceProblem, effects: Sequence[LocatedEffect]) -> list[bool]:

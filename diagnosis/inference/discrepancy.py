@@ -6,15 +6,14 @@ Several sizes are tried. Something unknown shifts one group or a few.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import comb
 
 import numpy as np
 from scipy.special import logsumexp
 
 from diagnosis.inference.candidates import Candidate
-from diagnosis.inference.estimation import posterior_covariance, residual_covariance
-from diagnosis.inference.problem import InferenceProblem, group_noise_gain, noise_inflation_gain
+from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import ObservableGroup
 from holography.arrays import Array
 
@@ -32,39 +31,33 @@ _BLOCKS = (0.6, 0.25, 0.15)
 
 @dataclass(frozen=True)
 class _Left:
-    """Residuals of a candidate on d campaigns, and the Jacobian that absorbs part of them.
+    """What a candidate leaves of d campaigns.
 
     Attributes
     ----------
-    residuals : (n, d) float
-        In units of their noise.
-    slopes : (n, q) float
-        Of all that is free, in units of priors.
-    deviation : (n,) float
-        Of the noise, in units of the block's.
+    left : (n, d) float
+        In units of the noise, before nuisances are fitted.
+    precision : (n, n) float
+        Inverse covariance of these.
     """
 
-    residuals: Array
-    slopes: Array
-    deviation: Array
+    left: Array
+    precision: Array
 
-    def of(self, piece: slice) -> tuple[Array, Array]:
-        """Return the residuals (k, d) of a group, and their covariance (k, k)."""
-        return self.residuals[piece], residual_covariance(self.slopes, piece)
+    def along(self, columns: Array) -> tuple[Array, Array]:
+        """Return pull (c, d) and information (c, c) along columns (n, c)."""
+        across = self.precision @ columns
+        return -across.T @ self.left, columns.T @ across
 
     def with_columns(self, columns: Array) -> "_Left":
-        """Return the residuals after columns (n, c) with unit priors have been fitted too."""
-        slopes = np.hstack([self.slopes, columns])
-        # At an optimum, slopes pull as hard as priors do: only new columns are not at theirs.
-        pull = np.zeros((slopes.shape[1], self.residuals.shape[1]))
-        pull[self.slopes.shape[1] :] = columns.T @ self.residuals
-        return _Left(
-            self.residuals - slopes @ posterior_covariance(slopes) @ pull, slopes, self.deviation
-        )
+        """Return the same with columns (n, c) of unknown amounts, of standard deviation 1."""
+        across = self.precision @ columns
+        known = np.eye(columns.shape[1]) + columns.T @ across
+        return replace(self, precision=self.precision - across @ np.linalg.solve(known, across.T))
 
 
 def group_discrepancies(
-    problem: InferenceProblem, candidate: Candidate, residuals: Array | None = None
+    problem: InferenceProblem, candidate: Candidate, left: Array | None = None
 ) -> dict[str, Array]:
     """Return log Bayes factors of something unknown in each group, given a candidate.
 
@@ -72,21 +65,20 @@ def group_discrepancies(
     ----------
     problem : InferenceProblem
     candidate : Candidate
-    residuals : (n, d) float, optional
-        Residuals on d campaigns; by default those of the fit.
+    left : (n, d) float, optional
+        What it leaves of d campaigns, in units of the noise; by default of the measured one.
 
     Returns
     -------
     dict of (d,) float
     """
-    left = _Left(
-        candidate.estimate.residuals[:, None] if residuals is None else residuals,
-        candidate.free_jacobian,
-        candidate.deviation,
-    )
-    return {
-        block.name: _factor(left, problem.slices[block.name], block) for block in problem.groups
-    }
+    measured = candidate.model.left[:, None] if left is None else left
+    state = _Left(measured, candidate.weighed.precision)
+    found = {}
+    for number, block in enumerate(problem.groups):
+        gains = [gain for gain, _ in _gains(problem, candidate, state, number)]
+        found[block.name] = np.asarray(logsumexp(gains, axis=0) - np.log(len(gains)))
+    return found
 
 
 def log_bayes_any_group(factors: Mapping[str, Array]) -> Array:
@@ -97,13 +89,11 @@ def log_bayes_any_group(factors: Mapping[str, Array]) -> Array:
 
 def log_bayes_any_unknown(problem: InferenceProblem, candidate: Candidate) -> float:
     """Return the log Bayes factor of something unknown that shifts one group or a few."""
-    left = _Left(
-        candidate.estimate.residuals[:, None], candidate.free_jacobian, candidate.deviation
-    )
+    state = _Left(candidate.model.left[:, None], candidate.weighed.precision)
     count, gained = len(problem.groups), 0.0
-    logs, still = [], list(problem.groups)
+    logs, still = [], list(range(count))
     for number, share in enumerate(_BLOCKS[:count], 1):
-        tried = [_with_unknown(problem, left, block) for block in still]
+        tried = [_with_unknown(problem, candidate, state, block) for block in still]
         prior = np.log(share) - np.log(comb(count, number))
         logs.append(float(prior + gained + logsumexp([factor for factor, _ in tried])))
         best = int(np.argmax([factor for factor, _ in tried]))
@@ -111,47 +101,38 @@ def log_bayes_any_unknown(problem: InferenceProblem, candidate: Candidate) -> fl
             break
         # A shifted group keeps its columns from here on.
         gained += tried[best][0]
-        left = tried[best][1]
+        state = tried[best][1]
         del still[best]
     return float(logsumexp(logs))
 
 
 def _with_unknown(
-    problem: InferenceProblem, left: _Left, block: ObservableGroup
+    problem: InferenceProblem, candidate: Candidate, state: _Left, number: int
 ) -> tuple[float, _Left]:
     """Return the log Bayes factor of something unknown in a group, and what it leaves."""
+    found = [
+        (float(gain[0]), columns) for gain, columns in _gains(problem, candidate, state, number)
+    ]
+    _, columns = max(found, key=lambda way: way[0])
+    factor = float(logsumexp([gain for gain, _ in found]) - np.log(len(found)))
+    return factor, state.with_columns(columns)
+
+
+def _gains(
+    problem: InferenceProblem, candidate: Candidate, state: _Left, number: int
+) -> Iterator[tuple[Array, Array]]:
+    """Yield the gain of log evidence (d,) and the columns (n, c) of each discrepancy."""
+    block = problem.groups[number]
     piece = problem.slices[block.name]
-    found = [(float(gain[0]), moved) for gain, moved in _gains(left, piece, block)]
-    _, moved = max(found, key=lambda way: way[0])
-    columns = np.zeros((len(left.residuals), moved.shape[1]))
-    columns[piece] = moved
-    after = left.with_columns(columns)
-    # Larger noise is part of the model already: it explains less where less is left.
-    usual = noise_inflation_gain(problem, left.residuals[:, 0]) - noise_inflation_gain(
-        problem, after.residuals[:, 0]
-    )
-    gains = [gain for gain, _ in found]
-    return float(logsumexp(gains) - np.log(len(gains))) - usual, after
-
-
-def _factor(left: _Left, piece: slice, block: ObservableGroup) -> Array:
-    own, _ = left.of(piece)
-    gains = [gain for gain, _ in _gains(left, piece, block)]
-    # Larger noise is part of the model already.
-    usual = np.array([group_noise_gain(chi2, len(own)) for chi2 in np.sum(own**2, axis=0).tolist()])
-    factor: Array = logsumexp(gains, axis=0) - np.log(len(gains)) - usual
-    return factor
-
-
-def _gains(left: _Left, piece: slice, block: ObservableGroup) -> Iterator[tuple[Array, Array]]:
-    """Yield the gain of log evidence (d,) and the columns (k, c) of each discrepancy."""
-    own, told = left.of(piece)
+    covariance = problem.covariance(number, candidate.weighed.scales)
+    deviation = np.sqrt(1 / np.diag(np.linalg.inv(covariance)))
     for kind in _KINDS:
-        table = _table(block, kind)
-        if table is None:
+        pattern = _pattern(block, kind)
+        if pattern is None:
             continue
-        table = table / left.deviation[piece][:, None]
-        pull, known = table.T @ own, table.T @ told @ table
+        table = np.zeros((len(state.left), pattern.shape[1]))
+        table[piece] = block.noise_whitening @ (deviation[:, None] * pattern)
+        pull, known = state.along(table)
         values, vectors = np.linalg.eigh(known)
         for size in _SIZES:
             together = _gained((vectors.T @ pull) ** 2, values, size)
@@ -170,16 +151,11 @@ def _gained(along: Array, known: Array, size: float) -> Array:
     return gained
 
 
-def _table(block: ObservableGroup, kind: str) -> Array | None:
-    """Return whitened columns (n, c) along which something unknown may shift a group."""
+def _pattern(block: ObservableGroup, kind: str) -> Array | None:
+    """Return columns (k, c) along which something unknown may shift the numbers of a group."""
     if kind == "each":
         return np.eye(len(block.values))
-    moved = _drifting(block) if kind == "drift" else _alike(block, kind)
-    if moved is None:
-        return None
-    deviation = np.sqrt(1 / np.diag(np.linalg.inv(block.covariance)))
-    table: Array = block.whitening @ (deviation[:, None] * moved)
-    return table
+    return _drifting(block) if kind == "drift" else _alike(block, kind)
 
 
 def _alike(block: ObservableGroup, kind: str) -> Array | None:

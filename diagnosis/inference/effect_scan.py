@@ -9,7 +9,7 @@ end in a wrong optimum, and an effect that is too small to be seen has the evide
 import contextlib
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp
 
 from diagnosis.inference.linear_model import LinearModel, Weighed, weigh
-from diagnosis.inference.problem import InferenceProblem, LocatedEffect
+from diagnosis.inference.problem import FORM, InferenceProblem, LocatedEffect
 from holography.arrays import Array
 from physics.effects.effect import Effect
 from physics.errors import ImpossibleReedError
@@ -33,39 +33,43 @@ _LEAST, _STEPS = 0.01, 120
 _PROBE, _PLACES = 3, 4
 # Step of second parameters, in their standard deviations.
 _SECOND = 0.3
-# Effects have not quite the form that the catalogue gives them: a share of what they do (0018).
-FORM = 0.12
 # Iterations of the scales, which begin at those without the effect.
 _TURNS = 10
+# What an effect changes by less, in standard errors of any number, it does not change.
+_NOTHING = 1e-6
 
 
 @dataclass(frozen=True)
 class Start:
-    """A model to which effects are added.
+    """A model to which an effect is added, or in which one is changed.
 
     Attributes
     ----------
     parameters : BenchParameters
+        Without the effect.
     residuals : (n,) float
-        Whitened.
+        Whitened, with the effect of the sizes below.
     model : LinearModel
-        Around these parameters.
+        The same around its nuisances.
     weighed : Weighed
-        The same with the likeliest scales.
+        With the likeliest scales.
+    sizes : (s,) float
+        Sizes of the effect; all 0 where it is added.
     """
 
     parameters: BenchParameters
     residuals: Array
     model: LinearModel
     weighed: Weighed
+    sizes: Array
 
     @classmethod
-    def at(cls, problem: InferenceProblem, z: Array) -> "Start":
+    def without(cls, problem: InferenceProblem, z: Array) -> "Start":
         """Return the model with nuisances z (p,) and without effects."""
         parameters = problem.parameters(z)
         residuals = problem.residuals(parameters)
         model = problem.linear_model(residuals, problem.jacobian(z), z)
-        return cls(parameters, residuals, model, weigh(model))
+        return cls(parameters, residuals, model, weigh(model), np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -78,187 +82,237 @@ class Scan:
         At its best location.
     sizes : (s,) float
         Likeliest sizes there, in units of their scales.
-    gain : float
-        Log evidence over that of the start, all strengths, directions and locations together.
-    signature : (n, s) float
-        What one scale of each size changes, whitened, by the smallest strength that was computed.
-    columns : (n, c) float
-        What second parameters change at these sizes, in units of the noise.
+    log_evidence : float
+        All strengths, directions and locations together; up to the constant of the start's.
+    columns : (n, s) float
+        What one scale of each size changes there, whitened.
     shift : (n,) float
-        What the sizes change, in units of the noise.
+        What the sizes change over the start, whitened.
+    elsewhere : float
+        What the other directions and locations have added to the log evidence of the best.
+    model : LinearModel
+        At these sizes.
+    weighed : Weighed
+        The same with the likeliest scales.
     """
 
     located: LocatedEffect
     sizes: Array
-    gain: float
-    signature: Array
+    log_evidence: float
     columns: Array
     shift: Array
+    elsewhere: float
+    model: LinearModel
+    weighed: Weighed
 
 
 def scan_effect(problem: InferenceProblem, start: Start, effect: Effect) -> Scan | None:
     """Scan an effect over all strengths, directions and locations; None if it changes nothing.
 
-    Locations without a possible reed are left out.
+    Locations without a possible reed have no evidence.
     """
-    places = list(locations_of(effect))
-    lines = [_Line(problem, start, place, d) for place in places for d in _directions(effect)]
+    start = replace(start, sizes=np.zeros(len(effect.sizes)))
+    places, ways = list(locations_of(effect)), _directions(effect)
+    lines = [_Line(problem, start, place, way) for place in places for way in ways]
     if len(places) > 1:
-        lines = _best_lines(lines)
+        lines = sorted(lines, key=lambda line: -line.probe())[: _PLACES * len(ways)]
     swept = [found for line in lines if (found := line.swept()) is not None]
     if not swept:
         return None
-    best = max(swept, key=lambda one: one.most)
+    best = max(swept, key=lambda one: float(one.gains.max()))
     # Where nothing was swept, the effect has the evidence of none.
-    every = len(_directions(effect)) * len(places)
-    means = np.array([0.0] * (every - len(swept)) + [one.mean for one in swept])
-    return best.scan(float(logsumexp(means)) - math.log(every))
+    every = len(places) * len(ways)
+    means = [0.0] * (every - len(swept)) + [one.mean for one in swept]
+    return best.scan(float(logsumexp(means)) - math.log(every) - best.mean)
+
+
+def scan_again(
+    problem: InferenceProblem, start: Start, located: LocatedEffect, elsewhere: float
+) -> Scan | None:
+    """Scan an effect along the direction of the sizes that a start has.
+
+    Parameters
+    ----------
+    elsewhere : float
+        What other directions and locations add to the log evidence of these.
+    """
+    strengths = start.sizes[[k for k, size in enumerate(located.sizes) if size.most]]
+    swept = _Line(problem, start, located, strengths / np.abs(strengths).max()).swept()
+    return None if swept is None else swept.scan(elsewhere)
 
 
 class _Line:
     """One effect at one location along one direction of its strengths."""
 
     def __init__(
-        self,
-        problem: InferenceProblem,
-        start: Start,
-        located: LocatedEffect,
-        direction: Array,
+        self, problem: InferenceProblem, start: Start, located: LocatedEffect, direction: Array
     ) -> None:
-        self.problem, self.start = problem, start
-        self.located, self.direction = located, direction
-        strengths = [size for size in located.sizes if size.most]
-        self.seconds = [k for k, size in enumerate(located.sizes) if not size.most]
-        self.largest = np.array(
-            [size.most / size.scale if size.most else 0.0 for size in located.sizes]
-        )
-        self._whole = np.zeros(len(located.sizes))
-        self._whole[[k for k, s in enumerate(located.sizes) if s.most]] = direction
-        assert len(strengths) == len(direction)
+        self.problem, self.start, self.located = problem, start, located
+        sizes = located.sizes
+        self.strong = [k for k, size in enumerate(sizes) if size.most]
+        self.seconds = [k for k, size in enumerate(sizes) if not size.most]
+        self.largest = np.zeros(len(sizes))
+        self.largest[self.strong] = 2.0 * direction
         self._kept: dict[float, Array] = {}
+
+    @property
+    def begun(self) -> float:
+        """Share of the largest strength that the start has."""
+        along = self.largest[self.strong]
+        return float(self.start.sizes[self.strong] @ along / (along @ along))
 
     def sizes_at(self, share: float) -> Array:
         """Return the sizes (s,) at a share of the largest strength."""
-        return share * self.largest * self._whole
+        sizes = self.start.sizes.copy()
+        sizes[self.strong] = share * self.largest[self.strong]
+        return sizes
 
     def shift(self, share: float) -> Array:
-        """Return what the effect changes (n,), whitened, at a share of the largest strength.
+        """Return what such a share changes (n,) over the start, in units of the noise.
 
         Raises
         ------
         ImpossibleReedError
             If no such reed is possible.
         """
+        if share == self.begun:
+            return np.zeros(len(self.start.residuals))
         if share not in self._kept:
-            self._kept[share] = self._residuals(self.sizes_at(share)) - self.start.residuals
+            moved = self._residuals(self.sizes_at(share)) - self.start.residuals
+            self._kept[share] = self.problem.to_noise(moved)
         return self._kept[share]
 
     def _residuals(self, sizes: Array) -> Array:
         return self.problem.residuals(self.located.change(self.start.parameters, sizes))
 
-    def columns(self, share: float) -> Array:
-        """Return what second parameters change (n, c), whitened, at such a share."""
-        here, found = self.start.residuals + self.shift(share), []
+    def seconds_at(self, share: float) -> Array:
+        """Return what second parameters change (n, c), in units of the noise, at such a share."""
+        if not self.seconds:
+            return np.zeros((len(self.start.residuals), 0))
+        here, found = self._residuals(self.sizes_at(share)), []
         for k in self.seconds:
             sizes = self.sizes_at(share)
-            sizes[k] = _SECOND
+            sizes[k] += _SECOND
             found.append((self._residuals(sizes) - here) / _SECOND)
-        return np.stack(found, axis=1) if found else np.zeros((len(here), 0))
+        return self.problem.to_noise(np.stack(found, axis=1))
 
     def probe(self) -> float:
-        """Return the gain at one strength, with what is linear in it, or -inf."""
+        """Return the gain at the likeliest strength if all is proportional to it, or -inf."""
         try:
-            shift = self.problem.to_noise(self.shift(_NODES[_PROBE]))
+            shift = self.shift(_NODES[_PROBE])
         except ImpossibleReedError:
             return -np.inf
         P = self.start.weighed.precision
-        pull, known = shift @ P @ self.start.model.left, shift @ P @ shift
-        return float(0.5 * max(-pull, 0.0) ** 2 / max(known, 1e-12))
+        pull, known = float(shift @ P @ self.start.model.left), float(shift @ P @ shift)
+        return 0.5 * max(-pull, 0.0) ** 2 / max(known, 1e-12)
 
     def swept(self) -> "_Swept | None":
-        """Sum over all strengths; None if the effect changes nothing or no reed is possible."""
-        nodes, shifts, tables = [0.0], [np.zeros(len(self.start.residuals))], []
+        """Try all strengths; None if the effect changes nothing or no reed is possible."""
+        begun = self.begun
+        nodes, shifts, tables = [], [], []
         with contextlib.suppress(ImpossibleReedError):
-            for share in _NODES:
-                shift, table = self.shift(share), self.columns(share)
-                nodes.append(share)
+            for share in sorted({0.0, begun, *_NODES}):
+                shift = self.shift(share)
+                tables.append(self.seconds_at(share) if share else None)
                 shifts.append(shift)
-                tables.append(self.problem.to_noise(table))
-        if len(nodes) < 3 or not np.any(np.abs(shifts[-1]) > 1e-6):
+                nodes.append(share)
+        if len(nodes) < 3 or np.ptp(shifts, axis=0).max() < _NOTHING:
             return None
-        whole = self.problem.to_noise(np.stack(shifts, axis=1))
         shares = np.geomspace(_LEAST, 1.0, _STEPS)
         shares = shares[shares <= nodes[-1]]
-        moved = CubicSpline(np.array(nodes), whole, axis=1)(shares)
-        gains = self._gains(shares, moved, np.array(nodes[1:]), tables)
-        return _Swept(self, shares, moved, gains, np.array(nodes[1:]), tables)
-
-    def _gains(self, shares: Array, moved: Array, nodes: Array, tables: Sequence[Array]) -> Array:
-        """Return the gain (k,) at each strength, with the scales as they are without the effect."""
-        P, left = self.start.weighed.precision, self.start.model.left
-        pulled = P @ left
-        gains = -(moved.T @ pulled) - 0.5 * np.einsum("nk,nk->k", moved, P @ moved)
-        if tables[0].shape[1]:
-            nearest = np.argmin(np.abs(np.log(shares)[:, None] - np.log(nodes)), axis=1)
-            for k, node in enumerate(nearest.tolist()):
-                C = tables[node] * (shares[k] / nodes[node])
-                PC = P @ C
-                known = np.eye(C.shape[1]) + C.T @ PC
-                pull = PC.T @ (left + moved[:, k])
-                gains[k] += 0.5 * float(pull @ np.linalg.solve(known, pull))
-                gains[k] -= 0.5 * float(np.linalg.slogdet(known)[1])
-        found: Array = gains
-        return found
+        at, known = np.array(nodes), [table for table in tables if table is not None]
+        moved = CubicSpline(at, np.stack(shifts, axis=1), axis=1)
+        swept = _Swept(self, shares, moved, at[at > 0], known)
+        return swept.with_gains()
 
 
 @dataclass(frozen=True)
 class _Swept:
+    """A line, computed at some strengths and interpolated.
+
+    Attributes
+    ----------
+    line : _Line
+    shares : (k,) float
+        Strengths that count, as shares of the largest.
+    moved : CubicSpline
+        Gives shifts (n, ...) at shares.
+    nodes : (m,) float
+    tables : sequence of (n, c) float
+        What second parameters change at the nodes.
+    gains : (k,) float
+        Of log evidence over the start with its scales.
+    """
+
     line: _Line
     shares: Array
-    moved: Array
-    gains: Array
+    moved: CubicSpline
     nodes: Array
     tables: Sequence[Array]
-
-    @property
-    def most(self) -> float:
-        return float(self.gains.max())
+    gains: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def mean(self) -> float:
-        """Log of the mean over all strengths; impossible ones count as of no evidence."""
+        """Log of the mean over all strengths; impossible ones have no evidence."""
         return float(logsumexp(self.gains)) - math.log(_STEPS)
 
-    def scan(self, together: float) -> Scan:
+    def seconds(self, share: float) -> Array:
+        """Return what second parameters change (n, c): in proportion to the strength."""
+        node = int(np.argmin(np.abs(np.log(share / self.nodes))))
+        columns: Array = self.tables[node] * (share / self.nodes[node])
+        return columns
+
+    def with_gains(self) -> "_Swept":
+        """Return the same with the gain at each strength."""
+        start, moved = self.line.start, self.moved(self.shares)
+        P, left = start.weighed.precision, start.model.left
+        gains = -(moved.T @ (P @ left)) - 0.5 * np.einsum("nk,nk->k", moved, P @ moved)
+        for k, share in enumerate(self.shares.tolist() if self.line.seconds else ()):
+            C = self.seconds(share)
+            known = np.eye(C.shape[1]) + C.T @ P @ C
+            pull = C.T @ (P @ (left + moved[:, k]))
+            gains[k] += 0.5 * float(pull @ np.linalg.solve(known, pull))
+            gains[k] -= 0.5 * float(np.linalg.slogdet(known)[1])
+        return replace(self, gains=gains)
+
+    def scan(self, elsewhere: float) -> Scan:
         """Return the scan of an effect of which this line is the best.
 
         Scales are fitted anew at the best strength; what that adds there it adds everywhere.
+
+        Parameters
+        ----------
+        elsewhere : float
+            What other lines add to the log evidence of this one.
         """
-        line, k = self.line, int(np.argmax(self.gains))
-        node = int(np.argmin(np.abs(np.log(self.shares[k] / self.nodes))))
-        columns = self.tables[node] * (self.shares[k] / self.nodes[node])
-        shift, start = self.moved[:, k], line.start
-        model = start.model.moved(shift).with_columns(columns)
+        line, start, best = self.line, self.line.start, int(np.argmax(self.gains))
+        share = float(self.shares[best])
+        shift, seconds = self.moved(share), self.seconds(share)
         # What nuisances absorb of an effect, they absorb in any form.
-        seen = start.model.not_absorbed(shift, start.weighed)
+        seen = start.model.not_absorbed(shift - self.moved(0.0), start.weighed)
+        model = start.model.moved(shift).with_columns(
+            np.hstack([seconds, line.problem.form_columns(seen)])
+        )
         after = weigh(model, start.weighed.scales, (FORM * seen) ** 2, _TURNS)
-        more = after.log_evidence - start.weighed.log_evidence - float(self.gains[k])
-        sizes = line.sizes_at(float(self.shares[k]))
-        seconds = len(start.model.family)
-        for number, which in enumerate(line.seconds):
-            sizes[which] = float(after.nuisances[seconds + number])
-        first = float(self.nodes[0])
-        whole = line.sizes_at(first)
-        at = np.flatnonzero(whole)
-        signature = np.zeros((len(shift), len(whole)))
-        signature[:, at] = (line.shift(first) / np.sum(np.abs(whole)))[:, None]
-        return Scan(line.located, sizes, together + more, signature, columns, shift)
-
-
-def _best_lines(lines: Sequence[_Line]) -> list[_Line]:
-    """Return the lines with most evidence at one strength; the others count as they did there."""
-    ranked = sorted(lines, key=lambda line: -line.probe())
-    return ranked[:_PLACES]
+        sizes, q = line.sizes_at(share), len(start.model.family)
+        own = after.nuisances[q : q + len(line.seconds)]
+        sizes[line.seconds] += own
+        columns = np.zeros((len(shift), len(sizes)))
+        columns[:, line.seconds] = seconds
+        by_share = self.moved(share, 1)
+        # Strengths that move together share what moves.
+        along = line.largest[line.strong]
+        columns[:, line.strong] = by_share[:, None] * along / float(along @ along)
+        return Scan(
+            located=line.located,
+            sizes=sizes,
+            log_evidence=after.log_evidence + self.mean + elsewhere - float(self.gains[best]),
+            columns=line.problem.from_noise(columns),
+            shift=line.problem.from_noise(shift + seconds @ own),
+            elsewhere=elsewhere,
+            model=model,
+            weighed=after,
+        )
 
 
 def _directions(effect: Effect) -> list[Array]:

@@ -210,12 +210,12 @@ def _next(model: LinearModel, scales: Scales, extra: Array, found: _Posterior) -
     share = noise / found.variance
     square = share**2 * (left**2 + spread) + share * extra
     groups = len(model.noise_freedom)
-    sums = np.bincount(model.group, square, groups)
+    sums = np.bincount(model.group, square, groups).astype(float)
     counts = np.bincount(model.group, minlength=groups)
     families = len(model.family_freedom)
     scaled = model.family != KNOWN
     own = found.mean**2 + np.diag(found.covariance)
-    amounts = np.bincount(model.family[scaled], own[scaled], families)
+    amounts = np.bincount(model.family[scaled], own[scaled], families).astype(float)
     sizes = np.bincount(model.family[scaled], minlength=families)
     return Scales(
         np.maximum(_likeliest_log(sums, counts, model.noise_freedom, scales.noise), 0.0),

@@ -14,37 +14,26 @@ from diagnosis.inference.candidate_search import (
     confusable_pairs,
     fit_pairs,
     refine_best,
+    refit_from_elsewhere,
     refit_without_effects,
-    search_effect,
-    search_starts,
-    undetectable_alternatives,
+    search_alone,
 )
-from diagnosis.inference.candidates import (
-    Candidate,
-    fit_model,
-    prepare_jacobian,
-)
+from diagnosis.inference.candidates import Candidate, without_effects
 from diagnosis.inference.discrepancy import group_discrepancies, log_bayes_any_unknown
+from diagnosis.inference.effect_scan import Start
 from diagnosis.inference.estimation import marginalised_signature
-from diagnosis.inference.importance_sampling import Sampled, checked
 from diagnosis.inference.probabilities import (
     NONE,
     PRIOR,
-    log_odds,
+    log_odds_of_all,
     log_odds_with_unknown,
     log_probabilities,
-    rank_candidates,
 )
 from diagnosis.inference.problem import InferenceProblem
 from fitting.parallel.processes import map_processes
 from holography.arrays import Array
 from physics.effects.effect import Effect
-from physics.errors import ImpossibleReedError
 
-# Candidates whose log evidence is within this many nats are checked by importance sampling.
-_CLOSE = 5.0
-# Most searches from other starts: some end in a worse optimum or do not come to rest.
-_MOST_AGAIN = 4
 # Something unknown is tried in addition to this many of the likeliest effects.
 _LOOKED_BESIDE = 3
 
@@ -68,12 +57,8 @@ class ModelSelection:
         The same in any group, or in a few.
     unknown_log_bayes_with : dict of float
         Log Bayes factor of something unknown in addition to each of the likeliest candidates.
-    sampled : dict of Sampled
-        Importance samples of candidates with similar evidence.
-    undetectable : dict of (str, float)
-        Alternatives that need not be seen and were not fitted: effects without a signature here,
-        and pairs of the likeliest effect with another one. For each the effect that it is
-        paired with, and the gain of log evidence.
+    undetectable : tuple of str
+        Effects without a signature here.
     log_probability : dict of float
         Log probability of `NONE`, `UNKNOWN`, effects, and pairs joined by '+'.
     """
@@ -85,8 +70,7 @@ class ModelSelection:
     group_log_bayes: dict[str, float]
     unknown_log_bayes: float
     unknown_log_bayes_with: dict[str, float]
-    sampled: dict[str, Sampled]
-    undetectable: dict[str, tuple[str, float]]
+    undetectable: tuple[str, ...]
     log_probability: dict[str, float]
 
     @property
@@ -114,43 +98,63 @@ def select_model(
         Called with the fraction that is done.
     """
     report = progress or (lambda _share: None)
-    rng = np.random.default_rng(SEED)
+    rng, count = np.random.default_rng(SEED), len(effects)
     nothing = np.zeros(len(problem.nuisances))
-    null = fit_model(problem, (), [nothing, 0.5 * rng.standard_normal(len(nothing))], exact=True)
+    null = without_effects(problem, [nothing, 0.5 * rng.standard_normal(len(nothing))])
     report(0.2)
-    begun = search_starts(problem, null)
-    for start in begun:
-        prepare_jacobian(problem, start.at)
-    alone: dict[str, Candidate] = {}
-    signatures: dict[str, tuple[Array, Array]] = {}
-    each = map_processes(partial(search_effect, problem, begun), effects)
-    for number, (effect, (table, found)) in enumerate(zip(effects, each, strict=True)):
-        if table is not None:
-            signatures[effect.id] = table, marginalised_signature(begun[0].base.jacobian, table)
-        if found is not None:
-            alone[effect.id] = found
-        report(0.2 + 0.4 * (number + 1) / len(effects))
-    refine_best(problem, alone, null, len(effects))
-    null = refit_without_effects(problem, null, alone.values())
+    alone = _each_alone(problem, null, effects)
+    report(0.5)
+    refine_best(problem, alone, log_odds_of_all(alone, null, count))
+    better = refit_without_effects(problem, null, alone.values())
+    if better is not null:
+        null, before = better, alone
+        alone = _each_alone(problem, null, effects)
+        # Of both searches for an effect, the better one counts.
+        alone |= {n: o for n, o in before.items() if _log_evidence(alone.get(n)) < o.log_evidence}
     report(0.7)
-    alike = confusable_pairs(signatures)
+    signatures = _signatures(null, alone)
+    alike = confusable_pairs({name: left for name, (_, left) in signatures.items()})
     pairs = fit_pairs(problem, null, alone, effects, alike)
-    refine_best(problem, pairs, null, len(effects))
-    report(0.85)
-    candidates = {**alone, **pairs}
-    sampled = _settle(problem, null, candidates, len(effects), rng)
-    alone, pairs = ({n: r for n, r in candidates.items() if n in part} for part in (alone, pairs))
-    report(0.95)
-    likely = rank_candidates(alone, null, len(effects))[:_LOOKED_BESIDE]
-    beside = {name: log_bayes_any_unknown(problem, candidates[name]) for name in likely}
+    refine_best(problem, pairs, log_odds_of_all({**alone, **pairs}, null, count))
+    report(0.9)
+    odds = log_odds_of_all(alone, null, count)
+    likely = sorted(alone, key=lambda name: -odds[name])[:_LOOKED_BESIDE]
+    beside = {name: log_bayes_any_unknown(problem, alone[name]) for name in likely}
     unknown = log_bayes_any_unknown(problem, null)
-    unseen = undetectable_alternatives(problem, null, alone, pairs, effects, alike)
-    probabilities = log_probabilities(null, candidates, unknown, beside, unseen, len(effects))
+    unseen = tuple(effect.id for effect in effects if effect.id not in alone)
+    probabilities = log_probabilities(null, {**alone, **pairs}, unknown, beside, unseen, count)
     report(1.0)
     told = {name: float(f[0]) for name, f in group_discrepancies(problem, null).items()}
     return ModelSelection(
-        null, alone, pairs, signatures, told, unknown, beside, sampled, unseen, probabilities
+        null, alone, pairs, signatures, told, unknown, beside, unseen, probabilities
     )
+
+
+def _each_alone(
+    problem: InferenceProblem, null: Candidate, effects: Sequence[Effect]
+) -> dict[str, Candidate]:
+    """Return the candidates with one effect, by identifier."""
+    start = Start(
+        null.parameters(problem), null.estimate.residuals, null.model, null.weighed, np.zeros(0)
+    )
+    each = map_processes(partial(search_alone, problem, start, null), effects)
+    return {
+        effect.id: found for effect, found in zip(effects, each, strict=True) if found is not None
+    }
+
+
+def _log_evidence(candidate: Candidate | None) -> float:
+    return -np.inf if candidate is None else candidate.log_evidence
+
+
+def _signatures(null: Candidate, alone: dict[str, Candidate]) -> dict[str, tuple[Array, Array]]:
+    """Return what effects change, whitened, and what nuisances leave of it."""
+    J, p = null.estimate.jacobian, len(null.estimate.z)
+    found: dict[str, tuple[Array, Array]] = {}
+    for name, candidate in alone.items():
+        table = candidate.estimate.jacobian[:, p:] * candidate.deviation[:, None]
+        found[name] = table, marginalised_signature(J, table)
+    return found
 
 
 def refit_candidate(
@@ -165,9 +169,8 @@ def refit_candidate(
     (alone if name in alone else pairs)[name] = again
     if name in beside:
         beside[name] = log_bayes_any_unknown(problem, again)
-    candidates = {**alone, **pairs}
     odds = log_probabilities(
-        found.null, candidates, found.unknown_log_bayes, beside, found.undetectable, effects
+        found.null, {**alone, **pairs}, found.unknown_log_bayes, beside, found.undetectable, effects
     )
     return replace(
         found, single=alone, pairs=pairs, unknown_log_bayes_with=beside, log_probability=odds
@@ -181,52 +184,3 @@ def likeliest_unknown(found: ModelSelection, effects: int) -> str:
     )
     logs[NONE] = float(np.log(PRIOR["unknown"])) + found.unknown_log_bayes
     return max(logs, key=lambda name: logs[name])
-
-
-def _settle(
-    problem: InferenceProblem,
-    null: Candidate,
-    candidates: dict[str, Candidate],
-    effects: int,
-    rng: np.random.Generator,
-) -> dict[str, Sampled]:
-    """Refit the best candidate from other starts, and sample the best two if they are close.
-
-    Replaces them among the candidates.
-    """
-    best = rank_candidates(candidates, null, effects)[:2]
-    for name in best[:1]:
-        candidates[name] = refit_from_elsewhere(problem, candidates[name], rng)
-    odds = {NONE: float(np.log(PRIOR["none"]))}
-    odds |= {name: log_odds(candidates[name], null, effects) for name in best}
-    first, second = sorted(odds, key=lambda name: -odds[name])[:2] if best else (NONE, NONE)
-    found: dict[str, Sampled] = {}
-    if odds[first] - odds[second] < _CLOSE:
-        close = [name for name in (first, second) if name != NONE]
-        each = map_processes(lambda name: checked(problem, candidates[name]), close)
-        for name, (candidate, sampled) in zip(close, each, strict=True):
-            candidates[name], found[name] = candidate, sampled
-    return found
-
-
-def refit_from_elsewhere(
-    problem: InferenceProblem, candidate: Candidate, rng: np.random.Generator
-) -> Candidate:
-    """Fit a candidate from its optimum and from other starts, to confirm the optimum.
-
-    A search may end in a worse optimum or not come to rest; then the next one is tried.
-    """
-    p, again = len(problem.nuisances), candidate
-    for _ in range(_MOST_AGAIN):
-        z = again.estimate.z
-        elsewhere = z + 0.3 * rng.standard_normal(len(z))
-        elsewhere[p:] = 0.8 * z[p:]
-        try:
-            again = fit_model(problem, candidate.effects, [z, elsewhere], exact=True)
-        except ImpossibleReedError:
-            return replace(
-                candidate, estimate=replace(candidate.estimate, consistent_starts=0, starts=2)
-            )
-        if again.estimate.converged:
-            break
-    return replace(again, other_locations=candidate.other_locations)

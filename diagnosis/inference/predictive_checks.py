@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from diagnosis.effect_notes import notes_of
 from diagnosis.inference.candidates import Candidate
 from diagnosis.inference.discrepancy import group_discrepancies, log_bayes_any_group
-from diagnosis.inference.estimation import absorbed_part, posterior_covariance, residual_covariance
 from diagnosis.inference.problem import InferenceProblem
 from holography.arrays import Array
 
@@ -62,8 +61,7 @@ def predictive_checks(
     seed : int
         Of the draws.
     """
-    rng = np.random.default_rng(seed)
-    both = _with_drawn(candidate, rng)
+    both = _with_drawn(candidate, np.random.default_rng(seed))
     found = [
         _sign("discrepancy", "numbers deviate together in a way that no effect explains",
               log_bayes_any_group(group_discrepancies(problem, candidate, both))),
@@ -73,14 +71,13 @@ def predictive_checks(
     if left_out.any():
         found.append(
             _sign("transfer", "the sweep that was left out is not as predicted",
-                  _transfer(candidate, both, left_out))
+                  _squares(candidate, both, left_out))
         )  # fmt: skip
     if candidate.effects:
-        found.append(_implausible(candidate, rng))
         kept = _kept(problem, candidate)
         if kept.any():
             found.append(_sign("kept", "an observable that the effect must leave alone has changed",
-                               _moved(both, kept)))  # fmt: skip
+                               _squares(candidate, both, kept)))  # fmt: skip
     return tuple(found)
 
 
@@ -91,27 +88,28 @@ def _sign(name: str, words: str, values: Array) -> PredictiveCheck:
 
 
 def _with_drawn(candidate: Candidate, rng: np.random.Generator) -> Array:
-    """Return residuals (n, 1 + d): of the measured campaign, and of campaigns drawn from it."""
-    J, n = candidate.free_jacobian, len(candidate.estimate.residuals)
+    """Return what is left (n, 1 + d) of the measured campaign, and of campaigns drawn for it.
+
+    In units of the noise, before nuisances are fitted.
+    """
+    lower = np.linalg.cholesky(np.linalg.inv(candidate.weighed.precision))
+    n = len(candidate.model.left)
     noise = np.sqrt(1 - 2 / _FREEDOMS) * rng.standard_t(_FREEDOMS, (n, _DRAWS))
-    measured = noise + J @ rng.standard_normal((J.shape[1], _DRAWS))
-    left = measured - absorbed_part(J, measured)
-    return np.column_stack([candidate.estimate.residuals, left])
+    return np.column_stack([candidate.model.left, lower @ noise])
 
 
-def _largest(candidate: Candidate, residuals: Array) -> Array:
-    J = candidate.free_jacobian
-    variance = 1 - np.einsum("np,pq,nq->n", J, posterior_covariance(J), J, optimize=True)
-    scaled = np.abs(residuals) / np.sqrt(np.maximum(variance, 1e-6))[:, None]
-    largest: Array = scaled.max(axis=0)
+def _largest(candidate: Candidate, left: Array) -> Array:
+    """Return the largest deviation (d,) of a number from what all others predict."""
+    P = candidate.weighed.precision
+    largest: Array = np.abs((P @ left) / np.sqrt(np.diag(P))[:, None]).max(axis=0)
     return largest
 
 
-def _transfer(candidate: Candidate, residuals: Array, left_out: NDArray[np.bool_]) -> Array:
-    """Return the squared residual of a condition predicted by the others."""
-    inner, left = residual_covariance(candidate.free_jacobian, left_out), residuals[left_out]
-    out = np.linalg.solve(inner, left)
-    squares: Array = np.sum(out * left, axis=0)
+def _squares(candidate: Candidate, left: Array, chosen: NDArray[np.bool_]) -> Array:
+    """Return the squared deviation (d,) of chosen numbers from what the others predict."""
+    P = candidate.weighed.precision
+    own = (P @ left)[chosen]
+    squares: Array = np.sum(own * np.linalg.solve(P[np.ix_(chosen, chosen)], own), axis=0)
     return squares
 
 
@@ -120,19 +118,7 @@ def _kept(problem: InferenceProblem, candidate: Candidate) -> NDArray[np.bool_]:
     taps = frozenset.intersection(
         *(notes_of(located.effect).unaffected for located in candidate.effects)
     )
-    kept = np.zeros(len(candidate.estimate.residuals), dtype=bool)
+    kept = np.zeros(len(candidate.model.left), dtype=bool)
     for block in problem.groups:
         kept[problem.slices[block.name]] = block.tap in taps
     return kept
-
-
-def _moved(residuals: Array, kept: NDArray[np.bool_]) -> Array:
-    """Return the sum of squares of numbers that must not change."""
-    squares: Array = np.sum(residuals[kept] ** 2, axis=0)
-    return squares
-
-
-def _implausible(candidate: Candidate, rng: np.random.Generator) -> PredictiveCheck:
-    usual = np.abs(rng.standard_normal((len(candidate.sizes), _DRAWS))).max(axis=0)
-    values = np.append(np.abs(candidate.sizes).max(), usual)
-    return _sign("implausible", "a size is implausible", values)

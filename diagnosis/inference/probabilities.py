@@ -1,17 +1,12 @@
 """Priors, and the probability of each hypothesis from the evidence of its fit."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.special import logsumexp
 
-from diagnosis.inference.candidates import (
-    Candidate,
-)
+from diagnosis.inference.candidates import Candidate
 
-# Residuals of an effect of plausible size (in prior standard deviations) may be due to its form,
-# which deviates from the catalogue's by this fraction (standard deviation).
-_PLAUSIBLE, _OWN_FORM = 4.0, 0.15
 # Prior of something unknown in addition to an effect, relative to the effect's.
 _ALSO = 0.05
 # Probability that something unknown is too small to be seen.
@@ -35,11 +30,12 @@ def log_prior(count: int, effects: int) -> float:
     return float(np.log(PRIOR["two"] / (effects * (effects - 1) / 2)))
 
 
-def rank_candidates(
+def log_odds_of_all(
     candidates: Mapping[str, Candidate], null: Candidate, effects: int
-) -> list[str]:
-    """Return the names of candidates, the likeliest first."""
-    return sorted(candidates, key=lambda name: -log_odds(candidates[name], null, effects))
+) -> dict[str, float]:
+    """Return the log probability of candidates and of no effect, up to a common constant."""
+    odds = {name: log_odds(candidate, null, effects) for name, candidate in candidates.items()}
+    return {NONE: float(np.log(PRIOR["none"]))} | odds
 
 
 def log_probabilities(
@@ -47,7 +43,7 @@ def log_probabilities(
     candidates: Mapping[str, Candidate],
     unknown: float,
     beside: Mapping[str, float],
-    unseen: Mapping[str, tuple[str, float]],
+    unseen: Sequence[str],
     effects: int,
 ) -> dict[str, float]:
     """Return the log probability of every hypothesis: none, unknown, effects and pairs."""
@@ -55,13 +51,8 @@ def log_probabilities(
     for name, candidate in candidates.items():
         logs[name] = log_odds(candidate, null, effects)
     also = log_odds_with_unknown(candidates, null, beside, effects).values()
-    own = {name: _by_form(candidates[name], null, more) for name, more in beside.items()}
-    for name, more in own.items():
-        logs[name] += more
-    for name, (first, more) in unseen.items():
-        known = 0.0 if first == NONE else candidates[first].log_evidence - null.log_evidence
-        known += own.get(first, 0.0)
-        logs[name] = log_prior(len(name.split("+")), effects) + known + more
+    # What changes nothing has the evidence of none.
+    logs |= {name: log_prior(1, effects) for name in unseen}
     seen = np.logaddexp(np.log1p(-_UNSEEN) + unknown, np.log(_UNSEEN))
     logs[UNKNOWN] = float(logsumexp([np.log(PRIOR["unknown"]) + seen, *also]))
     total = logsumexp(list(logs.values()))
@@ -76,20 +67,3 @@ def log_odds_with_unknown(
         name: float(np.log(_ALSO)) + log_odds(candidates[name], null, effects) + more
         for name, more in beside.items()
     }
-
-
-def _by_form(candidate: Candidate, null: Candidate, left: float) -> float:
-    """Return the gain of a candidate, in nats, because its residuals may be due to its form.
-
-    Parameters
-    ----------
-    candidate, null : Candidate
-    left : float
-        Log Bayes factor of something unknown in addition to it.
-    """
-    gained = candidate.log_evidence - null.log_evidence
-    if left <= 0 or gained <= 0 or np.abs(candidate.sizes).max() > _PLAUSIBLE:
-        return 0.0
-    # Evidence goes by squares: a share of what is explained by its square.
-    log_share = -left / gained / (2 * _OWN_FORM**2)
-    return float(np.logaddexp(np.log(-np.expm1(log_share)), log_share + left))

@@ -97,7 +97,7 @@ def _reach(
         return Detectability(effect.id, float("nan"), nothing, {})
     whole, left = signature
     with np.errstate(divide="ignore"):
-        least = DETECTION_SIGMA * np.array([p.spread for p in effect.sizes])
+        least = DETECTION_SIGMA * np.array([p.scale for p in effect.sizes])
         least = least / np.linalg.norm(left, axis=0)
     return Detectability(
         effect=effect.id,

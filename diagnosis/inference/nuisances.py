@@ -52,11 +52,6 @@ class Nuisance:
     family: str = ""
 
 
-# Standard deviation of the log of a factor on a family. Chosen: benches and reeds have between a
-# quarter and four times the usual disorder in 19 of 20 cases.
-FAMILY_FREEDOM: Final = 0.7
-
-
 def _cane(name: str, spread: float, source: str, family: str) -> Nuisance:
     return Nuisance(
         name,

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from diagnosis.inference.linear_model import KNOWN, LinearModel, Scales
-from diagnosis.inference.nuisances import FAMILY_FREEDOM, Nuisance
-from diagnosis.observable_groups import ObservableGroup
+from diagnosis.inference.nuisances import Nuisance
+from diagnosis.observable_groups import DISORDER, ObservableGroup
 from holography.arrays import Array
 from physics.effects.effect import Effect, Parameter
 from physics.parameters.tree import BenchParameters
@@ -154,8 +154,7 @@ class InferenceProblem:
             family=np.array(family, dtype=np.intp),
             noise_freedom=np.array([group.errors.noise_freedom for group in self.groups]),
             family_freedom=np.array(
-                [FAMILY_FREEDOM] * len(self._families)
-                + [each.freedom for _, each in self._of_groups]
+                [DISORDER] * len(self._families) + [each.freedom for _, each in self._of_groups]
             ),
         )
 

@@ -6,7 +6,15 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.observable_groups import Coordinates, Observable, ObservableGroup, observable_group
+from diagnosis.observable_groups import (
+    DISORDER,
+    Coordinates,
+    Errors,
+    GroupNuisances,
+    Observable,
+    ObservableGroup,
+    observable_group,
+)
 from diagnosis.observable_source import GroupSource
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.carrier import CarrierReading, carrier_floor
@@ -15,8 +23,9 @@ from holography.arrays import Array
 from physics.mechanics import ReedSolver
 from physics.parameters.tree import BenchParameters
 
-# Log of how much the light that a reed shows next to its clamp differs between reeds and sweeps.
-_REEDS, _SWEEPS = 0.4, 0.15
+# Shares by which what a reed shows next to its clamp differs from what is expected: in all sweeps,
+# and in each. Chosen: clamps yield, and speckle is seen where it happens to be bright.
+_REEDS, _SWEEPS = 1.0, 0.3
 # Fraction of the carrier that may stay where it has been subtracted.
 _LEFT = 0.3
 
@@ -74,12 +83,14 @@ def carrier_group(carriers: Sequence[CarrierReading]) -> ObservableGroup:
         amplitude: Array = np.hypot(parameters.optics.interference.leak, floor)
         return amplitude
 
-    covariance = np.diag(noise**2 + (_SWEEPS * floor) ** 2)
-    covariance += _REEDS**2 * np.multiply.outer(floor, floor)
+    moving = GroupNuisances(
+        "motion near the clamp", _REEDS * floor[:, None], DISORDER, "chosen: of each reed its own"
+    )
+    errors = Errors(np.hypot(noise, _SWEEPS * floor), (moving,))
     places = [Coordinates("carrier near the clamp", level=c.name) for c in carriers]
     values = [c.share for c in carriers]
     return observable_group(
-        "carrier", Observable.MAPS, values, covariance, places, ("optics",), predict
+        "carrier", Observable.MAPS, values, errors, places, ("optics",), predict
     )
 
 

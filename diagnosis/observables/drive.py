@@ -10,7 +10,10 @@ from scipy.ndimage import maximum_filter1d, median_filter
 
 from diagnosis.observable_groups import (
     BANDS,
+    DISORDER,
     Coordinates,
+    Errors,
+    GroupNuisances,
     Observable,
     ObservableGroup,
     band_of,
@@ -18,7 +21,7 @@ from diagnosis.observable_groups import (
 )
 from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks
-from diagnosis.observables.light import leaks_of, log_light
+from diagnosis.observables.light import FIELD_CHANGE, leaks_of, log_light, walk_columns
 from diagnosis.observables.shapes import elastic_reed
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, loudest
@@ -30,17 +33,22 @@ from physics.mechanics import Mechanics, ReedMode, ReedSolver
 from physics.parameters.chamber import Chamber
 from physics.parameters.drive import Drive
 from physics.parameters.optics import Interference
-from physics.parameters.tree import BenchParameters, FitBias
+from physics.parameters.tree import BenchParameters
 from physics.reed.elements.fem import Symmetry
 
 _KEPT = 8192
 # Frequencies that lie no further apart, in log, are one: a generator may not play quite what it is
 # asked to.
 _SAME_HZ = 1e-3
-# Log of the drive: polynomials of this degree are anyone's, and what waves over more than so much
-# of log frequency; noise of one hologram at least, and of a weaker one more.
+# Log of the drive: polynomials of this degree are anyone's; noise of one hologram at least, and of
+# a weaker one more.
 _DEGREE, _SMOOTH = 5, 1.0
-_WAVES, _LENGTH = 0.12, 0.15
+# Waves of a loudspeaker's response: standard deviation of its log, and correlation length in log
+# frequency. Data sheets of tweeters: within 3 dB from 2 to 20 kHz; domes break up in resonances
+# with qualities of 3 to 20, whose widths are these.
+_WAVES = ((0.3, 0.3), (0.1, 0.08))
+# Directions with less of their variance than this are left out.
+_LEAST_WAVE = 1e-6
 # Log frequency over which leaked light at a small-amplitude hologram spreads.
 _NEAR = 0.05
 _LEAST, _WEAK = 0.01, 0.02
@@ -59,6 +67,12 @@ _LEAST_AMPLITUDE_RAD, _FEWEST = 0.3, 3
 # Log of what moves a mode: gain, by smooth ripple of the loudspeaker, by pressure that is not the
 # model's.
 _GAIN, _RIPPLE, _FIELD = 0.5, 0.08, 0.15
+# The pressure's shape differs from a standing wave by smooth products over the window, along and
+# across, and over log frequency about its middle: each by this share. Chosen: a chamber with
+# corners, walls that give, and a wave that travels (decision 0051).
+_PRESSURE = 0.1
+_SHAPES = ((1, 0), (0, 1), (2, 0), (1, 1))
+_MIDDLE_HZ, _PITCH_DEGREE = 4.5e3, 1
 _RIPPLE_DEGREE = 5
 # Holograms on either side of a mode in which a drive may jump; from which second difference on, and
 # what share of it forces are then uncertain by.
@@ -88,25 +102,38 @@ def excitation_group(
     apart = pitch[:, None] - pitch
     near = np.exp(-0.5 * (apart / _NEAR) ** 2)
     spoilt = _of_leaks(loud, leaks, hz, near)
-    waves = _WAVES**2 * np.exp(-0.5 * (apart / _LENGTH) ** 2)
-    waves += np.multiply.outer(spoilt, spoilt) * near
+    leaked = np.multiply.outer(spoilt, spoilt) * near
     error = np.hypot(error, _WEAK / _gain(nominal.drive, hz))
 
-    first = sweeps[0]
-    modes = list(zip(first.names, first.hz.tolist(), first.loss_factor.tolist(), strict=True))
-
     def predict(parameters: BenchParameters) -> Array:
-        bent = np.log(_gain(parameters.drive, hz) * kept_by_tweeter(parameters.drive, volts, hz))
-        for name, own_hz, loss in modes:
-            bent = bent + exchanged(parameters.fit_bias, name, own_hz, loss, hz)
+        bent: Array = np.log(
+            _gain(parameters.drive, hz) * kept_by_tweeter(parameters.drive, volts, hz)
+        )
         return bent
 
-    covariance = np.diag(error**2) + waves + _SMOOTH**2 * powers @ powers.T
-    places = [Coordinates("drive", band=band_of(float(f))) for f in hz]
-    parts = ("drive", "fit_bias")
-    return observable_group(
-        "lines of the drive", Observable.DRIVE, log, covariance, places, parts, predict
+    noise = np.diag(error**2) + leaked + _SMOOTH**2 * powers @ powers.T
+    waves = tuple(
+        GroupNuisances(
+            f"response over {length:g}",
+            spread * _columns(np.exp(-0.5 * (apart / length) ** 2)),
+            DISORDER,
+            "data sheets of tweeters",
+        )
+        for spread, length in _WAVES
     )
+    places = [Coordinates("drive", band=band_of(float(f))) for f in hz]
+    return observable_group(
+        "lines of the drive", Observable.DRIVE, log, Errors(noise, waves), places, ("drive",),
+        predict,
+    )  # fmt: skip
+
+
+def _columns(covariance: Array) -> Array:
+    """Return columns (n, k) of independent amounts that have a smooth covariance (n, n)."""
+    values, vectors = np.linalg.eigh(covariance)
+    kept = values > _LEAST_WAVE * values[-1]
+    columns: Array = vectors[:, kept] * np.sqrt(values[kept])
+    return columns
 
 
 def _of_leaks(sweep: SweepReading, leaks: Leaks, hz: Array, near: Array) -> Array:
@@ -116,21 +143,6 @@ def _of_leaks(sweep: SweepReading, leaks: Leaks, hz: Array, near: Array) -> Arra
     square = near @ np.minimum(2 * leaks.carrier.get(sweep.name, 0.0) * calm, 1.0) ** 2
     errors: Array = np.sqrt(square / near.sum(axis=1))
     return errors
-
-
-def exchanged(fits: FitBias, mode: str, own_hz: float, loss: float, hz: Array) -> Array:
-    """Return the bend of the log drive (k,) by the fit bias of a mode reported at `own_hz`."""
-    cents, log = fits.of(mode)
-    if not cents and not log:
-        return np.zeros(len(hz))
-
-    def response(f: float, eta: float) -> Array:
-        size: Array = np.abs(complex(1, eta) - np.square(hz / f))
-        return size
-
-    true = response(own_hz * 2 ** (-cents / 1200), loss * np.exp(-log))
-    bent: Array = np.log(response(own_hz, loss) / true)
-    return bent
 
 
 def _gain(drive: Drive, hz: Array) -> Array:
@@ -220,10 +232,16 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
         changed: Array = kept + _light_between(times_s, parameters.optics.interference)
         return changed
 
-    covariance = np.diag(np.square(errors)) + _RATIO**2
+    ends = np.array([np.concatenate(pair).mean() for pair in times_s])
+    acquired_s = np.sort(np.concatenate([s.time_s for s in (loud[0], *others)]))
+    walk = FIELD_CHANGE * walk_columns(np.searchsorted(acquired_s, ends).astype(float))
+    between = FIELD_CHANGE * np.sqrt(len(acquired_s) / 2) * np.ones((len(values), 1))
+    changing = GroupNuisances("changing field", np.hstack([walk, between]), DISORDER, "as light")
+    noise = np.diag(np.square(errors)) + _RATIO**2
     return observable_group(
-        "level", Observable.DRIVE, values, covariance, places, ("drive", "optics"), predict
-    )
+        "level", Observable.DRIVE, values, Errors(noise, (changing,)), places, ("drive", "optics"),
+        predict,
+    )  # fmt: skip
 
 
 def _light_between(times_s: Sequence[tuple[Array, Array]], beams: Interference) -> Array:
@@ -266,29 +284,86 @@ def force_group(
     ripple = _RIPPLE * powers[:, 1:] / np.sqrt(np.arange(1, _RIPPLE_DEGREE + 1))
     doubt = np.array([_doubt(reed_solver, nominal.chamber, known[name]) for name in names])
     torn = np.max([_torn(sweep, hz) for sweep in loud], axis=0)
-    covariance = np.diag(error**2 + doubt**2 + torn**2) + _GAIN**2 + ripple @ ripple.T
+    errors = Errors(
+        np.diag(error**2 + doubt**2 + torn**2) + _GAIN**2,
+        (
+            GroupNuisances("response of the tweeter", ripple, DISORDER, "data sheets of tweeters"),
+            GroupNuisances(
+                "pressure on the reed",
+                _PRESSURE * _by_pressure(reed_solver, nominal.chamber, [known[n] for n in names]),
+                DISORDER,
+                "decision 0051",
+            ),
+        ),
+    )
     predicted = forces_rad(reed_solver, nominal.optics.layout.wavelength_m)
-
-    losses = loud[0].loss_factor[at[0]]
 
     def predict(parameters: BenchParameters) -> Array:
         drive = parameters.drive
         resounding = _gain(drive, hz) * kept_by_tweeter(drive, volts, hz)
-        bent = [
-            float(exchanged(parameters.fit_bias, name, own, loss, np.array([own]))[0])
-            for name, own, loss in zip(names, hz.tolist(), losses.tolist(), strict=True)
-        ]
-        force = np.log(predicted(parameters, names) * resounding)
-        total: Array = force + np.array(bent)
-        return total
+        force: Array = np.log(predicted(parameters, names) * resounding)
+        return force
 
     places = [
         Coordinates("force", mode=n, band=band_of(float(f))) for n, f in zip(names, hz, strict=True)
     ]
-    parts = ("reed", "drive", "chamber", "fit_bias")
+    parts = ("reed", "drive", "chamber")
     return observable_group(
-        "forces", Observable.RESPONSE, forces.mean(axis=0), covariance, places, parts, predict
+        "forces", Observable.RESPONSE, forces.mean(axis=0), errors, places, parts, predict
     )
+
+
+def _by_pressure(reed_solver: ReedSolver, chamber: Chamber, modes: Sequence[ReedMode]) -> Array:
+    """Return what smooth changes of the pressure's shape add to log forces (m, c).
+
+    The changes are products of Legendre polynomials over the window and of log frequency, each of
+    mean square 1; those that are even over the window are a gain.
+    """
+    closed = replace(chamber, leak=0.0)
+    x, y = reed_solver.reed.load_points_m.T
+    rows = []
+    for mode in modes:
+        usual = _pushes(reed_solver, closed, mode)
+        size = np.hypot(usual.closed, _FIELD * usual.without_signs)
+        pitch = np.clip(np.log(mode.hz / _MIDDLE_HZ) / np.log(_MIDDLE_HZ / 1e3), -1, 1)
+        in_pitch = _legendre(np.array([pitch]), _PITCH_DEGREE)[0]
+        row = []
+        for a, b in _SHAPES:
+            along = _legendre(np.clip(2 * x / closed.length_m - 1, -1, 1), a)[:, a]
+            pushed = sum(
+                _pushed(
+                    reed_solver,
+                    closed,
+                    mode,
+                    along * _legendre(np.clip(side * y / closed.half_width_m, -1, 1), b)[:, b],
+                    side,
+                )
+                for side in (1, -1)
+            )
+            row += list(np.clip(pushed / size, -1, 1) * in_pitch)
+        rows.append(row)
+    return np.array(rows)
+
+
+def _legendre(at: Array, degree: int) -> Array:
+    """Return Legendre polynomials (n, degree + 1) of mean square 1 over −1 … 1."""
+    table: Array = np.polynomial.legendre.legvander(at, degree)
+    return table * np.sqrt(2 * np.arange(degree + 1) + 1)
+
+
+def _pushed(
+    reed_solver: ReedSolver, chamber: Chamber, mode: ReedMode, factor: Array, side: int
+) -> float:
+    """Return the force on a mode by the pressure on one side of the reed, times a factor."""
+    reed, start, total = reed_solver.reed, 0, 0.0
+    x, y = reed.load_points_m.T
+    acting = factor * pressure_shape(chamber, mode.hz, x, side * y)
+    for symmetry, half in reed.loose.items():
+        own = mode.coordinates[start : start + half.mass.shape[0]]
+        start += half.mass.shape[0]
+        sign = 1 if symmetry is Symmetry.SYMMETRIC else side
+        total += 0.5 * sign * float(acting @ (half.load_z @ own))
+    return total
 
 
 def _torn(sweep: SweepReading, hz: Array) -> Array:

@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 
 from diagnosis.observable_groups import (
     BANDS,
+    DISORDER,
     Coordinates,
+    Errors,
+    GroupNuisances,
     Observable,
     ObservableGroup,
     band_of,
@@ -20,33 +23,40 @@ from diagnosis.observables.carrier import Leaks, leaks_in
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.reed_at_rest import RestHolograms
 from diagnosis.readings.sweeps import TEMPLATES, SweepReading, at_highest_level
-from holography.arrays import Array
+from holography.arrays import Array, ComplexArray
 from physics.mechanics import ReedSolver
+from physics.parameters.disorder import BY_NAME
 from physics.parameters.optics import Interference
 from physics.parameters.tree import BenchParameters
 
+_CHANGES = BY_NAME["field_change"].ordinary.source
 # Pieces of a sweep's time.
 _PIECES = 8
 # Sweeps end together if they do within so much of log frequency.
 _ENDS = 0.03
 # Chance brightness is correlated over this many acquisitions.
 _ALIKE = 3.0
-# Log brightness: from one speckle to another, between order 0 and the others, in each band of
-# sweeps of another clamping, in each sweep.
-_SPECKLE, _ORDER, _BAND, _SWEEP = 10.0, 10.0, 0.03, 3e-3
-# Log of the noise next to the image: its level, and from sweep to sweep.
+# Log brightness that is anyone's: from one speckle to another, and between order 0 and the others.
+_SPECKLE, _ORDER = 10.0, 10.0
+# Relative change of the light of an ordinary bench from one acquisition to the next, which adds up
+# as a random walk does.
+FIELD_CHANGE = BY_NAME["field_change"].ordinary.root_mean_square
+# Light and vibration of a sweep are confounded as finely as modes are (decision 0047): log
+# brightness of each sweep; and in each band of a sweep of another clamping. Chosen.
+_SWEEP, _BAND = 0.01, 0.03
+# Log of the noise next to the image: its level (gain and read noise within the tolerances of data
+# sheets), and from sweep to sweep.
 _NOISE, _NOISE_SWEEP = 0.1, 2e-3
+# Power of regulated lasers: standard deviation of its log after an hour, as of a random walk. Data
+# sheets of diode lasers: 0.5 to 2 % over hours.
+_POWER_H = 0.01
 # ... and of a mean, for programs that record one noise for all.
 _LEAST_NOISE = 1e-5
-# Share of that noise that is shot noise of the local oscillator.
-_SHOT = 0.96
-# What templates show where nothing leaks: amplitude and its spread. Fringes that a block of pixels
-# averages look a little like crosstalk. Like decorrelation they would look too, but the fit has
-# taken their mean into account.
-_FLOORS = {"sideband_crosstalk": (5e-3, 2.5e-3), "decorrelation": (0.0, 3e-5)}
 # Share of a carrier that looks like the next sideband once it has been taken off, and what doubt
 # that leaves of either.
 _LEFT_OF_CARRIER, _OF_TAKEN_OFF = 0.2, (0.15, 3e-3)
+# Amplitudes below which templates are not compared: what digitising leaves. Chosen.
+_LEAST_TEMPLATE = (1e-3, 1e-5)
 
 
 def log_light(time_s: Array, beams: Interference) -> Array:
@@ -101,10 +111,58 @@ def brightness_group(
         at_rest = log_light(np.array(still_s), parameters.optics.interference)
         return np.array([*of_sweeps, *at_rest])
 
-    covariance = np.diag(variance) + _shared(columns)
-    return observable_group(
-        "brightness", Observable.FIELD, values, covariance, places, ("optics",), predict
+    usual = {name for column in columns for name in column if _is_open(name)}
+    noise = np.diag(variance) + _shared([_chosen(column, usual) for column in columns])
+    own = _table([_chosen(column, {*column} - usual) for column in columns])
+    at_s = [float(np.mean(sweeps[row].time_s[at])) for row, at in pieces] + still_s
+    walk = _walk(np.array(at_s), np.concatenate([sweep.time_s for sweep in sweeps]))
+    errors = Errors(
+        noise,
+        (
+            GroupNuisances("light of sweeps", own, DISORDER, "decision 0047"),
+            GroupNuisances("changing field", walk, DISORDER, _CHANGES),
+        ),
     )
+    return observable_group(
+        "brightness", Observable.FIELD, values, errors, places, ("optics",), predict
+    )
+
+
+def _is_open(name: str) -> bool:
+    """Whether brightness is anyone's in such a comparison: of other speckle, of another order."""
+    return name.startswith(("speckle", "order"))
+
+
+def _chosen(column: dict[str, float], names: set[str]) -> dict[str, float]:
+    return {name: size for name, size in column.items() if name in names}
+
+
+def _walk(at_s: Array, acquired_s: Array) -> Array:
+    """Return columns (n, n) whose amounts make a random walk, one step for each acquisition.
+
+    Parameters
+    ----------
+    at_s : (n,) float
+        Times of the numbers.
+    acquired_s : (k,) float
+        Times of all acquisitions.
+    """
+    steps = np.searchsorted(np.sort(acquired_s), at_s).astype(float)
+    return FIELD_CHANGE * walk_columns(steps)
+
+
+def walk_columns(steps: Array) -> Array:
+    """Return columns (n, n) whose amounts make a random walk with unit steps.
+
+    Parameters
+    ----------
+    steps : (n,) float
+        Number of steps before each of the numbers.
+    """
+    after = steps - steps.min()
+    values, vectors = np.linalg.eigh(np.minimum.outer(after, after))
+    columns: Array = vectors * np.sqrt(np.maximum(values, 0.0))
+    return columns
 
 
 @dataclass(frozen=True)
@@ -172,10 +230,16 @@ class _Brightness:
         return columns
 
 
-def noise_group(sweeps: Sequence[SweepReading]) -> ObservableGroup:
+def noise_group(sweeps: Sequence[SweepReading], dark_dn: float) -> ObservableGroup:
     """Compare noise next to the image, mostly shot noise of the local oscillator, over time.
 
     Fixed-pattern noise spreads fringes all over the image.
+
+    Parameters
+    ----------
+    sweeps : sequence of SweepReading
+    dark_dn : float
+        Noise of a dark pixel in one frame.
     """
     values, variance, places, times, fringes = [], [], [], [], []
     columns: list[dict[str, float]] = []
@@ -189,25 +253,35 @@ def noise_group(sweeps: Sequence[SweepReading]) -> ObservableGroup:
             times.append(float(np.mean(sweep.time_s[piece])))
             fringes.append(float(np.mean(sweep.fringe_dn2[piece])))
             places.append(Coordinates("noise next to the image", time=f"{sweep.name} {number + 1}"))
-            columns.append({"level": _NOISE, f"sweep {sweep.name}": _NOISE_SWEEP})
+            columns.append({f"sweep {sweep.name}": _NOISE_SWEEP})
     usual, hours = float(np.mean(values)), np.array(times) / 3600
     beside = np.array(fringes) / np.exp(min(values))
+    # A hologram has the noise of four frames.
+    shot_share = float(np.clip(1 - 4 * dark_dn**2 / np.exp(usual), 0.0, 1.0))
 
     def predict(parameters: BenchParameters) -> Array:
-        shot = usual - _SHOT * parameters.optics.interference.fade_per_h * hours
+        shot = usual - shot_share * parameters.optics.interference.fade_per_h * hours
         noise: Array = shot + np.log1p(parameters.sensor.pattern**2 * beside)
         return noise
 
-    covariance = np.diag(variance) + _shared(columns)
+    power = shot_share * _POWER_H * walk_columns(hours)
+    errors = Errors(
+        np.diag(variance) + _NOISE**2,
+        (
+            GroupNuisances("noise of sweeps", _table(columns), DISORDER, "chosen"),
+            GroupNuisances("laser power", power, DISORDER, "data sheets of diode lasers"),
+        ),
+    )
     return observable_group(
-        "noise", Observable.SENSOR, values, covariance, places, ("optics", "sensor"), predict
+        "noise", Observable.SENSOR, values, errors, places, ("optics", "sensor"), predict
     )
 
 
 def fringe_group(sweeps: Sequence[SweepReading]) -> ObservableGroup | None:
     """Compare other light in the fringes, by templates, in all loud sweeps together.
 
-    None if no hologram has any.
+    What no other light looks like, but holograms may be off by in the same way, shows how much of a
+    template misfit alone makes. None if no hologram has any fringes.
 
     Parameters
     ----------
@@ -216,31 +290,33 @@ def fringe_group(sweeps: Sequence[SweepReading]) -> ObservableGroup | None:
     loud = _with_fringes(at_highest_level(sweeps))
     if not loud:
         return None
-    values = [_amplitudes(loud, name) for name in _FLOORS]
-    floors = np.array(list(_FLOORS.values()))
+    each = np.array([[_mixed(sweep), _decorrelated(sweep).real] for sweep in loud])
+    floors = np.median([[_decoy(sweep), abs(_decorrelated(sweep).imag)] for sweep in loud], axis=0)
+    floors = np.maximum(floors, _LEAST_TEMPLATE)
     off = max(sweep.taken_off for sweep in loud)
     # A carrier goes as J0, the next sideband as J2: apart from a constant they are similar.
     alike = _LEFT_OF_CARRIER if off else 1.0
 
     def predict(parameters: BenchParameters) -> Array:
         beams = parameters.optics.interference
-        mixed = np.sqrt(beams.crosstalk**2 + (alike * beams.leak) ** 2 + floors[0, 0] ** 2)
-        return np.array([mixed, beams.decorrelation_per_rad2 + floors[1, 0]])
+        mixed = np.sqrt(beams.crosstalk**2 + (alike * beams.leak) ** 2 + floors[0] ** 2)
+        return np.array([mixed, beams.decorrelation_per_rad2])
 
-    places = [Coordinates(name.replace("_", " ")) for name in _FLOORS]
-    errors = np.hypot(floors[:, 1], off * np.array(_OF_TAKEN_OFF))
+    scatter = each.std(axis=0, ddof=1) if len(each) > 1 else np.zeros(2)
+    errors = np.sqrt(floors**2 + scatter**2 + (off * np.array(_OF_TAKEN_OFF)) ** 2)
+    places = [Coordinates("sideband crosstalk"), Coordinates("decorrelation")]
     return observable_group(
-        "fringes", Observable.MAPS, values, errors, places, ("optics",), predict
-    )
+        "fringes", Observable.MAPS, np.median(each, axis=0), Errors(errors, (), DISORDER), places,
+        ("optics",), predict,
+    )  # fmt: skip
 
 
 def mixing_in(sweeps: Sequence[SweepReading]) -> float:
-    """Amplitude of the next sideband in the loud sweeps, beyond what fringes look like anyway."""
-    usual, spread = _FLOORS["sideband_crosstalk"]
+    """Amplitude of the next sideband in the loud sweeps, beyond what misfit looks like anyway."""
     loud = _with_fringes(at_highest_level(sweeps))
     if not loud:
         return 0.0
-    return max(_amplitudes(loud, "sideband_crosstalk") - usual - 2 * spread, 0.0)
+    return max(float(np.median([_mixed(s) - 2 * _decoy(s) for s in loud])), 0.0)
 
 
 def _with_fringes(sweeps: Sequence[SweepReading]) -> list[SweepReading]:
@@ -249,27 +325,46 @@ def _with_fringes(sweeps: Sequence[SweepReading]) -> list[SweepReading]:
     return [sweep for sweep, there in zip(sweeps, told, strict=True) if there.any()]
 
 
-def _amplitudes(sweeps: Sequence[SweepReading], name: str) -> float:
-    t = TEMPLATES.index(name)
-    return float(np.median([_amplitude(sweep, t, name) for sweep in sweeps]))
+def _mixed(sweep: SweepReading) -> float:
+    """Root mean square amplitude of the next sideband."""
+    return _root_mean_square(sweep, "sideband_crosstalk")
 
 
-def _amplitude(sweep: SweepReading, t: int, name: str) -> float:
-    """Amplitude of a template in a sweep: its mean where it is in phase, else root mean square."""
-    told = np.isfinite(sweep.template_variance[t]) & ~sweep.off
-    amplitude, variance = sweep.template[t, told], sweep.template_variance[t, told]
-    if name == "decorrelation":
-        return float(np.sum(amplitude.real / variance) / np.sum(1 / variance))
+def _decoy(sweep: SweepReading) -> float:
+    """The same of a template that no light makes."""
+    return _root_mean_square(sweep, "decoy")
+
+
+def _root_mean_square(sweep: SweepReading, name: str) -> float:
+    amplitude, variance = _template(sweep, name)
     square = np.sum((np.abs(amplitude) ** 2 - variance) / variance**2) / np.sum(1 / variance**2)
     return float(np.sqrt(max(square, 0.0)))
 
 
+def _decorrelated(sweep: SweepReading) -> complex:
+    """Mean amplitude of lost contrast; light that is lost is in phase, and misfit in any phase."""
+    amplitude, variance = _template(sweep, "decorrelation")
+    return complex(np.sum(amplitude / variance) / np.sum(1 / variance))
+
+
+def _template(sweep: SweepReading, name: str) -> tuple[ComplexArray, Array]:
+    t = TEMPLATES.index(name)
+    told = np.isfinite(sweep.template_variance[t]) & ~sweep.off
+    return sweep.template[t, told], sweep.template_variance[t, told]
+
+
 def _shared(columns: Sequence[dict[str, float]]) -> Array:
     """Covariance (n, n) of what is shared by numbers, each a name with a deviation."""
-    names = sorted({name for column in columns for name in column})
-    table = np.array([[column.get(name, 0.0) for name in names] for column in columns])
+    table = _table(columns)
     shared: Array = table @ table.T
     return shared
+
+
+def _table(columns: Sequence[dict[str, float]]) -> Array:
+    """Return the columns (n, k) of what is shared by numbers."""
+    names = sorted({name for column in columns for name in column})
+    rows = [[column.get(name, 0.0) for name in names] for column in columns]
+    return np.array(rows, dtype=float).reshape(len(columns), len(names))
 
 
 def _scatter(series: Array) -> float:
@@ -290,7 +385,11 @@ def _brightness(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup
 
 
 def _noise(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
-    return noise_group(readings.sweeps) if readings.sweeps else None
+    if not readings.sweeps:
+        return None
+    sensor = readings.nominal.sensor
+    dark = readings.dark.noise_dn if readings.dark else sensor.read_noise_e / sensor.gain_e_dn
+    return noise_group(readings.sweeps, dark)
 
 
 def _fringes(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:

@@ -5,9 +5,15 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
+from diagnosis.inference.nuisances import USUAL_COMPLIANCE_M_PA
 from diagnosis.observable_groups import (
+    DISORDER,
+    MEASURED,
     Coordinates,
+    Errors,
+    GroupNuisances,
     Observable,
     ObservableGroup,
     band_of,
@@ -17,36 +23,35 @@ from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.light import leaks_of
 from diagnosis.readings.campaign_readings import Readings
-from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, loudest
+from diagnosis.readings.sweeps import SweepReading, common_modes, loudest
 from holography.arrays import Array
 from physics.conditions import change_of_cane, condition_at, hardened
 from physics.errors import ImpossibleReedError
-from physics.mechanics import ReedSolver
-from physics.parameters.tree import BenchParameters, with_cane
+from physics.mechanics import MovedClamp, ReedSolver, YieldingClamp
+from physics.parameters.disorder import BY_NAME
+from physics.parameters.tree import BenchParameters, with_alteration, with_cane
 
 CENTS = 1200 / np.log(2)
-# What fits of the same vibration differ by, over their errors, and at least: cents, per cent.
-_REPEATS, _REPEATS_LOSS, _LEAST_CENTS, _LEAST_LOSS = 0.4, 0.6, 0.15, 0.4
-# Frequencies of sweeps that are quieter than others, over their errors.
-_REPEATS_QUIET = 0.7
-# What the method and the elements are off by in every mode, cents: below and above 12 kHz; and what
-# losses of modes differ by in one cane, per cent.
-_METHOD_CENTS, _METHOD_HIGH_CENTS, _LOSS = 2.2, 4.0, 6.0
-# The lowest mode has none below it that would tell its loss.
-_LOWEST_CENTS, _LOWEST_LOSS = 3.0, 20.0
-# The second's loss leans on what the lowest is taken for: in every sweep; in every condition.
-_SECOND_LEAST, _SECOND_LOSS = 1.0, 4.5
-# A new clamping: cents, less for each mode above the first, and of each mode by itself; per cent.
-_CLAMP_CENTS, _CLAMP_FALL, _CLAMP_OWN, _CLAMP_LOSS = 2.5, 4.0, 0.5, 1.5
+# Error of a fit that another sweep of the same reed does not share, as a share of its standard
+# error: as much as so many degrees of freedom say (decision 0047: light and vibration are
+# confounded alike in all sweeps). Chosen where sweeps are few; replicates take over.
+_OWN, _BELIEVED = 0.5, 4.0
+# Fits agree at least to this: cents, per cent. Chosen: rounding of the search.
+_LEAST_CENTS, _LEAST_LOSS = 0.05, 0.1
+# Temperature of a room from sweep to sweep, and what frequencies and losses follow it by: moduli of
+# wood fall by 0.2 to 0.5 % per degree (Gerhards, Wood Fiber 14, 4 (1982)).
+_ROOM_C, _CENTS_C, _LOSS_C = 0.5, 3.0, 1.0
+# What a mode is off by although the reed is right: finer maps of thickness than the nuisances have
+# (decision 0024: elements by 0.5), cents; losses of modes in one cane, per cent: clamp and air.
+_DETAIL_CENTS, _LOSS = 2.0, 6.0
+# A person puts a reed back within this share of what clamps of several people differ by; and of
+# each mode by itself: cents, per cent.
+_PUT_BACK, _CLAMP_CENTS, _CLAMP_LOSS = 0.5, 0.5, 1.5
 # Light that leaks in, per its share of what moves: cents, per cent.
 _LEAK_CENTS, _LEAK_LOSS = 15.0, 40.0
 # What may stay of light that was taken off, per its share of what moves near a resonance: cents,
 # per cent; by how much more of the lowest mode; and how near, in octaves.
 _STAYS_CENTS, _STAYS_LOSS, _STAYS_LOWEST, _NEAR = 60.0, 50.0, 4.0, 0.15
-# Sweeps of other volts: cents, per cent.
-_LEVEL_CENTS, _LEVEL_LOSS = 0.6, 1.1
-# Usual difference of fits of equal sweeps: cents, per cent.
-_USUAL_CENTS, _USUAL_LOSS = 0.25, 0.4
 _QUANTITIES = "frequency, cents", "loss, %"
 # So near in log frequency the reed moves as much as at its resonance.
 _AT_RESONANCE = 0.03
@@ -70,14 +75,12 @@ def modes_group(
     common = [name for name in common_modes(sweeps) if name in known]
     if not common:
         return None
-    values, places, rows = [], [], []
-    pieces = []
-    highest = max(sweep.loudness for sweep in sweeps)
+    share = _own_share(sweeps, common)
+    values, places, rows, pieces = [], [], [], []
+    alike = loudest(sweeps)
     for number, sweep in enumerate(sweeps):
         here = [name for name in common if name in sweep.names]
         at = np.array([sweep.names.index(name) for name in here], dtype=int)
-        both = np.concatenate([at, len(sweep.names) + at])
-        unit = np.concatenate([np.full(len(at), CENTS), np.full(len(at), 100.0)])
         values += list(CENTS * np.log(sweep.hz[at])) + list(100 * np.log(sweep.loss_factor[at]))
         for what in _QUANTITIES:
             for name, hz in zip(here, sweep.hz[at], strict=True):
@@ -85,64 +88,97 @@ def modes_group(
                     Coordinates(what, mode=name, band=band_of(float(hz)), time=sweep.name)
                 )
                 rows.append((number, name, what))
-        repeats = _REPEATS if sweep.loudness > highest - SAME_LEVEL else _REPEATS_QUIET
-        own = np.concatenate([np.full(len(at), repeats), np.full(len(at), _REPEATS_LOSS)])
-        pieces.append(_of_fit(sweep, both, own * unit, here, common))
+        # Sweeps of another level or clamping end in optima of their own.
+        own = share if sweep in alike else 1.0
+        pieces.append(own**2 * _of_fit(sweep, at))
         pieces[-1] += _of_leaks(leaks, sweep, at, [name == common[0] for name in here])
-    covariance = np.zeros((len(values),) * 2)
-    start = 0
-    for piece in pieces:
-        covariance[start : start + len(piece), start : start + len(piece)] = piece
-        start += len(piece)
-    covariance += _in_common(rows, common, sweeps)
-    astray = {what: _astray(sweeps, common, loss=what.startswith("loss")) for what in _QUANTITIES}
-    covariance += np.diag([astray[what][common.index(name)] ** 2 for _, name, what in rows])
+    noise = block_diag(*pieces)
+    nuisances = _nuisances(rows, common, sweeps, reed_solver, share)
     predict = _prediction(rows, common, sweeps, reed_solver)
-    parts = ("reed", "environment", "fit_bias")
-    return observable_group("modes", Observable.MODES, values, covariance, places, parts, predict)
+    parts = ("reed", "environment")
+    errors = Errors(noise, nuisances)
+    return observable_group("modes", Observable.MODES, values, errors, places, parts, predict)
 
 
-def _of_fit(
-    sweep: SweepReading, both: Array, share: Array, here: Sequence[str], common: Sequence[str]
-) -> Array:
-    """Covariance of what one sweep's fit adds, whose errors count to such a share."""
-    count = len(here)
-    covariance = share[:, None] * sweep.covariance[np.ix_(both, both)] * share
-    least = np.concatenate([np.full(count, _LEAST_CENTS), np.full(count, _LEAST_LOSS)])
-    if common[0] in here:
-        lowest = list(here).index(common[0])
-        least[lowest], least[count + lowest] = _LOWEST_CENTS, _LOWEST_LOSS
-    if common[1:2] and common[1] in here:
-        least[count + list(here).index(common[1])] = _SECOND_LEAST
-    whole: Array = covariance + np.diag(least**2)
+def _of_fit(sweep: SweepReading, at: NDArray[np.intp]) -> Array:
+    """Covariance (2a, 2a) of one sweep's fit, of chosen modes, in cents and per cent."""
+    both = np.concatenate([at, len(sweep.names) + at])
+    unit = np.concatenate([np.full(len(at), CENTS), np.full(len(at), 100.0)])
+    least = np.concatenate([np.full(len(at), _LEAST_CENTS), np.full(len(at), _LEAST_LOSS)])
+    whole: Array = unit[:, None] * sweep.covariance[np.ix_(both, both)] * unit + np.diag(least**2)
     return whole
 
 
-def _astray(sweeps: Sequence[SweepReading], names: Sequence[str], *, loss: bool) -> Array:
-    """Return by how much fits of equal sweeps contradict each other in each mode (a,).
+def _own_share(sweeps: Sequence[SweepReading], common: Sequence[str]) -> float:
+    """Return the share of a fit's standard errors that sweeps do not share with each other.
 
-    What all modes of a sweep differ by is the reed's, and does not count.
+    From sweeps of one clamping and level. What all modes of a sweep differ by is the reed's
+    temperature, and does not count.
     """
     alike = loudest(sweeps)
-    table = np.full((len(alike), len(names)), np.nan)
-    for row, sweep in zip(table, alike, strict=True):
-        for column, name in enumerate(names):
-            if name in sweep.names:
-                at = sweep.names.index(name)
-                row[column] = (
-                    100 * np.log(sweep.loss_factor[at]) if loss else CENTS * np.log(sweep.hz[at])
-                )
-    told = np.isfinite(table).sum(axis=0) > 1
-    if not told.any():
-        return np.zeros(len(names))
-    table = table[np.isfinite(table[:, told]).any(axis=1)]
-    apart = np.zeros_like(table)
-    apart[:, told] = table[:, told] - np.nanmean(table[:, told], axis=0)
-    apart -= np.nanmedian(apart[:, told], axis=1, keepdims=True)
-    scatter = np.sqrt(np.nanmean(np.where(told, apart, 0.0) ** 2, axis=0))
-    usual = _USUAL_LOSS if loss else _USUAL_CENTS
-    astray: Array = np.where(scatter > 3 * usual, scatter, 0.0)
-    return astray
+    names = [name for name in common if all(name in sweep.names for sweep in alike)]
+    if len(alike) < 2 or len(names) < 2:
+        return 1.0
+    at = [[sweep.names.index(name) for name in names] for sweep in alike]
+    table = np.array([np.log(s.hz[i]) for s, i in zip(alike, at, strict=True)])
+    error = np.array([np.sqrt(np.diag(s.covariance)[i]) for s, i in zip(alike, at, strict=True)])
+    apart = table - table.mean(axis=0)
+    apart = (apart - np.median(apart, axis=1, keepdims=True)) / error
+    freedoms = (len(alike) - 1) * (len(names) - 1)
+    square = (np.sum(apart**2) + _BELIEVED * _OWN**2) / (freedoms + _BELIEVED)
+    return float(min(np.sqrt(square), 1.0))
+
+
+def _nuisances(
+    rows: Sequence[tuple[int, str, str]],
+    common: Sequence[str],
+    sweeps: Sequence[SweepReading],
+    reed_solver: ReedSolver,
+    share: float,
+) -> tuple[GroupNuisances, ...]:
+    """Return what sweeps have in common, and what a new clamping changes."""
+    modes = np.array([common.index(name) for _, name, _ in rows])
+    loss = np.array([what.startswith("loss") for _, _, what in rows])
+    sweep = np.array([number for number, _, _ in rows])
+    each = np.eye(2 * len(common))[modes + len(common) * loss]
+    first = sweeps[0]
+    at = np.array([first.names.index(name) for name in common], dtype=int)
+    fit = np.linalg.cholesky(_of_fit(first, at)) * np.sqrt(1 - min(share, 0.99) ** 2)
+    detail = np.where(loss, _LOSS, _DETAIL_CENTS)[:, None] * each
+    warmth = np.where(loss, _LOSS_C, _CENTS_C)[:, None] * np.eye(len(sweeps))[sweep] * _ROOM_C
+    found = [
+        GroupNuisances("fit", each @ fit, MEASURED, "standard errors of fits, by coverage"),
+        GroupNuisances("detail of the reed", detail, DISORDER, "decision 0024"),
+        GroupNuisances("temperature of sweeps", warmth, DISORDER, "Gerhards (1982)"),
+    ]
+    clamping = np.array([s.clamping for s in sweeps])[sweep]
+    columns = []
+    for one in sorted(set(clamping.tolist()) - {0}):
+        there = clamping == one
+        own = np.where(loss, _CLAMP_LOSS, _CLAMP_CENTS)[:, None] * each * there[:, None]
+        columns += [*_put_back(reed_solver, common)[:, modes] * (there & ~loss), *own.T]
+    if columns:
+        table = np.stack(columns, axis=1)
+        found.append(GroupNuisances("clamping", table, DISORDER, "reeds are put back by hand"))
+    return tuple(found)
+
+
+def _put_back(reed_solver: ReedSolver, names: Sequence[str]) -> Array:
+    """Return cents (c, m) by which modes move if a reed is clamped a little differently."""
+    nominal = BenchParameters()
+    place = BY_NAME["clamp_shift"].ordinary.deviation
+    yielding = USUAL_COMPLIANCE_M_PA
+    moved = [
+        with_alteration(nominal, MovedClamp(), _PUT_BACK * place),
+        with_alteration(nominal, YieldingClamp(), _PUT_BACK * yielding),
+    ]
+    at_rest = reed_solver.modes(nominal.reed)
+    return np.array(
+        [
+            [CENTS * np.log(reed_solver.modes(each.reed)[n].hz / at_rest[n].hz) for n in names]
+            for each in moved
+        ]
+    )
 
 
 def _of_leaks(
@@ -180,44 +216,6 @@ def _near(apart: Array, limit: float) -> NDArray[np.bool_]:
     return near
 
 
-def _in_common(
-    rows: Sequence[tuple[int, str, str]], common: Sequence[str], sweeps: Sequence[SweepReading]
-) -> Array:
-    """Covariance of what all sweeps, those of one clamping and of one level have in common."""
-    names = np.array([common.index(name) for _, name, _ in rows])
-    loss = np.array([what.startswith("loss") for _, _, what in rows])
-    sweep = np.array([number for number, _, _ in rows])
-    hz = np.array([sweeps[0].hz[sweeps[0].names.index(name)] for name in common])[names]
-    same = (names[:, None] == names) & (loss[:, None] == loss)
-    method = np.where(loss, _LOSS, np.where(hz > 12e3, _METHOD_HIGH_CENTS, _METHOD_CENTS))
-    method = np.where((names == 0) & loss, _LOWEST_LOSS, method)
-    covariance = same * method[:, None] * method
-    clamping = np.array([s.clamping for s in sweeps])[sweep]
-    for one in sorted(set(clamping.tolist()) - {0}):
-        there = (clamping == one) & ~loss
-        bends = there * _CLAMP_CENTS / (1 + names / _CLAMP_FALL)
-        lossy = np.where(names == 1, _SECOND_LOSS, _CLAMP_LOSS)
-        own = np.where(clamping == one, np.where(loss, lossy, _CLAMP_OWN), 0.0)
-        covariance += np.multiply.outer(bends, bends) + same * np.multiply.outer(own, own)
-    levels = _levels([s.loudness for s in sweeps])
-    level = levels[sweep]
-    for one in range(int(levels.max())):
-        lossy = np.where(names == 1, _SECOND_LOSS, _LEVEL_LOSS)
-        own = np.where(loss, lossy, _LEVEL_CENTS)
-        there = np.where(level == one, own, 0.0)
-        covariance += same * np.multiply.outer(there, there)
-    return np.asarray(covariance)
-
-
-def _levels(loudness: Sequence[float]) -> NDArray[np.intp]:
-    """Number of each sweep's level (s,), the quietest first."""
-    order = np.argsort(loudness)
-    steps = np.diff(np.array(loudness)[order]) > SAME_LEVEL
-    levels = np.zeros(len(order), dtype=np.intp)
-    levels[order[1:]] = np.cumsum(steps)
-    return levels
-
-
 def _prediction(
     rows: Sequence[tuple[int, str, str]],
     common: Sequence[str],
@@ -247,11 +245,8 @@ def _prediction(
         change = change_of_cane(parameters.reed.cane, around, condition_at(around, times_s), hz)
         shift = by_E[names] * change.E_L + by_G[names] * change.G_LT
         shift = shift + 0.5 * hardened(around, deepest_rad)
-        cents, log = np.array([parameters.fit_bias.of(name) for name in common]).T
         answer: Array = np.where(
-            loss,
-            100 * (np.log(eta) + change.loss + log[names]),
-            CENTS * (np.log(hz) + shift) + cents[names],
+            loss, 100 * (np.log(eta) + change.loss), CENTS * (np.log(hz) + shift)
         )
         return answer
 

@@ -6,11 +6,12 @@ from typing import Final
 import numpy as np
 
 from diagnosis.observable_groups import (
+    DISORDER,
     Coordinates,
+    Errors,
     Observable,
     ObservableGroup,
     observable_group,
-    unknown_directions,
 )
 from diagnosis.observable_source import GroupSource
 from diagnosis.observables.frequency_lock import lock_scatter_hz, turn_of_unequal_steps
@@ -19,6 +20,7 @@ from diagnosis.readings.reed_at_rest import RestHolograms
 from holography.arrays import Array
 from holography.phase import TURN_OF_FRAMES
 from physics.mechanics import ReedSolver
+from physics.parameters.disorder import BY_NAME
 from physics.parameters.optics import Interference
 from physics.parameters.tree import BenchParameters
 
@@ -27,10 +29,18 @@ _FEW, _BELIEVED = 1.2, 4.0
 # Efficiency of the median of absolute deviations as a measure of scatter, for normal deviates
 # (Rousseeuw and Croux, J. Am. Stat. Assoc. 88, 1273 (1993)).
 _OF_MEDIAN = 0.37
-# Log of how fast phases walk, and of the further scatter of phases.
-_WALK, _SCATTER = 0.4, 0.1
-# Brightness of every other frame; speckle that has changed.
-_FLICKER, _CHANGED = 2e-4, 1e-4
+# How phases of ordinary benches scatter, and the standard deviation of its log. Chosen: benches
+# differ by a factor of two.
+_ORDINARY = Interference(
+    walk_rad_s=BY_NAME["path_walk"].ordinary.root_mean_square,
+    jitter_rad=BY_NAME["path_jitter"].ordinary.root_mean_square,
+    step_walk_rad=BY_NAME["path_step"].ordinary.root_mean_square,
+)
+_WALK = 0.7
+# Share of the light's correlation that an ordinary bench loses from one acquisition to the next.
+_LOST = 0.5 * sum(
+    BY_NAME[name].ordinary.root_mean_square ** 2 for name in ("speckle_renewal", "field_change")
+)
 
 
 def usual_scatter_hz(beams: Interference, rate_hz: float) -> float:
@@ -103,27 +113,42 @@ def _spread_between(
     return float(np.sqrt((np.sum(left**2) + _BELIEVED * walked) / (freedoms + _BELIEVED)))
 
 
-def stability_group(stills: Sequence[RestHolograms]) -> ObservableGroup:
-    """Brightness of every other frame, and speckle that should be the same."""
+def stability_group(stills: Sequence[RestHolograms], acquired_s: Array) -> ObservableGroup:
+    """Brightness of every other frame, and speckle that should be the same.
+
+    Parameters
+    ----------
+    stills : sequence of RestHolograms
+    acquired_s : (k,) float
+        Times of all acquisitions of sweeps.
+    """
     values, errors, places = [], [], []
+    ratios = [still.frame_ratio for still in stills]
+    # A laser flickers from frame to frame: acquisitions of light at rest show by how much.
+    freedoms = max(sum(len(ratio) - 1 for ratio in ratios), 1)
+    flicker = np.sqrt(sum(np.sum((ratio - ratio.mean()) ** 2) for ratio in ratios) / freedoms)
     for still in stills:
         when = f"clamping {still.clamping + 1}"
         values.append(float(np.mean(still.frame_ratio)))
-        own = still.frame_scatter / np.sqrt(len(still.frame_ratio))
-        errors.append(float(np.hypot(own, _FLICKER)))
+        own = max(_FEW * float(flicker), still.frame_scatter) / np.sqrt(len(still.frame_ratio))
+        errors.append(own)
         places.append(Coordinates("every other frame's brightness", time=when))
         for a in range(len(still.likeness)):
             for b in range(a):
+                first_s, last_s = np.sort(still.run_time_s[[a, b]])
+                between = int(np.count_nonzero((acquired_s > first_s) & (acquired_s < last_s)))
                 values.append(1 - float(still.likeness[a, b]))
-                errors.append(_CHANGED)
+                errors.append(float(np.hypot(_LOST * max(between, 1), still.likeness_error)))
                 places.append(Coordinates("speckle that has changed", time=when))
 
     def predict(_twin: BenchParameters) -> Array:
         return np.zeros(len(values))
 
+    # How fast a surface changes is not known before: its scale is fitted.
     return observable_group(
-        "still light", Observable.FIELD, values, np.array(errors), places, (), predict
-    )
+        "still light", Observable.FIELD, values, Errors(np.array(errors), (), DISORDER), places,
+        (), predict,
+    )  # fmt: skip
 
 
 def phase_scatter_group(
@@ -152,22 +177,25 @@ def phase_scatter_group(
         return None
     left = np.concatenate([turns - turns.mean() for turns in each])
     between = float(np.sqrt(np.sum(left**2) / freedoms))
-    walk = np.array([1.0, 1.0])
+
+    def scatter(beams: Interference) -> Array:
+        steps = beams.walk_rad_s**2 * gaps.mean() + 0.5 * beams.jitter_rad**2
+        apart = np.sqrt(steps + beams.step_walk_rad**2)
+        return np.array([usual_scatter_hz(beams, rate_hz), apart])
+
+    ordinary = scatter(_ORDINARY)
 
     def predict(parameters: BenchParameters) -> Array:
-        beams = parameters.optics.interference
-        apart = np.sqrt(beams.walk_rad_s**2 * gaps.mean() + 0.5 * beams.jitter_rad**2)
-        return np.log([usual_scatter_hz(beams, rate_hz), apart])
+        return np.log(np.hypot(scatter(parameters.optics.interference), ordinary))
 
-    # A bench quieter than usual is not a gap.
-    usual = predict(BenchParameters())
-    values = np.maximum(np.log([max(lock_scatter_hz, 1e-9), max(between, 1e-9)]), usual - _WALK)
+    # A bench quieter than an ordinary one is not a gap.
+    measured = np.array([max(lock_scatter_hz, 1e-9), max(between, 1e-9)])
+    values = np.maximum(np.log(measured), predict(BenchParameters()))
     of_locks = 0.5 / (_OF_MEDIAN * locks)
-    errors = np.diag([_SCATTER**2 + of_locks, _SCATTER**2 + 0.5 / freedoms])
-    covariance = errors + unknown_directions((walk, _WALK))
+    errors = np.sqrt([_WALK**2 + of_locks, _WALK**2 + 0.5 / freedoms])
     places = [Coordinates("phase within acquisitions"), Coordinates("phase between acquisitions")]
     return observable_group(
-        "scatter of phases", Observable.HOLOGRAM, values, covariance, places, ("optics",), predict,
+        "scatter of phases", Observable.HOLOGRAM, values, errors, places, ("optics",), predict,
     )  # fmt: skip
 
 
@@ -180,7 +208,7 @@ def _turns(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | No
 
 
 def _stability(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
-    return stability_group(readings.stills) if readings.stills else None
+    return stability_group(readings.stills, readings.beat.time_s) if readings.stills else None
 
 
 def _scatter(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:

@@ -4,28 +4,45 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.observable_groups import Coordinates, Observable, ObservableGroup, observable_group
+from diagnosis.observable_groups import (
+    DISORDER,
+    Coordinates,
+    Errors,
+    GroupNuisances,
+    Observable,
+    ObservableGroup,
+    observable_group,
+)
 from diagnosis.observable_source import GroupSource
 from diagnosis.readings.camera import DarkFrames, FlatFrames, LocalOscillatorFrames, half_m
 from diagnosis.readings.campaign_readings import Readings
 from holography.arrays import Array
 from physics.mechanics import ReedSolver
+from physics.parameters.disorder import BY_NAME
 from physics.parameters.optics import Illumination
 from physics.parameters.sensor import Sensor
 from physics.parameters.tree import BenchParameters
 
-# What data sheets leave open: offset in dn, log of noise and of gain.
-_OFFSET_DN, _NOISE, _GAIN = 1.0, 0.05, 0.03
-# What rows and columns may have in common by chance.
-_BANDING = 0.1
-# Error of the count of hot pixels, on the square-root scale.
-_HOT_COUNT = 3.0
-# Lamps: from exposure to exposure, and from the middle to the edge.
-_LAMP, _UNEVEN = 7e-4, 4e-3
-# Log of the pattern that every sensor has.
-_PATTERN, _PATTERN_SPREAD = 3e-3, 0.3
-# Local oscillators: per half a sensor, where the mirror stands as it should; share of the width.
-_LO_TILT, _LO_WAIST = 1e-3, 0.2
+# Black levels are set by whoever sets up a camera: the data sheet says where they usually are.
+_OFFSET_DN = 10.0
+# Data sheets state typical values: of read noise and gain, specimens differ by this in the log.
+# EMVA 1288 sheets of one type of camera differ by 10 to 30 %, and by 5 to 10 %.
+_READ_NOISE, _GAIN = 0.25, 0.1
+# Rows and columns of ordinary cameras have up to this share of the read noise in common.
+_ROW_NOISE = BY_NAME["row_noise"].ordinary.high / BY_NAME["read_noise"].ordinary.low
+# Pixels that are hot though nothing is wrong: data sheets of CCDs admit one in a thousand.
+_HOT = 1e-3
+# Lamps: from exposure to exposure (lamps that are not regulated: some tenths of a per cent a
+# minute), and from the middle to the edge.
+_LAMP, _UNEVEN = 3e-3, BY_NAME["lamp"].ordinary.high
+# Pattern that every sensor has, and the standard deviation of its log.
+_PATTERN = BY_NAME["pixel_pattern"].ordinary.root_mean_square
+_PATTERN_SPREAD = 0.5
+# Share by which ordinary cameras bend at a full pixel.
+_BENDS = BY_NAME["nonlinearity"].ordinary.root_mean_square
+# Beams are put on the middle of the sensor by eye, within half a millimetre; their width is that
+# of the lens that happened to be there: standard deviation of its log.
+_LO_SHIFT_M, _LO_WAIST = 0.5e-3, 0.5
 
 
 def dark_group(dark: DarkFrames, sensor: Sensor) -> ObservableGroup:
@@ -46,7 +63,11 @@ def dark_group(dark: DarkFrames, sensor: Sensor) -> ObservableGroup:
         dark.row_excess,
         dark.column_excess,
     ]
-    errors = np.array([_OFFSET_DN, _NOISE, _HOT_COUNT, _BANDING, _BANDING])
+    rows, columns = sensor.shape
+    # The mean of a row has the noise of its pixels less than what they have in common.
+    common = [np.log1p(length * _ROW_NOISE**2) for length in (columns, rows)]
+    hot = np.sqrt(1 + _HOT * dark.pixels)
+    errors = np.array([_OFFSET_DN, float(np.hypot(_READ_NOISE, _GAIN)), hot, *common])
     places = [Coordinates(name) for name in names]
     return observable_group(
         "dark frames", Observable.SENSOR, values, errors, places, ("sensor",), predict
@@ -89,8 +110,6 @@ def flat_group(flat: FlatFrames, dark: DarkFrames | None, sensor: Sensor) -> Obs
         flat.corner,
         *flat.tilt,
     ]
-    errors = np.diag([_LAMP**2] * several + [_PATTERN_SPREAD**2, _GAIN**2] + [_UNEVEN**2] * 3)
-    errors[:several, :several] += _LAMP**2
     places = [Coordinates(f"linearity at {share:.0%}") for share in signal[1:] / full_dn]
     places += [
         Coordinates("pattern"),
@@ -99,6 +118,14 @@ def flat_group(flat: FlatFrames, dark: DarkFrames | None, sensor: Sensor) -> Obs
         Coordinates("tilt of the light", region="rows"),
         Coordinates("tilt of the light", region="columns"),
     ]
+    # Within an exposure, the lamp flickers from frame to frame as the means of frames show.
+    flicker = np.hypot(flat.flicker / np.sqrt(flat.frames), _LAMP)
+    noise = np.diag([flicker**2] * several + [_PATTERN_SPREAD**2, _GAIN**2] + [_UNEVEN**2] * 3)
+    noise[:several, :several] += flicker**2
+    bends = np.zeros((len(values), 1))
+    bends[:several, 0] = _BENDS * (signal[1:] - signal[0]) / full_dn
+    bend = GroupNuisances("bend", bends, DISORDER, BY_NAME["nonlinearity"].ordinary.source)
+    errors = Errors(noise, (bend,))
     return observable_group(
         "even light", Observable.SENSOR, values, errors, places, ("sensor", "optics"), predict
     )
@@ -129,8 +156,10 @@ def local_oscillator_group(beam: LocalOscillatorFrames, sensor: Sensor) -> Obser
         return np.array([*tilt, corner])
 
     values = [*beam.tilt, beam.bend]
-    corner_error = 4 * _LO_WAIST * sum((half / usual) ** 2 for half in halves)
-    errors = np.array([_LO_TILT, _LO_TILT, corner_error])
+    bend = 2 * sum((half / usual) ** 2 for half in halves)
+    # What shifts and bends by the share of a width that is not known is more the narrower it is.
+    tilts = [4 * _LO_SHIFT_M * half / usual**2 * np.exp(_LO_WAIST) for half in halves]
+    errors = np.array([*tilts, 2 * _LO_WAIST * bend])
     places = [
         Coordinates("middle", region="rows"),
         Coordinates("middle", region="columns"),

@@ -7,7 +7,9 @@ from typing import Final
 import numpy as np
 
 from diagnosis.observable_groups import (
+    DISORDER,
     Coordinates,
+    Errors,
     Observable,
     ObservableGroup,
     band_of,
@@ -89,7 +91,10 @@ def shapes_group(
         Coordinates(f"share of {share.has}", mode=share.of, band=band_of(known[share.of].hz))
         for share in shares
     ]
-    return observable_group("shapes", Observable.MODES, values, errors, places, ("reed",), predict)
+    # How much finer maps of thickness mix modes is not known before: its scale is fitted.
+    return observable_group(
+        "shapes", Observable.MODES, values, Errors(errors, (), DISORDER), places, ("reed",), predict
+    )
 
 
 def _seen_shares(sweeps: Sequence[SweepReading], names: Sequence[str]) -> list[_Share]:

@@ -57,6 +57,10 @@ class FlatFrames:
         Mean above the offset.
     variance_dn : (e,) float
         Of a pixel in time.
+    flicker : float
+        Relative standard deviation of the light from frame to frame within an exposure.
+    frames : int
+        In each exposure.
     pattern : float
         Rms by which pixels differ from their surroundings, a share.
     corner : float
@@ -68,6 +72,8 @@ class FlatFrames:
     exposure_s: Array
     signal_dn: Array
     variance_dn: Array
+    flicker: float
+    frames: int
     pattern: float
     corner: float
     tilt: Array
@@ -163,9 +169,12 @@ def read_flat(
     pattern2 = (
         float(np.median(np.abs(rough - 1)) * 1.4826) ** 2 - float(noise / np.mean(surface)) ** 2
     )
+    # Light that flickers adds to the variance of every pixel, but not as the noise of one.
+    light = frames[..., counts].mean(axis=-1, dtype=float) - offset_dn
+    flicker2 = float(np.mean((light / light.mean(axis=1, keepdims=True)).var(axis=1, ddof=1)))
     return FlatFrames(
-        exposure_s, signal, variance, float(np.sqrt(max(pattern2, 0.0))), coefficients[0],
-        coefficients[1:],
+        exposure_s, signal, variance - flicker2 * signal**2, float(np.sqrt(flicker2)),
+        frames.shape[1], float(np.sqrt(max(pattern2, 0.0))), coefficients[0], coefficients[1:],
     )  # fmt: skip
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 from diagnosis.campaign import CampaignRun
 from fitting.holograms.block_amplitudes import UnshiftedLight
@@ -160,12 +161,27 @@ def _unshifted(part: CampaignRun, at_rest: ComplexArray, share: float) -> Unshif
 
 
 # What reeds move by next to the clamp in holograms of small amplitude, in units of the light, per
-# volt.
+# volt, where no sweep at another level tells it. Chosen: so much moves the paper's reeds.
 _MOVES = 6e-4
 # That quantile of numbers that are noise alone, in units of its root mean square.
 _NOISE = float(np.sqrt(-np.log1p(-_QUANTILE)))
+# Sweeps tell vibration from leaked light if the loudest has this many times the volts of another.
+_LOUDER = 1.5
 
 
 def carrier_floor(carriers: Sequence[CarrierReading]) -> Array:
-    """Return the apparent carrier (c,) where none leaks in."""
-    return np.array([np.hypot(_MOVES * c.volts, _NOISE * c.error) for c in carriers])
+    """Return the apparent carrier (c,) where none leaks in: noise, and a reed that moves.
+
+    Reeds move in proportion to the volts; what leaks in is as large at all levels.
+    """
+    volts = np.array([c.volts for c in carriers])
+    noise = _NOISE * np.array([c.error for c in carriers])
+    moves = _MOVES
+    if volts.max() > _LOUDER * volts.min():
+        square = np.array([c.share for c in carriers]) ** 2 - noise**2
+        columns = np.stack([np.ones_like(volts), volts**2], axis=1)
+        # Shares are known within a share of themselves, and so are their squares.
+        weight = 1 / np.maximum(np.abs(square), noise**2)
+        found, _ = nnls(columns * weight[:, None], np.maximum(square, 0.0) * weight)
+        moves = float(np.sqrt(found[1]))
+    return np.hypot(moves * volts, noise)

@@ -23,7 +23,8 @@ from runs.reader import Run
 from runs.records import StepRecord
 
 # What may be in a hologram in addition to its sideband, by name.
-TEMPLATES = ("carrier_leak", "sideband_crosstalk", "decorrelation")
+# The decoy is what the next sideband would be if phases turned the other way: no light does.
+TEMPLATES = ("carrier_leak", "sideband_crosstalk", "decorrelation", "decoy")
 # Beyond this frequency modes are too dense to be separated.
 _HIGHEST_HZ = 17e3
 # Modes so far away in log frequency count half as much or less.
@@ -84,9 +85,9 @@ class SweepReading:
         Mean square of what phasors leave, noise is 1.
     off : (k,) bool
         Holograms that show something else.
-    template : (3, k) complex
+    template : (4, k) complex
         Amplitude of each of `TEMPLATES` in every hologram, in units of the sideband's.
-    template_variance : (3, k) float
+    template_variance : (4, k) float
     discrepancy : float
         See `fitting.modal.modal_fit.ModalFit`.
     taken_off : float
@@ -375,7 +376,7 @@ def _middle_s(step: StepRecord) -> float:
 
 
 def _templates(fitted: JointFit) -> tuple[ComplexArray, Array]:
-    """Amplitudes (3, k) of what else may be in holograms, and their variances.
+    """Amplitudes (4, k) of what else may be in holograms, and their variances.
 
     What the displacements' own freedoms can take up is left to them.
     """
@@ -392,7 +393,7 @@ def _templates(fitted: JointFit) -> tuple[ComplexArray, Array]:
     bright = np.where(found.reached[:, None], np.abs(lit * F) ** 2, 0.0)
     # Of contrast that is lost, the object field of each block takes up the mean of all holograms.
     usual = np.sum(bright * size**2, axis=0) / np.maximum(np.sum(bright, axis=0), 1e-12)
-    waves = np.stack([zero, two, -(size**2 - usual) * F]) * lit
+    waves = np.stack([zero, two, -(size**2 - usual) * F, two.conj()]) * lit
     amplitude = np.zeros((len(TEMPLATES), len(u)), complex)
     variance = np.full((len(TEMPLATES), len(u)), np.inf)
     for k in np.flatnonzero(found.reached & np.any(found.amplitude_rad, axis=1)):
@@ -421,18 +422,12 @@ def _beside(columns: Array, own: int) -> tuple[ComplexArray, Array]:
     gram = columns.T @ columns
     mine = gram[:own, :own] + 1e-9 * np.trace(gram[:own, :own]) / own * np.eye(own)
     rest = gram[own:, own:] - gram[own:, :own] @ np.linalg.solve(mine, gram[:own, own:])
-    # Light that has lost coherence is in phase with what is left of it; what leaks in is not.
     count = len(TEMPLATES)
-    in_phase = [t for t, name in enumerate(TEMPLATES)]
-    turned_too = [t for t, name in enumerate(TEMPLATES) if name != "decorrelation"]
-    which = [*in_phase, *(count + 1 + t for t in turned_too)]
+    which = [t for t in range(2 * count + 1) if t != count]
     information = rest[np.ix_(which, which)]
     found = np.linalg.solve(information, rest[which, count])
     spread = 0.5 * np.diag(np.linalg.inv(information))
-    amplitude, variance = found[:count].astype(complex), spread[:count].copy()
-    amplitude[turned_too] += 1j * found[count:]
-    variance[turned_too] += spread[count:]
-    return amplitude, variance
+    return found[:count] + 1j * found[count:], spread[:count] + spread[count:]
 
 
 def _real(columns: ComplexArray) -> Array:

@@ -103,7 +103,7 @@ def gap_map(problem: InferenceProblem) -> GapMap:
     nothing = np.zeros(len(problem.nuisances))
     left = problem.residuals(problem.parameters(nothing))
     # Here, not where other fits have been.
-    slope = problem.jacobian(nothing, 0.0)
+    slope = problem.jacobian(nothing)
     cells: list[GapCell] = []
     rows: dict[Observable, list[int]] = {}
     for block in problem.groups:

@@ -275,7 +275,7 @@ class ReedSolver:
         )
         self._laws = lru_cache(maxsize=_KEPT)(lambda cane, shift: cane_law(reed.cane, cane, shift))
         self._change = lru_cache(maxsize=_KEPT_CHANGES)(self._combined)
-        self._named = lru_cache(maxsize=None)(self._named_shapes)
+        self._named = lru_cache(maxsize=1)(self._named_shapes)
         # Cached, because a finite difference in one parameter leaves most reeds of a campaign
         # unchanged.
         self.modes = lru_cache(maxsize=_KEPT)(self._modes)
@@ -311,7 +311,7 @@ class ReedSolver:
         # What the springs of a compliant clamp store is not lost in the cane.
         in_springs = spring_energies(found) / np.square(2 * np.pi * found.hz)
         loss = loss * (1 - in_springs) + radiated(found)
-        names, momenta = self._named(reed.cane)
+        names, momenta = self._named()
         # Moduli grow with frequency: a mode that is stiffer rises by more than the root says.
         follow = 2 * np.square(2 * np.pi * found.hz) / -form_by_ln_hz(found)
         modes = {}
@@ -385,9 +385,9 @@ class ReedSolver:
     def _combined(self, alterations: tuple[tuple[Alteration, float], ...]) -> Change:
         return combined((amount, self._unit(kind)) for kind, amount in alterations if amount)
 
-    def _named_shapes(self, cane: ViscoelasticCane) -> tuple[list[str], Array]:
+    def _named_shapes(self) -> tuple[list[str], Array]:
         """Return names of the modes of the nominal reed, and shapes times mass (m, s)."""
-        found = vibrations(self.reed, self.state(Mechanics(cane=cane)), HIGHEST_HZ)
+        found = vibrations(self.reed, self.state(Mechanics()), HIGHEST_HZ)
         names = [naming.name for naming in names_of(all_descriptors(self.reed, found.coordinates))]
         return names, found.coordinates.T @ self.mass_kg
 

@@ -26,8 +26,8 @@ from physics.errors import ImpossibleReedError
 
 SEED = 20_080_402
 # The likeliest candidates, at most this many and within this many nats of the best, are fitted in
-# full.
-_MOST_REFINED, _FAR_BEHIND = 5, 8.0
+# full, if they gain at least so many nats: what gains less cannot become likely.
+_MOST_REFINED, _FAR_BEHIND, _WORTH = 5, 8.0, 1.5
 # The model without effects is refitted from the nuisances of this many candidates.
 _MOST_POLISHED = 4
 # Other effects are looked for in addition to the best one, and to this many more, if they gain at
@@ -46,12 +46,17 @@ def search_alone(
 
 
 def refine_best(
-    problem: InferenceProblem, candidates: dict[str, Candidate], odds: Mapping[str, float]
+    problem: InferenceProblem,
+    null: Candidate,
+    candidates: dict[str, Candidate],
+    odds: Mapping[str, float],
 ) -> None:
     """Fit the likeliest candidates in full.
 
     Parameters
     ----------
+    problem : InferenceProblem
+    null : Candidate
     candidates : dict of Candidate
         Those that are refined are replaced.
     odds : mapping of float
@@ -59,7 +64,8 @@ def refine_best(
     """
     least = max(odds.values()) - _FAR_BEHIND
     ranked = sorted(candidates, key=lambda name: -odds[name])[:_MOST_REFINED]
-    near = [name for name in ranked if odds[name] > least]
+    worth = null.log_evidence + _WORTH
+    near = [n for n in ranked if odds[n] > least and candidates[n].log_evidence > worth]
     each = map_processes(lambda name: _refined(problem, candidates[name]), near)
     candidates.update(zip(near, each, strict=True))
 
@@ -74,8 +80,10 @@ def _refined(problem: InferenceProblem, candidate: Candidate) -> Candidate:
 def refit_without_effects(
     problem: InferenceProblem, null: Candidate, candidates: Iterable[Candidate]
 ) -> Candidate:
-    """Refit the model without effects from the nuisances of its best candidates."""
-    best = sorted(candidates, key=lambda candidate: -candidate.log_evidence)[:_MOST_POLISHED]
+    """Refit the model without effects from the nuisances of candidates that are better."""
+    worth = null.log_evidence + _WORTH
+    best = [candidate for candidate in candidates if candidate.log_evidence > worth]
+    best = sorted(best, key=lambda candidate: -candidate.log_evidence)[:_MOST_POLISHED]
     each = map_processes(lambda one: _without(problem, one.nuisances), best)
     ends = [end for end in each if end is not None]
     if not ends:

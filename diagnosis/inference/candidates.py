@@ -8,12 +8,13 @@ nuisances as linear.
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from diagnosis.inference.effect_scan import Scan, Start, scan_again
 from diagnosis.inference.estimation import (
-    LEAST_DECREMENT,
+    SAME_COST,
     MapEstimate,
     absorbed_part,
     fit,
@@ -21,17 +22,13 @@ from diagnosis.inference.estimation import (
 )
 from diagnosis.inference.linear_model import LinearModel, Weighed, weigh
 from diagnosis.inference.problem import (
-    FINE,
     FORM,
-    HERE,
-    MOST_FINE,
-    MOST_NEAR,
-    NEAR,
     STEP,
     InferenceProblem,
     LocatedEffect,
     with_effects,
 )
+from fitting.parallel.processes import map_processes
 from holography.arrays import Array
 from physics.effects.effect import Parameter
 from physics.errors import ImpossibleReedError
@@ -39,6 +36,9 @@ from physics.parameters.tree import BenchParameters
 
 # Searches end where a step gains less than this share of the cost: hundredths of a nat.
 _LEAST_GAIN = 1e-4
+# Slopes are taken again until nothing moves by more than this, in prior standard deviations, and at
+# most so often. Chosen: within a third, they change the cost by less than a tenth of a nat.
+_AT_REST, _MOST_TURNS = 0.35, 5
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def without_effects(problem: InferenceProblem, starts: Sequence[Array]) -> Candi
         If no start is a possible reed.
     """
     found = fit_fully(problem, (), starts)
-    start = Start.without(problem, found.z)
+    start = Start.without(problem, found)
     return _candidate(problem, (), found, start.weighed.log_evidence, start.model, start.weighed)
 
 
@@ -273,31 +273,63 @@ def fit_fully(
     ImpossibleReedError
         If no start is a possible reed.
     """
-    p, positive = len(problem.nuisances), _positive(problem, effects)
+    each = map_processes(partial(_followed, problem, effects), starts)
+    ends = [end for end in each if end is not None]
+    if not ends:
+        raise ImpossibleReedError("no start of a fit is a possible reed")
+    best = min(ends, key=lambda end: end.cost)
+    agreeing = sum(end.cost < best.cost + SAME_COST for end in ends)
+    # Searches that end at no possible reed agree with none of the others.
+    return replace(best, consistent_starts=agreeing, starts=len(starts))
+
+
+def _followed(
+    problem: InferenceProblem, effects: Sequence[LocatedEffect], z: Array
+) -> MapEstimate | None:
+    """Follow one search; None if it begins at no possible reed.
+
+    Slopes are taken again where it has come to rest with them.
+    """
+    p, positive = len(problem.nuisances), _positive(effects, len(problem.nuisances))
 
     def residuals(z: Array) -> Array:
         return problem.residuals(with_effects(problem.parameters(z[:p]), effects, z[p:]))
 
-    near = _Slopes(problem, effects, NEAR, MOST_NEAR * len(starts))
-    here = _Slopes(problem, effects, HERE, MOST_FINE, fine=True)
+    found = None
+    with contextlib.suppress(ImpossibleReedError):
+        for _ in range(_MOST_TURNS):
+            slopes = partial(_held, _slopes(problem, effects, residuals, z))
+            found = fit(residuals, positive, [z], slopes, _LEAST_GAIN)
+            if np.abs(found.z - z).max() < _AT_REST:
+                break
+            z = found.z
+    return found
 
-    def rough(z: Array) -> Array:
-        return np.column_stack([problem.jacobian(z[:p]), *_by_size(residuals, z, p, positive)])
 
-    def close(z: Array) -> Array:
-        return np.column_stack([near.at(z), *_by_size(residuals, z, p, positive)])
+def _held(slopes: Array, _z: Array) -> Array:
+    return slopes
 
-    def closer(z: Array) -> Array:
-        return np.column_stack([here.at(z), *_by_size(residuals, z, p, positive, fine=True)])
 
-    ends = _ends(residuals, positive, starts, rough)
-    found = fit(residuals, positive, ends, close, _LEAST_GAIN)
-    agreeing = found.consistent_starts
-    if found.decrement > LEAST_DECREMENT:
-        # A Jacobian taken a little way off can show a step that is not there.
-        found = fit(residuals, positive, [found.z], closer, _LEAST_GAIN)
-    # Searches that end at no possible reed agree with none of the others.
-    return replace(found, consistent_starts=agreeing, starts=len(starts))
+def _slopes(
+    problem: InferenceProblem,
+    effects: Sequence[LocatedEffect],
+    residuals: Callable[[Array], Array],
+    z: Array,
+) -> Array:
+    """Derivatives (n, p + s) at nuisances and sizes z (p + s,)."""
+    p = len(problem.nuisances)
+
+    def change(parameters: BenchParameters) -> BenchParameters:
+        return with_effects(parameters, effects, z[p:])
+
+    columns = [problem.jacobian_of_changed(z[:p], change)]
+    for k in range(p, len(z)):
+        moved = z.copy()
+        # Towards no effect, where there is one: a bound may be on the other side.
+        step = -STEP if z[k] > STEP else STEP
+        moved[k] += step
+        columns.append((residuals(moved) - residuals(z))[:, None] / step)
+    return np.hstack(columns)
 
 
 def beside(problem: InferenceProblem, candidate: Candidate) -> Start:
@@ -344,83 +376,6 @@ def _seen(problem: InferenceProblem, slopes: Array, sizes: Array) -> Array:
     return problem.to_noise(moved - absorbed_part(slopes[:, :p], moved))
 
 
-class _Slopes:
-    """Jacobians along the nuisances, given effects, taken again where a fit has moved far.
-
-    Their number is limited: fits that keep moving explain nothing, and Jacobians take most of the
-    time.
-    """
-
-    def __init__(
-        self,
-        problem: InferenceProblem,
-        effects: Sequence[LocatedEffect],
-        far: float,
-        most: int,
-        *,
-        fine: bool = False,
-    ) -> None:
-        self._problem, self._effects, self._fine = problem, effects, fine
-        self._far, self._most = far, most
-        self._kept: list[tuple[Array, Array]] = []
-
-    def at(self, z: Array) -> Array:
-        """Derivatives (n, p) near z (p + s,)."""
-        apart = [float(np.abs(z - at).max()) for at, _ in self._kept]
-        if apart and (min(apart) <= self._far or len(apart) == self._most):
-            return self._kept[int(np.argmin(apart))][1]
-        p = len(self._problem.nuisances)
-
-        def change(parameters: BenchParameters) -> BenchParameters:
-            return with_effects(parameters, self._effects, z[p:])
-
-        slope = self._problem.jacobian_of_changed(z[:p], change, fine=self._fine)
-        self._kept.append((z.copy(), slope))
-        return slope
-
-
-def _ends(
-    residuals: Callable[[Array], Array],
-    positive: Sequence[bool],
-    starts: Sequence[Array],
-    jacobian: Callable[[Array], Array],
-) -> list[Array]:
-    """Return where searches from each start end, except those of no possible reed."""
-    ends = []
-    for start in starts:
-        with contextlib.suppress(ImpossibleReedError):
-            ends.append(fit(residuals, positive, [start], jacobian, _LEAST_GAIN).z)
-    return ends
-
-
-def _positive(problem: InferenceProblem, effects: Sequence[LocatedEffect]) -> list[bool]:
+def _positive(effects: Sequence[LocatedEffect], nuisances: int) -> list[bool]:
     sizes = [size.positive for located in effects for size in located.sizes]
-    return [False] * len(problem.nuisances) + sizes
-
-
-def _by_size(
-    residuals: Callable[[Array], Array],
-    z: Array,
-    p: int,
-    positive: Sequence[bool],
-    *,
-    fine: bool = False,
-) -> list[Array]:
-    """Derivatives (n,) along each size, which come after p nuisances.
-
-    Fine ones are good where what an effect moves bends within a step, and cost twice as much.
-    """
-    if len(z) == p:
-        return []
-    here = residuals(z)
-    columns: list[Array] = []
-    for k in range(p, len(z)):
-        step = STEP if positive[k] or z[k] <= 0 else -STEP
-        step *= FINE if fine else 1
-        moved, back = z.copy(), z.copy()
-        moved[k] += step
-        # Nothing is on the other side of a bound.
-        back[k] -= step if fine and (z[k] > step or not positive[k]) else 0.0
-        other = here if back[k] == z[k] else residuals(back)
-        columns.append((residuals(moved) - other) / (moved[k] - back[k]))
-    return columns
+    return [False] * nuisances + sizes

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp
 
+from diagnosis.inference.estimation import MapEstimate
 from diagnosis.inference.linear_model import LinearModel, Weighed, weigh
 from diagnosis.inference.problem import FORM, InferenceProblem, LocatedEffect
 from holography.arrays import Array
@@ -64,12 +65,11 @@ class Start:
     sizes: Array
 
     @classmethod
-    def without(cls, problem: InferenceProblem, z: Array) -> "Start":
-        """Return the model with nuisances z (p,) and without effects."""
-        parameters = problem.parameters(z)
-        residuals = problem.residuals(parameters)
-        model = problem.linear_model(residuals, problem.jacobian(z), z)
-        return cls(parameters, residuals, model, weigh(model), np.zeros(0))
+    def without(cls, problem: InferenceProblem, found: MapEstimate) -> "Start":
+        """Return the model without effects, as it was fitted."""
+        model = problem.linear_model(found.residuals, found.jacobian, found.z)
+        parameters = problem.parameters(found.z)
+        return cls(parameters, found.residuals, model, weigh(model), np.zeros(0))
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from diagnosis.inference.candidate_search import (
 from diagnosis.inference.candidates import Candidate, without_effects
 from diagnosis.inference.discrepancy import group_discrepancies, log_bayes_any_unknown
 from diagnosis.inference.effect_scan import Start
-from diagnosis.inference.estimation import marginalised_signature
+from diagnosis.inference.estimation import SAME_COST, marginalised_signature
 from diagnosis.inference.probabilities import (
     NONE,
     PRIOR,
@@ -104,10 +104,12 @@ def select_model(
     report(0.2)
     alone = _each_alone(problem, null, effects)
     report(0.5)
-    refine_best(problem, alone, log_odds_of_all(alone, null, count))
+    refine_best(problem, null, alone, log_odds_of_all(alone, null, count))
     better = refit_without_effects(problem, null, alone.values())
-    if better is not null:
-        null, before = better, alone
+    moved = better.log_evidence > null.log_evidence + SAME_COST
+    null = better
+    if moved:
+        before = alone
         alone = _each_alone(problem, null, effects)
         # Of both searches for an effect, the better one counts.
         alone |= {n: o for n, o in before.items() if _log_evidence(alone.get(n)) < o.log_evidence}
@@ -115,7 +117,7 @@ def select_model(
     signatures = _signatures(null, alone)
     alike = confusable_pairs({name: left for name, (_, left) in signatures.items()})
     pairs = fit_pairs(problem, null, alone, effects, alike)
-    refine_best(problem, pairs, log_odds_of_all({**alone, **pairs}, null, count))
+    refine_best(problem, null, pairs, log_odds_of_all({**alone, **pairs}, null, count))
     report(0.9)
     odds = log_odds_of_all(alone, null, count)
     likely = sorted(alone, key=lambda name: -odds[name])[:_LOOKED_BESIDE]

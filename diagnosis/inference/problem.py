@@ -14,17 +14,12 @@ from holography.arrays import Array
 from physics.effects.effect import Effect, Parameter
 from physics.parameters.tree import BenchParameters
 
-_KEPT, _SLOPES_KEPT = 4096, 4
+_KEPT = 4096
 # Effects have not quite the form that the catalogue gives them: a share of what they do in each
 # number, and in all numbers of one mode, band, time or level (decision 0018).
 FORM = 0.12
 _FORM_KINDS = ("band", "level", "mode", "time")
 STEP = 0.02
-# Where a fit has not come to rest: distance, fraction of the step, and most Jacobians.
-HERE, FINE, MOST_FINE = 0.03, 0.15, 3
-
-# The Jacobian is taken again where a nuisance has moved by this many prior deviations; limits.
-_FAR, NEAR, MOST_NEAR = 1.5, 0.3, 8
 
 
 class InferenceProblem:
@@ -51,7 +46,6 @@ class InferenceProblem:
             block.name: slice(int(a), int(b))
             for block, a, b in zip(blocks, starts, starts[1:], strict=False)
         }
-        self._slopes: list[tuple[Array, Array]] = []
         # Families of nuisances, and those of each group, which come after them.
         self._families = sorted({nuisance.family for nuisance in self.nuisances} - {""})
         self._of_groups = [(g, one) for g, b in enumerate(blocks) for one in b.errors.nuisances]
@@ -168,32 +162,20 @@ class InferenceProblem:
                 whole = whole + np.exp(2 * scales.families[place]) * each.columns @ each.columns.T
         return np.asarray(whole)
 
-    def jacobian(self, z: Array, far: float = _FAR) -> Array:
-        """Return the Jacobian (n, p) along the nuisances, taken within `far` deviations of z."""
-        for at, slope in self._slopes:
-            if np.abs(z - at).max() <= far:
-                return slope
-        slope = self.jacobian_of_changed(z, lambda parameters: parameters)
-        self._slopes = [(z.copy(), slope), *self._slopes[: _SLOPES_KEPT - 1]]
-        return slope
+    def jacobian(self, z: Array) -> Array:
+        """Return the Jacobian (n, p) along the nuisances at z (p,), without effects."""
+        return self.jacobian_of_changed(z, lambda parameters: parameters)
 
     def jacobian_of_changed(
-        self, z: Array, change: Callable[[BenchParameters], BenchParameters], *, fine: bool = False
+        self, z: Array, change: Callable[[BenchParameters], BenchParameters]
     ) -> Array:
-        """Return the Jacobian (n, p) along the nuisances at z, of a changed model.
-
-        Fine central differences are accurate where modes nearly meet, and cost twice as much.
-        """
+        """Return the Jacobian (n, p) along the nuisances at z, of a changed model."""
         here, columns = self.residuals(change(self.parameters(z))), []
         for k in range(len(z)):
             step = -STEP if z[k] > 0 else STEP
-            step *= FINE if fine else 1
-            moved, back = z.copy(), z.copy()
+            moved = z.copy()
             moved[k] += step
-            back[k] -= step
-            other = self.residuals(change(self.parameters(back))) if fine else here
-            more = self.residuals(change(self.parameters(moved))) - other
-            columns.append(more / (2 * step if fine else step))
+            columns.append((self.residuals(change(self.parameters(moved))) - here) / step)
         return np.stack(columns, axis=1)
 
 

@@ -342,38 +342,47 @@ def beside(problem: InferenceProblem, candidate: Candidate) -> Start:
     residuals = problem.residuals(parameters)
     slopes = candidate.estimate.jacobian * candidate.deviation[:, None]
     model = problem.linear_model(residuals, slopes[:, :p], candidate.nuisances)
-    seen = _seen(problem, slopes, candidate.sizes)
-    model = model.with_columns(
-        np.hstack([problem.to_noise(slopes[:, p:]), problem.form_columns(seen)])
-    )
-    weighed = weigh(model, candidate.weighed.scales, (FORM * seen) ** 2)
-    return Start(parameters, residuals, model, weighed, np.zeros(0))
+    model, form = _with_sizes(problem, model, slopes, candidate.sizes)
+    weighed = weigh(model, candidate.weighed.scales, form)
+    return Start(parameters, residuals, model, weighed, np.zeros(0), form)
 
 
 def _beyond(problem: InferenceProblem, candidate: Candidate, found: MapEstimate) -> Start | None:
     """Return the start at which the last effect of a full fit is scanned again; None if it is 0."""
     p, last = len(problem.nuisances), len(candidate.effects[-1].sizes)
-    z, sizes = found.z[:p], found.z[p:]
+    z, sizes, slopes = found.z[:p], found.z[p:], found.jacobian
     others, strong = len(sizes) - last, [bool(s.most) for s in candidate.effects[-1].sizes]
     if not np.any(sizes[others:][strong]):
         return None
     before = with_effects(problem.parameters(z), candidate.effects[:-1], sizes[:others])
-    model = problem.linear_model(found.residuals, found.jacobian[:, :p], z)
-    model = model.with_columns(problem.to_noise(found.jacobian[:, p : p + others]))
-    seen = _seen(problem, found.jacobian, sizes)
+    model = problem.linear_model(found.residuals, slopes[:, :p], z)
+    model, form = _with_sizes(problem, model, slopes[:, : p + others], sizes[:others])
+    seen = _seen(problem, slopes[:, :p], slopes[:, p + others :] @ sizes[others:])
     weighed = weigh(
         model.with_columns(problem.form_columns(seen)),
         candidate.weighed.scales,
-        (FORM * seen) ** 2,
+        form + (FORM * seen) ** 2,
     )
-    return Start(before, found.residuals, model, weighed, sizes[others:])
+    return Start(before, found.residuals, model, weighed, sizes[others:], form)
 
 
-def _seen(problem: InferenceProblem, slopes: Array, sizes: Array) -> Array:
-    """Return what effects of such sizes do (n,) beyond nuisances, in units of the noise."""
+def _with_sizes(
+    problem: InferenceProblem, model: LinearModel, slopes: Array, sizes: Array
+) -> tuple[LinearModel, Array]:
+    """Return a model with sizes of effects as known columns, and variances (n,) by their form.
+
+    `slopes` are along the nuisances, then along the sizes.
+    """
     p = slopes.shape[1] - len(sizes)
-    moved = slopes[:, p:] @ sizes
-    return problem.to_noise(moved - absorbed_part(slopes[:, :p], moved))
+    own = slopes[:, p:]
+    seen = _seen(problem, slopes[:, :p], own @ sizes)
+    columns = np.hstack([problem.to_noise(own), problem.form_columns(seen)])
+    return model.with_columns(columns), (FORM * seen) ** 2
+
+
+def _seen(problem: InferenceProblem, slopes: Array, moved: Array) -> Array:
+    """Return what is moved (n,) beyond nuisances of such slopes, in units of the noise."""
+    return problem.to_noise(moved - absorbed_part(slopes, moved))
 
 
 def _positive(effects: Sequence[LocatedEffect], nuisances: int) -> list[bool]:

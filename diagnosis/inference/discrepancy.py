@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from diagnosis.inference.candidates import Candidate
+from diagnosis.inference.linear_model import LinearModel, Weighed, weighed_at
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import ObservableGroup
 from holography.arrays import Array
@@ -39,21 +40,21 @@ class _Left:
         In units of the noise, before nuisances are fitted.
     precision : (n, n) float
         Inverse covariance of these.
+    covariance : (k, k) float
+        Of the numbers of one group, by noise and by its own nuisances.
+    behind : (d,) float
+        By how much log evidence is less than with the likeliest scales.
     """
 
     left: Array
     precision: Array
+    covariance: Array
+    behind: Array
 
     def along(self, columns: Array) -> tuple[Array, Array]:
         """Return pull (c, d) and information (c, c) along columns (n, c)."""
         across = self.precision @ columns
         return -across.T @ self.left, columns.T @ across
-
-    def with_columns(self, columns: Array) -> "_Left":
-        """Return the same with columns (n, c) of unknown amounts, of standard deviation 1."""
-        across = self.precision @ columns
-        known = np.eye(columns.shape[1]) + columns.T @ across
-        return replace(self, precision=self.precision - across @ np.linalg.solve(known, across.T))
 
 
 def group_discrepancies(
@@ -73,12 +74,10 @@ def group_discrepancies(
     dict of (d,) float
     """
     measured = candidate.model.left[:, None] if left is None else left
-    state = _Left(measured, candidate.weighed.precision)
-    found = {}
-    for number, block in enumerate(problem.groups):
-        gains = [gain for gain, _ in _gains(problem, candidate, state, number)]
-        found[block.name] = np.asarray(logsumexp(gains, axis=0) - np.log(len(gains)))
-    return found
+    return {
+        block.name: _factor(problem, candidate, candidate.model, measured, number)[0]
+        for number, block in enumerate(problem.groups)
+    }
 
 
 def log_bayes_any_group(factors: Mapping[str, Array]) -> Array:
@@ -89,43 +88,61 @@ def log_bayes_any_group(factors: Mapping[str, Array]) -> Array:
 
 def log_bayes_any_unknown(problem: InferenceProblem, candidate: Candidate) -> float:
     """Return the log Bayes factor of something unknown that shifts one group or a few."""
-    state = _Left(candidate.model.left[:, None], candidate.weighed.precision)
+    model, left = candidate.model, candidate.model.left[:, None]
     count, gained = len(problem.groups), 0.0
     logs, still = [], list(range(count))
     for number, share in enumerate(_BLOCKS[:count], 1):
-        tried = [_with_unknown(problem, candidate, state, block) for block in still]
+        tried = [_factor(problem, candidate, model, left, block) for block in still]
+        factors = [float(factor[0]) for factor, _ in tried]
         prior = np.log(share) - np.log(comb(count, number))
-        logs.append(float(prior + gained + logsumexp([factor for factor, _ in tried])))
-        best = int(np.argmax([factor for factor, _ in tried]))
-        if tried[best][0] <= 0:
+        logs.append(float(prior + gained + logsumexp(factors)))
+        best = int(np.argmax(factors))
+        if factors[best] <= 0:
             break
         # A shifted group keeps its columns from here on.
-        gained += tried[best][0]
-        state = tried[best][1]
+        gained += factors[best]
+        model = model.with_columns(tried[best][1])
         del still[best]
     return float(logsumexp(logs))
 
 
-def _with_unknown(
-    problem: InferenceProblem, candidate: Candidate, state: _Left, number: int
-) -> tuple[float, _Left]:
-    """Return the log Bayes factor of something unknown in a group, and what it leaves."""
-    found = [
-        (float(gain[0]), columns) for gain, columns in _gains(problem, candidate, state, number)
-    ]
-    _, columns = max(found, key=lambda way: way[0])
-    factor = float(logsumexp([gain for gain, _ in found]) - np.log(len(found)))
-    return factor, state.with_columns(columns)
+def _factor(
+    problem: InferenceProblem, candidate: Candidate, model: LinearModel, left: Array, number: int
+) -> tuple[Array, Array]:
+    """Return log Bayes factors (d,) of something unknown in a group, and its columns (n, c).
+
+    What is unknown may be the reason why errors of the group seem large: it is tried with the
+    scales as they are without it, and with the usual ones.
+    """
+    fitted, form = candidate.weighed.scales, candidate.weighed.form
+    base = [weighed_at(replace(model, left=left[:, d]), fitted, form) for d in range(1)]
+    gains, columns = [], []
+    for scales in (fitted, problem.usual_errors(number, fitted)):
+        here = weighed_at(replace(model, left=left[:, 0]), scales, form)
+        behind = _log_likelihoods(here, left) - _log_likelihoods(base[0], left)
+        covariance = problem.covariance(number, scales)
+        state = _Left(left, here.precision, covariance, behind)
+        for gain, table in _gains(problem, state, number):
+            gains.append(gain + behind)
+            columns.append(table)
+    best = int(np.argmax([gain[0] for gain in gains]))
+    each = np.stack(gains).reshape(2, -1, left.shape[1]).max(axis=0)
+    return np.asarray(logsumexp(each, axis=0) - np.log(len(each))), columns[best]
 
 
-def _gains(
-    problem: InferenceProblem, candidate: Candidate, state: _Left, number: int
-) -> Iterator[tuple[Array, Array]]:
+def _log_likelihoods(weighed: Weighed, left: Array) -> Array:
+    """Return the log evidence (d,) of campaigns with the scales and precision of one."""
+    squares = np.einsum("nd,nd->d", left, weighed.precision @ left)
+    log_det = 2 * float(np.sum(np.log(np.diag(np.linalg.cholesky(weighed.precision)))))
+    answer: Array = 0.5 * (log_det - squares) - 0.5 * weighed.unusual
+    return answer
+
+
+def _gains(problem: InferenceProblem, state: _Left, number: int) -> Iterator[tuple[Array, Array]]:
     """Yield the gain of log evidence (d,) and the columns (n, c) of each discrepancy."""
     block = problem.groups[number]
     piece = problem.slices[block.name]
-    covariance = problem.covariance(number, candidate.weighed.scales)
-    deviation = np.sqrt(1 / np.diag(np.linalg.inv(covariance)))
+    deviation = np.sqrt(1 / np.diag(np.linalg.inv(state.covariance)))
     for kind in _KINDS:
         pattern = _pattern(block, kind)
         if pattern is None:

@@ -9,11 +9,12 @@ end in a wrong optimum, and an effect that is too small to be seen has the evide
 import contextlib
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
 from scipy.special import logsumexp
 
 from diagnosis.inference.estimation import MapEstimate
@@ -28,8 +29,8 @@ from physics.parameters.tree import BenchParameters
 # is within some per cent of what effects do, less than their own form is uncertain by.
 _NODES = (0.02, 0.06, 0.15, 0.3, 0.6, 1.0)
 # Smallest strength that counts, as a share of the largest, and the number of strengths summed over.
-# Chosen: two decades; steps of 4 % of strength, less than a standard error at 20 of them.
-_LEAST, _STEPS = 0.01, 120
+# Chosen: two decades, in steps of 4 %; and share of a step by which a peak is sought.
+_LEAST, _STEPS, _PEAK = 0.01, 120, 0.02
 # An effect with a location is first computed everywhere at one strength, then at the best places.
 _PROBE, _PLACES = 3, 4
 # Step of second parameters, in their standard deviations.
@@ -56,6 +57,8 @@ class Start:
         With the likeliest scales.
     sizes : (s,) float
         Sizes of the effect; all 0 where it is added.
+    form : (n,) float
+        Variance by the form of other effects, in units of the noise.
     """
 
     parameters: BenchParameters
@@ -63,13 +66,15 @@ class Start:
     model: LinearModel
     weighed: Weighed
     sizes: Array
+    form: Array
 
     @classmethod
     def without(cls, problem: InferenceProblem, found: MapEstimate) -> "Start":
         """Return the model without effects, as it was fitted."""
         model = problem.linear_model(found.residuals, found.jacobian, found.z)
         parameters = problem.parameters(found.z)
-        return cls(parameters, found.residuals, model, weigh(model), np.zeros(0))
+        none = np.zeros(len(found.residuals))
+        return cls(parameters, found.residuals, model, weigh(model), np.zeros(0), none)
 
 
 @dataclass(frozen=True)
@@ -119,7 +124,7 @@ def scan_effect(problem: InferenceProblem, start: Start, effect: Effect) -> Scan
     swept = [found for line in lines if (found := line.swept()) is not None]
     if not swept:
         return None
-    best = max(swept, key=lambda one: float(one.gains.max()))
+    best = max(swept, key=lambda one: one.most)
     # Where nothing was swept, the effect has the evidence of none.
     every = len(places) * len(ways)
     means = [0.0] * (every - len(swept)) + [one.mean for one in swept]
@@ -218,12 +223,9 @@ class _Line:
                 nodes.append(share)
         if len(nodes) < 3 or np.ptp(shifts, axis=0).max() < _NOTHING:
             return None
-        shares = np.geomspace(_LEAST, 1.0, _STEPS)
-        shares = shares[shares <= nodes[-1]]
         at, known = np.array(nodes), [table for table in tables if table is not None]
         moved = CubicSpline(at, np.stack(shifts, axis=1), axis=1)
-        swept = _Swept(self, shares, moved, at[at > 0], known)
-        return swept.with_gains()
+        return _Swept(self, moved, at[at > 0], known).integrated()
 
 
 @dataclass(frozen=True)
@@ -233,28 +235,27 @@ class _Swept:
     Attributes
     ----------
     line : _Line
-    shares : (k,) float
-        Strengths that count, as shares of the largest.
     moved : CubicSpline
-        Gives shifts (n, ...) at shares.
+        Gives shifts (n, ...) at shares of the largest strength.
     nodes : (m,) float
+        Shares at which the model was computed.
     tables : sequence of (n, c) float
         What second parameters change at the nodes.
-    gains : (k,) float
-        Of log evidence over the start with its scales.
+    best : float
+        Likeliest share.
+    most : float
+        Gain of log evidence there, over the start with its scales.
+    mean : float
+        Log of the mean gain over all strengths; impossible ones have no evidence.
     """
 
     line: _Line
-    shares: Array
     moved: CubicSpline
     nodes: Array
     tables: Sequence[Array]
-    gains: Array = field(default_factory=lambda: np.zeros(0))
-
-    @property
-    def mean(self) -> float:
-        """Log of the mean over all strengths; impossible ones have no evidence."""
-        return float(logsumexp(self.gains)) - math.log(_STEPS)
+    best: float = 0.0
+    most: float = -np.inf
+    mean: float = -np.inf
 
     def seconds(self, share: float) -> Array:
         """Return what second parameters change (n, c): in proportion to the strength."""
@@ -262,18 +263,40 @@ class _Swept:
         columns: Array = self.tables[node] * (share / self.nodes[node])
         return columns
 
-    def with_gains(self) -> "_Swept":
-        """Return the same with the gain at each strength."""
-        start, moved = self.line.start, self.moved(self.shares)
+    def integrated(self) -> "_Swept":
+        """Return the same with the likeliest strength and the mean over all."""
+        shares = np.geomspace(_LEAST, 1.0, _STEPS)
+        shares = shares[shares <= self.nodes[-1]]
+        gains, step = self.gains(shares), math.log(shares[1] / shares[0])
+        place = int(np.argmax(gains))
+        ends = np.log(shares[[max(place - 1, 0), min(place + 1, len(shares) - 1)]])
+        found = minimize_scalar(
+            lambda log: -self.gains(np.exp([log]))[0],
+            bounds=tuple(ends.tolist()),
+            method="bounded",
+            options={"xatol": _PEAK * step},
+        )
+        best, most = float(np.exp(found.x)), -float(found.fun)
+        # A peak narrower than the steps is a Gaussian in between.
+        lower, upper = self.gains(best * np.exp([-_PEAK * step, _PEAK * step]))
+        bend = max((2 * most - lower - upper) / (_PEAK * step) ** 2, 1e-12)
+        mean = float(logsumexp(gains)) + math.log(step)
+        if bend * step**2 > 1:
+            mean = most + 0.5 * math.log(2 * math.pi / bend)
+        return replace(self, best=best, most=most, mean=mean + math.log(1 / -math.log(_LEAST)))
+
+    def gains(self, shares: Array) -> Array:
+        """Return the gain (k,) of log evidence at such shares."""
+        start, moved = self.line.start, self.moved(shares)
         P, left = start.weighed.precision, start.model.left
         gains = -(moved.T @ (P @ left)) - 0.5 * np.einsum("nk,nk->k", moved, P @ moved)
-        for k, share in enumerate(self.shares.tolist() if self.line.seconds else ()):
+        for k, share in enumerate(shares.tolist() if self.line.seconds else ()):
             C = self.seconds(share)
             known = np.eye(C.shape[1]) + C.T @ P @ C
             pull = C.T @ (P @ (left + moved[:, k]))
             gains[k] += 0.5 * float(pull @ np.linalg.solve(known, pull))
             gains[k] -= 0.5 * float(np.linalg.slogdet(known)[1])
-        return replace(self, gains=gains)
+        return np.asarray(gains)
 
     def scan(self, elsewhere: float) -> Scan:
         """Return the scan of an effect of which this line is the best.
@@ -285,15 +308,15 @@ class _Swept:
         elsewhere : float
             What other lines add to the log evidence of this one.
         """
-        line, start, best = self.line, self.line.start, int(np.argmax(self.gains))
-        share = float(self.shares[best])
+        line, start, share = self.line, self.line.start, self.best
         shift, seconds = self.moved(share), self.seconds(share)
         # What nuisances absorb of an effect, they absorb in any form.
-        seen = start.model.not_absorbed(shift - self.moved(0.0), start.weighed)
+        seen = start.model.not_absorbed(shift - self.moved(0.0), start.model.usual)
         model = start.model.moved(shift).with_columns(
             np.hstack([seconds, line.problem.form_columns(seen)])
         )
-        after = weigh(model, start.weighed.scales, (FORM * seen) ** 2, _TURNS)
+        form = start.form + (FORM * seen) ** 2
+        after = weigh(model, start.weighed.scales, form, _TURNS)
         sizes, q = line.sizes_at(share), len(start.model.family)
         own = after.nuisances[q : q + len(line.seconds)]
         sizes[line.seconds] += own
@@ -306,7 +329,7 @@ class _Swept:
         return Scan(
             located=line.located,
             sizes=sizes,
-            log_evidence=after.log_evidence + self.mean + elsewhere - float(self.gains[best]),
+            log_evidence=after.log_evidence + self.mean + elsewhere - self.most,
             columns=line.problem.from_noise(columns),
             shift=line.problem.from_noise(shift + seconds @ own),
             elsewhere=elsewhere,

@@ -80,10 +80,11 @@ class LinearModel:
             family=np.concatenate([self.family, np.full(columns.shape[1], KNOWN)]),
         )
 
-    def not_absorbed(self, shift: Array, weighed: "Weighed") -> Array:
-        """Return the part of a shift (n,) that nuisances of the likeliest scales do not absorb."""
-        noise = np.exp(2 * weighed.scales.noise)[self.group]
-        left: Array = noise * (weighed.precision @ shift)
+    def not_absorbed(self, shift: Array, scales: "Scales") -> Array:
+        """Return the part of a shift (n,) that nuisances of such scales do not absorb."""
+        found = _posterior(self, scales, np.zeros(len(shift)))
+        pulled = self.slopes.T @ (shift / found.variance)
+        left: Array = shift - self.slopes @ (found.covariance @ pulled)
         return left
 
     def moved(self, shift: Array) -> "LinearModel":
@@ -105,6 +106,10 @@ class Weighed:
     covariance : (q, q) float
     precision : (n, n) float
         Inverse covariance of `LinearModel.left`.
+    form : (n,) float
+        Further variance of each number that it was weighed with.
+    unusual : float
+        Sum of squares of the scales' logarithms, in units of their standard deviations.
     """
 
     log_evidence: float
@@ -112,6 +117,8 @@ class Weighed:
     nuisances: Array
     covariance: Array
     precision: Array
+    form: Array
+    unusual: float
 
 
 def weigh(
@@ -123,7 +130,7 @@ def weigh(
     ----------
     model : LinearModel
     begin : Scales, optional
-        Where to begin; 1 by default.
+        Where to begin as well as at 1: the better end counts.
     more : (n,) float, optional
         Further variance of each number, of known size: by the form of an effect, for example.
     turns : int
@@ -133,8 +140,16 @@ def weigh(
     -------
     Weighed
     """
-    scales, extra = begin or model.usual, np.zeros(len(model.left)) if more is None else more
-    for _ in range(turns or _MOST_TURNS):
+    extra = np.zeros(len(model.left)) if more is None else more
+    starts = [model.usual] if begin is None else [model.usual, begin]
+    ends = [_settled(model, start, extra, turns or _MOST_TURNS) for start in starts]
+    each = [weighed_at(model, end, extra) for end in ends]
+    return max(each, key=lambda one: one.log_evidence)
+
+
+def _settled(model: LinearModel, scales: Scales, extra: Array, turns: int) -> Scales:
+    """Follow the scales until they have settled."""
+    for _ in range(turns):
         found = _posterior(model, scales, extra)
         after = _next(model, scales, extra, found)
         change = max(
@@ -144,16 +159,24 @@ def weigh(
         scales = after
         if change < _SETTLED:
             break
-    found = _posterior(model, scales, extra)
-    return Weighed(
-        _log_evidence(model, scales, found), scales, found.mean, found.covariance, _inverse(found)
-    )
+    return scales
 
 
-def at_scales(model: LinearModel, scales: Scales, more: Array | None = None) -> float:
-    """Return the log evidence of a model with given scales; see `weigh`."""
+def weighed_at(model: LinearModel, scales: Scales, more: Array | None = None) -> Weighed:
+    """Weigh a model with given scales; parameters as those of `weigh`."""
     extra = np.zeros(len(model.left)) if more is None else more
-    return _log_evidence(model, scales, _posterior(model, scales, extra))
+    found, unusual = _posterior(model, scales, extra), _unusual(model, scales)
+    log_det = float(np.sum(np.log(found.variance)) - found.log_det)
+    log_det += float(np.sum(np.log(_prior_variance(model, scales))))
+    return Weighed(
+        log_evidence=-0.5 * (found.squares + log_det + unusual),
+        scales=scales,
+        nuisances=found.mean,
+        covariance=found.covariance,
+        precision=_inverse(found),
+        form=extra,
+        unusual=unusual,
+    )
 
 
 @dataclass(frozen=True)
@@ -193,12 +216,10 @@ def _prior_variance(model: LinearModel, scales: Scales) -> Array:
     return variance
 
 
-def _log_evidence(model: LinearModel, scales: Scales, found: _Posterior) -> float:
-    log_det = float(np.sum(np.log(found.variance)) - found.log_det)
-    log_det += float(np.sum(np.log(_prior_variance(model, scales))))
-    unusual = np.sum((scales.noise / model.noise_freedom) ** 2)
-    unusual += np.sum((scales.families / model.family_freedom) ** 2)
-    return -0.5 * (found.squares + log_det + float(unusual))
+def _unusual(model: LinearModel, scales: Scales) -> float:
+    squares = np.sum((scales.noise / model.noise_freedom) ** 2)
+    squares += np.sum((scales.families / model.family_freedom) ** 2)
+    return float(squares)
 
 
 def _next(model: LinearModel, scales: Scales, extra: Array, found: _Posterior) -> Scales:

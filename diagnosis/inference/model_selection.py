@@ -136,9 +136,11 @@ def _each_alone(
     problem: InferenceProblem, null: Candidate, effects: Sequence[Effect]
 ) -> dict[str, Candidate]:
     """Return the candidates with one effect, by identifier."""
+    residuals = null.estimate.residuals
     start = Start(
-        null.parameters(problem), null.estimate.residuals, null.model, null.weighed, np.zeros(0)
-    )
+        null.parameters(problem), residuals, null.model, null.weighed, np.zeros(0),
+        np.zeros(len(residuals)),
+    )  # fmt: skip
     each = map_processes(partial(search_alone, problem, start, null), effects)
     return {
         effect.id: found for effect, found in zip(effects, each, strict=True) if found is not None

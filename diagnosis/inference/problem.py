@@ -152,6 +152,15 @@ class InferenceProblem:
             ),
         )
 
+    def usual_errors(self, number: int, scales: Scales) -> Scales:
+        """Return scales of which those of one group, and of its own nuisances, are 1."""
+        noise, families = scales.noise.copy(), scales.families.copy()
+        noise[number] = 0.0
+        for place, (g, _) in enumerate(self._of_groups, len(self._families)):
+            if g == number:
+                families[place] = 0.0
+        return Scales(noise, families)
+
     def covariance(self, number: int, scales: Scales) -> Array:
         """Return the covariance (k, k) of the numbers of a group, with errors of such scales."""
         group = self.groups[number]

@@ -50,7 +50,7 @@ def effect(name: str, part: str, field: str, positive: bool = False) -> Effect:
         id=name,
         title=name,
         stage=Stage.OPTICS,
-        parameters=(Parameter("size", "", 1.0, "toy", positive),),
+        parameters=(Parameter("size", "", 1.0, "toy", positive, most=6.0),),
         change=partial(_changed, part, field),
         reference="",
     )

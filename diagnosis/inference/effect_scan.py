@@ -280,8 +280,8 @@ class _Swept:
         # A peak narrower than the steps is a Gaussian in between.
         lower, upper = self.gains(best * np.exp([-_PEAK * step, _PEAK * step]))
         bend = max((2 * most - lower - upper) / (_PEAK * step) ** 2, 1e-12)
-        mean = float(logsumexp(gains)) + math.log(step)
-        if bend * step**2 > 1:
+        mean = _log_integral(gains, step)
+        if 0 < place < len(shares) - 1 and bend * step**2 > 1:
             mean = most + 0.5 * math.log(2 * math.pi / bend)
         return replace(self, best=best, most=most, mean=mean + math.log(1 / -math.log(_LEAST)))
 
@@ -336,6 +336,13 @@ class _Swept:
             model=model,
             weighed=after,
         )
+
+
+def _log_integral(logs: Array, step: float) -> float:
+    """Return the log of an integral of which logarithms are known, straight between equal steps."""
+    falls = np.abs(np.diff(logs))
+    mean = np.where(falls > 1e-9, -np.expm1(-falls) / np.maximum(falls, 1e-9), 1.0)
+    return float(logsumexp(np.maximum(logs[1:], logs[:-1]) + np.log(mean * step)))
 
 
 def _directions(effect: Effect) -> list[Array]:

@@ -7,15 +7,15 @@ from functools import partial
 import numpy as np
 import pytest
 
-from diagnosis.inference.candidate_search import refit_without_effects, search_starts
-from diagnosis.inference.candidates import d_prime, fit_linearised, fit_model, with_nonlinear_cost
-from diagnosis.inference.model_selection import refit_candidate, refit_from_elsewhere, select_model
+from diagnosis.inference.candidate_search import refit_from_elsewhere, refit_without_effects
+from diagnosis.inference.candidates import d_prime, fit_fully, without_effects
+from diagnosis.inference.model_selection import refit_candidate, select_model
 from diagnosis.inference.probabilities import NONE, PRIOR, UNKNOWN
 from diagnosis.inference.problem import LocatedEffect
 from physics.effects.effect import Effect
 from physics.errors import ImpossibleReedError
 from physics.parameters.tree import BenchParameters, more
-from tests.diagnosis.toy import EFFECTS, bench, effect, measured
+from tests.diagnosis.toy import AT, EFFECTS, bench, effect, measured
 
 
 def probabilities(problem):
@@ -55,18 +55,19 @@ def test_what_no_effect_makes_is_unknown() -> None:
     assert found[UNKNOWN] > 0.9
 
 
-def test_what_a_great_effect_leaves_is_its_own_form_if_it_is_plausible() -> None:
-    found = select_model(measured(6, bench(leak=1.5), extra=0.25), EFFECTS)
-    # Something is left in addition to the slope, but little of what it explains.
-    gained = found.single["slope"].log_evidence - found.null.log_evidence
-    assert 3 < found.unknown_log_bayes_with["slope"] < 0.05 * gained
+def test_what_a_great_effect_leaves_is_its_own_form() -> None:
+    """A slope that is a tenth steeper on one side than the catalogue's, 80 standard errors long."""
+    problem = measured(6, bench(leak=1.5))
+    lines_, clocks = problem.groups
+    steeper = replace(lines_, values=lines_.values + 0.1 * np.maximum(1.5 * AT, 0))
+    found = select_model(
+        type(problem)((steeper, clocks), BenchParameters(), problem.nuisances), EFFECTS
+    )
+    assert found.unknown_log_bayes_with["slope"] < 1
     assert found.probability["slope"] > 0.8
-    # What need not show next to it is as likely as next to any other.
-    odds = found.log_probability["slope+nothing"] - found.log_probability["slope"]
-    assert odds == pytest.approx(np.log(PRIOR["two"] / 6 / (PRIOR["one"] / 4)))
-    # Of a slope that is not plausible it is asked what else there is.
-    found = select_model(measured(6, bench(leak=6.0), extra=2.0), EFFECTS)
-    assert found.unknown_log_bayes_with["slope"] > 3
+    # What is left where the slope does nothing is no form of it.
+    found = select_model(measured(6, bench(leak=1.5), extra=0.25), EFFECTS)
+    assert found.unknown_log_bayes_with["slope"] > 10
     assert found.probability[UNKNOWN] > 0.9
 
 
@@ -81,22 +82,9 @@ def test_effects_that_move_nothing_do_not_compete() -> None:
     assert set(found.signatures) == {"slope", "bump", "offset"}
 
 
-def test_what_need_not_show_is_likely_next_to_what_does() -> None:
-    problem = measured(6, bench(leak=0.6))
-    found = select_model(problem, EFFECTS)
-    # "nothing" moves nothing: next to the slope it is as likely as two effects are.
-    assert found.undetectable["slope+nothing"] == ("slope", 0.0)
-    odds = found.log_probability["slope+nothing"] - found.log_probability["slope"]
-    assert odds == pytest.approx(np.log(PRIOR["two"] / 6 / (PRIOR["one"] / 4)))
-    # What would show, were it there, is less likely than that.
-    assert found.log_probability["slope+offset"] < found.log_probability["slope+nothing"] - 0.5
-    assert sum(found.probability.values()) == pytest.approx(1.0)
-
-
 def test_confusable_effects_are_no_pair() -> None:
-    # What a slope of not quite its form leaves is not another slope.
     similar = effect("incline", "optics.interference", "leak")
-    found = select_model(measured(6, bench(leak=1.5), extra=0.05), (*EFFECTS, similar))
+    found = select_model(measured(6, bench(leak=1.5)), (*EFFECTS, similar))
     assert {"slope", "incline"} <= set(found.single)
     both = {"slope+incline", "incline+slope"}
     assert not both & set(found.log_probability)
@@ -110,22 +98,6 @@ def test_without_nuisances_only_what_moves_nothing_is_unseen() -> None:
     assert odds == pytest.approx(np.log(PRIOR["one"] / 4 / PRIOR["none"]))
 
 
-def test_slopes_are_fine_where_they_have_to_be() -> None:
-    problem = measured(6, bench())
-    kink = replace(
-        problem.nuisances[0], change=lambda t, v: more(t, "optics.interference", fade_per_h=v**3)
-    )
-    bent = type(problem)(problem.groups, BenchParameters(), (kink,))
-    at, noise, spread = np.array([0.4]), 0.05, kink.spread
-    true = 3 * (0.4 * spread) ** 2 * spread / noise
-    coarse, fine = (
-        bent.jacobian_of_changed(at, lambda parameters: parameters, fine=fine)[:60, 0].mean()
-        for fine in (False, True)
-    )
-    assert fine == pytest.approx(true, rel=1e-4)
-    assert coarse != pytest.approx(true, rel=0.03)
-
-
 def _harming(parameters: BenchParameters, values: Mapping[str, float]) -> BenchParameters:
     """Do harm if there is little of it; from three deviations on it is what there is."""
     size = values["size"]
@@ -135,29 +107,15 @@ def _harming(parameters: BenchParameters, values: Mapping[str, float]) -> BenchP
 def test_an_effect_that_shows_only_when_large_is_found() -> None:
     problem = measured(15, bench(leak=0.6))
     found = select_model(problem, (replace(EFFECTS[1], change=_harming), *EFFECTS[2:]))
-    assert found.single["bump"].sizes[0] > 3
+    assert found.single["bump"].size_estimates["bump"][0][1] * EFFECTS[1].sizes[0].scale > 3
     assert found.probability["bump"] > 0.5
 
 
-@pytest.mark.parametrize(("fade_per_h", "count"), [(1.0, 1), (12.0, 2)])
-def test_effects_are_looked_for_from_nothing_if_nuisances_are_far_off(fade_per_h, count) -> None:
-    problem = measured(16, bench(fade_per_h=fade_per_h))
-    null = fit_model(problem, (), [np.zeros(1)], exact=True)
-    found = search_starts(problem, null)
-    assert len(found) == count
-    np.testing.assert_array_equal(found[0].at, null.estimate.z)
-    if count > 1:
-        np.testing.assert_array_equal(found[-1].at, 0.0)
-        assert found[-1].far
-
-
 def test_sizes_come_back_within_their_errors() -> None:
-    problem = measured(7, bench(fade_per_h=0.5, leak=0.3))
-    slope = LocatedEffect(EFFECTS[0], {})
-    found = fit_model(problem, (slope,), [np.zeros(2)])
-    error = np.sqrt(found.estimate.covariance[1, 1])
-    assert found.estimate.z[1] == pytest.approx(0.3, abs=4 * error)
-    assert error < 0.02
+    found = select_model(measured(7, bench(fade_per_h=0.5, leak=0.3)), EFFECTS).single["slope"]
+    ((size, z, error),) = found.size_estimates["slope"]
+    assert size.scale * z == pytest.approx(0.3, abs=4 * size.scale * error)
+    assert size.scale * error < 0.02
     assert found.names == ("slope",)
 
 
@@ -166,8 +124,7 @@ def test_a_louder_noise_than_stated_is_no_effect() -> None:
     problem = measured(8, BenchParameters(), noise=0.05)
     louder = measured(8, BenchParameters(), noise=0.065)
     blocks = [
-        type(b)(**{**vars(b), "covariance": a.covariance, "whitening": a.whitening})
-        for a, b in zip(problem.groups, louder.groups, strict=True)
+        replace(a, values=b.values) for a, b in zip(problem.groups, louder.groups, strict=True)
     ]
     found = probabilities(type(problem)(blocks, BenchParameters(), problem.nuisances))
     assert max(found, key=found.get) == NONE
@@ -190,17 +147,19 @@ def test_an_effect_that_is_possible_only_when_small_is_found_all_the_same() -> N
     problem = measured(8, bench(leak=0.4))
     found = select_model(problem, (_brittle(0.45), *EFFECTS[1:]))
     assert max(found.probability, key=lambda name: found.probability[name]) == "slope"
-    assert found.single["slope"].sizes[0] == pytest.approx(0.4, abs=0.1)
+    ((size, z, _),) = found.single["slope"].size_estimates["slope"]
+    assert size.scale * z == pytest.approx(0.4, abs=0.1)
 
 
 def test_searches_that_end_at_no_possible_bench_certify_nothing() -> None:
     problem = measured(9, bench(leak=0.4))
     slope = LocatedEffect(_brittle(1.0), {})
-    starts = [np.zeros(2), np.array([0.0, 3.0])]
-    found = fit_model(problem, (slope,), starts, exact=True)
-    assert (found.estimate.consistent_starts, found.estimate.starts) == (1, 2)
-    assert not found.estimate.converged
-    assert fit_model(problem, (slope,), [np.zeros(2), np.ones(2)], exact=True).estimate.converged
+    found = fit_fully(problem, (slope,), [np.zeros(2), np.array([0.0, 3.0])])
+    assert (found.consistent_starts, found.starts) == (1, 2)
+    assert not found.converged
+    assert fit_fully(problem, (slope,), [np.zeros(2), np.full(2, 0.3)]).converged
+    with pytest.raises(ImpossibleReedError):
+        fit_fully(problem, (slope,), [np.array([0.0, 3.0])])
 
 
 def test_what_is_confirmed_has_been_fitted_from_two_starts() -> None:
@@ -211,15 +170,6 @@ def test_what_is_confirmed_has_been_fitted_from_two_starts() -> None:
         assert candidate is not None
         assert candidate.estimate.starts > 1
     assert refit_candidate(problem, found, NONE, len(EFFECTS)) is found
-
-
-def test_counting_a_straight_fit_exactly_changes_nothing_where_all_is_straight() -> None:
-    problem = measured(11, bench(leak=0.3))
-    slope = LocatedEffect(EFFECTS[0], {})
-    straight = fit_linearised(problem, (slope,), np.zeros(1), np.zeros(1))
-    exact = with_nonlinear_cost(problem, straight)
-    assert exact.estimate.cost == pytest.approx(straight.estimate.cost)
-    assert exact.log_evidence == pytest.approx(straight.log_evidence)
 
 
 def test_what_cannot_be_seen_may_still_be_unknown() -> None:
@@ -239,24 +189,25 @@ def test_a_gain_of_form_alone_is_no_signal() -> None:
         gain - 2 * np.sum(np.log(slope.deviation))
     )
     assert d_prime(slope, found.null) == 0.0
+    # It is the slope all the same, and alone.
+    assert found.probability["slope"] > 0.9
 
 
 def test_a_search_that_ends_in_a_worse_place_is_followed_by_another(monkeypatch) -> None:
     problem = measured(3, bench(leak=0.6))
-    candidate = fit_model(problem, (LocatedEffect(EFFECTS[0], {}),), [np.zeros(2)], exact=True)
+    candidate = select_model(problem, EFFECTS).single["slope"]
     for agree, said in (([1, 1, 2], 2), ([1] * 9, 1)):
         turns = iter(agree)
         begun = []
 
-        def ended(_comparison, _effects, starts, *, exact, begun=begun, turns=turns):
+        def ended(_problem, candidate, starts, begun=begun, turns=turns):
             begun.append(starts[1])
-            assert exact
             estimate = replace(
                 candidate.estimate, consistent_starts=next(turns), starts=len(starts)
             )
             return replace(candidate, estimate=estimate)
 
-        monkeypatch.setattr("diagnosis.inference.model_selection.fit_model", ended)
+        monkeypatch.setattr("diagnosis.inference.candidate_search.refitted", ended)
         again = refit_from_elsewhere(problem, candidate, np.random.default_rng(0))
         assert again.estimate.consistent_starts == said
         assert again.estimate.converged == (said == 2)
@@ -265,17 +216,20 @@ def test_a_search_that_ends_in_a_worse_place_is_followed_by_another(monkeypatch)
         assert len({start.tobytes() for start in begun}) == len(begun)
 
 
-def test_the_twin_without_effects_is_fitted_from_several_rivals(monkeypatch) -> None:
+def test_the_model_without_effects_is_fitted_from_several_rivals(monkeypatch) -> None:
     problem = measured(14, bench(fade_per_h=0.5))
-    good = fit_model(problem, (), [np.zeros(1)], exact=True)
+    good = without_effects(problem, [np.zeros(1)])
     candidates = [
-        replace(good, estimate=replace(good.estimate, z=np.array([k]), log_evidence=-float(k)))
+        replace(
+            good,
+            estimate=replace(good.estimate, z=np.array([k])),
+            log_evidence=good.log_evidence + 10 - float(k),
+        )
         for k in range(6)
     ]
 
     def ended(costs):
-        def fit_model(_comparison, _effects, starts, *, exact):
-            assert exact
+        def fitted(_problem, starts):
             if len(starts) > 1:
                 return replace(good, estimate=replace(good.estimate, starts=2, consistent_starts=2))
             cost = costs.get(int(starts[0][0]), 0.0)
@@ -284,7 +238,7 @@ def test_the_twin_without_effects_is_fitted_from_several_rivals(monkeypatch) -> 
             estimate = replace(good.estimate, cost=good.estimate.cost + cost, starts=1)
             return replace(good, estimate=estimate)
 
-        monkeypatch.setattr("diagnosis.inference.candidate_search.fit_model", fit_model)
+        monkeypatch.setattr("diagnosis.inference.candidate_search.without_effects", fitted)
         return refit_without_effects(problem, good, candidates).estimate
 
     monkeypatch.setattr("fitting.parallel.processes._SPLITS", False)
@@ -301,19 +255,15 @@ def test_the_twin_without_effects_is_fitted_from_several_rivals(monkeypatch) -> 
 
 def test_a_better_optimum_takes_the_certificate_of_a_worse_one_away() -> None:
     problem = measured(14, bench(fade_per_h=0.5))
-    good = fit_model(problem, (), [np.zeros(1)], exact=True)
+    good = without_effects(problem, [np.zeros(1)])
     # Two searches that agreed on something much worse.
     worse = replace(
         good,
         estimate=replace(
             good.estimate, cost=good.estimate.cost + 50, consistent_starts=2, starts=2
         ),
+        log_evidence=good.log_evidence - 25,
     )
-    candidate = select_model(problem, EFFECTS).single["slope"]
-    again = refit_without_effects(problem, worse, [candidate])
+    again = refit_without_effects(problem, worse, [good])
     assert again.estimate.cost == pytest.approx(good.estimate.cost, abs=0.1)
     assert (again.estimate.consistent_starts, again.estimate.starts) == (2, 2)
-    kept = refit_without_effects(
-        problem, replace(good, estimate=replace(good.estimate, consistent_starts=1)), [candidate]
-    )
-    assert (kept.estimate.consistent_starts, kept.estimate.starts) == (2, 2)

@@ -1,0 +1,107 @@
+"""Evidence of linear models with scales, and of effects scanned over their strength."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+
+from diagnosis.inference.candidates import without_effects
+from diagnosis.inference.effect_scan import Start, scan_effect
+from diagnosis.inference.linear_model import KNOWN, LinearModel, Scales, weigh, weighed_at
+from tests.diagnosis.toy import EFFECTS, bench, measured
+
+N, Q = 60, 20
+
+
+def drawn(seed, families=(1.0, 1.0), noise=(1.0, 1.0, 1.0)):
+    rng = np.random.default_rng(seed)
+    slopes = rng.standard_normal((N, Q))
+    family, group = np.repeat([0, 1], Q // 2), np.repeat([0, 1, 2], N // 3)
+    left = slopes @ (np.array(families)[family] * rng.standard_normal(Q))
+    left = left + np.array(noise)[group] * rng.standard_normal(N)
+    return LinearModel(left, slopes, group, family, np.full(3, 0.5), np.full(2, 0.7))
+
+
+def test_evidence_is_that_of_a_gaussian() -> None:
+    model = drawn(1).with_columns(np.ones((N, 1)))
+    assert model.family[-1] == KNOWN
+    more = np.linspace(0, 2, N)
+    scales = Scales(np.array([0.0, 0.3, 0.1]), np.array([0.5, -0.4]))
+    found = weighed_at(model, scales, more)
+    prior = np.append(np.exp(2 * scales.families)[model.family[:-1]], 1.0)
+    covariance = np.diag(np.exp(2 * scales.noise)[model.group] + more)
+    covariance += (model.slopes * prior) @ model.slopes.T
+    likelihood = multivariate_normal(np.zeros(N), covariance).logpdf(model.left)
+    unusual = np.sum((scales.noise / 0.5) ** 2) + np.sum((scales.families / 0.7) ** 2)
+    expected = likelihood + 0.5 * N * np.log(2 * np.pi) - 0.5 * unusual
+    assert found.log_evidence == pytest.approx(expected)
+    np.testing.assert_allclose(found.precision, np.linalg.inv(covariance), atol=1e-10)
+
+
+@pytest.mark.parametrize("truth", [((1, 1), (1, 1, 1)), ((4, 0.5), (1, 2, 1))])
+def test_scales_are_the_likeliest(truth) -> None:
+    model = drawn(2, *truth)
+    found = weigh(model)
+    assert np.all(found.scales.noise >= 0)
+
+    def cost(x):
+        return -weighed_at(model, Scales(np.maximum(x[:3], 0), x[3:])).log_evidence
+
+    start = np.concatenate([found.scales.noise, found.scales.families])
+    best = minimize(cost, start, method="Nelder-Mead", options={"fatol": 1e-6, "maxiter": 3000})
+    assert found.log_evidence == pytest.approx(-best.fun, abs=0.01)
+
+
+def test_larger_disorder_is_found_as_such() -> None:
+    found = [weigh(drawn(seed, (4, 0.5), (1, 2, 1))).scales for seed in range(20)]
+    noise = np.exp(np.mean([each.noise for each in found], axis=0))
+    families = np.exp(np.mean([each.families for each in found], axis=0))
+    np.testing.assert_allclose(noise, [1, 1.75, 1], atol=0.12)
+    # A prior within a factor of two draws each a little towards 1.
+    assert 3 < families[0] < 4
+    assert 0.4 < families[1] < 0.6
+
+
+def test_what_nuisances_absorb_is_left_out() -> None:
+    model = drawn(3)
+    along = model.slopes @ np.linspace(-1, 1, Q)
+    left = model.not_absorbed(along, model.usual)
+    assert np.linalg.norm(left) < 0.1 * np.linalg.norm(along)
+    across = np.linalg.svd(model.slopes)[0][:, -1]
+    np.testing.assert_allclose(model.not_absorbed(across, model.usual), across, atol=1e-9)
+
+
+@pytest.mark.parametrize("leak", [0.0, 0.02, 0.1, 0.4])
+def test_a_scan_is_the_integral_over_all_strengths(leak: float) -> None:
+    """Of an effect that is straight: an integral that can be computed strength by strength.
+
+    At 0.4 the peak is narrower than the steps of the scan.
+    """
+    problem = measured(3, bench(fade_per_h=-0.7, leak=leak))
+    null = without_effects(problem, [np.zeros(1)])
+    start = Start.without(problem, null.estimate)
+    usual = weighed_at(start.model, start.model.usual)
+    start = Start(start.parameters, start.residuals, start.model, usual, start.sizes, start.form)
+    scan = scan_effect(problem, start, EFFECTS[0])
+    (size,) = EFFECTS[0].sizes
+    unit = problem.residuals(EFFECTS[0].change(start.parameters, {"size": 1.0}))
+    unit = problem.to_noise(unit - start.residuals)
+    shares = np.geomspace(0.01, 1, 50_001)
+    logs = []
+    for sign in (-1, 1):
+        moved = sign * size.most * shares
+        pull, known = usual.precision @ start.model.left @ unit, unit @ usual.precision @ unit
+        logs += list(-moved * pull - 0.5 * moved**2 * known)
+    together = float(logsumexp(logs)) - np.log(len(logs))
+    # The form of the effect is fitted at the best strength; without it the scan is the integral.
+    free = scan.weighed.log_evidence - usual.log_evidence
+    straight = -scan.sizes[0] * size.scale * pull - 0.5 * (scan.sizes[0] * size.scale) ** 2 * known
+    expected = together + free - straight
+    assert scan.log_evidence - usual.log_evidence == pytest.approx(expected, abs=0.05)
+
+
+def test_an_effect_that_changes_nothing_has_no_scan() -> None:
+    problem = measured(3, bench())
+    start = Start.without(problem, without_effects(problem, [np.zeros(1)]).estimate)
+    assert scan_effect(problem, start, EFFECTS[3]) is None

@@ -95,13 +95,17 @@ def _layer(along: int, across: int, spread_m: float) -> Nuisance:
     )
 
 
-def _layers() -> list[Nuisance]:
+def layers(*, odd: bool) -> list[Nuisance]:
     """Return the Legendre products of a random map of thickness that have most of its variance.
 
     The correlation of the map is a product of one along and one across the vamp, and so are the
-    variances of its coefficients. The thickness everywhere is that of the drawing as well. Products
-    that are odd across the reed move no mode to first order, and are left out: what they mix is
-    among the errors of shapes.
+    variances of its coefficients. The thickness everywhere is that of the drawing as well.
+
+    Parameters
+    ----------
+    odd : bool
+        Whether products are odd across the reed. Those move no mode to first order: all they do is
+        mix shapes.
     """
     kind = BY_NAME["thickness_map"].ordinary
     along = _variances(0.5 * _VAMP_M / RandomLayer.correlation_x_m)
@@ -109,12 +113,13 @@ def _layers() -> list[Nuisance]:
     powers = np.multiply.outer(*(v / (2 * np.arange(len(v)) + 1) for v in (along, across)))
     found = []
     for a, b in np.argwhere(powers >= _LEAST_POWER).tolist():
-        if b % 2:
-            continue
         spread_m = kind.root_mean_square * math.sqrt(along[a] * across[b])
         if a == b == 0:
             spread_m = math.hypot(spread_m, _OFFSET_M)
-        found.append(_layer(a, b, spread_m))
+        if a == 0 and b == 1:
+            spread_m = math.hypot(spread_m, BY_NAME["thickness_slope"].ordinary.root_mean_square)
+        if b % 2 == odd:
+            found.append(_layer(a, b, spread_m))
     return found
 
 
@@ -249,5 +254,5 @@ NUISANCES: Final[tuple[Nuisance, ...]] = (
     _resonance("resonance frequency", "frequency_hz", 0.004, "speed of sound within 2 degrees"),
     _bypass("bypass, real", "bypass_real"),
     _bypass("bypass, imaginary", "bypass_imaginary"),
-    *_layers(),
+    *layers(odd=False),
 )

@@ -6,10 +6,12 @@ from typing import Final
 
 import numpy as np
 
+from diagnosis.inference.nuisances import layers
 from diagnosis.observable_groups import (
     DISORDER,
     Coordinates,
     Errors,
+    GroupNuisances,
     Observable,
     ObservableGroup,
     band_of,
@@ -28,6 +30,7 @@ from physics.mechanics import (
     ReedMode,
     ReedSolver,
 )
+from physics.parameters.disorder import BY_NAME
 from physics.parameters.tree import BenchParameters
 from physics.reed.cane.viscoelastic import (
     ViscoelasticCane,
@@ -91,10 +94,26 @@ def shapes_group(
         Coordinates(f"share of {share.has}", mode=share.of, band=band_of(known[share.of].hz))
         for share in shares
     ]
+    columns = np.stack([predict(each) for each in _uneven()], axis=1)
+    uneven = GroupNuisances(
+        "thickness that is uneven across",
+        columns - predict(BenchParameters())[:, None],
+        DISORDER,
+        BY_NAME["thickness_map"].ordinary.source,
+    )
     # How much finer maps of thickness mix modes is not known before: its scale is fitted.
     return observable_group(
-        "shapes", Observable.MODES, values, Errors(errors, (), DISORDER), places, ("reed",), predict
-    )
+        "shapes", Observable.MODES, values, Errors(errors, (uneven,), DISORDER), places, ("reed",),
+        predict,
+    )  # fmt: skip
+
+
+def _uneven() -> list[BenchParameters]:
+    """Return ordinary reeds that are not their own mirror images."""
+    nominal = BenchParameters()
+    layered = [each.change(nominal, each.spread) for each in layers(odd=True)]
+    tilted = BY_NAME["clamp_tilt"]
+    return [*layered, tilted.change(nominal, tilted.ordinary.deviation, 0)]
 
 
 def _seen_shares(sweeps: Sequence[SweepReading], names: Sequence[str]) -> list[_Share]:

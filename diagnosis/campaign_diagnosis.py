@@ -228,7 +228,7 @@ def _judged(
 def _likeliest_group(problem: InferenceProblem, candidate: Candidate) -> str:
     """Return the group in which something unknown is likeliest, given a candidate."""
     factors = group_discrepancies(problem, candidate)
-    return max(factors, key=lambda name: float(factors[name][0]))
+    return max(factors, key=lambda name: factors[name])
 
 
 def inference_problem(

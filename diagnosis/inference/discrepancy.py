@@ -6,14 +6,14 @@ Several sizes are tried. Something unknown shifts one group or a few.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import comb
 
 import numpy as np
 from scipy.special import logsumexp
 
 from diagnosis.inference.candidates import Candidate
-from diagnosis.inference.linear_model import LinearModel, Weighed, weighed_at
+from diagnosis.inference.linear_model import LinearModel, weighed_at
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import ObservableGroup
 from holography.arrays import Array
@@ -42,14 +42,11 @@ class _Left:
         Inverse covariance of these.
     covariance : (k, k) float
         Of the numbers of one group, by noise and by its own nuisances.
-    behind : (d,) float
-        By how much log evidence is less than with the likeliest scales.
     """
 
     left: Array
     precision: Array
     covariance: Array
-    behind: Array
 
     def along(self, columns: Array) -> tuple[Array, Array]:
         """Return pull (c, d) and information (c, c) along columns (n, c)."""
@@ -57,27 +54,39 @@ class _Left:
         return -across.T @ self.left, columns.T @ across
 
 
-def group_discrepancies(
-    problem: InferenceProblem, candidate: Candidate, left: Array | None = None
+def group_discrepancies(problem: InferenceProblem, candidate: Candidate) -> dict[str, float]:
+    """Return log Bayes factors of something unknown in each group, given a candidate."""
+    left = candidate.model.left[:, None]
+    return {
+        block.name: float(_factor(problem, candidate, candidate.model, left, number)[0][0])
+        for number, block in enumerate(problem.groups)
+    }
+
+
+def discrepancies_of(
+    problem: InferenceProblem, candidate: Candidate, left: Array
 ) -> dict[str, Array]:
-    """Return log Bayes factors of something unknown in each group, given a candidate.
+    """Return the same for several campaigns, with noise and nuisances of usual size.
 
     Parameters
     ----------
     problem : InferenceProblem
     candidate : Candidate
-    left : (n, d) float, optional
-        What it leaves of d campaigns, in units of the noise; by default of the measured one.
+    left : (n, d) float
+        What it leaves of d campaigns, in units of the noise, before nuisances are fitted.
 
     Returns
     -------
     dict of (d,) float
     """
-    measured = candidate.model.left[:, None] if left is None else left
-    return {
-        block.name: _factor(problem, candidate, candidate.model, measured, number)[0]
-        for number, block in enumerate(problem.groups)
-    }
+    model = candidate.model
+    usual = weighed_at(model, model.usual, candidate.weighed.form)
+    found = {}
+    for number, block in enumerate(problem.groups):
+        state = _Left(left, usual.precision, problem.covariance(number, model.usual))
+        gains = [gain for gain, _ in _gains(problem, state, number)]
+        found[block.name] = np.asarray(logsumexp(gains, axis=0) - np.log(len(gains)))
+    return found
 
 
 def log_bayes_any_group(factors: Mapping[str, Array]) -> Array:
@@ -115,27 +124,17 @@ def _factor(
     scales as they are without it, and with the usual ones.
     """
     fitted, form = candidate.weighed.scales, candidate.weighed.form
-    base = [weighed_at(replace(model, left=left[:, d]), fitted, form) for d in range(1)]
+    likeliest = weighed_at(model, fitted, form).log_evidence
     gains, columns = [], []
     for scales in (fitted, problem.usual_errors(number, fitted)):
-        here = weighed_at(replace(model, left=left[:, 0]), scales, form)
-        behind = _log_likelihoods(here, left) - _log_likelihoods(base[0], left)
-        covariance = problem.covariance(number, scales)
-        state = _Left(left, here.precision, covariance, behind)
+        here = weighed_at(model, scales, form)
+        state = _Left(left, here.precision, problem.covariance(number, scales))
         for gain, table in _gains(problem, state, number):
-            gains.append(gain + behind)
+            gains.append(gain + here.log_evidence - likeliest)
             columns.append(table)
     best = int(np.argmax([gain[0] for gain in gains]))
     each = np.stack(gains).reshape(2, -1, left.shape[1]).max(axis=0)
     return np.asarray(logsumexp(each, axis=0) - np.log(len(each))), columns[best]
-
-
-def _log_likelihoods(weighed: Weighed, left: Array) -> Array:
-    """Return the log evidence (d,) of campaigns with the scales and precision of one."""
-    squares = np.einsum("nd,nd->d", left, weighed.precision @ left)
-    log_det = 2 * float(np.sum(np.log(np.diag(np.linalg.cholesky(weighed.precision)))))
-    answer: Array = 0.5 * (log_det - squares) - 0.5 * weighed.unusual
-    return answer
 
 
 def _gains(problem: InferenceProblem, state: _Left, number: int) -> Iterator[tuple[Array, Array]]:

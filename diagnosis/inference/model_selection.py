@@ -126,7 +126,7 @@ def select_model(
     unseen = tuple(effect.id for effect in effects if effect.id not in alone)
     probabilities = log_probabilities(null, {**alone, **pairs}, unknown, beside, unseen, count)
     report(1.0)
-    told = {name: float(f[0]) for name, f in group_discrepancies(problem, null).items()}
+    told = group_discrepancies(problem, null)
     return ModelSelection(
         null, alone, pairs, signatures, told, unknown, beside, unseen, probabilities
     )

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from diagnosis.effect_notes import notes_of
 from diagnosis.inference.candidates import Candidate
-from diagnosis.inference.discrepancy import group_discrepancies, log_bayes_any_group
+from diagnosis.inference.discrepancy import discrepancies_of, log_bayes_any_group
+from diagnosis.inference.linear_model import KNOWN
 from diagnosis.inference.problem import InferenceProblem
 from holography.arrays import Array
 
@@ -64,7 +65,7 @@ def predictive_checks(
     both = _with_drawn(candidate, np.random.default_rng(seed))
     found = [
         _sign("discrepancy", "numbers deviate together in a way that no effect explains",
-              log_bayes_any_group(group_discrepancies(problem, candidate, both))),
+              log_bayes_any_group(discrepancies_of(problem, candidate, both))),
         _sign("largest", "one number deviates more than any should", _largest(candidate, both)),
     ]  # fmt: skip
     left_out = np.array([bool(name) for name in condition])
@@ -90,12 +91,21 @@ def _sign(name: str, words: str, values: Array) -> PredictiveCheck:
 def _with_drawn(candidate: Candidate, rng: np.random.Generator) -> Array:
     """Return what is left (n, 1 + d) of the measured campaign, and of campaigns drawn for it.
 
-    In units of the noise, before nuisances are fitted.
+    Each is drawn with scales of noise and nuisances of its own, as they may be before anything is
+    measured. In units of the noise, before nuisances are fitted.
     """
-    lower = np.linalg.cholesky(np.linalg.inv(candidate.weighed.precision))
-    n = len(candidate.model.left)
-    noise = np.sqrt(1 - 2 / _FREEDOMS) * rng.standard_t(_FREEDOMS, (n, _DRAWS))
-    return np.column_stack([candidate.model.left, lower @ noise])
+    model, form = candidate.model, candidate.weighed.form
+    louder = np.abs(
+        model.noise_freedom[:, None] * rng.standard_normal((len(model.noise_freedom), _DRAWS))
+    )
+    wider = model.family_freedom[:, None] * rng.standard_normal((len(model.family_freedom), _DRAWS))
+    scale = np.ones((len(model.family), _DRAWS))
+    scaled = model.family != KNOWN
+    scale[scaled] = np.exp(wider[model.family[scaled]])
+    noise = np.sqrt(1 - 2 / _FREEDOMS) * rng.standard_t(_FREEDOMS, (len(model.left), _DRAWS))
+    noise *= np.sqrt(np.exp(2 * louder[model.group]) + form[:, None])
+    left = model.slopes @ (scale * rng.standard_normal(scale.shape)) + noise
+    return np.column_stack([model.left, left])
 
 
 def _largest(candidate: Candidate, left: Array) -> Array:

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.inference.candidates import fit_model
+from diagnosis.inference.candidate_search import search_alone
+from diagnosis.inference.candidates import refitted, without_effects
 from diagnosis.inference.discrepancy import (
-    _gains,
-    _Left,
+    discrepancies_of,
     group_discrepancies,
     log_bayes_any_unknown,
 )
-from diagnosis.inference.importance_sampling import sampled
+from diagnosis.inference.effect_scan import Start
 from diagnosis.inference.predictive_checks import predictive_checks
 from diagnosis.inference.problem import InferenceProblem, LocatedEffect
 from diagnosis.observable_groups import Coordinates
@@ -22,13 +22,17 @@ from tests.diagnosis.toy import EFFECTS, LEVEL, bench, measured
 SLOPE, BUMP, OFFSET = (LocatedEffect(effect, {}) for effect in EFFECTS[:3])
 
 
-def fitted(problem, *effects):
-    count = 1 + len(effects)
-    return fit_model(problem, effects, [np.full(count, 0.1)], exact=True)
+def fitted(problem, located=None):
+    null = without_effects(problem, [np.zeros(1)])
+    if located is None:
+        return null
+    start = Start.without(problem, null.estimate)
+    found = search_alone(problem, start, null, located.effect)
+    return refitted(problem, found, [found.estimate.z])
 
 
-def signs(problem, *effects, condition=None):
-    null, candidate = fitted(problem), fitted(problem, *effects)
+def signs(problem, effect, condition=None):
+    null, candidate = fitted(problem), fitted(problem, effect)
     groups = condition or [""] * len(null.whitened_residual)
     return {sign.id: sign for sign in predictive_checks(problem, candidate, groups)}
 
@@ -37,8 +41,8 @@ def test_something_unknown_is_likelier_only_where_numbers_are_off() -> None:
     plain, off = measured(1, bench()), measured(1, bench(), extra=0.4)
     assert log_bayes_any_unknown(plain, fitted(plain)) < 0
     found = group_discrepancies(off, fitted(off))
-    assert float(found["lines"][0]) > 20
-    assert float(found["clocks"][0]) < 0
+    assert found["lines"] > 20
+    assert found["clocks"] < 0
 
 
 def test_an_effect_leaves_nothing_unknown_and_a_wrong_one_does() -> None:
@@ -54,67 +58,49 @@ def test_one_time_may_be_moved_alone(monkeypatch) -> None:
     moved = replace(lines, values=lines.values + 0.07 * then)
     problem = InferenceProblem((moved, clocks), BenchParameters(), (LEVEL,))
     candidate = fitted(problem)
-    alone = float(group_discrepancies(problem, candidate)["lines"][0])
+    alone = group_discrepancies(problem, candidate)["lines"]
     monkeypatch.setattr("diagnosis.inference.discrepancy._ONE_ALONE", ())
-    assert alone > float(group_discrepancies(problem, candidate)["lines"][0]) + 1
+    assert alone > group_discrepancies(problem, candidate)["lines"] + 1
     assert alone > 1
 
 
-@pytest.mark.parametrize("deviation", [1.0, 1e4])
-def test_where_nothing_is_off_nothing_unknown_gains(deviation: float) -> None:
+def test_where_nothing_is_off_nothing_unknown_gains() -> None:
     problem = measured(2, bench())
     candidate = fitted(problem)
-    residuals = np.zeros((len(candidate.estimate.residuals), 1))
-    left = _Left(residuals, candidate.free_jacobian, deviation * candidate.deviation)
-    for block in problem.groups:
-        gains = [float(gain[0]) for gain, _ in _gains(left, problem.slices[block.name], block)]
-        assert max(gains) < 0
+    nothing = np.zeros((len(candidate.model.left), 1))
+    assert all(factor < 0 for factor in discrepancies_of(problem, candidate, nothing).values())
+
+
+def test_something_unknown_is_no_larger_noise() -> None:
+    """Numbers that are all off by as much: the scale of the noise alone does not explain them."""
+    problem = measured(1, bench(), extra=0.4)
+    candidate = fitted(problem)
+    assert candidate.weighed.scales.noise[0] > 1
+    assert log_bayes_any_unknown(problem, candidate) > 20
 
 
 def test_what_moves_two_blocks_counts_once_for_each() -> None:
     both = measured(3, bench(crosstalk=0.6, detuning_hz=0.3))
-    lines, clocks = (
-        float(factor[0]) for factor in group_discrepancies(both, fitted(both)).values()
-    )
+    lines, clocks = group_discrepancies(both, fitted(both)).values()
     total = log_bayes_any_unknown(both, fitted(both))
     assert total > max(lines, clocks) + 10
-    # No likelihood is greater than that of numbers that are where they should be.
-    assert total + fitted(both).log_evidence < 0
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_chance_fires_no_sign_next_to_the_truth(seed: int) -> None:
     found = signs(measured(seed, bench(crosstalk=0.5)), BUMP)
-    assert set(found) == {"discrepancy", "largest", "implausible"}
+    assert set(found) == {"discrepancy", "largest"}
     assert not any(sign.significant for sign in found.values())
 
 
 def test_each_sign_fires_for_its_own_cause() -> None:
     problem = measured(5, bench(), extra=0.4)
     assert signs(problem, SLOPE)["discrepancy"].significant
-    huge = measured(5, bench(detuning_hz=4.5))
-    assert signs(huge, OFFSET)["implausible"].significant
     names = ["gone" if k >= 60 else "" for k in range(80)]
     assert signs(measured(5, bench(detuning_hz=0.4)), SLOPE, condition=names)[
         "transfer"
     ].significant
     assert not signs(measured(5, bench()), SLOPE, condition=names)["transfer"].significant
-
-
-def test_sampled_evidence_of_a_straight_model_is_laplaces() -> None:
-    problem = measured(6, bench(leak=0.2))
-    for effects in ((SLOPE,), (SLOPE, OFFSET)):
-        found = sampled(problem, fitted(problem, *effects), draws=400)
-        assert found.gain == pytest.approx(0.0, abs=0.15)
-        assert found.effective > 100
-
-
-def test_sampled_evidence_minds_a_bound() -> None:
-    # A size that cannot be negative and is best at 0: half of its posterior is cut off.
-    problem = measured(7, bench())
-    candidate = fitted(problem, BUMP)
-    found = sampled(problem, candidate, draws=2000)
-    assert found.gain == pytest.approx(0.0, abs=0.5)
 
 
 def test_a_drift_that_no_effect_makes_is_looked_for_along_time() -> None:
@@ -129,7 +115,7 @@ def test_a_drift_that_no_effect_makes_is_looked_for_along_time() -> None:
     def found(values: np.ndarray) -> float:
         block = replace(still, values=values)
         moved = InferenceProblem([block, clocks], BenchParameters(), (LEVEL,))
-        return float(group_discrepancies(moved, fitted(moved))["lines"][0])
+        return group_discrepancies(moved, fitted(moved))["lines"]
 
     assert found(still.values) < 0
     assert found(still.values + slow) > 3

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from diagnosis.inference.candidates import _by_size
 from diagnosis.inference.estimation import (
     absorbed_part,
     fit,
@@ -98,23 +97,6 @@ def test_what_stands_out_costs_its_square() -> None:
     assert out[:, 0] @ out[:, 1] == pytest.approx(
         moved[:, 0] @ np.linalg.solve(np.eye(9) + S @ S.T, moved[:, 1])
     )
-
-
-def test_fine_slopes_along_sizes_are_those_of_what_bends_within_a_step() -> None:
-    def residuals(z):
-        return np.array([np.exp(40 * z[1]), z[0] * z[1], np.exp(40 * z[2])])
-
-    z = np.array([2.0, 0.3, 0.0])
-    true = np.array([[40 * np.exp(12), 0.0], [2.0, 0.0], [0.0, 40.0]])
-    coarse, fine = (
-        np.column_stack(_by_size(residuals, z, 1, [False, False, True], fine=fine))
-        for fine in (False, True)
-    )
-    assert fine[:, 0] == pytest.approx(true[:, 0], rel=3e-3, abs=1e-9)
-    # Nothing is asked beyond a bound.
-    assert fine[2, 1] == pytest.approx(40.0, rel=0.07)
-    assert abs(coarse[0, 0] / true[0, 0] - 1) > 0.2
-    assert abs(coarse[2, 1] / 40.0 - 1) > 0.2
 
 
 def test_a_defect_of_the_model_is_not_taken_for_an_impossible_reed() -> None:

@@ -23,9 +23,8 @@ from diagnosis.effect_notes import notes_of
 from diagnosis.experiment_design import Experiment, rank_experiments
 from diagnosis.explained_fraction import gaps_in_units
 from diagnosis.gap_map import LadderStep
-from diagnosis.inference.candidates import fit_model
 from diagnosis.inference.nuisances import Nuisance
-from diagnosis.inference.problem import InferenceProblem, LocatedEffect
+from diagnosis.inference.problem import InferenceProblem
 from diagnosis.inference.similarity import DETECTION_SIGMA, confusable_classes, detectability_of
 from diagnosis.observable_groups import Coordinates, Observable, observable_group
 from physics.effects.catalogue import BY_ID
@@ -39,7 +38,7 @@ from reports.diagnosis_page import (
 )
 from reports.errors import OutputFailedError, OutputRefusedError
 from reports.figures.gap_map import draw_map
-from tests.diagnosis.toy import AT, COUNT, EFFECTS, bench, measured
+from tests.diagnosis.toy import AT, COUNT, EFFECTS, bench, fitted, measured
 
 SUMMARY = CampaignSummary("t3", ("a second sweep",), ("x.h5: too few good steps",))
 
@@ -281,10 +280,11 @@ def test_the_sweep_that_is_left_out_is_of_another_clamping_or_the_weakest() -> N
 def test_what_an_effect_touches_is_what_nuisances_do_not() -> None:
     # The level, far from where it usually is, is of no effect.
     problem = measured(3, bench(fade_per_h=9.0, crosstalk=0.5))
-    null = fit_model(problem, (), [np.zeros(1)])
-    bump = fit_model(problem, (LocatedEffect(EFFECTS[1], {}),), [np.array([0.0, 0.1])])
+    null = fitted(problem)
+    bump = fitted(problem, EFFECTS[1])
     touched = _touched(problem, null, bump)
-    moved = bump.sizes[0] * np.exp(-((AT / 0.2) ** 2)) / 0.05
+    size = EFFECTS[1].sizes[0].scale * bump.sizes[0]
+    moved = size * np.exp(-((AT / 0.2) ** 2)) / 0.05
     expected = np.concatenate([moved, np.zeros(20)]) > 0.5
     assert (touched == (expected | (np.abs(null.whitened_residual) > 3))).all()
     assert 10 < np.count_nonzero(touched) < 40
@@ -311,7 +311,7 @@ def test_gaps_are_reported_in_units_that_people_know() -> None:
         lambda parameters: parameters.optics.interference.leak * half,
     )
     problem = InferenceProblem([numbers], BenchParameters(), (none,))
-    null = fit_model(problem, (), [np.zeros(1)])
+    null = fitted(problem)
     candidate = replace(
         null, estimate=replace(null.estimate, residuals=null.estimate.residuals / 2)
     )
@@ -331,8 +331,7 @@ def test_gaps_are_reported_in_units_that_people_know() -> None:
 
 def test_actions_are_ranked_by_what_they_tell_in_a_minute() -> None:
     problem = measured(3, bench(leak=0.3))
-    start = np.array([0.0, 0.1])
-    slope, bump = (fit_model(problem, (LocatedEffect(EFFECTS[k], {}),), [start]) for k in (0, 1))
+    slope, bump = (fitted(problem, EFFECTS[k]) for k in (0, 1))
 
     def same(parameters: BenchParameters) -> BenchParameters:
         return parameters

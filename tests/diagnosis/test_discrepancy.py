@@ -5,30 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.inference.candidate_search import search_alone
-from diagnosis.inference.candidates import refitted, without_effects
 from diagnosis.inference.discrepancy import (
     discrepancies_of,
     group_discrepancies,
     log_bayes_any_unknown,
 )
-from diagnosis.inference.effect_scan import Start
 from diagnosis.inference.predictive_checks import predictive_checks
-from diagnosis.inference.problem import InferenceProblem, LocatedEffect
+from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import Coordinates
 from physics.parameters.tree import BenchParameters
-from tests.diagnosis.toy import EFFECTS, LEVEL, bench, measured
+from tests.diagnosis.toy import EFFECTS, LEVEL, bench, fitted, measured
 
-SLOPE, BUMP, OFFSET = (LocatedEffect(effect, {}) for effect in EFFECTS[:3])
-
-
-def fitted(problem, located=None):
-    null = without_effects(problem, [np.zeros(1)])
-    if located is None:
-        return null
-    start = Start.without(problem, null.estimate)
-    found = search_alone(problem, start, null, located.effect)
-    return refitted(problem, found, [found.estimate.z])
+SLOPE, BUMP, OFFSET = EFFECTS[:3]
 
 
 def signs(problem, effect, condition=None):

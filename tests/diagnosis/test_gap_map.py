@@ -8,12 +8,11 @@ import pytest
 from diagnosis.campaign_diagnosis import _only
 from diagnosis.explained_fraction import _left_out, explained_fraction
 from diagnosis.gap_map import gap_map
-from diagnosis.inference.candidates import fit_model
 from diagnosis.inference.nuisances import Nuisance
-from diagnosis.inference.problem import InferenceProblem, LocatedEffect
+from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import Coordinates, Observable, observable_group
 from physics.parameters.tree import BenchParameters, more
-from tests.diagnosis.toy import COUNT, EFFECTS, bench, measured
+from tests.diagnosis.toy import COUNT, EFFECTS, bench, fitted, measured
 
 
 def groups(problem):
@@ -78,10 +77,8 @@ def test_a_sweep_is_left_out_wherever_it_has_numbers_of_its_own() -> None:
 
 def test_the_right_effect_closes_the_gap_and_a_wrong_one_does_not() -> None:
     problem = measured(3, bench(fade_per_h=0.4, crosstalk=0.5))
-    null = fit_model(problem, (), [np.zeros(1)])
-    right, wrong = (
-        fit_model(problem, (LocatedEffect(EFFECTS[k], {}),), [np.array([0.0, 0.1])]) for k in (1, 0)
-    )
+    null = fitted(problem)
+    right, wrong = (fitted(problem, EFFECTS[k]) for k in (1, 0))
     closed = explained_fraction(null, right, groups(problem))
     assert closed.fraction == pytest.approx(1.0, abs=0.15)
     assert closed.low <= closed.fraction <= closed.high
@@ -91,8 +88,8 @@ def test_the_right_effect_closes_the_gap_and_a_wrong_one_does_not() -> None:
 def test_no_gap_is_not_resolvable_rather_than_closed() -> None:
     for seed in range(6):
         problem = measured(seed, bench())
-        null = fit_model(problem, (), [np.zeros(1)])
-        slope = fit_model(problem, (LocatedEffect(EFFECTS[0], {}),), [np.zeros(2)])
+        null = fitted(problem)
+        slope = fitted(problem, EFFECTS[0])
         closed = explained_fraction(null, slope, groups(problem))
         # Where chance leaves a gap above the floor, it is none that could surely be closed.
         assert np.isnan(closed.fraction) or np.isnan(closed.low) or closed.low < 0.2
@@ -153,8 +150,8 @@ def test_the_chance_of_a_tap_is_that_of_any_cell_of_any_tap() -> None:
 
 def test_a_share_is_of_the_gap_above_its_floor() -> None:
     problem = measured(3, bench(crosstalk=0.15))
-    null = fit_model(problem, (), [np.zeros(1)])
-    half = fit_model(problem, (LocatedEffect(EFFECTS[1], {}),), [np.array([0.0, 0.1])])
+    null = fitted(problem)
+    half = fitted(problem, EFFECTS[1])
     closed = explained_fraction(null, half, groups(problem))
     assert closed.floor == 1.0
     assert closed.before < 4
@@ -179,7 +176,7 @@ def test_what_is_left_out_counts_by_what_it_could_be_predicted_to() -> None:
         ("optics",),
         lambda parameters: np.full(n, parameters.optics.interference.fade_per_h),
     )
-    null = fit_model(InferenceProblem([numbers], BenchParameters(), (level,)), (), [np.zeros(1)])
+    null = fitted(InferenceProblem([numbers], BenchParameters(), (level,)))
     square, _, count = _left_out((null, null), np.arange(n) == 0)
     assert square == pytest.approx(away**2 / (1 + 1 / (n - 1)), rel=1e-3)
     assert count == 1

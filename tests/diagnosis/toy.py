@@ -6,6 +6,9 @@ from functools import partial
 
 import numpy as np
 
+from diagnosis.inference.candidate_search import search_alone
+from diagnosis.inference.candidates import Candidate, refitted, without_effects
+from diagnosis.inference.effect_scan import Start
 from diagnosis.inference.nuisances import Nuisance
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import Coordinates, Observable, observable_group
@@ -97,3 +100,14 @@ def bench(**changes: float) -> BenchParameters:
     detuning = changes.pop("detuning_hz", 0.0)
     parameters = replace(parameters, clocks=replace(parameters.clocks, detuning_hz=detuning))
     return with_part(parameters, "optics.interference", **changes)
+
+
+def fitted(problem: InferenceProblem, effect: Effect | None = None) -> Candidate:
+    """Fit a problem in full, without effects or with one that changes something."""
+    null = without_effects(problem, [np.zeros(len(problem.nuisances))])
+    if effect is None:
+        return null
+    start = Start.without(problem, null.estimate)
+    found = search_alone(problem, start, null, effect)
+    assert found is not None
+    return refitted(problem, found, [found.estimate.z])

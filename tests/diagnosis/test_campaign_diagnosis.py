@@ -157,7 +157,6 @@ def test_json_has_sizes_in_their_units(mixed) -> None:
     alone = bump @ bump - (bump @ level) ** 2 / (1 + level @ level)
     assert size["value"] == pytest.approx(0.3, abs=3 / math.sqrt(alone))
     assert size["error"] == pytest.approx(1 / math.sqrt(alone), rel=0.2)
-    assert size["z"] == pytest.approx(size["value"] / 0.08)
     # The size that would stand out by five deviations, and how far the fitted one does.
     assert effect_found["detectable"]["fraction"] == pytest.approx(5 / math.sqrt(alone), rel=0.01)
     assert effect_found["d_prime"] == pytest.approx(size["value"] * math.sqrt(alone), rel=0.1)
@@ -372,8 +371,8 @@ def test_a_class_holds_similar_effects_and_the_detectable_size_is_five_deviation
     assert set(of["density"].confusable) == {"air_load", "viscoelastic_stiffening"}
     (parameter,) = BY_ID["density"].sizes
     # A deviation of the prior moves by one deviation of the noise.
-    assert of["density"].detectable["density"] == pytest.approx(DETECTION_SIGMA * parameter.spread)
+    assert of["density"].detectable["density"] == pytest.approx(DETECTION_SIGMA * parameter.scale)
     assert math.isinf(of["crack"].detectable["depth"])
     half = detectability_of([BY_ID["density"]], {"density": (near, near / 2)})[0]
     assert half.absorbed == pytest.approx(0.75)
-    assert half.detectable["density"] == pytest.approx(2 * DETECTION_SIGMA * parameter.spread)
+    assert half.detectable["density"] == pytest.approx(2 * DETECTION_SIGMA * parameter.scale)

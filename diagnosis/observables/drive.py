@@ -69,7 +69,7 @@ _LEAST_AMPLITUDE_RAD, _FEWEST = 0.3, 3
 _GAIN, _RIPPLE, _FIELD = 0.5, 0.08, 0.15
 # The pressure's shape differs from a standing wave by smooth products over the window, along and
 # across, and over log frequency about its middle: each by this share. Chosen: a chamber with
-# corners, walls that give, and a wave that travels (decision 0051).
+# corners, walls that give, and a wave that travels.
 _PRESSURE = 0.1
 _SHAPES = ((1, 0), (0, 1), (2, 0), (1, 1))
 _MIDDLE_HZ, _PITCH_DEGREE = 4.5e3, 1
@@ -292,7 +292,7 @@ def force_group(
                 "pressure on the reed",
                 _PRESSURE * _by_pressure(reed_solver, nominal.chamber, [known[n] for n in names]),
                 DISORDER,
-                "decision 0051",
+                "chosen: chambers have corners, and walls that give",
             ),
         ),
     )

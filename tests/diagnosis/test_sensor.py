@@ -73,9 +73,11 @@ def test_a_camera_as_its_data_sheet_says_leaves_nothing() -> None:
 
 
 def test_read_noise_is_found_by_its_factor() -> None:
-    block = dark_group(dark(read_e=18.0), SENSOR)
+    # Specimens differ by a quarter from their data sheet: half as much again is no gap.
+    assert 1 < left(dark_group(dark(read_e=18.0), SENSOR))["read noise"] < 3
+    block = dark_group(dark(read_e=60.0), SENSOR)
     assert left(block)["read noise"] > 5
-    louder = with_part(BenchParameters(), "sensor", read_noise_e=1.5 * SENSOR.read_noise_e)
+    louder = with_part(BenchParameters(), "sensor", read_noise_e=5 * SENSOR.read_noise_e)
     assert abs(left(block, louder)["read noise"]) < 1
 
 
@@ -97,9 +99,9 @@ def test_noise_that_rows_have_in_common_shows_in_rows_alone() -> None:
 
 
 def test_a_camera_that_bends_is_found_by_its_bend() -> None:
-    block = flat_group(flat(bend=0.06), dark(), SENSOR)
+    block = flat_group(flat(bend=0.12), dark(), SENSOR)
     assert max(abs(v) for k, v in left(block).items() if k.startswith("linearity")) > 5
-    bent = replace(BenchParameters(), sensor=Sensor(nonlinearity=0.06))
+    bent = replace(BenchParameters(), sensor=Sensor(nonlinearity=0.12))
     assert np.abs(block.whitened_residual(bent)).max() < 4
 
 
@@ -115,7 +117,8 @@ def test_dark_corners_and_a_shifted_beam_are_found() -> None:
     at = np.linspace(-1, 1, N)
     corner = 1 - 0.2 * 0.5 * (at[:, None] ** 2 + at**2)
     block = flat_group(flat(corner), dark(), SENSOR)
-    assert abs(left(block)["cornerscorners"]) > 10
+    # A lamp is uneven by a twentieth.
+    assert abs(left(block)["cornerscorners"]) > 3
     assert (
         abs(
             left(block, with_part(BenchParameters(), "optics.illumination", vignette=0.2))[
@@ -126,12 +129,13 @@ def test_dark_corners_and_a_shifted_beam_are_found() -> None:
     )
     (half, _) = half_m(SENSOR)
     y, x = half * at[:, None], half * at
-    beam = np.exp(-2 * ((y - 1e-3) ** 2 + (x + 2e-3) ** 2) / 15e-3**2)
+    beam = np.exp(-2 * ((y - 4e-3) ** 2 + (x + 2e-3) ** 2) / 15e-3**2)
     lo = read_local_oscillator([part([drawn(6000 * beam, k) for k in range(8)], [0.08] * 8)], 50.0)
     block = local_oscillator_group(lo, SENSOR)
     assert abs(left(block)["middlerows"]) > 3
+    assert abs(left(block)["middlecolumns"]) < 3, "as a person puts it by eye"
     shifted = with_part(
-        BenchParameters(), "optics.illumination", local_oscillator_shift_m=(1e-3, -2e-3)
+        BenchParameters(), "optics.illumination", local_oscillator_shift_m=(4e-3, -2e-3)
     )
     assert np.abs(block.whitened_residual(shifted)).max() < 3
 
@@ -156,8 +160,8 @@ def test_rows_and_columns_of_a_sensor_that_is_not_square_are_as_far_as_they_are(
 def test_hot_pixels_are_no_nonlinearity() -> None:
     exposures = [0.02, 0.04, 0.06, 0.08]
     hot = np.random.default_rng(9).random((N, N)) < 0.01
-    found = read_dark([part([drawn(2400.0 * hot, seed) for seed in range(4)], [0.08] * 4)])
-    lit = [drawn(75e3 * t + 2400.0 * hot, k) for k, t in enumerate(exposures)]
+    found = read_dark([part([drawn(9600.0 * hot, seed) for seed in range(4)], [0.08] * 4)])
+    lit = [drawn(75e3 * t + 9600.0 * hot, k) for k, t in enumerate(exposures)]
     known = read_flat([part(lit, exposures)], 50.0, found.hot_pixels)
     linearity = [v for k, v in left(flat_group(known, found, SENSOR)).items() if "linearity" in k]
     assert np.abs(linearity).max() < 2

@@ -14,12 +14,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from diagnosis.inference.screening import signatures_of
 
 from blind.cases import Label, true_sizes
 from blind.effects import BY_NAME
 from diagnosis.campaign_diagnosis import inference_problem
 from diagnosis.inference.candidates import fit_model
-from diagnosis.inference.screening import signatures_of
 from diagnosis.inference.similarity import (
     CONFUSABLE,
     DETECTION_SIGMA,

@@ -43,8 +43,9 @@ from tests.diagnosis.toy import AT, COUNT, EFFECTS, bench, fitted, measured
 SUMMARY = CampaignSummary("t3", ("a second sweep",), ("x.h5: too few good steps",))
 
 
-def diagnosed(extra: float = 0.0, **changes: float) -> Diagnosis:
-    return diagnose_problem(measured(3, bench(**changes), extra=extra), SUMMARY)
+def diagnosed(extra: float = 0.0, extra_clock: float = 0.0, **changes: float) -> Diagnosis:
+    problem = measured(3, bench(**changes), extra=extra, extra_clock=extra_clock)
+    return diagnose_problem(problem, SUMMARY)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +70,7 @@ def strange() -> Diagnosis:
 
 @pytest.fixture(scope="module")
 def strange_beside() -> Diagnosis:
-    return diagnosed(crosstalk=0.6, detuning_hz=0.1)
+    return diagnosed(crosstalk=0.6, extra_clock=0.15)
 
 
 def test_each_truth_has_its_verdict(nothing, mixed, both, strange) -> None:

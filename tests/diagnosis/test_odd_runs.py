@@ -162,7 +162,7 @@ def test_light_is_compared_where_all_sweeps_have_frequencies() -> None:
 
 
 def test_programs_that_tell_one_noise_for_all_are_believed_but_for_little() -> None:
-    noise = noise_group([sweep(noise_dn2=np.full(184, 1e3))])
+    noise = noise_group([sweep(noise_dn2=np.full(184, 1e3))], dark_dn=2.0)
     assert noise.values == pytest.approx(np.log(1e3))
     assert np.linalg.eigvalsh(noise.covariance).min() > 0
 

@@ -92,7 +92,9 @@ def test_what_leaks_in_makes_shapes_uncertain() -> None:
     spoilt = shapes_group([sweep(np.zeros((3, 3)))], WORKSHOP, Leaks({"up": 0.2}, 0.0))
     assert plain is not None
     assert spoilt is not None
-    assert (np.diag(spoilt.covariance) > 5 * np.diag(plain.covariance)).all()
+    # Wherever uneven thickness leaves a share open, light that leaks in still counts.
+    more = np.diag(spoilt.covariance) - np.diag(plain.covariance)
+    assert (np.sqrt(more) > 0.05 * 0.2).all()
 
 
 # --- Carrier -----------------------------------------------------------------------------------

@@ -14,12 +14,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from diagnosis.inference.screening import signatures_of
 
 from blind.cases import Label, true_sizes
 from blind.effects import BY_NAME
 from diagnosis.campaign_diagnosis import inference_problem
-from diagnosis.inference.candidates import fit_model
+from diagnosis.inference.candidates import without_effects
+from diagnosis.inference.model_selection import each_alone, signatures_of
 from diagnosis.inference.similarity import (
     CONFUSABLE,
     DETECTION_SIGMA,
@@ -40,8 +40,9 @@ EFFECTS = tuple(effect for effect in CATALOGUE if effect.stage is not Stage.NUME
 def reach_in(readings: Readings, reed_solver: ReedSolver) -> tuple[Detectability, ...]:
     """Reach of one campaign."""
     problem = inference_problem(readings, reed_solver, BenchParameters())
-    null = fit_model(problem, (), [np.zeros(len(problem.nuisances))], exact=True)
-    return detectability_of(EFFECTS, signatures_of(problem, null, EFFECTS))
+    null = without_effects(problem, [np.zeros(len(problem.nuisances))])
+    alone = each_alone(problem, null, EFFECTS)
+    return detectability_of(EFFECTS, signatures_of(null, alone))
 
 
 def together(reaches: Sequence[Sequence[Detectability]]) -> list[Detectability]:

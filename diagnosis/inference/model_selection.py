@@ -3,7 +3,7 @@
 The probability of each is its evidence times a prior that is the same for all effects.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -102,7 +102,7 @@ def select_model(
     nothing = np.zeros(len(problem.nuisances))
     null = without_effects(problem, [nothing, 0.5 * rng.standard_normal(len(nothing))])
     report(0.2)
-    alone = _each_alone(problem, null, effects)
+    alone = each_alone(problem, null, effects)
     report(0.5)
     refine_best(problem, null, alone, log_odds_of_all(alone, null, count))
     better = refit_without_effects(problem, null, alone.values())
@@ -110,11 +110,11 @@ def select_model(
     null = better
     if moved:
         before = alone
-        alone = _each_alone(problem, null, effects)
+        alone = each_alone(problem, null, effects)
         # Of both searches for an effect, the better one counts.
         alone |= {n: o for n, o in before.items() if _log_evidence(alone.get(n)) < o.log_evidence}
     report(0.7)
-    signatures = _signatures(null, alone)
+    signatures = signatures_of(null, alone)
     alike = confusable_pairs({name: left for name, (_, left) in signatures.items()})
     pairs = fit_pairs(problem, null, alone, effects, alike)
     refine_best(problem, null, pairs, log_odds_of_all({**alone, **pairs}, null, count))
@@ -132,7 +132,7 @@ def select_model(
     )
 
 
-def _each_alone(
+def each_alone(
     problem: InferenceProblem, null: Candidate, effects: Sequence[Effect]
 ) -> dict[str, Candidate]:
     """Return the candidates with one effect, by identifier."""
@@ -151,8 +151,18 @@ def _log_evidence(candidate: Candidate | None) -> float:
     return -np.inf if candidate is None else candidate.log_evidence
 
 
-def _signatures(null: Candidate, alone: dict[str, Candidate]) -> dict[str, tuple[Array, Array]]:
-    """Return what effects change, whitened, and what nuisances leave of it."""
+def signatures_of(
+    null: Candidate, alone: Mapping[str, Candidate]
+) -> dict[str, tuple[Array, Array]]:
+    """Return what effects (n, s) change, whitened, and what nuisances leave of it.
+
+    Parameters
+    ----------
+    null : Candidate
+        Without effects.
+    alone : mapping of Candidate
+        With one effect, by identifier.
+    """
     J, p = null.estimate.jacobian, len(null.estimate.z)
     found: dict[str, tuple[Array, Array]] = {}
     for name, candidate in alone.items():

@@ -15,28 +15,6 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class FitBias:
-    """Errors of the fit of a sweep that confuses the response of a mode with that of the drive.
-
-    A mode at another frequency gives almost the same motion if the frequency response of the drive
-    changes around it. No bench plays this: it is an error of the analysis.
-
-    Attributes
-    ----------
-    exchanged : tuple of (str, float, float)
-        Name of a mode, error of its fitted frequency in cents, and natural logarithm of the factor
-        on its fitted loss.
-    """
-
-    exchanged: tuple[tuple[str, float, float], ...] = ()
-
-    def of(self, mode: str) -> tuple[float, float]:
-        """Return the errors of a mode: frequency in cents, and logarithm of the loss factor."""
-        own = [(cents, log) for name, cents, log in self.exchanged if name == mode]
-        return sum(cents for cents, _ in own), sum(log for _, log in own)
-
-
-@dataclass(frozen=True)
 class BenchParameters:
     """All parameters of a bench with a reed; the defaults are those of the paper's bench.
 
@@ -49,7 +27,6 @@ class BenchParameters:
     optics : Optics
     sensor : Sensor
     environment : Environment
-    fit_bias : FitBias
     """
 
     drive: Drive = field(default_factory=Drive)
@@ -59,7 +36,6 @@ class BenchParameters:
     optics: Optics = Optics()
     sensor: Sensor = field(default_factory=Sensor)
     environment: Environment = Environment()
-    fit_bias: FitBias = FitBias()
 
 
 def with_part(tree: T, path: str, **changes: Any) -> T:

@@ -2,8 +2,8 @@
 
 Numbers of a campaign with an effect, and those of the same campaign without it, are each compared
 with the prediction from the parameters that the bench played. What both have in common, noise of
-one seed and errors of the method, cancels in the difference. The errors are those that the
-diagnosis states for a number of the campaign with the effect.
+one seed, disorder and errors of the method, cancels in the difference. The errors are those of
+measuring that the diagnosis states for a number of the campaign with the effect.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,12 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
-from diagnosis.inference.nuisances import of_fits
-from diagnosis.observable_groups import Coordinates, ObservableGroup
+from diagnosis.observable_groups import MEASURED, Coordinates, ObservableGroup
 from diagnosis.observe import observable_groups
-from diagnosis.readings.sweeps import common_modes
 from holography.arrays import Array
 from physics.mechanics import ReedSolver
 from physics.parameters.tree import BenchParameters
@@ -75,8 +72,8 @@ class GroupClosure:
     significance : float
         Predicted change in standard errors, of all numbers of the group together.
     scale, scale_error : float
-        Rendered change along the predicted one, 1 if both are equal, and its standard error, given
-        all other groups; NaN and infinite if no change is predicted.
+        Rendered change along the predicted one, 1 if both are equal, and its standard error; NaN
+        and infinite if no change is predicted.
     rms_pull : float
         Root mean square of the whitened differences.
     """
@@ -182,7 +179,7 @@ def compare(
             lost.append(f"{missing} numbers of {name}")
         if pairs:
             changes.append(_change(group, before[name], pairs, with_it, without))
-    return EffectClosure(effect, sizes, tuple(_closures(changes)), tuple(lost))
+    return EffectClosure(effect, sizes, tuple(_closure(change) for change in changes), tuple(lost))
 
 
 def _pairs(
@@ -223,20 +220,21 @@ class _Change:
     numbers : (n,) int
         Those of its numbers that both campaigns have.
     predicted, rendered : (n,) float
-    fit_bias : (n, p) float
-        By what biases of the fit, each of one standard deviation, would change the numbers.
     """
 
     group: ObservableGroup
     numbers: NDArray[np.intp]
     predicted: Array
     rendered: Array
-    fit_bias: Array
 
     @property
     def covariance(self) -> Array:
-        """Covariance (n, n) that the group states."""
-        chosen: Array = self.group.covariance[np.ix_(self.numbers, self.numbers)]
+        """Covariance (n, n) of what the group states as measured: not of disorder."""
+        errors = self.group.errors
+        noise = np.diag(errors.noise**2) if errors.noise.ndim == 1 else errors.noise
+        measured = [each.columns for each in errors.nuisances if each.freedom == MEASURED]
+        whole = noise + sum((columns @ columns.T for columns in measured), np.zeros(noise.shape))
+        chosen: Array = whole[np.ix_(self.numbers, self.numbers)]
         return chosen
 
 
@@ -248,61 +246,37 @@ def _change(
     without: Measured,
 ) -> _Change:
     one, two = np.array(pairs).T
-    expected, sweeps = after.predict(with_it.parameters), with_it.readings.sweeps
-    columns = [
-        after.predict(bias.change(with_it.parameters, bias.spread)) - expected
-        for bias in (of_fits(common_modes(sweeps)) if sweeps else ())
-        if "fit_bias" in after.parts
-    ]
+    expected = after.predict(with_it.parameters)
     return _Change(
         after,
         one,
         expected[one] - before.predict(without.parameters)[two],
         after.values[one] - before.values[two],
-        np.stack(columns, axis=1)[one] if columns else np.zeros((len(one), 0)),
     )
 
 
-def _closures(changes: Sequence[_Change]) -> Iterator[GroupClosure]:
-    """Yield the closure of each group, given all others.
-
-    A fit may exchange a part of a mode for a part of the drive: groups have this bias in common,
-    and those of the drive show how large it is.
-    """
-    biases = max((change.fit_bias.shape[1] for change in changes), default=0)
-    bias = np.concatenate(
-        [np.pad(c.fit_bias, ((0, 0), (0, biases - c.fit_bias.shape[1]))) for c in changes]
+def _closure(change: _Change) -> GroupClosure:
+    """Return the closure of a group."""
+    precision = np.linalg.inv(change.covariance)
+    off, signature = change.rendered - change.predicted, change.predicted
+    square, along = float(signature @ precision @ signature), float(signature @ precision @ off)
+    white = np.linalg.solve(np.linalg.cholesky(change.covariance), off)
+    return GroupClosure(
+        name=change.group.name,
+        observable=str(change.group.tap),
+        numbers=tuple(_numbers(change, precision)),
+        significance=float(np.sqrt(square)),
+        scale=1 + along / square if square else np.nan,
+        scale_error=1 / float(np.sqrt(square)) if square else np.inf,
+        rms_pull=float(np.sqrt(np.mean(white**2))),
     )
-    covariance = linalg.block_diag(*(change.covariance for change in changes)) + bias @ bias.T
-    precision = np.linalg.inv(covariance)
-    off = np.concatenate([change.rendered - change.predicted for change in changes])
-    start = 0
-    for change in changes:
-        here = slice(start, start + len(change.numbers))
-        start = here.stop
-        signature = change.predicted
-        square = float(signature @ precision[here, here] @ signature)
-        along = float(signature @ (precision @ off)[here])
-        white = np.linalg.solve(np.linalg.cholesky(covariance[here, here]), off[here])
-        yield GroupClosure(
-            name=change.group.name,
-            observable=str(change.group.tap),
-            numbers=tuple(_numbers(change, covariance[here, here], (precision @ off)[here],
-                                   precision[here, here])),
-            significance=float(np.sqrt(square)),
-            scale=1 + along / square if square else np.nan,
-            scale_error=1 / float(np.sqrt(square)) if square else np.inf,
-            rms_pull=float(np.sqrt(np.mean(white**2))),
-        )  # fmt: skip
 
 
-def _numbers(
-    change: _Change, covariance: Array, weighted: Array, precision: Array
-) -> Iterator[Number]:
-    """Yield the numbers of a group; `weighted` are all differences times the precision, here."""
-    error = np.sqrt(np.diag(covariance))
-    given = weighted / np.sqrt(np.diag(precision))
+def _numbers(change: _Change, precision: Array) -> Iterator[Number]:
+    """Yield the numbers of a group; `precision` is the inverse of its covariance."""
+    error = np.sqrt(np.diag(change.covariance))
     off = change.rendered - change.predicted
+    given = precision @ off / np.sqrt(np.diag(precision))
     places = [change.group.coordinates[k] for k in change.numbers.tolist()]
     for place, *row in zip(
         places, change.predicted, change.rendered, error, off / error, given, strict=True

@@ -22,6 +22,7 @@ from diagnosis.inference.discrepancy import group_discrepancies
 from diagnosis.inference.model_selection import (
     ModelSelection,
     likeliest_unknown,
+    probability_range,
     refit_candidate,
     select_model,
 )
@@ -65,6 +66,11 @@ class Diagnosis:
         Groups of effects that this campaign cannot separate.
     likely : tuple of tuple of str
         The fewest classes that together have 90 % of the probability.
+    shown : tuple of tuple of str
+        The same, where what would not show in these runs counts as no effect.
+    likeliest_range : (float, float)
+        Probability of the first of these for others, to whom no effect, one, two or something
+        unknown is three times as likely beforehand, or a third.
     gap : GapMap
     selection : ModelSelection
     detectability : tuple of Detectability
@@ -96,6 +102,8 @@ class Diagnosis:
     probability: dict[str, float]
     classes: tuple[tuple[str, ...], ...]
     likely: tuple[tuple[str, ...], ...]
+    shown: tuple[tuple[str, ...], ...]
+    likeliest_range: tuple[float, float]
     gap: GapMap
     selection: ModelSelection
     detectability: tuple[Detectability, ...]
@@ -180,23 +188,24 @@ def _judged(
     classes = confusable_classes(reach)
     for _ in range(_MOST_CONFIRMED):
         # A single search is no proof of an optimum.
-        found = refit_candidate(
-            problem, found, _likeliest(found.probability, classes), len(effects)
-        )
+        found = refit_candidate(problem, found, _likeliest(found.probability, classes))
     probability = found.probability
     kind, named = _named(found, classes)
+    shown = _likely(found.probability_of_what_shows, classes)
     first, second = _two_likeliest(found)
     groups, condition = _groups(problem), summary.condition
     chosen = found.candidate("+".join(named)) or _best_alone(found)
     acts = _touched(problem, found.null, chosen)
     named_or_none = chosen if named else found.null
-    beside = likeliest_unknown(found, len(effects))
+    beside = likeliest_unknown(found)
     return Diagnosis(
         kind=kind,
         effects=named,
         probability=probability,
         classes=classes,
         likely=_likely(probability, classes),
+        shown=shown,
+        likeliest_range=probability_range(found, shown[0]),
         gap=gap_map(problem),
         selection=found,
         detectability=reach,

@@ -1,6 +1,6 @@
 """A diagnosis for programs: JSON with stable keys (documented in ``docs/reference/json.md``)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -17,13 +17,15 @@ _LEAST_TOLD = 1e-6
 
 def to_json(verdict: Diagnosis) -> dict[str, Any]:
     """Verdict with stable keys."""
-    told = {name: p for name, p in verdict.probability.items() if p > _LEAST_TOLD}
     return {
         "verdict": verdict.kind,
         "effects_named": list(verdict.effects),
-        "probability": dict(sorted(told.items(), key=lambda item: -item[1])),
+        "probability": _told(verdict.probability),
         "classes": [list(group) for group in verdict.classes if len(group) > 1],
         "likely": [list(group) for group in verdict.likely],
+        "probability_of_what_shows": _told(verdict.selection.probability_of_what_shows),
+        "shown": [list(group) for group in verdict.shown],
+        "likeliest_range": list(verdict.likeliest_range),
         "gap": _gap(verdict),
         "explained_fraction": _explained(verdict),
         "next": {
@@ -42,7 +44,7 @@ def to_json(verdict: Diagnosis) -> dict[str, Any]:
         "effects": _effects(verdict),
         "pairs": {
             name: {
-                "log_bayes": candidate.log_evidence - verdict.selection.null.log_evidence,
+                "log_bayes": _finite(candidate.log_evidence - verdict.selection.null.log_evidence),
                 "sizes": {
                     effect: _sizes(told) for effect, told in candidate.size_estimates.items()
                 },
@@ -59,6 +61,11 @@ def to_json(verdict: Diagnosis) -> dict[str, Any]:
         "missing": list(verdict.missing),
         "refused": list(verdict.refused),
     }
+
+
+def _told(probability: Mapping[str, float]) -> dict[str, float]:
+    told = {name: p for name, p in probability.items() if p > _LEAST_TOLD}
+    return dict(sorted(told.items(), key=lambda item: -item[1]))
 
 
 def _gap(verdict: Diagnosis) -> dict[str, Any]:
@@ -104,7 +111,7 @@ def _effects(verdict: Diagnosis) -> dict[str, Any]:
     for name, candidate in found.single.items():
         own = reach[name]
         told[name] = {
-            "log_bayes": candidate.log_evidence - null.log_evidence,
+            "log_bayes": _finite(candidate.log_evidence - null.log_evidence),
             "d_prime": d_prime(null, candidate),
             "sizes": _sizes(candidate.size_estimates[name]),
             "location": dict(candidate.effects[0].location),
@@ -114,6 +121,10 @@ def _effects(verdict: Diagnosis) -> dict[str, Any]:
             "confusable": own.confusable,
         }
     return told
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
 def _sizes(told: Sequence[tuple[Parameter, float, float]]) -> dict[str, Any]:

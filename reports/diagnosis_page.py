@@ -47,6 +47,12 @@ def words(verdict: Diagnosis) -> list[str]:
     said = [_headline(verdict), _where(verdict.gap)]
     if verdict.kind != "not converged":
         said.append(f"Candidates that together have 90 % probability: {_likely_words(verdict)}.")
+        low, high = verdict.likeliest_range
+        said.append(
+            f"The probability of the first of these is between {low:.0%} and {high:.0%} if no "
+            "effect, one, two, or something unknown is three times more or less likely beforehand. "
+            "What would not show in these runs counts as no effect."
+        )
     if verdict.explained is not None and verdict.effects:
         said.append(f"{_closed_words(verdict)} {_NOT_PROOF}")
     if verdict.next_experiments:
@@ -58,8 +64,11 @@ def words(verdict: Diagnosis) -> list[str]:
 
 def _headline(verdict: Diagnosis) -> str:
     if verdict.kind == "none":
-        p = verdict.probability.get("none", 0.0)
-        return f"Measurement and simulation agree; no cause of a difference is found ({p:.0%})."
+        p = verdict.selection.probability_of_what_shows["none"]
+        return (
+            "Measurement and simulation agree; no cause of a difference is found that these runs "
+            f"could show ({p:.0%})."
+        )
     if verdict.kind == "unknown":
         p = verdict.probability.get("unknown", 0.0)
         other = verdict.unknown_with
@@ -93,11 +102,12 @@ def _where(where: GapMap) -> str:
 
 def _likely_words(verdict: Diagnosis) -> str:
     """Return the likeliest classes of candidates."""
-    return "; ".join(_class_words(group, verdict) for group in verdict.likely)
+    return "; ".join(_class_words(group, verdict) for group in verdict.shown)
 
 
 def _class_words(group: tuple[str, ...], verdict: Diagnosis) -> str:
-    p = sum(verdict.probability.get(name, 0.0) for name in group)
+    shown = verdict.selection.probability_of_what_shows
+    p = sum(shown.get(name, 0.0) for name in group)
     titles = " or ".join(_title(name) for name in group)
     return f"{titles} ({p:.0%})"
 

@@ -10,12 +10,12 @@ from reports.tables import Column, Table
 
 
 def effects_table(effects: Sequence[Effect]) -> Table:
-    """Return names, stages, sizes with the spread of their priors, and how to check each."""
+    """Return names, stages, usual and largest sizes, and how to check each."""
     columns = (
         Column("effect", "effect", wraps=False),
         Column("stage", "stage"),
         Column("title", "what it is"),
-        Column("sizes", "expected size"),
+        Column("sizes", "usual size, and largest strength"),
         Column("check", "how to check it"),
     )
     rows = tuple(
@@ -36,7 +36,8 @@ def _size(parameter: Parameter) -> str:
         low, high = min(parameter.grid), max(parameter.grid)
         return f"{parameter.name} {low:.3g} to {high:.3g} {parameter.unit}".strip()
     sign = "" if parameter.positive else "±"
-    return f"{parameter.name} {sign}{parameter.spread:g} {parameter.unit}".strip()
+    usual = f"{parameter.name} {sign}{parameter.spread:g} {parameter.unit}".strip()
+    return f"{usual}, at most {parameter.most:g}" if parameter.most else usual
 
 
 def effects_to_json(effects: Sequence[Effect]) -> list[dict[str, Any]]:
@@ -47,7 +48,7 @@ def effects_to_json(effects: Sequence[Effect]) -> list[dict[str, Any]]:
             "title": effect.title,
             "stage": effect.stage.value,
             "parameters": [
-                {"name": p.name, "unit": p.unit, "spread": p.spread, "positive": p.positive,
+                {"name": p.name, "unit": p.unit, "spread": p.spread, "most": p.most, "positive": p.positive,
                  "grid": list(p.grid), "source": p.source}
                 for p in effect.parameters
             ],

@@ -52,7 +52,8 @@ class Candidate:
         Of nuisances, then of the effects' sizes, with noise and nuisances of usual size; residuals
         and Jacobian in units of `deviation`.
     log_evidence : float
-        With the likeliest scales of noise and nuisances, all strengths and locations together.
+        With the likeliest scales of noise and nuisances: all strengths that would show and all
+        locations together. Without effects, what would not show is not in it.
     chi2 : dict of float
         Of each group.
     deviation : (n,) float
@@ -66,6 +67,8 @@ class Candidate:
         What other locations and directions of the last effect add to the log evidence.
     of_others : float
         What the strengths of the other effects add to it.
+    log_hidden : float
+        Log evidence with the strengths of the last effect that would not show.
     """
 
     effects: tuple[LocatedEffect, ...]
@@ -77,6 +80,7 @@ class Candidate:
     weighed: Weighed
     elsewhere: float = 0.0
     of_others: float = 0.0
+    log_hidden: float = -np.inf
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -206,7 +210,8 @@ def refitted(problem: InferenceProblem, candidate: Candidate, starts: Sequence[A
     found = fit_fully(problem, candidate.effects, starts)
     start = _beyond(problem, candidate, found)
     last = candidate.effects[-1]
-    scan = scan_again(problem, start, last, candidate.elsewhere) if start else None
+    elsewhere, hidden = candidate.elsewhere, candidate.log_hidden - candidate.of_others
+    scan = scan_again(problem, start, last, elsewhere, hidden) if start else None
     if scan is None:
         return replace(candidate, estimate=found)
     return _with_scan(problem, candidate.effects, found, scan, candidate.of_others)
@@ -221,7 +226,12 @@ def _with_scan(
 ) -> Candidate:
     log_evidence = scan.log_evidence + of_others
     candidate = _candidate(problem, effects, found, log_evidence, scan.model, scan.weighed)
-    return replace(candidate, elsewhere=scan.elsewhere, of_others=of_others)
+    return replace(
+        candidate,
+        elsewhere=scan.elsewhere,
+        of_others=of_others,
+        log_hidden=scan.log_hidden + of_others,
+    )
 
 
 def _candidate(

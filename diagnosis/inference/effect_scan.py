@@ -39,6 +39,9 @@ _SECOND = 0.3
 _TURNS = 10
 # What an effect changes by less, in standard errors of any number, it does not change.
 _NOTHING = 1e-6
+# An effect that moves all numbers together by fewer standard deviations is none: nobody could tell.
+# Chosen: two, as for a 95 % interval.
+SHOWS = 2.0
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,10 @@ class Scan:
     sizes : (s,) float
         Likeliest sizes there, in units of their scales.
     log_evidence : float
-        All strengths, directions and locations together; up to the constant of the start's.
+        Of strengths that would show, in all directions and at all locations together; up to the
+        constant of the start's.
+    log_hidden : float
+        Of all other strengths.
     columns : (n, s) float
         What one scale of each size changes there, whitened.
     shift : (n,) float
@@ -104,6 +110,7 @@ class Scan:
     located: LocatedEffect
     sizes: Array
     log_evidence: float
+    log_hidden: float
     columns: Array
     shift: Array
     elsewhere: float
@@ -124,15 +131,23 @@ def scan_effect(problem: InferenceProblem, start: Start, effect: Effect) -> Scan
     swept = [found for line in lines if (found := line.swept()) is not None]
     if not swept:
         return None
-    best = max(swept, key=lambda one: one.most)
+    best = max(swept, key=lambda one: (np.isfinite(one.shown), one.most))
     # Where nothing was swept, the effect has the evidence of none.
     every = len(places) * len(ways)
-    means = [0.0] * (every - len(swept)) + [one.mean for one in swept]
-    return best.scan(float(logsumexp(means)) - math.log(every) - best.mean)
+    hidden = [0.0] * (every - len(swept)) + [one.hidden for one in swept]
+    shown = float(logsumexp([one.shown for one in swept])) - math.log(every)
+    return best.scan(
+        shown - best.shown if np.isfinite(best.shown) else 0.0,
+        float(logsumexp(hidden)) - math.log(every) + start.weighed.log_evidence,
+    )
 
 
 def scan_again(
-    problem: InferenceProblem, start: Start, located: LocatedEffect, elsewhere: float
+    problem: InferenceProblem,
+    start: Start,
+    located: LocatedEffect,
+    elsewhere: float,
+    log_hidden: float,
 ) -> Scan | None:
     """Scan an effect along the direction of the sizes that a start has.
 
@@ -140,10 +155,12 @@ def scan_again(
     ----------
     elsewhere : float
         What other directions and locations add to the log evidence of these.
+    log_hidden : float
+        See `Scan`: it is that of the first scan.
     """
     strengths = start.sizes[[k for k, size in enumerate(located.sizes) if size.most]]
     swept = _Line(problem, start, located, strengths / np.abs(strengths).max()).swept()
-    return None if swept is None else swept.scan(elsewhere)
+    return None if swept is None else swept.scan(elsewhere, log_hidden)
 
 
 class _Line:
@@ -245,8 +262,9 @@ class _Swept:
         Likeliest share.
     most : float
         Gain of log evidence there, over the start with its scales.
-    mean : float
-        Log of the mean gain over all strengths; impossible ones have no evidence.
+    shown, hidden : float
+        Log of the gain at strengths that would show, and at all others, each summed over the prior
+        of strengths; impossible ones have no evidence.
     """
 
     line: _Line
@@ -255,7 +273,8 @@ class _Swept:
     tables: Sequence[Array]
     best: float = 0.0
     most: float = -np.inf
-    mean: float = -np.inf
+    shown: float = -np.inf
+    hidden: float = -np.inf
 
     def seconds(self, share: float) -> Array:
         """Return what second parameters change (n, c): in proportion to the strength."""
@@ -264,7 +283,7 @@ class _Swept:
         return columns
 
     def integrated(self) -> "_Swept":
-        """Return the same with the likeliest strength and the mean over all."""
+        """Return the same with the likeliest strength and the sums over all."""
         shares = np.geomspace(_LEAST, 1.0, _STEPS)
         shares = shares[shares <= self.nodes[-1]]
         gains, step = self.gains(shares), math.log(shares[1] / shares[0])
@@ -280,10 +299,19 @@ class _Swept:
         # A peak narrower than the steps is a Gaussian in between.
         lower, upper = self.gains(best * np.exp([-_PEAK * step, _PEAK * step]))
         bend = max((2 * most - lower - upper) / (_PEAK * step) ** 2, 1e-12)
-        mean = _log_integral(gains, step)
+        shows = self.deviations(shares) >= SHOWS
+        shown = _log_integral(np.where(shows, gains, -np.inf), step)
+        hidden = _log_integral(np.where(shows, -np.inf, gains), step)
         if 0 < place < len(shares) - 1 and bend * step**2 > 1:
-            mean = most + 0.5 * math.log(2 * math.pi / bend)
-        return replace(self, best=best, most=most, mean=mean + math.log(1 / -math.log(_LEAST)))
+            shown = most + 0.5 * math.log(2 * math.pi / bend)
+        density = math.log(1 / -math.log(_LEAST))
+        return replace(self, best=best, most=most, shown=shown + density, hidden=hidden + density)
+
+    def deviations(self, shares: Array) -> Array:
+        """Return by how many standard deviations such shares (k,) move all numbers together."""
+        P, moved = self.line.start.weighed.precision, self.moved(shares) - self.moved([0.0])
+        squares = np.einsum("nk,nk->k", moved, P @ moved)
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
     def gains(self, shares: Array) -> Array:
         """Return the gain (k,) of log evidence at such shares."""
@@ -298,7 +326,7 @@ class _Swept:
             gains[k] -= 0.5 * float(np.linalg.slogdet(known)[1])
         return np.asarray(gains)
 
-    def scan(self, elsewhere: float) -> Scan:
+    def scan(self, elsewhere: float, log_hidden: float) -> Scan:
         """Return the scan of an effect of which this line is the best.
 
         Scales are fitted anew at the best strength; what that adds there it adds everywhere.
@@ -307,6 +335,8 @@ class _Swept:
         ----------
         elsewhere : float
             What other lines add to the log evidence of this one.
+        log_hidden : float
+            See `Scan`.
         """
         line, start, share = self.line, self.line.start, self.best
         shift, seconds = self.moved(share), self.seconds(share)
@@ -329,7 +359,8 @@ class _Swept:
         return Scan(
             located=line.located,
             sizes=sizes,
-            log_evidence=after.log_evidence + self.mean + elsewhere - self.most,
+            log_evidence=after.log_evidence + self.shown + elsewhere - self.most,
+            log_hidden=log_hidden,
             columns=line.problem.from_noise(columns),
             shift=line.problem.from_noise(shift + seconds @ own),
             elsewhere=elsewhere,
@@ -339,9 +370,15 @@ class _Swept:
 
 
 def _log_integral(logs: Array, step: float) -> float:
-    """Return the log of an integral of which logarithms are known, straight between equal steps."""
-    falls = np.abs(np.diff(logs))
+    """Return the log of an integral of which logarithms are known, straight between equal steps.
+
+    What is next to a value of -inf, where there is nothing, counts to the middle of the step.
+    """
+    nothing = ~np.isfinite(logs)
+    ends = nothing[1:] != nothing[:-1]
+    falls = np.abs(np.diff(np.where(nothing, 0.0, logs)))
     mean = np.where(falls > 1e-9, -np.expm1(-falls) / np.maximum(falls, 1e-9), 1.0)
+    mean = np.where(ends, 0.5, mean)
     return float(logsumexp(np.maximum(logs[1:], logs[:-1]) + np.log(mean * step)))
 
 

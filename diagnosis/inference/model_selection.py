@@ -3,9 +3,9 @@
 The probability of each is its evidence times a prior that is the same for all effects.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -28,6 +28,8 @@ from diagnosis.inference.probabilities import (
     log_odds_of_all,
     log_odds_with_unknown,
     log_probabilities,
+    log_probabilities_of_what_shows,
+    other_priors,
 )
 from diagnosis.inference.problem import InferenceProblem
 from fitting.parallel.processes import map_processes
@@ -59,8 +61,8 @@ class ModelSelection:
         Log Bayes factor of something unknown in addition to each of the likeliest candidates.
     undetectable : tuple of str
         Effects without a signature here.
-    log_probability : dict of float
-        Log probability of `NONE`, `UNKNOWN`, effects, and pairs joined by '+'.
+    count : int
+        Number of effects that were tried.
     """
 
     null: Candidate
@@ -71,12 +73,32 @@ class ModelSelection:
     unknown_log_bayes: float
     unknown_log_bayes_with: dict[str, float]
     undetectable: tuple[str, ...]
-    log_probability: dict[str, float]
+    count: int
+
+    @cached_property
+    def log_probability(self) -> dict[str, float]:
+        """Log probability of `NONE`, `UNKNOWN`, effects, and pairs joined by '+'."""
+        return self.weighed(PRIOR, log_probabilities)
 
     @property
     def probability(self) -> dict[str, float]:
         """Probability of each hypothesis."""
         return {name: float(np.exp(log)) for name, log in self.log_probability.items()}
+
+    @cached_property
+    def probability_of_what_shows(self) -> dict[str, float]:
+        """Probability of each hypothesis, where what would not show here counts as none."""
+        logs = self.weighed(PRIOR, log_probabilities_of_what_shows)
+        return {name: float(np.exp(log)) for name, log in logs.items()}
+
+    def weighed(
+        self, prior: Mapping[str, float], weigh: Callable[..., dict[str, float]]
+    ) -> dict[str, float]:
+        """Return log probabilities with a prior, by one of the functions of `probabilities`."""
+        return weigh(
+            self.null, {**self.single, **self.pairs}, self.unknown_log_bayes,
+            self.unknown_log_bayes_with, self.undetectable, self.count, prior,
+        )  # fmt: skip
 
     def candidate(self, name: str) -> Candidate | None:
         """Return the candidate of a name; None for `NONE`, `UNKNOWN` and what was not fitted."""
@@ -124,12 +146,9 @@ def select_model(
     beside = {name: log_bayes_any_unknown(problem, alone[name]) for name in likely}
     unknown = log_bayes_any_unknown(problem, null)
     unseen = tuple(effect.id for effect in effects if effect.id not in alone)
-    probabilities = log_probabilities(null, {**alone, **pairs}, unknown, beside, unseen, count)
     report(1.0)
     told = group_discrepancies(problem, null)
-    return ModelSelection(
-        null, alone, pairs, signatures, told, unknown, beside, unseen, probabilities
-    )
+    return ModelSelection(null, alone, pairs, signatures, told, unknown, beside, unseen, count)
 
 
 def each_alone(
@@ -171,9 +190,7 @@ def signatures_of(
     return found
 
 
-def refit_candidate(
-    problem: InferenceProblem, found: ModelSelection, name: str, effects: int
-) -> ModelSelection:
+def refit_candidate(problem: InferenceProblem, found: ModelSelection, name: str) -> ModelSelection:
     """Refit one candidate from two starts, and return the updated selection."""
     candidate = found.candidate(name)
     if candidate is None or candidate.estimate.starts > 1:
@@ -183,18 +200,22 @@ def refit_candidate(
     (alone if name in alone else pairs)[name] = again
     if name in beside:
         beside[name] = log_bayes_any_unknown(problem, again)
-    odds = log_probabilities(
-        found.null, {**alone, **pairs}, found.unknown_log_bayes, beside, found.undetectable, effects
-    )
-    return replace(
-        found, single=alone, pairs=pairs, unknown_log_bayes_with=beside, log_probability=odds
-    )
+    return replace(found, single=alone, pairs=pairs, unknown_log_bayes_with=beside)
 
 
-def likeliest_unknown(found: ModelSelection, effects: int) -> str:
+def probability_range(found: ModelSelection, names: Collection[str]) -> tuple[float, float]:
+    """Return the least and largest probability that one of these shows, by the priors of others."""
+    totals = []
+    for prior in other_priors():
+        logs = found.weighed(prior, log_probabilities_of_what_shows)
+        totals.append(sum(float(np.exp(logs[name])) for name in names if name in logs))
+    return min(totals), max(totals)
+
+
+def likeliest_unknown(found: ModelSelection) -> str:
     """Return the effect, pair or `NONE` in addition to which something unknown is likeliest."""
     logs = log_odds_with_unknown(
-        {**found.single, **found.pairs}, found.null, found.unknown_log_bayes_with, effects
+        {**found.single, **found.pairs}, found.null, found.unknown_log_bayes_with, found.count
     )
     logs[NONE] = float(np.log(PRIOR["unknown"])) + found.unknown_log_bayes
     return max(logs, key=lambda name: logs[name])

@@ -218,7 +218,6 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
             places.append(
                 Coordinates("amplitude over volts", band=band_of(hz[-1]), level=other.name)
             )
-
     if not values:
         return None
 
@@ -232,16 +231,23 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
         changed: Array = kept + _light_between(times_s, parameters.optics.interference)
         return changed
 
-    ends = np.array([np.concatenate(pair).mean() for pair in times_s])
-    acquired_s = np.sort(np.concatenate([s.time_s for s in (loud[0], *others)]))
-    walk = FIELD_CHANGE * walk_columns(np.searchsorted(acquired_s, ends).astype(float))
-    between = FIELD_CHANGE * np.sqrt(len(acquired_s) / 2) * np.ones((len(values), 1))
-    changing = GroupNuisances("changing field", np.hstack([walk, between]), DISORDER, "as light")
+    changing = _changing_field(times_s, [loud[0], *others])
     noise = np.diag(np.square(errors)) + _RATIO**2
     return observable_group(
         "level", Observable.DRIVE, values, Errors(noise, (changing,)), places, ("drive", "optics"),
         predict,
     )  # fmt: skip
+
+
+def _changing_field(
+    times_s: Sequence[tuple[Array, Array]], sweeps: Sequence[SweepReading]
+) -> GroupNuisances:
+    """Return what light changes by from sweep to sweep, and along one."""
+    ends = np.array([np.concatenate(pair).mean() for pair in times_s])
+    acquired_s = np.sort(np.concatenate([sweep.time_s for sweep in sweeps]))
+    walk = FIELD_CHANGE * walk_columns(np.searchsorted(acquired_s, ends).astype(float))
+    between = FIELD_CHANGE * np.sqrt(len(acquired_s) / 2) * np.ones((len(times_s), 1))
+    return GroupNuisances("changing field", np.hstack([walk, between]), DISORDER, "as light")
 
 
 def _light_between(times_s: Sequence[tuple[Array, Array]], beams: Interference) -> Array:

@@ -9,7 +9,11 @@ import pytest
 
 from diagnosis.inference.candidate_search import refit_from_elsewhere, refit_without_effects
 from diagnosis.inference.candidates import d_prime, fit_fully, without_effects
-from diagnosis.inference.model_selection import refit_candidate, select_model
+from diagnosis.inference.model_selection import (
+    probability_range,
+    refit_candidate,
+    select_model,
+)
 from diagnosis.inference.probabilities import NONE, PRIOR, UNKNOWN
 from diagnosis.inference.problem import LocatedEffect
 from physics.effects.effect import Effect
@@ -166,10 +170,36 @@ def test_what_is_confirmed_has_been_fitted_from_two_starts() -> None:
     problem = measured(10, bench(leak=0.3))
     found = select_model(problem, EFFECTS)
     for name in ("slope", "offset"):
-        candidate = refit_candidate(problem, found, name, len(EFFECTS)).candidate(name)
+        candidate = refit_candidate(problem, found, name).candidate(name)
         assert candidate is not None
         assert candidate.estimate.starts > 1
-    assert refit_candidate(problem, found, NONE, len(EFFECTS)) is found
+    assert refit_candidate(problem, found, NONE) is found
+
+
+def test_what_would_not_show_counts_as_none() -> None:
+    found = select_model(measured(12, bench()), EFFECTS)
+    whole, shown = found.probability, found.probability_of_what_shows
+    assert sum(shown.values()) == pytest.approx(1.0)
+    # What changes nothing is as likely as before, but would not show.
+    assert whole["nothing"] == pytest.approx(PRIOR["one"] / 4 / PRIOR["none"] * whole[NONE])
+    assert "nothing" not in shown
+    assert whole[NONE] < 0.85
+    assert shown[NONE] > 0.9
+    # A bump of some standard deviations shows, whichever way it is counted.
+    bump = select_model(measured(12, bench(crosstalk=0.3)), EFFECTS)
+    assert bump.probability_of_what_shows["bump"] == pytest.approx(
+        bump.probability["bump"], abs=0.02
+    )
+
+
+def test_priors_of_others_move_a_probability_by_no_more_than_their_odds() -> None:
+    found = select_model(measured(12, bench(crosstalk=0.12)), EFFECTS)
+    own = found.probability_of_what_shows["bump"]
+    low, high = probability_range(found, ["bump"])
+    assert low < own < high
+    for end in (low, high):
+        odds = end / (1 - end) / (own / (1 - own))
+        assert 1 / 3 - 1e-9 < odds < 3 + 1e-9
 
 
 def test_what_cannot_be_seen_may_still_be_unknown() -> None:

@@ -21,7 +21,7 @@ from diagnosis.observable_groups import (
 )
 from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks
-from diagnosis.observables.light import FIELD_CHANGE, leaks_of, log_light, walk_columns
+from diagnosis.observables.light import field_changing, leaks_of, log_light
 from diagnosis.observables.shapes import elastic_reed
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, loudest
@@ -231,23 +231,12 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
         changed: Array = kept + _light_between(times_s, parameters.optics.interference)
         return changed
 
-    changing = _changing_field(times_s, [loud[0], *others])
+    changing = field_changing(times_s, [loud[0], *others])
     noise = np.diag(np.square(errors)) + _RATIO**2
     return observable_group(
         "level", Observable.DRIVE, values, Errors(noise, (changing,)), places, ("drive", "optics"),
         predict,
     )  # fmt: skip
-
-
-def _changing_field(
-    times_s: Sequence[tuple[Array, Array]], sweeps: Sequence[SweepReading]
-) -> GroupNuisances:
-    """Return what light changes by from sweep to sweep, and along one."""
-    ends = np.array([np.concatenate(pair).mean() for pair in times_s])
-    acquired_s = np.sort(np.concatenate([sweep.time_s for sweep in sweeps]))
-    walk = FIELD_CHANGE * walk_columns(np.searchsorted(acquired_s, ends).astype(float))
-    between = FIELD_CHANGE * np.sqrt(len(acquired_s) / 2) * np.ones((len(times_s), 1))
-    return GroupNuisances("changing field", np.hstack([walk, between]), DISORDER, "as light")
 
 
 def _light_between(times_s: Sequence[tuple[Array, Array]], beams: Interference) -> Array:

@@ -165,6 +165,24 @@ def walk_columns(steps: Array) -> Array:
     return columns
 
 
+def field_changing(
+    times_s: Sequence[tuple[Array, Array]], sweeps: Sequence[SweepReading]
+) -> GroupNuisances:
+    """Return what light changes by along and between sweeps, for numbers of two of them.
+
+    Parameters
+    ----------
+    times_s : sequence of ((k,) float, (k,) float)
+        Times of the holograms of each number.
+    sweeps : sequence of SweepReading
+    """
+    ends = np.array([np.concatenate(pair).mean() for pair in times_s])
+    acquired_s = np.sort(np.concatenate([sweep.time_s for sweep in sweeps]))
+    walk = FIELD_CHANGE * walk_columns(np.searchsorted(acquired_s, ends).astype(float))
+    between = FIELD_CHANGE * np.sqrt(len(acquired_s) / 2) * np.ones((len(times_s), 1))
+    return GroupNuisances("changing field", np.hstack([walk, between]), DISORDER, "as light")
+
+
 @dataclass(frozen=True)
 class _Brightness:
     """Light of each sweep compared with the mean of sweeps of one clamping, by hologram.

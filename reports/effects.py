@@ -48,8 +48,8 @@ def effects_to_json(effects: Sequence[Effect]) -> list[dict[str, Any]]:
             "title": effect.title,
             "stage": effect.stage.value,
             "parameters": [
-                {"name": p.name, "unit": p.unit, "spread": p.spread, "most": p.most, "positive": p.positive,
-                 "grid": list(p.grid), "source": p.source}
+                {"name": p.name, "unit": p.unit, "spread": p.spread, "most": p.most,
+                 "positive": p.positive, "grid": list(p.grid), "source": p.source}
                 for p in effect.parameters
             ],
             "unaffected": [o.value for o in Observable if o in notes_of(effect).unaffected],

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import median_abs_deviation
 
 from fitting.errors import FitError
 from fitting.holograms.alternating_minimisation import (
@@ -76,6 +77,9 @@ _MOST_EXPLAINED, _EXPLAINED = 0.8, 2.0
 _ENOUGH = 0.95
 # How often the change of the object field is found again, with the displacements that it gives.
 _MOST_CHANGES = 3
+# The scatter of gains is that of most holograms if it is at most this multiple of it. Chosen: of a
+# normal distribution, both are equal.
+_LIKE_MOST = 2.0
 # Fringes are found with every third block, as by the continuation, and displacements with all of
 # them. Chosen: with at least this number of blocks for each function, a fit takes 6 % of the noise.
 _BLOCKS_OF_FUNCTION = 16
@@ -400,19 +404,24 @@ def _finished(
 
 
 def _with_steady_light(few: _Level, found: Displacements) -> Displacements:
-    """Try light as steady as that of a stabilised laser first; return the likelier of both.
+    """Try light as steady as that of most holograms first; return the likelier of both.
 
     In a wrong fringe near the first maximum of J₁, a hologram needs another brightness. Holograms
     of which some are in wrong fringes seem to scatter in brightness, and with this scatter they
-    stay there.
+    stay there. Of most holograms, the median deviation tells the scatter whatever a few need.
     """
     solved = np.flatnonzero(np.isfinite(found.misfit))
+    gain = found.gain[solved]
+    usual_nepers = max(float(median_abs_deviation(gain, scale="normal")), LEAST_GAIN_NEPERS)
+    like_most = found.gain_nepers < _LIKE_MOST * usual_nepers
+    if like_most and not with_wrong_gain(gain, usual_nepers).size:
+        return found
     problem = replace(few.problem, gain_nepers=found.gain_nepers).some(solved)
     at = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)
     at = Solution(at.amplitude[solved], at.gain[solved], *_rows_of(at, solved))
     change = found.change or FieldChange(0.0, 0.0)
     sweep = Sweep(problem, problem.exact(), few.smooth, change)
-    steady = sweep.with_gains(LEAST_GAIN_NEPERS, change)
+    steady = sweep.with_gains(usual_nepers, change)
     tried, step = in_right_fringes(steady, *settled(steady, at, _MOST_TURNS), _MOST_TURNS)
     scatter_nepers = gain_scatter(steady.problem, tried.gain, step.linear.normal.matrix)
     change = _change_of(steady.problem, tried, step)

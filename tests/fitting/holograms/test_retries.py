@@ -127,8 +127,11 @@ def test_light_that_is_steady_is_found_to_be_so(monkeypatch):
 def test_light_that_is_not_steady_stays_as_it_is(sweep, found):
     """Its holograms differ by 5 %."""
     level = _Level.of(sweep.block_amplitudes, sweep.basis)
-    again = _with_steady_light(level, found)
     assert found.gain_nepers == pytest.approx(0.05, rel=0.2)
+    # No gain is far off by the scatter of most: nothing is tried.
+    assert _with_steady_light(level, found) is found
+    # If the scatter seems to be larger than that of most, all is tried, and found again.
+    again = _with_steady_light(level, replace(found, gain_nepers=0.12))
     assert again.gain_nepers == pytest.approx(0.05, rel=0.2)
     assert same_fringe(again.amplitude_rad, found.amplitude_rad).all()
 
@@ -136,4 +139,6 @@ def test_light_that_is_not_steady_stays_as_it_is(sweep, found):
 def test_the_likelier_of_steady_and_unsteady_light_is_kept(sweep, found, monkeypatch):
     level, costs = _Level.of(sweep.block_amplitudes, sweep.basis), iter([1.0, 2.0])
     monkeypatch.setattr(displacement, "_whole_cost", lambda *_: next(costs))
-    assert _with_steady_light(level, found) is found
+    loose = replace(found, gain_nepers=0.12)
+    assert _with_steady_light(level, loose) is loose
+    assert next(costs, None) is None

@@ -10,7 +10,14 @@ from fitting.holograms.alternating_minimisation import Solution, Sweep, settled,
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.displacement import _Level, _with_steady_light, fit_displacements
 from fitting.holograms.problem import Problem
-from fitting.holograms.retries import followed, in_right_fringes, same_fringe, with_wrong_gain
+from fitting.holograms.retries import (
+    followed,
+    in_other_fringes,
+    in_right_fringes,
+    same_fringe,
+    with_fringes,
+    with_wrong_gain,
+)
 from tests.fitting.holograms.test_displacement import planted
 
 # Around the peak of F1, on both sides of its largest displacement.
@@ -105,6 +112,15 @@ def test_a_group_that_is_explained_no_better_stays(sweep, problem, found, monkey
     monkeypatch.setattr(retries, "with_wrong_gain", lambda *_: LOST)
     there, _ = in_right_fringes(blocks, at, step, 8)
     assert same_fringe(there.amplitude, at.amplitude).all()
+
+
+def test_two_starts_may_differ_by_more_than_two_solutions_of_one_start(problem, found):
+    one = found.amplitude_rad
+    fringes = np.flatnonzero(with_fringes(problem, 1.3 * one, one))
+    assert fringes.size
+    assert in_other_fringes(problem, one, 1.22 * one).size == 0
+    np.testing.assert_array_equal(in_other_fringes(problem, one, 1.3 * one), fringes)
+    assert not same_fringe(one, 1.22 * one).any()
 
 
 def test_gains_are_wrong_beyond_four_times_their_scatter():

@@ -77,8 +77,7 @@ _MOST_EXPLAINED, _EXPLAINED = 0.8, 2.0
 _ENOUGH = 0.95
 # How often the change of the object field is found again, with the displacements that it gives.
 _MOST_CHANGES = 3
-# The scatter of gains is that of most holograms if it is at most this multiple of it. Chosen: of a
-# normal distribution, both are equal.
+# Scatter of all gains over that of most, up to which nothing is odd. Chosen: usually it is 1.
 _LIKE_MOST = 2.0
 # Fringes are found with every third block, as by the continuation, and displacements with all of
 # them. Chosen: with at least this number of blocks for each function, a fit takes 6 % of the noise.
@@ -407,14 +406,14 @@ def _with_steady_light(few: _Level, found: Displacements) -> Displacements:
     """Try light as steady as that of most holograms first; return the likelier of both.
 
     In a wrong fringe near the first maximum of J₁, a hologram needs another brightness. Holograms
-    of which some are in wrong fringes seem to scatter in brightness, and with this scatter they
-    stay there. Of most holograms, the median deviation tells the scatter whatever a few need.
+    of which some are in wrong fringes seem to scatter in brightness, and stay there with this
+    scatter. The median deviation is the scatter of most, whatever a few need.
     """
     solved = np.flatnonzero(np.isfinite(found.misfit))
-    gain = found.gain[solved]
-    usual_nepers = max(float(median_abs_deviation(gain, scale="normal")), LEAST_GAIN_NEPERS)
-    like_most = found.gain_nepers < _LIKE_MOST * usual_nepers
-    if like_most and not with_wrong_gain(gain, usual_nepers).size:
+    scatter_of_most = float(median_abs_deviation(found.gain[solved], scale="normal"))
+    usual_nepers = max(scatter_of_most, LEAST_GAIN_NEPERS)
+    wrong = with_wrong_gain(found.gain[solved], usual_nepers)
+    if not wrong.size and found.gain_nepers < _LIKE_MOST * usual_nepers:
         return found
     problem = replace(few.problem, gain_nepers=found.gain_nepers).some(solved)
     at = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)

@@ -25,10 +25,10 @@ from diagnosis.inference.estimation import SAME_COST, marginalised_signature
 from diagnosis.inference.probabilities import (
     NONE,
     PRIOR,
+    Evidence,
     log_odds_of_all,
     log_odds_with_unknown,
     log_probabilities,
-    log_probabilities_of_what_shows,
     other_priors,
 )
 from diagnosis.inference.problem import InferenceProblem
@@ -78,7 +78,7 @@ class ModelSelection:
     @cached_property
     def log_probability(self) -> dict[str, float]:
         """Log probability of `NONE`, `UNKNOWN`, effects, and pairs joined by '+'."""
-        return self.weighed(PRIOR, log_probabilities)
+        return log_probabilities(self.evidence)
 
     @property
     def probability(self) -> dict[str, float]:
@@ -88,16 +88,15 @@ class ModelSelection:
     @cached_property
     def probability_of_what_shows(self) -> dict[str, float]:
         """Probability of each hypothesis, where what would not show here counts as none."""
-        logs = self.weighed(PRIOR, log_probabilities_of_what_shows)
+        logs = log_probabilities(self.evidence, only_what_shows=True)
         return {name: float(np.exp(log)) for name, log in logs.items()}
 
-    def weighed(
-        self, prior: Mapping[str, float], weigh: Callable[..., dict[str, float]]
-    ) -> dict[str, float]:
-        """Return log probabilities with a prior, by one of the functions of `probabilities`."""
-        return weigh(
+    @property
+    def evidence(self) -> Evidence:
+        """What the campaign says of every hypothesis."""
+        return Evidence(
             self.null, {**self.single, **self.pairs}, self.unknown_log_bayes,
-            self.unknown_log_bayes_with, self.undetectable, self.count, prior,
+            self.unknown_log_bayes_with, self.undetectable, self.count,
         )  # fmt: skip
 
     def candidate(self, name: str) -> Candidate | None:
@@ -207,15 +206,13 @@ def probability_range(found: ModelSelection, names: Collection[str]) -> tuple[fl
     """Return the least and largest probability that one of these shows, by the priors of others."""
     totals = []
     for prior in other_priors():
-        logs = found.weighed(prior, log_probabilities_of_what_shows)
+        logs = log_probabilities(found.evidence, prior, only_what_shows=True)
         totals.append(sum(float(np.exp(logs[name])) for name in names if name in logs))
     return min(totals), max(totals)
 
 
 def likeliest_unknown(found: ModelSelection) -> str:
     """Return the effect, pair or `NONE` in addition to which something unknown is likeliest."""
-    logs = log_odds_with_unknown(
-        {**found.single, **found.pairs}, found.null, found.unknown_log_bayes_with, found.count
-    )
+    logs = log_odds_with_unknown(found.evidence)
     logs[NONE] = float(np.log(PRIOR["unknown"])) + found.unknown_log_bayes
     return max(logs, key=lambda name: logs[name])

@@ -1,6 +1,8 @@
 """Priors, and the probability of each hypothesis from the evidence of its fit."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -54,53 +56,66 @@ def log_odds_of_all(
     return {NONE: float(np.log(PRIOR["none"]))} | odds
 
 
-def log_probabilities(
-    null: Candidate,
-    candidates: Mapping[str, Candidate],
-    unknown: float,
-    beside: Mapping[str, float],
-    unseen: Sequence[str],
-    effects: int,
-    prior: Mapping[str, float] = PRIOR,
-) -> dict[str, float]:
-    """Return the log probability of every hypothesis: none, unknown, effects and pairs."""
-    logs = {NONE: float(np.log(prior["none"]))}
-    for name, candidate in candidates.items():
-        hidden = _log_hidden(candidate, null, effects, prior)
-        logs[name] = float(np.logaddexp(log_odds(candidate, null, effects, prior), hidden))
-    also = log_odds_with_unknown(candidates, null, beside, effects, prior).values()
-    # What changes nothing has the evidence of none.
-    logs |= {name: log_prior(1, effects, prior) for name in unseen}
-    seen = np.logaddexp(np.log1p(-_UNSEEN) + unknown, np.log(_UNSEEN))
-    logs[UNKNOWN] = float(logsumexp([np.log(prior["unknown"]) + seen, *also]))
-    return _normalised(logs)
+@dataclass(frozen=True)
+class Evidence:
+    """What campaigns say of every hypothesis.
 
-
-def log_probabilities_of_what_shows(
-    null: Candidate,
-    candidates: Mapping[str, Candidate],
-    unknown: float,
-    beside: Mapping[str, float],
-    unseen: Sequence[str],
-    effects: int,
-    prior: Mapping[str, float] = PRIOR,
-) -> dict[str, float]:
-    """Return the same, where what would not show counts as none.
-
-    An effect that is too small, or that changes nothing here, counts as no effect, and next to
-    another effect as this one alone (decision 0054).
+    Attributes
+    ----------
+    null : Candidate
+        Without effects.
+    candidates : mapping of Candidate
+        With one effect or two, by name.
+    unknown : float
+        Log Bayes factor of something unknown.
+    unknown_with : mapping of float
+        The same in addition to candidates, by name.
+    unseen : sequence of str
+        Effects that change nothing.
+    effects : int
+        Number of effects that were tried.
     """
-    terms: dict[str, list[float]] = {NONE: [float(np.log(prior["none"]))]}
-    for name, candidate in candidates.items():
-        terms.setdefault(name, []).append(log_odds(candidate, null, effects, prior))
+
+    null: Candidate
+    candidates: Mapping[str, Candidate]
+    unknown: float
+    unknown_with: Mapping[str, float]
+    unseen: Sequence[str]
+    effects: int
+
+
+def log_probabilities(
+    evidence: Evidence, prior: Mapping[str, float] = PRIOR, *, only_what_shows: bool = False
+) -> dict[str, float]:
+    """Return the log probability of every hypothesis: none, unknown, effects and pairs.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    prior : mapping of float
+    only_what_shows : bool
+        Whether what would not show counts as none: an effect that is too small, or that changes
+        nothing here, counts as no effect, and next to another effect as the other one alone
+        (decision 0054).
+    """
+    effects, null = evidence.effects, evidence.null
+    terms: defaultdict[str, list[float]] = defaultdict(list)
+    terms[NONE].append(float(np.log(prior["none"])))
+    for name, candidate in evidence.candidates.items():
+        terms[name].append(log_odds(candidate, null, effects, prior))
         left = "+".join(candidate.names[:-1]) or NONE
-        terms.setdefault(left, []).append(_log_hidden(candidate, null, effects, prior))
-    also = log_odds_with_unknown(candidates, null, beside, effects, prior).values()
-    terms[NONE] += [log_prior(1, effects, prior)] * len(unseen)
-    terms[NONE].append(float(np.log(prior["unknown"] * _UNSEEN)))
-    shown = np.log(prior["unknown"] * (1 - _UNSEEN)) + unknown
-    terms[UNKNOWN] = [float(shown), *also]
-    return _normalised({name: float(logsumexp(each)) for name, each in terms.items()})
+        hidden = _log_hidden(candidate, null, effects, prior)
+        terms[left if only_what_shows else name].append(hidden)
+    # What changes nothing has the evidence of none.
+    for name in evidence.unseen:
+        terms[NONE if only_what_shows else name].append(log_prior(1, effects, prior))
+    unknown = float(np.log(prior["unknown"]))
+    terms[UNKNOWN].append(unknown + float(np.log1p(-_UNSEEN)) + evidence.unknown)
+    terms[NONE if only_what_shows else UNKNOWN].append(unknown + float(np.log(_UNSEEN)))
+    terms[UNKNOWN] += log_odds_with_unknown(evidence, prior).values()
+    logs = {name: float(logsumexp(each)) for name, each in terms.items()}
+    total = logsumexp(list(logs.values()))
+    return {name: float(log - total) for name, log in logs.items()}
 
 
 def _log_hidden(
@@ -111,20 +126,13 @@ def _log_hidden(
     return before + candidate.log_hidden - null.log_evidence
 
 
-def _normalised(logs: Mapping[str, float]) -> dict[str, float]:
-    total = logsumexp(list(logs.values()))
-    return {name: float(log - total) for name, log in logs.items()}
-
-
 def log_odds_with_unknown(
-    candidates: Mapping[str, Candidate],
-    null: Candidate,
-    beside: Mapping[str, float],
-    effects: int,
-    prior: Mapping[str, float] = PRIOR,
+    evidence: Evidence, prior: Mapping[str, float] = PRIOR
 ) -> dict[str, float]:
-    """Return the log probability of something unknown in addition to each candidate."""
+    """Return the log odds of something unknown in addition to each of the likeliest candidates."""
     return {
-        name: float(np.log(_ALSO)) + log_odds(candidates[name], null, effects, prior) + more
-        for name, more in beside.items()
+        name: float(np.log(_ALSO))
+        + log_odds(evidence.candidates[name], evidence.null, evidence.effects, prior)
+        + more
+        for name, more in evidence.unknown_with.items()
     }

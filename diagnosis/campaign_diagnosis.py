@@ -62,12 +62,14 @@ class Diagnosis:
         Identifiers of the effects that are named.
     probability : dict of float
         Of 'none', 'unknown', effects, and pairs joined by '+'.
+    probability_of_what_shows : dict of float
+        The same, where what would not show in these runs counts as no effect.
     classes : tuple of tuple of str
         Groups of effects that this campaign cannot separate.
     likely : tuple of tuple of str
         The fewest classes that together have 90 % of the probability.
     shown : tuple of tuple of str
-        The same, where what would not show in these runs counts as no effect.
+        The same by `probability_of_what_shows`.
     likeliest_range : (float, float)
         Probability of the first of these for others, to whom no effect, one, two or something
         unknown is three times as likely beforehand, or a third.
@@ -100,6 +102,7 @@ class Diagnosis:
     kind: Kind
     effects: tuple[str, ...]
     probability: dict[str, float]
+    probability_of_what_shows: dict[str, float]
     classes: tuple[tuple[str, ...], ...]
     likely: tuple[tuple[str, ...], ...]
     shown: tuple[tuple[str, ...], ...]
@@ -188,7 +191,8 @@ def _judged(
     classes = confusable_classes(reach)
     for _ in range(_MOST_CONFIRMED):
         # A single search is no proof of an optimum.
-        found = refit_candidate(problem, found, _likeliest(found.probability, classes))
+        likeliest = _likeliest(found.probability_of_what_shows, classes)
+        found = refit_candidate(problem, found, likeliest)
     probability = found.probability
     kind, named = _named(found, classes)
     shown = _likely(found.probability_of_what_shows, classes)
@@ -202,6 +206,7 @@ def _judged(
         kind=kind,
         effects=named,
         probability=probability,
+        probability_of_what_shows=found.probability_of_what_shows,
         classes=classes,
         likely=_likely(probability, classes),
         shown=shown,
@@ -262,7 +267,7 @@ def _named(
     found: ModelSelection, classes: Sequence[tuple[str, ...]]
 ) -> tuple[Kind, tuple[str, ...]]:
     """Return the verdict and the effects that are named."""
-    best = _likeliest(found.probability, classes)
+    best = _likeliest(found.probability_of_what_shows, classes)
     beyond = found.log_probability[best] - found.log_probability[NONE]
     if not found.null.estimate.converged and beyond < _BEYOND_DOUBT:
         return "not converged", ()

@@ -23,7 +23,7 @@ def to_json(verdict: Diagnosis) -> dict[str, Any]:
         "probability": _told(verdict.probability),
         "classes": [list(group) for group in verdict.classes if len(group) > 1],
         "likely": [list(group) for group in verdict.likely],
-        "probability_of_what_shows": _told(verdict.selection.probability_of_what_shows),
+        "probability_of_what_shows": _told(verdict.probability_of_what_shows),
         "shown": [list(group) for group in verdict.shown],
         "likeliest_range": list(verdict.likeliest_range),
         "gap": _gap(verdict),

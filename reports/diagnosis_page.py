@@ -64,13 +64,13 @@ def words(verdict: Diagnosis) -> list[str]:
 
 def _headline(verdict: Diagnosis) -> str:
     if verdict.kind == "none":
-        p = verdict.selection.probability_of_what_shows["none"]
+        p = verdict.probability_of_what_shows["none"]
         return (
             "Measurement and simulation agree; no cause of a difference is found that these runs "
             f"could show ({p:.0%})."
         )
     if verdict.kind == "unknown":
-        p = verdict.probability.get("unknown", 0.0)
+        p = verdict.probability_of_what_shows.get("unknown", 0.0)
         other = verdict.unknown_with
         known = "" if other == "none" else f", in addition to {_title(other)}"
         return (
@@ -80,10 +80,10 @@ def _headline(verdict: Diagnosis) -> str:
     if verdict.kind == "not converged":
         return "The fits have not converged, so no cause is named."
     name = "+".join(verdict.effects)
-    p = verdict.probability.get(name, 0.0)
+    p = verdict.probability_of_what_shows.get(name, 0.0)
     # Confusable effects count together: the data cannot say which of them it is.
-    group = next((group for group in verdict.likely if name in group), (name,))
-    sure = sum(verdict.probability.get(other, 0.0) for other in group) >= _PROBABLE
+    group = next((group for group in verdict.shown if name in group), (name,))
+    sure = sum(verdict.probability_of_what_shows.get(other, 0.0) for other in group) >= _PROBABLE
     what = "Cause of the difference" if sure else "Most likely cause, which is not certain"
     return f"{what}: {_title(name)} ({p:.0%})."
 
@@ -106,8 +106,7 @@ def _likely_words(verdict: Diagnosis) -> str:
 
 
 def _class_words(group: tuple[str, ...], verdict: Diagnosis) -> str:
-    shown = verdict.selection.probability_of_what_shows
-    p = sum(shown.get(name, 0.0) for name in group)
+    p = sum(verdict.probability_of_what_shows.get(name, 0.0) for name in group)
     titles = " or ".join(_title(name) for name in group)
     return f"{titles} ({p:.0%})"
 
@@ -240,7 +239,7 @@ def _causes(verdict: Diagnosis) -> Table:
         Column("size", "size", meaning="fitted size ± standard error"),
         Column("action", "how to check it", meaning="what separates this cause from similar ones"),
     )
-    listed = sorted(verdict.probability.items(), key=lambda item: -item[1])[:_LISTED]
+    listed = sorted(verdict.probability_of_what_shows.items(), key=lambda item: -item[1])[:_LISTED]
     rows = []
     for name, p in listed:
         action = "; ".join(notes_of(BY_ID[part]).check for part in name.split("+") if part in BY_ID)

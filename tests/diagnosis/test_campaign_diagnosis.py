@@ -104,7 +104,7 @@ def test_something_unknown_is_seen_together_with_a_known_effect(strange, strange
         "sideband_crosstalk",
         "clocks",
     )
-    p = found.probability["unknown"]
+    p = found.probability_of_what_shows["unknown"]
     for part in (f"({p:.0%})", BY_ID["sideband_crosstalk"].title, "clocks"):
         assert part in words(found)[0]
     answer = to_json(found)["unknown"]
@@ -112,30 +112,32 @@ def test_something_unknown_is_seen_together_with_a_known_effect(strange, strange
 
 
 def test_the_first_words_say_what_is_likeliest_and_how_likely(nothing, mixed, both) -> None:
-    p = nothing.selection.probability_of_what_shows["none"]
+    p = nothing.probability_of_what_shows["none"]
     assert p > 0.9
     assert f"({p:.0%})" in words(nothing)[0]
-    p = mixed.probability["sideband_crosstalk"]
+    p = mixed.probability_of_what_shows["sideband_crosstalk"]
     assert p > 0.5
     title = BY_ID["sideband_crosstalk"].title
     assert f"{title} ({p:.0%})" in words(mixed)[0]
-    name = next(n for n in both.probability if set(n.split("+")) == set(both.effects))
-    assert f"({both.probability[name]:.0%})" in words(both)[0]
+    name = next(n for n in both.probability_of_what_shows if set(n.split("+")) == set(both.effects))
+    assert f"({both.probability_of_what_shows[name]:.0%})" in words(both)[0]
     assert title in words(both)[0]
 
 
 def test_what_is_likeliest_but_not_likely_is_called_so(mixed) -> None:
     name = "sideband_crosstalk"
     shares = {name: 0.31, "none": 0.3, "carrier_leak": 0.15, "unknown": 0.24}
-    alone = replace(mixed, probability=shares, likely=((name,), ("none",), ("unknown",)))
+    alone = replace(
+        mixed, probability_of_what_shows=shares, shown=((name,), ("none",), ("unknown",))
+    )
     cause = f"{BY_ID[name].title} (31%)"
     assert cause in words(alone)[0]
     assert "not certain" in words(alone)[0]
     # With what is confusable it is likelier than not; but not with 0.46.
     together = (name, "carrier_leak")
-    assert "not certain" in words(replace(alone, likely=(together, ("none",))))[0]
+    assert "not certain" in words(replace(alone, shown=(together, ("none",))))[0]
     shares = shares | {"carrier_leak": 0.25, "unknown": 0.14}
-    likelier = replace(alone, probability=shares, likely=(together, ("none",)))
+    likelier = replace(alone, probability_of_what_shows=shares, shown=(together, ("none",)))
     assert cause in words(likelier)[0]
     assert "not certain" not in words(likelier)[0]
 
@@ -184,7 +186,7 @@ def test_the_page_has_all_of_it(mixed, tmp_path) -> None:
     assert "<h1>A &lt;reed&gt;</h1>" in html
     assert words(mixed)[0] in html
     assert "up.h5, dark.h5" in html
-    p = mixed.probability["sideband_crosstalk"]
+    p = mixed.probability_of_what_shows["sideband_crosstalk"]
     size = to_json(mixed)["effects"]["sideband_crosstalk"]["sizes"]["fraction"]
     row = (
         BY_ID["sideband_crosstalk"].title,

@@ -5,7 +5,7 @@ the errors: as noise, or as unknown amounts of known columns (`GroupNuisances`).
 Gaussian; how large noise and amounts are is itself known within a factor only.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
@@ -101,6 +101,12 @@ class Errors:
     nuisances: tuple[GroupNuisances, ...] = ()
     noise_freedom: float = MEASURED
 
+    def covariance(self, nuisances: Iterable[GroupNuisances] = ()) -> Array:
+        """Return the covariance (n, n) of noise and some nuisances of usual size."""
+        noise = np.diag(self.noise**2) if self.noise.ndim == 1 else self.noise
+        columns = [each.columns for each in nuisances]
+        return np.asarray(noise + sum((each @ each.T for each in columns), np.zeros(noise.shape)))
+
 
 @dataclass(frozen=True)
 class ObservableGroup:
@@ -165,8 +171,7 @@ def observable_group(
     """
     numbers = np.asarray(values, dtype=float)
     errors = errors if isinstance(errors, Errors) else Errors(errors)
-    noise = np.diag(errors.noise**2) if errors.noise.ndim == 1 else errors.noise
-    covariance = noise + sum((each.columns @ each.columns.T for each in errors.nuisances), 0.0)
+    noise, covariance = errors.covariance(), errors.covariance(errors.nuisances)
     valid = np.isfinite(numbers) & np.isfinite(covariance).all(axis=0) & (np.diag(noise) > 0)
     if not valid.all():
         place = places[int(np.argmin(valid))]

@@ -231,10 +231,8 @@ class _Change:
     def covariance(self) -> Array:
         """Covariance (n, n) of what the group states as measured: not of disorder."""
         errors = self.group.errors
-        noise = np.diag(errors.noise**2) if errors.noise.ndim == 1 else errors.noise
-        measured = [each.columns for each in errors.nuisances if each.freedom == MEASURED]
-        whole = noise + sum((columns @ columns.T for columns in measured), np.zeros(noise.shape))
-        chosen: Array = whole[np.ix_(self.numbers, self.numbers)]
+        measured = [each for each in errors.nuisances if each.freedom == MEASURED]
+        chosen: Array = errors.covariance(measured)[np.ix_(self.numbers, self.numbers)]
         return chosen
 
 

@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 from diagnosis.observable_groups import (
+    DISORDER,
+    MEASURED,
     Coordinates,
+    Errors,
+    GroupNuisances,
     Observable,
     ObservableGroup,
     observable_group,
@@ -21,7 +25,7 @@ from physics.reed.reduced.stored import reduced_reed
 from studies.closure import __main__ as command
 from studies.closure import measuring
 from studies.closure.__main__ import WITHOUT_FITS, jobs
-from studies.closure.comparison import _pairs, compare
+from studies.closure.comparison import _Change, _pairs, compare
 from studies.closure.measuring import (
     UNFITTED,
     Measured,
@@ -158,3 +162,18 @@ def test_steps_that_one_campaign_lacks_are_left_out_and_shift_no_others() -> Non
     # Numbers of which all the same is expected cannot be distinguished.
     flat = [replace(each, predict=lambda _, values=each.values: 0 * values) for each in (one, two)]
     assert _pairs(*flat, BenchParameters()) == []
+
+
+def test_closures_are_judged_by_errors_of_measuring_and_not_by_disorder() -> None:
+    unit = np.ones((2, 1))
+    nuisances = (
+        GroupNuisances("fit", 0.3 * unit, MEASURED, "a test"),
+        GroupNuisances("other reeds", 5.0 * unit, DISORDER, "a test"),
+    )
+    group = observable_group(
+        "lines", Observable.DRIVE, np.zeros(2), Errors(np.array([0.1, 0.2]), nuisances),
+        [Coordinates("drive")] * 2, ("drive",), lambda _: np.zeros(2),
+    )  # fmt: skip
+    change = _Change(group, np.arange(2), np.zeros(2), np.zeros(2))
+    np.testing.assert_allclose(change.covariance, [[0.1, 0.09], [0.09, 0.13]])
+    np.testing.assert_allclose(group.covariance, change.covariance + 25.0)

@@ -7,7 +7,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from diagnosis.inference.candidates import without_effects
-from diagnosis.inference.effect_scan import Start, scan_effect
+from diagnosis.inference.effect_scan import Start, _log_integral, scan_effect
 from diagnosis.inference.linear_model import KNOWN, LinearModel, Scales, weigh, weighed_at
 from tests.diagnosis.toy import EFFECTS, bench, measured
 
@@ -105,3 +105,15 @@ def test_an_effect_that_changes_nothing_has_no_scan() -> None:
     problem = measured(3, bench())
     start = Start.without(problem, without_effects(problem, [np.zeros(1)]).estimate)
     assert scan_effect(problem, start, EFFECTS[3]) is None
+
+
+def test_parts_of_an_integral_add_up_to_the_whole() -> None:
+    logs, step = -(np.linspace(0.0, 3.0, 31) ** 2), 0.1
+    whole = _log_integral(logs, step)
+    assert whole == pytest.approx(np.log(0.5 * np.sqrt(np.pi)), abs=2e-3)
+    for first in (1, 9, 30):
+        below, above = logs.copy(), logs.copy()
+        below[first:], above[:first] = -np.inf, -np.inf
+        parts = [_log_integral(part, step) for part in (below, above)]
+        assert np.logaddexp(*parts) == pytest.approx(whole, abs=0.01)
+    assert _log_integral(np.full(5, -np.inf), step) == -np.inf

@@ -183,6 +183,7 @@ def test_what_would_not_show_counts_as_none() -> None:
     # What changes nothing is as likely as before, but would not show.
     assert whole["nothing"] == pytest.approx(PRIOR["one"] / 4 / PRIOR["none"] * whole[NONE])
     assert "nothing" not in shown
+    assert shown[UNKNOWN] < 0.5 * whole[UNKNOWN]
     assert whole[NONE] < 0.85
     assert shown[NONE] > 0.9
     # A bump of some standard deviations shows, whichever way it is counted.
@@ -190,6 +191,16 @@ def test_what_would_not_show_counts_as_none() -> None:
     assert bump.probability_of_what_shows["bump"] == pytest.approx(
         bump.probability["bump"], abs=0.02
     )
+
+
+def test_strengths_that_would_not_show_have_the_evidence_of_none() -> None:
+    """A slope shows from 2 deviations of 2 / √20 on, and is between 0.06 and 6."""
+    found = select_model(measured(12, bench(), noise=2.0), EFFECTS)
+    whole, shown = found.probability, found.probability_of_what_shows
+    hidden = np.log(2 * 2 / np.sqrt(20) / 0.06) / np.log(100)
+    ratio = (whole["slope"] - shown["slope"]) / whole["nothing"]
+    assert ratio == pytest.approx(hidden, abs=0.25)
+    assert shown["slope"] < 0.5 * whole["slope"]
 
 
 def test_priors_of_others_move_a_probability_by_no_more_than_their_odds() -> None:

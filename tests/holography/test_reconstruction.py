@@ -99,7 +99,7 @@ def test_mean_power_is_that_of_every_pixel():
     assert mean_power(field) == pytest.approx(np.mean(np.abs(field.astype(complex)) ** 2))
 
 
-# The empty region lies beside the first, and above the second, which spans nearly all columns.
+# The empty region lies next to the first, and above the second, which spans nearly all columns.
 REEDS = pytest.mark.parametrize("region", [Region(160, 80, 60, 160), Region(108, 10, 40, 300)])
 
 

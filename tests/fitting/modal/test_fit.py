@@ -1,6 +1,7 @@
 """Modes found in planted sweeps, whose displacements are made by the formula alone."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,13 @@ from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.drive_prior import HELD_LEVEL, DriveForm, quiet_ripple, smooth_ripple
 from fitting.modal.field_drift import FieldDrift
 from fitting.modal.first_state import at_level
-from fitting.modal.fit import _mixture, _model, fit_modes, fit_modes_with_known_drive
+from fitting.modal.fit import (
+    _drive_forms,
+    _mixture,
+    _model,
+    fit_modes,
+    fit_modes_with_known_drive,
+)
 from fitting.modal.model import (
     DRIVE_DOF,
     Model,
@@ -474,13 +481,39 @@ def test_a_sweep_tells_as_much_if_the_form_of_its_drive_is_known_as_if_it_is_fou
     pole = np.abs(1 + 0.3 / (1 - (DRIVE_HZ / pole_hz) ** 2 + 1j * DRIVE_HZ / pole_hz / 20))
     sweep = planted(6, drive_dof=list(enumerate(pole)))
     found = sweep.fit()
-    for form in found.drive_forms:
-        assert form.log_probability <= 0
     again = fit_modes_with_known_drive(
         sweep.displacements, sweep.basis, DRIVE_HZ, sweep.start_hz, found
     )
     assert (np.abs(cents(again.hz, found.hz)) < 0.5 * found.error_cents).all()
     assert again.error_cents == pytest.approx(found.error_cents, rel=0.35)
+
+
+def test_explanations_of_a_drive_keep_their_probabilities(sweep):
+    """Those of two that explain another sweep equally well stay as they are."""
+    found = sweep.fit()
+    form = replace(found.drive_forms[0], log_probability=np.log(0.8))
+    other = replace(form, log_probability=np.log(0.2))
+    again = fit_modes_with_known_drive(
+        sweep.displacements,
+        sweep.basis,
+        DRIVE_HZ,
+        sweep.start_hz,
+        replace(found, drive_forms=(form, other)),
+    )
+    kept = [each.log_probability for each in again.drive_forms]
+    assert kept == pytest.approx(np.log([0.8, 0.2]), abs=1e-6)
+
+
+def test_only_improbable_explanations_of_a_drive_are_forgotten():
+    optima = [
+        SimpleNamespace(
+            log_evidence=log, model=SimpleNamespace(log_volts=log, ripple=quiet_ripple(DRIVE_HZ))
+        )
+        for log in (-1.0, 0.0, -8.0)
+    ]
+    forms = _drive_forms(optima, np.array([0.3, 0.6995, 0.0005]))
+    assert [form.log_magnitude for form in forms] == [0.0, -1.0]
+    assert [form.log_probability for form in forms] == pytest.approx(np.log([0.6995, 0.3]))
 
 
 def test_a_form_of_the_drive_is_taken_at_other_steps_and_volts():

@@ -201,7 +201,7 @@ def _judged(
     chosen = found.candidate("+".join(named)) or _best_alone(found)
     acts = _touched(problem, found.null, chosen)
     named_or_none = chosen if named else found.null
-    beside = likeliest_unknown(found)
+    unknown_with = likeliest_unknown(found)
     return Diagnosis(
         kind=kind,
         effects=named,
@@ -214,8 +214,8 @@ def _judged(
         gap=gap_map(problem),
         selection=found,
         detectability=reach,
-        unknown_with=beside,
-        unknown_in=_likeliest_group(problem, found.candidate(beside) or found.null),
+        unknown_with=unknown_with,
+        unknown_in=_likeliest_group(problem, found.candidate(unknown_with) or found.null),
         checks=predictive_checks(problem, named_or_none, _only(problem, condition)),
         explained_with=chosen.names,
         explained=explained_fraction(found.null, chosen, _where(groups, acts)),

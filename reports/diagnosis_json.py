@@ -20,10 +20,10 @@ def to_json(verdict: Diagnosis) -> dict[str, Any]:
     return {
         "verdict": verdict.kind,
         "effects_named": list(verdict.effects),
-        "probability": _told(verdict.probability),
+        "probability": _likeliest_first(verdict.probability),
         "classes": [list(group) for group in verdict.classes if len(group) > 1],
         "likely": [list(group) for group in verdict.likely],
-        "probability_of_what_shows": _told(verdict.probability_of_what_shows),
+        "probability_of_what_shows": _likeliest_first(verdict.probability_of_what_shows),
         "shown": [list(group) for group in verdict.shown],
         "likeliest_range": list(verdict.likeliest_range),
         "gap": _gap(verdict),
@@ -63,9 +63,9 @@ def to_json(verdict: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _told(probability: Mapping[str, float]) -> dict[str, float]:
-    told = {name: p for name, p in probability.items() if p > _LEAST_TOLD}
-    return dict(sorted(told.items(), key=lambda item: -item[1]))
+def _likeliest_first(probability: Mapping[str, float]) -> dict[str, float]:
+    above = {name: p for name, p in probability.items() if p > _LEAST_TOLD}
+    return dict(sorted(above.items(), key=lambda item: -item[1]))
 
 
 def _gap(verdict: Diagnosis) -> dict[str, Any]:

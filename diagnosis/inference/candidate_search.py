@@ -11,8 +11,8 @@ import numpy as np
 from diagnosis.inference.candidates import (
     Candidate,
     along_line,
-    beside,
     refitted,
+    start_with,
     without_effects,
 )
 from diagnosis.inference.effect_scan import Start, scan_effect
@@ -26,7 +26,7 @@ from physics.errors import ImpossibleReedError
 
 SEED = 20_080_402
 # The likeliest candidates, at most this many and within this many nats of the best, are fitted in
-# full, if they gain at least so many nats: what gains less cannot become likely.
+# full, if they gain at least 1.5 nats: what gains less cannot become likely.
 _MOST_REFINED, _FAR_BEHIND, _WORTH = 5, 8.0, 1.5
 # The model without effects is refitted from the nuisances of this many candidates.
 _MOST_POLISHED = 4
@@ -123,7 +123,7 @@ def fit_pairs(
     null: Candidate,
     alone: Mapping[str, Candidate],
     effects: Sequence[Effect],
-    alike: set[frozenset[str]],
+    confusable: set[frozenset[str]],
 ) -> dict[str, Candidate]:
     """Fit every effect in addition to the best one, and to others that gain by themselves.
 
@@ -138,9 +138,9 @@ def fit_pairs(
             effect
             for effect in others
             if effect.id in alone and effect.id != first.names[0]
-            and frozenset((effect.id, first.names[0])) not in alike
+            and frozenset((effect.id, first.names[0])) not in confusable
         ]  # fmt: skip
-        start = beside(problem, first)
+        start = start_with(problem, first)
         each = map_processes(partial(search_alone, problem, start, first), apart)
         found |= {"+".join(pair.names): pair for pair in each if pair is not None}
     return found

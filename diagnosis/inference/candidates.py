@@ -342,7 +342,7 @@ def _slopes(
     return np.hstack(columns)
 
 
-def beside(problem: InferenceProblem, candidate: Candidate) -> Start:
+def start_with(problem: InferenceProblem, candidate: Candidate) -> Start:
     """Return the start at which effects are added to those of a candidate.
 
     Its own sizes are linear, with the standard deviations of their scales.

@@ -329,7 +329,8 @@ class _Swept:
     def scan(self, elsewhere: float, log_hidden: float) -> Scan:
         """Return the scan of an effect of which this line is the best.
 
-        Scales are fitted anew at the best strength; what that adds there it adds everywhere.
+        Scales are fitted again at the best strength. The gain there is taken to be the gain
+        everywhere.
 
         Parameters
         ----------

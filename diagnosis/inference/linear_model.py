@@ -3,7 +3,7 @@
 A bench may be noisier, and differ more from the drawing, than usual. Each group of observables has
 a factor on its noise, and each family of nuisances (thickness of the reed, constants of the cane,
 ripple of the loudspeaker …) a factor on its standard deviations. Their logarithms have Gaussian
-priors and are fitted anew for every hypothesis, so that more disorder costs power and is no
+priors and are fitted for each hypothesis, so that more disorder costs power and is no
 evidence for an effect. Given the factors the model is linear and Gaussian, and its evidence exact.
 """
 
@@ -15,7 +15,8 @@ from scipy import linalg
 
 from holography.arrays import Array
 
-# Iterations of the factors: until none changes by more than this, and at most so many. Chosen:
+# Iterations of the factors: until none changes by more than the first number, and at most the
+# second. Chosen:
 # changes below a hundredth change no evidence by a tenth of a nat.
 _SETTLED, _MOST_TURNS = 0.01, 60
 # Newton steps for one factor, which converge quadratically.

@@ -136,18 +136,20 @@ def select_model(
         alone |= {n: o for n, o in before.items() if _log_evidence(alone.get(n)) < o.log_evidence}
     report(0.7)
     signatures = signatures_of(null, alone)
-    alike = confusable_pairs({name: left for name, (_, left) in signatures.items()})
-    pairs = fit_pairs(problem, null, alone, effects, alike)
+    confusable = confusable_pairs({name: left for name, (_, left) in signatures.items()})
+    pairs = fit_pairs(problem, null, alone, effects, confusable)
     refine_best(problem, null, pairs, log_odds_of_all({**alone, **pairs}, null, count))
     report(0.9)
     odds = log_odds_of_all(alone, null, count)
     likely = sorted(alone, key=lambda name: -odds[name])[:_LOOKED_BESIDE]
-    beside = {name: log_bayes_any_unknown(problem, alone[name]) for name in likely}
+    unknown_with = {name: log_bayes_any_unknown(problem, alone[name]) for name in likely}
     unknown = log_bayes_any_unknown(problem, null)
     unseen = tuple(effect.id for effect in effects if effect.id not in alone)
     report(1.0)
     told = group_discrepancies(problem, null)
-    return ModelSelection(null, alone, pairs, signatures, told, unknown, beside, unseen, count)
+    return ModelSelection(
+        null, alone, pairs, signatures, told, unknown, unknown_with, unseen, count
+    )
 
 
 def each_alone(
@@ -195,11 +197,15 @@ def refit_candidate(problem: InferenceProblem, found: ModelSelection, name: str)
     if candidate is None or candidate.estimate.starts > 1:
         return found
     again = refit_from_elsewhere(problem, candidate, np.random.default_rng(SEED))
-    alone, pairs, beside = dict(found.single), dict(found.pairs), dict(found.unknown_log_bayes_with)
+    alone, pairs, unknown_with = (
+        dict(found.single),
+        dict(found.pairs),
+        dict(found.unknown_log_bayes_with),
+    )
     (alone if name in alone else pairs)[name] = again
-    if name in beside:
-        beside[name] = log_bayes_any_unknown(problem, again)
-    return replace(found, single=alone, pairs=pairs, unknown_log_bayes_with=beside)
+    if name in unknown_with:
+        unknown_with[name] = log_bayes_any_unknown(problem, again)
+    return replace(found, single=alone, pairs=pairs, unknown_log_bayes_with=unknown_with)
 
 
 def probability_range(found: ModelSelection, names: Collection[str]) -> tuple[float, float]:

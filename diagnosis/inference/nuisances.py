@@ -126,7 +126,7 @@ def layers(*, odd: bool) -> list[Nuisance]:
 def _variances(half: float) -> Array:
     """Return the variance of each Legendre coefficient of a random function of variance 1.
 
-    Its correlation is exp(−Δ²) over an interval of so many half lengths.
+    Its correlation is exp(−Δ²) over an interval of Δ half lengths.
     """
     at, weight = np.polynomial.legendre.leggauss(_POINTS)
     weighted = np.polynomial.legendre.legvander(at, _DEGREE) * weight[:, None]

@@ -33,8 +33,8 @@ from physics.parameters.tree import BenchParameters, with_alteration, with_cane
 
 CENTS = 1200 / np.log(2)
 # Error of a fit that another sweep of the same reed does not share, as a share of its standard
-# error: as much as so many degrees of freedom say (decision 0047: light and vibration are
-# confounded alike in all sweeps). Chosen where sweeps are few; replicates take over.
+# error, with the weight of four degrees of freedom (decision 0047: light and vibration are
+# confounded in the same way in all sweeps). Chosen where sweeps are few; replicates take over.
 _OWN, _BELIEVED = 0.5, 4.0
 # Fits agree at least to this: cents, per cent. Chosen: rounding of the search.
 _LEAST_CENTS, _LEAST_LOSS = 0.05, 0.1
@@ -77,7 +77,7 @@ def modes_group(
         return None
     share = _own_share(sweeps, common)
     values, places, rows, pieces = [], [], [], []
-    alike = loudest(sweeps)
+    loud = loudest(sweeps)
     for number, sweep in enumerate(sweeps):
         here = [name for name in common if name in sweep.names]
         at = np.array([sweep.names.index(name) for name in here], dtype=int)
@@ -89,7 +89,7 @@ def modes_group(
                 )
                 rows.append((number, name, what))
         # Sweeps of another level or clamping end in optima of their own.
-        own = share if sweep in alike else 1.0
+        own = share if sweep in loud else 1.0
         pieces.append(own**2 * _of_fit(sweep, at))
         pieces[-1] += _of_leaks(leaks, sweep, at, [name == common[0] for name in here])
     noise = block_diag(*pieces)
@@ -115,16 +115,16 @@ def _own_share(sweeps: Sequence[SweepReading], common: Sequence[str]) -> float:
     From sweeps of one clamping and level. What all modes of a sweep differ by is the reed's
     temperature, and does not count.
     """
-    alike = loudest(sweeps)
-    names = [name for name in common if all(name in sweep.names for sweep in alike)]
-    if len(alike) < 2 or len(names) < 2:
+    loud = loudest(sweeps)
+    names = [name for name in common if all(name in sweep.names for sweep in loud)]
+    if len(loud) < 2 or len(names) < 2:
         return 1.0
-    at = [[sweep.names.index(name) for name in names] for sweep in alike]
-    table = np.array([np.log(s.hz[i]) for s, i in zip(alike, at, strict=True)])
-    error = np.array([np.sqrt(np.diag(s.covariance)[i]) for s, i in zip(alike, at, strict=True)])
+    at = [[sweep.names.index(name) for name in names] for sweep in loud]
+    table = np.array([np.log(s.hz[i]) for s, i in zip(loud, at, strict=True)])
+    error = np.array([np.sqrt(np.diag(s.covariance)[i]) for s, i in zip(loud, at, strict=True)])
     apart = table - table.mean(axis=0)
     apart = (apart - np.median(apart, axis=1, keepdims=True)) / error
-    freedoms = (len(alike) - 1) * (len(names) - 1)
+    freedoms = (len(loud) - 1) * (len(names) - 1)
     square = (np.sum(apart**2) + _BELIEVED * _OWN**2) / (freedoms + _BELIEVED)
     return float(min(np.sqrt(square), 1.0))
 

@@ -49,9 +49,8 @@ _SCANNED, _STARTS = np.geomspace(0.2, 5.0, 41), 3
 # displacements share is a tenth (decision 0028), and the next fringe is π rad away, a third of the
 # largest displacements with which a sweep is begun (10 rad).
 _SAME_FRINGE = 0.2
-# ... by which two starts may differ: in a sweep of the second laboratory, four starts explained all
-# holograms equally well, and displacements of all holograms differed alike by 0.19 to 0.22. Chosen:
-# halfway to the next fringe.
+# ... by which two starts may differ: each may be off by that tenth, in opposite directions. Chosen:
+# halfway from there to the next fringe.
 _SAME_START = 0.26
 # Least gain in log likelihood of another solution: odds of 150 to 1.
 _LEAST_GAIN = 5.0

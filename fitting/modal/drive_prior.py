@@ -118,7 +118,7 @@ class DriveForm:
     log_probability: float
 
     def at(self, steps: NDArray[np.intp], louder: Array) -> "DriveForm":
-        """Return the form at some of its steps (n,), at so many times the volts."""
+        """Return the form at some of its steps (n,), at `louder` (n,) times the volts."""
         square, ripple = np.ix_(steps, steps), self.ripple
         return DriveForm(
             self.log_magnitude[steps] + np.log(louder),

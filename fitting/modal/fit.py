@@ -162,8 +162,8 @@ def fit_modes_with_known_drive(
 ) -> ModalFit:
     """Fit the joint model of a sweep whose drive has a form that another fit has found.
 
-    The form is where a drive ripples, and how much, and its lines; the drive itself is found anew
-    (decision 0051).
+    The form is where a drive ripples, and how much, and its lines; the drive itself is fitted
+    again (decision 0051).
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Mode shapes of a reed at points of its surface, and an orthogonal basis of their span."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,7 +45,12 @@ class ShapeBasis:
     stiffening : (m,) float
         Exponent of the growth of a mode's stiffness with frequency near its resonance.
     loss_mixing : (m, m) float
-        C of `fitting.modal.loss_difference`, for these shapes.
+        C of `fitting.modal.out_of_phase`, for these shapes.
+    sound_hz : (h,) float
+        Frequencies of `sound`.
+    sound : (h, m, m) float
+        Resistance of the sound that a moving mode (last axis) sends to another one, per unit of
+        modal mass, in rad/s, for these shapes.
     """
 
     functions: Float32Array
@@ -54,6 +59,8 @@ class ShapeBasis:
     hz: Array
     stiffening: Array
     loss_mixing: Array
+    sound_hz: Array
+    sound: Array
 
 
 def shape_basis(
@@ -79,13 +86,9 @@ def shape_basis(
     cane = replace(reed.cane, E_L_pa=E_L_pa, G_LT_pa=G_LT_pa)
     (terms,), (slopes,) = terms_and_slopes(constants_of([cane]))
     by_moduli = slopes[:, [CONSTANTS.index("E_L_pa"), CONSTANTS.index("G_LT_pa")]]
-    surface = surface_shapes(reed, x_m, y_m)
-    named = {
-        (mode.part, round(mode.frequency_hz, 3)): name
-        for name, mode in elastic_modes(reed, E_L_pa, G_LT_pa, air_fraction=0.0).items()
-    }
+    surface, named = surface_shapes(reed, x_m, y_m), _named(reed, E_L_pa, G_LT_pa)
     found: list[tuple[float, str, Array, float]] = []
-    mixing = []
+    mixing, shapes = [], []
     for symmetry, half in reed.parts.items():
         hz, vectors = reduced_modes(half, terms, reed.cane.density_kg_m3)
         below = int(np.count_nonzero(hz < _HIGHEST_HZ))
@@ -93,6 +96,7 @@ def shape_basis(
         energies = np.einsum("im,tij,jm->mt", vectors, half.stiffness_terms, vectors, optimize=True)
         felt = energies @ by_moduli / (energies @ terms)[:, None]
         mixing.append(_loss_mixing(hz[:below], _shear(half, terms, vectors[:, :below])))
+        shapes.append(vectors[:, :below])
         for number in range(below):
             exponents = growth(float(hz[number])) if growth else (0.0, 0.0)
             stiffens = float(felt[number] @ exponents)
@@ -104,7 +108,9 @@ def shape_basis(
     deflection = np.stack(columns, axis=1)
     largest = np.abs(deflection).max(axis=0)
     deflection = deflection / largest
-    mixed = linalg.block_diag(*mixing)[np.ix_(order, order)] * largest / largest[:, None]
+    among = np.ix_(order, order)
+    mixed = linalg.block_diag(*mixing)[among] * largest / largest[:, None]
+    sound_hz, sound = _sound(reed, shapes)
     functions = _functions(deflection, np.array(frequencies))
     coordinates = functions.T @ deflection / len(functions)
     return ShapeBasis(
@@ -114,7 +120,27 @@ def shape_basis(
         np.array(frequencies),
         np.array(stiffening),
         mixed,
+        sound_hz,
+        sound[:, among[0], among[1]] * largest[:, None] / largest,
     )
+
+
+def _named(
+    reed: ReducedReed, E_L_pa: float, G_LT_pa: float
+) -> dict[tuple[Symmetry | None, float], str]:
+    """Return the names of modes by their part of the reed and their frequency."""
+    modes = elastic_modes(reed, E_L_pa, G_LT_pa, air_fraction=0.0)
+    return {(mode.part, round(mode.frequency_hz, 3)): name for name, mode in modes.items()}
+
+
+def _sound(reed: ReducedReed, shapes: Sequence[Array]) -> tuple[Array, Array]:
+    """Return the resistance (h, m, m) between mass-normalised shapes, and its frequencies (h,)."""
+    if reed.air is None:
+        size = sum(each.shape[1] for each in shapes)
+        return np.array([1.0, _HIGHEST_HZ]), np.zeros((2, size, size))
+    parts = [reed.air.resistances(part, each) for part, each in enumerate(shapes)]
+    whole = [linalg.block_diag(*at) for at in zip(*parts, strict=True)]
+    return reed.air.hz, np.stack(whole)
 
 
 def _shear(half: ReedPart, terms: Array, vectors: Array) -> Array:

@@ -20,8 +20,11 @@ def participation_scale(model: Model, state: State) -> Array:
     return scale
 
 
-def first_state(model: Model, displacements: Displacements, shared: int) -> tuple[State, Array]:
-    """Find the constant participations for which holograms are most nearly multiples of a model."""
+def first_state(model: Model, displacements: Displacements, shift: Array) -> tuple[State, Array]:
+    """Find the constant participations for which holograms are most nearly multiples of a model.
+
+    `shift` (p,) is the expected error that displacements share.
+    """
     known = np.any(displacements.amplitude_rad, axis=1)
     amplitude, information = displacements.amplitude_rad[known], displacements.information[known]
     size, modes = amplitude.shape[1], len(model.reference)
@@ -48,7 +51,7 @@ def first_state(model: Model, displacements: Displacements, shared: int) -> tupl
     # Holograms without information get the drive of their neighbours.
     log_drive = np.interp(np.log(model.hz), np.log(model.hz[known]), np.log(np.abs(drive))) + 0j
     log_drive[known] = np.log(drive)
-    state = State(_constant(model, p), log_drive, np.zeros(shared))
+    state = State(_constant(model, p), log_drive, shift)
     return state, np.maximum(np.abs(p), _LEAST_SCALE)
 
 

@@ -16,7 +16,7 @@ All parameters are found by one damped least-squares fit to the amplitudes of
 elements as by a perturbation: the more, the closer two modes are in frequency. All displacements
 may have a common-mode error, because object field and vibration are partly confounded (see
 `fitting.holograms.object_field`); it drifts slowly. Modes are a little out of phase (see
-`fitting.modal.loss_difference`). The discrepancy of the model is estimated from the residuals and
+`fitting.modal.out_of_phase`). The discrepancy of the model is estimated from the residuals and
 added to the noise, and the ripple of the drive and its lines from the drive that was found.
 """
 
@@ -46,7 +46,6 @@ from fitting.modal.drive_prior import (
 )
 from fitting.modal.field_drift import FIRST_WALK, FieldDrift, SharedError, shared_error
 from fitting.modal.first_state import at_level, first_state, participation_scale
-from fitting.modal.loss_difference import drift_with_losses, with_losses
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import (
     DRIVE_DOF,
@@ -59,6 +58,12 @@ from fitting.modal.model import (
 )
 from fitting.modal.noise import Noise, data_of, noise_of
 from fitting.modal.optimiser import inverse, minimise_cost
+from fitting.modal.out_of_phase import (
+    drift_with_losses,
+    expected_shift,
+    sound_between_modes,
+    with_losses,
+)
 from fitting.modal.posterior import Posterior, participation_error, resonant_displacements
 from fitting.modal.rounds import (
     FIRST_CORRELATED,
@@ -139,7 +144,7 @@ def fit_modes(
         model, state = _staged(model, displacements, noise, shared, centre_hz)
         rounds, scatter = _ROUNDS, _FIRST_SCATTER
     else:
-        model, state = _again(model, known, displacements, len(shared.precision))
+        model, state = _again(model, known, displacements, drift)
         rounds, scatter = _AGAIN, _scatter_of(known)
     prior = stage_prior(model, LAST, centre_hz, participation_scale(model, state))
     given = Given(displacements, drift, noise, prior)
@@ -186,8 +191,7 @@ def fit_modes_with_known_drive(
         bare, centre_hz = _model(basis, drive_hz, np.exp(form.log_magnitude), start_hz)
         models.append(replace(bare, ripple=form.ripple, line_weight=form.log_probability))
     noise, drift = noise_of(displacements), drift_with_losses(displacements)
-    size = len(_first_shared(displacements, drift).precision)
-    model, state = _again(models[0], known, displacements, size)
+    model, state = _again(models[0], known, displacements, drift)
     prior = stage_prior(model, LAST, centre_hz, participation_scale(model, state))
     given, scatter = Given(displacements, drift, noise, prior), _scatter_of(known)
     for _ in range(_AGAIN - 1):
@@ -294,7 +298,9 @@ def _held_at(model: Model, prior: Prior, state: State, taken: TakenMode) -> tupl
 
 def _first_shared(displacements: Displacements, drift: FieldDrift) -> SharedError:
     """Return the error that displacements share, with modes in phase."""
-    real = with_losses(displacements.common_mode, np.zeros(displacements.information.shape[:2]))
+    real = with_losses(
+        displacements.common_mode, np.zeros((*displacements.information.shape[:2], 2))
+    )
     return shared_error(real, drift, FIRST_WALK)
 
 
@@ -321,6 +327,7 @@ def _model(
         basis.stiffening,
         active,
         basis.loss_mixing,
+        sound_between_modes(basis, reference_hz, drive_hz),
     )
     return model, centre_hz
 
@@ -329,7 +336,7 @@ def _staged(
     model: Model, displacements: Displacements, noise: Noise, shared: SharedError, centre_hz: Array
 ) -> tuple[Model, State]:
     """Fit with priors that widen from stage to stage."""
-    state, scale = first_state(model, displacements, len(shared.precision))
+    state, scale = first_state(model, displacements, expected_shift(shared.drift))
     model = at_level(model, state)
     for stage in _STAGES:
         prior = stage_prior(model, stage, centre_hz, scale)
@@ -340,13 +347,13 @@ def _staged(
 
 
 def _again(
-    model: Model, known: ModalFit, displacements: Displacements, shared: int
+    model: Model, known: ModalFit, displacements: Displacements, drift: FieldDrift
 ) -> tuple[Model, State]:
     """Start from known modes: only the drive of every hologram is fitted to the displacements."""
     unit = known.amplitude_rad / known.drive[:, None]
     drive = np.sum(unit.conj() * displacements.amplitude_rad, axis=1)
     drive = np.where(np.abs(drive) > 0, drive / np.sum(np.abs(unit) ** 2, axis=1), known.drive)
-    state = replace(known.state, log_drive=np.log(drive), common_mode_shift=np.zeros(shared))
+    state = replace(known.state, log_drive=np.log(drive), common_mode_shift=expected_shift(drift))
     return at_level(model, state), state
 
 
@@ -373,7 +380,7 @@ def _finish(
     # those for a given drive.
     given_drive = factor * inverse(end.here.matrix)
     posterior = Posterior.of(end.here, end.covariance, factor)
-    # The last value is no error of the light.
+    # The last values are no error of the light.
     light = displacements.common_mode.response.shape[2]
     of_light = end.drift.covariance(posterior.common_mode(len(state.common_mode_shift)))
     count = len(model.active)

@@ -61,7 +61,9 @@ class Model:
     active : (a,) int
         Modes whose resonance lies in the sweep.
     loss_mixing : (m, m) float
-        See `fitting.modal.loss_difference`.
+        See `fitting.modal.out_of_phase`.
+    sound : (k, m, m) float
+        See `fitting.modal.out_of_phase.sound_between_modes`.
     line_weight : float
         Log weight of the lines that are expected of the drive, see
         `fitting.acoustics.poles.DriveLines`.
@@ -77,6 +79,7 @@ class Model:
     stiffening: Array
     active: NDArray[np.intp]
     loss_mixing: Array
+    sound: Array
     line_weight: float = 0.0
 
     @property

@@ -17,7 +17,6 @@ from fitting.modal.drive_prior import (
     found_ripple,
 )
 from fitting.modal.field_drift import FieldDrift, found_walk, shared_error
-from fitting.modal.loss_difference import loss_response, with_losses
 from fitting.modal.model import (
     Model,
     Prior,
@@ -30,6 +29,7 @@ from fitting.modal.model import (
 from fitting.modal.noise import Noise, balanced, correlated_holograms, data_of, inflated
 from fitting.modal.normal_equations import Data, Equations, Evaluation, equations, evaluate
 from fitting.modal.optimiser import inverse, minimise_cost, without_drive
+from fitting.modal.out_of_phase import loss_response, with_losses
 from fitting.modal.posterior import Posterior
 from holography.arrays import Array
 

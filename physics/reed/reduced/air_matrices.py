@@ -43,6 +43,12 @@ class AirMatrices:
         moved = np.sum(along * shapes, axis=1).T
         return np.asarray(np.sum(self.amounts(np.log(hz)) * moved, axis=1))
 
+    def resistances(self, number: int, shapes: Array) -> Array:
+        """Resistance (k, m, m) between shapes (r, m) of a part of a number, at `hz`."""
+        held = slice(len(shapes))
+        between: Array = shapes.T @ self.resistance_kg_s[number][:, held, held] @ shapes
+        return between
+
     def products(self, hz: float, coordinates: Array) -> Array:
         """Mass of air at a frequency times coordinates (s,) of all parts."""
         masses = [mass for mass, _ in self.at(hz)]

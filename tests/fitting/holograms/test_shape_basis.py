@@ -4,13 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from fitting.holograms.object_field import smooth_functions
 from fitting.holograms.shape_basis import _functions, shape_basis
 from physics.reed.cane.material import stiffness_terms_pa
 from physics.reed.geometry import Outline, half_width_m
 from physics.reed.mode_classification import PAPER_MODES, is_symmetric
-from physics.reed.reduced.elastic import elastic_modes, reduced_modes
+from physics.reed.reduced.dynamics import CaneLaw, State
+from physics.reed.reduced.elastic import elastic_modes, named_vibrations, reduced_modes
+from physics.reed.reduced.losses import radiated
+from physics.reed.reduced.vibrations import vibrations
 from physics.reed.surface import surface_shapes
 
 # In the middle of the sweep, of the paper's mean cane.
@@ -170,3 +174,33 @@ def test_smooth_factors_turn_the_first_mode_into_any_other(points, basis, deflec
         shape = deflection[:, number]
         near = factors @ np.linalg.lstsq(factors, shape, rcond=None)[0]
         assert np.linalg.norm(shape - near) < 0.1 * np.linalg.norm(shape), basis.names[number]
+
+
+def test_what_a_mode_loses_by_its_own_sound_is_that_of_the_reduced_reed(reed, basis):
+    """Compared with its vibrations in air, whose frequencies differ by the mass of the air."""
+    cane = replace(reed.cane, E_L_pa=E_L_PA, G_LT_pa=G_LT_PA)
+    found = vibrations(reed, State(CaneLaw(cane), air=reed.air), EXACT_HZ)
+    expected = {
+        mode.name: (own, hz)
+        for mode, own, hz in zip(named_vibrations(found), radiated(found), found.hz, strict=True)
+    }
+    own = np.diagonal(basis.sound, axis1=1, axis2=2)
+    for name in ("F2", "F3", "F4"):
+        loss, hz = expected[name]
+        at = CubicSpline(np.log(basis.sound_hz), own[:, basis.names.index(name)])(np.log(hz))
+        assert at / (2 * np.pi * hz) == pytest.approx(loss, rel=0.1)
+
+
+def test_sound_connects_modes_of_one_symmetry_both_ways(basis, deflection, points):
+    """What one sends to the other is what it receives, per unit of modal mass."""
+    even = np.array([is_even(column) for column in deflection.T])
+    assert not np.any(basis.sound[:, even][:, :, ~even])
+    F1, F3 = basis.names.index("F1"), basis.names.index("F3")
+    sent, received = basis.sound[:, F1, F3], basis.sound[:, F3, F1]
+    assert np.abs(sent).max() > 1
+    ratio = sent / received
+    assert ratio == pytest.approx(np.full_like(ratio, ratio[0]))
+
+
+def is_even(column):
+    return np.dot(column, mirrored(column)) > 0

@@ -152,6 +152,8 @@ def planted(
         start,
         np.zeros(modes),
         np.zeros((modes, modes)),
+        DRIVE_HZ[[0, -1]],
+        np.zeros((2, modes, modes)),
     )
     return Planted(hz, LOSS[:modes], shapes, p, drive, volts, displacements, basis)
 
@@ -687,6 +689,7 @@ def point():
         stiffening,
         active,
         np.zeros((5, 5)),
+        np.zeros((len(k), 5, 5)),
     )
     x = 0.1 * rng.standard_normal((3 + 5, model.slots))
     x[:3, 10] = np.log(MODE_HZ[active]) + 0.004 * rng.standard_normal(3)

@@ -10,9 +10,9 @@ from scipy import stats
 from fitting.modal.field_drift import FIRST_WALK
 from fitting.modal.first_state import at_level, first_state
 from fitting.modal.fit import _model
-from fitting.modal.loss_difference import drift_with_losses
 from fitting.modal.model import TAIL_TERMS, Prior, stage_prior
 from fitting.modal.noise import noise_of
+from fitting.modal.out_of_phase import drift_with_losses, expected_shift
 from fitting.modal.rounds import LAST, Given, Scatter, one_round, probabilities
 from tests.fitting.modal.test_fit import DRIVE_HZ, planted
 
@@ -25,7 +25,7 @@ def a_round(sweep, factor=1.0, inflation=1.0, iterations=40):
     displacements = sweep.displacements
     model, centre_hz = _model(sweep.basis, DRIVE_HZ, sweep.volts, sweep.start_hz)
     drift = drift_with_losses(displacements)
-    state, scale = first_state(model, displacements, drift.parameters)
+    state, scale = first_state(model, displacements, expected_shift(drift))
     x, active, powers = state.x.copy(), len(model.active), model.powers.shape[1]
     x[:active, : 2 * powers] *= factor
     x[active + model.passive, active : active + 2 * TAIL_TERMS] *= factor

@@ -1,0 +1,148 @@
+"""Modes that are not in phase, because shear loses more than bending, and because of sound."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from fitting.holograms.object_field import CommonModeError
+from fitting.holograms.shape_basis import _loss_mixing
+from fitting.modal.out_of_phase import drift_with_losses, sound_between_modes, with_losses
+from tests.fitting.modal.test_fit import DRIVE_HZ, MODE_HZ, planted, response
+
+# Loss factors of the literature differ by about this.
+DIFFERENCE = 0.025
+
+
+def test_modes_mix_as_those_of_the_complex_stiffness():
+    """Compared with the eigenvectors of a system of four masses."""
+    rng = np.random.default_rng(2)
+    hz = np.array([1000.0, 1700.0, 2500.0, 3600.0])
+    root = rng.standard_normal((4, 4))
+    shear = root @ root.T * (2 * np.pi * 700) ** 2
+    stiffness = np.diag((2 * np.pi * hz) ** 2)
+    values, vectors = linalg.eig(stiffness + 1e-3j * shear)
+    mixing = _loss_mixing(hz, shear)
+    for m in range(4):
+        exact = vectors[:, np.abs(values.real - stiffness[m, m]).argmin()]
+        exact = exact / exact[m]
+        expected = np.eye(4)[m] + 1e-3j * mixing[m]
+        assert exact == pytest.approx(expected, abs=0.02 * np.abs(mixing[m]).max() * 1e-3)
+
+
+def test_modes_of_one_frequency_do_not_mix():
+    mixing = _loss_mixing(np.array([1000.0, 1000.0, 3000.0]), np.full((3, 3), 1e6))
+    assert np.isfinite(mixing).all()
+    assert mixing[0, 1] == 0
+
+
+def test_both_are_known_as_well_as_literature_knows_them():
+    common_mode = CommonModeError(
+        np.ones((7, 4, 2)), np.tile(np.eye(2), (7, 1, 1)), np.full((7, 2), 5.0)
+    )
+    both = with_losses(common_mode, np.full((7, 4, 2), 3.0))
+    assert both.response[..., :2].tolist() == common_mode.response.tolist()
+    assert both.response[..., 2:].tolist() == np.full((7, 4, 2), 3.0).tolist()
+    held = both.precision.sum(axis=0)[2:]
+    assert held == pytest.approx(np.array([[0, 0, 0.03**-2, 0], [0, 0, 0, 0.5**-2]]))
+    # A free plate is expected, and no difference.
+    assert both.pull[:, 2:].sum(axis=0) == pytest.approx([0.0, 0.5**-2])
+    assert both.pull[:, :2].tolist() == common_mode.pull.tolist()
+
+
+def test_they_are_two_more_values_that_no_hologram_changes():
+    displacements = planted().displacements
+    drift = drift_with_losses(displacements)
+    shift = drift.shift(np.arange(1.0, drift.parameters + 1))
+    assert shift.shape == (len(DRIVE_HZ), 2)
+    assert not np.ptp(shift, axis=0).any()
+
+
+def out_of_phase(seed):
+    """A planted sweep whose modes mix with a phase."""
+    sweep = planted(seed, noise=0.005, mixing=0.1)
+    count = len(sweep.hz)
+    squares = MODE_HZ**2
+    apart = np.subtract.outer(squares, squares) + np.diag(np.full(count, np.inf))
+    rng = np.random.default_rng(100 + seed)
+    shear = rng.uniform(-0.3, 0.3, (count, count))
+    mixing = (shear + shear.T) * np.sqrt(np.outer(squares, squares)) / apart
+    shapes = 1j * DIFFERENCE * mixing @ sweep.shapes
+    more = np.zeros_like(sweep.displacements.amplitude_rad)
+    for m in range(count):
+        h = 1 / (1 + 1j * sweep.loss[m] - (DRIVE_HZ / sweep.hz[m]) ** 2)
+        more += np.outer(sweep.drive * h * sweep.participation[:, m], shapes[m])
+    displacements = replace(
+        sweep.displacements, amplitude_rad=sweep.displacements.amplitude_rad + more
+    )
+    basis = replace(sweep.basis, loss_mixing=mixing)
+    return replace(sweep, displacements=displacements, basis=basis)
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_losses_are_right_where_modes_are_out_of_phase(seed):
+    sweep = out_of_phase(seed)
+    real = replace(sweep, basis=replace(sweep.basis, loss_mixing=np.zeros((6, 6))))
+    found, without = sweep.fit(), real.fit()
+    pulls = [
+        np.sqrt(np.mean((np.log(each.loss_factor / sweep.loss[:5]) / each.loss_error) ** 2))
+        for each in (found, without)
+    ]
+    assert pulls[0] < 2
+    assert pulls[1] > 3
+    assert found.discrepancy < 0.3 * without.discrepancy
+    assert found.state.common_mode_shift[-2] == pytest.approx(DIFFERENCE, rel=0.1)
+    # It is no error of the light.
+    assert found.common_mode_shift.shape == (len(DRIVE_HZ), 0)
+    assert found.common_mode_covariance.shape == (len(DRIVE_HZ), 0, 0)
+
+
+# --- Sound ---------------------------------------------------------------------------------------
+
+
+def with_sound(seed, share):
+    """A planted sweep whose modes send each other `share` of the sound that the basis expects.
+
+    The response is that of the whole system of modes, solved at each frequency.
+    """
+    sweep = planted(seed, noise=0.005, mixing=0.1)
+    count = len(sweep.hz)
+    rng = np.random.default_rng(200 + seed)
+    sends = rng.uniform(0.5, 1, count) * np.array([1, -1, 1, -1, 1, 1])[:count]
+    # Loss factors by sound grow with frequency up to a third of those of cane.
+    sound_hz = np.geomspace(1000.0, 12_000.0, 9)
+    strength = 0.01 * 2 * np.pi * sound_hz * (sound_hz / 6000) ** 2
+    basis = replace(
+        sweep.basis, sound_hz=sound_hz, sound=strength[:, None, None] * np.outer(sends, sends)
+    )
+    between = share * sound_between_modes(basis, sweep.hz, DRIVE_HZ)
+    amplitude = []
+    for k, hz in enumerate(DRIVE_HZ):
+        stiffness = np.diag(1 + 1j * sweep.loss - (hz / sweep.hz) ** 2) + 1j * between[k]
+        moved = linalg.solve(stiffness, sweep.participation[k])
+        amplitude.append(sweep.drive[k] * moved @ sweep.shapes)
+    plain = response(sweep.hz, sweep.loss, sweep.participation, sweep.shapes, sweep.drive)
+    noise = sweep.displacements.amplitude_rad - plain
+    displacements = replace(sweep.displacements, amplitude_rad=np.array(amplitude) + noise)
+    return replace(sweep, displacements=displacements, basis=basis)
+
+
+@pytest.mark.parametrize(("seed", "share"), [(2, 1.0), (3, 0.6)])
+def test_modes_are_right_where_they_send_each_other_sound(seed, share):
+    sweep = with_sound(seed, share)
+    silent = replace(sweep, basis=replace(sweep.basis, sound=np.zeros_like(sweep.basis.sound)))
+    found, without = sweep.fit(), silent.fit()
+    cents = [1200 * np.log2(each.hz / sweep.hz[:5]) / each.error_cents for each in (found, without)]
+    rms = [float(np.sqrt(np.mean(each**2))) for each in cents]
+    assert rms[0] < 2
+    assert rms[1] > 3
+    assert found.discrepancy < without.discrepancy
+    assert found.state.common_mode_shift[-1] == pytest.approx(share, abs=0.15)
+
+
+def test_a_mode_sends_no_sound_to_itself():
+    between = sound_between_modes(with_sound(2, 1.0).basis, MODE_HZ, DRIVE_HZ)
+    assert between.shape == (len(DRIVE_HZ), 6, 6)
+    assert not np.diagonal(between, axis1=1, axis2=2).any()
+    assert np.all(between[:, 0, 1] < 0)

@@ -9,15 +9,15 @@ from fitting.holograms.displacement import Displacements
 from fitting.modal.model import LOSS, TAIL_TERMS, Model, State, terms
 from holography.arrays import Array, ComplexArray
 
-# Least scale of a participation.
+# Least scale of a participation, relative to the largest.
 _LEAST_SCALE = 3e-3
 
 
 def participation_scale(model: Model, state: State) -> Array:
     """Return the rms participation (m,) of each mode."""
     p = terms(model, state).participation
-    scale: Array = np.maximum(np.sqrt(np.mean(np.abs(p) ** 2, axis=0)), _LEAST_SCALE)
-    return scale
+    scale = np.sqrt(np.mean(np.abs(p) ** 2, axis=0))
+    return np.asarray(np.maximum(scale, _LEAST_SCALE * scale.max()))
 
 
 def first_state(model: Model, displacements: Displacements, shift: Array) -> tuple[State, Array]:

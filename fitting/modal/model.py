@@ -233,21 +233,37 @@ def stage_prior(model: Model, stage: Stage, centre_hz: Array, scale: Array) -> P
     """Return the prior of a stage; `scale` (m,) is the expected size of participations."""
     count, powers = len(model.active), model.powers.shape[1]
     centre = np.zeros((count + len(model.reference), model.slots))
-    spread = np.zeros_like(centre)
-    degrees = stage.decay ** np.arange(powers)
-    degrees[0] = _SCALE
-    for part in (0, powers):
-        spread[:count, part : part + powers] = scale[model.active, None] * degrees
+    spread = _participation_spread(model, stage, scale)
     centre[:count, 2 * powers] = np.log(centre_hz)
     spread[:count, 2 * powers] = stage.detuning
     centre[:count, 2 * powers + 1], spread[:count, 2 * powers + 1] = np.log(LOSS), _LOSS_SPREAD
     mixing = stage.mixing * _mixing(model, centre_hz)
     spread[count:, :count] = np.where(_LEAST_MIXING * stage.mixing < mixing.T, mixing.T, 0)
+    with np.errstate(divide="ignore"):
+        return Prior(centre, spread**-2.0)
+
+
+def rescaled(prior: Prior, model: Model, stage: Stage, scale: Array) -> Prior:
+    """Return the prior for another expected size of participations (m,)."""
+    spread = _participation_spread(model, stage, scale)
+    other = spread > 0
+    precision = prior.precision.copy()
+    precision[other] = spread[other] ** -2.0
+    return replace(prior, precision=precision)
+
+
+def _participation_spread(model: Model, stage: Stage, scale: Array) -> Array:
+    """Return the prior standard deviations (v, p) of participations; 0 for other parameters."""
+    count, powers = len(model.active), model.powers.shape[1]
+    spread = np.zeros((count + len(model.reference), model.slots))
+    degrees = stage.decay ** np.arange(powers)
+    degrees[0] = _SCALE
+    for part in (0, powers):
+        spread[:count, part : part + powers] = scale[model.active, None] * degrees
     for part in (count, count + TAIL_TERMS):
         tail = scale[model.passive, None] * degrees[:TAIL_TERMS]
         spread[count + model.passive, part : part + TAIL_TERMS] = tail
-    with np.errstate(divide="ignore"):
-        return Prior(centre, spread**-2.0)
+    return spread
 
 
 def _mixing(model: Model, centre_hz: Array) -> Array:

@@ -8,20 +8,23 @@ import pytest
 from scipy import stats
 
 from fitting.modal.field_drift import FIRST_WALK
-from fitting.modal.first_state import at_level, first_state
-from fitting.modal.fit import _model
-from fitting.modal.model import TAIL_TERMS, Prior, stage_prior
+from fitting.modal.first_state import at_level, first_state, participation_scale
+from fitting.modal.fit import Search, _compared, _model
+from fitting.modal.model import TAIL_TERMS, Prior, rescaled, stage_prior
 from fitting.modal.noise import noise_of
 from fitting.modal.out_of_phase import drift_with_losses, expected_shift
-from fitting.modal.rounds import LAST, Given, Scatter, one_round, probabilities
+from fitting.modal.rounds import LAST, Given, Optimum, Scatter, one_round, probabilities
 from tests.fitting.modal.test_fit import DRIVE_HZ, planted
 
 # Discrepancies below the noise, so that noise alone is the scatter.
 NOISE_ALONE = Scatter(1e-4, FIRST_WALK)
 
 
-def a_round(sweep, factor=1.0, inflation=1.0, iterations=40):
-    """Fit with participations that are `factor` times as large, and a drive that is smaller."""
+def begun(sweep, factor=1.0, inflation=1.0):
+    """Begin a fit with participations that are `factor` times as large, and a smaller drive.
+
+    Returns the model, what rounds have in common, and the state.
+    """
     displacements = sweep.displacements
     model, centre_hz = _model(sweep.basis, DRIVE_HZ, sweep.volts, sweep.start_hz)
     drift = drift_with_losses(displacements)
@@ -34,7 +37,12 @@ def a_round(sweep, factor=1.0, inflation=1.0, iterations=40):
     noise = noise_of(displacements)
     noise = replace(noise, inflation=np.full(len(DRIVE_HZ), inflation))
     prior = stage_prior(model, LAST, centre_hz, factor * scale)
-    given = Given(displacements, drift, noise, prior)
+    return model, Given(displacements, drift, noise, prior), state
+
+
+def a_round(sweep, factor=1.0, inflation=1.0, iterations=40):
+    """Fit from such a beginning."""
+    model, given, state = begun(sweep, factor, inflation)
     for scatter in (Scatter(0.1, FIRST_WALK), NOISE_ALONE):
         end = one_round(model, given, state, scatter, iterations)
         state = end.state
@@ -50,6 +58,38 @@ def test_what_is_drive_and_what_participation_does_not_change_the_evidence(sweep
     plain = a_round(sweep)
     for factor in (0.2, 7.0):
         assert a_round(sweep, factor).log_evidence == pytest.approx(plain.log_evidence, abs=0.3)
+
+
+def test_the_scale_of_a_start_does_not_change_what_is_compared(sweep):
+    """An explanation that was found with a wider prior of participations is as probable."""
+    before, after = [], []
+    for wider in (1.0, 3.0):
+        model, given, state = begun(sweep)
+        scale = wider * participation_scale(model, state)
+        given = replace(given, prior=rescaled(given.prior, model, LAST, scale))
+        found = Optimum.of(model, one_round(model, given, state, NOISE_ALONE, 40))
+        again = _compared(Search(model, given, [found]), NOISE_ALONE).optima[0]
+        before.append(found.log_evidence)
+        after.append(again.log_evidence)
+    assert before[0] - before[1] > 40
+    # Weak modes keep a part of it.
+    assert abs(after[0] - after[1]) < 0.2 * (before[0] - before[1])
+
+
+def test_another_scale_changes_the_prior_of_participations_only(sweep):
+    model, given, state = begun(sweep)
+    prior, scale = given.prior, participation_scale(model, state)
+    other = rescaled(prior, model, LAST, 2 * scale)
+    both = rescaled(other, model, LAST, scale)
+    assert both.precision == pytest.approx(rescaled(prior, model, LAST, scale).precision)
+    changed = other.precision != both.precision
+    active, powers = len(model.active), model.powers.shape[1]
+    expected = np.zeros_like(changed)
+    expected[:active, : 2 * powers] = True
+    expected[active + model.passive, active : active + 2 * TAIL_TERMS] = True
+    assert np.array_equal(changed, expected)
+    assert other.precision[changed] == pytest.approx(both.precision[changed] / 4)
+    assert np.array_equal(other.centre, prior.centre)
 
 
 def test_noise_that_is_too_large_or_too_small_has_less_evidence(sweep):

@@ -82,8 +82,9 @@ from fitting.parallel.processes import map_processes
 from holography.arrays import Array
 
 # Participations are polynomials of frequency of this degree: the shape of the pressure on the reed
-# changes with the length of chamber and reed in wavelengths (decision 0045).
-_DEGREE = 4
+# changes with the length of chamber and reed in wavelengths. What waves from 1 to 20 kHz have of a
+# higher degree is below the noise of displacements (decisions 0045 and 0057).
+_DEGREE = 6
 # How often the discrepancy is estimated, and how often if the modes are known from another fit.
 _ROUNDS, _AGAIN = 3, 2
 # Scatter before the first residuals are known.

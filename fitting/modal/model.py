@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import jv
 
 from fitting.modal.drive_prior import FIRST_GAIN, DrivePrior, Ripple, drive_prior, found_gain
 from holography.arrays import Array, ComplexArray
@@ -28,6 +29,10 @@ _LOSS_SPREAD = 0.4
 _PERTURBATION, _MOST_MIXING, _LEAST_MIXING = 0.08, 0.5, 5e-3
 # Prior of participations: within 3 times the value of the stage before.
 _SCALE = 3.0
+# How fast participations change with frequency (decision 0057): distance from the tip over which a
+# mode takes up pressure, half the window under the reed (`physics.parameters.chamber`); the speed
+# of sound; and what cavities and leaks add in any degree, chosen.
+_REACH_M, _SOUND_M_S, _OTHER = 16.5e-3, 343.0, 0.03
 
 
 @dataclass(frozen=True)
@@ -256,13 +261,27 @@ def _participation_spread(model: Model, stage: Stage, scale: Array) -> Array:
     """Return the prior standard deviations (v, p) of participations; 0 for other parameters."""
     count, powers = len(model.active), model.powers.shape[1]
     spread = np.zeros((count + len(model.reference), model.slots))
-    degrees = stage.decay ** np.arange(powers)
-    degrees[0] = _SCALE
+    degrees = _degrees(model.hz, stage.decay, powers)
     for part in (0, powers):
         spread[:count, part : part + powers] = scale[model.active, None] * degrees
     for part in (count, count + TAIL_TERMS):
         tail = scale[model.passive, None] * degrees[:TAIL_TERMS]
         spread[count + model.passive, part : part + TAIL_TERMS] = tail
+    return spread
+
+
+def _degrees(hz: Array, decay: float, terms: int) -> Array:
+    """Return the prior standard deviations of Chebyshev coefficients of a participation.
+
+    From one end of the sweep to the other, the phase of a wave at a distance changes by 2κ. Its
+    coefficients then are 2 J_d(κ) (the Jacobi-Anger expansion, DLMF 10.12), which fall fast from
+    the degree κ on. Each is at most `decay` to the power of its degree.
+    """
+    degree = np.arange(terms)
+    phase = np.pi * _REACH_M * (hz[-1] - hz[0]) / _SOUND_M_S
+    wave = np.where(degree > phase, np.hypot(2 * jv(degree, phase), _OTHER), np.inf)
+    spread: Array = np.minimum(decay**degree, wave)
+    spread[0] = _SCALE
     return spread
 
 

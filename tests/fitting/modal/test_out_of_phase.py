@@ -110,9 +110,9 @@ def with_sound(seed, share):
     count = len(sweep.hz)
     rng = np.random.default_rng(200 + seed)
     sends = rng.uniform(0.5, 1, count) * np.array([1, -1, 1, -1, 1, 1])[:count]
-    # Loss factors by sound grow with frequency up to a third of those of cane.
+    # Loss factors by sound grow with frequency up to half of those of cane.
     sound_hz = np.geomspace(1000.0, 12_000.0, 9)
-    strength = 0.01 * 2 * np.pi * sound_hz * (sound_hz / 6000) ** 2
+    strength = 0.015 * 2 * np.pi * sound_hz * (sound_hz / 6000) ** 2
     basis = replace(
         sweep.basis, sound_hz=sound_hz, sound=strength[:, None, None] * np.outer(sends, sends)
     )

@@ -92,7 +92,7 @@ def excitation_group(
     nominal : BenchParameters
     leaks : Leaks
     """
-    hz, log, error = _mean_drive(sweeps)
+    hz, log, error, fitted = _mean_drive(sweeps)
     if len(hz) <= _DEGREE + 1:
         return None
     loud = loudest(sweeps)[0]
@@ -111,7 +111,7 @@ def excitation_group(
         )
         return bent
 
-    noise = np.diag(error**2) + leaked + _SMOOTH**2 * powers @ powers.T
+    noise = np.diag(error**2) + fitted + leaked + _SMOOTH**2 * powers @ powers.T
     waves = tuple(
         GroupNuisances(
             f"response over {length:g}",
@@ -151,23 +151,29 @@ def _gain(drive: Drive, hz: Array) -> Array:
     return gain
 
 
-def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array]:
+def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array, Array]:
     """Frequencies, log drive per volt and errors (k,) of all holograms, by all sweeps.
 
     What sweeps differ by smoothly is anyone's; where they differ from hologram to hologram, some of
-    their fits are wrong there.
+    their fits are wrong there. Where a mode lies in a notch, every fit divides it in the same way:
+    the errors (k, k) of the fits themselves, which come last, do not decrease with their number.
     """
     every = np.array(sorted({float(f) for s in sweeps for f in s.drive_hz}))
     new = np.diff(np.log(every), prepend=-np.inf) > _SAME_HZ
     hz, place = every[new], np.cumsum(new) - 1
     table = np.full((len(sweeps), len(hz)), np.nan)
+    pairs, both = np.zeros((len(hz), len(hz))), np.zeros((len(hz), len(hz)))
     for row, sweep in zip(table, sweeps, strict=True):
-        good = ~sweep.off
-        row[place[np.searchsorted(every, sweep.drive_hz[good])]] = sweep.log_drive[good]
+        good = np.flatnonzero(~sweep.off)
+        at = place[np.searchsorted(every, sweep.drive_hz[good])]
+        row[at] = sweep.log_drive[good]
+        pairs[np.ix_(at, at)] += sweep.log_drive_covariance[np.ix_(good, good)]
+        both[np.ix_(at, at)] += 1
     told = (np.sum(np.isfinite(table), axis=0) >= min(2, len(sweeps))) & (hz < _HIGHEST_HZ)
     hz, table = hz[told], table[:, told]
+    fitted = (pairs / np.maximum(both, 1))[np.ix_(told, told)]
     if not hz.size:
-        return hz, hz, hz
+        return hz, hz, hz, fitted
     middle = np.nanmedian(table, axis=0)
     apart = np.where(np.isfinite(table), table - middle, 0.0)
     apart = apart - median_filter(apart, size=(1, _AROUND), mode="nearest")
@@ -176,7 +182,7 @@ def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array]:
     error = np.sqrt(np.sum(apart**2, axis=0) / np.maximum(count - 1, 1))
     pitch = np.log(hz / np.sqrt(hz[0] * hz[-1]))
     ends = np.clip((np.abs(pitch) / np.abs(pitch).max() - 1) / _END_SHARE + 1, 0, 1)
-    return hz, mean, np.sqrt(_LEAST**2 + error**2 + (_END * ends) ** 2)
+    return hz, mean, np.sqrt(_LEAST**2 + error**2 + (_END * ends) ** 2), fitted
 
 
 def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup | None:

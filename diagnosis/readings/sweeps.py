@@ -69,6 +69,8 @@ class SweepReading:
     log_drive : (k,) float
         Per volt, in nepers, with what all participations have in common: drive and participations
         may be exchanged.
+    log_drive_covariance : (k, k) float
+        Covariance of `log_drive`, by the fit.
     amplitude_rad : (k,) float
         Root mean square over the reed.
     deepest_rad : (k,) float
@@ -113,6 +115,7 @@ class SweepReading:
     volts: Array
     time_s: Array
     log_drive: Array
+    log_drive_covariance: Array
     amplitude_rad: Array
     deepest_rad: Array
     brightness: Array
@@ -325,6 +328,7 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
         volts=phasors.volts,
         time_s=np.array([_middle_s(step) - part.clock_s for step in steps]),
         log_drive=np.log(np.abs(drive)) + _common(modal, kept, log_hz),
+        log_drive_covariance=modal.log_drive_covariance,
         amplitude_rad=np.sqrt(np.mean(np.abs(u) ** 2, axis=1)),
         deepest_rad=np.abs(u).max(axis=1),
         brightness=found.gain + 0.5 * np.log(noise * np.mean(seen, axis=-1)),

@@ -59,6 +59,7 @@ def sweep(name="up", drive_hz=STEPS_HZ, volts=8.0, names=tuple(MODES), **changed
         "volts": np.full(count, volts),
         "time_s": 1.0 + np.arange(count),
         "log_drive": 0.3 * np.log(drive_hz / 1e3),
+        "log_drive_covariance": np.zeros((count, count)),
         "amplitude_rad": np.full(count, 2.0),
         "deepest_rad": np.full(count, 3.0),
         "signal": np.log(volts * drive_hz) + 1e-3 * np.sin(np.arange(count)),

@@ -8,7 +8,7 @@ import pytest
 
 from diagnosis.observables import drive
 from diagnosis.observables.carrier import Leaks
-from diagnosis.observables.drive import excitation_group, forces_rad, level_group
+from diagnosis.observables.drive import _mean_drive, excitation_group, forces_rad, level_group
 from diagnosis.observables.frequency_lock import lock_group, lost_frames_group
 from diagnosis.observables.light import (
     brightness_group,
@@ -134,7 +134,8 @@ def sweep(name="up", begun_s=0.0, length_s=0.0, volts=4.0, clamping=0, **own):
         "loudness": float(np.log(volts)), "drive_hz": np.geomspace(1e3, 1e4, count),
         "time_s": begun_s + np.linspace(0, length_s, count), "noise_dn2": np.full(count, 1600.0),
         "fringe_dn2": np.full(count, 1e4), "signal": np.log(volts) + np.zeros(count),
-        "log_drive": np.zeros(count), "off": np.zeros(count, bool), "taken_off": 0.0,
+        "log_drive": np.zeros(count), "log_drive_covariance": np.zeros((count, count)),
+        "off": np.zeros(count, bool), "taken_off": 0.0,
         "deepest_rad": np.full(count, 3.0), "amplitude_rad": np.ones(count),
         "names": (), "hz": np.zeros(0), "loss_factor": np.zeros(0),
     }  # fmt: skip
@@ -223,6 +224,32 @@ def test_a_line_stands_out_of_the_drive_where_it_is() -> None:
     change = changed(block, nominal, stronger)
     expected = np.log(abs(1 - 1.5j * strength) / abs(1 - 1j * strength))
     assert change[at_line] == pytest.approx(expected)
+
+
+def test_what_fits_do_not_know_of_the_drive_is_an_error_of_its_lines() -> None:
+    doubt = np.zeros((160, 160))
+    doubt[90:93, 90:93] = 0.3**2
+    sure = [sweep(), sweep("down")]
+    unsure = [sweep(log_drive_covariance=doubt), sweep("down", log_drive_covariance=doubt)]
+    before, after = (
+        excitation_group(each, BenchParameters(), Leaks({}, 0.0)).errors.noise
+        for each in (sure, unsure)
+    )
+    # Both sweeps err together: the mean is no better than one.
+    assert after - before == pytest.approx(doubt)
+
+
+def test_a_hologram_that_is_off_in_one_sweep_has_the_error_of_the_others() -> None:
+    off = np.zeros(160, bool)
+    off[90] = True
+    sweeps = [
+        sweep(log_drive_covariance=np.eye(160), off=off),
+        sweep("down", log_drive_covariance=0.25 * np.eye(160)),
+        sweep("again", log_drive_covariance=0.25 * np.eye(160)),
+    ]
+    hz, _, _, fitted = _mean_drive(sweeps)
+    assert len(hz) == 160
+    assert np.diag(fitted)[[89, 90]] == pytest.approx([0.5, 0.25])
 
 
 def test_forces_fall_beyond_an_amplifier_s_corner_and_rise_by_what_clay_lets_through(

@@ -16,7 +16,7 @@ OPEN = {
     "defocus": "no observable expects that the image moves by 1.2 mm",
     "laser_mode_hop": "fits give a sixteenth of a step of the light to the vibration",
     "speckle_decorrelation": "fits absorb a fifth of the lost contrast",
-    "coarse_mesh": "F3 of its reed is found 10 cents too low, 3.5 standard errors",
+    "coarse_mesh": "the loss of X1 is found 1 % too low, 3.2 standard errors",
     "second_acoustic_resonance": "misfit looks like lost contrast, 12 times its stated error",
     "sideband_crosstalk": "fits know no next sideband: the loss of F1 doubles in a quiet sweep",
 }

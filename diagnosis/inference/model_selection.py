@@ -146,9 +146,9 @@ def select_model(
     unknown = log_bayes_any_unknown(problem, null)
     unseen = tuple(effect.id for effect in effects if effect.id not in alone)
     report(1.0)
-    told = group_discrepancies(problem, null)
+    factors = group_discrepancies(problem, null)
     return ModelSelection(
-        null, alone, pairs, signatures, told, unknown, unknown_with, unseen, count
+        null, alone, pairs, signatures, factors, unknown, unknown_with, unseen, count
     )
 
 

@@ -169,9 +169,9 @@ def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array, Ar
         row[at] = sweep.log_drive[good]
         pairs[np.ix_(at, at)] += sweep.log_drive_covariance[np.ix_(good, good)]
         both[np.ix_(at, at)] += 1
-    told = (np.sum(np.isfinite(table), axis=0) >= min(2, len(sweeps))) & (hz < _HIGHEST_HZ)
-    hz, table = hz[told], table[:, told]
-    fitted = (pairs / np.maximum(both, 1))[np.ix_(told, told)]
+    seen = (np.sum(np.isfinite(table), axis=0) >= min(2, len(sweeps))) & (hz < _HIGHEST_HZ)
+    hz, table = hz[seen], table[:, seen]
+    fitted = (pairs / np.maximum(both, 1))[np.ix_(seen, seen)]
     if not hz.size:
         return hz, hz, hz, fitted
     middle = np.nanmedian(table, axis=0)

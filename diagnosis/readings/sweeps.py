@@ -70,7 +70,7 @@ class SweepReading:
         Per volt, in nepers, with what all participations have in common: drive and participations
         may be exchanged.
     log_drive_covariance : (k, k) float
-        Covariance of `log_drive`, by the fit.
+        Covariance of the drive's logarithm, by the fit.
     amplitude_rad : (k,) float
         Root mean square over the reed.
     deepest_rad : (k,) float

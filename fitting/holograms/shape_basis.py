@@ -50,7 +50,7 @@ class ShapeBasis:
         Frequencies of `sound`.
     sound : (h, m, m) float
         Resistance of the sound that a moving mode (last axis) sends to another one, per unit of
-        modal mass, in rad/s, for these shapes.
+        modal mass, in 1/s, for these shapes.
     """
 
     functions: Float32Array

@@ -16,6 +16,7 @@ from scipy.special import jv
 
 from fitting.modal.drive_prior import FIRST_GAIN, DrivePrior, Ripple, drive_prior, found_gain
 from holography.arrays import Array, ComplexArray
+from physics.parameters.chamber import Chamber
 
 # Modes beyond the sweep show only their tails: their participations have two coefficients.
 TAIL_TERMS = 2
@@ -30,9 +31,10 @@ _PERTURBATION, _MOST_MIXING, _LEAST_MIXING = 0.08, 0.5, 5e-3
 # Prior of participations: within 3 times the value of the stage before.
 _SCALE = 3.0
 # How fast participations change with frequency (decision 0057): distance from the tip over which a
-# mode takes up pressure, half the window under the reed (`physics.parameters.chamber`); the speed
-# of sound; and what cavities and leaks add in any degree, chosen.
-_REACH_M, _SOUND_M_S, _OTHER = 16.5e-3, 343.0, 0.03
+# mode takes up pressure, half the window under the reed; the speed of sound; and what cavities and
+# leaks add in any degree, chosen.
+_CHAMBER = Chamber()
+_REACH_M, _SOUND_M_S, _OTHER = 0.5 * _CHAMBER.length_m, _CHAMBER.sound_speed_m_s, 0.03
 
 
 @dataclass(frozen=True)

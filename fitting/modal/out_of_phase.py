@@ -15,8 +15,8 @@ with Δη = 0.025 (decision 0039).
 
     a_m = −iω R_mn h_m / λ_m a_n
 
-with h of the model's equation. F3, which sends out most, receives it from all F modes; without this
-it was up to 54 cents off (decision 0055).
+with h of the model's equation. F modes send out most. Without this, F3 was up to 54 cents off
+(decision 0055).
 
 Δη, and the sound relative to that of a free plate, are fitted as two more parameters of the
 common-mode error.
@@ -44,7 +44,8 @@ _EXPECTED, _SPREAD = np.array([0.0, 1.0]), np.array([0.03, 0.5])
 def sound_between_modes(basis: ShapeBasis, hz: Array, drive_hz: Array) -> Array:
     """Return ω R_mn / λ_m (k, m, n) of modes (m,) at drive frequencies (k,); 0 for m = n.
 
-    What a mode loses by its own sound is part of its loss factor.
+    What a mode loses by its own sound is part of its loss factor. Beyond the frequencies that the
+    basis has, the resistance stays as it is at their end.
 
     Parameters
     ----------
@@ -53,7 +54,8 @@ def sound_between_modes(basis: ShapeBasis, hz: Array, drive_hz: Array) -> Array:
         Eigenfrequencies.
     drive_hz : (k,) float
     """
-    resistance = CubicSpline(np.log(basis.sound_hz), basis.sound)(np.log(drive_hz))
+    at_hz = np.clip(drive_hz, basis.sound_hz[0], basis.sound_hz[-1])
+    resistance = CubicSpline(np.log(basis.sound_hz), basis.sound)(np.log(at_hz))
     between: Array = resistance * (drive_hz[:, None] / (2 * np.pi * hz**2))[..., None]
     return between * (1 - np.eye(len(hz)))
 

@@ -146,3 +146,10 @@ def test_a_mode_sends_no_sound_to_itself():
     assert between.shape == (len(DRIVE_HZ), 6, 6)
     assert not np.diagonal(between, axis1=1, axis2=2).any()
     assert np.all(between[:, 0, 1] < 0)
+
+
+def test_sound_beyond_the_frequencies_of_the_basis_has_the_resistance_of_their_end():
+    basis = with_sound(2, 1.0).basis
+    last_hz = basis.sound_hz[-1]
+    at_end, beyond = sound_between_modes(basis, MODE_HZ, np.array([last_hz, 2 * last_hz]))
+    assert beyond == pytest.approx(2 * at_end)

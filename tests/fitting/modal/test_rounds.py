@@ -92,6 +92,16 @@ def test_another_scale_changes_the_prior_of_participations_only(sweep):
     assert np.array_equal(other.centre, prior.centre)
 
 
+def test_weak_modes_have_the_same_share_of_the_largest_scale_at_any_level(sweep):
+    scales = []
+    for factor in (1.0, 1e-3):
+        model, _, state = begun(sweep, factor)
+        state.x[0] = 0.0
+        scales.append(participation_scale(model, state))
+    assert scales[1] == pytest.approx(1e-3 * scales[0])
+    assert scales[0][model.active[0]] == pytest.approx(3e-3 * scales[0].max())
+
+
 def test_noise_that_is_too_large_or_too_small_has_less_evidence(sweep):
     small, right, large = (a_round(sweep, inflation=i).log_evidence for i in (0.6, 1.0, 1.6))
     assert small < right - 5
